@@ -1,0 +1,46 @@
+"""Contact curves that roll: plan them for a finger on an object, exactly and fast.
+
+Kumar & Mukherjee, "A note on synthesizing geodesic based contact curves".
+"""
+
+from .errors import (
+    ChartSingularity,
+    ConformalContact,
+    ContactSystemError,
+    SceneError,
+    SurfaceError,
+)
+from .plan import Plan, load, plan
+from .profile import Contraction, Gain, Profile
+from .scene import (
+    Contact,
+    FingerAcceleration,
+    ObjectAcceleration,
+    ObjectRateOffset,
+    Scene,
+    Turning,
+    bundled_scenes,
+    load_scene,
+    save_scene,
+)
+from .surfaces import (
+    Cylinder,
+    Ellipsoid,
+    ImplicitSurface,
+    ParametricSurface,
+    Plane,
+    Quadric,
+    Sphere,
+    Surface,
+    Torus,
+)
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "ChartSingularity", "ConformalContact", "Contact", "ContactSystemError", "Contraction",
+    "Cylinder", "Ellipsoid", "FingerAcceleration", "Gain", "ImplicitSurface", "ObjectAcceleration",
+    "ObjectRateOffset", "ParametricSurface", "Plan", "Plane", "Profile", "Quadric", "Scene",
+    "SceneError", "Sphere", "Surface", "SurfaceError", "Torus", "Turning", "bundled_scenes", "load",
+    "load_scene", "plan", "save_scene",
+]  # fmt: skip

@@ -1,0 +1,214 @@
+/* Gauss collocation in panels, the compiled twin of development.integrate (same steps, same tests).
+
+   X' = f(X, sigma(tau), decay(tau)) on tau in [0, length] for nb bodies in lockstep; the last
+   n_stiff states V obey V' = f_V - lam(tau) V, whose linear part is solved implicitly.
+   The includer defines RHS (a kernel loop, see Kernel.loop_source), NX, NC and N (nodes).
+
+   Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.7: collocation at Gauss
+   points conserves quadratic invariants, here F(x), |p|, |q|, p.q of every quadric. */
+#include <math.h>
+#include <string.h>
+
+typedef struct {
+  long n_sigma, n_exponent, power; /* polynomials lowest first; decay gets (sigma0/sigma)^power */
+  const double *sigma, *exponent;
+} drive_t;
+
+typedef struct {
+  double length, tolerance, first, slip, finish; /* see development.integrate */
+  const double *node, *integral, *series, *end;  /* xi[N], Q^T[N][N], B[N+1][N], e[2][N] */
+  long n_stiff, max_panels;
+} method_t;
+
+static double horner(const double *c, long n, double x) {
+  double y = c[n - 1];
+  for (long k = n - 2; k >= 0; k--) y = y * x + c[k];
+  return y;
+}
+
+static double slope(const double *c, long n, double x) {
+  double y = 0.0;
+  for (long k = n - 1; k >= 1; k--) y = y * x + k * c[k];
+  return y;
+}
+
+static double decay_at(const drive_t *d, double tau, double sigma) {
+  double e = exp(-horner(d->exponent, d->n_exponent, tau));
+  if (d->power && tau > 0) e *= d->sigma[0] / sigma;
+  return e;
+}
+
+static double gain_at(const drive_t *d, double tau) {
+  double lam = slope(d->exponent, d->n_exponent, tau);
+  if (d->power) lam += slope(d->sigma, d->n_sigma, tau) / horner(d->sigma, d->n_sigma, tau);
+  return lam;
+}
+
+static double longest(const drive_t *d, const method_t *m, double tau, double h) {
+  /* decay may fall by exp(-30) at most in a panel: its first node then still sees the layer */
+  if (m->slip <= 0) return h;
+  for (int k = 0; k < 60; k++) {
+    double a = gain_at(d, tau), b = gain_at(d, tau + h), lam = a > b ? a : b;
+    if (lam * h <= 30.0 || horner(d->exponent, d->n_exponent, tau) > 40.0) break;
+    h = (30.0 / lam < 0.5 * h) ? 0.5 * h : 30.0 / lam * 0.99;
+  }
+  return h;
+}
+
+/* inverse of I + h/2 Q diag(lam) by Gauss-Jordan with row pivots */
+static int implicit(const method_t *m, const double *lam, double half, double *inv) {
+  double a[N][N];
+  for (int i = 0; i < N; i++)
+    for (int j = 0; j < N; j++) {
+      a[i][j] = half * m->integral[j * N + i] * lam[j] + (i == j);
+      inv[i * N + j] = (i == j);
+    }
+  for (int k = 0; k < N; k++) {
+    int p = k;
+    for (int i = k + 1; i < N; i++)
+      if (fabs(a[i][k]) > fabs(a[p][k])) p = i;
+    if (a[p][k] == 0.0) return 1;
+    for (int j = 0; j < N; j++) {
+      double t = a[k][j];
+      a[k][j] = a[p][j], a[p][j] = t;
+      t = inv[k * N + j], inv[k * N + j] = inv[p * N + j], inv[p * N + j] = t;
+    }
+    double s = 1.0 / a[k][k];
+    for (int j = 0; j < N; j++) a[k][j] *= s, inv[k * N + j] *= s;
+    for (int i = 0; i < N; i++) {
+      double t = a[i][k];
+      if (i == k || t == 0.0) continue;
+      for (int j = 0; j < N; j++) a[i][j] -= t * a[k][j], inv[i * N + j] -= t * inv[k * N + j];
+    }
+  }
+  return 0;
+}
+
+/* y = start + half Q f. Not inlined, and its outer loop kept a loop: GCC would unroll all of it
+   and pack it badly (measured: four times slower). */
+static __attribute__((noinline)) void primitive(const double *restrict q, const double *restrict f,
+                                                double start, double half, double *restrict y) {
+  double sum[N] = {0};
+#pragma GCC unroll 1
+  for (int j = 0; j < N; j++) {
+    double fj = f[j];
+#pragma omp simd
+    for (int i = 0; i < N; i++) sum[i] += q[j * N + i] * fj;
+  }
+#pragma omp simd
+  for (int i = 0; i < N; i++) y[i] = start + half * sum[i];
+}
+
+/* One sweep: f at the nodes, then x = start + h/2 Q f (V: the implicit form). Returns the change. */
+static double sweep(const method_t *m, const double *start, const double *c, const double *scale,
+                    double half, const double *lam, const double *inv, double x[NX + 2][N],
+                    double f[NX][N]) {
+  static const long rows_in[] = {IN_ROWS}, rows_out[] = {OUT_ROWS};
+  double y[N], g[N], worst[N] = {0}, total[N] = {0};
+  RHS(1, N, &x[0][0], rows_in, 0, c, &f[0][0], rows_out, 0);
+  for (long s = 0; s < NX; s++) {
+    primitive(m->integral, f[s], start[s], half, y);
+    if (s >= NX - m->n_stiff) {
+      for (int i = 0; i < N; i++) {
+        g[i] = 0.0;
+        for (int j = 0; j < N; j++) g[i] += inv[i * N + j] * y[j];
+      }
+      for (int i = 0; i < N; i++) y[i] = g[i], f[s][i] -= lam[i] * g[i];
+    }
+#pragma omp simd
+    for (int i = 0; i < N; i++) {
+      double d = fabs(y[i] - x[s][i]) * scale[s];
+      worst[i] = d > worst[i] ? d : worst[i];
+      total[i] += d; /* catches a NaN, which a maximum drops */
+      x[s][i] = y[i];
+    }
+  }
+  double change = 0.0, all = 0.0;
+  for (int i = 0; i < N; i++) change = worst[i] > change ? worst[i] : change, all += total[i];
+  if (!(all < 1e300)) return HUGE_VAL;
+  return change;
+}
+
+/* Returns the number of panels, or -1 (no room: call again with more), -2 (no convergence).
+   edges[max_panels + 1], coefficients[panel][body][NX][N+1], state[nb][NX] in and out,
+   work: (2 NX + 2) * N doubles, panel_state: nb * NX doubles. */
+long panels(long nb, double *state, const double *constants, const double *scale,
+            const drive_t *drive, const method_t *m, double *edges, double *coefficients,
+            double *work, double *panel_state) {
+  double tau = 0.0, h = m->first, lam[N], inv[N * N];
+  long count = 0, tries = 0;
+  edges[0] = 0.0;
+  while (tau < m->length) {
+    if (count == m->max_panels) return -1;
+    if (++tries > 40 * (count + 25)) return -2;
+    h = longest(drive, m, tau, h < m->length - tau ? h : m->length - tau);
+    double after = tau + h;
+    if (after >= m->length * (1 - 1e-14)) after = m->length;
+    double half = 0.5 * (after - tau), sig[N], dec[N];
+    for (int i = 0; i < N; i++) {
+      double t = tau + half * (1.0 + m->node[i]);
+      sig[i] = horner(drive->sigma, drive->n_sigma, t);
+      dec[i] = m->slip > 0 ? decay_at(drive, t, sig[i]) : 0.0;
+      if (m->n_stiff) lam[i] = gain_at(drive, t);
+    }
+    if (m->n_stiff && implicit(m, lam, half, inv)) return -2;
+    double error = 0.0;
+    int slow = 0;
+    for (long b = 0; b < nb && !slow; b++) {
+      double(*x)[N] = (double(*)[N])(work);
+      double(*f)[N] = (double(*)[N])(work + (NX + 2) * N);
+      const double *start = state + b * NX, *c = constants + b * NC, *sc = scale + b * NX;
+      for (long s = 0; s < NX; s++)
+        for (int i = 0; i < N; i++) x[s][i] = start[s];
+      memcpy(x[NX], sig, sizeof sig);
+      memcpy(x[NX + 1], dec, sizeof dec);
+      double last = HUGE_VAL, change = HUGE_VAL;
+      int k = 0;
+      for (; k < SWEEPS; k++) {
+        change = sweep(m, start, c, sc, half, lam, inv, x, f);
+        if (change <= m->tolerance * 1e-2 || change <= 1e-15) break;
+        if (k > 6 && change <= 1e-13 && change > 0.25 * last) break;
+        if (!(change < 1e10)) { k = SWEEPS; break; }
+        last = change;
+      }
+      if (k >= SWEEPS) { slow = 1; break; }
+      double *out = coefficients + ((count * nb + b) * NX) * (N + 1);
+      for (long s = 0; s < NX; s++) {
+        double *o = out + s * (N + 1);
+        for (int j = 0; j <= N; j++) {
+          double a = 0.0;
+          for (int i = 0; i < N; i++) a += m->series[j * N + i] * f[s][i];
+          o[j] = half * a;
+        }
+        o[0] += start[s];
+        double tail = fabs(o[N]), before = 0.1 * fabs(o[N - 1]);
+        tail = (tail > before ? tail : before) * sc[s];
+        error = tail > error ? tail : error;
+        double e = 0.0;
+        if (s >= NX - m->n_stiff)
+          for (int i = 0; i < N; i++) e += m->end[N + i] * x[s][i];
+        else {
+          for (int i = 0; i < N; i++) e += m->end[i] * f[s][i];
+          e = start[s] + half * e;
+        }
+        panel_state[b * NX + s] = e;
+      }
+    }
+    if (slow) { h = 0.35 * (after - tau); continue; }
+    if (!(error <= m->tolerance)) {
+      double shrink = 0.9 * pow(m->tolerance / error, 1.0 / N);
+      h = (after - tau) * (shrink > 0.2 ? (shrink < 0.8 ? shrink : 0.8) : 0.2);
+      continue;
+    }
+    memcpy(state, panel_state, (size_t)(nb * NX) * sizeof(double));
+    double grow = error > 0 ? 0.9 * pow(m->tolerance / error, 1.0 / N) : 2.0;
+    h = (after - tau) * (grow < 2.0 ? grow : 2.0);
+    tau = after;
+    edges[++count] = tau;
+    if (m->slip > 0 && m->finish > 0 && tau < m->length) {
+      double s = horner(drive->sigma, drive->n_sigma, tau);
+      if (m->slip * decay_at(drive, tau, s) <= m->finish) break;
+    }
+  }
+  return count;
+}

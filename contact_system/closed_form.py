@@ -1,0 +1,275 @@
+"""Contact curves that need no integration (theory section 6).
+
+* Great circles on a sphere: the moving frame is carried by one rotation.
+* Developable bodies (plane, cylinder): the developed plane curve *is* the curve, slip or not;
+  slip costs the scalar quadrature g(t) = int sigma exp(-L).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from .development import Panels
+from .kernels import Kernel, per_structure
+from .profile import GainPiece
+from .surfaces import Surface
+from .tracks import Track, frame_coordinates, frame_kernel, point_kernel
+
+SX = ca.SX
+
+# A phase of 2 pi k carries k times the rounding of the arc length; beyond this many radians it is
+# computed in doubled precision instead.  64 rad leave 64 * 1.1e-16 * a few = 3e-14 of the radius.
+LONG_PHASE = 64.0
+
+
+@per_structure
+def circle_kernel(surface: Surface, output: str) -> Kernel:
+    """Great circle through x0 along e: x = x0 cos(phi) + r e sin(phi).
+
+    point: phi, speed. constant: parameters, x0/r (3), e (3), b = third axis (3), direction of the
+    drive in [p q] (2). ``output``: "points" -> x; "frames" -> x, p, q; "coordinates" -> u, v, u',
+    v', theta.
+    """
+    point, p = SX.sym("point", 2), SX.sym("p", len(surface.parameters))
+    start, along, across, turn = SX.sym("n", 3), SX.sym("e", 3), SX.sym("b", 3), SX.sym("w", 2)
+    cos, sin = ca.cos(point[0]), ca.sin(point[0])
+    x = p[0] * (cos * start + sin * along)
+    constant = ca.vertcat(p, start, along, across, turn)
+    if output == "points":
+        return Kernel("circle_points", point, constant, x)
+    tangent = cos * along - sin * start
+    first = turn[0] * tangent - turn[1] * across
+    if output == "frames":
+        second = turn[1] * tangent + turn[0] * across
+        return Kernel("circle_frames", point, constant, ca.vertcat(x, first, second))
+    frame = ca.horzcat(first, first)
+    values = frame_coordinates(surface, p, x, frame, point[1] * tangent)
+    return Kernel("circle_coordinates", point, constant, values)
+
+
+@dataclass(eq=False)
+class CircleTrack(Track):
+    """Geodesics of spheres (also bowls).
+
+    Attributes
+    ----------
+    begin : (n_bodies, 9)
+        x, p, q at ``start``.
+    w : (n_bodies, 2)
+        Path velocity in the parallel frame, constant.
+    piece : GainPiece
+        sigma in local time.
+    """
+
+    begin: np.ndarray
+    w: np.ndarray
+    piece: GainPiece
+
+    def __post_init__(self) -> None:
+        pace = np.hypot(self.w[:, 0], self.w[:, 1])
+        turn = np.where(pace[:, None] > 0, self.w, [1.0, 0.0]) / np.where(pace > 0, pace, 1)[:, None]
+        radius = self.parameters[:, :1]
+        x, p, q = self.begin[:, 0:3], self.begin[:, 3:6], self.begin[:, 6:9]
+        along = turn[:, :1] * p + turn[:, 1:] * q
+        across = turn[:, :1] * q - turn[:, 1:] * p
+        self.constants = np.hstack([self.parameters, x / radius, along, across, turn])
+        self.pace = pace[:, None]
+        self.phase_per_metre = self.pace / radius
+
+    def _points(self, t: np.ndarray) -> np.ndarray:
+        tau = t - self.start
+        points = np.empty((self.n_bodies, 2, len(t)))
+        np.multiply(self.phase_per_metre, self.piece.arc_length(tau), out=points[:, 0])
+        np.multiply(self.pace, self.piece.speed(tau), out=points[:, 1])
+        if points[:, 0, -1:].max(initial=0.0) > LONG_PHASE:
+            points[:, 0] = long_phase(self.w, self.parameters[:, 0], self.piece.sigma, tau)
+        return points
+
+    def frames(self, t: np.ndarray) -> np.ndarray:
+        return self.run(circle_kernel(self.surface, "frames"), self._points(t), self.constants)
+
+    state = frames
+
+    def positions(self, t: np.ndarray) -> np.ndarray:
+        return self.run(circle_kernel(self.surface, "points"), self._points(t), self.constants)
+
+    def raw_coordinates(self, t: np.ndarray) -> np.ndarray:
+        kernel = circle_kernel(self.surface, "coordinates")
+        return self.run(kernel, self._points(t), self.constants)
+
+    def drive(self, t: np.ndarray) -> np.ndarray:
+        return self.w[:, :, None] * self.piece.speed(t - self.start)
+
+    def anchor_times(self) -> np.ndarray:
+        span = self.stop - self.start
+        length = self.piece.arc_length(span)
+        count = int(np.ceil(self.phase_per_metre.max() * length)) + 1
+        return self.start + times_of_lengths(self.piece, span, np.linspace(0.0, length, count + 1))
+
+
+def times_of_lengths(piece: GainPiece, span: float, lengths: np.ndarray) -> np.ndarray:
+    """Local times at which the arc length passes given values, to about 1e-3 of their spacing."""
+    grid = np.linspace(0.0, span, 16 * len(lengths) + 1)
+    return np.interp(lengths, piece.arc_length(grid), grid)
+
+
+@dataclass(eq=False)
+class FlatTrack(Track):
+    """Plane and cylinder: u, v are linear in the developed displacement and theta is constant.
+
+    Attributes
+    ----------
+    begin : (n_bodies, 3)
+        u, v, theta at ``start``.
+    w, v : (n_bodies, 2)
+        Drive sigma (w - v decay) in the parallel frame.
+    lame : (n_bodies, 2)
+        h_u, h_v, constant.
+    piece : GainPiece
+    slip_length : Panels or None
+        g(t); None where v is zero.
+    """
+
+    begin: np.ndarray
+    w: np.ndarray
+    v: np.ndarray
+    lame: np.ndarray
+    piece: GainPiece
+    slip_length: Panels | None
+
+    def __post_init__(self) -> None:
+        cos, sin = np.cos(self.begin[:, 2]), np.sin(self.begin[:, 2])
+        turn = np.array([[cos, -sin], [sin, cos]]).transpose(2, 0, 1)
+        self.along = (turn @ self.w[:, :, None])[:, :, 0]
+        self.aside = (turn @ self.v[:, :, None])[:, :, 0]
+
+    def state(self, t: np.ndarray) -> np.ndarray:
+        return self._state(t - self.start, False)
+
+    def _state(self, tau: np.ndarray, reduced: bool) -> np.ndarray:
+        """u, v, theta; with ``reduced``, whole turns are taken off long paths."""
+        length = self.piece.arc_length(tau)
+        out = np.empty((self.n_bodies, 3, len(tau)))
+        moved = out[:, :2]
+        np.multiply((self.along / self.lame)[:, :, None], length, out=moved)
+        if reduced and np.abs(moved).max(initial=0.0) > LONG_PHASE:
+            exact = long_length(self.piece.sigma, tau)
+            for i, period in enumerate(self.surface.periods()):
+                if period is not None:
+                    moved[:, i] = long_ratio(self.along[:, i], self.lame[:, i], exact)
+        if self.slip_length is not None:
+            shift = self.slip_length.evaluate(tau)[0]
+            moved -= (self.aside / self.lame)[:, :, None] * shift
+        if self.offset is not None:
+            moved += self.offset[:, :, None] * tau
+        moved += self.begin[:, :2, None]
+        out[:, 2] = self.begin[:, 2:]
+        return out
+
+    def frames(self, t: np.ndarray) -> np.ndarray:
+        state = self._state(t - self.start, True)
+        return self.run(frame_kernel(self.surface), state, self.parameters)
+
+    def positions(self, t: np.ndarray) -> np.ndarray:
+        state = self._state(t - self.start, True)
+        return self.run(point_kernel(self.surface), state, self.parameters)
+
+    def drive(self, t: np.ndarray) -> np.ndarray:
+        tau = t - self.start
+        sigma = self.piece.speed(tau)
+        drive = self.w[:, :, None] * sigma
+        if self.slip_length is not None:
+            drive = drive - self.v[:, :, None] * (sigma * self.piece.decay(tau, sigma))
+        return drive
+
+
+# --- doubled precision for long paths ----------------------------------------------------------
+
+
+def _two_sum(a, b):
+    s = a + b
+    z = s - a
+    return s, (a - (s - z)) + (b - z)
+
+
+def _two_product(a, b):
+    p = a * b
+    split = 134217729.0  # 2^27 + 1, Dekker
+    a1 = split * a
+    a1 = a1 - (a1 - a)
+    b1 = split * b
+    b1 = b1 - (b1 - b)
+    a2, b2 = a - a1, b - b1
+    return p, ((a1 * b1 - p) + a1 * b2 + a2 * b1) + a2 * b2
+
+
+def _multiply(a, b):
+    p, e = _two_product(a[0], b[0])
+    return _two_sum(p, e + (a[0] * b[1] + a[1] * b[0]))
+
+
+def _add(a, b):
+    s, e = _two_sum(a[0], b[0])
+    return _two_sum(s, e + (a[1] + b[1]))
+
+
+def _divide(a, b):
+    q = a[0] / b[0]
+    p, e = _two_product(q, b[0])
+    return _two_sum(q, ((a[0] - p) - e + a[1] - q * b[1]) / b[0])
+
+
+_TURN = (6.283185307179586, 2.4492935982947064e-16)  # 2 pi in doubled precision
+
+
+def long_length(sigma: tuple[float, ...], tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """int_0^tau sigma in doubled precision, high and low parts."""
+    zero = np.zeros_like(tau)
+    total = (zero, zero)
+    for k in range(len(sigma) - 1, -1, -1):
+        term = _divide((sigma[k] + zero, zero), (k + 1.0 + zero, zero))
+        total = _multiply(_add(total, term), (tau, zero))
+    return total
+
+
+def long_phase(
+    w: np.ndarray, radius: np.ndarray, sigma: tuple[float, ...], tau: np.ndarray
+) -> np.ndarray:
+    """|w| s(tau) / radius modulo 2 pi, right to 1e-16 after any number of revolutions.
+
+    Parameters
+    ----------
+    w : (n, 2)
+    radius : (n,)
+    sigma : coefficients in local time
+    tau : (n_times,)
+    """
+    x, y = w[:, :1], w[:, 1:]
+    square = _add(_two_product(x, x), _two_product(y, y))
+    root = np.sqrt(square[0])
+    error = _add(square, tuple(-z for z in _two_product(root, root)))
+    safe = np.where(root > 0, root, 1.0)  # a contact point at rest has pace 0
+    pace = _two_sum(root, np.where(root > 0, error[0] / (2 * safe), 0.0))
+    rate = _divide(pace, (radius[:, None], np.zeros_like(radius)[:, None]))
+    length = long_length(sigma, tau)
+    phase = _multiply(rate, tuple(z[None, :] for z in length))
+    return reduce_turns(phase)
+
+
+def reduce_turns(phase: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """A doubled-precision angle modulo 2 pi, in (-pi, pi]."""
+    turns = np.rint(phase[0] / _TURN[0])
+    whole = _multiply((-turns, np.zeros_like(turns)), _TURN)
+    return _add(phase, whole)[0]
+
+
+def long_ratio(
+    along: np.ndarray, lame: np.ndarray, length: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """along * length / lame modulo 2 pi: (n,), (n,), doubled (n_times,) -> (n, n_times)."""
+    zero = np.zeros_like(along)[:, None]
+    rate = _divide((along[:, None], zero), (lame[:, None], zero))
+    return reduce_turns(_multiply(rate, tuple(z[None, :] for z in length)))

@@ -1,0 +1,518 @@
+r"""Rolling as the development of a plane curve: moving frames on any surface (theory section 4, 5).
+
+The contact point of body i moves with velocity ``c_1 p + c_2 q``, where ``[p q]`` is a frame
+carried by parallel transport and ``c`` is known in advance:
+
+.. math:: c_1 = \sigma W_1, \qquad c_2 = \sigma (W - V e^{-L}), \qquad W = R_0 W_1 .
+
+No sigma'/sigma, no stiffness, and no coupling between the bodies. Two forms of state:
+
+* ambient, (x, p, q) in R^9, for surfaces with an implicit form: no chart, no poles;
+* chart, (u, v, theta), for surfaces given by a chart: ``[p q]`` is the contact frame turned by theta.
+
+Accelerations that act on a finger or the object make W_1 and V states as well ("forced").
+The motion is integrated by Gauss collocation in panels whose length follows the decay of the
+solution's Legendre series; that series is also the dense output.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.polynomial import legendre
+
+from . import geometry
+from .errors import ContactSystemError
+from .kernels import (
+    C_SOURCES,
+    PRELUDE,
+    Kernel,
+    compiled_library,
+    find_compiler,
+    library_path,
+    per_structure,
+)
+from .profile import GainPiece
+from .surfaces import Surface
+from .tracks import Track, chart_to_parallel, rotation
+
+SX = ca.SX
+
+# --- the equations, symbolic -------------------------------------------------------------------
+
+
+def state_size(ambient: bool) -> int:
+    """9 for the ambient state (x, p, q), 3 for the chart state (u, v, theta)."""
+    return 9 if ambient else 3
+
+
+def body_motion(
+    surface: Surface, ambient: bool, p: SX, state: SX, c: SX, offset: SX | None = None
+) -> SX:
+    """Rate of a body's moving frame when its contact point is driven by c (theory 4, 5).
+
+    Parameters
+    ----------
+    surface : Surface
+    ambient : bool
+        The form of the state.
+    p : SX
+        Parameters of the surface.
+    state : SX (9) or (3)
+    c : SX (2)
+        Velocity of the contact point in the parallel frame, m/s.
+    offset : SX (2), optional
+        Chart rates added to the motion of the point (theory section 7).
+    """
+    if offset is not None:
+        c = c + chart_to_parallel(surface, ambient, p, state, offset)
+    if ambient:
+        x, frame = state[0:3], ca.reshape(state[3:9], 3, 2)
+        velocity = frame @ c
+        gradient, hessian = geometry.implicit_geometry(surface.implicit_expr(p, x), x)
+        turn = frame.T @ (hessian @ velocity) / ca.dot(gradient, gradient)
+        return ca.vertcat(velocity, -turn[0] * gradient, -turn[1] * gradient)
+    shape = surface.geometry_expr(p, state[0], state[1])
+    velocity = rotation(state[2]) @ c
+    rates = geometry.upper_inverse(shape.metric_root) @ velocity
+    return ca.vertcat(rates, -shape.torsion_form @ velocity)
+
+
+def reflection(cos_psi: SX, sin_psi: SX) -> SX:
+    """R_psi of theory section 2 from the cosine and sine of psi, 2x2."""
+    return ca.vertcat(ca.horzcat(cos_psi, -sin_psi), ca.horzcat(-sin_psi, -cos_psi))
+
+
+@per_structure
+def driven_motion(surface: Surface, ambient: bool, offset: bool = False) -> Kernel:
+    """Kernel of one body driven by c = sigma (W - V decay).
+
+    point: state, sigma, decay. constant: surface parameters, W (2), V (2), offset (2).
+    """
+    state, drive = SX.sym("state", state_size(ambient)), SX.sym("drive", 2)
+    p, w, v = SX.sym("p", len(surface.parameters)), SX.sym("W", 2), SX.sym("V", 2)
+    d = SX.sym("d", 2)
+    c = drive[0] * (w - v * drive[1])
+    rate = body_motion(surface, ambient, p, state, c, d if offset else None)
+    return Kernel("driven", ca.vertcat(state, drive), ca.vertcat(p, w, v, d), rate)
+
+
+@per_structure
+def forced_motion(
+    finger: Surface, obj: Surface, ambient: tuple[bool, bool], finger_forced: bool
+) -> Kernel:
+    """Kernel of a contact under accelerations (theory section 7).
+
+    point: [finger state, W1 if the finger is forced], object state, V; sigma, decay (unused).
+    constant: finger and object parameters, cos and sin of psi(0), W1(0), accelerations of finger
+    and object (chart components, 2 + 2), object rate offset (2).
+    The term -lam V of V' is left to the integrator, which treats it implicitly.
+    """
+    n1 = state_size(ambient[0]) if finger_forced else 0
+    n2 = state_size(ambient[1])
+    state = SX.sym("state", n1 + (2 if finger_forced else 0) + n2 + 2)
+    drive = SX.sym("drive", 2)
+    p1, p2 = SX.sym("p1", len(finger.parameters)), SX.sym("p2", len(obj.parameters))
+    turn, w_start = SX.sym("turn", 2), SX.sym("W1", 2)
+    d1, d2, offset = SX.sym("d1", 2), SX.sym("d2", 2), SX.sym("offset", 2)
+    sigma, r0 = drive[0], reflection(turn[0], turn[1])
+    own, v = state[state.numel() - 2 - n2 : state.numel() - 2], state[state.numel() - 2 :]
+    rates, w1 = [], w_start
+    v_rate = -chart_to_parallel(obj, ambient[1], p2, own, d2) / sigma
+    if finger_forced:
+        tip, w1 = state[:n1], state[n1 : n1 + 2]
+        w1_rate = chart_to_parallel(finger, ambient[0], p1, tip, d1) / sigma
+        rates += [body_motion(finger, ambient[0], p1, tip, sigma * w1), w1_rate]
+        v_rate += r0 @ w1_rate
+    rates += [body_motion(obj, ambient[1], p2, own, sigma * (r0 @ w1 - v), offset), v_rate]
+    constant = ca.vertcat(p1, p2, turn, w_start, d1, d2, offset)
+    return Kernel("forced", ca.vertcat(state, drive), constant, ca.vertcat(*rates))
+
+
+@per_structure
+def rolling_motion(finger: Surface, obj: Surface) -> Kernel:
+    """Kernel of imposed rolling (eq. `corollary`): the object's geodesic drags the finger along.
+
+    point: u1, v1, psi, object chart state; sigma, decay (unused). constant: finger and object
+    parameters, W (2). M1 q1' = R_psi M2 q2', psi' = T1 M1 q1' + T2 M2 q2' in chart coordinates:
+    that the finger's curve is a geodesic too is a result here, not an assumption.
+    """
+    state, drive = SX.sym("state", 6), SX.sym("drive", 2)
+    p1, p2 = SX.sym("p1", len(finger.parameters)), SX.sym("p2", len(obj.parameters))
+    w = SX.sym("W", 2)
+    own = state[3:6]
+    tip = finger.geometry_expr(p1, state[0], state[1])
+    body = obj.geometry_expr(p2, own[0], own[1])
+    c = drive[0] * w
+    a2 = rotation(own[2]) @ c
+    a1 = reflection(ca.cos(state[2]), ca.sin(state[2])) @ a2
+    rates = geometry.upper_inverse(tip.metric_root) @ a1
+    spin = tip.torsion_form @ a1 + body.torsion_form @ a2
+    rate = ca.vertcat(rates, spin, body_motion(obj, False, p2, own, c))
+    return Kernel("rolling", ca.vertcat(state, drive), ca.vertcat(p1, p2, w), rate)
+
+
+@functools.cache
+def slip_displacement() -> Kernel:
+    """Kernel of g' = sigma decay (theory section 4): all that slip costs on a developable body."""
+    g, drive = SX.sym("g"), SX.sym("drive", 2)
+    return Kernel("displacement", ca.vertcat(g, drive), SX.sym("none", 1), drive[0] * drive[1])
+
+
+# --- Gauss collocation in panels ---------------------------------------------------------------
+
+NODES = 16
+# 16 nodes: on a unit sphere a panel spans about 2 rad at 1e-14 and Picard sweeps still converge.
+SWEEPS = 40
+
+
+@dataclass(frozen=True)
+class Collocation:
+    """Matrices of collocation at the Gauss points of [-1, 1].
+
+    integral : (N, N), antiderivative of the interpolant at the nodes
+    series : (N + 1, N), node values of f -> Legendre coefficients of its antiderivative from -1
+    end : (2, N), weights of the integral over [-1, 1]; extrapolation of node values to +1
+    """
+
+    node: np.ndarray
+    integral: np.ndarray
+    series: np.ndarray
+    end: np.ndarray
+
+
+@functools.cache
+def collocation(n: int = NODES) -> Collocation:
+    """The matrices, from the discrete orthogonality of Legendre polynomials at Gauss points."""
+    node, weight = legendre.leggauss(n)
+    basis = legendre.legvander(node, n)  # P_0 .. P_n at the nodes
+    project = (basis[:, :n] * weight[:, None] * (np.arange(n) + 0.5)).T
+    primitive = np.zeros((n + 1, n))  # int_-1 P_k = (P_{k+1} - P_{k-1}) / (2k + 1)
+    primitive[0, 0] = primitive[1, 0] = 1.0
+    for k in range(1, n):
+        primitive[k + 1, k] += 1.0 / (2 * k + 1)
+        primitive[k - 1, k] -= 1.0 / (2 * k + 1)
+    series = primitive @ project
+    end = np.vstack([weight, project.sum(axis=0)])
+    return Collocation(node, np.ascontiguousarray(basis @ series), np.ascontiguousarray(series), end)
+
+
+@dataclass(frozen=True)
+class Panels:
+    """A motion as Legendre series on panels.
+
+    edges : (K + 1,), local time (or arc length) of the panel ends
+    coefficients : (K, n_bodies, n_states, N + 1)
+    end : (n_bodies, n_states), the state at the last edge
+    """
+
+    edges: np.ndarray
+    coefficients: np.ndarray
+    end: np.ndarray
+
+    def evaluate(self, tau: np.ndarray, states: slice = slice(None)) -> np.ndarray:
+        """The states at ascending local times: (n_bodies, n_states, n_times)."""
+        coefficients = self.coefficients[:, :, states]
+        out = np.empty(coefficients.shape[1:3] + (len(tau),))
+        inner = self.edges[1:-1]
+        cuts = np.concatenate(([0], np.searchsorted(tau, inner, side="right"), [len(tau)]))
+        which = np.repeat(np.arange(len(self.edges) - 1), np.diff(cuts))
+        width = np.diff(self.edges)
+        xi = 2.0 * (tau - self.edges[which]) / width[which] - 1.0
+        basis = _legendre_basis(xi)
+        for k in np.flatnonzero(np.diff(cuts)):
+            part = slice(cuts[k], cuts[k + 1])
+            np.matmul(coefficients[k], basis[:, part], out=out[:, :, part])
+        return out
+
+
+def _legendre_basis(xi: np.ndarray) -> np.ndarray:
+    """P_0 .. P_N at xi: (N + 1, n)."""
+    basis = np.empty((NODES + 1, len(xi)))
+    basis[0], basis[1] = 1.0, xi
+    for k in range(1, NODES):
+        np.multiply(xi, basis[k], out=basis[k + 1])
+        basis[k + 1] *= (2 * k + 1) / (k + 1)
+        basis[k + 1] -= (k / (k + 1)) * basis[k - 1]
+    return basis
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What :func:`integrate` needs to know beside the kernel.
+
+    Attributes
+    ----------
+    start : (n_bodies, n_states)
+    constants : (n_bodies, n_constant)
+    scale : (n_bodies, n_states)
+        1 / (size of each state): errors are measured in these units.
+    drive : GainPiece
+        sigma and decay as functions of local time.
+    length : float
+        End of the integration in local time.
+    tolerance : float
+        Bound of the truncated series tail of a panel, in units of ``1 / scale``.
+    first : float
+        First panel to try.
+    slip : float
+        Greatest |V| of the bodies; 0 where there is none (decay is then not evaluated).
+    finish : float
+        Stop once slip * decay is below this; 0: never.
+    stiff : int
+        How many trailing states carry the term -lam.
+    """
+
+    start: np.ndarray
+    constants: np.ndarray
+    scale: np.ndarray
+    drive: GainPiece
+    length: float
+    tolerance: float
+    first: float
+    slip: float = 0.0
+    finish: float = 0.0
+    stiff: int = 0
+
+
+def integrate(kernel: Kernel, problem: Problem, compiled: bool | None = False) -> Panels:
+    """Integrate all bodies of a problem in lockstep.
+
+    ``compiled``: True compiles if need be, False never, None uses what was built before.
+
+    Raises
+    ------
+    ContactSystemError
+        The panels shrink without end (the motion leaves its chart, or the surface is not smooth).
+    """
+    compiled = panels_built(kernel) if compiled is None else compiled
+    run = _integrate_compiled if compiled else _integrate_here
+    # Below 4e-16 a series' tail is rounding noise.
+    return run(kernel, problem, max(0.1 * problem.tolerance, 4e-16))
+
+
+def _stuck(problem: Problem, tau: float, h: float) -> ContactSystemError:
+    return ContactSystemError(
+        f"the motion cannot be continued past local time {problem.drive.start + tau:.9g} "
+        f"(panels of {h:.2g}): the path reaches a singular point of its chart or of its surface, or "
+        "moves too fast for double precision; start elsewhere, change the direction or end the "
+        "scene before"
+    )
+
+
+def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panels:
+    """The panels with the virtual machine and numpy; panels.c has the same steps."""
+    m, drive = collocation(), problem.drive
+    start = np.array(problem.start)
+    n_bodies, n_states = start.shape
+    machine = kernel.machine(n_bodies * NODES)
+    machine.c.reshape(n_bodies, NODES, -1)[:] = problem.constants[:, None, :]
+    x = machine.x.reshape(n_bodies, NODES, -1)
+    f = machine.y.reshape(n_bodies, NODES, n_states)
+    scale, n_smooth = problem.scale[:, None, :], n_states - problem.stiff
+    edges, series = [0.0], []
+    tau, h, tries = 0.0, min(problem.first, problem.length), 0
+    while tau < problem.length:
+        tries += 1
+        if tries > 40 * (len(series) + 25):
+            raise _stuck(problem, tau, h)
+        h = longest_panel(problem, tau, min(h, problem.length - tau))
+        after = tau + h
+        if after >= problem.length * (1 - 1e-14):
+            after = problem.length
+        half = 0.5 * (after - tau)
+        t = tau + half * (1.0 + m.node)
+        sigma = drive.speed(t)
+        x[:, :, n_states] = sigma
+        x[:, :, n_states + 1] = drive.decay(t, sigma) if problem.slip > 0 else 0.0
+        x[:, :, :n_states] = start[:, None, :]
+        if problem.stiff:
+            lam = drive.gain(t)[:, None]
+            solve = np.linalg.inv(np.eye(NODES) + half * m.integral * lam.T)
+        last = np.inf
+        with np.errstate(all="ignore"):  # a diverging sweep is caught below
+            for k in range(SWEEPS):
+                machine.run()
+                new = start[:, None, :] + half * (m.integral @ f)
+                if problem.stiff:
+                    new[:, :, n_smooth:] = solve @ new[:, :, n_smooth:]
+                    f[:, :, n_smooth:] -= lam * new[:, :, n_smooth:]
+                change = np.abs((new - x[:, :, :n_states]) * scale).max()
+                x[:, :, :n_states] = new
+                if change <= max(tolerance * 1e-2, 1e-15):
+                    break
+                if k > 6 and change <= 1e-13 and change > 0.25 * last:
+                    break
+                if not change < 1e10:
+                    k = SWEEPS
+                    break
+                last = change
+            else:
+                k = SWEEPS
+        if k == SWEEPS:
+            h = 0.35 * (after - tau)
+            continue
+        coefficients = half * (m.series @ f)
+        coefficients[:, 0] += start
+        tail = np.maximum(np.abs(coefficients[:, -1]), 0.1 * np.abs(coefficients[:, -2]))
+        error = (tail * problem.scale).max()
+        ratio = 0.9 * (tolerance / error) ** (1.0 / NODES) if error > 0 else 2.0
+        if not error <= tolerance:
+            h = (after - tau) * min(max(ratio, 0.2), 0.8)
+            continue
+        series.append(coefficients.transpose(0, 2, 1))
+        start = start + half * (m.end[0] @ f)
+        if problem.stiff:
+            start[:, n_smooth:] = m.end[1] @ x[:, :, n_smooth:n_states]
+        h = (after - tau) * min(ratio, 2.0)
+        tau = after
+        edges.append(tau)
+        if problem.slip > 0 and problem.finish > 0:
+            if problem.slip * drive.decay(tau, drive.speed(tau)) <= problem.finish:
+                break
+    return Panels(np.array(edges), np.array(series), start)
+
+
+def longest_panel(problem: Problem, tau: float, h: float) -> float:
+    """Shorten a panel so that decay falls by exp(-30) at most: its first node still sees it."""
+    if problem.slip <= 0:
+        return h
+    drive = problem.drive
+    for _ in range(60):
+        gain = max(drive.gain(tau), drive.gain(tau + h))
+        if gain * h <= 30.0 or drive.lost(tau) > 40.0:
+            break
+        h = 0.5 * h if 30.0 / gain < 0.5 * h else 30.0 / gain * 0.99
+    return h
+
+
+# --- the compiled twin -------------------------------------------------------------------------
+
+
+class _Drive(ctypes.Structure):
+    _fields_ = [("n_sigma", ctypes.c_long), ("n_exponent", ctypes.c_long), ("power", ctypes.c_long),
+                ("sigma", ctypes.c_void_p), ("exponent", ctypes.c_void_p)]  # fmt: skip
+
+
+class _Method(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_double) for name in ("length", "tolerance", "first", "slip", "finish")]
+    _fields_ += [(name, ctypes.c_void_p) for name in ("node", "integral", "series", "end")]
+    _fields_ += [("n_stiff", ctypes.c_long), ("max_panels", ctypes.c_long)]
+
+
+def panel_source(kernel: Kernel) -> str:
+    """C99 source of ``panels`` for one kernel."""
+    n = kernel.n_result
+    rows_in = ", ".join(f"{i * NODES}" for i in range(n + 2))
+    rows_out = ", ".join(f"{i * NODES}" for i in range(n))
+    # Inlined, a loop of 16 is unrolled and then poorly packed: five times slower.
+    head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
+    head += f"#define RHS {kernel.name}\n#define NX {n}L\n#define NC {kernel.n_constant}L\n"
+    head += f"#define N {NODES}\n#define SWEEPS {SWEEPS}\n"
+    head += f"#define IN_ROWS {rows_in}\n#define OUT_ROWS {rows_out}\n"
+    return head + (C_SOURCES / "panels.c").read_text()
+
+
+@per_structure
+def _panel_library(kernel: Kernel) -> ctypes.CDLL:
+    library = compiled_library(panel_source(kernel))
+    library.panels.restype = ctypes.c_long
+    library.panels.argtypes = [ctypes.c_long] + [ctypes.c_void_p] * 9
+    return library
+
+
+def panels_built(kernel: Kernel) -> bool:
+    """Whether the compiled panels of a kernel lie in the cache (looked up once)."""
+    if kernel not in _BUILT:
+        there = find_compiler() is not None and library_path(panel_source(kernel)).exists()
+        _BUILT[kernel] = there
+    return _BUILT[kernel]
+
+
+_BUILT: dict[Kernel, bool] = {}
+
+
+def _integrate_compiled(kernel: Kernel, problem: Problem, tolerance: float) -> Panels:
+    m, run = _matrices(), _panel_library(kernel).panels
+    n_bodies, n_states = problem.start.shape
+    sigma, exponent = np.array(problem.drive.sigma), np.array(problem.drive.exponent)
+    drive = _Drive(len(sigma), len(exponent), problem.drive.power, sigma.ctypes.data, exponent.ctypes.data)
+    scale = np.ascontiguousarray(problem.scale)
+    constants = np.ascontiguousarray(problem.constants)
+    work = np.empty((2 * n_states + 2) * NODES)
+    spare = np.empty((n_bodies, n_states))
+    room = 32
+    while True:
+        method = _Method(problem.length, tolerance, problem.first, problem.slip, problem.finish,
+                         *m[0], problem.stiff, room)  # fmt: skip
+        state = np.array(problem.start, order="C")
+        edges = np.empty(room + 1)
+        coefficients = np.empty((room, n_bodies, n_states, NODES + 1))
+        count = run(n_bodies, state.ctypes.data, constants.ctypes.data, scale.ctypes.data,
+                    ctypes.addressof(drive), ctypes.addressof(method), edges.ctypes.data,
+                    coefficients.ctypes.data, work.ctypes.data, spare.ctypes.data)  # fmt: skip
+        if count >= 0:
+            return Panels(edges[: count + 1], coefficients[:count], state)
+        if count == -2:
+            raise _stuck(problem, float("nan"), float("nan"))
+        room *= 4
+
+
+@functools.cache
+def _matrices() -> tuple[tuple[int, ...], list[np.ndarray]]:
+    m = collocation()
+    kept = [np.ascontiguousarray(a) for a in (m.node, m.integral.T, m.series, m.end)]
+    return tuple(a.ctypes.data for a in kept), kept
+
+
+# --- tracks ------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class PanelTrack(Track):
+    """Bodies whose states are panels in local time, or in arc length for geodesics.
+
+    Attributes
+    ----------
+    panels : Panels
+    rows : slice
+        The rows of the panels that hold these bodies' states.
+    piece : GainPiece
+        sigma and decay in local time.
+    drive_of : callable
+        Local times -> velocity of the contact point in the parallel frame (n_bodies, 2, n).
+    by_length : bool
+        The panels' variable is the arc length since start.
+    """
+
+    panels: Panels
+    rows: slice
+    piece: GainPiece
+    drive_of: Callable[[np.ndarray], np.ndarray]
+    by_length: bool = False
+
+    def state(self, t: np.ndarray) -> np.ndarray:
+        tau = t - self.start
+        if self.by_length:
+            tau = self.piece.arc_length(tau)
+        # rounding may put a time 1e-16 outside
+        return self.panels.evaluate(np.clip(tau, 0.0, self.panels.edges[-1]), self.rows)
+
+    def drive(self, t: np.ndarray) -> np.ndarray:
+        return self.drive_of(t - self.start)
+
+    def anchor_times(self) -> np.ndarray:
+        edges = self.panels.edges
+        grid = np.append((edges[:-1, None] + np.diff(edges)[:, None] * _QUARTERS).ravel(), edges[-1])
+        if self.by_length:
+            fine = np.linspace(0.0, self.stop - self.start, 16 * len(grid) + 1)
+            grid = np.interp(grid, self.piece.arc_length(fine), fine)
+        return self.start + grid
+
+
+_QUARTERS = np.arange(4) / 4.0

@@ -1,0 +1,175 @@
+"""Formulas written as text, read safely: arithmetic and known functions, nothing else.
+
+A scene file may hold ``"2*pi/3"`` or the chart of a surface, ``"(R + r*cos(v))*cos(u)"``. The
+text is parsed by Python's own grammar and only arithmetic is given a meaning; no code is run.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import math
+from collections.abc import Callable, Mapping
+
+import casadi as ca
+
+from contact_system.errors import ContactSystemError
+
+SX = ca.SX
+
+# A formula longer than this is a mistake, and Python's parser is not to be strained by it.
+LONGEST_TEXT = 10_000
+
+CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
+
+# name: (number of arguments, meaning)
+FUNCTIONS: dict[str, tuple[int, Callable[..., SX]]] = {
+    "sqrt": (1, ca.sqrt),
+    "sin": (1, ca.sin),
+    "cos": (1, ca.cos),
+    "tan": (1, ca.tan),
+    "asin": (1, ca.asin),
+    "acos": (1, ca.acos),
+    "atan": (1, ca.atan),
+    "atan2": (2, ca.atan2),
+    "exp": (1, ca.exp),
+    "log": (1, ca.log),
+    "sinh": (1, ca.sinh),
+    "cosh": (1, ca.cosh),
+    "tanh": (1, ca.tanh),
+    "hypot": (2, lambda a, b: ca.sqrt(a * a + b * b)),
+    "pow": (2, lambda a, b: a**b),
+    "abs": (1, ca.fabs),
+    "fabs": (1, ca.fabs),
+    "fmin": (2, ca.fmin),
+    "fmax": (2, ca.fmax),
+    "sign": (1, ca.sign),
+    "copysign": (2, ca.copysign),
+}
+
+_BINARY: dict[type[ast.operator], Callable[[SX, SX], SX]] = {
+    ast.Add: lambda a, b: a + b,
+    ast.Sub: lambda a, b: a - b,
+    ast.Mult: lambda a, b: a * b,
+    ast.Div: lambda a, b: a / b,
+    ast.Pow: lambda a, b: a**b,
+}
+
+
+def parse(text: str, names: Mapping[str, SX]) -> SX:
+    """Return the SX expression that a formula stands for.
+
+    Parameters
+    ----------
+    text : str
+        Arithmetic (``+ - * / **``, parentheses), numbers, ``pi``, ``e`` and the functions of
+        `FUNCTIONS`.
+    names : mapping of str to SX
+        Symbols the formula may use; they take precedence over ``pi`` and ``e``.
+
+    Returns
+    -------
+    SX
+        A scalar; ``float(...)`` of it is its value where no symbol occurs.
+
+    Raises
+    ------
+    ContactSystemError
+        Anything else in the text; names the text, the column (from 1) and the nearest known name.
+    """
+    if not isinstance(text, str):
+        raise ContactSystemError(f"formula {text!r} must be a text such as '2*pi/3'")
+    if len(text) > LONGEST_TEXT:
+        raise ContactSystemError(
+            f"formula {text[:40]!r}... has {len(text)} characters; at most {LONGEST_TEXT} are read"
+        )
+    stripped = text.strip()
+    lead = len(text) - len(text.lstrip())
+    try:
+        return _Reader(text, lead, names).read(ast.parse(stripped, mode="eval").body)
+    except SyntaxError as error:
+        column = lead + max(error.offset or 1, 1)
+        raise ContactSystemError(
+            f"formula {text!r}, column {column}: not readable ({error.msg}); write products with *"
+        ) from None
+    except (RecursionError, MemoryError):
+        raise ContactSystemError(f"formula {text[:40]!r}... is nested too deeply") from None
+    except ValueError as error:
+        if isinstance(error, ContactSystemError):
+            raise
+        raise ContactSystemError(f"formula {text!r}: not readable ({error})") from None
+
+
+class _Reader:
+    """Walks one formula's syntax tree; carries what error messages need."""
+
+    def __init__(self, text: str, lead: int, names: Mapping[str, SX]) -> None:
+        self.text = text
+        self.lead = lead
+        self.names = names
+
+    def fail(self, node: ast.expr, problem: str) -> ContactSystemError:
+        # Python counts columns in UTF-8 bytes, people count characters.
+        before = self.text.lstrip().encode()[: node.col_offset]
+        column = self.lead + len(before.decode(errors="replace")) + 1
+        return ContactSystemError(f"formula {self.text!r}, column {column}: {problem}")
+
+    def read(self, node: ast.expr) -> SX:
+        match node:
+            case ast.Constant():
+                return SX(self.number(node))
+            case ast.Name():
+                return self.name(node)
+            case ast.UnaryOp(op=ast.USub()):
+                return -self.read(node.operand)
+            case ast.UnaryOp(op=ast.UAdd()):
+                return self.read(node.operand)
+            case ast.BinOp():
+                return self.operation(node)
+            case ast.Call():
+                return self.call(node)
+        raise self.fail(node, "only arithmetic and known functions are allowed in a formula")
+
+    def number(self, node: ast.Constant) -> float:
+        if isinstance(node.value, bool) or not isinstance(node.value, (int, float)):
+            raise self.fail(node, f"{node.value!r} is not a real number")
+        try:
+            value = float(node.value)
+        except OverflowError:
+            value = math.inf
+        if not math.isfinite(value):
+            raise self.fail(node, "the number is too large")
+        return value
+
+    def name(self, node: ast.Name) -> SX:
+        if node.id in self.names:
+            return self.names[node.id]
+        if node.id in CONSTANTS:
+            return SX(CONSTANTS[node.id])
+        if node.id in FUNCTIONS:
+            raise self.fail(node, f"{node.id} is a function; write {node.id}(...)")
+        raise self.fail(node, self.unknown("name", node.id, [*self.names, *CONSTANTS]))
+
+    def operation(self, node: ast.BinOp) -> SX:
+        if isinstance(node.op, ast.BitXor):
+            raise self.fail(node, "^ is not a power here; write **")
+        if type(node.op) not in _BINARY:
+            raise self.fail(node, "only + - * / ** combine two values in a formula")
+        return _BINARY[type(node.op)](self.read(node.left), self.read(node.right))
+
+    def call(self, node: ast.Call) -> SX:
+        if not isinstance(node.func, ast.Name) or node.keywords:
+            raise self.fail(node, "call functions by their plain name, as in atan2(y, x)")
+        name = node.func.id
+        if name not in FUNCTIONS:
+            raise self.fail(node, self.unknown("function", name, [*FUNCTIONS]))
+        count, meaning = FUNCTIONS[name]
+        if len(node.args) != count:
+            raise self.fail(node, f"{name} takes {count} argument(s), not {len(node.args)}")
+        return meaning(*(self.read(argument) for argument in node.args))
+
+    @staticmethod
+    def unknown(kind: str, name: str, known: list[str]) -> str:
+        near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(known))}"
+        return f"unknown {kind} {name}; {hint}"

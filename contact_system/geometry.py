@@ -1,0 +1,161 @@
+r"""Everything metric about a surface, stated once, symbolically, for any chart.
+
+A chart ``f(u, v)`` need not be orthogonal. Its contact frame is ``E = [x y n]`` with
+
+.. math:: x = f_u/|f_u|, \quad n = f_u \times f_v/|f_u \times f_v|, \quad y = n \times x,
+
+and ``M`` (the metric root, ``M^T M`` is the metric) turns coordinate rates into velocity
+components along ``x`` and ``y``. For an orthogonal chart ``y = f_v/|f_v|`` and
+``M = diag(h_u, h_v)``, and every formula below reduces to the one printed in the paper
+(eq. ``christoffel``, eq. ``relvel``).
+
+Lengths in metres, angles in radians. All results are CasADi SX expressions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+SX = ca.SX
+
+
+@dataclass(frozen=True, eq=False)
+class ChartGeometry:
+    """The metric quantities of a chart at one point, as SX expressions.
+
+    Attributes
+    ----------
+    point : SX (3, 1)
+        Position f, m.
+    frame : SX (3, 3)
+        Contact frame E, columns x, y, n.
+    metric_root : SX (2, 2)
+        M, upper triangular: ``M @ (u', v')`` is the velocity along (x, y).
+    lame : SX (2, 1)
+        Lame coefficients ``|f_u|``, ``|f_v|``.
+    christoffel : tuple of two SX (2, 2)
+        Second kind, ``christoffel[k][i, j]`` = Gamma^k_ij, both symmetric.
+    curvature_form : SX (2, 2)
+        K, symmetric: ``n' = [x y] K M q'``; +I/r on a sphere of radius r. 1/m.
+    torsion_form : SX (1, 2)
+        T: ``y . x' = T M q'``. 1/m.
+    defect : SX
+        ``f_u . f_v``: zero exactly where the chart is orthogonal.
+    """
+
+    point: SX
+    frame: SX
+    metric_root: SX
+    lame: SX
+    christoffel: tuple[SX, SX]
+    curvature_form: SX
+    torsion_form: SX
+    defect: SX
+
+
+def contact_frame(f_u: SX, f_v: SX, orthogonal: bool = False) -> tuple[SX, SX, SX]:
+    """Return the contact frame axes and the metric root of two tangent vectors.
+
+    Parameters
+    ----------
+    f_u, f_v : SX (3, 1)
+        Partial derivatives of the chart.
+    orthogonal : bool
+        Promise that ``f_u . f_v`` vanishes identically; saves its evaluation.
+
+    Returns
+    -------
+    x, y : SX (3, 1)
+        Unit tangent axes; the normal is ``x`` cross ``y``.
+    M : SX (2, 2)
+        Metric root.
+    """
+    h_u = ca.norm_2(f_u)
+    x = f_u / h_u
+    if orthogonal:
+        h_v = ca.norm_2(f_v)
+        return x, f_v / h_v, ca.diag(ca.vertcat(h_u, h_v))
+    along = ca.dot(x, f_v)
+    # y from f_v with its x part removed: the same vector as n cross x, and no cross products.
+    across = f_v - along * x
+    h_across = ca.norm_2(across)
+    metric_root = ca.vertcat(ca.horzcat(h_u, along), ca.horzcat(0, h_across))
+    return x, across / h_across, metric_root
+
+
+def chart_geometry(f: SX, u: SX, v: SX, orthogonal: bool = False) -> ChartGeometry:
+    """Return every metric quantity of the chart ``f(u, v)``.
+
+    Parameters
+    ----------
+    f : SX (3, 1)
+        Chart, m.
+    u, v : SX scalar symbols
+        Surface coordinates.
+    orthogonal : bool
+        Promise that ``f_u . f_v`` vanishes identically; shortens every expression.
+    """
+    q = ca.vertcat(u, v)
+    f_q = ca.jacobian(f, q)
+    f_u, f_v = f_q[:, 0], f_q[:, 1]
+    f_uq = ca.jacobian(f_u, q)
+    return tangent_geometry(f, f_u, f_v, f_uq[:, 0], f_uq[:, 1], ca.jacobian(f_v, v), orthogonal)
+
+
+def tangent_geometry(
+    point: SX, f_u: SX, f_v: SX, f_uu: SX, f_uv: SX, f_vv: SX, orthogonal: bool = False
+) -> ChartGeometry:
+    """Return every metric quantity from the derivatives of a chart, however they were found.
+
+    Parameters
+    ----------
+    point, f_u, f_v, f_uu, f_uv, f_vv : SX (3, 1)
+        The chart's value and first and second partial derivatives.
+    orthogonal : bool
+        Promise that ``f_u . f_v`` vanishes identically.
+    """
+    x, y, m = contact_frame(f_u, f_v, orthogonal)
+    n = ca.cross(x, y)
+
+    def second(axis: SX) -> SX:
+        """Components of the second derivatives along one frame axis, symmetric 2x2."""
+        uu, uv, vv = (ca.dot(axis, d) for d in (f_uu, f_uv, f_vv))
+        return ca.vertcat(ca.horzcat(uu, uv), ca.horzcat(uv, vv))
+
+    along_x, along_y, along_n = second(x), second(y), second(n)
+    # Gamma^k_ij = g^kl f_l.f_ij; with g = M^T M this is M^-1 [x y]^T f_ij, no metric inverse.
+    gamma_v = along_y / m[1, 1]
+    gamma_u = (along_x - m[0, 1] * gamma_v) / m[0, 0]
+    # n_i.f_j = -n.f_ij (differentiate n.f_j = 0), so K needs no derivative of the normal.
+    m_inv = upper_inverse(m)
+    curvature = -m_inv.T @ along_n @ m_inv
+    # y.x_i = y.f_ui/h_u, the rest of x_i being along x.
+    torsion = along_y[0, :] / m[0, 0] @ m_inv
+    return ChartGeometry(
+        point=point,
+        frame=ca.horzcat(x, y, n),
+        metric_root=m,
+        lame=ca.vertcat(m[0, 0], ca.norm_2(f_v)),
+        christoffel=(gamma_u, gamma_v),
+        curvature_form=curvature,
+        torsion_form=torsion,
+        defect=SX(0) if orthogonal else ca.dot(f_u, f_v),
+    )
+
+
+def upper_inverse(m: SX) -> SX:
+    """Return the inverse of an upper triangular 2x2 matrix, term by term."""
+    corner = -m[0, 1] / (m[0, 0] * m[1, 1])
+    return ca.vertcat(ca.horzcat(1 / m[0, 0], corner), ca.horzcat(0, 1 / m[1, 1]))
+
+
+def implicit_geometry(level: SX, x: SX) -> tuple[SX, SX]:
+    """Return gradient (3, 1) and Hessian (3, 3) of the level function ``F(x)``.
+
+    With F negative inside the body, ``n = grad/|grad|`` points out of it, and the curvature
+    form in tangent axes [x y] is ``[x y]^T Hess [x y]/|grad|``.
+    """
+    hessian, gradient = ca.hessian(level, x)
+    return gradient, hessian

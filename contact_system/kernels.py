@@ -1,0 +1,459 @@
+"""From one symbolic expression to fast numbers: virtual machine, numpy, or compiled C.
+
+A kernel is a CasADi SX function whose scalar instructions are replayed by one of three engines:
+
+* CasADi's virtual machine: no set-up cost, best for a few dozen points (integration nodes);
+* numpy source generated from the same instructions: best for hundreds of points (output);
+* C99 generated from the same instructions, one loop over points that the compiler turns into
+  SIMD code, built once per structure and kept in the user's cache.
+
+:func:`replay` is the only place that reads CasADi's instructions. It works for any scalar type:
+mpmath numbers, Drake expressions, strings of source code.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from .errors import ContactSystemError
+
+C_SOURCES = Path(__file__).parent / "c"
+
+# One row an instruction: CasADi's op code -> (C and Python infix template, numpy template).
+# {0}, {1} are the operands.  Templates that agree with Python syntax serve both.
+_TEMPLATES: dict[int, tuple[str, str]] = {
+    ca.OP_ASSIGN: ("{0}", "{0}"),
+    ca.OP_ADD: ("{0} + {1}", "{0} + {1}"),
+    ca.OP_SUB: ("{0} - {1}", "{0} - {1}"),
+    ca.OP_MUL: ("{0} * {1}", "{0} * {1}"),
+    ca.OP_DIV: ("{0} / {1}", "{0} / {1}"),
+    ca.OP_NEG: ("-{0}", "-{0}"),
+    ca.OP_SQ: ("{0} * {0}", "{0} * {0}"),
+    ca.OP_TWICE: ("2.0 * {0}", "2.0 * {0}"),
+    ca.OP_INV: ("1.0 / {0}", "1.0 / {0}"),
+    ca.OP_EXP: ("exp({0})", "exp({0})"),
+    ca.OP_LOG: ("log({0})", "log({0})"),
+    ca.OP_POW: ("pow({0}, {1})", "power({0}, {1})"),
+    ca.OP_CONSTPOW: ("pow({0}, {1})", "power({0}, {1})"),
+    ca.OP_SQRT: ("sqrt({0})", "sqrt({0})"),
+    ca.OP_SIN: ("sin({0})", "sin({0})"),
+    ca.OP_COS: ("cos({0})", "cos({0})"),
+    ca.OP_TAN: ("tan({0})", "tan({0})"),
+    ca.OP_ASIN: ("asin({0})", "arcsin({0})"),
+    ca.OP_ACOS: ("acos({0})", "arccos({0})"),
+    ca.OP_ATAN: ("atan({0})", "arctan({0})"),
+    ca.OP_ATAN2: ("atan2({0}, {1})", "arctan2({0}, {1})"),
+    ca.OP_HYPOT: ("sqrt({0} * {0} + {1} * {1})", "sqrt({0} * {0} + {1} * {1})"),
+    ca.OP_SINH: ("sinh({0})", "sinh({0})"),
+    ca.OP_COSH: ("cosh({0})", "cosh({0})"),
+    ca.OP_TANH: ("tanh({0})", "tanh({0})"),
+    ca.OP_ASINH: ("asinh({0})", "arcsinh({0})"),
+    ca.OP_ACOSH: ("acosh({0})", "arccosh({0})"),
+    ca.OP_ATANH: ("atanh({0})", "arctanh({0})"),
+    ca.OP_LOG1P: ("log1p({0})", "log1p({0})"),
+    ca.OP_EXPM1: ("expm1({0})", "expm1({0})"),
+    ca.OP_FABS: ("fabs({0})", "absolute({0})"),
+    ca.OP_FMIN: ("fmin({0}, {1})", "minimum({0}, {1})"),
+    ca.OP_FMAX: ("fmax({0}, {1})", "maximum({0}, {1})"),
+    ca.OP_COPYSIGN: ("copysign({0}, {1})", "copysign({0}, {1})"),
+    ca.OP_SIGN: ("({0} > 0 ? 1.0 : {0} < 0 ? -1.0 : 0.0)", "sign({0})"),
+    ca.OP_FLOOR: ("floor({0})", "floor({0})"),
+    ca.OP_CEIL: ("ceil({0})", "ceil({0})"),
+    ca.OP_LT: ("({0} < {1} ? 1.0 : 0.0)", "1.0 * ({0} < {1})"),
+    ca.OP_LE: ("({0} <= {1} ? 1.0 : 0.0)", "1.0 * ({0} <= {1})"),
+    ca.OP_EQ: ("({0} == {1} ? 1.0 : 0.0)", "1.0 * ({0} == {1})"),
+    ca.OP_NE: ("({0} != {1} ? 1.0 : 0.0)", "1.0 * ({0} != {1})"),
+    ca.OP_NOT: ("({0} == 0 ? 1.0 : 0.0)", "1.0 * ({0} == 0)"),
+    ca.OP_AND: ("({0} != 0 && {1} != 0 ? 1.0 : 0.0)", "1.0 * (({0} != 0) & ({1} != 0))"),
+    ca.OP_OR: ("({0} != 0 || {1} != 0 ? 1.0 : 0.0)", "1.0 * (({0} != 0) | ({1} != 0))"),
+    ca.OP_IF_ELSE_ZERO: ("({0} != 0 ? {1} : 0.0)", "where({0} != 0, {1}, 0.0)"),
+}
+
+
+def replay(
+    function: ca.Function,
+    arguments: Sequence[Sequence[Any]],
+    apply: Callable[[int, list[Any]], Any],
+    constant: Callable[[float], Any] = lambda value: value,
+) -> list[list[Any]]:
+    """Replay the scalar instructions of an SX function on scalars of any type.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        An SX function with dense inputs and outputs.
+    arguments : sequence of sequences
+        ``arguments[i][j]`` is the j-th scalar of input i (column-major).
+    apply : callable
+        ``apply(op, operands)`` returns the value of the CasADi operation ``op``.
+    constant : callable
+        Turns a float constant of the expression into the scalar type.
+
+    Returns
+    -------
+    list of lists: the scalars of each output.
+    """
+    work: list[Any] = [None] * function.sz_w()
+    results: list[list[Any]] = [[constant(0.0)] * function.nnz_out(i) for i in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        op = function.instruction_id(k)
+        out, inp = function.instruction_output(k), function.instruction_input(k)
+        if op == ca.OP_INPUT:
+            work[out[0]] = arguments[inp[0]][inp[1]]
+        elif op == ca.OP_OUTPUT:
+            results[out[0]][out[1]] = work[inp[0]]
+        elif op == ca.OP_CONST:
+            work[out[0]] = constant(function.instruction_constant(k))
+        else:
+            work[out[0]] = apply(op, [work[i] for i in inp])
+    return results
+
+
+def source_lines(
+    function: ca.Function, arguments: Sequence[Sequence[str]], language: str, prefix: str = ""
+) -> tuple[list[str], list[list[str]]]:
+    """Statements that evaluate ``function``, and the names that hold its outputs.
+
+    ``language`` is "c" or "numpy".  Every intermediate value gets a name of its own.
+    """
+    column = {"c": 0, "numpy": 1}[language]
+    lines: list[str] = []
+
+    def apply(op: int, operands: list[str]) -> str:
+        try:
+            template = _TEMPLATES[op][column]
+        except KeyError:
+            raise ContactSystemError(
+                f"operation {op} of CasADi has no {language} form here; write the surface with "
+                "+ - * / sqrt, trigonometric, hyperbolic, exp, log, pow, fabs, fmin, fmax, if_else"
+            ) from None
+        name = f"w{len(lines)}"
+        lines.append(f"{prefix}{name} = {template.format(*operands)}")
+        return name
+
+    outputs = replay(function, arguments, apply, lambda value: f"({value!r})")
+    return lines, outputs
+
+
+class Kernel:
+    """One expression evaluated at many points of many bodies.
+
+    Parameters
+    ----------
+    name : str
+    point : SX (n_point)
+        Inputs that change from point to point.
+    constant : SX (n_constant)
+        Inputs that are constant for a body (radii, initial frames).
+    result : SX (n_result)
+    """
+
+    def __init__(self, name: str, point: ca.SX, constant: ca.SX, result: ca.SX):
+        self.name = name
+        self.n_point, self.n_constant = point.numel(), constant.numel()
+        self.n_result = result.numel()
+        self.function = ca.Function(name, [point, constant], [ca.cse(ca.densify(ca.vec(result)))])
+        self._machines: dict[int, Machine] = {}
+
+    def machine(self, n: int) -> Machine:
+        """The virtual machine for n points, each with its own constants (made once per n)."""
+        if n not in self._machines:
+            if len(self._machines) > 32:
+                self._machines.clear()
+            self._machines[n] = Machine(self, n)
+        return self._machines[n]
+
+    @functools.cached_property
+    def _numpy(self) -> Callable[..., None]:
+        point = [f"x[{i}]" for i in range(self.n_point)]
+        constant = [f"c[{i}]" for i in range(self.n_constant)]
+        lines, (outputs,) = source_lines(self.function, [point, constant], "numpy", "    ")
+        # sin and cos of one argument cost numpy ten times what a tangent costs: half-angle formula.
+        lines = _pair_sines_and_cosines(lines)
+        body = "\n".join(lines)
+        stores = "\n".join(f"    out[{i}] = {name}" for i, name in enumerate(outputs))
+        scope: dict[str, Any] = {n: getattr(np, n) for n in _NUMPY_NAMES}
+        exec(f"def kernel(x, c, out):\n{body}\n{stores}\n", scope)  # our own generated source
+        return scope["kernel"]
+
+    @functools.cached_property
+    def loop_source(self) -> str:
+        """C99: ``void name(nb, nt, in, in_row, in_body, constants, out, out_row, out_body)``."""
+        point = [f"in[in_row[{i}] + b * in_body + i]" for i in range(self.n_point)]
+        constant = [f"c[{i}]" for i in range(self.n_constant)]
+        lines, (outputs,) = source_lines(self.function, [point, constant], "c", "const double ")
+        body = "".join(f"      {line};\n" for line in lines)
+        body += "".join(
+            f"      out[out_row[{i}] + b * out_body + i] = {name};\n" for i, name in enumerate(outputs)
+        )
+        return (
+            f"void {self.name}(long nb, long nt, const double *restrict in, "
+            "const long *restrict in_row, long in_body, const double *restrict constants, "
+            "double *restrict out, const long *restrict out_row, long out_body) {\n"
+            "  for (long b = 0; b < nb; b++) {\n"
+            f"    const double *restrict c = constants + b * {self.n_constant};\n"
+            "    #pragma omp simd\n"
+            "    for (long i = 0; i < nt; i++) {\n"
+            f"{body}    }}\n  }}\n}}\n"
+        )
+
+    @functools.cached_property
+    def _library(self) -> Any:
+        library = compiled_library(PRELUDE + self.loop_source)
+        entry = getattr(library, self.name)
+        pointer = ctypes.c_void_p
+        entry.argtypes = [ctypes.c_long] * 2 + [pointer, pointer, ctypes.c_long, pointer]
+        entry.argtypes += [pointer, pointer, ctypes.c_long]
+        entry.restype = None
+        return entry
+
+    @functools.cached_property
+    def built(self) -> bool:
+        """Whether the compiled form lies in the cache (looked up once)."""
+        return find_compiler() is not None and library_path(PRELUDE + self.loop_source).exists()
+
+    def __call__(
+        self,
+        points: np.ndarray,
+        constants: np.ndarray,
+        out: np.ndarray,
+        rows: Sequence[int] | None = None,
+        compiled: bool | None = False,
+    ) -> None:
+        """Evaluate at the points of some bodies.
+
+        Parameters
+        ----------
+        points : (n_bodies, n_point, n) float64, contiguous; n_bodies may be 1 (shared)
+        constants : (n_bodies, n_constant) float64, contiguous
+        out : (n_bodies, n_rows, n) float64 with unit stride along the last axis; results go to
+            ``out[:, rows[i]]``, by default ``out[:, i]``
+        compiled : bool or None
+            True: compile if need be; False: numpy; None: compiled if it was built before.
+        """
+        rows = tuple(range(self.n_result)) if rows is None else tuple(rows)
+        if self.built if compiled is None else compiled:
+            n_bodies, _, n = out.shape
+            points, constants = _contiguous(points), _contiguous(constants)
+            shared = points.shape[0] == 1
+            self._library(
+                n_bodies, n, points.ctypes.data, _offsets(tuple(range(self.n_point)), n),
+                0 if shared else points.shape[1] * n, constants.ctypes.data, out.ctypes.data,
+                _offsets(rows, out.strides[1] // 8), out.strides[0] // 8,
+            )  # fmt: skip
+            return
+        x = points.transpose(1, 0, 2)
+        c = constants.T[:, :, None]
+        self._numpy(x, c, out.transpose(1, 0, 2) if rows == tuple(range(self.n_result))
+                    else _Rows(out, rows))  # fmt: skip
+
+
+def _contiguous(a: np.ndarray) -> np.ndarray:
+    return a if a.flags.c_contiguous else np.ascontiguousarray(a)
+
+
+class _Rows:
+    """Writes result row i of the numpy engine to ``out[:, rows[i]]``."""
+
+    def __init__(self, out: np.ndarray, rows: tuple[int, ...]):
+        self.out, self.rows = out, rows
+
+    def __setitem__(self, i: int, value: np.ndarray) -> None:
+        self.out[:, self.rows[i]] = value
+
+
+@functools.lru_cache(maxsize=1024)
+def _offset_array(rows: tuple[int, ...], stride: int) -> np.ndarray:
+    return np.array(rows, dtype=np.int64) * stride
+
+
+def _offsets(rows: tuple[int, ...], stride: int) -> int:
+    return _offset_array(rows, stride).ctypes.data
+
+
+class Machine:
+    """CasADi's virtual machine on n points, with fixed buffers.
+
+    Write ``x`` (n, n_point) and ``c`` (n, n_constant), call, read ``y`` (n, n_result).
+    """
+
+    def __init__(self, kernel: Kernel, n: int):
+        mapped = kernel.function.map(n) if n > 1 else kernel.function
+        self.x = np.zeros((n, kernel.n_point))
+        self.c = np.zeros((n, kernel.n_constant))
+        self.y = np.zeros((n, kernel.n_result))
+        self._buffer, self.run = mapped.buffer()
+        if kernel.n_point:
+            self._buffer.set_arg(0, memoryview(self.x))
+        if kernel.n_constant:
+            self._buffer.set_arg(1, memoryview(self.c))
+        self._buffer.set_res(0, memoryview(self.y))
+
+
+_NUMPY_NAMES = sorted(
+    {
+        "exp", "log", "power", "sqrt", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2",
+        "sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh", "log1p", "expm1", "absolute",
+        "minimum", "maximum", "copysign", "sign", "floor", "ceil", "where",
+    }
+)  # fmt: skip
+
+
+def _pair_sines_and_cosines(lines: list[str]) -> list[str]:
+    """Replace sin(a), cos(a) of one argument by t = tan(a/2): 2t/(1+t^2), 2/(1+t^2) - 1.
+
+    Both forms keep the absolute error at a few units of 2e-16.
+    """
+    calls: dict[str, dict[str, int]] = {}
+    for i, line in enumerate(lines):
+        value = line.split(" = ", 1)[1]
+        for name in ("sin", "cos"):
+            if value.startswith(name + "(w") and value.count("(") == 1:
+                calls.setdefault(value[4:-1], {})[name] = i
+    replaced: dict[int, list[str]] = {}
+    for argument, found in calls.items():
+        if len(found) == 2:
+            first, second = sorted(found.values())
+            half = f"    t{first} = tan(0.5 * {argument})"
+            scale = f"    d{first} = 2.0 / (1.0 + t{first} * t{first})"
+            values = {"sin": f"t{first} * d{first}", "cos": f"d{first} - 1.0"}
+            for name, i in found.items():
+                target = lines[i].split(" = ", 1)[0]
+                replaced[i] = ([half, scale] if i == first else []) + [f"{target} = {values[name]}"]
+    return [new for i, line in enumerate(lines) for new in replaced.get(i, [line])]
+
+
+# --- compiled C ------------------------------------------------------------------------------
+
+# glibc's vector mathematics is switched on function by function, so that nothing else of
+# -ffast-math (reassociation, no infinities) comes with it.  Their error bound is 4 ulp.
+PRELUDE = """#include <math.h>
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__GLIBC__)
+#if __GLIBC_PREREQ(2, 35)
+#define VECTOR __attribute__((simd("notinbranch"), const))
+VECTOR double sin(double); VECTOR double cos(double); VECTOR double tan(double);
+VECTOR double exp(double); VECTOR double log(double); VECTOR double pow(double, double);
+VECTOR double atan(double); VECTOR double atan2(double, double);
+VECTOR double asin(double); VECTOR double acos(double);
+#endif
+#endif
+"""
+_FLAGS = ["-std=gnu99", "-O3", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math",
+          "-fopenmp-simd", "-march=native"]  # fmt: skip
+# Tried in turn until one builds.  GCC's sincos pass would turn sin(x), cos(x) into a call that has
+# no vector form (measured: 7 times slower); Clang finds glibc's vector forms by an option of its own.
+_VARIANTS = (["-fdisable-tree-sincos", "-lmvec", "-lm"], ["-fveclib=libmvec", "-lmvec", "-lm"], ["-lm"])
+
+
+@functools.cache
+def find_compiler() -> tuple[str, ...] | None:
+    """The command of a C compiler: ``$CC``, cc, gcc, clang, or the ziglang package; else None."""
+    named = os.environ.get("CC")
+    for name in ([named] if named else []) + ["cc", "gcc", "clang"]:
+        path = shutil.which(name.split()[0])
+        if path:
+            return (path, *name.split()[1:])
+    try:
+        import ziglang  # type: ignore[import-not-found]  # noqa: F401
+    except ImportError:
+        return None
+    return (sys.executable, "-m", "ziglang", "cc")
+
+
+def cache_folder() -> Path:
+    """Where compiled kernels are kept: ``$CONTACT_SYSTEM_CACHE`` or the user's cache folder."""
+    chosen = os.environ.get("CONTACT_SYSTEM_CACHE")
+    if chosen:
+        return Path(chosen)
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA", str(Path.home() / "AppData" / "Local"))
+    elif sys.platform == "darwin":
+        base = str(Path.home() / "Library" / "Caches")
+    else:
+        base = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
+    return Path(base) / "contact_system"
+
+
+@functools.cache
+def _machine_tag() -> str:
+    """-march=native code must not be shared by machines of different kinds through one cache."""
+    try:
+        info = Path("/proc/cpuinfo").read_text().split("\n\n", 1)[0]
+        kept = [line for line in info.splitlines() if line.startswith(("flags", "Features"))]
+    except OSError:
+        kept = []
+    return sysconfig.get_platform() + "".join(kept)
+
+
+def library_path(source: str) -> Path:
+    """The cache file of a C source: its name is a digest of source, flags and machine."""
+    compiler = " ".join(find_compiler() or ("none",))
+    digest = hashlib.sha256("\0".join([source, *_FLAGS, compiler, _machine_tag()]).encode())
+    suffix = ".dll" if sys.platform == "win32" else ".so"
+    return cache_folder() / (digest.hexdigest()[:24] + suffix)
+
+
+def compiled_library(source: str) -> ctypes.CDLL:
+    """Build a C source, or find it in the cache, and load it.
+
+    Raises
+    ------
+    ContactSystemError
+        No compiler, or the compiler refused (its message is quoted).
+    """
+    path = library_path(source)
+    if not path.exists():
+        _build(source, path)
+    return ctypes.CDLL(str(path))
+
+
+def _build(source: str, path: Path) -> None:
+    compiler = find_compiler()
+    if compiler is None:
+        raise ContactSystemError(
+            "no C compiler found: install one (cc, gcc, clang), set CC, or `pip install ziglang`; "
+            "or plan without compiled=True, which needs none"
+        )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        code = Path(folder) / "kernel.c"
+        code.write_text(source)
+        built = Path(folder) / path.name
+        for variant in _VARIANTS:
+            command = [*compiler, *_FLAGS, str(code), "-o", str(built), *variant]
+            run = subprocess.run(command, capture_output=True, text=True)
+            if run.returncode == 0:
+                os.replace(built, path)  # atomic: a second process never sees half a file
+                return
+    raise ContactSystemError(f"{' '.join(command)} failed:\n{run.stderr[-2000:]}")
+
+
+_CACHE: dict[tuple[Any, ...], Any] = {}
+
+
+def per_structure(build: Callable[..., Any]) -> Callable[..., Any]:
+    """Cache a kernel builder by the structures of the surfaces (and the options) it is given."""
+
+    @functools.wraps(build)
+    def cached(*arguments: Any, **options: Any) -> Any:
+        parts = [getattr(a, "structure", a) for a in arguments]
+        key = (build, *parts, *sorted(options.items()))
+        if key not in _CACHE:
+            _CACHE[key] = build(*arguments, **options)
+        return _CACHE[key]
+
+    return cached

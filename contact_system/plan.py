@@ -1,0 +1,440 @@
+"""The result of planning: ask for states, slip, twist, pose, points at any times.
+
+A plan is like a geodesic line object: computed once, evaluated where asked, and nothing is
+evaluated that was not asked for.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .chart_solution import chart_groups
+from .errors import ContactSystemError, SceneError
+from .kinematics import relative_pose, relative_twist
+from .planner import Group, Start, plan_groups, scene_start
+from .scene import ObjectRateOffset, Scene, scene_from_toml, scene_to_toml
+from .tracks import Track
+
+METHODS = ("auto", "chart")
+
+
+def plan(
+    scene: Scene,
+    tolerance: float = 1e-12,
+    method: str = "auto",
+    solver: str = "DOP853",
+    compiled: bool | None = None,
+) -> Plan:
+    """Plan the contact curves of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    tolerance : float
+        Bound of the error of contact points, as a fraction of the body's size, 1e-15 to 1e-1.
+    method : str
+        "auto": per contact and interval the cheapest exact way (theory sections 4 to 7).
+        "chart": the paper's equations as printed, corrected (eqs. `timegeodesic`, `contrac`),
+        by a scipy solver; for comparison.
+    solver : str
+        scipy's method for ``method="chart"``: RK45, DOP853, Radau, BDF, LSODA.
+    compiled : bool or None
+        True: compiled kernels, built where they are not in the cache yet; False: none;
+        None: those that were built before.
+
+    Raises
+    ------
+    ContactSystemError
+        What is wrong with the scene, the contact, the value, and the remedy.
+    """
+    starts = [scene_start(contact) for contact in scene.contacts]
+    return Plan(scene, tolerance, method, solver, compiled, 0.0, starts)
+
+
+class Plan:
+    """Contact curves of a scene, evaluated on demand. Made by :func:`plan`.
+
+    All times are in seconds inside [:attr:`start`, ``scene.duration``], in any order; results have
+    the times along their first axis and the contacts along the second.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        tolerance: float,
+        method: str,
+        solver: str,
+        compiled: bool | None,
+        start: float,
+        starts: Sequence[Start],
+    ):
+        if method not in METHODS:
+            raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
+        if not 1e-15 <= tolerance <= 0.1:
+            raise SceneError(f"tolerance = {tolerance!r}: give a number from 1e-15 to 1e-1")
+        self.scene, self.tolerance, self.method = scene, tolerance, method
+        self.solver, self.compiled, self.start, self.starts = solver, compiled, start, list(starts)
+        if method == "chart":
+            self.groups = chart_groups(scene, self.starts, start, tolerance, solver)
+        else:
+            self.groups = plan_groups(scene, self.starts, start, tolerance, compiled)
+
+    # --- results -------------------------------------------------------------------------------
+
+    def states(self, t: ArrayLike) -> np.ndarray:
+        """u1 v1 u1' v1' u2 v2 u2' v2' psi: (len(t), n_contacts, 9); rad, or m where charts have it.
+
+        Coordinates and psi are continuous along the path. Rates are those of the contact point,
+        object rate offsets included.
+
+        Raises
+        ------
+        ChartSingularity
+            At a time when a contact passes through a pole or an umbilic.
+        """
+        times = self._times(t)
+        out = np.empty((len(self.scene.contacts), 9, len(times)))
+        for group in self.groups:
+            values = np.empty((len(group.contacts), 9, len(times)))
+            for side, rows in (("finger", slice(0, 4)), ("object", slice(4, 8))):
+                for track, where in _parts(getattr(group, side), times):
+                    self._anchor(group, side, track)
+                    part = track.coordinates(times[where])
+                    values[:, rows, where] = part[:, :4]
+                    if side == "finger":
+                        values[:, 8, where] = group.angle[:, None] - part[:, 4]
+                    else:
+                        values[:, 8, where] -= part[:, 4]
+            out[group.contacts] = values
+        return out.transpose(2, 0, 1)
+
+    def points(self, t: ArrayLike) -> np.ndarray:
+        """Contact point on finger and object, each in its body's frame: (len(t), n, 2, 3), m."""
+        times = self._times(t)
+        out = np.empty((len(self.scene.contacts), 2, 3, len(times)))
+        for group in self.groups:
+            for k, side in enumerate(("finger", "object")):
+                for track, where in _parts(getattr(group, side), times):
+                    out[group.contacts, k, :, where] = (
+                        track.positions(times[where]).transpose(2, 0, 1)
+                        if isinstance(where, np.ndarray)
+                        else track.positions(times[where])
+                    )
+        return out.transpose(3, 0, 1, 2)
+
+    def slip(self, t: ArrayLike) -> np.ndarray:
+        """Slip v_rel in E2 (eq. `netrelvel`): (len(t), n_contacts, 2), m/s.
+
+        By the exact law, |v_rel| = |V| sigma exp(-L), not as a difference of velocities.
+        """
+        return self._in_contact_frame(t, _slip)
+
+    def acceleration(self, t: ArrayLike) -> np.ndarray:
+        """Tangential relative acceleration in E2 (eqs. `velacceleration`, `contracaccel`).
+
+        (len(t), n_contacts, 2), m/s^2. (sigma'/sigma - lam) v_rel, plus R_psi M1 d1 - M2 d2 while
+        accelerations d act; object rate offsets are left out.
+        """
+        return self._in_contact_frame(t, _acceleration)
+
+    def pose(self, t: ArrayLike) -> np.ndarray:
+        """Pose of the finger's body frame in the object's: (len(t), n_contacts, 4, 4)."""
+        return self._collect(t, lambda motion: motion.pose, (4, 4))
+
+    def twist(self, t: ArrayLike) -> np.ndarray:
+        """Twist V_OF_O: (len(t), n_contacts, 6), rad/s then m/s.
+
+        The finger frame's angular velocity and the velocity of its origin, in the object's frame.
+        """
+        return self._collect(t, lambda motion: motion.twist(), (6,))
+
+    def angles(self, t: ArrayLike) -> np.ndarray:
+        """psi: (len(t), n_contacts), rad."""
+        return self.states(t)[:, :, 8]
+
+    # --- telling, saving -----------------------------------------------------------------------
+
+    def explain(self) -> str:
+        """Which way was taken for each contact and interval, why, and what was skipped."""
+        lines = [f"scene '{self.scene.name}': tolerance {self.tolerance:g}, method {self.method}"]
+        for group in sorted(self.groups, key=lambda g: g.contacts[0]):
+            names = ", ".join(str(i) for i in group.contacts)
+            lines.append(f"contact{'s' * (len(group.contacts) > 1)} {names}:")
+            for side in ("finger", "object"):
+                for track in getattr(group, side):
+                    lines.append(
+                        f"  {side:6s} [{track.start:.6g}, {track.stop:.6g}] s  {track.method}"
+                        f"  ({track.reason})"
+                    )
+            lines += [f"  skipped: {text}" for text in _skipped(group)]
+        return "\n".join(lines)
+
+    def restart(self, t: float, state: ArrayLike) -> Plan:
+        """Plan again from measured states at time t.
+
+        Parameters
+        ----------
+        t : float
+            s, with sigma(t) > 0.
+        state : (n_contacts, 9)
+            Measured u1 v1 u1' v1' u2 v2 u2' v2' psi, as :meth:`states` gives them.
+
+        Raises
+        ------
+        SceneError
+            A wrong shape, NaN, sigma(t) = 0, or contacts whose rolling is imposed.
+        """
+        measured = np.asarray(state, dtype=float)
+        shape = (len(self.scene.contacts), 9)
+        if measured.shape != shape:
+            raise SceneError(f"restart: state has shape {measured.shape}; give {shape}")
+        if not np.isfinite(measured).all():
+            raise SceneError(f"restart at t = {t:g} s: the measured state has a NaN or infinity")
+        self._times([t])
+        starts = [self._measured_start(float(t), i, row) for i, row in enumerate(measured)]
+        return Plan(
+            self.scene, self.tolerance, self.method, self.solver, self.compiled, float(t), starts
+        )
+
+    def _measured_start(self, t: float, i: int, row: np.ndarray) -> Start:
+        contact, obj = self.scene.contacts[i], self.scene.object
+        if contact.follows:
+            raise SceneError(f"restart: contact {i} has its rolling imposed; nothing to measure")
+        sigma = float(self.scene.profile(t))
+        if not sigma > 0:
+            raise SceneError(
+                f"restart at t = {t:g} s: sigma = {sigma:g} there, so rates do not determine path "
+                "velocities; restart where sigma > 0"
+            )
+        offset = np.zeros(2)
+        for d in self.scene.disturbances:
+            if isinstance(d, ObjectRateOffset) and d.contact == i and d.start <= t < d.stop:
+                offset += d.value
+        w1 = contact.finger.metric_root(row[0], row[1]) @ row[2:4] / sigma
+        y = obj.metric_root(row[4], row[5]) @ (row[6:8] - offset) / sigma
+        return Start(tuple(row[0:2]), tuple(row[4:6]), float(row[8]), tuple(w1), tuple(y))
+
+    def save(self, path: str | os.PathLike, times: ArrayLike | None = None) -> None:
+        """Write the plan and its sampled results.
+
+        ``.npz``: the scene (as TOML text), what :func:`load` needs, and t, states, slip, twist, pose,
+        points. ``.csv``: t, contact, the nine states, slip, slip magnitude.
+
+        Parameters
+        ----------
+        path : path ending in .npz or .csv
+        times : (n,), optional
+            Default: 401 equally spaced times and the window edges.
+        """
+        path = Path(path)
+        t = self.sample_times() if times is None else self._times(times)
+        if path.suffix == ".npz":
+            header = {
+                "tolerance": self.tolerance, "method": self.method, "solver": self.solver,
+                "start": self.start, "starts": [vars(s) for s in self.starts],
+            }  # fmt: skip
+            np.savez_compressed(
+                path, scene=scene_to_toml(self.scene), plan=json.dumps(header), t=t,
+                states=self.states(t), slip=self.slip(t), twist=self.twist(t), pose=self.pose(t),
+                points=self.points(t),
+            )  # fmt: skip
+        elif path.suffix == ".csv":
+            path.write_text(self._csv(t))
+        else:
+            raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .npz or .csv")
+
+    def sample_times(self, count: int = 401) -> np.ndarray:
+        """Equally spaced times over the plan and the scene's edges."""
+        grid = np.linspace(self.start, self.scene.duration, count)
+        return np.unique(np.append(grid, [e for e in self.scene.edges if e >= self.start]))
+
+    def _csv(self, t: np.ndarray) -> str:
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(["t [s]", "contact", "u1", "v1", "du1", "dv1", "u2", "v2", "du2", "dv2",
+                         "psi [rad]", "slip x [m/s]", "slip y [m/s]", "slip [m/s]"])  # fmt: skip
+        states, slip = self.states(t), self.slip(t)
+        for k, time in enumerate(t):
+            for i in range(len(self.scene.contacts)):
+                numbers = [*states[k, i], *slip[k, i], np.hypot(*slip[k, i])]
+                writer.writerow([repr(float(time)), i, *(repr(float(x)) for x in numbers)])
+        return text.getvalue()
+
+    # --- inside ----------------------------------------------------------------------------------
+
+    def _times(self, t: ArrayLike) -> np.ndarray:
+        times = np.atleast_1d(np.asarray(t, dtype=float))
+        first, last = self.start, self.scene.duration
+        if times.ndim == 1 and times.size and times.min() >= first and times.max() <= last:
+            return times
+        if times.ndim != 1:
+            raise ContactSystemError(f"times have shape {times.shape}; give one axis of times")
+        bad = times[~((times >= first) & (times <= last))]
+        if bad.size:
+            raise ContactSystemError(
+                f"scene '{self.scene.name}': t = {bad[0]!r} s is outside the plan's horizon "
+                f"[{first:g}, {last:g}] s; ask inside it, or lengthen the scene's duration"
+            )
+        return times
+
+    def _anchor(self, group: Group, side: str, track: Track) -> None:
+        if track.ambient and track.anchors is None:
+            tracks = getattr(group, side)
+            group.coordinates_at_end(side, tracks.index(track) + 1)
+
+    def _collect(
+        self, t: ArrayLike, read: Callable[[Motion], np.ndarray], shape: tuple[int, ...]
+    ) -> np.ndarray:
+        times = self._times(t)
+        out = np.empty((len(times), len(self.scene.contacts), *shape))
+        for group in self.groups:
+            for motion, where in _motions(group, times):
+                index = where if isinstance(where, np.ndarray) else np.arange(len(times))[where]
+                out[np.ix_(index, group.contacts)] = read(motion).swapaxes(0, 1)
+        return out
+
+    def _in_contact_frame(
+        self, t: ArrayLike, read: Callable[[Motion], np.ndarray]
+    ) -> np.ndarray:
+        """Turn (n, 2, n_times) from the object's parallel frame into E2."""
+        times = self._times(t)
+        out = np.zeros((len(self.scene.contacts), 2, len(times)))
+        for group in self.groups:
+            values = np.zeros((len(group.contacts), 2, len(times)))
+            for motion, where in _motions(group, times):
+                plane = read(motion)
+                if plane.any():
+                    self._anchor(group, "object", motion.object)
+                    theta = motion.object.coordinates(motion.t)[:, 4]
+                    c, s = np.cos(theta), np.sin(theta)
+                    values[:, 0, where] = c * plane[:, 0] - s * plane[:, 1]
+                    values[:, 1, where] = s * plane[:, 0] + c * plane[:, 1]
+            out[group.contacts] = values
+        return out.transpose(2, 0, 1)
+
+
+class Motion:
+    """Both sides of a group at times of one interval."""
+
+    def __init__(self, group: Group, finger: Track, obj: Track, slip, t: np.ndarray):
+        self.group, self.finger, self.object, self.record, self.t = group, finger, obj, slip, t
+        self._memory: dict[str, np.ndarray] = {}
+
+    def _once(self, name: str, make: Callable[[], np.ndarray]) -> np.ndarray:
+        if name not in self._memory:
+            self._memory[name] = make()
+        return self._memory[name]
+
+    @property
+    def frames(self) -> tuple[np.ndarray, np.ndarray]:
+        return (
+            self._once("frame 1", lambda: self.finger.frames(self.t)),
+            self._once("frame 2", lambda: self.object.frames(self.t)),
+        )
+
+    @property
+    def pose(self) -> np.ndarray:
+        return self._once("pose", lambda: relative_pose(*self.frames, self.group.r0))
+
+    def twist(self) -> np.ndarray:
+        states = [track.state(self.t) for track in (self.finger, self.object)]
+        velocities = [
+            track.velocity(self.t, s) for track, s in zip((self.finger, self.object), states)
+        ]
+        shapes = [track.shape(s) for track, s in zip((self.finger, self.object), states)]
+        return relative_twist(
+            self.frames[1], self.pose, tuple(shapes), tuple(velocities), self.group.r0, _slip(self)
+        )
+
+
+def _slip(motion: Motion) -> np.ndarray:
+    """v_rel along (p_2, q_2): sigma V, less the object rate offset's velocity."""
+    record, track = motion.record, motion.object
+    tau = motion.t - record.start
+    out = np.zeros((len(motion.group.contacts), 2, len(tau)))
+    if record.of is not None:
+        out += record.of(tau) * record.piece.speed(tau)
+    if track.offset is not None:
+        out -= track.parallel(track.state(motion.t), track.offset)
+    return out
+
+
+def _acceleration(motion: Motion) -> np.ndarray:
+    record = motion.record
+    tau = motion.t - record.start
+    out = np.zeros((len(motion.group.contacts), 2, len(tau)))
+    if record.of is not None:
+        v = record.of(tau)
+        lam = np.where(v.any((0, 1)), record.piece.gain(tau), 0.0)
+        out += v * (record.piece.slope(tau) - lam * record.piece.speed(tau))
+    finger, obj = record.forcing
+    if finger.any():
+        pushed = motion.finger.parallel(motion.finger.state(motion.t), finger)
+        out += motion.group.r0 @ pushed
+    if obj.any():
+        out -= motion.object.parallel(motion.object.state(motion.t), obj)
+    return out
+
+
+def _parts(intervals: Sequence, times: np.ndarray):
+    """(interval, index of the times in it); an edge belongs to the later interval."""
+    if len(intervals) == 1:
+        yield intervals[0], slice(None)
+        return
+    which = np.searchsorted([i.start for i in intervals[1:]], times, side="right")
+    for k in np.unique(which):
+        where = np.flatnonzero(which == k)
+        run = slice(where[0], where[-1] + 1)
+        yield intervals[k], run if run.stop - run.start == len(where) else where
+
+
+def _motions(group: Group, times: np.ndarray):
+    """Cut times by the tracks of both sides and the slip records."""
+    for record, where in _parts(group.slips, times):
+        index = np.arange(len(times))[where]
+        for finger, inner in _parts(group.finger, times[index]):
+            rest = index[inner]
+            for obj, innermost in _parts(group.object, times[rest]):
+                chosen = rest[innermost]
+                yield Motion(group, finger, obj, record, times[chosen]), chosen
+
+
+def _skipped(group: Group) -> list[str]:
+    tracks = group.finger + group.object
+    notes = []
+    closed = [t for t in tracks if t.method.startswith("closed form")]
+    if len(closed) == len(tracks):
+        notes.append("all integration")
+    elif all(t.method.startswith("closed form") for t in group.finger):
+        notes.append("integration of the finger")
+    if all(record.of is None for record in group.slips):
+        notes.append("slip and gain (there is none to reject)")
+    return notes
+
+
+def load(path: str | os.PathLike) -> Plan:
+    """Read a plan saved as .npz and plan it again from the scene inside (deterministic).
+
+    The sampled results can be read with ``numpy.load`` alone.
+    """
+    with np.load(path) as data:
+        try:
+            text, header = str(data["scene"]), json.loads(str(data["plan"]))
+        except KeyError as missing:
+            raise ContactSystemError(f"{path}: not a plan written by Plan.save ({missing})") from None
+    scene = scene_from_toml(text, source=str(path))
+    starts = [
+        Start(**{k: tuple(v) if isinstance(v, list) else v for k, v in s.items()})
+        for s in header["starts"]
+    ]
+    return Plan(
+        scene, header["tolerance"], header["method"], header["solver"], None, header["start"], starts
+    )

@@ -1,0 +1,69 @@
+"""Read the reference solutions of this folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def load(name: str) -> dict[str, Any]:
+    """The reference file `name`.json with every list of numbers as a float64 array.
+
+    Parameters
+    ----------
+    name
+        "k_scenes", "k_scenes_time", "torus_slip", "ellipsoid_slip", "sphere_slip": scenes under
+        the key "scenes", each with "times" (n,) in s and "contacts", a list of records holding
+        "states" (n, 9), "points" (n, 2, 3) in m and "slip" (n, 2) in m/s; their inputs beside
+        them. "ellipsoid_geodesics": "start" (200, 3) and "middle", "end", "end_direction"
+        (200, 3), "jacobi" (200,). The key "about" describes the file.
+
+    Returns
+    -------
+    dict
+        Decimal texts become the nearest double.
+
+    Raises
+    ------
+    FileNotFoundError
+        For a name that has no file.
+    """
+    return _convert(_read(name), float)
+
+
+def load_residual(name: str) -> dict[str, Any]:
+    """What `load` rounds away, same layout: reference = load + load_residual to 25 digits.
+
+    Subtract the two parts one after the other to measure errors below one unit in the last
+    place. Inputs, which are doubles, have the residual 0.
+
+    Raises
+    ------
+    FileNotFoundError
+        For a name that has no file.
+    """
+    return _convert(_read(name), lambda x: float(Fraction(x) - Fraction(float(x))))
+
+
+def _read(name: str) -> dict[str, Any]:
+    return json.loads(Path(__file__).with_name(f"{name}.json").read_text())
+
+
+def _convert(node: Any, number: Callable[[Any], float]) -> Any:
+    """Replace numbers, decimal texts and lists of them; leave words and records alone."""
+    if isinstance(node, dict):
+        return {key: _convert(value, number) for key, value in node.items()}
+    if isinstance(node, list):
+        parts = [_convert(value, number) for value in node]
+        return parts if any(isinstance(part, dict) for part in parts) else np.array(parts)
+    if isinstance(node, str):
+        try:
+            return number(node)
+        except ValueError:
+            return node
+    return number(node)

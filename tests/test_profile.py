@@ -1,0 +1,305 @@
+"""The path profile, gain laws and contraction, against mpmath, grids and the paper's numbers."""
+
+import math
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contact_system.errors import SceneError
+from contact_system.profile import Gain, Profile, contraction
+
+SLOW = Profile([0.001, 0, 0.4])  # K1-K3, D3
+MEDIUM = Profile([0.1, 0.2, -0.02])  # K4
+FAST = Profile([1, 0.2, -0.02])  # D1, D2
+WAVY = Profile([0.5, 1.0, -1.2, 0.35])  # grows, falls and grows again on [0, 2]
+GAINS = [Gain.path(100), Gain.time(30), Gain.guaranteed(5)]
+
+coefficient = st.floats(-1e3, 1e3, allow_subnormal=False)
+time = st.floats(0, 10, allow_subnormal=False)
+
+
+def exact_value(profile: Profile, t: mpmath.mpf) -> mpmath.mpf:
+    return sum(mpmath.mpf(c) * t**k for k, c in enumerate(profile.coefficients))
+
+
+def slip_factor(profile: Profile, gain: Gain, start: float, stop: float) -> float:
+    """Slip at stop over slip at start, from lam alone: its logarithm integrated by mpmath."""
+    kinks = np.polynomial.Polynomial(profile.coefficients).deriv().roots()
+    knots = [start, *sorted(t.real for t in kinks if start < t.real < stop), stop]
+    with mpmath.workdps(30):
+        exponent = mpmath.quad(lambda t: gain.rate(profile, float(t)), knots)
+    return float(profile(stop) / profile(start) * mpmath.exp(-exponent))
+
+
+# --- profile -----------------------------------------------------------------------------------
+
+
+@given(st.lists(coefficient, min_size=1, max_size=6), time, time)
+def test_a_shifted_profile_has_correctly_rounded_coefficients(c, t0, tau):
+    shifted = Profile(c).shifted(t0)
+    exact = sum(Fraction(x) * (Fraction(t0) + Fraction(tau)) ** k for k, x in enumerate(c))
+    local = sum(Fraction(x) * Fraction(tau) ** k for k, x in enumerate(shifted))
+    size = sum(abs(Fraction(x)) * Fraction(tau) ** k for k, x in enumerate(shifted))
+    assert abs(local - exact) <= Fraction(2) ** -52 * size + Fraction(1, 10**300)
+
+
+@pytest.mark.parametrize("profile", [SLOW, MEDIUM, FAST, WAVY])
+def test_integrals_agree_with_quadrature(profile):
+    for t in (0.0, 0.3, 1.7):
+        with mpmath.workdps(30):
+            length = mpmath.quad(lambda x: exact_value(profile, x), [0, t])
+            energy = mpmath.quad(lambda x: exact_value(profile, x) ** 2, [0, t])
+        assert profile.arc_length(t) == pytest.approx(float(length), rel=4e-16)
+        assert profile.energy(t) == pytest.approx(float(energy), rel=4e-16)
+
+
+def test_a_profile_takes_times_of_any_shape():
+    t = np.linspace(0, 1, 6).reshape(2, 3)
+    for method in (SLOW, SLOW.rate, SLOW.arc_length, SLOW.energy):
+        assert method(t).shape == (2, 3)
+        assert method(t)[1, 2] == method(1.0)
+        assert isinstance(method(1), float)
+    for gain in GAINS:
+        assert gain.rate(SLOW, t).shape == gain.exponent(SLOW, t).shape == (2, 3)
+        assert gain.exponent(SLOW, t)[1, 2] == pytest.approx(gain.exponent(SLOW, 1), rel=1e-15)
+
+
+def test_extrema_are_the_sign_changes_of_the_rate():
+    rate = np.polynomial.Polynomial.fromroots([0.25, 0.5, 0.5, 1.5])
+    profile = Profile(rate.integ().coef)
+    assert profile.extrema(0, 1) == pytest.approx((0.25,), abs=1e-12)
+    assert profile.extrema(0, 2) == pytest.approx((0.25, 1.5), abs=1e-12)
+    assert Profile([1, 2]).extrema(0, 1) == ()
+
+
+def test_a_rounded_double_root_of_the_rate_is_no_extremum():
+    # 0.09 - 0.6 t + t^2 = (t - 0.3)^2 up to rounding
+    assert Profile([1, 0.09, -0.3, 1 / 3]).extrema(0, 1) == ()
+
+
+@given(st.floats(1e-6, 1), st.floats(1e-6, 1))
+def test_extrema_of_a_cubic_agree_with_its_roots(a, b):
+    profile = Profile(np.polynomial.Polynomial.fromroots([a, -b]).integ().coef)
+    assert profile.extrema(0, 2) == pytest.approx((a,), rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    "coefficients, duration",
+    [
+        ([0, 1], 1),
+        ([1e-12, 0, 0.4], 1),
+        ([0.09, -0.6, 1], 1),  # touches zero at 0.3, up to rounding
+        ([0, 0, 1, -2, 1], 1),  # zero at both ends
+        ([1, -1], 1),
+        ([1e-300], 1),
+    ],
+)
+def test_a_profile_may_touch_zero(coefficients, duration):
+    Profile(coefficients).check(duration)
+
+
+@pytest.mark.parametrize(
+    "coefficients, words",
+    [
+        ([0.1, -0.2], ["-0.1 m/s", "t = 1 s", "before t = 0.5 s"]),
+        ([0.0899, -0.6, 1], ["t = 0.3 s", "-0.0001 m/s", "before t = 0.29"]),
+        ([-0.1], ["-0.1 m/s", "t = 0 s", "sigma >= 0"]),
+        ([0, -1], ["t = 1 s", "sigma >= 0"]),
+        ([-1e-12, 0, 1], ["t = 0 s", "-1e-12"]),
+        ([0, 0], ["zero for all t", "at least one coefficient"]),
+        ([1e99, 1e99], ["too large"]),
+    ],
+)
+def test_a_profile_that_is_no_speed_is_refused_with_time_value_and_remedy(coefficients, words):
+    with pytest.raises(SceneError) as error:
+        Profile(coefficients).check(1.0 if max(coefficients) < 1e9 else 1e3)
+    for word in words:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "bad", [[], [math.nan], [1, math.inf], 0.1, "0.1", ["0.1"], [True], [1e200], [10**400], [None]]
+)
+def test_profile_coefficients_must_be_finite_numbers(bad):
+    with pytest.raises(SceneError, match="profile"):
+        Profile(bad)
+
+
+def test_profiles_and_gains_are_values():
+    assert Profile([1, 2]) == Profile((1.0, 2.0))
+    assert hash(Profile([1, 2])) == hash(Profile((1.0, 2.0)))
+    assert len({Gain.path(1), Gain.path(1.0), Gain.time(1)}) == 2
+
+
+# --- gain laws ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("gain", GAINS)
+@pytest.mark.parametrize("profile", [SLOW, MEDIUM, WAVY])
+def test_the_exponent_is_the_integral_of_the_gain(gain, profile):
+    t = np.linspace(0, 2, 20001)
+    middle = 0.5 * (t[1:] + t[:-1])
+    summed = np.cumsum(gain.rate(profile, middle) * np.diff(t))
+    assert gain.exponent(profile, t[1:]) == pytest.approx(summed, rel=1e-5, abs=1e-5)
+
+
+@pytest.mark.parametrize("gain", [*GAINS, Gain.path(1e10), Gain.guaranteed(0)])
+@pytest.mark.parametrize("profile", [SLOW, WAVY, Profile([0.5])])
+def test_pieces_give_the_decay_of_the_gain_law(gain, profile):
+    pieces = gain.pieces(profile, 0.2, 2.0)
+    assert (pieces[0].start, pieces[-1].stop) == (0.2, 2.0)
+    assert all(a.stop == b.start for a, b in zip(pieces, pieces[1:]))
+    for piece in pieces:
+        assert piece.exponent[0] == 0
+        for tau in (piece.stop - piece.start) * np.array([1e-9, 0.3, 1.0]):
+            t = piece.start + tau
+            local = np.polynomial.polynomial.polyval(tau, piece.sigma)
+            assert local == pytest.approx(profile(t), rel=1e-14)
+            exponent = np.polynomial.polynomial.polyval(tau, piece.exponent)
+            exponent -= piece.power * math.log(piece.sigma[0] / local)
+            given_by_law = gain.exponent(profile, t) - gain.exponent(profile, piece.start)
+            # the law's own difference cancels, the piece's does not
+            tolerance = 1e-14 * (1 + gain.exponent(profile, t))
+            assert exponent == pytest.approx(given_by_law, rel=1e-13, abs=tolerance)
+
+
+def test_a_large_gain_loses_nothing_to_cancellation():
+    (piece,) = Gain.path(1e10).pieces(MEDIUM, 3.5, 4.0)
+    tau = 1e-9
+    with mpmath.workdps(40):
+        window = [mpmath.mpf(3.5), mpmath.mpf(3.5) + mpmath.mpf(tau)]
+        exact = 1e10 * mpmath.quad(lambda t: exact_value(MEDIUM, t) ** 2, window)
+    value = np.polynomial.polynomial.polyval(tau, piece.exponent)
+    assert value == pytest.approx(float(exact), rel=4e-16)
+
+
+def test_the_guaranteed_law_is_cut_where_sigma_turns():
+    pieces = Gain.guaranteed(5).pieces(WAVY, 0, 2)
+    turns = sorted(np.polynomial.Polynomial(WAVY.coefficients).deriv().roots())
+    assert [p.start for p in pieces[1:]] == pytest.approx(turns, rel=1e-12)
+    assert [p.power for p in pieces] == [1, 0, 1]
+
+
+def test_the_guaranteed_law_ends_slip_at_once_where_sigma_starts_from_zero():
+    start = Profile([0, 1])
+    assert Gain.guaranteed(1).rate(start, 0.0) == math.inf
+    assert Gain.guaranteed(1).exponent(start, np.array([0, 1e-9])).tolist() == [0, math.inf]
+    (piece,) = Gain.guaranteed(1).pieces(start, 0, 1)
+    assert (piece.sigma[0], piece.power) == (0, 1)
+    touching = Profile([0.09, -0.6, 1])  # at 0.3, up to rounding
+    assert math.isfinite(Gain.guaranteed(1).exponent(touching, 0.3))
+    assert Gain.guaranteed(1).exponent(touching, 0.4) == math.inf
+
+
+@pytest.mark.parametrize("rho", [0, 3.0])
+@pytest.mark.parametrize("profile", [SLOW, MEDIUM, WAVY])
+def test_the_guaranteed_law_beats_its_rate_whatever_sigma_does(rho, profile):
+    t = np.linspace(0, 2, 101)
+    log_slip = np.log(profile(t) / profile(0)) - Gain.guaranteed(rho).exponent(profile, t)
+    assert np.all(np.diff(log_slip) <= -rho * np.diff(t) + 1e-14)
+
+
+@pytest.mark.parametrize("value", [-1, math.nan, math.inf, "100", True, None])
+def test_gains_must_be_finite_and_not_negative(value):
+    for law in (Gain.path, Gain.time, Gain.guaranteed):
+        with pytest.raises(SceneError, match="gain: (eta|rho)"):
+            law(value)
+
+
+def test_an_unknown_gain_law_is_refused():
+    with pytest.raises(SceneError, match="'path', 'time' or 'guaranteed'"):
+        Gain("paths", 1.0)
+
+
+# --- contraction -------------------------------------------------------------------------------
+
+
+def test_the_printed_gain_lets_slip_grow_and_a_constant_one_gives_the_reported_times():
+    """The third erratum: 1.64 and 1.77 with eta sigma^2, 3.0 % and 3.2 % with eta."""
+    assert slip_factor(SLOW, Gain.path(100), 0, 0.04) == pytest.approx(1.64, abs=0.005)
+    assert slip_factor(SLOW, Gain.path(100), 0.1, 0.14) == pytest.approx(1.77, abs=0.005)
+    assert slip_factor(SLOW, Gain.time(100), 0, 0.04) == pytest.approx(0.030, abs=5e-4)
+    assert slip_factor(SLOW, Gain.time(100), 0.1, 0.14) == pytest.approx(0.032, abs=6e-4)
+
+
+@pytest.mark.parametrize(
+    "profile, duration, least", [(SLOW, 1, 1.04e7), (MEDIUM, 4, 200), (FAST, 4, 0.2)]
+)
+def test_the_least_gain_of_the_papers_profiles(profile, duration, least):
+    report = contraction(profile, Gain.path(100), duration)
+    assert report.least_eta == pytest.approx(least, rel=5e-3)
+
+
+def test_the_printed_gain_contracts_only_late_in_the_papers_example():
+    report = contraction(SLOW, Gain.path(100), 1)
+    assert not report.throughout
+    # at t = 0 sigma' = 0, so a moment of contraction comes before the growth
+    (_, instant), (start, stop) = report.intervals
+    assert instant < 2e-7
+    assert start == pytest.approx(0.66, abs=0.005)
+    assert stop == 1
+
+
+@pytest.mark.parametrize("law", [Gain.path, Gain.time])
+@pytest.mark.parametrize("profile", [SLOW, MEDIUM, FAST, WAVY])
+def test_least_eta_and_intervals_agree_with_a_grid(law, profile):
+    t = np.linspace(0, 2, 4001)
+    power = 3 if law == Gain.path else 1
+    least = contraction(profile, law(1), 2).least_eta
+    assert least == pytest.approx(np.max(profile.rate(t) / profile(t) ** power), rel=1e-4)
+    assert contraction(profile, law(least * (1 + 1e-9)), 2).throughout
+    report = contraction(profile, law(0.5 * least), 2)
+    assert not report.throughout
+    shrinks = profile.rate(t) / profile(t) - law(0.5 * least).rate(profile, t) < 0
+    listed = np.any([(a < t) & (t < b) for a, b in report.intervals] or [t < 0], axis=0)
+    edges = np.ravel(report.intervals)
+    inside = np.array([np.all(np.abs(x - edges) > 1e-9) for x in t])
+    assert np.array_equal(listed[inside], shrinks[inside])
+
+
+@pytest.mark.parametrize("gain", [Gain.path(3), Gain.time(0.3), Gain.guaranteed(0.1)])
+def test_growth_and_what_is_left_agree_with_the_law(gain):
+    report = contraction(WAVY, gain, 2)
+    t = np.linspace(0, 2, 20001)
+    factors = WAVY(t) / WAVY(0) * np.exp(-gain.exponent(WAVY, t))
+    assert report.growth[1] == pytest.approx(factors.max(), rel=1e-6)
+    assert report.growth[0] == pytest.approx(t[factors.argmax()], abs=1e-3)
+    assert report.left == pytest.approx(slip_factor(WAVY, gain, 0, 2), rel=1e-6)
+
+
+def test_the_guaranteed_law_contracts_for_every_positive_rate():
+    assert contraction(WAVY, Gain.guaranteed(1e-9), 2).throughout
+    report = contraction(WAVY, Gain.guaranteed(0), 2)
+    assert (report.throughout, report.least_eta) == (False, 0)
+    turns = sorted(np.polynomial.Polynomial(WAVY.coefficients).deriv().roots())
+    assert np.ravel(report.intervals) == pytest.approx(turns, rel=1e-12)
+
+
+@pytest.mark.parametrize("law", [Gain.path, Gain.time])
+@pytest.mark.parametrize("c", [[0, 1], [0, 0, 1, -2, 1], [0.09, -0.6, 1]])
+def test_no_finite_gain_contracts_throughout_where_sigma_leaves_zero(law, c):
+    report = contraction(Profile(c), law(1e6), 1)
+    assert report.least_eta == math.inf
+    assert not report.throughout
+    assert "zero" in str(report)
+
+
+def test_a_constant_or_falling_profile_contracts_with_the_least_gain():
+    falling = contraction(Profile([1, -0.5]), Gain.path(0), 1)
+    assert (falling.throughout, falling.least_eta) == (True, 0)
+    assert not contraction(Profile([1]), Gain.time(0), 1).throughout
+    assert contraction(Profile([1]), Gain.time(1e-9), 1).throughout
+    stopping = contraction(Profile([1, -1]), Gain.time(1), 1)
+    assert (stopping.throughout, stopping.left) == (True, 0)
+
+
+def test_the_report_reads_as_a_paragraph():
+    text = str(contraction(SLOW, Gain.path(100), 1))
+    for word in ("'path'", "eta sigma^2", "100", "[0.657, 1] s", "116 times", "1.04e+07"):
+        assert word in text
+    assert "whole horizon of 4 s" in str(contraction(FAST, Gain.path(100), 4))
+    assert "exp(-rho t)" in str(contraction(SLOW, Gain.guaranteed(5), 1))

@@ -1,0 +1,548 @@
+"""Scenes: the paper's data, canonical contacts, round trips, and messages that name the mistake."""
+
+import dataclasses
+import math
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from contact_system import scene as scene_module
+from contact_system.errors import SceneError
+from contact_system.profile import Gain, Profile
+from contact_system.scene import (
+    Contact,
+    FingerAcceleration,
+    ObjectAcceleration,
+    ObjectRateOffset,
+    Scene,
+    Turning,
+    bundled_scenes,
+    load_scene,
+    save_scene,
+    scene_from_toml,
+    scene_to_toml,
+)
+from contact_system.surfaces import (
+    Cylinder,
+    Ellipsoid,
+    ImplicitSurface,
+    ParametricSurface,
+    Plane,
+    Quadric,
+    Sphere,
+    Torus,
+)
+
+pi = math.pi
+PAPER = ("C1", "C2", "D1", "D2", "D3", "K1", "K2", "K3", "K4")
+OWN = ("bowl", "chart", "implicit", "torus")
+FINGER = Sphere(0.04)
+
+
+def small_scene(**changes) -> Scene:
+    fields = {
+        "object": Sphere(0.1),
+        "contacts": [Contact(FINGER, (1.0, 0.5)), Contact(FINGER, (1.0, 2.5))],
+        "profile": Profile([0.1, 0.2]),
+        "gain": Gain.path(100),
+        "duration": 2.0,
+        "name": "small",
+    }
+    return Scene(**(fields | changes))
+
+
+# --- bundled scenes ----------------------------------------------------------------------------
+
+
+def test_the_papers_nine_scenes_and_our_own_are_bundled():
+    assert set(PAPER + OWN) <= set(bundled_scenes())
+    assert all(text and "\n" not in text for text in bundled_scenes().values())
+
+
+@pytest.mark.parametrize("name", PAPER + OWN)
+def test_a_bundled_scene_loads_and_survives_a_round_trip(name):
+    scene = load_scene(name)
+    assert scene.name == name
+    again = scene_from_toml(scene_to_toml(scene))
+    assert again == scene
+    assert scene_to_toml(again) == scene_to_toml(scene)
+
+
+SPHERES = [(pi / 6, pi / 6), (2 * pi / 3, pi / 6), (pi / 10, pi)]
+ON_ELLIPSOID = [(2 * pi / 3, pi / 2), (-2 * pi / 3, -pi / 2), (pi / 6, pi / 2)]
+DYNAMIC = [(0.3886, 2.6556), (1.57, 2.0944), (1.57, 2.44 - pi)]
+SLOW, MEDIUM, FAST = (0.001, 0, 0.4), (0.1, 0.2, -0.02), (1, 0.2, -0.02)
+
+
+@pytest.mark.parametrize(
+    "name, object_, sigma, duration, contacts, kind, window, value, recovery",
+    [
+        ("K1", Sphere(0.1), SLOW, 1, SPHERES, None, None, None, 0.04),
+        ("K2", Sphere(0.1), SLOW, 1, SPHERES, FingerAcceleration, (0, 0.1), (0.1, 0), 0.04),
+        ("K3", Ellipsoid(0.3, 0.2, 0.1), SLOW, 1, ON_ELLIPSOID, FingerAcceleration, (0.1, 0.15),
+         (-0.1, -0.1), 0.015),
+        ("K4", Ellipsoid(0.3, 0.2, 0.1), MEDIUM, 4, ON_ELLIPSOID, FingerAcceleration, (1, 2),
+         (-0.3, -0.3), None),
+        ("D1", Sphere(0.1), FAST, 4, DYNAMIC, ObjectRateOffset, (2, 2.5), (0.6, 1.0), 0.2),
+        ("D2", Sphere(0.1), FAST, 4, DYNAMIC, ObjectRateOffset, (0.5, 2.5), (0.6, 0.1), 0.1),
+        ("D3", Sphere(0.1), SLOW, 4, DYNAMIC, ObjectRateOffset, (0.5, 2.5), (0.6, 0.1), 1.0),
+    ],
+)  # fmt: skip
+def test_a_bundled_scene_holds_the_papers_numbers(
+    name, object_, sigma, duration, contacts, kind, window, value, recovery
+):
+    scene = load_scene(name)
+    assert scene.object == object_
+    assert scene.profile == Profile(sigma)
+    assert (scene.gain, scene.duration) == (Gain.path(100), duration)
+    assert [c.finger for c in scene.contacts] == [FINGER] * 3
+    assert np.array([c.object_at for c in scene.contacts]) == pytest.approx(
+        np.array(contacts), rel=1e-15
+    )
+    start = "rest" if name == "K1" else "rolling"
+    assert {c.object_velocity for c in scene.contacts} == {start}
+    assert {c.finger_velocity for c in scene.contacts} == {(2**-0.5, 2**-0.5)}
+    on = {FingerAcceleration: range(3), ObjectRateOffset: [0], None: []}[kind]
+    assert scene.disturbances == tuple(kind(i, *window, value) for i in on)
+    assert scene.paper.get("recovery_time") == recovery
+    assert ("stiffness" in scene.drake) == name.startswith("D")
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_every_key_a_file_marks_as_chosen_is_listed(name):
+    text = (Path(scene_module.__file__).parent / "scenes" / f"{name}.toml").read_text("utf-8")
+    lines = [line for line in text.splitlines() if "chosen" in line and line[0] != "#"]
+    marked = {line.split(" = ")[0] for line in lines}
+    chosen = load_scene(name).chosen
+    listed = {part for path in chosen for part in (path.split(".")[0], path.split(".")[-1])}
+    assert marked - {"chosen"} <= listed
+    assert {"duration", "finger_at", "angle"} <= listed
+
+
+def test_in_c1_the_finger_that_keeps_its_orientation_rolls_without_spin():
+    scene = load_scene("C1")
+    (contact,) = scene.contacts
+    frame = scene.object.frame(*contact.object_at)
+    normal, velocity = frame[:, 2], frame[:, :2] @ contact.object_velocity
+    assert np.dot(scene.turning.axis, normal) == pytest.approx(0, abs=1e-15)
+    assert np.linalg.norm(contact.object_velocity) == pytest.approx(1, rel=1e-15)
+    for t in (0.0, 0.2, 0.5, 0.9, 1.0):
+        # the finger's angular velocity seen from the object, and the rolling it causes
+        omega = -scene.turning.angular_velocity(t)
+        speed = 1 / (1 / 0.1 + 1 / 0.04)
+        rolled = np.cross(omega, normal) * speed
+        assert rolled == pytest.approx(scene.profile(t) * velocity, abs=1e-15)
+    assert scene.turning.rotation_vector(1.0) == pytest.approx([1, 1, 1], abs=1e-14)
+
+
+def test_in_c1_and_c2_the_finger_follows_and_its_rate_is_not_planned():
+    for name in ("C1", "C2"):
+        assert all(c.follows for c in load_scene(name).contacts)
+
+
+# --- contacts ----------------------------------------------------------------------------------
+
+
+def test_the_papers_inward_contact_becomes_the_same_point_with_an_outward_frame():
+    (contact,) = small_scene(contacts=[Contact(FINGER, (-1.57, 2.44))]).contacts
+    u, v = contact.object_at
+    assert 0 < u < pi
+    point = 0.1 * np.array(
+        [math.sin(-1.57) * math.cos(2.44), math.sin(-1.57) * math.sin(2.44), math.cos(-1.57)]
+    )
+    assert Sphere(0.1).point(u, v) == pytest.approx(point, abs=1e-16)
+
+
+def test_contacts_in_range_stay_as_given_to_the_last_bit():
+    at = [(2 * pi / 3, pi / 2), (-2 * pi / 3, -pi / 2), (pi / 6, pi / 2), (0.3, 0.1)]
+    scene = small_scene(object=Ellipsoid(0.3, 0.2, 0.1), contacts=[Contact(FINGER, x) for x in at])
+    assert [c.object_at for c in scene.contacts] == at
+
+
+def test_a_contact_on_the_second_cover_of_an_ellipsoid_keeps_its_motion():
+    """(u, v) ~ (-u, pi - v) with both axes turned: velocities, angle and forcing turn along."""
+    body = Ellipsoid(0.3, 0.2, 0.1)
+    given = Contact(FINGER, (0.4, 2.0), angle=0.3, object_velocity=(0.6, 0.8))
+    push = ObjectAcceleration(0, 0, 1, (0.1, 0.2))
+    scene = small_scene(object=body, contacts=[given], disturbances=[push])
+    (contact,) = scene.contacts
+    assert contact.object_at == pytest.approx((-0.4, pi - 2.0))
+    assert body.point(*contact.object_at) == pytest.approx(body.point(0.4, 2.0), abs=1e-16)
+    before = body.frame(0.4, 2.0)[:, :2] @ given.object_velocity
+    after = body.frame(*contact.object_at)[:, :2] @ contact.object_velocity
+    assert after == pytest.approx(before, abs=1e-14)
+    assert math.cos(contact.angle - given.angle) == pytest.approx(-1)
+    assert scene.disturbances[0].value == (-0.1, -0.2)
+    assert contact.finger_velocity == given.finger_velocity
+    assert scene.replace(duration=3.0).contacts == scene.contacts
+
+
+def test_an_ellipsoidal_finger_on_the_second_cover_keeps_its_motion():
+    body = Ellipsoid(0.06, 0.05, 0.04)
+    given = Contact(body, (1.0, 0.5), finger_at=(0.4, 2.0), finger_velocity=(0.6, 0.8))
+    pushes = [FingerAcceleration(0, 0, 1, (0.1, 0.2)), ObjectAcceleration(0, 0, 1, (0.1, 0.2))]
+    scene = small_scene(contacts=[given], disturbances=pushes)
+    (contact,) = scene.contacts
+    before = body.frame(0.4, 2.0)[:, :2] @ given.finger_velocity
+    after = body.frame(*contact.finger_at)[:, :2] @ contact.finger_velocity
+    assert after == pytest.approx(before, abs=1e-14)
+    assert math.cos(contact.angle - given.angle) == pytest.approx(-1)
+    assert [d.value for d in scene.disturbances] == [(-0.1, -0.2), (0.1, 0.2)]
+
+
+def test_a_scene_of_many_contacts_names_the_one_at_a_pole():
+    contacts = [Contact(FINGER, (1.0, 0.1 * k)) for k in range(9)]
+    contacts[7] = Contact(FINGER, (0.0, 1.0), name="thumb")
+    with pytest.raises(SceneError, match=r"scene 'small': contacts\[7\] 'thumb': object_at"):
+        small_scene(contacts=contacts)
+    contacts[7] = Contact(FINGER, (1.0, 1.0), finger_at=(pi, 0))
+    with pytest.raises(SceneError, match=r"contacts\[7\]: finger_at"):
+        small_scene(contacts=contacts)
+
+
+# --- disturbances and edges --------------------------------------------------------------------
+
+
+def test_all_means_one_disturbance_for_each_contact():
+    scene = small_scene(disturbances=[FingerAcceleration("all", 0, 1, (1, 2))])
+    assert [d.contact for d in scene.disturbances] == [0, 1]
+
+
+def test_edges_are_the_sorted_window_edges_and_the_ends_of_the_horizon():
+    windows = [(0, 0.5), (0.25, 0.5), (1.0, 2.0), (0.25, 0.75)]
+    scene = small_scene(disturbances=[ObjectRateOffset(0, *w, (1, 0)) for w in windows])
+    assert scene.edges == (0, 0.25, 0.5, 0.75, 1, 2)
+    assert small_scene().edges == (0, 2)
+
+
+def test_a_scene_reports_its_contraction():
+    assert load_scene("K3").contraction().least_eta == pytest.approx(1.04e7, rel=5e-3)
+    assert load_scene("K3").replace(gain=Gain.time(100)).contraction().throughout
+
+
+def test_replace_checks_the_new_scene():
+    assert small_scene().replace(gain=Gain.time(3)).gain == Gain.time(3)
+    with pytest.raises(SceneError, match="sigma"):
+        small_scene().replace(profile=Profile([0.1, -0.2]))
+    with pytest.raises(SceneError, match="did you mean 'gain'"):
+        small_scene().replace(gian=Gain.time(3))
+
+
+def test_scenes_are_hashable_and_compare_by_value():
+    assert small_scene() == small_scene(source="elsewhere")
+    assert hash(small_scene()) == hash(small_scene())
+    assert small_scene() != small_scene(duration=3.0)
+
+
+# --- wrong input in Python ---------------------------------------------------------------------
+
+
+def over(**changes):
+    return lambda: small_scene(**changes)
+
+
+def contact(**changes):
+    return lambda: Contact(**({"finger": FINGER, "object_at": (1, 1)} | changes))
+
+
+def window(start, stop, contact=0, value=(1, 0)):
+    return lambda: small_scene(disturbances=[FingerAcceleration(contact, start, stop, value)])
+
+
+def follower(**changes):
+    return lambda: small_scene(contacts=[Contact(FINGER, (1, 1), **changes)])
+
+
+FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(1, 0))
+
+
+@pytest.mark.parametrize(
+    "make, words",
+    [
+        (over(object=0.1), ["scene 'small'", "object = 0.1", "Sphere"]),
+        (over(contacts=[]), ["contacts", "at least one"]),
+        (over(contacts=Contact(FINGER, (1, 1))), ["contacts", "give a list"]),
+        (over(contacts=[FINGER]), ["contacts[0]", "give a Contact"]),
+        (over(profile=[0.1]), ["profile = [0.1]", "give a Profile"]),
+        (over(gain=100), ["gain = 100", "give a Gain"]),
+        (over(turning=(1, 1, 1)), ["turning", "give a Turning"]),
+        (over(duration=0), ["duration = 0 s", "longer than 0"]),
+        (over(duration=-1), ["duration = -1 s"]),
+        (over(duration=math.nan), ["duration", "nan", "finite"]),
+        (over(duration=math.inf), ["duration", "inf", "finite"]),
+        (over(duration="2"), ["duration = '2'", "number"]),
+        (over(profile=Profile([0.1, -0.1])), ["-0.1 m/s", "t = 2 s", "before t = 1 s"]),
+        (over(name=3), ["name = 3", "text"]),
+        (over(paper={"reprots": "x"}), ["paper", "'reprots'", "'reports'"]),
+        (over(paper=[1]), ["paper = [1]", "table"]),
+        (over(drake={"mass": math.nan}), ["drake.mass", "nan"]),
+        (over(drake={"mass": None}), ["drake.mass = None"]),
+        (over(drake={1: 2}), ["drake: key = 1", "text"]),
+        (over(chosen=["contacts.fingr_at"]), ["chosen[0]", "'finger_at'"]),
+        (over(chosen=["durations"]), ["chosen[0]", "'duration'"]),
+        (over(chosen="duration"), ["chosen", "list"]),
+        (contact(finger=0.04), ["finger = 0.04", "Sphere"]),
+        (contact(object_at=1.0), ["object_at = 1.0", "two numbers"]),
+        (contact(object_at=(1, 2, 3)), ["object_at", "two numbers"]),
+        (contact(finger_at=(1, math.nan)), ["finger_at[1]", "nan", "finite"]),
+        (contact(angle=math.inf), ["angle", "inf", "finite"]),
+        (contact(angle=True), ["angle = True", "number"]),
+        (contact(finger_velocity="rest"), ["finger_velocity = 'rest'", 'or "rolling"']),
+        (contact(object_velocity="roling"), ["object_velocity = 'roling'", '"rolling" or "rest"']),
+        (contact(object_velocity=(1,)), ["object_velocity = (1,)", "two numbers"]),
+        (contact(finger_velocity="rolling"), ['"rolling"', "object_velocity as two numbers"]),
+        (window(1, 1), ["start = 1, stop = 1", "exchange"]),
+        (window(1.5, 0.5), ["start = 1.5, stop = 0.5", "exchange"]),
+        (window(-0.5, 1), ["disturbances[0]", "start = -0.5", "[0, 2] s"]),
+        (window(1, 2.5), ["disturbances[0]", "stop = 2.5", "change the duration"]),
+        (window(0, 1, contact=2), ["contact = 2", "2 contacts", "0 to 1"]),
+        (window(0, 1, contact=-1), ["contact = -1"]),
+        (window(0, 1, contact="every"), ["contact = 'every'", '"all"']),
+        (window(0, 1, contact=True), ["contact = True"]),
+        (window(0, 1, value=(1, math.inf)), ["value[1]", "inf"]),
+        (window(0, math.nan), ["stop", "nan"]),
+        (
+            over(contacts=[FOLLOWING], disturbances=[FingerAcceleration("all", 0, 1, (1, 0))]),
+            ["contact = 0", "imposes rolling", "leave the disturbance out"],
+        ),
+        (lambda: Turning((0, 0, 0), [1]), ["axis", "not all zero"]),
+        (lambda: Turning((1, 1), [1]), ["axis = (1, 1)", "three numbers"]),
+        (lambda: Turning((1, 1, 1), [math.nan]), ["angle[0]", "nan"]),
+    ],
+)
+def test_a_wrong_value_is_refused_by_name_value_and_remedy(make, words):
+    with pytest.raises(SceneError) as error:
+        make()
+    for word in words:
+        assert word in str(error.value)
+
+
+# --- files -------------------------------------------------------------------------------------
+
+GOOD = """
+name = "good"
+duration = 2.0
+profile = [0.1, "1/5"]
+gain = { law = "guaranteed", rho = 5 }
+[turning]
+axis = [0, 0, 1]
+angle = [0, "pi/2"]
+[object]
+surface = "ellipsoid"
+a = "3/10"
+b = 0.2
+c = 0.1
+[[contacts]]
+name = "thumb"
+finger = { surface = "sphere", radius = "4e-2" }
+object_at = ["2*pi/3", "pi/2"]
+[[contacts]]
+finger = { surface = "torus", major = 0.05, minor = 0.02, inside = false }
+object_at = ["-2*pi/3", "-pi/2"]
+object_velocity = [0.5, "sqrt(3)/2"]
+finger_velocity = "rolling"
+[[disturbances]]
+kind = "object rate offset"
+contact = 0
+start = 0.5
+stop = 1
+value = [0.6, 0.1]
+[drake]
+friction = 0.5
+"""
+
+
+def test_arithmetic_texts_are_numbers():
+    scene = scene_from_toml(GOOD)
+    assert scene.profile == Profile([0.1, 0.2])
+    assert scene.object == Ellipsoid(0.3, 0.2, 0.1)
+    assert scene.turning == Turning((0, 0, 1), (0, pi / 2))
+    assert scene.contacts[0].object_at == pytest.approx((2 * pi / 3, pi / 2), rel=1e-16)
+    assert scene.contacts[1].object_velocity == pytest.approx((0.5, 3**0.5 / 2), rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "old, new, words",
+    [
+        ('name = "good"', "name = good", ["not valid TOML", "line 2"]),
+        ('name = "good"', "name = 3", ["name = 3"]),
+        ("duration = 2.0", "", ["'duration' is missing"]),
+        ("duration = 2.0", "durration = 2.0", ["'durration'", "'duration'"]),
+        ("duration = 2.0", "duration = nan", ["duration", "finite"]),
+        ("duration = 2.0", "duration = -1", ["duration = -1"]),
+        ("duration = 2.0", "duration = [1]", ["duration"]),
+        ("duration = 2.0", "duration = 1" + 400 * "0", ["duration", "finite"]),
+        ('[0.1, "1/5"]', "[0.1, inf]", ["profile[1]", "inf"]),
+        ('[0.1, "1/5"]', "[0.1, -0.1]", ["scene 'good'", "t = 2 s"]),
+        ('[0.1, "1/5"]', '[0.1, "1/x"]', ["profile[1]", "1/x"]),
+        ('[0.1, "1/5"]', '[0.1, "1/0"]', ["profile[1]", "inf"]),
+        ('[0.1, "1/5"]', '[0.1, "__import__(1)"]', ["profile[1]"]),
+        ('[0.1, "1/5"]', "0.1", ["profile = 0.1", "list"]),
+        ('law = "guaranteed"', 'law = "garanteed"', ["gain", "'guaranteed'"]),
+        ("rho = 5", "eta = 5", ["gain", "'eta' is unknown", "rho"]),
+        ("rho = 5", "rho = -5", ["gain", "-5", "use 0 or more"]),
+        (", rho = 5", "", ["gain", "'rho' is missing"]),
+        ('{ law = "guaranteed", rho = 5 }', "5", ["gain", "5 is not a table"]),
+        ("axis = [0, 0, 1]", "axis = [0, 0, 0]", ["turning", "axis", "not all zero"]),
+        ("axis = [0, 0, 1]", "axes = [0, 0, 1]", ["turning", "'axes'", "'axis'"]),
+        ('"ellipsoid"', '"elipsoid"', ["object", "'elipsoid'", "'ellipsoid'"]),
+        ("c = 0.1", "d = 0.1", ["object", "ellipsoid", "'d' is unknown"]),
+        ("c = 0.1", "", ["object", "'c' is missing"]),
+        ("c = 0.1", "c = -0.1", ["object", "ellipsoid", "-0.1"]),
+        ("c = 0.1", "c = nan", ["object", "c", "nan"]),
+        ("c = 0.1", "c = 0.1\ninside = 1", ["object", "inside = 1", "true or false"]),
+        ('radius = "4e-2"', "radius = 0", ["contacts[0]", "finger", "sphere", "radius"]),
+        ('radius = "4e-2"', "radus = 1", ["contacts[0]", "finger", "'radus'", "'radius'"]),
+        ("minor = 0.02", "minor = 0.06", ["contacts[1]", "torus", "0.06"]),
+        ('"2*pi/3"', '"2*pii/3"', ["contacts[0]", "object_at[0]", "pii", "pi"]),
+        ('"2*pi/3"', "nan", ["contacts[0]", "object_at[0]", "nan"]),
+        ('"2*pi/3"', "0", ["scene 'good'", "contacts[0] 'thumb'", "object_at = (0.0,"]),
+        ('["2*pi/3", "pi/2"]', '"pi"', ["contacts[0]", "object_at", "two numbers"]),
+        ('finger_velocity = "rolling"', 'finger_velocity = "roling"', ["contacts[1]", "'rolling'"]),
+        ("object_velocity", "object_velocty", ["contacts[1]", "'object_velocity'"]),
+        ('kind = "object rate offset"', 'kind = "object rate"', ["disturbances[0]", "kind"]),
+        ('kind = "object rate offset"', "kind = [1]", ["disturbances[0]", "kind"]),
+        ("contact = 0", 'contact = "al"', ["disturbances[0]", "'al'", '"all"']),
+        ("contact = 0", "contact = 1.0", ["disturbances[0]", "1.0", "index"]),
+        ("contact = 0", "contact = 1", ["disturbances[0]", "imposes rolling"]),
+        ("contact = 0", "contact = 2", ["disturbances[0]", "contact = 2", "2 contacts"]),
+        ("stop = 1", "stop = 3", ["disturbances[0]", "stop = 3", "[0, 2] s"]),
+        ("stop = 1", "stop = 0.5", ["disturbances[0]", "stop = 0.5"]),
+        ("stop = 1", "", ["disturbances[0]", "'stop' is missing"]),
+        ("friction = 0.5", "friction = nan", ["drake.friction", "nan"]),
+        ("[drake]", "[darke]", ["'darke'", "'drake'"]),
+        ("[[contacts]]", "[contacts]", ["TOML"]),
+    ],
+)
+def test_a_mistake_in_a_file_is_named_by_file_key_value_and_remedy(old, new, words):
+    assert old in GOOD
+    with pytest.raises(SceneError) as error:
+        scene_from_toml(GOOD.replace(old, new, 1), source="wrong.toml")
+    for word in ["wrong.toml", *words]:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize("key", ["contacts", "disturbances"])
+def test_a_single_table_instead_of_a_list_is_refused(key):
+    text = 'duration = 1\nprofile = [1]\nobject = { surface = "plane" }\n'
+    other = "" if key == "contacts" else "contacts = []\n"
+    with pytest.raises(SceneError, match=rf"\[\[{key}\]\]"):
+        scene_from_toml(f"{text}{other}[{key}]\nstart = 1\n")
+
+
+def test_a_nameless_scene_is_named_after_its_file():
+    text = GOOD.replace('name = "good"', "")
+    assert scene_from_toml(text, source="folder/mine.toml").name == "mine"
+    assert scene_from_toml(text).name == ""
+
+
+def test_an_unknown_scene_is_refused_with_the_nearest_name():
+    with pytest.raises(SceneError, match="did you mean 'K1'"):
+        load_scene("k1")
+    with pytest.raises(SceneError, match="did you mean 'torus'"):
+        load_scene("torsu")
+
+
+def test_files_that_are_no_text_are_refused(tmp_path):
+    with pytest.raises(SceneError, match="cannot be read"):
+        load_scene(tmp_path)
+    (tmp_path / "x.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SceneError, match="cannot be read"):
+        load_scene(tmp_path / "x.toml")
+
+
+def test_a_scene_saved_to_a_file_is_read_back_equal(tmp_path):
+    scene = scene_from_toml(GOOD)
+    save_scene(scene, tmp_path / "s.toml")
+    assert load_scene(tmp_path / "s.toml") == scene
+    assert load_scene(str(tmp_path / "s.toml")).source.endswith("s.toml")
+
+
+number = st.floats(-10, 10)
+SURFACES = [
+    Plane(),
+    Cylinder(0.1),
+    Torus(0.2, 0.1, inside=True),
+    Ellipsoid(0.3, 0.2, 0.1),
+    Quadric(((30, 1, 0), (1, 20, 0), (0, 0, -10)), inside=True),
+    Quadric(((-3, 0, 0), (0, -2, 0), (0, 0, 4)), sheet=-1),
+    ParametricSurface(("r*cos(u)", "r*sin(u)", "v"), parameters={"r": 1 / 3}, u_period=2 * pi),
+    ImplicitSurface("x**2 + y**4 + z**2 - r**2", parameters={"r": 1 / 7}, size=1 / 9),
+]
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.sampled_from(SURFACES),
+    st.text(),
+    st.tuples(number, number),
+    st.floats(0, 1e300),
+    st.dictionaries(st.text(), st.one_of(st.text(), number, st.lists(number), st.booleans())),
+)
+def test_every_float_and_every_text_survives_a_round_trip(surface, text, velocity, eta, table):
+    scene = small_scene(
+        contacts=[Contact(surface, (1.1, 1 / 3), (0.3, 0.7), 1 / 7, velocity, velocity, text)],
+        gain=Gain.time(min(eta, 1e99)),
+        name=text,
+        description=text,
+        disturbances=[ObjectAcceleration(0, 0.1, 1 / 3, velocity)],
+        turning=Turning((1 / 3, 0, 1), (*velocity, 0)),
+        chosen=["contacts.angle", "drake"],
+        paper={"reports": text, "recovery_time": 0.1},
+        drake={**table, "nested": {"list": [1, 2.5, {"deep": True}]}},
+    )
+    assert scene_from_toml(scene_to_toml(scene)) == scene
+
+
+def test_user_surfaces_keep_their_text_parameters_and_size():
+    for name, parameters in (("chart", {"h": 0.01, "k": 20}), ("implicit", {"r": 0.1})):
+        body = scene_from_toml(scene_to_toml(load_scene(name))).object
+        assert body.named_parameters == parameters
+        assert body.size == 0.1
+
+
+@pytest.mark.parametrize(
+    "surface, words",
+    [
+        ('surface = "parametric"', ["parametric", "'f' is missing"]),
+        ('surface = "parametric"\nf = ["u", "v"]', ["object: parametric", "f"]),
+        ('surface = "parametric"\nf = ["u", "v", "sni(u)"]', ["object: parametric", "sin"]),
+        ('surface = "parametric"\nf = ["u", "v", "h"]\nparameters = 3', ["parameters", "table"]),
+        ('surface = "implicit"\nF = "x"\nparameters = { r = nan }', ["parameters: r", "nan"]),
+        ('surface = "implicit"\nF = "x"\nsize = -1', ["object: implicit", "size", "-1"]),
+        ('surface = "implicit"\nF = 3', ["object: implicit"]),
+        ('surface = "quadric"\nA = [[1, 0], [0, 1]]', ["object: quadric", "A"]),
+        ('surface = "quadric"\nA = "x"', ["object", "A", "x"]),
+        ('surface = "quadric"\nA = [[1,0,0],[0,1,0],[0,0,1]]\nsheet = 1.5', ["quadric", "sheet"]),
+        ("surface = 3", ["object", "surface = 3"]),
+    ],
+)
+def test_a_mistake_in_a_users_surface_is_named(surface, words):
+    old = 'surface = "ellipsoid"\na = "3/10"\nb = 0.2\nc = 0.1'
+    with pytest.raises(SceneError) as error:
+        scene_from_toml(GOOD.replace(old, surface), source="wrong.toml")
+    for word in ["wrong.toml", *words]:
+        assert word in str(error.value)
+
+
+def test_a_surface_given_as_a_python_function_cannot_be_saved():
+    scene = small_scene(object=ParametricSurface(lambda u, v: (u, v, 0.01 * u * v)))
+    with pytest.raises(SceneError, match="scene 'small': object: f is a Python function"):
+        scene_to_toml(scene)
+    scene = small_scene(contacts=[Contact(ImplicitSurface(lambda x: x.T @ x - 1), (1, 1))])
+    with pytest.raises(SceneError, match=r"contacts\[0\]: finger: F is a Python function"):
+        scene_to_toml(scene)
+
+
+def test_scene_files_are_flat_toml_with_known_keys():
+    table = tomllib.loads(scene_to_toml(load_scene("K4")))
+    assert table["gain"] == {"law": "path", "eta": 100.0}
+    assert table["object"] == {"surface": "ellipsoid", "a": 0.3, "b": 0.2, "c": 0.1}
+    assert table["contacts"][0]["finger"] == {"surface": "sphere", "radius": 0.04}
+    assert len(table["disturbances"]) == 3
+    fields = {f.name for f in dataclasses.fields(Scene)}
+    assert set(table) <= fields

@@ -1,0 +1,622 @@
+"""Surfaces: charts and their inverses, orientation, canonical coordinates, what users may write."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+from math import pi
+
+import casadi as ca
+import mpmath as mp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from contact_system.errors import ChartSingularity, SurfaceError
+from contact_system.surfaces import (
+    Cylinder,
+    Ellipsoid,
+    ImplicitSurface,
+    ParametricSurface,
+    Plane,
+    Quadric,
+    Sphere,
+    Surface,
+    Torus,
+)
+
+SX = ca.SX
+# A rotation with nothing special about it.
+TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.7], [-0.6, 0.2, 1.0]]))[0]
+TORUS = ("(R + r*cos(v))*cos(u)", "(R + r*cos(v))*sin(u)", "r*sin(v)")
+SIGNATURES = {
+    "triaxial": (1.0, 2.0, 3.0),
+    "oblate": (1.0, 1.0, 2.0),
+    "prolate": (2.0, 2.0, 1.0),
+    "round": (4.0, 4.0, 4.0),
+    "one sheet": (1.0, 2.0, -1.0),
+    "two sheets": (1.0, -2.0, -1.0),
+    "elliptic cylinder": (1.0, 2.0, 0.0),
+    "round cylinder": (4.0, 4.0, 0.0),
+    "hyperbolic cylinder": (1.0, -2.0, 0.0),
+    "planes": (4.0, 0.0, 0.0),
+}
+
+
+def turned_quadric(name: str, **options) -> Quadric:
+    matrix = TURN @ np.diag(SIGNATURES[name]) @ TURN.T
+    return Quadric((matrix + matrix.T) / 2, **options)
+
+
+EXPLICIT: dict[str, Surface] = {
+    "plane": Plane(),
+    "sphere": Sphere(0.1),
+    "cylinder": Cylinder(0.1),
+    "torus": Torus(0.1, 0.03),
+    "ellipsoid": Ellipsoid(0.3, 0.2, 0.1),
+    "ellipsoid oblate": Ellipsoid(0.3, 0.3, 0.1),
+    "ellipsoid prolate": Ellipsoid(0.3, 0.1, 0.1),
+    "ellipsoid round": Ellipsoid(0.2, 0.2, 0.2),
+    **{f"quadric {name}": turned_quadric(name) for name in SIGNATURES},
+}
+IMPLICIT = ImplicitSurface("x**2/a**2 + y**4 + z**2 - 1", parameters={"a": 1.5}, size=1.5)
+PARAMETRIC = ParametricSurface(TORUS, parameters={"R": 0.1, "r": 0.03}, size=0.13)
+ALL = EXPLICIT | {"implicit": IMPLICIT, "parametric": PARAMETRIC}
+
+
+def inside_out(surface: Surface) -> Surface:
+    if isinstance(surface, ImplicitSurface):
+        return ImplicitSurface(surface.F, parameters={"a": 1.5}, size=1.5, inside=True)
+    if isinstance(surface, ParametricSurface):
+        return ParametricSurface(
+            TORUS, parameters=surface.named_parameters, size=surface.size, inside=True
+        )
+    return dataclasses.replace(surface, inside=True)
+
+
+def sample(surface: Surface, count: int = 200) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates spread over the chart, off its singular points."""
+    u, v = np.random.default_rng(5).uniform(-3, 3, (2, count))
+    return surface.canonical(u, v)
+
+
+def at_points(surface: Surface, *expressions_of, x: np.ndarray) -> list[np.ndarray]:
+    """Values (n, ...) of expressions of (p, x) at points (n, 3)."""
+    p, symbol = SX.sym("p", len(surface.parameters)), SX.sym("x", 3)
+    values = [ca.densify(ca.SX(w)) for f in expressions_of for w in f(p, symbol)]
+    function = ca.Function("f", [p, symbol], [ca.vec(w) for w in values])
+    results = function.call([ca.DM(surface.parameters), ca.DM(x.T)])
+    return [
+        r.full().T.reshape(len(x), *w.shape[::-1]).swapaxes(1, 2)
+        for r, w in zip(results, values, strict=True)
+    ]
+
+
+def near_umbilics_and_seam() -> tuple[np.ndarray, np.ndarray]:
+    offsets = np.array([0.0, 1e-300, 1e-15, 1e-12, 1e-9, 1e-6, 1e-3, 0.03])
+    u, v = [], []
+    for du in offsets:
+        for dv in offsets:
+            for corner in (0.0, pi, -pi):
+                for side in (-1, 1):
+                    u += [corner - du, corner + du] if corner == 0 else [corner * (1 - du / pi)] * 2
+                    v += [side * (pi / 2 - dv)] * 2
+    for dv in offsets:
+        seam = np.linspace(-3, 3, 13)
+        u += [*seam, *seam]
+        v += [pi / 2 - dv] * 13 + [dv - pi / 2] * 13
+    return np.array(u), np.array(v)
+
+
+# --- inverse charts
+
+
+@pytest.mark.parametrize("inside", [False, True])
+@pytest.mark.parametrize("name", ALL)
+def test_coordinates_bring_back_point_and_coordinates(name, inside):
+    surface = inside_out(ALL[name]) if inside else ALL[name]
+    u, v = sample(surface)
+    x = surface.point(u, v)
+    back_u, back_v = surface.coordinates(x)
+    scale = np.maximum(surface.size, np.linalg.norm(x, axis=-1))
+    assert np.max(np.abs(surface.point(back_u, back_v) - x).max(axis=-1) / scale) < 4e-15
+    turn_u, turn_v = (w or np.inf for w in surface.periods())
+    for w, back, turn in ((u, back_u, turn_u), (v, back_v, turn_v)):
+        away = np.abs(w - back)
+        # The least sine of a polar angle in the sample is about 0.01.
+        assert np.max(np.minimum(away, np.abs(turn - away))) < 1e-12
+
+
+AXES = [
+    (0.3, 0.2, 0.1),
+    (3.0, 2.0, 1.0),
+    (1 + 1e-6, 1.0, 1 - 1e-6),
+    (1 + 1e-6, 1.0, 0.5),
+    (2.0, 1.0, 1 - 1e-6),
+    (np.nextafter(1.0, 2.0), 1.0, 0.5),
+    (2.0, 1.0, np.nextafter(1.0, 0.0)),
+    (100.0, 1.0, 0.9),
+    (100.0, 99.0, 1.0),
+    (1e6, 1.0, 1e-6),
+]
+
+
+@pytest.mark.parametrize("axes", AXES)
+def test_ellipsoid_round_trip_holds_at_seam_and_umbilics(axes):
+    surface = Ellipsoid(*axes)
+    u, v = near_umbilics_and_seam()
+    spread = np.random.default_rng(3).uniform(-1, 1, (2, 300))
+    u, v = np.append(u, pi * spread[0]), np.append(v, pi / 2 * spread[1])
+    x = surface.point(u, v)
+    back_u, back_v = surface.coordinates(x)
+    assert np.max(np.abs(surface.point(back_u, back_v) - x)) < 1e-15 * surface.size
+    assert np.all((back_u > -pi) & (back_u <= pi) & (np.abs(back_v) <= pi / 2))
+
+
+@pytest.mark.parametrize("axes", AXES)
+def test_ellipsoid_chart_is_the_printed_one(axes):
+    """Eq. ``ellipsoid`` in 60 digits, with doubles for input."""
+    surface = Ellipsoid(*axes)
+    u, v = np.random.default_rng(4).uniform(-3, 3, (2, 20))
+    x = surface.point(u, v)
+    with mp.workdps(60):
+        a, b, c = map(mp.mpf, axes)
+        whole = mp.sqrt(a * a - c * c)
+        for s, t, point in zip(u, v, x, strict=True):
+            under_x = a * a - b * b * mp.sin(t) ** 2 - c * c * mp.cos(t) ** 2
+            under_z = a * a * mp.sin(s) ** 2 + b * b * mp.cos(s) ** 2 - c * c
+            printed = (
+                a * mp.cos(s) * mp.sqrt(under_x) / whole,
+                b * mp.sin(s) * mp.cos(t),
+                c * mp.sin(t) * mp.sqrt(under_z) / whole,
+            )
+            assert max(abs(w - p) for w, p in zip(point, printed, strict=True)) < 5e-16 * axes[0]
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [Sphere(0.1), Ellipsoid(0.3, 0.3, 0.1), Ellipsoid(0.3, 0.1, 0.1), Torus(1.0, 0.999999)],
+)
+@pytest.mark.parametrize("offset", [1e-12, 1e-9, 1e-6])
+def test_round_trip_holds_close_to_poles(surface, offset):
+    along = np.linspace(-3, 3, 25)
+    for corner in (0.0, pi / 2, -pi / 2, pi):
+        for side in (-1, 1):
+            near = np.full(25, corner + side * offset)
+            for u, v in ((near, along), (along, near)):
+                x = surface.point(u, v)
+                back = surface.point(*surface.coordinates(x))
+                assert np.max(np.abs(back - x)) < 1e-15 * surface.size
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.lists(st.floats(1e-3, 1e3), min_size=3, max_size=3),
+    st.floats(-pi, pi),
+    st.floats(-pi / 2, pi / 2),
+)
+def test_any_ellipsoid_comes_back_from_its_points(axes, u, v):
+    surface = Ellipsoid(*sorted(axes, reverse=True))
+    x = surface.point(u, v)
+    assert np.max(np.abs(surface.point(*surface.coordinates(x)) - x)) < 4e-15 * surface.size
+
+
+def test_nearly_equal_axes_approach_the_limit_charts():
+    u, v = np.array([0.4, 1.3, 2.5]), np.array([-1.1, 0.2, 0.9])
+    tiny = 1e-10
+    for near, limit in (
+        (Ellipsoid(0.3 * (1 + tiny), 0.3, 0.1), Ellipsoid(0.3, 0.3, 0.1)),
+        (Ellipsoid(0.3, 0.1, 0.1 * (1 - tiny)), Ellipsoid(0.3, 0.1, 0.1)),
+    ):
+        assert np.allclose(near.point(u, v), limit.point(u, v), atol=1e-9)
+        assert np.allclose(near.frame(u, v), limit.frame(u, v), atol=1e-8)
+
+
+# --- frames, orientation, level functions
+
+
+@pytest.mark.parametrize("inside", [False, True])
+@pytest.mark.parametrize("name", [n for n in ALL if n != "parametric"])
+def test_frame_of_the_point_is_the_frame_of_its_coordinates(name, inside):
+    surface = inside_out(ALL[name]) if inside else ALL[name]
+    u, v = sample(surface)
+    x_axis, y_axis, m = at_points(surface, surface.frame_expr, x=surface.point(u, v))
+    frame = surface.frame(u, v)
+    # Rounding of x moves the axes by its size over the distance to a pole or umbilic.
+    assert np.allclose(x_axis[..., 0], frame[..., 0], atol=1e-12)
+    assert np.allclose(y_axis[..., 0], frame[..., 1], atol=1e-12)
+    scale = np.max(np.abs(m))
+    assert np.allclose(m, surface.metric_root(u, v), atol=1e-14 * scale)
+
+
+@pytest.mark.parametrize("distance", [1e-2, 1e-4, 1e-6])
+def test_ellipsoid_frame_near_an_umbilic_loses_no_more_than_the_point_does(distance):
+    surface = Ellipsoid(0.3, 0.2, 0.1)
+    angle = np.linspace(0, 2 * pi, 40)
+    u, v = distance * np.sin(angle), pi / 2 - distance * np.abs(np.cos(angle)) - 1e-3 * distance
+    x_axis, y_axis, _ = at_points(surface, surface.frame_expr, x=surface.point(u, v))
+    frame = surface.frame(u, v)
+    assert np.max(np.abs(x_axis[..., 0] - frame[..., 0])) < 1e-15 / distance**2
+    gram = np.concatenate([x_axis, y_axis], axis=2)
+    assert np.allclose(gram.swapaxes(1, 2) @ gram, np.eye(2), atol=1e-15 / distance)
+
+
+def test_ellipsoid_frame_and_coordinates_have_finite_derivatives_across_the_seam():
+    surface = Ellipsoid(0.3, 0.2, 0.1)
+    x = surface.point(np.array([2 * pi / 3, 0.5, -1.0]), np.array([pi / 2, -pi / 2, pi / 2]))
+    x[:, 1] = [0.0, 1e-17, -1e-17]
+
+    def slopes(p, symbol):
+        x_axis, y_axis, m = surface.frame_expr(p, symbol)
+        u, v = surface.coordinates_expr(p, symbol)
+        return [ca.jacobian(ca.vertcat(x_axis, y_axis, ca.vec(m), u, v), symbol)]
+
+    assert np.all(np.isfinite(at_points(surface, slopes, x=x)[0]))
+
+
+@pytest.mark.parametrize("inside", [False, True])
+@pytest.mark.parametrize("name", [n for n in ALL if n != "parametric"])
+def test_normal_is_along_the_gradient_of_the_level_function(name, inside):
+    surface = inside_out(ALL[name]) if inside else ALL[name]
+    u, v = sample(surface)
+    x = surface.point(u, v)
+
+    def level(p, symbol):
+        value = surface.implicit_expr(p, symbol)
+        return [value, ca.gradient(value, symbol)]
+
+    value, gradient = (w[..., 0] for w in at_points(surface, level, x=x))
+    gradient /= np.linalg.norm(gradient, axis=1)[:, None]
+    assert np.allclose(surface.normal(u, v), gradient, atol=1e-14)
+    assert np.max(np.abs(value)) < 1e-14 * max(1, np.max(np.abs(x)) / surface.size) ** 2
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_inside_turns_v_and_the_normal_and_keeps_the_surface(name):
+    outer, inner = ALL[name], inside_out(ALL[name])
+    u, v = sample(outer, 30)
+    assert np.array_equal(inner.point(u, -v), outer.point(u, v))
+    assert np.allclose(inner.normal(u, -v), -outer.normal(u, v), atol=1e-15)
+    frame = inner.frame(u, -v)
+    assert np.allclose(np.linalg.det(frame), 1)
+    assert np.allclose(frame[..., 0], outer.frame(u, v)[..., 0], atol=1e-15)
+
+
+def test_bowl_curves_by_minus_one_over_radius():
+    assert np.allclose(Sphere(0.5, inside=True).curvature_form(1.0, 2.0), -2 * np.eye(2))
+
+
+@pytest.mark.parametrize("name", ["two sheets", "hyperbolic cylinder", "planes"])
+def test_other_sheet_lies_opposite_with_its_normal_outward(name):
+    upper, lower = turned_quadric(name), turned_quadric(name, sheet=-1)
+    u, v = np.random.default_rng(6).uniform(-2, 2, (2, 20))
+    first_axis = upper.normal(0.0, 0.0)
+    assert np.all(upper.point(u, v) @ first_axis > 0)
+    assert np.all(lower.point(u, v) @ first_axis < 0)
+    assert np.allclose(lower.normal(0.0, 0.0), -first_axis)
+    assert upper.structure == lower.structure
+
+
+@pytest.mark.parametrize("name", SIGNATURES)
+def test_quadric_points_satisfy_its_equation(name):
+    surface = turned_quadric(name)
+    u, v = sample(surface)
+    x = surface.point(u, v)
+    value = np.einsum("ni,ij,nj->n", x, np.array(surface.A), x)
+    assert np.max(np.abs(value - 1) / (1 + np.sum(x**2, axis=1))) < 1e-14
+
+
+def test_quadric_along_the_axes_is_the_ellipsoid():
+    quadric = Quadric(np.diag([1 / 0.3**2, 1 / 0.2**2, 1 / 0.1**2]))
+    u, v = sample(quadric, 20)
+    assert np.allclose(quadric.point(u, v), Ellipsoid(0.3, 0.2, 0.1).point(u, v), atol=1e-15)
+
+
+def test_rounding_in_a_turned_matrix_does_not_hide_equal_axes():
+    assert turned_quadric("round").great_circles
+    assert turned_quadric("round cylinder").developable
+    assert turned_quadric("planes").developable
+    assert turned_quadric("oblate").periods() == (2 * pi, None)
+    assert not turned_quadric("triaxial").great_circles
+
+
+# --- canonical coordinates
+
+
+def test_papers_sphere_contact_is_brought_to_the_right_handed_range():
+    """Theory section 1, the trap: sin u < 0 turns the frame over."""
+    surface = Sphere(0.1)
+    u, v = surface.canonical(-1.57, 2.44)
+    assert u == 1.57 and np.isclose(v, 2.44 - pi, atol=1e-15)
+    assert np.allclose(surface.point(u, v), surface.point(-1.57, 2.44), atol=1e-16)
+    assert surface.normal(u, v) @ surface.point(u, v) > 0
+
+
+@pytest.mark.parametrize("at", [(2 * pi / 3, pi / 2), (-2 * pi / 3, -pi / 2), (pi / 6, pi / 2)])
+def test_papers_ellipsoid_contacts_stay_bit_for_bit(at):
+    assert Ellipsoid(0.3, 0.2, 0.1).canonical(*at) == at
+
+
+@pytest.mark.parametrize("inside", [False, True])
+@pytest.mark.parametrize("name", [n for n in EXPLICIT if not n.startswith("quadric")])
+def test_canonical_coordinates_name_the_same_point_with_the_normal_outward(name, inside):
+    surface = inside_out(EXPLICIT[name]) if inside else EXPLICIT[name]
+    raw_u, raw_v = np.random.default_rng(8).uniform(-9, 9, (2, 200))
+    u, v = surface.canonical(raw_u, raw_v)
+    assert np.allclose(surface.point(u, v), surface.point(raw_u, raw_v), atol=2e-15)
+    again = surface.canonical(u, v)
+    assert np.array_equal(again[0], u) and np.array_equal(again[1], v)
+    if name != "torus":  # a convex body about its origin, or a plane through it
+        outward = np.einsum("ni,ni->n", surface.normal(u, v), surface.point(u, v))
+        assert np.all(-outward >= 0 if inside else outward >= 0)
+
+
+@pytest.mark.parametrize(
+    ("surface", "at"),
+    [
+        (Sphere(0.1), (0.0, 0.3)),
+        (Sphere(0.1), (pi, 0.3)),
+        (Sphere(1e-4), (-2 * pi, 0.3)),
+        (Ellipsoid(0.3, 0.2, 0.1), (0.0, pi / 2)),
+        (Ellipsoid(0.3, 0.2, 0.1), (pi, -pi / 2)),
+        (Ellipsoid(0.3, 0.3, 0.1), (0.4, pi / 2)),
+        (Ellipsoid(0.3, 0.1, 0.1), (pi, 0.4)),
+        (IMPLICIT, (0.0, 1.0)),
+        (ParametricSurface(("u**2", "v", "u**3")), (0.0, 1.0)),
+    ],
+)
+def test_poles_and_umbilics_are_refused_with_surface_place_and_remedy(surface, at):
+    with pytest.raises(ChartSingularity) as caught:
+        surface.canonical(*at)
+    text = str(caught.value)
+    assert type(surface).__name__ in text and "(u, v) = (" in text and "Move the contact" in text
+
+
+def test_points_close_to_a_pole_or_umbilic_are_accepted():
+    assert Sphere(0.1).canonical(1e-9, 0.3) == (1e-9, 0.3)
+    assert Ellipsoid(0.3, 0.2, 0.1).canonical(1e-9, pi / 2) == (1e-9, pi / 2)
+
+
+@pytest.mark.parametrize("at", [(np.nan, 0.0), (0.0, np.inf), ("a", 0.0), ([1, 2], [1, 2, 3])])
+def test_coordinates_that_are_no_numbers_are_refused(at):
+    with pytest.raises(SurfaceError, match="coordinates"):
+        Torus(0.1, 0.03).canonical(*at)
+
+
+# --- continuity
+
+
+def test_align_takes_the_nearest_of_all_representatives():
+    surface = Ellipsoid(0.3, 0.2, 0.1)
+    u, v, half_turn = surface.align(-0.5, 1.5, 0.5 + 2 * pi, pi - 1.45)
+    assert np.allclose([u, v], [0.5 + 2 * pi, pi - 1.5]) and half_turn
+    assert np.allclose(surface.point(u, v), surface.point(-0.5, 1.5), atol=1e-15)
+    turned = surface.frame(-0.5, 1.5) * [-1, -1, 1]
+    assert np.allclose(surface.frame(u, v), turned, atol=1e-14)
+    u, v, half_turn = Torus(0.1, 0.03).align([3.0, 0.1], 0.0, [-3.0, 0.2], 2 * pi)
+    assert np.allclose(u, [3.0 - 2 * pi, 0.1]) and np.allclose(v, 2 * pi)
+    assert not np.any(half_turn)
+
+
+def test_unwind_makes_a_path_over_the_seam_continuous():
+    surface = Ellipsoid(0.3, 0.2, 0.1)
+    t = np.linspace(0, 4 * pi, 400)
+    tilted = np.stack([0.9 * np.cos(t), np.sin(t) * 0.3 + 0.1, 0.8 * np.sin(t + 0.4)], axis=-1)
+    x = tilted / np.linalg.norm(tilted / [0.3, 0.2, 0.1], axis=1)[:, None]
+    principal = surface.coordinates(x)
+    u, v, half_turn = surface.unwind(*principal)
+    assert np.any(half_turn) and np.max(np.abs(np.diff(np.stack([u, v])))) < 0.3
+    assert np.max(np.abs(np.diff(principal[0]))) > 1
+    assert np.allclose(surface.point(u, v), x, atol=1e-15)
+    signs = np.where(half_turn, -1, 1)[:, None]
+    assert np.allclose(surface.frame(u, v)[..., 0], signs * surface.frame(*principal)[..., 0])
+    ref_u, ref_v = principal[0][0], principal[1][0]
+    for i in range(len(t)):
+        ref_u, ref_v, turned = surface.align(principal[0][i], principal[1][i], ref_u, ref_v)
+        assert np.isclose(ref_u, u[i]) and np.isclose(ref_v, v[i]) and turned == half_turn[i]
+
+
+# --- identity, shapes
+
+
+def test_structure_is_shared_by_sizes_and_not_by_degenerate_cases():
+    assert Sphere(0.1).structure == Sphere(0.2).structure != Sphere(0.1, inside=True).structure
+    assert Ellipsoid(3, 2, 1).structure == Ellipsoid(5, 2, 1).structure
+    assert Ellipsoid(3, 2, 1).structure != Ellipsoid(3, 3, 1).structure
+    assert turned_quadric("one sheet").structure != turned_quadric("two sheets").structure
+    other = ParametricSurface(TORUS, parameters={"r": 0.2, "R": 0.5})
+    assert other.structure == PARAMETRIC.structure
+    assert other.parameters == (0.5, 0.2)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_surfaces_hash_compare_and_pickle(name):
+    surface = ALL[name]
+    again = pickle.loads(pickle.dumps(surface))
+    assert again == surface and hash(again) == hash(surface)
+    assert inside_out(surface) != surface != "surface"
+    assert np.array_equal(again.point(0.5, 0.6), surface.point(0.5, 0.6))
+    assert type(surface).__name__ in repr(surface)
+
+
+def test_equal_numbers_of_other_kinds_are_other_surfaces():
+    assert Sphere(0.1) != Cylinder(0.1)
+    assert Sphere(0.1) == Sphere(np.float64(0.1)) != Sphere(0.2)
+    assert Quadric(np.eye(3)) == Quadric([[1, 0, 0], [0, 1, 0], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_numeric_methods_are_vectorised_over_leading_axes(name):
+    surface = ALL[name]
+    u, v = np.full((4, 1), 0.5), np.linspace(0.1, 1, 3)
+    shapes = {
+        "point": (3,),
+        "normal": (3,),
+        "frame": (3, 3),
+        "lame": (2,),
+        "christoffel": (2, 2, 2),
+        "curvature_form": (2, 2),
+        "torsion_form": (2,),
+        "metric_root": (2, 2),
+    }
+    for quantity, shape in shapes.items():
+        value = getattr(surface, quantity)(u, v)
+        assert value.shape == (4, 3, *shape)
+        assert np.allclose(value[2, 1], getattr(surface, quantity)(0.5, v[1]), atol=1e-14)
+        assert getattr(surface, quantity)(np.zeros(0), 0.0).shape == (0, *shape)
+    assert surface.coordinates(surface.point(u, v))[1].shape == (4, 3)
+
+
+def test_flags_say_what_a_surface_has():
+    assert Plane().developable and Cylinder(1).developable and not Sphere(1).developable
+    assert Sphere(1).great_circles and Ellipsoid(1, 1, 1).great_circles
+    assert not Ellipsoid(2, 1, 1).great_circles
+    assert [n for n, s in ALL.items() if not s.has_implicit] == ["parametric"]
+    assert [n for n, s in ALL.items() if not s.has_chart] == ["implicit"]
+    ambient = {type(s) for s in ALL.values() if s.ambient}
+    assert ambient == {Sphere, Ellipsoid, Quadric, ImplicitSurface}
+    assert [n for n, s in ALL.items() if s.double_cover] == ["ellipsoid", "quadric triaxial"]
+
+
+# --- what users write
+
+
+@pytest.mark.parametrize(
+    "chart",
+    [
+        lambda u, v: [
+            (0.1 + 0.03 * np.cos(v)) * np.cos(u),
+            (0.1 + 0.03 * np.cos(v)) * np.sin(u),
+            0.03 * np.sin(v),
+        ],
+        lambda u, v: np.array(
+            [
+                (0.1 + 0.03 * ca.cos(v)) * ca.cos(u),
+                (0.1 + 0.03 * ca.cos(v)) * ca.sin(u),
+                0.03 * ca.sin(v),
+            ]
+        ),
+        lambda u, v: (
+            ca.vertcat((0.1 + 0.03 * ca.cos(v)) * ca.vertcat(ca.cos(u), ca.sin(u)), 0)
+            + ca.vertcat(0, 0, 0.03 * ca.sin(v))
+        ),
+    ],
+)
+def test_chart_may_be_plain_numpy_or_casadi(chart):
+    surface, truth = ParametricSurface(chart, size=0.13), Torus(0.1, 0.03)
+    assert np.allclose(surface.point(0.4, 0.7), truth.point(0.4, 0.7), atol=1e-17)
+    assert np.allclose(surface.christoffel(0.4, 0.7), truth.christoffel(0.4, 0.7), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "level",
+    [
+        "x**2 + y**2 + z**2 - 0.01",
+        lambda x: x[0] ** 2 + x[1] ** 2 + x[2] ** 2 - 0.01,
+        lambda x: np.dot(x, x) - 0.01,
+        lambda x: x.T @ np.eye(3) @ x - 0.01,
+        lambda x: [ca.norm_2(x) - 0.1],
+    ],
+)
+def test_implicit_sphere_is_the_sphere(level):
+    surface, truth = ImplicitSurface(level, size=0.1), Sphere(0.1)
+    for quantity in ("point", "frame", "lame", "christoffel", "curvature_form", "torsion_form"):
+        value = getattr(surface, quantity)(0.8, -2.0)
+        assert np.allclose(value, getattr(truth, quantity)(0.8, -2.0), rtol=1e-13, atol=1e-13)
+
+
+def test_named_parameters_reach_a_function_by_name():
+    surface = ParametricSurface(lambda u, v, k: [u, v, k * u * v], parameters={"k": 3.0})
+    assert np.allclose(surface.point(2.0, 0.5), [2.0, 0.5, 3.0])
+    assert surface.f is None and surface.named_parameters == {"k": 3.0}
+    assert PARAMETRIC.f == TORUS
+    assert IMPLICIT.F == "x**2/a**2 + y**4 + z**2 - 1"
+
+
+def test_implicit_surface_is_solved_from_an_offset_centre():
+    surface = ImplicitSurface(
+        "x**2/0.09 + y**2/0.04 + z**2/0.01 - 1", center=(0.05, 0.02, 0.01), size=0.3
+    )
+    u, v = sample(surface)
+    x = surface.point(u, v)
+    assert np.max(np.abs(np.sum((x / [0.3, 0.2, 0.1]) ** 2, axis=1) - 1)) < 2e-15
+    ray = x - surface.center
+    assert np.allclose(np.arctan2(ray[:, 1], ray[:, 0]), v, atol=1e-14)
+    assert np.allclose(np.arccos(ray[:, 2] / np.linalg.norm(ray, axis=1)), u, atol=1e-13)
+
+
+def test_implicit_surface_refuses_an_explicit_chart_and_says_why():
+    with pytest.raises(SurfaceError, match="no explicit chart"):
+        IMPLICIT.chart_expr(SX.sym("p", 4), SX.sym("u"), SX.sym("v"))
+
+
+def test_parametric_coordinates_start_from_a_guess():
+    u, v = PARAMETRIC.coordinates(PARAMETRIC.point(0.5, 0.2), guess=(0.5 + 2 * pi, 0.1))
+    assert np.allclose([u, v], [0.5 + 2 * pi, 0.2])
+
+
+def test_parametric_coordinates_fold_into_the_range_of_a_period():
+    surface = ParametricSurface(
+        TORUS, parameters={"R": 0.1, "r": 0.03}, size=0.13, u_range=(0, 2 * pi), u_period=2 * pi
+    )
+    assert np.isclose(surface.coordinates(surface.point(-0.5, 0.2))[0], 2 * pi - 0.5)
+    assert np.isclose(surface.canonical(-0.5, 0.2)[0], 2 * pi - 0.5)
+
+
+def test_point_off_a_parametric_surface_is_an_error_not_an_answer():
+    with pytest.raises(SurfaceError, match="nearest miss.*guess"):
+        PARAMETRIC.coordinates([[0.13, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+# --- errors
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Sphere(-0.1), ["Sphere", "radius = -0.1", "inside=True"]),
+        (lambda: Sphere(0), ["radius = 0"]),
+        (lambda: Sphere(np.nan), ["radius = nan", "finite"]),
+        (lambda: Cylinder(np.inf), ["Cylinder", "radius = inf"]),
+        (lambda: Sphere("0.1"), ["radius = '0.1'", "number"]),
+        (lambda: Sphere(True), ["radius = True"]),
+        (lambda: Sphere(0.1, inside="yes"), ["inside = 'yes'"]),
+        (lambda: Torus(0.1, 0.2), ["minor = 0.2", "major = 0.1"]),
+        (lambda: Torus(0.1, 0.1), ["minor = 0.1"]),
+        (lambda: Ellipsoid(0.1, 0.2, 0.3), ["a >= b >= c", "Ellipsoid(0.3, 0.2, 0.1)"]),
+        (lambda: Quadric(-np.eye(3)), ["none positive"]),
+        (lambda: Quadric(np.diag([-1.0, 0.0, 0.0])), ["none positive"]),
+        (lambda: Quadric(np.zeros((3, 3))), ["none positive"]),
+        (lambda: Quadric(np.eye(2)), ["(2, 2)"]),
+        (lambda: Quadric([[1, 2, 0], [0, 1, 0], [0, 0, 1]]), ["symmetric", "(A + A.T)/2"]),
+        (lambda: Quadric(np.diag([1, np.nan, 1])), ["finite"]),
+        (lambda: Quadric("A"), ["'A'"]),
+        (lambda: Quadric(np.eye(3), sheet=-1), ["sheet = -1", "one piece"]),
+        (lambda: Quadric(np.eye(3), sheet=2), ["sheet = 2"]),
+        (lambda: ParametricSurface(("u", "v")), ["3 text(s)"]),
+        (lambda: ParametricSurface(("u", "v", "cso(u)")), ["did you mean cos"]),
+        (lambda: ParametricSurface(("u", "u", "u")), ["does not depend on v"]),
+        (lambda: ParametricSurface(lambda u, v: [u, v]), ["2 component", "3"]),
+        (lambda: ParametricSurface(lambda u, v: [u, v, __import__("math").cos(u)]), ["np.cos"]),
+        (lambda: ParametricSurface(lambda u, v: [u, v, u if u > 0 else v]), ["no if"]),
+        (lambda: ParametricSurface(lambda u, v, k: [u, v, k]), ["TypeError", "by name"]),
+        (lambda: ParametricSurface(("u", "v", "u"), size=-1), ["size = -1"]),
+        (lambda: ParametricSurface(("u", "v", "u"), u_range=(1, 0)), ["u_range = (1, 0)"]),
+        (lambda: ParametricSurface(("u", "v", "k"), parameters={"k": np.inf}), ["'k'", "inf"]),
+        (lambda: ParametricSurface(("u", "v", "u"), parameters={"u": 1}), ["'u'", "meaning"]),
+        (lambda: ParametricSurface(("u", "v", "u"), parameters={"a b": 1}), ["'a b'"]),
+        (lambda: ParametricSurface(("u", "v", "u"), parameters=[1]), ["table"]),
+        (lambda: ImplicitSurface("x + q"), ["unknown name q"]),
+        (lambda: ImplicitSurface("3"), ["does not depend"]),
+        (lambda: ImplicitSurface("x", center=(0, 0)), ["center = (0, 0)", "3 numbers"]),
+        (lambda: ImplicitSurface("x**2 + y**2 + z**2 + 1").point(1, 1), ["negative", "center"]),
+        (lambda: ImplicitSurface("z - 1").point(2.5, 1.0), ["does not meet", "(2.5, 1.0)"]),
+        (lambda: Sphere(1).coordinates([1.0, 2.0]), ["last axis"]),
+        (lambda: Sphere(1).coordinates([1.0, 2.0, np.nan]), ["finite"]),
+    ],
+)
+def test_errors_name_the_argument_the_value_and_the_remedy(make, words):
+    with pytest.raises(SurfaceError) as caught:
+        make()
+    assert all(word in str(caught.value) for word in words), str(caught.value)
