@@ -23,17 +23,8 @@ from .scene import (
     load_scene,
     save_scene,
 )
-from .surfaces import (
-    Cylinder,
-    Ellipsoid,
-    ImplicitSurface,
-    ParametricSurface,
-    Plane,
-    Quadric,
-    Sphere,
-    Surface,
-    Torus,
-)
+from .surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
+from .user_surfaces import ImplicitSurface, ParametricSurface
 
 __version__ = "0.1.0"
 

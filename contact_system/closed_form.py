@@ -7,6 +7,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import functools
 from dataclasses import dataclass
 
 import casadi as ca
@@ -16,28 +18,39 @@ from .development import Panels
 from .kernels import Kernel, per_structure
 from .profile import GainPiece
 from .surfaces import Surface
-from .tracks import Track, frame_coordinates, frame_kernel, point_kernel
+from .tracks import (
+    Evaluator,
+    Track,
+    TrackData,
+    frame_coordinates,
+    frame_kernel,
+    point_kernel,
+)
 
 SX = ca.SX
 
 # A phase of 2 pi k carries k times the rounding of the arc length; beyond this many radians it is
-# computed in doubled precision instead.  64 rad leave 64 * 1.1e-16 * a few = 3e-14 of the radius.
-LONG_PHASE = 64.0
+# computed in doubled precision instead.  256 rad leave 256 * 1.1e-16 * 2 = 6e-14 of the radius.
+LONG_PHASE = 256.0
 
 
 @per_structure
 def circle_kernel(surface: Surface, output: str) -> Kernel:
     """Great circle through x0 along e: x = x0 cos(phi) + r e sin(phi).
 
-    point: phi, speed. constant: parameters, x0/r (3), e (3), b = third axis (3), direction of the
-    drive in [p q] (2). ``output``: "points" -> x; "frames" -> x, p, q; "coordinates" -> u, v, u',
-    v', theta.
+    point: phi modulo 2 pi, speed, phi. constant: parameters, x0/r (3), e (3), b = third axis (3),
+    direction of the drive in [p q] (2), branch (3). ``output``: "points" -> x; "frames" -> x, p, q;
+    "coordinates" -> u, v, u', v', theta.
+
+    A great circle's longitude stays within pi/2 of branch[0] + branch[1] phi, and theta within pi/2
+    of branch[2], which makes both continuous after any number of turns.
     """
-    point, p = SX.sym("point", 2), SX.sym("p", len(surface.parameters))
-    start, along, across, turn = SX.sym("n", 3), SX.sym("e", 3), SX.sym("b", 3), SX.sym("w", 2)
+    point, p = SX.sym("point", 3), SX.sym("p", len(surface.parameters))
+    start, along, across = SX.sym("n", 3), SX.sym("e", 3), SX.sym("b", 3)
+    turn, branch = SX.sym("w", 2), SX.sym("branch", 3)
     cos, sin = ca.cos(point[0]), ca.sin(point[0])
     x = p[0] * (cos * start + sin * along)
-    constant = ca.vertcat(p, start, along, across, turn)
+    constant = ca.vertcat(p, start, along, across, turn, branch)
     if output == "points":
         return Kernel("circle_points", point, constant, x)
     tangent = cos * along - sin * start
@@ -45,9 +58,22 @@ def circle_kernel(surface: Surface, output: str) -> Kernel:
     if output == "frames":
         second = turn[1] * tangent + turn[0] * across
         return Kernel("circle_frames", point, constant, ca.vertcat(x, first, second))
-    frame = ca.horzcat(first, first)
-    values = frame_coordinates(surface, p, x, frame, point[1] * tangent)
+    values = frame_coordinates(surface, p, x, first, point[1] * tangent)
+    values[1] = nearest_branch(values[1], branch[0] + branch[1] * point[2])
+    values[4] = nearest_branch(values[4], branch[2])
     return Kernel("circle_coordinates", point, constant, values)
+
+
+def nearest_branch(angle: SX, reference: SX) -> SX:
+    """The angle, by whole turns as near as can be to the reference."""
+    turn = 2 * np.pi
+    return angle + turn * ca.floor((reference - angle) / turn + 0.5)
+
+
+@per_structure
+def circle_evaluator(surface: Surface, output: str) -> Evaluator:
+    """The compiled evaluator of :func:`circle_kernel`."""
+    return Evaluator(circle_kernel(surface, output), True, 0, False)
 
 
 @dataclass(eq=False)
@@ -56,64 +82,136 @@ class CircleTrack(Track):
 
     Attributes
     ----------
-    begin : (n_bodies, 9)
-        x, p, q at ``start``.
-    w : (n_bodies, 2)
-        Path velocity in the parallel frame, constant.
+    circle : Circle
+        The great circles.
     piece : GainPiece
         sigma in local time.
     """
 
-    begin: np.ndarray
-    w: np.ndarray
+    circle: Circle
     piece: GainPiece
 
     def __post_init__(self) -> None:
-        pace = np.hypot(self.w[:, 0], self.w[:, 1])
-        turn = np.where(pace[:, None] > 0, self.w, [1.0, 0.0]) / np.where(pace > 0, pace, 1)[:, None]
-        radius = self.parameters[:, :1]
-        x, p, q = self.begin[:, 0:3], self.begin[:, 3:6], self.begin[:, 6:9]
-        along = turn[:, :1] * p + turn[:, 1:] * q
-        across = turn[:, :1] * q - turn[:, 1:] * p
-        self.constants = np.hstack([self.parameters, x / radius, along, across, turn])
-        self.pace = pace[:, None]
-        self.phase_per_metre = self.pace / radius
+        self._branch: np.ndarray | None = None
+        span = self.stop - self.start
+        self._long = self.circle.fastest * self.piece.arc_length(span) > LONG_PHASE
 
     def _points(self, t: np.ndarray) -> np.ndarray:
         tau = t - self.start
-        points = np.empty((self.n_bodies, 2, len(t)))
-        np.multiply(self.phase_per_metre, self.piece.arc_length(tau), out=points[:, 0])
-        np.multiply(self.pace, self.piece.speed(tau), out=points[:, 1])
-        if points[:, 0, -1:].max(initial=0.0) > LONG_PHASE:
-            points[:, 0] = long_phase(self.w, self.parameters[:, 0], self.piece.sigma, tau)
+        points, circle = np.empty((self.n_bodies, 3, len(t))), self.circle
+        np.multiply(circle.phase_per_metre[:, None], self.piece.arc_length(tau), out=points[:, 2])
+        np.multiply(circle.pace[:, None], self.piece.speed(tau), out=points[:, 1])
+        points[:, 0] = points[:, 2]
+        if self._long:
+            points[:, 0] = long_phase(circle.w, self.parameters[:, 0], self.piece.sigma, tau)
         return points
 
     def frames(self, t: np.ndarray) -> np.ndarray:
-        return self.run(circle_kernel(self.surface, "frames"), self._points(t), self.constants)
+        kernel = circle_kernel(self.surface, "frames")
+        return self.run(kernel, self._points(t), self.circle.constants)
 
     state = frames
 
-    def positions(self, t: np.ndarray) -> np.ndarray:
-        return self.run(circle_kernel(self.surface, "points"), self._points(t), self.constants)
-
-    def raw_coordinates(self, t: np.ndarray) -> np.ndarray:
-        kernel = circle_kernel(self.surface, "coordinates")
-        return self.run(kernel, self._points(t), self.constants)
-
     def drive(self, t: np.ndarray) -> np.ndarray:
-        return self.w[:, :, None] * self.piece.speed(t - self.start)
+        return self.circle.w[:, :, None] * self.piece.speed(t - self.start)
 
-    def anchor_times(self) -> np.ndarray:
-        span = self.stop - self.start
-        length = self.piece.arc_length(span)
-        count = int(np.ceil(self.phase_per_metre.max() * length)) + 1
-        return self.start + times_of_lengths(self.piece, span, np.linspace(0.0, length, count + 1))
+    def positions(self, t: np.ndarray, out: np.ndarray) -> None:
+        compiled = circle_evaluator(self.surface, "points")
+        if not self._long and compiled.usable(self.compiled):
+            compiled(self._data[0], t, out, (0, 1, 2))
+        else:
+            kernel = circle_kernel(self.surface, "points")
+            kernel(self._points(t), self.circle.constants, out, compiled=self.compiled)
+
+    def coordinates(self, t: np.ndarray, out: np.ndarray, rows: tuple[int, ...] = tuple(range(5))) -> None:
+        compiled = circle_evaluator(self.surface, "coordinates")
+        if self._long or not compiled.usable(self.compiled):
+            super().coordinates(t, out, rows)
+            return
+        code = compiled(self._data[0], t, out, rows)
+        if code < 0:
+            raise self._singular(float(t[-1 - code]))
+
+    def _coordinates(self, t: np.ndarray) -> np.ndarray:
+        kernel = circle_kernel(self.surface, "coordinates")
+        return self.run(kernel, self._points(t), self.circle.constants)
+
+    @functools.cached_property
+    def _data(self) -> tuple[int, tuple]:
+        """Address of the C form of this track, and what it points to."""
+        piece, circle = self.piece, self.circle
+        sigma, length = np.array(piece.sigma), np.array(piece.lengths)
+        data = TrackData(
+            start=self.start, stop=self.stop, nb=self.n_bodies, n_sigma=len(sigma),
+            constants=circle.constants.ctypes.data, sigma=sigma.ctypes.data,
+            length=length.ctypes.data, w=circle.pace.ctypes.data, v=circle.phase_per_metre.ctypes.data,
+        )  # fmt: skip
+        return ctypes.addressof(data), (data, sigma, length, circle)
+
+    @property
+    def anchored(self) -> bool:
+        return self.circle.branched
+
+    def anchor(self, begin: np.ndarray) -> None:
+        self.circle.branch(begin)
 
 
-def times_of_lengths(piece: GainPiece, span: float, lengths: np.ndarray) -> np.ndarray:
-    """Local times at which the arc length passes given values, to about 1e-3 of their spacing."""
-    grid = np.linspace(0.0, span, 16 * len(lengths) + 1)
-    return np.interp(lengths, piece.arc_length(grid), grid)
+@dataclass(eq=False)
+class Circle:
+    """Great circles of several bodies: where they start and how they run.
+
+    Attributes
+    ----------
+    w : (n, 2)
+        Path velocity in the parallel frame.
+    pace, phase_per_metre : (n,)
+        |w| and |w|/r.
+    fastest : float
+        Greatest phase per metre.
+    constants : (n, n_constant)
+        See :func:`circle_kernel`.
+    """
+
+    w: np.ndarray
+    pace: np.ndarray
+    phase_per_metre: np.ndarray
+    fastest: float
+    constants: np.ndarray
+    branched: bool = False
+
+    def branch(self, begin: np.ndarray) -> None:
+        """Fix the branch of v and theta from (u, v, theta) at the start: (n, 3).
+
+        Spherical trigonometry from the highest point of the circle, where the longitude of the
+        circle equals its phase: v - (branch[0] + branch[1] phi) = atan2(cos i sin, cos) - phase.
+        """
+        u, v, theta = begin.T
+        turn = np.arctan2(self.w[:, 1], self.w[:, 0])
+        azimuth = theta + turn
+        sense = np.where(np.sin(azimuth) < 0, -1.0, 1.0)
+        phase = np.pi / 2 + np.arctan2(np.sin(u) * np.cos(azimuth), np.cos(u))
+        tilt = np.abs(np.sin(azimuth)) * np.sin(u)
+        lead = np.arctan2(tilt * np.sin(phase), np.cos(phase)) - phase
+        lead -= 2 * np.pi * np.rint(lead / (2 * np.pi))
+        middle = sense * np.pi / 2 - turn
+        middle += 2 * np.pi * np.rint((theta - middle) / (2 * np.pi))
+        self.constants[:, -3:] = np.stack([v - sense * lead, sense, middle], axis=1)
+        self.branched = True
+
+
+def great_circle(parameters: np.ndarray, begin: np.ndarray, w: np.ndarray) -> Circle:
+    """The circles through frames (x, p, q), (n, 9), with path velocities w, (n, 2)."""
+    pace = np.hypot(w[:, 0], w[:, 1])
+    moving = pace > 0  # a contact point at rest has no direction; any will do
+    turn = np.where(moving[:, None], w, [1.0, 0.0]) / np.where(moving, pace, 1.0)[:, None]
+    x, p, q = begin[:, 0:3], begin[:, 3:6], begin[:, 6:9]
+    along = turn[:, :1] * p + turn[:, 1:] * q
+    across = turn[:, :1] * q - turn[:, 1:] * p
+    radius = parameters[:, 0]
+    branch = np.zeros((len(w), 3))
+    constants = np.hstack([parameters, x / radius[:, None], along, across, turn, branch])
+    phase_per_metre = pace / radius
+    return Circle(w, pace, phase_per_metre, float(phase_per_metre.max()), constants)
 
 
 @dataclass(eq=False)
@@ -173,9 +271,9 @@ class FlatTrack(Track):
         state = self._state(t - self.start, True)
         return self.run(frame_kernel(self.surface), state, self.parameters)
 
-    def positions(self, t: np.ndarray) -> np.ndarray:
+    def positions(self, t: np.ndarray, out: np.ndarray) -> None:
         state = self._state(t - self.start, True)
-        return self.run(point_kernel(self.surface), state, self.parameters)
+        point_kernel(self.surface)(state, self.parameters, out, compiled=self.compiled)
 
     def drive(self, t: np.ndarray) -> np.ndarray:
         tau = t - self.start

@@ -39,7 +39,15 @@ from .kernels import (
 )
 from .profile import GainPiece
 from .surfaces import Surface
-from .tracks import Track, chart_to_parallel, rotation
+from .tracks import (
+    NODES,
+    Track,
+    TrackData,
+    chart_to_parallel,
+    evaluator,
+    rotation,
+    wind,
+)
 
 SX = ca.SX
 
@@ -166,8 +174,7 @@ def slip_displacement() -> Kernel:
 
 # --- Gauss collocation in panels ---------------------------------------------------------------
 
-NODES = 16
-# 16 nodes: on a unit sphere a panel spans about 2 rad at 1e-14 and Picard sweeps still converge.
+# NODES = 16: on a unit sphere a panel spans about 2 rad at 1e-14 and Picard sweeps still converge.
 SWEEPS = 40
 
 
@@ -484,17 +491,24 @@ class PanelTrack(Track):
         The rows of the panels that hold these bodies' states.
     piece : GainPiece
         sigma and decay in local time.
-    drive_of : callable
-        Local times -> velocity of the contact point in the parallel frame (n_bodies, 2, n).
+    w, v : (n_bodies, 2)
+        Drive sigma (w - v decay), unless ``drive_of`` says otherwise.
     by_length : bool
         The panels' variable is the arc length since start.
+    drive_of : callable or None
+        Local times -> drive (n_bodies, 2, n), where accelerations change it.
     """
 
     panels: Panels
     rows: slice
     piece: GainPiece
-    drive_of: Callable[[np.ndarray], np.ndarray]
+    w: np.ndarray
+    v: np.ndarray | None
     by_length: bool = False
+    drive_of: Callable[[np.ndarray], np.ndarray] | None = None
+
+    def __post_init__(self) -> None:
+        self._anchors: tuple[np.ndarray, np.ndarray] | None = None
 
     def state(self, t: np.ndarray) -> np.ndarray:
         tau = t - self.start
@@ -504,15 +518,122 @@ class PanelTrack(Track):
         return self.panels.evaluate(np.clip(tau, 0.0, self.panels.edges[-1]), self.rows)
 
     def drive(self, t: np.ndarray) -> np.ndarray:
-        return self.drive_of(t - self.start)
+        tau = t - self.start
+        if self.drive_of is not None:
+            return self.drive_of(tau)
+        sigma = self.piece.speed(tau)
+        drive = self.w[:, :, None] * sigma
+        if self.v is not None:
+            drive -= self.v[:, :, None] * (sigma * self.piece.decay(tau, sigma))
+        return drive
 
-    def anchor_times(self) -> np.ndarray:
+    # --- compiled evaluation
+
+    @functools.cached_property
+    def _data(self) -> tuple[int, tuple]:
+        """Address of the C form of this track, and what it points to."""
+        series, piece, edges = self.panels.coefficients, self.piece, self.panels.edges
+        sigma, exponent = np.array(piece.sigma), np.array(piece.exponent)
+        length, v = np.array(piece.lengths), self.w if self.v is None else self.v
+        period_u, period_v = self.surface.periods()
+        first = (self.rows.start or 0) * series.strides[2]
+        kept = [np.ascontiguousarray(a) for a in (self.parameters, self.w, v)]
+        data = TrackData(
+            self.start, self.stop, self.n_bodies, len(sigma), len(exponent), piece.power,
+            self.v is not None, self.by_length, len(edges) - 1, series.strides[0] // 8,
+            series.strides[1] // 8, 0, self.surface.double_cover, period_u or 0.0, period_v or 0.0,
+            kept[0].ctypes.data, sigma.ctypes.data, length.ctypes.data, exponent.ctypes.data,
+            kept[1].ctypes.data, kept[2].ctypes.data, edges.ctypes.data,
+            series.ctypes.data + first, None, None,
+        )  # fmt: skip
+        return ctypes.addressof(data), (data, sigma, exponent, length, *kept, series, edges)
+
+    def _compiled(self, output: str) -> bool:
+        if self.drive_of is not None or self.panels.coefficients.strides[3] != 8:
+            return False
+        return evaluator(self.surface, self.ambient, output).usable(self.compiled)
+
+    def positions(self, t: np.ndarray, out: np.ndarray) -> None:
+        if self._compiled("points"):
+            run = evaluator(self.surface, self.ambient, "points")
+            run(self._data[0], t, out, (0, 1, 2))
+        else:
+            super().positions(t, out)
+
+    def coordinates(self, t: np.ndarray, out: np.ndarray, rows: tuple[int, ...] = tuple(range(5))) -> None:
+        if self.offset is not None or not self._compiled("coordinates"):
+            super().coordinates(t, out, rows)
+            return
+        run = evaluator(self.surface, self.ambient, "coordinates")
+        code = run(self._data[0], t, out, rows)
+        if code < 0:
+            raise self._singular(float(t[-1 - code]))
+
+    def _coordinates(self, t: np.ndarray) -> np.ndarray:
+        values = super()._coordinates(t)
+        if self.ambient and self._anchors is not None:
+            self._continue(t, values)
+        return values
+
+    # --- coordinates continued along the path
+
+    @property
+    def anchored(self) -> bool:
+        return not self.ambient or self._anchors is not None
+
+    def anchor(self, begin: np.ndarray) -> None:
+        if not self.ambient:
+            return
+        times = self._anchor_times()
+        raw = np.empty((self.n_bodies, 5, len(times)))
+        with np.errstate(all="ignore"):
+            if self.offset is None and self._compiled("coordinates"):
+                run = evaluator(self.surface, True, "coordinates")
+                run(self._data[0], times, raw, (0, 1, 3, 4, 2))
+                anchors = np.ascontiguousarray(raw[:, :3])
+                begin = np.ascontiguousarray(begin)
+                run.library.continue_anchors(
+                    self._data[0], begin.ctypes.data, anchors.ctypes.data, len(times)
+                )
+                data = self._data[1][0]
+                data.n_anchors, data.anchor_times = len(times), times.ctypes.data
+                data.anchors = anchors.ctypes.data
+            else:
+                raw = super()._coordinates(times)
+                u, v, theta = (
+                    np.vstack([begin[:, k], raw[:, i].T]) for k, i in enumerate((0, 1, 4))
+                )  # time first, as unwind wants
+                u, v, turned = self.surface.unwind(u, v)
+                theta = np.unwrap(theta + np.pi * turned, axis=0)
+                anchors = np.ascontiguousarray(np.stack([u, v, theta])[:, 1:].transpose(2, 0, 1))
+        self._anchors = (times, anchors)
+
+    def _anchor_times(self) -> np.ndarray:
+        """Four times a panel: between them coordinates move by less than half a period."""
         edges = self.panels.edges
-        grid = np.append((edges[:-1, None] + np.diff(edges)[:, None] * _QUARTERS).ravel(), edges[-1])
+        grid = (edges[:-1, None] + (edges[1:] - edges[:-1])[:, None] * _QUARTERS).ravel()
+        grid = np.append(grid, edges[-1])
         if self.by_length:
             fine = np.linspace(0.0, self.stop - self.start, 16 * len(grid) + 1)
             grid = np.interp(grid, self.piece.arc_length(fine), fine)
-        return self.start + grid
+        return np.minimum(self.start + grid, self.stop)
+
+    def _continue(self, t: np.ndarray, values: np.ndarray) -> None:
+        """Bring (u, v, theta) to the branch of the nearest anchor, in place."""
+        times, anchors = self._anchors  # type: ignore[misc]
+        reference = anchors[:, :, np.searchsorted(0.5 * (times[1:] + times[:-1]), t)]
+        if self.surface.double_cover:
+            u, v, turned = self.surface.align(
+                values[:, 0], values[:, 1], reference[:, 0], reference[:, 1]
+            )
+            values[:, 0], values[:, 1] = u, v
+            values[:, 2:4] *= np.where(turned, -1.0, 1.0)[:, None]
+            values[:, 4] += np.pi * turned
+        else:
+            for row, period in enumerate(self.surface.periods()):
+                if period is not None:
+                    wind(values[:, row], reference[:, row], period)
+        wind(values[:, 4], reference[:, 2], 2 * np.pi)
 
 
 _QUARTERS = np.arange(4) / 4.0

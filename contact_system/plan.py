@@ -55,8 +55,7 @@ def plan(
     ContactSystemError
         What is wrong with the scene, the contact, the value, and the remedy.
     """
-    starts = [scene_start(contact) for contact in scene.contacts]
-    return Plan(scene, tolerance, method, solver, compiled, 0.0, starts)
+    return Plan(scene, tolerance, method, solver, compiled, 0.0, None)
 
 
 class Plan:
@@ -74,18 +73,20 @@ class Plan:
         solver: str,
         compiled: bool | None,
         start: float,
-        starts: Sequence[Start],
+        starts: Sequence[Start] | None,
     ):
         if method not in METHODS:
             raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
         if not 1e-15 <= tolerance <= 0.1:
             raise SceneError(f"tolerance = {tolerance!r}: give a number from 1e-15 to 1e-1")
         self.scene, self.tolerance, self.method = scene, tolerance, method
-        self.solver, self.compiled, self.start, self.starts = solver, compiled, start, list(starts)
+        self.solver, self.compiled, self.start, self.starts = solver, compiled, start, starts
         if method == "chart":
-            self.groups = chart_groups(scene, self.starts, start, tolerance, solver)
+            starts = starts or [scene_start(contact) for contact in scene.contacts]
+            self.groups = chart_groups(scene, starts, start, tolerance, solver)
         else:
-            self.groups = plan_groups(scene, self.starts, start, tolerance, compiled)
+            self.groups = plan_groups(scene, starts, start, tolerance, compiled)
+        self._count = len(scene.contacts)
 
     # --- results -------------------------------------------------------------------------------
 
@@ -101,33 +102,32 @@ class Plan:
             At a time when a contact passes through a pole or an umbilic.
         """
         times = self._times(t)
-        out = np.empty((len(self.scene.contacts), 9, len(times)))
+        # rows theta1 | u1 v1 u1' v1' | u2 v2 u2' v2' | theta2, psi in its place; the result is a view
+        out = np.empty((self._count, 10, len(times)))
         for group in self.groups:
-            values = np.empty((len(group.contacts), 9, len(times)))
-            for side, rows in (("finger", slice(0, 4)), ("object", slice(4, 8))):
+            values = out if len(self.groups) == 1 else np.empty((len(group.contacts), *out.shape[1:]))
+            for side, rows in _ROWS:
                 for track, where in _parts(getattr(group, side), times):
-                    self._anchor(group, side, track)
-                    part = track.coordinates(times[where])
-                    values[:, rows, where] = part[:, :4]
-                    if side == "finger":
-                        values[:, 8, where] = group.angle[:, None] - part[:, 4]
-                    else:
-                        values[:, 8, where] -= part[:, 4]
-            out[group.contacts] = values
-        return out.transpose(2, 0, 1)
+                    group.anchor(side, track)
+                    _write(track.coordinates, times, where, values, rows)
+            psi = values[:, 9]
+            psi += values[:, 0]
+            np.subtract(group.angle[:, None], psi, out=psi)
+            if values is not out:
+                out[group.contacts] = values
+        return out.transpose(2, 0, 1)[:, :, 1:]
 
     def points(self, t: ArrayLike) -> np.ndarray:
         """Contact point on finger and object, each in its body's frame: (len(t), n, 2, 3), m."""
         times = self._times(t)
-        out = np.empty((len(self.scene.contacts), 2, 3, len(times)))
+        out = np.empty((self._count, 2, 3, len(times)))
         for group in self.groups:
+            values = out if len(self.groups) == 1 else np.empty((len(group.contacts), *out.shape[1:]))
             for k, side in enumerate(("finger", "object")):
                 for track, where in _parts(getattr(group, side), times):
-                    out[group.contacts, k, :, where] = (
-                        track.positions(times[where]).transpose(2, 0, 1)
-                        if isinstance(where, np.ndarray)
-                        else track.positions(times[where])
-                    )
+                    _write(track.positions, times, where, values[:, k])
+            if values is not out:
+                out[group.contacts] = values
         return out.transpose(3, 0, 1, 2)
 
     def slip(self, t: ArrayLike) -> np.ndarray:
@@ -239,7 +239,7 @@ class Plan:
         if path.suffix == ".npz":
             header = {
                 "tolerance": self.tolerance, "method": self.method, "solver": self.solver,
-                "start": self.start, "starts": [vars(s) for s in self.starts],
+                "start": self.start, "starts": self.starts and [vars(s) for s in self.starts],
             }  # fmt: skip
             np.savez_compressed(
                 path, scene=scene_to_toml(self.scene), plan=json.dumps(header), t=t,
@@ -285,11 +285,6 @@ class Plan:
             )
         return times
 
-    def _anchor(self, group: Group, side: str, track: Track) -> None:
-        if track.ambient and track.anchors is None:
-            tracks = getattr(group, side)
-            group.coordinates_at_end(side, tracks.index(track) + 1)
-
     def _collect(
         self, t: ArrayLike, read: Callable[[Motion], np.ndarray], shape: tuple[int, ...]
     ) -> np.ndarray:
@@ -312,13 +307,29 @@ class Plan:
             for motion, where in _motions(group, times):
                 plane = read(motion)
                 if plane.any():
-                    self._anchor(group, "object", motion.object)
-                    theta = motion.object.coordinates(motion.t)[:, 4]
+                    group.anchor("object", motion.object)
+                    values_2 = np.empty((len(plane), 5, len(motion.t)))
+                    motion.object.coordinates(motion.t, values_2)
+                    theta = values_2[:, 4]
                     c, s = np.cos(theta), np.sin(theta)
                     values[:, 0, where] = c * plane[:, 0] - s * plane[:, 1]
                     values[:, 1, where] = s * plane[:, 0] + c * plane[:, 1]
             out[group.contacts] = values
         return out.transpose(2, 0, 1)
+
+
+_ROWS = (("finger", (1, 2, 3, 4, 0)), ("object", (5, 6, 7, 8, 9)))
+
+
+def _write(method: Callable, times: np.ndarray, where: slice | np.ndarray, out: np.ndarray, *rows) -> None:
+    """Call a track's method for some of the times, into some of the columns of out."""
+    if isinstance(where, slice):
+        method(times[where], out[..., where], *rows)
+    else:
+        part = np.empty((*out.shape[:-1], len(where)))
+        method(times[where], part, *rows)
+        for row in rows[0] if rows else range(out.shape[1]):
+            out[:, row, where] = part[:, row]
 
 
 class Motion:
@@ -375,6 +386,8 @@ def _acceleration(motion: Motion) -> np.ndarray:
         v = record.of(tau)
         lam = np.where(v.any((0, 1)), record.piece.gain(tau), 0.0)
         out += v * (record.piece.slope(tau) - lam * record.piece.speed(tau))
+    if record.forcing is None:
+        return out
     finger, obj = record.forcing
     if finger.any():
         pushed = motion.finger.parallel(motion.finger.state(motion.t), finger)
@@ -431,7 +444,7 @@ def load(path: str | os.PathLike) -> Plan:
         except KeyError as missing:
             raise ContactSystemError(f"{path}: not a plan written by Plan.save ({missing})") from None
     scene = scene_from_toml(text, source=str(path))
-    starts = [
+    starts = header["starts"] and [
         Start(**{k: tuple(v) if isinstance(v, list) else v for k, v in s.items()})
         for s in header["starts"]
     ]

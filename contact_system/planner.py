@@ -19,11 +19,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from . import development
-from .closed_form import CircleTrack, FlatTrack
+from .closed_form import Circle, CircleTrack, FlatTrack, great_circle
 from .development import PanelTrack, Problem
 from .errors import SceneError
 from .kinematics import contact_map
-from .profile import GainPiece
+from .profile import GainPiece, Profile
 from .scene import (
     Contact,
     Disturbance,
@@ -33,7 +33,14 @@ from .scene import (
     Scene,
 )
 from .surfaces import Surface
-from .tracks import Track, frame_kernel, lame_function, prefers_ambient, restoring_function
+from .tracks import (
+    Track,
+    frame_function,
+    frame_kernel,
+    lame_function,
+    prefers_ambient,
+    restoring_function,
+)
 
 # Slip whose whole remaining displacement is below this fraction of tolerance * size is let go.
 NEGLIGIBLE = 0.01
@@ -83,7 +90,7 @@ class SlipRecord:
     stop: float
     piece: GainPiece
     of: Callable[[np.ndarray], np.ndarray] | None
-    forcing: tuple[np.ndarray, np.ndarray]
+    forcing: tuple[np.ndarray, np.ndarray] | None
 
 
 @dataclass(eq=False)
@@ -109,23 +116,38 @@ class Group:
     object: list[Track] = field(default_factory=list)
     slips: list[SlipRecord] = field(default_factory=list)
 
-    def coordinates_at_end(self, side: str, count: int) -> np.ndarray:
-        """Continuous (u, v, theta) at the end of the first ``count`` tracks: (n, 3)."""
-        tracks = getattr(self, side)
-        reference = self.begin[side == "object"]
-        for track in tracks[:count]:
-            if not track.ambient:
-                reference = track.state(np.array([track.stop]))[:, :, 0]
-            elif track.anchors is None:
-                reference = track.anchor(reference)
-            else:
-                reference = track.anchors[1][:, :, -1]
-        return reference
+    def coordinates_at(self, side: str, count: int) -> np.ndarray:
+        """Continuous (u, v, theta) at the end of the first ``count`` tracks: (n, 3).
+
+        On the way those tracks learn the branch they continue.
+        """
+        now = self.begin[side == "object"]
+        for track in getattr(self, side)[:count]:
+            if not track.anchored:
+                track.anchor(now)
+            values = np.empty((len(now), 5, 1))
+            track.coordinates(np.array([track.stop]), values)
+            now = values[:, [0, 1, 4], 0]
+        return now
+
+    def anchor(self, side: str, track: Track) -> None:
+        """Make a track's coordinates continue those of the tracks before it."""
+        if not track.anchored:
+            track.anchor(self.coordinates_at(side, getattr(self, side).index(track)))
 
 
 @dataclass(eq=False)
 class Body:
-    """The bodies of one side of a group while they are being planned."""
+    """The bodies of one side of a group where they stand.
+
+    Attributes
+    ----------
+    surface : Surface
+        One of their surfaces.
+    parameters : (n, n_parameters)
+    state : (n, 9) ambient or (n, 3) chart
+    ambient : bool
+    """
 
     surface: Surface
     parameters: np.ndarray
@@ -139,186 +161,245 @@ class Body:
     @property
     def lame(self) -> np.ndarray:
         """h_u, h_v of each body where it stands, chart form: (n, 2)."""
-        return np.array([lame_function(self.surface)(p, s).full().ravel()
-                         for p, s in zip(self.parameters, self.state)])  # fmt: skip
+        lame = lame_function(self.surface)
+        return np.ascontiguousarray(np.array(lame(self.parameters.T, self.state.T)).T)
+
+    @functools.cached_property
+    def scale(self) -> np.ndarray:
+        """1 / (size of the states): positions by the body's size, angles and directions by 1."""
+        n = len(self.parameters)
+        if self.ambient:
+            return np.hstack([np.full((n, 3), 1.0 / self.size), np.ones((n, 6))])
+        return np.hstack([np.maximum(self.lame / self.size, 1e-2), np.ones((n, 1))])
+
+
+@dataclass(frozen=True, eq=False)
+class Interval:
+    """One interval of a group between edges of its windows.
+
+    Attributes
+    ----------
+    start, stop, length : float
+        s, s, m.
+    piece : GainPiece
+    forcing : dict
+        Sums of chart components by kind of disturbance: (n, 2) each.
+    pushed : bool
+        A finger is accelerated.
+    free_until : float
+        The end of the run of intervals, from this one on, in which no finger is accelerated.
+    reach : float
+        Slip V still moves the contact by |V|/reach at most.
+    """
+
+    start: float
+    stop: float
+    length: float
+    piece: GainPiece
+    forcing: dict[type[Disturbance], np.ndarray]
+    pushed: bool
+    free_until: float
+    reach: float
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What the scene alone says about a group: kept with the scene, so planned again for nothing."""
+
+    scene: Scene
+    contacts: np.ndarray
+    begin: float
+    angle: np.ndarray
+    r0: np.ndarray
+    w1: np.ndarray
+    w2: np.ndarray
+    v: np.ndarray
+    finger: Body
+    object: Body
+    at: tuple[np.ndarray, np.ndarray]
+    follows: bool
+    intervals: tuple[Interval, ...]
+
+    @functools.cached_property
+    def circles(self) -> dict[str, Circle]:
+        """Great circles of both sides from the start, where they run on spheres."""
+        return {
+            side: great_circle(body.parameters, body.state, w)
+            for side, body, w in (("finger", self.finger, self.w1), ("object", self.object, self.w2))
+            if body.surface.great_circles
+        }
 
 
 def plan_groups(
-    scene: Scene,
-    starts: Sequence[Start],
-    begin: float,
-    tolerance: float,
-    compiled: bool | None,
+    scene: Scene, starts: Sequence[Start] | None, begin: float, tolerance: float, compiled: bool | None
 ) -> list[Group]:
-    """Plan all contacts of a scene from time ``begin`` to its end."""
+    """Plan all contacts from time ``begin``; ``starts`` None: as the scene says, from 0."""
+    if starts is None:
+        prepared = scene.__dict__.get("_prepared")
+        if prepared is None:
+            prepared = prepare(scene, [scene_start(c) for c in scene.contacts], 0.0)
+            scene.__dict__["_prepared"] = prepared
+    else:
+        prepared = prepare(scene, starts, begin)
+    return [GroupPlanner(group, tolerance, compiled).run() for group in prepared]
+
+
+def prepare(scene: Scene, starts: Sequence[Start], begin: float) -> list[Prepared]:
+    """Sort the contacts into groups that can move together, and lay out their intervals."""
+    turns = contact_map(np.array([s.angle for s in starts]))
+    w1 = np.array([s.finger_velocity for s in starts], dtype=float)
+    w2 = (turns @ w1[:, :, None])[:, :, 0]
+    v = w2 - np.array([s.object_velocity for s in starts], dtype=float)
+    # R_psi W1 of a rolling start is rounded twice; what is left is no slip.
+    v[np.abs(v) <= 4e-16 * np.abs(w1).max(1, initial=1e-300, keepdims=True)] = 0.0
+    windows: list[list[Disturbance]] = [[] for _ in starts]
+    for d in scene.disturbances:
+        if d.stop > begin:
+            windows[d.contact].append(d)  # type: ignore[index]
     members: dict[tuple, list[int]] = {}
+    slips = v.any(axis=1)
     for i, contact in enumerate(scene.contacts):
-        members.setdefault(_kind(scene, i, contact, starts[i], begin), []).append(i)
-    return [
-        GroupPlanner(scene, np.array(indices), starts, begin, tolerance, compiled).run()
-        for indices in members.values()
-    ]
+        shape = tuple((type(d), d.start, d.stop) for d in windows[i])
+        kind = (contact.finger.structure, contact.finger.size, contact.follows, shape, bool(slips[i]))
+        members.setdefault(kind, []).append(i)
+    groups = []
+    for indices in members.values():
+        own = [starts[i] for i in indices]
+        finger, finger_at = _body(
+            [scene.contacts[i].finger for i in indices], [s.finger_at for s in own]
+        )
+        obj, object_at = _body([scene.object] * len(own), [s.object_at for s in own])
+        disturbed = [(k, d) for k, i in enumerate(indices) for d in windows[i]]
+        intervals = _intervals(scene, len(own), disturbed, bool(slips[indices[0]]), begin)
+        groups.append(Prepared(
+            scene, np.array(indices), begin, np.array([s.angle for s in own]), turns[indices],
+            w1[indices], w2[indices], v[indices], finger, obj, (finger_at, object_at),
+            scene.contacts[indices[0]].follows, intervals,
+        ))  # fmt: skip
+    return groups
 
 
-def _kind(scene: Scene, i: int, contact: Contact, start: Start, begin: float) -> tuple:
-    windows = tuple(
-        (type(d), d.start, d.stop) for d in scene.disturbances if d.contact == i and d.stop > begin
-    )
-    rolled = contact_map(start.angle) @ np.array(start.finger_velocity)
-    slips = bool(np.any(rolled != np.array(start.object_velocity)))
-    return contact.finger.structure, contact.follows, windows, slips
+def _intervals(
+    scene: Scene, count: int, disturbed: list[tuple[int, Disturbance]], slips: bool, begin: float
+) -> tuple[Interval, ...]:
+    profile, gain, end = scene.profile, scene.gain, scene.duration
+    edges = {begin, end, *(t for _, d in disturbed for t in (d.start, d.stop) if t > begin)}
+    if slips or disturbed:
+        edges |= {p.start for p in gain.pieces(profile, begin, end)}
+    knots = sorted(edges)
+    result: list[Interval] = []
+    free_until = end
+    for start, stop in reversed(list(zip(knots, knots[1:]))):
+        forcing = {
+            kind: np.zeros((count, 2))
+            for kind in (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
+        }
+        for k, d in disturbed:
+            if d.start <= start and stop <= d.stop:
+                forcing[type(d)][k] += d.value
+        pushed = bool(forcing[FingerAcceleration].any())
+        if pushed:
+            free_until = start
+        piece = gain.pieces(profile, start, stop)[0]
+        length = piece.arc_length(stop - start)
+        result.append(Interval(start, stop, length, piece, forcing, pushed, free_until,
+                               _slip_reach(scene, piece, length)))  # fmt: skip
+    return tuple(reversed(result))
 
 
 class GroupPlanner:
     """Builds the tracks of one group, interval by interval."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        contacts: np.ndarray,
-        starts: Sequence[Start],
-        begin: float,
-        tolerance: float,
-        compiled: bool | None,
-    ):
-        self.scene, self.contacts, self.begin = scene, contacts, begin
-        self.tolerance, self.compiled = tolerance, compiled
-        own = [starts[i] for i in contacts]
-        fingers = [scene.contacts[i].finger for i in contacts]
-        self.angle = np.array([s.angle for s in own])
-        r0 = contact_map(self.angle)
-        self.w1 = np.array([s.finger_velocity for s in own], dtype=float)
-        self.r0 = r0
-        self.v = self._along(self.w1) - np.array([s.object_velocity for s in own], dtype=float)
-        # R_psi W1 of a rolling start is rounded twice; what is left is no slip.
-        self.v[np.abs(self.v) <= 4e-16 * np.abs(self.w1).max(1, initial=1e-300, keepdims=True)] = 0.0
-        self.finger, finger_at = _body(fingers, [s.finger_at for s in own], False)
-        self.object, object_at = _body([scene.object] * len(own), [s.object_at for s in own], False)
-        self.follows = scene.contacts[contacts[0]].follows
-        self.group = Group(contacts, r0, self.angle, (finger_at, object_at))
-        self.disturbances = [
-            d for d in scene.disturbances if d.contact in set(contacts) and d.stop > begin
-        ]
-
-    def _along(self, w1: np.ndarray) -> np.ndarray:
-        return (self.r0 @ w1[:, :, None])[:, :, 0]
-
-    # --- the horizon ---------------------------------------------------------------------------
+    def __init__(self, prepared: Prepared, tolerance: float, compiled: bool | None):
+        self.prepared, self.tolerance, self.compiled = prepared, tolerance, compiled
+        self.scene, self.r0 = prepared.scene, prepared.r0
+        self.w1, self.w2, self.v = prepared.w1, prepared.w2, prepared.v
+        self.finger, self.object = prepared.finger, prepared.object
+        self.group = Group(prepared.contacts, prepared.r0, prepared.angle, prepared.at)
 
     def run(self) -> Group:
         """Plan every interval in turn."""
-        if self.follows:
+        if self.prepared.follows:
             self._rolling_imposed()
             return self.group
-        edges = self._edges()
-        finger_until = self.begin
-        for start, stop in zip(edges, edges[1:]):
-            forcing = self._forcing(start, stop)
-            pushed = bool(forcing[FingerAcceleration].any())
-            if not pushed and finger_until <= start:
-                finger_until = self._finger_free_until(edges, start)
-                self._finger_geodesic(start, finger_until)
-            if pushed:
-                finger_until = stop
-            if pushed or forcing[ObjectAcceleration].any():
-                self._forced(start, stop, forcing, pushed)
+        finger_until = self.prepared.begin
+        for interval in self.prepared.intervals:
+            if interval.pushed:
+                finger_until = interval.stop
+            elif finger_until <= interval.start:
+                finger_until = interval.free_until
+                track = self._geodesic("finger", interval.start, finger_until, "nothing accelerates it")
+                self._append("finger", track)
+            if interval.pushed or interval.forcing[ObjectAcceleration].any():
+                self._forced(interval)
             else:
-                self._free(start, stop, forcing[ObjectRateOffset])
+                self._free(interval)
         return self.group
 
-    def _edges(self) -> list[float]:
-        edges = {self.begin, self.scene.duration}
-        edges |= {t for d in self.disturbances for t in (d.start, d.stop) if t > self.begin}
-        if self.v.any() or self.disturbances:
-            pieces = self.scene.gain.pieces(self.scene.profile, self.begin, self.scene.duration)
-            edges |= {p.start for p in pieces}
-        return sorted(edges)
-
-    def _forcing(self, start: float, stop: float) -> dict[type[Disturbance], np.ndarray]:
-        """Sums of the chart components that act on [start, stop], by kind: (n, 2) each."""
-        position = {i: k for k, i in enumerate(self.contacts.tolist())}
-        total = {
-            kind: np.zeros((len(self.contacts), 2))
-            for kind in (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
-        }
-        for d in self.disturbances:
-            if d.start <= start and stop <= d.stop:
-                total[type(d)][position[d.contact]] += d.value
-        return total
-
-    def _finger_free_until(self, edges: list[float], start: float) -> float:
-        for a, b in zip(edges, edges[1:]):
-            if a >= start and self._forcing(a, b)[FingerAcceleration].any():
-                return a
-        return edges[-1]
-
-    def _piece(self, start: float, stop: float) -> GainPiece:
-        return self.scene.gain.pieces(self.scene.profile, start, stop)[0]
-
-    # --- fingers -------------------------------------------------------------------------------
-
-    def _finger_geodesic(self, start: float, stop: float) -> None:
-        track = self._geodesic(self.finger, self.w1, start, stop, "nothing accelerates the finger")
-        self._append("finger", track)
+    # --- bodies that nothing accelerates -------------------------------------------------------
 
     def _append(self, side: str, track: Track) -> None:
         getattr(self.group, side).append(track)
         if track.stop < self.scene.duration:
-            body = self.finger if side == "finger" else self.object
-            body.state = _restored(body, track.state(np.array([track.stop]))[:, :, 0])
+            body = getattr(self, side)
+            state = track.state(np.array([track.stop]))[:, :, 0]
+            if body.ambient and not track.ambient:
+                state = track.run(frame_kernel(body.surface), state[:, :, None], body.parameters)[:, :, 0]
+            setattr(self, side, Body(body.surface, body.parameters, _restored(body, state), body.ambient))
 
-    def _geodesic(self, body: Body, w: np.ndarray, start: float, stop: float, why: str) -> Track:
-        piece = GainPiece(start, stop, self.scene.profile.shifted(start), (0.0,), 0)
-        place = (body.surface, body.parameters, start, stop)
+    def _geodesic(self, side: str, start: float, stop: float, why: str) -> Track:
+        body: Body = getattr(self, side)
+        w = self.w1 if side == "finger" else self.w2
+        piece = plain_piece(self.scene.profile, start, stop)
         if body.surface.great_circles:
-            return CircleTrack(*place, "closed form: great circle", why, True, self.compiled,
-                               begin=body.state, w=w, piece=piece)  # fmt: skip
+            first = start == self.prepared.begin
+            circle = (
+                self.prepared.circles[side] if first else great_circle(body.parameters, body.state, w)
+            )
+            return CircleTrack(body.surface, body.parameters, start, stop, "closed form: great circle",
+                               why, True, self.compiled, circle=circle, piece=piece)  # fmt: skip
         if body.surface.developable:
-            return self._flat(body, w, np.zeros_like(w), start, stop, None, why)
+            return self._flat(body, w, 0 * w, piece, None, why)
         length = piece.arc_length(stop - start)
-        one = GainPiece(0.0, length, (1.0,), (0.0,), 0)
         kernel = development.driven_motion(body.surface, body.ambient)
         none = np.zeros_like(w)
         problem = Problem(
             start=body.state,
             constants=np.hstack([body.parameters, w, none, none]),
-            scale=_scale(body),
-            drive=one,
+            scale=body.scale,
+            drive=GainPiece(0.0, length, (1.0,), (0.0,), 0),
             length=length,
             tolerance=self.tolerance,
             first=min(length, 0.3 * body.size),
         )
         panels = development.integrate(kernel, problem, self.compiled)
-        method = f"geodesic in arc length, {len(panels.edges) - 1} panels"
-        return PanelTrack(*place, method, why + "; no closed form on this surface", body.ambient,
-                          self.compiled, panels=panels, rows=slice(None), piece=piece,
-                          drive_of=functools.partial(_constant_drive, w, piece),
-                          by_length=True)  # fmt: skip
+        return PanelTrack(
+            body.surface, body.parameters, start, stop,
+            f"geodesic in arc length, {len(panels.edges) - 1} panels",
+            why + "; no closed form on this surface", body.ambient, self.compiled, panels=panels,
+            rows=slice(None), piece=piece, w=w, v=None, by_length=True,
+        )  # fmt: skip
 
     def _flat(
         self,
         body: Body,
         w: np.ndarray,
         v: np.ndarray,
-        start: float,
-        stop: float,
+        piece: GainPiece,
         offset: np.ndarray | None,
         why: str,
     ) -> FlatTrack:
-        piece = self._piece(start, stop) if v.any() else GainPiece(
-            start, stop, self.scene.profile.shifted(start), (0.0,), 0
-        )  # fmt: skip
         slip_length, method = None, "closed form: straight line unrolled"
         if v.any():
-            slip_length = self._slip_length(piece, stop - start)
+            slip_length = self._slip_length(piece)
             method = f"quadrature of slip, {len(slip_length.edges) - 1} panels"
             why = "T = 0: the developed curve is the curve"
-        lame = body.lame
-        return FlatTrack(body.surface, body.parameters, start, stop, method, why, False,
-                         self.compiled, offset=offset, begin=body.state, w=w, v=v, lame=lame,
+        return FlatTrack(body.surface, body.parameters, piece.start, piece.stop, method, why, False,
+                         self.compiled, offset=offset, begin=body.state, w=w, v=v, lame=body.lame,
                          piece=piece, slip_length=slip_length)  # fmt: skip
 
-    def _slip_length(self, piece: GainPiece, span: float) -> development.Panels:
+    def _slip_length(self, piece: GainPiece) -> development.Panels:
+        span = piece.stop - piece.start
         problem = Problem(
             start=np.zeros((1, 1)),
             constants=np.zeros((1, 1)),
@@ -331,150 +412,143 @@ class GroupPlanner:
         )
         return development.integrate(development.slip_displacement(), problem, self.compiled)
 
-    # --- the object, free of accelerations -------------------------------------------------------
-
-    def _free(self, start: float, stop: float, offset: np.ndarray) -> None:
-        piece = self._piece(start, stop)
-        span = stop - start
+    def _free(self, interval: Interval) -> None:
+        """The object while only slip and rate offsets act."""
+        piece, start, stop = interval.piece, interval.start, interval.stop
+        offset = interval.forcing[ObjectRateOffset]
         shifted = offset if offset.any() else None
-        negligible = NEGLIGIBLE * self.tolerance * self.object.size * _slip_reach(self.scene, piece)
-        slip = float(np.hypot(self.v[:, 0], self.v[:, 1]).max())
+        negligible = NEGLIGIBLE * self.tolerance * self.object.size * interval.reach
         v = self.v
+        slip = float(np.hypot(v[:, 0], v[:, 1]).max())
         of = functools.partial(_decaying, v, piece) if slip > 0 else None
-        self.group.slips.append(SlipRecord(start, stop, piece, of, (0 * v, 0 * v)))
-        w = self._along(self.w1)
+        self.group.slips.append(SlipRecord(start, stop, piece, of, None))
         if self.object.surface.developable:
             moving = v if slip > negligible else 0 * v
             why = "no slip to speak of" if slip <= negligible else ""
-            self._append("object", self._flat(self.object, w, moving, start, stop, shifted, why))
+            self._append("object", self._flat(self.object, self.w2, moving, piece, shifted, why))
         elif slip <= negligible and shifted is None:
             why = "no slip" if slip == 0 else f"slip is below tolerance ({slip:.1e} per path speed)"
-            self._append("object", self._geodesic(self.object, w, start, stop, why))
+            self._append("object", self._geodesic("object", start, stop, why))
         else:
-            reached = self._driven(start, stop, piece, shifted, slip, negligible)
+            reached = self._driven(interval, shifted, slip, negligible)
             if reached < stop:
                 why = f"slip has fallen below tolerance at t = {reached:.6g} s"
-                self._append("object", self._geodesic(self.object, w, reached, stop, why))
-        decay = piece.decay(span, piece.speed(span))
-        self.v = self.v * decay
+                self._append("object", self._geodesic("object", reached, stop, why))
+        if slip > 0 and stop < self.scene.duration:
+            self.v = v * piece.decay(stop - start, piece.speed(stop - start))
 
     def _driven(
-        self,
-        start: float,
-        stop: float,
-        piece: GainPiece,
-        offset: np.ndarray | None,
-        slip: float,
-        negligible: float,
+        self, interval: Interval, offset: np.ndarray | None, slip: float, negligible: float
     ) -> float:
         """Integrate the development while slip lasts; returns the time reached."""
-        body, w = self._in_form(self.object, "object", offset is not None), self._along(self.w1)
-        none = np.zeros_like(w)
+        body, span = self._in_form("object", offset is not None), interval.stop - interval.start
         kernel = development.driven_motion(body.surface, body.ambient, offset=offset is not None)
-        length = piece.arc_length(stop - start)
         problem = Problem(
             start=body.state,
-            constants=np.hstack([body.parameters, w, self.v, none if offset is None else offset]),
-            scale=_scale(body),
-            drive=piece,
-            length=stop - start,
+            constants=np.concatenate(
+                [body.parameters, self.w2, self.v, 0 * self.v if offset is None else offset], axis=1
+            ),
+            scale=body.scale,
+            drive=interval.piece,
+            length=span,
             tolerance=self.tolerance,
-            first=(stop - start) * min(1.0, 0.3 * body.size / length),
+            first=span * min(1.0, 0.3 * body.size / interval.length),
             slip=slip,
             finish=negligible if offset is None else 0.0,
         )
         panels = development.integrate(kernel, problem, self.compiled)
-        reached = stop if panels.edges[-1] >= stop - start else start + panels.edges[-1]
+        reached = interval.stop if panels.edges[-1] >= span else interval.start + panels.edges[-1]
         why = "slip" if offset is None else "object rate offset" + (", slip" if slip > 0 else "")
         track = PanelTrack(
-            body.surface, body.parameters, start, reached,
+            body.surface, body.parameters, interval.start, reached,
             f"development in {'space' if body.ambient else 'its chart'}, {len(panels.edges) - 1} panels",
             why, body.ambient, self.compiled, offset=offset, panels=panels, rows=slice(None),
-            piece=piece, drive_of=functools.partial(_decaying_drive, w, self.v, piece),
+            piece=interval.piece, w=self.w2, v=self.v,
         )  # fmt: skip
         self._append("object", track)
-        self._back_to_form(self.object, body, "object")
         return reached
 
     # --- accelerations ---------------------------------------------------------------------------
 
-    def _forced(
-        self,
-        start: float,
-        stop: float,
-        forcing: dict[type[Disturbance], np.ndarray],
-        pushed: bool,
-    ) -> None:
-        piece = self._piece(start, stop)
+    def _forced(self, interval: Interval) -> None:
+        start, stop, piece, pushed = interval.start, interval.stop, interval.piece, interval.pushed
         self._refuse_rest(start, stop)
-        d1, d2 = forcing[FingerAcceleration], forcing[ObjectAcceleration]
-        offset = forcing[ObjectRateOffset]
-        on_chart = bool(d2.any() or offset.any())
-        obj = self._in_form(self.object, "object", on_chart)
-        tip = self._in_form(self.finger, "finger", True) if pushed else self.finger
+        d1, d2, offset = (
+            interval.forcing[k] for k in (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
+        )
+        obj = self._in_form("object", bool(d2.any() or offset.any()))
+        tip = self._in_form("finger", True) if pushed else self.finger
         kernel = development.forced_motion(
             tip.surface, obj.surface, (tip.ambient, obj.ambient), pushed
         )
-        turn = np.stack([np.cos(self.angle), np.sin(self.angle)], axis=1)
-        constants = [tip.parameters, obj.parameters, turn, self.w1, d1, d2, offset]
+        angle = self.prepared.angle
+        turn = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         n1 = tip.state.shape[1] if pushed else 0
         first = [tip.state, self.w1] if pushed else []
-        scales = [_scale(tip), np.ones_like(self.w1)] if pushed else []
-        length = piece.arc_length(stop - start)
-        least = min(tip.size, obj.size)
+        scales = [tip.scale, np.ones_like(self.w1)] if pushed else []
         problem = Problem(
             start=np.hstack([*first, obj.state, self.v]),
-            constants=np.hstack(constants),
-            scale=np.hstack([*scales, _scale(obj), np.ones_like(self.v)]),
+            constants=np.hstack([tip.parameters, obj.parameters, turn, self.w1, d1, d2, offset]),
+            scale=np.hstack([*scales, obj.scale, self._slip_scale(interval, tip, obj)]),
             drive=piece,
             length=stop - start,
             tolerance=self.tolerance,
-            first=(stop - start) * min(1.0, 0.3 * least / length),
+            first=(stop - start) * min(1.0, 0.3 * min(tip.size, obj.size) / interval.length),
             slip=1.0,
             stiff=2,
         )
         panels = development.integrate(kernel, problem, self.compiled)
-        count = len(panels.edges) - 1
-        rows_w1, rows_v = slice(n1, n1 + 2), slice(panels.end.shape[1] - 2, None)
-        rows_obj = slice(n1 + 2 if pushed else 0, panels.end.shape[1] - 2)
-        drive_1 = (
-            functools.partial(_panel_drive, panels, rows_w1, piece)
-            if pushed
-            else functools.partial(_constant_drive, self.w1, piece)
-        )
-        drive_2 = functools.partial(
-            _object_drive, panels, rows_w1 if pushed else None, rows_v, self.r0, self.w1, piece
-        )
-        if pushed:
+        method = f"forced development, {len(panels.edges) - 1} panels"
+        last = panels.end.shape[1]
+        rows_w1 = slice(n1, n1 + 2) if pushed else None
+        rows_v = slice(last - 2, last)
+        drive = functools.partial(_object_drive, panels, rows_w1, rows_v, self.r0, self.w1, piece)
+        if rows_w1 is not None:
             self._append("finger", PanelTrack(
-                tip.surface, tip.parameters, start, stop, f"forced development, {count} panels",
-                "finger acceleration", tip.ambient, self.compiled, panels=panels,
-                rows=slice(0, n1), piece=piece, drive_of=drive_1,
+                tip.surface, tip.parameters, start, stop, method, "finger acceleration", tip.ambient,
+                self.compiled, panels=panels, rows=slice(0, n1), piece=piece, w=self.w1, v=None,
+                drive_of=functools.partial(_panel_drive, panels, rows_w1, piece),
             ))  # fmt: skip
-            self.w1 = panels.end[:, rows_w1]
-            self._back_to_form(self.finger, tip, "finger")
-        why = " and ".join(
-            name
-            for name, d in (("finger acceleration", d1), ("object acceleration", d2),
-                            ("object rate offset", offset))
-            if d.any()
-        )  # fmt: skip
+        names = zip(("finger acceleration", "object acceleration", "object rate offset"), (d1, d2, offset))
         self._append("object", PanelTrack(
-            obj.surface, obj.parameters, start, stop, f"forced development, {count} panels", why,
-            obj.ambient, self.compiled, offset=offset if offset.any() else None, panels=panels,
-            rows=rows_obj, piece=piece, drive_of=drive_2,
+            obj.surface, obj.parameters, start, stop, method,
+            " and ".join(name for name, d in names if d.any()), obj.ambient, self.compiled,
+            offset=offset if offset.any() else None, panels=panels,
+            rows=slice(n1 + 2 if pushed else 0, last - 2), piece=piece, w=self.w2, v=None,
+            drive_of=drive,
         ))  # fmt: skip
-        self._back_to_form(self.object, obj, "object")
-        record = functools.partial(_panel_states, panels, rows_v)
-        self.group.slips.append(SlipRecord(start, stop, piece, record, (d1, d2)))
+        of = functools.partial(_panel_states, panels, rows_v)
+        self.group.slips.append(SlipRecord(start, stop, piece, of, (d1, d2)))
+        if rows_w1 is not None:
+            self.w1 = panels.end[:, rows_w1]
+            self.w2 = (self.r0 @ self.w1[:, :, None])[:, :, 0]
         self.v = panels.end[:, rows_v]
+
+    def _slip_scale(self, interval: Interval, tip: Body, obj: Body) -> np.ndarray:
+        """1 / (the slip that this interval can bring about), so that slip is right to tolerance."""
+        speeds = self._speeds(interval)
+        pushes = [np.abs(interval.forcing[kind]).max() * body.size
+                  for kind, body in ((FingerAcceleration, tip), (ObjectAcceleration, obj))]  # fmt: skip
+        grown = max(pushes) / min(speeds) * min(interval.stop - interval.start, self._slowest(interval))
+        expected = max(float(np.abs(self.v).max()), grown)
+        return np.full_like(self.v, 1.0 / min(1.0, max(expected, 1e-3)))
+
+    def _speeds(self, interval: Interval) -> list[float]:
+        profile = self.scene.profile
+        knots = (interval.start, *profile.extrema(interval.start, interval.stop), interval.stop)
+        return [float(profile(t)) for t in knots]
+
+    def _slowest(self, interval: Interval) -> float:
+        """1 / (least lam): how long slip is remembered."""
+        gains = [interval.piece.gain(t) for t in (0.0, interval.stop - interval.start)]
+        return 1.0 / max(min(gains), 1e-9)
 
     def _refuse_rest(self, start: float, stop: float) -> None:
         """sigma = 0 under an acceleration: path velocities would have to be infinite."""
         profile = self.scene.profile
         inside = [t for t in profile.zeros(self.scene.duration) if start <= t <= stop]
         if inside:
-            names = ", ".join(str(i) for i in self.contacts)
+            names = ", ".join(str(i) for i in self.prepared.contacts)
             raise SceneError(
                 f"scene '{self.scene.name}', contact {names}: sigma = 0 at t = {inside[0]:g} s "
                 f"inside the window [{start:g}, {stop:g}] s of an acceleration, where the path "
@@ -485,20 +559,22 @@ class GroupPlanner:
     # --- imposed rolling -------------------------------------------------------------------------
 
     def _rolling_imposed(self) -> None:
-        start, stop, piece = self.begin, self.scene.duration, None
-        w2 = self._along(self.w1)
-        track = self._geodesic(self.object, w2, start, stop, "planned curve of the object")
-        piece = GainPiece(start, stop, self.scene.profile.shifted(start), (0.0,), 0)
+        start, stop = self.prepared.begin, self.scene.duration
+        piece = plain_piece(self.scene.profile, start, stop)
+        track = self._geodesic("object", start, stop, "planned curve of the object")
         self.group.object.append(track)
-        self.group.slips.append(SlipRecord(start, stop, piece, None, (0 * w2, 0 * w2)))
-        tip, obj = (_on_chart(b, at) for b, at in zip((self.finger, self.object), self.group.begin))
+        self.group.slips.append(SlipRecord(start, stop, piece, None, None))
+        tip, obj = (
+            Body(body.surface, body.parameters, at, False)
+            for body, at in zip((self.finger, self.object), self.group.begin)
+        )
         kernel = development.rolling_motion(tip.surface, obj.surface)
-        begin = np.hstack([tip.state[:, :2], self.angle[:, None], obj.state])
+        angle = self.prepared.angle
         length = piece.arc_length(stop - start)
         problem = Problem(
-            start=begin,
-            constants=np.hstack([tip.parameters, obj.parameters, w2]),
-            scale=np.hstack([_scale(tip)[:, :2], np.ones((len(begin), 1)), _scale(obj)]),
+            start=np.hstack([tip.state[:, :2], angle[:, None], obj.state]),
+            constants=np.hstack([tip.parameters, obj.parameters, self.w2]),
+            scale=np.hstack([tip.scale, obj.scale]),
             drive=piece,
             length=stop - start,
             tolerance=self.tolerance,
@@ -508,29 +584,23 @@ class GroupPlanner:
         method = f"rolling imposed, chart equations, {len(panels.edges) - 1} panels"
         self.group.finger.append(RollingTrack(
             tip.surface, tip.parameters, start, stop, method, "the finger follows the object",
-            False, self.compiled, panels=panels, rows=slice(None), piece=piece,
-            drive_of=functools.partial(_constant_drive, self.w1, piece), angle=self.angle,
+            False, self.compiled, panels=panels, rows=slice(None), piece=piece, w=self.w1, v=None,
+            drive_of=functools.partial(_constant_drive, self.w1, piece), angle=angle,
         ))  # fmt: skip
 
     # --- forms -----------------------------------------------------------------------------------
 
-    def _in_form(self, body: Body, side: str, uses_chart_components: bool) -> Body:
+    def _in_form(self, side: str, uses_chart_components: bool) -> Body:
         """The body in the form this interval needs.
 
         A disturbance is given in chart components. Where the chart is a double cover (triaxial
         ellipsoid) their sign belongs to the branch the path is on, which only the chart form knows.
         """
+        body: Body = getattr(self, side)
         if not (uses_chart_components and body.ambient and body.surface.double_cover):
             return body
-        now = self.group.coordinates_at_end(side, len(getattr(self.group, side)))
+        now = self.group.coordinates_at(side, len(getattr(self.group, side)))
         return Body(body.surface, body.parameters, now, False)
-
-    def _back_to_form(self, body: Body, used: Body, side: str) -> None:
-        if body.ambient and not used.ambient:
-            track = getattr(self.group, side)[-1]
-            end = track.state(np.array([track.stop]))
-            frames = track.run(frame_kernel(body.surface), end, body.parameters)[:, :, 0]
-            body.state = _restored(body, frames)
 
 
 @dataclass(eq=False)
@@ -549,25 +619,22 @@ class RollingTrack(PanelTrack):
 # --- small parts ---------------------------------------------------------------------------------
 
 
-def _body(
-    surfaces: Sequence[Surface], at: Sequence[tuple[float, float]], chart: bool
-) -> tuple[Body, np.ndarray]:
+def _body(surfaces: Sequence[Surface], at: Sequence[tuple[float, float]]) -> tuple[Body, np.ndarray]:
     """Bodies of one structure at their chart coordinates, frames along their contact frames."""
     first = surfaces[0]
     parameters = np.array([s.parameters for s in surfaces], dtype=float)
-    uv = np.array(at, dtype=float)
-    begin = np.hstack([uv, np.zeros((len(uv), 1))])
-    body = Body(first, parameters, begin, False)
-    if prefers_ambient(first) and not chart:
-        x = np.array([s.point(*q) for s, q in zip(surfaces, uv)])
-        frames = np.array([s.frame(*q) for s, q in zip(surfaces, uv)])
-        body = Body(first, parameters, np.hstack([x, frames[:, :, 0], frames[:, :, 1]]), True)
-        body.state = _restored(body, body.state)
-    return body, begin
-
-
-def _on_chart(body: Body, at: np.ndarray) -> Body:
-    return Body(body.surface, body.parameters, at, False)
+    begin = np.zeros((len(at), 3))
+    begin[:, :2] = at
+    if not prefers_ambient(first):
+        return Body(first, parameters, begin, False), begin
+    if first.has_chart:
+        state = np.array(frame_function(first)(parameters.T, begin.T)).T
+    else:  # the point is found numerically
+        x = np.array([s.point(*q) for s, q in zip(surfaces, at)])
+        frames = np.array([s.frame(*q) for s, q in zip(surfaces, at)])
+        state = np.hstack([x, frames[:, :, 0], frames[:, :, 1]])
+    body = Body(first, parameters, state, True)
+    return Body(first, parameters, _restored(body, state), True), begin
 
 
 def _restored(body: Body, state: np.ndarray) -> np.ndarray:
@@ -577,25 +644,19 @@ def _restored(body: Body, state: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.array(restore(state.T, body.parameters.T)).T)
 
 
-def _scale(body: Body) -> np.ndarray:
-    """1 / (size of the states): positions by the body's size, angles and directions by 1."""
-    n = len(body.parameters)
-    if body.ambient:
-        return np.hstack([np.full((n, 3), 1.0 / body.size), np.ones((n, 6))])
-    return np.hstack([np.maximum(body.lame / body.size, 1e-2), np.ones((n, 1))])
+@functools.lru_cache(maxsize=1024)
+def plain_piece(profile: Profile, start: float, stop: float) -> GainPiece:
+    """The profile in local time, without gain."""
+    return GainPiece(start, stop, profile.shifted(start), (0.0,), 0)
 
 
-def _slip_reach(scene: Scene, piece: GainPiece) -> float:
+def _slip_reach(scene: Scene, piece: GainPiece, length: float) -> float:
     """Least lam/sigma of a piece, or 1/length: slip V still moves the contact by |V| over this."""
-    span = piece.stop - piece.start
     knots = (piece.start, *scene.profile.extrema(piece.start, piece.stop), piece.stop)
     speeds = [float(scene.profile(t)) for t in knots]
     value = scene.gain.value
-    if scene.gain.law == "path":
-        per_metre = value * min(speeds)
-    else:
-        per_metre = value / max(speeds)
-    return max(per_metre, 1.0 / piece.arc_length(span))
+    per_metre = value * min(speeds) if scene.gain.law == "path" else value / max(speeds)
+    return max(per_metre, 1.0 / length)
 
 
 def _constant_drive(w: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndarray:
@@ -604,11 +665,6 @@ def _constant_drive(w: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndar
 
 def _decaying(v: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndarray:
     return v[:, :, None] * piece.decay(tau, piece.speed(tau))
-
-
-def _decaying_drive(w: np.ndarray, v: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndarray:
-    sigma = piece.speed(tau)
-    return w[:, :, None] * sigma - v[:, :, None] * (sigma * piece.decay(tau, sigma))
 
 
 def _panel_states(panels: development.Panels, rows: slice, tau: np.ndarray) -> np.ndarray:

@@ -293,7 +293,7 @@ class GainPiece:
 
     def arc_length(self, tau):
         """int_0^tau sigma [m]."""
-        return _value(self._arc_length, tau)
+        return _value(self.lengths, tau)
 
     def lost(self, tau):
         """P(tau), the exponent of the decay."""
@@ -320,7 +320,8 @@ class GainPiece:
         return _derivative(self.sigma)
 
     @cached_property
-    def _arc_length(self) -> Coefficients:
+    def lengths(self) -> Coefficients:
+        """Coefficients of the arc length, lowest first."""
         return _integral(self.sigma)
 
     @cached_property

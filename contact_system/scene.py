@@ -31,17 +31,8 @@ import numpy as np
 from contact_system.errors import ContactSystemError, SceneError
 from contact_system.expressions import parse
 from contact_system.profile import Contraction, Gain, Profile, contraction, finite_numbers
-from contact_system.surfaces import (
-    Cylinder,
-    Ellipsoid,
-    ImplicitSurface,
-    ParametricSurface,
-    Plane,
-    Quadric,
-    Sphere,
-    Surface,
-    Torus,
-)
+from contact_system.surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
+from contact_system.user_surfaces import ImplicitSurface, ParametricSurface
 
 Pair = tuple[float, float]
 

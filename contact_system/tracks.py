@@ -7,8 +7,8 @@ Coordinates, rates, frame angle and curvature are evaluated from these by kernel
 
 from __future__ import annotations
 
+import ctypes
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -16,10 +16,21 @@ import numpy as np
 
 from . import geometry
 from .errors import ChartSingularity
-from .kernels import Kernel, per_structure
+from .kernels import (
+    C_SOURCES,
+    PRELUDE,
+    Kernel,
+    compiled_library,
+    find_compiler,
+    library_path,
+    per_structure,
+    row_offsets,
+)
 from .surfaces import Surface
 
 SX = ca.SX
+
+NODES = 16  # Gauss points of a panel; see development.Collocation
 
 
 def prefers_ambient(surface: Surface) -> bool:
@@ -36,13 +47,12 @@ def rotation(angle: SX) -> SX:
 # --- symbolic: quantities of a moving frame ----------------------------------------------------
 
 
-def frame_coordinates(surface: Surface, p: SX, x: SX, frame: SX, velocity: SX) -> SX:
-    """(u, v, u', v', theta) from an ambient frame; frame is [p q], velocity a vector in space."""
+def frame_coordinates(surface: Surface, p: SX, x: SX, first: SX, velocity: SX) -> SX:
+    """(u, v, u', v', theta) from a point x, the frame's first axis p and a velocity, in space."""
     x_axis, y_axis, metric_root = surface.frame_expr(p, x)
     rates = geometry.upper_inverse(metric_root) @ ca.vertcat(
         ca.dot(velocity, x_axis), ca.dot(velocity, y_axis)
     )
-    first = frame[:, 0]
     theta = ca.atan2(ca.dot(first, y_axis), ca.dot(first, x_axis))
     return ca.vertcat(*surface.coordinates_expr(p, x), rates, theta)
 
@@ -73,7 +83,7 @@ def coordinate_kernel(surface: Surface, ambient: bool) -> Kernel:
     c = SX.sym("c", 2)
     if ambient:
         state, x, frame, p = _ambient_symbols(surface)
-        result = frame_coordinates(surface, p, x, frame, frame @ c)
+        result = frame_coordinates(surface, p, x, frame[:, 0], frame @ c)
     else:
         state, shape, p = _chart_symbols(surface)
         rates = geometry.upper_inverse(shape.metric_root) @ (rotation(state[2]) @ c)
@@ -120,6 +130,14 @@ def vector_kernel(surface: Surface, ambient: bool) -> Kernel:
 
 
 @per_structure
+def frame_function(surface: Surface) -> ca.Function:
+    """(parameters, chart state) -> x, p, q (9)."""
+    kernel = frame_kernel(surface)
+    state, p = SX.sym("state", 3), SX.sym("p", len(surface.parameters))
+    return ca.Function("frame", [p, state], [kernel.function(state, p)])
+
+
+@per_structure
 def lame_function(surface: Surface) -> ca.Function:
     """(parameters, chart state) -> h_u, h_v."""
     state, shape, p = _chart_symbols(surface)
@@ -156,14 +174,12 @@ class Track:
         The interval, s.
     method, reason : str
         For :meth:`Plan.explain`.
-    offset : (n_bodies, 2) or None
-        Chart rates added to the motion (object rate offset).
     ambient : bool
         The form of the state: (x, p, q), else (u, v, theta).
     compiled : bool or None
         Evaluate with compiled kernels (None: those built before).
-    anchors : tuple or None
-        Times and continuous (u, v, theta) at them: (m,), (n_bodies, 3, m). Filled by the plan.
+    offset : (n_bodies, 2) or None
+        Chart rates added to the motion (object rate offset).
     """
 
     surface: Surface
@@ -175,7 +191,6 @@ class Track:
     ambient: bool
     compiled: bool | None
     offset: np.ndarray | None = field(default=None, kw_only=True)
-    anchors: tuple[np.ndarray, np.ndarray] | None = field(default=None, kw_only=True)
 
     def state(self, t: np.ndarray) -> np.ndarray:
         """The moving frame: (n_bodies, 9, n) ambient or (n_bodies, 3, n) chart."""
@@ -185,15 +200,20 @@ class Track:
         """Velocity of the contact point in the parallel frame without offset: (n_bodies, 2, n)."""
         raise NotImplementedError
 
-    def anchor_times(self) -> np.ndarray:
-        """Times between which coordinates move by less than half a period."""
-        raise NotImplementedError
+    @property
+    def anchored(self) -> bool:
+        """Whether :meth:`coordinates` knows the branch to continue."""
+        return True
+
+    def anchor(self, begin: np.ndarray) -> None:
+        """Continue the coordinates from (u, v, theta) at ``start``: (n_bodies, 3)."""
 
     @property
     def n_bodies(self) -> int:
         return len(self.parameters)
 
     def run(self, kernel: Kernel, points: np.ndarray, constants: np.ndarray) -> np.ndarray:
+        """Evaluate a kernel at (n_bodies, n_point, n): (n_bodies, n_result, n)."""
         out = np.empty((self.n_bodies, kernel.n_result, points.shape[-1]))
         kernel(points, constants, out, compiled=self.compiled)
         return out
@@ -205,12 +225,13 @@ class Track:
             return state
         return self.run(frame_kernel(self.surface), state, self.parameters)
 
-    def positions(self, t: np.ndarray) -> np.ndarray:
-        """Contact points in the body's frame: (n_bodies, 3, n), m."""
+    def positions(self, t: np.ndarray, out: np.ndarray) -> None:
+        """Write the contact points in the body's frame to out (n_bodies, 3, n), m."""
         state = self.state(t)
         if self.ambient:
-            return state[:, :3]
-        return self.run(point_kernel(self.surface), state, self.parameters)
+            out[...] = state[:, :3]
+        else:
+            point_kernel(self.surface)(state, self.parameters, out, compiled=self.compiled)
 
     def velocity(self, t: np.ndarray, state: np.ndarray) -> np.ndarray:
         """Velocity of the contact point in the parallel frame, offset included: (n, 2, n_t)."""
@@ -226,13 +247,13 @@ class Track:
         """(K_pp, K_pq, K_qq): (n_bodies, 3, n)."""
         return self.run(shape_kernel(self.surface, self.ambient), state, self.parameters)
 
-    def raw_coordinates(self, t: np.ndarray) -> np.ndarray:
-        """(u, v, u', v', theta), principal branch: (n_bodies, 5, n)."""
-        points = np.concatenate([self.state(t), self.drive(t)], axis=1)
-        return self.run(coordinate_kernel(self.surface, self.ambient), points, self.parameters)
+    def coordinates(self, t: np.ndarray, out: np.ndarray, rows: tuple[int, ...] = tuple(range(5))) -> None:
+        """Write u, v, u', v', theta, continuous along the path, to ``out[:, rows]``.
 
-    def coordinates(self, t: np.ndarray) -> np.ndarray:
-        """(u, v, u', v', theta), continuous along the path: (n_bodies, 5, n).
+        Parameters
+        ----------
+        t : (n,)
+        out : (n_bodies, n_rows, n), unit stride along the last axis
 
         Raises
         ------
@@ -240,64 +261,103 @@ class Track:
             At a time when the contact passes through a pole or an umbilic.
         """
         with np.errstate(all="ignore"):
-            values = self.raw_coordinates(t)
+            values = self._coordinates(t)
         if not np.isfinite(values).all():
-            self._refuse(t, values)
+            raise self._singular(float(t[np.argwhere(~np.isfinite(values))[0][2]]))
         if self.offset is not None:
             values[:, 2:4] += self.offset[:, :, None]
-        if self.ambient:
-            self._continue(t, values)
-        return values
+        out[:, list(rows)] = values
 
-    def _refuse(self, t: np.ndarray, values: np.ndarray) -> None:
-        body, _, k = np.argwhere(~np.isfinite(values))[0]
-        raise ChartSingularity(
-            f"{self.surface!r}, body {body} of its track: at t = {t[k]:.17g} s the contact is at a "
-            "singular point of the chart (pole or umbilic), where u', v' and psi do not exist. Ask "
+    def _coordinates(self, t: np.ndarray) -> np.ndarray:
+        points = np.concatenate([self.state(t), self.drive(t)], axis=1)
+        return self.run(coordinate_kernel(self.surface, self.ambient), points, self.parameters)
+
+    def _singular(self, t: float) -> ChartSingularity:
+        return ChartSingularity(
+            f"{self.surface!r}: at t = {t:.17g} s the contact is at a singular point of the chart "
+            f"({self.surface.chart.singular_at or 'pole'}), where u', v' and psi do not exist. Ask "
             "for points, pose and twist there (they do), or for a time nearby"
         )
 
-    def _continue(self, t: np.ndarray, values: np.ndarray) -> None:
-        """Bring (u, v, theta) to the branch of the nearest anchor, in place."""
-        assert self.anchors is not None
-        times, anchors = self.anchors
-        if len(times) == 1:
-            reference = anchors
-        else:
-            reference = anchors[:, :, np.searchsorted(0.5 * (times[1:] + times[:-1]), t)]
-        period_u, period_v = self.surface.periods()
-        if self.surface.double_cover:
-            u, v, turned = self.surface.align(
-                values[:, 0], values[:, 1], reference[:, 0], reference[:, 1]
-            )
-            values[:, 0], values[:, 1] = u, v
-            values[:, 2:4] *= np.where(turned, -1.0, 1.0)[:, None]
-            values[:, 4] += np.pi * turned
-        else:
-            for row, period in ((0, period_u), (1, period_v)):
-                if period is not None:
-                    _wind(values[:, row], reference[:, row], period)
-        _wind(values[:, 4], reference[:, 2], 2 * np.pi)
 
-    def anchor(self, reference: np.ndarray | None) -> np.ndarray:
-        """Fill :attr:`anchors`, continuing (n_bodies, 3) coordinates; returns those at stop."""
-        times = self.anchor_times()
-        with np.errstate(all="ignore"):
-            raw = self.raw_coordinates(times)[:, [0, 1, 4]]
-        u, v, theta = (raw[:, i].T for i in range(3))  # time first, as unwind wants
-        if reference is not None:
-            u, v, theta = (np.vstack([reference[:, i], w]) for i, w in enumerate((u, v, theta)))
-        u, v, turned = self.surface.unwind(u, v)
-        theta = np.unwrap(theta + np.pi * turned, axis=0)
-        stacked = np.stack([u, v, theta], axis=0).transpose(2, 0, 1)
-        if reference is not None:
-            stacked = stacked[:, :, 1:]
-        self.anchors = (times, np.ascontiguousarray(stacked))
-        return stacked[:, :, -1]
-
-
-def _wind(values: np.ndarray, reference: np.ndarray, period: float) -> None:
+def wind(values: np.ndarray, reference: np.ndarray, period: float) -> None:
     """Add whole periods so that values lie nearest to the reference, in place."""
     turns = np.rint((reference - values) * (1.0 / period))
     if turns.any():
         values += period * turns
+
+
+# --- compiled evaluation -------------------------------------------------------------------------
+
+
+class TrackData(ctypes.Structure):
+    """``track_t`` of c/tracks.c."""
+
+    _fields_ = (
+        [(name, ctypes.c_double) for name in ("start", "stop")]
+        + [(name, ctypes.c_long) for name in (
+            "nb", "n_sigma", "n_exponent", "power", "slips", "by_length", "n_panels", "panel_stride",
+            "body_stride", "n_anchors", "double_cover")]
+        + [(name, ctypes.c_double) for name in ("period_u", "period_v")]
+        + [(name, ctypes.c_void_p) for name in (
+            "constants", "sigma", "length", "exponent", "w", "v", "edges", "coefficients",
+            "anchor_times", "anchors")]
+    )  # fmt: skip
+
+
+class Evaluator:
+    """The compiled evaluation of one kernel over a whole track (c/tracks.c)."""
+
+    def __init__(self, kernel: Kernel, circle: bool, n_states: int, winds: bool):
+        self.kernel = kernel
+        rows = ", ".join(f"{i * 64}" for i in range(kernel.n_point))
+        head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
+        head += f"#define KERNEL {kernel.name}\n#define NP {kernel.n_point}\n"
+        head += f"#define NC {kernel.n_constant}L\n#define NR {kernel.n_result}\n"
+        head += f"#define NS {n_states}\n#define N {NODES}\n#define ROWS {rows}\n"
+        head += "#define CIRCLE\n" * circle + "#define WINDS\n" * winds
+        self.source = head + (C_SOURCES / "tracks.c").read_text()
+
+    @functools.cached_property
+    def built(self) -> bool:
+        """Whether the compiled form lies in the cache (looked up once)."""
+        return find_compiler() is not None and library_path(self.source).exists()
+
+    @functools.cached_property
+    def library(self) -> ctypes.CDLL:
+        library = compiled_library(self.source)
+        pointer, integer = ctypes.c_void_p, ctypes.c_long
+        library.evaluate.argtypes = [pointer, integer, pointer, pointer, pointer, integer]
+        library.evaluate.restype = integer
+        if hasattr(library, "continue_anchors"):
+            library.continue_anchors.argtypes = [pointer, pointer, pointer, integer]
+            library.continue_anchors.restype = None
+        return library
+
+    def usable(self, compiled: bool | None) -> bool:
+        """Whether to run compiled, for a track's wish."""
+        return self.built if compiled is None else compiled
+
+    def __call__(
+        self, data: int, t: np.ndarray, out: np.ndarray, rows: tuple[int, ...]
+    ) -> int:
+        """Run; returns evaluate's code."""
+        t = t if t.flags.c_contiguous else np.ascontiguousarray(t)
+        strides = out.strides
+        return self.library.evaluate(
+            data, len(t), t.ctypes.data, out.ctypes.data, row_offsets(rows, strides[1] // 8),
+            strides[0] // 8,
+        )  # fmt: skip
+
+
+@per_structure
+def evaluator(surface: Surface, ambient: bool, output: str) -> Evaluator:
+    """The evaluator of a panel track: "coordinates" or "points"."""
+    if output == "coordinates":
+        kernel = coordinate_kernel(surface, ambient)
+        return Evaluator(kernel, False, kernel.n_point - 2, ambient)
+    if ambient:
+        x = SX.sym("x", 3)
+        none = SX.sym("none", len(surface.parameters))
+        return Evaluator(Kernel("identity", x, none, x), False, 3, False)
+    return Evaluator(point_kernel(surface), False, 3, False)

@@ -10,17 +10,8 @@ import numpy as np
 import pytest
 
 from contact_system import geometry
-from contact_system.surfaces import (
-    Cylinder,
-    Ellipsoid,
-    ImplicitSurface,
-    ParametricSurface,
-    Plane,
-    Quadric,
-    Sphere,
-    Surface,
-    Torus,
-)
+from contact_system.surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
+from contact_system.user_surfaces import ImplicitSurface, ParametricSurface
 
 SX = ca.SX
 Chart = Callable[[mp.mpf, mp.mpf], list[mp.mpf]]

@@ -26,16 +26,8 @@ from contact_system.scene import (
     scene_from_toml,
     scene_to_toml,
 )
-from contact_system.surfaces import (
-    Cylinder,
-    Ellipsoid,
-    ImplicitSurface,
-    ParametricSurface,
-    Plane,
-    Quadric,
-    Sphere,
-    Torus,
-)
+from contact_system.surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Torus
+from contact_system.user_surfaces import ImplicitSurface, ParametricSurface
 
 pi = math.pi
 PAPER = ("C1", "C2", "D1", "D2", "D3", "K1", "K2", "K3", "K4")

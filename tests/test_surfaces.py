@@ -14,17 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from contact_system.errors import ChartSingularity, SurfaceError
-from contact_system.surfaces import (
-    Cylinder,
-    Ellipsoid,
-    ImplicitSurface,
-    ParametricSurface,
-    Plane,
-    Quadric,
-    Sphere,
-    Surface,
-    Torus,
-)
+from contact_system.surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
+from contact_system.user_surfaces import ImplicitSurface, ParametricSurface
 
 SX = ca.SX
 # A rotation with nothing special about it.

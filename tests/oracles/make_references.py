@@ -10,7 +10,7 @@ precisions, or, where that is too slow, compared with the development form (theo
 the greatest difference is stored with it and must stay below `AGREEMENT`.
 
 Run ``python tests/oracles/make_references.py [name ...]`` with the names of `MAKERS`; without a
-name everything is made, the stiff files taking some minutes. heyoka and mpmath are needed.
+name everything is made, in about 20 minutes. heyoka (multiprecision build) and mpmath are needed.
 All inputs are the doubles that a Python user would write; results are decimal strings.
 SI units, angles in radians.
 """

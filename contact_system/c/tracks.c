@@ -1,0 +1,175 @@
+/* Evaluation of a track at many times: the compiled twin of Track.coordinates, .positions, .frames.
+
+   The includer defines KERNEL (a loop, see Kernel.loop_source) with NP inputs a point, NC constants
+   a body and NR results, ROWS (offsets of the inputs); CIRCLE for great circles, else NS states in
+   panels of N nodes, followed by the drive if NP > NS; WINDS where results 0, 1, 4 are u, v, theta
+   to be continued along the path (the kernel of a great circle does that itself). */
+#include <math.h>
+
+#define BLOCK 64
+#define TURN 6.283185307179586
+
+typedef struct {
+  double start, stop;
+  long nb, n_sigma, n_exponent, power, slips, by_length, n_panels, panel_stride, body_stride;
+  long n_anchors, double_cover;
+  double period_u, period_v;
+  const double *constants, *sigma, *length, *exponent;
+  const double *w, *v;               /* circle: pace, phase per metre; panels: W, V */
+  const double *edges, *coefficients; /* of the first state row of body 0 in panel 0 */
+  const double *anchor_times, *anchors; /* [m], [nb][3][m] */
+} track_t;
+
+static double horner(const double *c, long n, double x) {
+  double y = c[n - 1];
+  for (long k = n - 2; k >= 0; k--) y = y * x + c[k];
+  return y;
+}
+
+/* the k of edges[k] <= x < edges[k + 1], ends included, starting the search at a guess */
+static long interval(const double *edges, long n, double x, long k) {
+  if (k < n && x >= edges[k] && (k == n - 1 || x < edges[k + 1])) return k;
+  long low = 0, high = n;
+  while (high - low > 1) {
+    long middle = (low + high) / 2;
+    if (x >= edges[middle]) low = middle; else high = middle;
+  }
+  return low;
+}
+
+#if defined(WINDS) && !defined(CIRCLE)
+static double wound(double value, double reference, double period) {
+  return period > 0 ? value + period * rint((reference - value) / period) : value;
+}
+
+/* One point to the branch nearest its reference; half_turn: (-u, pi - v), axes turned by pi. */
+static void wind(const track_t *k, const double *ref, long stride, double *out, const long *row) {
+  double u = wound(out[row[0]], ref[0], k->period_u);
+  double v = wound(out[row[1]], ref[stride], k->period_v), turned = 0.0;
+  if (k->double_cover) {
+    double u2 = wound(-out[row[0]], ref[0], k->period_u);
+    double v2 = wound(0.5 * TURN - out[row[1]], ref[stride], k->period_v);
+    if (hypot(u2 - ref[0], v2 - ref[stride]) < hypot(u - ref[0], v - ref[stride])) {
+      u = u2, v = v2, turned = 0.5 * TURN;
+      out[row[2]] = -out[row[2]], out[row[3]] = -out[row[3]];
+    }
+  }
+  out[row[0]] = u, out[row[1]] = v;
+  out[row[4]] = wound(out[row[4]] + turned, ref[2 * stride], TURN);
+}
+#endif
+
+#ifndef CIRCLE
+static void legendre(const double *xi, long n, double basis[N + 1][BLOCK]) {
+  for (long i = 0; i < n; i++) basis[0][i] = 1.0, basis[1][i] = xi[i];
+  for (long k = 1; k < N; k++) {
+    double a = (2 * k + 1) / (k + 1.0), b = k / (k + 1.0);
+    for (long i = 0; i < n; i++) basis[k + 1][i] = a * xi[i] * basis[k][i] - b * basis[k - 1][i];
+  }
+}
+#endif
+
+/* Results of body b at time i go to out[b * out_body + out_row[r] + i]. Returns 0, or 1 + the index
+   of the first time outside [start, stop], or -1 - the index of the first time whose result is not
+   finite. */
+long evaluate(const track_t *k, long nt, const double *t, double *out, const long *out_row,
+              long out_body) {
+  static const long rows[] = {ROWS};
+  double point[NP][BLOCK], tau[BLOCK], sigma[BLOCK], length[BLOCK];
+#ifndef CIRCLE
+  double decay[BLOCK], xi[BLOCK], basis[N + 1][BLOCK];
+  long panel[BLOCK], last = 0;
+#endif
+  for (long from = 0; from < nt; from += BLOCK) {
+    long n = nt - from < BLOCK ? nt - from : BLOCK, outside = 0;
+    for (long i = 0; i < n; i++) {
+      double x = t[from + i];
+      outside += !(x >= k->start && x <= k->stop);
+      tau[i] = x - k->start;
+    }
+    if (outside)
+      for (long i = 0; i < n; i++)
+        if (!(t[from + i] >= k->start && t[from + i] <= k->stop)) return from + i + 1;
+    for (long i = 0; i < n; i++) sigma[i] = k->sigma[k->n_sigma - 1], length[i] = k->length[k->n_sigma];
+    for (long j = k->n_sigma - 2; j >= 0; j--)
+      for (long i = 0; i < n; i++) sigma[i] = sigma[i] * tau[i] + k->sigma[j];
+    for (long j = k->n_sigma - 1; j >= 0; j--)
+      for (long i = 0; i < n; i++) length[i] = length[i] * tau[i] + k->length[j];
+#ifndef CIRCLE
+    if (k->slips) {
+      for (long i = 0; i < n; i++) decay[i] = horner(k->exponent, k->n_exponent, tau[i]);
+#pragma omp simd
+      for (long i = 0; i < n; i++) decay[i] = exp(-decay[i]) * sigma[i];
+      if (k->power)
+        for (long i = 0; i < n; i++) decay[i] = tau[i] > 0 ? decay[i] * k->sigma[0] / sigma[i] : decay[i];
+    }
+    for (long i = 0; i < n; i++) {
+      double x = k->by_length ? length[i] : tau[i], end = k->edges[k->n_panels];
+      x = x < 0 ? 0 : x > end ? end : x;
+      panel[i] = last = interval(k->edges, k->n_panels, x, last);
+      xi[i] = 2.0 * (x - k->edges[last]) / (k->edges[last + 1] - k->edges[last]) - 1.0;
+    }
+    legendre(xi, n, basis);
+#endif
+    for (long b = 0; b < k->nb; b++) {
+#ifdef CIRCLE
+      for (long i = 0; i < n; i++) {
+        point[0][i] = point[2][i] = k->v[b] * length[i];
+        point[1][i] = k->w[b] * sigma[i];
+      }
+#else
+      for (long i = 0, stop; i < n; i = stop) {
+        for (stop = i + 1; stop < n && panel[stop] == panel[i];) stop++;
+        const double *c = k->coefficients + panel[i] * k->panel_stride + b * k->body_stride;
+        for (long s = 0; s < NS; s++, c += N + 1) {
+          double *restrict x = point[s];
+          for (long q = i; q < stop; q++) x[q] = c[N] * basis[N][q];
+          for (long j = N - 1; j >= 0; j--)
+            for (long q = i; q < stop; q++) x[q] += c[j] * basis[j][q];
+        }
+      }
+      for (long a = 0; a < NP - NS; a++) {
+        double w = k->w[2 * b + a], v = k->v[2 * b + a];
+        for (long i = 0; i < n; i++) point[NS + a][i] = w * sigma[i] - (k->slips ? v * decay[i] : 0.0);
+      }
+#endif
+      double *block = out + b * out_body + from;
+      KERNEL(1, n, &point[0][0], rows, 0, k->constants + b * NC, block, out_row, 0);
+      double sum = 0.0;
+      for (long r = 0; r < NR; r++) {
+        const double *row = block + out_row[r];
+#pragma omp simd reduction(+ : sum)
+        for (long i = 0; i < n; i++) sum += 0.0 * row[i];
+      }
+      if (sum != 0.0)
+        for (long i = 0; i < n; i++)
+          for (long r = 0; r < NR; r++)
+            if (!isfinite(block[out_row[r] + i])) return -1 - (from + i);
+#if defined(WINDS) && !defined(CIRCLE)
+      const long m = k->n_anchors;
+      for (long i = 0, near = 0; i < n && m; i++) {
+        double x = t[from + i];
+        near = interval(k->anchor_times, m, x, near);
+        long j = near + 1 < m && k->anchor_times[near + 1] - x < x - k->anchor_times[near] ? near + 1 : near;
+        wind(k, k->anchors + b * 3 * m + j, m, block + i, out_row);
+      }
+#endif
+    }
+  }
+  return 0;
+}
+
+#if defined(WINDS) && !defined(CIRCLE)
+/* Continue raw (u, v, theta) anchors [nb][3][m] from begin [nb][3], in place. */
+void continue_anchors(const track_t *k, const double *begin, double *anchors, long m) {
+  for (long b = 0; b < k->nb; b++) {
+    double *a = anchors + b * 3 * m, ref[3] = {begin[3 * b], begin[3 * b + 1], begin[3 * b + 2]};
+    for (long i = 0; i < m; i++) {
+      static const long row[] = {0, 1, 2, 3, 4};
+      double one[5] = {a[i], a[m + i], 0.0, 0.0, a[2 * m + i]};
+      wind(k, ref, 1, one, row);
+      ref[0] = a[i] = one[0], ref[1] = a[m + i] = one[1], ref[2] = a[2 * m + i] = one[4];
+    }
+  }
+}
+#endif

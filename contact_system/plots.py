@@ -1,0 +1,665 @@
+"""Pictures of a plan: contact curves on the bodies in 3-D, slip on a log axis.
+
+matplotlib is imported only when a picture is asked for, and never needs a display. Bodies are
+drawn by an orthographic projection of our own onto plain 2-D axes: mplot3d sorts whole artists by
+depth, so that a curve there is either in front of a surface everywhere or behind it everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from contact_system.errors import ContactSystemError
+from contact_system.plan import Plan
+from contact_system.profile import Gain, Profile
+from contact_system.surfaces import Surface
+
+COLOURS = ("#1f5fa8", "#12876f", "#e08e0b", "#7a4fa3", "#3aa0d8", "#8a6a3b", "#5b7083")
+DISTURBED = "#d1274b"
+RECOVERY = "#12876f"
+INK = "#2b2f36"
+BODY = ("#8f9aa6", "#f3f5f7")  # a surface turned away from the light, and towards it
+HOLLOW = ("#6d7884", "#b9c2cb")  # the back of a surface with an edge
+
+DECADES = 10  # of slip below its peak that a picture shows
+CELLS = 96  # of a surface's mesh in each coordinate
+OCCLUDER = 2  # every second mesh line is enough to tell what is hidden: 0.01 of the size at most
+STYLE = {
+    "font.size": 11, "axes.titlesize": 12, "axes.labelsize": 11, "legend.fontsize": 10,
+    "axes.edgecolor": INK, "text.color": INK, "axes.labelcolor": INK, "xtick.color": INK,
+    "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False,
+    "mathtext.fontset": "dejavusans",
+}  # fmt: skip
+
+
+# --- what is drawn, as numbers -----------------------------------------------------------------
+
+
+def windows(plan: Plan, contact: int) -> list[tuple[float, float]]:
+    """Windows of disturbance of one contact, overlapping ones joined: [(start, stop)], s."""
+    joined: list[tuple[float, float]] = []
+    acting = [d for d in plan.scene.disturbances if d.contact == contact and d.stop > plan.start]
+    for start, stop in sorted((max(d.start, plan.start), d.stop) for d in acting):
+        if joined and start <= joined[-1][1]:
+            start, stop = joined[-1][0], max(joined.pop()[1], stop)
+        joined.append((start, stop))
+    return joined
+
+
+def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, np.ndarray]:
+    """Slip magnitude by the exact law where nothing disturbs the contact.
+
+    |v_rel|(t) = |v_rel|(t0) sigma(t)/sigma(t0) exp(-(L(t) - L(t0))) (eq. `contracaccel`), with t0
+    the start of each undisturbed interval: from one number of the plan, without its integration.
+
+    Parameters
+    ----------
+    plan : Plan
+    contact : int
+    count : int
+        Times over the horizon.
+
+    Returns
+    -------
+    t, slip : (n,), (n,)
+        s, m/s; only times at which there is slip.
+    """
+    profile, gain = plan.scene.profile, plan.scene.gain
+    grid = np.linspace(plan.start, plan.scene.duration, count)
+    knots = [plan.start, *np.ravel(windows(plan, contact)), plan.scene.duration]
+    times, values = [np.empty(0)], [np.empty(0)]
+    for start, stop in zip(knots[::2], knots[1::2]):
+        t = np.concatenate([[start], grid[(grid > start) & (grid < stop)], [stop]])
+        t = t[profile(t) > 0]
+        if stop <= start or not len(t):
+            continue
+        with np.errstate(invalid="ignore"):
+            lost = gain.exponent(profile, t) - gain.exponent(profile, t[:1])
+        first = np.hypot(*plan.slip(t[:1])[0, contact])
+        times.append(t)
+        values.append(first * profile(t) / profile(t[0]) * np.exp(-lost))
+    t, slip = np.concatenate(times), np.concatenate(values)
+    return t[slip > 0], slip[slip > 0]
+
+
+def great_circle_distance(points: np.ndarray) -> np.ndarray:
+    """Distance of a curve on a sphere from its great-circle plane.
+
+    Parameters
+    ----------
+    points : (n, 3)
+        Points of the curve from the sphere's centre, m.
+
+    Returns
+    -------
+    (n,)
+        Signed distance from the plane through the centre that fits best (least squares), m.
+    """
+    return points @ np.linalg.svd(points, full_matrices=False)[2][2]
+
+
+# --- pictures ----------------------------------------------------------------------------------
+
+
+def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: int = 160) -> None:
+    """One picture: contact curves on the object and on a finger, slip beside its exact law.
+
+    Parameters
+    ----------
+    plan : Plan
+    path : path
+        Its ending chooses the format (.png, .pdf, .svg).
+    other : Plan, optional
+        The same scene under another gain law; its slip is drawn beside this one's.
+    dpi : int
+        Dots an inch; the picture is 12 by 6 inches.
+
+    Raises
+    ------
+    ContactSystemError
+        If matplotlib is not installed.
+    """
+    laws = [plan] if other is None else [plan, other]
+    with _figure(path, (12, 6), dpi) as figure:
+        left, right = figure.subfigures(1, 2, width_ratios=(1, 0.95))
+        _title(left, plan)
+        _draw_object(left.add_axes((0.02, 0.04, 0.94, 0.80)), plan)
+        _draw_slip(right.add_axes((0.15, 0.52, 0.79, 0.42)), laws)
+        _draw_finger(right.add_axes((0.04, 0.02, 0.42, 0.37)), plan)
+        _key(right.add_axes((0.53, 0.01, 0.45, 0.39)), plan, laws if _slips(plan) else ())
+
+
+def plot_curves(plan: Plan, path: str | os.PathLike, dpi: int = 160) -> None:
+    """Contact curves in 3-D, on the object and on a finger; see :func:`plot`."""
+    with _figure(path, (12, 6), dpi) as figure:
+        _title(figure, plan)
+        _draw_object(figure.add_axes((0.02, 0.04, 0.58, 0.80)), plan)
+        _draw_finger(figure.add_axes((0.63, 0.38, 0.34, 0.46)), plan)
+        _key(figure.add_axes((0.68, 0.03, 0.30, 0.30)), plan)
+
+
+def plot_slip(
+    plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: int = 160
+) -> None:
+    """Slip magnitude of each contact on a log axis beside its exact law; see :func:`plot`."""
+    laws = [plan] if other is None else [plan, other]
+    with _figure(path, (11, 5), dpi) as figure:
+        _draw_slip(figure.add_axes((0.09, 0.13, 0.62, 0.77)), laws)
+        _key(figure.add_axes((0.73, 0.13, 0.26, 0.77)), plan, laws, bodies=False)
+
+
+def _slips(plan: Plan) -> bool:
+    return bool(plan.slip(plan.sample_times()).any())
+
+
+class _figure:
+    """A figure in our style, written to its path at the end."""
+
+    def __init__(self, path: str | os.PathLike, size: tuple[float, float], dpi: int):
+        self.path, self.size, self.dpi = Path(path), size, dpi
+
+    def __enter__(self) -> Any:
+        try:
+            import matplotlib
+            from matplotlib.figure import Figure
+        except ImportError:
+            raise ContactSystemError(
+                "pictures need matplotlib: pip install contact-system[plot]"
+            ) from None
+        self.style = matplotlib.rc_context(STYLE)
+        self.style.__enter__()
+        self.figure = Figure(figsize=self.size, facecolor="white")
+        return self.figure
+
+    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+        try:
+            if kind is None:
+                self.figure.savefig(self.path, dpi=self.dpi)
+        finally:
+            self.style.__exit__(kind, error, trace)
+
+
+def _title(figure: Any, plan: Plan) -> None:
+    scene = plan.scene
+    facts = rf"$\sigma$ = {_polynomial(scene.profile)} m/s,   gain {gain_text(scene.gain)}"
+    figure.text(0.035, 0.955, scene.name, size=18, weight="bold", va="baseline")
+    figure.text(0.965, 0.955, facts, size=10, va="baseline", ha="right", color="#5a6370")
+    figure.text(0.035, 0.905, _shortened(scene.description, 80), size=11.5, va="baseline")
+
+
+def gain_text(gain: Gain) -> str:
+    """Short name of a gain law, such as 'path, eta = 100'."""
+    return f"{gain.law}, {gain.parameter} = {gain.value:g}"
+
+
+def _polynomial(profile: Profile) -> str:
+    terms = []
+    for k, c in enumerate(profile.coefficients):
+        if c:
+            power = "" if k == 0 else r"$\,t$" if k == 1 else rf"$\,t^{{{k}}}$"
+            sign = ("- " if c < 0 else "+ ") if terms else "-" * (c < 0)
+            terms.append(f"{sign}{abs(c):.4g}{power}")
+    return " ".join(terms)
+
+
+def _shortened(text: str, width: int) -> str:
+    return text if len(text) <= width else text[: width - 1].rstrip() + "…"
+
+
+def _colour(contact: int) -> str:
+    return COLOURS[contact % len(COLOURS)]
+
+
+# --- slip --------------------------------------------------------------------------------------
+
+
+def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
+    plan = laws[0]
+    peak = max(_slip_lines(ax, law, dashed=k > 0) for k, law in enumerate(laws))
+    if not peak > 0:
+        _draw_rolling(ax, plan)
+        return
+    ax.set_yscale("log")
+    # the law may leave the picture long before slip ends
+    ax.set_ylim(peak * 10.0**-DECADES, peak * 10)
+    ax.set_xlim(plan.start, plan.scene.duration)
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel("slip [m/s]")
+    ax.grid(axis="y", color="#e4e7eb", linewidth=0.8)
+    ax.set_axisbelow(True)
+    _shade_windows(ax, plan)
+    ax.set_title("Slip at the contacts", loc="left", weight="bold")
+
+
+def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> float:
+    """Draw one law; returns the greatest slip, m/s."""
+    t = plan.sample_times(1201)
+    # an offset's slip ends at once: the last time before the edge belongs to the line as well
+    t = np.unique(np.append(t, np.nextafter(t[np.isin(t, plan.scene.edges) & (t > plan.start)], 0)))
+    slip = np.linalg.norm(plan.slip(t), axis=2)
+    count = len(plan.scene.contacts)
+    for i in range(count):
+        # lines of equal slip lie on each other: the lower the wider, so that each is seen
+        width = 1.6 if count > 4 else 1.8 + 1.7 * (count - 1 - i)
+        line = np.where(slip[:, i] > 0, slip[:, i], np.nan)
+        style = {"dashes": (2.2, 1.1)} if dashed else {}
+        ax.plot(t, line, color=_colour(i), linewidth=width, solid_capstyle="butt", **style)
+        if slip[:, i].any():
+            ax.plot(*exact_slip(plan, i), linestyle="none", marker="o", markersize=4.5, zorder=5,
+                    markerfacecolor="white", markeredgecolor=INK, markeredgewidth=0.9)  # fmt: skip
+    return float(slip.max())
+
+
+def _shade_windows(ax: Any, plan: Plan) -> None:
+    shaded = {w for i in range(len(plan.scene.contacts)) for w in windows(plan, i)}
+    for start, stop in shaded:
+        ax.axvspan(start, stop, color=DISTURBED, alpha=0.10, linewidth=0)
+    wanted = plan.scene.paper.get("recovery_time")
+    if wanted:
+        end = max((stop for _, stop in shaded), default=0.0)
+        ax.axvspan(end, end + wanted, color=RECOVERY, alpha=0.16, linewidth=0)
+
+
+def _slip_entries(laws: Sequence[Plan]) -> list[Any]:
+    """Legend entries of the slip axes, but for the contacts and the disturbance."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    entries: list[Any] = [
+        Line2D([], [], color=INK, linewidth=2.2, linestyle="--" if k else "-",
+               label=f"gain {gain_text(law.scene.gain)}")
+        for k, law in enumerate(laws)
+    ]  # fmt: skip
+    entries.append(Line2D([], [], linestyle="none", marker="o", markersize=4.5, label="exact law",
+                          markerfacecolor="white", markeredgecolor=INK))  # fmt: skip
+    if "recovery_time" in laws[0].scene.paper:
+        entries.append(Patch(color=RECOVERY, alpha=0.2, label="recovery time in the paper"))
+    return entries
+
+
+def _draw_rolling(ax: Any, plan: Plan) -> None:
+    """No slip at all: the finger's distance from its great circle where it has one."""
+    ax.set_title("No slip: the contacts roll", loc="left", weight="bold")
+    t = plan.sample_times()
+    followers = [
+        i for i, c in enumerate(plan.scene.contacts) if c.follows and c.finger.great_circles
+    ]
+    if not followers:
+        ax.text(0.5, 0.5, "slip is zero throughout", ha="center", transform=ax.transAxes)
+        ax.set_axis_off()
+        return
+    for i in followers:
+        radius = plan.scene.contacts[i].finger.size
+        distance = np.abs(great_circle_distance(plan.points(t)[:, i, 0])) / radius
+        ax.plot(t, np.maximum(distance, 1e-18), color=_colour(i), linewidth=1.2)
+    ax.axhline(np.finfo(float).eps, color="#9aa3ad", linewidth=1, linestyle=":")
+    ax.text(t[-1], 1.3e-16 * 2.4, "one rounding of a double", ha="right", size=9, color="#5a6370")
+    ax.set_yscale("log")
+    ax.set_ylim(1e-18, 1e-13)
+    ax.set_xlim(t[0], t[-1])
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel("distance / radius")
+    ax.set_title("Finger's curve from a great circle", loc="left", weight="bold")
+
+
+# --- bodies ------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Curve:
+    """A contact curve: points (n, 3) [m], whether disturbed there (n,), its colour and number."""
+
+    points: np.ndarray
+    disturbed: np.ndarray
+    colour: str
+    label: str
+
+
+@dataclass
+class _View:
+    """Orthographic camera: rows right, up, towards the camera."""
+
+    axes: np.ndarray
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Right, up and depth (greater is nearer) of points (..., 3), m."""
+        return x @ self.axes.T
+
+
+@dataclass
+class _Mesh:
+    """A surface on a grid: points, normals (n, 3) and triangles (m, 3)."""
+
+    shape: tuple[int, int]
+    points: np.ndarray
+    normals: np.ndarray
+    triangles: np.ndarray
+    inside: bool
+
+
+def _draw_object(ax: Any, plan: Plan) -> None:
+    curves = _curves(plan, range(len(plan.scene.contacts)), side=1)
+    _draw_body(ax, _mesh(plan, plan.scene.object, 1, range(len(plan.scene.contacts))), curves)
+
+
+def _draw_finger(ax: Any, plan: Plan) -> None:
+    """The first finger, with the curves of all contacts that have the same one."""
+    contacts = plan.scene.contacts
+    same = [i for i, c in enumerate(contacts) if c.finger == contacts[0].finger]
+    curves = _curves(plan, same, side=0)
+    mesh = _mesh(plan, contacts[0].finger, 0, same)
+    _draw_body(ax, mesh, _distinct(curves, 1e-3 * contacts[0].finger.size))
+    if len(same) == len(contacts) > 1:
+        text = "On the fingers"
+    else:
+        text = "On the finger" if len(contacts) == 1 else f"On finger {', '.join(_numbers(same))}"
+    ax.set_title(text, loc="left", weight="bold", pad=4)
+
+
+def _numbers(contacts: Sequence[int]) -> list[str]:
+    return [str(i + 1) for i in contacts]
+
+
+def _curves(plan: Plan, contacts: Sequence[int], side: int) -> list[_Curve]:
+    t = plan.sample_times(1601)
+    points = plan.points(t)
+    curves = []
+    for i in contacts:
+        disturbed = np.zeros(len(t), bool)
+        for start, stop in windows(plan, i):
+            disturbed |= (t >= start) & (t < stop)
+        curves.append(_Curve(points[:, i, side], disturbed, _colour(i), str(i + 1)))
+    return curves
+
+
+def _distinct(curves: Sequence[_Curve], distance: float) -> list[_Curve]:
+    """Curves that coincide are one curve with all their numbers."""
+    kept: list[_Curve] = []
+    for curve in curves:
+        for known in kept:
+            same_windows = np.array_equal(known.disturbed, curve.disturbed)
+            if same_windows and np.abs(known.points - curve.points).max() < distance:
+                known.label += f",{curve.label}"
+                break
+        else:
+            kept.append(curve)
+    return kept
+
+
+def _mesh(plan: Plan, surface: Surface, side: int, contacts: Sequence[int]) -> _Mesh | None:
+    """The whole surface if it closes on itself, else what lies around the curves."""
+    for whole in (True, False):
+        try:
+            u, v = (_cells(*span) for span in _extent(plan, surface, side, contacts, whole))
+            grid = np.meshgrid(u, v, indexing="ij")
+            points, normals = surface.point(*grid), surface.normal(*grid)
+        except ContactSystemError:  # an implicit surface that the rays of its chart do not all meet
+            continue
+        corner = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
+        a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
+        triangles = np.concatenate([
+            np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)
+        ])  # fmt: skip
+        flat = points.reshape(-1, 3), normals.reshape(-1, 3)
+        return _Mesh(points.shape[:2], *flat, triangles, surface.inside)
+    return None
+
+
+def _cells(start: float, stop: float) -> np.ndarray:
+    # a hair inside: charts end at poles, where there is no frame
+    hair = 1e-6 * (stop - start)
+    return np.linspace(start + hair, stop - hair, CELLS + 1)
+
+
+def _extent(
+    plan: Plan, surface: Surface, side: int, contacts: Sequence[int], whole: bool
+) -> list[tuple[float, float]]:
+    """Range of u and of v to draw."""
+    closed = [(0.0, math.pi), (-math.pi / 2, math.pi / 2)]  # between poles, by which coordinate
+    if surface.double_cover:
+        return [(-math.pi, math.pi), closed[1]]
+    spans: list[tuple[float, float]] = []
+    for k, period in enumerate(surface.periods()):
+        if whole and period is not None:
+            spans.append((-period / 2, period / 2))
+        elif whole and surface.chart.singular_at:  # only charts with poles close without a period
+            spans.append(closed[k])
+        else:
+            spans.append(_around(plan, surface, side, contacts, k))
+    return spans
+
+
+def _around(
+    plan: Plan, surface: Surface, side: int, contacts: Sequence[int], k: int
+) -> tuple[float, float]:
+    t = plan.sample_times()
+    q = plan.states(t)[:, contacts, 4 * side : 4 * side + 2].reshape(-1, 2)
+    reach = np.ptp(plan.points(t)[:, contacts, side].reshape(-1, 3), axis=0).max()
+    margin = 0.35 * reach / surface.lame(*q[len(q) // 2])[k]
+    return q[:, k].min() - margin, q[:, k].max() + margin
+
+
+def _draw_body(ax: Any, mesh: _Mesh | None, curves: Sequence[_Curve]) -> None:
+    view = _best_view(mesh, curves)
+    if mesh is not None:
+        _draw_surface(ax, mesh, view)
+    for curve in curves:
+        hidden = _hidden(mesh, view, curve.points)
+        _draw_curve(ax, view, curve, hidden)
+    for curve in curves:
+        hidden = _hidden(mesh, view, curve.points[:1])
+        _mark_start(ax, view, curve, bool(hidden[0]))
+    ax.set_aspect("equal")
+    ax.margins(0.06)
+    ax.set_axis_off()
+    _scale_bar(ax)
+
+
+def _best_view(mesh: _Mesh | None, curves: Sequence[_Curve]) -> _View:
+    """Of a ring of cameras the one that the curves face most."""
+    points = np.concatenate([c.points[::20] for c in curves])
+    starts = np.array([c.points[0] for c in curves])
+    normals = [_normals_at(mesh, points), _normals_at(mesh, starts)]
+    best, best_score = None, -math.inf
+    for elevation in (28, 45, 62, -28):
+        for azimuth in range(0, 360, 15):
+            e, a = math.radians(elevation), math.radians(azimuth)
+            toward = np.array(
+                [math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)]
+            )
+            facing, first = (np.clip(n @ toward, -0.2, 0.6).mean() for n in normals)
+            score = facing + 0.5 * first - {28: 0.0, 45: 0.03, 62: 0.1, -28: 0.15}[elevation]
+            if score > best_score:
+                right = np.array([-math.sin(a), math.cos(a), 0.0])
+                best, best_score = _View(np.array([right, np.cross(toward, right), toward])), score
+    assert best is not None
+    return best
+
+
+def _normals_at(mesh: _Mesh | None, points: np.ndarray) -> np.ndarray:
+    """Normal of the mesh vertex next to each point."""
+    if mesh is None:
+        return np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    near = [int(np.argmin(((mesh.points - x) ** 2).sum(1))) for x in points]
+    return mesh.normals[near]
+
+
+def _draw_surface(ax: Any, mesh: _Mesh, view: _View) -> None:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    seen = view(mesh.points)
+    depth = seen[mesh.triangles, 2].mean(1)
+    facing = (mesh.normals @ view.axes[2])[mesh.triangles].mean(1)
+    light = view.axes.T @ np.array([-0.45, 0.6, 0.75])
+    shade = 0.5 + 0.5 * mesh.normals @ (light / np.linalg.norm(light))
+    layers = [(facing > 0, BODY, shade)]
+    if not mesh.inside:  # of a hollow only the far side is seen, as in a bowl cut open
+        layers.insert(0, (facing <= 0, HOLLOW, 1 - shade))
+    for chosen, colours, values in layers:
+        order = np.flatnonzero(chosen)[np.argsort(depth[chosen])]
+        if len(order):
+            ax.tripcolor(seen[:, 0], seen[:, 1], mesh.triangles[order], values, shading="gouraud",
+                         cmap=LinearSegmentedColormap.from_list("body", colours), vmin=0, vmax=1,
+                         zorder=1, rasterized=True)  # fmt: skip
+    _draw_chart_lines(ax, mesh, view)
+    _draw_outline(ax, mesh, view)
+
+
+def _draw_chart_lines(ax: Any, mesh: _Mesh, view: _View) -> None:
+    grid = np.arange(len(mesh.points)).reshape(mesh.shape)
+    step = CELLS // 12
+    for line in (*grid[::step], *grid.T[::step]):
+        x, facing = mesh.points[line], mesh.normals[line] @ view.axes[2]
+        for run in _runs((facing > 0) & ~_hidden(mesh, view, x)):
+            seen = view(x[run])
+            ax.plot(seen[:, 0], seen[:, 1], color="white", linewidth=0.7, alpha=0.75, zorder=2)
+
+
+def _draw_outline(ax: Any, mesh: _Mesh, view: _View) -> None:
+    """Where the surface turns away from the camera, and its edges: n . d = 0 in each triangle."""
+    from matplotlib.collections import LineCollection
+
+    facing = (mesh.normals @ view.axes[2])[mesh.triangles]
+    x = mesh.points[mesh.triangles]
+    ends = []
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            part = facing[:, i] / (facing[:, i] - facing[:, j])
+        crosses = (facing[:, i] > 0) != (facing[:, j] > 0)
+        cut = x[:, i] + part[:, None] * (x[:, j] - x[:, i])
+        ends.append(np.where(crosses[:, None], cut, np.nan))
+    cut = np.stack(ends, 1)
+    crossed = np.isfinite(cut[:, :, 0]).sum(1) == 2
+    pairs = cut[crossed]
+    pairs = pairs[np.isfinite(pairs[:, :, 0])].reshape(-1, 2, 3)
+    pairs = np.concatenate([pairs, _edges(mesh)])
+    pairs = pairs[~_hidden(mesh, view, pairs.mean(1))]
+    ax.add_collection(LineCollection(
+        view(pairs)[:, :, :2], colors="#6b7580", linewidths=0.9, zorder=2, capstyle="round"
+    ))  # fmt: skip
+
+
+def _edges(mesh: _Mesh) -> np.ndarray:
+    """Segments (n, 2, 3) of the grid's border that do not close on another one."""
+    grid = mesh.points.reshape(*mesh.shape, 3)
+    size = np.ptp(mesh.points, axis=0).max()
+    pairs = [np.empty((0, 2, 3))]
+    for first, last in ((grid[0], grid[-1]), (grid[:, 0], grid[:, -1])):
+        closes = np.linalg.norm(first - last, axis=1).max() < 1e-3 * size
+        for line in () if closes else (first, last):
+            # a pole, or a seam folded on itself, is no edge
+            folded = np.linalg.norm(line - line[::-1], axis=1).max() < 1e-3 * size
+            if not folded:
+                pairs.append(np.stack([line[:-1], line[1:]], 1))
+    return np.concatenate(pairs)
+
+
+def _hidden(mesh: _Mesh | None, view: _View, points: np.ndarray) -> np.ndarray:
+    """Whether the surface lies between each point and the camera: (n,) bool."""
+    hidden = np.zeros(len(points), bool)
+    if mesh is None:
+        return hidden
+    corners = view(mesh.points)[_coarse(mesh)]
+    if mesh.inside:
+        facing = (mesh.normals @ view.axes[2])[_coarse(mesh)].mean(1)
+        corners = corners[facing > 0]
+    slack = 0.02 * np.ptp(mesh.points, axis=0).max()
+    a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
+    kept = np.abs(area) > 1e-12 * slack**2
+    a, b, c, area = a[kept], b[kept], c[kept], area[kept]
+    for first in range(0, len(points), 64):
+        p = view(points[first : first + 64])[:, None] - a
+        beta = (p[..., 0] * c[:, 1] - p[..., 1] * c[:, 0]) / area
+        gamma = (b[:, 0] * p[..., 1] - b[:, 1] * p[..., 0]) / area
+        nearer = beta * b[:, 2] + gamma * c[:, 2] - p[..., 2] > slack
+        covers = (beta >= 0) & (gamma >= 0) & (beta + gamma <= 1) & nearer
+        hidden[first : first + 64] = covers.any(1)
+    return hidden
+
+
+def _coarse(mesh: _Mesh) -> np.ndarray:
+    grid = np.arange(len(mesh.points)).reshape(mesh.shape)[::OCCLUDER, ::OCCLUDER]
+    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+    return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+
+
+def _runs(chosen: np.ndarray) -> Iterator[slice]:
+    """Slices of consecutive true entries, of two or more."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(int), [0]])))
+    for start, stop in zip(edges[::2], edges[1::2]):
+        if stop - start > 1:
+            yield slice(start, stop)
+
+
+def _draw_curve(ax: Any, view: _View, curve: _Curve, hidden: np.ndarray) -> None:
+    seen = view(curve.points)
+    for disturbed in (False, True):
+        for behind in (True, False):
+            chosen = (curve.disturbed == disturbed) & (hidden == behind)
+            chosen[1:] |= chosen[:-1]  # join with the next run
+            for run in _runs(chosen):
+                ax.plot(seen[run, 0], seen[run, 1], zorder=3 if behind else 4 + disturbed,
+                        color=DISTURBED if disturbed else curve.colour, solid_capstyle="round",
+                        linewidth=1.3 if behind else 2.4,
+                        alpha=0.33 if behind else 1.0)  # fmt: skip
+    _draw_arrow(ax, seen, curve, bool(hidden[-1]))
+
+
+def _draw_arrow(ax: Any, seen: np.ndarray, curve: _Curve, behind: bool) -> None:
+    """An arrowhead at the end of the curve."""
+    away = np.linalg.norm(seen[:, :2] - seen[-1, :2], axis=1)
+    far = np.flatnonzero(away > 0.01 * np.ptp(seen[:, :2], axis=0).max())
+    if not len(far):
+        return
+    colour = DISTURBED if curve.disturbed[-1] else curve.colour
+    ax.annotate("", seen[-1, :2], seen[far[-1], :2], zorder=6, annotation_clip=False, arrowprops={
+        "arrowstyle": "-|>", "mutation_scale": 16, "color": colour, "linewidth": 0,
+        "shrinkA": 0, "shrinkB": 0, "alpha": 0.4 if behind else 1.0,
+    })  # fmt: skip
+
+
+def _mark_start(ax: Any, view: _View, curve: _Curve, behind: bool) -> None:
+    x, y, _ = view(curve.points[0])
+    ax.text(x, y, curve.label, color="white", size=9, weight="bold", ha="center", va="center",
+            zorder=8, alpha=0.75 if behind else 1.0,
+            bbox={"boxstyle": "circle,pad=0.25" if len(curve.label) < 2 else "round,pad=0.25",
+                  "facecolor": curve.colour, "edgecolor": "white", "linewidth": 1.1,
+                  "alpha": 0.55 if behind else 1.0})  # fmt: skip
+
+
+def _scale_bar(ax: Any) -> None:
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    wanted = 0.3 * (right - left)
+    decade = 10.0 ** math.floor(math.log10(wanted))
+    length = max(k * decade for k in (1, 2, 5) if k * decade <= wanted)
+    y = bottom - 0.02 * (top - bottom)
+    ax.plot([left, left + length], [y, y], color=INK, linewidth=2.5, solid_capstyle="butt")
+    text = f"{length:g} m" if length >= 0.1 else f"{1000 * length:g} mm"
+    ax.text(left + length / 2, y - 0.015 * (top - bottom), text, ha="center", va="top", size=9)
+    ax.set_ylim(y - 0.09 * (top - bottom), top)
+
+
+def _key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) -> None:
+    """What the colours and signs mean: of the slip of some laws, of the bodies, or of both."""
+    from matplotlib.lines import Line2D
+
+    contacts = plan.scene.contacts
+    entries = _slip_entries(laws) if laws else []
+    for i, contact in enumerate(contacts[: len(COLOURS)]):
+        name = _shortened(contact.name or f"contact {i + 1}", 26)
+        entries.append(Line2D([], [], color=_colour(i), linewidth=2.4, label=name))
+    if plan.scene.disturbances:
+        entries.append(Line2D([], [], color=DISTURBED, linewidth=2.4, label="disturbance"))
+    if bodies:
+        grey = {"color": INK, "linewidth": 1.3, "alpha": 0.35}
+        entries.append(Line2D([], [], label="behind the body", **grey))
+    ax.set_axis_off()
+    ax.legend(handles=entries, loc="center left", frameon=False, handlelength=2.2)

@@ -1,0 +1,549 @@
+"""Surfaces that users write: by a chart f(u, v) or by a level function F(x), in Python or as text.
+
+A function is called once, on symbols, and kept as data (`Formula`); what a user wrote is never
+called again. Named parameters stay symbols, so that changing one needs no new kernel.
+SI units, radians.
+"""
+
+from __future__ import annotations
+
+import keyword
+import math
+import warnings
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, ClassVar
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from contact_system.charts import (
+    SX,
+    Array,
+    CentralChart,
+    Chart,
+    Frame,
+    FreeChart,
+    Pair,
+    Periods,
+    hypot,
+)
+from contact_system.errors import ContactSystemError, SurfaceError
+from contact_system.expressions import FUNCTIONS, parse
+from contact_system.geometry import ChartGeometry, contact_frame, tangent_geometry
+from contact_system.surfaces import Surface, finite_number, positive_length, store
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A user's function of symbols, kept as data so that surfaces compare, hash and pickle.
+
+    Attributes
+    ----------
+    code : str
+        Serialised CasADi function of (named parameters, *variables).
+    names : tuple of str
+        Named parameters, sorted.
+    values : tuple of float
+        Their numbers.
+    text : tuple of str, or None
+        The formula as written, where it was written as text.
+    """
+
+    code: str = field(repr=False)
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    text: tuple[str, ...] | None
+
+    def __call__(self, p: SX, *variables: SX) -> SX:
+        return _restore(self.code)(p, *variables)
+
+    def describe(self) -> str:
+        """Return the arguments that make this formula, for messages."""
+        said = "<function>" if self.text is None else repr(self.text)
+        named = dict(zip(self.names, self.values, strict=True))
+        return f"{said}, parameters={named}" if named else said
+
+
+@cache
+def _restore(code: str) -> ca.Function:
+    return ca.Function.deserialize(code)
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class UserSurface(Surface):
+    """What surfaces written by the user share: a formula and a length scale."""
+
+    formula: Formula
+    size: float = field(default=1.0, kw_only=True)
+
+    @property
+    def named_parameters(self) -> dict[str, float]:
+        """The numbers of the formula by name."""
+        return dict(zip(self.formula.names, self.formula.values, strict=True))
+
+    @property
+    def structure(self) -> Hashable:
+        return (self._kind, self.inside, self.formula.code)
+
+    def __repr__(self) -> str:
+        return f"{self._kind}({self.formula.describe()}{', inside=True' * self.inside})"
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class ParametricSurface(UserSurface):
+    """A surface given by its chart f(u, v), orthogonal or not.
+
+    Parameters
+    ----------
+    f : callable or sequence of three texts
+        ``f(u, v)`` or ``f(u, v, **parameters)`` returning x, y, z in m from symbols, with numpy or
+        CasADi functions; or texts such as ``"(R + r*cos(v))*cos(u)"``. f_u x f_v points out of
+        the body.
+    parameters : mapping of str to float, optional
+        Named numbers of the formula; changing them needs no new kernel.
+    size : float
+        Length scale of the surface, m.
+    u_range, v_range : pairs of float, optional
+        Where the inverse chart looks first; one period about 0, or (-pi, pi).
+    u_period, v_period : float, optional
+        Period of a coordinate that closes on itself.
+    inside : bool
+        The body is on the other side.
+    """
+
+    has_implicit: ClassVar[bool] = False
+    u_range: tuple[float, float]
+    v_range: tuple[float, float]
+    u_period: float | None
+    v_period: float | None
+
+    def __init__(
+        self,
+        f: Callable[..., Any] | Sequence[str],
+        *,
+        parameters: Mapping[str, float] | None = None,
+        size: float = 1.0,
+        u_range: tuple[float, float] | None = None,
+        v_range: tuple[float, float] | None = None,
+        u_period: float | None = None,
+        v_period: float | None = None,
+        inside: bool = False,
+    ) -> None:
+        store(self, inside=inside)
+        self.__post_init__()
+        variables = {"u": SX.sym("u"), "v": SX.sym("v")}
+        formula = _formula(self._kind, f, variables, list(variables.values()), parameters, 3)
+        store(self, formula=formula, size=positive_length(self, "size", size))
+        for name, given, period in (("u", u_range, u_period), ("v", v_range, v_period)):
+            if period is not None:
+                period = positive_length(self, f"{name}_period", period)
+            reach = math.pi if period is None else period / 2
+            span = _range(self._kind, f"{name}_range", (-reach, reach) if given is None else given)
+            store(self, **{f"{name}_range": span, f"{name}_period": period})
+
+    @property
+    def chart(self) -> type[Chart]:
+        return FreeChart
+
+    @property
+    def f(self) -> tuple[str, ...] | None:
+        """The three texts of the chart; None where it was given as a function."""
+        return self.formula.text
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        return self.formula.values
+
+    def periods(self) -> Periods:
+        return (self.u_period, self.v_period)
+
+    def implicit_expr(self, p: SX, x: SX) -> None:
+        return None
+
+    def coordinates_expr(self, p: SX, x: SX) -> None:
+        return None
+
+    def frame_expr(self, p: SX, x: SX) -> None:
+        return None
+
+    def _outward_chart(self, p: SX, u: SX, v: SX) -> SX:
+        return self.formula(p, u, v)
+
+    def _wrap(self, u: Array, v: Array) -> tuple[Array, Array]:
+        return (
+            _into(u, self.u_range, self.u_period),
+            _into(v, self.v_range, self.v_period),
+        )
+
+    def coordinates(
+        self, x: ArrayLike, guess: tuple[ArrayLike, ArrayLike] | None = None
+    ) -> tuple[Array, Array]:
+        """Return (u, v) of points (..., 3) by Gauss-Newton on the distance to the surface.
+
+        Parameters
+        ----------
+        x : array-like (..., 3)
+            Points on the surface, m.
+        guess : pair of array-likes (...), optional
+            Where to start; otherwise the nearest of a grid over u_range and v_range.
+
+        Raises
+        ------
+        SurfaceError
+            No point of the surface is found within 1e-9 of the size.
+        """
+        points = self._points(x)
+        flat = points.reshape(-1, 3)
+        if guess is None:
+            starts = self._grid_starts(flat)
+        else:
+            given = np.broadcast_arrays(points[..., 0], *map(np.asarray, guess))[1:]
+            starts = [tuple(np.array(w, dtype=float).ravel() for w in given)]
+        u, v = (w.copy() for w in starts[0])
+        miss = np.full(len(flat), np.inf)
+        # ~(a <= b) rather than a > b: a descent that ends in NaN has missed as well.
+        missed = ~(miss <= 1e-9 * self.size)
+        for start_u, start_v in starts:
+            u[missed], v[missed], miss[missed] = self._descend(
+                flat[missed], start_u[missed], start_v[missed]
+            )
+            missed = ~(miss <= 1e-9 * np.fmax(self.size, np.linalg.norm(flat, axis=1)))
+            if not np.any(missed):
+                break
+        else:
+            i = int(np.argmax(missed))
+            raise SurfaceError(
+                f"{self!r}: no (u, v) found for the point {flat[i].tolist()}, nearest miss "
+                f"{miss[i]:.3g} m; check that it lies on the surface, or give guess=(u, v), or "
+                f"u_range (now {self.u_range}) and v_range (now {self.v_range})"
+            )
+        u, v = self._wrap(u, v)
+        return u.reshape(points.shape[:-1]), v.reshape(points.shape[:-1])
+
+    def _grid_starts(self, flat: Array, cells: int = 32, tries: int = 4) -> list[tuple[Any, ...]]:
+        """Return the nearest few grid points to each of (n, 3) points, nearest first."""
+        # Centres of cells, because the rim of a range is where charts have their poles.
+        fraction = (np.arange(cells) + 0.5) / cells
+        spans = (self.u_range, self.v_range)
+        axes = [lo + (hi - lo) * fraction for lo, hi in spans]
+        grid_u, grid_v = (w.ravel() for w in np.meshgrid(*axes, indexing="ij"))
+        if self.inside:
+            grid_v = -grid_v
+        grid = self.point(grid_u, grid_v)
+        nearest = np.empty((len(flat), tries), dtype=int)
+        for i, target in enumerate(flat):
+            distance = np.sum((grid - target) ** 2, axis=1)
+            distance[np.isnan(distance)] = np.inf
+            nearest[i] = np.argsort(distance)[:tries]
+        return [(grid_u[k], grid_v[k]) for k in nearest.T]
+
+    def _descend(self, target: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Gauss-Newton with step halving; returns u, v and the distance left, each (n,)."""
+        offset = target - self.point(u, v)
+        miss = np.linalg.norm(offset, axis=1)
+        pace = np.ones(len(u))
+        for _ in range(60):
+            tangents = self.frame(u, v)[..., :2]
+            ahead = np.einsum("nik,ni->nk", tangents, offset)
+            if np.all(np.abs(ahead) <= np.finfo(float).eps * self.size):
+                break
+            m = self.metric_root(u, v)
+            step_v = ahead[:, 1] / m[:, 1, 1]
+            step_u = (ahead[:, 0] - m[:, 0, 1] * step_v) / m[:, 0, 0]
+            trial_u, trial_v = u + pace * step_u, v + pace * step_v
+            trial_offset = target - self.point(trial_u, trial_v)
+            trial_miss = np.linalg.norm(trial_offset, axis=1)
+            better = trial_miss < miss
+            u, v = np.where(better, trial_u, u), np.where(better, trial_v, v)
+            offset = np.where(better[:, None], trial_offset, offset)
+            miss = np.where(better, trial_miss, miss)
+            pace = np.where(better, 1.0, pace / 2)
+            if np.all(pace < 1e-6):
+                break
+        return u, v, miss
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class ImplicitSurface(UserSurface):
+    """The surface F(x) = 0 of a body F < 0 that is star-shaped about a centre.
+
+    Coordinates are the polar angle u from the z direction and the azimuth v of the ray from the
+    centre: the inverse chart is explicit, the chart itself is solved along the ray. Equations
+    that need an explicit chart are refused (`has_chart` is False); motion is planned in ambient
+    form.
+
+    Parameters
+    ----------
+    F : callable or text
+        ``F(x)`` or ``F(x, **parameters)`` of a symbolic 3-vector, or a text in x, y, z such as
+        ``"x**2/a**2 + y**2 + z**4 - 1"``. Negative inside the body.
+    center : three floats
+        A point inside (with ``inside=True``, inside the hollow) that sees the whole surface, m.
+    parameters : mapping of str to float, optional
+        Named numbers of the formula; changing them needs no new kernel.
+    size : float
+        Length scale of the surface, m.
+    inside : bool
+        The body is where F > 0.
+    """
+
+    has_chart: ClassVar[bool] = False
+    ambient: ClassVar[bool] = True
+    center: tuple[float, float, float]
+
+    def __init__(
+        self,
+        F: Callable[..., Any] | str,
+        *,
+        center: Sequence[float] = (0.0, 0.0, 0.0),
+        parameters: Mapping[str, float] | None = None,
+        size: float = 1.0,
+        inside: bool = False,
+    ) -> None:
+        store(self, inside=inside)
+        self.__post_init__()
+        x = SX.sym("x", 3)
+        variables = {"x": x[0], "y": x[1], "z": x[2]}
+        formula = _formula(self._kind, F, variables, [x], parameters, 1)
+        store(self, formula=formula, size=positive_length(self, "size", size))
+        store(self, center=_numbers(self._kind, "center", center, 3))
+
+    @property
+    def chart(self) -> type[Chart]:
+        return CentralChart
+
+    @property
+    def F(self) -> str | None:
+        """The text of the level function; None where it was given as a function."""
+        return None if self.formula.text is None else self.formula.text[0]
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        """The centre, then the formula's numbers in order of their names."""
+        return (*self.center, *self.formula.values)
+
+    def chart_expr(self, p: SX, u: SX, v: SX) -> SX:
+        raise SurfaceError(
+            f"{self!r} has no explicit chart f(u, v), which was asked for; plan it in ambient form "
+            "(the default), or write it as a ParametricSurface"
+        )
+
+    def frame_expr(self, p: SX, x: SX) -> Frame:
+        return contact_frame(*self._tangents(p, x))
+
+    def _tangents(self, p: SX, x: SX) -> Pair:
+        """Return (f_u, f_v) of the central projection as fields of the point x."""
+        ray = x - p[:3]
+        rho, s = ca.norm_2(ray), hypot(ray[0], ray[1])
+        direction = ray / rho
+        d_u = ca.vertcat(ray[0] * ray[2] / s, ray[1] * ray[2] / s, -s) / rho
+        d_v = ca.vertcat(-ray[1], ray[0], 0) / rho
+        gradient = ca.gradient(self._level(p, x), x)
+        along = ca.dot(gradient, direction)
+
+        def tangent(turned: SX) -> SX:
+            """rho d turned, plus what keeps the point on the surface: grad F . f_u = 0."""
+            return rho * (turned - ca.dot(gradient, turned) / along * direction)
+
+        return tangent(d_u), tangent(-d_v if self.inside else d_v)
+
+    def _level(self, p: SX, x: SX) -> SX:
+        return self.formula(p[3:], x)
+
+    def _geometry(self, p: SX) -> tuple[tuple[SX, ...], ChartGeometry]:
+        x = SX.sym("x", 3)
+        f_u, f_v = self._tangents(p, x)
+        along_u = ca.jacobian(f_u, x)
+        f_vv = ca.jacobian(f_v, x) @ f_v
+        return (x,), tangent_geometry(x, f_u, f_v, along_u @ f_u, along_u @ f_v, f_vv)
+
+    def _arguments(self, u: Array, v: Array) -> tuple[Array, ...]:
+        return (self.point(u, v).T,)
+
+    def point(self, u: ArrayLike, v: ArrayLike) -> Array:
+        """Return the point where the ray (u, v) leaves the body, shape (..., 3), m.
+
+        Newton's method along the ray, kept inside a bracket by bisection. A ray that leaves the
+        body more than once, from a badly chosen centre, ends at any one of these points.
+
+        Raises
+        ------
+        SurfaceError
+            The centre is not inside, or the ray does not meet the surface.
+        """
+        u, v = self._finite(u, v)
+        turned = -v if self.inside else v
+        ray = np.stack(
+            [np.sin(u) * np.cos(turned), np.sin(u) * np.sin(turned), np.cos(u)], axis=-1
+        ).reshape(-1, 3)
+        reach = self._bracket(ray, u.ravel(), v.ravel())
+        low, t = np.zeros_like(reach), reach
+        for _ in range(100):
+            level, slope = self._along(ray, t)
+            low, reach = np.where(level < 0, t, low), np.where(level >= 0, t, reach)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                trial = t - level / slope
+            trial = np.where((trial >= low) & (trial <= reach), trial, (low + reach) / 2)
+            settled = np.all(np.abs(trial - t) <= 4 * np.finfo(float).eps * t)
+            t = trial
+            if settled:
+                break
+        return (np.array(self.center) + t[:, None] * ray).reshape((*u.shape, 3))
+
+    def _bracket(self, ray: Array, u: Array, v: Array) -> Array:
+        """Return for each ray a distance beyond the surface."""
+        level, _ = self._along(ray, np.zeros(len(ray)))
+        if np.any(~(level < 0)):
+            raise SurfaceError(
+                f"{self!r}: F = {level[0]} at center = {self.center}; F must be negative there: "
+                "choose a center inside, or change the sign of F (and inside, if need be)"
+            )
+        reach = np.full(len(ray), self.size)
+        for _ in range(40):
+            within = ~(self._along(ray, reach)[0] > 0)
+            if not np.any(within):
+                return reach
+            reach = np.where(within, 2 * reach, reach)
+        i = int(np.argmax(within))
+        raise SurfaceError(
+            f"{self!r}: the ray (u, v) = ({u[i]}, {v[i]}) from center = {self.center} does not "
+            f"meet the surface within {reach[i]:.3g} m; choose another center or point"
+        )
+
+    def _along(self, ray: Array, t: Array) -> tuple[Array, Array]:
+        """Return F and its slope at distances t along the rays, each (n,)."""
+        columns = self._call("ray", (np.array(self.center) + t[:, None] * ray).T, ray.T)
+        return columns[0], columns[1]
+
+    def _build(self, name: str) -> ca.Function:
+        if name != "ray":
+            return super()._build(name)
+        p, x, ray = SX.sym("p", len(self.parameters)), SX.sym("x", 3), SX.sym("d", 3)
+        level = self._level(p, x)
+        slope = ca.dot(ca.gradient(level, x), ray)
+        return ca.Function(name, [p, x, ray], [ca.vertcat(level, slope)])
+
+
+# --------------------------------------------------------------------------- helpers
+
+
+def _into(w: Array, span: tuple[float, float], period: float | None) -> Array:
+    """Return a periodic coordinate within one period of its range's start, where it is out."""
+    if period is None:
+        return w
+    inside = (w >= span[0]) & (w <= span[1])
+    return np.where(inside, w, w - period * np.floor((w - span[0]) / period))
+
+
+def _numbers(kind: str, name: str, given: Any, count: int) -> tuple[Any, ...]:
+    try:
+        values = tuple(given)
+    except TypeError:
+        values = ()
+    if len(values) != count or isinstance(given, str):
+        raise SurfaceError(f"{kind}: {name} = {given!r} must be {count} numbers")
+    return tuple(finite_number(kind, f"{name}[{i}]", value) for i, value in enumerate(values))
+
+
+def _range(kind: str, name: str, given: Any) -> tuple[float, float]:
+    low, high = _numbers(kind, name, given, 2)
+    if not low < high:
+        raise SurfaceError(f"{kind}: {name} = {given!r} must run from a lesser to a greater number")
+    return low, high
+
+
+def _named(kind: str, given: Any, variables: Mapping[str, SX]) -> dict[str, float]:
+    """Return named parameters in order of their names."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise SurfaceError(f'{kind}: parameters = {given!r} must be a table such as {{"R": 0.1}}')
+    for name in given:
+        if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
+            raise SurfaceError(f"{kind}: parameter name {name!r} must be a plain word")
+        if name in variables or name in FUNCTIONS:
+            raise SurfaceError(
+                f"{kind}: parameter name {name!r} already has a meaning in formulas; use another"
+            )
+    return {
+        name: finite_number(kind, f"parameters[{name!r}]", given[name]) for name in sorted(given)
+    }
+
+
+def _formula(
+    kind: str,
+    given: Any,
+    variables: Mapping[str, SX],
+    arguments: list[SX],
+    parameters: Any,
+    count: int,
+) -> Formula:
+    """Turn a user's function or text into a checked `Formula` with ``count`` components."""
+    numbers = _named(kind, parameters, variables)
+    p = SX.sym("p", len(numbers))
+    symbols = {name: p[i] for i, name in enumerate(numbers)}
+    text = None
+    if callable(given):
+        value = _trace(kind, given, arguments, symbols, count)
+    else:
+        text = _texts(kind, given, count)
+        try:
+            value = ca.vertcat(*(parse(line, {**variables, **symbols}) for line in text))
+        except ContactSystemError as error:
+            raise SurfaceError(f"{kind}: {error}") from None
+    for argument in arguments:
+        if not ca.depends_on(value, argument):
+            raise SurfaceError(
+                f"{kind}: the formula does not depend on {argument}, as a surface must"
+            )
+    function = ca.Function("surface", [p, *arguments], [value])
+    for i in range(function.n_instructions()):
+        is_constant = function.instruction_id(i) == ca.OP_CONST
+        if is_constant and not math.isfinite(function.instruction_constant(i)):
+            raise SurfaceError(
+                f"{kind}: the formula holds a NaN or infinite constant; in a function of symbols "
+                "use numpy or casadi functions (np.cos), not those of math"
+            )
+    return Formula(function.serialize(), tuple(numbers), tuple(numbers.values()), text)
+
+
+def _texts(kind: str, given: Any, count: int) -> tuple[str, ...]:
+    lines = (given,) if isinstance(given, str) else given
+    if not isinstance(lines, Sequence) or len(lines) != count:
+        raise SurfaceError(
+            f"{kind}: {given!r} must be a function of symbols, or {count} text(s), one for each "
+            "component"
+        )
+    return tuple(lines)
+
+
+def _trace(
+    kind: str, function: Callable[..., Any], arguments: list[SX], symbols: dict[str, SX], count: int
+) -> SX:
+    """Call a user's function on symbols and return its components as one column."""
+    try:
+        with warnings.catch_warnings():
+            # CasADi announces a coming change of what numpy functions of symbols return.
+            warnings.simplefilter("ignore", FutureWarning)
+            value = function(*arguments, **symbols)
+            column = ca.vertcat(*(ca.vec(SX(part)) for part in _parts(value)))
+    except Exception as error:  # whatever a user's function may raise
+        raise SurfaceError(
+            f"{kind}: the function fails on symbols ({type(error).__name__}: {error}); use numpy "
+            "or casadi functions, no if and no conversion to float, and take the parameters "
+            f"{list(symbols)} by name"
+        ) from error
+    if column.shape != (count, 1):
+        raise SurfaceError(
+            f"{kind}: the function returns {column.numel()} component(s); it must return {count}"
+        )
+    return column
+
+
+def _parts(value: Any) -> list[Any]:
+    if isinstance(value, np.ndarray):
+        return value.ravel().tolist()
+    return list(value) if isinstance(value, (list, tuple)) else [value]

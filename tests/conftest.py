@@ -1,0 +1,122 @@
+"""What the tests of motion share: surfaces to move on, and arithmetic that knows nothing of plans."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.polynomial import polynomial
+
+import contact_system as cs
+
+TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.7], [-0.6, 0.2, 1.0]]))[0]
+
+
+def turned(*eigenvalues: float) -> cs.Quadric:
+    """The quadric with these eigenvalues (1/m^2) and axes along nothing special."""
+    matrix = TURN @ np.diag(eigenvalues) @ TURN.T
+    return cs.Quadric((matrix + matrix.T) / 2)
+
+
+# A surface of each kind, and coordinates on it off poles, umbilics and seams.
+SURFACES: dict[str, tuple[cs.Surface, tuple[float, float]]] = {
+    "plane": (cs.Plane(), (0.1, -0.05)),
+    "sphere": (cs.Sphere(0.1), (1.1, 0.4)),
+    "bowl": (cs.Sphere(0.2, inside=True), (2.0, 0.3)),
+    "cylinder": (cs.Cylinder(0.1), (0.5, 0.2)),
+    "pipe": (cs.Cylinder(0.15, inside=True), (0.5, 0.2)),
+    "torus": (cs.Torus(0.1, 0.03), (0.3, 2.5)),
+    "ellipsoid": (cs.Ellipsoid(0.3, 0.2, 0.1), (0.7, 0.4)),
+    "hollow ellipsoid": (cs.Ellipsoid(0.3, 0.2, 0.1, inside=True), (0.7, 0.4)),
+    "oblate": (cs.Ellipsoid(0.3, 0.3, 0.1), (1.2, 0.4)),
+    "prolate": (cs.Ellipsoid(0.3, 0.1, 0.1), (1.2, 0.4)),
+    "round ellipsoid": (cs.Ellipsoid(0.2, 0.2, 0.2), (1.2, 0.4)),
+    "turned ellipsoid": (turned(11.0, 25.0, 100.0), (0.7, 0.4)),
+    "one sheet": (turned(100.0, 50.0, -30.0), (0.4, 0.3)),
+    "two sheets": (turned(50.0, -30.0, -20.0), (0.2, 0.3)),
+    "elliptic cylinder": (turned(100.0, 40.0, 0.0), (0.4, 0.1)),
+    "bumps": (
+        cs.ParametricSurface(
+            ("u + 0.4*v", "v", "h*cos(k*u)*cos(k*v)"), parameters={"h": 0.01, "k": 20.0}, size=0.1
+        ),
+        (0.02, 0.03),
+    ),
+    "rounded cube": (cs.ImplicitSurface("(x/r)**4 + (y/r)**4 + (z/r)**4 - 1",
+                                        parameters={"r": 0.1}, size=0.1), (1.05, 0.6)),
+}  # fmt: skip
+
+
+def one_contact(
+    obj: str = "sphere",
+    finger: str = "sphere",
+    gain: cs.Gain = cs.Gain.time(3.0),
+    profile: tuple[float, ...] = (0.05, 0.2, -0.1),
+    disturbances: tuple[cs.scene.Disturbance, ...] = (),
+    duration: float = 1.0,
+    **contact,
+) -> cs.Scene:
+    """A scene with one contact between two surfaces of `SURFACES`, slipping at the start."""
+    values = {
+        "finger_velocity": (0.6, 0.8), "object_velocity": (0.2, -0.5), "angle": 0.3,
+        "finger_at": SURFACES[finger][1], "object_at": SURFACES[obj][1],
+    } | contact  # fmt: skip
+    return cs.Scene(
+        object=SURFACES[obj][0],
+        contacts=[cs.Contact(finger=SURFACES[finger][0], **values)],
+        profile=cs.Profile(profile),
+        gain=gain,
+        duration=duration,
+        disturbances=disturbances,
+        name=f"{finger} on {obj}",
+    )
+
+
+def reflection(psi: np.ndarray) -> np.ndarray:
+    """R_psi as printed in eq. `rotation`: (...) -> (..., 2, 2)."""
+    c, s = np.cos(psi), np.sin(psi)
+    return np.moveaxis(np.array([[c, -s], [-s, -c]]), (0, 1), (-2, -1))
+
+
+def path_velocities(scene: cs.Scene, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """M1 q1' in E1 and M2 q2' in E2 of (n, contacts, 9) states: two (n, contacts, 2), m/s."""
+    out = np.empty((2, *states.shape[:2], 2))
+    for i, contact in enumerate(scene.contacts):
+        for k, surface in enumerate((contact.finger, scene.object)):
+            u, v, *rates = states[:, i, 4 * k : 4 * k + 4].T
+            out[k, :, i] = np.einsum("nij,jn->ni", surface.metric_root(u, v), rates)
+    return out[0], out[1]
+
+
+def slip_of_states(scene: cs.Scene, states: np.ndarray) -> np.ndarray:
+    """v_rel = R_psi M1 q1' - M2 q2' (eq. `netrelvel`) of (n, contacts, 9) states, m/s."""
+    a1, a2 = path_velocities(scene, states)
+    return np.einsum("...ij,...j->...i", reflection(states[..., 8]), a1) - a2
+
+
+def exponent(gain: cs.Gain, profile: tuple[float, ...], t: np.ndarray) -> np.ndarray:
+    """L(t) = int_0^t lam, from the definition of the gain laws (theory section 2)."""
+    if gain.law == "time":
+        return gain.value * t
+    if gain.law == "path":
+        squared = polynomial.polymul(profile, profile)
+        return gain.value * polynomial.polyval(t, polynomial.polyint(squared))
+    # max(0, sigma'/sigma): log sigma where sigma grows, summed over a fine grid with the extrema
+    roots = polynomial.polyroots(polynomial.polyder(profile)) if len(profile) > 2 else np.array([])
+    extrema = roots[np.isreal(roots)].real
+    total = []
+    for end in t:
+        knots = [0.0, *sorted(x for x in extrema if 0 < x < end), end]
+        logs = np.log(polynomial.polyval(np.array(knots), profile))
+        total.append(np.maximum(0.0, np.diff(logs)).sum())
+    return np.array(total) + gain.value * t
+
+
+def derivative(f, t: np.ndarray, h: float = 4e-3) -> np.ndarray:
+    """f'(t) by central differences, extrapolated four times (Richardson): error O(h^10)."""
+    table = [(f(t + h / 2**k) - f(t - h / 2**k)) / (h / 2 ** (k - 1)) for k in range(5)]
+    for order in range(1, 5):
+        table = [b + (b - a) / (4**order - 1) for a, b in zip(table, table[1:])]
+    return table[0]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "slow: more than 30 s")

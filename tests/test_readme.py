@@ -1,0 +1,49 @@
+"""What the README shows must run as it is printed."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from contact_system.scene import bundled_scenes, scene_from_toml
+
+README = Path(__file__).parent.parent / "README.md"
+
+
+def blocks(language: str) -> list[str]:
+    """The fenced blocks of one language, in order."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", README.read_text("utf-8"), re.M | re.S)
+
+
+def test_the_python_example_prints_what_the_readme_shows():
+    (example,) = blocks("python")
+    command = [sys.executable, "-c", example]
+    run = subprocess.run(command, capture_output=True, text=True, cwd=README.parent)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout == blocks("text")[0]
+
+
+def test_the_python_example_has_ten_lines():
+    (example,) = blocks("python")
+    assert len(example.splitlines()) == 10
+
+
+def test_the_scene_file_is_read():
+    (text,) = blocks("toml")
+    scene = scene_from_toml(text)
+    assert (scene.name, len(scene.contacts), len(scene.disturbances)) == ("mine", 1, 1)
+
+
+def test_every_bundled_scene_is_listed():
+    table = "\n".join(line for line in README.read_text("utf-8").splitlines() if line[:1] == "|")
+    missing = [name for name in bundled_scenes() if not re.search(rf"\b{name}\b", table)]
+    assert not missing
+
+
+@pytest.mark.parametrize("link", re.findall(r"\]\(([^)#]+)\)", README.read_text("utf-8")))
+def test_links_lead_somewhere(link):
+    assert (README.parent / link).exists()

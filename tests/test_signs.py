@@ -1,0 +1,243 @@
+"""Sign conventions, each tested on its own (theory sections 1, 2, 4, 8)."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+import pytest
+from conftest import SURFACES, derivative, one_contact, path_velocities, reflection
+
+import contact_system as cs
+from contact_system.kinematics import contact_map, inverse_montana, slip
+
+T = np.linspace(0.1, 0.9, 5)
+SURFACE = pytest.mark.parametrize("name", SURFACES)
+
+
+def lines_of(surface: cs.Surface, u: float, v: float) -> tuple[np.ndarray, np.ndarray]:
+    """f_u and f_v by finite differences of the chart."""
+    h = 1e-3 * min(1.0, surface.size * 10)
+    one = np.zeros(1)
+    return (
+        derivative(lambda d: surface.point(u + d, v + 0 * d), one, h)[0],
+        derivative(lambda d: surface.point(u + 0 * d, v + d), one, h)[0],
+    )
+
+
+# --- one body
+
+
+@SURFACE
+def test_contact_frame_is_right_handed_with_the_first_axis_along_f_u(name):
+    surface, at = SURFACES[name]
+    frame = surface.frame(*at)
+    f_u, f_v = lines_of(surface, *at)
+    normal = np.cross(f_u, f_v)
+    assert frame[:, 0] @ f_u == pytest.approx(np.linalg.norm(f_u), rel=1e-9)
+    assert frame[:, 2] @ normal == pytest.approx(np.linalg.norm(normal), rel=1e-9)
+    assert np.linalg.det(frame) == pytest.approx(1.0, abs=1e-14)
+
+
+@pytest.mark.parametrize("name", ["sphere", "ellipsoid", "torus", "rounded cube", "cylinder"])
+def test_normal_points_out_of_a_solid_body(name):
+    # Outside of a body that is convex along this ray: a small step along n leaves it.
+    surface, at = SURFACES[name]
+    x, n = surface.point(*at), surface.normal(*at)
+    centre = {"torus": 0.1 * np.array([np.cos(at[0]), np.sin(at[0]), 0.0]),
+              "cylinder": np.array([0.0, 0.0, x[2]])}.get(name, np.zeros(3))  # fmt: skip
+    assert n @ (x - centre) > 0
+
+
+@pytest.mark.parametrize("name", ["bowl", "pipe", "hollow ellipsoid"])
+def test_inside_turns_the_normal_to_the_hollow_side(name):
+    surface, at = SURFACES[name]
+    x, n = surface.point(*at), surface.normal(*at)
+    assert n @ (x * [1, 1, 0 if name == "pipe" else 1]) < 0
+
+
+def test_curvature_is_positive_on_a_sphere_and_negative_inside_a_bowl():
+    u, v = SURFACES["sphere"][1]
+    assert cs.Sphere(0.1).curvature_form(u, v) == pytest.approx(10 * np.eye(2), abs=1e-13)
+    bowl = cs.Sphere(0.1, inside=True)
+    assert bowl.curvature_form(*bowl.canonical(u, v)) == pytest.approx(-10 * np.eye(2), abs=1e-13)
+
+
+@SURFACE
+def test_curvature_form_is_the_turning_of_the_normal(name):
+    # n' = [x y] K M q' (theory section 1)
+    surface, (u, v) = SURFACES[name]
+    frame, root = surface.frame(u, v), surface.metric_root(u, v)
+    for rates in np.eye(2):
+        def normal(s, rates=rates):
+            return surface.normal(u + rates[0] * s, v + rates[1] * s)
+
+        turning = derivative(normal, np.zeros(1), 1e-3)[0]
+        expected = frame[:, :2] @ surface.curvature_form(u, v) @ root @ rates
+        assert turning == pytest.approx(expected, rel=1e-8, abs=1e-8)
+
+
+@SURFACE
+def test_torsion_form_is_the_turning_of_the_first_axis(name):
+    # y . x' = T M q' (theory section 1)
+    surface, (u, v) = SURFACES[name]
+    frame, root = surface.frame(u, v), surface.metric_root(u, v)
+    for rates in np.eye(2):
+        def axis(s, rates=rates):
+            return surface.frame(u + rates[0] * s, v + rates[1] * s)[:, :, 0]
+
+        turning = frame[:, 1] @ derivative(axis, np.zeros(1), 1e-3)[0]
+        assert turning == pytest.approx((surface.torsion_form(u, v) @ root @ rates).item(),
+                                        rel=1e-8, abs=1e-8)  # fmt: skip
+
+
+@pytest.mark.parametrize("u", [0.3, 1.2, 2.5])
+def test_torsion_form_of_a_sphere_is_the_cotangent_along_v(u):
+    r = 0.1
+    expected = [0.0, np.cos(u) / np.sin(u) / r]
+    assert cs.Sphere(r).torsion_form(u, 0.7) == pytest.approx(expected, abs=1e-13)
+
+
+# --- two bodies
+
+
+@pytest.mark.parametrize("psi", [0.0, 0.4, -2.0])
+def test_contact_map_is_the_printed_matrix_and_its_own_inverse(psi):
+    assert contact_map(psi) == pytest.approx(reflection(psi))
+    assert contact_map(psi) @ contact_map(psi) == pytest.approx(np.eye(2), abs=1e-15)
+    assert np.linalg.det(contact_map(psi)) == pytest.approx(-1.0)
+
+
+def test_at_psi_zero_first_axes_agree_and_second_axes_oppose():
+    plan = cs.plan(one_contact(angle=0.0, object_velocity="rolling"))
+    turn = plan.pose(0.0)[0, 0, :3, :3]
+    e1 = SURFACES["sphere"][0].frame(*SURFACES["sphere"][1])  # finger and object start alike
+    assert e1[:, 0] @ turn @ e1[:, 0] == pytest.approx(1.0)
+    assert e1[:, 1] @ turn @ e1[:, 1] == pytest.approx(-1.0)
+    assert e1[:, 2] @ turn @ e1[:, 2] == pytest.approx(-1.0)
+
+
+def test_psi_turns_the_fingers_first_axis_from_the_objects_first_axis_clockwise():
+    # R_psi (1, 0) = (cos psi, -sin psi)
+    psi = 0.3
+    plan = cs.plan(one_contact("plane", "plane", angle=psi))
+    x1_in_object = plan.pose(0.0)[0, 0, :3, :3] @ [1.0, 0.0, 0.0]
+    assert x1_in_object == pytest.approx([np.cos(psi), -np.sin(psi), 0.0])
+
+
+def test_slip_is_rolled_velocity_less_object_velocity():
+    assert slip(0.0, np.array([1.0, 2.0]), np.array([0.5, 0.25])) == pytest.approx([0.5, -2.25])
+
+
+@pytest.mark.parametrize("obj", ["sphere", "bowl", "ellipsoid", "bumps"])
+def test_fingers_material_point_moves_by_minus_slip_relative_to_the_objects(obj):
+    scene = one_contact(obj)
+    plan = cs.plan(scene)
+    states = plan.states(T)
+    for k, t in enumerate(T):
+        x1, x2 = plan.points(t)[0, 0]
+
+        def material_point(time, x1=x1):
+            pose = plan.pose(time)[:, 0]
+            return pose[:, :3, :3] @ x1 + pose[:, :3, 3]
+
+        velocity = derivative(material_point, np.array([t]))[0]
+        assert material_point([t])[0] == pytest.approx(x2, abs=1e-13)
+        frame = scene.object.frame(*states[k, 0, 4:6])
+        expected = -frame[:, :2] @ plan.slip(t)[0, 0]
+        assert np.linalg.norm(expected) > 1e-3
+        assert velocity == pytest.approx(expected, abs=1e-10)
+
+
+def great_circle_angle(surface: cs.Sphere, at, direction, length) -> np.ndarray:
+    """Angle in the contact frame of the tangent of a great circle, at arc lengths (n,)."""
+    frame = surface.frame(*at)
+    n, e = frame[:, 2], frame[:, :2] @ direction
+    phi = np.asarray(length)[:, None] / surface.radius
+    x = surface.radius * (np.cos(phi) * n + np.sin(phi) * e)
+    tangent = np.cos(phi) * e - np.sin(phi) * n
+    south = np.stack([x[:, 0] * x[:, 2], x[:, 1] * x[:, 2], -(x[:, 0] ** 2 + x[:, 1] ** 2)], 1)
+    south /= np.linalg.norm(south, axis=1)[:, None]  # f_u of the polar chart, written out
+    east = np.stack([-x[:, 1], x[:, 0], 0 * x[:, 0]], 1)
+    east /= np.linalg.norm(east, axis=1)[:, None]
+    return np.unwrap(np.arctan2((tangent * east).sum(1), (tangent * south).sum(1)))
+
+
+@pytest.mark.parametrize("rolling_body", ["finger", "object"])
+def test_psi_is_psi_0_less_the_angle_of_the_parallel_frame(rolling_body):
+    # The tangent of a great circle is parallel, so theta is its angle in E; theta = 0 on a plane.
+    bodies = ("plane", "sphere") if rolling_body == "finger" else ("sphere", "plane")
+    scene = one_contact(*bodies, object_velocity="rolling", profile=(0.05, 0.2))
+    ball, at = SURFACES["sphere"]
+    w = reflection(0.3) @ [0.6, 0.8] if rolling_body == "object" else np.array([0.6, 0.8])
+    t = np.linspace(0.0, 1.0, 101)
+    theta = great_circle_angle(ball, at, w, 0.05 * t + 0.1 * t**2)
+    assert np.ptp(theta) > 0.1
+    psi = cs.plan(scene).states(t)[:, 0, 8]
+    assert psi == pytest.approx(0.3 - (theta - theta[0]), abs=1e-13)
+
+
+def test_psi_is_psi_0_less_both_angles():
+    scene = one_contact("sphere", "sphere", object_velocity="rolling", profile=(0.05, 0.2))
+    ball, at = SURFACES["sphere"]
+    t = np.linspace(0.0, 1.0, 101)
+    length = 0.05 * t + 0.1 * t**2
+    w = np.array([0.6, 0.8])
+    theta = great_circle_angle(ball, at, w, length)
+    theta += great_circle_angle(ball, at, reflection(0.3) @ w, length)
+    psi = cs.plan(scene).states(t)[:, 0, 8]
+    assert psi == pytest.approx(0.3 - (theta - theta[0]), abs=1e-13)
+
+
+# --- twist
+
+
+def test_twist_is_angular_velocity_then_velocity_of_the_fingers_origin_in_the_objects_frame():
+    # A ball of radius r on the plane z = 0, its contact point moving along +x at sigma.
+    r, sigma = 0.1, 0.3
+    scene = one_contact("plane", "sphere", angle=0.0, finger_at=(pi / 2, 0.0), duration=0.4,
+                        finger_velocity=(1.0, 0.0), object_velocity="rolling", profile=(sigma,))  # fmt: skip
+    plan = cs.plan(scene)
+    assert plan.twist(0.2)[0, 0] == pytest.approx([0.0, sigma / r, 0.0, sigma, 0.0, 0.0], abs=1e-14)
+    centre = plan.pose(0.2)[0, 0, :3, 3]
+    assert centre == pytest.approx([0.1 + 0.2 * sigma, -0.05, r], abs=1e-15)
+
+
+def test_twist_has_no_spin_about_the_normal():
+    plan = cs.plan(one_contact("ellipsoid", "torus"))
+    normals = SURFACES["ellipsoid"][0].normal(*plan.states(T)[:, 0, 4:6].T)
+    omega = plan.twist(T)[:, 0, :3]
+    assert np.linalg.norm(omega, axis=1).min() > 0.1
+    assert (omega * normals).sum(1) == pytest.approx(0.0, abs=1e-13)
+
+
+def test_montanas_angular_velocity_is_given_in_the_fingers_frame():
+    scene = one_contact("ellipsoid", "torus")
+    plan = cs.plan(scene)
+    states = plan.states(T)[:, 0]
+    (a1, a2), (finger, obj) = path_velocities(scene, plan.states(T)), (
+        SURFACES["torus"][0], SURFACES["ellipsoid"][0],
+    )  # fmt: skip
+    omega = inverse_montana(
+        finger.curvature_form(*states[:, :2].T), obj.curvature_form(*states[:, 4:6].T),
+        states[:, 8], a1[:, 0], a2[:, 0],
+    )  # fmt: skip
+    turn = plan.pose(T)[:, 0, :3, :3]
+    e1 = finger.frame(*states[:, :2].T)
+    in_object = np.einsum("nij,njk,nk->ni", turn, e1[..., :2], omega)
+    assert in_object == pytest.approx(plan.twist(T)[:, 0, :3], abs=1e-12)
+
+
+# --- the trap
+
+
+def test_a_contact_with_an_inward_frame_is_read_as_the_same_point_with_the_outward_frame():
+    # (-1.57, 2.44), as the paper prints it, is (1.57, 2.44 + pi) up to whole turns.
+    trap = cs.plan(one_contact(object_at=(-1.57, 2.44)))
+    plain = cs.plan(one_contact(object_at=(1.57, 2.44 - pi)))
+    x = trap.points(T)[:, 0, 1]
+    assert x == pytest.approx(plain.points(T)[:, 0, 1], abs=1e-15)
+    by_hand = 0.1 * np.array([np.sin(-1.57) * np.cos(2.44), np.sin(-1.57) * np.sin(2.44),
+                              np.cos(-1.57)])  # fmt: skip
+    assert trap.points(0.0)[0, 0, 1] == pytest.approx(by_hand, abs=1e-16)
+    assert np.sin(trap.states(0.0)[0, 0, 4]) > 0

@@ -1,0 +1,419 @@
+"""The exact slip law and the other integrals of the motion (theory sections 3, 6, 9)."""
+
+from __future__ import annotations
+
+from math import cos, pi, sin, sqrt
+
+import mpmath as mp
+import numpy as np
+import pytest
+from conftest import (
+    SURFACES,
+    derivative,
+    exponent,
+    one_contact,
+    path_velocities,
+    reflection,
+    slip_of_states,
+)
+from numpy.polynomial import legendre, polynomial
+
+import contact_system as cs
+from contact_system.errors import ChartSingularity
+
+T = np.linspace(0.0, 1.0, 41)
+PROFILE = (0.05, 0.2, -0.1)
+GAINS = {"path": cs.Gain.path(30.0), "time": cs.Gain.time(3.0), "guaranteed": cs.Gain.guaranteed(2.0)}
+# The parallel transport and the geodesics of quadrics are stated in these charts only.
+JACOBI = cs.Ellipsoid(0.3, 0.2, 0.1)
+
+
+def exact_slip(scene: cs.Scene, first: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """|v_rel|(t) of one contact from slip ``first`` at t = 0 (theory section 3)."""
+    c = scene.profile.coefficients
+    shrink = np.exp(-exponent(scene.gain, c, t)) * polynomial.polyval(t, c) / c[0]
+    return np.linalg.norm(first) * shrink
+
+
+def assert_slip_follows_the_exact_law(scene: cs.Scene, t: np.ndarray) -> None:
+    plan = cs.plan(scene)
+    slip, from_states = plan.slip(t)[:, 0], slip_of_states(scene, plan.states(t))[:, 0]
+    (contact,) = scene.contacts
+    first = scene.profile(0.0) * (
+        reflection(contact.angle) @ contact.finger_velocity - contact.object_velocity
+    )
+    law = exact_slip(scene, first, t)
+    bar = 1e-12 * law.max()
+    assert np.linalg.norm(slip, axis=1) == pytest.approx(law, abs=bar)
+    assert np.linalg.norm(from_states, axis=1) == pytest.approx(law, abs=bar)
+    assert slip == pytest.approx(from_states, abs=bar)
+
+
+# --- the law
+
+
+@pytest.mark.parametrize("gain", GAINS)
+@pytest.mark.parametrize("obj", SURFACES)
+def test_slip_follows_the_exact_law_with_every_finger(obj, gain):
+    for finger in SURFACES:
+        assert_slip_follows_the_exact_law(one_contact(obj, finger, GAINS[gain], PROFILE), T)
+
+
+@pytest.mark.parametrize("obj", SURFACES)
+def test_slip_is_carried_by_parallel_transport_along_the_objects_curve(obj):
+    # The slip's angle in E2 turns by -int T2 M2 q2' dt: Gauss quadrature on a plan's states.
+    scene = one_contact(obj, gain=GAINS["time"])
+    plan = cs.plan(scene)
+    node, weight = legendre.leggauss(60)
+    t = 0.5 * (1 + node)
+    states = plan.states(t)
+    torsion = scene.object.torsion_form(*states[:, 0, 4:6].T).reshape(-1, 2)
+    turned = -(torsion * path_velocities(scene, states)[1][:, 0]).sum(1) @ (0.5 * weight)
+    slip = plan.slip(T)[:, 0]
+    angle = np.unwrap(np.arctan2(slip[:, 1], slip[:, 0]))
+    assert angle[-1] - angle[0] == pytest.approx(turned, abs=1e-11)
+
+
+@pytest.mark.parametrize("finger", SURFACES)
+def test_path_speed_of_the_finger_is_sigma(finger):
+    # (0.6, 0.8) has length 1, so |M1 q1'| = sigma
+    scene = one_contact("ellipsoid", finger)
+    a1, _ = path_velocities(scene, cs.plan(scene).states(T))
+    sigma = polynomial.polyval(T, scene.profile.coefficients)
+    assert np.linalg.norm(a1[:, 0], axis=1) == pytest.approx(sigma, rel=1e-13)
+
+
+@pytest.mark.parametrize("pair", [("ellipsoid", "sphere"), ("bumps", "torus"), ("bowl", "oblate")])
+def test_psi_obeys_montanas_angle_equation_with_slip(pair):
+    scene = one_contact(*pair)
+    plan = cs.plan(scene)
+    node, weight = legendre.leggauss(60)
+    states = plan.states(0.5 * (1 + node))
+    rate = 0.0
+    for k, (surface, a) in enumerate(
+        zip((scene.contacts[0].finger, scene.object), path_velocities(scene, states))
+    ):
+        torsion = surface.torsion_form(*states[:, 0, 4 * k : 4 * k + 2].T).reshape(-1, 2)
+        rate = rate + (torsion * a[:, 0]).sum(1)
+    psi = plan.states([0.0, 1.0])[:, 0, 8]
+    assert psi[1] - psi[0] == pytest.approx(rate @ (0.5 * weight), abs=1e-11)
+
+
+@pytest.mark.parametrize("gain", GAINS)
+def test_slip_shrinks_where_the_scene_says_that_it_contracts(gain):
+    scene = one_contact("ellipsoid", gain=GAINS[gain])
+    magnitude = np.linalg.norm(cs.plan(scene).slip(T)[:, 0], axis=1)
+    intervals = scene.contraction().intervals
+    for a, b, before, after in zip(T, T[1:], magnitude, magnitude[1:]):
+        if any(start <= a and b <= stop for start, stop in intervals):
+            assert after < before
+        elif not any(start < b and a < stop for start, stop in intervals):
+            assert after >= before
+
+
+# --- where the gain and the profile are extreme
+
+
+@pytest.mark.parametrize("eta", 10.0 ** np.arange(-3, 13, 3))
+@pytest.mark.parametrize("obj", ["plane", "sphere", "ellipsoid", "torus", "bumps", "rounded cube"])
+def test_slip_follows_the_exact_law_at_any_gain(obj, eta):
+    layer = min(1.0, 1.0 / eta)
+    t = np.unique([*T, *(layer * np.array([0.1, 0.5, 1.0, 3.0, 10.0]).clip(max=1 / layer))])
+    scene = one_contact(obj, gain=cs.Gain.time(eta), profile=(0.2, 0.1))
+    assert_slip_follows_the_exact_law(scene, t)
+    # lam = eta sigma^2, sigma from 0.2 to 0.3
+    scene = one_contact(obj, gain=cs.Gain.path(eta / 0.09), profile=(0.2, 0.1))
+    assert_slip_follows_the_exact_law(scene, t)
+
+
+@pytest.mark.parametrize("eta", 10.0 ** np.arange(-3, 13, 3))
+@pytest.mark.parametrize("obj", ["plane", "cylinder"])
+def test_contact_point_on_a_developable_body_is_the_quadrature_of_the_law(obj, eta):
+    # constant sigma, lam = eta: g = sigma (1 - exp(-eta t)) / eta, the curve is W s - V g unrolled
+    sigma, w, y = 0.2, np.array([0.6, 0.8]), np.array([0.2, -0.5])
+    scene = one_contact(obj, gain=cs.Gain.time(eta), profile=(sigma,))
+    t = np.unique([*T, *np.minimum(1.0, np.array([0.1, 1.0, 10.0]) / eta)])
+    g = -sigma * np.expm1(-eta * t) / eta
+    rolled = reflection(0.3) @ w
+    moved = np.outer(sigma * t, rolled) - np.outer(g, rolled - y)
+    unrolled = cs.plan(scene).states(t)[:, 0, 4:6] - SURFACES[obj][1]
+    unrolled[:, 0] *= {"plane": 1.0, "cylinder": 0.1}[obj]
+    assert unrolled == pytest.approx(moved, abs=1e-15)
+
+
+def test_contact_point_on_a_plane_is_the_quadrature_of_the_law_for_a_growing_sigma():
+    # lam = eta sigma^2 with sigma = 0.001 + 0.4 t^2, quadrature by mpmath
+    c, eta = (0.001, 0.0, 0.4), 1e4
+    scene = one_contact("plane", gain=cs.Gain.path(eta), profile=c)
+    squared = [mp.mpf(x) for x in polynomial.polyint(polynomial.polymul(c, c))]
+
+    def integrand(t):
+        sigma = c[0] + mp.mpf(c[2]) * t**2
+        return sigma * mp.exp(-eta * mp.polyval(squared[::-1], t))
+
+    g = float(mp.quad(integrand, np.linspace(0, 1, 41).tolist()))
+    w = reflection(0.3) @ [0.6, 0.8]
+    expected = np.array([0.1, -0.05]) + w * (0.001 + 0.4 / 3) - (w - [0.2, -0.5]) * g
+    end = cs.plan(scene).points(1.0)[0, 0, 1]
+    assert end == pytest.approx([*expected, 0.0], abs=2e-14)
+
+
+@pytest.mark.parametrize("obj", ["plane", "sphere", "ellipsoid", "bumps", "rounded cube"])
+@pytest.mark.parametrize("gain", [cs.Gain.path(50.0), cs.Gain.time(4.0)])
+def test_path_may_start_from_rest(obj, gain):
+    # sigma(0) = 0: slip is |V(0)| sigma exp(-L), which the chart equations cannot even state
+    c = (0.0, 0.3, -0.1)
+    scene = one_contact(obj, gain=gain, profile=c)
+    plan = cs.plan(scene)
+    slip = plan.slip(T)[:, 0]
+    v = np.linalg.norm(reflection(0.3) @ [0.6, 0.8] - [0.2, -0.5])
+    law = v * polynomial.polyval(T, c) * np.exp(-exponent(gain, c, T))
+    assert np.linalg.norm(slip, axis=1) == pytest.approx(law, abs=1e-12 * law.max())
+    assert slip == pytest.approx(slip_of_states(scene, plan.states(T))[:, 0], abs=1e-12 * law.max())
+    assert not plan.states(0.0)[0, 0, [2, 3, 6, 7]].any()
+    assert np.isfinite(plan.acceleration(T)).all()
+
+
+@pytest.mark.parametrize("obj", ["plane", "sphere", "ellipsoid", "bumps", "rounded cube"])
+@pytest.mark.parametrize("gain", [cs.Gain.path(50.0), cs.Gain.time(4.0)])
+def test_path_may_pause_on_the_way(obj, gain):
+    # sigma = 0.4 (t - 1/2)^2 touches zero at t = 1/2
+    c = (0.1, -0.4, 0.4)
+    scene = one_contact(obj, gain=gain, profile=c)
+    assert_slip_follows_the_exact_law(scene, T)
+    plan = cs.plan(scene)
+    assert np.abs(plan.slip(0.5)).max() < 1e-16
+    assert np.abs(plan.twist(0.5)).max() < 1e-14
+
+
+@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "bumps"])
+def test_slip_treatment_ends_once_slip_is_below_tolerance(obj):
+    scene = one_contact(obj, gain=cs.Gain.time(100.0), profile=(0.2,))
+    text = cs.plan(scene).explain()
+    assert "slip has fallen below tolerance" in text
+    assert_slip_follows_the_exact_law(scene, T)
+
+
+@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "bumps"])
+def test_end_of_slip_treatment_does_not_show_in_the_contact_point(obj):
+    # A lower tolerance ends it later; the curves agree to the higher tolerance.
+    scene = one_contact(obj, gain=cs.Gain.time(60.0), profile=(0.2,))
+    coarse, fine = (cs.plan(scene, tolerance=x).points(T)[:, 0, 1] for x in (1e-8, 1e-14))
+    assert coarse == pytest.approx(fine, abs=1e-8 * scene.object.size)
+
+
+# --- the corollary
+
+
+@pytest.mark.parametrize("finger", ["sphere", "ellipsoid", "torus", "cylinder", "bumps", "one sheet"])
+@pytest.mark.parametrize("obj", ["sphere", "cylinder", "oblate", "bumps"])
+def test_geodesic_on_the_object_gives_a_geodesic_on_the_finger(obj, finger):
+    # eq. `corollary`: imposed rolling drags the finger's curve; it is the geodesic planned as such.
+    w = np.array([0.28, -0.96])
+    given = {"gain": cs.Gain.time(1.0), "object_velocity": tuple(w)}
+    dragged = cs.plan(one_contact(obj, finger, finger_velocity="rolling", **given))
+    planned = cs.plan(one_contact(obj, finger, finger_velocity=tuple(reflection(0.3) @ w), **given))
+    assert dragged.points(T) == pytest.approx(planned.points(T), abs=1e-13)
+    assert dragged.pose(T) == pytest.approx(planned.pose(T), abs=1e-12)
+    assert not dragged.slip(T).any()
+
+
+@pytest.mark.parametrize("name", ["C1", "C2"])
+def test_corollary_scenes_draw_a_great_circle_on_the_finger(name):
+    scene = cs.load_scene(name)
+    points = cs.plan(scene).points(np.linspace(0, scene.duration, 101))[:, 0, 0]
+    _, spread, _ = np.linalg.svd(points)
+    assert spread[1] > 1e-2  # it is no straight line
+    assert spread[2] < 1e-14  # the plane through the centre that holds all the points
+
+
+# --- geodesics
+
+
+def geodesic(surface: cs.Surface, at, direction, length: float) -> cs.Plan:
+    """A contact that rolls along a geodesic of the object at 1 m/s."""
+    duration = length
+    return cs.plan(cs.Scene(
+        object=surface,
+        contacts=[cs.Contact(finger=cs.Plane(), object_at=at, finger_at=(0.0, 0.0),
+                             finger_velocity=tuple(reflection(0.0) @ direction))],
+        profile=cs.Profile([1.0]), duration=duration,
+    ))  # fmt: skip
+
+
+TRIAXIAL_STARTS = [((0.7, 0.4), 0.3), ((2.1, 1.2), 2.0), ((-1.0, -0.6), -1.3), ((1.5, 0.1), 1.5)]
+
+
+@pytest.mark.parametrize("surface, radius", [
+    (cs.Torus(0.1, 0.03), lambda u, v: 0.1 + 0.03 * np.cos(v)),
+    (cs.Ellipsoid(0.3, 0.3, 0.1), lambda u, v: 0.3 * np.sin(u)),
+    (cs.Quadric(np.diag([100.0, 100.0, -50.0])), lambda u, v: None),
+], ids=["torus", "oblate", "one sheet"])  # fmt: skip
+@pytest.mark.parametrize("angle", [0.2, 0.9, 1.4, 2.7])
+def test_clairauts_integral_is_constant(surface, radius, angle):
+    # distance to the axis times the sine of the azimuth, in space: (axis x position) . velocity
+    plan = geodesic(surface, (0.8, 0.7), (cos(angle), sin(angle)), 2.0)
+    t = np.linspace(0, 2, 81)
+    x = plan.points(t)[:, 0, 1]
+    speed = derivative(lambda s: plan.points(s)[:, 0, 1], t[2:-2], 2e-3)
+    clairaut = x[2:-2, 0] * speed[:, 1] - x[2:-2, 1] * speed[:, 0]
+    assert clairaut == pytest.approx(clairaut[0], abs=1e-10)
+    states = plan.states(t)
+    a2 = path_velocities(plan.scene, states)[1][:, 0]
+    if (r := radius(*states[:, 0, 4:6].T)) is not None:
+        around = a2[:, 1 if surface.developable or "Ellipsoid" in repr(surface) else 0]
+        assert r * around == pytest.approx(r[0] * around[0], abs=1e-13)
+
+
+@pytest.mark.parametrize("start, angle", TRIAXIAL_STARTS)
+def test_jacobis_integral_is_constant_on_the_triaxial_ellipsoid(start, angle):
+    plan = geodesic(JACOBI, start, (cos(angle), sin(angle)), 3.0)
+    states = plan.states(np.linspace(0, 3, 301))
+    _, a2 = path_velocities(plan.scene, states)
+    (u, v), (along_u, along_v) = states[:, 0, 4:6].T, a2[:, 0].T
+    a, b, c = 0.3, 0.2, 0.1
+    # sin(a) = along_u, cos(a) = along_v: a is measured from the v-line
+    value = (b**2 - c**2) * np.cos(v) ** 2 * along_u**2 - (a**2 - b**2) * np.sin(u) ** 2 * along_v**2
+    assert value == pytest.approx(value[0], abs=1e-13 * (a**2 - c**2))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.5])
+def test_geodesic_of_a_cylinder_is_straight_when_unrolled(angle):
+    r, turns = 0.1, 1000
+    length = 2 * pi * r * turns / max(cos(angle), 0.1)
+    plan = geodesic(cs.Cylinder(r), (0.3, 0.2), (cos(angle), sin(angle)), length)
+    t = np.linspace(0, length, 101)
+    with mp.workdps(30):
+        phase = [float((mp.mpf(0.3) + mp.mpf(cos(angle)) * mp.mpf(s) / mp.mpf(r)) % (2 * mp.pi))
+                 for s in t]  # fmt: skip
+    expected = np.stack([r * np.cos(phase), r * np.sin(phase), 0.2 + sin(angle) * t], axis=1)
+    moved = plan.points(t)[:, 0, 1]
+    assert moved[:, :2] == pytest.approx(expected[:, :2], abs=1e-12 * r)
+    assert moved[:, 2] == pytest.approx(expected[:, 2], abs=1e-15 * length)
+
+
+@pytest.mark.parametrize("body", ["finger", "object"])
+def test_great_circle_stays_on_its_circle_for_a_thousand_revolutions(body):
+    r, turns = 0.1, 1000
+    length = 2 * pi * r * turns
+    at, w = (1.1, 0.4), (0.6, 0.8)
+    ball, plane = {"surface": cs.Sphere(r), "at": at}, {"surface": cs.Plane(), "at": (0.0, 0.0)}
+    tip, obj = (ball, plane) if body == "finger" else (plane, ball)
+    given = w if body == "finger" else tuple(reflection(0.0) @ w)
+    plan = cs.plan(cs.Scene(
+        object=obj["surface"],
+        contacts=[cs.Contact(finger=tip["surface"], object_at=obj["at"], finger_at=tip["at"],
+                             finger_velocity=given)],
+        profile=cs.Profile([length]), duration=1.0,
+    ))  # fmt: skip
+    t = np.linspace(0, 1, 203)
+    with mp.workdps(40):
+        expected = np.array([great_circle(r, at, w, mp.mpf(length) * mp.mpf(s)) for s in t])
+    assert plan.points(t)[:, 0, 0 if body == "finger" else 1] == pytest.approx(expected, abs=1e-12 * r)
+
+
+def great_circle(r: float, at, w, length) -> list[float]:
+    """Point of a great circle after a length, by mpmath at its working precision."""
+    u, v, r = mp.mpf(at[0]), mp.mpf(at[1]), mp.mpf(r)
+    w1, w2 = mp.mpf(w[0]), mp.mpf(w[1])
+    pace = mp.sqrt(w1**2 + w2**2)
+    phi = pace * length / r
+    n = [mp.sin(u) * mp.cos(v), mp.sin(u) * mp.sin(v), mp.cos(u)]
+    south = [mp.cos(u) * mp.cos(v), mp.cos(u) * mp.sin(v), -mp.sin(u)]
+    east = [-mp.sin(v), mp.cos(v), mp.mpf(0)]
+    along = [(w1 * s + w2 * e) / pace for s, e in zip(south, east)]
+    return [float(r * (mp.cos(phi) * x + mp.sin(phi) * e)) for x, e in zip(n, along)]
+
+
+@pytest.mark.parametrize("method_of", ["sphere", "round ellipsoid"])
+def test_plane_of_a_great_circle_is_constant(method_of):
+    # in closed form, and by integration of the same body given as an ellipsoid
+    surface = {"sphere": cs.Sphere(0.2), "round ellipsoid": cs.Ellipsoid(0.2, 0.2, 0.2)}[method_of]
+    plan = geodesic(surface, (1.1, 0.4), (0.6, 0.8), 5.0)
+    frame = surface.frame(1.1, 0.4)
+    pole = np.cross(frame[:, 2], frame[:, :2] @ [0.6, 0.8])
+    points = plan.points(np.linspace(0, 5, 101))[:, 0, 1]
+    assert points @ pole == pytest.approx(0.0, abs=2e-14)
+
+
+def test_octant_of_a_sphere_has_a_holonomy_of_ninety_degrees():
+    # Three legs of 90 degrees with left turns of 90 degrees between them close on a sphere; the
+    # parallel frame comes back turned by the octant's area over r^2. On the plane theta2 = 0.
+    r = 0.1
+    leg = pi * r / 2
+    scene = one_contact("plane", "sphere", profile=(leg,), duration=3.0, object_velocity="rolling",
+                        finger_at=(1.1, 0.4), finger_velocity=(0.6, 0.8))  # fmt: skip
+    plan, left = cs.plan(scene), np.array([[0.0, -1.0], [1.0, 0.0]])
+    first = plan.states(0.0)[0, 0]
+    for corner in (1.0, 2.0):
+        (state,) = plan.states(corner)
+        a1, a2 = (a[0, 0] for a in path_velocities(scene, state[None]))
+        # a left turn on the ball, seen from outside, is a right turn on the plane
+        state[0, 2:4] = np.linalg.solve(scene.contacts[0].finger.metric_root(*state[0, :2]), left @ a1)
+        state[0, 6:8] = left.T @ a2
+        plan = plan.restart(corner, state)
+    last = plan.states(3.0)[0, 0]
+    assert plan.points(3.0)[0, 0, 0] == pytest.approx(cs.Sphere(r).point(1.1, 0.4), abs=1e-15)
+    # psi = psi(0) - theta1, and theta1 = +90 degrees round a triangle walked with left turns
+    assert (last[8] - first[8] + pi / 2) % (2 * pi) == pytest.approx(0.0, abs=1e-13)
+
+
+# --- poles and umbilics
+
+
+def assert_smooth(plan: cs.Plan, times: np.ndarray) -> None:
+    """Points, pose and twist are finite, the twist is the pose's derivative across the times."""
+    for values in (plan.points(times), plan.pose(times), plan.twist(times)):
+        assert np.isfinite(values).all()
+    rate = derivative(lambda t: plan.pose(t)[:, 0], times, 2e-3)
+    turn, twist = plan.pose(times)[:, 0, :3, :3], plan.twist(times)[:, 0]
+    w = rate[:, :3, :3] @ turn.swapaxes(1, 2)
+    omega = np.stack([w[:, 2, 1], w[:, 0, 2], w[:, 1, 0]], axis=1)
+    assert omega == pytest.approx(twist[:, :3], abs=1e-8 * np.abs(twist).max())
+    assert rate[:, :3, 3] == pytest.approx(twist[:, 3:], abs=1e-8 * np.abs(twist).max())
+
+
+@pytest.mark.parametrize("slipping", [False, True])
+@pytest.mark.parametrize("name", ["sphere", "oblate", "prolate", "round ellipsoid", "rounded cube"])
+def test_path_through_a_pole_is_smooth(name, slipping):
+    # A meridian of the object, north from the equator: the finger follows its own straight line.
+    surface = SURFACES[name][0]
+    given = {"object_velocity": (-0.5, 0.0)} if slipping else {"object_velocity": "rolling"}
+    at = (pi / 2, 0.0)
+    scene = one_contact(name, "plane", angle=0.0, object_at=at, finger_velocity=(-1.0, 0.0),
+                        profile=(1.0,), **given)  # fmt: skip
+    plan = cs.plan(scene)
+    t = np.linspace(0.05, 0.95, 400)
+    axis = 0 if name == "prolate" else 2  # the prolate chart turns about the long axis
+    height = plan.points(t)[:, 0, 1, axis]
+    pole = t[np.argmax(np.abs(height))]
+    assert abs(abs(height).max() - abs(surface.point(1e-9, 0.0)[axis])) < 1e-3 * surface.size
+    assert_smooth(plan, pole + np.array([-1e-2, -1e-5, 0.0, 1e-5, 1e-2]))
+
+
+@pytest.mark.parametrize("slipping", [False, True])
+def test_path_through_an_umbilic_is_smooth(slipping):
+    # The ellipse y = 0 is a geodesic, and all four umbilics lie on it.
+    given = {"object_velocity": (-0.5, 0.0)} if slipping else {"object_velocity": "rolling"}
+    scene = one_contact("ellipsoid", "sphere", angle=0.0, object_at=(1.0, pi / 2), profile=(0.4,),
+                        finger_velocity=(-1.0, 0.0), **given)  # fmt: skip
+    plan = cs.plan(scene)
+    umbilic = np.array([0.3 * sqrt(5 / 8), 0.0, 0.1 * sqrt(3 / 8)])
+    t = np.linspace(0.02, 0.98, 2001)
+    x = plan.points(t)[:, 0, 1]
+    assert np.abs(x[:, 1]).max() < 1e-15
+    distance = np.linalg.norm(x - umbilic, axis=1)
+    assert distance.min() < 2e-4
+    crossing = t[np.argmin(distance)]
+    assert_smooth(plan, crossing + np.array([-1e-2, -1e-5, 0.0, 1e-5, 1e-2]))
+
+
+def test_states_are_refused_at_a_pole_where_points_and_pose_are_not():
+    scene = one_contact("sphere", "plane", angle=0.0, object_at=(pi / 2, 0.0), profile=(pi / 20,),
+                        finger_velocity=(-1.0, 0.0), object_velocity="rolling")  # fmt: skip
+    plan = cs.plan(scene)
+    assert plan.points(1.0)[0, 0, 1] == pytest.approx([0.0, 0.0, 0.1], abs=1e-17)
+    assert np.isfinite(plan.pose(1.0)).all() and np.isfinite(plan.twist(1.0)).all()
+    with pytest.raises(ChartSingularity, match=r"t = 1 s .*pole.*Ask for points, pose and twist"):
+        plan.states(1.0)
+    assert np.isfinite(plan.states([0.999, 0.5])).all()
