@@ -32,6 +32,7 @@ from .kernels import (
     C_SOURCES,
     PRELUDE,
     Kernel,
+    address,
     compiled_library,
     find_compiler,
     library_path,
@@ -216,11 +217,17 @@ class Panels:
     edges : (K + 1,), local time (or arc length) of the panel ends
     coefficients : (K, n_bodies, n_states, N + 1)
     end : (n_bodies, n_states), the state at the last edge
+    released : local time at which slip was let go, or None
     """
 
     edges: np.ndarray
     coefficients: np.ndarray
     end: np.ndarray
+    released: float | None = None
+
+    @property
+    def count(self) -> int:
+        return len(self.edges) - 1
 
     def evaluate(self, tau: np.ndarray, states: slice = slice(None)) -> np.ndarray:
         """The states at ascending local times: (n_bodies, n_states, n_times)."""
@@ -270,7 +277,9 @@ class Problem:
     slip : float
         Greatest |V| of the bodies; 0 where there is none (decay is then not evaluated).
     finish : float
-        Stop once slip * decay is below this; 0: never.
+        Let slip go once slip * decay is below this; 0: never.
+    stops : bool
+        End the integration there, else go on without slip.
     stiff : int
         How many trailing states carry the term -lam.
     """
@@ -284,6 +293,7 @@ class Problem:
     first: float
     slip: float = 0.0
     finish: float = 0.0
+    stops: bool = False
     stiff: int = 0
 
 
@@ -322,13 +332,13 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
     x = machine.x.reshape(n_bodies, NODES, -1)
     f = machine.y.reshape(n_bodies, NODES, n_states)
     scale, n_smooth = problem.scale[:, None, :], n_states - problem.stiff
-    edges, series = [0.0], []
+    edges, series, slip, released = [0.0], [], problem.slip, None
     tau, h, tries = 0.0, min(problem.first, problem.length), 0
     while tau < problem.length:
         tries += 1
         if tries > 40 * (len(series) + 25):
             raise _stuck(problem, tau, h)
-        h = longest_panel(problem, tau, min(h, problem.length - tau))
+        h = longest_panel(drive, slip, tau, min(h, problem.length - tau))
         after = tau + h
         if after >= problem.length * (1 - 1e-14):
             after = problem.length
@@ -336,7 +346,7 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
         t = tau + half * (1.0 + m.node)
         sigma = drive.speed(t)
         x[:, :, n_states] = sigma
-        x[:, :, n_states + 1] = drive.decay(t, sigma) if problem.slip > 0 else 0.0
+        x[:, :, n_states + 1] = drive.decay(t, sigma) if slip > 0 else 0.0
         x[:, :, :n_states] = start[:, None, :]
         if problem.stiff:
             lam = drive.gain(t)[:, None]
@@ -379,17 +389,18 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
         h = (after - tau) * min(ratio, 2.0)
         tau = after
         edges.append(tau)
-        if problem.slip > 0 and problem.finish > 0:
-            if problem.slip * drive.decay(tau, drive.speed(tau)) <= problem.finish:
-                break
-    return Panels(np.array(edges), np.array(series), start)
+        if slip > 0 and problem.finish > 0:
+            if slip * drive.decay(tau, drive.speed(tau)) <= problem.finish:
+                slip, released = 0.0, tau  # from here on decay is not evaluated, nor resolved
+                if problem.stops:
+                    break
+    return Panels(np.array(edges), np.array(series), start, released)
 
 
-def longest_panel(problem: Problem, tau: float, h: float) -> float:
+def longest_panel(drive: GainPiece, slip: float, tau: float, h: float) -> float:
     """Shorten a panel so that decay falls by exp(-30) at most: its first node still sees it."""
-    if problem.slip <= 0:
+    if slip <= 0:
         return h
-    drive = problem.drive
     for _ in range(60):
         gain = max(drive.gain(tau), drive.gain(tau + h))
         if gain * h <= 30.0 or drive.lost(tau) > 40.0:
@@ -407,9 +418,10 @@ class _Drive(ctypes.Structure):
 
 
 class _Method(ctypes.Structure):
-    _fields_ = [(name, ctypes.c_double) for name in ("length", "tolerance", "first", "slip", "finish")]
+    _fields_ = [(name, ctypes.c_double) for name in
+                ("length", "tolerance", "first", "slip", "finish", "released")]  # fmt: skip
     _fields_ += [(name, ctypes.c_void_p) for name in ("node", "integral", "series", "end")]
-    _fields_ += [("n_stiff", ctypes.c_long), ("max_panels", ctypes.c_long)]
+    _fields_ += [(name, ctypes.c_long) for name in ("n_stiff", "max_panels", "stops")]
 
 
 def panel_source(kernel: Kernel) -> str:
@@ -445,29 +457,38 @@ _BUILT: dict[Kernel, bool] = {}
 
 
 def _integrate_compiled(kernel: Kernel, problem: Problem, tolerance: float) -> Panels:
-    m, run = _matrices(), _panel_library(kernel).panels
+    run, (sigma, _, exponent) = _panel_library(kernel).panels, problem.drive.arrays
     n_bodies, n_states = problem.start.shape
-    sigma, exponent = np.array(problem.drive.sigma), np.array(problem.drive.exponent)
-    drive = _Drive(len(sigma), len(exponent), problem.drive.power, sigma.ctypes.data, exponent.ctypes.data)
-    scale = np.ascontiguousarray(problem.scale)
-    constants = np.ascontiguousarray(problem.constants)
-    work = np.empty((2 * n_states + 2) * NODES)
-    spare = np.empty((n_bodies, n_states))
-    room = 32
+    drive = _Drive(len(sigma), len(exponent), problem.drive.power, address(sigma), address(exponent))
+    scale, constants = _contiguous(problem.scale), _contiguous(problem.constants)
+    size, room = n_bodies * n_states, 24
     while True:
-        method = _Method(problem.length, tolerance, problem.first, problem.slip, problem.finish,
-                         *m[0], problem.stiff, room)  # fmt: skip
-        state = np.array(problem.start, order="C")
-        edges = np.empty(room + 1)
-        coefficients = np.empty((room, n_bodies, n_states, NODES + 1))
-        count = run(n_bodies, state.ctypes.data, constants.ctypes.data, scale.ctypes.data,
-                    ctypes.addressof(drive), ctypes.addressof(method), edges.ctypes.data,
-                    coefficients.ctypes.data, work.ctypes.data, spare.ctypes.data)  # fmt: skip
+        # one block: state, spare, work, edges, coefficients
+        cuts = (size, 2 * size, 2 * size + (2 * n_states + 2) * NODES)
+        first = cuts[2] + room + 1
+        block = np.empty(first + room * size * (NODES + 1))
+        block[:size] = problem.start.ravel()
+        at = address(block)
+        method = _Method(problem.length, tolerance, problem.first, problem.slip, problem.finish, -1.0,
+                         *_matrices()[0], problem.stiff, room, problem.stops)  # fmt: skip
+        count = run(n_bodies, at, address(constants), address(scale), ctypes.addressof(drive),
+                    ctypes.addressof(method), at + 8 * cuts[2], at + 8 * first, at + 8 * cuts[1],
+                    at + 8 * cuts[0])  # fmt: skip
         if count >= 0:
-            return Panels(edges[: count + 1], coefficients[:count], state)
+            edges = block[cuts[2] : cuts[2] + count + 1]
+            series = block[first : first + count * size * (NODES + 1)]
+            shape = (count, n_bodies, n_states, NODES + 1)
+            end = block[:size].reshape(n_bodies, n_states)
+            released = method.released if method.released >= 0 else None
+            return Panels(edges, series.reshape(shape), end, released)
         if count == -2:
-            raise _stuck(problem, float("nan"), float("nan"))
+            reached = block[cuts[2] : first]
+            raise _stuck(problem, float(reached.max(initial=0.0)), 0.0)
         room *= 4
+
+
+def _contiguous(a: np.ndarray) -> np.ndarray:
+    return a if a.flags.c_contiguous else np.ascontiguousarray(a)
 
 
 @functools.cache
@@ -527,47 +548,44 @@ class PanelTrack(Track):
             drive -= self.v[:, :, None] * (sigma * self.piece.decay(tau, sigma))
         return drive
 
+    def end(self) -> np.ndarray:
+        return self.panels.end[:, self.rows]
+
     # --- compiled evaluation
 
     @functools.cached_property
     def _data(self) -> tuple[int, tuple]:
         """Address of the C form of this track, and what it points to."""
         series, piece, edges = self.panels.coefficients, self.piece, self.panels.edges
-        sigma, exponent = np.array(piece.sigma), np.array(piece.exponent)
-        length, v = np.array(piece.lengths), self.w if self.v is None else self.v
+        sigma, length, exponent = piece.arrays
         period_u, period_v = self.surface.periods()
         first = (self.rows.start or 0) * series.strides[2]
-        kept = [np.ascontiguousarray(a) for a in (self.parameters, self.w, v)]
+        kept = [_contiguous(a) for a in (self.parameters, self.w, self.w if self.v is None else self.v)]
         data = TrackData(
             self.start, self.stop, self.n_bodies, len(sigma), len(exponent), piece.power,
             self.v is not None, self.by_length, len(edges) - 1, series.strides[0] // 8,
             series.strides[1] // 8, 0, self.surface.double_cover, period_u or 0.0, period_v or 0.0,
-            kept[0].ctypes.data, sigma.ctypes.data, length.ctypes.data, exponent.ctypes.data,
-            kept[1].ctypes.data, kept[2].ctypes.data, edges.ctypes.data,
-            series.ctypes.data + first, None, None,
+            address(kept[0]), address(sigma), address(length), address(exponent), address(kept[1]),
+            address(kept[2]), address(edges), address(series) + first, None, None,
         )  # fmt: skip
-        return ctypes.addressof(data), (data, sigma, exponent, length, *kept, series, edges)
+        return ctypes.addressof(data), (data, kept, series, edges)
 
-    def _compiled(self, output: str) -> bool:
-        if self.drive_of is not None or self.panels.coefficients.strides[3] != 8:
-            return False
-        return evaluator(self.surface, self.ambient, output).usable(self.compiled)
+    def _entry(self, output: str) -> tuple[Callable[..., int], int] | None:
+        if self.drive_of is not None or (output == "coordinates" and self.offset is not None):
+            return None
+        compiled = evaluator(self.surface, self.ambient, output)
+        return (compiled.library.evaluate, self._data[0]) if compiled.usable(self.compiled) else None
 
-    def positions(self, t: np.ndarray, out: np.ndarray) -> None:
-        if self._compiled("points"):
-            run = evaluator(self.surface, self.ambient, "points")
-            run(self._data[0], t, out, (0, 1, 2))
-        else:
-            super().positions(t, out)
+    def points(self, t: np.ndarray, out: np.ndarray) -> None:
+        if self._evaluate("points", t, out) is None:
+            super().points(t, out)
 
-    def coordinates(self, t: np.ndarray, out: np.ndarray, rows: tuple[int, ...] = tuple(range(5))) -> None:
-        if self.offset is not None or not self._compiled("coordinates"):
-            super().coordinates(t, out, rows)
-            return
-        run = evaluator(self.surface, self.ambient, "coordinates")
-        code = run(self._data[0], t, out, rows)
-        if code < 0:
-            raise self._singular(float(t[-1 - code]))
+    def coordinates(self, t: np.ndarray, out: np.ndarray) -> None:
+        code = self._evaluate("coordinates", t, out)
+        if code is None:
+            super().coordinates(t, out)
+        elif code < 0:
+            raise self.singular(float(t[-1 - code]))
 
     def _coordinates(self, t: np.ndarray) -> np.ndarray:
         values = super()._coordinates(t)
@@ -584,28 +602,27 @@ class PanelTrack(Track):
     def anchor(self, begin: np.ndarray) -> None:
         if not self.ambient:
             return
-        times = self._anchor_times()
-        raw = np.empty((self.n_bodies, 5, len(times)))
-        with np.errstate(all="ignore"):
-            if self.offset is None and self._compiled("coordinates"):
-                run = evaluator(self.surface, True, "coordinates")
-                run(self._data[0], times, raw, (0, 1, 3, 4, 2))
-                anchors = np.ascontiguousarray(raw[:, :3])
-                begin = np.ascontiguousarray(begin)
-                run.library.continue_anchors(
-                    self._data[0], begin.ctypes.data, anchors.ctypes.data, len(times)
-                )
-                data = self._data[1][0]
-                data.n_anchors, data.anchor_times = len(times), times.ctypes.data
-                data.anchors = anchors.ctypes.data
-            else:
+        if not self.by_length and self.entry("coordinates") is not None:
+            m, n = 4 * self.panels.count + 1, self.n_bodies
+            times, anchors, work = np.empty(m), np.empty((n, 3, m)), np.empty((n, 5, m))
+            library = evaluator(self.surface, True, "coordinates").library
+            library.anchor(
+                self._data[0], address(_contiguous(begin)), address(times), address(anchors), address(work)
+            )
+        else:
+            times = self._anchor_times()
+            with np.errstate(all="ignore"):
                 raw = super()._coordinates(times)
-                u, v, theta = (
-                    np.vstack([begin[:, k], raw[:, i].T]) for k, i in enumerate((0, 1, 4))
-                )  # time first, as unwind wants
-                u, v, turned = self.surface.unwind(u, v)
-                theta = np.unwrap(theta + np.pi * turned, axis=0)
-                anchors = np.ascontiguousarray(np.stack([u, v, theta])[:, 1:].transpose(2, 0, 1))
+            u, v, theta = (
+                np.vstack([begin[:, k], raw[:, i].T]) for k, i in enumerate((0, 1, 4))
+            )  # time first, as unwind wants
+            u, v, turned = self.surface.unwind(u, v)
+            theta = np.unwrap(theta + np.pi * turned, axis=0)
+            anchors = np.ascontiguousarray(np.stack([u, v, theta])[:, 1:].transpose(2, 0, 1))
+            if self.entry("coordinates") is not None:
+                data = self._data[1][0]
+                data.n_anchors = len(times)
+                data.anchor_times, data.anchors = address(times), address(anchors)
         self._anchors = (times, anchors)
 
     def _anchor_times(self) -> np.ndarray:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from .chart_solution import chart_groups
 from .errors import ContactSystemError, SceneError
+from .kernels import address, row_offsets
 from .kinematics import relative_pose, relative_twist
 from .planner import Group, Start, plan_groups, scene_start
 from .scene import ObjectRateOffset, Scene, scene_from_toml, scene_to_toml
@@ -87,6 +88,7 @@ class Plan:
         else:
             self.groups = plan_groups(scene, starts, start, tolerance, compiled)
         self._count = len(scene.contacts)
+        self._angle = _gathered(self.groups, self._count)
 
     # --- results -------------------------------------------------------------------------------
 
@@ -101,34 +103,19 @@ class Plan:
         ChartSingularity
             At a time when a contact passes through a pole or an umbilic.
         """
-        times = self._times(t)
-        # rows theta1 | u1 v1 u1' v1' | u2 v2 u2' v2' | theta2, psi in its place; the result is a view
-        out = np.empty((self._count, 10, len(times)))
-        for group in self.groups:
-            values = out if len(self.groups) == 1 else np.empty((len(group.contacts), *out.shape[1:]))
-            for side, rows in _ROWS:
-                for track, where in _parts(getattr(group, side), times):
-                    group.anchor(side, track)
-                    _write(track.coordinates, times, where, values, rows)
-            psi = values[:, 9]
-            psi += values[:, 0]
-            np.subtract(group.angle[:, None], psi, out=psi)
-            if values is not out:
-                out[group.contacts] = values
-        return out.transpose(2, 0, 1)[:, :, 1:]
+        sides = self._fill("coordinates", t, 5)  # u v u' v' theta of the finger, then of the object
+        out = np.empty((self._count, 9, sides.shape[2]))
+        out[:, :4] = sides[:, :4]
+        out[:, 4:8] = sides[:, 5:9]
+        psi = out[:, 8]
+        np.add(sides[:, 4], sides[:, 9], out=psi)
+        np.subtract(self._angle, psi, out=psi)
+        return out.transpose(2, 0, 1)
 
     def points(self, t: ArrayLike) -> np.ndarray:
         """Contact point on finger and object, each in its body's frame: (len(t), n, 2, 3), m."""
-        times = self._times(t)
-        out = np.empty((self._count, 2, 3, len(times)))
-        for group in self.groups:
-            values = out if len(self.groups) == 1 else np.empty((len(group.contacts), *out.shape[1:]))
-            for k, side in enumerate(("finger", "object")):
-                for track, where in _parts(getattr(group, side), times):
-                    _write(track.positions, times, where, values[:, k])
-            if values is not out:
-                out[group.contacts] = values
-        return out.transpose(3, 0, 1, 2)
+        out = self._fill("points", t, 3)
+        return out.reshape(self._count, 2, 3, -1).transpose(3, 0, 1, 2)
 
     def slip(self, t: ArrayLike) -> np.ndarray:
         """Slip v_rel in E2 (eq. `netrelvel`): (len(t), n_contacts, 2), m/s.
@@ -271,19 +258,68 @@ class Plan:
     # --- inside ----------------------------------------------------------------------------------
 
     def _times(self, t: ArrayLike) -> np.ndarray:
-        times = np.atleast_1d(np.asarray(t, dtype=float))
-        first, last = self.start, self.scene.duration
-        if times.ndim == 1 and times.size and times.min() >= first and times.max() <= last:
-            return times
-        if times.ndim != 1:
-            raise ContactSystemError(f"times have shape {times.shape}; give one axis of times")
-        bad = times[~((times >= first) & (times <= last))]
-        if bad.size:
-            raise ContactSystemError(
-                f"scene '{self.scene.name}': t = {bad[0]!r} s is outside the plan's horizon "
-                f"[{first:g}, {last:g}] s; ask inside it, or lengthen the scene's duration"
-            )
+        times = _one_axis(t)
+        if times.size and not (times.min() >= self.start and times.max() <= self.scene.duration):
+            self._refuse(times)
         return times
+
+    def _refuse(self, times: np.ndarray) -> None:
+        first, last = self.start, self.scene.duration
+        bad = times[~((times >= first) & (times <= last))]
+        raise ContactSystemError(
+            f"scene '{self.scene.name}': t = {float(bad[0])!r} s is outside the plan's horizon "
+            f"[{first:g}, {last:g}] s; ask inside it, or lengthen the scene's duration"
+        )
+
+    def _fill(self, output: str, t: ArrayLike, count: int) -> np.ndarray:
+        """``count`` rows of the finger, then of the object: (n_contacts, 2 count, n_times)."""
+        times = _one_axis(t)
+        out = np.empty((self._count, 2 * count, len(times)))
+        if len(self.groups) == 1 and self._fill_compiled(output, times, count, out):
+            return out
+        times = self._times(times)
+        for group in self.groups:
+            values = out if len(self.groups) == 1 else np.empty((len(group.contacts), *out.shape[1:]))
+            if group.pair is not None:
+                group.anchor_pair()
+                whole = values.reshape(-1, count, len(times))
+                getattr(group.pair, output)(times, whole)
+            else:
+                for k, side in enumerate(SIDES):
+                    for track, where in _parts(getattr(group, side), times):
+                        if output == "coordinates":
+                            group.anchor(side, track)
+                        part = values[:, k * count : (k + 1) * count]
+                        _write(getattr(track, output), times, where, part)
+            if values is not out:
+                out[group.contacts] = values
+        return out
+
+    def _fill_compiled(self, output: str, times: np.ndarray, count: int, out: np.ndarray) -> bool:
+        """The shortest way: one compiled track a side, one call each (or one for both)."""
+        group, n = self.groups[0], len(times)
+        if len(group.finger) > 1 or len(group.object) > 1 or not times.flags.c_contiguous:
+            return False
+        tracks = (group.pair,) if group.pair is not None else (group.finger[0], group.object[0])
+        entries = [track.entry(output) for track in tracks]
+        if None in entries:
+            return False
+        if output == "coordinates":
+            group.anchor_pair()
+            if group.pair is None:
+                group.anchor("finger", tracks[0])
+                group.anchor("object", tracks[1])
+        at, to = address(times), address(out)
+        body = count * n if group.pair is not None else 2 * count * n
+        rows = row_offsets(tuple(range(count)), n)
+        for track, entry in zip(tracks, entries):
+            code = entry[0](entry[1], n, at, to, rows, body)  # type: ignore[index]
+            if code > 0:
+                self._refuse(times)
+            if code < 0 and output == "coordinates":
+                raise track.singular(float(times[-1 - code]))
+            to += 8 * count * n
+        return True
 
     def _collect(
         self, t: ArrayLike, read: Callable[[Motion], np.ndarray], shape: tuple[int, ...]
@@ -318,18 +354,36 @@ class Plan:
         return out.transpose(2, 0, 1)
 
 
-_ROWS = (("finger", (1, 2, 3, 4, 0)), ("object", (5, 6, 7, 8, 9)))
+SIDES = ("finger", "object")
 
 
-def _write(method: Callable, times: np.ndarray, where: slice | np.ndarray, out: np.ndarray, *rows) -> None:
+def _one_axis(t: ArrayLike) -> np.ndarray:
+    times = np.asarray(t, dtype=float)
+    if times.ndim == 1:
+        return times
+    if times.ndim == 0:
+        return times[None]
+    raise ContactSystemError(f"times have shape {times.shape}; give one axis of times")
+
+
+def _gathered(groups: Sequence[Group], count: int) -> np.ndarray:
+    """psi(0) of all contacts, (n_contacts, 1)."""
+    if len(groups) == 1:
+        return groups[0].angle[:, None]
+    angle = np.empty((count, 1))
+    for group in groups:
+        angle[group.contacts, 0] = group.angle
+    return angle
+
+
+def _write(method: Callable, times: np.ndarray, where: slice | np.ndarray, out: np.ndarray) -> None:
     """Call a track's method for some of the times, into some of the columns of out."""
     if isinstance(where, slice):
-        method(times[where], out[..., where], *rows)
+        method(times[where], out[..., where])
     else:
         part = np.empty((*out.shape[:-1], len(where)))
-        method(times[where], part, *rows)
-        for row in rows[0] if rows else range(out.shape[1]):
-            out[:, row, where] = part[:, row]
+        method(times[where], part)
+        out[..., where] = part
 
 
 class Motion:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from . import development
-from .closed_form import Circle, CircleTrack, FlatTrack, great_circle
+from .closed_form import CircleTrack, FlatTrack, great_circle, pair_of
 from .development import PanelTrack, Problem
 from .errors import SceneError
 from .kinematics import contact_map
@@ -35,15 +35,16 @@ from .scene import (
 from .surfaces import Surface
 from .tracks import (
     Track,
-    frame_function,
     frame_kernel,
-    lame_function,
+    lame_kernel,
     prefers_ambient,
-    restoring_function,
+    restoring_kernel,
 )
 
 # Slip whose whole remaining displacement is below this fraction of tolerance * size is let go.
 NEGLIGIBLE = 0.01
+# Path beyond which, in sizes of a sphere, the rest of a slipping interval is made a great circle.
+LONG_REST = 6.0
 
 
 @dataclass(frozen=True)
@@ -104,8 +105,12 @@ class Group:
         Map between the parallel frames, constant.
     angle : (n,)
         psi where both frame angles are zero.
+    begin : two (n, 3)
+        u, v, theta of finger and object at the start.
     finger, object : list of Track
     slips : list of SlipRecord
+    pair : CircleTrack or None
+        Fingers and objects as one track of 2 n bodies, where both run on one great circle each.
     """
 
     contacts: np.ndarray
@@ -115,6 +120,7 @@ class Group:
     finger: list[Track] = field(default_factory=list)
     object: list[Track] = field(default_factory=list)
     slips: list[SlipRecord] = field(default_factory=list)
+    pair: CircleTrack | None = None
 
     def coordinates_at(self, side: str, count: int) -> np.ndarray:
         """Continuous (u, v, theta) at the end of the first ``count`` tracks: (n, 3).
@@ -122,7 +128,8 @@ class Group:
         On the way those tracks learn the branch they continue.
         """
         now = self.begin[side == "object"]
-        for track in getattr(self, side)[:count]:
+        tracks = getattr(self, side)[:count]
+        for track in tracks:
             if not track.anchored:
                 track.anchor(now)
             values = np.empty((len(now), 5, 1))
@@ -133,7 +140,14 @@ class Group:
     def anchor(self, side: str, track: Track) -> None:
         """Make a track's coordinates continue those of the tracks before it."""
         if not track.anchored:
-            track.anchor(self.coordinates_at(side, getattr(self, side).index(track)))
+            index = getattr(self, side).index(track)
+            begin = self.begin[side == "object"]
+            track.anchor(begin if index == 0 else self.coordinates_at(side, index))
+
+    def anchor_pair(self) -> None:
+        """The same for :attr:`pair`."""
+        if self.pair is not None and not self.pair.anchored:
+            self.pair.anchor(np.stack(self.begin, axis=1).reshape(-1, 3))
 
 
 @dataclass(eq=False)
@@ -161,8 +175,7 @@ class Body:
     @property
     def lame(self) -> np.ndarray:
         """h_u, h_v of each body where it stands, chart form: (n, 2)."""
-        lame = lame_function(self.surface)
-        return np.ascontiguousarray(np.array(lame(self.parameters.T, self.state.T)).T)
+        return lame_kernel(self.surface).at(self.state, self.parameters)
 
     @functools.cached_property
     def scale(self) -> np.ndarray:
@@ -219,15 +232,8 @@ class Prepared:
     at: tuple[np.ndarray, np.ndarray]
     follows: bool
     intervals: tuple[Interval, ...]
-
-    @functools.cached_property
-    def circles(self) -> dict[str, Circle]:
-        """Great circles of both sides from the start, where they run on spheres."""
-        return {
-            side: great_circle(body.parameters, body.state, w)
-            for side, body, w in (("finger", self.finger, self.w1), ("object", self.object, self.w2))
-            if body.surface.great_circles
-        }
+    known: dict[bool | None, Group] = field(default_factory=dict)
+    circles: dict[tuple, Track] = field(default_factory=dict)
 
 
 def plan_groups(
@@ -241,7 +247,10 @@ def plan_groups(
             scene.__dict__["_prepared"] = prepared
     else:
         prepared = prepare(scene, starts, begin)
-    return [GroupPlanner(group, tolerance, compiled).run() for group in prepared]
+    return [
+        group.known.get(compiled) or GroupPlanner(group, tolerance, compiled).run()
+        for group in prepared
+    ]
 
 
 def prepare(scene: Scene, starts: Sequence[Start], begin: float) -> list[Prepared]:
@@ -334,7 +343,12 @@ class GroupPlanner:
                 self._forced(interval)
             else:
                 self._free(interval)
-        return self.group
+        group = self.group
+        tracks = group.finger + group.object
+        if all(isinstance(track, CircleTrack) for track in tracks) and not self.v.any():
+            group.pair = pair_of(tracks)
+            self.prepared.known[self.compiled] = group  # whatever the tolerance
+        return group
 
     # --- bodies that nothing accelerates -------------------------------------------------------
 
@@ -342,9 +356,9 @@ class GroupPlanner:
         getattr(self.group, side).append(track)
         if track.stop < self.scene.duration:
             body = getattr(self, side)
-            state = track.state(np.array([track.stop]))[:, :, 0]
+            state = track.end()
             if body.ambient and not track.ambient:
-                state = track.run(frame_kernel(body.surface), state[:, :, None], body.parameters)[:, :, 0]
+                state = frame_kernel(body.surface).at(state, body.parameters)
             setattr(self, side, Body(body.surface, body.parameters, _restored(body, state), body.ambient))
 
     def _geodesic(self, side: str, start: float, stop: float, why: str) -> Track:
@@ -352,16 +366,11 @@ class GroupPlanner:
         w = self.w1 if side == "finger" else self.w2
         piece = plain_piece(self.scene.profile, start, stop)
         if body.surface.great_circles:
-            first = start == self.prepared.begin
-            circle = (
-                self.prepared.circles[side] if first else great_circle(body.parameters, body.state, w)
-            )
-            return CircleTrack(body.surface, body.parameters, start, stop, "closed form: great circle",
-                               why, True, self.compiled, circle=circle, piece=piece)  # fmt: skip
+            return self._great_circle(side, body, w, piece, why)
         if body.surface.developable:
             return self._flat(body, w, 0 * w, piece, None, why)
         length = piece.arc_length(stop - start)
-        kernel = development.driven_motion(body.surface, body.ambient)
+        kernel = development.driven_motion(body.surface, body.ambient, False)
         none = np.zeros_like(w)
         problem = Problem(
             start=body.state,
@@ -379,6 +388,21 @@ class GroupPlanner:
             why + "; no closed form on this surface", body.ambient, self.compiled, panels=panels,
             rows=slice(None), piece=piece, w=w, v=None, by_length=True,
         )  # fmt: skip
+
+    def _great_circle(self, side: str, body: Body, w: np.ndarray, piece: GainPiece, why: str) -> Track:
+        """A great circle; one that runs from the start is kept with the scene."""
+        known, key = self.prepared.circles, (side, piece.stop, self.compiled)
+        first = piece.start == self.prepared.begin
+        if first and key in known:
+            return known[key]
+        circle = great_circle(body.parameters, body.state, w)
+        track = CircleTrack(
+            body.surface, body.parameters, piece.start, piece.stop, "closed form: great circle", why,
+            True, self.compiled, circle=circle, piece=piece,
+        )  # fmt: skip
+        if first:
+            known[key] = track
+        return track
 
     def _flat(
         self,
@@ -442,12 +466,10 @@ class GroupPlanner:
     ) -> float:
         """Integrate the development while slip lasts; returns the time reached."""
         body, span = self._in_form("object", offset is not None), interval.stop - interval.start
-        kernel = development.driven_motion(body.surface, body.ambient, offset=offset is not None)
+        kernel = development.driven_motion(body.surface, body.ambient, offset is not None)
         problem = Problem(
             start=body.state,
-            constants=np.concatenate(
-                [body.parameters, self.w2, self.v, 0 * self.v if offset is None else offset], axis=1
-            ),
+            constants=self._constants(body, offset),
             scale=body.scale,
             drive=interval.piece,
             length=span,
@@ -455,10 +477,14 @@ class GroupPlanner:
             first=span * min(1.0, 0.3 * body.size / interval.length),
             slip=slip,
             finish=negligible if offset is None else 0.0,
+            # A great circle is free however long it is; a short rest is cheaper as one more panel.
+            stops=body.surface.great_circles and interval.length > LONG_REST * body.size,
         )
         panels = development.integrate(kernel, problem, self.compiled)
         reached = interval.stop if panels.edges[-1] >= span else interval.start + panels.edges[-1]
         why = "slip" if offset is None else "object rate offset" + (", slip" if slip > 0 else "")
+        if panels.released is not None:
+            why += f", below tolerance from t = {interval.start + panels.released:.6g} s on"
         track = PanelTrack(
             body.surface, body.parameters, interval.start, reached,
             f"development in {'space' if body.ambient else 'its chart'}, {len(panels.edges) - 1} panels",
@@ -467,6 +493,10 @@ class GroupPlanner:
         )  # fmt: skip
         self._append("object", track)
         return reached
+
+    def _constants(self, body: Body, offset: np.ndarray | None) -> np.ndarray:
+        none = 0 * self.v if offset is None else offset
+        return np.concatenate([body.parameters, self.w2, self.v, none], axis=1)
 
     # --- accelerations ---------------------------------------------------------------------------
 
@@ -615,6 +645,9 @@ class RollingTrack(PanelTrack):
         out[:, 2] = self.angle[:, None] - values[:, 5] - values[:, 2]  # theta1 = psi0 - theta2 - psi
         return out
 
+    def end(self) -> np.ndarray:
+        return self.state(np.array([self.stop]))[:, :, 0]
+
 
 # --- small parts ---------------------------------------------------------------------------------
 
@@ -628,7 +661,7 @@ def _body(surfaces: Sequence[Surface], at: Sequence[tuple[float, float]]) -> tup
     if not prefers_ambient(first):
         return Body(first, parameters, begin, False), begin
     if first.has_chart:
-        state = np.array(frame_function(first)(parameters.T, begin.T)).T
+        state = frame_kernel(first).at(begin, parameters)
     else:  # the point is found numerically
         x = np.array([s.point(*q) for s, q in zip(surfaces, at)])
         frames = np.array([s.frame(*q) for s, q in zip(surfaces, at)])
@@ -640,8 +673,7 @@ def _body(surfaces: Sequence[Surface], at: Sequence[tuple[float, float]]) -> tup
 def _restored(body: Body, state: np.ndarray) -> np.ndarray:
     if not body.ambient:
         return state
-    restore = restoring_function(body.surface)
-    return np.ascontiguousarray(np.array(restore(state.T, body.parameters.T)).T)
+    return restoring_kernel(body.surface).at(state, body.parameters)
 
 
 @functools.lru_cache(maxsize=1024)

@@ -30,13 +30,18 @@ HOLLOW = ("#6d7884", "#b9c2cb")  # the back of a surface with an edge
 
 DECADES = 10  # of slip below its peak that a picture shows
 CELLS = 96  # of a surface's mesh in each coordinate
-OCCLUDER = 2  # every second mesh line is enough to tell what is hidden: 0.01 of the size at most
+OCCLUDER = 3  # every third mesh line tells what is hidden: flat faces miss a sphere by 0.005 r
+UNBOUNDED = 50  # times its size: an implicit surface that large does not close
 STYLE = {
     "font.size": 11, "axes.titlesize": 12, "axes.labelsize": 11, "legend.fontsize": 10,
     "axes.edgecolor": INK, "text.color": INK, "axes.labelcolor": INK, "xtick.color": INK,
     "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False,
     "mathtext.fontset": "dejavusans",
 }  # fmt: skip
+
+
+class MissingMatplotlib(ContactSystemError):
+    """Pictures are asked for and matplotlib is not installed."""
 
 
 # --- what is drawn, as numbers -----------------------------------------------------------------
@@ -123,8 +128,8 @@ def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: in
 
     Raises
     ------
-    ContactSystemError
-        If matplotlib is not installed.
+    MissingMatplotlib
+        If it is not installed.
     """
     laws = [plan] if other is None else [plan, other]
     with _figure(path, (12, 6), dpi) as figure:
@@ -170,7 +175,7 @@ class _figure:
             import matplotlib
             from matplotlib.figure import Figure
         except ImportError:
-            raise ContactSystemError(
+            raise MissingMatplotlib(
                 "pictures need matplotlib: pip install contact-system[plot]"
             ) from None
         self.style = matplotlib.rc_context(STYLE)
@@ -191,7 +196,7 @@ def _title(figure: Any, plan: Plan) -> None:
     facts = rf"$\sigma$ = {_polynomial(scene.profile)} m/s,   gain {gain_text(scene.gain)}"
     figure.text(0.035, 0.955, scene.name, size=18, weight="bold", va="baseline")
     figure.text(0.965, 0.955, facts, size=10, va="baseline", ha="right", color="#5a6370")
-    figure.text(0.035, 0.905, _shortened(scene.description, 80), size=11.5, va="baseline")
+    figure.text(0.035, 0.905, _shortened(scene.description, 84), size=11, va="baseline")
 
 
 def gain_text(gain: Gain) -> str:
@@ -222,13 +227,14 @@ def _colour(contact: int) -> str:
 
 def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
     plan = laws[0]
-    peak = max(_slip_lines(ax, law, dashed=k > 0) for k, law in enumerate(laws))
-    if not peak > 0:
+    slip = np.concatenate([_slip_lines(ax, law, dashed=k > 0) for k, law in enumerate(laws)])
+    if not slip.any():
         _draw_rolling(ax, plan)
         return
     ax.set_yscale("log")
-    # the law may leave the picture long before slip ends
-    ax.set_ylim(peak * 10.0**-DECADES, peak * 10)
+    # slip may leave the picture long before it ends, and need not fill it
+    peak, least = slip.max(), slip[slip > 0].min()
+    ax.set_ylim(max(peak * 10.0**-DECADES, min(least / 5, peak / 1e3)), peak * 10)
     ax.set_xlim(plan.start, plan.scene.duration)
     ax.set_xlabel("time [s]")
     ax.set_ylabel("slip [m/s]")
@@ -238,23 +244,23 @@ def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
     ax.set_title("Slip at the contacts", loc="left", weight="bold")
 
 
-def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> float:
-    """Draw one law; returns the greatest slip, m/s."""
+def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
+    """Draw one law; returns the slip drawn, (n, n_contacts), m/s."""
     t = plan.sample_times(1201)
     # an offset's slip ends at once: the last time before the edge belongs to the line as well
     t = np.unique(np.append(t, np.nextafter(t[np.isin(t, plan.scene.edges) & (t > plan.start)], 0)))
     slip = np.linalg.norm(plan.slip(t), axis=2)
-    count = len(plan.scene.contacts)
-    for i in range(count):
-        # lines of equal slip lie on each other: the lower the wider, so that each is seen
-        width = 1.6 if count > 4 else 1.8 + 1.7 * (count - 1 - i)
+    for i in range(len(plan.scene.contacts)):
+        # lines that lie on each other: the lower the wider, so that each is seen
+        above = np.isclose(slip[:, i + 1 :], slip[:, i : i + 1], rtol=0.02).all(0).sum()
         line = np.where(slip[:, i] > 0, slip[:, i], np.nan)
         style = {"dashes": (2.2, 1.1)} if dashed else {}
-        ax.plot(t, line, color=_colour(i), linewidth=width, solid_capstyle="butt", **style)
+        ax.plot(t, line, color=_colour(i), linewidth=1.8 + 1.7 * min(above, 3),
+                solid_capstyle="butt", **style)  # fmt: skip
         if slip[:, i].any():
             ax.plot(*exact_slip(plan, i), linestyle="none", marker="o", markersize=4.5, zorder=5,
                     markerfacecolor="white", markeredgecolor=INK, markeredgewidth=0.9)  # fmt: skip
-    return float(slip.max())
+    return slip
 
 
 def _shade_windows(ax: Any, plan: Plan) -> None:
@@ -277,8 +283,10 @@ def _slip_entries(laws: Sequence[Plan]) -> list[Any]:
                label=f"gain {gain_text(law.scene.gain)}")
         for k, law in enumerate(laws)
     ]  # fmt: skip
-    entries.append(Line2D([], [], linestyle="none", marker="o", markersize=4.5, label="exact law",
-                          markerfacecolor="white", markeredgecolor=INK))  # fmt: skip
+    if any(len(exact_slip(laws[0], i)[0]) for i in range(len(laws[0].scene.contacts))):
+        entries.append(Line2D([], [], linestyle="none", marker="o", markersize=4.5,
+                              label="exact law", markerfacecolor="white",
+                              markeredgecolor=INK))  # fmt: skip
     if "recovery_time" in laws[0].scene.paper:
         entries.append(Patch(color=RECOVERY, alpha=0.2, label="recovery time in the paper"))
     return entries
@@ -298,9 +306,9 @@ def _draw_rolling(ax: Any, plan: Plan) -> None:
     for i in followers:
         radius = plan.scene.contacts[i].finger.size
         distance = np.abs(great_circle_distance(plan.points(t)[:, i, 0])) / radius
-        ax.plot(t, np.maximum(distance, 1e-18), color=_colour(i), linewidth=1.2)
+        ax.plot(t, np.maximum(distance, 1e-17), color=_colour(i), linewidth=1.2)
     ax.axhline(np.finfo(float).eps, color="#9aa3ad", linewidth=1, linestyle=":")
-    ax.text(t[-1], 1.3e-16 * 2.4, "one rounding of a double", ha="right", size=9, color="#5a6370")
+    ax.text(t[0], 3e-18, " dotted: relative spacing of doubles, 2.2e-16", size=9, color="#5a6370")
     ax.set_yscale("log")
     ax.set_ylim(1e-18, 1e-13)
     ax.set_xlim(t[0], t[-1])
@@ -384,9 +392,9 @@ def _distinct(curves: Sequence[_Curve], distance: float) -> list[_Curve]:
     kept: list[_Curve] = []
     for curve in curves:
         for known in kept:
-            same_windows = np.array_equal(known.disturbed, curve.disturbed)
-            if same_windows and np.abs(known.points - curve.points).max() < distance:
+            if np.abs(known.points - curve.points).max() < distance:
                 known.label += f",{curve.label}"
+                known.disturbed |= curve.disturbed
                 break
         else:
             kept.append(curve)
@@ -401,6 +409,8 @@ def _mesh(plan: Plan, surface: Surface, side: int, contacts: Sequence[int]) -> _
             grid = np.meshgrid(u, v, indexing="ij")
             points, normals = surface.point(*grid), surface.normal(*grid)
         except ContactSystemError:  # an implicit surface that the rays of its chart do not all meet
+            continue
+        if whole and np.ptp(points, axis=(0, 1)).max() > UNBOUNDED * surface.size:
             continue
         corner = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
         a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
@@ -468,14 +478,12 @@ def _best_view(mesh: _Mesh | None, curves: Sequence[_Curve]) -> _View:
     starts = np.array([c.points[0] for c in curves])
     normals = [_normals_at(mesh, points), _normals_at(mesh, starts)]
     best, best_score = None, -math.inf
-    for elevation in (28, 45, 62, -28):
+    for elevation, penalty in ((28, 0.0), (40, 0.06), (60, 0.3), (-28, 0.15)):
         for azimuth in range(0, 360, 15):
             e, a = math.radians(elevation), math.radians(azimuth)
-            toward = np.array(
-                [math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)]
-            )
+            toward = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
             facing, first = (np.clip(n @ toward, -0.2, 0.6).mean() for n in normals)
-            score = facing + 0.5 * first - {28: 0.0, 45: 0.03, 62: 0.1, -28: 0.15}[elevation]
+            score = facing + 0.5 * first - penalty
             if score > best_score:
                 right = np.array([-math.sin(a), math.cos(a), 0.0])
                 best, best_score = _View(np.array([right, np.cross(toward, right), toward])), score
@@ -517,7 +525,9 @@ def _draw_chart_lines(ax: Any, mesh: _Mesh, view: _View) -> None:
     step = CELLS // 12
     for line in (*grid[::step], *grid.T[::step]):
         x, facing = mesh.points[line], mesh.normals[line] @ view.axes[2]
-        for run in _runs((facing > 0) & ~_hidden(mesh, view, x)):
+        shown = facing > 0
+        shown[shown] = ~_hidden(mesh, view, x[shown])
+        for run in _runs(shown):
             seen = view(x[run])
             ax.plot(seen[:, 0], seen[:, 1], color="white", linewidth=0.7, alpha=0.75, zorder=2)
 
@@ -530,11 +540,10 @@ def _draw_outline(ax: Any, mesh: _Mesh, view: _View) -> None:
     x = mesh.points[mesh.triangles]
     ends = []
     for i, j in ((0, 1), (1, 2), (2, 0)):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            part = facing[:, i] / (facing[:, i] - facing[:, j])
         crosses = (facing[:, i] > 0) != (facing[:, j] > 0)
-        cut = x[:, i] + part[:, None] * (x[:, j] - x[:, i])
-        ends.append(np.where(crosses[:, None], cut, np.nan))
+        part = np.full(len(x), np.nan)
+        np.divide(facing[:, i], facing[:, i] - facing[:, j], out=part, where=crosses)
+        ends.append(x[:, i] + part[:, None] * (x[:, j] - x[:, i]))
     cut = np.stack(ends, 1)
     crossed = np.isfinite(cut[:, :, 0]).sum(1) == 2
     pairs = cut[crossed]
@@ -659,7 +668,8 @@ def _key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) ->
     if plan.scene.disturbances:
         entries.append(Line2D([], [], color=DISTURBED, linewidth=2.4, label="disturbance"))
     if bodies:
-        grey = {"color": INK, "linewidth": 1.3, "alpha": 0.35}
-        entries.append(Line2D([], [], label="behind the body", **grey))
+        entries.append(
+            Line2D([], [], color=INK, linewidth=1.3, alpha=0.35, label="behind the body")
+        )
     ax.set_axis_off()
     ax.legend(handles=entries, loc="center left", frameon=False, handlelength=2.2)

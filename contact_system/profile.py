@@ -325,6 +325,11 @@ class GainPiece:
         return _integral(self.sigma)
 
     @cached_property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """sigma, lengths and exponent as arrays, for compiled code."""
+        return np.array(self.sigma), np.array(self.lengths), np.array(self.exponent)
+
+    @cached_property
     def _lost_slope(self) -> Coefficients:
         return _derivative(self.exponent)
 

@@ -90,7 +90,7 @@ class Surface:
         """Run-time numbers, such as radii in m; the values behind the symbols ``p``."""
         raise NotImplementedError
 
-    @property
+    @cached_property
     def structure(self) -> Hashable:
         """What kernels are specialised by: equal structures differ in `parameters` alone."""
         return (self._kind, self.inside, self.chart.__name__)
@@ -149,22 +149,34 @@ class Surface:
         """
         return self._outward_chart(p, u, -v if self.inside else v)
 
-    def implicit_expr(self, p: SX, x: SX) -> SX | None:
-        """Return F(x), zero on the surface, gradient out of the body; None without such a form."""
+    def implicit_expr(self, p: SX, x: SX) -> SX:
+        """Return F(x), zero on the surface, gradient out of the body.
+
+        Raises
+        ------
+        SurfaceError
+            For a `ParametricSurface`, which has no such form (`has_implicit` is False).
+        """
         return -self._level(p, x) if self.inside else self._level(p, x)
 
-    def coordinates_expr(self, p: SX, x: SX) -> Pair | None:
+    def coordinates_expr(self, p: SX, x: SX) -> Pair:
         """Return (u, v) of a point of the surface, in the ranges that its chart documents.
 
-        None where the inverse chart is numerical only (`ParametricSurface`).
+        Raises
+        ------
+        SurfaceError
+            For a `ParametricSurface`, whose inverse chart is numerical only.
         """
         u, v = self._outward_coordinates(p, x)
         return u, (-v if self.inside else v)
 
-    def frame_expr(self, p: SX, x: SX) -> Frame | None:
+    def frame_expr(self, p: SX, x: SX) -> Frame:
         """Return (x axis, y axis, M) of the contact frame as expressions of the point x.
 
-        None where the inverse chart is numerical only (`ParametricSurface`).
+        Raises
+        ------
+        SurfaceError
+            For a `ParametricSurface`, whose inverse chart is numerical only.
         """
         x_axis, y_axis, m = self._outward_frame(p, x)
         if not self.inside:
@@ -371,7 +383,7 @@ class Surface:
         p = SX.sym("p", len(self.parameters))
         if name == "coordinates":
             x = SX.sym("x", 3)
-            return ca.Function(name, [p, x], [ca.vertcat(*(self.coordinates_expr(p, x) or ()))])
+            return ca.Function(name, [p, x], [ca.vertcat(*self.coordinates_expr(p, x))])
         arguments, geometry = self._geometry(p)
         if name == "christoffel":
             # (k, i, j) with k fastest, as the column-major convention of _evaluate wants.

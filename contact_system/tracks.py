@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -20,6 +21,7 @@ from .kernels import (
     C_SOURCES,
     PRELUDE,
     Kernel,
+    address,
     compiled_library,
     find_compiler,
     library_path,
@@ -130,23 +132,11 @@ def vector_kernel(surface: Surface, ambient: bool) -> Kernel:
 
 
 @per_structure
-def frame_function(surface: Surface) -> ca.Function:
-    """(parameters, chart state) -> x, p, q (9)."""
-    kernel = frame_kernel(surface)
-    state, p = SX.sym("state", 3), SX.sym("p", len(surface.parameters))
-    return ca.Function("frame", [p, state], [kernel.function(state, p)])
+def restoring_kernel(surface: Surface) -> Kernel:
+    """point: ambient state -> the state with x back on the surface and [p q] orthonormal.
 
-
-@per_structure
-def lame_function(surface: Surface) -> ca.Function:
-    """(parameters, chart state) -> h_u, h_v."""
-    state, shape, p = _chart_symbols(surface)
-    return ca.Function("lame", [p, state], [shape.lame])
-
-
-@per_structure
-def restoring_function(surface: Surface) -> ca.Function:
-    """(state 9, p) -> state with x back on the surface (one Newton step) and [p q] orthonormal."""
+    One Newton step along the gradient: what is left is the square of the defect.
+    """
     state, x, frame, p = _ambient_symbols(surface)
     level = surface.implicit_expr(p, x)
     gradient = ca.gradient(level, x)
@@ -155,7 +145,14 @@ def restoring_function(surface: Surface) -> ca.Function:
     normal /= ca.norm_2(normal)
     first = frame[:, 0] - ca.dot(frame[:, 0], normal) * normal
     first /= ca.norm_2(first)
-    return ca.Function("restore", [state, p], [ca.vertcat(moved, first, ca.cross(normal, first))])
+    return Kernel("restore", state, p, ca.vertcat(moved, first, ca.cross(normal, first)))
+
+
+@per_structure
+def lame_kernel(surface: Surface) -> Kernel:
+    """point: chart state -> h_u, h_v."""
+    state, shape, p = _chart_symbols(surface)
+    return Kernel("lame", state, p, shape.lame)
 
 
 # --- tracks ------------------------------------------------------------------------------------
@@ -196,6 +193,10 @@ class Track:
         """The moving frame: (n_bodies, 9, n) ambient or (n_bodies, 3, n) chart."""
         raise NotImplementedError
 
+    def end(self) -> np.ndarray:
+        """The moving frame at ``stop``: (n_bodies, 9 or 3)."""
+        return self.state(np.array([self.stop]))[:, :, 0]
+
     def drive(self, t: np.ndarray) -> np.ndarray:
         """Velocity of the contact point in the parallel frame without offset: (n_bodies, 2, n)."""
         raise NotImplementedError
@@ -225,13 +226,41 @@ class Track:
             return state
         return self.run(frame_kernel(self.surface), state, self.parameters)
 
-    def positions(self, t: np.ndarray, out: np.ndarray) -> None:
-        """Write the contact points in the body's frame to out (n_bodies, 3, n), m."""
+    def points(self, t: np.ndarray, out: np.ndarray) -> None:
+        """Write the contact points in the body's frame, m, to out (n_bodies, 3, n)."""
         state = self.state(t)
         if self.ambient:
             out[...] = state[:, :3]
         else:
-            point_kernel(self.surface)(state, self.parameters, out, compiled=self.compiled)
+            kernel = point_kernel(self.surface)
+            kernel(state, self.parameters, out, compiled=self.compiled)
+
+    def entry(self, output: str) -> tuple[Callable[..., int], int] | None:
+        """The compiled evaluation of "points" or "coordinates" (``evaluate`` of c/tracks.c) and
+        the address of this track's data; None where there is none."""
+        if output not in self._entries:
+            self._entries[output] = self._entry(output)
+        return self._entries[output]
+
+    def _entry(self, output: str) -> tuple[Callable[..., int], int] | None:
+        return None
+
+    @functools.cached_property
+    def _entries(self) -> dict[str, tuple[Callable[..., int], int] | None]:
+        return {}
+
+    def _evaluate(self, output: str, t: np.ndarray, out: np.ndarray) -> int | None:
+        """Run the compiled evaluation; its code, or None where there is none."""
+        entry = self.entry(output)
+        if entry is None:
+            return None
+        t = t if t.flags.c_contiguous else np.ascontiguousarray(t)
+        strides = out.strides
+        return entry[0](
+            entry[1], len(t), address(t), out.ctypes.data,
+            row_offsets(tuple(range(out.shape[1])), strides[1] // 8),
+            strides[0] // 8,
+        )  # fmt: skip
 
     def velocity(self, t: np.ndarray, state: np.ndarray) -> np.ndarray:
         """Velocity of the contact point in the parallel frame, offset included: (n, 2, n_t)."""
@@ -247,13 +276,13 @@ class Track:
         """(K_pp, K_pq, K_qq): (n_bodies, 3, n)."""
         return self.run(shape_kernel(self.surface, self.ambient), state, self.parameters)
 
-    def coordinates(self, t: np.ndarray, out: np.ndarray, rows: tuple[int, ...] = tuple(range(5))) -> None:
-        """Write u, v, u', v', theta, continuous along the path, to ``out[:, rows]``.
+    def coordinates(self, t: np.ndarray, out: np.ndarray) -> None:
+        """Write u, v, u', v', theta, continuous along the path, to out.
 
         Parameters
         ----------
         t : (n,)
-        out : (n_bodies, n_rows, n), unit stride along the last axis
+        out : (n_bodies, 5, n), unit stride along the last axis
 
         Raises
         ------
@@ -263,16 +292,17 @@ class Track:
         with np.errstate(all="ignore"):
             values = self._coordinates(t)
         if not np.isfinite(values).all():
-            raise self._singular(float(t[np.argwhere(~np.isfinite(values))[0][2]]))
+            raise self.singular(float(t[np.argwhere(~np.isfinite(values))[0][2]]))
         if self.offset is not None:
             values[:, 2:4] += self.offset[:, :, None]
-        out[:, list(rows)] = values
+        out[...] = values
 
     def _coordinates(self, t: np.ndarray) -> np.ndarray:
         points = np.concatenate([self.state(t), self.drive(t)], axis=1)
         return self.run(coordinate_kernel(self.surface, self.ambient), points, self.parameters)
 
-    def _singular(self, t: float) -> ChartSingularity:
+    def singular(self, t: float) -> ChartSingularity:
+        """The error of a contact at a pole or an umbilic at time t."""
         return ChartSingularity(
             f"{self.surface!r}: at t = {t:.17g} s the contact is at a singular point of the chart "
             f"({self.surface.chart.singular_at or 'pole'}), where u', v' and psi do not exist. Ask "
@@ -325,29 +355,19 @@ class Evaluator:
 
     @functools.cached_property
     def library(self) -> ctypes.CDLL:
+        """``evaluate`` and, where coordinates are continued, ``anchor``."""
         library = compiled_library(self.source)
         pointer, integer = ctypes.c_void_p, ctypes.c_long
         library.evaluate.argtypes = [pointer, integer, pointer, pointer, pointer, integer]
         library.evaluate.restype = integer
-        if hasattr(library, "continue_anchors"):
-            library.continue_anchors.argtypes = [pointer, pointer, pointer, integer]
-            library.continue_anchors.restype = None
+        if hasattr(library, "anchor"):
+            library.anchor.argtypes = [pointer] * 5
+            library.anchor.restype = None
         return library
 
     def usable(self, compiled: bool | None) -> bool:
         """Whether to run compiled, for a track's wish."""
         return self.built if compiled is None else compiled
-
-    def __call__(
-        self, data: int, t: np.ndarray, out: np.ndarray, rows: tuple[int, ...]
-    ) -> int:
-        """Run; returns evaluate's code."""
-        t = t if t.flags.c_contiguous else np.ascontiguousarray(t)
-        strides = out.strides
-        return self.library.evaluate(
-            data, len(t), t.ctypes.data, out.ctypes.data, row_offsets(rows, strides[1] // 8),
-            strides[0] // 8,
-        )  # fmt: skip
 
 
 @per_structure

@@ -160,14 +160,20 @@ class ParametricSurface(UserSurface):
     def periods(self) -> Periods:
         return (self.u_period, self.v_period)
 
-    def implicit_expr(self, p: SX, x: SX) -> None:
-        return None
+    def implicit_expr(self, p: SX, x: SX) -> SX:
+        raise self._known_by_chart_only("equation F(x) = 0")
 
-    def coordinates_expr(self, p: SX, x: SX) -> None:
-        return None
+    def coordinates_expr(self, p: SX, x: SX) -> Pair:
+        raise self._known_by_chart_only("expression for (u, v) of a point")
 
-    def frame_expr(self, p: SX, x: SX) -> None:
-        return None
+    def frame_expr(self, p: SX, x: SX) -> Frame:
+        raise self._known_by_chart_only("expression for the frame at a point")
+
+    def _known_by_chart_only(self, wanted: str) -> SurfaceError:
+        return SurfaceError(
+            f"{self!r} has no {wanted}, which was asked for; use its chart f(u, v), or write it "
+            "as an ImplicitSurface"
+        )
 
     def _outward_chart(self, p: SX, u: SX, v: SX) -> SX:
         return self.formula(p, u, v)

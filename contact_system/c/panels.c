@@ -15,9 +15,10 @@ typedef struct {
 } drive_t;
 
 typedef struct {
-  double length, tolerance, first, slip, finish; /* see development.integrate */
+  double length, tolerance, first, slip, finish; /* see development.Problem */
+  double released;                               /* out: when slip was let go, or -1 */
   const double *node, *integral, *series, *end;  /* xi[N], Q^T[N][N], B[N+1][N], e[2][N] */
-  long n_stiff, max_panels;
+  long n_stiff, max_panels, stops;
 } method_t;
 
 static double horner(const double *c, long n, double x) {
@@ -133,7 +134,7 @@ static double sweep(const method_t *m, const double *start, const double *c, con
    edges[max_panels + 1], coefficients[panel][body][NX][N+1], state[nb][NX] in and out,
    work: (2 NX + 2) * N doubles, panel_state: nb * NX doubles. */
 long panels(long nb, double *state, const double *constants, const double *scale,
-            const drive_t *drive, const method_t *m, double *edges, double *coefficients,
+            const drive_t *drive, method_t *m, double *edges, double *coefficients,
             double *work, double *panel_state) {
   double tau = 0.0, h = m->first, lam[N], inv[N * N];
   long count = 0, tries = 0;
@@ -207,7 +208,11 @@ long panels(long nb, double *state, const double *constants, const double *scale
     edges[++count] = tau;
     if (m->slip > 0 && m->finish > 0 && tau < m->length) {
       double s = horner(drive->sigma, drive->n_sigma, tau);
-      if (m->slip * decay_at(drive, tau, s) <= m->finish) break;
+      if (m->slip * decay_at(drive, tau, s) <= m->finish) {
+        m->released = tau;
+        if (m->stops) break;
+        m->slip = 0.0; /* from here on decay is not evaluated, nor resolved */
+      }
     }
   }
   return count;

@@ -160,16 +160,28 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
 }
 
 #if defined(WINDS) && !defined(CIRCLE)
-/* Continue raw (u, v, theta) anchors [nb][3][m] from begin [nb][3], in place. */
-void continue_anchors(const track_t *k, const double *begin, double *anchors, long m) {
+/* Fill the anchors of a track in time: four times a panel, between which coordinates move by less
+   than half a period, continued from begin [nb][3]. times [m], anchors [nb][3][m], work [nb][5][m],
+   m = 4 n_panels + 1. */
+void anchor(track_t *k, const double *begin, double *times, double *anchors, double *work) {
+  const long m = 4 * k->n_panels + 1;
+  long row[] = {0, m, 2 * m, 3 * m, 4 * m};
+  for (long p = 0; p < k->n_panels; p++)
+    for (long q = 0; q < 4; q++)
+      times[4 * p + q] = k->start + k->edges[p] + 0.25 * q * (k->edges[p + 1] - k->edges[p]);
+  times[m - 1] = k->start + k->edges[k->n_panels];
+  for (long i = 0; i < m; i++) times[i] = times[i] < k->stop ? times[i] : k->stop;
+  k->n_anchors = 0;
+  evaluate(k, m, times, work, row, 5 * m);
   for (long b = 0; b < k->nb; b++) {
-    double *a = anchors + b * 3 * m, ref[3] = {begin[3 * b], begin[3 * b + 1], begin[3 * b + 2]};
-    for (long i = 0; i < m; i++) {
-      static const long row[] = {0, 1, 2, 3, 4};
-      double one[5] = {a[i], a[m + i], 0.0, 0.0, a[2 * m + i]};
-      wind(k, ref, 1, one, row);
-      ref[0] = a[i] = one[0], ref[1] = a[m + i] = one[1], ref[2] = a[2 * m + i] = one[4];
+    double *raw = work + b * 5 * m, *to = anchors + b * 3 * m;
+    const double *ref = begin + 3 * b;
+    for (long i = 0, stride = 1; i < m; i++, stride = m) {
+      wind(k, ref, stride, raw + i, row);
+      to[i] = raw[i], to[m + i] = raw[m + i], to[2 * m + i] = raw[4 * m + i];
+      ref = to + i;
     }
   }
+  k->n_anchors = m, k->anchor_times = times, k->anchors = anchors;
 }
 #endif

@@ -1,0 +1,49 @@
+"""``python -m benchmarks [accuracy | speed] [--only NAME] [--full]``.
+
+Prints one line a bar and writes results/benchmarks/*.json. The exit code is 1 if an accuracy bar is
+missed or cannot be measured for another reason than a peer that is not installed; speed bars are a
+report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+from .report import THREADS, collect, surroundings, write
+
+HALVES = ("accuracy", "speed")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run what was asked for; returns the exit code."""
+    for name in THREADS:  # before numpy is imported: one thread for every competitor
+        os.environ[name] = "1"
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("half", nargs="?", choices=HALVES, help="one half only")
+    parser.add_argument("--only", metavar="NAME", help="only the sections whose name contains this")
+    parser.add_argument(
+        "--full", action="store_true", help="give every peer 20 s a run instead of 1 s"
+    )
+    options = parser.parse_args(arguments)
+    from . import accuracy, speed  # imports numpy
+
+    about = surroundings()
+    print(f"{about['machine']['processor']}, Python {about['python']}, one thread")
+    failed = False
+    for name in [options.half] if options.half else HALVES:
+        sections = {"accuracy": accuracy.SECTIONS, "speed": speed.SECTIONS}[name]
+        chosen = {k: run for k, run in sections.items() if (options.only or "") in k}
+        if not chosen:
+            continue
+        print(f"\n{name}: {', '.join(chosen)}")
+        bars = collect(bar for run in chosen.values() for bar in run(options.full))
+        path = write(name if not options.only else f"{name}-{options.only}", bars)
+        print(f"written: {path.parent.parent.name}/{path.parent.name}/{path.name}")
+        failed |= name == "accuracy" and any(bar.met is False for bar in bars)
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,130 @@
+"""One measured number against its bar; the printed table and the JSON file."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from datetime import datetime, timezone
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+RESULTS = Path(__file__).parents[1] / "results" / "benchmarks"
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+PACKAGES = ("numpy", "scipy", "casadi", "heyoka", "geographiclib", "mpmath")
+WIDTHS = (60, 12, 12)
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A measured number and the limit it is held to.
+
+    Attributes
+    ----------
+    name : str
+    limit : float
+        In ``unit``.
+    measured : float or None
+        None: not measured; ``note`` says why.
+    unit : str
+        Printed behind both numbers.
+    least : bool
+        True: ``measured`` must be at least ``limit``; False: at most.
+    note : str
+        One line printed behind the verdict.
+    detail : dict
+        What stands behind the number, for the JSON file.
+    """
+
+    name: str
+    limit: float
+    measured: float | None
+    unit: str = ""
+    least: bool = False
+    note: str = ""
+    detail: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the bar is met; None if it was not measured. A NaN meets no bar."""
+        if self.measured is None:
+            return None
+        return self.measured >= self.limit if self.least else self.measured <= self.limit
+
+    @property
+    def verdict(self) -> str:
+        """ "yes", or "NO by" the factor that is missing, or "-"."""
+        if self.measured is None:
+            return "-"
+        if self.met:
+            return "yes"
+        missing = self.limit / self.measured if self.least else self.measured / self.limit
+        return f"NO by {missing:.3g} x"
+
+    def row(self) -> str:
+        """The bar as a line of the table."""
+        sign = ">=" if self.least else "<="
+        unit = f" {self.unit}" if self.unit else ""
+        shown = "-" if self.measured is None else f"{self.measured:.2e}"
+        if self.measured is not None and 1e-2 <= abs(self.measured) < 1e4:
+            shown = f"{self.measured:.3g}"
+        cells = (self.name, f"{sign} {self.limit:g}{unit}", f"{shown}{unit}")
+        padded = "  ".join(f"{cell:{width}s}" for cell, width in zip(cells, WIDTHS, strict=True))
+        return f"{padded}  {self.verdict:14s} {self.note}".rstrip()
+
+
+def header() -> str:
+    """Head of the table."""
+    cells = ("what", "bar", "measured")
+    padded = "  ".join(f"{cell:{width}s}" for cell, width in zip(cells, WIDTHS, strict=True))
+    return f"{padded}  met"
+
+
+def collect(bars: Iterable[Bar]) -> list[Bar]:
+    """Print each bar as soon as it is measured; return all."""
+    print(header(), flush=True)
+    kept = []
+    for bar in bars:
+        print(bar.row(), flush=True)
+        kept.append(bar)
+    return kept
+
+
+def write(name: str, bars: Iterable[Bar]) -> Path:
+    """Write ``results/benchmarks/<name>.json`` in the checkout; returns its path."""
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    path = RESULTS / f"{name}.json"
+    rows = [{**asdict(bar), "met": bar.met} for bar in bars]
+    path.write_text(json.dumps({**surroundings(), "bars": rows}, indent=1, default=float) + "\n")
+    return path
+
+
+def surroundings() -> dict[str, Any]:
+    """Date, machine, versions and thread settings of this run."""
+    return {
+        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "machine": {"processor": _processor(), "cores": os.cpu_count(), "system": platform.system()},
+        "python": sys.version.split()[0],
+        "versions": {name: _version(name) for name in PACKAGES},
+        "threads": {name: os.environ.get(name, "not set") for name in THREADS},
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()

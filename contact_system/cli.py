@@ -1,0 +1,435 @@
+"""Command line: ``contact-system scenes | run | explain``, and what other packages add.
+
+A package adds commands through an entry point of the group ``contact_system.commands``, named like
+its command, that loads to a function ``register(subparsers)``. It adds an argparse parser and sets
+its default ``run`` to a function of the parsed arguments that returns the exit code. Such packages
+are imported only when their command or the help is asked for.
+
+Exit codes: 0; 2 after a user's error, told in one line on stderr.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import textwrap
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from contact_system import plots
+from contact_system.errors import ContactSystemError
+from contact_system.plan import METHODS, Plan, plan
+from contact_system.profile import Gain
+from contact_system.scene import Scene, bundled_scenes, load_scene
+
+PROGRAM = "contact-system"
+GROUP = "contact_system.commands"
+REJECTED = 0.05
+"""Slip counts as rejected below this fraction of what the disturbance left."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program; returns its exit code.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments after the program's name; by default those of the process.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        args = _parser(words).parse_args(words)
+        return args.run(args)
+    except (ContactSystemError, OSError) as error:
+        print(f"{PROGRAM}: error: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM, description="Plan contact curves that roll: scenes in, curves out."
+    )
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    scenes = commands.add_parser("scenes", help="list the bundled scenes")
+    scenes.set_defaults(run=_scenes)
+
+    run = commands.add_parser("run", help="plan a scene, measure its slip, write and draw results")
+    _add_scene(run)
+    run.add_argument("--out", type=Path, metavar="DIR", help="folder for the results; default "
+                     "results/NAME")  # fmt: skip
+    run.add_argument("--no-plots", action="store_true", help="draw no pictures")
+    run.set_defaults(run=_run)
+
+    explain = commands.add_parser("explain", help="which way the planner takes, and why")
+    _add_scene(explain)
+    explain.set_defaults(run=_explain)
+
+    if not words or words[0] not in commands.choices:
+        _add_foreign(commands, words)
+    return parser
+
+
+def _add_scene(parser: argparse.ArgumentParser) -> None:
+    """The scene, and how it is planned."""
+    parser.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
+    parser.add_argument("--gain", choices=("path", "time", "guaranteed"),
+                        help="gain law instead of the scene's")  # fmt: skip
+    parser.add_argument("--eta", "--rho", dest="gain_value", type=float, metavar="X",
+                        help="eta of the laws path and time, rho of guaranteed; default: the "
+                        "scene's number")  # fmt: skip
+    parser.add_argument("--tolerance", type=float, default=1e-12, metavar="X",
+                        help="error of contact points over the body's size; default %(default)g"
+                        )  # fmt: skip
+    parser.add_argument("--method", choices=METHODS, default="auto", help="auto: the cheapest "
+                        "exact way; chart: the paper's equations by scipy")  # fmt: skip
+    parser.add_argument("--compiled", action="store_true", help="build compiled kernels where "
+                        "they are missing")  # fmt: skip
+
+
+def _add_foreign(commands: Any, words: Sequence[str]) -> None:
+    """Let other packages register; one that cannot be imported says so, in one line."""
+    for point in entry_points(group=GROUP):
+        try:
+            point.load()(commands)
+        except Exception as error:  # whatever goes wrong while a stranger is imported
+            reason = str(error).partition("\n")[0] or type(error).__name__
+            hint = f"unavailable: {reason}; pip install contact-system[{point.name}]"
+            if words and words[0] == point.name:
+                raise ContactSystemError(f"the command '{point.name}' is {hint}") from None
+            if point.name not in commands.choices:
+                commands.add_parser(point.name, help=hint.replace("%", "%%"))
+
+
+# --- commands ----------------------------------------------------------------------------------
+
+
+def _scenes(args: argparse.Namespace) -> int:
+    scenes = bundled_scenes()
+    width = max(map(len, scenes))
+    for name, description in scenes.items():
+        print(f"{name:{width}}  {description}")
+    return 0
+
+
+def _explain(args: argparse.Namespace) -> int:
+    scene = _asked_scene(args)
+    with Progress(1, "planning"):
+        planned = _asked_plan(args, scene)
+    print(planned.explain(), "", _paragraph(str(scene.contraction())), sep="\n")
+    return 0
+
+
+def _run(args: argparse.Namespace) -> int:
+    scene = _asked_scene(args)
+    with Progress(2, "planning") as progress:
+        plans = [_asked_plan(args, scene)]
+        measured = [rejections(plans[0])]
+        progress.step("planning under another gain law")
+        # the law as printed does not give the times as printed: show beside it the one that may
+        if scene.gain.law == "path" and any(r.as_reported is False for r in measured[0]):
+            plans.append(_asked_plan(args, scene.replace(gain=Gain.time(scene.gain.value))))
+            measured.append(rejections(plans[1]))
+    print("\n".join(_report(plans, measured)))
+
+    folder = args.out or Path("results") / _file_name(scene)
+    folder.mkdir(parents=True, exist_ok=True)
+    with Progress(3, "writing") as progress:
+        written = list(_write(args, plans, folder / _file_name(scene), progress))
+    print(*written, sep="\n")
+    return 0
+
+
+def _asked_scene(args: argparse.Namespace) -> Scene:
+    scene = load_scene(args.scene)
+    if args.gain is None and args.gain_value is None:
+        return scene
+    value = scene.gain.value if args.gain_value is None else args.gain_value
+    return scene.replace(gain=Gain(args.gain or scene.gain.law, value))
+
+
+def _asked_plan(args: argparse.Namespace, scene: Scene) -> Plan:
+    return plan(scene, args.tolerance, args.method, compiled=True if args.compiled else None)
+
+
+def _file_name(scene: Scene) -> str:
+    name = "".join(c if c.isalnum() or c in "-_." else "-" for c in scene.name)
+    return name.strip(".-") or "scene"
+
+
+def _write(
+    args: argparse.Namespace, plans: Sequence[Plan], stem: Path, progress: Progress
+) -> Iterable[str]:
+    """Write the results; yields a line for each file."""
+    for suffix in (".npz", ".csv"):
+        path = stem.with_name(stem.name + suffix)
+        plans[0].save(path)
+        yield f"wrote {path}"
+        progress.step("drawing" if suffix == ".csv" else "writing")
+    if not args.no_plots:
+        path = stem.with_name(stem.name + ".png")
+        try:
+            plots.plot(plans[0], path, plans[1] if len(plans) > 1 else None)
+            yield f"wrote {path}"
+        except plots.MissingMatplotlib as error:
+            yield f"no picture: {error}"
+
+
+# --- measuring ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """What became of one contact's slip.
+
+    Attributes
+    ----------
+    contact : int
+    start, peak, end : float
+        Slip at the start, at its greatest and at the end [m/s].
+    peak_time : float
+        When it is greatest [s].
+    since : float
+        End of the contact's last disturbance, or the start where there is none [s].
+    time : float
+        How long after `since` slip last crosses 5 % of its value there (of its peak from there on
+        where a path starts from rest) [s]; inf if it is above at the end of the horizon, nan if
+        there is no slip to reject.
+    reported : float
+        Within how long the paper reports it rejected [s]; nan if it gives no time, or if that is
+        the time of a dynamic simulation, whose contact physics a plan does not have.
+    """
+
+    contact: int
+    start: float
+    peak: float
+    peak_time: float
+    end: float
+    since: float
+    time: float
+    reported: float
+
+    @property
+    def as_reported(self) -> bool | None:
+        """Whether slip is rejected within the time reported; None where nothing is to compare."""
+        if math.isnan(self.time) or math.isnan(self.reported):
+            return None
+        return self.time <= self.reported
+
+
+def rejections(plan: Plan) -> list[Rejection]:
+    """Measure how each contact's slip is rejected.
+
+    Parameters
+    ----------
+    plan : Plan
+
+    Returns
+    -------
+    list of Rejection
+        One a contact.
+    """
+    knots = _monotone_from(plan)
+    times = np.unique(np.concatenate([plan.sample_times(1001), knots, _last_before_edges(plan)]))
+    slip = np.linalg.norm(plan.slip(times), axis=2)
+    reported = math.nan if _dynamic(plan.scene) else plan.scene.paper.get("recovery_time", math.nan)
+    found = []
+    for i in range(len(plan.scene.contacts)):
+        windows = plots.windows(plan, i)
+        since = windows[-1][1] if windows else plan.start
+        # an object rate offset ends at once: its slip is the one just before
+        left = _magnitude(plan, i, math.nextafter(since, plan.start) if windows else since)
+        level = REJECTED * (left or slip[times >= since, i].max())
+        greatest = int(slip[:, i].argmax())
+        found.append(Rejection(
+            i, slip[0, i], slip[greatest, i], times[greatest], slip[-1, i], since,
+            _rejection_time(plan, i, since, level, knots), reported,
+        ))  # fmt: skip
+    return found
+
+
+def _dynamic(scene: Scene) -> bool:
+    """Whether the paper shows a dynamic simulation of the scene."""
+    return "lateral_force" in scene.paper
+
+
+def _magnitude(plan: Plan, contact: int, t: float) -> float:
+    return float(np.hypot(*plan.slip([t])[0, contact]))
+
+
+def _monotone_from(plan: Plan) -> np.ndarray:
+    """Times between which slip that nothing disturbs only grows or only shrinks, s."""
+    ends = np.ravel(plan.scene.contraction().intervals)
+    return np.unique(np.clip([plan.start, *ends, plan.scene.duration], plan.start, None))
+
+
+def _last_before_edges(plan: Plan) -> np.ndarray:
+    edges = np.array([e for e in plan.scene.edges if e > plan.start])
+    return np.nextafter(edges, plan.start)
+
+
+def _rejection_time(
+    plan: Plan, contact: int, since: float, level: float, knots: np.ndarray
+) -> float:
+    """Time after `since` of the last crossing of a level of slip, by bisection."""
+    if level == 0:
+        return math.nan
+    steps = [since, *knots[knots > since]]
+    above = [_magnitude(plan, contact, t) >= level for t in steps]
+    if not any(above):
+        return 0.0
+    last = len(above) - 1 - above[::-1].index(True)
+    if last == len(steps) - 1:
+        return math.inf
+    high, low = steps[last], steps[last + 1]
+    while high < (middle := 0.5 * (high + low)) < low:
+        if _magnitude(plan, contact, middle) >= level:
+            high = middle
+        else:
+            low = middle
+    return low - since
+
+
+# --- telling -----------------------------------------------------------------------------------
+
+
+def _report(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> Iterable[str]:
+    scene = plans[0].scene
+    yield f"{scene.name or 'scene'}: {scene.description}".rstrip(": ")
+    yield ""
+    if any(r.peak > 0 for rows in measured for r in rows):
+        yield from _table(plans, measured)
+        yield _paragraph(
+            f"'from' is the end of the contact's last disturbance, or the start; 'below "
+            f"{REJECTED:.0%} after' says how long from there until slip stays below that part of "
+            "its value there."
+        )
+        yield from ("", *map(_paragraph, _verdict(plans, measured)), "")
+        yield _paragraph(str(scene.contraction()))
+    else:
+        yield "No slip: every contact rolls throughout."
+    yield from (*_great_circles(plans[0]), "")
+
+
+def _paragraph(text: str) -> str:
+    return textwrap.fill(text, 100, break_on_hyphens=False)
+
+
+def _table(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> Iterable[str]:
+    """Slip of every contact under every law."""
+    head = ("gain", "contact", "start", "peak", "at", "end", "from", f"below {REJECTED:.0%} after",
+            "paper", "as reported")  # fmt: skip
+    units = ("", "", "m/s", "m/s", "s", "m/s", "s", "s", "s", "")
+    rows = [_row(plan, r) for plan, found in zip(plans, measured) for r in found]
+    widths = [max(map(len, column)) for column in zip(head, units, *rows)]
+    for row in (head, units, ["-" * w for w in widths], *rows):
+        cells = [f"{c:<{w}}" if k < 2 else f"{c:>{w}}" for k, (c, w) in enumerate(zip(row, widths))]
+        yield "  ".join(cells).rstrip()
+
+
+def _row(plan: Plan, r: Rejection) -> tuple[str, ...]:
+    name = plan.scene.contacts[r.contact].name or f"contact {r.contact + 1}"
+    slip = (f"{r.start:.3e}", f"{r.peak:.3e}", f"{r.peak_time:.3f}", f"{r.end:.3e}")
+    timing = ("-", "-", "-", "-")
+    if not math.isnan(r.time):
+        left = plan.scene.duration - r.since
+        taken = f"{r.time:.4f}" if math.isfinite(r.time) else f"> {left:g}"
+        reported = "-" if math.isnan(r.reported) else f"{r.reported:g}"
+        answer = {True: "yes", False: "no", None: "-"}[r.as_reported]
+        timing = (f"{r.since:g}", taken, reported, answer)
+    return (plots.gain_text(plan.scene.gain), name, *slip, *timing)
+
+
+def _verdict(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> Iterable[str]:
+    """What the paper reports, and whether the laws give it."""
+    scene = plans[0].scene
+    if "reports" not in scene.paper:
+        return
+    yield f"The paper reports: {scene.paper['reports']}."
+    if _dynamic(scene):
+        yield (
+            "That is a dynamic simulation. A plan has no contact physics: slip by an object rate "
+            "offset ends with it at once, so that there is no time to compare."
+        )
+        return
+    for law, found in zip(plans, measured):
+        gain, slipping = law.scene.gain, [r for r in found if not math.isnan(r.time)]
+        law_text = f"Gain law '{gain.law}' with {gain.parameter} = {gain.value:g}"
+        if any(r.as_reported is not None for r in slipping):
+            same = all(r.as_reported for r in slipping)
+            yield f"{law_text} {'reproduces' if same else 'does not reproduce'} that time."
+        elif slipping:
+            rejected = all(math.isfinite(r.time) for r in slipping)
+            yield f"{law_text} {'reproduces' if rejected else 'does not reproduce'} that."
+
+
+def _great_circles(plan: Plan) -> Iterable[str]:
+    """How far fingers that follow a rolling object stay from their great circles."""
+    for i, contact in enumerate(plan.scene.contacts):
+        if contact.follows and contact.finger.great_circles:
+            points = plan.points(plan.sample_times())[:, i, 0]
+            distance = float(np.abs(plots.great_circle_distance(points)).max())
+            yield (
+                f"{contact.name or f'contact {i + 1}'}: its curve stays within {distance:.1e} m of "
+                f"a great circle's plane, {distance / contact.finger.size:.1e} of the radius."
+            )
+
+
+class Progress:
+    """A bar of named steps on stderr: only on a terminal, only after a second.
+
+    Parameters
+    ----------
+    steps : int
+    name : str
+        The first step.
+    stream : text stream, optional
+        By default stderr.
+    """
+
+    DELAY, WIDTH = 1.0, 24
+
+    def __init__(self, steps: int, name: str, stream: TextIO | None = None):
+        self.steps, self.done, self.name = steps, 0, name
+        self.stream = sys.stderr if stream is None else stream
+        self.began, self.finished = time.monotonic(), threading.Event()
+
+    def step(self, name: str) -> None:
+        """One step is done; the next has a name."""
+        self.done, self.name = self.done + 1, name
+
+    def __enter__(self) -> Progress:
+        self.thread = threading.Thread(target=self._draw, daemon=True)
+        if self.stream.isatty():
+            self.thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.finished.set()
+        if self.thread.ident is not None:
+            self.thread.join()
+
+    def _draw(self) -> None:
+        wait, drawn = self.DELAY, False
+        while not self.finished.wait(wait):
+            wait, drawn = 0.1, True
+            full = self.WIDTH * self.done // self.steps
+            bar = "#" * full + "." * (self.WIDTH - full)
+            elapsed = time.monotonic() - self.began
+            self.stream.write(f"\r\x1b[K[{bar}] {self.name}, {elapsed:.0f} s")
+            self.stream.flush()
+        if drawn:
+            self.stream.write("\r\x1b[K")
+            self.stream.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

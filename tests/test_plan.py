@@ -1,0 +1,442 @@
+"""A plan as an object: times, restart, files, what it says, and which ways it takes."""
+
+from __future__ import annotations
+
+import csv
+from math import pi
+
+import numpy as np
+import pytest
+from conftest import SURFACES, one_contact, path_velocities, reflection, slip_of_states
+from numpy.polynomial import polynomial
+
+import contact_system as cs
+from contact_system.errors import ContactSystemError, SceneError
+
+ASK = ("states", "points", "slip", "acceleration", "pose", "twist", "angles")
+SHAPES = {"states": (9,), "points": (2, 3), "slip": (2,), "acceleration": (2,), "pose": (4, 4),
+          "twist": (6,), "angles": ()}  # fmt: skip
+WINDOWS = [
+    cs.FingerAcceleration(0, 0.2, 0.4, (0.5, -0.8)),
+    cs.ObjectAcceleration(0, 0.3, 0.6, (0.7, 0.6)),
+    cs.ObjectRateOffset(0, 0.5, 0.8, (0.4, -0.3)),
+]
+
+
+def busy(obj: str = "ellipsoid", finger: str = "sphere", **given) -> cs.Scene:
+    """A slipping contact with overlapping windows of all three kinds."""
+    return one_contact(obj, finger, profile=(0.2, 0.1), disturbances=WINDOWS, **given)
+
+
+def several() -> cs.Scene:
+    """Seven contacts on an ellipsoid: two finger kinds, rest, rolling, slip, one window."""
+    sphere, torus = cs.Sphere(0.04), cs.Torus(0.05, 0.02)
+    places = [(0.7, 0.4), (1.9, -0.6), (-2.0, 1.1), (2.6, 0.2), (-0.6, -1.0), (1.2, 1.3), (-1.4, 0.8)]
+    starts = [(0.2, -0.5), "rolling", "rest", (0.4, 0.1), "rolling", (-0.3, 0.3), (0.9, 0.9)]
+    fingers = [sphere, sphere, torus, cs.Sphere(0.02), torus, sphere, sphere]
+    contacts = [
+        cs.Contact(finger=f, object_at=at, finger_at=(1.2, 0.3), angle=0.2 * i, object_velocity=v)
+        for i, (f, at, v) in enumerate(zip(fingers, places, starts))
+    ]
+    return cs.Scene(
+        object=cs.Ellipsoid(0.3, 0.2, 0.1), contacts=contacts, profile=cs.Profile([0.1, 0.2]),
+        gain=cs.Gain.time(5.0), duration=1.0,
+        disturbances=[cs.FingerAcceleration(5, 0.3, 0.5, (0.4, -0.2))],
+    )  # fmt: skip
+
+
+# --- asking
+
+
+@pytest.mark.parametrize("ask", ASK)
+def test_results_have_times_first_and_contacts_second(ask):
+    plan = cs.plan(several())
+    assert getattr(plan, ask)(np.linspace(0, 1, 5)).shape == (5, 7, *SHAPES[ask])
+    assert getattr(plan, ask)(0.5).shape == (1, 7, *SHAPES[ask])
+    assert getattr(plan, ask)([]).shape == (0, 7, *SHAPES[ask])
+
+
+@pytest.mark.parametrize("ask", ASK)
+@pytest.mark.parametrize("scene", [busy, several], ids=["windows", "contacts"])
+def test_times_come_in_any_order(scene, ask):
+    plan = cs.plan(scene())
+    t = np.random.default_rng(0).permutation(np.append(np.linspace(0, 1, 57), [0.5, 0.5, 0.2]))
+    together = getattr(plan, ask)(t)
+    one_by_one = np.concatenate([getattr(plan, ask)(x) for x in t])
+    scale = np.abs(one_by_one).max()
+    assert together == pytest.approx(one_by_one, abs=1e-14 * scale)
+
+
+def test_what_was_asked_before_does_not_change_an_answer():
+    t = np.linspace(0, 1, 31)
+    fresh, used = cs.plan(busy()), cs.plan(busy())
+    for ask in reversed(ASK):
+        getattr(used, ask)(t[::7])
+    for ask in ASK:
+        assert np.array_equal(getattr(fresh, ask)(t), getattr(used, ask)(t)), ask
+
+
+def test_plans_are_deterministic():
+    t = np.linspace(0, 1, 31)
+    scene = busy()
+    plans = [cs.plan(scene), cs.plan(scene, tolerance=1e-6), cs.plan(scene), cs.plan(busy())]
+    for ask in ASK:
+        first, _, again, other = (getattr(plan, ask)(t) for plan in plans)
+        assert np.array_equal(first, again) and np.array_equal(first, other), ask
+
+
+@pytest.mark.parametrize("t", [-1e-9, 1.0000001, [0.5, 2.0], np.nan, np.inf])
+def test_time_outside_the_horizon_is_named_with_the_horizon(t):
+    plan = cs.plan(one_contact())
+    bad = np.ravel(t)[-1]
+    words = rf"'sphere on sphere': t = \S*{bad:.3g}.*outside the plan's horizon \[0, 1\] s"
+    for ask in ASK:
+        with pytest.raises(ContactSystemError, match=words):
+            getattr(plan, ask)(t)
+
+
+def test_table_of_times_is_refused():
+    with pytest.raises(ContactSystemError, match=r"times have shape \(1, 2\); give one axis"):
+        cs.plan(one_contact()).points([[0.1, 0.2]])
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1e-9, 1e-16, 0.2, np.nan, np.inf])
+def test_tolerance_out_of_bounds_is_refused(tolerance):
+    with pytest.raises(SceneError, match="tolerance = .*: give a number from 1e-15 to 1e-1"):
+        cs.plan(one_contact(), tolerance=tolerance)
+
+
+def test_unknown_method_is_refused():
+    with pytest.raises(SceneError, match="method = 'euler': use one of auto, chart"):
+        cs.plan(one_contact(), method="euler")
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12])
+@pytest.mark.parametrize("scene", [busy, lambda: busy("torus", "ellipsoid"), lambda: busy("bumps"),
+                                   several], ids=["ellipsoid", "torus", "bumps", "several"])  # fmt: skip
+def test_contact_points_are_right_to_the_tolerance(scene, tolerance):
+    scene, t = scene(), np.linspace(0, 1, 101)
+    truth, plan = cs.plan(scene, tolerance=1e-15), cs.plan(scene, tolerance=tolerance)
+    gap = np.abs(plan.points(t) - truth.points(t)).max((0, 3))
+    sizes = np.array([[c.finger.size, scene.object.size] for c in scene.contacts])
+    assert (gap / sizes).max() <= tolerance
+
+
+# --- continuity
+
+
+@pytest.mark.parametrize("obj, at, w, turning", [
+    ("sphere", (pi / 2, 0.4), (0.0, 1.0), 5),
+    ("cylinder", (0.5, 0.2), (1.0, 0.0), 4),
+    ("torus", (0.3, 0.0), (0.0, 1.0), 5),
+    ("torus", (0.3, pi), (1.0, 0.0), 4),
+    ("oblate", (1.2, 0.0), (1.0, 0.0), 4),
+])  # fmt: skip
+def test_coordinates_count_revolutions(obj, at, w, turning):
+    # Closed geodesics along a chart line: the coordinate grows by path length over radius.
+    radius = {5: {"sphere": 0.1, "torus": 0.03}, 4: {"cylinder": 0.1, "torus": 0.07, "oblate": 0.3}}
+    r = radius[turning][obj]
+    plan = cs.plan(one_contact(obj, "plane", object_at=at, angle=0.0, object_velocity="rolling",
+                               finger_velocity=(w[0], -w[1]), profile=(1.0,), duration=9.0))  # fmt: skip
+    t = np.array([0.0, 8.9, 0.1, 4.0, 9.0])
+    assert plan.states(t)[:, 0, turning] == pytest.approx(at[turning - 4] + t / r, abs=1e-11)
+
+
+@pytest.mark.parametrize("obj", ["sphere", "bowl", "cylinder", "torus", "ellipsoid", "oblate",
+                                 "prolate", "turned ellipsoid", "rounded cube"])  # fmt: skip
+def test_states_are_continuous_over_many_revolutions(obj):
+    scene = one_contact(obj, gain=cs.Gain.time(1.0), profile=(0.4, 0.1), duration=8.0,
+                        disturbances=[cs.ObjectRateOffset(0, 2.0, 3.0, (0.1, 0.2))])  # fmt: skip
+    plan = cs.plan(scene)
+    t = np.linspace(0, 8, 20001)
+    states = plan.states(t)[:, 0]
+    step = np.abs(np.diff(states[:, [0, 1, 4, 5]], axis=0))
+    allowed = 1.5 * np.maximum(np.abs(states[:-1, [2, 3, 6, 7]]), np.abs(states[1:, [2, 3, 6, 7]]))
+    assert (step <= allowed * (t[1] - t[0]) + 1e-3).all()
+    assert np.abs(np.diff(states[:, 8])).max() < 0.5
+    assert plan.points(t)[:, 0, 1] == pytest.approx(
+        np.asarray(scene.object.point(states[:, 4], states[:, 5])), abs=1e-12
+    )
+
+
+@pytest.mark.parametrize("obj", ["sphere", "torus", "ellipsoid", "rounded cube"])
+def test_sparse_times_see_the_same_branch_as_dense_times(obj):
+    scene = one_contact(obj, gain=cs.Gain.time(1.0), profile=(0.4, 0.1), duration=8.0)
+    dense = cs.plan(scene).states(np.linspace(0, 8, 2001))
+    assert cs.plan(scene).states([8.0])[0] == pytest.approx(dense[-1], abs=1e-12)
+    assert cs.plan(scene).states([8.0, 0.0, 3.0])[[1, 2]] == pytest.approx(dense[[0, 750]], abs=1e-12)
+
+
+@pytest.mark.parametrize("obj", ["sphere", "cylinder", "ellipsoid", "torus", "bumps", "rounded cube"])
+def test_motion_is_continuous_at_window_edges(obj):
+    plan = cs.plan(busy(obj))
+    for edge in plan.scene.edges[1:-1]:
+        before, at = edge - 1e-12, edge
+        for ask, kept in (("points", ...), ("pose", ...), ("angles", ...),
+                          ("states", [0, 1, 2, 3, 4, 5, 8])):  # fmt: skip
+            x, y = (getattr(plan, ask)(t)[0, 0] for t in (before, at))
+            x, y = (np.asarray(z)[kept] for z in (x, y))
+            assert x == pytest.approx(y, abs=1e-10), (ask, edge)
+        own = [plan.states(t)[0, 0, 6:8] for t in (before, at)]
+        jump = np.array([0.4, -0.3]) * ((edge == 0.5) - (edge == 0.8))
+        assert own[1] - own[0] == pytest.approx(jump, abs=1e-10)
+
+
+def test_offset_acts_from_the_start_of_its_window_up_to_its_stop():
+    # A rolling contact: its slip is -M2 d inside, nothing outside.
+    d = np.array([0.6, 1.0])
+    scene = one_contact("torus", object_velocity="rolling", profile=(0.2, 0.1),
+                        disturbances=[cs.ObjectRateOffset(0, 0.25, 0.5, tuple(d))])  # fmt: skip
+    plan = cs.plan(scene)
+    for t, inside in ((0.25 - 1e-15, 0), (0.25, 1), (0.5 - 1e-15, 1), (0.5, 0)):
+        u, v = plan.states(t)[0, 0, 4:6]
+        expected = -inside * np.asarray(scene.object.metric_root(u, v)) @ d
+        assert plan.slip(t)[0, 0] == pytest.approx(expected, abs=1e-15)
+
+
+def test_disturbance_on_the_second_cover_acts_on_the_point_that_it_names():
+    # (u, v) ~ (-u, pi - v), where both axes are turned: the same contact, written both ways.
+    push = cs.ObjectAcceleration, cs.ObjectRateOffset
+    second = one_contact("ellipsoid", object_at=(-0.7, pi - 0.4), profile=(0.2, 0.1),
+                         disturbances=[kind(0, 0.3, 0.6, (0.5, -0.8)) for kind in push])  # fmt: skip
+    first = one_contact("ellipsoid", object_at=(0.7, 0.4), profile=(0.2, 0.1), angle=0.3 + pi,
+                        object_velocity=(-0.2, 0.5),
+                        disturbances=[kind(0, 0.3, 0.6, (-0.5, 0.8)) for kind in push])  # fmt: skip
+    t = np.linspace(0, 1, 31)
+    one, two = cs.plan(first), cs.plan(second)
+    assert two.pose(t) == pytest.approx(one.pose(t), abs=1e-13)
+    assert two.twist(t) == pytest.approx(one.twist(t), abs=1e-12)
+    assert np.linalg.norm(two.slip(t), axis=-1) == pytest.approx(
+        np.linalg.norm(one.slip(t), axis=-1), abs=1e-13
+    )
+
+
+# --- many contacts
+
+
+def test_contacts_together_move_as_each_alone():
+    scene, t = several(), np.linspace(0, 1, 41)
+    together = cs.plan(scene)
+    for i, contact in enumerate(scene.contacts):
+        windows = [cs.FingerAcceleration(0, d.start, d.stop, d.value)
+                   for d in scene.disturbances if d.contact == i]  # fmt: skip
+        alone = cs.plan(scene.replace(contacts=[contact], disturbances=windows))
+        for ask in ASK:
+            expected = getattr(alone, ask)(t)[:, 0]
+            bar = 1e-13 * max(1.0, np.abs(expected).max())
+            assert getattr(together, ask)(t)[:, i] == pytest.approx(expected, abs=bar), (ask, i)
+
+
+def test_undisturbed_contact_is_not_integrated_because_another_is_disturbed():
+    scene = cs.load_scene("D1")
+    disturbed, calm = cs.plan(scene), cs.plan(scene.replace(disturbances=()))
+    t = np.linspace(0, 4, 41)
+    assert np.array_equal(disturbed.states(t)[:, 1:], calm.states(t)[:, 1:])
+    assert np.array_equal(disturbed.twist(t)[:, 1:], calm.twist(t)[:, 1:])
+    others = disturbed.explain().split("contacts 1, 2:")[1]
+    assert "great circle" in others and "skipped: all integration" in others
+    assert "panels" not in others
+
+
+# --- which way is taken
+
+
+@pytest.mark.parametrize("finger, words", [
+    ("sphere", "closed form: great circle"), ("bowl", "closed form: great circle"),
+    ("plane", "closed form: straight line unrolled"),
+    ("cylinder", "closed form: straight line unrolled"), ("torus", "geodesic in arc length"),
+    ("ellipsoid", "geodesic in arc length"), ("bumps", "geodesic in arc length"),
+])  # fmt: skip
+def test_undisturbed_finger_takes_the_cheapest_exact_way(finger, words):
+    (line,) = [x for x in cs.plan(one_contact(finger=finger)).explain().splitlines()
+               if x.startswith("  finger")]  # fmt: skip
+    assert words in line
+
+
+@pytest.mark.parametrize("obj, slipping, rolling", [
+    ("sphere", "development in space", "closed form: great circle"),
+    ("plane", "quadrature of slip", "closed form: straight line unrolled"),
+    ("cylinder", "quadrature of slip", "closed form: straight line unrolled"),
+    ("ellipsoid", "development in space", "geodesic in arc length"),
+    ("rounded cube", "development in space", "geodesic in arc length"),
+    ("bumps", "development in its chart", "geodesic in arc length"),
+])  # fmt: skip
+def test_object_takes_the_cheapest_exact_way(obj, slipping, rolling):
+    assert slipping in cs.plan(one_contact(obj)).explain()
+    text = cs.plan(one_contact(obj, object_velocity="rolling")).explain()
+    assert rolling in text and slipping not in text
+    assert "no slip" in text
+
+
+def test_explain_names_scene_tolerance_intervals_and_causes():
+    text = cs.plan(busy(), tolerance=1e-10).explain()
+    for words in ("'sphere on ellipsoid'", "tolerance 1e-10", "method auto", "contact 0:",
+                  "[0.2, 0.3] s  forced development", "finger acceleration and object acceleration",
+                  "object rate offset", "object [0.8, 1] s"):  # fmt: skip
+        assert words in text
+    assert "imposed" in cs.plan(cs.load_scene("C2")).explain()
+
+
+def test_path_at_rest_under_an_acceleration_is_refused():
+    # sigma = 0 where d acts on dq/ds: the path velocity would be infinite
+    for c in ((0.0, 0.3), (0.1, -0.4, 0.4)):
+        scene = one_contact(profile=c, disturbances=[cs.FingerAcceleration(0, 0.0, 0.6, (0.1, 0.0))])
+        with pytest.raises(SceneError, match="contact 0: sigma = 0 at t = .*move the window"):
+            cs.plan(scene)
+        calm = scene.replace(disturbances=[cs.ObjectRateOffset(0, 0.0, 0.6, (0.1, 0.0))])
+        assert np.isfinite(cs.plan(calm).twist(np.linspace(0, 1, 11))).all()
+
+
+# --- restart
+
+
+@pytest.mark.parametrize("t0", [0.0, 0.1, 0.2, 0.25, 0.35, 0.5, 0.55, 0.7, 0.8, 0.9])
+@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "bumps", "rounded cube"])
+def test_restart_from_its_own_states_reproduces_the_plan(obj, t0):
+    plan = cs.plan(busy(obj))
+    again = plan.restart(t0, plan.states(t0)[0])
+    t = np.linspace(t0, 1, 17)
+    assert again.start == t0
+    for ask in ASK:
+        expected = getattr(plan, ask)(t)
+        bar = 2e-12 * max(1.0, np.abs(expected).max())
+        assert getattr(again, ask)(t) == pytest.approx(expected, abs=bar), ask
+
+
+def test_restart_of_many_contacts_reproduces_the_plan():
+    plan = cs.plan(several())
+    again = plan.restart(0.4, plan.states(0.4)[0])
+    t = np.linspace(0.4, 1, 17)
+    assert again.states(t) == pytest.approx(plan.states(t), abs=1e-11)
+
+
+def test_restart_takes_up_the_measured_slip():
+    plan = cs.plan(one_contact("ellipsoid", object_velocity="rolling", profile=(0.2, 0.1)))
+    state = plan.states(0.5)[0]
+    state[0, 6:8] += [0.05, -0.04]
+    again, t = plan.restart(0.5, state), np.linspace(0.5, 1, 21)
+    first = slip_of_states(plan.scene, state[None])[0, 0]
+    assert again.slip(0.5)[0, 0] == pytest.approx(first, abs=1e-15)
+    sigma = polynomial.polyval(t, (0.2, 0.1))
+    law = np.linalg.norm(first) * sigma / sigma[0] * np.exp(-3.0 * (t - 0.5))
+    assert np.linalg.norm(again.slip(t)[:, 0], axis=1) == pytest.approx(law, abs=1e-14)
+    a1, _ = path_velocities(plan.scene, again.states(t))
+    assert np.linalg.norm(a1[:, 0], axis=1) == pytest.approx(sigma, rel=1e-12)
+
+
+def test_restart_has_no_past():
+    plan = cs.plan(one_contact())
+    again = plan.restart(0.5, plan.states(0.5)[0])
+    with pytest.raises(ContactSystemError, match=r"outside the plan's horizon \[0.5, 1\] s"):
+        again.states(0.4)
+    assert again.sample_times(11)[0] == 0.5
+
+
+def test_restart_refuses_what_it_cannot_start_from():
+    plan = cs.plan(one_contact(profile=(0.1, -0.4, 0.4)))
+    state = plan.states(0.4)[0]
+    with pytest.raises(SceneError, match=r"state has shape \(9,\); give \(1, 9\)"):
+        plan.restart(0.4, state[0])
+    with pytest.raises(SceneError, match="restart at t = 0.4 s: the measured state has a NaN"):
+        plan.restart(0.4, np.where(np.arange(9) == 3, np.nan, state))
+    with pytest.raises(SceneError, match="sigma = 0 there.*restart where sigma > 0"):
+        plan.restart(0.5, state)
+    with pytest.raises(ContactSystemError, match="outside the plan's horizon"):
+        plan.restart(2.0, state)
+    with pytest.raises(SceneError, match="contact 0 has its rolling imposed"):
+        dragged = cs.plan(cs.load_scene("C2"))
+        dragged.restart(0.5, dragged.states(0.5)[0])
+
+
+def test_restart_at_the_very_end_leaves_nothing_to_plan():
+    plan = cs.plan(one_contact())
+    with pytest.raises(ContactSystemError, match="restart at t = 1 s"):
+        plan.restart(1.0, plan.states(1.0)[0])
+
+
+# --- files
+
+
+@pytest.mark.parametrize("method", ["auto", "chart"])
+def test_plan_comes_back_from_an_npz_file(tmp_path, method):
+    plan = cs.plan(busy(), tolerance=1e-9, method=method)
+    path = tmp_path / "plan.npz"
+    plan.save(path)
+    again, t = cs.load(path), np.linspace(0, 1, 23)
+    for ask in ASK:
+        assert np.array_equal(getattr(again, ask)(t), getattr(plan, ask)(t)), ask
+    assert (again.scene, again.tolerance, again.method) == (plan.scene, 1e-9, method)
+
+
+def test_restarted_plan_comes_back_from_an_npz_file(tmp_path):
+    plan = cs.plan(busy())
+    state = plan.states(0.45)[0]
+    state[0, 6] += 0.1
+    again = plan.restart(0.45, state)
+    again.save(tmp_path / "again.npz")
+    loaded, t = cs.load(tmp_path / "again.npz"), np.linspace(0.45, 1, 12)
+    assert loaded.start == 0.45
+    assert np.array_equal(loaded.states(t), again.states(t))
+
+
+def test_npz_file_holds_sampled_results(tmp_path):
+    plan = cs.plan(several())
+    plan.save(str(tmp_path / "plan.npz"))
+    with np.load(tmp_path / "plan.npz") as data:
+        t = data["t"]
+        assert len(t) == 401 + len(set(plan.scene.edges) - set(np.linspace(0, 1, 401)))
+        assert set(plan.scene.edges) <= set(t)
+        for ask in ("states", "slip", "twist", "pose", "points"):
+            assert np.array_equal(data[ask], getattr(plan, ask)(t)), ask
+
+
+def test_csv_file_holds_states_and_slip_to_the_last_digit(tmp_path):
+    plan, t = cs.plan(several()), [0.0, 0.25, 1.0]
+    plan.save(tmp_path / "plan.csv", t)
+    with open(tmp_path / "plan.csv", newline="") as file:
+        head, *rows = csv.reader(file)
+    table = np.array(rows, dtype=float).reshape(3, 7, 14)
+    assert head[:4] == ["t [s]", "contact", "u1", "v1"] and len(head) == 14
+    assert np.array_equal(table[:, :, 0], np.repeat(np.array(t)[:, None], 7, axis=1))
+    assert np.array_equal(table[0, :, 1], np.arange(7))
+    assert np.array_equal(table[:, :, 2:11], plan.states(t))
+    assert np.array_equal(table[:, :, 11:13], plan.slip(t))
+    assert table[:, :, 13] == pytest.approx(np.linalg.norm(plan.slip(t), axis=-1), abs=1e-17)
+
+
+def test_files_of_other_kinds_are_refused(tmp_path):
+    plan = cs.plan(one_contact())
+    with pytest.raises(ContactSystemError, match="unknown ending '.mat'; use .npz or .csv"):
+        plan.save(tmp_path / "plan.mat")
+    np.savez(tmp_path / "other.npz", x=np.zeros(3))
+    with pytest.raises(ContactSystemError, match="not a plan written by Plan.save"):
+        cs.load(tmp_path / "other.npz")
+
+
+# --- bundled scenes
+
+
+@pytest.mark.parametrize("name", cs.bundled_scenes())
+def test_every_bundled_scene_can_be_planned_and_asked(name):
+    plan = cs.plan(cs.load_scene(name))
+    t = plan.sample_times(31)
+    for ask in ASK:
+        assert np.isfinite(getattr(plan, ask)(t)).all(), ask
+    assert plan.slip(t) == pytest.approx(slip_of_states(plan.scene, plan.states(t)), abs=1e-12)
+
+
+def test_object_at_rest_starts_with_the_whole_path_velocity_as_slip():
+    scene = cs.load_scene("K1")
+    first = cs.plan(scene).slip(0.0)[0]
+    assert first == pytest.approx(
+        np.broadcast_to(1e-3 * reflection(0.0) @ [2**-0.5, 2**-0.5], (3, 2)), abs=1e-18
+    )
+
+
+def test_surfaces_of_the_shared_table_are_all_planned_on():
+    # as finger and as object, in one scene each
+    contacts = [cs.Contact(finger=f, object_at=(1.1, 0.4), finger_at=at) for f, at in SURFACES.values()]
+    scene = cs.Scene(object=cs.Sphere(0.1), contacts=contacts, profile=cs.Profile([0.1]), duration=1.0)
+    plan = cs.plan(scene)
+    x = plan.points([0.0, 1.0])[:, :, 1]
+    assert x == pytest.approx(x[:, :1] + 0 * x, abs=1e-14)  # all roll the same way on the object
