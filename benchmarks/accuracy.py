@@ -202,7 +202,7 @@ def revolutions(full: bool) -> Iterator[Bar]:
         yield Bar("1000 revolutions, sphere and cylinder", 1e-12, None, note="mpmath not installed")
         return
     random = np.random.default_rng(1000)
-    for kind, truth in ((cs.Sphere, _great_circle), (cs.Cylinder, _helix)):
+    for kind, truth in ((cs.Sphere, great_circle), (cs.Cylinder, helix)):
         errors, spacings = [], []
         for _ in range(60 if full else 12):
             radius, heading = random.uniform(0.02, 2.0), random.uniform(-math.pi / 4, math.pi / 4)
@@ -212,7 +212,8 @@ def revolutions(full: bool) -> Iterator[Bar]:
             t = np.append(np.sort(random.uniform(0.0, scene.duration, 30)), scene.duration)
             found = cs.plan(scene).points(t)[:, 0, 1]
             with mpmath.workdps(40):
-                exact = np.array([truth(mpmath, scene, time) for time in t])
+                lengths = [arc_length(mpmath, scene.profile, time) for time in t]
+                exact = np.array([truth(mpmath, radius, at, w, s) for s in lengths])
             errors.append(np.linalg.norm((found - exact).astype(float), axis=1).max() / radius)
             spacings.append(np.spacing(np.abs(found).max()) / radius)
         note = f"float64 spacing of the coordinates: {max(spacings):.1e} of the radius"
@@ -239,25 +240,28 @@ def _long_scene(
     return cs.Scene(object=surface, contacts=[contact], profile=profile, duration=high)
 
 
-def _arc_length(mp: Any, scene: cs.Scene, t: float) -> Any:
-    powers = enumerate(scene.profile.coefficients)
+def arc_length(mp: Any, profile: cs.Profile, t: float) -> Any:
+    """s(t) in mpmath, m."""
+    powers = enumerate(profile.coefficients)
     return mp.fsum(mp.mpf(c) * mp.mpf(t) ** (k + 1) / (k + 1) for k, c in powers)
 
 
-def _great_circle(mp: Any, scene: cs.Scene, t: float) -> list[Any]:
-    (u, v), w = map(mp.mpf, scene.contacts[0].object_at), scene.contacts[0].object_velocity
-    r, pace = mp.mpf(scene.object.size), mp.hypot(*map(mp.mpf, w))
+def great_circle(
+    mp: Any, radius: float, at: tuple[Any, Any], w: tuple[Any, Any], s: Any
+) -> list[Any]:
+    """Point of a sphere at path parameter s, from chart coordinates ``at`` along path velocity w."""
+    (u, v), r, pace = map(mp.mpf, at), mp.mpf(radius), mp.hypot(*map(mp.mpf, w))
     normal = [mp.sin(u) * mp.cos(v), mp.sin(u) * mp.sin(v), mp.cos(u)]
     x_axis = [mp.cos(u) * mp.cos(v), mp.cos(u) * mp.sin(v), -mp.sin(u)]
     y_axis = [-mp.sin(v), mp.cos(v), mp.mpf(0)]
-    phase = pace * _arc_length(mp, scene, t) / r
+    phase = pace * s / r
     along = [(w[0] * a + w[1] * b) / pace for a, b in zip(x_axis, y_axis, strict=True)]
     return [r * (mp.cos(phase) * n + mp.sin(phase) * e) for n, e in zip(normal, along, strict=True)]
 
 
-def _helix(mp: Any, scene: cs.Scene, t: float) -> list[Any]:
-    (u, v), w = map(mp.mpf, scene.contacts[0].object_at), scene.contacts[0].object_velocity
-    r, s = mp.mpf(scene.object.size), _arc_length(mp, scene, t)
+def helix(mp: Any, radius: float, at: tuple[Any, Any], w: tuple[Any, Any], s: Any) -> list[Any]:
+    """The same on a cylinder."""
+    (u, v), r = map(mp.mpf, at), mp.mpf(radius)
     turned = u + w[0] * s / r
     return [r * mp.cos(turned), r * mp.sin(turned), v + w[1] * s]
 

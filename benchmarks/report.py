@@ -36,6 +36,8 @@ class Bar:
         True: ``measured`` must be at least ``limit``; False: at most.
     note : str
         One line printed behind the verdict.
+    holds : bool
+        Whether the bar's other condition holds; ``note`` says which it is.
     detail : dict
         What stands behind the number, for the JSON file.
     """
@@ -46,6 +48,7 @@ class Bar:
     unit: str = ""
     least: bool = False
     note: str = ""
+    holds: bool = True
     detail: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -53,7 +56,8 @@ class Bar:
         """Whether the bar is met; None if it was not measured. A NaN meets no bar."""
         if self.measured is None:
             return None
-        return self.measured >= self.limit if self.least else self.measured <= self.limit
+        reached = self.measured >= self.limit if self.least else self.measured <= self.limit
+        return bool(reached and self.holds)
 
     @property
     def verdict(self) -> str:
@@ -62,6 +66,8 @@ class Bar:
             return "-"
         if self.met:
             return "yes"
+        if not self.holds:
+            return "NO, see note"
         missing = self.limit / self.measured if self.least else self.measured / self.limit
         return f"NO by {missing:.3g} x"
 

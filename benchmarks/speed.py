@@ -1,1 +1,426 @@
-SECTIONS = {}
+"""Speed bars: planning and evaluating beside the best of other integrators.
+
+All competitors run in this process, on one thread, in turns. Kernels are warm and just-in-time
+compilation is told apart. Every call of ours plans a scene that was built beforehand and has never
+been planned: a scene keeps what planning finds out about it, and integrators start afresh too.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import contact_system as cs
+from contact_system.chart_solution import initial_state
+from contact_system.planner import scene_start
+
+from . import peers
+from .accuracy import arc_length, engines, great_circle, point_error, reference
+from .peers import Method, Solver
+from .report import Bar
+from .timing import Job, Timing, interleaved, least
+
+POINTS = 400
+FINGER = cs.Sphere(0.04)
+OBJECTS = {"sphere": cs.Sphere(0.1), "ellipsoid": cs.Ellipsoid(0.3, 0.2, 0.1)}
+PROFILE = cs.Profile([0.001, 0.0, 0.4])
+
+
+def _scene(obj: cs.Surface, gain: cs.Gain, velocity: Any = (0.2, -0.9)) -> cs.Scene:
+    """One contact of K1's kind, as in tests/oracles/*_slip.json."""
+    contact = cs.Contact(
+        finger=FINGER, object_at=(0.7, 0.4), finger_at=(1.1, 0.2), angle=0.3,
+        object_velocity=velocity,
+    )  # fmt: skip
+    return cs.Scene(object=obj, contacts=[contact], profile=PROFILE, gain=gain, duration=1.0)
+
+
+def _states(scene: cs.Scene, t: np.ndarray, tolerance: float, compiled: bool) -> np.ndarray:
+    return cs.plan(scene, tolerance=tolerance, compiled=compiled).states(t)
+
+
+def _points(scene: cs.Scene, t: np.ndarray, tolerance: float, compiled: bool) -> np.ndarray:
+    return cs.plan(scene, tolerance=tolerance, compiled=compiled).points(t)
+
+
+def _points_of(scene: cs.Scene, states: np.ndarray) -> np.ndarray:
+    """Contact points of chart states: (n, 9) -> (n, 2, 3)."""
+    tip = scene.contacts[0].finger.point(states[:, 0], states[:, 1])
+    return np.stack([tip, scene.object.point(states[:, 4], states[:, 5])], axis=1)
+
+
+def _engine(compiled: bool) -> str:
+    return "compiled" if compiled else "no compiler"
+
+
+# --- no slip -----------------------------------------------------------------------------------
+
+
+def no_slip(full: bool) -> Iterator[Bar]:
+    """A sphere rolls on a sphere: points beside heyoka in space, states beside heyoka on charts."""
+    t = np.linspace(0.0, 1.0, POINTS)
+    make = partial(_scene, OBJECTS["sphere"], cs.Gain.path(100.0), "rolling")
+    try:
+        import mpmath
+    except ImportError:
+        yield Bar("no slip, beside heyoka", 3.0, None, "x", note="mpmath not installed")
+        return
+    if not peers.has_heyoka():
+        yield Bar("no slip, beside heyoka", 3.0, None, "x", note="heyoka not installed")
+        return
+    truth = _rolling_truth(mpmath, make(), t)
+    yield from _beside("points", make, t, _points, truth, _cartesian(make(), t), 3.0)
+    yield from _beside("chart states", make, t, _states, truth, _chart(make(), t), 1.5)
+
+
+def _rolling_truth(mp: Any, scene: cs.Scene, t: np.ndarray) -> np.ndarray:
+    """Contact points in closed form: (n, 2, 3)."""
+    contact = scene.contacts[0]
+    with mp.workdps(40):
+        w, psi = [mp.mpf(x) for x in contact.finger_velocity], mp.mpf(contact.angle)
+        cos, sin = mp.cos(psi), mp.sin(psi)
+        turned = (cos * w[0] - sin * w[1], -sin * w[0] - cos * w[1])
+        bodies = ((FINGER, contact.finger_at, w), (scene.object, contact.object_at, turned))
+        rows = []
+        for time_ in t:
+            s = arc_length(mp, scene.profile, time_)
+            rows.append([great_circle(mp, b.size, at, v, s) for b, at, v in bodies])
+        return np.array(rows, dtype=float)
+
+
+def _cartesian(scene: cs.Scene, t: np.ndarray) -> Callable[[float], Callable[[], np.ndarray]]:
+    contact, start = scene.contacts[0], scene_start(scene.contacts[0])
+    frames = []
+    for surface, at, w in (
+        (contact.finger, contact.finger_at, start.finger_velocity),
+        (scene.object, contact.object_at, start.object_velocity),
+    ):
+        frame = surface.frame(*at)
+        frames.append(np.array([surface.point(*at), frame[:, :2] @ w]))
+    radii, lengths = (contact.finger.size, scene.object.size), scene.profile.arc_length(t)
+    return lambda tolerance: peers.heyoka_great_circles(radii, frames, lengths, tolerance)
+
+
+def _chart(scene: cs.Scene, t: np.ndarray) -> Callable[[float], Callable[[], np.ndarray]]:
+    method = peers.heyoka_method(scene, t, slip=False)
+    start = initial_state(scene, 0, scene_start(scene.contacts[0]), 0.0)
+
+    def build(tolerance: float) -> Callable[[], np.ndarray]:
+        solver = method.build(tolerance)
+        return lambda: solver(start, 0.0)
+
+    return build
+
+
+def _beside(
+    what: str,
+    make: Callable[[], cs.Scene],
+    t: np.ndarray,
+    ours: Callable[..., np.ndarray],
+    truth: np.ndarray,
+    build: Callable[[float], Callable[[], np.ndarray]],
+    limit: float,
+) -> Iterator[Bar]:
+    """Ours beside heyoka at the tolerance of its least error."""
+    scene = make()
+
+    def error(found: np.ndarray) -> float:
+        points = found if found.ndim == 3 else _points_of(scene, found)
+        return point_error(scene, 0, points, truth)
+
+    runs, errors, compilation = {}, {}, {}
+    for tolerance in (1e-13, 1e-14, 1e-15, 2.3e-16):
+        begin = time.perf_counter()
+        runs[tolerance] = build(tolerance)
+        compilation[tolerance] = time.perf_counter() - begin
+        errors[tolerance] = error(runs[tolerance]())
+    best = min(errors.values())
+    chosen = max(tol for tol, e in errors.items() if e <= 1.5 * best)  # as good, and cheaper
+    peer = runs[chosen]
+    jobs = {"heyoka": Job(lambda _: peer())}
+    for compiled in engines():
+        call = partial(ours, t=t, tolerance=1e-12, compiled=compiled)
+        jobs[_engine(compiled)] = Job(call, make)
+        jobs[f"{_engine(compiled)}, same scene again"] = Job(call, lambda: scene)
+    times = interleaved(jobs, repeats=15)
+    for compiled in reversed(engines()):
+        name = _engine(compiled)
+        own = error(ours(make(), t, 1e-12, compiled)[:, 0])
+        ratio, again = (
+            times["heyoka"].median / times[key].median for key in (name, f"{name}, same scene again")
+        )
+        note = (
+            f"{1e6 * times[name].median:.3g} us beside {1e6 * times['heyoka'].median:.3g} us; "
+            f"errors {own:.1e} beside {errors[chosen]:.1e}; same scene again {again:.3g} x"
+        )
+        detail = {
+            "times": {k: str(v) for k, v in times.items()}, "heyoka tolerance": chosen,
+            "heyoka errors": {f"{k:g}": v for k, v in errors.items()},
+            "heyoka compilation [s]": compilation[chosen],
+        }  # fmt: skip
+        yield Bar(
+            f"no slip, {what} beside heyoka, {name}", limit if compiled else 1.0, ratio, "x", True,
+            note, own <= errors[chosen], detail,
+        )  # fmt: skip
+
+
+# --- slip --------------------------------------------------------------------------------------
+
+PEAKS = {1e2: 3.0, 1e5: 10.0, 1e7: 10.0}  # greatest eta sigma^2 [1/s]: times faster
+TARGETS = (1e-6, 1e-9, 1e-12)
+OURS = peers.decades(3, 15)
+
+
+def slip(full: bool) -> Iterator[Bar]:
+    """Chart states under slip, at equal achieved error, beside the best of the peers."""
+    t = np.linspace(0.0, 1.0, POINTS)
+    for kind, obj in OBJECTS.items():
+        methods = _methods(_scene(obj, cs.Gain.path(1.0)), t, 20.0 if full else 1.0)
+        built: dict[tuple[str, float], Solver] = {}
+        for peak, limit in PEAKS.items():
+            make = partial(_scene, obj, cs.Gain.path(peak / PROFILE(1.0) ** 2))
+            yield from _work_precision(kind, peak, limit, make, t, methods, built)
+
+
+def _methods(scene: cs.Scene, t: np.ndarray, limit: float) -> list[Method]:
+    found = [peers.heyoka_method(scene, t)] if peers.has_heyoka() else []
+    return found + peers.cvodes_methods(scene, t) + peers.scipy_methods(scene, t, limit)
+
+
+def _work_precision(
+    kind: str,
+    peak: float,
+    limit: float,
+    make: Callable[[], cs.Scene],
+    t: np.ndarray,
+    methods: list[Method],
+    built: dict[tuple[str, float], Solver],
+) -> Iterator[Bar]:
+    """One scene: a bar for each achieved error."""
+    scene = make()
+    truth = cs.plan(scene, tolerance=1e-15, compiled=False).points(t)[:, 0]
+    start = initial_state(scene, 0, scene_start(scene.contacts[0]), 0.0)
+    runs: dict[str, tuple[Job, float, float]] = {}  # name -> job, error, s
+    failures: dict[str, str] = {}
+    for method in methods:
+        _scan_peer(method, scene, start, truth, built, runs, failures)
+    for compiled in engines():
+        for tolerance in OURS:
+            call = partial(_states, t=t, tolerance=tolerance, compiled=compiled)
+            error = point_error(scene, 0, _points_of(scene, call(make())[:, 0]), truth)
+            job = Job(call, make)
+            runs[f"ours {_engine(compiled)} {tolerance:g}"] = (job, error, least(job))
+    check = _reference_check(kind, scene, runs)
+    picked = {target: _pick(runs, target) for target in TARGETS}
+    jobs = {name: runs[name][0] for names in picked.values() for name in names}
+    times = interleaved(jobs, repeats=7)
+    for target, names in picked.items():
+        name = f"slip, {kind}, peak {peak:.0e}/s, error {target:.0e}"
+        yield _slip_bar(name, limit, names, times, runs, failures, check)
+
+
+def _scan_peer(
+    method: Method,
+    scene: cs.Scene,
+    start: np.ndarray,
+    truth: np.ndarray,
+    built: dict[tuple[str, float], Solver],
+    runs: dict[str, tuple[Job, float, float]],
+    failures: dict[str, str],
+) -> None:
+    """Error and time of a peer at each of its tolerances, until one fails or is needlessly tight."""
+    for tolerance in method.tolerances:
+        key = (method.name, tolerance)
+        try:
+            if key not in built:
+                built[key] = method.build(tolerance)
+            solver = built[key]
+            states = solver(start, scene.gain.value)
+            if not np.isfinite(states).all():
+                raise ArithmeticError("the result is not finite")
+        except (TimeoutError, ArithmeticError, RuntimeError) as reason:
+            failures[f"{method.name} {tolerance:g}"] = str(reason).strip().splitlines()[-1][-120:]
+            return
+        job = Job(lambda _, solver=solver: solver(start, scene.gain.value))
+        error = point_error(scene, 0, _points_of(scene, states), truth)
+        runs[f"{method.name} {tolerance:g}"] = (job, error, least(job, 3))
+        if error < 0.1 * min(TARGETS):
+            return
+
+
+def _pick(runs: dict[str, tuple[Job, float, float]], target: float) -> list[str]:
+    """The cheapest run of each engine of ours that achieves the error, and the two best peers."""
+    reached = sorted((s, name) for name, (_, error, s) in runs.items() if error <= target)
+    names = []
+    for compiled in engines():
+        names += [name for _, name in reached if name.startswith(f"ours {_engine(compiled)}")][:1]
+    return names + [name for _, name in reached if not name.startswith("ours")][:2]
+
+
+def _slip_bar(
+    name: str,
+    limit: float,
+    names: list[str],
+    times: dict[str, Timing],
+    runs: dict[str, tuple[Job, float, float]],
+    failures: dict[str, str],
+    check: dict[str, float],
+) -> Bar:
+    own = [n for n in names if n.startswith(f"ours {_engine(engines()[-1])}")]
+    plain = [n for n in names if n.startswith(f"ours {_engine(False)}")]
+    rivals = [n for n in names if not n.startswith("ours")]
+    detail = {
+        "times": {n: str(times[n]) for n in names}, "errors": {n: runs[n][1] for n in names},
+        "scan [s], error": {n: [s, e] for n, (_, e, s) in runs.items()},
+        "failed": failures, "reference check": check,
+    }  # fmt: skip
+    if not own or not rivals:
+        who = "we do" if not own else "no peer does"
+        note = f"{who} not reach this error" if not own else f"{who} reach this error"
+        return Bar(name, limit, None, "x", True, note, detail=detail)
+    rival = min(rivals, key=lambda n: times[n].median)
+    note = f"{1e6 * times[own[0]].median:.3g} us beside {1e6 * times[rival].median:.3g} us ({rival})"
+    if engines()[-1] and plain:
+        note += f"; no compiler {times[rival].median / times[plain[0]].median:.3g} x"
+    if not engines()[-1]:
+        note += "; no compiler on this machine"
+    ratio = times[rival].median / times[own[0]].median
+    return Bar(name, limit, ratio, "x", True, note, detail=detail)
+
+
+def _reference_check(kind: str, scene: cs.Scene, runs: dict[str, Any]) -> dict[str, float]:
+    """How far the reference (our plan at 1e-15) is from independent solutions."""
+    check = {"best peer": min((e for n, (_, e, _) in runs.items() if n[:4] != "ours"), default=math.nan)}
+    try:
+        records = reference(f"{kind}_slip")["scenes"].values()
+    except FileNotFoundError:
+        return check
+    for record in records:
+        law, eta = record["gain"]["law"], record["gain"]["eta"]
+        if law == scene.gain.law and math.isclose(eta, scene.gain.value, rel_tol=1e-14):
+            exact = scene.replace(gain=cs.Gain(law, eta))
+            points = cs.plan(exact, tolerance=1e-15, compiled=False).points(record["times"])[:, 0]
+            check["30 digits"] = point_error(exact, 0, points, record["contacts"][0]["points"])
+    return check
+
+
+# --- gain --------------------------------------------------------------------------------------
+
+
+def eta(full: bool) -> Iterator[Bar]:
+    """Time at eta = 1e10 over time at eta = 1; between them the cost is noted."""
+    t = np.linspace(0.0, 1.0, POINTS)
+    etas = [10.0**k for k in range(0, 11, 2)]
+    for compiled in reversed(engines()):
+        for kind, obj in OBJECTS.items():
+            for law in ("path", "time"):
+                call = partial(_states, t=t, tolerance=1e-12, compiled=compiled)
+                jobs = {
+                    f"{value:g}": Job(call, partial(_scene, obj, cs.Gain(law, value))) for value in etas
+                }
+                times = {k: v.median for k, v in interleaved(jobs, repeats=7).items()}
+                first, last, most = times["1"], times["1e+10"], max(times, key=lambda k: times[k])
+                note = f"{1e6 * first:.4g} us at 1; most at {most}: {times[most] / first:.3g} x"
+                name = f"eta 1e10 over 1, {kind}, law {law}, {_engine(compiled)}"
+                yield Bar(name, 2.0, last / first, "x", note=note, detail=times)
+
+
+# --- start -------------------------------------------------------------------------------------
+
+START = """
+import time
+a = time.perf_counter()
+import contact_system as cs
+b = time.perf_counter()
+scene = cs.load_scene("K4")
+c = time.perf_counter()
+plan = cs.plan(scene, compiled=False)
+d = time.perf_counter()
+plan.states([0.0, 1.0, 4.0])
+print(b - a, c - b, d - c, time.perf_counter() - d)
+"""
+
+
+def start(full: bool) -> Iterator[Bar]:
+    """Import and the first plan of K4, each in a fresh process."""
+    root = Path(__file__).parents[1]
+    rows = []
+    for _ in range(6):  # the first one warms the file cache
+        done = subprocess.run(
+            [sys.executable, "-c", START], cwd=root, env=os.environ, capture_output=True, text=True
+        )
+        if done.returncode:
+            raise RuntimeError(done.stderr)
+        rows.append([float(x) for x in done.stdout.split()])
+    columns = list(zip(*rows[1:], strict=True))
+    imported, loaded, planned, evaluated = (statistics.median(column) for column in columns)
+    spread = [f"{min(c):.3g} to {max(c):.3g} s" for c in columns]
+    yield Bar("import contact_system", 0.6, imported, "s", note=spread[0])
+    note = f"{spread[2]}; reading the scene {loaded:.3g} s, first states {evaluated:.3g} s"
+    yield Bar("first plan of K4, no compiler", 0.15, planned, "s", note=note)
+
+
+# --- many contacts -----------------------------------------------------------------------------
+
+COUNTS = (1, 10, 100, 1000)
+KINDS = (("sphere", False), ("sphere", True), ("ellipsoid", False), ("ellipsoid", True))
+
+
+def many(full: bool) -> Iterator[Bar]:
+    """Contacts of one kind in one scene beside a Python loop over scenes of one contact."""
+    t = np.linspace(0.0, 1.0, 100)
+    for compiled in reversed(engines()):
+        counts = COUNTS if compiled or full else COUNTS[:-1]
+        for kind, slips in KINDS:
+            call = partial(_states, t=t, tolerance=1e-12, compiled=compiled)
+            jobs = {str(n): Job(call, partial(_crowd, kind, slips, n)) for n in counts}
+            most = counts[-1]
+            jobs["loop"] = Job(
+                lambda scenes, call=call: [call(scene) for scene in scenes],
+                lambda kind=kind, slips=slips, n=most: _crowd(kind, slips, n, split=True),
+            )
+            times = {k: v.median for k, v in interleaved(jobs, repeats=5).items()}
+            growth = [times[str(10 * n)] / (10 * times[str(n)]) for n in counts[:-1]]
+            name = f"{kind}, {'slip' if slips else 'no slip'}, {_engine(compiled)}"
+            each = ", ".join(f"{1e6 * times[str(n)] / n:.3g}" for n in counts)
+            note = f"us a contact for {', '.join(map(str, counts))}: {each}"
+            bar = f"contacts x 10: time over 10 x time, {name}"
+            yield Bar(bar, 1.0, max(growth), note=note, detail=times)
+            note = f"loop {1e6 * times['loop'] / most:.3g} us a contact"
+            ratio = times["loop"] / times[str(most)]
+            yield Bar(f"{most} contacts beside a loop, {name}", 5.0, ratio, "x", True, note)
+
+
+def _crowd(kind: str, slips: bool, count: int, split: bool = False) -> Any:
+    """A scene of many contacts, or that many scenes of one."""
+    random = np.random.default_rng(count)
+    contacts = []
+    for u, v, angle, a, b in random.uniform(-0.3, 0.3, (count, 5)):
+        velocity = (0.2 + a, -0.9 + b) if slips else "rolling"
+        contacts.append(
+            cs.Contact(
+                finger=FINGER, object_at=(0.9 + u, 0.4 + v), finger_at=(1.3 + v, 0.2), angle=angle,
+                object_velocity=velocity,
+            )  # fmt: skip
+        )
+    groups = [[c] for c in contacts] if split else [contacts]
+    scenes = [
+        cs.Scene(
+            object=OBJECTS[kind], contacts=group, profile=PROFILE, gain=cs.Gain.time(20.0), duration=1.0
+        )
+        for group in groups
+    ]
+    return scenes if split else scenes[0]
+
+
+SECTIONS = {"no slip": no_slip, "slip": slip, "eta": eta, "start": start, "many": many}

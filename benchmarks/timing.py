@@ -7,9 +7,27 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 BURST = 0.01  # [s] that one sample lasts at least, so that the clock's own cost is lost in it
 SLOW = 0.2  # [s]: what takes longer is sampled twice only
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is timed.
+
+    Attributes
+    ----------
+    call : callable
+        Takes one item.
+    make : callable
+        Makes an item, outside the time. A scene keeps what was found out about it when it was
+        planned first, so a scene that is to be planned afresh is made anew for every call.
+    """
+
+    call: Callable[[Any], Any]
+    make: Callable[[], Any] = lambda: None
 
 
 @dataclass(frozen=True)
@@ -21,44 +39,47 @@ class Timing:
     high: float
 
     def __str__(self) -> str:
-        return f"{1e6 * self.median:.1f} us ({1e6 * self.low:.1f} to {1e6 * self.high:.1f})"
+        return f"{1e6 * self.median:.4g} us ({1e6 * self.low:.4g} to {1e6 * self.high:.4g})"
 
 
-def once(job: Callable[[], object]) -> float:
-    """Seconds of a single call."""
+def sample(job: Job, count: int = 1) -> float:
+    """Seconds a call, over ``count`` calls."""
+    items = [job.make() for _ in range(count)]
+    call = job.call
     begin = time.perf_counter()
-    job()
-    return time.perf_counter() - begin
+    for item in items:
+        call(item)
+    return (time.perf_counter() - begin) / count
 
 
-def interleaved(
-    jobs: dict[str, Callable[[], object]], repeats: int = 9, burst: float = BURST
-) -> dict[str, Timing]:
+def least(job: Job, tries: int = 5) -> float:
+    """Least of a few single calls, s; slow ones are called once."""
+    first = sample(job)
+    return first if first > SLOW else min(first, *(sample(job) for _ in range(tries - 1)))
+
+
+def interleaved(jobs: dict[str, Job], repeats: int = 9, burst: float = BURST) -> dict[str, Timing]:
     """Time jobs in turns, so that a slow spell of the machine meets all of them.
 
     Parameters
     ----------
-    jobs : what to call, by name; every job is called twice before its time counts
+    jobs : by name; every job is called before its time counts
     repeats : samples of each job
     burst : s, least length of a sample
     """
     counts = {}
     for name, job in jobs.items():
-        job()
-        counts[name] = max(1, round(burst / max(once(job), 1e-9)))
+        sample(job)
+        counts[name] = max(1, round(burst / max(sample(job), 1e-9)))
     samples: dict[str, list[float]] = {name: [] for name in jobs}
-    gc.collect()
     gc.disable()
     try:
         for turn in range(repeats):
             for name, job in jobs.items():
                 if turn >= 2 and samples[name][0] > SLOW:
                     continue
-                count = counts[name]
-                begin = time.perf_counter()
-                for _ in range(count):
-                    job()
-                samples[name].append((time.perf_counter() - begin) / count)
+                gc.collect()
+                samples[name].append(sample(job, counts[name]))
     finally:
         gc.enable()
     return {

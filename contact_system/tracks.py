@@ -340,7 +340,8 @@ class Evaluator:
 
     def __init__(self, kernel: Kernel, circle: bool, n_states: int, winds: bool):
         self.kernel = kernel
-        rows = ", ".join(f"{i * 64}" for i in range(kernel.n_point))
+        width = 64 if circle else 80  # WIDTH of c/tracks.c
+        rows = ", ".join(f"{i * width}" for i in range(kernel.n_point))
         head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
         head += f"#define KERNEL {kernel.name}\n#define NP {kernel.n_point}\n"
         head += f"#define NC {kernel.n_constant}L\n#define NR {kernel.n_result}\n"

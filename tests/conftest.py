@@ -1,4 +1,4 @@
-"""What the tests of motion share: surfaces to move on, and arithmetic that knows nothing of plans."""
+"""What the tests of motion share: surfaces to move on, arithmetic that knows nothing of plans."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ SURFACES: dict[str, tuple[cs.Surface, tuple[float, float]]] = {
 def one_contact(
     obj: str = "sphere",
     finger: str = "sphere",
-    gain: cs.Gain = cs.Gain.time(3.0),
+    gain: cs.Gain | None = None,
     profile: tuple[float, ...] = (0.05, 0.2, -0.1),
     disturbances: tuple[cs.scene.Disturbance, ...] = (),
     duration: float = 1.0,
@@ -63,7 +63,7 @@ def one_contact(
         object=SURFACES[obj][0],
         contacts=[cs.Contact(finger=SURFACES[finger][0], **values)],
         profile=cs.Profile(profile),
-        gain=gain,
+        gain=gain or cs.Gain.time(3.0),
         duration=duration,
         disturbances=disturbances,
         name=f"{finger} on {obj}",

@@ -181,8 +181,10 @@ def test_states_obey_the_chart_equations_beyond_the_ellipsoids_seam():
 # --- the same scenes, integrated as chart equations
 
 
-@pytest.mark.parametrize("obj, finger", [("sphere", "sphere"), ("ellipsoid", "sphere"),
-                                         ("torus", "ellipsoid"), ("bumps", "cylinder")])  # fmt: skip
+@pytest.mark.parametrize(
+    "obj, finger",
+    [("sphere", "sphere"), ("ellipsoid", "sphere"), ("torus", "ellipsoid"), ("bumps", "cylinder")],
+)
 def test_method_chart_agrees_with_the_default_to_its_tolerance(obj, finger):
     scene = one_contact(obj, finger, profile=(0.2, 0.1), disturbances=list(DISTURBANCES.values()))
     t = np.linspace(0.0, 1.0, 31)

@@ -111,7 +111,6 @@ def test_engines_agree_on_a_surfaces_geometry(name):
     points = np.vstack([at, surface.point(*at).T])[None]
     values = evaluate(kernel, points, np.array([surface.parameters]))
     size = np.maximum(1.0, np.abs(values["machine"]))
-
     for engine in values:
         assert (np.abs(values[engine] - values["machine"]) / size).max() <= 1e-14, engine
 

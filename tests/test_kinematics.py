@@ -79,7 +79,9 @@ def test_twist_is_the_derivative_of_the_pose(obj, finger):
 
 
 @pytest.mark.parametrize("window", WINDOWS)
-@pytest.mark.parametrize("obj", ["sphere", "cylinder", "ellipsoid", "torus", "bumps", "rounded cube"])
+@pytest.mark.parametrize(
+    "obj", ["sphere", "cylinder", "ellipsoid", "torus", "bumps", "rounded cube"]
+)
 def test_twist_is_the_derivative_of_the_pose_under_a_disturbance(obj, window):
     # profile away from zero: accelerations act on dq/ds as d / sigma^2
     scene = one_contact(obj, disturbances=WINDOWS[window], profile=(0.2, 0.1))

@@ -31,7 +31,8 @@ def busy(obj: str = "ellipsoid", finger: str = "sphere", **given) -> cs.Scene:
 def several() -> cs.Scene:
     """Seven contacts on an ellipsoid: two finger kinds, rest, rolling, slip, one window."""
     sphere, torus = cs.Sphere(0.04), cs.Torus(0.05, 0.02)
-    places = [(0.7, 0.4), (1.9, -0.6), (-2.0, 1.1), (2.6, 0.2), (-0.6, -1.0), (1.2, 1.3), (-1.4, 0.8)]
+    places = [(0.7, 0.4), (1.9, -0.6), (-2.0, 1.1), (2.6, 0.2), (-0.6, -1.0), (1.2, 1.3)]
+    places += [(-1.4, 0.8)]
     starts = [(0.2, -0.5), "rolling", "rest", (0.4, 0.1), "rolling", (-0.3, 0.3), (0.9, 0.9)]
     fingers = [sphere, sphere, torus, cs.Sphere(0.02), torus, sphere, sphere]
     contacts = [
@@ -112,10 +113,10 @@ def test_unknown_method_is_refused():
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12])
-@pytest.mark.parametrize("scene", [busy, lambda: busy("torus", "ellipsoid"), lambda: busy("bumps"),
-                                   several], ids=["ellipsoid", "torus", "bumps", "several"])  # fmt: skip
-def test_contact_points_are_right_to_the_tolerance(scene, tolerance):
-    scene, t = scene(), np.linspace(0, 1, 101)
+@pytest.mark.parametrize("name", ["ellipsoid", "torus", "bumps", "rounded cube", "several"])
+def test_contact_points_are_right_to_the_tolerance(name, tolerance):
+    scene = several() if name == "several" else busy(name, "ellipsoid")
+    t = np.linspace(0, 1, 101)
     truth, plan = cs.plan(scene, tolerance=1e-15), cs.plan(scene, tolerance=tolerance)
     gap = np.abs(plan.points(t) - truth.points(t)).max((0, 3))
     sizes = np.array([[c.finger.size, scene.object.size] for c in scene.contacts])
@@ -125,21 +126,23 @@ def test_contact_points_are_right_to_the_tolerance(scene, tolerance):
 # --- continuity
 
 
-@pytest.mark.parametrize("obj, at, w, turning", [
-    ("sphere", (pi / 2, 0.4), (0.0, 1.0), 5),
-    ("cylinder", (0.5, 0.2), (1.0, 0.0), 4),
-    ("torus", (0.3, 0.0), (0.0, 1.0), 5),
-    ("torus", (0.3, pi), (1.0, 0.0), 4),
-    ("oblate", (1.2, 0.0), (1.0, 0.0), 4),
-])  # fmt: skip
-def test_coordinates_count_revolutions(obj, at, w, turning):
-    # Closed geodesics along a chart line: the coordinate grows by path length over radius.
-    radius = {5: {"sphere": 0.1, "torus": 0.03}, 4: {"cylinder": 0.1, "torus": 0.07, "oblate": 0.3}}
-    r = radius[turning][obj]
-    plan = cs.plan(one_contact(obj, "plane", object_at=at, angle=0.0, object_velocity="rolling",
-                               finger_velocity=(w[0], -w[1]), profile=(1.0,), duration=9.0))  # fmt: skip
+# Closed geodesics along a chart line: start, direction, the state that grows, the radius.
+CLOSED = {
+    "sphere": ((pi / 2, 0.4), (0.0, 1.0), 5, 0.1),
+    "cylinder": ((0.5, 0.2), (1.0, 0.0), 4, 0.1),
+    "torus": ((0.3, 0.0), (1.0, 0.0), 4, 0.13),
+    "oblate": ((1.2, 0.0), (1.0, 0.0), 4, 0.3),
+}
+
+
+@pytest.mark.parametrize("obj", CLOSED)
+def test_coordinates_count_revolutions(obj):
+    at, w, turning, r = CLOSED[obj]
+    scene = one_contact(obj, "plane", object_at=at, angle=0.0, object_velocity="rolling",
+                        finger_velocity=(w[0], -w[1]), profile=(1.0,), duration=9.0)  # fmt: skip
     t = np.array([0.0, 8.9, 0.1, 4.0, 9.0])
-    assert plan.states(t)[:, 0, turning] == pytest.approx(at[turning - 4] + t / r, abs=1e-11)
+    states = cs.plan(scene).states(t)[:, 0]
+    assert states[:, turning] == pytest.approx(at[turning - 4] + t / r, abs=1e-11)
 
 
 @pytest.mark.parametrize("obj", ["sphere", "bowl", "cylinder", "torus", "ellipsoid", "oblate",
@@ -164,10 +167,11 @@ def test_sparse_times_see_the_same_branch_as_dense_times(obj):
     scene = one_contact(obj, gain=cs.Gain.time(1.0), profile=(0.4, 0.1), duration=8.0)
     dense = cs.plan(scene).states(np.linspace(0, 8, 2001))
     assert cs.plan(scene).states([8.0])[0] == pytest.approx(dense[-1], abs=1e-12)
-    assert cs.plan(scene).states([8.0, 0.0, 3.0])[[1, 2]] == pytest.approx(dense[[0, 750]], abs=1e-12)
+    few = cs.plan(scene).states([8.0, 0.0, 3.0])
+    assert few == pytest.approx(dense[[-1, 0, 750]], abs=1e-12)
 
 
-@pytest.mark.parametrize("obj", ["sphere", "cylinder", "ellipsoid", "torus", "bumps", "rounded cube"])
+@pytest.mark.parametrize("obj", ["sphere", "cylinder", "ellipsoid", "bumps", "rounded cube"])
 def test_motion_is_continuous_at_window_edges(obj):
     plan = cs.plan(busy(obj))
     for edge in plan.scene.edges[1:-1]:
@@ -197,11 +201,15 @@ def test_offset_acts_from_the_start_of_its_window_up_to_its_stop():
 def test_disturbance_on_the_second_cover_acts_on_the_point_that_it_names():
     # (u, v) ~ (-u, pi - v), where both axes are turned: the same contact, written both ways.
     push = cs.ObjectAcceleration, cs.ObjectRateOffset
-    second = one_contact("ellipsoid", object_at=(-0.7, pi - 0.4), profile=(0.2, 0.1),
-                         disturbances=[kind(0, 0.3, 0.6, (0.5, -0.8)) for kind in push])  # fmt: skip
-    first = one_contact("ellipsoid", object_at=(0.7, 0.4), profile=(0.2, 0.1), angle=0.3 + pi,
-                        object_velocity=(-0.2, 0.5),
-                        disturbances=[kind(0, 0.3, 0.6, (-0.5, 0.8)) for kind in push])  # fmt: skip
+    second = one_contact(
+        "ellipsoid", object_at=(-0.7, pi - 0.4), profile=(0.2, 0.1),
+        disturbances=[kind(0, 0.3, 0.6, (0.5, -0.8)) for kind in push],
+    )  # fmt: skip
+    first = one_contact(
+        "ellipsoid", object_at=(0.7, 0.4), profile=(0.2, 0.1), angle=0.3 + pi,
+        object_velocity=(-0.2, 0.5),
+        disturbances=[kind(0, 0.3, 0.6, (-0.5, 0.8)) for kind in push],
+    )  # fmt: skip
     t = np.linspace(0, 1, 31)
     one, two = cs.plan(first), cs.plan(second)
     assert two.pose(t) == pytest.approx(one.pose(t), abs=1e-13)
@@ -280,7 +288,8 @@ def test_explain_names_scene_tolerance_intervals_and_causes():
 def test_path_at_rest_under_an_acceleration_is_refused():
     # sigma = 0 where d acts on dq/ds: the path velocity would be infinite
     for c in ((0.0, 0.3), (0.1, -0.4, 0.4)):
-        scene = one_contact(profile=c, disturbances=[cs.FingerAcceleration(0, 0.0, 0.6, (0.1, 0.0))])
+        push = cs.FingerAcceleration(0, 0.0, 0.6, (0.1, 0.0))
+        scene = one_contact(profile=c, disturbances=[push])
         with pytest.raises(SceneError, match="contact 0: sigma = 0 at t = .*move the window"):
             cs.plan(scene)
         calm = scene.replace(disturbances=[cs.ObjectRateOffset(0, 0.0, 0.6, (0.1, 0.0))])
@@ -401,7 +410,7 @@ def test_csv_file_holds_states_and_slip_to_the_last_digit(tmp_path):
     assert np.array_equal(table[0, :, 1], np.arange(7))
     assert np.array_equal(table[:, :, 2:11], plan.states(t))
     assert np.array_equal(table[:, :, 11:13], plan.slip(t))
-    assert table[:, :, 13] == pytest.approx(np.linalg.norm(plan.slip(t), axis=-1), abs=1e-17)
+    assert table[:, :, 13] == pytest.approx(np.linalg.norm(plan.slip(t), axis=-1), rel=1e-15)
 
 
 def test_files_of_other_kinds_are_refused(tmp_path):
@@ -433,10 +442,13 @@ def test_object_at_rest_starts_with_the_whole_path_velocity_as_slip():
     )
 
 
-def test_surfaces_of_the_shared_table_are_all_planned_on():
-    # as finger and as object, in one scene each
-    contacts = [cs.Contact(finger=f, object_at=(1.1, 0.4), finger_at=at) for f, at in SURFACES.values()]
-    scene = cs.Scene(object=cs.Sphere(0.1), contacts=contacts, profile=cs.Profile([0.1]), duration=1.0)
-    plan = cs.plan(scene)
-    x = plan.points([0.0, 1.0])[:, :, 1]
-    assert x == pytest.approx(x[:, :1] + 0 * x, abs=1e-14)  # all roll the same way on the object
+def test_fingers_of_every_surface_roll_alike_on_the_object():
+    # Whatever the finger, the object's curve develops from the same straight line.
+    contacts = [
+        cs.Contact(finger=f, object_at=(0.7, 0.4), finger_at=at) for f, at in SURFACES.values()
+    ]
+    scene = cs.Scene(
+        object=cs.Ellipsoid(0.3, 0.2, 0.1), contacts=contacts, profile=cs.Profile([0.3]), duration=1
+    )
+    x = cs.plan(scene).points([0.0, 1.0])[:, :, 1]
+    assert x == pytest.approx(np.broadcast_to(x[:, :1], x.shape), abs=1e-14)

@@ -69,6 +69,7 @@ def test_curvature_form_is_the_turning_of_the_normal(name):
     surface, (u, v) = SURFACES[name]
     frame, root = surface.frame(u, v), surface.metric_root(u, v)
     for rates in np.eye(2):
+
         def normal(s, rates=rates):
             return surface.normal(u + rates[0] * s, v + rates[1] * s)
 
@@ -83,6 +84,7 @@ def test_torsion_form_is_the_turning_of_the_first_axis(name):
     surface, (u, v) = SURFACES[name]
     frame, root = surface.frame(u, v), surface.metric_root(u, v)
     for rates in np.eye(2):
+
         def axis(s, rates=rates):
             return surface.frame(u + rates[0] * s, v + rates[1] * s)[:, :, 0]
 
@@ -196,7 +198,8 @@ def test_twist_is_angular_velocity_then_velocity_of_the_fingers_origin_in_the_ob
     # A ball of radius r on the plane z = 0, its contact point moving along +x at sigma.
     r, sigma = 0.1, 0.3
     scene = one_contact("plane", "sphere", angle=0.0, finger_at=(pi / 2, 0.0), duration=0.4,
-                        finger_velocity=(1.0, 0.0), object_velocity="rolling", profile=(sigma,))  # fmt: skip
+                        finger_velocity=(1.0, 0.0), object_velocity="rolling",
+                        profile=(sigma,))  # fmt: skip
     plan = cs.plan(scene)
     assert plan.twist(0.2)[0, 0] == pytest.approx([0.0, sigma / r, 0.0, sigma, 0.0, 0.0], abs=1e-14)
     centre = plan.pose(0.2)[0, 0, :3, 3]

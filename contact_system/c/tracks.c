@@ -60,13 +60,35 @@ static void wind(const track_t *k, const double *ref, long stride, double *out, 
 #endif
 
 #ifndef CIRCLE
-static void legendre(const double *xi, long n, double basis[N + 1][BLOCK]) {
-  for (long i = 0; i < n; i++) basis[0][i] = 1.0, basis[1][i] = xi[i];
+#define CHUNK 16
+#define WIDTH (BLOCK + CHUNK) /* a run's last chunk may reach past the block */
+
+static void legendre(const double *xi, double basis[N + 1][WIDTH]) {
+  for (long i = 0; i < WIDTH; i++) basis[0][i] = 1.0, basis[1][i] = xi[i];
   for (long k = 1; k < N; k++) {
     double a = (2 * k + 1) / (k + 1.0), b = k / (k + 1.0);
-    for (long i = 0; i < n; i++) basis[k + 1][i] = a * xi[i] * basis[k][i] - b * basis[k - 1][i];
+    for (long i = 0; i < WIDTH; i++) basis[k + 1][i] = a * xi[i] * basis[k][i] - b * basis[k - 1][i];
   }
 }
+
+/* x[q] = sum_j c[j] P_j at q in [from, to), a chunk at a time in registers; see panels.c, primitive */
+static __attribute__((noinline)) void series(const double *restrict c,
+                                             const double (*restrict basis)[WIDTH], long from,
+                                             long to, double *restrict x) {
+  for (long q = from; q < to; q += CHUNK) {
+    double sum[CHUNK] = {0};
+#pragma GCC unroll 1
+    for (long j = 0; j <= N; j++) {
+      double cj = c[j];
+#pragma omp simd
+      for (long i = 0; i < CHUNK; i++) sum[i] += cj * basis[j][q + i];
+    }
+#pragma omp simd
+    for (long i = 0; i < CHUNK; i++) x[q + i] = sum[i];
+  }
+}
+#else
+#define WIDTH BLOCK
 #endif
 
 /* Results of body b at time i go to out[b * out_body + out_row[r] + i]. Returns 0, or 1 + the index
@@ -75,9 +97,9 @@ static void legendre(const double *xi, long n, double basis[N + 1][BLOCK]) {
 long evaluate(const track_t *k, long nt, const double *t, double *out, const long *out_row,
               long out_body) {
   static const long rows[] = {ROWS};
-  double point[NP][BLOCK], tau[BLOCK], sigma[BLOCK], length[BLOCK];
+  double point[NP][WIDTH], tau[BLOCK], sigma[BLOCK], length[BLOCK];
 #ifndef CIRCLE
-  double decay[BLOCK], xi[BLOCK], basis[N + 1][BLOCK];
+  double decay[BLOCK], xi[WIDTH] = {0}, basis[N + 1][WIDTH];
   long panel[BLOCK], last = 0;
 #endif
   for (long from = 0; from < nt; from += BLOCK) {
@@ -99,7 +121,7 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
     if (k->slips) {
       for (long i = 0; i < n; i++) decay[i] = horner(k->exponent, k->n_exponent, tau[i]);
 #pragma omp simd
-      for (long i = 0; i < n; i++) decay[i] = exp(-decay[i]) * sigma[i];
+      for (long i = 0; i < n; i++) decay[i] = exp(decay[i] < 100 ? -decay[i] : -100) * sigma[i];
       if (k->power)
         for (long i = 0; i < n; i++) decay[i] = tau[i] > 0 ? decay[i] * k->sigma[0] / sigma[i] : decay[i];
     }
@@ -109,7 +131,7 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
       panel[i] = last = interval(k->edges, k->n_panels, x, last);
       xi[i] = 2.0 * (x - k->edges[last]) / (k->edges[last + 1] - k->edges[last]) - 1.0;
     }
-    legendre(xi, n, basis);
+    legendre(xi, basis);
 #endif
     for (long b = 0; b < k->nb; b++) {
 #ifdef CIRCLE
@@ -121,12 +143,7 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
       for (long i = 0, stop; i < n; i = stop) {
         for (stop = i + 1; stop < n && panel[stop] == panel[i];) stop++;
         const double *c = k->coefficients + panel[i] * k->panel_stride + b * k->body_stride;
-        for (long s = 0; s < NS; s++, c += N + 1) {
-          double *restrict x = point[s];
-          for (long q = i; q < stop; q++) x[q] = c[N] * basis[N][q];
-          for (long j = N - 1; j >= 0; j--)
-            for (long q = i; q < stop; q++) x[q] += c[j] * basis[j][q];
-        }
+        for (long s = 0; s < NS; s++) series(c + s * (N + 1), basis, i, stop, point[s]);
       }
       for (long a = 0; a < NP - NS; a++) {
         double w = k->w[2 * b + a], v = k->v[2 * b + a];
