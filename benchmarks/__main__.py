@@ -22,7 +22,7 @@ def main(arguments: list[str] | None = None) -> int:
         os.environ[name] = "1"
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("half", nargs="?", choices=HALVES, help="one half only")
-    parser.add_argument("--only", metavar="NAME", help="only the sections whose name contains this")
+    parser.add_argument("--only", metavar="NAME", help="one section, or those whose name contains this")
     parser.add_argument(
         "--full", action="store_true", help="give every peer 20 s a run instead of 1 s"
     )
@@ -34,12 +34,14 @@ def main(arguments: list[str] | None = None) -> int:
     failed = False
     for name in [options.half] if options.half else HALVES:
         sections = {"accuracy": accuracy.SECTIONS, "speed": speed.SECTIONS}[name]
-        chosen = {k: run for k, run in sections.items() if (options.only or "") in k}
+        only = options.only or ""
+        chosen = {k: run for k, run in sections.items() if k == only or only not in sections}
+        chosen = {k: run for k, run in chosen.items() if only in k}
         if not chosen:
             continue
         print(f"\n{name}: {', '.join(chosen)}")
         bars = collect(bar for run in chosen.values() for bar in run(options.full))
-        path = write(name if not options.only else f"{name}-{options.only}", bars)
+        path = write("-".join([name, *only.split()]), bars)
         print(f"written: {path.parent.parent.name}/{path.parent.name}/{path.name}")
         failed |= name == "accuracy" and any(bar.met is False for bar in bars)
     return int(failed)

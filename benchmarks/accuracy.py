@@ -44,7 +44,10 @@ def engines() -> list[bool]:
 
 
 def slip_from_states(scene: cs.Scene, states: np.ndarray) -> np.ndarray:
-    """v_rel = R_psi M1 q1' - M2 q2' in E2 (eq. `netrelvel`): (n, n_contacts, 9) -> (n, n_contacts, 2)."""
+    """v_rel = R_psi M1 q1' - M2 q2' in E2 (eq. `netrelvel`), m/s.
+
+    (n, n_contacts, 9) -> (n, n_contacts, 2).
+    """
     columns = []
     for i, contact in enumerate(scene.contacts):
         s = states[:, i]
@@ -99,7 +102,8 @@ def stiff_slip_scenes(full: bool) -> Iterator[Bar]:
                 detail[f"{name} {key}{' compiled' * compiled}"] = error
     worst = max(detail.values(), default=math.nan) if detail else None
     note = f"no reference file {', '.join(missing)}" if missing else ""
-    yield Bar("slip scenes, points / size, against 30 digits", 1e-12, worst, note=note, detail=detail)
+    name = "slip scenes, points / size, against 30 digits"
+    yield Bar(name, 1e-12, worst, note=note, detail=detail)
 
 
 def _plain(value: Any) -> Any:
@@ -127,7 +131,8 @@ def _reference_scene(record: dict[str, Any]) -> cs.Scene:
 def _hyperboloid(*signs: int) -> cs.Quadric:
     """x^T A x = 1 with semi-axes 0.3, 0.2, 0.1, turned so that no axis is special."""
     c, s = math.cos(0.4), math.sin(0.4)
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    about_z, about_x = [[c, -s, 0], [s, c, 0], [0, 0, 1]], [[1, 0, 0], [0, c, -s], [0, s, c]]
+    turn = np.array(about_z) @ np.array(about_x)
     a = turn @ np.diag([k / r**2 for k, r in zip(signs, (0.3, 0.2, 0.1), strict=True)]) @ turn.T
     return cs.Quadric(0.5 * (a + a.T))
 
@@ -174,7 +179,8 @@ def slip_law(full: bool) -> Iterator[Bar]:
             detail[f"{name}, {gain.law}"] = max(errors)
     worst = max(detail, key=lambda k: detail[k])
     note = f"worst: {worst}"
-    yield Bar("slip law, relative to the greatest slip", 1e-12, detail[worst], note=note, detail=detail)
+    name = "slip law, relative to the greatest slip"
+    yield Bar(name, 1e-12, detail[worst], note=note, detail=detail)
 
 
 def _slip_law_error(scene: cs.Scene, compiled: bool) -> float:
@@ -222,7 +228,10 @@ def revolutions(full: bool) -> Iterator[Bar]:
 
 
 def _long_scene(
-    surface: cs.Surface, at: tuple[float, float], w: tuple[float, float], random: np.random.Generator
+    surface: cs.Surface,
+    at: tuple[float, float],
+    w: tuple[float, float],
+    random: np.random.Generator,
 ) -> cs.Scene:
     """Rolls a plane along a geodesic of the surface; the profile and its horizon are random."""
     coefficients = random.uniform(0.1, 1.0, random.integers(1, 5))
@@ -249,7 +258,7 @@ def arc_length(mp: Any, profile: cs.Profile, t: float) -> Any:
 def great_circle(
     mp: Any, radius: float, at: tuple[Any, Any], w: tuple[Any, Any], s: Any
 ) -> list[Any]:
-    """Point of a sphere at path parameter s, from chart coordinates ``at`` along path velocity w."""
+    """Point of a sphere at arc length s, from chart coordinates ``at`` along path velocity w."""
     (u, v), r, pace = map(mp.mpf, at), mp.mpf(radius), mp.hypot(*map(mp.mpf, w))
     normal = [mp.sin(u) * mp.cos(v), mp.sin(u) * mp.sin(v), mp.cos(u)]
     x_axis = [mp.cos(u) * mp.cos(v), mp.cos(u) * mp.sin(v), -mp.sin(u)]
@@ -404,8 +413,8 @@ def _trip_coordinates(
     if name == "ellipsoid":
         seam = np.where(random.random(n) < 0.5, half, -half)
         offset = np.array([(d, e) for d in [0.0, *near] for e in [0.0, *near]])
-        umbilics = [(u + offset[:, 0], v + offset[:, 1]) for u in (0.0, math.pi) for v in (half, -half)]
-        us, vs = zip(*umbilics, strict=True)
+        umbilics = [(u, v) for u in (0.0, math.pi) for v in (half, -half)]
+        us, vs = zip(*((u + offset[:, 0], v + offset[:, 1]) for u, v in umbilics), strict=True)
         u = np.concatenate([turn, other, *us])
         return u, np.concatenate([latitude, seam, *vs])
     if name == "torus":

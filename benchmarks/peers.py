@@ -61,7 +61,7 @@ def decades(first: int, last: int) -> tuple[float, ...]:
 
 
 def heyoka_method(scene: cs.Scene, grid: np.ndarray, slip: bool = True) -> Method:
-    """Taylor series on the chart equations, written by hand; without ``slip`` without the feedback."""
+    """Taylor series on the chart equations, written by hand; ``slip``: with the feedback."""
     equations = _heyoka_equations(scene, slip)
 
     def build(tolerance: float) -> Solver:
@@ -195,8 +195,8 @@ def cvodes_methods(scene: cs.Scene, grid: np.ndarray) -> list[Method]:
                 "abstol": 0.1 * tolerance, "max_num_steps": 100_000, "show_eval_warnings": False,
             }  # fmt: skip
             if find_compiler():
-                options |= {"jit": True, "compiler": "shell"}
-                options["jit_options"] = {"flags": ["-O3"], "verbose": False}
+                options |= {"jit": True, "compiler": "shell", "jit_cleanup": False}
+                options["jit_options"] = {"flags": ["-O3"], "verbose": False, "cleanup": False}
             solver = _in_scratch_folder(
                 lambda: ca.integrator("peer", "cvodes", problem, 0.0, list(grid), options)
             )
@@ -208,7 +208,7 @@ def cvodes_methods(scene: cs.Scene, grid: np.ndarray) -> list[Method]:
 
 
 def _in_scratch_folder(make: Callable[[], Any]) -> Any:
-    """CasADi writes its C files into the working folder."""
+    """CasADi writes its C files into the working folder; loaded, they are not needed any more."""
     home = os.getcwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
@@ -254,8 +254,9 @@ def scipy_methods(scene: cs.Scene, grid: np.ndarray, limit: float) -> list[Metho
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
                     found = solve_ivp(
-                        rate, (0.0, grid[-1]), start, name, grid, rtol=tolerance, atol=0.1 * tolerance
-                    )
+                        rate, (0.0, grid[-1]), start, name, grid,
+                        rtol=tolerance, atol=0.1 * tolerance,
+                    )  # fmt: skip
                 if not found.success:
                     raise ArithmeticError(f"{name}: {found.message}")
                 return found.y.T

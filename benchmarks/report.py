@@ -8,7 +8,7 @@ import platform
 import sys
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -112,8 +112,11 @@ def write(name: str, bars: Iterable[Bar]) -> Path:
 def surroundings() -> dict[str, Any]:
     """Date, machine, versions and thread settings of this run."""
     return {
-        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        "machine": {"processor": _processor(), "cores": os.cpu_count(), "system": platform.system()},
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "machine": {
+            "processor": _processor(), "cores": os.cpu_count(), "system": platform.system(),
+            "load": os.getloadavg() if hasattr(os, "getloadavg") else None,
+        },  # fmt: skip
         "python": sys.version.split()[0],
         "versions": {name: _version(name) for name in PACKAGES},
         "threads": {name: os.environ.get(name, "not set") for name in THREADS},

@@ -25,7 +25,7 @@ SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
 class ChartTrack(Track):
     """One side of one contact from a dense solution; [p q] is chosen along the chart of the object.
 
-    Any pair of frame angles with psi + theta1 + theta2 = psi(0) describes the same motion: theta2 = 0.
+    Any frame angles with psi + theta1 + theta2 = psi(0) describe the same motion: theta2 = 0.
     """
 
     solution: object
@@ -75,9 +75,7 @@ def initial_state(scene: Scene, index: int, start: Start, begin: float) -> np.nd
     sigma, finger = float(scene.profile(begin)), scene.contacts[index].finger
     q1 = np.linalg.solve(finger.metric_root(*start.finger_at), start.finger_velocity)
     q2 = np.linalg.solve(scene.object.metric_root(*start.object_at), start.object_velocity)
-    return np.array(
-        [*start.finger_at, *(sigma * q1), *start.object_at, *(sigma * q2), start.angle]
-    )
+    return np.array([*start.finger_at, *(sigma * q1), *start.object_at, *(sigma * q2), start.angle])
 
 
 def _chart_group(
@@ -96,10 +94,15 @@ def _chart_group(
     machine.c[0] = [*contact.finger.parameters, *scene.object.parameters]
     y = initial_state(scene, index, start, begin)
     own = [d for d in scene.disturbances if d.contact == index]
-    edges = sorted({begin, scene.duration, *(t for d in own for t in (d.start, d.stop) if t > begin)})
+    edges = sorted(
+        {begin, scene.duration, *(t for d in own for t in (d.start, d.stop) if t > begin)}
+    )
     for a, b in zip(edges, edges[1:]):
         d1, d2, offset = (
-            sum((np.array(d.value) for d in own if type(d) is kind and d.start <= a < d.stop), np.zeros(2))
+            sum(
+                (np.array(d.value) for d in own if type(d) is kind and d.start <= a < d.stop),
+                np.zeros(2),
+            )
             for kind in (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
         )
         machine.x[0, 11:] = [*d1, *d2, *offset]
@@ -114,13 +117,19 @@ def _chart_group(
 
         scale = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1]) * tolerance
         result = solve_ivp(
-            rate, (a, b), y, method=solver, rtol=max(tolerance, 3e-14), atol=scale, dense_output=True
+            rate,
+            (a, b),
+            y,
+            method=solver,
+            rtol=max(tolerance, 3e-14),
+            atol=scale,
+            dense_output=True,
         )
         if not result.success or not np.isfinite(result.y).all():
             raise ContactSystemError(
                 f"scene '{scene.name}', contact {index}: {solver} on the chart equations stopped "
-                f"at t = {result.t[-1]:.6g} s ({result.message}); the path may reach a pole, or lam "
-                "is too stiff; use the default method"
+                f"at t = {result.t[-1]:.6g} s ({result.message}); the path may reach a pole, or "
+                "lam is too stiff; use the default method"
             )
         y = result.y[:, -1]
         method = f"chart equations by {solver}, {result.nfev} evaluations"

@@ -233,8 +233,8 @@ def pair_of(tracks: Sequence[CircleTrack]) -> CircleTrack | None:
         max(a.fastest, b.fastest), woven(a.constants, b.constants),
     )  # fmt: skip
     return CircleTrack(
-        one.surface, woven(one.parameters, two.parameters), one.start, one.stop, one.method, "", True,
-        one.compiled, circle=circle, piece=one.piece,
+        one.surface, woven(one.parameters, two.parameters), one.start, one.stop, one.method, "",
+        True, one.compiled, circle=circle, piece=one.piece,
     )  # fmt: skip
 
 

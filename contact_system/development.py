@@ -8,7 +8,7 @@ carried by parallel transport and ``c`` is known in advance:
 No sigma'/sigma, no stiffness, and no coupling between the bodies. Two forms of state:
 
 * ambient, (x, p, q) in R^9, for surfaces with an implicit form: no chart, no poles;
-* chart, (u, v, theta), for surfaces given by a chart: ``[p q]`` is the contact frame turned by theta.
+* chart, (u, v, theta), for surfaces given by a chart: [p q] is the contact frame turned by theta.
 
 Accelerations that act on a finger or the object make W_1 and V states as well ("forced").
 The motion is integrated by Gauss collocation in panels whose length follows the decay of the
@@ -34,6 +34,7 @@ from .kernels import (
     Kernel,
     address,
     compiled_library,
+    contiguous,
     find_compiler,
     library_path,
     per_structure,
@@ -207,7 +208,9 @@ def collocation(n: int = NODES) -> Collocation:
         primitive[k - 1, k] -= 1.0 / (2 * k + 1)
     series = primitive @ project
     end = np.vstack([weight, project.sum(axis=0)])
-    return Collocation(node, np.ascontiguousarray(basis @ series), np.ascontiguousarray(series), end)
+    return Collocation(
+        node, np.ascontiguousarray(basis @ series), np.ascontiguousarray(series), end
+    )
 
 
 @dataclass(frozen=True)
@@ -316,7 +319,7 @@ def integrate(kernel: Kernel, problem: Problem, compiled: bool | None = False) -
 def _stuck(problem: Problem, tau: float, h: float) -> ContactSystemError:
     return ContactSystemError(
         f"the motion cannot be continued past local time {problem.drive.start + tau:.9g} "
-        f"(panels of {h:.2g}): the path reaches a singular point of its chart or of its surface, or "
+        f"(panels of {h:.2g}): the path reaches a singular point of its chart or its surface, or "
         "moves too fast for double precision; start elsewhere, change the direction or end the "
         "scene before"
     )
@@ -332,7 +335,9 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
     x = machine.x.reshape(n_bodies, NODES, -1)
     f = machine.y.reshape(n_bodies, NODES, n_states)
     scale, n_smooth = problem.scale[:, None, :], n_states - problem.stiff
-    edges, series, slip, released = [0.0], [], problem.slip, None
+    slip, released = problem.slip, None
+    edges: list[float] = [0.0]
+    series: list[np.ndarray] = []
     tau, h, tries = 0.0, min(problem.first, problem.length), 0
     while tau < problem.length:
         tries += 1
@@ -459,8 +464,10 @@ _BUILT: dict[Kernel, bool] = {}
 def _integrate_compiled(kernel: Kernel, problem: Problem, tolerance: float) -> Panels:
     run, (sigma, _, exponent) = _panel_library(kernel).panels, problem.drive.arrays
     n_bodies, n_states = problem.start.shape
-    drive = _Drive(len(sigma), len(exponent), problem.drive.power, address(sigma), address(exponent))
-    scale, constants = _contiguous(problem.scale), _contiguous(problem.constants)
+    drive = _Drive(
+        len(sigma), len(exponent), problem.drive.power, address(sigma), address(exponent)
+    )
+    scale, constants = contiguous(problem.scale), contiguous(problem.constants)
     size, room = n_bodies * n_states, 24
     while True:
         # one block: state, spare, work, edges, coefficients
@@ -469,8 +476,8 @@ def _integrate_compiled(kernel: Kernel, problem: Problem, tolerance: float) -> P
         block = np.empty(first + room * size * (NODES + 1))
         block[:size] = problem.start.ravel()
         at = address(block)
-        method = _Method(problem.length, tolerance, problem.first, problem.slip, problem.finish, -1.0,
-                         *_matrices()[0], problem.stiff, room, problem.stops)  # fmt: skip
+        method = _Method(problem.length, tolerance, problem.first, problem.slip, problem.finish,
+                         -1.0, *_matrices()[0], problem.stiff, room, problem.stops)  # fmt: skip
         count = run(n_bodies, at, address(constants), address(scale), ctypes.addressof(drive),
                     ctypes.addressof(method), at + 8 * cuts[2], at + 8 * first, at + 8 * cuts[1],
                     at + 8 * cuts[0])  # fmt: skip
@@ -485,10 +492,6 @@ def _integrate_compiled(kernel: Kernel, problem: Problem, tolerance: float) -> P
             reached = block[cuts[2] : first]
             raise _stuck(problem, float(reached.max(initial=0.0)), 0.0)
         room *= 4
-
-
-def _contiguous(a: np.ndarray) -> np.ndarray:
-    return a if a.flags.c_contiguous else np.ascontiguousarray(a)
 
 
 @functools.cache
@@ -560,7 +563,9 @@ class PanelTrack(Track):
         sigma, length, exponent = piece.arrays
         period_u, period_v = self.surface.periods()
         first = (self.rows.start or 0) * series.strides[2]
-        kept = [_contiguous(a) for a in (self.parameters, self.w, self.w if self.v is None else self.v)]
+        kept = [
+            contiguous(a) for a in (self.parameters, self.w, self.w if self.v is None else self.v)
+        ]
         data = TrackData(
             self.start, self.stop, self.n_bodies, len(sigma), len(exponent), piece.power,
             self.v is not None, self.by_length, len(edges) - 1, series.strides[0] // 8,
@@ -574,7 +579,9 @@ class PanelTrack(Track):
         if self.drive_of is not None or (output == "coordinates" and self.offset is not None):
             return None
         compiled = evaluator(self.surface, self.ambient, output)
-        return (compiled.library.evaluate, self._data[0]) if compiled.usable(self.compiled) else None
+        return (
+            (compiled.library.evaluate, self._data[0]) if compiled.usable(self.compiled) else None
+        )
 
     def points(self, t: np.ndarray, out: np.ndarray) -> None:
         if self._evaluate("points", t, out) is None:
@@ -607,7 +614,11 @@ class PanelTrack(Track):
             times, anchors, work = np.empty(m), np.empty((n, 3, m)), np.empty((n, 5, m))
             library = evaluator(self.surface, True, "coordinates").library
             library.anchor(
-                self._data[0], address(_contiguous(begin)), address(times), address(anchors), address(work)
+                self._data[0],
+                address(contiguous(begin)),
+                address(times),
+                address(anchors),
+                address(work),
             )
         else:
             times = self._anchor_times()

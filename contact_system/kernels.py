@@ -108,7 +108,9 @@ def replay(
     list of lists: the scalars of each output.
     """
     work: list[Any] = [None] * function.sz_w()
-    results: list[list[Any]] = [[constant(0.0)] * function.nnz_out(i) for i in range(function.n_out())]
+    results: list[list[Any]] = [
+        [constant(0.0)] * function.nnz_out(i) for i in range(function.n_out())
+    ]
     for k in range(function.n_instructions()):
         op = function.instruction_id(k)
         out, inp = function.instruction_output(k), function.instruction_input(k)
@@ -128,8 +130,9 @@ def _name_of(op: int, column: int) -> str:
         return _OPERATIONS[op][column]
     except KeyError:
         raise ContactSystemError(
-            f"operation {op} of CasADi has no {('C', 'numpy')[column]} form here; write the surface "
-            "with + - * / sqrt, trigonometric, hyperbolic, exp, log, pow, fabs, fmin, fmax, if_else"
+            f"operation {op} of CasADi has no {('C', 'numpy')[column]} form here; write the "
+            "surface with + - * / sqrt, trigonometric, hyperbolic, exp, log, pow, fabs, fmin, "
+            "fmax, if_else"
         ) from None
 
 
@@ -166,15 +169,16 @@ class Kernel:
         self.n_point, self.n_constant = point.numel(), constant.numel()
         self.n_result = result.numel()
         self.function = ca.Function(name, [point, constant], [ca.cse(ca.densify(ca.vec(result)))])
-        self._machines: dict[int, Machine] = {}
+        self._memory = threading.local()  # a machine has buffers: one for each thread
 
     def machine(self, n: int) -> Machine:
         """The virtual machine for n points, each with its own constants (made once per n)."""
-        if n not in self._machines:
-            if len(self._machines) > 32:
-                self._machines.clear()
-            self._machines[n] = Machine(self, n)
-        return self._machines[n]
+        machines = self._memory.__dict__
+        if n not in machines:
+            if len(machines) > 32:
+                machines.clear()
+            machines[n] = Machine(self, n)
+        return machines[n]
 
     @functools.cached_property
     def _numpy(self) -> NumpyProgram:
@@ -188,7 +192,8 @@ class Kernel:
         lines, (outputs,) = c_statements(self.function, [point, constant])
         body = "".join(f"      {line}\n" for line in lines)
         body += "".join(
-            f"      out[out_row[{i}] + b * out_body + i] = {name};\n" for i, name in enumerate(outputs)
+            f"      out[out_row[{i}] + b * out_body + i] = {name};\n"
+            for i, name in enumerate(outputs)
         )
         return (
             f"void {self.name}(long nb, long nt, const double *restrict in, "
@@ -235,7 +240,7 @@ class Kernel:
         """
         if self.built if compiled is None else compiled:
             n_bodies, _, n = out.shape
-            points, constants = _contiguous(points), _contiguous(constants)
+            points, constants = contiguous(points), contiguous(constants)
             shared = points.shape[0] == 1
             self._library(
                 n_bodies, n, address(points), row_offsets(tuple(range(self.n_point)), n),
@@ -254,7 +259,8 @@ class Kernel:
         return machine.y.copy()
 
 
-def _contiguous(a: np.ndarray) -> np.ndarray:
+def contiguous(a: np.ndarray) -> np.ndarray:
+    """The array itself, or a contiguous copy."""
     return a if a.flags.c_contiguous else np.ascontiguousarray(a)
 
 
@@ -284,11 +290,14 @@ class Machine:
         self.c = np.zeros((n, kernel.n_constant))
         self.y = np.zeros((n, kernel.n_result))
         self._buffer, self.run = mapped.buffer()
+        # CasADi's own type hints ask for a second argument that its memoryview form does not take.
+        set_arg: Any = self._buffer.set_arg
+        set_res: Any = self._buffer.set_res
         if kernel.n_point:
-            self._buffer.set_arg(0, memoryview(self.x))
+            set_arg(0, memoryview(self.x.data))
         if kernel.n_constant:
-            self._buffer.set_arg(1, memoryview(self.c))
-        self._buffer.set_res(0, memoryview(self.y))
+            set_arg(1, memoryview(self.c.data))
+        set_res(0, memoryview(self.y.data))
 
 
 class NumpyProgram:
@@ -316,7 +325,7 @@ class NumpyProgram:
         self._memory = threading.local()
 
     def __call__(self, x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
-        """x (n_point, n_bodies or 1, n), c (n_constant, n_bodies, 1) -> out (n_bodies, n_result, n)."""
+        """x (n_point, n_bodies or 1, n), c (n_constant, n_bodies, 1) -> out (n_bodies, ., n)."""
         shape = (self._registers, out.shape[0], out.shape[2])
         registers = getattr(self._memory, "registers", None)
         if registers is None or registers[0].shape != shape[1:]:
@@ -377,7 +386,9 @@ def _twice(x: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
     return np.add(x, x, out=out)
 
 
-def _if_else_zero(condition: np.ndarray, value: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+def _if_else_zero(
+    condition: np.ndarray, value: np.ndarray, out: np.ndarray | None = None
+) -> np.ndarray:
     chosen = np.where(condition != 0, value, 0.0)
     if out is None:
         return chosen
@@ -440,8 +451,12 @@ VECTOR double asin(double); VECTOR double acos(double);
 _FLAGS = ["-std=gnu99", "-O3", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math",
           "-fopenmp-simd", "-march=native"]  # fmt: skip
 # Tried in turn until one builds.  GCC's sincos pass would turn sin(x), cos(x) into a call that has
-# no vector form (measured: 7 times slower); Clang finds glibc's vector forms by an option of its own.
-_VARIANTS = (["-fdisable-tree-sincos", "-lmvec", "-lm"], ["-fveclib=libmvec", "-lmvec", "-lm"], ["-lm"])
+# no vector form (measured: 7 times slower); Clang finds glibc's vector forms by its own option.
+_VARIANTS = (
+    ["-fdisable-tree-sincos", "-lmvec", "-lm"],
+    ["-fveclib=libmvec", "-lmvec", "-lm"],
+    ["-lm"],
+)
 
 
 @functools.cache
@@ -547,6 +562,6 @@ def per_structure(build: Callable[..., Any]) -> Callable[..., Any]:
 def address(array: np.ndarray) -> int:
     """Address of a contiguous array's first number (0.3 us; ``.ctypes.data`` takes 1 us)."""
     try:
-        return ctypes.addressof(ctypes.c_double.from_buffer(array))
+        return ctypes.addressof(ctypes.c_double.from_buffer(array.data))
     except (TypeError, ValueError, BufferError):  # read-only, strided or empty
         return array.ctypes.data

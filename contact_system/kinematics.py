@@ -36,7 +36,11 @@ def slip(psi: np.ndarray, finger: np.ndarray, obj: np.ndarray) -> np.ndarray:
 
 
 def inverse_montana(
-    curvature_1: np.ndarray, curvature_2: np.ndarray, psi: np.ndarray, a1: np.ndarray, a2: np.ndarray
+    curvature_1: np.ndarray,
+    curvature_2: np.ndarray,
+    psi: np.ndarray,
+    a1: np.ndarray,
+    a2: np.ndarray,
 ) -> np.ndarray:
     """Relative angular velocity of the finger from the contact rates; nothing is inverted.
 
@@ -127,7 +131,9 @@ def relative_pose(frame_1: np.ndarray, frame_2: np.ndarray, r0: np.ndarray) -> n
     n1, n2 = np.cross(p1, q1), np.cross(p2, q2)
     tangent_2 = np.stack([p2, q2], axis=-1)  # (n, t, 3, 2)
     tangent_1 = np.stack([p1, q1], axis=-1)
-    turn = (tangent_2 @ r0[:, None]) @ tangent_1.swapaxes(-1, -2) - n2[..., :, None] * n1[..., None, :]
+    turn = (tangent_2 @ r0[:, None]) @ tangent_1.swapaxes(-1, -2) - n2[..., :, None] * n1[
+        ..., None, :
+    ]
     pose = np.zeros(turn.shape[:2] + (4, 4))
     pose[..., :3, :3] = turn
     pose[..., :3, 3] = x2 - (turn @ x1[..., None])[..., 0]

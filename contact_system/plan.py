@@ -12,6 +12,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -212,8 +213,8 @@ class Plan:
     def save(self, path: str | os.PathLike, times: ArrayLike | None = None) -> None:
         """Write the plan and its sampled results.
 
-        ``.npz``: the scene (as TOML text), what :func:`load` needs, and t, states, slip, twist, pose,
-        points. ``.csv``: t, contact, the nine states, slip, slip magnitude.
+        ``.npz``: the scene (as TOML text), what :func:`load` needs, and t, states, slip, twist,
+        pose, points. ``.csv``: t, contact, the nine states, slip, slip magnitude.
 
         Parameters
         ----------
@@ -226,7 +227,8 @@ class Plan:
         if path.suffix == ".npz":
             header = {
                 "tolerance": self.tolerance, "method": self.method, "solver": self.solver,
-                "start": self.start, "starts": self.starts and [vars(s) for s in self.starts],
+                "start": self.start,
+                "starts": [vars(s) for s in self.starts] if self.starts else None,
             }  # fmt: skip
             np.savez_compressed(
                 path, scene=scene_to_toml(self.scene), plan=json.dumps(header), t=t,
@@ -279,7 +281,9 @@ class Plan:
             return out
         times = self._times(times)
         for group in self.groups:
-            values = out if len(self.groups) == 1 else np.empty((len(group.contacts), *out.shape[1:]))
+            values = (
+                out if len(self.groups) == 1 else np.empty((len(group.contacts), *out.shape[1:]))
+            )
             if group.pair is not None:
                 group.anchor_pair()
                 whole = values.reshape(-1, count, len(times))
@@ -300,7 +304,9 @@ class Plan:
         group, n = self.groups[0], len(times)
         if len(group.finger) > 1 or len(group.object) > 1 or not times.flags.c_contiguous:
             return False
-        tracks = (group.pair,) if group.pair is not None else (group.finger[0], group.object[0])
+        tracks: list[Track] = [group.finger[0], group.object[0]]
+        if group.pair is not None:
+            tracks = [group.pair]
         entries = [track.entry(output) for track in tracks]
         if None in entries:
             return False
@@ -332,9 +338,7 @@ class Plan:
                 out[np.ix_(index, group.contacts)] = read(motion).swapaxes(0, 1)
         return out
 
-    def _in_contact_frame(
-        self, t: ArrayLike, read: Callable[[Motion], np.ndarray]
-    ) -> np.ndarray:
+    def _in_contact_frame(self, t: ArrayLike, read: Callable[[Motion], np.ndarray]) -> np.ndarray:
         """Turn (n, 2, n_times) from the object's parallel frame into E2."""
         times = self._times(t)
         out = np.zeros((len(self.scene.contacts), 2, len(times)))
@@ -416,7 +420,12 @@ class Motion:
         ]
         shapes = [track.shape(s) for track, s in zip((self.finger, self.object), states)]
         return relative_twist(
-            self.frames[1], self.pose, tuple(shapes), tuple(velocities), self.group.r0, _slip(self)
+            self.frames[1],
+            self.pose,
+            (shapes[0], shapes[1]),
+            (velocities[0], velocities[1]),
+            self.group.r0,
+            _slip(self),
         )
 
 
@@ -496,12 +505,23 @@ def load(path: str | os.PathLike) -> Plan:
         try:
             text, header = str(data["scene"]), json.loads(str(data["plan"]))
         except KeyError as missing:
-            raise ContactSystemError(f"{path}: not a plan written by Plan.save ({missing})") from None
+            raise ContactSystemError(
+                f"{path}: not a plan written by Plan.save ({missing})"
+            ) from None
     scene = scene_from_toml(text, source=str(path))
-    starts = header["starts"] and [
-        Start(**{k: tuple(v) if isinstance(v, list) else v for k, v in s.items()})
-        for s in header["starts"]
-    ]
+    starts = None
+    if header["starts"]:
+        fields: list[dict[str, Any]] = header["starts"]
+        starts = [
+            Start(**{k: tuple(v) if isinstance(v, list) else v for k, v in s.items()})
+            for s in fields
+        ]
     return Plan(
-        scene, header["tolerance"], header["method"], header["solver"], None, header["start"], starts
+        scene,
+        header["tolerance"],
+        header["method"],
+        header["solver"],
+        None,
+        header["start"],
+        starts,
     )

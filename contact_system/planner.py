@@ -69,15 +69,16 @@ class Start:
 def scene_start(contact: Contact) -> Start:
     """The start that a scene's contact describes; words become numbers here."""
     turn = contact_map(contact.angle)
-    given = contact.object_velocity
-    if contact.follows:
-        finger = tuple(turn @ np.array(given))
-    else:
-        finger = contact.finger_velocity
-    rolled = turn @ np.array(finger)
+    own, given = contact.finger_velocity, contact.object_velocity
+    if isinstance(own, str):  # rolling imposed: given is a pair
+        own = _pair(turn @ np.array(given, dtype=float))
     if isinstance(given, str):
-        given = tuple(rolled) if given == "rolling" else (0.0, 0.0)
-    return Start(contact.finger_at, contact.object_at, contact.angle, finger, given)
+        given = _pair(turn @ np.array(own)) if given == "rolling" else (0.0, 0.0)
+    return Start(contact.finger_at, contact.object_at, contact.angle, own, given)
+
+
+def _pair(values: np.ndarray) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
 
 
 @dataclass(eq=False)
@@ -217,7 +218,7 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What the scene alone says about a group: kept with the scene, so planned again for nothing."""
+    """What the scene alone says about a group; kept with the scene, so worked out once."""
 
     scene: Scene
     contacts: np.ndarray
@@ -237,7 +238,11 @@ class Prepared:
 
 
 def plan_groups(
-    scene: Scene, starts: Sequence[Start] | None, begin: float, tolerance: float, compiled: bool | None
+    scene: Scene,
+    starts: Sequence[Start] | None,
+    begin: float,
+    tolerance: float,
+    compiled: bool | None,
 ) -> list[Group]:
     """Plan all contacts from time ``begin``; ``starts`` None: as the scene says, from 0."""
     if starts is None:
@@ -269,7 +274,13 @@ def prepare(scene: Scene, starts: Sequence[Start], begin: float) -> list[Prepare
     slips = v.any(axis=1)
     for i, contact in enumerate(scene.contacts):
         shape = tuple((type(d), d.start, d.stop) for d in windows[i])
-        kind = (contact.finger.structure, contact.finger.size, contact.follows, shape, bool(slips[i]))
+        kind = (
+            contact.finger.structure,
+            contact.finger.size,
+            contact.follows,
+            shape,
+            bool(slips[i]),
+        )
         members.setdefault(kind, []).append(i)
     groups = []
     for indices in members.values():
@@ -299,7 +310,7 @@ def _intervals(
     result: list[Interval] = []
     free_until = end
     for start, stop in reversed(list(zip(knots, knots[1:]))):
-        forcing = {
+        forcing: dict[type[Disturbance], np.ndarray] = {
             kind: np.zeros((count, 2))
             for kind in (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
         }
@@ -337,7 +348,9 @@ class GroupPlanner:
                 finger_until = interval.stop
             elif finger_until <= interval.start:
                 finger_until = interval.free_until
-                track = self._geodesic("finger", interval.start, finger_until, "nothing accelerates it")
+                track = self._geodesic(
+                    "finger", interval.start, finger_until, "nothing accelerates it"
+                )
                 self._append("finger", track)
             if interval.pushed or interval.forcing[ObjectAcceleration].any():
                 self._forced(interval)
@@ -345,8 +358,9 @@ class GroupPlanner:
                 self._free(interval)
         group = self.group
         tracks = group.finger + group.object
-        if all(isinstance(track, CircleTrack) for track in tracks) and not self.v.any():
-            group.pair = pair_of(tracks)
+        circles = [track for track in tracks if isinstance(track, CircleTrack)]
+        if len(circles) == len(tracks) and not self.v.any():
+            group.pair = pair_of(circles)
             self.prepared.known[self.compiled] = group  # whatever the tolerance
         return group
 
@@ -359,7 +373,11 @@ class GroupPlanner:
             state = track.end()
             if body.ambient and not track.ambient:
                 state = frame_kernel(body.surface).at(state, body.parameters)
-            setattr(self, side, Body(body.surface, body.parameters, _restored(body, state), body.ambient))
+            setattr(
+                self,
+                side,
+                Body(body.surface, body.parameters, _restored(body, state), body.ambient),
+            )
 
     def _geodesic(self, side: str, start: float, stop: float, why: str) -> Track:
         body: Body = getattr(self, side)
@@ -389,7 +407,9 @@ class GroupPlanner:
             rows=slice(None), piece=piece, w=w, v=None, by_length=True,
         )  # fmt: skip
 
-    def _great_circle(self, side: str, body: Body, w: np.ndarray, piece: GainPiece, why: str) -> Track:
+    def _great_circle(
+        self, side: str, body: Body, w: np.ndarray, piece: GainPiece, why: str
+    ) -> Track:
         """A great circle; one that runs from the start is kept with the scene."""
         known, key = self.prepared.circles, (side, piece.stop, self.compiled)
         first = piece.start == self.prepared.begin
@@ -397,8 +417,8 @@ class GroupPlanner:
             return known[key]
         circle = great_circle(body.parameters, body.state, w)
         track = CircleTrack(
-            body.surface, body.parameters, piece.start, piece.stop, "closed form: great circle", why,
-            True, self.compiled, circle=circle, piece=piece,
+            body.surface, body.parameters, piece.start, piece.stop, "closed form: great circle",
+            why, True, self.compiled, circle=circle, piece=piece,
         )  # fmt: skip
         if first:
             known[key] = track
@@ -485,11 +505,11 @@ class GroupPlanner:
         why = "slip" if offset is None else "object rate offset" + (", slip" if slip > 0 else "")
         if panels.released is not None:
             why += f", below tolerance from t = {interval.start + panels.released:.6g} s on"
+        place = "space" if body.ambient else "its chart"
         track = PanelTrack(
             body.surface, body.parameters, interval.start, reached,
-            f"development in {'space' if body.ambient else 'its chart'}, {len(panels.edges) - 1} panels",
-            why, body.ambient, self.compiled, offset=offset, panels=panels, rows=slice(None),
-            piece=interval.piece, w=self.w2, v=self.v,
+            f"development in {place}, {panels.count} panels", why, body.ambient, self.compiled,
+            offset=offset, panels=panels, rows=slice(None), piece=interval.piece, w=self.w2, v=self.v,
         )  # fmt: skip
         self._append("object", track)
         return reached
@@ -535,11 +555,13 @@ class GroupPlanner:
         drive = functools.partial(_object_drive, panels, rows_w1, rows_v, self.r0, self.w1, piece)
         if rows_w1 is not None:
             self._append("finger", PanelTrack(
-                tip.surface, tip.parameters, start, stop, method, "finger acceleration", tip.ambient,
-                self.compiled, panels=panels, rows=slice(0, n1), piece=piece, w=self.w1, v=None,
-                drive_of=functools.partial(_panel_drive, panels, rows_w1, piece),
+                tip.surface, tip.parameters, start, stop, method, "finger acceleration",
+                tip.ambient, self.compiled, panels=panels, rows=slice(0, n1), piece=piece,
+                w=self.w1, v=None, drive_of=functools.partial(_panel_drive, panels, rows_w1, piece),
             ))  # fmt: skip
-        names = zip(("finger acceleration", "object acceleration", "object rate offset"), (d1, d2, offset))
+        names = zip(
+            ("finger acceleration", "object acceleration", "object rate offset"), (d1, d2, offset)
+        )
         self._append("object", PanelTrack(
             obj.surface, obj.parameters, start, stop, method,
             " and ".join(name for name, d in names if d.any()), obj.ambient, self.compiled,
@@ -557,9 +579,11 @@ class GroupPlanner:
     def _slip_scale(self, interval: Interval, tip: Body, obj: Body) -> np.ndarray:
         """1 / (the slip that this interval can bring about), so that slip is right to tolerance."""
         speeds = self._speeds(interval)
-        pushes = [np.abs(interval.forcing[kind]).max() * body.size
-                  for kind, body in ((FingerAcceleration, tip), (ObjectAcceleration, obj))]  # fmt: skip
-        grown = max(pushes) / min(speeds) * min(interval.stop - interval.start, self._slowest(interval))
+        sides = ((FingerAcceleration, tip), (ObjectAcceleration, obj))
+        pushes = [np.abs(interval.forcing[kind]).max() * body.size for kind, body in sides]
+        grown = (
+            max(pushes) / min(speeds) * min(interval.stop - interval.start, self._slowest(interval))
+        )
         expected = max(float(np.abs(self.v).max()), grown)
         return np.full_like(self.v, 1.0 / min(1.0, max(expected, 1e-3)))
 
@@ -642,7 +666,9 @@ class RollingTrack(PanelTrack):
     def state(self, t: np.ndarray) -> np.ndarray:
         values = super().state(t)
         out = values[:, :3].copy()
-        out[:, 2] = self.angle[:, None] - values[:, 5] - values[:, 2]  # theta1 = psi0 - theta2 - psi
+        out[:, 2] = (
+            self.angle[:, None] - values[:, 5] - values[:, 2]
+        )  # theta1 = psi0 - theta2 - psi
         return out
 
     def end(self) -> np.ndarray:
@@ -652,7 +678,9 @@ class RollingTrack(PanelTrack):
 # --- small parts ---------------------------------------------------------------------------------
 
 
-def _body(surfaces: Sequence[Surface], at: Sequence[tuple[float, float]]) -> tuple[Body, np.ndarray]:
+def _body(
+    surfaces: Sequence[Surface], at: Sequence[tuple[float, float]]
+) -> tuple[Body, np.ndarray]:
     """Bodies of one structure at their chart coordinates, frames along their contact frames."""
     first = surfaces[0]
     parameters = np.array([s.parameters for s in surfaces], dtype=float)

@@ -324,6 +324,10 @@ class Scene:
             self._place_contacts()
             _check_chosen(self)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: the fields, not what a planner has worked out and keeps with them."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
     def contraction(self) -> Contraction:
         """Where slip shrinks under the gain law, and the least eta that shrinks it throughout."""
         return contraction(self.profile, self.gain, self.duration)

@@ -326,8 +326,8 @@ class TrackData(ctypes.Structure):
     _fields_ = (
         [(name, ctypes.c_double) for name in ("start", "stop")]
         + [(name, ctypes.c_long) for name in (
-            "nb", "n_sigma", "n_exponent", "power", "slips", "by_length", "n_panels", "panel_stride",
-            "body_stride", "n_anchors", "double_cover")]
+            "nb", "n_sigma", "n_exponent", "power", "slips", "by_length", "n_panels",
+            "panel_stride", "body_stride", "n_anchors", "double_cover")]
         + [(name, ctypes.c_double) for name in ("period_u", "period_v")]
         + [(name, ctypes.c_void_p) for name in (
             "constants", "sigma", "length", "exponent", "w", "v", "edges", "coefficients",

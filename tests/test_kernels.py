@@ -154,6 +154,24 @@ def test_bodies_may_share_their_points():
         assert values[:, 0] == pytest.approx(expected, abs=0), name
 
 
+def test_kernel_that_only_passes_values_on_can_be_called_again():
+    x, c = SX.sym("x", 2), SX.sym("c")
+    kernel = Kernel("passing", x, c, ca.vertcat(x, c, SX(1.0)))
+    points, constants = np.arange(6.0).reshape(1, 2, 3), np.array([[7.0]])
+    for _ in range(2):
+        for name, values in evaluate(kernel, points, constants).items():
+            assert values[0, :, 1] == pytest.approx([1.0, 4.0, 7.0, 1.0], abs=0), name
+
+
+def test_number_of_points_may_change_from_call_to_call():
+    kernel = area_kernel()
+    for n in (3, 500, 1, 3):
+        points = np.random.default_rng(n).normal(size=(2, 2, n))
+        constants = np.array([[2.0], [3.0]])
+        for name, values in evaluate(kernel, points, constants).items():
+            assert values[:, 0] == pytest.approx(constants * points[:, 0] * points[:, 1]), name
+
+
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)])
 def test_results_go_to_the_rows_asked_for(compiled):
     out = np.full((1, 6, 3), np.nan)
