@@ -22,7 +22,7 @@ def main(arguments: list[str] | None = None) -> int:
         os.environ[name] = "1"
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("half", nargs="?", choices=HALVES, help="one half only")
-    parser.add_argument("--only", metavar="NAME", help="one section, or those whose name contains this")
+    parser.add_argument("--only", metavar="NAME", help="one section, or all that contain it")
     parser.add_argument(
         "--full", action="store_true", help="give every peer 20 s a run instead of 1 s"
     )

@@ -173,7 +173,7 @@ class Kernel:
 
     def machine(self, n: int) -> Machine:
         """The virtual machine for n points, each with its own constants (made once per n)."""
-        machines = self._memory.__dict__
+        machines: dict[int, Machine] = self._memory.__dict__.setdefault("machines", {})
         if n not in machines:
             if len(machines) > 32:
                 machines.clear()
@@ -468,7 +468,7 @@ def find_compiler() -> tuple[str, ...] | None:
         if path:
             return (path, *name.split()[1:])
     try:
-        import ziglang  # type: ignore[import-not-found]  # noqa: F401
+        import ziglang  # noqa: F401
     except ImportError:
         return None
     return (sys.executable, "-m", "ziglang", "cc")

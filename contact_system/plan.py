@@ -12,7 +12,6 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -511,11 +510,7 @@ def load(path: str | os.PathLike) -> Plan:
     scene = scene_from_toml(text, source=str(path))
     starts = None
     if header["starts"]:
-        fields: list[dict[str, Any]] = header["starts"]
-        starts = [
-            Start(**{k: tuple(v) if isinstance(v, list) else v for k, v in s.items()})
-            for s in fields
-        ]
+        starts = [Start.from_plain(plain) for plain in header["starts"]]
     return Plan(
         scene,
         header["tolerance"],

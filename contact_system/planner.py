@@ -13,8 +13,9 @@ at the edges of its own windows; on each interval
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -65,6 +66,12 @@ class Start:
     finger_velocity: tuple[float, float]
     object_velocity: tuple[float, float]
 
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> Start:
+        """From the values that ``vars`` gave, pairs being lists by now."""
+        pairs = {k: _pair(v) for k, v in plain.items() if k != "angle"}
+        return cls(angle=float(plain["angle"]), **pairs)
+
 
 def scene_start(contact: Contact) -> Start:
     """The start that a scene's contact describes; words become numbers here."""
@@ -77,7 +84,7 @@ def scene_start(contact: Contact) -> Start:
     return Start(contact.finger_at, contact.object_at, contact.angle, own, given)
 
 
-def _pair(values: np.ndarray) -> tuple[float, float]:
+def _pair(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
@@ -160,18 +167,26 @@ class Body:
     surface : Surface
         One of their surfaces.
     parameters : (n, n_parameters)
+    sizes : (n, 1)
+        Length scale of each, m.
     state : (n, 9) ambient or (n, 3) chart
     ambient : bool
     """
 
     surface: Surface
     parameters: np.ndarray
+    sizes: np.ndarray
     state: np.ndarray
     ambient: bool
 
-    @property
+    @functools.cached_property
     def size(self) -> float:
-        return self.surface.size
+        """The least of the sizes, m."""
+        return float(self.sizes.min())
+
+    def at(self, state: np.ndarray, ambient: bool) -> Body:
+        """The same bodies elsewhere."""
+        return Body(self.surface, self.parameters, self.sizes, state, ambient)
 
     @property
     def lame(self) -> np.ndarray:
@@ -183,8 +198,8 @@ class Body:
         """1 / (size of the states): positions by the body's size, angles and directions by 1."""
         n = len(self.parameters)
         if self.ambient:
-            return np.hstack([np.full((n, 3), 1.0 / self.size), np.ones((n, 6))])
-        return np.hstack([np.maximum(self.lame / self.size, 1e-2), np.ones((n, 1))])
+            return np.hstack([np.tile(1.0 / self.sizes, 3), np.ones((n, 6))])
+        return np.hstack([np.maximum(self.lame / self.sizes, 1e-2), np.ones((n, 1))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,7 +291,6 @@ def prepare(scene: Scene, starts: Sequence[Start], begin: float) -> list[Prepare
         shape = tuple((type(d), d.start, d.stop) for d in windows[i])
         kind = (
             contact.finger.structure,
-            contact.finger.size,
             contact.follows,
             shape,
             bool(slips[i]),
@@ -376,7 +390,7 @@ class GroupPlanner:
             setattr(
                 self,
                 side,
-                Body(body.surface, body.parameters, _restored(body, state), body.ambient),
+                body.at(_restored(body, state), body.ambient),
             )
 
     def _geodesic(self, side: str, start: float, stop: float, why: str) -> Track:
@@ -509,7 +523,8 @@ class GroupPlanner:
         track = PanelTrack(
             body.surface, body.parameters, interval.start, reached,
             f"development in {place}, {panels.count} panels", why, body.ambient, self.compiled,
-            offset=offset, panels=panels, rows=slice(None), piece=interval.piece, w=self.w2, v=self.v,
+            offset=offset, panels=panels, rows=slice(None), piece=interval.piece, w=self.w2,
+            v=self.v,
         )  # fmt: skip
         self._append("object", track)
         return reached
@@ -619,8 +634,7 @@ class GroupPlanner:
         self.group.object.append(track)
         self.group.slips.append(SlipRecord(start, stop, piece, None, None))
         tip, obj = (
-            Body(body.surface, body.parameters, at, False)
-            for body, at in zip((self.finger, self.object), self.group.begin)
+            body.at(at, False) for body, at in zip((self.finger, self.object), self.group.begin)
         )
         kernel = development.rolling_motion(tip.surface, obj.surface)
         angle = self.prepared.angle
@@ -654,7 +668,7 @@ class GroupPlanner:
         if not (uses_chart_components and body.ambient and body.surface.double_cover):
             return body
         now = self.group.coordinates_at(side, len(getattr(self.group, side)))
-        return Body(body.surface, body.parameters, now, False)
+        return body.at(now, False)
 
 
 @dataclass(eq=False)
@@ -686,16 +700,17 @@ def _body(
     parameters = np.array([s.parameters for s in surfaces], dtype=float)
     begin = np.zeros((len(at), 3))
     begin[:, :2] = at
+    sizes = np.array([[s.size] for s in surfaces])
     if not prefers_ambient(first):
-        return Body(first, parameters, begin, False), begin
+        return Body(first, parameters, sizes, begin, False), begin
     if first.has_chart:
         state = frame_kernel(first).at(begin, parameters)
     else:  # the point is found numerically
         x = np.array([s.point(*q) for s, q in zip(surfaces, at)])
         frames = np.array([s.frame(*q) for s, q in zip(surfaces, at)])
         state = np.hstack([x, frames[:, :, 0], frames[:, :, 1]])
-    body = Body(first, parameters, state, True)
-    return Body(first, parameters, _restored(body, state), True), begin
+    body = Body(first, parameters, sizes, state, True)
+    return body.at(_restored(body, state), True), begin
 
 
 def _restored(body: Body, state: np.ndarray) -> np.ndarray:

@@ -205,7 +205,7 @@ def gain_text(gain: Gain) -> str:
 
 
 def _polynomial(profile: Profile) -> str:
-    terms = []
+    terms: list[str] = []
     for k, c in enumerate(profile.coefficients):
         if c:
             power = "" if k == 0 else r"$\,t$" if k == 1 else rf"$\,t^{{{k}}}$"

@@ -173,14 +173,6 @@ def test_number_of_points_may_change_from_call_to_call():
 
 
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)])
-def test_results_go_to_the_rows_asked_for(compiled):
-    out = np.full((1, 6, 3), np.nan)
-    kernel = area_kernel()
-    kernel(np.ones((1, 2, 3)), np.array([[5.0]]), out, rows=(4, 0, 2, 5), compiled=compiled)
-    assert out[0, :, 0] == pytest.approx([0.0, np.nan, 4.0, np.nan, 5.0, 5.0], nan_ok=True)
-
-
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)])
 def test_points_need_not_be_contiguous(compiled):
     points = np.arange(24.0).reshape(1, 4, 6)[:, ::2, ::2]
     out = np.empty((1, 4, 3))

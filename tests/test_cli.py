@@ -1,0 +1,258 @@
+"""The command line, run in this process."""
+
+from __future__ import annotations
+
+import io
+import math
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import contact_system as cs
+from contact_system import cli
+
+DRAWN = ("K1", "C2")
+
+
+def _run(*words: object) -> int:
+    return cli.main([str(w) for w in words])
+
+
+def _fails(capsys, *words: object) -> str:
+    """The one line on stderr of a user's error."""
+    assert _run(*words) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("contact-system: error: ")
+    assert captured.err.count("\n") == 1
+    return captured.err
+
+
+# --- what works --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", cs.bundled_scenes())
+def test_every_bundled_scene_runs(name, tmp_path, capsys):
+    if name in DRAWN:
+        pytest.importorskip("matplotlib")
+    assert _run("run", name, "--out", tmp_path, *[] if name in DRAWN else ["--no-plots"]) == 0
+    out = capsys.readouterr().out
+    expected = {".npz", ".csv"} | ({".png"} if name in DRAWN else set())
+    assert {p.suffix for p in tmp_path.iterdir()} == expected
+    assert all(f"wrote {tmp_path / name}{suffix}" in out for suffix in expected)
+    scene = cs.load_scene(name)
+    assert cs.load(tmp_path / f"{name}.npz").scene == scene
+    if "reports" in scene.paper and not scene.contacts[0].follows:
+        assert f"The paper reports: {scene.paper['reports']}." in " ".join(out.split())
+
+
+def test_results_go_to_a_folder_named_like_the_scene(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert _run("run", "torus", "--no-plots") == 0
+    assert (tmp_path / "results" / "torus" / "torus.npz").exists()
+
+
+def test_a_scene_file_runs_like_a_bundled_scene(tmp_path, capsys):
+    cs.save_scene(cs.load_scene("K4").replace(name="my scene/4"), tmp_path / "mine.toml")
+    assert _run("run", tmp_path / "mine.toml", "--no-plots", "--out", tmp_path) == 0
+    assert (tmp_path / "my-scene-4.csv").exists()
+
+
+def test_scenes_lists_all_with_their_descriptions(capsys):
+    assert _run("scenes") == 0
+    out = capsys.readouterr().out
+    for name, description in cs.bundled_scenes().items():
+        assert f"{name} " in out and description in out
+
+
+def test_explain_tells_methods_and_contraction(capsys):
+    assert _run("explain", "K4", "--eta", "300") == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "closed form: great circle" in out
+    assert "slip shrinks over the whole horizon" in out  # 300 > 200, the least eta of K4
+
+
+def test_k1_shows_the_printed_law_beside_the_one_that_gives_the_printed_time(tmp_path, capsys):
+    assert _run("run", "K1", "--no-plots", "--out", tmp_path) == 0
+    out = capsys.readouterr().out
+    assert "Gain law 'path' with eta = 100 does not reproduce that time." in out
+    assert "Gain law 'time' with eta = 100 reproduces that time." in out
+
+
+def test_the_gain_law_can_be_changed(tmp_path, capsys):
+    words = ("run", "K1", "--no-plots", "--out", tmp_path, "--gain", "guaranteed", "--rho", "80")
+    assert _run(*words) == 0
+    assert "guaranteed, rho = 80" in capsys.readouterr().out
+    assert cs.load(tmp_path / "K1.npz").scene.gain == cs.Gain.guaranteed(80)
+
+
+def test_run_without_matplotlib_still_writes_numbers(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert _run("run", "torus", "--out", tmp_path) == 0
+    assert "pip install contact-system[plot]" in capsys.readouterr().out
+    assert (tmp_path / "torus.csv").exists()
+
+
+# --- measuring ---------------------------------------------------------------------------------
+
+
+def test_k1_recovers_within_the_reported_time_under_the_time_law():
+    mpmath = pytest.importorskip("mpmath")
+    scene = cs.load_scene("K1")
+    crossing = mpmath.findroot(
+        lambda t: (1 + 400 * t**2) * mpmath.exp(-100 * t) - mpmath.mpf("0.05"),
+        (0.02, 0.05),
+        solver="anderson",
+    )
+    for r in cli.rejections(cs.plan(scene.replace(gain=cs.Gain.time(100)))):
+        assert r.time == pytest.approx(float(crossing), rel=1e-12)
+        assert r.time < 0.04 and r.as_reported
+        assert (r.start, r.peak, r.peak_time) == (pytest.approx(1e-3), pytest.approx(1e-3), 0)
+    for r in cli.rejections(cs.plan(scene)):
+        assert math.isinf(r.time) and r.as_reported is False
+
+
+def test_the_last_crossing_counts_where_slip_grows_before_it_falls():
+    # slip sigma exp(-L): 0.01 (1 + 20 t) exp(-12 t) grows at first
+    mpmath = pytest.importorskip("mpmath")
+    scene = cs.load_scene("K1").replace(profile=cs.Profile([0.01, 0.2]), gain=cs.Gain.time(12))
+    (r, *_) = cli.rejections(cs.plan(scene))
+    truth = mpmath.findroot(lambda t: (1 + 20 * t) * mpmath.exp(-12 * t) - mpmath.mpf("0.05"), 0.5)
+    assert r.time == pytest.approx(float(truth), rel=1e-12)
+    assert r.peak_time == pytest.approx(1 / 12 - 1 / 20, rel=1e-6)
+    assert r.peak == pytest.approx(0.01 * (20 / 12) * math.exp(-0.4), rel=1e-9)
+
+
+def test_recovery_counts_from_the_end_of_the_last_disturbance():
+    mpmath = pytest.importorskip("mpmath")
+    lost = lambda t: mpmath.quad(lambda x: (0.1 + 0.2 * x - 0.02 * x**2) ** 2, [2, t])  # noqa: E731
+    sigma = lambda t: 0.1 + 0.2 * t - 0.02 * t**2  # noqa: E731
+    truth = mpmath.findroot(
+        lambda t: sigma(t) / sigma(2) * mpmath.exp(-100 * lost(t)) - mpmath.mpf("0.05"), 2.16
+    )
+    for r in cli.rejections(cs.plan(cs.load_scene("K4"))):
+        assert r.since == 2
+        assert r.time == pytest.approx(float(truth) - 2, rel=1e-9)
+
+
+def test_an_offset_that_ends_leaves_nothing_to_recover_from():
+    first, second, _ = cli.rejections(cs.plan(cs.load_scene("D1")))
+    assert (first.since, first.time) == (2.5, 0.0) and first.peak > 0.1
+    assert math.isnan(second.time) and second.peak == 0
+
+
+@pytest.mark.parametrize("name", ["C1", "C2"])
+def test_the_follower_draws_a_great_circle_to_rounding(name, tmp_path, capsys):
+    assert _run("run", name, "--no-plots", "--out", tmp_path) == 0
+    (line,) = [x for x in capsys.readouterr().out.splitlines() if "great circle's plane" in x]
+    distance, relative = (float(w) for w in line.split() if "e-" in w)
+    assert relative < 1e-12
+    points = cs.plan(cs.load_scene(name)).points(np.linspace(0, 1, 50))[:, 0, 0]
+    normal = np.cross(points[0], points[30]) / np.linalg.norm(np.cross(points[0], points[30]))
+    assert np.abs(points @ normal).max() < 1e-12 * 0.04
+
+
+# --- what does not -----------------------------------------------------------------------------
+
+
+def test_unknown_scene_names_the_nearest(capsys):
+    assert "did you mean 'torus'" in _fails(capsys, "run", "tors")
+
+
+def test_broken_file_names_file_and_line(tmp_path, capsys):
+    (tmp_path / "broken.toml").write_text('name = "x"\nduration = \n')
+    error = _fails(capsys, "run", tmp_path / "broken.toml")
+    assert "broken.toml" in error and "line 2" in error
+
+
+def test_unknown_key_names_the_nearest(tmp_path, capsys):
+    cs.save_scene(cs.load_scene("K1"), tmp_path / "k.toml")
+    text = (tmp_path / "k.toml").read_text().replace("duration", "duraton", 1)
+    (tmp_path / "k.toml").write_text(text)
+    error = _fails(capsys, "explain", tmp_path / "k.toml")
+    assert "'duraton' is unknown (did you mean 'duration'?)" in error
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--eta", "-1"], "eta = -1.0 is negative"),
+        (["--tolerance", "0"], "tolerance = 0.0"),
+        (["--tolerance", "nan"], "tolerance = nan"),
+        (["--gain", "path", "--eta", "inf"], "eta[0] = inf"),
+    ],
+)
+def test_wrong_numbers_are_one_line(words, said, tmp_path, capsys):
+    assert said in _fails(capsys, "run", "K1", "--out", tmp_path, *words)
+
+
+def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path, capsys):
+    (tmp_path / "taken").write_text("")
+    assert "taken" in _fails(capsys, "run", "torus", "--no-plots", "--out", tmp_path / "taken")
+
+
+def test_unknown_command_is_refused(capsys):
+    with pytest.raises(SystemExit) as stop:
+        _run("plan", "K1")
+    assert stop.value.code == 2
+    assert "invalid choice: 'plan'" in capsys.readouterr().err
+
+
+# --- commands of other packages ----------------------------------------------------------------
+
+
+def _foreign(monkeypatch, name, load):
+    point = SimpleNamespace(name=name, load=load)
+    monkeypatch.setattr(cli, "entry_points", lambda group: [point] if group == cli.GROUP else [])
+
+
+def test_another_package_adds_a_command(monkeypatch, capsys):
+    def register(subparsers):
+        parser = subparsers.add_parser("fly", help="take off")
+        parser.add_argument("height", type=float)
+        parser.set_defaults(run=lambda args: print(args.height) or 7)
+
+    _foreign(monkeypatch, "fly", lambda: register)
+    assert _run("fly", "2.5") == 7
+    assert capsys.readouterr().out == "2.5\n"
+
+
+def test_a_package_that_cannot_be_imported_is_a_hint(monkeypatch, capsys):
+    def load():
+        raise ImportError("No module named 'wings'\nand more")
+
+    _foreign(monkeypatch, "fly", load)
+    error = _fails(capsys, "fly", "--high")
+    assert "'fly'" in error and "No module named 'wings'; pip install" in error
+    with pytest.raises(SystemExit) as stop:
+        _run("--help")
+    assert stop.value.code == 0 and "unavailable" in capsys.readouterr().out
+
+
+def test_own_commands_do_not_import_other_packages(monkeypatch, capsys):
+    _foreign(monkeypatch, "fly", lambda: pytest.fail("imported"))
+    assert _run("scenes") == 0
+
+
+# --- progress ----------------------------------------------------------------------------------
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_is_drawn_on_a_terminal_only_and_only_when_it_takes_long(monkeypatch):
+    terminal, pipe = _Terminal(), io.StringIO()
+    with cli.Progress(2, "quick", terminal):
+        pass
+    assert terminal.getvalue() == ""
+    monkeypatch.setattr(cli.Progress, "DELAY", 0.0)
+    for stream in (terminal, pipe):
+        with cli.Progress(2, "first", stream) as progress:
+            progress.step("second")
+            progress.finished.wait(0.25)
+    assert pipe.getvalue() == ""
+    assert "[############............] second, 0 s" in terminal.getvalue()
+    assert terminal.getvalue().endswith("\r\x1b[K")  # the line is left empty

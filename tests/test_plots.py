@@ -1,0 +1,143 @@
+"""Pictures: what they show is checked as numbers, that they come out is checked as files."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+import pytest
+
+import contact_system as cs
+from contact_system import plots
+
+FINGER = cs.Sphere(0.04)
+
+
+def _scene(surface: cs.Surface, at=(0.3, 0.2), finger: cs.Surface = FINGER, **changes) -> cs.Scene:
+    contact = cs.Contact(finger=finger, object_at=at, object_velocity="rest")
+    fields = {"profile": cs.Profile([0.1, 0.2]), "gain": cs.Gain.time(4), "duration": 1.0}
+    return cs.Scene(object=surface, contacts=[contact], **{**fields, **changes})
+
+
+@pytest.fixture
+def pillow():
+    return pytest.importorskip("PIL.Image", reason="pictures need contact-system[plot]")
+
+
+def _ink(image) -> float:
+    """Fraction of a picture that is not white."""
+    return float((np.asarray(image.convert("L")) < 250).mean())
+
+
+@pytest.mark.parametrize("name", ["K1", "K4", "chart", "torus"])
+def test_exact_slip_follows_the_polynomial_law_and_the_plan(name):
+    scene = cs.load_scene(name)
+    plan = cs.plan(scene)
+    t, slip = plots.exact_slip(plan, 0)
+    assert len(t) > 10
+    # where a window starts the law tells the slip just before
+    before = [start for start, _ in plots.windows(plan, 0)]
+    planned = plan.slip(np.where(np.isin(t, before), np.nextafter(t, 0), t))[:, 0]
+    assert np.abs(np.linalg.norm(planned, axis=1) - slip).max() < 1e-12 * slip.max()
+    if name == "K1":  # |V| = 1, and L = 100 int (0.001 + 0.4 t^2)^2 written out
+        lost = 100 * (1e-6 * t + 8e-4 * t**3 / 3 + 0.16 * t**5 / 5)
+        assert slip == pytest.approx((0.001 + 0.4 * t**2) * np.exp(-lost), rel=1e-12)
+
+
+def test_exact_slip_says_nothing_inside_windows():
+    plan = cs.plan(cs.load_scene("K4"))
+    t, _ = plots.exact_slip(plan, 0)
+    assert not ((t > 1) & (t < 2)).any()
+
+
+def test_overlapping_windows_are_joined():
+    pushes = [
+        cs.FingerAcceleration(contact=0, start=a, stop=b, value=(0.1, 0))
+        for a, b in ((0.6, 0.7), (0.1, 0.3), (0.2, 0.4), (0.4, 0.5))
+    ]
+    plan = cs.plan(_scene(cs.Plane(), disturbances=pushes))
+    assert plots.windows(plan, 0) == [(0.1, 0.5), (0.6, 0.7)]
+
+
+def test_distance_from_a_great_circle_is_zero_on_one_and_known_beside_one():
+    angle = np.linspace(0, 2 * math.pi, 60, endpoint=False)
+    tilt = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    great = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1) @ tilt
+    assert np.abs(plots.great_circle_distance(great)).max() < 1e-15
+    # a circle of latitude 0.1 rad: every point is sin(0.1) from the plane through the centre
+    small = np.cos(0.1) * great + np.sin(0.1) * tilt[2]
+    assert np.abs(plots.great_circle_distance(small)) == pytest.approx(np.sin(0.1), rel=1e-12)
+
+
+def test_points_behind_a_sphere_are_hidden_and_those_before_it_are_not():
+    plan = cs.plan(_scene(cs.Sphere(0.1), at=(1.0, 0.2)))
+    mesh = plots._mesh(plan, plan.scene.object, 1, [0])
+    view = plots._View(np.eye(3))  # the camera looks down the z axis
+    x = np.random.default_rng(2).normal(size=(300, 3))
+    x *= 0.1 / np.linalg.norm(x, axis=1)[:, None]
+    x = x[np.abs(x[:, 2]) > 0.03]
+    assert np.array_equal(plots._hidden(mesh, view, x), x[:, 2] < 0)
+
+
+def test_the_near_side_of_a_ring_hides_the_far_side():
+    plan = cs.plan(_scene(cs.Torus(0.2, 0.05)))
+    mesh = plots._mesh(plan, plan.scene.object, 1, [0])
+    view = plots._View(np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]))  # seen from +x
+    ring = np.array([[0.25, 0, 0], [0.15, 0, 0], [-0.15, 0, 0], [-0.25, 0, 0]])
+    assert plots._hidden(mesh, view, ring).tolist() == [False, True, True, True]
+
+
+def test_a_hollow_is_seen_from_its_open_side():
+    plan = cs.plan(_scene(cs.Sphere(0.2, inside=True), at=(3 * math.pi / 4, 0.0)))
+    mesh = plots._mesh(plan, plan.scene.object, 1, [0])
+    curve = plots._curves(plan, [0], 1)
+    hidden = plots._hidden(mesh, plots._best_view(mesh, curve), curve[0].points)
+    assert not hidden.any()
+
+
+def test_curves_that_coincide_are_labelled_together():
+    curves = plots._curves(cs.plan(cs.load_scene("K1")), [0, 1, 2], 0)
+    assert [c.label for c in plots._distinct(curves, 1e-6)] == ["1,2,3"]
+
+
+SURFACES = {
+    "plane": (cs.Plane(), (0.0, 0.0)),
+    "ellipsoid of revolution": (cs.Ellipsoid(0.3, 0.1, 0.1), (1.0, 0.0)),
+    "hyperboloid": (cs.Quadric(np.diag([100.0, 100.0, -100.0]).tolist()), (0.0, 0.0)),
+    "pipe": (cs.Cylinder(0.2, inside=True), (0.0, 0.0)),
+    "open implicit": (cs.ImplicitSurface("z + 3*x**2 + 3*y**2 - 0.1", size=0.1), (0.5, 0.0)),
+}
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_every_kind_of_surface_can_be_drawn(name, tmp_path, pillow):
+    surface, at = SURFACES[name]
+    plots.plot_curves(cs.plan(_scene(surface, at)), tmp_path / "x.png", dpi=30)
+    with pillow.open(tmp_path / "x.png") as image:
+        assert image.size == (360, 180)
+        assert _ink(image) > 0.05
+
+
+def test_what_is_cropped_stays_near_the_curve():
+    for name in ("plane", "hyperboloid", "open implicit"):
+        surface, at = SURFACES[name]
+        plan = cs.plan(_scene(surface, at))
+        mesh = plots._mesh(plan, surface, 1, [0])
+        curve = plan.points(plan.sample_times())[:, 0, 1]
+        assert np.ptp(mesh.points, axis=0).max() < 12 * np.ptp(curve, axis=0).max()
+
+
+@pytest.mark.parametrize("name", ["K1", "D1", "C1"])
+def test_slip_can_be_drawn_with_another_law_a_jump_and_without_slip(name, tmp_path, pillow):
+    scene = cs.load_scene(name)
+    other = cs.plan(scene.replace(gain=cs.Gain.time(50))) if name == "K1" else None
+    plots.plot_slip(cs.plan(scene), tmp_path / "x.png", other, dpi=40)
+    with pillow.open(tmp_path / "x.png") as image:
+        assert 0.01 < _ink(image) < 0.6
+
+
+def test_missing_matplotlib_names_the_remedy(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(plots.MissingMatplotlib, match=r"pip install contact-system\[plot\]"):
+        plots.plot(cs.plan(cs.load_scene("K1")), tmp_path / "x.png")
