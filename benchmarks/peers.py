@@ -146,15 +146,19 @@ def _heyoka_metric(surface: cs.Surface, u: Any, v: Any, du: Any, dv: Any) -> _Me
 
 
 def heyoka_great_circles(
-    radii: Sequence[float], frames: Sequence[np.ndarray], lengths: np.ndarray, tolerance: float
-) -> Callable[[], np.ndarray]:
+    radii: Sequence[float], lengths: np.ndarray, tolerance: float
+) -> Callable[[np.ndarray], np.ndarray]:
     """Both contact points of rolling spheres in Cartesian form, x" = -|x'|^2/r^2 x in arc length.
 
     Parameters
     ----------
     radii : finger and object, m
-    frames : two arrays (2, 3), start point and path velocity
     lengths : (n,), arc lengths of the output, m
+
+    Returns
+    -------
+    callable
+        (12,), point and path velocity of finger and object -> points (n, 2, 3), m.
     """
     import heyoka as hy
 
@@ -164,10 +168,9 @@ def heyoka_great_circles(
         x, p = symbols[6 * k : 6 * k + 3], symbols[6 * k + 3 : 6 * k + 6]
         square = (p[0] ** 2 + p[1] ** 2 + p[2] ** 2) / r**2
         equations += [(x[i], p[i]) for i in range(3)] + [(p[i], -square * x[i]) for i in range(3)]
-    start = np.concatenate([f.ravel() for f in frames])
-    solver = hy.taylor_adaptive(equations, start, tol=tolerance)
+    solver = hy.taylor_adaptive(equations, [1.0] * 12, tol=tolerance)
 
-    def solve() -> np.ndarray:
+    def solve(start: np.ndarray) -> np.ndarray:
         solver.time = 0.0
         solver.state[:] = start
         return solver.propagate_grid(lengths)[-1].reshape(-1, 2, 6)[:, :, :3]

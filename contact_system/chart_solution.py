@@ -94,9 +94,9 @@ def _chart_group(
     machine.c[0] = [*contact.finger.parameters, *scene.object.parameters]
     y = initial_state(scene, index, start, begin)
     own = [d for d in scene.disturbances if d.contact == index]
-    edges = sorted(
-        {begin, scene.duration, *(t for d in own for t in (d.start, d.stop) if t > begin)}
-    )
+    windows = [t for d in own for t in (d.start, d.stop) if t > begin]
+    pieces = [p.start for p in scene.gain.pieces(scene.profile, begin, scene.duration)]
+    edges = sorted({begin, scene.duration, *windows, *pieces})
     for a, b in zip(edges, edges[1:]):
         d1, d2, offset = (
             sum(
@@ -113,16 +113,15 @@ def _chart_group(
             machine.x[0, 9] = scene.profile.rate(t) / sigma
             machine.x[0, 10] = scene.gain.rate(scene.profile, t)
             machine.run()
-            return machine.y[0]
+            return machine.y[0].copy()  # the solver keeps it
 
-        scale = np.array([1, 1, 1, 1, 1, 1, 1, 1, 1]) * tolerance
         result = solve_ivp(
             rate,
             (a, b),
             y,
             method=solver,
             rtol=max(tolerance, 3e-14),
-            atol=scale,
+            atol=tolerance,
             dense_output=True,
         )
         if not result.success or not np.isfinite(result.y).all():
@@ -140,7 +139,7 @@ def _chart_group(
                 solution=result.sol, finger=side, angle=start.angle,
             )  # fmt: skip
             (group.finger if side else group.object).append(track)
-        piece = GainPiece(a, b, scene.profile.shifted(a), (0.0,), 0)
+        piece = scene.gain.pieces(scene.profile, a, b)[0]
         pair = (group.finger[-1], group.object[-1])
         group.slips.append(
             SlipRecord(a, b, piece, _slip_of(pair, group.r0, piece), (d1[None], d2[None]))

@@ -292,17 +292,18 @@ class FlatTrack(Track):
         out = np.empty((self.n_bodies, 3, len(tau)))
         moved = out[:, :2]
         np.multiply((self.along / self.lame)[:, :, None], length, out=moved)
-        if reduced and np.abs(moved).max(initial=0.0) > LONG_PHASE:
+        moved += self.begin[:, :2, None]
+        if reduced and np.abs(moved / self.surface.size).max(initial=0.0) > LONG_PHASE:
             exact = long_length(self.piece.sigma, tau)
             for i, period in enumerate(self.surface.periods()):
-                if period is not None:
-                    moved[:, i] = long_ratio(self.along[:, i], self.lame[:, i], exact)
+                moved[:, i] = long_line(
+                    self.begin[:, i], self.along[:, i], self.lame[:, i], exact, period is not None
+                )
         if self.slip_length is not None:
             shift = self.slip_length.evaluate(tau)[0]
             moved -= (self.aside / self.lame)[:, :, None] * shift
         if self.offset is not None:
             moved += self.offset[:, :, None] * tau
-        moved += self.begin[:, :2, None]
         out[:, 2] = self.begin[:, 2:]
         return out
 
@@ -403,10 +404,19 @@ def reduce_turns(phase: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     return _add(phase, whole)[0]
 
 
-def long_ratio(
-    along: np.ndarray, lame: np.ndarray, length: tuple[np.ndarray, np.ndarray]
+def long_line(
+    begin: np.ndarray,
+    along: np.ndarray,
+    lame: np.ndarray,
+    length: tuple[np.ndarray, np.ndarray],
+    turns: bool,
 ) -> np.ndarray:
-    """along * length / lame modulo 2 pi: (n,), (n,), doubled (n_times,) -> (n, n_times)."""
+    """begin + along * length / lame, rounded once; modulo 2 pi where ``turns``.
+
+    begin, along, lame (n,), doubled length (n_times,) -> (n, n_times).
+    """
     zero = np.zeros_like(along)[:, None]
     rate = _divide((along[:, None], zero), (lame[:, None], zero))
-    return reduce_turns(_multiply(rate, tuple(z[None, :] for z in length)))
+    line = _multiply(rate, tuple(z[None, :] for z in length))
+    line = _add(line, (begin[:, None], zero))
+    return reduce_turns(line) if turns else line[0]

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import casadi as ca
@@ -233,19 +233,32 @@ class Panels:
         return len(self.edges) - 1
 
     def evaluate(self, tau: np.ndarray, states: slice = slice(None)) -> np.ndarray:
-        """The states at ascending local times: (n_bodies, n_states, n_times)."""
+        """The states at local times in any order: (n_bodies, n_states, n_times)."""
         coefficients = self.coefficients[:, :, states]
         out = np.empty(coefficients.shape[1:3] + (len(tau),))
-        inner = self.edges[1:-1]
-        cuts = np.concatenate(([0], np.searchsorted(tau, inner, side="right"), [len(tau)]))
-        which = np.repeat(np.arange(len(self.edges) - 1), np.diff(cuts))
-        width = np.diff(self.edges)
-        xi = 2.0 * (tau - self.edges[which]) / width[which] - 1.0
+        which = np.searchsorted(self.edges[1:-1], tau, side="right")
+        xi = 2.0 * (tau - self.edges[which]) / np.diff(self.edges)[which] - 1.0
         basis = _legendre_basis(xi)
-        for k in np.flatnonzero(np.diff(cuts)):
-            part = slice(cuts[k], cuts[k + 1])
-            np.matmul(coefficients[k], basis[:, part], out=out[:, :, part])
+        for k, part in runs(which):
+            if isinstance(part, slice):
+                np.matmul(coefficients[k], basis[:, part], out=out[:, :, part])
+            else:
+                out[:, :, part] = coefficients[k] @ basis[:, part]
         return out
+
+
+def runs(which: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
+    """(value, where it stands), for each value of an integer array; slices where it is one run."""
+    if len(which) == 0:
+        return
+    ends = np.flatnonzero(np.diff(which)) + 1
+    starts = [0, *ends.tolist()]
+    values = which[starts].tolist()
+    if len(set(values)) == len(values):
+        yield from zip(values, map(slice, starts, [*ends.tolist(), len(which)]))
+    else:
+        for value in sorted(set(values)):
+            yield value, np.flatnonzero(which == value)
 
 
 def _legendre_basis(xi: np.ndarray) -> np.ndarray:

@@ -327,12 +327,12 @@ class NumpyProgram:
     def __call__(self, x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
         """x (n_point, n_bodies or 1, n), c (n_constant, n_bodies, 1) -> out (n_bodies, ., n)."""
         shape = (self._registers, out.shape[0], out.shape[2])
-        registers = getattr(self._memory, "registers", None)
-        if registers is None or registers[0].shape != shape[1:]:
+        kept, registers = getattr(self._memory, "registers", (None, []))
+        if kept != shape:
             # separate small arrays: one large one would be mapped anew by malloc every time
             registers = [np.empty(shape[1:]) for _ in range(self._registers)]
             if self._registers * shape[1] * shape[2] < 1_000_000:
-                self._memory.registers = registers
+                self._memory.registers = shape, registers
         self._program(x, c, registers, out.transpose(1, 0, 2))
 
     def _source(self, steps: list[Step]) -> tuple[list[str], int]:

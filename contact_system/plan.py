@@ -10,13 +10,16 @@ import csv
 import io
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from numbers import Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .chart_solution import chart_groups
+from .development import runs
 from .errors import ContactSystemError, SceneError
 from .kernels import address, row_offsets
 from .kinematics import relative_pose, relative_twist
@@ -78,7 +81,7 @@ class Plan:
     ):
         if method not in METHODS:
             raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
-        if not 1e-15 <= tolerance <= 0.1:
+        if not (isinstance(tolerance, Real) and 1e-15 <= tolerance <= 0.1):
             raise SceneError(f"tolerance = {tolerance!r}: give a number from 1e-15 to 1e-1")
         self.scene, self.tolerance, self.method = scene, tolerance, method
         self.solver, self.compiled, self.start, self.starts = solver, compiled, start, starts
@@ -186,6 +189,11 @@ class Plan:
         if not np.isfinite(measured).all():
             raise SceneError(f"restart at t = {t:g} s: the measured state has a NaN or infinity")
         self._times([t])
+        if not t < self.scene.duration:
+            raise SceneError(
+                f"restart at t = {t:g} s: nothing is left to plan, the scene ends at "
+                f"{self.scene.duration:g} s; restart earlier or lengthen the scene"
+            )
         starts = [self._measured_start(float(t), i, row) for i, row in enumerate(measured)]
         return Plan(
             self.scene, self.tolerance, self.method, self.solver, self.compiled, float(t), starts
@@ -201,6 +209,21 @@ class Plan:
                 f"restart at t = {t:g} s: sigma = {sigma:g} there, so rates do not determine path "
                 "velocities; restart where sigma > 0"
             )
+        for side, surface, (u, v) in (
+            ("finger", contact.finger, row[0:2]),
+            ("object", obj, row[4:6]),
+        ):
+            try:
+                at_u, at_v = surface.canonical(u, v)
+            except ContactSystemError as error:
+                raise SceneError(f"restart at t = {t:g} s, contact {i}, {side}: {error}") from None
+            nearest = surface.align(at_u, at_v, u, v)
+            if np.hypot(nearest[0] - u, nearest[1] - v) > 1e-9:
+                raise SceneError(
+                    f"restart at t = {t:g} s, contact {i}, {side}: (u, v) = ({u:.9g}, {v:.9g}) is "
+                    f"outside the chart of {surface!r}; the same point is ({at_u:.9g}, {at_v:.9g}), "
+                    "where the rates and psi have other values"
+                )
         offset = np.zeros(2)
         for d in self.scene.disturbances:
             if isinstance(d, ObjectRateOffset) and d.contact == i and d.start <= t < d.stop:
@@ -459,16 +482,14 @@ def _acceleration(motion: Motion) -> np.ndarray:
     return out
 
 
-def _parts(intervals: Sequence, times: np.ndarray):
-    """(interval, index of the times in it); an edge belongs to the later interval."""
+def _parts(intervals: Sequence[Any], times: np.ndarray) -> Iterator[tuple[Any, slice | np.ndarray]]:
+    """(interval, where its times stand); an edge belongs to the later interval."""
     if len(intervals) == 1:
         yield intervals[0], slice(None)
         return
     which = np.searchsorted([i.start for i in intervals[1:]], times, side="right")
-    for k in np.unique(which):
-        where = np.flatnonzero(which == k)
-        run = slice(where[0], where[-1] + 1)
-        yield intervals[k], run if run.stop - run.start == len(where) else where
+    for k, where in runs(which):
+        yield intervals[k], where
 
 
 def _motions(group: Group, times: np.ndarray):

@@ -473,6 +473,8 @@ class GroupPlanner:
     def _free(self, interval: Interval) -> None:
         """The object while only slip and rate offsets act."""
         piece, start, stop = interval.piece, interval.start, interval.stop
+        if piece.power and piece.sigma[0] == 0.0:
+            self.v = 0 * self.v  # the guaranteed law lets no slip leave a rest
         offset = interval.forcing[ObjectRateOffset]
         shifted = offset if offset.any() else None
         negligible = NEGLIGIBLE * self.tolerance * self.object.size * interval.reach

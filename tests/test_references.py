@@ -182,3 +182,43 @@ def test_jacobis_integral_agrees_with_the_reference(compiled):
     truth = reference("ellipsoid_geodesics")["jacobi"]
     # relative to the constant's range, (a^2 - c^2)
     assert np.abs(value - truth).max() <= 1e-13 * (a**2 - c**2)
+
+
+# --- ellipsoids of revolution
+
+
+def geographic(equator: float, f: float, lat: float, lon: float, azimuth: float) -> np.ndarray:
+    """Position and unit direction of a geodesic from degrees: (2, 3), about the z axis."""
+    (phi, lam, alpha), e2 = np.radians([lat, lon, azimuth]), f * (2 - f)
+    across = equator / np.sqrt(1 - e2 * np.sin(phi) ** 2)
+    east = np.array([-np.sin(lam), np.cos(lam), 0.0])
+    north = np.array([-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)])
+    out = np.array([np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), (1 - e2) * np.sin(phi)])
+    return np.array([across * out, np.cos(alpha) * north + np.sin(alpha) * east])
+
+
+@pytest.mark.parametrize("f", [0.01, 0.003, -0.003, -0.01])
+def test_geodesics_of_an_ellipsoid_of_revolution_agree_with_geographiclib(f):
+    geographiclib = pytest.importorskip("geographiclib.geodesic")
+    equator, length = 1.0, 4.0
+    polar = equator * (1 - f)
+    # an Ellipsoid has its longest axis along x, so a prolate one turns about x
+    shift = 0 if f > 0 else 1
+    body = cs.Ellipsoid(equator, equator, polar) if f > 0 else cs.Ellipsoid(polar, equator, equator)
+    line, rng = geographiclib.Geodesic(equator, f), np.random.default_rng(7)
+    contacts, ends = [], []
+    for lat, lon, azimuth in rng.uniform([-80, -180, -180], [80, 180, 180], (40, 3)):
+        start, w = np.roll(geographic(equator, f, lat, lon, azimuth), shift, axis=1)
+        end = line.Direct(lat, lon, azimuth, length)
+        ends.append(geographic(equator, f, end["lat2"], end["lon2"], end["azi2"])[0])
+        at = body.coordinates(start)
+        along = body.frame(*at)[:, :2].T @ w
+        contact = cs.Contact(
+            finger=cs.Plane(), object_at=tuple(map(float, at)), finger_at=(0.0, 0.0),
+            finger_velocity=tuple(reflection(0.0) @ along), object_velocity=tuple(along),
+        )  # fmt: skip
+        contacts.append(contact)
+    scene = cs.Scene(object=body, contacts=contacts, profile=cs.Profile([1.0]), duration=length)
+    points = cs.plan(scene, tolerance=1e-14).points(length)[0, :, 1]
+    # geographiclib gives degrees: 4e-16 relative of up to 180 degrees is 1e-15 of the equator
+    assert np.abs(points - np.roll(ends, shift, axis=1)).max() <= 1e-13 * equator
