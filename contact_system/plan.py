@@ -11,7 +11,6 @@ import io
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from .chart_solution import chart_groups
 from .development import runs
-from .errors import ContactSystemError, SceneError
+from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kernels import address, row_offsets
 from .kinematics import relative_pose, relative_twist
 from .planner import Group, Start, plan_groups, scene_start
@@ -81,7 +80,7 @@ class Plan:
     ):
         if method not in METHODS:
             raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
-        if not (isinstance(tolerance, Real) and 1e-15 <= tolerance <= 0.1):
+        if not (isinstance(tolerance, (int, float)) and 1e-15 <= tolerance <= 0.1):
             raise SceneError(f"tolerance = {tolerance!r}: give a number from 1e-15 to 1e-1")
         self.scene, self.tolerance, self.method = scene, tolerance, method
         self.solver, self.compiled, self.start, self.starts = solver, compiled, start, starts
@@ -209,10 +208,8 @@ class Plan:
                 f"restart at t = {t:g} s: sigma = {sigma:g} there, so rates do not determine path "
                 "velocities; restart where sigma > 0"
             )
-        for side, surface, (u, v) in (
-            ("finger", contact.finger, row[0:2]),
-            ("object", obj, row[4:6]),
-        ):
+        sides = (("finger", contact.finger, row[0:2]), ("object", obj, row[4:6]))
+        for side, surface, (u, v) in sides:
             try:
                 at_u, at_v = surface.canonical(u, v)
             except ContactSystemError as error:
@@ -221,8 +218,8 @@ class Plan:
             if np.hypot(nearest[0] - u, nearest[1] - v) > 1e-9:
                 raise SceneError(
                     f"restart at t = {t:g} s, contact {i}, {side}: (u, v) = ({u:.9g}, {v:.9g}) is "
-                    f"outside the chart of {surface!r}; the same point is ({at_u:.9g}, {at_v:.9g}), "
-                    "where the rates and psi have other values"
+                    f"outside the chart of {surface!r}; the same point is "
+                    f"({at_u:.9g}, {at_v:.9g}), where the rates and psi have other values"
                 )
         offset = np.zeros(2)
         for d in self.scene.disturbances:
@@ -299,27 +296,39 @@ class Plan:
         """``count`` rows of the finger, then of the object: (n_contacts, 2 count, n_times)."""
         times = _one_axis(t)
         out = np.empty((self._count, 2 * count, len(times)))
-        if len(self.groups) == 1 and self._fill_compiled(output, times, count, out):
-            return out
-        times = self._times(times)
-        for group in self.groups:
-            values = (
-                out if len(self.groups) == 1 else np.empty((len(group.contacts), *out.shape[1:]))
-            )
-            if group.pair is not None:
-                group.anchor_pair()
-                whole = values.reshape(-1, count, len(times))
-                getattr(group.pair, output)(times, whole)
-            else:
-                for k, side in enumerate(SIDES):
-                    for track, where in _parts(getattr(group, side), times):
-                        if output == "coordinates":
-                            group.anchor(side, track)
-                        part = values[:, k * count : (k + 1) * count]
-                        _write(getattr(track, output), times, where, part)
-            if values is not out:
-                out[group.contacts] = values
+        only = len(self.groups) == 1
+        group = self.groups[0]
+        try:
+            if only and self._fill_compiled(output, times, count, out):
+                return out
+            times = self._times(times)
+            for group in self.groups:
+                values = out if only else np.empty((len(group.contacts), *out.shape[1:]))
+                self._fill_group(group, output, times, count, values)
+                if values is not out:
+                    out[group.contacts] = values
+        except ChartSingularity as error:
+            raise self._named(group, error) from None
         return out
+
+    def _named(self, group: Group, error: ChartSingularity) -> ChartSingularity:
+        names = ", ".join(str(i) for i in group.contacts)
+        return ChartSingularity(f"scene '{self.scene.name}', contact {names}: {error}")
+
+    def _fill_group(
+        self, group: Group, output: str, times: np.ndarray, count: int, values: np.ndarray
+    ) -> None:
+        if group.pair is not None:
+            group.anchor_pair()
+            whole = values.reshape(-1, count, len(times))
+            getattr(group.pair, output)(times, whole)
+        else:
+            for k, side in enumerate(SIDES):
+                for track, where in _parts(getattr(group, side), times):
+                    if output == "coordinates":
+                        group.anchor(side, track)
+                    part = values[:, k * count : (k + 1) * count]
+                    _write(getattr(track, output), times, where, part)
 
     def _fill_compiled(self, output: str, times: np.ndarray, count: int, out: np.ndarray) -> bool:
         """The shortest way: one compiled track a side, one call each (or one for both)."""
@@ -369,15 +378,22 @@ class Plan:
             for motion, where in _motions(group, times):
                 plane = read(motion)
                 if plane.any():
-                    group.anchor("object", motion.object)
-                    values_2 = np.empty((len(plane), 5, len(motion.t)))
-                    motion.object.coordinates(motion.t, values_2)
-                    theta = values_2[:, 4]
+                    theta = self._object_angle(group, motion)
                     c, s = np.cos(theta), np.sin(theta)
                     values[:, 0, where] = c * plane[:, 0] - s * plane[:, 1]
                     values[:, 1, where] = s * plane[:, 0] + c * plane[:, 1]
             out[group.contacts] = values
         return out.transpose(2, 0, 1)
+
+    def _object_angle(self, group: Group, motion: Motion) -> np.ndarray:
+        """theta of the object, (n, n_times)."""
+        values = np.empty((len(group.contacts), 5, len(motion.t)))
+        group.anchor("object", motion.object)
+        try:
+            motion.object.coordinates(motion.t, values)
+        except ChartSingularity as error:
+            raise self._named(group, error) from None
+        return values[:, 4]
 
 
 SIDES = ("finger", "object")

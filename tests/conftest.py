@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
+
 import numpy as np
 import pytest
 from numpy.polynomial import polynomial
 
-import contact_system as cs
+# Kernels compiled by a test must not change what other runs of the tests see.
+os.environ["CONTACT_SYSTEM_CACHE"] = tempfile.mkdtemp(prefix="contact-system-kernels-")
+
+import contact_system as cs  # noqa: E402
 
 TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.7], [-0.6, 0.2, 1.0]]))[0]
 
