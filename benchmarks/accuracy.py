@@ -286,9 +286,7 @@ def _geodesic_scene(
     contact = cs.Contact(
         finger=cs.Sphere(0.04), object_at=at, finger_velocity=(x, -y), object_velocity=(x, y)
     )
-    return cs.Scene(
-        object=surface, contacts=[contact], profile=cs.Profile([1.0]), duration=length
-    )
+    return cs.Scene(object=surface, contacts=[contact], profile=cs.Profile([1.0]), duration=length)
 
 
 def triaxial(full: bool) -> Iterator[Bar]:

@@ -112,7 +112,9 @@ def surroundings() -> dict[str, Any]:
     return {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": {
-            "processor": _processor(), "cores": os.cpu_count(), "system": platform.system(),
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+            "system": platform.system(),
             "load": os.getloadavg() if hasattr(os, "getloadavg") else None,
         },  # fmt: skip
         "python": sys.version.split()[0],

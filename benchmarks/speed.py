@@ -435,14 +435,20 @@ def _crowd(kind: str, slips: bool, count: int, split: bool = False) -> Any:
         velocity = (0.2 + a, -0.9 + b) if slips else "rolling"
         contacts.append(
             cs.Contact(
-                finger=FINGER, object_at=(0.9 + u, 0.4 + v), finger_at=(1.3 + v, 0.2), angle=angle,
+                finger=FINGER,
+                object_at=(0.9 + u, 0.4 + v),
+                finger_at=(1.3 + v, 0.2),
+                angle=angle,
                 object_velocity=velocity,
             )  # fmt: skip
         )
     groups = [[c] for c in contacts] if split else [contacts]
     scenes = [
         cs.Scene(
-            object=OBJECTS[kind], contacts=group, profile=PROFILE, gain=cs.Gain.time(20.0),
+            object=OBJECTS[kind],
+            contacts=group,
+            profile=PROFILE,
+            gain=cs.Gain.time(20.0),
             duration=1.0,
         )  # fmt: skip
         for group in groups

@@ -108,7 +108,7 @@ class CircleTrack(Track):
         span = self.stop - self.start
         self._long = self.circle.fastest * self.piece.arc_length(span) > LONG_PHASE
 
-    def _points(self, t: np.ndarray, only_place: bool = True) -> np.ndarray:
+    def _phases(self, t: np.ndarray, only_place: bool = True) -> np.ndarray:
         """Inputs of the kernel; phase modulo 2 pi alone, or speed and whole phase too."""
         tau = t - self.start
         points, circle = np.empty((3, self.n_bodies, len(t))), self.circle
@@ -123,24 +123,16 @@ class CircleTrack(Track):
 
     def frames(self, t: np.ndarray) -> np.ndarray:
         kernel = circle_kernel(self.surface, "frames")
-        return self.run(kernel, self._points(t), self.circle.constants)
+        return self.run(kernel, self._phases(t), self.circle.constants)
 
     state = frames
 
     def drive(self, t: np.ndarray) -> np.ndarray:
         return self.circle.w[:, :, None] * self.piece.speed(t - self.start)
 
-    def points(self, t: np.ndarray, out: np.ndarray) -> None:
-        if self._evaluate("points", t, out) is None:
-            kernel = circle_kernel(self.surface, "points")
-            kernel(self._points(t), self.circle.constants, out, compiled=self.compiled)
-
-    def coordinates(self, t: np.ndarray, out: np.ndarray) -> None:
-        code = self._evaluate("coordinates", t, out)
-        if code is None:
-            super().coordinates(t, out)
-        elif code < 0:
-            raise self.singular(float(t[-1 - code]))
+    def _points(self, t: np.ndarray, out: np.ndarray) -> None:
+        kernel = circle_kernel(self.surface, "points")
+        kernel(self._phases(t), self.circle.constants, out, compiled=self.compiled)
 
     def _entry(self, output: str) -> tuple[Callable[..., int], int] | None:
         compiled = circle_evaluator(self.surface, output)
@@ -150,7 +142,7 @@ class CircleTrack(Track):
 
     def _coordinates(self, t: np.ndarray) -> np.ndarray:
         kernel = circle_kernel(self.surface, "coordinates")
-        return self.run(kernel, self._points(t, False), self.circle.constants)
+        return self.run(kernel, self._phases(t, False), self.circle.constants)
 
     @functools.cached_property
     def _data(self) -> tuple[int, tuple]:
@@ -311,7 +303,7 @@ class FlatTrack(Track):
         state = self._state(t - self.start, True)
         return self.run(frame_kernel(self.surface), state, self.parameters)
 
-    def points(self, t: np.ndarray, out: np.ndarray) -> None:
+    def _points(self, t: np.ndarray, out: np.ndarray) -> None:
         state = self._state(t - self.start, True)
         point_kernel(self.surface)(state, self.parameters, out, compiled=self.compiled)
 

@@ -596,17 +596,6 @@ class PanelTrack(Track):
             (compiled.library.evaluate, self._data[0]) if compiled.usable(self.compiled) else None
         )
 
-    def points(self, t: np.ndarray, out: np.ndarray) -> None:
-        if self._evaluate("points", t, out) is None:
-            super().points(t, out)
-
-    def coordinates(self, t: np.ndarray, out: np.ndarray) -> None:
-        code = self._evaluate("coordinates", t, out)
-        if code is None:
-            super().coordinates(t, out)
-        elif code < 0:
-            raise self.singular(float(t[-1 - code]))
-
     def _coordinates(self, t: np.ndarray) -> np.ndarray:
         values = super()._coordinates(t)
         if self.ambient and self._anchors is not None:

@@ -139,7 +139,8 @@ class Contact:
             put(self, key, _pair(getattr(self, key), key))
         put(self, "angle", _one(self.angle, "angle"))
         for key, words in (("finger_velocity", (ROLLING,)), ("object_velocity", (ROLLING, REST))):
-            if getattr(self, key) not in words:
+            value = getattr(self, key)
+            if not (isinstance(value, str) and value in words):
                 choice = "".join(f' or "{word}"' for word in words)
                 put(self, key, _pair(getattr(self, key), key, otherwise=choice))
         if self.follows and isinstance(self.object_velocity, str):

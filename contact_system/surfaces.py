@@ -419,7 +419,26 @@ class Plane(Surface):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sphere(Surface):
+class _OfRadius(Surface):
+    """What sphere and cylinder share: one radius, m."""
+
+    radius: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        store(self, radius=positive_length(self, "radius", self.radius))
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        return (self.radius,)
+
+    @property
+    def size(self) -> float:
+        return self.radius
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sphere(_OfRadius):
     """Sphere about the origin; chart r (sin u cos v, sin u sin v, cos u), poles at u = 0, pi.
 
     Parameters
@@ -431,30 +450,17 @@ class Sphere(Surface):
     """
 
     ambient: ClassVar[bool] = True
-    radius: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        store(self, radius=positive_length(self, "radius", self.radius))
 
     @property
     def chart(self) -> type[Chart]:
         return PolarChart
-
-    @property
-    def parameters(self) -> tuple[float, ...]:
-        return (self.radius,)
-
-    @property
-    def size(self) -> float:
-        return self.radius
 
     def _level(self, p: SX, x: SX) -> SX:
         return (ca.dot(x, x) / p[0] ** 2 - 1) / 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Cylinder(Surface):
+class Cylinder(_OfRadius):
     """Circular cylinder about the z axis; chart (r cos u, r sin u, v), v in m.
 
     Parameters
@@ -465,23 +471,9 @@ class Cylinder(Surface):
         True: a bore.
     """
 
-    radius: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        store(self, radius=positive_length(self, "radius", self.radius))
-
     @property
     def chart(self) -> type[Chart]:
         return RoundCylinderChart
-
-    @property
-    def parameters(self) -> tuple[float, ...]:
-        return (self.radius,)
-
-    @property
-    def size(self) -> float:
-        return self.radius
 
     def _level(self, p: SX, x: SX) -> SX:
         return ((x[0] ** 2 + x[1] ** 2) / p[0] ** 2 - 1) / 2

@@ -228,6 +228,10 @@ class Track:
 
     def points(self, t: np.ndarray, out: np.ndarray) -> None:
         """Write the contact points in the body's frame, m, to out (n_bodies, 3, n)."""
+        if self._evaluate("points", t, out) is None:
+            self._points(t, out)
+
+    def _points(self, t: np.ndarray, out: np.ndarray) -> None:
         state = self.state(t)
         if self.ambient:
             out[...] = state[:, :3]
@@ -289,6 +293,11 @@ class Track:
         ChartSingularity
             At a time when the contact passes through a pole or an umbilic.
         """
+        code = self._evaluate("coordinates", t, out)
+        if code is not None:
+            if code < 0:
+                raise self.singular(float(t[-1 - code]))
+            return
         with np.errstate(all="ignore"):
             values = self._coordinates(t)
         if not np.isfinite(values).all():
