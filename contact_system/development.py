@@ -32,6 +32,7 @@ from .kernels import (
     C_SOURCES,
     PRELUDE,
     Kernel,
+    Restoration,
     address,
     compiled_library,
     contiguous,
@@ -47,6 +48,7 @@ from .tracks import (
     TrackData,
     chart_to_parallel,
     evaluator,
+    restoring_kernel,
     rotation,
     wind,
 )
@@ -109,7 +111,10 @@ def driven_motion(surface: Surface, ambient: bool, offset: bool = False) -> Kern
     d = SX.sym("d", 2)
     c = drive[0] * (w - v * drive[1])
     rate = body_motion(surface, ambient, p, state, c, d if offset else None)
-    return Kernel("driven", ca.vertcat(state, drive), ca.vertcat(p, w, v, d), rate)
+    kernel = Kernel("driven", ca.vertcat(state, drive), ca.vertcat(p, w, v, d), rate)
+    if ambient:
+        kernel.restores = (Restoration(restoring_kernel(surface), 0, 0),)
+    return kernel
 
 
 @per_structure
@@ -141,7 +146,13 @@ def forced_motion(
         v_rate += r0 @ w1_rate
     rates += [body_motion(obj, ambient[1], p2, own, sigma * (r0 @ w1 - v), offset), v_rate]
     constant = ca.vertcat(p1, p2, turn, w_start, d1, d2, offset)
-    return Kernel("forced", ca.vertcat(state, drive), constant, ca.vertcat(*rates))
+    kernel = Kernel("forced", ca.vertcat(state, drive), constant, ca.vertcat(*rates))
+    if finger_forced and ambient[0]:
+        kernel.restores += (Restoration(restoring_kernel(finger), 0, 0),)
+    if ambient[1]:
+        first = state.numel() - 2 - n2
+        kernel.restores += (Restoration(restoring_kernel(obj), first, p1.numel()),)
+    return kernel
 
 
 @per_structure
@@ -404,6 +415,10 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
         start = start + half * (m.end[0] @ f)
         if problem.stiff:
             start[:, n_smooth:] = m.end[1] @ x[:, :, n_smooth:n_states]
+        for restore, row, first in kernel.restores:
+            own = slice(row, row + restore.n_result)
+            parameters = problem.constants[:, first : first + restore.n_constant]
+            start[:, own] = restore.at(start[:, own], parameters)
         h = (after - tau) * min(ratio, 2.0)
         tau = after
         edges.append(tau)
@@ -452,7 +467,24 @@ def panel_source(kernel: Kernel) -> str:
     head += f"#define RHS {kernel.name}\n#define NX {n}L\n#define NC {kernel.n_constant}L\n"
     head += f"#define N {NODES}\n#define SWEEPS {SWEEPS}\n"
     head += f"#define IN_ROWS {rows_in}\n#define OUT_ROWS {rows_out}\n"
+    head += _restore_source(kernel)
     return head + (C_SOURCES / "panels.c").read_text()
+
+
+def _restore_source(kernel: Kernel) -> str:
+    """C99: ``restore(state, constants)`` puts one body's state back on its surfaces, in place."""
+    loops, calls = "", ""
+    for i, (restore, row, constant) in enumerate(kernel.restores):
+        n = restore.n_result
+        rows = ", ".join(map(str, range(n)))
+        loops += "static " + restore.loop(f"restore_{i}")
+        calls += (
+            f"  {{ static const long rows[] = {{{rows}}}; double to[{n}];\n"
+            f"    restore_{i}(1, 1, state + {row}, rows, 0, c + {constant}, to, rows, 0);\n"
+            f"    memcpy(state + {row}, to, sizeof to); }}\n"
+        )
+    head = "#include <string.h>\n" + loops
+    return head + f"static void restore(double *state, const double *c) {{\n{calls}}}\n"
 
 
 @per_structure

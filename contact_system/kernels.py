@@ -25,7 +25,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -169,6 +169,7 @@ class Kernel:
         self.n_point, self.n_constant = point.numel(), constant.numel()
         self.n_result = result.numel()
         self.function = ca.Function(name, [point, constant], [ca.cse(ca.densify(ca.vec(result)))])
+        self.restores: tuple[Restoration, ...] = ()
         self._memory = threading.local()  # a machine has buffers: one for each thread
 
     def machine(self, n: int) -> Machine:
@@ -186,6 +187,10 @@ class Kernel:
 
     @functools.cached_property
     def loop_source(self) -> str:
+        """:meth:`loop` under the kernel's own name."""
+        return self.loop(self.name)
+
+    def loop(self, name: str) -> str:
         """C99: ``void name(nb, nt, in, in_row, in_body, constants, out, out_row, out_body)``."""
         point = [f"in[in_row[{i}] + b * in_body + i]" for i in range(self.n_point)]
         constant = [f"c[{i}]" for i in range(self.n_constant)]
@@ -196,7 +201,7 @@ class Kernel:
             for i, name in enumerate(outputs)
         )
         return (
-            f"void {self.name}(long nb, long nt, const double *restrict in, "
+            f"void {name}(long nb, long nt, const double *restrict in, "
             "const long *restrict in_row, long in_body, const double *restrict constants, "
             "double *restrict out, const long *restrict out_row, long out_body) {\n"
             "  for (long b = 0; b < nb; b++) {\n"
@@ -276,6 +281,19 @@ def row_offsets(rows: tuple[int, ...], stride: int) -> int:
         offsets = np.array(rows, dtype=np.dtype("l")) * stride
         _OFFSETS[key] = (offsets.ctypes.data, offsets)
     return _OFFSETS[key][0]
+
+
+class Restoration(NamedTuple):
+    """How part of a motion's state is put back on its surface after a step.
+
+    kernel : state -> state, with the surface's parameters
+    row : where that part begins in the motion's state
+    constant : where those parameters begin in the motion's constants
+    """
+
+    kernel: Kernel
+    row: int
+    constant: int
 
 
 class Machine:

@@ -2,7 +2,8 @@
 
    X' = f(X, sigma(tau), decay(tau)) on tau in [0, length] for nb bodies in lockstep; the last
    n_stiff states V obey V' = f_V - lam(tau) V, whose linear part is solved implicitly.
-   The includer defines RHS (a kernel loop, see Kernel.loop_source), NX, NC and N (nodes).
+   The includer defines RHS (a kernel loop, see Kernel.loop), NX, NC, N (nodes) and
+   restore(state, constants), which puts the end of a panel back on its surfaces.
 
    Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.7: collocation at Gauss
    points conserves quadratic invariants, here F(x), |p|, |q|, p.q of every quadric. */
@@ -196,6 +197,7 @@ long panels(long nb, double *state, const double *constants, const double *scale
         }
         panel_state[b * NX + s] = e;
       }
+      restore(panel_state + b * NX, c);
     }
     if (slow) { h = 0.35 * (after - tau); continue; }
     if (!(error <= m->tolerance)) {
