@@ -11,6 +11,7 @@ import ctypes
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -33,6 +34,7 @@ SX = ca.SX
 # A phase of 2 pi k carries k times the rounding of the arc length; beyond this many radians it is
 # computed in doubled precision instead.  256 rad leave 256 * 1.1e-16 * 2 = 6e-14 of the radius.
 LONG_PHASE = 256.0
+TINY = 1e-300  # keeps 0/0 out of what is not used
 
 
 @per_structure
@@ -65,21 +67,26 @@ def circle_kernel(surface: Surface, output: str) -> Kernel:
         # e.x = -e_z/sin u, e.y = (n x e)_z/sin u; a third fewer operations than the general frame.
         sense = -1 if surface.inside else 1
         rho = ca.sqrt(x[0] ** 2 + x[1] ** 2)
-        down, east = -tangent[2], sense * (start[0] * along[1] - start[1] * along[0])
+        down = sin * start[2] - cos * along[2]
+        east = sense * (start[0] * along[1] - start[1] * along[0])
         rates = ca.vertcat(down * point[1] / rho, point[1] * (p[0] * east) / rho**2)
         azimuth = ca.atan2(east, down)
     else:
         values = frame_coordinates(surface, p, x, tangent, point[1] * tangent)
         rates, azimuth = values[2:4], values[4]
-    theta = nearest_branch(azimuth - branch[3], branch[2])
-    v = nearest_branch(v, branch[0] + branch[1] * point[2])
+    theta = nearest_branch(azimuth - branch[3], branch[2], 0)
+    v = nearest_branch(v, branch[0], branch[1], point[2])
     return Kernel("circle_coordinates", point, constant, ca.vertcat(u, v, rates, theta))
 
 
-def nearest_branch(angle: SX, reference: SX) -> SX:
-    """The angle, by whole turns as near as can be to the reference."""
+def nearest_branch(angle: SX, reference: SX, slope: SX | float, phase: SX | float = 0) -> SX:
+    """The angle, by whole turns as near as can be to ``reference + slope phase``.
+
+    Written so that what is constant for a body is computed once a body.
+    """
     turn = 2 * np.pi
-    return angle + turn * ca.floor((reference / turn + 0.5) - angle / turn)
+    turns = (reference / turn + 0.5) + (slope / turn) * phase
+    return angle + turn * ca.floor(turns - angle * (1 / turn))
 
 
 @per_structure
@@ -104,7 +111,7 @@ class CircleTrack(Track):
     piece: GainPiece
 
     def __post_init__(self) -> None:
-        self._branch: np.ndarray | None = None
+        self._memories: dict[str, dict[str, Any]] = {"points": {}, "coordinates": {}}
         span = self.stop - self.start
         self._long = self.circle.fastest * self.piece.arc_length(span) > LONG_PHASE
 
@@ -132,7 +139,8 @@ class CircleTrack(Track):
 
     def _points(self, t: np.ndarray, out: np.ndarray) -> None:
         kernel = circle_kernel(self.surface, "points")
-        kernel(self._phases(t), self.circle.constants, out, compiled=self.compiled)
+        constants, memory = self.circle.constants, self._memories["points"]
+        kernel(self._phases(t), constants, out, self.compiled, memory)
 
     def _entry(self, output: str) -> tuple[Callable[..., int], int] | None:
         compiled = circle_evaluator(self.surface, output)
@@ -142,7 +150,10 @@ class CircleTrack(Track):
 
     def _coordinates(self, t: np.ndarray) -> np.ndarray:
         kernel = circle_kernel(self.surface, "coordinates")
-        return self.run(kernel, self._phases(t, False), self.circle.constants)
+        out = np.empty((self.n_bodies, 5, len(t)))
+        constants, memory = self.circle.constants, self._memories["coordinates"]
+        kernel(self._phases(t, False), constants, out, self.compiled, memory)
+        return out
 
     @functools.cached_property
     def _data(self) -> tuple[int, tuple]:
@@ -162,6 +173,7 @@ class CircleTrack(Track):
 
     def anchor(self, begin: np.ndarray) -> None:
         self.circle.branch(begin)
+        self._memories["coordinates"].clear()
 
 
 @dataclass(eq=False)
@@ -218,7 +230,9 @@ def pair_of(tracks: Sequence[CircleTrack]) -> CircleTrack | None:
     a, b = one.circle, two.circle
 
     def woven(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return np.stack([x, y], axis=1).reshape(-1, *x.shape[1:])
+        both = np.empty((2 * len(x), *x.shape[1:]))
+        both[0::2], both[1::2] = x, y
+        return both
 
     circle = Circle(
         woven(a.w, b.w), woven(a.pace, b.pace), woven(a.phase_per_metre, b.phase_per_metre),
@@ -230,18 +244,27 @@ def pair_of(tracks: Sequence[CircleTrack]) -> CircleTrack | None:
     )  # fmt: skip
 
 
+@functools.cache
+def circle_start() -> Kernel:
+    """point: x, p, q (9), w (2); constant: r -> x/r, e, b (9), direction of w (2), |w|, |w|/r."""
+    frame, w, r = SX.sym("frame", 9), SX.sym("w", 2), SX.sym("r")
+    x, p, q = frame[0:3], frame[3:6], frame[6:9]
+    pace = ca.sqrt(ca.dot(w, w))
+    # A contact point at rest has no direction; p will do.
+    turn = ca.if_else(pace > 0, w / ca.fmax(pace, TINY), ca.vertcat(1, 0))
+    along, across = turn[0] * p + turn[1] * q, turn[0] * q - turn[1] * p
+    result = ca.vertcat(x / r, along, across, turn, pace, pace / r)
+    return Kernel("circle_start", ca.vertcat(frame, w), r, result)
+
+
 def great_circle(parameters: np.ndarray, begin: np.ndarray, w: np.ndarray) -> Circle:
     """The circles through frames (x, p, q), (n, 9), with path velocities w, (n, 2)."""
-    pace = np.hypot(w[:, 0], w[:, 1])
-    moving = pace > 0  # a contact point at rest has no direction; any will do
-    turn = np.where(moving[:, None], w, [1.0, 0.0]) / np.where(moving, pace, 1.0)[:, None]
-    x, p, q = begin[:, 0:3], begin[:, 3:6], begin[:, 6:9]
-    along = turn[:, :1] * p + turn[:, 1:] * q
-    across = turn[:, :1] * q - turn[:, 1:] * p
-    radius = parameters[:, 0]
-    branch = np.zeros((len(w), 4))
-    constants = np.hstack([parameters, x / radius[:, None], along, across, turn, branch])
-    phase_per_metre = pace / radius
+    found = circle_start().at(np.concatenate([begin, w], axis=1), parameters[:, :1])
+    count = parameters.shape[1]
+    constants = np.zeros((len(w), count + 15))
+    constants[:, :count] = parameters
+    constants[:, count : count + 11] = found[:, :11]
+    pace, phase_per_metre = np.ascontiguousarray(found[:, 11:].T)
     return Circle(w, pace, phase_per_metre, float(phase_per_metre.max()), constants)
 
 

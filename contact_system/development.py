@@ -224,7 +224,7 @@ def collocation(n: int = NODES) -> Collocation:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)  # not frozen: that makes it four times slower to make
 class Panels:
     """A motion as Legendre series on panels.
 
@@ -283,7 +283,7 @@ def _legendre_basis(xi: np.ndarray) -> np.ndarray:
     return basis
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Problem:
     """What :func:`integrate` needs to know beside the kernel.
 

@@ -232,6 +232,7 @@ class Kernel:
         constants: np.ndarray,
         out: np.ndarray,
         compiled: bool | None = False,
+        memory: dict[str, Any] | None = None,
     ) -> None:
         """Evaluate at the points of some bodies.
 
@@ -242,6 +243,8 @@ class Kernel:
         out : (n_bodies, n_result, n) float64 with unit stride along the last axis
         compiled : bool or None
             True: compile if need be; False: numpy; None: compiled if it was built before.
+        memory : dict, optional
+            Where numpy keeps what follows from the constants alone; for the same constants only.
         """
         if self.built if compiled is None else compiled:
             n_bodies, _, n = out.shape
@@ -253,7 +256,7 @@ class Kernel:
                 row_offsets(tuple(range(self.n_result)), out.strides[1] // 8), out.strides[0] // 8,
             )  # fmt: skip
             return
-        self._numpy(points.transpose(1, 0, 2), constants.T[:, :, None], out)
+        self._numpy(points.transpose(1, 0, 2), constants.T[:, :, None], out, memory)
 
     def at(self, points: np.ndarray, constants: np.ndarray) -> np.ndarray:
         """Evaluate at one point of each body: (n, n_point), (n, n_constant) -> (n, n_result)."""
@@ -337,13 +340,26 @@ class NumpyProgram:
 
         (self._outputs,) = replay(function, inputs, apply)
         lines, self._registers = self._source(_pair_sines_and_cosines(steps))
+        fixed = [line for line in lines if line.startswith("    k")]
+        moving = [line for line in lines if not line.startswith("    k")]
+        names = [line.split(" = ")[0].strip() for line in fixed]
+        unpack = [f"    {', '.join(names)}, = k"] if names else []
+        source = ["def constants(c):", *fixed, f"    return [{', '.join(names)}]"]
+        source += ["def program(x, c, k, r, out):", *unpack, *moving, "    return"]
         scope: dict[str, Any] = {"np": np, "twice": _twice, "if_else_zero": _if_else_zero}
-        exec("def program(x, c, r, out):\n" + "\n".join(lines), scope)  # our own source
-        self._program = scope["program"]
+        exec("\n".join(source), scope)  # our own source
+        self._constants, self._program = scope["constants"], scope["program"]
         self._memory = threading.local()
 
-    def __call__(self, x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
+    def __call__(
+        self, x: np.ndarray, c: np.ndarray, out: np.ndarray, memory: dict[str, Any] | None
+    ) -> None:
         """x (n_point, n_bodies or 1, n), c (n_constant, n_bodies, 1) -> out (n_bodies, ., n)."""
+        known = None if memory is None else memory.get("constants")
+        if known is None:
+            known = self._constants(c)
+            if memory is not None:
+                memory["constants"] = known
         shape = (self._registers, out.shape[0], out.shape[2])
         kept, registers = getattr(self._memory, "registers", (None, []))
         if kept != shape:
@@ -351,7 +367,7 @@ class NumpyProgram:
             registers = [np.empty(shape[1:]) for _ in range(self._registers)]
             if self._registers * shape[1] * shape[2] < 1_000_000:
                 self._memory.registers = shape, registers
-        self._program(x, c, registers, out.transpose(1, 0, 2))
+        self._program(x, c, known, registers, out.transpose(1, 0, 2))
 
     def _source(self, steps: list[Step]) -> tuple[list[str], int]:
         """Statements, and how many registers they use."""
@@ -363,6 +379,8 @@ class NumpyProgram:
         register_of: dict[int, int] = {}  # values that change from point to point
         free: list[int] = []
         lines, count = [], 0
+        # A result is computed where it belongs; a value that is two results is copied once.
+        results = {o[1]: i for i, o in reversed(list(enumerate(self._outputs))) if _is_work(o)}
 
         def name(operand: Any) -> str:
             if not isinstance(operand, tuple):
@@ -377,8 +395,12 @@ class NumpyProgram:
             works = {o[1] for o in operands if _is_work(o)}
             varies = any(isinstance(o, tuple) and o[0] == "x" for o in operands)
             varies = varies or any(w in register_of for w in works)
-            free += [register_of[w] for w in works if last[w] == k and w in register_of]
-            if varies:
+            free += [register_of[w] for w in works if last[w] == k and register_of.get(w, -1) >= 0]
+            if varies and value in results:
+                place[value] = f"out[{results[value]}]"
+                register_of[value] = -1
+                lines.append(f"    {call}({arguments}, out={place[value]})")
+            elif varies:
                 if not free:
                     free.append(count)
                     count += 1
@@ -388,7 +410,9 @@ class NumpyProgram:
             else:
                 place[value] = f"k{value}"
                 lines.append(f"    {place[value]} = {call}({arguments})")
-        lines += [f"    out[{i}] = {name(o)}" for i, o in enumerate(self._outputs)]
+        for i, o in enumerate(self._outputs):
+            if not (_is_work(o) and place[o[1]] == f"out[{i}]"):
+                lines.append(f"    out[{i}] = {name(o)}")
         return lines, count
 
 

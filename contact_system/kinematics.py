@@ -19,8 +19,11 @@ from .errors import ConformalContact
 
 def contact_map(psi: np.ndarray | float) -> np.ndarray:
     """R_psi (eq. `rotation`), its own inverse: (...) -> (..., 2, 2)."""
-    c, s = np.cos(psi), np.sin(psi)
-    return np.stack([np.stack([c, -s], -1), np.stack([-s, -c], -1)], -2)
+    out = np.empty(np.shape(psi) + (2, 2))
+    out[..., 0, 0] = np.cos(psi)
+    out[..., 0, 1] = out[..., 1, 0] = -np.sin(psi)
+    out[..., 1, 1] = -out[..., 0, 0]
+    return out
 
 
 def slip(psi: np.ndarray, finger: np.ndarray, obj: np.ndarray) -> np.ndarray:

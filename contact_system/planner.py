@@ -13,6 +13,7 @@ at the edges of its own windows; on each interval
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -75,12 +76,13 @@ class Start:
 
 def scene_start(contact: Contact) -> Start:
     """The start that a scene's contact describes; words become numbers here."""
-    turn = contact_map(contact.angle)
+    c, s = math.cos(contact.angle), math.sin(contact.angle)
     own, given = contact.finger_velocity, contact.object_velocity
     if isinstance(own, str):  # rolling imposed: given is a pair
-        own = _pair(turn @ np.array(given, dtype=float))
+        own = (c * given[0] - s * given[1], -s * given[0] - c * given[1])  # type: ignore
     if isinstance(given, str):
-        given = _pair(turn @ np.array(own)) if given == "rolling" else (0.0, 0.0)
+        rolled = (c * own[0] - s * own[1], -s * own[0] - c * own[1])
+        given = rolled if given == "rolling" else (0.0, 0.0)
     return Start(contact.finger_at, contact.object_at, contact.angle, own, given)
 
 
