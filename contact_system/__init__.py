@@ -10,6 +10,7 @@ from .errors import (
     SceneError,
     SurfaceError,
 )
+from .measures import Rejection, great_circle_distance, rejections
 from .plan import Plan, load, plan
 from .profile import Contraction, Gain, Profile
 from .scene import (
@@ -30,8 +31,9 @@ __version__ = "0.1.0"
 
 __all__ = [
     "ChartSingularity", "ConformalContact", "Contact", "ContactSystemError", "Contraction",
-    "Cylinder", "Ellipsoid", "FingerAcceleration", "Gain", "ImplicitSurface", "ObjectAcceleration",
-    "ObjectRateOffset", "ParametricSurface", "Plan", "Plane", "Profile", "Quadric", "Scene",
-    "SceneError", "Sphere", "Surface", "SurfaceError", "Torus", "Turning", "bundled_scenes", "load",
-    "load_scene", "plan", "save_scene",
+    "Cylinder", "Ellipsoid", "FingerAcceleration", "Gain", "ImplicitSurface",
+    "ObjectAcceleration", "ObjectRateOffset", "ParametricSurface", "Plan", "Plane", "Profile",
+    "Quadric", "Rejection", "Scene", "SceneError", "Sphere", "Surface", "SurfaceError", "Torus",
+    "Turning", "bundled_scenes", "great_circle_distance", "load", "load_scene", "plan",
+    "rejections", "save_scene",
 ]  # fmt: skip

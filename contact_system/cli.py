@@ -17,7 +17,6 @@ import textwrap
 import threading
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, TextIO
@@ -26,14 +25,20 @@ import numpy as np
 
 from contact_system import plots
 from contact_system.errors import ContactSystemError
+from contact_system.measures import (
+    REJECTED,
+    Rejection,
+    great_circle_distance,
+    is_dynamic,
+    regular_times,
+    rejections,
+)
 from contact_system.plan import METHODS, Plan, plan
 from contact_system.profile import Gain
 from contact_system.scene import Scene, bundled_scenes, load_scene
 
 PROGRAM = "contact-system"
 GROUP = "contact_system.commands"
-REJECTED = 0.05
-"""Slip counts as rejected below this fraction of what the disturbance left."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -168,10 +173,14 @@ def _file_name(scene: Scene) -> str:
 def _write(
     args: argparse.Namespace, plans: Sequence[Plan], stem: Path, progress: Progress
 ) -> Iterable[str]:
-    """Write the results; yields a line for each file."""
+    """Write the results; yields a line for each file, and for what is left out."""
+    times = plans[0].sample_times()
+    kept = regular_times(plans[0], times)
+    if len(kept) < len(times):
+        yield _left_out(np.setdiff1d(times, kept))
     for suffix in (".npz", ".csv"):
         path = stem.with_name(stem.name + suffix)
-        plans[0].save(path)
+        plans[0].save(path, kept)
         yield f"wrote {path}"
         progress.step("drawing" if suffix == ".csv" else "writing")
     if not args.no_plots:
@@ -183,119 +192,13 @@ def _write(
             yield f"no picture: {error}"
 
 
-# --- measuring ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Rejection:
-    """What became of one contact's slip.
-
-    Attributes
-    ----------
-    contact : int
-    start, peak, end : float
-        Slip at the start, at its greatest and at the end [m/s].
-    peak_time : float
-        When it is greatest [s].
-    since : float
-        End of the contact's last disturbance, or the start where there is none [s].
-    time : float
-        How long after `since` slip last crosses 5 % of its value there (of its peak from there on
-        where a path starts from rest) [s]; inf if it is above at the end of the horizon, nan if
-        there is no slip to reject.
-    reported : float
-        Within how long the paper reports it rejected [s]; nan if it gives no time, or if that is
-        the time of a dynamic simulation, whose contact physics a plan does not have.
-    """
-
-    contact: int
-    start: float
-    peak: float
-    peak_time: float
-    end: float
-    since: float
-    time: float
-    reported: float
-
-    @property
-    def as_reported(self) -> bool | None:
-        """Whether slip is rejected within the time reported; None where nothing is to compare."""
-        if math.isnan(self.time) or math.isnan(self.reported):
-            return None
-        return self.time <= self.reported
-
-
-def rejections(plan: Plan) -> list[Rejection]:
-    """Measure how each contact's slip is rejected.
-
-    Parameters
-    ----------
-    plan : Plan
-
-    Returns
-    -------
-    list of Rejection
-        One a contact.
-    """
-    knots = _monotone_from(plan)
-    times = np.unique(np.concatenate([plan.sample_times(1001), knots, _last_before_edges(plan)]))
-    slip = np.linalg.norm(plan.slip(times), axis=2)
-    reported = math.nan if _dynamic(plan.scene) else plan.scene.paper.get("recovery_time", math.nan)
-    found = []
-    for i in range(len(plan.scene.contacts)):
-        windows = plots.windows(plan, i)
-        since = windows[-1][1] if windows else plan.start
-        # an object rate offset ends at once: its slip is the one just before
-        left = _magnitude(plan, i, math.nextafter(since, plan.start) if windows else since)
-        level = REJECTED * (left or slip[times >= since, i].max())
-        greatest = int(slip[:, i].argmax())
-        found.append(Rejection(
-            i, slip[0, i], slip[greatest, i], times[greatest], slip[-1, i], since,
-            _rejection_time(plan, i, since, level, knots), reported,
-        ))  # fmt: skip
-    return found
-
-
-def _dynamic(scene: Scene) -> bool:
-    """Whether the paper shows a dynamic simulation of the scene."""
-    return "lateral_force" in scene.paper
-
-
-def _magnitude(plan: Plan, contact: int, t: float) -> float:
-    return float(np.hypot(*plan.slip([t])[0, contact]))
-
-
-def _monotone_from(plan: Plan) -> np.ndarray:
-    """Times between which slip that nothing disturbs only grows or only shrinks, s."""
-    ends = np.ravel(plan.scene.contraction().intervals)
-    return np.unique(np.clip([plan.start, *ends, plan.scene.duration], plan.start, None))
-
-
-def _last_before_edges(plan: Plan) -> np.ndarray:
-    edges = np.array([e for e in plan.scene.edges if e > plan.start])
-    return np.nextafter(edges, plan.start)
-
-
-def _rejection_time(
-    plan: Plan, contact: int, since: float, level: float, knots: np.ndarray
-) -> float:
-    """Time after `since` of the last crossing of a level of slip, by bisection."""
-    if level == 0:
-        return math.nan
-    steps = [since, *knots[knots > since]]
-    above = [_magnitude(plan, contact, t) >= level for t in steps]
-    if not any(above):
-        return 0.0
-    last = len(above) - 1 - above[::-1].index(True)
-    if last == len(steps) - 1:
-        return math.inf
-    high, low = steps[last], steps[last + 1]
-    while high < (middle := 0.5 * (high + low)) < low:
-        if _magnitude(plan, contact, middle) >= level:
-            high = middle
-        else:
-            low = middle
-    return low - since
+def _left_out(times: np.ndarray) -> str:
+    """What the files do not hold, in one line."""
+    first, last = float(times[0]), float(times[-1])
+    which = f"t = {first!r} s"
+    if len(times) > 1:
+        which = f"{len(times)} sample times from t = {first!r} to {last!r} s"
+    return f"left out of the files: {which}; at a pole or an umbilic there are no states"
 
 
 # --- telling -----------------------------------------------------------------------------------
@@ -354,7 +257,7 @@ def _verdict(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> 
     if "reports" not in scene.paper:
         return
     yield f"The paper reports: {scene.paper['reports']}."
-    if _dynamic(scene):
+    if is_dynamic(scene):
         yield (
             "That is a dynamic simulation. A plan has no contact physics: slip by an object rate "
             "offset ends with it at once, so that there is no time to compare."
@@ -376,7 +279,7 @@ def _great_circles(plan: Plan) -> Iterable[str]:
     for i, contact in enumerate(plan.scene.contacts):
         if contact.follows and contact.finger.great_circles:
             points = plan.points(plan.sample_times())[:, i, 0]
-            distance = float(np.abs(plots.great_circle_distance(points)).max())
+            distance = float(np.abs(great_circle_distance(points)).max())
             yield (
                 f"{contact.name or f'contact {i + 1}'}: its curve stays within {distance:.1e} m of "
                 f"a great circle's plane, {distance / contact.finger.size:.1e} of the radius."

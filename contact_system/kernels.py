@@ -67,8 +67,8 @@ _OPERATIONS: dict[int, tuple[str, str]] = {
     ca.OP_LOG1P: ("log1p({0})", "log1p"),
     ca.OP_EXPM1: ("expm1({0})", "expm1"),
     ca.OP_FABS: ("fabs({0})", "absolute"),
-    ca.OP_FMIN: ("fmin({0}, {1})", "minimum"),
-    ca.OP_FMAX: ("fmax({0}, {1})", "maximum"),
+    ca.OP_FMIN: ("({1} < {0} ? {1} : {0})", "minimum"),
+    ca.OP_FMAX: ("({0} < {1} ? {1} : {0})", "maximum"),
     ca.OP_COPYSIGN: ("copysign({0}, {1})", "copysign"),
     ca.OP_SIGN: ("({0} > 0 ? 1.0 : {0} < 0 ? -1.0 : 0.0)", "sign"),
     ca.OP_FLOOR: ("floor({0})", "floor"),
@@ -180,6 +180,24 @@ class Kernel:
                 machines.clear()
             machines[n] = Machine(self, n)
         return machines[n]
+
+    def nodes(self, constants: np.ndarray, n: int) -> Nodes:
+        """Buffers and an engine for n points of each of some bodies, evaluated again and again.
+
+        constants : (n_bodies, n_constant)
+        """
+        bodies = len(constants)
+        if bodies * n >= MANY_POINTS:
+            x, y = np.zeros((self.n_point, bodies, n)), np.zeros((bodies, self.n_result, n))
+            memory: dict[str, Any] = {}  # the constants do not change
+            program, columns = self._numpy, constants.T[:, :, None]
+            run = functools.partial(program, x, columns, y, memory)
+            return Nodes(x.transpose(1, 2, 0), y.transpose(0, 2, 1), run)
+        machine = self.machine(bodies * n)
+        machine.c.reshape(bodies, n, -1)[:] = constants[:, None, :]
+        return Nodes(
+            machine.x.reshape(bodies, n, -1), machine.y.reshape(bodies, n, -1), machine.run
+        )
 
     @functools.cached_property
     def _numpy(self) -> NumpyProgram:
@@ -297,6 +315,18 @@ class Restoration(NamedTuple):
     kernel: Kernel
     row: int
     constant: int
+
+
+# The virtual machine takes about 190 ns a point for 90 operations, numpy 45 us + 55 ns a point.
+MANY_POINTS = 400
+
+
+class Nodes(NamedTuple):
+    """Write ``x`` (n_bodies, n, n_point), call ``run``, read ``y`` (n_bodies, n, n_result)."""
+
+    x: np.ndarray
+    y: np.ndarray
+    run: Callable[[], Any]
 
 
 class Machine:

@@ -126,6 +126,10 @@ class Plan:
         """
         return self._in_contact_frame(t, _slip)
 
+    def slip_speed(self, t: ArrayLike) -> np.ndarray:
+        """Length of :meth:`slip`: (len(t), n_contacts), m/s. It exists at a pole too."""
+        return self._collect(t, lambda motion: np.linalg.norm(_slip(motion), axis=1), ())
+
     def acceleration(self, t: ArrayLike) -> np.ndarray:
         """Tangential relative acceleration in E2 (eqs. `velacceleration`, `contracaccel`).
 

@@ -232,6 +232,17 @@ class Interval:
     free_until: float
     reach: float
 
+    @functools.cached_property
+    def accelerated(self) -> bool:
+        """Finger or object is accelerated."""
+        return self.pushed or bool(self.forcing[ObjectAcceleration].any())
+
+    @functools.cached_property
+    def offset(self) -> np.ndarray | None:
+        """Object rate offsets, (n, 2), or None where there are none."""
+        offset = self.forcing[ObjectRateOffset]
+        return offset if offset.any() else None
+
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
@@ -368,7 +379,7 @@ class GroupPlanner:
                     "finger", interval.start, finger_until, "nothing accelerates it"
                 )
                 self._append("finger", track)
-            if interval.pushed or interval.forcing[ObjectAcceleration].any():
+            if interval.accelerated:
                 self._forced(interval)
             else:
                 self._free(interval)
@@ -477,11 +488,10 @@ class GroupPlanner:
         piece, start, stop = interval.piece, interval.start, interval.stop
         if piece.power and piece.sigma[0] == 0.0:
             self.v = 0 * self.v  # the guaranteed law lets no slip leave a rest
-        offset = interval.forcing[ObjectRateOffset]
-        shifted = offset if offset.any() else None
+        shifted = interval.offset
         negligible = NEGLIGIBLE * self.tolerance * self.object.size * interval.reach
         v = self.v
-        slip = float(np.hypot(v[:, 0], v[:, 1]).max())
+        slip = _greatest(v)
         of = functools.partial(_decaying, v, piece) if slip > 0 else None
         self.group.slips.append(SlipRecord(start, stop, piece, of, None))
         if self.object.surface.developable:
@@ -721,6 +731,13 @@ def _restored(body: Body, state: np.ndarray) -> np.ndarray:
     if not body.ambient:
         return state
     return restoring_kernel(body.surface).at(state, body.parameters)
+
+
+def _greatest(v: np.ndarray) -> float:
+    """Greatest length of the rows of (n, 2)."""
+    if len(v) == 1:
+        return math.hypot(v[0, 0], v[0, 1])
+    return float(np.hypot(v[:, 0], v[:, 1]).max())
 
 
 @functools.lru_cache(maxsize=1024)

@@ -17,6 +17,12 @@ from typing import Any
 import numpy as np
 
 from contact_system.errors import ContactSystemError
+from contact_system.measures import (
+    exact_slip,
+    great_circle_distance,
+    regular_times,
+    windows,
+)
 from contact_system.plan import Plan
 from contact_system.profile import Gain, Profile
 from contact_system.surfaces import Surface
@@ -42,72 +48,6 @@ STYLE = {
 
 class MissingMatplotlib(ContactSystemError):
     """Pictures are asked for and matplotlib is not installed."""
-
-
-# --- what is drawn, as numbers -----------------------------------------------------------------
-
-
-def windows(plan: Plan, contact: int) -> list[tuple[float, float]]:
-    """Windows of disturbance of one contact, overlapping ones joined: [(start, stop)], s."""
-    joined: list[tuple[float, float]] = []
-    acting = [d for d in plan.scene.disturbances if d.contact == contact and d.stop > plan.start]
-    for start, stop in sorted((max(d.start, plan.start), d.stop) for d in acting):
-        if joined and start <= joined[-1][1]:
-            start, stop = joined[-1][0], max(joined.pop()[1], stop)
-        joined.append((start, stop))
-    return joined
-
-
-def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, np.ndarray]:
-    """Slip magnitude by the exact law where nothing disturbs the contact.
-
-    |v_rel|(t) = |v_rel|(t0) sigma(t)/sigma(t0) exp(-(L(t) - L(t0))) (eq. `contracaccel`), with t0
-    the start of each undisturbed interval: from one number of the plan, without its integration.
-
-    Parameters
-    ----------
-    plan : Plan
-    contact : int
-    count : int
-        Times over the horizon.
-
-    Returns
-    -------
-    t, slip : (n,), (n,)
-        s, m/s; only times at which there is slip.
-    """
-    profile, gain = plan.scene.profile, plan.scene.gain
-    grid = np.linspace(plan.start, plan.scene.duration, count)
-    knots = [plan.start, *np.ravel(windows(plan, contact)), plan.scene.duration]
-    times, values = [np.empty(0)], [np.empty(0)]
-    for start, stop in zip(knots[::2], knots[1::2]):
-        t = np.concatenate([[start], grid[(grid > start) & (grid < stop)], [stop]])
-        t = t[profile(t) > 0]
-        if stop <= start or not len(t):
-            continue
-        with np.errstate(invalid="ignore"):
-            lost = gain.exponent(profile, t) - gain.exponent(profile, t[:1])
-        first = np.hypot(*plan.slip(t[:1])[0, contact])
-        times.append(t)
-        values.append(first * profile(t) / profile(t[0]) * np.exp(-lost))
-    t, slip = np.concatenate(times), np.concatenate(values)
-    return t[slip > 0], slip[slip > 0]
-
-
-def great_circle_distance(points: np.ndarray) -> np.ndarray:
-    """Distance of a curve on a sphere from its great-circle plane.
-
-    Parameters
-    ----------
-    points : (n, 3)
-        Points of the curve from the sphere's centre, m.
-
-    Returns
-    -------
-    (n,)
-        Signed distance from the plane through the centre that fits best (least squares), m.
-    """
-    return points @ np.linalg.svd(points, full_matrices=False)[2][2]
 
 
 # --- pictures ----------------------------------------------------------------------------------
@@ -161,7 +101,7 @@ def plot_slip(
 
 
 def _slips(plan: Plan) -> bool:
-    return bool(plan.slip(plan.sample_times()).any())
+    return bool(plan.slip_speed(plan.sample_times()).any())
 
 
 class _figure:
@@ -249,7 +189,7 @@ def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
     t = plan.sample_times(1201)
     # an offset's slip ends at once: the last time before the edge belongs to the line as well
     t = np.unique(np.append(t, np.nextafter(t[np.isin(t, plan.scene.edges) & (t > plan.start)], 0)))
-    slip = np.linalg.norm(plan.slip(t), axis=2)
+    slip = plan.slip_speed(t)
     for i in range(len(plan.scene.contacts)):
         # lines that lie on each other: the lower the wider, so that each is seen
         above = np.isclose(slip[:, i + 1 :], slip[:, i : i + 1], rtol=0.02).all(0).sum()
@@ -449,7 +389,7 @@ def _extent(
 def _around(
     plan: Plan, surface: Surface, side: int, contacts: Sequence[int], k: int
 ) -> tuple[float, float]:
-    t = plan.sample_times()
+    t = regular_times(plan, plan.sample_times())
     q = plan.states(t)[:, contacts, 4 * side : 4 * side + 2].reshape(-1, 2)
     reach = np.ptp(plan.points(t)[:, contacts, side].reshape(-1, 3), axis=0).max()
     margin = 0.35 * reach / surface.lame(*q[len(q) // 2])[k]

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from contact_system.errors import SceneError
 
 Coefficients = tuple[float, ...]
 """Coefficients of a polynomial, lowest power first."""
+
+Numbers = Sequence[float] | np.ndarray
+"""What users may give for a few numbers, all of which are kept as tuples of floats."""
 
 _LARGEST = 1e100  # beyond this sigma^3 overflows; it is no path speed anyway
 _BISECTIONS = 200  # down to neighbouring floats, also for a root very close to 0
@@ -125,6 +128,10 @@ class Profile:
     """
 
     coefficients: Coefficients
+
+    if TYPE_CHECKING:  # the fields say what is kept, this what may be given
+
+        def __init__(self, coefficients: Numbers) -> None: ...
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", finite_numbers(self.coefficients, "profile"))

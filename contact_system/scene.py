@@ -24,13 +24,20 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from contact_system.errors import ContactSystemError, SceneError
 from contact_system.expressions import parse
-from contact_system.profile import Contraction, Gain, Profile, contraction, finite_numbers
+from contact_system.profile import (
+    Contraction,
+    Gain,
+    Numbers,
+    Profile,
+    contraction,
+    finite_numbers,
+)
 from contact_system.surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
 from contact_system.user_surfaces import ImplicitSurface, ParametricSurface
 
@@ -131,6 +138,19 @@ class Contact:
     object_velocity: Pair | str = ROLLING
     name: str = ""
 
+    if TYPE_CHECKING:  # the fields say what is kept, this what may be given
+
+        def __init__(
+            self,
+            finger: Surface,
+            object_at: Numbers,
+            finger_at: Numbers = ...,
+            angle: float = ...,
+            finger_velocity: Numbers | str = ...,
+            object_velocity: Numbers | str = ...,
+            name: str = ...,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         _text(self.name, "name")
         _surface(self.finger, "finger")
@@ -185,6 +205,12 @@ class Disturbance:
     stop: float
     value: Pair
 
+    if TYPE_CHECKING:  # the fields say what is kept, this what may be given
+
+        def __init__(
+            self, contact: int | str, start: float, stop: float, value: Numbers
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         put, contact = object.__setattr__, self.contact
         if contact != ALL:
@@ -201,21 +227,21 @@ class Disturbance:
             )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class FingerAcceleration(Disturbance):
     """Adds (du, dv) to the finger's (u1", v1") [rad/s^2, or the chart's units]."""
 
     kind: ClassVar[str] = "finger acceleration"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class ObjectAcceleration(Disturbance):
     """Adds (du, dv) to the object's (u2", v2") [rad/s^2, or the chart's units]."""
 
     kind: ClassVar[str] = "object acceleration"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class ObjectRateOffset(Disturbance):
     """Adds (du, dv) to the object's (u2', v2') [rad/s, or the chart's units].
 
@@ -246,6 +272,10 @@ class Turning:
 
     axis: tuple[float, float, float]
     angle: tuple[float, ...]
+
+    if TYPE_CHECKING:  # the fields say what is kept, this what may be given
+
+        def __init__(self, axis: Numbers, angle: Numbers) -> None: ...
 
     def __post_init__(self) -> None:
         axis = finite_numbers(self.axis, "axis")
@@ -305,17 +335,17 @@ class Scene:
     """
 
     object: Surface
-    contacts: tuple[Contact, ...]
+    contacts: Sequence[Contact]
     profile: Profile
     duration: float
     gain: Gain = Gain("time", 100.0)
-    disturbances: tuple[Disturbance, ...] = ()
+    disturbances: Sequence[Disturbance] = ()
     turning: Turning | None = None
     name: str = ""
     description: str = ""
     source: str = field(default="", compare=False)
     paper: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    chosen: tuple[str, ...] = ()
+    chosen: Sequence[str] = ()
     drake: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:

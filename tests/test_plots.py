@@ -30,46 +30,6 @@ def _ink(image) -> float:
     return float((np.asarray(image.convert("L")) < 250).mean())
 
 
-@pytest.mark.parametrize("name", ["K1", "K4", "chart", "torus"])
-def test_exact_slip_follows_the_polynomial_law_and_the_plan(name):
-    scene = cs.load_scene(name)
-    plan = cs.plan(scene)
-    t, slip = plots.exact_slip(plan, 0)
-    assert len(t) > 10
-    # where a window starts the law tells the slip just before
-    before = [start for start, _ in plots.windows(plan, 0)]
-    planned = plan.slip(np.where(np.isin(t, before), np.nextafter(t, 0), t))[:, 0]
-    assert np.abs(np.linalg.norm(planned, axis=1) - slip).max() < 1e-12 * slip.max()
-    if name == "K1":  # |V| = 1, and L = 100 int (0.001 + 0.4 t^2)^2 written out
-        lost = 100 * (1e-6 * t + 8e-4 * t**3 / 3 + 0.16 * t**5 / 5)
-        assert slip == pytest.approx((0.001 + 0.4 * t**2) * np.exp(-lost), rel=1e-12)
-
-
-def test_exact_slip_says_nothing_inside_windows():
-    plan = cs.plan(cs.load_scene("K4"))
-    t, _ = plots.exact_slip(plan, 0)
-    assert not ((t > 1) & (t < 2)).any()
-
-
-def test_overlapping_windows_are_joined():
-    pushes = [
-        cs.FingerAcceleration(contact=0, start=a, stop=b, value=(0.1, 0))
-        for a, b in ((0.6, 0.7), (0.1, 0.3), (0.2, 0.4), (0.4, 0.5))
-    ]
-    plan = cs.plan(_scene(cs.Plane(), disturbances=pushes))
-    assert plots.windows(plan, 0) == [(0.1, 0.5), (0.6, 0.7)]
-
-
-def test_distance_from_a_great_circle_is_zero_on_one_and_known_beside_one():
-    angle = np.linspace(0, 2 * math.pi, 60, endpoint=False)
-    tilt = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
-    great = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1) @ tilt
-    assert np.abs(plots.great_circle_distance(great)).max() < 1e-15
-    # a circle of latitude 0.1 rad: every point is sin(0.1) from the plane through the centre
-    small = np.cos(0.1) * great + np.sin(0.1) * tilt[2]
-    assert np.abs(plots.great_circle_distance(small)) == pytest.approx(np.sin(0.1), rel=1e-12)
-
-
 def test_points_behind_a_sphere_are_hidden_and_those_before_it_are_not():
     plan = cs.plan(_scene(cs.Sphere(0.1), at=(1.0, 0.2)))
     mesh = plots._mesh(plan, plan.scene.object, 1, [0])

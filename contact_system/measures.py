@@ -1,0 +1,237 @@
+"""What a plan achieved: slip and its exact law, how slip is rejected, how far curves stray."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from contact_system.errors import ChartSingularity
+from contact_system.plan import Plan
+from contact_system.scene import Scene
+
+REJECTED = 0.05
+"""Slip counts as rejected below this fraction of what the disturbance left."""
+
+
+# --- slip --------------------------------------------------------------------------------------
+
+
+def windows(plan: Plan, contact: int) -> list[tuple[float, float]]:
+    """Windows in which one contact is disturbed, overlapping ones joined.
+
+    Parameters
+    ----------
+    plan : Plan
+    contact : int
+
+    Returns
+    -------
+    list of (start, stop)
+        Ascending, s; what has ended before the plan starts is left out.
+    """
+    joined: list[tuple[float, float]] = []
+    acting = [d for d in plan.scene.disturbances if d.contact == contact and d.stop > plan.start]
+    for start, stop in sorted((max(d.start, plan.start), d.stop) for d in acting):
+        if joined and start <= joined[-1][1]:
+            start, stop = joined[-1][0], max(joined.pop()[1], stop)
+        joined.append((start, stop))
+    return joined
+
+
+def regular_times(plan: Plan, t: np.ndarray) -> np.ndarray:
+    """Those of the times at which :meth:`Plan.states` exist: no contact is at a pole or an umbilic.
+
+    Parameters
+    ----------
+    plan : Plan
+    t : (n,)
+        Times in the plan's horizon, s.
+
+    Returns
+    -------
+    (m,)
+        m <= n, s.
+    """
+    try:
+        plan.states(t)
+    except ChartSingularity:
+        if len(t) == 1:
+            return t[:0]
+        return np.concatenate([regular_times(plan, t[k : k + 1]) for k in range(len(t))])
+    return t
+
+
+def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, np.ndarray]:
+    """Slip magnitude by the exact law where nothing disturbs the contact.
+
+    |v_rel|(t) = |v_rel|(t0) sigma(t)/sigma(t0) exp(-(L(t) - L(t0))) (eq. `contracaccel`), with t0
+    the start of each undisturbed interval: from one number of the plan, without its integration.
+
+    Parameters
+    ----------
+    plan : Plan
+    contact : int
+    count : int
+        Times over the horizon.
+
+    Returns
+    -------
+    t, slip : (n,), (n,)
+        s, m/s; only times at which there is slip.
+    """
+    profile, gain = plan.scene.profile, plan.scene.gain
+    grid = np.linspace(plan.start, plan.scene.duration, count)
+    knots = [plan.start, *np.ravel(windows(plan, contact)), plan.scene.duration]
+    times, values = [np.empty(0)], [np.empty(0)]
+    for start, stop in zip(knots[::2], knots[1::2]):
+        t = np.concatenate([[start], grid[(grid > start) & (grid < stop)], [stop]])
+        t = t[profile(t) > 0]
+        if stop <= start or not len(t):
+            continue
+        with np.errstate(invalid="ignore"):
+            lost = gain.exponent(profile, t) - gain.exponent(profile, t[:1])
+        first = plan.slip_speed(t[:1])[0, contact]
+        times.append(t)
+        values.append(first * profile(t) / profile(t[0]) * np.exp(-lost))
+    t, slip = np.concatenate(times), np.concatenate(values)
+    return t[slip > 0], slip[slip > 0]
+
+
+# --- rejection of slip ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """What became of one contact's slip.
+
+    Attributes
+    ----------
+    contact : int
+    start, peak, end : float
+        Slip at the start, at its greatest and at the end [m/s].
+    peak_time : float
+        When it is greatest [s].
+    since : float
+        End of the contact's last disturbance, or the start where there is none [s].
+    time : float
+        How long after `since` slip last crosses 5 % of its value there (of its peak from there on
+        where a path starts from rest) [s]; inf if it is above at the end of the horizon, nan if
+        there is no slip to reject.
+    reported : float
+        Within how long the paper reports it rejected [s]; nan if it gives no time, or if that is
+        the time of a dynamic simulation, whose contact physics a plan does not have.
+    """
+
+    contact: int
+    start: float
+    peak: float
+    peak_time: float
+    end: float
+    since: float
+    time: float
+    reported: float
+
+    @property
+    def as_reported(self) -> bool | None:
+        """Whether slip is rejected within the time reported; None where nothing is to compare."""
+        if math.isnan(self.time) or math.isnan(self.reported):
+            return None
+        return self.time <= self.reported
+
+
+def rejections(plan: Plan) -> list[Rejection]:
+    """How each contact's slip is rejected, after its last disturbance or after the start.
+
+    The crossing of `REJECTED` is found by bisection between the times at which the exact law
+    (eq. `contracaccel`) turns from growth to decay, to the last bit.
+
+    Parameters
+    ----------
+    plan : Plan
+
+    Returns
+    -------
+    list of Rejection
+        One a contact, in the scene's order; `Rejection.time` is the time until slip stays below
+        5 %, s.
+    """
+    knots = _monotone_from(plan)
+    times = np.unique(np.concatenate([plan.sample_times(1001), knots, _last_before_edges(plan)]))
+    slip = plan.slip_speed(times)
+    paper = {} if is_dynamic(plan.scene) else plan.scene.paper
+    reported = paper.get("recovery_time", math.nan)
+    found = []
+    for i in range(len(plan.scene.contacts)):
+        acting = windows(plan, i)
+        since = acting[-1][1] if acting else plan.start
+        # an object rate offset ends at once: its slip is the one just before
+        left = _magnitude(plan, i, math.nextafter(since, plan.start) if acting else since)
+        level = REJECTED * (left or slip[times >= since, i].max())
+        greatest = int(slip[:, i].argmax())
+        first, peak, end = slip[[0, greatest, -1], i].tolist()
+        taken = _rejection_time(plan, i, since, level, knots)
+        found.append(Rejection(i, first, peak, float(times[greatest]), end, since, taken, reported))
+    return found
+
+
+def is_dynamic(scene: Scene) -> bool:
+    """Whether the paper shows a dynamic simulation of the scene."""
+    return "lateral_force" in scene.paper
+
+
+def _magnitude(plan: Plan, contact: int, t: float) -> float:
+    return float(plan.slip_speed([t])[0, contact])
+
+
+def _monotone_from(plan: Plan) -> np.ndarray:
+    """Times between which slip that nothing disturbs only grows or only shrinks, s."""
+    ends = np.ravel(plan.scene.contraction().intervals)
+    return np.unique(np.clip([plan.start, *ends, plan.scene.duration], plan.start, None))
+
+
+def _last_before_edges(plan: Plan) -> np.ndarray:
+    edges = np.array([e for e in plan.scene.edges if e > plan.start])
+    return np.nextafter(edges, plan.start)
+
+
+def _rejection_time(
+    plan: Plan, contact: int, since: float, level: float, knots: np.ndarray
+) -> float:
+    """Time after `since` of the last crossing of a level of slip, by bisection."""
+    if level == 0:
+        return math.nan
+    steps = [since, *knots[knots > since]]
+    above = [_magnitude(plan, contact, t) >= level for t in steps]
+    if not any(above):
+        return 0.0
+    last = len(above) - 1 - above[::-1].index(True)
+    if last == len(steps) - 1:
+        return math.inf
+    high, low = steps[last], steps[last + 1]
+    while high < (middle := 0.5 * (high + low)) < low:
+        if _magnitude(plan, contact, middle) >= level:
+            high = middle
+        else:
+            low = middle
+    return float(low - since)
+
+
+# --- curves ------------------------------------------------------------------------------------
+
+
+def great_circle_distance(points: np.ndarray) -> np.ndarray:
+    """Distance of a curve on a sphere from its great-circle plane (the paper's corollary).
+
+    Parameters
+    ----------
+    points : (n, 3)
+        Points of the curve from the sphere's centre, m.
+
+    Returns
+    -------
+    (n,)
+        Signed distance from the plane through the centre that fits best (least squares), m.
+    """
+    return points @ np.linalg.svd(points, full_matrices=False)[2][2]
