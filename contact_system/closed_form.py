@@ -334,7 +334,7 @@ class FlatTrack(Track):
         tau = t - self.start
         sigma = self.piece.speed(tau)
         drive = self.w[:, :, None] * sigma
-        if self.slip_length is not None:
+        if self.v.any():
             drive = drive - self.v[:, :, None] * (sigma * self.piece.decay(tau, sigma))
         return drive
 

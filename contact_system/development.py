@@ -29,11 +29,12 @@ from numpy.polynomial import legendre
 from . import geometry
 from .errors import ContactSystemError
 from .kernels import (
-    C_SOURCES,
+    NODES,
     PRELUDE,
     Kernel,
     Restoration,
     address,
+    c_source,
     compiled_library,
     contiguous,
     find_compiler,
@@ -43,7 +44,6 @@ from .kernels import (
 from .profile import GainPiece
 from .surfaces import Surface
 from .tracks import (
-    NODES,
     Track,
     TrackData,
     chart_to_parallel,
@@ -449,12 +449,16 @@ def longest_panel(drive: GainPiece, slip: float, tau: float, h: float) -> float:
 # --- the compiled twin -------------------------------------------------------------------------
 
 
-class _Drive(ctypes.Structure):
+class Drive(ctypes.Structure):
+    """``drive_t`` of c/common.h."""
+
     _fields_ = [("n_sigma", ctypes.c_long), ("n_exponent", ctypes.c_long), ("power", ctypes.c_long),
                 ("sigma", ctypes.c_void_p), ("exponent", ctypes.c_void_p)]  # fmt: skip
 
 
-class _Method(ctypes.Structure):
+class Method(ctypes.Structure):
+    """``method_t`` of c/common.h."""
+
     _fields_ = [(name, ctypes.c_double) for name in
                 ("length", "tolerance", "first", "slip", "finish", "released")]  # fmt: skip
     _fields_ += [(name, ctypes.c_void_p) for name in ("node", "integral", "series", "end")]
@@ -469,10 +473,10 @@ def panel_source(kernel: Kernel) -> str:
     # Inlined, a loop of 16 is unrolled and then poorly packed: five times slower.
     head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
     head += f"#define RHS {kernel.name}\n#define NX {n}L\n#define NC {kernel.n_constant}L\n"
-    head += f"#define N {NODES}\n#define SWEEPS {SWEEPS}\n"
+    head += f"#define SWEEPS {SWEEPS}\n"
     head += f"#define IN_ROWS {rows_in}\n#define OUT_ROWS {rows_out}\n"
     head += _restore_source(kernel)
-    return head + (C_SOURCES / "panels.c").read_text()
+    return head + c_source("panels.c")
 
 
 def _restore_source(kernel: Kernel) -> str:
@@ -492,7 +496,8 @@ def _restore_source(kernel: Kernel) -> str:
 
 
 @per_structure
-def _panel_library(kernel: Kernel) -> ctypes.CDLL:
+def panel_library(kernel: Kernel) -> ctypes.CDLL:
+    """The compiled ``panels`` of one kernel (c/panels.c)."""
     library = compiled_library(panel_source(kernel))
     library.panels.restype = ctypes.c_long
     library.panels.argtypes = [ctypes.c_long] + [ctypes.c_void_p] * 9
@@ -511,11 +516,9 @@ _BUILT: dict[Kernel, bool] = {}
 
 
 def _integrate_compiled(kernel: Kernel, problem: Problem, tolerance: float) -> Panels:
-    run, (sigma, _, exponent) = _panel_library(kernel).panels, problem.drive.arrays
+    run, (sigma, _, exponent) = panel_library(kernel).panels, problem.drive.arrays
     n_bodies, n_states = problem.start.shape
-    drive = _Drive(
-        len(sigma), len(exponent), problem.drive.power, address(sigma), address(exponent)
-    )
+    drive = Drive(len(sigma), len(exponent), problem.drive.power, address(sigma), address(exponent))
     scale, constants = contiguous(problem.scale), contiguous(problem.constants)
     size, room = n_bodies * n_states, 24
     while True:
@@ -525,8 +528,8 @@ def _integrate_compiled(kernel: Kernel, problem: Problem, tolerance: float) -> P
         block = np.empty(first + room * size * (NODES + 1))
         block[:size] = problem.start.ravel()
         at = address(block)
-        method = _Method(problem.length, tolerance, problem.first, problem.slip, problem.finish,
-                         -1.0, *_matrices()[0], problem.stiff, room, problem.stops)  # fmt: skip
+        method = Method(problem.length, tolerance, problem.first, problem.slip, problem.finish,
+                         -1.0, *method_pointers(), problem.stiff, room, problem.stops)  # fmt: skip
         count = run(n_bodies, at, address(constants), address(scale), ctypes.addressof(drive),
                     ctypes.addressof(method), at + 8 * cuts[2], at + 8 * first, at + 8 * cuts[1],
                     at + 8 * cuts[0])  # fmt: skip
@@ -543,10 +546,16 @@ def _integrate_compiled(kernel: Kernel, problem: Problem, tolerance: float) -> P
         room *= 4
 
 
+def method_pointers() -> tuple[int, ...]:
+    """Addresses of the matrices of :class:`Method`."""
+    return _matrices()[0]
+
+
 @functools.cache
 def _matrices() -> tuple[tuple[int, ...], list[np.ndarray]]:
     m = collocation()
-    kept = [np.ascontiguousarray(a) for a in (m.node, m.integral.T, m.series, m.end)]
+    series = np.vstack([m.series[:-1].T, m.series[-1:]])
+    kept = [np.ascontiguousarray(a) for a in (m.node, m.integral.T, series, m.end)]
     return tuple(a.ctypes.data for a in kept), kept
 
 
@@ -703,3 +712,55 @@ class PanelTrack(Track):
 
 
 _QUARTERS = np.arange(4) / 4.0
+
+
+class DrivenTrack(PanelTrack):
+    """Bodies developed under slip, integrated when something asks for their motion.
+
+    Attributes
+    ----------
+    kernel : Kernel
+    problem : Problem
+    """
+
+    def __init__(
+        self,
+        surface: Surface,
+        parameters: np.ndarray,
+        stop: float,
+        why: str,
+        ambient: bool,
+        compiled: bool | None,
+        offset: np.ndarray | None,
+        kernel: Kernel,
+        problem: Problem,
+        w: np.ndarray,
+        v: np.ndarray,
+    ):
+        self.surface, self.parameters, self.ambient = surface, parameters, ambient
+        self.start, self.stop, self.compiled, self.offset = (
+            problem.drive.start,
+            stop,
+            compiled,
+            offset,
+        )
+        self.rows, self.piece, self.w, self.v = slice(None), problem.drive, w, v
+        self.by_length, self.drive_of = False, None
+        self.kernel, self.problem, self._why = kernel, problem, why
+        self._anchors = None
+
+    @functools.cached_property
+    def panels(self) -> Panels:  # type: ignore[override]
+        """The motion, integrated once."""
+        return integrate(self.kernel, self.problem, self.compiled)
+
+    @property
+    def method(self) -> str:  # type: ignore[override]
+        place = "space" if self.ambient else "its chart"
+        return f"development in {place}, {self.panels.count} panels"
+
+    @property
+    def reason(self) -> str:  # type: ignore[override]
+        if self.panels.released is None:
+            return self._why
+        return f"{self._why}, below tolerance from t = {self.start + self.panels.released:.6g} s on"

@@ -33,6 +33,7 @@ import numpy as np
 from .errors import ContactSystemError
 
 C_SOURCES = Path(__file__).parent / "c"
+NODES = 16  # Gauss points of a panel; see development.Collocation
 
 # One row an operation: CasADi's op code -> (C expression, numpy ufunc); {0}, {1} are the operands.
 _OPERATIONS: dict[int, tuple[str, str]] = {
@@ -612,6 +613,12 @@ def _build(source: str, path: Path) -> None:
                 os.replace(built, path)  # atomic: a second process never sees half a file
                 return
     raise ContactSystemError(f"{' '.join(command)} failed:\n{run.stderr[-2000:]}")
+
+
+def c_source(name: str) -> str:
+    """A hand-written C file of this package, with what all of them share before it."""
+    common = (C_SOURCES / "common.h").read_text()
+    return f"#define N {NODES}\n{common}{(C_SOURCES / name).read_text()}"
 
 
 _CACHE: dict[tuple[Any, ...], Any] = {}

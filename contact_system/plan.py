@@ -17,8 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from . import states
 from .chart_solution import chart_groups
-from .development import runs
+from .closed_form import CircleTrack
+from .development import DrivenTrack, runs
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kernels import address, row_offsets
 from .kinematics import relative_pose, relative_twist
@@ -105,6 +107,9 @@ class Plan:
         ChartSingularity
             At a time when a contact passes through a pole or an umbilic.
         """
+        at_once = self._states_at_once(t)
+        if at_once is not None:
+            return at_once
         sides = self._fill("coordinates", t, 5)  # u v u' v' theta of the finger, then of the object
         out = np.empty((self._count, 9, sides.shape[2]))
         out[:, :4] = sides[:, :4]
@@ -314,6 +319,25 @@ class Plan:
         except ChartSingularity as error:
             raise self._named(group, error) from None
         return out
+
+    def _states_at_once(self, t: ArrayLike) -> np.ndarray | None:
+        """The states by one compiled call, or None where there is no such way (states.py)."""
+        group = self.groups[0]
+        if len(self.groups) > 1 or len(group.finger) > 1 or len(group.object) > 1:
+            return None
+        finger, obj = group.finger[0], group.object[0]
+        times = _one_axis(t)
+        if len(times) < states.FEW_TIMES or not times.flags.c_contiguous:
+            return None
+        if not states.fits(finger, obj, self.compiled):
+            return None
+        assert isinstance(finger, CircleTrack) and isinstance(obj, DrivenTrack)
+        group.anchor("finger", finger)
+        out = np.empty((self._count, 9, len(times)))
+        code = states.states(finger, obj, group.begin[1], group.angle, times, out)
+        if code > 0:
+            self._refuse(times)
+        return out.transpose(2, 0, 1) if code == 0 else None
 
     def _named(self, group: Group, error: ChartSingularity) -> ChartSingularity:
         names = ", ".join(str(i) for i in group.contacts)

@@ -22,7 +22,7 @@ import numpy as np
 
 from . import development
 from .closed_form import CircleTrack, FlatTrack, great_circle, pair_of
-from .development import PanelTrack, Problem
+from .development import DrivenTrack, PanelTrack, Problem
 from .errors import SceneError
 from .kinematics import contact_map
 from .profile import GainPiece, Profile
@@ -45,6 +45,8 @@ from .tracks import (
 
 # Slip whose whole remaining displacement is below this fraction of tolerance * size is let go.
 NEGLIGIBLE = 0.01
+# Slip left when a slipping object goes over to a great circle, in path speeds and tolerances.
+RATE_LEFT = 0.1
 # Path beyond which, in sizes of a sphere, the rest of a slipping interval is made a great circle.
 LONG_REST = 6.0
 
@@ -459,9 +461,10 @@ class GroupPlanner:
         piece: GainPiece,
         offset: np.ndarray | None,
         why: str,
+        slips: bool = False,
     ) -> FlatTrack:
         slip_length, method = None, "closed form: straight line unrolled"
-        if v.any():
+        if slips:
             slip_length = self._slip_length(piece)
             method = f"quadrature of slip, {len(slip_length.edges) - 1} panels"
             why = "T = 0: the developed curve is the curve"
@@ -495,12 +498,11 @@ class GroupPlanner:
         of = functools.partial(_decaying, v, piece) if slip > 0 else None
         self.group.slips.append(SlipRecord(start, stop, piece, of, None))
         if self.object.surface.developable:
-            moving = v if slip > negligible else 0 * v
             why = "no slip to speak of" if slip <= negligible else ""
-            self._append("object", self._flat(self.object, self.w2, moving, piece, shifted, why))
-        elif slip <= negligible and shifted is None:
-            why = "no slip" if slip == 0 else f"slip is below tolerance ({slip:.1e} per path speed)"
-            self._append("object", self._geodesic("object", start, stop, why))
+            flat = self._flat(self.object, self.w2, v, piece, shifted, why, slip > negligible)
+            self._append("object", flat)
+        elif slip == 0 and shifted is None:
+            self._append("object", self._geodesic("object", start, stop, "no slip"))
         else:
             reached = self._driven(interval, shifted, slip, negligible)
             if reached < stop:
@@ -512,9 +514,15 @@ class GroupPlanner:
     def _driven(
         self, interval: Interval, offset: np.ndarray | None, slip: float, negligible: float
     ) -> float:
-        """Integrate the development while slip lasts; returns the time reached."""
+        """Develop the object while slip lasts; returns the time reached.
+
+        Slip that moves the contact by less than the tolerance is left out of the integration, never
+        out of the rates: they begin as the scene says.
+        """
         body, span = self._in_form("object", offset is not None), interval.stop - interval.start
-        kernel = development.driven_motion(body.surface, body.ambient, offset is not None)
+        # A great circle is free however long it is; a short rest is cheaper as one more panel.
+        stops = body.surface.great_circles and interval.length > LONG_REST * body.size
+        finish = min(negligible, RATE_LEFT * self.tolerance) if stops else negligible
         problem = Problem(
             start=body.state,
             constants=self._constants(body, offset),
@@ -523,25 +531,20 @@ class GroupPlanner:
             length=span,
             tolerance=self.tolerance,
             first=span * min(1.0, 0.3 * body.size / interval.length),
-            slip=slip,
-            finish=negligible if offset is None else 0.0,
-            # A great circle is free however long it is; a short rest is cheaper as one more panel.
-            stops=body.surface.great_circles and interval.length > LONG_REST * body.size,
+            slip=slip if slip > finish or offset is not None else 0.0,
+            finish=finish if offset is None else 0.0,
+            stops=stops,
         )
-        panels = development.integrate(kernel, problem, self.compiled)
-        reached = interval.stop if panels.edges[-1] >= span else interval.start + panels.edges[-1]
         why = "slip" if offset is None else "object rate offset" + (", slip" if slip > 0 else "")
-        if panels.released is not None:
-            why += f", below tolerance from t = {interval.start + panels.released:.6g} s on"
-        place = "space" if body.ambient else "its chart"
-        track = PanelTrack(
-            body.surface, body.parameters, interval.start, reached,
-            f"development in {place}, {panels.count} panels", why, body.ambient, self.compiled,
-            offset=offset, panels=panels, rows=slice(None), piece=interval.piece, w=self.w2,
-            v=self.v,
+        kernel = development.driven_motion(body.surface, body.ambient, offset is not None)
+        track = DrivenTrack(
+            body.surface, body.parameters, interval.stop, why, body.ambient, self.compiled, offset,
+            kernel, problem, self.w2, self.v,
         )  # fmt: skip
+        if stops and track.panels.edges[-1] < span:
+            track.stop = interval.start + track.panels.edges[-1]
         self._append("object", track)
-        return reached
+        return track.stop
 
     def _constants(self, body: Body, offset: np.ndarray | None) -> np.ndarray:
         none = 0 * self.v if offset is None else offset

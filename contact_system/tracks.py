@@ -18,10 +18,10 @@ import numpy as np
 from . import geometry
 from .errors import ChartSingularity
 from .kernels import (
-    C_SOURCES,
     PRELUDE,
     Kernel,
     address,
+    c_source,
     compiled_library,
     find_compiler,
     library_path,
@@ -31,8 +31,6 @@ from .kernels import (
 from .surfaces import Surface
 
 SX = ca.SX
-
-NODES = 16  # Gauss points of a panel; see development.Collocation
 
 
 def prefers_ambient(surface: Surface) -> bool:
@@ -349,14 +347,14 @@ class Evaluator:
 
     def __init__(self, kernel: Kernel, circle: bool, n_states: int, winds: bool):
         self.kernel = kernel
-        width = 64 if circle else 80  # WIDTH of c/tracks.c
+        width = 64 if circle else 80  # POINTS of c/tracks.c
         rows = ", ".join(f"{i * width}" for i in range(kernel.n_point))
         head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
         head += f"#define KERNEL {kernel.name}\n#define NP {kernel.n_point}\n"
         head += f"#define NC {kernel.n_constant}L\n#define NR {kernel.n_result}\n"
-        head += f"#define NS {n_states}\n#define N {NODES}\n#define ROWS {rows}\n"
+        head += f"#define NS {n_states}\n#define ROWS {rows}\n"
         head += "#define CIRCLE\n" * circle + "#define WINDS\n" * winds
-        self.source = head + (C_SOURCES / "tracks.c").read_text()
+        self.source = head + c_source("tracks.c")
 
     @functools.cached_property
     def built(self) -> bool:

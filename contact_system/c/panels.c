@@ -7,26 +7,6 @@
 
    Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.7: collocation at Gauss
    points conserves quadratic invariants, here F(x), |p|, |q|, p.q of every quadric. */
-#include <math.h>
-#include <string.h>
-
-typedef struct {
-  long n_sigma, n_exponent, power; /* polynomials lowest first; decay gets (sigma0/sigma)^power */
-  const double *sigma, *exponent;
-} drive_t;
-
-typedef struct {
-  double length, tolerance, first, slip, finish; /* see development.Problem */
-  double released;                               /* out: when slip was let go, or -1 */
-  const double *node, *integral, *series, *end;  /* xi[N], Q^T[N][N], B[N+1][N], e[2][N] */
-  long n_stiff, max_panels, stops;
-} method_t;
-
-static double horner(const double *c, long n, double x) {
-  double y = c[n - 1];
-  for (long k = n - 2; k >= 0; k--) y = y * x + c[k];
-  return y;
-}
 
 static double slope(const double *c, long n, double x) {
   double y = 0.0;
@@ -86,22 +66,6 @@ static int implicit(const method_t *m, const double *lam, double half, double *i
     }
   }
   return 0;
-}
-
-/* y = start + half q^T f, q[rows][N]. Not inlined, and its outer loop kept a loop: GCC would unroll all of it
-   and pack it badly (measured: four times slower). */
-static __attribute__((noinline)) void combine(const double *restrict q, long rows,
-                                              const double *restrict f, double start, double half,
-                                              double *restrict y) {
-  double sum[N] = {0};
-#pragma GCC unroll 1
-  for (long j = 0; j < rows; j++) {
-    double fj = f[j];
-#pragma omp simd
-    for (int i = 0; i < N; i++) sum[i] += q[j * N + i] * fj;
-  }
-#pragma omp simd
-  for (int i = 0; i < N; i++) y[i] = start + half * sum[i];
 }
 
 /* The last panel's series continued to the nodes of the next: basis[N + 1][N] */
@@ -198,13 +162,10 @@ long panels(long nb, double *state, const double *constants, const double *scale
       if (k >= SWEEPS) { slow = 1; break; }
       double *out = coefficients + ((count * nb + b) * NX) * (N + 1);
       for (long s = 0; s < NX; s++) {
-        double *o = out + s * (N + 1);
-        for (int j = 0; j <= N; j++) {
-          double a = 0.0;
-          for (int i = 0; i < N; i++) a += m->series[j * N + i] * f[s][i];
-          o[j] = half * a;
-        }
-        o[0] += start[s];
+        double *o = out + s * (N + 1), top = 0.0;
+        combine(m->series, N, f[s], 0.0, half, o);
+        for (int i = 0; i < N; i++) top += m->series[N * N + i] * f[s][i];
+        o[N] = half * top, o[0] += start[s];
         double tail = fabs(o[N]), last_but_one = 0.1 * fabs(o[N - 1]);
         tail = (tail > last_but_one ? tail : last_but_one) * sc[s];
         error = tail > error ? tail : error;

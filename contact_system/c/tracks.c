@@ -4,91 +4,10 @@
    a body and NR results, ROWS (offsets of the inputs); CIRCLE for great circles, else NS states in
    panels of N nodes, followed by the drive if NP > NS; WINDS where results 0, 1, 4 are u, v, theta
    to be continued along the path (the kernel of a great circle does that itself). */
-#include <math.h>
-
-#define BLOCK 64
-#define TURN 6.283185307179586
-
-typedef struct {
-  double start, stop;
-  long nb, n_sigma, n_exponent, power, slips, by_length, n_panels, panel_stride, body_stride;
-  long n_anchors, double_cover;
-  double period_u, period_v;
-  const double *constants, *sigma, *length, *exponent;
-  const double *w, *v;               /* circle: pace, phase per metre; panels: W, V */
-  const double *edges, *coefficients; /* of the first state row of body 0 in panel 0 */
-  const double *anchor_times, *anchors; /* [m], [nb][3][m] */
-} track_t;
-
-static double horner(const double *c, long n, double x) {
-  double y = c[n - 1];
-  for (long k = n - 2; k >= 0; k--) y = y * x + c[k];
-  return y;
-}
-
-/* the k of edges[k] <= x < edges[k + 1], ends included, starting the search at a guess */
-static long interval(const double *edges, long n, double x, long k) {
-  if (k < n && x >= edges[k] && (k == n - 1 || x < edges[k + 1])) return k;
-  long low = 0, high = n;
-  while (high - low > 1) {
-    long middle = (low + high) / 2;
-    if (x >= edges[middle]) low = middle; else high = middle;
-  }
-  return low;
-}
-
-#if defined(WINDS) && !defined(CIRCLE)
-static double wound(double value, double reference, double period) {
-  return period > 0 ? value + period * rint((reference - value) / period) : value;
-}
-
-/* One point to the branch nearest its reference; half_turn: (-u, pi - v), axes turned by pi. */
-static void wind(const track_t *k, const double *ref, long stride, double *out, const long *row) {
-  double u = wound(out[row[0]], ref[0], k->period_u);
-  double v = wound(out[row[1]], ref[stride], k->period_v), turned = 0.0;
-  if (k->double_cover) {
-    double u2 = wound(-out[row[0]], ref[0], k->period_u);
-    double v2 = wound(0.5 * TURN - out[row[1]], ref[stride], k->period_v);
-    if (hypot(u2 - ref[0], v2 - ref[stride]) < hypot(u - ref[0], v - ref[stride])) {
-      u = u2, v = v2, turned = 0.5 * TURN;
-      out[row[2]] = -out[row[2]], out[row[3]] = -out[row[3]];
-    }
-  }
-  out[row[0]] = u, out[row[1]] = v;
-  out[row[4]] = wound(out[row[4]] + turned, ref[2 * stride], TURN);
-}
-#endif
-
-#ifndef CIRCLE
-#define CHUNK 16
-#define WIDTH (BLOCK + CHUNK) /* a run's last chunk may reach past the block */
-
-static void legendre(const double *xi, double basis[N + 1][WIDTH]) {
-  for (long i = 0; i < WIDTH; i++) basis[0][i] = 1.0, basis[1][i] = xi[i];
-  for (long k = 1; k < N; k++) {
-    double a = (2 * k + 1) / (k + 1.0), b = k / (k + 1.0);
-    for (long i = 0; i < WIDTH; i++) basis[k + 1][i] = a * xi[i] * basis[k][i] - b * basis[k - 1][i];
-  }
-}
-
-/* x[q] = sum_j c[j] P_j at q in [from, to), a chunk at a time in registers; see panels.c, primitive */
-static __attribute__((noinline)) void series(const double *restrict c,
-                                             const double (*restrict basis)[WIDTH], long from,
-                                             long to, double *restrict x) {
-  for (long q = from; q < to; q += CHUNK) {
-    double sum[CHUNK] = {0};
-#pragma GCC unroll 1
-    for (long j = 0; j <= N; j++) {
-      double cj = c[j];
-#pragma omp simd
-      for (long i = 0; i < CHUNK; i++) sum[i] += cj * basis[j][q + i];
-    }
-#pragma omp simd
-    for (long i = 0; i < CHUNK; i++) x[q + i] = sum[i];
-  }
-}
+#ifdef CIRCLE
+#define POINTS BLOCK
 #else
-#define WIDTH BLOCK
+#define POINTS WIDTH
 #endif
 
 /* Results of body b at time i go to out[b * out_body + out_row[r] + i]. Returns 0, or 1 + the index
@@ -97,7 +16,7 @@ static __attribute__((noinline)) void series(const double *restrict c,
 long evaluate(const track_t *k, long nt, const double *t, double *out, const long *out_row,
               long out_body) {
   static const long rows[] = {ROWS};
-  double point[NP][WIDTH], tau[BLOCK], sigma[BLOCK], length[BLOCK];
+  double point[NP][POINTS], tau[BLOCK], sigma[BLOCK], length[BLOCK];
 #ifndef CIRCLE
   double decay[BLOCK], xi[WIDTH] = {0}, basis[N + 1][WIDTH];
   long panel[BLOCK], last = 0;
@@ -131,7 +50,7 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
       panel[i] = last = interval(k->edges, k->n_panels, x, last);
       xi[i] = 2.0 * (x - k->edges[last]) / (k->edges[last + 1] - k->edges[last]) - 1.0;
     }
-    legendre(xi, basis);
+    legendre(xi, n, basis);
 #endif
     for (long b = 0; b < k->nb; b++) {
 #ifdef CIRCLE
@@ -143,7 +62,7 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
       for (long i = 0, stop; i < n; i = stop) {
         for (stop = i + 1; stop < n && panel[stop] == panel[i];) stop++;
         const double *c = k->coefficients + panel[i] * k->panel_stride + b * k->body_stride;
-        for (long s = 0; s < NS; s++) series(c + s * (N + 1), basis, i, stop, point[s]);
+        for (long s = 0; s < NS; s++) series(c + s * (N + 1), N + 1, basis, i, stop, point[s]);
       }
       for (long a = 0; a < NP - NS; a++) {
         double w = k->w[2 * b + a], v = k->v[2 * b + a];

@@ -1,0 +1,74 @@
+"""Chart states by one compiled call (series of states) against the motion converted time by time."""
+
+import numpy as np
+import pytest
+from conftest import SURFACES, one_contact
+
+import contact_system as cs
+from contact_system import states
+from contact_system.kernels import find_compiler
+
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
+
+TIMES = np.linspace(0.0, 1.0, 301)
+GAINS = {
+    "path": cs.Gain.path(300.0), "time": cs.Gain.time(30.0), "guaranteed": cs.Gain.guaranteed(5.0),
+    "stiff": cs.Gain.time(1e7), "none": cs.Gain.time(0.0),
+}  # fmt: skip
+
+
+def by_one_call(plan: cs.Plan) -> bool:
+    group = plan.groups[0]
+    return states.fits(group.finger[0], group.object[0], True)
+
+
+@pytest.mark.parametrize("gain", GAINS)
+@pytest.mark.parametrize("obj", ["sphere", "bowl", "ellipsoid", "oblate", "turned ellipsoid"])
+def test_one_call_gives_the_states_of_the_motion(obj, gain):
+    scene = one_contact(obj, "sphere", gain=GAINS[gain])
+    plan = cs.plan(scene, compiled=True)
+    expected = cs.plan(scene, tolerance=1e-14, compiled=False).states(TIMES)
+    size = np.maximum(np.abs(expected).max(axis=(0, 1)), 1.0)
+    assert by_one_call(plan) or len(plan.groups[0].object) > 1
+    assert np.abs(plan.states(TIMES) - expected).max(axis=(0, 1)) / size == pytest.approx(
+        0, abs=1e-11
+    )
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
+def test_error_of_one_call_follows_the_tolerance(tolerance):
+    scene = one_contact("ellipsoid", "sphere", gain=cs.Gain.path(300.0))
+    found = cs.plan(scene, tolerance=tolerance, compiled=True).states(TIMES)
+    expected = cs.plan(scene, tolerance=1e-14, compiled=False).states(TIMES)
+    assert np.abs(found - expected).max() / np.abs(expected).max() < tolerance
+
+
+def test_times_of_one_call_come_in_any_order():
+    plan = cs.plan(one_contact("sphere", "sphere"), compiled=True)
+    order = np.random.default_rng(3).permutation(len(TIMES))
+    assert plan.states(TIMES[order]) == pytest.approx(plan.states(TIMES)[order], abs=1e-14)
+
+
+def test_one_call_refuses_times_outside_the_horizon():
+    plan = cs.plan(one_contact("sphere", "sphere"), compiled=True)
+    with pytest.raises(cs.ContactSystemError, match=r"t = 1\.01\d* s is outside"):
+        plan.states(np.linspace(0.0, 1.5, 100))
+
+
+def test_a_path_that_grazes_a_pole_falls_back_to_the_motion_itself():
+    scene = one_contact(
+        object_at=(0.3, 0.0), object_velocity=(-0.9, 1e-9), finger_velocity=(1.0, 0.0),
+        gain=cs.Gain.time(0.1), profile=(0.05,),
+    )  # fmt: skip
+    plan = cs.plan(scene, compiled=True)
+    expected = cs.plan(scene, compiled=False).states(TIMES)
+    assert plan.states(TIMES)[:, :, 4] == pytest.approx(expected[:, :, 4], abs=1e-12)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("obj", SURFACES)
+def test_rates_begin_as_the_scene_says_however_short_slip_lasts(obj, compiled):
+    scene = one_contact(obj, "sphere", gain=cs.Gain.time(1e12), object_velocity=(0.2, -0.5))
+    first = cs.plan(scene, compiled=compiled).states(np.linspace(0.0, 1.0, 101))[0, 0]
+    velocity = scene.object.metric_root(first[4], first[5]) @ first[6:8]
+    assert velocity == pytest.approx(np.array([0.2, -0.5]) * scene.profile(0.0), rel=1e-12)
