@@ -21,6 +21,7 @@ import ctypes
 import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -721,6 +722,8 @@ class DrivenTrack(PanelTrack):
     ----------
     kernel : Kernel
     problem : Problem
+    shared : dict
+        What follows from the scene alone and is kept with it, for compiled calls.
     """
 
     def __init__(
@@ -736,6 +739,7 @@ class DrivenTrack(PanelTrack):
         problem: Problem,
         w: np.ndarray,
         v: np.ndarray,
+        shared: dict[Any, Any],
     ):
         self.surface, self.parameters, self.ambient = surface, parameters, ambient
         self.start, self.stop, self.compiled, self.offset = (
@@ -746,7 +750,7 @@ class DrivenTrack(PanelTrack):
         )
         self.rows, self.piece, self.w, self.v = slice(None), problem.drive, w, v
         self.by_length, self.drive_of = False, None
-        self.kernel, self.problem, self._why = kernel, problem, why
+        self.kernel, self.problem, self.shared, self._why = kernel, problem, shared, why
         self._anchors = None
 
     @functools.cached_property

@@ -265,6 +265,7 @@ class Prepared:
     intervals: tuple[Interval, ...]
     known: dict[bool | None, Group] = field(default_factory=dict)
     circles: dict[tuple, Track] = field(default_factory=dict)
+    shared: dict[Any, Any] = field(default_factory=dict)
 
 
 def plan_groups(
@@ -523,9 +524,14 @@ class GroupPlanner:
         # A great circle is free however long it is; a short rest is cheaper as one more panel.
         stops = body.surface.great_circles and interval.length > LONG_REST * body.size
         finish = min(negligible, RATE_LEFT * self.tolerance) if stops else negligible
+        # What the first interval starts from is the scene's: worked out and laid out for C once.
+        begins = interval is self.prepared.intervals[0] and offset is None
+        shared = self.prepared.shared if begins else {}
+        if "constants" not in shared:
+            shared["constants"] = self._constants(body, offset)
         problem = Problem(
             start=body.state,
-            constants=self._constants(body, offset),
+            constants=shared["constants"],
             scale=body.scale,
             drive=interval.piece,
             length=span,
@@ -539,7 +545,7 @@ class GroupPlanner:
         kernel = development.driven_motion(body.surface, body.ambient, offset is not None)
         track = DrivenTrack(
             body.surface, body.parameters, interval.stop, why, body.ambient, self.compiled, offset,
-            kernel, problem, self.w2, self.v,
+            kernel, problem, self.w2, self.v, shared,
         )  # fmt: skip
         if stops and track.panels.edges[-1] < span:
             track.stop = interval.start + track.panels.edges[-1]

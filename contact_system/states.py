@@ -35,6 +35,7 @@ from .tracks import Track, TrackData, evaluator
 
 MOST = 8  # bodies a call
 FEW_TIMES = 48  # below this, series are not worth making
+PANELS, SERIES = 24, 96  # room a call has; it is not the only way
 ROWS = 11  # see c/states.c
 
 
@@ -119,46 +120,64 @@ def states(
     int
         0, or the code of ``states`` in c/states.c.
     """
-    problem = track.problem
-    n, nx = problem.start.shape
-    panels, series = 24, 96  # room
-    sizes = (n * nx, n * nx, (2 * nx + 2) * NODES, panels + 1, panels * n * nx * (NODES + 1),
-             series + 1, series * n * ROWS * NODES)  # fmt: skip
-    block = np.empty(sum(sizes))
+    problem, shared = track.problem, track.shared
+    if "states" not in shared:
+        shared["states"] = _Layout(finger, track, begin, angle)
+    layout: _Layout = shared["states"]
+    block = np.empty(layout.size)
     at = address(block)
-    pointers = []
-    for size in sizes:
-        pointers.append(at)
-        at += 8 * size
-    piece = problem.drive
-    sigma, length, exponent = map(address, piece.arrays)
-    counts = len(piece.sigma), len(piece.exponent), piece.power
-    drive = Drive(*counts, sigma, exponent)
+    program = _Program.from_buffer_copy(layout.program)
+    body, aside = TrackData.from_buffer_copy(layout.body), TrackData()
     tolerance = max(0.1 * problem.tolerance, 4e-16)
     method = Method(
         problem.length, tolerance, problem.first, problem.slip, problem.finish, -1.0,
-        *method_pointers(), problem.stiff, panels, False,
+        *method_pointers(), problem.stiff, PANELS, False,
     )  # fmt: skip
-    period_u, period_v = track.surface.periods()
-    assert track.v is not None
-    body = TrackData(
-        track.start, track.stop, n, *counts, False, False, 0, n * nx * (NODES + 1),
-        nx * (NODES + 1), 0, track.surface.double_cover, period_u or 0.0, period_v or 0.0,
-        address(track.parameters), sigma, length, exponent, address(track.w), address(track.v),
-        None, None, None, None,
-    )  # fmt: skip
-    aside = TrackData()
-    own = finger.entry("coordinates")
-    assert own is not None
-    program = _Program(
-        _pointer(panel_library(track.kernel).panels), _pointer(own[0]),
-        _pointer(evaluator(track.surface, True, "coordinates").library.evaluate), own[1],
-        ctypes.addressof(body), ctypes.addressof(aside), ctypes.addressof(drive),
-        ctypes.addressof(method), nx, series, max(problem.tolerance, 1e-14), address(problem.start),
-        address(problem.constants), address(problem.scale), address(begin), address(angle),
-        address(_projection()), *pointers, 0,
-    )  # fmt: skip
-    return _library().states(ctypes.addressof(program), len(t), address(t), address(out))
+    program.body, program.aside = ctypes.addressof(body), ctypes.addressof(aside)
+    program.method, program.tolerance = ctypes.addressof(method), max(problem.tolerance, 1e-14)
+    state, spare, work, edges, motion, cuts, series = layout.offsets
+    program.state, program.spare, program.work = at + state, at + spare, at + work
+    program.edges, program.motion = at + edges, at + motion
+    program.cuts, program.series = at + cuts, at + series
+    return layout.run(ctypes.addressof(program), len(t), address(t), address(out))
+
+
+class _Layout:
+    """What :func:`states` needs of two tracks and does not change: laid out for C once a scene."""
+
+    def __init__(
+        self, finger: CircleTrack, track: DrivenTrack, begin: np.ndarray, angle: np.ndarray
+    ):
+        problem = track.problem
+        n, nx = problem.start.shape
+        sizes = (n * nx, n * nx, (2 * nx + 2) * NODES, PANELS + 1, PANELS * n * nx * (NODES + 1),
+                 SERIES + 1, SERIES * n * ROWS * NODES)  # fmt: skip
+        self.size = sum(sizes)
+        self.offsets = tuple(8 * sum(sizes[:i]) for i in range(len(sizes)))
+        piece = problem.drive
+        sigma, length, exponent = map(address, piece.arrays)
+        counts = len(piece.sigma), len(piece.exponent), piece.power
+        drive = Drive(*counts, sigma, exponent)
+        period_u, period_v = track.surface.periods()
+        assert track.v is not None
+        self.body = TrackData(
+            track.start, track.stop, n, *counts, False, False, 0, n * nx * (NODES + 1),
+            nx * (NODES + 1), 0, track.surface.double_cover, period_u or 0.0, period_v or 0.0,
+            address(track.parameters), sigma, length, exponent, address(track.w), address(track.v),
+            None, None, None, None,
+        )  # fmt: skip
+        own = finger.entry("coordinates")
+        assert own is not None
+        evaluate = evaluator(track.surface, True, "coordinates").library.evaluate
+        arrays = (problem.start, problem.constants, problem.scale, begin, angle, _projection())
+        self.program = _Program(
+            _pointer(panel_library(track.kernel).panels), _pointer(own[0]), _pointer(evaluate),
+            own[1], None, None, ctypes.addressof(drive), None, nx, SERIES, 0.0,
+            *map(address, arrays), *[None] * 7, 0,
+        )  # fmt: skip
+        self.run = _library().states
+        # the addresses above stay good as long as these do
+        self._kept = (drive, piece, track.parameters, track.w, track.v, finger, arrays)
 
 
 def _pointer(function: Callable[..., int]) -> int | None:

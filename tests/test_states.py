@@ -1,4 +1,4 @@
-"""Chart states by one compiled call (series of states) against the motion converted time by time."""
+"""Chart states by one compiled call against the motion converted time by time."""
 
 import numpy as np
 import pytest
