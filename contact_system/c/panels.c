@@ -68,6 +68,13 @@ static int implicit(const method_t *m, const double *lam, double half, double *i
   return 0;
 }
 
+static double dot(const double *a, const double *b) {
+  double sum = 0.0;
+#pragma omp simd reduction(+ : sum)
+  for (int i = 0; i < N; i++) sum += a[i] * b[i];
+  return sum;
+}
+
 /* The last panel's series continued to the nodes of the next: basis[N + 1][N] */
 static void continuation(const method_t *m, double from, double to, double next, double *basis) {
   double ratio = (next - to) / (to - from);
@@ -105,7 +112,11 @@ static double sweep(const method_t *m, const double *start, const double *c, con
     }
   }
   double change = 0.0, all = 0.0;
-  for (int i = 0; i < N; i++) change = worst[i] > change ? worst[i] : change, all += total[i];
+#pragma omp simd reduction(max : change) reduction(+ : all)
+  for (int i = 0; i < N; i++) {
+    change = worst[i] > change ? worst[i] : change;
+    all += total[i];
+  }
   if (!(all < 1e300)) return HUGE_VAL;
   return change;
 }
@@ -162,21 +173,15 @@ long panels(long nb, double *state, const double *constants, const double *scale
       if (k >= SWEEPS) { slow = 1; break; }
       double *out = coefficients + ((count * nb + b) * NX) * (N + 1);
       for (long s = 0; s < NX; s++) {
-        double *o = out + s * (N + 1), top = 0.0;
+        double *o = out + s * (N + 1), top;
         combine(m->series, N, f[s], 0.0, half, o);
-        for (int i = 0; i < N; i++) top += m->series[N * N + i] * f[s][i];
+        top = dot(m->series + N * N, f[s]);
         o[N] = half * top, o[0] += start[s];
         double tail = fabs(o[N]), last_but_one = 0.1 * fabs(o[N - 1]);
         tail = (tail > last_but_one ? tail : last_but_one) * sc[s];
         error = tail > error ? tail : error;
-        double e = 0.0;
-        if (s >= NX - m->n_stiff)
-          for (int i = 0; i < N; i++) e += m->end[N + i] * x[s][i];
-        else {
-          for (int i = 0; i < N; i++) e += m->end[i] * f[s][i];
-          e = start[s] + half * e;
-        }
-        panel_state[b * NX + s] = e;
+        panel_state[b * NX + s] = s >= NX - m->n_stiff ? dot(m->end + N, x[s])
+                                                       : start[s] + half * dot(m->end, f[s]);
       }
       restore(panel_state + b * NX, c);
     }
