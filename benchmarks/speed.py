@@ -194,7 +194,7 @@ def _beside(
 
 PEAKS = {1e2: 3.0, 1e5: 10.0, 1e7: 10.0}  # greatest eta sigma^2 [1/s]: times faster
 TARGETS = (1e-6, 1e-9, 1e-12)
-OURS = peers.decades(3, 15)
+OURS = peers.decades(1, 15)
 
 
 def slip(full: bool) -> Iterator[Bar]:

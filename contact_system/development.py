@@ -394,7 +394,7 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
                     f[:, :, n_smooth:] -= lam * new[:, :, n_smooth:]
                 change = np.abs((new - x[:, :, :n_states]) * scale).max()
                 x[:, :, :n_states] = new
-                if change <= max(tolerance * 1e-2, 1e-15):
+                if change <= max(tolerance * 0.1, 1e-15):
                     break
                 if k > 6 and change <= 1e-13 and change > 0.25 * last:
                     break
