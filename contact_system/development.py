@@ -196,12 +196,14 @@ SWEEPS = 40
 class Collocation:
     """Matrices of collocation at the Gauss points of [-1, 1].
 
+    project : (N, N), node values -> Legendre coefficients of the interpolant
     integral : (N, N), antiderivative of the interpolant at the nodes
     series : (N + 1, N), node values of f -> Legendre coefficients of its antiderivative from -1
     end : (2, N), weights of the integral over [-1, 1]; extrapolation of node values to +1
     """
 
     node: np.ndarray
+    project: np.ndarray
     integral: np.ndarray
     series: np.ndarray
     end: np.ndarray
@@ -209,19 +211,22 @@ class Collocation:
 
 @functools.cache
 def collocation(n: int = NODES) -> Collocation:
-    """The matrices, from the discrete orthogonality of Legendre polynomials at Gauss points."""
-    node, weight = legendre.leggauss(n)
+    """The matrices, from the Legendre polynomials at Gauss points.
+
+    Their inverse rather than discrete orthogonality: numpy's weights are off by 7e-15.
+    """
+    node, _ = legendre.leggauss(n)
     basis = legendre.legvander(node, n)  # P_0 .. P_n at the nodes
-    project = (basis[:, :n] * weight[:, None] * (np.arange(n) + 0.5)).T
+    project = np.linalg.inv(basis[:, :n])
     primitive = np.zeros((n + 1, n))  # int_-1 P_k = (P_{k+1} - P_{k-1}) / (2k + 1)
     primitive[0, 0] = primitive[1, 0] = 1.0
     for k in range(1, n):
         primitive[k + 1, k] += 1.0 / (2 * k + 1)
         primitive[k - 1, k] -= 1.0 / (2 * k + 1)
     series = primitive @ project
-    end = np.vstack([weight, project.sum(axis=0)])
+    end = np.vstack([2.0 * project[0], project.sum(axis=0)])
     return Collocation(
-        node, np.ascontiguousarray(basis @ series), np.ascontiguousarray(series), end
+        node, project, np.ascontiguousarray(basis @ series), np.ascontiguousarray(series), end
     )
 
 
@@ -394,7 +399,7 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
                     f[:, :, n_smooth:] -= lam * new[:, :, n_smooth:]
                 change = np.abs((new - x[:, :, :n_states]) * scale).max()
                 x[:, :, :n_states] = new
-                if change <= max(tolerance * 0.1, 1e-15):
+                if change <= max(tolerance * 0.1, 4e-16):
                     break
                 if k > 6 and change <= 1e-13 and change > 0.25 * last:
                     break

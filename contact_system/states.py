@@ -18,6 +18,7 @@ from .development import (
     Drive,
     DrivenTrack,
     Method,
+    collocation,
     method_pointers,
     panel_library,
     panels_built,
@@ -73,9 +74,7 @@ def _built() -> bool:
 @functools.cache
 def _projection() -> np.ndarray:
     """Node values to Legendre coefficients, transposed: (N, N)."""
-    node, weight = np.polynomial.legendre.leggauss(NODES)
-    basis = np.polynomial.legendre.legvander(node, NODES - 1)
-    return np.ascontiguousarray(basis * weight[:, None] * (np.arange(NODES) + 0.5))
+    return np.ascontiguousarray(collocation().project.T)
 
 
 def fits(finger: Track, body: Track, compiled: bool | None) -> bool:
@@ -134,7 +133,10 @@ def states(
         *method_pointers(), problem.stiff, PANELS, False,
     )  # fmt: skip
     program.body, program.aside = ctypes.addressof(body), ctypes.addressof(aside)
-    program.method, program.tolerance = ctypes.addressof(method), max(problem.tolerance, 1e-14)
+    program.method, program.tolerance = (
+        ctypes.addressof(method),
+        max(0.1 * problem.tolerance, 1e-14),
+    )
     state, spare, work, edges, motion, cuts, series = layout.offsets
     program.state, program.spare, program.work = at + state, at + spare, at + work
     program.edges, program.motion = at + edges, at + motion

@@ -165,7 +165,7 @@ long panels(long nb, double *state, const double *constants, const double *scale
       int k = 0;
       for (; k < SWEEPS; k++) {
         change = sweep(m, start, c, sc, half, lam, inv, x, f);
-        if (change <= m->tolerance * 0.1 || change <= 1e-15) break;
+        if (change <= m->tolerance * 0.1 || change <= 4e-16) break;
         if (k > 6 && change <= 1e-13 && change > 0.25 * last) break;
         if (!(change < 1e10)) { k = SWEEPS; break; }
         last = change;

@@ -62,13 +62,6 @@ static int sample(const program_t *p, double a, double b, double *last, double *
   return 0;
 }
 
-/* What a series leaves out: its last two terms continued at the ratio by which terms fall */
-static double left_out(const double *c) {
-  double last = fmax(fabs(c[N - 1]), fabs(c[N - 2])), before = fmax(fabs(c[N - 3]), fabs(c[N - 4]));
-  double ratio = last < 0.81 * before ? sqrt(last / before) : 0.9;
-  return fmax(fabs(c[N - 1]), ratio * fabs(c[N - 2])) * ratio / (1.0 - ratio);
-}
-
 /* Series of the chart states on [a, b], divided until their tails are below the tolerance. */
 static int resolve(program_t *p, double a, double b, double *last, int depth) {
   const long nb = p->body->nb, count = nb * ROWS;
@@ -81,7 +74,7 @@ static int resolve(program_t *p, double a, double b, double *last, int depth) {
     double *c = out + r * N, *v = values + r * N, size = 0.0;
     for (int j = 0; j < N; j++) size = fabs(v[j]) > size ? fabs(v[j]) : size;
     combine(p->project, N, v, 0.0, 1.0, c);
-    double tail = left_out(c);
+    double tail = fmax(fabs(c[N - 1]), 0.1 * fabs(c[N - 2]));
     static const int angle[ROWS] = {1, 1, 0, 0, 1, 1, 0, 0, 1, 0, 0};
     if (angle[r % ROWS] && size < 1.0) size = 1.0;
     tail /= size > 0 ? size : 1.0;
