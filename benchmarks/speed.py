@@ -183,10 +183,9 @@ def _beside(
             f"{1e6 * ready:.3g} us beside {1e6 * peer:.3g} us; errors {own:.1e} beside "
             f"{errors[chosen]:.1e}; new scene {1e6 * new:.3g} us"
         )
-        # "no greater error": to within one unit in the last place of the point
         yield Bar(
             f"no slip, {what}, {name}", limit if compiled else 1.0, peer / ready, "x", True, note,
-            own <= errors[chosen] + np.finfo(float).eps, detail,
+            own <= errors[chosen], detail,
         )  # fmt: skip
 
 

@@ -39,6 +39,13 @@ def diagonal(a: SX | float, b: SX | float) -> SX:
     return ca.diag(ca.vertcat(a, b))
 
 
+def fold_latitude(v: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return v in [-pi/2, pi/2], the angle with the same sine, and where it had to be folded."""
+    v = wrap_angle(v)
+    beyond = np.abs(v) > math.pi / 2
+    return np.where(beyond, np.copysign(math.pi, v) - v, v), beyond
+
+
 def wrap_angle(angle: Array) -> Array:
     """Return the angle in (-pi, pi], untouched where it is there already."""
     turned = angle - TURN * np.ceil((angle - math.pi) / TURN)
@@ -279,12 +286,8 @@ class JacobiChart(Chart):
 
     @staticmethod
     def wrap(u: Array, v: Array) -> tuple[Array, Array]:
-        v = wrap_angle(v)
-        beyond = np.abs(v) > math.pi / 2
-        return (
-            wrap_angle(np.where(beyond, -u, u)),
-            np.where(beyond, np.copysign(math.pi, v) - v, v),
-        )
+        v, beyond = fold_latitude(v)
+        return wrap_angle(np.where(beyond, -u, u)), v
 
 
 class OblateChart(Chart):
@@ -315,12 +318,8 @@ class OblateChart(Chart):
 
     @staticmethod
     def wrap(u: Array, v: Array) -> tuple[Array, Array]:
-        v = wrap_angle(v)
-        beyond = np.abs(v) > math.pi / 2
-        return (
-            wrap_angle(np.where(beyond, u + math.pi, u)),
-            np.where(beyond, np.copysign(math.pi, v) - v, v),
-        )
+        v, beyond = fold_latitude(v)
+        return wrap_angle(np.where(beyond, u + math.pi, u)), v
 
 
 class ProlateChart(Chart):

@@ -24,6 +24,7 @@ from .tracks import (
     Evaluator,
     Track,
     TrackData,
+    drive_data,
     frame_coordinates,
     frame_kernel,
     point_kernel,
@@ -159,10 +160,9 @@ class CircleTrack(Track):
     def _data(self) -> tuple[int, tuple]:
         """Address of the C form of this track, and what it points to."""
         piece, circle = self.piece, self.circle
-        sigma, length, _ = piece.arrays
         data = TrackData(
-            start=self.start, stop=self.stop, nb=self.n_bodies, n_sigma=len(sigma),
-            constants=address(circle.constants), sigma=address(sigma), length=address(length),
+            start=self.start, stop=self.stop, drive=drive_data(piece), nb=self.n_bodies,
+            constants=address(circle.constants), length=address(piece.arrays[1]),
             w=address(circle.pace), v=address(circle.phase_per_metre),
         )  # fmt: skip
         return ctypes.addressof(data), (data, circle)

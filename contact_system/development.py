@@ -48,6 +48,7 @@ from .tracks import (
     Track,
     TrackData,
     chart_to_parallel,
+    drive_data,
     evaluator,
     restoring_kernel,
     rotation,
@@ -416,7 +417,8 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
         coefficients[:, 0] += start
         tail = np.maximum(np.abs(coefficients[:, -1]), 0.1 * np.abs(coefficients[:, -2]))
         error = (tail * problem.scale).max()
-        ratio = 0.9 * (tolerance / error) ** (1.0 / NODES) if error > 0 else 2.0
+        # an error below 1e-30 says no more than one of 1e-30, and a quotient must not overflow
+        ratio = 0.9 * (tolerance / max(error, 1e-30)) ** (1.0 / NODES)
         if not error <= tolerance:
             h = (after - tau) * min(max(ratio, 0.2), 0.8)
             continue
@@ -453,13 +455,6 @@ def longest_panel(drive: GainPiece, slip: float, tau: float, h: float) -> float:
 
 
 # --- the compiled twin -------------------------------------------------------------------------
-
-
-class Drive(ctypes.Structure):
-    """``drive_t`` of c/common.h."""
-
-    _fields_ = [("n_sigma", ctypes.c_long), ("n_exponent", ctypes.c_long), ("power", ctypes.c_long),
-                ("sigma", ctypes.c_void_p), ("exponent", ctypes.c_void_p)]  # fmt: skip
 
 
 class Method(ctypes.Structure):
@@ -522,9 +517,9 @@ _BUILT: dict[Kernel, bool] = {}
 
 
 def _integrate_compiled(kernel: Kernel, problem: Problem, tolerance: float) -> Panels:
-    run, (sigma, _, exponent) = panel_library(kernel).panels, problem.drive.arrays
+    run = panel_library(kernel).panels
     n_bodies, n_states = problem.start.shape
-    drive = Drive(len(sigma), len(exponent), problem.drive.power, address(sigma), address(exponent))
+    drive = drive_data(problem.drive)
     scale, constants = contiguous(problem.scale), contiguous(problem.constants)
     size, room = n_bodies * n_states, 24
     while True:
@@ -624,18 +619,17 @@ class PanelTrack(Track):
     def _data(self) -> tuple[int, tuple]:
         """Address of the C form of this track, and what it points to."""
         series, piece, edges = self.panels.coefficients, self.piece, self.panels.edges
-        sigma, length, exponent = piece.arrays
         period_u, period_v = self.surface.periods()
         first = (self.rows.start or 0) * series.strides[2]
         kept = [
             contiguous(a) for a in (self.parameters, self.w, self.w if self.v is None else self.v)
         ]
         data = TrackData(
-            self.start, self.stop, self.n_bodies, len(sigma), len(exponent), piece.power,
-            self.v is not None, self.by_length, len(edges) - 1, series.strides[0] // 8,
-            series.strides[1] // 8, 0, self.surface.double_cover, period_u or 0.0, period_v or 0.0,
-            address(kept[0]), address(sigma), address(length), address(exponent), address(kept[1]),
-            address(kept[2]), address(edges), address(series) + first, None, None,
+            self.start, self.stop, drive_data(piece), self.n_bodies, self.v is not None,
+            self.by_length, len(edges) - 1, series.strides[0] // 8, series.strides[1] // 8, 0,
+            self.surface.double_cover, period_u or 0.0, period_v or 0.0, address(kept[0]),
+            address(piece.arrays[1]), address(kept[1]), address(kept[2]), address(edges),
+            address(series) + first, None, None,
         )  # fmt: skip
         return ctypes.addressof(data), (data, kept, series, edges)
 

@@ -248,7 +248,11 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What the scene alone says about a group; kept with the scene, so worked out once."""
+    """What the scene alone says about a group; kept with the scene, so worked out once.
+
+    ``kept`` holds what planning finds and no tolerance changes: great circles from the start, whole
+    groups that consist of them, constants laid out for C.
+    """
 
     scene: Scene
     contacts: np.ndarray
@@ -263,9 +267,7 @@ class Prepared:
     at: tuple[np.ndarray, np.ndarray]
     follows: bool
     intervals: tuple[Interval, ...]
-    known: dict[bool | None, Group] = field(default_factory=dict)
-    circles: dict[tuple, Track] = field(default_factory=dict)
-    shared: dict[Any, Any] = field(default_factory=dict)
+    kept: dict[Any, Any] = field(default_factory=dict)
 
 
 def plan_groups(
@@ -284,7 +286,7 @@ def plan_groups(
     else:
         prepared = prepare(scene, starts, begin)
     return [
-        group.known.get(compiled) or GroupPlanner(group, tolerance, compiled).run()
+        group.kept.get(("group", compiled)) or GroupPlanner(group, tolerance, compiled).run()
         for group in prepared
     ]
 
@@ -391,7 +393,7 @@ class GroupPlanner:
         circles = [track for track in tracks if isinstance(track, CircleTrack)]
         if len(circles) == len(tracks) and not self.v.any():
             group.pair = pair_of(circles)
-            self.prepared.known[self.compiled] = group  # whatever the tolerance
+            self.prepared.kept["group", self.compiled] = group  # whatever the tolerance
         return group
 
     # --- bodies that nothing accelerates -------------------------------------------------------
@@ -441,7 +443,7 @@ class GroupPlanner:
         self, side: str, body: Body, w: np.ndarray, piece: GainPiece, why: str
     ) -> Track:
         """A great circle; one that runs from the start is kept with the scene."""
-        known, key = self.prepared.circles, (side, piece.stop, self.compiled)
+        known, key = self.prepared.kept, (side, piece.stop, self.compiled)
         first = piece.start == self.prepared.begin
         if first and key in known:
             return known[key]
@@ -526,7 +528,7 @@ class GroupPlanner:
         finish = min(negligible, RATE_LEFT * self.tolerance) if stops else negligible
         # What the first interval starts from is the scene's: worked out and laid out for C once.
         begins = interval is self.prepared.intervals[0] and offset is None
-        shared = self.prepared.shared if begins else {}
+        shared = self.prepared.kept if begins else {}
         if "constants" not in shared:
             shared["constants"] = self._constants(body, offset)
         problem = Problem(

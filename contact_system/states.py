@@ -15,7 +15,6 @@ import numpy as np
 
 from .closed_form import CircleTrack
 from .development import (
-    Drive,
     DrivenTrack,
     Method,
     collocation,
@@ -32,7 +31,7 @@ from .kernels import (
     find_compiler,
     library_path,
 )
-from .tracks import Track, TrackData, evaluator
+from .tracks import Track, TrackData, drive_data, evaluator
 
 MOST = 8  # bodies a call
 FEW_TIMES = 48  # below this, series are not worth making
@@ -43,7 +42,7 @@ ROWS = 11  # see c/states.c
 class _Program(ctypes.Structure):
     _fields_ = (
         [(name, ctypes.c_void_p) for name in (
-            "integrate", "finger", "object", "tip", "body", "aside", "drive", "method")]
+            "integrate", "finger", "object", "tip", "body", "aside", "method")]
         + [(name, ctypes.c_long) for name in ("nx", "room")]
         + [("tolerance", ctypes.c_double)]
         + [(name, ctypes.c_void_p) for name in (
@@ -157,16 +156,13 @@ class _Layout:
         self.size = sum(sizes)
         self.offsets = tuple(8 * sum(sizes[:i]) for i in range(len(sizes)))
         piece = problem.drive
-        sigma, length, exponent = map(address, piece.arrays)
-        counts = len(piece.sigma), len(piece.exponent), piece.power
-        drive = Drive(*counts, sigma, exponent)
         period_u, period_v = track.surface.periods()
         assert track.v is not None
         self.body = TrackData(
-            track.start, track.stop, n, *counts, False, False, 0, n * nx * (NODES + 1),
+            track.start, track.stop, drive_data(piece), n, False, False, 0, n * nx * (NODES + 1),
             nx * (NODES + 1), 0, track.surface.double_cover, period_u or 0.0, period_v or 0.0,
-            address(track.parameters), sigma, length, exponent, address(track.w), address(track.v),
-            None, None, None, None,
+            address(track.parameters), address(piece.arrays[1]), address(track.w),
+            address(track.v), None, None, None, None,
         )  # fmt: skip
         own = finger.entry("coordinates")
         assert own is not None
@@ -174,12 +170,12 @@ class _Layout:
         arrays = (problem.start, problem.constants, problem.scale, begin, angle, _projection())
         self.program = _Program(
             _pointer(panel_library(track.kernel).panels), _pointer(own[0]), _pointer(evaluate),
-            own[1], None, None, ctypes.addressof(drive), None, nx, SERIES, 0.0,
+            own[1], None, None, None, nx, SERIES, 0.0,
             *map(address, arrays), *[None] * 7, 0,
         )  # fmt: skip
         self.run = _library().states
         # the addresses above stay good as long as these do
-        self._kept = (drive, piece, track.parameters, track.w, track.v, finger, arrays)
+        self._kept = (piece, track.parameters, track.w, track.v, finger, arrays)
 
 
 def _pointer(function: Callable[..., int]) -> int | None:

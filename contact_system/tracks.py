@@ -28,6 +28,7 @@ from .kernels import (
     per_structure,
     row_offsets,
 )
+from .profile import GainPiece
 from .surfaces import Surface
 
 SX = ca.SX
@@ -327,18 +328,31 @@ def wind(values: np.ndarray, reference: np.ndarray, period: float) -> None:
 # --- compiled evaluation -------------------------------------------------------------------------
 
 
+class Drive(ctypes.Structure):
+    """``drive_t`` of c/common.h: sigma and decay of a GainPiece."""
+
+    _fields_ = [("n_sigma", ctypes.c_long), ("n_exponent", ctypes.c_long), ("power", ctypes.c_long),
+                ("sigma", ctypes.c_void_p), ("exponent", ctypes.c_void_p)]  # fmt: skip
+
+
+def drive_data(piece: GainPiece) -> Drive:
+    """A piece for C; it points to the piece's arrays."""
+    sigma, _, exponent = piece.arrays
+    return Drive(len(sigma), len(exponent), piece.power, address(sigma), address(exponent))
+
+
 class TrackData(ctypes.Structure):
-    """``track_t`` of c/tracks.c."""
+    """``track_t`` of c/common.h."""
 
     _fields_ = (
         [(name, ctypes.c_double) for name in ("start", "stop")]
+        + [("drive", Drive)]
         + [(name, ctypes.c_long) for name in (
-            "nb", "n_sigma", "n_exponent", "power", "slips", "by_length", "n_panels",
-            "panel_stride", "body_stride", "n_anchors", "double_cover")]
+            "nb", "slips", "by_length", "n_panels", "panel_stride", "body_stride", "n_anchors",
+            "double_cover")]
         + [(name, ctypes.c_double) for name in ("period_u", "period_v")]
         + [(name, ctypes.c_void_p) for name in (
-            "constants", "sigma", "length", "exponent", "w", "v", "edges", "coefficients",
-            "anchor_times", "anchors")]
+            "constants", "length", "w", "v", "edges", "coefficients", "anchor_times", "anchors")]
     )  # fmt: skip
 
 

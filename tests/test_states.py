@@ -8,7 +8,7 @@ import contact_system as cs
 from contact_system import states
 from contact_system.kernels import find_compiler
 
-pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
+COMPILER = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 
 TIMES = np.linspace(0.0, 1.0, 301)
 GAINS = {
@@ -22,6 +22,7 @@ def by_one_call(plan: cs.Plan) -> bool:
     return states.fits(group.finger[0], group.object[0], True)
 
 
+@COMPILER
 @pytest.mark.parametrize("gain", GAINS)
 @pytest.mark.parametrize("obj", ["sphere", "bowl", "ellipsoid", "oblate", "turned ellipsoid"])
 def test_one_call_gives_the_states_of_the_motion(obj, gain):
@@ -35,6 +36,7 @@ def test_one_call_gives_the_states_of_the_motion(obj, gain):
     )
 
 
+@COMPILER
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
 def test_error_of_one_call_follows_the_tolerance(tolerance):
     scene = one_contact("ellipsoid", "sphere", gain=cs.Gain.path(300.0))
@@ -43,18 +45,21 @@ def test_error_of_one_call_follows_the_tolerance(tolerance):
     assert np.abs(found - expected).max() / np.abs(expected).max() < tolerance
 
 
+@COMPILER
 def test_times_of_one_call_come_in_any_order():
     plan = cs.plan(one_contact("sphere", "sphere"), compiled=True)
     order = np.random.default_rng(3).permutation(len(TIMES))
     assert plan.states(TIMES[order]) == pytest.approx(plan.states(TIMES)[order], abs=1e-14)
 
 
+@COMPILER
 def test_one_call_refuses_times_outside_the_horizon():
     plan = cs.plan(one_contact("sphere", "sphere"), compiled=True)
     with pytest.raises(cs.ContactSystemError, match=r"t = 1\.01\d* s is outside"):
         plan.states(np.linspace(0.0, 1.5, 100))
 
 
+@COMPILER
 def test_a_path_that_grazes_a_pole_falls_back_to_the_motion_itself():
     scene = one_contact(
         object_at=(0.3, 0.0), object_velocity=(-0.9, 1e-9), finger_velocity=(1.0, 0.0),
@@ -65,7 +70,7 @@ def test_a_path_that_grazes_a_pole_falls_back_to_the_motion_itself():
     assert plan.states(TIMES)[:, :, 4] == pytest.approx(expected[:, :, 4], abs=1e-12)
 
 
-@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=COMPILER)])
 @pytest.mark.parametrize("obj", SURFACES)
 def test_rates_begin_as_the_scene_says_however_short_slip_lasts(obj, compiled):
     scene = one_contact(obj, "sphere", gain=cs.Gain.time(1e12), object_velocity=(0.2, -0.5))

@@ -22,10 +22,11 @@ typedef struct {
 
 typedef struct {
   double start, stop;
-  long nb, n_sigma, n_exponent, power, slips, by_length, n_panels, panel_stride, body_stride;
+  drive_t drive;
+  long nb, slips, by_length, n_panels, panel_stride, body_stride;
   long n_anchors, double_cover;
   double period_u, period_v;
-  const double *constants, *sigma, *length, *exponent;
+  const double *constants, *length; /* length: polynomial of the arc length, lowest first */
   const double *w, *v;               /* circle: pace, phase per metre; panels: W, V */
   const double *edges, *coefficients; /* of the first state row of body 0 in panel 0 */
   const double *anchor_times, *anchors; /* [m], [nb][3][m] */
@@ -35,6 +36,18 @@ static inline double horner(const double *c, long n, double x) {
   double y = c[n - 1];
   for (long k = n - 2; k >= 0; k--) y = y * x + c[k];
   return y;
+}
+
+/* exp(-(L(tau) - L(0))) at n local times, where sigma is given: profile.GainPiece.decay. Less than
+   exp(-100) is nothing, and libm takes 50 ns over an underflow. */
+static inline void decays(const drive_t *d, const double *tau, const double *sigma, long n,
+                          double *out) {
+  for (long i = 0; i < n; i++) out[i] = horner(d->exponent, d->n_exponent, tau[i]);
+#pragma omp simd
+  for (long i = 0; i < n; i++) out[i] = out[i] < 100 ? exp(-out[i]) : 0.0;
+  if (d->power)
+    for (long i = 0; i < n; i++)
+      if (tau[i] > 0) out[i] *= d->sigma[0] / sigma[i];
 }
 
 /* the k of edges[k] <= x < edges[k + 1], ends included, starting the search at a guess */

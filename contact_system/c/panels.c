@@ -14,14 +14,6 @@ static double slope(const double *c, long n, double x) {
   return y;
 }
 
-static double decay_at(const drive_t *d, double tau, double sigma) {
-  double lost = horner(d->exponent, d->n_exponent, tau);
-  if (lost > 100) return 0.0; /* 4e-44: nothing; and libm takes 50 ns over an underflow */
-  double e = exp(-lost);
-  if (d->power && tau > 0) e *= d->sigma[0] / sigma;
-  return e;
-}
-
 static double gain_at(const drive_t *d, double tau) {
   double lam = slope(d->exponent, d->n_exponent, tau);
   if (d->power) lam += slope(d->sigma, d->n_sigma, tau) / horner(d->sigma, d->n_sigma, tau);
@@ -136,13 +128,13 @@ long panels(long nb, double *state, const double *constants, const double *scale
     h = longest(drive, m, tau, h < m->length - tau ? h : m->length - tau);
     double after = tau + h;
     if (after >= m->length * (1 - 1e-14)) after = m->length;
-    double half = 0.5 * (after - tau), sig[N], dec[N];
+    double half = 0.5 * (after - tau), t[N], sig[N], dec[N] = {0};
     for (int i = 0; i < N; i++) {
-      double t = tau + half * (1.0 + m->node[i]);
-      sig[i] = horner(drive->sigma, drive->n_sigma, t);
-      dec[i] = m->slip > 0 ? decay_at(drive, t, sig[i]) : 0.0;
-      if (m->n_stiff) lam[i] = gain_at(drive, t);
+      t[i] = tau + half * (1.0 + m->node[i]);
+      sig[i] = horner(drive->sigma, drive->n_sigma, t[i]);
+      if (m->n_stiff) lam[i] = gain_at(drive, t[i]);
     }
+    if (m->slip > 0) decays(drive, t, sig, N, dec);
     if (m->n_stiff && implicit(m, lam, half, inv)) return -2;
     /* Picard sweeps start from the last panel's series where that reaches (28 % fewer of them) */
     int known = count > 0 && after - tau <= 2.0 * (tau - edges[count - 1]);
@@ -192,13 +184,14 @@ long panels(long nb, double *state, const double *constants, const double *scale
       continue;
     }
     memcpy(state, panel_state, (size_t)(nb * NX) * sizeof(double));
-    double grow = error > 0 ? 0.9 * pow(m->tolerance / error, 1.0 / N) : 2.0;
+    double grow = 0.9 * pow(m->tolerance / (error > 1e-30 ? error : 1e-30), 1.0 / N);
     h = (after - tau) * (grow < 2.0 ? grow : 2.0);
     tau = after;
     edges[++count] = tau;
     if (m->slip > 0 && m->finish > 0 && tau < m->length) {
-      double s = horner(drive->sigma, drive->n_sigma, tau);
-      if (m->slip * decay_at(drive, tau, s) <= m->finish) {
+      double s = horner(drive->sigma, drive->n_sigma, tau), left;
+      decays(drive, &tau, &s, 1, &left);
+      if (m->slip * left <= m->finish) {
         m->released = tau;
         if (m->stops) break;
         m->slip = 0.0; /* from here on decay is not evaluated, nor resolved */

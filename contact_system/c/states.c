@@ -18,7 +18,6 @@ typedef struct {
   panels_t integrate;
   evaluate_t finger, object;
   track_t *tip, *body, *aside; /* aside: the body driven by V; edges, coefficients filled here */
-  const drive_t *drive;
   method_t *method;
   long nx, room; /* states of a body; room for series */
   double tolerance;
@@ -42,7 +41,7 @@ static int sample(const program_t *p, double a, double b, double *last, double *
   if (p->finger(p->tip, N, times, tip, row, SIDE * N)) return 1;
   if (p->object(p->body, N, times, body, row, SIDE * N)) return 1;
   /* once exp(-40) of the slip is left, its part of the rates is below rounding */
-  int slips = horner(p->drive->exponent, p->drive->n_exponent, a) < 40.0;
+  int slips = horner(p->body->drive.exponent, p->body->drive.n_exponent, a) < 40.0;
   if (slips && p->object(p->aside, N, times, aside, row, SIDE * N)) return 1;
   for (long k = 0; k < nb; k++, tip += SIDE * N, body += SIDE * N, aside += SIDE * N) {
     double *ref = last + 3 * k, *out = values + k * ROWS * N;
@@ -95,23 +94,13 @@ static int resolve(program_t *p, double a, double b, double *last, int depth) {
   return 0;
 }
 
-/* exp(-(L(tau) - L(0))) at n times; see profile.GainPiece */
-static void decays(const drive_t *d, const double *tau, long n, double *decay) {
-  for (long i = 0; i < n; i++) decay[i] = horner(d->exponent, d->n_exponent, tau[i]);
-#pragma omp simd
-  for (long i = 0; i < n; i++) decay[i] = exp(decay[i] < 100 ? -decay[i] : -100);
-  if (d->power)
-    for (long i = 0; i < n; i++)
-      if (tau[i] > 0) decay[i] *= d->sigma[0] / horner(d->sigma, d->n_sigma, tau[i]);
-}
-
 /* States of body b go to out[(b * OUT + r) * nt + i]. Returns 0; 1 + the index of the first time
    outside the track; -1 or -2 as panels does; -3 where the series do not resolve the states. */
 long states(program_t *p, long nt, const double *t, double *out) {
   track_t *k = p->body;
   const long nb = k->nb;
   memcpy(p->state, p->start, nb * p->nx * sizeof(double));
-  long panels = p->integrate(nb, p->state, p->constants, p->scale, p->drive, p->method, p->edges,
+  long panels = p->integrate(nb, p->state, p->constants, p->scale, &k->drive, p->method, p->edges,
                              p->motion, p->work, p->spare);
   if (panels < 0) return panels;
   k->n_panels = panels, k->edges = p->edges, k->coefficients = p->motion;
@@ -122,20 +111,20 @@ long states(program_t *p, long nt, const double *t, double *out) {
   p->n_series = 0, p->cuts[0] = 0.0;
   for (long i = 0; i < panels; i++)
     if (resolve(p, p->edges[i], p->edges[i + 1], last, 0)) return -3;
-  double xi[WIDTH] = {0}, basis[N + 1][WIDTH], sums[ROWS][WIDTH], tau[WIDTH] = {0}, decay[WIDTH];
+  double xi[WIDTH] = {0}, basis[N + 1][WIDTH], sums[ROWS][WIDTH], tau[BLOCK], sigma[BLOCK], decay[BLOCK];
   long where[BLOCK], near = 0;
   for (long from = 0; from < nt; from += BLOCK) {
     long n = nt - from < BLOCK ? nt - from : BLOCK;
     for (long i = 0; i < n; i++) {
       double x = t[from + i] - k->start, end = p->cuts[p->n_series];
       if (!(t[from + i] >= k->start && t[from + i] <= k->stop)) return from + i + 1;
-      tau[i] = x;
+      tau[i] = x, sigma[i] = horner(k->drive.sigma, k->drive.n_sigma, x);
       x = x < end ? x : end;
       where[i] = near = interval(p->cuts, p->n_series, x, near);
       xi[i] = 2.0 * (x - p->cuts[near]) / (p->cuts[near + 1] - p->cuts[near]) - 1.0;
     }
     legendre(xi, n, basis);
-    decays(p->drive, tau, n, decay);
+    decays(&k->drive, tau, sigma, n, decay);
     for (long b = 0; b < nb; b++) {
       for (long i = 0, stop; i < n; i = stop) {
         for (stop = i + 1; stop < n && where[stop] == where[i];) stop++;

@@ -16,6 +16,7 @@
 long evaluate(const track_t *k, long nt, const double *t, double *out, const long *out_row,
               long out_body) {
   static const long rows[] = {ROWS};
+  const drive_t *d = &k->drive;
   double point[NP][POINTS], tau[BLOCK], sigma[BLOCK], length[BLOCK];
 #ifndef CIRCLE
   double decay[BLOCK], xi[WIDTH] = {0}, basis[N + 1][WIDTH];
@@ -31,18 +32,15 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
     if (outside)
       for (long i = 0; i < n; i++)
         if (!(t[from + i] >= k->start && t[from + i] <= k->stop)) return from + i + 1;
-    for (long i = 0; i < n; i++) sigma[i] = k->sigma[k->n_sigma - 1], length[i] = k->length[k->n_sigma];
-    for (long j = k->n_sigma - 2; j >= 0; j--)
-      for (long i = 0; i < n; i++) sigma[i] = sigma[i] * tau[i] + k->sigma[j];
-    for (long j = k->n_sigma - 1; j >= 0; j--)
+    for (long i = 0; i < n; i++) sigma[i] = d->sigma[d->n_sigma - 1], length[i] = k->length[d->n_sigma];
+    for (long j = d->n_sigma - 2; j >= 0; j--)
+      for (long i = 0; i < n; i++) sigma[i] = sigma[i] * tau[i] + d->sigma[j];
+    for (long j = d->n_sigma - 1; j >= 0; j--)
       for (long i = 0; i < n; i++) length[i] = length[i] * tau[i] + k->length[j];
 #ifndef CIRCLE
     if (k->slips) {
-      for (long i = 0; i < n; i++) decay[i] = horner(k->exponent, k->n_exponent, tau[i]);
-#pragma omp simd
-      for (long i = 0; i < n; i++) decay[i] = exp(decay[i] < 100 ? -decay[i] : -100) * sigma[i];
-      if (k->power)
-        for (long i = 0; i < n; i++) decay[i] = tau[i] > 0 ? decay[i] * k->sigma[0] / sigma[i] : decay[i];
+      decays(d, tau, sigma, n, decay);
+      for (long i = 0; i < n; i++) decay[i] *= sigma[i];
     }
     for (long i = 0; i < n; i++) {
       double x = k->by_length ? length[i] : tau[i], end = k->edges[k->n_panels];
