@@ -252,7 +252,8 @@ class JacobiChart(Chart):
         half_product = k * l1 * ca.fabs(ys)
         total = hypot(difference, 2 * half_product)
         greater = ca.sqrt((ca.fabs(difference) + total) / 2)
-        smaller = half_product / ca.fmax(greater, TINY)
+        # At an umbilic both vanish; where their squares underflow the quotient alone would not.
+        smaller = ca.fmin(half_product / ca.fmax(greater, TINY), greater)
         alpha_leads = difference >= 0
         root_alpha = ca.if_else(alpha_leads, greater, smaller)
         root_beta = ca.if_else(alpha_leads, smaller, greater)
