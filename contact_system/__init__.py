@@ -10,6 +10,7 @@ from .errors import (
     SceneError,
     SurfaceError,
 )
+from .measured import measured_states
 from .measures import Rejection, great_circle_distance, rejections
 from .plan import Plan, load, plan
 from .profile import Contraction, Gain, Profile
@@ -25,6 +26,7 @@ from .scene import (
     save_scene,
 )
 from .surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
+from .system import SceneSystem
 from .user_surfaces import ImplicitSurface, ParametricSurface
 
 __version__ = "0.1.0"
@@ -33,7 +35,7 @@ __all__ = [
     "ChartSingularity", "ConformalContact", "Contact", "ContactSystemError", "Contraction",
     "Cylinder", "Ellipsoid", "FingerAcceleration", "Gain", "ImplicitSurface",
     "ObjectAcceleration", "ObjectRateOffset", "ParametricSurface", "Plan", "Plane", "Profile",
-    "Quadric", "Rejection", "Scene", "SceneError", "Sphere", "Surface", "SurfaceError", "Torus",
-    "Turning", "bundled_scenes", "great_circle_distance", "load", "load_scene", "plan",
-    "rejections", "save_scene",
+    "Quadric", "Rejection", "Scene", "SceneError", "SceneSystem", "Sphere", "Surface",
+    "SurfaceError", "Torus", "Turning", "bundled_scenes", "great_circle_distance", "load",
+    "load_scene", "measured_states", "plan", "rejections", "save_scene",
 ]  # fmt: skip

@@ -12,9 +12,15 @@ The velocity of the finger's material point relative to the object's is ``-v_rel
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from .errors import ConformalContact
+
+# Relative curvature whose determinant is below this part of its square leaves the motion open.
+SINGULAR = 1e-12
 
 
 def contact_map(psi: np.ndarray | float) -> np.ndarray:
@@ -100,7 +106,7 @@ def forward_montana(
     turn = contact_map(psi)
     relative = turn @ curvature_2 @ turn + curvature_1
     size = np.abs(curvature_1).max((-1, -2)) + np.abs(curvature_2).max((-1, -2))
-    singular = np.abs(np.linalg.det(relative)) <= 1e-12 * size**2
+    singular = np.abs(np.linalg.det(relative)) <= SINGULAR * size**2
     if np.any(singular):
         at = np.argwhere(np.atleast_1d(singular))[0]
         raise ConformalContact(
@@ -108,11 +114,42 @@ def forward_montana(
             f"{np.atleast_3d(relative).reshape(-1, 2, 2)[at[0]].tolist()} 1/m is singular), so a "
             "twist does not determine where they touch; change a radius"
         )
-    k = np.stack([-omega[..., 1], omega[..., 0]], axis=-1)
-    # [-omega_y, omega_x] = K1 a1 + R K2 a2 with a2 = R a1 - v_rel
-    k = k + np.einsum("...ij,...jk,...k->...i", turn, curvature_2, v_rel)
-    a1 = np.linalg.solve(relative, k[..., None])[..., 0]
-    return a1, np.einsum("...ij,...j->...i", turn, a1) - v_rel
+    bend = np.stack([-omega[..., 1], omega[..., 0]], axis=-1)
+    a1, a2 = contact_velocities(
+        curvature_1, curvature_2, turn, bend[..., None], v_rel[..., None], np.linalg.solve
+    )
+    return a1[..., 0], a2[..., 0]
+
+
+def contact_velocities(
+    curvature_1: Any,
+    curvature_2: Any,
+    turn: Any,
+    bend: Any,
+    v_rel: Any,
+    solve: Callable[[Any, Any], Any],
+) -> tuple[Any, Any]:
+    """What :func:`forward_montana` solves, for arrays and for SX matrices alike.
+
+    From ``bend = K_1 a_1 + R_psi K_2 a_2`` and ``v_rel = R_psi a_1 - a_2`` the contact velocities
+    a_1, a_2.
+
+    Parameters
+    ----------
+    curvature_1, curvature_2, turn : (..., 2, 2)
+        K_1, K_2 [1/m] and R_psi.
+    bend, v_rel : (..., 2, 1)
+        ``[-omega_y, omega_x]`` in E1 [rad/s], slip in E2 [m/s].
+    solve : callable
+        ``solve(A, b)`` of the kind of matrices given.
+
+    Returns
+    -------
+    a1, a2 : (..., 2, 1)
+        M_i q_i' in E_i, m/s.
+    """
+    a1 = solve(turn @ curvature_2 @ turn + curvature_1, bend + turn @ curvature_2 @ v_rel)
+    return a1, turn @ a1 - v_rel
 
 
 def relative_pose(frame_1: np.ndarray, frame_2: np.ndarray, r0: np.ndarray) -> np.ndarray:

@@ -202,32 +202,53 @@ class ParametricSurface(UserSurface):
             No point of the surface is found within 1e-9 of the size.
         """
         points = self._points(x)
+        u, v, miss = self.nearest(points, guess)
+        reach = np.fmax(self.size, np.linalg.norm(points, axis=-1))
+        # ~(a <= b) rather than a > b: a descent that ends in NaN has missed as well.
+        missed = np.flatnonzero(~(miss <= 1e-9 * reach))
+        if len(missed):
+            i = int(missed[0])
+            raise SurfaceError(
+                f"{self!r}: no (u, v) found for the point {points.reshape(-1, 3)[i].tolist()}, "
+                f"nearest miss {miss.ravel()[i]:.3g} m; check that it lies on the surface, or give "
+                f"guess=(u, v), or u_range (now {self.u_range}) and v_range (now {self.v_range})"
+            )
+        return self._wrap(u, v)
+
+    def nearest(
+        self, x: ArrayLike, guess: tuple[ArrayLike, ArrayLike] | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Return (u, v) of the points of the surface nearest to points (..., 3), and how near.
+
+        Parameters
+        ----------
+        x : array-like (..., 3)
+            m.
+        guess : pair of array-likes (...), optional
+            As for `coordinates`; without it a near point of the surface may be overlooked.
+
+        Returns
+        -------
+        u, v, distance : arrays (...)
+            The distance is infinite or NaN where nothing is found.
+        """
+        points = self._points(x)
         flat = points.reshape(-1, 3)
         if guess is None:
             starts = self._grid_starts(flat)
         else:
             given = np.broadcast_arrays(points[..., 0], *map(np.asarray, guess))[1:]
             starts = [tuple(np.array(w, dtype=float).ravel() for w in given)]
-        u, v = (w.copy() for w in starts[0])
-        miss = np.full(len(flat), np.inf)
-        # ~(a <= b) rather than a > b: a descent that ends in NaN has missed as well.
-        missed = ~(miss <= 1e-9 * self.size)
+        found = np.array([*starts[0], np.full(len(flat), np.inf)])
+        missed = np.arange(len(flat))
         for start_u, start_v in starts:
-            u[missed], v[missed], miss[missed] = self._descend(
-                flat[missed], start_u[missed], start_v[missed]
-            )
-            missed = ~(miss <= 1e-9 * np.fmax(self.size, np.linalg.norm(flat, axis=1)))
-            if not np.any(missed):
+            tried = np.array(self._descend(flat[missed], start_u[missed], start_v[missed]))
+            found[:, missed] = np.where(~(tried[2] >= found[2, missed]), tried, found[:, missed])
+            missed = np.flatnonzero(~(found[2] <= 1e-9 * self.size))
+            if not len(missed):
                 break
-        else:
-            i = int(np.argmax(missed))
-            raise SurfaceError(
-                f"{self!r}: no (u, v) found for the point {flat[i].tolist()}, nearest miss "
-                f"{miss[i]:.3g} m; check that it lies on the surface, or give guess=(u, v), or "
-                f"u_range (now {self.u_range}) and v_range (now {self.v_range})"
-            )
-        u, v = self._wrap(u, v)
-        return u.reshape(points.shape[:-1]), v.reshape(points.shape[:-1])
+        u, v, miss = (w.reshape(points.shape[:-1]) for w in found)
+        return u, v, miss
 
     def _grid_starts(self, flat: Array, cells: int = 32, tries: int = 4) -> list[tuple[Any, ...]]:
         """Return the nearest few grid points to each of (n, 3) points, nearest first."""

@@ -1,0 +1,391 @@
+r"""Contact states from a measured relative motion of the bodies: nothing of a plan is needed.
+
+Where two bodies touch, or would touch next, follows from their relative pose alone: the points
+x_1, x_2 at which the line that joins them is normal to both surfaces. Newton's method finds them,
+and its step is Montana's forward map (:func:`contact_system.kinematics.contact_velocities`): how
+far contact points have to move so that normals turn by what they miss, and so that the line stands
+on both surfaces. A gap g between the bodies is met by moving the object's surface out to the
+finger, which makes its curvature form ``(I + g K_2)^{-1} K_2``.
+
+The rates are then the forward map of the measured twist.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .charts import SX
+from .development import reflection
+from .errors import ChartSingularity, ConformalContact, ContactSystemError
+from .geometry import implicit_geometry, upper_inverse
+from .kernels import Kernel, per_structure
+from .kinematics import SINGULAR, contact_velocities
+from .scene import Scene
+from .surfaces import Surface
+from .user_surfaces import ParametricSurface
+
+MOST_STEPS = 30
+ROWS = 36  # of a Measurement
+LONGEST_STEP = 0.5  # of the body's size, where bodies are far apart
+
+
+class Measurement:
+    """What a relative pose and twist say about n contacts.
+
+    Not finite where there is no contact frame.
+
+    Attributes
+    ----------
+    table : (n, 36)
+        All of it.
+    step : (n,)
+        Length of the step that Newton's method would take next, m.
+    relative : (n,)
+        det of the relative curvature over the square of its size: 0 where bodies conform.
+    states : (n, 9)
+        u1 v1 u1' v1' u2 v2 u2' v2' psi, principal values.
+    slip : (n, 2)
+        v_rel in E2, m/s.
+    points : (n, 2, 3)
+        x_1 on the finger and x_2 on the object, each in its body's frame, m.
+    frame : (n, 3, 3)
+        E2, rows x, y, n, in the object's frame.
+    curvature : (n, 2, 2)
+        K_2, 1/m.
+    gap : (n,)
+        Distance of the surfaces along the normal, negative where they overlap, m.
+    velocity : (n, 3)
+        Of the contact point on the object, in its frame, m/s.
+    """
+
+    def __init__(self, table: np.ndarray):
+        n, self.table = len(table), table
+        self.step, self.relative, self.gap = table[:, 0], table[:, 1], table[:, 32]
+        self.velocity = table[:, 33:36]
+        self.states, self.slip = table[:, 2:11], table[:, 11:13]
+        self.points = table[:, 13:19].reshape(n, 2, 3)
+        self.frame = table[:, 19:28].reshape(n, 3, 3)
+        self.curvature = table[:, 28:32].reshape(n, 2, 2)
+
+
+def measured_states(
+    scene: Scene, pose: ArrayLike, twist: ArrayLike, points: ArrayLike
+) -> np.ndarray:
+    """States of a scene's contacts from the measured relative motion of the bodies.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its surfaces and the order of its contacts; its motion does not matter.
+    pose : (n, 4, 4)
+        X_OF, the finger's body frame in the object's.
+    twist : (n, 6)
+        V_OF_O, rad/s then m/s, as :meth:`Plan.twist` gives it.
+    points : (n, 3)
+        Points near the contacts, such as contact physics reports, in the object's frame, m.
+        They choose among the places where bodies could touch and do not enter the result.
+
+    Returns
+    -------
+    (n, 9)
+        u1 v1 u1' v1' u2 v2 u2' v2' psi, as :meth:`Plan.states` gives them, in principal values.
+        Bodies are taken as touching: the rates fulfil ``R_psi M1 q1' - M2 q2' = v_rel`` with the
+        slip measured at the object's surface.
+
+    Raises
+    ------
+    ContactSystemError
+        A wrong shape, NaN, or points from which no contact is found.
+    ChartSingularity
+        A contact is at a pole or an umbilic.
+    ConformalContact
+        The twist does not determine where the bodies touch.
+    """
+    sensor = scene.__dict__.get("_sensor")
+    if sensor is None:
+        sensor = scene.__dict__["_sensor"] = ContactSensor(scene)
+    n = sensor.count
+    arrays = [np.asarray(a, dtype=float) for a in (pose, twist, points)]
+    for a, name, shape in zip(arrays, ("pose", "twist", "points"), ((4, 4), (6,), (3,))):
+        if a.shape != (n, *shape):
+            raise ContactSystemError(
+                f"scene '{scene.name}': {name} has shape {a.shape}; give {(n, *shape)}"
+            )
+        if not np.isfinite(a).all():
+            raise ContactSystemError(f"scene '{scene.name}': {name} has a NaN or infinity")
+    found = sensor.measure(arrays[0][:, :3].reshape(n, 12), *arrays[1:])
+    sensor.check(found)
+    return found.states
+
+
+class ContactSensor:
+    """Measures the contacts of one scene, again and again.
+
+    Parameters
+    ----------
+    scene : Scene
+    tolerance : float
+        Of the places of the contacts, as a fraction of the smallest body's size. From points that
+        contact physics reports Newton's steps shrink as 2e-3, 4e-6, 2e-11.
+    """
+
+    def __init__(self, scene: Scene, tolerance: float = 1e-13):
+        self.scene, self.count = scene, len(scene.contacts)
+        sizes = [scene.object.size, *(contact.finger.size for contact in scene.contacts)]
+        self._small = tolerance * min(sizes)
+        kinds: dict[object, list[int]] = {}
+        for i, contact in enumerate(scene.contacts):
+            kinds.setdefault(contact.finger.structure, []).append(i)
+        self._groups = [_Group(scene, contacts) for contacts in kinds.values()]
+
+    def measure(
+        self,
+        pose: np.ndarray,
+        twist: np.ndarray,
+        points: np.ndarray,
+        share: np.ndarray | float = 0,
+        slip: np.ndarray | None = None,
+    ) -> Measurement:
+        """Measure all contacts; see :func:`measured_states`, whose checks are left out here.
+
+        Parameters
+        ----------
+        pose : (n, 12)
+            The upper three rows of X_OF, row by row.
+        twist : (n, 6)
+        points : (n, 3)
+        share : (n,) or float
+            Where slip is taken: 0 at the object's surface, 1 at the finger's, between them where
+            they overlap.
+        slip : (n, 2), optional
+            Known v_rel in E2, m/s, to be used instead of what the twist says.
+
+        Returns
+        -------
+        Measurement
+        """
+        table = np.empty((self.count, ROWS))
+        for group in self._groups:
+            table[group.contacts] = group.find(pose, twist, points, share, slip, self._small)
+        return Measurement(table)
+
+    def approach(self, pose: np.ndarray) -> np.ndarray:
+        """Points near which bodies that do not touch would: (n, 12) -> (n, 3), m."""
+        origin = pose[:, 3::4]
+        direction = np.array([_outward(self.scene.object, x) for x in origin])
+        reach = [contact.finger.size for contact in self.scene.contacts]
+        return origin - np.array(reach)[:, None] * direction
+
+    def check(self, found: Measurement) -> None:
+        """Raise what is wrong with a measurement; see :func:`measured_states`."""
+        for i in range(self.count):
+            what = f"scene '{self.scene.name}', contact {i}"
+            if abs(found.relative[i]) <= SINGULAR:
+                raise ConformalContact(
+                    f"{what}: the surfaces conform to each other at the contact, so a twist does "
+                    "not determine where they touch; change a radius"
+                )
+            if not np.isfinite(found.states[i]).all():
+                at = found.points[i].tolist()
+                raise ChartSingularity(
+                    f"{what}: measured at a pole or an umbilic, where there is no contact frame "
+                    f"({at[0]} m on the finger, {at[1]} m on the object); measure nearby, or turn "
+                    "the body's axes so that the pole lies elsewhere"
+                )
+            if not found.step[i] <= self._small:
+                raise ContactSystemError(
+                    f"{what}: no common normal of the surfaces is found, the next step is "
+                    f"{found.step[i]:.3g} m; give a point nearer to the contact"
+                )
+
+
+class _Group:
+    """Contacts whose fingers are of one kind."""
+
+    def __init__(self, scene: Scene, contacts: list[int]):
+        self.contacts = np.array(contacts)
+        self.surfaces = [scene.contacts[i].finger for i in contacts], scene.object
+        self.kernel = contact_kernel(self.surfaces[0][0], scene.object)
+        self.n_start = tuple(_unknowns(s) for s in (self.surfaces[0][0], scene.object))
+        obj = (*scene.object.parameters, scene.object.size)
+        self.constants = np.array([(*f.parameters, f.size, *obj) for f in self.surfaces[0]])
+
+    def find(
+        self,
+        pose: np.ndarray,
+        twist: np.ndarray,
+        points: np.ndarray,
+        share: np.ndarray | float,
+        slip: np.ndarray | None,
+        small: float,
+    ) -> np.ndarray:
+        """Newton's method: (n_contacts of the group, n_result without the next start)."""
+        machine, n = self.kernel.machine(len(self.contacts)), sum(self.n_start)
+        x, y = machine.x, machine.y
+        machine.c[:] = self.constants
+        x[:, n : n + 12] = pose = pose[self.contacts]
+        x[:, n + 12 : n + 18] = twist[self.contacts]
+        x[:, n + 18] = share if np.isscalar(share) else share[self.contacts]  # type: ignore
+        x[:, n + 19] = slip is not None
+        x[:, n + 20 : n + 22] = 0.0 if slip is None else slip[self.contacts]
+        x[:, :n] = self._start(pose.reshape(-1, 3, 4), points[self.contacts])
+        machine.run()
+        for _ in range(MOST_STEPS):
+            if not y[:, n].max() > small:  # also where there is no contact frame
+                break
+            x[:, :n] = y[:, :n]
+            machine.run()
+        return y[:, n:]
+
+    def _start(self, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Both sides' unknowns from points near the contacts."""
+        of_finger = np.matmul((points - pose[:, :, 3])[:, None], pose[:, :, :3])[:, 0]
+        fingers, obj = self.surfaces
+        sides = ((fingers, of_finger), ([obj] * len(points), points))
+        return np.hstack([
+            x if _unknowns(surfaces[0]) == 3 else
+            np.array([_nearest(s, at) for s, at in zip(surfaces, x)])
+            for surfaces, x in sides
+        ])  # fmt: skip
+
+
+# --- symbolic ----------------------------------------------------------------------------------
+
+
+def _unknowns(surface: Surface) -> int:
+    """A contact point is sought in space, or by its coordinates where there is only a chart."""
+    return 3 if surface.has_implicit else 2
+
+
+@dataclass
+class _Side:
+    """A body at the unknowns z: a point, by `missed` off its surface, or coordinates."""
+
+    x: SX
+    frame: SX
+    metric_root: SX
+    curvature: SX
+    coordinates: SX
+    z: SX
+    missed: SX
+
+    @property
+    def tangents(self) -> SX:
+        return self.frame[:, :2]
+
+    @property
+    def normal(self) -> SX:
+        return self.frame[:, 2]
+
+    def rates(self, velocity: SX) -> SX:
+        return upper_inverse(self.metric_root) @ velocity
+
+    def moved(self, step: SX) -> SX:
+        return self.z + (self.tangents @ step if self.z.numel() == 3 else self.rates(step))
+
+
+def _side(surface: Surface, p: SX, z: SX) -> _Side:
+    if z.numel() == 2:
+        shape = surface.geometry_expr(p, z[0], z[1])
+        return _Side(shape.point, shape.frame, shape.metric_root, shape.curvature_form, z, z, SX(0))
+    level = surface.implicit_expr(p, z)
+    gradient, hessian = implicit_geometry(level, z)
+    x_axis, y_axis, metric_root = surface.frame_expr(p, z)
+    tangents = ca.horzcat(x_axis, y_axis)
+    curvature = tangents.T @ hessian @ tangents / ca.norm_2(gradient)
+    frame = ca.horzcat(tangents, ca.cross(x_axis, y_axis))
+    coordinates = ca.vertcat(*surface.coordinates_expr(p, z))
+    # all of it one Newton step nearer to the surface: what is left is the distance's square
+    x = z - level * gradient / ca.dot(gradient, gradient)
+    there = ca.substitute([frame, metric_root, curvature, coordinates], [z], [x])
+    frame, metric_root, curvature, coordinates = there
+    return _Side(x, frame, metric_root, curvature, coordinates, x, ca.norm_2(x - z))
+
+
+@per_structure
+def contact_kernel(finger: Surface, obj: Surface) -> Kernel:
+    """Kernel of one contact: a Newton step towards it, and all that is measured.
+
+    point: unknowns of finger and object, X_OF (12, row by row), V_OF_O (6), share, whether slip is
+    known, known slip (2).
+    constant: parameters and size of the finger, and of the object.
+    result: next unknowns, length of the step, det of the relative curvature over its square,
+    states (9), slip (2), x_1, x_2 (6), E2 (9), K_2 (4), gap, velocity (3).
+    """
+    z1, z2 = SX.sym("z1", _unknowns(finger)), SX.sym("z2", _unknowns(obj))
+    pose, twist, share = SX.sym("pose", 12), SX.sym("twist", 6), SX.sym("share")
+    is_known, known = SX.sym("is_known"), SX.sym("known", 2)
+    p1, p2 = SX.sym("p1", len(finger.parameters) + 1), SX.sym("p2", len(obj.parameters) + 1)
+    rows = ca.reshape(pose, 4, 3).T
+    turn, origin = rows[:, :3], rows[:, 3]
+    tip, body = _side(finger, p1[:-1], z1), _side(obj, p2[:-1], z2)
+    between = turn @ tip.x + origin - body.x
+    gap = ca.dot(body.normal, between)
+    alike = body.tangents.T @ turn @ tip.tangents
+    psi = ca.atan2(-(alike[0, 1] + alike[1, 0]), alike[0, 0] - alike[1, 1])
+    map_21 = reflection(ca.cos(psi), ca.sin(psi))
+
+    # Newton's step: as velocities that turn the normals and move the points by what they miss
+    missed = map_21 @ (body.tangents.T @ (-turn @ tip.normal - body.normal))
+    outside = _solve(SX.eye(2) + gap * body.curvature, body.curvature)
+    step_1, step_2 = contact_velocities(
+        tip.curvature, outside, map_21, missed, -body.tangents.T @ between, _solve
+    )
+    step_2 = _solve(SX.eye(2) + gap * body.curvature, step_2)
+    step_1, step_2 = (_shortened(s, LONGEST_STEP * p[-1]) for s, p in ((step_1, p1), (step_2, p2)))
+
+    # what the twist says, of bodies taken as touching
+    at = body.x + share * between
+    seen = -body.tangents.T @ (twist[3:] + ca.cross(twist[:3], at - origin))
+    slip = ca.if_else(is_known, known, seen)
+    omega = tip.tangents.T @ (turn.T @ twist[:3])
+    bend = ca.vertcat(-omega[1], omega[0])
+    a1, a2 = contact_velocities(tip.curvature, body.curvature, map_21, bend, slip, _solve)
+    relative = map_21 @ body.curvature @ map_21 + tip.curvature
+    size = ca.norm_fro(tip.curvature) + ca.norm_fro(body.curvature)
+    result = ca.vertcat(
+        tip.moved(step_1), body.moved(step_2),
+        ca.norm_2(ca.vertcat(step_1, step_2, tip.missed, body.missed)), ca.det(relative) / size**2,
+        tip.coordinates, tip.rates(a1), body.coordinates, body.rates(a2), psi,
+        slip, tip.x, body.x, ca.vec(body.frame), ca.vec(body.curvature), gap,
+        body.tangents @ a2,
+    )  # fmt: skip
+    point, constant = ca.vertcat(z1, z2, pose, twist, share, is_known, known), ca.vertcat(p1, p2)
+    return Kernel("measured", point, constant, result)
+
+
+def _solve(a: SX, b: SX) -> SX:
+    """Cramer's rule for 2x2."""
+    adjugate = ca.vertcat(ca.horzcat(a[1, 1], -a[0, 1]), ca.horzcat(-a[1, 0], a[0, 0]))
+    return adjugate @ b / (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
+
+
+def _shortened(step: SX, longest: SX) -> SX:
+    return step * ca.fmin(1, longest / (ca.norm_2(step) + 1e-300))
+
+
+# --- where to begin ----------------------------------------------------------------------------
+
+
+def _nearest(surface: Surface, x: np.ndarray) -> np.ndarray:
+    """(u, v) of the point nearest to one point, (2,)."""
+    assert isinstance(surface, ParametricSurface)  # the only kind without a level function
+    return np.array(surface.nearest(x)[:2])
+
+
+def _outward(surface: Surface, x: np.ndarray) -> np.ndarray:
+    """The direction away from a body at a point outside, (3,)."""
+    if not surface.has_implicit:
+        return surface.normal(*_nearest(surface, x))
+    gradient = _gradient_kernel(surface).at(x[None], np.array([surface.parameters]))[0]
+    return gradient / np.linalg.norm(gradient)
+
+
+@per_structure
+def _gradient_kernel(surface: Surface) -> Kernel:
+    x, p = SX.sym("x", 3), SX.sym("p", len(surface.parameters))
+    return Kernel("gradient", x, p, ca.gradient(surface.implicit_expr(p, x), x))

@@ -1,0 +1,137 @@
+"""Contact states from a measured relative pose and twist alone, against plans."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from conftest import SURFACES, one_contact, slip_of_states
+
+import contact_system as cs
+from contact_system.measured import ContactSensor
+
+SCENES = ("K1", "K2", "K3", "K4", "D1", "D3", "C2", "bowl", "torus", "chart", "implicit")
+
+
+def assert_same_states(scene: cs.Scene, measured: np.ndarray, planned: np.ndarray) -> None:
+    """Equal modulo periods and half turns of double-covered charts, (n, 9) both."""
+    for contact, row, wanted in zip(scene.contacts, measured.copy(), planned):
+        for k, surface in ((0, contact.finger), (4, scene.object)):
+            u, v, half_turn = surface.align(*row[k : k + 2], *wanted[k : k + 2])
+            row[k : k + 2] = u, v
+            if half_turn:
+                row[k + 2 : k + 4] *= -1
+                row[8] += math.pi
+        row[8] += 2 * math.pi * np.round((wanted[8] - row[8]) / (2 * math.pi))
+        assert row == pytest.approx(wanted, abs=2e-12 * max(1.0, np.abs(wanted).max()))
+
+
+def at(plan: cs.Plan, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pose, twist and contact points on the object, as a measurement would give them."""
+    return plan.pose([t])[0], plan.twist([t])[0], plan.points([t])[0, :, 1]
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_plans_pose_and_twist_give_its_states_back(name):
+    scene = cs.load_scene(name)
+    plan = cs.plan(scene)
+    for t in np.linspace(0.01, 0.99, 6) * scene.duration:  # inside and outside the windows
+        measured = cs.measured_states(scene, *at(plan, t))
+        assert_same_states(scene, measured, plan.states([t])[0])
+
+
+@pytest.mark.parametrize("finger", ["sphere", "ellipsoid", "torus", "bumps", "rounded cube"])
+@pytest.mark.parametrize("obj", SURFACES)
+def test_states_of_any_two_surfaces_are_measured(obj, finger):
+    scene = one_contact(obj, finger)
+    plan = cs.plan(scene)
+    pose, twist, points = at(plan, 0.3)
+    try:
+        measured = cs.measured_states(scene, pose, twist, points)
+    except cs.ConformalContact:  # a bump of one fits a dent of the other
+        pytest.skip("the two conform")
+    assert_same_states(scene, measured, plan.states([0.3])[0])
+
+
+@pytest.mark.parametrize("name", ["D1", "K4", "torus"])
+def test_points_a_little_off_lead_to_the_same_states(name):
+    scene = cs.load_scene(name)
+    plan = cs.plan(scene)
+    pose, twist, points = at(plan, 0.4)
+    off = points + 3e-4 * np.random.default_rng(0).normal(size=points.shape)
+    exact = cs.measured_states(scene, pose, twist, points)
+    assert cs.measured_states(scene, pose, twist, off) == pytest.approx(exact, abs=1e-11)
+
+
+def test_rates_hold_the_slip_measured_at_the_objects_surface():
+    scene = cs.load_scene("D1")
+    plan = cs.plan(scene)
+    pose, twist, points = at(plan, 0.4)
+    pose[:, :3, 3] *= 0.998  # pressed in by 0.28 mm
+    sensor = ContactSensor(scene)
+    found = sensor.measure(pose[:, :3].reshape(-1, 12), twist, points)
+    assert found.gap == pytest.approx(-0.002 * 0.14, rel=1e-9)
+    of_states = slip_of_states(scene, found.states[None])[0]
+    assert of_states == pytest.approx(found.slip, abs=1e-14)
+    arm = 0.1 * found.frame[:, 2] - pose[:, :3, 3]
+    velocity = twist[:, 3:] + np.cross(twist[:, :3], arm)
+    sliding = -np.einsum("nij,nj->ni", found.frame[:, :2], velocity)
+    assert found.slip == pytest.approx(sliding, abs=1e-14)
+    assert np.abs(found.slip).max() > 1e-3
+
+
+@pytest.mark.parametrize("gap", [-1e-3, 1e-3, 0.1])
+def test_nearest_points_of_sphere_and_ellipsoid_lie_on_one_normal(gap):
+    scene = one_contact("ellipsoid", "sphere")
+    u, v = 0.7, 0.4
+    normal, x2 = scene.object.normal(u, v), scene.object.point(u, v)
+    pose = np.eye(4)[None].copy()
+    pose[0, :3, 3] = x2 + (0.1 + gap) * normal
+    sensor = ContactSensor(scene)
+    flat = pose[:, :3].reshape(1, 12)
+    found = sensor.measure(flat, np.zeros((1, 6)), sensor.approach(flat))
+    sensor.check(found)
+    assert found.points[0] == pytest.approx(np.array([-0.1 * normal, x2]), abs=1e-12)
+    assert found.gap == pytest.approx(gap, abs=1e-12)
+
+
+def test_measuring_at_a_pole_names_the_contact():
+    scene = one_contact("sphere", "sphere")
+    pose = np.eye(4)[None].copy()
+    pose[0, :3, 3] = 0.0, 0.0, 0.2
+    with pytest.raises(cs.ChartSingularity, match="contact 0: measured at a pole"):
+        cs.measured_states(scene, pose, np.zeros((1, 6)), [[0.0, 0.0, 0.1]])
+
+
+def test_conforming_surfaces_are_refused():
+    scene = one_contact("bowl", "sphere", finger_at=(1.1, 0.4))
+    scene = scene.replace(object=cs.Sphere(0.1, inside=True))
+    plan_like = np.eye(4)[None]
+    with pytest.raises(cs.ConformalContact, match="contact 0"):
+        cs.measured_states(scene, plan_like, np.zeros((1, 6)), [[0.06, 0.0, 0.08]])
+
+
+@pytest.mark.parametrize("which, shape", [(0, (2, 4, 4)), (1, (3, 3)), (2, (3,))])
+def test_wrong_shapes_are_refused(which, shape):
+    scene = cs.load_scene("D1")
+    arguments: list = list(at(cs.plan(scene), 0.5))
+    arguments[which] = np.zeros(shape)
+    with pytest.raises(cs.ContactSystemError, match="has shape"):
+        cs.measured_states(scene, *arguments)
+
+
+def test_nan_is_refused():
+    scene = cs.load_scene("D1")
+    pose, twist, points = at(cs.plan(scene), 0.5)
+    twist[1, 2] = np.nan
+    with pytest.raises(cs.ContactSystemError, match="twist has a NaN"):
+        cs.measured_states(scene, pose, twist, points)
+
+
+def test_a_plan_restarts_from_measured_states():
+    scene = cs.load_scene("D1")
+    plan = cs.plan(scene)
+    again = plan.restart(1.0, cs.measured_states(scene, *at(plan, 1.0)))
+    t = np.linspace(1.0, 1.9, 5)
+    assert again.points(t) == pytest.approx(plan.points(t), abs=1e-11)

@@ -1,0 +1,209 @@
+"""The whole scene as one system of equations: integrated by scipy it gives what plan() gives."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from conftest import SURFACES, derivative, one_contact
+from scipy.integrate import solve_ivp
+
+import contact_system as cs
+from contact_system import SceneSystem
+from contact_system.system import COORDINATES, PER_CONTACT
+
+TURN = 2 * np.pi
+ANGLES = [0, 1, 4, 5, 8]
+# A surface of each form of state: in space, chart only, developable, no chart.
+OBJECTS = ("sphere", "ellipsoid", "bumps", "cylinder", "rounded cube")
+WINDOW = (0.3, 0.6)
+DISTURBANCES = {
+    "finger": cs.FingerAcceleration(0, *WINDOW, (0.5, -0.8)),
+    "object": cs.ObjectAcceleration(0, *WINDOW, (0.7, 0.6)),
+    "offset": cs.ObjectRateOffset(0, *WINDOW, (0.4, -0.3)),
+}
+
+
+def integrate(system, t, begin=0.0, x=None, held=None):
+    """States at ascending times, from edge to edge; each with what then acts."""
+    x = system.x0 if x is None else x
+    held = system.held0 if held is None else held
+    function, found = system.function("derivatives"), []
+    knots = [begin, *(e for e in system.edges if begin < e < t[-1]), t[-1]]
+    for a, b in zip(knots, knots[1:]):
+        w = system.window_values(a)
+
+        def rate(time, y, w=w):
+            return function(time, y, w, held, system.parameters).full().ravel()
+
+        run = solve_ivp(rate, (a, b), x, method="DOP853", rtol=1e-11, atol=1e-12, dense_output=True)
+        found += [(time, run.sol(time), w, held) for time in t if a <= time < b]
+        x = run.y[:, -1]
+    return [*found, (t[-1], x, w, held)]
+
+
+def outputs(system, run, name):
+    rows = [system.evaluate(name, *arguments) for arguments in run]
+    return np.array(rows).reshape(len(run), -1, PER_CONTACT[name])
+
+
+def error(system, t, scene=None):
+    """Greatest difference from plan() of contact points, pose, twist and length of slip."""
+    plan, run = cs.plan(scene or system.scene, 1e-13), integrate(system, t)
+    points = outputs(system, run, "contact_point") - plan.points(t).reshape(len(t), -1, 6)
+    pose, planned = outputs(system, run, "pose"), plan.pose(t)
+    turned = pose[..., :9].reshape(len(t), -1, 3, 3).swapaxes(-1, -2) - planned[..., :3, :3]
+    slip = np.linalg.norm(outputs(system, run, "slip"), axis=-1) - plan.slip_speed(t)
+    twist = outputs(system, run, "twist") - plan.twist(t)
+    moved = pose[..., 9:] - planned[..., :3, 3]
+    return max(np.abs(part).max() for part in (points, turned, moved, slip, twist))
+
+
+@pytest.mark.parametrize(
+    ("obj", "coordinates"),
+    [(o, c) for o in OBJECTS for c in COORDINATES if c == "frame" or SURFACES[o][0].has_chart],
+)
+def test_a_slipping_contact_moves_as_planned(obj, coordinates):
+    scene = one_contact(obj)
+    assert error(SceneSystem(scene, coordinates), np.linspace(0, 1, 6)) < 1e-9
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+@pytest.mark.parametrize("kind", DISTURBANCES)
+@pytest.mark.parametrize("obj", ("sphere", "ellipsoid", "bumps"))
+def test_disturbances_act_as_planned(obj, kind, coordinates):
+    scene = one_contact(obj, disturbances=(DISTURBANCES[kind],))
+    assert error(SceneSystem(scene, coordinates), np.linspace(0, 1, 7)) < 1e-9
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+@pytest.mark.parametrize("gain", (cs.Gain.path(50.0), cs.Gain.time(8.0), cs.Gain.guaranteed(4.0)))
+def test_slip_decays_by_every_gain_law_as_planned(gain, coordinates):
+    scene = one_contact(gain=gain, profile=(0.05, 0.2, -0.2))  # sigma grows, then falls
+    # At the turn the guaranteed law has a kink, which this integrator steps across.
+    assert error(SceneSystem(scene, coordinates), np.linspace(0, 1, 6)) < 1e-8
+
+
+@pytest.mark.parametrize("gain", (cs.Gain.path(50.0), cs.Gain.guaranteed(4.0)))
+def test_frames_start_where_sigma_is_zero(gain):
+    scene = one_contact("bowl", profile=(0.0, 0.3), gain=gain)
+    t = np.linspace(0, 1, 5)
+    assert error(SceneSystem(scene, "frame"), t) < 1e-9
+
+
+@pytest.mark.parametrize("name", ("C1", "C2"))
+def test_imposed_rolling_is_a_contact_without_slip(name):
+    scene = cs.load_scene(name)
+    assert error(SceneSystem(scene, "frame"), np.linspace(0, scene.duration, 5)) < 1e-9
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_three_contacts_give_the_chart_states_of_the_plan(coordinates):
+    scene = dataclasses.replace(cs.load_scene("D2"), duration=1.0, disturbances=())
+    t = np.linspace(0, 1, 4)
+    system = SceneSystem(scene, coordinates)
+    gap = outputs(system, integrate(system, t), "state") - cs.plan(scene, 1e-13).states(t)
+    gap[..., ANGLES] -= TURN * np.rint(gap[..., ANGLES] / TURN)
+    assert np.abs(gap).max() < 1e-8
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_acceleration_is_the_rate_of_the_planned_twist(coordinates):
+    scene = one_contact("ellipsoid", disturbances=(cs.FingerAcceleration(0, 0.0, 1.0, (0.5, 1)),))
+    system, plan = SceneSystem(scene, coordinates), cs.plan(scene, 1e-14)
+    t = np.array([0.2, 0.5, 0.8])
+    found = outputs(system, integrate(system, [*t, 0.9]), "acceleration")[:3]
+    assert np.abs(found - derivative(plan.twist, t, 1e-2)).max() < 1e-7
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+@pytest.mark.parametrize("kind", DISTURBANCES)
+def test_measured_states_restart_the_motion(kind, coordinates):
+    scene = one_contact("ellipsoid", disturbances=(DISTURBANCES[kind],))
+    system, plan, t = SceneSystem(scene, coordinates), cs.plan(scene, 1e-13), np.array([0.7, 1.0])
+    x, held = system.from_states(0.4, plan.states(0.4)[0])
+    run = integrate(system, t, 0.4, x, held)
+    points = outputs(system, run, "contact_point") - plan.points(t).reshape(2, -1, 6)
+    assert np.abs(points).max() < 1e-10
+
+
+def test_a_restart_refuses_what_does_not_determine_a_motion():
+    system = SceneSystem(one_contact("bowl", profile=(0.0, 0.3)), "frame")
+    state = cs.plan(system.scene).states(0.5)
+    with pytest.raises(cs.SceneError, match="sigma = 0"):
+        system.from_states(0.0, state)
+    with pytest.raises(cs.SceneError, match=r"shape \(3,\)"):
+        system.from_states(0.5, np.zeros(3))
+    with pytest.raises(cs.SceneError, match="NaN"):
+        system.from_states(0.5, np.full(9, np.nan))
+    beyond = state.copy()
+    beyond[..., 0] *= -1
+    with pytest.raises(cs.SceneError, match="contact 0, finger: .* outside the chart"):
+        system.from_states(0.5, beyond)
+
+
+def test_drift_off_the_surface_dies_out_along_the_path():
+    system = SceneSystem(one_contact(profile=(0.2,)), "frame")
+    off = system.x0.copy()
+    off[:3] *= 1.01
+    (*_, (_, x, _, _)) = integrate(system, [0.5, 1.0], x=off)
+    # 0.2 m are two radii of 0.1 m
+    assert np.linalg.norm(x[:3]) / 0.1 - 1 == pytest.approx(0.01 * np.exp(-2), rel=0.05)
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_parameters_are_what_the_scene_says(coordinates):
+    scene, other = cs.load_scene("K1"), cs.Sphere(0.13)
+    system = SceneSystem(scene, coordinates)
+    changed = SceneSystem(dataclasses.replace(scene, object=other), coordinates)
+    assert len(set(system.parameter_names)) == len(system.parameters)
+    p = dict(zip(system.parameter_names, system.parameters))
+    assert p["gain.eta"] == 100 and p["profile[2]"] == 0.4
+    p |= {"object.radius": 0.13, "object.size": 0.13}
+    function = system.function("derivatives")
+    found = function(0.3, changed.x0, [], changed.held0, list(p.values())).full().ravel()
+    assert np.array_equal(found, changed.evaluate("derivatives", 0.3, changed.x0))
+
+
+def test_only_what_a_scene_has_is_in_its_system():
+    free = SceneSystem(cs.load_scene("K1"), "frame")
+    assert free.n_w == 0 and free.edges == ()
+    assert free.depends("contact_point") == {"x", "p"}
+    disturbed = SceneSystem(cs.load_scene("D1"), "frame")
+    assert disturbed.edges == (2.0, 2.5)
+    assert disturbed.window_values(2.0)[4:6].tolist() == [0.6, 1.0]
+    assert not disturbed.window_values(2.5).any()
+
+
+def test_the_guard_tells_numbers_that_must_not_be_used():
+    system = SceneSystem(one_contact(profile=(0.1, -0.05)), "chart")
+    assert system.evaluate("guard", 1.0, system.x0)[0] > 0
+    assert system.evaluate("guard", 2.5, system.x0)[0] < 0  # sigma < 0
+    assert not system.evaluate("guard", 1.0, system.x0 * np.nan)[0] > 0
+
+
+def test_clearance_is_the_distance_from_a_pole_and_negative_beyond():
+    system = SceneSystem(one_contact(), "chart")
+    for u in (0.3, 1e-3, -1e-3):
+        x = system.x0.copy()
+        x[0] = u
+        assert system.evaluate("clearance", 0.5, x)[0] == pytest.approx(np.sin(u), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("scene", "coordinates", "message"),
+    [
+        (one_contact(profile=(0.0, 0.3)), "chart", 'sigma, which is zero at t = 0 .*"frame"'),
+        (one_contact("rounded cube"), "chart", 'contact 0: .* no explicit chart .*"frame"'),
+        (one_contact(), "polar", "use one of chart, frame"),
+        (
+            one_contact(profile=(0, 0.3), disturbances=(cs.ObjectAcceleration(0, 0, 1, (1, 1)),)),
+            "frame",
+            r"contact 0: sigma = 0 at t = 0 s inside the window \[0, 1\] s",
+        ),
+    ],
+)
+def test_what_cannot_be_written_is_refused_with_the_remedy(scene, coordinates, message):
+    with pytest.raises(cs.SceneError, match=message):
+        SceneSystem(scene, coordinates)
