@@ -1,0 +1,552 @@
+r"""A scene as a MultibodyPlant: the object, and one free fingertip a contact.
+
+A fingertip is compliant, the object rigid. Where they overlap by a depth d, the object's surface
+lies ``d - (K_1 + R K_2 R)(x, x)/2`` under the finger's to second order, K the curvature forms, and
+Drake's pressure there is E times that over the distance l from the finger's surface to the inner
+point below it (`meshes.compliant_mesh`). Over the patch, an ellipse of area
+``2 pi d/sqrt(det(K_1 + R K_2 R))``, this adds up to
+
+.. math:: F = \frac{E}{l} \frac{\pi d^2}{\sqrt{\det(K_1 + R K_2 R)}}, \qquad
+          k = \frac{dF}{dd} = \frac{2 F}{d},
+
+so the modulus for a stiffness k at a force F is ``E = k^2 l sqrt(det(K_1 + R K_2 R))/(4 pi F)``,
+and the depth 2 F/k. Between spheres of 0.04 and 0.1 m at 0.2 mm the integral without the expansion
+is 0.2 % less. SI units, radians.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+from pydrake.geometry import (
+    AddCompliantHydroelasticProperties,
+    AddContactMaterial,
+    AddRigidHydroelasticProperties,
+    CollisionFilterDeclaration,
+    GeometrySet,
+    HalfSpace,
+    ProximityProperties,
+    SceneGraph,
+    Shape,
+    SurfaceTriangle,
+    TriangleSurfaceMesh,
+)
+from pydrake.geometry import Sphere as SphereShape
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import (
+    AddMultibodyPlant,
+    CoulombFriction,
+    MultibodyPlant,
+    MultibodyPlantConfig,
+)
+from pydrake.multibody.tree import (
+    CalcSpatialInertia,
+    PdControllerGains,
+    RevoluteJoint,
+    RigidBody,
+    SpatialInertia,
+)
+from pydrake.polynomial import Polynomial as DrakePolynomial
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+from scipy.spatial import cKDTree
+
+from contact_system import (
+    Cylinder,
+    Ellipsoid,
+    Plane,
+    Scene,
+    SceneError,
+    Sphere,
+    Surface,
+    Torus,
+    Turning,
+)
+from contact_system import plan as make_plan
+from contact_system.errors import ContactSystemError
+
+from .meshes import (
+    Domain,
+    SurfaceMesh,
+    compliant_mesh,
+    contact_mesh,
+    domain_of,
+    inner_points,
+    is_round,
+    painted_meshes,
+    rigid_mesh,
+)
+
+Array = NDArray[np.float64]
+
+# Gap that opens along an edge, in depths. What a facet stands off the surface ripples with the
+# period of the mesh, and a patch of radius a averages the ripple with the weight J1(q a)/(q a),
+# q = 4 pi/(sqrt(3) h) for edges h. The finger has edges at the second zero of J1, h = 1.03 a, the
+# flatter object at the first, h = 1.89 a. Measured with spheres of 0.04 and 0.1 m, 0.2 mm deep:
+#   finger, object   spread of the force, 400 orientations   faces in the patch
+#   1.04    1.04     0.3 %                                   58
+#   1.04    2.8      1.0 %                                   39
+#   1.04    3.5      0.6 %                                   37
+#   1.4     3.5      1.1 %                                   32
+# On the object 2.9 is taken: at 3.5 the facets tilt the normals so far that friction, taken along
+# the true normal, reads 2.3 % above mu N in D1 (2.9: 1.7 %, 2.4: 1.2 %).
+# A step of D1 takes 4 us a face, and 21 us without contact.
+FINGER_GAP, OBJECT_GAP = 1.04, 2.9
+
+REACH = 0.02  # m, that meshes of unbounded surfaces reach beyond the planned patches
+SPACING = 0.0025  # m, of points along the plan that show where contacts go
+TURNING_GAIN = 1e8  # N m/rad
+APPROXIMATIONS = ("sap", "lagged", "similar")
+MAY_BE_NONE = ("relaxation_time", "drake_spheres", "finger_edge", "object_edge")
+NOT_NEGATIVE = ("time_step", "damping", "relaxation_time", "friction", "strip_margin")
+POSITIVE = ("object_mass", "finger_mass", "stiffness", "normal_force", *MAY_BE_NONE[1:])
+OBJECT_COLORS = ((0.80, 0.80, 0.78), (0.52, 0.55, 0.58))
+FINGER_COLORS = (
+    ((0.95, 0.62, 0.45), (0.75, 0.25, 0.10)),
+    ((0.55, 0.75, 0.95), (0.12, 0.35, 0.70)),
+    ((0.60, 0.85, 0.60), (0.13, 0.50, 0.20)),
+    ((0.90, 0.80, 0.45), (0.65, 0.50, 0.05)),
+)
+
+
+@dataclass
+class PlantConfig:
+    """What a scene's plant is made of.
+
+    Attributes
+    ----------
+    time_step : float
+        s; 0 makes the plant continuous.
+    contact_model : str
+        "hydroelastic", or "point" where Drake's point contact is exact: spheres on a sphere or on
+        a plane.
+    discrete_contact_approximation : str
+        "sap", "lagged" or "similar".
+    object : str
+        "free"; "welded" to the world; "turning" as the scene prescribes it.
+    object_mass, finger_mass : float
+        kg, spread evenly, with the mass centre at the body's origin.
+    stiffness : float
+        N/m, of a contact that carries ``normal_force``.
+    damping : float
+        N s/m, of a contact that carries ``normal_force``, where ``damping_at`` says.
+    damping_at : str
+        "driver": contact itself is elastic, a damper between the bodies is the FingertipDriver's.
+        "contact": dissipation of Drake's contact. Material enters a fast rolling patch on one side
+        and leaves on the other, so that a damping that is strong for the bodies destroys contact.
+    relaxation_time : float or None
+        s, of the "sap" approximation; None: what ``damping_at`` says.
+    friction : float
+        Coulomb's coefficient, static and dynamic.
+    normal_force : float
+        N.
+    gravity : float
+        m/s^2, towards -z of the world.
+    drake_spheres : float or None
+        m; instead of meshes made for the scene, Drake's own spheres with this resolution hint.
+    finger_edge, object_edge : float or None
+        m, edges of the meshes at the planned contacts; None: chosen by the size of the patch.
+    strip_margin : float
+        m; a mesh of more than 10 000 triangles is fine only this far beyond the planned patches.
+    """
+
+    time_step: float = 1e-3
+    contact_model: str = "hydroelastic"
+    discrete_contact_approximation: str = "sap"
+    object: str = "free"
+    object_mass: float = 1.0
+    finger_mass: float = 0.1
+    stiffness: float = 1e4
+    damping: float = 1e3
+    damping_at: str = "driver"
+    relaxation_time: float | None = None
+    friction: float = 0.5
+    normal_force: float = 1.0
+    gravity: float = 0.0
+    drake_spheres: float | None = None
+    finger_edge: float | None = None
+    object_edge: float | None = None
+    strip_margin: float = 0.01
+
+    def check(self) -> None:
+        """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
+        choices = {
+            "contact_model": ("hydroelastic", "point"),
+            "discrete_contact_approximation": APPROXIMATIONS,
+            "object": ("free", "welded", "turning"),
+            "damping_at": ("driver", "contact"),
+        }
+        for key, words in choices.items():
+            if getattr(self, key) not in words:
+                raise SceneError(f"{key} = {getattr(self, key)!r}: use one of {', '.join(words)}")
+        for key in ("gravity", *POSITIVE, *NOT_NEGATIVE):
+            value = getattr(self, key)
+            if value is None and key in MAY_BE_NONE:
+                continue
+            wrong = not isinstance(value, (int, float)) or not math.isfinite(value)
+            if wrong or (key in POSITIVE and value <= 0) or (key in NOT_NEGATIVE and value < 0):
+                bound = "above 0" if key in POSITIVE else "not below 0" if key != "gravity" else ""
+                raise SceneError(f"{key} = {value!r}: give a finite number {bound}".rstrip())
+        if self.relaxation_time is not None and (
+            self.time_step == 0 or self.discrete_contact_approximation != "sap"
+        ):
+            raise SceneError(
+                f"relaxation_time = {self.relaxation_time!r}: only the discrete 'sap' "
+                'approximation has one; leave it out, and use damping and damping_at = "contact"'
+            )
+
+
+@dataclass(frozen=True)
+class ScenePlant:
+    """A scene's plant in a DiagramBuilder.
+
+    Attributes
+    ----------
+    plant : MultibodyPlant
+        Finalized.
+    scene_graph : SceneGraph
+    object_body : RigidBody
+    finger_bodies : list of RigidBody
+        One a contact.
+    """
+
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    object_body: RigidBody
+    finger_bodies: list[RigidBody]
+
+
+def contact_depth(config: PlantConfig) -> float:
+    """Depth at which a contact carries ``normal_force``, m.
+
+    Force grows with the square of the depth in hydroelastic contact, linearly in point contact.
+    """
+    power = 2 if config.contact_model == "hydroelastic" else 1
+    return power * config.normal_force / config.stiffness
+
+
+def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) -> ScenePlant:
+    """Add a finalized MultibodyPlant and a SceneGraph with the scene's bodies.
+
+    Model instances are "object" and one a contact, by the contact's name or as ``finger_<i>``.
+    Bodies' frames are their surfaces' own frames. Only fingers and the object collide.
+
+    A turning object hangs on a revolute joint with an implicit controller of high gain, fed by a
+    TrajectorySource "turning": Drake's joints cannot be prescribed.
+
+    Raises
+    ------
+    SceneError, SurfaceError
+        A value of the configuration, or a surface that Drake's contact cannot take, with the
+        remedy.
+    """
+    try:
+        config.check()
+        _check_surfaces(scene, config)
+        return _add(builder, scene, config, _touches(scene))
+    except ContactSystemError as error:
+        raise type(error)(f"scene '{scene.name}', plant: {error}") from None
+
+
+def _add(
+    builder: DiagramBuilder, scene: Scene, config: PlantConfig, touches: Sequence[_Touch]
+) -> ScenePlant:
+    plant, scene_graph = AddMultibodyPlant(
+        MultibodyPlantConfig(
+            time_step=config.time_step,
+            contact_model=config.contact_model,
+            discrete_contact_approximation=config.discrete_contact_approximation,
+            # What the last step used, so that watching contact costs no second query.
+            use_sampled_output_ports=config.time_step > 0,
+        ),
+        builder,
+    )
+    plant.mutable_gravity_field().set_gravity_vector([0, 0, -config.gravity])
+    object_body = _add_object(plant, scene, config, touches)
+    fingers = []
+    for i, (contact, touch) in enumerate(zip(scene.contacts, touches)):
+        taken = {"", "object", *(c.name for c in scene.contacts[:i])}
+        name = f"finger_{i}" if contact.name in taken else contact.name
+        colors = FINGER_COLORS[i % len(FINGER_COLORS)]
+        fingers.append(_add_finger(plant, name, contact.finger, config, touch, colors))
+    geometries = [g for body in fingers for g in plant.GetCollisionGeometriesForBody(body)]
+    scene_graph.collision_filter_manager().Apply(
+        CollisionFilterDeclaration().ExcludeWithin(GeometrySet(geometries))
+    )
+    if config.object == "welded":
+        plant.WeldFrames(plant.world_frame(), object_body.body_frame())
+    turning = scene.turning if config.object == "turning" else None
+    if turning is not None:
+        _turning_joint(plant, object_body, turning)
+    plant.Finalize()
+    if turning is not None:
+        _connect_turning(builder, plant, turning, scene.duration)
+    return ScenePlant(plant, scene_graph, object_body, fingers)
+
+
+# --- what the plan says about contacts ---------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Touch:
+    """Where two bodies are planned to touch, and how they curve there.
+
+    finger_points, object_points : (m, 3), each in its body's frame, m
+    finger_normals : (m, 3), out of the finger; NaN where its chart has no frame
+    finger_curvature, object_curvature : mean curvatures, mean over the curve, 1/m
+    openness : (m,), sqrt(det(K_1 + R K_2 R)), 1/m; NaN where a chart has no frame
+    """
+
+    finger_points: Array
+    object_points: Array
+    finger_normals: Array
+    finger_curvature: float
+    object_curvature: float
+    openness: Array
+
+
+def _touches(scene: Scene) -> list[_Touch]:
+    """How the plan lets each finger touch the object.
+
+    Raises
+    ------
+    SceneError
+        The surfaces do not separate around a planned contact.
+    """
+    plan, length = make_plan(scene), float(scene.profile.arc_length(scene.duration))
+    times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
+    points, turns = plan.points(times), plan.pose(times)[..., :3, :3]
+    touches = []
+    for i, contact in enumerate(scene.contacts):
+        forms, frames = [], []
+        for surface, x in zip((contact.finger, scene.object), points[:, i].swapaxes(0, 1)):
+            at = surface.coordinates(x)
+            forms.append(surface.curvature_form(*at))
+            frames.append(surface.frame(*at))
+        turn = frames[1][..., :2].swapaxes(-1, -2) @ turns[:, i] @ frames[0][..., :2]
+        relative = forms[1] + turn @ forms[0] @ turn.swapaxes(-1, -2)
+        # A chart has no frame at its poles; the curve is known beside them.
+        known = np.all(np.isfinite(relative), axis=(1, 2))
+        least = np.linalg.eigvalsh(relative[known])[:, 0].min()
+        if not least > 0:
+            raise SceneError(
+                f"contact {i}: finger and object overlap where they are planned to touch (the "
+                f"least relative curvature is {least:.3g} 1/m); make the finger smaller, or plan "
+                "contact where the object is less hollow"
+            )
+        mean = [float(np.trace(k[known], axis1=1, axis2=2).mean() / 2) for k in forms]
+        openness = np.sqrt(np.linalg.det(relative))
+        finger_points, object_points = points[:, i].swapaxes(0, 1)
+        touches.append(
+            _Touch(finger_points, object_points, frames[0][..., 2], mean[0], mean[1], openness)
+        )
+    return touches
+
+
+def _check_surfaces(scene: Scene, config: PlantConfig) -> None:
+    """Refuse what Drake's contact cannot do, with the reason."""
+    if config.object == "turning" and scene.turning is None:
+        raise SceneError('object = "turning", but the scene has no [turning]; say how, or "free"')
+    if config.object == "turning" and config.time_step == 0:
+        raise SceneError(
+            'object = "turning" needs a discrete plant, whose implicit controllers bear the gain; '
+            "give time_step > 0"
+        )
+    bodies = (scene.object, *(contact.finger for contact in scene.contacts))
+    if config.drake_spheres is not None and not all(
+        isinstance(body, Sphere) and not body.inside for body in bodies
+    ):
+        raise SceneError(
+            f"drake_spheres = {config.drake_spheres!r}: object and fingers are not all spheres; "
+            "leave it out"
+        )
+    for i, contact in enumerate(scene.contacts):
+        finger = contact.finger
+        if config.contact_model == "point":
+            round_pair = isinstance(finger, Sphere) and isinstance(scene.object, (Sphere, Plane))
+            if not round_pair or finger.inside or scene.object.inside:
+                raise SceneError(
+                    f'contact {i}: contact_model = "point" is exact for a sphere on a sphere or on '
+                    f"a plane, not for {finger!r} on {scene.object!r}: Drake's normal between an "
+                    'ellipsoid and a sphere is wrong by up to 16 degrees; use "hydroelastic"'
+                )
+        elif finger.inside or not (is_round(finger) or isinstance(finger, (Cylinder, Torus))):
+            raise SceneError(
+                f"contact {i}: a fingertip is a compliant solid, which {finger!r} does not bound; "
+                "use a sphere, an ellipsoid, a cylinder, a torus or an ImplicitSurface"
+            )
+
+
+# --- bodies ------------------------------------------------------------------------------------
+
+
+def _add_object(
+    plant: MultibodyPlant, scene: Scene, config: PlantConfig, touches: Sequence[_Touch]
+) -> RigidBody:
+    surface = scene.object
+    curve = np.vstack([touch.object_points for touch in touches])
+    own = float(np.mean([touch.object_curvature for touch in touches]))
+    opposing = max(touch.finger_curvature for touch in touches)
+    domain = mesh = None
+    shape: Shape = HalfSpace()
+    if not isinstance(surface, Plane):
+        lengths = (OBJECT_GAP, config.object_edge)
+        domain, mesh = _mesh(surface, curve, (own, opposing), config, lengths)
+        shape = SphereShape(surface.size) if mesh is None else rigid_mesh(mesh, "object")
+    properties = _material(config, relaxation_time=0.0)
+    if config.drake_spheres is not None:
+        AddRigidHydroelasticProperties(config.drake_spheres, properties)
+    elif config.contact_model == "hydroelastic":
+        AddRigidHydroelasticProperties(properties)
+    # A welded or turning object may be a surface that bounds no solid; its inertia has no effect.
+    inertia = SpatialInertia.SolidSphereWithMass(config.object_mass, surface.size)
+    if config.object == "free":
+        inertia = _solid("object", surface, config.object_mass, mesh)
+    return _add_body(plant, "object", inertia, shape, properties, domain, OBJECT_COLORS)
+
+
+def _add_finger(
+    plant: MultibodyPlant, name: str, surface: Surface, config: PlantConfig, touch: _Touch, paint
+) -> RigidBody:
+    curvatures = (touch.finger_curvature, touch.object_curvature)
+    lengths = (FINGER_GAP, config.finger_edge)
+    domain, mesh = _mesh(surface, touch.finger_points, curvatures, config, lengths)
+    properties = _material(config, _relaxation_time(config))
+    shape: Shape = SphereShape(surface.size)
+    if config.contact_model == "hydroelastic":
+        inner = inner_points(surface)
+        shape = shape if mesh is None else compliant_mesh(mesh, inner, name)
+        hint = config.drake_spheres or surface.size  # Drake asks for one, and ignores it for meshes
+        AddCompliantHydroelasticProperties(hint, _modulus(config, touch, inner), properties)
+    inertia = _solid(name, surface, config.finger_mass, mesh)
+    return _add_body(plant, name, inertia, shape, properties, domain, paint)
+
+
+def _mesh(
+    surface: Surface,
+    curve: Array,
+    curvatures: tuple[float, float],
+    config: PlantConfig,
+    lengths: tuple[float, float | None],
+) -> tuple[Domain, SurfaceMesh | None]:
+    """A surface's domain, and its mesh where contact needs one.
+
+    curvatures : mean curvatures of the surface and of the other body, 1/m
+    lengths : depths that open along an edge, or the edge itself, m
+    """
+    own, opposing = curvatures
+    depth = contact_depth(config)
+    patch = math.sqrt(2 * depth / (own + opposing))
+    domain = domain_of(surface, curve, REACH + patch, opposing)
+    if config.contact_model == "point" or config.drake_spheres is not None:
+        return domain, None
+    depths, edge = lengths
+    gap = depths * depth if edge is None else (own + opposing) * edge**2 / 2
+    return domain, contact_mesh(domain, curve, opposing, gap, config.strip_margin + patch)
+
+
+def _add_body(
+    plant: MultibodyPlant,
+    name: str,
+    inertia: SpatialInertia,
+    shape: Shape,
+    properties: ProximityProperties,
+    domain: Domain | None,
+    paint: Sequence[Sequence[float]],
+) -> RigidBody:
+    """A body with its contact geometry, painted in two colours so that rolling can be seen."""
+    body, at = plant.AddRigidBody(name, plant.AddModelInstance(name), inertia), RigidTransform()
+    plant.RegisterCollisionGeometry(body, at, shape, name, properties)
+    if domain is None:
+        plant.RegisterVisualGeometry(body, at, shape, name, [*paint[0], 1.0])
+        return body
+    for k, (mesh, color) in enumerate(zip(painted_meshes(domain, name), paint)):
+        plant.RegisterVisualGeometry(body, at, mesh, f"{name}_{k}", [*color, 1.0])
+    return body
+
+
+def _modulus(config: PlantConfig, touch: _Touch, inner: Array) -> float:
+    """Hydroelastic modulus, Pa, for the stiffness at the normal force, mean over the curve."""
+    below = inner[cKDTree(inner).query(touch.finger_points)[1]]
+    height = np.sum(touch.finger_normals * (touch.finger_points - below), axis=1)
+    compliance = np.nanmean(1 / (height * touch.openness))
+    return config.stiffness**2 / (4 * math.pi * config.normal_force * float(compliance))
+
+
+def _material(config: PlantConfig, relaxation_time: float) -> ProximityProperties:
+    properties = ProximityProperties()
+    # Drake puts the two stiffnesses in series, and adds up relaxation times.
+    dissipation = config.damping / config.normal_force if config.damping_at == "contact" else 0.0
+    AddContactMaterial(
+        properties,
+        dissipation=dissipation,
+        point_stiffness=2 * config.stiffness,
+        friction=CoulombFriction(config.friction, config.friction),
+    )
+    properties.AddProperty("material", "relaxation_time", relaxation_time)
+    return properties
+
+
+def _relaxation_time(config: PlantConfig) -> float:
+    """Of the finger, s; c = k tau in the "sap" approximation."""
+    if config.relaxation_time is not None:
+        return config.relaxation_time
+    return config.damping / config.stiffness if config.damping_at == "contact" else 0.0
+
+
+def _solid(name: str, surface: Surface, mass: float, mesh: SurfaceMesh | None) -> SpatialInertia:
+    """Inertia of a homogeneous solid about its mass centre, which is put at the body's origin."""
+    if isinstance(surface, Sphere) and not surface.inside:
+        return SpatialInertia.SolidSphereWithMass(mass, surface.radius)
+    if isinstance(surface, Ellipsoid) and not surface.inside:
+        return SpatialInertia.SolidEllipsoidWithMass(mass, surface.a, surface.b, surface.c)
+    if mesh is not None and not surface.inside:
+        if isinstance(surface, Cylinder):
+            length = np.ptp(mesh.points[:, 2])
+            return SpatialInertia.SolidCylinderWithMass(mass, surface.radius, length, [0, 0, 1])
+        if mesh.closed:
+            triangles = [SurfaceTriangle(*map(int, t)) for t in mesh.triangles]
+            unit = CalcSpatialInertia(TriangleSurfaceMesh(triangles, list(mesh.corrected())), 1.0)
+            central = unit.Shift(unit.get_com())
+            return SpatialInertia(mass, np.zeros(3), central.get_unit_inertia())
+    raise SceneError(
+        f"{name}: {surface!r} bounds no solid whose inertia could be computed; give the object as "
+        'object = "welded", or "turning"'
+    )
+
+
+# --- a turning object --------------------------------------------------------------------------
+
+
+def _turning_joint(plant: MultibodyPlant, body: RigidBody, turning: Turning) -> None:
+    joint = plant.AddJoint(
+        RevoluteJoint("turning", plant.world_frame(), body.body_frame(), turning.axis)
+    )
+    joint.set_default_angle(_radians(turning)(0.0))
+    # The implicit controller with a position gain alone brings the joint to the desired angle at
+    # every step, however high the gain: 2e-9 rad from it in C1.
+    gains = PdControllerGains(p=TURNING_GAIN, d=0.0)
+    plant.AddJointActuator("turning", joint).set_controller_gains(gains)
+
+
+def _connect_turning(
+    builder: DiagramBuilder, plant: MultibodyPlant, turning: Turning, duration: float
+) -> None:
+    # A step ends at the angle desired at its beginning, which has to be that of its end.
+    ahead = _radians(turning)(Polynomial([plant.time_step(), 1.0]))
+    path = PiecewisePolynomial([np.array([[DrakePolynomial(ahead.coef)]])], [0.0, duration])
+    source = builder.AddSystem(TrajectorySource(path, output_derivative_order=1))
+    source.set_name("turning")
+    port = plant.get_desired_state_input_port(plant.GetModelInstanceByName("object"))
+    builder.Connect(source.get_output_port(), port)
+
+
+def _radians(turning: Turning) -> Polynomial:
+    """Angle about the unit axis as a polynomial of time."""
+    return float(np.linalg.norm(turning.axis)) * Polynomial(turning.angle)

@@ -1,0 +1,327 @@
+"""A scene's MultibodyPlant: contact as stiff as the scene says, for every pair of surfaces."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.polynomial import polynomial
+
+pytest.importorskip("pydrake")
+
+from conftest import SURFACES
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.math import SpatialVelocity
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from scipy.integrate import quad
+from scipy.spatial.transform import Rotation
+
+import contact_system as cs
+from drake_plant.plant import AddScenePlant, PlantConfig, contact_depth
+
+SPHERE = cs.Sphere(0.04)
+DEPTH = 2e-4  # [m], where 10 kN/m carry 1 N
+
+
+class World:
+    """A scene's plant with a Context; forces are static ones where time_step is 0."""
+
+    def __init__(self, scene, **changes):
+        self.scene = scene
+        self.config = PlantConfig(**{"object": "welded", "time_step": 0.0, **changes})
+        builder = DiagramBuilder()
+        self.parts = AddScenePlant(builder, scene, self.config)
+        self.plant, self.diagram = self.parts.plant, builder.Build()
+        self.root = self.diagram.CreateDefaultContext()
+        self.context = self.plant.GetMyMutableContextFromRoot(self.root)
+
+    def place(self, body, X):
+        self.plant.SetFreeBodyPose(self.context, body, X)
+
+    def results(self):
+        return self.plant.get_contact_results_output_port().Eval(self.context)
+
+    def patches(self):
+        """Force on the object (3,) and number of faces, by the finger's name."""
+        found = {}
+        for i in range(self.results().num_hydroelastic_contacts()):
+            info = self.results().hydroelastic_contact_info(i)
+            surface, inspector = info.contact_surface(), self.parts.scene_graph.model_inspector()
+            bodies = [self.plant.GetBodyFromFrameId(inspector.GetFrameId(g)).name()
+                      for g in (surface.id_M(), surface.id_N())]  # fmt: skip
+            force = info.F_Ac_W().translational()
+            sign = 1 if bodies[0] == "object" else -1
+            (name,) = set(bodies) - {"object"}
+            found[name] = (sign * force, surface.num_faces())
+        return found
+
+    def pressed(self, depth=DEPTH, count=30, seed=0):
+        """Forces (count, n, 3) and faces (count, n) along the plan, fingers ``depth`` too near.
+
+        Also the object's normals there, (count, n, 3).
+        """
+        plan, scene = cs.plan(self.scene), self.scene
+        t = np.random.default_rng(seed).uniform(0, scene.duration, count)
+        poses, points = plan.pose(t), plan.points(t)[:, :, 1]
+        normals = scene.object.normal(*scene.object.coordinates(points))
+        forces, faces = np.zeros(points.shape), np.zeros(points.shape[:2])
+        for k in range(count):
+            for X, n, body in zip(poses[k], normals[k], self.parts.finger_bodies):
+                R = RotationMatrix.ProjectToRotationMatrix(X[:3, :3])
+                self.place(body, RigidTransform(R, X[:3, 3] - depth * n))
+            found = self.patches()
+            for i, body in enumerate(self.parts.finger_bodies):
+                forces[k, i], faces[k, i] = found[body.name()]
+        return forces, faces, normals
+
+
+def rolling(obj, finger=SPHERE, at=(1.0, 0.4), finger_at=(math.pi / 2, 0.0), length=0.3, name=""):
+    """A scene with one finger that rolls so far along a slanted curve."""
+    contact = cs.Contact(finger, at, finger_at, finger_velocity=(0.6, 0.8))
+    return cs.Scene(object=obj, contacts=[contact], profile=cs.Profile([length]), duration=1.0,
+                    name=name)  # fmt: skip
+
+
+def sphere_force(depth, r1=0.04, r2=0.1, stiffness=1e4):
+    """Force of the pressure E depth/r1 on the rigid sphere's cap inside the finger, integrated.
+
+    No expansion for small depth; the modulus is the one that notes on contact stiffness give.
+    """
+    modulus = stiffness**2 * (r1 + r2) / r2 / (4 * math.pi)
+    distance = r1 + r2 - depth
+    edge = math.acos((r2**2 + distance**2 - r1**2) / (2 * r2 * distance))
+
+    def ring(angle):
+        r = math.sqrt(r2**2 + distance**2 - 2 * r2 * distance * math.cos(angle))
+        pressure = modulus * (1 - r / r1)
+        return pressure * math.cos(angle) * 2 * math.pi * r2**2 * math.sin(angle)
+
+    return quad(ring, 0, edge, epsabs=1e-12)[0]
+
+
+@pytest.fixture(scope="module")
+def spheres():
+    return World(rolling(cs.Sphere(0.1)), object="free")
+
+
+# --- how stiff contact is ----------------------------------------------------------------------
+
+
+def test_force_between_spheres_is_the_integral_of_pressure_in_all_orientations(spheres):
+    random = Rotation.random(60, random_state=2).as_matrix()
+    other = Rotation.random(60, random_state=3).as_matrix()
+    (finger,) = spheres.parts.finger_bodies
+    forces, faces = [], []
+    for R, S in zip(random, other):
+        spheres.place(spheres.parts.object_body, RigidTransform(RotationMatrix(R), [0, 0, 0]))
+        spheres.place(finger, RigidTransform(RotationMatrix(S), [0, 0, 0.14 - DEPTH]))
+        ((force, count),) = spheres.patches().values()
+        forces.append(np.linalg.norm(force))
+        faces.append(count)
+    assert np.mean(forces) == pytest.approx(sphere_force(DEPTH), rel=0.01)
+    assert np.std(forces) < 0.0125  # the bar is 0.025 N
+    assert np.mean(faces) < 45
+
+
+def test_fine_meshes_converge_to_the_integral_of_pressure():
+    world = World(rolling(cs.Sphere(0.1)), finger_edge=1.5e-3, object_edge=2e-3)
+    forces = np.linalg.norm(world.pressed()[0], axis=-1)
+    assert forces.mean() == pytest.approx(sphere_force(DEPTH), rel=1e-3)
+    assert forces.std() < 2e-3
+
+
+def test_drakes_own_spheres_lose_a_tenth_of_the_force_with_seven_times_the_faces():
+    world = World(rolling(cs.Sphere(0.1)), drake_spheres=1.5e-3)
+    forces, faces, _ = world.pressed(count=10)
+    assert 0.85 < np.linalg.norm(forces, axis=-1).mean() < 0.95
+    assert faces.mean() > 200
+
+
+@pytest.mark.parametrize(
+    "obj", [cs.Ellipsoid(0.12, 0.1, 0.08), cs.Cylinder(0.1)], ids=["ellipsoid", "cylinder"]
+)
+def test_default_meshes_give_the_force_of_fine_ones(obj):
+    scene = rolling(obj)
+    fine = World(scene, finger_edge=1.7e-3, object_edge=2.2e-3, strip_margin=1e-3)
+    expected = np.linalg.norm(fine.pressed()[0], axis=-1)
+    forces, faces, _ = World(scene).pressed()
+    ratio = np.linalg.norm(forces, axis=-1) / expected
+    assert ratio.mean() == pytest.approx(1, abs=0.01)  # the bar is 2 %
+    assert ratio.std() < 0.02
+    assert faces.mean() < 45
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_one_newton_at_a_fifth_of_a_millimetre_on_every_kind_of_object(name):
+    surface, at = SURFACES[name]
+    world = World(rolling(surface, cs.Sphere(0.02), at, length=0.01))
+    lower, force, upper = (
+        np.linalg.norm(world.pressed(depth, count=8)[0], axis=-1).mean()
+        for depth in (0.95 * DEPTH, DEPTH, 1.05 * DEPTH)
+    )
+    assert force == pytest.approx(1, rel=0.03)
+    assert (upper - lower) / (0.1 * DEPTH) == pytest.approx(1e4, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("finger", "at"),
+    [
+        (cs.Ellipsoid(0.06, 0.05, 0.04), (0.3, 0.4)),
+        (cs.Cylinder(0.04), (0.3, 0.0)),
+        (cs.Torus(0.05, 0.02), (0.3, -0.2)),
+        (cs.ImplicitSurface("(x/r)**4 + (y/r)**4 + (z/r)**4 - 1", parameters={"r": 0.04},
+                            size=0.04), (1.05, 0.6)),
+    ],
+    ids=["ellipsoid", "cylinder", "torus", "rounded cube"],
+)  # fmt: skip
+def test_one_newton_at_a_fifth_of_a_millimetre_for_every_kind_of_fingertip(finger, at):
+    world = World(rolling(cs.Sphere(0.1), finger, finger_at=at, length=0.02))
+    forces = np.linalg.norm(world.pressed(count=15)[0], axis=-1)
+    # The cube's curvature changes within a patch, which the stiffness does not look at.
+    assert forces.mean() == pytest.approx(1, rel=0.05)
+
+
+def test_another_stiffness_and_force_set_the_depth():
+    changes = {"stiffness": 5e3, "normal_force": 2.0}
+    world = World(rolling(cs.Sphere(0.05), cs.Sphere(0.03)), **changes)
+    depth = contact_depth(world.config)
+    assert depth == pytest.approx(8e-4)
+    forces = np.linalg.norm(world.pressed(depth, count=15)[0], axis=-1)
+    assert forces.mean() == pytest.approx(2, rel=0.02)
+    point = PlantConfig(contact_model="point", **changes)
+    assert contact_depth(point) == pytest.approx(4e-4)
+
+
+def test_contact_pushes_along_an_ellipsoids_normal():
+    forces, _, normals = World(rolling(cs.Ellipsoid(0.12, 0.1, 0.08))).pressed()
+    inward = -forces / np.linalg.norm(forces, axis=-1, keepdims=True)
+    assert np.linalg.norm(inward - normals, axis=-1).mean() < 3e-3
+
+
+def test_a_plane_pushes_along_its_normal_wherever_the_finger_goes():
+    world = World(rolling(cs.Plane(), at=(0.0, 0.0)))
+    world.place(world.parts.finger_bodies[0], RigidTransform([7.0, -3.0, 0.04 - DEPTH]))
+    ((force, _),) = world.patches().values()
+    assert force == pytest.approx([0, 0, -1], abs=0.02)
+
+
+def test_point_contact_has_the_stiffness_of_the_scene():
+    world = World(rolling(cs.Sphere(0.1)), contact_model="point")
+    (finger,) = world.parts.finger_bodies
+    world.place(finger, RigidTransform([0, 0, 0.14 - 1e-4]))
+    force = world.results().point_pair_contact_info(0).contact_force()
+    assert np.linalg.norm(force) == pytest.approx(1.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("approximation", ["sap", "lagged"])
+def test_damping_in_the_contact_is_what_the_scene_says(approximation):
+    # Bodies so heavy that contact does not change their velocity within a step.
+    world = World(
+        rolling(cs.Sphere(0.1)), contact_model="point", time_step=1e-4, damping_at="contact",
+        damping=1000.0, finger_mass=1e6, discrete_contact_approximation=approximation,
+    )  # fmt: skip
+    (finger,) = world.parts.finger_bodies
+    forces = []
+    for speed in (0.0, 1e-4):
+        simulator = Simulator(world.diagram, world.root.Clone())
+        context = world.plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+        world.plant.SetFreeBodyPose(context, finger, RigidTransform([0, 0, 0.14 - 1e-4]))
+        V = SpatialVelocity(np.zeros(3), [0, 0, -speed])
+        world.plant.SetFreeBodySpatialVelocity(context=context, body=finger, V_JpJc=V)
+        simulator.AdvanceTo(1e-4)
+        results = world.plant.get_contact_results_output_port().Eval(context)
+        forces.append(np.linalg.norm(results.point_pair_contact_info(0).contact_force()))
+    # 0.1 N from 1000 N s/m; the step itself adds 1e4 N/m * 1e-4 m/s * 1e-4 s.
+    assert forces[1] - forces[0] == pytest.approx(0.1, rel=0.01)
+
+
+def test_contact_is_elastic_where_the_driver_damps(spheres):
+    inspector = spheres.parts.scene_graph.model_inspector()
+    for body in (spheres.parts.object_body, *spheres.parts.finger_bodies):
+        for geometry in spheres.plant.GetCollisionGeometriesForBody(body):
+            properties = inspector.GetProximityProperties(geometry)
+            assert properties.GetProperty("material", "relaxation_time") == 0
+            assert properties.GetProperty("material", "hunt_crossley_dissipation") == 0
+
+
+# --- what the plant is made of -----------------------------------------------------------------
+
+
+def test_d1_has_an_object_and_a_model_instance_for_every_finger():
+    world = World(cs.load_scene("D1"), object="free", finger_mass=0.261, object_mass=4.18)
+    plant = world.plant
+    names = ["object", "finger 1", "finger 2", "finger 3"]
+    bodies = [world.parts.object_body, *world.parts.finger_bodies]
+    assert [plant.GetModelInstanceName(b.model_instance()) for b in bodies] == names
+    assert [b.default_mass() for b in bodies] == [4.18, 0.261, 0.261, 0.261]
+    moments = bodies[1].default_spatial_inertia().CalcRotationalInertia().get_moments()
+    assert moments == pytest.approx(0.4 * 0.261 * 0.04**2)
+
+
+def test_fingers_without_names_are_numbered_and_do_not_collide_with_each_other():
+    one = cs.Contact(SPHERE, (1.0, 0.4))
+    scene = cs.Scene(object=cs.Sphere(0.1), contacts=[one, one], profile=cs.Profile([0.1]),
+                     duration=1.0)  # fmt: skip
+    world = World(scene)
+    names = [body.name() for body in world.parts.finger_bodies]
+    assert names == ["finger_0", "finger_1"]
+    for k, body in enumerate(world.parts.finger_bodies):
+        world.place(body, RigidTransform([1.0, 0.0, 0.01 * k]))
+    assert world.patches() == {}
+
+
+def test_a_ring_has_the_inertia_of_a_torus():
+    world = World(rolling(SPHERE, cs.Torus(0.05, 0.02), finger_at=(0.3, -0.2), length=0.02))
+    (ring,) = world.parts.finger_bodies
+    moments = ring.default_spatial_inertia().CalcRotationalInertia().get_moments() / 0.1
+    axial = 0.05**2 + 0.75 * 0.02**2
+    across = 0.5 * 0.05**2 + 0.625 * 0.02**2
+    assert moments == pytest.approx([across, across, axial], rel=5e-3)
+
+
+def test_gravity_pulls_down_as_the_configuration_says():
+    world = World(rolling(cs.Sphere(0.1)), object="free", gravity=9.81)
+    assert world.plant.gravity_field().gravity_vector() == pytest.approx([0, 0, -9.81])
+
+
+def test_a_turning_object_is_where_the_scene_says_at_every_step():
+    scene = cs.load_scene("C1")
+    world = World(scene, object="turning", time_step=1e-3)
+    world.place(world.parts.finger_bodies[0], RigidTransform([9.0, 0, 0]))
+    simulator = Simulator(world.diagram, world.root)
+    for t in (0.2, 0.5, 0.9):
+        simulator.AdvanceTo(t - 1e-4)  # the step begun at t - 1 ms has been taken
+        found = world.plant.EvalBodyPoseInWorld(world.context, world.parts.object_body)
+        turn = Rotation.from_rotvec(scene.turning.rotation_vector(t)).as_matrix()
+        assert np.abs(found.rotation().matrix() - turn).max() < 1e-7
+        angle = polynomial.polyval(t, scene.turning.angle) * math.sqrt(3)
+        joint = world.plant.GetJointByName("turning")
+        assert joint.get_angle(world.context) == pytest.approx(angle, abs=1e-7)
+
+
+# --- what is refused ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scene", "changes", "words"),
+    [
+        (rolling(cs.Ellipsoid(0.12, 0.1, 0.08)), {"contact_model": "point"},
+         r"contact 0: contact_model = \"point\" is exact for a sphere on a sphere.*16 degrees"),
+        (rolling(cs.Sphere(0.1)), {"contact_model": "soft"}, "contact_model = 'soft': use one of"),
+        (rolling(cs.Sphere(0.1)), {"stiffness": 0}, "stiffness = 0: give a finite number above 0"),
+        (rolling(cs.Sphere(0.1)), {"friction": -0.1}, "friction = -0.1: .* not below 0"),
+        (rolling(cs.Sphere(0.1)), {"gravity": math.nan}, "gravity = nan"),
+        (rolling(cs.Sphere(0.1)), {"object": "turning"}, r"the scene has no \[turning\]"),
+        (rolling(cs.Sphere(0.1)), {"relaxation_time": 0.1}, "only the discrete 'sap'"),
+        (rolling(cs.Plane(), at=(0, 0)), {"object": "free"}, "object: Plane.* bounds no solid"),
+        (rolling(cs.Sphere(0.2, inside=True)), {"object": "free"}, "bounds no solid"),
+        (rolling(cs.Sphere(0.1), cs.Plane(), finger_at=(0, 0)), {}, "a fingertip is a compliant"),
+        (rolling(cs.Sphere(0.03, inside=True)), {}, "contact 0: finger and object overlap"),
+        (rolling(cs.Cylinder(0.1)), {"drake_spheres": 1e-3}, "not all spheres"),
+        (cs.load_scene("C1"), {"object": "turning"}, "needs a discrete plant"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_simulated_is_refused_with_reason_and_remedy(scene, changes, words):
+    with pytest.raises(cs.SceneError, match=words) as error:
+        World(cs.Scene.replace(scene, name="mine"), **changes)
+    assert str(error.value).startswith("scene 'mine', plant: ")

@@ -1,0 +1,210 @@
+"""Meshes for hydroelastic contact: right on average, conforming, even in the gap they open."""
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pydrake")
+
+from conftest import SURFACES
+from pydrake.geometry import (
+    AddCompliantHydroelasticProperties,
+    AddRigidHydroelasticProperties,
+    GeometryInstance,
+    ProximityProperties,
+    SceneGraph,
+    SourceId,
+)
+from pydrake.math import RigidTransform
+
+import contact_system as cs
+from drake_plant.meshes import (
+    SurfaceMesh,
+    compliant_mesh,
+    contact_mesh,
+    domain_of,
+    icosphere,
+    inner_points,
+    painted_meshes,
+    refined,
+    rigid_mesh,
+)
+
+AROUND = np.linspace(0, 2 * math.pi, 90)
+CIRCLE = np.stack([np.cos(AROUND), np.sin(AROUND), 0 * AROUND], axis=1)
+# Surface, a curve on it, its volume and the Euler characteristic of its mesh.
+SOLIDS = {
+    "sphere": (cs.Sphere(0.04), 0.04 * CIRCLE, 4 / 3 * math.pi * 0.04**3, 2),
+    "ellipsoid": (cs.Ellipsoid(0.12, 0.1, 0.08), [0.12, 0.1, 0] * CIRCLE,
+                  4 / 3 * math.pi * 0.12 * 0.1 * 0.08, 2),
+    "torus": (cs.Torus(0.1, 0.03), 0.13 * CIRCLE, 2 * math.pi**2 * 0.1 * 0.03**2, 0),
+    "quadric": (cs.Quadric(np.diag([100.0, 100.0, 400.0])), 0.1 * CIRCLE,
+                4 / 3 * math.pi * 0.1 * 0.1 * 0.05, 2),
+}  # fmt: skip
+
+
+def mesh_of(surface, curve, gap=1e-3, opposing=25.0, strip=0.01):
+    domain = domain_of(surface, np.asarray(curve), 0.03, opposing)
+    return contact_mesh(domain, np.asarray(curve), opposing, gap, strip)
+
+
+def volume(points, triangles):
+    a, b, c = (points[w] for w in triangles.T)
+    return np.einsum("ti,ti->", a, np.cross(b, c)) / 6
+
+
+def edge_count(triangles):
+    pairs = np.sort(np.stack([triangles, np.roll(triangles, -1, 1)], axis=-1), axis=-1)
+    return len(np.unique(pairs.reshape(-1, 2), axis=0))
+
+
+def hydroelastic(shape, compliant):
+    """What Drake makes of a shape: its VolumeMesh or TriangleSurfaceMesh."""
+    graph = SceneGraph()
+    source: SourceId = graph.RegisterSource("test")
+    frame = graph.world_frame_id()
+    instance = GeometryInstance(RigidTransform(), shape, "shape")
+    properties = ProximityProperties()
+    if compliant:
+        AddCompliantHydroelasticProperties(1.0, 1e6, properties)
+    else:
+        AddRigidHydroelasticProperties(properties)
+    instance.set_proximity_properties(properties)
+    geometry = graph.RegisterGeometry(source, frame, instance)
+    return graph.model_inspector().maybe_get_hydroelastic_mesh(geometry)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_moved_vertices_enclose_the_true_volume_where_vertices_on_the_surface_lose_some(name):
+    surface, curve, true, _ = SOLIDS[name]
+    mesh = mesh_of(surface, curve)
+    lost = 1 - volume(mesh.points, mesh.triangles) / true
+    assert abs(1 - volume(mesh.corrected(), mesh.triangles) / true) < 0.05 * lost
+    assert lost > 1e-3
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_meshes_close_around_the_body_and_face_outwards(name):
+    surface, curve, _, euler = SOLIDS[name]
+    mesh = mesh_of(surface, curve)
+    assert mesh.closed
+    assert len(mesh.points) - edge_count(mesh.triangles) + len(mesh.triangles) == euler
+    a, b, c = (mesh.points[w] for w in mesh.triangles.T)
+    facing = np.einsum("ti,ti->t", np.cross(b - a, c - a), mesh.normals[mesh.triangles[:, 0]])
+    assert facing.min() > 0
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_every_kind_of_surface_has_a_mesh_with_its_vertices_and_normals_on_it(name):
+    surface, (u, v) = SURFACES[name]
+    curve = surface.point(u + np.linspace(0, 0.02, 5), np.full(5, v))
+    mesh = mesh_of(surface, curve, opposing=100.0, strip=0.005)
+    u, v = surface.coordinates(mesh.points[::37])
+    assert np.abs(surface.point(u, v) - mesh.points[::37]).max() < 1e-8
+    normal = surface.normal(u, v)
+    known = np.all(np.isfinite(normal), axis=1)
+    assert np.abs(normal[known] - mesh.normals[::37][known]).max() < 1e-6
+
+
+def test_edges_open_the_gap_asked_for_along_the_curve():
+    surface, curve, _, _ = SOLIDS["ellipsoid"]
+    for gap in (3e-4, 1e-3):
+        mesh = mesh_of(surface, curve, gap)
+        middle = mesh.points[mesh.triangles].mean(axis=1)
+        near = np.abs(middle[:, 2]) < 0.005
+        # The base of 6 to 12 parts that is subdivided has a whole number of them.
+        assert mesh.gaps(25.0)[near].mean() == pytest.approx(gap, rel=0.2)
+
+
+def test_triangles_of_an_ellipsoid_are_equal_in_the_gap_though_its_curvature_varies_by_27():
+    surface = cs.Ellipsoid(0.3, 0.2, 0.1)
+    mesh = mesh_of(surface, [0.3, 0.2, 0] * CIRCLE, 4e-3)
+    length = np.sqrt(mesh.gaps(25.0))
+    size = length.mean(axis=1)
+    low, high = np.quantile(size / size.mean(), [0.01, 0.99])
+    assert 0.85 < low and high < 1.15
+    assert np.mean(length.max(axis=1) / length.min(axis=1)) < 1.4
+
+
+@pytest.mark.parametrize("axes", [(0.3, 0.03, 0.03), (0.3, 0.3, 0.02), (0.3, 0.1, 0.02)])
+def test_needles_and_discs_are_meshed_without_folds(axes):
+    surface = cs.Ellipsoid(*axes)
+    mesh = mesh_of(surface, [axes[0], axes[1], 0] * CIRCLE, 3e-4)
+    true = 4 / 3 * math.pi * math.prod(axes)
+    assert mesh.closed
+    assert volume(mesh.corrected(), mesh.triangles) == pytest.approx(true, rel=0.02)
+
+
+def test_a_strip_is_as_fine_as_the_whole_surface_would_be_and_no_vertex_hangs():
+    around = np.linspace(0, 2 * math.pi, 1000)
+    surface, curve = cs.Sphere(1.0), np.stack([np.cos(around), np.sin(around), 0 * around], axis=1)
+    strip = mesh_of(surface, curve, 3e-4, strip=0.02)
+    assert strip.closed and len(strip.triangles) < 80_000  # 1.2 million all over
+    edge = np.linalg.norm(np.ptp(strip.points[strip.triangles], axis=1), axis=1)
+    height = np.abs(strip.points[strip.triangles].mean(axis=1)[:, 2])
+    fine = edge[height < 0.02]
+    assert fine.max() < 1.3 * fine.mean()
+    assert edge[height > 0.5].min() > 5 * fine.mean()
+
+
+def test_refinement_keeps_the_surface_closed_whatever_triangles_are_chosen():
+    domain = domain_of(cs.Sphere(1.0), CIRCLE, 0.1, 1.0)
+    q, triangles = domain.base(5)
+    random = np.random.default_rng(1)
+    for _ in range(3):
+        q, triangles = refined(domain, q, triangles, random.random(len(triangles)) < 0.2)
+        mesh = SurfaceMesh(*domain.place(q), triangles)
+        assert mesh.closed
+        assert len(q) - edge_count(triangles) + len(triangles) == 2
+
+
+def test_an_icosphere_has_the_points_and_triangles_of_an_icosahedron_divided():
+    for parts in (1, 2, 7):
+        points, triangles = icosphere(parts)
+        assert len(points) == 10 * parts**2 + 2 and len(triangles) == 20 * parts**2
+        assert np.linalg.norm(points, axis=1) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("surface", "curve", "true"),
+    [
+        (cs.Sphere(0.04), 0.04 * CIRCLE, 4 / 3 * math.pi * 0.04**3),
+        (cs.Torus(0.05, 0.02), 0.07 * CIRCLE, 2 * math.pi**2 * 0.05 * 0.02**2),
+        (cs.Cylinder(0.02), 0.02 * CIRCLE, math.pi * 0.02**2 * 0.06),
+    ],
+    ids=["sphere", "torus", "cylinder"],
+)
+def test_tetrahedra_fill_the_fingertip(surface, curve, true):
+    mesh = mesh_of(surface, curve, 3e-4, opposing=10.0)
+    solid = hydroelastic(compliant_mesh(mesh, inner_points(surface), "finger"), compliant=True)
+    assert solid.CalcVolume() == pytest.approx(true, rel=2e-3)
+
+
+def test_drake_takes_an_open_rigid_mesh_as_it_is():
+    surface = cs.Cylinder(0.1)
+    mesh = mesh_of(surface, 0.1 * CIRCLE)
+    assert not mesh.closed
+    drakes = hydroelastic(rigid_mesh(mesh, "object"), compliant=False)
+    assert drakes.num_triangles() == len(mesh.triangles)
+
+
+def test_pictures_show_the_true_surface_in_two_parts():
+    for surface, curve in ((cs.Sphere(0.1), 0.1 * CIRCLE), (cs.Torus(0.2, 0.05), 0.25 * CIRCLE)):
+        domain = domain_of(surface, curve, 0.02, 25.0)
+        light, dark = painted_meshes(domain, "body")
+        faces = [
+            str(m.source().in_memory().mesh_file.contents()).count("f ") for m in (light, dark)
+        ]
+        assert faces[0] == faces[1] > 500
+
+
+def test_a_mesh_that_would_be_too_large_is_refused_with_the_remedy():
+    with pytest.raises(cs.SurfaceError, match="more than 200000 triangles; give a smaller strip"):
+        mesh_of(cs.Sphere(1.0), CIRCLE, 1e-6, strip=0.5)
+
+
+def test_a_chart_that_is_singular_within_the_mesh_is_refused_with_the_place():
+    cone = cs.ParametricSurface(("u*cos(v)", "u*sin(v)", "-u"), v_period=2 * math.pi)
+    with pytest.raises(cs.SurfaceError, match="a pole of its chart"):
+        mesh_of(cone, cone.point(np.linspace(0.0, 0.1, 9), np.zeros(9)))
