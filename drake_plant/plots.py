@@ -1,0 +1,197 @@
+"""Pictures of a simulation: slip, forces and contact curves, measured beside planned.
+
+In the manner of :mod:`contact_system.plots`, with its colours and its way to draw bodies.
+matplotlib is imported only when a picture is asked for.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_system import Plan, plan
+from contact_system.measures import windows
+from contact_system.plots import (
+    DISTURBED,
+    INK,
+    RECOVERY,
+    _best_view,
+    _colour,
+    _Curve,
+    _draw_body,
+    _figure,
+    _hidden,
+    _mesh,
+    _shortened,
+    _title,
+)
+
+if TYPE_CHECKING:
+    from .station import SimulationResult
+
+Array = NDArray[np.float64]
+
+SMOOTH = 0.02  # s over which the bold line of a rippling signal is averaged
+LINES = 2400  # samples that a line is drawn with
+DOTS = 200  # places of each planned curve that are marked
+
+
+def plot(result: SimulationResult, path: str | os.PathLike, dpi: int = 160) -> None:
+    """One picture: contact curves on the object; slip, forces and distances over time.
+
+    Parameters
+    ----------
+    result : SimulationResult
+    path : path
+        Its ending chooses the format (.png, .pdf, .svg).
+    dpi : int
+        Dots an inch; the picture is 13 by 9 inches.
+
+    Raises
+    ------
+    MissingMatplotlib
+        If it is not installed.
+    """
+    planned = plan(result.scene)
+    with _figure(path, (13, 9), dpi) as figure:
+        left, right = figure.subfigures(1, 2, width_ratios=(1, 1.15))
+        _title(left, planned)
+        _draw_curves(left.add_axes((0.02, 0.18, 0.96, 0.68)), result, planned)
+        _key(left.add_axes((0.05, 0.02, 0.9, 0.15)), result)
+        panels = (_draw_slip, _draw_normal, _draw_friction, _draw_distance)
+        for k, draw in enumerate(panels):
+            axes = right.add_axes((0.12, 0.785 - 0.24 * k, 0.84, 0.175))
+            draw(axes, result)
+            _finish(axes, result, planned, last=k == len(panels) - 1)
+
+
+def _draw_slip(ax: Any, result: SimulationResult) -> None:
+    """Measured slip and, dashed, the planner's."""
+    peak = 0.0
+    for i in range(len(result.scene.contacts)):
+        measured = np.linalg.norm(result.measured["slip"][:, i], axis=1)
+        planned = np.linalg.norm(result.planned["slip"][:, i], axis=1)
+        ax.plot(*_thinned(result.t, measured), color=_colour(i), linewidth=0.9)
+        shown = np.where(planned > 0, planned, np.nan)
+        ax.plot(*_thinned(result.t, shown), color=_colour(i), linewidth=1.6, dashes=(2.2, 1.1))
+        peak = max(peak, measured.max(), planned.max())
+    ax.set_yscale("log")
+    if peak > 0:
+        ax.set_ylim(1e-5 * peak, 3 * peak)
+    ax.set_title("Slip, measured (dashed: of the plan)", loc="left", weight="bold")
+    ax.set_ylabel("slip [m/s]")
+
+
+def _draw_normal(ax: Any, result: SimulationResult) -> None:
+    for i in range(len(result.scene.contacts)):
+        _ripple(ax, result.t, result.measured["normal_force"][:, i], _colour(i))
+    wanted = result.config.driver.normal_force
+    ax.axhline(wanted, color=INK, linewidth=0.9, linestyle=":")
+    ax.set_ylim(0.0, 2 * wanted)
+    ax.set_title("Normal force (dotted: asked for)", loc="left", weight="bold")
+    ax.set_ylabel("force [N]")
+
+
+def _draw_friction(ax: Any, result: SimulationResult) -> None:
+    for i in range(len(result.scene.contacts)):
+        force = np.linalg.norm(result.measured["tangential_force"][:, i], axis=1)
+        _ripple(ax, result.t, force, _colour(i))
+    limit = result.config.plant.friction * result.config.driver.normal_force
+    ax.axhline(limit, color=INK, linewidth=0.9, linestyle=":")
+    ax.set_ylim(0.0, 1.3 * limit)
+    ax.set_title(r"Tangential force (dotted: $\mu N$)", loc="left", weight="bold")
+    ax.set_ylabel("force [N]")
+
+
+def _draw_distance(ax: Any, result: SimulationResult) -> None:
+    apart = result.measured["contact_point"] - result.planned["contact_point"]
+    for i, distance in enumerate(1e3 * np.linalg.norm(apart, axis=2).T):
+        ax.plot(*_thinned(result.t, distance), color=_colour(i), linewidth=1.2)
+    ax.set_title("Measured contact point from the planned one", loc="left", weight="bold")
+    ax.set_ylabel("distance [mm]")
+    ax.set_ylim(bottom=0.0)
+
+
+def _ripple(ax: Any, t: Array, values: Array, colour: str) -> None:
+    """A signal, pale, and its running mean."""
+    ax.plot(*_thinned(t, values), color=colour, linewidth=0.5, alpha=0.35)
+    width = max(1, round(SMOOTH / (t[1] - t[0]))) if len(t) > 1 else 1
+    ends = width // 2, (width - 1) // 2
+    mean = np.convolve(np.pad(values, ends, mode="edge"), np.full(width, 1 / width), "valid")
+    ax.plot(*_thinned(t, mean), color=colour, linewidth=1.5)
+
+
+def _thinned(t: Array, values: Array) -> tuple[Array, Array]:
+    """Least and greatest of each run of samples, so that no spike is lost."""
+    run = 2 * len(t) // LINES
+    if run < 2:
+        return t, values
+    n = len(t) // run * run
+    groups = values[:n].reshape(-1, run)
+    first = np.arange(len(groups)) * run
+    ends = np.stack([groups.argmin(1), groups.argmax(1)], axis=1)
+    index = np.sort(first[:, None] + ends, axis=1).ravel()
+    return t[index], values[index]
+
+
+def _finish(ax: Any, result: SimulationResult, planned: Plan, last: bool) -> None:
+    ax.set_xlim(result.t[0], result.t[-1])
+    ax.grid(axis="y", color="#e4e7eb", linewidth=0.8)
+    ax.set_axisbelow(True)
+    shaded = {w for i in range(len(result.scene.contacts)) for w in windows(planned, i)}
+    for start, stop in shaded:
+        ax.axvspan(start, stop, color=DISTURBED, alpha=0.10, linewidth=0)
+    wanted = result.scene.paper.get("recovery_time")
+    if wanted and shaded:
+        end = max(stop for _, stop in shaded)
+        ax.axvspan(end, end + wanted, color=RECOVERY, alpha=0.16, linewidth=0)
+    if last:
+        ax.set_xlabel("time [s]")
+    else:
+        ax.set_xticklabels([])
+
+
+# --- on the object -----------------------------------------------------------------------------
+
+
+def _draw_curves(ax: Any, result: SimulationResult, planned: Plan) -> None:
+    """Measured contact curves, with dots where the plan has them."""
+    every = slice(None, None, max(1, len(result.t) // 1600))
+    t, contacts = result.t[every], range(len(result.scene.contacts))
+    curves = []
+    for i in contacts:
+        disturbed = np.zeros(len(t), bool)
+        for start, stop in windows(planned, i):
+            disturbed |= (t >= start) & (t < stop)
+        points = result.measured["contact_point"][every, i]
+        curves.append(_Curve(points, disturbed, _colour(i), str(i + 1)))
+    mesh = _mesh(planned, result.scene.object, 1, contacts)
+    _draw_body(ax, mesh, curves)
+    view = _best_view(mesh, curves)
+    dots = result.planned["contact_point"][:: max(1, len(result.t) // DOTS)].reshape(-1, 3)
+    seen = view(dots[~_hidden(mesh, view, dots)])
+    ax.plot(seen[:, 0], seen[:, 1], linestyle="none", marker="o", markersize=1.7, color="white",
+            zorder=7)  # fmt: skip
+
+
+def _key(ax: Any, result: SimulationResult) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    entries: list[Any] = [
+        Line2D([], [], color=_colour(i), linewidth=2.4,
+               label=_shortened(contact.name or f"contact {i + 1}", 26))
+        for i, contact in enumerate(result.scene.contacts)
+    ]  # fmt: skip
+    entries.append(Line2D([], [], color=INK, linewidth=2.4, marker="o", markersize=2.5,
+                          markerfacecolor="white", markeredgewidth=0,
+                          label="measured curve, dots where planned"))  # fmt: skip
+    if result.scene.disturbances:
+        entries.append(Patch(color=DISTURBED, alpha=0.3, label="disturbance"))
+    if result.scene.disturbances and "recovery_time" in result.scene.paper:
+        entries.append(Patch(color=RECOVERY, alpha=0.2, label="recovery time in the paper"))
+    ax.set_axis_off()
+    ax.legend(handles=entries, loc="upper left", ncols=2, frameon=False, handlelength=2.2)

@@ -1,0 +1,408 @@
+"""A scene wired up: planner, plant, fingertip driver and contact monitor in one Diagram.
+
+``BuildStation`` gives the Diagram, ``SetInitialState`` puts its bodies where the plan starts, and
+``simulate`` does both, runs and logs::
+
+    station = BuildStation(scene)                      # systems "planner", "plant", "driver", ...
+    simulator = Simulator(station)
+    SetInitialState(station, simulator.get_mutable_context())
+    simulator.AdvanceTo(4.0)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import gc
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.math import SpatialVelocity
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
+from pydrake.systems.primitives import LogVectorOutput
+
+from contact_system import Scene, SceneError, Sphere
+
+from .contact_monitor import ContactMonitor
+from .fingertip_driver import DriverConfig, FingertipDriver
+from .planner_system import ContactPlanner
+from .plant import AddScenePlant, PlantConfig, ScenePlant, contact_depth
+
+Array = NDArray[np.float64]
+
+PLANNED = ("state", "slip", "contact_point")
+MEASURED = ("state", "slip", "normal_force", "tangential_force", "contact_point")
+INTEGRATION = SimulatorConfig(
+    integration_scheme="runge_kutta5", accuracy=1e-8, max_step_size=1e-2, use_error_control=True
+)
+""" Of the planner's continuous states; the plant's are discrete."""
+
+
+@dataclass
+class StationConfig:
+    """What a station is made of.
+
+    Attributes
+    ----------
+    plant : PlantConfig
+    driver : DriverConfig
+    coordinates : str
+        "chart" or "frame", of the :class:`ContactPlanner`.
+    disturbance_input : bool
+        Whether the planner's `disturbance` port is there, exported.
+    restart_period, restart_slip : float or None
+        Close the loop: the planner restarts from the measured state every so many seconds; with
+        both, only contacts whose measured slip is above so many m/s; with the slip alone, looked
+        at every 0.01 s. None: it does not.
+    rolling_radii : bool
+        Plan on the radii that spheres roll on once they are pressed together (see
+        :func:`rolling_scene`), else on the nominal ones.
+    monitor : bool
+        Whether there is a ContactMonitor; the closed loop needs it.
+    """
+
+    plant: PlantConfig = field(default_factory=PlantConfig)
+    driver: DriverConfig = field(default_factory=DriverConfig)
+    coordinates: str = "chart"
+    disturbance_input: bool = False
+    restart_period: float | None = None
+    restart_slip: float | None = None
+    rolling_radii: bool = True
+    monitor: bool = True
+
+    @property
+    def closed_loop(self) -> bool:
+        """Whether the planner restarts from measured states."""
+        return self.restart_period is not None or self.restart_slip is not None
+
+    @classmethod
+    def from_scene(cls, scene: Scene, **changes: Any) -> StationConfig:
+        """The scene's ``[drake]`` table, one flat table of all fields, and changes to it.
+
+        Raises
+        ------
+        SceneError
+            An unknown key, with the nearest known one, or a value of a wrong type.
+        """
+        table = {**scene.drake, **changes}
+        own = [f for f in dataclasses.fields(cls) if f.name not in ("plant", "driver")]
+        known = {
+            "plant": dataclasses.fields(PlantConfig),
+            "driver": dataclasses.fields(DriverConfig),
+        }
+        names = {f.name for fields in (own, *known.values()) for f in fields}
+        for key in table:
+            if key not in names:
+                near = difflib.get_close_matches(key, names, 1)
+                hint = f" (did you mean {near[0]!r}?)" if near else ""
+                raise SceneError(
+                    f"scene '{scene.name}', [drake]: key {key!r} is unknown{hint}; the keys here "
+                    f"are {', '.join(sorted(names))}"
+                )
+
+        def take(fields: Any) -> dict[str, Any]:
+            return {f.name: table[f.name] for f in fields if f.name in table}
+
+        return cls(
+            plant=PlantConfig(**take(known["plant"])),
+            driver=DriverConfig(**take(known["driver"])),
+            **take(own),
+        )
+
+
+def rolling_scene(scene: Scene, config: PlantConfig) -> Scene:
+    """The scene with spheres as large as they roll once pressed together.
+
+    A compliant finger gives way to a rigid object, so it rolls on its radius less the depth; two
+    equal point contacts share the depth. (That the patch is curved does not matter: what the
+    object's surface drops towards the rim the tilt of friction there makes up for, see
+    `contact_monitor`.) Only spheres are changed; a plan on the nominal surface of another body is
+    off by the ratio of depth to radius.
+    """
+
+    def smaller(surface: Any, by: float) -> Any:
+        if not isinstance(surface, Sphere):
+            return surface
+        return dataclasses.replace(surface, radius=surface.radius + (by if surface.inside else -by))
+
+    depth, point = contact_depth(config), config.contact_model == "point"
+    of_finger, of_object = (0.5 * depth, 0.5 * depth) if point else (depth, 0.0)
+    contacts = [
+        dataclasses.replace(contact, finger=smaller(contact.finger, of_finger))
+        for contact in scene.contacts
+    ]
+    return dataclasses.replace(scene, object=smaller(scene.object, of_object), contacts=contacts)
+
+
+def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
+    """Planner, plant, driver and monitor of a scene, wired.
+
+    .. pydrake_system::
+
+        name: Station
+        input_ports:
+        - disturbance (with disturbance_input)
+        output_ports:
+        - state
+        - slip
+        - twist
+        - acceleration
+        - pose
+        - contact_point
+        - normal
+        - spatial_forces
+        - measured_state
+        - measured_slip
+        - normal_force
+        - tangential_force
+        - measured_contact_point
+        - plant_state
+        - object_state
+        - body_poses
+        - contact_results
+        - query
+
+    The first seven are the planner's (see :class:`ContactPlanner`), `spatial_forces` the driver's,
+    the next five the monitor's (see :class:`ContactMonitor`; only with ``monitor``), the last five
+    the plant's and the scene graph's. The systems are named "planner", "driver", "monitor",
+    "plant" and "scene_graph".
+
+    Parameters
+    ----------
+    scene : Scene
+    config : StationConfig, optional
+        None: ``StationConfig.from_scene(scene)``.
+    """
+    return _build(scene, config or StationConfig.from_scene(scene))[0]
+
+
+def _build(
+    scene: Scene,
+    config: StationConfig,
+    extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None,
+) -> tuple[Diagram, ScenePlant]:
+    builder = DiagramBuilder()
+    parts = AddScenePlant(builder, scene, config.plant)
+    planned = rolling_scene(scene, config.plant) if config.rolling_radii else scene
+    planner = builder.AddNamedSystem(
+        "planner",
+        ContactPlanner(
+            planned,
+            config.coordinates,
+            disturbance_input=config.disturbance_input,
+            restart_period=config.restart_period,
+            restart_slip=config.restart_slip,
+        ),
+    )
+    _place_fingers(parts, planner, scene, planned, contact_depth(config.plant))
+    driver = builder.AddNamedSystem("driver", FingertipDriver(parts, config.driver))
+    plant = parts.plant
+    for name in ("pose", "twist", "acceleration", "normal"):
+        builder.Connect(planner.GetOutputPort(name), driver.GetInputPort(name))
+    for name in ("body_poses", "body_spatial_velocities", "body_spatial_accelerations"):
+        builder.Connect(plant.GetOutputPort(name), driver.GetInputPort(name))
+    applied = plant.get_applied_spatial_force_input_port()
+    builder.Connect(driver.GetOutputPort("spatial_forces"), applied)
+    for i in range(planner.num_output_ports()):
+        port = planner.get_output_port(i)
+        builder.ExportOutput(port, port.get_name())
+    builder.ExportOutput(driver.GetOutputPort("spatial_forces"), "spatial_forces")
+    if config.disturbance_input:
+        builder.ExportInput(planner.GetInputPort("disturbance"), "disturbance")
+    if config.monitor or config.closed_loop:
+        monitor = builder.AddNamedSystem("monitor", ContactMonitor(planned, parts))
+        for name in ("contact_results", "body_poses", "body_spatial_velocities"):
+            builder.Connect(plant.GetOutputPort(name), monitor.GetInputPort(name))
+        for name in MEASURED:
+            exported = name if name.endswith("force") else f"measured_{name}"
+            builder.ExportOutput(monitor.GetOutputPort(name), exported)
+        if config.closed_loop:
+            builder.Connect(monitor.GetOutputPort("state"), planner.GetInputPort("measured_state"))
+    builder.ExportOutput(plant.get_state_output_port(), "plant_state")
+    instance = parts.object_body.model_instance()
+    builder.ExportOutput(plant.get_state_output_port(instance), "object_state")
+    for name in ("body_poses", "contact_results"):
+        builder.ExportOutput(plant.GetOutputPort(name), name)
+    builder.ExportOutput(parts.scene_graph.get_query_output_port(), "query")
+    if extend is not None:
+        extend(builder, parts)
+    station = builder.Build()
+    station.set_name("station")
+    return station, parts
+
+
+def SetInitialState(station: Diagram, context: Context) -> None:
+    """Put the fingers of a station where the plan starts, moving as planned.
+
+    The object stays as the context has it (by default at the world's origin, at rest). Each finger
+    is pressed in as deep as its normal force presses it.
+
+    Parameters
+    ----------
+    station : Diagram
+        From :func:`BuildStation`.
+    context : Context
+        Its own, or that of a Diagram that contains it.
+    """
+    planner, driver = (station.GetSubsystemByName(name) for name in ("planner", "driver"))
+    plant = station.GetSubsystemByName("plant")
+    twists = planner.GetOutputPort("twist").Eval(planner.GetMyContextFromRoot(context))
+    physics = plant.GetMyMutableContextFromRoot(context)
+    obj = plant.get_body(BodyIndex(driver.object_index))
+    X_WO, V_WO = obj.EvalPoseInWorld(physics), obj.EvalSpatialVelocityInWorld(physics)
+    R_WO = X_WO.rotation()
+    for index, twist in zip(driver.finger_indices, twists.reshape(-1, 6)):
+        body = plant.get_body(index)
+        X_OF = plant.GetDefaultFloatingBaseBodyPose(body)
+        V_OF_W = SpatialVelocity(twist[:3], twist[3:]).Rotate(R_WO)
+        V_WF = V_WO.ComposeWithMovingFrameVelocity(R_WO @ X_OF.translation(), V_OF_W)
+        plant.SetFreeBodyPose(physics, body, X_WO @ X_OF)
+        plant.SetFreeBodySpatialVelocity(context=physics, body=body, V_JpJc=V_WF)
+
+
+def _place_fingers(
+    parts: ScenePlant, planner: ContactPlanner, nominal: Scene, planned: Scene, depth: float
+) -> None:
+    """Default poses of the fingers, each pressed in by the depth on the nominal surfaces."""
+    context = planner.CreateDefaultContext()
+    X_OF = planner.GetOutputPort("pose").Eval(context)
+    normals = planner.GetOutputPort("normal").Eval(context).reshape(-1, 3)
+    shrunk = _radius(nominal.object) - _radius(planned.object)
+    for body, X, n, a, b in zip(
+        parts.finger_bodies, X_OF, normals, nominal.contacts, planned.contacts
+    ):
+        sunk = depth - shrunk - (_radius(a.finger) - _radius(b.finger))
+        X = RigidTransform(X.rotation(), X.translation() - sunk * n)
+        parts.plant.SetDefaultFloatingBaseBodyPose(body, X)
+
+
+def _radius(surface: Any) -> float:
+    """Outward radius of a sphere; 0 of others, which are planned as they are."""
+    if not isinstance(surface, Sphere):
+        return 0.0
+    return -surface.radius if surface.inside else surface.radius
+
+
+@dataclass
+class SimulationResult:
+    """What :func:`simulate` saw. m times, n contacts; SI units.
+
+    Attributes
+    ----------
+    scene, config
+    t : (m,)
+    planned : dict
+        state (m, n, 9), slip (m, n, 2), contact_point (m, n, 3), the latter on the object, in O.
+    measured : dict
+        slip (m, n, 2), normal_force (m, n), tangential_force (m, n, 2), contact_point (m, n, 3),
+        state (m, n, 9): those of the step that ended at t.
+    object_pose : (m, 4, 4)
+        X_WO.
+    build_time, wall_time : float
+        s, of making the Diagram and of simulating it.
+    """
+
+    scene: Scene
+    config: StationConfig
+    t: Array
+    planned: Mapping[str, Array]
+    measured: Mapping[str, Array]
+    object_pose: Array
+    build_time: float
+    wall_time: float
+
+
+def simulate(
+    scene: Scene,
+    config: StationConfig | None = None,
+    duration: float | None = None,
+    progress: Callable[[float], None] | None = None,
+    recording: str | Path | None = None,
+) -> SimulationResult:
+    """Build the station of a scene, simulate it, and return what was planned and measured.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : StationConfig, optional
+        None: ``StationConfig.from_scene(scene)``.
+    duration : float, optional
+        s; None: the scene's.
+    progress : callable, optional
+        Called now and then with the simulated time, s.
+    recording : path, optional
+        Write a single-file Meshcat recording there.
+    """
+    gc.collect()  # Diagrams are cycles: free those of runs before this one
+    config = config or StationConfig.from_scene(scene)
+    config = dataclasses.replace(config, monitor=True)
+    duration = scene.duration if duration is None else duration
+    loggers: dict[str, Any] = {}
+    period = config.plant.time_step or 1e-3
+    film = None
+    if recording is not None:
+        from .recording import Recording
+
+        film = Recording()
+
+    def extend(builder: DiagramBuilder, parts: ScenePlant) -> None:
+        systems = {s.get_name(): s for s in builder.GetMutableSystems()}
+        for system, names in (("planner", PLANNED), ("monitor", MEASURED)):
+            for name in names:
+                port = systems[system].GetOutputPort(name)
+                loggers[f"{system}.{name}"] = LogVectorOutput(port, builder, period)
+        instance = parts.object_body.model_instance()
+        port = parts.plant.get_state_output_port(instance)
+        loggers["object"] = LogVectorOutput(port, builder, period)
+        if film is not None:
+            film.Add(builder, parts)
+
+    begun = time.perf_counter()
+    station, parts = _build(scene, config, extend)
+    simulator = Simulator(station)
+    ApplySimulatorConfig(INTEGRATION, simulator)
+    context = simulator.get_mutable_context()
+    SetInitialState(station, context)
+    if progress is not None:
+        simulator.set_monitor(lambda root: progress(root.get_time()) or EventStatus.DidNothing())
+    simulator.Initialize()
+    built = time.perf_counter()
+    simulator.AdvanceTo(duration)
+    finished = time.perf_counter()
+    if film is not None and recording is not None:
+        film.Save(recording)
+
+    logs = {name: sink.FindLog(context) for name, sink in loggers.items()}
+    t = logs["object"].sample_times()
+
+    def rows(system: str, names: tuple[str, ...]) -> dict[str, Array]:
+        n = len(scene.contacts)
+        return {name: logs[f"{system}.{name}"].data().T.reshape(len(t), n, -1) for name in names}
+
+    planned, measured = rows("planner", PLANNED), rows("monitor", MEASURED)
+    planned["contact_point"] = planned["contact_point"][:, :, 3:]
+    measured["normal_force"] = measured["normal_force"][:, :, 0]
+    poses = _poses(logs["object"].data().T)
+    return SimulationResult(
+        scene, config, t, planned, measured, poses, built - begun, finished - built
+    )
+
+
+def _poses(states: Array) -> Array:
+    """Homogeneous matrices of a free body's states (quaternion, position, ...)."""
+    poses = np.zeros((len(states), 4, 4))
+    poses[:, :3, :3] = [
+        RotationMatrix(Quaternion(q / np.linalg.norm(q))).matrix() for q in states[:, :4]
+    ]
+    poses[:, :3, 3] = states[:, 4:7]
+    poses[:, 3, 3] = 1.0
+    return poses

@@ -1,0 +1,282 @@
+"""ContactMonitor in a small plant of Drake's own spheres, against what Drake does to the bodies."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import slip_of_states
+
+pytest.importorskip("pydrake")
+
+from pydrake.geometry import (
+    AddCompliantHydroelasticProperties,
+    AddContactMaterial,
+    AddRigidHydroelasticProperties,
+    ProximityProperties,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.math import SpatialVelocity
+from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlantConfig
+from pydrake.multibody.tree import SpatialInertia
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+import contact_system as cs
+from drake_plant.contact_monitor import ContactMonitor
+
+R1, R2, MASS, STEP, FRICTION = 0.04, 0.1, 0.3, 1e-3, 0.5
+STIFFNESS = 1e4
+DEPTH = {"point": 1e-4, "hydroelastic": 1e-3}  # Drake's own meshes are coarse
+OUTPUTS = {"state": 9, "slip": 2, "normal_force": 1, "tangential_force": 2, "contact_point": 3}
+
+
+class Setup:
+    """Two fingers and an object, and a monitor of their contacts."""
+
+    def __init__(self, model: str, fingers_first: bool = False, step: float = STEP):
+        self.model, self.step = model, step
+        self.scene = cs.Scene(
+            object=cs.Sphere(R2),
+            contacts=[cs.Contact(cs.Sphere(R1), (1.0, 0.3)), cs.Contact(cs.Sphere(R1), (2.0, -2))],
+            profile=cs.Profile([1.0]),
+            duration=1.0,
+        )
+        builder = DiagramBuilder()
+        config = MultibodyPlantConfig(time_step=step, contact_model=model)
+        if step:
+            config.discrete_contact_approximation = "sap"
+        self.plant, _ = AddMultibodyPlant(config, builder)
+        self.plant.mutable_gravity_field().set_gravity_vector([0, 0, 0])
+        names = ["object", "finger 0", "finger 1"]
+        bodies = {name: self._body(name) for name in (names[::-1] if fingers_first else names)}
+        self.plant.Finalize()
+        self.object, *self.fingers = self.bodies = [bodies[name] for name in names]
+        parts = SimpleNamespace(
+            plant=self.plant, object_body=self.object, finger_bodies=self.fingers
+        )
+        self.monitor = builder.AddSystem(ContactMonitor(self.scene, parts))
+        for port in ("contact_results", "body_poses", "body_spatial_velocities"):
+            builder.Connect(self.plant.GetOutputPort(port), self.monitor.GetInputPort(port))
+        self.diagram = builder.Build()
+
+    def _body(self, name: str):
+        radius = R2 if name == "object" else R1
+        inertia = SpatialInertia.SolidSphereWithMass(MASS, radius)
+        body = self.plant.AddRigidBody(name, self.plant.AddModelInstance(name), inertia)
+        material = ProximityProperties()
+        AddContactMaterial(
+            material, point_stiffness=2 * STIFFNESS, friction=CoulombFriction(FRICTION, FRICTION)
+        )
+        if self.step:
+            material.AddProperty("material", "relaxation_time", 0.0)
+        if name == "object":
+            AddRigidHydroelasticProperties(0.004, material)
+        else:
+            AddCompliantHydroelasticProperties(0.004, 1e6, material)
+        shape = Sphere(radius)
+        self.plant.RegisterCollisionGeometry(body, RigidTransform(), shape, name, material)
+        return body
+
+    def run(self, sliding: tuple[float, float] = (0, 0), depth: float | None = None) -> None:
+        """One step from fingers that touch where the scene says, all bodies moving anyhow.
+
+        The fingers' material points slide relative to the object's by `sliding` in E2. Keeps the
+        poses X_W at the beginning of the step and the velocities before and after, V0_W and V_W.
+        """
+        self.root = self.diagram.CreateDefaultContext()
+        self.context = self.plant.GetMyMutableContextFromRoot(self.root)
+        rng = np.random.default_rng(4)
+        depth = DEPTH[self.model] if depth is None else depth
+        X_WO = RigidTransform(_any_rotation(rng), [0.3, -0.2, 0.1])
+        V_WO = SpatialVelocity(rng.normal(size=6))
+        self._set(self.object, X_WO, V_WO)
+        self.frames = []
+        for body, contact in zip(self.fingers, self.scene.contacts):
+            frame = self.scene.object.frame(*contact.object_at)
+            centre = (R1 + R2 - depth) * frame[:, 2]
+            omega = 20.0 * (frame[:, :2] @ rng.normal(size=2))
+            arm = self.height(depth) * frame[:, 2] - centre
+            velocity = frame[:, :2] @ sliding - np.cross(omega, arm)
+            V_OF = SpatialVelocity(X_WO.rotation() @ omega, X_WO.rotation() @ velocity)
+            V_WF = V_WO.ComposeWithMovingFrameVelocity(X_WO.rotation() @ centre, V_OF)
+            self._set(body, RigidTransform(_any_rotation(rng), X_WO @ centre), V_WF)
+            self.frames.append(X_WO.rotation().matrix() @ frame)
+        self._advance()
+
+    def height(self, depth: float) -> float:
+        """Where friction acts: at the object's surface, or midway in Drake's point contact."""
+        return R2 - (depth / 2 if self.model == "point" and depth > 0 else 0.0)
+
+    def _advance(self) -> None:
+        self.X_W = [body.EvalPoseInWorld(self.context) for body in self.bodies]
+        self.V0_W = [body.EvalSpatialVelocityInWorld(self.context) for body in self.bodies]
+        if self.step:
+            Simulator(self.diagram, self.root).AdvanceTo(self.step)
+        self.V_W = [body.EvalSpatialVelocityInWorld(self.context) for body in self.bodies]
+
+    def _set(self, body, X: RigidTransform, V: SpatialVelocity) -> None:
+        self.plant.SetFreeBodyPose(self.context, body, X)
+        self.plant.SetFreeBodySpatialVelocity(context=self.context, body=body, V_JpJc=V)
+
+    def read(self, name: str) -> np.ndarray:
+        context = self.monitor.GetMyContextFromRoot(self.root)
+        return self.monitor.GetOutputPort(name).Eval(context).reshape(2, -1)
+
+    def velocities(self, depth: float) -> np.ndarray:
+        """Of each finger's material point relative to the object's, in E2 and along the normal, by
+        hand."""
+        found = []
+        for k, frame in enumerate(self.frames, 1):
+            point = self.X_W[0].translation() + self.height(depth) * frame[:, 2]
+            v_O, v_F = (
+                self.V_W[b].translational()
+                + np.cross(self.V_W[b].rotational(), point - self.X_W[b].translation())
+                for b in (0, k)
+            )
+            found.append(frame.T @ (v_F - v_O))
+        return np.array(found)
+
+    def pushes(self) -> np.ndarray:
+        """Force on each finger in E2 and along the normal, from the momentum of the step."""
+        gained = [after - before for after, before in zip(self.V_W, self.V0_W)]
+        force = [MASS / self.step * V.translational() for V in gained[1:]]
+        return np.array([frame.T @ f for frame, f in zip(self.frames, force)])
+
+
+def _any_rotation(rng: np.random.Generator) -> RotationMatrix:
+    return RotationMatrix(RollPitchYaw(*rng.uniform(-1.4, 1.4, 3)))
+
+
+@pytest.fixture(scope="module", params=["point", "hydroelastic"])
+def setup(request) -> Setup:
+    return Setup(request.param)
+
+
+def test_ports_are_named_and_sized_by_the_contacts(setup):
+    ports = [setup.monitor.get_output_port(i) for i in range(setup.monitor.num_output_ports())]
+    assert {p.get_name(): p.size() for p in ports} == {k: 2 * v for k, v in OUTPUTS.items()}
+    inputs = [setup.monitor.get_input_port(i).get_name() for i in range(3)]
+    assert inputs == ["contact_results", "body_poses", "body_spatial_velocities"]
+
+
+@pytest.mark.parametrize("sliding", [(0.0, 0.0), (0.05, 0.0), (-0.01, 0.3)])
+def test_slip_is_minus_the_velocity_of_the_fingers_material_point(setup, sliding):
+    setup.run(sliding)
+    expected = -setup.velocities(DEPTH[setup.model])[:, :2]
+    assert setup.read("slip") == pytest.approx(expected, abs=1e-6)  # 1e-5 of fingers at 0.8 m/s
+    assert np.sign(setup.read("slip")[0, 1]) == -np.sign(sliding[1]) or sliding[1] == 0
+
+
+@pytest.mark.parametrize("sliding", [(0.0, 0.0), (0.05, 0.1)])
+def test_slip_is_the_one_that_drakes_point_contact_works_with(sliding):
+    setup = Setup("point")
+    setup.run(sliding)
+    results = setup.plant.GetOutputPort("contact_results").Eval(setup.context)
+    speeds = [results.point_pair_contact_info(k).slip_speed() for k in range(2)]
+    assert np.linalg.norm(setup.read("slip"), axis=1) == pytest.approx(speeds, rel=1e-6, abs=1e-8)
+
+
+@pytest.mark.parametrize("model", ["point", "hydroelastic"])
+def test_slip_in_a_continuous_plant_is_that_of_now(model):
+    setup = Setup(model, step=0.0)
+    setup.run((0.05, -0.02))
+    assert setup.read("slip") == pytest.approx(np.array([[-0.05, 0.02]] * 2), abs=1e-12)
+    assert (setup.read("normal_force") > 0.5).all()
+
+
+def test_forces_are_those_that_push_the_fingers(setup):
+    setup.run((0.2, -0.1))
+    normal, tangential = setup.read("normal_force"), setup.read("tangential_force")
+    pushes = setup.pushes()  # in E2 at the middle of the contact; the patch has its normal nearby
+    assert normal[:, 0] == pytest.approx(pushes[:, 2], rel=0.02)
+    assert tangential == pytest.approx(pushes[:, :2], abs=0.02 * pushes[0, 2])
+    assert (normal > 0.5).all()
+
+
+def test_sliding_friction_is_mu_times_the_normal_force_and_drags_along_slip(setup):
+    setup.run((0.2, -0.1))
+    normal, friction = setup.read("normal_force"), setup.read("tangential_force")
+    size, slip = np.linalg.norm(friction, axis=1), setup.read("slip")
+    assert size == pytest.approx(FRICTION * normal[:, 0], rel=0.01)
+    along = slip / np.linalg.norm(slip, axis=1)[:, None]
+    assert (friction * along).sum(1) == pytest.approx(size, rel=1e-3)
+
+
+def test_point_contact_presses_by_its_stiffness_and_the_depth_that_the_step_leads_to():
+    setup = Setup("point")
+    setup.run()
+    depth = DEPTH["point"] - STEP * setup.velocities(DEPTH["point"])[:, 2]
+    assert setup.read("normal_force")[:, 0] == pytest.approx(STIFFNESS * depth, rel=1e-3)
+
+
+def test_hydroelastic_force_is_that_of_the_contact_results():
+    setup = Setup("hydroelastic")
+    setup.run((0.02, 0.0))
+    results = setup.plant.GetOutputPort("contact_results").Eval(setup.context)
+    forces = [results.hydroelastic_contact_info(k).F_Ac_W().translational() for k in range(2)]
+    lengths = np.hypot(
+        setup.read("normal_force")[:, 0], np.linalg.norm(setup.read("tangential_force"), axis=1)
+    )
+    assert sorted(lengths) == pytest.approx(sorted(np.linalg.norm(forces, axis=1)), rel=1e-4)
+
+
+@pytest.mark.parametrize("model", ["point", "hydroelastic"])
+def test_order_of_the_bodies_changes_nothing(model):
+    readings = []
+    for fingers_first in (False, True):
+        setup = Setup(model, fingers_first)
+        setup.run((0.1, 0.05))
+        readings.append([setup.read(name) for name in OUTPUTS])
+    for one, other in zip(*readings):
+        assert one == pytest.approx(other, rel=1e-6, abs=1e-6)
+
+
+def test_state_and_contact_point_are_those_of_the_bodies_poses_now(setup):
+    setup.run((0.03, -0.02))
+    obj, pose, twist = setup.object.body_frame(), [], []
+    for F in (body.body_frame() for body in setup.fingers):
+        pose.append(F.CalcPose(setup.context, obj).GetAsMatrix4())
+        twist.append(F.CalcSpatialVelocity(setup.context, obj, obj).get_coeffs())
+    centres = np.array(pose)[:, :3, 3]
+    nearest = R2 * centres / np.linalg.norm(centres, axis=1)[:, None]
+    assert setup.read("contact_point") == pytest.approx(nearest, abs=1e-8)
+    state = setup.read("state")
+    expected = cs.measured_states(setup.scene, np.array(pose), np.array(twist), nearest)
+    assert state[:, [0, 1, 4, 5, 8]] == pytest.approx(expected[:, [0, 1, 4, 5, 8]], abs=1e-6)
+    assert state == pytest.approx(expected, rel=2e-2)  # which has the velocities' slip at the end
+    assert slip_of_states(setup.scene, state[None])[0] == pytest.approx(
+        setup.read("slip"), abs=1e-12
+    )
+
+
+def test_without_contact_there_is_no_force_and_slip_is_that_of_the_nearest_points(setup):
+    setup.run((0.03, -0.02), depth=-5e-3)
+    assert not setup.read("normal_force").any() and not setup.read("tangential_force").any()
+    assert setup.read("slip") == pytest.approx(-np.array([[0.03, -0.02]] * 2), abs=1e-6)
+    assert np.linalg.norm(setup.read("contact_point"), axis=1) == pytest.approx(R2, abs=1e-12)
+
+
+def test_nothing_is_nan_at_a_pole(setup):
+    setup.run()
+    X_WO, rest = setup.object.EvalPoseInWorld(setup.context), SpatialVelocity.Zero()
+    X_WF = X_WO @ RigidTransform([0, 0, R1 + R2 - DEPTH[setup.model]])
+    for body, X in ((setup.object, X_WO), (setup.fingers[0], X_WF)):
+        setup._set(body, X, rest)
+    for name in OUTPUTS:
+        assert np.isfinite(setup.read(name)).all()
+
+
+def test_nothing_is_searched_that_nobody_reads(setup, monkeypatch):
+    setup.run()
+    calls = []
+    measure = setup.monitor._sensor.measure
+    monkeypatch.setattr(
+        setup.monitor._sensor, "measure", lambda *a, **k: calls.append(1) or measure(*a, **k)
+    )
+    for names, searches in ((["slip", "normal_force", "tangential_force"], 1), (OUTPUTS, 2)):
+        for name in names:
+            setup.read(name)
+        assert len(calls) == searches

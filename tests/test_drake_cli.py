@@ -1,0 +1,190 @@
+"""``contact-system drake`` and what it measures: on made-up signals, and on short simulations."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pydrake")
+
+import contact_system as cs
+from drake_plant import cli, recording
+from drake_plant.measures import contact_speed, contact_table, recovery_time
+
+T = np.linspace(0.0, 4.0, 4001)
+START, STOP = 2.0, 2.5  # of D1's disturbance
+NOISE = 1e-4
+
+
+def made_up(slip: np.ndarray, friction: np.ndarray, normal: np.ndarray | float = 1.0):
+    """A result of D1 whose three contacts have these slips (m/s) and forces (N) along x."""
+    scene = cs.load_scene("D1")
+    plan = cs.plan(scene)
+    points = plan.points(T)[:, :, 1]
+    along = np.zeros((len(T), 3, 2))
+    along[:, :, 0] = 1.0
+    planned = {"state": plan.states(T), "slip": plan.slip(T), "contact_point": points}
+    measured = {
+        "state": planned["state"],
+        "slip": slip[:, None, None] * along,
+        "normal_force": np.ones((len(T), 3)) * np.reshape(normal, (-1, 1)),
+        "tangential_force": friction[:, None, None] * along,
+        "contact_point": points + [0.0, 3e-4, 0.0],
+    }
+    config = SimpleNamespace(
+        plant=SimpleNamespace(friction=0.5, contact_model="point", time_step=1e-3),
+        driver=SimpleNamespace(normal_force=1.0),
+    )
+    poses = np.tile(np.eye(4), (len(T), 1, 1))
+    return SimpleNamespace(scene=scene, config=config, t=T, planned=planned, measured=measured,
+                           object_pose=poses, build_time=0.1, wall_time=8.0)  # fmt: skip
+
+
+def decaying(rate: float) -> np.ndarray:
+    """Slip of 0.05 m/s while disturbed, decaying afterwards, over a floor of noise."""
+    slip = np.full(len(T), NOISE)
+    slip[(T >= START) & (T < STOP)] = 0.05
+    return np.maximum(slip, 0.05 * np.exp(-rate * (T - STOP)) * (T >= STOP))
+
+
+# --- measures ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate", [10.0, 40.0])
+def test_recovery_is_when_slip_falls_below_a_twentieth(rate):
+    finger = contact_table(made_up(decaying(rate), np.zeros(len(T))))[0]
+    assert finger.disturbed_slip == pytest.approx(0.05, rel=1e-9)
+    assert finger.recovery == pytest.approx(math.log(20) / rate, abs=1.1e-3)
+    assert finger.reported == 0.2
+    assert finger.as_reported is (rate == 40.0)
+
+
+def test_slip_need_not_fall_below_what_it_was_before():
+    slip = decaying(10.0)
+    slip[T < START] = 0.01
+    finger = contact_table(made_up(slip, np.zeros(len(T))))[0]
+    assert finger.slip_before == pytest.approx(0.01)
+    assert finger.recovery == pytest.approx(math.log(5) / 10, abs=1.1e-3)
+
+
+def test_slip_has_settled_when_undisturbed_contacts_slip_as_much_at_that_speed():
+    result = made_up(decaying(40.0), np.zeros(len(T)))
+    sigma = result.scene.profile(T)
+    result.measured["slip"][:, 0, 0] += 3e-3 * (T >= STOP)  # what rolling has by now
+    result.measured["slip"][:, 1, 0] = 2.5e-3 * sigma
+    result.measured["slip"][:, 2, 0] = 0.0
+    finger = contact_table(result)[0]
+    assert finger.recovery == math.inf
+    allowed = 2.5e-3 * result.scene.profile(STOP + finger.settling) - 3e-3
+    assert finger.settling == pytest.approx(-math.log(allowed / 0.05) / 40, abs=1.1e-3)
+
+
+def test_slip_that_comes_back_has_not_recovered():
+    slip = decaying(40.0)
+    slip[T > 3.999] = 0.01
+    finger = contact_table(made_up(slip, np.zeros(len(T))))[0]
+    assert finger.recovery == math.inf and finger.as_reported is False
+
+
+def test_only_disturbed_contacts_have_something_to_recover_from():
+    reports = contact_table(made_up(decaying(40.0), np.zeros(len(T))))
+    assert [math.isnan(r.recovery) for r in reports] == [False, True, True]
+    assert [r.saturates for r in reports] == [False, None, None]
+
+
+def test_recovery_time_of_a_signal_that_never_rises_is_zero():
+    assert recovery_time(T, np.zeros(len(T)), 1.0, 1e-3) == 0.0
+
+
+def test_forces_are_compared_with_the_momentary_normal_force():
+    normal = 1.0 + 0.1 * np.sin(40 * T)
+    friction = np.where((T >= START) & (T < STOP), 0.5 * normal, 0.05)
+    finger = contact_table(made_up(decaying(40.0), friction, normal))[0]
+    assert finger.friction_ratio == pytest.approx(1.0)
+    assert finger.friction_peak == pytest.approx(0.55, abs=1e-3)
+    assert finger.saturated == 1.0 and finger.saturates
+    assert finger.rolling_friction == pytest.approx(0.05)
+
+
+def test_normal_force_is_measured_outside_of_transients():
+    normal = np.ones(len(T))
+    for edge in (0.0, START, STOP):
+        normal[np.abs(T - edge) < 0.1] = 5.0
+    finger = contact_table(made_up(decaying(40.0), np.zeros(len(T)), normal))[0]
+    assert (finger.normal_mean, finger.normal_deviation) == (1.0, 0.0)
+
+
+def test_rolling_is_measured_before_the_disturbance():
+    result = made_up(decaying(40.0), np.zeros(len(T)))
+    scene, t = result.scene, T[(T >= 0.1) & (T < START)]
+    sigma = scene.profile(T)
+    speed = contact_speed(scene, result.planned["state"])
+    assert speed[T < START] == pytest.approx(np.tile(sigma[T < START, None], (1, 3)), rel=1e-9)
+    for report in contact_table(result):
+        assert report.rolling_slip == pytest.approx(np.mean(NOISE / scene.profile(t)), rel=1e-6)
+        assert report.distance == pytest.approx(3e-4)
+
+
+# --- camera --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_camera_faces_every_finger_that_can_be_faced_together(seed):
+    fingers = np.random.default_rng(seed).normal(size=(2, 3))
+    fingers[:, 2] = np.abs(fingers[:, 2])  # two fingers on the upper half are always seen at once
+    toward = recording.best_direction(0.14 * fingers)
+    assert np.linalg.norm(toward) == pytest.approx(1.0)
+    assert (fingers @ toward > 0).all()
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def run(*words: object) -> int:
+    parser = argparse.ArgumentParser()
+    cli.register(parser.add_subparsers())
+    args = parser.parse_args(["drake", *map(str, words)])
+    return args.run(args)
+
+
+def test_d1_runs_tells_and_writes(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    assert run("D1", "--until", 0.03, "--contact", "point", "--out", tmp_path) == 0
+    out = capsys.readouterr().out
+    assert "point contact" in out and "times real time" in out and "finger 3" in out
+    names = {p.name for p in tmp_path.iterdir()}
+    assert names == {f"D1-drake.{s}" for s in ("npz", "csv", "png", "html")}
+    assert all(f"wrote {tmp_path / name}" in out for name in names)
+    with np.load(tmp_path / "D1-drake.npz") as logs:
+        assert logs["measured_normal_force"].shape == (len(logs["t"]), 3)
+        assert logs["planned_state"].shape == (len(logs["t"]), 3, 9)
+        assert np.isfinite(logs["measured_slip"]).all()
+    rows = list(csv.reader((tmp_path / "D1-drake.csv").open()))
+    assert len(rows) == 1 + 3 * 31 and all(len(row) == len(rows[0]) for row in rows)
+
+
+def test_no_recording_is_written_where_none_is_wanted(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    words = ("--until", 0.01, "--contact", "point", "--time-step", 5e-4, "--coordinates", "frame")
+    assert run("D1", "--out", tmp_path, "--no-recording", *words) == 0
+    assert {p.suffix for p in tmp_path.iterdir()} == {".npz", ".csv"}
+    out = capsys.readouterr().out
+    assert "step 0.0005 s" in out and "no picture: pictures need matplotlib" in out
+
+
+def test_a_whole_run_is_told_beside_the_paper(tmp_path, monkeypatch, capsys):
+    friction = np.where((T >= START) & (T < STOP), 0.5, 0.05)
+    result = made_up(decaying(40.0), friction)
+    monkeypatch.setattr(cli, "simulate", lambda *args, **options: result)
+    monkeypatch.setattr(cli.plots, "plot", lambda *args: None)
+    assert run("D1", "--out", tmp_path, "--no-recording") == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "0.50 times real time" in out
+    assert "Here slip is rejected within that time." in out
+    assert "Tangential force saturates at finger 1; its peak is 0.500 N" in out

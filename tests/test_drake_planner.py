@@ -1,0 +1,356 @@
+"""ContactPlanner: Drake's integrators on contact_system's equations give what plan() gives."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pydrake")
+
+from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.symbolic import Expression, Variable
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Linearize
+
+import contact_system as cs
+from drake_plant import ContactPlanner
+
+COORDINATES = ("chart", "frame")
+ORDERS = {
+    "bogacki_shampine3": 3, "explicit_euler": 1, "implicit_euler": 1, "radau1": 1, "radau3": 3,
+    "runge_kutta2": 2, "runge_kutta3": 3, "runge_kutta5": 5, "semi_explicit_euler": 1,
+    "velocity_implicit_euler": 1,
+}  # fmt: skip
+VALUES = ("state", "slip", "twist", "acceleration", "contact_point", "normal")
+
+
+def simulator(planner, scheme="runge_kutta3", step=1e-3, accuracy=None, start=0.0):
+    found = Simulator(planner)
+    ApplySimulatorConfig(
+        SimulatorConfig(
+            integration_scheme=scheme, max_step_size=step, use_error_control=accuracy is not None,
+            accuracy=accuracy or 1e-3, start_time=start,
+        ),
+        found,
+    )  # fmt: skip
+    return found
+
+
+def run(planner, until, *arguments, **options):
+    """The context after a simulation."""
+    found = simulator(planner, *arguments, **options)
+    found.AdvanceTo(until)
+    return found.get_context()
+
+
+def error(planner, context, plan=None):
+    """Greatest distance of a contact point from the planned one, m."""
+    plan = plan or cs.plan(planner.system.scene, 1e-13)
+    points = planner.GetOutputPort("contact_point").Eval(context).reshape(-1, 2, 3)
+    return np.linalg.norm(points - plan.points(context.get_time())[0], axis=-1).max()
+
+
+def pole_scene(miss=0.0, profile=(0.1,), duration=2.0):
+    """A finger that runs towards its pole."""
+    velocity = (np.cos(miss), np.sin(miss))
+    contact = cs.Contact(cs.Sphere(0.04), object_at=(1.2, 0.3), finger_velocity=velocity)
+    return cs.Scene(
+        name="pole", object=cs.Sphere(0.1), contacts=[contact], profile=cs.Profile(profile),
+        duration=duration,
+    )  # fmt: skip
+
+
+# --- integration ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ORDERS)
+def test_every_scheme_converges_at_its_order(scheme):
+    planner = ContactPlanner(cs.load_scene("K3"))  # with a window from 0.1 s to 0.15 s
+    coarse, fine = (error(planner, run(planner, 0.4, scheme, h)) for h in (4e-3, 2e-3))
+    assert np.log2(coarse / fine) > ORDERS[scheme] - 0.2
+
+
+@pytest.mark.parametrize("scheme", ("runge_kutta5", "radau3"))
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_steps_of_a_tenth_of_a_millisecond_are_exact_to_a_nanometre(scheme, coordinates):
+    planner = ContactPlanner(cs.load_scene("K3"), coordinates)
+    assert error(planner, run(planner, 0.3, scheme, 1e-4)) < 1e-9
+
+
+@pytest.mark.parametrize("name", ("K1", "K2", "K3", "K4"))
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_kinematic_scenes_move_as_planned(name, coordinates):
+    planner = ContactPlanner(cs.load_scene(name), coordinates)
+    assert error(planner, run(planner, planner.system.scene.duration, "runge_kutta5")) < 1e-9
+
+
+@pytest.mark.parametrize("scheme", ORDERS)
+def test_error_control_ends(scheme):
+    planner = ContactPlanner(cs.load_scene("K2"), "frame")
+    assert error(planner, run(planner, 0.3, scheme, 0.1, accuracy=1e-5)) < 5e-3
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_no_step_crosses_an_edge_of_a_window(coordinates):
+    scene = cs.load_scene("K3")
+    scene = scene.replace(
+        disturbances=[cs.FingerAcceleration(0, 0.1013, 0.1577, (-50.0, 30.0))], duration=0.3
+    )
+    planner = ContactPlanner(scene, coordinates)
+    assert error(planner, run(planner, 0.3, "runge_kutta5", 2e-3)) < 1e-9
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_a_simulation_may_begin_inside_a_window(coordinates):
+    planner = ContactPlanner(cs.load_scene("K4"), coordinates)
+    found, plan = simulator(planner, "runge_kutta5", start=1.5), cs.plan(cs.load_scene("K4"))
+    x, _ = planner.system.from_states(1.5, plan.states(1.5)[0])
+    found.get_mutable_context().SetContinuousState(x)
+    found.AdvanceTo(2.5)
+    assert error(planner, found.get_context(), plan) < 1e-9
+
+
+def test_frames_pass_the_pole_that_charts_refuse():
+    planner = ContactPlanner(pole_scene(), "frame")
+    assert error(planner, run(planner, 1.5, "runge_kutta5")) < 1e-9
+
+
+def test_compiled_kernels_give_what_the_virtual_machine_gives():
+    scene = cs.load_scene("D1")
+    rates = []
+    for compiled in (False, True):
+        planner = ContactPlanner(scene, compiled=compiled)
+        context = planner.CreateDefaultContext()
+        rates.append(planner.EvalTimeDerivatives(context).CopyToVector())
+    assert np.allclose(*rates, rtol=1e-13, atol=1e-13)
+
+
+# --- ports ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_outputs_are_those_of_the_plan(coordinates):
+    scene = cs.load_scene("D1")
+    planner, plan = ContactPlanner(scene, coordinates), cs.plan(scene, 1e-13)
+    context = run(planner, 2.2, "runge_kutta5")  # inside the window
+    for name in ("slip", "twist"):
+        found = planner.GetOutputPort(name).Eval(context).reshape(3, -1)
+        assert np.allclose(found, getattr(plan, name)(2.2)[0], rtol=1e-8, atol=1e-8)
+    state = planner.GetOutputPort("state").Eval(context).reshape(3, 9) - plan.states(2.2)[0]
+    state[:, [0, 1, 4, 5, 8]] = np.sin(state[:, [0, 1, 4, 5, 8]] / 2)  # but for whole turns
+    assert np.abs(state).max() < 1e-6
+    X_OF = planner.GetOutputPort("pose").Eval(context)
+    assert max(np.abs(X.GetAsMatrix4() - Y).max() for X, Y in zip(X_OF, plan.pose(2.2)[0])) < 1e-8
+    points = planner.GetOutputPort("contact_point").Eval(context).reshape(3, 6)
+    normals = planner.GetOutputPort("normal").Eval(context).reshape(3, 3)
+    assert np.allclose(normals, points[:, 3:] / 0.1, atol=1e-9)
+
+
+def test_only_the_ports_asked_for_are_there():
+    planner = ContactPlanner(cs.load_scene("K1"))
+    assert planner.num_input_ports() == 0
+    assert planner.CreateDefaultContext().has_only_continuous_state()
+    planner = ContactPlanner(cs.load_scene("K1"), disturbance_input=True, restart_period=0.1)
+    names = [planner.get_input_port(i).get_name() for i in range(planner.num_input_ports())]
+    assert names == ["disturbance", "measured_state"]
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_the_disturbance_port_acts_like_a_window(coordinates):
+    values = {cs.FingerAcceleration: (2.0, -1.0), cs.ObjectAcceleration: (0.5, 0.7),
+              cs.ObjectRateOffset: (0.3, -0.2)}  # fmt: skip
+    scene = cs.load_scene("K1").replace(duration=0.5)
+    windows = [kind(1, 0.0, 0.5, value) for kind, value in values.items()]
+    planner = ContactPlanner(scene, coordinates, disturbance_input=True)
+    found = simulator(planner, "runge_kutta5")
+    w = np.zeros((3, 6))
+    w[1] = np.concatenate([*values.values()])
+    port = planner.GetInputPort("disturbance")
+    port.FixValue(found.get_mutable_context(), w.ravel())
+    found.AdvanceTo(0.5)
+    plan = cs.plan(scene.replace(disturbances=windows), 1e-13)
+    assert error(planner, found.get_context(), plan) < 1e-9
+
+
+# --- restarts ------------------------------------------------------------------------------------
+
+
+def restarted(measured, coordinates="chart", **options):
+    """Contact points of K1 at 0.5 s, restarted at 0.2 s where asked: (3, 2, 3)."""
+    planner = ContactPlanner(cs.load_scene("K1"), coordinates, **options)
+    found = simulator(planner, "runge_kutta5")
+    planner.GetInputPort("measured_state").FixValue(found.get_mutable_context(), measured.ravel())
+    found.AdvanceTo(0.35)
+    return planner.GetOutputPort("contact_point").Eval(found.get_context()).reshape(3, 2, 3)
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_the_planner_restarts_from_the_measured_state(coordinates):
+    plan = cs.plan(cs.load_scene("K1"), 1e-13)
+    measured = plan.states(0.2)[0]
+    measured[:, [0, 4, 8]] += 0.05
+    measured[1] = np.nan  # this finger has lost its contact: it keeps its plan
+    expected = np.where(np.isnan(measured), plan.states(0.2)[0], measured)
+    points = restarted(measured, coordinates, restart_period=0.2)
+    assert np.abs(points - plan.restart(0.2, expected).points(0.35)[0]).max() < 1e-9
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_only_contacts_that_slip_restart(coordinates):
+    scene = cs.load_scene("K1")
+    rolling = [dataclasses.replace(c, object_velocity="rolling") for c in scene.contacts]
+    plan = cs.plan(scene, 1e-13)
+    measured = cs.plan(scene.replace(contacts=rolling)).states(0.2)[0]
+    measured[2, 6:8] = 0.0  # the third finger slides at its full speed, 0.017 m/s
+    expected = np.vstack([plan.states(0.2)[0][:2], measured[2:]])
+    options = {"restart_period": 0.2, "restart_slip": 0.01}
+    points = restarted(measured, coordinates, **options)
+    assert np.abs(points - plan.restart(0.2, expected).points(0.35)[0]).max() < 1e-9
+
+
+# --- other scalars -------------------------------------------------------------------------------
+
+
+def prepared(name, coordinates):
+    """A planner and a context that is nothing special."""
+    planner = ContactPlanner(cs.load_scene(name), coordinates, disturbance_input=True)
+    context = planner.CreateDefaultContext()
+    random = np.random.default_rng(1)
+    context.SetTime(0.12)
+    planner.GetInputPort("disturbance").FixValue(context, 0.1 * random.normal(size=18))
+    x = planner.system.x0
+    context.SetContinuousState(x * (1 + 0.01 * random.normal(size=len(x))))
+    if planner.system.edges:
+        w = planner.system.window_values(0.12)
+        context.get_mutable_discrete_state_vector().SetFromVector(w)
+    return planner, context
+
+
+def differentiated(planner, context):
+    """The same with derivatives along the continuous state."""
+    other = planner.ToAutoDiffXd()
+    found = other.CreateDefaultContext()
+    found.SetTimeStateAndParametersFrom(context)
+    x = context.get_continuous_state_vector().CopyToVector()
+    found.SetContinuousState(InitializeAutoDiff(x).ravel())
+    w = planner.GetInputPort("disturbance").Eval(context)
+    other.GetInputPort("disturbance").FixValue(found, w)
+    return other, found
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+@pytest.mark.parametrize("name", ("K1", "K3"))
+def test_the_autodiff_jacobian_is_that_of_central_differences(name, coordinates):
+    planner, context = prepared(name, coordinates)
+    other, found = differentiated(planner, context)
+    jacobian = ExtractGradient(other.EvalTimeDerivatives(found).CopyToVector().reshape(-1, 1))
+    x, columns = context.get_continuous_state_vector().CopyToVector(), []
+    for k in range(len(x)):
+        pair = []
+        for step in (1e-6, -1e-6):
+            context.SetContinuousState(x + step * np.eye(len(x))[k])
+            pair.append(planner.EvalTimeDerivatives(context).CopyToVector())
+        columns.append((pair[0] - pair[1]) / 2e-6)
+    expected = np.stack(columns, axis=1)
+    assert np.abs(jacobian - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+@pytest.mark.parametrize("name", ("K1", "K3"))
+def test_every_scalar_gives_the_same_numbers(name, coordinates):
+    planner, context = prepared(name, coordinates)
+    other, found = differentiated(planner, context)
+    for port in VALUES:
+        expected = planner.GetOutputPort(port).Eval(context)
+        value = ExtractValue(other.GetOutputPort(port).Eval(found).reshape(-1, 1)).ravel()
+        assert np.allclose(value, expected, rtol=1e-12, atol=1e-13)
+    pair = [s.GetOutputPort("pose").Eval(c)[0] for s, c in ((planner, context), (other, found))]
+    assert np.allclose(
+        pair[0].translation(), ExtractValue(pair[1].translation().reshape(-1, 1)).ravel()
+    )
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+@pytest.mark.parametrize("name", ("K1", "K3"))
+def test_symbolic_derivatives_evaluate_to_the_numbers(name, coordinates):
+    planner, context = prepared(name, coordinates)
+    symbolic = planner.ToSymbolic()
+    found, t = symbolic.CreateDefaultContext(), Variable("t")
+    x = context.get_continuous_state_vector().CopyToVector()
+    variables = [Variable(f"x{k}") for k in range(len(x))]
+    found.SetTimeStateAndParametersFrom(context)
+    found.SetTime(Expression(t))
+    found.SetContinuousState(np.array([Expression(v) for v in variables]))
+    w = np.array([Expression(v) for v in planner.GetInputPort("disturbance").Eval(context)])
+    symbolic.GetInputPort("disturbance").FixValue(found, w)
+    environment = {**dict(zip(variables, x)), t: 0.12}
+    rates = symbolic.EvalTimeDerivatives(found).CopyToVector().ravel()
+    values = np.array([rate.Evaluate(environment) for rate in rates])
+    expected = planner.EvalTimeDerivatives(context).CopyToVector()
+    assert np.abs(values - expected).max() <= 1e-13 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_the_linearization_is_the_jacobian(coordinates):
+    planner, context = prepared("K1", coordinates)
+    linear = Linearize(
+        planner, context, planner.GetInputPort("disturbance").get_index(),
+        planner.GetOutputPort("slip").get_index(), equilibrium_check_tolerance=np.inf,
+    )  # fmt: skip
+    other, found = differentiated(planner, context)
+    rates = other.EvalTimeDerivatives(found).CopyToVector()
+    assert np.allclose(linear.A(), ExtractGradient(rates.reshape(-1, 1)))
+    assert linear.B().shape == (len(rates), 18)
+
+
+@pytest.mark.parametrize("name", ("K1", "D1"))
+def test_a_diagram_with_a_planner_converts(name):
+    builder = DiagramBuilder()
+    planner = builder.AddSystem(ContactPlanner(cs.load_scene(name), disturbance_input=True))
+    builder.ExportInput(planner.GetInputPort("disturbance"))
+    builder.ExportOutput(planner.GetOutputPort("twist"))
+    diagram = builder.Build()
+    for converted in (diagram.ToAutoDiffXd(), diagram.ToSymbolic()):
+        assert converted.num_continuous_states() == 27
+
+
+# --- refusals ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", ({}, {"step": 0.1, "accuracy": 1e-6}, {"scheme": "radau3"}))
+def test_a_chart_near_its_pole_is_refused_with_the_remedy(options):
+    message = "scene 'pole', contact 0, finger: at t = 0.62.*a pole.*coordinates=\"frame\""
+    with pytest.raises(cs.ChartSingularity, match=message):
+        run(ContactPlanner(pole_scene(0.001)), 1.5, **options)
+
+
+@pytest.mark.parametrize("accuracy", (None, 1e-6))
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_a_disturbance_that_is_not_a_number_is_refused(coordinates, accuracy):
+    planner = ContactPlanner(cs.load_scene("K1"), coordinates, disturbance_input=True)
+    found = simulator(planner, accuracy=accuracy)
+    w = np.zeros(18)
+    w[8] = np.nan
+    planner.GetInputPort("disturbance").FixValue(found.get_mutable_context(), w)
+    with pytest.raises(cs.SceneError, match="scene 'K1', contact 1: the disturbance at t = 0 s"):
+        found.AdvanceTo(0.1)
+
+
+def test_a_state_that_is_not_a_number_is_refused():
+    planner = ContactPlanner(cs.load_scene("K1"))
+    context = planner.CreateDefaultContext()
+    context.get_mutable_continuous_state_vector().SetAtIndex(20, np.inf)
+    with pytest.raises(cs.SceneError, match="contact 2: the state at t = 0 s"):
+        planner.EvalTimeDerivatives(context)
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_beyond_the_horizon_the_motion_goes_on_until_sigma_turns_negative(coordinates):
+    planner = ContactPlanner(pole_scene(1.2, (0.1, -0.05), duration=1.5), coordinates)
+    longer = cs.plan(planner.system.scene.replace(duration=1.9), 1e-13)
+    assert error(planner, run(planner, 1.9, "runge_kutta5"), longer) < 1e-9
+    with pytest.raises(cs.SceneError, match=r"sigma = -.* the scene runs from 0 to 1\.5 s"):
+        run(planner, 2.5)

@@ -1,0 +1,219 @@
+"""The station: fingers driven as planned, contact physics, closed loop, configuration."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pydrake")
+
+from pydrake.systems.analysis import Simulator
+
+import contact_system as cs
+from drake_plant import (
+    BuildStation,
+    DriverConfig,
+    PlantConfig,
+    SetInitialState,
+    StationConfig,
+    rolling_scene,
+    simulate,
+)
+
+
+def config(scene, **changes):
+    return StationConfig.from_scene(scene, **{"contact_model": "point", **changes})
+
+
+def early(name, start=0.2, stop=0.4, duration=0.6):
+    """A bundled scene with its disturbance soon after the start."""
+    scene = cs.load_scene(name)
+    windows = [dataclasses.replace(d, start=start, stop=stop) for d in scene.disturbances]
+    return dataclasses.replace(scene, disturbances=windows, duration=duration)
+
+
+@pytest.fixture(scope="module")
+def disturbed():
+    scene = early("D1")
+    return simulate(scene, config(scene))
+
+
+@pytest.fixture(scope="module")
+def patches():
+    scene = cs.load_scene("D1")
+    return simulate(scene, config(scene, contact_model="hydroelastic"), duration=0.35)
+
+
+def speed(result):
+    """sigma: what the contact point travels on the object."""
+    return result.scene.profile(result.t)
+
+
+def between(result, start, stop):
+    return (result.t > start) & (result.t < stop)
+
+
+def test_point_contact_holds_one_newton_while_the_fingers_roll_at_a_metre_a_second(disturbed):
+    force = disturbed.measured["normal_force"][between(disturbed, 0.1, 0.2)]
+    assert abs(force.mean(axis=0) - 1).max() < 0.01
+    assert force.std(axis=0).max() < 0.01
+
+
+def test_undisturbed_point_contact_rolls_without_slip_and_almost_without_friction(disturbed):
+    rolling = between(disturbed, 0.05, 0.2)
+    slip = np.linalg.norm(disturbed.measured["slip"][rolling], axis=-1)
+    friction = np.linalg.norm(disturbed.measured["tangential_force"][rolling], axis=-1)
+    assert (slip / speed(disturbed)[rolling, None]).mean() < 1e-4
+    assert friction.mean() < 0.01
+
+
+def test_friction_saturates_at_mu_times_the_normal_force_while_the_object_rate_is_offset(disturbed):
+    window = between(disturbed, 0.25, 0.4)
+    friction = np.linalg.norm(disturbed.measured["tangential_force"][window, 0], axis=-1)
+    ratio = friction / disturbed.measured["normal_force"][window, 0]
+    assert abs(friction.mean() - 0.5) < 0.01
+    assert ratio.max() < 0.5 * 1.02
+
+
+def test_slip_has_gone_ten_milliseconds_after_the_disturbance(disturbed):
+    slip = np.linalg.norm(disturbed.measured["slip"][:, 0], axis=-1)
+    assert slip[between(disturbed, 0.25, 0.4)].mean() > 0.03
+    assert (
+        slip[between(disturbed, 0.41, 1.0)].max() < 0.05 * slip[between(disturbed, 0.2, 0.4)].mean()
+    )
+
+
+def test_measured_contact_points_follow_the_planned_curve(disturbed):
+    before = between(disturbed, 0.0, 0.2)
+    miss = disturbed.measured["contact_point"] - disturbed.planned["contact_point"]
+    assert np.linalg.norm(miss[before], axis=-1).max() < 2e-4
+
+
+def test_undisturbed_fingers_do_not_feel_the_disturbed_one(disturbed):
+    """But for one step, in which the object's acceleration jumps."""
+    window = between(disturbed, 0.2025, 0.4)
+    friction = np.linalg.norm(disturbed.measured["tangential_force"][window, 1:], axis=-1)
+    assert friction.max() < 0.01
+
+
+def test_hydroelastic_patches_hold_one_newton_and_roll(patches):
+    rolling = between(patches, 0.1, 1.0)
+    force = patches.measured["normal_force"][rolling]
+    slip = np.linalg.norm(patches.measured["slip"][rolling], axis=-1)
+    assert abs(force.mean(axis=0) - 1).max() < 0.01
+    assert force.std(axis=0).max() < 0.05
+    assert (slip.mean(axis=0) / speed(patches)[rolling].mean()).max() < 1e-3
+    friction = np.linalg.norm(patches.measured["tangential_force"][rolling], axis=-1)
+    assert friction.mean() < 0.1
+
+
+def test_frame_and_chart_coordinates_drive_the_same_motion():
+    scene = cs.load_scene("D1")
+    one, other = (
+        simulate(scene, config(scene, coordinates=form), duration=0.05)
+        for form in ("chart", "frame")
+    )
+    points = [r.measured["contact_point"] for r in (one, other)]
+    assert np.abs(points[0] - points[1]).max() < 1e-7
+
+
+def test_a_station_without_offset_of_radii_spends_friction_on_it():
+    scene = cs.load_scene("D1")
+    friction = [
+        np.linalg.norm(
+            simulate(scene, config(scene, rolling_radii=rolling), duration=0.15).measured[
+                "tangential_force"
+            ][100:],
+            axis=-1,
+        ).mean()
+        for rolling in (True, False)
+    ]
+    assert friction[0] < 0.3 * friction[1]
+
+
+def test_rolling_radii_share_the_depth_in_point_contact_and_take_it_off_compliant_fingers():
+    scene = cs.load_scene("D1")
+    planned = rolling_scene(scene, PlantConfig(contact_model="point", stiffness=1e4))
+    assert planned.object.radius == pytest.approx(0.1 - 0.5e-4, abs=1e-12)
+    assert planned.contacts[0].finger.radius == pytest.approx(0.04 - 0.5e-4, abs=1e-12)
+    soft = rolling_scene(scene, PlantConfig(contact_model="hydroelastic", stiffness=1e4))
+    assert soft.object == scene.object
+    assert soft.contacts[0].finger.radius == pytest.approx(0.04 - 2e-4, abs=1e-12)
+    assert soft.contacts[0].object_at == scene.contacts[0].object_at
+
+
+def test_a_closed_loop_restarts_the_planner_from_the_measured_state():
+    """The object is pushed on a little; with the loop closed the plan learns of it."""
+    scene = cs.load_scene("D1")
+    apart = []
+    for changes in ({}, {"restart_period": 0.02}):
+        result = simulate(scene, config(scene, rolling_radii=False, **changes), duration=0.2)
+        miss = result.measured["contact_point"] - result.planned["contact_point"]
+        apart.append(np.linalg.norm(miss[-20:], axis=-1).mean())
+        assert np.isfinite(result.planned["state"]).all()
+    assert apart[1] < apart[0]
+
+
+def test_restarts_fall_together_with_steps_of_the_plant_whatever_floating_point_makes_of_both():
+    """3 * 0.1 s lies after 300 * 1 ms; a restart a step late would make slip of 0.3 m/s."""
+    scene = cs.load_scene("D1")
+    result = simulate(scene, config(scene, restart_period=0.1), duration=0.35)
+    slip = np.linalg.norm(result.measured["slip"][between(result, 0.05, 1.0)], axis=-1)
+    assert slip.max() < 1e-4
+
+
+def test_ports_are_exported_only_where_they_have_a_use():
+    scene = cs.load_scene("D1")
+    plain = BuildStation(scene, config(scene, monitor=False))
+    outputs = {plain.get_output_port(i).get_name() for i in range(plain.num_output_ports())}
+    assert plain.num_input_ports() == 0
+    assert {"state", "slip", "spatial_forces", "contact_results", "query"} <= outputs
+    assert not any(name.startswith("measured") for name in outputs)
+    full = BuildStation(scene, config(scene, disturbance_input=True))
+    assert full.GetInputPort("disturbance").size() == 18
+    assert full.GetOutputPort("measured_slip").size() == 6
+
+
+def test_a_disturbance_from_outside_moves_the_contact_like_a_scheduled_one():
+    scheduled = early("D1", 0.0, 0.05, 0.05)
+    free = dataclasses.replace(scheduled, disturbances=[])
+    planned = simulate(scheduled, config(scheduled)).planned["slip"][-1, 0]
+    station = BuildStation(free, config(free, disturbance_input=True))
+    simulator = Simulator(station)
+    context = simulator.get_mutable_context()
+    offset = np.zeros(18)
+    offset[4:6] = scheduled.disturbances[0].value
+    station.GetInputPort("disturbance").FixValue(context, offset)
+    SetInitialState(station, context)
+    simulator.AdvanceTo(0.05)
+    assert station.GetOutputPort("slip").Eval(context)[:2] == pytest.approx(planned, abs=1e-6)
+
+
+def test_fingers_start_in_contact_and_moving_as_planned():
+    scene = cs.load_scene("D1")
+    station = BuildStation(scene, config(scene))
+    context = station.CreateDefaultContext()
+    SetInitialState(station, context)
+    plant = station.GetSubsystemByName("plant")
+    physics = plant.GetMyContextFromRoot(context)
+    for body in (plant.GetBodyByName(name) for name in ("finger 1", "finger 2", "finger 3")):
+        gap = np.linalg.norm(body.EvalPoseInWorld(physics).translation()) - 0.14
+        assert gap == pytest.approx(-1e-4, abs=1e-9)
+    planned = cs.plan(rolling_scene(scene, StationConfig.from_scene(scene).plant)).twist([0.0])[0]
+    moving = plant.GetBodyByName("finger 1").EvalSpatialVelocityInWorld(physics)
+    assert moving.get_coeffs() == pytest.approx(planned[0], rel=0.01)
+
+
+def test_an_unknown_key_of_the_drake_table_names_the_nearest():
+    scene = cs.load_scene("D1")
+    with pytest.raises(cs.SceneError, match=r"scene 'D1', \[drake\]: key 'frction'.*'friction'"):
+        StationConfig.from_scene(scene, frction=0.3)
+
+
+def test_the_drake_table_fills_plant_and_driver():
+    built = StationConfig.from_scene(cs.load_scene("D3"))
+    assert built.plant.time_step == 2.5e-4
+    assert built.plant.object_edge == 0.0038
+    assert built.plant.stiffness == 1e4
+    assert built.driver.normal_force == built.plant.normal_force == 1.0
+    assert built.driver == DriverConfig()
