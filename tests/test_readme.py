@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from contact_system.scene import bundled_scenes, scene_from_toml
@@ -14,21 +15,37 @@ from contact_system.scene import bundled_scenes, scene_from_toml
 README = Path(__file__).parent.parent / "README.md"
 
 
-def blocks(language: str) -> list[str]:
+def blocks(language: str, page: Path = README) -> list[str]:
     """The fenced blocks of one language, in order."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", README.read_text("utf-8"), re.M | re.S)
+    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
+
+
+def run(example: str) -> str:
+    """What an example prints."""
+    command = [sys.executable, "-c", example]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=README.parent)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def test_the_python_example_prints_what_the_readme_shows():
-    (example,) = blocks("python")
-    command = [sys.executable, "-c", example]
-    run = subprocess.run(command, capture_output=True, text=True, cwd=README.parent)
-    assert run.returncode == 0, run.stderr
-    assert run.stdout == blocks("text")[0]
+    assert run(blocks("python")[0]) == blocks("text")[0]
+
+
+def test_the_drake_example_holds_about_one_newton():
+    pytest.importorskip("pydrake")
+    forces = np.fromstring(run(blocks("python")[1]).strip().strip("[]"), sep=" ")
+    assert forces == pytest.approx([1.0, 1.0, 1.0], abs=0.15)
+
+
+def test_the_examples_of_the_page_on_drake_run():
+    pytest.importorskip("pydrake")
+    for example in blocks("python", README.parent / "docs" / "drake.md"):
+        run(example)
 
 
 def test_the_python_example_has_ten_lines():
-    (example,) = blocks("python")
+    example = blocks("python")[0]
     assert len(example.splitlines()) == 10
 
 
