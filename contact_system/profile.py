@@ -35,7 +35,8 @@ _BISECTIONS = 200  # down to neighbouring floats, also for a root very close to 
 # --- polynomials -------------------------------------------------------------------------------
 
 
-def _value(coefficients: Sequence[float], t):
+def polynomial(coefficients: Sequence, t):
+    """The value at t, numbers or symbols, of a polynomial; coefficients from the lowest power."""
     result = 0.0 * t
     for c in reversed(coefficients):
         result = result * t + c
@@ -43,13 +44,15 @@ def _value(coefficients: Sequence[float], t):
 
 
 def _noise(coefficients: Sequence[float], t: float) -> float:
-    """Bound of the rounding error of `_value`, which also forgives rounded coefficients."""
-    return 4e-16 * len(coefficients) * _value([abs(c) for c in coefficients], abs(t)) if t else 0.0
+    """Bound of the rounding error of `polynomial`, which also forgives rounded coefficients."""
+    return (
+        4e-16 * len(coefficients) * polynomial([abs(c) for c in coefficients], abs(t)) if t else 0.0
+    )
 
 
 def _clear_value(coefficients: Sequence[float], t: float) -> float:
     """The value at t, or 0 where its sign cannot be told from rounding."""
-    value = _value(coefficients, t)
+    value = polynomial(coefficients, t)
     return value if abs(value) > _noise(coefficients, t) else 0.0
 
 
@@ -57,17 +60,23 @@ def _derivative(coefficients: Sequence[float]) -> Coefficients:
     return tuple(k * c for k, c in enumerate(coefficients))[1:] or (0.0,)
 
 
-def _integral(coefficients: Sequence[float]) -> Coefficients:
+def integral(coefficients: Sequence) -> tuple:
+    """Coefficients of the integral from 0, numbers or symbols."""
     return (0.0, *(c / (k + 1) for k, c in enumerate(coefficients)))
+
+
+def product(a: Sequence, b: Sequence) -> tuple:
+    """Coefficients of the product of two polynomials, numbers or symbols."""
+    result = [0 * a[0]] * (len(a) + len(b) - 1)
+    for i, x in enumerate(a):
+        for j, y in enumerate(b):
+            result[i + j] = result[i + j] + x * y
+    return tuple(result)
 
 
 def _product(a: Sequence, b: Sequence) -> tuple[Fraction, ...]:
     """Exact product of two polynomials."""
-    result = [Fraction(0)] * (len(a) + len(b) - 1)
-    for i, x in enumerate(map(Fraction, a)):
-        for j, y in enumerate(map(Fraction, b)):
-            result[i + j] += x * y
-    return tuple(result)
+    return product([Fraction(x) for x in a], [Fraction(y) for y in b])
 
 
 def _combination(*terms: tuple[float, Sequence]) -> Coefficients:
@@ -102,7 +111,7 @@ def _bisect(coefficients: Sequence[float], a: float, b: float, value_at_a: float
         middle = 0.5 * (a + b)
         if not a < middle < b:
             break
-        if _value(coefficients, middle) * value_at_a > 0:
+        if polynomial(coefficients, middle) * value_at_a > 0:
             a = middle
         else:
             b = middle
@@ -138,19 +147,19 @@ class Profile:
 
     def __call__(self, t):
         """sigma(t) [m/s]; t [s] of any shape."""
-        return _value(self.coefficients, _as_time(t))
+        return polynomial(self.coefficients, _as_time(t))
 
     def rate(self, t):
         """sigma'(t) [m/s^2]; t [s] of any shape."""
-        return _value(self._rate, _as_time(t))
+        return polynomial(self._rate, _as_time(t))
 
     def arc_length(self, t):
         """s(t) = int_0^t sigma [m]; t [s] of any shape."""
-        return _value(self._arc_length, _as_time(t))
+        return polynomial(self._arc_length, _as_time(t))
 
     def energy(self, t):
         """int_0^t sigma^2 [m^2/s]; t [s] of any shape."""
-        return _value(self._energy, _as_time(t))
+        return polynomial(self._energy, _as_time(t))
 
     def shifted(self, t0: float) -> Coefficients:
         """Coefficients of tau -> sigma(t0 + tau), each rounded once."""
@@ -176,7 +185,7 @@ class Profile:
                 f"profile = {list(c)}: sigma is zero for all t, so nothing moves; "
                 "give at least one coefficient that is not zero"
             )
-        reach = _value([abs(x) for x in c], float(duration))
+        reach = polynomial([abs(x) for x in c], float(duration))
         if not reach < _LARGEST:
             raise SceneError(
                 f"profile = {list(c)}: sigma reaches about {reach:.3g} m/s at t = {duration:g} s, "
@@ -212,11 +221,11 @@ class Profile:
 
     @cached_property
     def _arc_length(self) -> Coefficients:
-        return _integral(self.coefficients)
+        return integral(self.coefficients)
 
     @cached_property
     def _energy(self) -> Coefficients:
-        return _integral(self.square)
+        return integral(self.square)
 
 
 @lru_cache(maxsize=1024)
@@ -292,23 +301,23 @@ class GainPiece:
 
     def speed(self, tau):
         """sigma at local time tau [m/s]."""
-        return _value(self.sigma, tau)
+        return polynomial(self.sigma, tau)
 
     def slope(self, tau):
         """sigma' at local time tau [m/s^2]."""
-        return _value(self._slope, tau)
+        return polynomial(self._slope, tau)
 
     def arc_length(self, tau):
         """int_0^tau sigma [m]."""
-        return _value(self.lengths, tau)
+        return polynomial(self.lengths, tau)
 
     def lost(self, tau):
         """P(tau), the exponent of the decay."""
-        return _value(self.exponent, tau)
+        return polynomial(self.exponent, tau)
 
     def decay(self, tau, speed):
         """exp(-(L(tau) - L(0))) at local time tau, where sigma is ``speed``."""
-        decay = np.exp(-_value(self.exponent, tau))
+        decay = np.exp(-polynomial(self.exponent, tau))
         if self.power:
             with np.errstate(divide="ignore", invalid="ignore"):
                 decay = decay * np.where(np.asarray(tau) > 0, self.sigma[0] / speed, 1.0)
@@ -316,7 +325,7 @@ class GainPiece:
 
     def gain(self, tau):
         """lam at local time tau [1/s]."""
-        lam = _value(self._lost_slope, tau)
+        lam = polynomial(self._lost_slope, tau)
         if self.power:
             with np.errstate(divide="ignore", invalid="ignore"):
                 lam = lam + self.slope(tau) / self.speed(tau)
@@ -329,7 +338,7 @@ class GainPiece:
     @cached_property
     def lengths(self) -> Coefficients:
         """Coefficients of the arc length, lowest first."""
-        return _integral(self.sigma)
+        return integral(self.sigma)
 
     @cached_property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -402,14 +411,13 @@ class Gain:
         The guaranteed law is +inf where sigma = 0: it removes slip at once as a path starts.
         """
         t = _as_time(t)
-        if self.law == "path":
-            return self.value * profile(t) ** 2
-        if self.law == "time":
-            return self.value + 0.0 * t
-        sigma, slope = np.asarray(profile(t)), np.asarray(profile.rate(t))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            growth = np.where(sigma > 0, np.maximum(0.0, slope / sigma), np.inf)
-        return (growth + self.value)[()]
+        sigma: Any = profile(t)
+        growth: Any = 0.0
+        if self.law == "guaranteed":
+            with np.errstate(divide="ignore", invalid="ignore"):
+                growth = np.maximum(0.0, np.asarray(profile.rate(t)) / sigma)
+            growth = np.where(np.asarray(sigma) > 0, growth, np.inf)[()]
+        return law_rate(self.law, self.value, sigma, growth)
 
     def exponent(self, profile: Profile, t):
         """L(t) = int_0^t lam, closed form; t >= 0 [s] of any shape.
@@ -439,6 +447,16 @@ class Gain:
         return list(_pieces(self, profile, float(start), float(stop)))
 
 
+def law_rate(law: str, value, sigma, growth):
+    """lam of a gain law (theory section 2), of numbers or symbols.
+
+    value is the law's eta or rho; growth, max(0, sigma'/sigma), matters to "guaranteed" only.
+    """
+    if law == "path":
+        return value * sigma**2
+    return value + (growth if law == "guaranteed" else 0.0 * sigma)
+
+
 def _growths(profile: Profile, start: float, stop: float) -> list[tuple[float, float]]:
     """The intervals of [start, stop] on which sigma grows."""
     knots = (start, *profile.extrema(start, stop), stop)
@@ -452,7 +470,7 @@ def _pieces(gain: Gain, profile: Profile, start: float, stop: float) -> tuple[Ga
         exponent: Coefficients = (0.0, gain.value)
         if gain.law == "path":
             rates = _combination((gain.value, _product(sigma, sigma)))
-            exponent = _integral(rates)
+            exponent = integral(rates)
         return (GainPiece(start, stop, sigma, exponent, 0),)
     knots = (start, *profile.extrema(start, stop), stop)
     growths = _growths(profile, start, stop)

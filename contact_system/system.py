@@ -46,6 +46,7 @@ from .geometry import upper_inverse
 from .kernels import per_structure
 from .kinematics import relative_twist
 from .planner import Start, scene_start
+from .profile import integral, law_rate, polynomial, product
 from .scene import FingerAcceleration, ObjectAcceleration, ObjectRateOffset, Scene
 from .surfaces import Ellipsoid, Surface
 from .tracks import (
@@ -136,34 +137,15 @@ class Motion(NamedTuple):
 # --- sigma, lam and the decay of slip -----------------------------------------------------------
 
 
-def _polynomial(coefficients: SX, t: SX) -> SX:
-    value = SX(0)
-    for k in reversed(range(coefficients.numel())):
-        value = value * t + coefficients[k]
-    return value
-
-
-def _gain(law: str, value: SX, sigma: SX, slope: SX) -> SX:
-    """lam of the gain laws (theory section 2), as `Gain.rate` gives it."""
-    if law == "path":
-        return value * sigma**2
-    return value + ca.fmax(0, slope / ca.fmax(sigma, TINY)) if law == "guaranteed" else value
-
-
-def _decay(form: Form, value: SX, profile: SX, since: SX, t: SX) -> SX:
+def _decay(form: Form, value: SX, profile: list[SX], since: SX, t: SX) -> SX:
     """exp(-(L(t) - L(since))), as `Gain.exponent` gives L."""
     if form.law == "path":
-        n = profile.numel()
-        square = [SX(0)] * (2 * n)
-        for i in range(n):
-            for j in range(n):
-                square[i + j + 1] += profile[i] * profile[j] / (i + j + 1)
-        energy = ca.vertcat(*square)
-        return ca.exp(-value * (_polynomial(energy, t) - _polynomial(energy, since)))
+        energy = integral(product(profile, profile))
+        return ca.exp(-value * (polynomial(energy, t) - polynomial(energy, since)))
     decay = ca.exp(-value * (t - since))
     for start, stop in form.growths:
         first, last = (
-            ca.fmax(_polynomial(profile, ca.fmin(ca.fmax(time, start), stop)), TINY)
+            ca.fmax(polynomial(profile, ca.fmin(ca.fmax(time, start), stop)), TINY)
             for time in (since, t)
         )
         decay *= first / last
@@ -317,15 +299,16 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     bodies, numbers = _bodies(finger, obj, form)
     t, x, w = SX.sym("t"), SX.sym("x", sum(form.sizes)), SX.sym("w", 6)
     held, law = SX.sym("held", form.n_held), SX.sym("law", 1 + form.n_profile)
-    sigma = _polynomial(law[1:], t)
+    sigma = polynomial(ca.vertsplit(law[1:]), t)
     slope = ca.gradient(sigma, t)
-    drive = (sigma, slope, _gain(form.law, law[0], sigma, slope))
+    growth = ca.fmax(0, slope / ca.fmax(sigma, TINY))
+    drive = (sigma, slope, law_rate(form.law, law[0], sigma, growth))
     if form.coordinates == "chart":
         motion = _chart_motion(*bodies, x, w, drive)
     elif form.forced:
         motion = _frame_motion(bodies, form, x, w, drive, x[-4:-2], x[-2:])
     else:
-        v = held[2:4] * _decay(form, law[0], law[1:], held[4], t)
+        v = held[2:4] * _decay(form, law[0], ca.vertsplit(law[1:]), held[4], t)
         motion = _frame_motion(bodies, form, x, w, drive, held[:2], v)
 
     def along(value: SX) -> SX:
@@ -358,7 +341,7 @@ def start_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     at = [SX.sym("at", 2 if s.has_chart else 9) for s in (finger, obj)]
     psi, w1, y = SX.sym("psi"), SX.sym("W1", 2), SX.sym("Y", 2)
     if form.coordinates == "chart":
-        sigma = _polynomial(law[1:], t)
+        sigma = polynomial(ca.vertsplit(law[1:]), t)
         parts = []
         for b, q, c in zip(bodies, at, (w1, y)):
             root = b.surface.geometry_expr(b.p, q[0], q[1]).metric_root
@@ -533,8 +516,9 @@ class SceneSystem:
 
     def _guard(self, rate: SX, t: SX, profile: SX) -> SX:
         """1; -1 where sigma < 0; -inf or NaN where a derivative is not finite."""
-        rounding = 1e-14 * _polynomial(ca.fabs(profile), ca.fabs(t))
-        return ca.copysign(1, _polynomial(profile, t) + rounding) - TINY * ca.sumsqr(rate)
+        c = ca.vertsplit(profile)
+        rounding = 1e-14 * polynomial([ca.fabs(k) for k in c], ca.fabs(t))
+        return ca.copysign(1, polynomial(c, t) + rounding) - TINY * ca.sumsqr(rate)
 
     def function(self, *outputs: str) -> ca.Function:
         """The CasADi function (t, x, w, held, p) -> outputs, one vector each.
