@@ -158,7 +158,11 @@ def _decay(form: Form, value: SX, profile: list[SX], since: SX, t: SX) -> SX:
 def _bodies(finger: Surface, obj: Surface, form: Form) -> tuple[tuple[Body, Body], list[SX]]:
     """Finger and object, and the symbols of their numbers, each followed by the body's size."""
     symbols = [SX.sym(name, len(s.parameters) + 1) for name, s in (("p1", finger), ("p2", obj))]
-    sides = [Body(s, a, p[:-1], p[-1]) for s, a, p in zip((finger, obj), form.ambient, symbols)]
+    sides = [
+        # not p[:-1], which is a row where a surface has no parameters
+        Body(s, a, *ca.vertsplit(p, [0, len(s.parameters), len(s.parameters) + 1]))
+        for s, a, p in zip((finger, obj), form.ambient, symbols)
+    ]
     return (sides[0], sides[1]), symbols
 
 

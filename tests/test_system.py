@@ -16,7 +16,7 @@ from contact_system.system import COORDINATES, PER_CONTACT
 TURN = 2 * np.pi
 ANGLES = [0, 1, 4, 5, 8]
 # A surface of each form of state: in space, chart only, developable, no chart.
-OBJECTS = ("sphere", "ellipsoid", "bumps", "cylinder", "rounded cube")
+OBJECTS = ("plane", "sphere", "ellipsoid", "bumps", "cylinder", "rounded cube")
 WINDOW = (0.3, 0.6)
 DISTURBANCES = {
     "finger": cs.FingerAcceleration(0, *WINDOW, (0.5, -0.8)),
