@@ -24,7 +24,7 @@ from .development import DrivenTrack, runs
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kernels import address, row_offsets
 from .kinematics import relative_pose, relative_twist
-from .planner import Group, Start, plan_groups, scene_start
+from .planner import Group, Moment, Start, Starts, measured_start, plan_groups, scene_start
 from .scene import ObjectRateOffset, Scene, scene_from_toml, scene_to_toml
 from .tracks import Track
 
@@ -78,7 +78,7 @@ class Plan:
         solver: str,
         compiled: bool | None,
         start: float,
-        starts: Sequence[Start] | None,
+        starts: Starts | None,
     ):
         if method not in METHODS:
             raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
@@ -87,8 +87,9 @@ class Plan:
         self.scene, self.tolerance, self.method = scene, tolerance, method
         self.solver, self.compiled, self.start, self.starts = solver, compiled, start, starts
         if method == "chart":
-            starts = starts or [scene_start(contact) for contact in scene.contacts]
-            self.groups = chart_groups(scene, starts, start, tolerance, solver)
+            given = [s for s in starts or () if isinstance(s, Start)]
+            given = given or [scene_start(contact) for contact in scene.contacts]
+            self.groups = chart_groups(scene, given, start, tolerance, solver)
         else:
             self.groups = plan_groups(scene, starts, start, tolerance, compiled)
         self._count = len(scene.contacts)
@@ -158,6 +159,34 @@ class Plan:
         """psi: (len(t), n_contacts), rad."""
         return self.states(t)[:, :, 8]
 
+    def carried(self, t: ArrayLike) -> np.ndarray:
+        """The frames carried along by parallel transport (theory section 4), finger and object.
+
+        (len(t), n_contacts, 2, 3): theta, rad, the frame's angle in E_i, continuous; and the path
+        velocity in that frame, W_1 or W - V exp(-L), no unit, without object rate offsets. What
+        u', v' are made of; it exists where sigma = 0 and is constant while nothing acts.
+
+        Raises
+        ------
+        ChartSingularity
+            At a time when a contact passes through a pole or an umbilic.
+        SceneError
+            ``method="chart"``, which carries no frames.
+        """
+        self._require_frames("carried")
+        out = np.empty((len(_one_axis(t)), self._count, 2, 3))
+        out[..., 0] = self._fill("coordinates", t, 5)[:, 4::5].transpose(2, 0, 1)
+        times = self._times(t)
+        for group in self.groups:
+            for record, where in _parts(group.slips, times):
+                own = record.finger_velocity(times[where])
+                index = np.ix_(np.arange(len(times))[where], group.contacts)
+                out[..., 0, 1:][index] = own.transpose(2, 0, 1)
+                out[..., 1, 1:][index] = (group.r0 @ own - record.slip(times[where])).transpose(
+                    2, 0, 1
+                )
+        return out
+
     # --- telling, saving -----------------------------------------------------------------------
 
     def explain(self) -> str:
@@ -174,6 +203,53 @@ class Plan:
                     )
             lines += [f"  skipped: {text}" for text in _skipped(group)]
         return "\n".join(lines)
+
+    def continued(self, t: float, scene: Scene | None = None) -> Plan:
+        """The plan from time t on, under other disturbances, gain, profile or duration.
+
+        It goes on from the moving frames as they are, so that nothing is lost: what changes
+        nothing reproduces this plan, also from a pole or where sigma = 0.
+
+        Parameters
+        ----------
+        t : float
+            s, inside this plan's horizon and before the end of the other scene.
+        scene : Scene, optional
+            The scene that holds from t on, with the same surfaces; by default this one.
+
+        Raises
+        ------
+        SceneError
+            Other surfaces, nothing left to plan, contacts whose rolling is imposed, or
+            ``method="chart"``.
+        """
+        after = self.scene if scene is None else scene
+        self._times([t])
+        if not t < after.duration:
+            raise SceneError(
+                f"continued at t = {t:g} s: nothing is left to plan, the scene ends at "
+                f"{after.duration:g} s; continue earlier or lengthen the scene"
+            )
+        fingers = [[c.finger for c in s.contacts] for s in (self.scene, after)]
+        if fingers[0] != fingers[1] or self.scene.object != after.object:
+            raise SceneError(f"continued at t = {t:g} s: the scene's surfaces are other ones")
+        self._require_frames("continued")
+        if any(c.follows for c in self.scene.contacts):
+            raise SceneError(
+                "continued: contacts with imposed rolling have one plan; give finger_velocity as "
+                "numbers"
+            )
+        moments = {i: m for g in self.groups for i, m in zip(g.contacts, g.moments(float(t)))}
+        ordered = [moments[i] for i in range(self._count)]
+        return Plan(
+            after, self.tolerance, self.method, self.solver, self.compiled, float(t), ordered
+        )
+
+    def _require_frames(self, asked: str) -> None:
+        if self.method == "chart":
+            raise SceneError(
+                f"{asked}: method 'chart' carries no frames along; use the default method"
+            )
 
     def restart(self, t: float, state: ArrayLike) -> Plan:
         """Plan again from measured states at time t.
@@ -208,35 +284,13 @@ class Plan:
         )
 
     def _measured_start(self, t: float, i: int, row: np.ndarray) -> Start:
-        contact, obj = self.scene.contacts[i], self.scene.object
-        if contact.follows:
+        if self.scene.contacts[i].follows:
             raise SceneError(f"restart: contact {i} has its rolling imposed; nothing to measure")
-        sigma = float(self.scene.profile(t))
-        if not sigma > 0:
-            raise SceneError(
-                f"restart at t = {t:g} s: sigma = {sigma:g} there, so rates do not determine path "
-                "velocities; restart where sigma > 0"
-            )
-        sides = (("finger", contact.finger, row[0:2]), ("object", obj, row[4:6]))
-        for side, surface, (u, v) in sides:
-            try:
-                at_u, at_v = surface.canonical(u, v)
-            except ContactSystemError as error:
-                raise SceneError(f"restart at t = {t:g} s, contact {i}, {side}: {error}") from None
-            nearest = surface.align(at_u, at_v, u, v)
-            if np.hypot(nearest[0] - u, nearest[1] - v) > 1e-9:
-                raise SceneError(
-                    f"restart at t = {t:g} s, contact {i}, {side}: (u, v) = ({u:.9g}, {v:.9g}) is "
-                    f"outside the chart of {surface!r}; the same point is "
-                    f"({at_u:.9g}, {at_v:.9g}), where the rates and psi have other values"
-                )
         offset = np.zeros(2)
         for d in self.scene.disturbances:
             if isinstance(d, ObjectRateOffset) and d.contact == i and d.start <= t < d.stop:
                 offset += d.value
-        w1 = contact.finger.metric_root(row[0], row[1]) @ row[2:4] / sigma
-        y = obj.metric_root(row[4], row[5]) @ (row[6:8] - offset) / sigma
-        return Start(tuple(row[0:2]), tuple(row[4:6]), float(row[8]), tuple(w1), tuple(y))
+        return measured_start(self.scene, i, t, row, offset)
 
     def save(self, path: str | os.PathLike, times: ArrayLike | None = None) -> None:
         """Write the plan and its sampled results.
@@ -573,9 +627,10 @@ def load(path: str | os.PathLike) -> Plan:
                 f"{path}: not a plan written by Plan.save ({missing})"
             ) from None
     scene = scene_from_toml(text, source=str(path))
-    starts = None
+    starts: Starts | None = None
     if header["starts"]:
-        starts = [Start.from_plain(plain) for plain in header["starts"]]
+        kind = Moment if "slip" in header["starts"][0] else Start
+        starts = [kind.from_plain(plain) for plain in header["starts"]]
     return Plan(
         scene,
         header["tolerance"],

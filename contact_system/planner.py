@@ -12,6 +12,8 @@ at the edges of its own windows; on each interval
 
 from __future__ import annotations
 
+import bisect
+import contextlib
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +25,7 @@ import numpy as np
 from . import development
 from .closed_form import CircleTrack, FlatTrack, great_circle, pair_of
 from .development import DrivenTrack, PanelTrack, Problem
-from .errors import SceneError
+from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kinematics import contact_map
 from .profile import GainPiece, Profile
 from .scene import (
@@ -88,6 +90,86 @@ def scene_start(contact: Contact) -> Start:
     return Start(contact.finger_at, contact.object_at, contact.angle, own, given)
 
 
+@dataclass(frozen=True)
+class Moment:
+    """One contact on its way, in its moving frames: all that a plan needs to go on exactly.
+
+    Attributes
+    ----------
+    angle : psi where both frame angles are zero
+    finger_velocity, slip : W_1 and V in the parallel frames (theory section 4)
+    finger_at, object_at : u, v, theta, continued along the path
+    finger_frame, object_frame : x, p, q (9); empty where the body is moved in its chart
+    """
+
+    angle: float
+    finger_velocity: tuple[float, ...]
+    slip: tuple[float, ...]
+    finger_at: tuple[float, ...]
+    object_at: tuple[float, ...]
+    finger_frame: tuple[float, ...]
+    object_frame: tuple[float, ...]
+
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> Moment:
+        """From the values that ``vars`` gave, tuples being lists by now."""
+        lists = {k: tuple(map(float, v)) for k, v in plain.items() if k != "angle"}
+        return cls(angle=float(plain["angle"]), **lists)
+
+
+Starts = Sequence[Start | Moment]
+"""All of one kind."""
+
+
+def measured_start(
+    scene: Scene, index: int, t: float, row: np.ndarray, offset: np.ndarray
+) -> Start:
+    """The start of a contact from its measured state at time t.
+
+    Parameters
+    ----------
+    scene : Scene
+    index : int
+        Of the contact.
+    t : float
+        s, with sigma(t) > 0.
+    row : (9,)
+        u1 v1 u1' v1' u2 v2 u2' v2' psi.
+    offset : (2,)
+        Object rate offset at t, which the rates include.
+
+    Raises
+    ------
+    SceneError
+        sigma = 0, a pole, or coordinates outside the chart.
+    """
+    sigma = float(scene.profile(t))
+    if not sigma > 0:
+        raise SceneError(
+            f"scene '{scene.name}', restart at t = {t:g} s: sigma = {sigma:g} there, so rates do "
+            "not determine path velocities; restart where sigma > 0"
+        )
+    velocities = []
+    for side, surface, (u, v, *rates) in (
+        ("finger", scene.contacts[index].finger, row[:4]),
+        ("object", scene.object, row[4:8] - np.append([0.0, 0.0], offset)),
+    ):
+        place = f"scene '{scene.name}', restart at t = {t:g} s, contact {index}, {side}"
+        try:
+            at = surface.canonical(u, v)
+        except ContactSystemError as error:
+            raise SceneError(f"{place}: {error}") from None
+        near = surface.align(*at, u, v)
+        if math.hypot(near[0] - u, near[1] - v) > 1e-9:
+            raise SceneError(
+                f"{place}: (u, v) = ({u:.9g}, {v:.9g}) is outside the chart of {surface!r}; the "
+                f"same point is ({at[0]:.9g}, {at[1]:.9g}), where the rates and psi have other "
+                "values"
+            )
+        velocities.append(tuple(surface.metric_root(u, v) @ rates / sigma))
+    return Start(tuple(row[0:2]), tuple(row[4:6]), float(row[8]), velocities[0], velocities[1])
+
+
 def _pair(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
@@ -96,7 +178,8 @@ def _pair(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
 class SlipRecord:
     """V(t) on [start, stop] in the object's parallel frame; slip is sigma V less the offset's part.
 
-    ``of`` maps local times to V (n, 2, n_times), or is None where there is no slip.
+    ``of`` maps local times to V (n, 2, n_times), or is None where there is no slip; ``pushed`` maps
+    them to W_1, or is the constant W_1 (n, 2); None where frames are not carried along.
     """
 
     start: float
@@ -104,6 +187,20 @@ class SlipRecord:
     piece: GainPiece
     of: Callable[[np.ndarray], np.ndarray] | None
     forcing: tuple[np.ndarray, np.ndarray] | None
+    pushed: Callable[[np.ndarray], np.ndarray] | np.ndarray | None = None
+
+    def slip(self, t: np.ndarray) -> np.ndarray:
+        """V: (n, 2, n_times)."""
+        if self.of is None:
+            return 0 * self.finger_velocity(t)
+        return self.of(t - self.start)
+
+    def finger_velocity(self, t: np.ndarray) -> np.ndarray:
+        """W_1: (n, 2, n_times)."""
+        assert self.pushed is not None
+        if callable(self.pushed):
+            return self.pushed(t - self.start)
+        return np.repeat(self.pushed[:, :, None], len(t), axis=2)
 
 
 @dataclass(eq=False)
@@ -160,6 +257,47 @@ class Group:
         """The same for :attr:`pair`."""
         if self.pair is not None and not self.pair.anchored:
             self.pair.anchor(np.stack(self.begin, axis=1).reshape(-1, 3))
+
+    def moments(self, t: float) -> list[Moment]:
+        """Where each contact has come to at time t."""
+        time = np.array([t])
+        record = _acting(self.slips, t)
+        w1, v = record.finger_velocity(time)[:, :, 0], record.slip(time)[:, :, 0]
+        columns = [self.angle[:, None], w1, v]
+        columns += [self._places(side, t) for side in ("finger", "object")]
+        columns += [_moving_frame(_acting(getattr(self, s), t), t) for s in ("finger", "object")]
+        rows = zip(*(column.tolist() for column in columns))
+        return [Moment(angle[0], *map(tuple, others)) for angle, *others in rows]
+
+    def _places(self, side: str, t: float) -> np.ndarray:
+        """u, v, theta at time t, (n, 3); where there are none, of a moment before or after.
+
+        They say which branch is to be continued; the place itself is that of the moving frame.
+        """
+        track = _acting(getattr(self, side), t)
+        if not prefers_ambient(track.surface):
+            return track.state(np.array([t]))[:, :, 0]
+        self.anchor(side, track)
+        values = np.empty((track.n_bodies, 5, 1))
+        aside = 1e-7 * (track.stop - track.start)
+        for near in (t, max(t - aside, track.start), min(t + aside, track.stop)):
+            with contextlib.suppress(ChartSingularity):
+                track.coordinates(np.array([near]), values)
+                return values[:, [0, 1, 4], 0]
+        raise track.singular(t)
+
+
+def _acting(intervals: Sequence[Any], t: float) -> Any:
+    """The track or record of a time; an edge belongs to the later one."""
+    return intervals[bisect.bisect_right([i.start for i in intervals[1:]], t)]
+
+
+def _moving_frame(track: Track, t: float) -> np.ndarray:
+    """x, p, q at time t on the surface, (n, 9); (n, 0) where bodies are moved in their chart."""
+    if not prefers_ambient(track.surface):
+        return np.empty((track.n_bodies, 0))
+    frames = track.frames(np.array([t]))[:, :, 0]
+    return restoring_kernel(track.surface).at(frames, track.parameters)
 
 
 @dataclass(eq=False)
@@ -272,7 +410,7 @@ class Prepared:
 
 def plan_groups(
     scene: Scene,
-    starts: Sequence[Start] | None,
+    starts: Starts | None,
     begin: float,
     tolerance: float,
     compiled: bool | None,
@@ -291,38 +429,39 @@ def plan_groups(
     ]
 
 
-def prepare(scene: Scene, starts: Sequence[Start], begin: float) -> list[Prepared]:
+def prepare(scene: Scene, starts: Starts, begin: float) -> list[Prepared]:
     """Sort the contacts into groups that can move together, and lay out their intervals."""
     turns = contact_map(np.array([s.angle for s in starts]))
     w1 = np.array([s.finger_velocity for s in starts], dtype=float)
     w2 = (turns @ w1[:, :, None])[:, :, 0]
-    v = w2 - np.array([s.object_velocity for s in starts], dtype=float)
-    # R_psi W1 of a rolling start is rounded twice; what is left is no slip.
-    v[np.abs(v) <= 4e-16 * np.abs(w1).max(1, initial=1e-300, keepdims=True)] = 0.0
+    known = [s.slip if isinstance(s, Moment) else s.object_velocity for s in starts]
+    v = np.array(known, dtype=float)
+    if not isinstance(starts[0], Moment):
+        v = w2 - v
+        # R_psi W1 of a rolling start is rounded twice; what is left is no slip.
+        v[np.abs(v) <= 4e-16 * np.abs(w1).max(1, initial=1e-300, keepdims=True)] = 0.0
     windows: list[list[Disturbance]] = [[] for _ in starts]
     for d in scene.disturbances:
         if d.stop > begin:
             windows[d.contact].append(d)  # type: ignore[index]
     members: dict[tuple, list[int]] = {}
-    slips = v.any(axis=1)
+    slips = [bool(own.any()) for own in v]
     for i, contact in enumerate(scene.contacts):
         shape = tuple((type(d), d.start, d.stop) for d in windows[i])
         kind = (
             contact.finger.structure,
             contact.follows,
             shape,
-            bool(slips[i]),
+            slips[i],
         )
         members.setdefault(kind, []).append(i)
     groups = []
     for indices in members.values():
         own = [starts[i] for i in indices]
-        finger, finger_at = _body(
-            [scene.contacts[i].finger for i in indices], [s.finger_at for s in own]
-        )
-        obj, object_at = _body([scene.object] * len(own), [s.object_at for s in own])
+        finger, finger_at = _body([scene.contacts[i].finger for i in indices], own, "finger")
+        obj, object_at = _body([scene.object] * len(own), own, "object")
         disturbed = [(k, d) for k, i in enumerate(indices) for d in windows[i]]
-        intervals = _intervals(scene, len(own), disturbed, bool(slips[indices[0]]), begin)
+        intervals = _intervals(scene, len(own), disturbed, slips[indices[0]], begin)
         groups.append(Prepared(
             scene, np.array(indices), begin, np.array([s.angle for s in own]), turns[indices],
             w1[indices], w2[indices], v[indices], finger, obj, (finger_at, object_at),
@@ -499,7 +638,7 @@ class GroupPlanner:
         v = self.v
         slip = _greatest(v)
         of = functools.partial(_decaying, v, piece) if slip > 0 else None
-        self.group.slips.append(SlipRecord(start, stop, piece, of, None))
+        self.group.slips.append(SlipRecord(start, stop, piece, of, None, self.w1))
         if self.object.surface.developable:
             why = "no slip to speak of" if slip <= negligible else ""
             flat = self._flat(self.object, self.w2, v, piece, shifted, why, slip > negligible)
@@ -610,7 +749,8 @@ class GroupPlanner:
             drive_of=drive,
         ))  # fmt: skip
         of = functools.partial(_panel_states, panels, rows_v)
-        self.group.slips.append(SlipRecord(start, stop, piece, of, (d1, d2)))
+        grown = self.w1 if rows_w1 is None else functools.partial(_panel_states, panels, rows_w1)
+        self.group.slips.append(SlipRecord(start, stop, piece, of, (d1, d2), grown))
         if rows_w1 is not None:
             self.w1 = panels.end[:, rows_w1]
             self.w2 = (self.r0 @ self.w1[:, :, None])[:, :, 0]
@@ -657,7 +797,7 @@ class GroupPlanner:
         piece = plain_piece(self.scene.profile, start, stop)
         track = self._geodesic("object", start, stop, "planned curve of the object")
         self.group.object.append(track)
-        self.group.slips.append(SlipRecord(start, stop, piece, None, None))
+        self.group.slips.append(SlipRecord(start, stop, piece, None, None, self.w1))
         tip, obj = (
             body.at(at, False) for body, at in zip((self.finger, self.object), self.group.begin)
         )
@@ -717,17 +857,22 @@ class RollingTrack(PanelTrack):
 # --- small parts ---------------------------------------------------------------------------------
 
 
-def _body(
-    surfaces: Sequence[Surface], at: Sequence[tuple[float, float]]
-) -> tuple[Body, np.ndarray]:
-    """Bodies of one structure at their chart coordinates, frames along their contact frames."""
+def _body(surfaces: Sequence[Surface], starts: Starts, side: str) -> tuple[Body, np.ndarray]:
+    """Bodies of one structure where they start, and u, v, theta there.
+
+    Frames lie along the contact frames, or where they have come to.
+    """
     first = surfaces[0]
     parameters = np.array([s.parameters for s in surfaces], dtype=float)
+    at = np.array([getattr(s, f"{side}_at") for s in starts], dtype=float)
     begin = np.zeros((len(at), 3))
-    begin[:, :2] = at
+    begin[:, : at.shape[1]] = at
     sizes = np.array([[s.size] for s in surfaces])
     if not prefers_ambient(first):
         return Body(first, parameters, sizes, begin, False), begin
+    if isinstance(starts[0], Moment):
+        frames = np.array([getattr(s, f"{side}_frame") for s in starts])
+        return Body(first, parameters, sizes, frames, True), begin
     if first.has_chart:
         state = frame_kernel(first).at(begin, parameters)
     else:  # the point is found numerically

@@ -41,11 +41,11 @@ from numpy.typing import ArrayLike
 from .charts import TINY, TURN
 from .development import driven_motion, forced_motion, reflection, state_size
 from .equations import chart_equations
-from .errors import ContactSystemError, SceneError
+from .errors import SceneError
 from .geometry import upper_inverse
 from .kernels import per_structure
 from .kinematics import relative_twist
-from .planner import Start, scene_start
+from .planner import Start, measured_start, scene_start
 from .profile import integral, law_rate, polynomial, product
 from .scene import FingerAcceleration, ObjectAcceleration, ObjectRateOffset, Scene
 from .surfaces import Ellipsoid, Surface
@@ -615,43 +615,18 @@ class SceneSystem:
             A wrong shape, NaN, sigma(t) <= 0, or a point that is not in its chart.
         """
         n, name = len(self.scene.contacts), self.scene.name
-        rows, sigma = np.asarray(state, dtype=float), float(self.scene.profile(t))
+        rows = np.asarray(state, dtype=float)
         if rows.size != 9 * n:
             raise SceneError(f"restart: state has shape {rows.shape}; give {(n, 9)}")
         if not np.isfinite(rows).all():
             raise SceneError(f"scene '{name}', restart at t = {t:g} s: a measured state is NaN")
-        if not sigma > 0:
-            raise SceneError(
-                f"scene '{name}', restart at t = {t:g} s: sigma = {sigma:g} there, so rates do not "
-                "determine path velocities; restart where sigma > 0"
-            )
         w = self.window_values(t) if w is None else np.asarray(w, dtype=float)
         offsets = w.reshape(-1, 6)[:, 4:] if self.n_w else np.zeros((n, 2))
         starts = [
-            self._measured(t, i, row, offsets[i], sigma) for i, row in enumerate(rows.reshape(n, 9))
+            measured_start(self.scene, i, t, row, offsets[i])
+            for i, row in enumerate(rows.reshape(n, 9))
         ]
         return self.place(t, starts)
-
-    def _measured(self, t: float, i: int, row: Array, offset: Array, sigma: float) -> Start:
-        velocities = []
-        sides = (
-            ("finger", self.scene.contacts[i].finger, row[:4]),
-            ("object", self.scene.object, row[4:8] - np.append([0.0, 0.0], offset)),
-        )
-        for side, surface, (u, v, *rates) in sides:
-            place = f"scene '{self.scene.name}', restart at t = {t:g} s, contact {i}, {side}"
-            try:
-                at = surface.canonical(u, v)
-            except ContactSystemError as error:
-                raise SceneError(f"{place}: {error}") from None
-            near = surface.align(*at, u, v)
-            if math.hypot(near[0] - u, near[1] - v) > 1e-9:
-                raise SceneError(
-                    f"{place}: (u, v) = ({u:.9g}, {v:.9g}) is outside the chart of {surface!r}; "
-                    f"the same point is {at}, where the rates and psi have other values"
-                )
-            velocities.append(tuple(surface.metric_root(u, v) @ rates / sigma))
-        return Start(tuple(row[:2]), tuple(row[4:6]), float(row[8]), *velocities)
 
 
 def _consecutive(sizes: Iterable[int]) -> list[slice]:

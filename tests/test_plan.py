@@ -363,6 +363,101 @@ def test_restart_at_the_very_end_leaves_nothing_to_plan():
         plan.restart(1.0, plan.states(1.0)[0])
 
 
+# --- continued, carried frames
+
+
+@pytest.mark.parametrize("t0", [0.0, 0.1, 0.2, 0.25, 0.35, 0.5, 0.55, 0.7, 0.8, 0.9])
+@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "cylinder", "torus", "bumps", "bowl",
+                                 "rounded cube"])  # fmt: skip
+def test_plan_continued_under_the_same_scene_is_the_same_plan(obj, t0):
+    plan = cs.plan(busy(obj), tolerance=1e-14)
+    again = plan.continued(t0)
+    t = np.linspace(t0, 1, 17)
+    assert again.start == t0
+    for ask in (*ASK, "carried"):
+        expected = getattr(plan, ask)(t)
+        bar = 2e-13 * max(1.0, np.abs(expected).max())
+        assert getattr(again, ask)(t) == pytest.approx(expected, abs=bar), ask
+
+
+def test_continuing_many_contacts_again_and_again_loses_nothing():
+    plan = again = cs.plan(several(), tolerance=1e-14)
+    for t in np.linspace(0, 1, 51)[:-1]:
+        again = again.continued(t)
+    for ask in (*ASK, "carried"):
+        expected = getattr(plan, ask)(1.0)
+        bar = 1e-13 * max(1.0, np.abs(expected).max())
+        assert getattr(again, ask)(1.0) == pytest.approx(expected, abs=bar), ask
+
+
+def test_disturbance_brought_in_by_continuing_is_the_window_of_a_scene():
+    free, t = busy().replace(disturbances=()), np.linspace(0.5, 1, 21)
+    later = cs.plan(free, tolerance=1e-14).continued(
+        0.2, free.replace(disturbances=[w for w in WINDOWS if w.start < 0.4])
+    )
+    later = later.continued(0.35, busy()).continued(0.5, busy())
+    expected = cs.plan(busy(), tolerance=1e-14).states(t)
+    assert later.states(t) == pytest.approx(expected, abs=2e-13 * np.abs(expected).max())
+
+
+def test_plan_is_continued_from_a_pole():
+    scene = one_contact(object_at=(pi / 2, 0.0), finger_velocity=(1.0, 0.0), angle=0.0,
+                        object_velocity=(1.0, 0.0), profile=(pi / 20,), duration=3.0)  # fmt: skip
+    plan = cs.plan(scene)
+    again, t = plan.continued(1.0), np.array([1.5, 2.5, 3.0])
+    assert np.hypot(*plan.points(1.0)[0, 0, 1, :2]) < 1e-16
+    assert again.points(t) == pytest.approx(plan.points(t), abs=1e-16)
+    assert again.states(t) == pytest.approx(plan.states(t), abs=2e-15)
+
+
+def test_plan_is_continued_from_a_rest():
+    plan = cs.plan(one_contact(profile=(0.1, -0.4, 0.4)), tolerance=1e-14)
+    again, t = plan.continued(0.5), np.linspace(0.5, 1, 9)
+    assert again.states(t) == pytest.approx(plan.states(t), abs=1e-14)
+
+
+def test_continuing_refuses_other_surfaces_the_end_and_imposed_rolling():
+    plan = cs.plan(one_contact())
+    with pytest.raises(SceneError, match="at t = 0.5 s: the scene's surfaces are other ones"):
+        plan.continued(0.5, one_contact("ellipsoid"))
+    with pytest.raises(SceneError, match="at t = 1 s: nothing is left to plan"):
+        plan.continued(1.0)
+    with pytest.raises(ContactSystemError, match="outside the plan's horizon"):
+        plan.continued(1.5)
+    with pytest.raises(SceneError, match="with imposed rolling have one plan"):
+        cs.plan(cs.load_scene("C2")).continued(0.5)
+    for ask in ("continued", "carried"):
+        with pytest.raises(SceneError, match="'chart' carries no frames along"):
+            getattr(cs.plan(one_contact(), method="chart"), ask)(0.5)
+
+
+def test_continued_plan_comes_back_from_an_npz_file(tmp_path):
+    again, t = cs.plan(busy()).continued(0.45), np.linspace(0.45, 1, 12)
+    again.save(tmp_path / "again.npz")
+    assert np.array_equal(cs.load(tmp_path / "again.npz").states(t), again.states(t))
+
+
+def test_carried_frames_say_the_rates_and_the_angle_of_the_states():
+    scene = busy(angle=0.3).replace(disturbances=WINDOWS[:2])
+    plan, t = cs.plan(scene), np.linspace(0, 1, 41)
+    states, carried = plan.states(t), plan.carried(t)
+    sigma = polynomial.polyval(t, (0.2, 0.1))[:, None]
+    for k, expected in enumerate(path_velocities(scene, states)):
+        theta, x, y = carried[:, :, k].transpose(2, 0, 1)
+        found = np.stack([np.cos(theta) * x - np.sin(theta) * y,
+                          np.sin(theta) * x + np.cos(theta) * y], axis=-1)  # fmt: skip
+        assert sigma[:, :, None] * found == pytest.approx(expected, abs=2e-14)
+    assert states[..., 8] == pytest.approx(0.3 - carried[..., 0].sum(axis=-1), abs=1e-14)
+
+
+def test_carried_velocities_are_the_scenes_while_nothing_acts_also_from_rest():
+    free = one_contact("ellipsoid", profile=(0.0, 0.1), object_velocity="rolling")
+    carried = cs.plan(free).carried(np.linspace(0, 1, 9))
+    assert carried[0, 0, :, 0] == pytest.approx([0.0, 0.0], abs=1e-15)
+    assert carried[:, 0, 0, 1:] == pytest.approx(np.full((9, 2), (0.6, 0.8)), abs=1e-15)
+    assert np.ptp(carried[:, 0, 1, 1:], axis=0) == pytest.approx(0.0, abs=1e-15)
+
+
 # --- files
 
 

@@ -20,6 +20,13 @@ typedef struct {
   long n_stiff, max_panels, stops;
 } method_t;
 
+/* where an integration in panels stands: next panel from tau, of length h at most; the series of the
+   last one and its length, or NULL */
+typedef struct {
+  double tau, h, length;
+  const double *before;
+} step_t;
+
 typedef struct {
   double start, stop;
   drive_t drive;
@@ -36,6 +43,20 @@ static inline double horner(const double *c, long n, double x) {
   double y = c[n - 1];
   for (long k = n - 2; k >= 0; k--) y = y * x + c[k];
   return y;
+}
+
+/* dy/dx of the same */
+static inline double slope(const double *c, long n, double x) {
+  double y = 0.0;
+  for (long k = n - 1; k >= 1; k--) y = y * x + k * c[k];
+  return y;
+}
+
+/* lam at a local time */
+static inline double gain_at(const drive_t *d, double tau) {
+  double lam = slope(d->exponent, d->n_exponent, tau);
+  if (d->power) lam += slope(d->sigma, d->n_sigma, tau) / horner(d->sigma, d->n_sigma, tau);
+  return lam;
 }
 
 /* exp(-(L(tau) - L(0))) at n local times, where sigma is given: profile.GainPiece.decay. Less than

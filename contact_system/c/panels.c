@@ -3,22 +3,15 @@
    X' = f(X, sigma(tau), decay(tau)) on tau in [0, length] for nb bodies in lockstep; the last
    n_stiff states V obey V' = f_V - lam(tau) V, whose linear part is solved implicitly.
    The includer defines RHS (a kernel loop, see Kernel.loop), NX, NC, N (nodes) and
-   restore(state, constants), which puts the end of a panel back on its surfaces.
+   restore(state, constants), which puts the end of a panel back on its surfaces; ONE_PANEL if it
+   calls panel itself; DRIVES 3 if RHS takes local time after sigma and decay.
 
    Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.7: collocation at Gauss
    points conserves quadratic invariants, here F(x), |p|, |q|, p.q of every quadric. */
 
-static double slope(const double *c, long n, double x) {
-  double y = 0.0;
-  for (long k = n - 1; k >= 1; k--) y = y * x + k * c[k];
-  return y;
-}
-
-static double gain_at(const drive_t *d, double tau) {
-  double lam = slope(d->exponent, d->n_exponent, tau);
-  if (d->power) lam += slope(d->sigma, d->n_sigma, tau) / horner(d->sigma, d->n_sigma, tau);
-  return lam;
-}
+#ifndef DRIVES
+#define DRIVES 2
+#endif
 
 static double longest(const drive_t *d, const method_t *m, double tau, double h) {
   /* decay may fall by exp(-30) at most in a panel: its first node then still sees the layer */
@@ -67,9 +60,8 @@ static double dot(const double *a, const double *b) {
   return sum;
 }
 
-/* The last panel's series continued to the nodes of the next: basis[N + 1][N] */
-static void continuation(const method_t *m, double from, double to, double next, double *basis) {
-  double ratio = (next - to) / (to - from);
+/* The last panel's series continued to the nodes of the next, `ratio` times as long: basis[N + 1][N] */
+static void continuation(const method_t *m, double ratio, double *basis) {
   for (int i = 0; i < N; i++) {
     double xi = 1.0 + ratio * (1.0 + m->node[i]);
     basis[i] = 1.0, basis[N + i] = xi;
@@ -81,9 +73,13 @@ static void continuation(const method_t *m, double from, double to, double next,
 
 /* One sweep: f at the nodes, then x = start + h/2 Q f (V: the implicit form). Returns the change. */
 static double sweep(const method_t *m, const double *start, const double *c, const double *scale,
-                    double half, const double *lam, const double *inv, double x[NX + 2][N],
+                    double half, const double *lam, const double *inv, double x[NX + DRIVES][N],
                     double f[NX][N]) {
+#if DRIVES > 2
+  static const long rows_in[] = {IN_ROWS, (NX + 2) * N}, rows_out[] = {OUT_ROWS};
+#else
   static const long rows_in[] = {IN_ROWS}, rows_out[] = {OUT_ROWS};
+#endif
   double y[N], g[N], worst[N] = {0}, total[N] = {0};
   RHS(1, N, &x[0][0], rows_in, 0, c, &f[0][0], rows_out, 0);
   for (long s = 0; s < NX; s++) {
@@ -113,91 +109,105 @@ static double sweep(const method_t *m, const double *start, const double *c, con
   return change;
 }
 
+/* One panel from s->tau: state[nb][NX] to panel_state[nb][NX], both known on the surfaces, and its
+   series out[body][NX][N+1]. Returns 1; 0: refused, s->h is what to try next; -2: no solution.
+   work: (2 NX + DRIVES) * N doubles. */
+static int panel(long nb, const double *state, const double *constants, const double *scale,
+                 const drive_t *drive, const method_t *m, step_t *s, double *out, double *work,
+                 double *panel_state) {
+  const double tau = s->tau;
+  double h = s->h, lam[N], inv[N * N], basis[(N + 1) * N];
+  h = longest(drive, m, tau, h < m->length - tau ? h : m->length - tau);
+  double after = tau + h;
+  if (after >= m->length * (1 - 1e-14)) after = m->length;
+  double half = 0.5 * (after - tau), t[N], sig[N], dec[N] = {0};
+  for (int i = 0; i < N; i++) {
+    t[i] = tau + half * (1.0 + m->node[i]);
+    sig[i] = horner(drive->sigma, drive->n_sigma, t[i]);
+    if (m->n_stiff) lam[i] = gain_at(drive, t[i]);
+  }
+  if (m->slip > 0) decays(drive, t, sig, N, dec);
+  if (m->n_stiff && implicit(m, lam, half, inv)) return -2;
+  /* Picard sweeps start from the last panel's series where that reaches (28 % fewer of them) */
+  int known = s->before && after - tau <= 2.0 * s->length;
+  if (known) continuation(m, (after - tau) / s->length, basis);
+  double error = 0.0;
+  for (long b = 0; b < nb; b++) {
+    double(*x)[N] = (double(*)[N])(work);
+    double(*f)[N] = (double(*)[N])(work + (NX + DRIVES) * N);
+    const double *start = state + b * NX, *c = constants + b * NC, *sc = scale + b * NX;
+    for (long r = 0; r < NX; r++)
+      if (known)
+        combine(basis, N + 1, s->before + (b * NX + r) * (N + 1), 0.0, 1.0, x[r]);
+      else
+        for (int i = 0; i < N; i++) x[r][i] = start[r];
+    memcpy(x[NX], sig, sizeof sig);
+    memcpy(x[NX + 1], dec, sizeof dec);
+    if (DRIVES > 2) memcpy(x[NX + DRIVES - 1], t, sizeof t);
+    double last = HUGE_VAL, change = HUGE_VAL;
+    int k = 0;
+    for (; k < SWEEPS; k++) {
+      change = sweep(m, start, c, sc, half, lam, inv, x, f);
+      if (change <= m->tolerance * 0.1 || change <= 4e-16) break;
+      if (k > 6 && change <= 1e-13 && change > 0.25 * last) break;
+      if (!(change < 1e10)) { k = SWEEPS; break; }
+      last = change;
+    }
+    if (k >= SWEEPS) { s->h = 0.35 * (after - tau); return 0; }
+    for (long r = 0; r < NX; r++) {
+      double *o = out + (b * NX + r) * (N + 1), top;
+      combine(m->series, N, f[r], 0.0, half, o);
+      top = dot(m->series + N * N, f[r]);
+      o[N] = half * top, o[0] += start[r];
+      double tail = fabs(o[N]), last_but_one = 0.1 * fabs(o[N - 1]);
+      tail = (tail > last_but_one ? tail : last_but_one) * sc[r];
+      error = tail > error ? tail : error;
+      panel_state[b * NX + r] = r >= NX - m->n_stiff ? dot(m->end + N, x[r])
+                                                     : start[r] + half * dot(m->end, f[r]);
+    }
+    restore(panel_state + b * NX, c);
+  }
+  if (!(error <= m->tolerance)) {
+    double shrink = 0.9 * pow(m->tolerance / error, 1.0 / N);
+    s->h = (after - tau) * (shrink > 0.2 ? (shrink < 0.8 ? shrink : 0.8) : 0.2);
+    return 0;
+  }
+  double grow = 0.9 * pow(m->tolerance / (error > 1e-30 ? error : 1e-30), 1.0 / N);
+  s->h = (after - tau) * (grow < 2.0 ? grow : 2.0);
+  s->length = after - tau, s->before = out, s->tau = after;
+  return 1;
+}
+
+#ifndef ONE_PANEL
 /* Returns the number of panels, or -1 (no room: call again with more), -2 (no convergence).
    edges[max_panels + 1], coefficients[panel][body][NX][N+1], state[nb][NX] in and out,
    work: (2 NX + 2) * N doubles, panel_state: nb * NX doubles. */
 long panels(long nb, double *state, const double *constants, const double *scale,
             const drive_t *drive, method_t *m, double *edges, double *coefficients,
             double *work, double *panel_state) {
-  double tau = 0.0, h = m->first, lam[N], inv[N * N], basis[(N + 1) * N];
+  step_t s = {.h = m->first};
   long count = 0, tries = 0;
   edges[0] = 0.0;
-  while (tau < m->length) {
+  while (s.tau < m->length) {
     if (count == m->max_panels) return -1;
     if (++tries > 40 * (count + 25)) return -2;
-    h = longest(drive, m, tau, h < m->length - tau ? h : m->length - tau);
-    double after = tau + h;
-    if (after >= m->length * (1 - 1e-14)) after = m->length;
-    double half = 0.5 * (after - tau), t[N], sig[N], dec[N] = {0};
-    for (int i = 0; i < N; i++) {
-      t[i] = tau + half * (1.0 + m->node[i]);
-      sig[i] = horner(drive->sigma, drive->n_sigma, t[i]);
-      if (m->n_stiff) lam[i] = gain_at(drive, t[i]);
-    }
-    if (m->slip > 0) decays(drive, t, sig, N, dec);
-    if (m->n_stiff && implicit(m, lam, half, inv)) return -2;
-    /* Picard sweeps start from the last panel's series where that reaches (28 % fewer of them) */
-    int known = count > 0 && after - tau <= 2.0 * (tau - edges[count - 1]);
-    if (known) continuation(m, edges[count - 1], tau, after, basis);
-    double error = 0.0;
-    int slow = 0;
-    for (long b = 0; b < nb && !slow; b++) {
-      double(*x)[N] = (double(*)[N])(work);
-      double(*f)[N] = (double(*)[N])(work + (NX + 2) * N);
-      const double *start = state + b * NX, *c = constants + b * NC, *sc = scale + b * NX;
-      const double *before = coefficients + ((count - 1) * nb + b) * NX * (N + 1);
-      for (long s = 0; s < NX; s++)
-        if (known)
-          combine(basis, N + 1, before + s * (N + 1), 0.0, 1.0, x[s]);
-        else
-          for (int i = 0; i < N; i++) x[s][i] = start[s];
-      memcpy(x[NX], sig, sizeof sig);
-      memcpy(x[NX + 1], dec, sizeof dec);
-      double last = HUGE_VAL, change = HUGE_VAL;
-      int k = 0;
-      for (; k < SWEEPS; k++) {
-        change = sweep(m, start, c, sc, half, lam, inv, x, f);
-        if (change <= m->tolerance * 0.1 || change <= 4e-16) break;
-        if (k > 6 && change <= 1e-13 && change > 0.25 * last) break;
-        if (!(change < 1e10)) { k = SWEEPS; break; }
-        last = change;
-      }
-      if (k >= SWEEPS) { slow = 1; break; }
-      double *out = coefficients + ((count * nb + b) * NX) * (N + 1);
-      for (long s = 0; s < NX; s++) {
-        double *o = out + s * (N + 1), top;
-        combine(m->series, N, f[s], 0.0, half, o);
-        top = dot(m->series + N * N, f[s]);
-        o[N] = half * top, o[0] += start[s];
-        double tail = fabs(o[N]), last_but_one = 0.1 * fabs(o[N - 1]);
-        tail = (tail > last_but_one ? tail : last_but_one) * sc[s];
-        error = tail > error ? tail : error;
-        panel_state[b * NX + s] = s >= NX - m->n_stiff ? dot(m->end + N, x[s])
-                                                       : start[s] + half * dot(m->end, f[s]);
-      }
-      restore(panel_state + b * NX, c);
-    }
-    if (slow) { h = 0.35 * (after - tau); continue; }
-    if (!(error <= m->tolerance)) {
-      double shrink = 0.9 * pow(m->tolerance / error, 1.0 / N);
-      h = (after - tau) * (shrink > 0.2 ? (shrink < 0.8 ? shrink : 0.8) : 0.2);
-      continue;
-    }
+    double *out = coefficients + count * nb * NX * (N + 1);
+    int made = panel(nb, state, constants, scale, drive, m, &s, out, work, panel_state);
+    if (made < 0) return -2;
+    if (!made) continue;
     memcpy(state, panel_state, (size_t)(nb * NX) * sizeof(double));
-    double grow = 0.9 * pow(m->tolerance / (error > 1e-30 ? error : 1e-30), 1.0 / N);
-    h = (after - tau) * (grow < 2.0 ? grow : 2.0);
-    tau = after;
-    edges[++count] = tau;
-    if (m->slip > 0 && m->finish > 0 && tau < m->length) {
-      double s = horner(drive->sigma, drive->n_sigma, tau), left;
-      decays(drive, &tau, &s, 1, &left);
+    edges[++count] = s.tau;
+    if (m->slip > 0 && m->finish > 0 && s.tau < m->length) {
+      double speed = horner(drive->sigma, drive->n_sigma, s.tau), left;
+      decays(drive, &s.tau, &speed, 1, &left);
       if (m->slip * left <= m->finish) {
-        m->released = tau;
+        m->released = s.tau;
         if (m->stops) break;
         m->slip = 0.0; /* from here on decay is not evaluated, nor resolved */
-        h = m->first;
+        s.h = m->first;
       }
     }
   }
   return count;
 }
+#endif
