@@ -1,0 +1,149 @@
+"""C sources to shared libraries, and everything into one .fmu file."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import fmpy
+
+from contact_system.errors import ContactSystemError
+from contact_system.kernels import cache_folder, find_compiler
+
+FMI_HEADERS = Path(fmpy.__file__).parent / "c-code"
+
+# name -> (folder in FMI 2, folder in FMI 3, suffix, target of ziglang)
+PLATFORMS = {
+    "x86_64-linux": ("linux64", "x86_64-linux", ".so", "x86_64-linux-gnu.2.17"),
+    "aarch64-linux": ("aarch64-linux", "aarch64-linux", ".so", "aarch64-linux-gnu.2.17"),
+    "x86_64-windows": ("win64", "x86_64-windows", ".dll", "x86_64-windows-gnu"),
+    "x86_64-darwin": ("darwin64", "x86_64-darwin", ".dylib", "x86_64-macos.11.0"),
+    "aarch64-darwin": ("aarch64-darwin", "aarch64-darwin", ".dylib", "aarch64-macos.11.0"),
+}
+
+# Contraction to fused operations would make platforms differ in the last digits.
+FLAGS = (
+    "-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fopenmp-simd",
+)  # fmt: skip
+LINK_FLAGS = ("-shared", "-s")
+
+
+def native_platform() -> str:
+    """The name of this machine's platform in `PLATFORMS`."""
+    machine = {"amd64": "x86_64", "x86_64": "x86_64", "arm64": "aarch64", "aarch64": "aarch64"}
+    system = {"linux": "linux", "win32": "windows", "darwin": "darwin"}
+    found = f"{machine.get(platform.machine().lower())}-{system.get(sys.platform)}"
+    if found not in PLATFORMS:
+        raise ContactSystemError(
+            f"this machine ({platform.machine()}, {sys.platform}) is none of the platforms FMUs "
+            f"are built for here; name one of {', '.join(PLATFORMS)}"
+        )
+    return found
+
+
+def _platform(target: str) -> tuple[str, str, str, str]:
+    """The row of `PLATFORMS`."""
+    if target != "native" and target not in PLATFORMS:
+        known = ", ".join(["native", *PLATFORMS])
+        raise ContactSystemError(f"platform {target!r} is unknown; use one of {known}")
+    return PLATFORMS[native_platform() if target == "native" else target]
+
+
+def headers(fmi_version: str) -> dict[str, str]:
+    """Name -> text of FMI's own headers, which fmpy brings."""
+    names = {
+        "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+        "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+    }[fmi_version]
+    return {name: (FMI_HEADERS / name).read_text() for name in names}
+
+
+def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
+    """The shared library of some sources for one platform; built once, kept in the cache.
+
+    Parameters
+    ----------
+    sources : mapping
+        File name -> text, headers included.
+    identifier : str
+        Model identifier.
+    target : str
+        A key of `PLATFORMS`, or "native".
+
+    Raises
+    ------
+    ContactSystemError
+        An unknown platform, no compiler, or one that refuses.
+    """
+    command = _command(identifier, target)
+    text = "\0".join([*command, *(f"{k}\0{sources[k]}" for k in sorted(sources))])
+    kept = cache_folder() / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.fmulib"
+    if kept.exists():
+        return kept.read_bytes()
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=kept.parent) as folder:
+        for file, content in sources.items():
+            (Path(folder) / file).write_text(content)
+        built = Path(folder) / "library"
+        names = sorted(file.removesuffix(".c") for file in sources if file.endswith(".c"))
+        compiler = [word for word in command if word not in LINK_FLAGS]
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            jobs = [[*compiler, "-c", f"{name}.c", "-o", f"{name}.o"] for name in names]
+            list(pool.map(lambda job: _run(job, folder), jobs))
+        _run([*command, *(f"{name}.o" for name in names), "-o", built.name, "-lm"], folder)
+        os.replace(built, kept)  # atomic: a second process never sees half a file
+    return kept.read_bytes()
+
+
+def _run(command: Sequence[str], folder: str) -> None:
+    run = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    if run.returncode:
+        raise ContactSystemError(f"{' '.join(command)} failed:\n{run.stderr[-2000:]}")
+
+
+def _command(name: str, target: str) -> list[str]:
+    """The compiler and its flags for a platform."""
+    host = native_platform() if target == "native" else None
+    _, _, suffix, triple = _platform(target)
+    link = LINK_FLAGS[: 1 if suffix == ".dylib" else 2]
+    flags = [*FLAGS, *link] + ["-fPIC"] * (suffix != ".dll")
+    if suffix == ".dylib":
+        flags.append(f"-Wl,-install_name,@rpath/{name}{suffix}")
+    compiler = find_compiler()
+    if host and compiler is not None:
+        return [*compiler, *flags]
+    try:
+        import ziglang  # noqa: F401
+    except ImportError:
+        raise ContactSystemError(
+            f"no compiler for {host or target}: `pip install ziglang`, which compiles for all "
+            "platforms; for this machine alone any C compiler will do (cc, gcc, clang, or set CC)"
+        ) from None
+    return [sys.executable, "-m", "ziglang", "cc", "-target", triple, *flags]
+
+
+def library_place(name: str, target: str, fmi_version: str) -> str:
+    """Where a platform's library lies inside the FMU."""
+    folder2, folder3, suffix, _ = _platform(target)
+    return f"binaries/{folder2 if fmi_version == '2.0' else folder3}/{name}{suffix}"
+
+
+def write_fmu(path: Path, files: Mapping[str, bytes], moment: Sequence[int]) -> None:
+    """Write a zip file whose bytes depend on the files and the moment (y, m, d, h, min, s) only."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    half = path.with_name(path.name + ".part")
+    with zipfile.ZipFile(half, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name in sorted(files):
+            entry = zipfile.ZipInfo(name, tuple(moment))  # type: ignore[arg-type]
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.create_system, entry.external_attr = 3, 0o644 << 16
+            archive.writestr(entry, files[name])
+    os.replace(half, path)

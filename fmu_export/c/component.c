@@ -1,0 +1,771 @@
+#include "component.h"
+
+#include <float.h>
+#include <stdarg.h>
+#include <stdio.h>
+
+#define TOLERANCE 1e-14 /* tail of a panel's series; with 1e-13 K4 ends 4e-14 of its size away */
+#define MOST_PANELS 20000L /* in one step: a second of work, kilometres of path */
+
+/* groups of results, bits of memory_t.valid */
+enum { STATE = 1, RATES = 2, SLIP = 4, TWIST = 8, POSE = 16, POINTS = 32, RESULTS = 64,
+    MOMENT = 128 };
+
+status_t report(component_t *c, status_t status, const char *category, const char *format, ...) {
+  char text[512];
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(text, sizeof text, format, arguments);
+  va_end(arguments);
+  c->report(c, status, category, text);
+  return status;
+}
+
+static int all_finite(const double *x, long n) {
+  double sum = 0.0;
+  for (long i = 0; i < n; i++) sum += 0.0 * x[i];
+  return sum == 0.0;
+}
+
+/* times this near are one time: steps of 0.1 s do not add up to 1 s */
+int reached(double time, double edge) {
+  return time >= edge - 8 * DBL_EPSILON * fmax(1.0, fabs(edge));
+}
+
+static const double *law(const memory_t *now) { return now->value + GAIN; }
+
+/* --- sigma: where it grows, where it ends ----------------------------------------------------- */
+
+/* sign changes of a polynomial in (a, b), ascending; between those of its derivative it is
+   monotone */
+static long sign_changes(const double *c, long n, double a, double b, double *found) {
+  double derivative[MAX_SIGMA], knot[MAX_SIGMA + 1];
+  if (n < 2) return 0;
+  for (long k = 1; k < n; k++) derivative[k - 1] = k * c[k];
+  long count = 0, inner = sign_changes(derivative, n - 1, a, b, knot + 1) + 1;
+  knot[0] = a, knot[inner] = b;
+  for (long k = 0; k < inner; k++) {
+    double low = knot[k], high = knot[k + 1], at_low = horner(c, n, low);
+    if (!(at_low * horner(c, n, high) < 0)) continue;
+    for (int i = 0; i < 200 && low < high; i++) {
+      double middle = 0.5 * (low + high);
+      if (middle <= low || middle >= high) break;
+      if (at_low * horner(c, n, middle) > 0) low = middle; else high = middle;
+    }
+    found[count++] = high;
+  }
+  return count;
+}
+
+static void study_profile(memory_t *now) {
+  const double *sigma = law(now) + 1;
+  double far = now->time + 1e3 * HORIZON, at[MAX_SIGMA + 2], rate[MAX_SIGMA];
+  long n = sign_changes(sigma, N_PROFILE, now->time, far, at);
+  now->limit = HUGE_VAL, now->n_knots = 0;
+  for (long k = 0; k < n && now->limit == HUGE_VAL; k++)
+    if (slope(sigma, N_PROFILE, at[k]) < 0) now->limit = at[k];
+  if (GAIN_LAW != GUARANTEED || N_PROFILE < 2) return;
+  for (long k = 1; k < N_PROFILE; k++) rate[k - 1] = k * sigma[k];
+  n = sign_changes(rate, N_PROFILE - 1, now->time, far, at + 1);
+  at[0] = now->time, at[n + 1] = far;
+  for (long k = 0; k <= n; k++)
+    if (horner(rate, N_PROFILE - 1, 0.5 * (at[k] + at[k + 1])) > 0) {
+      now->knots[now->n_knots++] = at[k];
+      now->knots[now->n_knots++] = at[k + 1];
+    }
+}
+
+double next_edge(const component_t *c) {
+  const memory_t *now = &c->now;
+  double next = HUGE_VAL;
+  for (long k = 0; k < N_WINDOWS; k++)
+    for (int side = 0; side < 2; side++) {
+      double edge = side ? windows[k].stop : windows[k].start;
+      if (!reached(now->time, edge) && edge < next) next = edge;
+    }
+  for (long k = 0; k < now->n_knots; k++)
+    if (!reached(now->time, now->knots[k]) && now->knots[k] < next) next = now->knots[k];
+  return next;
+}
+
+void enter_windows(component_t *c) {
+  memory_t *now = &c->now;
+  memset(now->window, 0, sizeof now->window);
+  for (long k = 0; k < N_WINDOWS; k++)
+    if (reached(now->time, windows[k].start) && !reached(now->time, windows[k].stop))
+      for (int j = 0; j < 6; j++) now->window[windows[k].contact][j] += windows[k].value[j];
+  memset(now->valid, 0, sizeof now->valid);
+  now->settled = now->pending = 0;
+}
+
+/* --- a contact's motion ----------------------------------------------------------------------- */
+
+static const form_t *form_of(const memory_t *now, long i) {
+  return &places[i].kind->form[now->contact[i].form];
+}
+
+static drive_t drive_of(const contact_t *k) {
+  return (drive_t){k->n_sigma, k->n_exponent, k->power, k->sigma, k->exponent};
+}
+
+static void legendre_at(double xi, double basis[N + 1]) {
+  basis[0] = 1.0, basis[1] = xi;
+  for (long k = 1; k < N; k++) {
+    const double a = (2 * k + 1) / (k + 1.0), b = k / (k + 1.0);
+    basis[k + 1] = a * xi * basis[k] - b * basis[k - 1];
+  }
+}
+
+/* Local times inside the current panel, its ends included. */
+static void moment(const memory_t *now, long i, double tau, moment_t *m) {
+  const contact_t *k = &now->contact[i];
+  const form_t *form = form_of(now, i);
+  const long n = form->motion->n_states, stiff = form->motion->n_stiff;
+  if (tau <= 0.0) {
+    memcpy(m->y, k->first, sizeof m->y);
+  } else if (tau >= k->to) {
+    memcpy(m->y, k->last, sizeof m->y);
+  } else {
+    double basis[N + 1];
+    legendre_at(2.0 * (tau - k->from) / (k->to - k->from) - 1.0, basis);
+    for (long s = 0; s < n; s += 4) { /* four sums at a time: one alone waits for itself */
+      const double *c = k->series + s * (N + 1);
+      double sum[4] = {0};
+      for (long j = 0; j <= N; j++)
+        for (long l = 0; l < 4; l++) sum[l] += c[l * (N + 1) + j] * basis[j];
+      memcpy(m->y + s, sum, sizeof sum);
+    }
+  }
+  m->sigma = horner(k->sigma, k->n_sigma, tau);
+  m->frame[0] = m->y, m->frame[1] = m->y + form->size[0] + stiff;
+  if (stiff) {
+    memcpy(m->w1v, m->y + form->size[0], 2 * sizeof(double));
+    memcpy(m->w1v + 2, m->y + n - 2, 2 * sizeof(double));
+  } else {
+    double decay = 1.0;
+    const drive_t d = drive_of(k);
+    if (tau > 0.0 && k->greatest > 0.0) decays(&d, &tau, &m->sigma, 1, &decay);
+    for (int j = 0; j < 2; j++) m->w1v[j] = k->w1[j], m->w1v[2 + j] = k->v[j] * decay;
+  }
+  for (int j = 0; j < 6; j++) m->disturbance[j] = k->disturbance[j] + k->slope[j] * tau;
+}
+
+static const double *numbers(const memory_t *now, long i, int body) {
+  return now->value + (body ? OBJECT : places[i].finger);
+}
+
+/* u v u' v' theta of one body, on the branch of a reference u v theta */
+static void coordinates(const memory_t *now, long i, int body, const moment_t *m,
+                        const double *reference, double out[5]) {
+  static const long rows[] = {0, 1, 2, 3, 4};
+  const form_t *form = form_of(now, i);
+  double c[4];
+  places[i].kind->drive((const double *const[]){&m->sigma, m->w1v}, c);
+  form->coordinates[body](
+      (const double *const[]){m->frame[body], c + 2 * body, numbers(now, i, body)}, out);
+  if (form->size[body] == 9 && all_finite(out, 5))
+    wind(&places[i].kind->winding[body], reference, 1, out, rows);
+}
+
+/* u v theta of coordinates */
+static void take_place(double place[3], const double coordinates[5]) {
+  place[0] = coordinates[0], place[1] = coordinates[1], place[2] = coordinates[4];
+}
+
+static const double *nearest_anchor(const contact_t *k, int body, double tau) {
+  long q = k->to > k->from ? lrint(4.0 * (tau - k->from) / (k->to - k->from)) : 0;
+  return k->anchor[body][q < 0 ? 0 : q > 4 ? 4 : q];
+}
+
+/* Follow the coordinates through a new panel, or fill all anchors with one place (to = 0). */
+static void lay_anchors(memory_t *now, long i) {
+  contact_t *k = &now->contact[i];
+  double from[2][3], out[5];
+  moment_t m;
+  for (int body = 0; body < 2; body++) memcpy(from[body], k->anchor[body][4], sizeof from[body]);
+  for (int q = 0; q < 5; q++) {
+    moment(now, i, k->from + 0.25 * q * (k->to - k->from), &m);
+    for (int body = 0; body < 2; body++) {
+      if (form_of(now, i)->size[body] == 9) {
+        coordinates(now, i, body, &m, from[body], out);
+        if (all_finite(out, 5)) take_place(from[body], out);
+      }
+      memcpy(k->anchor[body][q], from[body], sizeof from[body]);
+    }
+  }
+}
+
+static double largest(const double *x, long n) {
+  double most = 0.0;
+  for (long j = 0; j < n; j++) most = fmax(most, fabs(x[j]));
+  return most;
+}
+
+/* 1 / (size of each state): positions by the body's size, angles and directions by 1 */
+static void set_scale(const memory_t *now, long i, int body, const double *frame, double *scale) {
+  const double size = places[i].size[body];
+  double lame[2];
+  if (form_of(now, i)->size[body] == 9) {
+    for (int j = 0; j < 9; j++) scale[j] = j < 3 ? 1.0 / size : 1.0;
+    return;
+  }
+  places[i].kind->lame[body]((const double *const[]){frame, numbers(now, i, body)}, lame);
+  scale[0] = fmax(lame[0] / size, 1e-2), scale[1] = fmax(lame[1] / size, 1e-2), scale[2] = 1.0;
+}
+
+/* A first panel along which the contact moves a third of the smaller body. */
+static double first_panel(const memory_t *now, long i) {
+  const contact_t *k = &now->contact[i];
+  const double path = 0.3 * fmin(places[i].size[0], places[i].size[1]);
+  double h = fmin(k->end - k->begin, 1e3 * HORIZON);
+  for (int j = 0; j < 200; j++, h *= 0.5) {
+    double half = horner(k->sigma, k->n_sigma, 0.5 * h), all = horner(k->sigma, k->n_sigma, h);
+    if (h * fmax(k->sigma[0], fmax(half, all)) <= path) break;
+  }
+  return h;
+}
+
+/* 1 / (the slip that can come about), as planner._slip_scale, so that slip is right to tolerance */
+static double slip_scale(const memory_t *now, long i) {
+  const contact_t *k = &now->contact[i];
+  const drive_t d = drive_of(k);
+  const double h = k->next, *size = places[i].size;
+  double push = 0.0, speed = fmin(k->sigma[0], horner(k->sigma, k->n_sigma, h));
+  for (int j = 0; j < 4; j++)
+    push = fmax(push, (fabs(k->disturbance[j]) + fabs(k->slope[j]) * h) * size[j / 2]);
+  double slowest = 1.0 / fmax(fmin(gain_at(&d, 0.0), gain_at(&d, h)), 1e-9);
+  double grown = push > 0 ? push / fmax(speed, 1e-30) * fmin(k->end - k->begin, slowest) : 0.0;
+  double expected = fmax(largest(k->v, 2), grown);
+  return 1.0 / fmin(1.0, fmax(expected, 1e-3));
+}
+
+/* sigma and decay in the local time that begins at k->begin: profile.GainPiece */
+static void set_drive(const memory_t *now, contact_t *k) {
+  const double *global = law(now) + 1, t = k->begin;
+  double size = 0.0;
+  for (long j = N_PROFILE - 1; j >= 0; j--) size = size * fabs(t) + fabs(global[j]);
+  for (long j = 0; j < N_PROFILE; j++) k->sigma[j] = global[j];
+  for (long j = 0; j < N_PROFILE; j++) /* Taylor shift by synthetic division */
+    for (long l = N_PROFILE - 2; l >= j; l--) k->sigma[l] += t * k->sigma[l + 1];
+  if (fabs(k->sigma[0]) <= 1e-15 * size) k->sigma[0] = 0.0;
+  k->n_sigma = N_PROFILE, k->power = 0, k->n_exponent = 2;
+  k->exponent[0] = 0.0, k->exponent[1] = k->eta;
+  if (GAIN_LAW == PATH) {
+    k->n_exponent = 2 * N_PROFILE;
+    memset(k->exponent, 0, sizeof k->exponent);
+    for (long a = 0; a < N_PROFILE; a++)
+      for (long b = 0; b < N_PROFILE; b++)
+        k->exponent[a + b + 1] += k->eta * k->sigma[a] * k->sigma[b] / (double)(a + b + 1);
+  }
+  for (long j = 0; j < now->n_knots; j += 2)
+    if (reached(t, now->knots[j]) && !reached(t, now->knots[j + 1])) k->power = 1;
+}
+
+static double own_end(const memory_t *now, long i) {
+  double end = now->limit;
+  for (long w = 0; w < N_WINDOWS; w++) {
+    if (windows[w].contact != i) continue;
+    if (!reached(now->time, windows[w].start)) end = fmin(end, windows[w].start);
+    if (!reached(now->time, windows[w].stop)) end = fmin(end, windows[w].stop);
+  }
+  for (long j = 0; j < now->n_knots; j++)
+    if (!reached(now->time, now->knots[j])) end = fmin(end, now->knots[j]);
+  return end;
+}
+
+/* Input, extrapolated from where its slope was given, and windows. */
+static double acting(const memory_t *now, long i, int j) {
+  return now->value[places[i].block + j] + now->window[i][j] +
+         now->input_slope[i][j] * (now->time - now->slope_begin);
+}
+
+static int acting_form(const contact_t *k) {
+  if (largest(k->disturbance + 2, 4) > 0 || largest(k->slope + 2, 4) > 0) return PUSHED_OBJECT;
+  if (largest(k->disturbance, 2) > 0 || largest(k->slope, 2) > 0) return PUSHED_FINGER;
+  return DRIVEN;
+}
+
+/* One body's frame in the form that a new segment needs. */
+static void change_form(const memory_t *now, long i, int body, const double *frame, long from,
+                        long to, const double *place, double *out) {
+  if (from == to)
+    memcpy(out, frame, (size_t)to * sizeof(double));
+  else if (to == 3)
+    memcpy(out, place, 3 * sizeof(double));
+  else
+    places[i].kind->spatial[body]((const double *const[]){place, numbers(now, i, body)}, out);
+}
+
+/* Begin a segment of contact i now, where the one before has come to (y, w1v). */
+static void begin_segment(memory_t *now, long i, const moment_t *m, double place[2][3]) {
+  contact_t *k = &now->contact[i];
+  const form_t *old = form_of(now, i);
+  k->begin = now->time, k->end = own_end(now, i), k->eta = law(now)[0];
+  for (int j = 0; j < 6; j++) {
+    k->disturbance[j] = acting(now, i, j);
+    k->slope[j] = now->input_slope[i][j];
+  }
+  k->form = acting_form(k);
+  set_drive(now, k);
+  memcpy(k->w1, m->w1v, sizeof k->w1), memcpy(k->v, m->w1v + 2, sizeof k->v);
+  if (k->power && k->sigma[0] == 0.0) k->v[0] = k->v[1] = 0.0; /* no slip leaves a rest */
+  k->greatest = hypot(k->v[0], k->v[1]);
+  const form_t *form = form_of(now, i);
+  const motion_t *motion = form->motion;
+  const long stiff = motion->n_stiff, object = form->size[0] + stiff;
+  for (int body = 0; body < 2; body++)
+    change_form(now, i, body, m->frame[body], old->size[body], form->size[body], place[body],
+                k->first + (body ? object : 0));
+  double *c = k->constants;
+  memcpy(c, numbers(now, i, 0), (size_t)places[i].kind->n_numbers[0] * sizeof(double));
+  c += places[i].kind->n_numbers[0];
+  memcpy(c, numbers(now, i, 1), (size_t)places[i].kind->n_numbers[1] * sizeof(double));
+  c += places[i].kind->n_numbers[1];
+  k->next = first_panel(now, i);
+  set_scale(now, i, 0, k->first, k->scale);
+  set_scale(now, i, 1, k->first + object, k->scale + object);
+  if (stiff) {
+    memcpy(c, k->disturbance, sizeof k->disturbance), memcpy(c + 6, k->slope, sizeof k->slope);
+    double slip = slip_scale(now, i);
+    for (int j = 0; j < 2; j++) {
+      k->first[form->size[0] + j] = k->w1[j], k->scale[form->size[0] + j] = 1.0;
+      k->first[motion->n_states - 2 + j] = k->v[j], k->scale[motion->n_states - 2 + j] = slip;
+    }
+  } else {
+    memcpy(c, k->w1, sizeof k->w1), memcpy(c + 2, k->v, sizeof k->v);
+  }
+  motion->restore(k->first, k->constants);
+  memcpy(k->last, k->first, sizeof k->last);
+  k->from = k->to = 0.0;
+  for (int body = 0; body < 2; body++)
+    for (int q = 0; q < 5; q++) memcpy(k->anchor[body][q], place[body], sizeof place[body]);
+}
+
+static void restart(memory_t *now, long i) {
+  contact_t *k = &now->contact[i];
+  double place[2][3], out[5], tau = now->time - k->begin;
+  moment_t m;
+  moment(now, i, tau, &m);
+  for (int body = 0; body < 2; body++) {
+    const double *anchor = nearest_anchor(k, body, tau);
+    coordinates(now, i, body, &m, anchor, out);
+    memcpy(place[body], anchor, sizeof place[body]);
+    if (all_finite(out, 5)) take_place(place[body], out);
+  }
+  begin_segment(now, i, &m, place);
+}
+
+/* Contacts whose inputs, windows or gain are no longer those of their segment begin another. */
+static void settle(component_t *c) {
+  memory_t *now = &c->now;
+  if (now->settled) return;
+  for (long i = 0; i < N_CONTACTS; i++) {
+    contact_t *k = &now->contact[i];
+    int same = k->eta == law(now)[0] && !reached(now->time, k->end);
+    for (int j = 0; j < 6; j++)
+      same &= k->disturbance[j] == acting(now, i, j) && k->slope[j] == 0.0 &&
+              now->input_slope[i][j] == 0.0;
+    if (!same) restart(now, i);
+  }
+  memset(now->valid, 0, sizeof now->valid);
+  now->settled = 1;
+}
+
+/* Integrate contact i panel by panel until its series reaches a local time. */
+static status_t advance(component_t *c, long i, double tau) {
+  memory_t *now = &c->now;
+  contact_t *k = &now->contact[i];
+  const motion_t *motion = form_of(now, i)->motion;
+  const drive_t d = drive_of(k);
+  const double end = fmin(k->end - k->begin, 1e6 * HORIZON);
+  const method_t m = {.length = end, .tolerance = TOLERANCE, .first = k->next,
+                      .slip = motion->n_stiff ? 1.0 : k->greatest, .released = -1.0,
+                      .node = gauss_node, .integral = gauss_integral, .series = gauss_series,
+                      .end = gauss_end, .n_stiff = motion->n_stiff};
+  double after[MAX_STATES];
+  for (long tries = 0; k->to < tau; tries++) {
+    step_t s = {k->to, k->next, k->to - k->from, k->to > 0.0 ? k->series : NULL};
+    int made = tries > MOST_PANELS || !(k->next > 1e-13 * (end < tau ? end : tau))
+                   ? -2
+                   : motion->panel(1, k->last, k->constants, k->scale, &d, &m, &s, c->trial,
+                                   c->work, after);
+    if (made < 0) {
+      now->phase = BROKEN;
+      return report(c, FAILED, "logStatusError",
+                    "contact %ld: the motion cannot be continued past t = %.9g s: the path reaches "
+                    "a singular point of its chart or its surface, or moves too fast for double "
+                    "precision", i + 1, k->begin + k->to);
+    }
+    k->next = s.h;
+    if (!made) continue;
+    memcpy(k->series, c->trial, sizeof k->series), memcpy(k->last, after, sizeof k->last);
+    k->from = k->to, k->to = s.tau;
+    lay_anchors(now, i);
+  }
+  return OK;
+}
+
+/* --- results ---------------------------------------------------------------------------------- */
+
+/* whether states are given and results follow from them, else frames are */
+#define SYSTEM(now) \
+  (!(now)->stepping || ((now)->phase & (INSTANTIATED | CONFIGURATION | INITIALIZATION)))
+
+/* time, states, disturbance, law, numbers of finger and object: what the system's kernels take */
+static void system_arguments(const memory_t *now, long i, double disturbance[6],
+                             const double *a[6]) {
+  const double *value = now->value + places[i].block;
+  for (int j = 0; j < 6; j++) disturbance[j] = value[j] + now->window[i][j];
+  a[0] = now->value, a[1] = value + AT_STATE, a[2] = disturbance, a[3] = law(now);
+  a[4] = numbers(now, i, 0), a[5] = numbers(now, i, 1);
+}
+
+/* Contact i at the present time. */
+static const moment_t *present(component_t *c, long i) {
+  memory_t *now = &c->now;
+  if (!(now->valid[i] & MOMENT)) moment(now, i, now->time - now->contact[i].begin, &c->moment[i]);
+  now->valid[i] |= MOMENT;
+  return &c->moment[i];
+}
+
+static void find_states(component_t *c, long i) {
+  memory_t *now = &c->now;
+  contact_t *k = &now->contact[i];
+  double *value = now->value + places[i].block, out[2][5], theta[2];
+  const double tau = now->time - k->begin;
+  const moment_t *m = present(c, i);
+  for (int body = 0; body < 2; body++) {
+    double *state = value + AT_STATE + BODY * body, *rate = value + AT_RATE + BODY * body;
+    coordinates(now, i, body, m, nearest_anchor(k, body, tau), out[body]);
+    for (int j = 0; j < 2; j++) {
+      state[j] = out[body][j];
+      rate[j] = out[body][2 + j] + (body ? m->disturbance[4 + j] : 0.0);
+    }
+    theta[body] = out[body][4];
+    state[FRAME_ANGLE] = theta[body] + k->turn[body];
+  }
+  double a[4];
+  places[i].kind->velocity((const double *const[]){k->turn, m->w1v}, a);
+  memcpy(value + AT_STATE + VELOCITY, a, 2 * sizeof *a);
+  memcpy(value + AT_STATE + BODY + VELOCITY, a + 2, 2 * sizeof *a);
+  value[AT_STATE + ANGLE] = -(theta[0] + theta[1]);
+  k->theta = theta[1];
+}
+
+/* The other rates exist where the chart does; those of coordinates come with them. */
+static void find_other_rates(memory_t *now, long i) {
+  double disturbance[6], rate[SYSTEM_STATES], *value = now->value + places[i].block + AT_RATE;
+  const double *a[6];
+  system_arguments(now, i, disturbance, a);
+  places[i].kind->rates(a, rate);
+  for (long j = 0; j < SYSTEM_STATES; j++)
+    if (j % BODY > 1 || j == ANGLE) value[j] = rate[j];
+}
+
+static void find_from_frames(component_t *c, long i, unsigned group) {
+  memory_t *now = &c->now;
+  const form_t *form = form_of(now, i);
+  const moment_t *m = present(c, i);
+  double *value = now->value + places[i].block, v[2];
+  const double *const a[] = {&now->time, m->frame[0], m->frame[1], m->w1v, m->disturbance, law(now),
+                             numbers(now, i, 0), numbers(now, i, 1)};
+  if (group == SLIP) {
+    for (int j = 0; j < 2; j++) v[j] = m->sigma * m->w1v[2 + j];
+    form->slip((const double *const[]){m->frame[1], &now->contact[i].theta, v, m->disturbance + 4,
+                                       numbers(now, i, 1)}, value + AT_SLIP);
+  } else if (group == TWIST) {
+    form->twist(a, value + AT_TWIST);
+  } else if (group == POSE) {
+    form->pose(a, value + AT_POSE);
+  } else {
+    form->points(a, value + AT_POINTS);
+  }
+}
+
+static unsigned group_of(const memory_t *now, long offset) {
+  if (offset < (SYSTEM(now) ? AT_RATE : AT_STATE)) return 0;
+  if (SYSTEM(now)) return offset < AT_SLIP ? RATES : RESULTS;
+  if (offset < AT_SLIP) {
+    const long j = offset - AT_RATE;
+    return j < 0 || (j % BODY < 2 && j != ANGLE) ? STATE : RATES;
+  }
+  return offset < AT_TWIST ? SLIP : offset < AT_POSE ? TWIST : offset < AT_POINTS ? POSE : POINTS;
+}
+
+static void find(component_t *c, long i, unsigned group) {
+  memory_t *now = &c->now;
+  double disturbance[6], *value = now->value + places[i].block;
+  const double *a[6];
+  if (!group || (now->valid[i] & group)) return;
+  if (SYSTEM(now)) {
+    system_arguments(now, i, disturbance, a);
+    if (group == RATES) places[i].kind->rates(a, value + AT_RATE);
+    else places[i].kind->results(a, value + AT_SLIP);
+  } else {
+    if (group == RATES || group == SLIP) find(c, i, STATE);
+    if (group == STATE) find_states(c, i);
+    else if (group == RATES) find_other_rates(now, i);
+    else find_from_frames(c, i, group);
+  }
+  now->valid[i] |= group;
+}
+
+status_t get_values(component_t *c, unsigned reference, long count, double *value) {
+  memory_t *now = &c->now;
+  const long offset = (long)reference - places[0].block;
+  if (offset >= 0) {
+    const long i = offset / BLOCK_SIZE;
+    if (!SYSTEM(now)) settle(c);
+    find(c, i, group_of(now, offset % BLOCK_SIZE));
+  }
+  memcpy(value, now->value + reference, (size_t)count * sizeof *value);
+  if (all_finite(value, count)) return OK;
+  return report(c, DISCARD, "logStatusDiscard",
+                "variable %u has no value at t = %.17g s: the contact is at a singular point of a "
+                "chart (a pole or an umbilic)", reference, now->time);
+}
+
+status_t check_value(component_t *c, unsigned reference, double value) {
+  if (!(fabs(value) <= DBL_MAX))
+    return report(c, DISCARD, "logStatusDiscard", "variable %u: %g is refused, a value must be "
+                  "finite", reference, value);
+  if (not_negative[reference] && value < 0)
+    return report(c, DISCARD, "logStatusDiscard", "variable %u: %g is refused, it must not be "
+                  "negative", reference, value);
+  return OK;
+}
+
+void set_value(component_t *c, unsigned reference, double value) {
+  memory_t *now = &c->now;
+  if (now->value[reference] == value) return;
+  now->value[reference] = value;
+  memset(now->valid, 0, sizeof now->valid);
+  now->settled = 0;
+}
+
+status_t set_slope(component_t *c, unsigned reference, double slope) {
+  const long offset = (long)reference - places[0].block;
+  if (!(fabs(slope) <= DBL_MAX))
+    return report(c, DISCARD, "logStatusDiscard", "variable %u: derivative %g is refused, it must "
+                  "be finite", reference, slope);
+  c->now.input_slope[offset / BLOCK_SIZE][offset % BLOCK_SIZE] = slope;
+  c->now.slope_begin = c->now.time;
+  c->now.settled = 0;
+  return OK;
+}
+
+/* --- time ------------------------------------------------------------------------------------- */
+
+void reset(component_t *c, int stepping) {
+  memset(&c->now, 0, sizeof c->now);
+  memcpy(c->now.value, start_values, sizeof c->now.value);
+  c->now.stepping = stepping, c->now.phase = INSTANTIATED;
+  c->now.stop_time = c->now.limit = HUGE_VAL;
+}
+
+void set_time(component_t *c, double time) {
+  if (c->now.time == time && c->now.value[0] == time) return;
+  c->now.time = c->now.value[0] = time;
+  memset(c->now.valid, 0, sizeof c->now.valid);
+}
+
+/* Put contact i where its states say. Returns what is wrong, or NULL. */
+static const char *place_contact(memory_t *now, long i) {
+  const kind_t *kind = places[i].kind;
+  const double *state = now->value + places[i].block + AT_STATE;
+  const double *const a[] = {state, numbers(now, i, 0), numbers(now, i, 1)};
+  double regular[2], first[MAX_STATES + 4];
+  double place[2][3] = {{state[0], state[1], -state[ANGLE]}, {state[BODY], state[BODY + 1], 0.0}};
+  kind->regularity(a, regular);
+  for (int body = 0; body < 2; body++)
+    if (!(regular[body] > 1e-12 * places[i].size[body]))
+      return body ? "the object has no outward contact frame at (u, v)"
+                  : "the finger has no outward contact frame at (u, v)";
+  if (!now->stepping) return NULL;
+  moment_t m;
+  kind->start(a, first);
+  const long n = kind->form[DRIVEN].size[0] + kind->form[DRIVEN].size[1];
+  if (!all_finite(first, n + 4)) return "the start is not finite";
+  memcpy(m.w1v, first + n, sizeof m.w1v);
+  for (int j = 2; j < 4; j++) /* R_psi W1 of a rolling start is rounded twice */
+    if (fabs(m.w1v[j]) <= 4e-16 * largest(m.w1v, 2)) m.w1v[j] = 0.0;
+  m.frame[0] = first, m.frame[1] = first + kind->form[DRIVEN].size[0];
+  now->contact[i].form = DRIVEN;
+  for (int body = 0; body < 2; body++)
+    now->contact[i].turn[body] = state[BODY * body + FRAME_ANGLE] - place[body][2];
+  begin_segment(now, i, &m, place);
+  return NULL;
+}
+
+status_t start(component_t *c) {
+  memory_t *now = &c->now;
+  if (horner(law(now) + 1, N_PROFILE, now->time) < 0)
+    return report(c, FAILED, "logStatusError",
+                  "sigma is negative at t = %.9g s; change the profile", now->time);
+  study_profile(now);
+  enter_windows(c);
+  for (long i = 0; i < N_CONTACTS; i++) {
+    const char *wrong = place_contact(now, i);
+    if (wrong)
+      return report(c, FAILED, "logStatusError", "contact %ld cannot start: %s; change its "
+                    "coordinates or the numbers of the surface", i + 1, wrong);
+  }
+  now->settled = 1;
+  return OK;
+}
+
+/* A slope lasts for one step; the input stays where it has come to. */
+static void end_slopes(component_t *c, double duration) {
+  for (long i = 0; i < N_CONTACTS; i++)
+    for (int j = 0; j < 6; j++)
+      if (c->now.input_slope[i][j] != 0.0) {
+        c->now.value[places[i].block + j] += duration * c->now.input_slope[i][j];
+        c->now.input_slope[i][j] = 0.0, c->now.settled = 0;
+      }
+}
+
+status_t step(component_t *c, double target, int stop_at_edges, int *edge) {
+  memory_t *now = &c->now;
+  const double began = now->time;
+  *edge = 0;
+  now->ended = target > now->limit && !reached(now->limit, target);
+  if (now->ended)
+    return report(c, DISCARD, "logStatusDiscard", "no step to t = %.9g s: sigma is negative from "
+                  "t = %.9g s on", target, now->limit);
+  if (now->pending) enter_windows(c);
+  settle(c);
+  while (!*edge && now->time < target) {
+    const double next = next_edge(c);
+    *edge = reached(target, next);
+    const double goal = *edge ? next : fmin(target, now->limit);
+    for (long i = 0; i < N_CONTACTS; i++)
+      if (advance(c, i, goal - now->contact[i].begin)) return FAILED;
+    set_time(c, goal);
+    if (!*edge) break;
+    now->pending = 1;
+    if (stop_at_edges) break;
+    enter_windows(c);
+    settle(c);
+    *edge = 0;
+  }
+  end_slopes(c, now->time - began);
+  return OK;
+}
+
+/* --- as a system of equations ----------------------------------------------------------------- */
+
+status_t set_states(component_t *c, const double *state) {
+  if (!all_finite(state, (long)SYSTEM_STATES * N_CONTACTS))
+    return report(c, DISCARD, "logStatusDiscard", "continuous states are refused: a value is not "
+                  "finite");
+  for (long i = 0; i < N_CONTACTS; i++)
+    memcpy(c->now.value + places[i].block + AT_STATE, state + SYSTEM_STATES * i,
+           SYSTEM_STATES * sizeof *state);
+  memset(c->now.valid, 0, sizeof c->now.valid);
+  return OK;
+}
+
+status_t get_states(component_t *c, double *state) {
+  for (long i = 0; i < N_CONTACTS; i++) {
+    status_t s = get_values(c, (unsigned)(places[i].block + AT_STATE), SYSTEM_STATES,
+                            state + SYSTEM_STATES * i);
+    if (s) return s;
+  }
+  return OK;
+}
+
+status_t get_rates(component_t *c, double *rate) {
+  for (long i = 0; i < N_CONTACTS; i++) {
+    status_t s = get_values(c, (unsigned)(places[i].block + AT_RATE), SYSTEM_STATES,
+                            rate + SYSTEM_STATES * i);
+    if (s) return s;
+  }
+  return OK;
+}
+
+/* What kernels of derivatives take: the system's arguments, and where their seeds lie. */
+static void prepare(component_t *c, long i, double disturbance[6], const double *a[12]) {
+  const double *seed = c->seed + places[i].block;
+  if (!SYSTEM(&c->now)) {
+    settle(c);
+    find(c, i, STATE);
+  }
+  system_arguments(&c->now, i, disturbance, a);
+  a[6] = c->seed, a[7] = seed + AT_STATE, a[8] = seed + AT_INPUT, a[9] = c->seed + GAIN;
+  a[10] = c->seed + places[i].finger, a[11] = c->seed + OBJECT;
+}
+
+static status_t derivatives_found(component_t *c) {
+  if (all_finite(c->grown, N_VALUES)) return OK;
+  return report(c, DISCARD, "logStatusDiscard", "derivatives do not exist at t = %.17g s",
+                c->now.time);
+}
+
+status_t forward(component_t *c) {
+  double disturbance[6];
+  const double *a[12];
+  memcpy(c->grown, c->seed, sizeof c->grown);
+  for (long i = 0; i < N_CONTACTS; i++) {
+    prepare(c, i, disturbance, a);
+    places[i].kind->forward(a, c->grown + places[i].block + AT_RATE);
+  }
+  return derivatives_found(c);
+}
+
+status_t reverse(component_t *c) {
+  double disturbance[6], product[1 + SYSTEM_STATES + 6 + 1 + N_PROFILE + 2 * MAX_NUMBERS];
+  const double *a[12];
+  memcpy(c->grown, c->seed, sizeof c->grown);
+  for (long i = 0; i < N_CONTACTS; i++) {
+    const kind_t *kind = places[i].kind;
+    const long block = places[i].block, *n = kind->n_numbers;
+    const long first[] = {0, block + AT_STATE, block, GAIN, places[i].finger, OBJECT};
+    const long count[] = {1, SYSTEM_STATES, 6, 1 + N_PROFILE, n[0], n[1]};
+    prepare(c, i, disturbance, a);
+    a[6] = c->seed + places[i].block + AT_RATE;
+    kind->reverse(a, product);
+    const double *from = product;
+    for (int k = 0; k < 6; from += count[k++])
+      for (long j = 0; j < count[k]; j++) c->grown[first[k] + j] += from[j];
+  }
+  return derivatives_found(c);
+}
+
+/* --- state bytes ------------------------------------------------------------------------------ */
+
+#define STATE_VERSION 1ULL
+
+/* FNV-1a, 64 bit */
+static unsigned long long digest(const void *data, size_t count, unsigned long long hash) {
+  const unsigned char *byte = data;
+  for (size_t k = 0; k < count; k++) hash = (hash ^ byte[k]) * 1099511628211ULL;
+  return hash;
+}
+
+static header_t header_for(const memory_t *memory) {
+  header_t h = {{'C', 'O', 'N', 'T', 'A', 'C', 'T', 'S'}, STATE_VERSION, STATE_BYTES, 0, 0};
+  h.model = digest(model_token, strlen(model_token), 14695981039346656037ULL);
+  h.checksum = digest(memory, sizeof *memory, h.model);
+  return h;
+}
+
+void write_state(const memory_t *memory, unsigned char *bytes) {
+  const header_t h = header_for(memory);
+  memcpy(bytes, &h, sizeof h);
+  memcpy(bytes + sizeof h, memory, sizeof *memory);
+}
+
+const char *read_state(const unsigned char *bytes, unsigned long long count, memory_t *memory) {
+  header_t found;
+  if (count != STATE_BYTES) return "its length is not that of this model's states";
+  memcpy(&found, bytes, sizeof found);
+  memcpy(memory, bytes + sizeof found, sizeof *memory);
+  const header_t right = header_for(memory);
+  if (memcmp(found.magic, right.magic, sizeof found.magic))
+    return "it is no state of a contact model";
+  if (found.version != right.version) return "it was written by another version";
+  if (found.length != right.length) return "it says another length than it has";
+  if (found.model != right.model) return "it belongs to another model";
+  if (found.checksum != right.checksum) return "its checksum does not fit; it has been changed";
+  return NULL;
+}

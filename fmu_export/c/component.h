@@ -1,0 +1,186 @@
+/* A scene that is stepped or evaluated: all that fmi2.c and fmi3.c know of it, and nothing of FMI.
+
+   Two ways through one set of variables. As a block that steps itself (Co-Simulation) each contact
+   is moved in frame coordinates, panel by panel of Gauss collocation (contact_system/c/panels.c); a
+   panel's Legendre series is kept, so that a step inside a panel is an evaluation and nothing
+   depends on how the horizon is cut into steps. As a system of equations (Model Exchange, and
+   initialization in both) everything is a function of the eleven states of each contact.
+
+   model.h and model.c are generated for one scene: sizes, kernels, tables. */
+#ifndef CONTACT_COMPONENT
+#define CONTACT_COMPONENT
+#include "model.h"
+#include "common.h"
+
+/* Only FMI's functions are seen outside: names like `step` would meet others in one process. */
+#if defined(__GNUC__)
+#pragma GCC visibility push(hidden)
+#endif
+
+/* offsets in the block of a contact; see variables.py */
+enum { AT_INPUT = 0, AT_STATE = 6, AT_RATE = 17, AT_SLIP = 28, AT_TWIST = 30, AT_POSE = 36,
+       AT_POINTS = 48, BLOCK_SIZE = 54 };
+/* in a state, and in its rates: u v of a body begin at BODY * body */
+enum { BODY = 5, FRAME_ANGLE = 2, VELOCITY = 3, ANGLE = 10 };
+
+typedef enum { OK, WARNING, DISCARD, FAILED } status_t; /* numbered as in FMI 2 and 3 */
+
+enum { CALCULATED, INDEPENDENT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is; see `kinds` */
+
+/* --- what model.c says of the scene ----------------------------------------------------------- */
+
+typedef const double *const *arguments_t;
+typedef void (*kernel_t)(arguments_t, double *); /* a[i] points to the numbers of argument i */
+
+/* one contact's motion in one pair of forms: the kernel of a panel and what its numbers are */
+typedef struct {
+  long n_states, n_constants, n_stiff;
+  int (*panel)(long, const double *, const double *, const double *, const drive_t *,
+               const method_t *, step_t *, double *, double *, double *);
+  void (*restore)(double *, const double *); /* state back onto the surfaces */
+} motion_t;
+
+/* forms of finger and object: 9 numbers (x, p, q) in space or 3 (u, v, theta) in the chart */
+typedef struct {
+  long size[2];
+  const motion_t *motion;
+  kernel_t coordinates[2]; /* frame, c, numbers -> u v u' v' theta */
+  kernel_t slip;           /* frame of the object, theta2, sigma V, offset, numbers of the object */
+  kernel_t twist, pose, points; /* time, frames, W1 V, disturbance, law, numbers of both */
+} form_t;
+
+enum { DRIVEN, PUSHED_FINGER, PUSHED_OBJECT, N_FORMS }; /* nothing, the finger alone, the object */
+
+typedef struct {
+  form_t form[N_FORMS];
+  kernel_t start;         /* states, numbers of both -> frames, W1, V in the forms of DRIVEN */
+  kernel_t spatial[2];    /* u v theta, numbers -> x p q; NULL where no form changes */
+  kernel_t lame[2];       /* u v theta, numbers -> h_u h_v */
+  kernel_t regularity;    /* states, numbers of both -> least Lame coefficients, signed */
+  kernel_t velocity;      /* turns of the frames, W1 V -> path velocities of finger and object */
+  kernel_t drive;         /* sigma, W1 V -> velocities of both contact points along their frames */
+  kernel_t rates, results; /* time, states, disturbance, law, numbers: AT_RATE.., AT_SLIP.. */
+  kernel_t forward, reverse; /* the same and seeds: products with their Jacobian */
+  long n_numbers[2];
+  track_t winding[2];     /* periods and double covers of the coordinates */
+} kind_t;
+
+typedef struct {
+  const kind_t *kind;
+  long block, finger; /* where its values begin; the numbers of its finger */
+  double size[2];     /* length scales of finger and object, m */
+} place_t;
+
+typedef struct {
+  long contact;
+  double start, stop, value[6];
+} window_t;
+
+extern const motion_t MOTIONS;
+extern const place_t places[N_CONTACTS];
+extern const window_t windows[N_WINDOWS + 1];
+extern const double start_values[N_VALUES], nominals[SYSTEM_STATES * N_CONTACTS];
+extern const unsigned char kinds[N_VALUES], not_negative[N_VALUES], sizes[N_VALUES];
+extern const double gauss_node[N], gauss_integral[N * N], gauss_series[(N + 1) * N],
+    gauss_end[2 * N];
+extern const char *const model_token;
+
+/* --- one instance ----------------------------------------------------------------------------- */
+
+#define MAX_SIGMA (N_PROFILE + 1)
+#define MAX_EXPONENT (2 * N_PROFILE + 1)
+#define MAX_KNOTS (2 * N_PROFILE + 2)
+
+/* A contact's motion from `begin` on, while nothing that acts on it changes. */
+typedef struct {
+  int form, power;
+  double begin, end;                      /* s; `end`: the next edge that concerns this contact */
+  double disturbance[6], slope[6], eta;   /* what acts: input and windows, input rates, gain */
+  double sigma[MAX_SIGMA], exponent[MAX_EXPONENT];
+  long n_sigma, n_exponent;
+  double w1[2], v[2];                     /* at begin */
+  double constants[MAX_CONSTANTS], scale[MAX_STATES], greatest;
+  double from, to, next;                  /* current panel, local time; length to try next */
+  double first[MAX_STATES], last[MAX_STATES], series[MAX_STATES * (N + 1)];
+  /* u v theta of both bodies at the quarters of the panel */
+  double anchor[2][5][3];
+  double turn[2];                         /* from the frames moved here to those of the states */
+  double theta;                           /* of the object, where the results stand */
+} contact_t;
+
+typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, EVENT = 4, CONTINUOUS = 8, STEP = 16,
+               TERMINATED = 32, BROKEN = 64, CONFIGURATION = 128, INTERMEDIATE = 256 } phase_t;
+
+/* Everything that changes, and nothing else: the FMU state is a copy of it. No pointers. */
+typedef struct {
+  int phase, stepping, uses_events, settled;
+  int pending;              /* an edge is reached, its windows are not yet taken over */
+  double time, stop_time;
+  double limit;             /* where sigma turns negative */
+  int ended;                /* the last step asked for goes beyond that */
+  double knots[MAX_KNOTS];  /* where sigma grows, from knots[2 k] to knots[2 k + 1] */
+  long n_knots;
+  double value[N_VALUES];
+  double input_slope[N_CONTACTS][6], slope_begin, window[N_CONTACTS][6];
+  unsigned valid[N_CONTACTS]; /* groups of results that belong to time and inputs */
+  contact_t contact[N_CONTACTS];
+} memory_t;
+
+/* A contact at one time: its frames where they stand in y, W1 and V, and what acts. */
+typedef struct {
+  double y[MAX_STATES], w1v[4], sigma, disturbance[6];
+  const double *frame[2];
+} moment_t;
+
+typedef struct component {
+  memory_t now;
+  moment_t moment[N_CONTACTS]; /* at the present time, where memory_t.valid says so */
+  double work[(2 * MAX_STATES + 3) * N], trial[MAX_STATES * (N + 1)], seed[N_VALUES],
+      grown[N_VALUES];
+  void (*report)(struct component *, status_t, const char *category, const char *text);
+  void *host; /* of the FMI layer */
+} component_t;
+
+/* Logs and returns the status; the text may hold anything. */
+status_t report(component_t *, status_t, const char *category, const char *format, ...)
+#if defined(__GNUC__)
+    __attribute__((format(printf, 4, 5)))
+#endif
+    ;
+
+void reset(component_t *, int stepping);
+status_t check_value(component_t *, unsigned reference, double value);
+void set_value(component_t *, unsigned reference, double value); /* checked before */
+status_t get_values(component_t *, unsigned reference, long count, double *value);
+status_t set_slope(component_t *, unsigned reference, double slope);
+
+status_t start(component_t *);                 /* end of initialization */
+status_t step(component_t *, double target, int stop_at_edges, int *edge);
+int reached(double time, double edge);         /* rounding aside */
+double next_edge(const component_t *);         /* HUGE_VAL: none */
+void enter_windows(component_t *);             /* take over what the windows say at this time */
+
+void set_time(component_t *, double time);
+status_t set_states(component_t *, const double *state);
+status_t get_states(component_t *, double *state);
+status_t get_rates(component_t *, double *rate);
+
+/* grown = J seed (or J^T seed), over references; the caller fills seed, which starts as zeros */
+status_t forward(component_t *);
+status_t reverse(component_t *);
+
+/* State bytes: header, then memory_t. */
+typedef struct {
+  char magic[8];
+  unsigned long long version, length, model, checksum;
+} header_t;
+#define STATE_BYTES (sizeof(header_t) + sizeof(memory_t))
+
+void write_state(const memory_t *, unsigned char *bytes);
+/* Returns NULL, or what does not fit. */
+const char *read_state(const unsigned char *bytes, unsigned long long count, memory_t *);
+
+#if defined(__GNUC__)
+#pragma GCC visibility pop
+#endif
+#endif

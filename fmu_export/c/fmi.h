@@ -1,0 +1,134 @@
+/* What fmi2.c and fmi3.c share: instances, call order, access to values, FMU states. */
+#ifndef CONTACT_FMI
+#define CONTACT_FMI
+#include "component.h"
+
+#include <stdlib.h>
+
+#define CATEGORIES 4
+
+typedef struct {
+  component_t component;
+  void (*log)(void); /* the importer's logger, of the type its version of FMI says */
+  void *environment;
+  void (*update)(void); /* the importer's intermediate update (FMI 3) */
+  int uses_events, early_return, logging[CATEGORIES];
+  char name[256];
+} instance_t;
+
+typedef struct {
+  unsigned long long magic;
+  memory_t memory;
+} saved_t;
+
+#define SAVED 0x5354415445u /* "STATE" */
+#define RUNNING (INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED)
+#define ANY (INSTANTIATED | CONFIGURATION | RUNNING | BROKEN)
+
+/* position of a category in LogCategories, or -1 */
+static inline int category_index(const char *category) {
+  static const char *const names[CATEGORIES] = {"logStatusWarning", "logStatusDiscard",
+                                                "logStatusError", "logEvents"};
+  for (int k = 0; k < CATEGORIES; k++)
+    if (category && !strcmp(category, names[k])) return k;
+  return -1;
+}
+
+static inline status_t allowed(component_t *c, const char *function, int phases) {
+  if (c->now.phase & phases) return OK;
+  return report(c, FAILED, "logStatusError", "%s is not allowed in this state of the instance",
+                function);
+}
+
+#define BEGIN(function, phases)                                          \
+  if (!instance) return (STATUS)FAILED;                                  \
+  component_t *c = &((instance_t *)instance)->component;                 \
+  if (allowed(c, function, phases)) return (STATUS)FAILED
+
+#define REFUSE(...) return (STATUS)report(c, FAILED, "logStatusError", __VA_ARGS__)
+
+static inline int settable(const memory_t *now, unsigned reference) {
+  const int before = INSTANTIATED | CONFIGURATION | INITIALIZATION;
+  const int free = before | EVENT | (now->uses_events ? 0 : STEP);
+  switch (kinds[reference]) {
+    case FIXED: return now->phase & before;
+    /* Importers such as CasADi's set continuous states one by one. */
+    case EXACT: return now->phase & (before | (now->stepping ? 0 : EVENT | CONTINUOUS));
+    case TUNABLE: return now->phase & free;
+    case INPUT: return now->phase & (before | EVENT | CONTINUOUS | STEP);
+    default: return 0;
+  }
+}
+
+static inline status_t check_one(component_t *c, unsigned reference, double value) {
+  if (!settable(&c->now, reference))
+    return report(c, FAILED, "logStatusError", "variable %u must not be set in this state of the "
+                  "instance", reference);
+  return check_value(c, reference, value);
+}
+
+/* The windows that act while the importer initializes. */
+static inline void enter_initialization(component_t *c, double time) {
+  set_time(c, time);
+  enter_windows(c);
+  c->now.phase = INITIALIZATION;
+}
+
+static inline status_t save(component_t *c, void **state) {
+  saved_t *s = *state ? *state : calloc(1, sizeof *s);
+  if (!s) return report(c, FAILED, "logStatusError", "no memory for an FMU state");
+  s->magic = SAVED;
+  memcpy(&s->memory, &c->now, sizeof s->memory);
+  *state = s;
+  return OK;
+}
+
+static inline saved_t *saved(component_t *c, void *state) {
+  saved_t *s = state;
+  if (s && s->magic == SAVED) return s;
+  report(c, FAILED, "logStatusError", "this is no FMU state of this model");
+  return NULL;
+}
+
+static inline status_t restore_saved(component_t *c, void *state) {
+  const saved_t *s = saved(c, state);
+  if (!s) return FAILED;
+  if (s->memory.stepping != c->now.stepping)
+    return report(c, FAILED, "logStatusError", "this FMU state belongs to the other interface, %s",
+                  s->memory.stepping ? "Co-Simulation" : "Model Exchange");
+  memcpy(&c->now, &s->memory, sizeof c->now);
+  memset(c->now.valid, 0, sizeof c->now.valid);
+  return OK;
+}
+
+static inline status_t read_bytes(component_t *c, const unsigned char *bytes, size_t count,
+                                  void **state) {
+  saved_t *s = calloc(1, sizeof *s);
+  const char *wrong = !s       ? "there is no memory"
+                      : !bytes ? "there are no bytes"
+                               : read_state(bytes, count, &s->memory);
+  if (wrong) {
+    free(s);
+    return report(c, FAILED, "logStatusError", "serialized FMU state refused: %s", wrong);
+  }
+  s->magic = SAVED;
+  if (*state) free(*state);
+  *state = s;
+  return OK;
+}
+
+static inline status_t check_step(component_t *c, double from, double size) {
+  const double end = from + size, room = 1e-9 * fmax(1.0, fabs(end));
+  if (!(size >= 0) || !(fabs(end) < 1e300))
+    return report(c, FAILED, "logStatusError", "a step of %g s from t = %g s is refused", size,
+                  from);
+  if (fabs(from - c->now.time) > room)
+    return report(c, FAILED, "logStatusError", "the step begins at t = %.17g s, but the instance "
+                  "stands at t = %.17g s", from, c->now.time);
+  if (end > c->now.stop_time + room)
+    return report(c, FAILED, "logStatusError", "the step ends at t = %.17g s, after the stop time "
+                  "%.17g s", end, c->now.stop_time);
+  return OK;
+}
+
+#endif

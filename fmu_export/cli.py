@@ -1,0 +1,62 @@
+"""The command ``contact-system fmu``: a scene as a Functional Mock-up Unit."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from contact_system import load_scene
+from contact_system.cli import Progress, _file_name, _paragraph
+
+INTERFACES = ("CoSimulation", "ModelExchange")
+
+
+def register(commands: Any) -> None:
+    """Add the command to an argparse parser's subparsers (see :mod:`contact_system.cli`)."""
+    parser = commands.add_parser("fmu", help="write a scene as an FMU, for FMI 2.0 or 3.0")
+    parser.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
+    parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="default NAME.fmu")
+    parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help="version of FMI; "
+                        "default %(default)s")  # fmt: skip
+    parser.add_argument("--interfaces", nargs="+", choices=INTERFACES, default=INTERFACES,
+                        metavar="INTERFACE", help=f"of {', '.join(INTERFACES)}; default both"
+                        )  # fmt: skip
+    parser.add_argument("--platforms", nargs="+", default=["native"], metavar="PLATFORM",
+                        help="native (default), or of x86_64-linux, aarch64-linux, "
+                        "x86_64-windows, x86_64-darwin, aarch64-darwin, compiled by ziglang"
+                        )  # fmt: skip
+    parser.set_defaults(run=run)
+
+
+class _Compiled(list[str]):
+    """Platforms that move a progress bar on as they are gone through."""
+
+    def __init__(self, platforms: list[str], progress: Progress):
+        super().__init__(platforms)
+        self.progress = progress
+
+    def __iter__(self) -> Iterator[str]:
+        for platform in super().__iter__():
+            self.progress.name = f"compiling for {platform}"
+            yield platform
+            self.progress.step("packing")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Export, tell; returns the exit code."""
+    from .export import export_fmu  # fmpy and the compiler's side only when they are needed
+
+    scene, began = load_scene(args.scene), time.monotonic()
+    path = args.out or Path(f"{_file_name(scene)}.fmu")
+    with Progress(1 + len(args.platforms), "writing the sources") as progress:
+        platforms = _Compiled(args.platforms, progress)
+        export_fmu(scene, path, args.fmi, args.interfaces, platforms)
+    print(_paragraph(
+        f"wrote {path}: {path.stat().st_size / 1000:.0f} kB, FMI {args.fmi}, "
+        f"{' and '.join(args.interfaces)}, for {', '.join(args.platforms)}; "
+        f"{time.monotonic() - began:.1f} s"
+    ))  # fmt: skip
+    return 0

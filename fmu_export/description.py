@@ -1,0 +1,322 @@
+"""From the table of variables to modelDescription.xml (FMI 2.0.4 and 3.0.2) and its companions.
+
+Everything here is text for an importer; what the numbers mean stands in :mod:`.variables`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import time
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+
+from contact_system import __version__
+from contact_system.errors import ContactSystemError
+from contact_system.scene import Scene
+
+from .variables import BLOCK, INPUTS, STATES, Table, Variable, unit_name
+
+VERSIONS = ("2.0", "3.0")
+INTERFACES = ("CoSimulation", "ModelExchange")
+LOG_CATEGORIES = {
+    "logStatusWarning": "What was asked for and ignored",
+    "logStatusDiscard": "What was refused; the instance is as it was before",
+    "logStatusError": "Calls and values that the standard does not allow, and failed computations",
+    "logEvents": "Edges of disturbance windows",
+}
+"""Name -> meaning; the names are those of FMI 2.0.4, table in section 2.2.4."""
+
+_FLAGS = {
+    ("2.0", "ModelExchange"): (
+        "completedIntegratorStepNotNeeded", "canGetAndSetFMUstate", "canSerializeFMUstate",
+        "providesDirectionalDerivative",
+    ),
+    ("2.0", "CoSimulation"): (
+        "canHandleVariableCommunicationStepSize", "canInterpolateInputs", "canGetAndSetFMUstate",
+        "canSerializeFMUstate", "providesDirectionalDerivative",
+    ),
+    ("3.0", "ModelExchange"): (
+        "canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives",
+        "providesAdjointDerivatives",
+    ),
+    ("3.0", "CoSimulation"): (
+        "canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives",
+        "providesAdjointDerivatives", "canHandleVariableCommunicationStepSize",
+        "providesIntermediateUpdate", "mightReturnEarlyFromDoStep",
+        "canReturnEarlyAfterIntermediateUpdate", "hasEventMode",
+    ),
+}  # fmt: skip
+
+
+def model_description(
+    table: Table,
+    fmi_version: str = "2.0",
+    interfaces: Sequence[str] = INTERFACES,
+    sources: Sequence[str] = (),
+) -> str:
+    """The text of modelDescription.xml.
+
+    Parameters
+    ----------
+    table : Table
+    fmi_version : "2.0" or "3.0"
+    interfaces : sequence of "CoSimulation" and "ModelExchange"
+    sources : sequence of str
+        C files that an importer would compile; FMI 2 lists them here.
+
+    Raises
+    ------
+    ContactSystemError
+        An unknown version or interface.
+    """
+    check_choice(fmi_version, interfaces)
+    root = ET.Element("fmiModelDescription", _head(table, fmi_version))
+    # The schemas want Model Exchange first.
+    root.extend(_interface(table, fmi_version, i) for i in sorted(interfaces, reverse=True))
+    root.append(_unit_definitions(table))
+    categories = ET.SubElement(root, "LogCategories")
+    for name, meaning in LOG_CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=meaning)
+    horizon = table.scene.duration
+    ET.SubElement(
+        root, "DefaultExperiment", startTime="0", stopTime=_number(horizon), tolerance="1e-10",
+        stepSize=_number(horizon / 500),
+    )  # fmt: skip
+    variables = ET.SubElement(root, "ModelVariables")
+    variables.extend(_variable(v, fmi_version) for v in listed(table, fmi_version))
+    root.append(_structure(table, fmi_version, interfaces))
+    token = "guid" if fmi_version == "2.0" else "instantiationToken"
+    root.set(token, _digest(root, table.scene))
+    if fmi_version == "2.0" and sources:
+        for interface in interfaces:
+            element = root.find(interface)
+            assert element is not None  # _root has made it
+            files = ET.SubElement(element, "SourceFiles")
+            files.extend(ET.Element("File", name=name) for name in sources)
+    root.set("generationDateAndTime", time.strftime("%Y-%m-%dT%H:%M:%SZ", generation_time()))
+    return _text(root)
+
+
+def check_choice(fmi_version: str, interfaces: Sequence[str]) -> None:
+    """Refuse versions and interfaces that there are not."""
+    if fmi_version not in VERSIONS:
+        raise ContactSystemError(f"fmi_version = {fmi_version!r}: use one of {', '.join(VERSIONS)}")
+    unknown = [i for i in interfaces if i not in INTERFACES]
+    if unknown or not interfaces:
+        raise ContactSystemError(
+            f"interfaces = {tuple(interfaces)!r}: give one or both of {', '.join(INTERFACES)}"
+        )
+
+
+def instantiation_token(description: str) -> str:
+    """The token (FMI 3) or GUID (FMI 2) that stands in a model description."""
+    found = re.search(r'(?:instantiationToken|guid)="([^"]+)"', description)
+    assert found is not None
+    return found.group(1)
+
+
+def model_identifier(table: Table) -> str:
+    """The scene's name as a C identifier."""
+    name = re.sub(r"\W", "_", table.scene.name, flags=re.ASCII)
+    return name if re.match("[A-Za-z]", name) else f"scene_{name}".rstrip("_")
+
+
+def listed(table: Table, fmi_version: str) -> list[Variable]:
+    """The variables in the order of the file; FMI 2 has no need of the independent one."""
+    return table.rows if fmi_version == "3.0" else table.scalars()[1:]
+
+
+def generation_time() -> time.struct_time:
+    """Now, or ``$SOURCE_DATE_EPOCH``, in UTC."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    return time.gmtime(int(epoch) if epoch else None)
+
+
+# --- head ----------------------------------------------------------------------------------------
+
+
+def _head(table: Table, fmi_version: str) -> dict[str, str]:
+    scene = table.scene
+    head = {
+        "fmiVersion": fmi_version,
+        "modelName": scene.name or "scene",
+        "description": scene.description or "Contact curves that roll",
+        "version": __version__,
+        "generationTool": f"contact-system {__version__}",
+        "variableNamingConvention": "structured",
+    }
+    if fmi_version == "2.0":
+        head["numberOfEventIndicators"] = "0"
+    return head
+
+
+def _interface(table: Table, fmi_version: str, interface: str) -> ET.Element:
+    attributes = {"modelIdentifier": model_identifier(table)}
+    return ET.Element(interface, attributes | dict.fromkeys(_FLAGS[fmi_version, interface], "true"))
+
+
+def _unit_definitions(table: Table) -> ET.Element:
+    element = ET.Element("UnitDefinitions")
+    for unit in sorted({row.unit for row in table.rows if row.unit is not None}):
+        exponents = {k: str(x) for k, x in zip(("m", "s", "rad"), unit) if x}
+        ET.SubElement(ET.SubElement(element, "Unit", name=unit_name(unit)), "BaseUnit", exponents)
+    return element
+
+
+# --- variables -----------------------------------------------------------------------------------
+
+
+def _variable(variable: Variable, fmi_version: str) -> ET.Element:
+    common = {
+        "name": variable.name, "valueReference": str(variable.reference),
+        "description": variable.description, "causality": variable.causality,
+        "variability": variable.variability,
+    }  # fmt: skip
+    if variable.initial:
+        common["initial"] = variable.initial
+    numeric = _numeric_attributes(variable)
+    if fmi_version == "3.0":
+        element = ET.Element("Float64", common | numeric)
+        for size in variable.shape:
+            ET.SubElement(element, "Dimension", start=str(size))
+        if variable.derivative is not None:
+            element.set("derivative", str(variable.derivative))
+        return element
+    element = ET.Element("ScalarVariable", common)
+    real = ET.SubElement(element, "Real", numeric)
+    if variable.derivative is not None:
+        real.set("derivative", str(_index(variable.derivative)))
+    return element
+
+
+def _numeric_attributes(variable: Variable) -> dict[str, str]:
+    found = {
+        "unit": None if variable.unit is None else unit_name(variable.unit),
+        "min": _optional(variable.minimum),
+        "max": _optional(variable.maximum),
+        "nominal": _optional(variable.nominal),
+        "start": " ".join(map(_number, variable.start)) or None,
+    }
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _index(reference: int) -> int:
+    """FMI 2's index of a scalar: counted from 1, and time, reference 0, is left out."""
+    return reference
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def _optional(value: float | None) -> str | None:
+    return None if value is None else _number(value)
+
+
+# --- structure -----------------------------------------------------------------------------------
+
+
+def _structure(table: Table, fmi_version: str, interfaces: Sequence[str]) -> ET.Element:
+    """Outputs, derivatives and initial unknowns, each with what it depends on."""
+    knowns = _Knowns(table, fmi_version, "ModelExchange" in interfaces)
+    variables = listed(table, fmi_version)
+    outputs = [v for v in variables if v.causality == "output"]
+    derivatives = [v for v in variables if v.derivative is not None]
+    initial = [v for v in variables if v.initial == "calculated"]
+    structure = ET.Element("ModelStructure")
+    for name, unknowns, allowed in (
+        ("Output", outputs, knowns.running),
+        ("ContinuousStateDerivative", derivatives, knowns.running),
+        ("InitialUnknown", initial, knowns.initial),
+    ):
+        parent = structure
+        if fmi_version == "2.0":
+            name = {"ContinuousStateDerivative": "Derivative"}.get(name, name) + "s"
+            parent = ET.SubElement(structure, name)
+        for v in unknowns:
+            listed_as = " ".join(map(str, knowns.of(v, allowed)))
+            if fmi_version == "2.0":
+                ET.SubElement(
+                    parent, "Unknown", index=str(_index(v.reference)), dependencies=listed_as
+                )
+            else:
+                ET.SubElement(parent, name, valueReference=str(v.reference), dependencies=listed_as)
+    return structure
+
+
+class _Knowns:
+    """What unknowns may depend on (FMI 2.0.4, 2.2.8; FMI 3.0.2, 2.4.8)."""
+
+    def __init__(self, table: Table, fmi_version: str, continuous_states: bool):
+        states: set[int] = set()
+        inputs: set[int] = set()
+        for block in table.blocks:
+            inputs |= set(range(block, block + INPUTS))
+            states |= set(range(block + INPUTS, block + INPUTS + STATES))
+        time_known = {0} if fmi_version == "3.0" else set()
+        parameters = set(range(1, table.blocks[0]))
+        self.running = inputs | time_known | (states if continuous_states else set())
+        self.initial = inputs | time_known | states | parameters
+        self._states = states
+        # An FMI 3 array is known by the reference of its first element.
+        self._owner = {
+            v.reference + i: v.reference for v in listed(table, fmi_version) for i in range(v.size)
+        }
+
+    def of(self, variable: Variable, allowed: set[int]) -> list[int]:
+        """References (they are FMI 2's indices too) of what a variable depends on."""
+        known = {reference for element in variable.known for reference in element}
+        if variable.reference in self._states:
+            known = set(range(variable.reference, variable.reference + variable.size))
+        return sorted({self._owner[r] for r in known & allowed})
+
+
+# --- companions ----------------------------------------------------------------------------------
+
+
+def build_description(table: Table, sources: Sequence[str]) -> str:
+    """The text of sources/buildDescription.xml (FMI 3.0.2, section 2.5.1.6)."""
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    build = ET.SubElement(root, "BuildConfiguration", modelIdentifier=model_identifier(table))
+    files = ET.SubElement(build, "SourceFileSet", language="C99")
+    for name in sources:
+        ET.SubElement(files, "SourceFile", name=name)
+    ET.SubElement(build, "Library", name="m", external="true")
+    return _text(root)
+
+
+def terminals(table: Table, fmi_version: str = "3.0") -> str:
+    """The text of terminalsAndIcons.xml: a terminal a contact, with its disturbances and results.
+
+    FMI 3.0.2, section 2.4.9. Members are matched by name, in no order.
+    """
+    root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
+    everything = ET.SubElement(root, "Terminals")
+    for i, block in enumerate(table.blocks):
+        terminal = ET.SubElement(
+            everything, "Terminal", name=f"contact{i + 1}", matchingRule="bus",
+            terminalKind="contact", description=table.scene.contacts[i].name or f"Contact {i + 1}",
+        )  # fmt: skip
+        for v in listed(table, fmi_version):
+            inside = block <= v.reference < block + BLOCK
+            if inside and v.causality in ("input", "output"):
+                ET.SubElement(
+                    terminal, "TerminalMemberVariable", variableName=v.name,
+                    memberName=v.name.replace(f"contact[{i + 1}].", ""), variableKind="signal",
+                )  # fmt: skip
+    return _text(root)
+
+
+def _digest(root: ET.Element, scene: Scene) -> str:
+    """Of all that is described, and of what is not: equations of the surfaces and windows."""
+    surfaces = [scene.object, *(contact.finger for contact in scene.contacts)]
+    behind = ([s.structure for s in surfaces], scene.gain, tuple(scene.disturbances))
+    text = ET.tostring(root) + repr(behind).encode()
+    return "{" + hashlib.sha256(text).hexdigest()[:32] + "}"
+
+
+def _text(root: ET.Element) -> str:
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, "unicode") + "\n"

@@ -1,0 +1,80 @@
+"""`export_fmu`: a scene as one file that FMI importers run without Python."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from fmpy.validation import validate_fmu
+
+from contact_system.errors import ContactSystemError
+from contact_system.scene import Scene
+
+from . import build
+from .description import (
+    INTERFACES,
+    build_description,
+    generation_time,
+    instantiation_token,
+    model_description,
+    model_identifier,
+)
+from .documentation import companions
+from .sources import c_sources
+from .variables import variable_table
+
+
+def export_fmu(
+    scene: Scene,
+    path: str | os.PathLike,
+    fmi_version: str = "2.0",
+    interfaces: Sequence[str] = INTERFACES,
+    platforms: Sequence[str] = ("native",),
+) -> Path:
+    """Write a scene as a Functional Mock-up Unit.
+
+    The same scene gives the same bytes but for the date, which ``$SOURCE_DATE_EPOCH`` fixes.
+
+    Parameters
+    ----------
+    scene : Scene
+    path : path
+        The file to write, such as ``planner.fmu``.
+    fmi_version : "2.0" or "3.0"
+    interfaces : sequence of "CoSimulation" and "ModelExchange"
+    platforms : sequence of str
+        "native", or keys of `build.PLATFORMS`; all but the host's need the ziglang package.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    ContactSystemError
+        A scene that no importer can step, no compiler, or an FMU that fmpy's validation refuses.
+    """
+    if not platforms:
+        raise ContactSystemError('platforms = (): give at least one, such as ("native",)')
+    table = variable_table(scene)
+    token = instantiation_token(model_description(table, fmi_version, interfaces))
+    texts = c_sources(table, token, fmi_version)
+    sources = sorted(name for name in texts if name.endswith(".c"))
+    description = model_description(table, fmi_version, interfaces, sources)
+    texts |= build.headers(fmi_version)
+    name = model_identifier(table)
+    files = {f"sources/{file}": text.encode() for file, text in texts.items()}
+    files["sources/buildDescription.xml"] = build_description(table, sources).encode()
+    files["modelDescription.xml"] = description.encode()
+    files |= companions(table, fmi_version)
+    for platform in platforms:
+        place = build.library_place(name, platform, fmi_version)
+        files[place] = build.library(texts, name, platform)
+    path = Path(path)
+    build.write_fmu(path, files, generation_time()[:6])
+    problems = validate_fmu(str(path))
+    if problems:
+        raise ContactSystemError(f"{path}: fmpy's validation says: " + "; ".join(problems))
+    return path

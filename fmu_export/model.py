@@ -1,0 +1,142 @@
+"""What the component computes for one contact, as CasADi functions of the component's variables.
+
+Nothing of the mathematics is written here: `contact_system.system.contact_function` and the motion
+kernels of `contact_system.development` are put into the variables that an importer sees. Those of
+a contact are, in this order,
+
+* its state, eleven numbers (theory section 4): u1 v1; theta1, the angle in E1 of a frame that is
+  carried along by parallel transport; the path velocity M1 dq1/ds in that frame, W1; u2 v2 theta2
+  and the object's path velocity likewise; psi. At the start the carried frames are E1 and E2, so
+  the velocities are those of the scene. They stay constant while nothing acts, exist where
+  sigma = 0, and u', v' follow from them. In the frames E1, E2 themselves they would turn all the
+  time, and an importer's solver would let their length drift (measured, K4 by CVode at 1e-10:
+  4e-7 rad off, here 9e-8, with the nominal values of `variables` 3e-8);
+* the derivatives of those eleven, slip (2), twist (6), the pose of the finger in the object's
+  frame (rotation row by row, 9, position, 3), the contact point on finger and object (3 + 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from contact_system.errors import SceneError
+from contact_system.kernels import per_structure
+from contact_system.planner import scene_start
+from contact_system.scene import Contact, Scene
+from contact_system.surfaces import Surface
+from contact_system.system import FLIP, Form, contact_function
+from contact_system.tracks import rotation
+
+SX = ca.SX
+
+STATES = 11
+RESULTS = 37
+"""Derivatives of the state, slip, twist, pose, contact points."""
+WORK_SIZE = 1.0
+"""Stands for a body's size where `contact_function` asks for one and no result depends on it."""
+
+
+class Arguments(NamedTuple):
+    """Symbols of what a contact depends on.
+
+    time (1), state (11), disturbance (6): accelerations of finger and object, object rate offset,
+    chart components; law: gain, then the profile's coefficients; parameters of finger and object.
+    """
+
+    time: SX
+    state: SX
+    disturbance: SX
+    law: SX
+    finger: SX
+    object: SX
+
+
+def arguments(finger: Surface, obj: Surface, n_profile: int) -> Arguments:
+    """Symbols for a contact of these surfaces under a profile of so many coefficients."""
+    return Arguments(
+        SX.sym("t"), SX.sym("x", STATES), SX.sym("w", 6), SX.sym("law", 1 + n_profile),
+        SX.sym("p1", len(finger.parameters)), SX.sym("p2", len(obj.parameters)),
+    )  # fmt: skip
+
+
+@per_structure
+def contact_results(finger: Surface, obj: Surface, law: str, n_profile: int) -> ca.Function:
+    """The 37 results of a contact from its state (see the module's text); exact at sigma = 0.
+
+    `contact_function` takes moving frames between which R_0 is diag(1, -1): the finger's frame here
+    turned by psi + theta1 + theta2, which stays constant.
+    """
+    a = arguments(finger, obj, n_profile)
+    form = Form("frame", True, (False, False), law, n_profile, ())
+    function = contact_function(finger, obj, form)
+    u1, theta1, w1, u2, theta2, y, psi = ca.vertsplit(a.state, [0, 2, 3, 5, 7, 8, 10, 11])
+    turn = rotation(psi + theta1 + theta2)
+    w = turn @ w1
+    values = function(
+        a.time, ca.vertcat(u1, -psi - theta2, u2, theta2, w, FLIP @ w - y), a.disturbance,
+        SX(0, 1), a.law, ca.vertcat(a.finger, WORK_SIZE), ca.vertcat(a.object, WORK_SIZE),
+    )  # fmt: skip
+    rate, slip, twist, pose, points = (values[k] for k in (0, 2, 3, 5, 6))
+    finger_rate, theta1_rate, object_rate, theta2_rate, w_rate, v_rate = ca.vertsplit(
+        rate, [0, 2, 3, 5, 6, 8, 10]
+    )
+    results = ca.vertcat(
+        finger_rate, theta1_rate, turn.T @ w_rate, object_rate, theta2_rate,
+        FLIP @ w_rate - v_rate, -theta1_rate - theta2_rate, slip, twist,
+        ca.vec(ca.reshape(pose[:9], 3, 3).T), pose[9:], points,
+    )  # fmt: skip
+    return ca.Function("results", list(a), [ca.densify(ca.cse(results))])
+
+
+def start_state(contact: Contact) -> np.ndarray:
+    """The eleven numbers of a contact where its scene starts."""
+    start = scene_start(contact)
+    return np.array([
+        *start.finger_at, 0.0, *start.finger_velocity, *start.object_at, 0.0,
+        *start.object_velocity, start.angle,
+    ])  # fmt: skip
+
+
+def require_charts(scene: Scene) -> None:
+    """Refuse surfaces without coordinates that can be set.
+
+    Raises
+    ------
+    SceneError
+        A surface without an explicit chart (`ImplicitSurface`).
+    """
+    bodies = [("the object", scene.object)]
+    bodies += [(f"contact {i}", c.finger) for i, c in enumerate(scene.contacts)]
+    for place, surface in bodies:
+        if not surface.has_chart:
+            raise SceneError(
+                f"scene '{scene.name}', {place}: {surface!r} has no explicit chart f(u, v), which "
+                "an importer needs to set where the contact starts; give a ParametricSurface"
+            )
+
+
+def dependencies(function: ca.Function, samples: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
+    """Which results depend on which arguments, from exact derivatives at sample points.
+
+    The expression's own structure would name too much: a path velocity of the object passes through
+    V = R_0 W_1 - a_2, and R_0 W_1 - V depends on nothing but a_2 after all.
+
+    Returns
+    -------
+    (n_results, n_arguments) bool
+    """
+    sizes = [function.nnz_in(i) for i in range(function.n_in())]
+    z = SX.sym("z", sum(sizes))
+    parts = ca.vertsplit(z, np.cumsum([0, *sizes]).tolist())
+    jacobian = ca.Function("jacobian_of", [z], [ca.jacobian(function(*parts), z)])
+    found = np.zeros((function.nnz_out(0), sum(sizes)), dtype=bool)
+    for sample in samples:
+        at = np.concatenate([np.ravel(part) for part in sample])
+        values = np.abs(jacobian(at).full() * np.where(at == 0, 1.0, at))
+        largest = np.maximum(values.max(axis=1, keepdims=True), 1e-300)
+        found |= ~(values <= 1e-12 * largest)  # a NaN says that there is a dependence
+    return found

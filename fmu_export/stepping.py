@@ -1,0 +1,629 @@
+"""A scene that is stepped in this process: values, time, and the plan between two events.
+
+Knows nothing of FMI, as component.c does not. An event is a change of an input or of the gain; it
+continues the plan under another scene (`Plan.continued`), in which an input that is held is a
+disturbance window from that moment on. A step evaluates nothing. What is asked for is evaluated
+for some equal steps ahead.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import functools
+import hashlib
+import json
+import math
+import struct
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
+from contact_system.plan import Plan
+from contact_system.planner import Moment, Start, Starts, scene_start
+from contact_system.scene import Contact, Disturbance, Scene
+from contact_system.surfaces import Ellipsoid, Quadric, Surface
+from contact_system.system import KINDS
+from contact_system.user_surfaces import UserSurface
+
+from .model import RESULTS, STATES, contact_results
+from .variables import BLOCK, INPUTS, Table, variable_table
+
+TOLERANCE = 1e-14  # of the plans; with 1e-13 K4 ends 4e-14 of its size away
+AHEAD = 256  # most steps that one evaluation serves
+ROUNDING = (
+    8 * sys.float_info.epsilon
+)  # times this near are one time: ten steps of 0.1 s are not 1 s
+GAIN = 1  # reference of the gain
+
+Inputs = tuple[tuple[float, ...], ...]
+
+
+class MotionEnds(SceneError):
+    """Sigma turns negative before the time asked for."""
+
+
+@dataclass
+class Memory:
+    """Everything that changes; an FMU state is a copy of it.
+
+    Attributes
+    ----------
+    phase : str
+        For the FMI layer.
+    time : float
+        s.
+    stop : float
+        Where stepping will end, s; infinite where nobody said.
+    values : (n_values,)
+        Parameters, inputs and, up to the start, states.
+    plan : Plan or None
+        The motion since the last event; None before the start.
+    gain, inputs : float, tuple
+        What the plan was made with; `INPUTS` numbers a contact.
+    settled : bool
+        They are those of ``values``.
+    """
+
+    phase: str
+    time: float
+    stop: float
+    values: np.ndarray
+    plan: Plan | None = None
+    gain: float = math.nan
+    inputs: Inputs = ()
+    settled: bool = True
+
+    def copied(self) -> Memory:
+        """A copy that shares nothing that changes."""
+        return dataclasses.replace(self, values=self.values.copy())
+
+
+class Block:
+    """A scene that is stepped.
+
+    Parameters
+    ----------
+    scene : Scene
+    phase : str
+        Of the memory, at first and after :meth:`reset`.
+
+    Attributes
+    ----------
+    scene : Scene
+    table : Table
+    now : Memory
+    asked, rows : list
+        What the FMI layer was asked for last, and the answer at each of the times ahead; emptied
+        when they no longer hold.
+
+    Raises
+    ------
+    SceneError
+        A scene that no importer can step.
+    """
+
+    def __init__(self, scene: Scene, phase: str = ""):
+        self.scene, self.table = scene, variable_table(scene)
+        self._phase, self._places = phase, _places(self.table)
+        windows = {t for d in scene.disturbances for t in (d.start, d.stop)}
+        self._edges = tuple(sorted(windows))
+        self._own: dict[tuple[float, ...], Scene] = {}
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to where the scene starts."""
+        self.take(Memory(self._phase, 0.0, math.inf, self.table.start_values.copy()))
+
+    def take(self, memory: Memory) -> None:
+        """Go on from a memory."""
+        self.now = memory
+        self._run, self._since = 0, memory.time
+        self._forget()
+
+    def _forget(self) -> None:
+        """What was evaluated no longer holds."""
+        self.times: list[float] = []
+        self.row = 0
+        self.asked: list[int] = []
+        self.rows: list[list[float]] = []
+        self._requests: dict[tuple[int, ...], list[list[float]]] = {}
+        self._groups: dict[str, np.ndarray] = {}
+
+    # --- time
+
+    def change(self, reference: int, value: float) -> None:
+        """Set one of the values."""
+        if self.now.values[reference] != value:
+            self.now.values[reference] = value
+            self.now.settled = False
+            self._forget()
+
+    def start(self) -> None:
+        """Plan from the states as they are set.
+
+        Raises
+        ------
+        ContactSystemError
+            What is wrong with a start value, and the remedy.
+        """
+        now, scene = self.now, self._scene_with(self.now.values)
+        starts = [self._start_of(scene, i) for i in range(len(scene.contacts))]
+        last = now.time + scene.duration if now.time >= scene.duration else scene.duration
+        end = now.stop if now.time < now.stop < math.inf else last
+        self._plan_from(now.time, end, last, starts)
+
+    def advance(self, target: float) -> None:
+        """Let time go on; evaluates nothing, plans where something has changed.
+
+        Raises
+        ------
+        ContactSystemError
+            What stands in the way; time stands still then.
+        """
+        now = self.now
+        if not now.settled:
+            self.settle(target)
+        if target > now.plan.scene.duration:  # type: ignore[union-attr]
+            self._lengthen(target)
+        now.time = target
+        self.row += 1
+
+    def settle(self, target: float = 0.0) -> None:
+        """Let the inputs and the gain as they are set act from now on; plan up to target at least.
+
+        Where events follow each other closely, it is no use to plan far.
+        """
+        now, plan = self.now, self.now.plan
+        if now.settled or plan is None:
+            return
+        at = min(self.snapped(now.time), plan.scene.duration)
+        if at == plan.start:  # nothing has moved yet
+            assert plan.starts is not None
+            end = max(plan.scene.duration, target)
+            self._plan_from(at, end, end, plan.starts)
+            return
+        lasted = at - plan.start
+        far = max(self.scene.duration, at + lasted, now.stop if now.stop < math.inf else 0.0)
+        end = max(target, min(at + lasted, far))
+        self._plan_on(at, end, max(target, math.nextafter(at, math.inf)))
+
+    def _lengthen(self, target: float) -> None:
+        plan = self.now.plan
+        assert plan is not None
+        at = plan.scene.duration
+        self._plan_on(at, max(target, 2 * at - plan.start), target)
+
+    def _plan_from(self, begin: float, end: float, least: float, starts: Starts) -> None:
+        scene = self._scene_between(begin, end, least)
+        self._planned(Plan(scene, TOLERANCE, "auto", "DOP853", None, begin, starts))
+
+    def _plan_on(self, at: float, end: float, least: float) -> None:
+        assert self.now.plan is not None
+        self._planned(self.now.plan.continued(at, self._scene_between(at, end, least)))
+
+    def _planned(self, plan: Plan) -> None:
+        now = self.now
+        now.plan, now.settled = plan, True
+        now.gain, now.inputs = float(now.values[GAIN]), self._inputs()
+        self._forget()
+
+    def snapped(self, time: float) -> float:
+        """The time, or the edge of a disturbance window that it is but for rounding."""
+        for edge in self._edges:
+            if abs(edge - time) <= ROUNDING * max(1.0, edge):
+                return edge
+        return time
+
+    def next_edge(self) -> float:
+        """The first edge of a disturbance window after now, s; infinite where there is none."""
+        after = self.snapped(self.now.time)
+        return min((t for t in self._edges if t > after), default=math.inf)
+
+    # --- scenes
+
+    def _inputs(self) -> Inputs:
+        values = self.now.values
+        return tuple(tuple(values[b : b + INPUTS].tolist()) for b in self.table.blocks)
+
+    def _scene_between(self, begin: float, end: float, least: float) -> Scene:
+        """The scene under the inputs of now, to ``end``, or ``least`` where sigma goes no further.
+
+        Raises
+        ------
+        MotionEnds
+            Sigma is negative before ``least``.
+        SceneError
+            Inputs that cannot act then.
+        """
+        profile = self._scene_with(self.now.values).profile
+        try:
+            profile.check(end)
+        except SceneError:
+            end = least
+            try:
+                profile.check(end)
+            except SceneError as error:
+                raise MotionEnds(str(error)) from None
+        return self._scene_to(begin, self.snapped(end))
+
+    def _scene_to(self, begin: float, end: float) -> Scene:
+        scene, values = self._scene_with(self.now.values), self.now.values
+        windows: list[Disturbance] = [
+            dataclasses.replace(d, stop=min(d.stop, end))
+            for d in scene.disturbances
+            if d.start < end and d.stop > begin
+        ]
+        for i, row in enumerate(self._inputs()):
+            for k, kind in enumerate(KINDS):
+                if any(row[2 * k : 2 * k + 2]):
+                    windows.append(kind(i, begin, end, row[2 * k : 2 * k + 2]))
+        gain = dataclasses.replace(scene.gain, value=float(values[GAIN]))
+        return scene.replace(gain=gain, duration=end, disturbances=windows)
+
+    def _scene_with(self, values: np.ndarray) -> Scene:
+        """The scene with the profile and the surfaces as they are set."""
+        first = self.table.blocks[0]
+        key = tuple(values[GAIN + 1 : first].tolist())
+        if key not in self._own:
+            n, at = len(self.scene.profile.coefficients), self.table.parameter_first["object"]
+            contacts = [
+                dataclasses.replace(_with_numbers(c), finger=_surface_with(c.finger, values[own:]))
+                for c, own in zip(self.scene.contacts, self.table.finger_first)
+            ]
+            self._own[key] = self.scene.replace(
+                object=_surface_with(self.scene.object, values[at:]),
+                contacts=contacts,
+                profile=dataclasses.replace(self.scene.profile, coefficients=key[:n]),
+            )
+        return self._own[key]
+
+    def _start_of(self, scene: Scene, i: int) -> Start:
+        """The start of a contact as its states are set."""
+        block = self.table.blocks[i] + INPUTS
+        x = self.now.values[block : block + STATES].tolist()
+        u1, theta1, w1, u2, theta2, w2, psi = x[0:2], x[2], x[3:5], x[5:7], x[7], x[8:10], x[10]
+        for side, surface, at in (
+            ("finger", scene.contacts[i].finger, u1),
+            ("object", scene.object, u2),
+        ):
+            _require_outward(f"contact[{i + 1}].{side}", surface, at)
+        return Start(tuple(u1), tuple(u2), psi, _turned(w1, theta1), _turned(w2, theta2))
+
+    # --- results
+
+    def values_of(self, key: tuple[int, ...]) -> list[float]:
+        """The values of some references now.
+
+        Raises
+        ------
+        ChartSingularity
+            A contact is where its coordinates do not exist.
+        """
+        if self.now.plan is None:
+            return self._system_values()[list(key)].tolist()
+        row = self._rows_of(key)[self.row]
+        return [self.now.time if r == 0 else x for r, x in zip(key, row)]
+
+    def remember(self, asked: Sequence[int], key: tuple[int, ...]) -> None:
+        """The next steps' answers to a question are at hand in ``rows``."""
+        if self.now.plan is not None and 0 not in key:
+            self.asked, self.rows = list(asked), self._rows_of(key)
+
+    def is_ahead(self) -> bool:
+        """Whether what was evaluated holds this time."""
+        k, time = self.row, self.now.time
+        if k >= len(self.times):
+            return False
+        return abs(self.times[k] - time) <= ROUNDING * max(1.0, time)
+
+    def _rows_of(self, key: tuple[int, ...]) -> list[list[float]]:
+        self.settle()
+        if not self.is_ahead():
+            self._look_ahead()
+        if key not in self._requests:
+            self._requests[key] = self._tabulated(key)
+        return self._requests[key]
+
+    def _look_ahead(self) -> None:
+        """Lay out times: this one, and after a run of equal steps twice as many as before."""
+        time, before = self.now.time, len(self.times)
+        if self.row == before and before:
+            self._run += before
+        else:
+            self._run, self._since = 0, time
+        # A step is a difference of rounded times: 256 of them are where their mean says.
+        count, step = min(2 * before, AHEAD), (time - self._since) / max(1, self._run)
+        self._forget()
+        self._lay_out([time, *(time + step * np.arange(1, count if self._run else 1))])
+
+    def _lay_out(self, times: Sequence[float]) -> None:
+        plan = self.now.plan
+        assert plan is not None
+        last = plan.scene.duration
+        self.times = [float(t) for t in times if t <= last] or [self.now.time]
+        at = np.array(self.times)
+        for edge in self._edges:
+            at[np.abs(at - edge) <= ROUNDING * max(1.0, edge)] = edge
+        self._at = np.clip(at, plan.start, last)
+
+    def _tabulated(self, key: tuple[int, ...]) -> list[list[float]]:
+        """Rows of values, one for each time laid out."""
+        try:
+            return self._columns(key).tolist()
+        except ChartSingularity:
+            if len(self.times) == 1:
+                raise
+        self._forget()  # it may be a later time that is the singular one
+        self._lay_out([self.now.time])
+        return self._columns(key).tolist()
+
+    def _columns(self, key: tuple[int, ...]) -> np.ndarray:
+        out = np.empty((len(self.times), len(key)))
+        for column, reference in enumerate(key):
+            group, contact, index = self._places[reference]
+            if group:
+                out[:, column] = self._group(group)[:, contact, index]
+            else:
+                out[:, column] = self.now.values[reference]
+        return out
+
+    def _group(self, name: str) -> np.ndarray:
+        """One group of results at all times laid out: (n_times, n_contacts, n)."""
+        if name not in self._groups:
+            own = {"rates": self._rates, "carried": self._carried}.get(name)
+            found = own() if own else getattr(self.now.plan, name)(self._at)
+            self._groups[name] = found.reshape(len(self.times), len(self.scene.contacts), -1)
+        return self._groups[name]
+
+    def _carried(self) -> np.ndarray:
+        """`Plan.carried`, whose frames start as the contact frames, from the angles as set."""
+        assert self.now.plan is not None
+        found = self.now.plan.carried(self._at)
+        states = np.array(self.table.blocks) + INPUTS
+        for side, at in enumerate((2, 7)):
+            for i, angle in enumerate(self.now.values[states + at]):
+                if angle:
+                    found[:, i, side, 0] += angle
+                    found[:, i, side, 1:] = np.stack(_turned(found[:, i, side, 1:].T, -angle), -1)
+        return found
+
+    def _states(self) -> np.ndarray:
+        """The eleven numbers of each contact: (n_times, n_contacts, 11)."""
+        chart, frames = self._group("states"), self._group("carried")
+        parts = [chart[..., 0:2], frames[..., :3], chart[..., 4:6], frames[..., 3:], chart[..., 8:]]
+        return np.concatenate(parts, axis=-1)
+
+    def _rates(self) -> np.ndarray:
+        """All results as functions of the states: rates of velocities and psi are taken of it."""
+        states = self._states()
+        acting = np.array([self._disturbance(t) for t in self._at])
+        n = range(len(self.scene.contacts))
+        found = [self._results(i, self._at, states[:, i], acting[:, i]) for i in n]
+        return np.stack(found, axis=1)
+
+    # --- as a system of equations
+
+    def _disturbance(self, t: float) -> np.ndarray:
+        """Inputs and the scene's windows: (n_contacts, 6)."""
+        acting = np.array(self._inputs())
+        for d in self.scene.disturbances:
+            if d.start <= t < d.stop:
+                k = 2 * KINDS.index(type(d))
+                acting[int(d.contact), k : k + 2] += d.value
+        return acting
+
+    def _numbers(self, i: int) -> list[list[float]]:
+        """What `contact_results` takes besides time, state and disturbance."""
+        values, scene = self.now.values, self.scene
+        own, at = self.table.finger_first[i], self.table.parameter_first["object"]
+        return [
+            values[GAIN : GAIN + 1 + len(scene.profile.coefficients)].tolist(),
+            values[own : own + len(scene.contacts[i].finger.parameters)].tolist(),
+            values[at : at + len(scene.object.parameters)].tolist(),
+        ]
+
+    def _kernel(self, i: int) -> ca.Function:
+        scene, n_profile = self.scene, len(self.scene.profile.coefficients)
+        return contact_results(scene.contacts[i].finger, scene.object, scene.gain.law, n_profile)
+
+    def _results(self, i: int, t: np.ndarray, states: np.ndarray, acting: np.ndarray) -> np.ndarray:
+        """`contact_results` at times t: (n_times, 35)."""
+        found = self._kernel(i)(t[None, :], states.T, acting.T, *self._numbers(i))
+        return found.full().T
+
+    def _system_values(self) -> np.ndarray:
+        """All values as functions of the states that are set, before the start."""
+        values, time = self.now.values.copy(), np.array([self.now.time])
+        values[0] = self.now.time
+        acting = self._disturbance(self.snapped(self.now.time))
+        for i, block in enumerate(self.table.blocks):
+            at = block + INPUTS + STATES
+            state = values[None, block + INPUTS : at]
+            values[at : at + RESULTS] = self._results(i, time, state, acting[i : i + 1])[0]
+        return values
+
+    def jacobians(self) -> list[tuple[np.ndarray, list[int], list[int]]]:
+        """Exact derivatives of each contact's results: matrix, references of rows and columns.
+
+        Raises
+        ------
+        ChartSingularity
+            A contact is where its coordinates do not exist.
+        """
+        if self.now.plan is None:
+            blocks = np.array(self.table.blocks)[:, None] + INPUTS
+            states = self.now.values[blocks + np.arange(STATES)]
+        else:
+            self._rows_of((self.table.blocks[0] + INPUTS,))
+            states = self._states()[self.row]
+        acting = self._disturbance(self.snapped(self.now.time))
+        found = []
+        for i, block in enumerate(self.table.blocks):
+            point = [self.now.time, *states[i], *acting[i], *sum(self._numbers(i), [])]
+            rows = list(range(block + INPUTS + STATES, block + BLOCK))
+            matrix = _jacobian(self._kernel(i))(point).full()
+            found.append((matrix, rows, self.table.arguments(i)))
+        return found
+
+
+@functools.cache
+def _jacobian(function: ca.Function) -> ca.Function:
+    """Of the result by all arguments, one after the other."""
+    sizes = [function.nnz_in(i) for i in range(function.n_in())]
+    z = ca.SX.sym("z", sum(sizes))
+    parts = ca.vertsplit(z, np.cumsum([0, *sizes]).tolist())
+    return ca.Function("jacobian_of", [z], [ca.densify(ca.jacobian(function(*parts), z))])
+
+
+def _places(table: Table) -> list[tuple[str, int, int]]:
+    """For each reference the group of results, or "" for what is set; contact, index in it."""
+    states = [("states", 0), ("states", 1), *(("carried", k) for k in (0, 1, 2)),
+              ("states", 4), ("states", 5), *(("carried", k) for k in (3, 4, 5)),
+              ("states", 8)]  # fmt: skip
+    rates = [("rates", k) for k in range(STATES)]
+    for k, column in ((0, 2), (1, 3), (5, 6), (6, 7)):
+        rates[k] = ("states", column)
+    groups = [("", 0)] * INPUTS + states + rates
+    groups += [("slip", k) for k in range(2)] + [("twist", k) for k in range(6)]
+    groups += [("pose", 4 * row + column) for row in range(3) for column in range(3)]
+    groups += [("pose", 4 * row + 3) for row in range(3)] + [("points", k) for k in range(6)]
+    assert len(groups) == BLOCK
+    n = len(table.blocks)
+    return [("", 0, 0)] * table.blocks[0] + [(g, i, k) for i in range(n) for g, k in groups]
+
+
+def _with_numbers(contact: Contact) -> Contact:
+    """The contact with the words "rolling" and "rest" as numbers."""
+    start = scene_start(contact)
+    return dataclasses.replace(
+        contact, finger_velocity=start.finger_velocity, object_velocity=start.object_velocity
+    )
+
+
+def _turned(vector: Any, angle: float) -> tuple[Any, Any]:
+    """Rot(angle) times a vector of the plane."""
+    c, s = math.cos(angle), math.sin(angle)
+    return c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
+
+
+def _require_outward(place: str, surface: Surface, at: Sequence[float]) -> None:
+    """Refuse a start where the chart's frame is lost or points into the body."""
+    try:
+        canonical = surface.canonical(*at)
+    except ContactSystemError as error:
+        raise SceneError(f"{place}: {error}") from None
+    near = surface.align(*canonical, *at)
+    if math.hypot(near[0] - at[0], near[1] - at[1]) > 1e-9:
+        raise SceneError(
+            f"{place}.u, .v = {at[0]:.9g}, {at[1]:.9g} has no outward frame on {surface!r}; set "
+            f"{canonical[0]:.9g}, {canonical[1]:.9g}, the same point, and velocity and angle as "
+            "seen from there"
+        )
+
+
+def _surface_with(surface: Surface, values: np.ndarray) -> Surface:
+    """The same kind of surface with other numbers.
+
+    Raises
+    ------
+    SceneError
+        Numbers that make another kind of surface, or that hang together.
+    """
+    numbers = tuple(values[: len(surface.parameters)].tolist())
+    if numbers == surface.parameters:
+        return surface
+    if isinstance(surface, Quadric):
+        raise SceneError(
+            f"{surface!r}: its numbers hang together and cannot be set one by one; step a scene "
+            "with another matrix A"
+        )
+    other: Surface
+    if isinstance(surface, UserSurface):
+        other = copy.copy(surface)
+        other.__dict__["formula"] = dataclasses.replace(surface.formula, values=numbers)
+    elif isinstance(surface, Ellipsoid):
+        axes = {1: (0, 0, 0), 2: (0, 0, 1) if surface.a == surface.b else (0, 1, 1), 3: (0, 1, 2)}
+        other = Ellipsoid(*(numbers[k] for k in axes[len(numbers)]), inside=surface.inside)
+    else:
+        other = type(surface)(*numbers, inside=surface.inside)
+    if other.structure != surface.structure:
+        raise SceneError(f"{other!r} is another kind of surface than {surface!r}; step its scene")
+    return other
+
+
+# --- state bytes ---------------------------------------------------------------------------------
+
+_MAGIC, _VERSION = b"CONTACTP", 1
+_HEADER = struct.Struct("<8sQQ16s16s")  # magic, version, length, model, checksum
+
+
+class StateRefused(ContactSystemError):
+    """State bytes that do not fit; the text says why."""
+
+
+def digest(data: bytes) -> bytes:
+    """16 bytes that tell data from other data."""
+    return hashlib.blake2b(data, digest_size=16).digest()
+
+
+def state_bytes(memory: Memory, model: bytes) -> bytes:
+    """A memory as bytes: magic, version, length, model (16 bytes), checksum, then JSON."""
+    plain: dict[str, Any] = {f.name: getattr(memory, f.name) for f in dataclasses.fields(memory)}
+    plain["values"] = memory.values.tolist()
+    if memory.plan is not None:
+        plan = memory.plan
+        starts = [vars(start) for start in plan.starts or ()]
+        plain["plan"] = {"start": plan.start, "end": plan.scene.duration, "starts": starts}
+    body = json.dumps(plain).encode()
+    return _HEADER.pack(_MAGIC, _VERSION, len(body), model, digest(body)) + body
+
+
+def memory_of(data: bytes, block: Block, model: bytes) -> Memory:
+    """The memory that `state_bytes` wrote, for a block of the same scene.
+
+    Raises
+    ------
+    StateRefused
+        Bytes that are not such a memory.
+    """
+    if len(data) < _HEADER.size:
+        raise StateRefused("its length is not that of a state; pass all of the bytes")
+    magic, version, length, other, checksum = _HEADER.unpack_from(data)
+    body = data[_HEADER.size :]
+    for wrong, text in (
+        (magic != _MAGIC, "it is no state of a planner in a process"),
+        (version != _VERSION, f"it was written by version {version}, this is {_VERSION}"),
+        (length != len(body), "it says another length than it has; pass all of the bytes"),
+        (other != model, "it belongs to another scene"),
+        (checksum != digest(body), "its checksum does not fit; it has been changed"),
+    ):
+        if wrong:
+            raise StateRefused(text)
+    plain = json.loads(body)
+    planned = plain.pop("plan")
+    plain["values"] = np.array(plain["values"])
+    plain["inputs"] = tuple(map(tuple, plain["inputs"]))
+    memory = Memory(**plain)
+    if planned is not None:
+        memory.plan = _plan_again(planned, memory, block)
+    return memory
+
+
+def _plan_again(plain: dict[str, Any], memory: Memory, block: Block) -> Plan:
+    """The plan of a memory, made again from where it started: the same to the last bit."""
+    kind = Moment if "slip" in plain["starts"][0] else Start
+    starts: Starts = [kind.from_plain(start) for start in plain["starts"]]
+    helper = copy.copy(block)
+    helper.take(memory.copied())
+    helper.now.values[GAIN] = memory.gain
+    for first, own in zip(block.table.blocks, memory.inputs):
+        helper.now.values[first : first + INPUTS] = own
+    helper._plan_from(plain["start"], plain["end"], plain["end"], starts)
+    assert helper.now.plan is not None
+    return helper.now.plan

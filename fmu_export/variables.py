@@ -1,0 +1,410 @@
+"""One table of variables for a scene: what an importer sees, and where the component keeps it.
+
+The component's values lie in one array of float64. A variable's value reference is the index of its
+first element there, in FMI 2 and in FMI 3 alike; FMI 2 sees every element as a scalar of its own
+name. The array begins with time and the parameters; a block of `BLOCK` numbers a contact follows
+(see :mod:`fmu_export.model` for the order of its results).
+
+Names are structured (FMI 2.0.4, section 2.2.9; FMI 3.0.2, section 2.4.7.5.1) and count from 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from contact_system.scene import Contact, Scene
+from contact_system.surfaces import Surface
+from contact_system.system import SceneSystem
+from contact_system.user_surfaces import UserSurface
+
+from .model import RESULTS, STATES, contact_results, dependencies, require_charts, start_state
+
+INPUTS = 6
+BLOCK = INPUTS + STATES + RESULTS
+"""Numbers a contact: disturbance inputs, state, results."""
+
+SMALL = 0.1
+"""Nominal value of angles and path velocities: solvers take their absolute tolerances from it."""
+
+Unit = tuple[int, int, int]
+"""Exponents of metre, second and radian."""
+
+METRE, RADIAN, NONE = (1, 0, 0), (0, 0, 1), (0, 0, 0)
+_PLAIN_CHARTS = {
+    "FlatChart": (METRE, METRE), "OffsetPlaneChart": (METRE, METRE),
+    "RoundCylinderChart": (RADIAN, METRE), "EllipticCylinderChart": (RADIAN, METRE),
+    "HyperbolicCylinderChart": (RADIAN, METRE),
+}  # fmt: skip
+_GAIN_UNITS = {"path": (-2, 1, 0), "time": (0, -1, 0), "guaranteed": (0, -1, 0)}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One row of the table.
+
+    Attributes
+    ----------
+    name : str
+        In FMI 3, and in FMI 2 if it is a scalar.
+    reference : int
+        Value reference: index of the first element in the component's values.
+    causality, variability : str
+    initial : str or None
+        None for inputs and time, as the standard wants.
+    description : str
+    unit : (int, int, int) or None
+        Exponents of m, s, rad; None where a user's chart does not say.
+    start : tuple of float
+        One value an element; empty where the value is calculated.
+    elements : tuple of str
+        Names of the elements in FMI 2, row by row; empty for a scalar.
+    shape : tuple of int
+        () for a scalar.
+    minimum, maximum, nominal : float or None
+    derivative : int or None
+        Reference of the variable whose time derivative this is.
+    known : tuple of tuple of int
+        For each element, references of the elements that it depends on, itself left out: inputs,
+        states, parameters, time. Empty where the value is not a result.
+    """
+
+    name: str
+    reference: int
+    causality: str
+    variability: str
+    initial: str | None
+    description: str
+    unit: Unit | None = NONE
+    start: tuple[float, ...] = ()
+    elements: tuple[str, ...] = ()
+    shape: tuple[int, ...] = ()
+    minimum: float | None = None
+    maximum: float | None = None
+    nominal: float | None = None
+    derivative: int | None = None
+    known: tuple[tuple[int, ...], ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return len(self.elements) or 1
+
+    def scalars(self) -> Iterator[Variable]:
+        """The variables of FMI 2 in this row."""
+        if not self.shape:
+            yield self
+            return
+        for i, name in enumerate(self.elements):
+            derivative = None if self.derivative is None else self.derivative + i
+            yield Variable(
+                name, self.reference + i, self.causality, self.variability, self.initial,
+                self.description, self.unit, self.start[i : i + 1], (), (), self.minimum,
+                self.maximum, self.nominal, derivative, self.known[i : i + 1],
+            )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """All variables of a scene.
+
+    Attributes
+    ----------
+    scene : Scene
+    rows : list of Variable
+        By reference, ascending.
+    parameter_first : dict
+        References of ``gain``, ``profile``, ``object`` and (as a list) ``finger``: where their
+        numbers begin.
+    blocks : list of int
+        Reference of the first number of each contact.
+    """
+
+    scene: Scene
+    rows: list[Variable]
+    parameter_first: dict[str, int]
+    finger_first: list[int]
+    blocks: list[int]
+    _by_name: dict[str, Variable] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            self._by_name[row.name] = row
+            self._by_name.update((scalar.name, scalar) for scalar in row.scalars())
+
+    def __getitem__(self, name: str) -> Variable:
+        """The variable of an FMI 2 or FMI 3 name; KeyError where there is none."""
+        return self._by_name[name]
+
+    @property
+    def n_values(self) -> int:
+        """Length of the component's array of values."""
+        return self.blocks[-1] + BLOCK
+
+    @cached_property
+    def start_values(self) -> np.ndarray:
+        """The values before initialization: starts, and 0 for what is calculated, (n_values,)."""
+        values = np.zeros(self.n_values)
+        for row in self.rows:
+            if row.start:
+                values[row.reference : row.reference + row.size] = row.start
+        return values
+
+    def scalars(self) -> list[Variable]:
+        """Every variable as FMI 2 sees it, by reference."""
+        return [scalar for row in self.rows for scalar in row.scalars()]
+
+    @cached_property
+    def state_nominals(self) -> np.ndarray:
+        """Nominal values of the continuous states, contact by contact."""
+        states = {b + INPUTS + k for b in self.blocks for k in range(STATES)}
+        return np.array([v.nominal for v in self.scalars() if v.reference in states])
+
+    def arguments(self, contact: int) -> list[int]:
+        """References of the arguments of `model.contact_results`, in order."""
+        first, block = self.parameter_first, self.blocks[contact]
+        law = [first["gain"], *_range(first["profile"], len(self.scene.profile.coefficients))]
+        finger = _range(self.finger_first[contact], len(_finger(self.scene, contact).parameters))
+        obj = _range(first["object"], len(self.scene.object.parameters))
+        state, inputs = _range(block + INPUTS, STATES), _range(block, INPUTS)
+        return [0, *state, *inputs, *law, *finger, *obj]
+
+
+def variable_table(scene: Scene) -> Table:
+    """The variables of a scene.
+
+    Raises
+    ------
+    SceneError
+        A scene that no importer can step: a surface without a chart, or sigma = 0 inside the window
+        of an acceleration.
+    """
+    require_charts(scene)
+    names = [n for n in SceneSystem(scene, "frame").parameter_names if not n.endswith(".size")]
+    values = [scene.gain.value, *scene.profile.coefficients, *scene.object.parameters]
+    values += [x for c in scene.contacts for x in c.finger.parameters]
+    rows = [
+        Variable("time", 0, "independent", "continuous", None, "Simulation time", (0, 1, 0)),
+        *(_parameter(scene, n, 1 + k, x) for k, (n, x) in enumerate(zip(names, values))),
+    ]
+    n_profile = len(scene.profile.coefficients)
+    first = {"gain": 1, "profile": 2, "object": 2 + n_profile}
+    fingers, at = [], 2 + n_profile + len(scene.object.parameters)
+    for contact in scene.contacts:
+        fingers.append(at)
+        at += len(contact.finger.parameters)
+    blocks = [at + BLOCK * i for i in range(len(scene.contacts))]
+    table = Table(scene, rows, first, fingers, blocks)
+    for i in range(len(scene.contacts)):
+        rows += _contact_rows(scene, i, blocks[i], _known(scene, table, i))
+    return Table(scene, rows, first, fingers, blocks)
+
+
+def unit_name(unit: Unit) -> str:
+    """Such as "rad/s2"; "1" where nothing is left."""
+    over, under = "", ""
+    for symbol, exponent in zip(("m", "rad", "s"), (unit[0], unit[2], unit[1])):
+        text = symbol + (str(abs(exponent)) if abs(exponent) > 1 else "")
+        over, under = (over + text * (exponent > 0), under + text * (exponent < 0))
+    return (over or "1") + ("/" + under if under else "")
+
+
+def chart_units(surface: Surface) -> tuple[Unit | None, Unit | None]:
+    """Units of u and v; None where a user's chart does not say."""
+    if isinstance(surface, UserSurface):
+        u, v = (RADIAN if period else None for period in surface.periods())
+        return u, v
+    return _PLAIN_CHARTS.get(surface.chart.__name__, (RADIAN, RADIAN))
+
+
+# --- parameters ----------------------------------------------------------------------------------
+
+
+def _parameter(scene: Scene, name: str, reference: int, value: float) -> Variable:
+    """A row for one of `SceneSystem.parameter_names`; indices count from 1 here."""
+    name = _counted_from_one(name)
+    owner, _, last = name.rpartition(".")
+    unit: Unit | None = METRE
+    variability, low, nominal, text = "fixed", None, None, f"Surface of {owner}: {last}"
+    if owner == "gain":
+        unit, low = _GAIN_UNITS[scene.gain.law], 0.0
+        variability, text = "tunable", f"Gain of the law '{scene.gain.law}'"
+    elif not owner:
+        power = int(last[len("profile[") : -1]) - 1
+        unit, text = (1, -1 - power, 0), f"Path profile sigma(t), coefficient of t^{power}"
+    elif _is_user_or_quadric(scene, owner):
+        unit = None
+    else:
+        low, nominal = 0.0, value
+    return Variable(
+        name, reference, "parameter", variability, "exact", text, unit, (value,), minimum=low,
+        nominal=nominal or None,
+    )  # fmt: skip
+
+
+def _counted_from_one(name: str) -> str:
+    name = name.replace("contacts[", "contact[")
+    head, *tail = name.split("[")
+    for part in tail:
+        index, rest = part.split("]", 1)
+        head += f"[{int(index) + 1}]{rest}"
+    return head
+
+
+def _is_user_or_quadric(scene: Scene, owner: str) -> bool:
+    surface = scene.object
+    if owner != "object":
+        surface = _finger(scene, int(owner[len("contact[") :].split("]")[0]) - 1)
+    return isinstance(surface, UserSurface) or type(surface).__name__ == "Quadric"
+
+
+# --- contacts ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """A row of a contact before it has a place: name without ``contact[i].``, axes, unit, text."""
+
+    name: str
+    axes: tuple[str, ...]
+    unit: Unit | None
+    text: str
+    kind: str = "output"
+    shape: tuple[int, ...] = ()
+    nominal: float | None = None
+    bound: float | None = None
+
+
+XY, XYZ = ("x", "y"), ("x", "y", "z")
+
+
+def _contact_rows(
+    scene: Scene, i: int, first: int, known: list[tuple[int, ...]]
+) -> Iterator[Variable]:
+    contact = scene.contacts[i]
+    states = _states(scene, contact)
+    quantities = [
+        *_inputs(scene, contact), *states, *map(_derivative, states), *_outputs(scene, contact)
+    ]  # fmt: skip
+    starts = [*[0.0] * INPUTS, *start_state(contact).tolist()]
+    at = 0
+    for q in quantities:
+        end, result = at + max(1, len(q.axes)), at - INPUTS - STATES
+        state = first + at - STATES if q.name.startswith("der(") else None
+        own = known[result : result + end - at] if result >= 0 else []
+        yield _contact_row(q, i, first + at, tuple(starts[at:end]), own, state)
+        at = end
+
+
+def _contact_row(
+    q: _Quantity, i: int, reference: int, start: tuple[float, ...], known: list[tuple[int, ...]],
+    state: int | None,
+) -> Variable:  # fmt: skip
+    inner = q.name[4:-1] if q.name.startswith("der(") else q.name
+    full = f"contact[{i + 1}].{inner}"
+    elements = [full + (axis if axis.startswith("[") else f".{axis}") for axis in q.axes]
+    if inner != q.name:
+        full, elements = f"der({full})", [f"der({e})" for e in elements]
+    causality = {"input": "input", "local": "local"}.get(q.kind, "output")
+    initial = {"input": None, "state": "exact"}.get(q.kind, "calculated")
+    return Variable(
+        full, reference, causality, "continuous", initial, q.text, q.unit, start, tuple(elements),
+        q.shape or ((len(q.axes),) if q.axes else ()),
+        None if q.bound is None else -q.bound, q.bound, q.nominal, state, tuple(known),
+    )  # fmt: skip
+
+
+def _inputs(scene: Scene, contact: Contact) -> list[_Quantity]:
+    rows = []
+    for side, surface, quantity, power, text in (
+        ("finger", contact.finger, "acceleration", -2, "Added to the second derivative of"),
+        ("object", scene.object, "acceleration", -2, "Added to the second derivative of"),
+        ("object", scene.object, "rate_offset", -1, "Added to the rate, not to the feedback, of"),
+    ):
+        for axis, unit in zip("uv", chart_units(surface)):
+            rows.append(_Quantity(
+                f"{side}.{quantity}.{axis}", (), _per_second(unit, -power),
+                f"{text} {axis} of the {side}, beside the scene's own windows", "input",
+            ))  # fmt: skip
+    return rows
+
+
+def _states(scene: Scene, contact: Contact) -> list[_Quantity]:
+    rows = []
+    for side, body, surface in (("finger", 1, contact.finger), ("object", 2, scene.object)):
+        for axis, unit in zip("uv", chart_units(surface)):
+            nominal = SMALL * surface.size if unit == METRE else SMALL
+            text = f"Coordinate {axis} of the contact point on the {side}"
+            rows.append(_Quantity(f"{side}.{axis}", (), unit, text, "state", nominal=nominal))
+        text = f"Angle in E{body} of a frame carried along the path by parallel transport"
+        rows.append(_Quantity(f"{side}.frame_angle", (), RADIAN, text, "state", nominal=SMALL))
+        text = f"Path velocity of the {side}'s contact point, M{body} dq{body}/ds, in that frame"
+        rows.append(_Quantity(f"{side}.velocity", XY, NONE, text, "state", nominal=SMALL))
+    text = "Contact angle psi between the contact frames E1 and E2"
+    return [*rows, _Quantity("angle", (), RADIAN, text, "state", nominal=SMALL)]
+
+
+def _derivative(state: _Quantity) -> _Quantity:
+    """Rates of coordinates are outputs, the other derivatives are local."""
+    kind = "output" if state.name[-2:] in (".u", ".v") else "local"
+    text = "Time derivative: " + state.text
+    return _Quantity(f"der({state.name})", state.axes, _per_second(state.unit, 1), text, kind)
+
+
+def _outputs(scene: Scene, contact: Contact) -> list[_Quantity]:
+    size = contact.finger.size
+    speed = max(float(scene.profile(t)) for t in np.linspace(0.0, scene.duration, 33)) or None
+    cells = tuple(f"[{a},{b}]" for a in (1, 2, 3) for b in (1, 2, 3))
+    in_object = "in the object's frame"
+    return [
+        _Quantity("slip", XY, (1, -1, 0), "Slip v_rel in E2", nominal=speed),
+        _Quantity("twist.angular", XYZ, (0, -1, 1), f"Angular velocity of the finger {in_object}"),
+        _Quantity("twist.linear", XYZ, (1, -1, 0),
+                  f"Velocity of the origin of the finger's frame {in_object}", nominal=speed),
+        _Quantity("pose.rotation", cells, NONE,
+                  "Rotation matrix from the finger's frame to the object's", shape=(3, 3),
+                  bound=1.0),
+        _Quantity("pose.position", XYZ, METRE, f"Origin of the finger's frame {in_object}",
+                  nominal=max(size, scene.object.size)),
+        _Quantity("finger.point", XYZ, METRE, "Contact point in the finger's frame", nominal=size),
+        _Quantity("object.point", XYZ, METRE, f"Contact point {in_object}",
+                  nominal=scene.object.size),
+    ]  # fmt: skip
+
+
+# --- dependencies --------------------------------------------------------------------------------
+
+
+def _known(scene: Scene, table: Table, i: int) -> list[tuple[int, ...]]:
+    """For each result of a contact, references of what it depends on."""
+    finger, obj = _finger(scene, i), scene.object
+    function = contact_results(finger, obj, scene.gain.law, len(scene.profile.coefficients))
+    random = np.random.default_rng(1)
+    start = start_state(scene.contacts[i])
+    step = 0.02 * np.array([1, 1, 9, 9, 9, 1, 1, 9, 9, 9, 9])
+    samples = []
+    for t in scene.duration * np.array([0.21, 0.52, 0.83]):
+        # off the start, where symmetry hides dependencies, and inside any chart it is in
+        state = start + step * random.standard_normal(STATES)
+        law = [scene.gain.value + 1.0, *scene.profile.coefficients]
+        samples.append(
+            [t, state, random.standard_normal(INPUTS), law, finger.parameters, obj.parameters]
+        )
+    found = dependencies(function, samples)
+    references = np.array(table.arguments(i))
+    return [tuple(sorted(set(references[row].tolist()))) for row in found]
+
+
+def _finger(scene: Scene, i: int) -> Surface:
+    return scene.contacts[i].finger
+
+
+def _range(first: int, count: int) -> list[int]:
+    return list(range(first, first + count))
+
+
+def _per_second(unit: Unit | None, times: int) -> Unit | None:
+    return None if unit is None else (unit[0], unit[1] - times, unit[2])

@@ -1,0 +1,683 @@
+"""Exported FMUs, run by fmpy: against plans, against themselves, against misuse."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+import contact_system as cs
+from contact_system.system import SceneSystem
+
+pytest.importorskip("fmpy")
+
+import fmpy
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi3 import FMU3Model, FMU3Slave, fmi3LogMessageCallback
+
+from fmu_export import export_fmu, variable_table
+from fmu_export.build import PLATFORMS
+from fmu_export.model import STATES, contact_results
+
+VERSIONS = ("2.0", "3.0")
+KINEMATIC = ("K1", "K2", "K3", "K4")
+RATES = ("finger.u", "finger.v", "object.u", "object.v")
+
+
+class Exported:
+    """An FMU on disk, its table, and instances of it."""
+
+    def __init__(self, scene, version, folder):
+        self.scene, self.version, self.table = scene, version, variable_table(scene)
+        self.path = export_fmu(scene, folder / f"{scene.name}_{version}.fmu", version)
+        self.folder = fmpy.extract(str(self.path), str(folder / f"{scene.name}_{version}"))
+        self.description = fmpy.read_model_description(self.folder)
+        self.messages = []
+
+    def reference(self, name):
+        return self.table[name].reference
+
+    def simulate(self, step, **options):
+        options = {"fmi_type": "CoSimulation", "stop_time": self.scene.duration} | options
+        return fmpy.simulate_fmu(
+            self.folder, model_description=self.description, step_size=step,
+            output_interval=step, relative_tolerance=1e-10, **options,
+        )  # fmt: skip
+
+    def instance(self, interface="CoSimulation", start=None, ready=True, **options):
+        """An instance, initialized if ``ready``; ``start``: name -> value."""
+        of = {
+            ("2.0", "CoSimulation"): FMU2Slave, ("2.0", "ModelExchange"): FMU2Model,
+            ("3.0", "CoSimulation"): FMU3Slave, ("3.0", "ModelExchange"): FMU3Model,
+        }[self.version, interface]  # fmt: skip
+        read = self.description
+        fmu = of(
+            guid=read.guid if self.version == "2.0" else read.instantiationToken,
+            unzipDirectory=self.folder, modelIdentifier=read.coSimulation.modelIdentifier,
+            instanceName="one",
+        )  # fmt: skip
+        if self.version == "2.0":
+            fmu.instantiate(callbacks=self._callbacks(), loggingOn=True)
+        else:
+            fmu.instantiate(loggingOn=True, logMessage=self._log3(), **options)
+        if start:
+            self.set(fmu, start)
+        if ready:
+            self.initialize(fmu)
+        return fmu
+
+    def initialize(self, fmu, time=0.0):
+        if self.version == "2.0":
+            fmu.setupExperiment(startTime=time)
+            fmu.enterInitializationMode()
+        else:
+            fmu.enterInitializationMode(startTime=time)
+        fmu.exitInitializationMode()
+
+    def _callbacks(self):
+        def log(environment, instance, status, category, message):
+            self.messages.append((status, category.decode(), message.decode()))
+
+        self._kept = fmi2CallbackFunctions(logger=fmi2CallbackLoggerTYPE(log))
+        return self._kept
+
+    def _log3(self):
+        def log(environment, status, category, message):
+            self.messages.append((status, category.decode(), message.decode()))
+
+        self._kept = fmi3LogMessageCallback(log)
+        return self._kept
+
+    def set(self, fmu, values):
+        put = fmu.setReal if self.version == "2.0" else fmu.setFloat64
+        for name, value in values.items():
+            put([self.reference(name)], np.atleast_1d(value).tolist())
+
+    def get(self, fmu, *names):
+        if self.version == "2.0":
+            return np.array(fmu.getReal([self.reference(n) for n in names]))
+        return np.array(fmu.getFloat64([self.reference(n) for n in names]))
+
+    def step(self, fmu, time, size):
+        return fmu.doStep(currentCommunicationPoint=time, communicationStepSize=size)
+
+    def states(self, fmu):
+        """u1 v1 u1' v1' u2 v2 u2' v2' psi of every contact, as `Plan.states` has them."""
+        return self.get(fmu, *(n for i in range(len(self.scene.contacts)) for n in columns(i)))
+
+
+def columns(i):
+    c = f"contact[{i + 1}]."
+    finger, obj = [[f"{c}{side}.u", f"{c}{side}.v"] for side in ("finger", "object")]
+    return [*finger, *(f"der({n})" for n in finger), *obj, *(f"der({n})" for n in obj), c + "angle"]
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    known = {}
+    folder = tmp_path_factory.mktemp("fmu")
+
+    def get(scene, version="2.0"):
+        scene = cs.load_scene(scene) if isinstance(scene, str) else scene
+        key = (scene.name, version)
+        if key not in known:
+            known[key] = Exported(scene, version, folder)
+        known[key].messages.clear()
+        return known[key]
+
+    return get
+
+
+def relative(found, wanted):
+    return np.abs(found - wanted).max() / max(1.0, np.abs(wanted).max())
+
+
+def worst_difference(fmu, result, plan=None):
+    """Greatest difference of a simulation's states, slip, twist, pose and points from the plan."""
+    plan = plan or cs.plan(fmu.scene)
+    t = np.minimum(result["time"], fmu.scene.duration)
+
+    def read(name):
+        row = fmu.table[name]
+        if fmu.version == "3.0":
+            return result[name].reshape(len(t), -1)
+        return np.stack([result[e] for e in row.elements], axis=1)
+
+    worst = 0.0
+    states, slip, twist, pose = plan.states(t), plan.slip(t), plan.twist(t), plan.pose(t)
+    points = plan.points(t)
+    for i in range(len(fmu.scene.contacts)):
+        c = f"contact[{i + 1}]."
+        pairs = [(np.stack([result[n] for n in columns(i)], axis=1), states[:, i])]
+        pairs += [
+            (read(c + "slip"), slip[:, i]),
+            (read(c + "twist.angular"), twist[:, i, :3]),
+            (read(c + "twist.linear"), twist[:, i, 3:]),
+            (read(c + "pose.rotation"), pose[:, i, :3, :3].reshape(len(t), 9)),
+            (read(c + "pose.position"), pose[:, i, :3, 3]),
+            (read(c + "finger.point"), points[:, i, 0]),
+            (read(c + "object.point"), points[:, i, 1]),
+        ]
+        for found, wanted in pairs:
+            size = max(np.abs(wanted).max(), 1e-6)
+            worst = max(worst, np.abs(found - wanted).max() / size)
+    return worst
+
+
+# --- motion --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("name", KINEMATIC)
+@pytest.mark.parametrize("step", [1e-2, 0.3])
+def test_steps_of_any_size_follow_the_plan(name, version, step, exported):
+    fmu = exported(name, version)
+    assert worst_difference(fmu, fmu.simulate(step)) < 1e-12
+
+
+@pytest.mark.parametrize("name", ["C1", "C2", "D1", "chart"])
+def test_other_scenes_follow_their_plans(name, exported):
+    fmu = exported(name)
+    assert worst_difference(fmu, fmu.simulate(0.01)) < 1e-12
+
+
+def test_a_chart_that_is_a_python_function_exports_like_any_other(exported):
+    ground = cs.ParametricSurface(lambda u, v: (u, v, 0.05 * np.sin(6 * u) * np.cos(5 * v)))
+    contact = cs.Contact(finger=cs.Sphere(0.04), object_at=(0.1, 0.2), object_velocity="rest")
+    scene = cs.Scene(
+        object=ground, contacts=[contact], profile=cs.Profile([0.1]), duration=1, name="function"
+    )
+    fmu = exported(scene)
+    assert worst_difference(fmu, fmu.simulate(0.05)) < 1e-12
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_fine_and_random_steps_end_in_the_same_bits(version, exported):
+    fmu = exported("K4", version)
+    ends = []
+    random = np.random.default_rng(5)
+    for grid in (
+        np.array([0.0, 1.7]),
+        np.linspace(0.0, 1.7, 17001),
+        np.array([0.0, *np.sort(random.uniform(0.0, 1.7, 200)), 1.7]),
+    ):
+        one = fmu.instance()
+        for a, b in zip(grid, grid[1:]):
+            fmu.step(one, a, b - a)
+        ends.append(fmu.states(one))
+        one.freeInstance()
+    assert relative(ends[1], ends[0]) < 1e-15
+    assert relative(ends[2], ends[0]) < 1e-15
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("name", KINEMATIC)
+def test_model_exchange_with_cvode_follows_the_plan(name, version, exported):
+    fmu = exported(name, version)
+    result = fmu.simulate(0.05, fmi_type="ModelExchange", solver="CVode", record_events=False)
+    assert worst_difference(fmu, result) < 1e-7
+
+
+def test_model_exchange_starts_from_rest(exported):
+    fmu = exported("C1")
+    result = fmu.simulate(0.05, fmi_type="ModelExchange", solver="CVode")
+    assert worst_difference(fmu, result) < 1e-7
+
+
+GUARANTEED = cs.load_scene("K1").replace(
+    name="dip", profile=cs.Profile([0.3, -0.5, 0.6]), gain=cs.Gain.guaranteed(8.0)
+)
+FROM_REST = cs.load_scene("K1").replace(
+    name="rest", profile=cs.Profile([0.0, 0.3, -0.1]), gain=cs.Gain.time(20.0)
+)
+
+
+@pytest.mark.parametrize("scene", [GUARANTEED, FROM_REST], ids=lambda s: s.name)
+def test_every_gain_law_follows_its_plan(scene, exported):
+    fmu = exported(scene)
+    assert worst_difference(fmu, fmu.simulate(0.07)) < 1e-12
+
+
+# --- inputs, parameters, starts ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("version", "name", "kind", "inputs"),
+    [
+        ("3.0", "K1", cs.FingerAcceleration, "finger.acceleration"),
+        ("2.0", "K3", cs.ObjectAcceleration, "object.acceleration"),
+        ("2.0", "K3", cs.ObjectRateOffset, "object.rate_offset"),
+    ],
+)
+def test_a_held_input_does_what_a_window_does(version, name, kind, inputs, exported):
+    scene = cs.load_scene(name)
+    scene = scene.replace(duration=0.6, disturbances=(), name=f"{name} free")
+    fmu = exported(scene, version)
+    disturbed = scene.replace(disturbances=[kind(0, 0.25, 0.4, (0.2, -0.1))])
+    plan = cs.plan(disturbed)
+    one = fmu.instance()
+    fmu.step(one, 0.0, 0.25)
+    fmu.set(one, {f"contact[1].{inputs}.u": 0.2, f"contact[1].{inputs}.v": -0.1})
+    fmu.step(one, 0.25, 0.1)
+    fmu.step(one, 0.35, 0.4 - 0.35)
+    fmu.set(one, {f"contact[1].{inputs}.u": 0.0, f"contact[1].{inputs}.v": 0.0})
+    fmu.step(one, 0.4, 0.2)
+    assert relative(fmu.states(one), plan.states(0.6).ravel()) < 1e-12
+    one.freeInstance()
+
+
+def paper_equations_under_a_ramp(scene, slope, stop):
+    """States of contact 1 whose finger's u is accelerated by slope t, by scipy."""
+    from scipy.integrate import solve_ivp
+
+    system = SceneSystem(scene, "chart", disturbance_input=True)
+    run = system.function("derivatives")
+    x = system.x0
+    for a, b in ((0.0, 0.1), (0.1, stop)):  # K2's windows end at 0.1 s
+
+        def rate(t, x, windows):
+            w = windows.copy()
+            w[0] += slope * t
+            return run(t, x, w, system.held0, system.parameters).full().ravel()
+
+        options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
+        x = solve_ivp(rate, (a, b), x, args=(system.window_values(a),), **options).y[:, -1]
+    return x[:9]
+
+
+@pytest.mark.parametrize("step", [0.05, 0.25])
+def test_an_input_with_a_slope_is_extrapolated(step, exported):
+    fmu, name = exported("K2"), "contact[1].finger.acceleration.u"
+    one = fmu.instance()
+    for t in np.arange(0.0, 0.5 - 1e-9, step):
+        fmu.set(one, {name: 0.8 * t})
+        one.setRealInputDerivatives([fmu.reference(name)], [1], [0.8])
+        fmu.step(one, t, step)
+    assert fmu.get(one, name)[0] == pytest.approx(0.4, abs=1e-15)
+    found, wanted = fmu.states(one)[:9], paper_equations_under_a_ramp(fmu.scene, 0.8, 0.5)
+    assert np.allclose(found, wanted, rtol=0, atol=1e-9)
+
+
+def test_starts_and_parameters_can_be_changed_before_initialization(exported):
+    fmu = exported("K1")
+    contacts = list(fmu.scene.contacts)
+    contacts[1] = cs.Contact(
+        finger=cs.Sphere(0.05), object_at=(1.2, -0.4), finger_at=(1.3, 0.2), angle=0.6,
+        finger_velocity=(0.3, 0.8), object_velocity=(0.1, 0.2),
+    )  # fmt: skip
+    plan = cs.plan(fmu.scene.replace(contacts=contacts, gain=cs.Gain.path(40.0)))
+    c = "contact[2]."
+    start = {
+        "gain.eta": 40.0, c + "finger.radius": 0.05, c + "object.u": 1.2, c + "object.v": -0.4,
+        c + "finger.u": 1.3, c + "finger.v": 0.2, c + "angle": 0.6,
+        c + "finger.velocity.x": 0.3, c + "finger.velocity.y": 0.8,
+        c + "object.velocity.x": 0.1, c + "object.velocity.y": 0.2,
+    }  # fmt: skip
+    result = fmu.simulate(0.1, start_values=start)
+    assert worst_difference(fmu, result, plan) < 1e-12
+
+
+def test_the_gain_can_be_tuned_on_the_way(exported):
+    fmu = exported("K1")
+    one = fmu.instance()
+    fmu.step(one, 0.0, 0.4)
+    before = cs.plan(fmu.scene)
+    fmu.set(one, {"gain.eta": 500.0})
+    fmu.step(one, 0.4, 0.6)
+    after = cs.plan(fmu.scene.replace(gain=cs.Gain.path(500.0)))
+    plan = after.restart(0.4, before.states(0.4)[0])
+    assert relative(fmu.states(one), plan.states(1.0).ravel()) < 1e-12
+    one.freeInstance()
+
+
+def test_a_later_start_time_starts_there(exported):
+    fmu = exported("K1")
+    one = fmu.instance(ready=False)
+    fmu.initialize(one, time=0.5)
+    fmu.step(one, 0.5, 0.5)
+    starts = cs.plan(fmu.scene).states(0.0)[0]
+    starts[:, [2, 3, 6, 7]] *= fmu.scene.profile(0.5) / fmu.scene.profile(0.0)
+    plan = cs.plan(fmu.scene).restart(0.5, starts)
+    assert relative(fmu.states(one), plan.states(1.0).ravel()) < 1e-12
+    one.freeInstance()
+
+
+# --- derivatives ---------------------------------------------------------------------------------
+
+
+def jacobian_of_kernel(fmu, contact, time, values):
+    """d results/d arguments from CasADi, as a matrix over references."""
+    import casadi as ca
+
+    scene, table = fmu.scene, fmu.table
+    f = contact_results(
+        scene.contacts[contact].finger, scene.object, scene.gain.law,
+        len(scene.profile.coefficients),
+    )  # fmt: skip
+    sizes = np.cumsum([0, *(f.nnz_in(i) for i in range(f.n_in()))]).tolist()
+    z = ca.SX.sym("z", sizes[-1])
+    whole = ca.Function("g", [z], [ca.jacobian(f(*ca.vertsplit(z, sizes)), z)])
+    references = table.arguments(contact)
+    at = values[references].copy()
+    at[0] = time
+    matrix = np.zeros((f.nnz_out(0), table.n_values))
+    matrix[:, references] = whole(at).full()
+    return matrix
+
+
+@pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
+def test_directional_derivatives_are_those_of_the_kernels(interface, exported):
+    fmu = exported("K3")
+    one = fmu.instance(interface, ready=False)
+    one.setupExperiment()
+    one.enterInitializationMode()
+    table = fmu.table
+    values = table.start_values
+    exact = jacobian_of_kernel(fmu, 1, 0.0, values)
+    first = table.blocks[1] + 6 + STATES
+    unknowns = list(range(first, first + len(exact)))
+    knowns = [r for r in table.arguments(1) if r > 0]
+    for known in knowns:
+        column = one.getDirectionalDerivative(unknowns, [known], [1.0])
+        assert np.allclose(column, exact[:, known], rtol=1e-12, atol=1e-12)
+    one.freeInstance()
+
+
+def test_adjoint_derivatives_are_the_transpose(exported):
+    fmu = exported("K3", "3.0")
+    one = fmu.instance(ready=False)
+    one.enterInitializationMode()
+    rows, names = fmu.table.rows, ["contact[1].slip", "contact[1].twist.linear"]
+    unknowns = [fmu.reference(n) for n in names]
+    knowns = [v for v in rows if v.reference in fmu.table.arguments(0) and v.reference]
+    references, count = [v.reference for v in knowns], sum(v.size for v in knowns)
+    forward = np.array([directional3(one, unknowns, references, seed, 5) for seed in np.eye(count)])
+    backward = np.array([adjoint3(one, unknowns, references, seed, count) for seed in np.eye(5)])
+    assert np.allclose(forward, backward.T, rtol=1e-12, atol=1e-13)
+    assert np.abs(forward).max() > 0.01
+    one.freeInstance()
+
+
+def _product3(function, one, unknowns, knowns, seed, count):
+    u, k = (ctypes.c_uint32 * len(unknowns))(*unknowns), (ctypes.c_uint32 * len(knowns))(*knowns)
+    s, out = (ctypes.c_double * len(seed))(*seed), (ctypes.c_double * count)()
+    function(one.component, u, len(unknowns), k, len(knowns), s, len(seed), out, count)
+    return np.array(out)
+
+
+def directional3(one, unknowns, knowns, seed, count):
+    return _product3(one.fmi3GetDirectionalDerivative, one, unknowns, knowns, seed, count)
+
+
+def adjoint3(one, unknowns, knowns, seed, count):
+    return _product3(one.fmi3GetAdjointDerivative, one, unknowns, knowns, seed, count)
+
+
+def test_derivatives_while_stepping_agree_with_differences(exported):
+    fmu = exported("K1")
+    one = fmu.instance()
+    fmu.step(one, 0.0, 0.4)
+    name = "contact[1].object.rate_offset.u"
+    outputs = ["contact[1].slip.x", "contact[1].twist.linear.y", "der(contact[1].object.u)"]
+    unknowns = [fmu.reference(n) for n in outputs]
+    exact = one.getDirectionalDerivative(unknowns, [fmu.reference(name)], [1.0])
+    sides = []
+    for value in (1e-4, -1e-4):
+        fmu.set(one, {name: value})
+        sides.append(fmu.get(one, *outputs))
+    assert np.allclose((sides[0] - sides[1]) / 2e-4, exact, rtol=1e-9, atol=1e-11)
+    one.freeInstance()
+
+
+# --- FMU states ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_serialized_state_restores_in_another_instance(version, exported):
+    fmu = exported("K4", version)
+    one, other = fmu.instance(), fmu.instance()
+    fmu.step(one, 0.0, 1.3)
+    names = ("getFMUstate", "serializeFMUstate", "deSerializeFMUstate", "setFMUstate")
+    if version == "3.0":
+        names = ("getFMUState", "serializeFMUState", "deserializeFMUState", "setFMUState")
+    get, write, read, put = names
+    state = getattr(one, get)()
+    data = getattr(one, write)(state)
+    getattr(other, put)(getattr(other, read)(data))
+    for instance in (one, other):
+        fmu.step(instance, 1.3, 0.9)
+    assert fmu.states(one).tobytes() == fmu.states(other).tobytes()
+    getattr(one, put)(state)
+    fmu.step(one, 1.3, 0.9)
+    assert fmu.states(one).tobytes() == fmu.states(other).tobytes()
+
+
+def test_state_bytes_that_were_changed_are_refused(exported):
+    fmu, other = exported("K1"), exported("K2")
+    one = fmu.instance()
+    data = bytes(one.serializeFMUstate(one.getFMUstate()))
+    foreign = other.instance()
+    theirs = bytes(foreign.serializeFMUstate(foreign.getFMUstate()))
+    random = np.random.default_rng(2)
+    flipped = []
+    for k in random.integers(0, len(data), 50):
+        flipped.append(data[:k] + bytes([data[k] ^ 0x10]) + data[k + 1 :])
+    for wrong in (b"", data[:-1], data + b"\0", theirs, *flipped):
+        with pytest.raises(FMICallException):
+            one.deSerializeFMUstate(wrong)
+    assert all("refused" in text for _, _, text in fmu.messages)
+    fmu.step(one, 0.0, 0.1)
+
+
+# --- misuse --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_values_that_are_no_numbers_are_refused_and_the_instance_lives(version, exported):
+    fmu = exported("K1", version)
+    one = fmu.instance()
+    for value in (np.nan, np.inf, -np.inf):
+        with pytest.raises(FMICallException):
+            fmu.set(one, {"contact[1].finger.acceleration.u": value})
+    with pytest.raises(FMICallException):
+        fmu.set(one, {"gain.eta": -1.0})
+    assert {c for _, c, _ in fmu.messages} == {"logStatusDiscard"}
+    fmu.step(one, 0.0, 1.0)
+    assert relative(fmu.states(one), cs.plan(fmu.scene).states(1.0).ravel()) < 1e-12
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_calls_out_of_order_are_refused_with_a_message(version, exported):
+    fmu = exported("K1", version)
+    one = fmu.instance(ready=False)
+    attempts = [
+        lambda: fmu.step(one, 0.0, 0.1),
+        lambda: fmu.get(one, "contact[1].angle"),
+        lambda: one.exitInitializationMode(),
+        lambda: one.terminate(),
+    ]
+    for attempt in attempts:
+        fmu.messages.clear()
+        with pytest.raises(FMICallException):
+            attempt()
+        assert [(s, c) for s, c, _ in fmu.messages] == [(3, "logStatusError")]
+    fmu.initialize(one)
+    result = "contact[1].slip.x" if version == "2.0" else "der(contact[1].angle)"
+    for attempt in (
+        lambda: fmu.set(one, {"object.radius": 0.2}),
+        lambda: fmu.set(one, {"contact[1].angle": 0.2}),
+        lambda: fmu.set(one, {result: 0.2}),
+        lambda: fmu.step(one, 0.5, 0.1),
+        lambda: fmu.step(one, 0.0, -0.1),
+        lambda: fmu.step(one, 0.0, np.nan),
+        lambda: one.enterInitializationMode(),
+    ):  # fmt: skip
+        with pytest.raises(FMICallException):
+            attempt()
+    fmu.step(one, 0.0, 1.0)
+    assert relative(fmu.states(one), cs.plan(fmu.scene).states(1.0).ravel()) < 1e-12
+    one.reset()
+    fmu.initialize(one)
+    assert fmu.get(one, "contact[1].object.u")[0] == fmu.scene.contacts[0].object_at[0]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_start_without_a_contact_frame_is_refused(version, exported):
+    fmu = exported("K1", version)
+    for place in (0.0, np.pi, -1.0):
+        with pytest.raises(FMICallException):
+            fmu.instance(start={"contact[1].finger.u": place})
+        assert "no outward contact frame" in fmu.messages[-1][2]
+
+
+def test_no_step_goes_where_sigma_is_negative(exported):
+    scene = cs.load_scene("K1").replace(name="short", profile=cs.Profile([0.3, -0.2]))
+    fmu = exported(scene)
+    one = fmu.instance()
+    fmu.step(one, 0.0, 1.4)
+    with pytest.raises(FMICallException):
+        fmu.step(one, 1.4, 0.2)
+    assert "sigma is negative" in fmu.messages[-1][2]
+    fmu.step(one, 1.4, 0.1)
+
+
+def test_an_importer_stops_where_sigma_ends(exported):
+    """It asks fmi2Terminated after a step that was discarded."""
+    scene = cs.load_scene("K1").replace(name="short", profile=cs.Profile([0.3, -0.2]))
+    result = exported(scene).simulate(0.2, stop_time=3.0)
+    assert 1.3 < result["time"][-1] < 1.6
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_all_values_of_a_call_are_set_or_none(version, exported):
+    fmu = exported("K1", version)
+    one = fmu.instance()
+    good, bad = (fmu.reference(f"contact[{k}].finger.acceleration.u") for k in (1, 2))
+    setter = one.setReal if version == "2.0" else one.setFloat64
+    with pytest.raises(FMICallException):
+        setter([good, bad], [0.3, np.nan])
+    assert fmu.get(one, "contact[1].finger.acceleration.u")[0] == 0.0
+
+
+def test_a_text_with_percent_signs_is_only_text(exported):
+    fmu = exported("K1")
+    one = fmu.instance(ready=False)
+    with pytest.raises(FMICallException):
+        one.setDebugLogging(True, ["%s%n"])
+    assert "%n" not in fmu.messages[-1][2]
+
+
+def test_instances_do_not_touch_each_other(exported):
+    fmu = exported("K2")
+    alone, *many = (fmu.instance() for _ in range(9))
+    fmu.step(alone, 0.0, 1.0)
+    for k in range(10):
+        for one in many:
+            fmu.step(one, 0.1 * k, 0.1)
+    for one in many:
+        assert relative(fmu.states(one), fmu.states(alone)) < 1e-14
+
+
+# --- events of FMI 3 -----------------------------------------------------------------------------
+
+
+def test_steps_return_early_at_window_edges_where_that_is_allowed(exported):
+    fmu = exported("K4", "3.0")
+    one = fmu.instance(ready=False, eventModeUsed=True, earlyReturnAllowed=True)
+    fmu.initialize(one)
+    stops, t = [], 0.0
+    while t < 4.0:
+        update = one.updateDiscreteStates()
+        stops.append(update[-1] if update[-2] else None)
+        one.enterStepMode()
+        event, _, early, t = fmu.step(one, t, 4.0 - t)
+        assert event == early == (t < 4.0)
+        if event:
+            one.enterEventMode()
+    assert stops == [1.0, 2.0, None]
+    assert relative(fmu.states(one), cs.plan(fmu.scene).states(4.0).ravel()) < 1e-12
+
+
+def test_event_mode_of_fmpy_gives_the_same_motion(exported):
+    fmu = exported("K4", "3.0")
+    result = fmu.simulate(0.3, use_event_mode=True, early_return_allowed=True)
+    assert worst_difference(fmu, result) < 1e-12
+
+
+# --- the package ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_file_is_small_and_complete(version, exported):
+    fmu = exported("K4", version)
+    assert fmu.path.stat().st_size < 300_000
+    names = set(zipfile.ZipFile(fmu.path).namelist())
+    wanted = {"modelDescription.xml", "documentation/index.html", "sources/buildDescription.xml",
+              "sources/model.c", f"sources/fmi{version[0]}.c"}  # fmt: skip
+    assert wanted <= names
+    assert any(n.endswith(".png") for n in names)
+
+
+def test_the_same_scene_gives_the_same_bytes(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    scene = cs.load_scene("C2")
+    first = export_fmu(scene, tmp_path / "one.fmu").read_bytes()
+    assert export_fmu(scene, tmp_path / "two.fmu").read_bytes() == first
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_sources_inside_build_without_warnings(version, exported, tmp_path):
+    from contact_system.kernels import find_compiler
+
+    compiler = find_compiler()
+    if compiler is None:
+        pytest.skip("no C compiler on this machine")
+    folder = os.path.join(exported("K3", version).folder, "sources")
+    files = sorted(f for f in os.listdir(folder) if f.endswith(".c"))
+    flags = ["-std=c99", "-O0", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]
+    flags += ["-Wno-unknown-pragmas"]
+    run = subprocess.run(
+        [*compiler, *flags, *files, "-o", str(tmp_path / "built"), "-lm"],
+        cwd=folder, capture_output=True, text=True,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+
+
+def test_only_the_standards_functions_are_seen_outside(exported):
+    fmu = exported("K1")
+    library = os.path.join(fmu.folder, "binaries", "linux64", "K1.so")
+    if not os.path.exists(library):
+        pytest.skip("reads the symbols of a Linux library")
+    with open(library, "rb") as file:
+        table = file.read()
+    assert b"\0fmi2DoStep\0" in table
+    loaded = ctypes.CDLL(library)
+    for name in ("step", "start", "reset", "report", "motion_0", "places"):
+        assert not hasattr(loaded, name) or b"\0" + name.encode() + b"\0" not in table
+
+
+def test_an_unknown_platform_is_refused(tmp_path):
+    with pytest.raises(cs.ContactSystemError, match="x86_64-linux"):
+        export_fmu(cs.load_scene("C1"), tmp_path / "x.fmu", platforms=("amiga",))
+    assert "x86_64-windows" in PLATFORMS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("platform", sorted(PLATFORMS))
+def test_every_platform_compiles(platform, tmp_path):
+    pytest.importorskip("ziglang")
+    path = export_fmu(cs.load_scene("C1"), tmp_path / "x.fmu", "3.0", platforms=(platform,))
+    names = zipfile.ZipFile(path).namelist()
+    assert any(n.startswith(f"binaries/{PLATFORMS[platform][1]}/") for n in names)
+
+
+def test_without_fmpy_the_import_says_what_to_install():
+    code = "import sys; sys.modules['fmpy'] = None; import fmu_export"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "contact-system[fmu]" in run.stderr

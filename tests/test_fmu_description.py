@@ -1,0 +1,137 @@
+"""modelDescription.xml and its companions, against fmpy's own reading and validation."""
+
+from __future__ import annotations
+
+import pytest
+
+import contact_system as cs
+
+pytest.importorskip("fmpy")
+
+from fmpy.model_description import read_build_description, read_model_description
+from fmpy.validation import validate_fmu
+
+from fmu_export.description import (
+    VERSIONS,
+    build_description,
+    instantiation_token,
+    model_description,
+    model_identifier,
+    terminals,
+)
+from fmu_export.variables import variable_table
+
+PAPER = ["K1", "K2", "K3", "K4", "D1", "D2", "D3", "C1", "C2"]
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Write a description; return its folder."""
+
+    def write(name, version, **options):
+        table = variable_table(cs.load_scene(name) if isinstance(name, str) else name)
+        (tmp_path / "modelDescription.xml").write_text(model_description(table, version, **options))
+        return tmp_path
+
+    return write
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("name", [*PAPER, "torus", "chart", "bowl"])
+def test_validation_has_nothing_to_say(name, version, written):
+    assert validate_fmu(str(written(name, version))) == []
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_fmpy_reads_back_what_the_table_says(version, written):
+    table = variable_table(cs.load_scene("K4"))
+    read = read_model_description(written("K4", version))
+    rows = table.rows if version == "3.0" else table.scalars()[1:]
+    assert [(v.name, v.valueReference, v.causality) for v in read.modelVariables] == [
+        (v.name, v.reference, v.causality) for v in rows
+    ]
+    assert len(read.derivatives) == (33 if version == "2.0" else 3 * 9)
+    assert read.defaultExperiment.stopTime == "4.0"
+    assert read.generationDateAndTime.endswith("Z")
+
+
+def test_dependencies_stand_by_index_in_fmi_2(written):
+    read = read_model_description(written("C2", "2.0"))
+    found = {u.variable.name: {d.name for d in u.dependencies} for u in read.outputs}
+    assert found["der(contact[1].object.v)"] == {
+        "contact[1].object.velocity.y", "contact[1].object.velocity.x",
+        "contact[1].object.frame_angle", "contact[1].object.rate_offset.v",
+    }  # fmt: skip
+    initial = {u.variable.name: {d.name for d in u.dependencies} for u in read.initialUnknowns}
+    assert "profile[2]" in initial["der(contact[1].object.v)"]
+
+
+def test_without_model_exchange_outputs_depend_on_inputs_alone(written):
+    read = read_model_description(written("K1", "2.0", interfaces=("CoSimulation",)))
+    assert read.modelExchange is None
+    inputs = {v.name for v in read.modelVariables if v.causality == "input"}
+    for unknown in read.outputs:
+        assert {d.name for d in unknown.dependencies} <= inputs
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_every_unit_is_made_of_base_units(version, written):
+    read = read_model_description(written("C2", version))
+    units = {u.name: u.baseUnit for u in read.unitDefinitions}
+    assert (units["rad/s2"].rad, units["rad/s2"].s) == (1, -2)
+    assert (units["m/s2"].m, units["m/s2"].s) == (1, -2)
+
+
+def test_the_token_tells_scenes_apart_and_not_dates(monkeypatch):
+    def token(scene):
+        return instantiation_token(model_description(variable_table(scene), "3.0"))
+
+    scene = cs.load_scene("K2")
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    first = token(scene)
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    assert token(scene) == first
+    window = scene.disturbances[0]
+    moved = type(window)(0, window.start, window.stop, (0.2, 0.0))
+    assert token(scene.replace(disturbances=[moved])) != first
+
+
+def test_the_date_is_the_one_asked_for(monkeypatch, written):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
+    read = read_model_description(written("C1", "2.0"))
+    assert read.generationDateAndTime == "1970-01-02T00:00:00Z"
+
+
+def test_the_identifier_is_a_c_name():
+    scene = cs.load_scene("C1")
+    for name, identifier in (("4 balls & a cup", "scene_4_balls___a_cup"), ("", "scene")):
+        assert model_identifier(variable_table(scene.replace(name=name))) == identifier
+
+
+def test_names_are_escaped_for_xml(written):
+    scene = cs.load_scene("C1").replace(name="a<b>&\"c'", description="1 < 2 & 3")
+    read = read_model_description(written(scene, "2.0"))
+    assert (read.modelName, read.description) == ("a<b>&\"c'", "1 < 2 & 3")
+
+
+def test_the_build_description_is_valid(tmp_path):
+    table = variable_table(cs.load_scene("K1"))
+    (tmp_path / "sources").mkdir()
+    (tmp_path / "sources" / "buildDescription.xml").write_text(build_description(table, ["a.c"]))
+    (build,) = read_build_description(tmp_path)
+    assert build.modelIdentifier == "K1"
+    assert build.sourceFileSets[0].sourceFiles == ["a.c"]
+
+
+def test_a_terminal_gathers_a_contact():
+    text = terminals(variable_table(cs.load_scene("K1")))
+    assert text.count("<Terminal ") == 3
+    assert 'variableName="contact[2].slip" memberName="slip"' in text
+
+
+@pytest.mark.parametrize(
+    "options", [{"fmi_version": "1.0"}, {"interfaces": ()}, {"interfaces": ("Scheduled",)}]
+)
+def test_what_there_is_not_is_refused(options):
+    with pytest.raises(cs.ContactSystemError, match=r"use one of|give one or both"):
+        model_description(variable_table(cs.load_scene("C1")), **options)

@@ -1,0 +1,75 @@
+"""Systems of planner FMUs, run by fmpy's SSP simulation."""
+
+from __future__ import annotations
+
+import zipfile
+
+import numpy as np
+import pytest
+from conftest import one_contact
+
+import contact_system as cs
+
+fmpy = pytest.importorskip("fmpy")
+
+from fmpy.ssp.simulation import simulate_ssp  # noqa: E402
+from fmpy.ssp.ssd import read_ssd  # noqa: E402
+from fmpy.validation import validate_fmu  # noqa: E402
+
+from fmu_export.ssp import export_ssp  # noqa: E402
+
+STEP = 0.01
+
+
+def slid(scene: cs.Scene, rows: int) -> np.ndarray:
+    """What the consumer adds up: slip as the planner told it one step before, held for a step.
+
+    (rows, n_contacts), m.
+    """
+    speeds = cs.plan(scene, 1e-14).slip_speed(np.minimum(STEP * np.arange(1, rows), scene.duration))
+    return np.vstack([0 * speeds[:1], STEP * np.cumsum(speeds, axis=0)])
+
+
+def distances(result: np.ndarray, count: int, prefix: str = "") -> np.ndarray:
+    """The outputs of the system: (rows, n_contacts), m; known to it one row later."""
+    return np.stack([result[f"{prefix}distance[{i + 1}]"] for i in range(count)], axis=1)
+
+
+def test_consumer_adds_up_the_slip_of_the_plan(tmp_path):
+    scene = cs.load_scene("K1")
+    path = export_ssp(scene, tmp_path / "planner.ssp")
+    result = simulate_ssp(str(path), stop_time=0.5, step_size=STEP)
+    found, expected = distances(result, 3), slid(scene, len(result))
+    assert found == pytest.approx(expected, abs=1e-15)
+    assert found[-1].min() > 1e-5
+
+
+def test_disturbances_come_in_through_the_system_and_planners_do_not_mix(tmp_path):
+    left, right = one_contact(), one_contact("ellipsoid", object_velocity="rolling")
+    path = export_ssp({"left": left, "right": right}, tmp_path / "two.ssp")
+    push = "right.contact[1].finger.acceleration.u"
+    result = simulate_ssp(
+        str(path), stop_time=0.5, step_size=STEP, input={push: lambda t: 0.5 if t < 0.2 else 0.0}
+    )
+    assert distances(result, 1, "left.") == pytest.approx(slid(left, len(result)), abs=1e-15)
+    # The input acts one step late, as all that passes through fmpy's connections.
+    window = cs.FingerAcceleration(0, STEP, 0.2 + STEP, (0.5, 0.0))
+    pushed = slid(right.replace(disturbances=[window]), len(result))
+    assert distances(result, 1, "right.") == pytest.approx(pushed, abs=1e-12)
+    assert pushed[-1] > 1e-6
+
+
+def test_file_is_valid_and_holds_valid_fmus(tmp_path):
+    path = export_ssp(cs.load_scene("C2"), tmp_path / "planner.ssp")
+    assert read_ssd(str(path)).system.name == "planners"
+    with zipfile.ZipFile(path) as archive:
+        fmus = [name for name in archive.namelist() if name.endswith(".fmu")]
+        assert fmus == ["resources/planner.fmu", "resources/slip_integrator.fmu"]
+        for name in fmus:
+            archive.extract(name, tmp_path)
+            assert validate_fmu(str(tmp_path / name)) == []
+
+
+def test_empty_system_is_refused(tmp_path):
+    with pytest.raises(cs.ContactSystemError, match="give at least one"):
+        export_ssp({}, tmp_path / "none.ssp")
