@@ -4,6 +4,8 @@
 Python.
 """
 
+from typing import Any
+
 try:
     import pydrake  # noqa: F401
 except ImportError as error:
@@ -24,6 +26,16 @@ from .station import (
     simulate,
 )
 
+
+def __getattr__(name: str) -> Any:
+    """FmuSystem needs fmpy, and nothing else here does: it is imported when it is asked for."""
+    if name == "FmuSystem":
+        from .fmu_system import FmuSystem
+
+        return FmuSystem
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
 __all__ = [
     "AddScenePlant",
     "BuildStation",
@@ -31,6 +43,7 @@ __all__ = [
     "ContactPlanner",
     "DriverConfig",
     "FingertipDriver",
+    "FmuSystem",
     "PlantConfig",
     "ScenePlant",
     "SetInitialState",

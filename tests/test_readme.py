@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -20,10 +21,14 @@ def blocks(language: str, page: Path = README) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
 
 
-def run(example: str) -> str:
+def run(example: str, folder: Path | None = None) -> str:
     """What an example prints."""
     command = [sys.executable, "-c", example]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=README.parent)
+    paths = [str(README.parent), os.environ.get("PYTHONPATH", "")]
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=folder or README.parent,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -38,10 +43,10 @@ def test_the_drake_example_holds_about_one_newton():
     assert forces == pytest.approx([1.0, 1.0, 1.0], abs=0.15)
 
 
-def test_the_examples_of_the_page_on_drake_run():
+def test_the_examples_of_the_page_on_drake_run(tmp_path):
     pytest.importorskip("pydrake")
     for example in blocks("python", README.parent / "docs" / "drake.md"):
-        run(example)
+        run(example, tmp_path)
 
 
 def test_the_python_example_has_ten_lines():

@@ -1,0 +1,684 @@
+"""FmuSystem: an FMU of our own, of few lines of C, and exported planners, in Drake's Simulator."""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import weakref
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pydrake")
+pytest.importorskip("fmpy")
+
+import fmpy
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    DiscreteTimeIntegrator,
+    LogVectorOutput,
+    Sine,
+    VectorLogSink,
+    ZeroOrderHold,
+)
+
+import contact_system as cs
+from contact_system.kernels import find_compiler
+from drake_plant import ContactPlanner
+from drake_plant.fmu_system import FmuSystem
+from fmu_export import export_fmu
+
+VERSIONS = ("2.0", "3.0")
+STEP = 0.125  # and its multiples are exact in binary
+U = np.array([1.0, -2.0])
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+
+# x' = gain u for two x, by one Euler step; counts its steps; what is `on` is handed through.
+MODEL = r"""
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#if FMI == 2
+#include "fmi2FunctionTypes.h"
+#define GetReal fmi2GetReal
+#define SetReal fmi2SetReal
+#define GetInteger fmi2GetInteger
+#define GetBoolean fmi2GetBoolean
+#define SetBoolean fmi2SetBoolean
+#define GetState fmi2GetFMUstate
+#define SetState fmi2SetFMUstate
+#define FreeState fmi2FreeFMUstate
+#define FreeInstance fmi2FreeInstance
+#define ExitInitializationMode fmi2ExitInitializationMode
+#define Terminate fmi2Terminate
+#define Reset fmi2Reset
+#define COUNT
+typedef int Boolean;
+typedef const fmi2CallbackFunctions* Logger;
+#else
+#include "fmi3FunctionTypes.h"
+#define GetReal fmi3GetFloat64
+#define SetReal fmi3SetFloat64
+#define GetInteger fmi3GetInt32
+#define GetBoolean fmi3GetBoolean
+#define SetBoolean fmi3SetBoolean
+#define GetState fmi3GetFMUState
+#define SetState fmi3SetFMUState
+#define FreeState fmi3FreeFMUState
+#define FreeInstance fmi3FreeInstance
+#define ExitInitializationMode fmi3ExitInitializationMode
+#define Terminate fmi3Terminate
+#define Reset fmi3Reset
+#define COUNT , size_t values
+typedef _Bool Boolean;
+typedef fmi3LogMessageCallback Logger;
+#endif
+
+typedef struct { double time, gain, limit, last, u[2], x[2]; int on, count; } Model;
+typedef struct { Model model; Logger log; void* environment; } Instance;
+typedef unsigned Reference;
+#define M (((Instance*)c)->model)
+static const Model FRESH = {0, 1, 1e9, 0, {0, 0}, {0.5, 0}, 0, 0};
+static int copies;
+
+static int width(Reference r) { return FMI == 3 && (r == 4 || r == 6) ? 2 : 1; }
+
+static int advance(void* c, double h) {
+    char text[80];
+    for (int k = 0; k < 2; k++) M.x[k] += M.gain * M.u[k] * h;
+    M.time += h;
+    M.count++;
+    if (M.x[0] <= M.limit) return 0;
+    sprintf(text, "x[1] = %g is above limit = %g", M.x[0], M.limit);
+#if FMI == 2
+    ((Instance*)c)->log->logger(((Instance*)c)->environment, "", 3, "logStatusError", "%s", text);
+#else
+    ((Instance*)c)->log(((Instance*)c)->environment, 3, "logStatusError", text);
+#endif
+    return 3;
+}
+
+static void* make(const char* token, Logger log, void* environment) {
+    Instance* c = malloc(sizeof(Instance));
+    c->model = FRESH;
+    c->log = log;
+    c->environment = environment;
+    return strcmp(token, "{token}") ? 0 : c;
+}
+
+void FreeInstance(void* c) { free(c); }
+int ExitInitializationMode(void* c) { return 0; }
+int Terminate(void* c) { return 0; }
+int Reset(void* c) { M = FRESH; return RESETS ? 0 : 3; }
+
+int GetState(void* c, void** state) {
+    *state = memcpy(malloc(sizeof(Model)), &M, sizeof(Model));
+    copies++;
+    return 0;
+}
+int SetState(void* c, void* state) { M = *(Model*)state; return 0; }
+int FreeState(void* c, void** state) { free(*state); *state = 0; copies--; return 0; }
+
+int GetReal(void* c, const Reference* r, size_t n, double* v COUNT) {
+    for (size_t k = 0; k < n; k++)
+        for (int e = 0; e < width(r[k]); e++) *v++ = (&M.time)[r[k] + e];
+    return 0;
+}
+int SetReal(void* c, const Reference* r, size_t n, const double* v COUNT) {
+    for (size_t k = 0; k < n; k++)
+        for (int e = 0; e < width(r[k]); e++) (&M.time)[r[k] + e] = *v++;
+    return 0;
+}
+int GetInteger(void* c, const Reference* r, size_t n, int* v COUNT) {
+    for (size_t k = 0; k < n; k++) v[k] = r[k] == 10 ? copies : M.count;
+    return 0;
+}
+int GetBoolean(void* c, const Reference* r, size_t n, Boolean* v COUNT) { *v = M.on; return 0; }
+int SetBoolean(void* c, const Reference* r, size_t n, const Boolean* v COUNT) {
+    M.on = *v;
+    return 0;
+}
+
+#if FMI == 2
+void* fmi2Instantiate(const char* name, int kind, const char* guid, const char* place, Logger log,
+                      int visible, int logging) {
+    return make(guid, log, log->componentEnvironment);
+}
+int fmi2SetupExperiment(void* c, int a, double tolerance, double start, int b, double stop) {
+    M.time = start;
+    return 0;
+}
+int fmi2EnterInitializationMode(void* c) { return 0; }
+int fmi2DoStep(void* c, double t, double h, int last) { return advance(c, h); }
+#else
+void* fmi3InstantiateCoSimulation(
+    const char* name, const char* token, const char* place, _Bool visible, _Bool logging,
+    _Bool events, _Bool early, const Reference* r, size_t n, void* environment, Logger log,
+    void* update) {
+    return make(token, log, environment);
+}
+int fmi3EnterInitializationMode(void* c, _Bool a, double tolerance, double start, _Bool b,
+                                double stop) {
+    M.time = start;
+    return 0;
+}
+int fmi3DoStep(void* c, double t, double h, _Bool none, _Bool* event, _Bool* ends, _Bool* early,
+               double* reached) {
+    int status = advance(c, h);
+    *event = *early = 0;
+    *ends = M.count == M.last;
+    *reached = M.time;
+    return status;
+}
+#endif
+"""
+
+PARAMETER, DISCRETE = 'causality="parameter" variability="fixed"', 'variability="discrete"'
+START = 'causality="output" initial="exact"'
+VARIABLES = {  # name, reference, dimension, type, attributes, start
+    "2.0": (
+        ("gain", 1, 0, "Real", PARAMETER, "1"),
+        ("limit", 2, 0, "Real", PARAMETER, "1e9"),
+        ("u[1]", 4, 0, "Real", 'causality="input"', "0"),
+        ("u[2]", 5, 0, "Real", 'causality="input"', "0"),
+        ("on", 8, 0, "Boolean", 'causality="input" ' + DISCRETE, "false"),
+        ("time", 0, 0, "Real", 'causality="output"', None),
+        ("x[1]", 6, 0, "Real", START, "0.5"),
+        ("x[2]", 7, 0, "Real", START, "0"),
+        ("count", 9, 0, "Integer", 'causality="output" ' + DISCRETE, None),
+        ("was_on", 8, 0, "Boolean", 'causality="output" ' + DISCRETE, None),
+        ("copies", 10, 0, "Integer", 'causality="local" ' + DISCRETE, None),
+        ("label", 11, 0, "String", 'causality="output" ' + DISCRETE, None),
+    ),
+    "3.0": (
+        ("gain", 1, 0, "Float64", PARAMETER, "1"),
+        ("limit", 2, 0, "Float64", PARAMETER, "1e9"),
+        ("last", 3, 0, "Float64", PARAMETER, "0"),
+        ("u", 4, 2, "Float64", 'causality="input"', "0 0"),
+        ("on", 8, 0, "Boolean", 'causality="input"', "false"),
+        ("time", 0, 0, "Float64", 'causality="output"', None),
+        ("x", 6, 2, "Float64", START, "0.5 0"),
+        ("count", 9, 0, "Int32", 'causality="output"', None),
+        ("was_on", 8, 0, "Boolean", 'causality="output"', None),
+        ("copies", 10, 0, "Int32", 'causality="local"', None),
+    ),
+}
+
+
+def description(version, interface):
+    """modelDescription.xml, as far as fmpy reads it."""
+    token, lines = "guid" if version == "2.0" else "instantiationToken", []
+    for name, reference, dimension, kind, attributes, start in VARIABLES[version]:
+        head = f'name="{name}" valueReference="{reference}" {attributes}'
+        given = f'start="{start}"' if start else ""
+        if version == "2.0":
+            lines.append(f"<ScalarVariable {head}><{kind} {given}/></ScalarVariable>")
+        else:
+            inside = f'<Dimension start="{dimension}"/>' * (dimension > 0)
+            lines.append(f"<{kind} {head} {given}>{inside}</{kind}>")
+    return (
+        f'<fmiModelDescription fmiVersion="{version}" modelName="integrators" {token}="{{token}}">'
+        f'{interface}<LogCategories><Category name="logStatusError"/></LogCategories>'
+        f"<ModelVariables>{''.join(lines)}</ModelVariables><ModelStructure/></fmiModelDescription>"
+    )
+
+
+def source(version):
+    """One file of C with everything that fmpy looks up; what the model leaves out fails."""
+    header = HEADERS / f"fmi{version[0]}FunctionTypes.h"
+    names = re.findall(r"(fmi\d\w+)TYPE *\(", header.read_text())
+    return MODEL + "".join(f"int {n}() {{ return 3; }}\n" for n in names if n not in MODEL)
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory):
+    """A function that makes the FMU; kept for equal arguments."""
+    compiler, made = find_compiler(), {}
+    if compiler is None:
+        pytest.skip("needs a C compiler")
+
+    def make(version="2.0", interface="CoSimulation", keeps=True, reset=True, binary=True):
+        key = (version, interface, keeps, reset, binary)
+        if key in made:
+            return made[key]
+        root = tmp_path_factory.mktemp("fmu")
+        place = fmpy.platform if version == "2.0" else fmpy.platform_tuple
+        folder = root / "unpacked" / "binaries" / (place if binary else "riscv64-plan9")
+        folder.mkdir(parents=True)
+        (root / "integrators.c").write_text(source(version))
+        library = folder / f"integrators{fmpy.sharedLibraryExtension}"
+        subprocess.run(
+            [*compiler, "-shared", "-fPIC", "-std=c99", "-w", f"-DFMI={version[0]}", "-I", HEADERS,
+             f"-DRESETS={int(reset)}", "-o", library, root / "integrators.c"], check=True,
+        )  # fmt: skip
+        state = f'canGetAndSetFMU{"s" if version == "2.0" else "S"}tate="{str(keeps).lower()}"'
+        xml = description(version, f'<{interface} modelIdentifier="integrators" {state}/>')
+        (root / "unpacked" / "modelDescription.xml").write_text(xml)
+        made[key] = root / "integrators.fmu"
+        shutil.make_archive(str(root / "integrators"), "zip", root / "unpacked")
+        (root / "integrators.zip").rename(made[key])
+        return made[key]
+
+    return make
+
+
+def connected(system, u=U):
+    """A Simulator of the system alone, its port `u` fixed."""
+    simulator = Simulator(system)
+    port = system.GetInputPort("u")
+    port.FixValue(simulator.get_mutable_context(), np.resize([*u, 0.0], port.size()))
+    simulator.Initialize()
+    return simulator
+
+
+def values(system, context, port="x"):
+    return system.GetOutputPort(port).Eval(context)
+
+
+def integrators(fmu, **options):
+    """The system with ports `u` and `x` of two elements."""
+    return FmuSystem(fmu, **{"step": STEP, "inputs": "u", "outputs": {"x": "x"}} | options)
+
+
+# --- stepping ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_ports_are_those_of_the_description(build, version):
+    system = FmuSystem(build(version), step=STEP)
+    assert system.input_names == {"u": ("u[1]", "u[2]", "on")}
+    assert system.output_names == {"y": ("time", "x[1]", "x[2]", "count", "was_on")}
+    assert (system.num_input_ports(), system.num_output_ports()) == (1, 1)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_structure_or_an_array_is_a_vector_in_either_version(build, version):
+    outputs = {"x": "x", "rest": ["count", "time"], "gain": "gain", "none": []}
+    system = FmuSystem(build(version), step=STEP, inputs={"rate": "u"}, outputs=outputs)
+    names = {"x": ("x[1]", "x[2]"), "rest": ("count", "time"), "gain": ("gain",)}
+    assert (system.input_names, system.output_names) == ({"rate": ("u[1]", "u[2]")}, names)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_samples_are_those_of_the_model(build, version):
+    system = FmuSystem(build(version), step=STEP, start_values={"gain": 3.0})
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    system.GetInputPort("u").FixValue(context, [*U, 1.0])
+    simulator.Initialize()
+    assert values(system, context, "y").tolist() == [0, 0.5, 0, 0, 1]
+    for k in range(1, 5):
+        t = k * STEP
+        simulator.AdvanceTo(t)
+        assert values(system, context, "y").tolist() == [t, 0.5 + 3 * t, -6 * t, k, 1]
+    simulator.AdvanceTo(t + 0.5 * STEP)  # held until the next sample
+    assert values(system, context, "y")[0] == t + STEP
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_outputs_are_there_before_anything_is_initialized(build, version):
+    start = {"x[1]": 2.0} if version == "2.0" else {"x": np.array([2.0, 0.0])}
+    system = integrators(build(version), start_values=start)
+    assert values(system, system.CreateDefaultContext()).tolist() == [2.0, 0.0]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_it_starts_at_the_time_of_the_context(build, version):
+    system = FmuSystem(build(version), step=0.1, outputs="time")
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    context.SetTime(0.3)
+    simulator.Initialize()
+    assert values(system, context, "y") == 0.3
+    simulator.AdvanceTo(10.0)
+    assert values(system, context, "y") == pytest.approx(10.0, abs=1e-12)
+
+
+def test_a_start_off_the_samples_is_refused(build):
+    simulator = Simulator(FmuSystem(build(), step=0.1))
+    simulator.get_mutable_context().SetTime(0.05)
+    with pytest.raises(cs.ContactSystemError, match=r"t = 0\.05 s is no multiple of the step"):
+        simulator.Initialize()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_inputs_that_are_not_connected_keep_their_start_values(build, version):
+    start = {"u[2]": 4.0} if version == "2.0" else {"u": [0.0, 4.0]}
+    system = integrators(build(version), start_values=start)
+    simulator = Simulator(system)
+    simulator.AdvanceTo(2 * STEP)
+    assert values(system, simulator.get_context()).tolist() == [0.5, 8 * STEP]
+
+
+def test_a_discrete_system_downstream_sees_the_sample_of_its_own_time(build):
+    builder = DiagramBuilder()
+    source = builder.AddSystem(ConstantVectorSource(U))
+    fmu = builder.AddSystem(integrators(build()))
+    # x[n+1] = x[n] + STEP y[n], with y[n] = 0.5 + n STEP and -2 n STEP
+    integral = builder.AddSystem(DiscreteTimeIntegrator(2, STEP))
+    sink = LogVectorOutput(fmu.get_output_port(), builder, publish_period=STEP)
+    builder.Connect(source.get_output_port(), fmu.get_input_port())
+    builder.Connect(fmu.get_output_port(), integral.get_input_port())
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(4 * STEP)
+    root = simulator.get_context()
+    found = integral.get_output_port().Eval(integral.GetMyContextFromRoot(root))
+    n = np.arange(4)
+    y = np.array([0.5 + n * STEP, -2 * n * STEP])
+    assert found.tolist() == (STEP * y.sum(axis=1)).tolist()
+    log = sink.FindLog(root)
+    assert (log.sample_times()[:4].tolist(), log.data()[:, :4].tolist()) == (
+        (n * STEP).tolist(), y.tolist(),
+    )  # fmt: skip
+
+
+def test_two_fmus_in_a_ring_step_by_the_same_samples(build):
+    """x1' = x2, x2' = -x1 by Euler steps, of which each sees the sample before."""
+    builder = DiagramBuilder()
+    pair = [builder.AddSystem(integrators(build(), start_values={"gain": g})) for g in (1, -1)]
+    for a, b in (pair, pair[::-1]):
+        builder.Connect(a.get_output_port(), b.get_input_port())
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(3 * STEP)
+    x = np.array([0.5, 0.5])
+    for _ in range(3):
+        x = x + STEP * np.array([x[1], -x[0]])
+    root = simulator.get_context()
+    assert [values(s, s.GetMyContextFromRoot(root))[0] for s in pair] == x.tolist()
+
+
+def test_the_fmu_may_end_the_simulation(build):
+    system = integrators(build("3.0"), start_values={"last": 6.0})
+    simulator = connected(system)
+    status = simulator.AdvanceTo(10.0)
+    assert "integrators asks to end here" in status.FormatMessage()
+    assert simulator.get_context().get_time() <= 6 * STEP
+
+
+# --- the Context holds the state -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_contexts_go_their_own_ways(build, version):
+    system = integrators(build(version))
+    first = connected(system)
+    first.AdvanceTo(2 * STEP)
+    second = Simulator(system, first.get_context().Clone())
+    system.GetInputPort("u").FixValue(second.get_mutable_context(), [0.0, 16.0])
+    second.Initialize()
+    for k in range(3, 6):
+        for simulator in (first, second):
+            simulator.AdvanceTo(k * STEP)
+    assert values(system, first.get_context()).tolist() == [0.5 + 5 * STEP, -10 * STEP]
+    assert values(system, second.get_context()).tolist() == [0.5 + 2 * STEP, 44 * STEP]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_context_between_samples_goes_on_where_it_was(build, version):
+    system = integrators(build(version))
+    simulator = connected(system)
+    simulator.AdvanceTo(2.5 * STEP)
+    saved = simulator.get_context().Clone()
+    simulator.AdvanceTo(4 * STEP)
+    other = Simulator(system, saved)
+    other.AdvanceTo(4 * STEP)
+    assert values(system, saved).tolist() == values(system, simulator.get_context()).tolist()
+
+
+def test_an_update_that_was_done_before_a_clone_is_not_done_again(build):
+    system = integrators(build())
+    simulator = connected(system)
+    simulator.AdvanceTo(0.0)  # Drake does the update at 0 s here
+    assert values(system, simulator.get_context())[0] == 0.5 + STEP
+    other = Simulator(system, simulator.get_context().Clone())
+    other.AdvanceTo(2 * STEP)
+    assert values(system, other.get_context())[0] == 0.5 + 2 * STEP
+
+
+@pytest.mark.parametrize("options", ({}, {"keeps": False}, {"keeps": False, "reset": False}))
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_simulation_can_be_run_again(build, version, options):
+    system = integrators(build(version, **options), start_values={"gain": 2.0})
+    for _ in range(3):
+        simulator = connected(system)
+        simulator.AdvanceTo(2 * STEP)
+        assert values(system, simulator.get_context()).tolist() == [0.5 + 4 * STEP, -8 * STEP]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_without_states_a_second_context_is_refused(build, version):
+    system = integrators(build(version, keeps=False))
+    first = connected(system)
+    first.AdvanceTo(2 * STEP)
+    second = connected(system)  # takes the FMU
+    second.AdvanceTo(STEP)
+    message = r"cannot go to this Context's t = 0\.25 s: it is at t = 0\.125 s, and has no way back"
+    with pytest.raises(cs.ContactSystemError, match=message):
+        first.AdvanceTo(3 * STEP)
+    second.AdvanceTo(2 * STEP)
+    assert values(system, second.get_context())[0] == 0.5 + 2 * STEP
+
+
+def test_without_states_a_step_back_is_refused(build):
+    system = integrators(build(keeps=False))
+    simulator = connected(system)
+    simulator.AdvanceTo(STEP)
+    saved = simulator.get_context().Clone()
+    simulator.AdvanceTo(3 * STEP)
+    with pytest.raises(cs.ContactSystemError, match="make an FmuSystem for each Context"):
+        Simulator(system, saved).AdvanceTo(2 * STEP)
+
+
+def test_a_time_set_by_hand_is_refused(build):
+    system = integrators(build())
+    simulator = connected(system)
+    simulator.AdvanceTo(2 * STEP)
+    simulator.get_mutable_context().SetTime(0.0)
+    with pytest.raises(cs.ContactSystemError, match=r"time is 0 s and its FMU is at 0\.25 s"):
+        simulator.Initialize()
+
+
+# --- freeing -------------------------------------------------------------------------------------
+
+
+def test_copies_of_states_are_given_back(build):
+    system = integrators(build(), outputs="copies")
+    simulator = connected(system)
+    simulator.AdvanceTo(100 * STEP)
+    assert values(system, simulator.get_context(), "y") <= 4
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_everything_is_freed_with_the_diagram(build, version, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    builder = DiagramBuilder()
+    system = builder.AddSystem(integrators(build(version)))
+    source = builder.AddSystem(ConstantVectorSource(U))
+    builder.Connect(source.get_output_port(), system.get_input_port())
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(STEP)
+    assert len(list(tmp_path.iterdir())) == 1
+    gone = weakref.ref(system)
+    context = simulator.get_context().Clone()  # outlives the system
+    del builder, system, source, simulator
+    gc.collect()
+    assert gone() is None
+    assert not list(tmp_path.iterdir())
+    del context
+
+
+def test_a_refused_fmu_leaves_nothing_behind(build, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    for options in ({"interface": "ModelExchange"}, {}):
+        with pytest.raises(cs.ContactSystemError):
+            FmuSystem(build(**options), step=STEP, outputs="nothing")
+    gc.collect()
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unpacked_folder_is_run_where_it_is(build, tmp_path):
+    with zipfile.ZipFile(build()) as archive:
+        archive.extractall(tmp_path / "folder")
+    system = integrators(tmp_path / "folder")
+    simulator = connected(system)
+    simulator.AdvanceTo(STEP)
+    assert values(system, simulator.get_context())[0] == 0.5 + STEP
+    del system, simulator
+    gc.collect()
+    assert (tmp_path / "folder" / "modelDescription.xml").exists()
+
+
+# --- refusals ------------------------------------------------------------------------------------
+
+
+def test_an_unknown_variable_is_refused_with_the_nearest(build):
+    for options, message in (
+        ({"inputs": "u[3]"}, r"no input variable 'u\[3\]'; did you mean u\[[12]\]"),
+        ({"outputs": {"y": ["cuont"]}}, "no output variable 'cuont'; did you mean count"),
+        ({"start_values": {"gian": 1.0}}, "no variable 'gian'; did you mean gain"),
+        ({"inputs": "x[1]"}, r"no input variable 'x\[1\]'|cannot be on an input port"),
+        ({"outputs": "label"}, "label, output of type String, cannot be on an output port"),
+        ({"start_values": {"count": 1}}, "count cannot be set at the start"),
+        ({"start_values": {"gain": np.nan}}, "start value: .*gain = nan, is not a number"),
+        ({"start_values": {"gain": "high"}}, "start value: gain = 'high' is no Real"),
+        ({"start_values": {"on": 2}}, "start value: .*on = 2, is no Boolean"),
+        ({"start_values": {"gain": [1, 2]}}, "start value: gain has 1 elements, not 2"),
+    ):
+        with pytest.raises(cs.ContactSystemError, match=f"^integrators.*{message}"):
+            FmuSystem(build(), **{"step": STEP} | options)
+
+
+def test_fmus_that_cannot_run_here_are_refused_with_the_reason(build, tmp_path):
+    (tmp_path / "no.fmu").write_text("no zip")
+    for fmu, message in (
+        (build(interface="ModelExchange"), "no co-simulation interface"),
+        (build(binary=False), "platforms that it has: riscv64-plan9; export it again"),
+        (build("3.0", binary=False), f"no binaries/{fmpy.platform_tuple}/integrators"),
+        (tmp_path / "missing.fmu", "there is no .*missing.fmu"),
+        (tmp_path / "no.fmu", "is no FMU"),
+        (tmp_path, "modelDescription.xml"),
+    ):
+        with pytest.raises(cs.ContactSystemError, match=message):
+            FmuSystem(fmu, step=STEP)
+    for step in (0.0, -1.0, np.nan):
+        with pytest.raises(cs.ContactSystemError, match="step > 0"):
+            FmuSystem(build(), step=step)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_failing_step_says_what_the_fmu_says(build, version):
+    system = integrators(build(version), start_values={"limit": 0.7}, instance_name="tank")
+    simulator = connected(system)
+    message = r"^tank: a step of 0\.125 s failed at t = 0\.125 s: .*\(error\).* It says: x\[1\] = "
+    for _ in range(2):  # goes back to where it was and fails again
+        simulator.Initialize()
+        with pytest.raises(cs.ContactSystemError, match=message + r"0\.75 is above limit = 0\.7$"):
+            simulator.AdvanceTo(10.0)
+    simulator = connected(system)  # and it is not lost
+    simulator.AdvanceTo(STEP)
+    assert values(system, simulator.get_context())[0] == 0.5 + STEP
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_inputs_that_a_variable_cannot_take_are_refused(build, version):
+    system = FmuSystem(build(version), step=STEP)
+    simulator = Simulator(system)
+    port = system.GetInputPort("u")
+    for u, message in (
+        ([0.0, np.nan, 0.0], r"element 1, u\[2\] = nan, is not a number"),
+        ([0.0, 0.0, 0.5], "element 2, on = 0.5, is no Boolean"),
+    ):
+        port.FixValue(simulator.get_mutable_context(), u)
+        with pytest.raises(cs.ContactSystemError, match="input port 'u' at t = 0 s: " + message):
+            simulator.Initialize()
+
+
+# --- the planner ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """A scene with a window, off the samples, and its FMU of each version."""
+    scene = cs.load_scene("D1")
+    scene = scene.replace(
+        disturbances=[cs.FingerAcceleration(0, 0.1013, 0.1577, (-50.0, 30.0))], duration=0.5
+    )
+    folder = tmp_path_factory.mktemp("planner")
+    return scene, {v: export_fmu(scene, folder / f"planner{v}.fmu", v) for v in VERSIONS}
+
+
+def state_names(scene):
+    """The FMU's variables in the order of the planner's port `state`."""
+    names = []
+    for i in range(1, len(scene.contacts) + 1):
+        for body in ("finger", "object"):
+            pair = [f"contact[{i}].{body}.{axis}" for axis in "uv"]
+            names += [*pair, *(f"der({name})" for name in pair)]
+        names.append(f"contact[{i}].angle")
+    return names
+
+
+@pytest.mark.parametrize("disturbed", (False, True))
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_exported_planner_moves_as_the_planner_in_the_same_diagram(
+    exported, version, disturbed
+):
+    scene, files = exported
+    step, builder = 0.01, DiagramBuilder()
+    planner = builder.AddSystem(ContactPlanner(scene, disturbance_input=disturbed))
+    slip = [f"contact[{i + 1}].slip" for i in range(3)]
+    outputs = {"state": state_names(scene), "slip": slip}
+    fmu = builder.AddSystem(FmuSystem(files[version], step=step, outputs=outputs))
+    if disturbed:  # an FMU samples its inputs itself
+        source = builder.AddSystem(Sine(np.full(18, 0.5), np.full(18, 40.0), np.arange(18.0)))
+        hold = builder.AddSystem(ZeroOrderHold(step, 18))
+        builder.Connect(source.get_output_port(0), hold.get_input_port())
+        builder.Connect(source.get_output_port(0), fmu.get_input_port())
+        builder.Connect(hold.get_output_port(), planner.get_input_port())
+    logs = {}
+    for port in outputs:
+        for system in (planner, fmu):
+            logs[port, system] = builder.AddSystem(VectorLogSink(6 if port == "slip" else 27, step))
+            builder.Connect(system.GetOutputPort(port), logs[port, system].get_input_port())
+    simulator = Simulator(builder.Build())
+    ResetIntegratorFromFlags(simulator, "runge_kutta5", 2e-4)
+    simulator.get_mutable_integrator().set_fixed_step_mode(True)
+    simulator.AdvanceTo(0.2)
+    for port in outputs:
+        planned, found = (
+            logs[port, system].FindLog(simulator.get_context()).data() for system in (planner, fmu)
+        )
+        assert found.shape[1] >= 20
+        first = int(disturbed)  # at t = 0 s the hold has not sampled yet
+        assert np.abs(found - planned)[:, first:].max() <= 1e-9
+
+
+def test_a_planner_goes_back_to_a_saved_context(exported):
+    scene, files = exported
+    system = FmuSystem(files["3.0"], step=0.01, outputs=state_names(scene))
+    simulator = Simulator(system)
+    simulator.AdvanceTo(0.12)  # inside the window
+    saved = simulator.get_context().Clone()
+    simulator.AdvanceTo(0.4)
+    again = Simulator(system, saved)
+    again.AdvanceTo(0.4)
+    pair = [values(system, s.get_context(), "y") for s in (simulator, again)]
+    assert pair[0].tolist() == pair[1].tolist()
+    plan = cs.plan(scene, 1e-13).states(0.4)[0].ravel()
+    assert np.abs(pair[0] - plan).max() < 1e-9
+
+
+def test_without_fmpy_the_error_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "fmpy", None)
+    monkeypatch.delitem(sys.modules, "drake_plant.fmu_system")
+    with pytest.raises(ImportError, match=re.escape('pip install "contact-system[fmu]"')):
+        importlib.import_module("drake_plant.fmu_system")
