@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,20 +30,6 @@ def register(commands: Any) -> None:
     parser.set_defaults(run=run)
 
 
-class _Compiled(list[str]):
-    """Platforms that move a progress bar on as they are gone through."""
-
-    def __init__(self, platforms: list[str], progress: Progress):
-        super().__init__(platforms)
-        self.progress = progress
-
-    def __iter__(self) -> Iterator[str]:
-        for platform in super().__iter__():
-            self.progress.name = f"compiling for {platform}"
-            yield platform
-            self.progress.step("packing")
-
-
 def run(args: argparse.Namespace) -> int:
     """Export, tell; returns the exit code."""
     from .export import export_fmu  # fmpy and the compiler's side only when they are needed
@@ -52,8 +37,7 @@ def run(args: argparse.Namespace) -> int:
     scene, began = load_scene(args.scene), time.monotonic()
     path = args.out or Path(f"{_file_name(scene)}.fmu")
     with Progress(1 + len(args.platforms), "writing the sources") as progress:
-        platforms = _Compiled(args.platforms, progress)
-        export_fmu(scene, path, args.fmi, args.interfaces, platforms)
+        export_fmu(scene, path, args.fmi, args.interfaces, args.platforms, progress.step)
     print(_paragraph(
         f"wrote {path}: {path.stat().st_size / 1000:.0f} kB, FMI {args.fmi}, "
         f"{' and '.join(args.interfaces)}, for {', '.join(args.platforms)}; "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fmpy.validation import validate_fmu
@@ -31,6 +31,7 @@ def export_fmu(
     fmi_version: str = "2.0",
     interfaces: Sequence[str] = INTERFACES,
     platforms: Sequence[str] = ("native",),
+    progress: Callable[[str], None] | None = None,
 ) -> Path:
     """Write a scene as a Functional Mock-up Unit.
 
@@ -45,6 +46,8 @@ def export_fmu(
     interfaces : sequence of "CoSimulation" and "ModelExchange"
     platforms : sequence of str
         "native", or keys of `build.PLATFORMS`; all but the host's need the ziglang package.
+    progress : callable, optional
+        Called with what is begun, once for each platform and for the file itself.
 
     Returns
     -------
@@ -69,9 +72,12 @@ def export_fmu(
     files["sources/buildDescription.xml"] = build_description(table, sources).encode()
     files["modelDescription.xml"] = description.encode()
     files |= companions(table, fmi_version)
+    tell = progress or (lambda step: None)
     for platform in platforms:
+        tell(f"compiling for {platform}")
         place = build.library_place(name, platform, fmi_version)
         files[place] = build.library(texts, name, platform)
+    tell("packing")
     path = Path(path)
     build.write_fmu(path, files, generation_time()[:6])
     problems = validate_fmu(str(path))

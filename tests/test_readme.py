@@ -66,6 +66,12 @@ def test_every_bundled_scene_is_listed():
     assert not missing
 
 
+def test_the_examples_of_the_page_on_fmus_run(tmp_path):
+    pytest.importorskip("fmpy")
+    for example in blocks("python", README.parent / "docs" / "fmu.md"):
+        run(example, tmp_path)
+
+
 @pytest.mark.parametrize("link", re.findall(r"\]\(([^)#]+)\)", README.read_text("utf-8")))
 def test_links_lead_somewhere(link):
     assert (README.parent / link).exists()
