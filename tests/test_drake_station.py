@@ -1,6 +1,8 @@
 """The station: fingers driven as planned, contact physics, closed loop, configuration."""
 
 import dataclasses
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -202,6 +204,19 @@ def test_fingers_start_in_contact_and_moving_as_planned():
     planned = cs.plan(rolling_scene(scene, StationConfig.from_scene(scene).plant)).twist([0.0])[0]
     moving = plant.GetBodyByName("finger 1").EvalSpatialVelocityInWorld(physics)
     assert moving.get_coeffs() == pytest.approx(planned[0], rel=0.01)
+
+
+def test_without_drake_the_import_says_what_to_install():
+    code = "import sys; sys.modules['pydrake'] = None; import drake_plant"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (
+        'ImportError: drake_plant needs Drake: pip install "contact-system[drake]"' in told.stderr
+    )
+
+
+def test_drake_does_not_load_fmpy_until_it_is_needed():
+    code = "import drake_plant, sys; assert 'fmpy' not in sys.modules; drake_plant.FmuSystem"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_an_unknown_key_of_the_drake_table_names_the_nearest():
