@@ -92,7 +92,8 @@ def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
     with tempfile.TemporaryDirectory(dir=kept.parent) as folder:
         for file, content in sources.items():
             (Path(folder) / file).write_text(content)
-        built = Path(folder) / "library"
+        # A Windows library carries the name it is linked under, and programs look for that one.
+        built = Path(folder) / f"{identifier}{_platform(target)[2]}"
         names = sorted(file.removesuffix(".c") for file in sources if file.endswith(".c"))
         compiler = [word for word in command if word not in LINK_FLAGS]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
