@@ -1,0 +1,18 @@
+"""What runs FMUs besides fmpy: programs in C, other importers; and a scene that asks for a lot."""
+
+import contact_system as cs
+
+EVERYTHING = cs.Scene(
+    object=cs.Ellipsoid(0.3, 0.2, 0.1),
+    contacts=[cs.Contact(cs.Sphere(0.04), object_at=(2.0, 0.7), object_velocity="rest")],
+    profile=cs.Profile([0.3, -0.5, 0.6, -0.2]),
+    gain=cs.Gain.guaranteed(8.0),
+    duration=1.0,
+    disturbances=[
+        cs.FingerAcceleration(0, 0.1, 0.3, (0.2, -0.1)),
+        cs.ObjectAcceleration(0, 0.2, 0.5, (-0.1, 0.1)),
+        cs.ObjectRateOffset(0, 0.4, 0.55, (0.1, 0.2)),
+    ],
+    name="everything",
+)
+"""A double cover, sigma that dips and later ends, a gain with pieces, windows that overlap."""

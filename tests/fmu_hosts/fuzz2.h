@@ -1,0 +1,220 @@
+/* The calls of FMI 2 with random arguments. */
+
+static fmi2FMUstate state[KEPT];
+
+static fmu_t create_any(int stepping) {
+  plain = 1;
+  return fmi2Instantiate("one", stepping ? fmi2CoSimulation : fmi2ModelExchange, model.token, "",
+                         &callbacks, fmi2False, fmi2True);
+}
+
+static void start_any(fmu_t fmu, int stepping) {
+  fmi2EventInfo info;
+  begin(fmu);
+  if (stepping) return;
+  fmi2NewDiscreteStates(fmu, &info);
+  if (!one_in(4)) fmi2EnterContinuousTimeMode(fmu);
+}
+
+static void forget_states(fmu_t fmu) {
+  for (int k = 0; k < KEPT; k++) fmi2FreeFMUstate(fmu, &state[k]);
+}
+
+static int write_bytes(fmu_t fmu) {
+  fmi2FMUstate own = NULL;
+  size_t size = 0;
+  int status = fmi2GetFMUstate(fmu, &own);
+  if (status) return status;
+  status = fmi2SerializedFMUstateSize(fmu, own, &size);
+  keep_bytes(size);
+  status = status ? status : (int)fmi2SerializeFMUstate(fmu, own, (fmi2Byte *)bytes, size);
+  fmi2FreeFMUstate(fmu, &own);
+  return status;
+}
+
+static int read_bytes(fmu_t fmu, const unsigned char *given, size_t n) {
+  fmi2FMUstate *to = &state[below(KEPT)], before = *to;
+  const int status = fmi2DeSerializeFMUstate(fmu, (const fmi2Byte *)given, n, to);
+  if (status && *to != before) fail("refused bytes change the state that was given");
+  return status;
+}
+
+/* Find out what a model description would say: the number of states. */
+static void study(fmu_t fmu) {
+  logging = 0;
+  while (++n_states < MOST_VALUES && fmi2GetNominalsOfContinuousStates(fmu, value, n_states)) continue;
+}
+
+static int instantiate(fmu_t fmu) {
+  static char name[400];
+  (void)fmu;
+  memset(name, 'x', below(sizeof name));
+  name[below(sizeof name)] = 0, name[sizeof name - 1] = 0;
+  fmu_t other = fmi2Instantiate(one_in(3) ? NULL : name, (fmi2Type)below(3),
+                                one_in(3) ? NULL : one_in(3) ? "other" : model.token, NULL,
+                                one_in(5) ? NULL : &callbacks, fmi2True, fmi2False);
+  if (other) release(other);
+  return fmu ? fmi2OK : fmi2Error;
+}
+
+static int set_debug_logging(fmu_t fmu) {
+  static const fmi2String names[] = {"logStatusError", "nothing", "logEvents", "%s%n"};
+  logging = 0;
+  return fmi2SetDebugLogging(fmu, one_in(2), below(3), one_in(9) ? NULL : names + below(2));
+}
+
+static int setup(fmu_t fmu) {
+  return fmi2SetupExperiment(fmu, one_in(2), number(), number(), one_in(3), number());
+}
+
+static int enter_initialization(fmu_t fmu) { return fmi2EnterInitializationMode(fmu); }
+static int exit_initialization(fmu_t fmu) { return fmi2ExitInitializationMode(fmu); }
+static int terminate(fmu_t fmu) { return one_in(4) ? fmi2Terminate(fmu) : fmi2GetReal(fmu, NULL, 0, NULL); }
+
+static int reset_any(fmu_t fmu) {
+  time_now = 0.0;
+  return fmi2Reset(fmu);
+}
+
+static int get_real(fmu_t fmu) {
+  const size_t n = pick();
+  const int status = fmi2GetReal(fmu, one_in(90) ? NULL : reference, n, value);
+  if (!status && !finite_values(n)) fail("a value that is not finite, with status OK");
+  return status;
+}
+
+static int set_real(fmu_t fmu) {
+  const size_t n = pick();
+  fill();
+  const int status = fmi2SetReal(fmu, reference, n, one_in(90) ? NULL : value);
+  if (!status && !finite_values(n)) fail("a value that is not finite was taken");
+  return status;
+}
+
+static int others(fmu_t fmu) {
+  const size_t n = below(2);
+  fmi2Integer integer[4] = {0};
+  fmi2String text[4] = {"", "", "", ""};
+  pick();
+  switch (below(6)) {
+    case 0: return fmi2GetInteger(fmu, reference, n, integer);
+    case 1: return fmi2SetInteger(fmu, reference, n, integer);
+    case 2: return fmi2GetBoolean(fmu, reference, n, integer);
+    case 3: return fmi2SetBoolean(fmu, reference, n, integer);
+    case 4: return fmi2GetString(fmu, reference, n, text);
+    default: return fmi2SetString(fmu, reference, n, text);
+  }
+}
+
+static int do_step(fmu_t fmu) {
+  const double from = one_in(15) ? number() : time_now;
+  const double size = one_in(10) ? number() : below(300) / 1000.0;
+  const int status = fmi2DoStep(fmu, from, size, one_in(2));
+  if (!status) time_now = from + size;
+  return status;
+}
+
+static int set_input_derivatives(fmu_t fmu) {
+  const fmi2Integer order[4] = {1, 1, one_in(5) ? 2 : 1, one_in(9) ? 0 : 1};
+  const size_t n = pick();
+  fill();
+  return fmi2SetRealInputDerivatives(fmu, reference, n, order, value);
+}
+
+static int get_output_derivatives(fmu_t fmu) {
+  const fmi2Integer order[4] = {1, 1, 1, 1};
+  return fmi2GetRealOutputDerivatives(fmu, reference, pick(), order, value);
+}
+
+static int directional(fmu_t fmu) {
+  unsigned known[4];
+  double product[4];
+  const size_t n = pick();
+  memcpy(known, reference, sizeof known);
+  fill();
+  return fmi2GetDirectionalDerivative(fmu, reference, pick(), known, n, one_in(90) ? NULL : value, product);
+}
+
+static int get_state(fmu_t fmu) { return fmi2GetFMUstate(fmu, &state[below(KEPT)]); }
+
+static int set_state(fmu_t fmu) {
+  const int status = fmi2SetFMUstate(fmu, state[below(KEPT)]);
+  if (!status) fmi2GetRealStatus(fmu, fmi2LastSuccessfulTime, &time_now), lines = 0;
+  return status;
+}
+
+static int free_state(fmu_t fmu) { return fmi2FreeFMUstate(fmu, &state[below(KEPT)]); }
+static int serialize(fmu_t fmu) { return write_bytes(fmu); }
+
+static int deserialize(fmu_t fmu) {
+  if (!n_bytes) return fmi2DeSerializeFMUstate(fmu, NULL, below(100), &state[0]);
+  return read_bytes(fmu, bytes, one_in(4) ? below((unsigned)n_bytes) : n_bytes);
+}
+
+static int new_discrete_states(fmu_t fmu) {
+  fmi2EventInfo info;
+  return fmi2NewDiscreteStates(fmu, one_in(50) ? NULL : &info);
+}
+
+static int enter_event(fmu_t fmu) { return fmi2EnterEventMode(fmu); }
+static int enter_continuous(fmu_t fmu) { return fmi2EnterContinuousTimeMode(fmu); }
+static int set_time(fmu_t fmu) { return fmi2SetTime(fmu, number()); }
+
+static int completed_step(fmu_t fmu) {
+  fmi2Boolean a, b;
+  return fmi2CompletedIntegratorStep(fmu, one_in(2), one_in(50) ? NULL : &a, &b);
+}
+
+static size_t of_states(void) { return one_in(15) ? below((unsigned)n_states) : n_states; }
+
+static int set_states(fmu_t fmu) {
+  fill_states();
+  const size_t n = of_states();
+  const int status = fmi2SetContinuousStates(fmu, value, n);
+  if (!status && !finite_values(n)) fail("a state that is not finite was taken");
+  return status;
+}
+
+static int get_states(fmu_t fmu) { return fmi2GetContinuousStates(fmu, value, of_states()); }
+
+static int get_derivatives(fmu_t fmu) {
+  const size_t n = of_states();
+  const int status = fmi2GetDerivatives(fmu, value, n);
+  if (!status && !finite_values(n)) fail("a derivative that is not finite, with status OK");
+  return status;
+}
+
+static int get_indicators(fmu_t fmu) { return fmi2GetEventIndicators(fmu, value, below(2)); }
+
+static int get_status(fmu_t fmu) {
+  fmi2Status status;
+  fmi2Integer integer;
+  fmi2Boolean boolean;
+  fmi2String text;
+  double real;
+  switch (below(6)) {
+    case 0: return fmi2GetStatus(fmu, (fmi2StatusKind)below(4), &status);
+    case 1: return fmi2GetRealStatus(fmu, (fmi2StatusKind)below(4), one_in(9) ? NULL : &real);
+    case 2: return fmi2GetIntegerStatus(fmu, (fmi2StatusKind)below(4), &integer);
+    case 3: return fmi2GetBooleanStatus(fmu, (fmi2StatusKind)below(4), &boolean);
+    case 4: return fmi2GetStringStatus(fmu, (fmi2StatusKind)below(4), &text);
+    default: return fmi2CancelStep(fmu);
+  }
+}
+
+static const call_t calls[] = {
+    {"fmi2Instantiate", 1, instantiate}, {"fmi2SetDebugLogging", 1, set_debug_logging},
+    {"fmi2SetupExperiment", 1, setup}, {"fmi2EnterInitializationMode", 2, enter_initialization},
+    {"fmi2ExitInitializationMode", 2, exit_initialization}, {"fmi2Terminate", 1, terminate},
+    {"fmi2Reset", 1, reset_any}, {"fmi2GetReal", 4, get_real}, {"fmi2SetReal", 6, set_real},
+    {"values of other types", 1, others}, {"fmi2DoStep", 9, do_step},
+    {"fmi2SetRealInputDerivatives", 2, set_input_derivatives},
+    {"fmi2GetRealOutputDerivatives", 1, get_output_derivatives},
+    {"fmi2GetDirectionalDerivative", 2, directional}, {"fmi2GetFMUstate", 2, get_state},
+    {"fmi2SetFMUstate", 2, set_state}, {"fmi2FreeFMUstate", 1, free_state},
+    {"fmi2SerializeFMUstate", 1, serialize}, {"fmi2DeSerializeFMUstate", 2, deserialize},
+    {"fmi2NewDiscreteStates", 2, new_discrete_states}, {"fmi2EnterEventMode", 1, enter_event},
+    {"fmi2EnterContinuousTimeMode", 2, enter_continuous}, {"fmi2SetTime", 2, set_time},
+    {"fmi2CompletedIntegratorStep", 1, completed_step}, {"fmi2SetContinuousStates", 2, set_states},
+    {"fmi2GetContinuousStates", 1, get_states}, {"fmi2GetDerivatives", 2, get_derivatives},
+    {"fmi2GetEventIndicators", 1, get_indicators}, {"fmi2GetStatus", 1, get_status}, {NULL, 0, NULL}};

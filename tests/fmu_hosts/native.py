@@ -1,0 +1,218 @@
+"""Compiles the C programs of this folder against an FMU, for any machine, and runs them here.
+
+`trajectory` and `endurance` are linked with the library inside the FMU; `fuzz` is compiled together
+with the sources inside the FMU, under AddressSanitizer and UndefinedBehaviorSanitizer.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import fmpy
+import numpy as np
+from fmpy.model_description import ModelDescription, ModelVariable
+
+from contact_system.kernels import find_compiler
+from fmu_export.build import FMI_HEADERS, PLATFORMS, library_place, native_platform
+
+HERE = Path(__file__).parent
+FLAGS = ("-std=gnu11", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wno-unused-function")
+SANITIZERS = (
+    "-fsanitize=address,undefined", "-fsanitize=float-cast-overflow", "-fno-sanitize-recover=all",
+    "-fno-omit-frame-pointer", "-g",
+)  # fmt: skip
+SYSROOT = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
+
+
+class Unavailable(Exception):
+    """A tool that is not on this machine; says which."""
+
+
+@dataclass(frozen=True)
+class Fmu:
+    """An FMU and what was found in it."""
+
+    path: Path
+    folder: Path
+    description: ModelDescription
+
+    @classmethod
+    def unpacked(cls, path: Path, folder: Path) -> Fmu:
+        """Unpack a file into a new folder."""
+        found = Path(fmpy.extract(str(path), str(folder)))
+        return cls(Path(path), found, fmpy.read_model_description(str(found)))
+
+    @property
+    def version(self) -> str:
+        return "2.0" if self.description.fmiVersion == "2.0" else "3.0"
+
+    @property
+    def token(self) -> str:
+        """GUID (FMI 2) or instantiation token (FMI 3)."""
+        read = self.description
+        return read.guid if self.version == "2.0" else read.instantiationToken
+
+    def library(self, target: str) -> Path:
+        """The library inside for a platform."""
+        name = self.description.coSimulation.modelIdentifier
+        return self.folder / library_place(name, target, self.version)
+
+    @property
+    def outputs(self) -> list[ModelVariable]:
+        return [v for v in self.description.modelVariables if v.causality == "output"]
+
+    def model_arguments(self, variables: Sequence[ModelVariable] = ()) -> list[str]:
+        """TOKEN N_VALUES REFERENCE... for the programs; of all variables by default."""
+        chosen = variables or self.description.modelVariables
+        total = sum(map(size, chosen))
+        return [self.token, str(total), *(str(v.valueReference) for v in chosen)]
+
+
+def size(variable: ModelVariable) -> int:
+    """Number of values."""
+    return int(np.prod([int(d.start) for d in variable.dimensions], dtype=int))
+
+
+def difference(variables: Sequence[ModelVariable], found: np.ndarray, wanted: np.ndarray) -> float:
+    """Greatest difference of two trajectories, of the size of the quantity, at least 1e-3.
+
+    Elements of a vector count as one quantity, in FMI 2 too: ``slip.x`` and ``slip.y``.
+
+    Parameters
+    ----------
+    variables : what the columns are
+    found, wanted : (n_times, n_values)
+    """
+    stems = [re.sub(r"(\.\w+|\[\d,\d\])\)?$", "", v.name) for v in variables]
+    names = [v.name if v.dimensions else stem for v, stem in zip(variables, stems)]
+    column = np.repeat(names, [size(v) for v in variables])
+    worst = 0.0
+    for name in set(names):
+        off = np.abs(found - wanted)[:, column == name].max()
+        worst = max(worst, off / max(np.abs(wanted[:, column == name]).max(), 1e-3))
+    return worst
+
+
+class Program:
+    """A compiled program and how this machine runs it.
+
+    Raises
+    ------
+    Unavailable
+        No compiler for the target, no sanitizers, or nothing that runs the target's programs.
+    """
+
+    def __init__(self, name: str, fmu: Fmu, target: str = "native", sanitized: bool = False):
+        self._kept = tempfile.TemporaryDirectory(prefix="fmu-host-")
+        self.folder, self.fmu = Path(self._kept.name), fmu
+        self.target = native_platform() if target == "native" else target
+        if name == "endurance" and platform.libc_ver()[0] != "glibc":
+            raise Unavailable("allocations are counted with glibc only")
+        self._runner, self._environment = _runner(self.target)
+        flags = [*FLAGS, f"-DFMI_VERSION={fmu.version[0]}", f"-I{HERE}", f"-I{FMI_HEADERS}"]
+        windows = PLATFORMS[self.target][2] == ".dll"
+        self._file = self.folder / (f"{name}.exe" if windows else name)
+        link = ["-o", self._file.name, "-lm", *([] if windows else ["-lpthread"])]
+        if sanitized:
+            compiler = sanitizing_compiler()
+            inputs = sorted(map(str, (fmu.folder / "sources").glob("*.c")))
+            flags += ["-O1", *SANITIZERS, f"-I{fmu.folder / 'sources'}"]
+        else:
+            compiler = _compiler(self.target)
+            # Named without a folder, a library is looked for by its name when the program starts.
+            inputs = [Path(shutil.copy(fmu.library(self.target), self.folder)).name]
+            link += [] if windows else ["-Wl,-rpath,$ORIGIN"]
+        self._compile([*compiler, *flags, str(HERE / f"{name}.c"), *inputs, *link])
+
+    def _compile(self, command: Sequence[str]) -> None:
+        run = subprocess.run(command, cwd=self.folder, capture_output=True, text=True)
+        assert run.returncode == 0, f"{' '.join(command)}\n{run.stderr}"
+
+    def run(self, *arguments: object, timeout: float = 600.0) -> str:
+        """What the program prints; AssertionError with its complaint where it fails."""
+        command = [*self._runner, str(self._file), *map(str, arguments)]
+        environment = os.environ | self._environment
+        run = subprocess.run(
+            command, capture_output=True, text=True, env=environment, timeout=timeout
+        )
+        assert run.returncode == 0, f"exit code {run.returncode}\n{run.stderr[-6000:]}"
+        return run.stdout
+
+    def table(self, *arguments: object) -> np.ndarray:
+        """The numbers that the program prints, a row a line."""
+        return np.array([line.split() for line in self.run(*arguments).splitlines()], dtype=float)
+
+
+def _compiler(target: str) -> tuple[str, ...]:
+    compiler = find_compiler()
+    if target == native_platform():
+        if compiler is None:
+            raise Unavailable("no C compiler")
+        return compiler
+    try:
+        import ziglang  # noqa: F401
+    except ImportError:
+        raise Unavailable("no compiler for other platforms: ziglang is not installed") from None
+    return (sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[target][3])
+
+
+def _runner(target: str) -> tuple[list[str], dict[str, str]]:
+    """Command before a program of a platform, and its environment."""
+    if target == native_platform():
+        return [], {}
+    if target == "x86_64-windows":
+        wine = (
+            shutil.which("wine64") or shutil.which("wine") or shutil.which("/usr/lib/wine/wine64")
+        )
+        if wine is None:
+            raise Unavailable("Windows programs need wine: apt-get install wine64")
+        return [wine], {"WINEPREFIX": _wine_folder().name, "WINEDEBUG": "-all"}
+    if target == "aarch64-linux":
+        qemu = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")
+        if qemu is None:
+            raise Unavailable("aarch64 programs need qemu: apt-get install qemu-user")
+        if not SYSROOT.exists():
+            raise Unavailable(
+                "aarch64 programs need an aarch64 C library: apt-get install libc6-arm64-cross"
+            )
+        return [qemu, "-L", str(SYSROOT)], {}
+    raise Unavailable(f"nothing here runs programs for {target}")
+
+
+@functools.cache
+def _wine_folder() -> tempfile.TemporaryDirectory:
+    """Where wine keeps its Windows, which takes seconds to set up."""
+    return tempfile.TemporaryDirectory(prefix="fmu-wine-", ignore_cleanup_errors=True)
+
+
+@functools.cache
+def sanitizing_compiler() -> tuple[str, ...]:
+    """A compiler whose sanitizers work.
+
+    Raises
+    ------
+    Unavailable
+        There is none.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "probe.c"
+        source.write_text("int main(void) { return 0; }\n")
+        for name in ("gcc", "clang", "cc"):
+            path, program = shutil.which(name), str(Path(folder) / "probe")
+            if path is None:
+                continue
+            command = [path, *SANITIZERS, str(source), "-o", program]
+            if not subprocess.run(command, capture_output=True).returncode:
+                if not subprocess.run([program], capture_output=True).returncode:
+                    return (path,)
+    raise Unavailable("no compiler here has AddressSanitizer and UndefinedBehaviorSanitizer")

@@ -1,0 +1,44 @@
+"""An FMU under misuse, for a long time, in many threads, in programs that are not Python."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("fmpy")
+
+from fmu_hosts import EVERYTHING
+from fmu_hosts.native import Fmu, Program, Unavailable
+
+from fmu_export import export_fmu
+
+
+@pytest.fixture(scope="module", params=["2.0", "3.0"])
+def fmu(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("robust")
+    path = export_fmu(EVERYTHING, folder / "everything.fmu", request.param)
+    return Fmu.unpacked(path, folder / "everything")
+
+
+def program(name, fmu, **options):
+    try:
+        return Program(name, fmu, **options)
+    except Unavailable as error:
+        pytest.skip(str(error))
+
+
+def test_random_calls_and_damaged_state_bytes_do_no_harm(fmu):
+    made, granted, slowest, _ = (
+        program("fuzz", fmu, sanitized=True).run(500, 500, 1, *fmu.model_arguments()).split()
+    )
+    assert int(made) > 10_000
+    assert int(granted) > 0.2 * int(made), "hardly anything that was called was legal"
+
+
+def test_a_million_steps_take_no_memory(fmu):
+    found = program("endurance", fmu).table("memory", 1e-3, 1000, 1000, *fmu.model_arguments())
+    assert found.tolist() == [[0, 0, 0]]  # allocations in steps; growth of heap and of process
+
+
+def test_instances_in_two_threads_end_in_the_bits_of_one_alone(fmu):
+    found = program("endurance", fmu).table("threads", 5e-3, 200, 64, *fmu.model_arguments())
+    assert found.tolist() == [[0]]
