@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import math
-import resource
 import statistics
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -19,6 +18,7 @@ from drake_plant.measures import ContactReport, contact_table
 from drake_plant.station import SimulationResult
 
 from .report import Bar
+from .timing import resident
 
 SCENES = ("D1", "D2", "D3")
 MODELS = ("hydroelastic", "point")
@@ -111,18 +111,9 @@ def memory(full: bool) -> Iterator[Bar]:
     sizes = []
     for _ in range(100):
         simulate(scene, config, duration=0.005)
-        sizes.append(_resident())
+        sizes.append(resident())
     yield Bar("100 builds and short runs: growth after the tenth", 20.0, sizes[-1] - sizes[9], "MB",
               detail={"sizes": sizes})  # fmt: skip
-
-
-def _resident() -> float:
-    """Memory of this process, MB; its peak where the system does not tell more."""
-    try:
-        with open("/proc/self/statm") as file:
-            return int(file.read().split()[1]) * resource.getpagesize() / 1e6
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 
 
 SECTIONS = {

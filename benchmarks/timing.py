@@ -86,3 +86,14 @@ def interleaved(jobs: dict[str, Job], repeats: int = 9, burst: float = BURST) ->
         name: Timing(statistics.median(found), min(found), max(found))
         for name, found in samples.items()
     }
+
+
+def resident() -> float:
+    """Memory of this process, MB; its peak where the system does not tell more."""
+    import resource  # Windows has none
+
+    try:
+        with open("/proc/self/statm") as file:
+            return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6

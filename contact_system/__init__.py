@@ -26,6 +26,7 @@ from .scene import (
     save_scene,
 )
 from .surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
+from .sweep import Failure, Sweep, summary, sweep
 from .system import SceneSystem
 from .user_surfaces import ImplicitSurface, ParametricSurface
 
@@ -33,9 +34,9 @@ __version__ = "0.1.0"
 
 __all__ = [
     "ChartSingularity", "ConformalContact", "Contact", "ContactSystemError", "Contraction",
-    "Cylinder", "Ellipsoid", "FingerAcceleration", "Gain", "ImplicitSurface",
+    "Cylinder", "Ellipsoid", "Failure", "FingerAcceleration", "Gain", "ImplicitSurface",
     "ObjectAcceleration", "ObjectRateOffset", "ParametricSurface", "Plan", "Plane", "Profile",
     "Quadric", "Rejection", "Scene", "SceneError", "SceneSystem", "Sphere", "Surface",
-    "SurfaceError", "Torus", "Turning", "bundled_scenes", "great_circle_distance", "load",
-    "load_scene", "measured_states", "plan", "rejections", "save_scene",
+    "SurfaceError", "Sweep", "Torus", "Turning", "bundled_scenes", "great_circle_distance", "load",
+    "load_scene", "measured_states", "plan", "rejections", "save_scene", "summary", "sweep",
 ]  # fmt: skip

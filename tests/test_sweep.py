@@ -1,0 +1,282 @@
+"""Sweeps against plans of their scenes one by one, whatever happens to workers on the way."""
+
+from __future__ import annotations
+
+import functools
+import io
+import math
+import os
+import re
+import signal
+import sys
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import one_contact
+
+import contact_system as cs
+from contact_system.cli import Progress
+
+PUSH = cs.FingerAcceleration(contact=0, start=0.2, stop=0.4, value=(-0.3, 0.2))
+OFFSET = cs.ObjectRateOffset(contact=0, start=0.3, stop=0.5, value=(0.1, 0.2))
+BUMP = cs.FingerAcceleration(contact=0, start=0.2, stop=0.4, value=(1.0, 0.0))
+
+
+def rolling_towards(k: int, **changes) -> cs.Scene:
+    """Scene k of a family on spheres."""
+    direction = 0.3 + 0.1 * k
+    velocity = (math.cos(direction), math.sin(direction))
+    return one_contact(object_at=(0.9 + 0.01 * k, 0.4), finger_velocity=velocity, **changes)
+
+
+def family(count: int, **changes) -> list[cs.Scene]:
+    return [rolling_towards(k, **changes) for k in range(count)]
+
+
+def middle(plan: cs.Plan) -> dict[str, np.ndarray]:
+    """Contact points and states halfway."""
+    t = [0.5 * plan.scene.duration]
+    return {"points": plan.points(t)[0], "states": plan.states(t)[0]}
+
+
+def middle_where_no_worker_dies(mark: Path, plan: cs.Plan) -> dict[str, np.ndarray]:
+    """`middle`, but the first worker that comes here is killed."""
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return middle(plan)
+
+
+def middle_of_all_but_one(plan: cs.Plan) -> dict[str, np.ndarray]:
+    """`middle`, but the worker that meets the second scene of the family dies, whenever it does."""
+    if any(abs(c.object_at[0] - 0.91) < 1e-9 for c in plan.scene.contacts):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return middle(plan)
+
+
+def middle_slowly(plan: cs.Plan) -> dict[str, np.ndarray]:
+    time.sleep(0.1)
+    return middle(plan)
+
+
+def one_by_one(scenes: list[cs.Scene], key: str) -> np.ndarray:
+    return np.concatenate([middle(cs.plan(scene))[key] for scene in scenes])
+
+
+@pytest.mark.parametrize("windows", [(), (PUSH,), (OFFSET,), (PUSH, OFFSET)])
+def test_scenes_planned_together_are_where_each_alone_is(windows):
+    scenes = family(7, disturbances=windows)
+    table = cs.sweep(scenes, middle, chunk=5).table
+    assert table["scene"].tolist() == list(range(7)) and not table["contact"].any()
+    assert table["states"] == pytest.approx(one_by_one(scenes, "states"), abs=1e-11)
+
+
+def test_scenes_that_have_nothing_in_common_keep_their_order():
+    gains = [cs.Gain.time(3.0), cs.Gain.path(100.0), cs.Gain.time(3.0)]
+    scenes = [rolling_towards(k, gain=gain) for k, gain in enumerate(gains)]
+    scenes += [one_contact("ellipsoid"), cs.load_scene("K1"), rolling_towards(5)]
+    table = cs.sweep(scenes, middle).table
+    counts = [len(scene.contacts) for scene in scenes]
+    assert table["scene"].tolist() == np.repeat(range(6), counts).tolist()
+    assert table["name"].tolist() == np.repeat([scene.name for scene in scenes], counts).tolist()
+    assert table["points"] == pytest.approx(one_by_one(scenes, "points"), abs=1e-12)
+
+
+def test_summary_is_the_exact_slip_law():
+    scene = rolling_towards(0, profile=(0.2,), gain=cs.Gain.time(7.0))
+    row = cs.sweep([scene]).table[0]
+    first = float(cs.plan(scene).slip_speed([0.0])[0, 0])
+    assert row["slip_start"] == row["slip_peak"] == first
+    assert row["slip_end"] == pytest.approx(first * math.exp(-7.0), rel=1e-12)
+    assert row["recovery"] == pytest.approx(math.log(20) / 7, rel=1e-9)
+    assert row["state_end"] == pytest.approx(cs.plan(scene).states([1.0])[0, 0], abs=1e-12)
+
+
+def test_summary_says_where_slip_stays_and_where_there_is_none():
+    slow, fast = cs.Gain.time(0.01), cs.Gain.time(50.0)
+    stays = rolling_towards(0, gain=slow, profile=(0.1,))
+    none = rolling_towards(1, object_velocity="rolling")
+    pushed = rolling_towards(2, object_velocity="rolling", disturbances=[BUMP], gain=fast)
+    offset = rolling_towards(3, object_velocity="rolling", disturbances=[OFFSET])
+    table = cs.sweep([stays, none, pushed, offset]).table
+    assert table["recovery"][0] == math.inf and math.isnan(table["recovery"][1])
+    exact = cs.rejections(cs.plan(pushed))[0]
+    assert table["recovery"][2] == pytest.approx(exact.time, rel=0.02)
+    assert table["recovery"][3] == 0.0
+
+
+def test_a_scene_that_fails_is_kept_with_its_error_beside_the_others():
+    at_rest = rolling_towards(1, profile=(0.0, 0.1)).replace(name="resting", disturbances=[
+        cs.FingerAcceleration(contact=0, start=0.0, stop=0.4, value=(1.0, 0.0))
+    ])  # fmt: skip
+    bad = functools.partial(rolling_towards, 2, duration=-1.0)
+    scenes = [*family(4), at_rest, bad, "K1", "K0"]
+    found = cs.sweep(scenes, middle, chunk=3)
+    assert sorted(set(found.table["scene"].tolist())) == [0, 1, 2, 3, 6]
+    assert [failure.scene for failure in found.failures] == [4, 5, 7]
+    assert found.failures[0].name == "resting" and "sigma = 0" in found.failures[0].error
+    again = cs.scene.scene_from_toml(found.failures[0].text)
+    assert again == at_rest
+    assert "duration = -1" in found.failures[1].error and "K0" in found.failures[2].error
+
+
+def test_one_bad_scene_does_not_take_its_neighbours_along():
+    def not_the_third(plan: cs.Plan) -> dict[str, np.ndarray]:
+        if any(abs(c.object_at[0] - 0.92) < 1e-9 for c in plan.scene.contacts):
+            raise ZeroDivisionError("the third")
+        return middle(plan)
+
+    found = cs.sweep(family(9), not_the_third)
+    assert found.table["scene"].tolist() == [0, 1, 3, 4, 5, 6, 7, 8]
+    assert found.failures[0].error == "ZeroDivisionError: the third"
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_outputs_without_a_row_a_contact_are_refused_by_name(count):
+    with pytest.raises(cs.ContactSystemError, match=r"'end' of shape \(2, 1, 9\)"):
+        cs.sweep(family(count), lambda plan: {"end": plan.states([0.0, 1.0])})
+
+
+def test_outputs_that_differ_between_scenes_are_refused():
+    def names(plan):
+        return {plan.scene.name: np.zeros(len(plan.scene.contacts))}
+
+    with pytest.raises(cs.ContactSystemError, match="other outputs for other scenes"):
+        cs.sweep([rolling_towards(0), one_contact("torus")], names)
+
+
+@pytest.mark.parametrize("option", ["chunk", "ahead"])
+def test_chunks_of_no_scene_are_refused(option):
+    with pytest.raises(cs.ContactSystemError, match=f"{option} = 0"):
+        cs.sweep([], **{option: 0})
+
+
+def test_a_generator_is_not_taken_ahead_of_the_workers():
+    taken, seen = 0, []
+
+    def scenes():
+        nonlocal taken
+        for k in range(40):
+            taken += 1
+            yield rolling_towards(k % 5)
+
+    def count(plan):
+        seen.append(taken)
+        return middle(plan)
+
+    with ThreadPoolExecutor(1) as pool:
+        table = cs.sweep(scenes(), count, pool, chunk=2, ahead=3).table
+    assert len(table) == 40
+    assert all(now <= 2 * (k + 4) for k, now in enumerate(seen))
+
+
+def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path):
+    scenes, done = family(10), []
+
+    def interrupted(plan):
+        if len(done) == 4:
+            raise KeyboardInterrupt
+        done.append(len(plan.scene.contacts))
+        return middle(plan)
+
+    with pytest.raises(KeyboardInterrupt):
+        cs.sweep(scenes, interrupted, folder=tmp_path, chunk=2)
+    done.append(0)  # no more interruptions
+    table = cs.sweep(iter(scenes), interrupted, folder=tmp_path, chunk=2).table
+    assert done == [1, 1, 2, 2, 0, 2, 2]  # the very first scene goes alone
+    assert table["points"] == pytest.approx(one_by_one(scenes, "points"), abs=1e-12)
+
+
+def test_only_chunks_of_changed_scenes_are_done_again(tmp_path):
+    scenes, done = [*family(5), functools.partial(rolling_towards, 5)], []
+
+    def counted(plan):
+        done.append(len(plan.scene.contacts))
+        return middle(plan)
+
+    cs.sweep(scenes, counted, folder=tmp_path, chunk=2)
+    scenes[2] = rolling_towards(2, angle=0.5)
+    (tmp_path / "chunk-00000002.npz").write_bytes(b"cut off")
+    found = cs.sweep(scenes, counted, folder=tmp_path, chunk=2)
+    assert done == [1, 1, 2, 2, 2, 2]
+    made = [*scenes[:5], rolling_towards(5)]
+    assert found.table["states"] == pytest.approx(one_by_one(made, "states"), abs=1e-11)
+    assert [len(table) for table in found] == [2, 2, 2]
+
+
+def test_failures_are_kept_in_the_folder(tmp_path):
+    scenes = [rolling_towards(0), "K0"]
+    first = cs.sweep(scenes, middle, folder=tmp_path)
+    assert cs.sweep(scenes, middle, folder=tmp_path).failures == first.failures
+    assert first.failures[0].scene == 1
+
+
+def test_functions_that_cannot_be_known_again_are_refused_with_a_folder(tmp_path):
+    with pytest.raises(cs.ContactSystemError, match="function of a module"):
+        cs.sweep([lambda: rolling_towards(0)], middle, folder=tmp_path)
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_terminal_shows_how_many_scenes_are_done(known, monkeypatch):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    monkeypatch.setattr(Progress, "DELAY", 0.05)
+    scenes = family(8)
+    cs.sweep(scenes if known else iter(scenes), middle_slowly, chunk=1)
+    drawn = sys.stderr.getvalue()
+    assert re.search("[1-8] scenes", drawn) and ("[###" in drawn) is known
+
+
+needs_kill = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="processes are not killed")
+
+
+def spawned() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(2, mp_context=get_context("spawn"))
+
+
+@needs_kill
+def test_nothing_is_lost_with_a_worker_that_is_killed(tmp_path):
+    scenes = family(12)
+    evaluate = functools.partial(middle_where_no_worker_dies, tmp_path / "killed")
+    with spawned() as pool:
+        found = cs.sweep(scenes, evaluate, pool, chunk=2)
+    assert (tmp_path / "killed").exists() and not found.failures
+    assert found.table["scene"].tolist() == list(range(12))
+    assert found.table["points"] == pytest.approx(one_by_one(scenes, "points"), abs=1e-12)
+
+
+@needs_kill
+def test_a_scene_that_kills_its_workers_fails_alone():
+    with spawned() as pool:
+        found = cs.sweep(family(4), middle_of_all_but_one, pool, chunk=1)
+    assert found.table["scene"].tolist() == [0, 2, 3]
+    assert [failure.scene for failure in found.failures] == [1]
+    assert "BrokenProcessPool" in found.failures[0].error
+
+
+@needs_kill
+def test_dask_loses_nothing_with_a_worker_that_is_killed():
+    distributed = pytest.importorskip("distributed")
+    scenes = family(24)
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        victim = next(iter(client.run(os.getpid).values()))
+        timer = threading.Timer(0.4, os.kill, (victim, signal.SIGKILL))
+        timer.start()
+        found = cs.sweep(scenes, middle_slowly, client.get_executor(), chunk=1, ahead=6)
+        timer.join()
+    assert not found.failures
+    assert found.table["points"] == pytest.approx(one_by_one(scenes, "points"), abs=1e-12)
