@@ -14,7 +14,10 @@ import sys
 
 from .report import THREADS, collect, surroundings, write
 
-PARTS = ("accuracy", "speed", "drake_planner", "drake_plant", "drake_station")
+PARTS = (
+    "accuracy", "speed", "work_precision", "scale", "drake_planner", "drake_plant",
+    "drake_station", "fmu",
+)  # fmt: skip
 """Modules of this package; each has SECTIONS, name -> function of ``full`` that yields bars."""
 
 

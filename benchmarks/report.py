@@ -66,8 +66,12 @@ class Bar:
             return "-"
         if self.met:
             return "yes"
-        missing = self.limit / self.measured if self.least else self.measured / self.limit
-        return f"NO by {missing:.3g} x" if missing > 1 else "NO, see note"
+        small, large = sorted((self.limit, self.measured))
+        if small <= 0:
+            return "NO"
+        missing = large / small
+        failed = self.measured < self.limit if self.least else self.measured > self.limit
+        return f"NO by {missing:.3g} x" if failed else "NO, see note"
 
     def row(self) -> str:
         """The bar as a line of the table."""

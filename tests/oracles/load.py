@@ -17,11 +17,12 @@ def load(name: str) -> dict[str, Any]:
     Parameters
     ----------
     name
-        "k_scenes", "k_scenes_time", "torus_slip", "ellipsoid_slip", "sphere_slip": scenes under
-        the key "scenes", each with "times" (n,) in s and "contacts", a list of records holding
-        "states" (n, 9), "points" (n, 2, 3) in m and "slip" (n, 2) in m/s; their inputs beside
-        them. "ellipsoid_geodesics": "start" (200, 3) and "middle", "end", "end_direction"
-        (200, 3), "jacobi" (200,). The key "about" describes the file.
+        "k_scenes", "k_scenes_time", "torus_slip", "ellipsoid_slip", "sphere_slip", "slip_peaks":
+        scenes under the key "scenes", each with "times" (n,) in s and "contacts", a list of records
+        holding "states" (n, 9), "points" (n, 2, 3) in m and "slip" (n, 2) in m/s; their inputs
+        beside them. "ellipsoid_geodesics": "start" (200, 3) and "middle", "end", "end_direction"
+        (200, 3), "jacobi" (200,). "geodesics": records under the key "geodesics", each with
+        "times" (n,) in s and "points" (n, 3) in m. The key "about" describes the file.
 
     Returns
     -------

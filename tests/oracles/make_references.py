@@ -276,7 +276,12 @@ def from_real(x: hy.real) -> mp.mpf:
 @cache
 def integrator(equations: str, arguments: tuple[Any, ...], tolerance: str, bits: int) -> Any:
     """Compiled Taylor integrator of a system named by its builder function."""
-    builders = (paper_equations, development_equations, ellipsoid_equations)
+    builders = (
+        paper_equations,
+        development_equations,
+        ellipsoid_equations,
+        torus_geodesic_equations,
+    )
     system = {f.__name__: f for f in builders}[equations](*arguments)
     return hy.taylor_adaptive(
         system,
@@ -625,14 +630,19 @@ def make_torus_slip() -> None:
     save("torus_slip", {"about": ABOUT, "scenes": {"torus": scene_record([case], 11)}})
 
 
+def slip_case(surface: str, radii: tuple[float, ...]) -> Case:
+    """The contact of all scenes with slip."""
+    case = Case(surface, radii, 0.04, (0.7, 0.4), (0.2, -0.9), GROWING, "path", 100.0)
+    return replace(case, finger_at=(1.1, 0.2), angle=0.3)
+
+
 def slip_scenes(surface: str, radii: tuple[float, ...]) -> dict[str, Any]:
     """Slip under six gains, up to the stiffness 1e7; the keys name law and gain.
 
     The two stiffest are integrated once, with `STIFF_PASSES`[0]: their second, independent
     solution is the development form.
     """
-    case = Case(surface, radii, 0.04, (0.7, 0.4), (0.2, -0.9), GROWING, "path", 100.0)
-    case = replace(case, finger_at=(1.1, 0.2), angle=0.3)
+    case = slip_case(surface, radii)
     gains = {
         "path 1e2": ("path", 1e2),
         "path 1e4": ("path", 1e4),
@@ -658,6 +668,18 @@ def make_sphere_slip() -> None:
     save("sphere_slip", {"about": ABOUT, "scenes": slip_scenes("sphere", (0.1,))})
 
 
+def make_slip_peaks() -> None:
+    """Slip whose greatest eta sigma^2 is 1, 1e3 and 1e5; 1e7 is in the files above."""
+    scenes = {}
+    for surface, radii in (("sphere", (0.1,)), ("ellipsoid", AXES)):
+        case = replace(slip_case(surface, radii), law="path")
+        for peak in (1e0, 1e3, 1e5):
+            chosen = replace(case, eta=peak / 0.401**2)
+            record = scene_record([chosen], 11, stiff=chosen.eta > 1e5)
+            scenes[f"{surface} peak {peak:.0e}"] = record
+    save("slip_peaks", {"about": ABOUT, "scenes": scenes})
+
+
 # Geodesics of the triaxial ellipsoid.
 
 AXES = (0.3, 0.2, 0.1)
@@ -676,9 +698,14 @@ def ellipsoid_equations() -> list[tuple[Any, Any]]:
 
 def geodesic_start(u: Any, v: Any, angle: Any) -> list[mp.mpf]:
     """Point and unit direction cos(angle) f_u/|f_u| + sin(angle) f_v/|f_v|."""
-    p, u, v = [mp.mpf(r) for r in AXES], mp.mpf(u), mp.mpf(v)
+    return ellipsoid_start(AXES, u, v, (mp.cos(angle), mp.sin(angle)))
+
+
+def ellipsoid_start(axes: Sequence[Any], u: Any, v: Any, w: Sequence[Any]) -> list[mp.mpf]:
+    """Point and velocity w[0] f_u/|f_u| + w[1] f_v/|f_v|."""
+    p, u, v = [mp.mpf(r) for r in axes], mp.mpf(u), mp.mpf(v)
     g = ellipsoid_metric(p, u, v, MPMATH)
-    cu, cv = mp.cos(angle) / mp.sqrt(g.E), mp.sin(angle) / mp.sqrt(g.G)
+    cu, cv = w[0] / mp.sqrt(g.E), w[1] / mp.sqrt(g.G)
 
     def along(t: mp.mpf) -> list[mp.mpf]:
         return ellipsoid_chart(p, u + cu * t, v + cv * t, MPMATH)
@@ -686,13 +713,18 @@ def geodesic_start(u: Any, v: Any, angle: Any) -> list[mp.mpf]:
     return along(mp.mpf(0)) + [mp.diff(lambda t, k=k: along(t)[k], 0) for k in range(3)]
 
 
-def geodesic(state: Sequence[Any], lengths: Sequence[float], passed: tuple[str, int]) -> list[Any]:
+def geodesic(
+    state: Sequence[Any],
+    lengths: Sequence[float],
+    passed: tuple[str, int],
+    axes: Sequence[float] = AXES,
+) -> list[Any]:
     """Point and direction after each arc length, shape (len(lengths), 6)."""
     bits = passed[1]
     ta = integrator("ellipsoid_equations", (), *passed)
     ta.time = real(0, bits)
     ta.state[:] = [real(x, bits) for x in state]
-    ta.pars[:] = [real(x, bits) for x in AXES]
+    ta.pars[:] = [real(x, bits) for x in axes]
     found = []
     for s in lengths:
         ta.propagate_until(real(s, bits))
@@ -795,12 +827,117 @@ def make_ellipsoid_geodesics() -> None:
     save("ellipsoid_geodesics", head | columns)
 
 
+# Geodesics of one start on several surfaces, for run time against error.
+
+
+def torus_geodesic_equations() -> list[tuple[Any, Any]]:
+    """Eq. `timegeodesic` at constant sigma; parameters R, r."""
+    u, v, du, dv = hy.make_vars("u", "v", "du", "dv")
+    bend = geodesic_acceleration(torus_metric([hy.par[0], hy.par[1]], u, v, HEYOKA), (du, dv), 0.0)
+    return [(u, du), (v, dv), (du, bend[0]), (dv, bend[1])]
+
+
+def torus_geodesic(
+    radii: Sequence[float], at: Any, w: Any, times: Sequence[float], passed: tuple[str, int]
+) -> list[list[mp.mpf]]:
+    """Points at the times, shape (len(times), 3).
+
+    Raises
+    ------
+    ArithmeticError
+        Clairaut's integral h_u^2 u' drifts.
+    """
+    p, bits = [mp.mpf(r) for r in radii], passed[1]
+    (u, v), ta = map(mp.mpf, at), integrator("torus_geodesic_equations", (), *passed)
+    g = torus_metric(p, u, v, MPMATH)
+    rates = [mp.mpf(w[0]) / mp.sqrt(g.E), mp.mpf(w[1]) / mp.sqrt(g.G)]
+    ta.time, ta.state[:] = real(0, bits), [real(x, bits) for x in (u, v, *rates)]
+    ta.pars[:] = [real(x, bits) for x in p]
+    points = []
+    for t in times:
+        ta.propagate_until(real(t, bits))
+        now = [from_real(x) for x in ta.state]
+        drift = torus_metric(p, now[0], now[1], MPMATH).E * now[2] - g.E * rates[0]
+        agreed("Clairaut's integral on the torus", abs(drift))
+        points.append(torus_chart(p, now[0], now[1], MPMATH))
+    return points
+
+
+def great_circle(r: Any, at: Any, w: Any, t: Any) -> list[mp.mpf]:
+    """Point of a sphere after the time t at velocity w along its chart's axes."""
+    (u, v), r, w = map(mp.mpf, at), mp.mpf(r), [mp.mpf(x) for x in w]
+    x = [mp.cos(u) * mp.cos(v), mp.cos(u) * mp.sin(v), -mp.sin(u)]
+    y = [-mp.sin(v), mp.cos(v), mp.mpf(0)]
+    pace = mp.norm(w)
+    along = [(w[0] * a + w[1] * b) / pace for a, b in zip(x, y)]
+    phase = pace * mp.mpf(t) / r
+    normal = sphere_chart([mp.mpf(1)], u, v, MPMATH)
+    return [r * (mp.cos(phase) * n + mp.sin(phase) * e) for n, e in zip(normal, along)]
+
+
+def helix(r: Any, at: Any, w: Any, t: Any) -> list[mp.mpf]:
+    """The same on the cylinder (r cos u, r sin u, v)."""
+    u = mp.mpf(at[0]) + mp.mpf(w[0]) * mp.mpf(t) / mp.mpf(r)
+    z = mp.mpf(at[1]) + mp.mpf(w[1]) * mp.mpf(t)
+    return [mp.mpf(r) * mp.cos(u), mp.mpf(r) * mp.sin(u), z]
+
+
+def geodesic_points(
+    surface: str, radii: Sequence[float], at: Any, w: Any, times: Sequence[float], passed: Any
+) -> list[list[mp.mpf]]:
+    """Points of one geodesic, shape (len(times), 3); ``passed`` as in `PASSES`."""
+    if surface in ("sphere", "cylinder"):
+        closed = great_circle if surface == "sphere" else helix
+        return [closed(radii[0], at, w, t) for t in times]
+    if surface == "torus":
+        return torus_geodesic(radii, at, w, times, passed)
+    start = ellipsoid_start(radii, *at, [mp.mpf(x) for x in w])
+    return [row[:3] for row in geodesic(start, times, passed, radii)]
+
+
+#: Ten times the body's size at about 1 m/s.
+GEODESICS = {
+    "sphere": ("sphere", (0.1,), (1.2, 0.3), 1.0),
+    "cylinder": ("cylinder", (0.1,), (0.5, 0.02), 1.0),
+    "torus": ("torus", (0.1, 0.03), (0.3, 0.8), 1.3),
+    "ellipsoid": ("ellipsoid", AXES, (0.7, 0.4), 3.0),
+    "spheroid": ("ellipsoid", (1.0, 1.0, 0.99), (0.7, 0.4), 10.0),
+}
+
+
+def make_geodesics() -> None:
+    """One geodesic on each of the surfaces, with 41 points."""
+    records, w = {}, (0.6, 0.8)
+    for name, (surface, radii, at, duration) in GEODESICS.items():
+        times = [k * duration / 40 for k in range(41)]
+        found, other = (geodesic_points(surface, radii, at, w, times, p) for p in PASSES)
+        difference = max(abs(a - b) for x, y in zip(found, other) for a, b in zip(x, y))
+        records[name] = {
+            "object": {"surface": surface, "radii": radii},
+            "at": at,
+            "velocity": w,
+            "duration": duration,
+            "checks": {"two_pass_difference": agreed(f"geodesic, {name}", difference)},
+            "times": times,
+            "points": [[text(c) for c in x] for x in found],
+        }
+        print(f"  {name}: {records[name]['checks']}", flush=True)
+    about = (
+        "Made by tests/oracles/make_references.py. points: of the geodesic that starts at (u, v) = "
+        "at with velocity (m/s) along the axes of the chart's frame, at times (s), in m; closed "
+        "form on sphere and cylinder. checks: greatest difference of two passes."
+    )
+    save("geodesics", {"about": about, "geodesics": records})
+
+
 MAKERS: dict[str, Callable[[], None]] = {
     "k_scenes": make_k_scenes,
     "torus_slip": make_torus_slip,
     "ellipsoid_geodesics": make_ellipsoid_geodesics,
     "ellipsoid_slip": make_ellipsoid_slip,
     "sphere_slip": make_sphere_slip,
+    "slip_peaks": make_slip_peaks,
+    "geodesics": make_geodesics,
 }
 
 

@@ -1,0 +1,300 @@
+"""Work-precision diagrams: run time against achieved error, ours beside the peers.
+
+Error: greatest distance of a contact point from a 30-digit reference, of the body's size. Time: one
+run with all outputs, kernels warm, peers' solvers and initial states ready, competitors in turns.
+Peers end with their states; ours with contact points of both bodies, which the peers are spared.
+Times at a given error are interpolated along each method's best runs (log-log), where it has runs
+on both sides; else its cheapest run that is good enough counts.
+"""
+
+from __future__ import annotations
+
+import functools
+import gc
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from . import integrators, ours
+from .figures import diagram, overview
+from .problems import Problem, problems
+from .report import RESULTS, Bar
+from .timing import Job, Timing, interleaved, sample
+
+TARGETS = (1e-6, 1e-9, 1e-12)
+SLOW = 0.03  # [s]: what takes longer is sampled while scanning only
+EXPORTED = ("geodesic ellipsoid", "1e3", "disturbed")  # an export compiles for 3 s
+KINDS = ("prepared", "quiet", "new")
+FLOOR = 2e-15  # tighter tolerances cannot show in double precision
+
+
+@dataclass(frozen=True)
+class Run:
+    """A method at one tolerance; ``build`` holds the seconds of just-in-time compilation."""
+
+    tolerance: float
+    error: float
+    time: Timing
+    build: float
+
+
+@dataclass
+class Outcome:
+    """A problem's curves, and why methods are absent or stop: name -> reason."""
+
+    name: str
+    curves: dict[str, list[Run]] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
+
+    def rivals(self) -> dict[str, list[Run]]:
+        """The peers' curves."""
+        return {k: v for k, v in self.curves.items() if not k.startswith("ours")}
+
+    def own(self, new: bool) -> list[Run]:
+        """The curve of the plan's fastest engine on this machine."""
+        name = f"ours, {ours.engine(ours.engines()[-1])}{', new scene' * new}"
+        return self.curves.get(name, [])
+
+
+OUTCOMES: dict[str, Outcome] = {}
+"""What was measured in this process; the summary's input."""
+
+
+# --- measuring ---------------------------------------------------------------------------------
+
+
+@dataclass
+class _Candidate:
+    name: str
+    tolerance: float
+    job: Job
+    error: float
+    seconds: list[float]
+    build: float
+
+
+def measure(problem: Problem, full: bool) -> Outcome:
+    """All methods at all their tolerances."""
+    outcome = Outcome(problem.name, left_out=dict(integrators.missing()))
+    limit = 20.0 if full else 0.25
+    found = list(_scan(problem, outcome, full, limit))
+    gc.collect()
+    gc.freeze()  # collections between samples then cost nothing to speak of
+    quick = {f"{c.name} {c.tolerance:g}": c.job for c in found if min(c.seconds) < SLOW}
+    times = interleaved(quick, repeats=9 if full else 5, burst=0.002)
+    gc.unfreeze()
+    for c in found:
+        scanned = Timing(statistics.median(c.seconds), min(c.seconds), max(c.seconds))
+        timing = times.get(f"{c.name} {c.tolerance:g}", scanned)
+        run = Run(c.tolerance, c.error, timing, c.build)
+        outcome.curves.setdefault(c.name, []).append(run)
+    return outcome
+
+
+def _scan(problem: Problem, outcome: Outcome, full: bool, limit: float) -> Iterator[_Candidate]:
+    """Errors, and times of the slow; a method ends where it fails or is needlessly tight."""
+    for peer in integrators.peers(problem, full):
+        build = functools.partial(_peer_job, peer, limit)
+        error = functools.partial(_error, problem, peer.points)
+        yield from _tolerances(peer.name, peer.tolerances, build, error, outcome, limit)
+    sources: dict[str, Callable[[Problem], Iterator[ours.Ours]]] = {
+        "ours": ours.plans, "ours, method": ours.chart,
+        "ours, Drake": functools.partial(ours.drake, limit=limit),
+    }  # fmt: skip
+    if full or any(word in problem.name for word in EXPORTED):
+        sources["ours, FMU"] = ours.fmu
+    for name, source in sources.items():
+        try:
+            for own in source(problem):
+                parts = own.name, own.tolerances, own.build, problem.error
+                yield from _tolerances(*parts, outcome, limit)
+        except ImportError as reason:
+            outcome.left_out[name] = str(reason)
+
+
+def _error(problem: Problem, points: Callable[[Any], np.ndarray], found: Any) -> float:
+    return problem.error(points(found))
+
+
+def _peer_job(peer: integrators.Peer, limit: float, tolerance: float) -> Job:
+    solver = peer.build(tolerance, limit)
+    return Job(lambda _: solver())
+
+
+def _tolerances(
+    name: str,
+    tolerances: Iterable[float],
+    build: Callable[[float], Job],
+    error_of: Callable[[Any], float],
+    outcome: Outcome,
+    limit: float,
+) -> Iterator[_Candidate]:
+    for tolerance in tolerances:
+        try:
+            begin = time.perf_counter()
+            job = build(tolerance)
+            built = time.perf_counter() - begin
+            item = job.make()
+            begin = time.perf_counter()
+            found = job.call(item)
+            seconds = [time.perf_counter() - begin]
+            error = error_of(found)
+            if not math.isfinite(error):
+                raise ArithmeticError("the result is not finite")
+            if seconds[0] < limit:  # the first run may hold compilation
+                seconds = [sample(job) for _ in range(2 if seconds[0] > SLOW else 1)]
+        except (TimeoutError, ArithmeticError, ValueError, RuntimeError, ImportError) as reason:
+            text = str(reason).strip().splitlines() or [type(reason).__name__]
+            # an ImportError ends with the file's place on this machine
+            outcome.left_out[f"{name} {tolerance:g}"] = text[-1].split(" (/")[0][-120:]
+            return
+        yield _Candidate(name, tolerance, job, error, seconds, built)
+        if not name.startswith("ours") and error < FLOOR or min(seconds) > limit:
+            return
+
+
+# --- comparing ---------------------------------------------------------------------------------
+
+
+def time_at(curve: list[Run], error: float, of: str = "median") -> float | None:
+    """Seconds to reach an error by the samples' "median" or "low"; None: not reached."""
+
+    def seconds(run: Run) -> float:
+        return getattr(run.time, of)
+
+    front: list[Run] = []
+    for run in sorted(curve, key=seconds):
+        if not front or run.error < front[-1].error:
+            front.append(run)  # slower and better than all before
+    reached = [run for run in front if run.error <= error]
+    if not reached:
+        return None
+    tight = reached[0]
+    looser = [run for run in front if run.error > error]
+    if not looser or tight.error <= 0.0:
+        return seconds(tight)
+    loose = looser[-1]
+    share = math.log(loose.error / error) / math.log(loose.error / tight.error)
+    logs = math.log(seconds(loose)), math.log(seconds(tight))
+    return math.exp((1.0 - share) * logs[0] + share * logs[1])
+
+
+def fastest(
+    curves: dict[str, list[Run]], error: float, of: str = "median"
+) -> tuple[str, float] | None:
+    """Name and seconds of the peer that reaches an error first."""
+    found = {name: time_at(runs, error, of) for name, runs in curves.items()}
+    times = {name: t for name, t in found.items() if t is not None}
+    return min(times.items(), key=lambda pair: pair[1]) if times else None
+
+
+def diagrams(problem: Problem, full: bool) -> Iterator[Bar]:
+    """One problem: its figure, a bar for each error, one for the smallest error."""
+    outcome = OUTCOMES[problem.name] = measure(problem, full)
+    file = RESULTS / f"work_precision-{problem.name.replace(' ', '_')}.png"
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    diagram(outcome, file)
+    for target in TARGETS:
+        yield _beside(outcome, target)
+    least = min(run.error for run in outcome.own(new=False))
+    detail = {
+        "curves": {k: [_plain(r) for r in v] for k, v in outcome.curves.items()},
+        "left out": outcome.left_out, "versions": integrators.versions(), "figure": file.name,
+    }  # fmt: skip
+    yield Bar(f"{problem.name}, smallest error, of the size", 1e-13, least, detail=detail)
+
+
+def _plain(run: Run) -> dict[str, Any]:
+    times = {"median": run.time.median, "low": run.time.low, "high": run.time.high}
+    return {"tolerance": run.tolerance, "error": run.error, "s": times, "build s": run.build}
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """Times faster than the fastest peer at one error.
+
+    Attributes
+    ----------
+    prepared, new : by medians, of scenes planned before and of new ones
+    quiet : by least samples, prepared: what is left of it on a machine with nothing else to do
+    rival : the fastest peer
+    seconds : ours and the peer's, medians
+    """
+
+    prepared: float
+    new: float
+    quiet: float
+    rival: str
+    seconds: tuple[float, float]
+
+
+def ratio(outcome: Outcome, error: float) -> Ratio | str:
+    """The comparison, or why there is none."""
+    mine, new = (time_at(outcome.own(k), error) for k in (False, True))
+    least = time_at(outcome.own(new=False), error, "low")
+    rival, other = (fastest(outcome.rivals(), error, of) for of in ("median", "low"))
+    if mine is None or new is None or least is None:
+        return "ours does not reach this error"
+    if rival is None or other is None:
+        return "no peer reaches this error"
+    name, seconds = rival
+    return Ratio(seconds / mine, seconds / new, other[1] / least, name, (mine, seconds))
+
+
+def _beside(outcome: Outcome, target: float) -> Bar:
+    name = f"{outcome.name}, error {target:.0e}, times faster"
+    found = ratio(outcome, target)
+    if isinstance(found, str):
+        return Bar(name, 1.0, None, "x", True, found)
+    mine, other = (1e6 * s for s in found.seconds)
+    note = f"{mine:.3g} us beside {other:.3g} us ({found.rival}); least samples {found.quiet:.3g} x"
+    note += f"; new scene {found.new:.3g} x"
+    return Bar(name, 1.0, found.prepared, "x", True, note)
+
+
+# --- summary -----------------------------------------------------------------------------------
+
+
+def summary(full: bool) -> Iterator[Bar]:
+    """The table of ratios, the overview figure, the geometric means."""
+    if not OUTCOMES:
+        yield Bar("summary of the problems", 5.0, None, "x", note="no problem was run")
+        return
+    rows, ratios = [], []
+    for outcome in OUTCOMES.values():
+        found = [ratio(outcome, target) for target in TARGETS]
+        ratios += [r for r in found if isinstance(r, Ratio)]
+        cells = [_cell(r) for r in found]
+        least = min(run.error for run in outcome.own(new=False))
+        rows.append([outcome.name, *cells, f"{least:.0e}"])
+    head = ["problem", *(f"error {target:.0e}" for target in TARGETS), "smallest error"]
+    lines = [head, ["---"] * len(head), *rows]
+    mean = {k: statistics.geometric_mean(getattr(r, k) for r in ratios) for k in KINDS}
+    text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    text += "\n\nTimes faster than the fastest peer; in brackets: by least samples, new scene.\n"
+    text += "Geometric means: " + ", ".join(f"{k} {v:.3g}" for k, v in mean.items()) + ".\n"
+    (RESULTS / "work_precision.md").write_text(text)
+    overview(list(OUTCOMES.values()), RESULTS / "work_precision.png")
+    faster = sum(r.prepared >= 1.0 for r in ratios) / len(ratios)
+    note = f"least samples {mean['quiet']:.3g} x, new scenes {mean['new']:.3g} x"
+    name = "geometric mean over problems and errors, times faster"
+    yield Bar(name, 5.0, mean["prepared"], "x", True, note)
+    note = f"of {len(ratios)}; least samples {sum(r.quiet >= 1.0 for r in ratios)}"
+    yield Bar("share of comparisons in which ours is not slower", 1.0, faster, "", True, note)
+
+
+def _cell(found: Ratio | str) -> str:
+    if isinstance(found, str):
+        return found.replace(" this error", "")
+    return f"{found.prepared:.3g} ({found.quiet:.3g}, {found.new:.3g}) {found.rival}"
+
+
+SECTIONS: dict[str, Callable[[bool], Iterator[Bar]]] = {
+    problem.name: functools.partial(diagrams, problem) for problem in problems()
+}
+SECTIONS["summary"] = summary
