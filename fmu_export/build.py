@@ -84,7 +84,7 @@ def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
         An unknown platform, no compiler, or one that refuses.
     """
     command = _command(identifier, target)
-    text = "\0".join([*command, *(f"{k}\0{sources[k]}" for k in sorted(sources))])
+    text = "\0".join([identifier, *command, *(f"{k}\0{sources[k]}" for k in sorted(sources))])
     kept = cache_folder() / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.fmulib"
     if kept.exists():
         return kept.read_bytes()

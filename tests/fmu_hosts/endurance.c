@@ -19,18 +19,30 @@ static void heard(int status, const char *category, const char *text) {
   fprintf(stderr, "%d %s: %s\n", status, category, text);
 }
 
-/* --- the allocator, counted --------------------------------------------------------------------- */
+/* --- the allocator, counted ------------------------------------------------------------------- */
 
 extern void *__libc_malloc(size_t), *__libc_calloc(size_t, size_t), *__libc_realloc(void *, size_t);
 extern void __libc_free(void *);
 static volatile long allocations;
 
-void *malloc(size_t n) { allocations++; return __libc_malloc(n); }
-void *calloc(size_t n, size_t size) { allocations++; return __libc_calloc(n, size); }
-void *realloc(void *p, size_t n) { allocations++; return __libc_realloc(p, n); }
-void free(void *p) { allocations++; __libc_free(p); }
+void *malloc(size_t n) {
+  allocations++;
+  return __libc_malloc(n);
+}
+void *calloc(size_t n, size_t size) {
+  allocations++;
+  return __libc_calloc(n, size);
+}
+void *realloc(void *p, size_t n) {
+  allocations++;
+  return __libc_realloc(p, n);
+}
+void free(void *p) {
+  allocations++;
+  __libc_free(p);
+}
 
-/* --- running ------------------------------------------------------------------------------------ */
+/* --- running ---------------------------------------------------------------------------------- */
 
 typedef struct {
   double step;
@@ -101,7 +113,7 @@ static void measure_memory(const job_t *job) {
   release(fmu);
 }
 
-/* --- threads ------------------------------------------------------------------------------------ */
+/* --- threads ---------------------------------------------------------------------------------- */
 
 typedef struct {
   const job_t *job;

@@ -71,8 +71,8 @@ static int begin(fmu_t fmu) {
 static int advance(fmu_t fmu, double time, double size) {
   fmi3Boolean event, terminate, early;
   double reached;
-  return fmi3DoStep(fmu, time, size, fmi3True, &event, &terminate, &early, &reached) ||
-         event || terminate || early;
+  return fmi3DoStep(fmu, time, size, fmi3True, &event, &terminate, &early, &reached) || event ||
+         terminate || early;
 }
 
 static int get(fmu_t fmu, const unsigned *reference, size_t count, double *value, size_t n) {
@@ -102,7 +102,8 @@ static model_t model_of(int count, char **argument) {
   if (count < 2 || count - 2 > MOST_VALUES) stop("usage: ... TOKEN N_VALUES REFERENCE...");
   m.token = argument[0], m.n_values = strtoul(argument[1], NULL, 10);
   m.count = (size_t)count - 2;
-  for (size_t k = 0; k < m.count; k++) m.reference[k] = (unsigned)strtoul(argument[2 + k], NULL, 10);
+  for (size_t k = 0; k < m.count; k++)
+    m.reference[k] = (unsigned)strtoul(argument[2 + k], NULL, 10);
   if (m.n_values > MOST_VALUES) stop("too many values");
   return m;
 }

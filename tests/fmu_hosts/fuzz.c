@@ -1,7 +1,7 @@
 /* fuzz SEQUENCES BLOBS SEED TOKEN N_VALUES REFERENCE...
 
-   Random sequences of calls with random arguments, legal or not, of both interfaces, and state bytes
-   that were damaged. Built with sanitizers; besides what those find it stops when
+   Random sequences of calls with random arguments, legal or not, of both interfaces, and damaged
+   state bytes. Built with sanitizers; besides what those find it stops when
    - a status is none of OK, Warning, Discard and Error, or is not OK without a log line, or a line
      comes in an undeclared category;
    - numbers handed out with status OK are not finite;
@@ -17,7 +17,7 @@
 #include <time.h>
 #include <unistd.h>
 
-/* --- random arguments --------------------------------------------------------------------------- */
+/* --- random arguments ------------------------------------------------------------------------- */
 
 static unsigned long long seed;
 
@@ -33,14 +33,14 @@ static double number(void) {
   return one_in(4) ? odd[below(sizeof odd / sizeof *odd)] : below(2000) / 1000.0;
 }
 
-/* --- what is known of the model and of the call under way --------------------------------------- */
+/* --- what is known of the model and of the call under way ------------------------------------- */
 
 static model_t model;
-static unsigned greatest;         /* reference */
-static size_t n_states;           /* continuous */
-static double time_now;           /* where the instance stands, as far as the importer knows */
-static int lines, logging;        /* log lines of this call; whether all of them are asked for */
-static int plain;                 /* a step of this instance never returns early */
+static unsigned greatest;  /* reference */
+static size_t n_states;    /* continuous */
+static double time_now;    /* where the instance stands, as far as the importer knows */
+static int lines, logging; /* log lines of this call; whether all of them are asked for */
+static int plain;          /* a step of this instance never returns early */
 static const char *called;
 static unsigned reference[8];
 static double value[MOST_VALUES];
@@ -75,8 +75,9 @@ static int finite_values(size_t n) {
 /* Up to four references, a few of which do not exist; returns their number. */
 static size_t pick(void) {
   for (int k = 0; k < 4; k++)
-    reference[k] = one_in(50) ? below(4000000000u) : one_in(4) ? below(greatest + 3)
-                                                               : model.reference[below((unsigned)model.count)];
+    reference[k] = one_in(50)  ? below(4000000000u)
+                   : one_in(4) ? below(greatest + 3)
+                               : model.reference[below((unsigned)model.count)];
   return below(5);
 }
 
@@ -85,7 +86,8 @@ static void fill(void) {
 }
 
 static void fill_states(void) {
-  for (size_t k = 0; k < n_states; k++) value[k] = one_in(60) ? number() : one_in(30) ? 0.0 : below(1000) / 500.0;
+  for (size_t k = 0; k < n_states; k++)
+    value[k] = one_in(60) ? number() : one_in(30) ? 0.0 : below(1000) / 500.0;
 }
 
 typedef struct {
@@ -110,7 +112,7 @@ static void keep_bytes(size_t n) {
 #include "fuzz3.h"
 #endif
 
-/* --- sequences ---------------------------------------------------------------------------------- */
+/* --- sequences -------------------------------------------------------------------------------- */
 
 static long made, granted;
 static double slowest;
@@ -159,7 +161,8 @@ static void compare_after_reset(fmu_t fmu, const double *expected) {
   if (reset(fmu)) fail("no reset");
   if (begin(fmu)) fail("no start");
   move(fmu, found);
-  if (memcmp(found, expected, model.n_values * sizeof *found)) fail("other numbers than a fresh instance");
+  if (memcmp(found, expected, model.n_values * sizeof *found))
+    fail("other numbers than a fresh instance");
 }
 
 static void run_sequence(const double *expected) {
@@ -174,7 +177,7 @@ static void run_sequence(const double *expected) {
   release(fmu);
 }
 
-/* --- state bytes -------------------------------------------------------------------------------- */
+/* --- state bytes ------------------------------------------------------------------------------ */
 
 /* Damage a copy of `bytes` in one of many ways; returns its length. */
 static size_t damage(unsigned char *copy) {
@@ -183,14 +186,11 @@ static size_t damage(unsigned char *copy) {
   memcpy(copy, bytes, n);
   switch (below(7)) {
     case 0: /* single bits */
-      for (unsigned k = 1 + below(8); k; k--) copy[below((unsigned)n)] ^= (unsigned char)(1u << below(8));
+      for (unsigned k = 1 + below(8); k; k--)
+        copy[below((unsigned)n)] ^= (unsigned char)(1u << below(8));
       break;
-    case 1: /* a bit of the header */
-      copy[below(40)] ^= (unsigned char)(1u << below(8));
-      break;
-    case 2: /* too short */
-      n = below((unsigned)n);
-      break;
+    case 1: /* a bit of the header */ copy[below(40)] ^= (unsigned char)(1u << below(8)); break;
+    case 2: /* too short */ n = below((unsigned)n); break;
     case 3: /* too long */
       n += 1 + below(32);
       memset(copy + n_bytes, (int)below(256), n - n_bytes);

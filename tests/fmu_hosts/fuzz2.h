@@ -42,7 +42,8 @@ static int read_bytes(fmu_t fmu, const unsigned char *given, size_t n) {
 /* Find out what a model description would say: the number of states. */
 static void study(fmu_t fmu) {
   logging = 0;
-  while (++n_states < MOST_VALUES && fmi2GetNominalsOfContinuousStates(fmu, value, n_states)) continue;
+  while (++n_states < MOST_VALUES && fmi2GetNominalsOfContinuousStates(fmu, value, n_states))
+    continue;
 }
 
 static int instantiate(fmu_t fmu) {
@@ -51,8 +52,10 @@ static int instantiate(fmu_t fmu) {
   memset(name, 'x', below(sizeof name));
   name[below(sizeof name)] = 0, name[sizeof name - 1] = 0;
   fmu_t other = fmi2Instantiate(one_in(3) ? NULL : name, (fmi2Type)below(3),
-                                one_in(3) ? NULL : one_in(3) ? "other" : model.token, NULL,
-                                one_in(5) ? NULL : &callbacks, fmi2True, fmi2False);
+                                one_in(3)   ? NULL
+                                : one_in(3) ? "other"
+                                            : model.token,
+                                NULL, one_in(5) ? NULL : &callbacks, fmi2True, fmi2False);
   if (other) release(other);
   return fmu ? fmi2OK : fmi2Error;
 }
@@ -60,7 +63,7 @@ static int instantiate(fmu_t fmu) {
 static int set_debug_logging(fmu_t fmu) {
   static const fmi2String names[] = {"logStatusError", "nothing", "logEvents", "%s%n"};
   logging = 0;
-  return fmi2SetDebugLogging(fmu, one_in(2), below(3), one_in(9) ? NULL : names + below(2));
+  return fmi2SetDebugLogging(fmu, one_in(2), below(3), one_in(9) ? NULL : names + below(3));
 }
 
 static int setup(fmu_t fmu) {
@@ -69,7 +72,9 @@ static int setup(fmu_t fmu) {
 
 static int enter_initialization(fmu_t fmu) { return fmi2EnterInitializationMode(fmu); }
 static int exit_initialization(fmu_t fmu) { return fmi2ExitInitializationMode(fmu); }
-static int terminate(fmu_t fmu) { return one_in(4) ? fmi2Terminate(fmu) : fmi2GetReal(fmu, NULL, 0, NULL); }
+static int terminate(fmu_t fmu) {
+  return one_in(4) ? fmi2Terminate(fmu) : fmi2GetReal(fmu, NULL, 0, NULL);
+}
 
 static int reset_any(fmu_t fmu) {
   time_now = 0.0;
@@ -132,7 +137,8 @@ static int directional(fmu_t fmu) {
   const size_t n = pick();
   memcpy(known, reference, sizeof known);
   fill();
-  return fmi2GetDirectionalDerivative(fmu, reference, pick(), known, n, one_in(90) ? NULL : value, product);
+  return fmi2GetDirectionalDerivative(fmu, reference, pick(), known, n, one_in(90) ? NULL : value,
+                                      product);
 }
 
 static int get_state(fmu_t fmu) { return fmi2GetFMUstate(fmu, &state[below(KEPT)]); }
@@ -202,19 +208,33 @@ static int get_status(fmu_t fmu) {
   }
 }
 
-static const call_t calls[] = {
-    {"fmi2Instantiate", 1, instantiate}, {"fmi2SetDebugLogging", 1, set_debug_logging},
-    {"fmi2SetupExperiment", 1, setup}, {"fmi2EnterInitializationMode", 2, enter_initialization},
-    {"fmi2ExitInitializationMode", 2, exit_initialization}, {"fmi2Terminate", 1, terminate},
-    {"fmi2Reset", 1, reset_any}, {"fmi2GetReal", 4, get_real}, {"fmi2SetReal", 6, set_real},
-    {"values of other types", 1, others}, {"fmi2DoStep", 9, do_step},
-    {"fmi2SetRealInputDerivatives", 2, set_input_derivatives},
-    {"fmi2GetRealOutputDerivatives", 1, get_output_derivatives},
-    {"fmi2GetDirectionalDerivative", 2, directional}, {"fmi2GetFMUstate", 2, get_state},
-    {"fmi2SetFMUstate", 2, set_state}, {"fmi2FreeFMUstate", 1, free_state},
-    {"fmi2SerializeFMUstate", 1, serialize}, {"fmi2DeSerializeFMUstate", 2, deserialize},
-    {"fmi2NewDiscreteStates", 2, new_discrete_states}, {"fmi2EnterEventMode", 1, enter_event},
-    {"fmi2EnterContinuousTimeMode", 2, enter_continuous}, {"fmi2SetTime", 2, set_time},
-    {"fmi2CompletedIntegratorStep", 1, completed_step}, {"fmi2SetContinuousStates", 2, set_states},
-    {"fmi2GetContinuousStates", 1, get_states}, {"fmi2GetDerivatives", 2, get_derivatives},
-    {"fmi2GetEventIndicators", 1, get_indicators}, {"fmi2GetStatus", 1, get_status}, {NULL, 0, NULL}};
+static const call_t calls[] = {{"fmi2Instantiate", 1, instantiate},
+                               {"fmi2SetDebugLogging", 1, set_debug_logging},
+                               {"fmi2SetupExperiment", 1, setup},
+                               {"fmi2EnterInitializationMode", 2, enter_initialization},
+                               {"fmi2ExitInitializationMode", 2, exit_initialization},
+                               {"fmi2Terminate", 1, terminate},
+                               {"fmi2Reset", 1, reset_any},
+                               {"fmi2GetReal", 4, get_real},
+                               {"fmi2SetReal", 6, set_real},
+                               {"values of other types", 1, others},
+                               {"fmi2DoStep", 9, do_step},
+                               {"fmi2SetRealInputDerivatives", 2, set_input_derivatives},
+                               {"fmi2GetRealOutputDerivatives", 1, get_output_derivatives},
+                               {"fmi2GetDirectionalDerivative", 2, directional},
+                               {"fmi2GetFMUstate", 2, get_state},
+                               {"fmi2SetFMUstate", 2, set_state},
+                               {"fmi2FreeFMUstate", 1, free_state},
+                               {"fmi2SerializeFMUstate", 1, serialize},
+                               {"fmi2DeSerializeFMUstate", 2, deserialize},
+                               {"fmi2NewDiscreteStates", 2, new_discrete_states},
+                               {"fmi2EnterEventMode", 1, enter_event},
+                               {"fmi2EnterContinuousTimeMode", 2, enter_continuous},
+                               {"fmi2SetTime", 2, set_time},
+                               {"fmi2CompletedIntegratorStep", 1, completed_step},
+                               {"fmi2SetContinuousStates", 2, set_states},
+                               {"fmi2GetContinuousStates", 1, get_states},
+                               {"fmi2GetDerivatives", 2, get_derivatives},
+                               {"fmi2GetEventIndicators", 1, get_indicators},
+                               {"fmi2GetStatus", 1, get_status},
+                               {NULL, 0, NULL}};

@@ -10,7 +10,8 @@ static void updated(fmi3InstanceEnvironment environment, fmi3Float64 time, fmi3B
   double read;
   fmi3Boolean a, b, c;
   (void)environment, (void)set, (void)finished;
-  if (can_get && inside && one_in(2)) fmi3GetFloat64(inside, model.reference, 1, value, MOST_VALUES);
+  if (can_get && inside && one_in(2))
+    fmi3GetFloat64(inside, model.reference, 1, value, MOST_VALUES);
   if (inside && one_in(9) && !fmi3DoStep(inside, time, 0.1, fmi3True, &a, &b, &c, &read))
     fail("a step inside of a step");
   if (inside && one_in(9) && !fmi3Reset(inside)) fail("a reset inside of a step");
@@ -19,11 +20,13 @@ static void updated(fmi3InstanceEnvironment environment, fmi3Float64 time, fmi3B
 
 static fmu_t create_any(int stepping) {
   if (!stepping)
-    return fmi3InstantiateModelExchange("one", model.token, "", fmi3False, fmi3True, NULL, log_line);
+    return fmi3InstantiateModelExchange("one", model.token, "", fmi3False, fmi3True, NULL,
+                                        log_line);
   const fmi3Boolean events = one_in(2), early = one_in(2);
   plain = !events && !early;
-  return inside = fmi3InstantiateCoSimulation("one", model.token, "", fmi3False, fmi3True, events, early,
-                                              NULL, 0, NULL, log_line, one_in(2) ? updated : NULL);
+  return inside =
+             fmi3InstantiateCoSimulation("one", model.token, "", fmi3False, fmi3True, events, early,
+                                         NULL, 0, NULL, log_line, one_in(2) ? updated : NULL);
 }
 
 static void start_any(fmu_t fmu, int stepping) {
@@ -60,7 +63,8 @@ static unsigned char *sizes; /* of variables, by reference; 0: there is none */
 
 /* Find out what a model description would say: the number of states, the sizes of variables. */
 static void study(fmu_t fmu) {
-  fmu_t other = fmi3InstantiateModelExchange("one", model.token, "", fmi3False, fmi3False, NULL, log_line);
+  fmu_t other =
+      fmi3InstantiateModelExchange("one", model.token, "", fmi3False, fmi3False, NULL, log_line);
   if (!other || fmi3GetNumberOfContinuousStates(other, &n_states)) fail("no number of states");
   release(other);
   sizes = calloc(greatest + 1, 1);
@@ -80,10 +84,11 @@ static size_t pick_values(size_t *n) {
 static int instantiate(fmu_t fmu) {
   const char *token = one_in(3) ? NULL : one_in(3) ? "other" : model.token;
   const char *name = one_in(3) ? NULL : "two";
-  fmu_t other = one_in(3) ? fmi3InstantiateScheduledExecution(name, token, NULL, fmi3True, fmi3False,
-                                                              NULL, log_line, NULL, NULL, NULL)
-                          : fmi3InstantiateModelExchange(name, token, NULL, fmi3True, fmi3False, NULL,
-                                                         one_in(2) ? NULL : log_line);
+  fmu_t other = one_in(3)
+                    ? fmi3InstantiateScheduledExecution(name, token, NULL, fmi3True, fmi3False,
+                                                        NULL, log_line, NULL, NULL, NULL)
+                    : fmi3InstantiateModelExchange(name, token, NULL, fmi3True, fmi3False, NULL,
+                                                   one_in(2) ? NULL : log_line);
   if (other) release(other);
   return fmu ? fmi3OK : fmi3Error;
 }
@@ -91,7 +96,7 @@ static int instantiate(fmu_t fmu) {
 static int set_debug_logging(fmu_t fmu) {
   static const fmi3String names[] = {"logStatusError", "nothing", "logEvents", "%s%n"};
   logging = 0;
-  return fmi3SetDebugLogging(fmu, one_in(2), below(3), one_in(9) ? NULL : names + below(2));
+  return fmi3SetDebugLogging(fmu, one_in(2), below(3), one_in(9) ? NULL : names + below(3));
 }
 
 static int configuration(fmu_t fmu) {
@@ -100,13 +105,16 @@ static int configuration(fmu_t fmu) {
 
 static int enter_initialization(fmu_t fmu) {
   const double from = number();
-  const int status = fmi3EnterInitializationMode(fmu, one_in(2), number(), from, one_in(3), number());
+  const int status =
+      fmi3EnterInitializationMode(fmu, one_in(2), number(), from, one_in(3), number());
   if (!status) time_now = from;
   return status;
 }
 
 static int exit_initialization(fmu_t fmu) { return fmi3ExitInitializationMode(fmu); }
-static int terminate(fmu_t fmu) { return one_in(4) ? fmi3Terminate(fmu) : fmi3GetFloat64(fmu, NULL, 0, NULL, 0); }
+static int terminate(fmu_t fmu) {
+  return one_in(4) ? fmi3Terminate(fmu) : fmi3GetFloat64(fmu, NULL, 0, NULL, 0);
+}
 
 static int reset_any(fmu_t fmu) {
   time_now = 0.0;
@@ -156,7 +164,8 @@ static int do_step(fmu_t fmu) {
   double reached = time_now;
   const double from = one_in(15) ? number() : time_now;
   const double size = one_in(10) ? number() : below(300) / 1000.0;
-  const int status = fmi3DoStep(fmu, from, size, one_in(2), one_in(90) ? NULL : &event, &end, &early, &reached);
+  const int status =
+      fmi3DoStep(fmu, from, size, one_in(2), one_in(90) ? NULL : &event, &end, &early, &reached);
   if (!status) time_now = reached;
   if (status) return status;
   const double left = from + size - reached;
@@ -178,7 +187,8 @@ static int derivatives(fmu_t fmu) {
   const size_t n_unknown = pick_values(&m);
   fill();
   if (one_in(2))
-    return fmi3GetDirectionalDerivative(fmu, reference, n_unknown, known, n_known, value, n, product, m);
+    return fmi3GetDirectionalDerivative(fmu, reference, n_unknown, known, n_known, value, n,
+                                        product, m);
   return fmi3GetAdjointDerivative(fmu, reference, n_unknown, known, n_known, value, m, product, n);
 }
 
@@ -251,19 +261,34 @@ static int get_dependencies(fmu_t fmu) {
   return fmi3GetNumberOfVariableDependencies(fmu, below(greatest), &n);
 }
 
-static const call_t calls[] = {
-    {"fmi3Instantiate", 1, instantiate}, {"fmi3SetDebugLogging", 1, set_debug_logging},
-    {"configuration mode", 1, configuration}, {"fmi3EnterInitializationMode", 2, enter_initialization},
-    {"fmi3ExitInitializationMode", 2, exit_initialization}, {"fmi3Terminate", 1, terminate},
-    {"fmi3Reset", 1, reset_any}, {"fmi3GetFloat64", 6, get_float}, {"fmi3SetFloat64", 8, set_float},
-    {"values of other types", 1, others}, {"fmi3DoStep", 9, do_step},
-    {"fmi3GetOutputDerivatives", 1, get_output_derivatives}, {"derivatives", 5, derivatives},
-    {"fmi3GetFMUState", 2, get_state}, {"fmi3SetFMUState", 2, set_state},
-    {"fmi3FreeFMUState", 1, free_state}, {"fmi3SerializeFMUState", 1, serialize},
-    {"fmi3DeserializeFMUState", 2, deserialize}, {"fmi3UpdateDiscreteStates", 2, update_discrete_states},
-    {"fmi3EvaluateDiscreteStates", 1, evaluate_discrete_states}, {"fmi3EnterEventMode", 2, enter_event},
-    {"fmi3EnterStepMode", 3, enter_step}, {"fmi3EnterContinuousTimeMode", 2, enter_continuous},
-    {"fmi3SetTime", 2, set_time}, {"fmi3CompletedIntegratorStep", 1, completed_step},
-    {"fmi3SetContinuousStates", 2, set_states}, {"states", 2, get_states},
-    {"fmi3GetContinuousStateDerivatives", 2, get_derivatives}, {"event indicators", 1, get_indicators},
-    {"dependencies", 1, get_dependencies}, {NULL, 0, NULL}};
+static const call_t calls[] = {{"fmi3Instantiate", 1, instantiate},
+                               {"fmi3SetDebugLogging", 1, set_debug_logging},
+                               {"configuration mode", 1, configuration},
+                               {"fmi3EnterInitializationMode", 2, enter_initialization},
+                               {"fmi3ExitInitializationMode", 2, exit_initialization},
+                               {"fmi3Terminate", 1, terminate},
+                               {"fmi3Reset", 1, reset_any},
+                               {"fmi3GetFloat64", 6, get_float},
+                               {"fmi3SetFloat64", 8, set_float},
+                               {"values of other types", 1, others},
+                               {"fmi3DoStep", 9, do_step},
+                               {"fmi3GetOutputDerivatives", 1, get_output_derivatives},
+                               {"derivatives", 5, derivatives},
+                               {"fmi3GetFMUState", 2, get_state},
+                               {"fmi3SetFMUState", 2, set_state},
+                               {"fmi3FreeFMUState", 1, free_state},
+                               {"fmi3SerializeFMUState", 1, serialize},
+                               {"fmi3DeserializeFMUState", 2, deserialize},
+                               {"fmi3UpdateDiscreteStates", 2, update_discrete_states},
+                               {"fmi3EvaluateDiscreteStates", 1, evaluate_discrete_states},
+                               {"fmi3EnterEventMode", 2, enter_event},
+                               {"fmi3EnterStepMode", 3, enter_step},
+                               {"fmi3EnterContinuousTimeMode", 2, enter_continuous},
+                               {"fmi3SetTime", 2, set_time},
+                               {"fmi3CompletedIntegratorStep", 1, completed_step},
+                               {"fmi3SetContinuousStates", 2, set_states},
+                               {"states", 2, get_states},
+                               {"fmi3GetContinuousStateDerivatives", 2, get_derivatives},
+                               {"event indicators", 1, get_indicators},
+                               {"dependencies", 1, get_dependencies},
+                               {NULL, 0, NULL}};

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -122,19 +123,23 @@ class Program:
         flags = [*FLAGS, f"-DFMI_VERSION={fmu.version[0]}", f"-I{HERE}", f"-I{FMI_HEADERS}"]
         windows = PLATFORMS[self.target][2] == ".dll"
         self._file = self.folder / (f"{name}.exe" if windows else name)
-        link = ["-o", self._file.name, "-lm", *([] if windows else ["-lpthread"])]
+        sources, link = [HERE / f"{name}.c"], ["-lm", *([] if windows else ["-lpthread"])]
         if sanitized:
             compiler = sanitizing_compiler()
-            inputs = sorted(map(str, (fmu.folder / "sources").glob("*.c")))
+            sources += sorted((fmu.folder / "sources").glob("*.c"))
             flags += ["-O1", *SANITIZERS, f"-I{fmu.folder / 'sources'}"]
         else:
             compiler = _compiler(self.target)
             # Named without a folder, a library is looked for by its name when the program starts.
-            inputs = [Path(shutil.copy(fmu.library(self.target), self.folder)).name]
+            link.append(Path(shutil.copy(fmu.library(self.target), self.folder)).name)
             link += [] if windows else ["-Wl,-rpath,$ORIGIN"]
-        self._compile([*compiler, *flags, str(HERE / f"{name}.c"), *inputs, *link])
+        compiled, objects = [*compiler, *flags], [f"{file.stem}.o" for file in sources]
+        commands = [[*compiled, "-c", str(c), "-o", o] for c, o in zip(sources, objects)]
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(self._call, commands))
+        self._call([*compiled, *objects, "-o", self._file.name, *link])
 
-    def _compile(self, command: Sequence[str]) -> None:
+    def _call(self, command: Sequence[str]) -> None:
         run = subprocess.run(command, cwd=self.folder, capture_output=True, text=True)
         assert run.returncode == 0, f"{' '.join(command)}\n{run.stderr}"
 
