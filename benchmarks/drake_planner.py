@@ -170,7 +170,7 @@ def cost(full: bool) -> Iterator[Bar]:
             empty = cost[f"empty, {name} {coordinates}"]
             for engine in engines:
                 value = cost[f"{engine}, {name} {coordinates}"] - empty
-                limit = 4.0 if engine == "compiled" and name != "K3" else NONE
+                limit = NONE if name == "K3" else 4.0
                 yield Bar(f"{title}, {coordinates}, {engine}: over empty", limit, value, "us",
                           note=f"empty takes {empty:.3g} us")  # fmt: skip
 
