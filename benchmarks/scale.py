@@ -14,7 +14,7 @@ import signal
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import Any
@@ -110,20 +110,64 @@ def _rate(what: str, count: int, run: tuple[float, Any], note: str) -> Bar:
     return Bar(f"{count} {what}", 2e4, count / spent, "/s", least=True, note=note, holds=whole)
 
 
+def making(full: bool) -> Iterator[Bar]:
+    """Time to make one scene of new parts, with all checks, and to plan it and ask for points."""
+    for name, limit, surface in (
+        ("sphere", 20, lambda x: cs.Sphere(0.2 + x)),
+        ("plane", 40, lambda x: cs.Plane()),
+        ("cylinder", 40, lambda x: cs.Cylinder(0.2 + x)),
+        ("torus", 40, lambda x: cs.Torus(0.3 + x, 0.1)),
+        ("ellipsoid", 40, lambda x: cs.Ellipsoid(0.3 + x, 0.2, 0.1)),
+    ):
+        make = functools.partial(_new, surface)
+        once = min(_pace(make, range(k, k + 500)) for k in range(0, 5000, 500))
+        traced = functools.partial(_traced, make)
+        points = min(_pace(traced, range(k, k + 50)) for k in range(0, 500, 50))
+        note = f"all parts new; {1e6 * points:.3g} us with a plan and {POINTS} points"
+        yield Bar(f"making a scene, sphere on {name}", limit, 1e6 * once, " us", note=note)
+
+
+def _new(surface: Callable[[float], cs.Surface], k: int) -> cs.Scene:
+    """Scene k of a sphere on a surface, of which no part was there before."""
+    x = 1e-6 * k
+    contact = cs.Contact(
+        finger=cs.Sphere(0.04 + x),
+        object_at=(1.0 + x, 0.5),
+        object_velocity=(0.3, 0.2 + x),
+    )
+    return cs.Scene(
+        object=surface(x), contacts=[contact], profile=cs.Profile([0.05 + x, 0.1]),
+        gain=cs.Gain.path(200.0 + x), duration=DURATION,
+    )  # fmt: skip
+
+
+def _traced(make: Callable[[int], cs.Scene], k: int) -> np.ndarray:
+    """Scene k made, planned, and its points at POINTS times."""
+    t = np.linspace(0.0, DURATION, POINTS)
+    return cs.plan(make(k), compiled=_compiled()).points(t)
+
+
+def _pace(call: Callable[[int], Any], items: range) -> float:
+    """Seconds a call."""
+    begin = time.perf_counter()
+    for k in items:
+        call(k)
+    return (time.perf_counter() - begin) / len(items)
+
+
 def one_core(full: bool) -> Iterator[Bar]:
     """Scenes a second on one core, ready made and made on the way."""
     count = 100_000 if full else 20_000
     _compiled()
-    begin = time.perf_counter()
+    run = min((_timed(map(scene, range(count))) for _ in range(3)), key=lambda run: run[0])
+    note = "made on the way; the best of three"
+    yield _rate("scenes with slip, from a generator", count, run, note)
     scenes = [scene(k) for k in range(count)]
-    making = 1e6 * (time.perf_counter() - begin) / count
     run = min((_timed(scenes) for _ in range(3)), key=lambda run: run[0])
     yield _rate("scenes with slip", count, run, "ready made; the best of three")
     run = _timed(map(crowd, range(count // CROWD)), chunk=2)
     yield _rate(f"contacts with slip, in scenes of {CROWD}", count, run, "made on the way")
     few = count // 4
-    note = f"made on the way, which takes {making:.3g} us of it"
-    yield _rate("scenes with slip, from a generator", few, _timed(map(scene, range(few))), note)
     scenes = [scene(k, True) for k in range(few)]
     run = min((_timed(scenes) for _ in range(3)), key=lambda run: run[0])
     yield _rate("disturbed scenes", few, run, "ready made; an aim, three intervals each")
@@ -214,6 +258,7 @@ def _with_one_killed(
 
 SECTIONS = {
     "exact": exact,
+    "making": making,
     "one_core": one_core,
     "memory": memory,
     "two_cores": two_cores,

@@ -12,7 +12,8 @@ chart is the one of sphero-conal coordinates, see `JacobiChart`.
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 Pair = tuple[SX, SX]
 Frame = tuple[SX, SX, SX]
 Periods = tuple[float | None, float | None]
+Angle = Any  # a float or an array of them
+Numbers = Sequence[float]
 
 TURN = 2.0 * math.pi
 # Keeps 0/0 out of expressions whose numerator is zero as well; far below any real length ratio.
@@ -39,17 +42,25 @@ def diagonal(a: SX | float, b: SX | float) -> SX:
     return ca.diag(ca.vertcat(a, b))
 
 
-def fold_latitude(v: Array) -> tuple[Array, NDArray[np.bool_]]:
+def choose(condition: Any, a: Any, b: Any) -> Any:
+    """Return a where the condition holds, else b; of one number as of arrays."""
+    return np.where(condition, a, b) if isinstance(condition, np.ndarray) else a if condition else b
+
+
+def fold_latitude(v: Angle) -> tuple[Angle, Any]:
     """Return v in [-pi/2, pi/2], the angle with the same sine, and where it had to be folded."""
     v = wrap_angle(v)
-    beyond = np.abs(v) > math.pi / 2
-    return np.where(beyond, np.copysign(math.pi, v) - v, v), beyond
+    beyond = abs(v) > math.pi / 2
+    return choose(beyond, choose(v > 0, math.pi, -math.pi) - v, v), beyond
 
 
-def wrap_angle(angle: Array) -> Array:
+def wrap_angle(angle: Angle) -> Angle:
     """Return the angle in (-pi, pi], untouched where it is there already."""
-    turned = angle - TURN * np.ceil((angle - math.pi) / TURN)
-    return np.where((angle > -math.pi) & (angle <= math.pi), angle, turned)
+    in_range = (angle > -math.pi) & (angle <= math.pi)  # a bool or an array of them
+    if in_range is True:  # one number, as contacts mostly have
+        return angle
+    ceil = np.ceil if isinstance(angle, np.ndarray) else math.ceil
+    return choose(in_range, angle, angle - TURN * ceil((angle - math.pi) / TURN))
 
 
 class Chart:
@@ -58,7 +69,8 @@ class Chart:
     Class attributes: `orthogonal` (``f_u . f_v = 0`` identically), `periods` of u and v in radians
     or None, `double_cover` ((-u, pi - v) is the same point as (u, v), with both frame axes turned
     by pi), `developable` (T = 0 and constant Lame coefficients), `great_circles` (geodesics are
-    great circles), `singular_at` (where the frame is lost, for messages), `ranges` of the
+    great circles), `turning` (0 or 1: the coordinate that only turns the surface about its axis;
+    such a chart has `lame`), `singular_at` (where the frame is lost, for messages), `ranges` of the
     principal branch.
     """
 
@@ -67,12 +79,21 @@ class Chart:
     double_cover: ClassVar[bool] = False
     developable: ClassVar[bool] = False
     great_circles: ClassVar[bool] = False
+    turning: ClassVar[int | None] = None
     singular_at: ClassVar[str] = ""
     ranges: ClassVar[str] = "u and v any real number"
 
     @staticmethod
     def point(p: SX, u: SX, v: SX) -> SX:
         """Return f(u, v), (3, 1), m."""
+        raise NotImplementedError
+
+    @staticmethod
+    def lame(p: SX, u: SX, v: SX) -> Pair:
+        """Return |f_u|, |f_v|, m, of a chart that is `turning`, without that angle.
+
+        Beyond a pole the one that vanishes there is negative.
+        """
         raise NotImplementedError
 
     @staticmethod
@@ -86,9 +107,18 @@ class Chart:
         raise NotImplementedError
 
     @staticmethod
-    def wrap(u: Array, v: Array) -> tuple[Array, Array]:
+    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
         """Return the same point in the principal range; what is in range stays bit for bit."""
         return u, v
+
+    @staticmethod
+    def metric_floor(p: Numbers, u: float, v: float) -> float:
+        """Return what no diagonal entry of the metric root is below, m; 0 where none is known.
+
+        It costs a sine where the entries themselves cost a kernel, and so tells cheaply that a
+        point is regular.
+        """
+        return 0.0
 
 
 class FlatChart(Chart):
@@ -109,11 +139,16 @@ class FlatChart(Chart):
     def frame(p: SX, x: SX) -> Frame:
         return SX([1, 0, 0]), SX([0, 1, 0]), SX.eye(2)
 
+    @staticmethod
+    def metric_floor(p: Numbers, u: float, v: float) -> float:
+        return 1.0
+
 
 class PolarChart(Chart):
     """r (sin u cos v, sin u sin v, cos u): the sphere, p = (r,)."""
 
     orthogonal = True
+    turning = 1
     periods = (None, TURN)
     great_circles = True
     singular_at = "a pole (u = 0 or pi)"
@@ -123,6 +158,10 @@ class PolarChart(Chart):
     def point(p: SX, u: SX, v: SX) -> SX:
         rho = p[0] * ca.sin(u)
         return ca.vertcat(rho * ca.cos(v), rho * ca.sin(v), p[0] * ca.cos(u))
+
+    @staticmethod
+    def lame(p: SX, u: SX, v: SX) -> Pair:
+        return p[0], p[0] * ca.sin(u)
 
     @staticmethod
     def coordinates(p: SX, x: SX) -> Pair:
@@ -136,16 +175,21 @@ class PolarChart(Chart):
         return x_axis, ca.vertcat(-sin_v, cos_v, 0), diagonal(r, rho)
 
     @staticmethod
-    def wrap(u: Array, v: Array) -> tuple[Array, Array]:
+    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
         u = wrap_angle(u)
         # (-u, v) is the point (u, v + pi), but there f_u x f_v points into the body.
-        return np.abs(u), wrap_angle(np.where(u < 0, v + math.pi, v))
+        return abs(u), wrap_angle(choose(u < 0, v + math.pi, v))
+
+    @staticmethod
+    def metric_floor(p: Numbers, u: float, v: float) -> float:
+        return p[0] * abs(math.sin(u))
 
 
 class RoundCylinderChart(Chart):
     """(r cos u, r sin u, v): the circular cylinder, p = (r,)."""
 
     orthogonal = True
+    turning = 0
     periods = (TURN, None)
     developable = True
     ranges = "-pi < u <= pi, v any"
@@ -153,6 +197,10 @@ class RoundCylinderChart(Chart):
     @staticmethod
     def point(p: SX, u: SX, v: SX) -> SX:
         return ca.vertcat(p[0] * ca.cos(u), p[0] * ca.sin(u), v)
+
+    @staticmethod
+    def lame(p: SX, u: SX, v: SX) -> Pair:
+        return p[0], SX(1)
 
     @staticmethod
     def coordinates(p: SX, x: SX) -> Pair:
@@ -163,14 +211,19 @@ class RoundCylinderChart(Chart):
         return ca.vertcat(-x[1] / p[0], x[0] / p[0], 0), SX([0, 0, 1]), diagonal(p[0], 1)
 
     @staticmethod
-    def wrap(u: Array, v: Array) -> tuple[Array, Array]:
+    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
         return wrap_angle(u), v
+
+    @staticmethod
+    def metric_floor(p: Numbers, u: float, v: float) -> float:
+        return min(p[0], 1.0)
 
 
 class TorusChart(Chart):
     """((R + r cos v) cos u, (R + r cos v) sin u, r sin v), p = (R, r); regular everywhere."""
 
     orthogonal = True
+    turning = 0
     periods = (TURN, TURN)
     ranges = "-pi < u, v <= pi"
 
@@ -178,6 +231,10 @@ class TorusChart(Chart):
     def point(p: SX, u: SX, v: SX) -> SX:
         rho = p[0] + p[1] * ca.cos(v)
         return ca.vertcat(rho * ca.cos(u), rho * ca.sin(u), p[1] * ca.sin(v))
+
+    @staticmethod
+    def lame(p: SX, u: SX, v: SX) -> Pair:
+        return p[0] + p[1] * ca.cos(v), p[1]
 
     @staticmethod
     def coordinates(p: SX, x: SX) -> Pair:
@@ -192,8 +249,12 @@ class TorusChart(Chart):
         return ca.vertcat(-sin_u, cos_u, 0), y_axis, diagonal(rho, p[1])
 
     @staticmethod
-    def wrap(u: Array, v: Array) -> tuple[Array, Array]:
+    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
         return wrap_angle(u), wrap_angle(v)
+
+    @staticmethod
+    def metric_floor(p: Numbers, u: float, v: float) -> float:
+        return min(p[0] - p[1], p[1])
 
 
 class JacobiChart(Chart):
@@ -216,7 +277,7 @@ class JacobiChart(Chart):
     ranges = "-pi < u <= pi, -pi/2 <= v <= pi/2"
 
     @staticmethod
-    def moduli(p: SX) -> Pair:
+    def moduli(p: SX | Numbers) -> tuple[Any, Any]:
         """Return (k^2, k'^2); the differences of nearly equal axes are exact."""
         a, b, c = p[0], p[1], p[2]
         whole = (a - c) * (a + c)
@@ -286,15 +347,22 @@ class JacobiChart(Chart):
         return f_u / h_u, f_v / h_v, diagonal(h_u, h_v)
 
     @staticmethod
-    def wrap(u: Array, v: Array) -> tuple[Array, Array]:
+    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
         v, beyond = fold_latitude(v)
-        return wrap_angle(np.where(beyond, -u, u)), v
+        return wrap_angle(choose(beyond, -u, u)), v
+
+    @staticmethod
+    def metric_floor(p: Numbers, u: float, v: float) -> float:
+        # h_u >= b sqrt(total) and h_v >= c sqrt(total), see `frame`.
+        k2, l2 = JacobiChart.moduli(p)
+        return p[2] * math.sqrt(l2 * math.sin(u) ** 2 + k2 * math.cos(v) ** 2)
 
 
 class OblateChart(Chart):
     """(a cos u cos v, a sin u cos v, c sin v): Jacobi's chart in the limit a = b, p = (a, c)."""
 
     orthogonal = True
+    turning = 0
     periods = (TURN, None)
     singular_at = "a pole (v = +-pi/2)"
     ranges = "-pi < u <= pi, -pi/2 < v < pi/2"
@@ -303,6 +371,10 @@ class OblateChart(Chart):
     def point(p: SX, u: SX, v: SX) -> SX:
         rho = p[0] * ca.cos(v)
         return ca.vertcat(rho * ca.cos(u), rho * ca.sin(u), p[1] * ca.sin(v))
+
+    @staticmethod
+    def lame(p: SX, u: SX, v: SX) -> Pair:
+        return p[0] * ca.cos(v), hypot(p[0] * ca.sin(v), p[1] * ca.cos(v))
 
     @staticmethod
     def coordinates(p: SX, x: SX) -> Pair:
@@ -318,15 +390,20 @@ class OblateChart(Chart):
         return ca.vertcat(-sin_u, cos_u, 0), y_axis, diagonal(rho, h_v)
 
     @staticmethod
-    def wrap(u: Array, v: Array) -> tuple[Array, Array]:
+    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
         v, beyond = fold_latitude(v)
-        return wrap_angle(np.where(beyond, u + math.pi, u)), v
+        return wrap_angle(choose(beyond, u + math.pi, u)), v
+
+    @staticmethod
+    def metric_floor(p: Numbers, u: float, v: float) -> float:
+        return p[1] * abs(math.cos(v))  # h_u = a |cos v|, h_v >= c
 
 
 class ProlateChart(Chart):
     """(a cos u, b sin u cos v, b sin u sin v): Jacobi's chart in the limit b = c, p = (a, b)."""
 
     orthogonal = True
+    turning = 1
     periods = (None, TURN)
     singular_at = "a pole (u = 0 or pi)"
     ranges = "0 < u < pi, -pi < v <= pi"
@@ -336,6 +413,10 @@ class ProlateChart(Chart):
     def point(p: SX, u: SX, v: SX) -> SX:
         rho = p[1] * ca.sin(u)
         return ca.vertcat(p[0] * ca.cos(u), rho * ca.cos(v), rho * ca.sin(v))
+
+    @staticmethod
+    def lame(p: SX, u: SX, v: SX) -> Pair:
+        return hypot(p[0] * ca.sin(u), p[1] * ca.cos(u)), p[1] * ca.sin(u)
 
     @staticmethod
     def coordinates(p: SX, x: SX) -> Pair:
@@ -349,6 +430,10 @@ class ProlateChart(Chart):
         h_u = hypot(axial, radial)
         x_axis = ca.vertcat(axial, radial * cos_v, radial * sin_v) / h_u
         return x_axis, ca.vertcat(0, -sin_v, cos_v), diagonal(h_u, rho)
+
+    @staticmethod
+    def metric_floor(p: Numbers, u: float, v: float) -> float:
+        return p[1] * abs(math.sin(u))  # h_v = b |sin u|, h_u >= b
 
 
 class OneSheetChart(Chart):
@@ -419,6 +504,10 @@ class EllipticCylinderChart(Chart):
         h_u = hypot(f_u[0], f_u[1])
         return f_u / h_u, SX([0, 0, 1]), diagonal(h_u, 1)
 
+    @staticmethod
+    def metric_floor(p: Numbers, u: float, v: float) -> float:
+        return min(p[1], 1.0)  # h_u >= b, as a >= b
+
 
 class HyperbolicCylinderChart(Chart):
     """(a sqrt(1 + u^2), b u, v), p = (a, b)."""
@@ -440,6 +529,10 @@ class HyperbolicCylinderChart(Chart):
         h_u = hypot(f_u[0], f_u[1])
         return f_u / h_u, SX([0, 0, 1]), diagonal(h_u, 1)
 
+    @staticmethod
+    def metric_floor(p: Numbers, u: float, v: float) -> float:
+        return min(p[1], 1.0)  # h_u >= b
+
 
 class OffsetPlaneChart(Chart):
     """(a, u, v): the plane at distance a from the origin, p = (a,)."""
@@ -458,6 +551,10 @@ class OffsetPlaneChart(Chart):
     @staticmethod
     def frame(p: SX, x: SX) -> Frame:
         return SX([0, 1, 0]), SX([0, 0, 1]), SX.eye(2)
+
+    @staticmethod
+    def metric_floor(p: Numbers, u: float, v: float) -> float:
+        return 1.0
 
 
 class FreeChart(Chart):

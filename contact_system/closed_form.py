@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -143,11 +143,14 @@ class CircleTrack(Track):
         constants, memory = self.circle.constants, self._memories["points"]
         kernel(self._phases(t), constants, out, self.compiled, memory)
 
-    def _entry(self, output: str) -> tuple[Callable[..., int], int] | None:
+    def _entry(self, output: str) -> tuple[Evaluator, int] | None:
         compiled = circle_evaluator(self.surface, output)
         if self._long or not compiled.usable(self.compiled):
             return None
-        return compiled.library.evaluate, self._data[0]
+        return compiled, self._data[0]
+
+    def again(self, tolerance: float) -> Track:
+        return self
 
     def _coordinates(self, t: np.ndarray) -> np.ndarray:
         kernel = circle_kernel(self.surface, "coordinates")
@@ -268,6 +271,23 @@ def great_circle(parameters: np.ndarray, begin: np.ndarray, w: np.ndarray) -> Ci
     return Circle(w, pace, phase_per_metre, float(phase_per_metre.max()), constants)
 
 
+@per_structure
+def line_evaluator(surface: Surface, output: str) -> Evaluator:
+    """Straight line on a developable surface, compiled.
+
+    point: length, speed, length; constant: parameters, u, v, theta, and (u, v) per metre.
+    """
+    point, p = SX.sym("point", 3), SX.sym("p", len(surface.parameters))
+    begin, slope = SX.sym("begin", 3), SX.sym("slope", 2)
+    at = begin[:2] + slope * point[0]
+    if output == "points":
+        result = surface.chart_expr(p, at[0], at[1])
+    else:
+        result = ca.vertcat(at, slope * point[1], begin[2])
+    kernel = Kernel(f"line_{output}", point, ca.vertcat(p, begin, slope), result)
+    return Evaluator(kernel, True, 0, False)
+
+
 @dataclass(eq=False)
 class FlatTrack(Track):
     """Plane and cylinder: u, v are linear in the developed displacement and theta is constant.
@@ -297,6 +317,34 @@ class FlatTrack(Track):
         turn = np.array([[cos, -sin], [sin, cos]]).transpose(2, 0, 1)
         self.along = (turn @ self.w[:, :, None])[:, :, 0]
         self.aside = (turn @ self.v[:, :, None])[:, :, 0]
+
+    def again(self, tolerance: float) -> Track | None:
+        return self if self.slip_length is None else None
+
+    def _entry(self, output: str) -> tuple[Evaluator, int] | None:
+        compiled = line_evaluator(self.surface, output)
+        if self.slip_length is not None or self.offset is not None or self._long:
+            return None
+        return (compiled, self._data[0]) if compiled.usable(self.compiled) else None
+
+    @functools.cached_property
+    def _data(self) -> tuple[int, tuple]:
+        """Address of the C form of this track, and what it points to."""
+        constants = np.hstack([self.parameters, self.begin, self.along / self.lame])
+        piece, ones = self.piece, np.ones(self.n_bodies)
+        data = TrackData(
+            start=self.start, stop=self.stop, drive=drive_data(piece), nb=self.n_bodies,
+            constants=address(constants), length=address(piece.arrays[1]), w=address(ones),
+            v=address(ones),
+        )  # fmt: skip
+        return ctypes.addressof(data), (data, piece, constants, ones)
+
+    @functools.cached_property
+    def _long(self) -> bool:
+        """Whether whole turns must be taken off somewhere."""
+        span = self.piece.arc_length(self.stop - self.start)
+        moved = np.abs(self.along / self.lame) * span + np.abs(self.begin[:, :2])
+        return bool((moved / self.surface.size).max() > LONG_PHASE)
 
     def state(self, t: np.ndarray) -> np.ndarray:
         return self._state(t - self.start, False)

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -39,17 +40,22 @@ from .kernels import (
     compiled_library,
     contiguous,
     find_compiler,
+    function_address,
     library_path,
     per_structure,
 )
 from .profile import GainPiece
 from .surfaces import Surface
 from .tracks import (
+    Drive,
+    Evaluator,
     Track,
     TrackData,
     chart_to_parallel,
+    coordinate_kernel,
     drive_data,
     evaluator,
+    frame_coordinates,
     restoring_kernel,
     rotation,
     wind,
@@ -304,14 +310,12 @@ class Problem:
         sigma and decay as functions of local time.
     length : float
         End of the integration in local time.
-    tolerance : float
-        Bound of the truncated series tail of a panel, in units of ``1 / scale``.
     first : float
         First panel to try.
     slip : float
         Greatest |V| of the bodies; 0 where there is none (decay is then not evaluated).
     finish : float
-        Let slip go once slip * decay is below this; 0: never.
+        Let slip go once slip * decay is below this many tolerances; 0: never.
     stops : bool
         End the integration there, else go on without slip.
     stiff : int
@@ -323,28 +327,41 @@ class Problem:
     scale: np.ndarray
     drive: GainPiece
     length: float
-    tolerance: float
     first: float
     slip: float = 0.0
     finish: float = 0.0
     stops: bool = False
     stiff: int = 0
 
+    def limits(self, tolerance: float) -> tuple[float, float, float]:
+        """Bound of a series' tail, greatest slip that counts, and where it is let go."""
+        finish = self.finish * tolerance
+        # Below 4e-16 a series' tail is rounding noise.
+        return max(0.1 * tolerance, 4e-16), self.slip if self.slip > finish else 0.0, finish
 
-def integrate(kernel: Kernel, problem: Problem, compiled: bool | None = False) -> Panels:
+
+def integrate(
+    kernel: Kernel, problem: Problem, tolerance: float, compiled: bool | None = False
+) -> Panels:
     """Integrate all bodies of a problem in lockstep.
 
-    ``compiled``: True compiles if need be, False never, None uses what was built before.
+    Parameters
+    ----------
+    kernel : Kernel
+    problem : Problem
+    tolerance : float
+        Ten times the bound of the truncated series tail of a panel, in units of ``1 / scale``.
+    compiled : bool or None
+        True compiles if need be, False never, None uses what was built before.
 
     Raises
     ------
     ContactSystemError
         The panels shrink without end (the motion leaves its chart, or the surface is not smooth).
     """
-    compiled = panels_built(kernel) if compiled is None else compiled
-    run = _integrate_compiled if compiled else _integrate_here
-    # Below 4e-16 a series' tail is rounding noise.
-    return run(kernel, problem, max(0.1 * problem.tolerance, 4e-16))
+    if panels_built(kernel) if compiled is None else compiled:
+        return Motion(kernel, problem, tolerance).panels()
+    return _integrate_here(kernel, problem, tolerance)
 
 
 def _stuck(problem: Problem, tau: float, h: float) -> ContactSystemError:
@@ -359,14 +376,17 @@ def _stuck(problem: Problem, tau: float, h: float) -> ContactSystemError:
 def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panels:
     """The panels with the virtual machine and numpy; panels.c has the same steps."""
     m, drive = collocation(), problem.drive
+    tolerance, slip, finish = problem.limits(tolerance)
     start = np.array(problem.start)
     n_bodies, n_states = start.shape
     machine = kernel.nodes(problem.constants, NODES)
     x, f = machine.x, machine.y
     scale, n_smooth = problem.scale[:, None, :], n_states - problem.stiff
-    slip, released = problem.slip, None
+    released = None
     edges: list[float] = [0.0]
     series: list[np.ndarray] = []
+    # what sweeps may start from: a series, its length, and its end (1) or start (-1) at tau
+    known: tuple[np.ndarray, float, float] | None = None
     tau, h, tries = 0.0, min(problem.first, problem.length), 0
     while tau < problem.length:
         tries += 1
@@ -381,10 +401,12 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
         sigma = drive.speed(t)
         x[:, :, n_states] = sigma
         x[:, :, n_states + 1] = drive.decay(t, sigma) if slip > 0 else 0.0
-        if series and after - tau <= 2.0 * (tau - edges[-2]):
-            # Picard sweeps start from the last panel's series (28 % fewer of them)
-            basis = _legendre_basis(1.0 + (after - tau) / (tau - edges[-2]) * (1.0 + m.node))
-            x[:, :, :n_states] = (series[-1] @ basis).transpose(0, 2, 1)
+        if known and after - tau <= (2.0 if known[2] > 0 else 1.0) * known[1]:
+            # Picard sweeps start from the last panel's series (28 % fewer of them), or from that
+            # of the longer panel that was refused
+            before, length, place = known
+            basis = _legendre_basis(place + (after - tau) / length * (1.0 + m.node))
+            x[:, :, :n_states] = (before @ basis).transpose(0, 2, 1)
         else:
             x[:, :, :n_states] = start[:, None, :]
         if problem.stiff:
@@ -398,43 +420,59 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
                 if problem.stiff:
                     new[:, :, n_smooth:] = solve @ new[:, :, n_smooth:]
                     f[:, :, n_smooth:] -= lam * new[:, :, n_smooth:]
+                if n := kernel.nested:
+                    own = slice(n_states - 2 * n, n_states - n)
+                    f[:, :, own] = new[:, :, n_states - n :]
+                    new[:, :, own] = start[:, None, own] + half * (m.integral @ f[:, :, own])
                 change = np.abs((new - x[:, :, :n_states]) * scale).max()
                 x[:, :, :n_states] = new
-                if change <= max(tolerance * 0.1, 4e-16):
+                # sweeps converge ever faster: the next changes less than this one by what this did
+                quick = k > 0 and change < 0.3 * last
+                if (change * (change / last) if quick else change) <= 0.01 * tolerance:
                     break
-                if k > 6 and change <= 1e-13 and change > 0.25 * last:
+                if change <= 4e-16 or (k > 6 and change <= 1e-13 and change > 0.25 * last):
                     break
-                if not change < 1e10:
+                if not change < 1e10 or (k > 3 and change > 4.0 * last):
                     k = SWEEPS
+                    break
+                top = np.abs(half * (m.series[-1] @ f) * problem.scale).max() if k == 3 else 0.0
+                if top > 100.0 * tolerance:  # much too long, as its tail tells by now
                     break
                 last = change
             else:
                 k = SWEEPS
         if k == SWEEPS:
+            known = None if known and known[2] < 0 else known
             h = 0.35 * (after - tau)
             continue
         coefficients = half * (m.series @ f)
         coefficients[:, 0] += start
         tail = np.maximum(np.abs(coefficients[:, -1]), 0.1 * np.abs(coefficients[:, -2]))
-        error = (tail * problem.scale).max()
+        end = start + half * (m.end[0] @ f)
+        if problem.stiff:
+            end[:, n_smooth:] = m.end[1] @ x[:, :, n_smooth:n_states]
+        reached = end.copy()
+        for restore, row, at in kernel.restores:
+            own = slice(row, row + restore.n_result)
+            parameters = problem.constants[:, at : at + restore.n_constant]
+            end[:, own] = restore.at(end[:, own], parameters)
+        # what must be put back tells of the panel's error too
+        moved = (np.abs(end - reached) * problem.scale).max()
+        error = max((tail * problem.scale).max(), 0.1 * moved if moved > 1e-13 else 0.0)
         # an error below 1e-30 says no more than one of 1e-30, and a quotient must not overflow
         ratio = 0.9 * (tolerance / max(error, 1e-30)) ** (1.0 / NODES)
         if not error <= tolerance:
-            h = (after - tau) * min(max(ratio, 0.2), 0.8)
+            known = coefficients.transpose(0, 2, 1), after - tau, -1.0
+            h = (after - tau) * min(max(ratio, 0.35), 0.8)
             continue
         series.append(coefficients.transpose(0, 2, 1))
-        start = start + half * (m.end[0] @ f)
-        if problem.stiff:
-            start[:, n_smooth:] = m.end[1] @ x[:, :, n_smooth:n_states]
-        for restore, row, first in kernel.restores:
-            own = slice(row, row + restore.n_result)
-            parameters = problem.constants[:, first : first + restore.n_constant]
-            start[:, own] = restore.at(start[:, own], parameters)
+        known = series[-1], after - tau, 1.0
+        start = end
         h = (after - tau) * min(ratio, 2.0)
         tau = after
         edges.append(tau)
-        if slip > 0 and problem.finish > 0:
-            if slip * drive.decay(tau, drive.speed(tau)) <= problem.finish:
+        if slip > 0 and finish > 0:
+            if slip * drive.decay(tau, drive.speed(tau)) <= finish:
                 slip, released = 0.0, tau  # from here on decay is not evaluated, nor resolved
                 h = problem.first
                 if problem.stops:
@@ -460,8 +498,8 @@ def longest_panel(drive: GainPiece, slip: float, tau: float, h: float) -> float:
 class Method(ctypes.Structure):
     """``method_t`` of c/common.h."""
 
-    _fields_ = [(name, ctypes.c_double) for name in
-                ("length", "tolerance", "first", "slip", "finish", "released")]  # fmt: skip
+    _fields_ = [(name, ctypes.c_double) for name in (
+        "length", "tolerance", "first", "slip", "finish", "released", "reached")]  # fmt: skip
     _fields_ += [(name, ctypes.c_void_p) for name in ("node", "integral", "series", "end")]
     _fields_ += [(name, ctypes.c_long) for name in ("n_stiff", "max_panels", "stops")]
 
@@ -474,7 +512,7 @@ def panel_source(kernel: Kernel) -> str:
     # Inlined, a loop of 16 is unrolled and then poorly packed: five times slower.
     head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
     head += f"#define RHS {kernel.name}\n#define NX {n}L\n#define NC {kernel.n_constant}L\n"
-    head += f"#define SWEEPS {SWEEPS}\n"
+    head += f"#define SWEEPS {SWEEPS}\n#define NESTED {kernel.nested}\n"
     head += f"#define IN_ROWS {rows_in}\n#define OUT_ROWS {rows_out}\n"
     head += _restore_source(kernel)
     return head + c_source("panels.c")
@@ -516,35 +554,132 @@ def panels_built(kernel: Kernel) -> bool:
 _BUILT: dict[Kernel, bool] = {}
 
 
-def _integrate_compiled(kernel: Kernel, problem: Problem, tolerance: float) -> Panels:
-    run = panel_library(kernel).panels
-    n_bodies, n_states = problem.start.shape
-    drive = drive_data(problem.drive)
-    scale, constants = contiguous(problem.scale), contiguous(problem.constants)
-    size, room = n_bodies * n_states, 24
-    while True:
-        # one block: state, spare, work, edges, coefficients
-        cuts = (size, 2 * size, 2 * size + (2 * n_states + 2) * NODES)
-        first = cuts[2] + room + 1
-        block = np.empty(first + room * size * (NODES + 1))
-        block[:size] = problem.start.ravel()
-        at = address(block)
-        method = Method(problem.length, tolerance, problem.first, problem.slip, problem.finish,
-                         -1.0, *method_pointers(), problem.stiff, room, problem.stops)  # fmt: skip
-        count = run(n_bodies, at, address(constants), address(scale), ctypes.addressof(drive),
-                    ctypes.addressof(method), at + 8 * cuts[2], at + 8 * first, at + 8 * cuts[1],
-                    at + 8 * cuts[0])  # fmt: skip
-        if count >= 0:
-            edges = block[cuts[2] : cuts[2] + count + 1]
-            series = block[first : first + count * size * (NODES + 1)]
-            shape = (count, n_bodies, n_states, NODES + 1)
-            end = block[:size].reshape(n_bodies, n_states)
-            released = method.released if method.released >= 0 else None
-            return Panels(edges, series.reshape(shape), end, released)
-        if count == -2:
-            reached = block[cuts[2] : first]
-            raise _stuck(problem, float(reached.max(initial=0.0)), 0.0)
-        room *= 4
+class MotionData(ctypes.Structure):
+    """``motion_t`` of c/program.c."""
+
+    _fields_ = [("track", TrackData), ("integrate", ctypes.c_void_p), ("drive", Drive),
+                ("method", Method), ("nx", ctypes.c_long), ("done", ctypes.c_long)]  # fmt: skip
+    _fields_ += [(name, ctypes.c_void_p) for name in ("start", "constants", "scale", "block")]
+
+
+@functools.cache
+def program_library() -> ctypes.CDLL:
+    """c/program.c: ``move``, ``fill``, ``states``."""
+    library = compiled_library(_program_source())
+    pointer, integer = ctypes.c_void_p, ctypes.c_long
+    library.move.argtypes = [pointer]
+    library.fill.argtypes = [pointer, integer, integer, integer, pointer, pointer, pointer]
+    library.states.argtypes = [pointer, integer, pointer, pointer]
+    library.move.restype = library.fill.restype = library.states.restype = integer
+    return library
+
+
+@functools.cache
+def program_built() -> bool:
+    """Whether it lies in the cache (looked up once)."""
+    return find_compiler() is not None and library_path(_program_source()).exists()
+
+
+@functools.cache
+def _program_source() -> str:
+    return f"{PRELUDE}#define MOST {MOST_AT_ONCE}\n{c_source('program.c')}"
+
+
+MOST_AT_ONCE = 8  # bodies whose states are made series in one call
+ROOM = 24  # panels there is room for, until one needs more
+MOST_ROOM = 400  # that is remembered
+_ROOM: dict[Kernel, int] = {}
+
+
+class Motion:
+    """A problem laid out for C: integrated by :meth:`run`, or by ``fill`` and ``states`` of
+    c/program.c on their way.
+
+    Attributes
+    ----------
+    data : MotionData
+    lock : threading.Lock
+        Hold it during the call that integrates: there is one work space.
+    """
+
+    def __init__(
+        self, kernel: Kernel, problem: Problem, tolerance: float, track: TrackData | None = None
+    ):
+        start, constants, scale = map(contiguous, (problem.start, problem.constants, problem.scale))
+        self.data = data = MotionData()
+        if track is not None:
+            data.track = track
+        data.track.nb, data.nx = start.shape
+        data.integrate = function_address(panel_library(kernel).panels)
+        data.drive = drive_data(problem.drive)
+        data.start, data.constants, data.scale = address(start), address(constants), address(scale)
+        data.method = Method(problem.length, 0.0, problem.first, 0.0, 0.0, -1.0, 0.0,
+                             *method_pointers(), problem.stiff, 0, problem.stops)  # fmt: skip
+        self._kept = kernel, start, constants, scale, problem  # addresses point into them
+        self._begin(tolerance)
+
+    def again(self, tolerance: float) -> Motion:
+        """The same motion for another tolerance."""
+        other = object.__new__(Motion)
+        other.data, other._kept = MotionData.from_buffer_copy(self.data), self._kept
+        other._begin(tolerance)
+        return other
+
+    def _begin(self, tolerance: float) -> None:
+        data, self.lock, self.tolerance = self.data, threading.Lock(), tolerance
+        data.done = data.track.n_anchors = 0
+        data.block = None
+        self._set_limits()
+
+    def _set_limits(self) -> None:
+        method = self.data.method
+        method.tolerance, method.slip, method.finish = self._kept[4].limits(self.tolerance)
+        method.released = -1.0
+
+    def ready(self) -> None:
+        """Have room to integrate into."""
+        if self.data.block is None:
+            self._make_room(_ROOM.get(self._kept[0], ROOM))
+
+    def _make_room(self, panels: int) -> None:
+        data = self.data
+        size, width = data.track.nb * data.nx, (2 * data.nx + 2) * NODES
+        self._edges = 2 * size + width
+        self._series = self._edges + panels + 1
+        self._block = np.empty(self._series + panels * size * (NODES + 1))
+        data.method.max_panels, data.block = panels, address(self._block)
+
+    def run(self) -> None:
+        """Integrate, unless that was done before."""
+        with self.lock:
+            while not self.data.done:
+                self.ready()
+                code = program_library().move(ctypes.addressof(self.data))
+                if code:
+                    self.failed(code)
+
+    def failed(self, code: int) -> None:
+        """After a code of ``panels``: make more room, or say what is wrong."""
+        method, kernel = self.data.method, self._kept[0]
+        if code != -1:
+            raise _stuck(self._kept[4], method.reached, 0.0)
+        self._make_room(4 * method.max_panels)
+        self._set_limits()
+        _ROOM[kernel] = min(max(method.max_panels, _ROOM.get(kernel, ROOM)), MOST_ROOM)
+
+    def panels(self) -> Panels:
+        """The motion as panels."""
+        self.run()
+        data = self.data
+        count, shape = data.track.n_panels, (data.track.nb, data.nx)
+        size = shape[0] * shape[1]
+        series = self._block[self._series : self._series + count * size * (NODES + 1)]
+        released = data.method.released
+        return Panels(
+            self._block[self._edges : self._edges + count + 1],
+            series.reshape(count, *shape, NODES + 1), self._block[:size].reshape(shape),
+            released if released >= 0 else None,
+        )  # fmt: skip
 
 
 def method_pointers() -> tuple[int, ...]:
@@ -594,11 +729,16 @@ class PanelTrack(Track):
         self._anchors: tuple[np.ndarray, np.ndarray] | None = None
 
     def state(self, t: np.ndarray) -> np.ndarray:
+        return self._state_at(self._variable(t))
+
+    def _variable(self, t: np.ndarray) -> np.ndarray:
+        """Where times are on the panels."""
         tau = t - self.start
-        if self.by_length:
-            tau = self.piece.arc_length(tau)
+        return self.piece.arc_length(tau) if self.by_length else tau
+
+    def _state_at(self, at: np.ndarray) -> np.ndarray:
         # rounding may put a time 1e-16 outside
-        return self.panels.evaluate(np.clip(tau, 0.0, self.panels.edges[-1]), self.rows)
+        return self.panels.evaluate(np.clip(at, 0.0, self.panels.edges[-1]), self.rows)
 
     def drive(self, t: np.ndarray) -> np.ndarray:
         tau = t - self.start
@@ -616,30 +756,41 @@ class PanelTrack(Track):
     # --- compiled evaluation
 
     @functools.cached_property
-    def _data(self) -> tuple[int, tuple]:
-        """Address of the C form of this track, and what it points to."""
-        series, piece, edges = self.panels.coefficients, self.piece, self.panels.edges
-        period_u, period_v = self.surface.periods()
+    def _data(self) -> tuple[int, Any, Any]:
+        """Address of the C form of this track, that form, and what it points to."""
+        data, kept = self._track_data()
+        series, edges = self.panels.coefficients, self.panels.edges
         first = (self.rows.start or 0) * series.strides[2]
-        kept = [
-            contiguous(a) for a in (self.parameters, self.w, self.w if self.v is None else self.v)
-        ]
-        data = TrackData(
-            self.start, self.stop, drive_data(piece), self.n_bodies, self.v is not None,
-            self.by_length, len(edges) - 1, series.strides[0] // 8, series.strides[1] // 8, 0,
-            self.surface.double_cover, period_u or 0.0, period_v or 0.0, address(kept[0]),
-            address(piece.arrays[1]), address(kept[1]), address(kept[2]), address(edges),
-            address(series) + first, None, None,
-        )  # fmt: skip
-        return ctypes.addressof(data), (data, kept, series, edges)
+        data.n_panels, data.edges = len(edges) - 1, address(edges)
+        data.panel_stride, data.body_stride = series.strides[0] // 8, series.strides[1] // 8
+        data.coefficients = address(series) + first
+        return ctypes.addressof(data), data, (kept, series, edges)
 
-    def _entry(self, output: str) -> tuple[Callable[..., int], int] | None:
-        if self.drive_of is not None or (output == "coordinates" and self.offset is not None):
+    def _track_data(self) -> tuple[TrackData, Any]:
+        """All but the panels, and what it points to."""
+        piece, (period_u, period_v) = self.piece, self.surface.periods()
+        constants, w, v = map(contiguous, self._numbers())
+        data = TrackData(
+            start=self.start, stop=self.stop, drive=drive_data(piece), nb=self.n_bodies,
+            slips=self.v is not None, by_length=self.by_length,
+            double_cover=self.surface.double_cover, period_u=period_u or 0.0,
+            period_v=period_v or 0.0, constants=address(constants),
+            length=address(piece.arrays[1]), w=address(w), v=address(v),
+        )  # fmt: skip
+        return data, (piece, constants, w, v)
+
+    def _numbers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Constants of the evaluators' kernels, w and v."""
+        return self.parameters, self.w, self.w if self.v is None else self.v
+
+    def _entry(self, output: str) -> tuple[Evaluator, int] | None:
+        if output == "coordinates" and (self.drive_of is not None or self.offset is not None):
             return None
-        compiled = evaluator(self.surface, self.ambient, output)
-        return (
-            (compiled.library.evaluate, self._data[0]) if compiled.usable(self.compiled) else None
-        )
+        compiled = self._evaluator(output)
+        return (compiled, self._data[0]) if compiled.usable(self.compiled) else None
+
+    def _evaluator(self, output: str) -> Evaluator:
+        return evaluator(self.surface, self.ambient, output)
 
     def _coordinates(self, t: np.ndarray) -> np.ndarray:
         values = super()._coordinates(t)
@@ -656,47 +807,33 @@ class PanelTrack(Track):
     def anchor(self, begin: np.ndarray) -> None:
         if not self.ambient:
             return
-        if not self.by_length and self.entry("coordinates") is not None:
-            m, n = 4 * self.panels.count + 1, self.n_bodies
-            times, anchors, work = np.empty(m), np.empty((n, 3, m)), np.empty((n, 5, m))
-            library = evaluator(self.surface, True, "coordinates").library
-            library.anchor(
-                self._data[0],
-                address(contiguous(begin)),
-                address(times),
-                address(anchors),
-                address(work),
+        entry, n = self.entry("coordinates"), self.n_bodies
+        if entry is not None:
+            m = 4 * self.panels.count + 1
+            at, anchors, work = np.empty(m), np.empty((n, 3, m)), np.empty((n, 5, m))
+            entry[0].library.anchor(
+                entry[1], address(contiguous(begin)), address(at), address(anchors), address(work)
             )
-        else:
-            times = self._anchor_times()
-            with np.errstate(all="ignore"):
-                raw = super()._coordinates(times)
-            u, v, theta = (
-                np.vstack([begin[:, k], raw[:, i].T]) for k, i in enumerate((0, 1, 4))
-            )  # time first, as unwind wants
-            u, v, turned = self.surface.unwind(u, v)
-            theta = np.unwrap(theta + np.pi * turned, axis=0)
-            anchors = np.ascontiguousarray(np.stack([u, v, theta])[:, 1:].transpose(2, 0, 1))
-            if self.entry("coordinates") is not None:
-                data = self._data[1][0]
-                data.n_anchors = len(times)
-                data.anchor_times, data.anchors = address(times), address(anchors)
-        self._anchors = (times, anchors)
-
-    def _anchor_times(self) -> np.ndarray:
-        """Four times a panel: between them coordinates move by less than half a period."""
+            self._anchors = (at, anchors)
+            return
         edges = self.panels.edges
-        grid = (edges[:-1, None] + (edges[1:] - edges[:-1])[:, None] * _QUARTERS).ravel()
-        grid = np.append(grid, edges[-1])
-        if self.by_length:
-            fine = np.linspace(0.0, self.stop - self.start, 16 * len(grid) + 1)
-            grid = np.interp(grid, self.piece.arc_length(fine), fine)
-        return np.minimum(self.start + grid, self.stop)
+        at = (edges[:-1, None] + (edges[1:] - edges[:-1])[:, None] * _QUARTERS).ravel()
+        at = np.append(at, edges[-1])
+        points = np.concatenate([self._state_at(at), np.zeros((n, 2, len(at)))], axis=1)
+        with np.errstate(all="ignore"):
+            raw = self.run(coordinate_kernel(self.surface, True), points, self.parameters)
+        u, v, theta = (
+            np.vstack([begin[:, k], raw[:, i].T]) for k, i in enumerate((0, 1, 4))
+        )  # places first, as unwind wants
+        u, v, turned = self.surface.unwind(u, v)
+        theta = np.unwrap(theta + np.pi * turned, axis=0)
+        self._anchors = (at, np.stack([u, v, theta])[:, 1:].transpose(2, 0, 1))
 
     def _continue(self, t: np.ndarray, values: np.ndarray) -> None:
         """Bring (u, v, theta) to the branch of the nearest anchor, in place."""
-        times, anchors = self._anchors  # type: ignore[misc]
-        reference = anchors[:, :, np.searchsorted(0.5 * (times[1:] + times[:-1]), t)]
+        at, anchors = self._anchors  # type: ignore[misc]
+        nearest = np.searchsorted(0.5 * (at[1:] + at[:-1]), self._variable(t))
+        reference = anchors[:, :, nearest]
         if self.surface.double_cover:
             u, v, turned = self.surface.align(
                 values[:, 0], values[:, 1], reference[:, 0], reference[:, 1]
@@ -714,52 +851,86 @@ class PanelTrack(Track):
 _QUARTERS = np.arange(4) / 4.0
 
 
-class DrivenTrack(PanelTrack):
-    """Bodies developed under slip, integrated when something asks for their motion.
+class MovingTrack(PanelTrack):
+    """Bodies integrated when something asks for their motion.
 
     Attributes
     ----------
     kernel : Kernel
     problem : Problem
-    shared : dict
-        What follows from the scene alone and is kept with it, for compiled calls.
+    tolerance : float
     """
 
     def __init__(
         self,
         surface: Surface,
         parameters: np.ndarray,
-        stop: float,
+        piece: GainPiece,
         why: str,
         ambient: bool,
         compiled: bool | None,
-        offset: np.ndarray | None,
         kernel: Kernel,
         problem: Problem,
+        tolerance: float,
         w: np.ndarray,
-        v: np.ndarray,
-        shared: dict[Any, Any],
+        v: np.ndarray | None,
+        offset: np.ndarray | None = None,
     ):
         self.surface, self.parameters, self.ambient = surface, parameters, ambient
         self.start, self.stop, self.compiled, self.offset = (
-            problem.drive.start,
-            stop,
-            compiled,
-            offset,
-        )
-        self.rows, self.piece, self.w, self.v = slice(None), problem.drive, w, v
-        self.by_length, self.drive_of = False, None
-        self.kernel, self.problem, self.shared, self._why = kernel, problem, shared, why
+            piece.start, piece.stop, compiled, offset,
+        )  # fmt: skip
+        self.rows, self.piece, self.w, self.v = slice(None), piece, w, v
+        self.by_length, self.drive_of = v is None, None
+        self.kernel, self.problem, self.tolerance, self._why = kernel, problem, tolerance, why
         self._anchors = None
+
+    @functools.cached_property
+    def motion(self) -> Motion | None:
+        """The problem laid out for C; None where it is integrated here."""
+        if panels_built(self.kernel) if self.compiled is None else self.compiled:
+            data, self._kept = self._track_data()
+            return Motion(self.kernel, self.problem, self.tolerance, data)
+        return None
 
     @functools.cached_property
     def panels(self) -> Panels:  # type: ignore[override]
         """The motion, integrated once."""
-        return integrate(self.kernel, self.problem, self.compiled)
+        if self.motion:
+            return self.motion.panels()
+        return _integrate_here(self.kernel, self.problem, self.tolerance)
+
+    @functools.cached_property
+    def _data(self) -> tuple[int, Any, Any]:
+        if self.motion is None:
+            return super()._data
+        track = self.motion.data.track
+        return ctypes.addressof(self.motion.data), track, None
+
+    def _evaluate(self, output: str, t: np.ndarray, out: np.ndarray) -> int | None:
+        if self.motion is not None:
+            self.motion.run()
+        return super()._evaluate(output, t, out)
+
+    def again(self, tolerance: float) -> Track | None:
+        if self.problem.stops or self.offset is not None:
+            return None
+        other = object.__new__(type(self))
+        known = other.__dict__
+        known.update(self.__dict__)
+        for name in _OWN:
+            known.pop(name, None)
+        other.tolerance, other._anchors = tolerance, None
+        motion = known.get("motion")
+        if motion is not None:
+            known["motion"] = motion.again(tolerance)
+        return other
 
     @property
     def method(self) -> str:  # type: ignore[override]
         place = "space" if self.ambient else "its chart"
+        if self.v is None:
+            return f"geodesic in arc length, in {place}, {self.panels.count} panels"
         return f"development in {place}, {self.panels.count} panels"
 
     @property
@@ -767,3 +938,156 @@ class DrivenTrack(PanelTrack):
         if self.panels.released is None:
             return self._why
         return f"{self._why}, below tolerance from t = {self.start + self.panels.released:.6g} s on"
+
+
+_OWN = ("panels", "_data", "_entries")  # what a track for another tolerance must find anew
+
+
+# --- geodesics with a first integral -----------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class GeodesicForm:
+    """Geodesics whose acceleration depends on the place alone, thanks to a first integral.
+
+    Half the states of a moving frame or fewer, and sweeps that converge twice as fast. All kernels
+    take the surface's parameters and then the numbers of a path.
+
+    Attributes
+    ----------
+    start : Kernel
+        point: the body's state, w (2) -> state and numbers of the path.
+    motion : Kernel
+        State, sigma, decay (both unused) -> its rates in arc length.
+    body : Kernel
+        State -> the body's state, (x, p, q) or (u, v, theta).
+    coordinates : Evaluator
+        State, sigma, 0 -> u, v, u', v', theta.
+    n_rates : int
+        How many of the states are rates: the last ones.
+    """
+
+    start: Kernel
+    motion: Kernel
+    body: Kernel
+    coordinates: Evaluator
+    n_rates: int
+
+
+@per_structure
+def geodesic_form(surface: Surface, ambient: bool) -> GeodesicForm | None:
+    """The form for a surface, or None where no first integral is known."""
+    p = SX.sym("p", len(surface.parameters))
+    if ambient:
+        x = SX.sym("x", 3)
+        _, hessian = geometry.implicit_geometry(surface.implicit_expr(p, x), x)
+        return None if ca.depends_on(hessian, x) else _quadric_form(surface)
+    uv = SX.sym("uv", 2)
+    root = ca.simplify(surface.geometry_expr(p, uv[0], uv[1]).metric_root)
+    turns = not ca.depends_on(root, uv[0]) and root[0, 1].is_zero()
+    return _clairaut_form(surface) if turns and not ca.depends_on(root[1, 1], uv) else None
+
+
+def _quadric_form(surface: Surface) -> GeodesicForm:
+    r"""Quadrics F = 0, by Joachimsthal's integral: state x, x'; numbers J, \|x'\|, direction of w.
+
+    x'' = -(x'.Hx')/\|g\|^2 g with g = grad F and H = g' constant, and J = (x'.Hx') \|g\|^2 is an
+    integral of that, so x'' = -J g/\|g\|^4 (Joachimsthal 1843; Klingenberg, Riemannian Geometry,
+    3.5).
+    """
+    p, numbers = SX.sym("p", len(surface.parameters)), SX.sym("numbers", 4)
+    constant = ca.vertcat(p, numbers)
+    frame, w = SX.sym("frame", 9), SX.sym("w", 2)
+    gradient, hessian = geometry.implicit_geometry(surface.implicit_expr(p, frame[0:3]), frame[0:3])
+    velocity, pace = w[0] * frame[3:6] + w[1] * frame[6:9], ca.norm_2(w)
+    integral = ca.dot(velocity, hessian @ velocity) * ca.dot(gradient, gradient)
+    begin = ca.vertcat(frame[0:3], velocity, integral, pace, w / pace)
+
+    state, drive = SX.sym("state", 6), SX.sym("drive", 2)
+    x, rate = state[0:3], state[3:6]
+    level = surface.implicit_expr(p, x)
+    gradient = ca.gradient(level, x)
+    square = ca.dot(gradient, gradient)
+    bend = -(numbers[0] / square**2) * gradient
+    motion = Kernel("geodesic", ca.vertcat(state, drive), constant, ca.vertcat(rate, bend))
+    motion.nested = 3
+    moved = x - level * gradient / square
+    normal = ca.substitute(gradient, x, moved)
+    along = rate - ca.dot(rate, normal) / ca.dot(normal, normal) * normal
+    back = ca.vertcat(moved, along * (numbers[1] / ca.norm_2(along)))
+    motion.restores = (Restoration(Kernel("restore_geodesic", state, constant, back), 0, 0),)
+
+    along = rate / ca.norm_2(rate)
+    across, turn = ca.cross(gradient / ca.sqrt(square), along), numbers[2:4]
+    first = turn[0] * along - turn[1] * across
+    body = ca.vertcat(x, first, turn[1] * along + turn[0] * across)
+    chart = frame_coordinates(surface, p, x, first, drive[0] * rate)
+    found = Kernel("geodesic_coordinates", ca.vertcat(state, drive), constant, chart)
+    return GeodesicForm(
+        Kernel("geodesic_start", ca.vertcat(frame, w), p, begin), motion,
+        Kernel("geodesic_frames", state, constant, body), Evaluator(found, False, 6, True), 3,
+    )  # fmt: skip
+
+
+def _clairaut_form(surface: Surface) -> GeodesicForm:
+    """Charts with h_u(v), h_v constant (torus), by Clairaut's integral L = h_u^2 u'.
+
+    State u, v, v' with v'' = h_u'/(h_u^3 h_v^2) L^2; numbers L and what the path's angle to f_u,
+    which stays on one side of f_v, lacks to theta (do Carmo, Differential Geometry, 4-4).
+    """
+    p, numbers = SX.sym("p", len(surface.parameters)), SX.sym("numbers", 2)
+    constant, place, w = ca.vertcat(p, numbers), SX.sym("place", 3), SX.sym("w", 2)
+    state, drive = SX.sym("state", 3), SX.sym("drive", 2)
+
+    def lame(uv: SX) -> SX:
+        return surface.geometry_expr(p, uv[0], uv[1]).lame
+
+    def angle(sideways: SX, integral: SX, h: SX) -> SX:
+        lean = ca.atan2(sideways, ca.fabs(integral) / h[0])
+        return ca.if_else(integral < 0, np.pi - lean, lean)
+
+    c, h = rotation(place[2]) @ w, lame(place)
+    integral = h[0] * c[0]
+    rest = place[2] - angle(c[1], integral, h)
+    begin = ca.vertcat(place[:2], c[1] / h[1], integral, rest)
+
+    h = lame(state)
+    slope = ca.jacobian(h[0], state[1])
+    turn = numbers[0] / h[0] ** 2
+    bend = turn**2 * h[0] * slope / h[1] ** 2
+    motion = Kernel(
+        "geodesic", ca.vertcat(state, drive), constant, ca.vertcat(turn, state[2], bend)
+    )
+    motion.nested = 1
+    theta = angle(h[1] * state[2], numbers[0], h) + numbers[1]
+    chart = ca.vertcat(state[:2], drive[0] * turn, drive[0] * state[2], theta)
+    found = Kernel("geodesic_coordinates", ca.vertcat(state, drive), constant, chart)
+    return GeodesicForm(
+        Kernel("geodesic_start", ca.vertcat(place, w), p, begin), motion,
+        Kernel("geodesic_places", state, constant, ca.vertcat(state[:2], theta)),
+        Evaluator(found, False, 3, False), 1,
+    )  # fmt: skip
+
+
+class GeodesicTrack(MovingTrack):
+    """Geodesics of a :class:`GeodesicForm`: panels of its states in arc length."""
+
+    @functools.cached_property
+    def form(self) -> GeodesicForm:
+        found = geodesic_form(self.surface, self.ambient)
+        assert found is not None
+        return found
+
+    def _state_at(self, at: np.ndarray) -> np.ndarray:
+        return self.run(self.form.body, super()._state_at(at), self.problem.constants)
+
+    def end(self) -> np.ndarray:
+        return self.form.body.at(self.panels.end, self.problem.constants)
+
+    def _numbers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        unit = np.zeros_like(self.w)
+        unit[:, 0] = 1.0
+        return self.problem.constants, unit, unit
+
+    def _evaluator(self, output: str) -> Evaluator:
+        return self.form.coordinates if output == "coordinates" else super()._evaluator(output)

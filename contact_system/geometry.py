@@ -14,7 +14,7 @@ Lengths in metres, angles in radians. All results are CasADi SX expressions.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
@@ -143,6 +143,42 @@ def tangent_geometry(
         torsion_form=torsion,
         defect=SX(0) if orthogonal else ca.dot(f_u, f_v),
     )
+
+
+def revolved_geometry(
+    shape: ChartGeometry, u: SX, v: SX, turning: int, lame: tuple[SX, SX], poles: bool
+) -> ChartGeometry:
+    """Say the metric quantities of a surface of revolution without the angle about its axis.
+
+    Parameters
+    ----------
+    shape : ChartGeometry
+        Of an orthogonal chart.
+    u, v : SX scalar symbols
+    turning : int
+        Which of them is that angle.
+    lame : two SX
+        |f_u|, |f_v| in closed form, m, but for their signs, of which the connection is free.
+        CasADi does not know that sin^2 + cos^2 = 1.
+    poles : bool
+        Whether one of them changes its sign somewhere.
+
+    The rest follows from them (do Carmo, Differential Geometry, 4-3): Gamma^k_ij of an orthogonal
+    metric, y.x_u = -h_u,v/h_v, y.x_v = h_v,u/h_u.
+    """
+    h_u, h_v = SX(lame[0]), SX(lame[1])
+    (uu, uv), (vu, vv) = (ca.horzsplit(ca.jacobian(h, ca.vertcat(u, v))) for h in (h_u, h_v))
+    gamma_u = ca.vertcat(ca.horzcat(uu, uv), ca.horzcat(uv, -h_v * vu / h_u)) / h_u
+    gamma_v = ca.vertcat(ca.horzcat(-h_u * uv / h_v, vu), ca.horzcat(vu, vv)) / h_v
+    curvature = ca.substitute(shape.curvature_form, (u, v)[turning], 0)
+    lengths = ca.vertcat(h_u, h_v)
+    if poles:
+        lengths[turning] = ca.fabs(lengths[turning])
+    return replace(
+        shape, metric_root=ca.diag(lengths), lame=lengths,
+        christoffel=(gamma_u, gamma_v), curvature_form=curvature,
+        torsion_form=ca.horzcat(-uv / (h_u * h_v), vu / (h_u * h_v)),
+    )  # fmt: skip
 
 
 def upper_inverse(m: SX) -> SX:

@@ -171,6 +171,7 @@ class Kernel:
         self.n_result = result.numel()
         self.function = ca.Function(name, [point, constant], [ca.cse(ca.densify(ca.vec(result)))])
         self.restores: tuple[Restoration, ...] = ()
+        self.nested = 0  # so many last states are the rates of as many before them
         self._memory = threading.local()  # a machine has buffers: one for each thread
 
     def machine(self, n: int) -> Machine:
@@ -644,3 +645,8 @@ def address(array: np.ndarray) -> int:
         return ctypes.addressof(ctypes.c_double.from_buffer(array.data))
     except (TypeError, ValueError, BufferError):  # read-only, strided or empty
         return array.ctypes.data
+
+
+def function_address(function: Any) -> int:
+    """Address of a compiled library's function."""
+    return ctypes.cast(function, ctypes.c_void_p).value or 0

@@ -17,14 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import states
 from .chart_solution import chart_groups
-from .closed_form import CircleTrack
-from .development import DrivenTrack, runs
+from .development import runs
 from .errors import ChartSingularity, ContactSystemError, SceneError
-from .kernels import address, row_offsets
 from .kinematics import relative_pose, relative_twist
 from .planner import Group, Moment, Start, Starts, measured_start, plan_groups, scene_start
+from .program import FEW_TIMES, SIDES, Program, program_of, slipping_sides, slipping_states
 from .scene import ObjectRateOffset, Scene, scene_from_toml, scene_to_toml
 from .tracks import Track
 
@@ -94,6 +92,7 @@ class Plan:
             self.groups = plan_groups(scene, starts, start, tolerance, compiled)
         self._count = len(scene.contacts)
         self._angle = _gathered(self.groups, self._count)
+        self._programs: dict[str, Program | None] = {}
 
     # --- results -------------------------------------------------------------------------------
 
@@ -359,11 +358,11 @@ class Plan:
         """``count`` rows of the finger, then of the object: (n_contacts, 2 count, n_times)."""
         times = _one_axis(t)
         out = np.empty((self._count, 2 * count, len(times)))
+        if self._fill_compiled(output, times, count, out):
+            return out
         only = len(self.groups) == 1
         group = self.groups[0]
         try:
-            if only and self._fill_compiled(output, times, count, out):
-                return out
             times = self._times(times)
             for group in self.groups:
                 values = out if only else np.empty((len(group.contacts), *out.shape[1:]))
@@ -376,19 +375,18 @@ class Plan:
 
     def _states_at_once(self, t: ArrayLike) -> np.ndarray | None:
         """The states by one compiled call, or None where there is no such way (states.py)."""
-        group = self.groups[0]
-        if len(self.groups) > 1 or len(group.finger) > 1 or len(group.object) > 1:
+        if len(self.groups) > 1:
             return None
-        finger, obj = group.finger[0], group.object[0]
         times = _one_axis(t)
-        if len(times) < states.FEW_TIMES or not times.flags.c_contiguous:
+        if len(times) < FEW_TIMES or not times.flags.c_contiguous:
             return None
-        if not states.fits(finger, obj, self.compiled):
+        group = self.groups[0]
+        sides = slipping_sides(group, self.compiled)
+        if sides is None:
             return None
-        assert isinstance(finger, CircleTrack) and isinstance(obj, DrivenTrack)
-        group.anchor("finger", finger)
+        group.anchor("finger", sides[0])
         out = np.empty((self._count, 9, len(times)))
-        code = states.states(finger, obj, group.begin[1], group.angle, times, out)
+        code = slipping_states(group, *sides, times, out)
         if code > 0:
             self._refuse(times)
         return out.transpose(2, 0, 1) if code == 0 else None
@@ -413,32 +411,24 @@ class Plan:
                     _write(getattr(track, output), times, where, part)
 
     def _fill_compiled(self, output: str, times: np.ndarray, count: int, out: np.ndarray) -> bool:
-        """The shortest way: one compiled track a side, one call each (or one for both)."""
-        group, n = self.groups[0], len(times)
-        if len(group.finger) > 1 or len(group.object) > 1 or not times.flags.c_contiguous:
-            return False
-        tracks: list[Track] = [group.finger[0], group.object[0]]
-        if group.pair is not None:
-            tracks = [group.pair]
-        entries = [track.entry(output) for track in tracks]
-        if None in entries:
+        """The shortest way: all tracks in one call. False if there is none."""
+        program = self._program(output)
+        if program is None or not times.flags.c_contiguous:
             return False
         if output == "coordinates":
-            group.anchor_pair()
-            if group.pair is None:
-                group.anchor("finger", tracks[0])
-                group.anchor("object", tracks[1])
-        at, to = address(times), address(out)
-        body = count * n if group.pair is not None else 2 * count * n
-        rows = row_offsets(tuple(range(count)), n)
-        for track, entry in zip(tracks, entries):
-            code = entry[0](entry[1], n, at, to, rows, body)  # type: ignore[index]
-            if code > 0:
-                self._refuse(times)
-            if code < 0 and output == "coordinates":
-                raise track.singular(float(times[-1 - code]))
-            to += 8 * count * n
-        return True
+            for group in self.groups:
+                group.anchor_all()
+        code = program.fill(count, times, out)
+        if code:
+            self._refuse(times)
+        return code == 0
+
+    def _program(self, output: str) -> Program | None:
+        if len(self.groups) == 1:
+            return self.groups[0].program(output)
+        if output not in self._programs:
+            self._programs[output] = program_of(self.groups, output)
+        return self._programs[output]
 
     def _collect(
         self, t: ArrayLike, read: Callable[[Motion], np.ndarray], shape: tuple[int, ...]
@@ -476,9 +466,6 @@ class Plan:
         except ChartSingularity as error:
             raise self._named(group, error) from None
         return values[:, 4]
-
-
-SIDES = ("finger", "object")
 
 
 def _one_axis(t: ArrayLike) -> np.ndarray:

@@ -24,10 +24,11 @@ import numpy as np
 
 from . import development
 from .closed_form import CircleTrack, FlatTrack, great_circle, pair_of
-from .development import DrivenTrack, PanelTrack, Problem
+from .development import GeodesicTrack, MovingTrack, PanelTrack, Problem
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kinematics import contact_map
 from .profile import GainPiece, Profile
+from .program import SIDES, Program, program_of
 from .scene import (
     Contact,
     Disturbance,
@@ -230,6 +231,36 @@ class Group:
     object: list[Track] = field(default_factory=list)
     slips: list[SlipRecord] = field(default_factory=list)
     pair: CircleTrack | None = None
+    programs: dict[str, Program | None] = field(default_factory=dict)
+
+    def program(self, output: str) -> Program | None:
+        """All tracks in one compiled call, for a plan of this group alone."""
+        if output not in self.programs:
+            self.programs[output] = program_of([self], output)
+        return self.programs[output]
+
+    def repeats(self, tolerance: float) -> bool:
+        """Whether another tolerance changes nothing but tracks at the end."""
+        for tracks in (self.finger, self.object):
+            others = [track.again(tolerance) for track in tracks]
+            if others[-1] is None or any(a is not b for a, b in zip(tracks[:-1], others)):
+                return False
+        return True
+
+    def again(self, tolerance: float) -> Group:
+        """A group that :meth:`repeats`, for another tolerance."""
+        finger, obj = self.finger[-1].again(tolerance), self.object[-1].again(tolerance)
+        if finger is self.finger[-1] and obj is self.object[-1]:
+            return self
+        other = object.__new__(Group)
+        other.__dict__.update(self.__dict__)
+        other.finger = [*self.finger[:-1], finger]  # type: ignore[list-item]
+        other.object = [*self.object[:-1], obj]  # type: ignore[list-item]
+        other.programs = {}
+        for name, program in self.programs.items():
+            if program is not None:
+                other.programs[name] = program.again(other.finger + other.object)
+        return other
 
     def coordinates_at(self, side: str, count: int) -> np.ndarray:
         """Continuous (u, v, theta) at the end of the first ``count`` tracks: (n, 3).
@@ -252,6 +283,14 @@ class Group:
             index = getattr(self, side).index(track)
             begin = self.begin[side == "object"]
             track.anchor(begin if index == 0 else self.coordinates_at(side, index))
+
+    def anchor_all(self) -> None:
+        """Make all tracks' coordinates continuous."""
+        self.anchor_pair()
+        if self.pair is None:
+            for side in SIDES:
+                self.coordinates_at(side, len(getattr(self, side)) - 1)
+                self.anchor(side, getattr(self, side)[-1])
 
     def anchor_pair(self) -> None:
         """The same for :attr:`pair`."""
@@ -423,10 +462,17 @@ def plan_groups(
             scene.__dict__["_prepared"] = prepared
     else:
         prepared = prepare(scene, starts, begin)
-    return [
-        group.kept.get(("group", compiled)) or GroupPlanner(group, tolerance, compiled).run()
-        for group in prepared
-    ]
+    return [_planned(group, tolerance, compiled) for group in prepared]
+
+
+def _planned(prepared: Prepared, tolerance: float, compiled: bool | None) -> Group:
+    known: Group | None = prepared.kept.get(("group", compiled))
+    if known is not None:
+        return known.again(tolerance)
+    group = GroupPlanner(prepared, tolerance, compiled).run()
+    if group.repeats(tolerance):
+        prepared.kept["group", compiled] = group
+    return group
 
 
 def prepare(scene: Scene, starts: Starts, begin: float) -> list[Prepared]:
@@ -445,7 +491,7 @@ def prepare(scene: Scene, starts: Starts, begin: float) -> list[Prepared]:
         if d.stop > begin:
             windows[d.contact].append(d)  # type: ignore[index]
     members: dict[tuple, list[int]] = {}
-    slips = [bool(own.any()) for own in v]
+    slips: list[bool] = v.any(axis=1).tolist()  # type: ignore[assignment]
     for i, contact in enumerate(scene.contacts):
         shape = tuple((type(d), d.start, d.stop) for d in windows[i])
         kind = (
@@ -532,7 +578,6 @@ class GroupPlanner:
         circles = [track for track in tracks if isinstance(track, CircleTrack)]
         if len(circles) == len(tracks) and not self.v.any():
             group.pair = pair_of(circles)
-            self.prepared.kept["group", self.compiled] = group  # whatever the tolerance
         return group
 
     # --- bodies that nothing accelerates -------------------------------------------------------
@@ -559,23 +604,28 @@ class GroupPlanner:
         if body.surface.developable:
             return self._flat(body, w, 0 * w, piece, None, why)
         length = piece.arc_length(stop - start)
-        kernel = development.driven_motion(body.surface, body.ambient, False)
-        none = np.zeros_like(w)
+        form = development.geodesic_form(body.surface, body.ambient) if w.any(1).all() else None
+        if form is not None:
+            found = form.start.at(np.hstack([body.state, w]), body.parameters)
+            n = form.motion.n_result
+            kernel, first, numbers = form.motion, found[:, :n], [found[:, n:]]
+            rates = 1.0 / np.hypot(w[:, :1], w[:, 1:])
+            rates = np.tile(rates, 3) if body.ambient else rates * body.lame[:, 1:]
+            scale = np.hstack([body.scale[:, : n - form.n_rates], rates])
+        else:
+            kernel = development.driven_motion(body.surface, body.ambient, False)
+            first, numbers, scale = body.state, [w, np.zeros_like(w), np.zeros_like(w)], body.scale
         problem = Problem(
-            start=body.state,
-            constants=np.hstack([body.parameters, w, none, none]),
-            scale=body.scale,
+            start=np.ascontiguousarray(first),
+            constants=np.hstack([body.parameters, *numbers]),
+            scale=scale,
             drive=GainPiece(0.0, length, (1.0,), (0.0,), 0),
             length=length,
-            tolerance=self.tolerance,
-            first=min(length, 0.3 * body.size),
+            first=min(length, 0.6 * body.size),
         )
-        panels = development.integrate(kernel, problem, self.compiled)
-        return PanelTrack(
-            body.surface, body.parameters, start, stop,
-            f"geodesic in arc length, {len(panels.edges) - 1} panels",
-            why + "; no closed form on this surface", body.ambient, self.compiled, panels=panels,
-            rows=slice(None), piece=piece, w=w, v=None, by_length=True,
+        return (GeodesicTrack if form else MovingTrack)(
+            body.surface, body.parameters, piece, why + "; no closed form on this surface",
+            body.ambient, self.compiled, kernel, problem, self.tolerance, w, None,
         )  # fmt: skip
 
     def _great_circle(
@@ -622,11 +672,11 @@ class GroupPlanner:
             scale=np.full((1, 1), 1.0 / piece.arc_length(span)),
             drive=piece,
             length=span,
-            tolerance=self.tolerance,
             first=span,
             slip=1.0,
         )
-        return development.integrate(development.slip_displacement(), problem, self.compiled)
+        kernel = development.slip_displacement()
+        return development.integrate(kernel, problem, self.tolerance, self.compiled)
 
     def _free(self, interval: Interval) -> None:
         """The object while only slip and rate offsets act."""
@@ -634,14 +684,15 @@ class GroupPlanner:
         if piece.power and piece.sigma[0] == 0.0:
             self.v = 0 * self.v  # the guaranteed law lets no slip leave a rest
         shifted = interval.offset
-        negligible = NEGLIGIBLE * self.tolerance * self.object.size * interval.reach
+        negligible = NEGLIGIBLE * self.object.size * interval.reach  # in tolerances
         v = self.v
         slip = _greatest(v)
         of = functools.partial(_decaying, v, piece) if slip > 0 else None
         self.group.slips.append(SlipRecord(start, stop, piece, of, None, self.w1))
         if self.object.surface.developable:
-            why = "no slip to speak of" if slip <= negligible else ""
-            flat = self._flat(self.object, self.w2, v, piece, shifted, why, slip > negligible)
+            slips = slip > negligible * self.tolerance
+            why = "" if slips else "no slip to speak of"
+            flat = self._flat(self.object, self.w2, v, piece, shifted, why, slips)
             self._append("object", flat)
         elif slip == 0 and shifted is None:
             self._append("object", self._geodesic("object", start, stop, "no slip"))
@@ -664,38 +715,29 @@ class GroupPlanner:
         body, span = self._in_form("object", offset is not None), interval.stop - interval.start
         # A great circle is free however long it is; a short rest is cheaper as one more panel.
         stops = body.surface.great_circles and interval.length > LONG_REST * body.size
-        finish = min(negligible, RATE_LEFT * self.tolerance) if stops else negligible
-        # What the first interval starts from is the scene's: worked out and laid out for C once.
-        begins = interval is self.prepared.intervals[0] and offset is None
-        shared = self.prepared.kept if begins else {}
-        if "constants" not in shared:
-            shared["constants"] = self._constants(body, offset)
+        finish = min(negligible, RATE_LEFT) if stops else negligible
+        none = 0 * self.v if offset is None else offset
         problem = Problem(
             start=body.state,
-            constants=shared["constants"],
+            constants=np.concatenate([body.parameters, self.w2, self.v, none], axis=1),
             scale=body.scale,
             drive=interval.piece,
             length=span,
-            tolerance=self.tolerance,
             first=span * min(1.0, 0.3 * body.size / interval.length),
-            slip=slip if slip > finish or offset is not None else 0.0,
+            slip=slip,
             finish=finish if offset is None else 0.0,
             stops=stops,
         )
         why = "slip" if offset is None else "object rate offset" + (", slip" if slip > 0 else "")
         kernel = development.driven_motion(body.surface, body.ambient, offset is not None)
-        track = DrivenTrack(
-            body.surface, body.parameters, interval.stop, why, body.ambient, self.compiled, offset,
-            kernel, problem, self.w2, self.v, shared,
+        track = MovingTrack(
+            body.surface, body.parameters, interval.piece, why, body.ambient, self.compiled, kernel,
+            problem, self.tolerance, self.w2, self.v, offset,
         )  # fmt: skip
         if stops and track.panels.edges[-1] < span:
             track.stop = interval.start + track.panels.edges[-1]
         self._append("object", track)
         return track.stop
-
-    def _constants(self, body: Body, offset: np.ndarray | None) -> np.ndarray:
-        none = 0 * self.v if offset is None else offset
-        return np.concatenate([body.parameters, self.w2, self.v, none], axis=1)
 
     # --- accelerations ---------------------------------------------------------------------------
 
@@ -721,12 +763,11 @@ class GroupPlanner:
             scale=np.hstack([*scales, obj.scale, self._slip_scale(interval, tip, obj)]),
             drive=piece,
             length=stop - start,
-            tolerance=self.tolerance,
             first=(stop - start) * min(1.0, 0.3 * min(tip.size, obj.size) / interval.length),
             slip=1.0,
             stiff=2,
         )
-        panels = development.integrate(kernel, problem, self.compiled)
+        panels = development.integrate(kernel, problem, self.tolerance, self.compiled)
         method = f"forced development, {len(panels.edges) - 1} panels"
         last = panels.end.shape[1]
         rows_w1 = slice(n1, n1 + 2) if pushed else None
@@ -810,10 +851,9 @@ class GroupPlanner:
             scale=np.hstack([tip.scale, obj.scale]),
             drive=piece,
             length=stop - start,
-            tolerance=self.tolerance,
             first=(stop - start) * min(1.0, 0.3 * min(tip.size, obj.size) / length),
         )
-        panels = development.integrate(kernel, problem, self.compiled)
+        panels = development.integrate(kernel, problem, self.tolerance, self.compiled)
         method = f"rolling imposed, chart equations, {len(panels.edges) - 1} panels"
         self.group.finger.append(RollingTrack(
             tip.surface, tip.parameters, start, stop, method, "the finger follows the object",

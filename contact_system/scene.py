@@ -21,7 +21,6 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -37,6 +36,7 @@ from contact_system.profile import (
     Profile,
     contraction,
     finite_numbers,
+    is_plain,
 )
 from contact_system.surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
 from contact_system.user_surfaces import ImplicitSurface, ParametricSurface
@@ -67,8 +67,11 @@ def _nearest(word: object, known: Iterable[str]) -> str:
     return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""
 
 
-def _pair(value: Any, what: str, otherwise: str = "") -> Pair:
-    remedy = f"{what} = {value!r}: give two numbers{otherwise}"
+def _pair(value: Any, what: str, words: Sequence[str] = ()) -> Pair:
+    if is_plain(value) and len(value) == 2:
+        return value
+    choice = "".join(f' or "{word}"' for word in words)
+    remedy = f"{what} = {value!r}: give two numbers{choice}"
     if isinstance(value, str) or not isinstance(value, Iterable):
         raise SceneError(remedy)
     pair = finite_numbers(value, what)
@@ -78,6 +81,8 @@ def _pair(value: Any, what: str, otherwise: str = "") -> Pair:
 
 
 def _one(value: Any, what: str) -> float:
+    if is_plain((value,)):
+        return value
     if not isinstance(value, numbers.Real) or isinstance(value, bool):
         raise SceneError(f"{what} = {value!r}: give a number")
     return finite_numbers([value], what)[0]
@@ -155,14 +160,13 @@ class Contact:
         _text(self.name, "name")
         _surface(self.finger, "finger")
         put = object.__setattr__
-        for key in ("object_at", "finger_at"):
-            put(self, key, _pair(getattr(self, key), key))
+        put(self, "object_at", _pair(self.object_at, "object_at"))
+        put(self, "finger_at", _pair(self.finger_at, "finger_at"))
         put(self, "angle", _one(self.angle, "angle"))
         for key, words in (("finger_velocity", (ROLLING,)), ("object_velocity", (ROLLING, REST))):
             value = getattr(self, key)
             if not (isinstance(value, str) and value in words):
-                choice = "".join(f' or "{word}"' for word in words)
-                put(self, key, _pair(getattr(self, key), key, otherwise=choice))
+                put(self, key, _pair(value, key, words))
         if self.follows and isinstance(self.object_velocity, str):
             raise SceneError(
                 f'finger_velocity = "rolling" lets the finger follow the object\'s curve, which '
@@ -349,11 +353,14 @@ class Scene:
     drake: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        with _naming(f"scene '{self.name}'" if self.name else "scene"):
+        try:  # not `_naming`: a context manager would cost as much as the checks
             self._check_parts()
             self._check_motion()
             self._place_contacts()
             _check_chosen(self)
+        except ContactSystemError as error:
+            name = f"scene '{self.name}'" if self.name else "scene"
+            raise SceneError(f"{name}: {error}") from None
 
     def __getstate__(self) -> dict[str, Any]:
         """What is pickled: the fields, not what a planner has worked out and keeps with them."""
@@ -385,12 +392,12 @@ class Scene:
 
     def _check_parts(self) -> None:
         """Types, and everything into its plain immutable form."""
-        put = partial(object.__setattr__, self)
+        put = object.__setattr__
         _surface(self.object, "object")
-        put("contacts", _all_of(Contact, self.contacts, "contacts"))
+        put(self, "contacts", _all_of(Contact, self.contacts, "contacts"))
         if not self.contacts:
             raise SceneError("contacts = []: a scene needs at least one contact")
-        put("disturbances", _all_of(Disturbance, self.disturbances, "disturbances"))
+        put(self, "disturbances", _all_of(Disturbance, self.disturbances, "disturbances"))
         for key, kind in (("profile", Profile), ("gain", Gain), ("turning", Turning)):
             value = getattr(self, key)
             if not isinstance(value, kind) and not (key == "turning" and value is None):
@@ -398,21 +405,23 @@ class Scene:
         for key in ("name", "description", "source"):
             _text(getattr(self, key), key)
         for key in ("paper", "drake"):
-            put(key, _plain_table(getattr(self, key), key))
+            put(self, key, _plain_table(getattr(self, key), key))
         _known_keys(self.paper, PAPER_KEYS, "paper: ")
 
     def _check_motion(self) -> None:
         """The horizon, sigma on it, and every window inside it."""
-        put = partial(object.__setattr__, self)
-        put("duration", _one(self.duration, "duration"))
+        put = object.__setattr__
+        put(self, "duration", _one(self.duration, "duration"))
         if not self.duration > 0:
             raise SceneError(f"duration = {self.duration:g} s: give a horizon longer than 0 s")
         self.profile.check(self.duration)
+        if not self.disturbances:
+            return
         expanded: list[Disturbance] = []
         for k, disturbance in enumerate(self.disturbances):
             with _naming(f"disturbances[{k}]"):
                 expanded += self._on_contacts(disturbance)
-        put("disturbances", tuple(expanded))
+        put(self, "disturbances", tuple(expanded))
 
     def _on_contacts(self, disturbance: Disturbance) -> list[Disturbance]:
         """The disturbance, checked against the scene, once a contact that it acts on."""
@@ -434,30 +443,27 @@ class Scene:
                     f'contact = {i}: its finger_velocity = "rolling" imposes rolling, which '
                     "nothing can disturb; plan its finger_velocity or leave the disturbance out"
                 )
-        return [dataclasses.replace(d, contact=i) for i in indices]
+        return [d if d.contact == i else dataclasses.replace(d, contact=i) for i in indices]
 
     def _place_contacts(self) -> None:
         """Every contact's coordinates into the charts' regular range."""
-        contacts = list(self.contacts)
-        object_turned = _place(contacts, range(len(contacts)), self.object, "object")
-        finger_turned: set[int] = set()
-        of_finger: dict[Surface, list[int]] = {}
-        for i, contact in enumerate(contacts):
-            of_finger.setdefault(contact.finger, []).append(i)
-        for finger, indices in of_finger.items():
-            finger_turned |= _place(contacts, indices, finger, "finger")
-        disturbances = []
-        for d in self.disturbances:
-            turned = finger_turned if isinstance(d, FingerAcceleration) else object_turned
-            if d.contact in turned:  # its chart components changed their signs
-                d = dataclasses.replace(d, value=(-d.value[0], -d.value[1]))
-            disturbances.append(d)
+        contacts = []
+        turned: set[tuple[str, int]] = set()
+        for i, contact in enumerate(self.contacts):
+            for body, surface in (("object", self.object), ("finger", contact.finger)):
+                contact, half_turn = _placed(contact, i, surface, body)
+                if half_turn:
+                    turned.add((body, i))
+            contacts.append(contact)
         object.__setattr__(self, "contacts", tuple(contacts))
-        object.__setattr__(self, "disturbances", tuple(disturbances))
+        if turned:
+            moved = tuple(_turned(d, turned) for d in self.disturbances)
+            object.__setattr__(self, "disturbances", moved)
 
 
 def _all_of(kind: type, values: Any, what: str) -> tuple:
-    if isinstance(values, kind) or isinstance(values, str) or not isinstance(values, Iterable):
+    # the usual kinds first: what an abstract class takes in costs more to find out
+    if isinstance(values, (kind, str)) or not isinstance(values, (list, tuple, Iterable)):
         raise SceneError(f"{what} = {values!r}: give a list")
     values = tuple(values)
     for k, value in enumerate(values):
@@ -466,32 +472,35 @@ def _all_of(kind: type, values: Any, what: str) -> tuple:
     return values
 
 
-def _place(contacts: list[Contact], indices: Sequence[int], surface: Surface, body: str) -> set:
-    """Coordinates of the contacts on one surface into its chart's regular range, in place.
+def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Contact, bool]:
+    """The contact with its coordinates on one body in the regular range of that body's chart.
 
-    Returns the contacts whose frame axes both turned by pi on the way: the triaxial ellipsoid's
-    chart covers it twice, (u, v) ~ (-u, pi - v), the second time with turned axes.
+    Also whether both frame axes turned by pi on the way: the triaxial ellipsoid's chart covers it
+    twice, (u, v) ~ (-u, pi - v), the second time with turned axes.
     """
     key = f"{body}_at"
-    given = [getattr(contacts[i], key) for i in indices]
+    given: Pair = getattr(contact, key)
     try:
-        u, v = surface.canonical(*np.transpose(given))
-    except ContactSystemError:
-        for i, at in zip(indices, given):  # find the contact to name
-            name = f" '{contacts[i].name}'" if contacts[i].name else ""
-            with _naming(f"contacts[{i}]{name}: {key} = {at}"):
-                surface.canonical(*at)
-        raise
-    half_turns = surface.align(u, v, *np.transpose(given))[2]
-    turned = set()
-    for i, before, at, half_turn in zip(indices, given, zip(u.tolist(), v.tolist()), half_turns):
-        if half_turn:
-            turned.add(i)
-            contacts[i] = _half_turn(contacts[i], f"{body}_velocity")
-        if at != before:
-            moved: dict[str, Any] = {key: at}
-            contacts[i] = dataclasses.replace(contacts[i], **moved)
-    return turned
+        at = surface.canonical(*given)
+    except ContactSystemError as error:
+        name = f" '{contact.name}'" if contact.name else ""
+        raise SceneError(f"contacts[{i}]{name}: {key} = {given}: {error}") from None
+    if at == given:
+        return contact, False
+    half_turn = surface.double_cover and bool(surface.align(*at, *given)[2])
+    if half_turn:
+        contact = _half_turn(contact, f"{body}_velocity")
+    moved: dict[str, Any] = {key: at}
+    return dataclasses.replace(contact, **moved), half_turn
+
+
+def _turned(disturbance: Disturbance, turned: set[tuple[str, int]]) -> Disturbance:
+    """The disturbance with its chart components in the frame its contact has now."""
+    body = "finger" if isinstance(disturbance, FingerAcceleration) else "object"
+    if (body, disturbance.contact) not in turned:
+        return disturbance
+    u, v = disturbance.value
+    return dataclasses.replace(disturbance, value=(-u, -v))
 
 
 def _half_turn(contact: Contact, velocity: str) -> Contact:
@@ -546,7 +555,7 @@ def _known_keys(table: Mapping, known: Iterable[str], place: str = "") -> None:
 
 def _plain_table(table: Any, what: str) -> dict[str, Any]:
     """A copy of a table in TOML's own types, with only finite numbers."""
-    if not isinstance(table, Mapping):
+    if not isinstance(table, (dict, Mapping)):
         raise SceneError(f"{what} = {table!r}: give a table")
     for key in table:
         _text(key, f"{what}: key")
@@ -570,6 +579,8 @@ def _plain(value: Any, what: str) -> Any:
 def _check_chosen(scene: Scene) -> None:
     """Every entry of `chosen` names a key that a scene file has."""
     object.__setattr__(scene, "chosen", _all_of(str, scene.chosen, "chosen"))
+    if not scene.chosen:
+        return
     below: dict[str, Iterable[str]] = {
         "contacts": _CONTACT_KEYS,
         "disturbances": _DISTURBANCE_KEYS,

@@ -42,7 +42,7 @@ from contact_system.charts import (
     hypot,
 )
 from contact_system.errors import ChartSingularity, SurfaceError
-from contact_system.geometry import ChartGeometry, chart_geometry
+from contact_system.geometry import ChartGeometry, chart_geometry, revolved_geometry
 
 # A contact frame whose axes shrink below this fraction of the surface's size is taken as lost.
 # A pole typed with 16 digits gives 1e-16, a point 1e-9 rad from one still gives 1e-9.
@@ -63,7 +63,9 @@ class Surface:
     inside: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.inside, (bool, np.bool_)):
+        if type(self.inside) is bool:
+            return
+        if not isinstance(self.inside, np.bool_):
             raise SurfaceError(
                 f"{self._kind}: inside = {self.inside!r} must be True or False; True puts the "
                 "body on the other side, as for a bowl"
@@ -125,7 +127,7 @@ class Surface:
         return self._identity == other._identity
 
     def __hash__(self) -> int:
-        return hash(self._identity)
+        return hash((self.structure, self.parameters))  # the rest seldom tells any apart
 
     def __repr__(self) -> str:
         said = [f"{getattr(self, w.name)!r}" for w in fields(self) if not w.kw_only]
@@ -187,7 +189,11 @@ class Surface:
 
     def geometry_expr(self, p: SX, u: SX, v: SX) -> ChartGeometry:
         """Return every metric quantity at (u, v), symbols; see `ChartGeometry`."""
-        return chart_geometry(self.chart_expr(p, u, v), u, v, self.chart.orthogonal)
+        shape = chart_geometry(self.chart_expr(p, u, v), u, v, self.chart.orthogonal)
+        if self.chart.turning is None:
+            return shape
+        lame, poles = self.chart.lame(p, u, v), bool(self.chart.singular_at)
+        return revolved_geometry(shape, u, v, self.chart.turning, lame, poles)
 
     def _outward_chart(self, p: SX, u: SX, v: SX) -> SX:
         return self.chart.point(p, u, v)
@@ -263,10 +269,14 @@ class Surface:
         ChartSingularity
             The frame is lost there (pole, umbilic): the metric root is below 1e-12 of the size.
         """
-        u, v = self._finite(u, v)
-        u, v = self._wrap(u, v)
-        self._require_regular(u, v)
-        return (float(u), float(v)) if u.ndim == 0 else (u, v)
+        if isinstance(u, float) and isinstance(v, float) and math.isfinite(u) and math.isfinite(v):
+            # one point, told regular without arrays and kernels wherever that is clear
+            at = self._wrap(float(u), float(v))
+            if self.chart.metric_floor(self.parameters, *at) > 2 * SINGULAR * self.size:
+                return float(at[0]), float(at[1])
+        us, vs = self._wrap(*self._finite(u, v))
+        self._require_regular(us, vs)
+        return (float(us), float(vs)) if np.ndim(us) == 0 else (us, vs)
 
     def align(
         self, u: ArrayLike, v: ArrayLike, u_ref: ArrayLike, v_ref: ArrayLike
@@ -319,7 +329,7 @@ class Surface:
         period_u, period_v = self.periods()
         return _unwrap(u, period_u), _unwrap(v, period_v), half_turn
 
-    def _wrap(self, u: Array, v: Array) -> tuple[Array, Array]:
+    def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
         return self.chart.wrap(u, v)
 
     def _require_regular(self, u: Array, v: Array) -> None:
@@ -629,7 +639,7 @@ class Quadric(Surface):
     def chart(self) -> type[Chart]:
         return self._principal[0]
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[float, ...]:
         """Three chart numbers (padded), nine of the rotation row by row, six of A."""
         _, numbers, rotation = self._principal

@@ -207,6 +207,8 @@ def run_chunk(job: Job, chunk: Chunk) -> Part:
 
 
 def _scene(item: Item) -> Scene:
+    if isinstance(item, Scene):
+        return item
     if isinstance(item, (str, os.PathLike)):
         return load_scene(item)
     scene = item() if callable(item) else item
@@ -282,10 +284,11 @@ def _together(scenes: list[Scene]) -> Scene:
 def _table(batch: list[Placed], outputs: Mapping[str, ArrayLike]) -> np.ndarray:
     """One row a contact of the batch, from what `evaluate` returned."""
     counts = [len(scene.contacts) for _, scene in batch]
-    count = sum(counts)
+    ends = np.cumsum(counts)
+    count = int(ends[-1])
     columns = {
         "scene": np.repeat([place for place, _ in batch], counts),
-        "contact": np.concatenate([np.arange(n) for n in counts]),
+        "contact": np.arange(count) - np.repeat(ends - counts, counts),
         "name": np.repeat([scene.name or "" for _, scene in batch], counts),
     }
     if not isinstance(outputs, Mapping):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -24,6 +23,7 @@ from .kernels import (
     c_source,
     compiled_library,
     find_compiler,
+    function_address,
     library_path,
     per_structure,
     row_offsets,
@@ -238,19 +238,23 @@ class Track:
             kernel = point_kernel(self.surface)
             kernel(state, self.parameters, out, compiled=self.compiled)
 
-    def entry(self, output: str) -> tuple[Callable[..., int], int] | None:
-        """The compiled evaluation of "points" or "coordinates" (``evaluate`` of c/tracks.c) and
-        the address of this track's data; None where there is none."""
+    def entry(self, output: str) -> tuple[Evaluator, int] | None:
+        """The compiled evaluation of "points" or "coordinates" and the address of this track's
+        ``track_t``; None where there is none."""
         if output not in self._entries:
             self._entries[output] = self._entry(output)
         return self._entries[output]
 
-    def _entry(self, output: str) -> tuple[Callable[..., int], int] | None:
+    def _entry(self, output: str) -> tuple[Evaluator, int] | None:
         return None
 
     @functools.cached_property
-    def _entries(self) -> dict[str, tuple[Callable[..., int], int] | None]:
+    def _entries(self) -> dict[str, tuple[Evaluator, int] | None]:
         return {}
+
+    def again(self, tolerance: float) -> Track | None:
+        """This track for another tolerance; None if it must be planned anew for that."""
+        return None
 
     def _evaluate(self, output: str, t: np.ndarray, out: np.ndarray) -> int | None:
         """Run the compiled evaluation; its code, or None where there is none."""
@@ -259,7 +263,7 @@ class Track:
             return None
         t = t if t.flags.c_contiguous else np.ascontiguousarray(t)
         strides = out.strides
-        return entry[0](
+        return entry[0].library.evaluate(
             entry[1], len(t), address(t), out.ctypes.data,
             row_offsets(tuple(range(out.shape[1])), strides[1] // 8),
             strides[0] // 8,
@@ -352,22 +356,22 @@ class TrackData(ctypes.Structure):
             "double_cover")]
         + [(name, ctypes.c_double) for name in ("period_u", "period_v")]
         + [(name, ctypes.c_void_p) for name in (
-            "constants", "length", "w", "v", "edges", "coefficients", "anchor_times", "anchors")]
+            "constants", "length", "w", "v", "edges", "coefficients", "anchor_at", "anchors")]
     )  # fmt: skip
 
 
 class Evaluator:
     """The compiled evaluation of one kernel over a whole track (c/tracks.c)."""
 
-    def __init__(self, kernel: Kernel, circle: bool, n_states: int, winds: bool):
+    def __init__(self, kernel: Kernel, closed: bool, n_states: int, winds: bool):
         self.kernel = kernel
-        width = 64 if circle else 80  # POINTS of c/tracks.c
+        width = 64 if closed else 80  # POINTS of c/tracks.c
         rows = ", ".join(f"{i * width}" for i in range(kernel.n_point))
         head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
         head += f"#define KERNEL {kernel.name}\n#define NP {kernel.n_point}\n"
         head += f"#define NC {kernel.n_constant}L\n#define NR {kernel.n_result}\n"
         head += f"#define NS {n_states}\n#define ROWS {rows}\n"
-        head += "#define CIRCLE\n" * circle + "#define WINDS\n" * winds
+        head += "#define CLOSED\n" * closed + "#define WINDS\n" * winds
         self.source = head + c_source("tracks.c")
 
     @functools.cached_property
@@ -386,6 +390,11 @@ class Evaluator:
             library.anchor.argtypes = [pointer] * 5
             library.anchor.restype = None
         return library
+
+    @functools.cached_property
+    def pointer(self) -> int:
+        """Address of ``evaluate``."""
+        return function_address(self.library.evaluate)
 
     def usable(self, compiled: bool | None) -> bool:
         """Whether to run compiled, for a track's wish."""

@@ -47,6 +47,15 @@ def test_a_shifted_profile_has_correctly_rounded_coefficients(c, t0, tau):
     assert abs(local - exact) <= Fraction(2) ** -52 * size + Fraction(1, 10**300)
 
 
+@given(st.lists(coefficient, min_size=1, max_size=6))
+def test_squares_are_correctly_rounded(c):
+    exact = [Fraction(0)] * (2 * len(c) - 1)
+    for i, x in enumerate(c):
+        for j, y in enumerate(c):
+            exact[i + j] += Fraction(x) * Fraction(y)
+    assert Profile(c).square == tuple(map(float, exact))
+
+
 @pytest.mark.parametrize("profile", [SLOW, MEDIUM, FAST, WAVY])
 def test_integrals_agree_with_quadrature(profile):
     for t in (0.0, 0.3, 1.7):

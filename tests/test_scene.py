@@ -26,7 +26,7 @@ from contact_system.scene import (
     scene_from_toml,
     scene_to_toml,
 )
-from contact_system.surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Torus
+from contact_system.surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
 from contact_system.user_surfaces import ImplicitSurface, ParametricSurface
 
 pi = math.pi
@@ -153,6 +153,20 @@ def test_contacts_in_range_stay_as_given_to_the_last_bit():
     at = [(2 * pi / 3, pi / 2), (-2 * pi / 3, -pi / 2), (pi / 6, pi / 2), (0.3, 0.1)]
     scene = small_scene(object=Ellipsoid(0.3, 0.2, 0.1), contacts=[Contact(FINGER, x) for x in at])
     assert [c.object_at for c in scene.contacts] == at
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [Sphere(0.1), Plane(), Cylinder(0.1), Torus(0.3, 0.1), Ellipsoid(0.3, 0.2, 0.1)]
+    + [Ellipsoid(0.3, 0.3, 0.1), Ellipsoid(0.3, 0.1, 0.1), Quadric(np.diag([1.0, 2.0, 3.0]))],
+)
+def test_a_scene_of_regular_contacts_is_made_without_evaluating_kernels(surface, monkeypatch):
+    def refuse(*arguments):
+        raise AssertionError("a kernel was evaluated")
+
+    monkeypatch.setattr(Surface, "_call", refuse)
+    made = small_scene(object=surface, contacts=[Contact(finger=surface, object_at=(7.0, -1.1))])
+    assert made.contacts[0].object_at == surface.canonical(7.0, -1.1)
 
 
 def test_a_contact_on_the_second_cover_of_an_ellipsoid_keeps_its_motion():

@@ -370,6 +370,51 @@ def test_points_close_to_a_pole_or_umbilic_are_accepted():
     assert Ellipsoid(0.3, 0.2, 0.1).canonical(1e-9, pi / 2) == (1e-9, pi / 2)
 
 
+@pytest.mark.parametrize("name", ALL)
+def test_one_point_is_taken_as_among_many(name):
+    many = np.random.default_rng(9).uniform(-9, 9, (2, 100))
+    many[:, :4] = [[1.0, 2.0, pi / 2, -pi / 2], [pi, -pi, 1.0, 2.0]]
+    single = [ALL[name].canonical(*at) for at in many.T]  # numpy's floats
+    assert single == [ALL[name].canonical(*map(float, at)) for at in many.T]
+    assert single == list(zip(*ALL[name].canonical(*many)))
+    assert all(type(w) is float for at in single for w in at)
+
+
+def nearly_singular(rng) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates, half of them within 1e-16 to 0.1 of multiples of pi/2."""
+    w = rng.uniform(-3.2, 3.2, (2, 400))
+    near = rng.integers(-2, 3, w.shape) * pi / 2
+    near += rng.choice([-1, 1], w.shape) * 10 ** rng.uniform(-16, -1, w.shape)
+    u, v = np.where(rng.random(w.shape) < 0.5, near, w)
+    return u, v
+
+
+@pytest.mark.parametrize("inside", [False, True])
+@pytest.mark.parametrize("name", EXPLICIT)
+def test_the_metric_root_is_not_below_the_charts_floor(name, inside):
+    surface = inside_out(EXPLICIT[name]) if inside else EXPLICIT[name]
+    u, v = nearly_singular(np.random.default_rng(10))
+    least = surface.metric_root(u, v)[:, (0, 1), (0, 1)].min(axis=1)
+    floor = [surface.chart.metric_floor(surface.parameters, *map(float, at)) for at in zip(u, v)]
+    # near an umbilic the kernel's own root has rounding errors of this size
+    assert np.all(np.array(floor) <= least * (1 + 1e-9) + 2e-15 * surface.size)
+
+
+@pytest.mark.parametrize("name", EXPLICIT)
+def test_one_point_is_refused_exactly_where_an_array_of_it_is(name):
+    surface = EXPLICIT[name]
+    for at in zip(*nearly_singular(np.random.default_rng(11))):
+        u, v = map(float, at)
+        try:
+            expected = tuple(w[0] for w in surface.canonical([u], [v]))
+        except ChartSingularity as error:
+            with pytest.raises(ChartSingularity) as caught:
+                surface.canonical(u, v)
+            assert str(caught.value) == str(error)
+        else:
+            assert surface.canonical(u, v) == expected
+
+
 @pytest.mark.parametrize("at", [(np.nan, 0.0), (0.0, np.inf), ("a", 0.0), ([1, 2], [1, 2, 3])])
 def test_coordinates_that_are_no_numbers_are_refused(at):
     with pytest.raises(SurfaceError, match="coordinates"):

@@ -15,16 +15,17 @@ typedef struct {
 
 typedef struct {
   double length, tolerance, first, slip, finish; /* see development.Problem */
-  double released;                               /* out: when slip was let go, or -1 */
+  double released, reached;                      /* out: when slip was let go, or -1; the last edge */
   const double *node, *integral, *series, *end;  /* xi[N], Q^T[N][N], B^T[N][N] and B's last row, e[2][N] */
   long n_stiff, max_panels, stops;
 } method_t;
 
-/* where an integration in panels stands: next panel from tau, of length h at most; the series of the
-   last one and its length, or NULL */
+/* where an integration in panels stands: next panel from tau, of length h at most; a series of
+   `length` to start from, or NULL: it ends at tau (the last panel) or begins there (a refused one) */
 typedef struct {
   double tau, h, length;
   const double *before;
+  long begins;
 } step_t;
 
 typedef struct {
@@ -34,9 +35,9 @@ typedef struct {
   long n_anchors, double_cover;
   double period_u, period_v;
   const double *constants, *length; /* length: polynomial of the arc length, lowest first */
-  const double *w, *v;               /* circle: pace, phase per metre; panels: W, V */
+  const double *w, *v;               /* closed form: of sigma, length; panels: W, V */
   const double *edges, *coefficients; /* of the first state row of body 0 in panel 0 */
-  const double *anchor_times, *anchors; /* [m], [nb][3][m] */
+  const double *anchor_at, *anchors; /* [m], [nb][3][m]: where on the panels, and u v theta there */
 } track_t;
 
 static inline double horner(const double *c, long n, double x) {

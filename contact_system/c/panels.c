@@ -3,14 +3,17 @@
    X' = f(X, sigma(tau), decay(tau)) on tau in [0, length] for nb bodies in lockstep; the last
    n_stiff states V obey V' = f_V - lam(tau) V, whose linear part is solved implicitly.
    The includer defines RHS (a kernel loop, see Kernel.loop), NX, NC, N (nodes) and
-   restore(state, constants), which puts the end of a panel back on its surfaces; ONE_PANEL if it
-   calls panel itself; DRIVES 3 if RHS takes local time after sigma and decay.
+   restore(state, constants), which puts the end of a panel back on its surfaces; NESTED if the last so many
+   states are the rates of as many before them; ONE_PANEL if it calls panel itself; DRIVES 3 if RHS takes local time after sigma and decay.
 
    Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.7: collocation at Gauss
    points conserves quadratic invariants, here F(x), |p|, |q|, p.q of every quadric. */
 
 #ifndef DRIVES
 #define DRIVES 2
+#endif
+#ifndef NESTED
+#define NESTED 0
 #endif
 
 static double longest(const drive_t *d, const method_t *m, double tau, double h) {
@@ -60,14 +63,17 @@ static double dot(const double *a, const double *b) {
   return sum;
 }
 
-/* The last panel's series continued to the nodes of the next, `ratio` times as long: basis[N + 1][N] */
-static void continuation(const method_t *m, double ratio, double *basis) {
-  for (int i = 0; i < N; i++) {
-    double xi = 1.0 + ratio * (1.0 + m->node[i]);
-    basis[i] = 1.0, basis[N + i] = xi;
-    for (int k = 1; k < N; k++)
-      basis[(k + 1) * N + i] =
-          ((2 * k + 1) * xi * basis[k * N + i] - k * basis[(k - 1) * N + i]) / (k + 1);
+/* The known series at the nodes of a panel `ratio` times as long, from its end (1) or start (-1):
+   basis[N + 1][N] */
+static void continuation(const method_t *m, double ratio, double from, double *basis) {
+  double xi[N];
+  for (int i = 0; i < N; i++)
+    xi[i] = from + ratio * (1.0 + m->node[i]), basis[i] = 1.0, basis[N + i] = xi[i];
+  for (int k = 1; k < N; k++) {
+    const double a = (2 * k + 1) / (k + 1.0), b = k / (k + 1.0), *one = basis + k * N;
+    double *next = basis + (k + 1) * N;
+#pragma omp simd
+    for (int i = 0; i < N; i++) next[i] = a * xi[i] * one[i] - b * one[i - N];
   }
 }
 
@@ -80,23 +86,26 @@ static double sweep(const method_t *m, const double *start, const double *c, con
 #else
   static const long rows_in[] = {IN_ROWS}, rows_out[] = {OUT_ROWS};
 #endif
-  double y[N], g[N], worst[N] = {0}, total[N] = {0};
+  double y[NX][N], g[N], worst[N] = {0}, total[N] = {0};
   RHS(1, N, &x[0][0], rows_in, 0, c, &f[0][0], rows_out, 0);
-  for (long s = 0; s < NX; s++) {
-    combine(m->integral, N, f[s], start[s], half, y);
-    if (s >= NX - m->n_stiff) {
-      for (int i = 0; i < N; i++) {
-        g[i] = 0.0;
-        for (int j = 0; j < N; j++) g[i] += inv[i * N + j] * y[j];
-      }
-      for (int i = 0; i < N; i++) y[i] = g[i], f[s][i] -= lam[i] * g[i];
+  for (long s = NX - 1; s >= 0; s--) {
+    if (s >= NX - 2 * NESTED && s < NX - NESTED) memcpy(f[s], y[s + NESTED], sizeof f[s]);
+    combine(m->integral, N, f[s], start[s], half, y[s]);
+  }
+  for (long s = NX - m->n_stiff; s < NX; s++) {
+    for (int i = 0; i < N; i++) {
+      g[i] = 0.0;
+      for (int j = 0; j < N; j++) g[i] += inv[i * N + j] * y[s][j];
     }
+    for (int i = 0; i < N; i++) y[s][i] = g[i], f[s][i] -= lam[i] * g[i];
+  }
+  for (long s = 0; s < NX; s++) {
 #pragma omp simd
     for (int i = 0; i < N; i++) {
-      double d = fabs(y[i] - x[s][i]) * scale[s];
+      double d = fabs(y[s][i] - x[s][i]) * scale[s];
       worst[i] = d > worst[i] ? d : worst[i];
       total[i] += d; /* catches a NaN, which a maximum drops */
-      x[s][i] = y[i];
+      x[s][i] = y[s][i];
     }
   }
   double change = 0.0, all = 0.0;
@@ -107,6 +116,13 @@ static double sweep(const method_t *m, const double *start, const double *c, con
   }
   if (!(all < 1e300)) return HUGE_VAL;
   return change;
+}
+
+/* Whether the panel is so much too long that its tail tells before the sweeps have converged. */
+static int hopeless(const method_t *m, double half, const double *scale, double f[NX][N]) {
+  for (long r = 0; r < NX; r++)
+    if (fabs(half * dot(m->series + N * N, f[r])) * scale[r] > 100.0 * m->tolerance) return 1;
+  return 0;
 }
 
 /* One panel from s->tau: state[nb][NX] to panel_state[nb][NX], both known on the surfaces, and its
@@ -128,9 +144,10 @@ static int panel(long nb, const double *state, const double *constants, const do
   }
   if (m->slip > 0) decays(drive, t, sig, N, dec);
   if (m->n_stiff && implicit(m, lam, half, inv)) return -2;
-  /* Picard sweeps start from the last panel's series where that reaches (28 % fewer of them) */
-  int known = s->before && after - tau <= 2.0 * s->length;
-  if (known) continuation(m, (after - tau) / s->length, basis);
+  /* Picard sweeps start from the last panel's series where that reaches (28 % fewer of them), or
+     from that of the longer panel that was refused */
+  int known = s->before && after - tau <= (s->begins ? 1.0 : 2.0) * s->length;
+  if (known) continuation(m, (after - tau) / s->length, s->begins ? -1.0 : 1.0, basis);
   double error = 0.0;
   for (long b = 0; b < nb; b++) {
     double(*x)[N] = (double(*)[N])(work);
@@ -148,12 +165,19 @@ static int panel(long nb, const double *state, const double *constants, const do
     int k = 0;
     for (; k < SWEEPS; k++) {
       change = sweep(m, start, c, sc, half, lam, inv, x, f);
-      if (change <= m->tolerance * 0.1 || change <= 4e-16) break;
+      /* sweeps converge ever faster: the next changes less than this one by what this did */
+      double next = k > 0 && change < 0.3 * last ? change * (change / last) : change;
+      if (next <= m->tolerance * 0.01 || change <= 4e-16) break;
       if (k > 6 && change <= 1e-13 && change > 0.25 * last) break;
-      if (!(change < 1e10)) { k = SWEEPS; break; }
+      if (!(change < 1e10) || (k > 3 && change > 4.0 * last)) { k = SWEEPS; break; }
+      if (k == 3 && hopeless(m, half, sc, f)) break;
       last = change;
     }
-    if (k >= SWEEPS) { s->h = 0.35 * (after - tau); return 0; }
+    if (k >= SWEEPS) {
+      if (s->begins) s->before = NULL;
+      s->h = 0.35 * (after - tau);
+      return 0;
+    }
     for (long r = 0; r < NX; r++) {
       double *o = out + (b * NX + r) * (N + 1), top;
       combine(m->series, N, f[r], 0.0, half, o);
@@ -165,16 +189,22 @@ static int panel(long nb, const double *state, const double *constants, const do
       panel_state[b * NX + r] = r >= NX - m->n_stiff ? dot(m->end + N, x[r])
                                                      : start[r] + half * dot(m->end, f[r]);
     }
+    double end[NX], moved = 0.0;
+    memcpy(end, panel_state + b * NX, sizeof end);
     restore(panel_state + b * NX, c);
+    for (long r = 0; r < NX; r++) moved = fmax(moved, fabs(panel_state[b * NX + r] - end[r]) * sc[r]);
+    /* what must be put back tells of the panel's error too */
+    if (moved > 1e-13 && 0.1 * moved > error) error = 0.1 * moved;
   }
   if (!(error <= m->tolerance)) {
     double shrink = 0.9 * pow(m->tolerance / error, 1.0 / N);
-    s->h = (after - tau) * (shrink > 0.2 ? (shrink < 0.8 ? shrink : 0.8) : 0.2);
+    s->h = (after - tau) * (shrink > 0.35 ? (shrink < 0.8 ? shrink : 0.8) : 0.35);
+    s->length = after - tau, s->before = out, s->begins = 1;
     return 0;
   }
   double grow = 0.9 * pow(m->tolerance / (error > 1e-30 ? error : 1e-30), 1.0 / N);
   s->h = (after - tau) * (grow < 2.0 ? grow : 2.0);
-  s->length = after - tau, s->before = out, s->tau = after;
+  s->length = after - tau, s->before = out, s->tau = after, s->begins = 0;
   return 1;
 }
 
@@ -189,6 +219,7 @@ long panels(long nb, double *state, const double *constants, const double *scale
   long count = 0, tries = 0;
   edges[0] = 0.0;
   while (s.tau < m->length) {
+    m->reached = s.tau;
     if (count == m->max_panels) return -1;
     if (++tries > 40 * (count + 25)) return -2;
     double *out = coefficients + count * nb * NX * (N + 1);

@@ -1,10 +1,10 @@
 /* Evaluation of a track at many times: the compiled twin of Track.coordinates, .positions, .frames.
 
    The includer defines KERNEL (a loop, see Kernel.loop_source) with NP inputs a point, NC constants
-   a body and NR results, ROWS (offsets of the inputs); CIRCLE for great circles, else NS states in
-   panels of N nodes, followed by the drive if NP > NS; WINDS where results 0, 1, 4 are u, v, theta
-   to be continued along the path (the kernel of a great circle does that itself). */
-#ifdef CIRCLE
+   a body and NR results, ROWS (offsets of the inputs); CLOSED for closed forms, whose inputs are v length,
+   w sigma, v length; else NS states in panels of N nodes, followed by the drive if NP > NS; WINDS where results 0, 1, 4 are u, v, theta
+   to be continued along the path (closed forms do that themselves). */
+#ifdef CLOSED
 #define POINTS BLOCK
 #else
 #define POINTS WIDTH
@@ -18,7 +18,7 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
   static const long rows[] = {ROWS};
   const drive_t *d = &k->drive;
   double point[NP][POINTS], tau[BLOCK], sigma[BLOCK], length[BLOCK];
-#ifndef CIRCLE
+#ifndef CLOSED
   double decay[BLOCK], xi[WIDTH] = {0}, basis[N + 1][WIDTH];
   long panel[BLOCK], last = 0;
 #endif
@@ -37,7 +37,7 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
       for (long i = 0; i < n; i++) sigma[i] = sigma[i] * tau[i] + d->sigma[j];
     for (long j = d->n_sigma - 1; j >= 0; j--)
       for (long i = 0; i < n; i++) length[i] = length[i] * tau[i] + k->length[j];
-#ifndef CIRCLE
+#ifndef CLOSED
     if (k->slips) {
       decays(d, tau, sigma, n, decay);
       for (long i = 0; i < n; i++) decay[i] *= sigma[i];
@@ -51,7 +51,7 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
     legendre(xi, n, basis);
 #endif
     for (long b = 0; b < k->nb; b++) {
-#ifdef CIRCLE
+#ifdef CLOSED
       for (long i = 0; i < n; i++) {
         point[0][i] = point[2][i] = k->v[b] * length[i];
         point[1][i] = k->w[b] * sigma[i];
@@ -79,12 +79,12 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
         for (long i = 0; i < n; i++)
           for (long r = 0; r < NR; r++)
             if (!isfinite(block[out_row[r] + i])) return -1 - (from + i);
-#if defined(WINDS) && !defined(CIRCLE)
+#if defined(WINDS) && !defined(CLOSED)
       const long m = k->n_anchors;
       for (long i = 0, near = 0; i < n && m; i++) {
-        double x = t[from + i];
-        near = interval(k->anchor_times, m, x, near);
-        long j = near + 1 < m && k->anchor_times[near + 1] - x < x - k->anchor_times[near] ? near + 1 : near;
+        double x = k->by_length ? length[i] : tau[i];
+        near = interval(k->anchor_at, m, x, near);
+        long j = near + 1 < m && k->anchor_at[near + 1] - x < x - k->anchor_at[near] ? near + 1 : near;
         wind(k, k->anchors + b * 3 * m + j, m, block + i, out_row);
       }
 #endif
@@ -93,20 +93,22 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
   return 0;
 }
 
-#if defined(WINDS) && !defined(CIRCLE)
-/* Fill the anchors of a track in time: four times a panel, between which coordinates move by less
-   than half a period, continued from begin [nb][3]. times [m], anchors [nb][3][m], work [nb][5][m],
+#if defined(WINDS) && !defined(CLOSED)
+/* Fill the anchors of a track: four times a panel, between which coordinates move by less than half a
+   period, continued from begin [nb][3]. at [m], anchors [nb][3][m], work [nb][5][m],
    m = 4 n_panels + 1. */
-void anchor(track_t *k, const double *begin, double *times, double *anchors, double *work) {
+void anchor(track_t *k, const double *begin, double *at, double *anchors, double *work) {
+  static const double one[] = {1.0}, same[] = {0.0, 1.0};
   const long m = 4 * k->n_panels + 1;
   long row[] = {0, m, 2 * m, 3 * m, 4 * m};
   for (long p = 0; p < k->n_panels; p++)
     for (long q = 0; q < 4; q++)
-      times[4 * p + q] = k->start + k->edges[p] + 0.25 * q * (k->edges[p + 1] - k->edges[p]);
-  times[m - 1] = k->start + k->edges[k->n_panels];
-  for (long i = 0; i < m; i++) times[i] = times[i] < k->stop ? times[i] : k->stop;
-  k->n_anchors = 0;
-  evaluate(k, m, times, work, row, 5 * m);
+      at[4 * p + q] = k->edges[p] + 0.25 * q * (k->edges[p + 1] - k->edges[p]);
+  at[m - 1] = k->edges[k->n_panels];
+  track_t plain = *k; /* in the panels' variable, whatever that is; rates are not wanted */
+  plain.start = 0.0, plain.stop = at[m - 1], plain.by_length = plain.slips = plain.n_anchors = 0;
+  plain.drive.sigma = one, plain.drive.n_sigma = 1, plain.length = same;
+  evaluate(&plain, m, at, work, row, 5 * m);
   for (long b = 0; b < k->nb; b++) {
     double *raw = work + b * 5 * m, *to = anchors + b * 3 * m;
     const double *ref = begin + 3 * b;
@@ -116,6 +118,6 @@ void anchor(track_t *k, const double *begin, double *times, double *anchors, dou
       ref = to + i;
     }
   }
-  k->n_anchors = m, k->anchor_times = times, k->anchors = anchors;
+  k->n_anchors = m, k->anchor_at = at, k->anchors = anchors;
 }
 #endif

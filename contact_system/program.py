@@ -1,0 +1,191 @@
+"""Whole plans in one compiled call (c/program.c): integrate what is not yet, evaluate every track.
+
+Python's own work is then the same for any number of contacts, intervals and bodies.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .closed_form import CircleTrack
+from .development import (
+    MOST_AT_ONCE,
+    MovingTrack,
+    collocation,
+    panels_built,
+    program_built,
+    program_library,
+)
+from .kernels import NODES, address
+from .tracks import Track, TrackData, evaluator
+
+if TYPE_CHECKING:
+    from .planner import Group
+
+SIDES = ("finger", "object")
+
+
+class _Part(ctypes.Structure):
+    """``part_t`` of c/program.c."""
+
+    _fields_ = [("evaluate", ctypes.c_void_p), ("track", ctypes.c_void_p)]
+    _fields_ += [(name, ctypes.c_long) for name in ("moves", "offset", "stride", "first", "last")]
+
+
+class Program:
+    """One output, "points" or "coordinates", of all tracks of a plan."""
+
+    def __init__(self, tracks: Sequence[Track], parts: Sequence[_Part]):
+        self.tracks, self.parts = tracks, (_Part * len(parts))(*parts)
+        self._find_motions()
+
+    def _find_motions(self) -> None:
+        self._at = ctypes.addressof(self.parts)
+        self.motions = [
+            track.motion for track in self.tracks if isinstance(track, MovingTrack) and track.motion
+        ]
+
+    def again(self, tracks: Sequence[Track]) -> Program:
+        """The same for a group's tracks at another tolerance."""
+        other = object.__new__(Program)
+        other.tracks, other.parts = tracks, type(self.parts).from_buffer_copy(self.parts)
+        other._find_motions()
+        for track, part in zip(tracks, other.parts):
+            if part.moves:
+                part.track = ctypes.addressof(track.motion.data)  # type: ignore[attr-defined]
+        return other
+
+    def fill(self, count: int, t: np.ndarray, out: np.ndarray) -> int | None:
+        """Write ``count`` rows of finger and object of each contact: (n_contacts, 2 count, n_t).
+
+        Returns
+        -------
+        int or None
+            0; 1 + the index of a time outside the plan; None: ask the tracks one by one, which
+            also says what is wrong with a contact at a pole.
+        """
+        where = (ctypes.c_long * 2)()
+        run, n = program_library().fill, len(t)
+        arguments = self._at, len(self.parts), count, n, address(t), address(out), where
+        while True:
+            waiting = [motion for motion in self.motions if not motion.data.done]
+            for motion in waiting:
+                motion.lock.acquire()
+                motion.ready()
+            code = run(*arguments)
+            for motion in waiting:
+                motion.lock.release()
+            if code >= 0:
+                return code
+            if where[1] >= 0:
+                return None
+            self.tracks[where[0]].motion.failed(where[1])  # type: ignore[attr-defined]
+
+
+def program_of(groups: Sequence[Group], output: str) -> Program | None:
+    """The program of all groups of a plan; None where some track has no compiled evaluation."""
+    tracks: list[Track] = []
+    parts: list[_Part] = []
+    for group in groups:
+        contacts = group.contacts
+        first, step = int(contacts[0]), int(contacts[1] - contacts[0]) if len(contacts) > 1 else 1
+        if len(contacts) > 2 and (np.diff(contacts) != step).any():
+            return None
+        if group.pair is not None and step == 1:
+            chains = [([group.pair], 2 * first, 1)]
+        else:
+            chains = [
+                (getattr(group, side), 2 * first + k, 2 * step) for k, side in enumerate(SIDES)
+            ]
+        for chain, offset, stride in chains:
+            for track in chain:
+                entry = track.entry(output)
+                if entry is None:
+                    return None
+                moves = isinstance(track, MovingTrack) and track.motion is not None
+                parts.append(_Part(
+                    entry[0].pointer, entry[1], moves, offset, stride, track is chain[0],
+                    track is chain[-1],
+                ))  # fmt: skip
+                tracks.append(track)
+    return Program(tracks, parts) if all(t.compiled or program_built() for t in tracks) else None
+
+
+# --- chart states of contacts that slip ----------------------------------------------------------
+
+FEW_TIMES = 48  # below this, series are not worth making
+SERIES = 96  # room a call has; it is not the only way
+ROWS = 11  # see c/program.c
+
+
+class _States(ctypes.Structure):
+    """``program_t`` of c/program.c."""
+
+    _fields_ = [(name, ctypes.c_void_p) for name in ("finger", "object", "tip", "motion")]
+    _fields_ += [("room", ctypes.c_long), ("tolerance", ctypes.c_double)]
+    _fields_ += [(name, ctypes.c_void_p) for name in (
+        "begin", "angle", "project", "cuts", "series")]  # fmt: skip
+    _fields_ += [("body", TrackData), ("aside", TrackData), ("n_series", ctypes.c_long)]
+
+
+@functools.cache
+def _projection() -> np.ndarray:
+    """Node values to Legendre coefficients, transposed: (N, N)."""
+    return np.ascontiguousarray(collocation().project.T)
+
+
+def slipping_sides(group: Group, compiled: bool | None) -> tuple[CircleTrack, MovingTrack] | None:
+    """Finger and object of the commonest plan, or None for others and where C is not built.
+
+    Fingers run on great circles, objects are developed with slip over one interval.
+    """
+    if len(group.finger) > 1 or len(group.object) > 1:
+        return None
+    finger, body = group.finger[0], group.object[0]
+    if not isinstance(finger, CircleTrack) or not isinstance(body, MovingTrack):
+        return None
+    if not body.ambient or body.v is None or body.offset is not None or body.problem.stops:
+        return None
+    if len(body.parameters) > MOST_AT_ONCE or finger.entry("coordinates") is None:
+        return None
+    there = evaluator(body.surface, True, "coordinates").built if compiled is None else compiled
+    built = compiled or (there and panels_built(body.kernel) and program_built())
+    return (finger, body) if built else None
+
+
+def slipping_states(
+    group: Group, finger: CircleTrack, body: MovingTrack, t: np.ndarray, out: np.ndarray
+) -> int:
+    """Chart states (n, 9, n_t) of :func:`slipping_sides`, as series made once, panel by panel.
+
+    Returns
+    -------
+    int
+        0; 1 + the index of a time outside the plan; -3: ask the tracks instead.
+    """
+    motion = body.motion
+    assert motion is not None
+    n = len(body.parameters)
+    block = np.empty(SERIES + 1 + SERIES * n * ROWS * NODES)
+    own, begin, project = finger.entry("coordinates"), group.begin[1], _projection()
+    assert own is not None
+    at = address(block)
+    program = _States(
+        own[0].pointer, evaluator(body.surface, True, "coordinates").pointer, own[1],
+        ctypes.addressof(motion.data), SERIES, max(0.1 * body.tolerance, 1e-14),
+        address(begin), address(group.angle), address(project), at, at + 8 * (SERIES + 1),
+    )  # fmt: skip
+    while True:
+        with motion.lock:
+            motion.ready()
+            code = program_library().states(
+                ctypes.addressof(program), len(t), address(t), address(out)
+            )
+        if code not in (-1, -2):
+            return code
+        motion.failed(code)
