@@ -96,8 +96,7 @@ class _Model:
             "N_VALUES": self.table.n_values, "N_PROFILE": len(scene.profile.coefficients),
             "SYSTEM_STATES": STATES, "GAIN": self.table.parameter_first["gain"],
             "OBJECT": self.table.parameter_first["object"], "HORIZON": float(scene.duration),
-            "MAX_STATES": 4 * -(-self.n_states // 4),  # the component sums four series at a time
-            "MAX_CONSTANTS": self.n_constants,
+            "MAX_STATES": self.n_states, "MAX_CONSTANTS": self.n_constants,
             "MAX_NUMBERS": max(1, *(len(b.parameters) for b in bodies)),
             "GAIN_LAW": scene.gain.law.upper(),
             "MOTIONS": ", ".join(name.removesuffix(".c") for name in self.motions),
@@ -114,12 +113,13 @@ class _Model:
         series = np.vstack([m.series[:-1].T, m.series[-1:]])
         lower = np.zeros(values, dtype=int)
         sizes = np.zeros(values, dtype=int)
-        kinds = ["CALCULATED"] * values
+        kinds, names = ["CALCULATED"] * values, [""] * values
         for row in self.table.rows:
             own = range(row.reference, row.reference + row.size)
             default = "EXACT" if row.initial == "exact" else "CALCULATED"
             for k in own:
                 kinds[k] = _KINDS_OF_VALUE.get((row.causality, row.variability), default)
+            names[own.start : own.stop] = row.elements or (row.name,)
             lower[own.start : own.stop] = row.minimum == 0.0
             sizes[row.reference] = row.size
         tables = [
@@ -138,6 +138,7 @@ class _Model:
             *(_array(name, a) for name, a in tables),
             f"const unsigned char kinds[] = {{{', '.join(kinds)}}};\n",
             f'const char *const model_token = "{token}";\n',
+            "const char *const names[] = {\n", *(f'  "{name}",\n' for name in names), "};\n",
         ])  # fmt: skip
 
     def _window(self, d) -> str:

@@ -3,7 +3,8 @@
 Knows nothing of FMI, as component.c does not. An event is a change of an input or of the gain; it
 continues the plan under another scene (`Plan.continued`), in which an input that is held is a
 disturbance window from that moment on. A step evaluates nothing. What is asked for is evaluated
-for some equal steps ahead.
+for some equal steps ahead. Where events follow each other at every step there is no plan, but one
+such step after the other (:mod:`.following`).
 """
 
 from __future__ import annotations
@@ -26,15 +27,16 @@ import numpy as np
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
 from contact_system.plan import Plan
 from contact_system.planner import Moment, Start, Starts, scene_start
+from contact_system.profile import GainPiece
 from contact_system.scene import Contact, Disturbance, Scene
 from contact_system.surfaces import Ellipsoid, Quadric, Surface
 from contact_system.system import KINDS
 from contact_system.user_surfaces import UserSurface
 
+from .following import TOLERANCE, Crew, Following, crews_of
 from .model import RESULTS, STATES, contact_results
 from .variables import BLOCK, INPUTS, Table, variable_table
 
-TOLERANCE = 1e-14  # of the plans; with 1e-13 K4 ends 4e-14 of its size away
 AHEAD = 256  # most steps that one evaluation serves
 ROUNDING = (
     8 * sys.float_info.epsilon
@@ -62,7 +64,7 @@ class Memory:
         Where stepping will end, s; infinite where nobody said.
     values : (n_values,)
         Parameters, inputs and, up to the start, states.
-    plan : Plan or None
+    plan : Plan or Following or None
         The motion since the last event; None before the start.
     gain, inputs : float, tuple
         What the plan was made with; `INPUTS` numbers a contact.
@@ -74,7 +76,7 @@ class Memory:
     time: float
     stop: float
     values: np.ndarray
-    plan: Plan | None = None
+    plan: Plan | Following | None = None
     gain: float = math.nan
     inputs: Inputs = ()
     settled: bool = True
@@ -114,6 +116,7 @@ class Block:
         windows = {t for d in scene.disturbances for t in (d.start, d.stop)}
         self._edges = tuple(sorted(windows))
         self._own: dict[tuple[float, ...], Scene] = {}
+        self._crews: dict[tuple[float, ...], list[Crew]] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -169,7 +172,7 @@ class Block:
         now = self.now
         if not now.settled:
             self.settle(target)
-        if target > now.plan.scene.duration:  # type: ignore[union-attr]
+        if target > self._end():
             self._lengthen(target)
         now.time = target
         self.row += 1
@@ -182,13 +185,15 @@ class Block:
         now, plan = self.now, self.now.plan
         if now.settled or plan is None:
             return
-        at = min(self.snapped(now.time), plan.scene.duration)
+        at = min(self.snapped(now.time), self._end())
         if at == plan.start:  # nothing has moved yet
             assert plan.starts is not None
-            end = max(plan.scene.duration, target)
+            end = max(self._end(), target)
             self._plan_from(at, end, end, plan.starts)
             return
         lasted = at - plan.start
+        if at < target <= at + 2 * lasted and self._follow(at, target):
+            return
         far = max(self.scene.duration, at + lasted, now.stop if now.stop < math.inf else 0.0)
         end = max(target, min(at + lasted, far))
         self._plan_on(at, end, max(target, math.nextafter(at, math.inf)))
@@ -196,18 +201,62 @@ class Block:
     def _lengthen(self, target: float) -> None:
         plan = self.now.plan
         assert plan is not None
-        at = plan.scene.duration
+        at = self._end()
         self._plan_on(at, max(target, 2 * at - plan.start), target)
+
+    def _end(self) -> float:
+        """Until when the motion is known, s."""
+        plan = self.now.plan
+        assert plan is not None
+        return plan.end if isinstance(plan, Following) else plan.scene.duration
+
+    def _moments(self, at: float) -> list[Moment]:
+        """Where each contact has come to."""
+        plan = self.now.plan
+        assert plan is not None
+        if isinstance(plan, Following):
+            return plan.moments
+        found = {i: m for g in plan.groups for i, m in zip(g.contacts, g.moments(at))}
+        return [found[i] for i in range(len(found))]
+
+    def _follow(self, at: float, target: float) -> bool:
+        """Make a single step to the target, if nothing but the inputs happens there.
+
+        For inputs that change at every step: a plan of the same costs five times as much.
+        """
+        scene = self._scene_with(self.now.values)
+        gain = dataclasses.replace(scene.gain, value=float(self.now.values[GAIN]))
+        pieces = gain.pieces(scene.profile, at, target)
+        slowest = min(pieces[0].speed(k * (target - at) / 4) for k in range(5))
+        if len(pieces) > 1 or any(at < t < target for t in self._edges) or not slowest > 0:
+            return False
+        try:
+            scene.profile.check(target)
+            self._planned(self._following(pieces[0], target, self._moments(at)))
+        except ContactSystemError:  # what a plan says of it is clearer
+            return False
+        return True
+
+    def _following(self, piece: GainPiece, end: float, starts: Sequence[Moment]) -> Following:
+        key = tuple(self.now.values[GAIN + 1 : self.table.blocks[0]].tolist())
+        if key not in self._crews:
+            self._crews[key] = crews_of(self._scene_with(self.now.values))
+        law = [float(self.now.values[GAIN]), *key[: len(self.scene.profile.coefficients)]]
+        return Following(self._crews[key], piece, law, end, starts, self._disturbance(piece.start))
 
     def _plan_from(self, begin: float, end: float, least: float, starts: Starts) -> None:
         scene = self._scene_between(begin, end, least)
         self._planned(Plan(scene, TOLERANCE, "auto", "DOP853", None, begin, starts))
 
     def _plan_on(self, at: float, end: float, least: float) -> None:
-        assert self.now.plan is not None
-        self._planned(self.now.plan.continued(at, self._scene_between(at, end, least)))
+        plan, scene = self.now.plan, self._scene_between(at, end, least)
+        assert plan is not None
+        if isinstance(plan, Following):
+            self._planned(Plan(scene, TOLERANCE, "auto", "DOP853", None, at, plan.moments))
+        else:
+            self._planned(plan.continued(at, scene))
 
-    def _planned(self, plan: Plan) -> None:
+    def _planned(self, plan: Plan | Following) -> None:
         now = self.now
         now.plan, now.settled = plan, True
         now.gain, now.inputs = float(now.values[GAIN]), self._inputs()
@@ -268,8 +317,7 @@ class Block:
 
     def _scene_with(self, values: np.ndarray) -> Scene:
         """The scene with the profile and the surfaces as they are set."""
-        first = self.table.blocks[0]
-        key = tuple(values[GAIN + 1 : first].tolist())
+        key = tuple(values[GAIN + 1 : self.table.blocks[0]].tolist())
         if key not in self._own:
             n, at = len(self.scene.profile.coefficients), self.table.parameter_first["object"]
             contacts = [
@@ -345,7 +393,7 @@ class Block:
     def _lay_out(self, times: Sequence[float]) -> None:
         plan = self.now.plan
         assert plan is not None
-        last = plan.scene.duration
+        last = self._end()
         self.times = [float(t) for t in times if t <= last] or [self.now.time]
         at = np.array(self.times)
         for edge in self._edges:
@@ -377,14 +425,20 @@ class Block:
         """One group of results at all times laid out: (n_times, n_contacts, n)."""
         if name not in self._groups:
             own = {"rates": self._rates, "carried": self._carried}.get(name)
-            found = own() if own else getattr(self.now.plan, name)(self._at)
+            found = own() if own else self._of_plan(name)
             self._groups[name] = found.reshape(len(self.times), len(self.scene.contacts), -1)
         return self._groups[name]
 
+    def _of_plan(self, name: str) -> np.ndarray:
+        plan = self.now.plan
+        if isinstance(plan, Following):
+            return plan.found[name]
+        return getattr(plan, name)(self._at)
+
     def _carried(self) -> np.ndarray:
         """`Plan.carried`, whose frames start as the contact frames, from the angles as set."""
-        assert self.now.plan is not None
-        found = self.now.plan.carried(self._at)
+        found = self._of_plan("carried")
+        found = found.reshape(len(self._at), -1, 2, 3).copy()
         states = np.array(self.table.blocks) + INPUTS
         for side, at in enumerate((2, 7)):
             for i, angle in enumerate(self.now.values[states + at]):
@@ -559,7 +613,7 @@ def _surface_with(surface: Surface, values: np.ndarray) -> Surface:
 
 # --- state bytes ---------------------------------------------------------------------------------
 
-_MAGIC, _VERSION = b"CONTACTP", 1
+_MAGIC, _VERSION = b"CONTACTP", 2
 _HEADER = struct.Struct("<8sQQ16s16s")  # magic, version, length, model, checksum
 
 
@@ -579,7 +633,9 @@ def state_bytes(memory: Memory, model: bytes) -> bytes:
     if memory.plan is not None:
         plan = memory.plan
         starts = [vars(start) for start in plan.starts or ()]
-        plain["plan"] = {"start": plan.start, "end": plan.scene.duration, "starts": starts}
+        step = isinstance(plan, Following)
+        end = plan.end if isinstance(plan, Following) else plan.scene.duration
+        plain["plan"] = {"start": plan.start, "end": end, "starts": starts, "step": step}
     body = json.dumps(plain).encode()
     return _HEADER.pack(_MAGIC, _VERSION, len(body), model, digest(body)) + body
 
@@ -615,7 +671,7 @@ def memory_of(data: bytes, block: Block, model: bytes) -> Memory:
     return memory
 
 
-def _plan_again(plain: dict[str, Any], memory: Memory, block: Block) -> Plan:
+def _plan_again(plain: dict[str, Any], memory: Memory, block: Block) -> Plan | Following:
     """The plan of a memory, made again from where it started: the same to the last bit."""
     kind = Moment if "slip" in plain["starts"][0] else Start
     starts: Starts = [kind.from_plain(start) for start in plain["starts"]]
@@ -624,6 +680,11 @@ def _plan_again(plain: dict[str, Any], memory: Memory, block: Block) -> Plan:
     helper.now.values[GAIN] = memory.gain
     for first, own in zip(block.table.blocks, memory.inputs):
         helper.now.values[first : first + INPUTS] = own
+    if plain["step"]:
+        scene = helper._scene_with(helper.now.values)
+        gain = dataclasses.replace(scene.gain, value=memory.gain)
+        piece = gain.pieces(scene.profile, plain["start"], plain["end"])[0]
+        return helper._following(piece, plain["end"], starts)  # type: ignore[arg-type]
     helper._plan_from(plain["start"], plain["end"], plain["end"], starts)
     assert helper.now.plan is not None
     return helper.now.plan

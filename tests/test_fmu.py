@@ -27,6 +27,13 @@ from fmu_export.model import STATES, contact_results
 
 VERSIONS = ("2.0", "3.0")
 KINEMATIC = ("K1", "K2", "K3", "K4")
+OVER_POLE = cs.Scene(
+    object=cs.Sphere(0.1),
+    contacts=[cs.Contact(cs.Sphere(0.04), object_at=(0.3, 0.5), finger_at=(1.2, 0.3), angle=0.0,
+                         finger_velocity=(-1.0, 0.0))],
+    profile=cs.Profile([0.1]), gain=cs.Gain.path(100.0), duration=0.5, name="over_pole",
+)  # fmt: skip
+"""Along a meridian of the object, through its pole at 0.3 s."""
 RATES = ("finger.u", "finger.v", "object.u", "object.v")
 
 
@@ -171,6 +178,13 @@ def worst_difference(fmu, result, plan=None):
 
 
 # --- motion --------------------------------------------------------------------------------------
+
+
+def over_position(result, version):
+    name = "contact[1].pose.position"
+    if version == "3.0":
+        return result[name]
+    return np.stack([result[f"{name}.{axis}"] for axis in "xyz"], axis=1)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -490,6 +504,72 @@ def test_values_that_are_no_numbers_are_refused_and_the_instance_lives(version, 
     assert {c for _, c, _ in fmu.messages} == {"logStatusDiscard"}
     fmu.step(one, 0.0, 1.0)
     assert relative(fmu.states(one), cs.plan(fmu.scene).states(1.0).ravel()) < 1e-12
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_refusal_names_the_variable_its_value_and_what_to_do(version, exported):
+    fmu = exported("K1", version)
+    one = fmu.instance()
+    given = [row.name for row in fmu.table.rows if row.causality == "input"]
+    refusals = {name: (np.nan, f"{name} = nan is refused; give a finite number") for name in given}
+    refusals |= {
+        "gain.eta": (-1.0, "gain.eta = -1 is refused; give 0 or more"),
+        "object.radius": (0.2, "object.radius = 0.2 is refused now: it is fixed; set it before"),
+        "contact[2].angle": (0.1, "contact[2].angle = 0.1 is refused now: it is a start value"),
+    }
+    for name, (value, words) in refusals.items():
+        fmu.messages.clear()
+        with pytest.raises(FMICallException):
+            fmu.set(one, {name: value})
+        assert words in fmu.messages[0][2]
+    fmu.messages.clear()
+    with pytest.raises(FMICallException):
+        (one.getReal if version == "2.0" else one.getFloat64)([4000])
+    assert "no variable with value reference 4000; see modelDescription.xml" in fmu.messages[0][2]
+
+
+def test_an_element_of_an_array_is_named_as_in_fmi_2(exported):
+    fmu = exported("K1", "3.0")
+    one = fmu.instance(ready=False)
+    with pytest.raises(FMICallException):
+        fmu.set(one, {"contact[2].object.velocity": [1.0, np.nan]})
+    assert "contact[2].object.velocity.y = nan is refused" in fmu.messages[0][2]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_steps_of_no_length_and_starts_before_the_profile_are_refused(version, exported):
+    fmu = exported("K1", version)
+    for time, words in ((-1.0, "give 0 <= start <= stop"), (np.nan, "give 0 <= start")):
+        with pytest.raises(FMICallException):
+            fmu.initialize(fmu.instance(ready=False), time)
+        assert words in fmu.messages[-1][2]
+    with pytest.raises(FMICallException):
+        fmu.step(fmu.instance(), 0.0, 0.0)
+    assert "a step of 0 s from t = 0 s is refused; give a positive length" in fmu.messages[-1][2]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_model_exchange_tells_of_a_pole_and_refuses_what_lies_beyond(version, exported):
+    fmu = exported(OVER_POLE, version)
+    one, u = fmu.instance("ModelExchange"), "contact[1].object.u"
+    if version == "3.0":
+        one.updateDiscreteStates()
+    rate, near = f"der({u})", {0.3: 0, 1e-4: 1, 2e-4: 1, 0.2: 1, 1e-5: 2}
+    for place, warnings in near.items():  # one warning each time the path comes near
+        fmu.set(one, {u: place})
+        fmu.get(one, rate)
+        warned = [m for _, c, m in fmu.messages if c == "logStatusWarning"]
+        assert len(warned) == warnings
+    assert warned[0].startswith("contact[1].object: at t = 0 s the path is within 0.0001 of")
+    fmu.set(one, {u: -0.1})
+    with pytest.raises(FMICallException):
+        fmu.get(one, rate)
+    assert "beyond a singular point of a chart" in fmu.messages[-1][2]
+    fmu.set(one, {u: 0.3})
+    assert fmu.get(one, rate)[0] == pytest.approx(-1.0, abs=1e-14)  # sigma / r
+    over = fmu.simulate(0.05)  # while Co-Simulation passes it
+    wanted = cs.plan(OVER_POLE).pose(over["time"])[:, 0, :3, 3]
+    assert relative(over_position(over, version), wanted) < 1e-12
 
 
 @pytest.mark.parametrize("version", VERSIONS)

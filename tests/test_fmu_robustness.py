@@ -26,12 +26,13 @@ def program(name, fmu, **options):
         pytest.skip(str(error))
 
 
-def test_random_calls_and_damaged_state_bytes_do_no_harm(fmu):
-    made, granted, slowest, _ = (
+def test_random_calls_and_damaged_or_forged_state_bytes_do_no_harm(fmu):
+    made, granted, slowest, _, taken = (
         program("fuzz", fmu, sanitized=True).run(500, 500, 1, *fmu.model_arguments()).split()
     )
     assert int(made) > 10_000
     assert int(granted) > 0.2 * int(made), "hardly anything that was called was legal"
+    assert 50 < int(taken) < 450, "forged states are told from good ones by what they hold"
 
 
 def test_a_million_steps_take_no_memory(fmu):

@@ -14,6 +14,7 @@ import pytest
 from conftest import derivative, one_contact
 
 import contact_system as cs
+from contact_system.plan import Plan
 from contact_system.scene import Scene
 
 fmpy = pytest.importorskip("fmpy")
@@ -272,6 +273,54 @@ def test_inputs_that_change_at_every_step_are_planned_step_by_step():
     close(states_now(slave), plan.states(1.0)[0])
 
 
+def test_steps_under_changing_inputs_pass_a_pole_as_the_plan_does():
+    contact = cs.Contact(cs.Sphere(0.04), object_at=(0.3, 0.5), finger_velocity=(-1.0, 0.0))
+    others = [cs.Contact(cs.Ellipsoid(0.05, 0.04, 0.03), object_at=(1.2, v)) for v in (1.0, 2.0)]
+    scene = cs.Scene(
+        object=cs.Sphere(0.1), contacts=[contact, *others], profile=cs.Profile((0.1, 0.05)),
+        gain=cs.Gain.path(300.0), duration=1.0, name="three",
+        disturbances=[cs.ObjectRateOffset(1, 0.31, 0.57, (0.3, -0.2))],
+    )  # fmt: skip
+    slave, windows = begun(scene), list(scene.disturbances)
+    times = np.linspace(0, 1, 51)
+    for k, (a, b) in enumerate(zip(times, times[1:])):
+        i, push = k % 3, (math.sin(9 * a), 0.3)
+        windows.append(cs.FingerAcceleration(i, a, b, push))
+        for n in range(3):
+            for w, x in zip("uv", push if n == i else (0.0, 0.0)):
+                put(slave, {f"contact[{n + 1}].finger.acceleration.{w}": x})
+        slave.doStep(a, b - a)
+    plan = cs.plan(scene.replace(disturbances=windows), 1e-14)
+    close(states_now(slave), plan.states(1.0)[0])
+
+
+def test_inputs_that_change_at_every_step_need_no_plan_each(monkeypatch):
+    made = []
+    monkeypatch.setattr(stepping, "Plan", lambda *given: made.append(given) or Plan(*given))
+    slave = begun(cs.load_scene("K1"))
+    for k in range(50):
+        put(slave, {"contact[1].finger.acceleration.u": math.sin(k) + 2.0})
+        slave.doStep(0.01 * k, 0.01)
+        everything(slave)
+    assert len(made) < 5
+
+
+def test_a_step_under_changing_inputs_restores_from_its_bytes_to_the_bit():
+    scene = cs.load_scene("K4")
+    slave, other = begun(scene), begun(scene)
+    for k in range(20):
+        put(slave, {"contact[2].object.acceleration.v": math.cos(k)})
+        slave.doStep(0.01 * k, 0.01)
+    state = slave.serializeFMUState(slave.getFMUState())
+    other.setFMUState(other.deserializeFMUState(state))
+    assert np.array_equal(everything(other), everything(slave))
+    for k in range(20, 40):
+        for one in (slave, other):
+            put(one, {"contact[2].object.acceleration.v": math.cos(k) if k < 30 else 0.1})
+            one.doStep(0.01 * k, 0.01)
+    assert np.array_equal(everything(other), everything(slave))
+
+
 def test_gain_that_is_tuned_changes_the_slip_law_from_then_on():
     scene = one_contact("ellipsoid", gain=cs.Gain.time(3.0), profile=(0.1, 0.2))
     slave = begun(scene, "3.0")
@@ -405,7 +454,7 @@ def test_state_bytes_that_do_not_fit_are_refused():
     for wrong, words in (
         (data[:20], "its length"), (data[:-1], "another length than it has"),
         (data + b" ", "another length than it has"), (b"X" + data[1:], "no state of a planner"),
-        (data[:8] + b"\2" + data[9:], "written by version 2, this is 1"), (b"", "its length"),
+        (data[:8] + b"\3" + data[9:], "written by version 3, this is 2"), (b"", "its length"),
         (data[:60] + b"9" + data[61:], "its checksum does not fit"),
         (other.serializeFMUState(other.getFMUState()), "belongs to another scene"),
     ):  # fmt: skip

@@ -27,6 +27,13 @@ static int all_finite(const double *x, long n) {
   return sum == 0.0;
 }
 
+/* the first that is not finite; n where all are */
+static long not_finite(const double *x, long n) {
+  long i = 0;
+  while (i < n && fabs(x[i]) <= DBL_MAX) i++;
+  return i;
+}
+
 /* times this near are one time: steps of 0.1 s do not add up to 1 s */
 int reached(double time, double edge) {
   return time >= edge - 8 * DBL_EPSILON * fmax(1.0, fabs(edge));
@@ -128,12 +135,14 @@ static void moment(const memory_t *now, long i, double tau, moment_t *m) {
   } else {
     double basis[N + 1];
     legendre_at(2.0 * (tau - k->from) / (k->to - k->from) - 1.0, basis);
-    for (long s = 0; s < n; s += 4) { /* four sums at a time: one alone waits for itself */
+    for (long s = 0; s < n; s++) { /* four sums at a time: one alone waits for itself */
       const double *c = k->series + s * (N + 1);
-      double sum[4] = {0};
-      for (long j = 0; j <= N; j++)
-        for (long l = 0; l < 4; l++) sum[l] += c[l * (N + 1) + j] * basis[j];
-      memcpy(m->y + s, sum, sizeof sum);
+      double a = c[N] * basis[N], b = 0.0, d = 0.0, e = 0.0;
+      for (long j = 0; j < N; j += 4) {
+        a += c[j] * basis[j], b += c[j + 1] * basis[j + 1];
+        d += c[j + 2] * basis[j + 2], e += c[j + 3] * basis[j + 3];
+      }
+      m->y[s] = (a + b) + (d + e);
     }
   }
   m->sigma = horner(k->sigma, k->n_sigma, tau);
@@ -383,8 +392,9 @@ static status_t advance(component_t *c, long i, double tau) {
                       .node = gauss_node, .integral = gauss_integral, .series = gauss_series,
                       .end = gauss_end, .n_stiff = motion->n_stiff};
   double after[MAX_STATES];
+  step_t s = {.tau = k->to, .h = k->next, .length = k->to - k->from};
+  s.before = k->to > 0.0 ? k->series : NULL;
   for (long tries = 0; k->to < tau; tries++) {
-    step_t s = {k->to, k->next, k->to - k->from, k->to > 0.0 ? k->series : NULL};
     int made = tries > MOST_PANELS || !(k->next > 1e-13 * (end < tau ? end : tau))
                    ? -2
                    : motion->panel(1, k->last, k->constants, k->scale, &d, &m, &s, c->trial,
@@ -399,7 +409,7 @@ static status_t advance(component_t *c, long i, double tau) {
     k->next = s.h;
     if (!made) continue;
     memcpy(k->series, c->trial, sizeof k->series), memcpy(k->last, after, sizeof k->last);
-    k->from = k->to, k->to = s.tau;
+    k->from = k->to, k->to = s.tau, s.before = k->series;
     lay_anchors(now, i);
   }
   return OK;
@@ -492,6 +502,34 @@ static unsigned group_of(const memory_t *now, long offset) {
   return offset < AT_TWIST ? SLIP : offset < AT_POSE ? TWIST : offset < AT_POINTS ? POSE : POINTS;
 }
 
+/* Least Lame coefficient of the chart of one body of contact i at its states, over the body's size:
+   0 at a pole or an umbilic, less where the chart's frame points inward. */
+static double regularity(const memory_t *now, long i, int body) {
+  const double *const a[] = {now->value + places[i].block + AT_STATE, numbers(now, i, 0),
+                             numbers(now, i, 1)};
+  double found[2];
+  places[i].kind->regularity(a, found);
+  return found[body] / places[i].size[body];
+}
+
+#define NEAR 1e-3 /* of the body's size; at 1e-6 fmpy's CVode takes more than its 500 steps */
+
+/* Whether contact i has frames at its states; a log line where a solver gets into trouble. */
+static int has_frames(component_t *c, long i) {
+  int all = 1;
+  for (int body = 0; body < 2; body++) {
+    const double left = regularity(&c->now, i, body);
+    if (!c->now.stepping && left < NEAR && !c->warned[i][body])
+      report(c, OK, "logStatusWarning", "contact[%ld].%s: at t = %.9g s the path is within %.2g of "
+             "the body's size of a singular point of its chart (a pole or an umbilic), where a "
+             "solver takes tiny steps or stops; start elsewhere, or run the Co-Simulation, which "
+             "passes such points", i + 1, body ? "object" : "finger", c->now.time, fabs(left));
+    c->warned[i][body] = left < NEAR;
+    all &= left > 0;
+  }
+  return all;
+}
+
 static void find(component_t *c, long i, unsigned group) {
   memory_t *now = &c->now;
   double disturbance[6], *value = now->value + places[i].block;
@@ -499,8 +537,12 @@ static void find(component_t *c, long i, unsigned group) {
   if (!group || (now->valid[i] & group)) return;
   if (SYSTEM(now)) {
     system_arguments(now, i, disturbance, a);
-    if (group == RATES) places[i].kind->rates(a, value + AT_RATE);
-    else places[i].kind->results(a, value + AT_SLIP);
+    const long first = group == RATES ? AT_RATE : AT_SLIP;
+    const long end = group == RATES ? AT_SLIP : BLOCK_SIZE;
+    (group == RATES ? places[i].kind->rates : places[i].kind->results)(a, value + first);
+    /* beyond a pole there would be numbers, of a frame that points inward */
+    if (!has_frames(c, i))
+      for (long j = first; j < end; j++) value[j] = NAN;
   } else {
     if (group == RATES || group == SLIP) find(c, i, STATE);
     if (group == STATE) find_states(c, i);
@@ -520,18 +562,21 @@ status_t get_values(component_t *c, unsigned reference, long count, double *valu
   }
   memcpy(value, now->value + reference, (size_t)count * sizeof *value);
   if (all_finite(value, count)) return OK;
-  return report(c, DISCARD, "logStatusDiscard",
-                "variable %u has no value at t = %.17g s: the contact is at a singular point of a "
-                "chart (a pole or an umbilic)", reference, now->time);
+  const char *where =
+      SYSTEM(now) ? "or beyond a singular point of a chart (a pole or an umbilic); start elsewhere, "
+                    "or run the Co-Simulation, which passes such points"
+                  : "a singular point of a chart (a pole or an umbilic); ask a moment later";
+  return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s, at %s",
+                names[reference + not_finite(value, count)], now->time, where);
 }
 
 status_t check_value(component_t *c, unsigned reference, double value) {
   if (!(fabs(value) <= DBL_MAX))
-    return report(c, DISCARD, "logStatusDiscard", "variable %u: %g is refused, a value must be "
-                  "finite", reference, value);
+    return report(c, DISCARD, "logStatusDiscard", "%s = %g is refused; give a finite number",
+                  names[reference], value);
   if (not_negative[reference] && value < 0)
-    return report(c, DISCARD, "logStatusDiscard", "variable %u: %g is refused, it must not be "
-                  "negative", reference, value);
+    return report(c, DISCARD, "logStatusDiscard", "%s = %.9g is refused; give 0 or more",
+                  names[reference], value);
   return OK;
 }
 
@@ -546,8 +591,8 @@ void set_value(component_t *c, unsigned reference, double value) {
 status_t set_slope(component_t *c, unsigned reference, double slope) {
   const long offset = (long)reference - places[0].block;
   if (!(fabs(slope) <= DBL_MAX))
-    return report(c, DISCARD, "logStatusDiscard", "variable %u: derivative %g is refused, it must "
-                  "be finite", reference, slope);
+    return report(c, DISCARD, "logStatusDiscard", "%s: the derivative %g is refused; give a finite "
+                  "number", names[reference], slope);
   c->now.input_slope[offset / BLOCK_SIZE][offset % BLOCK_SIZE] = slope;
   c->now.slope_begin = c->now.time;
   c->now.settled = 0;
@@ -574,11 +619,10 @@ static const char *place_contact(memory_t *now, long i) {
   const kind_t *kind = places[i].kind;
   const double *state = now->value + places[i].block + AT_STATE;
   const double *const a[] = {state, numbers(now, i, 0), numbers(now, i, 1)};
-  double regular[2], first[MAX_STATES + 4];
+  double first[MAX_STATES + 4];
   double place[2][3] = {{state[0], state[1], -state[ANGLE]}, {state[BODY], state[BODY + 1], 0.0}};
-  kind->regularity(a, regular);
   for (int body = 0; body < 2; body++)
-    if (!(regular[body] > 1e-12 * places[i].size[body]))
+    if (!(regularity(now, i, body) > 1e-12))
       return body ? "the object has no outward contact frame at (u, v)"
                   : "the finger has no outward contact frame at (u, v)";
   if (!now->stepping) return NULL;
@@ -654,10 +698,15 @@ status_t step(component_t *c, double target, int stop_at_edges, int *edge) {
 
 /* --- as a system of equations ----------------------------------------------------------------- */
 
+static unsigned state_reference(long k) {
+  return (unsigned)(places[k / SYSTEM_STATES].block + AT_STATE + k % SYSTEM_STATES);
+}
+
 status_t set_states(component_t *c, const double *state) {
-  if (!all_finite(state, (long)SYSTEM_STATES * N_CONTACTS))
-    return report(c, DISCARD, "logStatusDiscard", "continuous states are refused: a value is not "
-                  "finite");
+  const long n = (long)SYSTEM_STATES * N_CONTACTS, wrong = not_finite(state, n);
+  if (wrong < n)
+    return report(c, DISCARD, "logStatusDiscard", "%s = %g is refused; give finite continuous "
+                  "states", names[state_reference(wrong)], state[wrong]);
   for (long i = 0; i < N_CONTACTS; i++)
     memcpy(c->now.value + places[i].block + AT_STATE, state + SYSTEM_STATES * i,
            SYSTEM_STATES * sizeof *state);
@@ -755,6 +804,56 @@ void write_state(const memory_t *memory, unsigned char *bytes) {
   memcpy(bytes + sizeof h, memory, sizeof *memory);
 }
 
+static int is_flag(int x) { return x == 0 || x == 1; }
+
+static const char *check_memory(const memory_t *now) {
+  const int phases = INSTANTIATED | CONFIGURATION | INITIALIZATION | EVENT | CONTINUOUS | STEP |
+                     TERMINATED | BROKEN;
+  const int other =
+      !now->stepping ? STEP | BROKEN : now->uses_events ? CONTINUOUS : CONTINUOUS | EVENT;
+  if (now->phase <= 0 || now->phase & (now->phase - 1) || !(now->phase & phases & ~other))
+    return "its phase is none that an instance can be in";
+  if (!is_flag(now->stepping) || !is_flag(now->uses_events) || !is_flag(now->settled) ||
+      !is_flag(now->pending) || !is_flag(now->ended))
+    return "a flag in it is neither 0 nor 1";
+  if (!(fabs(now->time) < 1e300) || now->value[0] != now->time ||
+      now->stop_time != now->stop_time || now->limit != now->limit)
+    return "its times are out of range";
+  if (now->n_knots < 0 || now->n_knots > MAX_KNOTS || now->n_knots % 2)
+    return "the number of pieces of its gain is out of range";
+  for (unsigned r = 1; r < N_VALUES; r++) {
+    const int computed = kinds[r] == CALCULATED || (kinds[r] == EXACT && !SYSTEM(now));
+    if (!computed && (!(fabs(now->value[r]) <= DBL_MAX) || (not_negative[r] && now->value[r] < 0)))
+      return "a parameter, an input or a state in it is out of range";
+  }
+  if (!all_finite(now->knots, MAX_KNOTS) || !all_finite(&now->slope_begin, 1) ||
+      !all_finite(now->input_slope[0], 6 * N_CONTACTS) ||
+      !all_finite(now->window[0], 6 * N_CONTACTS))
+    return "what acts on its contacts is not finite";
+  return NULL;
+}
+
+static const char *check_contact(const memory_t *now, long i) {
+  const contact_t *k = &now->contact[i];
+  const long n_exponent = GAIN_LAW == PATH ? 2 * N_PROFILE : 2;
+  if (SYSTEM(now)) return NULL; /* nothing has moved yet, or the importer moves it */
+  if (k->form < 0 || k->form >= N_FORMS) return "the form of a contact's motion is out of range";
+  if (!is_flag(k->power) || k->n_sigma != N_PROFILE || k->n_exponent != n_exponent)
+    return "the profile of a contact is out of range";
+  if (!(fabs(k->begin) < 1e300) || !(k->begin <= now->time) || k->end != k->end ||
+      !(0 <= k->from && k->from <= k->to))
+    return "the times of a contact are out of range";
+  const struct { const double *first; long count; } parts[] = {
+      {k->disturbance, 6}, {k->slope, 6}, {&k->eta, 1}, {k->sigma, MAX_SIGMA},
+      {k->exponent, MAX_EXPONENT}, {k->w1, 2}, {k->v, 2}, {k->constants, MAX_CONSTANTS},
+      {k->scale, MAX_STATES}, {&k->greatest, 1}, {&k->to, 1}, {&k->next, 1},
+      {k->first, MAX_STATES}, {k->last, MAX_STATES}, {k->series, MAX_STATES * (N + 1)},
+      {k->anchor[0][0], 2 * 5 * 3}, {k->turn, 2}};
+  for (size_t j = 0; j < sizeof parts / sizeof *parts; j++)
+    if (!all_finite(parts[j].first, parts[j].count)) return "the motion of a contact is not finite";
+  return NULL;
+}
+
 const char *read_state(const unsigned char *bytes, unsigned long long count, memory_t *memory) {
   header_t found;
   if (count != STATE_BYTES) return "its length is not that of this model's states";
@@ -767,5 +866,7 @@ const char *read_state(const unsigned char *bytes, unsigned long long count, mem
   if (found.length != right.length) return "it says another length than it has";
   if (found.model != right.model) return "it belongs to another model";
   if (found.checksum != right.checksum) return "its checksum does not fit; it has been changed";
-  return NULL;
+  const char *wrong = check_memory(memory);
+  for (long i = 0; i < N_CONTACTS && !wrong; i++) wrong = check_contact(memory, i);
+  return wrong;
 }

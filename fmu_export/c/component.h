@@ -83,7 +83,7 @@ extern const double start_values[N_VALUES], nominals[SYSTEM_STATES * N_CONTACTS]
 extern const unsigned char kinds[N_VALUES], not_negative[N_VALUES], sizes[N_VALUES];
 extern const double gauss_node[N], gauss_integral[N * N], gauss_series[(N + 1) * N],
     gauss_end[2 * N];
-extern const char *const model_token;
+extern const char *const model_token, *const names[N_VALUES]; /* of every value, as in FMI 2 */
 
 /* --- one instance ----------------------------------------------------------------------------- */
 
@@ -135,6 +135,7 @@ typedef struct {
 typedef struct component {
   memory_t now;
   moment_t moment[N_CONTACTS]; /* at the present time, where memory_t.valid says so */
+  int warned[N_CONTACTS][2];   /* the path is near a pole, and the log says so */
   double work[(2 * MAX_STATES + 3) * N], trial[MAX_STATES * (N + 1)], seed[N_VALUES],
       grown[N_VALUES];
   void (*report)(struct component *, status_t, const char *category, const char *text);
@@ -177,7 +178,9 @@ typedef struct {
 #define STATE_BYTES (sizeof(header_t) + sizeof(memory_t))
 
 void write_state(const memory_t *, unsigned char *bytes);
-/* Returns NULL, or what does not fit. */
+/* Returns NULL, or what does not fit. Bytes with the right checksum may have been made by anybody:
+   every number that chooses, counts or points is held to what it may be, and those that the motion
+   is computed from are finite. */
 const char *read_state(const unsigned char *bytes, unsigned long long count, memory_t *);
 
 #if defined(__GNUC__)

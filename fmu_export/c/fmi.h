@@ -27,10 +27,10 @@ typedef struct {
 
 /* position of a category in LogCategories, or -1 */
 static inline int category_index(const char *category) {
-  static const char *const names[CATEGORIES] = {"logStatusWarning", "logStatusDiscard",
+  static const char *const known[CATEGORIES] = {"logStatusWarning", "logStatusDiscard",
                                                 "logStatusError", "logEvents"};
   for (int k = 0; k < CATEGORIES; k++)
-    if (category && !strcmp(category, names[k])) return k;
+    if (category && !strcmp(category, known[k])) return k;
   return -1;
 }
 
@@ -45,6 +45,7 @@ static inline status_t allowed(component_t *c, const char *function, int phases)
   component_t *c = &((instance_t *)instance)->component;                 \
   if (allowed(c, function, phases)) return (STATUS)FAILED
 
+#define NO_SUCH "there is no variable with value reference %u; see modelDescription.xml"
 #define REFUSE(...) return (STATUS)report(c, FAILED, "logStatusError", __VA_ARGS__)
 
 static inline int settable(const memory_t *now, unsigned reference) {
@@ -61,9 +62,16 @@ static inline int settable(const memory_t *now, unsigned reference) {
 }
 
 static inline status_t check_one(component_t *c, unsigned reference, double value) {
+  static const char *const remedy[] = {
+      [CALCULATED] = "is calculated; disturb the motion by the inputs",
+      [INDEPENDENT] = "is time; it is set by steps, or by SetTime",
+      [FIXED] = "is fixed; set it before initialization ends, or reset first",
+      [TUNABLE] = "is tunable; set it in event mode",
+      [INPUT] = "is an input; set it before the simulation ends, or reset first",
+      [EXACT] = "is a start value; set it before initialization ends, or use the inputs"};
   if (!settable(&c->now, reference))
-    return report(c, FAILED, "logStatusError", "variable %u must not be set in this state of the "
-                  "instance", reference);
+    return report(c, FAILED, "logStatusError", "%s = %.9g is refused now: it %s", names[reference],
+                  value, remedy[kinds[reference]]);
   return check_value(c, reference, value);
 }
 
@@ -97,6 +105,7 @@ static inline status_t restore_saved(component_t *c, void *state) {
     return report(c, FAILED, "logStatusError", "this FMU state belongs to the other interface, %s",
                   s->memory.stepping ? "Co-Simulation" : "Model Exchange");
   memcpy(&c->now, &s->memory, sizeof c->now);
+  c->now.uses_events = ((const instance_t *)c->host)->uses_events;
   memset(c->now.valid, 0, sizeof c->now.valid);
   return OK;
 }
@@ -109,7 +118,8 @@ static inline status_t read_bytes(component_t *c, const unsigned char *bytes, si
                                : read_state(bytes, count, &s->memory);
   if (wrong) {
     free(s);
-    return report(c, FAILED, "logStatusError", "serialized FMU state refused: %s", wrong);
+    return report(c, FAILED, "logStatusError", "serialized FMU state refused: %s; use the bytes "
+                  "that this FMU wrote, as they are", wrong);
   }
   s->magic = SAVED;
   if (*state) free(*state);
@@ -117,11 +127,18 @@ static inline status_t read_bytes(component_t *c, const unsigned char *bytes, si
   return OK;
 }
 
+/* FMI leaves the sign of the start open; a scene's profile and windows count from t = 0. */
+static inline status_t check_times(component_t *c, double start, int stop_defined, double stop) {
+  if (start >= 0 && start < 1e300 && (!stop_defined || stop >= start)) return OK;
+  return report(c, FAILED, "logStatusError", "start %g s and stop %g s are refused; give "
+                "0 <= start <= stop, the profile counts from t = 0", start, stop_defined ? stop : HUGE_VAL);
+}
+
 static inline status_t check_step(component_t *c, double from, double size) {
   const double end = from + size, room = 1e-9 * fmax(1.0, fabs(end));
-  if (!(size >= 0) || !(fabs(end) < 1e300))
-    return report(c, FAILED, "logStatusError", "a step of %g s from t = %g s is refused", size,
-                  from);
+  if (!(size > 0) || !(fabs(end) < 1e300)) /* FMI 2 and 3 alike: h must be greater than 0 */
+    return report(c, FAILED, "logStatusError", "a step of %g s from t = %g s is refused; give a "
+                  "positive length; to go back, set an FMU state", size, from);
   if (fabs(from - c->now.time) > room)
     return report(c, FAILED, "logStatusError", "the step begins at t = %.17g s, but the instance "
                   "stands at t = %.17g s", from, c->now.time);

@@ -74,8 +74,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component instance, fmi2Boolean tolerance_def
                                fmi2Real start_time, fmi2Boolean stop_defined, fmi2Real stop) {
   BEGIN("fmi2SetupExperiment", INSTANTIATED);
   (void)tolerance_defined, (void)tolerance;
-  if (!(fabs(start_time) < 1e300) || (stop_defined && !(stop >= start_time)))
-    REFUSE("fmi2SetupExperiment: start %g s and stop %g s are refused", start_time, stop);
+  if (check_times(c, start_time, stop_defined, stop)) return fmi2Error;
   set_time(c, start_time);
   c->now.stop_time = stop_defined ? stop : HUGE_VAL;
   return fmi2OK;
@@ -116,7 +115,7 @@ fmi2Status fmi2GetReal(fmi2Component instance, const fmi2ValueReference vr[], si
   if (count && (!vr || !value)) REFUSE("fmi2GetReal: a pointer is missing");
   status_t worst = OK;
   for (size_t k = 0; k < count; k++) {
-    if (!known(vr[k])) REFUSE("fmi2GetReal: there is no variable %u", vr[k]);
+    if (!known(vr[k])) REFUSE("fmi2GetReal: " NO_SUCH, vr[k]);
     status_t s = get_values(c, vr[k], 1, value + k);
     worst = s > worst ? s : worst;
   }
@@ -128,7 +127,7 @@ fmi2Status fmi2SetReal(fmi2Component instance, const fmi2ValueReference vr[], si
   BEGIN("fmi2SetReal", INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP);
   if (count && (!vr || !value)) REFUSE("fmi2SetReal: a pointer is missing");
   for (size_t k = 0; k < count; k++) { /* all are set, or none */
-    if (!known(vr[k])) REFUSE("fmi2SetReal: there is no variable %u", vr[k]);
+    if (!known(vr[k])) REFUSE("fmi2SetReal: " NO_SUCH, vr[k]);
     const status_t wrong = check_one(c, vr[k], value[k]);
     if (wrong) return (fmi2Status)wrong;
   }
@@ -165,13 +164,18 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component instance, const fmi2ValueR
     REFUSE("fmi2GetDirectionalDerivative: a pointer is missing");
   memset(c->seed, 0, sizeof c->seed);
   for (size_t k = 0; k < n_known; k++) {
-    if (!known(vr[k]) || kinds[vr[k]] == CALCULATED)
-      REFUSE("fmi2GetDirectionalDerivative: variable %u is no known", vr[k]);
+    if (!known(vr[k])) REFUSE("fmi2GetDirectionalDerivative: " NO_SUCH, vr[k]);
+    if (kinds[vr[k]] == CALCULATED)
+      REFUSE("fmi2GetDirectionalDerivative: %s is no known; give inputs, states or parameters",
+             names[vr[k]]);
     c->seed[vr[k]] += seed[k];
   }
-  for (size_t k = 0; k < n_unknown; k++)
-    if (!known(unknown[k]) || (kinds[unknown[k]] != CALCULATED && kinds[unknown[k]] != EXACT))
-      REFUSE("fmi2GetDirectionalDerivative: variable %u is no unknown", unknown[k]);
+  for (size_t k = 0; k < n_unknown; k++) {
+    if (!known(unknown[k])) REFUSE("fmi2GetDirectionalDerivative: " NO_SUCH, unknown[k]);
+    if (kinds[unknown[k]] != CALCULATED && kinds[unknown[k]] != EXACT)
+      REFUSE("fmi2GetDirectionalDerivative: %s is no unknown; give states or what is calculated",
+             names[unknown[k]]);
+  }
   status_t s = forward(c);
   for (size_t k = 0; k < n_unknown && !s; k++) value[k] = c->grown[unknown[k]];
   return (fmi2Status)s;
@@ -312,8 +316,10 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component instance, const fmi2ValueRe
     REFUSE("fmi2SetRealInputDerivatives: a pointer is missing");
   status_t worst = OK;
   for (size_t k = 0; k < count; k++) {
-    if (!known(vr[k]) || kinds[vr[k]] != INPUT || order[k] < 1)
-      REFUSE("fmi2SetRealInputDerivatives: variable %u, order %d is refused", vr[k], order[k]);
+    if (!known(vr[k])) REFUSE("fmi2SetRealInputDerivatives: " NO_SUCH, vr[k]);
+    if (kinds[vr[k]] != INPUT || order[k] < 1)
+      REFUSE("fmi2SetRealInputDerivatives: %s, order %d is refused; give first derivatives of "
+             "inputs", names[vr[k]], order[k]);
     status_t s = order[k] == 1 ? set_slope(c, vr[k], value[k])
                                : report(c, WARNING, "logStatusWarning",
                                         "derivatives of inputs above the first are ignored");

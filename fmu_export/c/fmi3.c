@@ -104,8 +104,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
                                        fmi3Boolean stop_defined, fmi3Float64 stop) {
   BEGIN("fmi3EnterInitializationMode", INSTANTIATED);
   (void)tolerance_defined, (void)tolerance;
-  if (!(fabs(start_time) < 1e300) || (stop_defined && !(stop >= start_time)))
-    REFUSE("fmi3EnterInitializationMode: start %g s and stop %g s are refused", start_time, stop);
+  if (check_times(c, start_time, stop_defined, stop)) return fmi3Error;
   c->now.stop_time = stop_defined ? stop : HUGE_VAL;
   enter_initialization(c, start_time);
   return fmi3OK;
@@ -133,20 +132,33 @@ fmi3Status fmi3Reset(fmi3Instance instance) {
 
 /* --- values ----------------------------------------------------------------------------------- */
 
-/* Number of values behind references, or -1 where one is unknown. */
-static long total(const fmi3ValueReference vr[], size_t count) {
+/* Number of values behind references, or -1 where one is unknown, with a log line. */
+static long total(component_t *c, const char *function, const fmi3ValueReference vr[],
+                  size_t count) {
   long sum = 0;
   for (size_t k = 0; k < count; k++) {
-    if (vr[k] >= N_VALUES || !sizes[vr[k]]) return -1;
+    if (vr[k] >= N_VALUES || !sizes[vr[k]]) {
+      report(c, FAILED, "logStatusError", "%s: " NO_SUCH, function, vr[k]);
+      return -1;
+    }
     sum += sizes[vr[k]];
   }
   return sum;
 }
 
-#define VALUES(function, vr, count, value, n)                                                    \
-  if ((count) && (!(vr) || !(value))) REFUSE(function ": a pointer is missing");                 \
-  if (total(vr, count) != (long)(n))                                                             \
-    REFUSE(function ": a variable is unknown, or the number of values is wrong")
+/* Refuses unknown references and another number of values than theirs. */
+#define COUNTED(function, vr, count, n)                                                           \
+  do {                                                                                            \
+    const long all = total(c, function, vr, count);                                               \
+    if (all < 0) return fmi3Error;                                                                \
+    if ((size_t)all != (n))                                                                       \
+      REFUSE(function ": room for %lu values, but the variables have %ld", (unsigned long)(n),    \
+             all);                                                                                \
+  } while (0)
+
+#define VALUES(function, vr, count, value, n)                                                     \
+  if ((count) && (!(vr) || !(value))) REFUSE(function ": a pointer is missing");                  \
+  COUNTED(function, vr, count, n)
 
 fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,
                           fmi3Float64 value[], size_t n) {
@@ -260,12 +272,15 @@ static status_t products(component_t *c, status_t (*apply)(component_t *),
 #define CHECK_PRODUCTS(function, n_from, n_to)                                                    \
   if ((n_unknowns && !unknowns) || (n_knowns && !knowns) || !seed || !value)                      \
     REFUSE(function ": a pointer is missing");                                                    \
-  if (total(unknowns, n_unknowns) != (long)(n_from) || total(knowns, n_knowns) != (long)(n_to))   \
-    REFUSE(function ": a variable is unknown, or the number of values is wrong");                 \
+  COUNTED(function, unknowns, n_unknowns, n_from);                                                \
+  COUNTED(function, knowns, n_knowns, n_to);                                                      \
   for (size_t k = 0; k < n_unknowns; k++)                                                         \
-    if (!is_unknown(unknowns[k])) REFUSE(function ": variable %u is no unknown", unknowns[k]);    \
+    if (!is_unknown(unknowns[k]))                                                                 \
+      REFUSE(function ": %s is no unknown; give states or what is calculated",                    \
+             names[unknowns[k]]);                                                                 \
   for (size_t k = 0; k < n_knowns; k++)                                                           \
-    if (!is_known(knowns[k])) REFUSE(function ": variable %u is no known", knowns[k])
+    if (!is_known(knowns[k]))                                                                     \
+      REFUSE(function ": %s is no known; give inputs, states or parameters", names[knowns[k]])
 
 fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
                                         size_t n_unknowns, const fmi3ValueReference knowns[],

@@ -1,21 +1,22 @@
 /* fuzz SEQUENCES BLOBS SEED TOKEN N_VALUES REFERENCE...
 
-   Random sequences of calls with random arguments, legal or not, of both interfaces, and damaged
-   state bytes. Built with sanitizers; besides what those find it stops when
+   Random sequences of calls with random arguments, legal or not, of both interfaces, damaged state
+   bytes, and as many forged ones, whose checksum is right. Built with sanitizers; besides what
+   those find it stops when
    - a status is none of OK, Warning, Discard and Error, or is not OK without a log line, or a line
      comes in an undeclared category;
    - numbers handed out with status OK are not finite;
    - an instance, whatever was done to it, does not move after a reset as a fresh one does;
    - damaged bytes are taken for a state, change the instance, or good ones are refused;
-   - one call lasts a minute.
+   - one call takes a minute of the processor.
    fuzz2.h and fuzz3.h hold the calls of each version. Prints the number of calls and how many were
-   answered with OK, and the slowest one. */
+   answered with OK, the slowest one, and how many forged states were taken. */
 #include "fmu.h"
 
 #include <math.h>
 #include <signal.h>
+#include <sys/time.h>
 #include <time.h>
-#include <unistd.h>
 
 /* --- random arguments ------------------------------------------------------------------------- */
 
@@ -53,7 +54,13 @@ static void fail(const char *what) {
 
 static void too_long(int signal) {
   (void)signal;
-  fail("lasts more than a minute");
+  fail("takes more than a minute");
+}
+
+/* Counts the processor's time, so that a busy machine does no harm. */
+static void watch(void) {
+  const struct itimerval minute = {.it_value = {60, 0}};
+  setitimer(ITIMER_PROF, &minute, NULL);
 }
 
 static void heard(int status, const char *category, const char *text) {
@@ -114,7 +121,7 @@ static void keep_bytes(size_t n) {
 
 /* --- sequences -------------------------------------------------------------------------------- */
 
-static long made, granted;
+static long made, granted, taken; /* calls, those answered with OK, forged states */
 static double slowest;
 static const char *slowest_name = "-";
 
@@ -126,7 +133,7 @@ static double seconds(void) {
 
 static void make(fmu_t fmu, const call_t *c) {
   called = c->name, lines = 0;
-  alarm(60);
+  watch();
   const double began = seconds();
   const int status = c->call(fmu);
   const double lasted = seconds() - began;
@@ -214,11 +221,39 @@ static void run_blob(fmu_t fmu) {
   memcpy(exact, given, n);
   const int same = n == n_bytes && !memcmp(given, bytes, n);
   lines = 0, called = "reading damaged state bytes";
-  alarm(60);
+  watch();
   const int status = read_bytes(fmu, exact, n);
   if (same != !status) fail(same ? "good bytes refused" : "damaged bytes taken for a state");
   if (status && !lines) fail("refused without a log line");
   free(given), free(exact);
+}
+
+double forge(unsigned char *bytes, unsigned (*below)(unsigned), double (*number)(void));
+
+/* Bytes that were made on purpose: refused with a line, or the instance goes on from them somehow,
+   and in any case moves after a reset as if nothing had been. */
+static void run_forged(const double *expected) {
+  const int stepping = !one_in(4);
+  fmu_t fmu = create_any(stepping);
+  if (!fmu) fail("no instance");
+  time_now = 0.0, logging = 1;
+  if (!one_in(8)) start_any(fmu, stepping);
+  for (unsigned k = below(4); k && stepping; k--)
+    if (!advance(fmu, time_now, 0.13)) time_now += 0.13;
+  for (int k = 0; k < 4; k++) {
+    called = "state bytes";
+    if (write_bytes(fmu)) fail("the state is not given");
+    const double said = forge(bytes, below, number);
+    lines = 0, called = "reading forged state bytes";
+    watch();
+    const int status = take_bytes(fmu, bytes, n_bytes);
+    if (status && !lines && logging) fail("refused without a log line");
+    if (!status) time_now = said, taken++;
+    for (int j = 0; j < 6; j++) make(fmu, pick_call());
+  }
+  forget_states(fmu);
+  if (stepping && plain) compare_after_reset(fmu, expected);
+  release(fmu);
 }
 
 static void run_blobs(const model_t *m, long count) {
@@ -244,7 +279,7 @@ static void run_blobs(const model_t *m, long count) {
 int main(int count, char **argument) {
   static double expected[MOST_VALUES];
   if (count < 6) stop("usage: fuzz SEQUENCES BLOBS SEED TOKEN N_VALUES REFERENCE...");
-  signal(SIGALRM, too_long);
+  signal(SIGPROF, too_long);
   model = model_of(count - 4, argument + 4);
   seed = strtoull(argument[3], NULL, 10) * 2654435761u + 88172645463325252u;
   for (size_t k = 0; k < model.count; k++)
@@ -257,7 +292,8 @@ int main(int count, char **argument) {
   release(fresh);
   for (long k = strtol(argument[1], NULL, 10); k > 0; k--) run_sequence(expected);
   run_blobs(&model, strtol(argument[2], NULL, 10));
+  for (long k = strtol(argument[2], NULL, 10); k > 0; k -= 4) run_forged(expected);
   free(bytes);
-  printf("%ld %ld %.4f %s\n", made, granted, slowest, slowest_name);
+  printf("%ld %ld %.4f %s %ld\n", made, granted, slowest, slowest_name, taken);
   return 0;
 }

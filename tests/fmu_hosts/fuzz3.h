@@ -59,6 +59,16 @@ static int read_bytes(fmu_t fmu, const unsigned char *given, size_t n) {
   return status;
 }
 
+/* Go where bytes say. */
+static int take_bytes(fmu_t fmu, const unsigned char *given, size_t n) {
+  fmi3FMUState own = NULL;
+  int status = fmi3DeserializeFMUState(fmu, given, n, &own);
+  if (status) return status;
+  status = fmi3SetFMUState(fmu, own);
+  fmi3FreeFMUState(fmu, &own);
+  return status;
+}
+
 static unsigned char *sizes; /* of variables, by reference; 0: there is none */
 
 /* Find out what a model description would say: the number of states, the sizes of variables. */
