@@ -26,9 +26,9 @@ def diagram(outcome: Outcome, file: Path) -> None:
     _save(figure, file)
 
 
-def overview(outcomes: list[Outcome], file: Path) -> None:
-    """Write one picture of all problems: our plans and the best of each library."""
-    columns = min(4, len(outcomes))
+def overview(outcomes: list[Outcome], file: Path, columns: int = 4) -> None:
+    """Write one picture of some problems: our plans and the best of each library."""
+    columns = min(columns, len(outcomes))
     rows = math.ceil(len(outcomes) / columns)
     figure, axes = _pyplot().subplots(
         rows, columns, figsize=(3.2 * columns, 2.6 * rows), layout="constrained", squeeze=False
@@ -42,7 +42,9 @@ def overview(outcomes: list[Outcome], file: Path) -> None:
         axis.set_visible(False)
     figure.supxlabel("greatest distance of a contact point, of the body's size")
     figure.supylabel("run time [s]")
-    figure.legend(named.values(), named.keys(), loc="outside upper center", ncols=6)
+    figure.legend(
+        named.values(), named.keys(), loc="outside upper center", ncols=min(6, 2 * columns)
+    )
     _save(figure, file)
 
 
@@ -101,5 +103,10 @@ def _pyplot() -> Any:
 
 
 def _save(figure: Any, file: Path) -> None:
+    from PIL import Image  # matplotlib needs it
+
     figure.savefig(file, dpi=110)
     _pyplot().close(figure)
+    with Image.open(file) as picture:  # 64 colours: a quarter of the size
+        few = picture.convert("RGB").quantize(64)
+    few.save(file, optimize=True)

@@ -1,12 +1,15 @@
-"""One measured number against its bar; the printed table and the JSON file."""
+"""One measured number against its bar; the parts that measure; printed table and JSON file."""
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import json
 import os
 import platform
 import sys
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
@@ -85,6 +88,10 @@ class Bar:
         return f"{padded}  {self.verdict:14s} {self.note}".rstrip()
 
 
+Sections = dict[str, Callable[[bool], Iterator[Bar]]]
+"""Name of a section -> function of ``full`` that measures and yields its bars."""
+
+
 def header() -> str:
     """Head of the table."""
     cells = ("what", "bar", "measured")
@@ -102,6 +109,20 @@ def collect(bars: Iterable[Bar]) -> list[Bar]:
     return kept
 
 
+def sections_of(name: str) -> Sections:
+    """Sections of a part, which is a module of this package."""
+    return importlib.import_module(f".{name}", __package__).SECTIONS
+
+
+def quietly(name: str, chosen: Sequence[str] | None, full: bool) -> tuple[list[Bar], float]:
+    """Bars of some sections of a part (None: of all), and what they took, s; prints nothing."""
+    begin = time.perf_counter()
+    sections = sections_of(name)
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+        bars = [bar for key in chosen or sections for bar in sections[key](full)]
+    return bars, time.perf_counter() - begin
+
+
 def write(name: str, bars: Iterable[Bar]) -> Path:
     """Write ``results/benchmarks/<name>.json`` in the checkout; returns its path."""
     RESULTS.mkdir(parents=True, exist_ok=True)
@@ -109,6 +130,12 @@ def write(name: str, bars: Iterable[Bar]) -> Path:
     rows = [{**asdict(bar), "met": bar.met} for bar in bars]
     path.write_text(json.dumps({**surroundings(), "bars": rows}, indent=1, default=float) + "\n")
     return path
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown, a line a row."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def surroundings() -> dict[str, Any]:

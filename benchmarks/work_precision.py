@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import functools
 import gc
+import json
 import math
 import statistics
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,11 +25,11 @@ import numpy as np
 from . import integrators, ours
 from .figures import diagram, overview
 from .problems import Problem, problems
-from .report import RESULTS, Bar
+from .report import RESULTS, Bar, markdown_table, surroundings
 from .timing import Job, Timing, interleaved, sample
 
 TARGETS = (1e-6, 1e-9, 1e-12)
-SLOW = 0.03  # [s]: what takes longer is sampled while scanning only
+SLOW = 0.01  # [s]: what takes longer is sampled while scanning only
 EXPORTED = ("geodesic ellipsoid", "1e3", "disturbed")  # an export compiles for 3 s
 KINDS = ("prepared", "quiet", "new")
 FLOOR = 2e-15  # tighter tolerances cannot show in double precision
@@ -81,7 +83,7 @@ class _Candidate:
 def measure(problem: Problem, full: bool) -> Outcome:
     """All methods at all their tolerances."""
     outcome = Outcome(problem.name, left_out=dict(integrators.missing()))
-    limit = 20.0 if full else 0.25
+    limit = 20.0 if full else 0.1
     found = list(_scan(problem, outcome, full, limit))
     gc.collect()
     gc.freeze()  # collections between samples then cost nothing to speak of
@@ -273,10 +275,9 @@ def summary(full: bool) -> Iterator[Bar]:
         least = min(run.error for run in outcome.own(new=False))
         rows.append([outcome.name, *cells, f"{least:.0e}"])
     head = ["problem", *(f"error {target:.0e}" for target in TARGETS), "smallest error"]
-    lines = [head, ["---"] * len(head), *rows]
     mean = {k: statistics.geometric_mean(getattr(r, k) for r in ratios) for k in KINDS}
-    text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    text += "\n\nTimes faster than the fastest peer; in brackets: by least samples, new scene.\n"
+    text = markdown_table(head, rows)
+    text += "\nTimes faster than the fastest peer; in brackets: by least samples, new scene.\n"
     text += "Geometric means: " + ", ".join(f"{k} {v:.3g}" for k, v in mean.items()) + ".\n"
     (RESULTS / "work_precision.md").write_text(text)
     overview(list(OUTCOMES.values()), RESULTS / "work_precision.png")
@@ -294,7 +295,91 @@ def _cell(found: Ratio | str) -> str:
     return f"{found.prepared:.3g} ({found.quiet:.3g}, {found.new:.3g}) {found.rival}"
 
 
+# --- the README ----------------------------------------------------------------------------------
+
+ROOT = Path(__file__).parents[1]
+SHORT = ("geodesic ellipsoid", "slip sphere-ellipsoid 1e3", "slip sphere-ellipsoid 1e7",
+         "disturbed K4")  # fmt: skip
+"""Problems of the README's figure."""
+MARKS = (
+    "<!-- written by: python -m benchmarks work_precision -->\n",
+    "<!-- end of what is written -->\n",
+)
+
+
+def readme(full: bool) -> Iterator[Bar]:
+    """Write the README's figure and table; alone, from the results of the last run."""
+    outcomes, about = list(OUTCOMES.values()), surroundings()
+    if not outcomes:
+        outcomes, about = stored(RESULTS / "work_precision.json")
+    overview(outcomes, ROOT / "docs" / "work-precision.png")
+    short = [outcome for outcome in outcomes if outcome.name in SHORT]
+    overview(short, ROOT / "docs" / "work-precision-short.png", columns=2)
+    page = ROOT / "README.md"
+    page.write_text(between_marks(page.read_text("utf-8"), readme_table(outcomes, about)), "utf-8")
+    yield Bar("problems in the README's table", len(list(problems())), len(outcomes), least=True)
+
+
+def stored(path: Path) -> tuple[list[Outcome], dict[str, Any]]:
+    """Outcomes, and date and machine, of a file that a run has written."""
+    found = json.loads(path.read_text())
+    outcomes = []
+    for bar in found["bars"]:
+        if curves := bar["detail"].get("curves"):
+            outcome = Outcome(bar["name"].split(", smallest")[0])
+            outcome.curves = {name: [_run_of(r) for r in runs] for name, runs in curves.items()}
+            outcomes.append(outcome)
+    return outcomes, found
+
+
+def _run_of(plain: dict[str, Any]) -> Run:
+    return Run(plain["tolerance"], plain["error"], Timing(**plain["s"]), plain["build s"])
+
+
+def readme_table(outcomes: Iterable[Outcome], about: dict[str, Any]) -> str:
+    """Ratios by problem, with their geometric mean, date and machine; slower ones are bold."""
+    rows, ratios = [], []
+    for outcome in outcomes:
+        found = [ratio(outcome, target) for target in TARGETS]
+        seen = [r for r in found if isinstance(r, Ratio)]
+        ratios += seen
+        rivals = ", ".join(dict.fromkeys(r.rival for r in seen))
+        least = min(run.error for run in outcome.own(new=False))
+        rows.append([outcome.name, *map(_short_cell, found), rivals, f"{least:.0e}"])
+    head = ["problem", *(f"{target:.0e}" for target in TARGETS), "fastest peer", "smallest error"]
+    mean = {k: statistics.geometric_mean(getattr(r, k) for r in ratios) for k in KINDS}
+    machine = f"{about['date'][:10]}, {about['machine']['processor']}, one thread"
+    return (
+        markdown_table(head, rows)
+        + f"\nGeometric mean {mean['prepared']:.2g}; of scenes never planned before "
+        f"{mean['new']:.2g}. {machine}.\n"
+    )
+
+
+def _short_cell(found: Ratio | str) -> str:
+    if isinstance(found, str):
+        return "no peer" if found.startswith("no peer") else "-"
+    text = f"{found.prepared:.2g}" if found.prepared < 10 else f"{found.prepared:.0f}"
+    return f"{text} x" if found.prepared >= 1.0 else f"**{text} x**"
+
+
+def between_marks(page: str, text: str) -> str:
+    """A page with what stands between `MARKS` replaced.
+
+    Raises
+    ------
+    ValueError
+        The page has no such marks.
+    """
+    before, first, rest = page.partition(MARKS[0])
+    _, last, after = rest.partition(MARKS[1])
+    if not last:
+        raise ValueError(f"the page lacks the lines {MARKS[0].strip()} and {MARKS[1].strip()}")
+    return f"{before}{first}\n{text}\n{last}{after}"
+
+
 SECTIONS: dict[str, Callable[[bool], Iterator[Bar]]] = {
     problem.name: functools.partial(diagrams, problem) for problem in problems()
 }
 SECTIONS["summary"] = summary
+SECTIONS["readme"] = readme

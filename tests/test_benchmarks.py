@@ -1,0 +1,206 @@
+"""The benchmarks' own arithmetic: what a bar, a ratio, a record and a skipped part mean."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import contact_system as cs
+
+sys.path.append(str(Path(__file__).parents[1]))  # benchmarks run from a checkout
+
+from benchmarks import regression, skip, work_precision  # noqa: E402
+from benchmarks.__main__ import LONG, PARTS, SHARING  # noqa: E402
+from benchmarks.report import Bar, markdown_table, quietly  # noqa: E402
+from benchmarks.timing import Timing  # noqa: E402
+from benchmarks.work_precision import MARKS, Outcome, Run, between_marks, time_at  # noqa: E402
+
+PENDULUM = regression.reference_job()
+
+
+def record(commit: str, ratio: float, error: float = 0.01, processor: str = "one") -> dict:
+    figures = {"plan": {"ratio": ratio, "error": error, "s": 1e-3}}
+    return {"version": "1", "commit": commit, "date": "", "processor": processor,
+            "figures": figures}  # fmt: skip
+
+
+# --- bars ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("measured", "least", "met"),
+    [(1.0, False, True), (2.0, False, False), (2.0, True, True), (None, True, None),
+     (math.nan, True, False), (math.nan, False, False)],
+)  # fmt: skip
+def test_a_bar_is_met_on_its_side_only_and_never_by_nan(measured, least, met):
+    assert Bar("x", 1.5, measured, least=least).met is met
+
+
+def test_a_markdown_table_has_a_rule_below_its_head():
+    assert markdown_table(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
+
+
+# --- regression ----------------------------------------------------------------------------------
+
+
+def test_half_as_fast_as_the_best_record_is_a_clear_regression():
+    history = [record("a", 1.0), record("b", 1.8)]
+    found = regression.compare(history, record("c", 2.0))["plan"]
+    assert found is not None and found.commit == "a"
+    assert found.slower == pytest.approx(2.0)
+    assert regression.LIMIT < found.surely < found.slower
+    assert found.confidence > 0.99
+
+
+def test_the_same_speed_is_no_regression():
+    found = regression.compare([record("a", 1.0)], record("b", 1.02))["plan"]
+    assert found is not None and found.surely < regression.LIMIT and found.confidence < 0.01
+
+
+def test_a_slow_figure_with_a_wide_spread_is_no_clear_regression():
+    found = regression.compare([record("a", 1.0)], record("b", 1.4, error=0.3))["plan"]
+    assert found is not None and found.slower > regression.LIMIT > found.surely
+    assert found.confidence < 0.95
+
+
+def test_the_bar_and_the_confidence_agree_at_95_percent():
+    found = regression.Comparison(slower=1.5, surely=regression.LIMIT, commit="a")
+    assert found.confidence == pytest.approx(0.95, abs=1e-4)
+
+
+def test_records_of_the_same_processor_come_first():
+    history = [record("a", 1.0, processor="other"), record("b", 3.0)]
+    found = regression.compare(history, record("c", 3.0))["plan"]
+    assert found is not None and found.commit == "b" and found.slower == pytest.approx(1.0)
+    found = regression.compare(history[:1], record("c", 3.0))["plan"]
+    assert found is not None and found.commit == "a"
+
+
+def test_a_figure_without_a_record_is_compared_with_nothing():
+    assert regression.compare([], record("a", 1.0)) == {"plan": None}
+    own = record("a", 1.0)
+    assert regression.compare([own], own) == {"plan": None}
+
+
+def test_a_commit_has_one_record_a_processor(tmp_path):
+    path = tmp_path / "history.json"
+    assert regression.read_history(path) == []
+    for new in (record("a", 1.0), record("b", 2.0), record("a", 3.0, processor="other")):
+        regression.keep(regression.read_history(path), new, path)
+    kept = regression.keep(regression.read_history(path), record("b", 4.0), path)
+    assert [(r["commit"], r["figures"]["plan"]["ratio"]) for r in kept] == [
+        ("a", 1.0), ("a", 3.0), ("b", 4.0)
+    ]  # fmt: skip
+    assert json.loads(path.read_text()) == kept
+
+
+def test_the_error_of_a_figure_is_that_of_the_median_of_normal_noise():
+    random = np.random.default_rng(1)
+    samples = np.exp(0.1 * random.standard_normal((2000, 15)))
+    found = [regression.figure(list(row), 1.0) for row in samples]
+    scatter = np.std([math.log(figure["ratio"]) for figure in found])
+    assert np.mean([figure["error"] for figure in found]) == pytest.approx(scatter, rel=0.2)
+
+
+def test_a_job_measured_against_itself_has_the_ratio_one(monkeypatch):
+    monkeypatch.setattr(regression, "jobs", lambda: {"pendulum": PENDULUM})
+    assert regression.measure(turns=9)["pendulum"]["ratio"] == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_slower_figure_fails_the_section(monkeypatch, tmp_path):
+    monkeypatch.setattr(regression, "HISTORY", tmp_path / "history.json")
+    own = record("new", 2.0)
+    monkeypatch.setattr(regression, "measure", lambda turns: own["figures"])
+    monkeypatch.setattr(regression, "record_of", lambda figures: own)
+    monkeypatch.setattr(regression, "read_history", lambda: [record("old", 1.0)])
+    monkeypatch.setattr(regression, "keep", lambda history, new: [*history, new])
+    (bar,) = regression.figures(False)
+    assert bar.met is False and "confidence 100%" in bar.note
+
+
+# --- skip ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["K1", "K3", "C1", "C2"])
+def test_everything_switched_on_is_the_same_motion_without_closed_forms(name):
+    scene = cs.load_scene(name)
+    plan, whole = cs.plan(scene), cs.plan(skip.switched_on(scene))
+    t = np.linspace(0.0, scene.duration, 21)
+    assert np.abs(plan.points(t) - whole.points(t)).max() < 1e-11
+    tracks = [track for g in whole.groups for track in (*g.finger, *g.object)]
+    assert not any(track.method.startswith("closed form") for track in tracks)
+    assert sum(track.method.startswith("forced") for track in tracks) >= 2
+
+
+def test_a_sphere_in_space_needs_no_trigonometry_and_its_chart_does():
+    ambient = skip.driven_motion(cs.Sphere(0.1), True).function
+    chart = skip.driven_motion(skip.as_chart(cs.Sphere(0.1)), False).function
+    assert skip._operations(ambient)[1] == 0 < skip._operations(chart)[1]
+
+
+def test_explain_is_true_about_what_it_skipped():
+    (bar,) = skip.explained(False)
+    assert bar.measured == 0, bar.detail
+
+
+def test_planning_imports_no_pictures_no_drake_and_no_fmpy():
+    assert skip._printed(skip.IMPORT)[2:] == []
+
+
+# --- work-precision ------------------------------------------------------------------------------
+
+
+def run(error: float, seconds: float) -> Run:
+    return Run(error, error, Timing(seconds, seconds, seconds), 0.0)
+
+
+def test_time_at_an_error_is_interpolated_in_logarithms():
+    curve = [run(1e-4, 1e-3), run(1e-8, 1e-1), run(1e-5, 1.0)]
+    assert time_at(curve, 1e-6) == pytest.approx(1e-2)
+    assert time_at(curve, 1e-9) is None
+    assert time_at(curve, 1e-3) == 1e-3
+
+
+def test_the_readme_has_the_marks_of_its_table_and_keeps_the_rest():
+    page = (Path(__file__).parents[1] / "README.md").read_text("utf-8")
+    text = between_marks(page, "| new |\n")
+    assert f"{MARKS[0]}\n| new |\n\n{MARKS[1]}" in text
+    assert between_marks(text, page.split(MARKS[0])[1].split(MARKS[1])[0].strip("\n") + "\n")
+    assert text.startswith(page.split(MARKS[0])[0]) and text.endswith(page.split(MARKS[1])[1])
+    with pytest.raises(ValueError, match="lacks the lines"):
+        between_marks("no marks", "")
+
+
+def test_stored_results_come_back_as_they_were(tmp_path):
+    curve = [run(1e-6, 1e-3), run(1e-13, 2e-3)]
+    bar = Bar("problem, smallest error, of the size", 1e-13, 0.0,
+              detail={"curves": {"peer": [work_precision._plain(r) for r in curve]}})  # fmt: skip
+    path = tmp_path / "work_precision.json"
+    path.write_text(json.dumps({"date": "today", "bars": [dataclasses.asdict(bar)]}))
+    (outcome,), about = work_precision.stored(path)
+    assert outcome == Outcome("problem", {"peer": curve})
+    assert about["date"] == "today"
+
+
+# --- the whole bench -----------------------------------------------------------------------------
+
+
+def test_every_section_that_is_named_for_the_whole_bench_exists():
+    for table in (SHARING, LONG):
+        for name, chosen in table.items():
+            assert name in PARTS
+            text = (Path(regression.__file__).parent / f"{name}.py").read_text()
+            for section in chosen or ():
+                assert f'"{section}"' in text, (name, section)
+
+
+def test_a_part_run_beside_another_gives_its_bars_and_prints_nothing(capfd):
+    bars, spent = quietly("accuracy", ("revolutions",), False)
+    assert bars and all(bar.met for bar in bars) and spent > 0
+    assert capfd.readouterr().out == ""
