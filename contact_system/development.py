@@ -197,6 +197,9 @@ def slip_displacement() -> Kernel:
 
 # NODES = 16: on a unit sphere a panel spans about 2 rad at 1e-14 and Picard sweeps still converge.
 SWEEPS = 40
+MANY = 4096  # panels from one look at how many more it will take to the next
+MOST = 1e6  # panels of one interval; beyond, a scene is refused
+MOST_BYTES = 2e9
 
 
 @dataclass(frozen=True)
@@ -302,6 +305,8 @@ class Problem:
 
     Attributes
     ----------
+    name : str
+        Scene and contacts, for messages.
     start : (n_bodies, n_states)
     constants : (n_bodies, n_constant)
     scale : (n_bodies, n_states)
@@ -322,6 +327,7 @@ class Problem:
         How many trailing states carry the term -lam.
     """
 
+    name: str
     start: np.ndarray
     constants: np.ndarray
     scale: np.ndarray
@@ -364,12 +370,20 @@ def integrate(
     return _integrate_here(kernel, problem, tolerance)
 
 
-def _stuck(problem: Problem, tau: float, h: float) -> ContactSystemError:
+def _stuck(problem: Problem, tau: float) -> ContactSystemError:
     return ContactSystemError(
-        f"the motion cannot be continued past local time {problem.drive.start + tau:.9g} "
-        f"(panels of {h:.2g}): the path reaches a singular point of its chart or its surface, or "
-        "moves too fast for double precision; start elsewhere, change the direction or end the "
-        "scene before"
+        f"{problem.name}: the motion cannot be continued past local time "
+        f"{problem.drive.start + tau:.9g}: the path reaches a singular point of its chart or its "
+        "surface, or moves too fast for double precision; start elsewhere, change the direction or "
+        "end the scene before"
+    )
+
+
+def _endless(problem: Problem, tau: float, count: int) -> ContactSystemError:
+    return ContactSystemError(
+        f"{problem.name}: {count} panels reach local time {problem.drive.start + tau:.9g} of "
+        f"{problem.drive.start + problem.length:.9g} only, more than {MOST:g} would be needed; "
+        "shorten the scene, or lower the speed, the acceleration or the surface's curvature"
     )
 
 
@@ -387,11 +401,15 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
     series: list[np.ndarray] = []
     # what sweeps may start from: a series, its length, and its end (1) or start (-1) at tau
     known: tuple[np.ndarray, float, float] | None = None
-    tau, h, tries = 0.0, min(problem.first, problem.length), 0
+    tau, h, tries, mark = 0.0, min(problem.first, problem.length), 0, 0.0
     while tau < problem.length:
         tries += 1
-        if tries > 40 * (len(series) + 25):
-            raise _stuck(problem, tau, h)
+        if tries > 40 * (len(series) + 25) or not h > 1e-15 * problem.length:
+            raise _stuck(problem, tau)
+        if len(series) and len(series) % MANY == 0 and tau > mark:
+            if MANY * (problem.length - tau) > MOST * (tau - mark):
+                raise _endless(problem, tau, len(series))
+            mark = tau
         h = longest_panel(drive, slip, tau, min(h, problem.length - tau))
         after = tau + h
         if after >= problem.length * (1 - 1e-14):
@@ -513,6 +531,7 @@ def panel_source(kernel: Kernel) -> str:
     head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
     head += f"#define RHS {kernel.name}\n#define NX {n}L\n#define NC {kernel.n_constant}L\n"
     head += f"#define SWEEPS {SWEEPS}\n#define NESTED {kernel.nested}\n"
+    head += f"#define MANY {MANY}\n#define MOST_PANELS {MOST:g}\n"
     head += f"#define IN_ROWS {rows_in}\n#define OUT_ROWS {rows_out}\n"
     head += _restore_source(kernel)
     return head + c_source("panels.c")
@@ -558,7 +577,9 @@ class MotionData(ctypes.Structure):
     """``motion_t`` of c/program.c."""
 
     _fields_ = [("track", TrackData), ("integrate", ctypes.c_void_p), ("drive", Drive),
-                ("method", Method), ("nx", ctypes.c_long), ("done", ctypes.c_long)]  # fmt: skip
+                ("method", Method)]  # fmt: skip
+    _fields_ += [(name, ctypes.c_long) for name in ("nx", "room", "done")]
+    _fields_ += [(name, ctypes.c_double) for name in ("tolerance", "slip", "share")]
     _fields_ += [(name, ctypes.c_void_p) for name in ("start", "constants", "scale", "block")]
 
 
@@ -615,6 +636,7 @@ class Motion:
         data.start, data.constants, data.scale = address(start), address(constants), address(scale)
         data.method = Method(problem.length, 0.0, problem.first, 0.0, 0.0, -1.0, 0.0,
                              *method_pointers(), problem.stiff, 0, problem.stops)  # fmt: skip
+        data.share, data.slip = problem.finish, problem.slip
         self._kept = kernel, start, constants, scale, problem  # addresses point into them
         self._begin(tolerance)
 
@@ -626,15 +648,8 @@ class Motion:
         return other
 
     def _begin(self, tolerance: float) -> None:
-        data, self.lock, self.tolerance = self.data, threading.Lock(), tolerance
-        data.done = data.track.n_anchors = 0
-        data.block = None
-        self._set_limits()
-
-    def _set_limits(self) -> None:
-        method = self.data.method
-        method.tolerance, method.slip, method.finish = self._kept[4].limits(self.tolerance)
-        method.released = -1.0
+        data, self.lock = self.data, threading.Lock()
+        data.tolerance, data.done, data.block = tolerance, 0, None
 
     def ready(self) -> None:
         """Have room to integrate into."""
@@ -642,12 +657,12 @@ class Motion:
             self._make_room(_ROOM.get(self._kept[0], ROOM))
 
     def _make_room(self, panels: int) -> None:
-        data = self.data
-        size, width = data.track.nb * data.nx, (2 * data.nx + 2) * NODES
-        self._edges = 2 * size + width
+        data, (bodies, states) = self.data, self._kept[4].start.shape
+        size = bodies * states
+        self._edges = 2 * size + (2 * states + 2) * NODES
         self._series = self._edges + panels + 1
         self._block = np.empty(self._series + panels * size * (NODES + 1))
-        data.method.max_panels, data.block = panels, address(self._block)
+        data.room, data.block = panels, address(self._block)
 
     def run(self) -> None:
         """Integrate, unless that was done before."""
@@ -661,11 +676,13 @@ class Motion:
     def failed(self, code: int) -> None:
         """After a code of ``panels``: make more room, or say what is wrong."""
         method, kernel = self.data.method, self._kept[0]
-        if code != -1:
-            raise _stuck(self._kept[4], method.reached, 0.0)
-        self._make_room(4 * method.max_panels)
-        self._set_limits()
-        _ROOM[kernel] = min(max(method.max_panels, _ROOM.get(kernel, ROOM)), MOST_ROOM)
+        if code == -2:
+            raise _stuck(self._kept[4], method.reached)
+        panels = 4 * self.data.room
+        if code == -3 or 8.0 * panels * self._kept[4].start.size * (NODES + 1) > MOST_BYTES:
+            raise _endless(self._kept[4], method.reached, self.data.room)
+        self._make_room(panels)
+        _ROOM[kernel] = min(max(panels, _ROOM.get(kernel, ROOM)), MOST_ROOM)
 
     def panels(self) -> Panels:
         """The motion as panels."""
@@ -946,6 +963,9 @@ _OWN = ("panels", "_data", "_entries")  # what a track for another tolerance mus
 # --- geodesics with a first integral -----------------------------------------------------------
 
 
+FLAT = 1e-3
+
+
 @dataclass(frozen=True, eq=False)
 class GeodesicForm:
     """Geodesics whose acceleration depends on the place alone, thanks to a first integral.
@@ -1030,12 +1050,12 @@ def _quadric_form(surface: Surface) -> GeodesicForm:
 
 
 def _clairaut_form(surface: Surface) -> GeodesicForm:
-    """Charts with h_u(v), h_v constant (torus), by Clairaut's integral L = h_u^2 u'.
+    r"""Charts with h_u(v), h_v constant (torus), by Clairaut's integral L = h_u^2 u'.
 
-    State u, v, v' with v'' = h_u'/(h_u^3 h_v^2) L^2; numbers L and what the path's angle to f_u,
-    which stays on one side of f_v, lacks to theta (do Carmo, Differential Geometry, 4-4).
+    State u, v, v' with v'' = h_u'/(h_u^3 h_v^2) L^2; numbers L, \|w\|, and what the path's angle to
+    f_u, which stays on one side of f_v, lacks to theta (do Carmo, Differential Geometry, 4-4).
     """
-    p, numbers = SX.sym("p", len(surface.parameters)), SX.sym("numbers", 2)
+    p, numbers = SX.sym("p", len(surface.parameters)), SX.sym("numbers", 3)
     constant, place, w = ca.vertcat(p, numbers), SX.sym("place", 3), SX.sym("w", 2)
     state, drive = SX.sym("state", 3), SX.sym("drive", 2)
 
@@ -1049,7 +1069,7 @@ def _clairaut_form(surface: Surface) -> GeodesicForm:
     c, h = rotation(place[2]) @ w, lame(place)
     integral = h[0] * c[0]
     rest = place[2] - angle(c[1], integral, h)
-    begin = ca.vertcat(place[:2], c[1] / h[1], integral, rest)
+    begin = ca.vertcat(place[:2], c[1] / h[1], integral, ca.norm_2(w), rest)
 
     h = lame(state)
     slope = ca.jacobian(h[0], state[1])
@@ -1059,7 +1079,15 @@ def _clairaut_form(surface: Surface) -> GeodesicForm:
         "geodesic", ca.vertcat(state, drive), constant, ca.vertcat(turn, state[2], bend)
     )
     motion.nested = 1
-    theta = angle(h[1] * state[2], numbers[0], h) + numbers[1]
+    # A Newton step along the gradient of the speed's square puts it right; short of where that is
+    # flat (equators), since rounding would be divided by its square.
+    lean = h[1] * state[2] / numbers[1]
+    excess = (numbers[0] / (h[0] * numbers[1])) ** 2 + lean**2 - 1
+    slopes = ca.vertcat(ca.jacobian(excess, state[1]), 2 * lean)
+    shift = -excess * slopes / (ca.sumsqr(slopes) + FLAT)
+    back = ca.vertcat(state[0], state[1] + shift[0], state[2] + shift[1] * numbers[1] / h[1])
+    motion.restores = (Restoration(Kernel("restore_geodesic", state, constant, back), 0, 0),)
+    theta = angle(h[1] * state[2], numbers[0], h) + numbers[2]
     chart = ca.vertcat(state[:2], drive[0] * turn, drive[0] * state[2], theta)
     found = Kernel("geodesic_coordinates", ca.vertcat(state, drive), constant, chart)
     return GeodesicForm(

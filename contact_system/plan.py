@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import numbers
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -223,7 +224,7 @@ class Plan:
             ``method="chart"``.
         """
         after = self.scene if scene is None else scene
-        self._times([t])
+        t = self._time(t)
         if not t < after.duration:
             raise SceneError(
                 f"continued at t = {t:g} s: nothing is left to plan, the scene ends at "
@@ -265,13 +266,20 @@ class Plan:
         SceneError
             A wrong shape, NaN, sigma(t) = 0, or contacts whose rolling is imposed.
         """
-        measured = np.asarray(state, dtype=float)
-        shape = (len(self.scene.contacts), 9)
+        where, shape = f"scene '{self.scene.name}', restart", (len(self.scene.contacts), 9)
+        t = self._time(t)
+        try:
+            measured = np.asarray(state, dtype=float)
+        except (TypeError, ValueError):
+            raise SceneError(f"{where}: state = {state!r}; give numbers, shape {shape}") from None
         if measured.shape != shape:
-            raise SceneError(f"restart: state has shape {measured.shape}; give {shape}")
-        if not np.isfinite(measured).all():
-            raise SceneError(f"restart at t = {t:g} s: the measured state has a NaN or infinity")
-        self._times([t])
+            raise SceneError(f"{where}: state has shape {measured.shape}; give {shape}")
+        for i, row in enumerate(measured):
+            if not np.isfinite(row).all():
+                raise SceneError(
+                    f"{where} at t = {t:g} s, contact {i}: the measured state {row.tolist()} is "
+                    "not finite; leave such a measurement out"
+                )
         if not t < self.scene.duration:
             raise SceneError(
                 f"restart at t = {t:g} s: nothing is left to plan, the scene ends at "
@@ -339,6 +347,12 @@ class Plan:
         return text.getvalue()
 
     # --- inside ----------------------------------------------------------------------------------
+
+    def _time(self, t: Any) -> float:
+        """One time inside the horizon."""
+        if isinstance(t, bool) or not isinstance(t, numbers.Real):
+            raise SceneError(f"scene '{self.scene.name}': t = {t!r}; give a time in seconds")
+        return float(self._times(float(t))[0])
 
     def _times(self, t: ArrayLike) -> np.ndarray:
         times = _one_axis(t)
@@ -469,7 +483,12 @@ class Plan:
 
 
 def _one_axis(t: ArrayLike) -> np.ndarray:
-    times = np.asarray(t, dtype=float)
+    try:
+        times = np.asarray(t, dtype=float)
+    except (TypeError, ValueError):
+        raise ContactSystemError(
+            f"t = {t!r}: give a time in seconds, or one axis of times"
+        ) from None
     if times.ndim == 1:
         return times
     if times.ndim == 0:

@@ -52,6 +52,9 @@ NEGLIGIBLE = 0.01
 RATE_LEFT = 0.1
 # Path beyond which, in sizes of a sphere, the rest of a slipping interval is made a great circle.
 LONG_REST = 6.0
+TINY = 1e-300  # keeps 1/0 out
+# Path in sizes of a body of which no digit of the place would be left.
+ENDLESS = 1e12
 
 
 @dataclass(frozen=True)
@@ -553,9 +556,13 @@ class GroupPlanner:
         self.w1, self.w2, self.v = prepared.w1, prepared.w2, prepared.v
         self.finger, self.object = prepared.finger, prepared.object
         self.group = Group(prepared.contacts, prepared.r0, prepared.angle, prepared.at)
+        self.name = (
+            f"scene '{prepared.scene.name}', contact {', '.join(map(str, prepared.contacts))}"
+        )
 
     def run(self) -> Group:
         """Plan every interval in turn."""
+        self._refuse_endless()
         if self.prepared.follows:
             self._rolling_imposed()
             return self.group
@@ -579,6 +586,18 @@ class GroupPlanner:
         if len(circles) == len(tracks) and not self.v.any():
             group.pair = pair_of(circles)
         return group
+
+    def _refuse_endless(self) -> None:
+        path = sum(interval.length for interval in self.prepared.intervals)
+        for w, body in ((self.w1, self.finger), (self.w2 - self.v, self.object)):
+            turns = np.hypot(w[:, 0], w[:, 1]) * path / body.sizes[:, 0]
+            if not turns.max() <= ENDLESS:
+                worst = int(self.prepared.contacts[turns.argmax()])
+                raise SceneError(
+                    f"scene '{self.scene.name}', contact {worst}: its path is {turns.max():.3g} "
+                    f"times as long as {body.surface!r} is large, and no digit of the place would "
+                    f"be left (limit {ENDLESS:g}); lower its velocity, sigma or the duration"
+                )
 
     # --- bodies that nothing accelerates -------------------------------------------------------
 
@@ -616,6 +635,7 @@ class GroupPlanner:
             kernel = development.driven_motion(body.surface, body.ambient, False)
             first, numbers, scale = body.state, [w, np.zeros_like(w), np.zeros_like(w)], body.scale
         problem = Problem(
+            name=self.name,
             start=np.ascontiguousarray(first),
             constants=np.hstack([body.parameters, *numbers]),
             scale=scale,
@@ -657,19 +677,22 @@ class GroupPlanner:
     ) -> FlatTrack:
         slip_length, method = None, "closed form: straight line unrolled"
         if slips:
-            slip_length = self._slip_length(piece)
+            slip_length = self._slip_length(piece, v, body)
             method = f"quadrature of slip, {len(slip_length.edges) - 1} panels"
             why = "T = 0: the developed curve is the curve"
         return FlatTrack(body.surface, body.parameters, piece.start, piece.stop, method, why, False,
                          self.compiled, offset=offset, begin=body.state, w=w, v=v, lame=body.lame,
                          piece=piece, slip_length=slip_length)  # fmt: skip
 
-    def _slip_length(self, piece: GainPiece) -> development.Panels:
+    def _slip_length(self, piece: GainPiece, v: np.ndarray, body: Body) -> development.Panels:
+        """g(t), whose error moves a contact by |V| times as much."""
         span = piece.stop - piece.start
+        most = (np.hypot(v[:, 0], v[:, 1]) / body.sizes[:, 0]).max()
         problem = Problem(
+            name=self.name,
             start=np.zeros((1, 1)),
             constants=np.zeros((1, 1)),
-            scale=np.full((1, 1), 1.0 / piece.arc_length(span)),
+            scale=np.full((1, 1), most),
             drive=piece,
             length=span,
             first=span,
@@ -718,6 +741,7 @@ class GroupPlanner:
         finish = min(negligible, RATE_LEFT) if stops else negligible
         none = 0 * self.v if offset is None else offset
         problem = Problem(
+            name=self.name,
             start=body.state,
             constants=np.concatenate([body.parameters, self.w2, self.v, none], axis=1),
             scale=body.scale,
@@ -758,6 +782,7 @@ class GroupPlanner:
         first = [tip.state, self.w1] if pushed else []
         scales = [tip.scale, np.ones_like(self.w1)] if pushed else []
         problem = Problem(
+            name=self.name,
             start=np.hstack([*first, obj.state, self.v]),
             constants=np.hstack([tip.parameters, obj.parameters, turn, self.w1, d1, d2, offset]),
             scale=np.hstack([*scales, obj.scale, self._slip_scale(interval, tip, obj)]),
@@ -846,6 +871,7 @@ class GroupPlanner:
         angle = self.prepared.angle
         length = piece.arc_length(stop - start)
         problem = Problem(
+            name=self.name,
             start=np.hstack([tip.state[:, :2], angle[:, None], obj.state]),
             constants=np.hstack([tip.parameters, obj.parameters, self.w2]),
             scale=np.hstack([tip.scale, obj.scale]),
@@ -948,7 +974,7 @@ def _slip_reach(scene: Scene, piece: GainPiece, length: float) -> float:
     speeds = [float(scene.profile(t)) for t in knots]
     value = scene.gain.value
     per_metre = value * min(speeds) if scene.gain.law == "path" else value / max(speeds)
-    return max(per_metre, 1.0 / length)
+    return max(per_metre, 1.0 / max(length, TINY))
 
 
 def _constant_drive(w: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ import numpy as np
 from .closed_form import CircleTrack
 from .development import (
     MOST_AT_ONCE,
+    Motion,
     MovingTrack,
     collocation,
     panels_built,
@@ -42,22 +43,21 @@ class Program:
 
     def __init__(self, tracks: Sequence[Track], parts: Sequence[_Part]):
         self.tracks, self.parts = tracks, (_Part * len(parts))(*parts)
+        self._moving = [i for i, part in enumerate(parts) if part.moves]
         self._find_motions()
 
     def _find_motions(self) -> None:
+        self.motions: list[Motion] = [self.tracks[i].motion for i in self._moving]  # type: ignore
         self._at = ctypes.addressof(self.parts)
-        self.motions = [
-            track.motion for track in self.tracks if isinstance(track, MovingTrack) and track.motion
-        ]
 
     def again(self, tracks: Sequence[Track]) -> Program:
         """The same for a group's tracks at another tolerance."""
         other = object.__new__(Program)
-        other.tracks, other.parts = tracks, type(self.parts).from_buffer_copy(self.parts)
+        other.tracks, other._moving = tracks, self._moving
+        other.parts = type(self.parts).from_buffer_copy(self.parts)
         other._find_motions()
-        for track, part in zip(tracks, other.parts):
-            if part.moves:
-                part.track = ctypes.addressof(track.motion.data)  # type: ignore[attr-defined]
+        for i, motion in zip(self._moving, other.motions):
+            other.parts[i].track = ctypes.addressof(motion.data)
         return other
 
     def fill(self, count: int, t: np.ndarray, out: np.ndarray) -> int | None:
@@ -166,7 +166,7 @@ def slipping_states(
     Returns
     -------
     int
-        0; 1 + the index of a time outside the plan; -3: ask the tracks instead.
+        0; 1 + the index of a time outside the plan; -4: ask the tracks instead.
     """
     motion = body.motion
     assert motion is not None
@@ -186,6 +186,6 @@ def slipping_states(
             code = program_library().states(
                 ctypes.addressof(program), len(t), address(t), address(out)
             )
-        if code not in (-1, -2):
+        if code not in (-1, -2, -3):
             return code
         motion.failed(code)

@@ -85,7 +85,10 @@ def _one(value: Any, what: str) -> float:
         return value
     if not isinstance(value, numbers.Real) or isinstance(value, bool):
         raise SceneError(f"{what} = {value!r}: give a number")
-    return finite_numbers([value], what)[0]
+    try:
+        return finite_numbers([value], what)[0]
+    except SceneError:
+        raise SceneError(f"{what} = {value!r}: give a finite number (below 1e100)") from None
 
 
 def _surface(value: Any, what: str) -> Surface:
@@ -98,6 +101,9 @@ def _text(value: Any, what: str) -> str:
     if not isinstance(value, str):
         raise SceneError(f"{what} = {value!r}: give a text in quotes")
     return value
+
+
+MANY_TURNS = 1e3  # [rad]: psi keeps 13 digits of a turn
 
 
 # --- the parts of a scene ----------------------------------------------------------------------
@@ -163,6 +169,11 @@ class Contact:
         put(self, "object_at", _pair(self.object_at, "object_at"))
         put(self, "finger_at", _pair(self.finger_at, "finger_at"))
         put(self, "angle", _one(self.angle, "angle"))
+        if abs(self.angle) > MANY_TURNS:
+            raise SceneError(
+                f"angle = {self.angle!r}: beyond {MANY_TURNS:g} rad a double no longer tells well "
+                "where in its turn an angle is; take whole turns off it"
+            )
         for key, words in (("finger_velocity", (ROLLING,)), ("object_velocity", (ROLLING, REST))):
             value = getattr(self, key)
             if not (isinstance(value, str) and value in words):

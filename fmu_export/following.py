@@ -110,6 +110,7 @@ class Crew:
     def __init__(self, scene: Scene, members: list[int]):
         finger, obj = scene.contacts[members[0]].finger, scene.object
         self.members = members
+        self.name = f"scene '{scene.name}', contact {', '.join(map(str, members))}"
         self.forms = _forms(finger, obj)
         self.size = [development.state_size(ambient) for ambient in self.forms]
         self.motion = forced_motion(finger, obj, self.forms, True)
@@ -147,7 +148,15 @@ class Crew:
         constants[:, at + 1] = [math.sin(m.angle) for m in starts]
         length = end - piece.start
         problem = development.Problem(
-            state, constants, self._scale(state, acting), piece, length, length, slip=1.0, stiff=2
+            self.name,
+            state,
+            constants,
+            self._scale(state, acting),
+            piece,
+            length,
+            length,
+            slip=1.0,
+            stiff=2,
         )
         state = development.integrate(self.motion, problem, TOLERANCE, None).end
         machine = self.results.machine(n)

@@ -209,7 +209,8 @@ static int panel(long nb, const double *state, const double *constants, const do
 }
 
 #ifndef ONE_PANEL
-/* Returns the number of panels, or -1 (no room: call again with more), -2 (no convergence).
+/* Returns the number of panels, or -1 (no room: call again with more), -2 (no convergence), -3 (more
+   panels than MOST_PANELS would be needed).
    edges[max_panels + 1], coefficients[panel][body][NX][N+1], state[nb][NX] in and out,
    work: (2 NX + 2) * N doubles, panel_state: nb * NX doubles. */
 long panels(long nb, double *state, const double *constants, const double *scale,
@@ -217,11 +218,16 @@ long panels(long nb, double *state, const double *constants, const double *scale
             double *work, double *panel_state) {
   step_t s = {.h = m->first};
   long count = 0, tries = 0;
+  double mark = 0.0;
   edges[0] = 0.0;
   while (s.tau < m->length) {
     m->reached = s.tau;
     if (count == m->max_panels) return -1;
-    if (++tries > 40 * (count + 25)) return -2;
+    if (++tries > 40 * (count + 25) || !(s.h > 1e-15 * m->length)) return -2;
+    if (count && count % MANY == 0 && s.tau > mark) {
+      if (MANY * (m->length - s.tau) > MOST_PANELS * (s.tau - mark)) return -3;
+      mark = s.tau;
+    }
     double *out = coefficients + count * nb * NX * (N + 1);
     int made = panel(nb, state, constants, scale, drive, m, &s, out, work, panel_state);
     if (made < 0) return -2;

@@ -11,7 +11,8 @@ typedef struct {
   panels_t integrate;
   drive_t drive; /* in the panels' variable */
   method_t method;
-  long nx, done; /* states of a body; whether it is integrated */
+  long nx, room, done; /* states of a body; panels; whether it is integrated */
+  double tolerance, slip, share; /* see development.Problem: share is `finish` */
   const double *start, *constants, *scale;
   double *block; /* room: state, spare, work, edges, coefficients */
 } motion_t;
@@ -22,7 +23,12 @@ long move(motion_t *m) {
   track_t *k = &m->track;
   const long size = k->nb * m->nx;
   double *spare = m->block + size, *work = spare + size, *edges = work + (2 * m->nx + 2) * N;
-  double *series = edges + m->method.max_panels + 1;
+  double *series = edges + m->room + 1, finish = m->share * m->tolerance;
+  method_t *method = &m->method;
+  /* below 4e-16 a series' tail is rounding noise */
+  method->tolerance = m->tolerance > 4e-15 ? 0.1 * m->tolerance : 4e-16;
+  method->finish = finish, method->slip = m->slip > finish ? m->slip : 0.0;
+  method->released = -1.0, method->max_panels = m->room, k->n_anchors = 0;
   memcpy(m->block, m->start, size * sizeof(double));
   long count = m->integrate(k->nb, m->block, m->constants, m->scale, &m->drive, &m->method, edges,
                             series, work, spare);
@@ -177,7 +183,7 @@ static int resolve(program_t *p, double a, double b, double *last, int depth) {
 }
 
 /* States of body b go to out[(b * OUT + r) * nt + i]. Returns 0; 1 + the index of the first time
-   outside the track; -1 or -2 as panels does; -3 where the series do not resolve the states. */
+   outside the track; -1 to -3 as panels does; -4 where the series do not resolve the states. */
 long states(program_t *p, long nt, const double *t, double *out) {
   const track_t *k = &p->motion->track;
   const long nb = k->nb;
@@ -189,7 +195,7 @@ long states(program_t *p, long nt, const double *t, double *out) {
   memcpy(last, p->begin, 3 * nb * sizeof(double));
   p->n_series = 0, p->cuts[0] = 0.0;
   for (long i = 0; i < k->n_panels; i++)
-    if (resolve(p, k->edges[i], k->edges[i + 1], last, 0)) return -3;
+    if (resolve(p, k->edges[i], k->edges[i + 1], last, 0)) return -4;
   double xi[WIDTH] = {0}, basis[N + 1][WIDTH], sums[ROWS][WIDTH], tau[BLOCK], sigma[BLOCK], decay[BLOCK];
   long where[BLOCK], near = 0;
   for (long from = 0; from < nt; from += BLOCK) {
