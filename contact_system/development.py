@@ -20,8 +20,8 @@ from __future__ import annotations
 import ctypes
 import functools
 import threading
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -339,6 +339,13 @@ class Problem:
     stops: bool = False
     stiff: int = 0
 
+    def moved(self, start: np.ndarray, constants: np.ndarray) -> Problem:
+        """This problem from another start with other constants."""
+        other = object.__new__(Problem)
+        other.__dict__.update(self.__dict__)
+        other.start, other.constants = start, constants
+        return other
+
     def limits(self, tolerance: float) -> tuple[float, float, float]:
         """Bound of a series' tail, greatest slip that counts, and where it is let go."""
         finish = self.finish * tolerance
@@ -619,6 +626,8 @@ class Motion:
     Attributes
     ----------
     data : MotionData
+    at : int
+        Its address.
     lock : threading.Lock
         Hold it during the call that integrates: there is one work space.
     """
@@ -640,15 +649,22 @@ class Motion:
         self._kept = kernel, start, constants, scale, problem  # addresses point into them
         self._begin(tolerance)
 
-    def again(self, tolerance: float) -> Motion:
-        """The same motion for another tolerance."""
+    def again(self, tolerance: float, problem: Problem | None = None) -> Motion:
+        """The same motion for another tolerance; from another start with other constants, which
+        must be contiguous, if a problem is given that differs in these."""
         other = object.__new__(Motion)
         other.data, other._kept = MotionData.from_buffer_copy(self.data), self._kept
+        if problem is not None:
+            kernel, _, _, scale, _ = self._kept
+            other._kept = kernel, problem.start, problem.constants, scale, problem
+            other.data.start, other.data.constants = (
+                address(problem.start), address(problem.constants),
+            )  # fmt: skip
         other._begin(tolerance)
         return other
 
     def _begin(self, tolerance: float) -> None:
-        data, self.lock = self.data, threading.Lock()
+        data, self.lock, self.at = self.data, threading.Lock(), ctypes.addressof(self.data)
         data.tolerance, data.done, data.block = tolerance, 0, None
 
     def ready(self) -> None:
@@ -669,7 +685,7 @@ class Motion:
         with self.lock:
             while not self.data.done:
                 self.ready()
-                code = program_library().move(ctypes.addressof(self.data))
+                code = program_library().move(self.at)
                 if code:
                     self.failed(code)
 
@@ -716,6 +732,32 @@ def _matrices() -> tuple[tuple[int, ...], list[np.ndarray]]:
 
 
 @dataclass(eq=False)
+class Forced:
+    """Rows of the panels of a contact under accelerations.
+
+    Attributes
+    ----------
+    w1, v : slice or None
+        Of W_1 and V; None where they are constant, or are no part of the body's drive.
+    turn : (n_bodies, 2, 2) or None
+        The map from W_1 to the body's W; None for the finger's own.
+    """
+
+    w1: slice | None
+    v: slice | None
+    turn: np.ndarray | None
+
+    def drive(self, track: PanelTrack, tau: np.ndarray) -> np.ndarray:
+        """W - V at local times, (n_bodies, 2, n)."""
+        at = np.clip(tau, 0.0, track.panels.edges[-1])
+        drive = track.w[:, :, None]
+        if self.w1 is not None:
+            drive = track.panels.evaluate(at, self.w1)
+            drive = drive if self.turn is None else self.turn @ drive
+        return drive - track.panels.evaluate(at, self.v) if self.v is not None else drive
+
+
+@dataclass(eq=False)
 class PanelTrack(Track):
     """Bodies whose states are panels in local time, or in arc length for geodesics.
 
@@ -727,11 +769,13 @@ class PanelTrack(Track):
     piece : GainPiece
         sigma and decay in local time.
     w, v : (n_bodies, 2)
-        Drive sigma (w - v decay), unless ``drive_of`` says otherwise.
+        Drive sigma (w - v decay), unless ``forced`` says otherwise.
     by_length : bool
         The panels' variable is the arc length since start.
-    drive_of : callable or None
-        Local times -> drive (n_bodies, 2, n), where accelerations change it.
+    forced : Forced or None
+        Where W_1 and V are, if accelerations change them.
+    shared : dict
+        What does not change when an interval is planned again: its C form but for the panels.
     """
 
     panels: Panels
@@ -740,7 +784,8 @@ class PanelTrack(Track):
     w: np.ndarray
     v: np.ndarray | None
     by_length: bool = False
-    drive_of: Callable[[np.ndarray], np.ndarray] | None = None
+    forced: Forced | None = None
+    shared: dict[Any, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._anchors: tuple[np.ndarray, np.ndarray] | None = None
@@ -759,9 +804,9 @@ class PanelTrack(Track):
 
     def drive(self, t: np.ndarray) -> np.ndarray:
         tau = t - self.start
-        if self.drive_of is not None:
-            return self.drive_of(tau)
         sigma = self.piece.speed(tau)
+        if self.forced is not None:
+            return self.forced.drive(self, tau) * sigma
         drive = self.w[:, :, None] * sigma
         if self.v is not None:
             drive -= self.v[:, :, None] * (sigma * self.piece.decay(tau, sigma))
@@ -775,7 +820,13 @@ class PanelTrack(Track):
     @functools.cached_property
     def _data(self) -> tuple[int, Any, Any]:
         """Address of the C form of this track, that form, and what it points to."""
-        data, kept = self._track_data()
+        if self.forced is None:
+            data, kept = self._track_data()
+        else:
+            made, kept = self.shared.get(self.rows.start) or self._track_data()
+            self.shared[self.rows.start] = made, kept
+            data = TrackData.from_buffer_copy(made)
+            data.w = address(self.w)
         series, edges = self.panels.coefficients, self.panels.edges
         first = (self.rows.start or 0) * series.strides[2]
         data.n_panels, data.edges = len(edges) - 1, address(edges)
@@ -794,14 +845,21 @@ class PanelTrack(Track):
             period_v=period_v or 0.0, constants=address(constants),
             length=address(piece.arrays[1]), w=address(w), v=address(v),
         )  # fmt: skip
-        return data, (piece, constants, w, v)
+        turn = None
+        if self.forced is not None:
+            first, turn = self.rows.start, self.forced.turn
+            data.forced = True
+            data.w_row = self.forced.w1.start - first if self.forced.w1 else 0
+            data.v_row = self.forced.v.start - first if self.forced.v else 0
+            data.turn = None if turn is None else address(turn)
+        return data, (piece, constants, w, v, turn)
 
     def _numbers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Constants of the evaluators' kernels, w and v."""
         return self.parameters, self.w, self.w if self.v is None else self.v
 
     def _entry(self, output: str) -> tuple[Evaluator, int] | None:
-        if output == "coordinates" and (self.drive_of is not None or self.offset is not None):
+        if output == "coordinates" and self.offset is not None:
             return None
         compiled = self._evaluator(output)
         return (compiled, self._data[0]) if compiled.usable(self.compiled) else None
@@ -898,7 +956,7 @@ class MovingTrack(PanelTrack):
             piece.start, piece.stop, compiled, offset,
         )  # fmt: skip
         self.rows, self.piece, self.w, self.v = slice(None), piece, w, v
-        self.by_length, self.drive_of = v is None, None
+        self.by_length, self.forced = v is None, None
         self.kernel, self.problem, self.tolerance, self._why = kernel, problem, tolerance, why
         self._anchors = None
 
@@ -906,7 +964,7 @@ class MovingTrack(PanelTrack):
     def motion(self) -> Motion | None:
         """The problem laid out for C; None where it is integrated here."""
         if panels_built(self.kernel) if self.compiled is None else self.compiled:
-            data, self._kept = self._track_data()
+            data, self._pointed = self._track_data()
             return Motion(self.kernel, self.problem, self.tolerance, data)
         return None
 
@@ -922,7 +980,12 @@ class MovingTrack(PanelTrack):
         if self.motion is None:
             return super()._data
         track = self.motion.data.track
-        return ctypes.addressof(self.motion.data), track, None
+        return self.motion.at, track, None
+
+    def data_at(self, output: str) -> int | None:
+        if self.motion is None or self.offset is not None:
+            return super().data_at(output)
+        return self.motion.at
 
     def _evaluate(self, output: str, t: np.ndarray, out: np.ndarray) -> int | None:
         if self.motion is not None:
@@ -932,15 +995,33 @@ class MovingTrack(PanelTrack):
     def again(self, tolerance: float) -> Track | None:
         if self.problem.stops or self.offset is not None:
             return None
+        motion, other = self.motion, self._copy(tolerance)
+        if motion is not None:
+            other.__dict__["motion"] = motion.again(tolerance)
+        return other
+
+    def moved(
+        self, tolerance: float, start: np.ndarray, w: np.ndarray, v: np.ndarray
+    ) -> MovingTrack:
+        """This track, driven by slip, from another start with other path velocities."""
+        motion, other, n = self.motion, self._copy(tolerance), self.parameters.shape[1]
+        constants = self.problem.constants.copy()
+        constants[:, n : n + 2], constants[:, n + 2 : n + 4] = w, v
+        other.w, other.v = np.ascontiguousarray(w), np.ascontiguousarray(v)
+        other.problem = self.problem.moved(np.ascontiguousarray(start), constants)
+        if motion is not None:
+            other.__dict__["motion"] = motion = motion.again(tolerance, other.problem)
+            track = motion.data.track
+            track.w, track.v = address(other.w), address(other.v)
+        return other
+
+    def _copy(self, tolerance: float) -> MovingTrack:
         other = object.__new__(type(self))
         known = other.__dict__
         known.update(self.__dict__)
         for name in _OWN:
             known.pop(name, None)
         other.tolerance, other._anchors = tolerance, None
-        motion = known.get("motion")
-        if motion is not None:
-            known["motion"] = motion.again(tolerance)
         return other
 
     @property

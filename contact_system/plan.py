@@ -277,8 +277,8 @@ class Plan:
         for i, row in enumerate(measured):
             if not np.isfinite(row).all():
                 raise SceneError(
-                    f"{where} at t = {t:g} s, contact {i}: the measured state {row.tolist()} is "
-                    "not finite; leave such a measurement out"
+                    f"{where} at t = {t:g} s, contact {i}: the measured state has "
+                    f"{row[~np.isfinite(row)][0]}; leave such a measurement out"
                 )
         if not t < self.scene.duration:
             raise SceneError(

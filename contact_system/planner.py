@@ -26,6 +26,7 @@ from . import development
 from .closed_form import CircleTrack, FlatTrack, great_circle, pair_of
 from .development import GeodesicTrack, MovingTrack, PanelTrack, Problem
 from .errors import ChartSingularity, ContactSystemError, SceneError
+from .kernels import Kernel
 from .kinematics import contact_map
 from .profile import GainPiece, Profile
 from .program import SIDES, Program, program_of
@@ -39,6 +40,7 @@ from .scene import (
 )
 from .surfaces import Surface
 from .tracks import (
+    Evaluator,
     Track,
     frame_kernel,
     lame_kernel,
@@ -234,12 +236,23 @@ class Group:
     object: list[Track] = field(default_factory=list)
     slips: list[SlipRecord] = field(default_factory=list)
     pair: CircleTrack | None = None
+    layouts: dict[str, Program] = field(default_factory=dict)
     programs: dict[str, Program | None] = field(default_factory=dict)
 
     def program(self, output: str) -> Program | None:
-        """All tracks in one compiled call, for a plan of this group alone."""
+        """All tracks in one compiled call, for a plan of this group alone.
+
+        ``layouts`` is kept with the scene: it is laid out once for tracks of the same kinds.
+        """
         if output not in self.programs:
-            self.programs[output] = program_of([self], output)
+            known = self.layouts.get(output)
+            if known is None:
+                made = program_of([self], output)
+                if made is not None:
+                    self.layouts[output] = made.blank()
+            else:
+                made = known.again([self.pair] if self.pair else self.finger + self.object)
+            self.programs[output] = made
         return self.programs[output]
 
     def repeats(self, tolerance: float) -> bool:
@@ -260,9 +273,6 @@ class Group:
         other.finger = [*self.finger[:-1], finger]  # type: ignore[list-item]
         other.object = [*self.object[:-1], obj]  # type: ignore[list-item]
         other.programs = {}
-        for name, program in self.programs.items():
-            if program is not None:
-                other.programs[name] = program.again(other.finger + other.object)
         return other
 
     def coordinates_at(self, side: str, count: int) -> np.ndarray:
@@ -420,6 +430,11 @@ class Interval:
         return self.pushed or bool(self.forcing[ObjectAcceleration].any())
 
     @functools.cached_property
+    def turns(self) -> bool:
+        """Something is given in chart components of the object."""
+        return bool(self.forcing[ObjectAcceleration].any()) or self.offset is not None
+
+    @functools.cached_property
     def offset(self) -> np.ndarray | None:
         """Object rate offsets, (n, 2), or None where there are none."""
         offset = self.forcing[ObjectRateOffset]
@@ -474,7 +489,7 @@ def _planned(prepared: Prepared, tolerance: float, compiled: bool | None) -> Gro
         return known.again(tolerance)
     group = GroupPlanner(prepared, tolerance, compiled).run()
     if group.repeats(tolerance):
-        prepared.kept["group", compiled] = group
+        prepared.kept["group", compiled] = group.again(tolerance)  # without what this one finds
     return group
 
 
@@ -547,6 +562,45 @@ def _intervals(
     return tuple(reversed(result))
 
 
+@dataclass(eq=False)
+class _Forced:
+    """What an interval under accelerations is, wherever its contacts have come to.
+
+    Attributes
+    ----------
+    kernel : Kernel
+    problem : Problem
+        But for its start and W_1.
+    w1 : slice
+        Where W_1 stands in the constants.
+    why : str
+    compiled : bool or None
+    shared : dict
+        See PanelTrack.
+    """
+
+    kernel: Kernel
+    problem: Problem
+    w1: slice
+    why: str
+    compiled: bool | None
+    shared: dict[Any, Any] = field(default_factory=dict)
+    motion: development.Motion | None = None
+
+    def integrate(self, start: np.ndarray, w1: np.ndarray, tolerance: float) -> development.Panels:
+        """The motion from a state (n, n_states) and W_1 (n, 2)."""
+        constants = self.problem.constants.copy()
+        constants[:, self.w1] = w1
+        problem = self.problem.moved(start, constants)
+        if self.motion is not None:
+            return self.motion.again(tolerance, problem).panels()
+        if development.panels_built(self.kernel) if self.compiled is None else self.compiled:
+            made = development.Motion(self.kernel, problem, tolerance)
+            self.motion = made.again(tolerance)  # without what this one finds
+            return made.panels()
+        return development.integrate(self.kernel, problem, tolerance, False)
+
+
 class GroupPlanner:
     """Builds the tracks of one group, interval by interval."""
 
@@ -562,7 +616,7 @@ class GroupPlanner:
 
     def run(self) -> Group:
         """Plan every interval in turn."""
-        self._refuse_endless()
+        self._once("checked", self._refuse_endless)
         if self.prepared.follows:
             self._rolling_imposed()
             return self.group
@@ -585,9 +639,18 @@ class GroupPlanner:
         circles = [track for track in tracks if isinstance(track, CircleTrack)]
         if len(circles) == len(tracks) and not self.v.any():
             group.pair = pair_of(circles)
+        kinds = len(group.finger), *((type(t), t.ambient) for t in tracks)
+        group.layouts = self.prepared.kept.setdefault(("layouts", self.compiled, kinds), {})
         return group
 
-    def _refuse_endless(self) -> None:
+    def _once(self, key: Any, find: Callable[[], Any]) -> Any:
+        """What the scene alone says, found once."""
+        kept = self.prepared.kept
+        if key not in kept:
+            kept[key] = find()
+        return kept[key]
+
+    def _refuse_endless(self) -> bool:
         path = sum(interval.length for interval in self.prepared.intervals)
         for w, body in ((self.w1, self.finger), (self.w2 - self.v, self.object)):
             turns = np.hypot(w[:, 0], w[:, 1]) * path / body.sizes[:, 0]
@@ -598,6 +661,7 @@ class GroupPlanner:
                     f"times as long as {body.surface!r} is large, and no digit of the place would "
                     f"be left (limit {ENDLESS:g}); lower its velocity, sigma or the duration"
                 )
+        return True
 
     # --- bodies that nothing accelerates -------------------------------------------------------
 
@@ -608,11 +672,9 @@ class GroupPlanner:
             state = track.end()
             if body.ambient and not track.ambient:
                 state = frame_kernel(body.surface).at(state, body.parameters)
-            setattr(
-                self,
-                side,
-                body.at(_restored(body, state), body.ambient),
-            )
+            if not isinstance(track, PanelTrack):  # panels end on the surface
+                state = _restored(body, state)
+            setattr(self, side, body.at(state, body.ambient))
 
     def _geodesic(self, side: str, start: float, stop: float, why: str) -> Track:
         body: Body = getattr(self, side)
@@ -688,6 +750,7 @@ class GroupPlanner:
         """g(t), whose error moves a contact by |V| times as much."""
         span = piece.stop - piece.start
         most = (np.hypot(v[:, 0], v[:, 1]) / body.sizes[:, 0]).max()
+        most = max(most, 1.0 / max(piece.arc_length(span), TINY))
         problem = Problem(
             name=self.name,
             start=np.zeros((1, 1)),
@@ -739,25 +802,31 @@ class GroupPlanner:
         # A great circle is free however long it is; a short rest is cheaper as one more panel.
         stops = body.surface.great_circles and interval.length > LONG_REST * body.size
         finish = min(negligible, RATE_LEFT) if stops else negligible
-        none = 0 * self.v if offset is None else offset
-        problem = Problem(
-            name=self.name,
-            start=body.state,
-            constants=np.concatenate([body.parameters, self.w2, self.v, none], axis=1),
-            scale=body.scale,
-            drive=interval.piece,
-            length=span,
-            first=span * min(1.0, 0.3 * body.size / interval.length),
-            slip=slip,
-            finish=finish if offset is None else 0.0,
-            stops=stops,
-        )
-        why = "slip" if offset is None else "object rate offset" + (", slip" if slip > 0 else "")
-        kernel = development.driven_motion(body.surface, body.ambient, offset is not None)
-        track = MovingTrack(
-            body.surface, body.parameters, interval.piece, why, body.ambient, self.compiled, kernel,
-            problem, self.tolerance, self.w2, self.v, offset,
-        )  # fmt: skip
+        key = "driven", interval.start, body.ambient, self.compiled
+        known = self.prepared.kept.get(key)
+        if known is not None and not stops:
+            track = known.moved(self.tolerance, body.state, self.w2, self.v)
+        else:
+            none = 0 * self.v if offset is None else offset
+            problem = Problem(
+                name=self.name,
+                start=body.state,
+                constants=np.concatenate([body.parameters, self.w2, self.v, none], axis=1),
+                scale=body.scale,
+                drive=interval.piece,
+                length=span,
+                first=span * min(1.0, 0.3 * body.size / interval.length),
+                slip=slip,
+                finish=finish if offset is None else 0.0,
+                stops=stops,
+            )
+            why = "slip" if offset is None else "object rate offset" + ", slip" * (slip > 0)
+            kernel = development.driven_motion(body.surface, body.ambient, offset is not None)
+            track = MovingTrack(
+                body.surface, body.parameters, interval.piece, why, body.ambient, self.compiled,
+                kernel, problem, self.tolerance, self.w2, self.v, offset,
+            )  # fmt: skip
+            self.prepared.kept[key] = track.again(self.tolerance) if offset is None else None
         if stops and track.panels.edges[-1] < span:
             track.stop = interval.start + track.panels.edges[-1]
         self._append("object", track)
@@ -767,60 +836,71 @@ class GroupPlanner:
 
     def _forced(self, interval: Interval) -> None:
         start, stop, piece, pushed = interval.start, interval.stop, interval.piece, interval.pushed
-        self._refuse_rest(start, stop)
         d1, d2, offset = (
             interval.forcing[k] for k in (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
         )
-        obj = self._in_form("object", bool(d2.any() or offset.any()))
+        obj = self._in_form("object", interval.turns)
         tip = self._in_form("finger", True) if pushed else self.finger
-        kernel = development.forced_motion(
-            tip.surface, obj.surface, (tip.ambient, obj.ambient), pushed
-        )
-        angle = self.prepared.angle
-        turn = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         n1 = tip.state.shape[1] if pushed else 0
-        first = [tip.state, self.w1] if pushed else []
-        scales = [tip.scale, np.ones_like(self.w1)] if pushed else []
-        problem = Problem(
-            name=self.name,
-            start=np.hstack([*first, obj.state, self.v]),
-            constants=np.hstack([tip.parameters, obj.parameters, turn, self.w1, d1, d2, offset]),
-            scale=np.hstack([*scales, obj.scale, self._slip_scale(interval, tip, obj)]),
-            drive=piece,
-            length=stop - start,
-            first=(stop - start) * min(1.0, 0.3 * min(tip.size, obj.size) / interval.length),
-            slip=1.0,
-            stiff=2,
+        known: _Forced = self._once(
+            ("forced", start, tip.ambient, obj.ambient, self.compiled),
+            lambda: self._forced_problem(interval, tip, obj),
         )
-        panels = development.integrate(kernel, problem, self.tolerance, self.compiled)
+        moving = [tip.state, self.w1, obj.state, self.v] if pushed else [obj.state, self.v]
+        panels = known.integrate(np.concatenate(moving, axis=1), self.w1, self.tolerance)
         method = f"forced development, {len(panels.edges) - 1} panels"
         last = panels.end.shape[1]
         rows_w1 = slice(n1, n1 + 2) if pushed else None
         rows_v = slice(last - 2, last)
-        drive = functools.partial(_object_drive, panels, rows_w1, rows_v, self.r0, self.w1, piece)
         if rows_w1 is not None:
             self._append("finger", PanelTrack(
                 tip.surface, tip.parameters, start, stop, method, "finger acceleration",
                 tip.ambient, self.compiled, panels=panels, rows=slice(0, n1), piece=piece,
-                w=self.w1, v=None, drive_of=functools.partial(_panel_drive, panels, rows_w1, piece),
+                w=self.w1, v=None, forced=development.Forced(rows_w1, None, None),
+                shared=known.shared,
             ))  # fmt: skip
-        names = zip(
-            ("finger acceleration", "object acceleration", "object rate offset"), (d1, d2, offset)
-        )
         self._append("object", PanelTrack(
-            obj.surface, obj.parameters, start, stop, method,
-            " and ".join(name for name, d in names if d.any()), obj.ambient, self.compiled,
-            offset=offset if offset.any() else None, panels=panels,
+            obj.surface, obj.parameters, start, stop, method, known.why, obj.ambient, self.compiled,
+            offset=interval.offset, panels=panels,
             rows=slice(n1 + 2 if pushed else 0, last - 2), piece=piece, w=self.w2, v=None,
-            drive_of=drive,
+            forced=development.Forced(rows_w1, rows_v, self.r0), shared=known.shared,
         ))  # fmt: skip
         of = functools.partial(_panel_states, panels, rows_v)
         grown = self.w1 if rows_w1 is None else functools.partial(_panel_states, panels, rows_w1)
         self.group.slips.append(SlipRecord(start, stop, piece, of, (d1, d2), grown))
         if rows_w1 is not None:
-            self.w1 = panels.end[:, rows_w1]
+            self.w1 = panels.end[:, rows_w1].copy()
             self.w2 = (self.r0 @ self.w1[:, :, None])[:, :, 0]
-        self.v = panels.end[:, rows_v]
+        self.v = panels.end[:, rows_v].copy()
+
+    def _forced_problem(self, interval: Interval, tip: Body, obj: Body) -> _Forced:
+        start, stop, pushed = interval.start, interval.stop, interval.pushed
+        self._refuse_rest(start, stop)
+        kernel = development.forced_motion(
+            tip.surface, obj.surface, (tip.ambient, obj.ambient), pushed
+        )
+        angle, forcing = self.prepared.angle, interval.forcing
+        turn = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        kinds = {
+            FingerAcceleration: "finger acceleration", ObjectAcceleration: "object acceleration",
+            ObjectRateOffset: "object rate offset",
+        }  # fmt: skip
+        d = [forcing[kind] for kind in kinds]
+        scales = [tip.scale, np.ones_like(self.w1)] if pushed else []
+        problem = Problem(
+            name=self.name,
+            start=obj.state,
+            constants=np.hstack([tip.parameters, obj.parameters, turn, self.w1, *d]),
+            scale=np.hstack([*scales, obj.scale, self._slip_scale(interval, tip, obj)]),
+            drive=interval.piece,
+            length=stop - start,
+            first=(stop - start) * min(1.0, 0.3 * min(tip.size, obj.size) / interval.length),
+            slip=1.0,
+            stiff=2,
+        )
+        at = tip.parameters.shape[1] + obj.parameters.shape[1] + 2
+        why = " and ".join(name for kind, name in kinds.items() if forcing[kind].any())
+        return _Forced(kernel, problem, slice(at, at + 2), why, self.compiled)
 
     def _slip_scale(self, interval: Interval, tip: Body, obj: Body) -> np.ndarray:
         """1 / (the slip that this interval can bring about), so that slip is right to tolerance."""
@@ -884,7 +964,7 @@ class GroupPlanner:
         self.group.finger.append(RollingTrack(
             tip.surface, tip.parameters, start, stop, method, "the finger follows the object",
             False, self.compiled, panels=panels, rows=slice(None), piece=piece, w=self.w1, v=None,
-            drive_of=functools.partial(_constant_drive, self.w1, piece), angle=angle,
+            angle=angle,
         ))  # fmt: skip
 
     # --- forms -----------------------------------------------------------------------------------
@@ -907,6 +987,9 @@ class RollingTrack(PanelTrack):
     """Fingers dragged along by imposed rolling: panels of (u1, v1, psi, u2, v2, theta2)."""
 
     angle: np.ndarray = field(kw_only=True)
+
+    def _entry(self, output: str) -> tuple[Evaluator, int] | None:
+        return super()._entry(output) if output == "points" else None
 
     def state(self, t: np.ndarray) -> np.ndarray:
         values = super().state(t)
@@ -977,32 +1060,9 @@ def _slip_reach(scene: Scene, piece: GainPiece, length: float) -> float:
     return max(per_metre, 1.0 / max(length, TINY))
 
 
-def _constant_drive(w: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndarray:
-    return w[:, :, None] * piece.speed(tau)
-
-
 def _decaying(v: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndarray:
     return v[:, :, None] * piece.decay(tau, piece.speed(tau))
 
 
 def _panel_states(panels: development.Panels, rows: slice, tau: np.ndarray) -> np.ndarray:
     return panels.evaluate(np.clip(tau, 0.0, panels.edges[-1]), rows)
-
-
-def _panel_drive(
-    panels: development.Panels, rows: slice, piece: GainPiece, tau: np.ndarray
-) -> np.ndarray:
-    return _panel_states(panels, rows, tau) * piece.speed(tau)
-
-
-def _object_drive(
-    panels: development.Panels,
-    rows_w1: slice | None,
-    rows_v: slice,
-    r0: np.ndarray,
-    w1: np.ndarray,
-    piece: GainPiece,
-    tau: np.ndarray,
-) -> np.ndarray:
-    own = w1[:, :, None] if rows_w1 is None else _panel_states(panels, rows_w1, tau)
-    return (r0 @ own - _panel_states(panels, rows_v, tau)) * piece.speed(tau)

@@ -41,8 +41,8 @@ class _Part(ctypes.Structure):
 class Program:
     """One output, "points" or "coordinates", of all tracks of a plan."""
 
-    def __init__(self, tracks: Sequence[Track], parts: Sequence[_Part]):
-        self.tracks, self.parts = tracks, (_Part * len(parts))(*parts)
+    def __init__(self, output: str, tracks: Sequence[Track], parts: Sequence[_Part]):
+        self.output, self.tracks, self.parts = output, tracks, (_Part * len(parts))(*parts)
         self._moving = [i for i, part in enumerate(parts) if part.moves]
         self._find_motions()
 
@@ -50,14 +50,24 @@ class Program:
         self.motions: list[Motion] = [self.tracks[i].motion for i in self._moving]  # type: ignore
         self._at = ctypes.addressof(self.parts)
 
-    def again(self, tracks: Sequence[Track]) -> Program:
-        """The same for a group's tracks at another tolerance."""
+    def blank(self) -> Program:
+        """The layout alone, which keeps no track alive."""
         other = object.__new__(Program)
-        other.tracks, other._moving = tracks, self._moving
+        other.output, other.tracks, other.motions = self.output, (), []
+        other.parts, other._moving = type(self.parts).from_buffer_copy(self.parts), self._moving
+        return other
+
+    def again(self, tracks: Sequence[Track]) -> Program | None:
+        """The same for other tracks of the same kinds; None where one has no compiled form."""
+        other = object.__new__(Program)
+        other.output, other.tracks, other._moving = self.output, tracks, self._moving
         other.parts = type(self.parts).from_buffer_copy(self.parts)
+        for part, track in zip(other.parts, tracks):
+            at = track.data_at(self.output)
+            if at is None:
+                return None
+            part.track = at
         other._find_motions()
-        for i, motion in zip(self._moving, other.motions):
-            other.parts[i].track = ctypes.addressof(motion.data)
         return other
 
     def fill(self, count: int, t: np.ndarray, out: np.ndarray) -> int | None:
@@ -113,7 +123,11 @@ def program_of(groups: Sequence[Group], output: str) -> Program | None:
                     track is chain[-1],
                 ))  # fmt: skip
                 tracks.append(track)
-    return Program(tracks, parts) if all(t.compiled or program_built() for t in tracks) else None
+    return (
+        Program(output, tracks, parts)
+        if all(t.compiled or program_built() for t in tracks)
+        else None
+    )
 
 
 # --- chart states of contacts that slip ----------------------------------------------------------

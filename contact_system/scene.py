@@ -19,7 +19,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from contact_system.charts import Chart
 from contact_system.errors import ContactSystemError, SceneError
 from contact_system.expressions import parse
 from contact_system.profile import (
@@ -460,9 +461,10 @@ class Scene:
         """Every contact's coordinates into the charts' regular range."""
         contacts = []
         turned: set[tuple[str, int]] = set()
+        known = self._places_at_once()
         for i, contact in enumerate(self.contacts):
             for body, surface in (("object", self.object), ("finger", contact.finger)):
-                contact, half_turn = _placed(contact, i, surface, body)
+                contact, half_turn = _placed(contact, i, surface, body, known.get((body, i)))
                 if half_turn:
                     turned.add((body, i))
             contacts.append(contact)
@@ -470,6 +472,28 @@ class Scene:
         if turned:
             moved = tuple(_turned(d, turned) for d in self.disturbances)
             object.__setattr__(self, "disturbances", moved)
+
+    def _places_at_once(self) -> dict[tuple[str, int], Pair]:
+        """Places on surfaces whose charts take a kernel to tell that a point is regular.
+
+        Of all contacts of a surface in one call; none where one of them is refused, so that it is
+        refused by name.
+        """
+        crowds: dict[tuple[str, int], list[int]] = {}
+        if len(self.contacts) > 1:
+            for i, contact in enumerate(self.contacts):
+                for body, surface in (("object", self.object), ("finger", contact.finger)):
+                    if surface.chart.metric_floor is Chart.metric_floor:
+                        crowds.setdefault((body, id(surface)), []).append(i)
+        known = {}
+        for (body, _), members in crowds.items():
+            first = self.contacts[members[0]]
+            surface = self.object if body == "object" else first.finger
+            given = np.array([getattr(self.contacts[i], f"{body}_at") for i in members])
+            with suppress(ContactSystemError):
+                u, v = surface.canonical(*given.T)
+                known.update({(body, i): at for i, *at in zip(members, u.tolist(), v.tolist())})
+        return {key: (at[0], at[1]) for key, at in known.items()}
 
 
 def _all_of(kind: type, values: Any, what: str) -> tuple:
@@ -483,7 +507,9 @@ def _all_of(kind: type, values: Any, what: str) -> tuple:
     return values
 
 
-def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Contact, bool]:
+def _placed(
+    contact: Contact, i: int, surface: Surface, body: str, known: Pair | None
+) -> tuple[Contact, bool]:
     """The contact with its coordinates on one body in the regular range of that body's chart.
 
     Also whether both frame axes turned by pi on the way: the triaxial ellipsoid's chart covers it
@@ -492,7 +518,7 @@ def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Cont
     key = f"{body}_at"
     given: Pair = getattr(contact, key)
     try:
-        at = surface.canonical(*given)
+        at: Pair = surface.canonical(*given) if known is None else known
     except ContactSystemError as error:
         name = f" '{contact.name}'" if contact.name else ""
         raise SceneError(f"contacts[{i}]{name}: {key} = {given}: {error}") from None

@@ -245,6 +245,11 @@ class Track:
             self._entries[output] = self._entry(output)
         return self._entries[output]
 
+    def data_at(self, output: str) -> int | None:
+        """The address alone."""
+        entry = self.entry(output)
+        return None if entry is None else entry[1]
+
     def _entry(self, output: str) -> tuple[Evaluator, int] | None:
         return None
 
@@ -355,8 +360,10 @@ class TrackData(ctypes.Structure):
             "nb", "slips", "by_length", "n_panels", "panel_stride", "body_stride", "n_anchors",
             "double_cover")]
         + [(name, ctypes.c_double) for name in ("period_u", "period_v")]
+        + [(name, ctypes.c_void_p) for name in ("constants", "length", "w", "v")]
+        + [(name, ctypes.c_long) for name in ("forced", "w_row", "v_row")]
         + [(name, ctypes.c_void_p) for name in (
-            "constants", "length", "w", "v", "edges", "coefficients", "anchor_at", "anchors")]
+            "turn", "edges", "coefficients", "anchor_at", "anchors")]
     )  # fmt: skip
 
 

@@ -10,6 +10,37 @@
 #define POINTS WIDTH
 #endif
 
+#if !defined(CLOSED) && NP > NS
+/* Two rows of the panels at n points */
+static void rows_at(const track_t *k, long b, long row, long n, const long *panel,
+                    const double (*basis)[WIDTH], double (*out)[POINTS]) {
+  for (long i = 0, stop; i < n; i = stop) {
+    for (stop = i + 1; stop < n && panel[stop] == panel[i];) stop++;
+    const double *c = k->coefficients + panel[i] * k->panel_stride + b * k->body_stride + row * (N + 1);
+    for (long a = 0; a < 2; a++) series(c + a * (N + 1), N + 1, basis, i, stop, out[a]);
+  }
+}
+
+/* sigma (W - V) of a body under accelerations */
+static void forced_drive(const track_t *k, long b, long n, const long *panel,
+                         const double (*basis)[WIDTH], const double *sigma, double (*drive)[POINTS]) {
+  double w[2][POINTS], v[2][POINTS];
+  if (k->w_row)
+    rows_at(k, b, k->w_row, n, panel, basis, w);
+  else
+    for (long i = 0; i < n; i++) w[0][i] = k->w[2 * b], w[1][i] = k->w[2 * b + 1];
+  if (k->v_row)
+    rows_at(k, b, k->v_row, n, panel, basis, v);
+  else
+    memset(v, 0, sizeof v);
+  const double whole[] = {1.0, 0.0, 0.0, 1.0}, *r = k->w_row && k->turn ? k->turn + 4 * b : whole;
+  for (long i = 0; i < n; i++) {
+    drive[0][i] = sigma[i] * (r[0] * w[0][i] + r[1] * w[1][i] - v[0][i]);
+    drive[1][i] = sigma[i] * (r[2] * w[0][i] + r[3] * w[1][i] - v[1][i]);
+  }
+}
+#endif
+
 /* Results of body b at time i go to out[b * out_body + out_row[r] + i]. Returns 0, or 1 + the index
    of the first time outside [start, stop], or -1 - the index of the first time whose result is not
    finite. */
@@ -62,10 +93,14 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
         const double *c = k->coefficients + panel[i] * k->panel_stride + b * k->body_stride;
         for (long s = 0; s < NS; s++) series(c + s * (N + 1), N + 1, basis, i, stop, point[s]);
       }
-      for (long a = 0; a < NP - NS; a++) {
-        double w = k->w[2 * b + a], v = k->v[2 * b + a];
-        for (long i = 0; i < n; i++) point[NS + a][i] = w * sigma[i] - (k->slips ? v * decay[i] : 0.0);
-      }
+#if NP > NS
+      if (k->forced) forced_drive(k, b, n, panel, basis, sigma, point + NS);
+      else
+        for (long a = 0; a < NP - NS; a++) {
+          double w = k->w[2 * b + a], v = k->v[2 * b + a];
+          for (long i = 0; i < n; i++) point[NS + a][i] = w * sigma[i] - (k->slips ? v * decay[i] : 0.0);
+        }
+#endif
 #endif
       double *block = out + b * out_body + from;
       KERNEL(1, n, &point[0][0], rows, 0, k->constants + b * NC, block, out_row, 0);
@@ -107,6 +142,7 @@ void anchor(track_t *k, const double *begin, double *at, double *anchors, double
   at[m - 1] = k->edges[k->n_panels];
   track_t plain = *k; /* in the panels' variable, whatever that is; rates are not wanted */
   plain.start = 0.0, plain.stop = at[m - 1], plain.by_length = plain.slips = plain.n_anchors = 0;
+  plain.forced = 0;
   plain.drive.sigma = one, plain.drive.n_sigma = 1, plain.length = same;
   evaluate(&plain, m, at, work, row, 5 * m);
   for (long b = 0; b < k->nb; b++) {
