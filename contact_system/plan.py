@@ -23,7 +23,7 @@ from .development import runs
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kinematics import relative_pose, relative_twist
 from .planner import Group, Moment, Start, Starts, measured_start, plan_groups, scene_start
-from .program import FEW_TIMES, SIDES, Program, program_of, slipping_sides, slipping_states
+from .program import FEW_TIMES, SIDES, Program, program_of
 from .scene import ObjectRateOffset, Scene, scene_from_toml, scene_to_toml
 from .tracks import Track
 
@@ -395,12 +395,11 @@ class Plan:
         if len(times) < FEW_TIMES or not times.flags.c_contiguous:
             return None
         group = self.groups[0]
-        sides = slipping_sides(group, self.compiled)
-        if sides is None:
+        slipping = group.slipping_states(self.compiled)
+        if slipping is None:
             return None
-        group.anchor("finger", sides[0])
         out = np.empty((self._count, 9, len(times)))
-        code = slipping_states(group, *sides, times, out)
+        code = slipping.fill(group.object[0], times, out)  # type: ignore[arg-type]
         if code > 0:
             self._refuse(times)
         return out.transpose(2, 0, 1) if code == 0 else None

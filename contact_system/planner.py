@@ -29,7 +29,7 @@ from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kernels import Kernel
 from .kinematics import contact_map
 from .profile import GainPiece, Profile
-from .program import SIDES, Program, program_of
+from .program import SIDES, Program, SlippingStates, program_of
 from .scene import (
     Contact,
     Disturbance,
@@ -236,7 +236,7 @@ class Group:
     object: list[Track] = field(default_factory=list)
     slips: list[SlipRecord] = field(default_factory=list)
     pair: CircleTrack | None = None
-    layouts: dict[str, Program] = field(default_factory=dict)
+    layouts: dict[str, Any] = field(default_factory=dict)
     programs: dict[str, Program | None] = field(default_factory=dict)
 
     def program(self, output: str) -> Program | None:
@@ -245,7 +245,7 @@ class Group:
         ``layouts`` is kept with the scene: it is laid out once for tracks of the same kinds.
         """
         if output not in self.programs:
-            known = self.layouts.get(output)
+            known: Program | None = self.layouts.get(output)
             if known is None:
                 made = program_of([self], output)
                 if made is not None:
@@ -254,6 +254,14 @@ class Group:
                 made = known.again([self.pair] if self.pair else self.finger + self.object)
             self.programs[output] = made
         return self.programs[output]
+
+    def slipping_states(self, compiled: bool | None) -> SlippingStates | None:
+        """Chart states in one compiled call, if this is a group for that."""
+        if "states" not in self.layouts:
+            made = self.layouts["states"] = SlippingStates.of(self, compiled)
+            if made is not None:
+                self.anchor("finger", self.finger[0])
+        return self.layouts["states"]
 
     def repeats(self, tolerance: float) -> bool:
         """Whether another tolerance changes nothing but tracks at the end."""

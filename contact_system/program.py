@@ -153,53 +153,60 @@ def _projection() -> np.ndarray:
     return np.ascontiguousarray(collocation().project.T)
 
 
-def slipping_sides(group: Group, compiled: bool | None) -> tuple[CircleTrack, MovingTrack] | None:
-    """Finger and object of the commonest plan, or None for others and where C is not built.
+class SlippingStates:
+    """Chart states of the commonest plan as series made once, panel by panel.
 
     Fingers run on great circles, objects are developed with slip over one interval.
     """
-    if len(group.finger) > 1 or len(group.object) > 1:
-        return None
-    finger, body = group.finger[0], group.object[0]
-    if not isinstance(finger, CircleTrack) or not isinstance(body, MovingTrack):
-        return None
-    if not body.ambient or body.v is None or body.offset is not None or body.problem.stops:
-        return None
-    if len(body.parameters) > MOST_AT_ONCE or finger.entry("coordinates") is None:
-        return None
-    there = evaluator(body.surface, True, "coordinates").built if compiled is None else compiled
-    built = compiled or (there and panels_built(body.kernel) and program_built())
-    return (finger, body) if built else None
 
+    def __init__(self, group: Group, finger: CircleTrack, body: MovingTrack):
+        self.count = len(body.parameters)
+        own, begin, project = finger.entry("coordinates"), group.begin[1], _projection()
+        assert own is not None
+        self._size = SERIES + 1 + SERIES * self.count * ROWS * NODES
+        self._template = _States(
+            own[0].pointer, evaluator(body.surface, True, "coordinates").pointer, own[1], None,
+            SERIES, 0.0, address(begin), address(group.angle), address(project), None, None,
+        )  # fmt: skip
+        self._kept = finger, begin, group.angle, project  # addresses point into them
+        self._run = program_library().states
 
-def slipping_states(
-    group: Group, finger: CircleTrack, body: MovingTrack, t: np.ndarray, out: np.ndarray
-) -> int:
-    """Chart states (n, 9, n_t) of :func:`slipping_sides`, as series made once, panel by panel.
+    @classmethod
+    def of(cls, group: Group, compiled: bool | None) -> SlippingStates | None:
+        """For a group of that kind; None for others, and where C is not built."""
+        if len(group.finger) > 1 or len(group.object) > 1:
+            return None
+        finger, body = group.finger[0], group.object[0]
+        if not isinstance(finger, CircleTrack) or not isinstance(body, MovingTrack):
+            return None
+        if not body.ambient or body.v is None or body.offset is not None or body.problem.stops:
+            return None
+        if len(body.parameters) > MOST_AT_ONCE or finger.entry("coordinates") is None:
+            return None
+        there = evaluator(body.surface, True, "coordinates").built if compiled is None else compiled
+        built = compiled or (there and panels_built(body.kernel) and program_built())
+        return cls(group, finger, body) if built else None
 
-    Returns
-    -------
-    int
-        0; 1 + the index of a time outside the plan; -4: ask the tracks instead.
-    """
-    motion = body.motion
-    assert motion is not None
-    n = len(body.parameters)
-    block = np.empty(SERIES + 1 + SERIES * n * ROWS * NODES)
-    own, begin, project = finger.entry("coordinates"), group.begin[1], _projection()
-    assert own is not None
-    at = address(block)
-    program = _States(
-        own[0].pointer, evaluator(body.surface, True, "coordinates").pointer, own[1],
-        ctypes.addressof(motion.data), SERIES, max(0.1 * body.tolerance, 1e-14),
-        address(begin), address(group.angle), address(project), at, at + 8 * (SERIES + 1),
-    )  # fmt: skip
-    while True:
-        with motion.lock:
-            motion.ready()
-            code = program_library().states(
-                ctypes.addressof(program), len(t), address(t), address(out)
-            )
-        if code not in (-1, -2, -3):
-            return code
-        motion.failed(code)
+    def fill(self, body: MovingTrack, t: np.ndarray, out: np.ndarray) -> int:
+        """Write (n, 9, n_t) for such a plan's object.
+
+        Returns
+        -------
+        int
+            0; 1 + the index of a time outside the plan; -4: ask the tracks instead.
+        """
+        motion = body.motion
+        assert motion is not None
+        block = np.empty(self._size)
+        program = _States.from_buffer_copy(self._template)
+        program.motion, program.tolerance = motion.at, max(0.1 * body.tolerance, 1e-14)
+        program.cuts = at = address(block)
+        program.series = at + 8 * (SERIES + 1)
+        where, times, to = ctypes.addressof(program), address(t), address(out)
+        while True:
+            with motion.lock:
+                motion.ready()
+                code = self._run(where, len(t), times, to)
+            if code not in (-1, -2, -3):
+                return code
+            motion.failed(code)

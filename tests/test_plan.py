@@ -346,7 +346,9 @@ def test_restart_refuses_what_it_cannot_start_from():
     state = plan.states(0.4)[0]
     with pytest.raises(SceneError, match=r"state has shape \(9,\); give \(1, 9\)"):
         plan.restart(0.4, state[0])
-    with pytest.raises(SceneError, match="restart at t = 0.4 s, contact 0: the measured state has nan"):
+    with pytest.raises(
+        SceneError, match="restart at t = 0.4 s, contact 0: the measured state has nan"
+    ):
         plan.restart(0.4, np.where(np.arange(9) == 3, np.nan, state))
     with pytest.raises(SceneError, match="sigma = 0 there.*restart where sigma > 0"):
         plan.restart(0.5, state)

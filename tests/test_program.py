@@ -6,7 +6,6 @@ from conftest import SURFACES, one_contact
 
 import contact_system as cs
 from contact_system.kernels import find_compiler
-from contact_system.program import slipping_sides
 
 COMPILER = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 
@@ -18,7 +17,7 @@ GAINS = {
 
 
 def by_one_call(plan: cs.Plan) -> bool:
-    return slipping_sides(plan.groups[0], True) is not None
+    return plan.groups[0].slipping_states(True) is not None
 
 
 @COMPILER
