@@ -149,6 +149,9 @@ class CircleTrack(Track):
             return None
         return compiled, self._data[0]
 
+    def data_at(self, output: str) -> int | None:
+        return None if self._long else self._data[0]
+
     def again(self, tolerance: float) -> Track:
         return self
 
@@ -319,7 +322,8 @@ class FlatTrack(Track):
         self.aside = (turn @ self.v[:, :, None])[:, :, 0]
 
     def again(self, tolerance: float) -> Track | None:
-        return self if self.slip_length is None else None
+        # slip too small to speak of is not for a tighter tolerance
+        return self if self.slip_length is None and not self.v.any() else None
 
     def _entry(self, output: str) -> tuple[Evaluator, int] | None:
         compiled = line_evaluator(self.surface, output)

@@ -864,6 +864,9 @@ class PanelTrack(Track):
         compiled = self._evaluator(output)
         return (compiled, self._data[0]) if compiled.usable(self.compiled) else None
 
+    def data_at(self, output: str) -> int | None:
+        return self._data[0] if output == "points" or self.offset is None else None
+
     def _evaluator(self, output: str) -> Evaluator:
         return evaluator(self.surface, self.ambient, output)
 
@@ -983,7 +986,7 @@ class MovingTrack(PanelTrack):
         return self.motion.at, track, None
 
     def data_at(self, output: str) -> int | None:
-        if self.motion is None or self.offset is not None:
+        if self.motion is None or (output != "points" and self.offset is not None):
             return super().data_at(output)
         return self.motion.at
 

@@ -388,7 +388,7 @@ class Plan:
         return out
 
     def _states_at_once(self, t: ArrayLike) -> np.ndarray | None:
-        """The states by one compiled call, or None where there is no such way (states.py)."""
+        """The states by one compiled call, or None where there is no such way (program.py)."""
         if len(self.groups) > 1:
             return None
         times = _one_axis(t)
@@ -615,7 +615,10 @@ def _skipped(group: Group) -> list[str]:
     elif all(t.method.startswith("closed form") for t in group.finger):
         notes.append("integration of the finger")
     if all(record.of is None for record in group.slips):
-        notes.append("slip and gain (there is none to reject)")
+        if any(track.offset is not None for track in tracks):
+            notes.append("gain (slip is that of rate offsets, which ends with them)")
+        else:
+            notes.append("slip and gain (there is none to reject)")
     return notes
 
 

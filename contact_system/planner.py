@@ -496,7 +496,9 @@ def _planned(prepared: Prepared, tolerance: float, compiled: bool | None) -> Gro
     if known is not None:
         return known.again(tolerance)
     group = GroupPlanner(prepared, tolerance, compiled).run()
-    if group.repeats(tolerance):
+    if "repeats" not in prepared.kept:
+        prepared.kept["repeats"] = group.repeats(tolerance)
+    if prepared.kept["repeats"]:
         prepared.kept["group", compiled] = group.again(tolerance)  # without what this one finds
     return group
 
@@ -618,8 +620,9 @@ class GroupPlanner:
         self.w1, self.w2, self.v = prepared.w1, prepared.w2, prepared.v
         self.finger, self.object = prepared.finger, prepared.object
         self.group = Group(prepared.contacts, prepared.r0, prepared.angle, prepared.at)
-        self.name = (
-            f"scene '{prepared.scene.name}', contact {', '.join(map(str, prepared.contacts))}"
+        self.name: str = self._once(
+            "name",
+            lambda: f"scene '{self.scene.name}', contact {', '.join(map(str, prepared.contacts))}",
         )
 
     def run(self) -> Group:

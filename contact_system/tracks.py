@@ -246,7 +246,7 @@ class Track:
         return self._entries[output]
 
     def data_at(self, output: str) -> int | None:
-        """The address alone."""
+        """The address alone, of a track whose kind is known to have a compiled evaluation."""
         entry = self.entry(output)
         return None if entry is None else entry[1]
 

@@ -75,3 +75,44 @@ def test_rates_begin_as_the_scene_says_however_short_slip_lasts(obj, compiled):
     first = cs.plan(scene, compiled=compiled).states(np.linspace(0.0, 1.0, 101))[0, 0]
     velocity = scene.object.metric_root(first[4], first[5]) @ first[6:8]
     assert velocity == pytest.approx(np.array([0.2, -0.5]) * scene.profile(0.0), rel=1e-12)
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=COMPILER)])
+@pytest.mark.parametrize("obj", SURFACES)
+def test_a_scene_planned_before_is_planned_to_the_tolerance_asked_for_now(obj, compiled):
+    def make() -> cs.Scene:
+        return one_contact(obj, "sphere", gain=cs.Gain.time(30.0), object_velocity=(0.7, -0.7001))
+
+    again, fresh = make(), make()
+    for tolerance in (1e-2, 1e-6):
+        cs.plan(again, tolerance=tolerance, compiled=compiled).points(TIMES)
+    found = cs.plan(again, compiled=compiled)
+    expected = cs.plan(fresh, compiled=compiled)
+    assert np.abs(found.points(TIMES) - expected.points(TIMES)).max() < 1e-14
+    assert np.abs(found.states(TIMES) - expected.states(TIMES)).max() < 1e-11
+
+
+@COMPILER
+@pytest.mark.parametrize("scene", ["K1", "K2", "K3", "K4", "D1", "D2", "D3", "C1"])
+def test_times_in_any_order_and_a_second_plan_give_the_same(scene):
+    scene = cs.load_scene(scene)
+    t = np.linspace(0.0, scene.duration, 101)
+    order = np.random.default_rng(5).permutation(len(t))
+    first = cs.plan(scene, compiled=True)
+    for output in ("points", "states"):
+        expected = getattr(cs.plan(scene, compiled=False), output)(t)
+        size = np.maximum(np.abs(expected).max(axis=0), 1.0)
+        for plan in (first, cs.plan(scene, compiled=True)):
+            assert (np.abs(getattr(plan, output)(t) - expected) / size).max() < 1e-11
+            assert (np.abs(getattr(plan, output)(t[order]) - expected[order]) / size).max() < 1e-11
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=COMPILER)])
+@pytest.mark.parametrize("obj", ["torus", "ellipsoid", "oblate"])
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-5, 1e-9, 1e-13])
+def test_speed_along_a_geodesic_is_kept_to_the_tolerance(obj, tolerance, compiled):
+    scene = one_contact(obj, "sphere", object_velocity="rolling", profile=(3.0,))
+    states = cs.plan(scene, tolerance=tolerance, compiled=compiled).states(TIMES)[:, 0]
+    roots = [scene.object.metric_root(*row[4:6]) for row in states]
+    speeds = [np.linalg.norm(root @ row[6:8]) / 3.0 for root, row in zip(roots, states)]
+    assert np.ptp(speeds) < 30 * tolerance
