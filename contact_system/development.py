@@ -525,7 +525,8 @@ class Method(ctypes.Structure):
 
     _fields_ = [(name, ctypes.c_double) for name in (
         "length", "tolerance", "first", "slip", "finish", "released", "reached")]  # fmt: skip
-    _fields_ += [(name, ctypes.c_void_p) for name in ("node", "integral", "series", "end")]
+    _fields_ += [(name, ctypes.c_void_p) for name in (
+        "node", "integral", "series", "end", "twice")]  # fmt: skip
     _fields_ += [(name, ctypes.c_long) for name in ("n_stiff", "max_panels", "stops")]
 
 
@@ -724,7 +725,8 @@ def method_pointers() -> tuple[int, ...]:
 def _matrices() -> tuple[tuple[int, ...], list[np.ndarray]]:
     m = collocation()
     series = np.vstack([m.series[:-1].T, m.series[-1:]])
-    kept = [np.ascontiguousarray(a) for a in (m.node, m.integral.T, series, m.end)]
+    twice = (m.integral @ m.integral).T
+    kept = [np.ascontiguousarray(a) for a in (m.node, m.integral.T, series, m.end, twice)]
     return tuple(a.ctypes.data for a in kept), kept
 
 

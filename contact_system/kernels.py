@@ -171,7 +171,7 @@ class Kernel:
         self.n_result = result.numel()
         self.function = ca.Function(name, [point, constant], [ca.cse(ca.densify(ca.vec(result)))])
         self.restores: tuple[Restoration, ...] = ()
-        self.nested = 0  # so many last states are the rates of as many before them
+        self.nested = 0  # so many last states are rates of others, see panels.c
         self._memory = threading.local()  # a machine has buffers: one for each thread
 
     def machine(self, n: int) -> Machine:

@@ -117,7 +117,7 @@ def test_compiled_and_plain_plans_agree(file, name):
     states = plain.states(t)
     scale = np.maximum(1.0, np.abs(states).max((0, 1)))
     assert (np.abs(states - fast.states(t)) / scale).max() <= 1e-12
-    assert np.abs(plain.pose(t) - fast.pose(t)).max() <= 1e-13
+    assert np.abs(plain.pose(t) - fast.pose(t)).max() <= 2e-13  # each has tails of 1e-13
     twist = plain.twist(t)
     assert np.abs(twist - fast.twist(t)).max() <= 1e-12 * np.abs(twist).max()
 

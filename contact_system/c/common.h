@@ -17,6 +17,7 @@ typedef struct {
   double length, tolerance, first, slip, finish; /* see development.Problem */
   double released, reached;                      /* out: when slip was let go, or -1; the last edge */
   const double *node, *integral, *series, *end;  /* xi[N], Q^T[N][N], B^T[N][N] and B's last row, e[2][N] */
+  const double *twice;                           /* (Q Q)^T, for NESTED */
   long n_stiff, max_panels, stops;
 } method_t;
 

@@ -4,7 +4,7 @@
    n_stiff states V obey V' = f_V - lam(tau) V, whose linear part is solved implicitly.
    The includer defines RHS (a kernel loop, see Kernel.loop), NX, NC, N (nodes) and
    restore(state, constants), which puts the end of a panel back on its surfaces; NESTED if the last so many
-   states are the rates of as many before them; ONE_PANEL if it calls panel itself; DRIVES 3 if RHS takes local time after sigma and decay.
+   states are the rates of as many before them and nothing else depends on them; ONE_PANEL if it calls panel itself; DRIVES 3 if RHS takes local time after sigma and decay.
 
    Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.7: collocation at Gauss
    points conserves quadratic invariants, here F(x), |p|, |q|, p.q of every quadric. */
@@ -15,6 +15,7 @@
 #ifndef NESTED
 #define NESTED 0
 #endif
+#define CONVERGED (NESTED ? 1e-3 : 1e-2) /* of the tolerance; rates do not show in a nested change */
 
 static double longest(const drive_t *d, const method_t *m, double tau, double h) {
   /* decay may fall by exp(-30) at most in a panel: its first node then still sees the layer */
@@ -88,9 +89,15 @@ static double sweep(const method_t *m, const double *start, const double *c, con
 #endif
   double y[NX][N], g[N], worst[N] = {0}, total[N] = {0};
   RHS(1, N, &x[0][0], rows_in, 0, c, &f[0][0], rows_out, 0);
-  for (long s = NX - 1; s >= 0; s--) {
-    if (s >= NX - 2 * NESTED && s < NX - NESTED) memcpy(f[s], y[s + NESTED], sizeof f[s]);
-    combine(m->integral, N, f[s], start[s], half, y[s]);
+  for (long s = 0; s < NX - NESTED; s++) {
+    if (s < NX - 2 * NESTED) {
+      combine(m->integral, N, f[s], start[s], half, y[s]);
+      continue;
+    }
+    const double rate = half * start[s + NESTED];
+    combine(m->twice, N, f[s + NESTED], start[s], half * half, y[s]);
+#pragma omp simd
+    for (int i = 0; i < N; i++) y[s][i] += rate * (1.0 + m->node[i]);
   }
   for (long s = NX - m->n_stiff; s < NX; s++) {
     for (int i = 0; i < N; i++) {
@@ -99,7 +106,7 @@ static double sweep(const method_t *m, const double *start, const double *c, con
     }
     for (int i = 0; i < N; i++) y[s][i] = g[i], f[s][i] -= lam[i] * g[i];
   }
-  for (long s = 0; s < NX; s++) {
+  for (long s = 0; s < NX - NESTED; s++) {
 #pragma omp simd
     for (int i = 0; i < N; i++) {
       double d = fabs(y[s][i] - x[s][i]) * scale[s];
@@ -120,7 +127,7 @@ static double sweep(const method_t *m, const double *start, const double *c, con
 
 /* Whether the panel is so much too long that its tail tells before the sweeps have converged. */
 static int hopeless(const method_t *m, double half, const double *scale, double f[NX][N]) {
-  for (long r = 0; r < NX; r++)
+  for (long r = NX - 2 * NESTED < NX - NESTED ? NX - NESTED : 0; r < NX; r++)
     if (fabs(half * dot(m->series + N * N, f[r])) * scale[r] > 100.0 * m->tolerance) return 1;
   return 0;
 }
@@ -167,7 +174,7 @@ static int panel(long nb, const double *state, const double *constants, const do
       change = sweep(m, start, c, sc, half, lam, inv, x, f);
       /* sweeps converge ever faster: the next changes less than this one by what this did */
       double next = k > 0 && change < 0.3 * last ? change * (change / last) : change;
-      if (next <= m->tolerance * 0.01 || change <= 4e-16) break;
+      if (next <= m->tolerance * CONVERGED || change <= 4e-16) break;
       if (k > 6 && change <= 1e-13 && change > 0.25 * last) break;
       if (!(change < 1e10) || (k > 3 && change > 4.0 * last)) { k = SWEEPS; break; }
       if (k == 3 && hopeless(m, half, sc, f)) break;
@@ -177,6 +184,10 @@ static int panel(long nb, const double *state, const double *constants, const do
       if (s->begins) s->before = NULL;
       s->h = 0.35 * (after - tau);
       return 0;
+    }
+    for (long r = NX - NESTED; r < NX; r++) {
+      combine(m->integral, N, f[r], start[r], half, x[r]);
+      memcpy(f[r - NESTED], x[r], sizeof f[r]);
     }
     for (long r = 0; r < NX; r++) {
       double *o = out + (b * NX + r) * (N + 1), top;
