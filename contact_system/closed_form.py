@@ -329,6 +329,8 @@ class FlatTrack(Track):
         compiled = line_evaluator(self.surface, output)
         if self.slip_length is not None or self.offset is not None or self._long:
             return None
+        if output == "coordinates" and self.v.any():  # slip without a path to speak of has a rate
+            return None
         return (compiled, self._data[0]) if compiled.usable(self.compiled) else None
 
     @functools.cached_property

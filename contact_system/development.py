@@ -199,6 +199,7 @@ def slip_displacement() -> Kernel:
 SWEEPS = 40
 MANY = 4096  # panels from one look at how many more it will take to the next
 MOST = 1e6  # panels of one interval; beyond, a scene is refused
+MOST_HERE = 1e5  # without compiled kernels, where a panel takes 0.3 ms
 MOST_BYTES = 2e9
 
 
@@ -386,11 +387,12 @@ def _stuck(problem: Problem, tau: float) -> ContactSystemError:
     )
 
 
-def _endless(problem: Problem, tau: float, count: int) -> ContactSystemError:
+def _endless(problem: Problem, tau: float, count: int, most: float = MOST) -> ContactSystemError:
     return ContactSystemError(
         f"{problem.name}: {count} panels reach local time {problem.drive.start + tau:.9g} of "
-        f"{problem.drive.start + problem.length:.9g} only, more than {MOST:g} would be needed; "
-        "shorten the scene, or lower the speed, the acceleration or the surface's curvature"
+        f"{problem.drive.start + problem.length:.9g} only, more than {most:g} would be needed; "
+        "shorten the scene, lower the speed, the acceleration or the surface's curvature"
+        + (", or plan with compiled=True" if most < MOST else "")
     )
 
 
@@ -414,8 +416,8 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
         if tries > 40 * (len(series) + 25) or not h > 1e-15 * problem.length:
             raise _stuck(problem, tau)
         if len(series) and len(series) % MANY == 0 and tau > mark:
-            if MANY * (problem.length - tau) > MOST * (tau - mark):
-                raise _endless(problem, tau, len(series))
+            if MANY * (problem.length - tau) > MOST_HERE * (tau - mark):
+                raise _endless(problem, tau, len(series), MOST_HERE)
             mark = tau
         h = longest_panel(drive, slip, tau, min(h, problem.length - tau))
         after = tau + h

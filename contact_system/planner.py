@@ -788,6 +788,8 @@ class GroupPlanner:
         self.group.slips.append(SlipRecord(start, stop, piece, of, None, self.w1))
         if self.object.surface.developable:
             slips = slip > negligible * self.tolerance
+            if slip == 0:  # the interval may be longer than a piece of the gain
+                piece = plain_piece(self.scene.profile, start, stop)
             why = "" if slips else "no slip to speak of"
             flat = self._flat(self.object, self.w2, v, piece, shifted, why, slips)
             self._append("object", flat)

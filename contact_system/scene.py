@@ -524,6 +524,12 @@ def _placed(
         raise SceneError(f"contacts[{i}]{name}: {key} = {given}: {error}") from None
     if at == given:
         return contact, False
+    for name, value, period in zip("uv", given, surface.periods()):
+        if period is not None and abs(value) > MANY_TURNS:
+            raise SceneError(
+                f"contacts[{i}]: {key}: {name} = {value!r}: beyond {MANY_TURNS:g} rad a double no "
+                "longer tells well where in its turn an angle is; take whole turns off it"
+            )
     half_turn = surface.double_cover and bool(surface.align(*at, *given)[2])
     if half_turn:
         contact = _half_turn(contact, f"{body}_velocity")

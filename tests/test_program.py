@@ -116,3 +116,23 @@ def test_speed_along_a_geodesic_is_kept_to_the_tolerance(obj, tolerance, compile
     roots = [scene.object.metric_root(*row[4:6]) for row in states]
     speeds = [np.linalg.norm(root @ row[6:8]) / 3.0 for root, row in zip(roots, states)]
     assert np.ptp(speeds) < 30 * tolerance
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=COMPILER)])
+@pytest.mark.parametrize("obj", SURFACES)
+def test_slip_whose_path_is_negligible_still_shows_in_the_rates(obj, compiled):
+    scene = one_contact(obj, "sphere", gain=cs.Gain.time(1e9), object_velocity=(0.2, -0.5))
+    plan = cs.plan(scene, tolerance=1e-2, compiled=compiled)
+    first = plan.states(np.linspace(0.0, 1.0, 11))[0, 0]
+    velocity = scene.object.metric_root(first[4], first[5]) @ first[6:8]
+    assert velocity == pytest.approx(np.array([0.2, -0.5]) * scene.profile(0.0), rel=1e-9)
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=COMPILER)])
+@pytest.mark.parametrize("obj", SURFACES)
+def test_rolling_does_not_end_with_a_piece_of_the_gain(obj, compiled):
+    gain, profile = cs.Gain.guaranteed(2.0), (0.1, 1.0, -1.0)
+    scene = one_contact(obj, "sphere", gain=gain, profile=profile, object_velocity="rolling")
+    free = one_contact(obj, "sphere", profile=profile, object_velocity="rolling")
+    found, expected = (cs.plan(s, compiled=compiled).points(TIMES) for s in (scene, free))
+    assert found == pytest.approx(expected, abs=1e-14)
