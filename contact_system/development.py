@@ -999,12 +999,12 @@ class MovingTrack(PanelTrack):
             self.motion.run()
         return super()._evaluate(output, t, out)
 
-    def again(self, tolerance: float) -> Track | None:
+    def again(self, tolerance: float, motion: Motion | None = None) -> Track | None:
         if self.problem.stops or self.offset is not None:
             return None
-        motion, other = self.motion, self._copy(tolerance)
-        if motion is not None:
-            other.__dict__["motion"] = motion.again(tolerance)
+        own, other = self.motion, self._copy(tolerance)
+        if own is not None:
+            other.__dict__["motion"] = motion or own.again(tolerance)
         return other
 
     def moved(

@@ -22,7 +22,17 @@ from .chart_solution import chart_groups
 from .development import runs
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kinematics import relative_pose, relative_twist
-from .planner import Group, Moment, Start, Starts, measured_start, plan_groups, scene_start
+from .planner import (
+    Group,
+    Moment,
+    Rerun,
+    Start,
+    Starts,
+    kept_group,
+    measured_start,
+    plan_groups,
+    scene_start,
+)
 from .program import FEW_TIMES, SIDES, Program, program_of
 from .scene import ObjectRateOffset, Scene, scene_from_toml, scene_to_toml
 from .tracks import Track
@@ -85,15 +95,28 @@ class Plan:
             raise SceneError(f"tolerance = {tolerance!r}: give a number from 1e-15 to 1e-1")
         self.scene, self.tolerance, self.method = scene, tolerance, method
         self.solver, self.compiled, self.start, self.starts = solver, compiled, start, starts
+        self._groups: list[Group] | None = None
+        self._rerun: Rerun | None = None
         if method == "chart":
             given = [s for s in starts or () if isinstance(s, Start)]
             given = given or [scene_start(contact) for contact in scene.contacts]
-            self.groups = chart_groups(scene, given, start, tolerance, solver)
+            self._groups = chart_groups(scene, given, start, tolerance, solver)
         else:
-            self.groups = plan_groups(scene, starts, start, tolerance, compiled)
+            known = kept_group(scene, compiled) if starts is None else None
+            if known is not None:
+                self._rerun = Rerun(known, tolerance)
+            else:
+                self._groups = plan_groups(scene, starts, start, tolerance, compiled)
         self._count = len(scene.contacts)
-        self._angle = _gathered(self.groups, self._count)
         self._programs: dict[str, Program | None] = {}
+
+    @property
+    def groups(self) -> list[Group]:
+        """Contacts that move together, and their tracks."""
+        if self._groups is None:
+            assert self._rerun is not None
+            self._groups = [self._rerun.whole()]
+        return self._groups
 
     # --- results -------------------------------------------------------------------------------
 
@@ -117,7 +140,7 @@ class Plan:
         out[:, 4:8] = sides[:, 5:9]
         psi = out[:, 8]
         np.add(sides[:, 4], sides[:, 9], out=psi)
-        np.subtract(self._angle, psi, out=psi)
+        np.subtract(_gathered(self.groups, self._count), psi, out=psi)
         return out.transpose(2, 0, 1)
 
     def points(self, t: ArrayLike) -> np.ndarray:
@@ -389,17 +412,18 @@ class Plan:
 
     def _states_at_once(self, t: ArrayLike) -> np.ndarray | None:
         """The states by one compiled call, or None where there is no such way (program.py)."""
-        if len(self.groups) > 1:
-            return None
         times = _one_axis(t)
         if len(times) < FEW_TIMES or not times.flags.c_contiguous:
             return None
-        group = self.groups[0]
+        if self._rerun is None and len(self.groups) > 1:
+            return None
+        group = self._rerun.group if self._rerun is not None else self.groups[0]
         slipping = group.slipping_states(self.compiled)
         if slipping is None:
             return None
+        motion = self._rerun.motions[0] if self._rerun is not None else group.moving[0].motion
         out = np.empty((self._count, 9, len(times)))
-        code = slipping.fill(group.object[0], times, out)  # type: ignore[arg-type]
+        code = slipping.fill(motion, times, out)  # type: ignore[arg-type]
         if code > 0:
             self._refuse(times)
         return out.transpose(2, 0, 1) if code == 0 else None
@@ -437,6 +461,8 @@ class Plan:
         return code == 0
 
     def _program(self, output: str) -> Program | None:
+        if output == "points" and self._rerun is not None:
+            return self._rerun.points()
         if len(self.groups) == 1:
             return self.groups[0].program(output)
         if output not in self._programs:

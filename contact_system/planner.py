@@ -271,15 +271,25 @@ class Group:
                 return False
         return True
 
-    def again(self, tolerance: float) -> Group:
-        """A group that :meth:`repeats`, for another tolerance."""
-        finger, obj = self.finger[-1].again(tolerance), self.object[-1].again(tolerance)
-        if finger is self.finger[-1] and obj is self.object[-1]:
+    @functools.cached_property
+    def moving(self) -> list[MovingTrack]:
+        """Of a group that :meth:`repeats`, the tracks that another tolerance changes."""
+        ends = self.finger[-1], self.object[-1]
+        return [track for track in ends if isinstance(track, MovingTrack)]
+
+    def again(self, tolerance: float, motions: Sequence[development.Motion] = ()) -> Group:
+        """A group that :meth:`repeats`, for another tolerance; motions: those of :attr:`moving`."""
+        if not self.moving:
             return self
         other = object.__new__(Group)
         other.__dict__.update(self.__dict__)
-        other.finger = [*self.finger[:-1], finger]  # type: ignore[list-item]
-        other.object = [*self.object[:-1], obj]  # type: ignore[list-item]
+        other.__dict__.pop("moving", None)
+        given = dict(zip(self.moving, motions))
+        anew = {track: track.again(tolerance, given.get(track)) for track in self.moving}
+        other.finger, other.object = (
+            [*tracks[:-1], anew.get(tracks[-1], tracks[-1])]  # type: ignore[call-overload]
+            for tracks in (self.finger, self.object)
+        )
         other.programs = {}
         return other
 
@@ -471,6 +481,39 @@ class Prepared:
     follows: bool
     intervals: tuple[Interval, ...]
     kept: dict[Any, Any] = field(default_factory=dict)
+
+
+def kept_group(scene: Scene, compiled: bool | None) -> Group | None:
+    """The one group of a scene planned before, if it repeats with compiled motions only."""
+    prepared: list[Prepared] | None = scene.__dict__.get("_prepared")
+    if prepared is None or len(prepared) > 1:
+        return None
+    group: Group | None = prepared[0].kept.get(("group", compiled))
+    compiles = group is not None and all(track.motion is not None for track in group.moving)
+    return group if compiles else None
+
+
+class Rerun:
+    """A kept group planned for another tolerance: its motions, until more is asked for."""
+
+    def __init__(self, group: Group, tolerance: float):
+        self.group, self.tolerance = group, tolerance
+        self._program: Program | None = None
+
+    @functools.cached_property
+    def motions(self) -> list[development.Motion]:
+        return [track.motion.again(self.tolerance) for track in self.group.moving]  # type: ignore
+
+    def points(self) -> Program | None:
+        """Contact points in one compiled call."""
+        if self._program is None:
+            known = self.group.program("points")
+            self._program = known and known.with_motions(self.motions)
+        return self._program
+
+    def whole(self) -> Group:
+        """The group itself."""
+        return self.group.again(self.tolerance, self.motions)
 
 
 def plan_groups(

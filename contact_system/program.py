@@ -47,7 +47,7 @@ class Program:
         self._find_motions()
 
     def _find_motions(self) -> None:
-        self.motions: list[Motion] = [self.tracks[i].motion for i in self._moving]  # type: ignore
+        self.motions: Sequence[Motion] = [self.tracks[i].motion for i in self._moving]  # type: ignore
         self._at = ctypes.addressof(self.parts)
 
     def blank(self) -> Program:
@@ -68,6 +68,18 @@ class Program:
                 return None
             part.track = at
         other._find_motions()
+        return other
+
+    def with_motions(self, motions: Sequence[Motion]) -> Program:
+        """The same tracks moved by other motions."""
+        if not motions:
+            return self
+        other = object.__new__(Program)
+        other.output, other.tracks, other._moving = self.output, self.tracks, self._moving
+        other.parts = type(self.parts).from_buffer_copy(self.parts)
+        for i, motion in zip(self._moving, motions):
+            other.parts[i].track = motion.at
+        other.motions, other._at = motions, ctypes.addressof(other.parts)
         return other
 
     def fill(self, count: int, t: np.ndarray, out: np.ndarray) -> int | None:
@@ -94,7 +106,7 @@ class Program:
                 return code
             if where[1] >= 0:
                 return None
-            self.tracks[where[0]].motion.failed(where[1])  # type: ignore[attr-defined]
+            self.motions[self._moving.index(where[0])].failed(where[1])
 
 
 def program_of(groups: Sequence[Group], output: str) -> Program | None:
@@ -187,19 +199,17 @@ class SlippingStates:
         built = compiled or (there and panels_built(body.kernel) and program_built())
         return cls(group, finger, body) if built else None
 
-    def fill(self, body: MovingTrack, t: np.ndarray, out: np.ndarray) -> int:
-        """Write (n, 9, n_t) for such a plan's object.
+    def fill(self, motion: Motion, t: np.ndarray, out: np.ndarray) -> int:
+        """Write (n, 9, n_t) for such a plan, whose object has this motion.
 
         Returns
         -------
         int
             0; 1 + the index of a time outside the plan; -4: ask the tracks instead.
         """
-        motion = body.motion
-        assert motion is not None
         block = np.empty(self._size)
         program = _States.from_buffer_copy(self._template)
-        program.motion, program.tolerance = motion.at, max(0.1 * body.tolerance, 1e-14)
+        program.motion, program.tolerance = motion.at, max(0.1 * motion.data.tolerance, 1e-14)
         program.cuts = at = address(block)
         program.series = at + 8 * (SERIES + 1)
         where, times, to = ctypes.addressof(program), address(t), address(out)
