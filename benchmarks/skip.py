@@ -148,7 +148,12 @@ def explained(full: bool) -> Iterator[Bar]:
             elif not any(panels[0]):
                 expected.append("integration of the finger")
             if not plan.slip_speed(_undisturbed(plan.scene))[:, group.contacts].any():
-                expected.append("slip and gain (there is none to reject)")
+                offset = plan.slip_speed(plan.sample_times())[:, group.contacts].any()
+                expected.append(
+                    "gain (slip is that of rate offsets, which ends with them)"
+                    if offset
+                    else "slip and gain (there is none to reject)"
+                )
         if expected != _told(plan):
             wrong[name] = {"told": _told(plan), "found": expected}
     yield Bar("scenes whose explain() is wrong about what it skipped", 0, len(wrong),

@@ -429,7 +429,9 @@ def test_state_bytes_go_into_another_process():
         [sys.executable, "-c", script], input=data.hex(), capture_output=True, text=True,
         check=True, cwd=Path(__file__).parent.parent,
     )  # fmt: skip
-    assert np.array_equal(json.loads(other.stdout), everything(advanced(slave, 0.1)))
+    # to rounding: kernels that were built meanwhile are found by the other process only
+    expected = everything(advanced(slave, 0.1))
+    assert json.loads(other.stdout) == pytest.approx(expected, rel=1e-12, abs=1e-13)
 
 
 def test_states_before_and_during_initialization_come_back():
