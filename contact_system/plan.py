@@ -449,20 +449,22 @@ class Plan:
 
     def _fill_compiled(self, output: str, times: np.ndarray, count: int, out: np.ndarray) -> bool:
         """The shortest way: all tracks in one call. False if there is none."""
-        program = self._program(output)
+        motions = None
+        if output == "points" and self._rerun is not None:
+            program, motions = self._rerun.group.program(output), self._rerun.motions
+        else:
+            program = self._program(output)
         if program is None or not times.flags.c_contiguous:
             return False
         if output == "coordinates":
             for group in self.groups:
                 group.anchor_all()
-        code = program.fill(count, times, out)
+        code = program.fill(count, times, out, motions)
         if code:
             self._refuse(times)
         return code == 0
 
     def _program(self, output: str) -> Program | None:
-        if output == "points" and self._rerun is not None:
-            return self._rerun.points()
         if len(self.groups) == 1:
             return self.groups[0].program(output)
         if output not in self._programs:

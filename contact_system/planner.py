@@ -498,18 +498,14 @@ class Rerun:
 
     def __init__(self, group: Group, tolerance: float):
         self.group, self.tolerance = group, tolerance
-        self._program: Program | None = None
+        self._motions: list[development.Motion] | None = None
 
-    @functools.cached_property
+    @property
     def motions(self) -> list[development.Motion]:
-        return [track.motion.again(self.tolerance) for track in self.group.moving]  # type: ignore
-
-    def points(self) -> Program | None:
-        """Contact points in one compiled call."""
-        if self._program is None:
-            known = self.group.program("points")
-            self._program = known and known.with_motions(self.motions)
-        return self._program
+        if self._motions is None:
+            own = [track.motion for track in self.group.moving]
+            self._motions = [motion.again(self.tolerance) for motion in own]  # type: ignore
+        return self._motions
 
     def whole(self) -> Group:
         """The group itself."""
@@ -757,7 +753,7 @@ class GroupPlanner:
             scale=scale,
             drive=GainPiece(0.0, length, (1.0,), (0.0,), 0),
             length=length,
-            first=min(length, 0.6 * body.size),
+            first=min(length, body.size),
         )
         return (GeodesicTrack if form else MovingTrack)(
             body.surface, body.parameters, piece, why + "; no closed form on this surface",

@@ -43,24 +43,28 @@ class Program:
 
     def __init__(self, output: str, tracks: Sequence[Track], parts: Sequence[_Part]):
         self.output, self.tracks, self.parts = output, tracks, (_Part * len(parts))(*parts)
-        self._moving = [i for i, part in enumerate(parts) if part.moves]
         self._find_motions()
 
     def _find_motions(self) -> None:
-        self.motions: Sequence[Motion] = [self.tracks[i].motion for i in self._moving]  # type: ignore
+        """After the tracks are known."""
         self._at = ctypes.addressof(self.parts)
+        self._run, self._count = program_library().fill, len(self.parts)
+        self.motions: list[Motion] = [
+            track.motion for track in self.tracks if isinstance(track, MovingTrack) and track.motion
+        ]
+        self._numbers = ctypes.c_long * (2 + len(self.motions))
 
     def blank(self) -> Program:
         """The layout alone, which keeps no track alive."""
         other = object.__new__(Program)
-        other.output, other.tracks, other.motions = self.output, (), []
-        other.parts, other._moving = type(self.parts).from_buffer_copy(self.parts), self._moving
+        other.output, other.tracks = self.output, ()
+        other.parts = type(self.parts).from_buffer_copy(self.parts)
         return other
 
     def again(self, tracks: Sequence[Track]) -> Program | None:
         """The same for other tracks of the same kinds; None where one has no compiled form."""
         other = object.__new__(Program)
-        other.output, other.tracks, other._moving = self.output, tracks, self._moving
+        other.output, other.tracks = self.output, tracks
         other.parts = type(self.parts).from_buffer_copy(self.parts)
         for part, track in zip(other.parts, tracks):
             at = track.data_at(self.output)
@@ -70,20 +74,12 @@ class Program:
         other._find_motions()
         return other
 
-    def with_motions(self, motions: Sequence[Motion]) -> Program:
-        """The same tracks moved by other motions."""
-        if not motions:
-            return self
-        other = object.__new__(Program)
-        other.output, other.tracks, other._moving = self.output, self.tracks, self._moving
-        other.parts = type(self.parts).from_buffer_copy(self.parts)
-        for i, motion in zip(self._moving, motions):
-            other.parts[i].track = motion.at
-        other.motions, other._at = motions, ctypes.addressof(other.parts)
-        return other
-
-    def fill(self, count: int, t: np.ndarray, out: np.ndarray) -> int | None:
+    def fill(
+        self, count: int, t: np.ndarray, out: np.ndarray, motions: Sequence[Motion] | None = None
+    ) -> int | None:
         """Write ``count`` rows of finger and object of each contact: (n_contacts, 2 count, n_t).
+
+        ``motions``: others than those of the tracks, as many.
 
         Returns
         -------
@@ -91,28 +87,29 @@ class Program:
             0; 1 + the index of a time outside the plan; None: ask the tracks one by one, which
             also says what is wrong with a contact at a pole.
         """
-        where = (ctypes.c_long * 2)()
-        run, n = program_library().fill, len(t)
-        arguments = self._at, len(self.parts), count, n, address(t), address(out), where
+        motions = self.motions if motions is None else motions
+        at = self._numbers(0, 0, *[motion.at for motion in motions])
+        arguments = self._at, self._count, count, len(t), address(t), address(out), at
         while True:
-            waiting = [motion for motion in self.motions if not motion.data.done]
+            waiting = [motion for motion in motions if not motion.data.done]
             for motion in waiting:
                 motion.lock.acquire()
                 motion.ready()
-            code = run(*arguments)
+            code = self._run(*arguments)
             for motion in waiting:
                 motion.lock.release()
             if code >= 0:
                 return code
-            if where[1] >= 0:
+            if at[0] >= 0:
                 return None
-            self.motions[self._moving.index(where[0])].failed(where[1])
+            motions[at[1]].failed(at[0])
 
 
 def program_of(groups: Sequence[Group], output: str) -> Program | None:
     """The program of all groups of a plan; None where some track has no compiled evaluation."""
     tracks: list[Track] = []
     parts: list[_Part] = []
+    moved = 0
     for group in groups:
         contacts = group.contacts
         first, step = int(contacts[0]), int(contacts[1] - contacts[0]) if len(contacts) > 1 else 1
@@ -129,7 +126,9 @@ def program_of(groups: Sequence[Group], output: str) -> Program | None:
                 entry = track.entry(output)
                 if entry is None:
                     return None
-                moves = isinstance(track, MovingTrack) and track.motion is not None
+                moves = 0
+                if isinstance(track, MovingTrack) and track.motion is not None:
+                    moves = moved = moved + 1
                 parts.append(_Part(
                     entry[0].pointer, entry[1], moves, offset, stride, track is chain[0],
                     track is chain[-1],

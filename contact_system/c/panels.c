@@ -163,8 +163,11 @@ static int panel(long nb, const double *state, const double *constants, const do
     for (long r = 0; r < NX; r++)
       if (known)
         combine(basis, N + 1, s->before + (b * NX + r) * (N + 1), 0.0, 1.0, x[r]);
-      else
-        for (int i = 0; i < N; i++) x[r][i] = start[r];
+      else {
+        const int goes = r >= NX - 2 * NESTED && r < NX - NESTED;
+        const double rate = goes ? half * start[r + NESTED] : 0.0;
+        for (int i = 0; i < N; i++) x[r][i] = start[r] + rate * (1.0 + m->node[i]);
+      }
     memcpy(x[NX], sig, sizeof sig);
     memcpy(x[NX + 1], dec, sizeof dec);
     if (DRIVES > 2) memcpy(x[NX + DRIVES - 1], t, sizeof t);

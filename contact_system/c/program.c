@@ -43,7 +43,7 @@ long move(motion_t *m) {
 typedef struct {
   evaluate_t evaluate;
   track_t *track;
-  long moves;          /* it is the track of a motion_t */
+  long moves;          /* k > 0: it is the track of motion k - 1 */
   long offset, stride; /* of body 0, from body to body, in blocks of rows */
   long first, last;    /* the first, the last track of its side */
 } part_t;
@@ -60,30 +60,35 @@ static long earlier(const double *t, long nt, double edge) {
 #define MOST_ROWS 5
 
 /* Write `count` rows of every track: out[block][count][nt]. Returns 0; 1 + the index of a time outside
-   the plan; -1 - the index of a time with a result that is not finite, of part where[0]; where[1] is
-   the code of panels, if that is what failed, or 1 if the times are not in order. */
+   the plan; -1 - the index of a time with a result that is not finite. at[0]: the code of panels, if
+   that is what failed, of motion at[1]; 1 if the times are not in order. From at[2] on: the motions. */
 long fill(const part_t *parts, long n_parts, long count, long nt, const double *t, double *out,
-          long *where) {
+          long *at) {
   long rows[MOST_ROWS], ordered = 0;
   for (long r = 0; r < count; r++) rows[r] = r * nt;
-  where[1] = 0;
+  at[0] = 0;
   for (long p = 0; p < n_parts; p++) {
     const part_t *part = parts + p;
-    where[0] = p;
-    if (part->moves && (where[1] = move((motion_t *)part->track))) return -1;
+    track_t *track = part->track;
+    if (part->moves) {
+      motion_t *motion = (motion_t *)at[1 + part->moves];
+      at[1] = part->moves - 1;
+      if ((at[0] = move(motion))) return -1;
+      track = &motion->track;
+    }
     long from = 0, to = nt;
     if (!part->first || !part->last) {
       for (long i = ordered; i + 1 < nt; i++)
         if (!(t[i] <= t[i + 1])) {
-          where[1] = 1;
+          at[0] = 1;
           return -1;
         }
       ordered = nt;
-      if (!part->first) from = earlier(t, nt, part->track->start);
-      if (!part->last) to = earlier(t, nt, part->track->stop);
+      if (!part->first) from = earlier(t, nt, track->start);
+      if (!part->last) to = earlier(t, nt, track->stop);
       if (from >= to) continue;
     }
-    long code = part->evaluate(part->track, to - from, t + from,
+    long code = part->evaluate(track, to - from, t + from,
                                out + part->offset * count * nt + from, rows,
                                part->stride * count * nt);
     if (code) return code > 0 ? code + from : code - from;
