@@ -398,7 +398,11 @@ class Body:
 
     def at(self, state: np.ndarray, ambient: bool) -> Body:
         """The same bodies elsewhere."""
-        return Body(self.surface, self.parameters, self.sizes, state, ambient)
+        other = Body(self.surface, self.parameters, self.sizes, state, ambient)
+        other.__dict__["size"] = self.size
+        if ambient and self.ambient:  # frames have the same scale everywhere
+            other.__dict__["scale"] = self.scale
+        return other
 
     @property
     def lame(self) -> np.ndarray:
