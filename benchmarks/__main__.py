@@ -1,59 +1,177 @@
 """``python -m benchmarks [PART] [--only NAME] [--full]``.
 
-Prints one line a bar and writes results/benchmarks/*.json. The exit code is 1 if an accuracy bar is
-missed or cannot be measured for another reason than a peer that is not installed; the other parts
-are a report.
+Without PART, the whole bench in its quick form, within five minutes on two cores: what is not timed
+first, two parts side by side; then what is timed, alone. What takes long is left out and named; it
+belongs to ``python -m benchmarks PART`` and to ``--full``.
+
+Prints one line a bar and writes results/benchmarks/*.json. The exit code is 1 if a bar of accuracy
+or of stress is missed or cannot be measured for another reason than a peer that is not installed,
+or if a figure has become slower (regression); the other parts are a report.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import sys
+import time
+import traceback
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 
-from .report import THREADS, collect, surroundings, write
+from .report import THREADS, Bar, collect, quietly, sections_of, surroundings, write
 
 PARTS = (
-    "accuracy", "speed", "work_precision", "scale", "drake_planner", "drake_plant",
-    "drake_station", "fmu",
+    "accuracy", "stress", "speed", "work_precision", "skip", "scale", "drake_planner",
+    "drake_plant", "drake_station", "fmu", "regression",
 )  # fmt: skip
 """Modules of this package; each has SECTIONS, name -> function of ``full`` that yields bars."""
+
+SHARING: dict[str, tuple[str, ...] | None] = {
+    "fmu": ("validation", "cosimulation", "model_exchange", "slave", "importers", "fuzz",
+            "endurance"),
+    "stress": ("cases",),
+    "drake_station": ("rolling", "forces", "recovery"),
+    "drake_plant": ("spheres", "shapes"),
+    "accuracy": None,
+    "drake_planner": ("exact", "orders", "scalars", "refusals"),
+    "scale": ("exact", "memory"),
+}  # fmt: skip
+"""Sections without times, which may share the machine, longest part first; None: all of a part."""
+
+LONG: dict[str, tuple[str, ...]] = {
+    "speed": ("slip",), "drake_plant": ("building",),
+    "drake_station": ("forces", "recovery", "speed", "memory"),
+    "fmu": ("platforms", "package", "fuzz"), "scale": ("dask",), "work_precision": ("readme",),
+}  # fmt: skip
+"""Sections that the quick form of the whole leaves out."""
+
+BINDING = ("accuracy", "stress", "regression")
+"""Parts whose missed bars make the exit code 1."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run what was asked for; returns the exit code."""
     for name in THREADS:  # before numpy is imported: one thread for every competitor
         os.environ[name] = "1"
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("part", nargs="?", choices=PARTS, help="one part only")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("part", nargs="?", choices=PARTS, help="one part only, all of it")
     parser.add_argument("--only", metavar="NAME", help="one section, or all that contain it")
     parser.add_argument(
-        "--full", action="store_true", help="give every peer 20 s a run instead of 1 s"
+        "--full", action="store_true", help="all sections, more points, 20 s for a run of a peer"
     )
     options = parser.parse_args(arguments)
     about = surroundings()
     print(f"{about['machine']['processor']}, Python {about['python']}, one thread")
+    if options.part or options.only:
+        failed = False
+        for name in [options.part] if options.part else PARTS:
+            failed |= _part(name, options.only or "", options.full, bool(options.part))
+        return int(failed)
+    return int(_whole(options.full))
+
+
+def _part(name: str, only: str, full: bool, asked: bool) -> bool:
+    """Run one part, or some of its sections; returns whether it failed."""
+    try:
+        sections = sections_of(name)
+    except ImportError as error:
+        if asked:
+            raise
+        print(f"\n{name}: left out, {error}")
+        return False
+    chosen = {k: run for k, run in sections.items() if k == only or only not in sections}
+    chosen = {k: run for k, run in chosen.items() if only in k}
+    if not chosen:
+        return False
+    print(f"\n{name}: {', '.join(chosen)}")
+    bars = collect(bar for run in chosen.values() for bar in run(full))
+    _write("-".join([name, *only.split()]), bars)
+    return _missed(name, bars)
+
+
+def _write(name: str, bars: Iterable[Bar]) -> None:
+    path = write(name, bars)
+    print(f"written: {path.parent.parent.name}/{path.parent.name}/{path.name}")
+
+
+def _missed(name: str, bars: Iterable[Bar]) -> bool:
+    return name in BINDING and any(bar.met is False for bar in bars)
+
+
+# --- the whole bench -----------------------------------------------------------------------------
+
+
+def _whole(full: bool) -> bool:
+    """All parts, what is not timed side by side; returns whether one failed."""
+    begin = time.perf_counter()
+    found: dict[str, list[Bar]] = {}
     failed = False
-    for name in [options.part] if options.part else PARTS:
+    with ProcessPoolExecutor(2, get_context("spawn"), max_tasks_per_child=1) as pool:
+        # Not of this module, which has another name in a new process.
+        runs = {
+            pool.submit(quietly, name, _without_long(name, chosen, full), full): name
+            for name, chosen in SHARING.items()
+        }
+        for run in as_completed(runs):
+            name = runs[run]
+            try:
+                bars, spent = run.result()
+            except Exception as error:  # one part that stops is a finding, not the end of all
+                failed |= _stopped(name, error)
+                continue
+            print(f"\n{name}, side by side with another part ({spent:.0f} s)")
+            found[name] = collect(bars)
+    for name in PARTS:
         try:
-            sections = importlib.import_module(f".{name}", __package__).SECTIONS
-        except ImportError as error:
-            if options.part:
-                raise
-            print(f"\n{name}: left out, {error}")
-            continue
-        only = options.only or ""
-        chosen = {k: run for k, run in sections.items() if k == only or only not in sections}
-        chosen = {k: run for k, run in chosen.items() if only in k}
-        if not chosen:
-            continue
+            failed |= _timed(name, found.get(name, []), full)
+        except Exception as error:
+            failed |= _stopped(name, error)
+    print(f"\nthe whole bench took {time.perf_counter() - begin:.0f} s")
+    if not full:
+        left = "; ".join(f"{name} --only {only}" for name, all_ in LONG.items() for only in all_)
+        print(f"left to python -m benchmarks with: {left}; or to --full")
+    return failed
+
+
+def _without_long(name: str, chosen: Sequence[str] | None, full: bool) -> list[str] | None:
+    """Those that this form of the bench runs; None: all."""
+    if chosen is None:
+        return None
+    return [key for key in chosen if full or key not in LONG.get(name, ())]
+
+
+def _timed(name: str, known: list[Bar], full: bool) -> bool:
+    """The sections of a part that want the machine for themselves; returns whether it failed."""
+    sharing = SHARING.get(name, ())
+    left_out = () if full else LONG.get(name, ())
+    chosen = {}
+    if sharing is not None:
+        sections = sections_of(name)
+        chosen = {k: v for k, v in sections.items() if k not in sharing and k not in left_out}
+    bars = list(known)
+    if chosen:
         print(f"\n{name}: {', '.join(chosen)}")
-        bars = collect(bar for run in chosen.values() for bar in run(options.full))
-        path = write("-".join([name, *only.split()]), bars)
-        print(f"written: {path.parent.parent.name}/{path.parent.name}/{path.name}")
-        failed |= name == "accuracy" and any(bar.met is False for bar in bars)
-    return int(failed)
+        begin = time.perf_counter()
+        bars += collect(bar for run in chosen.values() for bar in run(full))
+        print(f"{name} took {time.perf_counter() - begin:.0f} s")
+    if bars:
+        _write(name, bars)
+    return _missed(name, bars)
+
+
+def _stopped(name: str, error: Exception) -> bool:
+    """Tell why a part ended early; a package that is not installed is no failure."""
+    if isinstance(error, ImportError):
+        print(f"\n{name}: left out, {error}")
+        return False
+    print(f"\n{name}: stopped")
+    traceback.print_exception(error)
+    return True
 
 
 if __name__ == "__main__":

@@ -707,7 +707,8 @@ class GroupPlanner:
     def _refuse_endless(self) -> bool:
         path = sum(interval.length for interval in self.prepared.intervals)
         for w, body in ((self.w1, self.finger), (self.w2 - self.v, self.object)):
-            turns = np.hypot(w[:, 0], w[:, 1]) * path / body.sizes[:, 0]
+            with np.errstate(over="ignore"):
+                turns = np.hypot(w[:, 0], w[:, 1]) * path / body.sizes[:, 0]
             if not turns.max() <= ENDLESS:
                 worst = int(self.prepared.contacts[turns.argmax()])
                 raise SceneError(
@@ -1112,7 +1113,7 @@ def _slip_reach(scene: Scene, piece: GainPiece, length: float) -> float:
     knots = (piece.start, *scene.profile.extrema(piece.start, piece.stop), piece.stop)
     speeds = [float(scene.profile(t)) for t in knots]
     value = scene.gain.value
-    per_metre = value * min(speeds) if scene.gain.law == "path" else value / max(speeds)
+    per_metre = value * min(speeds) if scene.gain.law == "path" else value / max(*speeds, TINY)
     return max(per_metre, 1.0 / max(length, TINY))
 
 

@@ -524,8 +524,8 @@ def _placed(
         raise SceneError(f"contacts[{i}]{name}: {key} = {given}: {error}") from None
     if at == given:
         return contact, False
-    for name, value, period in zip("uv", given, surface.periods()):
-        if period is not None and abs(value) > MANY_TURNS:
+    for name, value, here in zip("uv", given, at):
+        if value != here and abs(value) > MANY_TURNS:
             raise SceneError(
                 f"contacts[{i}]: {key}: {name} = {value!r}: beyond {MANY_TURNS:g} rad a double no "
                 "longer tells well where in its turn an angle is; take whole turns off it"

@@ -12,16 +12,26 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pydrake.math as drake_math
-from pydrake.common.value import Value
+from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform_, RotationMatrix_
 from pydrake.symbolic import Expression, Formula, if_then_else
-from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.framework import BasicVector_, LeafSystem_, ValueProducer
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from contact_system import Scene, SceneSystem
-from contact_system.errors import ChartSingularity, SceneError
+from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
 from contact_system.kernels import compiled_library, find_compiler, library_path, replay
 
+from .invariants import (
+    Limits,
+    Progress,
+    has_invariants,
+    limits_of,
+    no_limits,
+    pace_function,
+    refuse_pace,
+    stiffness,
+)
 from .lifetimes import NO_DICTIONARY, weakly
 
 CLEARANCE = 0.01
@@ -50,8 +60,8 @@ class Machine:
     function : casadi.Function
     arguments : arrays that it reads
     compiled : bool or None
-        True: as compiled C, built where it is not in the cache yet; False: in CasADi's virtual
-        machine; None: compiled if it was built before.
+        None: as compiled C where it can be built here, or was built before, else in CasADi's
+        virtual machine; True: as compiled C, or an error; False: in the virtual machine.
     """
 
     def __init__(self, function: ca.Function, arguments: Sequence[Array], compiled: bool | None):
@@ -70,16 +80,19 @@ def _compiled(function: ca.Function, compiled: bool | None) -> ca.Function:
     generator = ca.CodeGenerator(function.name())
     generator.add(function)
     source = generator.dump()
-    path = library_path(source)
-    if compiled is None and not path.exists():
+    try:
+        compiled_library(source)
+    except (ContactSystemError, OSError):  # a compiler without headers, a cache nobody may write
+        if compiled:
+            raise
         return function
-    compiled_library(source)
-    return _external(function.name(), str(path))
+    return _external(function.name(), str(library_path(source)))
 
 
 _external = functools.lru_cache(maxsize=64)(ca.external)
 # Python systems with ports are never freed (seen in Drake 1.51), so what is large is shared.
 _scene_system = functools.lru_cache(maxsize=16)(SceneSystem)
+_pace = functools.lru_cache(maxsize=16)(pace_function)
 
 
 # --- Drake's other scalars: the same instructions, replayed ---------------------------------------
@@ -164,6 +177,7 @@ def _refuse_singularity(system: SceneSystem, t: Array, x: Array, w: Array, held:
     surface = scene.object if side else scene.contacts[i].finger
     where = surface.chart.singular_at or "pole"
     remedy = 'use ContactPlanner(scene, coordinates="frame"), which has no such points'
+    remedy += ", or smaller steps if the motion does not lead there"
     if system.coordinates == "frame":
         remedy = "move the contact away from that point, or turn the body's axes"
     raise ChartSingularity(
@@ -192,12 +206,13 @@ def _refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> N
     if not system.evaluate("clearance", time, x, w, held)[0] > CLEARANCE:
         _refuse_singularity(system, t, x, w, held)
     rates = system.evaluate("derivatives", time, x, w, held)
-    bad = [i for i, part in enumerate(system.state_slices) if not np.isfinite(rates[part]).all()]
+    worst = [float(np.abs(rates[part]).max()) for part in system.state_slices]
+    i = int(np.argmax(worst))  # of NaNs the first
     raise ChartSingularity(
-        f"scene '{scene.name}', contact {', '.join(map(str, bad)) or 'unknown'}: at t = "
-        f"{time:.6g} s (sigma = {sigma:.6g} m/s) derivatives or coordinates are not finite: the "
-        "contact is at a pole, an acceleration acts while sigma = 0, or the step is too large for "
-        "the integrator. Move the contact, raise sigma, or take smaller steps"
+        f"scene '{scene.name}', contact {i}: at t = {time:.6g} s (sigma = {sigma:.6g} m/s) "
+        f"derivatives are as great as {worst[i]:.3g}: the contact is at a pole, an acceleration "
+        "acts while sigma = 0, or the steps are too long for the integrator. Move the contact, "
+        "raise sigma, or take smaller steps"
     )
 
 
@@ -268,8 +283,11 @@ def _define(T: type) -> type:
         restart_slip : float, optional
             m/s.
         compiled : bool, optional
-            True: compiled kernels, built where they are not in the cache yet (0.2 s each); False:
-            none; None: those that were built before.
+            None: compiled kernels where a C compiler or the ziglang package is found, else CasADi's
+            virtual machine. The kernel of the derivatives is built here, that of an output when it
+            is first asked for, and each is kept in the cache of :mod:`contact_system.kernels`: 0.1
+            to 0.5 s for three contacts, once. True: compiled, or an error; False: none. Other
+            scalars compile nothing.
 
         Raises
         ------
@@ -374,11 +392,21 @@ def _define(T: type) -> type:
             changes = not (self._window is self._held is self._disturbance is None)
             self._same = (0.0, 0.0) if changes else (-math.inf, math.inf)
             self._machines: dict[tuple[str, ...], Machine] = {}
-            machine = self._Machine("derivatives", "guard", "clearance")
-            rate, guard, clearance = machine.results
+            self._limits: Any = no_limits(system) if has_invariants(system) else None
+            machine = self._HotMachine()
+            rate, guard, clearance, *pace = machine.results
             self._hot = (self._t.data, self._x.data, machine.run, guard.data, rate)
             if "x" in system.depends("clearance"):
                 self._DeclareWatch(clearance.data)
+            if self._limits is not None:
+                self._DeclarePace(pace[0].data)
+
+        def _HotMachine(self) -> Machine:
+            if self._limits is None:
+                return self._Machine("derivatives", "guard", "clearance")
+            given = (*self._loaded, self.system.parameters, self._limits)
+            self._machines["pace",] = Machine(_pace(self.system), given, self._compiled)
+            return self._machines["pace",]
 
         def _DeclareWatch(self, clearance: memoryview) -> None:
             """Refuse a step that ends near a singular point.
@@ -393,6 +421,53 @@ def _define(T: type) -> type:
                     check(context)
 
             self.DeclarePerStepPublishEvent(watch)
+
+        def _DeclarePace(self, excess: memoryview) -> None:
+            """Refuse a step that ends faster, or with more slip, than any exact motion has.
+
+            Whether the end is worth a look is told by the last derivatives, but not of steps that
+            are long for the gain: they may multiply slip by a thousand.
+            """
+            producer = ValueProducer(lambda: AbstractValue.Make([None]), lambda _, value: None)
+            entry = self.DeclareCacheEntry("limits", producer, {self.nothing_ticket()})
+            self._kept_limits = entry.cache_index()
+            self.DeclareInitializationPublishEvent(weakly(self._SetLimits))
+            check, lam, before = weakly(self._CheckPace), stiffness(self.system), np.zeros(1).data
+            progress = Progress(self.system.scene)
+
+            def watch(context: Any) -> None:
+                t = context.get_time()
+                if not excess[0] <= 0.0 or (t - before[0]) * lam > 1.0:
+                    check(context)
+                before[0] = t
+                progress.step(t)
+
+            self.DeclarePerStepPublishEvent(watch)
+
+        def _Kept(self, context: Any) -> list[Limits | None]:
+            """The limits of the simulation that a context belongs to; changed in place."""
+            return self.get_cache_entry(self._kept_limits).Eval(context)
+
+        def _Paces(self, context: Any) -> list[Array]:
+            """Speed and slip of each contact over sigma."""
+            self._Load(context)
+            machine = self._machines["pace",]
+            machine.run()
+            return machine.results[4:]
+
+        def _SetLimits(self, context: Any) -> None:
+            self._KeepLimits(context, *self._Paces(context))
+
+        def _KeepLimits(self, context: Any, speed: Array, slip: Array) -> None:
+            limits = self._Kept(context)[0] = limits_of(self.system, speed, slip)
+            self._limits[:] = limits.near()
+
+        def _CheckPace(self, context: Any) -> None:
+            (limits,) = self._Kept(context)
+            if limits is None:  # nobody has initialized this one
+                return
+            self._limits[:] = limits.near()
+            refuse_pace(self.system, context.get_time(), limits, *self._Paces(context))
 
         def _CheckClearance(self, context: Any) -> None:
             if not self._Numbers(context, "clearance")[0] > CLEARANCE:
@@ -518,6 +593,10 @@ def _define(T: type) -> type:
             for i in np.flatnonzero(chosen):
                 own, kept = system.state_slices[i], system.held_slices[i]
                 self._x[own], self._h[kept] = x[own], held[kept]
+            if self._limits is not None:
+                machine = self._machines["pace",]
+                machine.run()  # what is loaded is the state that is set here
+                self._KeepLimits(context, *machine.results[4:])
             state.get_mutable_continuous_state().SetFromVector(self._x)
             if self._held is not None:
                 state.get_mutable_discrete_state(self._held).SetFromVector(self._h)

@@ -16,7 +16,8 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Linearize
 
 import contact_system as cs
-from drake_plant import ContactPlanner
+from contact_system import kernels
+from drake_plant import ContactPlanner, planner_system
 
 COORDINATES = ("chart", "frame")
 ORDERS = {
@@ -126,6 +127,99 @@ def test_compiled_kernels_give_what_the_virtual_machine_gives():
         context = planner.CreateDefaultContext()
         rates.append(planner.EvalTimeDerivatives(context).CopyToVector())
     assert np.allclose(*rates, rtol=1e-13, atol=1e-13)
+
+
+# --- steps that are too long ---------------------------------------------------------------------
+
+
+def stiff(name, eta, law="time"):
+    return cs.load_scene(name).replace(gain=cs.Gain(law, eta))
+
+
+@pytest.mark.parametrize(
+    ("scene", "coordinates", "scheme", "step"),
+    [
+        (cs.load_scene("K4"), "chart", "runge_kutta3", 0.1),
+        (cs.load_scene("K4"), "chart", "bogacki_shampine3", 0.1),
+        (cs.load_scene("K1"), "chart", "explicit_euler", 0.1),
+        (stiff("K4", 1e3), "frame", "runge_kutta3", 0.1),
+        (stiff("K4", 1e6), "frame", "explicit_euler", 0.1),
+        (stiff("K1", 1e9), "chart", "runge_kutta5", 0.01),
+    ],
+)
+def test_steps_too_long_for_a_scheme_are_refused_with_a_remedy(scene, coordinates, scheme, step):
+    planner = ContactPlanner(scene, coordinates)
+    with pytest.raises(cs.ContactSystemError, match=r"scene 'K\d', contact \d.*smaller steps"):
+        run(planner, min(scene.duration, 2.5), scheme, step)
+
+
+@pytest.mark.parametrize("eta", (1e3, 1e6, 1e9))
+@pytest.mark.parametrize("scheme", ("radau3", "implicit_euler"))
+def test_implicit_schemes_take_long_steps_however_stiff_the_gain(scheme, eta):
+    planner = ContactPlanner(stiff("K4", eta), "frame")
+    assert error(planner, run(planner, 1.5, scheme, 0.01)) < 0.02
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_a_simulation_may_begin_with_other_speeds_than_the_scene_has(coordinates):
+    """What slip and speed may become is measured from where a simulation begins."""
+    planner = ContactPlanner(cs.load_scene("K2"), coordinates)
+    plan = cs.plan(planner.system.scene, 1e-13)
+    faster = plan.states(0.2)[0]
+    faster[:, [2, 3, 6, 7]] *= [3.0, 3.0, -2.0, 2.0]
+    x, _ = planner.system.from_states(0.2, faster)
+    slow, fast = (simulator(planner, "runge_kutta5", start=t) for t in (0.0, 0.2))
+    fast.get_mutable_context().SetContinuousState(x)
+    for until in (0.25, 0.35):  # two simulations of one system take turns
+        slow.AdvanceTo(until - 0.2)
+        fast.AdvanceTo(until)
+    assert error(planner, slow.get_context(), plan) < 1e-9
+    assert error(planner, fast.get_context(), plan.restart(0.2, faster)) < 1e-9
+
+
+# --- what is compiled, and when ------------------------------------------------------------------
+
+
+@pytest.fixture
+def built(tmp_path, monkeypatch):
+    """How many libraries lie in a cache that was empty."""
+    monkeypatch.setenv("CONTACT_SYSTEM_CACHE", str(tmp_path))
+    return lambda: len([file for file in tmp_path.glob("*") if file.is_file()])
+
+
+def use_compiler(monkeypatch, command):
+    for module in (kernels, planner_system):
+        monkeypatch.setattr(module, "find_compiler", lambda: command)
+
+
+@pytest.mark.skipif(kernels.find_compiler() is None, reason="no C compiler")
+def test_derivatives_are_compiled_at_construction_and_outputs_when_asked_for(built):
+    planner = ContactPlanner(cs.load_scene("K1"))
+    assert built() == 1
+    context = planner.CreateDefaultContext()
+    planner.EvalTimeDerivatives(context)
+    planner.ToAutoDiffXd(), planner.ToSymbolic()
+    assert built() == 1
+    planner.GetOutputPort("slip").Eval(context)
+    assert built() == 2
+    ContactPlanner(cs.load_scene("K1"))
+    assert built() == 2
+
+
+@pytest.mark.parametrize("compiler", (None, ("false",), ("/no/such/compiler",)))
+def test_a_machine_that_compiles_nothing_simulates_all_the_same(built, monkeypatch, compiler):
+    use_compiler(monkeypatch, compiler)
+    planner = ContactPlanner(cs.load_scene("K1"))
+    assert error(planner, run(planner, 0.05, "runge_kutta5")) < 1e-9
+    with pytest.raises((cs.ContactSystemError, OSError)):
+        ContactPlanner(cs.load_scene("K1"), compiled=True)
+    assert built() == 0
+
+
+def test_no_library_is_built_for_a_planner_that_asks_for_none(built):
+    planner = ContactPlanner(cs.load_scene("K1"), compiled=False)
+    run(planner, 0.01)
+    assert built() == 0
 
 
 # --- ports ---------------------------------------------------------------------------------------

@@ -404,7 +404,8 @@ static status_t advance(component_t *c, long i, double tau) {
       return report(c, FAILED, "logStatusError",
                     "contact %ld: the motion cannot be continued past t = %.9g s: the path reaches "
                     "a singular point of its chart or its surface, or moves too fast for double "
-                    "precision", i + 1, k->begin + k->to);
+                    "precision; set smaller inputs, end before or start elsewhere", i + 1,
+                    k->begin + k->to);
     }
     k->next = s.h;
     if (!made) continue;
@@ -675,7 +676,7 @@ status_t step(component_t *c, double target, int stop_at_edges, int *edge) {
   now->ended = target > now->limit && !reached(now->limit, target);
   if (now->ended)
     return report(c, DISCARD, "logStatusDiscard", "no step to t = %.9g s: sigma is negative from "
-                  "t = %.9g s on", target, now->limit);
+                  "t = %.9g s on; end there, or change the profile", target, now->limit);
   if (now->pending) enter_windows(c);
   settle(c);
   while (!*edge && now->time < target) {

@@ -141,10 +141,10 @@ static inline status_t check_step(component_t *c, double from, double size) {
                   "positive length; to go back, set an FMU state", size, from);
   if (fabs(from - c->now.time) > room)
     return report(c, FAILED, "logStatusError", "the step begins at t = %.17g s, but the instance "
-                  "stands at t = %.17g s", from, c->now.time);
+                  "stands at t = %.17g s; give that time, or set an FMU state", from, c->now.time);
   if (end > c->now.stop_time + room)
     return report(c, FAILED, "logStatusError", "the step ends at t = %.17g s, after the stop time "
-                  "%.17g s", end, c->now.stop_time);
+                  "%.17g s; announce a later one, or none", end, c->now.stop_time);
   return OK;
 }
 

@@ -1,0 +1,194 @@
+"""What an integrator must not change: the exact laws of contact speed and slip, watched.
+
+An explicit scheme whose step is too long for the gain makes slip grow without end, and one that is
+too long for the motion makes contacts too fast; neither need ever meet a number that is not
+finite. While nothing accelerates a contact (theory sections 3, 4)
+
+    |M1 q1'| / sigma  is constant,      |v_rel| / sigma  never grows,
+
+and accelerations d1, d2 add at most the integral of (|M1 d1| + |M2 d2|) / sigma.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_system import SceneSystem
+from contact_system.errors import SceneError
+from contact_system.profile import polynomial
+from contact_system.scene import FingerAcceleration, ObjectRateOffset, Scene
+
+Array = NDArray[np.float64]
+SX = ca.SX
+
+TOLERANCE = 0.1
+"""Of the path speed and the slip that there are at first."""
+WATCHED = 0.01
+"""The part of the tolerance from which on every step is looked at."""
+STANDING = 1e-6
+"""The part of the greatest sigma below which its quotients say nothing."""
+SPREAD = 3.0
+"""By how much Lame coefficients may grow on the way of an accelerated contact."""
+
+
+MANY = 4096
+"""So many steps in a row are refused, each shorter than a `MOST`-th of what is left of a scene."""
+MOST = 2e7
+"""Steps; the whole would take more than a quarter of an hour."""
+
+
+class Progress:
+    """How fast a simulation comes on; error control may ask for steps of 1e-9 s all the way."""
+
+    def __init__(self, scene: Scene):
+        self.scene, self.short, self.last = scene, 0, 0.0
+
+    def step(self, t: float) -> None:
+        """Note a step that ends at t.
+
+        Raises
+        ------
+        SceneError
+            The scene's end will never be reached with steps like these.
+        """
+        length, left = t - self.last, self.scene.duration - t
+        self.last = t
+        self.short = self.short + 1 if 0.0 < length * MOST < left else 0
+        if self.short == MANY:
+            self.short = 0
+            raise SceneError(
+                f"scene '{self.scene.name}': at t = {t:.6g} s the integrator takes steps of "
+                f"{length:.2g} s, and the scene ends at {self.scene.duration:g} s; use a smaller "
+                "eta, fixed steps of an implicit scheme, or "
+                'ContactPlanner(scene, coordinates="frame"), which is less stiff'
+            )
+
+
+class Limits(NamedTuple):
+    """What speed and slip may become, relative to sigma; per contact, (n) each.
+
+    Attributes
+    ----------
+    speed : |M1 q1'| / sigma at first
+    off : how far from it is too far
+    slip : the greatest |v_rel| / sigma
+    """
+
+    speed: Array
+    off: Array
+    slip: Array
+
+    def near(self) -> Array:
+        """Limits well within these, as `pace_function` takes them: least, most, slip; (3 n)."""
+        less = (1 - WATCHED) * TOLERANCE * self.speed
+        off, slip = self.off - less, self.slip - less
+        return np.concatenate([self.speed - off, self.speed + off, slip])
+
+
+def has_invariants(system: SceneSystem) -> bool:
+    """Whether an integrator could break the laws and what disturbs them is known beforehand."""
+    integrated = system.coordinates == "chart" or any(form.forced for form in system.forms)
+    return integrated and not system.disturbance_input
+
+
+def pace_function(system: SceneSystem) -> ca.Function:
+    """(t, x, w, held, p, limits) -> derivatives, guard, clearance, excess, speed, slip.
+
+    The first three are those of `SceneSystem.function`. Excess (1) is positive where a speed or
+    slip is beyond its limit; speed and slip (n each) are relative to sigma. Object rate offsets
+    are no part of the slip that the equations feed back (theory section 7), so w is zero here.
+    """
+    n = len(system.scene.contacts)
+    core, slip, points, state = (
+        system.function(*names)
+        for names in (("derivatives", "guard", "clearance"), ("slip",), ("contact_point",),
+                      ("derivatives",))
+    )  # fmt: skip
+    symbols = [SX.sym(core.name_in(i), core.size1_in(i)) for i in range(core.n_in())]
+    t, x, w, held, p = symbols
+    resting = [t, x, SX.zeros(w.numel()), held, p]
+    moved = ca.reshape(ca.jtimes(points(*resting), x, state(*resting)), 6, n)[:3, :]
+    coefficients = p[1 : 1 + len(system.scene.profile.coefficients)]
+    sigma = polynomial(ca.vertsplit(coefficients), t)
+    speed = ca.sqrt(ca.sum1(moved**2)).T / sigma
+    slipping = ca.sqrt(ca.sum1(ca.reshape(slip(*resting), 2, n) ** 2)).T / sigma
+    limits = SX.sym("limits", 3 * n)
+    least, most, slipped = ca.vertsplit(limits, n)
+    excess = ca.mmax(ca.vertcat(least - speed, speed - most, slipping - slipped))
+    outputs = [*core(*symbols), excess, speed, slipping]
+    names = ["derivatives", "guard", "clearance", "excess", "speed", "slip"]
+    inputs = [*symbols, limits]
+    return ca.Function(
+        "scene_pace", inputs, [ca.densify(v) for v in ca.cse(outputs)],
+        [*core.name_in(), "limits"], names,
+    )  # fmt: skip
+
+
+def no_limits(system: SceneSystem) -> Array:
+    """Limits for contacts of which nobody knows how they started: (3 n)."""
+    n = len(system.scene.contacts)
+    return np.concatenate([np.full(n, -np.inf), np.full(2 * n, np.inf)])
+
+
+def limits_of(system: SceneSystem, speed: Array, slip: Array) -> Limits:
+    """The limits of a simulation that starts with these speeds and slips, (n) each."""
+    forced = forcing(system)
+    off = TOLERANCE * speed + forced
+    return Limits(speed.copy(), off, slip + TOLERANCE * (speed + slip) + forced)
+
+
+def stiffness(system: SceneSystem) -> float:
+    """The greatest rate, of the gain or of sigma, in the scene and as long after it, 1/s."""
+    profile, gain = system.scene.profile, system.scene.gain
+    t = np.linspace(0.0, 2 * system.scene.duration, 201)
+    sigma = profile(t)
+    t, sigma = t[sigma > 0], sigma[sigma > 0]
+    return float(np.max(gain.rate(profile, t) + np.abs(profile.rate(t)) / sigma))
+
+
+def forcing(system: SceneSystem) -> Array:
+    """How much the scene's accelerations can change W and V at most, with some spread: (n)."""
+    scene, found = system.scene, np.zeros(len(system.scene.contacts))
+    for d in scene.disturbances:
+        if isinstance(d, ObjectRateOffset):
+            continue
+        contact = scene.contacts[int(d.contact)]
+        tip = isinstance(d, FingerAcceleration)
+        surface, at = (
+            (contact.finger, contact.finger_at) if tip else (scene.object, contact.object_at)
+        )
+        length = float(np.linalg.norm(np.asarray(surface.metric_root(*at))))
+        times = np.linspace(d.start, d.stop, 101)
+        slowness = (d.stop - d.start) * np.mean(1.0 / np.maximum(scene.profile(times), 1e-300))
+        found[int(d.contact)] += SPREAD * length * np.linalg.norm(d.value) * slowness
+    return found
+
+
+def refuse_pace(system: SceneSystem, t: float, limits: Limits, speed: Array, slip: Array) -> None:
+    """Raise where a speed or a slip is beyond its limit.
+
+    Raises
+    ------
+    SceneError
+        It is the integrator that cannot take steps as long as these.
+    """
+    scene, sigma = system.scene, system.scene.profile(t)
+    steady = np.abs(speed - limits.speed) <= limits.off
+    fine = steady & (slip <= limits.slip)
+    if fine.all() or sigma <= STANDING * scene.profile(np.linspace(0, scene.duration, 101)).max():
+        return
+    i = int(np.argmin(fine))
+    found = f"slips at {sigma * slip[i]:.4g} m/s, of which {sigma * limits.slip[i]:.4g} can be left"
+    if not steady[i]:
+        found = f"moves at {sigma * speed[i]:.4g} m/s instead of {sigma * limits.speed[i]:.4g}"
+    remedy = "use smaller steps, an implicit scheme or one with error control"
+    if system.coordinates == "chart":
+        remedy += ', or ContactPlanner(scene, coordinates="frame"), which is less stiff'
+    raise SceneError(
+        f"scene '{scene.name}', contact {i}: integrated to t = {t:.6g} s it {found}: the steps "
+        f"are too long for this integrator; {remedy}"
+    )

@@ -1,0 +1,275 @@
+"""Random search for scenes that fail, by the benchmark's own maker of cases and its laws.
+
+`benchmarks.stress_cases` draws the scenes and judges plans by exact laws; here hypothesis makes the
+choices, so that a failure is shrunk. Failures that the search has found stand below, each with its
+own truth.
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("hypothesis")
+from hypothesis import HealthCheck, given, settings  # noqa: E402
+from hypothesis import strategies as st  # noqa: E402
+
+import contact_system as cs  # noqa: E402
+from benchmarks import stress, stress_cases  # noqa: E402
+
+
+class Choices:
+    """Hypothesis as the source of choices of `stress_cases.draw_trial`."""
+
+    def __init__(self, data: st.DataObject):
+        self.data = data
+
+    def pick(self, values):
+        return self.data.draw(st.sampled_from(list(values)))
+
+    def real(self, low, high):
+        # Horizons and windows next to nothing have a test of their own below.
+        return round(self.data.draw(st.floats(low, high)), 9)
+
+
+def search(examples: int):
+    """Settings of a search that is the same in every run."""
+    return settings(
+        max_examples=examples,
+        derandomize=True,
+        deadline=None,
+        database=None,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+    )
+
+
+DISTURBED = {"object": "sphere", "finger": "ellipsoid", "shape": "plain", "turns": 1.0}
+
+
+def verdict_of(data: st.DataObject, **fixed) -> stress.Verdict:
+    def call() -> stress.Verdict:
+        return stress_cases.run(stress_cases.draw_trial(Choices(data), **fixed))
+
+    return stress.judged(stress.Case("drawn", "hypothesis", call))
+
+
+@search(60)
+@given(st.data())
+def test_any_scene_ends_right_or_refused(data):
+    verdict = verdict_of(data, compiled=False)
+    assert verdict.outcome in ("right", "refused"), verdict
+
+
+@search(20)
+@given(st.data())
+def test_any_disturbed_scene_ends_right_or_refused(data):
+    verdict = verdict_of(data, compiled=False, windows=2, **DISTURBED)
+    assert verdict.outcome in ("right", "refused"), verdict
+
+
+@search(40)
+@given(st.data(), st.sampled_from(stress_cases._poles()))
+def test_any_path_through_or_past_a_pole_ends_right_or_refused(data, aim):
+    verdict = verdict_of(data, compiled=False, **aim)
+    assert verdict.outcome in ("right", "refused"), verdict
+
+
+@pytest.mark.parametrize("family", stress_cases.FAMILIES, ids=lambda family: family.name)
+def test_every_family_makes_cases_that_end_right_or_refused(family):
+    few = {"wrong input": 60, "revolutions, integrated": 3}.get(family.name, 6)
+    for index in np.linspace(0, family.count - 1, few).astype(int):
+        verdict = stress.judged(family.make(int(index)))
+        assert verdict.outcome in ("right", "refused"), (int(index), verdict)
+
+
+# --- the judge itself --------------------------------------------------------------------------
+
+
+def trial() -> stress_cases.Trial:
+    return stress_cases.draw_trial(
+        stress_cases.Seeded(5), object="ellipsoid", finger="torus", shape="plain", slip=1,
+        windows=0, eta=2.0, law="time", profile="rising", ratio=0.4, size=0.1, duration=1.0,
+        turns=3.0, tolerance=1e-12, compiled=False, inside=False,
+    )  # fmt: skip
+
+
+WRONG = {
+    "points off the surface by 1e-9": ("points", lambda x: x * (1 + 1e-9)),
+    "psi off by 1e-7": ("states", lambda x: x + 1e-7 * np.eye(9)[8]),
+    "object's rate off by 1e-7": ("states", lambda x: x * (1 + 1e-7 * np.eye(9)[6])),
+    "slip off by 1e-9": ("slip", lambda x: x * (1 + 1e-9)),
+    "spin of 1e-6": ("twist", lambda x: x + 1e-6 * np.eye(6)[2]),
+    "finger displaced by 1e-9 m": ("pose", lambda x: x + 1e-9 * np.outer(*np.eye(4)[[0, 3]])),
+    "a NaN": ("states", lambda x: np.where(np.arange(9) == 3, math.nan, x)),
+}  # fmt: skip
+
+
+def test_judge_finds_a_plan_right():
+    verdict = stress_cases.run(trial())
+    assert verdict.outcome == "right", verdict
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_judge_notices(what):
+    output, change = WRONG[what]
+    drawn = trial()
+    plan = cs.plan(drawn.scene, compiled=False)
+    own = getattr(plan, output)
+    setattr(plan, output, lambda t: change(own(t)))
+    assert stress_cases.Judge(drawn, plan).verdict().outcome == "silent"
+
+
+def test_judge_notices_a_path_that_leaves_its_geodesic():
+    # A plan of another start, told as if it were this one: every law holds but that of the start.
+    drawn = trial()
+    contact = drawn.scene.contacts[0]
+    moved = drawn.scene.replace(
+        contacts=[
+            cs.Contact(
+                **{k: getattr(contact, k) for k in ("finger", "object_at", "finger_at", "angle")},
+                finger_velocity=contact.finger_velocity[::-1],
+                object_velocity=contact.object_velocity,
+            )
+        ]
+    )
+    plan = cs.plan(moved, compiled=False)
+    assert stress_cases.Judge(drawn, plan).verdict().outcome == "silent"
+
+
+def test_a_refusal_must_name_place_value_and_remedy():
+    text = "scene 'x', contact 0: angle = nan: give a finite number"
+    assert stress.refusal(text).outcome == "refused"
+    for part in ("array must not contain infs", "scene 'x': no", "failed, use another"):
+        assert stress.refusal(part).outcome == "crash"
+
+
+# --- what the search has found -----------------------------------------------------------------
+
+
+def planned(**changes) -> cs.Plan:
+    contact = {"finger": cs.Sphere(0.04), "object_at": (1.0, 0.5)} | changes.pop("contact", {})
+    scene = {"object": cs.Sphere(0.1), "profile": cs.Profile([0.1]), "duration": 1.0} | changes
+    return cs.plan(cs.Scene(contacts=[cs.Contact(**contact)], **scene), compiled=False)
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])
+def test_slip_on_a_cylinder_keeps_the_tolerance_on_long_paths(tolerance):
+    # y = W s - V g unrolled, g = sigma (1 - exp(-eta t)) / eta
+    sigma, rate, t = 785.0, 1e4, np.array([1e-5, 3e-5, 1e-4, 3e-4, 1e-3])
+    scene = cs.Scene(
+        object=cs.Cylinder(0.1), duration=30.0, profile=cs.Profile([sigma]),
+        gain=cs.Gain.time(rate),
+        contacts=[cs.Contact(finger=cs.Sphere(0.3), object_at=(0.0, 0.0),
+                             finger_velocity=(1.0, 0.0), object_velocity=(0.3, 0.9))],
+    )  # fmt: skip
+    g = -sigma * np.expm1(-rate * t) / rate
+    u = cs.plan(scene, tolerance=tolerance, compiled=False).states(t)[:, 0, 4]
+    assert u == pytest.approx((sigma * t - 0.7 * g) / 0.1, abs=tolerance)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_an_object_that_rolls_on_a_plane_comes_to_the_end_under_every_gain(compiled):
+    # The guaranteed law has two pieces here, and nothing to do.
+    contact = cs.Contact(finger=cs.Ellipsoid(0.3, 0.2, 0.1), object_at=(0.0, 0.0),
+                         finger_at=(1.0, 0.5), finger_velocity=(0.6, 0.8))  # fmt: skip
+    scene = cs.Scene(
+        object=cs.Plane(), contacts=[contact], duration=1.0, profile=cs.Profile([0.1, 1.0, -1.0]),
+        gain=cs.Gain.guaranteed(2.0),
+    )  # fmt: skip
+    t = np.linspace(0.0, 1.0, 6)
+    path = 0.1 * t + t**2 / 2 - t**3 / 3
+    points = cs.plan(scene, compiled=compiled).points(t)[:, 0, 1]
+    assert points == pytest.approx(np.outer(path, [0.6, -0.8, 0.0]), abs=1e-14)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("surface", [cs.Plane(), cs.Cylinder(0.1)])
+def test_slip_whose_path_is_below_the_tolerance_still_has_its_rate(surface, compiled):
+    contact = cs.Contact(finger=cs.Sphere(0.04), object_at=(0.0, 0.0), finger_velocity=(1.0, 0.0),
+                         object_velocity=(0.3, 0.9))  # fmt: skip
+    scene = cs.Scene(object=surface, contacts=[contact], profile=cs.Profile([0.1]), duration=1.0,
+                     gain=cs.Gain.time(1e12))  # fmt: skip
+    t = np.array([0.0, 1e-12])
+    states = cs.plan(scene, tolerance=1e-6, compiled=compiled).states(t)[:, 0]
+    rates = states[:, 6:8] * np.diag(surface.metric_root(0.0, 0.0))
+    slip = np.outer(np.exp(-1e12 * t), [0.7, -0.9])
+    assert rates == pytest.approx(0.1 * ([1.0, 0.0] - slip), abs=1e-12)
+
+
+@pytest.mark.parametrize("u", [1e9, 1e17, 5.038120424778432e39])
+def test_a_coordinate_of_many_turns_is_the_same_point_or_refused(u):
+    try:
+        plan = planned(contact={"object_at": (0.5, u)})
+    except cs.ContactSystemError:
+        return
+    r, polar = 0.1 * math.sin(0.5), 0.1 * math.cos(0.5)
+    place = [r * math.cos(u), r * math.sin(u), polar]
+    assert plan.points([0.0])[0, 0, 1] == pytest.approx(place, abs=1e-9)
+
+
+@pytest.mark.parametrize("start", [5e-324, 1e-240])
+def test_an_interval_too_short_for_any_path_is_planned_or_refused(start):
+    window = cs.FingerAcceleration(0, start, 0.5, (0.1, 0.1))
+    try:
+        plan = planned(disturbances=[window], profile=cs.Profile([0.0, 0.1]))
+    except cs.ContactSystemError:
+        return
+    assert np.isfinite(plan.points([0.0, 1.0])).all()
+
+
+@pytest.mark.parametrize("turns", [1e20, 1e42])
+def test_a_contact_angle_of_many_turns_is_the_angle_or_refused(turns):
+    try:
+        plan = planned(contact={"angle": turns, "object_velocity": (0.2, 0.1)})
+    except cs.ContactSystemError:
+        return
+    states = plan.states([1.0])
+    psi = states[0, 0, 8]
+    a1, a2 = (
+        s.metric_root(*states[0, 0, 4 * k : 4 * k + 2]) @ states[0, 0, 4 * k + 2 : 4 * k + 4]
+        for k, s in enumerate((plan.scene.contacts[0].finger, plan.scene.object))
+    )
+    c, s = math.cos(psi), math.sin(psi)
+    assert np.array([[c, -s], [-s, -c]]) @ a1 - a2 == pytest.approx(
+        plan.slip([1.0])[0, 0], abs=1e-9
+    )
+
+
+def test_a_path_of_more_radians_than_digits_is_refused():
+    with pytest.raises(cs.ContactSystemError, match="contact"):
+        planned(contact={"finger_velocity": (1e89, 1.0)})
+
+
+@pytest.mark.parametrize("call", ["restart", "continued", "points", "states"])
+def test_a_time_that_is_no_number_is_refused(call):
+    given = ("0.1", np.ones((1, 9))) if call == "restart" else ("0.1s",)
+    with pytest.raises(cs.ContactSystemError):
+        getattr(planned(), call)(*given)
+
+
+HANGS = {
+    "force": "s.replace(disturbances=[cs.FingerAcceleration(0, 0.1, 0.5, (0.1, 5e18))])",
+    "tube": "s.replace(object=cs.Torus(0.1, 1.2e-12))",
+    "grain": "s.replace(object=cs.Quadric([[-4e14, 0, 0], [0, 2, 0], [0, 0, -4e14]]))",
+}
+
+
+@pytest.mark.parametrize("what", HANGS)
+def test_a_path_of_too_many_panels_is_refused(what):
+    text = f"""
+import signal
+signal.setitimer(signal.ITIMER_PROF, 10.0)
+import contact_system as cs
+s = cs.Scene(object=cs.Sphere(0.1), profile=cs.Profile([0.1]), duration=1.0,
+             contacts=[cs.Contact(finger=cs.Sphere(0.04), object_at=(1.0, 0.5))])
+try:
+    cs.plan({HANGS[what]}, compiled=False).points([1.0])
+except cs.ContactSystemError as error:
+    print("refused:", error)
+"""
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
+    assert done.stdout.startswith("refused:"), done.returncode
