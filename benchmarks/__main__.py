@@ -41,9 +41,10 @@ SHARING: dict[str, tuple[str, ...] | None] = {
 """Sections without times, which may share the machine, longest part first; None: all of a part."""
 
 LONG: dict[str, tuple[str, ...]] = {
-    "speed": ("slip",), "drake_plant": ("building",),
+    "speed": ("slip", "many"), "drake_plant": ("building",),
     "drake_station": ("forces", "recovery", "speed", "memory"),
-    "fmu": ("platforms", "package", "fuzz"), "scale": ("dask",), "work_precision": ("readme",),
+    "fmu": ("platforms", "package", "fuzz", "endurance"), "scale": ("dask",),
+    "work_precision": ("readme",),
 }  # fmt: skip
 """Sections that the quick form of the whole leaves out."""
 

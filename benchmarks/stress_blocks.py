@@ -761,6 +761,7 @@ def _order_bound(case: Driven, scheme: str, h: float) -> float:
     order, slow = ORDERS[scheme], h * case.rate
     if scheme in IMPLICIT and order == 1:
         slow = slow / (1 - slow) if slow < 1 else math.inf
+    slow *= 1.25 if order == 1 else 1.0  # what the second order adds
     own = slow ** min(order, 2) * max(slow, min(3.0, h * case.gain)) ** max(0, order - 2)
     newton = 1e-4 if scheme in IMPLICIT else 0.0
     return min(1.0, own + newton + h * case.first / case.path) + 1e-12
