@@ -152,6 +152,19 @@ class CircleTrack(Track):
     def data_at(self, output: str) -> int | None:
         return None if self._long else self._data[0]
 
+    def moved(self, circle: Circle) -> CircleTrack:
+        """This track on other circles."""
+        other = object.__new__(CircleTrack)
+        other.__dict__.update(self.__dict__)
+        other.circle, other._memories = circle, {"points": {}, "coordinates": {}}
+        data = TrackData.from_buffer_copy(self._data[1][0])
+        data.constants, data.w, data.v = (
+            address(circle.constants), address(circle.pace), address(circle.phase_per_metre),
+        )  # fmt: skip
+        other.__dict__["_data"] = ctypes.addressof(data), (data, circle)
+        other.__dict__.pop("_entries", None)
+        return other
+
     def again(self, tolerance: float) -> Track:
         return self
 

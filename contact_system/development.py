@@ -249,12 +249,14 @@ class Panels:
     coefficients : (K, n_bodies, n_states, N + 1)
     end : (n_bodies, n_states), the state at the last edge
     released : local time at which slip was let go, or None
+    at : addresses of edges and coefficients, where they are known
     """
 
     edges: np.ndarray
     coefficients: np.ndarray
     end: np.ndarray
     released: float | None = None
+    at: tuple[int, int] | None = None
 
     @property
     def count(self) -> int:
@@ -714,7 +716,7 @@ class Motion:
         return Panels(
             self._block[self._edges : self._edges + count + 1],
             series.reshape(count, *shape, NODES + 1), self._block[:size].reshape(shape),
-            released if released >= 0 else None,
+            released if released >= 0 else None, (data.track.edges, data.track.coefficients),
         )  # fmt: skip
 
 
@@ -833,9 +835,9 @@ class PanelTrack(Track):
             data.w = address(self.w)
         series, edges = self.panels.coefficients, self.panels.edges
         first = (self.rows.start or 0) * series.strides[2]
-        data.n_panels, data.edges = len(edges) - 1, address(edges)
+        at = self.panels.at or (address(edges), address(series))
+        data.n_panels, data.edges, data.coefficients = len(edges) - 1, at[0], at[1] + first
         data.panel_stride, data.body_stride = series.strides[0] // 8, series.strides[1] // 8
-        data.coefficients = address(series) + first
         return ctypes.addressof(data), data, (kept, series, edges)
 
     def _track_data(self) -> tuple[TrackData, Any]:

@@ -768,17 +768,18 @@ class GroupPlanner:
     def _great_circle(
         self, side: str, body: Body, w: np.ndarray, piece: GainPiece, why: str
     ) -> Track:
-        """A great circle; one that runs from the start is kept with the scene."""
-        known, key = self.prepared.kept, (side, piece.stop, self.compiled)
+        """A great circle; where it begins from a kept place, it is kept, else its kind is."""
+        known, key = self.prepared.kept, (side, piece.start, piece.stop, self.compiled)
+        track: CircleTrack | None = known.get(key)
         first = piece.start == self.prepared.begin
-        if first and key in known:
-            return known[key]
+        if track is not None:
+            return track if first else track.moved(great_circle(body.parameters, body.state, w))
         circle = great_circle(body.parameters, body.state, w)
         track = CircleTrack(
             body.surface, body.parameters, piece.start, piece.stop, "closed form: great circle",
             why, True, self.compiled, circle=circle, piece=piece,
         )  # fmt: skip
-        if first:
+        if first or side == "finger":  # where an object's begins may depend on the tolerance
             known[key] = track
         return track
 
