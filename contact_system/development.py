@@ -670,11 +670,12 @@ class Motion:
 
     def _begin(self, tolerance: float) -> None:
         data, self.lock, self.at = self.data, threading.Lock(), ctypes.addressof(self.data)
-        data.tolerance, data.done, data.block = tolerance, 0, None
+        data.tolerance, data.done = tolerance, 0
+        self._block: np.ndarray | None = None
 
     def ready(self) -> None:
         """Have room to integrate into."""
-        if self.data.block is None:
+        if self._block is None:
             self._make_room(_ROOM.get(self._kept[0], ROOM))
 
     def _make_room(self, panels: int) -> None:
@@ -708,14 +709,15 @@ class Motion:
     def panels(self) -> Panels:
         """The motion as panels."""
         self.run()
-        data = self.data
+        data, block = self.data, self._block
+        assert block is not None
         count, shape = data.track.n_panels, (data.track.nb, data.nx)
         size = shape[0] * shape[1]
-        series = self._block[self._series : self._series + count * size * (NODES + 1)]
+        series = block[self._series : self._series + count * size * (NODES + 1)]
         released = data.method.released
         return Panels(
-            self._block[self._edges : self._edges + count + 1],
-            series.reshape(count, *shape, NODES + 1), self._block[:size].reshape(shape),
+            block[self._edges : self._edges + count + 1],
+            series.reshape(count, *shape, NODES + 1), block[:size].reshape(shape),
             released if released >= 0 else None, (data.track.edges, data.track.coefficients),
         )  # fmt: skip
 

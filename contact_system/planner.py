@@ -492,9 +492,7 @@ def kept_group(scene: Scene, compiled: bool | None) -> Group | None:
     prepared: list[Prepared] | None = scene.__dict__.get("_prepared")
     if prepared is None or len(prepared) > 1:
         return None
-    group: Group | None = prepared[0].kept.get(("group", compiled))
-    compiles = group is not None and all(track.motion is not None for track in group.moving)
-    return group if compiles else None
+    return prepared[0].kept.get(("compiled group", compiled))
 
 
 class Rerun:
@@ -542,7 +540,9 @@ def _planned(prepared: Prepared, tolerance: float, compiled: bool | None) -> Gro
     if "repeats" not in prepared.kept:
         prepared.kept["repeats"] = group.repeats(tolerance)
     if prepared.kept["repeats"]:
-        prepared.kept["group", compiled] = group.again(tolerance)  # without what this one finds
+        kept = prepared.kept["group", compiled] = group.again(tolerance)  # without what this finds
+        if all(track.motion is not None for track in kept.moving):
+            prepared.kept["compiled group", compiled] = kept
     return group
 
 
@@ -758,7 +758,7 @@ class GroupPlanner:
             scale=scale,
             drive=GainPiece(0.0, length, (1.0,), (0.0,), 0),
             length=length,
-            first=min(length, body.size),
+            first=min(length, 1.5 * body.size),
         )
         return (GeodesicTrack if form else MovingTrack)(
             body.surface, body.parameters, piece, why + "; no closed form on this surface",
