@@ -247,3 +247,19 @@ def test_curvature_form_equals_the_hessian_in_the_tangent_axes(surface):
     axes = surface.frame(u, v)[:, :2]
     truth = axes.T @ h @ axes / np.linalg.norm(g)
     assert np.allclose(surface.curvature_form(u, v), truth, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("u, v", [(0.7, 0.4), (2.1, -1.3), (1.5, 1.2)])
+@pytest.mark.parametrize("surface", [
+    Sphere(0.3), Sphere(0.3, inside=True), Cylinder(0.2), Torus(0.1, 0.03),
+    Ellipsoid(0.3, 0.3, 0.1), Ellipsoid(0.3, 0.1, 0.1),
+], ids=repr)  # fmt: skip
+def test_surfaces_of_revolution_have_the_geometry_of_their_charts(surface, u, v):
+    q, p = (ca.SX.sym("u"), ca.SX.sym("v")), ca.SX.sym("p", len(surface.parameters))
+    closed = surface.geometry_expr(p, *q)
+    derived = geometry.chart_geometry(surface.chart_expr(p, *q), *q)
+    for name in ("metric_root", "lame", "christoffel", "curvature_form", "torsion_form"):
+        a, b = (getattr(shape, name) for shape in (closed, derived))
+        pair = [ca.horzcat(*x) if isinstance(x, tuple) else x for x in (a, b)]
+        values = ca.Function("f", [*q, p], pair)(u, v, surface.parameters)
+        assert np.allclose(*map(np.array, values), rtol=1e-13, atol=1e-13), name
