@@ -966,7 +966,9 @@ class GroupPlanner:
         sides = ((FingerAcceleration, tip), (ObjectAcceleration, obj))
         pushes = [np.abs(interval.forcing[kind]).max() * body.size for kind, body in sides]
         grown = (
-            max(pushes) / min(speeds) * min(interval.stop - interval.start, self._slowest(interval))
+            max(pushes)
+            / max(min(speeds), TINY)
+            * min(interval.stop - interval.start, self._slowest(interval))
         )
         expected = max(float(np.abs(self.v).max()), grown)
         return np.full_like(self.v, 1.0 / min(1.0, max(expected, 1e-3)))
