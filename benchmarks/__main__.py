@@ -44,7 +44,7 @@ LONG: dict[str, tuple[str, ...]] = {
     "speed": ("slip", "many"), "drake_plant": ("building",),
     "drake_station": ("forces", "recovery", "speed", "memory"),
     "fmu": ("platforms", "package", "fuzz", "endurance"), "scale": ("dask",),
-    "work_precision": ("readme",),
+    "work_precision": ("readme",), "skip": ("drake",),
 }  # fmt: skip
 """Sections that the quick form of the whole leaves out."""
 

@@ -157,7 +157,7 @@ def cost(full: bool) -> Iterator[Bar]:
             for engine, compiled in engines.items():
                 key = f"{engine}, {name} {coordinates}"
                 systems[key] = ContactPlanner(scene, coordinates, compiled=compiled)
-    timings = interleaved({key: _job(system) for key, system in systems.items()}, repeats=15)
+    timings = interleaved({key: _job(system) for key, system in systems.items()}, repeats=9)
     # Other work on the machine only ever adds: the least sample is the cost.
     cost = {key: 1e6 * timing.low / EVALUATIONS for key, timing in timings.items()}
     detail = {key: str(timing) for key, timing in timings.items()}
