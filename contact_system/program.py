@@ -149,7 +149,7 @@ ROWS = 11  # see c/program.c
 
 
 class _States(ctypes.Structure):
-    """``program_t`` of c/program.c."""
+    """``states_t`` of c/program.c."""
 
     _fields_ = [(name, ctypes.c_void_p) for name in ("finger", "object", "tip", "motion")]
     _fields_ += [("room", ctypes.c_long), ("tolerance", ctypes.c_double)]

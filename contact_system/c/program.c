@@ -118,10 +118,10 @@ typedef struct {
   double *cuts, *series;       /* [room + 1], [room][nb][ROWS][N] */
   track_t body, aside;         /* driven by W alone, by V alone; filled here */
   long n_series;               /* out */
-} program_t;
+} states_t;
 
 /* Chart states at the nodes of [a, b]: values [nb][ROWS][N]; last: [nb][3], continued. */
-static int sample(const program_t *p, double a, double b, double *last, double *values) {
+static int sample(const states_t *p, double a, double b, double *last, double *values) {
   static const long row[SIDE] = {0, N, 2 * N, 3 * N, 4 * N};
   double times[N], raw[SIDE * N * 3 * MOST];
   const track_t *k = &p->body;
@@ -155,7 +155,7 @@ static int sample(const program_t *p, double a, double b, double *last, double *
 }
 
 /* Series of the chart states on [a, b], divided until their tails are below the tolerance. */
-static int resolve(program_t *p, double a, double b, double *last, int depth) {
+static int resolve(states_t *p, double a, double b, double *last, int depth) {
   const long nb = p->motion->track.nb, count = nb * ROWS;
   double values[ROWS * N * MOST], before[3 * MOST];
   if (p->n_series == p->room) return 1;
@@ -189,7 +189,7 @@ static int resolve(program_t *p, double a, double b, double *last, int depth) {
 
 /* States of body b go to out[(b * OUT + r) * nt + i]. Returns 0; 1 + the index of the first time
    outside the track; -1 to -3 as panels does; -4 where the series do not resolve the states. */
-long states(program_t *p, long nt, const double *t, double *out) {
+long states(states_t *p, long nt, const double *t, double *out) {
   const track_t *k = &p->motion->track;
   const long nb = k->nb;
   long failed = move(p->motion);
