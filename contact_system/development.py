@@ -597,13 +597,17 @@ class MotionData(ctypes.Structure):
 
 @functools.cache
 def program_library() -> ctypes.CDLL:
-    """c/program.c: ``move``, ``fill``, ``states``."""
+    """c/program.c: ``move``, ``fill``, ``states``, ``states_once``."""
     library = compiled_library(_program_source())
     pointer, integer = ctypes.c_void_p, ctypes.c_long
     library.move.argtypes = [pointer]
     library.fill.argtypes = [pointer, integer, integer, integer, pointer, pointer, pointer]
-    library.states.argtypes = [pointer, integer, pointer, pointer]
-    library.move.restype = library.fill.restype = library.states.restype = integer
+    library.states.argtypes = [pointer, pointer, integer, pointer, pointer]
+    library.states_once.argtypes = [
+        pointer, pointer, ctypes.c_double, integer, pointer, pointer,
+    ]  # fmt: skip
+    for entry in (library.move, library.fill, library.states, library.states_once):
+        entry.restype = integer
     return library
 
 
@@ -615,7 +619,7 @@ def program_built() -> bool:
 
 @functools.cache
 def _program_source() -> str:
-    return f"{PRELUDE}#define MOST {MOST_AT_ONCE}\n{c_source('program.c')}"
+    return f"{PRELUDE}#define MOST {MOST_AT_ONCE}\n#define FEW {ROOM}\n{c_source('program.c')}"
 
 
 MOST_AT_ONCE = 8  # bodies whose states are made series in one call
@@ -652,6 +656,8 @@ class Motion:
                              *method_pointers(), problem.stiff, 0, problem.stops)  # fmt: skip
         data.share, data.slip = problem.finish, problem.slip
         self._kept = kernel, start, constants, scale, problem  # addresses point into them
+        size = start.size
+        self._layout = 2 * size + (2 * data.nx + 2) * NODES, size * (NODES + 1)
         self._begin(tolerance)
 
     def again(self, tolerance: float, problem: Problem | None = None) -> Motion:
@@ -659,6 +665,7 @@ class Motion:
         must be contiguous, if a problem is given that differs in these."""
         other = object.__new__(Motion)
         other.data, other._kept = MotionData.from_buffer_copy(self.data), self._kept
+        other._layout = self._layout
         if problem is not None:
             kernel, _, _, scale, _ = self._kept
             other._kept = kernel, problem.start, problem.constants, scale, problem
@@ -679,12 +686,10 @@ class Motion:
             self._make_room(_ROOM.get(self._kept[0], ROOM))
 
     def _make_room(self, panels: int) -> None:
-        data, (bodies, states) = self.data, self._kept[4].start.shape
-        size = bodies * states
-        self._edges = 2 * size + (2 * states + 2) * NODES
-        self._series = self._edges + panels + 1
-        self._block = np.empty(self._series + panels * size * (NODES + 1))
-        data.room, data.block = panels, address(self._block)
+        edges, each = self._layout  # numbers before the edges, numbers of a panel
+        self._series = edges + panels + 1
+        self._block = block = np.empty(self._series + panels * each)
+        self.data.room, self.data.block = panels, address(block)
 
     def run(self) -> None:
         """Integrate, unless that was done before."""
@@ -701,7 +706,7 @@ class Motion:
         if code == -2:
             raise _stuck(self._kept[4], method.reached)
         panels = 4 * self.data.room
-        if code == -3 or 8.0 * panels * self._kept[4].start.size * (NODES + 1) > MOST_BYTES:
+        if code == -3 or 8.0 * panels * self._layout[1] > MOST_BYTES:
             raise _endless(self._kept[4], method.reached, self.data.room)
         self._make_room(panels)
         _ROOM[kernel] = min(max(panels, _ROOM.get(kernel, ROOM)), MOST_ROOM)
@@ -716,7 +721,7 @@ class Motion:
         series = block[self._series : self._series + count * size * (NODES + 1)]
         released = data.method.released
         return Panels(
-            block[self._edges : self._edges + count + 1],
+            block[self._layout[0] : self._layout[0] + count + 1],
             series.reshape(count, *shape, NODES + 1), block[:size].reshape(shape),
             released if released >= 0 else None, (data.track.edges, data.track.coefficients),
         )  # fmt: skip

@@ -640,11 +640,14 @@ def per_structure(build: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def address(array: np.ndarray) -> int:
-    """Address of a contiguous array's first number (0.3 us; ``.ctypes.data`` takes 1 us)."""
+    """Address of a contiguous array's first number (0.26 us; ``.ctypes.data`` takes 1 us)."""
     try:
-        return ctypes.addressof(ctypes.c_double.from_buffer(array.data))
+        return _addressof(_number_in(array))
     except (TypeError, ValueError, BufferError):  # read-only, strided or empty
         return array.ctypes.data
+
+
+_addressof, _number_in = ctypes.addressof, ctypes.c_double.from_buffer
 
 
 def function_address(function: Any) -> int:

@@ -421,9 +421,13 @@ class Plan:
         slipping = group.slipping_states(self.compiled)
         if slipping is None:
             return None
-        motion = self._rerun.motions[0] if self._rerun is not None else group.moving[0].motion
-        out = np.empty((self._count, 9, len(times)))
-        code = slipping.fill(motion, times, out)  # type: ignore[arg-type]
+        out, code = np.empty((self._count, 9, len(times))), -1
+        motion: Any = group.moving[0].motion
+        if self._rerun is not None and self._rerun.first_look():
+            code = slipping.fill_once(motion, self.tolerance, times, out)
+        if code < 0:
+            motion = self._rerun.motions[0] if self._rerun is not None else motion
+            code = slipping.fill(motion, times, out)
         if code > 0:
             self._refuse(times)
         return out.transpose(2, 0, 1) if code == 0 else None

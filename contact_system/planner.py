@@ -501,6 +501,13 @@ class Rerun:
     def __init__(self, group: Group, tolerance: float):
         self.group, self.tolerance = group, tolerance
         self._motions: list[development.Motion] | None = None
+        self._looked = False
+
+    def first_look(self) -> bool:
+        """Whether nothing was asked before: who looks once needs no motions that are kept."""
+        first = not self._looked and self._motions is None
+        self._looked = True
+        return first
 
     @property
     def motions(self) -> list[development.Motion]:

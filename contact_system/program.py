@@ -144,18 +144,13 @@ def program_of(groups: Sequence[Group], output: str) -> Program | None:
 # --- chart states of contacts that slip ----------------------------------------------------------
 
 FEW_TIMES = 48  # below this, series are not worth making
-SERIES = 96  # room a call has; it is not the only way
-ROWS = 11  # see c/program.c
 
 
 class _States(ctypes.Structure):
     """``states_t`` of c/program.c."""
 
-    _fields_ = [(name, ctypes.c_void_p) for name in ("finger", "object", "tip", "motion")]
-    _fields_ += [("room", ctypes.c_long), ("tolerance", ctypes.c_double)]
-    _fields_ += [(name, ctypes.c_void_p) for name in (
-        "begin", "angle", "project", "cuts", "series")]  # fmt: skip
-    _fields_ += [("body", TrackData), ("aside", TrackData), ("n_series", ctypes.c_long)]
+    _fields_ = [(name, ctypes.c_void_p) for name in (
+        "finger", "object", "tip", "begin", "angle", "project")]  # fmt: skip
 
 
 @functools.cache
@@ -165,22 +160,21 @@ def _projection() -> np.ndarray:
 
 
 class SlippingStates:
-    """Chart states of the commonest plan as series made once, panel by panel.
+    """Chart states of the commonest plan as series made once, piece by piece.
 
     Fingers run on great circles, objects are developed with slip over one interval.
     """
 
     def __init__(self, group: Group, finger: CircleTrack, body: MovingTrack):
-        self.count = len(body.parameters)
         own, begin, project = finger.entry("coordinates"), group.begin[1], _projection()
         assert own is not None
-        self._size = SERIES + 1 + SERIES * self.count * ROWS * NODES
-        self._template = _States(
-            own[0].pointer, evaluator(body.surface, True, "coordinates").pointer, own[1], None,
-            SERIES, 0.0, address(begin), address(group.angle), address(project), None, None,
+        self._data = _States(
+            own[0].pointer, evaluator(body.surface, True, "split").pointer, own[1], address(begin),
+            address(group.angle), address(project),
         )  # fmt: skip
+        self._at = ctypes.addressof(self._data)
         self._kept = finger, begin, group.angle, project  # addresses point into them
-        self._run = program_library().states
+        self._run, self._run_once = program_library().states, program_library().states_once
 
     @classmethod
     def of(cls, group: Group, compiled: bool | None) -> SlippingStates | None:
@@ -194,9 +188,16 @@ class SlippingStates:
             return None
         if len(body.parameters) > MOST_AT_ONCE or finger.entry("coordinates") is None:
             return None
-        there = evaluator(body.surface, True, "coordinates").built if compiled is None else compiled
+        there = evaluator(body.surface, True, "split").built if compiled is None else compiled
         built = compiled or (there and panels_built(body.kernel) and program_built())
         return cls(group, finger, body) if built else None
+
+    def fill_once(self, motion: Motion, tolerance: float, t: np.ndarray, out: np.ndarray) -> int:
+        """:meth:`fill` for another tolerance, without a motion that is kept (2 us less).
+
+        A negative code says only that :meth:`fill` is to be asked.
+        """
+        return self._run_once(self._at, motion.at, tolerance, len(t), address(t), address(out))
 
     def fill(self, motion: Motion, t: np.ndarray, out: np.ndarray) -> int:
         """Write (n, 9, n_t) for such a plan, whose object has this motion.
@@ -206,16 +207,11 @@ class SlippingStates:
         int
             0; 1 + the index of a time outside the plan; -4: ask the tracks instead.
         """
-        block = np.empty(self._size)
-        program = _States.from_buffer_copy(self._template)
-        program.motion, program.tolerance = motion.at, max(0.1 * motion.data.tolerance, 1e-14)
-        program.cuts = at = address(block)
-        program.series = at + 8 * (SERIES + 1)
-        where, times, to = ctypes.addressof(program), address(t), address(out)
+        times, to = address(t), address(out)
         while True:
             with motion.lock:
                 motion.ready()
-                code = self._run(where, len(t), times, to)
+                code = self._run(self._at, motion.at, len(t), times, to)
             if code not in (-1, -2, -3):
                 return code
             motion.failed(code)

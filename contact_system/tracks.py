@@ -93,6 +93,16 @@ def coordinate_kernel(surface: Surface, ambient: bool) -> Kernel:
 
 
 @per_structure
+def split_kernel(surface: Surface) -> Kernel:
+    """point: ambient state, two velocities c and d in the parallel frame (2 + 2) -> u, v, rates of
+    c, theta, rates of d."""
+    state, x, frame, p = _ambient_symbols(surface)
+    c, d = SX.sym("c", 2), SX.sym("d", 2)
+    chart, aside = (frame_coordinates(surface, p, x, frame[:, 0], frame @ w) for w in (c, d))
+    return Kernel("split", ca.vertcat(state, c, d), p, ca.vertcat(chart, aside[2:4]))
+
+
+@per_structure
 def frame_kernel(surface: Surface) -> Kernel:
     """point: chart state (u, v, theta) -> x, p, q (9)."""
     state, shape, p = _chart_symbols(surface)
@@ -410,7 +420,9 @@ class Evaluator:
 
 @per_structure
 def evaluator(surface: Surface, ambient: bool, output: str) -> Evaluator:
-    """The evaluator of a panel track: "coordinates" or "points"."""
+    """The evaluator of a panel track: "coordinates", "points", or "split": see c/program.c."""
+    if output == "split":
+        return Evaluator(split_kernel(surface), False, 9, False)
     if output == "coordinates":
         kernel = coordinate_kernel(surface, ambient)
         return Evaluator(kernel, False, kernel.n_point - 2, ambient)

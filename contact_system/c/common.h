@@ -49,6 +49,14 @@ static inline double horner(const double *c, long n, double x) {
   return y;
 }
 
+/* the same at many places */
+static inline void horners(const double *restrict c, long n, const double *restrict x, long count,
+                           double *restrict y) {
+  for (long i = 0; i < count; i++) y[i] = c[n - 1];
+  for (long k = n - 2; k >= 0; k--)
+    for (long i = 0; i < count; i++) y[i] = y[i] * x[i] + c[k];
+}
+
 /* dy/dx of the same */
 static inline double slope(const double *c, long n, double x) {
   double y = 0.0;
@@ -67,7 +75,7 @@ static inline double gain_at(const drive_t *d, double tau) {
    exp(-100) is nothing, and libm takes 50 ns over an underflow. */
 static inline void decays(const drive_t *d, const double *tau, const double *sigma, long n,
                           double *out) {
-  for (long i = 0; i < n; i++) out[i] = horner(d->exponent, d->n_exponent, tau[i]);
+  horners(d->exponent, d->n_exponent, tau, n, out);
 #pragma omp simd
   for (long i = 0; i < n; i++) out[i] = out[i] < 100 ? exp(-out[i]) : 0.0;
   if (d->power)
@@ -86,71 +94,133 @@ static inline long interval(const double *edges, long n, double x, long k) {
   return low;
 }
 
-static inline double wound(double value, double reference, double period) {
-  return period > 0 ? value + period * rint((reference - value) / period) : value;
+/* Times in a row that lie in one panel: up to `stop`. */
+typedef struct {
+  long stop, panel;
+} run_t;
+
+/* The runs of n places x, clipped to the panels, and where in their panels they are, xi in [-1, 1].
+   last: the panel to begin the search at. */
+static inline long find_runs(const double *edges, long n_panels, const double *x, long n, long *last,
+                             double *xi, run_t *runs) {
+  const double end = edges[n_panels];
+  long count = 0;
+  for (long i = 0, stop; i < n; i = stop) {
+    const double at = x[i] < 0 ? 0 : x[i] > end ? end : x[i];
+    const long k = *last = interval(edges, n_panels, at, *last);
+    const double low = edges[k], high = edges[k + 1], pace = 2.0 / (high - low);
+    const double from = k ? low : -HUGE_VAL, to = k + 1 < n_panels ? high : HUGE_VAL;
+    for (stop = i + 1; stop < n && x[stop] >= from && x[stop] < to;) stop++;
+    for (long q = i; q < stop; q++) {
+      const double place = (x[q] - low) * pace - 1.0;
+      xi[q] = place < -1.0 ? -1.0 : place > 1.0 ? 1.0 : place;
+    }
+    runs[count].stop = stop, runs[count++].panel = k;
+  }
+  return count;
 }
 
-/* One point to the branch nearest its reference; half_turn: (-u, pi - v), axes turned by pi. */
-static inline void wind(const track_t *k, const double *ref, long stride, double *out, const long *row) {
+static inline double wound(double value, double reference, double period) {
+  const double far = reference - value;
+  return fabs(far) <= 0.5 * period || period <= 0 ? value : value + period * rint(far / period);
+}
+
+/* One point to the branch nearest its reference; returns whether that is (-u, pi - v), where the axes are
+   turned by pi. */
+static inline int wind(const track_t *k, const double *ref, long stride, double *out, const long *row) {
   double u = wound(out[row[0]], ref[0], k->period_u);
   double v = wound(out[row[1]], ref[stride], k->period_v), turned = 0.0;
   if (k->double_cover) {
     double u2 = wound(-out[row[0]], ref[0], k->period_u);
     double v2 = wound(0.5 * TURN - out[row[1]], ref[stride], k->period_v);
-    if (hypot(u2 - ref[0], v2 - ref[stride]) < hypot(u - ref[0], v - ref[stride])) {
+    double du = u - ref[0], dv = v - ref[stride], du2 = u2 - ref[0], dv2 = v2 - ref[stride];
+    if (du2 * du2 + dv2 * dv2 < du * du + dv * dv) {
       u = u2, v = v2, turned = 0.5 * TURN;
       out[row[2]] = -out[row[2]], out[row[3]] = -out[row[3]];
     }
   }
   out[row[0]] = u, out[row[1]] = v;
   out[row[4]] = wound(out[row[4]] + turned, ref[2 * stride], TURN);
+  return turned > 0.0;
 }
 
-#define CHUNK 16
-#define WIDTH (BLOCK + CHUNK) /* a run's last chunk may reach past the block */
+/* Numbers side by side in the machine's registers (vector extension of GCC and Clang). */
+#if defined(__AVX512F__)
+#define LANES 8
+#elif defined(__AVX__)
+#define LANES 4
+#else
+#define LANES 2
+#endif
+typedef double lanes_t __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
+#define WIDTH (BLOCK + 16) /* a run's last lanes may reach past the block */
+#define INLINE static inline __attribute__((always_inline, unused))
+#define UNROLL _Pragma("GCC unroll 16")
 
-/* y = start + half q^T f, q[rows][N]. Not inlined, and its outer loop kept a loop: GCC would unroll all of it
-   and pack it badly (measured: four times slower). */
-static __attribute__((noinline, unused)) void combine(const double *restrict q, long rows,
-                                                      const double *restrict f, double start,
-                                                      double half, double *restrict y) {
-  double sum[N] = {0};
+#define PARTS (N / LANES)
+#define GROUP (LANES == 8 ? 10 : 3) /* rows whose sums fit the registers */
+
+INLINE void combine_group(const double *q, long terms, int rows, const double *f, long f_row,
+                          const double *start, double half, double *y, long y_row) {
+  lanes_t sum[GROUP][PARTS];
+  UNROLL for (int r = 0; r < rows; r++)
+    UNROLL for (int p = 0; p < PARTS; p++) sum[r][p] = (lanes_t){0};
 #pragma GCC unroll 1
-  for (long j = 0; j < rows; j++) {
-    double fj = f[j];
-#pragma omp simd
-    for (int i = 0; i < N; i++) sum[i] += q[j * N + i] * fj;
+  for (long j = 0; j < terms; j++) {
+    lanes_t part[PARTS];
+    UNROLL for (int p = 0; p < PARTS; p++) part[p] = *(const lanes_t *)(q + j * N + p * LANES);
+    UNROLL for (int r = 0; r < rows; r++)
+      UNROLL for (int p = 0; p < PARTS; p++) sum[r][p] += f[r * f_row + j] * part[p];
   }
-#pragma omp simd
-  for (int i = 0; i < N; i++) y[i] = start + half * sum[i];
+  UNROLL for (int r = 0; r < rows; r++)
+    UNROLL for (int p = 0; p < PARTS; p++)
+      *(lanes_t *)(y + r * y_row + p * LANES) = (start ? start[r] : 0.0) + half * sum[r][p];
 }
 
-/* P_0 .. P_N at n points and up to the chunk after them */
-static inline void legendre(const double *xi, long n, double basis[N + 1][WIDTH]) {
-  n = (n / CHUNK + 1) * CHUNK < WIDTH ? (n / CHUNK + 1) * CHUNK : WIDTH;
-  for (long i = 0; i < n; i++) basis[0][i] = 1.0, basis[1][i] = xi[i];
-  for (long k = 1; k < N; k++) {
-    double a = (2 * k + 1) / (k + 1.0), b = k / (k + 1.0);
-    for (long i = 0; i < n; i++) basis[k + 1][i] = a * xi[i] * basis[k][i] - b * basis[k - 1][i];
-  }
-}
-
-/* x[q] = sum_j c[j] P_j(q), j < count, for q in [from, to) and up to the next chunk, a chunk at a
-   time in registers, as in combine. */
-static __attribute__((noinline, unused)) void series(const double *restrict c, long count,
-                                                     const double (*restrict basis)[WIDTH],
-                                                     long from, long to, double *restrict x) {
-  for (long q = from; q < to; q += CHUNK) {
-    double sum[CHUNK] = {0};
+/* y[r] = start[r] + half sum_j f[r][j] q[j], q[terms][N]; the number of rows is known to the
+   compiler, which keeps the sums in registers. start may be NULL. */
+INLINE void combine(const double *q, long terms, int rows, const double *f, long f_row,
+                    const double *start, double half, double *y, long y_row) {
+  const int whole = rows / GROUP * GROUP;
 #pragma GCC unroll 1
-    for (long j = 0; j < count; j++) {
-      double cj = c[j];
-#pragma omp simd
-      for (long i = 0; i < CHUNK; i++) sum[i] += cj * basis[j][q + i];
+  for (int r = 0; r < whole; r += GROUP)
+    combine_group(q, terms, GROUP, f + r * f_row, f_row, start ? start + r : 0, half, y + r * y_row, y_row);
+  if (whole < rows)
+    combine_group(q, terms, rows - whole, f + whole * f_row, f_row, start ? start + whole : 0, half,
+                  y + whole * y_row, y_row);
+}
+
+/* y[r][i] = sum_k c[r][k] P_k(xi[i]) for i in [from, to) and up to LANES - 1 more, `terms` > 1
+   terms of each of ROWS_AT_ONCE rows at most, whose number is known to the compiler. */
+#define ROWS_AT_ONCE 12
+
+INLINE void series_group(const double *c, long c_row, int rows, long terms, const double *xi,
+                         long from, long to, double *y, long y_row) {
+  /* P_k = (2 - 1/k) x P_(k-1) - (1 - 1/k) P_(k-2) */
+  static const double less[] = {0, 0, 1. / 2, 1. / 3, 1. / 4, 1. / 5, 1. / 6, 1. / 7, 1. / 8, 1. / 9, 1. / 10,
+                                1. / 11, 1. / 12, 1. / 13, 1. / 14, 1. / 15, 1. / 16};
+  for (long i = from; i < to; i += LANES) {
+    const lanes_t x = *(const lanes_t *)(xi + i);
+    lanes_t before = (lanes_t){0} + 1.0, now = x, sum[ROWS_AT_ONCE];
+    UNROLL for (int r = 0; r < rows; r++) sum[r] = c[r * c_row] + c[r * c_row + 1] * now;
+#pragma GCC unroll 1
+    for (long k = 2; k < terms; k++) {
+      const lanes_t next = (2.0 - less[k]) * x * now - (1.0 - less[k]) * before;
+      before = now, now = next;
+      UNROLL for (int r = 0; r < rows; r++) sum[r] += c[r * c_row + k] * now;
     }
-#pragma omp simd
-    for (long i = 0; i < CHUNK; i++) x[q + i] = sum[i];
+    UNROLL for (int r = 0; r < rows; r++) *(lanes_t *)(y + r * y_row + i) = sum[r];
   }
+}
+
+INLINE void series(const double *c, long c_row, int rows, long terms, const double *xi, long from,
+                   long to, double *y, long y_row) {
+  const int whole = rows / ROWS_AT_ONCE * ROWS_AT_ONCE;
+#pragma GCC unroll 1
+  for (int r = 0; r < whole; r += ROWS_AT_ONCE)
+    series_group(c + r * c_row, c_row, ROWS_AT_ONCE, terms, xi, from, to, y + r * y_row, y_row);
+  if (whole < rows)
+    series_group(c + whole * c_row, c_row, rows - whole, terms, xi, from, to, y + whole * y_row, y_row);
 }
 
 #endif

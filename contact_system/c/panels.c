@@ -89,15 +89,15 @@ static double sweep(const method_t *m, const double *start, const double *c, con
 #endif
   double y[NX][N], g[N], worst[N] = {0}, total[N] = {0};
   RHS(1, N, &x[0][0], rows_in, 0, c, &f[0][0], rows_out, 0);
-  for (long s = 0; s < NX - NESTED; s++) {
-    if (s < NX - 2 * NESTED) {
-      combine(m->integral, N, f[s], start[s], half, y[s]);
-      continue;
-    }
-    const double rate = half * start[s + NESTED];
-    combine(m->twice, N, f[s + NESTED], start[s], half * half, y[s]);
+  combine(m->integral, N, NX - 2 * NESTED, f[0], N, start, half, y[0], N);
+  if (NESTED) {
+    const long at = NX - 2 * NESTED;
+    combine(m->twice, N, NESTED, f[at + NESTED], N, start + at, half * half, y[at], N);
+    for (long s = at; s < at + NESTED; s++) {
+      const double rate = half * start[s + NESTED];
 #pragma omp simd
-    for (int i = 0; i < N; i++) y[s][i] += rate * (1.0 + m->node[i]);
+      for (int i = 0; i < N; i++) y[s][i] += rate * (1.0 + m->node[i]);
+    }
   }
   for (long s = NX - m->n_stiff; s < NX; s++) {
     for (int i = 0; i < N; i++) {
@@ -160,10 +160,10 @@ static int panel(long nb, const double *state, const double *constants, const do
     double(*x)[N] = (double(*)[N])(work);
     double(*f)[N] = (double(*)[N])(work + (NX + DRIVES) * N);
     const double *start = state + b * NX, *c = constants + b * NC, *sc = scale + b * NX;
-    for (long r = 0; r < NX; r++)
-      if (known)
-        combine(basis, N + 1, s->before + (b * NX + r) * (N + 1), 0.0, 1.0, x[r]);
-      else {
+    if (known)
+      combine(basis, N + 1, NX, s->before + b * NX * (N + 1), N + 1, NULL, 1.0, x[0], N);
+    else
+      for (long r = 0; r < NX; r++) {
         const int goes = r >= NX - 2 * NESTED && r < NX - NESTED;
         const double rate = goes ? half * start[r + NESTED] : 0.0;
         for (int i = 0; i < N; i++) x[r][i] = start[r] + rate * (1.0 + m->node[i]);
@@ -188,13 +188,14 @@ static int panel(long nb, const double *state, const double *constants, const do
       s->h = 0.35 * (after - tau);
       return 0;
     }
-    for (long r = NX - NESTED; r < NX; r++) {
-      combine(m->integral, N, f[r], start[r], half, x[r]);
-      memcpy(f[r - NESTED], x[r], sizeof f[r]);
+    if (NESTED) {
+      const long at = NX - NESTED;
+      combine(m->integral, N, NESTED, f[at], N, start + at, half, x[at], N);
+      memcpy(f[at - NESTED], x[at], NESTED * sizeof f[0]);
     }
+    combine(m->series, N, NX, f[0], N, NULL, half, out + b * NX * (N + 1), N + 1);
     for (long r = 0; r < NX; r++) {
       double *o = out + (b * NX + r) * (N + 1), top;
-      combine(m->series, N, f[r], 0.0, half, o);
       top = dot(m->series + N * N, f[r]);
       o[N] = half * top, o[0] += start[r];
       double tail = fabs(o[N]), last_but_one = 0.1 * fabs(o[N - 1]);

@@ -1,5 +1,6 @@
 /* Whole plans in one call: integrate what has not been yet (panels.c), evaluate every track (tracks.c).
    Generic: kernels come as pointers to panels and evaluate. */
+#include <stdlib.h>
 
 typedef long (*evaluate_t)(const track_t *, long, const double *, double *, const long *, long);
 typedef long (*panels_t)(long, double *, const double *, const double *, const drive_t *, method_t *,
@@ -16,6 +17,12 @@ typedef struct {
   const double *start, *constants, *scale;
   double *block; /* room: state, spare, work, edges, coefficients */
 } motion_t;
+
+/* Numbers in a block */
+static long room_of(const motion_t *m) {
+  const long size = m->track.nb * m->nx;
+  return 2 * size + (2 * m->nx + 2) * N + m->room * (size * (N + 1) + 1) + 1;
+}
 
 /* Returns 0, or the code of panels. */
 long move(motion_t *m) {
@@ -96,136 +103,226 @@ long fill(const part_t *parts, long n_parts, long count, long nt, const double *
   return 0;
 }
 
-/* Chart states of contacts that slip: turn both motions into series of chart states, panel by panel, and
-   evaluate those at all times.
+/* Chart states of contacts that slip: turn finger and object into series of chart states, piece by piece,
+   and evaluate those at all times.
 
    A number at a time costs 16 multiplications this way; converting the motion there costs two or
-   three arc tangents a body. Decay may fall within a panel by any amount, so the object's rates are
-   kept as two smooth parts, u2' = a - decay b. */
-#define OUT 9   /* u1 v1 u1' v1' u2 v2 u2' v2' psi */
-#define ROWS 11 /* the same with a for u2' v2', then b */
-#define SIDE 5  /* u v u' v' theta */
-#define DEPTH 10
+   three arc tangents a body. Where decay falls too fast for a series, the object's rates are kept as
+   two smooth parts, u' = a - decay b. */
+#define OUT 9  /* u1 v1 u1' v1' u2 v2 u2' v2' psi */
+#define SIDE 5 /* u v u' v' theta */
+#define ROWS 7 /* u v a a theta b b */
+#define OWN (SIDE + ROWS) /* room for both forms of a piece */
 
 typedef struct {
   evaluate_t finger, object;
   track_t *tip;
-  motion_t *motion;
-  long room; /* for series */
-  double tolerance;
   const double *begin, *angle; /* [nb][3], [nb] */
   const double *project;       /* [N][N], node values -> coefficients */
-  double *cuts, *series;       /* [room + 1], [room][nb][ROWS][N] */
-  track_t body, aside;         /* driven by W alone, by V alone; filled here */
-  long n_series;               /* out */
 } states_t;
 
-/* Chart states at the nodes of [a, b]: values [nb][ROWS][N]; last: [nb][3], continued. */
-static int sample(const states_t *p, double a, double b, double *last, double *values) {
-  static const long row[SIDE] = {0, N, 2 * N, 3 * N, 4 * N};
-  double times[N], raw[SIDE * N * 3 * MOST];
-  const track_t *k = &p->body;
-  const long nb = k->nb;
-  for (int i = 0; i < N; i++) {
-    double t = k->start + a + 0.5 * (b - a) * (1.0 + p->motion->method.node[i]);
-    times[i] = t < k->stop ? t : k->stop;
-  }
-  double *tip = raw, *body = raw + SIDE * N * nb, *aside = body + SIDE * N * nb;
-  if (p->finger(p->tip, N, times, tip, row, SIDE * N)) return 1;
-  if (p->object(k, N, times, body, row, SIDE * N)) return 1;
-  /* once exp(-40) of the slip is left, its part of the rates is below rounding */
-  int slips = horner(k->drive.exponent, k->drive.n_exponent, a) < 40.0;
-  if (slips && p->object(&p->aside, N, times, aside, row, SIDE * N)) return 1;
-  for (long j = 0; j < nb; j++, tip += SIDE * N, body += SIDE * N, aside += SIDE * N) {
-    double *ref = last + 3 * j, *out = values + j * ROWS * N;
-    for (int i = 0; i < N; i++) {
-      if (slips) wind(k, ref, 1, aside + i, row);
-      wind(k, ref, 1, body + i, row);
-      ref[0] = body[i], ref[1] = body[N + i], ref[2] = body[4 * N + i];
-      out[8 * N + i] = p->angle[j] - tip[4 * N + i] - body[4 * N + i];
-    }
-    memcpy(out, tip, 4 * N * sizeof(double));
-    memcpy(out + 4 * N, body, 4 * N * sizeof(double));
-    if (slips)
-      memcpy(out + 9 * N, aside + 2 * N, 2 * N * sizeof(double));
-    else
-      memset(out + 9 * N, 0, 2 * N * sizeof(double));
-  }
-  return 0;
+typedef struct {
+  double start, stop; /* local times */
+  long terms, slips;  /* terms that count; whether b is kept apart */
+} piece_t;
+
+/* The series of a side: [count][nb][ROWS][N] */
+typedef struct {
+  const track_t *track;
+  long count, room;
+  piece_t *pieces;
+  double *series;
+} series_t;
+
+static int grow(series_t *s, long size) {
+  const long room = s->room ? 4 * s->room : 16;
+  piece_t *pieces = realloc(s->pieces, room * sizeof *pieces);
+  if (pieces) s->pieces = pieces;
+  double *series = realloc(s->series, room * size * sizeof *series);
+  if (series) s->series = series;
+  if (pieces && series) s->room = room;
+  return pieces && series;
 }
 
-/* Series of the chart states on [a, b], divided until their tails are below the tolerance. */
-static int resolve(states_t *p, double a, double b, double *last, int depth) {
-  const long nb = p->motion->track.nb, count = nb * ROWS;
-  double values[ROWS * N * MOST], before[3 * MOST];
-  if (p->n_series == p->room) return 1;
-  memcpy(before, last, 3 * nb * sizeof(double));
-  if (sample(p, a, b, last, values)) return 1;
-  double *out = p->series + p->n_series * count * N, worst = 0.0;
-  for (long r = 0; r < count; r++) {
-    double *c = out + r * N, *v = values + r * N, size = 0.0;
-    for (int j = 0; j < N; j++) size = fabs(v[j]) > size ? fabs(v[j]) : size;
-    combine(p->project, N, v, 0.0, 1.0, c);
-    double tail = fmax(fabs(c[N - 1]), 0.1 * fabs(c[N - 2]));
-    static const int angle[ROWS] = {1, 1, 0, 0, 1, 1, 0, 0, 1, 0, 0};
-    if (angle[r % ROWS] && size < 1.0) size = 1.0;
-    tail /= size > 0 ? size : 1.0;
-    worst = tail > worst ? tail : worst;
+/* Values [nb][ROWS][N] of the object at a piece's nodes, combined [nb][SIDE][N] with b in a;
+   last: [nb][3], continued. */
+static void join(const track_t *k, const piece_t *piece, const double *tau, double *last, double *values,
+                 double *combined) {
+  static const long row[ROWS] = {0, N, 2 * N, 3 * N, 4 * N, 5 * N, 6 * N};
+  double sigma[N], decay[N] = {0};
+  if (piece->slips) {
+    if (k->drive.power) horners(k->drive.sigma, k->drive.n_sigma, tau, N, sigma);
+    decays(&k->drive, tau, sigma, N, decay);
   }
-  if (worst <= p->tolerance) {
-    p->cuts[++p->n_series] = b;
-    return 0;
+  for (long j = 0; j < k->nb; j++, values += ROWS * N, combined += SIDE * N) {
+    double *ref = last + 3 * j;
+    for (int i = 0; i < N; i++) {
+      if (wind(k, ref, 1, values + i, row))
+        values[5 * N + i] = -values[5 * N + i], values[6 * N + i] = -values[6 * N + i];
+      ref[0] = values[i], ref[1] = values[N + i], ref[2] = values[4 * N + i];
+    }
+    memcpy(combined, values, SIDE * N * sizeof(double));
+    for (int i = 0; i < 2 * N; i++) combined[2 * N + i] -= decay[i % N] * values[5 * N + i];
   }
-  if (depth >= DEPTH) return 1;
-  memcpy(last, before, 3 * nb * sizeof(double));
-  /* halving divides the tail by about 2^15 */
-  int parts = worst > 32768.0 * p->tolerance ? 4 : 2;
-  for (int i = 0; i < parts; i++) {
-    double from = a + (b - a) * i / parts, to = i + 1 < parts ? a + (b - a) * (i + 1) / parts : b;
-    if (resolve(p, from, to, last, depth + parts / 2)) return 1;
+}
+
+/* Coefficients [nb][ROWS][N] from values [nb][rows][N] at the nodes of a piece. Returns the greatest
+   tail, in units of each row's size, and counts the terms that make more than the tolerance. */
+INLINE double resolve(const double *project, long nb, int rows, double tolerance, const double *values,
+                      piece_t *piece, double *series) {
+  static const double angle[ROWS] = {1, 1, 0, 0, 1, 0, 0};
+  double worst = 0.0;
+  piece->terms = 2;
+  for (long j = 0; j < nb; j++, values += rows * N, series += ROWS * N) {
+    combine(project, N, rows, values, N, NULL, 1.0, series, N);
+    for (long r = 0; r < rows; r++) {
+      const double *c = series + r * N, *v = values + r * N;
+      double size = angle[r];
+      for (int i = 0; i < N; i++) size = fabs(v[i]) > size ? fabs(v[i]) : size;
+      const double tail = fmax(fabs(c[N - 1]), 0.1 * fabs(c[N - 2]));
+      if (!(tail <= worst * size)) worst = tail / size; /* a NaN counts as worst */
+      long terms = N;
+      for (double left = tolerance * size; terms > piece->terms; terms--)
+        if ((left -= fabs(c[terms - 1])) < 0.0) break;
+      piece->terms = terms;
+    }
   }
-  return 0;
+  return worst;
+}
+
+/* The pieces of one side; false if they do not resolve it. last: [nb][3], where the object begins;
+   NULL for the finger. */
+static int divide(const states_t *p, const track_t *k, const motion_t *m, double tolerance, double *last,
+                  series_t *s) {
+  static const long row[ROWS] = {0, N, 2 * N, 3 * N, 4 * N, 5 * N, 6 * N};
+  const track_t *moved = &m->track;
+  const long nb = k->nb, size = nb * ROWS * N, reach = moved->n_panels;
+  const double end = moved->edges[reach];
+  double values[ROWS * N * MOST], combined[SIDE * N * MOST], before[3 * MOST], tau[N], times[N];
+  double h = moved->edges[1], at = 0.0, tail;
+  long tries = 0, panel = 0, refused = 0;
+  s->track = k;
+  for (s->count = 0; at < end; tries++) {
+    if (tries > 40 + 4 * s->count) return 0;
+    if (s->count == s->room && !grow(s, size)) return 0;
+    piece_t *piece = s->pieces + s->count;
+    double *series = s->series + s->count * size, stop = end;
+    if (last) { /* longer ones might miss whole turns */
+      panel = interval(moved->edges, reach, at, panel);
+      stop = moved->edges[panel + 2 < reach ? panel + 2 : reach];
+    }
+    stop = at + h < stop ? at + h : stop;
+    for (int i = 0; i < N; i++) {
+      tau[i] = at + 0.5 * (stop - at) * (1.0 + m->method.node[i]);
+      times[i] = moved->start + tau[i] < moved->stop ? moved->start + tau[i] : moved->stop;
+    }
+    if (last) {
+      /* once exp(-40) of the slip is left, its part of the rates is below rounding */
+      *piece = (piece_t){at, stop, N, horner(moved->drive.exponent, moved->drive.n_exponent, at) < 40.0};
+      memcpy(before, last, 3 * nb * sizeof(double));
+      if (p->object(k, N, times, values, row, ROWS * N)) return 0;
+      join(k, piece, tau, last, values, combined);
+      tail = resolve(p->project, nb, SIDE, tolerance, combined, piece, series);
+      if (tail <= tolerance)
+        piece->slips = 0;
+      else if (piece->slips)
+        tail = resolve(p->project, nb, ROWS, tolerance, values, piece, series);
+    } else {
+      *piece = (piece_t){at, stop, N, 0};
+      if (p->finger(p->tip, N, times, combined, row, SIDE * N)) return 0;
+      tail = resolve(p->project, nb, SIDE, tolerance, combined, piece, series);
+    }
+    const double next = 0.9 * pow(tolerance / (tail > 1e-30 ? tail : 1e-30), 1.0 / N);
+    if (tail <= tolerance) {
+      /* what grew harder goes on growing harder (16 % fewer samples) */
+      const double most = refused ? 0.8 : 4.0;
+      h = (stop - at) * (next < most ? next : most);
+      at = stop, refused = 0, s->count++;
+    } else {
+      h = (stop - at) * (next > 0.2 ? next < 0.8 ? next : 0.8 : 0.2);
+      refused = 1;
+      if (last) memcpy(last, before, 3 * nb * sizeof(double));
+    }
+  }
+  return 1;
+}
+
+/* Write a side's rows u v u' v' of body b to out[b * OUT + r] and take theta away from psi. */
+static void fill_side(const series_t *s, long nt, const double *t, double *out, double *psi) {
+  const track_t *k = s->track;
+  double xi[WIDTH] = {0}, sums[ROWS][WIDTH], tau[BLOCK], sigma[BLOCK], decay[BLOCK];
+  for (long from = 0, near = 0, n; from < nt; from += n) {
+    const double at = t[from] - k->start;
+    while (near && at < s->pieces[near].start) near--;
+    while (near + 1 < s->count && at >= s->pieces[near].stop) near++;
+    const piece_t *piece = s->pieces + near;
+    const double low = near ? k->start + piece->start : -HUGE_VAL;
+    const double high = near + 1 < s->count ? k->start + piece->stop : HUGE_VAL;
+    const double pace = 2.0 / (piece->stop - piece->start);
+    for (n = 1; n < BLOCK && from + n < nt && t[from + n] >= low && t[from + n] <= high;) n++;
+    for (long i = 0; i < n; i++) {
+      tau[i] = t[from + i] - k->start;
+      const double x = (tau[i] - piece->start) * pace - 1.0;
+      xi[i] = x < 1.0 ? x : 1.0;
+    }
+    if (piece->slips) {
+      if (k->drive.power) horners(k->drive.sigma, k->drive.n_sigma, tau, n, sigma);
+      decays(&k->drive, tau, sigma, n, decay);
+    }
+    for (long b = 0; b < k->nb; b++) {
+      const double *c = s->series + (near * k->nb + b) * ROWS * N;
+      if (piece->slips) {
+        series(c, N, ROWS, piece->terms, xi, 0, n, sums[0], WIDTH);
+        for (long r = 2; r < 4; r++)
+          for (long i = 0; i < n; i++) sums[r][i] -= decay[i] * sums[r + 3][i];
+      } else
+        series(c, N, SIDE, piece->terms, xi, 0, n, sums[0], WIDTH);
+      for (long r = 0; r < 4; r++) memcpy(out + (b * OUT + r) * nt + from, sums[r], n * sizeof(double));
+      for (long i = 0; i < n; i++) psi[b * OUT * nt + from + i] -= sums[4][i];
+    }
+  }
 }
 
 /* States of body b go to out[(b * OUT + r) * nt + i]. Returns 0; 1 + the index of the first time
-   outside the track; -1 to -3 as panels does; -4 where the series do not resolve the states. */
-long states(states_t *p, long nt, const double *t, double *out) {
-  const track_t *k = &p->motion->track;
-  const long nb = k->nb;
-  long failed = move(p->motion);
+   outside the track; -1 to -3 as panels does; -4 where series do not resolve the states. */
+long states(const states_t *p, motion_t *motion, long nt, const double *t, double *out) {
+  const track_t *k = &motion->track;
+  for (long i = 0; i < nt; i++)
+    if (!(t[i] >= k->start && t[i] <= k->stop)) return i + 1;
+  const long failed = move(motion);
   if (failed) return failed;
-  p->body = *k, p->body.slips = 0;
-  p->aside = p->body, p->aside.w = k->v;
-  double last[3 * MOST];
-  memcpy(last, p->begin, 3 * nb * sizeof(double));
-  p->n_series = 0, p->cuts[0] = 0.0;
-  for (long i = 0; i < k->n_panels; i++)
-    if (resolve(p, k->edges[i], k->edges[i + 1], last, 0)) return -4;
-  double xi[WIDTH] = {0}, basis[N + 1][WIDTH], sums[ROWS][WIDTH], tau[BLOCK], sigma[BLOCK], decay[BLOCK];
-  long where[BLOCK], near = 0;
-  for (long from = 0; from < nt; from += BLOCK) {
-    long n = nt - from < BLOCK ? nt - from : BLOCK;
-    for (long i = 0; i < n; i++) {
-      double x = t[from + i] - k->start, end = p->cuts[p->n_series];
-      if (!(t[from + i] >= k->start && t[from + i] <= k->stop)) return from + i + 1;
-      tau[i] = x, sigma[i] = horner(k->drive.sigma, k->drive.n_sigma, x);
-      x = x < end ? x : end;
-      where[i] = near = interval(p->cuts, p->n_series, x, near);
-      xi[i] = 2.0 * (x - p->cuts[near]) / (p->cuts[near + 1] - p->cuts[near]) - 1.0;
-    }
-    legendre(xi, n, basis);
-    decays(&k->drive, tau, sigma, n, decay);
-    for (long b = 0; b < nb; b++) {
-      for (long i = 0, stop; i < n; i = stop) {
-        for (stop = i + 1; stop < n && where[stop] == where[i];) stop++;
-        const double *c = p->series + (where[i] * nb + b) * ROWS * N;
-        for (long r = 0; r < ROWS; r++) series(c + r * N, N, basis, i, stop, sums[r]);
-      }
-      for (long r = 6; r < 8; r++)
-        for (long i = 0; i < n; i++) sums[r][i] -= decay[i] * sums[r + 3][i];
-      for (long r = 0; r < OUT; r++)
-        memcpy(out + (b * OUT + r) * nt + from, sums[r], n * sizeof(double));
-    }
+  /* 1e-14: less is rounding */
+  const double tolerance = motion->tolerance > 1e-13 ? 0.1 * motion->tolerance : 1e-14;
+  double last[3 * MOST], *psi = out + (OUT - 1) * nt;
+  memcpy(last, p->begin, 3 * k->nb * sizeof(double));
+  for (long b = 0; b < k->nb; b++)
+    for (long i = 0; i < nt; i++) psi[b * OUT * nt + i] = p->angle[b];
+  long code = 0;
+  series_t s = {0};
+  for (int object = 0; object < 2 && !code; object++) {
+    if (divide(p, k, motion, tolerance, object ? last : NULL, &s))
+      fill_side(&s, nt, t, out + 4 * object * nt, psi);
+    else
+      code = -4;
   }
-  return 0;
+  free(s.pieces);
+  free(s.series);
+  return code;
+}
+
+/* The same for another tolerance, with a motion of its own that is not kept; the motion given stays as it is,
+   and need not be integrated. */
+long states_once(const states_t *p, const motion_t *motion, double tolerance, long nt, const double *t,
+                 double *out) {
+  motion_t own = *motion;
+  long code = -1;
+  own.tolerance = tolerance;
+  for (own.room = FEW; code == -1 && own.room <= 4096; own.room *= 4) {
+    own.done = 0;
+    own.block = malloc(room_of(&own) * sizeof(double));
+    if (!own.block) return -1;
+    code = states(p, &own, nt, t, out);
+    free(own.block);
+  }
+  return code;
 }

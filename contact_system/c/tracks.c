@@ -6,31 +6,32 @@
    to be continued along the path (closed forms do that themselves). */
 #ifdef CLOSED
 #define POINTS BLOCK
+#define BY_LENGTH 1
 #else
 #define POINTS WIDTH
+#define BY_LENGTH k->by_length
+#define SPLIT (NP - NS == 4) /* sigma W and sigma V apart */
 #endif
 
 #if !defined(CLOSED) && NP > NS
 /* Two rows of the panels at n points */
-static void rows_at(const track_t *k, long b, long row, long n, const long *panel,
-                    const double (*basis)[WIDTH], double (*out)[POINTS]) {
-  for (long i = 0, stop; i < n; i = stop) {
-    for (stop = i + 1; stop < n && panel[stop] == panel[i];) stop++;
-    const double *c = k->coefficients + panel[i] * k->panel_stride + b * k->body_stride + row * (N + 1);
-    for (long a = 0; a < 2; a++) series(c + a * (N + 1), N + 1, basis, i, stop, out[a]);
-  }
+static void rows_at(const track_t *k, long b, long row, long n_runs, const run_t *runs,
+                    const double *xi, double (*out)[POINTS]) {
+  for (long r = 0, from = 0; r < n_runs; from = runs[r++].stop)
+    series(k->coefficients + runs[r].panel * k->panel_stride + b * k->body_stride + row * (N + 1),
+           N + 1, 2, N + 1, xi, from, runs[r].stop, out[0], POINTS);
 }
 
 /* sigma (W - V) of a body under accelerations */
-static void forced_drive(const track_t *k, long b, long n, const long *panel,
-                         const double (*basis)[WIDTH], const double *sigma, double (*drive)[POINTS]) {
+static void forced_drive(const track_t *k, long b, long n, long n_runs, const run_t *runs,
+                         const double *xi, const double *sigma, double (*drive)[POINTS]) {
   double w[2][POINTS], v[2][POINTS];
   if (k->w_row)
-    rows_at(k, b, k->w_row, n, panel, basis, w);
+    rows_at(k, b, k->w_row, n_runs, runs, xi, w);
   else
     for (long i = 0; i < n; i++) w[0][i] = k->w[2 * b], w[1][i] = k->w[2 * b + 1];
   if (k->v_row)
-    rows_at(k, b, k->v_row, n, panel, basis, v);
+    rows_at(k, b, k->v_row, n_runs, runs, xi, v);
   else
     memset(v, 0, sizeof v);
   const double whole[] = {1.0, 0.0, 0.0, 1.0}, *r = k->w_row && k->turn ? k->turn + 4 * b : whole;
@@ -50,8 +51,9 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
   const drive_t *d = &k->drive;
   double point[NP][POINTS], tau[BLOCK], sigma[BLOCK], length[BLOCK];
 #ifndef CLOSED
-  double decay[BLOCK], xi[WIDTH] = {0}, basis[N + 1][WIDTH];
-  long panel[BLOCK], last = 0;
+  double decay[BLOCK], xi[WIDTH] = {0};
+  run_t runs[BLOCK];
+  long n_runs, last = 0;
 #endif
   for (long from = 0; from < nt; from += BLOCK) {
     long n = nt - from < BLOCK ? nt - from : BLOCK, outside = 0;
@@ -63,23 +65,14 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
     if (outside)
       for (long i = 0; i < n; i++)
         if (!(t[from + i] >= k->start && t[from + i] <= k->stop)) return from + i + 1;
-    for (long i = 0; i < n; i++) sigma[i] = d->sigma[d->n_sigma - 1], length[i] = k->length[d->n_sigma];
-    for (long j = d->n_sigma - 2; j >= 0; j--)
-      for (long i = 0; i < n; i++) sigma[i] = sigma[i] * tau[i] + d->sigma[j];
-    for (long j = d->n_sigma - 1; j >= 0; j--)
-      for (long i = 0; i < n; i++) length[i] = length[i] * tau[i] + k->length[j];
+    horners(d->sigma, d->n_sigma, tau, n, sigma);
+    if (BY_LENGTH) horners(k->length, d->n_sigma + 1, tau, n, length);
 #ifndef CLOSED
-    if (k->slips) {
+    if (k->slips && !SPLIT) {
       decays(d, tau, sigma, n, decay);
       for (long i = 0; i < n; i++) decay[i] *= sigma[i];
     }
-    for (long i = 0; i < n; i++) {
-      double x = k->by_length ? length[i] : tau[i], end = k->edges[k->n_panels];
-      x = x < 0 ? 0 : x > end ? end : x;
-      panel[i] = last = interval(k->edges, k->n_panels, x, last);
-      xi[i] = 2.0 * (x - k->edges[last]) / (k->edges[last + 1] - k->edges[last]) - 1.0;
-    }
-    legendre(xi, n, basis);
+    n_runs = find_runs(k->edges, k->n_panels, k->by_length ? length : tau, n, &last, xi, runs);
 #endif
     for (long b = 0; b < k->nb; b++) {
 #ifdef CLOSED
@@ -88,17 +81,17 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
         point[1][i] = k->w[b] * sigma[i];
       }
 #else
-      for (long i = 0, stop; i < n; i = stop) {
-        for (stop = i + 1; stop < n && panel[stop] == panel[i];) stop++;
-        const double *c = k->coefficients + panel[i] * k->panel_stride + b * k->body_stride;
-        for (long s = 0; s < NS; s++) series(c + s * (N + 1), N + 1, basis, i, stop, point[s]);
-      }
+      for (long r = 0, i = 0; r < n_runs; i = runs[r++].stop)
+        series(k->coefficients + runs[r].panel * k->panel_stride + b * k->body_stride, N + 1, NS,
+               N + 1, xi, i, runs[r].stop, point[0], POINTS);
 #if NP > NS
-      if (k->forced) forced_drive(k, b, n, panel, basis, sigma, point + NS);
+      if (k->forced) forced_drive(k, b, n, n_runs, runs, xi, sigma, point + NS);
       else
-        for (long a = 0; a < NP - NS; a++) {
-          double w = k->w[2 * b + a], v = k->v[2 * b + a];
-          for (long i = 0; i < n; i++) point[NS + a][i] = w * sigma[i] - (k->slips ? v * decay[i] : 0.0);
+        for (long a = 0; a < 2; a++) {
+          const double w = k->w[2 * b + a], v = k->v[2 * b + a];
+          double *c = point[NS + a];
+          for (long i = 0; i < n; i++) c[i] = w * sigma[i] - (k->slips && !SPLIT ? v * decay[i] : 0.0);
+          for (long i = 0; i < n && SPLIT; i++) c[2 * POINTS + i] = v * sigma[i];
         }
 #endif
 #endif
