@@ -58,6 +58,7 @@ from .tracks import (
     frame_coordinates,
     restoring_kernel,
     rotation,
+    whole_frame,
     wind,
 )
 
@@ -101,6 +102,21 @@ def body_motion(
     velocity = rotation(state[2]) @ c
     rates = geometry.upper_inverse(shape.metric_root) @ velocity
     return ca.vertcat(rates, -shape.torsion_form @ velocity)
+
+
+@per_structure
+def axis_motion(surface: Surface, offset: bool = False) -> Kernel:
+    """:func:`driven_motion` in space of (x, p) alone: q = n x p, a third of the states less."""
+    kernel, n = driven_motion(surface, True, offset), len(surface.parameters)
+    state, drive = SX.sym("state", 6), SX.sym("drive", 2)
+    constant = SX.sym("constant", kernel.n_constant)
+    frame = whole_frame(surface).function(state, constant[:n])
+    rate = kernel.function(ca.vertcat(frame, drive), constant)[:6]
+    made = Kernel("driven", ca.vertcat(state, drive), constant, rate)
+    p = SX.sym("p", n)
+    back = restoring_kernel(surface).function(ca.vertcat(state, SX(3, 1)), p)[:6]
+    made.restores = (Restoration(Kernel("restore", state, p, back), 0, 0),)
+    return made
 
 
 def reflection(cos_psi: SX, sin_psi: SX) -> SX:
@@ -943,7 +959,7 @@ _QUARTERS = np.arange(4) / 4.0
 
 
 class MovingTrack(PanelTrack):
-    """Bodies integrated when something asks for their motion.
+    """Bodies integrated when something asks for their motion; in space as (x, p) alone.
 
     Attributes
     ----------
@@ -975,6 +991,17 @@ class MovingTrack(PanelTrack):
         self.by_length, self.forced = v is None, None
         self.kernel, self.problem, self.tolerance, self._why = kernel, problem, tolerance, why
         self._anchors = None
+
+    def _state_at(self, at: np.ndarray) -> np.ndarray:
+        state = super()._state_at(at)
+        return self.run(whole_frame(self.surface), state, self.parameters) if self.ambient else state
+
+    def end(self) -> np.ndarray:
+        end = self.panels.end
+        return whole_frame(self.surface).at(end, self.parameters) if self.ambient else end
+
+    def _evaluator(self, output: str) -> Evaluator:
+        return evaluator(self.surface, self.ambient, output, self.ambient)
 
     @functools.cached_property
     def motion(self) -> Motion | None:
@@ -1204,7 +1231,7 @@ class GeodesicTrack(MovingTrack):
         return found
 
     def _state_at(self, at: np.ndarray) -> np.ndarray:
-        return self.run(self.form.body, super()._state_at(at), self.problem.constants)
+        return self.run(self.form.body, PanelTrack._state_at(self, at), self.problem.constants)
 
     def end(self) -> np.ndarray:
         return self.form.body.at(self.panels.end, self.problem.constants)

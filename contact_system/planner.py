@@ -756,8 +756,8 @@ class GroupPlanner:
             rates = np.tile(rates, 3) if body.ambient else rates * body.lame[:, 1:]
             scale = np.hstack([body.scale[:, : n - form.n_rates], rates])
         else:
-            kernel = development.driven_motion(body.surface, body.ambient, False)
-            first, numbers, scale = body.state, [w, np.zeros_like(w), np.zeros_like(w)], body.scale
+            kernel, first, scale = _moving(body)
+            numbers = [w, np.zeros_like(w), np.zeros_like(w)]
         problem = Problem(
             name=self.name,
             start=np.ascontiguousarray(first),
@@ -870,14 +870,16 @@ class GroupPlanner:
         key = "driven", interval.start, body.ambient, self.compiled
         known = self.prepared.kept.get(key)
         if known is not None and not stops:
-            track = known.moved(self.tolerance, body.state, self.w2, self.v)
+            first = body.state[:, :6] if body.ambient else body.state
+            track = known.moved(self.tolerance, first, self.w2, self.v)
         else:
+            kernel, first, scale = _moving(body, offset is not None)
             none = 0 * self.v if offset is None else offset
             problem = Problem(
                 name=self.name,
-                start=body.state,
+                start=first,
                 constants=np.concatenate([body.parameters, self.w2, self.v, none], axis=1),
-                scale=body.scale,
+                scale=scale,
                 drive=interval.piece,
                 length=span,
                 first=span * min(1.0, 0.3 * body.size / interval.length),
@@ -886,7 +888,6 @@ class GroupPlanner:
                 stops=stops,
             )
             why = "slip" if offset is None else "object rate offset" + ", slip" * (slip > 0)
-            kernel = development.driven_motion(body.surface, body.ambient, offset is not None)
             track = MovingTrack(
                 body.surface, body.parameters, interval.piece, why, body.ambient, self.compiled,
                 kernel, problem, self.tolerance, self.w2, self.v, offset,
@@ -1129,6 +1130,14 @@ def _slip_reach(scene: Scene, piece: GainPiece, length: float) -> float:
 
 def _decaying(v: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndarray:
     return v[:, :, None] * piece.decay(tau, piece.speed(tau))
+
+
+def _moving(body: Body, offset: bool = False) -> tuple[Kernel, np.ndarray, np.ndarray]:
+    """The kernel of a driven body, its states and their scale: of (x, p) in space."""
+    if body.ambient:
+        kernel = development.axis_motion(body.surface, offset)
+        return kernel, body.state[:, :6], body.scale[:, :6]
+    return development.driven_motion(body.surface, False, offset), body.state, body.scale
 
 
 def _panel_states(panels: development.Panels, rows: slice, tau: np.ndarray) -> np.ndarray:

@@ -73,17 +73,35 @@ def _ambient_symbols(surface: Surface) -> tuple[SX, SX, SX, SX]:
     return state, state[0:3], ca.reshape(state[3:9], 3, 2), SX.sym("p", len(surface.parameters))
 
 
+def _axis_symbols(surface: Surface) -> tuple[SX, SX, SX, SX]:
+    state, p = SX.sym("state", 6), SX.sym("p", len(surface.parameters))
+    frame = whole_frame(surface).function(state, p)
+    return state, state[0:3], ca.reshape(frame[3:9], 3, 2), p
+
+
 def _chart_symbols(surface: Surface) -> tuple[SX, geometry.ChartGeometry, SX]:
     state, p = SX.sym("state", 3), SX.sym("p", len(surface.parameters))
     return state, surface.geometry_expr(p, state[0], state[1]), p
 
 
 @per_structure
-def coordinate_kernel(surface: Surface, ambient: bool) -> Kernel:
-    """point: state, c (2) -> u, v, u', v', theta; c is the velocity in the parallel frame."""
+def whole_frame(surface: Surface) -> Kernel:
+    """point: x, p -> x, p, q (9): q = n x p, with the outward normal n."""
+    axis, p = SX.sym("axis", 6), SX.sym("p", len(surface.parameters))
+    gradient = ca.gradient(surface.implicit_expr(p, axis[0:3]), axis[0:3])
+    second = ca.cross(gradient, axis[3:6]) / ca.norm_2(gradient)
+    return Kernel("whole", axis, p, ca.vertcat(axis, second))
+
+
+@per_structure
+def coordinate_kernel(surface: Surface, ambient: bool, axis: bool = False) -> Kernel:
+    """point: state, c (2) -> u, v, u', v', theta; c is the velocity in the parallel frame.
+
+    ``axis``: the ambient state is (x, p) alone.
+    """
     c = SX.sym("c", 2)
     if ambient:
-        state, x, frame, p = _ambient_symbols(surface)
+        state, x, frame, p = _axis_symbols(surface) if axis else _ambient_symbols(surface)
         result = frame_coordinates(surface, p, x, frame[:, 0], frame @ c)
     else:
         state, shape, p = _chart_symbols(surface)
@@ -94,9 +112,9 @@ def coordinate_kernel(surface: Surface, ambient: bool) -> Kernel:
 
 @per_structure
 def split_kernel(surface: Surface) -> Kernel:
-    """point: ambient state, two velocities c and d in the parallel frame (2 + 2) -> u, v, rates of
-    c, theta, rates of d."""
-    state, x, frame, p = _ambient_symbols(surface)
+    """point: x, p, two velocities c and d in the parallel frame (2 + 2) -> u, v, rates of c, theta,
+    rates of d."""
+    state, x, frame, p = _axis_symbols(surface)
     c, d = SX.sym("c", 2), SX.sym("d", 2)
     chart, aside = (frame_coordinates(surface, p, x, frame[:, 0], frame @ w) for w in (c, d))
     return Kernel("split", ca.vertcat(state, c, d), p, ca.vertcat(chart, aside[2:4]))
@@ -419,12 +437,12 @@ class Evaluator:
 
 
 @per_structure
-def evaluator(surface: Surface, ambient: bool, output: str) -> Evaluator:
+def evaluator(surface: Surface, ambient: bool, output: str, axis: bool = False) -> Evaluator:
     """The evaluator of a panel track: "coordinates", "points", or "split": see c/program.c."""
     if output == "split":
-        return Evaluator(split_kernel(surface), False, 9, False)
+        return Evaluator(split_kernel(surface), False, 6, False)
     if output == "coordinates":
-        kernel = coordinate_kernel(surface, ambient)
+        kernel = coordinate_kernel(surface, ambient, axis)
         return Evaluator(kernel, False, kernel.n_point - 2, ambient)
     if ambient:
         x = SX.sym("x", 3)
