@@ -882,7 +882,7 @@ class GroupPlanner:
                 scale=scale,
                 drive=interval.piece,
                 length=span,
-                first=span * min(1.0, 0.3 * body.size / interval.length),
+                first=_first_panel(interval.piece, span, body.size),
                 slip=slip,
                 finish=finish if offset is None else 0.0,
                 stops=stops,
@@ -960,7 +960,7 @@ class GroupPlanner:
             scale=np.hstack([*scales, obj.scale, self._slip_scale(interval, tip, obj)]),
             drive=interval.piece,
             length=stop - start,
-            first=(stop - start) * min(1.0, 0.3 * min(tip.size, obj.size) / interval.length),
+            first=_first_panel(interval.piece, stop - start, min(tip.size, obj.size)),
             slip=1.0,
             stiff=2,
         )
@@ -1025,7 +1025,7 @@ class GroupPlanner:
             scale=np.hstack([tip.scale, obj.scale]),
             drive=piece,
             length=stop - start,
-            first=(stop - start) * min(1.0, 0.3 * min(tip.size, obj.size) / length),
+            first=_first_panel(piece, stop - start, min(tip.size, obj.size)),
         )
         panels = development.integrate(kernel, problem, self.tolerance, self.compiled)
         method = f"rolling imposed, chart equations, {len(panels.edges) - 1} panels"
@@ -1138,6 +1138,18 @@ def _moving(body: Body, offset: bool = False) -> tuple[Kernel, np.ndarray, np.nd
         kernel = development.axis_motion(body.surface, offset)
         return kernel, body.state[:, :6], body.scale[:, :6]
     return development.driven_motion(body.surface, False, offset), body.state, body.scale
+
+
+def _first_panel(piece: GainPiece, span: float, size: float) -> float:
+    """About the time in which a path grows as long as 0.3 of a size, s."""
+    reach = 0.3 * size
+    first = span * min(1.0, reach / max(piece.arc_length(span), TINY))
+    for _ in range(20):  # sigma may grow a lot
+        longer = min(1.5 * first, span)
+        if first == span or piece.arc_length(longer) > reach:
+            break
+        first = longer
+    return first
 
 
 def _panel_states(panels: development.Panels, rows: slice, tau: np.ndarray) -> np.ndarray:

@@ -247,8 +247,10 @@ static int divide(const states_t *p, const track_t *k, const motion_t *m, double
   return 1;
 }
 
-/* Write a side's rows u v u' v' of body b to out[b * OUT + r] and take theta away from psi. */
-static void fill_side(const series_t *s, long nt, const double *t, double *out, double *psi) {
+/* Write a side's rows u v u' v' of body b to out[b * OUT + r], and psi less theta; angle: psi without
+   any, or NULL where the other side's is in place. */
+static void fill_side(const series_t *s, const double *angle, long nt, const double *t, double *out,
+                      double *psi) {
   const track_t *k = s->track;
   double xi[WIDTH] = {0}, sums[ROWS][WIDTH], tau[BLOCK], sigma[BLOCK], decay[BLOCK];
   for (long from = 0, near = 0, n; from < nt; from += n) {
@@ -278,7 +280,11 @@ static void fill_side(const series_t *s, long nt, const double *t, double *out, 
       } else
         series(c, N, SIDE, piece->terms, xi, 0, n, sums[0], WIDTH);
       for (long r = 0; r < 4; r++) memcpy(out + (b * OUT + r) * nt + from, sums[r], n * sizeof(double));
-      for (long i = 0; i < n; i++) psi[b * OUT * nt + from + i] -= sums[4][i];
+      double *own = psi + b * OUT * nt + from;
+      if (angle)
+        for (long i = 0; i < n; i++) own[i] = angle[b] - sums[4][i];
+      else
+        for (long i = 0; i < n; i++) own[i] -= sums[4][i];
     }
   }
 }
@@ -287,21 +293,22 @@ static void fill_side(const series_t *s, long nt, const double *t, double *out, 
    outside the track; -1 to -3 as panels does; -4 where series do not resolve the states. */
 long states(const states_t *p, motion_t *motion, long nt, const double *t, double *out) {
   const track_t *k = &motion->track;
-  for (long i = 0; i < nt; i++)
-    if (!(t[i] >= k->start && t[i] <= k->stop)) return i + 1;
+  long outside = 0;
+  for (long i = 0; i < nt; i++) outside += !(t[i] >= k->start && t[i] <= k->stop);
+  if (outside)
+    for (long i = 0; i < nt; i++)
+      if (!(t[i] >= k->start && t[i] <= k->stop)) return i + 1;
   const long failed = move(motion);
   if (failed) return failed;
   /* 1e-14: less is rounding */
   const double tolerance = motion->tolerance > 1e-13 ? 0.1 * motion->tolerance : 1e-14;
   double last[3 * MOST], *psi = out + (OUT - 1) * nt;
   memcpy(last, p->begin, 3 * k->nb * sizeof(double));
-  for (long b = 0; b < k->nb; b++)
-    for (long i = 0; i < nt; i++) psi[b * OUT * nt + i] = p->angle[b];
   long code = 0;
   series_t s = {0};
   for (int object = 0; object < 2 && !code; object++) {
     if (divide(p, k, motion, tolerance, object ? last : NULL, &s))
-      fill_side(&s, nt, t, out + 4 * object * nt, psi);
+      fill_side(&s, object ? NULL : p->angle, nt, t, out + 4 * object * nt, psi);
     else
       code = -4;
   }
