@@ -136,6 +136,7 @@ def _tolerances(
     outcome: Outcome,
     limit: float,
 ) -> Iterator[_Candidate]:
+    first = True
     for tolerance in tolerances:
         try:
             begin = time.perf_counter()
@@ -148,8 +149,9 @@ def _tolerances(
             error = error_of(found)
             if not math.isfinite(error):
                 raise ArithmeticError("the result is not finite")
-            if seconds[0] < limit:  # the first run may hold compilation
+            if first or seconds[0] < limit:  # the first run may hold compilation
                 seconds = [sample(job) for _ in range(2 if seconds[0] > SLOW else 1)]
+            first = False
         except (TimeoutError, ArithmeticError, ValueError, RuntimeError, ImportError) as reason:
             text = str(reason).strip().splitlines() or [type(reason).__name__]
             # an ImportError ends with the file's place on this machine
