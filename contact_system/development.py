@@ -104,21 +104,6 @@ def body_motion(
     return ca.vertcat(rates, -shape.torsion_form @ velocity)
 
 
-@per_structure
-def axis_motion(surface: Surface, offset: bool = False) -> Kernel:
-    """:func:`driven_motion` in space of (x, p) alone: q = n x p, a third of the states less."""
-    kernel, n = driven_motion(surface, True, offset), len(surface.parameters)
-    state, drive = SX.sym("state", 6), SX.sym("drive", 2)
-    constant = SX.sym("constant", kernel.n_constant)
-    frame = whole_frame(surface).function(state, constant[:n])
-    rate = kernel.function(ca.vertcat(frame, drive), constant)[:6]
-    made = Kernel("driven", ca.vertcat(state, drive), constant, rate)
-    p = SX.sym("p", n)
-    back = restoring_kernel(surface).function(ca.vertcat(state, SX(3, 1)), p)[:6]
-    made.restores = (Restoration(Kernel("restore", state, p, back), 0, 0),)
-    return made
-
-
 def reflection(cos_psi: SX, sin_psi: SX) -> SX:
     """R_psi of theory section 2 from the cosine and sine of psi, 2x2."""
     return ca.vertcat(ca.horzcat(cos_psi, -sin_psi), ca.horzcat(-sin_psi, -cos_psi))
@@ -200,6 +185,63 @@ def rolling_motion(finger: Surface, obj: Surface) -> Kernel:
     spin = tip.torsion_form @ a1 + body.torsion_form @ a2
     rate = ca.vertcat(rates, spin, body_motion(obj, False, p2, own, c))
     return Kernel("rolling", ca.vertcat(state, drive), ca.vertcat(p1, p2, w), rate)
+
+
+# In space the planner moves (x, p) alone, a third of the states less: q = n x p.
+AXIS = 6
+
+
+def _whole(surface: Surface, ambient: bool, p: SX, state: SX) -> SX:
+    return whole_frame(surface).function(state, p) if ambient else state
+
+
+@per_structure
+def _restoring_axis(surface: Surface) -> Kernel:
+    """:func:`restoring_kernel` of (x, p)."""
+    state, p = SX.sym("state", AXIS), SX.sym("p", len(surface.parameters))
+    back = restoring_kernel(surface).function(ca.vertcat(state, SX(3, 1)), p)[:AXIS]
+    return Kernel("restore", state, p, back)
+
+
+@per_structure
+def axis_motion(surface: Surface, ambient: bool, offset: bool = False) -> Kernel:
+    """:func:`driven_motion` of (x, p) in space."""
+    kernel, n = driven_motion(surface, ambient, offset), len(surface.parameters)
+    if not ambient:
+        return kernel
+    state, drive = SX.sym("state", AXIS), SX.sym("drive", 2)
+    constant = SX.sym("constant", kernel.n_constant)
+    frame = _whole(surface, ambient, constant[:n], state)
+    rate = kernel.function(ca.vertcat(frame, drive), constant)[:AXIS]
+    made = Kernel("driven", ca.vertcat(state, drive), constant, rate)
+    made.restores = (Restoration(_restoring_axis(surface), 0, 0),)
+    return made
+
+
+@per_structure
+def axis_forced_motion(
+    finger: Surface, obj: Surface, ambient: tuple[bool, bool], finger_forced: bool
+) -> Kernel:
+    """:func:`forced_motion` of (x, p) in space."""
+    kernel = forced_motion(finger, obj, ambient, finger_forced)
+    constant, drive = SX.sym("constant", kernel.n_constant), SX.sym("drive", 2)
+    surfaces, counts = (finger, obj), [len(s.parameters) for s in (finger, obj)]
+    numbers = ca.vertsplit(constant, [0, counts[0], sum(counts), kernel.n_constant])
+    state, whole, taken = SX(0, 1), SX(0, 1), []  # taken: rows of the whole state that are kept
+    restores: list[Restoration] = []
+    for k in range(0 if finger_forced else 1, 2):
+        own, path = SX.sym("own", AXIS if ambient[k] else 3), SX.sym("path", 2)  # W_1, then V
+        if ambient[k]:
+            at = Restoration(_restoring_axis(surfaces[k]), state.numel(), counts[0] * k)
+            restores.append(at)
+        taken += [whole.numel() + i for i in range(own.numel())]
+        whole = ca.vertcat(whole, _whole(surfaces[k], ambient[k], numbers[k], own), path)
+        taken += [whole.numel() - 2, whole.numel() - 1]
+        state = ca.vertcat(state, own, path)
+    rate = kernel.function(ca.vertcat(whole, drive), constant)[taken]
+    made = Kernel("forced", ca.vertcat(state, drive), constant, rate)
+    made.restores = tuple(restores)
+    return made
 
 
 @functools.cache
@@ -606,24 +648,24 @@ class MotionData(ctypes.Structure):
 
     _fields_ = [("track", TrackData), ("integrate", ctypes.c_void_p), ("drive", Drive),
                 ("method", Method)]  # fmt: skip
-    _fields_ += [(name, ctypes.c_long) for name in ("nx", "room", "done")]
+    _fields_ += [(name, ctypes.c_long) for name in ("nx", "room", "done", "needed")]
     _fields_ += [(name, ctypes.c_double) for name in ("tolerance", "slip", "share")]
     _fields_ += [(name, ctypes.c_void_p) for name in ("start", "constants", "scale", "block")]
 
 
 @functools.cache
 def program_library() -> ctypes.CDLL:
-    """c/program.c: ``move``, ``fill``, ``states``, ``states_once``."""
+    """c/program.c: ``move``, ``fill``, ``states``, and those with motions that are not kept."""
     library = compiled_library(_program_source())
     pointer, integer = ctypes.c_void_p, ctypes.c_long
     library.move.argtypes = [pointer]
     library.fill.argtypes = [pointer, integer, integer, integer, pointer, pointer, pointer]
     library.states.argtypes = [pointer, pointer, integer, pointer, pointer]
-    library.states_once.argtypes = [
-        pointer, pointer, ctypes.c_double, integer, pointer, pointer,
-    ]  # fmt: skip
-    for entry in (library.move, library.fill, library.states, library.states_once):
-        entry.restype = integer
+    number = ctypes.c_double
+    library.fill_once.argtypes = [*library.fill.argtypes[:-1], number]
+    library.states_once.argtypes = [pointer, pointer, number, integer, pointer, pointer]
+    for name in ("move", "fill", "fill_once", "states", "states_once"):
+        getattr(library, name).restype = integer
     return library
 
 
@@ -790,6 +832,8 @@ class Forced:
 class PanelTrack(Track):
     """Bodies whose states are panels in local time, or in arc length for geodesics.
 
+    In space the panels hold (x, p) alone.
+
     Attributes
     ----------
     panels : Panels
@@ -828,7 +872,11 @@ class PanelTrack(Track):
         return self.piece.arc_length(tau) if self.by_length else tau
 
     def _state_at(self, at: np.ndarray) -> np.ndarray:
-        # rounding may put a time 1e-16 outside
+        own = self._own_state(at)
+        return self.run(whole_frame(self.surface), own, self.parameters) if self.ambient else own
+
+    def _own_state(self, at: np.ndarray) -> np.ndarray:
+        """The rows of the panels; rounding may put a time 1e-16 outside."""
         return self.panels.evaluate(np.clip(at, 0.0, self.panels.edges[-1]), self.rows)
 
     def drive(self, t: np.ndarray) -> np.ndarray:
@@ -842,7 +890,8 @@ class PanelTrack(Track):
         return drive
 
     def end(self) -> np.ndarray:
-        return self.panels.end[:, self.rows]
+        end = self.panels.end[:, self.rows]
+        return whole_frame(self.surface).at(end, self.parameters) if self.ambient else end
 
     # --- compiled evaluation
 
@@ -959,7 +1008,7 @@ _QUARTERS = np.arange(4) / 4.0
 
 
 class MovingTrack(PanelTrack):
-    """Bodies integrated when something asks for their motion; in space as (x, p) alone.
+    """Bodies integrated when something asks for their motion.
 
     Attributes
     ----------
@@ -991,17 +1040,6 @@ class MovingTrack(PanelTrack):
         self.by_length, self.forced = v is None, None
         self.kernel, self.problem, self.tolerance, self._why = kernel, problem, tolerance, why
         self._anchors = None
-
-    def _state_at(self, at: np.ndarray) -> np.ndarray:
-        state = super()._state_at(at)
-        return self.run(whole_frame(self.surface), state, self.parameters) if self.ambient else state
-
-    def end(self) -> np.ndarray:
-        end = self.panels.end
-        return whole_frame(self.surface).at(end, self.parameters) if self.ambient else end
-
-    def _evaluator(self, output: str) -> Evaluator:
-        return evaluator(self.surface, self.ambient, output, self.ambient)
 
     @functools.cached_property
     def motion(self) -> Motion | None:
@@ -1231,7 +1269,7 @@ class GeodesicTrack(MovingTrack):
         return found
 
     def _state_at(self, at: np.ndarray) -> np.ndarray:
-        return self.run(self.form.body, PanelTrack._state_at(self, at), self.problem.constants)
+        return self.run(self.form.body, self._own_state(at), self.problem.constants)
 
     def end(self) -> np.ndarray:
         return self.form.body.at(self.panels.end, self.problem.constants)

@@ -642,7 +642,7 @@ def per_structure(build: Callable[..., Any]) -> Callable[..., Any]:
 def address(array: np.ndarray) -> int:
     """Address of a contiguous array's first number (0.26 us; ``.ctypes.data`` takes 1 us)."""
     try:
-        return _addressof(_number_in(array))
+        return _addressof(_number_in(array))  # type: ignore[arg-type]
     except (TypeError, ValueError, BufferError):  # read-only, strided or empty
         return array.ctypes.data
 

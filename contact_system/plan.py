@@ -453,20 +453,27 @@ class Plan:
 
     def _fill_compiled(self, output: str, times: np.ndarray, count: int, out: np.ndarray) -> bool:
         """The shortest way: all tracks in one call. False if there is none."""
-        motions = None
-        if output == "points" and self._rerun is not None:
-            program, motions = self._rerun.group.program(output), self._rerun.motions
+        if not times.flags.c_contiguous:
+            return False
+        rerun, motions = self._rerun, None
+        if output == "points" and rerun is not None:
+            program = rerun.group.program(output)
+            if program is not None and rerun.first_look():
+                code = program.fill_once(count, times, out, self.tolerance)
+                if code == 0:
+                    return True
+            motions = rerun.motions
         else:
             program = self._program(output)
-        if program is None or not times.flags.c_contiguous:
+        if program is None:
             return False
         if output == "coordinates":
             for group in self.groups:
                 group.anchor_all()
-        code = program.fill(count, times, out, motions)
-        if code:
+        found = program.fill(count, times, out, motions)
+        if found:
             self._refuse(times)
-        return code == 0
+        return found == 0
 
     def _program(self, output: str) -> Program | None:
         if len(self.groups) == 1:

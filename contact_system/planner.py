@@ -24,7 +24,7 @@ import numpy as np
 
 from . import development
 from .closed_form import CircleTrack, FlatTrack, great_circle, pair_of
-from .development import GeodesicTrack, MovingTrack, PanelTrack, Problem
+from .development import AXIS, GeodesicTrack, MovingTrack, PanelTrack, Problem
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kernels import Kernel
 from .kinematics import contact_map
@@ -417,6 +417,15 @@ class Body:
             return np.hstack([np.tile(1.0 / self.sizes, 3), np.ones((n, 6))])
         return np.hstack([np.maximum(self.lame / self.sizes, 1e-2), np.ones((n, 1))])
 
+    @property
+    def moved(self) -> np.ndarray:
+        """The states that are integrated: in space (x, p) alone."""
+        return self.state[:, :AXIS] if self.ambient else self.state
+
+    @property
+    def moved_scale(self) -> np.ndarray:
+        return self.scale[:, :AXIS] if self.ambient else self.scale
+
 
 @dataclass(frozen=True, eq=False)
 class Interval:
@@ -756,7 +765,8 @@ class GroupPlanner:
             rates = np.tile(rates, 3) if body.ambient else rates * body.lame[:, 1:]
             scale = np.hstack([body.scale[:, : n - form.n_rates], rates])
         else:
-            kernel, first, scale = _moving(body)
+            kernel = development.axis_motion(body.surface, body.ambient)
+            first, scale = body.moved, body.moved_scale
             numbers = [w, np.zeros_like(w), np.zeros_like(w)]
         problem = Problem(
             name=self.name,
@@ -870,16 +880,15 @@ class GroupPlanner:
         key = "driven", interval.start, body.ambient, self.compiled
         known = self.prepared.kept.get(key)
         if known is not None and not stops:
-            first = body.state[:, :6] if body.ambient else body.state
-            track = known.moved(self.tolerance, first, self.w2, self.v)
+            track = known.moved(self.tolerance, body.moved, self.w2, self.v)
         else:
-            kernel, first, scale = _moving(body, offset is not None)
+            kernel = development.axis_motion(body.surface, body.ambient, offset is not None)
             none = 0 * self.v if offset is None else offset
             problem = Problem(
                 name=self.name,
-                start=first,
+                start=body.moved,
                 constants=np.concatenate([body.parameters, self.w2, self.v, none], axis=1),
-                scale=scale,
+                scale=body.moved_scale,
                 drive=interval.piece,
                 length=span,
                 first=_first_panel(interval.piece, span, body.size),
@@ -907,12 +916,12 @@ class GroupPlanner:
         )
         obj = self._in_form("object", interval.turns)
         tip = self._in_form("finger", True) if pushed else self.finger
-        n1 = tip.state.shape[1] if pushed else 0
+        n1 = tip.moved.shape[1] if pushed else 0
         known: _Forced = self._once(
             ("forced", start, tip.ambient, obj.ambient, self.compiled),
             lambda: self._forced_problem(interval, tip, obj),
         )
-        moving = [tip.state, self.w1, obj.state, self.v] if pushed else [obj.state, self.v]
+        moving = [tip.moved, self.w1, obj.moved, self.v] if pushed else [obj.moved, self.v]
         panels = known.integrate(np.concatenate(moving, axis=1), self.w1, self.tolerance)
         method = f"forced development, {len(panels.edges) - 1} panels"
         last = panels.end.shape[1]
@@ -942,7 +951,7 @@ class GroupPlanner:
     def _forced_problem(self, interval: Interval, tip: Body, obj: Body) -> _Forced:
         start, stop, pushed = interval.start, interval.stop, interval.pushed
         self._refuse_rest(start, stop)
-        kernel = development.forced_motion(
+        kernel = development.axis_forced_motion(
             tip.surface, obj.surface, (tip.ambient, obj.ambient), pushed
         )
         angle, forcing = self.prepared.angle, interval.forcing
@@ -952,12 +961,12 @@ class GroupPlanner:
             ObjectRateOffset: "object rate offset",
         }  # fmt: skip
         d = [forcing[kind] for kind in kinds]
-        scales = [tip.scale, np.ones_like(self.w1)] if pushed else []
+        scales = [tip.moved_scale, np.ones_like(self.w1)] if pushed else []
         problem = Problem(
             name=self.name,
-            start=obj.state,
+            start=obj.moved,
             constants=np.hstack([tip.parameters, obj.parameters, turn, self.w1, *d]),
-            scale=np.hstack([*scales, obj.scale, self._slip_scale(interval, tip, obj)]),
+            scale=np.hstack([*scales, obj.moved_scale, self._slip_scale(interval, tip, obj)]),
             drive=interval.piece,
             length=stop - start,
             first=_first_panel(interval.piece, stop - start, min(tip.size, obj.size)),
@@ -1017,7 +1026,6 @@ class GroupPlanner:
         )
         kernel = development.rolling_motion(tip.surface, obj.surface)
         angle = self.prepared.angle
-        length = piece.arc_length(stop - start)
         problem = Problem(
             name=self.name,
             start=np.hstack([tip.state[:, :2], angle[:, None], obj.state]),
@@ -1130,14 +1138,6 @@ def _slip_reach(scene: Scene, piece: GainPiece, length: float) -> float:
 
 def _decaying(v: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndarray:
     return v[:, :, None] * piece.decay(tau, piece.speed(tau))
-
-
-def _moving(body: Body, offset: bool = False) -> tuple[Kernel, np.ndarray, np.ndarray]:
-    """The kernel of a driven body, its states and their scale: of (x, p) in space."""
-    if body.ambient:
-        kernel = development.axis_motion(body.surface, offset)
-        return kernel, body.state[:, :6], body.scale[:, :6]
-    return development.driven_motion(body.surface, False, offset), body.state, body.scale
 
 
 def _first_panel(piece: GainPiece, span: float, size: float) -> float:

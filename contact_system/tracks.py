@@ -437,12 +437,12 @@ class Evaluator:
 
 
 @per_structure
-def evaluator(surface: Surface, ambient: bool, output: str, axis: bool = False) -> Evaluator:
+def evaluator(surface: Surface, ambient: bool, output: str) -> Evaluator:
     """The evaluator of a panel track: "coordinates", "points", or "split": see c/program.c."""
     if output == "split":
         return Evaluator(split_kernel(surface), False, 6, False)
     if output == "coordinates":
-        kernel = coordinate_kernel(surface, ambient, axis)
+        kernel = coordinate_kernel(surface, ambient, ambient)
         return Evaluator(kernel, False, kernel.n_point - 2, ambient)
     if ambient:
         x = SX.sym("x", 3)

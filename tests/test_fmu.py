@@ -711,8 +711,9 @@ def test_the_same_scene_gives_the_same_bytes(tmp_path, monkeypatch):
     assert export_fmu(scene, tmp_path / "two.fmu").read_bytes() == first
 
 
+@pytest.mark.parametrize("plain", [[], ["-DPLAIN_C", "-pedantic-errors"]], ids=["gnu", "c99"])
 @pytest.mark.parametrize("version", VERSIONS)
-def test_the_sources_inside_build_without_warnings(version, exported, tmp_path):
+def test_the_sources_inside_build_without_warnings(version, plain, exported, tmp_path):
     from contact_system.kernels import find_compiler
 
     compiler = find_compiler()
@@ -721,7 +722,7 @@ def test_the_sources_inside_build_without_warnings(version, exported, tmp_path):
     folder = os.path.join(exported("K3", version).folder, "sources")
     files = sorted(f for f in os.listdir(folder) if f.endswith(".c"))
     flags = ["-std=c99", "-O0", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]
-    flags += ["-Wno-unknown-pragmas"]
+    flags += ["-Wno-unknown-pragmas", *plain]
     run = subprocess.run(
         [*compiler, *flags, *files, "-o", str(tmp_path / "built"), "-lm"],
         cwd=folder, capture_output=True, text=True,

@@ -144,21 +144,29 @@ static inline int wind(const track_t *k, const double *ref, long stride, double 
   return turned > 0.0;
 }
 
-/* Numbers side by side in the machine's registers (vector extension of GCC and Clang). */
-#if defined(__AVX512F__)
+/* Numbers side by side in the machine's registers: the vector extension of GCC and Clang, where there is one. */
+#if !defined(__GNUC__) || defined(PLAIN_C)
+#define LANES 1
+#elif defined(__AVX512F__)
 #define LANES 8
 #elif defined(__AVX__)
 #define LANES 4
 #else
 #define LANES 2
 #endif
-typedef double lanes_t __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 #define WIDTH (BLOCK + 16) /* a run's last lanes may reach past the block */
+#if LANES > 1
+typedef double lanes_t __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 #define INLINE static inline __attribute__((always_inline, unused))
 #define UNROLL _Pragma("GCC unroll 16")
+#else
+typedef double lanes_t;
+#define INLINE static inline
+#define UNROLL
+#endif
 
 #define PARTS (N / LANES)
-#define GROUP (LANES == 8 ? 10 : 3) /* rows whose sums fit the registers */
+#define GROUP (LANES == 8 ? 10 : LANES == 4 ? 3 : 1) /* rows whose sums fit the registers */
 
 INLINE void combine_group(const double *q, long terms, int rows, const double *f, long f_row,
                           const double *start, double half, double *y, long y_row) {

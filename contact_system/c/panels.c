@@ -28,32 +28,44 @@ static double longest(const drive_t *d, const method_t *m, double tau, double h)
   return h;
 }
 
-/* inverse of I + h/2 Q diag(lam) by Gauss-Jordan with row pivots */
+/* inverse of I + h/2 Q diag(lam), transposed: by Gauss and Jordan in place, with row pivots. Single numbers
+   are stored long before their row is loaded again: a load across a fresh store would wait for it. */
 static int implicit(const method_t *m, const double *lam, double half, double *inv) {
-  double a[N][N];
+  double(*a)[N] = (double(*)[N])inv;
+  int pivot[N];
   for (int i = 0; i < N; i++)
-    for (int j = 0; j < N; j++) {
-      a[i][j] = half * m->integral[j * N + i] * lam[j] + (i == j);
-      inv[i * N + j] = (i == j);
-    }
+    for (int j = 0; j < N; j++) a[i][j] = half * lam[i] * m->integral[i * N + j] + (i == j);
+#pragma GCC unroll 1
   for (int k = 0; k < N; k++) {
     int p = k;
     for (int i = k + 1; i < N; i++)
       if (fabs(a[i][k]) > fabs(a[p][k])) p = i;
     if (a[p][k] == 0.0) return 1;
-    for (int j = 0; j < N; j++) {
-      double t = a[k][j];
+    pivot[k] = p;
+    for (int j = 0; j < N && p != k; j++) {
+      const double t = a[k][j];
       a[k][j] = a[p][j], a[p][j] = t;
-      t = inv[k * N + j], inv[k * N + j] = inv[p * N + j], inv[p * N + j] = t;
     }
-    double s = 1.0 / a[k][k];
-    for (int j = 0; j < N; j++) a[k][j] *= s, inv[k * N + j] *= s;
+    const double scale = 1.0 / a[k][k];
+    lanes_t row[PARTS];
+    UNROLL for (int q = 0; q < PARTS; q++) {
+      row[q] = scale * *(lanes_t *)(a[k] + q * LANES);
+      *(lanes_t *)(a[k] + q * LANES) = row[q];
+    }
+#pragma GCC unroll 1
     for (int i = 0; i < N; i++) {
-      double t = a[i][k];
-      if (i == k || t == 0.0) continue;
-      for (int j = 0; j < N; j++) a[i][j] -= t * a[k][j], inv[i * N + j] -= t * inv[k * N + j];
+      if (i == k) continue;
+      const double t = a[i][k];
+      UNROLL for (int q = 0; q < PARTS; q++) *(lanes_t *)(a[i] + q * LANES) -= t * row[q];
+      a[i][k] = -t * scale;
     }
+    a[k][k] = scale;
   }
+  for (int k = N - 1; k >= 0; k--)
+    for (int i = 0; i < N && pivot[k] != k; i++) {
+      const double t = a[i][k];
+      a[i][k] = a[i][pivot[k]], a[i][pivot[k]] = t;
+    }
   return 0;
 }
 
@@ -100,10 +112,8 @@ static double sweep(const method_t *m, const double *start, const double *c, con
     }
   }
   for (long s = NX - m->n_stiff; s < NX; s++) {
-    for (int i = 0; i < N; i++) {
-      g[i] = 0.0;
-      for (int j = 0; j < N; j++) g[i] += inv[i * N + j] * y[s][j];
-    }
+    combine(inv, N, 1, y[s], N, NULL, 1.0, g, N);
+#pragma omp simd
     for (int i = 0; i < N; i++) y[s][i] = g[i], f[s][i] -= lam[i] * g[i];
   }
   for (long s = 0; s < NX - NESTED; s++) {

@@ -13,6 +13,7 @@ typedef struct {
   drive_t drive; /* in the panels' variable */
   method_t method;
   long nx, room, done; /* states of a body; panels; whether it is integrated */
+  long needed;         /* room the last copy needed, see move_once */
   double tolerance, slip, share; /* see development.Problem: share is `finish` */
   const double *start, *constants, *scale;
   double *block; /* room: state, spare, work, edges, coefficients */
@@ -66,39 +67,83 @@ static long earlier(const double *t, long nt, double edge) {
 
 #define MOST_ROWS 5
 
+static int in_order(const double *t, long nt) {
+  for (long i = 0; i + 1 < nt; i++)
+    if (!(t[i] <= t[i + 1])) return 0;
+  return 1;
+}
+
+/* Write `count` rows of a track where its interval is; times are in order unless it is its side's only
+   one. Returns the code of evaluate. */
+static long fill_part(const part_t *part, const track_t *track, long count, long nt, const double *t,
+                      double *out) {
+  long rows[MOST_ROWS], from = 0, to = nt;
+  for (long r = 0; r < count; r++) rows[r] = r * nt;
+  if (!part->first) from = earlier(t, nt, track->start);
+  if (!part->last) to = earlier(t, nt, track->stop);
+  if (from >= to) return 0;
+  const long code = part->evaluate(track, to - from, t + from, out + part->offset * count * nt + from, rows,
+                                   part->stride * count * nt);
+  return code > 0 ? code + from : code < 0 ? code - from : 0;
+}
+
 /* Write `count` rows of every track: out[block][count][nt]. Returns 0; 1 + the index of a time outside
    the plan; -1 - the index of a time with a result that is not finite. at[0]: the code of panels, if
    that is what failed, of motion at[1]; 1 if the times are not in order. From at[2] on: the motions. */
 long fill(const part_t *parts, long n_parts, long count, long nt, const double *t, double *out,
           long *at) {
-  long rows[MOST_ROWS], ordered = 0;
-  for (long r = 0; r < count; r++) rows[r] = r * nt;
+  int ordered = 0;
   at[0] = 0;
   for (long p = 0; p < n_parts; p++) {
     const part_t *part = parts + p;
-    track_t *track = part->track;
+    const track_t *track = part->track;
     if (part->moves) {
       motion_t *motion = (motion_t *)at[1 + part->moves];
       at[1] = part->moves - 1;
       if ((at[0] = move(motion))) return -1;
       track = &motion->track;
     }
-    long from = 0, to = nt;
-    if (!part->first || !part->last) {
-      for (long i = ordered; i + 1 < nt; i++)
-        if (!(t[i] <= t[i + 1])) {
-          at[0] = 1;
-          return -1;
-        }
-      ordered = nt;
-      if (!part->first) from = earlier(t, nt, track->start);
-      if (!part->last) to = earlier(t, nt, track->stop);
-      if (from >= to) continue;
+    if (!ordered && !(part->first && part->last) && !(ordered = in_order(t, nt))) {
+      at[0] = 1;
+      return -1;
     }
-    long code = part->evaluate(track, to - from, t + from,
-                               out + part->offset * count * nt + from, rows,
-                               part->stride * count * nt);
-    if (code) return code > 0 ? code + from : code - from;
+    const long code = fill_part(part, track, count, nt, t, out);
+    if (code) return code;
+  }
+  return 0;
+}
+
+/* Integrate a copy of a motion for another tolerance, into a block that is to be freed where 0 is returned. */
+static long move_once(motion_t *own, motion_t *motion, double tolerance) {
+  *own = *motion, own->tolerance = tolerance;
+  for (long room = own->needed > FEW ? own->needed : FEW; room <= 4096; room *= 4) {
+    own->done = 0, own->room = room;
+    own->block = malloc(room_of(own) * sizeof(double));
+    if (!own->block) return -1;
+    const long code = move(own);
+    if (!code) {
+      motion->needed = room;
+      return 0;
+    }
+    free(own->block);
+    if (code != -1) return code;
+  }
+  return -1;
+}
+
+/* `fill` with motions for another tolerance that are not kept; those of the tracks stay as they are. A negative
+   code says only that `fill` is to be asked. */
+long fill_once(const part_t *parts, long n_parts, long count, long nt, const double *t, double *out,
+               double tolerance) {
+  int ordered = 0;
+  for (long p = 0; p < n_parts; p++) {
+    const part_t *part = parts + p;
+    motion_t own;
+    if (!ordered && !(part->first && part->last) && !(ordered = in_order(t, nt))) return -1;
+    if (part->moves && move_once(&own, (motion_t *)part->track, tolerance)) return -1;
+    const long code = fill_part(part, part->moves ? &own.track : part->track, count, nt, t, out);
+    if (part->moves) free(own.block);
+    if (code) return code;
   }
   return 0;
 }
@@ -317,19 +362,12 @@ long states(const states_t *p, motion_t *motion, long nt, const double *t, doubl
   return code;
 }
 
-/* The same for another tolerance, with a motion of its own that is not kept; the motion given stays as it is,
-   and need not be integrated. */
-long states_once(const states_t *p, const motion_t *motion, double tolerance, long nt, const double *t,
+/* `states` with a motion for another tolerance that is not kept; as fill_once. */
+long states_once(const states_t *p, motion_t *motion, double tolerance, long nt, const double *t,
                  double *out) {
-  motion_t own = *motion;
-  long code = -1;
-  own.tolerance = tolerance;
-  for (own.room = FEW; code == -1 && own.room <= 4096; own.room *= 4) {
-    own.done = 0;
-    own.block = malloc(room_of(&own) * sizeof(double));
-    if (!own.block) return -1;
-    code = states(p, &own, nt, t, out);
-    free(own.block);
-  }
+  motion_t own;
+  if (move_once(&own, motion, tolerance)) return -1;
+  const long code = states(p, &own, nt, t, out);
+  free(own.block);
   return code;
 }
