@@ -25,7 +25,7 @@ from contact_system.scene import FingerAcceleration, ObjectRateOffset, Scene
 Array = NDArray[np.float64]
 SX = ca.SX
 
-TOLERANCE = 0.5
+TOLERANCE = 0.25
 """Of the path speed and the slip that there are at first."""
 WATCHED = 0.01
 """The part of the tolerance from which on every step is looked at."""

@@ -142,6 +142,7 @@ def stiff(name, eta, law="time"):
         (cs.load_scene("K4"), "chart", "runge_kutta3", 0.1),
         (cs.load_scene("K4"), "chart", "bogacki_shampine3", 0.1),
         (cs.load_scene("K1"), "chart", "explicit_euler", 0.1),
+        (cs.load_scene("K1"), "chart", "radau1", 0.1),
         (stiff("K4", 1e3), "frame", "runge_kutta3", 0.1),
         (stiff("K4", 1e6), "frame", "explicit_euler", 0.1),
         (stiff("K1", 1e9), "chart", "runge_kutta5", 0.01),

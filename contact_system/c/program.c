@@ -212,7 +212,7 @@ static void join(const track_t *k, const piece_t *piece, const double *tau, doub
 }
 
 /* Coefficients [nb][ROWS][N] from values [nb][rows][N] at the nodes of a piece. Returns the greatest
-   tail, in units of each row's size, and counts the terms that make more than the tolerance. */
+   tail, in units of each row's size, and counts the terms that make more than a tenth of the tolerance. */
 INLINE double resolve(const double *project, long nb, int rows, double tolerance, const double *values,
                       piece_t *piece, double *series) {
   static const double angle[ROWS] = {1, 1, 0, 0, 1, 0, 0};
@@ -227,7 +227,7 @@ INLINE double resolve(const double *project, long nb, int rows, double tolerance
       const double tail = fmax(fabs(c[N - 1]), 0.1 * fabs(c[N - 2]));
       if (!(tail <= worst * size)) worst = tail / size; /* a NaN counts as worst */
       long terms = N;
-      for (double left = tolerance * size; terms > piece->terms; terms--)
+      for (double left = 0.1 * tolerance * size; terms > piece->terms; terms--)
         if ((left -= fabs(c[terms - 1])) < 0.0) break;
       piece->terms = terms;
     }
