@@ -28,6 +28,7 @@ from .tracks import (
     frame_coordinates,
     frame_kernel,
     point_kernel,
+    whole_frame,
 )
 
 SX = ca.SX
@@ -205,8 +206,6 @@ class Circle:
         Path velocity in the parallel frame.
     pace, phase_per_metre : (n,)
         |w| and |w|/r.
-    fastest : float
-        Greatest phase per metre.
     constants : (n, n_constant)
         See :func:`circle_kernel`.
     """
@@ -214,9 +213,13 @@ class Circle:
     w: np.ndarray
     pace: np.ndarray
     phase_per_metre: np.ndarray
-    fastest: float
     constants: np.ndarray
     branched: bool = False
+
+    @property
+    def fastest(self) -> float:
+        """Greatest phase per metre."""
+        return float(self.phase_per_metre.max())
 
     def branch(self, begin: np.ndarray) -> None:
         """Fix the branch of v and theta from (u, v, theta) at the start: (n, 3).
@@ -255,7 +258,7 @@ def pair_of(tracks: Sequence[CircleTrack]) -> CircleTrack | None:
 
     circle = Circle(
         woven(a.w, b.w), woven(a.pace, b.pace), woven(a.phase_per_metre, b.phase_per_metre),
-        max(a.fastest, b.fastest), woven(a.constants, b.constants),
+        woven(a.constants, b.constants),
     )  # fmt: skip
     return CircleTrack(
         one.surface, woven(one.parameters, two.parameters), one.start, one.stop, one.method, "",
@@ -263,28 +266,29 @@ def pair_of(tracks: Sequence[CircleTrack]) -> CircleTrack | None:
     )  # fmt: skip
 
 
-@functools.cache
-def circle_start() -> Kernel:
-    """point: x, p, q (9), w (2); constant: r -> x/r, e, b (9), direction of w (2), |w|, |w|/r."""
-    frame, w, r = SX.sym("frame", 9), SX.sym("w", 2), SX.sym("r")
-    x, p, q = frame[0:3], frame[3:6], frame[6:9]
+@per_structure
+def circle_start(surface: Surface) -> Kernel:
+    """point: x, p (6), w (2) -> the constants of :func:`circle_kernel` but for the branch, |w|,
+    |w|/r."""
+    axis, w = SX.sym("axis", 6), SX.sym("w", 2)
+    numbers = SX.sym("p", len(surface.parameters))
+    x, p, q = ca.vertsplit(whole_frame(surface).function(axis, numbers), [0, 3, 6, 9])
     pace = ca.sqrt(ca.dot(w, w))
     # A contact point at rest has no direction; p will do.
     turn = ca.if_else(pace > 0, w / ca.fmax(pace, TINY), ca.vertcat(1, 0))
     along, across = turn[0] * p + turn[1] * q, turn[0] * q - turn[1] * p
-    result = ca.vertcat(x / r, along, across, turn, pace, pace / r)
-    return Kernel("circle_start", ca.vertcat(frame, w), r, result)
+    r = numbers[0]
+    result = ca.vertcat(numbers, x / r, along, across, turn, SX(4, 1), pace, pace / r)
+    return Kernel("circle_start", ca.vertcat(axis, w), numbers, result)
 
 
-def great_circle(parameters: np.ndarray, begin: np.ndarray, w: np.ndarray) -> Circle:
-    """The circles through frames (x, p, q), (n, 9), with path velocities w, (n, 2)."""
-    found = circle_start().at(np.concatenate([begin, w], axis=1), parameters[:, :1])
-    count = parameters.shape[1]
-    constants = np.zeros((len(w), count + 15))
-    constants[:, :count] = parameters
-    constants[:, count : count + 11] = found[:, :11]
-    pace, phase_per_metre = np.ascontiguousarray(found[:, 11:].T)
-    return Circle(w, pace, phase_per_metre, float(phase_per_metre.max()), constants)
+def great_circle(
+    surface: Surface, parameters: np.ndarray, begin: np.ndarray, w: np.ndarray
+) -> Circle:
+    """The circles through (x, p), (n, 6), with path velocities w, (n, 2)."""
+    found = circle_start(surface).at(np.concatenate([begin, w], axis=1), parameters)
+    pace, phase_per_metre = np.ascontiguousarray(found[:, -2:].T)
+    return Circle(w, pace, phase_per_metre, np.ascontiguousarray(found[:, :-2]))
 
 
 @per_structure

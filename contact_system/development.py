@@ -890,8 +890,7 @@ class PanelTrack(Track):
         return drive
 
     def end(self) -> np.ndarray:
-        end = self.panels.end[:, self.rows]
-        return whole_frame(self.surface).at(end, self.parameters) if self.ambient else end
+        return self.panels.end[:, self.rows]
 
     # --- compiled evaluation
 

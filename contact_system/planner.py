@@ -46,6 +46,7 @@ from .tracks import (
     lame_kernel,
     prefers_ambient,
     restoring_kernel,
+    whole_frame,
 )
 
 # Slip whose whole remaining displacement is below this fraction of tolerance * size is let go.
@@ -381,14 +382,14 @@ class Body:
     parameters : (n, n_parameters)
     sizes : (n, 1)
         Length scale of each, m.
-    state : (n, 9) ambient or (n, 3) chart
+    own : (n, 9) or (n, 6) ambient, (x, p, q) or (x, p); or (n, 3) chart
     ambient : bool
     """
 
     surface: Surface
     parameters: np.ndarray
     sizes: np.ndarray
-    state: np.ndarray
+    own: np.ndarray
     ambient: bool
 
     @functools.cached_property
@@ -403,6 +404,13 @@ class Body:
         if ambient and self.ambient:  # frames have the same scale everywhere
             other.__dict__["scale"] = self.scale
         return other
+
+    @functools.cached_property
+    def state(self) -> np.ndarray:
+        """(x, p, q), (n, 9), or (u, v, theta)."""
+        if self.own.shape[1] != AXIS:
+            return self.own
+        return whole_frame(self.surface).at(self.own, self.parameters)
 
     @property
     def lame(self) -> np.ndarray:
@@ -420,7 +428,7 @@ class Body:
     @property
     def moved(self) -> np.ndarray:
         """The states that are integrated: in space (x, p) alone."""
-        return self.state[:, :AXIS] if self.ambient else self.state
+        return self.own[:, :AXIS] if self.ambient else self.own
 
     @property
     def moved_scale(self) -> np.ndarray:
@@ -789,9 +797,11 @@ class GroupPlanner:
         known, key = self.prepared.kept, (side, piece.start, piece.stop, self.compiled)
         track: CircleTrack | None = known.get(key)
         first = piece.start == self.prepared.begin
+        if track is not None and first:
+            return track
+        circle = great_circle(body.surface, body.parameters, body.moved, w)
         if track is not None:
-            return track if first else track.moved(great_circle(body.parameters, body.state, w))
-        circle = great_circle(body.parameters, body.state, w)
+            return track.moved(circle)
         track = CircleTrack(
             body.surface, body.parameters, piece.start, piece.stop, "closed form: great circle",
             why, True, self.compiled, circle=circle, piece=piece,

@@ -221,7 +221,7 @@ class Track:
         raise NotImplementedError
 
     def end(self) -> np.ndarray:
-        """The moving frame at ``stop``: (n_bodies, 9 or 3)."""
+        """The moving frame at ``stop``: (n_bodies, 9), (x, p) alone (6), or (u, v, theta) (3)."""
         return self.state(np.array([self.stop]))[:, :, 0]
 
     def drive(self, t: np.ndarray) -> np.ndarray:
