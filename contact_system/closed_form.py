@@ -21,6 +21,7 @@ from .kernels import Kernel, address, per_structure
 from .profile import GainPiece
 from .surfaces import Sphere, Surface
 from .tracks import (
+    AXIS,
     Evaluator,
     Track,
     TrackData,
@@ -270,7 +271,7 @@ def pair_of(tracks: Sequence[CircleTrack]) -> CircleTrack | None:
 def circle_start(surface: Surface) -> Kernel:
     """point: x, p (6), w (2) -> the constants of :func:`circle_kernel` but for the branch, |w|,
     |w|/r."""
-    axis, w = SX.sym("axis", 6), SX.sym("w", 2)
+    axis, w = SX.sym("axis", AXIS), SX.sym("w", 2)
     numbers = SX.sym("p", len(surface.parameters))
     x, p, q = ca.vertsplit(whole_frame(surface).function(axis, numbers), [0, 3, 6, 9])
     pace = ca.sqrt(ca.dot(w, w))

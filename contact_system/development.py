@@ -47,6 +47,7 @@ from .kernels import (
 from .profile import GainPiece
 from .surfaces import Surface
 from .tracks import (
+    AXIS,
     Drive,
     Evaluator,
     Track,
@@ -56,6 +57,7 @@ from .tracks import (
     drive_data,
     evaluator,
     frame_coordinates,
+    restoring_axis,
     restoring_kernel,
     rotation,
     whole_frame,
@@ -187,20 +189,11 @@ def rolling_motion(finger: Surface, obj: Surface) -> Kernel:
     return Kernel("rolling", ca.vertcat(state, drive), ca.vertcat(p1, p2, w), rate)
 
 
-# In space the planner moves (x, p) alone, a third of the states less: q = n x p.
-AXIS = 6
+# --- the same of (x, p) alone, as the planner moves bodies in space: a third of the states less ----
 
 
 def _whole(surface: Surface, ambient: bool, p: SX, state: SX) -> SX:
     return whole_frame(surface).function(state, p) if ambient else state
-
-
-@per_structure
-def _restoring_axis(surface: Surface) -> Kernel:
-    """:func:`restoring_kernel` of (x, p)."""
-    state, p = SX.sym("state", AXIS), SX.sym("p", len(surface.parameters))
-    back = restoring_kernel(surface).function(ca.vertcat(state, SX(3, 1)), p)[:AXIS]
-    return Kernel("restore", state, p, back)
 
 
 @per_structure
@@ -214,7 +207,7 @@ def axis_motion(surface: Surface, ambient: bool, offset: bool = False) -> Kernel
     frame = _whole(surface, ambient, constant[:n], state)
     rate = kernel.function(ca.vertcat(frame, drive), constant)[:AXIS]
     made = Kernel("driven", ca.vertcat(state, drive), constant, rate)
-    made.restores = (Restoration(_restoring_axis(surface), 0, 0),)
+    made.restores = (Restoration(restoring_axis(surface), 0, 0),)
     return made
 
 
@@ -232,7 +225,7 @@ def axis_forced_motion(
     for k in range(0 if finger_forced else 1, 2):
         own, path = SX.sym("own", AXIS if ambient[k] else 3), SX.sym("path", 2)  # W_1, then V
         if ambient[k]:
-            at = Restoration(_restoring_axis(surfaces[k]), state.numel(), counts[0] * k)
+            at = Restoration(restoring_axis(surfaces[k]), state.numel(), counts[0] * k)
             restores.append(at)
         taken += [whole.numel() + i for i in range(own.numel())]
         whole = ca.vertcat(whole, _whole(surfaces[k], ambient[k], numbers[k], own), path)
@@ -1178,7 +1171,8 @@ def _quadric_form(surface: Surface) -> GeodesicForm:
     """
     p, numbers = SX.sym("p", len(surface.parameters)), SX.sym("numbers", 4)
     constant = ca.vertcat(p, numbers)
-    frame, w = SX.sym("frame", 9), SX.sym("w", 2)
+    axis, w = SX.sym("axis", AXIS), SX.sym("w", 2)
+    frame = whole_frame(surface).function(axis, p)
     gradient, hessian = geometry.implicit_geometry(surface.implicit_expr(p, frame[0:3]), frame[0:3])
     velocity, pace = w[0] * frame[3:6] + w[1] * frame[6:9], ca.norm_2(w)
     integral = ca.dot(velocity, hessian @ velocity) * ca.dot(gradient, gradient)
@@ -1205,7 +1199,7 @@ def _quadric_form(surface: Surface) -> GeodesicForm:
     chart = frame_coordinates(surface, p, x, first, drive[0] * rate)
     found = Kernel("geodesic_coordinates", ca.vertcat(state, drive), constant, chart)
     return GeodesicForm(
-        Kernel("geodesic_start", ca.vertcat(frame, w), p, begin), motion,
+        Kernel("geodesic_start", ca.vertcat(axis, w), p, begin), motion,
         Kernel("geodesic_frames", state, constant, body), Evaluator(found, False, 6, True), 3,
     )  # fmt: skip
 

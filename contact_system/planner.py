@@ -24,7 +24,7 @@ import numpy as np
 
 from . import development
 from .closed_form import CircleTrack, FlatTrack, great_circle, pair_of
-from .development import AXIS, GeodesicTrack, MovingTrack, PanelTrack, Problem
+from .development import GeodesicTrack, MovingTrack, PanelTrack, Problem
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kernels import Kernel
 from .kinematics import contact_map
@@ -40,13 +40,14 @@ from .scene import (
 )
 from .surfaces import Surface
 from .tracks import (
+    AXIS,
     Evaluator,
     Track,
-    frame_kernel,
+    axis_kernel,
     lame_kernel,
     prefers_ambient,
+    restoring_axis,
     restoring_kernel,
-    whole_frame,
 )
 
 # Slip whose whole remaining displacement is below this fraction of tolerance * size is let go.
@@ -382,14 +383,14 @@ class Body:
     parameters : (n, n_parameters)
     sizes : (n, 1)
         Length scale of each, m.
-    own : (n, 9) or (n, 6) ambient, (x, p, q) or (x, p); or (n, 3) chart
+    state : (n, 6) ambient, (x, p); or (n, 3) chart, (u, v, theta)
     ambient : bool
     """
 
     surface: Surface
     parameters: np.ndarray
     sizes: np.ndarray
-    own: np.ndarray
+    state: np.ndarray
     ambient: bool
 
     @functools.cached_property
@@ -400,17 +401,11 @@ class Body:
     def at(self, state: np.ndarray, ambient: bool) -> Body:
         """The same bodies elsewhere."""
         other = Body(self.surface, self.parameters, self.sizes, state, ambient)
-        other.__dict__["size"] = self.size
-        if ambient and self.ambient:  # frames have the same scale everywhere
-            other.__dict__["scale"] = self.scale
+        known = self.__dict__
+        for name in ("size", "scale") if ambient and self.ambient else ("size",):
+            if name in known:  # (x, p) has the same scale everywhere
+                other.__dict__[name] = known[name]
         return other
-
-    @functools.cached_property
-    def state(self) -> np.ndarray:
-        """(x, p, q), (n, 9), or (u, v, theta)."""
-        if self.own.shape[1] != AXIS:
-            return self.own
-        return whole_frame(self.surface).at(self.own, self.parameters)
 
     @property
     def lame(self) -> np.ndarray:
@@ -420,19 +415,12 @@ class Body:
     @functools.cached_property
     def scale(self) -> np.ndarray:
         """1 / (size of the states): positions by the body's size, angles and directions by 1."""
-        n = len(self.parameters)
+        scale = np.ones_like(self.state)
         if self.ambient:
-            return np.hstack([np.tile(1.0 / self.sizes, 3), np.ones((n, 6))])
-        return np.hstack([np.maximum(self.lame / self.sizes, 1e-2), np.ones((n, 1))])
-
-    @property
-    def moved(self) -> np.ndarray:
-        """The states that are integrated: in space (x, p) alone."""
-        return self.own[:, :AXIS] if self.ambient else self.own
-
-    @property
-    def moved_scale(self) -> np.ndarray:
-        return self.scale[:, :AXIS] if self.ambient else self.scale
+            scale[:, :3] = 1.0 / self.sizes
+        else:
+            scale[:, :2] = np.maximum(self.lame / self.sizes, 1e-2)
+        return scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -749,11 +737,12 @@ class GroupPlanner:
         if track.stop < self.scene.duration:
             body = getattr(self, side)
             state = track.end()
-            if body.ambient and not track.ambient:
-                state = frame_kernel(body.surface).at(state, body.parameters)
-            if not isinstance(track, PanelTrack):  # panels end on the surface
-                state = _restored(body, state)
-            setattr(self, side, body.at(state, body.ambient))
+            if body.ambient:
+                if not track.ambient:
+                    state = axis_kernel(body.surface).at(state, body.parameters)
+                elif not isinstance(track, PanelTrack):  # panels end on the surface
+                    state = restoring_axis(body.surface).at(state[:, :AXIS], body.parameters)
+            setattr(self, side, body.at(state[:, :AXIS], body.ambient))
 
     def _geodesic(self, side: str, start: float, stop: float, why: str) -> Track:
         body: Body = getattr(self, side)
@@ -774,7 +763,7 @@ class GroupPlanner:
             scale = np.hstack([body.scale[:, : n - form.n_rates], rates])
         else:
             kernel = development.axis_motion(body.surface, body.ambient)
-            first, scale = body.moved, body.moved_scale
+            first, scale = body.state, body.scale
             numbers = [w, np.zeros_like(w), np.zeros_like(w)]
         problem = Problem(
             name=self.name,
@@ -799,7 +788,7 @@ class GroupPlanner:
         first = piece.start == self.prepared.begin
         if track is not None and first:
             return track
-        circle = great_circle(body.surface, body.parameters, body.moved, w)
+        circle = great_circle(body.surface, body.parameters, body.state, w)
         if track is not None:
             return track.moved(circle)
         track = CircleTrack(
@@ -890,15 +879,15 @@ class GroupPlanner:
         key = "driven", interval.start, body.ambient, self.compiled
         known = self.prepared.kept.get(key)
         if known is not None and not stops:
-            track = known.moved(self.tolerance, body.moved, self.w2, self.v)
+            track = known.moved(self.tolerance, body.state, self.w2, self.v)
         else:
             kernel = development.axis_motion(body.surface, body.ambient, offset is not None)
             none = 0 * self.v if offset is None else offset
             problem = Problem(
                 name=self.name,
-                start=body.moved,
+                start=body.state,
                 constants=np.concatenate([body.parameters, self.w2, self.v, none], axis=1),
-                scale=body.moved_scale,
+                scale=body.scale,
                 drive=interval.piece,
                 length=span,
                 first=_first_panel(interval.piece, span, body.size),
@@ -926,12 +915,12 @@ class GroupPlanner:
         )
         obj = self._in_form("object", interval.turns)
         tip = self._in_form("finger", True) if pushed else self.finger
-        n1 = tip.moved.shape[1] if pushed else 0
+        n1 = tip.state.shape[1] if pushed else 0
         known: _Forced = self._once(
             ("forced", start, tip.ambient, obj.ambient, self.compiled),
             lambda: self._forced_problem(interval, tip, obj),
         )
-        moving = [tip.moved, self.w1, obj.moved, self.v] if pushed else [obj.moved, self.v]
+        moving = [tip.state, self.w1, obj.state, self.v] if pushed else [obj.state, self.v]
         panels = known.integrate(np.concatenate(moving, axis=1), self.w1, self.tolerance)
         method = f"forced development, {len(panels.edges) - 1} panels"
         last = panels.end.shape[1]
@@ -971,12 +960,12 @@ class GroupPlanner:
             ObjectRateOffset: "object rate offset",
         }  # fmt: skip
         d = [forcing[kind] for kind in kinds]
-        scales = [tip.moved_scale, np.ones_like(self.w1)] if pushed else []
+        scales = [tip.scale, np.ones_like(self.w1)] if pushed else []
         problem = Problem(
             name=self.name,
-            start=obj.moved,
+            start=obj.state,
             constants=np.hstack([tip.parameters, obj.parameters, turn, self.w1, *d]),
-            scale=np.hstack([*scales, obj.moved_scale, self._slip_scale(interval, tip, obj)]),
+            scale=np.hstack([*scales, obj.scale, self._slip_scale(interval, tip, obj)]),
             drive=interval.piece,
             length=stop - start,
             first=_first_panel(interval.piece, stop - start, min(tip.size, obj.size)),
@@ -1105,23 +1094,16 @@ def _body(surfaces: Sequence[Surface], starts: Starts, side: str) -> tuple[Body,
     sizes = np.array([[s.size] for s in surfaces])
     if not prefers_ambient(first):
         return Body(first, parameters, sizes, begin, False), begin
+    if first.has_chart and not isinstance(starts[0], Moment):
+        state = axis_kernel(first).at(begin, parameters)
+        return Body(first, parameters, sizes, state, True), begin
     if isinstance(starts[0], Moment):
-        frames = np.array([getattr(s, f"{side}_frame") for s in starts])
-        return Body(first, parameters, sizes, frames, True), begin
-    if first.has_chart:
-        state = frame_kernel(first).at(begin, parameters)
+        state = np.array([getattr(s, f"{side}_frame")[:AXIS] for s in starts])
     else:  # the point is found numerically
         x = np.array([s.point(*q) for s, q in zip(surfaces, at)])
         frames = np.array([s.frame(*q) for s, q in zip(surfaces, at)])
-        state = np.hstack([x, frames[:, :, 0], frames[:, :, 1]])
-    body = Body(first, parameters, sizes, state, True)
-    return body.at(_restored(body, state), True), begin
-
-
-def _restored(body: Body, state: np.ndarray) -> np.ndarray:
-    if not body.ambient:
-        return state
-    return restoring_kernel(body.surface).at(state, body.parameters)
+        state = np.hstack([x, frames[:, :, 0]])
+    return Body(first, parameters, sizes, restoring_axis(first).at(state, parameters), True), begin
 
 
 def _greatest(v: np.ndarray) -> float:

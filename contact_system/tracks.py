@@ -34,6 +34,9 @@ from .surfaces import Surface
 SX = ca.SX
 
 
+AXIS = 6  # numbers of (x, p), to which q = n x p adds nothing
+
+
 def prefers_ambient(surface: Surface) -> bool:
     """Whether bodies of this surface are moved as (x, p, q) in space, else as (u, v, theta)."""
     return surface.ambient and not surface.developable
@@ -74,7 +77,7 @@ def _ambient_symbols(surface: Surface) -> tuple[SX, SX, SX, SX]:
 
 
 def _axis_symbols(surface: Surface) -> tuple[SX, SX, SX, SX]:
-    state, p = SX.sym("state", 6), SX.sym("p", len(surface.parameters))
+    state, p = SX.sym("state", AXIS), SX.sym("p", len(surface.parameters))
     frame = whole_frame(surface).function(state, p)
     return state, state[0:3], ca.reshape(frame[3:9], 3, 2), p
 
@@ -87,7 +90,7 @@ def _chart_symbols(surface: Surface) -> tuple[SX, geometry.ChartGeometry, SX]:
 @per_structure
 def whole_frame(surface: Surface) -> Kernel:
     """point: x, p -> x, p, q (9): q = n x p, with the outward normal n."""
-    axis, p = SX.sym("axis", 6), SX.sym("p", len(surface.parameters))
+    axis, p = SX.sym("axis", AXIS), SX.sym("p", len(surface.parameters))
     gradient = ca.gradient(surface.implicit_expr(p, axis[0:3]), axis[0:3])
     second = ca.cross(gradient, axis[3:6]) / ca.norm_2(gradient)
     return Kernel("whole", axis, p, ca.vertcat(axis, second))
@@ -173,6 +176,22 @@ def restoring_kernel(surface: Surface) -> Kernel:
     first = frame[:, 0] - ca.dot(frame[:, 0], normal) * normal
     first /= ca.norm_2(first)
     return Kernel("restore", state, p, ca.vertcat(moved, first, ca.cross(normal, first)))
+
+
+@per_structure
+def restoring_axis(surface: Surface) -> Kernel:
+    """:func:`restoring_kernel` of (x, p) alone."""
+    state, p = SX.sym("state", AXIS), SX.sym("p", len(surface.parameters))
+    back = restoring_kernel(surface).function(ca.vertcat(state, SX(3, 1)), p)[:AXIS]
+    return Kernel("restore", state, p, back)
+
+
+@per_structure
+def axis_kernel(surface: Surface) -> Kernel:
+    """point: chart state (u, v, theta) -> x, p (6), on the surface to rounding."""
+    state, p = SX.sym("state", 3), SX.sym("p", len(surface.parameters))
+    frame = frame_kernel(surface).function(state, p)
+    return Kernel("axes", state, p, restoring_axis(surface).function(frame[:AXIS], p))
 
 
 @per_structure
@@ -440,7 +459,7 @@ class Evaluator:
 def evaluator(surface: Surface, ambient: bool, output: str) -> Evaluator:
     """The evaluator of a panel track: "coordinates", "points", or "split": see c/program.c."""
     if output == "split":
-        return Evaluator(split_kernel(surface), False, 6, False)
+        return Evaluator(split_kernel(surface), False, AXIS, False)
     if output == "coordinates":
         kernel = coordinate_kernel(surface, ambient, ambient)
         return Evaluator(kernel, False, kernel.n_point - 2, ambient)
