@@ -41,7 +41,7 @@ SHARING: dict[str, tuple[str, ...] | None] = {
 """Sections without times, which may share the machine, longest part first; None: all of a part."""
 
 LONG: dict[str, tuple[str, ...]] = {
-    "speed": ("slip", "many"), "drake_plant": ("building",),
+    "speed": ("slip", "many", "eta"), "drake_plant": ("building",),
     "drake_station": ("forces", "recovery", "speed", "memory"),
     "fmu": ("platforms", "package", "fuzz", "endurance"), "scale": ("dask",),
     "work_precision": ("readme",), "skip": ("drake",),

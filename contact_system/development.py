@@ -189,7 +189,7 @@ def rolling_motion(finger: Surface, obj: Surface) -> Kernel:
     return Kernel("rolling", ca.vertcat(state, drive), ca.vertcat(p1, p2, w), rate)
 
 
-# --- the same of (x, p) alone, as the planner moves bodies in space: a third of the states less ----
+# --- the same of (x, p) alone, as the planner moves bodies in space: a third of the states less ---
 
 
 def _whole(surface: Surface, ambient: bool, p: SX, state: SX) -> SX:
