@@ -44,6 +44,33 @@ def test_error_of_one_call_follows_the_tolerance(tolerance):
 
 
 @COMPILER
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-3])
+def test_fingers_that_turn_many_times_miss_no_turn(tolerance):
+    contact = cs.Contact(
+        finger=cs.Sphere(1e-3), object_at=(0.7, 0.4), finger_at=(1.1, 0.2),
+        object_velocity=(0.2, -0.9),
+    )  # fmt: skip
+    scene = cs.Scene(object=cs.Sphere(0.1), contacts=[contact], profile=cs.Profile([0.1]),
+                     gain=cs.Gain.path(500.0), duration=1.0)  # fmt: skip
+    found = cs.plan(scene, tolerance=tolerance, compiled=True).states(TIMES)
+    expected = cs.plan(scene, tolerance=1e-14, compiled=False).states(TIMES)
+    places = [0, 1, 4, 5, 8]
+    assert np.abs(found - expected)[..., places].max() < tolerance
+
+
+@COMPILER
+@pytest.mark.parametrize("obj", ["sphere", "ellipsoid"])
+def test_a_plan_asked_twice_answers_the_same(obj):
+    scene = one_contact(obj, "sphere", gain=cs.Gain.path(300.0))
+    cs.plan(scene, compiled=True).states(TIMES)  # later plans keep no motion at their first look
+    for output in ("states", "points"):
+        plan = cs.plan(scene, tolerance=1e-9, compiled=True)
+        first, again = getattr(plan, output)(TIMES), getattr(plan, output)(TIMES)
+        assert np.array_equal(first, again)
+        assert plan.groups[0].object[0].panels.count > 0
+
+
+@COMPILER
 def test_times_of_one_call_come_in_any_order():
     plan = cs.plan(one_contact("sphere", "sphere"), compiled=True)
     order = np.random.default_rng(3).permutation(len(TIMES))

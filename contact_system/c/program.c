@@ -157,7 +157,6 @@ long fill_once(const part_t *parts, long n_parts, long count, long nt, const dou
 #define OUT 9  /* u1 v1 u1' v1' u2 v2 u2' v2' psi */
 #define SIDE 5 /* u v u' v' theta */
 #define ROWS 7 /* u v a a theta b b */
-#define OWN (SIDE + ROWS) /* room for both forms of a piece */
 
 typedef struct {
   evaluate_t finger, object;
@@ -225,7 +224,7 @@ INLINE double resolve(const double *project, long nb, int rows, double tolerance
       double size = angle[r];
       for (int i = 0; i < N; i++) size = fabs(v[i]) > size ? fabs(v[i]) : size;
       const double tail = fmax(fabs(c[N - 1]), 0.1 * fabs(c[N - 2]));
-      if (!(tail <= worst * size)) worst = tail / size; /* a NaN counts as worst */
+      if (tail > worst * size) worst = tail / size; /* evaluate lets no NaN pass */
       long terms = N;
       for (double left = 0.1 * tolerance * size; terms > piece->terms; terms--)
         if ((left -= fabs(c[terms - 1])) < 0.0) break;
@@ -235,16 +234,31 @@ INLINE double resolve(const double *project, long nb, int rows, double tolerance
   return worst;
 }
 
+/* The end of a piece in which no finger turns by more than FEW_RADIANS: a longer one may look smooth at
+   N nodes that miss whole turns. */
+#define FEW_RADIANS 5.0
+static double within(const track_t *k, const track_t *tip, double start, double stop) {
+  const long n = k->drive.n_sigma + 1;
+  const double from = horner(k->length, n, start);
+  double fastest = 0.0;
+  for (long b = 0; b < k->nb; b++) fastest = tip->v[b] > fastest ? tip->v[b] : fastest;
+  for (int i = 0; i < 60; i++) {
+    const double turn = fastest * (horner(k->length, n, stop) - from);
+    if (!(turn > FEW_RADIANS)) break;
+    stop = start + 0.99 * FEW_RADIANS / turn * (stop - start);
+  }
+  return stop;
+}
+
 /* The pieces of one side; false if they do not resolve it. last: [nb][3], where the object begins;
    NULL for the finger. */
-static int divide(const states_t *p, const track_t *k, const motion_t *m, double tolerance, double *last,
-                  series_t *s) {
+static int divide(const states_t *p, const motion_t *m, double tolerance, double *last, series_t *s) {
   static const long row[ROWS] = {0, N, 2 * N, 3 * N, 4 * N, 5 * N, 6 * N};
-  const track_t *moved = &m->track;
-  const long nb = k->nb, size = nb * ROWS * N, reach = moved->n_panels;
-  const double end = moved->edges[reach];
+  const track_t *k = &m->track;
+  const long nb = k->nb, size = nb * ROWS * N, reach = k->n_panels;
+  const double end = k->edges[reach];
   double values[ROWS * N * MOST], combined[SIDE * N * MOST], before[3 * MOST], tau[N], times[N];
-  double h = moved->edges[1], at = 0.0, tail;
+  double h = k->edges[1], at = 0.0, tail;
   long tries = 0, panel = 0, refused = 0;
   s->track = k;
   for (s->count = 0; at < end; tries++) {
@@ -253,17 +267,18 @@ static int divide(const states_t *p, const track_t *k, const motion_t *m, double
     piece_t *piece = s->pieces + s->count;
     double *series = s->series + s->count * size, stop = end;
     if (last) { /* longer ones might miss whole turns */
-      panel = interval(moved->edges, reach, at, panel);
-      stop = moved->edges[panel + 2 < reach ? panel + 2 : reach];
+      panel = interval(k->edges, reach, at, panel);
+      stop = k->edges[panel + 2 < reach ? panel + 2 : reach];
     }
     stop = at + h < stop ? at + h : stop;
+    if (!last) stop = within(k, p->tip, at, stop);
     for (int i = 0; i < N; i++) {
       tau[i] = at + 0.5 * (stop - at) * (1.0 + m->method.node[i]);
-      times[i] = moved->start + tau[i] < moved->stop ? moved->start + tau[i] : moved->stop;
+      times[i] = k->start + tau[i] < k->stop ? k->start + tau[i] : k->stop;
     }
     if (last) {
       /* once exp(-40) of the slip is left, its part of the rates is below rounding */
-      *piece = (piece_t){at, stop, N, horner(moved->drive.exponent, moved->drive.n_exponent, at) < 40.0};
+      *piece = (piece_t){at, stop, N, horner(k->drive.exponent, k->drive.n_exponent, at) < 40.0};
       memcpy(before, last, 3 * nb * sizeof(double));
       if (p->object(k, N, times, values, row, ROWS * N)) return 0;
       join(k, piece, tau, last, values, combined);
@@ -352,7 +367,7 @@ long states(const states_t *p, motion_t *motion, long nt, const double *t, doubl
   long code = 0;
   series_t s = {0};
   for (int object = 0; object < 2 && !code; object++) {
-    if (divide(p, k, motion, tolerance, object ? last : NULL, &s))
+    if (divide(p, motion, tolerance, object ? last : NULL, &s))
       fill_side(&s, object ? NULL : p->angle, nt, t, out + 4 * object * nt, psi);
     else
       code = -4;
