@@ -43,7 +43,7 @@ SHARING: dict[str, tuple[str, ...] | None] = {
 LONG: dict[str, tuple[str, ...]] = {
     "speed": ("slip", "many", "eta"), "drake_plant": ("building",),
     "drake_station": ("forces", "recovery", "speed", "memory"),
-    "fmu": ("platforms", "package", "fuzz", "endurance"), "scale": ("dask",),
+    "fmu": ("importers", "platforms", "package", "fuzz", "endurance"), "scale": ("dask",),
     "work_precision": ("readme",), "skip": ("drake",),
 }  # fmt: skip
 """Sections that the quick form of the whole leaves out."""
