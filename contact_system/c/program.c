@@ -113,10 +113,13 @@ long fill(const part_t *parts, long n_parts, long count, long nt, const double *
   return 0;
 }
 
+#define MOST_ONCE 4096 /* panels */
+
 /* Integrate a copy of a motion for another tolerance, into a block that is to be freed where 0 is returned. */
 static long move_once(motion_t *own, motion_t *motion, double tolerance) {
   *own = *motion, own->tolerance = tolerance;
-  for (long room = own->needed > FEW ? own->needed : FEW; room <= 4096; room *= 4) {
+  long room = own->needed > FEW ? own->needed : FEW;
+  for (; room <= MOST_ONCE; room *= 4) {
     own->done = 0, own->room = room;
     own->block = malloc(room_of(own) * sizeof(double));
     if (!own->block) return -1;
@@ -128,6 +131,7 @@ static long move_once(motion_t *own, motion_t *motion, double tolerance) {
     free(own->block);
     if (code != -1) return code;
   }
+  motion->needed = room; /* so long a motion is worth keeping */
   return -1;
 }
 
