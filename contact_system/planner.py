@@ -50,6 +50,8 @@ from .tracks import (
     restoring_kernel,
 )
 
+FORCES = (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
+
 # Slip whose whole remaining displacement is below this fraction of tolerance * size is let go.
 NEGLIGIBLE = 0.01
 # Slip left when a slipping object goes over to a great circle, in path speeds and tolerances.
@@ -591,9 +593,10 @@ def prepare(scene: Scene, starts: Starts, begin: float) -> list[Prepared]:
         obj, object_at = _body([scene.object] * len(own), own, "object")
         disturbed = [(k, d) for k, i in enumerate(indices) for d in windows[i]]
         intervals = _intervals(scene, len(own), disturbed, slips[indices[0]], begin)
+        chosen: Any = indices if len(members) > 1 else slice(None)
         groups.append(Prepared(
-            scene, np.array(indices), begin, np.array([s.angle for s in own]), turns[indices],
-            w1[indices], w2[indices], v[indices], finger, obj, (finger_at, object_at),
+            scene, np.array(indices), begin, np.array([s.angle for s in own]), turns[chosen],
+            w1[chosen], w2[chosen], v[chosen], finger, obj, (finger_at, object_at),
             scene.contacts[indices[0]].follows, intervals,
         ))  # fmt: skip
     return groups
@@ -608,16 +611,15 @@ def _intervals(
         edges |= {p.start for p in gain.pieces(profile, begin, end)}
     knots = sorted(edges)
     result: list[Interval] = []
-    free_until = end
+    free_until, none = end, np.zeros((count, 2))
     for start, stop in reversed(list(zip(knots, knots[1:]))):
-        forcing: dict[type[Disturbance], np.ndarray] = {
-            kind: np.zeros((count, 2))
-            for kind in (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
-        }
+        forcing: dict[type[Disturbance], np.ndarray] = dict.fromkeys(FORCES, none)
         for k, d in disturbed:
             if d.start <= start and stop <= d.stop:
+                if forcing[type(d)] is none:
+                    forcing[type(d)] = none.copy()
                 forcing[type(d)][k] += d.value
-        pushed = bool(forcing[FingerAcceleration].any())
+        pushed = bool(disturbed) and bool(forcing[FingerAcceleration].any())
         if pushed:
             free_until = start
         piece = gain.pieces(profile, start, stop)[0]
@@ -719,6 +721,8 @@ class GroupPlanner:
     def _refuse_endless(self) -> bool:
         path = sum(interval.length for interval in self.prepared.intervals)
         for w, body in ((self.w1, self.finger), (self.w2 - self.v, self.object)):
+            if len(w) < 8 and _greatest(w) * path <= ENDLESS * body.size:
+                continue  # the commonest, without numpy's 10 us
             with np.errstate(over="ignore"):
                 turns = np.hypot(w[:, 0], w[:, 1]) * path / body.sizes[:, 0]
             if not turns.max() <= ENDLESS:
@@ -910,9 +914,7 @@ class GroupPlanner:
 
     def _forced(self, interval: Interval) -> None:
         start, stop, piece, pushed = interval.start, interval.stop, interval.piece, interval.pushed
-        d1, d2, offset = (
-            interval.forcing[k] for k in (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
-        )
+        d1, d2, offset = (interval.forcing[k] for k in FORCES)
         obj = self._in_form("object", interval.turns)
         tip = self._in_form("finger", True) if pushed else self.finger
         n1 = tip.state.shape[1] if pushed else 0
@@ -1108,8 +1110,8 @@ def _body(surfaces: Sequence[Surface], starts: Starts, side: str) -> tuple[Body,
 
 def _greatest(v: np.ndarray) -> float:
     """Greatest length of the rows of (n, 2)."""
-    if len(v) == 1:
-        return math.hypot(v[0, 0], v[0, 1])
+    if len(v) < 8:
+        return max(math.hypot(x, y) for x, y in v.tolist())
     return float(np.hypot(v[:, 0], v[:, 1]).max())
 
 
