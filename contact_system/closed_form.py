@@ -115,8 +115,11 @@ class CircleTrack(Track):
 
     def __post_init__(self) -> None:
         self._memories: dict[str, dict[str, Any]] = {"points": {}, "coordinates": {}}
-        span = self.stop - self.start
-        self._long = self.circle.fastest * self.piece.arc_length(span) > LONG_PHASE
+
+    @functools.cached_property
+    def _long(self) -> bool:
+        turn = self.circle.fastest * self.piece.arc_length(self.stop - self.start)
+        return turn > LONG_PHASE
 
     def _phases(self, t: np.ndarray, only_place: bool = True) -> np.ndarray:
         """Inputs of the kernel; phase modulo 2 pi alone, or speed and whole phase too."""
@@ -164,7 +167,8 @@ class CircleTrack(Track):
             address(circle.constants), address(circle.pace), address(circle.phase_per_metre),
         )  # fmt: skip
         other.__dict__["_data"] = ctypes.addressof(data), (data, circle)
-        other.__dict__.pop("_entries", None)
+        for name in ("_entries", "_long"):
+            other.__dict__.pop(name, None)
         return other
 
     def again(self, tolerance: float) -> Track:
@@ -220,7 +224,7 @@ class Circle:
     @property
     def fastest(self) -> float:
         """Greatest phase per metre."""
-        return float(self.phase_per_metre.max())
+        return max(self.phase_per_metre.tolist())  # of the few there are: numpy's takes 2 us
 
     def branch(self, begin: np.ndarray) -> None:
         """Fix the branch of v and theta from (u, v, theta) at the start: (n, 3).

@@ -398,7 +398,7 @@ class Body:
     @functools.cached_property
     def size(self) -> float:
         """The least of the sizes, m."""
-        return float(self.sizes.min())
+        return min(self.sizes[:, 0].tolist())
 
     def at(self, state: np.ndarray, ambient: bool) -> Body:
         """The same bodies elsewhere."""
