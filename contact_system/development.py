@@ -641,23 +641,24 @@ class MotionData(ctypes.Structure):
 
     _fields_ = [("track", TrackData), ("integrate", ctypes.c_void_p), ("drive", Drive),
                 ("method", Method)]  # fmt: skip
-    _fields_ += [(name, ctypes.c_long) for name in ("nx", "room", "done", "needed")]
+    _fields_ += [(name, ctypes.c_long) for name in ("nx", "room", "done")]
+    _fields_ += [("known", ctypes.c_void_p)]
     _fields_ += [(name, ctypes.c_double) for name in ("tolerance", "slip", "share")]
     _fields_ += [(name, ctypes.c_void_p) for name in ("start", "constants", "scale", "block")]
 
 
 @functools.cache
 def program_library() -> ctypes.CDLL:
-    """c/program.c: ``move``, ``fill``, ``states``, and those with motions that are not kept."""
+    """c/program.c: ``move``, ``room_of``, ``fill``, ``states``, and those with motions not kept."""
     library = compiled_library(_program_source())
     pointer, integer = ctypes.c_void_p, ctypes.c_long
-    library.move.argtypes = [pointer]
+    library.move.argtypes = library.room_of.argtypes = [pointer]
     library.fill.argtypes = [pointer, integer, integer, integer, pointer, pointer, pointer]
     library.states.argtypes = [pointer, pointer, integer, pointer, pointer]
     number = ctypes.c_double
     library.fill_once.argtypes = [*library.fill.argtypes[:-1], number]
     library.states_once.argtypes = [pointer, pointer, number, integer, pointer, pointer]
-    for name in ("move", "fill", "fill_once", "states", "states_once"):
+    for name in ("move", "room_of", "fill", "fill_once", "states", "states_once"):
         getattr(library, name).restype = integer
     return library
 
@@ -670,13 +671,18 @@ def program_built() -> bool:
 
 @functools.cache
 def _program_source() -> str:
-    return f"{PRELUDE}#define MOST {MOST_AT_ONCE}\n#define FEW {ROOM}\n{c_source('program.c')}"
+    return f"{PRELUDE}#define MOST {MOST_AT_ONCE}\n{c_source('program.c')}"
 
 
 MOST_AT_ONCE = 8  # bodies whose states are made series in one call
 ROOM = 24  # panels there is room for, until one needs more
 MOST_ROOM = 400  # that is remembered
-_ROOM: dict[Kernel, int] = {}
+_ROOM: dict[Kernel, ctypes.c_long] = {}
+
+
+def _room(kernel: Kernel) -> ctypes.c_long:
+    """Room that motions of this kernel have needed; C reads it too."""
+    return _ROOM.setdefault(kernel, ctypes.c_long(ROOM))
 
 
 class Motion:
@@ -706,9 +712,8 @@ class Motion:
         data.method = Method(problem.length, 0.0, problem.first, 0.0, 0.0, -1.0, 0.0,
                              *method_pointers(), problem.stiff, 0, problem.stops)  # fmt: skip
         data.share, data.slip = problem.finish, problem.slip
+        data.known = ctypes.addressof(_room(kernel))
         self._kept = kernel, start, constants, scale, problem  # addresses point into them
-        size = start.size
-        self._layout = 2 * size + (2 * data.nx + 2) * NODES, size * (NODES + 1)
         self._begin(tolerance)
 
     def again(self, tolerance: float, problem: Problem | None = None) -> Motion:
@@ -716,7 +721,6 @@ class Motion:
         must be contiguous, if a problem is given that differs in these."""
         other = object.__new__(Motion)
         other.data, other._kept = MotionData.from_buffer_copy(self.data), self._kept
-        other._layout = self._layout
         if problem is not None:
             kernel, _, _, scale, _ = self._kept
             other._kept = kernel, problem.start, problem.constants, scale, problem
@@ -734,13 +738,12 @@ class Motion:
     def ready(self) -> None:
         """Have room to integrate into."""
         if self._block is None:
-            self._make_room(_ROOM.get(self._kept[0], ROOM))
+            self._make_room(_room(self._kept[0]).value)
 
     def _make_room(self, panels: int) -> None:
-        edges, each = self._layout  # numbers before the edges, numbers of a panel
-        self._series = edges + panels + 1
-        self._block = block = np.empty(self._series + panels * each)
-        self.data.room, self.data.block = panels, address(block)
+        self.data.room = panels
+        self._block = block = np.empty(program_library().room_of(self.at))
+        self.data.block = address(block)
 
     def run(self) -> None:
         """Integrate, unless that was done before."""
@@ -757,10 +760,11 @@ class Motion:
         if code == -2:
             raise _stuck(self._kept[4], method.reached)
         panels = 4 * self.data.room
-        if code == -3 or 8.0 * panels * self._layout[1] > MOST_BYTES:
+        if code == -3 or 4.0 * self._block.nbytes > MOST_BYTES:  # type: ignore[union-attr]
             raise _endless(self._kept[4], method.reached, self.data.room)
         self._make_room(panels)
-        _ROOM[kernel] = min(max(panels, _ROOM.get(kernel, ROOM)), MOST_ROOM)
+        known = _room(kernel)
+        known.value = min(max(panels, known.value), MOST_ROOM)
 
     def panels(self) -> Panels:
         """The motion as panels."""
@@ -769,10 +773,11 @@ class Motion:
         assert block is not None
         count, shape = data.track.n_panels, (data.track.nb, data.nx)
         size = shape[0] * shape[1]
-        series = block[self._series : self._series + count * size * (NODES + 1)]
+        at, first = ((a - data.block) // 8 for a in (data.track.edges, data.track.coefficients))
+        series = block[first : first + count * size * (NODES + 1)]
         released = data.method.released
         return Panels(
-            block[self._layout[0] : self._layout[0] + count + 1],
+            block[at : at + count + 1],
             series.reshape(count, *shape, NODES + 1), block[:size].reshape(shape),
             released if released >= 0 else None, (data.track.edges, data.track.coefficients),
         )  # fmt: skip
@@ -1265,7 +1270,7 @@ class GeodesicTrack(MovingTrack):
         return self.run(self.form.body, self._own_state(at), self.problem.constants)
 
     def end(self) -> np.ndarray:
-        return self.form.body.at(self.panels.end, self.problem.constants)
+        return self.form.body.at(self.panels.end, self.problem.constants)[:, :AXIS]
 
     def _numbers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         unit = np.zeros_like(self.w)

@@ -745,8 +745,8 @@ class GroupPlanner:
                 if not track.ambient:
                     state = axis_kernel(body.surface).at(state, body.parameters)
                 elif not isinstance(track, PanelTrack):  # panels end on the surface
-                    state = restoring_axis(body.surface).at(state[:, :AXIS], body.parameters)
-            setattr(self, side, body.at(state[:, :AXIS], body.ambient))
+                    state = restoring_axis(body.surface).at(state, body.parameters)
+            setattr(self, side, body.at(state, body.ambient))
 
     def _geodesic(self, side: str, start: float, stop: float, why: str) -> Track:
         body: Body = getattr(self, side)
@@ -1077,7 +1077,7 @@ class RollingTrack(PanelTrack):
         return out
 
     def end(self) -> np.ndarray:
-        return self.state(np.array([self.stop]))[:, :, 0]
+        return Track.end(self)  # not the panels' rows
 
 
 # --- small parts ---------------------------------------------------------------------------------

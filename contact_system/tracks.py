@@ -240,8 +240,8 @@ class Track:
         raise NotImplementedError
 
     def end(self) -> np.ndarray:
-        """The moving frame at ``stop``: (n_bodies, 9), (x, p) alone (6), or (u, v, theta) (3)."""
-        return self.state(np.array([self.stop]))[:, :, 0]
+        """The moving frame at ``stop``: (x, p), (n_bodies, 6), or (u, v, theta), (n_bodies, 3)."""
+        return self.state(np.array([self.stop]))[:, :AXIS, 0]
 
     def drive(self, t: np.ndarray) -> np.ndarray:
         """Velocity of the contact point in the parallel frame without offset: (n_bodies, 2, n)."""

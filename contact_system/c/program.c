@@ -13,14 +13,14 @@ typedef struct {
   drive_t drive; /* in the panels' variable */
   method_t method;
   long nx, room, done; /* states of a body; panels; whether it is integrated */
-  long needed;         /* room the last copy needed, see move_once */
+  const long *known;   /* room that motions like this have needed */
   double tolerance, slip, share; /* see development.Problem: share is `finish` */
   const double *start, *constants, *scale;
   double *block; /* room: state, spare, work, edges, coefficients */
 } motion_t;
 
-/* Numbers in a block */
-static long room_of(const motion_t *m) {
+/* Numbers in a block with its room */
+long room_of(const motion_t *m) {
   const long size = m->track.nb * m->nx;
   return 2 * size + (2 * m->nx + 2) * N + m->room * (size * (N + 1) + 1) + 1;
 }
@@ -113,26 +113,16 @@ long fill(const part_t *parts, long n_parts, long count, long nt, const double *
   return 0;
 }
 
-#define MOST_ONCE 4096 /* panels */
-
-/* Integrate a copy of a motion for another tolerance, into a block that is to be freed where 0 is returned. */
-static long move_once(motion_t *own, motion_t *motion, double tolerance) {
-  *own = *motion, own->tolerance = tolerance;
-  long room = own->needed > FEW ? own->needed : FEW;
-  for (; room <= MOST_ONCE; room *= 4) {
-    own->done = 0, own->room = room;
-    own->block = malloc(room_of(own) * sizeof(double));
-    if (!own->block) return -1;
-    const long code = move(own);
-    if (!code) {
-      motion->needed = room;
-      return 0;
-    }
-    free(own->block);
-    if (code != -1) return code;
-  }
-  motion->needed = room; /* so long a motion is worth keeping */
-  return -1;
+/* Integrate a copy of a motion for another tolerance, into a block that is to be freed where 0 is returned.
+   Where the room known is too small, whoever keeps motions learns more. */
+static long move_once(motion_t *own, const motion_t *motion, double tolerance) {
+  *own = *motion;
+  own->tolerance = tolerance, own->done = 0, own->room = *own->known;
+  own->block = malloc(room_of(own) * sizeof(double));
+  if (!own->block) return -1;
+  const long code = move(own);
+  if (code) free(own->block);
+  return code;
 }
 
 /* `fill` with motions for another tolerance that are not kept; those of the tracks stay as they are. A negative
@@ -144,7 +134,7 @@ long fill_once(const part_t *parts, long n_parts, long count, long nt, const dou
     const part_t *part = parts + p;
     motion_t own;
     if (!ordered && !(part->first && part->last) && !(ordered = in_order(t, nt))) return -1;
-    if (part->moves && move_once(&own, (motion_t *)part->track, tolerance)) return -1;
+    if (part->moves && move_once(&own, (const motion_t *)part->track, tolerance)) return -1;
     const long code = fill_part(part, part->moves ? &own.track : part->track, count, nt, t, out);
     if (part->moves) free(own.block);
     if (code) return code;
@@ -382,7 +372,7 @@ long states(const states_t *p, motion_t *motion, long nt, const double *t, doubl
 }
 
 /* `states` with a motion for another tolerance that is not kept; as fill_once. */
-long states_once(const states_t *p, motion_t *motion, double tolerance, long nt, const double *t,
+long states_once(const states_t *p, const motion_t *motion, double tolerance, long nt, const double *t,
                  double *out) {
   motion_t own;
   if (move_once(&own, motion, tolerance)) return -1;
