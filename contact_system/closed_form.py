@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import ctypes
+import dataclasses
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ from .tracks import (
     frame_coordinates,
     frame_kernel,
     point_kernel,
+    rotation,
     whole_frame,
 )
 
@@ -227,22 +229,9 @@ class Circle:
         return max(self.phase_per_metre.tolist())  # of the few there are: numpy's takes 2 us
 
     def branch(self, begin: np.ndarray) -> None:
-        """Fix the branch of v and theta from (u, v, theta) at the start: (n, 3).
-
-        Spherical trigonometry from the highest point of the circle, where the longitude of the
-        circle equals its phase: v - (branch[0] + branch[1] phi) = atan2(cos i sin, cos) - phase.
-        """
-        u, v, theta = begin.T
-        turn = np.arctan2(self.w[:, 1], self.w[:, 0])  # 0 for a point at rest
-        azimuth = theta + turn
-        sense = np.where(np.sin(azimuth) < 0, -1.0, 1.0)
-        phase = np.pi / 2 + np.arctan2(np.sin(u) * np.cos(azimuth), np.cos(u))
-        tilt = np.abs(np.sin(azimuth)) * np.sin(u)
-        lead = np.arctan2(tilt * np.sin(phase), np.cos(phase)) - phase
-        lead -= 2 * np.pi * np.rint(lead / (2 * np.pi))
-        middle = sense * np.pi / 2 - turn
-        middle += 2 * np.pi * np.rint((theta - middle) / (2 * np.pi))
-        self.constants[:, -4:] = np.stack([v - sense * lead, sense, middle, turn], axis=1)
+        """Fix the branch of v and theta from (u, v, theta) at the start: (n, 3)."""
+        points = np.concatenate([begin, self.w], axis=1)
+        self.constants[:, -4:] = circle_branch().at(points, np.empty((len(points), 0)))
         self.branched = True
 
 
@@ -271,6 +260,28 @@ def pair_of(tracks: Sequence[CircleTrack]) -> CircleTrack | None:
     )  # fmt: skip
 
 
+@functools.cache
+def circle_branch() -> Kernel:
+    """point: u, v, theta, w (2) -> the branch of :func:`circle_kernel`'s constants.
+
+    Spherical trigonometry from the highest point of the circle, where the longitude of the circle
+    equals its phase: v - (branch[0] + branch[1] phi) = atan2(cos i sin, cos) - phase.
+    """
+    point = SX.sym("point", 5)
+    u, v, theta, w = ca.vertsplit(point, [0, 1, 2, 3, 5])
+    turn = ca.atan2(w[1], w[0])  # 0 for a point at rest
+    azimuth = theta + turn
+    sense = ca.if_else(ca.sin(azimuth) < 0, -1, 1)
+    phase = np.pi / 2 + ca.atan2(ca.sin(u) * ca.cos(azimuth), ca.cos(u))
+    tilt = ca.fabs(ca.sin(azimuth)) * ca.sin(u)
+    lead = ca.atan2(tilt * ca.sin(phase), ca.cos(phase)) - phase
+    lead = nearest_branch(lead, SX(0), 0)
+    middle = nearest_branch(sense * (np.pi / 2) - turn, theta, 0)
+    return Kernel(
+        "circle_branch", point, SX(0, 1), ca.vertcat(v - sense * lead, sense, middle, turn)
+    )
+
+
 @per_structure
 def circle_start(surface: Surface) -> Kernel:
     """point: x, p (6), w (2) -> the constants of :func:`circle_kernel` but for the branch, |w|,
@@ -294,6 +305,13 @@ def great_circle(
     found = circle_start(surface).at(np.concatenate([begin, w], axis=1), parameters)
     pace, phase_per_metre = np.ascontiguousarray(found[:, -2:].T)
     return Circle(w, pace, phase_per_metre, np.ascontiguousarray(found[:, :-2]))
+
+
+@functools.cache
+def turned() -> Kernel:
+    """point: theta, w (2) -> Rot(theta) w."""
+    point = SX.sym("point", 3)
+    return Kernel("turned", point, SX(0, 1), rotation(point[0]) @ point[1:])
 
 
 @per_structure
@@ -336,12 +354,13 @@ class FlatTrack(Track):
     lame: np.ndarray
     piece: GainPiece
     slip_length: Panels | None
+    constants: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        cos, sin = np.cos(self.begin[:, 2]), np.sin(self.begin[:, 2])
-        turn = np.array([[cos, -sin], [sin, cos]]).transpose(2, 0, 1)
-        self.along = (turn @ self.w[:, :, None])[:, :, 0]
-        self.aside = (turn @ self.v[:, :, None])[:, :, 0]
+        theta, none = self.begin[:, 2:], np.empty((self.n_bodies, 0))
+        self.along, self.aside = (
+            turned().at(np.concatenate([theta, w], axis=1), none) for w in (self.w, self.v)
+        )
 
     def again(self, tolerance: float) -> Track | None:
         # slip too small to speak of is not for a tighter tolerance
@@ -355,10 +374,18 @@ class FlatTrack(Track):
             return None
         return (compiled, self._data[0]) if compiled.usable(self.compiled) else None
 
+    def moved(
+        self, begin: np.ndarray, w: np.ndarray, lame: np.ndarray, constants: np.ndarray
+    ) -> FlatTrack:
+        """This track, without slip, from another start; constants: see :func:`line_evaluator`."""
+        return dataclasses.replace(self, begin=begin, w=w, v=0 * w, lame=lame, constants=constants)
+
     @functools.cached_property
     def _data(self) -> tuple[int, tuple]:
         """Address of the C form of this track, and what it points to."""
-        constants = np.hstack([self.parameters, self.begin, self.along / self.lame])
+        constants = self.constants
+        if constants is None:
+            constants = np.hstack([self.parameters, self.begin, self.along / self.lame])
         piece, ones = self.piece, np.ones(self.n_bodies)
         data = TrackData(
             start=self.start, stop=self.stop, drive=drive_data(piece), nb=self.n_bodies,

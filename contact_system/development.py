@@ -111,6 +111,22 @@ def reflection(cos_psi: SX, sin_psi: SX) -> SX:
     return ca.vertcat(ca.horzcat(cos_psi, -sin_psi), ca.horzcat(-sin_psi, -cos_psi))
 
 
+@functools.cache
+def contact_start() -> Kernel:
+    """point: psi, W_1 in E1 (2), the object's path velocity in E2 (2) -> R_psi by rows (4), W_2, V.
+
+    R_psi W_1 of a rolling start is rounded twice; what is left of V then is no slip.
+    """
+    point = SX.sym("point", 5)
+    psi, w1, given = ca.vertsplit(point, [0, 1, 3, 5])
+    r0 = reflection(ca.cos(psi), ca.sin(psi))
+    w2 = r0 @ w1
+    rounding = 1e-15 * ca.fmax(ca.fmax(ca.fabs(w1[0]), ca.fabs(w1[1])), 1e-300)
+    v = w2 - given
+    v = ca.if_else(ca.fabs(v) <= rounding, 0, v)
+    return Kernel("contact_start", point, SX(0, 1), ca.vertcat(ca.vec(r0.T), w2, v))
+
+
 @per_structure
 def driven_motion(surface: Surface, ambient: bool, offset: bool = False) -> Kernel:
     """Kernel of one body driven by c = sigma (W - V decay).
@@ -393,11 +409,10 @@ class Problem:
     stops: bool = False
     stiff: int = 0
 
-    def moved(self, start: np.ndarray, constants: np.ndarray) -> Problem:
-        """This problem from another start with other constants."""
+    def moved(self, start: np.ndarray, constants: np.ndarray, **others: Any) -> Problem:
+        """This problem from another start with other constants, both contiguous."""
         other = object.__new__(Problem)
-        other.__dict__.update(self.__dict__)
-        other.start, other.constants = start, constants
+        other.__dict__.update(self.__dict__, start=start, constants=constants, **others)
         return other
 
     def limits(self, tolerance: float) -> tuple[float, float, float]:
@@ -649,16 +664,19 @@ class MotionData(ctypes.Structure):
 
 @functools.cache
 def program_library() -> ctypes.CDLL:
-    """c/program.c: ``move``, ``room_of``, ``fill``, ``states``, and those with motions not kept."""
+    """c/program.c: ``move``, ``room_of``, ``fill``, ``states``; ``begin`` and those two of begun
+    scenes."""
     library = compiled_library(_program_source())
     pointer, integer = ctypes.c_void_p, ctypes.c_long
     library.move.argtypes = library.room_of.argtypes = [pointer]
     library.fill.argtypes = [pointer, integer, integer, integer, pointer, pointer, pointer]
     library.states.argtypes = [pointer, pointer, integer, pointer, pointer]
     number = ctypes.c_double
-    library.fill_once.argtypes = [*library.fill.argtypes[:-1], number]
-    library.states_once.argtypes = [pointer, pointer, number, integer, pointer, pointer]
-    for name in ("move", "room_of", "fill", "fill_once", "states", "states_once"):
+    library.begin.argtypes = [pointer] * 3
+    begun: list[Any] = [pointer, pointer, number]
+    library.fill_begun.argtypes = [*begun, *library.fill.argtypes[:-1]]
+    library.states_begun.argtypes = [*begun, *library.states.argtypes]
+    for name in ("move", "room_of", "fill", "states", "begin", "fill_begun", "states_begun"):
         getattr(library, name).restype = integer
     return library
 
@@ -717,16 +735,15 @@ class Motion:
         self._begin(tolerance)
 
     def again(self, tolerance: float, problem: Problem | None = None) -> Motion:
-        """The same motion for another tolerance; from another start with other constants, which
-        must be contiguous, if a problem is given that differs in these."""
+        """The same motion for another tolerance; of a problem that was :meth:`Problem.moved`."""
         other = object.__new__(Motion)
-        other.data, other._kept = MotionData.from_buffer_copy(self.data), self._kept
+        other.data = data = MotionData.from_buffer_copy(self.data)
+        other._kept = self._kept
         if problem is not None:
-            kernel, _, _, scale, _ = self._kept
-            other._kept = kernel, problem.start, problem.constants, scale, problem
-            other.data.start, other.data.constants = (
-                address(problem.start), address(problem.constants),
-            )  # fmt: skip
+            start, constants, scale = problem.start, problem.constants, problem.scale
+            other._kept = self._kept[0], start, constants, scale, problem
+            data.start, data.constants, data.slip = address(start), address(constants), problem.slip
+            data.scale = address(scale)
         other._begin(tolerance)
         return other
 
@@ -1037,6 +1054,7 @@ class MovingTrack(PanelTrack):
         self.by_length, self.forced = v is None, None
         self.kernel, self.problem, self.tolerance, self._why = kernel, problem, tolerance, why
         self._anchors = None
+        self._pointed: Any = None
 
     @functools.cached_property
     def motion(self) -> Motion | None:
@@ -1070,27 +1088,25 @@ class MovingTrack(PanelTrack):
             self.motion.run()
         return super()._evaluate(output, t, out)
 
-    def again(self, tolerance: float, motion: Motion | None = None) -> Track | None:
+    def again(self, tolerance: float) -> Track | None:
         if self.problem.stops or self.offset is not None:
             return None
         own, other = self.motion, self._copy(tolerance)
         if own is not None:
-            other.__dict__["motion"] = motion or own.again(tolerance)
+            other.__dict__["motion"] = own.again(tolerance)
         return other
 
     def moved(
-        self, tolerance: float, start: np.ndarray, w: np.ndarray, v: np.ndarray
+        self, tolerance: float, problem: Problem, w: np.ndarray, v: np.ndarray | None
     ) -> MovingTrack:
-        """This track, driven by slip, from another start with other path velocities."""
-        motion, other, n = self.motion, self._copy(tolerance), self.parameters.shape[1]
-        constants = self.problem.constants.copy()
-        constants[:, n : n + 2], constants[:, n + 2 : n + 4] = w, v
-        other.w, other.v = np.ascontiguousarray(w), np.ascontiguousarray(v)
-        other.problem = self.problem.moved(np.ascontiguousarray(start), constants)
+        """This track for a problem that was :meth:`Problem.moved`, with other path velocities."""
+        motion, other = self.motion, self._copy(tolerance)
+        other.problem, other.w, other.v = problem, w, v
         if motion is not None:
-            other.__dict__["motion"] = motion = motion.again(tolerance, other.problem)
-            track = motion.data.track
-            track.w, track.v = address(other.w), address(other.v)
+            other.__dict__["motion"] = motion = motion.again(tolerance, problem)
+            track, numbers = motion.data.track, [contiguous(a) for a in other._numbers()]
+            track.constants, track.w, track.v = map(address, numbers)
+            other._pointed = self._pointed, numbers
         return other
 
     def _copy(self, tolerance: float) -> MovingTrack:
@@ -1135,13 +1151,13 @@ class GeodesicForm:
     Attributes
     ----------
     start : Kernel
-        point: the body's state, w (2) -> state and numbers of the path.
+        point: the body's state, w (2) -> state, numbers of the path, 1 / (size of each rate).
     motion : Kernel
         State, sigma, decay (both unused) -> its rates in arc length.
     body : Kernel
         State -> the body's state, (x, p, q) or (u, v, theta).
-    coordinates : Evaluator
-        State, sigma, 0 -> u, v, u', v', theta.
+    points, coordinates : Evaluator
+        State -> x; state, sigma, 0 -> u, v, u', v', theta.
     n_rates : int
         How many of the states are rates: the last ones.
     """
@@ -1149,6 +1165,7 @@ class GeodesicForm:
     start: Kernel
     motion: Kernel
     body: Kernel
+    points: Evaluator
     coordinates: Evaluator
     n_rates: int
 
@@ -1181,7 +1198,7 @@ def _quadric_form(surface: Surface) -> GeodesicForm:
     gradient, hessian = geometry.implicit_geometry(surface.implicit_expr(p, frame[0:3]), frame[0:3])
     velocity, pace = w[0] * frame[3:6] + w[1] * frame[6:9], ca.norm_2(w)
     integral = ca.dot(velocity, hessian @ velocity) * ca.dot(gradient, gradient)
-    begin = ca.vertcat(frame[0:3], velocity, integral, pace, w / pace)
+    begin = ca.vertcat(frame[0:3], velocity, integral, pace, w / pace, SX.ones(3) / pace)
 
     state, drive = SX.sym("state", 6), SX.sym("drive", 2)
     x, rate = state[0:3], state[3:6]
@@ -1205,7 +1222,8 @@ def _quadric_form(surface: Surface) -> GeodesicForm:
     found = Kernel("geodesic_coordinates", ca.vertcat(state, drive), constant, chart)
     return GeodesicForm(
         Kernel("geodesic_start", ca.vertcat(axis, w), p, begin), motion,
-        Kernel("geodesic_frames", state, constant, body), Evaluator(found, False, 6, True), 3,
+        Kernel("geodesic_frames", state, constant, body), evaluator(surface, True, "points"),
+        Evaluator(found, False, 6, True), 3,
     )  # fmt: skip
 
 
@@ -1229,7 +1247,8 @@ def _clairaut_form(surface: Surface) -> GeodesicForm:
     c, h = rotation(place[2]) @ w, lame(place)
     integral = h[0] * c[0]
     rest = place[2] - angle(c[1], integral, h)
-    begin = ca.vertcat(place[:2], c[1] / h[1], integral, ca.norm_2(w), rest)
+    pace = ca.norm_2(w)
+    begin = ca.vertcat(place[:2], c[1] / h[1], integral, pace, rest, h[1] / pace)
 
     h = lame(state)
     slope = ca.jacobian(h[0], state[1])
@@ -1250,9 +1269,11 @@ def _clairaut_form(surface: Surface) -> GeodesicForm:
     theta = angle(h[1] * state[2], numbers[0], h) + numbers[2]
     chart = ca.vertcat(state[:2], drive[0] * turn, drive[0] * state[2], theta)
     found = Kernel("geodesic_coordinates", ca.vertcat(state, drive), constant, chart)
+    x = surface.chart_expr(p, state[0], state[1])
     return GeodesicForm(
         Kernel("geodesic_start", ca.vertcat(place, w), p, begin), motion,
         Kernel("geodesic_places", state, constant, ca.vertcat(state[:2], theta)),
+        Evaluator(Kernel("geodesic_points", state, constant, x), False, 3, False),
         Evaluator(found, False, 3, False), 1,
     )  # fmt: skip
 
@@ -1278,4 +1299,4 @@ class GeodesicTrack(MovingTrack):
         return self.problem.constants, unit, unit
 
     def _evaluator(self, output: str) -> Evaluator:
-        return self.form.coordinates if output == "coordinates" else super()._evaluator(output)
+        return self.form.coordinates if output == "coordinates" else self.form.points

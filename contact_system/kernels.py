@@ -232,7 +232,8 @@ class Kernel:
         )
 
     @functools.cached_property
-    def _library(self) -> Any:
+    def library(self) -> Any:
+        """:meth:`loop`, compiled."""
         library = compiled_library(PRELUDE + self.loop_source)
         entry = getattr(library, self.name)
         pointer = ctypes.c_void_p
@@ -270,7 +271,7 @@ class Kernel:
             n_bodies, _, n = out.shape
             points, constants = contiguous(points), contiguous(constants)
             shared = points.shape[0] == 1
-            self._library(
+            self.library(
                 n_bodies, n, address(points), row_offsets(tuple(range(self.n_point)), n),
                 0 if shared else points.shape[1] * n, address(constants), out.ctypes.data,
                 row_offsets(tuple(range(self.n_result)), out.strides[1] // 8), out.strides[0] // 8,
@@ -643,7 +644,8 @@ def address(array: np.ndarray) -> int:
     """Address of a contiguous array's first number (0.26 us; ``.ctypes.data`` takes 1 us)."""
     try:
         return _addressof(_number_in(array))  # type: ignore[arg-type]
-    except (TypeError, ValueError, BufferError):  # read-only, strided or empty
+    except (TypeError, ValueError, BufferError):  # read-only or empty
+        assert array.flags.c_contiguous, "C reads numbers side by side"
         return array.ctypes.data
 
 

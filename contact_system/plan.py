@@ -18,17 +18,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from . import kinds
 from .chart_solution import chart_groups
 from .development import runs
 from .errors import ChartSingularity, ContactSystemError, SceneError
+from .kinds import Begun
 from .kinematics import relative_pose, relative_twist
 from .planner import (
     Group,
     Moment,
-    Rerun,
     Start,
     Starts,
-    kept_group,
     measured_start,
     plan_groups,
     scene_start,
@@ -96,17 +96,19 @@ class Plan:
         self.scene, self.tolerance, self.method = scene, tolerance, method
         self.solver, self.compiled, self.start, self.starts = solver, compiled, start, starts
         self._groups: list[Group] | None = None
-        self._rerun: Rerun | None = None
+        self._begun: Begun | None = None
+        self._asked = False
         if method == "chart":
             given = [s for s in starts or () if isinstance(s, Start)]
             given = given or [scene_start(contact) for contact in scene.contacts]
             self._groups = chart_groups(scene, given, start, tolerance, solver)
         else:
-            known = kept_group(scene, compiled) if starts is None else None
-            if known is not None:
-                self._rerun = Rerun(known, tolerance)
-            else:
+            if starts is None:
+                self._begun = kinds.begin(scene, compiled)
+            if self._begun is None:
                 self._groups = plan_groups(scene, starts, start, tolerance, compiled)
+                if starts is None:
+                    kinds.learn(scene, self._groups, compiled)
         self._count = len(scene.contacts)
         self._programs: dict[str, Program | None] = {}
 
@@ -114,8 +116,8 @@ class Plan:
     def groups(self) -> list[Group]:
         """Contacts that move together, and their tracks."""
         if self._groups is None:
-            assert self._rerun is not None
-            self._groups = [self._rerun.whole()]
+            assert self._begun is not None
+            self._groups = [self._begun.group(self.scene, self.tolerance)]
         return self._groups
 
     # --- results -------------------------------------------------------------------------------
@@ -140,7 +142,7 @@ class Plan:
         out[:, 4:8] = sides[:, 5:9]
         psi = out[:, 8]
         np.add(sides[:, 4], sides[:, 9], out=psi)
-        np.subtract(_gathered(self.groups, self._count), psi, out=psi)
+        np.subtract(self._angles(), psi, out=psi)
         return out.transpose(2, 0, 1)
 
     def points(self, t: ArrayLike) -> np.ndarray:
@@ -415,22 +417,32 @@ class Plan:
         times = _one_axis(t)
         if len(times) < FEW_TIMES or not times.flags.c_contiguous:
             return None
-        if self._rerun is None and len(self.groups) > 1:
+        out, code, begun = np.empty((self._count, 9, len(times))), -1, self._begun
+        if begun is not None and begun.kind.slipping is not None and self._first_look():
+            code = begun.states(times, out, self.tolerance)
+        elif begun is not None and begun.kind.closed:
             return None
-        group = self._rerun.group if self._rerun is not None else self.groups[0]
-        slipping = group.slipping_states(self.compiled)
-        if slipping is None:
-            return None
-        out, code = np.empty((self._count, 9, len(times))), -1
-        motion: Any = group.moving[0].motion
-        if self._rerun is not None and self._rerun.first_look():
-            code = slipping.fill_once(motion, self.tolerance, times, out)
         if code < 0:
-            motion = self._rerun.motions[0] if self._rerun is not None else motion
+            group = self.groups[0]
+            slipping = group.slipping_states(self.compiled) if len(self.groups) == 1 else None
+            if slipping is None:
+                return None
+            motion: Any = group.moving[0].motion
             code = slipping.fill(motion, times, out)
         if code > 0:
             self._refuse(times)
         return out.transpose(2, 0, 1) if code == 0 else None
+
+    def _angles(self) -> np.ndarray:
+        """psi(0) of all contacts, (n_contacts, 1)."""
+        if self._begun is not None:
+            return self._begun.angle
+        if len(self.groups) == 1:
+            return self.groups[0].angle[:, None]
+        angle = np.empty((self._count, 1))
+        for group in self.groups:
+            angle[group.contacts, 0] = group.angle
+        return angle
 
     def _named(self, group: Group, error: ChartSingularity) -> ChartSingularity:
         names = ", ".join(str(i) for i in group.contacts)
@@ -455,25 +467,28 @@ class Plan:
         """The shortest way: all tracks in one call. False if there is none."""
         if not times.flags.c_contiguous:
             return False
-        rerun, motions = self._rerun, None
-        if output == "points" and rerun is not None:
-            program = rerun.group.program(output)
-            if program is not None and rerun.first_look():
-                code = program.fill_once(count, times, out, self.tolerance)
-                if code == 0:
-                    return True
-            motions = rerun.motions
-        else:
-            program = self._program(output)
+        begun = self._begun
+        if begun is not None and (begun.kind.closed or self._first_look()):
+            found = begun.fill(output, count, times, out, self.tolerance)
+            if found > 0:
+                self._refuse(times)
+            if found == 0:
+                return True
+        program = self._program(output)
         if program is None:
             return False
         if output == "coordinates":
             for group in self.groups:
                 group.anchor_all()
-        found = program.fill(count, times, out, motions)
-        if found:
+        code = program.fill(count, times, out)
+        if code:
             self._refuse(times)
-        return found == 0
+        return code == 0
+
+    def _first_look(self) -> bool:
+        """Whether nothing was asked yet: who looks once needs no motions that are kept."""
+        first, self._asked = not self._asked and self._groups is None, True
+        return first
 
     def _program(self, output: str) -> Program | None:
         if len(self.groups) == 1:
@@ -532,16 +547,6 @@ def _one_axis(t: ArrayLike) -> np.ndarray:
     if times.ndim == 0:
         return times[None]
     raise ContactSystemError(f"times have shape {times.shape}; give one axis of times")
-
-
-def _gathered(groups: Sequence[Group], count: int) -> np.ndarray:
-    """psi(0) of all contacts, (n_contacts, 1)."""
-    if len(groups) == 1:
-        return groups[0].angle[:, None]
-    angle = np.empty((count, 1))
-    for group in groups:
-        angle[group.contacts, 0] = group.angle
-    return angle
 
 
 def _write(method: Callable, times: np.ndarray, where: slice | np.ndarray, out: np.ndarray) -> None:

@@ -26,11 +26,12 @@ from . import development
 from .closed_form import CircleTrack, FlatTrack, great_circle, pair_of
 from .development import GeodesicTrack, MovingTrack, PanelTrack, Problem
 from .errors import ChartSingularity, ContactSystemError, SceneError
-from .kernels import Kernel
-from .kinematics import contact_map
+from .kernels import Kernel, contiguous
 from .profile import GainPiece, Profile
 from .program import SIDES, Program, SlippingStates, program_of
 from .scene import (
+    REST,
+    ROLLING,
     Contact,
     Disturbance,
     FingerAcceleration,
@@ -48,6 +49,7 @@ from .tracks import (
     prefers_ambient,
     restoring_axis,
     restoring_kernel,
+    scale_kernel,
 )
 
 FORCES = (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
@@ -89,15 +91,28 @@ class Start:
 
 
 def scene_start(contact: Contact) -> Start:
-    """The start that a scene's contact describes; words become numbers here."""
-    c, s = math.cos(contact.angle), math.sin(contact.angle)
-    own, given = contact.finger_velocity, contact.object_velocity
-    if isinstance(own, str):  # rolling imposed: given is a pair
-        own = (c * given[0] - s * given[1], -s * given[0] - c * given[1])  # type: ignore
-    if isinstance(given, str):
-        rolled = (c * own[0] - s * own[1], -s * own[0] - c * own[1])
-        given = rolled if given == "rolling" else (0.0, 0.0)
-    return Start(contact.finger_at, contact.object_at, contact.angle, own, given)
+    """The start that a scene's contact describes."""
+    n = start_numbers(contact)
+    return Start(n[0:2], n[2:4], n[4], n[5:7], n[7:9])  # type: ignore[arg-type]
+
+
+def start_numbers(contact: Contact) -> tuple[float, ...]:
+    """The 9 numbers of a :class:`Start` in their order; words become numbers here."""
+    own: Any = contact.finger_velocity
+    given: Any = contact.object_velocity
+    if own == ROLLING:  # imposed: the other is a pair
+        own = _rolled(contact.angle, given)
+    elif given == ROLLING:
+        given = _rolled(contact.angle, own)
+    elif given == REST:
+        given = 0.0, 0.0
+    return (*contact.finger_at, *contact.object_at, contact.angle, *own, *given)
+
+
+def _rolled(angle: float, w: tuple[float, float]) -> tuple[float, float]:
+    """R_psi w, before V is worked out from it and rounding told from slip."""
+    c, s = math.cos(angle), math.sin(angle)
+    return c * w[0] - s * w[1], -s * w[0] - c * w[1]
 
 
 @dataclass(frozen=True)
@@ -281,15 +296,14 @@ class Group:
         ends = self.finger[-1], self.object[-1]
         return [track for track in ends if isinstance(track, MovingTrack)]
 
-    def again(self, tolerance: float, motions: Sequence[development.Motion] = ()) -> Group:
-        """A group that :meth:`repeats`, for another tolerance; motions: those of :attr:`moving`."""
+    def again(self, tolerance: float) -> Group:
+        """A group that :meth:`repeats`, for another tolerance."""
         if not self.moving:
             return self
         other = object.__new__(Group)
         other.__dict__.update(self.__dict__)
         other.__dict__.pop("moving", None)
-        given = dict(zip(self.moving, motions))
-        anew = {track: track.again(tolerance, given.get(track)) for track in self.moving}
+        anew = {track: track.again(tolerance) for track in self.moving}
         other.finger, other.object = (
             [*tracks[:-1], anew.get(tracks[-1], tracks[-1])]  # type: ignore[call-overload]
             for tracks in (self.finger, self.object)
@@ -416,13 +430,9 @@ class Body:
 
     @functools.cached_property
     def scale(self) -> np.ndarray:
-        """1 / (size of the states): positions by the body's size, angles and directions by 1."""
-        scale = np.ones_like(self.state)
-        if self.ambient:
-            scale[:, :3] = 1.0 / self.sizes
-        else:
-            scale[:, :2] = np.maximum(self.lame / self.sizes, 1e-2)
-        return scale
+        """1 / (size of the states)."""
+        numbers = np.concatenate([self.parameters, self.sizes], axis=1)
+        return scale_kernel(self.surface, self.ambient).at(self.state, numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -494,40 +504,6 @@ class Prepared:
     kept: dict[Any, Any] = field(default_factory=dict)
 
 
-def kept_group(scene: Scene, compiled: bool | None) -> Group | None:
-    """The one group of a scene planned before, if it repeats with compiled motions only."""
-    prepared: list[Prepared] | None = scene.__dict__.get("_prepared")
-    if prepared is None or len(prepared) > 1:
-        return None
-    return prepared[0].kept.get(("compiled group", compiled))
-
-
-class Rerun:
-    """A kept group planned for another tolerance: its motions, until more is asked for."""
-
-    def __init__(self, group: Group, tolerance: float):
-        self.group, self.tolerance = group, tolerance
-        self._motions: list[development.Motion] | None = None
-        self._looked = False
-
-    def first_look(self) -> bool:
-        """Whether nothing was asked before: who looks once needs no motions that are kept."""
-        first = not self._looked and self._motions is None
-        self._looked = True
-        return first
-
-    @property
-    def motions(self) -> list[development.Motion]:
-        if self._motions is None:
-            own = [track.motion for track in self.group.moving]
-            self._motions = [motion.again(self.tolerance) for motion in own]  # type: ignore
-        return self._motions
-
-    def whole(self) -> Group:
-        """The group itself."""
-        return self.group.again(self.tolerance, self.motions)
-
-
 def plan_groups(
     scene: Scene,
     starts: Starts | None,
@@ -554,23 +530,22 @@ def _planned(prepared: Prepared, tolerance: float, compiled: bool | None) -> Gro
     if "repeats" not in prepared.kept:
         prepared.kept["repeats"] = group.repeats(tolerance)
     if prepared.kept["repeats"]:
-        kept = prepared.kept["group", compiled] = group.again(tolerance)  # without what this finds
-        if all(track.motion is not None for track in kept.moving):
-            prepared.kept["compiled group", compiled] = kept
+        prepared.kept["group", compiled] = group.again(tolerance)  # without what this one finds
     return group
 
 
 def prepare(scene: Scene, starts: Starts, begin: float) -> list[Prepared]:
     """Sort the contacts into groups that can move together, and lay out their intervals."""
-    turns = contact_map(np.array([s.angle for s in starts]))
-    w1 = np.array([s.finger_velocity for s in starts], dtype=float)
-    w2 = (turns @ w1[:, :, None])[:, :, 0]
-    known = [s.slip if isinstance(s, Moment) else s.object_velocity for s in starts]
-    v = np.array(known, dtype=float)
-    if not isinstance(starts[0], Moment):
-        v = w2 - v
-        # R_psi W1 of a rolling start is rounded twice; what is left is no slip.
-        v[np.abs(v) <= 4e-16 * np.abs(w1).max(1, initial=1e-300, keepdims=True)] = 0.0
+    moved = isinstance(starts[0], Moment)
+    known = [
+        (s.angle, *s.finger_velocity, *(s.slip if isinstance(s, Moment) else s.object_velocity))
+        for s in starts
+    ]
+    numbers = np.array(known, dtype=float)
+    found = development.contact_start().at(numbers, np.empty((len(starts), 0)))
+    parts = found[:, :4], numbers[:, 1:3], found[:, 4:6], numbers[:, 3:5] if moved else found[:, 6:]
+    turns, w1, w2, v = map(np.ascontiguousarray, parts)  # C reads them
+    turns = turns.reshape(-1, 2, 2)
     windows: list[list[Disturbance]] = [[] for _ in starts]
     for d in scene.disturbances:
         if d.stop > begin:
@@ -679,7 +654,7 @@ class GroupPlanner:
         self.group = Group(prepared.contacts, prepared.r0, prepared.angle, prepared.at)
         self.name: str = self._once(
             "name",
-            lambda: f"scene '{self.scene.name}', contact {', '.join(map(str, prepared.contacts))}",
+            lambda: group_name(self.scene, prepared.contacts),
         )
 
     def run(self) -> Group:
@@ -760,11 +735,9 @@ class GroupPlanner:
         form = development.geodesic_form(body.surface, body.ambient) if w.any(1).all() else None
         if form is not None:
             found = form.start.at(np.hstack([body.state, w]), body.parameters)
-            n = form.motion.n_result
-            kernel, first, numbers = form.motion, found[:, :n], [found[:, n:]]
-            rates = 1.0 / np.hypot(w[:, :1], w[:, 1:])
-            rates = np.tile(rates, 3) if body.ambient else rates * body.lame[:, 1:]
-            scale = np.hstack([body.scale[:, : n - form.n_rates], rates])
+            kernel, rates, n = form.motion, form.n_rates, form.motion.n_result
+            first, numbers = found[:, :n], [found[:, n:-rates]]
+            scale = np.hstack([body.scale[:, : n - rates], found[:, -rates:]])
         else:
             kernel = development.axis_motion(body.surface, body.ambient)
             first, scale = body.state, body.scale
@@ -849,8 +822,8 @@ class GroupPlanner:
         negligible = NEGLIGIBLE * self.object.size * interval.reach  # in tolerances
         v = self.v
         slip = _greatest(v)
-        of = functools.partial(_decaying, v, piece) if slip > 0 else None
-        self.group.slips.append(SlipRecord(start, stop, piece, of, None, self.w1))
+        record = SlipRecord(start, stop, piece, slip_of(v, slip, piece), None, self.w1)
+        self.group.slips.append(record)
         if self.object.surface.developable:
             slips = slip > negligible * self.tolerance
             if slip == 0:  # the interval may be longer than a piece of the gain
@@ -882,15 +855,18 @@ class GroupPlanner:
         finish = min(negligible, RATE_LEFT) if stops else negligible
         key = "driven", interval.start, body.ambient, self.compiled
         known = self.prepared.kept.get(key)
+        start, w, v = map(contiguous, (body.state, self.w2, self.v))
+        aside = np.zeros_like(v) if offset is None else offset
+        constants = np.concatenate([body.parameters, w, v, aside], axis=1)
         if known is not None and not stops:
-            track = known.moved(self.tolerance, body.state, self.w2, self.v)
+            problem = known.problem.moved(start, constants, slip=slip)
+            track = known.moved(self.tolerance, problem, w, v)
         else:
             kernel = development.axis_motion(body.surface, body.ambient, offset is not None)
-            none = 0 * self.v if offset is None else offset
             problem = Problem(
                 name=self.name,
-                start=body.state,
-                constants=np.concatenate([body.parameters, self.w2, self.v, none], axis=1),
+                start=start,
+                constants=constants,
                 scale=body.scale,
                 drive=interval.piece,
                 length=span,
@@ -902,7 +878,7 @@ class GroupPlanner:
             why = "slip" if offset is None else "object rate offset" + ", slip" * (slip > 0)
             track = MovingTrack(
                 body.surface, body.parameters, interval.piece, why, body.ambient, self.compiled,
-                kernel, problem, self.tolerance, self.w2, self.v, offset,
+                kernel, problem, self.tolerance, w, v, offset,
             )  # fmt: skip
             self.prepared.kept[key] = track.again(self.tolerance) if offset is None else None
         if stops and track.panels.edges[-1] < span:
@@ -1083,6 +1059,11 @@ class RollingTrack(PanelTrack):
 # --- small parts ---------------------------------------------------------------------------------
 
 
+def group_name(scene: Scene, contacts: np.ndarray) -> str:
+    """Contacts of a scene, for messages."""
+    return f"scene '{scene.name}', contact {', '.join(map(str, contacts))}"
+
+
 def _body(surfaces: Sequence[Surface], starts: Starts, side: str) -> tuple[Body, np.ndarray]:
     """Bodies of one structure where they start, and u, v, theta there.
 
@@ -1128,6 +1109,13 @@ def _slip_reach(scene: Scene, piece: GainPiece, length: float) -> float:
     value = scene.gain.value
     per_metre = value * min(speeds) if scene.gain.law == "path" else value / max(*speeds, TINY)
     return max(per_metre, 1.0 / max(length, TINY))
+
+
+def slip_of(
+    v: np.ndarray, slip: float, piece: GainPiece
+) -> Callable[[np.ndarray], np.ndarray] | None:
+    """V at local times from V at the start, whose greatest length is ``slip``."""
+    return functools.partial(_decaying, v, piece) if slip > 0 else None
 
 
 def _decaying(v: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndarray:

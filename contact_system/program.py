@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from .closed_form import CircleTrack
 from .development import (
@@ -47,9 +48,8 @@ class Program:
 
     def _find_motions(self) -> None:
         """After the tracks are known."""
-        self._at = ctypes.addressof(self.parts)
+        self.at = ctypes.addressof(self.parts)
         self._run, self._count = program_library().fill, len(self.parts)
-        self._run_once = program_library().fill_once
         self.motions: list[Motion] = [
             track.motion for track in self.tracks if isinstance(track, MovingTrack) and track.motion
         ]
@@ -75,12 +75,8 @@ class Program:
         other._find_motions()
         return other
 
-    def fill(
-        self, count: int, t: np.ndarray, out: np.ndarray, motions: Sequence[Motion] | None = None
-    ) -> int | None:
+    def fill(self, count: int, t: np.ndarray, out: np.ndarray) -> int | None:
         """Write ``count`` rows of finger and object of each contact: (n_contacts, 2 count, n_t).
-
-        ``motions``: others than those of the tracks, as many.
 
         Returns
         -------
@@ -88,9 +84,9 @@ class Program:
             0; 1 + the index of a time outside the plan; None: ask the tracks one by one, which
             also says what is wrong with a contact at a pole.
         """
-        motions = self.motions if motions is None else motions
+        motions = self.motions
         at = self._numbers(0, 0, *[motion.at for motion in motions])
-        arguments = self._at, self._count, count, len(t), address(t), address(out), at
+        arguments = self.at, self._count, count, len(t), address(t), address(out), at
         while True:
             waiting = [motion for motion in motions if not motion.data.done]
             for motion in waiting:
@@ -104,15 +100,6 @@ class Program:
             if at[0] >= 0:
                 return None
             motions[at[1]].failed(at[0])
-
-    def fill_once(self, count: int, t: np.ndarray, out: np.ndarray, tolerance: float) -> int:
-        """:meth:`fill` for another tolerance, without motions that are kept (2 us less for each).
-
-        A negative code says only that :meth:`fill` is to be asked.
-        """
-        return self._run_once(
-            self._at, self._count, count, len(t), address(t), address(out), tolerance
-        )
 
 
 def program_of(groups: Sequence[Group], output: str) -> Program | None:
@@ -165,8 +152,9 @@ class _States(ctypes.Structure):
 
 @functools.cache
 def _projection() -> np.ndarray:
-    """Node values to Legendre coefficients, transposed: (N, N)."""
-    return np.ascontiguousarray(collocation().project.T)
+    """Node values to Chebyshev coefficients, transposed: (N, N)."""
+    node = collocation().node
+    return np.ascontiguousarray(np.linalg.inv(chebyshev.chebvander(node, len(node) - 1)).T)
 
 
 class SlippingStates:
@@ -182,9 +170,9 @@ class SlippingStates:
             own[0].pointer, evaluator(body.surface, True, "split").pointer, own[1], address(begin),
             address(group.angle), address(project),
         )  # fmt: skip
-        self._at = ctypes.addressof(self._data)
+        self.at = ctypes.addressof(self._data)
         self._kept = finger, begin, group.angle, project  # addresses point into them
-        self._run, self._run_once = program_library().states, program_library().states_once
+        self._run = program_library().states
 
     @classmethod
     def of(cls, group: Group, compiled: bool | None) -> SlippingStates | None:
@@ -202,13 +190,6 @@ class SlippingStates:
         built = compiled or (there and panels_built(body.kernel) and program_built())
         return cls(group, finger, body) if built else None
 
-    def fill_once(self, motion: Motion, tolerance: float, t: np.ndarray, out: np.ndarray) -> int:
-        """:meth:`fill` for another tolerance, without a motion that is kept (2 us less).
-
-        A negative code says only that :meth:`fill` is to be asked.
-        """
-        return self._run_once(self._at, motion.at, tolerance, len(t), address(t), address(out))
-
     def fill(self, motion: Motion, t: np.ndarray, out: np.ndarray) -> int:
         """Write (n, 9, n_t) for such a plan, whose object has this motion.
 
@@ -221,7 +202,7 @@ class SlippingStates:
         while True:
             with motion.lock:
                 motion.ready()
-                code = self._run(self._at, motion.at, len(t), times, to)
+                code = self._run(self.at, motion.at, len(t), times, to)
             if code not in (-1, -2, -3):
                 return code
             motion.failed(code)

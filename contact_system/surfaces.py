@@ -124,7 +124,7 @@ class Surface:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Surface):
             return NotImplemented
-        return self._identity == other._identity
+        return self.identity == other.identity
 
     def __hash__(self) -> int:
         return hash((self.structure, self.parameters))  # the rest seldom tells any apart
@@ -135,8 +135,9 @@ class Surface:
         said += [f"{w.name}={getattr(self, w.name)!r}" for w in named]
         return f"{self._kind}({', '.join(said)})"
 
-    @property
-    def _identity(self) -> Hashable:
+    @cached_property
+    def identity(self) -> Hashable:
+        """What tells surfaces apart."""
         return (self.structure, self.parameters, self.size, self.periods())
 
     # -- symbolic

@@ -201,6 +201,22 @@ def lame_kernel(surface: Surface) -> Kernel:
     return Kernel("lame", state, p, shape.lame)
 
 
+@per_structure
+def scale_kernel(surface: Surface, ambient: bool) -> Kernel:
+    """point: (x, p) or chart state; constant: parameters, size -> 1 / (size of each state).
+
+    Positions count by the body's size, angles and directions by 1.
+    """
+    size = SX.sym("size")
+    if ambient:
+        state, p = SX.sym("state", AXIS), SX.sym("p", len(surface.parameters))
+        scale = ca.vertcat(SX.ones(3) / size, SX.ones(3))
+    else:
+        state, shape, p = _chart_symbols(surface)
+        scale = ca.vertcat(ca.fmax(shape.lame / size, 1e-2), 1)
+    return Kernel("scale", state, ca.vertcat(p, size), scale)
+
+
 # --- tracks ------------------------------------------------------------------------------------
 
 

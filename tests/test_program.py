@@ -1,5 +1,7 @@
 """Whole plans in one compiled call against the tracks asked one by one, without a compiler."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from conftest import SURFACES, one_contact
@@ -56,6 +58,38 @@ def test_fingers_that_turn_many_times_miss_no_turn(tolerance):
     expected = cs.plan(scene, tolerance=1e-14, compiled=False).states(TIMES)
     places = [0, 1, 4, 5, 8]
     assert np.abs(found - expected)[..., places].max() < tolerance
+
+
+@COMPILER
+@pytest.mark.parametrize("aside", [1e-2, 1e-3, 1e-4, 1e-6, 1e-8])
+def test_fingers_that_graze_a_pole_take_no_end_of_pieces(aside):
+    for k in range(5):
+        scene = one_contact(
+            "sphere", finger_at=(1.1 + 0.001 * k, 0.4), finger_velocity=(-1.83, aside),
+            gain=cs.Gain.path(300.0), profile=(0.05, 0.1, -0.05),
+        )  # fmt: skip
+        found = cs.plan(scene, compiled=True).states(TIMES)
+        expected = cs.plan(scene, compiled=False).states(TIMES)
+        assert found[..., 4:8] == pytest.approx(expected[..., 4:8], abs=1e-10)
+        assert found[..., 0] == pytest.approx(expected[..., 0], abs=1e-10)
+
+
+@COMPILER
+@pytest.mark.parametrize("slips", [True, False], ids=["slip", "rolling"])
+@pytest.mark.parametrize("obj", SURFACES)
+def test_one_call_tells_contacts_apart(obj, slips):
+    first = one_contact(obj, "sphere")
+    contacts = [
+        dataclasses.replace(
+            first.contacts[0], angle=angle, finger_velocity=(0.5, 0.1 + angle),
+            object_velocity=(0.2, 0.3 * angle) if slips else "rolling",
+        )
+        for angle in (0.0, 1.0, -0.4)
+    ]  # fmt: skip
+    scene = first.replace(contacts=contacts)
+    found, expected = (cs.plan(scene, compiled=compiled) for compiled in (True, False))
+    assert found.points(TIMES) == pytest.approx(expected.points(TIMES), abs=1e-12)
+    assert found.states(TIMES) == pytest.approx(expected.states(TIMES), abs=1e-10)
 
 
 @COMPILER

@@ -68,9 +68,9 @@ static long earlier(const double *t, long nt, double edge) {
 #define MOST_ROWS 5
 
 static int in_order(const double *t, long nt) {
-  for (long i = 0; i + 1 < nt; i++)
-    if (!(t[i] <= t[i + 1])) return 0;
-  return 1;
+  long back = 0;
+  for (long i = 0; i + 1 < nt; i++) back += !(t[i] <= t[i + 1]);
+  return !back;
 }
 
 /* Write `count` rows of a track where its interval is; times are in order unless it is its side's only
@@ -113,10 +113,62 @@ long fill(const part_t *parts, long n_parts, long count, long nt, const double *
   return 0;
 }
 
-/* Integrate a copy of a motion for another tolerance, into a block that is to be freed where 0 is returned.
-   Where the room known is too small, whoever keeps motions learns more. */
-static long move_once(motion_t *own, const motion_t *motion, double tolerance) {
-  *own = *motion;
+/* Scenes of one kind (kinds.py): their plans differ in the numbers of one block, where their tracks point. */
+#define MOST_FOUND 512
+
+typedef void (*kernel_t)(long, long, const double *, const long *, long, const double *, double *,
+                         const long *, long);
+
+typedef struct {
+  long from, width, to; /* among what the kernel finds for a contact; in the block, of contact 0 */
+} field_t;
+
+typedef struct {
+  kernel_t start;                     /* numbers of a contact's start -> facts and fields */
+  const double *parameters, *limits;  /* [nb][n_parameters]; [n_facts][2] */
+  const long *rows;                   /* 0, 1, 2, ... */
+  const field_t *fields;
+  const double *block;                /* where the tracks of the kind point */
+  long nb, n_start, n_parameters, n_facts, n_fields, size;
+} kind_t;
+
+/* Fill a scene's block: the greatest of each fact (the first is slip), then the fields. Returns 0, or
+   1 + the fact that is beyond what scenes of this kind can have. */
+long begin(const kind_t *k, const double *starts, double *block) {
+  double found[MOST_FOUND];
+  for (long b = 0; b < k->nb; b++) {
+    k->start(1, 1, starts + b * k->n_start, k->rows, 0, k->parameters + b * k->n_parameters, found,
+             k->rows, 0);
+    for (long f = 0; f < k->n_facts; f++) {
+      if (!(found[f] >= k->limits[2 * f] && found[f] <= k->limits[2 * f + 1])) return 1 + f;
+      if (!b || found[f] > block[f]) block[f] = found[f];
+    }
+    for (const field_t *f = k->fields; f < k->fields + k->n_fields; f++)
+      memcpy(block + f->to + b * f->width, found + f->from, f->width * sizeof(double));
+  }
+  return 0;
+}
+
+/* From the block of the kind to that of a scene */
+static const double *carried(const double *p, const kind_t *k, const double *block) {
+  return p >= k->block && p < k->block + k->size ? block + (p - k->block) : p;
+}
+
+static track_t begun_track(const track_t *track, const kind_t *k, const double *block) {
+  track_t own = *track;
+  own.constants = carried(own.constants, k, block);
+  own.w = carried(own.w, k, block), own.v = carried(own.v, k, block);
+  return own;
+}
+
+/* Integrate a motion of the kind for a scene, into memory that is to be freed where 0 is returned. Where the
+   room known is too small, whoever keeps motions learns more. */
+static long begun_motion(motion_t *own, const motion_t *motion, const kind_t *k, const double *block,
+                         double tolerance) {
+  *own = *motion, own->track = begun_track(&motion->track, k, block);
+  own->start = carried(own->start, k, block), own->scale = carried(own->scale, k, block);
+  own->constants = carried(own->constants, k, block);
+  if (own->slip > 0.0) own->slip = block[0];
   own->tolerance = tolerance, own->done = 0, own->room = *own->known;
   own->block = malloc(room_of(own) * sizeof(double));
   if (!own->block) return -1;
@@ -125,17 +177,18 @@ static long move_once(motion_t *own, const motion_t *motion, double tolerance) {
   return code;
 }
 
-/* `fill` with motions for another tolerance that are not kept; those of the tracks stay as they are. A negative
-   code says only that `fill` is to be asked. */
-long fill_once(const part_t *parts, long n_parts, long count, long nt, const double *t, double *out,
-               double tolerance) {
-  int ordered = 0;
+/* `fill` for a scene of a kind, with motions that are not kept. A negative code says only that `fill` is to be
+   asked. */
+long fill_begun(const kind_t *k, const double *block, double tolerance, const part_t *parts, long n_parts,
+                long count, long nt, const double *t, double *out) {
   for (long p = 0; p < n_parts; p++) {
     const part_t *part = parts + p;
     motion_t own;
-    if (!ordered && !(part->first && part->last) && !(ordered = in_order(t, nt))) return -1;
-    if (part->moves && move_once(&own, (const motion_t *)part->track, tolerance)) return -1;
-    const long code = fill_part(part, part->moves ? &own.track : part->track, count, nt, t, out);
+    if (part->moves) {
+      if (begun_motion(&own, (const motion_t *)part->track, k, block, tolerance)) return -1;
+    } else
+      own.track = begun_track(part->track, k, block);
+    const long code = fill_part(part, &own.track, count, nt, t, out);
     if (part->moves) free(own.block);
     if (code) return code;
   }
@@ -156,7 +209,7 @@ typedef struct {
   evaluate_t finger, object;
   track_t *tip;
   const double *begin, *angle; /* [nb][3], [nb] */
-  const double *project;       /* [N][N], node values -> coefficients */
+  const double *project;       /* [N][N], node values -> Chebyshev coefficients */
 } states_t;
 
 typedef struct {
@@ -244,9 +297,10 @@ static double within(const track_t *k, const track_t *tip, double start, double 
   return stop;
 }
 
-/* The pieces of one side; false if they do not resolve it. last: [nb][3], where the object begins;
-   NULL for the finger. */
-static int divide(const states_t *p, const motion_t *m, double tolerance, double *last, series_t *s) {
+/* The pieces of one side; false if it takes more than `most` tries to resolve it: near a pole of the chart
+   rounding may ask for pieces without end. last: [nb][3], where the object begins; NULL for the finger. */
+static int divide(const states_t *p, const motion_t *m, double tolerance, long most, double *last,
+                  series_t *s) {
   static const long row[ROWS] = {0, N, 2 * N, 3 * N, 4 * N, 5 * N, 6 * N};
   const track_t *k = &m->track;
   const long nb = k->nb, size = nb * ROWS * N, reach = k->n_panels;
@@ -256,7 +310,7 @@ static int divide(const states_t *p, const motion_t *m, double tolerance, double
   long tries = 0, panel = 0, refused = 0;
   s->track = k;
   for (s->count = 0; at < end; tries++) {
-    if (tries > 40 + 4 * s->count) return 0;
+    if (tries == most) return 0;
     if (s->count == s->room && !grow(s, size)) return 0;
     piece_t *piece = s->pieces + s->count;
     double *series = s->series + s->count * size, stop = end;
@@ -303,8 +357,8 @@ static int divide(const states_t *p, const motion_t *m, double tolerance, double
 
 /* Write a side's rows u v u' v' of body b to out[b * OUT + r], and psi less theta; angle: psi without
    any, or NULL where the other side's is in place. */
-static void fill_side(const series_t *s, const double *angle, long nt, const double *t, double *out,
-                      double *psi) {
+static void fill_side(const series_t *s, const double *angle, long nt, const double *t, int ordered,
+                      double *out, double *psi) {
   const track_t *k = s->track;
   double xi[WIDTH] = {0}, sums[ROWS][WIDTH], tau[BLOCK], sigma[BLOCK], decay[BLOCK];
   for (long from = 0, near = 0, n; from < nt; from += n) {
@@ -315,7 +369,11 @@ static void fill_side(const series_t *s, const double *angle, long nt, const dou
     const double low = near ? k->start + piece->start : -HUGE_VAL;
     const double high = near + 1 < s->count ? k->start + piece->stop : HUGE_VAL;
     const double pace = 2.0 / (piece->stop - piece->start);
-    for (n = 1; n < BLOCK && from + n < nt && t[from + n] >= low && t[from + n] <= high;) n++;
+    n = nt - from < BLOCK ? nt - from : BLOCK;
+    if (!ordered)
+      for (long most = n, i = n = 1; i < most && t[from + i] >= low && t[from + i] <= high; i++) n++;
+    else if (t[from + n - 1] > high)
+      n = 1 + earlier(t + from + 1, n - 1, nextafter(high, HUGE_VAL));
     for (long i = 0; i < n; i++) {
       tau[i] = t[from + i] - k->start;
       const double x = (tau[i] - piece->start) * pace - 1.0;
@@ -327,13 +385,17 @@ static void fill_side(const series_t *s, const double *angle, long nt, const dou
     }
     for (long b = 0; b < k->nb; b++) {
       const double *c = s->series + (near * k->nb + b) * ROWS * N;
+      double *to = out + b * OUT * nt + from, *y[ROWS];
+      /* what is written beyond n is written again, but for the last of a row */
+      const int spare = from + n + LANES <= nt;
+      for (long r = 0; r < ROWS; r++) y[r] = spare && r < 4 ? to + r * nt : sums[r];
       if (piece->slips) {
-        series(c, N, ROWS, piece->terms, xi, 0, n, sums[0], WIDTH);
+        chebyshev(c, ROWS, piece->terms, xi, n, y);
         for (long r = 2; r < 4; r++)
-          for (long i = 0; i < n; i++) sums[r][i] -= decay[i] * sums[r + 3][i];
+          for (long i = 0; i < n; i++) y[r][i] -= decay[i] * sums[r + 3][i];
       } else
-        series(c, N, SIDE, piece->terms, xi, 0, n, sums[0], WIDTH);
-      for (long r = 0; r < 4; r++) memcpy(out + (b * OUT + r) * nt + from, sums[r], n * sizeof(double));
+        chebyshev(c, SIDE, piece->terms, xi, n, y);
+      for (long r = 0; r < 4 && !spare; r++) memcpy(to + r * nt, sums[r], n * sizeof(double));
       double *own = psi + b * OUT * nt + from;
       if (angle)
         for (long i = 0; i < n; i++) own[i] = angle[b] - sums[4][i];
@@ -358,11 +420,13 @@ long states(const states_t *p, motion_t *motion, long nt, const double *t, doubl
   const double tolerance = motion->tolerance > 1e-13 ? 0.1 * motion->tolerance : 1e-14;
   double last[3 * MOST], *psi = out + (OUT - 1) * nt;
   memcpy(last, p->begin, 3 * k->nb * sizeof(double));
+  const int ordered = in_order(t, nt);
   long code = 0;
   series_t s = {0};
   for (int object = 0; object < 2 && !code; object++) {
-    if (divide(p, motion, tolerance, object ? last : NULL, &s))
-      fill_side(&s, object ? NULL : p->angle, nt, t, out + 4 * object * nt, psi);
+    /* beyond a quarter of the times series save nothing */
+    if (divide(p, motion, tolerance, 40 + nt / 4, object ? last : NULL, &s))
+      fill_side(&s, object ? NULL : p->angle, nt, t, ordered, out + 4 * object * nt, psi);
     else
       code = -4;
   }
@@ -371,12 +435,15 @@ long states(const states_t *p, motion_t *motion, long nt, const double *t, doubl
   return code;
 }
 
-/* `states` with a motion for another tolerance that is not kept; as fill_once. */
-long states_once(const states_t *p, const motion_t *motion, double tolerance, long nt, const double *t,
-                 double *out) {
+/* `states` for a scene of a kind; as fill_begun. */
+long states_begun(const kind_t *k, const double *block, double tolerance, const states_t *p,
+                  const motion_t *motion, long nt, const double *t, double *out) {
   motion_t own;
-  if (move_once(&own, motion, tolerance)) return -1;
-  const long code = states(p, &own, nt, t, out);
+  if (begun_motion(&own, motion, k, block, tolerance)) return -1;
+  track_t tip = begun_track(p->tip, k, block);
+  states_t there = *p;
+  there.tip = &tip, there.begin = carried(p->begin, k, block), there.angle = carried(p->angle, k, block);
+  const long code = states(&there, &own, nt, t, out);
   free(own.block);
   return code;
 }
