@@ -28,6 +28,7 @@ size / (least Lame coefficient) at a pole. Each law below states its multiple.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 import zlib
@@ -585,8 +586,12 @@ class Meter:
 
 
 def run(trial: Trial) -> Verdict:
-    """Plan a trial and judge the plan."""
-    plan = cs.plan(trial.scene, tolerance=trial.tolerance, compiled=trial.compiled)
+    """Plan a trial and judge the plan; every other one after two scenes of its kind."""
+    kin = [trial.scene.replace() for _ in range(2 * (trial.seed % 2))]
+    *_, plan = (
+        cs.plan(scene, tolerance=trial.tolerance, compiled=trial.compiled)
+        for scene in (*kin, trial.scene)
+    )
     return Judge(trial, plan).verdict()
 
 
@@ -684,7 +689,9 @@ class Judge:
         reach = path * (np.hypot(*self.w1) + np.hypot(*self.v))
         if self.windows:  # most disturbances are no stronger than the motion
             reach = max(5 * reach, *(self._pushed(d) for d in self.scene.disturbances))
-        self.e = [plan.tolerance + EPS * (64 + 8 * reach * b.kappa / b.size) for b in self.bodies]
+        turns = [reach * b.kappa / b.size for b in self.bodies]
+        self.turns = max(turns)
+        self.e = [plan.tolerance + EPS * (64 + 8 * x) for x in turns]
 
     def _pushed(self, window: cs.scene.Disturbance) -> float:
         """The path that a window adds at most while sigma keeps its size, m."""
@@ -711,6 +718,8 @@ class Judge:
             self._slip(sample)
         self._geodesics(times, everywhere, sample)
         self._short_panel(sample)
+        if self.trial.seed % 3 == 0 and self.turns < TURNS * math.pi:
+            self._in_company(times, everywhere)
         return self.meter.verdict()
 
     # -- what the plan says
@@ -898,6 +907,24 @@ class Judge:
         self.meter.see(f"integral of geodesic {k + 1}", value - first, bound)
 
     # -- the equations of motion over short panels
+
+    def _in_company(self, times: Array, everywhere: Array) -> None:
+        """The contact is where it is alone when another one is planned before it.
+
+        Not after many turns: a tolerance bounds what one panel adds to a point's error.
+        """
+        contact = self.scene.contacts[0]
+        other = dataclasses.replace(contact, angle=contact.angle - 0.5)
+        windows = [dataclasses.replace(d, contact=1) for d in self.scene.disturbances]
+        both = self.scene.replace(contacts=[other, contact], disturbances=windows)
+        try:
+            plan = cs.plan(both, tolerance=self.trial.tolerance, compiled=self.trial.compiled)
+            points = plan.points(times)[:, 1]
+        except cs.ContactSystemError:
+            return  # it is the other one that runs into something
+        for k, body in enumerate(self.bodies):
+            away = np.linalg.norm(points[:, k] - everywhere[:, k], axis=1)
+            self.meter.see("in company", away, 10 * self.e[k] * body.size)
 
     def _short_panel(self, sample: Sample) -> None:
         """Gauss sums over a panel from one of the times, where states exist."""

@@ -306,7 +306,8 @@ static int divide(const states_t *p, const motion_t *m, double tolerance, long m
   const long nb = k->nb, size = nb * ROWS * N, reach = k->n_panels;
   const double end = k->edges[reach];
   double values[ROWS * N * MOST], combined[SIDE * N * MOST], before[3 * MOST], tau[N], times[N];
-  double h = k->edges[1], at = 0.0, tail;
+  /* not so short for fingers, which know nothing of slip */
+  double h = last ? k->edges[1] : m->method.first, at = 0.0, tail;
   long tries = 0, panel = 0, refused = 0;
   s->track = k;
   for (s->count = 0; at < end; tries++) {
@@ -340,12 +341,18 @@ static int divide(const states_t *p, const motion_t *m, double tolerance, long m
       if (p->finger(p->tip, N, times, combined, row, SIDE * N)) return 0;
       tail = resolve(p->project, nb, SIDE, tolerance, combined, piece, series);
     }
-    const double next = 0.9 * pow(tolerance / (tail > 1e-30 ? tail : 1e-30), 1.0 / N);
+    /* a tail below 1e-15 is rounding and says nothing of the length */
+    const double next = tail < 1e-15 ? HUGE_VAL : 0.9 * pow(tolerance / tail, 1.0 / N);
     if (tail <= tolerance) {
       /* what grew harder goes on growing harder (16 % fewer samples) */
       const double most = refused ? 0.8 : 4.0;
       h = (stop - at) * (next < most ? next : most);
-      at = stop, refused = 0, s->count++;
+      at = stop, s->count++;
+      if (last && next >= most && !refused && at < end) { /* after a layer, as the motion does */
+        panel = interval(k->edges, reach, at, panel);
+        h = fmax(h, k->edges[panel + 1] - at);
+      }
+      refused = 0;
     } else {
       h = (stop - at) * (next > 0.2 ? next < 0.8 ? next : 0.8 : 0.2);
       refused = 1;
