@@ -258,7 +258,8 @@ static void join(const track_t *k, const piece_t *piece, const double *tau, doub
 }
 
 /* Coefficients [nb][ROWS][N] from values [nb][rows][N] at the nodes of a piece. Returns the greatest
-   tail, in units of each row's size, and counts the terms that make more than a tenth of the tolerance. */
+   tail, in units of each row's size, and counts the terms that make more than a tenth of the tolerance.
+   The last coefficients are less than Legendre's, by which the motion's tails are measured: hence 1.5. */
 INLINE double resolve(const double *project, long nb, int rows, double tolerance, const double *values,
                       piece_t *piece, double *series) {
   static const double angle[ROWS] = {1, 1, 0, 0, 1, 0, 0};
@@ -270,7 +271,7 @@ INLINE double resolve(const double *project, long nb, int rows, double tolerance
       const double *c = series + r * N, *v = values + r * N;
       double size = angle[r];
       for (int i = 0; i < N; i++) size = fabs(v[i]) > size ? fabs(v[i]) : size;
-      const double tail = fmax(fabs(c[N - 1]), 0.1 * fabs(c[N - 2]));
+      const double tail = 1.5 * fmax(fabs(c[N - 1]), 0.1 * fabs(c[N - 2]));
       if (tail > worst * size) worst = tail / size; /* evaluate lets no NaN pass */
       long terms = N;
       for (double left = 0.1 * tolerance * size; terms > piece->terms; terms--)
@@ -341,8 +342,8 @@ static int divide(const states_t *p, const motion_t *m, double tolerance, long m
       if (p->finger(p->tip, N, times, combined, row, SIDE * N)) return 0;
       tail = resolve(p->project, nb, SIDE, tolerance, combined, piece, series);
     }
-    /* a tail below 1e-15 is rounding and says nothing of the length */
-    const double next = tail < 1e-15 ? HUGE_VAL : 0.9 * pow(tolerance / tail, 1.0 / N);
+    /* such a tail is rounding and says nothing of the length */
+    const double next = tail < 2e-15 ? HUGE_VAL : 0.9 * pow(tolerance / tail, 1.0 / N);
     if (tail <= tolerance) {
       /* what grew harder goes on growing harder (16 % fewer samples) */
       const double most = refused ? 0.8 : 4.0;
@@ -416,9 +417,8 @@ static void fill_side(const series_t *s, const double *angle, long nt, const dou
    outside the track; -1 to -3 as panels does; -4 where series do not resolve the states. */
 long states(const states_t *p, motion_t *motion, long nt, const double *t, double *out) {
   const track_t *k = &motion->track;
-  long outside = 0;
-  for (long i = 0; i < nt; i++) outside += !(t[i] >= k->start && t[i] <= k->stop);
-  if (outside)
+  const int ordered = in_order(t, nt);
+  if (!ordered || !(t[0] >= k->start && t[nt - 1] <= k->stop))
     for (long i = 0; i < nt; i++)
       if (!(t[i] >= k->start && t[i] <= k->stop)) return i + 1;
   const long failed = move(motion);
@@ -427,7 +427,6 @@ long states(const states_t *p, motion_t *motion, long nt, const double *t, doubl
   const double tolerance = motion->tolerance > 1e-13 ? 0.1 * motion->tolerance : 1e-14;
   double last[3 * MOST], *psi = out + (OUT - 1) * nt;
   memcpy(last, p->begin, 3 * k->nb * sizeof(double));
-  const int ordered = in_order(t, nt);
   long code = 0;
   series_t s = {0};
   for (int object = 0; object < 2 && !code; object++) {
