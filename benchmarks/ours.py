@@ -48,8 +48,9 @@ def engine(compiled: bool) -> str:
 def plans(problem: Problem) -> Iterator[Ours]:
     """``plan()`` and its points; of a scene planned before and, "new scene", of one never planned.
 
-    A scene keeps what was found out about it: frames at the contacts, intervals, constants of great
-    circles. Slip and geodesics without a closed form are integrated anew in both.
+    A scene keeps where it starts, laid out for C; a disturbed one its frames and intervals. A new
+    one is planned after others of its kind. Slip and geodesics without a closed form are integrated
+    anew in both.
     """
     for compiled in engines():
 
@@ -57,6 +58,8 @@ def plans(problem: Problem) -> Iterator[Ours]:
             def call(scene: cs.Scene) -> np.ndarray:
                 return problem.of_plan(cs.plan(scene, tolerance, compiled=compiled))
 
+            for _ in range(3):  # kernels are built when the first and the second scene are planned
+                call(problem.make())
             ready = problem.make()
             return Job(call, problem.make if new else lambda: ready)
 

@@ -740,10 +740,13 @@ class Motion:
         other.data = data = MotionData.from_buffer_copy(self.data)
         other._kept = self._kept
         if problem is not None:
-            start, constants, scale = problem.start, problem.constants, problem.scale
-            other._kept = self._kept[0], start, constants, scale, problem
+            kernel, _, _, scale, _ = self._kept
+            start, constants = problem.start, problem.constants
             data.start, data.constants, data.slip = address(start), address(constants), problem.slip
-            data.scale = address(scale)
+            if problem.scale is not scale:
+                scale = problem.scale
+                data.scale = address(scale)
+            other._kept = kernel, start, constants, scale, problem
         other._begin(tolerance)
         return other
 
@@ -1054,7 +1057,6 @@ class MovingTrack(PanelTrack):
         self.by_length, self.forced = v is None, None
         self.kernel, self.problem, self.tolerance, self._why = kernel, problem, tolerance, why
         self._anchors = None
-        self._pointed: Any = None
 
     @functools.cached_property
     def motion(self) -> Motion | None:
@@ -1104,10 +1106,12 @@ class MovingTrack(PanelTrack):
         other.problem, other.w, other.v = problem, w, v
         if motion is not None:
             other.__dict__["motion"] = motion = motion.again(tolerance, problem)
-            track, numbers = motion.data.track, [contiguous(a) for a in other._numbers()]
-            track.constants, track.w, track.v = map(address, numbers)
-            other._pointed = self._pointed, numbers
+            other._point(motion.data.track)
         return other
+
+    def _point(self, data: TrackData) -> None:
+        """Point to the numbers that :meth:`moved` changed."""
+        data.w, data.v = address(self.w), address(self.w if self.v is None else self.v)
 
     def _copy(self, tolerance: float) -> MovingTrack:
         other = object.__new__(type(self))
@@ -1297,6 +1301,9 @@ class GeodesicTrack(MovingTrack):
         unit = np.zeros_like(self.w)
         unit[:, 0] = 1.0
         return self.problem.constants, unit, unit
+
+    def _point(self, data: TrackData) -> None:
+        data.constants = address(self.problem.constants)
 
     def _evaluator(self, output: str) -> Evaluator:
         return self.form.coordinates if output == "coordinates" else self.form.points

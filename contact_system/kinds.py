@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import dataclasses
-import functools
 import itertools
 import math
 import struct
@@ -136,11 +135,9 @@ def _limits(track: Track) -> list[tuple[float, float]]:
         return []
     assert isinstance(track, (CircleTrack, FlatTrack))
     turns = LONG_PHASE / max(track.piece.arc_length(track.stop - track.start), TINY)
-    return (
-        [(0.0, turns)]
-        if isinstance(track, CircleTrack)
-        else [(0.0, turns / 2), (0.0, LONG_PHASE / 2)]
-    )
+    if isinstance(track, CircleTrack):
+        return [(0.0, turns)]
+    return [(0.0, turns / 2), (0.0, LONG_PHASE / 2)]
 
 
 def _moved(track: Track, held: dict[str, np.ndarray], w: np.ndarray, v: np.ndarray, slip: float,
@@ -236,10 +233,21 @@ class Kind:
     ----------
     compiled : bool or None
         The wish of those who plan them.
+    nb : int
+        Contacts of a scene.
     planned : Group
         One of them; its tracks point into a block of the kind's own.
+    places : dict
+        Where the fields begin in a block, and how many numbers each has of a contact.
     closed : bool
         Nothing is integrated.
+    slipping : (int, int) or None
+        Addresses of ``states_t`` and ``motion_t`` of c/program.c, where states are asked so.
+
+    Raises
+    ------
+    LookupError
+        The scene has no kind after all.
     """
 
     def __init__(self, scene: Scene, group: Group, compiled: bool | None):
@@ -286,13 +294,10 @@ class Kind:
         self.closed = not self.planned.moving
         slipping = self.planned.slipping_states(compiled)
         self.slipping = None
+        self._programs: dict[str, tuple[int, int] | None] = {}
         if slipping is not None:
             motion: Any = self.planned.moving[0].motion
             self.slipping = slipping.at, motion.at
-
-    @functools.cached_property
-    def _programs(self) -> dict[str, tuple[int, int] | None]:
-        return {}
 
     def program(self, output: str) -> tuple[int, int] | None:
         """Address and number of the parts of :class:`Program`; None where there is none."""
@@ -414,9 +419,7 @@ _SEEN: dict[Hashable, _Sights] = {}
 
 
 def _key(scene: Scene, compiled: bool | None) -> Hashable:
-    """What scenes of a kind have in common; None where a scene is not planned by numbers alone."""
-    if compiled is False or scene.disturbances:
-        return None
+    """What undisturbed scenes of a kind have in common; None where a finger follows the object."""
     gain, fingers = scene.gain, []
     for contact in scene.contacts:
         if isinstance(contact.finger_velocity, str):
@@ -429,7 +432,7 @@ def _key(scene: Scene, compiled: bool | None) -> Hashable:
 
 
 def begin(scene: Scene, compiled: bool | None) -> Begun | None:
-    """What a scene of a known kind is planned from; None for others."""
+    """What an undisturbed scene of a known kind is planned from; None for others."""
     known: Begun | None = scene.__dict__.get("_begun")
     if known is not None and known.kind.compiled is compiled:
         return known

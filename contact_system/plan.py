@@ -103,11 +103,12 @@ class Plan:
             given = given or [scene_start(contact) for contact in scene.contacts]
             self._groups = chart_groups(scene, given, start, tolerance, solver)
         else:
-            if starts is None:
+            numbers_alone = starts is None and compiled is not False and not scene.disturbances
+            if numbers_alone:
                 self._begun = kinds.begin(scene, compiled)
             if self._begun is None:
                 self._groups = plan_groups(scene, starts, start, tolerance, compiled)
-                if starts is None:
+                if numbers_alone:
                     kinds.learn(scene, self._groups, compiled)
         self._count = len(scene.contacts)
         self._programs: dict[str, Program | None] = {}

@@ -855,13 +855,15 @@ class GroupPlanner:
         finish = min(negligible, RATE_LEFT) if stops else negligible
         key = "driven", interval.start, body.ambient, self.compiled
         known = self.prepared.kept.get(key)
-        start, w, v = map(contiguous, (body.state, self.w2, self.v))
-        aside = np.zeros_like(v) if offset is None else offset
-        constants = np.concatenate([body.parameters, w, v, aside], axis=1)
+        start, w, v = contiguous(body.state), contiguous(self.w2), contiguous(self.v)
         if known is not None and not stops:
+            constants, n = known.problem.constants.copy(), body.parameters.shape[1]
+            constants[:, n : n + 2], constants[:, n + 2 : n + 4] = w, v
             problem = known.problem.moved(start, constants, slip=slip)
             track = known.moved(self.tolerance, problem, w, v)
         else:
+            aside = np.zeros_like(v) if offset is None else offset
+            constants = np.concatenate([body.parameters, w, v, aside], axis=1)
             kernel = development.axis_motion(body.surface, body.ambient, offset is not None)
             problem = Problem(
                 name=self.name,
