@@ -676,7 +676,10 @@ def program_library() -> ctypes.CDLL:
     begun: list[Any] = [pointer, pointer, number]
     library.fill_begun.argtypes = [*begun, *library.fill.argtypes[:-1]]
     library.states_begun.argtypes = [*begun, *library.states.argtypes]
-    for name in ("move", "room_of", "fill", "states", "begin", "fill_begun", "states_begun"):
+    library.closed_begun.argtypes = [pointer] * 3 + [integer, pointer, integer, pointer, pointer]
+    for name in ("move", "room_of", "fill", "states"):
+        getattr(library, name).restype = integer
+    for name in ("begin", "fill_begun", "states_begun", "closed_begun"):
         getattr(library, name).restype = integer
     return library
 

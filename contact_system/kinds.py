@@ -177,12 +177,6 @@ class Begun:
         self.kind, self.block, self.at = kind, block, at
         self._group: Group | None = None
 
-    @property
-    def angle(self) -> np.ndarray:
-        """psi(0) of all contacts, (n_contacts, 1)."""
-        first, _ = self.kind.places["angle"]
-        return np.frombuffer(self.block)[first : first + self.kind.nb, None]
-
     def group(self, scene: Scene, tolerance: float) -> Group:
         """The scene's plan."""
         if self._group is None:
@@ -202,13 +196,17 @@ class Begun:
         )
 
     def states(self, t: np.ndarray, out: np.ndarray, tolerance: float) -> int:
-        """As :meth:`SlippingStates.fill`, in the same way."""
+        """Chart states (n, 9, n_t) as :meth:`SlippingStates.fill`, in the same way."""
         kind = self.kind
-        if kind.slipping is None:
-            return -1
-        return kind.library.states_begun(
-            kind.at, self.at, tolerance, *kind.slipping, len(t), address(t), address(out)
-        )
+        if kind.slipping is not None:
+            return kind.library.states_begun(
+                kind.at, self.at, tolerance, *kind.slipping, len(t), address(t), address(out)
+            )
+        if kind.circles is not None:
+            return kind.library.closed_begun(
+                kind.at, self.at, *kind.circles, len(t), address(t), address(out)
+            )
+        return -1
 
 
 class _Field(ctypes.Structure):
@@ -241,8 +239,8 @@ class Kind:
         Where the fields begin in a block, and how many numbers each has of a contact.
     closed : bool
         Nothing is integrated.
-    slipping : (int, int) or None
-        Addresses of ``states_t`` and ``motion_t`` of c/program.c, where states are asked so.
+    slipping, circles : tuple or None
+        What C needs to know for states of contacts that slip, of those on great circles alone.
 
     Raises
     ------
@@ -293,8 +291,13 @@ class Kind:
         self.planned = self.group(own, group_name(scene, group.contacts))
         self.closed = not self.planned.moving
         slipping = self.planned.slipping_states(compiled)
-        self.slipping = None
         self._programs: dict[str, tuple[int, int] | None] = {}
+        self.slipping: tuple[int, int] | None = None
+        self.circles: tuple[int, int, int] | None = None
+        program = self.program("coordinates") if self.planned.pair is not None else None
+        if program is not None:
+            n_constant = self.planned.pair.circle.constants.shape[1]  # type: ignore[union-attr]
+            self.circles = program[0], n_constant, address(self.planned.angle)
         if slipping is not None:
             motion: Any = self.planned.moving[0].motion
             self.slipping = slipping.at, motion.at

@@ -415,20 +415,21 @@ class Plan:
 
     def _states_at_once(self, t: ArrayLike) -> np.ndarray | None:
         """The states by one compiled call, or None where there is no such way (program.py)."""
-        times = _one_axis(t)
-        if len(times) < FEW_TIMES or not times.flags.c_contiguous:
+        times, kind = _one_axis(t), None if self._begun is None else self._begun.kind
+        if not times.flags.c_contiguous:
             return None
-        out, code, begun = np.empty((self._count, 9, len(times))), -1, self._begun
-        if begun is not None and begun.kind.slipping is not None and self._first_look():
-            code = begun.states(times, out, self.tolerance)
-        elif begun is not None and begun.kind.closed:
-            return None
+        few, code = len(times) < FEW_TIMES, -1
+        out = np.empty((self._count, 9, len(times)))
+        if kind is not None and (kind.circles or not few and kind.slipping and self._first_look()):
+            assert self._begun is not None
+            code = self._begun.states(times, out, self.tolerance)
         if code < 0:
-            group = self.groups[0]
-            slipping = group.slipping_states(self.compiled) if len(self.groups) == 1 else None
+            if few or kind is not None and kind.closed or len(self.groups) > 1:
+                return None
+            slipping = self.groups[0].slipping_states(self.compiled)
             if slipping is None:
                 return None
-            motion: Any = group.moving[0].motion
+            motion: Any = self.groups[0].moving[0].motion
             code = slipping.fill(motion, times, out)
         if code > 0:
             self._refuse(times)
@@ -436,8 +437,6 @@ class Plan:
 
     def _angles(self) -> np.ndarray:
         """psi(0) of all contacts, (n_contacts, 1)."""
-        if self._begun is not None:
-            return self._begun.angle
         if len(self.groups) == 1:
             return self.groups[0].angle[:, None]
         angle = np.empty((self._count, 1))

@@ -441,6 +441,34 @@ long states(const states_t *p, motion_t *motion, long nt, const double *t, doubl
   return code;
 }
 
+/* Chart states of a scene of a kind whose fingers and objects are one track in closed form, body by body in
+   turn, with n_constant constants each. Returns the code of evaluate. A few contacts at a time: their rows stay
+   in the cache. */
+long closed_begun(const kind_t *k, const double *block, const part_t *part, long n_constant, const double *angles,
+                  long nt, const double *t, double *out) {
+  const long own = 2 * SIDE * nt, most = 1 + (1 << 14) / (own + 1);
+  const long rows[SIDE] = {0, nt, 2 * nt, 3 * nt, 4 * nt};
+  const double *angle = carried(angles, k, block);
+  track_t track = begun_track(part->track, k, block);
+  double *sides = malloc(most * own * sizeof(double));
+  long code = 0;
+  for (long first = 0, n; sides && first < k->nb && !code; first += n) {
+    n = k->nb - first < most ? k->nb - first : most;
+    track.nb = 2 * n;
+    code = part->evaluate(&track, nt, t, sides, rows, SIDE * nt);
+    track.constants += 2 * n * n_constant, track.w += 2 * n, track.v += 2 * n;
+    for (long b = 0; b < n && !code; b++) {
+      const double *side = sides + b * own;
+      double *to = out + (first + b) * OUT * nt, *psi = to + (OUT - 1) * nt;
+      memcpy(to, side, 4 * nt * sizeof(double));
+      memcpy(to + 4 * nt, side + SIDE * nt, 4 * nt * sizeof(double));
+      for (long i = 0; i < nt; i++) psi[i] = angle[first + b] - (side[4 * nt + i] + side[(SIDE + 4) * nt + i]);
+    }
+  }
+  free(sides);
+  return sides ? code : -1;
+}
+
 /* `states` for a scene of a kind; as fill_begun. */
 long states_begun(const kind_t *k, const double *block, double tolerance, const states_t *p,
                   const motion_t *motion, long nt, const double *t, double *out) {
