@@ -11,6 +11,7 @@ were, whose great circles are kept; "new scene" is the time for others.
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import math
 import os
 import statistics
@@ -404,7 +405,11 @@ KINDS = (("sphere", False), ("sphere", True), ("ellipsoid", False), ("ellipsoid"
 
 
 def many(full: bool) -> Iterator[Bar]:
-    """Contacts of one kind in one scene beside a Python loop over scenes of one contact."""
+    """Contacts of one kind in one scene beside Python loops over scenes of one contact.
+
+    The bar is for a loop that plans every scene in full, each having a gain of its own. Where all
+    are of one kind, the loop plans by numbers as well, and what it is slower by is in the note.
+    """
     t = np.linspace(0.0, 1.0, 100)
     for compiled in reversed(engines()):
         counts = COUNTS if compiled or full else COUNTS[:-1]
@@ -412,10 +417,11 @@ def many(full: bool) -> Iterator[Bar]:
             call = partial(_states, t=t, tolerance=1e-12, compiled=compiled)
             jobs = {str(n): Job(call, partial(_crowd, kind, slips, n)) for n in counts}
             most = counts[-1]
-            jobs["loop"] = Job(
-                lambda scenes, call=call: [call(scene) for scene in scenes],
-                lambda kind=kind, slips=slips, n=most: _crowd(kind, slips, n, split=True),
-            )
+            for loop, step in (("loop", 1e-6), ("loop, one kind", 0.0)):
+                jobs[loop] = Job(
+                    lambda scenes, call=call: [call(scene) for scene in scenes],
+                    lambda kind=kind, slips=slips, n=most, step=step: _loop(kind, slips, n, step),
+                )
             times = {k: v.median for k, v in interleaved(jobs, repeats=5).items()}
             growth = [times[str(10 * n)] / (10 * times[str(n)]) for n in counts[:-1]]
             name = f"{kind}, {'slip' if slips else 'no slip'}, {_engine(compiled)}"
@@ -423,13 +429,27 @@ def many(full: bool) -> Iterator[Bar]:
             note = f"us a contact for {', '.join(map(str, counts))}: {each}"
             bar = f"time of 10 x contacts over 10 x time, {name}"
             yield Bar(bar, 1.0, max(growth), note=note, detail=times)
-            note = f"loop {1e6 * times['loop'] / most:.3g} us a contact"
-            ratio = times["loop"] / times[str(most)]
+            full, alike = (times[k] for k in ("loop", "loop, one kind"))
+            note = f"loop {1e6 * full / most:.3g} us a contact"
+            note += f"; over scenes of one kind {alike / times[str(most)]:.3g} x"
+            ratio = full / times[str(most)]
             yield Bar(f"{most} contacts beside a loop, {name}", 5.0, ratio, "x", True, note)
 
 
-def _crowd(kind: str, slips: bool, count: int, split: bool = False) -> Any:
-    """A scene of many contacts, or that many scenes of one."""
+_OWN = itertools.count(1)
+
+
+def _loop(kind: str, slips: bool, count: int, step: float) -> list[cs.Scene]:
+    """Scenes of one contact; gains grow by ``step``, and no two lists have one in common."""
+    whole = _crowd(kind, slips, count)
+    return [
+        whole.replace(contacts=[contact], gain=cs.Gain.time(20.0 + step * next(_OWN)))
+        for contact in whole.contacts
+    ]
+
+
+def _crowd(kind: str, slips: bool, count: int) -> cs.Scene:
+    """A scene of many contacts."""
     random = np.random.default_rng(count)
     contacts = []
     for u, v, angle, a, b in random.uniform(-0.3, 0.3, (count, 5)):
@@ -443,18 +463,10 @@ def _crowd(kind: str, slips: bool, count: int, split: bool = False) -> Any:
                 object_velocity=velocity,
             )  # fmt: skip
         )
-    groups = [[c] for c in contacts] if split else [contacts]
-    scenes = [
-        cs.Scene(
-            object=OBJECTS[kind],
-            contacts=group,
-            profile=PROFILE,
-            gain=cs.Gain.time(20.0),
-            duration=1.0,
-        )  # fmt: skip
-        for group in groups
-    ]
-    return scenes if split else scenes[0]
+    return cs.Scene(
+        object=OBJECTS[kind], contacts=contacts, profile=PROFILE, gain=cs.Gain.time(20.0),
+        duration=1.0,
+    )  # fmt: skip
 
 
 SECTIONS = {"no slip": no_slip, "slip": slip, "eta": eta, "start": start, "many": many}

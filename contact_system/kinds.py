@@ -434,6 +434,15 @@ def _key(scene: Scene, compiled: bool | None) -> Hashable:
     )  # fmt: skip
 
 
+def _forget() -> None:
+    """Make room: keys without a kind first, then all."""
+    for key, sights in list(_SEEN.items()):
+        if not sights.kinds:
+            _SEEN.pop(key, None)
+    if len(_SEEN) > SEEN // 2:
+        _SEEN.clear()
+
+
 def begin(scene: Scene, compiled: bool | None) -> Begun | None:
     """What an undisturbed scene of a known kind is planned from; None for others."""
     known: Begun | None = scene.__dict__.get("_begun")
@@ -454,7 +463,7 @@ def learn(scene: Scene, groups: Sequence[Group], compiled: bool | None) -> None:
     if key is None or not _has_kind(scene, groups, compiled):
         return
     if len(_SEEN) > SEEN:
-        _SEEN.clear()
+        _forget()
     seen = _SEEN.setdefault(key, _Sights())
     seen.count += 1
     if 1 < seen.count <= ATTEMPTS:

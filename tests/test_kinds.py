@@ -7,6 +7,7 @@ import pytest
 from conftest import SURFACES
 
 import contact_system as cs
+from contact_system import kinds
 from contact_system.kernels import find_compiler
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
@@ -153,3 +154,13 @@ def test_plans_of_one_kind_in_threads():
         together = list(pool.map(answer, chosen))
     for scene, found in zip(chosen, together):
         assert found == pytest.approx(answer(scene.replace()), abs=1e-10)
+
+
+def test_many_keys_seen_once_do_not_crowd_out_a_kind():
+    for scene in scenes(3, "sphere", "sphere"):
+        assert cs.plan(scene, compiled=True) is not None
+    for k in range(1100):
+        cs.plan(scene.replace(gain=cs.Gain.time(1.0 + k)), compiled=True)
+    *_, last = scenes(4, "sphere", "sphere")
+    assert begun(cs.plan(last, compiled=True))
+    assert len(kinds._SEEN) <= kinds.SEEN + 1
