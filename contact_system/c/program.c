@@ -259,7 +259,7 @@ static void join(const track_t *k, const piece_t *piece, const double *tau, doub
 
 /* Coefficients [nb][ROWS][N] from values [nb][rows][N] at the nodes of a piece. Returns the greatest
    tail, in units of each row's size, and counts the terms that make more than a tenth of the tolerance.
-   The last coefficients are less than Legendre's, by which the motion's tails are measured: hence 1.5. */
+   The last coefficients are less than Legendre's, by which the motion's tails are measured: hence 2. */
 INLINE double resolve(const double *project, long nb, int rows, double tolerance, const double *values,
                       piece_t *piece, double *series) {
   static const double angle[ROWS] = {1, 1, 0, 0, 1, 0, 0};
@@ -271,7 +271,7 @@ INLINE double resolve(const double *project, long nb, int rows, double tolerance
       const double *c = series + r * N, *v = values + r * N;
       double size = angle[r];
       for (int i = 0; i < N; i++) size = fabs(v[i]) > size ? fabs(v[i]) : size;
-      const double tail = 1.5 * fmax(fabs(c[N - 1]), 0.1 * fabs(c[N - 2]));
+      const double tail = 2.0 * fmax(fabs(c[N - 1]), 0.1 * fabs(c[N - 2]));
       if (tail > worst * size) worst = tail / size; /* evaluate lets no NaN pass */
       long terms = N;
       for (double left = 0.1 * tolerance * size; terms > piece->terms; terms--)
