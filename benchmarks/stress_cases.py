@@ -586,8 +586,9 @@ class Meter:
 
 
 def run(trial: Trial) -> Verdict:
-    """Plan a trial and judge the plan; every other one after two scenes of its kind."""
-    kin = [trial.scene.replace() for _ in range(2 * (trial.seed % 2))]
+    """Plan a trial and judge the plan; every other compiled one after two scenes of its kind."""
+    alone = not trial.compiled or trial.seed % 2 or trial.scene.disturbances
+    kin = [] if alone else [trial.scene.replace() for _ in range(2)]
     *_, plan = (
         cs.plan(scene, tolerance=trial.tolerance, compiled=trial.compiled)
         for scene in (*kin, trial.scene)
@@ -718,7 +719,7 @@ class Judge:
             self._slip(sample)
         self._geodesics(times, everywhere, sample)
         self._short_panel(sample)
-        if self.trial.seed % 3 == 0 and self.turns < TURNS * math.pi:
+        if self.trial.seed % (3 if self.trial.compiled else 12) == 0 and self.turns < TURNS * math.pi:
             self._in_company(times, everywhere)
         return self.meter.verdict()
 
