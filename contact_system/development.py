@@ -692,10 +692,12 @@ def program_built() -> bool:
 
 @functools.cache
 def _program_source() -> str:
-    return f"{PRELUDE}#define MOST {MOST_AT_ONCE}\n{c_source('program.c')}"
+    sizes = f"#define MOST {MOST_AT_ONCE}\n#define MOST_FOUND {MOST_FOUND}\n"
+    return PRELUDE + sizes + c_source("program.c")
 
 
 MOST_AT_ONCE = 8  # bodies whose states are made series in one call
+MOST_FOUND = 512  # numbers that a kind works out for a contact
 ROOM = 24  # panels there is room for, until one needs more
 MOST_ROOM = 400  # that is remembered
 _ROOM: dict[Kernel, ctypes.c_long] = {}

@@ -31,6 +31,7 @@ from .closed_form import (
     turned,
 )
 from .development import (
+    MOST_FOUND,
     GeodesicTrack,
     MovingTrack,
     contact_start,
@@ -48,7 +49,6 @@ SX = ca.SX
 
 GIVEN = 9  # numbers of a start
 PACK = struct.Struct(f"{GIVEN}d").pack
-MOST_FOUND = 512  # of c/program.c
 SEEN = 1024  # keys that are remembered
 ATTEMPTS = 6  # scenes of a key from which kinds are learned
 

@@ -114,8 +114,6 @@ long fill(const part_t *parts, long n_parts, long count, long nt, const double *
 }
 
 /* Scenes of one kind (kinds.py): their plans differ in the numbers of one block, where their tracks point. */
-#define MOST_FOUND 512
-
 typedef void (*kernel_t)(long, long, const double *, const long *, long, const double *, double *,
                          const long *, long);
 
