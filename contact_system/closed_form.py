@@ -191,6 +191,7 @@ class CircleTrack(Track):
             start=self.start, stop=self.stop, drive=drive_data(piece), nb=self.n_bodies,
             constants=address(circle.constants), length=address(piece.arrays[1]),
             w=address(circle.pace), v=address(circle.phase_per_metre),
+            n_constants=circle.constants.shape[1], n_drive=1,
         )  # fmt: skip
         return ctypes.addressof(data), (data, circle)
 
@@ -315,20 +316,24 @@ def turned() -> Kernel:
 
 
 @per_structure
-def line_evaluator(surface: Surface, output: str) -> Evaluator:
-    """Straight line on a developable surface, compiled.
+def line_evaluator(surface: Surface, output: str, slips: bool) -> Evaluator:
+    """The developed curve on a developable surface, compiled: a straight line but for slip.
 
-    point: length, speed, length; constant: parameters, u, v, theta, and (u, v) per metre.
+    point: length, speed, length; constant: parameters, u, v, theta, and (u, v) per metre. With
+    slip: s, g, speed, -speed decay; (u, v) per metre of g too.
     """
-    point, p = SX.sym("point", 3), SX.sym("p", len(surface.parameters))
-    begin, slope = SX.sym("begin", 3), SX.sym("slope", 2)
-    at = begin[:2] + slope * point[0]
+    p, begin = SX.sym("p", len(surface.parameters)), SX.sym("begin", 3)
+    along, aside = SX.sym("along", 2), SX.sym("aside", 2 * slips)
+    point = SX.sym("point", 4 if slips else 3)
+    at, rates = begin[:2] + along * point[0], along * point[2 if slips else 1]
+    if slips:
+        at, rates = at - aside * point[1], rates + aside * point[3]
     if output == "points":
         result = surface.chart_expr(p, at[0], at[1])
     else:
-        result = ca.vertcat(at, slope * point[1], begin[2])
-    kernel = Kernel(f"line_{output}", point, ca.vertcat(p, begin, slope), result)
-    return Evaluator(kernel, True, 0, False)
+        result = ca.vertcat(at, rates, begin[2])
+    kernel = Kernel(f"line_{output}", point, ca.vertcat(p, begin, along, aside), result)
+    return Evaluator(kernel, not slips, 2 * slips, False)
 
 
 @dataclass(eq=False)
@@ -345,7 +350,7 @@ class FlatTrack(Track):
         h_u, h_v, constant.
     piece : GainPiece
     slip_length : Panels or None
-        g(t); None where v is zero.
+        s(t) and g(t); None where v is zero.
     """
 
     begin: np.ndarray
@@ -363,36 +368,43 @@ class FlatTrack(Track):
         )
 
     def again(self, tolerance: float) -> Track | None:
-        # slip too small to speak of is not for a tighter tolerance
-        return self if self.slip_length is None and not self.v.any() else None
+        return self
 
     def _entry(self, output: str) -> tuple[Evaluator, int] | None:
-        compiled = line_evaluator(self.surface, output)
-        if self.slip_length is not None or self.offset is not None or self._long:
-            return None
-        if output == "coordinates" and self.v.any():  # slip without a path to speak of has a rate
+        compiled = line_evaluator(self.surface, output, self.slip_length is not None)
+        if self.offset is not None or self._long:
             return None
         return (compiled, self._data[0]) if compiled.usable(self.compiled) else None
 
     def moved(
-        self, begin: np.ndarray, w: np.ndarray, lame: np.ndarray, constants: np.ndarray
-    ) -> FlatTrack:
-        """This track, without slip, from another start; constants: see :func:`line_evaluator`."""
-        return dataclasses.replace(self, begin=begin, w=w, v=0 * w, lame=lame, constants=constants)
+        self, begin: np.ndarray, w: np.ndarray, v: np.ndarray, lame: np.ndarray,
+        constants: np.ndarray,
+    ) -> FlatTrack:  # fmt: skip
+        """This track from another start; constants: see :func:`line_evaluator`."""
+        return dataclasses.replace(self, begin=begin, w=w, v=v, lame=lame, constants=constants)
 
     @functools.cached_property
     def _data(self) -> tuple[int, tuple]:
         """Address of the C form of this track, and what it points to."""
-        constants = self.constants
+        constants, panels, piece = self.constants, self.slip_length, self.piece
         if constants is None:
-            constants = np.hstack([self.parameters, self.begin, self.along / self.lame])
-        piece, ones = self.piece, np.ones(self.n_bodies)
+            slopes = [self.along / self.lame]
+            if panels is not None:
+                slopes.append(self.aside / self.lame)
+            constants = np.hstack([self.parameters, self.begin, *slopes])
+        units = ([1.0], [1.0]) if panels is None else ([1.0, 0.0], [0.0, 1.0])
+        w, v = (np.tile(unit, (self.n_bodies, 1)) for unit in units)
         data = TrackData(
             start=self.start, stop=self.stop, drive=drive_data(piece), nb=self.n_bodies,
-            constants=address(constants), length=address(piece.arrays[1]), w=address(ones),
-            v=address(ones),
+            constants=address(constants), length=address(piece.arrays[1]), w=address(w),
+            v=address(v), n_constants=constants.shape[1], n_drive=w.shape[1],
         )  # fmt: skip
-        return ctypes.addressof(data), (data, piece, constants, ones)
+        if panels is not None:  # the same for all bodies
+            series = panels.coefficients
+            at = panels.at or (address(panels.edges), address(series))
+            data.slips, data.n_panels, data.panel_stride = True, panels.count, series[0].size
+            data.edges, data.coefficients = at
+        return ctypes.addressof(data), (data, piece, constants, w, v, panels)
 
     @functools.cached_property
     def _long(self) -> bool:
@@ -418,7 +430,7 @@ class FlatTrack(Track):
                     self.begin[:, i], self.along[:, i], self.lame[:, i], exact, period is not None
                 )
         if self.slip_length is not None:
-            shift = self.slip_length.evaluate(tau)[0]
+            shift = self.slip_length.evaluate(tau, slice(1, 2))[0]
             moved -= (self.aside / self.lame)[:, :, None] * shift
         if self.offset is not None:
             moved += self.offset[:, :, None] * tau

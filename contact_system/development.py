@@ -255,9 +255,36 @@ def axis_forced_motion(
 
 @functools.cache
 def slip_displacement() -> Kernel:
-    """Kernel of g' = sigma decay (theory section 4): all that slip costs on a developable body."""
-    g, drive = SX.sym("g"), SX.sym("drive", 2)
-    return Kernel("displacement", ca.vertcat(g, drive), SX.sym("none", 1), drive[0] * drive[1])
+    """Kernel of s' = sigma, g' = sigma decay (theory section 4), all that slip costs on a
+    developable body."""
+    state, drive = SX.sym("state", 2), SX.sym("drive", 2)
+    rate = drive[0] * ca.vertcat(1, drive[1])
+    return Kernel("displacement", ca.vertcat(state, drive), SX.sym("none", 1), rate)
+
+
+@functools.lru_cache(maxsize=256)
+def slip_length(piece: GainPiece, tells: bool, compiled: bool | None) -> Panels:
+    """s(t) and g(t) over a piece, right to rounding for all who plan with this profile and gain.
+
+    Where slip ends too soon to tell, g is 0.
+    """
+    span = piece.stop - piece.start
+    problem = Problem(
+        name=f"quadrature of slip over [{piece.start:g}, {piece.stop:g}] s",
+        start=np.zeros((1, 2)),
+        constants=np.zeros((1, 1)),
+        scale=np.full((1, 2), 1.0 / max(piece.arc_length(span), 1e-300)),
+        drive=piece,
+        length=span,
+        first=span,
+        slip=float(tells),
+    )
+    kernel = slip_displacement()
+    if not tells:
+        return integrate(kernel, problem, 1e-15, compiled)
+    rough = integrate(kernel, problem, 1e-3, compiled)  # how large g is
+    problem.scale[0, 1] = 1.0 / max(rough.end[0, 1], 1e-300)
+    return integrate(kernel, problem, 1e-15, compiled)
 
 
 # --- Gauss collocation in panels ---------------------------------------------------------------
@@ -656,7 +683,7 @@ class MotionData(ctypes.Structure):
 
     _fields_ = [("track", TrackData), ("integrate", ctypes.c_void_p), ("drive", Drive),
                 ("method", Method)]  # fmt: skip
-    _fields_ += [(name, ctypes.c_long) for name in ("nx", "room", "done")]
+    _fields_ += [(name, ctypes.c_long) for name in ("nx", "nc", "room", "done")]
     _fields_ += [("known", ctypes.c_void_p)]
     _fields_ += [(name, ctypes.c_double) for name in ("tolerance", "slip", "share")]
     _fields_ += [(name, ctypes.c_void_p) for name in ("start", "constants", "scale", "block")]
@@ -664,22 +691,17 @@ class MotionData(ctypes.Structure):
 
 @functools.cache
 def program_library() -> ctypes.CDLL:
-    """c/program.c: ``move``, ``room_of``, ``fill``, ``states``; ``begin`` and those two of begun
-    scenes."""
+    """c/program.c: ``move``, ``room_of``, ``fill``, ``states``; ``begin`` and ``fill_begun`` of
+    scenes of a kind."""
     library = compiled_library(_program_source())
     pointer, integer = ctypes.c_void_p, ctypes.c_long
     library.move.argtypes = library.room_of.argtypes = [pointer]
     library.fill.argtypes = [pointer, integer, integer, integer, pointer, pointer, pointer]
-    library.states.argtypes = [pointer, pointer, integer, pointer, pointer]
-    number = ctypes.c_double
     library.begin.argtypes = [pointer] * 3
-    begun: list[Any] = [pointer, pointer, number]
+    begun: list[Any] = [pointer, pointer, ctypes.c_double]
     library.fill_begun.argtypes = [*begun, *library.fill.argtypes[:-1]]
-    library.states_begun.argtypes = [*begun, *library.states.argtypes]
-    library.closed_begun.argtypes = [pointer] * 3 + [integer, pointer, integer, pointer, pointer]
-    for name in ("move", "room_of", "fill", "states"):
-        getattr(library, name).restype = integer
-    for name in ("begin", "fill_begun", "states_begun", "closed_begun"):
+    library.states.argtypes = [*begun, pointer, integer, integer, pointer, pointer]
+    for name in ("move", "room_of", "fill", "begin", "fill_begun", "states"):
         getattr(library, name).restype = integer
     return library
 
@@ -696,7 +718,7 @@ def _program_source() -> str:
     return PRELUDE + sizes + c_source("program.c")
 
 
-MOST_AT_ONCE = 8  # bodies whose states are made series in one call
+MOST_AT_ONCE = 8  # contacts of a kind that C takes at once: their numbers stay in the cache
 MOST_FOUND = 512  # numbers that a kind works out for a contact
 ROOM = 24  # panels there is room for, until one needs more
 MOST_ROOM = 400  # that is remembered
@@ -729,6 +751,7 @@ class Motion:
         if track is not None:
             data.track = track
         data.track.nb, data.nx = start.shape
+        data.nc = constants.shape[1]
         data.integrate = function_address(panel_library(kernel).panels)
         data.drive = drive_data(problem.drive)
         data.start, data.constants, data.scale = address(start), address(constants), address(scale)
@@ -944,6 +967,7 @@ class PanelTrack(Track):
             double_cover=self.surface.double_cover, period_u=period_u or 0.0,
             period_v=period_v or 0.0, constants=address(constants),
             length=address(piece.arrays[1]), w=address(w), v=address(v),
+            n_constants=constants.shape[1], n_drive=2,
         )  # fmt: skip
         turn = None
         if self.forced is not None:
@@ -961,13 +985,14 @@ class PanelTrack(Track):
     def _entry(self, output: str) -> tuple[Evaluator, int] | None:
         if output == "coordinates" and self.offset is not None:
             return None
-        compiled = self._evaluator(output)
+        compiled = self.evaluator(output)
         return (compiled, self._data[0]) if compiled.usable(self.compiled) else None
 
     def data_at(self, output: str) -> int | None:
         return self._data[0] if output == "points" or self.offset is None else None
 
-    def _evaluator(self, output: str) -> Evaluator:
+    def evaluator(self, output: str) -> Evaluator:
+        """Of "points" or "coordinates"."""
         return evaluator(self.surface, self.ambient, output)
 
     def _coordinates(self, t: np.ndarray) -> np.ndarray:
@@ -1310,5 +1335,5 @@ class GeodesicTrack(MovingTrack):
     def _point(self, data: TrackData) -> None:
         data.constants = address(self.problem.constants)
 
-    def _evaluator(self, output: str) -> Evaluator:
+    def evaluator(self, output: str) -> Evaluator:
         return self.form.coordinates if output == "coordinates" else self.form.points

@@ -96,9 +96,8 @@ class _Form(NamedTuple):
 
     @classmethod
     def of(cls, track: Track) -> _Form:
-        return cls(
-            type(track), track.ambient, isinstance(track, MovingTrack) and track.v is not None
-        )
+        slips = track.slip_length if isinstance(track, FlatTrack) else getattr(track, "v", None)
+        return cls(type(track), track.ambient, slips is not None)
 
 
 def _held(form: _Form, body: _Body) -> tuple[Fields, list[SX]]:
@@ -110,9 +109,12 @@ def _held(form: _Form, body: _Body) -> tuple[Fields, list[SX]]:
         return {"pace": pace, "phase": phase, "constants": ca.vertcat(constants, branch)}, [phase]
     if form.kind is FlatTrack:
         lame = lame_kernel(body.surface).function(body.begin, body.p)
-        slope = turned().function(ca.vertcat(body.begin[2], body.w), NONE) / lame
+        slope, aside = (
+            turned().function(ca.vertcat(body.begin[2], x), NONE) / lame for x in (body.w, body.v)
+        )
         reach = [ca.mmax(ca.fabs(x)) / body.size for x in (slope, body.begin[:2])]
-        return {"lame": lame, "constants": ca.vertcat(body.p, body.begin, slope)}, reach
+        slopes = ca.vertcat(slope, aside) if form.driven else slope
+        return {"lame": lame, "constants": ca.vertcat(body.p, body.begin, slopes)}, reach
     state, facts = body.state(form.ambient), []
     scale = scale_kernel(body.surface, form.ambient).function(state, ca.vertcat(body.p, body.size))
     if form.kind is GeodesicTrack:
@@ -148,7 +150,8 @@ def _moved(track: Track, held: dict[str, np.ndarray], w: np.ndarray, v: np.ndarr
         return track.moved(Circle(w, held["pace"][:, 0], held["phase"][:, 0], constants, True))
     if isinstance(track, FlatTrack):
         n = track.parameters.shape[1]
-        return track.moved(constants[:, n : n + 3].copy(), w, held["lame"], constants)
+        slipping = v if track.slip_length is not None else 0 * w
+        return track.moved(constants[:, n : n + 3].copy(), w, slipping, held["lame"], constants)
     assert isinstance(track, MovingTrack)
     problem = track.problem.moved(
         held["start"], constants, scale=held["scale"], name=name,
@@ -196,17 +199,11 @@ class Begun:
         )
 
     def states(self, t: np.ndarray, out: np.ndarray, tolerance: float) -> int:
-        """Chart states (n, 9, n_t) as :meth:`SlippingStates.fill`, in the same way."""
+        """Chart states (n, 9, n_t) as :meth:`ChartStates.fill`, in the same way."""
         kind = self.kind
-        if kind.slipping is not None:
-            return kind.library.states_begun(
-                kind.at, self.at, tolerance, *kind.slipping, len(t), address(t), address(out)
-            )
-        if kind.circles is not None:
-            return kind.library.closed_begun(
-                kind.at, self.at, *kind.circles, len(t), address(t), address(out)
-            )
-        return -1
+        return kind.library.states(
+            kind.at, self.at, tolerance, kind.states, kind.nb, len(t), address(t), address(out)
+        )
 
 
 class _Field(ctypes.Structure):
@@ -239,8 +236,8 @@ class Kind:
         Where the fields begin in a block, and how many numbers each has of a contact.
     closed : bool
         Nothing is integrated.
-    slipping, circles : tuple or None
-        What C needs to know for states of contacts that slip, of those on great circles alone.
+    states : int or None
+        Address of a :class:`ChartStates`.
 
     Raises
     ------
@@ -254,7 +251,7 @@ class Kind:
         bodies = [(finger, scene.object) for finger in surfaces]
         parameters = np.array([[*f.parameters, *o.parameters, f.size, o.size] for f, o in bodies])
         tracks, record = (group.finger[0], group.object[0]), group.slips[0]
-        kernel, layout = _begin(*bodies[0], tuple(map(_Form.of, tracks)), group.pair is not None)
+        kernel, layout = _begin(*bodies[0], tuple(map(_Form.of, tracks)))
         path = max(record.piece.arc_length(record.stop - record.start), TINY)
         slips = (0.0, 0.0) if record.of is None else (TINY, math.inf)
         limits = [slips, *[(0.0, ENDLESS / path)] * 2, *_limits(tracks[0]), *_limits(tracks[1])]
@@ -283,6 +280,7 @@ class Kind:
             n_facts, len(layout), size,
         )  # fmt: skip
         self._kept = parameters, kept, rows, fields, own  # addresses point into them
+        self._layouts: dict[str, Any] = {}
         self.at, self.planned = ctypes.addressof(self._data), group
         begun = self.begin(scene)
         if begun is None:
@@ -290,17 +288,9 @@ class Kind:
         ctypes.memmove(own, begun.block, ctypes.sizeof(own))
         self.planned = self.group(own, group_name(scene, group.contacts))
         self.closed = not self.planned.moving
-        slipping = self.planned.slipping_states(compiled)
         self._programs: dict[str, tuple[int, int] | None] = {}
-        self.slipping: tuple[int, int] | None = None
-        self.circles: tuple[int, int, int] | None = None
-        program = self.program("coordinates") if self.planned.pair is not None else None
-        if program is not None:
-            n_constant = self.planned.pair.circle.constants.shape[1]  # type: ignore[union-attr]
-            self.circles = program[0], n_constant, address(self.planned.angle)
-        if slipping is not None:
-            motion: Any = self.planned.moving[0].motion
-            self.slipping = slipping.at, motion.at
+        states = self.planned.chart_states(compiled)
+        self.states = None if states is None else states.at
 
     def program(self, output: str) -> tuple[int, int] | None:
         """Address and number of the parts of :class:`Program`; None where there is none."""
@@ -333,27 +323,19 @@ class Kind:
             a["angle"][:, 0],
             (a["begin1"], a["begin2"]),
         )
-        if planned.pair is not None:
-            paired = {key[5:]: a[key].reshape(2 * nb, -1) for key in a if key.startswith("pair ")}
-            circles = Circle(
-                paired["w"], paired["pace"][:, 0], paired["phase"][:, 0], paired["constants"], True
-            )
-            group.pair = planned.pair.moved(circles)
-            held = [{key: x[k::2].copy() for key, x in paired.items()} for k in range(2)]
-        else:
-            held = [{k[2:]: a[k] for k in a if k.startswith(side)} for side in ("1 ", "2 ")]
+        held = [{k[2:]: a[k] for k in a if k.startswith(side)} for side in ("1 ", "2 ")]
         group.finger, group.object = (
             [_moved(tracks[0], held[k], w[k], v, slip, name, 1.0)]
             for k, tracks in enumerate((planned.finger, planned.object))
         )
         group.slips = [dataclasses.replace(record, of=slip_of(v, slip, record.piece), pushed=w[0])]
-        group.layouts = {key: x for key, x in planned.layouts.items() if key != "states"}
+        group.layouts = self._layouts
         return group
 
 
 @per_structure
 def _begin(
-    finger: Surface, obj: Surface, forms: tuple[_Form, _Form], paired: bool
+    finger: Surface, obj: Surface, forms: tuple[_Form, _Form]
 ) -> tuple[Kernel, dict[str, int]]:
     """Kernel from a start to facts and fields; the fields' widths.
 
@@ -372,17 +354,10 @@ def _begin(
     fields = {"w1": w1, "w2": w2, "v": v, "r0": r0, "angle": angle}
     fields |= {"begin1": bodies[0].begin, "begin2": bodies[1].begin}
     facts = [ca.norm_2(v), ca.norm_2(w1) / sizes[0], ca.norm_2(w2 - v) / sizes[1]]
-    held = []
-    for form, body in zip(forms, bodies):
+    for side, form, body in zip("12", forms, bodies):
         own, more = _held(form, body)
-        held.append(own)
+        fields |= {f"{side} {key}": value for key, value in own.items()}
         facts += more
-    if paired:
-        fields |= {f"pair {key}": ca.vertcat(*(own[key] for own in held)) for key in held[0]}
-        fields["pair w"] = ca.vertcat(w1, w2)
-    else:
-        for side, own in zip("12", held):
-            fields |= {f"{side} {key}": value for key, value in own.items()}
     kernel = Kernel("begin", given, ca.vertcat(*p, sizes), ca.vertcat(*facts, *fields.values()))
     return kernel, {key: x.numel() for key, x in fields.items()}
 
@@ -399,8 +374,11 @@ def _has_kind(scene: Scene, groups: Sequence[Group], compiled: bool | None) -> b
     tracks = group.finger + group.object
     if not all(isinstance(t, known) for t in tracks):
         return False
-    if any(isinstance(t, MovingTrack) and t.motion is None for t in tracks):
-        return False
+    for track in tracks:
+        if isinstance(track, MovingTrack) and track.motion is None:
+            return False
+        if isinstance(track, FlatTrack) and track.slip_length and not track.slip_length.end[0, 1]:
+            return False  # that depends on how large slip is
     return bool(compiled) or program_built()
 
 

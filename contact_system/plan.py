@@ -33,7 +33,7 @@ from .planner import (
     plan_groups,
     scene_start,
 )
-from .program import FEW_TIMES, SIDES, Program, program_of
+from .program import SIDES, Program, program_of
 from .scene import ObjectRateOffset, Scene, scene_from_toml, scene_to_toml
 from .tracks import Track
 
@@ -415,22 +415,19 @@ class Plan:
 
     def _states_at_once(self, t: ArrayLike) -> np.ndarray | None:
         """The states by one compiled call, or None where there is no such way (program.py)."""
-        times, kind = _one_axis(t), None if self._begun is None else self._begun.kind
+        times, begun = _one_axis(t), self._begun
         if not times.flags.c_contiguous:
             return None
-        few, code = len(times) < FEW_TIMES, -1
-        out = np.empty((self._count, 9, len(times)))
-        if kind is not None and (kind.circles or not few and kind.slipping and self._first_look()):
-            assert self._begun is not None
-            code = self._begun.states(times, out, self.tolerance)
+        out, code = np.empty((self._count, 9, len(times))), -1
+        if begun is not None and begun.kind.states and (begun.kind.closed or self._first_look()):
+            code = begun.states(times, out, self.tolerance)
         if code < 0:
-            if few or kind is not None and kind.closed or len(self.groups) > 1:
+            if len(self.groups) > 1 or not self.groups[0].moving:
                 return None
-            slipping = self.groups[0].slipping_states(self.compiled)
-            if slipping is None:
+            made = self.groups[0].chart_states(self.compiled)
+            if made is None:
                 return None
-            motion: Any = self.groups[0].moving[0].motion
-            code = slipping.fill(motion, times, out)
+            code = made.fill(self.tolerance, times, out)
         if code > 0:
             self._refuse(times)
         return out.transpose(2, 0, 1) if code == 0 else None

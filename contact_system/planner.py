@@ -28,7 +28,7 @@ from .development import GeodesicTrack, MovingTrack, PanelTrack, Problem
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kernels import Kernel, contiguous
 from .profile import GainPiece, Profile
-from .program import SIDES, Program, SlippingStates, program_of
+from .program import SIDES, ChartStates, Program, program_of
 from .scene import (
     REST,
     ROLLING,
@@ -56,6 +56,8 @@ FORCES = (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
 
 # Slip whose whole remaining displacement is below this fraction of tolerance * size is let go.
 NEGLIGIBLE = 0.01
+# The same of what no tolerance asks for.
+ROUNDING = 1e-17
 # Slip left when a slipping object goes over to a great circle, in path speeds and tolerances.
 RATE_LEFT = 0.1
 # Path beyond which, in sizes of a sphere, the rest of a slipping interval is made a great circle.
@@ -256,7 +258,7 @@ class Group:
     slips: list[SlipRecord] = field(default_factory=list)
     pair: CircleTrack | None = None
     layouts: dict[str, Any] = field(default_factory=dict)
-    programs: dict[str, Program | None] = field(default_factory=dict)
+    programs: dict[str, Any] = field(default_factory=dict)
 
     def program(self, output: str) -> Program | None:
         """All tracks in one compiled call, for a plan of this group alone.
@@ -274,13 +276,11 @@ class Group:
             self.programs[output] = made
         return self.programs[output]
 
-    def slipping_states(self, compiled: bool | None) -> SlippingStates | None:
+    def chart_states(self, compiled: bool | None) -> ChartStates | None:
         """Chart states in one compiled call, if this is a group for that."""
-        if "states" not in self.layouts:
-            made = self.layouts["states"] = SlippingStates.of(self, compiled)
-            if made is not None:
-                self.anchor("finger", self.finger[0])
-        return self.layouts["states"]
+        if "states" not in self.programs:
+            self.programs["states"] = ChartStates.of(self, compiled)
+        return self.programs["states"]
 
     def repeats(self, tolerance: float) -> bool:
         """Whether another tolerance changes nothing but tracks at the end."""
@@ -784,34 +784,20 @@ class GroupPlanner:
         piece: GainPiece,
         offset: np.ndarray | None,
         why: str,
-        slips: bool = False,
+        tells: bool = False,
     ) -> FlatTrack:
         slip_length, method = None, "closed form: straight line unrolled"
-        if slips:
-            slip_length = self._slip_length(piece, v, body)
-            method = f"quadrature of slip, {len(slip_length.edges) - 1} panels"
-            why = "T = 0: the developed curve is the curve"
+        if v.any():
+            try:
+                slip_length = development.slip_length(piece, tells, self.compiled)
+            except ContactSystemError as error:
+                raise ContactSystemError(f"{self.name}: {error}") from None
+            if tells:
+                method = f"quadrature of slip, {slip_length.count} panels"
+                why = "T = 0: the developed curve is the curve"
         return FlatTrack(body.surface, body.parameters, piece.start, piece.stop, method, why, False,
                          self.compiled, offset=offset, begin=body.state, w=w, v=v, lame=body.lame,
                          piece=piece, slip_length=slip_length)  # fmt: skip
-
-    def _slip_length(self, piece: GainPiece, v: np.ndarray, body: Body) -> development.Panels:
-        """g(t), whose error moves a contact by |V| times as much."""
-        span = piece.stop - piece.start
-        most = (np.hypot(v[:, 0], v[:, 1]) / body.sizes[:, 0]).max()
-        most = max(most, 1.0 / max(piece.arc_length(span), TINY))
-        problem = Problem(
-            name=self.name,
-            start=np.zeros((1, 1)),
-            constants=np.zeros((1, 1)),
-            scale=np.full((1, 1), most),
-            drive=piece,
-            length=span,
-            first=span,
-            slip=1.0,
-        )
-        kernel = development.slip_displacement()
-        return development.integrate(kernel, problem, self.tolerance, self.compiled)
 
     def _free(self, interval: Interval) -> None:
         """The object while only slip and rate offsets act."""
@@ -819,21 +805,21 @@ class GroupPlanner:
         if piece.power and piece.sigma[0] == 0.0:
             self.v = 0 * self.v  # the guaranteed law lets no slip leave a rest
         shifted = interval.offset
-        negligible = NEGLIGIBLE * self.object.size * interval.reach  # in tolerances
         v = self.v
         slip = _greatest(v)
         record = SlipRecord(start, stop, piece, slip_of(v, slip, piece), None, self.w1)
         self.group.slips.append(record)
         if self.object.surface.developable:
-            slips = slip > negligible * self.tolerance
             if slip == 0:  # the interval may be longer than a piece of the gain
                 piece = plain_piece(self.scene.profile, start, stop)
-            why = "" if slips else "no slip to speak of"
-            flat = self._flat(self.object, self.w2, v, piece, shifted, why, slips)
+            tells = slip > ROUNDING * self.object.size * interval.reach
+            why = "no slip to speak of"
+            flat = self._flat(self.object, self.w2, v, piece, shifted, why, tells)
             self._append("object", flat)
         elif slip == 0 and shifted is None:
             self._append("object", self._geodesic("object", start, stop, "no slip"))
         else:
+            negligible = NEGLIGIBLE * self.object.size * interval.reach  # in tolerances
             reached = self._driven(interval, shifted, slip, negligible)
             if reached < stop:
                 why = f"slip has fallen below tolerance at t = {reached:.6g} s"

@@ -15,15 +15,13 @@ from numpy.polynomial import chebyshev
 
 from .closed_form import CircleTrack
 from .development import (
-    MOST_AT_ONCE,
     Motion,
     MovingTrack,
     collocation,
-    panels_built,
     program_built,
     program_library,
 )
-from .kernels import address
+from .kernels import address, function_address
 from .tracks import Track, evaluator
 
 if TYPE_CHECKING:
@@ -138,16 +136,24 @@ def program_of(groups: Sequence[Group], output: str) -> Program | None:
     )
 
 
-# --- chart states of contacts that slip ----------------------------------------------------------
+# --- chart states ---------------------------------------------------------------------------------
 
-FEW_TIMES = 48  # below this, series are not worth making
+SIDE_ROWS = 5  # u v u' v' theta
+
+
+class _Side(ctypes.Structure):
+    """``side_t`` of c/program.c."""
+
+    _fields_ = [(name, ctypes.c_void_p) for name in ("evaluate", "resolve", "anchor", "track")]
+    _fields_ += [(name, ctypes.c_long) for name in ("moves", "rows")]
+    _fields_ += [("begin", ctypes.c_void_p)]
 
 
 class _States(ctypes.Structure):
     """``states_t`` of c/program.c."""
 
-    _fields_ = [(name, ctypes.c_void_p) for name in (
-        "finger", "object", "tip", "begin", "angle", "project")]  # fmt: skip
+    _fields_ = [("side", _Side * 2)]
+    _fields_ += [(name, ctypes.c_void_p) for name in ("angle", "node", "project")]
 
 
 @functools.cache
@@ -157,52 +163,71 @@ def _projection() -> np.ndarray:
     return np.ascontiguousarray(np.linalg.inv(chebyshev.chebvander(node, len(node) - 1)).T)
 
 
-class SlippingStates:
-    """Chart states of the commonest plan as series made once, piece by piece.
+class ChartStates:
+    """Chart states of a group whose sides are one track each, in one compiled call.
 
-    Fingers run on great circles, objects are developed with slip over one interval.
+    For many times, great circles beside a side that is integrated, and what is integrated in space,
+    are turned into series first: their coordinates are dear at each time.
     """
 
-    def __init__(self, group: Group, finger: CircleTrack, body: MovingTrack):
-        own, begin, project = finger.entry("coordinates"), group.begin[1], _projection()
-        assert own is not None
+    def __init__(self, group: Group, sides: Sequence[_Side]):
+        node, project = collocation().node, _projection()
         self._data = _States(
-            own[0].pointer, evaluator(body.surface, True, "split").pointer, own[1], address(begin),
-            address(group.angle), address(project),
-        )  # fmt: skip
-        self.at = ctypes.addressof(self._data)
-        self._kept = finger, begin, group.angle, project  # addresses point into them
+            (_Side * 2)(*sides), address(group.angle), address(node), address(project)
+        )
+        self.at, self._count = ctypes.addressof(self._data), len(group.contacts)
+        self._motions = [track.motion for track in group.moving if track.motion]
+        self._kept = group.finger, group.object, group.angle, group.begin, node, project
         self._run = program_library().states
 
     @classmethod
-    def of(cls, group: Group, compiled: bool | None) -> SlippingStates | None:
+    def of(cls, group: Group, compiled: bool | None) -> ChartStates | None:
         """For a group of that kind; None for others, and where C is not built."""
-        if len(group.finger) > 1 or len(group.object) > 1:
+        if len(group.finger) > 1 or len(group.object) > 1 or not (compiled or program_built()):
             return None
-        finger, body = group.finger[0], group.object[0]
-        if not isinstance(finger, CircleTrack) or not isinstance(body, MovingTrack):
-            return None
-        if not body.ambient or body.v is None or body.offset is not None or body.problem.stops:
-            return None
-        if len(body.parameters) > MOST_AT_ONCE or finger.entry("coordinates") is None:
-            return None
-        there = evaluator(body.surface, True, "split").built if compiled is None else compiled
-        built = compiled or (there and panels_built(body.kernel) and program_built())
-        return cls(group, finger, body) if built else None
+        moves = any(isinstance(t, MovingTrack) for t in (group.finger[0], group.object[0]))
+        sides = [
+            _side(track, begin, moves)
+            for track, begin in zip((group.finger[0], group.object[0]), group.begin)
+        ]
+        known = [side for side in sides if side is not None]
+        return cls(group, known) if len(known) == 2 else None
 
-    def fill(self, motion: Motion, t: np.ndarray, out: np.ndarray) -> int:
-        """Write (n, 9, n_t) for such a plan, whose object has this motion.
+    def fill(self, tolerance: float, t: np.ndarray, out: np.ndarray) -> int:
+        """Write (n, 9, n_t).
 
         Returns
         -------
         int
-            0; 1 + the index of a time outside the plan; -4: ask the tracks instead.
+            0; 1 + the index of a time outside the plan; < 0: ask the tracks instead.
         """
-        times, to = address(t), address(out)
-        while True:
-            with motion.lock:
-                motion.ready()
-                code = self._run(self.at, motion.at, len(t), times, to)
-            if code not in (-1, -2, -3):
-                return code
-            motion.failed(code)
+        for motion in self._motions:
+            motion.run()
+        return self._run(
+            None, None, tolerance, self.at, self._count, len(t), address(t), address(out)
+        )
+
+
+def _side(track: Track, begin: np.ndarray, moves: bool) -> _Side | None:
+    """A side of one track, beside one that moves or not; None where C cannot evaluate it."""
+    if not isinstance(track, MovingTrack):
+        entry = track.entry("coordinates")
+        if entry is None:
+            return None
+        track.anchor(begin)
+        own = entry[0].pointer
+        dear = moves and isinstance(track, CircleTrack)
+        return _Side(own, own if dear else None, None, entry[1], False, SIDE_ROWS)
+    if track.motion is None or track.problem.stops or track.offset is not None:
+        return None
+    chart = track.evaluator("coordinates")
+    if not chart.usable(track.compiled):
+        return None
+    found = _Side(chart.pointer, None, None, track.motion.at, True, SIDE_ROWS)
+    if not track.ambient:
+        return found
+    found.anchor, found.begin = function_address(chart.library.anchor), address(begin)
+    apart = chart if track.v is None else evaluator(track.surface, True, "split")
+    if apart.usable(track.compiled):
+        found.resolve, found.rows = apart.pointer, apart.kernel.n_result
+    return found

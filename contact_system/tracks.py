@@ -420,8 +420,8 @@ class TrackData(ctypes.Structure):
         [(name, ctypes.c_double) for name in ("start", "stop")]
         + [("drive", Drive)]
         + [(name, ctypes.c_long) for name in (
-            "nb", "slips", "by_length", "n_panels", "panel_stride", "body_stride", "n_anchors",
-            "double_cover")]
+            "nb", "slips", "by_length", "n_panels", "panel_stride", "body_stride", "n_constants",
+            "n_drive", "n_anchors", "double_cover")]
         + [(name, ctypes.c_double) for name in ("period_u", "period_v")]
         + [(name, ctypes.c_void_p) for name in ("constants", "length", "w", "v")]
         + [(name, ctypes.c_long) for name in ("forced", "w_row", "v_row")]

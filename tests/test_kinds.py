@@ -39,12 +39,12 @@ def begun(plan: cs.Plan) -> bool:
     return plan._begun is not None
 
 
-def compare(scene: cs.Scene, plan: cs.Plan, outputs=OUTPUTS) -> None:
+def compare(scene: cs.Scene, plan: cs.Plan, outputs=OUTPUTS, times=TIMES) -> None:
     expected = cs.plan(scene, compiled=False)
     for output in outputs:
-        truth = getattr(expected, output)(TIMES)
+        truth = getattr(expected, output)(times)
         size = np.maximum(np.abs(truth).max(axis=0), 1.0)
-        error = np.abs(getattr(plan, output)(TIMES) - truth) / size
+        error = np.abs(getattr(plan, output)(times) - truth) / size
         assert error.max() < 2e-11, output
 
 
@@ -58,22 +58,29 @@ def test_the_third_scene_of_a_kind_is_planned_as_if_it_were_the_first(obj, finge
     *_, scene, last = (
         (scene, cs.plan(scene, compiled=True)) for scene in scenes(4, obj, finger, slips=slips)
     )
-    # quadrature of slip on developable bodies and charts found by iteration are planned in full
-    expected = SURFACES[obj][0].has_chart and not (slips and SURFACES[obj][0].developable)
+    # charts found by iteration are planned in full
+    expected = SURFACES[obj][0].has_chart
     assert begun(scene[1]) == begun(last[1]) == expected
     for output in OUTPUTS[:2]:  # the first look at a plan
         compare(last[0], cs.plan(last[0], compiled=True), [output])
+    many, none = np.linspace(0.0, 1.0, 1500), np.empty(0)  # many: by series
+    for times in (many, many[::-1], many[:1], many[::700], none):
+        if times.size:
+            compare(last[0], cs.plan(last[0], compiled=True), ["states"], times)
+        else:
+            assert cs.plan(last[0], compiled=True).states(times).shape == (0, 1, 9)
     compare(*scene)
 
 
 @pytest.mark.parametrize("slips", [True, False], ids=["slip", "rolling"])
-@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "torus"])
+@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "torus", "cylinder"])
 @pytest.mark.parametrize("contacts", [2, 11])
 def test_contacts_of_a_kind_keep_to_themselves(obj, contacts, slips):
     for scene in scenes(4, obj, "sphere", contacts, slips):
         plan = cs.plan(scene, compiled=True)
     assert begun(plan)
     compare(scene, plan)
+    compare(scene, cs.plan(scene, compiled=True), ["states"], np.linspace(0.0, 1.0, 900))
 
 
 def test_slip_and_rolling_are_told_apart_under_one_key():

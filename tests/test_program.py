@@ -19,7 +19,7 @@ GAINS = {
 
 
 def by_one_call(plan: cs.Plan) -> bool:
-    return plan.groups[0].slipping_states(True) is not None
+    return plan.groups[0].chart_states(True) is not None
 
 
 @COMPILER

@@ -33,6 +33,7 @@ typedef struct {
   double start, stop;
   drive_t drive;
   long nb, slips, by_length, n_panels, panel_stride, body_stride;
+  long n_constants, n_drive; /* numbers of a body in constants; in w and in v */
   long n_anchors, double_cover;
   double period_u, period_v;
   const double *constants, *length; /* length: polynomial of the arc length, lowest first */

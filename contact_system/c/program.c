@@ -12,7 +12,7 @@ typedef struct {
   panels_t integrate;
   drive_t drive; /* in the panels' variable */
   method_t method;
-  long nx, room, done; /* states of a body; panels; whether it is integrated */
+  long nx, nc, room, done; /* states of a body; constants; panels; whether it is integrated */
   const long *known;   /* room that motions like this have needed */
   double tolerance, slip, share; /* see development.Problem: share is `finish` */
   const double *start, *constants, *scale;
@@ -147,25 +147,31 @@ long begin(const kind_t *k, const double *starts, double *block) {
   return 0;
 }
 
-/* From the block of the kind to that of a scene */
+/* From the block of the kind to that of a scene; kind NULL: nothing is carried. */
 static const double *carried(const double *p, const kind_t *k, const double *block) {
-  return p >= k->block && p < k->block + k->size ? block + (p - k->block) : p;
+  return k && p >= k->block && p < k->block + k->size ? block + (p - k->block) : p;
 }
 
-static track_t begun_track(const track_t *track, const kind_t *k, const double *block) {
+/* Bodies [first, first + n) of a track whose anchors are not asked for, with a scene's numbers */
+static track_t own_track(const track_t *track, const kind_t *k, const double *block, long first, long n) {
   track_t own = *track;
-  own.constants = carried(own.constants, k, block);
-  own.w = carried(own.w, k, block), own.v = carried(own.v, k, block);
+  own.nb = n, own.n_anchors = 0;
+  own.constants = carried(own.constants, k, block) + first * own.n_constants;
+  own.w = carried(own.w, k, block) + first * own.n_drive;
+  own.v = carried(own.v, k, block) + first * own.n_drive;
+  if (own.coefficients) own.coefficients += first * own.body_stride;
   return own;
 }
 
-/* Integrate a motion of the kind for a scene, into memory that is to be freed where 0 is returned. Where the
-   room known is too small, whoever keeps motions learns more. */
-static long begun_motion(motion_t *own, const motion_t *motion, const kind_t *k, const double *block,
-                         double tolerance) {
-  *own = *motion, own->track = begun_track(&motion->track, k, block);
-  own->start = carried(own->start, k, block), own->scale = carried(own->scale, k, block);
-  own->constants = carried(own->constants, k, block);
+/* Integrate a motion of the kind for contacts of a scene, into memory that is to be freed where 0 is returned.
+   Where the room known is too small, whoever keeps motions learns more. */
+static long own_motion(motion_t *own, const motion_t *motion, const kind_t *k, const double *block,
+                       double tolerance, long first, long n) {
+  *own = *motion, own->track.coefficients = NULL;
+  own->track = own_track(&own->track, k, block, first, n);
+  own->start = carried(own->start, k, block) + first * own->nx;
+  own->scale = carried(own->scale, k, block) + first * own->nx;
+  own->constants = carried(own->constants, k, block) + first * own->nc;
   if (own->slip > 0.0) own->slip = block[0];
   own->tolerance = tolerance, own->done = 0, own->room = *own->known;
   own->block = malloc(room_of(own) * sizeof(double));
@@ -175,39 +181,48 @@ static long begun_motion(motion_t *own, const motion_t *motion, const kind_t *k,
   return code;
 }
 
-/* `fill` for a scene of a kind, with motions that are not kept. A negative code says only that `fill` is to be
-   asked. */
+static long chunk(long nb, long first) { return nb - first < MOST ? nb - first : MOST; }
+
+/* `fill` for a scene of a kind, a few contacts at a time, with motions that are not kept. A negative code says
+   only that `fill` is to be asked. */
 long fill_begun(const kind_t *k, const double *block, double tolerance, const part_t *parts, long n_parts,
                 long count, long nt, const double *t, double *out) {
-  for (long p = 0; p < n_parts; p++) {
-    const part_t *part = parts + p;
-    motion_t own;
-    if (part->moves) {
-      if (begun_motion(&own, (const motion_t *)part->track, k, block, tolerance)) return -1;
-    } else
-      own.track = begun_track(part->track, k, block);
-    const long code = fill_part(part, &own.track, count, nt, t, out);
-    if (part->moves) free(own.block);
-    if (code) return code;
-  }
+  for (long first = 0; first < k->nb; first += MOST)
+    for (const part_t *part = parts; part < parts + n_parts; part++) {
+      const long n = chunk(k->nb, first);
+      motion_t own;
+      if (!part->moves)
+        own.track = own_track(part->track, k, block, first, n);
+      else if (own_motion(&own, (const motion_t *)part->track, k, block, tolerance, first, n))
+        return -1;
+      const long code = fill_part(part, &own.track, count, nt, t, out + first * part->stride * count * nt);
+      if (part->moves) free(own.block);
+      if (code) return code;
+    }
   return 0;
 }
 
-/* Chart states of contacts that slip: turn finger and object into series of chart states, piece by piece,
-   and evaluate those at all times.
-
-   A number at a time costs 16 multiplications this way; converting the motion there costs two or
-   three arc tangents a body. Where decay falls too fast for a series, the object's rates are kept as
-   two smooth parts, u' = a - decay b. */
+/* Chart states of finger and object. Where a side is dear at each time (two or three arc tangents) and there are
+   many times, it is turned into series of chart states, piece by piece, which cost 16 multiplications a number.
+   Where decay falls too fast for a series, the object's rates are kept as two smooth parts, u' = a - decay b. */
 #define OUT 9  /* u1 v1 u1' v1' u2 v2 u2' v2' psi */
 #define SIDE 5 /* u v u' v' theta */
 #define ROWS 7 /* u v a a theta b b */
+#define SERIES_PAY 64 /* times a panel; a great circle counts as three */
+
+typedef void (*anchor_t)(track_t *, const double *, double *, double *, double *);
 
 typedef struct {
-  evaluate_t finger, object;
-  track_t *tip;
-  const double *begin, *angle; /* [nb][3], [nb] */
-  const double *project;       /* [N][N], node values -> Chebyshev coefficients */
+  evaluate_t evaluate, resolve; /* SIDE rows; `rows` rows of what series are made of, or NULL */
+  anchor_t anchor;              /* where u, v, theta are to be continued from begin; or NULL */
+  const void *track;            /* a track_t, or a motion_t where it moves */
+  long moves, rows;
+  const double *begin; /* [nb][3] */
+} side_t;
+
+typedef struct {
+  side_t side[2];
+  const double *angle, *node, *project; /* [nb]; [N]; [N][N], node values -> Chebyshev coefficients */
 } states_t;
 
 typedef struct {
@@ -233,23 +248,25 @@ static int grow(series_t *s, long size) {
   return pieces && series;
 }
 
-/* Values [nb][ROWS][N] of the object at a piece's nodes, combined [nb][SIDE][N] with b in a;
-   last: [nb][3], continued. */
-static void join(const track_t *k, const piece_t *piece, const double *tau, double *last, double *values,
-                 double *combined) {
-  static const long row[ROWS] = {0, N, 2 * N, 3 * N, 4 * N, 5 * N, 6 * N};
+/* Continue values [nb][rows][N] at the nodes of a piece from last [nb][3]. */
+static void follow(const track_t *k, long rows, double *last, double *values) {
+  static const long row[SIDE] = {0, N, 2 * N, 3 * N, 4 * N};
+  for (long j = 0; j < k->nb; j++, values += rows * N, last += 3)
+    for (int i = 0; i < N; i++) {
+      if (wind(k, last, 1, values + i, row) && rows == ROWS)
+        values[5 * N + i] = -values[5 * N + i], values[6 * N + i] = -values[6 * N + i];
+      last[0] = values[i], last[1] = values[N + i], last[2] = values[4 * N + i];
+    }
+}
+
+/* Values [nb][ROWS][N] as [nb][SIDE][N], with b in a where slips */
+static void join(const track_t *k, int slips, const double *tau, const double *values, double *combined) {
   double sigma[N], decay[N] = {0};
-  if (piece->slips) {
+  if (slips) {
     if (k->drive.power) horners(k->drive.sigma, k->drive.n_sigma, tau, N, sigma);
     decays(&k->drive, tau, sigma, N, decay);
   }
   for (long j = 0; j < k->nb; j++, values += ROWS * N, combined += SIDE * N) {
-    double *ref = last + 3 * j;
-    for (int i = 0; i < N; i++) {
-      if (wind(k, ref, 1, values + i, row))
-        values[5 * N + i] = -values[5 * N + i], values[6 * N + i] = -values[6 * N + i];
-      ref[0] = values[i], ref[1] = values[N + i], ref[2] = values[4 * N + i];
-    }
     memcpy(combined, values, SIDE * N * sizeof(double));
     for (int i = 0; i < 2 * N; i++) combined[2 * N + i] -= decay[i % N] * values[5 * N + i];
   }
@@ -280,66 +297,68 @@ INLINE double resolve(const double *project, long nb, int rows, double tolerance
   return worst;
 }
 
-/* The end of a piece in which no finger turns by more than FEW_RADIANS: a longer one may look smooth at
-   N nodes that miss whole turns. */
-#define FEW_RADIANS 5.0
-static double within(const track_t *k, const track_t *tip, double start, double stop) {
-  const long n = k->drive.n_sigma + 1;
-  const double from = horner(k->length, n, start);
-  double fastest = 0.0;
-  for (long b = 0; b < k->nb; b++) fastest = tip->v[b] > fastest ? tip->v[b] : fastest;
+/* The local time, `end` at most, before which a path that was at `at` grows by `length` */
+static double until(const track_t *k, double at, double end, double length) {
+  const double from = horner(k->length, k->drive.n_sigma + 1, at);
   for (int i = 0; i < 60; i++) {
-    const double turn = fastest * (horner(k->length, n, stop) - from);
-    if (!(turn > FEW_RADIANS)) break;
-    stop = start + 0.99 * FEW_RADIANS / turn * (stop - start);
+    const double grown = horner(k->length, k->drive.n_sigma + 1, end) - from;
+    if (!(grown > length)) break;
+    end = at + 0.99 * length / grown * (end - at);
   }
-  return stop;
+  return end;
+}
+
+/* Where a piece from `at` must end: after so many panels, or radians of a great circle. A longer one may look
+   smooth at N nodes that miss whole turns. */
+static double bound(const track_t *k, double at, long panels, double radians, long *panel) {
+  const double end = k->stop - k->start;
+  if (!k->edges) {
+    double fastest = 0.0;
+    for (long b = 0; b < k->nb; b++) fastest = k->v[b] > fastest ? k->v[b] : fastest;
+    return until(k, at, end, radians / fastest);
+  }
+  const double x = k->by_length ? horner(k->length, k->drive.n_sigma + 1, at) : at;
+  *panel = interval(k->edges, k->n_panels, x, *panel);
+  if (*panel + panels >= k->n_panels) return end;
+  return k->by_length ? until(k, at, end, k->edges[*panel + panels] - x) : k->edges[*panel + panels];
 }
 
 /* The pieces of one side; false if it takes more than `most` tries to resolve it: near a pole of the chart
-   rounding may ask for pieces without end. last: [nb][3], where the object begins; NULL for the finger. */
-static int divide(const states_t *p, const motion_t *m, double tolerance, long most, double *last,
-                  series_t *s) {
+   rounding may ask for pieces without end. last: [nb][3], where it begins. */
+static int divide(const states_t *p, const side_t *side, const track_t *k, double tolerance, long most,
+                  double *last, series_t *s) {
   static const long row[ROWS] = {0, N, 2 * N, 3 * N, 4 * N, 5 * N, 6 * N};
-  const track_t *k = &m->track;
-  const long nb = k->nb, size = nb * ROWS * N, reach = k->n_panels;
-  const double end = k->edges[reach];
+  const long nb = k->nb, size = nb * ROWS * N;
+  const double end = k->stop - k->start;
   double values[ROWS * N * MOST], combined[SIDE * N * MOST], before[3 * MOST], tau[N], times[N];
-  /* not so short for fingers, which know nothing of slip */
-  double h = last ? k->edges[1] : m->method.first, at = 0.0, tail;
   long tries = 0, panel = 0, refused = 0;
+  double at = 0.0, h = bound(k, 0.0, 1, 1.0, &panel), tail;
   s->track = k;
   for (s->count = 0; at < end; tries++) {
     if (tries == most) return 0;
-    if (s->count == s->room && !grow(s, size)) return 0;
+    if (s->count == s->room && !grow(s, MOST * ROWS * N)) return 0;
     piece_t *piece = s->pieces + s->count;
-    double *series = s->series + s->count * size, stop = end;
-    if (last) { /* longer ones might miss whole turns */
-      panel = interval(k->edges, reach, at, panel);
-      stop = k->edges[panel + 2 < reach ? panel + 2 : reach];
-    }
+    double *series = s->series + s->count * size, stop = bound(k, at, 2, 5.0, &panel);
     stop = at + h < stop ? at + h : stop;
-    if (!last) stop = within(k, p->tip, at, stop);
     for (int i = 0; i < N; i++) {
-      tau[i] = at + 0.5 * (stop - at) * (1.0 + m->method.node[i]);
+      tau[i] = at + 0.5 * (stop - at) * (1.0 + p->node[i]);
       times[i] = k->start + tau[i] < k->stop ? k->start + tau[i] : k->stop;
     }
-    if (last) {
+    *piece = (piece_t){at, stop, N, 0};
+    if (side->resolve(k, N, times, values, row, side->rows * N)) return 0;
+    memcpy(before, last, 3 * nb * sizeof(double));
+    if (side->anchor) follow(k, side->rows, last, values);
+    if (side->rows == ROWS) {
       /* once exp(-40) of the slip is left, its part of the rates is below rounding */
-      *piece = (piece_t){at, stop, N, horner(k->drive.exponent, k->drive.n_exponent, at) < 40.0};
-      memcpy(before, last, 3 * nb * sizeof(double));
-      if (p->object(k, N, times, values, row, ROWS * N)) return 0;
-      join(k, piece, tau, last, values, combined);
+      piece->slips = horner(k->drive.exponent, k->drive.n_exponent, at) < 40.0;
+      join(k, piece->slips, tau, values, combined);
       tail = resolve(p->project, nb, SIDE, tolerance, combined, piece, series);
       if (tail <= tolerance)
         piece->slips = 0;
       else if (piece->slips)
         tail = resolve(p->project, nb, ROWS, tolerance, values, piece, series);
-    } else {
-      *piece = (piece_t){at, stop, N, 0};
-      if (p->finger(p->tip, N, times, combined, row, SIDE * N)) return 0;
-      tail = resolve(p->project, nb, SIDE, tolerance, combined, piece, series);
-    }
+    } else
+      tail = resolve(p->project, nb, SIDE, tolerance, values, piece, series);
     /* such a tail is rounding and says nothing of the length */
     const double next = tail < 2e-15 ? HUGE_VAL : 0.9 * pow(tolerance / tail, 1.0 / N);
     if (tail <= tolerance) {
@@ -347,15 +366,13 @@ static int divide(const states_t *p, const motion_t *m, double tolerance, long m
       const double most = refused ? 0.8 : 4.0;
       h = (stop - at) * (next < most ? next : most);
       at = stop, s->count++;
-      if (last && next >= most && !refused && at < end) { /* after a layer, as the motion does */
-        panel = interval(k->edges, reach, at, panel);
-        h = fmax(h, k->edges[panel + 1] - at);
-      }
+      if (k->edges && next >= most && !refused && at < end) /* after a layer, as the motion does */
+        h = fmax(h, bound(k, at, 1, 0.0, &panel) - at);
       refused = 0;
     } else {
       h = (stop - at) * (next > 0.2 ? next < 0.8 ? next : 0.8 : 0.2);
       refused = 1;
-      if (last) memcpy(last, before, 3 * nb * sizeof(double));
+      memcpy(last, before, 3 * nb * sizeof(double));
     }
   }
   return 1;
@@ -411,71 +428,61 @@ static void fill_side(const series_t *s, const double *angle, long nt, const dou
   }
 }
 
-/* States of body b go to out[(b * OUT + r) * nt + i]. Returns 0; 1 + the index of the first time
-   outside the track; -1 to -3 as panels does; -4 where series do not resolve the states. */
-long states(const states_t *p, motion_t *motion, long nt, const double *t, double *out) {
-  const track_t *k = &motion->track;
-  const int ordered = in_order(t, nt);
-  if (!ordered || !(t[0] >= k->start && t[nt - 1] <= k->stop))
-    for (long i = 0; i < nt; i++)
-      if (!(t[i] >= k->start && t[i] <= k->stop)) return i + 1;
-  const long failed = move(motion);
-  if (failed) return failed;
-  /* 1e-14: less is rounding */
-  const double tolerance = motion->tolerance > 1e-13 ? 0.1 * motion->tolerance : 1e-14;
-  double last[3 * MOST], *psi = out + (OUT - 1) * nt;
-  memcpy(last, p->begin, 3 * k->nb * sizeof(double));
-  long code = 0;
-  series_t s = {0};
-  for (int object = 0; object < 2 && !code; object++) {
-    /* beyond a quarter of the times series save nothing */
-    if (divide(p, motion, tolerance, 40 + nt / 4, object ? last : NULL, &s))
-      fill_side(&s, object ? NULL : p->angle, nt, t, ordered, out + 4 * object * nt, psi);
-    else
-      code = -4;
+/* The same from the side itself, which begins at begin. Returns the code of evaluate. */
+static long copy_side(const side_t *side, track_t *k, const double *begin, const double *angle, long nt,
+                      const double *t, double *out, double *psi) {
+  const long row[SIDE] = {0, nt, 2 * nt, 3 * nt, 4 * nt}, m = side->anchor ? 4 * k->n_panels + 1 : 0;
+  double *values = malloc((k->nb * (SIDE * nt + (3 + SIDE) * m) + m) * sizeof(double)), *value = values;
+  if (!values) return -1;
+  double *at = values + k->nb * SIDE * nt, *anchors = at + m;
+  if (m) side->anchor(k, begin, at, anchors, anchors + 3 * k->nb * m);
+  const long code = side->evaluate(k, nt, t, values, row, SIDE * nt);
+  for (long b = 0; b < k->nb && !code; b++, value += SIDE * nt, out += OUT * nt, psi += OUT * nt) {
+    memcpy(out, value, 4 * nt * sizeof(double));
+    for (long i = 0; i < nt; i++) psi[i] = (angle ? angle[b] : psi[i]) - value[4 * nt + i];
   }
-  free(s.pieces);
-  free(s.series);
+  free(values);
   return code;
 }
 
-/* Chart states of a scene of a kind whose fingers and objects are one track in closed form, body by body in
-   turn, with n_constant constants each. Returns the code of evaluate. A few contacts at a time: their rows stay
-   in the cache. */
-long closed_begun(const kind_t *k, const double *block, const part_t *part, long n_constant, const double *angles,
-                  long nt, const double *t, double *out) {
-  const long own = 2 * SIDE * nt, most = 1 + (1 << 14) / (own + 1);
-  const long rows[SIDE] = {0, nt, 2 * nt, 3 * nt, 4 * nt};
-  const double *angle = carried(angles, k, block);
-  track_t track = begun_track(part->track, k, block);
-  double *sides = malloc(most * own * sizeof(double));
+/* States of body b go to out[(b * OUT + r) * nt + i], a few contacts at a time: theirs stay in the cache. For a
+   scene of a kind, whose motions are not kept, or of motions that were integrated: kind NULL. Returns 0; 1 + the
+   index of the first time outside the tracks; < 0: ask the tracks. */
+long states(const kind_t *kind, const double *block, double tolerance, const states_t *p, long nb, long nt,
+            const double *t, double *out) {
+  const int ordered = in_order(t, nt);
+  /* 1e-14: less is rounding */
+  const double bar = tolerance > 1e-13 ? 0.1 * tolerance : 1e-14, *angle = carried(p->angle, kind, block);
+  series_t s = {0};
   long code = 0;
-  for (long first = 0, n; sides && first < k->nb && !code; first += n) {
-    n = k->nb - first < most ? k->nb - first : most;
-    track.nb = 2 * n;
-    code = part->evaluate(&track, nt, t, sides, rows, SIDE * nt);
-    track.constants += 2 * n * n_constant, track.w += 2 * n, track.v += 2 * n;
-    for (long b = 0; b < n && !code; b++) {
-      const double *side = sides + b * own;
-      double *to = out + (first + b) * OUT * nt, *psi = to + (OUT - 1) * nt;
-      memcpy(to, side, 4 * nt * sizeof(double));
-      memcpy(to + 4 * nt, side + SIDE * nt, 4 * nt * sizeof(double));
-      for (long i = 0; i < nt; i++) psi[i] = angle[first + b] - (side[4 * nt + i] + side[(SIDE + 4) * nt + i]);
+  if (!nt) return 0;
+  for (long first = 0; first < nb && !code; first += MOST, out += MOST * OUT * nt)
+    for (int object = 0; object < 2 && !code; object++) {
+      const side_t *side = p->side + object;
+      const motion_t *motion = side->track;
+      const long n = chunk(nb, first);
+      double *rows = out + 4 * object * nt, *psi = out + (OUT - 1) * nt, last[3 * MOST];
+      const double *from = object ? NULL : angle + first;
+      motion_t own;
+      if (!side->moves || !kind)
+        own.track = own_track(side->moves ? &motion->track : side->track, kind, block, first, n);
+      else if ((code = own_motion(&own, motion, kind, block, tolerance, first, n)))
+        break;
+      track_t *k = &own.track;
+      if (!ordered || !(t[0] >= k->start && t[nt - 1] <= k->stop))
+        for (long i = 0; i < nt && !code; i++)
+          if (!(t[i] >= k->start && t[i] <= k->stop)) code = i + 1;
+      if (side->anchor) memcpy(last, carried(side->begin, kind, block) + 3 * first, 3 * n * sizeof(double));
+      if (!code && !(side->resolve && nt > SERIES_PAY * (k->edges ? k->n_panels : 3)))
+        code = copy_side(side, k, last, from, nt, t, rows, psi);
+      else if (!code) {
+        /* beyond a quarter of the times series save nothing */
+        code = divide(p, side, k, bar, 40 + nt / 4, last, &s) ? 0 : -4;
+        if (!code) fill_side(&s, from, nt, t, ordered, rows, psi);
+      }
+      if (side->moves && kind) free(own.block);
     }
-  }
-  free(sides);
-  return sides ? code : -1;
-}
-
-/* `states` for a scene of a kind; as fill_begun. */
-long states_begun(const kind_t *k, const double *block, double tolerance, const states_t *p,
-                  const motion_t *motion, long nt, const double *t, double *out) {
-  motion_t own;
-  if (begun_motion(&own, motion, k, block, tolerance)) return -1;
-  track_t tip = begun_track(p->tip, k, block);
-  states_t there = *p;
-  there.tip = &tip, there.begin = carried(p->begin, k, block), there.angle = carried(p->angle, k, block);
-  const long code = states(&there, &own, nt, t, out);
-  free(own.block);
+  free(s.pieces);
+  free(s.series);
   return code;
 }
