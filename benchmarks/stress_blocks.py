@@ -313,7 +313,7 @@ def _instance_of_fmu(name: str, version: str, exchange: bool, messages: list[str
     return found
 
 
-REMEDY = re.compile(r"\b(give|ask|set|use|announce|choose|end|start|run|pass|move)\b")
+REMEDY = re.compile(r"\b(give|ask|set|use|announce|choose|end|start|run|pass|move|shorten|lower)\b")
 
 
 def told(error: Refused) -> Verdict:

@@ -508,7 +508,8 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
     tau, h, tries, mark = 0.0, min(problem.first, problem.length), 0, 0.0
     while tau < problem.length:
         tries += 1
-        if tries > 40 * (len(series) + 25) or not h > 1e-15 * problem.length:
+        # a layer at the start may be as thin as it likes
+        if tries > 40 * (len(series) + 25) or not h > 1e-15 * tau + 1e-30 * problem.length:
             raise _stuck(problem, tau)
         if len(series) and len(series) % MANY == 0 and tau > mark:
             if MANY * (problem.length - tau) > MOST_HERE * (tau - mark):
@@ -607,8 +608,10 @@ def longest_panel(drive: GainPiece, slip: float, tau: float, h: float) -> float:
     if slip <= 0:
         return h
     for _ in range(60):
-        gain = max(drive.gain(tau), drive.gain(tau + h))
-        if gain * h <= 30.0 or drive.lost(tau) > 40.0:
+        lost = drive.lost(tau)
+        mean = (drive.lost(tau + h) - lost) / h  # the gain may be 0 at both ends, where sigma is
+        gain = max(drive.gain(tau), drive.gain(tau + h), mean)
+        if gain * h <= 30.0 or lost > 40.0:
             break
         h = 0.5 * h if 30.0 / gain < 0.5 * h else 30.0 / gain * 0.99
     return h

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, pi, sin, sqrt, remainder
+from math import cos, pi, remainder, sin, sqrt
 
 import mpmath as mp
 import numpy as np
@@ -144,21 +144,38 @@ def test_contact_point_on_a_developable_body_is_the_quadrature_of_the_law(obj, e
     assert unrolled == pytest.approx(moved, abs=1e-15)
 
 
-def test_contact_point_on_a_plane_is_the_quadrature_of_the_law_for_a_growing_sigma():
-    # lam = eta sigma^2 with sigma = 0.001 + 0.4 t^2, quadrature by mpmath
-    c, eta = (0.001, 0.0, 0.4), 1e4
-    scene = one_contact("plane", gain=cs.Gain.path(eta), profile=c)
-    squared = [mp.mpf(x) for x in polynomial.polyint(polynomial.polymul(c, c))]
+PROFILES = {
+    "growing": (0.001, 0.0, 0.4),
+    "from rest": (0.0, 1.0, -1.0),
+    "rest to rest": (0.0, 0.0, 30.0, -60.0, 30.0),
+    "pausing": (1.0, -4.0, 4.0),
+}
+
+
+@pytest.mark.parametrize("compiled", [False, None])
+@pytest.mark.parametrize("eta", [1e4, 1e9, 1e12, 1e15])
+@pytest.mark.parametrize("profile", PROFILES)
+def test_slip_moves_a_contact_by_the_integral_of_the_law(profile, eta, compiled):
+    # g = int sigma exp(-L), lam = eta sigma^2, by mpmath: also where lam is 0 at both ends
+    c = PROFILES[profile]
+    lost = [mp.mpf(x) for x in polynomial.polyint(polynomial.polymul(c, c))]
 
     def integrand(t):
-        sigma = c[0] + mp.mpf(c[2]) * t**2
-        return sigma * mp.exp(-eta * sum(x * t**k for k, x in enumerate(squared)))
+        sigma, left = (sum(x * t**k for k, x in enumerate(of)) for of in (c, lost))
+        return sigma * mp.exp(-eta * left)
 
-    g = float(mp.quad(integrand, np.linspace(0, 1, 41).tolist()))
-    w = reflection(0.3) @ [0.6, 0.8]
-    expected = np.array([0.1, -0.05]) + w * (0.001 + 0.4 / 3) - (w - [0.2, -0.5]) * g
-    end = cs.plan(scene).points(1.0)[0, 0, 1]
-    assert end == pytest.approx([*expected, 0.0], abs=2e-14)
+    g = float(mp.quad(integrand, [0, *np.geomspace(1e-16, 1.0, 33).tolist()]))
+    common = {"profile": cs.Profile(c), "gain": cs.Gain.path(eta), "duration": 1.0}
+    start = cs.Contact(
+        finger=cs.Sphere(0.1), object_at=(1.3, 0.1), finger_at=(1.2, 0.1),
+        finger_velocity=(0.0, 0.0), object_velocity=(0.6, 0.8),
+    )  # fmt: skip
+    for obj in (cs.Plane(), cs.Sphere(1.0)):  # a great circle, since the finger rests
+        scene = cs.Scene(object=obj, contacts=[start], **common)
+        first, last = cs.plan(scene, compiled=compiled).points([0.0, 1.0])[:, 0, 1]
+        moved = np.linalg.norm(last - first)
+        moved = 2 * np.arcsin(moved / 2) if obj.great_circles else moved
+        assert moved == pytest.approx(g, abs=2e-13)
 
 
 @pytest.mark.parametrize("obj", ["plane", "sphere", "ellipsoid", "bumps", "rounded cube"])

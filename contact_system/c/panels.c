@@ -21,8 +21,11 @@ static double longest(const drive_t *d, const method_t *m, double tau, double h)
   /* decay may fall by exp(-30) at most in a panel: its first node then still sees the layer */
   if (m->slip <= 0) return h;
   for (int k = 0; k < 60; k++) {
-    double a = gain_at(d, tau), b = gain_at(d, tau + h), lam = a > b ? a : b;
-    if (lam * h <= 30.0 || horner(d->exponent, d->n_exponent, tau) > 40.0) break;
+    /* the gain may be 0 at both ends, where sigma is */
+    const double a = gain_at(d, tau), b = gain_at(d, tau + h), lost = horner(d->exponent, d->n_exponent, tau);
+    const double mean = (horner(d->exponent, d->n_exponent, tau + h) - lost) / h;
+    const double lam = fmax(fmax(a, b), mean);
+    if (lam * h <= 30.0 || lost > 40.0) break;
     h = (30.0 / lam < 0.5 * h) ? 0.5 * h : 30.0 / lam * 0.99;
   }
   return h;
@@ -248,7 +251,8 @@ long panels(long nb, double *state, const double *constants, const double *scale
   while (s.tau < m->length) {
     m->reached = s.tau;
     if (count == m->max_panels) return -1;
-    if (++tries > 40 * (count + 25) || !(s.h > 1e-15 * m->length)) return -2;
+    /* a layer at the start may be as thin as it likes */
+    if (++tries > 40 * (count + 25) || !(s.h > 1e-15 * s.tau + 1e-30 * m->length)) return -2;
     if (count && count % MANY == 0 && s.tau > mark) {
       if (MANY * (m->length - s.tau) > MOST_PANELS * (s.tau - mark)) return -3;
       mark = s.tau;

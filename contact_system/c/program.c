@@ -332,7 +332,7 @@ static int divide(const states_t *p, const side_t *side, const track_t *k, doubl
   const double end = k->stop - k->start;
   double values[ROWS * N * MOST], combined[SIDE * N * MOST], before[3 * MOST], tau[N], times[N];
   long tries = 0, panel = 0, refused = 0;
-  double at = 0.0, h = bound(k, 0.0, 1, 1.0, &panel), tail;
+  double at = 0.0, h = bound(k, 0.0, 1, 1.5, &panel), tail;
   s->track = k;
   for (s->count = 0; at < end; tries++) {
     if (tries == most) return 0;
