@@ -972,27 +972,28 @@ class PanelTrack(Track):
             length=address(piece.arrays[1]), w=address(w), v=address(v),
             n_constants=constants.shape[1], n_drive=2,
         )  # fmt: skip
-        turn = None
+        turn, offset = None, self.offset
+        if offset is not None:
+            offset = contiguous(offset)
+            data.offset = address(offset)
         if self.forced is not None:
             first, turn = self.rows.start, self.forced.turn
             data.forced = True
             data.w_row = self.forced.w1.start - first if self.forced.w1 else 0
             data.v_row = self.forced.v.start - first if self.forced.v else 0
             data.turn = None if turn is None else address(turn)
-        return data, (piece, constants, w, v, turn)
+        return data, (piece, constants, w, v, turn, offset)
 
     def _numbers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Constants of the evaluators' kernels, w and v."""
         return self.parameters, self.w, self.w if self.v is None else self.v
 
     def _entry(self, output: str) -> tuple[Evaluator, int] | None:
-        if output == "coordinates" and self.offset is not None:
-            return None
         compiled = self.evaluator(output)
         return (compiled, self._data[0]) if compiled.usable(self.compiled) else None
 
     def data_at(self, output: str) -> int | None:
-        return self._data[0] if output == "points" or self.offset is None else None
+        return self._data[0]
 
     def evaluator(self, output: str) -> Evaluator:
         """Of "points" or "coordinates"."""
@@ -1114,7 +1115,7 @@ class MovingTrack(PanelTrack):
         return self.motion.at, track, None
 
     def data_at(self, output: str) -> int | None:
-        if self.motion is None or (output != "points" and self.offset is not None):
+        if self.motion is None:
             return super().data_at(output)
         return self.motion.at
 

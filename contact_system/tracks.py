@@ -426,7 +426,7 @@ class TrackData(ctypes.Structure):
         + [(name, ctypes.c_void_p) for name in ("constants", "length", "w", "v")]
         + [(name, ctypes.c_long) for name in ("forced", "w_row", "v_row")]
         + [(name, ctypes.c_void_p) for name in (
-            "turn", "edges", "coefficients", "anchor_at", "anchors")]
+            "turn", "offset", "edges", "coefficients", "anchor_at", "anchors")]
     )  # fmt: skip
 
 

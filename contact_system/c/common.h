@@ -40,6 +40,7 @@ typedef struct {
   const double *w, *v;               /* closed form: of sigma, length; panels: W, V */
   long forced, w_row, v_row;         /* W_1, V are rows of the panels too, from the state's first; 0: none */
   const double *turn;                /* [nb][4], by rows: W = turn W_1; NULL: W = W_1 */
+  const double *offset;              /* [nb][2], added to u', v'; or NULL */
   const double *edges, *coefficients; /* of the first state row of body 0 in panel 0 */
   const double *anchor_at, *anchors; /* [m], [nb][3][m]: where on the panels, and u v theta there */
 } track_t;

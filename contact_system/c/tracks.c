@@ -4,6 +4,7 @@
    a body and NR results, ROWS (offsets of the inputs); CLOSED for closed forms, whose inputs are v length,
    w sigma, v length; else NS states in panels of N nodes, followed by the drive if NP > NS; WINDS where results 0, 1, 4 are u, v, theta
    to be continued along the path (closed forms do that themselves). */
+#define COORDINATES 5 /* results: u v u' v' theta */
 #ifdef CLOSED
 #define POINTS BLOCK
 #define BY_LENGTH 1
@@ -107,6 +108,8 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
         for (long i = 0; i < n; i++)
           for (long r = 0; r < NR; r++)
             if (!isfinite(block[out_row[r] + i])) return -1 - (from + i);
+      for (long a = 0; a < 2 && k->offset && NR == COORDINATES; a++)
+        for (long i = 0; i < n; i++) block[out_row[2 + a] + i] += k->offset[2 * b + a];
 #if defined(WINDS) && !defined(CLOSED)
       const long m = k->n_anchors;
       for (long i = 0, near = 0; i < n && m; i++) {
