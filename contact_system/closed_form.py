@@ -136,11 +136,12 @@ class CircleTrack(Track):
             points[0] = long_phase(circle.w, self.parameters[:, 0], self.piece.sigma, tau)
         return points.transpose(1, 0, 2)
 
-    def frames(self, t: np.ndarray) -> np.ndarray:
+    def state(self, t: np.ndarray) -> np.ndarray:
+        return self.frames(t)
+
+    def _frames(self, t: np.ndarray) -> np.ndarray:
         kernel = circle_kernel(self.surface, "frames")
         return self.run(kernel, self._phases(t), self.circle.constants)
-
-    state = frames
 
     def drive(self, t: np.ndarray) -> np.ndarray:
         return self.circle.w[:, :, None] * self.piece.speed(t - self.start)
@@ -330,6 +331,8 @@ def line_evaluator(surface: Surface, output: str, slips: bool) -> Evaluator:
         at, rates = at - aside * point[1], rates + aside * point[3]
     if output == "points":
         result = surface.chart_expr(p, at[0], at[1])
+    elif output == "frames":
+        result = frame_kernel(surface).function(ca.vertcat(at, begin[2]), p)
     else:
         result = ca.vertcat(at, rates, begin[2])
     kernel = Kernel(f"line_{output}", point, ca.vertcat(p, begin, along, aside), result)
@@ -437,7 +440,7 @@ class FlatTrack(Track):
         out[:, 2] = self.begin[:, 2:]
         return out
 
-    def frames(self, t: np.ndarray) -> np.ndarray:
+    def _frames(self, t: np.ndarray) -> np.ndarray:
         state = self._state(t - self.start, True)
         return self.run(frame_kernel(self.surface), state, self.parameters)
 

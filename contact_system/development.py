@@ -57,6 +57,7 @@ from .tracks import (
     drive_data,
     evaluator,
     frame_coordinates,
+    frame_kernel,
     restoring_axis,
     restoring_kernel,
     rotation,
@@ -913,7 +914,10 @@ class PanelTrack(Track):
         self._anchors: tuple[np.ndarray, np.ndarray] | None = None
 
     def state(self, t: np.ndarray) -> np.ndarray:
-        return self._state_at(self._variable(t))
+        return self.frames(t) if self.ambient else self._state_at(self._variable(t))
+
+    def _frames(self, t: np.ndarray) -> np.ndarray:
+        return self._state_at(self._variable(t)) if self.ambient else super()._frames(t)
 
     def _variable(self, t: np.ndarray) -> np.ndarray:
         """Where times are on the panels."""
@@ -996,7 +1000,7 @@ class PanelTrack(Track):
         return self._data[0]
 
     def evaluator(self, output: str) -> Evaluator:
-        """Of "points" or "coordinates"."""
+        """Of "points", "frames" or "coordinates"."""
         return evaluator(self.surface, self.ambient, output)
 
     def _coordinates(self, t: np.ndarray) -> np.ndarray:
@@ -1194,8 +1198,8 @@ class GeodesicForm:
         State, sigma, decay (both unused) -> its rates in arc length.
     body : Kernel
         State -> the body's state, (x, p, q) or (u, v, theta).
-    points, coordinates : Evaluator
-        State -> x; state, sigma, 0 -> u, v, u', v', theta.
+    points, frames, coordinates : Evaluator
+        State -> x; x, p, q; state, sigma, 0 -> u, v, u', v', theta.
     n_rates : int
         How many of the states are rates: the last ones.
     """
@@ -1204,6 +1208,7 @@ class GeodesicForm:
     motion: Kernel
     body: Kernel
     points: Evaluator
+    frames: Evaluator
     coordinates: Evaluator
     n_rates: int
 
@@ -1258,9 +1263,10 @@ def _quadric_form(surface: Surface) -> GeodesicForm:
     body = ca.vertcat(x, first, turn[1] * along + turn[0] * across)
     chart = frame_coordinates(surface, p, x, first, drive[0] * rate)
     found = Kernel("geodesic_coordinates", ca.vertcat(state, drive), constant, chart)
+    frames = Kernel("geodesic_frames", state, constant, body)
     return GeodesicForm(
-        Kernel("geodesic_start", ca.vertcat(axis, w), p, begin), motion,
-        Kernel("geodesic_frames", state, constant, body), evaluator(surface, True, "points"),
+        Kernel("geodesic_start", ca.vertcat(axis, w), p, begin), motion, frames,
+        evaluator(surface, True, "points"), Evaluator(frames, False, 6, False),
         Evaluator(found, False, 6, True), 3,
     )  # fmt: skip
 
@@ -1307,12 +1313,13 @@ def _clairaut_form(surface: Surface) -> GeodesicForm:
     theta = angle(h[1] * state[2], numbers[0], h) + numbers[2]
     chart = ca.vertcat(state[:2], drive[0] * turn, drive[0] * state[2], theta)
     found = Kernel("geodesic_coordinates", ca.vertcat(state, drive), constant, chart)
-    x = surface.chart_expr(p, state[0], state[1])
+    x, at = surface.chart_expr(p, state[0], state[1]), ca.vertcat(state[:2], theta)
+    frames = Kernel("geodesic_frames", state, constant, frame_kernel(surface).function(at, p))
     return GeodesicForm(
         Kernel("geodesic_start", ca.vertcat(place, w), p, begin), motion,
-        Kernel("geodesic_places", state, constant, ca.vertcat(state[:2], theta)),
+        Kernel("geodesic_places", state, constant, at),
         Evaluator(Kernel("geodesic_points", state, constant, x), False, 3, False),
-        Evaluator(found, False, 3, False), 1,
+        Evaluator(frames, False, 3, False), Evaluator(found, False, 3, False), 1,
     )  # fmt: skip
 
 
@@ -1340,4 +1347,4 @@ class GeodesicTrack(MovingTrack):
         data.constants = address(self.problem.constants)
 
     def evaluator(self, output: str) -> Evaluator:
-        return self.form.coordinates if output == "coordinates" else self.form.points
+        return getattr(self.form, output)

@@ -153,7 +153,7 @@ def contact_velocities(
 
 
 def relative_pose(frame_1: np.ndarray, frame_2: np.ndarray, r0: np.ndarray) -> np.ndarray:
-    """Pose of the finger's body frame in the object's (theory section 8).
+    """Pose of the finger's body frame in the object's (theory section 8), of any kind of numbers.
 
     Parameters
     ----------
@@ -166,17 +166,16 @@ def relative_pose(frame_1: np.ndarray, frame_2: np.ndarray, r0: np.ndarray) -> n
     -------
     (n, n_times, 4, 4)
     """
-    x1, p1, q1 = _split(frame_1)
-    x2, p2, q2 = _split(frame_2)
-    n1, n2 = np.cross(p1, q1), np.cross(p2, q2)
-    tangent_2 = np.stack([p2, q2], axis=-1)  # (n, t, 3, 2)
-    tangent_1 = np.stack([p1, q1], axis=-1)
-    turn = (tangent_2 @ r0[:, None]) @ tangent_1.swapaxes(-1, -2) - n2[..., :, None] * n1[
-        ..., None, :
-    ]
-    pose = np.zeros(turn.shape[:2] + (4, 4))
-    pose[..., :3, :3] = turn
-    pose[..., :3, 3] = x2 - (turn @ x1[..., None])[..., 0]
+    (x1, p1, q1), (x2, p2, q2) = map(_parts, (frame_1, frame_2))
+    n1, n2 = _cross(p1, q1), _cross(p2, q2)
+    (a, b), (c, d) = r0[:, :, :, None, None].transpose(1, 2, 0, 3, 4)
+    # R_21 = [p2 q2 n2] diag(R_0, -1) [p1 q1 n1]^T: (n, 3, 3, n_times)
+    turn = p2[:, :, None] * (a * p1 + b * q1)[:, None]
+    turn += q2[:, :, None] * (c * p1 + d * q1)[:, None]
+    turn -= n2[:, :, None] * n1[:, None]
+    pose = np.zeros((len(turn), turn.shape[3], 4, 4), dtype=turn.dtype)
+    pose[..., :3, :3] = turn.transpose(0, 3, 1, 2)
+    pose[..., :3, 3] = (x2 - (turn * x1[:, None]).sum(axis=2)).swapaxes(1, 2)
     pose[..., 3, 3] = 1.0
     return pose
 
@@ -190,6 +189,8 @@ def relative_twist(
     v_rel: np.ndarray,
 ) -> np.ndarray:
     """Twist of the finger's frame in the object's frame: angular, then velocity of its origin.
+
+    Of any kind of numbers.
 
     Montana's inverse map in frames carried along (theory section 8):
     ``omega = k_x q_2 - k_y p_2`` with ``k = K_2 a_2 + R_0 K_1 a_1``.
@@ -211,13 +212,13 @@ def relative_twist(
     (n, n_times, 6)
         rad/s and m/s, in the object's axes.
     """
-    x2, p2, q2 = _split(frame_2)
+    x2, p2, q2 = _parts(frame_2)
     bent = [_bend(k, a) for k, a in zip(shapes, velocities)]
     k = bent[1] + r0 @ bent[0]
-    omega = k[:, 0, :, None] * q2 - k[:, 1, :, None] * p2
-    sliding = v_rel[:, 0, :, None] * p2 + v_rel[:, 1, :, None] * q2
-    arm = x2 - pose[..., :3, 3]  # R_21 x_1: from the finger's origin to the contact
-    return np.concatenate([omega, -sliding - np.cross(omega, arm)], axis=-1)
+    omega = k[:, :1] * q2 - k[:, 1:] * p2
+    sliding = v_rel[:, :1] * p2 + v_rel[:, 1:] * q2
+    arm = x2 - pose[..., :3, 3].swapaxes(1, 2)  # R_21 x_1: from the finger's origin to the contact
+    return np.concatenate([omega, -sliding - _cross(omega, arm)], axis=1).swapaxes(1, 2)
 
 
 def _bend(shape: np.ndarray, velocity: np.ndarray) -> np.ndarray:
@@ -226,7 +227,12 @@ def _bend(shape: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     return np.stack([x, y], axis=1)
 
 
-def _split(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(n, 9, t) -> x, p, q as (n, t, 3)."""
-    moved = frame.swapaxes(1, 2)
-    return moved[..., 0:3], moved[..., 3:6], moved[..., 6:9]
+def _parts(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x, p, q of (n, 9, n_times), (n, 3, n_times) each."""
+    return frame[:, :3], frame[:, 3:6], frame[:, 6:]
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a x b along the second axis."""
+    after, before = [1, 2, 0], [2, 0, 1]
+    return a[:, after] * b[:, before] - a[:, before] * b[:, after]

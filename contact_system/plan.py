@@ -580,11 +580,13 @@ class Motion:
         return self._once("pose", lambda: relative_pose(*self.frames, self.group.r0))
 
     def twist(self) -> np.ndarray:
-        states = [track.state(self.t) for track in (self.finger, self.object)]
-        velocities = [
-            track.velocity(self.t, s) for track, s in zip((self.finger, self.object), states)
+        tracks = self.finger, self.object
+        states = [
+            frame if track.ambient else track.state(self.t)
+            for track, frame in zip(tracks, self.frames)
         ]
-        shapes = [track.shape(s) for track, s in zip((self.finger, self.object), states)]
+        velocities = [track.velocity(self.t, s) for track, s in zip(tracks, states)]
+        shapes = [track.shape(s) for track, s in zip(tracks, states)]
         return relative_twist(
             self.frames[1],
             self.pose,

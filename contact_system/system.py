@@ -44,7 +44,7 @@ from .equations import chart_equations
 from .errors import SceneError
 from .geometry import upper_inverse
 from .kernels import per_structure
-from .kinematics import relative_twist
+from .kinematics import relative_pose, relative_twist
 from .planner import Start, measured_start, scene_start
 from .profile import integral, law_rate, polynomial, product
 from .scene import FingerAcceleration, ObjectAcceleration, ObjectRateOffset, Scene
@@ -265,32 +265,21 @@ def _frame_motion(
     )  # fmt: skip
 
 
-def _pose(motion: Motion) -> tuple[SX, SX]:
-    """R_21 = E2 diag3(R, -1) E1^T and f2 - R_21 f1 (theory section 8)."""
-    (x1, t1, n1), (x2, t2, n2) = (
-        (f[:3], ca.reshape(f[3:], 3, 2), ca.cross(f[3:6], f[6:])) for f in motion.frames
-    )
-    turned = t2 @ motion.turn @ t1.T - n2 @ n1.T
-    return turned, x2 - turned @ x1
-
-
-def _twist(motion: Motion, origin: SX) -> SX:
-    """V_OF_O by `kinematics.relative_twist`, which computes with whatever numbers it is given."""
+def _relative(motion: Motion) -> tuple[SX, SX]:
+    """Pose, by columns (12), and twist of the finger's frame in the object's, by `kinematics`."""
 
     def numbers(value: SX, *shape: int) -> Array:
         array = np.empty(value.numel(), dtype=object)
         array[:] = value.elements()
         return array.reshape(1, *shape)
 
-    pose = np.zeros((1, 1, 4, 4), dtype=object)
-    pose[0, 0, :3, 3] = origin.elements()
+    frames = [numbers(frame, 9, 1) for frame in motion.frames]
     k1, k2 = (numbers(k, 3, 1) for k in motion.curvatures)
     a1, a2 = (numbers(a, 2, 1) for a in motion.velocities)
-    twist = relative_twist(
-        numbers(motion.frames[1], 9, 1), pose, (k1, k2), (a1, a2), numbers(motion.turn.T, 2, 2),
-        numbers(motion.sliding, 2, 1),
-    )  # fmt: skip
-    return ca.vertcat(*twist.ravel())
+    turn = numbers(motion.turn.T, 2, 2)
+    pose = relative_pose(frames[0], frames[1], turn)
+    twist = relative_twist(frames[1], pose, (k1, k2), (a1, a2), turn, numbers(motion.sliding, 2, 1))
+    return ca.vertcat(*pose[0, 0, :3].T.ravel()), ca.vertcat(*twist.ravel())
 
 
 @per_structure
@@ -319,13 +308,12 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
         """The total time derivative; disturbances do not change between edges."""
         return ca.jtimes(value, x, motion.rate) + ca.jtimes(value, t, SX(1))
 
-    turned, origin = _pose(motion)
-    twist = _twist(motion, origin)
+    pose, twist = _relative(motion)
     regularity = [_regularity(b, x[k], x[k + 1]) for b, k in zip(bodies, (0, form.sizes[0]))]
     (x1, _), (x2, tangents) = (ca.vertsplit(f, [0, 3, 9]) for f in motion.frames)
     outputs = [
         motion.rate, motion.state, motion.slip, twist, along(twist),
-        ca.vertcat(ca.vec(turned), origin), ca.vertcat(x1, x2),
+        pose, ca.vertcat(x1, x2),
         ca.cross(tangents[:3], tangents[3:]), ca.vertcat(*regularity),
     ]  # fmt: skip
     inputs = [t, x, w, held, law, *numbers]

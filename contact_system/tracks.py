@@ -283,6 +283,10 @@ class Track:
 
     def frames(self, t: np.ndarray) -> np.ndarray:
         """(x, p, q) at times t: (n_bodies, 9, n)."""
+        out = np.empty((self.n_bodies, 9, len(t)))
+        return out if self._evaluate("frames", t, out) == 0 else self._frames(t)
+
+    def _frames(self, t: np.ndarray) -> np.ndarray:
         state = self.state(t)
         if self.ambient:
             return state
@@ -302,8 +306,8 @@ class Track:
             kernel(state, self.parameters, out, compiled=self.compiled)
 
     def entry(self, output: str) -> tuple[Evaluator, int] | None:
-        """The compiled evaluation of "points" or "coordinates" and the address of this track's
-        ``track_t``; None where there is none."""
+        """The compiled evaluation of "points", "frames" or "coordinates" and the address of this
+        track's ``track_t``; None where there is none."""
         if output not in self._entries:
             self._entries[output] = self._entry(output)
         return self._entries[output]
@@ -473,7 +477,11 @@ class Evaluator:
 
 @per_structure
 def evaluator(surface: Surface, ambient: bool, output: str) -> Evaluator:
-    """The evaluator of a panel track: "coordinates", "points", or "split": see c/program.c."""
+    """The evaluator of a panel track: "coordinates", "points", "frames", or "split": see
+    c/program.c."""
+    if output == "frames":
+        kernel = whole_frame(surface) if ambient else frame_kernel(surface)
+        return Evaluator(kernel, False, kernel.n_point, False)
     if output == "split":
         return Evaluator(split_kernel(surface), False, AXIS, False)
     if output == "coordinates":

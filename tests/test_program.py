@@ -160,12 +160,25 @@ def test_times_in_any_order_and_a_second_plan_give_the_same(scene):
     t = np.linspace(0.0, scene.duration, 101)
     order = np.random.default_rng(5).permutation(len(t))
     first = cs.plan(scene, compiled=True)
-    for output in ("points", "states"):
+    for output in ("points", "states", "pose", "twist"):
         expected = getattr(cs.plan(scene, compiled=False), output)(t)
         size = np.maximum(np.abs(expected).max(axis=0), 1.0)
         for plan in (first, cs.plan(scene, compiled=True)):
             assert (np.abs(getattr(plan, output)(t) - expected) / size).max() < 1e-11
             assert (np.abs(getattr(plan, output)(t[order]) - expected[order]) / size).max() < 1e-11
+
+
+@COMPILER
+@pytest.mark.parametrize("obj", SURFACES)
+def test_object_rate_offsets_are_in_the_rates(obj):
+    offset = cs.ObjectRateOffset(contact=0, start=0.3, stop=0.6, value=(0.2, -0.1))
+    scene = one_contact(obj, "sphere", disturbances=(offset,))
+    plans = [cs.plan(scene, compiled=compiled) for compiled in (True, False)]
+    for output in ("states", "pose", "twist", "slip"):
+        found, expected = (getattr(plan, output)(TIMES) for plan in plans)
+        assert found == pytest.approx(expected, abs=1e-11 * np.abs(expected).max())
+    rates = [plans[0].states([t])[0, 0, 6:8] for t in (0.3 - 1e-9, 0.3)]
+    assert rates[1] - rates[0] == pytest.approx([0.2, -0.1], abs=1e-7)
 
 
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=COMPILER)])
