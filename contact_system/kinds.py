@@ -198,6 +198,13 @@ class Begun:
             kind.at, self.at, tolerance, *program, count, len(t), address(t), address(out)
         )
 
+    @property
+    def r0(self) -> np.ndarray:
+        """As in :class:`Group`."""
+        first, width = self.kind.places["r0"]
+        n = self.kind.nb
+        return np.frombuffer(self.block)[first : first + n * width].reshape(n, 2, 2)
+
     def states(self, t: np.ndarray, out: np.ndarray, tolerance: float) -> int:
         """Chart states (n, 9, n_t) as :meth:`ChartStates.fill`, in the same way."""
         kind = self.kind
@@ -295,7 +302,7 @@ class Kind:
     def program(self, output: str) -> tuple[int, int] | None:
         """Address and number of the parts of :class:`Program`; None where there is none."""
         if output not in self._programs:
-            ready = output == "points" or self.closed  # else coordinates are to be anchored
+            ready = output != "coordinates" or self.closed  # else they are to be anchored
             found = self.planned.program(output) if ready else None
             self._programs[output] = None if found is None else (found.at, len(found.parts))
         return self._programs[output]

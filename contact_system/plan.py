@@ -172,6 +172,10 @@ class Plan:
 
     def pose(self, t: ArrayLike) -> np.ndarray:
         """Pose of the finger's body frame in the object's: (len(t), n_contacts, 4, 4)."""
+        times = _one_axis(t)
+        frames = np.empty((self._count, 18, len(times)))
+        if self._fill_compiled("frames", times, 9, frames):
+            return relative_pose(frames[:, :9], frames[:, 9:], self._maps()).swapaxes(0, 1)
         return self._collect(t, lambda motion: motion.pose, (4, 4))
 
     def twist(self, t: ArrayLike) -> np.ndarray:
@@ -431,6 +435,16 @@ class Plan:
         if code > 0:
             self._refuse(times)
         return out.transpose(2, 0, 1) if code == 0 else None
+
+    def _maps(self) -> np.ndarray:
+        """R_0 of all contacts, (n_contacts, 2, 2)."""
+        if self._groups is None:
+            assert self._begun is not None
+            return self._begun.r0
+        r0 = np.empty((self._count, 2, 2))
+        for group in self._groups:
+            r0[group.contacts] = group.r0
+        return r0
 
     def _angles(self) -> np.ndarray:
         """psi(0) of all contacts, (n_contacts, 1)."""

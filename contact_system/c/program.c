@@ -65,7 +65,7 @@ static long earlier(const double *t, long nt, double edge) {
   return low;
 }
 
-#define MOST_ROWS 5
+#define MOST_ROWS 9
 
 static int in_order(const double *t, long nt) {
   long back = 0;
@@ -456,6 +456,10 @@ long states(const kind_t *kind, const double *block, double tolerance, const sta
   series_t s = {0};
   long code = 0;
   if (!nt) return 0;
+  for (int object = 0; object < 2 && !kind; object++) { /* who keeps motions keeps anchors too */
+    const motion_t *motion = p->side[object].track;
+    if (p->side[object].anchor && nt <= 4 * motion->track.n_panels) return -4;
+  }
   for (long first = 0; first < nb && !code; first += MOST, out += MOST * OUT * nt)
     for (int object = 0; object < 2 && !code; object++) {
       const side_t *side = p->side + object;
