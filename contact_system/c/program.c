@@ -230,19 +230,19 @@ typedef struct {
   long terms, slips;  /* terms that count; whether b is kept apart */
 } piece_t;
 
-/* The series of a side: [count][nb][ROWS][N] */
+/* The series of a side: [count][nb][ROWS][N], at most `size` numbers a piece */
 typedef struct {
   const track_t *track;
-  long count, room;
+  long count, room, size;
   piece_t *pieces;
   double *series;
 } series_t;
 
-static int grow(series_t *s, long size) {
+static int grow(series_t *s) {
   const long room = s->room ? 4 * s->room : 16;
   piece_t *pieces = realloc(s->pieces, room * sizeof *pieces);
   if (pieces) s->pieces = pieces;
-  double *series = realloc(s->series, room * size * sizeof *series);
+  double *series = realloc(s->series, room * s->size * sizeof *series);
   if (series) s->series = series;
   if (pieces && series) s->room = room;
   return pieces && series;
@@ -332,11 +332,11 @@ static int divide(const states_t *p, const side_t *side, const track_t *k, doubl
   const double end = k->stop - k->start;
   double values[ROWS * N * MOST], combined[SIDE * N * MOST], before[3 * MOST], tau[N], times[N];
   long tries = 0, panel = 0, refused = 0;
-  double at = 0.0, h = bound(k, 0.0, 1, 1.5, &panel), tail;
+  double at = 0.0, h = bound(k, 0.0, 1, 2.0, &panel), tail;
   s->track = k;
   for (s->count = 0; at < end; tries++) {
     if (tries == most) return 0;
-    if (s->count == s->room && !grow(s, MOST * ROWS * N)) return 0;
+    if (s->count == s->room && !grow(s)) return 0;
     piece_t *piece = s->pieces + s->count;
     double *series = s->series + s->count * size, stop = bound(k, at, 2, 5.0, &panel);
     stop = at + h < stop ? at + h : stop;
@@ -453,7 +453,7 @@ long states(const kind_t *kind, const double *block, double tolerance, const sta
   const int ordered = in_order(t, nt);
   /* 1e-14: less is rounding */
   const double bar = tolerance > 1e-13 ? 0.1 * tolerance : 1e-14, *angle = carried(p->angle, kind, block);
-  series_t s = {0};
+  series_t s = {.size = chunk(nb, 0) * ROWS * N};
   long code = 0;
   if (!nt) return 0;
   for (int object = 0; object < 2 && !kind; object++) { /* who keeps motions keeps anchors too */
