@@ -422,15 +422,17 @@ class Plan:
         times, begun = _one_axis(t), self._begun
         if not times.flags.c_contiguous:
             return None
-        out, code = np.empty((self._count, 9, len(times))), -1
+        shape, code = (self._count, 9, len(times)), -1
         if begun is not None and begun.kind.states and (begun.kind.closed or self._first_look()):
+            out = np.empty(shape)
             code = begun.states(times, out, self.tolerance)
         if code < 0:
-            if len(self.groups) > 1 or not self.groups[0].moving:
-                return None
-            made = self.groups[0].chart_states(self.compiled)
+            group = self.groups[0]
+            one = len(self.groups) == 1 and group.moving
+            made = group.chart_states(self.compiled) if one else None
             if made is None:
                 return None
+            out = np.empty(shape)
             code = made.fill(self.tolerance, times, out)
         if code > 0:
             self._refuse(times)
