@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from .closed_form import CircleTrack
+from .closed_form import CircleTrack, FlatTrack
 from .development import (
     Motion,
     MovingTrack,
@@ -211,7 +211,8 @@ class ChartStates:
 def _side(track: Track, begin: np.ndarray, moves: bool) -> _Side | None:
     """A side of one track, beside one that moves or not; None where C cannot evaluate it."""
     if not isinstance(track, MovingTrack):
-        entry = track.entry("coordinates")
+        closed = isinstance(track, (CircleTrack, FlatTrack))
+        entry = track.entry("coordinates") if closed else None
         if entry is None:
             return None
         track.anchor(begin)

@@ -169,6 +169,16 @@ def test_times_in_any_order_and_a_second_plan_give_the_same(scene):
 
 
 @COMPILER
+@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "oblate", "torus", "plane"])
+def test_what_is_accelerated_all_the_time_goes_round(obj):
+    push = cs.ObjectAcceleration(contact=0, start=0.0, stop=4.0, value=(0.3, -0.2))
+    scene = one_contact(obj, "ellipsoid", profile=(0.4,), disturbances=(push,), duration=4.0)
+    t = np.linspace(0.0, 4.0, 1001)
+    found, expected = (cs.plan(scene, compiled=compiled).states(t) for compiled in (True, False))
+    assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
+@COMPILER
 @pytest.mark.parametrize("obj", SURFACES)
 def test_object_rate_offsets_are_in_the_rates(obj):
     offset = cs.ObjectRateOffset(contact=0, start=0.3, stop=0.6, value=(0.2, -0.1))
