@@ -606,7 +606,7 @@ def left_over(sigma: Array, gain: cs.Gain, t: Array, since: float = 0.0) -> Arra
     if gain.law == "time":
         return left * poly.polyval(t, sigma)
     # guaranteed: slip keeps its size while sigma grows and shrinks with it
-    return left * np.array([_fallen(sigma, since, float(end)) for end in t])
+    return left * _fallen(sigma, since, t)
 
 
 def turning(sigma: Array, end: float) -> list[float]:
@@ -616,14 +616,17 @@ def turning(sigma: Array, end: float) -> list[float]:
     return sorted(float(r.real) for r in roots if abs(r.imag) < 1e-6 * end and 0 < r.real < end)
 
 
-def _fallen(sigma: Array, since: float, end: float) -> float:
-    """sigma(since) times the factors by which sigma falls until end."""
-    knots = [since, *(t for t in turning(sigma, end) if since < t), end]
-    values = np.maximum(poly.polyval(np.array(knots), sigma), 0.0)
-    left = float(values[0])
+def _fallen(sigma: Array, since: float, t: Array) -> Array:
+    """sigma(since) times the factors by which sigma falls until t (n,)."""
+    knots = np.array([since, *(k for k in turning(sigma, float(t.max())) if since < k)])
+    values, now = (np.maximum(poly.polyval(at, sigma), 0.0) for at in (knots, t))
+    left = [values[0]]
     for before, after in itertools.pairwise(values):
-        left *= min(1.0, after / before) if before > 0 else float(left != 0)
-    return left
+        left.append(left[-1] * (min(1.0, after / before) if before > 0 else 1.0))
+    k = np.searchsorted(knots, t, side="right") - 1
+    shrunk = np.minimum(now, values[k]) / np.maximum(values[k], 1e-300)
+    return np.array(left)[k] * np.where(values[k] > 0, shrunk, 1.0)
+
 
 
 @dataclass
