@@ -138,8 +138,6 @@ def program_of(groups: Sequence[Group], output: str) -> Program | None:
 
 # --- chart states ---------------------------------------------------------------------------------
 
-SIDE_ROWS = 5  # u v u' v' theta
-
 
 class _Side(ctypes.Structure):
     """``side_t`` of c/program.c."""
@@ -216,15 +214,15 @@ def _side(track: Track, begin: np.ndarray, moves: bool) -> _Side | None:
         if entry is None:
             return None
         track.anchor(begin)
-        own = entry[0].pointer
-        dear = moves and isinstance(track, CircleTrack)
-        return _Side(own, own if dear else None, None, entry[1], False, SIDE_ROWS)
+        own, dear = entry[0], moves and isinstance(track, CircleTrack)
+        series = own.pointer if dear else None
+        return _Side(own.pointer, series, None, entry[1], False, own.kernel.n_result)
     if track.motion is None or track.problem.stops or track.offset is not None:
         return None
     chart = track.evaluator("coordinates")
     if not chart.usable(track.compiled):
         return None
-    found = _Side(chart.pointer, None, None, track.motion.at, True, SIDE_ROWS)
+    found = _Side(chart.pointer, None, None, track.motion.at, True, chart.kernel.n_result)
     if not track.ambient:
         return found
     found.anchor, found.begin = function_address(chart.library.anchor), address(begin)
