@@ -10,6 +10,8 @@ on the surface            level functions of this module (`Quadric`, `Tube`, `Cu
 speed                     |M1 q1'| = sigma |W1|,  |M2 q2'| = sigma |W - V exp(-L)|
 slip                      v_rel = sigma exp(-L) V in closed form, length and angle to R_psi M1 q1'
 no slip part              R_psi M1 q1' - M2 q2' = v_rel from states; material points in the twist
+one branch                coordinates are the same when asked among many times, and go on without a turn
+                          lost from one of those to the next
 no spin                   omega . n = 0; normals turn with the bodies (`_twist`)
 frames                    pose orthonormal, contact points meet, normals oppose
 geodesics                 plane, cylinder, sphere: closed form; quadrics: Joachimsthal's integral
@@ -628,7 +630,6 @@ def _fallen(sigma: Array, since: float, t: Array) -> Array:
     return np.array(left)[k] * np.where(values[k] > 0, shrunk, 1.0)
 
 
-
 @dataclass
 class Sample:
     """What a plan says at some times, all of them regular.
@@ -668,6 +669,10 @@ class Sample:
     def space(self, k: int, plane: Array) -> Array:
         """Components in a contact frame as vectors in space, (n, 3)."""
         return np.einsum("nij,nj->ni", self.frame[k][:, :, :2], plane)
+
+
+MANY = 700
+"""Times at which a plan evaluates in its fastest way."""
 
 
 class Judge:
@@ -722,6 +727,7 @@ class Judge:
                 return said
         if len(sample.t):
             self._states(sample)
+            self._among_many(sample)
             self._pose(sample)
             self._slip(sample)
         self._geodesics(times, everywhere, sample)
@@ -809,6 +815,33 @@ class Judge:
             bound = self._loss(sample, k) * (sigma + 1e-3 * self.terms) + 16 * EPS * self.terms
             bound *= 1 + np.hypot(*self.v)
             self.meter.see(f"speed of contact point {k + 1}", (speed - w)[still], bound[still])
+
+    def _among_many(self, sample: Sample) -> None:
+        """Coordinates do not depend on what is asked beside them, and lose no turn on the way."""
+        if self.trial.seed % 3 or self.turns > TURNS:
+            return
+        t = np.union1d(sample.t, np.linspace(0.0, self.scene.duration, MANY))
+        try:
+            states = self.plan.states(t)[:, 0]
+        except cs.ChartSingularity:
+            return
+        apart = states[np.searchsorted(t, sample.t)] - sample.states
+        loss = [
+            8 * (4 * self.e[k] + self._chart_loss(sample, k))[:, None]
+            * body.size / np.diagonal(sample.root[k], axis1=1, axis2=2)
+            for k, body in enumerate(self.bodies)
+        ]  # fmt: skip
+        self.meter.see("psi among many times", apart[:, 8], sum(x.max(axis=1) for x in loss))
+        for k, body in enumerate(self.bodies):
+            q = slice(4 * k, 4 * k + 2)
+            self.meter.see(f"u{k + 1}, v{k + 1} among many times", apart[:, q], loss[k])
+            for r, period in enumerate(body.surface.periods(), 4 * k):
+                if period:
+                    rate = abs(states[:, r + 2])
+                    slow = np.maximum(rate[1:], rate[:-1]) * np.diff(t) < 0.1 * period
+                    step = np.diff(states[:, r])[slow]
+                    # passing a pole takes half a turn
+                    self.meter.see(f"no turn of body {k + 1} lost", step, 0.75 * period)
 
     def _path_velocities(self, t: Array) -> tuple[Array, Array]:
         """|M1 q1'| and |M2 q2'| while nothing disturbs, m/s."""
