@@ -10,8 +10,8 @@ on the surface            level functions of this module (`Quadric`, `Tube`, `Cu
 speed                     |M1 q1'| = sigma |W1|,  |M2 q2'| = sigma |W - V exp(-L)|
 slip                      v_rel = sigma exp(-L) V in closed form, length and angle to R_psi M1 q1'
 no slip part              R_psi M1 q1' - M2 q2' = v_rel from states; material points in the twist
-one branch                coordinates are the same when asked among many times, and go on without a turn
-                          lost from one of those to the next
+one branch                coordinates are the same when asked among many times, and lose no turn on
+                          the way
 no spin                   omega . n = 0; normals turn with the bodies (`_twist`)
 frames                    pose orthonormal, contact points meet, normals oppose
 geodesics                 plane, cylinder, sphere: closed form; quadrics: Joachimsthal's integral
