@@ -6,6 +6,7 @@ the collocation of one kind of motion around its kernel. Nothing here needs a co
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -111,7 +112,7 @@ class _Model:
     def _source(self, kind_rows: Sequence[str], places: Sequence[str], token: str) -> str:
         m, values = development.collocation(), self.table.n_values
         series = np.vstack([m.series[:-1].T, m.series[-1:]])
-        lower = np.zeros(values, dtype=int)
+        least = np.full(values, -sys.float_info.max)
         sizes = np.zeros(values, dtype=int)
         kinds, names = ["CALCULATED"] * values, [""] * values
         for row in self.table.rows:
@@ -120,14 +121,15 @@ class _Model:
             for k in own:
                 kinds[k] = _KINDS_OF_VALUE.get((row.causality, row.variability), default)
             names[own.start : own.stop] = row.elements or (row.name,)
-            lower[own.start : own.stop] = row.minimum == 0.0
+            if row.causality == "parameter" and row.minimum is not None:
+                least[own.start : own.stop] = row.minimum
             sizes[row.reference] = row.size
         tables = [
             ("double gauss_node", m.node), ("double gauss_integral", m.integral.T),
             ("double gauss_series", series), ("double gauss_end", m.end),
             ("double start_values", self.table.start_values),
             ("double nominals", self.table.state_nominals),
-            ("unsigned char not_negative", lower), ("unsigned char sizes", sizes),
+            ("double least", least), ("unsigned char sizes", sizes),
         ]  # fmt: skip
         return "".join([
             '#include "component.h"\n\n', *self.functions,

@@ -10,6 +10,7 @@ Names are structured (FMI 2.0.4, section 2.2.9; FMI 3.0.2, section 2.4.7.5.1) an
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -237,8 +238,8 @@ def _parameter(scene: Scene, name: str, reference: int, value: float) -> Variabl
         unit, text = (1, -1 - power, 0), f"Path profile sigma(t), coefficient of t^{power}"
     elif _is_user_or_quadric(scene, owner):
         unit = None
-    else:
-        low, nominal = 0.0, value
+    else:  # a length, which is not 0
+        low, nominal = sys.float_info.min, value
     return Variable(
         name, reference, "parameter", variability, "exact", text, unit, (value,), minimum=low,
         nominal=nominal or None,

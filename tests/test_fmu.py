@@ -528,6 +528,18 @@ def test_a_refusal_names_the_variable_its_value_and_what_to_do(version, exported
     assert "no variable with value reference 4000; see modelDescription.xml" in fmu.messages[0][2]
 
 
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_length_that_is_not_positive_is_refused_where_it_is_set(version, exported):
+    fmu = exported("K1", version)
+    one = fmu.instance(ready=False)
+    for value in (0.0, -1.0):
+        fmu.messages.clear()
+        with pytest.raises(FMICallException):
+            fmu.set(one, {"object.radius": value})
+        words = f"object.radius = {value:g} is refused; give a positive number"
+        assert words in fmu.messages[0][2]
+
+
 def test_an_element_of_an_array_is_named_as_in_fmi_2(exported):
     fmu = exported("K1", "3.0")
     one = fmu.instance(ready=False)

@@ -380,7 +380,7 @@ def test_wrong_start_is_refused_with_the_place_and_the_remedy():
     for start, words in (
         ({"contact[1].finger.u": -1.57}, r"contact\[1\].finger.u, .v = -1.57, .* no outward frame"),
         ({"contact[1].object.u": 0.0}, r"contact\[1\].object: .*pole"),
-        ({"profile[1]": -0.1}, "is negative"), ({"object.radius": 0.0}, "radius = 0.0"),
+        ({"profile[1]": -0.1}, "is negative"),
     ):  # fmt: skip
         with pytest.raises(FMICallException, match=words) as caught:
             begun(one_contact(), start=start)
@@ -574,6 +574,10 @@ def test_wrong_values_are_refused_and_the_instance_survives():
                 status=DISCARD, logged=logged)  # fmt: skip
     refused(slave.setReal, [push, eta], [1.0, -1.0], words="gain.eta = -1.0 is refused; give 0",
             status=DISCARD, logged=logged)  # fmt: skip
+    for value in (0.0, -1.0):
+        fresh = PlannerSlave2(one_contact())
+        words = f"object.radius = {value} is refused; give a positive number"
+        refused(fresh.setReal, [of["object.radius"]], [value], words=words, status=DISCARD)
     for name, words in (
         ("contact[1].finger.u", "is a start value; set it before initialization ends"),
         ("object.radius", "is fixed; set it before"), ("contact[1].slip.x", "it is calculated"),

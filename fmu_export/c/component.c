@@ -575,9 +575,9 @@ status_t check_value(component_t *c, unsigned reference, double value) {
   if (!(fabs(value) <= DBL_MAX))
     return report(c, DISCARD, "logStatusDiscard", "%s = %g is refused; give a finite number",
                   names[reference], value);
-  if (not_negative[reference] && value < 0)
-    return report(c, DISCARD, "logStatusDiscard", "%s = %.9g is refused; give 0 or more",
-                  names[reference], value);
+  if (value < least[reference])
+    return report(c, DISCARD, "logStatusDiscard", "%s = %.9g is refused; give %s", names[reference], value,
+                  least[reference] > 0 ? "a positive number" : "0 or more");
   return OK;
 }
 
@@ -824,7 +824,7 @@ static const char *check_memory(const memory_t *now) {
     return "the number of pieces of its gain is out of range";
   for (unsigned r = 1; r < N_VALUES; r++) {
     const int computed = kinds[r] == CALCULATED || (kinds[r] == EXACT && !SYSTEM(now));
-    if (!computed && (!(fabs(now->value[r]) <= DBL_MAX) || (not_negative[r] && now->value[r] < 0)))
+    if (!computed && !(now->value[r] >= least[r] && now->value[r] <= DBL_MAX))
       return "a parameter, an input or a state in it is out of range";
   }
   if (!all_finite(now->knots, MAX_KNOTS) || !all_finite(&now->slope_begin, 1) ||

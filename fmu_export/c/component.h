@@ -79,8 +79,8 @@ typedef struct {
 extern const motion_t MOTIONS;
 extern const place_t places[N_CONTACTS];
 extern const window_t windows[N_WINDOWS + 1];
-extern const double start_values[N_VALUES], nominals[SYSTEM_STATES * N_CONTACTS];
-extern const unsigned char kinds[N_VALUES], not_negative[N_VALUES], sizes[N_VALUES];
+extern const double start_values[N_VALUES], least[N_VALUES], nominals[SYSTEM_STATES * N_CONTACTS];
+extern const unsigned char kinds[N_VALUES], sizes[N_VALUES];
 extern const double gauss_node[N], gauss_integral[N * N], gauss_series[(N + 1) * N],
     gauss_end[2 * N];
 extern const char *const model_token, *const names[N_VALUES]; /* of every value, as in FMI 2 */
