@@ -956,8 +956,9 @@ class PanelTrack(Track):
         else:
             made, kept = self.shared.get(self.rows.start) or self._track_data()
             self.shared[self.rows.start] = made, kept
-            data = TrackData.from_buffer_copy(made)
+            data, turn = TrackData.from_buffer_copy(made), self.forced.turn
             data.w = address(self.w)
+            data.turn = None if turn is None else address(turn)
         series, edges = self.panels.coefficients, self.panels.edges
         first = (self.rows.start or 0) * series.strides[2]
         at = self.panels.at or (address(edges), address(series))

@@ -40,7 +40,7 @@ from .development import (
     program_library,
 )
 from .kernels import Kernel, address, function_address, per_structure
-from .planner import ENDLESS, TINY, Group, group_name, slip_of, start_numbers
+from .planner import ENDLESS, TINY, Group, alike, group_name, slip_of, start_numbers
 from .scene import Scene
 from .surfaces import Surface
 from .tracks import Track, axis_kernel, lame_kernel, scale_kernel
@@ -406,19 +406,6 @@ class _Sights:
 _SEEN: dict[Hashable, _Sights] = {}
 
 
-def _key(scene: Scene, compiled: bool | None) -> Hashable:
-    """What undisturbed scenes of a kind have in common; None where a finger follows the object."""
-    gain, fingers = scene.gain, []
-    for contact in scene.contacts:
-        if isinstance(contact.finger_velocity, str):
-            return None
-        fingers.append(contact.finger.identity)
-    return (
-        compiled, scene.duration, scene.profile.coefficients, gain.law, gain.value,
-        scene.object.identity, *fingers,
-    )  # fmt: skip
-
-
 def _forget() -> None:
     """Make room: keys without a kind first, then all."""
     for key, sights in list(_SEEN.items()):
@@ -433,7 +420,7 @@ def begin(scene: Scene, compiled: bool | None) -> Begun | None:
     known: Begun | None = scene.__dict__.get("_begun")
     if known is not None and known.kind.compiled is compiled:
         return known
-    seen = _SEEN.get(_key(scene, compiled))
+    seen = _SEEN.get((compiled, alike(scene)))
     for kind in seen.kinds if seen is not None else ():
         begun = kind.begin(scene)
         if begun is not None:
@@ -444,12 +431,11 @@ def begin(scene: Scene, compiled: bool | None) -> Begun | None:
 
 def learn(scene: Scene, groups: Sequence[Group], compiled: bool | None) -> None:
     """From the second scene on that was planned in full: what the next of its kind will need."""
-    key = _key(scene, compiled)
-    if key is None or not _has_kind(scene, groups, compiled):
+    if not _has_kind(scene, groups, compiled):
         return
     if len(_SEEN) > SEEN:
         _forget()
-    seen = _SEEN.setdefault(key, _Sights())
+    seen = _SEEN.setdefault((compiled, alike(scene)), _Sights())
     seen.count += 1
     if 1 < seen.count <= ATTEMPTS:
         with contextlib.suppress(LookupError):

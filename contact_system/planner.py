@@ -16,7 +16,8 @@ import bisect
 import contextlib
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -401,6 +402,10 @@ class Body:
         Length scale of each, m.
     state : (n, 6) ambient, (x, p); or (n, 3) chart, (u, v, theta)
     ambient : bool
+    size : float
+        The least of the sizes, m.
+    scales : dict
+        What does not depend on where they stand: the scale of (x, p).
     """
 
     surface: Surface
@@ -408,31 +413,37 @@ class Body:
     sizes: np.ndarray
     state: np.ndarray
     ambient: bool
+    size: float
+    scales: dict[bool, np.ndarray] = field(default_factory=dict)
 
-    @functools.cached_property
-    def size(self) -> float:
-        """The least of the sizes, m."""
-        return min(self.sizes[:, 0].tolist())
+    @classmethod
+    def of(cls, surfaces: Sequence[Surface]) -> Body:
+        """Bodies of one structure, nowhere yet."""
+        parameters = np.array([s.parameters for s in surfaces], dtype=float)
+        sizes, nowhere = [s.size for s in surfaces], np.empty((len(surfaces), 0))
+        return cls(surfaces[0], parameters, np.array(sizes)[:, None], nowhere, False, min(sizes))
 
     def at(self, state: np.ndarray, ambient: bool) -> Body:
         """The same bodies elsewhere."""
-        other = Body(self.surface, self.parameters, self.sizes, state, ambient)
-        known = self.__dict__
-        for name in ("size", "scale") if ambient and self.ambient else ("size",):
-            if name in known:  # (x, p) has the same scale everywhere
-                other.__dict__[name] = known[name]
-        return other
+        return Body(
+            self.surface, self.parameters, self.sizes, state, ambient, self.size, self.scales
+        )
 
     @property
     def lame(self) -> np.ndarray:
         """h_u, h_v of each body where it stands, chart form: (n, 2)."""
         return lame_kernel(self.surface).at(self.state, self.parameters)
 
-    @functools.cached_property
+    @property
     def scale(self) -> np.ndarray:
         """1 / (size of the states)."""
-        numbers = np.concatenate([self.parameters, self.sizes], axis=1)
-        return scale_kernel(self.surface, self.ambient).at(self.state, numbers)
+        scale = self.scales.get(self.ambient)
+        if scale is None:
+            numbers = np.concatenate([self.parameters, self.sizes], axis=1)
+            scale = scale_kernel(self.surface, self.ambient).at(self.state, numbers)
+            if self.ambient:
+                self.scales[True] = scale
+        return scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -481,15 +492,37 @@ class Interval:
 
 
 @dataclass(frozen=True, eq=False)
+class Pattern:
+    """What scenes that differ only in where contacts start have in common, of one group.
+
+    ``finger`` and ``object`` stand nowhere. ``kept`` holds tracks and problems that begin at edges
+    of the intervals, from which those of another start or tolerance are made, with what C knows of
+    them.
+    """
+
+    contacts: np.ndarray
+    finger: Body
+    object: Body
+    follows: bool
+    intervals: tuple[Interval, ...]
+    kept: dict[Any, Any] = field(default_factory=dict)
+
+    @functools.cached_property
+    def edges(self) -> set[float]:
+        """Starts of the intervals."""
+        return {interval.start for interval in self.intervals}
+
+
+@dataclass(frozen=True, eq=False)
 class Prepared:
     """What the scene alone says about a group; kept with the scene, so worked out once.
 
-    ``kept`` holds what planning finds and no tolerance changes: great circles from the start, whole
-    groups that consist of them, constants laid out for C.
+    ``kept`` holds what planning finds and no tolerance changes: great circles from the start, and
+    whole groups that consist of them.
     """
 
     scene: Scene
-    contacts: np.ndarray
+    pattern: Pattern
     begin: float
     angle: np.ndarray
     r0: np.ndarray
@@ -499,8 +532,6 @@ class Prepared:
     finger: Body
     object: Body
     at: tuple[np.ndarray, np.ndarray]
-    follows: bool
-    intervals: tuple[Interval, ...]
     kept: dict[Any, Any] = field(default_factory=dict)
 
 
@@ -546,12 +577,58 @@ def prepare(scene: Scene, starts: Starts, begin: float) -> list[Prepared]:
     parts = found[:, :4], numbers[:, 1:3], found[:, 4:6], numbers[:, 3:5] if moved else found[:, 6:]
     turns, w1, w2, v = map(np.ascontiguousarray, parts)  # C reads them
     turns = turns.reshape(-1, 2, 2)
-    windows: list[list[Disturbance]] = [[] for _ in starts]
+    slips: list[bool] = v.any(axis=1).tolist()  # type: ignore[assignment]
+    groups, patterns = [], _patterns(scene, tuple(slips), begin)
+    for pattern in patterns:
+        indices = pattern.contacts.tolist()
+        own = [starts[i] for i in indices]
+        fingers = [scene.contacts[i].finger for i in indices]
+        finger, finger_at = _standing(pattern.finger, fingers, own, "finger")
+        obj, object_at = _standing(pattern.object, [scene.object] * len(own), own, "object")
+        chosen: Any = indices if len(patterns) > 1 else slice(None)
+        groups.append(Prepared(
+            scene, pattern, begin, np.array([s.angle for s in own]), turns[chosen],
+            w1[chosen], w2[chosen], v[chosen], finger, obj, (finger_at, object_at),
+        ))  # fmt: skip
+    return groups
+
+
+PATTERNS = 256  # keys whose patterns are remembered
+MOST_ALIKE = 16  # contacts of a scene whose patterns are
+_PATTERNS: OrderedDict[Hashable, list[Pattern]] = OrderedDict()
+
+
+def alike(scene: Scene) -> Hashable:
+    """What scenes have in common that differ only in where and how fast their contacts start."""
+    gain, fingers = scene.gain, []
+    for contact in scene.contacts:
+        fingers.append(contact.finger.identity)
+        if isinstance(contact.finger_velocity, str):
+            fingers.append(True)  # it follows
+    return (
+        scene.duration, scene.profile.coefficients, gain.law, gain.value, scene.object.identity,
+        scene.disturbances, *fingers,
+    )  # fmt: skip
+
+
+def _patterns(scene: Scene, slips: tuple[bool, ...], begin: float) -> list[Pattern]:
+    """Contacts sorted into groups that move together, and their intervals."""
+    if begin > 0.0 or len(slips) > MOST_ALIKE:
+        return _sorted(scene, slips, begin)
+    key = alike(scene), slips
+    found = _PATTERNS.pop(key, None) or _sorted(scene, slips, begin)
+    _PATTERNS[key] = found  # the latest is last
+    if len(_PATTERNS) > PATTERNS:
+        _PATTERNS.popitem(last=False)
+    return found
+
+
+def _sorted(scene: Scene, slips: tuple[bool, ...], begin: float) -> list[Pattern]:
+    windows: list[list[Disturbance]] = [[] for _ in slips]
     for d in scene.disturbances:
         if d.stop > begin:
             windows[d.contact].append(d)  # type: ignore[index]
     members: dict[tuple, list[int]] = {}
-    slips: list[bool] = v.any(axis=1).tolist()  # type: ignore[assignment]
     for i, contact in enumerate(scene.contacts):
         shape = tuple((type(d), d.start, d.stop) for d in windows[i])
         kind = (
@@ -561,20 +638,16 @@ def prepare(scene: Scene, starts: Starts, begin: float) -> list[Prepared]:
             slips[i],
         )
         members.setdefault(kind, []).append(i)
-    groups = []
+    patterns = []
     for indices in members.values():
-        own = [starts[i] for i in indices]
-        finger, finger_at = _body([scene.contacts[i].finger for i in indices], own, "finger")
-        obj, object_at = _body([scene.object] * len(own), own, "object")
+        first = indices[0]
         disturbed = [(k, d) for k, i in enumerate(indices) for d in windows[i]]
-        intervals = _intervals(scene, len(own), disturbed, slips[indices[0]], begin)
-        chosen: Any = indices if len(members) > 1 else slice(None)
-        groups.append(Prepared(
-            scene, np.array(indices), begin, np.array([s.angle for s in own]), turns[chosen],
-            w1[chosen], w2[chosen], v[chosen], finger, obj, (finger_at, object_at),
-            scene.contacts[indices[0]].follows, intervals,
+        patterns.append(Pattern(
+            np.array(indices), Body.of([scene.contacts[i].finger for i in indices]),
+            Body.of([scene.object] * len(indices)), scene.contacts[first].follows,
+            _intervals(scene, len(indices), disturbed, slips[first], begin),
         ))  # fmt: skip
-    return groups
+    return patterns
 
 
 def _intervals(
@@ -612,28 +685,48 @@ class _Forced:
     ----------
     kernel : Kernel
     problem : Problem
-        But for its start and W_1.
-    w1 : slice
-        Where W_1 stands in the constants.
+        But for its start, angles and W_1.
+    given : slice
+        Where cos psi, sin psi and W_1 stand in the constants.
+    grown : float
+        Slip that the accelerations can bring about.
     why : str
     compiled : bool or None
-    shared : dict
+    shared: dict
         See PanelTrack.
+    scales : dict
+        By slip: those that do not depend on where the contacts are.
     """
 
     kernel: Kernel
     problem: Problem
-    w1: slice
+    given: slice
+    grown: float
     why: str
     compiled: bool | None
     shared: dict[Any, Any] = field(default_factory=dict)
+    scales: dict[float, np.ndarray] = field(default_factory=dict)
     motion: development.Motion | None = None
 
-    def integrate(self, start: np.ndarray, w1: np.ndarray, tolerance: float) -> development.Panels:
-        """The motion from a state (n, n_states) and W_1 (n, 2)."""
+    def scale(self, tip: Body, obj: Body, pushed: bool, slip: float) -> np.ndarray:
+        """1 / (size of the states), for slip of this size."""
+        known = self.scales.get(slip)
+        if known is None:
+            aside = np.ones((len(obj.sizes), 4))
+            aside[:, 2:] /= slip
+            finger = [tip.scale, aside[:, :2]] if pushed else []
+            known = np.concatenate([*finger, obj.scale, aside[:, 2:]], axis=1)
+            if obj.ambient and (tip.ambient or not pushed) and slip == self.grown:
+                self.scales[slip] = known
+        return known
+
+    def integrate(
+        self, name: str, start: np.ndarray, given: np.ndarray, scale: np.ndarray, tolerance: float
+    ) -> development.Panels:
+        """The motion from a state, (n, n_states), with cos psi, sin psi and W_1, (n, 4)."""
         constants = self.problem.constants.copy()
-        constants[:, self.w1] = w1
-        problem = self.problem.moved(start, constants)
+        constants[:, self.given] = given
+        problem = self.problem.moved(start, constants, name=name, scale=scale)
         if self.motion is not None:
             return self.motion.again(tolerance, problem).panels()
         if development.panels_built(self.kernel) if self.compiled is None else self.compiled:
@@ -651,20 +744,18 @@ class GroupPlanner:
         self.scene, self.r0 = prepared.scene, prepared.r0
         self.w1, self.w2, self.v = prepared.w1, prepared.w2, prepared.v
         self.finger, self.object = prepared.finger, prepared.object
-        self.group = Group(prepared.contacts, prepared.r0, prepared.angle, prepared.at)
-        self.name: str = self._once(
-            "name",
-            lambda: group_name(self.scene, prepared.contacts),
-        )
+        self.pattern = pattern = prepared.pattern
+        self.group = Group(pattern.contacts, prepared.r0, prepared.angle, prepared.at)
+        self.name: str = self._once("name", lambda: group_name(self.scene, pattern.contacts))
 
     def run(self) -> Group:
         """Plan every interval in turn."""
         self._once("checked", self._refuse_endless)
-        if self.prepared.follows:
+        if self.pattern.follows:
             self._rolling_imposed()
             return self.group
         finger_until = self.prepared.begin
-        for interval in self.prepared.intervals:
+        for interval in self.pattern.intervals:
             if interval.pushed:
                 finger_until = interval.stop
             elif finger_until <= interval.start:
@@ -683,7 +774,7 @@ class GroupPlanner:
         if len(circles) == len(tracks) and not self.v.any():
             group.pair = pair_of(circles)
         kinds = len(group.finger), *((type(t), t.ambient) for t in tracks)
-        group.layouts = self.prepared.kept.setdefault(("layouts", self.compiled, kinds), {})
+        group.layouts = self.pattern.kept.setdefault(("layouts", self.compiled, kinds), {})
         return group
 
     def _once(self, key: Any, find: Callable[[], Any]) -> Any:
@@ -694,14 +785,14 @@ class GroupPlanner:
         return kept[key]
 
     def _refuse_endless(self) -> bool:
-        path = sum(interval.length for interval in self.prepared.intervals)
+        path = sum(interval.length for interval in self.pattern.intervals)
         for w, body in ((self.w1, self.finger), (self.w2 - self.v, self.object)):
             if len(w) < 8 and _greatest(w) * path <= ENDLESS * body.size:
                 continue  # the commonest, without numpy's 10 us
             with np.errstate(over="ignore"):
                 turns = np.hypot(w[:, 0], w[:, 1]) * path / body.sizes[:, 0]
             if not turns.max() <= ENDLESS:
-                worst = int(self.prepared.contacts[turns.argmax()])
+                worst = int(self.pattern.contacts[turns.argmax()])
                 raise SceneError(
                     f"scene '{self.scene.name}', contact {worst}: its path is {turns.max():.3g} "
                     f"times as long as {body.surface!r} is large, and no digit of the place would "
@@ -742,38 +833,51 @@ class GroupPlanner:
             kernel = development.axis_motion(body.surface, body.ambient)
             first, scale = body.state, body.scale
             numbers = [w, np.zeros_like(w), np.zeros_like(w)]
+        first, constants = contiguous(first), np.hstack([body.parameters, *numbers])
+        key = "geodesic", side, start, stop, form is None, body.ambient, self.compiled
+        known: MovingTrack | None = self.pattern.kept.get(key)
+        if known is not None:
+            problem = known.problem.moved(first, constants, scale=scale, name=self.name)
+            return known.moved(self.tolerance, problem, w, None)
         problem = Problem(
             name=self.name,
-            start=np.ascontiguousarray(first),
-            constants=np.hstack([body.parameters, *numbers]),
+            start=first,
+            constants=constants,
             scale=scale,
             drive=GainPiece(0.0, length, (1.0,), (0.0,), 0),
             length=length,
             first=min(length, 1.5 * body.size),
         )
-        return (GeodesicTrack if form else MovingTrack)(
+        track = (GeodesicTrack if form else MovingTrack)(
             body.surface, body.parameters, piece, why + "; no closed form on this surface",
             body.ambient, self.compiled, kernel, problem, self.tolerance, w, None,
         )  # fmt: skip
+        if start in self.pattern.edges:
+            self.pattern.kept[key] = track.again(self.tolerance)  # without what this one finds
+        return track
 
     def _great_circle(
         self, side: str, body: Body, w: np.ndarray, piece: GainPiece, why: str
     ) -> Track:
-        """A great circle; where it begins from a kept place, it is kept, else its kind is."""
-        known, key = self.prepared.kept, (side, piece.start, piece.stop, self.compiled)
-        track: CircleTrack | None = known.get(key)
-        first = piece.start == self.prepared.begin
-        if track is not None and first:
-            return track
+        """A great circle; the scene keeps the one from its start."""
+        key = side, piece.start, piece.stop, self.compiled
+        if piece.start == self.prepared.begin:
+            return self._once(key, lambda: self._new_circle(key, body, w, piece, why))
+        return self._new_circle(key, body, w, piece, why)
+
+    def _new_circle(
+        self, key: Hashable, body: Body, w: np.ndarray, piece: GainPiece, why: str
+    ) -> CircleTrack:
         circle = great_circle(body.surface, body.parameters, body.state, w)
-        if track is not None:
-            return track.moved(circle)
+        known: CircleTrack | None = self.pattern.kept.get(key)
+        if known is not None:
+            return known.moved(circle)
         track = CircleTrack(
             body.surface, body.parameters, piece.start, piece.stop, "closed form: great circle",
             why, True, self.compiled, circle=circle, piece=piece,
         )  # fmt: skip
-        if first or side == "finger":  # where an object's begins may depend on the tolerance
-            known[key] = track
+        if piece.start in self.pattern.edges:
+            self.pattern.kept[key] = track
         return track
 
     def _flat(
@@ -840,12 +944,14 @@ class GroupPlanner:
         stops = body.surface.great_circles and interval.length > LONG_REST * body.size
         finish = min(negligible, RATE_LEFT) if stops else negligible
         key = "driven", interval.start, body.ambient, self.compiled
-        known = self.prepared.kept.get(key)
+        known = self.pattern.kept.get(key)
         start, w, v = contiguous(body.state), contiguous(self.w2), contiguous(self.v)
         if known is not None and not stops:
             constants, n = known.problem.constants.copy(), body.parameters.shape[1]
             constants[:, n : n + 2], constants[:, n + 2 : n + 4] = w, v
-            problem = known.problem.moved(start, constants, slip=slip)
+            problem = known.problem.moved(
+                start, constants, slip=slip, scale=body.scale, name=self.name
+            )
             track = known.moved(self.tolerance, problem, w, v)
         else:
             aside = np.zeros_like(v) if offset is None else offset
@@ -868,7 +974,7 @@ class GroupPlanner:
                 body.surface, body.parameters, interval.piece, why, body.ambient, self.compiled,
                 kernel, problem, self.tolerance, w, v, offset,
             )  # fmt: skip
-            self.prepared.kept[key] = track.again(self.tolerance) if offset is None else None
+            self.pattern.kept[key] = track.again(self.tolerance) if offset is None else None
         if stops and track.panels.edges[-1] < span:
             track.stop = interval.start + track.panels.edges[-1]
         self._append("object", track)
@@ -882,12 +988,17 @@ class GroupPlanner:
         obj = self._in_form("object", interval.turns)
         tip = self._in_form("finger", True) if pushed else self.finger
         n1 = tip.state.shape[1] if pushed else 0
-        known: _Forced = self._once(
-            ("forced", start, tip.ambient, obj.ambient, self.compiled),
-            lambda: self._forced_problem(interval, tip, obj),
-        )
+        key = "forced", start, tip.ambient, obj.ambient, self.compiled
+        known: _Forced | None = self.pattern.kept.get(key)
+        if known is None:
+            known = self.pattern.kept[key] = self._forced_problem(interval, tip, obj)
         moving = [tip.state, self.w1, obj.state, self.v] if pushed else [obj.state, self.v]
-        panels = known.integrate(np.concatenate(moving, axis=1), self.w1, self.tolerance)
+        # slip is to be right to tolerance
+        scale = known.scale(tip, obj, pushed, min(1.0, max(_greatest(self.v), known.grown, 1e-3)))
+        given = np.concatenate([self._once("turn", self._turn), self.w1], axis=1)
+        panels = known.integrate(
+            self.name, np.concatenate(moving, axis=1), given, scale, self.tolerance
+        )
         method = f"forced development, {len(panels.edges) - 1} panels"
         last = panels.end.shape[1]
         rows_w1 = slice(n1, n1 + 2) if pushed else None
@@ -914,46 +1025,47 @@ class GroupPlanner:
         self.v = panels.end[:, rows_v].copy()
 
     def _forced_problem(self, interval: Interval, tip: Body, obj: Body) -> _Forced:
-        start, stop, pushed = interval.start, interval.stop, interval.pushed
-        self._refuse_rest(start, stop)
+        self._refuse_rest(interval.start, interval.stop)
+        span, pushed, forcing = interval.stop - interval.start, interval.pushed, interval.forcing
         kernel = development.axis_forced_motion(
             tip.surface, obj.surface, (tip.ambient, obj.ambient), pushed
         )
-        angle, forcing = self.prepared.angle, interval.forcing
-        turn = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         kinds = {
             FingerAcceleration: "finger acceleration", ObjectAcceleration: "object acceleration",
             ObjectRateOffset: "object rate offset",
         }  # fmt: skip
         d = [forcing[kind] for kind in kinds]
-        scales = [tip.scale, np.ones_like(self.w1)] if pushed else []
         problem = Problem(
             name=self.name,
             start=obj.state,
-            constants=np.hstack([tip.parameters, obj.parameters, turn, self.w1, *d]),
-            scale=np.hstack([*scales, obj.scale, self._slip_scale(interval, tip, obj)]),
+            constants=np.hstack([tip.parameters, obj.parameters, 0 * self.w1, 0 * self.w1, *d]),
+            scale=obj.scale,
             drive=interval.piece,
-            length=stop - start,
-            first=_first_panel(interval.piece, stop - start, min(tip.size, obj.size)),
+            length=span,
+            first=_first_panel(interval.piece, span, min(tip.size, obj.size)),
             slip=1.0,
             stiff=2,
         )
-        at = tip.parameters.shape[1] + obj.parameters.shape[1] + 2
+        at = tip.parameters.shape[1] + obj.parameters.shape[1]
         why = " and ".join(name for kind, name in kinds.items() if forcing[kind].any())
-        return _Forced(kernel, problem, slice(at, at + 2), why, self.compiled)
+        grown = self._slip_grown(interval, tip, obj)
+        return _Forced(kernel, problem, slice(at, at + 4), grown, why, self.compiled)
 
-    def _slip_scale(self, interval: Interval, tip: Body, obj: Body) -> np.ndarray:
-        """1 / (the slip that this interval can bring about), so that slip is right to tolerance."""
+    def _turn(self) -> np.ndarray:
+        """cos psi, sin psi."""
+        angle = self.prepared.angle
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+    def _slip_grown(self, interval: Interval, tip: Body, obj: Body) -> float:
+        """The slip that this interval can bring about."""
         speeds = self._speeds(interval)
         sides = ((FingerAcceleration, tip), (ObjectAcceleration, obj))
         pushes = [np.abs(interval.forcing[kind]).max() * body.size for kind, body in sides]
-        grown = (
+        return float(
             max(pushes)
             / max(min(speeds), TINY)
             * min(interval.stop - interval.start, self._slowest(interval))
         )
-        expected = max(float(np.abs(self.v).max()), grown)
-        return np.full_like(self.v, 1.0 / min(1.0, max(expected, 1e-3)))
 
     def _speeds(self, interval: Interval) -> list[float]:
         profile = self.scene.profile
@@ -970,7 +1082,7 @@ class GroupPlanner:
         profile = self.scene.profile
         inside = [t for t in profile.zeros(self.scene.duration) if start <= t <= stop]
         if inside:
-            names = ", ".join(str(i) for i in self.prepared.contacts)
+            names = ", ".join(str(i) for i in self.pattern.contacts)
             raise SceneError(
                 f"scene '{self.scene.name}', contact {names}: sigma = 0 at t = {inside[0]:g} s "
                 f"inside the window [{start:g}, {stop:g}] s of an acceleration, where the path "
@@ -1052,29 +1164,28 @@ def group_name(scene: Scene, contacts: np.ndarray) -> str:
     return f"scene '{scene.name}', contact {', '.join(map(str, contacts))}"
 
 
-def _body(surfaces: Sequence[Surface], starts: Starts, side: str) -> tuple[Body, np.ndarray]:
-    """Bodies of one structure where they start, and u, v, theta there.
+def _standing(
+    body: Body, surfaces: Sequence[Surface], starts: Starts, side: str
+) -> tuple[Body, np.ndarray]:
+    """Bodies where they start, and u, v, theta there.
 
     Frames lie along the contact frames, or where they have come to.
     """
-    first = surfaces[0]
-    parameters = np.array([s.parameters for s in surfaces], dtype=float)
+    first, parameters = body.surface, body.parameters
     at = np.array([getattr(s, f"{side}_at") for s in starts], dtype=float)
     begin = np.zeros((len(at), 3))
     begin[:, : at.shape[1]] = at
-    sizes = np.array([[s.size] for s in surfaces])
     if not prefers_ambient(first):
-        return Body(first, parameters, sizes, begin, False), begin
+        return body.at(begin, False), begin
     if first.has_chart and not isinstance(starts[0], Moment):
-        state = axis_kernel(first).at(begin, parameters)
-        return Body(first, parameters, sizes, state, True), begin
+        return body.at(axis_kernel(first).at(begin, parameters), True), begin
     if isinstance(starts[0], Moment):
         state = np.array([getattr(s, f"{side}_frame")[:AXIS] for s in starts])
     else:  # the point is found numerically
         x = np.array([s.point(*q) for s, q in zip(surfaces, at)])
         frames = np.array([s.frame(*q) for s, q in zip(surfaces, at)])
         state = np.hstack([x, frames[:, :, 0]])
-    return Body(first, parameters, sizes, restoring_axis(first).at(state, parameters), True), begin
+    return body.at(restoring_axis(first).at(state, parameters), True), begin
 
 
 def _greatest(v: np.ndarray) -> float:

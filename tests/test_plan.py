@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
+from collections import OrderedDict
+from concurrent.futures import ThreadPoolExecutor
 from math import pi
 
 import numpy as np
@@ -11,6 +14,7 @@ from conftest import SURFACES, one_contact, path_velocities, reflection, slip_of
 from numpy.polynomial import polynomial
 
 import contact_system as cs
+from contact_system import planner
 from contact_system.errors import ContactSystemError, SceneError
 
 ASK = ("states", "points", "slip", "acceleration", "pose", "twist", "angles")
@@ -244,6 +248,73 @@ def test_undisturbed_contact_is_not_integrated_because_another_is_disturbed():
     others = disturbed.explain().split("contacts 1, 2:")[1]
     assert "great circle" in others and "skipped: all integration" in others
     assert "panels" not in others
+
+
+@pytest.mark.parametrize("compiled", [False, None])
+@pytest.mark.parametrize("obj, finger", [
+    ("sphere", "sphere"), ("ellipsoid", "sphere"), ("torus", "ellipsoid"), ("cylinder", "torus"),
+    ("rounded cube", "bumps"),
+])  # fmt: skip
+@pytest.mark.parametrize("kinds", [
+    (cs.FingerAcceleration,), (cs.ObjectAcceleration,), (cs.ObjectRateOffset,),
+    (cs.FingerAcceleration, cs.ObjectRateOffset),
+])  # fmt: skip
+def test_a_plan_does_not_depend_on_scenes_planned_before(monkeypatch, kinds, obj, finger, compiled):
+    windows = [kind(0, 0.2, 0.4 + 0.1 * k, (0.3, -0.2)) for k, kind in enumerate(kinds)]
+    scene = one_contact(obj, finger).replace(disturbances=windows, name="second")
+    start, t = scene.contacts[0], np.linspace(0, 1, 21)
+    other = dataclasses.replace(
+        start, angle=start.angle + 0.4, finger_velocity=(0.3, -0.8), object_velocity=(0.1, 0.5),
+        object_at=np.multiply(start.object_at, 1.01),
+    )  # fmt: skip
+
+    def found() -> list:
+        plan = cs.plan(scene.replace(), compiled=compiled)
+        return [plan.explain(), *(getattr(plan, ask)(t).tobytes() for ask in ASK)]
+
+    monkeypatch.setattr(planner, "_PATTERNS", OrderedDict())
+    alone = found()
+    monkeypatch.setattr(planner, "_PATTERNS", OrderedDict())
+    cs.plan(scene.replace(contacts=[other], name="first"), 1e-6, compiled=compiled).states(t)
+    assert len(planner._PATTERNS) == 1
+    assert found() == alone
+    assert len(planner._PATTERNS) == 1
+
+
+def test_a_refusal_names_the_scene_that_is_planned_now():
+    for name in ("one", "two"):
+        windows = [cs.ObjectRateOffset(0, 0.1, 1.0, (-3.0, 0.0))]
+        scene = one_contact("sphere", "sphere").replace(disturbances=windows, name=name)
+        with pytest.raises(cs.ContactSystemError, match=f"scene '{name}', contact 0: .*pole"):
+            cs.plan(scene).states([0.0, 1.0])
+
+
+def test_few_patterns_are_remembered(monkeypatch):
+    monkeypatch.setattr(planner, "_PATTERNS", OrderedDict())
+    scene = one_contact("sphere", "sphere")
+    for k in range(planner.PATTERNS + 10):
+        cs.plan(scene.replace(gain=cs.Gain.time(10.0 + k)), compiled=False)
+    assert len(planner._PATTERNS) == planner.PATTERNS
+    newest = next(reversed(planner._PATTERNS))
+    cs.plan(scene.replace(contacts=scene.contacts * 50), compiled=False)
+    assert len(planner._PATTERNS) == planner.PATTERNS
+    assert next(reversed(planner._PATTERNS)) == newest  # a crowd is not remembered
+
+
+def test_disturbed_scenes_are_planned_in_many_threads():
+    rng, t = np.random.default_rng(7), np.linspace(0, 1, 31)
+    scenes = []
+    for _ in range(48):
+        angle, heading = rng.uniform(-3, 3, 2)
+        scenes.append(busy(angle=angle, finger_velocity=(np.cos(heading), np.sin(heading))))
+
+    def answer(scene: cs.Scene) -> bytes:
+        plan = cs.plan(scene, 1e-9)
+        return plan.states(t).tobytes() + plan.points(t).tobytes()
+
+    with ThreadPoolExecutor(8) as pool:
+        together = list(pool.map(answer, scenes))
+    assert together == [answer(scene.replace()) for scene in scenes]
 
 
 # --- which way is taken
