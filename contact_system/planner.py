@@ -68,7 +68,7 @@ TINY = 1e-300  # keeps 1/0 out
 ENDLESS = 1e12
 
 
-@dataclass(frozen=True)
+@dataclass
 class Start:
     """Where one contact starts, in its contact frames at the start time.
 
@@ -513,7 +513,7 @@ class Pattern:
         return {interval.start for interval in self.intervals}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Prepared:
     """What the scene alone says about a group; kept with the scene, so worked out once.
 
@@ -577,8 +577,8 @@ def prepare(scene: Scene, starts: Starts, begin: float) -> list[Prepared]:
     parts = found[:, :4], numbers[:, 1:3], found[:, 4:6], numbers[:, 3:5] if moved else found[:, 6:]
     turns, w1, w2, v = map(np.ascontiguousarray, parts)  # C reads them
     turns = turns.reshape(-1, 2, 2)
-    slips: list[bool] = v.any(axis=1).tolist()  # type: ignore[assignment]
-    groups, patterns = [], _patterns(scene, tuple(slips), begin)
+    slips = tuple([x != 0.0 or y != 0.0 for x, y in v.tolist()])
+    groups, patterns = [], _patterns(scene, slips, begin)
     for pattern in patterns:
         indices = pattern.contacts.tolist()
         own = [starts[i] for i in indices]
@@ -1053,8 +1053,7 @@ class GroupPlanner:
 
     def _turn(self) -> np.ndarray:
         """cos psi, sin psi."""
-        angle = self.prepared.angle
-        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return np.array([(math.cos(x), math.sin(x)) for x in self.prepared.angle.tolist()])
 
     def _slip_grown(self, interval: Interval, tip: Body, obj: Body) -> float:
         """The slip that this interval can bring about."""
@@ -1161,7 +1160,7 @@ class RollingTrack(PanelTrack):
 
 def group_name(scene: Scene, contacts: np.ndarray) -> str:
     """Contacts of a scene, for messages."""
-    return f"scene '{scene.name}', contact {', '.join(map(str, contacts))}"
+    return f"scene '{scene.name}', contact {', '.join(map(str, contacts.tolist()))}"
 
 
 def _standing(
@@ -1172,9 +1171,8 @@ def _standing(
     Frames lie along the contact frames, or where they have come to.
     """
     first, parameters = body.surface, body.parameters
-    at = np.array([getattr(s, f"{side}_at") for s in starts], dtype=float)
-    begin = np.zeros((len(at), 3))
-    begin[:, : at.shape[1]] = at
+    places = [getattr(s, f"{side}_at") for s in starts]
+    begin = np.array([(*at, 0.0)[:3] for at in places], dtype=float)  # theta is 0 at a start
     if not prefers_ambient(first):
         return body.at(begin, False), begin
     if first.has_chart and not isinstance(starts[0], Moment):
@@ -1182,8 +1180,8 @@ def _standing(
     if isinstance(starts[0], Moment):
         state = np.array([getattr(s, f"{side}_frame")[:AXIS] for s in starts])
     else:  # the point is found numerically
-        x = np.array([s.point(*q) for s, q in zip(surfaces, at)])
-        frames = np.array([s.frame(*q) for s, q in zip(surfaces, at)])
+        x = np.array([s.point(*q) for s, q in zip(surfaces, places)])
+        frames = np.array([s.frame(*q) for s, q in zip(surfaces, places)])
         state = np.hstack([x, frames[:, :, 0]])
     return body.at(restoring_axis(first).at(state, parameters), True), begin
 
@@ -1191,7 +1189,7 @@ def _standing(
 def _greatest(v: np.ndarray) -> float:
     """Greatest length of the rows of (n, 2)."""
     if len(v) < 8:
-        return max(math.hypot(x, y) for x, y in v.tolist())
+        return max(map(math.hypot, *v.T.tolist()))
     return float(np.hypot(v[:, 0], v[:, 1]).max())
 
 
