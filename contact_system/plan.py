@@ -137,14 +137,11 @@ class Plan:
         at_once = self._states_at_once(t)
         if at_once is not None:
             return at_once
-        sides = self._fill("coordinates", t, 5)  # u v u' v' theta of the finger, then of the object
-        out = np.empty((self._count, 9, sides.shape[2]))
-        out[:, :4] = sides[:, :4]
-        out[:, 4:8] = sides[:, 5:9]
-        psi = out[:, 8]
-        np.add(sides[:, 4], sides[:, 9], out=psi)
-        np.subtract(self._angles(), psi, out=psi)
-        return out.transpose(2, 0, 1)
+        out = self._fill("coordinates", t, 5)  # u v u' v' theta of the finger, then of the object
+        psi = self._angles() - (out[:, 4] + out[:, 9])
+        out[:, 4:8] = out[:, 5:9]
+        out[:, 8] = psi
+        return out[:, :9].transpose(2, 0, 1)
 
     def points(self, t: ArrayLike) -> np.ndarray:
         """Contact point on finger and object, each in its body's frame: (len(t), n, 2, 3), m."""

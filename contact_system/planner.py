@@ -692,7 +692,7 @@ class _Forced:
         Slip that the accelerations can bring about.
     why : str
     compiled : bool or None
-    shared: dict
+    shared : dict
         See PanelTrack.
     scales : dict
         By slip: those that do not depend on where the contacts are.

@@ -40,10 +40,13 @@ _BISECTIONS = 200  # down to neighbouring floats, also for a root very close to 
 
 def polynomial(coefficients: Sequence, t):
     """The value at t, numbers or symbols, of a polynomial; coefficients from the lowest power."""
-    result = 0.0 * t
-    for c in reversed(coefficients):
-        result = result * t + c
-    return result
+    if len(coefficients) < 2:
+        return sum(coefficients, 0.0 * t)
+    result = coefficients[-1] * t
+    for c in reversed(coefficients[1:-1]):
+        result += c  # in place for arrays
+        result *= t
+    return result + coefficients[0]
 
 
 def _noise(coefficients: Sequence[float], t: float) -> float:
