@@ -133,7 +133,8 @@ class Program:
             compiler = _compiler(self.target)
             # Named without a folder, a library is looked for by its name when the program starts.
             link.append(Path(shutil.copy(fmu.library(self.target), self.folder)).name)
-            link += [] if windows else ["-Wl,-rpath,$ORIGIN"]
+            # stripped as the library is: for other files ziglang builds its C library once more
+            link += ["-s"] if windows else ["-Wl,-rpath,$ORIGIN"]
         compiled, objects = [*compiler, *flags], [f"{file.stem}.o" for file in sources]
         commands = [[*compiled, "-c", str(c), "-o", o] for c, o in zip(sources, objects)]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
