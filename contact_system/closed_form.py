@@ -20,14 +20,13 @@ import numpy as np
 from .development import Panels
 from .kernels import Kernel, address, per_structure
 from .profile import GainPiece
-from .surfaces import Sphere, Surface
+from .surfaces import Surface
 from .tracks import (
     AXIS,
     Evaluator,
     Track,
     TrackData,
     drive_data,
-    frame_coordinates,
     frame_kernel,
     point_kernel,
     rotation,
@@ -40,6 +39,7 @@ SX = ca.SX
 # computed in doubled precision instead.  256 rad leave 256 * 1.1e-16 * 2 = 6e-14 of the radius.
 LONG_PHASE = 256.0
 TINY = 1e-300  # keeps 0/0 out of what is not used
+TURN = 2 * np.pi
 
 
 @per_structure
@@ -47,51 +47,42 @@ def circle_kernel(surface: Surface, output: str) -> Kernel:
     """Great circle through x0 along e: x = x0 cos(phi) + r e sin(phi).
 
     point: phi modulo 2 pi, speed, phi. constant: parameters, x0/r (3), e (3), b = third axis (3),
-    direction of the drive in [p q] (2), branch (3). ``output``: "points" -> x; "frames" -> x, p, q;
-    "coordinates" -> u, v, u', v', theta.
+    direction of the drive in [p q] (2), inclination (cosine, sine), phase of x0 from the node where
+    the circle crosses the equator upwards and longitude of that node (4 in all), branch (3).
+    ``output``: "points" -> x; "frames" -> x, p, q; "coordinates" -> u, v, u', v', theta.
 
-    A great circle's longitude stays within pi/2 of branch[0] + branch[1] phi, and theta within pi/2
-    of branch[2], which makes both continuous after any number of turns.
+    By spherical trigonometry a great circle's longitude stays within pi/2 of branch[0] + branch[1]
+    phi, and theta within pi/2 of branch[2]; both are continuous after any number of turns.
     """
     point, p = SX.sym("point", 3), SX.sym("p", len(surface.parameters))
     start, along, across = SX.sym("n", 3), SX.sym("e", 3), SX.sym("b", 3)
-    turn, branch = SX.sym("w", 2), SX.sym("branch", 4)
+    turn, node, branch = SX.sym("w", 2), SX.sym("node", 4), SX.sym("branch", 3)
+    constant = ca.vertcat(p, start, along, across, turn, node, branch)
+    if output == "coordinates":
+        flat, steep = node[0], node[1]
+        sin, cos = ca.sin(point[0] + node[2]), ca.cos(point[0] + node[2])
+        rho, climb = ca.sqrt(cos**2 + (flat * sin) ** 2), steep * cos  # sin u, dz/dphi
+        bend = -(steep**2) / (1 + flat)  # flat - 1
+        lead = ca.atan2(bend * (sin * cos), cos**2 + flat * sin**2)
+        v = branch[0] + branch[1] * (point[2] + lead)
+        pace = point[1] / rho
+        rates = ca.vertcat((-1 / p[0]) * (climb * pace), (branch[1] * flat / p[0]) * (pace / rho))
+        theta = branch[2] + branch[1] * ca.atan2(climb, flat)
+        result = ca.vertcat(ca.atan2(rho, steep * sin), v, rates, theta)
+        return Kernel("circle_coordinates", point, constant, result)
     cos, sin = ca.cos(point[0]), ca.sin(point[0])
     x = cos * (p[0] * start) + sin * (p[0] * along)
-    constant = ca.vertcat(p, start, along, across, turn, branch)
     if output == "points":
         return Kernel("circle_points", point, constant, x)
     tangent = cos * along - sin * start
-    if output == "frames":
-        first = turn[0] * tangent - turn[1] * across
-        second = turn[1] * tangent + turn[0] * across
-        return Kernel("circle_frames", point, constant, ca.vertcat(x, first, second))
-    u, v = surface.coordinates_expr(p, x)
-    if type(surface) is Sphere:
-        # In the sphere's own chart the tangent's components are those of the polar axis:
-        # e.x = -e_z/sin u, e.y = (n x e)_z/sin u; a third fewer operations than the general frame.
-        sense = -1 if surface.inside else 1
-        rho = ca.sqrt(x[0] ** 2 + x[1] ** 2)
-        down = sin * start[2] - cos * along[2]
-        east = sense * (start[0] * along[1] - start[1] * along[0])
-        rates = ca.vertcat(down * point[1] / rho, point[1] * (p[0] * east) / rho**2)
-        azimuth = ca.atan2(east, down)
-    else:
-        values = frame_coordinates(surface, p, x, tangent, point[1] * tangent)
-        rates, azimuth = values[2:4], values[4]
-    theta = nearest_branch(azimuth - branch[3], branch[2], 0)
-    v = nearest_branch(v, branch[0], branch[1], point[2])
-    return Kernel("circle_coordinates", point, constant, ca.vertcat(u, v, rates, theta))
+    first = turn[0] * tangent - turn[1] * across
+    second = turn[1] * tangent + turn[0] * across
+    return Kernel("circle_frames", point, constant, ca.vertcat(x, first, second))
 
 
-def nearest_branch(angle: SX, reference: SX, slope: SX | float, phase: SX | float = 0) -> SX:
-    """The angle, by whole turns as near as can be to ``reference + slope phase``.
-
-    Written so that what is constant for a body is computed once a body.
-    """
-    turn = 2 * np.pi
-    turns = (reference / turn + 0.5) + (slope / turn) * phase
-    return angle + turn * ca.floor(turns - angle * (1 / turn))
+def nearest_branch(angle: SX, reference: SX | float) -> SX:
+    """The angle, by whole turns as near as can be to a reference."""
+    return angle + TURN * ca.floor((reference - angle) / TURN + 0.5)
 
 
 @per_structure
@@ -134,6 +125,8 @@ class CircleTrack(Track):
             points[0] = phase
         if self._long:
             points[0] = long_phase(circle.w, self.parameters[:, 0], self.piece.sigma, tau)
+            if not only_place:
+                points[2] = points[0] + TURN * np.rint((points[2] - points[0]) / TURN)
         return points.transpose(1, 0, 2)
 
     def state(self, t: np.ndarray) -> np.ndarray:
@@ -232,8 +225,8 @@ class Circle:
 
     def branch(self, begin: np.ndarray) -> None:
         """Fix the branch of v and theta from (u, v, theta) at the start: (n, 3)."""
-        points = np.concatenate([begin, self.w], axis=1)
-        self.constants[:, -4:] = circle_branch().at(points, np.empty((len(points), 0)))
+        points = np.concatenate([begin, self.w, self.constants[:, -5:-3]], axis=1)
+        self.constants[:, -3:] = circle_branch().at(points, np.empty((len(points), 0)))
         self.branched = True
 
 
@@ -264,24 +257,23 @@ def pair_of(tracks: Sequence[CircleTrack]) -> CircleTrack | None:
 
 @functools.cache
 def circle_branch() -> Kernel:
-    """point: u, v, theta, w (2) -> the branch of :func:`circle_kernel`'s constants.
+    """point: u, v, theta, w (2), phase and longitude of the node -> the branch of
+    :func:`circle_kernel`'s constants.
 
-    Spherical trigonometry from the highest point of the circle, where the longitude of the circle
-    equals its phase: v - (branch[0] + branch[1] phi) = atan2(cos i sin, cos) - phase.
+    u, v, theta say which branch, and may be a little off; where the circle is, the node says.
     """
-    point = SX.sym("point", 5)
-    u, v, theta, w = ca.vertsplit(point, [0, 1, 2, 3, 5])
+    point = SX.sym("point", 7)
+    u, v, theta, w, past, node = ca.vertsplit(point, [0, 1, 2, 3, 5, 6, 7])
     turn = ca.atan2(w[1], w[0])  # 0 for a point at rest
     azimuth = theta + turn
     sense = ca.if_else(ca.sin(azimuth) < 0, -1, 1)
     phase = np.pi / 2 + ca.atan2(ca.sin(u) * ca.cos(azimuth), ca.cos(u))
     tilt = ca.fabs(ca.sin(azimuth)) * ca.sin(u)
     lead = ca.atan2(tilt * ca.sin(phase), ca.cos(phase)) - phase
-    lead = nearest_branch(lead, SX(0), 0)
-    middle = nearest_branch(sense * (np.pi / 2) - turn, theta, 0)
-    return Kernel(
-        "circle_branch", point, SX(0, 1), ca.vertcat(v - sense * lead, sense, middle, turn)
-    )
+    reference = v - sense * nearest_branch(lead, 0.0)
+    begin = nearest_branch(node + sense * past, reference)
+    middle = nearest_branch(sense * (np.pi / 2) - turn, theta)
+    return Kernel("circle_branch", point, SX(0, 1), ca.vertcat(begin, sense, middle))
 
 
 @per_structure
@@ -296,7 +288,12 @@ def circle_start(surface: Surface) -> Kernel:
     turn = ca.if_else(pace > 0, w / ca.fmax(pace, TINY), ca.vertcat(1, 0))
     along, across = turn[0] * p + turn[1] * q, turn[0] * q - turn[1] * p
     r = numbers[0]
-    result = ca.vertcat(numbers, x / r, along, across, turn, SX(4, 1), pace, pace / r)
+    n = x / r
+    past = ca.atan2(n[2], along[2])
+    _, node = surface.coordinates_expr(numbers, r * (ca.cos(past) * n - ca.sin(past) * along))
+    flat = ca.fabs(n[0] * along[1] - n[1] * along[0])
+    circle = ca.vertcat(flat, ca.norm_2(ca.vertcat(n[2], along[2])), past, node)
+    result = ca.vertcat(numbers, n, along, across, turn, circle, SX(3, 1), pace, pace / r)
     return Kernel("circle_start", ca.vertcat(axis, w), numbers, result)
 
 

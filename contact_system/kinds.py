@@ -104,8 +104,8 @@ def _held(form: _Form, body: _Body) -> tuple[Fields, list[SX]]:
     """The fields of a track, and numbers that must keep within its :func:`_limits`."""
     if form.kind is CircleTrack:
         found = circle_start(body.surface).function(ca.vertcat(body.state(True), body.w), body.p)
-        branch = circle_branch().function(ca.vertcat(body.begin, body.w), NONE)
-        constants, pace, phase = found[:-6], found[-2], found[-1]
+        constants, pace, phase = found[:-5], found[-2], found[-1]
+        branch = circle_branch().function(ca.vertcat(body.begin, body.w, constants[-2:]), NONE)
         return {"pace": pace, "phase": phase, "constants": ca.vertcat(constants, branch)}, [phase]
     if form.kind is FlatTrack:
         lame = lame_kernel(body.surface).function(body.begin, body.p)

@@ -432,17 +432,30 @@ def test_path_through_an_umbilic_is_smooth(slipping):
     assert_smooth_across(cs.plan(scene), np.array([0.3 * sqrt(5 / 8), 0.0, 0.1 * sqrt(3 / 8)]))
 
 
-def test_states_are_refused_at_a_pole_where_points_and_pose_are_not():
+@pytest.mark.parametrize("compiled", [False, None])
+def test_states_at_a_pole_are_those_of_one_side_or_the_other(compiled):
     # North along a meridian at 0.1 m/s on a radius of 0.1 m: u = u0 - t, but for rounding.
     u0 = 0.7
     scene = one_contact("sphere", "plane", angle=0.0, object_at=(u0, 0.0), profile=(0.1,),
                         finger_velocity=(-1.0, 0.0), object_velocity="rolling")  # fmt: skip
-    plan = cs.plan(scene, compiled=False)
+    plan = cs.plan(scene, compiled=compiled)
     t = u0 + np.arange(-40, 41) * np.spacing(u0)
     x = plan.points(t)[:, 0, 1]
     assert x == pytest.approx(np.broadcast_to([0.0, 0.0, 0.1], x.shape), abs=1e-15)
-    (on_axis,) = np.nonzero((x[:, 0] == 0) & (x[:, 1] == 0))
     assert np.isfinite(plan.pose(t)).all() and np.isfinite(plan.twist(t)).all()
-    with pytest.raises(ChartSingularity, match="pole .*Ask for points, pose and twist"):
-        plan.states(t[on_axis[0]])
-    assert np.isfinite(plan.states([u0 - 1e-9, u0 + 1e-9])).all()
+    u, v, du, dv = plan.states(t)[:, 0, 4:8].T
+    assert np.abs(scene.object.point(u, v) - x).max() < 1e-16
+    turned = np.abs(v) > 1.0  # beyond the pole v is half a turn away and u grows
+    assert np.array_equal(np.sign(du), np.where(turned, 1.0, -1.0)) and not dv.any()
+    assert np.abs(np.abs(v) - np.where(turned, pi, 0.0)).max() < 1e-15
+    assert turned[-1] and not turned[0]
+
+
+@pytest.mark.parametrize("compiled", [False, None])
+def test_no_state_leaves_that_is_not_finite(compiled):
+    plan = cs.plan(one_contact("sphere", "plane", object_velocity="rolling"), compiled=compiled)
+    plan.states([0.2])
+    plan.groups[0].object[0].circle.constants[0, -3:] = np.nan
+    message = "scene 'plane on sphere', contact 0: .*pole .*Ask for points, pose and twist"
+    with pytest.raises(ChartSingularity, match=message):
+        plan.states([0.1, 0.3])
