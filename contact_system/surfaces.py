@@ -47,6 +47,7 @@ from contact_system.geometry import ChartGeometry, chart_geometry, revolved_geom
 # A contact frame whose axes shrink below this fraction of the surface's size is taken as lost.
 # A pole typed with 16 digits gives 1e-16, a point 1e-9 rad from one still gives 1e-9.
 SINGULAR = 1e-12
+LEAST_LENGTH = 1e-150  # m; squares of less, and what is divided by them, are no numbers any more
 
 # CasADi functions by (surface structure, what they compute).
 _FUNCTIONS: dict[tuple[Hashable, str], ca.Function] = {}
@@ -715,6 +716,11 @@ def positive_length(surface: Surface, name: str, value: Any) -> float:
         raise SurfaceError(
             f"{kind}: {name} = {value!r} must be a positive length in metres; for a concave "
             "surface give the length positive and inside=True"
+        )
+    if number < LEAST_LENGTH:
+        raise SurfaceError(
+            f"{kind}: {name} = {value!r} m is below {LEAST_LENGTH:g} m, and its square is no "
+            "number any more; use a smaller unit of length"
         )
     return number
 

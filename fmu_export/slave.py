@@ -303,8 +303,8 @@ class _Slave:
             text = f"{self._name(reference)} = {value!r} is refused; give a finite number"
             self._refuse(function, DISCARD, text)
         if value < self._least.get(reference, value):
-            remedy = "a positive number" if self._least[reference] > 0 else "0 or more"
-            text = f"{self._name(reference)} = {value!r} is refused; give {remedy}"
+            least = self._least[reference]
+            text = f"{self._name(reference)} = {value!r} is refused; give {least:g} or more"
             self._refuse(function, DISCARD, text)
 
     def _require_known(self, function: str, reference: int) -> None:

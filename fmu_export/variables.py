@@ -10,7 +10,6 @@ Names are structured (FMI 2.0.4, section 2.2.9; FMI 3.0.2, section 2.4.7.5.1) an
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from contact_system.scene import Contact, Scene
-from contact_system.surfaces import Surface
+from contact_system.surfaces import LEAST_LENGTH, Surface
 from contact_system.system import SceneSystem
 from contact_system.user_surfaces import UserSurface
 
@@ -238,8 +237,8 @@ def _parameter(scene: Scene, name: str, reference: int, value: float) -> Variabl
         unit, text = (1, -1 - power, 0), f"Path profile sigma(t), coefficient of t^{power}"
     elif _is_user_or_quadric(scene, owner):
         unit = None
-    else:  # a length, which is not 0
-        low, nominal = sys.float_info.min, value
+    else:
+        low, nominal = LEAST_LENGTH, value
     return Variable(
         name, reference, "parameter", variability, "exact", text, unit, (value,), minimum=low,
         nominal=nominal or None,

@@ -536,7 +536,7 @@ def test_a_length_that_is_not_positive_is_refused_where_it_is_set(version, expor
         fmu.messages.clear()
         with pytest.raises(FMICallException):
             fmu.set(one, {"object.radius": value})
-        words = f"object.radius = {value:g} is refused; give a positive number"
+        words = f"object.radius = {value:g} is refused; give 1e-150 or more"
         assert words in fmu.messages[0][2]
 
 

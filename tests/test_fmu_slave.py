@@ -576,7 +576,7 @@ def test_wrong_values_are_refused_and_the_instance_survives():
             status=DISCARD, logged=logged)  # fmt: skip
     for value in (0.0, -1.0):
         fresh = PlannerSlave2(one_contact())
-        words = f"object.radius = {value} is refused; give a positive number"
+        words = f"object.radius = {value} is refused; give 1e-150 or more"
         refused(fresh.setReal, [of["object.radius"]], [value], words=words, status=DISCARD)
     for name, words in (
         ("contact[1].finger.u", "is a start value; set it before initialization ends"),

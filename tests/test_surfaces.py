@@ -622,6 +622,7 @@ def test_point_off_a_parametric_surface_is_an_error_not_an_answer():
         (lambda: Torus(0.1, 0.2), ["minor = 0.2", "major = 0.1"]),
         (lambda: Torus(0.1, 0.1), ["minor = 0.1"]),
         (lambda: Ellipsoid(0.1, 0.2, 0.3), ["a >= b >= c", "Ellipsoid(0.3, 0.2, 0.1)"]),
+        (lambda: Sphere(1e-160), ["Sphere: radius = 1e-160 m", "use a smaller unit"]),
         (lambda: Quadric(-np.eye(3)), ["none positive"]),
         (lambda: Quadric(np.diag([-1.0, 0.0, 0.0])), ["none positive"]),
         (lambda: Quadric(np.zeros((3, 3))), ["none positive"]),

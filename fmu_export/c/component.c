@@ -576,8 +576,8 @@ status_t check_value(component_t *c, unsigned reference, double value) {
     return report(c, DISCARD, "logStatusDiscard", "%s = %g is refused; give a finite number",
                   names[reference], value);
   if (value < least[reference])
-    return report(c, DISCARD, "logStatusDiscard", "%s = %.9g is refused; give %s", names[reference], value,
-                  least[reference] > 0 ? "a positive number" : "0 or more");
+    return report(c, DISCARD, "logStatusDiscard", "%s = %.9g is refused; give %g or more", names[reference],
+                  value, least[reference]);
   return OK;
 }
 
