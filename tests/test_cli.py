@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import refuse_at
 
 import contact_system as cs
 from contact_system import cli
@@ -98,14 +99,8 @@ def test_a_sample_time_at_a_pole_is_left_out_of_the_files(tmp_path, monkeypatch,
     # One contact rolls over the pole at 0.1 m/s on a radius of 0.1 m, at t = 0.7 but for rounding,
     # by which its states exist; they are refused here. The other one's window starts at that very
     # time and makes it a sample time.
-    pole, ask = 0.7, cs.Plan.states
-
-    def states(plan: cs.Plan, t):
-        if (np.asarray(t) == pole).any():
-            raise plan.groups[0].object[0].singular(pole)
-        return ask(plan, t)
-
-    monkeypatch.setattr(cs.Plan, "states", states)
+    pole = 0.7
+    refuse_at(monkeypatch, [pole], "states")
     rolls = cs.Contact(finger=cs.Plane(), finger_at=(0, 0), object_at=(0.7, 0.0),
                        finger_velocity=(-1, 0))  # fmt: skip
     scene = cs.Scene(name="pole", object=cs.Sphere(0.1), profile=cs.Profile([0.1]), duration=1,
@@ -132,17 +127,7 @@ def test_table_and_picture_need_no_chart(tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
     assert _run("run", "K1", "--out", tmp_path / "all") == 0
     whole = capsys.readouterr().out
-
-    def refusing(ask):
-        def asked(plan, t):
-            if np.isin([0.4, 0.5], t).any():
-                raise cs.ChartSingularity("a pole")
-            return ask(plan, t)
-
-        return asked
-
-    for name in ("states", "slip"):
-        monkeypatch.setattr(cs.Plan, name, refusing(getattr(cs.Plan, name)))
+    refuse_at(monkeypatch, [0.4, 0.5], "states", "slip")
     assert _run("run", "K1", "--out", tmp_path / "some") == 0
     out = capsys.readouterr().out
     assert "left out of the files: 2 sample times from t = 0.4 to 0.5 s;" in out
