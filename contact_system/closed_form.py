@@ -62,9 +62,7 @@ def circle_kernel(surface: Surface, output: str) -> Kernel:
         flat, steep = node[0], node[1]
         sin, cos = ca.sin(point[0] + node[2]), ca.cos(point[0] + node[2])
         rho, climb = ca.sqrt(cos**2 + (flat * sin) ** 2), steep * cos  # sin u, dz/dphi
-        bend = -(steep**2) / (1 + flat)  # flat - 1
-        lead = ca.atan2(bend * (sin * cos), cos**2 + flat * sin**2)
-        v = branch[0] + branch[1] * (point[2] + lead)
+        v = branch[0] + branch[1] * (point[2] + _lead(flat, steep, sin, cos))
         pace = point[1] / rho
         rates = ca.vertcat((-1 / p[0]) * (climb * pace), (branch[1] * flat / p[0]) * (pace / rho))
         theta = branch[2] + branch[1] * ca.atan2(climb, flat)
@@ -78,6 +76,12 @@ def circle_kernel(surface: Surface, output: str) -> Kernel:
     first = turn[0] * tangent - turn[1] * across
     second = turn[1] * tangent + turn[0] * across
     return Kernel("circle_frames", point, constant, ca.vertcat(x, first, second))
+
+
+def _lead(flat: SX, steep: SX, sin: SX, cos: SX) -> SX:
+    """By how much a great circle's longitude from its node is ahead of its phase: within pi/2."""
+    bend = -(steep**2) / (1 + flat)  # flat - 1
+    return ca.atan2(bend * (sin * cos), cos**2 + flat * sin**2)
 
 
 def nearest_branch(angle: SX, reference: SX | float) -> SX:
@@ -225,7 +229,7 @@ class Circle:
 
     def branch(self, begin: np.ndarray) -> None:
         """Fix the branch of v and theta from (u, v, theta) at the start: (n, 3)."""
-        points = np.concatenate([begin, self.w, self.constants[:, -5:-3]], axis=1)
+        points = np.concatenate([begin[:, 1:], self.w, self.constants[:, -7:-3]], axis=1)
         self.constants[:, -3:] = circle_branch().at(points, np.empty((len(points), 0)))
         self.branched = True
 
@@ -257,20 +261,16 @@ def pair_of(tracks: Sequence[CircleTrack]) -> CircleTrack | None:
 
 @functools.cache
 def circle_branch() -> Kernel:
-    """point: u, v, theta, w (2), phase and longitude of the node -> the branch of
-    :func:`circle_kernel`'s constants.
+    """point: v, theta, w (2), node (4) -> the branch of :func:`circle_kernel`'s constants.
 
-    u, v, theta say which branch, and may be a little off; where the circle is, the node says.
+    v and theta say which branch, and may be a little off; where the circle is, the node says.
     """
-    point = SX.sym("point", 7)
-    u, v, theta, w, past, node = ca.vertsplit(point, [0, 1, 2, 3, 5, 6, 7])
+    point = SX.sym("point", 8)
+    v, theta, w, flat, steep, past, node = ca.vertsplit(point, [0, 1, 2, 4, 5, 6, 7, 8])
     turn = ca.atan2(w[1], w[0])  # 0 for a point at rest
     azimuth = theta + turn
     sense = ca.if_else(ca.sin(azimuth) < 0, -1, 1)
-    phase = np.pi / 2 + ca.atan2(ca.sin(u) * ca.cos(azimuth), ca.cos(u))
-    tilt = ca.fabs(ca.sin(azimuth)) * ca.sin(u)
-    lead = ca.atan2(tilt * ca.sin(phase), ca.cos(phase)) - phase
-    reference = v - sense * nearest_branch(lead, 0.0)
+    reference = v - sense * _lead(flat, steep, ca.sin(past), ca.cos(past))
     begin = nearest_branch(node + sense * past, reference)
     middle = nearest_branch(sense * (np.pi / 2) - turn, theta)
     return Kernel("circle_branch", point, SX(0, 1), ca.vertcat(begin, sense, middle))

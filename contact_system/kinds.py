@@ -105,7 +105,7 @@ def _held(form: _Form, body: _Body) -> tuple[Fields, list[SX]]:
     if form.kind is CircleTrack:
         found = circle_start(body.surface).function(ca.vertcat(body.state(True), body.w), body.p)
         constants, pace, phase = found[:-5], found[-2], found[-1]
-        branch = circle_branch().function(ca.vertcat(body.begin, body.w, constants[-2:]), NONE)
+        branch = circle_branch().function(ca.vertcat(body.begin[1:], body.w, constants[-4:]), NONE)
         return {"pace": pace, "phase": phase, "constants": ca.vertcat(constants, branch)}, [phase]
     if form.kind is FlatTrack:
         lame = lame_kernel(body.surface).function(body.begin, body.p)
