@@ -28,6 +28,8 @@ from .tracks import (
     TrackData,
     drive_data,
     frame_kernel,
+    kept,
+    once,
     point_kernel,
     rotation,
     whole_frame,
@@ -113,7 +115,7 @@ class CircleTrack(Track):
     def __post_init__(self) -> None:
         self._memories: dict[str, dict[str, Any]] = {"points": {}, "coordinates": {}}
 
-    @functools.cached_property
+    @kept
     def _long(self) -> bool:
         turn = self.circle.fastest * self.piece.arc_length(self.stop - self.start)
         return turn > LONG_PHASE
@@ -181,7 +183,7 @@ class CircleTrack(Track):
         kernel(self._phases(t, False), constants, out, self.compiled, memory)
         return out
 
-    @functools.cached_property
+    @once
     def _data(self) -> tuple[int, tuple]:
         """Address of the C form of this track, and what it points to."""
         piece, circle = self.piece, self.circle
@@ -383,7 +385,7 @@ class FlatTrack(Track):
         """This track from another start; constants: see :func:`line_evaluator`."""
         return dataclasses.replace(self, begin=begin, w=w, v=v, lame=lame, constants=constants)
 
-    @functools.cached_property
+    @once
     def _data(self) -> tuple[int, tuple]:
         """Address of the C form of this track, and what it points to."""
         constants, panels, piece = self.constants, self.slip_length, self.piece
@@ -406,7 +408,7 @@ class FlatTrack(Track):
             data.edges, data.coefficients = at
         return ctypes.addressof(data), (data, piece, constants, w, v, panels)
 
-    @functools.cached_property
+    @kept
     def _long(self) -> bool:
         """Whether whole turns must be taken off somewhere."""
         span = self.piece.arc_length(self.stop - self.start)

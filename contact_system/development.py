@@ -21,7 +21,7 @@ import ctypes
 import functools
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -48,6 +48,7 @@ from .profile import GainPiece
 from .surfaces import Surface
 from .tracks import (
     AXIS,
+    LOCK,
     Drive,
     Evaluator,
     Track,
@@ -58,6 +59,8 @@ from .tracks import (
     evaluator,
     frame_coordinates,
     frame_kernel,
+    kept,
+    once,
     restoring_axis,
     restoring_kernel,
     rotation,
@@ -783,6 +786,10 @@ class Motion:
         other._begin(tolerance)
         return other
 
+    @property
+    def problem(self) -> Problem:
+        return self._kept[4]
+
     def _begin(self, tolerance: float) -> None:
         data, self.lock, self.at = self.data, threading.Lock(), ctypes.addressof(self.data)
         data.tolerance, data.done = tolerance, 0
@@ -811,10 +818,10 @@ class Motion:
         """After a code of ``panels``: make more room, or say what is wrong."""
         method, kernel = self.data.method, self._kept[0]
         if code == -2:
-            raise _stuck(self._kept[4], method.reached)
+            raise _stuck(self.problem, method.reached)
         panels = 4 * self.data.room
         if code == -3 or 4.0 * self._block.nbytes > MOST_BYTES:  # type: ignore[union-attr]
-            raise _endless(self._kept[4], method.reached, self.data.room)
+            raise _endless(self.problem, method.reached, self.data.room)
         self._make_room(panels)
         known = _room(kernel)
         known.value = min(max(panels, known.value), MOST_ROOM)
@@ -861,13 +868,19 @@ class Forced:
     ----------
     w1, v : slice or None
         Of W_1 and V; None where they are constant, or are no part of the body's drive.
+    grown : float
+        Slip that they can bring about.
     turn : (n_bodies, 2, 2) or None
         The map from W_1 to the body's W; None for the finger's own.
+    motion : Motion or None
+        That of the contact, where C integrates.
     """
 
     w1: slice | None
     v: slice | None
+    grown: float
     turn: np.ndarray | None
+    motion: Motion | None
 
     def drive(self, track: PanelTrack, tau: np.ndarray) -> np.ndarray:
         """W - V at local times, (n_bodies, 2, n)."""
@@ -898,8 +911,6 @@ class PanelTrack(Track):
         The panels' variable is the arc length since start.
     forced : Forced or None
         Where W_1 and V are, if accelerations change them.
-    shared : dict
-        What does not change when an interval is planned again: its C form but for the panels.
     """
 
     panels: Panels
@@ -909,7 +920,6 @@ class PanelTrack(Track):
     v: np.ndarray | None
     by_length: bool = False
     forced: Forced | None = None
-    shared: dict[Any, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._anchors: tuple[np.ndarray, np.ndarray] | None = None
@@ -948,23 +958,33 @@ class PanelTrack(Track):
 
     # --- compiled evaluation
 
-    @functools.cached_property
+    @once
     def _data(self) -> tuple[int, Any, Any]:
         """Address of the C form of this track, that form, and what it points to."""
-        if self.forced is None:
-            data, kept = self._track_data()
-        else:
-            made, kept = self.shared.get(self.rows.start) or self._track_data()
-            self.shared[self.rows.start] = made, kept
-            data, turn = TrackData.from_buffer_copy(made), self.forced.turn
-            data.w = address(self.w)
-            data.turn = None if turn is None else address(turn)
+        data, kept = self._track_data()
         series, edges = self.panels.coefficients, self.panels.edges
         first = (self.rows.start or 0) * series.strides[2]
         at = self.panels.at or (address(edges), address(series))
         data.n_panels, data.edges, data.coefficients = len(edges) - 1, at[0], at[1] + first
         data.panel_stride, data.body_stride = series.strides[0] // 8, series.strides[1] // 8
         return ctypes.addressof(data), data, (kept, series, edges)
+
+    def forced_by(self, motion: Motion, w: np.ndarray, turn: np.ndarray | None) -> PanelTrack:
+        """This track for C alone, which integrates another motion under the same accelerations."""
+        known = self.forced
+        assert known is not None
+        other = object.__new__(PanelTrack)
+        other.__dict__.update(self.__dict__, panels=None, w=w)
+        other.forced = Forced(known.w1, known.v, known.grown, turn, motion)
+        other.__dict__.pop("_entries", None)
+        data, kept = other._track_data()
+        other.__dict__["_data"] = ctypes.addressof(data), data, kept
+        return other
+
+    @property
+    def motion(self) -> Motion | None:
+        """What C integrates; None where it does not."""
+        return None if self.forced is None else self.forced.motion
 
     def _track_data(self) -> tuple[TrackData, Any]:
         """All but the panels, and what it points to."""
@@ -1018,17 +1038,20 @@ class PanelTrack(Track):
         return not self.ambient or self._anchors is not None
 
     def anchor(self, begin: np.ndarray) -> None:
-        if not self.ambient:
-            return
+        with LOCK:
+            if not self.anchored:
+                self._anchors = self._anchored(contiguous(begin))
+
+    def _anchored(self, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places on the panels, and u, v, theta there; C is told of them."""
         entry, n = self.entry("coordinates"), self.n_bodies
         if entry is not None:
             m = 4 * self.panels.count + 1
             at, anchors, work = np.empty(m), np.empty((n, 3, m)), np.empty((n, 5, m))
             entry[0].library.anchor(
-                entry[1], address(contiguous(begin)), address(at), address(anchors), address(work)
+                entry[1], address(begin), address(at), address(anchors), address(work)
             )
-            self._anchors = (at, anchors)
-            return
+            return at, anchors
         edges = self.panels.edges
         at = (edges[:-1, None] + (edges[1:] - edges[:-1])[:, None] * _QUARTERS).ravel()
         at = np.append(at, edges[-1])
@@ -1040,7 +1063,7 @@ class PanelTrack(Track):
         )  # places first, as unwind wants
         u, v, turned = self.surface.unwind(u, v)
         theta = np.unwrap(theta + np.pi * turned, axis=0)
-        self._anchors = (at, np.stack([u, v, theta])[:, 1:].transpose(2, 0, 1))
+        return at, np.stack([u, v, theta])[:, 1:].transpose(2, 0, 1)
 
     def _continue(self, t: np.ndarray, values: np.ndarray) -> None:
         """Bring (u, v, theta) to the branch of the nearest anchor, in place."""
@@ -1098,7 +1121,7 @@ class MovingTrack(PanelTrack):
         self.kernel, self.problem, self.tolerance, self._why = kernel, problem, tolerance, why
         self._anchors = None
 
-    @functools.cached_property
+    @once
     def motion(self) -> Motion | None:
         """The problem laid out for C; None where it is integrated here."""
         if panels_built(self.kernel) if self.compiled is None else self.compiled:
@@ -1106,14 +1129,14 @@ class MovingTrack(PanelTrack):
             return Motion(self.kernel, self.problem, self.tolerance, data)
         return None
 
-    @functools.cached_property
-    def panels(self) -> Panels:  # type: ignore[override]
+    @kept
+    def panels(self) -> Panels:
         """The motion, integrated once."""
         if self.motion:
             return self.motion.panels()
         return _integrate_here(self.kernel, self.problem, self.tolerance)
 
-    @functools.cached_property
+    @once
     def _data(self) -> tuple[int, Any, Any]:
         if self.motion is None:
             return super()._data
@@ -1328,7 +1351,7 @@ def _clairaut_form(surface: Surface) -> GeodesicForm:
 class GeodesicTrack(MovingTrack):
     """Geodesics of a :class:`GeodesicForm`: panels of its states in arc length."""
 
-    @functools.cached_property
+    @kept
     def form(self) -> GeodesicForm:
         found = geodesic_form(self.surface, self.ambient)
         assert found is not None

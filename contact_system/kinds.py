@@ -1,9 +1,11 @@
 """Scenes of one kind, whose plans differ in numbers only.
 
-Surfaces, profile, gain law and duration decide how undisturbed contacts are planned; where they
-start enters as numbers. Once two scenes of a kind have been planned, one kernel works out all that
-the tracks of a third hold, into one block of memory, and C evaluates the tracks of the kind with
-that block in the place of their own: planning takes 4 us instead of 150.
+Surfaces, profile, gain law, duration and disturbances decide how contacts are planned; where they
+start enters as numbers. Once two scenes of a kind have been planned, C plans the third: a kernel
+for each stage, at the start and wherever tracks begin later, works out all that those tracks hold,
+from where contacts start or where their last motions ended, into one block of memory; and the
+tracks of the kind are evaluated with that block in the place of their own. A plan takes 4 us
+instead of 150.
 """
 
 from __future__ import annotations
@@ -11,10 +13,9 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import dataclasses
-import itertools
 import math
 import struct
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -27,23 +28,45 @@ from .closed_form import (
     CircleTrack,
     FlatTrack,
     circle_branch,
+    circle_kernel,
     circle_start,
     turned,
 )
 from .development import (
     MOST_FOUND,
+    Forced,
     GeodesicTrack,
+    Motion,
     MovingTrack,
+    PanelTrack,
     contact_start,
     geodesic_form,
     program_built,
     program_library,
 )
 from .kernels import Kernel, address, function_address, per_structure
-from .planner import ENDLESS, TINY, Group, alike, group_name, slip_of, start_numbers
+from .planner import (
+    ENDLESS,
+    TINY,
+    Group,
+    SlipRecord,
+    alike,
+    group_name,
+    plan_groups,
+    slip_of,
+    start_numbers,
+)
 from .scene import Scene
 from .surfaces import Surface
-from .tracks import Track, axis_kernel, lame_kernel, scale_kernel
+from .tracks import (
+    AXIS,
+    Track,
+    axis_kernel,
+    lame_kernel,
+    prefers_ambient,
+    restoring_axis,
+    scale_kernel,
+)
 
 SX = ca.SX
 
@@ -55,7 +78,16 @@ ATTEMPTS = 6  # scenes of a key from which kinds are learned
 Fields = dict[str, SX]
 """What a track holds of a body, by name."""
 
+
+class NoKind(Exception):
+    """A scene has none."""
+
+
 NONE = SX(0, 1)
+NUMBERS = 11
+"""What a stage takes from the kind for each contact: how long the paths of the last tracks of
+finger and object were; by how much slip has moved, and what is left of it; accelerations of finger
+and object, object rate offset (2 each); slip that they can bring about."""
 
 
 # --- what tracks hold, from where a body starts ---------------------------------------------------
@@ -63,13 +95,14 @@ NONE = SX(0, 1)
 
 @dataclass(frozen=True)
 class _Body:
-    """A body of one contact where it starts, in symbols.
+    """A body of one contact where a track of its begins, in symbols.
 
     Attributes
     ----------
     surface : Surface
     p, size : its parameters and size
-    begin : u, v, theta
+    begin : u, v, theta; of a body in space at the start only
+    axis : x, p, or None: as begin says
     w, v : path velocity W and slip V
     """
 
@@ -77,6 +110,7 @@ class _Body:
     p: SX
     size: SX
     begin: SX
+    axis: SX | None
     w: SX
     v: SX
 
@@ -84,23 +118,45 @@ class _Body:
         """(x, p), or (u, v, theta)."""
         if not ambient:
             return self.begin
+        if self.axis is not None:
+            return self.axis
         return axis_kernel(self.surface).function(self.begin, self.p)
+
+    def scale(self, ambient: bool) -> SX:
+        """1 / (size of the state)."""
+        numbers = ca.vertcat(self.p, self.size)
+        return scale_kernel(self.surface, ambient).function(self.state(ambient), numbers)
 
 
 class _Form(NamedTuple):
-    """What decides how a track is filled with numbers."""
+    """What decides how a track is filled with numbers, and where it ends.
+
+    ``driven``: slip moves it; under accelerations: the finger is accelerated.
+    """
 
     kind: type[Track]
     ambient: bool
     driven: bool
 
     @classmethod
-    def of(cls, track: Track) -> _Form:
-        slips = track.slip_length if isinstance(track, FlatTrack) else getattr(track, "v", None)
-        return cls(type(track), track.ambient, slips is not None)
+    def of(cls, track: Track | None) -> _Form | None:
+        if track is None:
+            return None
+        if isinstance(track, FlatTrack):
+            driven = track.slip_length is not None
+        elif isinstance(track, PanelTrack) and track.forced is not None:
+            driven = track.forced.w1 is not None
+        else:
+            driven = getattr(track, "v", None) is not None
+        return cls(type(track), track.ambient, driven)
 
 
-def _held(form: _Form, body: _Body) -> tuple[Fields, list[SX]]:
+Forms = tuple[_Form | None, _Form]
+"""Of the tracks of finger and object that begin, or end, at one time; the object's are cut
+there."""
+
+
+def _held(form: _Form, body: _Body, offset: SX) -> tuple[Fields, list[SX]]:
     """The fields of a track, and numbers that must keep within its :func:`_limits`."""
     if form.kind is CircleTrack:
         found = circle_start(body.surface).function(ca.vertcat(body.state(True), body.w), body.p)
@@ -115,8 +171,7 @@ def _held(form: _Form, body: _Body) -> tuple[Fields, list[SX]]:
         reach = [ca.mmax(ca.fabs(x)) / body.size for x in (slope, body.begin[:2])]
         slopes = ca.vertcat(slope, aside) if form.driven else slope
         return {"lame": lame, "constants": ca.vertcat(body.p, body.begin, slopes)}, reach
-    state, facts = body.state(form.ambient), []
-    scale = scale_kernel(body.surface, form.ambient).function(state, ca.vertcat(body.p, body.size))
+    state, facts, scale = body.state(form.ambient), [], body.scale(form.ambient)
     if form.kind is GeodesicTrack:
         own = geodesic_form(body.surface, form.ambient)
         assert own is not None
@@ -125,8 +180,44 @@ def _held(form: _Form, body: _Body) -> tuple[Fields, list[SX]]:
         state, numbers = found[:n], found[n:-rates]
         scale, facts = ca.vertcat(scale[: n - rates], found[-rates:]), [ca.norm_2(body.w)]
     else:
-        numbers = ca.vertcat(body.w, body.v if form.driven else SX(2, 1), SX(2, 1))
+        numbers = ca.vertcat(body.w, body.v if form.driven else SX(2, 1), offset)
     return {"start": state, "constants": ca.vertcat(body.p, numbers), "scale": scale}, facts
+
+
+def _forced(forms: Forms, bodies: Sequence[_Body], angle: SX, numbers: SX) -> Fields:
+    """The fields of both tracks of a motion under accelerations."""
+    (tip, obj), pushed = bodies, forms[1].driven
+    turn, w1 = ca.vertcat(ca.cos(angle), ca.sin(angle)), tip.w
+    start, scale = [obj.state(forms[1].ambient), obj.v], [obj.scale(forms[1].ambient)]
+    scale.append(SX.ones(2) / ca.fmin(1, ca.fmax(ca.norm_2(obj.v), numbers[10])))
+    if pushed:
+        assert forms[0] is not None
+        start = [tip.state(forms[0].ambient), w1, *start]
+        scale = [tip.scale(forms[0].ambient), SX.ones(2), *scale]
+    constants = ca.vertcat(tip.p, obj.p, turn, w1, numbers[4:10])
+    found = {"start": ca.vertcat(*start), "constants": constants, "scale": ca.vertcat(*scale)}
+    return {f"forced {key}": value for key, value in found.items()}
+
+
+def _end(form: _Form, surface: Surface, p: SX, given: Fields, side: str, numbers: SX) -> SX:
+    """(x, p) or (u, v, theta) where a track of a side ends that nothing accelerates."""
+    if form.kind is MovingTrack:
+        return given[f"{side} end"]
+    length, moved = numbers[int(side) - 1], numbers[2]
+    constants = given[f"{side} constants"]
+    if form.kind is CircleTrack:
+        at = ca.vertcat(given[f"{side} phase"] * length, SX(2, 1))
+        frame = circle_kernel(surface, "frames").function(at, constants)
+        return restoring_axis(surface).function(frame[:AXIS], p)
+    if form.kind is FlatTrack:
+        n = p.numel()
+        begin, slope, aside = constants[n : n + 3], constants[n + 3 : n + 5], constants[n + 5 :]
+        at = begin[:2] + slope * length
+        return ca.vertcat(at - aside * moved if form.driven else at, begin[2])
+    own = geodesic_form(surface, form.ambient)
+    assert own is not None
+    whole = own.body.function(given[f"{side} end"], constants)
+    return whole[:AXIS] if form.ambient else whole
 
 
 def _limits(track: Track) -> list[tuple[float, float]]:
@@ -143,21 +234,121 @@ def _limits(track: Track) -> list[tuple[float, float]]:
 
 
 def _moved(track: Track, held: dict[str, np.ndarray], w: np.ndarray, v: np.ndarray, slip: float,
-           name: str, tolerance: float) -> Track:  # fmt: skip
-    """The track of a kind that holds other numbers: arrays of all bodies by the fields' names."""
+           name: str) -> Track:  # fmt: skip
+    """The track of a kind that holds other numbers: arrays of all bodies by the fields' names.
+
+    Its tolerance is asked for later; slip may be 0 where it is not known yet.
+    """
     constants = held["constants"]
-    if isinstance(track, CircleTrack):
-        return track.moved(Circle(w, held["pace"][:, 0], held["phase"][:, 0], constants, True))
-    if isinstance(track, FlatTrack):
-        n = track.parameters.shape[1]
-        slipping = v if track.slip_length is not None else 0 * w
-        return track.moved(constants[:, n : n + 3].copy(), w, slipping, held["lame"], constants)
+    if isinstance(track, (CircleTrack, FlatTrack)):
+        made: CircleTrack | FlatTrack
+        if isinstance(track, CircleTrack):
+            circle = Circle(w, held["pace"][:, 0], held["phase"][:, 0], constants, True)
+            made = track.moved(circle)
+        else:
+            n, none = track.parameters.shape[1], 0 * w
+            slipping = none if track.slip_length is None else v
+            begin = constants[:, n : n + 3].copy()
+            made = track.moved(begin, w, slipping, held["lame"], constants)
+        made.__dict__["_long"] = False  # by the limits
+        return made
     assert isinstance(track, MovingTrack)
     problem = track.problem.moved(
         held["start"], constants, scale=held["scale"], name=name,
-        slip=slip if track.problem.slip > 0 else 0.0,
+        slip=(slip or track.problem.slip) if track.problem.slip > 0 else 0.0,
     )  # fmt: skip
-    return track.moved(tolerance, problem, w, None if track.v is None else v)
+    return track.moved(1.0, problem, w, None if track.v is None else v)
+
+
+def _needed(form: _Form, surface: Surface) -> dict[str, int]:
+    """What tells where a track ends, by name, and how many numbers it is."""
+    if form.kind is CircleTrack:
+        return {"constants": circle_kernel(surface, "frames").n_constant, "phase": 1}
+    if form.kind is FlatTrack:
+        return {"constants": len(surface.parameters) + (7 if form.driven else 5)}
+    if form.kind is GeodesicTrack:
+        own = geodesic_form(surface, form.ambient)
+        assert own is not None
+        return {"constants": own.motion.n_constant, "end": own.motion.n_result}
+    return {"end": state_size(form.ambient)}
+
+
+def state_size(ambient: bool) -> int:
+    """Numbers of (x, p), or (u, v, theta)."""
+    return AXIS if ambient else 3
+
+
+@per_structure
+def _stage(
+    finger: Surface, obj: Surface, ended: Forms | None, begun: Forms
+) -> tuple[Kernel, dict[str, int], dict[str, int]]:
+    """Kernel from what is given of a contact to facts and fields; the widths of given and fields.
+
+    ended, begun: the tracks that end and begin there; None: it is the start. constant: parameters
+    and sizes of finger and object, NUMBERS. Facts: length of V; at the start, those of W_1 and
+    W_2 - V in sizes; those of the tracks.
+    """
+    surfaces, names = (finger, obj), ("1", "2")
+    p = [SX.sym(f"p{name}", len(s.parameters)) for name, s in zip(names, surfaces)]
+    sizes, numbers = SX.sym("sizes", 2), SX.sym("numbers", NUMBERS)
+    begins: list[SX] = [SX(3, 1), SX(3, 1)]
+    axes: list[SX | None] = [None, None]
+    fields: Fields = {}
+    if ended is None:
+        given = {"start": SX.sym("start", GIVEN)}
+        start = given["start"]
+        angle, w1 = start[4], start[5:7]
+        found = contact_start().function(ca.vertcat(angle, w1, start[7:9]), NONE)
+        r0, w2, v = ca.vertsplit(found, [0, 4, 6, 8])
+        begins = [ca.vertcat(start[2 * k : 2 * k + 2], 0) for k in range(2)]
+        fields = {"r0": r0, "angle": angle, "begin1": begins[0], "begin2": begins[1]}
+        facts = [ca.norm_2(v), ca.norm_2(w1) / sizes[0], ca.norm_2(w2 - v) / sizes[1]]
+    else:
+        given = {
+            name: SX.sym(name, n) for name, n in (("r0", 4), ("angle", 1), ("w1", 2), ("v", 2))
+        }
+        r0, angle, w1, v = given.values()
+        v, rows = v * numbers[3], {}
+        if ended[1].kind is PanelTrack:
+            n1, n2 = (state_size(form.ambient) if form is not None else 0 for form in ended)
+            pushed = ended[1].driven
+            n1 = n1 + 2 if pushed else 0
+            end = given["forced end"] = SX.sym("end", n1 + n2 + 2)
+            rows, v = {0: end[: n1 - 2], 1: end[n1 : n1 + n2]}, end[n1 + n2 :]
+            w1 = end[n1 - 2 : n1] if pushed else w1
+        for k, (form, name) in enumerate(zip(ended, names)):
+            if form is None:
+                continue
+            if form.kind is PanelTrack:
+                state = rows[k]
+            else:
+                for key, width in _needed(form, surfaces[k]).items():
+                    given[f"{name} {key}"] = SX.sym(key, width)
+                state = _end(form, surfaces[k], p[k], given, name, numbers)
+            if form.ambient:
+                axes[k] = state
+            elif prefers_ambient(surfaces[k]):
+                axes[k] = axis_kernel(surfaces[k]).function(state, p[k])
+            else:
+                begins[k] = state
+        w2 = ca.reshape(r0, 2, 2).T @ w1
+        facts = [ca.norm_2(v)]
+    w = w1, w2
+    bodies = [_Body(s, p[k], sizes[k], begins[k], axes[k], w[k], v) for k, s in enumerate(surfaces)]
+    fields |= {"w1": w1, "w2": w2, "v": v}
+    if begun[1].kind is PanelTrack:
+        fields |= _forced(begun, bodies, angle, numbers)
+    for name, form, body in zip(names, begun, bodies):
+        if form is not None and form.kind is not PanelTrack:
+            own, more = _held(form, body, numbers[8:10])
+            fields |= {f"{name} {key}": value for key, value in own.items()}
+            facts += more
+    kernel = Kernel(
+        "stage", ca.vertcat(*given.values()), ca.vertcat(*p, sizes, numbers),
+        ca.vertcat(*facts, *fields.values()),
+    )  # fmt: skip
+    widths = [{key: x.numel() for key, x in found.items()} for found in (given, fields)]
+    return kernel, widths[0], widths[1]
 
 
 # --- kinds ----------------------------------------------------------------------------------------
@@ -182,8 +373,11 @@ class Begun:
 
     def group(self, scene: Scene, tolerance: float) -> Group:
         """The scene's plan."""
+        kind = self.kind
+        if not kind.alone:
+            return plan_groups(scene, None, 0.0, tolerance, kind.compiled)[0]
         if self._group is None:
-            self._group = self.kind.group(self.block, group_name(scene, self.kind.planned.contacts))
+            self._group = kind.group(self.block, group_name(scene, kind.planned.contacts))
         return self._group.again(tolerance)
 
     def fill(
@@ -201,7 +395,7 @@ class Begun:
     @property
     def r0(self) -> np.ndarray:
         """As in :class:`Group`."""
-        first, width = self.kind.places["r0"]
+        first, width = self.kind.stages[0].fields["r0"]
         n = self.kind.nb
         return np.frombuffer(self.block)[first : first + n * width].reshape(n, 2, 2)
 
@@ -216,16 +410,56 @@ class Begun:
 class _Field(ctypes.Structure):
     """``field_t`` of c/program.c."""
 
-    _fields_ = [(name, ctypes.c_long) for name in ("start", "width", "to")]
+    _fields_ = [(name, ctypes.c_long) for name in ("at", "width", "place")]
+
+
+class _Move(ctypes.Structure):
+    """``move_t`` of c/program.c."""
+
+    _fields_ = [("motion", ctypes.c_void_p), ("end", ctypes.c_long)]
+
+
+class _Stage(ctypes.Structure):
+    """``stage_t`` of c/program.c."""
+
+    _fields_ = [(name, ctypes.c_void_p) for name in (
+        "find", "parameters", "limits", "given", "fields", "moves")]  # fmt: skip
+    _fields_ += [(name, ctypes.c_long) for name in (
+        "n_parameters", "n_facts", "facts", "n_given", "n_fields", "n_moves")]  # fmt: skip
 
 
 class _Kind(ctypes.Structure):
     """``kind_t`` of c/program.c."""
 
-    _fields_ = [(name, ctypes.c_void_p) for name in (
-        "start", "parameters", "limits", "rows", "fields", "block")]  # fmt: skip
-    _fields_ += [(name, ctypes.c_long) for name in (
-        "nb", "n_start", "n_parameters", "n_facts", "n_fields", "size")]  # fmt: skip
+    _fields_ = [(name, ctypes.c_void_p) for name in ("stages", "rows", "block")]
+    _fields_ += [(name, ctypes.c_long) for name in ("nb", "n_stages", "n_moves", "size")]
+
+
+Tracks = tuple[Track | None, Track]
+"""Those of finger and object that begin, or end, at one time; the object's are cut there."""
+
+Places = dict[str, tuple[int, int]]
+"""Where numbers are in a block, of contact 0, and how many there are of each contact."""
+
+
+@dataclass(eq=False)
+class Stage:
+    """Where tracks of a kind begin.
+
+    Attributes
+    ----------
+    tracks : Tracks
+    facts : int
+        Where its facts are in a block; the first is slip.
+    fields : Places
+    ends : Places
+        Where the last states of its motions go, in the order of :func:`_motions`.
+    """
+
+    tracks: Tracks
+    facts: int
+    fields: Places
+    ends: Places
 
 
 class Kind:
@@ -237,73 +471,110 @@ class Kind:
         The wish of those who plan them.
     nb : int
         Contacts of a scene.
+    stages : list of Stage
     planned : Group
         One of them; its tracks point into a block of the kind's own.
-    places : dict
-        Where the fields begin in a block, and how many numbers each has of a contact.
+    alone : bool
+        Nothing disturbs it, and a block says all of a plan.
     closed : bool
-        Nothing is integrated.
+        Nothing is integrated either.
     states : int or None
         Address of a :class:`ChartStates`.
 
     Raises
     ------
-    LookupError
+    NoKind
         The scene has no kind after all.
     """
 
     def __init__(self, scene: Scene, group: Group, compiled: bool | None):
         self.compiled, self.library, self.nb = compiled, program_library(), len(scene.contacts)
-        surfaces = [contact.finger for contact in scene.contacts]
-        bodies = [(finger, scene.object) for finger in surfaces]
-        parameters = np.array([[*f.parameters, *o.parameters, f.size, o.size] for f, o in bodies])
-        tracks, record = (group.finger[0], group.object[0]), group.slips[0]
-        kernel, layout = _begin(*bodies[0], tuple(map(_Form.of, tracks)))
-        path = max(record.piece.arc_length(record.stop - record.start), TINY)
-        slips = (0.0, 0.0) if record.of is None else (TINY, math.inf)
-        limits = [slips, *[(0.0, ENDLESS / path)] * 2, *_limits(tracks[0]), *_limits(tracks[1])]
-        if not (kernel.built if compiled is None else compiled):
-            raise LookupError("not built")
-        if kernel.n_result > MOST_FOUND:
-            raise LookupError("too much")
-        nb, n_facts = self.nb, len(limits)
-        rows = np.arange(max(kernel.n_result, GIVEN), dtype=np.dtype("l"))
-        ends = list(itertools.accumulate(layout.values(), initial=0))
-        self.places = {
-            name: (n_facts + first * nb, width)
-            for (name, width), first in zip(layout.items(), ends)
-        }
-        fields = (_Field * len(layout))(*[
-            _Field(n_facts + first, width, self.places[name][0])
-            for (name, width), first in zip(layout.items(), ends)
-        ])  # fmt: skip
-        size = n_facts + ends[-1] * nb
-        self._block = ctypes.c_double * size
-        own = self._block()
-        kept = np.array(limits)
+        starts = [track.start for track in group.object]
+        self.stages: list[Stage] = []
+        self._size, self._kept = 0, []  # addresses point into what is kept
+        laid_out = (_Stage * len(starts))()
+        known = {"start": self._place(self.nb, GIVEN)}
+        for k, start in enumerate(starts):
+            begun = _at_edge(group, "start", start)
+            ended = _at_edge(group, "stop", start) if k else None
+            laid_out[k] = self._lay_out(scene, group, begun, ended, known)
+        self.alone = len(starts) == 1 and not scene.disturbances
+        self._block = ctypes.c_double * self._size
+        own, rows = self._block(), np.arange(MOST_FOUND, dtype=np.dtype("l"))
         self._data = _Kind(
-            function_address(kernel.library), address(parameters), address(kept), rows.ctypes.data,
-            ctypes.addressof(fields), ctypes.addressof(own), nb, GIVEN, parameters.shape[1],
-            n_facts, len(layout), size,
+            ctypes.addressof(laid_out), rows.ctypes.data, ctypes.addressof(own), self.nb,
+            len(starts), sum(len(stage.ends) for stage in self.stages), self._size,
         )  # fmt: skip
-        self._kept = parameters, kept, rows, fields, own  # addresses point into them
+        self._kept += [laid_out, own, rows]
         self._layouts: dict[str, Any] = {}
         self.at, self.planned = ctypes.addressof(self._data), group
-        begun = self.begin(scene)
-        if begun is None:
-            raise LookupError("beyond its own limits")
-        ctypes.memmove(own, begun.block, ctypes.sizeof(own))
-        self.planned = self.group(own, group_name(scene, group.contacts))
-        self.closed = not self.planned.moving
+        first = self.begin(scene)
+        if first is None:
+            raise NoKind("beyond its own limits")
+        ctypes.memmove(own, first.block, ctypes.sizeof(own))
+        moved = self._tracks(own, group_name(scene, group.contacts))
+        self._motions: list[Motion] = []
+        for data, stage, tracks in zip(laid_out, self.stages, moved):
+            found, moves = _motions(tracks), (_Move * data.n_moves).from_address(data.moves)
+            for move, (name, motion) in zip(moves, found.items()):
+                move.motion, move.end = motion.at, stage.ends[name][0]
+            self._motions += found.values()
+            stage.tracks = tracks  # learned from no more: those keep panels
+        self.planned = self._group(own, moved)
+        self.closed = self.alone and not self._motions
         self._programs: dict[str, tuple[int, int] | None] = {}
-        states = self.planned.chart_states(compiled)
+        states = self.planned.chart_states(compiled) if self.alone else None
         self.states = None if states is None else states.at
+
+    def _lay_out(
+        self, scene: Scene, group: Group, begun: Tracks, ended: Tracks | None, known: Places
+    ) -> _Stage:
+        """The next stage but for its motions; known: where numbers of the stages before it are."""
+        fingers, obj, nb = [contact.finger for contact in scene.contacts], scene.object, self.nb
+        before, forms = (None if x is None else tuple(map(_Form.of, x)) for x in (ended, begun))
+        kernel, given, fields = _stage(fingers[0], obj, before, forms)
+        if not (kernel.built if self.compiled is None else self.compiled):
+            raise NoKind("not built")
+        if max(kernel.n_point, kernel.n_result) > MOST_FOUND:
+            raise NoKind("too much")
+        limits = np.array(_stage_limits(group, begun, ended is None))
+        facts, _ = self._place(1, len(limits))
+        places = {key: self._place(nb, n) for key, n in fields.items()}
+        stage = Stage(begun, facts, places, {})
+        into = [_field_data(known[name] for name in given)]
+        into.append(_field_data(stage.fields.values(), len(limits)))
+        for name, motion in _motions(begun).items():
+            stage.ends[name] = self._place(nb, motion.data.nx)
+            known[f"{name} end"] = stage.ends[name]
+        known.update(stage.fields)
+        self.stages.append(stage)
+        numbers, moves = _numbers(group, begun, ended), (_Move * len(stage.ends))()
+        parameters = np.array([
+            [*finger.parameters, *obj.parameters, finger.size, obj.size, *own]
+            for finger, own in zip(fingers, numbers.tolist())
+        ])  # fmt: skip
+        self._kept += [parameters, limits, into, moves]
+        return _Stage(
+            function_address(kernel.library), address(parameters), address(limits),
+            *map(ctypes.addressof, into), ctypes.addressof(moves), parameters.shape[1],
+            len(limits), facts, *map(len, into), len(moves),
+        )  # fmt: skip
+
+    def _place(self, count: int, width: int) -> tuple[int, int]:
+        """Room for so many times so many numbers."""
+        first = self._size
+        self._size += count * width
+        return first, width
 
     def program(self, output: str) -> tuple[int, int] | None:
         """Address and number of the parts of :class:`Program`; None where there is none."""
         if output not in self._programs:
             ready = output != "coordinates" or self.closed  # else they are to be anchored
             found = self.planned.program(output) if ready else None
+            for part, track in zip(found.parts, found.tracks) if found is not None else ():
+                if isinstance(track, PanelTrack) and track.motion is not None:
+                    part.moves = 1 + self._motions.index(track.motion)
+                    part.row = track.rows.start or 0
             self._programs[output] = None if found is None else (found.at, len(found.parts))
         return self._programs[output]
 
@@ -315,78 +586,159 @@ class Kind:
         return None if self.library.begin(self.at, starts, at) else Begun(self, block, at)
 
     def group(self, block: Any, name: str) -> Group:
-        """The plan of a scene from its block."""
-        memory, planned = np.frombuffer(block), self.planned
-        nb = len(planned.contacts)
-        a = {
-            key: memory[first : first + nb * width].reshape(nb, width)
-            for key, (first, width) in self.places.items()
-        }
-        slip, w, v = float(memory[0]), (a["w1"], a["w2"]), a["v"]
-        record = planned.slips[0]
-        group = Group(
-            planned.contacts,
-            a["r0"].reshape(nb, 2, 2),
-            a["angle"][:, 0],
-            (a["begin1"], a["begin2"]),
-        )
-        held = [{k[2:]: a[k] for k in a if k.startswith(side)} for side in ("1 ", "2 ")]
-        group.finger, group.object = (
-            [_moved(tracks[0], held[k], w[k], v, slip, name, 1.0)]
-            for k, tracks in enumerate((planned.finger, planned.object))
-        )
-        group.slips = [dataclasses.replace(record, of=slip_of(v, slip, record.piece), pushed=w[0])]
+        """The plan of a scene from its block, which says all of it if nothing disturbs it."""
+        return self._group(block, self._tracks(block, name))
+
+    def _group(self, block: Any, moved: Sequence[Tracks]) -> Group:
+        """Tracks as a group, which knows of slip if nothing disturbs it."""
+        first, planned = self._fields(block, self.stages[0]), self.planned
+        r0 = first["r0"].reshape(self.nb, 2, 2)
+        begin = first["begin1"], first["begin2"]
+        group = Group(planned.contacts, r0, first["angle"][:, 0], begin)
+        group.finger = [tracks[0] for tracks in moved if tracks[0] is not None]
+        group.object = [tracks[1] for tracks in moved]
+        if self.alone:
+            record, slip = planned.slips[0], self._slip(block, self.stages[0])
+            of = slip_of(first["v"], slip, record.piece)
+            group.slips = [dataclasses.replace(record, of=of, pushed=first["w1"])]
         group.layouts = self._layouts
         return group
 
+    def _tracks(self, block: Any, name: str) -> list[Tracks]:
+        """The tracks of a scene, stage by stage. Where those of later stages begin is filled in by
+        C."""
+        turn = self._fields(block, self.stages[0])["r0"].reshape(self.nb, 2, 2)
+        found: list[Tracks] = []
+        for stage in self.stages:
+            held, slip = self._fields(block, stage), self._slip(block, stage)
+            w, motion = (held["w1"], held["w2"]), _motions(stage.tracks).get("forced")
+            made: list[Any] = [None, None]
+            if motion is not None:
+                start, numbers, scale = (
+                    held[f"forced {x}"] for x in ("start", "constants", "scale")
+                )
+                motion = motion.again(1.0, motion.problem.moved(start, numbers, scale=scale))
+            for k, track in enumerate(stage.tracks):
+                if isinstance(track, PanelTrack) and track.forced is not None:
+                    assert motion is not None
+                    made[k] = track.forced_by(motion, w[k], turn if track.forced.v else None)
+                elif track is not None:
+                    own = {key[2:]: x for key, x in held.items() if key.startswith(f"{k + 1} ")}
+                    made[k] = _moved(track, own, w[k], held["v"], slip, name)
+            found.append((made[0], made[1]))
+        return found
 
-@per_structure
-def _begin(
-    finger: Surface, obj: Surface, forms: tuple[_Form, _Form]
-) -> tuple[Kernel, dict[str, int]]:
-    """Kernel from a start to facts and fields; the fields' widths.
+    def _fields(self, block: Any, stage: Stage) -> dict[str, np.ndarray]:
+        """The fields of a stage in a block: (nb, width) each."""
+        memory, nb = np.frombuffer(block), self.nb
+        return {
+            key: memory[first : first + nb * width].reshape(nb, width)
+            for key, (first, width) in stage.fields.items()
+        }
 
-    constant: parameters and sizes of finger and object. Facts: length of V, of W_1 and W_2 - V in
-    sizes, those of the tracks.
-    """
-    given, sizes = SX.sym("given", GIVEN), SX.sym("sizes", 2)
-    angle, w1, y = given[4], given[5:7], given[7:9]
-    found = contact_start().function(ca.vertcat(angle, w1, y), NONE)
-    r0, w2, v = ca.vertsplit(found, [0, 4, 6, 8])
-    p = [SX.sym(f"p{k}", len(s.parameters)) for k, s in enumerate((finger, obj))]
-    bodies = [
-        _Body(s, p[k], sizes[k], ca.vertcat(given[2 * k : 2 * k + 2], 0), (w1, w2)[k], v)
-        for k, s in enumerate((finger, obj))
-    ]
-    fields = {"w1": w1, "w2": w2, "v": v, "r0": r0, "angle": angle}
-    fields |= {"begin1": bodies[0].begin, "begin2": bodies[1].begin}
-    facts = [ca.norm_2(v), ca.norm_2(w1) / sizes[0], ca.norm_2(w2 - v) / sizes[1]]
-    for side, form, body in zip("12", forms, bodies):
-        own, more = _held(form, body)
-        fields |= {f"{side} {key}": value for key, value in own.items()}
-        facts += more
-    kernel = Kernel("begin", given, ca.vertcat(*p, sizes), ca.vertcat(*facts, *fields.values()))
-    return kernel, {key: x.numel() for key, x in fields.items()}
+    def _slip(self, block: Any, stage: Stage) -> float:
+        return block[stage.facts]
+
+
+def _field_data(places: Iterable[tuple[int, int]], at: int = 0) -> ctypes.Array[_Field]:
+    """Numbers side by side, the first at ``at``, and where they are in a block."""
+    found = []
+    for place, width in places:
+        found.append(_Field(at, width, place))
+        at += width
+    return (_Field * len(found))(*found)
+
+
+def _at_edge(group: Group, edge: str, t: float) -> Tracks:
+    """Whose "start", or "stop", is at time t."""
+    finger, obj = (
+        [x for x in side if getattr(x, edge) == t] for side in (group.finger, group.object)
+    )
+    return (finger[0] if finger else None), obj[0]
+
+
+def _motions(tracks: Tracks) -> dict[str, Motion]:
+    """What moves tracks: "1", "2", or "forced", which moves both."""
+    found: dict[str, Motion] = {}
+    for name, track in zip("12", tracks):
+        if isinstance(track, PanelTrack) and track.motion is not None:
+            found["forced" if track.forced is not None else name] = track.motion
+    return found
+
+
+def _forcing(tracks: Tracks) -> Forced | None:
+    """Of the object's track, if the contact is accelerated."""
+    track = tracks[1]
+    return track.forced if isinstance(track, PanelTrack) else None
+
+
+def _record(group: Group, tracks: Tracks) -> SlipRecord:
+    """Of the interval in which the object's track begins."""
+    return next(record for record in group.slips if record.start == tracks[1].start)
+
+
+def _stage_limits(group: Group, begun: Tracks, first: bool) -> list[tuple[float, float]]:
+    """Between which the facts of :func:`_stage` must lie."""
+    record, forced = _record(group, begun), _forcing(begun)
+    none, any_ = (0.0, 0.0), (TINY, math.inf)
+    if forced is None:
+        limits = [none if record.of is None else any_]
+    else:
+        assert forced.motion is not None
+        slips = not first or forced.motion.problem.start[:, -2:].any()
+        limits = [(TINY if first else 0.0, math.inf) if slips else none]
+    if first:
+        path = sum(r.piece.arc_length(r.stop - r.start) for r in group.slips)
+        limits += [(0.0, ENDLESS / max(path, TINY))] * 2
+    for track in begun:
+        if track is not None and not (isinstance(track, PanelTrack) and track.forced is not None):
+            limits += _limits(track)
+    return limits
+
+
+def _numbers(group: Group, begun: Tracks, ended: Tracks | None) -> np.ndarray:
+    """NUMBERS of each contact, for :func:`_stage`."""
+    out, forced = np.zeros((len(group.contacts), NUMBERS)), _forcing(begun)
+    for k, track in enumerate(ended or ()):
+        if isinstance(track, (CircleTrack, FlatTrack)):
+            out[:, k] = track.piece.arc_length(track.stop - track.start)
+        if isinstance(track, FlatTrack) and track.slip_length is not None:
+            out[:, 2] = track.slip_length.end[0, 1]
+    if ended is not None and _forcing(ended) is None:
+        record = _record(group, ended)
+        span = record.stop - record.start
+        if record.of is not None:
+            out[:, 3] = record.piece.decay(span, record.piece.speed(span))
+    if forced is not None:
+        assert forced.motion is not None
+        out[:, 4:10] = forced.motion.problem.constants[:, -6:]
+        out[:, 10] = forced.grown
+    elif begun[1].offset is not None:
+        out[:, 8:10] = begun[1].offset
+    return out
 
 
 def _has_kind(scene: Scene, groups: Sequence[Group], compiled: bool | None) -> bool:
     """Whether scenes like this one are planned by numbers alone."""
     group = groups[0]
-    if len(groups) > 1 or any(len(x) > 1 for x in (group.finger, group.object, group.slips)):
-        return False
     surfaces = [scene.object, *(contact.finger for contact in scene.contacts)]
-    if not all(s.has_chart for s in surfaces) or not group.repeats(1e-9):
+    if len(groups) > 1 or not all(s.has_chart for s in surfaces):
         return False
-    known = (CircleTrack, FlatTrack, MovingTrack)
     tracks = group.finger + group.object
-    if not all(isinstance(t, known) for t in tracks):
-        return False
-    for track in tracks:
-        if isinstance(track, MovingTrack) and track.motion is None:
-            return False
-        if isinstance(track, FlatTrack) and track.slip_length and not track.slip_length.end[0, 1]:
-            return False  # that depends on how large slip is
-    return bool(compiled) or program_built()
+    return all(map(_repeats, tracks)) and (bool(compiled) or program_built())
+
+
+def _repeats(track: Track) -> bool:
+    """Whether numbers alone change in a track that begins elsewhere."""
+    if isinstance(track, FlatTrack):
+        slip = track.slip_length  # without an end it depends on how large slip is
+        return track.offset is None and (slip is None or bool(slip.end[0, 1]))
+    if track.ambient != prefers_ambient(track.surface) and track.start > 0.0:
+        return False  # in its chart, on the branch that the tracks before have come to
+    if isinstance(track, MovingTrack):
+        return track.motion is not None and not track.problem.stops
+    forced = type(track) is PanelTrack and track.motion is not None
+    return forced or isinstance(track, CircleTrack)
 
 
 # --- kinds that were seen -------------------------------------------------------------------------
@@ -438,5 +790,5 @@ def learn(scene: Scene, groups: Sequence[Group], compiled: bool | None) -> None:
     seen = _SEEN.setdefault((compiled, alike(scene)), _Sights())
     seen.count += 1
     if 1 < seen.count <= ATTEMPTS:
-        with contextlib.suppress(LookupError):
+        with contextlib.suppress(NoKind):
             seen.kinds.append(Kind(scene, groups[0], compiled))

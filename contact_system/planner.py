@@ -25,7 +25,7 @@ import numpy as np
 
 from . import development
 from .closed_form import CircleTrack, FlatTrack, great_circle, pair_of
-from .development import GeodesicTrack, MovingTrack, PanelTrack, Problem
+from .development import Forced, GeodesicTrack, MovingTrack, PanelTrack, Problem
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kernels import Kernel, contiguous
 from .profile import GainPiece, Profile
@@ -689,13 +689,13 @@ class _Forced:
     given : slice
         Where cos psi, sin psi and W_1 stand in the constants.
     grown : float
-        Slip that the accelerations can bring about.
+        Slip that the accelerations can bring about, or what is small.
     why : str
     compiled : bool or None
-    shared : dict
-        See PanelTrack.
-    scales : dict
-        By slip: those that do not depend on where the contacts are.
+    known : array or None
+        The scale, if it depends neither on where contacts are nor on slip at the start.
+    motion : Motion or None
+        One of them, laid out for C.
     """
 
     kernel: Kernel
@@ -704,36 +704,37 @@ class _Forced:
     grown: float
     why: str
     compiled: bool | None
-    shared: dict[Any, Any] = field(default_factory=dict)
-    scales: dict[float, np.ndarray] = field(default_factory=dict)
+    known: np.ndarray | None = None
     motion: development.Motion | None = None
 
-    def scale(self, tip: Body, obj: Body, pushed: bool, slip: float) -> np.ndarray:
-        """1 / (size of the states), for slip of this size."""
-        known = self.scales.get(slip)
-        if known is None:
-            aside = np.ones((len(obj.sizes), 4))
-            aside[:, 2:] /= slip
-            finger = [tip.scale, aside[:, :2]] if pushed else []
-            known = np.concatenate([*finger, obj.scale, aside[:, 2:]], axis=1)
-            if obj.ambient and (tip.ambient or not pushed) and slip == self.grown:
-                self.scales[slip] = known
-        return known
+    def scale(self, tip: Body, obj: Body, pushed: bool, v: np.ndarray) -> np.ndarray:
+        """1 / (size of the states), for slips v at the start: slip is to be right to tolerance."""
+        small = _greatest(v) <= self.grown
+        if small and self.known is not None:
+            return self.known
+        slip = np.maximum(np.hypot(v[:, :1], v[:, 1:]), self.grown)
+        ones = np.ones((len(v), 2))
+        finger = [tip.scale, ones] if pushed else []
+        found = np.concatenate([*finger, obj.scale, ones / np.minimum(slip, 1.0)], axis=1)
+        if small and obj.ambient and (tip.ambient or not pushed):
+            self.known = found
+        return found
 
     def integrate(
         self, name: str, start: np.ndarray, given: np.ndarray, scale: np.ndarray, tolerance: float
-    ) -> development.Panels:
+    ) -> tuple[development.Panels, development.Motion | None]:
         """The motion from a state, (n, n_states), with cos psi, sin psi and W_1, (n, 4)."""
         constants = self.problem.constants.copy()
         constants[:, self.given] = given
         problem = self.problem.moved(start, constants, name=name, scale=scale)
         if self.motion is not None:
-            return self.motion.again(tolerance, problem).panels()
-        if development.panels_built(self.kernel) if self.compiled is None else self.compiled:
-            made = development.Motion(self.kernel, problem, tolerance)
-            self.motion = made.again(tolerance)  # without what this one finds
-            return made.panels()
-        return development.integrate(self.kernel, problem, tolerance, False)
+            motion = self.motion.again(tolerance, problem)
+        elif development.panels_built(self.kernel) if self.compiled is None else self.compiled:
+            motion = development.Motion(self.kernel, problem, tolerance)
+            self.motion = motion.again(tolerance)  # without what this one finds
+        else:
+            return development.integrate(self.kernel, problem, tolerance, False), None
+        return motion.panels(), motion
 
 
 class GroupPlanner:
@@ -993,10 +994,9 @@ class GroupPlanner:
         if known is None:
             known = self.pattern.kept[key] = self._forced_problem(interval, tip, obj)
         moving = [tip.state, self.w1, obj.state, self.v] if pushed else [obj.state, self.v]
-        # slip is to be right to tolerance
-        scale = known.scale(tip, obj, pushed, min(1.0, max(_greatest(self.v), known.grown, 1e-3)))
+        scale = known.scale(tip, obj, pushed, self.v)
         given = np.concatenate([self._once("turn", self._turn), self.w1], axis=1)
-        panels = known.integrate(
+        panels, motion = known.integrate(
             self.name, np.concatenate(moving, axis=1), given, scale, self.tolerance
         )
         method = f"forced development, {len(panels.edges) - 1} panels"
@@ -1007,14 +1007,13 @@ class GroupPlanner:
             self._append("finger", PanelTrack(
                 tip.surface, tip.parameters, start, stop, method, "finger acceleration",
                 tip.ambient, self.compiled, panels=panels, rows=slice(0, n1), piece=piece,
-                w=self.w1, v=None, forced=development.Forced(rows_w1, None, None),
-                shared=known.shared,
+                w=self.w1, v=None, forced=Forced(rows_w1, None, known.grown, None, motion),
             ))  # fmt: skip
         self._append("object", PanelTrack(
             obj.surface, obj.parameters, start, stop, method, known.why, obj.ambient, self.compiled,
             offset=interval.offset, panels=panels,
             rows=slice(n1 + 2 if pushed else 0, last - 2), piece=piece, w=self.w2, v=None,
-            forced=development.Forced(rows_w1, rows_v, self.r0), shared=known.shared,
+            forced=Forced(rows_w1, rows_v, known.grown, self.r0, motion),
         ))  # fmt: skip
         of = functools.partial(_panel_states, panels, rows_v)
         grown = self.w1 if rows_w1 is None else functools.partial(_panel_states, panels, rows_w1)
@@ -1048,7 +1047,7 @@ class GroupPlanner:
         )
         at = tip.parameters.shape[1] + obj.parameters.shape[1]
         why = " and ".join(name for kind, name in kinds.items() if forcing[kind].any())
-        grown = self._slip_grown(interval, tip, obj)
+        grown = max(self._slip_grown(interval, tip, obj), 1e-3)
         return _Forced(kernel, problem, slice(at, at + 4), grown, why, self.compiled)
 
     def _turn(self) -> np.ndarray:

@@ -34,7 +34,8 @@ class _Part(ctypes.Structure):
     """``part_t`` of c/program.c."""
 
     _fields_ = [("evaluate", ctypes.c_void_p), ("track", ctypes.c_void_p)]
-    _fields_ += [(name, ctypes.c_long) for name in ("moves", "offset", "stride", "first", "last")]
+    _fields_ += [(name, ctypes.c_long) for name in (
+        "moves", "offset", "stride", "first", "last", "row")]  # fmt: skip
 
 
 class Program:

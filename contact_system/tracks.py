@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -32,6 +35,30 @@ from .profile import GainPiece
 from .surfaces import Surface
 
 SX = ca.SX
+
+LOCK = threading.RLock()
+"""Held while something is found that plans keep: other threads may ask the same plan."""
+
+
+class kept:
+    """A property that an object keeps; two threads may find one each."""
+
+    def __init__(self, find: Callable[[Any], Any]):
+        self.find, self.name = find, find.__name__
+
+    def __get__(self, instance: Any, owner: type) -> Any:
+        known = instance.__dict__
+        if self.name not in known:
+            known[self.name] = self.find(instance)
+        return known[self.name]
+
+
+class once(kept):
+    """The same of what there must be one of, since others point into it."""
+
+    def __get__(self, instance: Any, owner: type) -> Any:
+        with LOCK:
+            return super().__get__(instance, owner)
 
 
 AXIS = 6  # numbers of (x, p), to which q = n x p adds nothing
@@ -320,7 +347,7 @@ class Track:
     def _entry(self, output: str) -> tuple[Evaluator, int] | None:
         return None
 
-    @functools.cached_property
+    @kept
     def _entries(self) -> dict[str, tuple[Evaluator, int] | None]:
         return {}
 

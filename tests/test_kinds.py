@@ -150,8 +150,78 @@ def test_begun_plans_restart_save_and_name_their_own_scene(obj, tmp_path):
         cs.plan(scene, compiled=True).points([-1.0, 0.5])
 
 
-def test_plans_of_one_kind_in_threads():
-    chosen = list(scenes(200, "ellipsoid", "sphere"))
+FINGER, OBJECT, RATE = cs.FingerAcceleration, cs.ObjectAcceleration, cs.ObjectRateOffset
+WINDOWS = {
+    "finger at the start": [(FINGER, 0.0, 0.2)],
+    "finger at the end": [(FINGER, 0.7, 1.0)],
+    "object throughout": [(OBJECT, 0.0, 1.0)],
+    "one after the other": [(FINGER, 0.2, 0.4), (OBJECT, 0.4, 0.5), (FINGER, 0.8, 0.9)],
+    "both at once": [(FINGER, 0.3, 0.6), (OBJECT, 0.3, 0.6)],
+    "rate offset": [(RATE, 0.2, 0.5), (FINGER, 0.5, 0.6)],
+}
+DISTURBED = [("sphere", "sphere", windows) for windows in WINDOWS]
+DISTURBED += [
+    ("ellipsoid", "sphere", "finger at the start"), ("ellipsoid", "sphere", "rate offset"),
+    ("ellipsoid", "cylinder", "finger at the end"), ("sphere", "ellipsoid", "finger at the start"),
+    ("sphere", "ellipsoid", "both at once"), ("torus", "sphere", "one after the other"),
+    ("sphere", "torus", "finger at the end"), ("plane", "sphere", "one after the other"),
+    ("oblate", "sphere", "rate offset"), ("ellipsoid", "sphere", "object throughout"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("obj", "finger", "windows"), DISTURBED)
+def test_disturbed_scenes_of_a_kind_are_planned_as_if_they_were_the_first(obj, finger, windows):
+    contacts, slips = 1 + len(windows) % 3, windows > "o"
+    pushes = [
+        kind(i, start, stop, (0.3, -0.2))
+        for kind, start, stop in WINDOWS[windows] for i in range(contacts)
+    ]  # fmt: skip
+    *_, scene, last = (
+        (scene, cs.plan(scene, compiled=True))
+        for scene in scenes(4, obj, finger, contacts, slips, disturbances=pushes)
+    )
+    # Chart components on a triaxial ellipsoid have the sign of the branch the path has come to,
+    # which plans in full follow alone.
+    expected = not any(
+        start > 0.0 and (finger if kind is FINGER else obj) == "ellipsoid"
+        for kind, start, _ in WINDOWS[windows]
+    )
+    assert begun(scene[1]) == begun(last[1]) == expected
+    compare(*scene, outputs=("points", "pose", "points", "states", "slip", "acceleration"))
+    for times in (TIMES[::-1], TIMES[[0, -1]], np.array([0.2, 0.5, 0.7])):
+        compare(*last, outputs=("points",), times=times)
+    many = cs.plan(last[0], tolerance=1e-5, compiled=True)
+    assert begun(many) == expected
+    assert many.points(TIMES) == pytest.approx(last[1].points(TIMES), abs=1e-5 * 0.3)
+
+
+def test_many_disturbed_contacts_of_a_kind_keep_to_themselves():
+    pushes = [cs.FingerAcceleration("all", 0.2, 0.4, (0.3, -0.2))]
+    for scene in scenes(3, "ellipsoid", "sphere", 11, disturbances=pushes):
+        plan = cs.plan(scene, compiled=True)
+    assert begun(plan)
+    compare(scene, plan, ("points",))
+    alone = scene.replace(contacts=scene.contacts[9:10], disturbances=pushes)
+    assert plan.points(TIMES)[:, 9] == pytest.approx(cs.plan(alone).points(TIMES)[:, 0], abs=1e-13)
+
+
+def test_disturbed_plans_of_a_kind_say_what_is_wrong_themselves():
+    pushes = [cs.FingerAcceleration("all", 0.2, 0.4, (0.3, -0.2))]
+    for scene in scenes(3, "sphere", "sphere", disturbances=pushes, name="third"):
+        plan = cs.plan(scene, compiled=True)
+    assert begun(plan)
+    with pytest.raises(cs.ContactSystemError, match=r"'third': t = 1\.5 s is outside"):
+        plan.points([0.0, 1.5])
+    (start,) = scene.contacts
+    fast = cs.Contact(finger=start.finger, object_at=start.object_at, finger_velocity=(1e20, 0.0))
+    with pytest.raises(cs.SceneError, match=r"contact 0: its path is"):
+        cs.plan(scene.replace(contacts=[fast], disturbances=pushes), compiled=True)
+
+
+@pytest.mark.parametrize("disturbed", [False, True])
+def test_plans_of_one_kind_in_threads(disturbed):
+    pushes = [cs.FingerAcceleration("all", 0.2, 0.4, (0.3, -0.2))] if disturbed else []
+    chosen = list(scenes(200, "ellipsoid", "sphere", disturbances=pushes))
 
     def answer(scene: cs.Scene) -> np.ndarray:
         plan = cs.plan(scene, tolerance=1e-10, compiled=True)

@@ -7,6 +7,7 @@ import dataclasses
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from math import pi
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -316,6 +317,69 @@ def test_disturbed_scenes_are_planned_in_many_threads():
     with ThreadPoolExecutor(8) as pool:
         together = list(pool.map(answer, scenes))
     assert together == [answer(scene.replace()) for scene in scenes]
+
+
+@pytest.mark.parametrize("compiled", [False, None])
+def test_contacts_of_a_crowd_are_planned_as_if_they_were_alone(compiled):
+    # two windows: the second is given in components of the branch that the first has come to
+    contact = cs.Contact(
+        finger=cs.Sphere(0.04), object_at=(1.0, 1.2), finger_velocity=(0.2, -1.0)
+    )  # fmt: skip
+    windows = [
+        cs.FingerAcceleration("all", 1.2, 1.3, (0.1, 0.1)),
+        cs.ObjectAcceleration("all", 1.5, 1.8, (0.5, 0.3)),
+    ]
+    alone = cs.Scene(
+        object=cs.Ellipsoid(0.3, 0.2, 0.1), contacts=[contact], profile=cs.Profile([0.1]),
+        duration=2.0, gain=cs.Gain.time(5.0), disturbances=windows,
+    )  # fmt: skip
+    crowd = alone.replace(contacts=[contact] * 60, disturbances=windows)
+    t = np.linspace(0.0, 2.0, 41)
+    for output in ("points", "states"):
+        one, many = (
+            getattr(cs.plan(s, compiled=compiled), output)(t) for s in (alone, crowd)
+        )  # fmt: skip
+        assert np.abs(many - one).max() < 1e-12, output
+
+
+@pytest.mark.parametrize("compiled", [False, None])
+def test_threads_may_ask_one_plan(compiled):
+    window = [cs.FingerAcceleration("all", 0.3, 0.5, (3.0, 1.0))]
+    contacts = [
+        cs.Contact(
+            finger=cs.Ellipsoid(0.06, 0.05, 0.04), object_at=(0.3 + 0.2 * k, 1.2),
+            finger_at=(1.0, 0.5), object_velocity="rest",
+        ) for k in range(3)
+    ]  # fmt: skip
+    scene = cs.Scene(
+        object=cs.Ellipsoid(0.3, 0.2, 0.1), contacts=contacts, profile=cs.Profile([0.3]),
+        gain=cs.Gain.time(5.0), duration=1.0, disturbances=window,
+    )  # fmt: skip
+    t = np.linspace(0.0, 0.95, 23)
+    expected = cs.plan(scene, 1e-9, compiled=compiled).states(t)
+    with ThreadPoolExecutor(6) as pool:
+        for _ in range(40 if compiled else 4):
+            plan, gate = cs.plan(scene.replace(), 1e-9, compiled=compiled), Barrier(6)
+
+            def ask(plan=plan, gate=gate) -> np.ndarray:
+                gate.wait()
+                return plan.states(t)
+
+            for found in [pool.submit(ask) for _ in range(6)]:
+                assert np.abs(found.result() - expected).max() < 1e-12
+
+
+@pytest.mark.parametrize("compiled", [False, None])
+@pytest.mark.parametrize("length", [5e-324, 1e-310, 1e-300, 1e-160, 1e-20])
+def test_a_window_may_be_as_short_as_it_likes(length, compiled):
+    plain = one_contact(finger="sphere", object_velocity=(0.2, -0.5))
+    scene = plain.replace(disturbances=[cs.FingerAcceleration("all", 0.0, length, (0.1, 0.2))])
+    t = np.linspace(0.0, 1.0, 5)
+    for output in ("points", "states"):
+        found, expected = (
+            getattr(cs.plan(s, compiled=compiled), output)(t) for s in (scene, plain)
+        )  # fmt: skip
+        assert found == pytest.approx(expected, abs=1e-13), output
 
 
 # --- which way is taken

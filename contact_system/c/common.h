@@ -110,7 +110,9 @@ static inline long find_runs(const double *edges, long n_panels, const double *x
   for (long i = 0, stop; i < n; i = stop) {
     const double at = x[i] < 0 ? 0 : x[i] > end ? end : x[i];
     const long k = *last = interval(edges, n_panels, at, *last);
-    const double low = edges[k], high = edges[k + 1], pace = 2.0 / (high - low);
+    const double low = edges[k], high = edges[k + 1];
+    /* an interval may be so short that its inverse is infinite */
+    const double pace = high - low > 1e-300 ? 2.0 / (high - low) : 0.0;
     const double from = k ? low : -HUGE_VAL, to = k + 1 < n_panels ? high : HUGE_VAL;
     for (stop = i + 1; stop < n && x[stop] >= from && x[stop] < to;) stop++;
     for (long q = i; q < stop; q++) {

@@ -54,6 +54,7 @@ typedef struct {
   long moves;          /* k > 0: it is the track of motion k - 1 */
   long offset, stride; /* of body 0, from body to body, in blocks of rows */
   long first, last;    /* the first, the last track of its side */
+  long row;            /* of the motion's states, its own first one (fill_begun) */
 } part_t;
 
 static long earlier(const double *t, long nt, double edge) {
@@ -118,33 +119,55 @@ typedef void (*kernel_t)(long, long, const double *, const long *, long, const d
                          const long *, long);
 
 typedef struct {
-  long from, width, to; /* among what the kernel finds for a contact; in the block, of contact 0 */
+  long at, width, place; /* among the numbers of a contact; in the block, of contact 0 */
 } field_t;
 
+/* A motion and where its last state is wanted: [nb][nx] in the block */
 typedef struct {
-  kernel_t start;                     /* numbers of a contact's start -> facts and fields */
-  const double *parameters, *limits;  /* [nb][n_parameters]; [n_facts][2] */
-  const long *rows;                   /* 0, 1, 2, ... */
-  const field_t *fields;
-  const double *block;                /* where the tracks of the kind point */
-  long nb, n_start, n_parameters, n_facts, n_fields, size;
+  const motion_t *motion;
+  long end;
+} move_t;
+
+/* What is worked out where tracks begin: at the start, from where contacts start; later, from where their
+   motions ended. */
+typedef struct {
+  kernel_t find;                     /* numbers of a contact -> facts and fields */
+  const double *parameters, *limits; /* [nb][n_parameters]; [n_facts][2] */
+  const field_t *given, *fields;
+  const move_t *moves;               /* what is integrated from here on */
+  long n_parameters, n_facts, facts, n_given, n_fields, n_moves; /* facts: their place in the block */
+} stage_t;
+
+typedef struct {
+  const stage_t *stages;
+  const long *rows;    /* 0, 1, 2, ... */
+  const double *block; /* where the tracks of the kind point */
+  long nb, n_stages, n_moves, size;
 } kind_t;
 
-/* Fill a scene's block: the greatest of each fact (the first is slip), then the fields. Returns 0, or
-   1 + the fact that is beyond what scenes of this kind can have. */
-long begin(const kind_t *k, const double *starts, double *block) {
-  double found[MOST_FOUND];
-  for (long b = 0; b < k->nb; b++) {
-    k->start(1, 1, starts + b * k->n_start, k->rows, 0, k->parameters + b * k->n_parameters, found,
-             k->rows, 0);
-    for (long f = 0; f < k->n_facts; f++) {
-      if (!(found[f] >= k->limits[2 * f] && found[f] <= k->limits[2 * f + 1])) return 1 + f;
-      if (!b || found[f] > block[f]) block[f] = found[f];
+/* Fill what a stage says of contacts [first, first + n): the greatest of each fact (the first is slip), then the
+   fields. Returns 0, or 1 + the fact that is beyond what scenes of this kind can have. */
+static long work_out(const kind_t *k, const stage_t *s, double *block, long first, long n) {
+  double given[MOST_FOUND], found[MOST_FOUND], *facts = block + s->facts;
+  for (long b = first; b < first + n; b++) {
+    for (const field_t *f = s->given; f < s->given + s->n_given; f++)
+      memcpy(given + f->at, block + f->place + b * f->width, f->width * sizeof(double));
+    s->find(1, 1, given, k->rows, 0, s->parameters + b * s->n_parameters, found, k->rows, 0);
+    for (long f = 0; f < s->n_facts; f++) {
+      if (!(found[f] >= s->limits[2 * f] && found[f] <= s->limits[2 * f + 1])) return 1 + f;
+      if (b == first || found[f] > facts[f]) facts[f] = found[f];
     }
-    for (const field_t *f = k->fields; f < k->fields + k->n_fields; f++)
-      memcpy(block + f->to + b * f->width, found + f->from, f->width * sizeof(double));
+    for (const field_t *f = s->fields; f < s->fields + s->n_fields; f++)
+      memcpy(block + f->place + b * f->width, found + f->at, f->width * sizeof(double));
   }
   return 0;
+}
+
+/* Fill a scene's block with what its start says. Returns as work_out. */
+long begin(const kind_t *k, const double *starts, double *block) {
+  const field_t *start = k->stages->given;
+  memcpy(block + start->place, starts, k->nb * start->width * sizeof(double));
+  return work_out(k, k->stages, block, 0, k->nb);
 }
 
 /* From the block of the kind to that of a scene; kind NULL: nothing is carried. */
@@ -159,20 +182,23 @@ static track_t own_track(const track_t *track, const kind_t *k, const double *bl
   own.constants = carried(own.constants, k, block) + first * own.n_constants;
   own.w = carried(own.w, k, block) + first * own.n_drive;
   own.v = carried(own.v, k, block) + first * own.n_drive;
+  if (own.turn) own.turn = carried(own.turn, k, block) + 4 * first;
+  if (own.offset) own.offset += 2 * first;
   if (own.coefficients) own.coefficients += first * own.body_stride;
   return own;
 }
 
 /* Integrate a motion of the kind for contacts of a scene, into memory that is to be freed where 0 is returned.
-   Where the room known is too small, whoever keeps motions learns more. */
+   slip: of these contacts where the motion begins. Where the room known is too small, whoever keeps motions
+   learns more. */
 static long own_motion(motion_t *own, const motion_t *motion, const kind_t *k, const double *block,
-                       double tolerance, long first, long n) {
+                       double slip, double tolerance, long first, long n) {
   *own = *motion, own->track.coefficients = NULL;
   own->track = own_track(&own->track, k, block, first, n);
   own->start = carried(own->start, k, block) + first * own->nx;
   own->scale = carried(own->scale, k, block) + first * own->nx;
   own->constants = carried(own->constants, k, block) + first * own->nc;
-  if (own->slip > 0.0) own->slip = block[0];
+  if (own->slip > 0.0 && own->method.n_stiff == 0) own->slip = slip;
   own->tolerance = tolerance, own->done = 0, own->room = *own->known;
   own->block = malloc(room_of(own) * sizeof(double));
   if (!own->block) return -1;
@@ -183,23 +209,51 @@ static long own_motion(motion_t *own, const motion_t *motion, const kind_t *k, c
 
 static long chunk(long nb, long first) { return nb - first < MOST ? nb - first : MOST; }
 
+/* Integrate all motions of some contacts, stage by stage. Returns 0; counts those that were integrated. */
+static long own_motions(motion_t *moved, const kind_t *k, double *block, double tolerance, long first, long n,
+                        long *made) {
+  for (const stage_t *s = k->stages; s < k->stages + k->n_stages; s++) {
+    if (s > k->stages && work_out(k, s, block, first, n)) return -1;
+    for (const move_t *m = s->moves; m < s->moves + s->n_moves; m++) {
+      motion_t *own = moved + *made;
+      if (own_motion(own, m->motion, k, block, block[s->facts], tolerance, first, n)) return -1;
+      memcpy(block + m->end + first * own->nx, own->block, n * own->nx * sizeof(double));
+      ++*made;
+    }
+  }
+  return 0;
+}
+
 /* `fill` for a scene of a kind, a few contacts at a time, with motions that are not kept. A negative code says
    only that `fill` is to be asked. */
 long fill_begun(const kind_t *k, const double *block, double tolerance, const part_t *parts, long n_parts,
                 long count, long nt, const double *t, double *out) {
-  for (long first = 0; first < k->nb; first += MOST)
-    for (const part_t *part = parts; part < parts + n_parts; part++) {
-      const long n = chunk(k->nb, first);
-      motion_t own;
-      if (!part->moves)
-        own.track = own_track(part->track, k, block, first, n);
-      else if (own_motion(&own, (const motion_t *)part->track, k, block, tolerance, first, n))
-        return -1;
-      const long code = fill_part(part, &own.track, count, nt, t, out + first * part->stride * count * nt);
-      if (part->moves) free(own.block);
-      if (code) return code;
+  motion_t *moved = NULL;
+  double *own = NULL;
+  long code = 0;
+  if (k->n_moves || k->n_stages > 1) { /* the scene's block is shared by all who plan it */
+    moved = malloc(k->n_moves * sizeof *moved + k->size * sizeof *own);
+    if (!moved) return -1;
+    block = own = memcpy(moved + k->n_moves, block, k->size * sizeof *own);
+  }
+  for (long first = 0; first < k->nb && !code; first += MOST) {
+    const long n = chunk(k->nb, first);
+    long made = 0;
+    if (moved) code = own_motions(moved, k, own, tolerance, first, n, &made);
+    for (const part_t *part = parts; part < parts + n_parts && !code; part++) {
+      track_t track = own_track(part->track, k, block, first, n);
+      if (part->moves) {
+        const track_t *whole = &moved[part->moves - 1].track;
+        track.edges = whole->edges, track.n_panels = whole->n_panels;
+        track.panel_stride = whole->panel_stride, track.body_stride = whole->body_stride;
+        track.coefficients = whole->coefficients + part->row * (N + 1);
+      }
+      code = fill_part(part, &track, count, nt, t, out + first * part->stride * count * nt);
     }
-  return 0;
+    while (made) free(moved[--made].block);
+  }
+  free(moved);
+  return code;
 }
 
 /* Chart states of finger and object. Where a side is dear at each time (two or three arc tangents) and there are
@@ -470,7 +524,7 @@ long states(const kind_t *kind, const double *block, double tolerance, const sta
       motion_t own;
       if (!side->moves || !kind)
         own.track = own_track(side->moves ? &motion->track : side->track, kind, block, first, n);
-      else if ((code = own_motion(&own, motion, kind, block, tolerance, first, n)))
+      else if ((code = own_motion(&own, motion, kind, block, block[kind->stages->facts], tolerance, first, n)))
         break;
       track_t *k = &own.track;
       if (!ordered || !(t[0] >= k->start && t[nt - 1] <= k->stop))
