@@ -47,7 +47,13 @@ from .kernels import per_structure
 from .kinematics import relative_pose, relative_twist
 from .planner import Start, measured_start, scene_start
 from .profile import integral, law_rate, polynomial, product
-from .scene import FingerAcceleration, ObjectAcceleration, ObjectRateOffset, Scene
+from .scene import (
+    Disturbance,
+    FingerAcceleration,
+    ObjectAcceleration,
+    ObjectRateOffset,
+    Scene,
+)
 from .surfaces import Ellipsoid, Surface
 from .tracks import (
     coordinate_kernel,
@@ -504,7 +510,27 @@ class SceneSystem:
         outputs = {name: ca.vertcat(*values) for name, values in found.items()}
         outputs["guard"] = self._guard(outputs["derivatives"], t, law[1:])
         outputs["clearance"] = functools.reduce(ca.fmin, ca.vertsplit(outputs["regularity"]))
+        outputs["stretch"] = ca.vertcat(
+            *(self._stretch(i, state, finger, obj)
+              for i, (state, finger) in enumerate(zip(found["state"], fingers)))
+        )  # fmt: skip
         return outputs
+
+    def _stretch(self, index: int, state: SX, finger: SX, obj: SX) -> SX:
+        """|M| of finger and object, (2); 0 where the scene does not accelerate along the chart."""
+        scene = self.scene
+        kinds = {type(d) for d in scene.disturbances if d.contact == index}
+        sides = (
+            (FingerAcceleration, scene.contacts[index].finger, finger, state[:2]),
+            (ObjectAcceleration, scene.object, obj, state[4:6]),
+        )
+        found, point = SX.zeros(2), SX.sym("point", 2)
+        for k, (kind, surface, numbers, at) in enumerate(sides):
+            if kind in kinds:
+                p, _ = ca.vertsplit(numbers, [0, numbers.numel() - 1, numbers.numel()])
+                m = surface.geometry_expr(p, point[0], point[1]).metric_root
+                found[k] = ca.substitute(ca.norm_fro(m), point, at)
+        return found
 
     def _guard(self, rate: SX, t: SX, profile: SX) -> SX:
         """1; -1 where sigma < 0; -inf or NaN where a derivative is not finite."""
@@ -525,7 +551,9 @@ class SceneSystem:
             "twist" (6), V_OF_O; "acceleration" (6), its time derivative; "pose" (12), the rotation
             from F to O column by column, then the origin of F in O; "contact_point" (6), on the
             finger in F, on the object in O; "normal" (3), of the object, outward, in O;
-            "regularity" (2), distance of finger and object from their charts' singularities.
+            "regularity" (2), distance of finger and object from their charts' singularities;
+            "stretch" (2), the Frobenius norms of M of finger and object, m, 0 where the scene has
+            no acceleration.
         """
         if outputs not in self._functions:
             values = ca.cse([self._expressions[name] for name in outputs])
@@ -553,13 +581,21 @@ class SceneSystem:
 
     # --- windows ---------------------------------------------------------------------------------
 
+    @functools.cached_property
+    def windows(self) -> list[tuple[Disturbance, slice]]:
+        """The scene's disturbances and where each stands in w."""
+        return [
+            (d, slice(first, first + 2))
+            for d in self.scene.disturbances
+            for first in [6 * int(d.contact) + 2 * KINDS.index(type(d))]
+        ]
+
     def window_values(self, t: float) -> Array:
         """What the scene's windows add on the interval that begins at t: (n_w,)."""
         w = np.zeros(self.n_w)
-        for d in self.scene.disturbances:
+        for d, rows in self.windows:
             if d.start <= t < d.stop:
-                first = 6 * int(d.contact) + 2 * KINDS.index(type(d))
-                w[first : first + 2] += d.value
+                w[rows] += d.value
         return w
 
     # --- starting --------------------------------------------------------------------------------

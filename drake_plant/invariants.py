@@ -32,7 +32,7 @@ WATCHED = 0.01
 STANDING = 1e-6
 """The part of the greatest sigma below which its quotients say nothing."""
 SPREAD = 3.0
-"""By how much Lame coefficients may grow on the way of an accelerated contact."""
+"""By how much Lame coefficients may grow until limits follow, for an accelerated contact."""
 
 
 MANY = 4096
@@ -45,7 +45,7 @@ class Progress:
     """How fast a simulation comes on; error control may ask for steps of 1e-9 s all the way."""
 
     def __init__(self, scene: Scene):
-        self.scene, self.short, self.last = scene, 0, 0.0
+        self.scene, self.count, self.short, self.last = scene, 0, 0, 0.0
 
     def step(self, t: float) -> None:
         """Note a step that ends at t.
@@ -56,7 +56,7 @@ class Progress:
             The scene's end will never be reached with steps like these.
         """
         length, left = t - self.last, self.scene.duration - t
-        self.last = t
+        self.count, self.last = self.count + 1, t
         self.short = self.short + 1 if 0.0 < length * MOST < left else 0
         if self.short == MANY:
             self.short = 0
@@ -69,24 +69,49 @@ class Progress:
 
 
 class Limits(NamedTuple):
-    """What speed and slip may become, relative to sigma; per contact, (n) each.
+    """What speed and slip may become, relative to sigma, in one simulation of n contacts.
 
     Attributes
     ----------
-    speed : |M1 q1'| / sigma at first
-    off : how far from it is too far
-    slip : the greatest |v_rel| / sigma
+    speed, slip : (n)
+        |M1 q1'| / sigma and |v_rel| / sigma at first.
+    stretch : (n, 2)
+        The greatest that `SceneSystem.function` gives on the way, of finger and object.
+    pushes : (n, 2)
+        What `pushes` gives.
     """
 
     speed: Array
-    off: Array
     slip: Array
+    stretch: Array
+    pushes: Array
+
+    @property
+    def forced(self) -> Array:
+        """How much the scene's accelerations can change W and V at most: (n)."""
+        return SPREAD * (self.pushes * self.stretch).sum(axis=1)
+
+    @property
+    def off(self) -> Array:
+        """How far from its first value a speed is too far: (n)."""
+        return TOLERANCE * self.speed + self.forced
+
+    @property
+    def most_slip(self) -> Array:
+        """The greatest |v_rel| / sigma: (n)."""
+        return self.slip + TOLERANCE * (self.speed + self.slip) + self.forced
+
+    def widened(self, stretch: Array) -> Limits:
+        """The limits once a contact has been where its charts are stretched so much."""
+        return self._replace(stretch=np.fmax(self.stretch, stretch))
 
     def near(self) -> Array:
-        """Limits well within these, as `pace_function` takes them: least, most, slip; (3 n)."""
+        """Limits well within these, as `pace_function` takes them: (5 n)."""
         less = (1 - WATCHED) * TOLERANCE * self.speed
-        off, slip = self.off - less, self.slip - less
-        return np.concatenate([self.speed - off, self.speed + off, slip])
+        off, slip = self.off - less, self.most_slip - less
+        return np.concatenate(
+            [self.speed - off, self.speed + off, slip, SPREAD * self.stretch.ravel()]
+        )
 
 
 def has_invariants(system: SceneSystem) -> bool:
@@ -96,17 +121,18 @@ def has_invariants(system: SceneSystem) -> bool:
 
 
 def pace_function(system: SceneSystem) -> ca.Function:
-    """(t, x, w, held, p, limits) -> derivatives, guard, clearance, excess, speed, slip.
+    """(t, x, w, held, p, limits) -> derivatives, guard, clearance, excess, speed, slip, stretch.
 
-    The first three are those of `SceneSystem.function`. Excess (1) is positive where a speed or
-    slip is beyond its limit; speed and slip (n each) are relative to sigma. Object rate offsets
-    are no part of the slip that the equations feed back (theory section 7), so w is zero here.
+    The first three and the last are those of `SceneSystem.function`. Limits are those of
+    `Limits.near`: least and most speed, slip (n each), stretch (2 n). Excess (1) is positive where
+    one of them is passed; speed and slip (n each) are relative to sigma. Object rate offsets are no
+    part of the slip that the equations feed back (theory section 7), so w is zero here.
     """
     n = len(system.scene.contacts)
-    core, slip, points, state = (
+    core, slip, points, state, stretch = (
         system.function(*names)
         for names in (("derivatives", "guard", "clearance"), ("slip",), ("contact_point",),
-                      ("derivatives",))
+                      ("derivatives",), ("stretch",))
     )  # fmt: skip
     symbols = [SX.sym(core.name_in(i), core.size1_in(i)) for i in range(core.n_in())]
     t, x, w, held, p = symbols
@@ -116,11 +142,12 @@ def pace_function(system: SceneSystem) -> ca.Function:
     sigma = polynomial(ca.vertsplit(coefficients), t)
     speed = ca.sqrt(ca.sum1(moved**2)).T / sigma
     slipping = ca.sqrt(ca.sum1(ca.reshape(slip(*resting), 2, n) ** 2)).T / sigma
-    limits = SX.sym("limits", 3 * n)
-    least, most, slipped = ca.vertsplit(limits, n)
-    excess = ca.mmax(ca.vertcat(least - speed, speed - most, slipping - slipped))
-    outputs = [*core(*symbols), excess, speed, slipping]
-    names = ["derivatives", "guard", "clearance", "excess", "speed", "slip"]
+    stretched = stretch(*resting)
+    limits = SX.sym("limits", 5 * n)
+    least, most, slipped, reach = ca.vertsplit(limits, [0, n, 2 * n, 3 * n, 5 * n])
+    excess = ca.mmax(ca.vertcat(least - speed, speed - most, slipping - slipped, stretched - reach))
+    outputs = [*core(*symbols), excess, speed, slipping, stretched]
+    names = ["derivatives", "guard", "clearance", "excess", "speed", "slip", "stretch"]
     inputs = [*symbols, limits]
     return ca.Function(
         "scene_pace", inputs, [ca.densify(v) for v in ca.cse(outputs)],
@@ -129,16 +156,9 @@ def pace_function(system: SceneSystem) -> ca.Function:
 
 
 def no_limits(system: SceneSystem) -> Array:
-    """Limits for contacts of which nobody knows how they started: (3 n)."""
+    """Limits for contacts of which nobody knows how they started: (5 n)."""
     n = len(system.scene.contacts)
-    return np.concatenate([np.full(n, -np.inf), np.full(2 * n, np.inf)])
-
-
-def limits_of(system: SceneSystem, speed: Array, slip: Array) -> Limits:
-    """The limits of a simulation that starts with these speeds and slips, (n) each."""
-    forced = forcing(system)
-    off = TOLERANCE * speed + forced
-    return Limits(speed.copy(), off, slip + TOLERANCE * (speed + slip) + forced)
+    return np.concatenate([np.full(n, -np.inf), np.full(4 * n, np.inf)])
 
 
 def stiffness(system: SceneSystem) -> float:
@@ -150,21 +170,16 @@ def stiffness(system: SceneSystem) -> float:
     return float(np.max(gain.rate(profile, t) + np.abs(profile.rate(t)) / sigma))
 
 
-def forcing(system: SceneSystem) -> Array:
-    """How much the scene's accelerations can change W and V at most, with some spread: (n)."""
-    scene, found = system.scene, np.zeros(len(system.scene.contacts))
+def pushes(system: SceneSystem) -> Array:
+    """The integral of |d| / sigma over the scene's accelerations, of finger and object: (n, 2)."""
+    scene, found = system.scene, np.zeros((len(system.scene.contacts), 2))
     for d in scene.disturbances:
         if isinstance(d, ObjectRateOffset):
             continue
-        contact = scene.contacts[int(d.contact)]
-        tip = isinstance(d, FingerAcceleration)
-        surface, at = (
-            (contact.finger, contact.finger_at) if tip else (scene.object, contact.object_at)
-        )
-        length = float(np.linalg.norm(np.asarray(surface.metric_root(*at))))
         times = np.linspace(d.start, d.stop, 101)
         slowness = (d.stop - d.start) * np.mean(1.0 / np.maximum(scene.profile(times), 1e-300))
-        found[int(d.contact)] += SPREAD * length * np.linalg.norm(d.value) * slowness
+        side = 0 if isinstance(d, FingerAcceleration) else 1
+        found[int(d.contact), side] += np.linalg.norm(d.value) * slowness
     return found
 
 
@@ -178,11 +193,12 @@ def refuse_pace(system: SceneSystem, t: float, limits: Limits, speed: Array, sli
     """
     scene, sigma = system.scene, system.scene.profile(t)
     steady = np.abs(speed - limits.speed) <= limits.off
-    fine = steady & (slip <= limits.slip)
+    fine = steady & (slip <= limits.most_slip)
     if fine.all() or sigma <= STANDING * scene.profile(np.linspace(0, scene.duration, 101)).max():
         return
     i = int(np.argmin(fine))
-    found = f"slips at {sigma * slip[i]:.4g} m/s, of which {sigma * limits.slip[i]:.4g} can be left"
+    most = sigma * limits.most_slip[i]
+    found = f"slips at {sigma * slip[i]:.4g} m/s, of which {most:.4g} can be left"
     if not steady[i]:
         found = f"moves at {sigma * speed[i]:.4g} m/s instead of {sigma * limits.speed[i]:.4g}"
     remedy = "use smaller steps, an implicit scheme or one with error control"

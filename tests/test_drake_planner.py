@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import sys
+import threading
 
 import numpy as np
 import pytest
@@ -13,7 +16,7 @@ from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoD
 from pydrake.symbolic import Expression, Variable
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import Linearize
+from pydrake.systems.primitives import Linearize, MatrixGain
 
 import contact_system as cs
 from contact_system import kernels
@@ -52,6 +55,13 @@ def error(planner, context, plan=None):
     plan = plan or cs.plan(planner.system.scene, 1e-13)
     points = planner.GetOutputPort("contact_point").Eval(context).reshape(-1, 2, 3)
     return np.linalg.norm(points - plan.points(context.get_time())[0], axis=-1).max()
+
+
+def plain(value):
+    """The float of any scalar of Drake's."""
+    for ask in ("value", "Evaluate"):
+        value = getattr(value, ask)() if hasattr(value, ask) else value
+    return float(value)
 
 
 def pole_scene(miss=0.0, profile=(0.1,), duration=2.0):
@@ -178,6 +188,92 @@ def test_a_simulation_may_begin_with_other_speeds_than_the_scene_has(coordinates
     assert error(planner, fast.get_context(), plan.restart(0.2, faster)) < 1e-9
 
 
+def stretching(obj, at, acceleration, angle=0.0):
+    """An object whose Lame coefficients grow on the way of a contact that is accelerated."""
+    contact = cs.Contact(cs.Sphere(0.04), object_at=at, angle=angle, finger_velocity=(0.0, 1.0))
+    pushed = cs.ObjectAcceleration(0, 1.0, 1.5, acceleration)
+    return cs.Scene(
+        name="stretching", object=obj, contacts=[contact], profile=cs.Profile([0.2]),
+        gain=cs.Gain.time(1.0), duration=2.0, disturbances=[pushed],
+    )  # fmt: skip
+
+
+UMBILIC = stretching(cs.Ellipsoid(0.3, 0.2, 0.1), (0.05, math.pi / 2 - 0.05), (2.0, 0.0))
+POLAR = stretching(
+    cs.ParametricSurface(("0.1*exp(u)*cos(v)", "0.1*exp(u)*sin(v)", "0*u"), size=0.1),
+    (-2.5, 0.3), (3.0, 1.0), -math.pi / 2,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("scene", "coordinates"), [(UMBILIC, "frame"), (POLAR, "frame"), (POLAR, "chart")]
+)
+def test_charts_that_stretch_on_the_way_are_no_fault_of_the_integrator(scene, coordinates):
+    planner = ContactPlanner(scene, coordinates)
+    context = run(planner, 1.6, "runge_kutta5", 5e-4)
+    plan = cs.plan(scene, 1e-13)
+    assert error(planner, context, plan) < 1e-9
+    at, start = plan.states(1.6)[0, 0, 4:6], scene.contacts[0].object_at
+    lengths = [np.linalg.norm(scene.object.metric_root(*q)) for q in (start, at)]
+    assert lengths[1] > 3 * lengths[0]
+
+
+@pytest.mark.parametrize(("scene", "coordinates"), [(UMBILIC, "frame"), (POLAR, "chart")])
+def test_steps_too_long_are_refused_on_charts_that_stretch_too(scene, coordinates):
+    planner = ContactPlanner(scene.replace(gain=cs.Gain.time(300.0)), coordinates)
+    with pytest.raises(cs.SceneError, match="scene 'stretching', contact 0.*smaller steps"):
+        run(planner, 1.9, "runge_kutta3", 0.02)
+
+
+# --- threads -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def restless():
+    """Threads that take turns after every few instructions."""
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(interval)
+
+
+def run_in_threads(tasks):
+    """What the tasks return, each in a thread of its own; the first error is raised."""
+    found = [None] * len(tasks)
+
+    def keep(i):
+        try:
+            found[i] = tasks[i]()
+        except Exception as problem:
+            found[i] = problem
+
+    threads = [threading.Thread(target=keep, args=(i,)) for i in range(len(tasks))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for value in found:
+        if isinstance(value, Exception):
+            raise value
+    return found
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_threads_share_a_planner_with_a_context_each(coordinates, restless):
+    planner, ends = ContactPlanner(cs.load_scene("K3"), coordinates), (0.12, 0.16, 0.2)
+    tasks = [lambda end=end: run(planner, end, "runge_kutta5") for end in ends]
+    plan = cs.plan(planner.system.scene, 1e-13)
+    assert max(error(planner, context, plan) for context in run_in_threads(tasks)) < 1e-9
+
+
+def test_a_thread_refuses_what_another_one_has_initialized():
+    planner = ContactPlanner(stiff("K4", 1e3), "frame")
+    found = simulator(planner, step=0.1)
+    found.Initialize()
+    with pytest.raises(cs.SceneError, match="smaller steps"):
+        run_in_threads([lambda: found.AdvanceTo(2.5)])
+
+
 # --- what is compiled, and when ------------------------------------------------------------------
 
 
@@ -270,6 +366,47 @@ def test_the_disturbance_port_acts_like_a_window(coordinates):
     assert error(planner, found.get_context(), plan) < 1e-9
 
 
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_outputs_without_feedthrough_may_feed_the_disturbance_port(coordinates):
+    builder = DiagramBuilder()
+    scene = cs.load_scene("K1")
+    planner = builder.AddSystem(ContactPlanner(scene, coordinates, disturbance_input=True))
+    gain = np.linspace(-1.0, 1.0, 18 * 18).reshape(18, 18)
+    feedback = builder.AddSystem(MatrixGain(gain))
+    builder.Connect(planner.GetOutputPort("contact_point"), feedback.get_input_port())
+    builder.Connect(feedback.get_output_port(), planner.GetInputPort("disturbance"))
+    diagram = builder.Build()
+    context = planner.GetMyContextFromRoot(root := diagram.CreateDefaultContext())
+    points = cs.plan(scene).points(0.0)[0].ravel()
+    system = planner.system
+    expected = system.evaluate("derivatives", 0.0, system.x0, gain @ points)
+    assert planner.EvalTimeDerivatives(context).CopyToVector() == pytest.approx(expected, rel=1e-9)
+    assert diagram.EvalTimeDerivatives(root).size() == len(expected)
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_every_scalar_knows_the_windows_without_a_simulator(coordinates):
+    """Between edges the time tells what acts; at an edge the discrete state, for all scalars."""
+    planner = ContactPlanner(cs.load_scene("K4"), coordinates)  # with windows from 1 s to 2 s
+    system, context = planner.system, planner.CreateDefaultContext()
+    others = [planner.ToAutoDiffXd(), planner.ToSymbolic()]
+    for t, passed, inside in (
+        (1.5, 0.0, True), (1.5, 1.0, True), (2.5, 0.0, False),
+        (1.0, 0.0, False), (1.0, 1.0, True), (2.0, 1.0, True), (2.0, 2.0, False),
+    ):  # fmt: skip
+        context.SetTime(t)
+        context.SetDiscreteState([passed])
+        w = system.window_values(1.5 if inside else 0.5)
+        expected = system.evaluate("derivatives", t, system.x0, w)
+        rates = [planner.EvalTimeDerivatives(context).CopyToVector()]
+        for other in others:
+            found = other.CreateDefaultContext()
+            found.SetTimeStateAndParametersFrom(context)
+            values = other.EvalTimeDerivatives(found).CopyToVector().ravel()
+            rates.append([plain(v) for v in values])
+        assert np.allclose(rates, expected, rtol=1e-10, atol=1e-10)
+
+
 # --- restarts ------------------------------------------------------------------------------------
 
 
@@ -318,9 +455,6 @@ def prepared(name, coordinates):
     planner.GetInputPort("disturbance").FixValue(context, 0.1 * random.normal(size=18))
     x = planner.system.x0
     context.SetContinuousState(x * (1 + 0.01 * random.normal(size=len(x))))
-    if planner.system.edges:
-        w = planner.system.window_values(0.12)
-        context.get_mutable_discrete_state_vector().SetFromVector(w)
     return planner, context
 
 
@@ -440,6 +574,15 @@ def test_a_state_that_is_not_a_number_is_refused():
     context.get_mutable_continuous_state_vector().SetAtIndex(20, np.inf)
     with pytest.raises(cs.SceneError, match="contact 2: the state at t = 0 s"):
         planner.EvalTimeDerivatives(context)
+
+
+def test_no_output_is_not_a_number():
+    planner = ContactPlanner(cs.load_scene("K1"))
+    for port in (*VALUES, "pose"):
+        context = planner.CreateDefaultContext()
+        context.get_mutable_continuous_state_vector().SetAtIndex(22, np.nan)  # u2 of contact 2
+        with pytest.raises(cs.SceneError, match="contact 2: the state at t = 0 s"):
+            planner.GetOutputPort(port).Eval(context)
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)

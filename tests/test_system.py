@@ -191,6 +191,18 @@ def test_clearance_is_the_distance_from_a_pole_and_negative_beyond():
         assert system.evaluate("clearance", 0.5, x)[0] == pytest.approx(np.sin(u), rel=1e-12)
 
 
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_stretch_is_that_of_the_charts_of_accelerated_bodies(coordinates):
+    accelerations = (DISTURBANCES["finger"], DISTURBANCES["object"])
+    for own, sides in (((), (0, 0)), (accelerations[1:], (0, 1)), (accelerations, (1, 1))):
+        scene = one_contact("ellipsoid", "torus", disturbances=own)
+        contact, system = scene.contacts[0], SceneSystem(scene, coordinates)
+        pair = (contact.finger, contact.finger_at), (scene.object, contact.object_at)
+        lengths = [np.linalg.norm(surface.metric_root(*at)) for surface, at in pair]
+        found = system.evaluate("stretch", 0.0, system.x0)
+        assert found == pytest.approx(np.multiply(sides, lengths))
+
+
 @pytest.mark.parametrize(
     ("scene", "coordinates", "message"),
     [
