@@ -74,6 +74,7 @@ _OPERATIONS: dict[int, tuple[str, str]] = {
     ca.OP_SIGN: ("({0} > 0 ? 1.0 : {0} < 0 ? -1.0 : 0.0)", "sign"),
     ca.OP_FLOOR: ("floor({0})", "floor"),
     ca.OP_CEIL: ("ceil({0})", "ceil"),
+    ca.OP_FMOD: ("fmod({0}, {1})", "fmod"),
     ca.OP_LT: ("({0} < {1} ? 1.0 : 0.0)", "less"),
     ca.OP_LE: ("({0} <= {1} ? 1.0 : 0.0)", "less_equal"),
     ca.OP_EQ: ("({0} == {1} ? 1.0 : 0.0)", "equal"),
@@ -126,15 +127,19 @@ def replay(
     return results
 
 
+def no_operation(op: int, form: str) -> ContactSystemError:
+    """The error of an operation of CasADi that cannot be written in a form, such as C."""
+    name = next((key for key in vars(ca) if key.startswith("OP_") and vars(ca)[key] == op), op)
+    return ContactSystemError(
+        f"operation {name} of CasADi has no {form} form here; write the surface with "
+        "+ - * / sqrt, trigonometric, hyperbolic, exp, log, pow, fabs, fmin, fmax, fmod, if_else"
+    )
+
+
 def _name_of(op: int, column: int) -> str:
-    try:
-        return _OPERATIONS[op][column]
-    except KeyError:
-        raise ContactSystemError(
-            f"operation {op} of CasADi has no {('C', 'numpy')[column]} form here; write the "
-            "surface with + - * / sqrt, trigonometric, hyperbolic, exp, log, pow, fabs, fmin, "
-            "fmax, if_else"
-        ) from None
+    if op not in _OPERATIONS:
+        raise no_operation(op, ("C", "numpy")[column])
+    return _OPERATIONS[op][column]
 
 
 def c_statements(

@@ -21,7 +21,13 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from contact_system import Scene, SceneSystem
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
-from contact_system.kernels import compiled_library, find_compiler, library_path, replay
+from contact_system.kernels import (
+    compiled_library,
+    find_compiler,
+    library_path,
+    no_operation,
+    replay,
+)
 
 from .invariants import (
     Limits,
@@ -168,6 +174,10 @@ def _power(base: Any, exponent: Any) -> Any:
     return drake_math.exp(exponent * drake_math.log(base))
 
 
+def _truncated(a: Any) -> Any:
+    return _where(a >= 0.0, drake_math.floor(a), drake_math.ceil(a))
+
+
 _OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_ASSIGN: lambda a: a,
     ca.OP_ADD: operator.add,
@@ -206,6 +216,7 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_SIGN: lambda a: _where(a > 0.0, 1.0, _where(a < 0.0, -1.0, 0.0)),
     ca.OP_FLOOR: drake_math.floor,
     ca.OP_CEIL: drake_math.ceil,
+    ca.OP_FMOD: lambda a, b: a - b * _truncated(a / b),
     # a condition is a number again, as it is for CasADi
     ca.OP_LT: lambda a, b: _where(a < b, 1.0, 0.0),
     ca.OP_LE: lambda a, b: _where(a <= b, 1.0, 0.0),
@@ -220,7 +231,13 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
 
 def evaluate_scalars(function: ca.Function, arguments: Sequence[Any], T: type) -> Array:
     """The first output of a CasADi function of Drake's AutoDiffXd or Expression: (n,) of T."""
-    (values, *_) = replay(function, arguments, lambda op, operands: _OPERATIONS[op](*operands))
+
+    def apply(op: int, operands: list[Any]) -> Any:
+        if op not in _OPERATIONS:
+            raise no_operation(op, "AutoDiffXd or Expression")
+        return _OPERATIONS[op](*operands)
+
+    (values, *_) = replay(function, arguments, apply)
     return np.array([v if isinstance(v, T) else T(v) for v in values])
 
 

@@ -7,6 +7,7 @@ import math
 import sys
 import threading
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -520,6 +521,42 @@ def test_symbolic_derivatives_evaluate_to_the_numbers(name, coordinates):
     values = np.array([rate.Evaluate(environment) for rate in rates])
     expected = planner.EvalTimeDerivatives(context).CopyToVector()
     assert np.abs(values - expected).max() <= 1e-13 * np.abs(expected).max()
+
+
+def ring(turned):
+    """A scene on a torus whose chart takes turned(v) for its second angle."""
+    contact = cs.Contact(cs.Sphere(0.04), object_at=(0.4, -3.0), finger_velocity=(0.6, 0.8))
+
+    def chart(u, v):
+        radius, angle = 0.2 + 0.05 * ca.cos(u), turned(v)
+        return radius * ca.cos(angle), radius * ca.sin(angle), 0.05 * ca.sin(u)
+
+    surface = cs.ParametricSurface(chart, size=0.25)
+    return cs.Scene(
+        name="ring", object=surface, contacts=[contact], profile=cs.Profile([0.1]), duration=1.0
+    )
+
+
+def test_a_remainder_in_a_chart_is_the_same_for_every_scalar():
+    rates = []
+    for turned in (lambda v: v, lambda v: ca.fmod(v, 2 * math.pi)):
+        planner = ContactPlanner(ring(turned))
+        x = planner.system.x0.copy()
+        x[5] = -7.0  # beyond what the remainder leaves
+        for system in (planner, planner.ToAutoDiffXd(), planner.ToSymbolic()):
+            context = system.CreateDefaultContext()
+            context.SetContinuousState(x)
+            values = system.EvalTimeDerivatives(context).CopyToVector().ravel()
+            rates.append([plain(v) for v in values])
+    assert np.allclose(rates, rates[0], rtol=1e-12, atol=1e-13)
+
+
+def test_an_operation_that_a_scalar_lacks_is_named():
+    planner = ContactPlanner(ring(lambda v: v + 0.1 * ca.erf(v)))
+    assert planner.EvalTimeDerivatives(planner.CreateDefaultContext()).size() == 9
+    for other in (planner.ToAutoDiffXd(), planner.ToSymbolic()):
+        with pytest.raises(cs.ContactSystemError, match="operation OP_ERF .* write the surface"):
+            other.EvalTimeDerivatives(other.CreateDefaultContext())
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
