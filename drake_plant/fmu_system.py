@@ -7,6 +7,7 @@ import contextlib
 import difflib
 import itertools
 import math
+import numbers
 import os
 import shutil
 import tempfile
@@ -584,8 +585,9 @@ class FmuSystem(LeafSystem):
         instance_name: str | None = None,
     ):
         super().__init__()
-        if not 0 < step < math.inf:
-            raise ContactSystemError(f"step = {step}: give a communication step > 0, in s")
+        given: Any = step
+        if not (isinstance(given, numbers.Real) and 0 < float(given) < math.inf):
+            raise ContactSystemError(f"step = {step!r}: give a communication step > 0, in s")
         self._step = float(step)
         self._instance = instance = Instance(fmu, instance_name)
         weakref.finalize(self, instance.close)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 import functools
 import math
+import numbers
 import operator
 import threading
 from collections.abc import Callable, Sequence
@@ -30,6 +31,7 @@ from contact_system.kernels import (
 )
 
 from .invariants import (
+    MOST,
     Limits,
     Progress,
     has_invariants,
@@ -291,6 +293,21 @@ def _refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> N
     )
 
 
+def _check_restart(scene: Scene, period: Any, slip: Any) -> None:
+    least = max(EARLY, scene.duration / MOST)
+    given = isinstance(period, numbers.Real) and least <= float(period) < math.inf
+    if period is not None and not given:
+        raise SceneError(
+            f"scene '{scene.name}': restart_period = {period!r}: give a time in s, at least "
+            f"{least:.2g} s, with which the scene's end is reached, or None"
+        )
+    if slip is not None and not (isinstance(slip, numbers.Real) and 0 <= float(slip) < math.inf):
+        raise SceneError(
+            f"scene '{scene.name}': restart_slip = {slip!r}: give a speed in m/s, 0 or more, or "
+            "None to restart every contact"
+        )
+
+
 # --- the system -----------------------------------------------------------------------------------
 
 
@@ -325,7 +342,9 @@ def _define(T: type) -> type:
         - `state` (9n): u1 v1 u1' v1' u2 v2 u2' v2' psi of each contact (eq. `contrac`), object rate
           offsets included. In frame coordinates angles are those of the chart's principal range,
           and on a triaxial ellipsoid either of the two ways to write a point.
-        - `slip` (2n): v_rel in E2 (eq. `netrelvel`).
+        - `slip` (2n): v_rel in E2 (eq. `netrelvel`). With the other way to write a point E2 is
+          turned by half a turn: in frame coordinates on a triaxial ellipsoid both components may
+          have the other sign than in :meth:`contact_system.Plan.slip`, as u2' v2' may.
         - `twist` (6n): V_OF_O, the finger's angular velocity and its origin's velocity in O.
         - `acceleration` (6n): the time derivative of the twist's components.
         - `pose`: list of RigidTransform X_OF.
@@ -339,6 +358,11 @@ def _define(T: type) -> type:
         discrete state (1) holds when an edge was last passed, so that at an edge itself it is known
         which side acts; events at the edges set it, and no integrator steps across one. Where the
         planner restarts and coordinates are frames, another one holds W_1, V and its time.
+
+        States of :meth:`contact_system.SceneSystem.from_states` can be started from in chart
+        coordinates. In frame coordinates W_1 and V of contacts that nothing accelerates are no
+        states: the scene's own are used, so that a simulation must start where the scene does,
+        unless the planner restarts and the last discrete state is set to ``held`` as well.
 
         The planner takes the measured state as its own every `restart_period` seconds, and that of
         contacts whose measured slip is above `restart_slip`, looked at every `restart_period` or
@@ -357,9 +381,9 @@ def _define(T: type) -> type:
         coordinates : "chart" or "frame"
         disturbance_input : bool
         restart_period : float, optional
-            s.
+            s, at least 5e-8 of the scene's duration and 1e-9 s.
         restart_slip : float, optional
-            m/s.
+            m/s, 0 or more.
         compiled : bool, optional
             None: compiled kernels where a C compiler or the ziglang package is found, else CasADi's
             virtual machine. The kernel of the derivatives is built here, that of an output when it
@@ -396,6 +420,7 @@ def _define(T: type) -> type:
                 restart_period=restart_period, restart_slip=restart_slip, compiled=compiled,
             )  # fmt: skip
             self.system = system = _scene_system(scene, coordinates, disturbance_input)
+            _check_restart(scene, restart_period, restart_slip)
             self._slip_limit = restart_slip
             n = len(scene.contacts)
             self.DeclareContinuousState(_vector(system.x0, T))

@@ -622,6 +622,27 @@ def test_no_output_is_not_a_number():
             planner.GetOutputPort(port).Eval(context)
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"restart_period": value}, f"'K1': restart_period = {value!r}: give a time in s, at least")
+        for value in (-1, 0, math.nan, math.inf, 1e-10, "a")
+    ]
+    + [
+        ({"restart_slip": value}, f"'K1': restart_slip = {value!r}: give a speed in m/s, 0 or more")
+        for value in (-1, math.nan, math.inf, "a")
+    ],
+)
+def test_restarts_that_cannot_be_are_refused(options, message):
+    with pytest.raises(cs.SceneError, match=message):
+        ContactPlanner(cs.load_scene("K1"), **options)
+
+
+def test_a_name_is_no_scene():
+    with pytest.raises(cs.SceneError, match=r"scene = 'K4': give a Scene, such as load_scene"):
+        ContactPlanner("K4")
+
+
 @pytest.mark.parametrize("coordinates", COORDINATES)
 def test_beyond_the_horizon_the_motion_goes_on_until_sigma_turns_negative(coordinates):
     planner = ContactPlanner(pole_scene(1.2, (0.1, -0.05), duration=1.5), coordinates)
