@@ -541,7 +541,7 @@ def compliant_mesh(mesh: SurfaceMesh, inner: Array, name: str) -> Mesh:
     points, triangles = _with_ends(mesh)
     cells = _tetrahedra(points, triangles, inner, name)
     points = np.vstack([points, inner])
-    lines = ["# vtk DataFile Version 3.0", name, "ASCII", "DATASET UNSTRUCTURED_GRID"]
+    lines = ["# vtk DataFile Version 3.0", "fingertip", "ASCII", "DATASET UNSTRUCTURED_GRID"]
     lines += [f"POINTS {len(points)} double"]
     lines += _rows("%.9g %.9g %.9g", points)
     lines += [f"CELLS {len(cells)} {5 * len(cells)}"]
@@ -626,4 +626,5 @@ def _rows(form: str, table: Array | Triangles) -> list[str]:
 
 def _in_memory(lines: list[str], extension: str, name: str) -> Mesh:
     content = "\n".join(lines) + "\n"
-    return Mesh(InMemoryMesh(mesh_file=MemoryFile(content, extension, name)))
+    hint = " ".join(name.split())  # Drake stops the process where it has two lines
+    return Mesh(InMemoryMesh(mesh_file=MemoryFile(content, extension, hint)))

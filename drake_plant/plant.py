@@ -17,8 +17,10 @@ is 0.2 % less. SI units, radians.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import numbers
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -103,9 +105,18 @@ REACH = 0.02  # m, that meshes of unbounded surfaces reach beyond the planned pa
 SPACING = 0.0025  # m, of points along the plan that show where contacts go
 TURNING_GAIN = 1e8  # N m/rad
 APPROXIMATIONS = ("sap", "lagged", "similar")
-MAY_BE_NONE = ("relaxation_time", "drake_spheres", "finger_edge", "object_edge")
+MAY_BE_NONE = (
+    "relaxation_time", "drake_spheres", "finger_edge", "object_edge", "restart_period",
+    "restart_slip",
+)  # fmt: skip
 NOT_NEGATIVE = ("time_step", "damping", "relaxation_time", "friction", "strip_margin")
-POSITIVE = ("object_mass", "finger_mass", "stiffness", "normal_force", *MAY_BE_NONE[1:])
+POSITIVE = (
+    "object_mass", "finger_mass", "stiffness", "normal_force", "drake_spheres", "finger_edge",
+    "object_edge",
+)  # fmt: skip
+TAKEN = ("", "object", "WorldModelInstance", "DefaultModelInstance")  # the last two by Drake
+# Of each kind of surface what is less where it gives way by a depth.
+RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
 OBJECT_COLORS = ((0.80, 0.80, 0.78), (0.52, 0.55, 0.58))
 FINGER_COLORS = (
     ((0.95, 0.62, 0.45), (0.75, 0.25, 0.10)),
@@ -115,6 +126,33 @@ FINGER_COLORS = (
 )
 
 
+def check_words(config: Any, choices: Mapping[str, Sequence[str]]) -> None:
+    """Raise a SceneError for the first field of a configuration that is none of its words."""
+    for key, words in choices.items():
+        value = getattr(config, key)
+        if not isinstance(value, str) or value not in words:
+            raise SceneError(f"{key} = {value!r}: use one of {', '.join(words)}")
+
+
+def check_numbers(config: Any, keys: Sequence[str], bound: str = "") -> None:
+    """Raise a SceneError for the first field that is not a finite number within the bound.
+
+    bound : "above 0", "not below 0" or none
+    """
+    for key in keys:
+        value = getattr(config, key)
+        if value is None and key in MAY_BE_NONE:
+            continue
+        number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        if not (
+            number
+            and abs(value) < math.inf
+            and (value > 0 or bound != "above 0")
+            and (value >= 0 or bound != "not below 0")
+        ):
+            raise SceneError(f"{key} = {value!r}: give a finite number {bound}".rstrip())
+
+
 @dataclass
 class PlantConfig:
     """What a scene's plant is made of.
@@ -122,7 +160,7 @@ class PlantConfig:
     Attributes
     ----------
     time_step : float
-        s; 0 makes the plant continuous.
+        s; 0 makes the plant continuous, which a station cannot be.
     contact_model : str
         "hydroelastic", or "point" where Drake's point contact is exact: spheres on a sphere or on
         a plane.
@@ -145,7 +183,7 @@ class PlantConfig:
     friction : float
         Coulomb's coefficient, static and dynamic.
     normal_force : float
-        N.
+        N, along the planned normal, with which every finger presses.
     gravity : float
         m/s^2, towards -z of the world.
     drake_spheres : float or None
@@ -182,17 +220,10 @@ class PlantConfig:
             "object": ("free", "welded", "turning"),
             "damping_at": ("driver", "contact"),
         }
-        for key, words in choices.items():
-            if getattr(self, key) not in words:
-                raise SceneError(f"{key} = {getattr(self, key)!r}: use one of {', '.join(words)}")
-        for key in ("gravity", *POSITIVE, *NOT_NEGATIVE):
-            value = getattr(self, key)
-            if value is None and key in MAY_BE_NONE:
-                continue
-            wrong = not isinstance(value, (int, float)) or not math.isfinite(value)
-            if wrong or (key in POSITIVE and value <= 0) or (key in NOT_NEGATIVE and value < 0):
-                bound = "above 0" if key in POSITIVE else "not below 0" if key != "gravity" else ""
-                raise SceneError(f"{key} = {value!r}: give a finite number {bound}".rstrip())
+        check_words(self, choices)
+        check_numbers(self, ("gravity",))
+        check_numbers(self, POSITIVE, "above 0")
+        check_numbers(self, NOT_NEGATIVE, "not below 0")
         if self.relaxation_time is not None and (
             self.time_step == 0 or self.discrete_contact_approximation != "sap"
         ):
@@ -208,6 +239,9 @@ class ScenePlant:
 
     Attributes
     ----------
+    scene : Scene
+    config : PlantConfig
+        What it is made from.
     plant : MultibodyPlant
         Finalized.
     scene_graph : SceneGraph
@@ -216,6 +250,8 @@ class ScenePlant:
         One a contact.
     """
 
+    scene: Scene
+    config: PlantConfig
     plant: MultibodyPlant
     scene_graph: SceneGraph
     object_body: RigidBody
@@ -234,7 +270,8 @@ def contact_depth(config: PlantConfig) -> float:
 def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) -> ScenePlant:
     """Add a finalized MultibodyPlant and a SceneGraph with the scene's bodies.
 
-    Model instances are "object" and one a contact, by the contact's name or as ``finger_<i>``.
+    Model instances are "object" and one a contact, by the contact's name, or as ``finger_<i>``
+    where it has none or another one has it.
     Bodies' frames are their surfaces' own frames. Only fingers and the object collide.
 
     A turning object hangs on a revolute joint with an implicit controller of high gain, fed by a
@@ -269,12 +306,10 @@ def _add(
     )
     plant.mutable_gravity_field().set_gravity_vector([0, 0, -config.gravity])
     object_body = _add_object(plant, scene, config, touches)
-    fingers = []
+    names, fingers = _finger_names([contact.name for contact in scene.contacts]), []
     for i, (contact, touch) in enumerate(zip(scene.contacts, touches)):
-        taken = {"", "object", *(c.name for c in scene.contacts[:i])}
-        name = f"finger_{i}" if contact.name in taken else contact.name
         colors = FINGER_COLORS[i % len(FINGER_COLORS)]
-        fingers.append(_add_finger(plant, name, contact.finger, config, touch, colors))
+        fingers.append(_add_finger(plant, names[i], contact.finger, config, touch, colors))
     geometries = [g for body in fingers for g in plant.GetCollisionGeometriesForBody(body)]
     scene_graph.collision_filter_manager().Apply(
         CollisionFilterDeclaration().ExcludeWithin(GeometrySet(geometries))
@@ -287,7 +322,19 @@ def _add(
     plant.Finalize()
     if turning is not None:
         _connect_turning(builder, plant, turning, scene.duration)
-    return ScenePlant(plant, scene_graph, object_body, fingers)
+    return ScenePlant(scene, config, plant, scene_graph, object_body, fingers)
+
+
+def _finger_names(given: Sequence[str]) -> list[str]:
+    """Names of model instances: those given, numbered where they are not or are taken."""
+    names: list[str] = []
+    for i, name in enumerate(given):
+        if name in TAKEN or name in names:
+            name = f"finger_{i}"
+            while name in given or name in names:
+                name += "_"
+        names.append(name)
+    return names
 
 
 # --- what the plan says about contacts ---------------------------------------------------------
@@ -366,8 +413,17 @@ def _check_surfaces(scene: Scene, config: PlantConfig) -> None:
             f"drake_spheres = {config.drake_spheres!r}: object and fingers are not all spheres; "
             "leave it out"
         )
+    depth = contact_depth(config)
     for i, contact in enumerate(scene.contacts):
         finger = contact.finger
+        for body in (finger, scene.object):
+            thin = min(getattr(body, name) for name in RADII.get(type(body), ("size",)))
+            if not depth < thin / 2:
+                raise SceneError(
+                    f"stiffness = {config.stiffness!r}: contact {i} would be {depth:.3g} m deep at "
+                    f"normal_force = {config.normal_force!r}, which is too much for {body!r}; give "
+                    f"a stiffness far above {config.stiffness * depth / (thin / 2):.3g} N/m"
+                )
         if config.contact_model == "point":
             round_pair = isinstance(finger, Sphere) and isinstance(scene.object, (Sphere, Plane))
             if not round_pair or finger.inside or scene.object.inside:
@@ -489,7 +545,7 @@ def _material(config: PlantConfig, relaxation_time: float) -> ProximityPropertie
         point_stiffness=2 * config.stiffness,
         friction=CoulombFriction(config.friction, config.friction),
     )
-    properties.AddProperty("material", "relaxation_time", relaxation_time)
+    properties.AddProperty("material", "relaxation_time", float(relaxation_time))
     return properties
 
 
@@ -528,7 +584,7 @@ def _turning_joint(plant: MultibodyPlant, body: RigidBody, turning: Turning) -> 
     joint = plant.AddJoint(
         RevoluteJoint("turning", plant.world_frame(), body.body_frame(), turning.axis)
     )
-    joint.set_default_angle(_radians(turning)(0.0))
+    joint.set_default_angle(turning_angle(turning)(0.0))
     # The implicit controller with a position gain alone brings the joint to the desired angle at
     # every step, however high the gain: 2e-9 rad from it in C1.
     gains = PdControllerGains(p=TURNING_GAIN, d=0.0)
@@ -539,7 +595,7 @@ def _connect_turning(
     builder: DiagramBuilder, plant: MultibodyPlant, turning: Turning, duration: float
 ) -> None:
     # A step ends at the angle desired at its beginning, which has to be that of its end.
-    ahead = _radians(turning)(Polynomial([plant.time_step(), 1.0]))
+    ahead = turning_angle(turning)(Polynomial([plant.time_step(), 1.0]))
     path = PiecewisePolynomial([np.array([[DrakePolynomial(ahead.coef)]])], [0.0, duration])
     source = builder.AddSystem(TrajectorySource(path, output_derivative_order=1))
     source.set_name("turning")
@@ -547,6 +603,6 @@ def _connect_turning(
     builder.Connect(source.get_output_port(), port)
 
 
-def _radians(turning: Turning) -> Polynomial:
+def turning_angle(turning: Turning) -> Polynomial:
     """Angle about the unit axis as a polynomial of time."""
     return float(np.linalg.norm(turning.axis)) * Polynomial(turning.angle)

@@ -270,6 +270,30 @@ def test_fingers_without_names_are_numbered_and_do_not_collide_with_each_other()
     assert world.patches() == {}
 
 
+@pytest.mark.parametrize(
+    "given",
+    [("finger_1", ""), ("", "finger_0"), ("a", "a"), ("finger_1", "finger_1"),
+     ("WorldModelInstance", "DefaultModelInstance"), ("object", "world")],
+)  # fmt: skip
+def test_every_finger_has_a_name_of_its_own_whatever_contacts_are_called(given):
+    contacts = [cs.Contact(SPHERE, (1.0, 0.4), name=name) for name in given]
+    scene = cs.Scene(object=cs.Sphere(0.1), contacts=contacts, profile=cs.Profile([0.1]),
+                     duration=1.0)  # fmt: skip
+    world = World(scene, contact_model="point")
+    names = [body.name() for body in world.parts.finger_bodies]
+    assert len({"object", *names}) == 3
+    kept = [name for name, own in zip(given, names) if name == own]
+    assert [world.plant.GetModelInstanceByName(name) for name in names]
+    assert set(kept) == set(given) - {"", "object", "WorldModelInstance", "DefaultModelInstance"}
+
+
+def test_a_name_may_have_any_characters():
+    contact = cs.Contact(SPHERE, (1.0, 0.4), name="left\n::a/b")
+    scene = cs.Scene(object=cs.Sphere(0.1), contacts=[contact], profile=cs.Profile([0.1]),
+                     duration=1.0)  # fmt: skip
+    assert World(scene).parts.finger_bodies[0].name() == contact.name
+
+
 def test_a_ring_has_the_inertia_of_a_torus():
     world = World(rolling(SPHERE, cs.Torus(0.05, 0.02), finger_at=(0.3, -0.2), length=0.02))
     (ring,) = world.parts.finger_bodies
@@ -311,6 +335,11 @@ def test_a_turning_object_is_where_the_scene_says_at_every_step():
         (rolling(cs.Sphere(0.1)), {"stiffness": 0}, "stiffness = 0: give a finite number above 0"),
         (rolling(cs.Sphere(0.1)), {"friction": -0.1}, "friction = -0.1: .* not below 0"),
         (rolling(cs.Sphere(0.1)), {"gravity": math.nan}, "gravity = nan"),
+        (rolling(cs.Sphere(0.1)), {"friction": True}, "friction = True: give a finite number"),
+        (rolling(cs.Sphere(0.1)), {"stiffness": 1},
+         r"stiffness = 1: contact 0 would be 2 m deep .* Sphere\(0.04\); give a stiffness"),
+        (rolling(cs.Sphere(0.1), cs.Torus(0.05, 0.002), finger_at=(0.3, -0.2), length=0.02),
+         {"stiffness": 1e3}, r"contact 0 would be 0.002 m deep .* Torus"),
         (rolling(cs.Sphere(0.1)), {"object": "turning"}, r"the scene has no \[turning\]"),
         (rolling(cs.Sphere(0.1)), {"relaxation_time": 0.1}, "only the discrete 'sap'"),
         (rolling(cs.Plane(), at=(0, 0)), {"object": "free"}, "object: Plane.* bounds no solid"),
