@@ -99,7 +99,8 @@ class ContactMonitor(LeafSystem):
     * `contact_point` (3n) is where the line normal to both surfaces meets the object's, in O.
 
     Without contact the forces are 0 and the others are those of the points nearest to each other.
-    Where there is no contact frame (at a pole or an umbilic) they are 0. They are never NaN.
+    Where there is no contact frame (at a pole or an umbilic) what needs one is NaN: a planner that
+    restarts then keeps its plan.
 
     Parameters
     ----------
@@ -162,8 +163,9 @@ class ContactMonitor(LeafSystem):
         pose, twist, points = moved[:, :12], moved[:, 12:18], moved[:, 18:21]
         if not seen.touching.all():
             points[~seen.touching] = self._sensor.approach(pose)[~seen.touching]
-        found = _finite(self._sensor.measure(pose, twist, points, seen.share))
+        found = self._sensor.measure(pose, twist, points, seen.share)
         force = _split(np.hstack([found.table[:, 16:32], moved[:, 18:]]))
+        force[~seen.touching] = 0.0  # with no frame either
         outputs = {
             "slip": found.slip.ravel(),
             "normal_force": force[:, 0],
@@ -176,18 +178,11 @@ class ContactMonitor(LeafSystem):
         found: Measurement = self._Cached(context, self._begun)["found"]
         if self._step:
             moved = self._Cached(context, self._seen).in_object(0.0)
-            points = found.points[:, 1] + self._step * found.velocity
-            found = _finite(
-                self._sensor.measure(moved[:, :12], moved[:, 12:18], points, slip=found.slip)
-            )
+            # Where to begin to look; at a pole it is not known how fast the contact moves.
+            points = found.points[:, 1] + self._step * np.nan_to_num(found.velocity)
+            found = self._sensor.measure(moved[:, :12], moved[:, 12:18], points, slip=found.slip)
         outputs = {"state": found.states.ravel(), "contact_point": found.points[:, 1].ravel()}
         value.set_value([outputs])
-
-
-def _finite(found: Measurement) -> Measurement:
-    if not np.isfinite(found.table).all():
-        np.nan_to_num(found.table, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-    return found
 
 
 class _Bodies:
