@@ -183,13 +183,16 @@ def _rejection(
     before: NDArray[np.bool_],
     allowed: Array,
 ) -> dict[str, Any]:
-    """What the last disturbance did, if it is over; `allowed` (m,) is the slip of rolling."""
+    """What the last disturbance did, if it was seen and is over.
+
+    allowed : (m,), the slip of rolling
+    """
     t = result.t
-    if not disturbed or not (t > disturbed[-1][1]).any():
+    start, stop = disturbed[-1] if disturbed else (math.inf, math.inf)
+    during = (t >= start) & (t < stop)
+    if not during.any() or not (t > stop).any():
         nothing = ("disturbed_slip", "saturated", "recovery", "settling", "reported")
         return dict.fromkeys(nothing, math.nan)
-    start, stop = disturbed[-1]
-    during = (t >= start) & (t < stop)
     level = REJECTED * _mean(slip[during])
     normal, friction = _forces(result, i)
     saturated = friction >= SATURATED * result.config.plant.friction * normal

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import csv
+import dataclasses
 import math
 import sys
+import warnings
 from types import SimpleNamespace
 
 import numpy as np
@@ -96,6 +98,17 @@ def test_only_disturbed_contacts_have_something_to_recover_from():
     reports = contact_table(made_up(decaying(40.0), np.zeros(len(T))))
     assert [math.isnan(r.recovery) for r in reports] == [False, True, True]
     assert [r.saturates for r in reports] == [False, None, None]
+
+def test_a_disturbance_between_two_samples_is_nothing_to_recover_from():
+    result = made_up(decaying(40.0), np.zeros(len(T)))
+    short = dataclasses.replace(result.scene.disturbances[0], start=0.1002, stop=0.1007)
+    result.scene = result.scene.replace(disturbances=[short])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        finger = contact_table(result)[0]
+    assert math.isnan(finger.recovery) and math.isnan(finger.saturated)
+    assert finger.as_reported is finger.saturates is None
+
 
 
 def test_recovery_time_of_a_signal_that_never_rises_is_zero():
