@@ -1,8 +1,9 @@
 r"""Forces that move free fingertips as planned relative to a moving object.
 
 A fingertip is a free body. Its force is what the planned motion needs (feed-forward), the normal
-force along the planned normal, and tracking in the tangent plane; along the normal there is only a
-damper, so that the contact itself decides how far the finger sinks in.
+force along the planned normal through the planned contact point, and tracking in the tangent plane;
+along the normal there is only a damper, so that the contact itself decides how far the finger sinks
+in.
 
 Two things decide how steady the normal force is, because the fingers of D1 need up to 9 N of
 centripetal force beside the 1 N of contact, and those of D3 150 N:
@@ -11,7 +12,8 @@ centripetal force beside the 1 N of contact, and those of D3 150 N:
   t_{k-1} to t_k, so the velocity to track is the backward difference of desired positions. Its
   acceleration leads to the next backward difference, so the one to feed forward is the second
   difference, ``A + h^2/12 A''``. With the values at t_k instead, the force of D1 is wrong by 5 %.
-* The error lives in a frame that turns with the contact normal at Omega = n x n'. A finger that is
+* The error lives in a frame that turns with the contact normal at Omega = n x n', of which the
+  normals of two steps, ``n_before x n = h Omega``, tell the plan's part. A finger that is
   off by a constant e there goes round with the plan and needs ``Omega x (Omega x e)`` less. Without
   this term e is driven away with a stiffness of -m Omega^2, 1000 N/m in D3; without the Coriolis
   term friction that drags the finger sideways shows in its normal force.
@@ -19,7 +21,9 @@ centripetal force beside the 1 N of contact, and those of D3 150 N:
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import math
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -30,52 +34,62 @@ from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialAcceleration, SpatialForce, SpatialVelocity
-from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.multibody.tree import RigidBody
 from pydrake.systems.framework import Context, LeafSystem, State, ValueProducer
 
+from contact_system import SceneError
 from contact_system.kernels import Kernel, Machine
 
 from .lifetimes import NO_DICTIONARY, weakly
-from .plant import ScenePlant
+from .plant import ScenePlant, check_numbers
 
 SX = ca.SX
 Array = NDArray[np.float64]
+
+DISCRETE_ONLY = "fingers are driven in a discrete plant only; give the length of a step, as 0.001 s"
+SHARE = 0.4
+"""Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
+may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4."""
 
 
 @dataclass
 class DriverConfig:
     """Gains of a :class:`FingertipDriver`.
 
+    Explicit forces bear only so much: with a step of h at most 0.4 m/h is used of what damps and
+    0.4 m/h^2 of what is a stiffness; of rotations with the least moment of inertia instead of m.
+
     Attributes
     ----------
-    normal_force : float
-        N, along the planned normal, towards the object.
     position_gain, velocity_gain : float
         N/m and N s/m, in the tangent plane.
     normal_damping : float
-        N s/m, along the normal; at most 0.4 m/h is used, which an explicit force bears. The sap
-        solver lifts a sliding contact by h mu |slip|; much damping would turn changes of that into
-        normal force (100 N s/m: 2.4 % in D1, 30: 0.8 %).
+        N s/m, along the normal. The sap solver lifts a sliding contact by h mu |slip|; much damping
+        would turn changes of that into normal force (100 N s/m: 2.4 % in D1, 30: 0.8 %).
     rotation_gain, spin_gain : float
         N m and N m s. With a rotation_gain of 0 the finger may roll on the radius that the
         penetration leaves it, and no friction comes from that; spheres have no orientation to keep.
     """
 
-    normal_force: float = 1.0
     position_gain: float = 400.0
     velocity_gain: float = 60.0
     normal_damping: float = 30.0
     rotation_gain: float = 0.0
     spin_gain: float = 0.04
 
+    def check(self) -> None:
+        """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
+        check_numbers(self, [f.name for f in dataclasses.fields(self)], "not below 0")
+
 
 # Rows of the kernel's inputs: what the object, the plan, the finger and the steps before give.
 POINT = {
     "R_WO": 9, "p_WO": 3, "w_WO": 3, "v_WO": 3, "alpha_WO": 3, "a_WO": 3,
-    "R_OF": 9, "p_OF": 3, "w_OF": 3, "v_OF": 3, "alpha_OF": 3, "a_OF": 3, "normal": 3,
+    "R_OF": 9, "p_OF": 3, "w_OF": 3, "v_OF": 3, "alpha_OF": 3, "a_OF": 3,
+    "normal": 3, "point": 3,
     "R_WF": 9, "p_WF": 3, "w_WF": 3, "v_WF": 3,
-    "steps": 1, "position": 3, "spin": 3, "a_before": 3, "a_earlier": 3,
+    "steps": 1, "position": 3, "spin": 3, "normal_before": 3, "a_before": 3, "a_earlier": 3,
 }  # fmt: skip
 CONSTANT = {
     "h": 1, "mass": 1, "inertia": 9, "gravity": 3, "normal_force": 1, "position_gain": 1,
@@ -110,10 +124,9 @@ def driving_law() -> Kernel:
     w = x.w_WO + ca.if_else(x.steps > 0, 0.5 * (spin + x.R_WO @ x.spin), spin)
     alpha = x.alpha_WO + x.R_WO @ x.alpha_OF + cross(x.w_WO, spin)
 
-    # The finger's centre moves in the tangent plane, n.v = 0, so n.a = -n'.v gives n'.
-    bend = -dot(x.normal, x.a_OF) / ca.fmax(dot(x.v_OF, x.v_OF), 1e-30)
     normal = x.R_WO @ x.normal
-    turning = cross(normal, bend * v + cross(x.w_WO, normal))
+    turned = cross(x.normal_before, x.normal) / h
+    turning = ca.if_else(x.steps > 0, x.R_WO @ turned, 0) + x.w_WO - dot(x.w_WO, normal) * normal
 
     error, error_rate = position - x.p_WF, ago - x.v_WF
     # The velocities are those of half a step ago, so the error has to be too.
@@ -129,6 +142,7 @@ def driving_law() -> Kernel:
     axis = 0.5 * ca.vertcat(off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1])
     torque = inertia @ alpha + cross(w, inertia @ w)
     torque += c.spin_gain * (w - x.w_WF) + c.rotation_gain * axis
+    torque -= c.normal_force * cross(x.R_WO @ x.R_OF @ x.point, normal)
     return Kernel("driving", point, constant, ca.vertcat(torque, force, position))
 
 
@@ -143,24 +157,29 @@ class FingertipDriver(LeafSystem):
         - twist
         - acceleration
         - normal
+        - contact_point
         - body_poses
         - body_spatial_velocities
         - body_spatial_accelerations
         output_ports:
         - spatial_forces
 
-    The first four are :class:`ContactPlanner`'s outputs, the others the plant's. The output is a
+    The first five are :class:`ContactPlanner`'s outputs, the others the plant's. The output is a
     list of ExternallyAppliedSpatialForce, one a fingertip, at its mass centre.
 
-    With a discrete plant the discrete state counts the steps and holds the fingers' desired
-    positions in the world and planned spins one step ago, and planned accelerations one and two
-    steps ago.
+    The discrete state counts the steps and holds the fingers' desired positions in the world,
+    planned spins and normals one step ago, and planned accelerations one and two steps ago.
 
     Parameters
     ----------
     scene_plant : ScenePlant
-        Finalized.
+        Finalized and discrete; its configuration says the normal force.
     config : DriverConfig
+
+    Raises
+    ------
+    SceneError
+        A wrong gain; a plant that is not discrete, or whose steps are too long for a finger.
     """
 
     __slots__ = NO_DICTIONARY
@@ -168,16 +187,21 @@ class FingertipDriver(LeafSystem):
     def __init__(self, scene_plant: ScenePlant, config: DriverConfig):
         super().__init__()
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
+        # What the plant is made from; the plant itself would keep this system for ever.
+        self.scene, self.plant_config = scene_plant.scene, scene_plant.config
         self.object_index = int(scene_plant.object_body.index())
         self.finger_indices = [body.index() for body in fingers]
         self._machine = Machine(driving_law(), len(fingers))
-        self._machine.c[:] = [_constants(body, plant, config) for body in fingers]
-        n, step = len(fingers), plant.time_step()
+        config.check()
+        _check_step(scene_plant)
+        self._machine.c[:] = [_constants(body, scene_plant, config) for body in fingers]
+        n = len(fingers)
         poses, motions = Value[list[RigidTransform]], Value[list[SpatialVelocity]]
         self._pose = self.DeclareAbstractInputPort("pose", poses())
         self._twist = self.DeclareVectorInputPort("twist", 6 * n)
         self._acceleration = self.DeclareVectorInputPort("acceleration", 6 * n)
         self._normal = self.DeclareVectorInputPort("normal", 3 * n)
+        self._point = self.DeclareVectorInputPort("contact_point", 6 * n)
         self._poses = self.DeclareAbstractInputPort("body_poses", poses())
         self._velocities = self.DeclareAbstractInputPort("body_spatial_velocities", motions())
         self._accelerations = self.DeclareAbstractInputPort(
@@ -193,12 +217,12 @@ class FingertipDriver(LeafSystem):
             "spatial_forces", forces, weakly(self._CalcForces), {law.ticket()}
         )
         self._law = law.cache_index()  # the entry itself would keep this system for ever
-        # Steps behind us; of each finger position, spin, acceleration one step ago and two.
-        self.DeclareDiscreteState(1 + 12 * n)
-        if step:
-            # Unrestricted, because the plant's step is such an update (for its sampled ports), and
-            # those come before discrete ones: a discrete update would see the object a step ahead.
-            self.DeclarePeriodicUnrestrictedUpdateEvent(step, 0.0, weakly(self._Remember))
+        # Steps behind us; of each finger position, spin, normal, acceleration one step ago and two.
+        self.DeclareDiscreteState(1 + 15 * n)
+        # Unrestricted, because the plant's step is such an update (for its sampled ports), and
+        # those come before discrete ones: a discrete update would see the object a step ahead.
+        step = plant.time_step()
+        self.DeclarePeriodicUnrestrictedUpdateEvent(step, 0.0, weakly(self._Remember))
 
     def _CalcLaw(self, context: Context, value: AbstractValue) -> None:
         """Torque, force and desired position of each finger: (n, 9)."""
@@ -212,9 +236,10 @@ class FingertipDriver(LeafSystem):
         x[:, 36:42] = self._twist.Eval(context).reshape(-1, 6)
         x[:, 42:48] = self._acceleration.Eval(context).reshape(-1, 6)
         x[:, 48:51] = self._normal.Eval(context).reshape(-1, 3)
-        x[:, 51:63] = [_numbers(X[i]) for i in self.finger_indices]
-        x[:, 63:69] = [V[i].get_coeffs() for i in self.finger_indices]
-        x[:, 69], x[:, 70:] = past[0], past[1:].reshape(-1, 12)
+        x[:, 51:54] = self._point.Eval(context).reshape(-1, 6)[:, :3]
+        x[:, 54:66] = [_numbers(X[i]) for i in self.finger_indices]
+        x[:, 66:72] = [V[i].get_coeffs() for i in self.finger_indices]
+        x[:, 72], x[:, 73:] = past[0], past[1:].reshape(-1, 15)
         self._machine.run()
         value.set_value([self._machine.y.copy()])
 
@@ -234,10 +259,11 @@ class FingertipDriver(LeafSystem):
         position = self.get_cache_entry(self._law).Eval(context)[0][:, 6:]
         now = state.get_mutable_discrete_state().get_mutable_value()
         spin = self._twist.Eval(context).reshape(-1, 6)[:, :3]
+        normal = self._normal.Eval(context).reshape(-1, 3)
         a = self._acceleration.Eval(context).reshape(-1, 6)[:, 3:]
-        before = context.get_discrete_state_vector().value()[1:].reshape(-1, 12)[:, 6:9]
+        before = context.get_discrete_state_vector().value()[1:].reshape(-1, 15)[:, 9:12]
         now[0] += 1
-        now[1:] = np.hstack([position, spin, a, before]).ravel()
+        now[1:] = np.hstack([position, spin, normal, a, before]).ravel()
 
 
 def _numbers(X: RigidTransform) -> Array:
@@ -246,13 +272,39 @@ def _numbers(X: RigidTransform) -> Array:
     return np.concatenate([matrix[:, :3], matrix[:, 3]], axis=None)
 
 
-def _constants(body: RigidBody, plant: MultibodyPlant, config: DriverConfig) -> list[float]:
+def _check_step(parts: ScenePlant) -> None:
+    """Refuse steps in which nothing explicit can hold a finger.
+
+    A force N that presses a body of size a on one of size b pushes it off with N/(a + b) times the
+    error.
+    """
+    scene, config = parts.scene, parts.config
+    if not config.time_step:
+        raise SceneError(f"scene '{scene.name}': time_step = {config.time_step!r}: {DISCRETE_ONLY}")
+    borne = SHARE * config.finger_mass / config.time_step**2
+    for i, contact in enumerate(scene.contacts):
+        needed = config.normal_force / (contact.finger.size + scene.object.size)
+        if borne < needed:
+            raise SceneError(
+                f"scene '{scene.name}', contact {i}: time_step = {config.time_step!r}: a finger of "
+                f"{config.finger_mass:g} kg can be held with {borne:.3g} N/m, and pressing with "
+                f"{config.normal_force:g} N needs {needed:.3g} N/m; give at most "
+                f"{math.sqrt(SHARE * config.finger_mass / needed):.2g} s, or a heavier finger"
+            )
+
+
+def _constants(body: RigidBody, parts: ScenePlant, config: DriverConfig) -> list[float]:
     """`CONSTANT` of a finger."""
-    h, mass = plant.time_step(), body.default_mass()
+    h, mass = parts.plant.time_step(), body.default_mass()
     inertia = body.default_spatial_inertia().CalcRotationalInertia().CopyToFullMatrix3()
-    damping = min(config.normal_damping, 0.4 * mass / h) if h else config.normal_damping
+    least = float(np.linalg.eigvalsh(inertia)[0])
+
+    def borne(gain: float, inert: float, order: int) -> float:
+        return min(gain, SHARE * inert / h**order)
+
     return [
-        h, mass, *inertia.ravel(), *plant.gravity_field().gravity_vector(), config.normal_force,
-        config.position_gain, config.velocity_gain, damping, config.rotation_gain,
-        config.spin_gain,
+        h, mass, *inertia.ravel(), *parts.plant.gravity_field().gravity_vector(),
+        parts.config.normal_force, borne(config.position_gain, mass, 2),
+        borne(config.velocity_gain, mass, 1), borne(config.normal_damping, mass, 1),
+        borne(config.rotation_gain, least, 2), borne(config.spin_gain, least, 1),
     ]  # fmt: skip

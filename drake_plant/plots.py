@@ -88,7 +88,7 @@ def _draw_slip(ax: Any, result: SimulationResult) -> None:
 def _draw_normal(ax: Any, result: SimulationResult) -> None:
     for i in range(len(result.scene.contacts)):
         _ripple(ax, result.t, result.measured["normal_force"][:, i], _colour(i))
-    wanted = result.config.driver.normal_force
+    wanted = result.config.plant.normal_force
     ax.axhline(wanted, color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, 2 * wanted)
     ax.set_title("Normal force (dotted: asked for)", loc="left", weight="bold")
@@ -99,7 +99,7 @@ def _draw_friction(ax: Any, result: SimulationResult) -> None:
     for i in range(len(result.scene.contacts)):
         force = np.linalg.norm(result.measured["tangential_force"][:, i], axis=1)
         _ripple(ax, result.t, force, _colour(i))
-    limit = result.config.plant.friction * result.config.driver.normal_force
+    limit = result.config.plant.friction * result.config.plant.normal_force
     ax.axhline(limit, color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, 1.3 * limit)
     ax.set_title(r"Tangential force (dotted: $\mu N$)", loc="left", weight="bold")

@@ -206,7 +206,7 @@ def _build(
     _place_fingers(parts, planner, scene, planned, contact_depth(config.plant))
     driver = builder.AddNamedSystem("driver", FingertipDriver(parts, config.driver))
     plant = parts.plant
-    for name in ("pose", "twist", "acceleration", "normal"):
+    for name in ("pose", "twist", "acceleration", "normal", "contact_point"):
         builder.Connect(planner.GetOutputPort(name), driver.GetInputPort(name))
     for name in ("body_poses", "body_spatial_velocities", "body_spatial_accelerations"):
         builder.Connect(plant.GetOutputPort(name), driver.GetInputPort(name))

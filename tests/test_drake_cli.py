@@ -40,8 +40,7 @@ def made_up(slip: np.ndarray, friction: np.ndarray, normal: np.ndarray | float =
         "contact_point": points + [0.0, 3e-4, 0.0],
     }
     config = SimpleNamespace(
-        plant=SimpleNamespace(friction=0.5, contact_model="point", time_step=1e-3),
-        driver=SimpleNamespace(normal_force=1.0),
+        plant=SimpleNamespace(friction=0.5, contact_model="point", time_step=1e-3, normal_force=1.0)
     )
     poses = np.tile(np.eye(4), (len(T), 1, 1))
     return SimpleNamespace(scene=scene, config=config, t=T, planned=planned, measured=measured,
