@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import gc
+import numbers
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -22,20 +23,29 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 from pydrake.systems.primitives import LogVectorOutput
 
-from contact_system import Scene, SceneError, Sphere
+from contact_system import Scene, SceneError, Surface
+from contact_system.scene import _naming
 
 from .contact_monitor import ContactMonitor
-from .fingertip_driver import DriverConfig, FingertipDriver
+from .fingertip_driver import DISCRETE_ONLY, DriverConfig, FingertipDriver
 from .planner_system import ContactPlanner
-from .plant import AddScenePlant, PlantConfig, ScenePlant, contact_depth
+from .plant import (
+    RADII,
+    AddScenePlant,
+    PlantConfig,
+    ScenePlant,
+    check_numbers,
+    check_words,
+    contact_depth,
+    turning_angle,
+)
 
 Array = NDArray[np.float64]
 
@@ -54,6 +64,7 @@ class StationConfig:
     Attributes
     ----------
     plant : PlantConfig
+        With a time_step above 0: what drives the fingers is made for a discrete plant.
     driver : DriverConfig
     coordinates : str
         "chart" or "frame", of the :class:`ContactPlanner`.
@@ -64,7 +75,7 @@ class StationConfig:
         both, only contacts whose measured slip is above so many m/s; with the slip alone, looked
         at every 0.01 s. None: it does not.
     rolling_radii : bool
-        Plan on the radii that spheres roll on once they are pressed together (see
+        Plan on the radii that bodies roll on once they are pressed together (see
         :func:`rolling_scene`), else on the nominal ones.
     monitor : bool
         Whether there is a ContactMonitor; the closed loop needs it.
@@ -84,16 +95,34 @@ class StationConfig:
         """Whether the planner restarts from measured states."""
         return self.restart_period is not None or self.restart_slip is not None
 
+    def check(self) -> None:
+        """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
+        for key, kind in (("plant", PlantConfig), ("driver", DriverConfig)):
+            part = getattr(self, key)
+            if not isinstance(part, kind):
+                raise SceneError(f"{key} = {part!r}: give a {kind.__name__}")
+            part.check()
+        check_words(self, {"coordinates": ("chart", "frame")})
+        for key in ("disturbance_input", "rolling_radii", "monitor"):
+            if not isinstance(getattr(self, key), (bool, np.bool_)):
+                raise SceneError(f"{key} = {getattr(self, key)!r}: give true or false")
+        check_numbers(self, ("restart_period",), "above 0")
+        check_numbers(self, ("restart_slip",), "not below 0")
+        if self.plant.time_step == 0:
+            raise SceneError(f"time_step = {self.plant.time_step!r}: {DISCRETE_ONLY}")
+
     @classmethod
     def from_scene(cls, scene: Scene, **changes: Any) -> StationConfig:
         """The scene's ``[drake]`` table, one flat table of all fields, and changes to it.
 
+        The object of a scene with a ``[turning]`` is "turning" unless they say otherwise.
+
         Raises
         ------
         SceneError
-            An unknown key, with the nearest known one, or a value of a wrong type.
+            An unknown key, with the nearest known one, or a value that is wrong.
         """
-        table = {**scene.drake, **changes}
+        table = {**({"object": "turning"} if scene.turning else {}), **scene.drake, **changes}
         own = [f for f in dataclasses.fields(cls) if f.name not in ("plant", "driver")]
         known = {
             "plant": dataclasses.fields(PlantConfig),
@@ -112,35 +141,48 @@ class StationConfig:
         def take(fields: Any) -> dict[str, Any]:
             return {f.name: table[f.name] for f in fields if f.name in table}
 
-        return cls(
+        config = cls(
             plant=PlantConfig(**take(known["plant"])),
             driver=DriverConfig(**take(known["driver"])),
             **take(own),
         )
+        with _naming(f"scene '{scene.name}', [drake]"):
+            config.check()
+        return config
 
 
 def rolling_scene(scene: Scene, config: PlantConfig) -> Scene:
-    """The scene with spheres as large as they roll once pressed together.
+    """The scene with bodies as large as they roll once pressed together.
 
-    A compliant finger gives way to a rigid object, so it rolls on its radius less the depth; two
-    equal point contacts share the depth. (That the patch is curved does not matter: what the
-    object's surface drops towards the rim the tilt of friction there makes up for, see
-    `contact_monitor`.) Only spheres are changed; a plan on the nominal surface of another body is
-    off by the ratio of depth to radius.
+    A compliant finger gives way to a rigid object, so it rolls on a surface by the depth inside its
+    own; two equal point contacts share the depth. (That the patch is curved does not matter: what
+    the object's surface drops towards the rim the tilt of friction there makes up for, see
+    `contact_monitor`.) Of spheres, cylinders and tori that surface is another of their kind, and so
+    it is nearly of ellipsoids; a plan on the nominal surface of another finger is off by the ratio
+    of depth to radius.
     """
-
-    def smaller(surface: Any, by: float) -> Any:
-        if not isinstance(surface, Sphere):
-            return surface
-        return dataclasses.replace(surface, radius=surface.radius + (by if surface.inside else -by))
-
     depth, point = contact_depth(config), config.contact_model == "point"
     of_finger, of_object = (0.5 * depth, 0.5 * depth) if point else (depth, 0.0)
     contacts = [
-        dataclasses.replace(contact, finger=smaller(contact.finger, of_finger))
+        dataclasses.replace(contact, finger=_smaller(contact.finger, of_finger))
         for contact in scene.contacts
     ]
-    return dataclasses.replace(scene, object=smaller(scene.object, of_object), contacts=contacts)
+    return dataclasses.replace(scene, object=_smaller(scene.object, of_object), contacts=contacts)
+
+
+def _smaller(surface: Surface, by: float) -> Surface:
+    """The surface so much further inside the body, where :data:`RADII` tells how."""
+    names, less = RADII.get(type(surface)), -by if surface.inside else by
+    if not names:
+        return surface
+    return dataclasses.replace(surface, **{name: getattr(surface, name) - less for name in names})
+
+
+def _depth_between(nominal: Surface, planned: Surface) -> float:
+    """By how much `_smaller` made a surface smaller, m."""
+    name, *_ = RADII.get(type(nominal), ("size",))
+    less = getattr(nominal, name) - getattr(planned, name)
+    return -less if nominal.inside else less
 
 
 def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
@@ -181,6 +223,12 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
     scene : Scene
     config : StationConfig, optional
         None: ``StationConfig.from_scene(scene)``.
+
+    Raises
+    ------
+    SceneError, SurfaceError
+        A value of the configuration, or what :func:`AddScenePlant` and :class:`ContactPlanner`
+        cannot do, with the remedy.
     """
     return _build(scene, config or StationConfig.from_scene(scene))[0]
 
@@ -190,6 +238,8 @@ def _build(
     config: StationConfig,
     extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None,
 ) -> tuple[Diagram, ScenePlant]:
+    with _naming(f"scene '{scene.name}', station"):
+        config.check()
     builder = DiagramBuilder()
     parts = AddScenePlant(builder, scene, config.plant)
     planned = rolling_scene(scene, config.plant) if config.rolling_radii else scene
@@ -203,7 +253,9 @@ def _build(
             restart_slip=config.restart_slip,
         ),
     )
-    _place_fingers(parts, planner, scene, planned, contact_depth(config.plant))
+    start = _finger_poses(planner, planner.CreateDefaultContext(), scene, config.plant)
+    for body, X_OF in zip(parts.finger_bodies, start):
+        parts.plant.SetDefaultFloatingBaseBodyPose(body, X_OF)
     driver = builder.AddNamedSystem("driver", FingertipDriver(parts, config.driver))
     plant = parts.plant
     for name in ("pose", "twist", "acceleration", "normal", "contact_point"):
@@ -241,10 +293,12 @@ def _build(
 
 
 def SetInitialState(station: Diagram, context: Context) -> None:
-    """Put the fingers of a station where the plan starts, moving as planned.
+    """Put the fingers of a station where its planner is, moving as planned.
 
-    The object stays as the context has it (by default at the world's origin, at rest). Each finger
-    is pressed in as deep as its normal force presses it.
+    What is planned is what the context has for the planner, state and time (by default the start of
+    the scene). The object stays as the context has it (by default at the world's origin, at rest),
+    but one that turns is put where the scene has it at that time. Each finger is pressed in as deep
+    as its normal force presses it. The driver forgets the steps before.
 
     Parameters
     ----------
@@ -254,42 +308,45 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         Its own, or that of a Diagram that contains it.
     """
     planner, driver = (station.GetSubsystemByName(name) for name in ("planner", "driver"))
-    plant = station.GetSubsystemByName("plant")
-    twists = planner.GetOutputPort("twist").Eval(planner.GetMyContextFromRoot(context))
+    plant, now = station.GetSubsystemByName("plant"), planner.GetMyContextFromRoot(context)
     physics = plant.GetMyMutableContextFromRoot(context)
+    scene, config, t = driver.scene, driver.plant_config, context.get_time()
+    # A velocity of a discrete plant is the one that brought it here: that of half a step ago.
+    ago = 0.5 * config.time_step
+    if config.object == "turning":
+        joint, angle = plant.GetJointByName("turning"), turning_angle(scene.turning)
+        joint.set_angle(physics, angle(t))
+        joint.set_angular_rate(physics, angle.deriv()(t - ago))
     obj = plant.get_body(BodyIndex(driver.object_index))
     X_WO, V_WO = obj.EvalPoseInWorld(physics), obj.EvalSpatialVelocityInWorld(physics)
     R_WO = X_WO.rotation()
-    for index, twist in zip(driver.finger_indices, twists.reshape(-1, 6)):
+    twist, change = (planner.GetOutputPort(name).Eval(now) for name in ("twist", "acceleration"))
+    twists = (twist - ago * change).reshape(-1, 6)
+    poses = _finger_poses(planner, now, scene, config)
+    for index, X_OF, twist in zip(driver.finger_indices, poses, twists):
         body = plant.get_body(index)
-        X_OF = plant.GetDefaultFloatingBaseBodyPose(body)
         V_OF_W = SpatialVelocity(twist[:3], twist[3:]).Rotate(R_WO)
         V_WF = V_WO.ComposeWithMovingFrameVelocity(R_WO @ X_OF.translation(), V_OF_W)
         plant.SetFreeBodyPose(physics, body, X_WO @ X_OF)
         plant.SetFreeBodySpatialVelocity(context=physics, body=body, V_JpJc=V_WF)
+    driver.GetMyMutableContextFromRoot(context).get_mutable_discrete_state_vector().SetZero()
 
 
-def _place_fingers(
-    parts: ScenePlant, planner: ContactPlanner, nominal: Scene, planned: Scene, depth: float
-) -> None:
-    """Default poses of the fingers, each pressed in by the depth on the nominal surfaces."""
-    context = planner.CreateDefaultContext()
-    X_OF = planner.GetOutputPort("pose").Eval(context)
+def _finger_poses(
+    planner: ContactPlanner, context: Context, nominal: Scene, config: PlantConfig
+) -> list[RigidTransform]:
+    """X_OF as planned, each finger pressed in by the depth on the nominal surfaces."""
+    planned, poses = planner.system.scene, planner.GetOutputPort("pose").Eval(context)
     normals = planner.GetOutputPort("normal").Eval(context).reshape(-1, 3)
-    shrunk = _radius(nominal.object) - _radius(planned.object)
-    for body, X, n, a, b in zip(
-        parts.finger_bodies, X_OF, normals, nominal.contacts, planned.contacts
-    ):
-        sunk = depth - shrunk - (_radius(a.finger) - _radius(b.finger))
-        X = RigidTransform(X.rotation(), X.translation() - sunk * n)
-        parts.plant.SetDefaultFloatingBaseBodyPose(body, X)
-
-
-def _radius(surface: Any) -> float:
-    """Outward radius of a sphere; 0 of others, which are planned as they are."""
-    if not isinstance(surface, Sphere):
-        return 0.0
-    return -surface.radius if surface.inside else surface.radius
+    left = contact_depth(config) - _depth_between(nominal.object, planned.object)
+    sunk = [
+        left - _depth_between(a.finger, b.finger)
+        for a, b in zip(nominal.contacts, planned.contacts)
+    ]
+    return [
+        RigidTransform(X.rotation(), X.translation() - d * n)
+        for X, n, d in zip(poses, normals, sunk)
+    ]
 
 
 @dataclass
@@ -341,13 +398,26 @@ def simulate(
         Called now and then with the simulated time, s.
     recording : path, optional
         Write a single-file Meshcat recording there.
+
+    Raises
+    ------
+    SceneError
+        A duration shorter than a time step, or not finite, and what :func:`BuildStation` raises.
     """
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = config or StationConfig.from_scene(scene)
     config = dataclasses.replace(config, monitor=True)
+    with _naming(f"scene '{scene.name}', station"):
+        config.check()
     duration = scene.duration if duration is None else duration
+    period = config.plant.time_step
+    number = isinstance(duration, numbers.Real) and not isinstance(duration, bool)
+    if not (number and period <= duration < float("inf")):
+        raise SceneError(
+            f"scene '{scene.name}': a simulation of {duration!r} s with a time_step of {period:g} "
+            "s: give a finite time of at least one step"
+        )
     loggers: dict[str, Any] = {}
-    period = config.plant.time_step or 1e-3
     film = None
     if recording is not None:
         from .recording import Recording
@@ -391,18 +461,17 @@ def simulate(
     planned, measured = rows("planner", PLANNED), rows("monitor", MEASURED)
     planned["contact_point"] = planned["contact_point"][:, :, 3:]
     measured["normal_force"] = measured["normal_force"][:, :, 0]
-    poses = _poses(logs["object"].data().T)
+    poses = _object_poses(parts, logs["object"].data().T)
     return SimulationResult(
         scene, config, t, planned, measured, poses, built - begun, finished - built
     )
 
 
-def _poses(states: Array) -> Array:
-    """Homogeneous matrices of a free body's states (quaternion, position, ...)."""
-    poses = np.zeros((len(states), 4, 4))
-    poses[:, :3, :3] = [
-        RotationMatrix(Quaternion(q / np.linalg.norm(q))).matrix() for q in states[:, :4]
-    ]
-    poses[:, :3, 3] = states[:, 4:7]
-    poses[:, 3, 3] = 1.0
+def _object_poses(parts: ScenePlant, states: Array) -> Array:
+    """X_WO of states of the object's model instance, be it free, turning or welded: (m, 4, 4)."""
+    plant, body = parts.plant, parts.object_body
+    context, poses = plant.CreateDefaultContext(), np.empty((len(states), 4, 4))
+    for k, state in enumerate(states):
+        plant.SetPositionsAndVelocities(context, body.model_instance(), state)
+        poses[k] = body.EvalPoseInWorld(context).GetAsMatrix4()
     return poses

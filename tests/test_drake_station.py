@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("pydrake")
 
 from pydrake.systems.analysis import Simulator
+from scipy.spatial.transform import Rotation
 
 import contact_system as cs
 from drake_plant import (
@@ -191,6 +192,13 @@ def test_a_disturbance_from_outside_moves_the_contact_like_a_scheduled_one():
     assert station.GetOutputPort("slip").Eval(context)[:2] == pytest.approx(planned, abs=1e-6)
 
 
+def test_a_start_shakes_contact_little():
+    """With the velocities of the moment instead of half a step ago it would be 0.22 N."""
+    scene = cs.load_scene("D1")
+    force = simulate(scene, config(scene), duration=0.03).measured["normal_force"]
+    assert np.abs(force[1:] - 1).max() < 0.1
+
+
 def test_fingers_start_in_contact_and_moving_as_planned():
     scene = cs.load_scene("D1")
     station = BuildStation(scene, config(scene))
@@ -274,3 +282,184 @@ def test_fingers_press_with_the_normal_force_that_the_plant_is_made_for():
     plant = PlantConfig(contact_model="point", normal_force=5.0)
     force = simulate(scene, StationConfig(plant=plant), duration=0.1).measured["normal_force"]
     assert force[-1] == pytest.approx([5.0, 5.0], rel=0.01)
+
+
+# --- fingertips of other shapes ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("finger", "at"),
+    [
+        (cs.Torus(0.05, 0.02), (1.0, 0.3)),
+        (cs.Ellipsoid(0.05, 0.04, 0.03), (1.0, 0.5)),
+        (cs.Cylinder(0.04), (1.0, 0.0)),
+    ],
+    ids=["torus", "ellipsoid", "cylinder"],
+)
+def test_fingertips_that_are_no_spheres_press_with_one_newton_and_roll(finger, at):
+    """The normal force passes their mass centres by."""
+    contacts = [cs.Contact(finger, (1.0, 0.2), at)]
+    scene = cs.Scene(object=cs.Sphere(0.1), contacts=contacts, profile=cs.Profile([0.15]),
+                     duration=0.6)  # fmt: skip
+    result = simulate(scene, StationConfig.from_scene(scene, coordinates="frame"))
+    late = result.t > 0.05
+    force = result.measured["normal_force"][late]
+    assert force.mean() == pytest.approx(1, abs=0.015)
+    assert force.std() < 0.025
+    assert np.linalg.norm(result.measured["slip"][late], axis=-1).mean() < 1e-3 * 0.15
+    assert np.linalg.norm(result.measured["tangential_force"][late], axis=-1).mean() < 0.03
+
+
+# --- objects that are not free -------------------------------------------------------------------
+
+
+def test_a_welded_object_stays_where_it_is():
+    scene = two_spheres()
+    result = simulate(scene, config(scene, object="welded"), duration=0.1)
+    assert np.abs(result.object_pose - np.eye(4)).max() < 1e-15
+    assert result.measured["normal_force"][-1] == pytest.approx([1.0, 1.0], rel=0.01)
+
+
+@pytest.fixture(scope="module")
+def turned():
+    scene = cs.load_scene("C1")
+    return simulate(scene, config(scene, coordinates="frame"))
+
+
+def test_an_object_turns_as_the_scene_says_without_being_asked_to(turned):
+    found = Rotation.from_matrix(turned.object_pose[:, :3, :3])
+    wanted = Rotation.from_rotvec(turned.scene.turning.rotation_vector(turned.t))
+    assert (found * wanted.inv()).magnitude().max() < 1e-7
+    assert not turned.object_pose[:, :3, 3].any()
+
+
+def test_a_finger_rolls_on_a_turning_object_and_does_not_turn_itself(turned):
+    """The corollary's great circle, and what C1's profile was chosen for."""
+    force = turned.measured["normal_force"][turned.t > 0.05]
+    assert np.abs(force - 1).max() < 0.01
+    assert np.linalg.norm(turned.measured["slip"], axis=-1).max() < 1e-3
+    points = turned.measured["contact_point"][:, 0]
+    assert np.abs(points @ np.ones(3)).max() < 1e-5  # the plane of the great circle
+
+
+# --- starting anywhere ---------------------------------------------------------------------------
+
+
+def at_time(station, t):
+    """A context of a station with its planner where the plan is at t."""
+    planner = station.GetSubsystemByName("planner")
+    context = station.CreateDefaultContext()
+    context.SetTime(t)
+    state = cs.plan(planner.system.scene).states([t]).reshape(1, -1, 9)[0]
+    x = planner.system.from_states(t, state, np.zeros(planner.system.n_w))[0]
+    planner.GetMyMutableContextFromRoot(context).SetContinuousState(x)
+    return context
+
+
+@pytest.mark.parametrize("rolling", [True, False])
+def test_a_station_starts_where_its_planner_is(rolling):
+    scene, t = cs.load_scene("D1"), 1.2
+    station = BuildStation(scene, config(scene, rolling_radii=rolling))
+    planner, plant = (station.GetSubsystemByName(name) for name in ("planner", "plant"))
+    context = at_time(station, t)
+    SetInitialState(station, context)
+    physics, planned = plant.GetMyContextFromRoot(context), cs.plan(planner.system.scene)
+    half_a_step_ago = planned.twist([t - 5e-4])[0]  # a discrete plant moves with this
+    normals = planned.points([t])[0, :, 1] / 0.1
+    for i, X_OF in enumerate(planned.pose([t])[0]):
+        body = plant.GetBodyByName(f"finger {i + 1}")
+        if not rolling:
+            X_OF[:3, 3] -= 1e-4 * normals[i]  # 1 N by 10 kN/m
+        assert body.EvalPoseInWorld(physics).GetAsMatrix4() == pytest.approx(X_OF, abs=1e-8)
+        moving = body.EvalSpatialVelocityInWorld(physics).get_coeffs()
+        assert moving == pytest.approx(half_a_step_ago[i], abs=5e-3)
+    simulator = Simulator(station, context)
+    for late in (0.01, 0.05, 0.1):
+        simulator.AdvanceTo(t + late)
+        force = station.GetOutputPort("normal_force").Eval(context)
+        assert force == pytest.approx([1.0, 1.0, 1.0], abs=0.02)
+
+
+def test_a_station_that_has_run_starts_anew():
+    scene = cs.load_scene("D1")
+    station = BuildStation(scene, config(scene))
+    planner, plant = (station.GetSubsystemByName(name) for name in ("planner", "plant"))
+    simulator = Simulator(station)
+    context = simulator.get_mutable_context()
+    forces = []
+    for _ in range(2):
+        context.SetTime(0.0)
+        for system in (planner, plant):
+            system.SetDefaultContext(system.GetMyMutableContextFromRoot(context))
+        SetInitialState(station, context)
+        simulator.Initialize()
+        simulator.AdvanceTo(2e-3)
+        forces.append(station.GetOutputPort("normal_force").Eval(context).copy())
+    assert forces[0] == pytest.approx(forces[1], abs=0.01)
+
+
+def test_a_turning_object_starts_as_it_turns_then():
+    scene = cs.load_scene("C1")
+    station = BuildStation(scene, config(scene, coordinates="frame"))
+    context = at_time(station, 0.5)
+    SetInitialState(station, context)
+    plant = station.GetSubsystemByName("plant")
+    body, physics = plant.GetBodyByName("object"), plant.GetMyContextFromRoot(context)
+    turn = Rotation.from_rotvec(scene.turning.rotation_vector(0.5)).as_matrix()
+    assert body.EvalPoseInWorld(physics).rotation().matrix() == pytest.approx(turn, abs=1e-12)
+    rate = body.EvalSpatialVelocityInWorld(physics).rotational()
+    assert rate == pytest.approx(scene.turning.angular_velocity(0.5 - 5e-4), abs=1e-12)
+    simulator = Simulator(station, context)
+    simulator.AdvanceTo(0.55)
+    assert station.GetOutputPort("normal_force").Eval(context) == pytest.approx([1.0], rel=0.02)
+    assert np.linalg.norm(station.GetOutputPort("measured_slip").Eval(context)) < 1e-3
+
+
+# --- what is refused -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"time_step": 0}, "time_step = 0: .* discrete plant only; give"),
+        ({"time_step": "1e-3"}, "time_step = '1e-3': give a finite number"),
+        ({"friction": True}, "friction = True: give a finite number"),
+        ({"velocity_gain": np.nan}, "velocity_gain = nan: give a finite number not below 0"),
+        ({"spin_gain": -1}, "spin_gain = -1: .* not below 0"),
+        ({"coordinates": "charts"}, "coordinates = 'charts': use one of chart, frame"),
+        ({"coordinates": ["chart"]}, "coordinates = .*: use one of chart, frame"),
+        ({"monitor": "no"}, "monitor = 'no': give true or false"),
+        ({"restart_period": 0.0}, "restart_period = 0.0: give a finite number above 0"),
+        ({"restart_slip": "small"}, "restart_slip = 'small': give"),
+    ],
+)  # fmt: skip
+def test_a_wrong_value_of_the_drake_table_is_named(changes, words):
+    with pytest.raises(cs.SceneError, match=r"^scene 'D1', \[drake\]: " + words):
+        StationConfig.from_scene(cs.load_scene("D1"), **changes)
+
+
+def test_a_wrong_configuration_is_refused_before_anything_is_built():
+    scene = cs.load_scene("D1")
+    for wrong, words in (
+        (StationConfig(plant=PlantConfig(time_step=0.0)), "time_step = 0.0: .* discrete"),
+        (StationConfig(driver=DriverConfig(position_gain=None)), "position_gain = None"),
+        (StationConfig(plant={"friction": 0.5}), "plant = .*: give a PlantConfig"),
+    ):
+        with pytest.raises(cs.SceneError, match="^scene 'D1', station: " + words):
+            BuildStation(scene, wrong)
+
+
+def test_numbers_of_numpy_are_numbers():
+    scene = cs.load_scene("D1")
+    changes = {"time_step": np.float32(1e-3), "stiffness": np.int64(10_000), "gravity": np.int32(0),
+               "velocity_gain": np.float32(60), "monitor": np.bool_(True),
+               "relaxation_time": np.float32(0), "restart_slip": np.float32(0.1)}  # fmt: skip
+    result = simulate(scene, config(scene, **changes), duration=np.float32(0.05))
+    assert result.measured["normal_force"][-1] == pytest.approx([1.0, 1.0, 1.0], abs=0.02)
+
+
+@pytest.mark.parametrize("duration", [0, -1.0, float("nan"), float("inf"), 1e-4, "1", True])
+def test_a_time_in_which_nothing_can_be_simulated_is_refused(duration):
+    scene = cs.load_scene("D1")
+    with pytest.raises(cs.SceneError, match="scene 'D1': a simulation of .* with a time_step of 0"):
+        simulate(scene, config(scene), duration=duration)
