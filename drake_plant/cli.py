@@ -34,6 +34,8 @@ def register(commands: Any) -> None:
                         "instead of the scene's duration")  # fmt: skip
     parser.add_argument("--contact", choices=("hydroelastic", "point"), help="contact model "
                         "instead of the scene's")  # fmt: skip
+    parser.add_argument("--object", choices=("free", "welded", "turning"), help="how the object "
+                        "moves, instead of as the scene says")  # fmt: skip
     parser.add_argument("--time-step", type=float, metavar="H", help="of the plant, s")
     parser.add_argument("--coordinates", choices=("chart", "frame"), help="what the planner "
                         "integrates: the paper's chart equations, or moving frames")  # fmt: skip
@@ -44,7 +46,7 @@ def register(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate, tell, write; returns the exit code."""
     scene = load_scene(args.scene)
-    wished = {"contact_model": args.contact, "time_step": args.time_step,
+    wished = {"contact_model": args.contact, "object": args.object, "time_step": args.time_step,
               "coordinates": args.coordinates}  # fmt: skip
     config = StationConfig.from_scene(scene, **{k: v for k, v in wished.items() if v is not None})
     folder = args.out or Path("results") / _file_name(scene)

@@ -98,6 +98,7 @@ def test_only_disturbed_contacts_have_something_to_recover_from():
     assert [math.isnan(r.recovery) for r in reports] == [False, True, True]
     assert [r.saturates for r in reports] == [False, None, None]
 
+
 def test_a_disturbance_between_two_samples_is_nothing_to_recover_from():
     result = made_up(decaying(40.0), np.zeros(len(T)))
     short = dataclasses.replace(result.scene.disturbances[0], start=0.1002, stop=0.1007)
@@ -107,7 +108,6 @@ def test_a_disturbance_between_two_samples_is_nothing_to_recover_from():
         finger = contact_table(result)[0]
     assert math.isnan(finger.recovery) and math.isnan(finger.saturated)
     assert finger.as_reported is finger.saturates is None
-
 
 
 def test_recovery_time_of_a_signal_that_never_rises_is_zero():
@@ -200,3 +200,28 @@ def test_a_whole_run_is_told_beside_the_paper(tmp_path, monkeypatch, capsys):
     assert "0.50 times real time" in out
     assert "Here slip is rejected within that time." in out
     assert "Tangential force saturates at finger 1; its peak is 0.500 N" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--until", 0), "a simulation of 0.0 s"),
+        (("--until", -1), "a simulation of -1.0 s"),
+        (("--until", "nan"), "a simulation of nan s"),
+        (("--until", 1e-4), "a simulation of 0.0001 s with a time_step of 0.001 s"),
+        (("--time-step", 10), "a simulation of 4.0 s with a time_step of 10 s"),
+        (("--time-step", 0), "time_step = 0.0: "),
+    ],
+)
+def test_times_that_make_no_simulation_are_an_error_of_one_line(tmp_path, words, told):
+    with pytest.raises(cs.SceneError, match=f"scene 'D1'.*{told}.*give") as error:
+        run("D1", "--out", tmp_path, "--no-recording", *words)
+    assert "\n" not in str(error.value)  # which the program prints, with exit code 2
+
+
+def test_an_object_that_bounds_no_solid_can_be_welded_from_the_command_line(tmp_path, capsys):
+    words = ("--until", 0.02, "--object", "welded", "--out", tmp_path, "--no-recording")
+    assert run("chart", *words) == 0
+    with np.load(tmp_path / "chart-drake.npz") as logs:
+        assert np.array_equal(logs["object_pose"][-1], np.eye(4))
+        assert logs["measured_normal_force"][-1] == pytest.approx([1.0], abs=0.05)
