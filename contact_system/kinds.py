@@ -395,9 +395,16 @@ class Begun:
     @property
     def r0(self) -> np.ndarray:
         """As in :class:`Group`."""
-        first, width = self.kind.stages[0].fields["r0"]
-        n = self.kind.nb
-        return np.frombuffer(self.block)[first : first + n * width].reshape(n, 2, 2)
+        return self._field("r0").reshape(-1, 2, 2)
+
+    @property
+    def angle(self) -> np.ndarray:
+        """As in :class:`Group`."""
+        return self._field("angle")
+
+    def _field(self, name: str) -> np.ndarray:
+        first, width = self.kind.stages[0].fields[name]
+        return np.frombuffer(self.block)[first : first + self.kind.nb * width]
 
     def states(self, t: np.ndarray, out: np.ndarray, tolerance: float) -> int:
         """Chart states (n, 9, n_t) as :meth:`ChartStates.fill`, in the same way."""
@@ -569,14 +576,24 @@ class Kind:
     def program(self, output: str) -> tuple[int, int] | None:
         """Address and number of the parts of :class:`Program`; None where there is none."""
         if output not in self._programs:
-            ready = output != "coordinates" or self.closed  # else they are to be anchored
-            found = self.planned.program(output) if ready else None
+            found = self.planned.program(output)
             for part, track in zip(found.parts, found.tracks) if found is not None else ():
                 if isinstance(track, PanelTrack) and track.motion is not None:
                     part.moves = 1 + self._motions.index(track.motion)
                     part.row = track.rows.start or 0
+                if output == "coordinates" and not self.closed:
+                    self._continue(part, track)
             self._programs[output] = None if found is None else (found.at, len(found.parts))
         return self._programs[output]
+
+    def _continue(self, part: Any, track: Track) -> None:
+        """Tell C how coordinates of a track continue those before it."""
+        part.begin = address(self.planned.begin[track in self.planned.object])
+        if isinstance(track, CircleTrack) and not part.first:
+            part.branch = function_address(circle_branch().library)
+            part.path = address(track.circle.w)
+        elif isinstance(track, PanelTrack) and track.ambient:
+            part.anchor = function_address(track.evaluator("coordinates").library.anchor)
 
     def begin(self, scene: Scene) -> Begun | None:
         """A scene with the same key; None if it is of another kind all the same."""

@@ -423,6 +423,8 @@ class Plan:
         if begun is not None and begun.kind.states and (begun.kind.closed or self._first_look()):
             out = np.empty(shape)
             code = begun.states(times, out, self.tolerance)
+        if begun is not None and not begun.kind.alone and self._groups is None:
+            return None
         if code < 0:
             group = self.groups[0]
             one = len(self.groups) == 1 and group.moving
@@ -447,6 +449,9 @@ class Plan:
 
     def _angles(self) -> np.ndarray:
         """psi(0) of all contacts, (n_contacts, 1)."""
+        if self._groups is None:
+            assert self._begun is not None
+            return self._begun.angle[:, None]
         if len(self.groups) == 1:
             return self.groups[0].angle[:, None]
         angle = np.empty((self._count, 1))

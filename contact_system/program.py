@@ -36,6 +36,7 @@ class _Part(ctypes.Structure):
     _fields_ = [("evaluate", ctypes.c_void_p), ("track", ctypes.c_void_p)]
     _fields_ += [(name, ctypes.c_long) for name in (
         "moves", "offset", "stride", "first", "last", "row")]  # fmt: skip
+    _fields_ += [(name, ctypes.c_void_p) for name in ("begin", "path", "branch", "anchor")]
 
 
 class Program:

@@ -188,8 +188,9 @@ def test_disturbed_scenes_of_a_kind_are_planned_as_if_they_were_the_first(obj, f
     )
     assert begun(scene[1]) == begun(last[1]) == expected
     compare(*scene, outputs=("points", "pose", "points", "states", "slip", "acceleration"))
-    for times in (TIMES[::-1], TIMES[[0, -1]], np.array([0.2, 0.5, 0.7])):
-        compare(*last, outputs=("points",), times=times)
+    for times in (TIMES[::-1], TIMES[[0, -1]], np.array([0.2, 0.5, 0.7]), TIMES):
+        for output in ("points", "states", "carried"):  # the first look at a plan
+            compare(last[0], cs.plan(last[0], compiled=True), [output], times)
     many = cs.plan(last[0], tolerance=1e-5, compiled=True)
     assert begun(many) == expected
     assert many.points(TIMES) == pytest.approx(last[1].points(TIMES), abs=1e-5 * 0.3)

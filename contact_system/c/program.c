@@ -47,6 +47,10 @@ long move(motion_t *m) {
   return 0;
 }
 
+typedef void (*kernel_t)(long, long, const double *, const long *, long, const double *, double *,
+                         const long *, long);
+typedef void (*anchor_t)(track_t *, const double *, double *, double *, double *);
+
 /* A track of a plan and where its rows go. */
 typedef struct {
   evaluate_t evaluate;
@@ -54,7 +58,12 @@ typedef struct {
   long moves;          /* k > 0: it is the track of motion k - 1 */
   long offset, stride; /* of body 0, from body to body, in blocks of rows */
   long first, last;    /* the first, the last track of its side */
-  long row;            /* of the motion's states, its own first one (fill_begun) */
+  /* for fill_begun: of the motion's states, its own first one; where coordinates are continued: u v theta where
+     the side begins, and how, by the track's branch, from its path velocity W, or by anchors */
+  long row;
+  const double *begin, *path;
+  kernel_t branch;
+  anchor_t anchor;
 } part_t;
 
 static long earlier(const double *t, long nt, double edge) {
@@ -115,9 +124,6 @@ long fill(const part_t *parts, long n_parts, long count, long nt, const double *
 }
 
 /* Scenes of one kind (kinds.py): their plans differ in the numbers of one block, where their tracks point. */
-typedef void (*kernel_t)(long, long, const double *, const long *, long, const double *, double *,
-                         const long *, long);
-
 typedef struct {
   long at, width, place; /* among the numbers of a contact; in the block, of contact 0 */
 } field_t;
@@ -224,6 +230,38 @@ static long own_motions(motion_t *moved, const kind_t *k, double *block, double 
   return 0;
 }
 
+#define BRANCH 3 /* the last constants of a great circle; before them the node's 4 */
+
+/* Let coordinates of a track continue last [nb][3]. Returns memory that is to be freed after use; 1: none left. */
+static int continued(const part_t *part, track_t *track, const kind_t *k, const double *block, long first,
+                     const double *last, double **memory) {
+  const long nb = track->nb, m = 4 * track->n_panels + 1, nc = track->n_constants;
+  *memory = NULL;
+  if (part->branch) {
+    const double *w = carried(part->path, k, block) + 2 * first;
+    double *constants = (double *)track->constants; /* in a block of one's own */
+    for (long b = 0; b < nb; b++, constants += nc) {
+      double point[8] = {last[3 * b + 1], last[3 * b + 2], w[2 * b], w[2 * b + 1]};
+      memcpy(point + 4, constants + nc - BRANCH - 4, 4 * sizeof(double));
+      part->branch(1, 1, point, k->rows, 0, NULL, constants + nc - BRANCH, k->rows, 0);
+    }
+  } else if (part->anchor) {
+    if (!(*memory = malloc((1 + 8 * nb) * m * sizeof(double)))) return 1;
+    part->anchor(track, last, *memory, *memory + m, *memory + (1 + 3 * nb) * m);
+  }
+  return 0;
+}
+
+/* Where coordinates of a track are at its end: last [nb][3] */
+static long end_of(const part_t *part, const track_t *track, double *last) {
+  static const long row[] = {0, 1, 2, 3, 4};
+  double values[MOST * 5];
+  const long code = part->evaluate(track, 1, &track->stop, values, row, 5);
+  for (long b = 0; b < track->nb; b++)
+    last[3 * b] = values[5 * b], last[3 * b + 1] = values[5 * b + 1], last[3 * b + 2] = values[5 * b + 4];
+  return code ? -1 : 0;
+}
+
 /* `fill` for a scene of a kind, a few contacts at a time, with motions that are not kept. A negative code says
    only that `fill` is to be asked. */
 long fill_begun(const kind_t *k, const double *block, double tolerance, const part_t *parts, long n_parts,
@@ -231,6 +269,7 @@ long fill_begun(const kind_t *k, const double *block, double tolerance, const pa
   motion_t *moved = NULL;
   double *own = NULL;
   long code = 0;
+  if (k->n_stages > 1 && !in_order(t, nt)) return -1;
   if (k->n_moves || k->n_stages > 1) { /* the scene's block is shared by all who plan it */
     moved = malloc(k->n_moves * sizeof *moved + k->size * sizeof *own);
     if (!moved) return -1;
@@ -238,6 +277,7 @@ long fill_begun(const kind_t *k, const double *block, double tolerance, const pa
   }
   for (long first = 0; first < k->nb && !code; first += MOST) {
     const long n = chunk(k->nb, first);
+    double last[3 * MOST], *memory = NULL;
     long made = 0;
     if (moved) code = own_motions(moved, k, own, tolerance, first, n, &made);
     for (const part_t *part = parts; part < parts + n_parts && !code; part++) {
@@ -248,7 +288,15 @@ long fill_begun(const kind_t *k, const double *block, double tolerance, const pa
         track.panel_stride = whole->panel_stride, track.body_stride = whole->body_stride;
         track.coefficients = whole->coefficients + part->row * (N + 1);
       }
-      code = fill_part(part, &track, count, nt, t, out + first * part->stride * count * nt);
+      if (part->begin && part->first)
+        memcpy(last, carried(part->begin, k, block) + 3 * first, 3 * n * sizeof(double));
+      if (part->begin && continued(part, &track, k, block, first, last, &memory))
+        code = -1;
+      else
+        code = fill_part(part, &track, count, nt, t, out + first * part->stride * count * nt);
+      if (part->begin && !part->last && !code) code = end_of(part, &track, last);
+      free(memory);
+      memory = NULL;
     }
     while (made) free(moved[--made].block);
   }
@@ -263,8 +311,6 @@ long fill_begun(const kind_t *k, const double *block, double tolerance, const pa
 #define SIDE 5 /* u v u' v' theta */
 #define ROWS 7 /* u v a a theta b b */
 #define SERIES_PAY 64 /* times a panel; a great circle counts as three */
-
-typedef void (*anchor_t)(track_t *, const double *, double *, double *, double *);
 
 typedef struct {
   evaluate_t evaluate, resolve; /* SIDE rows; `rows` rows of what series are made of, or NULL */
