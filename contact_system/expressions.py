@@ -9,6 +9,8 @@ from __future__ import annotations
 import ast
 import difflib
 import math
+import operator
+import threading
 from collections.abc import Callable, Mapping
 
 import casadi as ca
@@ -22,42 +24,55 @@ LONGEST_TEXT = 10_000
 
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
-# name: (number of arguments, meaning)
-FUNCTIONS: dict[str, tuple[int, Callable[..., SX]]] = {
-    "sqrt": (1, ca.sqrt),
-    "sin": (1, ca.sin),
-    "cos": (1, ca.cos),
-    "tan": (1, ca.tan),
-    "asin": (1, ca.asin),
-    "acos": (1, ca.acos),
-    "atan": (1, ca.atan),
-    "atan2": (2, ca.atan2),
-    "exp": (1, ca.exp),
-    "log": (1, ca.log),
-    "sinh": (1, ca.sinh),
-    "cosh": (1, ca.cosh),
-    "tanh": (1, ca.tanh),
-    "hypot": (2, lambda a, b: ca.sqrt(a * a + b * b)),
-    "pow": (2, lambda a, b: a**b),
-    "abs": (1, ca.fabs),
-    "fabs": (1, ca.fabs),
-    "fmin": (2, ca.fmin),
-    "fmax": (2, ca.fmax),
-    "sign": (1, ca.sign),
-    "copysign": (2, ca.copysign),
+SYMBOLS = threading.RLock()
+"""Held while expressions of symbols are made: CasADi keeps constants in a table that two threads may
+not change at once."""
+
+Value = SX | float
+Meaning = tuple[Callable[..., float], Callable[..., SX]]
+"""What is done with numbers, and what where a symbol is among them."""
+
+
+def _sign(x: float) -> float:
+    return float((x > 0) - (x < 0))
+
+
+# name: (number of arguments, of numbers, of symbols)
+FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., SX]]] = {
+    "sqrt": (1, math.sqrt, ca.sqrt),
+    "sin": (1, math.sin, ca.sin),
+    "cos": (1, math.cos, ca.cos),
+    "tan": (1, math.tan, ca.tan),
+    "asin": (1, math.asin, ca.asin),
+    "acos": (1, math.acos, ca.acos),
+    "atan": (1, math.atan, ca.atan),
+    "atan2": (2, math.atan2, ca.atan2),
+    "exp": (1, math.exp, ca.exp),
+    "log": (1, math.log, ca.log),
+    "sinh": (1, math.sinh, ca.sinh),
+    "cosh": (1, math.cosh, ca.cosh),
+    "tanh": (1, math.tanh, ca.tanh),
+    "hypot": (2, math.hypot, lambda a, b: ca.sqrt(a * a + b * b)),
+    "pow": (2, math.pow, operator.pow),
+    "abs": (1, abs, ca.fabs),
+    "fabs": (1, abs, ca.fabs),
+    "fmin": (2, min, ca.fmin),
+    "fmax": (2, max, ca.fmax),
+    "sign": (1, _sign, ca.sign),
+    "copysign": (2, math.copysign, ca.copysign),
 }
 
-_BINARY: dict[type[ast.operator], Callable[[SX, SX], SX]] = {
-    ast.Add: lambda a, b: a + b,
-    ast.Sub: lambda a, b: a - b,
-    ast.Mult: lambda a, b: a * b,
-    ast.Div: lambda a, b: a / b,
-    ast.Pow: lambda a, b: a**b,
+_BINARY: dict[type[ast.operator], Meaning] = {
+    ast.Add: (operator.add, operator.add),
+    ast.Sub: (operator.sub, operator.sub),
+    ast.Mult: (operator.mul, operator.mul),
+    ast.Div: (operator.truediv, operator.truediv),
+    ast.Pow: (math.pow, operator.pow),  # of numbers: real, or an error
 }
 
 
-def parse(text: str, names: Mapping[str, SX]) -> SX:
-    """Return the SX expression that a formula stands for.
+def parse(text: str, names: Mapping[str, SX]) -> Value:
+    """Return what a formula stands for: a number, or an SX expression of the names in it.
 
     Parameters
     ----------
@@ -69,13 +84,15 @@ def parse(text: str, names: Mapping[str, SX]) -> SX:
 
     Returns
     -------
-    SX
-        A scalar; ``float(...)`` of it is its value where no symbol occurs.
+    float or SX
+        A float, by Python's arithmetic, where none of the names occurs; else a scalar expression,
+        which is made while `SYMBOLS` is held.
 
     Raises
     ------
     ContactSystemError
-        Anything else in the text; names the text, the column (from 1) and the nearest known name.
+        Anything else in the text, or numbers without a result (``1/0``); names the text, the column
+        (from 1) and the nearest known name.
     """
     if not isinstance(text, str):
         raise ContactSystemError(f"formula {text!r} must be a text such as '2*pi/3'")
@@ -114,10 +131,10 @@ class _Reader:
         column = self.lead + len(before.decode(errors="replace")) + 1
         return ContactSystemError(f"formula {self.text!r}, column {column}: {problem}")
 
-    def read(self, node: ast.expr) -> SX:
+    def read(self, node: ast.expr) -> Value:
         match node:
             case ast.Constant():
-                return SX(self.number(node))
+                return self.number(node)
             case ast.Name():
                 return self.name(node)
             case ast.UnaryOp(op=ast.USub()):
@@ -141,32 +158,42 @@ class _Reader:
             raise self.fail(node, "the number is too large")
         return value
 
-    def name(self, node: ast.Name) -> SX:
+    def name(self, node: ast.Name) -> Value:
         if node.id in self.names:
             return self.names[node.id]
         if node.id in CONSTANTS:
-            return SX(CONSTANTS[node.id])
+            return CONSTANTS[node.id]
         if node.id in FUNCTIONS:
             raise self.fail(node, f"{node.id} is a function; write {node.id}(...)")
         raise self.fail(node, self.unknown("name", node.id, [*self.names, *CONSTANTS]))
 
-    def operation(self, node: ast.BinOp) -> SX:
+    def operation(self, node: ast.BinOp) -> Value:
         if isinstance(node.op, ast.BitXor):
             raise self.fail(node, "^ is not a power here; write **")
         if type(node.op) not in _BINARY:
             raise self.fail(node, "only + - * / ** combine two values in a formula")
-        return _BINARY[type(node.op)](self.read(node.left), self.read(node.right))
+        return self.apply(node, _BINARY[type(node.op)], self.read(node.left), self.read(node.right))
 
-    def call(self, node: ast.Call) -> SX:
+    def call(self, node: ast.Call) -> Value:
         if not isinstance(node.func, ast.Name) or node.keywords:
             raise self.fail(node, "call functions by their plain name, as in atan2(y, x)")
         name = node.func.id
         if name not in FUNCTIONS:
             raise self.fail(node, self.unknown("function", name, [*FUNCTIONS]))
-        count, meaning = FUNCTIONS[name]
+        count, of_numbers, of_symbols = FUNCTIONS[name]
         if len(node.args) != count:
             raise self.fail(node, f"{name} takes {count} argument(s), not {len(node.args)}")
-        return meaning(*(self.read(argument) for argument in node.args))
+        values = [self.read(argument) for argument in node.args]
+        return self.apply(node, (of_numbers, of_symbols), *values)
+
+    def apply(self, node: ast.expr, meaning: Meaning, *values: Value) -> Value:
+        of_numbers, of_symbols = meaning
+        if any(isinstance(value, SX) for value in values):
+            return of_symbols(*values)
+        try:
+            return of_numbers(*values)
+        except (ArithmeticError, ValueError) as error:
+            raise self.fail(node, f"this is no real number ({error})") from None
 
     @staticmethod
     def unknown(kind: str, name: str, known: list[str]) -> str:

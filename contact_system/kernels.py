@@ -31,6 +31,7 @@ import casadi as ca
 import numpy as np
 
 from .errors import ContactSystemError
+from .expressions import SYMBOLS
 
 C_SOURCES = Path(__file__).parent / "c"
 NODES = 16  # Gauss points of a panel; see development.Collocation
@@ -639,7 +640,10 @@ def per_structure(build: Callable[..., Any]) -> Callable[..., Any]:
         key = (build, *(getattr(a, "structure", a) for a in arguments))
         found = _CACHE.get(key)
         if found is None:
-            found = _CACHE[key] = build(*arguments)
+            with SYMBOLS:
+                found = _CACHE.get(key)  # another thread may have been first
+                if found is None:
+                    found = _CACHE[key] = build(*arguments)
         return found
 
     return cached

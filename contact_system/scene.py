@@ -786,7 +786,7 @@ def _numbers(value: Any, what: str) -> Any:
         return tuple(_numbers(x, f"{what}[{k}]") for k, x in enumerate(value))
     if isinstance(value, str):
         with _naming(what):
-            value = float(parse(value, {}))
+            value = parse(value, {})
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise SceneError(f"{what} = {value!r}: give a number")
     return value if what == "sheet" else _one(value, what)

@@ -42,6 +42,7 @@ from contact_system.charts import (
     hypot,
 )
 from contact_system.errors import ChartSingularity, SurfaceError
+from contact_system.expressions import SYMBOLS
 from contact_system.geometry import ChartGeometry, chart_geometry, revolved_geometry
 
 # A contact frame whose axes shrink below this fraction of the surface's size is taken as lost.
@@ -386,7 +387,9 @@ class Surface:
     def _call(self, name: str, *columns: Array) -> Array:
         key = (self.structure, name)
         if key not in _FUNCTIONS:
-            _FUNCTIONS[key] = self._build(name)
+            with SYMBOLS:
+                if key not in _FUNCTIONS:  # another thread may have been first
+                    _FUNCTIONS[key] = self._build(name)
         if columns[0].shape[1] == 0:
             return np.zeros((_FUNCTIONS[key].size1_out(0), 0))
         return _FUNCTIONS[key](ca.DM(self.parameters), *columns).full()

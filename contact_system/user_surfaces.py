@@ -31,7 +31,7 @@ from contact_system.charts import (
     hypot,
 )
 from contact_system.errors import ContactSystemError, SurfaceError
-from contact_system.expressions import FUNCTIONS, parse
+from contact_system.expressions import FUNCTIONS, SYMBOLS, parse
 from contact_system.geometry import ChartGeometry, contact_frame, tangent_geometry
 from contact_system.surfaces import Surface, finite_number, positive_length, store
 
@@ -134,8 +134,9 @@ class ParametricSurface(UserSurface):
     ) -> None:
         store(self, inside=inside)
         self.__post_init__()
-        variables = {"u": SX.sym("u"), "v": SX.sym("v")}
-        formula = _formula(self._kind, f, variables, list(variables.values()), parameters, 3)
+        with SYMBOLS:
+            variables = {"u": SX.sym("u"), "v": SX.sym("v")}
+            formula = _formula(self._kind, f, variables, list(variables.values()), parameters, 3)
         store(self, formula=formula, size=positive_length(self, "size", size))
         for name, given, period in (("u", u_range, u_period), ("v", v_range, v_period)):
             if period is not None:
@@ -332,9 +333,10 @@ class ImplicitSurface(UserSurface):
     ) -> None:
         store(self, inside=inside)
         self.__post_init__()
-        x = SX.sym("x", 3)
-        variables = {"x": x[0], "y": x[1], "z": x[2]}
-        formula = _formula(self._kind, F, variables, [x], parameters, 1)
+        with SYMBOLS:
+            x = SX.sym("x", 3)
+            variables = {"x": x[0], "y": x[1], "z": x[2]}
+            formula = _formula(self._kind, F, variables, [x], parameters, 1)
         store(self, formula=formula, size=positive_length(self, "size", size))
         store(self, center=_numbers(self._kind, "center", center, 3))
 
@@ -518,7 +520,8 @@ def _formula(
     else:
         text = _texts(kind, given, count)
         try:
-            value = ca.vertcat(*(parse(line, {**variables, **symbols}) for line in text))
+            lines = [parse(line, {**variables, **symbols}) for line in text]
+            value = ca.vertcat(*map(SX, lines))
         except ContactSystemError as error:
             raise SurfaceError(f"{kind}: {error}") from None
     for argument in arguments:

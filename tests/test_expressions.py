@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import random
+import subprocess
+import sys
 
 import casadi as ca
 import pytest
@@ -49,6 +52,52 @@ def test_functions_are_those_of_the_math_module(name):
 
 def test_numbers_without_symbols_read_as_floats():
     assert float(parse("pi/6", {})) == math.pi / 6
+
+
+def test_numbers_are_pythons_to_the_last_bit():
+    assert parse("0.483**3", {}) == 0.483**3
+    numbers = random.Random(1)
+    for _ in range(300):
+        a, b = round(numbers.uniform(0.1, 9), 3), numbers.randint(2, 19)
+        for text in (f"{a}**{b % 5}", f"{a}*pi/{b}", f"{b}**-1 - {a}", f"-{a}**0.5 * sqrt({b})"):
+            found = parse(text, {"u": SX.sym("u")})
+            assert type(found) is float and found == eval(text, {"pi": math.pi, "sqrt": math.sqrt})
+
+
+@pytest.mark.parametrize(
+    ("text", "column", "words"),
+    [("0/0", 1, "division by zero"), ("2 + 1/0*u", 5, "division by zero"),
+     ("u*sqrt(-1)", 3, "domain"), ("(-8)**(1/3)", 1, "domain"), ("9**9**9", 1, "range")],
+)  # fmt: skip
+def test_numbers_without_a_result_are_refused_by_column(text, column, words):
+    with pytest.raises(ContactSystemError, match=f"column {column}: .*{words}"):
+        parse(text, {"u": SX.sym("u")})
+
+
+IN_THREADS = """
+import sys
+from concurrent.futures import ThreadPoolExecutor
+import contact_system as cs
+from contact_system.expressions import parse
+
+def read(k):
+    for i in range(50):
+        parse(f"2*pi/{k + 0.5} + {i}.25", {})
+
+def make(k):
+    f = (f"u*{k}.5", f"v + {k}/7", f"0.05*sin({k}.25*u)*cos(v*{k})")
+    return cs.ParametricSurface(f).normal(0.1, 0.2)
+
+sys.setswitchinterval(1e-5)
+with ThreadPoolExecutor(8) as executor:
+    list(executor.map(read, range(1000)))
+    list(executor.map(make, range(100)))
+"""
+
+
+def test_formulas_are_read_in_many_threads():
+    """In a process of its own: constants of CasADi that two threads made at once ended it."""
+    assert subprocess.run([sys.executable, "-c", IN_THREADS], check=False).returncode == 0
 
 
 def test_names_take_precedence_over_constants():

@@ -385,7 +385,7 @@ def test_arithmetic_texts_are_numbers():
         ('[0.1, "1/5"]', "[0.1, inf]", ["profile[1]", "inf"]),
         ('[0.1, "1/5"]', "[0.1, -0.1]", ["scene 'good'", "t = 2 s"]),
         ('[0.1, "1/5"]', '[0.1, "1/x"]', ["profile[1]", "1/x"]),
-        ('[0.1, "1/5"]', '[0.1, "1/0"]', ["profile[1]", "inf"]),
+        ('[0.1, "1/5"]', '[0.1, "1/0"]', ["profile[1]", "division by zero"]),
         ('[0.1, "1/5"]', '[0.1, "__import__(1)"]', ["profile[1]"]),
         ('[0.1, "1/5"]', "0.1", ["profile = 0.1", "list"]),
         ('law = "guaranteed"', 'law = "garanteed"', ["gain", "'guaranteed'"]),
