@@ -25,8 +25,9 @@ LONGEST_TEXT = 10_000
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
 SYMBOLS = threading.RLock()
-"""Held while expressions of symbols are made: CasADi keeps constants in a table that two threads may
-not change at once."""
+"""Held while expressions of symbols are made.
+
+CasADi keeps constants in a table that two threads may not change at once."""
 
 Value = SX | float
 Meaning = tuple[Callable[..., float], Callable[..., SX]]

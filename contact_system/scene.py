@@ -899,13 +899,23 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
     SceneError
         If there is neither, or the file is wrong.
     """
+    return scene_from_toml(*scene_text(name_or_path))
+
+
+def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
+    """The TOML text that `load_scene` reads, and where it comes from.
+
+    Raises
+    ------
+    SceneError
+        If there is no such scene, or the file cannot be read.
+    """
     given = os.fspath(name_or_path)
     names = _bundled_names()
     if given in names:
-        text = (_bundled_folder() / f"{given}.toml").read_text("utf-8")
-        return scene_from_toml(text, f"{given}.toml")
+        return (_bundled_folder() / f"{given}.toml").read_text("utf-8"), f"{given}.toml"
     try:
-        text = Path(given).read_text("utf-8")
+        return Path(given).read_text("utf-8"), given
     except FileNotFoundError:
         raise SceneError(
             f"'{given}' is neither a bundled scene nor a file{_nearest(given, names)}; "
@@ -913,7 +923,6 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"'{given}' cannot be read: {error}; give a TOML text file") from None
-    return scene_from_toml(text, given)
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:

@@ -15,6 +15,7 @@ import json
 import os
 import pickle
 import sys
+import zipfile
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sized
 from concurrent.futures import (
@@ -35,7 +36,7 @@ from numpy.typing import ArrayLike
 from .errors import ContactSystemError
 from .measures import REJECTED
 from .plan import Plan, plan
-from .scene import Contact, Disturbance, Scene, load_scene, scene_to_toml
+from .scene import Contact, Disturbance, Scene, load_scene, scene_text, scene_to_toml
 
 Item = Scene | str | os.PathLike | Callable[[], Scene]
 """A scene, the name or file of one, or a function that makes one (called where it is planned)."""
@@ -364,8 +365,8 @@ def sweep(
         with a worker is done again; a pool of processes that broke is replaced by one like it.
     folder : path, optional
         Keep the results of each chunk in a file there, not in memory. The same call continues where
-        an interrupted one stopped: chunks whose scenes, tolerance and name of ``evaluate`` have not
-        changed are not done again.
+        an interrupted one stopped: chunks whose scenes (or what is in their files), tolerance and
+        name of ``evaluate`` have not changed are not done again.
     chunk : int
         Scenes that a worker takes at a time, and that are planned together at most.
     ahead : int, optional
@@ -382,9 +383,11 @@ def sweep(
     Raises
     ------
     ContactSystemError
-        ``chunk`` or ``ahead`` below 1; outputs without a row a contact, or that differ from scene
-        to scene; an executor that broke and cannot be replaced.
+        ``scenes`` that are no list of them; ``chunk`` or ``ahead`` below 1; outputs without a row a
+        contact, or that differ from scene to scene; an executor that broke and cannot be replaced.
     """
+    if isinstance(scenes, (Scene, str, os.PathLike)) or not isinstance(scenes, Iterable):
+        raise ContactSystemError(f"scenes = {scenes!r:.80}: give a list of scenes; of one, [scene]")
     ahead = 2 * (os.cpu_count() or 1) if ahead is None else ahead
     for name, value in (("chunk", chunk), ("ahead", ahead)):
         if value < 1:
@@ -555,7 +558,7 @@ def _digest_of(path: Path) -> str | None:
     try:
         with np.load(path) as data:
             return str(data["digest"])
-    except (OSError, ValueError, KeyError, EOFError):
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 
 
@@ -566,9 +569,21 @@ def _digest(job: Job, chunk: Chunk) -> str:
     named = getattr(job.evaluate, "__qualname__", "").encode() or _pickled(job.evaluate)
     found = hashlib.sha256(named + f"{__version__} {job.tolerance!r} {chunk.first}".encode())
     for item in chunk.items:
-        # repr for scenes, as pickles of equal ones may differ; that of a function is its address
-        found.update(_pickled(item) if callable(item) else repr(item).encode())
+        found.update(_content(item))
     return found.hexdigest()
+
+
+def _content(item: Item) -> bytes:
+    """What tells an item from others: of a file also what is in it now."""
+    if callable(item):  # its repr is its address
+        return _pickled(item)
+    said = repr(item)  # pickles of equal scenes may differ
+    if isinstance(item, (str, os.PathLike)):
+        try:
+            said += scene_text(item)[0]
+        except ContactSystemError as error:
+            said += str(error)
+    return said.encode()
 
 
 def _pickled(function: Callable) -> bytes:

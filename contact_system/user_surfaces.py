@@ -7,12 +7,13 @@ SI units, radians.
 
 from __future__ import annotations
 
+import hashlib
 import keyword
 import math
 import warnings
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass, field, fields, replace
+from functools import cache, cached_property
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -61,8 +62,10 @@ class Formula:
         return _restore(self.code)(p, *variables)
 
     def describe(self) -> str:
-        """Return the arguments that make this formula, for messages."""
-        said = "<function>" if self.text is None else repr(self.text)
+        """Return the arguments that make this formula; other ones for another formula."""
+        said = repr(self.text)
+        if self.text is None:
+            said = f"<function {hashlib.sha256(self.code.encode()).hexdigest()[:12]}>"
         named = dict(zip(self.names, self.values, strict=True))
         return f"{said}, parameters={named}" if named else said
 
@@ -89,7 +92,9 @@ class UserSurface(Surface):
         return (self._kind, self.inside, self.formula.code)
 
     def __repr__(self) -> str:
-        return f"{self._kind}({self.formula.describe()}{', inside=True' * self.inside})"
+        others = {w.name: getattr(self, w.name) for w in fields(self) if w.name != "formula"}
+        said = [f"{k}={x!r}" for k, x in others.items() if x is not None and x is not False]
+        return f"{self._kind}({', '.join([self.formula.describe(), *said])})"
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -112,6 +117,9 @@ class ParametricSurface(UserSurface):
         Period of a coordinate that closes on itself.
     inside : bool
         The body is on the other side.
+    formula : Formula, optional
+        In the place of the function or text: that of another surface, of which ``parameters``
+        changes what it names. `dataclasses.replace` gives it.
     """
 
     has_implicit: ClassVar[bool] = False
@@ -122,7 +130,7 @@ class ParametricSurface(UserSurface):
 
     def __init__(
         self,
-        f: Callable[..., Any] | Sequence[str],
+        f: Callable[..., Any] | Sequence[str] | None = None,
         *,
         parameters: Mapping[str, float] | None = None,
         size: float = 1.0,
@@ -131,13 +139,15 @@ class ParametricSurface(UserSurface):
         u_period: float | None = None,
         v_period: float | None = None,
         inside: bool = False,
+        formula: Formula | None = None,
     ) -> None:
         store(self, inside=inside)
         self.__post_init__()
         with SYMBOLS:
             variables = {"u": SX.sym("u"), "v": SX.sym("v")}
-            formula = _formula(self._kind, f, variables, list(variables.values()), parameters, 3)
-        store(self, formula=formula, size=positive_length(self, "size", size))
+            arguments, said = list(variables.values()), formula if f is None else f
+            own = _formula(self._kind, said, variables, arguments, parameters, 3)
+        store(self, formula=own, size=positive_length(self, "size", size))
         for name, given, period in (("u", u_range, u_period), ("v", v_range, v_period)):
             if period is not None:
                 period = positive_length(self, f"{name}_period", period)
@@ -160,6 +170,10 @@ class ParametricSurface(UserSurface):
 
     def periods(self) -> Periods:
         return (self.u_period, self.v_period)
+
+    @cached_property
+    def identity(self) -> Hashable:
+        return (super().identity, self.u_range, self.v_range)
 
     def implicit_expr(self, p: SX, x: SX) -> SX:
         raise self._known_by_chart_only("equation F(x) = 0")
@@ -316,6 +330,9 @@ class ImplicitSurface(UserSurface):
         Length scale of the surface, m.
     inside : bool
         The body is where F > 0.
+    formula : Formula, optional
+        In the place of the function or text: that of another surface, of which ``parameters``
+        changes what it names. `dataclasses.replace` gives it.
     """
 
     has_chart: ClassVar[bool] = False
@@ -324,20 +341,22 @@ class ImplicitSurface(UserSurface):
 
     def __init__(
         self,
-        F: Callable[..., Any] | str,
+        F: Callable[..., Any] | str | None = None,
         *,
         center: Sequence[float] = (0.0, 0.0, 0.0),
         parameters: Mapping[str, float] | None = None,
         size: float = 1.0,
         inside: bool = False,
+        formula: Formula | None = None,
     ) -> None:
         store(self, inside=inside)
         self.__post_init__()
         with SYMBOLS:
             x = SX.sym("x", 3)
             variables = {"x": x[0], "y": x[1], "z": x[2]}
-            formula = _formula(self._kind, F, variables, [x], parameters, 1)
-        store(self, formula=formula, size=positive_length(self, "size", size))
+            said = formula if F is None else F
+            own = _formula(self._kind, said, variables, [x], parameters, 1)
+        store(self, formula=own, size=positive_length(self, "size", size))
         store(self, center=_numbers(self._kind, "center", center, 3))
 
     @property
@@ -512,6 +531,8 @@ def _formula(
 ) -> Formula:
     """Turn a user's function or text into a checked `Formula` with ``count`` components."""
     numbers = _named(kind, parameters, variables)
+    if isinstance(given, Formula):
+        return _with_numbers(kind, given, numbers)
     p = SX.sym("p", len(numbers))
     symbols = {name: p[i] for i, name in enumerate(numbers)}
     text = None
@@ -538,6 +559,16 @@ def _formula(
                 "use numpy or casadi functions (np.cos), not those of math"
             )
     return Formula(function.serialize(), tuple(numbers), tuple(numbers.values()), text)
+
+
+def _with_numbers(kind: str, formula: Formula, numbers: dict[str, float]) -> Formula:
+    known = dict(zip(formula.names, formula.values, strict=True))
+    for name in numbers:
+        if name not in known:
+            raise SurfaceError(
+                f"{kind}: the formula has no parameter {name!r}; known: {', '.join(known)}"
+            )
+    return replace(formula, values=tuple({**known, **numbers}.values()))
 
 
 def _texts(kind: str, given: Any, count: int) -> tuple[str, ...]:

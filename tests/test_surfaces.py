@@ -477,6 +477,42 @@ def test_surfaces_hash_compare_and_pickle(name):
     assert type(surface).__name__ in repr(surface)
 
 
+def test_surfaces_that_differ_print_differently():
+    level, chart = "x**2 + y**2 + z**4 - r", ("u", "v", "0.1*u*v")
+    surfaces = [
+        *ALL.values(),
+        ImplicitSurface(level, parameters={"r": 1.0}),
+        ImplicitSurface(level, parameters={"r": 2.0}),
+        ImplicitSurface(level, parameters={"r": 1.0}, center=(0.1, 0.0, 0.0)),
+        ImplicitSurface(level, parameters={"r": 1.0}, size=2.0),
+        ImplicitSurface(lambda x: x.T @ x - 1),
+        ImplicitSurface(lambda x: x.T @ x - 2),
+        *(ParametricSurface(chart, **given) for given in (
+            {}, {"size": 0.1}, {"u_range": (0, 1)}, {"v_range": (0, 1)}, {"u_period": 2 * pi},
+            {"v_period": 2 * pi},
+        )),
+    ]  # fmt: skip
+    surfaces = [s for k, s in enumerate(surfaces) if s not in surfaces[:k]]
+    assert len(surfaces) >= len(ALL) - 2 + 12
+    assert len({repr(s) for s in surfaces}) == len(surfaces)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_any_surface_is_changed_by_dataclasses_replace(name):
+    surface = ALL[name]
+    turned = dataclasses.replace(surface, inside=not surface.inside)
+    assert turned != surface == dataclasses.replace(turned, inside=surface.inside)
+    assert turned.normal(0.5, -0.6) == pytest.approx(-surface.normal(0.5, 0.6), abs=1e-12)
+
+
+def test_parameters_are_changed_by_dataclasses_replace():
+    wider = dataclasses.replace(PARAMETRIC, parameters={"R": 0.7})
+    numbers = PARAMETRIC.named_parameters | {"R": 0.7}
+    assert wider.named_parameters == numbers and wider.structure == PARAMETRIC.structure
+    with pytest.raises(SurfaceError, match="no parameter 'Q'; known: R, r"):
+        dataclasses.replace(PARAMETRIC, parameters={"Q": 0.7})
+
+
 def test_equal_numbers_of_other_kinds_are_other_surfaces():
     assert Sphere(0.1) != Cylinder(0.1)
     assert Sphere(0.1) == Sphere(np.float64(0.1)) != Sphere(0.2)

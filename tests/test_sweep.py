@@ -209,6 +209,49 @@ def test_only_chunks_of_changed_scenes_are_done_again(tmp_path):
     assert [len(table) for table in found] == [2, 2, 2]
 
 
+FUNCTIONS = (lambda u, v: (u, v, 0.1 * u * v), lambda u, v: (u, v, -0.5 * u * u))
+BODY = "x**2 + y**2 + z**4 - 1"
+
+
+@pytest.mark.parametrize(
+    "first, second",
+    [
+        (cs.ImplicitSurface(BODY), cs.ImplicitSurface(BODY, center=(0.3, 0.0, 0.2))),
+        (cs.ParametricSurface(FUNCTIONS[0]), cs.ParametricSurface(FUNCTIONS[1])),
+    ],
+)
+def test_results_of_another_surface_are_not_taken_over(first, second, tmp_path):
+    for surface in (first, second):
+        scene = one_contact(object_at=(-0.4, 0.3)).replace(object=surface)
+        found = cs.sweep([scene], middle, folder=tmp_path).table["states"]
+        assert found == pytest.approx(one_by_one([scene], "states"), abs=1e-12)
+
+
+def test_results_of_a_file_that_was_changed_are_not_taken_over(tmp_path):
+    file, folder = tmp_path / "scene.toml", tmp_path / "results"
+    assert len(cs.sweep([str(file)], middle, folder=folder).failures) == 1  # no such file yet
+    for k in range(2):
+        cs.save_scene(rolling_towards(k), file)
+        found = cs.sweep([str(file)], middle, folder=folder)
+        assert not found.failures
+        expected = one_by_one([rolling_towards(k)], "states")
+        assert found.table["states"] == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_file_of_results_that_is_cut_short_is_made_again(tmp_path):
+    scenes = family(3)
+    expected = cs.sweep(scenes, middle, folder=tmp_path).table
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:700])
+    assert np.array_equal(cs.sweep(scenes, middle, folder=tmp_path).table, expected)
+
+
+@pytest.mark.parametrize("scenes", ["K1", Path("K1.toml"), rolling_towards(0), None])
+def test_what_is_no_list_of_scenes_is_refused(scenes):
+    with pytest.raises(cs.ContactSystemError, match=r"scenes = .*: give a list of scenes"):
+        cs.sweep(scenes)
+
+
 def test_failures_are_kept_in_the_folder(tmp_path):
     scenes = [rolling_towards(0), "K0"]
     first = cs.sweep(scenes, middle, folder=tmp_path)
