@@ -6,9 +6,11 @@ evaluated that was not asked for.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
+import math
 import numbers
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -35,6 +37,7 @@ from .planner import (
 )
 from .program import SIDES, Program, program_of
 from .scene import ObjectRateOffset, Scene, scene_from_toml, scene_to_toml
+from .surfaces import Surface
 from .tracks import Track
 
 METHODS = ("auto", "chart")
@@ -286,7 +289,8 @@ class Plan:
         t : float
             s, with sigma(t) > 0.
         state : (n_contacts, 9)
-            Measured u1 v1 u1' v1' u2 v2 u2' v2' psi, as :meth:`states` gives them.
+            Measured u1 v1 u1' v1' u2 v2 u2' v2' psi, as :meth:`states` gives them or in principal
+            values: where a chart covers its surface twice, they are turned to the plan's side.
 
         Raises
         ------
@@ -312,10 +316,24 @@ class Plan:
                 f"restart at t = {t:g} s: nothing is left to plan, the scene ends at "
                 f"{self.scene.duration:g} s; restart earlier or lengthen the scene"
             )
+        measured = self._on_branch(t, measured)
         starts = [self._measured_start(float(t), i, row) for i, row in enumerate(measured)]
         return Plan(
             self.scene, self.tolerance, self.method, self.solver, self.compiled, float(t), starts
         )
+
+    def _on_branch(self, t: float, measured: np.ndarray) -> np.ndarray:
+        """Rows on the plan's side of charts that cover their surface twice.
+
+        Disturbances are chart components: on the other side they would act the other way.
+        """
+        surfaces = [(contact.finger, self.scene.object) for contact in self.scene.contacts]
+        rows = measured.copy()
+        if any(surface.double_cover for pair in surfaces for surface in pair):
+            with contextlib.suppress(ChartSingularity):  # the plan is at an umbilic: no side
+                for row, own, pair in zip(rows, self.states(t)[0], surfaces):
+                    _align(row, own, pair)
+        return rows
 
     def _measured_start(self, t: float, i: int, row: np.ndarray) -> Start:
         if self.scene.contacts[i].follows:
@@ -548,6 +566,27 @@ class Plan:
         except ChartSingularity as error:
             raise self._named(group, error) from None
         return values[:, 4]
+
+
+def _align(row: np.ndarray, own: np.ndarray, surfaces: Sequence[Surface]) -> None:
+    """Bring a measured state to the branch of another one, in place."""
+    for surface, k in zip(surfaces, (0, 4)):
+        if not surface.double_cover:
+            continue
+        *row[k : k + 2], turned = surface.align(*row[k : k + 2], *own[k : k + 2])
+        if turned:
+            row[k + 2 : k + 4] *= -1
+            row[8] = own[8] + math.remainder(row[8] + math.pi - own[8], 2 * math.pi)
+
+
+def _tolerance(given: Any) -> float:
+    number = float(given) if isinstance(given, numbers.Real) else math.nan
+    if not 1e-15 <= number <= 0.1:
+        raise SceneError(f"tolerance = {given!r}: give a number from 1e-15 to 1e-1")
+    return number
+
+
+_FLOAT = np.dtype(float)
 
 
 def _one_axis(t: ArrayLike) -> np.ndarray:

@@ -469,6 +469,39 @@ def test_restart_takes_up_the_measured_slip():
     assert np.linalg.norm(a1[:, 0], axis=1) == pytest.approx(sigma, rel=1e-12)
 
 
+@pytest.mark.parametrize("kind", [cs.ObjectAcceleration, cs.ObjectRateOffset])
+@pytest.mark.parametrize("t0", [1.0, 1.4])
+def test_restart_from_principal_values_beyond_the_seam_is_pushed_the_same_way(kind, t0):
+    """An ellipsoid's chart covers it twice, with axes turned by pi: pushes are the plan's."""
+    scene = cs.Scene(
+        object=cs.Ellipsoid(0.3, 0.2, 0.1), profile=cs.Profile([0.1]), gain=cs.Gain.time(5.0),
+        duration=2.0, disturbances=[kind(0, 1.2, 1.8, (0.5, 0.3))],
+        contacts=[cs.Contact(finger=cs.Ellipsoid(0.06, 0.05, 0.04), object_at=(1.0, 1.2),
+                             finger_at=(1.2, 0.5), object_velocity=(0.2, 1.0),
+                             finger_velocity=(0.2, -1.0))],
+    )  # fmt: skip
+    plan = cs.plan(scene)
+    own, t = plan.states(t0)[0], np.linspace(t0, 2.0, 9)
+    assert own[0, 5] > pi / 2  # the seam is crossed
+    measured = cs.measured_states(
+        scene, plan.pose(t0)[0], plan.twist(t0)[0], plan.points(t0)[0, :, 1]
+    )
+    assert measured[0, 5] < pi / 2
+    again = plan.restart(t0, measured)
+    assert again.states(t) == pytest.approx(plan.restart(t0, own).states(t), abs=1e-12)
+    assert again.points(t) == pytest.approx(plan.points(t), abs=1e-13)
+
+
+def test_restart_takes_a_time_of_any_kind():
+    plan = cs.plan(one_contact())
+    state = plan.states(0.5)[0]
+    for t in (np.array(0.5), np.float32(0.5)):
+        assert plan.restart(t, state).start == plan.continued(t).start == 0.5
+    for t in ([0.5], True, "0.5", None):
+        with pytest.raises(ContactSystemError, match="give a time in seconds|horizon"):
+            plan.restart(t, state)
+
+
 def test_restart_has_no_past():
     plan = cs.plan(one_contact())
     again = plan.restart(0.5, plan.states(0.5)[0])
