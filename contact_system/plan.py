@@ -245,30 +245,39 @@ class Plan:
         t : float
             s, inside this plan's horizon and before the end of the other scene.
         scene : Scene, optional
-            The scene that holds from t on, with the same surfaces; by default this one.
+            The scene that holds from t on, with the same contacts' surfaces; by default this one.
 
         Raises
         ------
         SceneError
-            Other surfaces, nothing left to plan, contacts whose rolling is imposed, or
-            ``method="chart"``.
+            Other surfaces or contacts, nothing left to plan, contacts whose rolling is imposed
+            (in either scene), or ``method="chart"``.
         """
         after = self.scene if scene is None else scene
+        if not isinstance(after, Scene):
+            raise SceneError(f"continued: scene = {after!r:.80}; give a Scene")
         t = self._time(t)
         if not t < after.duration:
             raise SceneError(
                 f"continued at t = {t:g} s: nothing is left to plan, the scene ends at "
                 f"{after.duration:g} s; continue earlier or lengthen the scene"
             )
+        if len(after.contacts) != self._count:
+            raise SceneError(
+                f"continued at t = {t:g} s: contacts = {len(after.contacts)}, and the plan has "
+                f"{self._count}; give a scene of the same contacts"
+            )
         fingers = [[c.finger for c in s.contacts] for s in (self.scene, after)]
         if fingers[0] != fingers[1] or self.scene.object != after.object:
             raise SceneError(f"continued at t = {t:g} s: the scene's surfaces are other ones")
         self._require_frames("continued")
-        if any(c.follows for c in self.scene.contacts):
-            raise SceneError(
-                "continued: contacts with imposed rolling have one plan; give finger_velocity as "
-                "numbers"
-            )
+        for s in (self.scene, after):
+            for i, contact in enumerate(s.contacts):
+                if contact.follows:
+                    raise SceneError(
+                        f"continued at t = {t:g} s: scene '{s.name}', contact {i}: rolling that is "
+                        "imposed has one plan; give finger_velocity as numbers"
+                    )
         moments = {i: m for g in self.groups for i, m in zip(g.contacts, g.moments(float(t)))}
         ordered = [moments[i] for i in range(self._count)]
         return Plan(

@@ -595,8 +595,16 @@ def test_continuing_refuses_other_surfaces_the_end_and_imposed_rolling():
         plan.continued(1.0)
     with pytest.raises(ContactSystemError, match="outside the plan's horizon"):
         plan.continued(1.5)
-    with pytest.raises(SceneError, match="with imposed rolling have one plan"):
+    with pytest.raises(SceneError, match="contact 0: rolling that is imposed has one plan"):
         cs.plan(cs.load_scene("C2")).continued(0.5)
+    imposed = plan.scene.contacts[0], {"finger_velocity": "rolling", "object_velocity": (0.2, 1.0)}
+    rolling = plan.scene.replace(contacts=[dataclasses.replace(imposed[0], **imposed[1])])
+    with pytest.raises(SceneError, match="contact 0: rolling that is imposed has one plan"):
+        plan.continued(0.5, rolling)
+    with pytest.raises(SceneError, match="contacts = 2, and the plan has 1; give"):
+        plan.continued(0.5, plan.scene.replace(contacts=plan.scene.contacts * 2))
+    with pytest.raises(SceneError, match="scene = 'K4'; give a Scene"):
+        plan.continued(0.5, "K4")
     for ask in ("continued", "carried"):
         with pytest.raises(SceneError, match="'chart' carries no frames along"):
             getattr(cs.plan(one_contact(), method="chart"), ask)(0.5)
