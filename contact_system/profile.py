@@ -13,6 +13,7 @@ Products, squares and shifts of polynomials are formed exactly, in integers over
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -296,17 +297,35 @@ def finite_numbers(values: Iterable[Any], what: str) -> Coefficients:
     try:
         if isinstance(values, str) or any(isinstance(x, (bool, str)) for x in values):
             raise TypeError
-        numbers = tuple(float(x) for x in values)
+        found = tuple(float(x) for x in values)
     except OverflowError:  # an integer beyond floating point
-        numbers = (math.inf,)
+        found = (math.inf,)
     except (TypeError, ValueError):
         raise SceneError(f"{what} = {values!r}: give a list of numbers") from None
-    if not numbers:
+    if not found:
         raise SceneError(f"{what} = {values!r}: give at least one number")
-    for k, x in enumerate(numbers):
+    for k, x in enumerate(found):
         if not abs(x) < _LARGEST:
             raise SceneError(f"{what}[{k}] = {x!r}: give a finite number (below 1e100)")
-    return numbers
+    return found
+
+
+def finite_number(value: Any, what: str) -> float:
+    """The value as a float.
+
+    Raises
+    ------
+    SceneError
+        If it is not a finite number; `what` names it in the message.
+    """
+    if is_plain((value,)):
+        return value
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        raise SceneError(f"{what} = {value!r}: give a number")
+    try:
+        return finite_numbers([value], what)[0]
+    except SceneError:
+        raise SceneError(f"{what} = {value!r}: give a finite number (below 1e100)") from None
 
 
 # --- gain laws ---------------------------------------------------------------------------------
@@ -416,11 +435,11 @@ class Gain:
     value: float
 
     def __post_init__(self) -> None:
-        if self.law not in _PARAMETER:
+        if not isinstance(self.law, str) or self.law not in _PARAMETER:
             raise SceneError(
                 f"gain: law = {self.law!r} is unknown; use 'path', 'time' or 'guaranteed'"
             )
-        (value,) = finite_numbers([self.value], f"gain: {self.parameter}")
+        value = finite_number(self.value, f"gain: {self.parameter}")
         if value < 0:
             raise SceneError(
                 f"gain: {self.parameter} = {value!r} is negative and would feed slip; use 0 or more"
@@ -543,7 +562,7 @@ class Contraction:
         True if slip shrinks over the whole horizon.
     least_eta : float
         The law shrinks slip over the whole horizon for every gain above this one, in the unit of
-        `Gain.value`; inf if none does (sigma starts at zero), 0 if every positive one does.
+        `Gain.value`; inf if none does (sigma leaves zero), 0 if every positive one does.
     growth : tuple of (float, float)
         When slip is greatest [s], and how many times its value at t = 0 it then is. (0, nan) if
         sigma(0) = 0, because slip itself then starts at zero.
@@ -588,8 +607,9 @@ class Contraction:
         if self.gain.law == "guaranteed":
             return " Any rho > 0 makes slip shrink throughout, at least as fast as exp(-rho t)."
         if math.isinf(self.least_eta):
+            leaves = "starts from zero" if math.isnan(self.left) else "touches zero on the way"
             return (
-                " No finite eta shrinks it throughout: sigma starts from zero, where sigma'/sigma "
+                f" No finite eta shrinks it throughout: sigma {leaves}, where sigma'/sigma "
                 "is unbounded (slip in units of the path speed shrinks all the same). The law "
                 "'guaranteed' does."
             )

@@ -36,6 +36,7 @@ from contact_system.profile import (
     Numbers,
     Profile,
     contraction,
+    finite_number,
     finite_numbers,
     is_plain,
 )
@@ -79,17 +80,6 @@ def _pair(value: Any, what: str, words: Sequence[str] = ()) -> Pair:
     if len(pair) != 2:
         raise SceneError(remedy)
     return pair
-
-
-def _one(value: Any, what: str) -> float:
-    if is_plain((value,)):
-        return value
-    if not isinstance(value, numbers.Real) or isinstance(value, bool):
-        raise SceneError(f"{what} = {value!r}: give a number")
-    try:
-        return finite_numbers([value], what)[0]
-    except SceneError:
-        raise SceneError(f"{what} = {value!r}: give a finite number (below 1e100)") from None
 
 
 def _surface(value: Any, what: str) -> Surface:
@@ -169,7 +159,7 @@ class Contact:
         put = object.__setattr__
         put(self, "object_at", _pair(self.object_at, "object_at"))
         put(self, "finger_at", _pair(self.finger_at, "finger_at"))
-        put(self, "angle", _one(self.angle, "angle"))
+        put(self, "angle", finite_number(self.angle, "angle"))
         if abs(self.angle) > MANY_TURNS:
             raise SceneError(
                 f"angle = {self.angle!r}: beyond {MANY_TURNS:g} rad a double no longer tells well "
@@ -233,8 +223,8 @@ class Disturbance:
             if isinstance(contact, bool) or not isinstance(contact, numbers.Integral):
                 raise SceneError(f'contact = {contact!r}: give an index from 0, or "all"')
             put(self, "contact", int(contact))
-        put(self, "start", _one(self.start, "start"))
-        put(self, "stop", _one(self.stop, "stop"))
+        put(self, "start", finite_number(self.start, "start"))
+        put(self, "stop", finite_number(self.stop, "stop"))
         put(self, "value", _pair(self.value, "value"))
         if not self.start < self.stop:
             raise SceneError(
@@ -419,11 +409,13 @@ class Scene:
         for key in ("paper", "drake"):
             put(self, key, _plain_table(getattr(self, key), key))
         _known_keys(self.paper, PAPER_KEYS, "paper: ")
+        for key, value in self.paper.items():
+            (finite_number if key in _PAPER_NUMBERS else _text)(value, f"paper: {key}")
 
     def _check_motion(self) -> None:
         """The horizon, sigma on it, and every window inside it."""
         put = object.__setattr__
-        put(self, "duration", _one(self.duration, "duration"))
+        put(self, "duration", finite_number(self.duration, "duration"))
         if not self.duration > 0:
             raise SceneError(f"duration = {self.duration:g} s: give a horizon longer than 0 s")
         self.profile.check(self.duration)
@@ -561,6 +553,7 @@ PAPER_KEYS = ("figure", "reports", "recovery_time", "lateral_force")
 """What a scene's `paper` table may say: the figure's label in the paper, what it reports in words,
 the time after the disturbance (or after t = 0) within which slip is reported rejected [s], and
 the lateral force a contact saturates at [N]."""
+_PAPER_NUMBERS = PAPER_KEYS[2:]
 
 _SCENE_KEYS = (
     "name", "description", "duration", "profile", "gain", "chosen",
@@ -611,7 +604,7 @@ def _plain(value: Any, what: str) -> Any:
     if isinstance(value, numbers.Integral):
         return int(value)
     if isinstance(value, numbers.Real):
-        return _one(value, what)
+        return finite_number(value, what)
     if isinstance(value, Mapping):
         return _plain_table(value, what)
     if isinstance(value, Iterable):
@@ -689,6 +682,9 @@ def _read(key: str, value: Any) -> Any:
             _known_keys(_table(value), _TURNING_KEYS)
             _required(value, _TURNING_KEYS)
             return Turning(**{k: _numbers(x, k) for k, x in value.items()})
+        if key == "paper":
+            table = _table(value)
+            return {k: _numbers(x, k) if k in _PAPER_NUMBERS else x for k, x in table.items()}
     return value
 
 
@@ -789,7 +785,7 @@ def _numbers(value: Any, what: str) -> Any:
             value = parse(value, {})
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise SceneError(f"{what} = {value!r}: give a number")
-    return value if what == "sheet" else _one(value, what)
+    return value if what == "sheet" else finite_number(value, what)
 
 
 # --- writing -----------------------------------------------------------------------------------

@@ -177,7 +177,7 @@ def test_unknown_key_names_the_nearest(tmp_path, capsys):
         (["--eta", "-1"], "eta = -1.0 is negative"),
         (["--tolerance", "0"], "tolerance = 0.0"),
         (["--tolerance", "nan"], "tolerance = nan"),
-        (["--gain", "path", "--eta", "inf"], "eta[0] = inf"),
+        (["--gain", "path", "--eta", "inf"], "eta = inf"),
     ],
 )
 def test_wrong_numbers_are_one_line(words, said, tmp_path, capsys):

@@ -284,6 +284,10 @@ FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(
         (over(profile=Profile([0.1, -0.1])), ["-0.1 m/s", "t = 2 s", "before t = 1 s"]),
         (over(name=3), ["name = 3", "text"]),
         (over(paper={"reprots": "x"}), ["paper", "'reprots'", "'reports'"]),
+        (over(paper={"recovery_time": "soon"}), ["paper: recovery_time = 'soon'", "a number"]),
+        (over(paper={"lateral_force": [1]}), ["paper: lateral_force = [1", "a number"]),
+        (over(paper={"recovery_time": math.inf}), ["recovery_time = inf", "finite"]),
+        (over(paper={"reports": 3}), ["paper: reports = 3", "text"]),
         (over(paper=[1]), ["paper = [1]", "table"]),
         (over(drake={"mass": math.nan}), ["drake.mass", "nan"]),
         (over(drake={"mass": None}), ["drake.mass = None"]),
@@ -363,7 +367,8 @@ friction = 0.5
 
 
 def test_arithmetic_texts_are_numbers():
-    scene = scene_from_toml(GOOD)
+    scene = scene_from_toml(GOOD + '[paper]\nrecovery_time = "1/25"\nlateral_force = 1\n')
+    assert scene.paper == {"recovery_time": 0.04, "lateral_force": 1.0}
     assert scene.profile == Profile([0.1, 0.2])
     assert scene.object == Ellipsoid(0.3, 0.2, 0.1)
     assert scene.turning == Turning((0, 0, 1), (0, pi / 2))
@@ -419,6 +424,8 @@ def test_arithmetic_texts_are_numbers():
         ("stop = 1", "stop = 3", ["disturbances[0]", "stop = 3", "[0, 2] s"]),
         ("stop = 1", "stop = 0.5", ["disturbances[0]", "stop = 0.5"]),
         ("stop = 1", "", ["disturbances[0]", "'stop' is missing"]),
+        ("[drake]", '[paper]\nrecovery_time = "soon"\n[drake]', ["paper: recovery_time", "soon"]),
+        ("[drake]", "[paper]\nrecovery_time = [1]\n[drake]", ["paper: recovery_time", "number"]),
         ("friction = 0.5", "friction = nan", ["drake.friction", "nan"]),
         ("[drake]", "[darke]", ["'darke'", "'drake'"]),
         ("[[contacts]]", "[contacts]", ["TOML"]),
