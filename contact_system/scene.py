@@ -375,6 +375,9 @@ class Scene:
     def replace(self, **changes: Any) -> Scene:
         """A copy with some fields changed, checked like any scene.
 
+        Disturbances that are kept beside new contacts stay as this scene holds them: components at
+        coordinates in the chart's regular range, whichever coordinates the contacts are given in.
+
         Raises
         ------
         SceneError
@@ -384,7 +387,10 @@ class Scene:
         for key in changes:
             if key not in known:
                 raise SceneError(f"a scene has no '{key}'{_nearest(key, known)}")
-        return dataclasses.replace(self, **changes)
+        made = dataclasses.replace(self, **changes)
+        if "contacts" in changes and not {"object", "disturbances"} & set(changes):
+            object.__setattr__(made, "disturbances", self.disturbances)
+        return made
 
     @property
     def edges(self) -> tuple[float, ...]:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from contact_system import scene as scene_module
 from contact_system.errors import SceneError
+from contact_system.plan import plan
 from contact_system.profile import Gain, Profile
 from contact_system.scene import (
     Contact,
@@ -198,6 +199,18 @@ def test_an_ellipsoidal_finger_on_the_second_cover_keeps_its_motion():
     assert after == pytest.approx(before, abs=1e-14)
     assert math.cos(contact.angle - given.angle) == pytest.approx(-1)
     assert [d.value for d in scene.disturbances] == [(-0.1, -0.2), (0.1, 0.2)]
+
+
+def test_disturbances_that_are_kept_beside_new_contacts_are_not_turned_again():
+    given = Contact(FINGER, (1.0, 1.9))  # on the second cover
+    push = ObjectAcceleration(0, 0.2, 0.5, (1.0, 0.5))
+    body = Ellipsoid(0.3, 0.2, 0.1)
+    scene = small_scene(object=body, contacts=[given], disturbances=[push])
+    assert scene.disturbances[0].value == (-1.0, -0.5)
+    assert scene.replace(contacts=[given]) == scene.replace(contacts=scene.contacts) == scene
+    assert scene.replace(contacts=[given], disturbances=[push]) == scene
+    ends = [plan(s).points([2.0]) for s in (scene, scene.replace(contacts=[given]))]
+    assert np.array_equal(*ends)
 
 
 def test_a_scene_of_many_contacts_names_the_one_at_a_pole():
