@@ -13,6 +13,7 @@ mpmath numbers, Drake expressions, strings of source code.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import hashlib
@@ -597,9 +598,27 @@ def compiled_library(source: str) -> ctypes.CDLL:
         No compiler, or the compiler refused (its message is quoted).
     """
     path = library_path(source)
-    if not path.exists():
-        _build(source, path)
+    with contextlib.suppress(OSError):  # not there, or damaged: built again
+        if not _is_cut_short(path):
+            return ctypes.CDLL(str(path))
+    _build(source, path)
     return ctypes.CDLL(str(path))
+
+
+def _is_cut_short(path: Path) -> bool:
+    """Whether a library lacks its end, which ends the process that loads it (SIGBUS).
+
+    64-bit ELF files have the table of their sections last; others are left to the loader.
+    """
+    with path.open("rb") as file:
+        head = file.read(64)
+    if head[:5] != b"\x7fELF\2":
+        return False
+    table, length, count = (int.from_bytes(head[a:b], sys.byteorder) for a, b in _ELF_SECTIONS)
+    return path.stat().st_size < table + length * count
+
+
+_ELF_SECTIONS = ((40, 48), (58, 60), (60, 62))  # where they begin, the length of each, how many
 
 
 def _build(source: str, path: Path) -> None:

@@ -13,6 +13,7 @@ import json
 import math
 import numbers
 import os
+import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -94,8 +95,10 @@ class Plan:
     ):
         if method not in METHODS:
             raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
-        if not (isinstance(tolerance, (int, float)) and 1e-15 <= tolerance <= 0.1):
-            raise SceneError(f"tolerance = {tolerance!r}: give a number from 1e-15 to 1e-1")
+        if not isinstance(scene, Scene):
+            raise SceneError(f"scene = {scene!r:.80}: give a Scene; load_scene reads one")
+        if not (type(tolerance) is float and 1e-15 <= tolerance <= 0.1):
+            tolerance = _tolerance(tolerance)
         self.scene, self.tolerance, self.method = scene, tolerance, method
         self.solver, self.compiled, self.start, self.starts = solver, compiled, start, starts
         self._groups: list[Group] | None = None
@@ -115,6 +118,11 @@ class Plan:
                     kinds.learn(scene, self._groups, compiled)
         self._count = len(scene.contacts)
         self._programs: dict[str, Program | None] = {}
+
+    def __reduce__(self) -> tuple:
+        """What is pickled and copied: what the plan is made from, as in :meth:`save`."""
+        made_from = (self.scene, self.tolerance, self.method, self.solver, self.compiled)
+        return Plan, (*made_from, self.start, self.starts)
 
     @property
     def groups(self) -> list[Group]:
@@ -736,13 +744,13 @@ def load(path: str | os.PathLike) -> Plan:
 
     The sampled results can be read with ``numpy.load`` alone.
     """
-    with np.load(path) as data:
-        try:
+    try:
+        with np.load(path) as data:
             text, header = str(data["scene"]), json.loads(str(data["plan"]))
-        except KeyError as missing:
-            raise ContactSystemError(
-                f"{path}: not a plan written by Plan.save ({missing})"
-            ) from None
+    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
+        raise ContactSystemError(
+            f"{path}: not a plan written by Plan.save; give such a file ending in .npz"
+        ) from None
     scene = scene_from_toml(text, source=str(path))
     starts: Starts | None = None
     if header["starts"]:

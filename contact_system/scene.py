@@ -803,7 +803,8 @@ def scene_to_toml(scene: Scene) -> str:
     Raises
     ------
     SceneError
-        If a surface was given as a Python function, which a file cannot hold.
+        If a surface was given as a Python function or is of a kind of your own, which a file
+        cannot hold.
     """
     with _naming(f"scene '{scene.name}'"):
         gain = {"law": scene.gain.law, scene.gain.parameter: scene.gain.value}
@@ -855,8 +856,13 @@ def _toml(value: Any) -> str:
 
 def _surface_table(surface: Surface, what: str) -> dict[str, Any]:
     """The table of a surface in a scene file."""
-    name, keys = next((n, keys) for n, (kind, keys) in _SURFACES.items() if type(surface) is kind)
-    table: dict[str, Any] = {"surface": name}
+    name = next((n for n, (kind, _) in _SURFACES.items() if type(surface) is kind), None)
+    if name is None:
+        raise SceneError(
+            f"{what} = {surface!r}: a file holds no {type(surface).__name__}; "
+            f"its surfaces are {', '.join(_SURFACES)}"
+        )
+    keys, table = _SURFACES[name][1], dict[str, Any](surface=name)
     for key in keys:
         value = getattr(surface, "named_parameters" if key == "parameters" else key)
         if value is None and key in _REQUIRED_SURFACE_KEYS:

@@ -272,6 +272,23 @@ def test_kernel_is_built_once_and_found_again(fresh_cache):
     assert library.stat().st_mtime_ns == stamp
 
 
+@needs_compiler
+@pytest.mark.parametrize("part", [0.0, 0.3, 0.99])
+@pytest.mark.parametrize("compiled", [None, True])
+def test_a_library_that_is_cut_short_is_built_again(monkeypatch, fresh_cache, part, compiled):
+    arguments = np.ones((1, 2, 3)), np.ones((1, 1))
+    area_kernel()(*arguments, np.empty((1, 4, 3)), compiled=True)
+    (library,) = fresh_cache.iterdir()
+    whole, other = library.read_bytes(), fresh_cache / "other"  # not yet loaded by that name
+    monkeypatch.setenv("CONTACT_SYSTEM_CACHE", str(other))
+    other.mkdir()
+    (other / library.name).write_bytes(whole[: int(part * len(whole))])
+    out = np.empty((1, 4, 3))
+    area_kernel()(*arguments, out, compiled=compiled)
+    assert out[0, 0] == pytest.approx(1.0)
+    assert (other / library.name).stat().st_size >= len(whole)
+
+
 def python(code: str, **environment: str) -> subprocess.Popen:
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)} | environment

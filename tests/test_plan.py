@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import pickle
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from math import pi
@@ -110,6 +111,32 @@ def test_table_of_times_is_refused():
 def test_tolerance_out_of_bounds_is_refused(tolerance):
     with pytest.raises(SceneError, match="tolerance = .*: give a number from 1e-15 to 1e-1"):
         cs.plan(one_contact(), tolerance=tolerance)
+
+
+def test_tolerance_may_be_of_any_kind_of_number():
+    assert cs.plan(one_contact(), tolerance=np.float32(1e-6)).tolerance == np.float32(1e-6)
+    for wrong in ("1e-6", True, None, 1e-6j):
+        with pytest.raises(SceneError, match="tolerance = .*: give a number"):
+            cs.plan(one_contact(), tolerance=wrong)
+
+
+def test_what_is_no_scene_is_refused():
+    with pytest.raises(SceneError, match="scene = 'K4': give a Scene; load_scene reads one"):
+        cs.plan("K4")
+
+
+@pytest.mark.parametrize("t", ["0.5", ["0.5"], [True], 0.5 + 0j, [0.5 + 1j], [[0.1], [0.2, 0.3]]])
+def test_what_is_no_time_is_refused(t):
+    for ask in ASK:
+        with pytest.raises(ContactSystemError, match="give a time in seconds, or one axis"):
+            getattr(cs.plan(one_contact()), ask)(t)
+
+
+def test_times_may_be_of_any_kind_of_number():
+    plan = cs.plan(one_contact(duration=2.0))
+    expected = plan.states([1.0, 2.0])
+    for t in ([1, 2], np.array([1, 2], np.uint8), np.float32([1, 2]), [Fraction(1), Fraction(2)]):
+        assert np.array_equal(plan.states(t), expected)
 
 
 def test_unknown_method_is_refused():
@@ -694,6 +721,22 @@ def test_files_of_other_kinds_are_refused(tmp_path):
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
     with pytest.raises(ContactSystemError, match="not a plan written by Plan.save"):
         cs.load(tmp_path / "other.npz")
+    for content in (b"junk", b"", b"PK\3\4 cut short"):
+        (tmp_path / "junk.npz").write_bytes(content)
+        with pytest.raises(ContactSystemError, match="junk.npz: not a plan written by Plan.save"):
+            cs.load(tmp_path / "junk.npz")
+
+
+@pytest.mark.parametrize("method", ["auto", "chart"])
+@pytest.mark.parametrize("copied", [lambda plan: pickle.loads(pickle.dumps(plan)), copy.deepcopy])
+def test_plans_are_pickled_and_copied(copied, method):
+    plan, t = cs.plan(busy(), tolerance=1e-9, method=method), np.linspace(0.45, 1, 12)
+    plans = [plan, plan.restart(0.45, plan.states(0.45)[0])]
+    for one in plans + ([plan.continued(0.45)] if method == "auto" else []):
+        again = copied(one)
+        for ask in ASK:
+            assert np.array_equal(getattr(again, ask)(t), getattr(one, ask)(t)), ask
+        assert (again.scene, again.start, again.tolerance) == (one.scene, one.start, 1e-9)
 
 
 # --- bundled scenes

@@ -564,6 +564,14 @@ def test_a_surface_given_as_a_python_function_cannot_be_saved():
         scene_to_toml(scene)
 
 
+def test_a_surface_of_a_kind_of_ones_own_cannot_be_saved(tmp_path):
+    class Ball(Sphere):
+        """Somebody's own."""
+
+    with pytest.raises(SceneError, match=r"object = Ball\(0.1\): a file holds no Ball; .* sphere,"):
+        save_scene(small_scene(object=Ball(0.1)), tmp_path / "scene.toml")
+
+
 def test_scene_files_are_flat_toml_with_known_keys():
     table = tomllib.loads(scene_to_toml(load_scene("K4")))
     assert table["gain"] == {"law": "path", "eta": 100.0}
