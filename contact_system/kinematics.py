@@ -68,8 +68,8 @@ def inverse_montana(
         Montana, Int. J. Robotics Research 7(3), 1988.
     """
     turn = contact_map(psi)
-    k = np.einsum("...ij,...j->...i", curvature_1, a1)
-    k += np.einsum("...ij,...jk,...k->...i", turn, curvature_2, a2)
+    own = np.einsum("...ij,...j->...i", curvature_1, a1)
+    k = own + np.einsum("...ij,...jk,...k->...i", turn, curvature_2, a2)
     return np.stack([k[..., 1], -k[..., 0]], axis=-1)
 
 
@@ -108,11 +108,11 @@ def forward_montana(
     size = np.abs(curvature_1).max((-1, -2)) + np.abs(curvature_2).max((-1, -2))
     singular = np.abs(np.linalg.det(relative)) <= SINGULAR * size**2
     if np.any(singular):
-        at = np.argwhere(np.atleast_1d(singular))[0]
+        at = tuple(np.argwhere(singular)[0])
         raise ConformalContact(
             "the surfaces conform to each other at the contact (relative curvature "
-            f"{np.atleast_3d(relative).reshape(-1, 2, 2)[at[0]].tolist()} 1/m is singular), so a "
-            "twist does not determine where they touch; change a radius"
+            f"{relative[at].tolist()} 1/m is singular), so a twist does not determine where they "
+            "touch; change a radius"
         )
     bend = np.stack([-omega[..., 1], omega[..., 0]], axis=-1)
     a1, a2 = contact_velocities(

@@ -227,11 +227,11 @@ def great_circle_distance(points: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     points : (n, 3)
-        Points of the curve from the sphere's centre, m.
+        Points of the curve from the sphere's centre, m; through one or two there always is one.
 
     Returns
     -------
     (n,)
         Signed distance from the plane through the centre that fits best (least squares), m.
     """
-    return points @ np.linalg.svd(points, full_matrices=False)[2][2]
+    return points @ np.linalg.svd(points, full_matrices=len(points) < 3)[2][2]

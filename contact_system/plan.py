@@ -412,9 +412,10 @@ class Plan:
 
     def _time(self, t: Any) -> float:
         """One time inside the horizon."""
-        if isinstance(t, bool) or not isinstance(t, numbers.Real):
+        times = self._times(t)
+        if np.ndim(t):
             raise SceneError(f"scene '{self.scene.name}': t = {t!r}; give a time in seconds")
-        return float(self._times(float(t))[0])
+        return float(times[0])
 
     def _times(self, t: ArrayLike) -> np.ndarray:
         times = _one_axis(t)
@@ -608,7 +609,11 @@ _FLOAT = np.dtype(float)
 
 def _one_axis(t: ArrayLike) -> np.ndarray:
     try:
-        times = np.asarray(t, dtype=float)
+        times = np.asarray(t)
+        if times.dtype is not _FLOAT:
+            if times.dtype.kind not in "iufO":  # no text, truth value or complex number
+                raise TypeError
+            times = times.astype(float)
     except (TypeError, ValueError):
         raise ContactSystemError(
             f"t = {t!r}: give a time in seconds, or one axis of times"

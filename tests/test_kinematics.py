@@ -142,6 +142,13 @@ def test_inverse_map_undoes_the_forward_map():
     assert rolled - a2 == pytest.approx(v_rel, abs=1e-11)
 
 
+def test_inverse_map_takes_one_velocity_at_many_angles():
+    k1, k2, psi, a1, a2 = random_forms(5)
+    each = inverse_montana(k1[0], k2[0], psi, a1[0], a2[0])
+    for found, angle in zip(each, psi, strict=True):
+        assert found == pytest.approx(inverse_montana(k1[0], k2[0], angle, a1[0], a2[0]), abs=1e-14)
+
+
 def test_forward_map_accepts_one_contact_without_axes():
     a1, a2 = forward_montana(
         10 * np.eye(2), np.zeros((2, 2)), 0.0, np.array([0.0, 3.0]), np.zeros(2)
@@ -174,6 +181,14 @@ def test_conformal_contact_among_others_is_found():
     k2 = np.array([np.eye(2), -np.eye(2), np.eye(2)])
     with pytest.raises(ConformalContact):
         forward_montana(k1, k2, np.zeros(3), np.ones((3, 2)), np.ones((3, 2)))
+
+
+def test_the_conformal_contact_of_a_table_is_named_by_its_curvature():
+    k1 = np.broadcast_to(np.eye(2), (2, 3, 2, 2)).copy()
+    k1[1, 2] = [[7.0, 0.0], [0.0, 0.0]]
+    words = r"relative curvature \[\[7.0, 0.0\], \[0.0, 0.0\]\] 1/m"
+    with pytest.raises(ConformalContact, match=words):
+        forward_montana(k1, np.zeros((2, 2)), np.zeros((2, 3)), np.ones(2), np.ones(2))
 
 
 # --- relative acceleration

@@ -117,6 +117,8 @@ def test_distance_from_a_great_circle_is_zero_on_one_and_known_beside_one():
     tilt = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     great = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1) @ tilt
     assert np.abs(cs.great_circle_distance(great)).max() < 1e-15
+    assert [len(cs.great_circle_distance(great[:n])) for n in range(3)] == [0, 1, 2]
+    assert np.abs(cs.great_circle_distance(great[:2])).max() < 1e-15
     # a circle of latitude 0.1 rad: every point is sin(0.1) from the plane through the centre
     small = np.cos(0.1) * great + np.sin(0.1) * tilt[2]
     assert np.abs(cs.great_circle_distance(small)) == pytest.approx(np.sin(0.1), rel=1e-12)
