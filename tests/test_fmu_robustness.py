@@ -35,6 +35,11 @@ def test_random_calls_and_damaged_or_forged_state_bytes_do_no_harm(fmu):
     assert 50 < int(taken) < 450, "forged states are told from good ones by what they hold"
 
 
+def test_states_hold_the_motion_and_nothing_that_lay_on_the_stack(fmu):
+    found = program("states", fmu).table(*fmu.model_arguments())
+    assert found.tolist() == [[0, 0]] * 3  # own bytes refused; bytes unlike those of the first run
+
+
 def test_a_million_steps_take_no_memory(fmu):
     found = program("endurance", fmu).table("memory", 1e-3, 1000, 1000, *fmu.model_arguments())
     assert found.tolist() == [[0, 0, 0]]  # allocations in steps; growth of heap and of process

@@ -316,6 +316,9 @@ static void begin_segment(memory_t *now, long i, const moment_t *m, double place
   }
   k->form = acting_form(k);
   set_drive(now, k);
+  /* what a form does not use is 0, so that a state's bytes follow from the motion alone */
+  memset(k->constants, 0, sizeof k->constants), memset(k->scale, 0, sizeof k->scale);
+  memset(k->first, 0, sizeof k->first), memset(k->series, 0, sizeof k->series);
   memcpy(k->w1, m->w1v, sizeof k->w1), memcpy(k->v, m->w1v + 2, sizeof k->v);
   if (k->power && k->sigma[0] == 0.0) k->v[0] = k->v[1] = 0.0; /* no slip leaves a rest */
   k->greatest = hypot(k->v[0], k->v[1]);
@@ -385,6 +388,7 @@ static status_t advance(component_t *c, long i, double tau) {
   memory_t *now = &c->now;
   contact_t *k = &now->contact[i];
   const motion_t *motion = form_of(now, i)->motion;
+  const long n = motion->n_states;
   const drive_t d = drive_of(k);
   const double end = fmin(k->end - k->begin, 1e6 * HORIZON);
   const method_t m = {.length = end, .tolerance = TOLERANCE, .first = k->next,
