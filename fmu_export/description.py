@@ -86,7 +86,7 @@ def model_description(
     )  # fmt: skip
     variables = ET.SubElement(root, "ModelVariables")
     variables.extend(_variable(v, fmi_version) for v in listed(table, fmi_version))
-    root.append(_structure(table, fmi_version, interfaces))
+    root.append(_structure(table, fmi_version))
     token = "guid" if fmi_version == "2.0" else "instantiationToken"
     root.set(token, _digest(root, table.scene))
     if fmi_version == "2.0" and sources:
@@ -218,9 +218,9 @@ def _optional(value: float | None) -> str | None:
 # --- structure -----------------------------------------------------------------------------------
 
 
-def _structure(table: Table, fmi_version: str, interfaces: Sequence[str]) -> ET.Element:
+def _structure(table: Table, fmi_version: str) -> ET.Element:
     """Outputs, derivatives and initial unknowns, each with what it depends on."""
-    knowns = _Knowns(table, fmi_version, "ModelExchange" in interfaces)
+    knowns = _Knowns(table, fmi_version)
     variables = listed(table, fmi_version)
     outputs = [v for v in variables if v.causality == "output"]
     derivatives = [v for v in variables if v.derivative is not None]
@@ -247,18 +247,23 @@ def _structure(table: Table, fmi_version: str, interfaces: Sequence[str]) -> ET.
 
 
 class _Knowns:
-    """What unknowns may depend on (FMI 2.0.4, 2.2.8; FMI 3.0.2, 2.4.8)."""
+    """What unknowns may depend on (FMI 2.0.4, 2.2.8; FMI 3.0.2, 2.4.8).
 
-    def __init__(self, table: Table, fmi_version: str, continuous_states: bool):
+    Continuous states in Co-Simulation too, since it gives directional derivatives. After
+    initialization FMI 2 counts no parameters, FMI 3 counts all of them.
+    """
+
+    def __init__(self, table: Table, fmi_version: str):
         states: set[int] = set()
         inputs: set[int] = set()
         for block in table.blocks:
             inputs |= set(range(block, block + INPUTS))
             states |= set(range(block + INPUTS, block + INPUTS + STATES))
-        time_known = {0} if fmi_version == "3.0" else set()
         parameters = set(range(1, table.blocks[0]))
-        self.running = inputs | time_known | (states if continuous_states else set())
-        self.initial = inputs | time_known | states | parameters
+        self.running = inputs | states
+        if fmi_version == "3.0":
+            self.running |= {0} | parameters
+        self.initial = self.running | parameters
         self._states = states
         # An FMI 3 array is known by the reference of its first element.
         self._owner = {

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+import xml.etree.ElementTree as ET
+
+import numpy as np
 import pytest
 
 import contact_system as cs
@@ -10,8 +14,10 @@ pytest.importorskip("fmpy")
 
 from fmpy.model_description import read_build_description, read_model_description
 from fmpy.validation import validate_fmu
+from fmu_hosts.importers import kernel_jacobian
 
 from fmu_export.description import (
+    INTERFACES,
     VERSIONS,
     build_description,
     instantiation_token,
@@ -66,12 +72,43 @@ def test_dependencies_stand_by_index_in_fmi_2(written):
     assert "profile[2]" in initial["der(contact[1].object.v)"]
 
 
-def test_without_model_exchange_outputs_depend_on_inputs_alone(written):
-    read = read_model_description(written("K1", "2.0", interfaces=("CoSimulation",)))
-    assert read.modelExchange is None
-    inputs = {v.name for v in read.modelVariables if v.causality == "input"}
-    for unknown in read.outputs:
-        assert {d.name for d in unknown.dependencies} <= inputs
+@pytest.mark.parametrize("interfaces", [INTERFACES, ("CoSimulation",)], ids=" ".join)
+@pytest.mark.parametrize("version", VERSIONS)
+def test_whatever_moves_an_output_or_a_derivative_is_listed(version, interfaces, written):
+    """All knowns of FMI 2.0.4, 2.2.8 and FMI 3.0.2, 2.4.8: parameters in FMI 3, states also in
+    Co-Simulation, which gives directional derivatives."""
+    scene = cs.load_scene("K4").replace(disturbances=())
+    table = variable_table(scene)
+    read = read_model_description(written(scene, version, interfaces=interfaces))
+    states = {v.derivative.valueReference for v in read.modelVariables if v.derivative}
+    kinds = ("input",) if version == "2.0" else ("input", "parameter", "independent")
+    rows = [v for v in read.modelVariables if v.causality in kinds or v.valueReference in states]
+    values = table.start_values + 0.1 * np.random.default_rng(1).standard_normal(table.n_values)
+    values[0] = 0.7
+    jacobian = kernel_jacobian(scene, values)
+
+    def elements(variable):
+        first = variable.valueReference
+        return slice(first, first + int(np.prod([int(d.start) for d in variable.dimensions])))
+
+    for unknown in (*read.outputs, *read.derivatives):
+        moved = {
+            known.name
+            for known in rows
+            if np.abs(jacobian[elements(unknown.variable), elements(known)]).max() > 1e-9
+        }
+        assert moved <= {d.name for d in unknown.dependencies}
+
+
+def test_two_variables_of_one_name_are_refused():
+    tip = cs.ParametricSurface(
+        ("point*sin(u)*cos(v)", "point*sin(u)*sin(v)", "point*cos(u)"),
+        parameters={"point": 0.04}, size=0.04,
+    )  # fmt: skip
+    contact = cs.Contact(tip, object_at=(1.2, 0.3), finger_at=(1.5, 0.0))
+    scene = cs.load_scene("K1").replace(contacts=[contact])
+    with pytest.raises(cs.SceneError, match=r"called contact\[1\].finger.point; give the surface"):
+        variable_table(scene)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
