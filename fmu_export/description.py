@@ -195,7 +195,6 @@ def _numeric_attributes(variable: Variable) -> dict[str, str]:
     found = {
         "unit": None if variable.unit is None else unit_name(variable.unit),
         "min": _optional(variable.minimum),
-        "max": _optional(variable.maximum),
         "nominal": _optional(variable.nominal),
         "start": " ".join(map(_number, variable.start)) or None,
     }

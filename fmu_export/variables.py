@@ -64,7 +64,7 @@ class Variable:
         Names of the elements in FMI 2, row by row; empty for a scalar.
     shape : tuple of int
         () for a scalar.
-    minimum, maximum, nominal : float or None
+    minimum, nominal : float or None
     derivative : int or None
         Reference of the variable whose time derivative this is.
     known : tuple of tuple of int
@@ -83,7 +83,6 @@ class Variable:
     elements: tuple[str, ...] = ()
     shape: tuple[int, ...] = ()
     minimum: float | None = None
-    maximum: float | None = None
     nominal: float | None = None
     derivative: int | None = None
     known: tuple[tuple[int, ...], ...] = ()
@@ -103,7 +102,7 @@ class Variable:
             yield Variable(
                 name, self.reference + i, self.causality, self.variability, self.initial,
                 self.description, self.unit, self.start[i : i + 1], (), (), self.minimum,
-                self.maximum, self.nominal, derivative, self.known[i : i + 1],
+                self.nominal, derivative, self.known[i : i + 1],
             )  # fmt: skip
 
 
@@ -275,7 +274,6 @@ class _Quantity:
     kind: str = "output"
     shape: tuple[int, ...] = ()
     nominal: float | None = None
-    bound: float | None = None
 
 
 XY, XYZ = ("x", "y"), ("x", "y", "z")
@@ -312,8 +310,7 @@ def _contact_row(
     initial = {"input": None, "state": "exact"}.get(q.kind, "calculated")
     return Variable(
         full, reference, causality, "continuous", initial, q.text, q.unit, start, tuple(elements),
-        q.shape or ((len(q.axes),) if q.axes else ()),
-        None if q.bound is None else -q.bound, q.bound, q.nominal, state, tuple(known),
+        q.shape or ((len(q.axes),) if q.axes else ()), None, q.nominal, state, tuple(known),
     )  # fmt: skip
 
 
@@ -365,8 +362,7 @@ def _outputs(scene: Scene, contact: Contact) -> list[_Quantity]:
         _Quantity("twist.linear", XYZ, (1, -1, 0),
                   f"Velocity of the origin of the finger's frame {in_object}", nominal=speed),
         _Quantity("pose.rotation", cells, NONE,
-                  "Rotation matrix from the finger's frame to the object's", shape=(3, 3),
-                  bound=1.0),
+                  "Rotation matrix from the finger's frame to the object's", shape=(3, 3)),
         _Quantity("pose.position", XYZ, METRE, f"Origin of the finger's frame {in_object}",
                   nominal=max(size, scene.object.size)),
         _Quantity("finger.point", XYZ, METRE, "Contact point in the finger's frame", nominal=size),
