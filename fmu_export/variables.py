@@ -10,12 +10,15 @@ Names are structured (FMI 2.0.4, section 2.2.9; FMI 3.0.2, section 2.4.7.5.1) an
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
+from contact_system.errors import SceneError
 from contact_system.scene import Contact, Scene
 from contact_system.surfaces import LEAST_LENGTH, Surface
 from contact_system.system import SceneSystem
@@ -179,10 +182,10 @@ def variable_table(scene: Scene) -> Table:
     ------
     SceneError
         A scene that no importer can step: a surface without a chart, or sigma = 0 inside the window
-        of an acceleration.
+        of an acceleration; or names of a user's parameters that outputs have as well.
     """
     require_charts(scene)
-    names = [n for n in SceneSystem(scene, "frame").parameter_names if not n.endswith(".size")]
+    names = _parameter_names(scene)
     values = [scene.gain.value, *scene.profile.coefficients, *scene.object.parameters]
     values += [x for c in scene.contacts for x in c.finger.parameters]
     rows = [
@@ -199,7 +202,9 @@ def variable_table(scene: Scene) -> Table:
     table = Table(scene, rows, first, fingers, blocks)
     for i in range(len(scene.contacts)):
         rows += _contact_rows(scene, i, blocks[i], _known(scene, table, i))
-    return Table(scene, rows, first, fingers, blocks)
+    table = Table(scene, rows, first, fingers, blocks)
+    _require_names(table)
+    return table
 
 
 def unit_name(unit: Unit) -> str:
@@ -220,6 +225,27 @@ def chart_units(surface: Surface) -> tuple[Unit | None, Unit | None]:
 
 
 # --- parameters ----------------------------------------------------------------------------------
+
+
+def _parameter_names(scene: Scene) -> list[str]:
+    """Those of `SceneSystem`, without the sizes of the bodies, which follow their numbers."""
+    names = iter(SceneSystem(scene, "frame").parameter_names)
+    kept = [*islice(names, 1 + len(scene.profile.coefficients))]
+    for surface in (scene.object, *(c.finger for c in scene.contacts)):
+        kept += islice(names, len(surface.parameters))
+        next(names)
+    return kept
+
+
+def _require_names(table: Table) -> None:
+    """Refuse two variables of one name, in FMI 3 or in FMI 2."""
+    for names in ([row.name for row in table.rows], [v.name for v in table.scalars()]):
+        name, count = Counter(names).most_common(1)[0]
+        if count > 1:
+            raise SceneError(
+                f"scene '{table.scene.name}': two variables of the FMU would be called {name}; "
+                f"give the surface's parameter '{name.rpartition('.')[2]}' another name"
+            )
 
 
 def _parameter(scene: Scene, name: str, reference: int, value: float) -> Variable:

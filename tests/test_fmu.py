@@ -202,7 +202,10 @@ def test_other_scenes_follow_their_plans(name, exported):
 
 
 def test_a_chart_that_is_a_python_function_exports_like_any_other(exported):
-    ground = cs.ParametricSurface(lambda u, v: (u, v, 0.05 * np.sin(6 * u) * np.cos(5 * v)))
+    ground = cs.ParametricSurface(
+        lambda u, v, size, k: (u, v, size * np.sin(6 * u) * np.cos(k * v)),
+        parameters={"size": 0.05, "k": 5.0},  # a name that surfaces have a use for themselves
+    )
     contact = cs.Contact(finger=cs.Sphere(0.04), object_at=(0.1, 0.2), object_velocity="rest")
     scene = cs.Scene(
         object=ground, contacts=[contact], profile=cs.Profile([0.1]), duration=1, name="function"
