@@ -17,19 +17,23 @@ a contact are, in this order,
 
 from __future__ import annotations
 
+import copy
+import dataclasses
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from contact_system.errors import SceneError
+from contact_system.errors import ContactSystemError, SceneError
 from contact_system.kernels import per_structure
 from contact_system.planner import scene_start
 from contact_system.scene import Contact, Scene
-from contact_system.surfaces import Surface
+from contact_system.surfaces import Ellipsoid, Quadric, Surface
 from contact_system.system import FLIP, Form, contact_function
 from contact_system.tracks import rotation
+from contact_system.user_surfaces import UserSurface
 
 SX = ca.SX
 
@@ -61,6 +65,22 @@ def arguments(finger: Surface, obj: Surface, n_profile: int) -> Arguments:
         SX.sym("t"), SX.sym("x", STATES), SX.sym("w", 6), SX.sym("law", 1 + n_profile),
         SX.sym("p1", len(finger.parameters)), SX.sym("p2", len(obj.parameters)),
     )  # fmt: skip
+
+
+@per_structure
+def regularity(finger: Surface, obj: Surface) -> ca.Function:
+    """State, numbers of finger and object -> least Lame coefficient of each body's chart, m.
+
+    0 at a pole or an umbilic, less where the chart's frame points inward.
+    """
+    a = arguments(finger, obj, 1)
+    frame = ca.vertcat(a.state[0:2], 0, a.state[5:7], SX(5, 1))
+    form = Form("frame", True, (False, False), "path", 1, ())
+    values = contact_function(finger, obj, form)(
+        0, frame, SX(6, 1), SX(0, 1), SX(2, 1),
+        ca.vertcat(a.finger, WORK_SIZE), ca.vertcat(a.object, WORK_SIZE),
+    )  # fmt: skip
+    return ca.Function("regularity", [a.state, a.finger, a.object], [ca.densify(values[8])])
 
 
 @per_structure
@@ -99,6 +119,61 @@ def start_state(contact: Contact) -> np.ndarray:
         *start.finger_at, 0.0, *start.finger_velocity, *start.object_at, 0.0,
         *start.object_velocity, start.angle,
     ])  # fmt: skip
+
+
+def surface_with(surface: Surface, values: Sequence[float]) -> Surface:
+    """The same kind of surface with other numbers.
+
+    Raises
+    ------
+    SceneError
+        Numbers that make another kind of surface, or that hang together.
+    """
+    numbers = tuple(values[: len(surface.parameters)])
+    if numbers == surface.parameters:
+        return surface
+    if isinstance(surface, Quadric):
+        raise SceneError(
+            f"{surface!r}: its numbers hang together and cannot be set one by one; step a scene "
+            "with another matrix A"
+        )
+    other: Surface
+    if isinstance(surface, UserSurface):
+        other = copy.copy(surface)
+        other.__dict__["formula"] = dataclasses.replace(surface.formula, values=numbers)
+    elif isinstance(surface, Ellipsoid):
+        axes = {1: (0, 0, 0), 2: (0, 0, 1) if surface.a == surface.b else (0, 1, 1), 3: (0, 1, 2)}
+        other = Ellipsoid(*(numbers[k] for k in axes[len(numbers)]), inside=surface.inside)
+    else:
+        other = type(surface)(*numbers, inside=surface.inside)
+    if other.structure != surface.structure:
+        raise SceneError(f"{other!r} is another kind of surface than {surface!r}; step its scene")
+    return other
+
+
+def kept_order(surface: Surface) -> list[tuple[int, int]]:
+    """What `surface_with` wants of a surface's numbers, found by asking it.
+
+    Returns
+    -------
+    list of (i, j)
+        Number i is to stay greater than number j; (i, i): number i is to stay what it is.
+    """
+    numbers, found = surface.parameters, []
+
+    def refused(i: int, value: float) -> bool:
+        try:
+            surface_with(surface, (*numbers[:i], value, *numbers[i + 1 :]))
+        except ContactSystemError:
+            return True
+        return False
+
+    for i, x in enumerate(numbers):
+        if refused(i, math.nextafter(x, math.inf)) and refused(i, math.nextafter(x, -math.inf)):
+            found.append((i, i))
+        else:
+            found += [(i, j) for j, y in enumerate(numbers) if x > y and refused(i, y)]
+    return found
 
 
 def require_charts(scene: Scene) -> None:

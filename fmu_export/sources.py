@@ -29,7 +29,8 @@ from contact_system.tracks import (
     vector_kernel,
 )
 
-from .model import STATES, WORK_SIZE, arguments, contact_results
+from .description import model_identifier
+from .model import STATES, WORK_SIZE, arguments, contact_results, regularity
 from .variables import Table
 
 SX = ca.SX
@@ -138,6 +139,8 @@ class _Model:
             "const window_t windows[] = {\n", *map(self._window, self.scene.disturbances),
             "  {0, 0, 0, {0}}};\n",
             *(_array(name, a) for name, a in tables),
+            "const order_t orders[] = {",
+            *(f"{{{i}, {j}}}, " for i, j in self.table.orders), "{0, 0}};\n",
             f"const unsigned char kinds[] = {{{', '.join(kinds)}}};\n",
             f'const char *const model_token = "{token}";\n',
             "const char *const names[] = {\n", *(f'  "{name}",\n' for name in names), "};\n",
@@ -290,14 +293,10 @@ class _Model:
         return self._function("start", (a.state, a.finger, a.object), value, finger)
 
     def _regularity(self, finger: Surface) -> str:
-        obj = self.scene.object
-        a = arguments(finger, obj, len(self.scene.profile.coefficients))
-        frame = ca.vertcat(a.state[0:2], 0, a.state[5:7], SX(5, 1))
-        values = contact_function(finger, obj, self._frame_form((False, False)))(
-            0, frame, SX(6, 1), SX(0, 1), SX.zeros(a.law.numel()),
-            ca.vertcat(a.finger, WORK_SIZE), ca.vertcat(a.object, WORK_SIZE),
-        )  # fmt: skip
-        return self._function("regularity", (a.state, a.finger, a.object), values[8], finger)
+        a = arguments(finger, self.scene.object, 1)
+        inputs = (a.state, a.finger, a.object)
+        value = regularity(finger, self.scene.object)(*inputs)
+        return self._function("regularity", inputs, value, finger)
 
     def _products(self, a: Sequence[SX], values: SX, finger: Surface) -> list[str]:
         """Jacobian times seeds, and its transpose times seeds."""

@@ -24,7 +24,15 @@ from contact_system.surfaces import LEAST_LENGTH, Surface
 from contact_system.system import SceneSystem
 from contact_system.user_surfaces import UserSurface
 
-from .model import RESULTS, STATES, contact_results, dependencies, require_charts, start_state
+from .model import (
+    RESULTS,
+    STATES,
+    contact_results,
+    dependencies,
+    kept_order,
+    require_charts,
+    start_state,
+)
 
 INPUTS = 6
 BLOCK = INPUTS + STATES + RESULTS
@@ -158,6 +166,14 @@ class Table:
     def scalars(self) -> list[Variable]:
         """Every variable as FMI 2 sees it, by reference."""
         return [scalar for row in self.rows for scalar in row.scalars()]
+
+    @cached_property
+    def orders(self) -> list[tuple[int, int]]:
+        """References of pairs of a surface's numbers, as `model.kept_order` has them."""
+        scene, first = self.scene, self.parameter_first["object"]
+        surfaces = [(first, scene.object)]
+        surfaces += [(at, c.finger) for at, c in zip(self.finger_first, scene.contacts)]
+        return [(at + i, at + j) for at, surface in surfaces for i, j in kept_order(surface)]
 
     @cached_property
     def state_nominals(self) -> np.ndarray:

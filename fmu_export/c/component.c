@@ -648,10 +648,20 @@ static const char *place_contact(memory_t *now, long i) {
 
 status_t start(component_t *c) {
   memory_t *now = &c->now;
-  if (horner(law(now) + 1, N_PROFILE, now->time) < 0)
-    return report(c, FAILED, "logStatusError",
-                  "sigma is negative at t = %.9g s; change the profile", now->time);
   study_profile(now);
+  if (now->limit <= now->time)
+    return report(c, FAILED, "logStatusError",
+                  "sigma is negative from t = %.9g s on; change the profile", now->time);
+  for (const order_t *o = orders; o->greater; o++)
+    if (o->less == o->greater && now->value[o->less] != start_values[o->less])
+      return report(c, FAILED, "logStatusError", "%s = %.9g is refused: the numbers of this surface "
+                    "hang together; export a scene with another surface", names[o->less],
+                    now->value[o->less]);
+    else if (o->less != o->greater && !(now->value[o->greater] > now->value[o->less]))
+      return report(c, FAILED, "logStatusError", "%s = %.9g is refused: it must be greater than "
+                    "%s = %.9g, or the surface is of another kind; export its scene",
+                    names[o->greater], now->value[o->greater], names[o->less],
+                    now->value[o->less]);
   enter_windows(c);
   for (long i = 0; i < N_CONTACTS; i++) {
     const char *wrong = place_contact(now, i);

@@ -77,7 +77,13 @@ typedef struct {
 } window_t;
 
 extern const motion_t MOTIONS;
+/* of numbers of a surface the one is greater than the other, or is the other: stays as it is */
+typedef struct {
+  unsigned greater, less;
+} order_t;
+
 extern const place_t places[N_CONTACTS];
+extern const order_t orders[]; /* the last is {0, 0} */
 extern const window_t windows[N_WINDOWS + 1];
 extern const double start_values[N_VALUES], least[N_VALUES], nominals[SYSTEM_STATES * N_CONTACTS];
 extern const unsigned char kinds[N_VALUES], sizes[N_VALUES];
