@@ -226,6 +226,7 @@ class _Slave:
     def freeInstance(self) -> None:
         """The end: every later call is refused."""
         self.block.now.phase = FREED
+        self.block.take(self.block.now)  # what was evaluated ahead is forgotten
 
     def reset(self) -> None:
         """Back to where the scene starts, also after an error."""
@@ -267,12 +268,18 @@ class _Slave:
             self._refuse(function, DISCARD, str(error))
         except ContactSystemError as error:  # from planning on under new inputs
             self._refuse(function, ERROR, str(error))
+        self._require_values(function, key, values)
+        return values
+
+    def _require_values(self, function: str, key: Sequence[int], values: Sequence[float]) -> None:
         for reference, value in zip(key, values):
             if not math.isfinite(value):
-                text = f"{self._name(reference)} has no value at t = {self.time:.17g} s, at a "
-                text += "singular point of a chart (a pole or an umbilic); ask a moment later"
+                beyond = self.block.now.plan is None
+                text = f"{self._name(reference)} has no value at t = {self.time:.17g} s, at "
+                text += "or beyond a " if beyond else "a "
+                text += "singular point of a chart (a pole or an umbilic); "
+                text += "start elsewhere" if beyond else "ask a moment later"
                 self._refuse(function, DISCARD, text)
-        return values
 
     def _set(self, function: str, key: Sequence[int], values: Sequence[float]) -> None:
         """Set all, or refuse all."""
@@ -361,7 +368,10 @@ class _Slave:
     def setFMUState(self, state: FmuState) -> None:
         """Go back, or go where another instance of the same scene was."""
         self._require("SetFMUState", CREATED, INITIALIZATION, STEP, EVENT, TERMINATED)
-        self.block.take(self._memory_in("SetFMUState", state).copied())
+        memory = self._memory_in("SetFMUState", state).copied()
+        if memory.phase == EVENT and self._first_phase == STEP:  # this instance has no event mode
+            memory.phase = STEP
+        self.block.take(memory)
 
     def freeFMUState(self, state: FmuState | None) -> None:
         """Forget a state; None is nothing to forget."""
@@ -419,11 +429,13 @@ class _Slave:
         except ChartSingularity as error:
             self._refuse(function, DISCARD, str(error))
         for matrix, rows, columns in jacobians:
-            if adjoint:
-                grown[columns] += given[rows] @ matrix
-            else:
+            if not adjoint:
                 grown[rows] = matrix @ given[columns]
-        return grown[list(asked)].tolist()
+            elif given[rows].any():
+                grown[columns] += given[rows] @ matrix
+        values = grown[list(asked)].tolist()
+        self._require_values(function, asked, values)
+        return values
 
 
 def _log(status: int, category: str, text: str) -> None:
@@ -488,7 +500,7 @@ class PlannerSlave2(_Slave, FMU2Slave):
 
     def getReal(self, vr: Sequence[int]) -> list[float]:
         """Values of scalars."""
-        block = self.block
+        block, vr = self.block, [*vr]
         if vr == block.asked and block.is_ahead():
             return [*block.rows[block.row]]
         return self._get("GetReal", tuple(vr), vr)
@@ -618,7 +630,7 @@ class PlannerSlave3(_Slave, FMU3Slave):
 
     def getFloat64(self, vr: Sequence[int], nValues: int | None = None) -> list[float]:
         """Values of variables, arrays row by row."""
-        block = self.block
+        block, vr = self.block, [*vr]
         if vr == block.asked and block.is_ahead():
             values = [*block.rows[block.row]]
         else:

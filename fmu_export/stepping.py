@@ -29,12 +29,11 @@ from contact_system.plan import Plan
 from contact_system.planner import Moment, Start, Starts, scene_start
 from contact_system.profile import GainPiece
 from contact_system.scene import Contact, Disturbance, Scene
-from contact_system.surfaces import Ellipsoid, Quadric, Surface
+from contact_system.surfaces import Surface
 from contact_system.system import KINDS
-from contact_system.user_surfaces import UserSurface
 
 from .following import TOLERANCE, Crew, Following, crews_of
-from .model import RESULTS, STATES, contact_results
+from .model import RESULTS, STATES, contact_results, regularity, surface_with
 from .variables import BLOCK, INPUTS, Table, variable_table
 
 AHEAD = 256  # most steps that one evaluation serves
@@ -155,9 +154,9 @@ class Block:
         ContactSystemError
             What is wrong with a start value, and the remedy.
         """
-        now, scene = self.now, self._scene_with(self.now.values)
+        now, scene, duration = self.now, self._scene_with(self.now.values), self.scene.duration
         starts = [self._start_of(scene, i) for i in range(len(scene.contacts))]
-        last = now.time + scene.duration if now.time >= scene.duration else scene.duration
+        last = now.time + duration if now.time >= duration else duration
         end = now.stop if now.time < now.stop < math.inf else last
         self._plan_from(now.time, end, last, starts)
 
@@ -305,7 +304,7 @@ class Block:
         scene, values = self._scene_with(self.now.values), self.now.values
         windows: list[Disturbance] = [
             dataclasses.replace(d, stop=min(d.stop, end))
-            for d in scene.disturbances
+            for d in self.scene.disturbances
             if d.start < end and d.stop > begin
         ]
         for i, row in enumerate(self._inputs()):
@@ -316,18 +315,27 @@ class Block:
         return scene.replace(gain=gain, duration=end, disturbances=windows)
 
     def _scene_with(self, values: np.ndarray) -> Scene:
-        """The scene with the profile and the surfaces as they are set."""
+        """The scene with the profile and the surfaces as they are set.
+
+        Of no duration yet: how far sigma goes is seen when a motion is planned.
+        """
         key = tuple(values[GAIN + 1 : self.table.blocks[0]].tolist())
         if key not in self._own:
-            n, at = len(self.scene.profile.coefficients), self.table.parameter_first["object"]
+            n = len(self.scene.profile.coefficients)
+            at, *fingers = (
+                first - GAIN - 1
+                for first in (self.table.parameter_first["object"], *self.table.finger_first)
+            )
             contacts = [
-                dataclasses.replace(_with_numbers(c), finger=_surface_with(c.finger, values[own:]))
-                for c, own in zip(self.scene.contacts, self.table.finger_first)
+                dataclasses.replace(_with_numbers(c), finger=surface_with(c.finger, key[own:]))
+                for c, own in zip(self.scene.contacts, fingers)
             ]
             self._own[key] = self.scene.replace(
-                object=_surface_with(self.scene.object, values[at:]),
+                object=surface_with(self.scene.object, key[at:]),
                 contacts=contacts,
                 profile=dataclasses.replace(self.scene.profile, coefficients=key[:n]),
+                duration=sys.float_info.epsilon,
+                disturbances=(),
             )
         return self._own[key]
 
@@ -336,12 +344,18 @@ class Block:
         block = self.table.blocks[i] + INPUTS
         x = self.now.values[block : block + STATES].tolist()
         u1, theta1, w1, u2, theta2, w2, psi = x[0:2], x[2], x[3:5], x[5:7], x[7], x[8:10], x[10]
-        for side, surface, at in (
-            ("finger", scene.contacts[i].finger, u1),
-            ("object", scene.object, u2),
-        ):
-            _require_outward(f"contact[{i + 1}].{side}", surface, at)
-        return Start(tuple(u1), tuple(u2), psi, _turned(w1, theta1), _turned(w2, theta2))
+        bodies = (("finger", scene.contacts[i].finger, u1), ("object", scene.object, u2))
+        finger_at, object_at = (
+            _outward_place(f"contact[{i + 1}].{side}", surface, at, outward)
+            for (side, surface, at), outward in zip(bodies, self._outward(i, x))
+        )
+        return Start(finger_at, object_at, psi, _turned(w1, theta1), _turned(w2, theta2))
+
+    def _outward(self, i: int, state: Sequence[float]) -> list[bool]:
+        """Whether the frames of finger and object of contact i exist and point out of the body."""
+        scene = self.scene
+        least = regularity(scene.contacts[i].finger, scene.object)(state, *self._numbers(i)[1:])
+        return [x > 0 for x in least.full().ravel()]
 
     # --- results
 
@@ -500,6 +514,8 @@ class Block:
             at = block + INPUTS + STATES
             state = values[None, block + INPUTS : at]
             values[at : at + RESULTS] = self._results(i, time, state, acting[i : i + 1])[0]
+            if not all(self._outward(i, state[0])):  # numbers of a frame that points inward
+                values[at : at + RESULTS] = math.nan
         return values
 
     def jacobians(self) -> list[tuple[np.ndarray, list[int], list[int]]]:
@@ -522,6 +538,8 @@ class Block:
             point = [self.now.time, *states[i], *acting[i], *sum(self._numbers(i), [])]
             rows = list(range(block + INPUTS + STATES, block + BLOCK))
             matrix = _jacobian(self._kernel(i))(point).full()
+            if self.now.plan is None and not all(self._outward(i, states[i])):
+                matrix[:] = math.nan
             found.append((matrix, rows, self.table.arguments(i)))
         return found
 
@@ -566,49 +584,29 @@ def _turned(vector: Any, angle: float) -> tuple[Any, Any]:
     return c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
 
 
-def _require_outward(place: str, surface: Surface, at: Sequence[float]) -> None:
-    """Refuse a start where the chart's frame is lost or points into the body."""
+def _outward_place(
+    place: str, surface: Surface, at: Sequence[float], outward: bool
+) -> tuple[float, float]:
+    """Coordinates of a start with the same frame, as plans take them.
+
+    Raises
+    ------
+    SceneError
+        The chart's frame is lost there or points into the body.
+    """
     try:
         canonical = surface.canonical(*at)
     except ContactSystemError as error:
         raise SceneError(f"{place}: {error}") from None
-    near = surface.align(*canonical, *at)
-    if math.hypot(near[0] - at[0], near[1] - at[1]) > 1e-9:
+    if not outward:
         raise SceneError(
             f"{place}.u, .v = {at[0]:.9g}, {at[1]:.9g} has no outward frame on {surface!r}; set "
             f"{canonical[0]:.9g}, {canonical[1]:.9g}, the same point, and velocity and angle as "
             "seen from there"
         )
-
-
-def _surface_with(surface: Surface, values: np.ndarray) -> Surface:
-    """The same kind of surface with other numbers.
-
-    Raises
-    ------
-    SceneError
-        Numbers that make another kind of surface, or that hang together.
-    """
-    numbers = tuple(values[: len(surface.parameters)].tolist())
-    if numbers == surface.parameters:
-        return surface
-    if isinstance(surface, Quadric):
-        raise SceneError(
-            f"{surface!r}: its numbers hang together and cannot be set one by one; step a scene "
-            "with another matrix A"
-        )
-    other: Surface
-    if isinstance(surface, UserSurface):
-        other = copy.copy(surface)
-        other.__dict__["formula"] = dataclasses.replace(surface.formula, values=numbers)
-    elif isinstance(surface, Ellipsoid):
-        axes = {1: (0, 0, 0), 2: (0, 0, 1) if surface.a == surface.b else (0, 1, 1), 3: (0, 1, 2)}
-        other = Ellipsoid(*(numbers[k] for k in axes[len(numbers)]), inside=surface.inside)
-    else:
-        other = type(surface)(*numbers, inside=surface.inside)
-    if other.structure != surface.structure:
-        raise SceneError(f"{other!r} is another kind of surface than {surface!r}; step its scene")
-    return other
+    near = surface.align(*canonical, *at)
+    here = math.hypot(near[0] - at[0], near[1] - at[1]) <= 1e-9
+    return (at[0], at[1]) if here else canonical
 
 
 # --- state bytes ---------------------------------------------------------------------------------

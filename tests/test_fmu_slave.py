@@ -639,6 +639,74 @@ def test_times_before_the_profile_begins_are_refused():
                 words="give 0 <= startTime <= stopTime")  # fmt: skip
 
 
+@pytest.mark.parametrize("fmi_version", VERSIONS)
+def test_references_may_come_in_an_array(fmi_version):
+    slave = begun(one_contact(), fmi_version)
+    get = slave.getReal if fmi_version == "2.0" else slave.getFloat64
+    put_all = slave.setReal if fmi_version == "2.0" else slave.setFloat64
+    first = slave.block.table.blocks[0]
+    put_all(np.array([first, first + 1]), np.array([0.1, 0.2]))
+    for _ in range(4):
+        advanced(slave, 0.01)
+        assert get(np.array([first + 6, first + 7])) == get([first + 6, first + 7])
+
+
+def test_freed_slave_answers_nothing_not_even_the_last_question():
+    slave = begun(one_contact())
+    reference = [slave.block.table.blocks[0] + 6]
+    for _ in range(4):
+        advanced(slave, 0.01).getReal(reference)
+    slave.terminate()
+    slave.getReal(reference)
+    slave.freeInstance()
+    refused(slave.getReal, reference, words="not allowed in the state 'freed'")
+
+
+def test_state_of_event_mode_goes_on_without_it():
+    scene = cs.load_scene("K4")
+    one, other = begun(scene, "3.0", event_mode=True), begun(scene, "3.0")
+    other.setFMUState(one.getFMUState())
+    close(states_now(advanced(other, 0.5)), cs.plan(scene, 1e-14).states(0.5)[0])
+
+
+def test_sigma_may_end_after_the_stop_time():
+    slave = PlannerSlave2(one_contact(duration=2.0))
+    put(slave, {"profile[1]": 0.25, "profile[2]": -0.1})
+    slave.setupExperiment(stopTime=1.0)
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    advanced(slave, 0.5, 0.5)
+    scene = one_contact(duration=1.0)
+    law = (0.25, -0.1, *scene.profile.coefficients[2:])
+    scene = scene.replace(profile=cs.Profile(law))
+    close(states_now(slave), cs.plan(scene, 1e-14).states(1.0)[0])
+
+
+def test_whole_turns_of_a_start_do_not_matter():
+    scene = cs.load_scene("K4")
+    name = "contact[1].finger.u"
+    turned = begun(scene, start={name: scene.contacts[0].finger_at[0] + 2 * math.pi})
+    plain = begun(scene)
+    for slave in (turned, plain):
+        advanced(slave, 1.5)
+    close(states_now(turned), states_now(plain), 1e-14)
+
+
+@pytest.mark.parametrize("fmi_version", VERSIONS)
+def test_beyond_a_pole_there_is_nothing_to_initialize_with(fmi_version):
+    slave = SLAVES[fmi_version](one_contact())
+    slave.enterInitializationMode()
+    put(slave, {"contact[1].finger.u": -0.5})
+    of = {v.name: v.reference for v in slave.block.table.rows}
+    rate, gain = of["der(contact[1].finger.v)"], of["gain.eta"]
+    get = slave.getReal if fmi_version == "2.0" else slave.getFloat64
+    words = r"der\(contact\[1\].finger.v\) has no value at t = 0 s, at or beyond a singular point"
+    refused(get, [rate], words=words, status=DISCARD)
+    refused(slave.getDirectionalDerivative, [rate], [gain], [1.0], words=words, status=DISCARD)
+    put(slave, {"contact[1].finger.u": 0.5})
+    assert math.isfinite(get([rate])[0])
+
+
 def test_functions_and_types_that_there_are_not_are_refused_in_words():
     two, three = begun(one_contact()), begun(one_contact(), "3.0")
     refused(two.setInteger, [1], [1], words="fmi2SetInteger: this slave does not have it")
