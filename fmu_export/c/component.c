@@ -6,6 +6,7 @@
 
 #define TOLERANCE 1e-14 /* tail of a panel's series; with 1e-13 K4 ends 4e-14 of its size away */
 #define MOST_PANELS 20000L /* in one step: a second of work, kilometres of path */
+#define LOOK_AHEAD 1.05 /* a solver may look this far beyond sigma's end, within its last step */
 
 /* groups of results, bits of memory_t.valid */
 enum { STATE = 1, RATES = 2, SLIP = 4, TWIST = 8, POSE = 16, POINTS = 32, RESULTS = 64,
@@ -43,23 +44,40 @@ static const double *law(const memory_t *now) { return now->value + GAIN; }
 
 /* --- sigma: where it grows, where it ends ----------------------------------------------------- */
 
+/* the sum of the sizes of a polynomial's terms, which its rounding errors are a fraction of */
+static double magnitude(const double *c, long n, double t) {
+  double size = 0.0;
+  for (long j = n - 1; j >= 0; j--) size = size * fabs(t) + fabs(c[j]);
+  return size;
+}
+
+/* the value, or 0 where its sign cannot be told from rounding: profile._clear_value */
+static double clear_value(const double *c, long n, double t) {
+  const double value = horner(c, n, t);
+  return t == 0.0 || fabs(value) > 4e-16 * n * magnitude(c, n, t) ? value : 0.0;
+}
+
 /* sign changes of a polynomial in (a, b), ascending; between those of its derivative it is
-   monotone */
+   monotone. A root at an end, or one that only touches zero, is none. */
 static long sign_changes(const double *c, long n, double a, double b, double *found) {
-  double derivative[MAX_SIGMA], knot[MAX_SIGMA + 1];
+  double derivative[MAX_SIGMA], knot[MAX_SIGMA + 1], low = a, at_low = 0.0;
   if (n < 2) return 0;
   for (long k = 1; k < n; k++) derivative[k - 1] = k * c[k];
   long count = 0, inner = sign_changes(derivative, n - 1, a, b, knot + 1) + 1;
   knot[0] = a, knot[inner] = b;
-  for (long k = 0; k < inner; k++) {
-    double low = knot[k], high = knot[k + 1], at_low = horner(c, n, low);
-    if (!(at_low * horner(c, n, high) < 0)) continue;
-    for (int i = 0; i < 200 && low < high; i++) {
-      double middle = 0.5 * (low + high);
-      if (middle <= low || middle >= high) break;
-      if (at_low * horner(c, n, middle) > 0) low = middle; else high = middle;
+  for (long k = 0; k <= inner; k++) {
+    const double at_knot = clear_value(c, n, knot[k]);
+    double high = knot[k];
+    if (at_knot == 0.0) continue;
+    if ((at_low < 0) == (at_knot > 0) && at_low != 0.0) {
+      for (int i = 0; i < 200; i++) {
+        const double middle = 0.5 * (low + high);
+        if (middle <= low || middle >= high) break;
+        if ((horner(c, n, middle) > 0) == (at_low > 0)) low = middle; else high = middle;
+      }
+      found[count++] = high;
     }
-    found[count++] = high;
+    low = knot[k], at_low = at_knot;
   }
   return count;
 }
@@ -68,9 +86,9 @@ static void study_profile(memory_t *now) {
   const double *sigma = law(now) + 1;
   double far = now->time + 1e3 * HORIZON, at[MAX_SIGMA + 2], rate[MAX_SIGMA];
   long n = sign_changes(sigma, N_PROFILE, now->time, far, at);
-  now->limit = HUGE_VAL, now->n_knots = 0;
-  for (long k = 0; k < n && now->limit == HUGE_VAL; k++)
-    if (slope(sigma, N_PROFILE, at[k]) < 0) now->limit = at[k];
+  const double first = clear_value(sigma, N_PROFILE, 0.5 * (now->time + (n ? at[0] : far)));
+  now->limit = first < 0 ? now->time : n ? at[0] : HUGE_VAL;
+  now->n_knots = 0;
   if (GAIN_LAW != GUARANTEED || N_PROFILE < 2) return;
   for (long k = 1; k < N_PROFILE; k++) rate[k - 1] = k * sigma[k];
   n = sign_changes(rate, N_PROFILE - 1, now->time, far, at + 1);
@@ -82,9 +100,17 @@ static void study_profile(memory_t *now) {
     }
 }
 
+/* Whether a system of equations is asked about times after sigma's end. A solver may look there
+   from within its last step, until an event has told the importer that this is the end. */
+static int past_end(const memory_t *now) {
+  const double end = now->limit;
+  if (now->stepping || !(now->time > end) || reached(end, now->time)) return 0;
+  return now->ended || now->phase != CONTINUOUS || now->time > LOOK_AHEAD * end;
+}
+
 double next_edge(const component_t *c) {
   const memory_t *now = &c->now;
-  double next = HUGE_VAL;
+  double next = now->stepping || reached(now->time, now->limit) ? HUGE_VAL : now->limit;
   for (long k = 0; k < N_WINDOWS; k++)
     for (int side = 0; side < 2; side++) {
       double edge = side ? windows[k].stop : windows[k].start;
@@ -103,6 +129,7 @@ void enter_windows(component_t *c) {
       for (int j = 0; j < 6; j++) now->window[windows[k].contact][j] += windows[k].value[j];
   memset(now->valid, 0, sizeof now->valid);
   now->settled = now->pending = 0;
+  if (!now->stepping) now->ended = reached(now->time, now->limit);
 }
 
 /* --- a contact's motion ----------------------------------------------------------------------- */
@@ -251,12 +278,10 @@ static double slip_scale(const memory_t *now, long i) {
 /* sigma and decay in the local time that begins at k->begin: profile.GainPiece */
 static void set_drive(const memory_t *now, contact_t *k) {
   const double *global = law(now) + 1, t = k->begin;
-  double size = 0.0;
-  for (long j = N_PROFILE - 1; j >= 0; j--) size = size * fabs(t) + fabs(global[j]);
   for (long j = 0; j < N_PROFILE; j++) k->sigma[j] = global[j];
   for (long j = 0; j < N_PROFILE; j++) /* Taylor shift by synthetic division */
     for (long l = N_PROFILE - 2; l >= j; l--) k->sigma[l] += t * k->sigma[l + 1];
-  if (fabs(k->sigma[0]) <= 1e-15 * size) k->sigma[0] = 0.0;
+  if (fabs(k->sigma[0]) <= 1e-15 * magnitude(global, N_PROFILE, t)) k->sigma[0] = 0.0;
   k->n_sigma = N_PROFILE, k->power = 0, k->n_exponent = 2;
   k->exponent[0] = 0.0, k->exponent[1] = k->eta;
   if (GAIN_LAW == PATH) {
@@ -535,6 +560,25 @@ static int has_frames(component_t *c, long i) {
   return all;
 }
 
+/* Whether the system's equations mean anything for contact i: beyond a pole they would give
+   numbers of a frame that points inward. */
+static int is_defined(component_t *c, long i) { return !past_end(&c->now) && has_frames(c, i); }
+
+/* Says why there is no value. */
+static status_t refuse(component_t *c, const char *what) {
+  const memory_t *now = &c->now;
+  if (past_end(now))
+    return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s: sigma is "
+                  "negative from t = %.9g s on; end there, or change the profile", what, now->time,
+                  now->limit);
+  const char *where =
+      SYSTEM(now) ? "or beyond a singular point of a chart (a pole or an umbilic); start elsewhere, "
+                    "or run the Co-Simulation, which passes such points"
+                  : "a singular point of a chart (a pole or an umbilic); ask a moment later";
+  return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s, at %s", what,
+                now->time, where);
+}
+
 static void find(component_t *c, long i, unsigned group) {
   memory_t *now = &c->now;
   double disturbance[6], *value = now->value + places[i].block;
@@ -545,8 +589,7 @@ static void find(component_t *c, long i, unsigned group) {
     const long first = group == RATES ? AT_RATE : AT_SLIP;
     const long end = group == RATES ? AT_SLIP : BLOCK_SIZE;
     (group == RATES ? places[i].kind->rates : places[i].kind->results)(a, value + first);
-    /* beyond a pole there would be numbers, of a frame that points inward */
-    if (!has_frames(c, i))
+    if (!is_defined(c, i))
       for (long j = first; j < end; j++) value[j] = NAN;
   } else {
     if (group == RATES || group == SLIP) find(c, i, STATE);
@@ -566,13 +609,7 @@ status_t get_values(component_t *c, unsigned reference, long count, double *valu
     find(c, i, group_of(now, offset % BLOCK_SIZE));
   }
   memcpy(value, now->value + reference, (size_t)count * sizeof *value);
-  if (all_finite(value, count)) return OK;
-  const char *where =
-      SYSTEM(now) ? "or beyond a singular point of a chart (a pole or an umbilic); start elsewhere, "
-                    "or run the Co-Simulation, which passes such points"
-                  : "a singular point of a chart (a pole or an umbilic); ask a moment later";
-  return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s, at %s",
-                names[reference + not_finite(value, count)], now->time, where);
+  return all_finite(value, count) ? OK : refuse(c, names[reference + not_finite(value, count)]);
 }
 
 status_t check_value(component_t *c, unsigned reference, double value) {

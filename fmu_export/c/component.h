@@ -123,7 +123,7 @@ typedef struct {
   int pending;              /* an edge is reached, its windows are not yet taken over */
   double time, stop_time;
   double limit;             /* where sigma turns negative */
-  int ended;                /* the last step asked for goes beyond that */
+  int ended;                /* the last step asked for goes beyond that, or an event was there */
   double knots[MAX_KNOTS];  /* where sigma grows, from knots[2 k] to knots[2 k + 1] */
   long n_knots;
   double value[N_VALUES];
