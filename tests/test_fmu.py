@@ -428,6 +428,12 @@ def _product3(function, one, unknowns, knowns, seed, count):
     return np.array(out)
 
 
+def directional(one, unknowns, knowns, seed):
+    """Of as many scalar unknowns as there are, in either version."""
+    count = [len(unknowns)] if isinstance(one, (FMU3Slave, FMU3Model)) else []
+    return one.getDirectionalDerivative(unknowns, knowns, seed, *count)
+
+
 def directional3(one, unknowns, knowns, seed, count):
     return _product3(one.fmi3GetDirectionalDerivative, one, unknowns, knowns, seed, count)
 
@@ -580,8 +586,13 @@ def test_model_exchange_tells_of_a_pole_and_refuses_what_lies_beyond(version, ex
     with pytest.raises(FMICallException):
         fmu.get(one, rate)
     assert "beyond a singular point of a chart" in fmu.messages[-1][2]
+    unknown, known = fmu.reference(rate), fmu.reference("contact[1].object.rate_offset.u")
+    with pytest.raises(FMICallException):  # derivatives no more than values
+        directional(one, [unknown], [known], [1.0])
+    assert "beyond a singular point of a chart" in fmu.messages[-1][2]
     fmu.set(one, {u: 0.3})
     assert fmu.get(one, rate)[0] == pytest.approx(-1.0, abs=1e-14)  # sigma / r
+    assert directional(one, [unknown], [known], [1.0]) == [1.0]
     over = fmu.simulate(0.05)  # while Co-Simulation passes it
     wanted = cs.plan(OVER_POLE).pose(over["time"])[:, 0, :3, 3]
     assert relative(over_position(over, version), wanted) < 1e-12

@@ -784,8 +784,9 @@ status_t get_rates(component_t *c, double *rate) {
   return OK;
 }
 
-/* What kernels of derivatives take: the system's arguments, and where their seeds lie. */
-static void prepare(component_t *c, long i, double disturbance[6], const double *a[12]) {
+/* What kernels of derivatives take: the system's arguments, and where their seeds lie. Returns
+   whether there are derivatives. */
+static int prepare(component_t *c, long i, double disturbance[6], const double *a[12]) {
   const double *seed = c->seed + places[i].block;
   if (!SYSTEM(&c->now)) {
     settle(c);
@@ -794,26 +795,36 @@ static void prepare(component_t *c, long i, double disturbance[6], const double 
   system_arguments(&c->now, i, disturbance, a);
   a[6] = c->seed, a[7] = seed + AT_STATE, a[8] = seed + AT_INPUT, a[9] = c->seed + GAIN;
   a[10] = c->seed + places[i].finger, a[11] = c->seed + OBJECT;
+  return !SYSTEM(&c->now) || is_defined(c, i);
 }
 
-static status_t derivatives_found(component_t *c) {
-  if (all_finite(c->grown, N_VALUES)) return OK;
-  return report(c, DISCARD, "logStatusDiscard", "derivatives do not exist at t = %.17g s",
-                c->now.time);
+static int all_zero(const double *x, long n) {
+  long i = 0;
+  while (i < n && x[i] == 0.0) i++;
+  return i == n;
 }
 
-status_t forward(component_t *c) {
+static void no_numbers(double *x, long n) {
+  for (long j = 0; j < n; j++) x[j] = NAN;
+}
+
+status_t check_grown(component_t *c, unsigned reference, long count) {
+  const long wrong = not_finite(c->grown + reference, count);
+  return wrong == count ? OK : refuse(c, names[reference + wrong]);
+}
+
+void forward(component_t *c) {
   double disturbance[6];
   const double *a[12];
   memcpy(c->grown, c->seed, sizeof c->grown);
   for (long i = 0; i < N_CONTACTS; i++) {
-    prepare(c, i, disturbance, a);
-    places[i].kind->forward(a, c->grown + places[i].block + AT_RATE);
+    double *grown = c->grown + places[i].block + AT_RATE;
+    if (prepare(c, i, disturbance, a)) places[i].kind->forward(a, grown);
+    else no_numbers(grown, BLOCK_SIZE - AT_RATE);
   }
-  return derivatives_found(c);
 }
 
-status_t reverse(component_t *c) {
+void reverse(component_t *c) {
   double disturbance[6], product[1 + SYSTEM_STATES + 6 + 1 + N_PROFILE + 2 * MAX_NUMBERS];
   const double *a[12];
   memcpy(c->grown, c->seed, sizeof c->grown);
@@ -822,14 +833,15 @@ status_t reverse(component_t *c) {
     const long block = places[i].block, *n = kind->n_numbers;
     const long first[] = {0, block + AT_STATE, block, GAIN, places[i].finger, OBJECT};
     const long count[] = {1, SYSTEM_STATES, 6, 1 + N_PROFILE, n[0], n[1]};
-    prepare(c, i, disturbance, a);
-    a[6] = c->seed + places[i].block + AT_RATE;
-    kind->reverse(a, product);
+    if (all_zero(c->seed + block + AT_RATE, BLOCK_SIZE - AT_RATE)) continue;
+    const int found = prepare(c, i, disturbance, a);
+    a[6] = c->seed + block + AT_RATE;
+    if (found) kind->reverse(a, product);
+    else no_numbers(product, sizeof product / sizeof *product);
     const double *from = product;
     for (int k = 0; k < 6; from += count[k++])
       for (long j = 0; j < count[k]; j++) c->grown[first[k] + j] += from[j];
   }
-  return derivatives_found(c);
 }
 
 /* --- state bytes ------------------------------------------------------------------------------ */

@@ -172,9 +172,11 @@ status_t set_states(component_t *, const double *state);
 status_t get_states(component_t *, double *state);
 status_t get_rates(component_t *, double *rate);
 
-/* grown = J seed (or J^T seed), over references; the caller fills seed, which starts as zeros */
-status_t forward(component_t *);
-status_t reverse(component_t *);
+/* grown = J seed (or J^T seed), over references; the caller fills seed, which starts as zeros, and
+   checks what it takes of grown */
+void forward(component_t *);
+void reverse(component_t *);
+status_t check_grown(component_t *, unsigned reference, long count);
 
 /* State bytes: header, then memory_t. */
 typedef struct {

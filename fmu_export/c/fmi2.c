@@ -176,9 +176,13 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component instance, const fmi2ValueR
       REFUSE("fmi2GetDirectionalDerivative: %s is no unknown; give states or what is calculated",
              names[unknown[k]]);
   }
-  status_t s = forward(c);
-  for (size_t k = 0; k < n_unknown && !s; k++) value[k] = c->grown[unknown[k]];
-  return (fmi2Status)s;
+  forward(c);
+  for (size_t k = 0; k < n_unknown; k++) {
+    const status_t s = check_grown(c, unknown[k], 1);
+    if (s) return (fmi2Status)s;
+    value[k] = c->grown[unknown[k]];
+  }
+  return fmi2OK;
 }
 
 /* --- FMU states ------------------------------------------------------------------------------- */

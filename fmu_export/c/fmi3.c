@@ -257,16 +257,19 @@ static int is_unknown(fmi3ValueReference r) { return kinds[r] == CALCULATED || k
 static int is_known(fmi3ValueReference r) { return kinds[r] != CALCULATED; }
 
 /* Both directions: seeds go to the references `from`, products come from the references `to`. */
-static status_t products(component_t *c, status_t (*apply)(component_t *),
+static status_t products(component_t *c, void (*apply)(component_t *),
                          const fmi3ValueReference from[], size_t n_from, const fmi3Float64 seed[],
                          const fmi3ValueReference to[], size_t n_to, fmi3Float64 value[]) {
   memset(c->seed, 0, sizeof c->seed);
   for (size_t k = 0; k < n_from; k++)
     for (unsigned j = 0; j < sizes[from[k]]; j++) c->seed[from[k] + j] += *seed++;
-  status_t s = apply(c);
-  for (size_t k = 0; k < n_to && !s; k++)
-    for (unsigned j = 0; j < sizes[to[k]]; j++) *value++ = c->grown[to[k] + j];
-  return s;
+  apply(c);
+  for (size_t k = 0; k < n_to; value += sizes[to[k++]]) {
+    const status_t s = check_grown(c, to[k], sizes[to[k]]);
+    if (s) return s;
+    memcpy(value, c->grown + to[k], sizes[to[k]] * sizeof *value);
+  }
+  return OK;
 }
 
 #define CHECK_PRODUCTS(function, n_from, n_to)                                                    \
