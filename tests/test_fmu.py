@@ -660,6 +660,139 @@ def test_an_importer_stops_where_sigma_ends(exported):
     assert 1.3 < result["time"][-1] < 1.6
 
 
+LINE = {"profile[1]": 0.3, "profile[2]": -0.2, "profile[3]": 0.0}
+"""sigma, zero at 1.5 s."""
+
+
+@pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
+@pytest.mark.parametrize("version", VERSIONS)
+def test_sigma_that_falls_from_zero_is_refused_at_the_start(version, interface, exported):
+    fmu = exported("K1", version)
+    with pytest.raises(FMICallException):
+        fmu.instance(interface, start=LINE | {"profile[1]": 0.0})
+    assert "sigma is negative from t = 0 s on; change the profile" in fmu.messages[-1][2]
+    one = fmu.instance(interface, start=LINE, ready=False)
+    with pytest.raises(FMICallException):
+        fmu.initialize(one, 1.5)
+    assert "sigma is negative from t = 1.5 s on" in fmu.messages[-1][2]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_sigma_that_touches_zero_does_not_end_there(version, exported):
+    fmu = exported("K1", version)  # 0.7 (t - 0.4)^2, in doubles -3e-17 m/s where it is least
+    start = {"profile[1]": 0.112, "profile[2]": -0.56, "profile[3]": 0.7}
+    one = fmu.instance(start=start)
+    fmu.step(one, 0.0, 1.0)
+    plan = cs.plan(fmu.scene.replace(profile=cs.Profile([*start.values()])))
+    assert relative(fmu.states(one), plan.states(1.0).ravel()) < 1e-12
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # fmpy's callback
+@pytest.mark.parametrize("version", VERSIONS)
+def test_model_exchange_ends_where_sigma_does(version, exported):
+    fmu = exported("K1", version)
+    scene = fmu.scene.replace(profile=cs.Profile([*LINE.values()]), duration=1.5)
+    options = {"fmi_type": "ModelExchange", "solver": "CVode", "start_values": LINE}
+    result = fmu.simulate(0.05, stop_time=1.5, **options)
+    assert result["time"][-1] == 1.5
+    found = np.stack([result[n] for i in range(3) for n in columns(i)], axis=1)
+    wanted = cs.plan(scene).states(result["time"]).reshape(len(found), -1)
+    assert relative(found, wanted) < 1e-7
+    with pytest.raises((FMICallException, RuntimeError)):
+        fmu.simulate(0.05, stop_time=2.0, **options)
+    one, rate = fmu.instance("ModelExchange", start=LINE), "der(contact[1].finger.u)"
+    events = []
+
+    def update():
+        told = one.newDiscreteStates() if version == "2.0" else one.updateDiscreteStates()
+        events.append(told[-1] if told[-2] else None)
+
+    update()
+    one.enterContinuousTimeMode()
+    one.setTime(1.55)  # a solver looks beyond the end of its last step, where the path rests
+    assert fmu.get(one, rate)[0] == pytest.approx(0.0, abs=1e-15)
+    one.setTime(1.5)
+    one.enterEventMode()
+    update()
+    assert events == [pytest.approx(1.5, abs=1e-15), None]
+    one.enterContinuousTimeMode()
+    assert fmu.get(one, rate)[0] == pytest.approx(0.0, abs=1e-15)
+    one.setTime(1.55)
+    unknown, known = fmu.reference(rate), fmu.reference("gain.eta")
+    for refused in (
+        lambda: fmu.get(one, rate),
+        lambda: fmu.get(one, "contact[1].pose.position.x" if version == "2.0" else rate),
+        lambda: directional(one, [unknown], [known], [1.0]),
+    ):
+        fmu.messages.clear()
+        with pytest.raises(FMICallException):
+            refused()
+        assert "sigma is negative from t = 1.5 s on; end there" in fmu.messages[-1][2]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_after_a_failed_step_values_are_those_of_before(version, exported):
+    """FMI 2.0.4, 4.2.4, state error; FMI 3.0.2, 2.3.8: for debugging."""
+    fmu = exported("K1", version)
+    steady = {"profile[1]": 0.1, "profile[2]": 0.0, "profile[3]": 0.0}
+    one = fmu.instance(start=steady | {"contact[2].finger.radius": 1e-6})
+    kept = one.getFMUstate() if version == "2.0" else one.getFMUState()
+    fmu.step(one, 0.0, 0.05)
+    before = fmu.states(one)
+    with pytest.raises(FMICallException):
+        fmu.step(one, 0.05, 50.0)  # the first contact gets there
+    words = "contact 2: a step of 50 s to t = 50.05 s is too long, it would take more than 20000"
+    assert words in fmu.messages[-1][2]
+    assert fmu.states(one).tobytes() == before.tobytes()
+    assert fmu.get(one, "gain.eta")[0] == 100.0
+    with pytest.raises(FMICallException):
+        fmu.step(one, 0.05, 0.1)
+    (one.setFMUstate if version == "2.0" else one.setFMUState)(kept)
+    fmu.step(one, 0.0, 0.05)
+    assert fmu.states(one).tobytes() == before.tobytes()
+
+
+def test_an_acceleration_of_a_path_at_rest_is_said_to_be_one(exported):
+    fmu, name = exported("K1"), "contact[2].finger.acceleration.u"
+    one = fmu.instance(start={"profile[1]": 0.0, "profile[2]": 0.0, name: 0.5})
+    with pytest.raises(FMICallException):
+        fmu.step(one, 0.0, 0.1)
+    words = "contact 2: the motion cannot be continued past t = 0 s: sigma is zero, and an accelera"
+    assert words in fmu.messages[-1][2]
+
+
+@pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
+@pytest.mark.parametrize("version", VERSIONS)
+def test_numbers_that_make_another_kind_of_surface_are_refused(version, interface, exported):
+    fmu = exported("K3", version)
+    for start, words in (
+        ({"object.a": 0.15}, "object.a = 0.15 is refused: it must be greater than object.b = 0.2"),
+        ({"object.a": 0.2}, "object.a = 0.2 is refused: it must be greater than object.b = 0.2"),
+        ({"object.c": 0.25}, "object.b = 0.2 is refused: it must be greater than object.c = 0.25"),
+    ):
+        with pytest.raises(FMICallException):
+            fmu.instance(interface, start=start)
+        assert words in fmu.messages[-1][2]
+    fmu.instance(interface, start={"object.a": 0.15, "object.b": 0.12})
+
+
+def test_numbers_of_a_torus_keep_their_order_and_those_of_a_quadric_stay(exported):
+    contact = cs.Contact(cs.Torus(0.05, 0.02), object_at=(0.7, 0.4), finger_at=(0.3, 0.2))
+    turned = cs.Quadric([[30.0, 5.0, 0.0], [5.0, 40.0, 0.0], [0.0, 0.0, 100.0]])
+    profile = cs.Profile([0.1])
+    fmu = exported(cs.Scene(object=turned, contacts=[contact], profile=profile, duration=1,
+                            name="a*/b\x01\u00e9"))  # fmt: skip
+    assert worst_difference(fmu, fmu.simulate(0.25)) < 1e-12
+    radius = "contact[1].finger.m"
+    for start, words in (
+        ({radius + "inor": 0.06}, f"{radius}ajor = 0.05 is refused: it must be greater than"),
+        ({fmu.table.rows[3].name: 5.0}, " = 5 is refused: the numbers of this surface hang tog"),
+    ):
+        with pytest.raises(FMICallException):
+            fmu.instance(start=start)
+        assert words in fmu.messages[-1][2]
+
+
 @pytest.mark.parametrize("version", VERSIONS)
 def test_all_values_of_a_call_are_set_or_none(version, exported):
     fmu = exported("K1", version)

@@ -408,6 +408,17 @@ static void settle(component_t *c) {
   now->settled = 1;
 }
 
+/* What stands in the way where a panel cannot be made. */
+static const char *obstacle(const contact_t *k) {
+  const double sigma = horner(k->sigma, k->n_sigma, k->to);
+  const int pushed = largest(k->disturbance, 4) > 0 || largest(k->slope, 4) > 0;
+  if (pushed && sigma <= 1e-6 * largest(k->sigma, k->n_sigma))
+    return "sigma is zero, and an acceleration cannot act on a path that rests; accelerate while "
+           "sigma > 0, or disturb the object's rates";
+  return "the path reaches a singular point of its chart or its surface, or moves too fast for "
+         "double precision; set smaller inputs, end before or start elsewhere";
+}
+
 /* Integrate contact i panel by panel until its series reaches a local time. */
 static status_t advance(component_t *c, long i, double tau) {
   memory_t *now = &c->now;
@@ -424,23 +435,42 @@ static status_t advance(component_t *c, long i, double tau) {
   step_t s = {.tau = k->to, .h = k->next, .length = k->to - k->from};
   s.before = k->to > 0.0 ? k->series : NULL;
   for (long tries = 0; k->to < tau; tries++) {
-    int made = tries > MOST_PANELS || !(k->next > 1e-13 * (end < tau ? end : tau))
+    if (tries > MOST_PANELS)
+      return report(c, FAILED, "logStatusError",
+                    "contact %ld: a step of %.9g s to t = %.9g s is too long, it would take more "
+                    "than %ld pieces of motion (they reach t = %.9g s); make shorter steps", i + 1,
+                    k->begin + tau - now->time, k->begin + tau, MOST_PANELS, k->begin + k->to);
+    int made = !(k->next > 1e-13 * (end < tau ? end : tau))
                    ? -2
                    : motion->panel(1, k->last, k->constants, k->scale, &d, &m, &s, c->trial,
                                    c->work, after);
-    if (made < 0) {
-      now->phase = BROKEN;
+    if (made < 0)
       return report(c, FAILED, "logStatusError",
-                    "contact %ld: the motion cannot be continued past t = %.9g s: the path reaches "
-                    "a singular point of its chart or its surface, or moves too fast for double "
-                    "precision; set smaller inputs, end before or start elsewhere", i + 1,
-                    k->begin + k->to);
-    }
+                    "contact %ld: the motion cannot be continued past t = %.9g s: %s", i + 1,
+                    k->begin + k->to, obstacle(k));
     k->next = s.h;
     if (!made) continue;
-    memcpy(k->series, c->trial, sizeof k->series), memcpy(k->last, after, sizeof k->last);
+    memcpy(k->series, c->trial, (size_t)(n * (N + 1)) * sizeof(double));
+    memcpy(k->last, after, (size_t)n * sizeof(double));
     k->from = k->to, k->to = s.tau, s.before = k->series;
     lay_anchors(now, i);
+  }
+  return OK;
+}
+
+/* All contacts to one time, or none: after a failure the values are those of the time before. */
+static status_t advance_all(component_t *c, double time) {
+  contact_t *own = c->now.contact;
+  int moves[N_CONTACTS] = {0};
+  for (long i = 0; i < N_CONTACTS; i++) {
+    const double tau = time - own[i].begin;
+    if (own[i].to >= tau) continue;
+    memcpy(&c->before[i], &own[i], sizeof own[i]), moves[i] = 1;
+    if (!advance(c, i, tau)) continue;
+    for (long j = 0; j <= i; j++)
+      if (moves[j]) memcpy(&own[j], &c->before[j], sizeof own[j]);
+    c->now.phase = BROKEN;
+    return FAILED;
   }
   return OK;
 }
@@ -734,8 +764,7 @@ status_t step(component_t *c, double target, int stop_at_edges, int *edge) {
     const double next = next_edge(c);
     *edge = reached(target, next);
     const double goal = *edge ? next : fmin(target, now->limit);
-    for (long i = 0; i < N_CONTACTS; i++)
-      if (advance(c, i, goal - now->contact[i].begin)) return FAILED;
+    if (advance_all(c, goal)) return FAILED;
     set_time(c, goal);
     if (!*edge) break;
     now->pending = 1;

@@ -140,6 +140,7 @@ typedef struct {
 
 typedef struct component {
   memory_t now;
+  contact_t before[N_CONTACTS]; /* as a step found them, should it fail */
   moment_t moment[N_CONTACTS]; /* at the present time, where memory_t.valid says so */
   int warned[N_CONTACTS][2];   /* the path is near a pole, and the log says so */
   double work[(2 * MAX_STATES + 3) * N], trial[MAX_STATES * (N + 1)], seed[N_VALUES],

@@ -22,8 +22,9 @@ typedef struct {
 } saved_t;
 
 #define SAVED 0x5354415445u /* "STATE" */
-#define RUNNING (INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED)
-#define ANY (INSTANTIATED | CONFIGURATION | RUNNING | BROKEN)
+/* where values can be got; after a step that failed those are of the time before it */
+#define RUNNING (INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED | BROKEN)
+#define ANY (INSTANTIATED | CONFIGURATION | RUNNING)
 
 /* position of a category in LogCategories, or -1 */
 static inline int category_index(const char *category) {
