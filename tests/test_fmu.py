@@ -843,6 +843,34 @@ def test_steps_return_early_at_window_edges_where_that_is_allowed(exported):
     assert relative(fmu.states(one), cs.plan(fmu.scene).states(4.0).ravel()) < 1e-12
 
 
+def test_a_step_returns_at_the_time_that_the_importer_asks_for(exported):
+    """FMI 3.0.2, 4.2.1.2: earlyReturnTime may lie after the intermediate update."""
+    fmu, told = exported("K4", "3.0"), []
+
+    def update(environment, time, sets, gets, finished, may_return, wants, when):
+        told.append(time)
+        wants[0], when[0] = time == 1.0, 1.6
+
+    one = fmu.instance(ready=False, earlyReturnAllowed=True, intermediateUpdate=update)
+    fmu.initialize(one)
+    assert fmu.step(one, 0.0, 4.0) == (False, False, True, 1.6)
+    assert told == [1.0, 1.6]
+    assert relative(fmu.states(one), cs.plan(fmu.scene).states(1.6).ravel()) < 1e-12
+
+
+def test_a_state_of_event_mode_goes_on_without_it(exported):
+    fmu = exported("K4", "3.0")
+    one = fmu.instance(ready=False, eventModeUsed=True, earlyReturnAllowed=True)
+    fmu.initialize(one)
+    one.enterStepMode()
+    fmu.step(one, 0.0, 4.0)
+    one.enterEventMode()
+    other = fmu.instance()
+    other.setFMUState(other.deserializeFMUState(one.serializeFMUState(one.getFMUState())))
+    fmu.step(other, 1.0, 0.7)
+    assert relative(fmu.states(other), cs.plan(fmu.scene).states(1.7).ravel()) < 1e-12
+
+
 def test_event_mode_of_fmpy_gives_the_same_motion(exported):
     fmu = exported("K4", "3.0")
     result = fmu.simulate(0.3, use_event_mode=True, early_return_allowed=True)

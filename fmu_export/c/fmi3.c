@@ -475,18 +475,18 @@ fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueRefere
   return fmi3OK;
 }
 
-/* Tells the importer of an internal step; returns whether it wants to be back at once. */
-static int told(component_t *c) {
+/* Tells the importer of an internal step; returns until when to go on, `target` at most. */
+static double told(component_t *c, double target) {
   const instance_t *instance = c->host;
   fmi3Boolean wants = fmi3False;
   fmi3Float64 when = c->now.time;
-  if (!instance->update) return 0;
+  if (!instance->update) return target;
   c->now.phase = INTERMEDIATE;
   ((fmi3IntermediateUpdateCallback)instance->update)(instance->environment, c->now.time, fmi3False,
                                                      fmi3True, fmi3True, instance->early_return,
                                                      &wants, &when);
   c->now.phase = STEP;
-  return instance->early_return && wants && when <= c->now.time;
+  return instance->early_return && wants && when < target ? fmax(when, c->now.time) : target;
 }
 
 fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 from, fmi3Float64 size,
@@ -496,19 +496,21 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 from, fmi3Float64 size,
   BEGIN("fmi3DoStep", STEP);
   const instance_t *own = instance;
   const double target = from + size;
+  double until = target;
   int edge = 0, back = 0;
   if (!event || !terminate || !early || !last_time) REFUSE("fmi3DoStep: a pointer is missing");
   *event = *terminate = *early = fmi3False, *last_time = c->now.time;
   if (check_step(c, from, size)) return fmi3Error;
-  while (c->now.time < target && !back) {
+  while (c->now.time < until && !back) {
     const double before = c->now.time;
-    status_t s = step(c, target, 1, &edge);
+    status_t s = step(c, until, 1, &edge);
     *last_time = c->now.time;
     *terminate = c->now.ended;
     if (s) return (fmi3Status)s;
     if (edge)
       report(c, OK, "logEvents", "a disturbance window begins or ends at t = %.17g s", c->now.time);
-    back = told(c) || (edge && c->now.uses_events && own->early_return) || c->now.time <= before;
+    until = told(c, until);
+    back = (edge && c->now.uses_events && own->early_return) || c->now.time <= before;
   }
   *event = edge && c->now.uses_events;
   *early = !reached(c->now.time, target);
