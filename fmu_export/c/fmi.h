@@ -107,6 +107,7 @@ static inline status_t restore_saved(component_t *c, void *state) {
                   s->memory.stepping ? "Co-Simulation" : "Model Exchange");
   memcpy(&c->now, &s->memory, sizeof c->now);
   c->now.uses_events = ((const instance_t *)c->host)->uses_events;
+  if (c->now.phase == EVENT && c->now.stepping && !c->now.uses_events) c->now.phase = STEP;
   memset(c->now.valid, 0, sizeof c->now.valid);
   return OK;
 }
