@@ -63,7 +63,7 @@ def headers(fmi_version: str) -> dict[str, str]:
         "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
         "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
     }[fmi_version]
-    return {name: (FMI_HEADERS / name).read_text() for name in names}
+    return {name: (FMI_HEADERS / name).read_text("utf-8") for name in names}
 
 
 def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
@@ -91,7 +91,7 @@ def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
     kept.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=kept.parent) as folder:
         for file, content in sources.items():
-            (Path(folder) / file).write_text(content)
+            (Path(folder) / file).write_text(content, "utf-8")
         # A Windows library carries the name it is linked under, and programs look for that one.
         built = Path(folder) / f"{identifier}{_platform(target)[2]}"
         names = sorted(file.removesuffix(".c") for file in sources if file.endswith(".c"))

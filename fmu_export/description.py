@@ -96,7 +96,7 @@ def model_description(
             files = ET.SubElement(element, "SourceFiles")
             files.extend(ET.Element("File", name=name) for name in sources)
     root.set("generationDateAndTime", time.strftime("%Y-%m-%dT%H:%M:%SZ", generation_time()))
-    return _text(root)
+    return xml_text(root)
 
 
 def check_choice(fmi_version: str, interfaces: Sequence[str]) -> None:
@@ -118,8 +118,8 @@ def instantiation_token(description: str) -> str:
 
 
 def model_identifier(table: Table) -> str:
-    """The scene's name as a C identifier."""
-    name = re.sub(r"\W", "_", table.scene.name, flags=re.ASCII)
+    """The scene's name as a C identifier, which names files too."""
+    name = re.sub(r"\W", "_", table.scene.name[:100], flags=re.ASCII)
     return name if re.match("[A-Za-z]", name) else f"scene_{name}".rstrip("_")
 
 
@@ -288,7 +288,7 @@ def build_description(table: Table, sources: Sequence[str]) -> str:
     for name in sources:
         ET.SubElement(files, "SourceFile", name=name)
     ET.SubElement(build, "Library", name="m", external="true")
-    return _text(root)
+    return xml_text(root)
 
 
 def terminals(table: Table, fmi_version: str = "3.0") -> str:
@@ -310,7 +310,7 @@ def terminals(table: Table, fmi_version: str = "3.0") -> str:
                     terminal, "TerminalMemberVariable", variableName=v.name,
                     memberName=v.name.replace(f"contact[{i + 1}].", ""), variableKind="signal",
                 )  # fmt: skip
-    return _text(root)
+    return xml_text(root)
 
 
 def _digest(root: ET.Element, scene: Scene) -> str:
@@ -321,6 +321,14 @@ def _digest(root: ET.Element, scene: Scene) -> str:
     return "{" + hashlib.sha256(text).hexdigest()[:32] + "}"
 
 
-def _text(root: ET.Element) -> str:
+def xml_text(root: ET.Element) -> str:
+    """An XML document; characters that XML cannot hold become U+FFFD."""
     ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, "unicode") + "\n"
+    head = '<?xml version="1.0" encoding="UTF-8"?>\n'
+    return head + printable(ET.tostring(root, "unicode")) + "\n"
+
+
+def printable(text: str) -> str:
+    """The text with U+FFFD for characters that XML and HTML cannot hold (XML 1.0, 2.2)."""
+    allowed = "\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff"
+    return re.sub(f"[^{allowed}]", "\ufffd", text)

@@ -10,7 +10,7 @@ import numpy as np
 
 from contact_system import __version__
 
-from .description import listed, terminals
+from .description import listed, printable, terminals
 from .variables import Table, unit_name
 
 
@@ -37,7 +37,7 @@ def page(table: Table, fmi_version: str) -> str:
         f"from {d.start:g} s to {d.stop:g} s</li>"
         for d in scene.disturbances
     )
-    return (
+    return printable(
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f"<title>{escape(scene.name)}</title><style>body{{font-family:sans-serif;max-width:60em;"
         "margin:2em auto}td{padding:.1em .6em;vertical-align:top}</style></head><body>\n"

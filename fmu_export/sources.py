@@ -60,8 +60,8 @@ def c_sources(table: Table, token: str, fmi_version: str) -> dict[str, str]:
     fmi_version : "2.0" or "3.0"
     """
     layer = f"fmi{fmi_version[0]}.c"
-    files = {name: (C_SOURCES / name).read_text() for name in (*HAND_WRITTEN, layer)}
-    files["common.h"] = (kernels.C_SOURCES / "common.h").read_text()
+    files = {name: (C_SOURCES / name).read_text("utf-8") for name in (*HAND_WRITTEN, layer)}
+    files["common.h"] = (kernels.C_SOURCES / "common.h").read_text("utf-8")
     model = _Model(table, token)
     return files | model.motions | {"model.h": model.header, "model.c": model.source}
 
@@ -106,8 +106,8 @@ class _Model:
         laws = ", ".join(law.upper() for law in LAWS)
         text = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
         return (
-            f"/* {scene.name}: generated */\n#ifndef CONTACT_MODEL\n#define CONTACT_MODEL\n"
-            f"{text}enum {{ {laws} }};\n#endif\n"
+            f"/* {model_identifier(self.table)}: generated */\n"
+            f"#ifndef CONTACT_MODEL\n#define CONTACT_MODEL\n{text}enum {{ {laws} }};\n#endif\n"
         )
 
     def _source(self, kind_rows: Sequence[str], places: Sequence[str], token: str) -> str:

@@ -143,12 +143,24 @@ def test_the_identifier_is_a_c_name():
     scene = cs.load_scene("C1")
     for name, identifier in (("4 balls & a cup", "scene_4_balls___a_cup"), ("", "scene")):
         assert model_identifier(variable_table(scene.replace(name=name))) == identifier
+    assert len(model_identifier(variable_table(scene.replace(name="x" * 300)))) == 100
 
 
 def test_names_are_escaped_for_xml(written):
     scene = cs.load_scene("C1").replace(name="a<b>&\"c'", description="1 < 2 & 3")
     read = read_model_description(written(scene, "2.0"))
     assert (read.modelName, read.description) == ("a<b>&\"c'", "1 < 2 & 3")
+
+
+def test_characters_that_xml_cannot_hold_are_replaced(written):
+    scene = cs.load_scene("C1")
+    contact = dataclasses.replace(scene.contacts[0], name="\ud800b")
+    scene = scene.replace(name="a\x01b", description="\x00\ufffe", contacts=[contact])
+    read = read_model_description(written(scene, "3.0"))
+    assert (read.modelName, read.description) == ("a\ufffdb", "\ufffd\ufffd")
+    assert "\ufffdb" in ET.fromstring(terminals(variable_table(scene)).encode())[0][0].get(
+        "description"
+    )
 
 
 def test_the_build_description_is_valid(tmp_path):
