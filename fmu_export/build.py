@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -137,14 +137,54 @@ def library_place(name: str, target: str, fmi_version: str) -> str:
     return f"binaries/{folder2 if fmi_version == '2.0' else folder3}/{name}{suffix}"
 
 
-def write_fmu(path: Path, files: Mapping[str, bytes], moment: Sequence[int]) -> None:
-    """Write a zip file whose bytes depend on the files and the moment (y, m, d, h, min, s) only."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+def target(path: str | os.PathLike) -> Path:
+    """The path of a file to write.
+
+    Raises
+    ------
+    ContactSystemError
+        It is a folder, or lies in something that is none.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise ContactSystemError(f"'{path}' is a folder; name the file to write in it")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ContactSystemError(f"no file can be written to '{path}': {error}") from None
+    return path
+
+
+def write_fmu(
+    path: Path,
+    files: Mapping[str, bytes],
+    moment: Sequence[int],
+    check: Callable[[str], Sequence[str]] = lambda half: (),
+) -> None:
+    """Write a zip file whose bytes depend on the files and the moment (y, m, d, h, min, s) only.
+
+    ``check`` says what is wrong with the file; one that is wrong replaces nothing.
+
+    Raises
+    ------
+    ContactSystemError
+        What ``check`` says, or why the file cannot be written.
+    """
+    # zip knows the years 1980 to 2107 only
+    stamp = min(max(tuple(moment), (1980, 1, 1, 0, 0, 0)), (2107, 12, 31, 23, 59, 58))
     half = path.with_name(path.name + ".part")
-    with zipfile.ZipFile(half, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        for name in sorted(files):
-            entry = zipfile.ZipInfo(name, tuple(moment))  # type: ignore[arg-type]
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.create_system, entry.external_attr = 3, 0o644 << 16
-            archive.writestr(entry, files[name])
-    os.replace(half, path)
+    try:
+        with zipfile.ZipFile(half, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+            for name in sorted(files):
+                entry = zipfile.ZipInfo(name, stamp)  # type: ignore[arg-type]
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                entry.create_system, entry.external_attr = 3, 0o644 << 16
+                archive.writestr(entry, files[name])
+        problems = check(str(half))
+        if problems:
+            raise ContactSystemError(f"{path}: fmpy's validation says: " + "; ".join(problems))
+        os.replace(half, path)
+    except OSError as error:
+        raise ContactSystemError(f"'{path}' cannot be written: {error}") from None
+    finally:
+        half.unlink(missing_ok=True)

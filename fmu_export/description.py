@@ -104,9 +104,10 @@ def check_choice(fmi_version: str, interfaces: Sequence[str]) -> None:
     if fmi_version not in VERSIONS:
         raise ContactSystemError(f"fmi_version = {fmi_version!r}: use one of {', '.join(VERSIONS)}")
     unknown = [i for i in interfaces if i not in INTERFACES]
-    if unknown or not interfaces:
+    if unknown or not interfaces or len(set(interfaces)) < len(interfaces):
         raise ContactSystemError(
-            f"interfaces = {tuple(interfaces)!r}: give one or both of {', '.join(INTERFACES)}"
+            f"interfaces = {tuple(interfaces)!r}: give one or both of {', '.join(INTERFACES)}, "
+            "each once"
         )
 
 
@@ -129,9 +130,23 @@ def listed(table: Table, fmi_version: str) -> list[Variable]:
 
 
 def generation_time() -> time.struct_time:
-    """Now, or ``$SOURCE_DATE_EPOCH``, in UTC."""
+    """Now, or ``$SOURCE_DATE_EPOCH``, in UTC.
+
+    Raises
+    ------
+    ContactSystemError
+        The variable does not hold seconds since 1970.
+    """
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    return time.gmtime(int(epoch) if epoch else None)
+    try:
+        moment = time.gmtime(int(epoch) if epoch else None)
+        if 1970 <= moment.tm_year <= 9999:
+            return moment
+    except (ValueError, OverflowError, OSError):
+        pass
+    raise ContactSystemError(
+        f"SOURCE_DATE_EPOCH = {epoch!r}: give seconds since 1970, such as 1700000000, or unset it"
+    )
 
 
 # --- head ----------------------------------------------------------------------------------------

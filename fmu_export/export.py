@@ -41,7 +41,8 @@ def export_fmu(
     ----------
     scene : Scene
     path : path
-        The file to write, such as ``planner.fmu``.
+        The file to write, such as ``planner.fmu``. Nothing is written, and what is there stays,
+        unless all goes well.
     fmi_version : "2.0" or "3.0"
     interfaces : sequence of "CoSimulation" and "ModelExchange"
     platforms : sequence of str
@@ -57,8 +58,10 @@ def export_fmu(
     Raises
     ------
     ContactSystemError
-        A scene that no importer can step, no compiler, or an FMU that fmpy's validation refuses.
+        A scene that no importer can step, a path that cannot be written to, no compiler, or an
+        FMU that fmpy's validation refuses.
     """
+    path, moment = build.target(path), generation_time()
     if not platforms:
         raise ContactSystemError('platforms = (): give at least one, such as ("native",)')
     table = variable_table(scene)
@@ -78,9 +81,5 @@ def export_fmu(
         place = build.library_place(name, platform, fmi_version)
         files[place] = build.library(texts, name, platform)
     tell("packing")
-    path = Path(path)
-    build.write_fmu(path, files, generation_time()[:6])
-    problems = validate_fmu(str(path))
-    if problems:
-        raise ContactSystemError(f"{path}: fmpy's validation says: " + "; ".join(problems))
+    build.write_fmu(path, files, moment[:6], validate_fmu)
     return path

@@ -155,7 +155,7 @@ def _connect(parent: ET.Element, start: tuple[str, str], end: tuple[str, str]) -
 
 def _export_consumer(count: int, path: Path, platforms: Sequence[str]) -> Path:
     """The FMU of c/slip_integrator.c for so many contacts."""
-    text = (Path(__file__).parent / "c" / f"{CONSUMER}.c").read_text()
+    text = (Path(__file__).parent / "c" / f"{CONSUMER}.c").read_text("utf-8")
     token = "{" + hashlib.sha256(f"{count} {text}".encode()).hexdigest()[:32] + "}"
     header = f'#define N_CONTACTS {count}\n#define TOKEN "{token}"\n'
     texts = {f"{CONSUMER}.c": text, f"{CONSUMER}.h": header} | build.headers("2.0")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import zipfile
 
 import pytest
 
@@ -13,6 +14,13 @@ fmpy = pytest.importorskip("fmpy")
 from fmpy.validation import validate_fmu  # noqa: E402
 
 from fmu_export import cli, export_fmu  # noqa: E402
+from fmu_export.build import write_fmu  # noqa: E402
+
+WRONG = b"""<fmiModelDescription fmiVersion="2.0" modelName="x" guid="x">
+<CoSimulation modelIdentifier="x"/><ModelVariables><ScalarVariable name="a" valueReference="1"
+causality="output"><Real/></ScalarVariable></ModelVariables><ModelStructure/>
+</fmiModelDescription>"""
+"""An output that the structure does not list."""
 
 
 def command(*words: str) -> int:
@@ -43,6 +51,30 @@ def test_file_is_named_after_the_scene(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     command("K1")
     assert (tmp_path / "K1.fmu").exists() and "wrote K1.fmu" in capsys.readouterr().out
+
+
+def test_what_cannot_be_written_to_is_told_before_anything_is_made(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    for out in ("", str(tmp_path)):
+        with pytest.raises(cs.ContactSystemError, match="is a folder; name the file to write in"):
+            command("K1", "-o", out)
+    with pytest.raises(cs.ContactSystemError, match="no file can be written to"):
+        command("K1", "-o", "file/k1.fmu")
+    with pytest.raises(cs.ContactSystemError, match="each once"):
+        command("K1", "--interfaces", "CoSimulation", "CoSimulation")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_wrong_file_replaces_nothing_and_leaves_nothing_behind(tmp_path):
+    path, moment = tmp_path / "good.fmu", (1970, 1, 1, 0, 0, 0)
+    path.write_bytes(b"good")
+    with pytest.raises(cs.ContactSystemError, match="good.fmu: fmpy's validation says: "):
+        write_fmu(path, {"modelDescription.xml": WRONG}, moment, validate_fmu)
+    assert path.read_bytes() == b"good"
+    write_fmu(path, {"modelDescription.xml": WRONG}, moment)  # before 1980: zip's first year
+    assert zipfile.ZipFile(path).infolist()[0].date_time == (1980, 1, 1, 0, 0, 0)
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_wrong_words_are_told(tmp_path, capsys):

@@ -137,6 +137,10 @@ def test_the_date_is_the_one_asked_for(monkeypatch, written):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
     read = read_model_description(written("C1", "2.0"))
     assert read.generationDateAndTime == "1970-01-02T00:00:00Z"
+    for wrong in ("abc", "-1", "1e9", "9" * 30):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", wrong)
+        with pytest.raises(cs.ContactSystemError, match=f"SOURCE_DATE_EPOCH = '{wrong}': give"):
+            written("C1", "2.0")
 
 
 def test_the_identifier_is_a_c_name():
@@ -179,7 +183,13 @@ def test_a_terminal_gathers_a_contact():
 
 
 @pytest.mark.parametrize(
-    "options", [{"fmi_version": "1.0"}, {"interfaces": ()}, {"interfaces": ("Scheduled",)}]
+    "options",
+    [
+        {"fmi_version": "1.0"},
+        {"interfaces": ()},
+        {"interfaces": ("Scheduled",)},
+        {"interfaces": ("CoSimulation", "CoSimulation")},
+    ],
 )
 def test_what_there_is_not_is_refused(options):
     with pytest.raises(cs.ContactSystemError, match=r"use one of|give one or both"):
