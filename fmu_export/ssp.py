@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import tempfile
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from fmpy.validation import validate_fmu
@@ -20,7 +21,7 @@ from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
 from . import build
-from .description import generation_time
+from .description import generation_time, xml_text
 from .export import export_fmu
 from .variables import Table, Unit, unit_name, variable_table
 
@@ -61,18 +62,28 @@ def export_ssp(
     named = {"": scenes} if isinstance(scenes, Scene) else dict(scenes)
     if not named:
         raise ContactSystemError("scenes = {}: give at least one")
+    path, moment = build.target(path), generation_time()
     tables = {name: variable_table(scene) for name, scene in named.items()}
+    stems = _file_stems(named)
     files = {"SystemStructure.ssd": system_structure(tables).encode()}
     with tempfile.TemporaryDirectory(prefix="contact-system-") as folder:
         for name, scene in named.items():
-            planner, consumer = _elements(name)
+            planner, consumer = _elements(stems[name])
             own = export_fmu(scene, Path(folder) / "own.fmu", "2.0", ("CoSimulation",), platforms)
             files[f"resources/{planner}.fmu"] = own.read_bytes()
             other = _export_consumer(len(scene.contacts), Path(folder) / "other.fmu", platforms)
             files[f"resources/{consumer}.fmu"] = other.read_bytes()
-    path = Path(path)
-    build.write_fmu(path, files, generation_time()[:6])
+    build.write_fmu(path, files, moment[:6])
     return path
+
+
+def _file_stems(names: Iterable[str]) -> dict[str, str]:
+    """Name -> what files begin with: nothing that a file name or a URI would need to escape."""
+    found: dict[str, str] = {}
+    for k, name in enumerate(names):
+        stem = re.sub(r"\W", "_", name[:100], flags=re.ASCII)
+        found[name] = f"{stem}_{k + 1}" if stem in found.values() else stem
+    return found
 
 
 def _elements(name: str) -> tuple[str, str]:
@@ -94,10 +105,14 @@ def system_structure(tables: Mapping[str, Table]) -> str:
         _add(system, tag) for tag in ("Connectors", "Elements", "Connections")
     )
     units: set[Unit] = {SLIP, DISTANCE}
+    stems = _file_stems(tables)
     for name, table in tables.items():
         prefix = f"{name}." if name else ""
         planner, consumer = _elements(name)
-        own, other = (_component(elements, element) for element in (planner, consumer))
+        own, other = (
+            _component(elements, element, file)
+            for element, file in zip((planner, consumer), _elements(stems[name]))
+        )
         for v in (v for v in table.scalars() if v.causality == "input"):
             _connect(connections, ("", prefix + v.name), (planner, v.name))
             _connector(outside, prefix + v.name, "input", v.unit)
@@ -120,18 +135,17 @@ def system_structure(tables: Mapping[str, Table]) -> str:
         ET.SubElement(own, f"{{{_SSC}}}BaseUnit", exponents)
     stop = max(table.scene.duration for table in tables.values())
     _add(root, "DefaultExperiment", startTime="0", stopTime=repr(stop))
-    ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, "unicode") + "\n"
+    return xml_text(root)
 
 
 def _add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
     return ET.SubElement(parent, f"{{{_SSD}}}{tag}", attributes)
 
 
-def _component(elements: ET.Element, name: str) -> ET.Element:
+def _component(elements: ET.Element, name: str, file: str) -> ET.Element:
     """A component, for its connectors."""
     component = _add(elements, "Component", name=name, type="application/x-fmu-sharedlibrary",
-                     source=f"resources/{name}.fmu")  # fmt: skip
+                     source=f"resources/{file}.fmu")  # fmt: skip
     return _add(component, "Connectors")
 
 
@@ -164,10 +178,7 @@ def _export_consumer(count: int, path: Path, platforms: Sequence[str]) -> Path:
     for platform in platforms:
         place = build.library_place(CONSUMER, platform, "2.0")
         files[place] = build.library(texts, CONSUMER, platform)
-    build.write_fmu(path, files, generation_time()[:6])
-    problems = validate_fmu(str(path))
-    if problems:
-        raise ContactSystemError(f"{CONSUMER}: fmpy's validation says: " + "; ".join(problems))
+    build.write_fmu(path, files, generation_time()[:6], validate_fmu)
     return path
 
 
@@ -198,5 +209,4 @@ def _consumer_description(count: int, token: str) -> str:
     outputs = ET.SubElement(ET.SubElement(root, "ModelStructure"), "Outputs")
     for i in range(count):  # a state: it does not depend on the inputs of the same moment
         ET.SubElement(outputs, "Unknown", index=str(len(slips) + 1 + i), dependencies="")
-    ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, "unicode") + "\n"
+    return xml_text(root)

@@ -16,7 +16,8 @@ from fmpy.ssp.simulation import simulate_ssp  # noqa: E402
 from fmpy.ssp.ssd import read_ssd  # noqa: E402
 from fmpy.validation import validate_fmu  # noqa: E402
 
-from fmu_export.ssp import export_ssp  # noqa: E402
+from fmu_export.ssp import export_ssp, system_structure  # noqa: E402
+from fmu_export.variables import variable_table  # noqa: E402
 
 STEP = 0.01
 
@@ -46,16 +47,22 @@ def test_consumer_adds_up_the_slip_of_the_plan(tmp_path):
 
 def test_disturbances_come_in_through_the_system_and_planners_do_not_mix(tmp_path):
     left, right = one_contact(), one_contact("ellipsoid", object_velocity="rolling")
-    path = export_ssp({"left": left, "right": right}, tmp_path / "two.ssp")
-    push = "right.contact[1].finger.acceleration.u"
+    path = export_ssp({"100%": left, "../right": right}, tmp_path / "two.ssp")
+    with zipfile.ZipFile(path) as archive:  # names that a file or a URI would have to escape
+        assert archive.namelist() == [
+            "SystemStructure.ssd", "resources/100__planner.fmu",
+            "resources/100__slip_integrator.fmu", "resources/___right_planner.fmu",
+            "resources/___right_slip_integrator.fmu",
+        ]  # fmt: skip
+    push = "../right.contact[1].finger.acceleration.u"
     result = simulate_ssp(
         str(path), stop_time=0.5, step_size=STEP, input={push: lambda t: 0.5 if t < 0.2 else 0.0}
     )
-    assert distances(result, 1, "left.") == pytest.approx(slid(left, len(result)), abs=1e-15)
+    assert distances(result, 1, "100%.") == pytest.approx(slid(left, len(result)), abs=1e-15)
     # The input acts one step late, as all that passes through fmpy's connections.
     window = cs.FingerAcceleration(0, STEP, 0.2 + STEP, (0.5, 0.0))
     pushed = slid(right.replace(disturbances=[window]), len(result))
-    assert distances(result, 1, "right.") == pytest.approx(pushed, abs=1e-12)
+    assert distances(result, 1, "../right.") == pytest.approx(pushed, abs=1e-12)
     assert pushed[-1] > 1e-6
 
 
@@ -68,6 +75,18 @@ def test_file_is_valid_and_holds_valid_fmus(tmp_path):
         for name in fmus:
             archive.extract(name, tmp_path)
             assert validate_fmu(str(tmp_path / name)) == []
+    consumer = str(tmp_path / fmus[1])
+    slips = {"distance[1]": 0.25, "slip[1].x": 0.3, "slip[1].y": -0.4}
+    result = fmpy.simulate_fmu(consumer, start_values=slips, stop_time=1.0, output_interval=0.5)
+    assert result["distance[1]"].tolist() == pytest.approx([0.25, 0.5, 0.75], abs=1e-15)
+
+
+def test_names_alike_get_files_of_their_own():
+    scene = one_contact()
+    tables = {name: variable_table(scene) for name in ("a/b", "a b")}
+    text = system_structure(tables)
+    for file in ("a_b_planner", "a_b_2_planner", "a_b_2_slip_integrator"):
+        assert text.count(f'source="resources/{file}.fmu"') == 1
 
 
 def test_empty_system_is_refused(tmp_path):

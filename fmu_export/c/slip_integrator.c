@@ -15,6 +15,7 @@
 
 typedef struct {
   double value[N_VALUES];
+  int begun; /* initialized: distances are no start values any more */
 } block_t;
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
@@ -46,9 +47,16 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t co
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count,
                        const fmi2Real value[]) {
+  block_t *block = c;
+  const fmi2ValueReference n = block->begun ? N_INPUTS : N_VALUES;
   for (size_t k = 0; k < count; k++)
-    if (vr[k] >= N_INPUTS || !(fabs(value[k]) < HUGE_VAL)) return fmi2Error;
-  for (size_t k = 0; k < count; k++) ((block_t *)c)->value[vr[k]] = value[k];
+    if (vr[k] >= n || !(fabs(value[k]) < HUGE_VAL)) return fmi2Error;
+  for (size_t k = 0; k < count; k++) block->value[vr[k]] = value[k];
+  return fmi2OK;
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+  ((block_t *)c)->begun = 1;
   return fmi2OK;
 }
 
@@ -69,7 +77,6 @@ NOTHING_TO_DO(fmi2SetDebugLogging, fmi2Component c, fmi2Boolean on, size_t n, co
 NOTHING_TO_DO(fmi2SetupExperiment, fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance,
               fmi2Real start, fmi2Boolean stop_defined, fmi2Real stop)
 NOTHING_TO_DO(fmi2EnterInitializationMode, fmi2Component c)
-NOTHING_TO_DO(fmi2ExitInitializationMode, fmi2Component c)
 NOTHING_TO_DO(fmi2Terminate, fmi2Component c)
 
 #define NOT_HERE(name, ...) \
