@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from .development import Panels
-from .kernels import Kernel, address, per_structure
+from .kernels import Kernel, address, made_once, per_structure
 from .profile import GainPiece
 from .surfaces import Surface
 from .tracks import (
@@ -261,7 +260,7 @@ def pair_of(tracks: Sequence[CircleTrack]) -> CircleTrack | None:
     )  # fmt: skip
 
 
-@functools.cache
+@made_once
 def circle_branch() -> Kernel:
     """point: v, theta, w (2), node (4) -> the branch of :func:`circle_kernel`'s constants.
 
@@ -308,7 +307,7 @@ def great_circle(
     return Circle(w, pace, phase_per_metre, np.ascontiguousarray(found[:, :-2]))
 
 
-@functools.cache
+@made_once
 def turned() -> Kernel:
     """point: theta, w (2) -> Rot(theta) w."""
     point = SX.sym("point", 3)

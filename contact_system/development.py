@@ -42,6 +42,7 @@ from .kernels import (
     find_compiler,
     function_address,
     library_path,
+    made_once,
     per_structure,
 )
 from .profile import GainPiece
@@ -115,7 +116,7 @@ def reflection(cos_psi: SX, sin_psi: SX) -> SX:
     return ca.vertcat(ca.horzcat(cos_psi, -sin_psi), ca.horzcat(-sin_psi, -cos_psi))
 
 
-@functools.cache
+@made_once
 def contact_start() -> Kernel:
     """point: psi, W_1 in E1 (2), the object's path velocity in E2 (2) -> R_psi by rows (4), W_2, V.
 
@@ -257,7 +258,7 @@ def axis_forced_motion(
     return made
 
 
-@functools.cache
+@made_once
 def slip_displacement() -> Kernel:
     """Kernel of s' = sigma, g' = sigma decay (theory section 4), all that slip costs on a
     developable body."""
