@@ -47,6 +47,7 @@ from .development import (
 from .kernels import Kernel, address, function_address, per_structure
 from .planner import (
     ENDLESS,
+    MOST_ALIKE,
     TINY,
     Group,
     SlipRecord,
@@ -784,8 +785,13 @@ def _forget() -> None:
         _SEEN.clear()
 
 
+def are_few(scene: Scene) -> bool:
+    """Whether a scene may have a kind: to compare disturbances of a crowd costs too much."""
+    return not scene.disturbances or len(scene.contacts) <= MOST_ALIKE
+
+
 def begin(scene: Scene, compiled: bool | None) -> Begun | None:
-    """What an undisturbed scene of a known kind is planned from; None for others."""
+    """What a scene of a known kind is planned from; None for others."""
     known: Begun | None = scene.__dict__.get("_begun")
     if known is not None and known.kind.compiled is compiled:
         return known

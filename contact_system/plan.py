@@ -109,7 +109,7 @@ class Plan:
             given = given or [scene_start(contact) for contact in scene.contacts]
             self._groups = chart_groups(scene, given, start, tolerance, solver)
         else:
-            numbers_alone = starts is None and compiled is not False
+            numbers_alone = starts is None and compiled is not False and kinds.are_few(scene)
             if numbers_alone:
                 self._begun = kinds.begin(scene, compiled)
             if self._begun is None:
