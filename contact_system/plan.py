@@ -80,7 +80,8 @@ class Plan:
     """Contact curves of a scene, evaluated on demand. Made by :func:`plan`.
 
     All times are in seconds inside [:attr:`start`, ``scene.duration``], in any order; results have
-    the times along their first axis and the contacts along the second.
+    the times along their first axis and the contacts along the second. Several threads may ask one
+    plan, and plan scenes, at the same time.
     """
 
     def __init__(
