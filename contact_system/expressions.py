@@ -192,9 +192,12 @@ class _Reader:
         if any(isinstance(value, SX) for value in values):
             return of_symbols(*values)
         try:
-            return of_numbers(*values)
+            found = of_numbers(*values)
         except (ArithmeticError, ValueError) as error:
             raise self.fail(node, f"this is no real number ({error})") from None
+        if not math.isfinite(found):
+            raise self.fail(node, "the number is too large")
+        return found
 
     @staticmethod
     def unknown(kind: str, name: str, known: list[str]) -> str:

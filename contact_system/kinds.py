@@ -57,10 +57,12 @@ from .planner import (
     slip_of,
     start_numbers,
 )
+from .program import Program
 from .scene import Scene
 from .surfaces import Surface
 from .tracks import (
     AXIS,
+    LOCK,
     Track,
     axis_kernel,
     lame_kernel,
@@ -372,14 +374,14 @@ class Begun:
         self.kind, self.block, self.at = kind, block, at
         self._group: Group | None = None
 
-    def group(self, scene: Scene, tolerance: float) -> Group:
+    def groups(self, scene: Scene, tolerance: float) -> list[Group]:
         """The scene's plan."""
         kind = self.kind
-        if not kind.alone:
-            return plan_groups(scene, None, 0.0, tolerance, kind.compiled)[0]
+        if not kind.alone:  # where slip is rounding, planning may tell it from none
+            return plan_groups(scene, None, 0.0, tolerance, kind.compiled)
         if self._group is None:
             self._group = kind.group(self.block, group_name(scene, kind.planned.contacts))
-        return self._group.again(tolerance)
+        return [self._group.again(tolerance)]
 
     def fill(
         self, output: str, count: int, t: np.ndarray, out: np.ndarray, tolerance: float
@@ -390,7 +392,15 @@ class Begun:
         if program is None:
             return -1
         return kind.library.fill_begun(
-            kind.at, self.at, tolerance, *program, count, len(t), address(t), address(out)
+            kind.at,
+            self.at,
+            tolerance,
+            program.at,
+            len(program.parts),
+            count,
+            len(t),
+            address(t),
+            address(out),
         )
 
     @property
@@ -530,7 +540,7 @@ class Kind:
             stage.tracks = tracks  # learned from no more: those keep panels
         self.planned = self._group(own, moved)
         self.closed = self.alone and not self._motions
-        self._programs: dict[str, tuple[int, int] | None] = {}
+        self._programs: dict[str, Program | None] = {}
         states = self.planned.chart_states(compiled) if self.alone else None
         self.states = None if states is None else states.at
 
@@ -574,18 +584,23 @@ class Kind:
         self._size += count * width
         return first, width
 
-    def program(self, output: str) -> tuple[int, int] | None:
-        """Address and number of the parts of :class:`Program`; None where there is none."""
+    def program(self, output: str) -> Program | None:
+        """The program of a scene's parts for ``fill_begun``; None where there is none."""
         if output not in self._programs:
-            found = self.planned.program(output)
-            for part, track in zip(found.parts, found.tracks) if found is not None else ():
-                if isinstance(track, PanelTrack) and track.motion is not None:
-                    part.moves = 1 + self._motions.index(track.motion)
-                    part.row = track.rows.start or 0
-                if output == "coordinates" and not self.closed:
-                    self._continue(part, track)
-            self._programs[output] = None if found is None else (found.at, len(found.parts))
+            with LOCK:
+                if output not in self._programs:
+                    self._programs[output] = self._program(output)
         return self._programs[output]
+
+    def _program(self, output: str) -> Program | None:
+        found = self.planned.program(output)
+        for part, track in zip(found.parts, found.tracks) if found is not None else ():
+            if isinstance(track, PanelTrack) and track.motion is not None:
+                part.moves = 1 + self._motions.index(track.motion)
+                part.row = track.rows.start or 0
+            if output == "coordinates" and not self.closed:
+                self._continue(part, track)
+        return found
 
     def _continue(self, part: Any, track: Track) -> None:
         """Tell C how coordinates of a track continue those before it."""

@@ -37,7 +37,7 @@ from .planner import (
     scene_start,
 )
 from .program import SIDES, Program, program_of
-from .scene import ObjectRateOffset, Scene, scene_from_toml, scene_to_toml
+from .scene import ObjectRateOffset, Scene, require_scene, scene_from_toml, scene_to_toml
 from .surfaces import Surface
 from .tracks import Track
 
@@ -97,7 +97,7 @@ class Plan:
         if method not in METHODS:
             raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
         if not isinstance(scene, Scene):
-            raise SceneError(f"scene = {scene!r:.80}: give a Scene; load_scene reads one")
+            require_scene(scene)
         if not (type(tolerance) is float and 1e-15 <= tolerance <= 0.1):
             tolerance = _tolerance(tolerance)
         self.scene, self.tolerance, self.method = scene, tolerance, method
@@ -130,7 +130,7 @@ class Plan:
         """Contacts that move together, and their tracks."""
         if self._groups is None:
             assert self._begun is not None
-            self._groups = [self._begun.group(self.scene, self.tolerance)]
+            self._groups = self._begun.groups(self.scene, self.tolerance)
         return self._groups
 
     # --- results -------------------------------------------------------------------------------
@@ -263,8 +263,7 @@ class Plan:
             (in either scene), or ``method="chart"``.
         """
         after = self.scene if scene is None else scene
-        if not isinstance(after, Scene):
-            raise SceneError(f"continued: scene = {after!r:.80}; give a Scene")
+        require_scene(after)
         t = self._time(t)
         if not t < after.duration:
             raise SceneError(

@@ -897,6 +897,12 @@ def bundled_scenes() -> dict[str, str]:
     }
 
 
+def require_scene(scene: Any) -> None:
+    """Raise a SceneError where something else is given, such as a scene's name."""
+    if not isinstance(scene, Scene):
+        raise SceneError(f'scene = {scene!r:.80}: give a Scene, such as load_scene("K4")')
+
+
 def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
     """A bundled scene by its name, or a scene from a TOML file.
 

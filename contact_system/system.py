@@ -53,6 +53,7 @@ from .scene import (
     ObjectAcceleration,
     ObjectRateOffset,
     Scene,
+    require_scene,
 )
 from .surfaces import Ellipsoid, Surface
 from .tracks import (
@@ -401,8 +402,7 @@ class SceneSystem:
     def __init__(self, scene: Scene, coordinates: str = "chart", disturbance_input: bool = False):
         if coordinates not in COORDINATES:
             raise SceneError(f"coordinates = {coordinates!r}: use one of {', '.join(COORDINATES)}")
-        if not isinstance(scene, Scene):
-            raise SceneError(f'scene = {scene!r}: give a Scene, such as load_scene("K4")')
+        require_scene(scene)
         self.scene, self.coordinates, self.disturbance_input = scene, coordinates, disturbance_input
         self._refuse()
         n = len(scene.contacts)

@@ -145,7 +145,7 @@ class ParametricSurface(UserSurface):
         self.__post_init__()
         with SYMBOLS:
             variables = {"u": SX.sym("u"), "v": SX.sym("v")}
-            arguments, said = list(variables.values()), formula if f is None else f
+            arguments, said = list(variables.values()), _one_of(self._kind, "f", f, formula)
             own = _formula(self._kind, said, variables, arguments, parameters, 3)
         store(self, formula=own, size=positive_length(self, "size", size))
         for name, given, period in (("u", u_range, u_period), ("v", v_range, v_period)):
@@ -354,7 +354,7 @@ class ImplicitSurface(UserSurface):
         with SYMBOLS:
             x = SX.sym("x", 3)
             variables = {"x": x[0], "y": x[1], "z": x[2]}
-            said = formula if F is None else F
+            said = _one_of(self._kind, "F", F, formula)
             own = _formula(self._kind, said, variables, [x], parameters, 1)
         store(self, formula=own, size=positive_length(self, "size", size))
         store(self, center=_numbers(self._kind, "center", center, 3))
@@ -532,6 +532,12 @@ def _formula(
     """Turn a user's function or text into a checked `Formula` with ``count`` components."""
     numbers = _named(kind, parameters, variables)
     if isinstance(given, Formula):
+        function = _restore(given.code)
+        if (function.n_in(), function.numel_out(0)) != (1 + len(arguments), count):
+            raise SurfaceError(
+                f"{kind}: formula = {given.describe()} is that of another kind of surface; give "
+                f"one of {count} component{'s' * (count > 1)} in {', '.join(variables)}"
+            )
         return _with_numbers(kind, given, numbers)
     p = SX.sym("p", len(numbers))
     symbols = {name: p[i] for i, name in enumerate(numbers)}
@@ -559,6 +565,12 @@ def _formula(
                 "use numpy or casadi functions (np.cos), not those of math"
             )
     return Formula(function.serialize(), tuple(numbers), tuple(numbers.values()), text)
+
+
+def _one_of(kind: str, name: str, given: Any, formula: Formula | None) -> Any:
+    if given is not None and formula is not None:
+        raise SurfaceError(f"{kind}: {name} and formula are both given; give one of them")
+    return formula if given is None else given
 
 
 def _with_numbers(kind: str, formula: Formula, numbers: dict[str, float]) -> Formula:

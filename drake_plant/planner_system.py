@@ -584,6 +584,8 @@ def _define(T: type) -> type:
                 own.limits[:] = no_limits(self.system)
                 return
             self._Load(context)
+            if not np.isfinite(own.x).all():
+                _refuse(self.system, *own.given)
             own.run_pace()
             speed, slip, stretch = own.paces
             kept[0] = limits = kept[0].widened(stretch.reshape(-1, 2))

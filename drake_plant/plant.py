@@ -104,6 +104,7 @@ FINGER_GAP, OBJECT_GAP = 1.04, 2.9
 REACH = 0.02  # m, that meshes of unbounded surfaces reach beyond the planned patches
 SPACING = 0.0025  # m, of points along the plan that show where contacts go
 TURNING_GAIN = 1e8  # N m/rad
+AGES = 1e9  # s
 APPROXIMATIONS = ("sap", "lagged", "similar")
 MAY_BE_NONE = (
     "relaxation_time", "drake_spheres", "finger_edge", "object_edge", "restart_period",
@@ -321,7 +322,7 @@ def _add(
         _turning_joint(plant, object_body, turning)
     plant.Finalize()
     if turning is not None:
-        _connect_turning(builder, plant, turning, scene.duration)
+        _connect_turning(builder, plant, turning)
     return ScenePlant(scene, config, plant, scene_graph, object_body, fingers)
 
 
@@ -591,12 +592,11 @@ def _turning_joint(plant: MultibodyPlant, body: RigidBody, turning: Turning) -> 
     plant.AddJointActuator("turning", joint).set_controller_gains(gains)
 
 
-def _connect_turning(
-    builder: DiagramBuilder, plant: MultibodyPlant, turning: Turning, duration: float
-) -> None:
+def _connect_turning(builder: DiagramBuilder, plant: MultibodyPlant, turning: Turning) -> None:
     # A step ends at the angle desired at its beginning, which has to be that of its end.
     ahead = turning_angle(turning)(Polynomial([plant.time_step(), 1.0]))
-    path = PiecewisePolynomial([np.array([[DrakePolynomial(ahead.coef)]])], [0.0, duration])
+    # It goes on beyond the scene's end, as the planner does.
+    path = PiecewisePolynomial([np.array([[DrakePolynomial(ahead.coef)]])], [0.0, AGES])
     source = builder.AddSystem(TrajectorySource(path, output_derivative_order=1))
     source.set_name("turning")
     port = plant.get_desired_state_input_port(plant.GetModelInstanceByName("object"))

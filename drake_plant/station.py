@@ -31,7 +31,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventSta
 from pydrake.systems.primitives import LogVectorOutput
 
 from contact_system import Scene, SceneError, Surface
-from contact_system.scene import _naming
+from contact_system.scene import _naming, require_scene
 
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import DISCRETE_ONLY, DriverConfig, FingertipDriver
@@ -122,6 +122,7 @@ class StationConfig:
         SceneError
             An unknown key, with the nearest known one, or a value that is wrong.
         """
+        require_scene(scene)
         table = {**({"object": "turning"} if scene.turning else {}), **scene.drake, **changes}
         own = [f for f in dataclasses.fields(cls) if f.name not in ("plant", "driver")]
         known = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import platform
@@ -187,4 +188,5 @@ def write_fmu(
     except OSError as error:
         raise ContactSystemError(f"'{path}' cannot be written: {error}") from None
     finally:
-        half.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # a folder, which somebody else has made
+            half.unlink(missing_ok=True)

@@ -21,7 +21,7 @@ from pydrake.systems.primitives import Linearize, MatrixGain
 
 import contact_system as cs
 from contact_system import kernels
-from drake_plant import ContactPlanner, planner_system
+from drake_plant import BuildStation, ContactPlanner, planner_system
 
 COORDINATES = ("chart", "frame")
 ORDERS = {
@@ -613,6 +613,14 @@ def test_a_state_that_is_not_a_number_is_refused():
         planner.EvalTimeDerivatives(context)
 
 
+def test_a_state_that_is_not_a_number_is_named_when_a_simulation_starts():
+    planner = ContactPlanner(cs.load_scene("K4"))
+    simulator = Simulator(planner)
+    simulator.get_mutable_context().get_mutable_continuous_state_vector().SetAtIndex(2, np.nan)
+    with pytest.raises(cs.SceneError, match=r"contact 0: the state at t = 0 s is .*must be finite"):
+        simulator.AdvanceTo(0.1)
+
+
 def test_no_output_is_not_a_number():
     planner = ContactPlanner(cs.load_scene("K1"))
     for port in (*VALUES, "pose"):
@@ -641,6 +649,8 @@ def test_restarts_that_cannot_be_are_refused(options, message):
 def test_a_name_is_no_scene():
     with pytest.raises(cs.SceneError, match=r"scene = 'K4': give a Scene, such as load_scene"):
         ContactPlanner("K4")
+    with pytest.raises(cs.SceneError, match=r"scene = 'K4': give a Scene, such as load_scene"):
+        BuildStation("K4")
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)

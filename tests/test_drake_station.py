@@ -333,6 +333,15 @@ def test_an_object_turns_as_the_scene_says_without_being_asked_to(turned):
     assert not turned.object_pose[:, :3, 3].any()
 
 
+def test_an_object_goes_on_turning_beyond_the_end_of_its_scene(turned):
+    scene = turned.scene.replace(duration=0.02)
+    config = StationConfig.from_scene(scene, coordinates="frame", contact_model="point")
+    run = simulate(scene, config, duration=0.06)
+    found = Rotation.from_matrix(run.object_pose[-1, :3, :3])
+    wanted = Rotation.from_rotvec(scene.turning.rotation_vector(run.t[-1:]))
+    assert (found * wanted[0].inv()).magnitude() < 1e-7
+
+
 def test_a_finger_rolls_on_a_turning_object_and_does_not_turn_itself(turned):
     """The corollary's great circle, and what C1's profile was chosen for."""
     force = turned.measured["normal_force"][turned.t > 0.05]

@@ -67,7 +67,8 @@ def test_numbers_are_pythons_to_the_last_bit():
 @pytest.mark.parametrize(
     ("text", "column", "words"),
     [("0/0", 1, "division by zero"), ("2 + 1/0*u", 5, "division by zero"),
-     ("u*sqrt(-1)", 3, "domain"), ("(-8)**(1/3)", 1, "domain"), ("9**9**9", 1, "range")],
+     ("u*sqrt(-1)", 3, "domain"), ("(-8)**(1/3)", 1, "domain"), ("9**9**9", 1, "range"),
+     ("2*1e308*1e308", 1, "too large")],
 )  # fmt: skip
 def test_numbers_without_a_result_are_refused_by_column(text, column, words):
     with pytest.raises(ContactSystemError, match=f"column {column}: .*{words}"):

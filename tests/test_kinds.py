@@ -1,5 +1,6 @@
 """Scenes whose kind is known are planned by numbers alone: beside plans made in full."""
 
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from conftest import SURFACES
 
 import contact_system as cs
-from contact_system import kinds
+from contact_system import kinds, planner
 from contact_system.kernels import find_compiler
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
@@ -217,6 +218,44 @@ def test_disturbed_plans_of_a_kind_say_what_is_wrong_themselves():
     fast = cs.Contact(finger=start.finger, object_at=start.object_at, finger_velocity=(1e20, 0.0))
     with pytest.raises(cs.SceneError, match=r"contact 0: its path is"):
         cs.plan(scene.replace(contacts=[fast], disturbances=pushes), compiled=True)
+
+
+def test_slip_of_rounding_is_planned_as_the_full_plan_has_it():
+    """Full plans sort contacts by whether they slip, and may see none where a kind sees 1e-17."""
+    pushes = [cs.FingerAcceleration("all", 0.4, 0.6, (0.3, -0.2))]
+
+    def scene(v, velocity) -> cs.Scene:
+        contacts = [
+            cs.Contact(
+                finger=cs.Sphere(0.04), object_at=(at, 0.3), angle=0.3, object_velocity=given,
+                finger_velocity=own,
+            ) for at, own, given in ((1.0, (0.5, 0.1), "rolling"), (v, *velocity))
+        ]  # fmt: skip
+        return cs.Scene(object=cs.Sphere(0.1), contacts=contacts, profile=cs.Profile([0.05, 0.1]),
+                        gain=cs.Gain.path(300.0), duration=1.0, disturbances=pushes)  # fmt: skip
+
+    for k in range(3):
+        cs.plan(scene(1.02 + 0.01 * k, ((0.2, 0.3), "rolling")), compiled=True)
+    tiny = scene(1.1, ((0.0, 0.0), (1e-170, 0.0)))
+    plan = cs.plan(tiny, compiled=True)
+    assert begun(plan) and len(cs.plan(tiny, compiled=False).groups) == 2
+    compare(tiny, plan, ("points", "slip", "twist", "states", "points"))
+
+
+def test_threads_that_ask_a_kind_first_get_one_program(monkeypatch):
+    for scene in scenes(3, "sphere", "sphere", gain=cs.Gain.path(123.0)):
+        plan = cs.plan(scene, compiled=True)
+    make = planner.program_of
+
+    def slowly(*arguments):
+        made = make(*arguments)
+        time.sleep(0.05)
+        return made
+
+    monkeypatch.setattr(planner, "program_of", slowly)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: plan._begun.kind.program("frames"), range(4)))
+    assert all(program is found[0] for program in found)
 
 
 @pytest.mark.parametrize("disturbed", [False, True])

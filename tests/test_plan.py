@@ -123,7 +123,7 @@ def test_tolerance_may_be_of_any_kind_of_number():
 
 
 def test_what_is_no_scene_is_refused():
-    with pytest.raises(SceneError, match="scene = 'K4': give a Scene; load_scene reads one"):
+    with pytest.raises(SceneError, match="scene = 'K4': give a Scene, such as load_scene"):
         cs.plan("K4")
 
 
@@ -632,7 +632,7 @@ def test_continuing_refuses_other_surfaces_the_end_and_imposed_rolling():
         plan.continued(0.5, rolling)
     with pytest.raises(SceneError, match="contacts = 2, and the plan has 1; give"):
         plan.continued(0.5, plan.scene.replace(contacts=plan.scene.contacts * 2))
-    with pytest.raises(SceneError, match="scene = 'K4'; give a Scene"):
+    with pytest.raises(SceneError, match="scene = 'K4': give a Scene"):
         plan.continued(0.5, "K4")
     for ask in ("continued", "carried"):
         with pytest.raises(SceneError, match="'chart' carries no frames along"):

@@ -694,3 +694,14 @@ def test_errors_name_the_argument_the_value_and_the_remedy(make, words):
     with pytest.raises(SurfaceError) as caught:
         make()
     assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_a_formula_of_another_kind_of_surface_is_refused():
+    ground = ParametricSurface(("u", "v", "0.1*u*v"))
+    with pytest.raises(SurfaceError, match=r"another kind of surface; give one of 1 component"):
+        ImplicitSurface(formula=ground.formula)
+    ball = ImplicitSurface("x**2 + y**2 + z**2 - 1")
+    with pytest.raises(SurfaceError, match=r"give one of 3 components in u, v"):
+        ParametricSurface(formula=ball.formula)
+    with pytest.raises(SurfaceError, match=r"F and formula are both given"):
+        ImplicitSurface("x**2 + y**2 + 2*z**2 - 1", formula=ball.formula)

@@ -245,7 +245,8 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component instance, fmi2EventInfo *info) {
   if (!info) REFUSE("fmi2NewDiscreteStates: a pointer is missing");
   enter_windows(c);
   const double next = next_edge(c);
-  *info = (fmi2EventInfo){.nextEventTimeDefined = next < HUGE_VAL,
+  *info = (fmi2EventInfo){.terminateSimulation = c->now.ended && !c->now.stepping,
+                          .nextEventTimeDefined = next < HUGE_VAL,
                           .nextEventTime = next < HUGE_VAL ? next : 0.0};
   return fmi2OK;
 }

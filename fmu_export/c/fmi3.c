@@ -374,7 +374,8 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *again,
     REFUSE("fmi3UpdateDiscreteStates: a pointer is missing");
   enter_windows(c);
   const double next = next_edge(c);
-  *again = *terminate = *nominals = *values = fmi3False;
+  *again = *nominals = *values = fmi3False;
+  *terminate = c->now.ended && !c->now.stepping;
   *next_defined = next < HUGE_VAL;
   *next_time = next < HUGE_VAL ? next : 0.0;
   return fmi3OK;
