@@ -65,6 +65,7 @@ from .tracks import (
     restoring_axis,
     restoring_kernel,
     rotation,
+    standing_size,
     whole_frame,
     wind,
 )
@@ -244,7 +245,7 @@ def axis_forced_motion(
     state, whole, taken = SX(0, 1), SX(0, 1), []  # taken: rows of the whole state that are kept
     restores: list[Restoration] = []
     for k in range(0 if finger_forced else 1, 2):
-        own, path = SX.sym("own", AXIS if ambient[k] else 3), SX.sym("path", 2)  # W_1, then V
+        own, path = SX.sym("own", standing_size(ambient[k])), SX.sym("path", 2)  # W_1, then V
         if ambient[k]:
             at = Restoration(restoring_axis(surfaces[k]), state.numel(), counts[0] * k)
             restores.append(at)

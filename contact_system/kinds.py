@@ -30,6 +30,7 @@ from .closed_form import (
     circle_branch,
     circle_kernel,
     circle_start,
+    line_evaluator,
     turned,
 )
 from .development import (
@@ -69,6 +70,7 @@ from .tracks import (
     prefers_ambient,
     restoring_axis,
     scale_kernel,
+    standing_size,
 )
 
 SX = ca.SX
@@ -268,17 +270,12 @@ def _needed(form: _Form, surface: Surface) -> dict[str, int]:
     if form.kind is CircleTrack:
         return {"constants": circle_kernel(surface, "frames").n_constant, "phase": 1}
     if form.kind is FlatTrack:
-        return {"constants": len(surface.parameters) + (7 if form.driven else 5)}
+        return {"constants": line_evaluator(surface, "points", form.driven).kernel.n_constant}
     if form.kind is GeodesicTrack:
         own = geodesic_form(surface, form.ambient)
         assert own is not None
         return {"constants": own.motion.n_constant, "end": own.motion.n_result}
-    return {"end": state_size(form.ambient)}
-
-
-def state_size(ambient: bool) -> int:
-    """Numbers of (x, p), or (u, v, theta)."""
-    return AXIS if ambient else 3
+    return {"end": standing_size(form.ambient)}
 
 
 @per_structure
@@ -313,7 +310,7 @@ def _stage(
         r0, angle, w1, v = given.values()
         v, rows = v * numbers[3], {}
         if ended[1].kind is PanelTrack:
-            n1, n2 = (state_size(form.ambient) if form is not None else 0 for form in ended)
+            n1, n2 = (standing_size(form.ambient) if form is not None else 0 for form in ended)
             pushed = ended[1].driven
             n1 = n1 + 2 if pushed else 0
             end = given["forced end"] = SX.sym("end", n1 + n2 + 2)

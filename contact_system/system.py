@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .charts import TINY, TURN
-from .development import driven_motion, forced_motion, reflection, state_size
+from .development import driven_motion, forced_motion, reflection
 from .equations import chart_equations
 from .errors import SceneError
 from .geometry import upper_inverse
@@ -63,6 +63,7 @@ from .tracks import (
     restoring_kernel,
     rotation,
     shape_kernel,
+    standing_size,
     vector_kernel,
 )
 from .user_surfaces import UserSurface
@@ -99,7 +100,7 @@ class Form(NamedTuple):
         """Numbers of states: finger, object, W_1, V."""
         if self.coordinates == "chart":
             return 4, 4, 1, 0
-        finger, obj = (6 if ambient else state_size(False) for ambient in self.ambient)
+        finger, obj = map(standing_size, self.ambient)
         return finger, obj, 2 * self.forced, 2 * self.forced
 
     @property

@@ -64,6 +64,11 @@ class once(kept):
 AXIS = 6  # numbers of (x, p), to which q = n x p adds nothing
 
 
+def standing_size(ambient: bool) -> int:
+    """How many numbers say where a body stands: (x, p), or (u, v, theta)."""
+    return AXIS if ambient else 3
+
+
 def prefers_ambient(surface: Surface) -> bool:
     """Whether bodies of this surface are moved as (x, p, q) in space, else as (u, v, theta)."""
     return surface.ambient and not surface.developable
