@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from .work_precision import Outcome, Run
+from .curves import Outcome, Run
 
 COLOURS = {
     "heyoka": "tab:blue", "CVODES": "tab:green", "scipy": "tab:gray", "scikit-sundae": "tab:olive",

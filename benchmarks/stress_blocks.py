@@ -34,7 +34,7 @@ from contact_system.kernels import find_compiler
 from contact_system.scene import Disturbance, Scene
 from contact_system.system import KINDS
 
-from .stress import Case, Family, Verdict, refusal
+from .verdicts import Case, Family, Verdict, refusal
 
 EPS = 2.0**-52
 BUILT = True if find_compiler() else None

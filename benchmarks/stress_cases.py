@@ -45,7 +45,7 @@ from numpy.polynomial.legendre import leggauss
 
 import contact_system as cs
 
-from .stress import Case, Family, Verdict, refusal
+from .verdicts import Case, Family, Verdict, refusal
 
 EPS = 2.0**-52
 NODES, WEIGHTS = leggauss(10)

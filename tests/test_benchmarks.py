@@ -17,9 +17,10 @@ sys.path.append(str(Path(__file__).parents[1]))  # benchmarks run from a checkou
 
 from benchmarks import regression, skip, work_precision  # noqa: E402
 from benchmarks.__main__ import LONG, PARTS, SHARING  # noqa: E402
+from benchmarks.curves import Outcome, Run, time_at  # noqa: E402
 from benchmarks.report import Bar, markdown_table, quietly  # noqa: E402
 from benchmarks.timing import Timing  # noqa: E402
-from benchmarks.work_precision import MARKS, Outcome, Run, between_marks, time_at  # noqa: E402
+from benchmarks.work_precision import MARKS, between_marks  # noqa: E402
 
 PENDULUM = regression.reference_job()
 

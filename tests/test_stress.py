@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 import contact_system as cs  # noqa: E402
-from benchmarks import stress, stress_cases  # noqa: E402
+from benchmarks import stress_cases, verdicts  # noqa: E402
 
 
 class Choices:
@@ -50,11 +50,11 @@ def search(examples: int):
 DISTURBED = {"object": "sphere", "finger": "ellipsoid", "shape": "plain", "turns": 1.0}
 
 
-def verdict_of(data: st.DataObject, **fixed) -> stress.Verdict:
-    def call() -> stress.Verdict:
+def verdict_of(data: st.DataObject, **fixed) -> verdicts.Verdict:
+    def call() -> verdicts.Verdict:
         return stress_cases.run(stress_cases.draw_trial(Choices(data), **fixed))
 
-    return stress.judged(stress.Case("drawn", "hypothesis", call))
+    return verdicts.judged(verdicts.Case("drawn", "hypothesis", call))
 
 
 @search(60)
@@ -82,7 +82,7 @@ def test_any_path_through_or_past_a_pole_ends_right_or_refused(data, aim):
 def test_every_family_makes_cases_that_end_right_or_refused(family):
     few = {"wrong input": 60, "revolutions, integrated": 3}.get(family.name, 6)
     for index in np.linspace(0, family.count - 1, few).astype(int):
-        verdict = stress.judged(family.make(int(index)))
+        verdict = verdicts.judged(family.make(int(index)))
         assert verdict.outcome in ("right", "refused"), (int(index), verdict)
 
 
@@ -142,9 +142,9 @@ def test_judge_notices_a_path_that_leaves_its_geodesic():
 
 def test_a_refusal_must_name_place_value_and_remedy():
     text = "scene 'x', contact 0: angle = nan: give a finite number"
-    assert stress.refusal(text).outcome == "refused"
+    assert verdicts.refusal(text).outcome == "refused"
     for part in ("array must not contain infs", "scene 'x': no", "failed, use another"):
-        assert stress.refusal(part).outcome == "crash"
+        assert verdicts.refusal(part).outcome == "crash"
 
 
 # --- what the search has found -----------------------------------------------------------------

@@ -8,7 +8,7 @@ pytest.importorskip("fmpy")
 pytest.importorskip("pydrake")
 
 from benchmarks import stress_blocks
-from benchmarks.stress import judged
+from benchmarks.verdicts import judged
 
 FAMILIES = {family.name: family for family in stress_blocks.FAMILIES}
 # Slaves in this process come third and fourth of BLOCKS; FMUs would have to be exported first.
