@@ -21,10 +21,8 @@ from .scene import (
     ObjectRateOffset,
     Scene,
     Turning,
-    bundled_scenes,
-    load_scene,
-    save_scene,
 )
+from .scene_files import bundled_scenes, load_scene, save_scene
 from .surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
 from .sweep import Failure, Sweep, summary, sweep
 from .system import SceneSystem

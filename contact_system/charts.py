@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_system.geometry import contact_frame
+from .geometry import contact_frame
 
 SX = ca.SX
 Array = NDArray[np.float64]

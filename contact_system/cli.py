@@ -23,9 +23,9 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from contact_system import plots
-from contact_system.errors import ContactSystemError
-from contact_system.measures import (
+from . import plots
+from .errors import ContactSystemError
+from .measures import (
     REJECTED,
     Rejection,
     great_circle_distance,
@@ -33,9 +33,10 @@ from contact_system.measures import (
     regular_times,
     rejections,
 )
-from contact_system.plan import METHODS, Plan, plan
-from contact_system.profile import Gain
-from contact_system.scene import Scene, bundled_scenes, load_scene
+from .plan import METHODS, Plan, plan
+from .profile import Gain
+from .scene import Scene
+from .scene_files import bundled_scenes, load_scene
 
 PROGRAM = "contact-system"
 GROUP = "contact_system.commands"

@@ -7,7 +7,6 @@ text is parsed by Python's own grammar and only arithmetic is given a meaning; n
 from __future__ import annotations
 
 import ast
-import difflib
 import math
 import operator
 import threading
@@ -15,7 +14,7 @@ from collections.abc import Callable, Mapping
 
 import casadi as ca
 
-from contact_system.errors import ContactSystemError
+from .errors import ContactSystemError, did_you_mean
 
 SX = ca.SX
 
@@ -201,6 +200,5 @@ class _Reader:
 
     @staticmethod
     def unknown(kind: str, name: str, known: list[str]) -> str:
-        near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(known))}"
-        return f"unknown {kind} {name}; {hint}"
+        hint = did_you_mean(name, known) or f"; known are {', '.join(sorted(known))}"
+        return f"unknown {kind} {name}{hint}"

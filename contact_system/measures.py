@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from contact_system.errors import ChartSingularity
-from contact_system.plan import Plan
-from contact_system.scene import Scene
+from .errors import ChartSingularity
+from .plan import Plan
+from .scene import Scene
 
 REJECTED = 0.05
 """Slip counts as rejected below this fraction of what the disturbance left."""

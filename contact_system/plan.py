@@ -37,7 +37,8 @@ from .planner import (
     scene_start,
 )
 from .program import SIDES, Program, program_of
-from .scene import ObjectRateOffset, Scene, require_scene, scene_from_toml, scene_to_toml
+from .scene import ObjectRateOffset, Scene, require_scene
+from .scene_files import scene_from_toml, scene_to_toml
 from .surfaces import Surface
 from .tracks import Track
 

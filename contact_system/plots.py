@@ -16,16 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from contact_system.errors import ContactSystemError
-from contact_system.measures import (
+from .errors import ContactSystemError
+from .measures import (
     exact_slip,
     great_circle_distance,
     regular_times,
     windows,
 )
-from contact_system.plan import Plan
-from contact_system.profile import Gain, Profile
-from contact_system.surfaces import Surface
+from .plan import Plan
+from .profile import Gain, Profile
+from .surfaces import Surface
 
 COLOURS = ("#1f5fa8", "#12876f", "#e08e0b", "#7a4fa3", "#3aa0d8", "#8a6a3b", "#5b7083")
 DISTURBED = "#d1274b"

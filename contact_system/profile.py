@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
-from contact_system.errors import SceneError
+from .errors import SceneError
 
 Coefficients = tuple[float, ...]
 """Coefficients of a polynomial, lowest power first."""

@@ -1,36 +1,25 @@
-"""A scene: which bodies touch where, how the contacts move, what disturbs them; TOML in and out.
+"""A scene: which bodies touch where, how the contacts move, what disturbs them.
 
 Everything a user can get wrong is checked here, once, when the object is built. The messages name
-the scene (and file), the contact, the key, the value and the remedy. Contacts, disturbances and
-`contacts[0]` count from 0, in Python as in scene files.
-
-Scene files are TOML (see the bundled `scenes/*.toml`). Every number may be written as arithmetic
-text, such as "2*pi/3".
+the scene, the contact, the key, the value and the remedy. Contacts, disturbances and `contacts[0]`
+count from 0, in Python as in scene files (`scene_files`).
 """
 
 from __future__ import annotations
 
 import dataclasses
-import difflib
-import json
 import math
 import numbers
-import os
-import re
-import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from importlib import resources
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from contact_system.charts import Chart
-from contact_system.errors import ContactSystemError, SceneError
-from contact_system.expressions import parse
-from contact_system.profile import (
+from .charts import Chart
+from .errors import ContactSystemError, SceneError, did_you_mean, naming
+from .profile import (
     Contraction,
     Gain,
     Numbers,
@@ -40,33 +29,13 @@ from contact_system.profile import (
     finite_numbers,
     is_plain,
 )
-from contact_system.surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
-from contact_system.user_surfaces import ImplicitSurface, ParametricSurface
+from .surfaces import Surface
 
 Pair = tuple[float, float]
 
 ROLLING = "rolling"
 REST = "rest"
 ALL = "all"
-
-
-# --- messages ----------------------------------------------------------------------------------
-
-
-@contextmanager
-def _naming(place: str) -> Iterator[None]:
-    """Put the place in front of every error of the package raised inside."""
-    try:
-        yield
-    except ContactSystemError as error:
-        raise SceneError(f"{place}: {error}") from None
-
-
-def _nearest(word: object, known: Iterable[str]) -> str:
-    """' (did you mean ...?)' with the nearest known word, or nothing."""
-    by_lower = {k.lower(): k for k in known}
-    close = difflib.get_close_matches(str(word).lower(), by_lower, n=1, cutoff=0.5)
-    return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""
 
 
 def _pair(value: Any, what: str, words: Sequence[str] = ()) -> Pair:
@@ -355,7 +324,7 @@ class Scene:
     drake: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        try:  # not `_naming`: a context manager would cost as much as the checks
+        try:  # not `naming`: a context manager would cost as much as the checks
             self._check_parts()
             self._check_motion()
             self._place_contacts()
@@ -386,7 +355,7 @@ class Scene:
         known = [f.name for f in dataclasses.fields(self)]
         for key in changes:
             if key not in known:
-                raise SceneError(f"a scene has no '{key}'{_nearest(key, known)}")
+                raise SceneError(f"a scene has no '{key}'{did_you_mean(key, known)}")
         made = dataclasses.replace(self, **changes)
         if "contacts" in changes and not {"object", "disturbances"} & set(changes):
             object.__setattr__(made, "disturbances", self.disturbances)
@@ -414,9 +383,9 @@ class Scene:
             _text(getattr(self, key), key)
         for key in ("paper", "drake"):
             put(self, key, _plain_table(getattr(self, key), key))
-        _known_keys(self.paper, PAPER_KEYS, "paper: ")
+        known_keys(self.paper, PAPER_KEYS, "paper: ")
         for key, value in self.paper.items():
-            (finite_number if key in _PAPER_NUMBERS else _text)(value, f"paper: {key}")
+            (finite_number if key in PAPER_NUMBERS else _text)(value, f"paper: {key}")
 
     def _check_motion(self) -> None:
         """The horizon, sigma on it, and every window inside it."""
@@ -429,7 +398,7 @@ class Scene:
             return
         expanded: list[Disturbance] = []
         for k, disturbance in enumerate(self.disturbances):
-            with _naming(f"disturbances[{k}]"):
+            with naming(f"disturbances[{k}]"):
                 expanded += self._on_contacts(disturbance)
         put(self, "disturbances", tuple(expanded))
 
@@ -559,38 +528,22 @@ PAPER_KEYS = ("figure", "reports", "recovery_time", "lateral_force")
 """What a scene's `paper` table may say: the figure's label in the paper, what it reports in words,
 the time after the disturbance (or after t = 0) within which slip is reported rejected [s], and
 the lateral force a contact saturates at [N]."""
-_PAPER_NUMBERS = PAPER_KEYS[2:]
+PAPER_NUMBERS = PAPER_KEYS[2:]
 
-_SCENE_KEYS = (
+SCENE_KEYS = (
     "name", "description", "duration", "profile", "gain", "chosen",
     "turning", "object", "contacts", "disturbances", "paper", "drake",
 )  # fmt: skip
-_CONTACT_KEYS = tuple(f.name for f in dataclasses.fields(Contact))
-_TURNING_KEYS = tuple(f.name for f in dataclasses.fields(Turning))
-_DISTURBANCES = {d.kind: d for d in (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)}
-_DISTURBANCE_KEYS = ("kind", *(f.name for f in dataclasses.fields(Disturbance)))
-_GAINS = {"path": "eta", "time": "eta", "guaranteed": "rho"}
-_SURFACES: dict[str, tuple[type, tuple[str, ...]]] = {
-    "plane": (Plane, ()),
-    "sphere": (Sphere, ("radius",)),
-    "cylinder": (Cylinder, ("radius",)),
-    "torus": (Torus, ("major", "minor")),
-    "ellipsoid": (Ellipsoid, ("a", "b", "c")),
-    "quadric": (Quadric, ("A", "sheet")),
-    "parametric": (
-        ParametricSurface,
-        ("f", "parameters", "size", "u_range", "v_range", "u_period", "v_period"),
-    ),
-    "implicit": (ImplicitSurface, ("F", "center", "parameters", "size")),
-}
-_REQUIRED_SURFACE_KEYS = ("radius", "major", "minor", "a", "b", "c", "A", "f", "F")
+CONTACT_KEYS = tuple(f.name for f in dataclasses.fields(Contact))
+TURNING_KEYS = tuple(f.name for f in dataclasses.fields(Turning))
+DISTURBANCE_KEYS = ("kind", *(f.name for f in dataclasses.fields(Disturbance)))
 
 
-def _known_keys(table: Mapping, known: Iterable[str], place: str = "") -> None:
+def known_keys(table: Mapping, known: Iterable[str], place: str = "") -> None:
     for key in table:
         if key not in known:
             raise SceneError(
-                f"{place}key '{key}' is unknown{_nearest(key, known)}; "
+                f"{place}key '{key}' is unknown{did_you_mean(key, known)}; "
                 f"the keys here are {', '.join(known)}"
             )
 
@@ -624,321 +577,25 @@ def _check_chosen(scene: Scene) -> None:
     if not scene.chosen:
         return
     below: dict[str, Iterable[str]] = {
-        "contacts": _CONTACT_KEYS,
-        "disturbances": _DISTURBANCE_KEYS,
-        "turning": _TURNING_KEYS,
+        "contacts": CONTACT_KEYS,
+        "disturbances": DISTURBANCE_KEYS,
+        "turning": TURNING_KEYS,
         "gain": ("law", "eta", "rho"),
         "paper": scene.paper,
         "drake": scene.drake,
     }
     for k, path in enumerate(scene.chosen):
         key, _, rest = path.partition(".")
-        known = _SCENE_KEYS if key not in _SCENE_KEYS or not rest else below.get(key, (rest,))
-        part = key if known is _SCENE_KEYS else rest
+        known = SCENE_KEYS if key not in SCENE_KEYS or not rest else below.get(key, (rest,))
+        part = key if known is SCENE_KEYS else rest
         if part not in known:
             raise SceneError(
-                f"chosen[{k}] = '{path}': there is no key '{part}'{_nearest(part, known)}; "
+                f"chosen[{k}] = '{path}': there is no key '{part}'{did_you_mean(part, known)}; "
                 'write it like "contacts.finger_at"'
             )
-
-
-# --- reading -----------------------------------------------------------------------------------
-
-
-def scene_from_toml(text: str, source: str = "") -> Scene:
-    """The scene a TOML text describes.
-
-    Parameters
-    ----------
-    text : str
-        TOML; the bundled scenes are the reference for its keys.
-    source : str
-        Where the text comes from, for messages; its stem is the name of a nameless scene.
-
-    Raises
-    ------
-    SceneError
-        Naming the source, the contact, the key, the value and the remedy.
-    """
-    with _naming(source or "TOML text"):
-        try:
-            table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise SceneError(f"is not valid TOML: {error}; correct that line") from None
-        _known_keys(table, _SCENE_KEYS)
-        _required(table, ("duration", "profile", "object", "contacts"))
-        table = {"name": Path(source).stem, **table, "source": source}
-        return Scene(**{key: _read(key, value) for key, value in table.items()})
-
-
-def _read(key: str, value: Any) -> Any:
-    """The field of a scene from its value in a file."""
-    if key == "duration":
-        return _numbers(value, key)
-    if key == "profile":
-        return Profile(_numbers(value, key))
-    if key in ("contacts", "disturbances"):
-        return _read_list(key, value, _read_contact if key == "contacts" else _read_disturbance)
-    with _naming(key):
-        if key == "object":
-            return _read_surface(value)
-        if key == "gain":
-            return _read_gain(value)
-        if key == "turning":
-            _known_keys(_table(value), _TURNING_KEYS)
-            _required(value, _TURNING_KEYS)
-            return Turning(**{k: _numbers(x, k) for k, x in value.items()})
-        if key == "paper":
-            table = _table(value)
-            return {k: _numbers(x, k) if k in _PAPER_NUMBERS else x for k, x in table.items()}
-    return value
-
-
-def _read_list(key: str, value: Any, read) -> list:
-    if not isinstance(value, list):
-        raise SceneError(f"{key} = {value!r}: write each one as a table under [[{key}]]")
-    result = []
-    for i, table in enumerate(value):
-        with _naming(f"{key}[{i}]"):
-            result.append(read(_table(table)))
-    return result
-
-
-def _read_contact(table: dict) -> Contact:
-    _known_keys(table, _CONTACT_KEYS)
-    _required(table, ("finger", "object_at"))
-    fields = dict(table)
-    with _naming("finger"):
-        fields["finger"] = _read_surface(table["finger"])
-    for key in ("object_at", "finger_at", "angle", "finger_velocity", "object_velocity"):
-        words = (ROLLING, REST) if key.endswith("velocity") else ()
-        if key in fields and isinstance(fields[key], str) and words:
-            if fields[key] not in words:
-                raise SceneError(
-                    f"{key} = '{fields[key]}': give two numbers or one of {', '.join(words)}"
-                    f"{_nearest(fields[key], words)}"
-                )
-        elif key in fields:
-            fields[key] = _numbers(fields[key], key)
-    return Contact(**fields)
-
-
-def _read_disturbance(table: dict) -> Disturbance:
-    _known_keys(table, _DISTURBANCE_KEYS)
-    _required(table, _DISTURBANCE_KEYS)
-    kind = _DISTURBANCES[_one_of(table["kind"], _DISTURBANCES, "kind")]
-    values = {key: _numbers(table[key], key) for key in ("start", "stop", "value")}
-    return kind(contact=table["contact"], **values)
-
-
-def _read_gain(value: Any) -> Gain:
-    table = _table(value)
-    _required(table, ("law",))
-    law = _one_of(table["law"], _GAINS, "law")
-    parameter = _GAINS[law]
-    _known_keys(table, ("law", parameter))
-    _required(table, (parameter,))
-    return Gain(law, _numbers(table[parameter], parameter))
-
-
-def _read_surface(value: Any) -> Surface:
-    table = _table(value)
-    _required(table, ("surface",))
-    name = _one_of(table["surface"], _SURFACES, "surface")
-    kind, keys = _SURFACES[name]
-    _known_keys(table, ("surface", *keys, "inside"), f"{name}: ")
-    _required(table, [key for key in keys if key in _REQUIRED_SURFACE_KEYS], f"{name}: ")
-    arguments = {key: value for key, value in table.items() if key != "surface"}
-    for key, value in arguments.items():
-        if key == "inside":
-            if not isinstance(value, bool):
-                raise SceneError(f"inside = {value!r}: write true or false")
-        elif key == "parameters":
-            with _naming(key):
-                arguments[key] = {k: _numbers(x, k) for k, x in _table(value).items()}
-        elif key not in ("f", "F"):
-            arguments[key] = _numbers(value, key)
-    with _naming(name):
-        return kind(**arguments)
-
-
-def _table(value: Any) -> dict:
-    if not isinstance(value, dict):
-        raise SceneError(f"{value!r} is not a table; write it like {{ key = value }}")
-    return value
-
-
-def _required(table: Mapping, keys: Iterable[str], place: str = "") -> None:
-    for key in keys:
-        if key not in table:
-            raise SceneError(f"{place}key '{key}' is missing; add {key} = ...")
-
-
-def _one_of(word: Any, known: Iterable[str], what: str) -> str:
-    if not isinstance(word, str) or word not in known:
-        raise SceneError(
-            f"{what} = {word!r} is unknown{_nearest(word, known)}; use one of {', '.join(known)}"
-        )
-    return word
-
-
-def _numbers(value: Any, what: str) -> Any:
-    """Numbers of a file: itself, or a list of them; arithmetic texts evaluated."""
-    if isinstance(value, list):
-        return tuple(_numbers(x, f"{what}[{k}]") for k, x in enumerate(value))
-    if isinstance(value, str):
-        with _naming(what):
-            value = parse(value, {})
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise SceneError(f"{what} = {value!r}: give a number")
-    return value if what == "sheet" else finite_number(value, what)
-
-
-# --- writing -----------------------------------------------------------------------------------
-
-
-def scene_to_toml(scene: Scene) -> str:
-    """TOML text of a scene; reading it back gives an equal scene, every float to the last bit.
-
-    Raises
-    ------
-    SceneError
-        If a surface was given as a Python function or is of a kind of your own, which a file
-        cannot hold.
-    """
-    with _naming(f"scene '{scene.name}'"):
-        gain = {"law": scene.gain.law, scene.gain.parameter: scene.gain.value}
-        lines = _lines(
-            {
-                "name": scene.name,
-                "description": scene.description,
-                "duration": scene.duration,
-                "profile": scene.profile.coefficients,
-                "gain": gain,
-                "chosen": scene.chosen,
-            }
-        )
-        if scene.turning is not None:
-            lines += ["", "[turning]", *_lines(dataclasses.asdict(scene.turning))]
-        lines += ["", "[object]", *_lines(_surface_table(scene.object, "object"))]
-        for i, contact in enumerate(scene.contacts):
-            table = {key: getattr(contact, key) for key in _CONTACT_KEYS}
-            table["finger"] = _surface_table(contact.finger, f"contacts[{i}]: finger")
-            lines += ["", "[[contacts]]", *_lines(table)]
-        for d in scene.disturbances:
-            lines += ["", "[[disturbances]]"]
-            lines += _lines({key: getattr(d, key) for key in _DISTURBANCE_KEYS})
-        for key in ("paper", "drake"):
-            if getattr(scene, key):
-                lines += ["", f"[{key}]", *_lines(getattr(scene, key))]
-    return "\n".join(lines) + "\n"
-
-
-def _lines(table: Mapping[str, Any]) -> list[str]:
-    return [f"{_toml_key(key)} = {_toml(value)}" for key, value in table.items()]
-
-
-def _toml_key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml(key)
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):  # JSON's escapes are TOML's, but for DEL
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, (int, float)):
-        return repr(value)
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(_lines(value)) + " }"
-    return "[" + ", ".join(_toml(x) for x in value) + "]"
-
-
-def _surface_table(surface: Surface, what: str) -> dict[str, Any]:
-    """The table of a surface in a scene file."""
-    name = next((n for n, (kind, _) in _SURFACES.items() if type(surface) is kind), None)
-    if name is None:
-        raise SceneError(
-            f"{what} = {surface!r}: a file holds no {type(surface).__name__}; "
-            f"its surfaces are {', '.join(_SURFACES)}"
-        )
-    keys, table = _SURFACES[name][1], dict[str, Any](surface=name)
-    for key in keys:
-        value = getattr(surface, "named_parameters" if key == "parameters" else key)
-        if value is None and key in _REQUIRED_SURFACE_KEYS:
-            raise SceneError(
-                f"{what}: {key} is a Python function, which a file cannot hold; give {key} as text"
-            )
-        if value is not None:
-            table[key] = value
-    if surface.inside:
-        table["inside"] = True
-    return table
-
-
-# --- files -------------------------------------------------------------------------------------
-
-
-def _bundled_folder():
-    return resources.files("contact_system") / "scenes"
-
-
-def _bundled_names() -> list[str]:
-    names = (entry.name for entry in _bundled_folder().iterdir())
-    return sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml"))
-
-
-def bundled_scenes() -> dict[str, str]:
-    """Names of the bundled scenes, each with its one-line description."""
-    folder = _bundled_folder()
-    return {
-        name: tomllib.loads((folder / f"{name}.toml").read_text("utf-8"))["description"]
-        for name in _bundled_names()
-    }
 
 
 def require_scene(scene: Any) -> None:
     """Raise a SceneError where something else is given, such as a scene's name."""
     if not isinstance(scene, Scene):
         raise SceneError(f'scene = {scene!r:.80}: give a Scene, such as load_scene("K4")')
-
-
-def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
-    """A bundled scene by its name, or a scene from a TOML file.
-
-    A name in the list of `bundled_scenes` is taken before a file of the same name.
-
-    Raises
-    ------
-    SceneError
-        If there is neither, or the file is wrong.
-    """
-    return scene_from_toml(*scene_text(name_or_path))
-
-
-def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
-    """The TOML text that `load_scene` reads, and where it comes from.
-
-    Raises
-    ------
-    SceneError
-        If there is no such scene, or the file cannot be read.
-    """
-    given = os.fspath(name_or_path)
-    names = _bundled_names()
-    if given in names:
-        return (_bundled_folder() / f"{given}.toml").read_text("utf-8"), f"{given}.toml"
-    try:
-        return Path(given).read_text("utf-8"), given
-    except FileNotFoundError:
-        raise SceneError(
-            f"'{given}' is neither a bundled scene nor a file{_nearest(given, names)}; "
-            f"bundled are {', '.join(names)}"
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"'{given}' cannot be read: {error}; give a TOML text file") from None
-
-
-def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene as a TOML file that `load_scene` reads back to an equal scene."""
-    Path(path).write_text(scene_to_toml(scene), "utf-8")

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contact_system.charts import (
+from .charts import (
     SX,
     Array,
     Chart,
@@ -41,9 +41,9 @@ from contact_system.charts import (
     TwoSheetChart,
     hypot,
 )
-from contact_system.errors import ChartSingularity, SurfaceError
-from contact_system.expressions import SYMBOLS
-from contact_system.geometry import ChartGeometry, chart_geometry, revolved_geometry
+from .errors import ChartSingularity, SurfaceError
+from .expressions import SYMBOLS
+from .geometry import ChartGeometry, chart_geometry, revolved_geometry
 
 # A contact frame whose axes shrink below this fraction of the surface's size is taken as lost.
 # A pole typed with 16 digits gives 1e-16, a point 1e-9 rad from one still gives 1e-9.

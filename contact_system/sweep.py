@@ -36,7 +36,8 @@ from numpy.typing import ArrayLike
 from .errors import ContactSystemError
 from .measures import REJECTED
 from .plan import Plan, plan
-from .scene import Contact, Disturbance, Scene, load_scene, scene_text, scene_to_toml
+from .scene import Contact, Disturbance, Scene
+from .scene_files import load_scene, scene_text, scene_to_toml
 
 Item = Scene | str | os.PathLike | Callable[[], Scene]
 """A scene, the name or file of one, or a function that makes one (called where it is planned)."""

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from contact_system.charts import (
+from .charts import (
     SX,
     Array,
     CentralChart,
@@ -31,10 +31,10 @@ from contact_system.charts import (
     Periods,
     hypot,
 )
-from contact_system.errors import ContactSystemError, SurfaceError
-from contact_system.expressions import FUNCTIONS, SYMBOLS, parse
-from contact_system.geometry import ChartGeometry, contact_frame, tangent_geometry
-from contact_system.surfaces import Surface, finite_number, positive_length, store
+from .errors import ContactSystemError, SurfaceError
+from .expressions import FUNCTIONS, SYMBOLS, parse
+from .geometry import ChartGeometry, contact_frame, tangent_geometry
+from .surfaces import Surface, finite_number, positive_length, store
 
 
 @dataclass(frozen=True)

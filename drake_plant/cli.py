@@ -15,7 +15,7 @@ from contact_system import load_scene
 from contact_system.cli import Progress, _file_name, _paragraph
 from contact_system.measures import REJECTED
 from contact_system.plots import MissingMatplotlib
-from contact_system.scene import scene_to_toml
+from contact_system.scene_files import scene_to_toml
 
 from . import plots
 from .measures import EDGE, SATURATED, ContactReport, contact_table

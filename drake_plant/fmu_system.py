@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import collections
 import contextlib
-import difflib
 import itertools
 import math
 import numbers
@@ -22,7 +21,7 @@ import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem, State
 
-from contact_system.errors import ContactSystemError
+from contact_system.errors import ContactSystemError, did_you_mean
 
 from .lifetimes import NO_DICTIONARY, weakly
 
@@ -288,9 +287,8 @@ class Instance:
         return Block(found, self.version)
 
     def _refuse_name(self, name: str, known: Iterable[str], what: str = "") -> None:
-        near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
-        hint = f"did you mean {' or '.join(near)}?" if near else "see modelDescription.xml"
-        raise ContactSystemError(f"{self.name} has no {what}variable {name!r}; {hint}")
+        hint = did_you_mean(name, known) or "; see modelDescription.xml"
+        raise ContactSystemError(f"{self.name} has no {what}variable {name!r}{hint}")
 
     def prepare(self, start_values: Mapping[str, Any], outputs: list[Block]) -> None:
         """Say what initialization sets, and what is read after it and each step."""

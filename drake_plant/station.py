@@ -12,7 +12,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import gc
 import numbers
 import time
@@ -31,7 +30,8 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventSta
 from pydrake.systems.primitives import LogVectorOutput
 
 from contact_system import Scene, SceneError, Surface
-from contact_system.scene import _naming, require_scene
+from contact_system.errors import did_you_mean, naming
+from contact_system.scene import require_scene
 
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import DISCRETE_ONLY, DriverConfig, FingertipDriver
@@ -132,11 +132,9 @@ class StationConfig:
         names = {f.name for fields in (own, *known.values()) for f in fields}
         for key in table:
             if key not in names:
-                near = difflib.get_close_matches(key, names, 1)
-                hint = f" (did you mean {near[0]!r}?)" if near else ""
                 raise SceneError(
-                    f"scene '{scene.name}', [drake]: key {key!r} is unknown{hint}; the keys here "
-                    f"are {', '.join(sorted(names))}"
+                    f"scene '{scene.name}', [drake]: key {key!r} is unknown"
+                    f"{did_you_mean(key, names)}; the keys here are {', '.join(sorted(names))}"
                 )
 
         def take(fields: Any) -> dict[str, Any]:
@@ -147,7 +145,7 @@ class StationConfig:
             driver=DriverConfig(**take(known["driver"])),
             **take(own),
         )
-        with _naming(f"scene '{scene.name}', [drake]"):
+        with naming(f"scene '{scene.name}', [drake]"):
             config.check()
         return config
 
@@ -239,7 +237,7 @@ def _build(
     config: StationConfig,
     extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None,
 ) -> tuple[Diagram, ScenePlant]:
-    with _naming(f"scene '{scene.name}', station"):
+    with naming(f"scene '{scene.name}', station"):
         config.check()
     builder = DiagramBuilder()
     parts = AddScenePlant(builder, scene, config.plant)
@@ -408,7 +406,7 @@ def simulate(
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = config or StationConfig.from_scene(scene)
     config = dataclasses.replace(config, monitor=True)
-    with _naming(f"scene '{scene.name}', station"):
+    with naming(f"scene '{scene.name}', station"):
         config.check()
     duration = scene.duration if duration is None else duration
     period = config.plant.time_step

@@ -542,9 +542,9 @@ def test_an_unpacked_folder_is_run_where_it_is(build, tmp_path):
 
 def test_an_unknown_variable_is_refused_with_the_nearest(build):
     for options, message in (
-        ({"inputs": "u[3]"}, r"no input variable 'u\[3\]'; did you mean u\[[12]\]"),
-        ({"outputs": {"y": ["cuont"]}}, "no output variable 'cuont'; did you mean count"),
-        ({"start_values": {"gian": 1.0}}, "no variable 'gian'; did you mean gain"),
+        ({"inputs": "u[3]"}, r"no input variable 'u\[3\]' \(did you mean 'u\[[12]\]'"),
+        ({"outputs": {"y": ["cuont"]}}, "no output variable 'cuont' .did you mean 'count"),
+        ({"start_values": {"gian": 1.0}}, "no variable 'gian' .did you mean 'gain"),
         ({"inputs": "x[1]"}, r"no input variable 'x\[1\]'|cannot be on an input port"),
         ({"outputs": "label"}, "label, output of type String, cannot be on an output port"),
         ({"start_values": {"count": 1}}, "count cannot be set at the start"),

@@ -155,8 +155,8 @@ def test_errors_name_text_column_and_nearest_name():
     with pytest.raises(ContactSystemError) as caught:
         parse("  R + r*cso(v)", {w: SX.sym(w) for w in ("R", "r", "v")})
     assert "'  R + r*cso(v)', column 9" in str(caught.value)
-    assert "did you mean cos?" in str(caught.value)
-    with pytest.raises(ContactSystemError, match="column 7: .*did you mean radius"):
+    assert "did you mean 'cos'?" in str(caught.value)
+    with pytest.raises(ContactSystemError, match="column 7: .*did you mean 'radius"):
         parse("2 * ( raduis )", {"radius": SX.sym("radius")})
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from contact_system.scene import bundled_scenes, scene_from_toml
+from contact_system.scene_files import bundled_scenes, scene_from_toml
 
 README = Path(__file__).parent.parent / "README.md"
 

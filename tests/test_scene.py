@@ -21,6 +21,8 @@ from contact_system.scene import (
     ObjectRateOffset,
     Scene,
     Turning,
+)
+from contact_system.scene_files import (
     bundled_scenes,
     load_scene,
     save_scene,

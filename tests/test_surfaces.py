@@ -669,7 +669,7 @@ def test_point_off_a_parametric_surface_is_an_error_not_an_answer():
         (lambda: Quadric(np.eye(3), sheet=-1), ["sheet = -1", "one piece"]),
         (lambda: Quadric(np.eye(3), sheet=2), ["sheet = 2"]),
         (lambda: ParametricSurface(("u", "v")), ["3 text(s)"]),
-        (lambda: ParametricSurface(("u", "v", "cso(u)")), ["did you mean cos"]),
+        (lambda: ParametricSurface(("u", "v", "cso(u)")), ["did you mean 'cos'"]),
         (lambda: ParametricSurface(("u", "u", "u")), ["does not depend on v"]),
         (lambda: ParametricSurface(lambda u, v: [u, v]), ["2 component", "3"]),
         (lambda: ParametricSurface(lambda u, v: [u, v, __import__("math").cos(u)]), ["np.cos"]),
