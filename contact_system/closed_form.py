@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,8 +17,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .development import Panels
+from .development import slip_displacement
 from .kernels import Kernel, address, made_once, per_structure
+from .panels import Panels, Problem, integrate
 from .profile import GainPiece
 from .surfaces import Surface
 from .tracks import (
@@ -335,6 +337,31 @@ def line_evaluator(surface: Surface, output: str, slips: bool) -> Evaluator:
         result = ca.vertcat(at, rates, begin[2])
     kernel = Kernel(f"line_{output}", point, ca.vertcat(p, begin, along, aside), result)
     return Evaluator(kernel, not slips, 2 * slips, False)
+
+
+@functools.lru_cache(maxsize=256)
+def slip_length(piece: GainPiece, tells: bool, compiled: bool | None) -> Panels:
+    """s(t) and g(t) over a piece, right to rounding for all who plan with this profile and gain.
+
+    Where slip ends too soon to tell, g is 0.
+    """
+    span = piece.stop - piece.start
+    problem = Problem(
+        name=f"quadrature of slip over [{piece.start:g}, {piece.stop:g}] s",
+        start=np.zeros((1, 2)),
+        constants=np.zeros((1, 1)),
+        scale=np.full((1, 2), 1.0 / max(piece.arc_length(span), 1e-300)),
+        drive=piece,
+        length=span,
+        first=span,
+        slip=float(tells),
+    )
+    kernel = slip_displacement()
+    if not tells:
+        return integrate(kernel, problem, 1e-15, compiled)
+    rough = integrate(kernel, problem, 1e-3, compiled)  # how large g is
+    problem.scale[0, 1] = 1.0 / max(rough.end[0, 1], 1e-300)
+    return integrate(kernel, problem, 1e-15, compiled)
 
 
 @dataclass(eq=False)

@@ -35,7 +35,7 @@ from .errors import ContactSystemError
 from .expressions import SYMBOLS
 
 C_SOURCES = Path(__file__).parent / "c"
-NODES = 16  # Gauss points of a panel; see development.Collocation
+NODES = 16  # Gauss points of a panel; see panels.Collocation
 
 # One row an operation: CasADi's op code -> (C expression, numpy ufunc); {0}, {1} are the operands.
 _OPERATIONS: dict[int, tuple[str, str]] = {

@@ -33,19 +33,11 @@ from .closed_form import (
     line_evaluator,
     turned,
 )
-from .development import (
-    MOST_FOUND,
-    Forced,
-    GeodesicTrack,
-    Motion,
-    MovingTrack,
-    PanelTrack,
-    contact_start,
-    geodesic_form,
-    program_built,
-    program_library,
-)
+from .development import contact_start
+from .geodesics import GeodesicTrack, geodesic_form
 from .kernels import Kernel, address, function_address, per_structure
+from .panel_tracks import Forced, MovingTrack, PanelTrack
+from .panels import MOST_FOUND, Motion, program_built, program_library
 from .planner import (
     ENDLESS,
     MOST_ALIKE,

@@ -23,10 +23,10 @@ from numpy.typing import ArrayLike
 
 from . import kinds
 from .chart_solution import chart_groups
-from .development import runs
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .kinds import Begun
 from .kinematics import relative_pose, relative_twist
+from .panels import runs
 from .planner import (
     Group,
     Moment,

@@ -23,11 +23,18 @@ from typing import Any
 
 import numpy as np
 
-from . import development
-from .closed_form import CircleTrack, FlatTrack, great_circle, pair_of
-from .development import Forced, GeodesicTrack, MovingTrack, PanelTrack, Problem
+from .closed_form import CircleTrack, FlatTrack, great_circle, pair_of, slip_length
+from .development import (
+    axis_forced_motion,
+    axis_motion,
+    contact_start,
+    rolling_motion,
+)
 from .errors import ChartSingularity, ContactSystemError, SceneError
+from .geodesics import GeodesicTrack, geodesic_form
 from .kernels import Kernel, contiguous
+from .panel_tracks import Forced, MovingTrack, PanelTrack
+from .panels import Motion, Panels, Problem, integrate, panels_built
 from .profile import GainPiece, Profile
 from .program import SIDES, ChartStates, Program, program_of
 from .scene import (
@@ -573,7 +580,7 @@ def prepare(scene: Scene, starts: Starts, begin: float) -> list[Prepared]:
         for s in starts
     ]
     numbers = np.array(known, dtype=float)
-    found = development.contact_start().at(numbers, np.empty((len(starts), 0)))
+    found = contact_start().at(numbers, np.empty((len(starts), 0)))
     parts = found[:, :4], numbers[:, 1:3], found[:, 4:6], numbers[:, 3:5] if moved else found[:, 6:]
     turns, w1, w2, v = map(np.ascontiguousarray, parts)  # C reads them
     turns = turns.reshape(-1, 2, 2)
@@ -705,7 +712,7 @@ class _Forced:
     why: str
     compiled: bool | None
     known: np.ndarray | None = None
-    motion: development.Motion | None = None
+    motion: Motion | None = None
 
     def scale(self, tip: Body, obj: Body, pushed: bool, v: np.ndarray) -> np.ndarray:
         """1 / (size of the states), for slips v at the start: slip is to be right to tolerance."""
@@ -722,18 +729,18 @@ class _Forced:
 
     def integrate(
         self, name: str, start: np.ndarray, given: np.ndarray, scale: np.ndarray, tolerance: float
-    ) -> tuple[development.Panels, development.Motion | None]:
+    ) -> tuple[Panels, Motion | None]:
         """The motion from a state, (n, n_states), with cos psi, sin psi and W_1, (n, 4)."""
         constants = self.problem.constants.copy()
         constants[:, self.given] = given
         problem = self.problem.moved(start, constants, name=name, scale=scale)
         if self.motion is not None:
             motion = self.motion.again(tolerance, problem)
-        elif development.panels_built(self.kernel) if self.compiled is None else self.compiled:
-            motion = development.Motion(self.kernel, problem, tolerance)
+        elif panels_built(self.kernel) if self.compiled is None else self.compiled:
+            motion = Motion(self.kernel, problem, tolerance)
             self.motion = motion.again(tolerance)  # without what this one finds
         else:
-            return development.integrate(self.kernel, problem, tolerance, False), None
+            return integrate(self.kernel, problem, tolerance, False), None
         return motion.panels(), motion
 
 
@@ -824,14 +831,14 @@ class GroupPlanner:
         if body.surface.developable:
             return self._flat(body, w, 0 * w, piece, None, why)
         length = piece.arc_length(stop - start)
-        form = development.geodesic_form(body.surface, body.ambient) if w.any(1).all() else None
+        form = geodesic_form(body.surface, body.ambient) if w.any(1).all() else None
         if form is not None:
             found = form.start.at(np.hstack([body.state, w]), body.parameters)
             kernel, rates, n = form.motion, form.n_rates, form.motion.n_result
             first, numbers = found[:, :n], [found[:, n:-rates]]
             scale = np.hstack([body.scale[:, : n - rates], found[:, -rates:]])
         else:
-            kernel = development.axis_motion(body.surface, body.ambient)
+            kernel = axis_motion(body.surface, body.ambient)
             first, scale = body.state, body.scale
             numbers = [w, np.zeros_like(w), np.zeros_like(w)]
         first, constants = contiguous(first), np.hstack([body.parameters, *numbers])
@@ -891,18 +898,18 @@ class GroupPlanner:
         why: str,
         tells: bool = False,
     ) -> FlatTrack:
-        slip_length, method = None, "closed form: straight line unrolled"
+        length, method = None, "closed form: straight line unrolled"
         if v.any():
             try:
-                slip_length = development.slip_length(piece, tells, self.compiled)
+                length = slip_length(piece, tells, self.compiled)
             except ContactSystemError as error:
                 raise ContactSystemError(f"{self.name}: {error}") from None
             if tells:
-                method = f"quadrature of slip, {slip_length.count} panels"
+                method = f"quadrature of slip, {length.count} panels"
                 why = "T = 0: the developed curve is the curve"
         return FlatTrack(body.surface, body.parameters, piece.start, piece.stop, method, why, False,
                          self.compiled, offset=offset, begin=body.state, w=w, v=v, lame=body.lame,
-                         piece=piece, slip_length=slip_length)  # fmt: skip
+                         piece=piece, slip_length=length)  # fmt: skip
 
     def _free(self, interval: Interval) -> None:
         """The object while only slip and rate offsets act."""
@@ -957,7 +964,7 @@ class GroupPlanner:
         else:
             aside = np.zeros_like(v) if offset is None else offset
             constants = np.concatenate([body.parameters, w, v, aside], axis=1)
-            kernel = development.axis_motion(body.surface, body.ambient, offset is not None)
+            kernel = axis_motion(body.surface, body.ambient, offset is not None)
             problem = Problem(
                 name=self.name,
                 start=start,
@@ -1026,9 +1033,7 @@ class GroupPlanner:
     def _forced_problem(self, interval: Interval, tip: Body, obj: Body) -> _Forced:
         self._refuse_rest(interval.start, interval.stop)
         span, pushed, forcing = interval.stop - interval.start, interval.pushed, interval.forcing
-        kernel = development.axis_forced_motion(
-            tip.surface, obj.surface, (tip.ambient, obj.ambient), pushed
-        )
+        kernel = axis_forced_motion(tip.surface, obj.surface, (tip.ambient, obj.ambient), pushed)
         kinds = {
             FingerAcceleration: "finger acceleration", ObjectAcceleration: "object acceleration",
             ObjectRateOffset: "object rate offset",
@@ -1099,7 +1104,7 @@ class GroupPlanner:
         tip, obj = (
             body.at(at, False) for body, at in zip((self.finger, self.object), self.group.begin)
         )
-        kernel = development.rolling_motion(tip.surface, obj.surface)
+        kernel = rolling_motion(tip.surface, obj.surface)
         angle = self.prepared.angle
         problem = Problem(
             name=self.name,
@@ -1110,7 +1115,7 @@ class GroupPlanner:
             length=stop - start,
             first=_first_panel(piece, stop - start, min(tip.size, obj.size)),
         )
-        panels = development.integrate(kernel, problem, self.tolerance, self.compiled)
+        panels = integrate(kernel, problem, self.tolerance, self.compiled)
         method = f"rolling imposed, chart equations, {len(panels.edges) - 1} panels"
         self.group.finger.append(RollingTrack(
             tip.surface, tip.parameters, start, stop, method, "the finger follows the object",
@@ -1230,5 +1235,5 @@ def _first_panel(piece: GainPiece, span: float, size: float) -> float:
     return first
 
 
-def _panel_states(panels: development.Panels, rows: slice, tau: np.ndarray) -> np.ndarray:
+def _panel_states(panels: Panels, rows: slice, tau: np.ndarray) -> np.ndarray:
     return panels.evaluate(np.clip(tau, 0.0, panels.edges[-1]), rows)

@@ -14,14 +14,9 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from .closed_form import CircleTrack, FlatTrack
-from .development import (
-    Motion,
-    MovingTrack,
-    collocation,
-    program_built,
-    program_library,
-)
 from .kernels import address, function_address
+from .panel_tracks import MovingTrack
+from .panels import Motion, collocation, program_built, program_library
 from .tracks import Track, evaluator
 
 if TYPE_CHECKING:

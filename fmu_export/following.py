@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from contact_system import development
+from contact_system import development, panels
 from contact_system.charts import TURN
 from contact_system.development import forced_motion
 from contact_system.kernels import Kernel, per_structure
@@ -147,7 +147,7 @@ class Crew:
         constants[:, at] = [math.cos(m.angle) for m in starts]
         constants[:, at + 1] = [math.sin(m.angle) for m in starts]
         length = end - piece.start
-        problem = development.Problem(
+        problem = panels.Problem(
             self.name,
             state,
             constants,
@@ -158,7 +158,7 @@ class Crew:
             slip=1.0,
             stiff=2,
         )
-        state = development.integrate(self.motion, problem, TOLERANCE, None).end
+        state = panels.integrate(self.motion, problem, TOLERANCE, None).end
         machine = self.results.machine(n)
         machine.x[:, 0], machine.x[:, 1] = end, [m.angle for m in starts]
         machine.x[:, 2:-6], machine.x[:, -6:] = state, acting

@@ -13,7 +13,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from contact_system import development, kernels
+from contact_system import kernels, panels
 from contact_system.charts import TINY
 from contact_system.development import driven_motion, forced_motion
 from contact_system.kernels import NODES, PRELUDE, Kernel, Restoration, c_statements
@@ -111,7 +111,7 @@ class _Model:
         )
 
     def _source(self, kind_rows: Sequence[str], places: Sequence[str], token: str) -> str:
-        m, values = development.collocation(), self.table.n_values
+        m, values = panels.collocation(), self.table.n_values
         series = np.vstack([m.series[:-1].T, m.series[-1:]])
         least = np.full(values, -sys.float_info.max)
         sizes = np.zeros(values, dtype=int)
@@ -387,7 +387,7 @@ def motion_source(kernel: Kernel, name: str, timed: bool) -> str:
 
     Those would differ from machine to machine in the last digit.
     """
-    text = development.panel_source(kernel).removeprefix(PRELUDE)
+    text = panels.panel_source(kernel).removeprefix(PRELUDE)
     if timed:  # sigma, decay and local time: the third row is panels.c's own
         text = "#define DRIVES 3\n" + text
     return (

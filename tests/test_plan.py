@@ -18,7 +18,7 @@ from conftest import SURFACES, one_contact, path_velocities, reflection, slip_of
 from numpy.polynomial import polynomial
 
 import contact_system as cs
-from contact_system import development, planner
+from contact_system import panels, planner
 from contact_system.errors import ContactSystemError, SceneError
 
 ASK = ("states", "points", "slip", "acceleration", "pose", "twist", "angles")
@@ -312,7 +312,7 @@ def test_a_plan_does_not_depend_on_scenes_planned_before(monkeypatch, kinds, obj
 
 
 def test_a_refusal_names_the_scene_that_is_planned_now(monkeypatch):
-    monkeypatch.setattr(development, "MOST_HERE", 1e3)
+    monkeypatch.setattr(panels, "MOST_HERE", 1e3)
     for name in ("one", "two"):
         windows = [cs.ObjectRateOffset(0, 0.1, 1.0, (-3.0, 0.0))]
         scene = one_contact("sphere", "sphere").replace(disturbances=windows, name=name)

@@ -14,7 +14,7 @@ typedef struct {
 } drive_t;
 
 typedef struct {
-  double length, tolerance, first, slip, finish; /* see development.Problem */
+  double length, tolerance, first, slip, finish; /* see panels.Problem */
   double released, reached;                      /* out: when slip was let go, or -1; the last edge */
   const double *node, *integral, *series, *end;  /* xi[N], Q^T[N][N], B^T[N][N] and B's last row, e[2][N] */
   const double *twice;                           /* (Q Q)^T, for NESTED */

@@ -1,4 +1,4 @@
-/* Gauss collocation in panels, the compiled twin of development.integrate (same steps, same tests).
+/* Gauss collocation in panels, the compiled twin of panels.integrate (same steps, same tests).
 
    X' = f(X, sigma(tau), decay(tau)) on tau in [0, length] for nb bodies in lockstep; the last
    n_stiff states V obey V' = f_V - lam(tau) V, whose linear part is solved implicitly.

@@ -6,7 +6,7 @@ typedef long (*evaluate_t)(const track_t *, long, const double *, double *, cons
 typedef long (*panels_t)(long, double *, const double *, const double *, const drive_t *, method_t *,
                          double *, double *, double *, double *);
 
-/* A track that is integrated when it is asked for (development.Motion). */
+/* A track that is integrated when it is asked for (panels.Motion). */
 typedef struct {
   track_t track; /* edges, coefficients are filled here */
   panels_t integrate;
@@ -14,7 +14,7 @@ typedef struct {
   method_t method;
   long nx, nc, room, done; /* states of a body; constants; panels; whether it is integrated */
   const long *known;   /* room that motions like this have needed */
-  double tolerance, slip, share; /* see development.Problem: share is `finish` */
+  double tolerance, slip, share; /* see panels.Problem: share is `finish` */
   const double *start, *constants, *scale;
   double *block; /* room: state, spare, work, edges, coefficients */
 } motion_t;

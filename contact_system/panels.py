@@ -1,0 +1,597 @@
+"""Gauss collocation in panels, here and in C (c/panels.c).
+
+The length of a panel follows the decay of the solution's Legendre series; that series is also the
+dense output.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from .errors import ContactSystemError
+from .kernels import (
+    NODES,
+    PRELUDE,
+    Kernel,
+    address,
+    c_source,
+    compiled_library,
+    contiguous,
+    find_compiler,
+    function_address,
+    library_path,
+    per_structure,
+)
+from .profile import GainPiece
+from .tracks import Drive, TrackData, drive_data
+
+# NODES = 16: on a unit sphere a panel spans about 2 rad at 1e-14 and Picard sweeps still converge.
+SWEEPS = 40
+MANY = 4096  # panels from one look at how many more it will take to the next
+MOST = 1e6  # panels of one interval; beyond, a scene is refused
+MOST_HERE = 1e5  # without compiled kernels, where a panel takes 0.3 ms
+MOST_BYTES = 2e9
+
+
+@dataclass(frozen=True)
+class Collocation:
+    """Matrices of collocation at the Gauss points of [-1, 1].
+
+    project : (N, N), node values -> Legendre coefficients of the interpolant
+    integral : (N, N), antiderivative of the interpolant at the nodes
+    series : (N + 1, N), node values of f -> Legendre coefficients of its antiderivative from -1
+    end : (2, N), weights of the integral over [-1, 1]; extrapolation of node values to +1
+    """
+
+    node: np.ndarray
+    project: np.ndarray
+    integral: np.ndarray
+    series: np.ndarray
+    end: np.ndarray
+
+
+@functools.cache
+def collocation(n: int = NODES) -> Collocation:
+    """The matrices, from the Legendre polynomials at Gauss points.
+
+    Their inverse rather than discrete orthogonality: numpy's weights are off by 7e-15.
+    """
+    node, _ = legendre.leggauss(n)
+    basis = legendre.legvander(node, n)  # P_0 .. P_n at the nodes
+    project = np.linalg.inv(basis[:, :n])
+    primitive = np.zeros((n + 1, n))  # int_-1 P_k = (P_{k+1} - P_{k-1}) / (2k + 1)
+    primitive[0, 0] = primitive[1, 0] = 1.0
+    for k in range(1, n):
+        primitive[k + 1, k] += 1.0 / (2 * k + 1)
+        primitive[k - 1, k] -= 1.0 / (2 * k + 1)
+    series = primitive @ project
+    end = np.vstack([2.0 * project[0], project.sum(axis=0)])
+    return Collocation(
+        node, project, np.ascontiguousarray(basis @ series), np.ascontiguousarray(series), end
+    )
+
+
+@dataclass(eq=False)  # not frozen: that makes it four times slower to make
+class Panels:
+    """A motion as Legendre series on panels.
+
+    edges : (K + 1,), local time (or arc length) of the panel ends
+    coefficients : (K, n_bodies, n_states, N + 1)
+    end : (n_bodies, n_states), the state at the last edge
+    released : local time at which slip was let go, or None
+    at : addresses of edges and coefficients, where they are known
+    """
+
+    edges: np.ndarray
+    coefficients: np.ndarray
+    end: np.ndarray
+    released: float | None = None
+    at: tuple[int, int] | None = None
+
+    @property
+    def count(self) -> int:
+        return len(self.edges) - 1
+
+    def evaluate(self, tau: np.ndarray, states: slice = slice(None)) -> np.ndarray:
+        """The states at local times in any order: (n_bodies, n_states, n_times)."""
+        coefficients = self.coefficients[:, :, states]
+        out = np.empty(coefficients.shape[1:3] + (len(tau),))
+        which = np.searchsorted(self.edges[1:-1], tau, side="right")
+        xi = 2.0 * (tau - self.edges[which]) / np.diff(self.edges)[which] - 1.0
+        basis = _legendre_basis(xi)
+        for k, part in runs(which):
+            if isinstance(part, slice):
+                np.matmul(coefficients[k], basis[:, part], out=out[:, :, part])
+            else:
+                out[:, :, part] = coefficients[k] @ basis[:, part]
+        return out
+
+
+def runs(which: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
+    """(value, where it stands), for each value of an integer array; slices where it is one run."""
+    if len(which) == 0:
+        return
+    ends = np.flatnonzero(np.diff(which)) + 1
+    starts = [0, *ends.tolist()]
+    values = which[starts].tolist()
+    if len(set(values)) == len(values):
+        yield from zip(values, map(slice, starts, [*ends.tolist(), len(which)]))
+    else:
+        for value in sorted(set(values)):
+            yield value, np.flatnonzero(which == value)
+
+
+def _legendre_basis(xi: np.ndarray) -> np.ndarray:
+    """P_0 .. P_N at xi: (N + 1, n)."""
+    basis = np.empty((NODES + 1, len(xi)))
+    basis[0], basis[1] = 1.0, xi
+    for k in range(1, NODES):
+        np.multiply(xi, basis[k], out=basis[k + 1])
+        basis[k + 1] *= (2 * k + 1) / (k + 1)
+        basis[k + 1] -= (k / (k + 1)) * basis[k - 1]
+    return basis
+
+
+@dataclass(eq=False)
+class Problem:
+    """What :func:`integrate` needs to know beside the kernel.
+
+    Attributes
+    ----------
+    name : str
+        Scene and contacts, for messages.
+    start : (n_bodies, n_states)
+    constants : (n_bodies, n_constant)
+    scale : (n_bodies, n_states)
+        1 / (size of each state): errors are measured in these units.
+    drive : GainPiece
+        sigma and decay as functions of local time.
+    length : float
+        End of the integration in local time.
+    first : float
+        First panel to try.
+    slip : float
+        Greatest |V| of the bodies; 0 where there is none (decay is then not evaluated).
+    finish : float
+        Let slip go once slip * decay is below this many tolerances; 0: never.
+    stops : bool
+        End the integration there, else go on without slip.
+    stiff : int
+        How many trailing states carry the term -lam.
+    """
+
+    name: str
+    start: np.ndarray
+    constants: np.ndarray
+    scale: np.ndarray
+    drive: GainPiece
+    length: float
+    first: float
+    slip: float = 0.0
+    finish: float = 0.0
+    stops: bool = False
+    stiff: int = 0
+
+    def moved(self, start: np.ndarray, constants: np.ndarray, **others: Any) -> Problem:
+        """This problem from another start with other constants, both contiguous."""
+        other = object.__new__(Problem)
+        other.__dict__.update(self.__dict__, start=start, constants=constants, **others)
+        return other
+
+    def limits(self, tolerance: float) -> tuple[float, float, float]:
+        """Bound of a series' tail, greatest slip that counts, and where it is let go."""
+        finish = self.finish * tolerance
+        # Below 4e-16 a series' tail is rounding noise.
+        return max(0.1 * tolerance, 4e-16), self.slip if self.slip > finish else 0.0, finish
+
+
+def integrate(
+    kernel: Kernel, problem: Problem, tolerance: float, compiled: bool | None = False
+) -> Panels:
+    """Integrate all bodies of a problem in lockstep.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    problem : Problem
+    tolerance : float
+        Ten times the bound of the truncated series tail of a panel, in units of ``1 / scale``.
+    compiled : bool or None
+        True compiles if need be, False never, None uses what was built before.
+
+    Raises
+    ------
+    ContactSystemError
+        The panels shrink without end (the motion leaves its chart, or the surface is not smooth).
+    """
+    if panels_built(kernel) if compiled is None else compiled:
+        return Motion(kernel, problem, tolerance).panels()
+    return _integrate_here(kernel, problem, tolerance)
+
+
+def _stuck(problem: Problem, tau: float) -> ContactSystemError:
+    return ContactSystemError(
+        f"{problem.name}: the motion cannot be continued past local time "
+        f"{problem.drive.start + tau:.9g}: the path reaches a singular point of its chart or its "
+        "surface, or moves too fast for double precision; start elsewhere, change the direction or "
+        "end the scene before"
+    )
+
+
+def _endless(problem: Problem, tau: float, count: int, most: float = MOST) -> ContactSystemError:
+    return ContactSystemError(
+        f"{problem.name}: {count} panels reach local time {problem.drive.start + tau:.9g} of "
+        f"{problem.drive.start + problem.length:.9g} only, more than {most:g} would be needed; "
+        "shorten the scene, lower the speed, the acceleration or the surface's curvature; where a "
+        "disturbance drives the contact into a pole of its chart, end its window before"
+        + (", or plan with compiled=True" if most < MOST else "")
+    )
+
+
+def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panels:
+    """The panels with the virtual machine and numpy; panels.c has the same steps."""
+    m, drive = collocation(), problem.drive
+    tolerance, slip, finish = problem.limits(tolerance)
+    start = np.array(problem.start)
+    n_bodies, n_states = start.shape
+    machine = kernel.nodes(problem.constants, NODES)
+    x, f = machine.x, machine.y
+    scale, n_smooth = problem.scale[:, None, :], n_states - problem.stiff
+    released = None
+    edges: list[float] = [0.0]
+    series: list[np.ndarray] = []
+    # what sweeps may start from: a series, its length, and its end (1) or start (-1) at tau
+    known: tuple[np.ndarray, float, float] | None = None
+    tau, h, tries, mark = 0.0, min(problem.first, problem.length), 0, 0.0
+    while tau < problem.length:
+        tries += 1
+        # a layer at the start may be as thin as it likes
+        if tries > 40 * (len(series) + 25) or not h > 1e-15 * tau + 1e-30 * problem.length:
+            raise _stuck(problem, tau)
+        if len(series) and len(series) % MANY == 0 and tau > mark:
+            if MANY * (problem.length - tau) > MOST_HERE * (tau - mark):
+                raise _endless(problem, tau, len(series), MOST_HERE)
+            mark = tau
+        h = longest_panel(drive, slip, tau, min(h, problem.length - tau))
+        after = tau + h
+        if after >= problem.length * (1 - 1e-14):
+            after = problem.length
+        half = 0.5 * (after - tau)
+        t = tau + half * (1.0 + m.node)
+        sigma = drive.speed(t)
+        x[:, :, n_states] = sigma
+        x[:, :, n_states + 1] = drive.decay(t, sigma) if slip > 0 else 0.0
+        if known and after - tau <= (2.0 if known[2] > 0 else 1.0) * known[1]:
+            # Picard sweeps start from the last panel's series (28 % fewer of them), or from that
+            # of the longer panel that was refused
+            before, length, place = known
+            basis = _legendre_basis(place + (after - tau) / length * (1.0 + m.node))
+            x[:, :, :n_states] = (before @ basis).transpose(0, 2, 1)
+        else:
+            x[:, :, :n_states] = start[:, None, :]
+        if problem.stiff:
+            lam = drive.gain(t)[:, None]
+            solve = np.linalg.inv(np.eye(NODES) + half * m.integral * lam.T)
+        last = np.inf
+        with np.errstate(all="ignore"):  # a diverging sweep is caught below
+            for k in range(SWEEPS):
+                machine.run()
+                new = start[:, None, :] + half * (m.integral @ f)
+                if problem.stiff:
+                    new[:, :, n_smooth:] = solve @ new[:, :, n_smooth:]
+                    f[:, :, n_smooth:] -= lam * new[:, :, n_smooth:]
+                if n := kernel.nested:
+                    own = slice(n_states - 2 * n, n_states - n)
+                    f[:, :, own] = new[:, :, n_states - n :]
+                    new[:, :, own] = start[:, None, own] + half * (m.integral @ f[:, :, own])
+                change = np.abs((new - x[:, :, :n_states]) * scale).max()
+                x[:, :, :n_states] = new
+                # sweeps converge ever faster: the next changes less than this one by what this did
+                quick = k > 0 and change < 0.3 * last
+                if (change * (change / last) if quick else change) <= 0.01 * tolerance:
+                    break
+                if change <= 4e-16 or (k > 6 and change <= 1e-13 and change > 0.25 * last):
+                    break
+                if not change < 1e10 or (k > 3 and change > 4.0 * last):
+                    k = SWEEPS
+                    break
+                top = np.abs(half * (m.series[-1] @ f) * problem.scale).max() if k == 3 else 0.0
+                if top > 100.0 * tolerance:  # much too long, as its tail tells by now
+                    break
+                last = change
+            else:
+                k = SWEEPS
+        if k == SWEEPS:
+            known = None if known and known[2] < 0 else known
+            h = 0.35 * (after - tau)
+            continue
+        coefficients = half * (m.series @ f)
+        coefficients[:, 0] += start
+        tail = np.maximum(np.abs(coefficients[:, -1]), 0.1 * np.abs(coefficients[:, -2]))
+        end = start + half * (m.end[0] @ f)
+        if problem.stiff:
+            end[:, n_smooth:] = m.end[1] @ x[:, :, n_smooth:n_states]
+        reached = end.copy()
+        for restore, row, at in kernel.restores:
+            own = slice(row, row + restore.n_result)
+            parameters = problem.constants[:, at : at + restore.n_constant]
+            end[:, own] = restore.at(end[:, own], parameters)
+        # what must be put back tells of the panel's error too
+        moved = (np.abs(end - reached) * problem.scale).max()
+        error = max((tail * problem.scale).max(), 0.1 * moved if moved > 1e-13 else 0.0)
+        # an error below 1e-30 says no more than one of 1e-30, and a quotient must not overflow
+        ratio = 0.9 * (tolerance / max(error, 1e-30)) ** (1.0 / NODES)
+        if not error <= tolerance:
+            known = coefficients.transpose(0, 2, 1), after - tau, -1.0
+            h = (after - tau) * min(max(ratio, 0.35), 0.8)
+            continue
+        series.append(coefficients.transpose(0, 2, 1))
+        known = series[-1], after - tau, 1.0
+        start = end
+        h = (after - tau) * min(ratio, 2.0)
+        tau = after
+        edges.append(tau)
+        if slip > 0 and finish > 0:
+            if slip * drive.decay(tau, drive.speed(tau)) <= finish:
+                slip, released = 0.0, tau  # from here on decay is not evaluated, nor resolved
+                h = problem.first
+                if problem.stops:
+                    break
+    return Panels(np.array(edges), np.array(series), start, released)
+
+
+def longest_panel(drive: GainPiece, slip: float, tau: float, h: float) -> float:
+    """Shorten a panel so that decay falls by exp(-30) at most: its first node still sees it."""
+    if slip <= 0:
+        return h
+    for _ in range(60):
+        lost = drive.lost(tau)
+        mean = (drive.lost(tau + h) - lost) / h  # the gain may be 0 at both ends, where sigma is
+        gain = max(drive.gain(tau), drive.gain(tau + h), mean)
+        if gain * h <= 30.0 or lost > 40.0:
+            break
+        h = 0.5 * h if 30.0 / gain < 0.5 * h else 30.0 / gain * 0.99
+    return h
+
+
+# --- the compiled twin -------------------------------------------------------------------------
+
+
+class Method(ctypes.Structure):
+    """``method_t`` of c/common.h."""
+
+    _fields_ = [(name, ctypes.c_double) for name in (
+        "length", "tolerance", "first", "slip", "finish", "released", "reached")]  # fmt: skip
+    _fields_ += [(name, ctypes.c_void_p) for name in (
+        "node", "integral", "series", "end", "twice")]  # fmt: skip
+    _fields_ += [(name, ctypes.c_long) for name in ("n_stiff", "max_panels", "stops")]
+
+
+def panel_source(kernel: Kernel) -> str:
+    """C99 source of ``panels`` for one kernel."""
+    n = kernel.n_result
+    rows_in = ", ".join(f"{i * NODES}" for i in range(n + 2))
+    rows_out = ", ".join(f"{i * NODES}" for i in range(n))
+    # Inlined, a loop of 16 is unrolled and then poorly packed: five times slower.
+    head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
+    head += f"#define RHS {kernel.name}\n#define NX {n}L\n#define NC {kernel.n_constant}L\n"
+    head += f"#define SWEEPS {SWEEPS}\n#define NESTED {kernel.nested}\n"
+    head += f"#define MANY {MANY}\n#define MOST_PANELS {MOST:g}\n"
+    head += f"#define IN_ROWS {rows_in}\n#define OUT_ROWS {rows_out}\n"
+    head += _restore_source(kernel)
+    return head + c_source("panels.c")
+
+
+def _restore_source(kernel: Kernel) -> str:
+    """C99: ``restore(state, constants)`` puts one body's state back on its surfaces, in place."""
+    loops, calls = "", ""
+    for i, (restore, row, constant) in enumerate(kernel.restores):
+        n = restore.n_result
+        rows = ", ".join(map(str, range(n)))
+        loops += "static " + restore.loop(f"restore_{i}")
+        calls += (
+            f"  {{ static const long rows[] = {{{rows}}}; double to[{n}];\n"
+            f"    restore_{i}(1, 1, state + {row}, rows, 0, c + {constant}, to, rows, 0);\n"
+            f"    memcpy(state + {row}, to, sizeof to); }}\n"
+        )
+    head = "#include <string.h>\n" + loops
+    return head + f"static void restore(double *state, const double *c) {{\n{calls}}}\n"
+
+
+@per_structure
+def panel_library(kernel: Kernel) -> ctypes.CDLL:
+    """The compiled ``panels`` of one kernel (c/panels.c)."""
+    library = compiled_library(panel_source(kernel))
+    library.panels.restype = ctypes.c_long
+    library.panels.argtypes = [ctypes.c_long] + [ctypes.c_void_p] * 9
+    return library
+
+
+def panels_built(kernel: Kernel) -> bool:
+    """Whether the compiled panels of a kernel lie in the cache (looked up once)."""
+    if kernel not in _BUILT:
+        there = find_compiler() is not None and library_path(panel_source(kernel)).exists()
+        _BUILT[kernel] = there
+    return _BUILT[kernel]
+
+
+_BUILT: dict[Kernel, bool] = {}
+
+
+class MotionData(ctypes.Structure):
+    """``motion_t`` of c/program.c."""
+
+    _fields_ = [("track", TrackData), ("integrate", ctypes.c_void_p), ("drive", Drive),
+                ("method", Method)]  # fmt: skip
+    _fields_ += [(name, ctypes.c_long) for name in ("nx", "nc", "room", "done")]
+    _fields_ += [("known", ctypes.c_void_p)]
+    _fields_ += [(name, ctypes.c_double) for name in ("tolerance", "slip", "share")]
+    _fields_ += [(name, ctypes.c_void_p) for name in ("start", "constants", "scale", "block")]
+
+
+@functools.cache
+def program_library() -> ctypes.CDLL:
+    """c/program.c: ``move``, ``room_of``, ``fill``, ``states``; ``begin`` and ``fill_begun`` of
+    scenes of a kind."""
+    library = compiled_library(_program_source())
+    pointer, integer = ctypes.c_void_p, ctypes.c_long
+    library.move.argtypes = library.room_of.argtypes = [pointer]
+    library.fill.argtypes = [pointer, integer, integer, integer, pointer, pointer, pointer]
+    library.begin.argtypes = [pointer] * 3
+    begun: list[Any] = [pointer, pointer, ctypes.c_double]
+    library.fill_begun.argtypes = [*begun, *library.fill.argtypes[:-1]]
+    library.states.argtypes = [*begun, pointer, integer, integer, pointer, pointer]
+    for name in ("move", "room_of", "fill", "begin", "fill_begun", "states"):
+        getattr(library, name).restype = integer
+    return library
+
+
+@functools.cache
+def program_built() -> bool:
+    """Whether it lies in the cache (looked up once)."""
+    return find_compiler() is not None and library_path(_program_source()).exists()
+
+
+@functools.cache
+def _program_source() -> str:
+    sizes = f"#define MOST {MOST_AT_ONCE}\n#define MOST_FOUND {MOST_FOUND}\n"
+    return PRELUDE + sizes + c_source("program.c")
+
+
+MOST_AT_ONCE = 8  # contacts of a kind that C takes at once: their numbers stay in the cache
+MOST_FOUND = 512  # numbers that a kind works out for a contact
+ROOM = 24  # panels there is room for, until one needs more
+MOST_ROOM = 400  # that is remembered
+_ROOM: dict[Kernel, ctypes.c_long] = {}
+
+
+def _room(kernel: Kernel) -> ctypes.c_long:
+    """Room that motions of this kernel have needed; C reads it too."""
+    return _ROOM.setdefault(kernel, ctypes.c_long(ROOM))
+
+
+class Motion:
+    """A problem laid out for C: integrated by :meth:`run`, or by ``fill`` and ``states`` of
+    c/program.c on their way.
+
+    Attributes
+    ----------
+    data : MotionData
+    at : int
+        Its address.
+    lock : threading.Lock
+        Hold it during the call that integrates: there is one work space.
+    """
+
+    def __init__(
+        self, kernel: Kernel, problem: Problem, tolerance: float, track: TrackData | None = None
+    ):
+        start, constants, scale = map(contiguous, (problem.start, problem.constants, problem.scale))
+        self.data = data = MotionData()
+        if track is not None:
+            data.track = track
+        data.track.nb, data.nx = start.shape
+        data.nc = constants.shape[1]
+        data.integrate = function_address(panel_library(kernel).panels)
+        data.drive = drive_data(problem.drive)
+        data.start, data.constants, data.scale = address(start), address(constants), address(scale)
+        data.method = Method(problem.length, 0.0, problem.first, 0.0, 0.0, -1.0, 0.0,
+                             *method_pointers(), problem.stiff, 0, problem.stops)  # fmt: skip
+        data.share, data.slip = problem.finish, problem.slip
+        data.known = ctypes.addressof(_room(kernel))
+        self._kept = kernel, start, constants, scale, problem  # addresses point into them
+        self._begin(tolerance)
+
+    def again(self, tolerance: float, problem: Problem | None = None) -> Motion:
+        """The same motion for another tolerance; of a problem that was :meth:`Problem.moved`."""
+        other = object.__new__(Motion)
+        other.data = data = MotionData.from_buffer_copy(self.data)
+        other._kept = self._kept
+        if problem is not None:
+            kernel, _, _, scale, _ = self._kept
+            start, constants = problem.start, problem.constants
+            data.start, data.constants, data.slip = address(start), address(constants), problem.slip
+            if problem.scale is not scale:
+                scale = problem.scale
+                data.scale = address(scale)
+            other._kept = kernel, start, constants, scale, problem
+        other._begin(tolerance)
+        return other
+
+    @property
+    def problem(self) -> Problem:
+        return self._kept[4]
+
+    def _begin(self, tolerance: float) -> None:
+        data, self.lock, self.at = self.data, threading.Lock(), ctypes.addressof(self.data)
+        data.tolerance, data.done = tolerance, 0
+        self._block: np.ndarray | None = None
+
+    def ready(self) -> None:
+        """Have room to integrate into."""
+        if self._block is None:
+            self._make_room(_room(self._kept[0]).value)
+
+    def _make_room(self, panels: int) -> None:
+        self.data.room = panels
+        self._block = block = np.empty(program_library().room_of(self.at))
+        self.data.block = address(block)
+
+    def run(self) -> None:
+        """Integrate, unless that was done before."""
+        with self.lock:
+            while not self.data.done:
+                self.ready()
+                code = program_library().move(self.at)
+                if code:
+                    self.failed(code)
+
+    def failed(self, code: int) -> None:
+        """After a code of ``panels``: make more room, or say what is wrong."""
+        method, kernel = self.data.method, self._kept[0]
+        if code == -2:
+            raise _stuck(self.problem, method.reached)
+        panels = 4 * self.data.room
+        if code == -3 or 4.0 * self._block.nbytes > MOST_BYTES:  # type: ignore[union-attr]
+            raise _endless(self.problem, method.reached, self.data.room)
+        self._make_room(panels)
+        known = _room(kernel)
+        known.value = min(max(panels, known.value), MOST_ROOM)
+
+    def panels(self) -> Panels:
+        """The motion as panels."""
+        self.run()
+        data, block = self.data, self._block
+        assert block is not None
+        count, shape = data.track.n_panels, (data.track.nb, data.nx)
+        size = shape[0] * shape[1]
+        at, first = ((a - data.block) // 8 for a in (data.track.edges, data.track.coefficients))
+        series = block[first : first + count * size * (NODES + 1)]
+        released = data.method.released
+        return Panels(
+            block[at : at + count + 1],
+            series.reshape(count, *shape, NODES + 1), block[:size].reshape(shape),
+            released if released >= 0 else None, (data.track.edges, data.track.coefficients),
+        )  # fmt: skip
+
+
+def method_pointers() -> tuple[int, ...]:
+    """Addresses of the matrices of :class:`Method`."""
+    return _matrices()[0]
+
+
+@functools.cache
+def _matrices() -> tuple[tuple[int, ...], list[np.ndarray]]:
+    m = collocation()
+    series = np.vstack([m.series[:-1].T, m.series[-1:]])
+    twice = (m.integral @ m.integral).T
+    kept = [np.ascontiguousarray(a) for a in (m.node, m.integral.T, series, m.end, twice)]
+    return tuple(a.ctypes.data for a in kept), kept
