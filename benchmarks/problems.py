@@ -17,7 +17,7 @@ import numpy as np
 
 import contact_system as cs
 from contact_system.chart_solution import initial_state
-from contact_system.planner import scene_start
+from contact_system.starts import scene_start
 
 from .accuracy import reference
 

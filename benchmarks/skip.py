@@ -21,8 +21,8 @@ import numpy as np
 
 import contact_system as cs
 from contact_system.development import driven_motion
-from contact_system.planner import scene_start
 from contact_system.scene import Scene
+from contact_system.starts import scene_start
 from contact_system.surfaces import Surface
 from contact_system.tracks import prefers_ambient
 

@@ -27,7 +27,7 @@ import numpy as np
 
 import contact_system as cs
 from contact_system.chart_solution import initial_state
-from contact_system.planner import scene_start
+from contact_system.starts import scene_start
 
 from . import peers
 from .accuracy import arc_length, engines, great_circle, point_error, reference

@@ -12,10 +12,11 @@ import numpy as np
 
 from .equations import chart_equations
 from .errors import ContactSystemError, SceneError
+from .groups import Group, SlipRecord
 from .kinematics import contact_map
-from .planner import Group, SlipRecord, Start
 from .profile import GainPiece
 from .scene import FingerAcceleration, ObjectAcceleration, ObjectRateOffset, Scene
+from .starts import Start
 from .tracks import Track
 
 SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")

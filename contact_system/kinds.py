@@ -35,6 +35,7 @@ from .closed_form import (
 )
 from .development import contact_start
 from .geodesics import GeodesicTrack, geodesic_form
+from .groups import Group, SlipRecord
 from .kernels import Kernel, address, function_address, per_structure
 from .panel_tracks import Forced, MovingTrack, PanelTrack
 from .panels import MOST_FOUND, Motion, program_built, program_library
@@ -42,16 +43,14 @@ from .planner import (
     ENDLESS,
     MOST_ALIKE,
     TINY,
-    Group,
-    SlipRecord,
     alike,
     group_name,
     plan_groups,
     slip_of,
-    start_numbers,
 )
-from .program import Program
+from .program import Program, chart_states, group_program
 from .scene import Scene
+from .starts import start_numbers
 from .surfaces import Surface
 from .tracks import (
     AXIS,
@@ -530,7 +529,7 @@ class Kind:
         self.planned = self._group(own, moved)
         self.closed = self.alone and not self._motions
         self._programs: dict[str, Program | None] = {}
-        states = self.planned.chart_states(compiled) if self.alone else None
+        states = chart_states(self.planned, compiled) if self.alone else None
         self.states = None if states is None else states.at
 
     def _lay_out(
@@ -582,7 +581,7 @@ class Kind:
         return self._programs[output]
 
     def _program(self, output: str) -> Program | None:
-        found = self.planned.program(output)
+        found = group_program(self.planned, output)
         for part, track in zip(found.parts, found.tracks) if found is not None else ():
             if isinstance(track, PanelTrack) and track.motion is not None:
                 part.moves = 1 + self._motions.index(track.motion)

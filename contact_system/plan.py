@@ -24,21 +24,15 @@ from numpy.typing import ArrayLike
 from . import kinds
 from .chart_solution import chart_groups
 from .errors import ChartSingularity, ContactSystemError, SceneError
+from .groups import SIDES, Group
 from .kinds import Begun
 from .kinematics import relative_pose, relative_twist
 from .panels import runs
-from .planner import (
-    Group,
-    Moment,
-    Start,
-    Starts,
-    measured_start,
-    plan_groups,
-    scene_start,
-)
-from .program import SIDES, Program, program_of
+from .planner import plan_groups
+from .program import Program, chart_states, group_program, program_of
 from .scene import ObjectRateOffset, Scene, require_scene
 from .scene_files import scene_from_toml, scene_to_toml
+from .starts import Moment, Start, Starts, measured_start, scene_start
 from .surfaces import Surface
 from .tracks import Track
 
@@ -465,7 +459,7 @@ class Plan:
         if code < 0:
             group = self.groups[0]
             one = len(self.groups) == 1 and group.moving
-            made = group.chart_states(self.compiled) if one else None
+            made = chart_states(group, self.compiled) if one else None
             if made is None:
                 return None
             out = np.empty(shape)
@@ -544,7 +538,7 @@ class Plan:
 
     def _program(self, output: str) -> Program | None:
         if len(self.groups) == 1:
-            return self.groups[0].program(output)
+            return group_program(self.groups[0], output)
         if output not in self._programs:
             self._programs[output] = program_of(self.groups, output)
         return self._programs[output]

@@ -12,12 +12,10 @@ at the edges of its own windows; on each interval
 
 from __future__ import annotations
 
-import bisect
-import contextlib
 import functools
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,23 +28,21 @@ from .development import (
     contact_start,
     rolling_motion,
 )
-from .errors import ChartSingularity, ContactSystemError, SceneError
+from .errors import ContactSystemError, SceneError
 from .geodesics import GeodesicTrack, geodesic_form
+from .groups import Group, SlipRecord
 from .kernels import Kernel, contiguous
 from .panel_tracks import Forced, MovingTrack, PanelTrack
 from .panels import Motion, Panels, Problem, integrate, panels_built
 from .profile import GainPiece, Profile
-from .program import SIDES, ChartStates, Program, program_of
 from .scene import (
-    REST,
-    ROLLING,
-    Contact,
     Disturbance,
     FingerAcceleration,
     ObjectAcceleration,
     ObjectRateOffset,
     Scene,
 )
+from .starts import Moment, Starts, scene_start
 from .surfaces import Surface
 from .tracks import (
     AXIS,
@@ -56,7 +52,6 @@ from .tracks import (
     lame_kernel,
     prefers_ambient,
     restoring_axis,
-    restoring_kernel,
     scale_kernel,
 )
 
@@ -73,327 +68,6 @@ LONG_REST = 6.0
 TINY = 1e-300  # keeps 1/0 out
 # Path in sizes of a body of which no digit of the place would be left.
 ENDLESS = 1e12
-
-
-@dataclass
-class Start:
-    """Where one contact starts, in its contact frames at the start time.
-
-    Attributes
-    ----------
-    finger_at, object_at : (u, v)
-    angle : psi
-    finger_velocity : M1 dq1/ds in E1
-    object_velocity : M2 dq2/ds in E2, without object rate offsets
-    """
-
-    finger_at: tuple[float, float]
-    object_at: tuple[float, float]
-    angle: float
-    finger_velocity: tuple[float, float]
-    object_velocity: tuple[float, float]
-
-    @classmethod
-    def from_plain(cls, plain: Mapping[str, Any]) -> Start:
-        """From the values that ``vars`` gave, pairs being lists by now."""
-        pairs = {k: _pair(v) for k, v in plain.items() if k != "angle"}
-        return cls(angle=float(plain["angle"]), **pairs)
-
-
-def scene_start(contact: Contact) -> Start:
-    """The start that a scene's contact describes."""
-    n = start_numbers(contact)
-    return Start(n[0:2], n[2:4], n[4], n[5:7], n[7:9])  # type: ignore[arg-type]
-
-
-def start_numbers(contact: Contact) -> tuple[float, ...]:
-    """The 9 numbers of a :class:`Start` in their order; words become numbers here."""
-    own: Any = contact.finger_velocity
-    given: Any = contact.object_velocity
-    if own == ROLLING:  # imposed: the other is a pair
-        own = _rolled(contact.angle, given)
-    elif given == ROLLING:
-        given = _rolled(contact.angle, own)
-    elif given == REST:
-        given = 0.0, 0.0
-    return (*contact.finger_at, *contact.object_at, contact.angle, *own, *given)
-
-
-def _rolled(angle: float, w: tuple[float, float]) -> tuple[float, float]:
-    """R_psi w, before V is worked out from it and rounding told from slip."""
-    c, s = math.cos(angle), math.sin(angle)
-    return c * w[0] - s * w[1], -s * w[0] - c * w[1]
-
-
-@dataclass(frozen=True)
-class Moment:
-    """One contact on its way, in its moving frames: all that a plan needs to go on exactly.
-
-    Attributes
-    ----------
-    angle : psi where both frame angles are zero
-    finger_velocity, slip : W_1 and V in the parallel frames (theory section 4)
-    finger_at, object_at : u, v, theta, continued along the path
-    finger_frame, object_frame : x, p, q (9); empty where the body is moved in its chart
-    """
-
-    angle: float
-    finger_velocity: tuple[float, ...]
-    slip: tuple[float, ...]
-    finger_at: tuple[float, ...]
-    object_at: tuple[float, ...]
-    finger_frame: tuple[float, ...]
-    object_frame: tuple[float, ...]
-
-    @classmethod
-    def from_plain(cls, plain: Mapping[str, Any]) -> Moment:
-        """From the values that ``vars`` gave, tuples being lists by now."""
-        lists = {k: tuple(map(float, v)) for k, v in plain.items() if k != "angle"}
-        return cls(angle=float(plain["angle"]), **lists)
-
-
-Starts = Sequence[Start | Moment]
-"""All of one kind."""
-
-
-def measured_start(
-    scene: Scene, index: int, t: float, row: np.ndarray, offset: np.ndarray
-) -> Start:
-    """The start of a contact from its measured state at time t.
-
-    Parameters
-    ----------
-    scene : Scene
-    index : int
-        Of the contact.
-    t : float
-        s, with sigma(t) > 0.
-    row : (9,)
-        u1 v1 u1' v1' u2 v2 u2' v2' psi.
-    offset : (2,)
-        Object rate offset at t, which the rates include.
-
-    Raises
-    ------
-    SceneError
-        sigma = 0, a pole, or coordinates outside the chart.
-    """
-    sigma = float(scene.profile(t))
-    if not sigma > 0:
-        raise SceneError(
-            f"scene '{scene.name}', restart at t = {t:g} s: sigma = {sigma:g} there, so rates do "
-            "not determine path velocities; restart where sigma > 0"
-        )
-    velocities = []
-    for side, surface, (u, v, *rates) in (
-        ("finger", scene.contacts[index].finger, row[:4]),
-        ("object", scene.object, row[4:8] - np.append([0.0, 0.0], offset)),
-    ):
-        place = f"scene '{scene.name}', restart at t = {t:g} s, contact {index}, {side}"
-        try:
-            at = surface.canonical(u, v)
-        except ContactSystemError as error:
-            raise SceneError(f"{place}: {error}") from None
-        near = surface.align(*at, u, v)
-        if math.hypot(near[0] - u, near[1] - v) > 1e-9:
-            raise SceneError(
-                f"{place}: (u, v) = ({u:.9g}, {v:.9g}) is outside the chart of {surface!r}; the "
-                f"same point is ({at[0]:.9g}, {at[1]:.9g}), where the rates and psi have other "
-                "values"
-            )
-        velocities.append(tuple(surface.metric_root(u, v) @ rates / sigma))
-    return Start(tuple(row[0:2]), tuple(row[4:6]), float(row[8]), velocities[0], velocities[1])
-
-
-def _pair(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    return float(values[0]), float(values[1])
-
-
-@dataclass(eq=False)
-class SlipRecord:
-    """V(t) on [start, stop] in the object's parallel frame; slip is sigma V less the offset's part.
-
-    ``of`` maps local times to V (n, 2, n_times), or is None where there is no slip; ``pushed`` maps
-    them to W_1, or is the constant W_1 (n, 2); None where frames are not carried along.
-    """
-
-    start: float
-    stop: float
-    piece: GainPiece
-    of: Callable[[np.ndarray], np.ndarray] | None
-    forcing: tuple[np.ndarray, np.ndarray] | None
-    pushed: Callable[[np.ndarray], np.ndarray] | np.ndarray | None = None
-
-    def slip(self, t: np.ndarray) -> np.ndarray:
-        """V: (n, 2, n_times)."""
-        if self.of is None:
-            return 0 * self.finger_velocity(t)
-        return self.of(t - self.start)
-
-    def finger_velocity(self, t: np.ndarray) -> np.ndarray:
-        """W_1: (n, 2, n_times)."""
-        assert self.pushed is not None
-        if callable(self.pushed):
-            return self.pushed(t - self.start)
-        return np.repeat(self.pushed[:, :, None], len(t), axis=2)
-
-
-@dataclass(eq=False)
-class Group:
-    """Contacts that move together, and their motion.
-
-    Attributes
-    ----------
-    contacts : (n,) int
-    r0 : (n, 2, 2)
-        Map between the parallel frames, constant.
-    angle : (n,)
-        psi where both frame angles are zero.
-    begin : two (n, 3)
-        u, v, theta of finger and object at the start.
-    finger, object : list of Track
-    slips : list of SlipRecord
-    pair : CircleTrack or None
-        Fingers and objects as one track of 2 n bodies, where both run on one great circle each.
-    """
-
-    contacts: np.ndarray
-    r0: np.ndarray
-    angle: np.ndarray
-    begin: tuple[np.ndarray, np.ndarray]
-    finger: list[Track] = field(default_factory=list)
-    object: list[Track] = field(default_factory=list)
-    slips: list[SlipRecord] = field(default_factory=list)
-    pair: CircleTrack | None = None
-    layouts: dict[str, Any] = field(default_factory=dict)
-    programs: dict[str, Any] = field(default_factory=dict)
-
-    def program(self, output: str) -> Program | None:
-        """All tracks in one compiled call, for a plan of this group alone.
-
-        ``layouts`` is kept with the scene: it is laid out once for tracks of the same kinds.
-        """
-        if output not in self.programs:
-            known: Program | None = self.layouts.get(output)
-            if known is None:
-                made = program_of([self], output)
-                if made is not None:
-                    self.layouts[output] = made.blank()
-            else:
-                made = known.again([self.pair] if self.pair else self.finger + self.object)
-            self.programs[output] = made
-        return self.programs[output]
-
-    def chart_states(self, compiled: bool | None) -> ChartStates | None:
-        """Chart states in one compiled call, if this is a group for that."""
-        if "states" not in self.programs:
-            self.programs["states"] = ChartStates.of(self, compiled)
-        return self.programs["states"]
-
-    def repeats(self, tolerance: float) -> bool:
-        """Whether another tolerance changes nothing but tracks at the end."""
-        for tracks in (self.finger, self.object):
-            others = [track.again(tolerance) for track in tracks]
-            if others[-1] is None or any(a is not b for a, b in zip(tracks[:-1], others)):
-                return False
-        return True
-
-    @functools.cached_property
-    def moving(self) -> list[MovingTrack]:
-        """Of a group that :meth:`repeats`, the tracks that another tolerance changes."""
-        ends = self.finger[-1], self.object[-1]
-        return [track for track in ends if isinstance(track, MovingTrack)]
-
-    def again(self, tolerance: float) -> Group:
-        """A group that :meth:`repeats`, for another tolerance."""
-        if not self.moving:
-            return self
-        other = object.__new__(Group)
-        other.__dict__.update(self.__dict__)
-        other.__dict__.pop("moving", None)
-        anew = {track: track.again(tolerance) for track in self.moving}
-        other.finger, other.object = (
-            [*tracks[:-1], anew.get(tracks[-1], tracks[-1])]  # type: ignore[call-overload]
-            for tracks in (self.finger, self.object)
-        )
-        other.programs = {}
-        return other
-
-    def coordinates_at(self, side: str, count: int) -> np.ndarray:
-        """Continuous (u, v, theta) at the end of the first ``count`` tracks: (n, 3).
-
-        On the way those tracks learn the branch they continue.
-        """
-        now = self.begin[side == "object"]
-        tracks = getattr(self, side)[:count]
-        for track in tracks:
-            if not track.anchored:
-                track.anchor(now)
-            values = np.empty((len(now), 5, 1))
-            track.coordinates(np.array([track.stop]), values)
-            now = values[:, [0, 1, 4], 0]
-        return now
-
-    def anchor(self, side: str, track: Track) -> None:
-        """Make a track's coordinates continue those of the tracks before it."""
-        if not track.anchored:
-            index = getattr(self, side).index(track)
-            begin = self.begin[side == "object"]
-            track.anchor(begin if index == 0 else self.coordinates_at(side, index))
-
-    def anchor_all(self) -> None:
-        """Make all tracks' coordinates continuous."""
-        self.anchor_pair()
-        if self.pair is None:
-            for side in SIDES:
-                self.coordinates_at(side, len(getattr(self, side)) - 1)
-                self.anchor(side, getattr(self, side)[-1])
-
-    def anchor_pair(self) -> None:
-        """The same for :attr:`pair`."""
-        if self.pair is not None and not self.pair.anchored:
-            self.pair.anchor(np.stack(self.begin, axis=1).reshape(-1, 3))
-
-    def moments(self, t: float) -> list[Moment]:
-        """Where each contact has come to at time t."""
-        time = np.array([t])
-        record = _acting(self.slips, t)
-        w1, v = record.finger_velocity(time)[:, :, 0], record.slip(time)[:, :, 0]
-        columns = [self.angle[:, None], w1, v]
-        columns += [self._places(side, t) for side in ("finger", "object")]
-        columns += [_moving_frame(_acting(getattr(self, s), t), t) for s in ("finger", "object")]
-        rows = zip(*(column.tolist() for column in columns))
-        return [Moment(angle[0], *map(tuple, others)) for angle, *others in rows]
-
-    def _places(self, side: str, t: float) -> np.ndarray:
-        """u, v, theta at time t, (n, 3); where there are none, of a moment before or after.
-
-        They say which branch is to be continued; the place itself is that of the moving frame.
-        """
-        track = _acting(getattr(self, side), t)
-        if not prefers_ambient(track.surface):
-            return track.state(np.array([t]))[:, :, 0]
-        self.anchor(side, track)
-        values = np.empty((track.n_bodies, 5, 1))
-        aside = 1e-7 * (track.stop - track.start)
-        for near in (t, max(t - aside, track.start), min(t + aside, track.stop)):
-            with contextlib.suppress(ChartSingularity):
-                track.coordinates(np.array([near]), values)
-                return values[:, [0, 1, 4], 0]
-        raise track.singular(t)
-
-
-def _acting(intervals: Sequence[Any], t: float) -> Any:
-    """The track or record of a time; an edge belongs to the later one."""
-    return intervals[bisect.bisect_right([i.start for i in intervals[1:]], t)]
-
-
-def _moving_frame(track: Track, t: float) -> np.ndarray:
-    """x, p, q at time t on the surface, (n, 9); (n, 0) where bodies are moved in their chart."""
-    if not prefers_ambient(track.surface):
-        return np.empty((track.n_bodies, 0))
-    frames = track.frames(np.array([t]))[:, :, 0]
-    return restoring_kernel(track.surface).at(frames, track.parameters)
 
 
 @dataclass(eq=False)

@@ -8,21 +8,16 @@ from __future__ import annotations
 import ctypes
 import functools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from .closed_form import CircleTrack, FlatTrack
+from .groups import SIDES, Group
 from .kernels import address, function_address
 from .panel_tracks import MovingTrack
 from .panels import Motion, collocation, program_built, program_library
 from .tracks import Track, evaluator
-
-if TYPE_CHECKING:
-    from .planner import Group
-
-SIDES = ("finger", "object")
 
 
 class _Part(ctypes.Structure):
@@ -133,6 +128,23 @@ def program_of(groups: Sequence[Group], output: str) -> Program | None:
     )
 
 
+def group_program(group: Group, output: str) -> Program | None:
+    """The program of a plan of this group alone.
+
+    It is laid out once for tracks of the same kinds.
+    """
+    if output not in group.programs:
+        known: Program | None = group.layouts.get(output)
+        if known is None:
+            made = program_of([group], output)
+            if made is not None:
+                group.layouts[output] = made.blank()
+        else:
+            made = known.again([group.pair] if group.pair else group.finger + group.object)
+        group.programs[output] = made
+    return group.programs[output]
+
+
 # --- chart states ---------------------------------------------------------------------------------
 
 
@@ -175,19 +187,6 @@ class ChartStates:
         self._kept = group.finger, group.object, group.angle, group.begin, node, project
         self._run = program_library().states
 
-    @classmethod
-    def of(cls, group: Group, compiled: bool | None) -> ChartStates | None:
-        """For a group of that kind; None for others, and where C is not built."""
-        if len(group.finger) > 1 or len(group.object) > 1 or not (compiled or program_built()):
-            return None
-        moves = any(isinstance(t, MovingTrack) for t in (group.finger[0], group.object[0]))
-        sides = [
-            _side(track, begin, moves)
-            for track, begin in zip((group.finger[0], group.object[0]), group.begin)
-        ]
-        known = [side for side in sides if side is not None]
-        return cls(group, known) if len(known) == 2 else None
-
     def fill(self, tolerance: float, t: np.ndarray, out: np.ndarray) -> int:
         """Write (n, 9, n_t).
 
@@ -201,6 +200,25 @@ class ChartStates:
         return self._run(
             None, None, tolerance, self.at, self._count, len(t), address(t), address(out)
         )
+
+
+def chart_states(group: Group, compiled: bool | None) -> ChartStates | None:
+    """For a group of that kind; None for others, and where C is not built."""
+    if "states" not in group.programs:
+        group.programs["states"] = _chart_states(group, compiled)
+    return group.programs["states"]
+
+
+def _chart_states(group: Group, compiled: bool | None) -> ChartStates | None:
+    if len(group.finger) > 1 or len(group.object) > 1 or not (compiled or program_built()):
+        return None
+    moves = any(isinstance(t, MovingTrack) for t in (group.finger[0], group.object[0]))
+    sides = [
+        _side(track, begin, moves)
+        for track, begin in zip((group.finger[0], group.object[0]), group.begin)
+    ]
+    known = [side for side in sides if side is not None]
+    return ChartStates(group, known) if len(known) == 2 else None
 
 
 def _side(track: Track, begin: np.ndarray, moves: bool) -> _Side | None:

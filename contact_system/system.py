@@ -45,7 +45,6 @@ from .errors import SceneError
 from .geometry import upper_inverse
 from .kernels import per_structure
 from .kinematics import relative_pose, relative_twist
-from .planner import Start, measured_start, scene_start
 from .profile import integral, law_rate, polynomial, product
 from .scene import (
     Disturbance,
@@ -55,6 +54,7 @@ from .scene import (
     Scene,
     require_scene,
 )
+from .starts import Start, measured_start, scene_start
 from .surfaces import Ellipsoid, Surface
 from .tracks import (
     coordinate_kernel,

@@ -18,9 +18,9 @@ from contact_system import development, panels
 from contact_system.charts import TURN
 from contact_system.development import forced_motion
 from contact_system.kernels import Kernel, per_structure
-from contact_system.planner import Moment
 from contact_system.profile import GainPiece
 from contact_system.scene import Scene
+from contact_system.starts import Moment
 from contact_system.surfaces import Surface
 from contact_system.system import FLIP, Form, contact_function
 from contact_system.tracks import (

@@ -28,8 +28,8 @@ import numpy as np
 
 from contact_system.errors import ContactSystemError, SceneError
 from contact_system.kernels import per_structure
-from contact_system.planner import scene_start
 from contact_system.scene import Contact, Scene
+from contact_system.starts import scene_start
 from contact_system.surfaces import Ellipsoid, Quadric, Surface
 from contact_system.system import FLIP, Form, contact_function
 from contact_system.tracks import rotation

@@ -26,9 +26,9 @@ import numpy as np
 
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
 from contact_system.plan import Plan
-from contact_system.planner import Moment, Start, Starts, scene_start
 from contact_system.profile import GainPiece
 from contact_system.scene import Contact, Disturbance, Scene
+from contact_system.starts import Moment, Start, Starts, scene_start
 from contact_system.surfaces import Surface
 from contact_system.system import KINDS
 

@@ -8,7 +8,7 @@ import pytest
 from conftest import SURFACES
 
 import contact_system as cs
-from contact_system import kinds, planner
+from contact_system import kinds, program
 from contact_system.kernels import find_compiler
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
@@ -245,14 +245,14 @@ def test_slip_of_rounding_is_planned_as_the_full_plan_has_it():
 def test_threads_that_ask_a_kind_first_get_one_program(monkeypatch):
     for scene in scenes(3, "sphere", "sphere", gain=cs.Gain.path(123.0)):
         plan = cs.plan(scene, compiled=True)
-    make = planner.program_of
+    make = program.program_of
 
     def slowly(*arguments):
         made = make(*arguments)
         time.sleep(0.05)
         return made
 
-    monkeypatch.setattr(planner, "program_of", slowly)
+    monkeypatch.setattr(program, "program_of", slowly)
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(lambda _: plan._begun.kind.program("frames"), range(4)))
     assert all(program is found[0] for program in found)

@@ -120,7 +120,7 @@ def test_a_scene_that_fails_is_kept_with_its_error_beside_the_others():
     assert sorted(set(found.table["scene"].tolist())) == [0, 1, 2, 3, 6]
     assert [failure.scene for failure in found.failures] == [4, 5, 7]
     assert found.failures[0].name == "resting" and "sigma = 0" in found.failures[0].error
-    again = cs.scene.scene_from_toml(found.failures[0].text)
+    again = cs.scene_files.scene_from_toml(found.failures[0].text)
     assert again == at_rest
     assert "duration = -1" in found.failures[1].error and "K0" in found.failures[2].error
 

@@ -1,0 +1,147 @@
+"""Where contacts start: as a scene says, as was measured, or in the middle of a plan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .errors import ContactSystemError, SceneError
+from .scene import REST, ROLLING, Contact, Scene
+
+
+@dataclass
+class Start:
+    """Where one contact starts, in its contact frames at the start time.
+
+    Attributes
+    ----------
+    finger_at, object_at : (u, v)
+    angle : psi
+    finger_velocity : M1 dq1/ds in E1
+    object_velocity : M2 dq2/ds in E2, without object rate offsets
+    """
+
+    finger_at: tuple[float, float]
+    object_at: tuple[float, float]
+    angle: float
+    finger_velocity: tuple[float, float]
+    object_velocity: tuple[float, float]
+
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> Start:
+        """From the values that ``vars`` gave, pairs being lists by now."""
+        pairs = {k: _pair(v) for k, v in plain.items() if k != "angle"}
+        return cls(angle=float(plain["angle"]), **pairs)
+
+
+def scene_start(contact: Contact) -> Start:
+    """The start that a scene's contact describes."""
+    n = start_numbers(contact)
+    return Start(n[0:2], n[2:4], n[4], n[5:7], n[7:9])  # type: ignore[arg-type]
+
+
+def start_numbers(contact: Contact) -> tuple[float, ...]:
+    """The 9 numbers of a :class:`Start` in their order; words become numbers here."""
+    own: Any = contact.finger_velocity
+    given: Any = contact.object_velocity
+    if own == ROLLING:  # imposed: the other is a pair
+        own = _rolled(contact.angle, given)
+    elif given == ROLLING:
+        given = _rolled(contact.angle, own)
+    elif given == REST:
+        given = 0.0, 0.0
+    return (*contact.finger_at, *contact.object_at, contact.angle, *own, *given)
+
+
+def _rolled(angle: float, w: tuple[float, float]) -> tuple[float, float]:
+    """R_psi w, before V is worked out from it and rounding told from slip."""
+    c, s = math.cos(angle), math.sin(angle)
+    return c * w[0] - s * w[1], -s * w[0] - c * w[1]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One contact on its way, in its moving frames: all that a plan needs to go on exactly.
+
+    Attributes
+    ----------
+    angle : psi where both frame angles are zero
+    finger_velocity, slip : W_1 and V in the parallel frames (theory section 4)
+    finger_at, object_at : u, v, theta, continued along the path
+    finger_frame, object_frame : x, p, q (9); empty where the body is moved in its chart
+    """
+
+    angle: float
+    finger_velocity: tuple[float, ...]
+    slip: tuple[float, ...]
+    finger_at: tuple[float, ...]
+    object_at: tuple[float, ...]
+    finger_frame: tuple[float, ...]
+    object_frame: tuple[float, ...]
+
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> Moment:
+        """From the values that ``vars`` gave, tuples being lists by now."""
+        lists = {k: tuple(map(float, v)) for k, v in plain.items() if k != "angle"}
+        return cls(angle=float(plain["angle"]), **lists)
+
+
+Starts = Sequence[Start | Moment]
+"""All of one kind."""
+
+
+def measured_start(
+    scene: Scene, index: int, t: float, row: np.ndarray, offset: np.ndarray
+) -> Start:
+    """The start of a contact from its measured state at time t.
+
+    Parameters
+    ----------
+    scene : Scene
+    index : int
+        Of the contact.
+    t : float
+        s, with sigma(t) > 0.
+    row : (9,)
+        u1 v1 u1' v1' u2 v2 u2' v2' psi.
+    offset : (2,)
+        Object rate offset at t, which the rates include.
+
+    Raises
+    ------
+    SceneError
+        sigma = 0, a pole, or coordinates outside the chart.
+    """
+    sigma = float(scene.profile(t))
+    if not sigma > 0:
+        raise SceneError(
+            f"scene '{scene.name}', restart at t = {t:g} s: sigma = {sigma:g} there, so rates do "
+            "not determine path velocities; restart where sigma > 0"
+        )
+    velocities = []
+    for side, surface, (u, v, *rates) in (
+        ("finger", scene.contacts[index].finger, row[:4]),
+        ("object", scene.object, row[4:8] - np.append([0.0, 0.0], offset)),
+    ):
+        place = f"scene '{scene.name}', restart at t = {t:g} s, contact {index}, {side}"
+        try:
+            at = surface.canonical(u, v)
+        except ContactSystemError as error:
+            raise SceneError(f"{place}: {error}") from None
+        near = surface.align(*at, u, v)
+        if math.hypot(near[0] - u, near[1] - v) > 1e-9:
+            raise SceneError(
+                f"{place}: (u, v) = ({u:.9g}, {v:.9g}) is outside the chart of {surface!r}; the "
+                f"same point is ({at[0]:.9g}, {at[1]:.9g}), where the rates and psi have other "
+                "values"
+            )
+        velocities.append(tuple(surface.metric_root(u, v) @ rates / sigma))
+    return Start(tuple(row[0:2]), tuple(row[4:6]), float(row[8]), velocities[0], velocities[1])
+
+
+def _pair(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
