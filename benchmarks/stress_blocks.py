@@ -1,6 +1,6 @@
 """Stress cases of what steps a plan: FMUs, slaves in this process, ContactPlanner in Drake.
 
-Stepped blocks are judged against `plan` of the same scene (which `stress_cases` judges by exact
+Stepped blocks are judged against `plan` of the same scene (which `stress_laws` judges by exact
 laws), with the inputs that they were given as windows; derivatives of Model Exchange by the laws
 of moving frames (theory section 4). Only what is free of charts is compared: slip by its length
 or in E2, twist, pose, contact points.

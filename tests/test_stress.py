@@ -1,8 +1,8 @@
 """Random search for scenes that fail, by the benchmark's own maker of cases and its laws.
 
-`benchmarks.stress_cases` draws the scenes and judges plans by exact laws; here hypothesis makes the
-choices, so that a failure is shrunk. Failures that the search has found stand below, each with its
-own truth.
+`benchmarks.stress_scenes` draws scenes, `stress_laws` judges plans by exact laws; here hypothesis
+makes the choices, so that a failure is shrunk. Failures that the search has found stand below, each
+with its own truth.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from hypothesis import HealthCheck, given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 import contact_system as cs  # noqa: E402
-from benchmarks import stress_cases, verdicts  # noqa: E402
+from benchmarks import stress_cases, stress_laws, stress_scenes, verdicts  # noqa: E402
 
 
 class Choices:
-    """Hypothesis as the source of choices of `stress_cases.draw_trial`."""
+    """Hypothesis as the source of choices of `stress_scenes.draw_trial`."""
 
     def __init__(self, data: st.DataObject):
         self.data = data
@@ -52,7 +52,7 @@ DISTURBED = {"object": "sphere", "finger": "ellipsoid", "shape": "plain", "turns
 
 def verdict_of(data: st.DataObject, **fixed) -> verdicts.Verdict:
     def call() -> verdicts.Verdict:
-        return stress_cases.run(stress_cases.draw_trial(Choices(data), **fixed))
+        return stress_laws.run(stress_scenes.draw_trial(Choices(data), **fixed))
 
     return verdicts.judged(verdicts.Case("drawn", "hypothesis", call))
 
@@ -89,9 +89,9 @@ def test_every_family_makes_cases_that_end_right_or_refused(family):
 # --- the judge itself --------------------------------------------------------------------------
 
 
-def trial() -> stress_cases.Trial:
-    return stress_cases.draw_trial(
-        stress_cases.Seeded(5), object="ellipsoid", finger="torus", shape="plain", slip=1,
+def trial() -> stress_scenes.Trial:
+    return stress_scenes.draw_trial(
+        stress_scenes.Seeded(5), object="ellipsoid", finger="torus", shape="plain", slip=1,
         windows=0, eta=2.0, law="time", profile="rising", ratio=0.4, size=0.1, duration=1.0,
         turns=3.0, tolerance=1e-12, compiled=False, inside=False,
     )  # fmt: skip
@@ -109,7 +109,7 @@ WRONG = {
 
 
 def test_judge_finds_a_plan_right():
-    verdict = stress_cases.run(trial())
+    verdict = stress_laws.run(trial())
     assert verdict.outcome == "right", verdict
 
 
@@ -120,7 +120,7 @@ def test_judge_notices(what):
     plan = cs.plan(drawn.scene, compiled=False)
     own = getattr(plan, output)
     setattr(plan, output, lambda t: change(own(t)))
-    assert stress_cases.Judge(drawn, plan).verdict().outcome == "silent"
+    assert stress_laws.Judge(drawn, plan).verdict().outcome == "silent"
 
 
 def test_judge_notices_a_path_that_leaves_its_geodesic():
@@ -137,7 +137,7 @@ def test_judge_notices_a_path_that_leaves_its_geodesic():
         ]
     )
     plan = cs.plan(moved, compiled=False)
-    assert stress_cases.Judge(drawn, plan).verdict().outcome == "silent"
+    assert stress_laws.Judge(drawn, plan).verdict().outcome == "silent"
 
 
 def test_a_refusal_must_name_place_value_and_remedy():

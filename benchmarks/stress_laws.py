@@ -1,0 +1,567 @@
+"""The laws that judge a plan in the stress bench. Nothing is judged by a second run of our own:
+
+========================  =========================================================================
+law                       how it is written here
+========================  =========================================================================
+on the surface            level functions of `stress_scenes` (`Quadric`, `Tube`, `Cube`, `Waves`)
+speed                     |M1 q1'| = sigma |W1|,  |M2 q2'| = sigma |W - V exp(-L)|
+slip                      v_rel = sigma exp(-L) V in closed form, length and angle to R_psi M1 q1'
+no slip part              R_psi M1 q1' - M2 q2' = v_rel from states; material points in the twist
+one branch                coordinates are the same when asked among many times, and lose no turn on
+                          the way
+no spin                   omega . n = 0; normals turn with the bodies (`_twist`)
+frames                    pose orthonormal, contact points meet, normals oppose
+geodesics                 plane, cylinder, sphere: closed form; quadrics: Joachimsthal's integral
+                          (x A A x)(p A p), in which Jacobi's and Clairaut's are contained; torus:
+                          Clairaut
+motion, anywhere          x(b) - x(a) = int x' dt, and D(M q'/sigma)/dt = (forcing + lam v_rel)/
+                          sigma with parallel transport in space, as Gauss sums over short panels
+========================  =========================================================================
+
+Bounds. A plan's tolerance bounds contact points as a part of the body's size; rounding adds
+64 eps, and 8 eps for every radian that the path turns at most (arc length and coordinates carry
+that many digits less after many revolutions). Call their sum e. Directions and normals lose kappa,
+size times greatest curvature, and what is read from chart coordinates a factor
+size / (least Lame coefficient) at a pole. Each law below states its multiple.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import polynomial as poly
+from numpy.polynomial.legendre import leggauss
+
+import contact_system as cs
+
+from .stress_scenes import DISTURBANCES, EPS, TURNS, Array, Body, Trial
+from .verdicts import Verdict, refusal
+
+NODES, WEIGHTS = leggauss(10)
+
+
+@dataclass
+class Meter:
+    """Errors against their bounds; keeps the one that is worst by that measure."""
+
+    law: str = "nothing compared"
+    error: float = 0.0
+    bound: float = math.inf
+    compared: int = 0
+
+    def see(self, law: str, error: Any, bound: Any) -> None:
+        """Take note of errors (any shape) and their bounds (of a shape that broadcasts)."""
+        error, bound = np.broadcast_arrays(np.abs(error), np.asarray(bound, dtype=float))
+        if not error.size:
+            return
+        self.compared += 1
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = error / np.maximum(bound, 1e-300)
+        k = int(np.argmax(np.where(np.isnan(ratio), np.inf, ratio)))
+        if not ratio.flat[k] <= self.error / self.bound:
+            self.law, self.error = law, float(error.flat[k])
+            self.bound = max(float(bound.flat[k]), 1e-300)
+
+    def verdict(self) -> Verdict:
+        """Right if everything was within its bound."""
+        right = self.compared > 0 and self.error <= self.bound
+        return Verdict("right" if right else "silent", self.error, self.bound, self.law)
+
+
+def run(trial: Trial) -> Verdict:
+    """Plan a trial and judge the plan; every other compiled one after two scenes of its kind."""
+    alone = not trial.compiled or trial.seed % 2 or trial.scene.disturbances
+    kin = [] if alone else [trial.scene.replace() for _ in range(2)]
+    *_, plan = (
+        cs.plan(scene, tolerance=trial.tolerance, compiled=trial.compiled)
+        for scene in (*kin, trial.scene)
+    )
+    return Judge(trial, plan).verdict()
+
+
+def left_over(sigma: Array, gain: cs.Gain, t: Array, since: float = 0.0) -> Array:
+    """|v_rel| at t (n,) over |v_rel/sigma| at ``since``: sigma exp(-L) of the gain laws, m/s."""
+    if gain.law == "path":
+        energy = poly.polyint(poly.polymul(sigma, sigma))
+        lost = gain.value * (poly.polyval(t, energy) - poly.polyval(since, energy))
+        return poly.polyval(t, sigma) * np.exp(-np.maximum(lost, 0.0))
+    left = np.exp(-gain.value * (t - since))
+    if gain.law == "time":
+        return left * poly.polyval(t, sigma)
+    # guaranteed: slip keeps its size while sigma grows and shrinks with it
+    return left * _fallen(sigma, since, t)
+
+
+def turning(sigma: Array, end: float) -> list[float]:
+    """Times up to end where sigma turns."""
+    slope = np.trim_zeros(poly.polyder(sigma), "b")
+    roots = poly.polyroots(slope) if len(slope) > 1 else np.array([])
+    return sorted(float(r.real) for r in roots if abs(r.imag) < 1e-6 * end and 0 < r.real < end)
+
+
+def _fallen(sigma: Array, since: float, t: Array) -> Array:
+    """sigma(since) times the factors by which sigma falls until t (n,)."""
+    knots = np.array([since, *(k for k in turning(sigma, float(t.max())) if since < k)])
+    values, now = (np.maximum(poly.polyval(at, sigma), 0.0) for at in (knots, t))
+    left = [values[0]]
+    for before, after in itertools.pairwise(values):
+        left.append(left[-1] * (min(1.0, after / before) if before > 0 else 1.0))
+    k = np.searchsorted(knots, t, side="right") - 1
+    shrunk = np.minimum(now, values[k]) / np.maximum(values[k], 1e-300)
+    return np.array(left)[k] * np.where(values[k] > 0, shrunk, 1.0)
+
+
+@dataclass
+class Sample:
+    """What a plan says at some times, all of them regular.
+
+    Attributes
+    ----------
+    t : (n,)
+    states : (n, 9)
+    x, frame, rate, force : finger's, object's
+        Contact points (n, 3), frames (n, 3, 3), contact points' velocities in space (n, 3), and
+        M of the chart (n, 2, 2).
+    """
+
+    t: Array
+    states: Array
+    x: tuple[Array, Array]
+    frame: tuple[Array, Array]
+    root: tuple[Array, Array]
+    rate: tuple[Array, Array]
+
+    def part(self, where: slice) -> Sample:
+        """Some of the times."""
+        pairs = (self.x, self.frame, self.root, self.rate)
+        return Sample(self.t[where], self.states[where],
+                      *((a[where], b[where]) for a, b in pairs))  # fmt: skip
+
+    @cached_property
+    def turn(self) -> Array:
+        """R_psi (n, 2, 2)."""
+        c, s = np.cos(self.states[:, 8]), np.sin(self.states[:, 8])
+        return np.moveaxis(np.array([[c, -s], [-s, -c]]), -1, 0)
+
+    def plane(self, k: int) -> Array:
+        """M q' in the contact frame, (n, 2)."""
+        return np.einsum("nij,nj->ni", self.root[k], self.states[:, 4 * k + 2 : 4 * k + 4])
+
+    def space(self, k: int, plane: Array) -> Array:
+        """Components in a contact frame as vectors in space, (n, 3)."""
+        return np.einsum("nij,nj->ni", self.frame[k][:, :, :2], plane)
+
+
+MANY = 700
+"""Times at which a plan evaluates in its fastest way."""
+
+
+class Judge:
+    """Compares one plan with the laws."""
+
+    def __init__(self, trial: Trial, plan: cs.Plan):
+        self.trial, self.plan, self.scene = trial, plan, trial.scene
+        self.bodies = (trial.finger, trial.object)
+        self.meter, self.random = Meter(), np.random.default_rng(trial.seed)
+        contact = self.scene.contacts[0]
+        c, s = math.cos(contact.angle), math.sin(contact.angle)
+        turn = np.array([[c, -s], [-s, -c]])
+        given = contact.object_velocity
+        self.w1 = np.array(contact.finger_velocity, dtype=float)
+        self.w2 = turn @ self.w1
+        start = {"rolling": self.w2, "rest": np.zeros(2)}
+        self.v = self.w2 - (start[given] if isinstance(given, str) else np.array(given))
+        self.sigma = np.array(self.scene.profile.coefficients)
+        self.windows = [(d.start, d.stop) for d in self.scene.disturbances]
+        self.quiet = min([a for a, _ in self.windows], default=math.inf)
+        self.speed = float(self._sigma(np.linspace(0, self.scene.duration, 33)).max())
+        # Terms of sigma cancel near its zeros: this is what its rounding counts in.
+        self.terms = float(poly.polyval(self.scene.duration, abs(self.sigma)))
+        clear = np.where(abs(self.sigma) > 1e-30 * abs(self.sigma).max(), self.sigma, 0.0)
+        self.roots = poly.polyroots(np.trim_zeros(clear, "b"))
+        path = poly.polyval(self.scene.duration, poly.polyint(self.sigma))
+        reach = path * (np.hypot(*self.w1) + np.hypot(*self.v))
+        if self.windows:  # most disturbances are no stronger than the motion
+            reach = max(5 * reach, *(self._pushed(d) for d in self.scene.disturbances))
+        turns = [reach * b.kappa / b.size for b in self.bodies]
+        self.turns = max(turns)
+        self.e = [plan.tolerance + EPS * (64 + 8 * x) for x in turns]
+
+    def _pushed(self, window: cs.scene.Disturbance) -> float:
+        """The path that a window adds at most while sigma keeps its size, m."""
+        body = self.bodies[0 if isinstance(window, cs.FingerAcceleration) else 1]
+        added = float(np.hypot(*window.value)) * body.size * (window.stop - window.start)
+        offset = isinstance(window, cs.ObjectRateOffset)
+        return added * (1.0 if offset else self.scene.duration - window.start)
+
+    def verdict(self) -> Verdict:
+        """Every law in turn."""
+        if max(self.e) - self.plan.tolerance > 1e-3:
+            nan = float("nan")
+            return Verdict("silent", nan, nan, "planned, though no digit of a point can be known")
+        times = self._times()
+        everywhere = self.plan.points(times)[:, 0]
+        self._on_surfaces(everywhere)
+        sample, gaps = self._sample(times)
+        for text in gaps:
+            if (said := refusal(text)).outcome != "refused":
+                return said
+        if len(sample.t):
+            self._states(sample)
+            self._among_many(sample)
+            self._pose(sample)
+            self._slip(sample)
+        self._geodesics(times, everywhere, sample)
+        self._developed(times, everywhere)
+        self._short_panel(sample)
+        every = 3 if self.trial.compiled else 12  # without a compiler it takes far longer
+        if self.trial.seed % every == 0 and self.turns < TURNS * math.pi:
+            self._in_company(times, everywhere)
+        return self.meter.verdict()
+
+    # -- what the plan says
+
+    def _times(self) -> Array:
+        end = self.scene.duration
+        drawn = self.random.uniform(0, end, 4)
+        layer = 10 ** self.random.uniform(-14, 0, 2) * end
+        edges = [e for w in self.windows for e in w]
+        return np.unique([0.0, *drawn, *layer, *edges, *self.trial.special, end])
+
+    def _sample(self, times: Array) -> tuple[Sample, list[str]]:
+        """The plan at those of the times where states exist, and what it says about the others."""
+        gaps: list[str] = []
+        try:
+            states = self.plan.states(times)[:, 0]
+        except cs.ChartSingularity:
+            kept, rows = [], []
+            for t in times:
+                try:
+                    rows.append(self.plan.states([t])[0, 0])
+                    kept.append(t)
+                except cs.ChartSingularity as error:
+                    gaps.append(str(error))
+            times, states = np.array(kept), np.array(rows).reshape(-1, 9)
+        points = self.plan.points(times)[:, 0]
+        self.meter.see("finite states", np.where(np.isfinite(states), 0.0, math.inf), 1.0)
+        parts: list[tuple[Array, ...]] = []
+        for k, body in enumerate(self.bodies):
+            q = states[:, 4 * k : 4 * k + 2].T
+            frame, root = body.surface.frame(*q), body.surface.metric_root(*q)
+            plane = np.einsum("nij,nj->ni", root, states[:, 4 * k + 2 : 4 * k + 4])
+            rate = np.einsum("nij,nj->ni", frame[:, :, :2], plane)
+            parts.append((points[:, k], frame, root, rate))
+        return Sample(times, states, *zip(*parts)), gaps
+
+    def _sigma(self, t: Array) -> Array:
+        return poly.polyval(t, self.sigma)
+
+    def _left(self, t: Array, since: float = 0.0) -> Array:
+        return left_over(self.sigma, self.scene.gain, np.asarray(t, dtype=float), since)
+
+    # -- laws
+
+    def _chart_loss(self, sample: Sample, k: int) -> Array:
+        """Rounding of what is read from chart coordinates, (n,)."""
+        body, q = self.bodies[k], sample.states[:, 4 * k : 4 * k + 2]
+        root = sample.root[k]
+        least = np.minimum(root[:, 0, 0], root[:, 1, 1])
+        # A chart in metres counts from its own origin.
+        reach = 1 + np.abs(q).max(axis=1) * np.maximum(1.0, np.minimum(1.0, least / body.size))
+        return 64 * EPS * reach * np.maximum(1.0, body.size / least)
+
+    def _loss(self, sample: Sample, k: int) -> Array:
+        """Bound of a unit vector's error in space as read from states, (n,)."""
+        return 4 * self.bodies[k].kappa * self.e[k] + self._chart_loss(sample, k)
+
+    def _on_surfaces(self, points: Array) -> None:
+        for k, body in enumerate(self.bodies):
+            x = points[:, k]
+            level = body.shape.level(x)
+            away = level / np.linalg.norm(body.shape.slope(x), axis=1)
+            scale = body.size + np.linalg.norm(x, axis=1)
+            self.meter.see(f"point {k + 1} on its surface", away, self.e[k] * scale)
+
+    def _states(self, sample: Sample) -> None:
+        """Coordinates say where the points are; rates say how fast."""
+        # An edge belongs to the window that starts there.
+        sigma, still = self._sigma(sample.t), sample.t < self.quiet
+        for k, (body, w) in enumerate(zip(self.bodies, self._path_velocities(sample.t))):
+            where = body.surface.point(*sample.states[:, 4 * k : 4 * k + 2].T)
+            size = body.size + np.linalg.norm(where, axis=1)
+            bound = (2 * self.e[k] + self._chart_loss(sample, k)) * size
+            self.meter.see(f"f(u{k + 1}, v{k + 1}) is point {k + 1}",
+                           np.linalg.norm(where - sample.x[k], axis=1), bound)  # fmt: skip
+            speed = np.hypot(*sample.plane(k).T)  # which does not underflow
+            bound = self._loss(sample, k) * (sigma + 1e-3 * self.terms) + 16 * EPS * self.terms
+            bound *= 1 + np.hypot(*self.v)
+            self.meter.see(f"speed of contact point {k + 1}", (speed - w)[still], bound[still])
+
+    def _among_many(self, sample: Sample) -> None:
+        """Coordinates do not depend on what is asked beside them, and lose no turn on the way."""
+        if self.trial.seed % 3 or self.turns > TURNS:
+            return
+        t = np.union1d(sample.t, np.linspace(0.0, self.scene.duration, MANY))
+        try:
+            states = self.plan.states(t)[:, 0]
+        except cs.ChartSingularity:
+            return
+        apart = states[np.searchsorted(t, sample.t)] - sample.states
+        loss = [
+            8 * (4 * self.e[k] + self._chart_loss(sample, k))[:, None]
+            * body.size / np.diagonal(sample.root[k], axis1=1, axis2=2)
+            for k, body in enumerate(self.bodies)
+        ]  # fmt: skip
+        self.meter.see("psi among many times", apart[:, 8], sum(x.max(axis=1) for x in loss))
+        for k, body in enumerate(self.bodies):
+            q = slice(4 * k, 4 * k + 2)
+            self.meter.see(f"u{k + 1}, v{k + 1} among many times", apart[:, q], loss[k])
+            for r, period in enumerate(body.surface.periods(), 4 * k):
+                if period:
+                    rate = abs(states[:, r + 2])
+                    slow = np.maximum(rate[1:], rate[:-1]) * np.diff(t) < 0.1 * period
+                    step = np.diff(states[:, r])[slow]
+                    # passing a pole takes half a turn
+                    self.meter.see(f"no turn of body {k + 1} lost", step, 0.75 * period)
+
+    def _path_velocities(self, t: Array) -> tuple[Array, Array]:
+        """|M1 q1'| and |M2 q2'| while nothing disturbs, m/s."""
+        own = self._sigma(t) * np.hypot(*self.w1)
+        difference = self._sigma(t)[:, None] * self.w2 - self._left(t)[:, None] * self.v
+        return own, np.hypot(*difference.T)
+
+    def _pose(self, sample: Sample) -> None:
+        """Frames are orthonormal, points meet, normals oppose, the heading is psi."""
+        pose, twist = self.plan.pose(sample.t)[:, 0], self.plan.twist(sample.t)[:, 0]
+        rotation, origin = pose[:, :3, :3], pose[:, :3, 3]
+        square = np.einsum("nji,njk->nik", rotation, rotation) - np.eye(3)
+        self.meter.see("pose orthonormal", square, 4 * sum(self.e))
+        x1, x2 = sample.x
+        reach = sum(np.linalg.norm(x, axis=1) for x in (x1, x2, origin))
+        met = np.einsum("nij,nj->ni", rotation, x1) + origin - x2
+        self.meter.see("contact points meet", met, sum(self.e) * reach[:, None])
+        n1, n2 = (b.normal(x)[0] for b, x in zip(self.bodies, sample.x))
+        n1 = np.einsum("nij,nj->ni", rotation, n1)
+        loss = [self._loss(sample, k) for k in (0, 1)]
+        self.meter.see("normals oppose", n1 + n2, sum(loss)[:, None])
+        flip = np.zeros((len(sample.t), 3, 3))
+        flip[:, :2, :2], flip[:, 2, 2] = sample.turn, -1.0
+        told = sample.frame[1] @ flip @ sample.frame[0].transpose(0, 2, 1)
+        self.meter.see("pose against psi", rotation - told, 4 * sum(loss)[:, None, None])
+        self._twist(sample, twist, pose, n2, loss)
+
+    def _twist(self, sample: Sample, twist: Array, pose: Array, n2: Array, loss: list) -> None:
+        """No spin; material points in contact move by slip alone; normals turn with the bodies."""
+        omega, v = twist[:, :3], twist[:, 3:]
+        # Rates of normals, and how wrong they may be: |x'| kappa / size is a body's own turning;
+        # speeds are known to rounding of the greatest one.
+        change = [b.turning(x, r) for b, x, r in zip(self.bodies, sample.x, sample.rate)]
+        fast = sum(
+            (np.linalg.norm(r, axis=1) + 1e-3 * self.terms) * b.kappa / b.size
+            for b, r in zip(self.bodies, sample.rate)
+        )
+        bound = 8 * sum(loss) * (fast + np.linalg.norm(omega, axis=1))
+        self.meter.see("no spin", np.sum(omega * n2, 1), bound)
+        turned = np.cross(omega, n2) - change[1]
+        turned -= np.einsum("nij,nj->ni", pose[:, :3, :3], change[0])
+        self.meter.see("normals turn with the bodies", turned, bound[:, None])
+        slip, arm = sample.space(1, self.plan.slip(sample.t)[:, 0]), sample.x[1] - pose[:, :3, 3]
+        point = v + np.cross(omega, arm)
+        reach = sum(np.linalg.norm(x, axis=1) for x in (*sample.x, pose[:, :3, 3]))
+        rounding = sum(self.e) * fast * reach + loss[1] * np.linalg.norm(slip, axis=1)
+        self.meter.see("twist has slip alone", point + slip, 8 * rounding[:, None])
+
+    def _slip(self, sample: Sample) -> None:
+        """The exact law, its direction, and the same from the states."""
+        slip = self.plan.slip(sample.t)[:, 0]
+        length, still = np.linalg.norm(slip, axis=1), sample.t < self.quiet
+        law = self._left(sample.t) * np.hypot(*self.v)
+        floor = 64 * EPS * self.terms * (1 + np.hypot(*self.v))
+        self.meter.see("slip law", (length - law)[still], floor)
+        finger, obj = sample.plane(0), sample.plane(1)
+        rolled = np.einsum("nij,nj->ni", sample.turn, finger)
+        scale = np.linalg.norm(finger, axis=1) + np.linalg.norm(obj, axis=1)
+        bound = sum(self._loss(sample, k) for k in (0, 1)) * scale + floor
+        self.meter.see("slip of states", rolled - obj - slip, bound[:, None])
+        # V and W2 are carried together: slip keeps its angle to R_psi M1 q1'.
+        c, s = self.w2 @ self.v, self.w2[0] * self.v[1] - self.w2[1] * self.v[0]
+        carried = np.array([[c, -s], [s, c]]) @ rolled.T / (self.w2 @ self.w2)
+        carried *= self._left(sample.t) / np.maximum(self._sigma(sample.t), 1e-300)
+        clear = still & (self._sigma(sample.t) > 1e-9 * self.speed)
+        self.meter.see("direction of slip", (slip - carried.T)[clear], bound[clear, None])
+        self._later(sample)
+
+    def _later(self, sample: Sample) -> None:
+        """The law again after the last window, from what that left."""
+        last = max([b for _, b in self.windows], default=math.inf)
+        t = np.append(last, sample.t[sample.t > last])
+        if not self.windows or last >= self.scene.duration or self._sigma(t[0]) < 1e-6 * self.speed:
+            return
+        speed = self.plan.slip_speed(t)[:, 0]
+        law = speed[0] / self._sigma(t[0]) * self._left(t, last)
+        floor = 64 * EPS * self.terms * (1 + np.hypot(*self.v))
+        self.meter.see("slip law after the windows", speed - law, floor + 1e-12 * speed[0])
+
+    def _geodesics(self, times: Array, everywhere: Array, sample: Sample) -> None:
+        """Closed forms and integrals of the sides that run on geodesics."""
+        kinds = [type(d) for d in self.scene.disturbances]
+        free = (cs.FingerAcceleration not in kinds, not kinds and not self.v.any())
+        path = poly.polyval(times, poly.polyint(self.sigma))
+        for k, (body, w) in enumerate(zip(self.bodies, (self.w1, self.w2))):
+            if not free[k]:
+                continue
+            frame, x = body.surface.frame(*body.at), body.surface.point(*body.at)
+            exact = body.geodesic(x, frame[:, :2] @ w, path)
+            if exact is not None:
+                error = np.linalg.norm(everywhere[:, k] - exact, axis=1)
+                bound = 2 * self.e[k] * (body.size + np.linalg.norm(exact, axis=1))
+                self.meter.see(f"geodesic {k + 1} in closed form", error, bound)
+            elif hasattr(body.shape, "integral") and len(sample.t):
+                self._integral(k, body, sample, x, frame[:, :2] @ w)
+
+    def _developed(self, times: Array, everywhere: Array) -> None:
+        """On plane and cylinder W s - V g, unrolled, is the curve, however soon slip ends."""
+        body = self.bodies[1]
+        if body.line not in ("plane", "cylinder") or self.windows or not self.v.any():
+            return
+        end = self.scene.duration
+        knots = [*times, *turning(self.sigma, end)]  # where the guaranteed law changes
+        cells = np.union1d(knots, end * np.geomspace(1e-40, 1.0, 400))
+        node, weight = np.polynomial.legendre.leggauss(24)
+        half = 0.5 * np.diff(cells, prepend=0.0)
+        inner = (cells - half)[:, None] + half[:, None] * node
+        parts = half * (self._left(inner.ravel()).reshape(inner.shape) @ weight)
+        slipped = np.cumsum(parts)[np.searchsorted(cells, times)]
+        path = poly.polyval(times, poly.polyint(self.sigma))
+        frame, x = body.surface.frame(*body.at)[:, :2], body.surface.point(*body.at)
+        for s, g, point in zip(path, slipped, everywhere[:, 1]):
+            exact = body.geodesic(x, frame @ (self.w2 * s - self.v * g), np.ones(1))
+            assert exact is not None
+            bound = 2 * self.e[1] * (body.size + np.linalg.norm(exact))
+            self.meter.see("developed curve", np.linalg.norm(point - exact[0]), bound)
+
+    def _integral(self, k: int, body: Body, sample: Sample, x: Array, p: Array) -> None:
+        clear = self._sigma(sample.t) > 1e-9 * self.speed
+        sigma = self._sigma(sample.t[clear])
+        along = sample.rate[k][clear] / sigma[:, None]
+        value, by_x, by_p = body.shape.integral(sample.x[k][clear], along)
+        first, from_x, from_p = body.shape.integral(x[None], p[None])
+        # the rate has the rounding of sigma, by which it is divided
+        loss = self._loss(sample, k)[clear] + 16 * EPS * self.terms / sigma
+        bound = 4 * self.e[k] * body.size * (by_x + from_x) + loss * (by_p + from_p)
+        self.meter.see(f"integral of geodesic {k + 1}", value - first, bound)
+
+    # -- the equations of motion over short panels
+
+    def _in_company(self, times: Array, everywhere: Array) -> None:
+        """The contact is where it is alone when another one is planned before it.
+
+        Not after many turns: a tolerance bounds what one panel adds to a point's error.
+        """
+        contact = self.scene.contacts[0]
+        other = dataclasses.replace(contact, angle=contact.angle - 0.5)
+        windows = [dataclasses.replace(d, contact=1) for d in self.scene.disturbances]
+        both = self.scene.replace(contacts=[other, contact], disturbances=windows)
+        try:
+            plan = cs.plan(both, tolerance=self.trial.tolerance, compiled=self.trial.compiled)
+            points = plan.points(times)[:, 1]
+        except cs.ContactSystemError:
+            return  # it is the other one that runs into something
+        for k, body in enumerate(self.bodies):
+            away = np.linalg.norm(points[:, k] - everywhere[:, k], axis=1)
+            self.meter.see("in company", away, 10 * self.e[k] * body.size)
+
+    def _short_panel(self, sample: Sample) -> None:
+        """Gauss sums over a panel from one of the times, where states exist."""
+        count = len(sample.t)
+        panel = self._panel(sample, int(self.random.integers(0, count))) if count else None
+        if panel is None:
+            return
+        t, acting = panel
+        inside, gaps = self._sample(t)
+        if not gaps and (self._sigma(t) > 1e-9 * self.speed).all():
+            self._balance(inside, 0.5 * WEIGHTS * (t[-1] - t[0]), acting)
+
+    def _panel(self, sample: Sample, k: int) -> tuple[Array, list] | None:
+        """Ends and nodes of the panel from a time of the sample, and the windows around it."""
+        here, begin = sample.part(slice(k, k + 1)), float(sample.t[k])
+        acting = [d for d in self.scene.disturbances if d.start <= begin < d.stop]
+        edges = [e for w in self.windows for e in w] + [self.scene.duration]
+        later = [e for e in edges if e > begin]
+        length = min(min(later) - begin, self._resolved(here, acting)) if later else 0.0
+        if length <= 1e-6 * begin or length < 1e-290:
+            return None
+        # An edge belongs to the interval that starts there, so the panel ends before it.
+        return begin + 0.999 * length * np.array([0.0, *(0.5 * (1 + NODES)), 1.0]), acting
+
+    def _resolved(self, here: Sample, acting: list) -> float:
+        """Seconds in which nothing changes by more than a part of itself."""
+        t, rates = here.t[0], [1e-300]
+        sigma = float(self._sigma(t))
+        fast = [float(np.linalg.norm(r)) + self.speed for r in here.rate]
+        rates += [5 * f * b.kappa / b.size for f, b in zip(fast, self.bodies)]
+        if sigma > 0 and not self._gone(float(self._left(here.t)[0]) / sigma):
+            # what is divided by sigma, and where the guaranteed law changes
+            knots = [*self.roots, *self.scene.profile.extrema(0, self.scene.duration)]
+            rates += [5 / max(abs(t - x), 1e-300) for x in knots]
+            rates.append(self._stiffness(t, 1 / max(rates)))
+        for d in acting:
+            body = self.bodies[0 if isinstance(d, cs.FingerAcceleration) else 1]
+            rates.append(5 * math.sqrt(float(np.hypot(*d.value)) * body.kappa))
+        if acting:
+            for k, f in enumerate(fast):
+                least = np.min(np.diagonal(here.root[k][0]))
+                rates.append(5 * f / least)
+        return 1 / max(rates)
+
+    def _stiffness(self, t: float, length: float) -> float:
+        """Half of the greatest lam on a panel from t, not longer than one that this allows."""
+        while True:
+            ahead = np.linspace(t, min(t + length, self.scene.duration), 5)
+            lam = float(np.max(self.scene.gain.rate(self.scene.profile, ahead)))
+            if not lam * length > 2:
+                return 1 / length
+            length /= 4
+
+    def _gone(self, left: float) -> bool:
+        """There is no slip, or none but rounding, and nothing makes any."""
+        return not self.windows and (not self.v.any() or left < 1e-18)
+
+    def _balance(self, sample: Sample, weights: Array, acting: list) -> None:
+        """x' and D(M q'/sigma)/dt integrate to what has changed."""
+        sigma = self._sigma(sample.t)
+        gain = self.scene.gain.rate(self.scene.profile, sample.t)
+        if self._gone(float(self._left(sample.t[:1])[0] / sigma[0])):
+            gain = 0 * gain  # a slip of rounding alone times any gain is no force
+        given = {kind: np.zeros(2) for kind in DISTURBANCES}
+        for d in acting:
+            given[type(d)] = given[type(d)] + d.value
+        forces = [given[cs.FingerAcceleration], given[cs.ObjectAcceleration]]
+        velocity = [sample.plane(0), sample.plane(1) - sample.root[1] @ given[cs.ObjectRateOffset]]
+        slip = np.einsum("nij,nj->ni", sample.turn, velocity[0]) - velocity[1]
+        for k, body in enumerate(self.bodies):
+            push = sample.root[k] @ forces[k] + (gain[:, None] * slip if k else 0.0)
+            path = sample.space(k, velocity[k]) / sigma[:, None]
+            n, _ = body.normal(sample.x[k])
+            bent = n * np.sum(body.turning(sample.x[k], sample.rate[k]) * path, 1, keepdims=True)
+            change = sample.space(k, push) / sigma[:, None] - bent
+            loss = float(self._loss(sample, k).max())
+            moved = weights @ np.linalg.norm(sample.rate[k][1:-1], axis=1)
+            reach = body.size + np.linalg.norm(sample.x[k][0])
+            error = sample.x[k][-1] - sample.x[k][0] - weights @ sample.rate[k][1:-1]
+            self.meter.see(f"point {k + 1} moves by its rate", error,
+                           4 * self.e[k] * reach + loss * moved)  # fmt: skip
+            # lam times an error of the velocities adds to their change
+            stiff = weights.sum() * gain.max()
+            scale = np.linalg.norm(path, axis=1).max() + np.hypot(*self.w1)
+            other = float(self._loss(sample, 0).max()) if k else 0.0
+            error = path[-1] - path[0] - weights @ change[1:-1]
+            unsure = self.terms / sigma.min() * EPS * 64  # rounding of sigma, by which both divide
+            self.meter.see(f"path velocity {k + 1} obeys its equation", error,
+                           8 * (loss + other + unsure) * scale * (1 + stiff))  # fmt: skip

@@ -1,0 +1,524 @@
+"""Scenes of the stress bench: how bodies, paths, gains and disturbances are drawn.
+
+One maker (`draw_trial`) draws every scene, from a seeded generator here and from hypothesis in the
+tests; a family fixes some of its choices on a grid. Level functions are written here anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.polynomial import polynomial as poly
+
+import contact_system as cs
+
+EPS = 2.0**-52
+Array = np.ndarray
+
+
+# --- where choices come from -------------------------------------------------------------------
+
+
+class Draw(Protocol):
+    """A source of choices: seeded here, hypothesis in the tests."""
+
+    def pick(self, values: Sequence[Any]) -> Any:
+        """One of the values."""
+
+    def real(self, low: float, high: float) -> float:
+        """A number between two."""
+
+
+class Seeded:
+    """Choices of a generator with a seed of integers."""
+
+    def __init__(self, *seed: int):
+        self.random = np.random.default_rng(seed)
+
+    def pick(self, values: Sequence[Any]) -> Any:
+        """One of the values."""
+        return values[int(self.random.integers(len(values)))]
+
+    def real(self, low: float, high: float) -> float:
+        """A number between two."""
+        return float(self.random.uniform(low, high))
+
+
+# --- shapes: level functions that the package has no part in -----------------------------------
+
+
+@dataclass(frozen=True)
+class Quadric:
+    """x A x / 2 + b . x = c / 2; x (n, 3)."""
+
+    A: Array
+    b: Array
+    c: float
+
+    def level(self, x: Array) -> Array:
+        """F (n,)."""
+        return 0.5 * np.einsum("ni,ij,nj->n", x, self.A, x) + x @ self.b - self.c / 2
+
+    def slope(self, x: Array) -> Array:
+        """grad F (n, 3)."""
+        return x @ self.A + self.b
+
+    def bend(self, x: Array, y: Array) -> Array:
+        """(Hess F) y (n, 3)."""
+        return y @ self.A
+
+    def integral(self, x: Array, p: Array) -> tuple[Array, Array, Array]:
+        """Joachimsthal's integral and how it changes with x and p, (n,) each."""
+        ax, ap = self.slope(x), p @ self.A
+        normal, along = np.sum(ax * ax, 1), np.sum(p * ap, 1)
+        by_x = 2 * np.linalg.norm(ax @ self.A, axis=1) * abs(along)
+        return normal * along, by_x, 2 * normal * np.linalg.norm(ap, axis=1)
+
+
+@dataclass(frozen=True)
+class Tube:
+    """Torus about z: ((rho - R)^2 + z^2 - r^2) / 2 = 0."""
+
+    R: float
+    r: float
+
+    def level(self, x: Array) -> Array:
+        """F (n,)."""
+        rho = np.hypot(x[:, 0], x[:, 1])
+        return ((rho - self.R) ** 2 + x[:, 2] ** 2 - self.r**2) / 2
+
+    def slope(self, x: Array) -> Array:
+        """grad F (n, 3)."""
+        rho = np.hypot(x[:, 0], x[:, 1])
+        return x * np.stack([1 - self.R / rho, 1 - self.R / rho, np.ones(len(x))], 1)
+
+    def bend(self, x: Array, y: Array) -> Array:
+        """(Hess F) y (n, 3)."""
+        rho = np.hypot(x[:, 0], x[:, 1])
+        flat = x * [1.0, 1.0, 0.0]
+        along = (self.R * np.sum(flat * y, 1) / rho**3)[:, None] * flat
+        return y * np.stack([1 - self.R / rho, 1 - self.R / rho, np.ones(len(x))], 1) + along
+
+    def integral(self, x: Array, p: Array) -> tuple[Array, Array, Array]:
+        """Clairaut's integral rho^2 phi' and how it changes with x and p, (n,) each."""
+        one = np.ones(len(x))
+        return x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0], one, np.hypot(x[:, 0], x[:, 1])
+
+
+@dataclass(frozen=True)
+class Cube:
+    """Rounded cube: sum (x/r)^4 = 1."""
+
+    r: float
+
+    def level(self, x: Array) -> Array:
+        """F (n,)."""
+        return np.sum((x / self.r) ** 4, 1) - 1
+
+    def slope(self, x: Array) -> Array:
+        """grad F (n, 3)."""
+        return 4 * (x / self.r) ** 3 / self.r
+
+    def bend(self, x: Array, y: Array) -> Array:
+        """(Hess F) y (n, 3)."""
+        return 12 * (x / self.r**2) ** 2 * y
+
+
+@dataclass(frozen=True)
+class Waves:
+    """z = h cos(k (x - 0.4 y)) cos(k y)."""
+
+    h: float
+    k: float
+
+    def _parts(self, x: Array) -> tuple[Array, ...]:
+        u, v = x[:, 0] - 0.4 * x[:, 1], x[:, 1]
+        return (np.cos(self.k * u), np.sin(self.k * u), np.cos(self.k * v), np.sin(self.k * v))
+
+    def level(self, x: Array) -> Array:
+        """F (n,)."""
+        cu, _, cv, _ = self._parts(x)
+        return x[:, 2] - self.h * cu * cv
+
+    def slope(self, x: Array) -> Array:
+        """grad F (n, 3)."""
+        cu, su, cv, sv = self._parts(x)
+        by_u, by_v = self.h * self.k * su * cv, self.h * self.k * cu * sv
+        return np.stack([by_u, by_v - 0.4 * by_u, np.ones(len(x))], 1)
+
+    def bend(self, x: Array, y: Array) -> Array:
+        """(Hess F) y (n, 3)."""
+        cu, su, cv, sv = self._parts(x)
+        pure, mixed = self.h * self.k**2 * cu * cv, -self.h * self.k**2 * su * sv
+        du, dv = y[:, 0] - 0.4 * y[:, 1], y[:, 1]
+        by_u, by_v = pure * du + mixed * dv, mixed * du + pure * dv
+        return np.stack([by_u, by_v - 0.4 * by_u, 0 * by_u], 1)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A surface, a contact on it, and what is known about it without the package.
+
+    Attributes
+    ----------
+    surface : contact_system.Surface
+    shape : level function with ``level``, ``slope``, ``bend`` and perhaps ``integral``
+    at : (u, v)
+    size : float
+        m; errors are counted in it.
+    kappa : float
+        Size times the greatest curvature, at least 1.
+    line : {"", "plane", "sphere", "cylinder"}
+        Which closed form its geodesics have.
+    """
+
+    surface: cs.Surface
+    shape: Any
+    at: tuple[float, float]
+    size: float
+    kappa: float = 1.0
+    line: str = ""
+
+    @property
+    def side(self) -> float:
+        """-1 for a body on the other side of its surface."""
+        return -1.0 if self.surface.inside else 1.0
+
+    def normal(self, x: Array) -> tuple[Array, Array]:
+        """Unit normals out of the body and |grad F|: (n, 3), (n, 1)."""
+        slope = self.side * self.shape.slope(x)
+        length = np.linalg.norm(slope, axis=1, keepdims=True)
+        return slope / length, length
+
+    def turning(self, x: Array, y: Array) -> Array:
+        """How the normal changes along y, and -II(y, .) as a vector: (n, 3)."""
+        n, length = self.normal(x)
+        change = self.side * self.shape.bend(x, y) / length
+        return change - n * np.sum(n * change, 1, keepdims=True)
+
+    def geodesic(self, x: Array, p: Array, s: Array) -> Array | None:
+        """Closed form of the geodesic from x along p (not unit: s is path), (n, 3), or None."""
+        speed = np.linalg.norm(p)
+        if self.line == "plane":
+            return x + p * s[:, None]
+        if self.line == "sphere":
+            turn = speed * s[:, None] / self.size
+            return x * np.cos(turn) + (self.size / max(float(speed), 1e-300)) * p * np.sin(turn)
+        if self.line == "cylinder":
+            across = np.array([-x[1], x[0], 0.0])
+            turn = s[:, None] * (p @ across) / self.size**2
+            flat = x * [1.0, 1.0, 0.0]
+            return (
+                flat * np.cos(turn) + across * np.sin(turn) + (x[2] + p[2] * s[:, None]) * [0, 0, 1]
+            )
+        return None
+
+
+def round_body(r: float) -> Quadric:
+    return Quadric(np.eye(3) / r / r, np.zeros(3), 1.0)
+
+
+def _ellipsoid(a: float, b: float, c: float) -> Quadric:
+    return Quadric(np.diag([a**-2, b**-2, c**-2]), np.zeros(3), 1.0)
+
+
+TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.7], [-0.6, 0.2, 1.0]]))[0]
+
+
+# --- drawing bodies ----------------------------------------------------------------------------
+
+
+def plane(draw: Draw, size: float, inside: bool) -> Body:
+    """The plane; ``inside`` puts the body above."""
+    at = (size * draw.real(-1, 1), size * draw.real(-1, 1))
+    shape = Quadric(np.zeros((3, 3)), np.array([0.0, 0.0, 1.0]), 0.0)
+    return Body(cs.Plane(inside=inside), shape, at, 1.0, line="plane")
+
+
+def sphere(draw: Draw, size: float, inside: bool) -> Body:
+    """A sphere or a spherical bowl."""
+    return Body(cs.Sphere(size, inside=inside), round_body(size), _polar(draw), size, line="sphere")
+
+
+def cylinder(draw: Draw, size: float, inside: bool) -> Body:
+    """A cylinder or a bore."""
+    shape = Quadric(np.diag([size**-2, size**-2, 0.0]), np.zeros(3), 1.0)
+    at = (draw.real(-3, 3), size * draw.real(-1, 1))
+    return Body(cs.Cylinder(size, inside=inside), shape, at, size, line="cylinder")
+
+
+def torus(draw: Draw, size: float, inside: bool) -> Body:
+    """A torus, thin to nearly closed."""
+    part = draw.pick([0.3, 0.01, 0.9, draw.real(0.02, 0.95)])
+    major = size / (1 + part)
+    r = part * major
+    kappa = size * max(1 / r, 1 / (major - r))
+    at = (draw.real(-3, 3), draw.real(-3, 3))
+    return Body(cs.Torus(major, r, inside=inside), Tube(major, r), at, major + r, kappa)
+
+
+SHAPES = ("plain", "needle", "pancake", "nearly a sphere", "nearly oblate", "nearly prolate",
+          "oblate", "prolate", "equal axes", "any")  # fmt: skip
+
+
+def ellipsoid(draw: Draw, size: float, inside: bool, shape: str | None = None) -> Body:
+    """An ellipsoid of one of `SHAPES`."""
+    near = 1 - 10 ** draw.real(-15, -6) if draw.pick([0, 1]) else 1 - 1e-12
+    b, c = {
+        "plain": (2 / 3, 1 / 3), "needle": (0.01, 0.009), "pancake": (0.98, 0.01),
+        "nearly a sphere": (near, near * near), "nearly oblate": (near, 0.3),
+        "nearly prolate": (0.3, 0.3 * near), "oblate": (1.0, draw.real(0.02, 0.9)),
+        "prolate": (0.2, 0.2), "equal axes": (1.0, 1.0),
+        "any": (draw.real(0.3, 1.0), draw.real(0.02, 0.3)),
+    }[shape or draw.pick(SHAPES)]  # fmt: skip
+    b, c = min(b * size, size), min(c * size, b * size)
+    surface = cs.Ellipsoid(size, b, c, inside=inside)
+    at = _polar(draw) if b in (size, c) else _jacobi(draw)
+    line = "sphere" if size == b == c else ""
+    return Body(surface, _ellipsoid(size, b, c), at, size, (size / c) ** 2, line)
+
+
+def turned(draw: Draw, size: float, inside: bool) -> Body:
+    """A quadric along no axis: ellipsoids, hyperboloids, cylinders."""
+    values = draw.pick([(1, 2, 9), (1, 1.5, -0.5), (3, -1, -2), (1, 4, 0), (1, 1, 5), (1, 4, 4)])
+    matrix = TURN @ np.diag(values) @ TURN.T / size**2
+    matrix = (matrix + matrix.T) / 2
+    surface = cs.Quadric(matrix, inside=inside)
+    at = (draw.real(0.3, 1.2), draw.real(0.2, 1.2) * (size if values[2] == 0 else 1.0))
+    # Open quadrics are most curved at their waist or vertex, and have size = their longest axis.
+    kappa = max(1.0, surface.size * max(map(abs, values)) / size)
+    return Body(surface, Quadric(matrix, np.zeros(3), 1.0), at, surface.size, kappa**2)
+
+
+def chart_sphere(draw: Draw, size: float, inside: bool) -> Body:
+    """A sphere by a user's stereographic chart, from its south pole."""
+    # x and y stand so that f_u x f_v points out
+    f = ("2*r*v/(1 + u*u + v*v)", "2*r*u/(1 + u*u + v*v)", "r*(u*u + v*v - 1)/(1 + u*u + v*v)")
+    surface = cs.ParametricSurface(f, parameters={"r": size}, size=size, inside=inside)
+    at = (draw.real(-1, 1), draw.real(-1, 1))
+    return Body(surface, round_body(size), at, size, line="sphere")
+
+
+def chart_torus(draw: Draw, size: float, inside: bool) -> Body:
+    """A torus by a user's chart whose lines are sheared, so not orthogonal."""
+    major, r = size / 1.3, 0.3 * size / 1.3
+    f = ("(R + r*cos(v))*cos(u + 0.3*v)", "(R + r*cos(v))*sin(u + 0.3*v)", "r*sin(v)")
+    surface = cs.ParametricSurface(f, parameters={"R": major, "r": r}, size=size, inside=inside)
+    at = (draw.real(-3, 3), draw.real(-3, 3))
+    return Body(surface, Tube(major, r), at, size, size / r)
+
+
+def chart_waves(draw: Draw, size: float, inside: bool) -> Body:
+    """Bumpy ground by a user's chart."""
+    h, k = 0.1 * size, 2.0 / size
+    f = ("u + 0.4*v", "v", "h*cos(k*u)*cos(k*v)")
+    surface = cs.ParametricSurface(f, parameters={"h": h, "k": k}, size=size, inside=inside)
+    at = (size * draw.real(-1, 1), size * draw.real(-1, 1))
+    return Body(surface, Waves(h, k), at, size, 2.0)
+
+
+def implicit_ellipsoid(draw: Draw, size: float, inside: bool) -> Body:
+    """An ellipsoid by a user's equation."""
+    b, c = 0.7 * size, 0.4 * size
+    text = "(x/a)**2 + (y/b)**2 + (z/c)**2 - 1"
+    surface = cs.ImplicitSurface(
+        text, parameters={"a": size, "b": b, "c": c}, size=size, inside=inside
+    )
+    return Body(surface, _ellipsoid(size, b, c), _polar(draw), size, (size / c) ** 2)
+
+
+def implicit_cube(draw: Draw, size: float, inside: bool) -> Body:
+    """A rounded cube by a user's equation."""
+    text = "(x/r)**4 + (y/r)**4 + (z/r)**4 - 1"
+    surface = cs.ImplicitSurface(text, parameters={"r": size}, size=size, inside=inside)
+    return Body(surface, Cube(size), _polar(draw), size, 4.0)
+
+
+BODIES: dict[str, Callable[[Draw, float, bool], Body]] = {
+    f.__name__: f
+    for f in (plane, sphere, cylinder, torus, ellipsoid, turned, chart_sphere, chart_torus,
+              chart_waves, implicit_ellipsoid, implicit_cube)
+}  # fmt: skip
+
+
+OFTEN = [*list(BODIES)[:6] * 8, *BODIES]
+"""Names to draw from; surfaces of users cost ten times as much, so they come less often."""
+
+
+def _polar(draw: Draw) -> tuple[float, float]:
+    return draw.real(0.1, 3.0), draw.real(-3.1, 3.1)
+
+
+def _jacobi(draw: Draw) -> tuple[float, float]:
+    """Coordinates off umbilics, sometimes on a seam."""
+    return draw.real(0.1, 3.0), draw.pick([draw.real(-1.4, 1.4), math.pi / 2, -math.pi / 2])
+
+
+# --- drawing scenes ----------------------------------------------------------------------------
+
+PROFILES: dict[str, tuple[float, ...]] = {
+    "constant": (1.0,),
+    "rising": (0.2, 1.0),
+    "falling": (1.0, -0.8),
+    "bump": (0.1, 1.0, -1.0),
+    "from 1e-12": (1e-12, 1.0),
+    "from 1e-6": (1e-6, 0.0, 1.0),
+    "from rest": (0.0, 1.0),
+    "from rest, third order": (0.0, 0.0, 0.0, 1.0),
+    "to rest": (1.0, -1.0),
+    "rest to rest": (0.0, 0.0, 30.0, -60.0, 30.0),
+    "zero inside": (0.25, -1.0, 1.0),
+    "two zeros inside": tuple(poly.polymul(*[poly.polymul((-0.25, 1), (-0.75, 1))] * 2)),
+}
+"""sigma over its scale, of t over the horizon; coefficients from the lowest power."""
+LAWS = ("path", "time", "guaranteed")
+ETAS = tuple(10.0**k for k in range(-3, 13))
+DISTURBANCES = (cs.FingerAcceleration, cs.ObjectAcceleration, cs.ObjectRateOffset)
+TURNS = 40.0
+"""Radians that a body which needs integration turns at most, unless a family asks for more."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A scene, how to plan it, and what is known about its bodies without the package."""
+
+    scene: cs.Scene
+    finger: Body
+    object: Body
+    tolerance: float = 1e-12
+    compiled: bool | None = None
+    special: tuple[float, ...] = ()
+    """Times beside the drawn ones, s."""
+    seed: int = 0
+
+
+def draw_trial(draw: Draw, **fixed: Any) -> Trial:
+    """A trial; ``fixed`` holds choices that are not to be drawn.
+
+    Parameters
+    ----------
+    draw : Draw
+    fixed
+        finger, object (names of `BODIES`), size, ratio, shape, inside, profile, law, eta, turns,
+        duration, tolerance, compiled, slip, windows, angle, pole (see `_aimed`), bowl (the object
+        hollow, the finger not), most (radians that a body turns which needs integration).
+
+    Raises
+    ------
+    ContactSystemError
+        Where the package refuses the scene.
+    """
+
+    def choose(key: str, values: Sequence[Any]) -> Any:
+        return fixed[key] if key in fixed else draw.pick(values)
+
+    size = choose("size", [0.1, 0.1, 1.0, 10 ** draw.real(-4, 4)])
+    ratio = choose("ratio", [0.4, 1.0, 10 ** draw.real(-2, 2)])
+    shape = {"shape": fixed["shape"]} if "shape" in fixed else {}
+    kinds = [choose(side, OFTEN) for side in ("object", "finger")]
+    obj, finger = (
+        BODIES[kind](draw, length,
+                     own if "bowl" in fixed else choose("inside", [False, False, True]),
+                     **(shape if kind == "ellipsoid" else {}))
+        for kind, length, own in zip(kinds, (size, ratio * size), (True, False))
+    )  # fmt: skip
+    duration = choose("duration", [1.0, 1.0, 0.01, 30.0])
+    turns = choose("turns", [1.0, 5.0, 10 ** draw.real(-3, 2)])
+    length = turns * obj.size
+    for body in (obj, finger):
+        if not (body.surface.great_circles or body.surface.developable):  # it is integrated
+            length = min(length, fixed.get("most", TURNS) * body.size / body.kappa)
+    profile = stretched(PROFILES[choose("profile", list(PROFILES))], length, duration)
+    obj, finger, contact, special = _contact(draw, fixed, obj, finger, length, duration)
+    values = {
+        "object": obj.surface, "contacts": [contact], "profile": profile, "duration": duration,
+        "gain": cs.Gain(choose("law", LAWS), choose("eta", [*ETAS, 10 ** draw.real(-3, 12)])),
+        "name": "stress",
+    }  # fmt: skip
+    windows = choose("windows", [0, 0, 1, 2])
+    if windows:
+        bodies = (finger, obj)
+        values["disturbances"] = [
+            _disturbance(draw, bodies, length, duration) for _ in range(windows)
+        ]
+    return Trial(
+        cs.Scene(**values), finger, obj, choose("tolerance", [1e-12, 1e-12, 1e-9, 1e-6]),
+        _compiled(draw, fixed, kinds), special, int(draw.real(0, 2**31)),
+    )  # fmt: skip
+
+
+COMPILED = {"plane", "sphere", "cylinder", "torus", "chart_torus", "implicit_ellipsoid"}
+"""Bodies whose kernels are also compiled here: 0.2 s each, once."""
+
+
+def _compiled(draw: Draw, fixed: dict, kinds: list[str]) -> bool | None:
+    few = COMPILED.issuperset(kinds)
+    return fixed["compiled"] if "compiled" in fixed else draw.pick([few or None, None, False])
+
+
+def stretched(shape: Sequence[float], length: float, duration: float) -> cs.Profile:
+    """The shape over a horizon, with this arc length in all."""
+    scale = length / duration / poly.polyval(1.0, poly.polyint(shape))
+    return cs.Profile([scale * c / duration**k for k, c in enumerate(shape)])
+
+
+def _contact(
+    draw: Draw, fixed: dict, obj: Body, finger: Body, length: float, duration: float
+) -> tuple[Body, Body, cs.Contact, tuple[float, ...]]:
+    """Where and how a contact starts, and special times."""
+    angle = fixed["angle"] if "angle" in fixed else draw.pick([0.0, 0.3, draw.real(-3, 3)])
+    heading = draw.real(-math.pi, math.pi)
+    special: tuple[float, ...] = ()
+    if "pole" in fixed:
+        side, miss = fixed["pole"]
+        body = obj if side == "object" else finger
+        at, heading, arc = _aimed(draw, body, miss)
+        body = Body(body.surface, body.shape, at, body.size, body.kappa, body.line)
+        obj, finger = (body, finger) if side == "object" else (obj, body)
+        special = tuple(duration * f for f in arc / length + np.array([0.0, -1e-9, 1e-9]))
+        special = tuple(t for t in special if 0 <= t <= duration)
+        if side == "object":  # R_psi is its own inverse: what the finger does to that end
+            heading = -angle - heading
+    given = (math.cos(heading), math.sin(heading))
+    slips = fixed["slip"] if "slip" in fixed else draw.pick([0, 1, 1, 2])
+    slipping = (draw.real(-1, 1), draw.real(-1, 1))
+    velocity: Any = ("rolling", slipping, "rest")[slips]
+    contact = cs.Contact(
+        finger=finger.surface, object_at=obj.at, finger_at=finger.at, angle=angle,
+        finger_velocity=given, object_velocity=velocity,
+    )  # fmt: skip
+    return obj, finger, contact, special
+
+
+def _aimed(draw: Draw, body: Body, miss: float) -> tuple[tuple[float, float], float, float]:
+    """A start, a heading in its frame that runs into a pole or umbilic but for an angle, the path.
+
+    Polar charts: along a meridian. Jacobi's chart: along the ellipse y = 0, which holds all four
+    umbilics, so the path to the first is not told (0).
+    """
+    if body.surface.double_cover:
+        return (draw.real(0.3, 2.8), math.pi / 2), draw.pick([0.0, math.pi]) + miss, 0.0
+    u = draw.real(0.2, 2.9)
+    # u is a polar angle on every chart with poles here; only a sphere's meridian is so simple
+    arc = u * body.size if body.line == "sphere" else 0.0
+    return (u, draw.real(-3, 3)), math.pi + miss, arc
+
+
+def _disturbance(
+    draw: Draw, bodies: tuple[Body, Body], length: float, duration: float
+) -> cs.scene.Disturbance:
+    """One window, as strong as the motion itself or weaker."""
+    kind = draw.pick(DISTURBANCES)
+    start = draw.pick([0.0, 0.2, draw.real(0, 0.7)])
+    stop = min(1.0, start + draw.pick([0.3, 1e-3, draw.real(0.01, 0.3)]))
+    speed = length / duration / (1 if kind is cs.ObjectRateOffset else duration)
+    body = bodies[0] if kind is cs.FingerAcceleration else bodies[1]
+    strength = speed * 10 ** draw.real(-3, 0.5)
+    # Where a Lame coefficient is small at the start it is greater later on.
+    lame = np.maximum(np.diag(body.surface.metric_root(*body.at)), 0.3 * body.size)
+    value = strength / lame * [math.cos(a := draw.real(-3, 3)), math.sin(a)]
+    return kind(contact=0, start=start * duration, stop=stop * duration, value=tuple(value))
