@@ -193,7 +193,7 @@ class _Slave:
         raise error
 
     def _tell(self, status: int, category: str, text: str) -> None:
-        if category in self._logged:
+        if status == ERROR or category in self._logged:  # as the compiled FMU, fmi.h
             self._logger(status, category, text)
 
     def _require(self, function: str, *phases: str) -> None:

@@ -70,9 +70,9 @@ class Exported:
             instanceName="one",
         )  # fmt: skip
         if self.version == "2.0":
-            fmu.instantiate(callbacks=self._callbacks(), loggingOn=True)
+            fmu.instantiate(callbacks=self._callbacks(), **{"loggingOn": True} | options)
         else:
-            fmu.instantiate(loggingOn=True, logMessage=self._log3(), **options)
+            fmu.instantiate(logMessage=self._log3(), **{"loggingOn": True} | options)
         if start:
             self.set(fmu, start)
         if ready:
@@ -801,6 +801,19 @@ def test_all_values_of_a_call_are_set_or_none(version, exported):
     with pytest.raises(FMICallException):
         setter([good, bad], [0.3, np.nan])
     assert fmu.get(one, "contact[1].finger.acceleration.u")[0] == 0.0
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_errors_are_told_though_logging_is_off(version, exported):
+    fmu = exported("K1", version)
+    one = fmu.instance(loggingOn=False)
+    with pytest.raises(FMICallException):
+        fmu.set(one, {"gain.eta": np.nan})  # discarded
+    assert fmu.messages == []
+    with pytest.raises(FMICallException):
+        fmu.step(one, 0.0, -0.1)
+    assert [(s, c) for s, c, _ in fmu.messages] == [(3, "logStatusError")]
+    assert "a step of -0.1 s from t = 0 s is refused" in fmu.messages[0][2]
 
 
 def test_a_text_with_percent_signs_is_only_text(exported):

@@ -720,12 +720,14 @@ def test_functions_and_types_that_there_are_not_are_refused_in_words():
 
 def test_log_lines_go_to_logging_and_can_be_chosen(caplog):
     slave = begun(one_contact())
+    eta = [next(v.reference for v in slave.block.table.rows if v.name == "gain.eta")]
     with caplog.at_level(logging.INFO, "fmu_export"):
-        refused(slave.getReal, [10_000], words="unknown")
+        refused(slave.setReal, eta, [math.nan], words="finite", status=DISCARD)
         slave.setDebugLogging(True, ["logEvents"])
-        refused(slave.getReal, [10_001], words="unknown")
-    assert [r.levelname for r in caplog.records] == ["ERROR"]
-    assert "10000" in caplog.text and "10001" not in caplog.text
+        refused(slave.setReal, eta, [math.inf], words="finite", status=DISCARD)
+        refused(slave.getReal, [10_001], words="unknown")  # errors are always told
+    assert [r.levelname for r in caplog.records] == ["WARNING", "ERROR"]
+    assert "nan" in caplog.text and "inf" not in caplog.text and "10001" in caplog.text
 
 
 def test_motion_that_comes_to_its_end_stops_fmpy_and_is_discarded():

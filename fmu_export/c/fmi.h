@@ -35,6 +35,14 @@ static inline int category_index(const char *category) {
   return -1;
 }
 
+/* Whether the importer is told. Errors it always is, as FMI 2.0.5 expects (section 2.1.3): FMI
+   3.0.2 silences them with loggingOn = false, but its successor takes that back, and the
+   Reference FMUs never did. */
+static inline int is_told(const instance_t *instance, status_t status, const char *category) {
+  const int k = category_index(category);
+  return instance->log && (status == FAILED || (k >= 0 && instance->logging[k]));
+}
+
 static inline status_t allowed(component_t *c, const char *function, int phases) {
   if (c->now.phase & phases) return OK;
   return report(c, FAILED, "logStatusError", "%s is not allowed in this state of the instance",

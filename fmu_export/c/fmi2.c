@@ -9,9 +9,8 @@
    that were it; so the text itself is the format, every percent sign in it doubled. */
 static void log_text(component_t *c, status_t status, const char *category, const char *text) {
   const instance_t *instance = c->host;
-  const int k = category_index(category);
   char format[1100], *to = format;
-  if (k < 0 || !instance->logging[k] || !instance->log) return;
+  if (!is_told(instance, status, category)) return;
   for (; *text && to < format + sizeof format - 2; text++) {
     *to++ = *text;
     if (*text == '%') *to++ = '%';
@@ -36,7 +35,6 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
   c->report = log_text, c->host = instance;
   instance->log = (void (*)(void))functions->logger;
   instance->environment = functions->componentEnvironment;
-  for (int k = 0; k < CATEGORIES; k++) instance->logging[k] = 1;
   if (name) strncpy(instance->name, name, sizeof instance->name - 1);
   const char *wrong = !name || !*name ? "the instance has no name"
                       : !guid || strcmp(guid, model_token) ? "the GUID is another model's"

@@ -7,8 +7,7 @@
 
 static void log_text(component_t *c, status_t status, const char *category, const char *text) {
   const instance_t *instance = c->host;
-  const int k = category_index(category);
-  if (k < 0 || !instance->logging[k] || !instance->log) return;
+  if (!is_told(instance, status, category)) return;
   ((fmi3LogMessageCallback)instance->log)(instance->environment, (fmi3Status)status, category,
                                           text);
 }
@@ -23,7 +22,6 @@ static instance_t *instantiate(fmi3String name, fmi3String token, fmi3Boolean lo
   component_t *c = &instance->component;
   c->report = log_text, c->host = instance;
   instance->log = (void (*)(void))log, instance->environment = environment;
-  for (int k = 0; k < CATEGORIES; k++) instance->logging[k] = 1;
   const char *wrong = !name || !*name ? "the instance has no name"
                       : !token || strcmp(token, model_token)
                           ? "the instantiation token is another model's"
