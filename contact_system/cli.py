@@ -25,6 +25,7 @@ import numpy as np
 
 from . import plots
 from .errors import ContactSystemError
+from .kernels import make_folder
 from .measures import (
     REJECTED,
     Rejection,
@@ -147,12 +148,16 @@ def _run(args: argparse.Namespace) -> int:
             measured.append(rejections(plans[1]))
     print("\n".join(_report(plans, measured)))
 
-    folder = args.out or Path("results") / _file_name(scene)
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = _results_folder(args, scene)
     with Progress(3, "writing") as progress:
         written = list(_write(args, plans, folder / _file_name(scene), progress))
     print(*written, sep="\n")
     return 0
+
+
+def _results_folder(args: argparse.Namespace, scene: Scene) -> Path:
+    folder = args.out or Path("results") / _file_name(scene)
+    return make_folder(folder, "name another one with --out")
 
 
 def _asked_scene(args: argparse.Namespace) -> Scene:

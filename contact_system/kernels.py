@@ -24,7 +24,7 @@ import sys
 import sysconfig
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -570,6 +570,39 @@ def cache_folder() -> Path:
     return Path(base) / "contact_system"
 
 
+def make_folder(path: Path, remedy: str) -> Path:
+    """The folder, made if it is not there.
+
+    Raises
+    ------
+    ContactSystemError
+        It cannot be made; the message ends with the remedy.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ContactSystemError(f"no folder '{path}': {error.strerror}; {remedy}") from None
+    return path
+
+
+@contextlib.contextmanager
+def cache_room() -> Iterator[Path]:
+    """A folder in the cache's, for the time in which a file is made that goes there.
+
+    Raises
+    ------
+    ContactSystemError
+        Nothing can be written there.
+    """
+    remedy = "set CONTACT_SYSTEM_CACHE to a folder that can be written to"
+    folder = make_folder(cache_folder(), remedy)
+    try:
+        with tempfile.TemporaryDirectory(dir=folder) as room:
+            yield Path(room)
+    except OSError as error:
+        raise ContactSystemError(f"cache folder '{folder}': {error}; {remedy}") from None
+
+
 @functools.cache
 def _machine_tag() -> str:
     """-march=native code must not be shared by machines of different kinds through one cache."""
@@ -595,7 +628,8 @@ def compiled_library(source: str) -> ctypes.CDLL:
     Raises
     ------
     ContactSystemError
-        No compiler, or the compiler refused (its message is quoted).
+        No compiler, the compiler refused (its message is quoted), or a cache folder that cannot be
+        written to.
     """
     path = library_path(source)
     with contextlib.suppress(OSError):  # not there, or damaged: built again
@@ -628,11 +662,10 @@ def _build(source: str, path: Path) -> None:
             "no C compiler found: install one (cc, gcc, clang), set CC, or `pip install ziglang`; "
             "or plan without compiled=True, which needs none"
         )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-        code = Path(folder) / "kernel.c"
+    with cache_room() as folder:
+        code = folder / "kernel.c"
         code.write_text(source)
-        built = Path(folder) / path.name
+        built = folder / path.name
         for variant in _VARIANTS:
             command = [*compiler, *_FLAGS, str(code), "-o", str(built), *variant]
             run = subprocess.run(command, capture_output=True, text=True)

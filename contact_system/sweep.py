@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import ContactSystemError
+from .kernels import make_folder
 from .measures import REJECTED
 from .plan import Plan, plan
 from .scene import Contact, Disturbance, Scene
@@ -385,7 +386,8 @@ def sweep(
     ------
     ContactSystemError
         ``scenes`` that are no list of them; ``chunk`` or ``ahead`` below 1; outputs without a row a
-        contact, or that differ from scene to scene; an executor that broke and cannot be replaced.
+        contact, or that differ from scene to scene; a folder that cannot be made; an executor that
+        broke and cannot be replaced.
     """
     if isinstance(scenes, (Scene, str, os.PathLike)) or not isinstance(scenes, Iterable):
         raise ContactSystemError(f"scenes = {scenes!r:.80}: give a list of scenes; of one, [scene]")
@@ -517,7 +519,7 @@ class _Store:
         self.parts: dict[int, Part | Path] = {}
         self.digests: dict[int, str] = {}
         if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
+            make_folder(folder, "give another folder")
 
     def missing(self, chunks: Iterator[Chunk]) -> Iterator[Chunk]:
         """Those chunks that are not finished; the others are taken over."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from contact_system import load_scene
-from contact_system.cli import Progress, _file_name, _paragraph
+from contact_system.cli import Progress, _file_name, _paragraph, _results_folder
 from contact_system.measures import REJECTED
 from contact_system.plots import MissingMatplotlib
 from contact_system.scene_files import scene_to_toml
@@ -49,9 +49,7 @@ def run(args: argparse.Namespace) -> int:
     wished = {"contact_model": args.contact, "object": args.object, "time_step": args.time_step,
               "coordinates": args.coordinates}  # fmt: skip
     config = StationConfig.from_scene(scene, **{k: v for k, v in wished.items() if v is not None})
-    folder = args.out or Path("results") / _file_name(scene)
-    folder.mkdir(parents=True, exist_ok=True)
-    stem = folder / f"{_file_name(scene)}-drake"
+    stem = _results_folder(args, scene) / f"{_file_name(scene)}-drake"
     recording = None if args.no_recording else stem.with_suffix(".html")
     duration = scene.duration if args.until is None else args.until
     with Progress(TICKS, "building") as progress:

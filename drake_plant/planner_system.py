@@ -94,7 +94,7 @@ def _compiled(function: ca.Function, compiled: bool | None) -> ca.Function:
     source = generator.dump()
     try:
         compiled_library(source)
-    except (ContactSystemError, OSError):  # a compiler without headers, a cache nobody may write
+    except (ContactSystemError, OSError):  # a compiler without headers, a cache nobody may use
         if compiled:
             raise
         return function

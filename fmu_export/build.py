@@ -8,7 +8,6 @@ import os
 import platform
 import subprocess
 import sys
-import tempfile
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,7 +16,7 @@ from pathlib import Path
 import fmpy
 
 from contact_system.errors import ContactSystemError
-from contact_system.kernels import cache_folder, find_compiler
+from contact_system.kernels import cache_folder, cache_room, find_compiler
 
 FMI_HEADERS = Path(fmpy.__file__).parent / "c-code"
 
@@ -82,19 +81,19 @@ def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
     Raises
     ------
     ContactSystemError
-        An unknown platform, no compiler, or one that refuses.
+        An unknown platform, no compiler, one that refuses, or a cache folder that cannot be
+        written to.
     """
     command = _command(identifier, target)
     text = "\0".join([identifier, *command, *(f"{k}\0{sources[k]}" for k in sorted(sources))])
     kept = cache_folder() / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.fmulib"
     if kept.exists():
         return kept.read_bytes()
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=kept.parent) as folder:
+    with cache_room() as folder:
         for file, content in sources.items():
-            (Path(folder) / file).write_text(content, "utf-8")
+            (folder / file).write_text(content, "utf-8")
         # A Windows library carries the name it is linked under, and programs look for that one.
-        built = Path(folder) / f"{identifier}{_platform(target)[2]}"
+        built = folder / f"{identifier}{_platform(target)[2]}"
         names = sorted(file.removesuffix(".c") for file in sources if file.endswith(".c"))
         compiler = [word for word in command if word not in LINK_FLAGS]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -105,7 +104,7 @@ def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
     return kept.read_bytes()
 
 
-def _run(command: Sequence[str], folder: str) -> None:
+def _run(command: Sequence[str], folder: Path) -> None:
     run = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     if run.returncode:
         raise ContactSystemError(f"{' '.join(command)} failed:\n{run.stderr[-2000:]}")

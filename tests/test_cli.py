@@ -53,6 +53,12 @@ def test_results_go_to_a_folder_named_like_the_scene(tmp_path, monkeypatch, caps
     assert (tmp_path / "results" / "torus" / "torus.npz").exists()
 
 
+def test_results_cannot_go_where_a_file_is(tmp_path, capsys):
+    (tmp_path / "taken").touch()
+    error = _fails(capsys, "run", "C1", "--no-plots", "--out", tmp_path / "taken")
+    assert f"no folder '{tmp_path / 'taken'}': " in error and "another one with --out" in error
+
+
 def test_a_scene_file_runs_like_a_bundled_scene(tmp_path, capsys):
     cs.save_scene(cs.load_scene("K4").replace(name="my scene/4"), tmp_path / "mine.toml")
     assert _run("run", tmp_path / "mine.toml", "--no-plots", "--out", tmp_path) == 0

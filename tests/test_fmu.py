@@ -942,6 +942,14 @@ def test_only_the_standards_functions_are_seen_outside(exported):
         assert not hasattr(loaded, name) or b"\0" + name.encode() + b"\0" not in table
 
 
+def test_a_cache_that_cannot_be_written_to_is_named(tmp_path, monkeypatch):
+    (tmp_path / "taken").touch()
+    monkeypatch.setenv("CONTACT_SYSTEM_CACHE", str(tmp_path / "taken"))
+    with pytest.raises(cs.ContactSystemError, match="taken': .*; set CONTACT_SYSTEM_CA"):
+        export_fmu(cs.load_scene("C1"), tmp_path / "x.fmu")
+    assert not (tmp_path / "x.fmu").exists()
+
+
 def test_an_unknown_platform_is_refused(tmp_path):
     with pytest.raises(cs.ContactSystemError, match="x86_64-linux"):
         export_fmu(cs.load_scene("C1"), tmp_path / "x.fmu", platforms=("amiga",))

@@ -333,6 +333,14 @@ def test_two_processes_that_build_at_once_do_not_clash(tmp_path):
     assert {path.suffix for path in tmp_path.iterdir()} == {Path(kernels.library_path("")).suffix}
 
 
+@needs_compiler
+def test_a_cache_that_cannot_be_written_to_is_named(tmp_path, monkeypatch):
+    (tmp_path / "taken").touch()
+    monkeypatch.setenv("CONTACT_SYSTEM_CACHE", str(tmp_path / "taken"))
+    with pytest.raises(cs.ContactSystemError, match="taken': .*; set CONTACT_SYSTEM_CA"):
+        kernels.compiled_library("double one = 1.0;")
+
+
 def test_import_loads_nothing_that_is_not_needed():
     code = """
         import sys

@@ -252,6 +252,12 @@ def test_what_is_no_list_of_scenes_is_refused(scenes):
         cs.sweep(scenes)
 
 
+def test_a_folder_that_is_a_file_is_refused(tmp_path):
+    (tmp_path / "taken").touch()
+    with pytest.raises(cs.ContactSystemError, match="taken': .*; give another folder"):
+        cs.sweep(["C1"], folder=tmp_path / "taken")
+
+
 def test_failures_are_kept_in_the_folder(tmp_path):
     scenes = [rolling_towards(0), "K0"]
     first = cs.sweep(scenes, middle, folder=tmp_path)
