@@ -29,6 +29,7 @@ from .kinds import Begun
 from .kinematics import relative_pose, relative_twist
 from .panels import runs
 from .planner import plan_groups
+from .profile import flag
 from .program import Program, chart_states, group_program, program_of
 from .scene import ObjectRateOffset, Scene, require_scene
 from .scene_files import scene_from_toml, scene_to_toml
@@ -95,6 +96,7 @@ class Plan:
             require_scene(scene)
         if not (type(tolerance) is float and 1e-15 <= tolerance <= 0.1):
             tolerance = _tolerance(tolerance)
+        compiled = flag(compiled, "compiled", none=True)
         self.scene, self.tolerance, self.method = scene, tolerance, method
         self.solver, self.compiled, self.start, self.starts = solver, compiled, start, starts
         self._groups: list[Group] | None = None

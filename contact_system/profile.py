@@ -13,7 +13,6 @@ Products, squares and shifts of polynomials are formed exactly, in integers over
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
-from .errors import SceneError
+from .errors import ContactSystemError, SceneError
 
 Coefficients = tuple[float, ...]
 """Coefficients of a polynomial, lowest power first."""
@@ -310,22 +309,54 @@ def finite_numbers(values: Iterable[Any], what: str) -> Coefficients:
     return found
 
 
-def finite_number(value: Any, what: str) -> float:
+def finite_number(
+    value: Any, what: str, bound: str = "", error: type[ContactSystemError] = SceneError
+) -> float:
     """The value as a float.
+
+    Parameters
+    ----------
+    value : number
+    what : str
+        Its name, for the message.
+    bound : "", "above 0" or "not below 0"
+    error : what to raise
+
+    Raises
+    ------
+    error
+        If it is no finite number within the bound.
+    """
+    if is_plain((value,)):
+        number = value
+    else:
+        try:
+            # float() would take all of these
+            number = math.nan if isinstance(value, (str, bytes, bool, np.bool_)) else float(value)
+        except OverflowError:  # an integer beyond floating point
+            number = math.inf
+        except (TypeError, ValueError):
+            number = math.nan
+    within = number > 0 or not bound or (number == 0 and bound != "above 0")
+    if not (within and abs(number) < _LARGEST):
+        limit = "(below 1e100)" if abs(number) >= _LARGEST else bound
+        raise error(f"{what} = {value!r}: give a finite number {limit}".rstrip())
+    return number
+
+
+def flag(value: Any, what: str, none: bool = False) -> Any:
+    """The value as a bool, or None where that has a meaning.
 
     Raises
     ------
     SceneError
-        If it is not a finite number; `what` names it in the message.
+        It is something else, as "no", which counts as true; `what` names it in the message.
     """
-    if is_plain((value,)):
-        return value
-    if not isinstance(value, numbers.Real) or isinstance(value, bool):
-        raise SceneError(f"{what} = {value!r}: give a number")
-    try:
-        return finite_numbers([value], what)[0]
-    except SceneError:
-        raise SceneError(f"{what} = {value!r}: give a finite number (below 1e100)") from None
+    if none and value is None:
+        return None
+    if not isinstance(value, (bool, np.bool_)):
+        raise SceneError(f"{what} = {value!r}: give True or False" + ", or None" * none)
+    return bool(value)
 
 
 # --- gain laws ---------------------------------------------------------------------------------

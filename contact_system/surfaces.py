@@ -44,6 +44,7 @@ from .charts import (
 from .errors import ChartSingularity, SurfaceError
 from .expressions import SYMBOLS
 from .geometry import ChartGeometry, chart_geometry, revolved_geometry
+from .profile import finite_number
 
 # A contact frame whose axes shrink below this fraction of the surface's size is taken as lost.
 # A pole typed with 16 digits gives 1e-16, a point 1e-9 rad from one still gives 1e-9.
@@ -700,21 +701,9 @@ def store(surface: Surface, **values: Any) -> None:
         object.__setattr__(surface, name, value)
 
 
-def finite_number(kind: str, name: str, value: Any) -> float:
-    try:
-        if isinstance(value, (str, bool, np.bool_)):
-            raise TypeError
-        number = float(value)
-    except (TypeError, ValueError, OverflowError):
-        raise SurfaceError(f"{kind}: {name} = {value!r} must be a number") from None
-    if not math.isfinite(number):
-        raise SurfaceError(f"{kind}: {name} = {value!r} must be finite")
-    return number
-
-
 def positive_length(surface: Surface, name: str, value: Any) -> float:
     kind = type(surface).__name__
-    number = finite_number(kind, name, value)
+    number = finite_number(value, f"{kind}: {name}", error=SurfaceError)
     if number <= 0:
         raise SurfaceError(
             f"{kind}: {name} = {value!r} must be a positive length in metres; for a concave "

@@ -37,6 +37,7 @@ from .errors import ContactSystemError
 from .kernels import make_folder
 from .measures import REJECTED
 from .plan import Plan, plan
+from .profile import flag
 from .scene import Contact, Disturbance, Scene
 from .scene_files import load_scene, scene_text, scene_to_toml
 
@@ -397,7 +398,7 @@ def sweep(
             raise ContactSystemError(f"{name} = {value}: give at least 1")
     from .cli import Progress  # not on the planner's path
 
-    job = Job(evaluate, tolerance, compiled)
+    job = Job(evaluate, tolerance, flag(compiled, "compiled", none=True))
     store = _Store(job, None if folder is None else Path(folder))
     chunks = store.missing(_chunks(scenes, chunk))
     if executor is None:

@@ -45,7 +45,7 @@ from .errors import SceneError
 from .geometry import upper_inverse
 from .kernels import per_structure
 from .kinematics import relative_pose, relative_twist
-from .profile import integral, law_rate, polynomial, product
+from .profile import flag, integral, law_rate, polynomial, product
 from .scene import (
     Disturbance,
     FingerAcceleration,
@@ -404,7 +404,8 @@ class SceneSystem:
         if coordinates not in COORDINATES:
             raise SceneError(f"coordinates = {coordinates!r}: use one of {', '.join(COORDINATES)}")
         require_scene(scene)
-        self.scene, self.coordinates, self.disturbance_input = scene, coordinates, disturbance_input
+        self.scene, self.coordinates = scene, coordinates
+        self.disturbance_input = disturbance_input = flag(disturbance_input, "disturbance_input")
         self._refuse()
         n = len(scene.contacts)
         self.n_w = 6 * n if scene.disturbances or disturbance_input else 0

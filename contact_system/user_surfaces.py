@@ -34,7 +34,8 @@ from .charts import (
 from .errors import ContactSystemError, SurfaceError
 from .expressions import FUNCTIONS, SYMBOLS, parse
 from .geometry import ChartGeometry, contact_frame, tangent_geometry
-from .surfaces import Surface, finite_number, positive_length, store
+from .profile import finite_number
+from .surfaces import Surface, positive_length, store
 
 
 @dataclass(frozen=True)
@@ -493,7 +494,10 @@ def _numbers(kind: str, name: str, given: Any, count: int) -> tuple[Any, ...]:
         values = ()
     if len(values) != count or isinstance(given, str):
         raise SurfaceError(f"{kind}: {name} = {given!r} must be {count} numbers")
-    return tuple(finite_number(kind, f"{name}[{i}]", value) for i, value in enumerate(values))
+    return tuple(
+        finite_number(value, f"{kind}: {name}[{i}]", error=SurfaceError)
+        for i, value in enumerate(values)
+    )
 
 
 def _range(kind: str, name: str, given: Any) -> tuple[float, float]:
@@ -517,7 +521,8 @@ def _named(kind: str, given: Any, variables: Mapping[str, SX]) -> dict[str, floa
                 f"{kind}: parameter name {name!r} already has a meaning in formulas; use another"
             )
     return {
-        name: finite_number(kind, f"parameters[{name!r}]", given[name]) for name in sorted(given)
+        name: finite_number(given[name], f"{kind}: parameters[{name!r}]", error=SurfaceError)
+        for name in sorted(given)
     }
 
 

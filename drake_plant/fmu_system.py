@@ -6,7 +6,6 @@ import collections
 import contextlib
 import itertools
 import math
-import numbers
 import os
 import shutil
 import tempfile
@@ -22,6 +21,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem, State
 
 from contact_system.errors import ContactSystemError, did_you_mean
+from contact_system.profile import finite_number
 
 from .lifetimes import NO_DICTIONARY, weakly
 
@@ -583,10 +583,7 @@ class FmuSystem(LeafSystem):
         instance_name: str | None = None,
     ):
         super().__init__()
-        given: Any = step
-        if not (isinstance(given, numbers.Real) and 0 < float(given) < math.inf):
-            raise ContactSystemError(f"step = {step!r}: give a communication step > 0, in s")
-        self._step = float(step)
+        self._step = finite_number(step, "step", "above 0", ContactSystemError)
         self._instance = instance = Instance(fmu, instance_name)
         weakref.finalize(self, instance.close)
         read = _blocks(instance, "input", inputs, "u")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import bisect
 import functools
 import math
-import numbers
 import operator
 import threading
 from collections.abc import Callable, Sequence
@@ -29,6 +28,7 @@ from contact_system.kernels import (
     no_operation,
     replay,
 )
+from contact_system.profile import finite_number, flag
 
 from .invariants import (
     MOST,
@@ -294,18 +294,14 @@ def _refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> N
 
 
 def _check_restart(scene: Scene, period: Any, slip: Any) -> None:
-    least = max(EARLY, scene.duration / MOST)
-    given = isinstance(period, numbers.Real) and least <= float(period) < math.inf
-    if period is not None and not given:
+    least, what = max(EARLY, scene.duration / MOST), f"scene '{scene.name}': restart_"
+    if period is not None and finite_number(period, f"{what}period", "above 0") < least:
         raise SceneError(
-            f"scene '{scene.name}': restart_period = {period!r}: give a time in s, at least "
-            f"{least:.2g} s, with which the scene's end is reached, or None"
+            f"{what}period = {period!r}: give a time in s, at least {least:.2g} s, with which the "
+            "scene's end is reached, or None"
         )
-    if slip is not None and not (isinstance(slip, numbers.Real) and 0 <= float(slip) < math.inf):
-        raise SceneError(
-            f"scene '{scene.name}': restart_slip = {slip!r}: give a speed in m/s, 0 or more, or "
-            "None to restart every contact"
-        )
+    if slip is not None:
+        finite_number(slip, f"{what}slip", "not below 0")
 
 
 # --- the system -----------------------------------------------------------------------------------
@@ -395,8 +391,9 @@ def _define(T: type) -> type:
         ------
         SceneError
             No scene, or one that cannot be written in these coordinates; a restart_period that is
-            too short, a restart_slip < 0; in a simulation: sigma < 0, a derivative or output that
-            is not finite, steps that are too long for the integrator.
+            too short, a restart_slip < 0, a flag that is neither True nor False; in a simulation:
+            sigma < 0, a derivative or output that is not finite, steps that are too long for the
+            integrator.
         ChartSingularity
             In a simulation: a contact has come to a pole or an umbilic of its chart.
         """
@@ -415,6 +412,7 @@ def _define(T: type) -> type:
             converter: Any = None,
         ) -> None:
             Base.__init__(self, converter=converter)
+            compiled = flag(compiled, "compiled", none=True)
             self._options = dict(
                 coordinates=coordinates, disturbance_input=disturbance_input,
                 restart_period=restart_period, restart_slip=restart_slip, compiled=compiled,

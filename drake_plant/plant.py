@@ -17,7 +17,6 @@ is 0.2 % less. SI units, radians.
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -72,6 +71,7 @@ from contact_system import (
 )
 from contact_system import plan as make_plan
 from contact_system.errors import ContactSystemError
+from contact_system.profile import finite_number
 
 from .meshes import (
     Domain,
@@ -144,14 +144,7 @@ def check_numbers(config: Any, keys: Sequence[str], bound: str = "") -> None:
         value = getattr(config, key)
         if value is None and key in MAY_BE_NONE:
             continue
-        number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-        if not (
-            number
-            and abs(value) < math.inf
-            and (value > 0 or bound != "above 0")
-            and (value >= 0 or bound != "not below 0")
-        ):
-            raise SceneError(f"{key} = {value!r}: give a finite number {bound}".rstrip())
+        finite_number(value, key, bound)
 
 
 @dataclass

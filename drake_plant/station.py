@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 import gc
-import numbers
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -31,6 +30,7 @@ from pydrake.systems.primitives import LogVectorOutput
 
 from contact_system import Scene, SceneError, Surface
 from contact_system.errors import did_you_mean, naming
+from contact_system.profile import finite_number, flag
 from contact_system.scene import require_scene
 
 from .contact_monitor import ContactMonitor
@@ -104,8 +104,7 @@ class StationConfig:
             part.check()
         check_words(self, {"coordinates": ("chart", "frame")})
         for key in ("disturbance_input", "rolling_radii", "monitor"):
-            if not isinstance(getattr(self, key), (bool, np.bool_)):
-                raise SceneError(f"{key} = {getattr(self, key)!r}: give true or false")
+            flag(getattr(self, key), key)
         check_numbers(self, ("restart_period",), "above 0")
         check_numbers(self, ("restart_slip",), "not below 0")
         if self.plant.time_step == 0:
@@ -410,8 +409,7 @@ def simulate(
         config.check()
     duration = scene.duration if duration is None else duration
     period = config.plant.time_step
-    number = isinstance(duration, numbers.Real) and not isinstance(duration, bool)
-    if not (number and period <= duration < float("inf")):
+    if not finite_number(duration, f"scene '{scene.name}': duration") >= period:
         raise SceneError(
             f"scene '{scene.name}': a simulation of {duration!r} s with a time_step of {period:g} "
             "s: give a finite time of at least one step"

@@ -207,7 +207,7 @@ def test_a_whole_run_is_told_beside_the_paper(tmp_path, monkeypatch, capsys):
     [
         (("--until", 0), "a simulation of 0.0 s"),
         (("--until", -1), "a simulation of -1.0 s"),
-        (("--until", "nan"), "a simulation of nan s"),
+        (("--until", "nan"), "duration = nan"),
         (("--until", 1e-4), "a simulation of 0.0001 s with a time_step of 0.001 s"),
         (("--time-step", 10), "a simulation of 4.0 s with a time_step of 10 s"),
         (("--time-step", 0), "time_step = 0.0: "),

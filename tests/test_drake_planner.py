@@ -633,15 +633,21 @@ def test_no_output_is_not_a_number():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"restart_period": value}, f"'K1': restart_period = {value!r}: give a time in s, at least")
-        for value in (-1, 0, math.nan, math.inf, 1e-10, "a")
+        ({"restart_period": value}, f"'K1': restart_period = {value!r}: give a finite number")
+        for value in (-1, 0, math.nan, math.inf, 10**400, True, "a")
+    ]
+    + [({"restart_period": 1e-10}, "'K1': restart_period = 1e-10: give a time in s, at least")]
+    + [
+        ({"restart_slip": value}, f"'K1': restart_slip = {value!r}: give a finite number")
+        for value in (-1, math.nan, math.inf, 10**400, True, "a")
     ]
     + [
-        ({"restart_slip": value}, f"'K1': restart_slip = {value!r}: give a speed in m/s, 0 or more")
-        for value in (-1, math.nan, math.inf, "a")
+        ({"disturbance_input": "no"}, "disturbance_input = 'no': give True or False"),
+        ({"compiled": "no"}, "compiled = 'no': give True or False, or None"),
+        ({"compiled": 0}, "compiled = 0: give True or False, or None"),
     ],
 )
-def test_restarts_that_cannot_be_are_refused(options, message):
+def test_options_that_cannot_be_are_refused(options, message):
     with pytest.raises(cs.SceneError, match=message):
         ContactPlanner(cs.load_scene("K1"), **options)
 

@@ -437,7 +437,7 @@ def test_a_turning_object_starts_as_it_turns_then():
         ({"spin_gain": -1}, "spin_gain = -1: .* not below 0"),
         ({"coordinates": "charts"}, "coordinates = 'charts': use one of chart, frame"),
         ({"coordinates": ["chart"]}, "coordinates = .*: use one of chart, frame"),
-        ({"monitor": "no"}, "monitor = 'no': give true or false"),
+        ({"monitor": "no"}, "monitor = 'no': give True or False"),
         ({"restart_period": 0.0}, "restart_period = 0.0: give a finite number above 0"),
         ({"restart_slip": "small"}, "restart_slip = 'small': give"),
     ],
@@ -470,5 +470,6 @@ def test_numbers_of_numpy_are_numbers():
 @pytest.mark.parametrize("duration", [0, -1.0, float("nan"), float("inf"), 1e-4, "1", True])
 def test_a_time_in_which_nothing_can_be_simulated_is_refused(duration):
     scene = cs.load_scene("D1")
-    with pytest.raises(cs.SceneError, match="scene 'D1': a simulation of .* with a time_step of 0"):
+    message = f"scene 'D1': (a simulation of|duration =) {duration!r}"
+    with pytest.raises(cs.SceneError, match=message):
         simulate(scene, config(scene), duration=duration)

@@ -115,6 +115,15 @@ def test_tolerance_out_of_bounds_is_refused(tolerance):
         cs.plan(one_contact(), tolerance=tolerance)
 
 
+@pytest.mark.parametrize("compiled", ["no", 0, 1.0])
+def test_only_true_false_and_none_say_whether_kernels_are_compiled(compiled):
+    message = f"compiled = {compiled!r}: give True or False, or None"
+    with pytest.raises(SceneError, match=message):
+        cs.plan(one_contact(), compiled=compiled)
+    with pytest.raises(SceneError, match=message):
+        cs.sweep([one_contact()], compiled=compiled)
+
+
 def test_tolerance_may_be_of_any_kind_of_number():
     assert cs.plan(one_contact(), tolerance=np.float32(1e-6)).tolerance == np.float32(1e-6)
     for wrong in ("1e-6", True, None, 1e-6j):
