@@ -47,25 +47,18 @@ class Progress:
     def __init__(self, scene: Scene):
         self.scene, self.count, self.short, self.last = scene, 0, 0, 0.0
 
-    def step(self, t: float) -> None:
-        """Note a step that ends at t.
-
-        Raises
-        ------
-        SceneError
-            The scene's end will never be reached with steps like these.
-        """
+    def step(self, t: float) -> str:
+        """Note a step that ends at t; what is wrong where the end will never be reached, or ""."""
         length, left = t - self.last, self.scene.duration - t
         self.count, self.last = self.count + 1, t
         self.short = self.short + 1 if 0.0 < length * MOST < left else 0
-        if self.short == MANY:
-            self.short = 0
-            raise SceneError(
-                f"scene '{self.scene.name}': at t = {t:.6g} s the integrator takes steps of "
-                f"{length:.2g} s, and the scene ends at {self.scene.duration:g} s; use a smaller "
-                "eta, fixed steps of an implicit scheme, or "
-                'ContactPlanner(scene, coordinates="frame"), which is less stiff'
-            )
+        if self.short < MANY:
+            return ""
+        self.short = 0
+        return (
+            f"scene '{self.scene.name}': at t = {t:.6g} s the integrator takes steps of "
+            f"{length:.2g} s, and the scene ends at {self.scene.duration:g} s; "
+        )
 
 
 class Limits(NamedTuple):

@@ -532,6 +532,7 @@ def _define(T: type) -> type:
             system, scratches = self.system, self._scratches
             clears, paced = "x" in system.depends("clearance"), has_invariants(system)
             look, check, lam = weakly(self._CheckClearance), weakly(self._CheckPace), 0.0
+            crawls, watched = weakly(self._RefuseCrawl), paced or system.disturbance_input
             if paced:
                 self._KeepLimitsInContext()
                 lam = stiffness(system)
@@ -540,14 +541,18 @@ def _define(T: type) -> type:
                 own = scratches.own
                 if clears and not own.clearance[0] > NEARBY:
                     look(context)
+                if not watched:
+                    return
+                t, progress = context.get_time(), own.progress
                 if paced:
-                    t, progress = context.get_time(), own.progress
                     long = not 0.0 < (t - progress.last) * lam <= 1.0
                     if long or progress.count % OTHERS == 0 or not own.excess[0] <= 0.0:
                         check(context)
-                    progress.step(t)
+                wrong = progress.step(t)
+                if wrong:
+                    crawls(context, wrong)
 
-            if clears or paced:
+            if clears or watched:
                 self.DeclarePerStepPublishEvent(watch)
 
         def _KeepLimitsInContext(self) -> None:
@@ -559,6 +564,20 @@ def _define(T: type) -> type:
         def _CheckClearance(self, context: Any) -> None:
             if not self._Numbers(context, "clearance")[0] > CLEARANCE:
                 _refuse_singularity(self.system, *self._scratches.own.given)
+
+        def _RefuseCrawl(self, context: Any, wrong: str) -> None:
+            remedy = "use a smaller eta, or fixed steps of an implicit scheme"
+            if self.system.coordinates == "chart":
+                remedy += ', or ContactPlanner(scene, coordinates="frame"), which is less stiff'
+            added = self._Disturbance(context, "derivatives")
+            if added is not None:
+                k = int(np.argmax(np.abs(added)))
+                what = ("finger acceleration", "object acceleration", "object rate offset")
+                remedy += (
+                    f", or less on the input port 'disturbance', whose element {k} (contact "
+                    f"{k // 6}, {what[k % 6 // 2]}) is {added[k]:.6g}"
+                )
+            raise SceneError(wrong + remedy)
 
         def _Kept(self, context: Any) -> list[Limits | None]:
             """The limits of the simulation that a Context belongs to; changed in place."""

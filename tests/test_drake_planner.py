@@ -652,6 +652,18 @@ def test_options_that_cannot_be_are_refused(options, message):
         ContactPlanner(cs.load_scene("K1"), **options)
 
 
+def test_a_disturbance_that_would_take_for_ever_is_named():
+    # 1e8 rad/s turn the object 1.6e7 times a second; error control takes steps of 1e-12 s.
+    planner = ContactPlanner(cs.load_scene("K1"), "frame", disturbance_input=True)
+    simulator = Simulator(planner)
+    values = np.zeros(18)
+    values[10] = 1e8
+    planner.GetInputPort("disturbance").FixValue(simulator.get_mutable_context(), values)
+    words = r"'disturbance', whose element 10 \(contact 1, object rate offset\) is 1e\+08"
+    with pytest.raises(cs.SceneError, match=words):
+        simulator.AdvanceTo(1e-6)  # of the second that the scene takes
+
+
 def test_a_name_is_no_scene():
     with pytest.raises(cs.SceneError, match=r"scene = 'K4': give a Scene, such as load_scene"):
         ContactPlanner("K4")
