@@ -1,10 +1,4 @@
-"""What can be wrong with a scene, a surface or a contact, and how it is told."""
-
-from __future__ import annotations
-
-import difflib
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+"""What can be wrong with a scene, a surface or a contact, each under its own name."""
 
 
 class ContactSystemError(ValueError):
@@ -25,19 +19,3 @@ class ChartSingularity(ContactSystemError):
 
 class ConformalContact(ContactSystemError):
     """Two surfaces share their curvature at the contact: the twist leaves its motion open."""
-
-
-@contextmanager
-def naming(place: str) -> Iterator[None]:
-    """Put the place in front of every error of the package raised inside."""
-    try:
-        yield
-    except ContactSystemError as error:
-        raise SceneError(f"{place}: {error}") from None
-
-
-def did_you_mean(word: object, known: Iterable[str]) -> str:
-    """ " (did you mean '...'?)" with the nearest known word, or nothing."""
-    by_lower = {k.lower(): k for k in known}
-    close = difflib.get_close_matches(str(word).lower(), by_lower, n=1, cutoff=0.5)
-    return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""

@@ -14,7 +14,8 @@ from collections.abc import Callable, Mapping
 
 import casadi as ca
 
-from .errors import ContactSystemError, did_you_mean
+from .checks import did_you_mean
+from .errors import ContactSystemError
 
 SX = ca.SX
 

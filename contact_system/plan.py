@@ -23,13 +23,13 @@ from numpy.typing import ArrayLike
 
 from . import kinds
 from .chart_solution import chart_groups
+from .checks import flag
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .groups import SIDES, Group
 from .kinds import Begun
 from .kinematics import relative_pose, relative_twist
 from .panels import runs
 from .planner import plan_groups
-from .profile import flag
 from .program import Program, chart_states, group_program, program_of
 from .scene import ObjectRateOffset, Scene, require_scene
 from .scene_files import scene_from_toml, scene_to_toml

@@ -13,14 +13,15 @@ Products, squares and shifts of polynomials are formed exactly, in integers over
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import ContactSystemError, SceneError
+from .checks import LARGEST, finite_number, finite_numbers
+from .errors import SceneError
 
 Coefficients = tuple[float, ...]
 """Coefficients of a polynomial, lowest power first."""
@@ -31,7 +32,6 @@ Exact = tuple[Sequence[int], int]
 Numbers = Sequence[float] | np.ndarray
 """What users may give for a few numbers, all of which are kept as tuples of floats."""
 
-_LARGEST = 1e100  # beyond this sigma^3 overflows; it is no path speed anyway
 _BISECTIONS = 200  # down to neighbouring floats, also for a root very close to 0
 
 
@@ -205,7 +205,7 @@ class Profile:
                 "give at least one coefficient that is not zero"
             )
         reach = polynomial([abs(x) for x in c], float(duration))
-        if not reach < _LARGEST:
+        if not reach < LARGEST:
             raise SceneError(
                 f"profile = {list(c)}: sigma reaches about {reach:.3g} m/s at t = {duration:g} s, "
                 "too large for floating point; shorten the duration or lower the coefficients"
@@ -270,93 +270,6 @@ def _as_time(t):
     if isinstance(t, float):
         return float(t)
     return np.asarray(t, dtype=float) if np.ndim(t) else float(t)
-
-
-def is_plain(values: Any) -> TypeGuard[Coefficients]:
-    """True for a tuple of finite floats, as kept: nothing to convert and nothing to refuse."""
-    if type(values) is not tuple or not values:
-        return False
-    for x in values:
-        if type(x) is not float or not -_LARGEST < x < _LARGEST:
-            return False
-    return True
-
-
-def finite_numbers(values: Iterable[Any], what: str) -> Coefficients:
-    """The values as a tuple of floats.
-
-    Raises
-    ------
-    SceneError
-        If there are none, or one is not a finite number; `what` names them in the message.
-    """
-    plain = tuple(values) if type(values) is list else values
-    if is_plain(plain):
-        return plain
-    try:
-        if isinstance(values, str) or any(isinstance(x, (bool, str)) for x in values):
-            raise TypeError
-        found = tuple(float(x) for x in values)
-    except OverflowError:  # an integer beyond floating point
-        found = (math.inf,)
-    except (TypeError, ValueError):
-        raise SceneError(f"{what} = {values!r}: give a list of numbers") from None
-    if not found:
-        raise SceneError(f"{what} = {values!r}: give at least one number")
-    for k, x in enumerate(found):
-        if not abs(x) < _LARGEST:
-            raise SceneError(f"{what}[{k}] = {x!r}: give a finite number (below 1e100)")
-    return found
-
-
-def finite_number(
-    value: Any, what: str, bound: str = "", error: type[ContactSystemError] = SceneError
-) -> float:
-    """The value as a float.
-
-    Parameters
-    ----------
-    value : number
-    what : str
-        Its name, for the message.
-    bound : "", "above 0" or "not below 0"
-    error : what to raise
-
-    Raises
-    ------
-    error
-        If it is no finite number within the bound.
-    """
-    if is_plain((value,)):
-        number = value
-    else:
-        try:
-            # float() would take all of these
-            number = math.nan if isinstance(value, (str, bytes, bool, np.bool_)) else float(value)
-        except OverflowError:  # an integer beyond floating point
-            number = math.inf
-        except (TypeError, ValueError):
-            number = math.nan
-    within = number > 0 or not bound or (number == 0 and bound != "above 0")
-    if not (within and abs(number) < _LARGEST):
-        limit = "(below 1e100)" if abs(number) >= _LARGEST else bound
-        raise error(f"{what} = {value!r}: give a finite number {limit}".rstrip())
-    return number
-
-
-def flag(value: Any, what: str, none: bool = False) -> Any:
-    """The value as a bool, or None where that has a meaning.
-
-    Raises
-    ------
-    SceneError
-        It is something else, as "no", which counts as true; `what` names it in the message.
-    """
-    if none and value is None:
-        return None
-    if not isinstance(value, (bool, np.bool_)):
-        raise SceneError(f"{what} = {value!r}: give True or False" + ", or None" * none)
-    return bool(value)
 
 
 # --- gain laws ---------------------------------------------------------------------------------

@@ -18,17 +18,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from .charts import Chart
-from .errors import ContactSystemError, SceneError, did_you_mean, naming
-from .profile import (
-    Contraction,
-    Gain,
-    Numbers,
-    Profile,
-    contraction,
-    finite_number,
-    finite_numbers,
-    is_plain,
-)
+from .checks import did_you_mean, finite_number, finite_numbers, is_plain, known_keys, naming
+from .errors import ContactSystemError, SceneError
+from .profile import Contraction, Gain, Numbers, Profile, contraction
 from .surfaces import Surface
 
 Pair = tuple[float, float]
@@ -537,15 +529,6 @@ SCENE_KEYS = (
 CONTACT_KEYS = tuple(f.name for f in dataclasses.fields(Contact))
 TURNING_KEYS = tuple(f.name for f in dataclasses.fields(Turning))
 DISTURBANCE_KEYS = ("kind", *(f.name for f in dataclasses.fields(Disturbance)))
-
-
-def known_keys(table: Mapping, known: Iterable[str], place: str = "") -> None:
-    for key in table:
-        if key not in known:
-            raise SceneError(
-                f"{place}key '{key}' is unknown{did_you_mean(key, known)}; "
-                f"the keys here are {', '.join(known)}"
-            )
 
 
 def _plain_table(table: Any, what: str) -> dict[str, Any]:

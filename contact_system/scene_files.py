@@ -16,9 +16,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from .errors import SceneError, did_you_mean, naming
+from .checks import did_you_mean, finite_number, known_keys, naming
+from .errors import SceneError
 from .expressions import parse
-from .profile import Gain, Profile, finite_number
+from .profile import Gain, Profile
 from .scene import (
     CONTACT_KEYS,
     DISTURBANCE_KEYS,
@@ -34,7 +35,6 @@ from .scene import (
     ObjectRateOffset,
     Scene,
     Turning,
-    known_keys,
 )
 from .surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
 from .user_surfaces import ImplicitSurface, ParametricSurface

@@ -41,10 +41,10 @@ from .charts import (
     TwoSheetChart,
     hypot,
 )
+from .checks import finite_number
 from .errors import ChartSingularity, SurfaceError
 from .expressions import SYMBOLS
 from .geometry import ChartGeometry, chart_geometry, revolved_geometry
-from .profile import finite_number
 
 # A contact frame whose axes shrink below this fraction of the surface's size is taken as lost.
 # A pole typed with 16 digits gives 1e-16, a point 1e-9 rad from one still gives 1e-9.

@@ -33,11 +33,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .checks import flag
 from .errors import ContactSystemError
 from .kernels import make_folder
 from .measures import REJECTED
 from .plan import Plan, plan
-from .profile import flag
 from .scene import Contact, Disturbance, Scene
 from .scene_files import load_scene, scene_text, scene_to_toml
 

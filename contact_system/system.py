@@ -39,13 +39,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .charts import TINY, TURN
+from .checks import flag
 from .development import driven_motion, forced_motion, reflection
 from .equations import chart_equations
 from .errors import SceneError
 from .geometry import upper_inverse
 from .kernels import per_structure
 from .kinematics import relative_pose, relative_twist
-from .profile import flag, integral, law_rate, polynomial, product
+from .profile import integral, law_rate, polynomial, product
 from .scene import (
     Disturbance,
     FingerAcceleration,

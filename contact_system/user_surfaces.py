@@ -31,10 +31,10 @@ from .charts import (
     Periods,
     hypot,
 )
+from .checks import finite_number
 from .errors import ContactSystemError, SurfaceError
 from .expressions import FUNCTIONS, SYMBOLS, parse
 from .geometry import ChartGeometry, contact_frame, tangent_geometry
-from .profile import finite_number
 from .surfaces import Surface, positive_length, store
 
 

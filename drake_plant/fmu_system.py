@@ -20,8 +20,8 @@ import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem, State
 
-from contact_system.errors import ContactSystemError, did_you_mean
-from contact_system.profile import finite_number
+from contact_system.checks import did_you_mean, finite_number
+from contact_system.errors import ContactSystemError
 
 from .lifetimes import NO_DICTIONARY, weakly
 

@@ -20,6 +20,7 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_, ValueProducer
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from contact_system import Scene, SceneSystem
+from contact_system.checks import finite_number, flag
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
 from contact_system.kernels import (
     compiled_library,
@@ -28,7 +29,6 @@ from contact_system.kernels import (
     no_operation,
     replay,
 )
-from contact_system.profile import finite_number, flag
 
 from .invariants import (
     MOST,

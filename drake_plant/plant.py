@@ -70,8 +70,8 @@ from contact_system import (
     Turning,
 )
 from contact_system import plan as make_plan
+from contact_system.checks import finite_number
 from contact_system.errors import ContactSystemError
-from contact_system.profile import finite_number
 
 from .meshes import (
     Domain,

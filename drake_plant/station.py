@@ -29,8 +29,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventSta
 from pydrake.systems.primitives import LogVectorOutput
 
 from contact_system import Scene, SceneError, Surface
-from contact_system.errors import did_you_mean, naming
-from contact_system.profile import finite_number, flag
+from contact_system.checks import did_you_mean, finite_number, flag, naming
 from contact_system.scene import require_scene
 
 from .contact_monitor import ContactMonitor

@@ -1,0 +1,127 @@
+"""Checks of what users write, and messages that name the place, the value and the remedy."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, TypeGuard
+
+import numpy as np
+
+from .errors import ContactSystemError, SceneError
+
+LARGEST = 1e100  # beyond this sigma^3 overflows; it is no path speed anyway
+
+
+@contextmanager
+def naming(place: str) -> Iterator[None]:
+    """Put the place in front of every error of the package raised inside."""
+    try:
+        yield
+    except ContactSystemError as error:
+        raise SceneError(f"{place}: {error}") from None
+
+
+def did_you_mean(word: object, known: Iterable[str]) -> str:
+    """ " (did you mean '...'?)" with the nearest known word, or nothing."""
+    by_lower = {k.lower(): k for k in known}
+    close = difflib.get_close_matches(str(word).lower(), by_lower, n=1, cutoff=0.5)
+    return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""
+
+
+def known_keys(table: Mapping, known: Iterable[str], place: str = "") -> None:
+    for key in table:
+        if key not in known:
+            raise SceneError(
+                f"{place}key '{key}' is unknown{did_you_mean(key, known)}; "
+                f"the keys here are {', '.join(known)}"
+            )
+
+
+def is_plain(values: Any) -> TypeGuard[tuple[float, ...]]:
+    """True for a tuple of finite floats, as kept: nothing to convert and nothing to refuse."""
+    if type(values) is not tuple or not values:
+        return False
+    for x in values:
+        if type(x) is not float or not -LARGEST < x < LARGEST:
+            return False
+    return True
+
+
+def finite_numbers(values: Iterable[Any], what: str) -> tuple[float, ...]:
+    """The values as a tuple of floats.
+
+    Raises
+    ------
+    SceneError
+        If there are none, or one is not a finite number; `what` names them in the message.
+    """
+    plain = tuple(values) if type(values) is list else values
+    if is_plain(plain):
+        return plain
+    try:
+        if isinstance(values, str) or any(isinstance(x, (bool, str)) for x in values):
+            raise TypeError
+        found = tuple(float(x) for x in values)
+    except OverflowError:  # an integer beyond floating point
+        found = (math.inf,)
+    except (TypeError, ValueError):
+        raise SceneError(f"{what} = {values!r}: give a list of numbers") from None
+    if not found:
+        raise SceneError(f"{what} = {values!r}: give at least one number")
+    for k, x in enumerate(found):
+        if not abs(x) < LARGEST:
+            raise SceneError(f"{what}[{k}] = {x!r}: give a finite number (below 1e100)")
+    return found
+
+
+def finite_number(
+    value: Any, what: str, bound: str = "", error: type[ContactSystemError] = SceneError
+) -> float:
+    """The value as a float.
+
+    Parameters
+    ----------
+    value : number
+    what : str
+        Its name, for the message.
+    bound : "", "above 0" or "not below 0"
+    error : what to raise
+
+    Raises
+    ------
+    error
+        If it is no finite number within the bound.
+    """
+    if is_plain((value,)):
+        number = value
+    else:
+        try:
+            # float() would take all of these
+            number = math.nan if isinstance(value, (str, bytes, bool, np.bool_)) else float(value)
+        except OverflowError:  # an integer beyond floating point
+            number = math.inf
+        except (TypeError, ValueError):
+            number = math.nan
+    within = number > 0 or not bound or (number == 0 and bound != "above 0")
+    if not (within and abs(number) < LARGEST):
+        limit = "(below 1e100)" if abs(number) >= LARGEST else bound
+        raise error(f"{what} = {value!r}: give a finite number {limit}".rstrip())
+    return number
+
+
+def flag(value: Any, what: str, none: bool = False) -> Any:
+    """The value as a bool, or None where that has a meaning.
+
+    Raises
+    ------
+    SceneError
+        It is something else, as "no", which counts as true; `what` names it in the message.
+    """
+    if none and value is None:
+        return None
+    if not isinstance(value, (bool, np.bool_)):
+        raise SceneError(f"{what} = {value!r}: give True or False" + ", or None" * none)
+    return bool(value)
