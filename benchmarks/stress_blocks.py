@@ -31,8 +31,7 @@ from numpy.polynomial import polynomial
 import contact_system as cs
 from contact_system.errors import ContactSystemError
 from contact_system.kernels import find_compiler
-from contact_system.scene import Disturbance, Scene
-from contact_system.system import KINDS
+from contact_system.scene import DISTURBANCE_KINDS, Disturbance, Scene
 
 from .verdicts import Case, Family, Verdict, refusal
 
@@ -423,7 +422,7 @@ def _pushes(name: str, random: np.random.Generator, most: float) -> list[Push]:
     scene, found = scene_of(name), []
     times = np.sort(random.uniform(0.05, 0.95, 4)) * scene.duration
     for start, stop in zip(times[:-1], times[1:]):
-        kind = KINDS[random.integers(3)]
+        kind = DISTURBANCE_KINDS[random.integers(3)]
         value = random.normal(size=2) * 10 ** random.uniform(-3, math.log10(most))
         contact = int(random.integers(len(scene.contacts)))
         found.append(Push(kind, contact, float(start), float(stop), tuple(value.tolist())))
@@ -444,7 +443,9 @@ class Push(NamedTuple):
         return self.kind(self.contact, self.start, self.stop, self.value)
 
 
-INPUT_NAMES = dict(zip(KINDS, ("finger.acceleration", "object.acceleration", "object.rate_offset")))
+INPUT_NAMES = dict(
+    zip(DISTURBANCE_KINDS, ("finger.acceleration", "object.acceleration", "object.rate_offset"))
+)
 
 
 def _set_input(stepper: Stepper, push: Push, values: Sequence[float]) -> None:
@@ -514,7 +515,7 @@ def _case_of_wild_values(index: int) -> Case:
 
     def call() -> Verdict:
         scene, stepper = scene_of(name), instance(name, block)
-        kind, contact = KINDS[index % 3], index % len(scene.contacts)
+        kind, contact = DISTURBANCE_KINDS[index % 3], index % len(scene.contacts)
         push = Push(kind, contact, 0.1 * scene.duration, scene.duration, (0.0, value))
         stepper.begin()
         stepper.step(push.start)

@@ -15,7 +15,7 @@ from .errors import ContactSystemError, SceneError
 from .groups import Group, SlipRecord
 from .kinematics import contact_map
 from .profile import GainPiece
-from .scene import FingerAcceleration, ObjectAcceleration, ObjectRateOffset, Scene
+from .scene import DISTURBANCE_KINDS, Scene
 from .starts import Start
 from .tracks import Track
 
@@ -104,7 +104,7 @@ def _chart_group(
                 (np.array(d.value) for d in own if type(d) is kind and d.start <= a < d.stop),
                 np.zeros(2),
             )
-            for kind in (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
+            for kind in DISTURBANCE_KINDS
         )
         machine.x[0, 11:] = [*d1, *d2, *offset]
 

@@ -35,7 +35,7 @@ from .measures import (
     rejections,
 )
 from .plan import METHODS, Plan, plan
-from .profile import Gain
+from .profile import GAIN_LAWS, Gain
 from .scene import Scene
 from .scene_files import bundled_scenes, load_scene
 
@@ -88,7 +88,7 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 def _add_scene(parser: argparse.ArgumentParser) -> None:
     """The scene, and how it is planned."""
     parser.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
-    parser.add_argument("--gain", choices=("path", "time", "guaranteed"),
+    parser.add_argument("--gain", choices=tuple(GAIN_LAWS),
                         help="gain law instead of the scene's")  # fmt: skip
     parser.add_argument("--eta", "--rho", dest="gain_value", type=float, metavar="X",
                         help="eta of the laws path and time, rho of guaranteed; default: the "

@@ -36,6 +36,7 @@ from .panel_tracks import Forced, MovingTrack, PanelTrack
 from .panels import Motion, Panels, Problem, integrate, panels_built
 from .profile import GainPiece, Profile
 from .scene import (
+    DISTURBANCE_KINDS,
     Disturbance,
     FingerAcceleration,
     ObjectAcceleration,
@@ -54,8 +55,6 @@ from .tracks import (
     restoring_axis,
     scale_kernel,
 )
-
-FORCES = (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
 
 # Slip whose whole remaining displacement is below this fraction of tolerance * size is let go.
 NEGLIGIBLE = 0.01
@@ -342,7 +341,7 @@ def _intervals(
     result: list[Interval] = []
     free_until, none = end, np.zeros((count, 2))
     for start, stop in reversed(list(zip(knots, knots[1:]))):
-        forcing: dict[type[Disturbance], np.ndarray] = dict.fromkeys(FORCES, none)
+        forcing: dict[type[Disturbance], np.ndarray] = dict.fromkeys(DISTURBANCE_KINDS, none)
         for k, d in disturbed:
             if d.start <= start and stop <= d.stop:
                 if forcing[type(d)] is none:
@@ -666,7 +665,7 @@ class GroupPlanner:
 
     def _forced(self, interval: Interval) -> None:
         start, stop, piece, pushed = interval.start, interval.stop, interval.piece, interval.pushed
-        d1, d2, offset = (interval.forcing[k] for k in FORCES)
+        d1, d2, offset = (interval.forcing[k] for k in DISTURBANCE_KINDS)
         obj = self._in_form("object", interval.turns)
         tip = self._in_form("finger", True) if pushed else self.finger
         n1 = tip.state.shape[1] if pushed else 0
@@ -708,11 +707,7 @@ class GroupPlanner:
         self._refuse_rest(interval.start, interval.stop)
         span, pushed, forcing = interval.stop - interval.start, interval.pushed, interval.forcing
         kernel = axis_forced_motion(tip.surface, obj.surface, (tip.ambient, obj.ambient), pushed)
-        kinds = {
-            FingerAcceleration: "finger acceleration", ObjectAcceleration: "object acceleration",
-            ObjectRateOffset: "object rate offset",
-        }  # fmt: skip
-        d = [forcing[kind] for kind in kinds]
+        d = [forcing[kind] for kind in DISTURBANCE_KINDS]
         problem = Problem(
             name=self.name,
             start=obj.state,
@@ -725,7 +720,7 @@ class GroupPlanner:
             stiff=2,
         )
         at = tip.parameters.shape[1] + obj.parameters.shape[1]
-        why = " and ".join(name for kind, name in kinds.items() if forcing[kind].any())
+        why = " and ".join(k.kind for k in DISTURBANCE_KINDS if forcing[k].any())
         grown = max(self._slip_grown(interval, tip, obj), 1e-3)
         return _Forced(kernel, problem, slice(at, at + 4), grown, why, self.compiled)
 
@@ -746,8 +741,7 @@ class GroupPlanner:
 
     def _speeds(self, interval: Interval) -> list[float]:
         profile = self.scene.profile
-        knots = (interval.start, *profile.extrema(interval.start, interval.stop), interval.stop)
-        return [float(profile(t)) for t in knots]
+        return [float(profile(t)) for t in profile.knots(interval.start, interval.stop)]
 
     def _slowest(self, interval: Interval) -> float:
         """1 / (least lam): how long slip is remembered."""
@@ -879,8 +873,7 @@ def plain_piece(profile: Profile, start: float, stop: float) -> GainPiece:
 
 def _slip_reach(scene: Scene, piece: GainPiece, length: float) -> float:
     """Least lam/sigma of a piece, or 1/length: slip V still moves the contact by |V| over this."""
-    knots = (piece.start, *scene.profile.extrema(piece.start, piece.stop), piece.stop)
-    speeds = [float(scene.profile(t)) for t in knots]
+    speeds = [float(scene.profile(t)) for t in scene.profile.knots(piece.start, piece.stop)]
     value = scene.gain.value
     per_metre = value * min(speeds) if scene.gain.law == "path" else value / max(*speeds, TINY)
     return max(per_metre, 1.0 / max(length, TINY))

@@ -188,6 +188,15 @@ class Profile:
         """Times inside (t0, t1) at which sigma' changes sign, ascending [s]."""
         return tuple(_sign_changes(self._rate, float(t0), float(t1)))
 
+    def knots(self, t0: float, t1: float) -> tuple[float, ...]:
+        """t0, the extrema between, t1: sigma is monotonic from each to the next [s]."""
+        return (t0, *self.extrema(t0, t1), t1)
+
+    def growths(self, t0: float, t1: float) -> list[tuple[float, float]]:
+        """The intervals of [t0, t1] on which sigma grows [s]."""
+        knots = self.knots(t0, t1)
+        return [(a, b) for a, b in zip(knots, knots[1:]) if self.rate(0.5 * (a + b)) > 0]
+
     def check(self, duration: float) -> None:
         """Check that sigma is a path speed on [0, duration]: finite, not negative, not all zero.
 
@@ -212,8 +221,7 @@ class Profile:
             )
         if min(c) >= 0:  # no sum of such terms is negative
             return
-        knots = (0.0, *self.extrema(0.0, duration), float(duration))
-        t = min(knots, key=lambda t: _clear_value(c, t))
+        t = min(self.knots(0.0, float(duration)), key=lambda t: _clear_value(c, t))
         if _clear_value(c, t) >= 0:
             return
         crossings = _sign_changes(c, 0.0, duration)
@@ -230,7 +238,7 @@ class Profile:
         """Times in [0, duration] at which a checked profile touches zero, ascending [s]."""
         if min(self.coefficients) >= 0:
             return () if self.coefficients[0] else (0.0,)
-        knots = (0.0, *self.extrema(0.0, duration), float(duration))
+        knots = self.knots(0.0, float(duration))
         return tuple(t for t in knots if _clear_value(self.coefficients, t) <= 0)
 
     @cached_property
@@ -274,7 +282,8 @@ def _as_time(t):
 
 # --- gain laws ---------------------------------------------------------------------------------
 
-_PARAMETER = {"path": "eta", "time": "eta", "guaranteed": "rho"}
+GAIN_LAWS = {"path": "eta", "time": "eta", "guaranteed": "rho"}
+"""The gain laws and what their parameter is called."""
 
 
 @dataclass(frozen=True)
@@ -379,7 +388,7 @@ class Gain:
     value: float
 
     def __post_init__(self) -> None:
-        if not isinstance(self.law, str) or self.law not in _PARAMETER:
+        if not isinstance(self.law, str) or self.law not in GAIN_LAWS:
             raise SceneError(
                 f"gain: law = {self.law!r} is unknown; use 'path', 'time' or 'guaranteed'"
             )
@@ -408,7 +417,7 @@ class Gain:
     @property
     def parameter(self) -> str:
         """Name of the number in the law: "eta" or "rho"."""
-        return _PARAMETER[self.law]
+        return GAIN_LAWS[self.law]
 
     def rate(self, profile: Profile, t):
         """lam(t) [1/s]; t [s] of any shape.
@@ -436,7 +445,7 @@ class Gain:
         total = self.value * t
         if self.law == "guaranteed":
             last = float(np.max(t, initial=0.0))
-            for start, stop in _growths(profile, 0.0, last):
+            for start, stop in profile.growths(0.0, last):
                 with np.errstate(divide="ignore", invalid="ignore"):
                     first = _clear_value(profile.coefficients, start)
                     ratio = np.divide(profile(np.clip(t, start, stop)), first)
@@ -462,12 +471,6 @@ def law_rate(law: str, value, sigma, growth):
     return value + (growth if law == "guaranteed" else 0.0 * sigma)
 
 
-def _growths(profile: Profile, start: float, stop: float) -> list[tuple[float, float]]:
-    """The intervals of [start, stop] on which sigma grows."""
-    knots = (start, *profile.extrema(start, stop), stop)
-    return [(a, b) for a, b in zip(knots, knots[1:]) if profile.rate(0.5 * (a + b)) > 0]
-
-
 @lru_cache(maxsize=1024)
 def _pieces(gain: Gain, profile: Profile, start: float, stop: float) -> tuple[GainPiece, ...]:
     if gain.law != "guaranteed":
@@ -477,8 +480,7 @@ def _pieces(gain: Gain, profile: Profile, start: float, stop: float) -> tuple[Ga
             rates = _rounded(_product((gain.value,), sigma, sigma))
             exponent = integral(rates)
         return (GainPiece(start, stop, sigma, exponent, 0),)
-    knots = (start, *profile.extrema(start, stop), stop)
-    growths = _growths(profile, start, stop)
+    knots, growths = profile.knots(start, stop), profile.growths(start, stop)
     pieces = []
     for a, b in zip(knots, knots[1:]):
         # where sigma touches zero its rounded first coefficient must not set the ratio's scale

@@ -219,6 +219,10 @@ class ObjectRateOffset(Disturbance):
     kind: ClassVar[str] = "object rate offset"
 
 
+DISTURBANCE_KINDS = (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
+"""In the order in which systems and blocks take them as inputs."""
+
+
 @dataclass(frozen=True)
 class Turning:
     """Turning of the object in the world: rotation vector p(t) * axis.

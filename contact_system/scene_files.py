@@ -19,10 +19,11 @@ from typing import Any
 from .checks import did_you_mean, finite_number, known_keys, naming
 from .errors import SceneError
 from .expressions import parse
-from .profile import Gain, Profile
+from .profile import GAIN_LAWS, Gain, Profile
 from .scene import (
     CONTACT_KEYS,
     DISTURBANCE_KEYS,
+    DISTURBANCE_KINDS,
     PAPER_NUMBERS,
     REST,
     ROLLING,
@@ -30,17 +31,13 @@ from .scene import (
     TURNING_KEYS,
     Contact,
     Disturbance,
-    FingerAcceleration,
-    ObjectAcceleration,
-    ObjectRateOffset,
     Scene,
     Turning,
 )
 from .surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
 from .user_surfaces import ImplicitSurface, ParametricSurface
 
-_DISTURBANCES = {d.kind: d for d in (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)}
-_GAINS = {"path": "eta", "time": "eta", "guaranteed": "rho"}
+_DISTURBANCES = {d.kind: d for d in DISTURBANCE_KINDS}
 _SURFACES: dict[str, tuple[type, tuple[str, ...]]] = {
     "plane": (Plane, ()),
     "sphere": (Sphere, ("radius",)),
@@ -149,8 +146,8 @@ def _read_disturbance(table: dict) -> Disturbance:
 def _read_gain(value: Any) -> Gain:
     table = _table(value)
     _required(table, ("law",))
-    law = _one_of(table["law"], _GAINS, "law")
-    parameter = _GAINS[law]
+    law = _one_of(table["law"], GAIN_LAWS, "law")
+    parameter = GAIN_LAWS[law]
     known_keys(table, ("law", parameter))
     _required(table, (parameter,))
     return Gain(law, _numbers(table[parameter], parameter))

@@ -48,6 +48,7 @@ from .kernels import per_structure
 from .kinematics import relative_pose, relative_twist
 from .profile import integral, law_rate, polynomial, product
 from .scene import (
+    DISTURBANCE_KINDS,
     Disturbance,
     FingerAcceleration,
     ObjectAcceleration,
@@ -79,8 +80,6 @@ PER_CONTACT = {
     "normal": 3, "regularity": 2,
 }  # fmt: skip
 """Outputs of :meth:`SceneSystem.function` that have so many numbers a contact."""
-KINDS = (FingerAcceleration, ObjectAcceleration, ObjectRateOffset)
-"""The disturbances in w, in order, two chart components each."""
 HELD = 5
 FLIP = reflection(SX(1), SX(0))
 """R_0 between the moving frames of finger and object."""
@@ -452,7 +451,7 @@ class SceneSystem:
     def _form(self, index: int) -> Form:
         scene, chart = self.scene, self.coordinates == "chart"
         own = {type(d) for d in scene.disturbances if d.contact == index}
-        d1, d2, offset = (self.disturbance_input or kind in own for kind in KINDS)
+        d1, d2, offset = (self.disturbance_input or kind in own for kind in DISTURBANCE_KINDS)
         # A double cover's chart components have the sign of the branch, which (x, p) does not know.
         ambient = [
             not chart and prefers_ambient(surface) and not (surface.double_cover and pushed)
@@ -469,11 +468,9 @@ class SceneSystem:
     @functools.cached_property
     def _growths(self) -> tuple[tuple[float, float], ...]:
         """Where sigma grows, which the guaranteed law makes up for; far beyond the horizon too."""
-        profile, end = self.scene.profile, 1e3 * self.scene.duration
         if self.scene.gain.law != "guaranteed":
             return ()
-        knots = (0.0, *profile.extrema(0.0, end), end)
-        return tuple((a, b) for a, b in zip(knots, knots[1:]) if profile.rate((a + b) / 2) > 0)
+        return tuple(self.scene.profile.growths(0.0, 1e3 * self.scene.duration))
 
     # --- names -----------------------------------------------------------------------------------
 
@@ -592,7 +589,7 @@ class SceneSystem:
         return [
             (d, slice(first, first + 2))
             for d in self.scene.disturbances
-            for first in [6 * int(d.contact) + 2 * KINDS.index(type(d))]
+            for first in [6 * int(d.contact) + 2 * DISTURBANCE_KINDS.index(type(d))]
         ]
 
     def window_values(self, t: float) -> Array:

@@ -17,8 +17,10 @@ from contact_system import kernels, panels
 from contact_system.charts import TINY
 from contact_system.development import driven_motion, forced_motion
 from contact_system.kernels import NODES, PRELUDE, Kernel, Restoration, c_statements
+from contact_system.profile import GAIN_LAWS
+from contact_system.scene import DISTURBANCE_KINDS
 from contact_system.surfaces import Surface
-from contact_system.system import FLIP, KINDS, Form, contact_function, start_function
+from contact_system.system import FLIP, Form, contact_function, start_function
 from contact_system.tracks import (
     coordinate_kernel,
     frame_kernel,
@@ -37,7 +39,7 @@ SX = ca.SX
 
 C_SOURCES = Path(__file__).parent / "c"
 HAND_WRITTEN = ("component.h", "component.c", "fmi.h")
-LAWS = ("path", "time", "guaranteed")
+LAWS = tuple(GAIN_LAWS)
 _KINDS_OF_VALUE = {
     ("parameter", "fixed"): "FIXED",
     ("parameter", "tunable"): "TUNABLE",
@@ -148,7 +150,7 @@ class _Model:
 
     def _window(self, d) -> str:
         values = np.zeros(6)
-        first = 2 * KINDS.index(type(d))
+        first = 2 * DISTURBANCE_KINDS.index(type(d))
         values[first : first + 2] = d.value
         return f"  {{{d.contact}, {d.start!r}, {d.stop!r}, {{{_numbers(values)}}}}},\n"
 

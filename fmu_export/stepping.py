@@ -27,10 +27,9 @@ import numpy as np
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
 from contact_system.plan import Plan
 from contact_system.profile import GainPiece
-from contact_system.scene import Contact, Disturbance, Scene
+from contact_system.scene import DISTURBANCE_KINDS, Contact, Disturbance, Scene
 from contact_system.starts import Moment, Start, Starts, scene_start
 from contact_system.surfaces import Surface
-from contact_system.system import KINDS
 
 from .following import TOLERANCE, Crew, Following, crews_of
 from .model import RESULTS, STATES, contact_results, regularity, surface_with
@@ -308,7 +307,7 @@ class Block:
             if d.start < end and d.stop > begin
         ]
         for i, row in enumerate(self._inputs()):
-            for k, kind in enumerate(KINDS):
+            for k, kind in enumerate(DISTURBANCE_KINDS):
                 if any(row[2 * k : 2 * k + 2]):
                     windows.append(kind(i, begin, end, row[2 * k : 2 * k + 2]))
         gain = dataclasses.replace(scene.gain, value=float(values[GAIN]))
@@ -482,7 +481,7 @@ class Block:
         acting = np.array(self._inputs())
         for d in self.scene.disturbances:
             if d.start <= t < d.stop:
-                k = 2 * KINDS.index(type(d))
+                k = 2 * DISTURBANCE_KINDS.index(type(d))
                 acting[int(d.contact), k : k + 2] += d.value
         return acting
 
