@@ -252,7 +252,11 @@ class Kernel:
     @functools.cached_property
     def built(self) -> bool:
         """Whether the compiled form lies in the cache (looked up once)."""
-        return find_compiler() is not None and library_path(PRELUDE + self.loop_source).exists()
+        return is_built(PRELUDE + self.loop_source)
+
+    def usable(self, compiled: bool | None) -> bool:
+        """Whether to run compiled, as asked for by True, False or None: if it was built."""
+        return self.built if compiled is None else compiled
 
     def __call__(
         self,
@@ -274,7 +278,7 @@ class Kernel:
         memory : dict, optional
             Where numpy keeps what follows from the constants alone; for the same constants only.
         """
-        if self.built if compiled is None else compiled:
+        if self.usable(compiled):
             n_bodies, _, n = out.shape
             points, constants = contiguous(points), contiguous(constants)
             shared = points.shape[0] == 1
@@ -620,6 +624,11 @@ def library_path(source: str) -> Path:
     digest = hashlib.sha256("\0".join([source, *_FLAGS, compiler, _machine_tag()]).encode())
     suffix = ".dll" if sys.platform == "win32" else ".so"
     return cache_folder() / (digest.hexdigest()[:24] + suffix)
+
+
+def is_built(source: str) -> bool:
+    """Whether a C source has been built here before."""
+    return find_compiler() is not None and library_path(source).exists()
 
 
 def compiled_library(source: str) -> ctypes.CDLL:

@@ -539,7 +539,7 @@ class Kind:
         fingers, obj, nb = [contact.finger for contact in scene.contacts], scene.object, self.nb
         before, forms = (None if x is None else tuple(map(_Form.of, x)) for x in (ended, begun))
         kernel, given, fields = _stage(fingers[0], obj, before, forms)
-        if not (kernel.built if self.compiled is None else self.compiled):
+        if not kernel.usable(self.compiled):
             raise NoKind("not built")
         if max(kernel.n_point, kernel.n_result) > MOST_FOUND:
             raise NoKind("too much")

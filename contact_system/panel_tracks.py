@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .kernels import Kernel, address, contiguous
-from .panels import Motion, Panels, Problem, integrate, panels_built
+from .panels import Motion, Panels, Problem, integrate, usable
 from .profile import GainPiece
 from .surfaces import Surface
 from .tracks import (
@@ -291,7 +291,7 @@ class MovingTrack(PanelTrack):
     @once
     def motion(self) -> Motion | None:
         """The problem laid out for C; None where it is integrated here."""
-        if panels_built(self.kernel) if self.compiled is None else self.compiled:
+        if usable(self.kernel, self.compiled):
             data, self._pointed = self._track_data()
             return Motion(self.kernel, self.problem, self.tolerance, data)
         return None

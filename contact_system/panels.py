@@ -25,9 +25,8 @@ from .kernels import (
     c_source,
     compiled_library,
     contiguous,
-    find_compiler,
     function_address,
-    library_path,
+    is_built,
     per_structure,
 )
 from .profile import GainPiece
@@ -212,7 +211,7 @@ def integrate(
     ContactSystemError
         The panels shrink without end (the motion leaves its chart, or the surface is not smooth).
     """
-    if panels_built(kernel) if compiled is None else compiled:
+    if usable(kernel, compiled):
         return Motion(kernel, problem, tolerance).panels()
     return _integrate_here(kernel, problem, tolerance)
 
@@ -415,15 +414,15 @@ def panel_library(kernel: Kernel) -> ctypes.CDLL:
     return library
 
 
-def panels_built(kernel: Kernel) -> bool:
+@functools.cache
+def _built(kernel: Kernel) -> bool:
     """Whether the compiled panels of a kernel lie in the cache (looked up once)."""
-    if kernel not in _BUILT:
-        there = find_compiler() is not None and library_path(panel_source(kernel)).exists()
-        _BUILT[kernel] = there
-    return _BUILT[kernel]
+    return is_built(panel_source(kernel))
 
 
-_BUILT: dict[Kernel, bool] = {}
+def usable(kernel: Kernel, compiled: bool | None) -> bool:
+    """Whether to integrate compiled, as :meth:`Kernel.usable`."""
+    return _built(kernel) if compiled is None else compiled
 
 
 class MotionData(ctypes.Structure):
@@ -457,7 +456,7 @@ def program_library() -> ctypes.CDLL:
 @functools.cache
 def program_built() -> bool:
     """Whether it lies in the cache (looked up once)."""
-    return find_compiler() is not None and library_path(_program_source()).exists()
+    return is_built(_program_source())
 
 
 @functools.cache

@@ -33,7 +33,7 @@ from .geodesics import GeodesicTrack, geodesic_form
 from .groups import Group, SlipRecord
 from .kernels import Kernel, contiguous
 from .panel_tracks import Forced, MovingTrack, PanelTrack
-from .panels import Motion, Panels, Problem, integrate, panels_built
+from .panels import Motion, Panels, Problem, integrate, usable
 from .profile import GainPiece, Profile
 from .scene import (
     DISTURBANCE_KINDS,
@@ -409,7 +409,7 @@ class _Forced:
         problem = self.problem.moved(start, constants, name=name, scale=scale)
         if self.motion is not None:
             motion = self.motion.again(tolerance, problem)
-        elif panels_built(self.kernel) if self.compiled is None else self.compiled:
+        elif usable(self.kernel, self.compiled):
             motion = Motion(self.kernel, problem, tolerance)
             self.motion = motion.again(tolerance)  # without what this one finds
         else:

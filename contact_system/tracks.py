@@ -25,9 +25,8 @@ from .kernels import (
     address,
     c_source,
     compiled_library,
-    find_compiler,
     function_address,
-    library_path,
+    is_built,
     per_structure,
     row_offsets,
 )
@@ -471,8 +470,7 @@ class Evaluator:
 
     def __init__(self, kernel: Kernel, closed: bool, n_states: int, winds: bool):
         self.kernel = kernel
-        width = 64 if closed else 80  # POINTS of c/tracks.c
-        rows = ", ".join(f"{i * width}" for i in range(kernel.n_point))
+        rows = ", ".join(f"{i} * POINTS" for i in range(kernel.n_point))
         head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
         head += f"#define KERNEL {kernel.name}\n#define NP {kernel.n_point}\n"
         head += f"#define NC {kernel.n_constant}L\n#define NR {kernel.n_result}\n"
@@ -483,7 +481,7 @@ class Evaluator:
     @functools.cached_property
     def built(self) -> bool:
         """Whether the compiled form lies in the cache (looked up once)."""
-        return find_compiler() is not None and library_path(self.source).exists()
+        return is_built(self.source)
 
     @functools.cached_property
     def library(self) -> ctypes.CDLL:
@@ -503,7 +501,7 @@ class Evaluator:
         return function_address(self.library.evaluate)
 
     def usable(self, compiled: bool | None) -> bool:
-        """Whether to run compiled, for a track's wish."""
+        """As :meth:`Kernel.usable`."""
         return self.built if compiled is None else compiled
 
 
