@@ -24,6 +24,8 @@ from .profile import GainPiece
 from .surfaces import Surface
 from .tracks import (
     AXIS,
+    BRANCH,
+    NODE,
     Evaluator,
     Track,
     TrackData,
@@ -59,7 +61,7 @@ def circle_kernel(surface: Surface, output: str) -> Kernel:
     """
     point, p = SX.sym("point", 3), SX.sym("p", len(surface.parameters))
     start, along, across = SX.sym("n", 3), SX.sym("e", 3), SX.sym("b", 3)
-    turn, node, branch = SX.sym("w", 2), SX.sym("node", 4), SX.sym("branch", 3)
+    turn, node, branch = SX.sym("w", 2), SX.sym("node", NODE), SX.sym("branch", BRANCH)
     constant = ca.vertcat(p, start, along, across, turn, node, branch)
     if output == "coordinates":
         flat, steep = node[0], node[1]
@@ -232,8 +234,9 @@ class Circle:
 
     def branch(self, begin: np.ndarray) -> None:
         """Fix the branch of v and theta from (u, v, theta) at the start: (n, 3)."""
-        points = np.concatenate([begin[:, 1:], self.w, self.constants[:, -7:-3]], axis=1)
-        self.constants[:, -3:] = circle_branch().at(points, np.empty((len(points), 0)))
+        node = self.constants[:, -BRANCH - NODE : -BRANCH]
+        points = np.concatenate([begin[:, 1:], self.w, node], axis=1)
+        self.constants[:, -BRANCH:] = circle_branch().at(points, np.empty((len(points), 0)))
         self.branched = True
 
 
@@ -296,7 +299,7 @@ def circle_start(surface: Surface) -> Kernel:
     _, node = surface.coordinates_expr(numbers, r * (ca.cos(past) * n - ca.sin(past) * along))
     flat = ca.fabs(n[0] * along[1] - n[1] * along[0])
     circle = ca.vertcat(flat, ca.norm_2(ca.vertcat(n[2], along[2])), past, node)
-    result = ca.vertcat(numbers, n, along, across, turn, circle, SX(3, 1), pace, pace / r)
+    result = ca.vertcat(numbers, n, along, across, turn, circle, SX(BRANCH, 1), pace, pace / r)
     return Kernel("circle_start", ca.vertcat(axis, w), numbers, result)
 
 

@@ -75,19 +75,20 @@ def reflection(cos_psi: SX, sin_psi: SX) -> SX:
     return ca.vertcat(ca.horzcat(cos_psi, -sin_psi), ca.horzcat(-sin_psi, -cos_psi))
 
 
+def starting_slip(w1: SX, w2: SX, given: SX) -> SX:
+    """V = W_2 less the path velocity given; of a rolling start, which is rounded twice, none."""
+    v, rounding = w2 - given, 1e-15 * ca.fmax(ca.fmax(ca.fabs(w1[0]), ca.fabs(w1[1])), 1e-300)
+    return ca.if_else(ca.fabs(v) <= rounding, 0, v)
+
+
 @made_once
 def contact_start() -> Kernel:
-    """point: psi, W_1 in E1 (2), the object's path velocity in E2 (2) -> R_psi by rows (4), W_2, V.
-
-    R_psi W_1 of a rolling start is rounded twice; what is left of V then is no slip.
-    """
+    """point: psi, W_1 in E1, the object's path velocity in E2 -> R_psi by rows (4), W_2, V."""
     point = SX.sym("point", 5)
     psi, w1, given = ca.vertsplit(point, [0, 1, 3, 5])
     r0 = reflection(ca.cos(psi), ca.sin(psi))
     w2 = r0 @ w1
-    rounding = 1e-15 * ca.fmax(ca.fmax(ca.fabs(w1[0]), ca.fabs(w1[1])), 1e-300)
-    v = w2 - given
-    v = ca.if_else(ca.fabs(v) <= rounding, 0, v)
+    v = starting_slip(w1, w2, given)
     return Kernel("contact_start", point, SX(0, 1), ca.vertcat(ca.vec(r0.T), w2, v))
 
 

@@ -54,7 +54,9 @@ from .starts import start_numbers
 from .surfaces import Surface
 from .tracks import (
     AXIS,
+    BRANCH,
     LOCK,
+    NODE,
     Track,
     axis_kernel,
     lame_kernel,
@@ -156,8 +158,9 @@ def _held(form: _Form, body: _Body, offset: SX) -> tuple[Fields, list[SX]]:
     """The fields of a track, and numbers that must keep within its :func:`_limits`."""
     if form.kind is CircleTrack:
         found = circle_start(body.surface).function(ca.vertcat(body.state(True), body.w), body.p)
-        constants, pace, phase = found[:-5], found[-2], found[-1]
-        branch = circle_branch().function(ca.vertcat(body.begin[1:], body.w, constants[-4:]), NONE)
+        constants, pace, phase = found[: -BRANCH - 2], found[-2], found[-1]
+        given = ca.vertcat(body.begin[1:], body.w, constants[-NODE:])
+        branch = circle_branch().function(given, NONE)
         return {"pace": pace, "phase": phase, "constants": ca.vertcat(constants, branch)}, [phase]
     if form.kind is FlatTrack:
         lame = lame_kernel(body.surface).function(body.begin, body.p)

@@ -30,7 +30,7 @@ from .kernels import (
     per_structure,
 )
 from .profile import GainPiece
-from .tracks import Drive, TrackData, drive_data
+from .tracks import BRANCH, NODE, Drive, TrackData, drive_data
 
 # NODES = 16: on a unit sphere a panel spans about 2 rad at 1e-14 and Picard sweeps still converge.
 SWEEPS = 40
@@ -462,6 +462,7 @@ def program_built() -> bool:
 @functools.cache
 def _program_source() -> str:
     sizes = f"#define MOST {MOST_AT_ONCE}\n#define MOST_FOUND {MOST_FOUND}\n"
+    sizes += f"#define NODE {NODE}\n#define BRANCH {BRANCH}\n"
     return PRELUDE + sizes + c_source("program.c")
 
 

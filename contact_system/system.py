@@ -40,7 +40,7 @@ from numpy.typing import ArrayLike
 
 from .charts import TINY, TURN
 from .checks import flag
-from .development import driven_motion, forced_motion, reflection
+from .development import driven_motion, forced_motion, reflection, starting_slip
 from .equations import chart_equations
 from .errors import SceneError
 from .geometry import upper_inverse
@@ -350,7 +350,7 @@ def start_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     else:
         frames = [_first_frame(b, q, a) for b, q, a in zip(bodies, at, (-psi, SX(0)))]
         w1_parallel = rotation(psi) @ w1
-        constants = ca.vertcat(w1_parallel, FLIP @ w1_parallel - y)
+        constants = ca.vertcat(w1_parallel, starting_slip(w1_parallel, FLIP @ w1_parallel, y))
         x, held = ca.vertcat(*frames), ca.vertcat(constants, t)
         if form.forced:
             x, held = ca.vertcat(x, constants), SX(0, 1)
@@ -612,9 +612,6 @@ class SceneSystem:
             given = np.hstack([*at, start.angle, start.finger_velocity, start.object_velocity])
             values = function(t, given, numbers[0], numbers[2 + i], numbers[1])
             parts.append([value.full().ravel() for value in values])
-            if form.coordinates == "frame":  # R_psi W1 of a rolling start is rounded
-                v = parts[-1][0][-2:] if form.forced else parts[-1][1][2:4]
-                v[np.abs(v) <= 4e-16 * np.abs(start.finger_velocity).max()] = 0.0
         return np.concatenate([x for x, _ in parts]), np.concatenate([held for _, held in parts])
 
     def from_states(

@@ -61,6 +61,7 @@ class once(kept):
 
 
 AXIS = 6  # numbers of (x, p), to which q = n x p adds nothing
+NODE, BRANCH = 4, 3  # the last constants of a great circle, see closed_form.circle_kernel
 
 
 def standing_size(ambient: bool) -> int:

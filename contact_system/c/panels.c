@@ -4,7 +4,8 @@
    n_stiff states V obey V' = f_V - lam(tau) V, whose linear part is solved implicitly.
    The includer defines RHS (a kernel loop, see Kernel.loop), NX, NC, N (nodes) and
    restore(state, constants), which puts the end of a panel back on its surfaces; NESTED if the last so many
-   states are the rates of as many before them and nothing else depends on them; ONE_PANEL if it calls panel itself; DRIVES 3 if RHS takes local time after sigma and decay.
+   states are the rates of as many before them and nothing else depends on them; ONE_PANEL if it calls
+   panel itself; DRIVES 3 if RHS takes local time after sigma and decay.
 
    Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.7: collocation at Gauss
    points conserves quadratic invariants, here F(x), |p|, |q|, p.q of every quadric. */

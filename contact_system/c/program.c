@@ -230,8 +230,6 @@ static long own_motions(motion_t *moved, const kind_t *k, double *block, double 
   return 0;
 }
 
-#define BRANCH 3 /* the last constants of a great circle; before them the node's 4 */
-
 /* Let coordinates of a track continue last [nb][3]. Returns memory that is to be freed after use; 1: none left. */
 static int continued(const part_t *part, track_t *track, const kind_t *k, const double *block, long first,
                      const double *last, double **memory) {
@@ -241,8 +239,8 @@ static int continued(const part_t *part, track_t *track, const kind_t *k, const 
     const double *w = carried(part->path, k, block) + 2 * first;
     double *constants = (double *)track->constants; /* in a block of one's own */
     for (long b = 0; b < nb; b++, constants += nc) {
-      double point[8] = {last[3 * b + 1], last[3 * b + 2], w[2 * b], w[2 * b + 1]};
-      memcpy(point + 4, constants + nc - BRANCH - 4, 4 * sizeof(double));
+      double point[4 + NODE] = {last[3 * b + 1], last[3 * b + 2], w[2 * b], w[2 * b + 1]};
+      memcpy(point + 4, constants + nc - BRANCH - NODE, NODE * sizeof(double));
       part->branch(1, 1, point, k->rows, 0, NULL, constants + nc - BRANCH, k->rows, 0);
     }
   } else if (part->anchor) {

@@ -1,9 +1,9 @@
-/* Evaluation of a track at many times: the compiled twin of Track.coordinates, .positions, .frames.
+/* Evaluation of a track at many times: the compiled twin of Track.coordinates, .points, .frames.
 
    The includer defines KERNEL (a loop, see Kernel.loop_source) with NP inputs a point, NC constants
    a body and NR results, ROWS (offsets of the inputs); CLOSED for closed forms, whose inputs are v length,
-   w sigma, v length; else NS states in panels of N nodes, followed by the drive if NP > NS; WINDS where results 0, 1, 4 are u, v, theta
-   to be continued along the path (closed forms do that themselves). */
+   w sigma, v length; else NS states in panels of N nodes, followed by the drive if NP > NS; WINDS where
+   results 0, 1, 4 are u, v, theta to be continued along the path (closed forms do that themselves). */
 #define COORDINATES 5 /* results: u v u' v' theta */
 #ifdef CLOSED
 #define POINTS BLOCK

@@ -703,8 +703,6 @@ static const char *place_contact(memory_t *now, long i) {
   const long n = kind->form[DRIVEN].size[0] + kind->form[DRIVEN].size[1];
   if (!all_finite(first, n + 4)) return "the start is not finite";
   memcpy(m.w1v, first + n, sizeof m.w1v);
-  for (int j = 2; j < 4; j++) /* R_psi W1 of a rolling start is rounded twice */
-    if (fabs(m.w1v[j]) <= 4e-16 * largest(m.w1v, 2)) m.w1v[j] = 0.0;
   m.frame[0] = first, m.frame[1] = first + kind->form[DRIVEN].size[0];
   now->contact[i].form = DRIVEN;
   for (int body = 0; body < 2; body++)
