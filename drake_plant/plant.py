@@ -116,7 +116,7 @@ POSITIVE = (
     "object_edge",
 )  # fmt: skip
 TAKEN = ("", "object", "WorldModelInstance", "DefaultModelInstance")  # the last two by Drake
-# Of each kind of surface what is less where it gives way by a depth.
+# Of kinds of surfaces what is less where they give way by a depth.
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
 OBJECT_COLORS = ((0.80, 0.80, 0.78), (0.52, 0.55, 0.58))
 FINGER_COLORS = (

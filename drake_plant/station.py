@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
@@ -28,12 +29,13 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 from pydrake.systems.primitives import LogVectorOutput
 
-from contact_system import Scene, SceneError, Surface
+from contact_system import ImplicitSurface, Quadric, Scene, SceneError, Surface
 from contact_system.checks import did_you_mean, finite_number, flag, naming
 from contact_system.scene import require_scene
 
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import DISCRETE_ONLY, DriverConfig, FingertipDriver
+from .meshes import is_round
 from .planner_system import ContactPlanner
 from .plant import (
     RADII,
@@ -155,8 +157,7 @@ def rolling_scene(scene: Scene, config: PlantConfig) -> Scene:
     own; two equal point contacts share the depth. (That the patch is curved does not matter: what
     the object's surface drops towards the rim the tilt of friction there makes up for, see
     `contact_monitor`.) Of spheres, cylinders and tori that surface is another of their kind, and so
-    it is nearly of ellipsoids; a plan on the nominal surface of another finger is off by the ratio
-    of depth to radius.
+    it is nearly of ellipsoids; of others it is their equation, shifted along the normal.
     """
     depth, point = contact_depth(config), config.contact_model == "point"
     of_finger, of_object = (0.5 * depth, 0.5 * depth) if point else (depth, 0.0)
@@ -168,11 +169,43 @@ def rolling_scene(scene: Scene, config: PlantConfig) -> Scene:
 
 
 def _smaller(surface: Surface, by: float) -> Surface:
-    """The surface so much further inside the body, where :data:`RADII` tells how."""
+    """The surface so much further inside the body: of all that can be fingertips, and planes."""
     names, less = RADII.get(type(surface)), -by if surface.inside else by
-    if not names:
-        return surface
-    return dataclasses.replace(surface, **{name: getattr(surface, name) - less for name in names})
+    if names:
+        values = {name: getattr(surface, name) - less for name in names}
+        return dataclasses.replace(surface, **values)
+    if isinstance(surface, Quadric) and is_round(surface) and less:
+        return _smaller_quadric(surface, less)
+    if isinstance(surface, ImplicitSurface) and less:
+        return _smaller_implicit(surface, less)
+    return surface
+
+
+def _smaller_quadric(surface: Quadric, by: float) -> Quadric:
+    """An ellipsoid with smaller axes; as it is where coordinates would be laid another way."""
+    values, axes = np.linalg.eigh(surface.A)
+    matrix = axes @ np.diag((values**-0.5 - by) ** -2) @ axes.T
+    smaller = dataclasses.replace(surface, A=(matrix + matrix.T) / 2)
+    moved = np.linalg.norm(smaller.point(1.0, 0.5) - surface.point(1.0, 0.5))
+    return smaller if moved < 2 * abs(by) else surface
+
+
+def _smaller_implicit(surface: ImplicitSurface, by: float) -> ImplicitSurface:
+    """The points from which the surface is so far along the gradient of its equation."""
+    formula = surface.formula
+    depth = max("depth", *formula.names, key=len) + "_"  # a name that is free
+
+    def shifted(x: ca.SX, **numbers: ca.SX) -> ca.SX:
+        by = numbers.pop(depth)
+        level = formula(ca.vertcat(*(numbers[name] for name in formula.names)), x)
+        gradient = ca.gradient(level, x)
+        normal = gradient / ca.sqrt(ca.sumsqr(gradient) + np.finfo(float).tiny)  # 0 at the centre
+        return ca.substitute(level, x, x + by * normal)
+
+    return ImplicitSurface(
+        shifted, center=surface.center, parameters={**surface.named_parameters, depth: by},
+        size=surface.size - by, inside=surface.inside,
+    )  # fmt: skip
 
 
 def _depth_between(nominal: Surface, planned: Surface) -> float:

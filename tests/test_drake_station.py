@@ -145,6 +145,45 @@ def test_rolling_radii_share_the_depth_in_point_contact_and_take_it_off_complian
     assert soft.contacts[0].object_at == scene.contacts[0].object_at
 
 
+TURN = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3
+AXES = np.array([0.05, 0.04, 0.03])
+
+
+CUBE = cs.ImplicitSurface("(x**2 + y**2 + z**2)/2/r**2 + (x**4 + y**4 + z**4)/r**4 - 1", size=0.03,
+                          parameters={"r": 0.04})  # fmt: skip
+
+
+def on_a_sphere(finger):
+    contact = cs.Contact(finger=finger, finger_at=(1.1, 0.8), object_at=(1.6, 0.3))
+    profile = cs.Profile([0.15])
+    return cs.Scene(object=cs.Sphere(0.1), contacts=[contact], duration=0.3, profile=profile)
+
+
+@pytest.mark.parametrize(
+    "finger",
+    [
+        cs.Quadric(np.diag(AXES**-2)),
+        cs.Quadric(TURN @ np.diag(AXES**-2) @ TURN.T),
+        cs.ImplicitSurface("(x/a)**2 + (y/b)**2 + (z/depth)**2 - 1", size=0.04,
+                           parameters={"a": 0.05, "b": 0.04, "depth": 0.03}),
+        CUBE,
+    ],
+    ids=["quadric", "turned", "implicit ellipsoid", "rounded cube"],
+)  # fmt: skip
+def test_a_fingertip_of_any_kind_rolls_on_the_surface_at_its_depth(finger):
+    inner = rolling_scene(on_a_sphere(finger), PlantConfig(stiffness=1e4)).contacts[0].finger
+    u, v = (grid.ravel() for grid in np.meshgrid([0.4, 1.1, 2.2], [-2.0, -0.3, 0.8]))
+    outside = inner.point(u, v) + 2e-4 * inner.frame(u, v)[..., 2]  # 1 N is so deep
+    on_finger = finger.point(*finger.coordinates(outside))
+    assert np.abs(on_finger - outside).max() < 1e-5
+
+
+def test_a_rounded_cube_as_fingertip_rolls_without_friction():
+    config = StationConfig(PlantConfig(object="welded"), coordinates="frame")
+    friction = simulate(on_a_sphere(CUBE), config).measured["tangential_force"][100:]
+    assert np.linalg.norm(friction, axis=-1).mean() < 0.01  # N; 0.015 on the nominal surface
+
+
 def test_a_closed_loop_restarts_the_planner_from_the_measured_state():
     """The object is pushed on a little; with the loop closed the plan learns of it."""
     scene = cs.load_scene("D1")
