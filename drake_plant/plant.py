@@ -103,6 +103,7 @@ FINGER_GAP, OBJECT_GAP = 1.04, 2.9
 
 REACH = 0.02  # m, that meshes of unbounded surfaces reach beyond the planned patches
 SPACING = 0.0025  # m, of points along the plan that show where contacts go
+LINE = 1e-6  # of the greatest relative curvature: less is a line, straight but for rounding
 TURNING_GAIN = 1e8  # N m/rad
 AGES = 1e9  # s
 APPROXIMATIONS = ("sap", "lagged", "similar")
@@ -358,7 +359,7 @@ def _touches(scene: Scene) -> list[_Touch]:
     Raises
     ------
     SceneError
-        The surfaces do not separate around a planned contact.
+        The surfaces do not part around a planned contact.
     """
     plan, length = make_plan(scene), float(scene.profile.arc_length(scene.duration))
     times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
@@ -374,12 +375,16 @@ def _touches(scene: Scene) -> list[_Touch]:
         relative = forms[1] + turn @ forms[0] @ turn.swapaxes(-1, -2)
         # A chart has no frame at its poles; the curve is known beside them.
         known = np.all(np.isfinite(relative), axis=(1, 2))
-        least = np.linalg.eigvalsh(relative[known])[:, 0].min()
-        if not least > 0:
+        curvatures = np.linalg.eigvalsh(relative[known])
+        least, line = curvatures[:, 0].min(), LINE * curvatures[:, 1].max()
+        if not least > line:
+            what, remedy = "overlap", "make the finger smaller, or plan contact where the object is"
+            remedy += " less hollow"
+            if least >= -line:
+                what, remedy = "touch along a line", "turn the finger, or take another one"
             raise SceneError(
-                f"contact {i}: finger and object overlap where they are planned to touch (the "
-                f"least relative curvature is {least:.3g} 1/m); make the finger smaller, or plan "
-                "contact where the object is less hollow"
+                f"contact {i}: finger and object {what} where they are planned to touch (the "
+                f"least relative curvature is {least:.3g} 1/m); {remedy}"
             )
         mean = [float(np.trace(k[known], axis1=1, axis2=2).mean() / 2) for k in forms]
         openness = np.sqrt(np.linalg.det(relative))

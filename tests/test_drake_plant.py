@@ -1,5 +1,6 @@
 """A scene's MultibodyPlant: contact as stiff as the scene says, for every pair of surfaces."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -326,6 +327,11 @@ def test_a_turning_object_is_where_the_scene_says_at_every_step():
 # --- what is refused ---------------------------------------------------------------------------
 
 
+def side_by_side(angle):
+    scene = rolling(cs.Cylinder(0.1), cs.Cylinder(0.04), at=(0.3, 0.2), finger_at=(0.2, 0.0))
+    return scene.replace(contacts=[dataclasses.replace(scene.contacts[0], angle=angle)])
+
+
 @pytest.mark.parametrize(
     ("scene", "changes", "words"),
     [
@@ -346,6 +352,9 @@ def test_a_turning_object_is_where_the_scene_says_at_every_step():
         (rolling(cs.Sphere(0.2, inside=True)), {"object": "free"}, "bounds no solid"),
         (rolling(cs.Sphere(0.1), cs.Plane(), finger_at=(0, 0)), {}, "a fingertip is a compliant"),
         (rolling(cs.Sphere(0.03, inside=True)), {}, "contact 0: finger and object overlap"),
+        # axes are parallel; rounding gives a relative curvature of either sign
+        (side_by_side(0.0), {"object": "welded"}, "touch along a line .* turn the finger"),
+        (side_by_side(math.pi), {"object": "welded"}, "touch along a line .* turn the finger"),
         (rolling(cs.Cylinder(0.1)), {"drake_spheres": 1e-3}, "not all spheres"),
         (cs.load_scene("C1"), {"object": "turning"}, "needs a discrete plant"),
     ],
