@@ -921,7 +921,7 @@ def test_the_sources_inside_build_without_warnings(version, plain, exported, tmp
     folder = os.path.join(exported("K3", version).folder, "sources")
     files = sorted(f for f in os.listdir(folder) if f.endswith(".c"))
     flags = ["-std=c99", "-O0", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]
-    flags += ["-Wno-unknown-pragmas", *plain]
+    flags += plain
     run = subprocess.run(
         [*compiler, *flags, *files, "-o", str(tmp_path / "built"), "-lm"],
         cwd=folder, capture_output=True, text=True,

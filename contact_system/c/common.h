@@ -5,6 +5,11 @@
 #include <math.h>
 #include <string.h>
 
+/* omp simd is for compilers that are told of it (-fopenmp-simd) */
+#if defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wunknown-pragmas"
+#endif
+
 #define TURN 6.283185307179586
 #define BLOCK 64
 
