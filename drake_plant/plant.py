@@ -16,6 +16,7 @@ is 0.2 % less. SI units, radians.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -280,6 +281,7 @@ def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) ->
     """
     try:
         config.check()
+        config = dataclasses.replace(config)  # the caller may change what is his
         _check_surfaces(scene, config)
         return _add(builder, scene, config, _touches(scene))
     except ContactSystemError as error:

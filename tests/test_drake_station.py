@@ -404,6 +404,19 @@ def at_time(station, t):
     return context
 
 
+def test_a_configuration_that_is_changed_later_changes_nothing():
+    scene = cs.load_scene("D1")
+    given = config(scene)
+    station = BuildStation(scene, given)
+    states = []
+    for _ in range(2):
+        context = station.CreateDefaultContext()
+        SetInitialState(station, context)
+        states.append(station.GetOutputPort("plant_state").Eval(context))
+        given.plant.normal_force *= 5
+    assert np.array_equal(*states)
+
+
 @pytest.mark.parametrize("rolling", [True, False])
 def test_a_station_starts_where_its_planner_is(rolling):
     scene, t = cs.load_scene("D1"), 1.2
