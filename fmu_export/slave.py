@@ -681,22 +681,25 @@ class PlannerSlave3(_Slave, FMU3Slave):
 
     def enterEventMode(self) -> None:
         """Handle events. Inputs and the gain may change, as they may in step mode."""
+        self._require_events("EnterEventMode", STEP)
+        self.block.now.phase = EVENT
+
+    def _require_events(self, function: str, phase: str) -> None:
         if not self._events:
             text = "event mode was not asked for; make the slave with event_mode=True"
-            self._refuse("EnterEventMode", ERROR, text)
-        self._require("EnterEventMode", STEP)
-        self.block.now.phase = EVENT
+            self._refuse(function, ERROR, text)
+        self._require(function, phase)
 
     def updateDiscreteStates(self) -> tuple[bool, bool, bool, bool, bool, float]:
         """There are no discrete states; tells when the next window begins or ends, s."""
-        self._require("UpdateDiscreteStates", EVENT)
+        self._require_events("UpdateDiscreteStates", EVENT)
         edge = self.block.next_edge()
         known = edge < math.inf
         return False, False, False, False, known, edge if known else 0.0
 
     def enterStepMode(self) -> None:
         """Go on stepping."""
-        self._require("EnterStepMode", EVENT)
+        self._require_events("EnterStepMode", EVENT)
         self.block.now.phase = STEP
 
     def getDirectionalDerivative(
