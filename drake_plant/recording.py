@@ -157,7 +157,7 @@ def best_direction(fingers: Array) -> Array:
 
 
 def _extent(scene_plant: ScenePlant) -> list[float]:
-    """Half the diagonal of each collision shape's bounding box that has an end [m]."""
+    """Greatest half-width of each bounding box of a collision shape that has an end [m]."""
     inspector = scene_plant.scene_graph.model_inspector()
     sizes = [0.0]
     for body in (scene_plant.object_body, *scene_plant.finger_bodies):

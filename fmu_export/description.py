@@ -92,7 +92,7 @@ def model_description(
     if fmi_version == "2.0" and sources:
         for interface in interfaces:
             element = root.find(interface)
-            assert element is not None  # _root has made it
+            assert element is not None  # _interface has made it
             files = ET.SubElement(element, "SourceFiles")
             files.extend(ET.Element("File", name=name) for name in sources)
     root.set("generationDateAndTime", time.strftime("%Y-%m-%dT%H:%M:%SZ", generation_time()))

@@ -500,7 +500,7 @@ class Block:
         return contact_results(scene.contacts[i].finger, scene.object, scene.gain.law, n_profile)
 
     def _results(self, i: int, t: np.ndarray, states: np.ndarray, acting: np.ndarray) -> np.ndarray:
-        """`contact_results` at times t: (n_times, 35)."""
+        """`contact_results` at times t: (n_times, RESULTS)."""
         found = self._kernel(i)(t[None, :], states.T, acting.T, *self._numbers(i))
         return found.full().T
 

@@ -261,7 +261,7 @@ static double first_panel(const memory_t *now, long i) {
   return h;
 }
 
-/* 1 / (the slip that can come about), as planner._slip_scale, so that slip is right to tolerance */
+/* 1 / (the slip that can come about), as planner._Forced, so that slip is right to tolerance */
 static double slip_scale(const memory_t *now, long i) {
   const contact_t *k = &now->contact[i];
   const drive_t d = drive_of(k);
