@@ -112,6 +112,15 @@ def contact_results(finger: Surface, obj: Surface, law: str, n_profile: int) -> 
     return ca.Function("results", list(a), [ca.densify(ca.cse(results))])
 
 
+@per_structure
+def jacobian(function: ca.Function) -> ca.Function:
+    """All arguments, one after the other, -> derivatives: (n_results, n_arguments)."""
+    sizes = [function.nnz_in(i) for i in range(function.n_in())]
+    z = SX.sym("z", sum(sizes))
+    parts = ca.vertsplit(z, np.cumsum([0, *sizes]).tolist())
+    return ca.Function("jacobian_of", [z], [ca.densify(ca.jacobian(function(*parts), z))])
+
+
 def start_state(contact: Contact) -> np.ndarray:
     """The eleven numbers of a contact where its scene starts."""
     start = scene_start(contact)
@@ -204,14 +213,11 @@ def dependencies(function: ca.Function, samples: Sequence[Sequence[np.ndarray]])
     -------
     (n_results, n_arguments) bool
     """
-    sizes = [function.nnz_in(i) for i in range(function.n_in())]
-    z = SX.sym("z", sum(sizes))
-    parts = ca.vertsplit(z, np.cumsum([0, *sizes]).tolist())
-    jacobian = ca.Function("jacobian_of", [z], [ca.jacobian(function(*parts), z)])
-    found = np.zeros((function.nnz_out(0), sum(sizes)), dtype=bool)
+    derivatives = jacobian(function)
+    found = np.zeros(derivatives.size_out(0), dtype=bool)
     for sample in samples:
         at = np.concatenate([np.ravel(part) for part in sample])
-        values = np.abs(jacobian(at).full() * np.where(at == 0, 1.0, at))
+        values = np.abs(derivatives(at).full() * np.where(at == 0, 1.0, at))
         largest = np.maximum(values.max(axis=1, keepdims=True), 1e-300)
         found |= ~(values <= 1e-12 * largest)  # a NaN says that there is a dependence
     return found

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import functools
 import hashlib
 import json
 import math
@@ -32,7 +31,7 @@ from contact_system.starts import Moment, Start, Starts, scene_start
 from contact_system.surfaces import Surface
 
 from .following import TOLERANCE, Crew, Following, crews_of
-from .model import RESULTS, STATES, contact_results, regularity, surface_with
+from .model import RESULTS, STATES, contact_results, jacobian, regularity, surface_with
 from .variables import BLOCK, INPUTS, Table, variable_table
 
 AHEAD = 256  # most steps that one evaluation serves
@@ -536,20 +535,11 @@ class Block:
         for i, block in enumerate(self.table.blocks):
             point = [self.now.time, *states[i], *acting[i], *sum(self._numbers(i), [])]
             rows = list(range(block + INPUTS + STATES, block + BLOCK))
-            matrix = _jacobian(self._kernel(i))(point).full()
+            matrix = jacobian(self._kernel(i))(point).full()
             if self.now.plan is None and not all(self._outward(i, states[i])):
                 matrix[:] = math.nan
             found.append((matrix, rows, self.table.arguments(i)))
         return found
-
-
-@functools.cache
-def _jacobian(function: ca.Function) -> ca.Function:
-    """Of the result by all arguments, one after the other."""
-    sizes = [function.nnz_in(i) for i in range(function.n_in())]
-    z = ca.SX.sym("z", sum(sizes))
-    parts = ca.vertsplit(z, np.cumsum([0, *sizes]).tolist())
-    return ca.Function("jacobian_of", [z], [ca.densify(ca.jacobian(function(*parts), z))])
 
 
 def _places(table: Table) -> list[tuple[str, int, int]]:
