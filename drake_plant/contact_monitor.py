@@ -32,7 +32,6 @@ that turns, where Drake's own point contact has 1e-4 mm/s.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -54,7 +53,7 @@ from pydrake.systems.framework import (
 )
 
 from contact_system import Scene
-from contact_system.kernels import Kernel
+from contact_system.kernels import Kernel, made_once
 from contact_system.measured import ContactSensor, Measurement
 
 from .lifetimes import NO_DICTIONARY, weakly
@@ -262,7 +261,7 @@ def _split(row: Array) -> Array:
 # --- symbolic ----------------------------------------------------------------------------------
 
 
-@functools.cache
+@made_once
 def _motion_kernel() -> Kernel:
     """See :meth:`_Seen.in_object`."""
     row, later = SX.sym("row", 45), SX.sym("later")
@@ -284,7 +283,7 @@ def _moved(X: SX, V: SX, later: SX) -> tuple[SX, SX]:
     return turn @ rows[:, :3], rows[:, 3] + later * V[3:]
 
 
-@functools.cache
+@made_once
 def _force_kernel() -> Kernel:
     """See :func:`_split`; the normal is that at the centre of pressure, to first order."""
     row = SX.sym("row", 25)

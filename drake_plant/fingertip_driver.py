@@ -22,7 +22,6 @@ centripetal force beside the 1 N of contact, and those of D3 150 N:
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -39,7 +38,7 @@ from pydrake.multibody.tree import RigidBody
 from pydrake.systems.framework import Context, LeafSystem, State, ValueProducer
 
 from contact_system import SceneError
-from contact_system.kernels import Kernel, Machine
+from contact_system.kernels import Kernel, Machine, made_once
 
 from .lifetimes import NO_DICTIONARY, weakly
 from .plant import ScenePlant, check_numbers
@@ -97,7 +96,7 @@ CONSTANT = {
 }  # fmt: skip
 
 
-@functools.cache
+@made_once
 def driving_law() -> Kernel:
     """Kernel of one finger: `POINT`, `CONSTANT` -> torque (3), force (3), desired position (3).
 

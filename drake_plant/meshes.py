@@ -22,7 +22,6 @@ SI units, radians.
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -43,6 +42,7 @@ from contact_system.charts import (
 )
 from contact_system.errors import SurfaceError
 from contact_system.geometry import implicit_geometry
+from contact_system.kernels import per_structure
 
 Array = NDArray[np.float64]
 Triangles = NDArray[np.int64]
@@ -144,7 +144,7 @@ class RoundDomain:
     """
 
     def __init__(self, surface: Surface):
-        self.surface, self._normal = surface, _normal_function(surface)
+        self.surface = surface
         self.coarsest = 6.0  # parts of an icosahedron's edge
         self.centre, self.shape = np.zeros(3), np.eye(3)
         if isinstance(surface, ImplicitSurface):
@@ -162,7 +162,8 @@ class RoundDomain:
         points = self.centre + q @ self.shape
         if isinstance(self.surface, ImplicitSurface):
             points = self.surface.point(*self.surface.coordinates(points))
-        return points, self._normal(points)
+        normals = _normal_function(self.surface)(self.surface.parameters, points.T)
+        return points, normals.full().T
 
     def midpoints(self, a: Array, b: Array) -> Array:
         return _unit(a + b)
@@ -296,18 +297,12 @@ def _unit(x: Array) -> Array:
     return x / np.linalg.norm(x, axis=-1, keepdims=True)
 
 
-_NORMALS: dict[Hashable, ca.Function] = {}
-
-
-def _normal_function(surface: Surface):
-    """The unit normal out of the body as a function of points (n, 3), from the level function."""
-    if surface.structure not in _NORMALS:
-        p, x = ca.SX.sym("p", len(surface.parameters)), ca.SX.sym("x", 3)
-        gradient = implicit_geometry(surface.implicit_expr(p, x), x)[0]
-        unit = gradient / ca.norm_2(gradient)
-        _NORMALS[surface.structure] = ca.Function("normal", [p, x], [unit])
-    function, parameters = _NORMALS[surface.structure], ca.DM(surface.parameters)
-    return lambda points: function(parameters, points.T).full().T
+@per_structure
+def _normal_function(surface: Surface) -> ca.Function:
+    """Numbers of a surface, point -> the unit normal out of the body, from the level function."""
+    p, x = ca.SX.sym("p", len(surface.parameters)), ca.SX.sym("x", 3)
+    gradient = implicit_geometry(surface.implicit_expr(p, x), x)[0]
+    return ca.Function("normal", [p, x], [gradient / ca.norm_2(gradient)])
 
 
 def icosphere(parts: int) -> tuple[Array, Triangles]:

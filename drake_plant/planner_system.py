@@ -22,6 +22,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from contact_system import Scene, SceneSystem
 from contact_system.checks import finite_number, flag
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
+from contact_system.expressions import SYMBOLS
 from contact_system.kernels import (
     compiled_library,
     find_compiler,
@@ -104,7 +105,12 @@ def _compiled(function: ca.Function, compiled: bool | None) -> ca.Function:
 _external = functools.lru_cache(maxsize=64)(ca.external)
 # Python systems with ports are never freed (seen in Drake 1.51), so what is large is shared.
 _scene_system = functools.lru_cache(maxsize=16)(SceneSystem)
-_pace = functools.lru_cache(maxsize=16)(pace_function)
+
+
+@functools.lru_cache(maxsize=16)
+def _pace(system: SceneSystem) -> ca.Function:
+    with SYMBOLS:
+        return pace_function(system)
 
 
 class Scratch:

@@ -16,6 +16,7 @@ import numpy as np
 from contact_system import kernels, panels
 from contact_system.charts import TINY
 from contact_system.development import driven_motion, forced_motion
+from contact_system.expressions import SYMBOLS
 from contact_system.kernels import NODES, PRELUDE, Kernel, Restoration, c_statements
 from contact_system.profile import GAIN_LAWS
 from contact_system.scene import DISTURBANCE_KINDS
@@ -64,7 +65,8 @@ def c_sources(table: Table, token: str, fmi_version: str) -> dict[str, str]:
     layer = f"fmi{fmi_version[0]}.c"
     files = {name: (C_SOURCES / name).read_text("utf-8") for name in (*HAND_WRITTEN, layer)}
     files["common.h"] = (kernels.C_SOURCES / "common.h").read_text("utf-8")
-    model = _Model(table, token)
+    with SYMBOLS:
+        model = _Model(table, token)
     return files | model.motions | {"model.h": model.header, "model.c": model.source}
 
 
