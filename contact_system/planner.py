@@ -50,6 +50,7 @@ from .tracks import (
     Evaluator,
     Track,
     axis_kernel,
+    in_space,
     lame_kernel,
     prefers_ambient,
     restoring_axis,
@@ -794,13 +795,9 @@ class GroupPlanner:
     # --- forms -----------------------------------------------------------------------------------
 
     def _in_form(self, side: str, uses_chart_components: bool) -> Body:
-        """The body in the form this interval needs.
-
-        A disturbance is given in chart components. Where the chart is a double cover (triaxial
-        ellipsoid) their sign belongs to the branch the path is on, which only the chart form knows.
-        """
+        """The body in the form this interval needs."""
         body: Body = getattr(self, side)
-        if not (uses_chart_components and body.ambient and body.surface.double_cover):
+        if body.ambient == in_space(body.surface, uses_chart_components):
             return body
         now = self.group.coordinates_at(side, len(getattr(self.group, side)))
         return body.at(now, False)

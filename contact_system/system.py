@@ -61,7 +61,7 @@ from .surfaces import Ellipsoid, Surface
 from .tracks import (
     coordinate_kernel,
     frame_kernel,
-    prefers_ambient,
+    in_space,
     restoring_kernel,
     rotation,
     shape_kernel,
@@ -452,9 +452,8 @@ class SceneSystem:
         scene, chart = self.scene, self.coordinates == "chart"
         own = {type(d) for d in scene.disturbances if d.contact == index}
         d1, d2, offset = (self.disturbance_input or kind in own for kind in DISTURBANCE_KINDS)
-        # A double cover's chart components have the sign of the branch, which (x, p) does not know.
         ambient = [
-            not chart and prefers_ambient(surface) and not (surface.double_cover and pushed)
+            not chart and in_space(surface, pushed)
             for surface, pushed in (
                 (scene.contacts[index].finger, d1),
                 (scene.object, d2 or offset),

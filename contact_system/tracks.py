@@ -74,6 +74,15 @@ def prefers_ambient(surface: Surface) -> bool:
     return surface.ambient and not surface.developable
 
 
+def in_space(surface: Surface, disturbed: bool) -> bool:
+    """Whether a body is moved in space, as (x, p, q), by whether a disturbance acts on it.
+
+    A disturbance is given in chart components. Where the chart is a double cover (triaxial
+    ellipsoid) their sign belongs to the branch the path is on, which only the chart form knows.
+    """
+    return prefers_ambient(surface) and not (disturbed and surface.double_cover)
+
+
 def rotation(angle: SX) -> SX:
     """Rot(angle), 2x2."""
     c, s = ca.cos(angle), ca.sin(angle)

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from contact_system import development, panels
+from contact_system import panels
 from contact_system.charts import TURN
-from contact_system.development import forced_motion
+from contact_system.development import forced_motion, state_size
 from contact_system.kernels import Kernel, per_structure
 from contact_system.profile import GainPiece
 from contact_system.scene import Scene
@@ -26,9 +26,11 @@ from contact_system.system import FLIP, Form, contact_function
 from contact_system.tracks import (
     coordinate_kernel,
     frame_kernel,
+    in_space,
     lame_kernel,
     prefers_ambient,
     rotation,
+    standing_size,
 )
 
 from .model import WORK_SIZE, arguments
@@ -111,8 +113,8 @@ class Crew:
         finger, obj = scene.contacts[members[0]].finger, scene.object
         self.members = members
         self.name = f"scene '{scene.name}', contact {', '.join(map(str, members))}"
-        self.forms = _forms(finger, obj)
-        self.size = [development.state_size(ambient) for ambient in self.forms]
+        self.forms = in_space(finger, True), in_space(obj, True)
+        self.size = list(map(state_size, self.forms))
         self.motion = forced_motion(finger, obj, self.forms, True)
         n_profile = len(scene.profile.coefficients)
         self.results = _results(finger, obj, scene.gain.law, n_profile)
@@ -221,18 +223,12 @@ def crews_of(scene: Scene) -> list[Crew]:
     return [Crew(scene, members) for members in kinds.values()]
 
 
-def _forms(finger: Surface, obj: Surface) -> tuple[bool, bool]:
-    """Which of the two is moved in space; a double cover's branch, which decides the signs of
-    disturbances, is known in its chart alone (as in `planner`)."""
-    return tuple(prefers_ambient(s) and not s.double_cover for s in (finger, obj))  # type: ignore
-
-
 @per_structure
 def _results(finger: Surface, obj: Surface, law: str, n_profile: int) -> Kernel:
     """`GROUPS` of a contact from its time, state and disturbance; law and numbers are constants."""
-    forms = _forms(finger, obj)
+    forms = in_space(finger, True), in_space(obj, True)
     a = arguments(finger, obj, n_profile)
-    n1, n2 = (development.state_size(ambient) for ambient in forms)
+    n1, n2 = map(state_size, forms)
     state, angle = SX.sym("state", n1 + n2 + 4), SX.sym("angle")
     tip, w1, body, v = ca.vertsplit(state, [0, n1, n1 + 2, n1 + 2 + n2, n1 + n2 + 4])
     # contact_function wants psi = -theta_1 - theta_2, and carries a frame in space as (x, p)
@@ -240,7 +236,7 @@ def _results(finger: Surface, obj: Surface, law: str, n_profile: int) -> Kernel:
     turned = ca.vertcat(tip[:2], tip[2] - angle)
     if forms[0]:
         turned = ca.vertcat(tip[:3], ca.cos(angle) * tip[3:6] - ca.sin(angle) * tip[6:9])
-    carried = ca.vertcat(turned, body[: 6 if forms[1] else 3], w, v)
+    carried = ca.vertcat(turned, body[: standing_size(forms[1])], w, v)
     values = contact_function(finger, obj, Form("frame", True, forms, law, n_profile, ()))(
         a.time, carried, a.disturbance, SX(0, 1), a.law,
         ca.vertcat(a.finger, WORK_SIZE), ca.vertcat(a.object, WORK_SIZE),

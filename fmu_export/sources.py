@@ -15,7 +15,7 @@ import numpy as np
 
 from contact_system import kernels, panels
 from contact_system.charts import TINY
-from contact_system.development import driven_motion, forced_motion
+from contact_system.development import driven_motion, forced_motion, state_size
 from contact_system.expressions import SYMBOLS
 from contact_system.kernels import NODES, PRELUDE, Kernel, Restoration, c_statements
 from contact_system.profile import GAIN_LAWS
@@ -25,10 +25,11 @@ from contact_system.system import FLIP, Form, contact_function, start_function
 from contact_system.tracks import (
     coordinate_kernel,
     frame_kernel,
+    in_space,
     lame_kernel,
-    prefers_ambient,
     restoring_kernel,
     rotation,
+    standing_size,
     vector_kernel,
 )
 
@@ -161,10 +162,8 @@ class _Model:
     def _kind(self, finger: Surface) -> str:
         """The initializer of a ``kind_t``."""
         obj = self.scene.object
-        home = (prefers_ambient(finger), prefers_ambient(obj))
-        # Chart components of a disturbance have the sign of the branch of a double cover, which
-        # only the chart form knows (planner.GroupPlanner._in_form).
-        tip, body = (a and not s.double_cover for a, s in zip(home, (finger, obj)))
+        home = (in_space(finger, False), in_space(obj, False))
+        tip, body = (in_space(finger, True), in_space(obj, True))
         forms = [
             self._form(finger, home, False),
             self._form(finger, (tip, home[1]), True),
@@ -197,7 +196,7 @@ class _Model:
     def _form(self, finger: Surface, forms: Forms, pushed: bool) -> str:
         """The initializer of a ``form_t``."""
         obj = self.scene.object
-        size = ", ".join("9" if ambient else "3" for ambient in forms)
+        size = ", ".join(str(state_size(ambient)) for ambient in forms)
         motion = self._motion(finger, forms, pushed)
         coordinates = [self._coordinates(s, a) for s, a in zip((finger, obj), forms)]
         outputs = self._outputs(finger, forms)
@@ -219,7 +218,8 @@ class _Model:
         return SX.sym(name, len(surface.parameters))
 
     def _coordinates(self, surface: Surface, ambient: bool) -> str:
-        frame, c, p = SX.sym("frame", _size(ambient)), SX.sym("c", 2), self._numbers_of(surface)
+        p = self._numbers_of(surface)
+        frame, c = SX.sym("frame", state_size(ambient)), SX.sym("c", 2)
         value = coordinate_kernel(surface, ambient).function(ca.vertcat(frame, c), p)
         return self._function("coordinates", (frame, c, p), value, surface, ambient)
 
@@ -246,7 +246,7 @@ class _Model:
 
     def _slip(self, ambient: bool) -> str:
         obj = self.scene.object
-        frame, theta, v = SX.sym("frame", _size(ambient)), SX.sym("theta"), SX.sym("v", 2)
+        frame, theta, v = SX.sym("frame", state_size(ambient)), SX.sym("theta"), SX.sym("v", 2)
         offset, p = SX.sym("offset", 2), self._numbers_of(obj)
         pushed = vector_kernel(obj, ambient).function(frame, ca.vertcat(p, offset))
         value = rotation(theta) @ (v - pushed)
@@ -260,10 +260,10 @@ class _Model:
         """Twist, pose and contact points from the frames of both bodies."""
         obj = self.scene.object
         a = arguments(finger, obj, len(self.scene.profile.coefficients))
-        frames = [SX.sym("frame", _size(ambient)) for ambient in forms]
+        frames = [SX.sym("frame", state_size(ambient)) for ambient in forms]
         w1v = SX.sym("w1v", 4)
         # contact_function carries a frame in space as (x, p)
-        state = ca.vertcat(*(f[: 6 if k else 3] for f, k in zip(frames, forms)), w1v)
+        state = ca.vertcat(*(f[: standing_size(k)] for f, k in zip(frames, forms)), w1v)
         values = contact_function(finger, obj, self._frame_form(forms))(
             a.time, state, a.disturbance, SX(0, 1), a.law,
             ca.vertcat(a.finger, WORK_SIZE), ca.vertcat(a.object, WORK_SIZE),
@@ -288,7 +288,7 @@ class _Model:
         )  # fmt: skip
         parts, at = [], 0
         for surface, ambient, p in zip((finger, obj), home, (a.finger, a.object)):
-            own = state[at : at + (6 if ambient else 3)]
+            own = state[at : at + standing_size(ambient)]
             at += own.numel()
             if ambient:
                 own = restoring_kernel(surface).function(ca.vertcat(own, SX(3, 1)), p)
@@ -337,7 +337,7 @@ def _driven_pair(finger: Surface, obj: Surface, forms: Forms) -> Kernel:
 
     point: frames of both, sigma, decay. constant: numbers of both, W_1, V.
     """
-    frames = [SX.sym("frame", _size(ambient)) for ambient in forms]
+    frames = [SX.sym("frame", state_size(ambient)) for ambient in forms]
     p1, p2 = SX.sym("p1", len(finger.parameters)), SX.sym("p2", len(obj.parameters))
     w1, v, drive, none = SX.sym("W1", 2), SX.sym("V", 2), SX.sym("drive", 2), SX(2, 1)
     rates = [
@@ -360,7 +360,7 @@ def _pushed_pair(finger: Surface, obj: Surface, forms: Forms) -> Kernel:
     point: frame of the finger, W_1, frame of the object, V; sigma, decay (unused), local time.
     constant: numbers of both, disturbances (6), their slopes (6).
     """
-    frames = [SX.sym("frame", _size(ambient)) for ambient in forms]
+    frames = [SX.sym("frame", state_size(ambient)) for ambient in forms]
     p1, p2 = SX.sym("p1", len(finger.parameters)), SX.sym("p2", len(obj.parameters))
     w1, v, drive = SX.sym("W1", 2), SX.sym("V", 2), SX.sym("drive", 3)
     first, slope = SX.sym("first", 6), SX.sym("slope", 6)
@@ -381,7 +381,7 @@ def _restores(finger: Surface, obj: Surface, forms: Forms, between: int) -> tupl
     if forms[0]:
         kept.append(Restoration(restoring_kernel(finger), 0, 0))
     if forms[1]:
-        first = _size(forms[0]) + between
+        first = state_size(forms[0]) + between
         kept.append(Restoration(restoring_kernel(obj), first, len(finger.parameters)))
     return tuple(kept)
 
@@ -401,10 +401,6 @@ def motion_source(kernel: Kernel, name: str, timed: bool) -> str:
 
 
 # --- text ----------------------------------------------------------------------------------------
-
-
-def _size(ambient: bool) -> int:
-    return 9 if ambient else 3
 
 
 def _c_function(name: str, inputs: Sequence[SX], value: SX) -> str:
