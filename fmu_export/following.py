@@ -22,7 +22,7 @@ from contact_system.profile import GainPiece
 from contact_system.scene import Scene
 from contact_system.starts import Moment
 from contact_system.surfaces import Surface
-from contact_system.system import FLIP, Form, contact_function
+from contact_system.system import FLIP
 from contact_system.tracks import (
     coordinate_kernel,
     frame_kernel,
@@ -33,7 +33,7 @@ from contact_system.tracks import (
     standing_size,
 )
 
-from .model import WORK_SIZE, arguments
+from .model import arguments, contact_values
 
 SX = ca.SX
 
@@ -231,25 +231,21 @@ def _results(finger: Surface, obj: Surface, law: str, n_profile: int) -> Kernel:
     n1, n2 = map(state_size, forms)
     state, angle = SX.sym("state", n1 + n2 + 4), SX.sym("angle")
     tip, w1, body, v = ca.vertsplit(state, [0, n1, n1 + 2, n1 + 2 + n2, n1 + n2 + 4])
-    # contact_function wants psi = -theta_1 - theta_2, and carries a frame in space as (x, p)
+    # contact_values wants psi = -theta_1 - theta_2, and a frame in space as (x, p)
     w = rotation(angle) @ w1
     turned = ca.vertcat(tip[:2], tip[2] - angle)
     if forms[0]:
         turned = ca.vertcat(tip[:3], ca.cos(angle) * tip[3:6] - ca.sin(angle) * tip[6:9])
     carried = ca.vertcat(turned, body[: standing_size(forms[1])], w, v)
-    values = contact_function(finger, obj, Form("frame", True, forms, law, n_profile, ()))(
-        a.time, carried, a.disturbance, SX(0, 1), a.law,
-        ca.vertcat(a.finger, WORK_SIZE), ca.vertcat(a.object, WORK_SIZE),
-    )  # fmt: skip
+    found = contact_values(finger, obj, forms, law, a, carried)
     theta = [
         coordinate_kernel(s, k).function(ca.vertcat(f, SX(2, 1)), p)[4]
         for s, k, f, p in zip((finger, obj), forms, (tip, body), (a.finger, a.object))
     ]
-    pose = ca.vertcat(
-        ca.horzcat(ca.reshape(values[5][:9], 3, 3), values[5][9:]), SX([[0, 0, 0, 1]])
-    )
+    rows = ca.vertcat(ca.reshape(found["pose"][:9], 3, 3), found["pose"][9:].T)
+    pose = ca.vec(ca.horzcat(rows, SX([0, 0, 0, 1])))
     result = ca.vertcat(
-        values[1], values[2], values[3], ca.vec(pose.T), values[6],
+        found["state"], found["slip"], found["twist"], pose, found["contact_point"],
         theta[0], w1, theta[1], FLIP @ w - v,
     )  # fmt: skip
     point = ca.vertcat(a.time, angle, state, a.disturbance)

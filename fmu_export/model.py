@@ -31,7 +31,7 @@ from contact_system.kernels import per_structure
 from contact_system.scene import Contact, Scene
 from contact_system.starts import scene_start
 from contact_system.surfaces import Ellipsoid, Quadric, Surface
-from contact_system.system import FLIP, Form, contact_function
+from contact_system.system import FLIP, PER_CONTACT, Form, contact_function, start_function
 from contact_system.tracks import rotation
 from contact_system.user_surfaces import UserSurface
 
@@ -67,6 +67,36 @@ def arguments(finger: Surface, obj: Surface, n_profile: int) -> Arguments:
     )  # fmt: skip
 
 
+def contact_values(
+    finger: Surface, obj: Surface, forms: tuple[bool, bool], law: str, a: Arguments, state: SX
+) -> dict[str, SX]:
+    """What `contact_function` gives, by its names in `SceneSystem.function`; the pose row by row.
+
+    The state, with W_1 and V, is that of moving frames between which R_0 is diag(1, -1): their
+    angles sum to -psi. One in space (`forms`) is carried as (x, p).
+    """
+    form = Form("frame", True, forms, law, a.law.numel() - 1, ())
+    values = contact_function(finger, obj, form)(
+        a.time, state, a.disturbance, SX(0, 1), a.law, *_sized(a)
+    )
+    found = dict(zip(("derivatives", *PER_CONTACT), values))
+    pose = found["pose"]
+    return found | {"pose": ca.vertcat(ca.vec(ca.reshape(pose[:9], 3, 3).T), pose[9:])}
+
+
+def first_state(finger: Surface, obj: Surface, forms: tuple[bool, bool], a: Arguments) -> SX:
+    """What `contact_values` takes as the state, from the component's."""
+    x = a.state
+    velocities = (rotation(x[2]) @ x[3:5], rotation(x[7]) @ x[8:10])
+    given = ca.vertcat(x[0:2], x[5:7], x[10], *velocities)
+    form = Form("frame", True, forms, "path", a.law.numel() - 1, ())  # no law acts yet
+    return start_function(finger, obj, form)(0, given, SX.zeros(a.law.numel()), *_sized(a))[0]
+
+
+def _sized(a: Arguments) -> tuple[SX, SX]:
+    return ca.vertcat(a.finger, WORK_SIZE), ca.vertcat(a.object, WORK_SIZE)
+
+
 @per_structure
 def regularity(finger: Surface, obj: Surface) -> ca.Function:
     """State, numbers of finger and object -> least Lame coefficient of each body's chart, m.
@@ -75,39 +105,29 @@ def regularity(finger: Surface, obj: Surface) -> ca.Function:
     """
     a = arguments(finger, obj, 1)
     frame = ca.vertcat(a.state[0:2], 0, a.state[5:7], SX(5, 1))
-    form = Form("frame", True, (False, False), "path", 1, ())
-    values = contact_function(finger, obj, form)(
-        0, frame, SX(6, 1), SX(0, 1), SX(2, 1),
-        ca.vertcat(a.finger, WORK_SIZE), ca.vertcat(a.object, WORK_SIZE),
-    )  # fmt: skip
-    return ca.Function("regularity", [a.state, a.finger, a.object], [ca.densify(values[8])])
+    found = contact_values(finger, obj, (False, False), "path", a, frame)["regularity"]
+    return ca.Function("regularity", [a.state, a.finger, a.object], [ca.densify(found)])
 
 
 @per_structure
 def contact_results(finger: Surface, obj: Surface, law: str, n_profile: int) -> ca.Function:
     """The 37 results of a contact from its state (see the module's text); exact at sigma = 0.
 
-    `contact_function` takes moving frames between which R_0 is diag(1, -1): the finger's frame here
-    turned by psi + theta1 + theta2, which stays constant.
+    `contact_values` takes the finger's frame turned by psi + theta1 + theta2, which stays constant.
     """
     a = arguments(finger, obj, n_profile)
-    form = Form("frame", True, (False, False), law, n_profile, ())
-    function = contact_function(finger, obj, form)
     u1, theta1, w1, u2, theta2, y, psi = ca.vertsplit(a.state, [0, 2, 3, 5, 7, 8, 10, 11])
     turn = rotation(psi + theta1 + theta2)
     w = turn @ w1
-    values = function(
-        a.time, ca.vertcat(u1, -psi - theta2, u2, theta2, w, FLIP @ w - y), a.disturbance,
-        SX(0, 1), a.law, ca.vertcat(a.finger, WORK_SIZE), ca.vertcat(a.object, WORK_SIZE),
-    )  # fmt: skip
-    rate, slip, twist, pose, points = (values[k] for k in (0, 2, 3, 5, 6))
+    state = ca.vertcat(u1, -psi - theta2, u2, theta2, w, FLIP @ w - y)
+    found = contact_values(finger, obj, (False, False), law, a, state)
     finger_rate, theta1_rate, object_rate, theta2_rate, w_rate, v_rate = ca.vertsplit(
-        rate, [0, 2, 3, 5, 6, 8, 10]
+        found["derivatives"], [0, 2, 3, 5, 6, 8, 10]
     )
     results = ca.vertcat(
         finger_rate, theta1_rate, turn.T @ w_rate, object_rate, theta2_rate,
-        FLIP @ w_rate - v_rate, -theta1_rate - theta2_rate, slip, twist,
-        ca.vec(ca.reshape(pose[:9], 3, 3).T), pose[9:], points,
+        FLIP @ w_rate - v_rate, -theta1_rate - theta2_rate,
+        *(found[name] for name in ("slip", "twist", "pose", "contact_point")),
     )  # fmt: skip
     return ca.Function("results", list(a), [ca.densify(ca.cse(results))])
 

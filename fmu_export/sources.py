@@ -21,7 +21,7 @@ from contact_system.kernels import NODES, PRELUDE, Kernel, Restoration, c_statem
 from contact_system.profile import GAIN_LAWS
 from contact_system.scene import DISTURBANCE_KINDS
 from contact_system.surfaces import Surface
-from contact_system.system import FLIP, Form, contact_function, start_function
+from contact_system.system import FLIP
 from contact_system.tracks import (
     coordinate_kernel,
     frame_kernel,
@@ -34,7 +34,14 @@ from contact_system.tracks import (
 )
 
 from .description import model_identifier
-from .model import STATES, WORK_SIZE, arguments, contact_results, regularity
+from .model import (
+    STATES,
+    arguments,
+    contact_results,
+    contact_values,
+    first_state,
+    regularity,
+)
 from .variables import Table
 
 SX = ca.SX
@@ -252,40 +259,24 @@ class _Model:
         value = rotation(theta) @ (v - pushed)
         return self._function("slip", (frame, theta, v, offset, p), value, ambient)
 
-    def _frame_form(self, forms: Forms) -> Form:
-        scene = self.scene
-        return Form("frame", True, forms, scene.gain.law, len(scene.profile.coefficients), ())
-
     def _outputs(self, finger: Surface, forms: Forms) -> list[str]:
         """Twist, pose and contact points from the frames of both bodies."""
         obj = self.scene.object
         a = arguments(finger, obj, len(self.scene.profile.coefficients))
         frames = [SX.sym("frame", state_size(ambient)) for ambient in forms]
         w1v = SX.sym("w1v", 4)
-        # contact_function carries a frame in space as (x, p)
         state = ca.vertcat(*(f[: standing_size(k)] for f, k in zip(frames, forms)), w1v)
-        values = contact_function(finger, obj, self._frame_form(forms))(
-            a.time, state, a.disturbance, SX(0, 1), a.law,
-            ca.vertcat(a.finger, WORK_SIZE), ca.vertcat(a.object, WORK_SIZE),
-        )  # fmt: skip
-        twist, pose, points = values[3], values[5], values[6]
-        pose = ca.vertcat(ca.vec(ca.reshape(pose[:9], 3, 3).T), pose[9:])
+        found = contact_values(finger, obj, forms, self.scene.gain.law, a, state)
         inputs = (a.time, *frames, w1v, a.disturbance, a.law, a.finger, a.object)
         return [
-            self._function(name, inputs, value, finger, forms)
-            for name, value in (("twist", twist), ("pose", pose), ("points", points))
+            self._function(name, inputs, found[name], finger, forms)
+            for name in ("twist", "pose", "contact_point")
         ]
 
     def _start(self, finger: Surface, home: Forms) -> str:
         obj = self.scene.object
         a = arguments(finger, obj, len(self.scene.profile.coefficients))
-        x = a.state
-        velocities = (rotation(x[2]) @ x[3:5], rotation(x[7]) @ x[8:10])
-        given = ca.vertcat(x[0:2], x[5:7], x[10], *velocities)
-        state, _ = start_function(finger, obj, self._frame_form(home))(
-            0, given, SX.zeros(a.law.numel()), ca.vertcat(a.finger, WORK_SIZE),
-            ca.vertcat(a.object, WORK_SIZE),
-        )  # fmt: skip
+        state = first_state(finger, obj, home, a)
         parts, at = [], 0
         for surface, ambient, p in zip((finger, obj), home, (a.finger, a.object)):
             own = state[at : at + standing_size(ambient)]
