@@ -37,9 +37,11 @@ from contact_system.user_surfaces import UserSurface
 
 SX = ca.SX
 
-STATES = 11
-RESULTS = 37
-"""Derivatives of the state, slip, twist, pose, contact points."""
+LAYOUT = {"INPUT": 6, "STATE": 11, "RATE": 11, "SLIP": 2, "TWIST": 6, "POSE": 12, "POINTS": 6}
+"""The block of numbers of a contact: disturbance inputs, state, and results from RATE on."""
+INPUTS, STATES = LAYOUT["INPUT"], LAYOUT["STATE"]
+BLOCK = sum(LAYOUT.values())
+RESULTS = BLOCK - INPUTS - STATES
 WORK_SIZE = 1.0
 """Stands for a body's size where `contact_function` asks for one and no result depends on it."""
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from itertools import accumulate
 from pathlib import Path
 
 import casadi as ca
@@ -34,7 +35,10 @@ from contact_system.tracks import (
 )
 
 from .description import model_identifier
+from .following import TOLERANCE
 from .model import (
+    BLOCK,
+    LAYOUT,
     STATES,
     arguments,
     contact_results,
@@ -114,7 +118,10 @@ class _Model:
             "MAX_NUMBERS": max(1, *(len(b.parameters) for b in bodies)),
             "GAIN_LAW": scene.gain.law.upper(),
             "MOTIONS": ", ".join(name.removesuffix(".c") for name in self.motions),
+            "TOLERANCE": TOLERANCE, "BLOCK_SIZE": BLOCK,
         }  # fmt: skip
+        offsets = accumulate(LAYOUT.values(), initial=0)
+        sizes |= {f"AT_{name}": offset for name, offset in zip(LAYOUT, offsets)}
         laws = ", ".join(law.upper() for law in LAWS)
         text = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
         return (

@@ -3,7 +3,7 @@
 The component's values lie in one array of float64. A variable's value reference is the index of its
 first element there, in FMI 2 and in FMI 3 alike; FMI 2 sees every element as a scalar of its own
 name. The array begins with time and the parameters; a block of `BLOCK` numbers a contact follows
-(see :mod:`fmu_export.model` for the order of its results).
+(`fmu_export.model.LAYOUT`).
 
 Names are structured (FMI 2.0.4, section 2.2.9; FMI 3.0.2, section 2.4.7.5.1) and count from 1.
 """
@@ -25,7 +25,8 @@ from contact_system.system import SceneSystem
 from contact_system.user_surfaces import UserSurface
 
 from .model import (
-    RESULTS,
+    BLOCK,
+    INPUTS,
     STATES,
     contact_results,
     dependencies,
@@ -33,10 +34,6 @@ from .model import (
     require_charts,
     start_state,
 )
-
-INPUTS = 6
-BLOCK = INPUTS + STATES + RESULTS
-"""Numbers a contact: disturbance inputs, state, results."""
 
 SMALL = 0.1
 """Nominal value of angles and path velocities: solvers take their absolute tolerances from it."""

@@ -4,7 +4,6 @@
 #include <stdarg.h>
 #include <stdio.h>
 
-#define TOLERANCE 1e-14 /* tail of a panel's series; with 1e-13 K4 ends 4e-14 of its size away */
 #define MOST_PANELS 20000L /* in one step: a second of work, kilometres of path */
 #define LOOK_AHEAD 1.05 /* a solver may look this far beyond sigma's end, within its last step */
 

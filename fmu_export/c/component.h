@@ -17,10 +17,8 @@
 #pragma GCC visibility push(hidden)
 #endif
 
-/* offsets in the block of a contact; see variables.py */
-enum { AT_INPUT = 0, AT_STATE = 6, AT_RATE = 17, AT_SLIP = 28, AT_TWIST = 30, AT_POSE = 36,
-       AT_POINTS = 48, BLOCK_SIZE = 54 };
-/* in a state, and in its rates: u v of a body begin at BODY * body */
+/* The BLOCK_SIZE numbers of a contact begin AT_INPUT, AT_STATE, AT_RATE, AT_SLIP, AT_TWIST, AT_POSE
+   and AT_POINTS: model.h. In a state, and in its rates, u v of a body begin at BODY * body. */
 enum { BODY = 5, FRAME_ANGLE = 2, VELOCITY = 3, ANGLE = 10 };
 
 typedef enum { OK, WARNING, DISCARD, FAILED } status_t; /* numbered as in FMI 2 and 3 */
