@@ -14,8 +14,7 @@ import casadi as ca
 import fmpy
 import numpy as np
 
-from contact_system.scene import Scene
-from contact_system.system import KINDS
+from contact_system.scene import DISTURBANCE_KINDS, Scene
 from fmu_export.model import RESULTS, STATES, contact_results
 from fmu_export.variables import INPUTS, variable_table
 
@@ -145,7 +144,7 @@ def kernel_jacobian(scene: Scene, values: np.ndarray) -> np.ndarray:
     matrix, acting = np.eye(table.n_values), values.copy()
     for window in scene.disturbances:
         if window.start <= values[0] < window.stop:
-            first = table.blocks[window.contact] + 2 * KINDS.index(type(window))
+            first = table.blocks[window.contact] + 2 * DISTURBANCE_KINDS.index(type(window))
             acting[first : first + 2] += window.value
     for i, contact in enumerate(scene.contacts):
         n_profile = len(scene.profile.coefficients)
