@@ -15,7 +15,7 @@ import ctypes
 import dataclasses
 import math
 import struct
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -43,7 +43,7 @@ from .planner import (
     ENDLESS,
     MOST_ALIKE,
     TINY,
-    alike,
+    family,
     group_name,
     plan_groups,
     slip_of,
@@ -70,8 +70,7 @@ SX = ca.SX
 
 GIVEN = 9  # numbers of a start
 PACK = struct.Struct(f"{GIVEN}d").pack
-SEEN = 1024  # keys that are remembered
-ATTEMPTS = 6  # scenes of a key from which kinds are learned
+ATTEMPTS = 6  # scenes of a family from which kinds are learned
 
 Fields = dict[str, SX]
 """What a track holds of a body, by name."""
@@ -769,26 +768,14 @@ def _repeats(track: Track) -> bool:
 
 
 @dataclass
-class _Sights:
-    """How many scenes of one key were planned in full that may have a kind, and what was learned.
+class _Learned:
+    """How many scenes of a family were planned in full that may have a kind, and which they have.
 
-    A key has few kinds: with slip, without, at rest.
+    A family has few kinds: with slip, without, at rest.
     """
 
     count: int = 0
     kinds: list[Kind] = field(default_factory=list)
-
-
-_SEEN: dict[Hashable, _Sights] = {}
-
-
-def _forget() -> None:
-    """Make room: keys without a kind first, then all."""
-    for key, sights in list(_SEEN.items()):
-        if not sights.kinds:
-            _SEEN.pop(key, None)
-    if len(_SEEN) > SEEN // 2:
-        _SEEN.clear()
 
 
 def are_few(scene: Scene) -> bool:
@@ -801,8 +788,8 @@ def begin(scene: Scene, compiled: bool | None) -> Begun | None:
     known: Begun | None = scene.__dict__.get("_begun")
     if known is not None and known.kind.compiled is compiled:
         return known
-    seen = _SEEN.get((compiled, alike(scene)))
-    for kind in seen.kinds if seen is not None else ():
+    learned: _Learned | None = family(scene).learned.get(compiled)
+    for kind in learned.kinds if learned is not None else ():
         begun = kind.begin(scene)
         if begun is not None:
             scene.__dict__["_begun"] = begun
@@ -814,10 +801,8 @@ def learn(scene: Scene, groups: Sequence[Group], compiled: bool | None) -> None:
     """From the second scene on that was planned in full: what the next of its kind will need."""
     if not _has_kind(scene, groups, compiled):
         return
-    if len(_SEEN) > SEEN:
-        _forget()
-    seen = _SEEN.setdefault((compiled, alike(scene)), _Sights())
-    seen.count += 1
-    if 1 < seen.count <= ATTEMPTS:
+    learned = family(scene).learned.setdefault(compiled, _Learned())
+    learned.count += 1
+    if 1 < learned.count <= ATTEMPTS:
         with contextlib.suppress(NoKind):
-            seen.kinds.append(Kind(scene, groups[0], compiled))
+            learned.kinds.append(Kind(scene, groups[0], compiled))

@@ -274,13 +274,38 @@ def prepare(scene: Scene, starts: Starts, begin: float) -> list[Prepared]:
     return groups
 
 
-PATTERNS = 256  # keys whose patterns are remembered
+@dataclass(eq=False)
+class Family:
+    """What is remembered of scenes that differ only in where and how fast their contacts start.
+
+    Attributes
+    ----------
+    patterns : dict
+        By which contacts slip; of few contacts alone.
+    learned : dict
+        What `kinds` learned of such scenes, by how they are compiled.
+    """
+
+    patterns: dict[tuple[bool, ...], list[Pattern]] = field(default_factory=dict)
+    learned: dict[bool | None, Any] = field(default_factory=dict)
+
+
+FAMILIES = 512  # the latest, which are remembered; 2 to 40 kB each
 MOST_ALIKE = 16  # contacts of a scene whose patterns are
-_PATTERNS: OrderedDict[Hashable, list[Pattern]] = OrderedDict()
+_FAMILIES: OrderedDict[Hashable, Family] = OrderedDict()
 
 
-def alike(scene: Scene) -> Hashable:
-    """What scenes have in common that differ only in where and how fast their contacts start."""
+def family(scene: Scene) -> Family:
+    """That of a scene."""
+    key = _alike(scene)
+    found = _FAMILIES.pop(key, None) or Family()
+    _FAMILIES[key] = found  # the latest is last
+    if len(_FAMILIES) > FAMILIES:
+        _FAMILIES.popitem(last=False)
+    return found
+
+
+def _alike(scene: Scene) -> Hashable:
     gain, fingers = scene.gain, []
     for contact in scene.contacts:
         fingers.append(contact.finger.identity)
@@ -296,12 +321,10 @@ def _patterns(scene: Scene, slips: tuple[bool, ...], begin: float) -> list[Patte
     """Contacts sorted into groups that move together, and their intervals."""
     if begin > 0.0 or len(slips) > MOST_ALIKE:
         return _sorted(scene, slips, begin)
-    key = alike(scene), slips
-    found = _PATTERNS.pop(key, None) or _sorted(scene, slips, begin)
-    _PATTERNS[key] = found  # the latest is last
-    if len(_PATTERNS) > PATTERNS:
-        _PATTERNS.popitem(last=False)
-    return found
+    known = family(scene).patterns
+    if slips not in known:
+        known[slips] = _sorted(scene, slips, begin)
+    return known[slips]
 
 
 def _sorted(scene: Scene, slips: tuple[bool, ...], begin: float) -> list[Pattern]:

@@ -311,13 +311,13 @@ def test_a_plan_does_not_depend_on_scenes_planned_before(monkeypatch, kinds, obj
         plan = cs.plan(scene.replace(), compiled=compiled)
         return [plan.explain(), *(getattr(plan, ask)(t).tobytes() for ask in ASK)]
 
-    monkeypatch.setattr(planner, "_PATTERNS", OrderedDict())
+    monkeypatch.setattr(planner, "_FAMILIES", OrderedDict())
     alone = found()
-    monkeypatch.setattr(planner, "_PATTERNS", OrderedDict())
+    monkeypatch.setattr(planner, "_FAMILIES", OrderedDict())
     cs.plan(scene.replace(contacts=[other], name="first"), 1e-6, compiled=compiled).states(t)
-    assert len(planner._PATTERNS) == 1
+    assert len(planner._FAMILIES) == 1
     assert found() == alone
-    assert len(planner._PATTERNS) == 1
+    assert len(planner._FAMILIES) == 1
 
 
 def test_a_refusal_names_the_scene_that_is_planned_now(monkeypatch):
@@ -329,16 +329,16 @@ def test_a_refusal_names_the_scene_that_is_planned_now(monkeypatch):
             cs.plan(scene, compiled=False).states([0.0, 1.0])
 
 
-def test_few_patterns_are_remembered(monkeypatch):
-    monkeypatch.setattr(planner, "_PATTERNS", OrderedDict())
+def test_the_latest_families_are_remembered(monkeypatch):
+    monkeypatch.setattr(planner, "_FAMILIES", OrderedDict())
     scene = one_contact("sphere", "sphere")
-    for k in range(planner.PATTERNS + 10):
+    for k in range(planner.FAMILIES + 10):
         cs.plan(scene.replace(gain=cs.Gain.time(10.0 + k)), compiled=False)
-    assert len(planner._PATTERNS) == planner.PATTERNS
-    newest = next(reversed(planner._PATTERNS))
-    cs.plan(scene.replace(contacts=scene.contacts * 50), compiled=False)
-    assert len(planner._PATTERNS) == planner.PATTERNS
-    assert next(reversed(planner._PATTERNS)) == newest  # a crowd is not remembered
+    assert len(planner._FAMILIES) == planner.FAMILIES
+    crowd = scene.replace(contacts=scene.contacts * 50)
+    cs.plan(crowd, compiled=False)
+    assert len(planner._FAMILIES) == planner.FAMILIES
+    assert not planner.family(crowd).patterns  # too many to be worth it
 
 
 def test_disturbed_scenes_are_planned_in_many_threads():
