@@ -87,11 +87,6 @@ class Problem:
     sizes: np.ndarray
     forms: dict[str, Ode]
 
-    @property
-    def is_geodesic(self) -> bool:
-        """Whether only the object's contact point counts."""
-        return self.truth.shape[2] == 1
-
     def of_plan(self, plan: cs.Plan) -> np.ndarray:
         """Contact points of a plan, the layout of ``truth``."""
         return plan.points(self.times)[:, :, 2 - len(self.sizes) :]

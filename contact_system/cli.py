@@ -218,9 +218,9 @@ def _report(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> I
     if any(r.peak > 0 for rows in measured for r in rows):
         yield from _table(plans, measured)
         yield _paragraph(
-            f"'from' is the end of the contact's last disturbance, or the start; 'below "
-            f"{REJECTED:.0%} after' says how long from there until slip stays below that part of "
-            "its value there."
+            f"'from': the end of the contact's last disturbance, or the start; 'below "
+            f"{REJECTED:.0%} after': time from then until slip stays below {REJECTED:.0%} of its "
+            "value then."
         )
         yield from ("", *map(_paragraph, _verdict(plans, measured)), "")
         yield _paragraph(str(scene.contraction()))

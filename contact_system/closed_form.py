@@ -343,10 +343,10 @@ def line_evaluator(surface: Surface, output: str, slips: bool) -> Evaluator:
 
 
 @functools.lru_cache(maxsize=256)
-def slip_length(piece: GainPiece, tells: bool, compiled: bool | None) -> Panels:
+def slip_length(piece: GainPiece, slip_matters: bool, compiled: bool | None) -> Panels:
     """s(t) and g(t) over a piece, right to rounding for all who plan with this profile and gain.
 
-    Where slip ends too soon to tell, g is 0.
+    Unless ``slip_matters``, g is left at 0.
     """
     span = piece.stop - piece.start
     problem = Problem(
@@ -357,10 +357,10 @@ def slip_length(piece: GainPiece, tells: bool, compiled: bool | None) -> Panels:
         drive=piece,
         length=span,
         first=span,
-        slip=float(tells),
+        slip=float(slip_matters),
     )
     kernel = slip_displacement()
-    if not tells:
+    if not slip_matters:
         return integrate(kernel, problem, 1e-15, compiled)
     rough = integrate(kernel, problem, 1e-3, compiled)  # how large g is
     problem.scale[0, 1] = 1.0 / max(rough.end[0, 1], 1e-300)

@@ -28,9 +28,6 @@ from .surfaces import Surface
 
 SX = ca.SX
 
-STATE = ("u1", "v1", "du1", "dv1", "u2", "v2", "du2", "dv2", "psi")
-DRIVE = ("sigma'/sigma", "lam")
-
 
 def transport(shape: ChartGeometry, along: SX, vector: SX) -> SX:
     """-Gamma^k_ij along^i vector^j: what keeps a chart vector parallel on the way."""

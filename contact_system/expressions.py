@@ -194,7 +194,7 @@ class _Reader:
         try:
             found = of_numbers(*values)
         except (ArithmeticError, ValueError) as error:
-            raise self.fail(node, f"this is no real number ({error})") from None
+            raise self.fail(node, f"the result is not a real number ({error})") from None
         if not math.isfinite(found):
             raise self.fail(node, "the number is too large")
         return found

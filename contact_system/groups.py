@@ -84,7 +84,7 @@ class Group:
     programs: dict[str, Any] = field(default_factory=dict)
 
     def repeats(self, tolerance: float) -> bool:
-        """Whether another tolerance changes nothing but tracks at the end."""
+        """Whether only the last track of each side depends on the tolerance."""
         for tracks in (self.finger, self.object):
             others = [track.again(tolerance) for track in tracks]
             if others[-1] is None or any(a is not b for a, b in zip(tracks[:-1], others)):

@@ -99,7 +99,7 @@ class _Body:
     surface : Surface
     p, size : its parameters and size
     begin : u, v, theta; of a body in space at the start only
-    axis : x, p, or None: as begin says
+    axis : x, p; None: found from ``begin``
     w, v : path velocity W and slip V
     """
 
@@ -149,8 +149,8 @@ class _Form(NamedTuple):
 
 
 Forms = tuple[_Form | None, _Form]
-"""Of the tracks of finger and object that begin, or end, at one time; the object's are cut
-there."""
+"""Forms of the finger's and the object's tracks on one side of an edge; the finger's is None where
+its track goes on across the edge."""
 
 
 def _held(form: _Form, body: _Body, offset: SX) -> tuple[Fields, list[SX]]:

@@ -274,7 +274,10 @@ class Plan:
             )
         fingers = [[c.finger for c in s.contacts] for s in (self.scene, after)]
         if fingers[0] != fingers[1] or self.scene.object != after.object:
-            raise SceneError(f"continued at t = {t:g} s: the scene's surfaces are other ones")
+            raise SceneError(
+                f"continued at t = {t:g} s: the scene has other surfaces than the plan; give one "
+                "with the same"
+            )
         self._require_frames("continued")
         for s in (self.scene, after):
             for i, contact in enumerate(s.contacts):
@@ -546,7 +549,7 @@ class Plan:
         return self._programs[output]
 
     def _collect(
-        self, t: ArrayLike, read: Callable[[Motion], np.ndarray], shape: tuple[int, ...]
+        self, t: ArrayLike, read: Callable[[Sample], np.ndarray], shape: tuple[int, ...]
     ) -> np.ndarray:
         times = self._times(t)
         out = np.empty((len(times), len(self.scene.contacts), *shape))
@@ -556,7 +559,7 @@ class Plan:
                 out[np.ix_(index, group.contacts)] = read(motion).swapaxes(0, 1)
         return out
 
-    def _in_contact_frame(self, t: ArrayLike, read: Callable[[Motion], np.ndarray]) -> np.ndarray:
+    def _in_contact_frame(self, t: ArrayLike, read: Callable[[Sample], np.ndarray]) -> np.ndarray:
         """Turn (n, 2, n_times) from the object's parallel frame into E2."""
         times = self._times(t)
         out = np.zeros((len(self.scene.contacts), 2, len(times)))
@@ -572,7 +575,7 @@ class Plan:
             out[group.contacts] = values
         return out.transpose(2, 0, 1)
 
-    def _object_angle(self, group: Group, motion: Motion) -> np.ndarray:
+    def _object_angle(self, group: Group, motion: Sample) -> np.ndarray:
         """theta of the object, (n, n_times)."""
         values = np.empty((len(group.contacts), 5, len(motion.t)))
         group.anchor("object", motion.object)
@@ -632,7 +635,7 @@ def _write(method: Callable, times: np.ndarray, where: slice | np.ndarray, out: 
         out[..., where] = part
 
 
-class Motion:
+class Sample:
     """Both sides of a group at times of one interval."""
 
     def __init__(self, group: Group, finger: Track, obj: Track, slip, t: np.ndarray):
@@ -673,7 +676,7 @@ class Motion:
         )
 
 
-def _slip(motion: Motion) -> np.ndarray:
+def _slip(motion: Sample) -> np.ndarray:
     """v_rel along (p_2, q_2): sigma V, less the object rate offset's velocity."""
     record, track = motion.record, motion.object
     tau = motion.t - record.start
@@ -685,7 +688,7 @@ def _slip(motion: Motion) -> np.ndarray:
     return out
 
 
-def _acceleration(motion: Motion) -> np.ndarray:
+def _acceleration(motion: Sample) -> np.ndarray:
     record = motion.record
     tau = motion.t - record.start
     out = np.zeros((len(motion.group.contacts), 2, len(tau)))
@@ -722,7 +725,7 @@ def _motions(group: Group, times: np.ndarray):
             rest = index[inner]
             for obj, innermost in _parts(group.object, times[rest]):
                 chosen = rest[innermost]
-                yield Motion(group, finger, obj, record, times[chosen]), chosen
+                yield Sample(group, finger, obj, record, times[chosen]), chosen
 
 
 def _skipped(group: Group) -> list[str]:

@@ -5,7 +5,7 @@ at the edges of its own windows; on each interval
 
 * a finger that nothing accelerates runs on a geodesic, in closed form on plane, cylinder and
   sphere, else integrated once in arc length;
-* the object runs on a geodesic too while there is no slip to speak of, on the developed curve
+* the object runs on a geodesic too while slip is negligible, on the developed curve
   W s - V g while there is;
 * only contacts under an acceleration are integrated together with their forcing.
 """
@@ -66,7 +66,7 @@ RATE_LEFT = 0.1
 # Path beyond which, in sizes of a sphere, the rest of a slipping interval is made a great circle.
 LONG_REST = 6.0
 TINY = 1e-300  # keeps 1/0 out
-# Path in sizes of a body of which no digit of the place would be left.
+# Path, in sizes of a body, after which no digit of its position is left.
 ENDLESS = 1e12
 
 
@@ -500,8 +500,8 @@ class GroupPlanner:
                 worst = int(self.pattern.contacts[turns.argmax()])
                 raise SceneError(
                     f"scene '{self.scene.name}', contact {worst}: its path is {turns.max():.3g} "
-                    f"times as long as {body.surface!r} is large, and no digit of the place would "
-                    f"be left (limit {ENDLESS:g}); lower its velocity, sigma or the duration"
+                    f"times as long as {body.surface!r} is large, and no digit of its position "
+                    f"would be left (limit {ENDLESS:g}); lower its velocity, sigma or the duration"
                 )
         return True
 
@@ -593,15 +593,15 @@ class GroupPlanner:
         piece: GainPiece,
         offset: np.ndarray | None,
         why: str,
-        tells: bool = False,
+        slip_matters: bool = False,
     ) -> FlatTrack:
-        length, method = None, "closed form: straight line unrolled"
+        length, method = None, "closed form: straight line on the developed surface"
         if v.any():
             try:
-                length = slip_length(piece, tells, self.compiled)
+                length = slip_length(piece, slip_matters, self.compiled)
             except ContactSystemError as error:
                 raise ContactSystemError(f"{self.name}: {error}") from None
-            if tells:
+            if slip_matters:
                 method = f"quadrature of slip, {length.count} panels"
                 why = "T = 0: the developed curve is the curve"
         return FlatTrack(body.surface, body.parameters, piece.start, piece.stop, method, why, False,
@@ -621,9 +621,9 @@ class GroupPlanner:
         if self.object.surface.developable:
             if slip == 0:  # the interval may be longer than a piece of the gain
                 piece = plain_piece(self.scene.profile, start, stop)
-            tells = slip > ROUNDING * self.object.size * interval.reach
-            why = "no slip to speak of"
-            flat = self._flat(self.object, self.w2, v, piece, shifted, why, tells)
+            matters = slip > ROUNDING * self.object.size * interval.reach
+            why = "slip negligible" if slip else "no slip"
+            flat = self._flat(self.object, self.w2, v, piece, shifted, why, matters)
             self._append("object", flat)
         elif slip == 0 and shifted is None:
             self._append("object", self._geodesic("object", start, stop, "no slip"))

@@ -123,8 +123,8 @@ class Contact:
         put(self, "angle", finite_number(self.angle, "angle"))
         if abs(self.angle) > MANY_TURNS:
             raise SceneError(
-                f"angle = {self.angle!r}: beyond {MANY_TURNS:g} rad a double no longer tells well "
-                "where in its turn an angle is; take whole turns off it"
+                f"angle = {self.angle!r}: beyond {MANY_TURNS:g} rad a double resolves an angle "
+                "within its turn too poorly; subtract whole turns"
             )
         for key, words in (("finger_velocity", (ROLLING,)), ("object_velocity", (ROLLING, REST))):
             value = getattr(self, key)
@@ -490,8 +490,8 @@ def _placed(
     for name, value, here in zip("uv", given, at):
         if value != here and abs(value) > MANY_TURNS:
             raise SceneError(
-                f"contacts[{i}]: {key}: {name} = {value!r}: beyond {MANY_TURNS:g} rad a double no "
-                "longer tells well where in its turn an angle is; take whole turns off it"
+                f"contacts[{i}]: {key}: {name} = {value!r}: beyond {MANY_TURNS:g} rad a "
+                "double resolves an angle within its turn too poorly; subtract whole turns"
             )
     half_turn = surface.double_cover and bool(surface.align(*at, *given)[2])
     if half_turn:

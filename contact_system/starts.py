@@ -91,7 +91,7 @@ class Moment:
 
 
 Starts = Sequence[Start | Moment]
-"""All of one kind."""
+"""Either all Start or all Moment."""
 
 
 def measured_start(

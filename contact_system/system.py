@@ -117,7 +117,7 @@ class Body(NamedTuple):
     size: SX
 
 
-class Motion(NamedTuple):
+class ContactMotion(NamedTuple):
     """What every output of a contact is read off.
 
     Attributes
@@ -193,7 +193,7 @@ def _regularity(body: Body, u: SX, v: SX) -> SX:
     return ca.copysign(least, outward)
 
 
-def _chart_motion(tip: Body, body: Body, x: SX, w: SX, drive: tuple[SX, SX, SX]) -> Motion:
+def _chart_motion(tip: Body, body: Body, x: SX, w: SX, drive: tuple[SX, SX, SX]) -> ContactMotion:
     sigma, slope, lam = drive
     point = ca.vertcat(x, slope / sigma, lam, w)
     rate = chart_equations(tip.surface, body.surface).function(point, ca.vertcat(tip.p, body.p))
@@ -206,7 +206,7 @@ def _chart_motion(tip: Body, body: Body, x: SX, w: SX, drive: tuple[SX, SX, SX])
     frames = [ca.vertcat(s.point, ca.vec(s.frame[:, :2])) for s in shapes]
     curvatures = [ca.vec(s.curvature_form)[[0, 1, 3]] for s in shapes]
     state = ca.vertcat(x[:6], moved, x[8])
-    return Motion(rate, state, slip, frames, curvatures, velocities, slip, turn)
+    return ContactMotion(rate, state, slip, frames, curvatures, velocities, slip, turn)
 
 
 def _moving_frame(body: Body, own: SX) -> SX:
@@ -242,7 +242,7 @@ def _frame_rates(
 
 def _frame_motion(
     bodies: tuple[Body, Body], form: Form, x: SX, w: SX, drive: tuple[SX, SX, SX], w1: SX, v: SX
-) -> Motion:
+) -> ContactMotion:
     sigma, offset, obj = drive[0], w[4:6], bodies[1]
     own = ca.vertsplit(x, np.cumsum([0, *form.sizes]).tolist())
     frames = [_moving_frame(b, s) for b, s in zip(bodies, own)]
@@ -267,13 +267,13 @@ def _frame_motion(
     spatial = [
         f if b.ambient else frame_kernel(b.surface).function(f, b.p) for b, f in zip(bodies, frames)
     ]
-    return Motion(
+    return ContactMotion(
         ca.vertcat(*rates), state, rotation(theta) @ sliding, spatial, curvatures,
         (velocities[0], velocities[1] + pushed), sliding, FLIP,
     )  # fmt: skip
 
 
-def _relative(motion: Motion) -> tuple[SX, SX]:
+def _relative(motion: ContactMotion) -> tuple[SX, SX]:
     """Pose, by columns (12), and twist of the finger's frame in the object's, by `kinematics`."""
 
     def numbers(value: SX, *shape: int) -> Array:

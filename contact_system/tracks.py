@@ -40,7 +40,7 @@ LOCK = threading.RLock()
 
 
 class kept:
-    """A property that an object keeps; two threads may find one each."""
+    """An attribute computed when it is first asked for; two threads may both compute it."""
 
     def __init__(self, find: Callable[[Any], Any]):
         self.find, self.name = find, find.__name__
@@ -53,7 +53,7 @@ class kept:
 
 
 class once(kept):
-    """The same of what there must be one of, since others point into it."""
+    """As `kept`, but computed once, under LOCK: C holds pointers into what it gives."""
 
     def __get__(self, instance: Any, owner: type) -> Any:
         with LOCK:

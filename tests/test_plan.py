@@ -425,8 +425,9 @@ def test_a_window_may_be_as_short_as_it_likes(length, compiled):
 
 @pytest.mark.parametrize("finger, words", [
     ("sphere", "closed form: great circle"), ("bowl", "closed form: great circle"),
-    ("plane", "closed form: straight line unrolled"),
-    ("cylinder", "closed form: straight line unrolled"), ("torus", "geodesic in arc length"),
+    ("plane", "closed form: straight line on the developed surface"),
+    ("cylinder", "closed form: straight line on the developed surface"),
+    ("torus", "geodesic in arc length"),
     ("ellipsoid", "geodesic in arc length"), ("bumps", "geodesic in arc length"),
 ])  # fmt: skip
 def test_undisturbed_finger_takes_the_cheapest_exact_way(finger, words):
@@ -437,8 +438,8 @@ def test_undisturbed_finger_takes_the_cheapest_exact_way(finger, words):
 
 @pytest.mark.parametrize("obj, slipping, rolling", [
     ("sphere", "development in space", "closed form: great circle"),
-    ("plane", "quadrature of slip", "closed form: straight line unrolled"),
-    ("cylinder", "quadrature of slip", "closed form: straight line unrolled"),
+    ("plane", "quadrature of slip", "closed form: straight line on the developed surface"),
+    ("cylinder", "quadrature of slip", "closed form: straight line on the developed surface"),
     ("ellipsoid", "development in space", "geodesic in arc length"),
     ("rounded cube", "development in space", "geodesic in arc length"),
     ("bumps", "development in its chart", "geodesic in arc length"),
@@ -627,7 +628,7 @@ def test_plan_is_continued_from_a_rest():
 
 def test_continuing_refuses_other_surfaces_the_end_and_imposed_rolling():
     plan = cs.plan(one_contact())
-    with pytest.raises(SceneError, match="at t = 0.5 s: the scene's surfaces are other ones"):
+    with pytest.raises(SceneError, match="at t = 0.5 s: the scene has other surfaces"):
         plan.continued(0.5, one_contact("ellipsoid"))
     with pytest.raises(SceneError, match="at t = 1 s: nothing is left to plan"):
         plan.continued(1.0)
