@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import os
+import re
 import subprocess
 import sys
 import textwrap
@@ -15,7 +17,7 @@ import pytest
 from conftest import SURFACES, one_contact
 
 import contact_system as cs
-from contact_system import kernels
+from contact_system import kernels, panels
 from contact_system.equations import chart_equations
 from contact_system.errors import ContactSystemError
 from contact_system.kernels import Kernel, find_compiler, replay
@@ -339,6 +341,25 @@ def test_a_cache_that_cannot_be_written_to_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv("CONTACT_SYSTEM_CACHE", str(tmp_path / "taken"))
     with pytest.raises(cs.ContactSystemError, match="taken': .*; set CONTACT_SYSTEM_CA"):
         kernels.compiled_library("double one = 1.0;")
+
+
+@needs_compiler
+def test_structures_lie_in_memory_as_those_of_c():
+    every = ctypes.Structure.__subclasses__()
+    structures = [s for s in every if s.__module__.startswith("contact_system.")]
+    expected = {}
+    for structure in structures:
+        name = re.match(r"``(\w+)`` of c/", structure.__doc__)[1]
+        expected[f"sizeof({name})"] = ctypes.sizeof(structure)
+        for field, _ in structure._fields_:
+            place = getattr(structure, field)
+            expected[f"offsetof({name}, {field})"] = place.offset
+            expected[f"sizeof((({name} *)0)->{field})"] = place.size
+    parts = ", ".join(f"(long)({text})" for text in expected)
+    source = f"{panels._program_source()}\n#include <stddef.h>\nlong layout[] = {{{parts}}};\n"
+    found = (ctypes.c_long * len(expected)).in_dll(kernels.compiled_library(source), "layout")
+    assert dict(zip(expected, found)) == expected
+    assert len(structures) >= 11
 
 
 def test_import_loads_nothing_that_is_not_needed():
