@@ -132,7 +132,7 @@ def _explain(args: argparse.Namespace) -> int:
     scene = _asked_scene(args)
     with Progress(1, "planning"):
         planned = _asked_plan(args, scene)
-    print(planned.explain(), "", _paragraph(str(scene.contraction())), sep="\n")
+    print(planned.explain(), "", paragraph(str(scene.contraction())), sep="\n")
     return 0
 
 
@@ -148,15 +148,15 @@ def _run(args: argparse.Namespace) -> int:
             measured.append(rejections(plans[1]))
     print("\n".join(_report(plans, measured)))
 
-    folder = _results_folder(args, scene)
+    folder = results_folder(args, scene)
     with Progress(3, "writing") as progress:
-        written = list(_write(args, plans, folder / _file_name(scene), progress))
+        written = list(_write(args, plans, folder / file_name(scene), progress))
     print(*written, sep="\n")
     return 0
 
 
-def _results_folder(args: argparse.Namespace, scene: Scene) -> Path:
-    folder = args.out or Path("results") / _file_name(scene)
+def results_folder(args: argparse.Namespace, scene: Scene) -> Path:
+    folder = args.out or Path("results") / file_name(scene)
     return make_folder(folder, "name another one with --out")
 
 
@@ -172,7 +172,8 @@ def _asked_plan(args: argparse.Namespace, scene: Scene) -> Plan:
     return plan(scene, args.tolerance, args.method, compiled=True if args.compiled else None)
 
 
-def _file_name(scene: Scene) -> str:
+def file_name(scene: Scene) -> str:
+    """The scene's name as that of files and folders."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in scene.name)
     return name.strip(".-") or "scene"
 
@@ -216,33 +217,44 @@ def _report(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> I
     yield f"{scene.name or 'scene'}: {scene.description}".rstrip(": ")
     yield ""
     if any(r.peak > 0 for rows in measured for r in rows):
-        yield from _table(plans, measured)
-        yield _paragraph(
+        yield from _slip_table(plans, measured)
+        yield paragraph(
             f"'from': the end of the contact's last disturbance, or the start; 'below "
             f"{REJECTED:.0%} after': time from then until slip stays below {REJECTED:.0%} of its "
             "value then."
         )
-        yield from ("", *map(_paragraph, _verdict(plans, measured)), "")
-        yield _paragraph(str(scene.contraction()))
+        yield from ("", *map(paragraph, _verdict(plans, measured)), "")
+        yield paragraph(str(scene.contraction()))
     else:
         yield "No slip: every contact rolls throughout."
     yield from (*_great_circles(plans[0]), "")
 
 
-def _paragraph(text: str) -> str:
+def paragraph(text: str) -> str:
+    """The text in lines of 100 characters."""
     return textwrap.fill(text, 100, break_on_hyphens=False)
 
 
-def _table(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> Iterable[str]:
+def table(
+    head: Sequence[tuple[str, str]], rows: Sequence[tuple[str, ...]], texts: int
+) -> Iterable[str]:
+    """Lines of a table under names and units; the first columns, so many texts, are flush left."""
+    names, units = zip(*head)
+    widths = [max(map(len, column)) for column in zip(names, units, *rows)]
+    for row in (names, units, ["-" * w for w in widths], *rows):
+        cells = [
+            f"{c:<{w}}" if k < texts else f"{c:>{w}}" for k, (c, w) in enumerate(zip(row, widths))
+        ]
+        yield "  ".join(cells).rstrip()
+
+
+def _slip_table(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> Iterable[str]:
     """Slip of every contact under every law."""
     head = ("gain", "contact", "start", "peak", "at", "end", "from", f"below {REJECTED:.0%} after",
             "paper", "as reported")  # fmt: skip
     units = ("", "", "m/s", "m/s", "s", "m/s", "s", "s", "s", "")
     rows = [_row(plan, r) for plan, found in zip(plans, measured) for r in found]
-    widths = [max(map(len, column)) for column in zip(head, units, *rows)]
-    for row in (head, units, ["-" * w for w in widths], *rows):
-        cells = [f"{c:<{w}}" if k < 2 else f"{c:>{w}}" for k, (c, w) in enumerate(zip(row, widths))]
-        yield "  ".join(cells).rstrip()
+    return table(list(zip(head, units)), rows, 2)
 
 
 def _row(plan: Plan, r: Rejection) -> tuple[str, ...]:

@@ -72,9 +72,9 @@ def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: in
         If it is not installed.
     """
     laws = [plan] if other is None else [plan, other]
-    with _figure(path, (12, 6), dpi) as figure:
+    with Picture(path, (12, 6), dpi) as figure:
         left, right = figure.subfigures(1, 2, width_ratios=(1, 0.95))
-        _title(left, plan)
+        draw_title(left, plan)
         _draw_object(left.add_axes((0.02, 0.04, 0.94, 0.80)), plan)
         _draw_slip(right.add_axes((0.15, 0.52, 0.79, 0.42)), laws)
         _draw_finger(right.add_axes((0.04, 0.02, 0.42, 0.37)), plan)
@@ -83,8 +83,8 @@ def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: in
 
 def plot_curves(plan: Plan, path: str | os.PathLike, dpi: int = 160) -> None:
     """Contact curves in 3-D, on the object and on a finger; see :func:`plot`."""
-    with _figure(path, (12, 6), dpi) as figure:
-        _title(figure, plan)
+    with Picture(path, (12, 6), dpi) as figure:
+        draw_title(figure, plan)
         _draw_object(figure.add_axes((0.02, 0.04, 0.58, 0.80)), plan)
         _draw_finger(figure.add_axes((0.63, 0.38, 0.34, 0.46)), plan)
         _key(figure.add_axes((0.68, 0.03, 0.30, 0.30)), plan)
@@ -95,7 +95,7 @@ def plot_slip(
 ) -> None:
     """Slip magnitude of each contact on a log axis beside its exact law; see :func:`plot`."""
     laws = [plan] if other is None else [plan, other]
-    with _figure(path, (11, 5), dpi) as figure:
+    with Picture(path, (11, 5), dpi) as figure:
         _draw_slip(figure.add_axes((0.09, 0.13, 0.62, 0.77)), laws)
         _key(figure.add_axes((0.73, 0.13, 0.26, 0.77)), plan, laws, bodies=False)
 
@@ -104,7 +104,7 @@ def _slips(plan: Plan) -> bool:
     return bool(plan.slip_speed(plan.sample_times()).any())
 
 
-class _figure:
+class Picture:
     """A figure in our style, written to its path at the end."""
 
     def __init__(self, path: str | os.PathLike, size: tuple[float, float], dpi: int):
@@ -131,12 +131,13 @@ class _figure:
             self.style.__exit__(kind, error, trace)
 
 
-def _title(figure: Any, plan: Plan) -> None:
+def draw_title(figure: Any, plan: Plan) -> None:
+    """Name, profile, gain and description of a scene at the top of a figure."""
     scene = plan.scene
     facts = rf"$\sigma$ = {_polynomial(scene.profile)} m/s,   gain {gain_text(scene.gain)}"
     figure.text(0.035, 0.955, scene.name, size=18, weight="bold", va="baseline")
     figure.text(0.965, 0.955, facts, size=10, va="baseline", ha="right", color="#5a6370")
-    figure.text(0.035, 0.905, _shortened(scene.description, 84), size=11, va="baseline")
+    figure.text(0.035, 0.905, shortened(scene.description, 84), size=11, va="baseline")
 
 
 def gain_text(gain: Gain) -> str:
@@ -154,11 +155,13 @@ def _polynomial(profile: Profile) -> str:
     return " ".join(terms)
 
 
-def _shortened(text: str, width: int) -> str:
+def shortened(text: str, width: int) -> str:
+    """The text, or its beginning and an ellipsis where it has more characters than that."""
     return text if len(text) <= width else text[: width - 1].rstrip() + "…"
 
 
-def _colour(contact: int) -> str:
+def colour_of(contact: int) -> str:
+    """The colour of a contact in all pictures."""
     return COLOURS[contact % len(COLOURS)]
 
 
@@ -180,7 +183,7 @@ def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
     ax.set_ylabel("slip [m/s]")
     ax.grid(axis="y", color="#e4e7eb", linewidth=0.8)
     ax.set_axisbelow(True)
-    _shade_windows(ax, plan)
+    shade_windows(ax, plan)
     ax.set_title("Slip at the contacts", loc="left", weight="bold")
 
 
@@ -195,7 +198,7 @@ def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
         above = np.isclose(slip[:, i + 1 :], slip[:, i : i + 1], rtol=0.02).all(0).sum()
         line = np.where(slip[:, i] > 0, slip[:, i], np.nan)
         style = {"dashes": (2.2, 1.1)} if dashed else {}
-        ax.plot(t, line, color=_colour(i), linewidth=1.8 + 1.7 * min(above, 3),
+        ax.plot(t, line, color=colour_of(i), linewidth=1.8 + 1.7 * min(above, 3),
                 solid_capstyle="butt", **style)  # fmt: skip
         if slip[:, i].any():
             ax.plot(*exact_slip(plan, i), linestyle="none", marker="o", markersize=4.5, zorder=5,
@@ -203,7 +206,8 @@ def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
     return slip
 
 
-def _shade_windows(ax: Any, plan: Plan) -> None:
+def shade_windows(ax: Any, plan: Plan) -> None:
+    """Shade when contacts are disturbed, and the time in which the paper says slip is rejected."""
     shaded = {w for i in range(len(plan.scene.contacts)) for w in windows(plan, i)}
     for start, stop in shaded:
         ax.axvspan(start, stop, color=DISTURBED, alpha=0.10, linewidth=0)
@@ -246,7 +250,7 @@ def _draw_rolling(ax: Any, plan: Plan) -> None:
     for i in followers:
         radius = plan.scene.contacts[i].finger.size
         distance = np.abs(great_circle_distance(plan.points(t)[:, i, 0])) / radius
-        ax.plot(t, np.maximum(distance, 1e-17), color=_colour(i), linewidth=1.2)
+        ax.plot(t, np.maximum(distance, 1e-17), color=colour_of(i), linewidth=1.2)
     ax.axhline(np.finfo(float).eps, color="#9aa3ad", linewidth=1, linestyle=":")
     ax.text(t[0], 3e-18, " dotted: relative spacing of doubles, 2.2e-16", size=9, color="#5a6370")
     ax.set_yscale("log")
@@ -294,7 +298,7 @@ class _Mesh:
 
 def _draw_object(ax: Any, plan: Plan) -> None:
     curves = _curves(plan, range(len(plan.scene.contacts)), side=1)
-    _draw_body(ax, _mesh(plan, plan.scene.object, 1, range(len(plan.scene.contacts))), curves)
+    draw_body(ax, mesh_of(plan, plan.scene.object, 1, range(len(plan.scene.contacts))), curves)
 
 
 def _draw_finger(ax: Any, plan: Plan) -> None:
@@ -302,8 +306,8 @@ def _draw_finger(ax: Any, plan: Plan) -> None:
     contacts = plan.scene.contacts
     same = [i for i, c in enumerate(contacts) if c.finger == contacts[0].finger]
     curves = _curves(plan, same, side=0)
-    mesh = _mesh(plan, contacts[0].finger, 0, same)
-    _draw_body(ax, mesh, _distinct(curves, 1e-3 * contacts[0].finger.size))
+    mesh = mesh_of(plan, contacts[0].finger, 0, same)
+    draw_body(ax, mesh, _distinct(curves, 1e-3 * contacts[0].finger.size))
     if len(same) == len(contacts) > 1:
         text = "On the fingers"
     else:
@@ -318,13 +322,15 @@ def _numbers(contacts: Sequence[int]) -> list[str]:
 def _curves(plan: Plan, contacts: Sequence[int], side: int) -> list[_Curve]:
     t = plan.sample_times(1601)
     points = plan.points(t)
-    curves = []
-    for i in contacts:
-        disturbed = np.zeros(len(t), bool)
-        for start, stop in windows(plan, i):
-            disturbed |= (t >= start) & (t < stop)
-        curves.append(_Curve(points[:, i, side], disturbed, _colour(i), str(i + 1)))
-    return curves
+    return [curve_of(plan, i, t, points[:, i, side]) for i in contacts]
+
+
+def curve_of(plan: Plan, contact: int, t: np.ndarray, points: np.ndarray) -> _Curve:
+    """The curve of a contact through points (n, 3) at times t (n,), and where it is disturbed."""
+    disturbed = np.zeros(len(t), bool)
+    for start, stop in windows(plan, contact):
+        disturbed |= (t >= start) & (t < stop)
+    return _Curve(points, disturbed, colour_of(contact), str(contact + 1))
 
 
 def _distinct(curves: Sequence[_Curve], distance: float) -> list[_Curve]:
@@ -341,7 +347,7 @@ def _distinct(curves: Sequence[_Curve], distance: float) -> list[_Curve]:
     return kept
 
 
-def _mesh(plan: Plan, surface: Surface, side: int, contacts: Sequence[int]) -> _Mesh | None:
+def mesh_of(plan: Plan, surface: Surface, side: int, contacts: Sequence[int]) -> _Mesh | None:
     """The whole surface if it closes on itself, else what lies around the curves."""
     for whole in (True, False):
         try:
@@ -396,15 +402,16 @@ def _around(
     return q[:, k].min() - margin, q[:, k].max() + margin
 
 
-def _draw_body(ax: Any, mesh: _Mesh | None, curves: Sequence[_Curve]) -> None:
-    view = _best_view(mesh, curves)
+def draw_body(ax: Any, mesh: _Mesh | None, curves: Sequence[_Curve]) -> None:
+    """A body from where its curves are seen best, with those curves and a scale."""
+    view = best_view(mesh, curves)
     if mesh is not None:
         _draw_surface(ax, mesh, view)
     for curve in curves:
-        hidden = _hidden(mesh, view, curve.points)
+        hidden = is_hidden(mesh, view, curve.points)
         _draw_curve(ax, view, curve, hidden)
     for curve in curves:
-        hidden = _hidden(mesh, view, curve.points[:1])
+        hidden = is_hidden(mesh, view, curve.points[:1])
         _mark_start(ax, view, curve, bool(hidden[0]))
     ax.set_aspect("equal")
     ax.margins(0.06)
@@ -412,7 +419,7 @@ def _draw_body(ax: Any, mesh: _Mesh | None, curves: Sequence[_Curve]) -> None:
     _scale_bar(ax)
 
 
-def _best_view(mesh: _Mesh | None, curves: Sequence[_Curve]) -> _View:
+def best_view(mesh: _Mesh | None, curves: Sequence[_Curve]) -> _View:
     """Of a ring of cameras the one that the curves face most."""
     points = np.concatenate([c.points[::20] for c in curves])
     starts = np.array([c.points[0] for c in curves])
@@ -466,7 +473,7 @@ def _draw_chart_lines(ax: Any, mesh: _Mesh, view: _View) -> None:
     for line in (*grid[::step], *grid.T[::step]):
         x, facing = mesh.points[line], mesh.normals[line] @ view.axes[2]
         shown = facing > 0
-        shown[shown] = ~_hidden(mesh, view, x[shown])
+        shown[shown] = ~is_hidden(mesh, view, x[shown])
         for run in _runs(shown):
             seen = view(x[run])
             ax.plot(seen[:, 0], seen[:, 1], color="white", linewidth=0.7, alpha=0.75, zorder=2)
@@ -489,7 +496,7 @@ def _draw_outline(ax: Any, mesh: _Mesh, view: _View) -> None:
     pairs = cut[crossed]
     pairs = pairs[np.isfinite(pairs[:, :, 0])].reshape(-1, 2, 3)
     pairs = np.concatenate([pairs, _edges(mesh)])
-    pairs = pairs[~_hidden(mesh, view, pairs.mean(1))]
+    pairs = pairs[~is_hidden(mesh, view, pairs.mean(1))]
     ax.add_collection(LineCollection(
         view(pairs)[:, :, :2], colors="#6b7580", linewidths=0.9, zorder=2, capstyle="round"
     ))  # fmt: skip
@@ -510,7 +517,7 @@ def _edges(mesh: _Mesh) -> np.ndarray:
     return np.concatenate(pairs)
 
 
-def _hidden(mesh: _Mesh | None, view: _View, points: np.ndarray) -> np.ndarray:
+def is_hidden(mesh: _Mesh | None, view: _View, points: np.ndarray) -> np.ndarray:
     """Whether the surface lies between each point and the camera: (n,) bool."""
     hidden = np.zeros(len(points), bool)
     if mesh is None:
@@ -603,8 +610,8 @@ def _key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) ->
     contacts = plan.scene.contacts
     entries = _slip_entries(laws) if laws else []
     for i, contact in enumerate(contacts[: len(COLOURS)]):
-        name = _shortened(contact.name or f"contact {i + 1}", 26)
-        entries.append(Line2D([], [], color=_colour(i), linewidth=2.4, label=name))
+        name = shortened(contact.name or f"contact {i + 1}", 26)
+        entries.append(Line2D([], [], color=colour_of(i), linewidth=2.4, label=name))
     if plan.scene.disturbances:
         entries.append(Line2D([], [], color=DISTURBED, linewidth=2.4, label="disturbance"))
     if bodies:

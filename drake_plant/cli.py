@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from contact_system import load_scene
-from contact_system.cli import Progress, _file_name, _paragraph, _results_folder
+from contact_system.cli import Progress, file_name, paragraph, results_folder, table
 from contact_system.measures import REJECTED
 from contact_system.plots import MissingMatplotlib
 from contact_system.scene_files import scene_to_toml
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     wished = {"contact_model": args.contact, "object": args.object, "time_step": args.time_step,
               "coordinates": args.coordinates}  # fmt: skip
     config = StationConfig.from_scene(scene, **{k: v for k, v in wished.items() if v is not None})
-    stem = _results_folder(args, scene) / f"{_file_name(scene)}-drake"
+    stem = results_folder(args, scene) / f"{file_name(scene)}-drake"
     recording = None if args.no_recording else stem.with_suffix(".html")
     duration = scene.duration if args.until is None else args.until
     with Progress(TICKS, "building") as progress:
@@ -137,11 +137,11 @@ def _told(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterabl
             "is more; to rolling: or below what undisturbed contacts have at the same speed. "
             f"Saturated: part of the disturbance with friction above {SATURATED:.0%} of mu N."
         )
-        yield from (*map(_paragraph, _verdict(result, reports)), "")
+        yield from (*map(paragraph, _verdict(result, reports)), "")
 
 
 def _explained(text: str) -> Iterable[str]:
-    return (_paragraph(text), "")
+    return (paragraph(text), "")
 
 
 def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
@@ -154,7 +154,7 @@ def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
          f"{1e3 * r.distance:.3f}")
         for r in reports
     ]  # fmt: skip
-    return _table(head, rows)
+    return (*table(head, rows, 1), "")
 
 
 def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
@@ -172,16 +172,7 @@ def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
         answer = {True: "yes", False: "no", None: "-"}[r.as_reported]
         rows.append((r.name, f"{r.disturbed_slip:.2e}", f"{r.slip_before:.2e}",
                      f"{r.saturated:.0%}", *taken, reported, answer))  # fmt: skip
-    return _table(head, rows)
-
-
-def _table(head: Sequence[tuple[str, str]], rows: Sequence[tuple[str, ...]]) -> Iterable[str]:
-    names, units = zip(*head)
-    widths = [max(map(len, column)) for column in zip(names, units, *rows)]
-    for row in (names, units, ["-" * w for w in widths], *rows):
-        cells = [f"{c:>{w}}" if k else f"{c:<{w}}" for k, (c, w) in enumerate(zip(row, widths))]
-        yield "  ".join(cells).rstrip()
-    yield ""
+    return (*table(head, rows, 1), "")
 
 
 def _verdict(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterable[str]:

@@ -13,20 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_system import Plan, plan
-from contact_system.measures import windows
 from contact_system.plots import (
     DISTURBED,
     INK,
     RECOVERY,
-    _best_view,
-    _colour,
-    _Curve,
-    _draw_body,
-    _figure,
-    _hidden,
-    _mesh,
-    _shortened,
-    _title,
+    Picture,
+    best_view,
+    colour_of,
+    curve_of,
+    draw_body,
+    draw_title,
+    is_hidden,
+    mesh_of,
+    shade_windows,
+    shortened,
 )
 
 if TYPE_CHECKING:
@@ -56,9 +56,9 @@ def plot(result: SimulationResult, path: str | os.PathLike, dpi: int = 160) -> N
         If it is not installed.
     """
     planned = plan(result.scene)
-    with _figure(path, (13, 9), dpi) as figure:
+    with Picture(path, (13, 9), dpi) as figure:
         left, right = figure.subfigures(1, 2, width_ratios=(1, 1.15))
-        _title(left, planned)
+        draw_title(left, planned)
         _draw_curves(left.add_axes((0.02, 0.18, 0.96, 0.68)), result, planned)
         _key(left.add_axes((0.05, 0.02, 0.9, 0.15)), result)
         panels = (_draw_slip, _draw_normal, _draw_friction, _draw_distance)
@@ -74,9 +74,9 @@ def _draw_slip(ax: Any, result: SimulationResult) -> None:
     for i in range(len(result.scene.contacts)):
         measured = np.linalg.norm(result.measured["slip"][:, i], axis=1)
         planned = np.linalg.norm(result.planned["slip"][:, i], axis=1)
-        ax.plot(*_thinned(result.t, measured), color=_colour(i), linewidth=0.9)
+        ax.plot(*_thinned(result.t, measured), color=colour_of(i), linewidth=0.9)
         shown = np.where(planned > 0, planned, np.nan)
-        ax.plot(*_thinned(result.t, shown), color=_colour(i), linewidth=1.6, dashes=(2.2, 1.1))
+        ax.plot(*_thinned(result.t, shown), color=colour_of(i), linewidth=1.6, dashes=(2.2, 1.1))
         peak = max(peak, measured.max(), planned.max())
     ax.set_yscale("log")
     if peak > 0:
@@ -87,7 +87,7 @@ def _draw_slip(ax: Any, result: SimulationResult) -> None:
 
 def _draw_normal(ax: Any, result: SimulationResult) -> None:
     for i in range(len(result.scene.contacts)):
-        _ripple(ax, result.t, result.measured["normal_force"][:, i], _colour(i))
+        _ripple(ax, result.t, result.measured["normal_force"][:, i], colour_of(i))
     wanted = result.config.plant.normal_force
     ax.axhline(wanted, color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, 2 * wanted)
@@ -98,7 +98,7 @@ def _draw_normal(ax: Any, result: SimulationResult) -> None:
 def _draw_friction(ax: Any, result: SimulationResult) -> None:
     for i in range(len(result.scene.contacts)):
         force = np.linalg.norm(result.measured["tangential_force"][:, i], axis=1)
-        _ripple(ax, result.t, force, _colour(i))
+        _ripple(ax, result.t, force, colour_of(i))
     limit = result.config.plant.friction * result.config.plant.normal_force
     ax.axhline(limit, color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, 1.3 * limit)
@@ -109,7 +109,7 @@ def _draw_friction(ax: Any, result: SimulationResult) -> None:
 def _draw_distance(ax: Any, result: SimulationResult) -> None:
     apart = result.measured["contact_point"] - result.planned["contact_point"]
     for i, distance in enumerate(1e3 * np.linalg.norm(apart, axis=2).T):
-        ax.plot(*_thinned(result.t, distance), color=_colour(i), linewidth=1.2)
+        ax.plot(*_thinned(result.t, distance), color=colour_of(i), linewidth=1.2)
     ax.set_title("Measured contact point from the planned one", loc="left", weight="bold")
     ax.set_ylabel("distance [mm]")
     ax.set_ylim(bottom=0.0)
@@ -141,13 +141,8 @@ def _finish(ax: Any, result: SimulationResult, planned: Plan, last: bool) -> Non
     ax.set_xlim(result.t[0], result.t[-1])
     ax.grid(axis="y", color="#e4e7eb", linewidth=0.8)
     ax.set_axisbelow(True)
-    shaded = {w for i in range(len(result.scene.contacts)) for w in windows(planned, i)}
-    for start, stop in shaded:
-        ax.axvspan(start, stop, color=DISTURBED, alpha=0.10, linewidth=0)
-    wanted = result.scene.paper.get("recovery_time")
-    if wanted and shaded:
-        end = max(stop for _, stop in shaded)
-        ax.axvspan(end, end + wanted, color=RECOVERY, alpha=0.16, linewidth=0)
+    if result.scene.disturbances:
+        shade_windows(ax, planned)
     if last:
         ax.set_xlabel("time [s]")
     else:
@@ -161,18 +156,13 @@ def _draw_curves(ax: Any, result: SimulationResult, planned: Plan) -> None:
     """Measured contact curves, with dots where the plan has them."""
     every = slice(None, None, max(1, len(result.t) // 1600))
     t, contacts = result.t[every], range(len(result.scene.contacts))
-    curves = []
-    for i in contacts:
-        disturbed = np.zeros(len(t), bool)
-        for start, stop in windows(planned, i):
-            disturbed |= (t >= start) & (t < stop)
-        points = result.measured["contact_point"][every, i]
-        curves.append(_Curve(points, disturbed, _colour(i), str(i + 1)))
-    mesh = _mesh(planned, result.scene.object, 1, contacts)
-    _draw_body(ax, mesh, curves)
-    view = _best_view(mesh, curves)
+    points = result.measured["contact_point"][every]
+    curves = [curve_of(planned, i, t, points[:, i]) for i in contacts]
+    mesh = mesh_of(planned, result.scene.object, 1, contacts)
+    draw_body(ax, mesh, curves)
+    view = best_view(mesh, curves)
     dots = result.planned["contact_point"][:: max(1, len(result.t) // DOTS)].reshape(-1, 3)
-    seen = view(dots[~_hidden(mesh, view, dots)])
+    seen = view(dots[~is_hidden(mesh, view, dots)])
     ax.plot(seen[:, 0], seen[:, 1], linestyle="none", marker="o", markersize=1.7, color="white",
             zorder=7)  # fmt: skip
 
@@ -182,8 +172,8 @@ def _key(ax: Any, result: SimulationResult) -> None:
     from matplotlib.patches import Patch
 
     entries: list[Any] = [
-        Line2D([], [], color=_colour(i), linewidth=2.4,
-               label=_shortened(contact.name or f"contact {i + 1}", 26))
+        Line2D([], [], color=colour_of(i), linewidth=2.4,
+               label=shortened(contact.name or f"contact {i + 1}", 26))
         for i, contact in enumerate(result.scene.contacts)
     ]  # fmt: skip
     entries.append(Line2D([], [], color=INK, linewidth=2.4, marker="o", markersize=2.5,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from contact_system import load_scene
-from contact_system.cli import Progress, _file_name, _paragraph
+from contact_system.cli import Progress, file_name, paragraph
 
 INTERFACES = ("CoSimulation", "ModelExchange")
 
@@ -35,10 +35,10 @@ def run(args: argparse.Namespace) -> int:
     from .export import export_fmu  # fmpy and the compiler's side only when they are needed
 
     scene, began = load_scene(args.scene), time.monotonic()
-    path = args.out or Path(f"{_file_name(scene)}.fmu")
+    path = args.out or Path(f"{file_name(scene)}.fmu")
     with Progress(1 + len(args.platforms), "writing the sources") as progress:
         export_fmu(scene, path, args.fmi, args.interfaces, args.platforms, progress.step)
-    print(_paragraph(
+    print(paragraph(
         f"wrote {path}: {path.stat().st_size / 1000:.0f} kB, FMI {args.fmi}, "
         f"{' and '.join(args.interfaces)}, for {', '.join(args.platforms)}; "
         f"{time.monotonic() - began:.1f} s"

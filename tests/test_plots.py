@@ -32,27 +32,27 @@ def _ink(image) -> float:
 
 def test_points_behind_a_sphere_are_hidden_and_those_before_it_are_not():
     plan = cs.plan(_scene(cs.Sphere(0.1), at=(1.0, 0.2)))
-    mesh = plots._mesh(plan, plan.scene.object, 1, [0])
+    mesh = plots.mesh_of(plan, plan.scene.object, 1, [0])
     view = plots._View(np.eye(3))  # the camera looks down the z axis
     x = np.random.default_rng(2).normal(size=(300, 3))
     x *= 0.1 / np.linalg.norm(x, axis=1)[:, None]
     x = x[np.abs(x[:, 2]) > 0.03]
-    assert np.array_equal(plots._hidden(mesh, view, x), x[:, 2] < 0)
+    assert np.array_equal(plots.is_hidden(mesh, view, x), x[:, 2] < 0)
 
 
 def test_the_near_side_of_a_ring_hides_the_far_side():
     plan = cs.plan(_scene(cs.Torus(0.2, 0.05)))
-    mesh = plots._mesh(plan, plan.scene.object, 1, [0])
+    mesh = plots.mesh_of(plan, plan.scene.object, 1, [0])
     view = plots._View(np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]))  # seen from +x
     ring = np.array([[0.25, 0, 0], [0.15, 0, 0], [-0.15, 0, 0], [-0.25, 0, 0]])
-    assert plots._hidden(mesh, view, ring).tolist() == [False, True, True, True]
+    assert plots.is_hidden(mesh, view, ring).tolist() == [False, True, True, True]
 
 
 def test_a_hollow_is_seen_from_its_open_side():
     plan = cs.plan(_scene(cs.Sphere(0.2, inside=True), at=(3 * math.pi / 4, 0.0)))
-    mesh = plots._mesh(plan, plan.scene.object, 1, [0])
+    mesh = plots.mesh_of(plan, plan.scene.object, 1, [0])
     curve = plots._curves(plan, [0], 1)
-    hidden = plots._hidden(mesh, plots._best_view(mesh, curve), curve[0].points)
+    hidden = plots.is_hidden(mesh, plots.best_view(mesh, curve), curve[0].points)
     assert not hidden.any()
 
 
@@ -83,7 +83,7 @@ def test_what_is_cropped_stays_near_the_curve():
     for name in ("plane", "hyperboloid", "open implicit"):
         surface, at = SURFACES[name]
         plan = cs.plan(_scene(surface, at))
-        mesh = plots._mesh(plan, surface, 1, [0])
+        mesh = plots.mesh_of(plan, surface, 1, [0])
         curve = plan.points(plan.sample_times())[:, 0, 1]
         assert np.ptp(mesh.points, axis=0).max() < 12 * np.ptp(curve, axis=0).max()
 
