@@ -71,6 +71,11 @@ class Measurement:
         self.frame = table[:, 19:28].reshape(n, 3, 3)
         self.curvature = table[:, 28:32].reshape(n, 2, 2)
 
+    @property
+    def object_surface(self) -> np.ndarray:
+        """x_2, the axes of E2 and K_2 of each contact: (n, 16)."""
+        return self.table[:, 16:32]
+
 
 def measured_states(
     scene: Scene, pose: ArrayLike, twist: ArrayLike, points: ArrayLike

@@ -163,7 +163,7 @@ class ContactMonitor(LeafSystem):
         if not seen.touching.all():
             points[~seen.touching] = self._sensor.approach(pose)[~seen.touching]
         found = self._sensor.measure(pose, twist, points, seen.share)
-        force = _split(np.hstack([found.table[:, 16:32], moved[:, 18:]]))
+        force = _split(np.hstack([found.object_surface, moved[:, 18:]]))
         force[~seen.touching] = 0.0  # with no frame either
         outputs = {
             "slip": found.slip.ravel(),
