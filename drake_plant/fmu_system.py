@@ -43,7 +43,7 @@ from fmpy.simulation import settable_in_initialization_mode, settable_in_instant
 
 Array = np.ndarray
 Names = str | Sequence[str]
-Given = Iterable[tuple["Block", Array]]
+Given = Iterable[tuple["PortVariables", Array]]
 
 SLACK = 1e-6
 """By how much of a step the Context's time and the FMU's may differ."""
@@ -60,7 +60,7 @@ KINDS = {
 # --- variables -----------------------------------------------------------------------------------
 
 
-class Block:
+class PortVariables:
     """The variables of one port, read or written by one call for each FMI type.
 
     Parameters
@@ -226,7 +226,7 @@ class Instance:
         self._keys = itertools.count()
         self._log: collections.deque[tuple[int, str]] = collections.deque(maxlen=20)
         self._start_values: list[tuple[Any, list[Any]]] = []  # variables of fmpy's, elements
-        self._outputs: list[Block] = []
+        self._outputs: list[PortVariables] = []
         self._made_folder: str | None = None
         path = Path(fmu)
         with contextlib.ExitStack() as undo:
@@ -256,7 +256,7 @@ class Instance:
 
     # --- variables
 
-    def select(self, names: Names | None, causality: str) -> Block:
+    def select(self, names: Names | None, causality: str) -> PortVariables:
         """The variables of a port.
 
         Parameters
@@ -269,7 +269,7 @@ class Instance:
         every = self.description.modelVariables
         pool = [v for v in every if v.causality == causality and _carried(v)]
         if names is None:
-            return Block(pool, self.version)
+            return PortVariables(pool, self.version)
         by_name = {v.name: v for v in every}
         found: list[Any] = []
         for name in [names] if isinstance(names, str) else names:
@@ -284,13 +284,13 @@ class Instance:
                     f"{self.name}: {v.name}, {v.causality} of type {v.type}, cannot be on an "
                     f"{causality} port: leave it out"
                 )
-        return Block(found, self.version)
+        return PortVariables(found, self.version)
 
     def _refuse_name(self, name: str, known: Iterable[str], what: str = "") -> None:
         hint = did_you_mean(name, known) or "; see modelDescription.xml"
         raise ContactSystemError(f"{self.name} has no {what}variable {name!r}{hint}")
 
-    def prepare(self, start_values: Mapping[str, Any], outputs: list[Block]) -> None:
+    def prepare(self, start_values: Mapping[str, Any], outputs: list[PortVariables]) -> None:
         """Say what initialization sets, and what is read after it and each step."""
         variables = {v.name: v for v in self.description.modelVariables}
         for name, value in start_values.items():
@@ -303,7 +303,7 @@ class Instance:
         """As fmpy's setters take it."""
         if not _carried(variable):
             return [value]
-        block, problem = Block([variable], self.version), None
+        block, problem = PortVariables([variable], self.version), None
         try:
             values = np.ravel(np.asarray(value, dtype=float))
         except (TypeError, ValueError):
@@ -325,7 +325,7 @@ class Instance:
         ----------
         time : float
             s.
-        given : pairs of a Block and values
+        given : pairs of a PortVariables and values
             Inputs at that time.
         """
         self._renew(time)
@@ -363,7 +363,7 @@ class Instance:
         Parameters
         ----------
         moment : Moment
-        given : pairs of a Block and values
+        given : pairs of a PortVariables and values
             Inputs during the step.
         step : float
             s.
@@ -662,7 +662,7 @@ class FmuSystem(LeafSystem):
 
 def _blocks(
     instance: Instance, causality: str, chosen: Names | Mapping[str, Names] | None, usual: str
-) -> dict[str, Block]:
+) -> dict[str, PortVariables]:
     """Port name -> its variables; a port without variables is left out."""
     ports = chosen if isinstance(chosen, Mapping) else {usual: chosen}
     found = {port: instance.select(names, causality) for port, names in ports.items()}

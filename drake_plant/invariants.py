@@ -41,7 +41,7 @@ MOST = 2e7
 """Steps; the whole would take more than a quarter of an hour."""
 
 
-class Progress:
+class StepWatch:
     """How fast a simulation comes on; error control may ask for steps of 1e-9 s all the way."""
 
     def __init__(self, scene: Scene):

@@ -34,7 +34,7 @@ from contact_system.kernels import (
 from .invariants import (
     MOST,
     Limits,
-    Progress,
+    StepWatch,
     has_invariants,
     no_limits,
     pace_function,
@@ -65,7 +65,7 @@ Array = np.ndarray
 # --- numbers: a CasADi function between fixed buffers ---------------------------------------------
 
 
-class Machine:
+class BufferedFunction:
     """A CasADi function that reads and writes the same arrays at every :attr:`run`.
 
     Parameters
@@ -130,11 +130,11 @@ class Scratch:
         self.held = system.held0.copy()
         self.given = (self.t, self.x, self.w, self.held)
         self.same = (0.0, 0.0)
-        self._machines: dict[str, Machine] = {}
-        self.limits, self.progress = no_limits(system), Progress(system.scene)
+        self._machines: dict[str, BufferedFunction] = {}
+        self.limits, self.steps = no_limits(system), StepWatch(system.scene)
         if has_invariants(system):
             given = (*self.given, system.parameters, self.limits)
-            machine = Machine(_pace(system), given, compiled)
+            machine = BufferedFunction(_pace(system), given, compiled)
             self.run_pace, self.paces = machine.run, machine.results[4:]
             self.excess = machine.results[3].data
         else:
@@ -144,9 +144,9 @@ class Scratch:
         self.hot = (self.t.data, self.x.data, machine.run, guard.data, rates)
         self.clearance = clearance.data
 
-    def _machine(self, *outputs: str) -> Machine:
+    def _machine(self, *outputs: str) -> BufferedFunction:
         given = (*self.given, self._system.parameters)
-        return Machine(self._system.function(*outputs), given, self._compiled)
+        return BufferedFunction(self._system.function(*outputs), given, self._compiled)
 
     def evaluate(self, output: str) -> Array:
         """An output of what is loaded; the array is written again."""
@@ -549,12 +549,12 @@ def _define(T: type) -> type:
                     look(context)
                 if not watched:
                     return
-                t, progress = context.get_time(), own.progress
+                t, steps = context.get_time(), own.steps
                 if paced:
-                    long = not 0.0 < (t - progress.last) * lam <= 1.0
-                    if long or progress.count % OTHERS == 0 or not own.excess[0] <= 0.0:
+                    long = not 0.0 < (t - steps.last) * lam <= 1.0
+                    if long or steps.count % OTHERS == 0 or not own.excess[0] <= 0.0:
                         check(context)
-                wrong = progress.step(t)
+                wrong = steps.step(t)
                 if wrong:
                     crawls(context, wrong)
 

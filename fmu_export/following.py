@@ -47,8 +47,8 @@ class Following:
 
     Parameters
     ----------
-    crews : sequence of Crew
-        All contacts; see :func:`crews_of`.
+    lockstep : sequence of LockstepGroup
+        All contacts; see :func:`lockstep_groups`.
     piece : GainPiece
         sigma and the gain from the beginning of the step on.
     law : sequence of float
@@ -76,18 +76,20 @@ class Following:
     """
 
     def __init__(
-        self, crews: Sequence[Crew], piece: GainPiece, law: Sequence[float], end: float,
+        self, lockstep: Sequence[LockstepGroup], piece: GainPiece, law: Sequence[float], end: float,
         starts: Sequence[Moment], acting: np.ndarray,
     ):  # fmt: skip
         self.start, self.end, self.starts = piece.start, end, list(starts)
         self.found = {name: np.empty((1, len(starts), size)) for name, size in GROUPS.items()}
         self.moments: list[Moment] = list(starts)
-        for crew in crews:
-            members = crew.members
-            state, rows = crew.moved([starts[i] for i in members], acting[members], piece, law, end)
-            for i, numbers, own, row in zip(members, crew.numbers, state.tolist(), rows):
-                crew.wind(row, starts[i])
-                self.moments[i] = crew.moment(numbers, own, row, starts[i])
+        for group in lockstep:
+            members = group.members
+            state, rows = group.moved(
+                [starts[i] for i in members], acting[members], piece, law, end
+            )
+            for i, numbers, own, row in zip(members, group.numbers, state.tolist(), rows):
+                group.wind(row, starts[i])
+                self.moments[i] = group.moment(numbers, own, row, starts[i])
             results, at = np.array(rows), 0
             for name, size in GROUPS.items():
                 self.found[name][0, members] = results[:, at : at + size]
@@ -97,7 +99,7 @@ class Following:
 _CARRIED = sum(GROUPS.values()) - GROUPS["carried"]
 
 
-class Crew:
+class LockstepGroup:
     """Contacts whose fingers are of one structure, which are moved in lockstep.
 
     A state is the finger's frame, W_1, the object's frame, V; a frame is x, p, q or u, v, theta.
@@ -215,12 +217,12 @@ class Crew:
         return Moment(before.angle, tuple(state[n1 : n1 + 2]), tuple(state[-2:]), *places, *moving)
 
 
-def crews_of(scene: Scene) -> list[Crew]:
+def lockstep_groups(scene: Scene) -> list[LockstepGroup]:
     """All contacts of a scene; its disturbances, gain and duration do not count."""
     kinds: dict[object, list[int]] = {}
     for i, contact in enumerate(scene.contacts):
         kinds.setdefault((contact.finger.structure, contact.finger.periods()), []).append(i)
-    return [Crew(scene, members) for members in kinds.values()]
+    return [LockstepGroup(scene, members) for members in kinds.values()]
 
 
 @per_structure

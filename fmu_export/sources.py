@@ -153,7 +153,7 @@ class _Model:
         ]  # fmt: skip
         return "".join([
             '#include "component.h"\n\n', *self.functions,
-            "static const kind_t contact_kinds[] = {\n", *kind_rows, "};\n",
+            "static const contact_kind_t contact_kinds[] = {\n", *kind_rows, "};\n",
             "const place_t places[] = {\n", *places, "};\n",
             "const window_t windows[] = {\n", *map(self._window, self.scene.disturbances),
             "  {0, 0, 0, {0}}};\n",
@@ -174,7 +174,7 @@ class _Model:
     # --- one kind of contact ---------------------------------------------------------------------
 
     def _kind(self, finger: Surface) -> str:
-        """The initializer of a ``kind_t``."""
+        """The initializer of a ``contact_kind_t``."""
         obj = self.scene.object
         home = (in_space(finger, False), in_space(obj, False))
         tip, body = (in_space(finger, True), in_space(obj, True))

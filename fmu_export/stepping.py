@@ -30,7 +30,7 @@ from contact_system.scene import DISTURBANCE_KINDS, Contact, Disturbance, Scene
 from contact_system.starts import Moment, Start, Starts, scene_start
 from contact_system.surfaces import Surface
 
-from .following import TOLERANCE, Crew, Following, crews_of
+from .following import TOLERANCE, Following, LockstepGroup, lockstep_groups
 from .model import RESULTS, STATES, contact_results, jacobian, regularity, surface_with
 from .variables import BLOCK, INPUTS, Table, variable_table
 
@@ -113,7 +113,7 @@ class Block:
         windows = {t for d in scene.disturbances for t in (d.start, d.stop)}
         self._edges = tuple(sorted(windows))
         self._own: dict[tuple[float, ...], Scene] = {}
-        self._crews: dict[tuple[float, ...], list[Crew]] = {}
+        self._lockstep: dict[tuple[float, ...], list[LockstepGroup]] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -236,10 +236,12 @@ class Block:
 
     def _following(self, piece: GainPiece, end: float, starts: Sequence[Moment]) -> Following:
         key = tuple(self.now.values[GAIN + 1 : self.table.blocks[0]].tolist())
-        if key not in self._crews:
-            self._crews[key] = crews_of(self._scene_with(self.now.values))
+        if key not in self._lockstep:
+            self._lockstep[key] = lockstep_groups(self._scene_with(self.now.values))
         law = [float(self.now.values[GAIN]), *key[: len(self.scene.profile.coefficients)]]
-        return Following(self._crews[key], piece, law, end, starts, self._disturbance(piece.start))
+        return Following(
+            self._lockstep[key], piece, law, end, starts, self._disturbance(piece.start)
+        )
 
     def _plan_from(self, begin: float, end: float, least: float, starts: Starts) -> None:
         scene = self._scene_between(begin, end, least)

@@ -687,7 +687,7 @@ void set_time(component_t *c, double time) {
 
 /* Put contact i where its states say. Returns what is wrong, or NULL. */
 static const char *place_contact(memory_t *now, long i) {
-  const kind_t *kind = places[i].kind;
+  const contact_kind_t *kind = places[i].kind;
   const double *state = now->value + places[i].block + AT_STATE;
   const double *const a[] = {state, numbers(now, i, 0), numbers(now, i, 1)};
   double first[MAX_STATES + 4];
@@ -855,7 +855,7 @@ void reverse(component_t *c) {
   const double *a[12];
   memcpy(c->grown, c->seed, sizeof c->grown);
   for (long i = 0; i < N_CONTACTS; i++) {
-    const kind_t *kind = places[i].kind;
+    const contact_kind_t *kind = places[i].kind;
     const long block = places[i].block, *n = kind->n_numbers;
     const long first[] = {0, block + AT_STATE, block, GAIN, places[i].finger, OBJECT};
     const long count[] = {1, SYSTEM_STATES, 6, 1 + N_PROFILE, n[0], n[1]};

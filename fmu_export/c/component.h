@@ -61,10 +61,10 @@ typedef struct {
   kernel_t forward, reverse; /* the same and seeds: products with their Jacobian */
   long n_numbers[2];
   track_t winding[2];     /* periods and double covers of the coordinates */
-} kind_t;
+} contact_kind_t;
 
 typedef struct {
-  const kind_t *kind;
+  const contact_kind_t *kind;
   long block, finger; /* where its values begin; the numbers of its finger */
   double size[2];     /* length scales of finger and object, m */
 } place_t;
