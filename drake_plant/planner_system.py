@@ -633,7 +633,7 @@ def _define(T: type) -> type:
                 own.held[:] = context.get_discrete_state(self._held).value()
             if self._held is self._disturbance is None:
                 edges = (-math.inf, *self.system.edges, math.inf)
-                k = bisect.bisect(edges, t)
+                k = bisect.bisect_left(edges, t)
                 own.same = (t, t) if t in edges else (edges[k - 1], edges[k])
 
         def _Numbers(self, context: Any, output: str) -> Array:

@@ -630,6 +630,16 @@ def test_no_output_is_not_a_number():
             planner.GetOutputPort(port).Eval(context)
 
 
+def test_a_time_that_is_not_a_number_is_refused():
+    planner = ContactPlanner(cs.load_scene("K4"))
+    context = planner.CreateDefaultContext()
+    context.SetTime(math.nan)
+    with pytest.raises(cs.ContactSystemError, match="scene 'K4', contact 0: at t = nan s"):
+        planner.EvalTimeDerivatives(context)
+    context.SetTime(0.5)
+    assert np.isfinite(planner.EvalTimeDerivatives(context).CopyToVector()).all()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
