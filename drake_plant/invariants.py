@@ -98,8 +98,19 @@ class Limits(NamedTuple):
         """The limits once a contact has been where its charts are stretched so much."""
         return self._replace(stretch=np.fmax(self.stretch, stretch))
 
+    @property
+    def unknown(self) -> bool:
+        """Whether they were taken from a contact at rest, where sigma is 0."""
+        return not np.isfinite(self.speed).all()
+
+    def begun(self, speed: Array, slip: Array) -> Limits:
+        """The limits of contacts that have left a rest."""
+        return self._replace(speed=speed.copy(), slip=slip.copy())
+
     def near(self) -> Array:
         """Limits well within these, as `pace_function` takes them: (5 n)."""
+        if self.unknown:  # look at every step
+            return np.full(5 * len(self.speed), -np.inf)
         less = (1 - WATCHED) * TOLERANCE * self.speed
         off, slip = self.off - less, self.most_slip - less
         return np.concatenate(
@@ -176,6 +187,12 @@ def pushes(system: SceneSystem) -> Array:
     return found
 
 
+def stands(scene: Scene, t: float) -> bool:
+    """Whether sigma is too small for what is relative to it."""
+    most = scene.profile(np.linspace(0, scene.duration, 101)).max()
+    return scene.profile(t) <= STANDING * most
+
+
 def refuse_pace(system: SceneSystem, t: float, limits: Limits, speed: Array, slip: Array) -> None:
     """Raise where a speed or a slip is beyond its limit.
 
@@ -187,7 +204,7 @@ def refuse_pace(system: SceneSystem, t: float, limits: Limits, speed: Array, sli
     scene, sigma = system.scene, system.scene.profile(t)
     steady = np.abs(speed - limits.speed) <= limits.off
     fine = steady & (slip <= limits.most_slip)
-    if fine.all() or sigma <= STANDING * scene.profile(np.linspace(0, scene.duration, 101)).max():
+    if fine.all() or stands(scene, t):
         return
     i = int(np.argmin(fine))
     most = sigma * limits.most_slip[i]

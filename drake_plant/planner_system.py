@@ -40,6 +40,7 @@ from .invariants import (
     pace_function,
     pushes,
     refuse_pace,
+    stands,
     stiffness,
 )
 from .lifetimes import NO_DICTIONARY, weakly
@@ -611,9 +612,11 @@ def _define(T: type) -> type:
                 _refuse(self.system, *own.given)
             own.run_pace()
             speed, slip, stretch = own.paces
-            kept[0] = limits = kept[0].widened(stretch.reshape(-1, 2))
-            own.limits[:] = limits.near()
-            refuse_pace(self.system, context.get_time(), limits, speed, slip)
+            limits, t = kept[0].widened(stretch.reshape(-1, 2)), context.get_time()
+            if limits.unknown and not stands(self.system.scene, t):
+                limits = limits.begun(speed, slip)
+            kept[0], own.limits[:] = limits, limits.near()
+            refuse_pace(self.system, t, limits, speed, slip)
 
         def _Load(self, context: Any, output: str = "derivatives") -> None:
             own = self._scratches.own

@@ -630,6 +630,16 @@ def test_no_output_is_not_a_number():
             planner.GetOutputPort(port).Eval(context)
 
 
+def test_a_scene_that_starts_at_rest_is_watched_once_it_moves():
+    """The bowl: sigma(0) = 0, and an acceleration later, so that slip is integrated."""
+    scene = cs.load_scene("bowl")
+    planner = ContactPlanner(scene, "frame")
+    assert error(planner, run(planner, 2.0, "runge_kutta5")) < 1e-9
+    stiff = ContactPlanner(scene.replace(gain=cs.Gain.path(1e7)), "frame")
+    with pytest.raises(cs.SceneError, match=r"contact 0: integrated to t = 0\.0.* it slips at"):
+        run(stiff, 2.0, "explicit_euler", 0.01)
+
+
 def test_a_time_that_is_not_a_number_is_refused():
     planner = ContactPlanner(cs.load_scene("K4"))
     context = planner.CreateDefaultContext()
