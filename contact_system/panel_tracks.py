@@ -11,7 +11,7 @@ import numpy as np
 from .kernels import Kernel, address, contiguous
 from .panels import Motion, Panels, Problem, integrate, usable
 from .profile import GainPiece
-from .surfaces import Surface
+from .surfaces import Surface, second_cover
 from .tracks import (
     LOCK,
     Evaluator,
@@ -222,22 +222,67 @@ class PanelTrack(Track):
         edges = self.panels.edges
         at = (edges[:-1, None] + (edges[1:] - edges[:-1])[:, None] * _QUARTERS).ravel()
         at = np.append(at, edges[-1])
-        points = np.concatenate([self._state_at(at), np.zeros((n, 2, len(at)))], axis=1)
-        with np.errstate(all="ignore"):
-            raw = self.run(coordinate_kernel(self.surface, True), points, self.parameters)
+        raw = self._principal(at)
         u, v, theta = (
             np.vstack([begin[:, k], raw[:, i].T]) for k, i in enumerate((0, 1, 4))
         )  # places first, as unwind wants
-        u, v, turned = self.surface.unwind(u, v)
-        theta = np.unwrap(theta + np.pi * turned, axis=0)
+        if self.surface.double_cover:
+            # the second cover begins where a seam is crossed, which neighbours alone do not tell
+            first = self.surface.align(u[1], v[1], u[0], v[0])[2]
+            turned = np.logical_xor.accumulate(np.vstack([first, self._seams(at, raw)]), axis=0)
+            u[1:], v[1:] = np.where(turned, -u[1:], u[1:]), np.where(turned, np.pi - v[1:], v[1:])
+            theta[1:] += np.pi * turned
+        for values, period in zip((u, v, theta), (*self.surface.periods(), 2 * np.pi)):
+            if period is not None:
+                values[:] = np.unwrap(values, axis=0, period=period)
         return at, np.stack([u, v, theta])[:, 1:].transpose(2, 0, 1)
 
+    def _principal(self, at: np.ndarray) -> np.ndarray:
+        """u, v, rates, theta at places on the panels, in principal values; the rates are none."""
+        points = np.concatenate([self._state_at(at), np.zeros((self.n_bodies, 2, len(at)))], axis=1)
+        with np.errstate(all="ignore"):
+            return self.run(coordinate_kernel(self.surface, True), points, self.parameters)
+
+    def _seams(self, at: np.ndarray, raw: np.ndarray) -> np.ndarray:
+        """Where the paths cross cos v = 0 between places, (n - 1, n_bodies).
+
+        There, or where sin u = 0, the sign of sin u cos v changes: told at the crossing, by regula
+        falsi (Illinois), and so right beside an umbilic too.
+        """
+        y, side = np.sin(raw[:, 0]) * np.cos(raw[:, 1]), second_cover(raw[:, 0], raw[:, 1])[1]
+        seams = np.zeros((len(at) - 1, len(raw)), dtype=bool)
+        b, i = np.nonzero(side[:, 1:] != side[:, :-1])
+        x, x2, a, c, kept = at[i], at[i + 1], y[b, i], y[b, i + 1], np.zeros(len(b))
+        for _ in range(100 if len(b) else 0):
+            with np.errstate(invalid="ignore"):
+                middle = x + (x2 - x) * (a / (a - c))
+            middle = np.where((x < middle) & (middle < x2), middle, 0.5 * (x + x2))
+            here = self._principal(middle)[b, :, np.arange(len(b))]
+            sin, cos = np.sin(here[:, 0]), np.cos(here[:, 1])
+            seams[i, b] = cos < np.abs(sin)
+            if (np.fmin(np.abs(sin), cos) <= 1e-6 * np.fmax(np.abs(sin), cos)).all():
+                break
+            before = (sin < 0) == side[b, i]  # an end that is kept twice counts half
+            c = np.where(before, np.where(kept > 0, 0.5 * c, c), sin * cos)
+            a = np.where(before, sin * cos, np.where(kept < 0, 0.5 * a, a))
+            x, x2 = np.where(before, middle, x), np.where(before, x2, middle)
+            kept = np.where(before, 1, -1)
+        return seams
+
     def _continue(self, t: np.ndarray, values: np.ndarray) -> None:
-        """Bring (u, v, theta) to the branch of the nearest anchor, in place."""
+        """Bring (u, v, theta) to the branch of an anchor beside them, in place."""
         at, anchors = self._anchors  # type: ignore[misc]
-        nearest = np.searchsorted(0.5 * (at[1:] + at[:-1]), self._variable(t))
+        x = self._variable(t)
+        nearest = np.searchsorted(0.5 * (at[1:] + at[:-1]), x)
         reference = anchors[:, :, nearest]
         if self.surface.double_cover:
+            # the other one, if no seam is between it and the point
+            before = np.clip(np.searchsorted(at, x) - 1, 0, len(at) - 2)
+            side = second_cover(values[:, 0], values[:, 1])[1]
+            sides = second_cover(anchors[:, 0], anchors[:, 1])[1]
+            other = 2 * before + 1 - nearest
+            better = (sides[:, nearest] != side) & (sides[:, other] == side)
+            reference = np.where(better[:, None], anchors[:, :, other], reference)
             u, v, turned = self.surface.align(
                 values[:, 0], values[:, 1], reference[:, 0], reference[:, 1]
             )

@@ -285,7 +285,9 @@ class Surface:
     def align(
         self, u: ArrayLike, v: ArrayLike, u_ref: ArrayLike, v_ref: ArrayLike
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return the coordinates of the same points that lie nearest to reference coordinates.
+        """Return the coordinates of the same points that continue reference coordinates.
+
+        Nearest to them; of a `double_cover` on the same one, if sin(u) cos(v) has the same sign.
 
         Returns
         -------
@@ -302,9 +304,11 @@ class Surface:
             return near_u, near_v, np.zeros(u.shape, dtype=bool)
         other_u = _nearest(-u, u_ref, period_u)
         other_v = _nearest(math.pi - v, v_ref, period_v)
-        half_turn = np.hypot(other_u - u_ref, other_v - v_ref) < np.hypot(
+        nearer = np.hypot(other_u - u_ref, other_v - v_ref) < np.hypot(
             near_u - u_ref, near_v - v_ref
         )
+        (second, side), (second_ref, side_ref) = second_cover(u, v), second_cover(u_ref, v_ref)
+        half_turn = np.where(side == side_ref, second != second_ref, nearer)
         return (
             np.where(half_turn, other_u, near_u),
             np.where(half_turn, other_v, near_v),
@@ -680,6 +684,15 @@ class Quadric(Surface):
 
 
 # --------------------------------------------------------------------------- helpers
+
+
+def second_cover(u: Array, v: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Of a double cover: where cos(v) < 0, and where sin(u) cos(v) < 0.
+
+    Both change where a path crosses sin(u) = 0 or cos(v) = 0, and nowhere else.
+    """
+    second = np.cos(v) < 0
+    return second, (np.sin(u) < 0) != second
 
 
 def _nearest(angle: Array, reference: Array, period: float | None) -> Array:

@@ -214,6 +214,32 @@ def test_sparse_times_see_the_same_branch_as_dense_times(obj):
     assert few == pytest.approx(dense[[-1, 0, 750]], abs=1e-12)
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize(
+    ("axes", "at", "angle", "edge"),
+    [
+        ((0.3, 0.2, 0.1), (0.13165289212708675, 0.6643586305579765), -2.5355341811604113, 2.5),
+        ((0.3, 0.10001, 0.1), (1.28, -0.36), -0.91, 3.4),
+    ],
+)
+def test_paths_close_to_umbilics_stay_on_their_branch(axes, at, angle, edge, compiled):
+    # the first passes one at 0.6 mm, the second four that are in pairs 1.3 mm apart; the window's
+    # components are those of the branch that the path has come to
+    contact = cs.Contact(finger=cs.Sphere(0.04), object_at=at, angle=angle)
+    scene = cs.Scene(
+        object=cs.Ellipsoid(*axes), contacts=[contact], profile=cs.Profile([0.3]), duration=4.0,
+        gain=cs.Gain.time(5.0), disturbances=[cs.ObjectAcceleration(0, edge, 3.7, (0.5, 0.3))],
+    )  # fmt: skip
+    t = np.linspace(0.0, 4.0, 161)
+    truth = cs.plan(scene, method="chart")  # the paper's equations, by scipy
+    expected = truth.states(t), truth.points(t)
+    for _ in range(3):  # the third is planned by what the first two taught
+        plan = cs.plan(scene.replace(), compiled=compiled)
+        assert np.abs(plan.states(t[::40]) - expected[0][::40]).max() < 1e-7
+        assert np.abs(plan.states(t) - expected[0]).max() < 1e-7
+        assert np.abs(plan.points(t) - expected[1]).max() < 1e-9
+
+
 @pytest.mark.parametrize("obj", ["sphere", "cylinder", "ellipsoid", "bumps", "rounded cube"])
 def test_motion_is_continuous_at_window_edges(obj):
     plan = cs.plan(busy(obj))

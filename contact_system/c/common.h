@@ -134,23 +134,37 @@ static inline double wound(double value, double reference, double period) {
   return fabs(far) <= 0.5 * period || period <= 0 ? value : value + period * rint(far / period);
 }
 
-/* One point to the branch nearest its reference; returns whether that is (-u, pi - v), where the axes are
-   turned by pi. */
+/* Of a chart that covers its surface twice: whether cos v < 0, and whether sin u cos v < 0. They change where a
+   path crosses cos v = 0 or sin u = 0, and nowhere else. */
+static inline int second_cover(double v) { return (long long)floor(2.0 * v / TURN + 0.5) & 1; }
+static inline int beyond(double u, double v) {
+  return ((long long)floor(2.0 * u / TURN) + second_cover(v)) & 1;
+}
+
+/* One point to (-u, pi - v), where the axes are turned by pi, or not, and whole turns nearest its reference */
+static inline void wind_to(const track_t *k, int turned, const double *ref, long stride, double *out,
+                           const long *row) {
+  const double half = turned ? 0.5 * TURN : 0.0, sign = turned ? -1.0 : 1.0;
+  out[row[0]] = wound(sign * out[row[0]], ref[0], k->period_u);
+  out[row[1]] = wound(half + sign * out[row[1]], ref[stride], k->period_v);
+  out[row[2]] *= sign, out[row[3]] *= sign;
+  out[row[4]] = wound(out[row[4]] + half, ref[2 * stride], TURN);
+}
+
+/* One point, in principal coordinates, to its reference's branch: known where sin u cos v has the same sign,
+   else taken as the nearest. Returns whether it was turned. */
 static inline int wind(const track_t *k, const double *ref, long stride, double *out, const long *row) {
-  double u = wound(out[row[0]], ref[0], k->period_u);
-  double v = wound(out[row[1]], ref[stride], k->period_v), turned = 0.0;
-  if (k->double_cover) {
-    double u2 = wound(-out[row[0]], ref[0], k->period_u);
-    double v2 = wound(0.5 * TURN - out[row[1]], ref[stride], k->period_v);
-    double du = u - ref[0], dv = v - ref[stride], du2 = u2 - ref[0], dv2 = v2 - ref[stride];
-    if (du2 * du2 + dv2 * dv2 < du * du + dv * dv) {
-      u = u2, v = v2, turned = 0.5 * TURN;
-      out[row[2]] = -out[row[2]], out[row[3]] = -out[row[3]];
-    }
+  const double u = out[row[0]], v = out[row[1]];
+  int turned = k->double_cover && second_cover(ref[stride]);
+  if (k->double_cover && beyond(u, 0.0) != beyond(ref[0], ref[stride])) {
+    const double du = wound(u, ref[0], k->period_u) - ref[0];
+    const double dv = wound(v, ref[stride], k->period_v) - ref[stride];
+    const double du2 = wound(-u, ref[0], k->period_u) - ref[0];
+    const double dv2 = wound(0.5 * TURN - v, ref[stride], k->period_v) - ref[stride];
+    turned = du2 * du2 + dv2 * dv2 < du * du + dv * dv;
   }
-  out[row[0]] = u, out[row[1]] = v;
-  out[row[4]] = wound(out[row[4]] + turned, ref[2 * stride], TURN);
-  return turned > 0.0;
+  wind_to(k, turned, ref, stride, out, row);
+  return turned;
 }
 
 /* Numbers side by side in the machine's registers: the vector extension of GCC and Clang, where there is one. */

@@ -116,7 +116,13 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
         double x = k->by_length ? length[i] : tau[i];
         near = interval(k->anchor_at, m, x, near);
         long j = near + 1 < m && k->anchor_at[near + 1] - x < x - k->anchor_at[near] ? near + 1 : near;
-        wind(k, k->anchors + b * 3 * m + j, m, block + i, out_row);
+        const double *to = k->anchors + b * 3 * m;
+        if (k->double_cover && near + 1 < m) { /* the other one, if no seam is between it and the point */
+          const long other = 2 * near + 1 - j;
+          const int side = beyond(block[out_row[0] + i], 0.0);
+          if (beyond(to[j], to[m + j]) != side && beyond(to[other], to[m + other]) == side) j = other;
+        }
+        wind(k, to + j, m, block + i, out_row);
       }
 #endif
     }
@@ -125,6 +131,29 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
 }
 
 #if defined(WINDS) && !defined(CLOSED)
+/* Whether a path crosses cos v = 0, not sin u = 0, between two places x where sin u cos v = y has different signs,
+   negative is the first: told where it crosses, by regula falsi (Illinois), so that it is right beside umbilics. */
+static int over_seam(const track_t *k, double x, double y, int negative, double x2, double y2) {
+  static const long row[] = {0, 1, 2, 3, 4};
+  double value[COORDINATES], last = 0.0, s = 0.0, c = 1.0;
+  for (int i = 0; i < 100; i++) {
+    double at = x + (x2 - x) * (y / (y - y2));
+    if (!(at > x && at < x2)) at = 0.5 * (x + x2);
+    if (evaluate(k, 1, &at, value, row, COORDINATES)) return 0;
+    s = sin(value[0]), c = cos(value[1]);
+    const double found = s * c;
+    if (fmin(fabs(s), c) <= 1e-6 * fmax(fabs(s), c)) break;
+    if ((found < 0.0) == negative) {
+      if (last == y) y2 *= 0.5;
+      x = at, last = y = found;
+    } else {
+      if (last == y2) y *= 0.5;
+      x2 = at, last = y2 = found;
+    }
+  }
+  return c < fabs(s);
+}
+
 /* Fill the anchors of a track: four times a panel, between which coordinates move by less than half a
    period, continued from begin [nb][3]. at [m], anchors [nb][3][m], work [nb][5][m],
    m = 4 n_panels + 1. */
@@ -138,17 +167,26 @@ void anchor(track_t *k, const double *begin, double *at, double *anchors, double
   at[m - 1] = k->edges[k->n_panels];
   track_t plain = *k; /* in the panels' variable, whatever that is; rates are not wanted */
   plain.start = 0.0, plain.stop = at[m - 1], plain.by_length = plain.slips = plain.n_anchors = 0;
-  plain.forced = 0;
+  plain.forced = 0, plain.offset = NULL;
   plain.drive.sigma = one, plain.drive.n_sigma = 1, plain.length = same;
   evaluate(&plain, m, at, work, row, 5 * m);
+  plain.nb = 1;
   for (long b = 0; b < k->nb; b++) {
     double *raw = work + b * 5 * m, *to = anchors + b * 3 * m;
     const double *ref = begin + 3 * b;
     for (long i = 0, stride = 1; i < m; i++, stride = m) {
-      wind(k, ref, stride, raw + i, row);
+      const double u = raw[i], v = raw[m + i];
+      const int side = i && beyond(ref[0], ref[m]);
+      if (i && k->double_cover && beyond(u, 0.0) != side) {
+        const int seam =
+            over_seam(&plain, at[i - 1], sin(ref[0]) * cos(ref[m]), side, at[i], sin(u) * cos(v));
+        wind_to(k, second_cover(ref[m]) ^ seam, ref, m, raw + i, row);
+      } else
+        wind(k, ref, stride, raw + i, row);
       to[i] = raw[i], to[m + i] = raw[m + i], to[2 * m + i] = raw[4 * m + i];
       ref = to + i;
     }
+    plain.constants += NC, plain.coefficients += k->body_stride, plain.w += 2, plain.v += 2;
   }
   k->n_anchors = m, k->anchor_at = at, k->anchors = anchors;
 }
