@@ -779,6 +779,8 @@ def _principal_chart(matrix: Array) -> tuple[type[Chart], tuple[float, ...], Arr
     if np.linalg.det(rotation) < 0:
         rotation = rotation * np.array([1.0, 1.0, -1.0])
     chart, numbers = _CASES[case](*map(float, _merge_equal(axes, case)))
+    if chart.great_circles:  # what eigh finds of a rounded sphere says nothing
+        rotation = np.eye(3)
     return chart, numbers, rotation
 
 

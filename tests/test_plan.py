@@ -240,6 +240,22 @@ def test_paths_close_to_umbilics_stay_on_their_branch(axes, at, angle, edge, com
         assert np.abs(plan.points(t) - expected[1]).max() < 1e-9
 
 
+@pytest.mark.parametrize("object_velocity", ["rolling", "rest"])
+def test_quadric_that_is_a_rounded_sphere_is_planned_as_the_sphere(object_velocity):
+    # R (1/r^2) R^T has no zeros off its diagonal, and eigenvectors in any direction
+    rounding = [[0.0, 3.7e-17, 3.0e-17], [3.7e-17, -2.2e-16, -6.7e-17], [3.0e-17, -6.7e-17, 0.0]]
+    quadric = cs.Quadric(np.eye(3) / 0.2**2 + 0.2**-2 * np.array(rounding))
+    contact = cs.Contact(
+        finger=quadric, object_at=(1.1, -2.0), finger_at=(0.9, 0.4), object_velocity=object_velocity
+    )  # fmt: skip
+    scene = cs.Scene(object=quadric, contacts=[contact], profile=cs.Profile([0.1, 0.2]), duration=2)
+    ball = dataclasses.replace(contact, finger=cs.Sphere(0.2))
+    truth, t = cs.plan(scene.replace(object=cs.Sphere(0.2), contacts=[ball])), np.linspace(0, 2, 9)
+    for ask in ("states", "points", "twist"):
+        expected = getattr(truth, ask)(t)
+        assert getattr(cs.plan(scene), ask)(t) == pytest.approx(expected, abs=1e-13)
+
+
 @pytest.mark.parametrize("obj", ["sphere", "cylinder", "ellipsoid", "bumps", "rounded cube"])
 def test_motion_is_continuous_at_window_edges(obj):
     plan = cs.plan(busy(obj))
