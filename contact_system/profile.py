@@ -15,7 +15,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, reduce
+from operator import truediv
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -333,7 +334,7 @@ class GainPiece:
         """exp(-(L(tau) - L(0))) at local time tau, where sigma is ``speed``."""
         decay = np.exp(-polynomial(self.exponent, tau))
         if self.power:
-            with np.errstate(divide="ignore", invalid="ignore"):
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 decay = decay * np.where(np.asarray(tau) > 0, self.sigma[0] / speed, 1.0)
         return decay
 
@@ -341,7 +342,7 @@ class GainPiece:
         """lam at local time tau [1/s]."""
         lam = polynomial(self._lost_slope, tau)
         if self.power:
-            with np.errstate(divide="ignore", invalid="ignore"):
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 lam = lam + self.slope(tau) / self.speed(tau)
         return lam
 
@@ -428,7 +429,7 @@ class Gain:
         sigma: Any = profile(t)
         growth: Any = 0.0
         if self.law == "guaranteed":
-            with np.errstate(divide="ignore", invalid="ignore"):
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 growth = np.maximum(0.0, np.asarray(profile.rate(t)) / sigma)
             growth = np.where(np.asarray(sigma) > 0, growth, np.inf)[()]
         return law_rate(self.law, self.value, sigma, growth)
@@ -446,7 +447,7 @@ class Gain:
         if self.law == "guaranteed":
             last = float(np.max(t, initial=0.0))
             for start, stop in profile.growths(0.0, last):
-                with np.errstate(divide="ignore", invalid="ignore"):
+                with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                     first = _clear_value(profile.coefficients, start)
                     ratio = np.divide(profile(np.clip(t, start, stop)), first)
                 total = total + np.where(t > start, np.log(np.maximum(ratio, 1.0)), 0.0)
@@ -596,7 +597,9 @@ def _least_gain(profile: Profile, law: str, duration: float) -> float:
     # d/dt (sigma' sigma^-power) = 0  <=>  sigma'' sigma - power sigma'^2 = 0
     stationary = _rounded(_product(_derivative(slope), c), _product((-power,), slope, slope))
     times = {0.0, duration, *_sign_changes(stationary, 0.0, duration)} - set(zeros)
-    supremum = max(profile.rate(t) / profile(t) ** power for t in times) if times else math.inf
+    # divided step by step: the cube of a tiny sigma is 0
+    steep = (reduce(truediv, [profile(t)] * power, profile.rate(t)) for t in times)
+    supremum = max(steep, default=math.inf)
     return min(0.0, supremum) if law == "guaranteed" else supremum
 
 
