@@ -564,7 +564,7 @@ def cache_folder() -> Path:
     """Where compiled kernels are kept: ``$CONTACT_SYSTEM_CACHE`` or the user's cache folder."""
     chosen = os.environ.get("CONTACT_SYSTEM_CACHE")
     if chosen:
-        return Path(chosen)
+        return Path(chosen).absolute()  # a bare file name would be sought among the system's
     if sys.platform == "win32":
         base = os.environ.get("LOCALAPPDATA", str(Path.home() / "AppData" / "Local"))
     elif sys.platform == "darwin":

@@ -334,7 +334,7 @@ class GainPiece:
         """exp(-(L(tau) - L(0))) at local time tau, where sigma is ``speed``."""
         decay = np.exp(-polynomial(self.exponent, tau))
         if self.power:
-            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            with np.errstate(divide="ignore", invalid="ignore"):
                 decay = decay * np.where(np.asarray(tau) > 0, self.sigma[0] / speed, 1.0)
         return decay
 
@@ -342,7 +342,7 @@ class GainPiece:
         """lam at local time tau [1/s]."""
         lam = polynomial(self._lost_slope, tau)
         if self.power:
-            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            with np.errstate(divide="ignore", invalid="ignore"):
                 lam = lam + self.slope(tau) / self.speed(tau)
         return lam
 
@@ -429,7 +429,7 @@ class Gain:
         sigma: Any = profile(t)
         growth: Any = 0.0
         if self.law == "guaranteed":
-            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            with np.errstate(divide="ignore", invalid="ignore"):
                 growth = np.maximum(0.0, np.asarray(profile.rate(t)) / sigma)
             growth = np.where(np.asarray(sigma) > 0, growth, np.inf)[()]
         return law_rate(self.law, self.value, sigma, growth)

@@ -320,6 +320,13 @@ def test_radii_are_no_part_of_a_compiled_kernel(tmp_path):
 
 
 @needs_compiler
+def test_the_cache_may_be_the_folder_at_hand(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CONTACT_SYSTEM_CACHE", ".")
+    assert kernels.compiled_library("int answer(void) { return 42; }").answer() == 42
+
+
+@needs_compiler
 def test_two_processes_that_build_at_once_do_not_clash(tmp_path):
     code = """
         import contact_system as cs
