@@ -11,6 +11,7 @@ Exit codes: 0; 2 after a user's error, told in one line on stderr.
 from __future__ import annotations
 
 import argparse
+import io
 import math
 import sys
 import textwrap
@@ -52,6 +53,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         Arguments after the program's name; by default those of the process.
     """
     words = list(sys.argv[1:] if argv is None else argv)
+    if isinstance(sys.stdout, io.TextIOWrapper):  # names of scenes may be in any script
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         args = _parser(words).parse_args(words)
         return args.run(args)

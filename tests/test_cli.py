@@ -29,6 +29,18 @@ def _fails(capsys, *words: object) -> str:
     return captured.err
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+def test_names_in_any_script_are_told_to_any_terminal(encoding, tmp_path, monkeypatch):
+    scene = cs.load_scene("C1").replace(name="球 ü")
+    cs.save_scene(scene, tmp_path / "scene.toml")
+    stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    monkeypatch.setattr(sys, "stdout", stream)
+    assert _run("run", tmp_path / "scene.toml", "--no-plots", "--out", tmp_path) == 0
+    stream.flush()
+    assert stream.buffer.getvalue().startswith(b"\\u7403 ")
+    assert cs.load(next(tmp_path.glob("*.npz"))).scene == scene
+
+
 # --- what works --------------------------------------------------------------------------------
 
 
