@@ -24,7 +24,7 @@ from .errors import ChartSingularity, ConformalContact, ContactSystemError
 from .geometry import implicit_geometry, upper_inverse
 from .kernels import Kernel, per_structure
 from .kinematics import SINGULAR, contact_velocities
-from .scene import Scene
+from .scene import Scene, require_scene
 from .surfaces import Surface
 from .user_surfaces import ParametricSurface
 
@@ -110,12 +110,22 @@ def measured_states(
     ConformalContact
         The twist does not determine where the bodies touch.
     """
+    require_scene(scene)
     sensor = scene.__dict__.get("_sensor")
     if sensor is None:
         sensor = scene.__dict__["_sensor"] = ContactSensor(scene)
     n = sensor.count
-    arrays = [np.asarray(a, dtype=float) for a in (pose, twist, points)]
-    for a, name, shape in zip(arrays, ("pose", "twist", "points"), ((4, 4), (6,), (3,))):
+    arrays = []
+    for given, name, shape in (
+        (pose, "pose", (4, 4)), (twist, "twist", (6,)), (points, "points", (3,)),
+    ):  # fmt: skip
+        try:
+            a = np.asarray(given, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            raise ContactSystemError(
+                f"scene '{scene.name}': {name} = {given!r:.80}; give numbers, shape {(n, *shape)}"
+            ) from None
+        arrays.append(a)
         if a.shape != (n, *shape):
             raise ContactSystemError(
                 f"scene '{scene.name}': {name} has shape {a.shape}; give {(n, *shape)}"

@@ -132,6 +132,17 @@ def test_wrong_shapes_are_refused(which, shape):
         cs.measured_states(scene, *arguments)
 
 
+@pytest.mark.parametrize("which, given", [(0, "pose"), (1, 1j), (2, {}), (2, 10**400)])
+def test_what_is_no_number_is_refused(which, given):
+    scene = cs.load_scene("D1")
+    arguments: list = list(at(cs.plan(scene), 0.5))
+    arguments[which] = given
+    with pytest.raises(cs.ContactSystemError, match="D1.*give numbers, shape"):
+        cs.measured_states(scene, *arguments)
+    with pytest.raises(cs.SceneError, match="'D1': give a Scene"):
+        cs.measured_states("D1", *arguments)  # type: ignore[arg-type]
+
+
 def test_nan_is_refused():
     scene = cs.load_scene("D1")
     pose, twist, points = at(cs.plan(scene), 0.5)
