@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from numbers import Real
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -623,8 +624,10 @@ class Quadric(Surface):
         super().__post_init__()
         matrix = _symmetric(self.A)
         store(self, A=tuple(tuple(float(w) for w in row) for row in matrix))
-        if self.sheet not in (1, -1):
-            raise SurfaceError(f"Quadric: sheet = {self.sheet!r} must be 1 or -1")
+        given = self.sheet
+        if not isinstance(given, Real) or isinstance(given, bool) or given not in (1, -1):
+            raise SurfaceError(f"Quadric: sheet = {given!r} must be 1 or -1")
+        store(self, sheet=int(given))
         chart = self.chart
         if self.sheet == -1 and chart not in (
             TwoSheetChart,
@@ -744,7 +747,7 @@ def _ellipsoid_chart(a: float, b: float, c: float) -> tuple[type[Chart], tuple[f
 def _symmetric(given: Any) -> Array:
     try:
         matrix = np.array(given, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise SurfaceError(f"Quadric: A = {given!r} must be a 3 by 3 matrix of numbers") from None
     if matrix.shape != (3, 3):
         raise SurfaceError(f"Quadric: A has shape {matrix.shape}; it must be 3 by 3")

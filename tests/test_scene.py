@@ -526,6 +526,13 @@ def test_every_float_and_every_text_survives_a_round_trip(surface, text, velocit
     assert scene_from_toml(scene_to_toml(scene)) == scene
 
 
+def test_a_sheet_survives_a_round_trip_as_any_kind_of_number():
+    for sheet in (np.int64(-1), -1.0):
+        scene = small_scene(object=Quadric(np.diag([4.0, -2.0, -3.0]), sheet=sheet))
+        assert scene_from_toml(scene_to_toml(scene)) == scene
+        assert repr(scene.object).endswith("sheet=-1)")
+
+
 def test_user_surfaces_keep_their_text_parameters_and_size():
     for name, parameters in (("chart", {"h": 0.01, "k": 20}), ("implicit", {"r": 0.1})):
         body = scene_from_toml(scene_to_toml(load_scene(name))).object

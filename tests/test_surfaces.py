@@ -668,6 +668,8 @@ def test_point_off_a_parametric_surface_is_an_error_not_an_answer():
         (lambda: Quadric("A"), ["'A'"]),
         (lambda: Quadric(np.eye(3), sheet=-1), ["sheet = -1", "one piece"]),
         (lambda: Quadric(np.eye(3), sheet=2), ["sheet = 2"]),
+        (lambda: Quadric(np.diag([1, -1, -2]), sheet=True), ["sheet = True"]),
+        (lambda: Quadric([[10**400, 0, 0], [0, 1, 0], [0, 0, 1]]), ["3 by 3 matrix of numbers"]),
         (lambda: ParametricSurface(("u", "v")), ["3 text(s)"]),
         (lambda: ParametricSurface(("u", "v", "cso(u)")), ["did you mean 'cos'"]),
         (lambda: ParametricSurface(("u", "u", "u")), ["does not depend on v"]),
