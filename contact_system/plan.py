@@ -13,7 +13,6 @@ import json
 import math
 import numbers
 import os
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -318,7 +317,7 @@ class Plan:
         t = self._time(t)
         try:
             measured = np.asarray(state, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise SceneError(f"{where}: state = {state!r}; give numbers, shape {shape}") from None
         if measured.shape != shape:
             raise SceneError(f"{where}: state has shape {measured.shape}; give {shape}")
@@ -598,7 +597,10 @@ def _align(row: np.ndarray, own: np.ndarray, surfaces: Sequence[Surface]) -> Non
 
 
 def _tolerance(given: Any) -> float:
-    number = float(given) if isinstance(given, numbers.Real) else math.nan
+    try:
+        number = float(given) if isinstance(given, numbers.Real) else math.nan
+    except OverflowError:
+        number = math.inf
     if not 1e-15 <= number <= 0.1:
         raise SceneError(f"tolerance = {given!r}: give a number from 1e-15 to 1e-1")
     return number
@@ -614,7 +616,7 @@ def _one_axis(t: ArrayLike) -> np.ndarray:
             if times.dtype.kind not in "iufO":  # no text, truth value or complex number
                 raise TypeError
             times = times.astype(float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ContactSystemError(
             f"t = {t!r}: give a time in seconds, or one axis of times"
         ) from None
@@ -748,25 +750,25 @@ def load(path: str | os.PathLike) -> Plan:
     """Read a plan saved as .npz and plan it again from the scene inside (deterministic).
 
     The sampled results can be read with ``numpy.load`` alone.
+
+    Raises
+    ------
+    ContactSystemError
+        If the file cannot be read, or is not such a plan.
     """
     try:
         with np.load(path) as data:
             text, header = str(data["scene"]), json.loads(str(data["plan"]))
-    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
+        tolerance, method, solver = (header[key] for key in ("tolerance", "method", "solver"))
+        start, starts = float(header["start"]), header["starts"] or None
+        if starts is not None:
+            kind = Moment if "slip" in starts[0] else Start
+            starts = [kind.from_plain(plain) for plain in starts]
+    except OSError as error:
+        raise ContactSystemError(f"{path} cannot be read: {error}; give a plan's file") from None
+    except Exception:  # whatever a file of another kind, or a damaged one, leads to
         raise ContactSystemError(
             f"{path}: not a plan written by Plan.save; give such a file ending in .npz"
         ) from None
     scene = scene_from_toml(text, source=str(path))
-    starts: Starts | None = None
-    if header["starts"]:
-        kind = Moment if "slip" in header["starts"][0] else Start
-        starts = [kind.from_plain(plain) for plain in header["starts"]]
-    return Plan(
-        scene,
-        header["tolerance"],
-        header["method"],
-        header["solver"],
-        None,
-        header["start"],
-        starts,
-    )
+    return Plan(scene, tolerance, method, solver, None, start, starts)

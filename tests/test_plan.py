@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import csv
 import dataclasses
@@ -109,7 +110,7 @@ def test_table_of_times_is_refused():
         cs.plan(one_contact()).points([[0.1, 0.2]])
 
 
-@pytest.mark.parametrize("tolerance", [0.0, -1e-9, 1e-16, 0.2, np.nan, np.inf])
+@pytest.mark.parametrize("tolerance", [0.0, -1e-9, 1e-16, 0.2, np.nan, np.inf, 10**400])
 def test_tolerance_out_of_bounds_is_refused(tolerance):
     with pytest.raises(SceneError, match="tolerance = .*: give a number from 1e-15 to 1e-1"):
         cs.plan(one_contact(), tolerance=tolerance)
@@ -148,6 +149,21 @@ def test_times_may_be_of_any_kind_of_number():
     expected = plan.states([1.0, 2.0])
     for t in ([1, 2], np.array([1, 2], np.uint8), np.float32([1, 2]), [Fraction(1), Fraction(2)]):
         assert np.array_equal(plan.states(t), expected)
+
+
+def test_an_integer_beyond_floating_point_is_no_time_and_no_state():
+    plan = cs.plan(one_contact())
+    with pytest.raises(ContactSystemError, match="t = 1000.*: give a time in seconds"):
+        plan.states(10**400)
+    with pytest.raises(SceneError, match=r"give numbers, shape \(1, 9\)"):
+        plan.restart(0.5, [[10**400] * 9])
+
+
+@pytest.mark.parametrize("compiled", ["no", 0, [], np.ones(2)])
+def test_compiled_is_true_false_or_none(compiled):
+    with pytest.raises(SceneError, match="compiled = .*: give True, False or None"):
+        cs.plan(one_contact(), compiled=compiled)
+    assert cs.plan(one_contact(), compiled=np.False_).compiled is False
 
 
 def test_unknown_method_is_refused():
@@ -779,6 +795,26 @@ def test_files_of_other_kinds_are_refused(tmp_path):
         (tmp_path / "junk.npz").write_bytes(content)
         with pytest.raises(ContactSystemError, match="junk.npz: not a plan written by Plan.save"):
             cs.load(tmp_path / "junk.npz")
+    plan.save(tmp_path / "plan.npz")
+    with np.load(tmp_path / "plan.npz") as data:
+        kept = dict(data)
+    for header in ("{}", "[]", '{"tolerance": 1e-9, "method": "auto", "solver": "", "start": "x"}'):
+        np.savez(tmp_path / "junk.npz", **{**kept, "plan": header})
+        with pytest.raises(ContactSystemError, match="junk.npz: not a plan written by Plan.save"):
+            cs.load(tmp_path / "junk.npz")
+    with pytest.raises(ContactSystemError, match="cannot be read: .*No such file"):
+        cs.load(tmp_path / "none.npz")
+
+
+def test_a_damaged_file_is_read_or_refused(tmp_path):
+    cs.plan(one_contact()).save(tmp_path / "plan.npz", [0.0])
+    content, rng = (tmp_path / "plan.npz").read_bytes(), np.random.default_rng(1)
+    for _ in range(200):
+        damaged = bytearray(content)
+        damaged[rng.integers(len(content))] ^= 1 << int(rng.integers(8))
+        (tmp_path / "plan.npz").write_bytes(damaged)
+        with contextlib.suppress(ContactSystemError):
+            cs.load(tmp_path / "plan.npz")
 
 
 @pytest.mark.parametrize("method", ["auto", "chart"])
