@@ -331,7 +331,10 @@ def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
     SceneError
         If there is no such scene, or the file cannot be read.
     """
-    given = os.fspath(name_or_path)
+    try:
+        given = os.fsdecode(name_or_path)
+    except TypeError:
+        raise SceneError(f"scene = {name_or_path!r:.80}: give a name or a path") from None
     names = _bundled_names()
     if given in names:
         return (_bundled_folder() / f"{given}.toml").read_text("utf-8"), f"{given}.toml"
@@ -342,7 +345,7 @@ def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
             f"'{given}' is neither a bundled scene nor a file{did_you_mean(given, names)}; "
             f"bundled are {', '.join(names)}"
         ) from None
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # no text, or no name that a file may have
         raise SceneError(f"'{given}' cannot be read: {error}; give a TOML text file") from None
 
 

@@ -475,6 +475,15 @@ def test_an_unknown_scene_is_refused_with_the_nearest_name():
         load_scene("torsu")
 
 
+@pytest.mark.parametrize("wrong", [None, 4, ["K4"]])
+def test_what_is_no_name_of_a_scene_is_said(wrong):
+    with pytest.raises(SceneError, match="scene = .*: give a name or a path"):
+        load_scene(wrong)
+    with pytest.raises(SceneError, match="cannot be read: embedded null byte"):
+        load_scene("K4\0")
+    assert load_scene(b"K4") == load_scene("K4")  # type: ignore[arg-type]
+
+
 def test_files_that_are_no_text_are_refused(tmp_path):
     with pytest.raises(SceneError, match="cannot be read"):
         load_scene(tmp_path)
