@@ -159,13 +159,6 @@ def test_an_integer_beyond_floating_point_is_no_time_and_no_state():
         plan.restart(0.5, [[10**400] * 9])
 
 
-@pytest.mark.parametrize("compiled", ["no", 0, [], np.ones(2)])
-def test_compiled_is_true_false_or_none(compiled):
-    with pytest.raises(SceneError, match="compiled = .*: give True, False or None"):
-        cs.plan(one_contact(), compiled=compiled)
-    assert cs.plan(one_contact(), compiled=np.False_).compiled is False
-
-
 def test_unknown_method_is_refused():
     with pytest.raises(SceneError, match="method = 'euler': use one of auto, chart"):
         cs.plan(one_contact(), method="euler")
