@@ -125,7 +125,7 @@ def _told(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterabl
     yield ""
     yield from _forces(reports)
     yield from _explained(
-        f"Normal force: outside {EDGE:g} s after the start and around a disturbance's edges. "
+        f"Normal force: excluding {EDGE:g} s after the start and around a disturbance's edges. "
         "Peak over mu N: with the normal force of the same moment. Friction and slip in rolling, "
         "distance from the planned contact point: before any disturbance."
     )

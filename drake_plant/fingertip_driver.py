@@ -46,7 +46,7 @@ from .plant import ScenePlant, check_numbers
 SX = ca.SX
 Array = NDArray[np.float64]
 
-DISCRETE_ONLY = "fingers are driven in a discrete plant only; give the length of a step, as 0.001 s"
+DISCRETE_ONLY = "fingers are driven in a discrete plant only; give a time step, such as 0.001 s"
 SHARE = 0.4
 """Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
 may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4."""

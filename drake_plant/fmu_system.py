@@ -106,7 +106,7 @@ class PortVariables:
             fine = cast == given if kind != "Float32" else np.isfinite(cast) | np.isinf(given)
             if not fine.all():
                 row = rows[~fine][0]
-                what = f"no {kind}" if values[row] == values[row] else "not a number"
+                what = f"not of type {kind}" if values[row] == values[row] else "not a number"
                 return f"element {row}, {self.names[row]} = {values[row]:.17g}, is {what}"
         return None
 
@@ -247,7 +247,7 @@ class Instance:
         except FileNotFoundError as error:
             raise ContactSystemError(f"there is no {path}: give an FMU or its folder") from error
         except zipfile.BadZipFile as error:
-            raise ContactSystemError(f"{path} is no FMU: {error}") from error
+            raise ContactSystemError(f"{path} is not an FMU: {error}") from error
 
     @property
     def keeps_states(self) -> bool:
@@ -307,7 +307,7 @@ class Instance:
         try:
             values = np.ravel(np.asarray(value, dtype=float))
         except (TypeError, ValueError):
-            problem = f"{variable.name} = {value!r} is no {variable.type}"
+            problem = f"{variable.name} = {value!r} is not of type {variable.type}"
         else:
             if len(values) != len(block.names):
                 problem = f"{variable.name} has {len(block.names)} elements, not {len(values)}"
@@ -398,7 +398,7 @@ class Instance:
             return
         state = None if moment.key is None else self._states.get(moment.key)
         if state is None:
-            why = "it was loaded anew since"
+            why = "it has been reloaded since"
             if not self.keeps_states:
                 now = "has failed" if self._at is None else f"is at t = {self._at.time:.6g} s"
                 why = f"it {now}, and has no way back (canGetAndSetFMUstate is not true)"
@@ -627,8 +627,8 @@ class FmuSystem(LeafSystem):
             return
         if abs(time - round(time / step) * step) > SLACK * step:
             raise ContactSystemError(
-                f"{self._instance.name}: t = {time!r} s is no multiple of the step of {step:g} s, "
-                "so that no update would come at the start: set the Context's time to one"
+                f"{self._instance.name}: t = {time!r} s is not a multiple of the step of {step:g} "
+                "s, so that no update would come at the start: set the Context's time to one"
             )
         moment = self._instance.begin(time, list(self._Given(context)))
         state.get_mutable_abstract_state().get_mutable_value(self._moment).set_value(moment)

@@ -208,7 +208,7 @@ def refuse_pace(system: SceneSystem, t: float, limits: Limits, speed: Array, sli
         return
     i = int(np.argmin(fine))
     most = sigma * limits.most_slip[i]
-    found = f"slips at {sigma * slip[i]:.4g} m/s, of which {most:.4g} can be left"
+    found = f"slips at {sigma * slip[i]:.4g} m/s; at most {most:.4g} is possible"
     if not steady[i]:
         found = f"moves at {sigma * speed[i]:.4g} m/s instead of {sigma * limits.speed[i]:.4g}"
     remedy = "use smaller steps, an implicit scheme or one with error control"

@@ -266,8 +266,8 @@ def _refuse_singularity(system: SceneSystem, t: Array, x: Array, w: Array, held:
         remedy = "move the contact away from that point, or turn the body's axes"
     raise ChartSingularity(
         f"scene '{scene.name}', contact {i}, {('finger', 'object')[side]}: at t = {time:.6g} s the "
-        f"contact is {values[i, side]:.2g} sizes from a singular point of the chart of "
-        f"{surface!r} ({where}): less than {CLEARANCE:g}, or beyond it; {remedy}"
+        f"contact is {values[i, side]:.2g} of the body's size from a singular point of the chart "
+        f"of {surface!r} ({where}): less than {CLEARANCE:g}, or beyond it; {remedy}"
     )
 
 
@@ -294,7 +294,7 @@ def _refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> N
     i = int(np.argmax(worst))  # of NaNs the first
     raise ChartSingularity(
         f"scene '{scene.name}', contact {i}: at t = {time:.6g} s (sigma = {sigma:.6g} m/s) "
-        f"derivatives are as great as {worst[i]:.3g}: the contact is at a pole, an acceleration "
+        f"derivatives are as large as {worst[i]:.3g}: the contact is at a pole, an acceleration "
         "acts while sigma = 0, or the steps are too long for the integrator. Move the contact, "
         "raise sigma, or take smaller steps"
     )

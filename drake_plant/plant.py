@@ -381,7 +381,7 @@ def _touches(scene: Scene) -> list[_Touch]:
         least, line = curvatures[:, 0].min(), LINE * curvatures[:, 1].max()
         if not least > line:
             what, remedy = "overlap", "make the finger smaller, or plan contact where the object is"
-            remedy += " less hollow"
+            remedy += " less concave"
             if least >= -line:
                 what, remedy = "touch along a line", "turn the finger, or take another one"
             raise SceneError(
@@ -400,7 +400,9 @@ def _touches(scene: Scene) -> list[_Touch]:
 def _check_surfaces(scene: Scene, config: PlantConfig) -> None:
     """Refuse what Drake's contact cannot do, with the reason."""
     if config.object == "turning" and scene.turning is None:
-        raise SceneError('object = "turning", but the scene has no [turning]; say how, or "free"')
+        raise SceneError(
+            'object = "turning", but the scene has no [turning]; add that table, or give "free"'
+        )
     if config.object == "turning" and config.time_step == 0:
         raise SceneError(
             'object = "turning" needs a discrete plant, whose implicit controllers bear the gain; '
@@ -573,8 +575,8 @@ def _solid(name: str, surface: Surface, mass: float, mesh: SurfaceMesh | None) -
             central = unit.Shift(unit.get_com())
             return SpatialInertia(mass, np.zeros(3), central.get_unit_inertia())
     raise SceneError(
-        f"{name}: {surface!r} bounds no solid whose inertia could be computed; give the object as "
-        'object = "welded", or "turning"'
+        f"{name}: {surface!r} does not bound a solid whose inertia could be computed; give the "
+        'object as object = "welded", or "turning"'
     )
 
 

@@ -79,7 +79,7 @@ class Recording:
         path : path
             Ending in .html.
         """
-        assert self._visualizer is not None, "Add comes first"
+        assert self._visualizer is not None, "call Add first"
         self._visualizer.StopRecording()
         self._visualizer.PublishRecording()
         Path(path).write_text(self._meshcat.StaticHtml())

@@ -21,10 +21,10 @@ def register(commands: Any) -> None:
     parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help="version of FMI; "
                         "default %(default)s")  # fmt: skip
     parser.add_argument("--interfaces", nargs="+", choices=INTERFACES, default=INTERFACES,
-                        metavar="INTERFACE", help=f"of {', '.join(INTERFACES)}; default both"
-                        )  # fmt: skip
+                        metavar="INTERFACE",
+                        help=f"one or more of {', '.join(INTERFACES)}; default both")  # fmt: skip
     parser.add_argument("--platforms", nargs="+", default=["native"], metavar="PLATFORM",
-                        help="native (default), or of x86_64-linux, aarch64-linux, "
+                        help="native (default), or one or more of x86_64-linux, aarch64-linux, "
                         "x86_64-windows, x86_64-darwin, aarch64-darwin, compiled by ziglang"
                         )  # fmt: skip
     parser.set_defaults(run=run)

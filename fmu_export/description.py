@@ -21,8 +21,8 @@ from .variables import BLOCK, INPUTS, STATES, Table, Variable, unit_name
 VERSIONS = ("2.0", "3.0")
 INTERFACES = ("CoSimulation", "ModelExchange")
 LOG_CATEGORIES = {
-    "logStatusWarning": "What was asked for and ignored",
-    "logStatusDiscard": "What was refused; the instance is as it was before",
+    "logStatusWarning": "Requests that were ignored",
+    "logStatusDiscard": "Requests that were refused; the instance is as it was before",
     "logStatusError": "Calls and values that the standard does not allow, and failed computations",
     "logEvents": "Edges of disturbance windows",
 }
@@ -157,7 +157,7 @@ def _head(table: Table, fmi_version: str) -> dict[str, str]:
     head = {
         "fmiVersion": fmi_version,
         "modelName": scene.name or "scene",
-        "description": scene.description or "Contact curves that roll",
+        "description": scene.description or "Rolling contact curves",
         "version": __version__,
         "generationTool": f"contact-system {__version__}",
         "variableNamingConvention": "structured",

@@ -158,15 +158,15 @@ def surface_with(surface: Surface, values: Sequence[float]) -> Surface:
     Raises
     ------
     SceneError
-        Numbers that make another kind of surface, or that hang together.
+        Numbers that make another kind of surface, or that depend on each other.
     """
     numbers = tuple(values[: len(surface.parameters)])
     if numbers == surface.parameters:
         return surface
     if isinstance(surface, Quadric):
         raise SceneError(
-            f"{surface!r}: its numbers hang together and cannot be set one by one; step a scene "
-            "with another matrix A"
+            f"{surface!r}: its parameters depend on each other and cannot be set individually; "
+            "step a scene with another matrix A"
         )
     other: Surface
     if isinstance(surface, UserSurface):
@@ -178,7 +178,9 @@ def surface_with(surface: Surface, values: Sequence[float]) -> Surface:
     else:
         other = type(surface)(*numbers, inside=surface.inside)
     if other.structure != surface.structure:
-        raise SceneError(f"{other!r} is another kind of surface than {surface!r}; step its scene")
+        raise SceneError(
+            f"{other!r} is another kind of surface than {surface!r}; step a scene that has it"
+        )
     return other
 
 

@@ -178,8 +178,8 @@ class _Slave:
         self._refuse(
             function[len("fmi2") :],
             ERROR,
-            "this slave does not have it; see the flags in modelDescription.xml, and that its "
-            "variables are all real",
+            "this slave does not have it; see the flags in modelDescription.xml, and the types of "
+            "its variables, which are all real",
         )
 
     def _refuse(self, function: str, status: int, text: str) -> NoReturn:
@@ -285,7 +285,7 @@ class _Slave:
         """Set all, or refuse all."""
         self._require(function, CREATED, INITIALIZATION, STEP, EVENT)
         if len(key) != len(values):
-            text = f"{len(values)} values for {len(key)} elements; give one an element"
+            text = f"{len(values)} values for {len(key)} elements; give one per element"
             self._refuse(function, ERROR, text)
         for reference, value in zip(key, values):
             self._check(function, reference, value)
@@ -349,13 +349,13 @@ class _Slave:
         memory = self.block.now
         if not 0.0 < step < math.inf:
             text = f"communicationStepSize = {step!r} s: give a positive number; to go back, set "
-            text += "an FMU state that was got before"
+            text += "an FMU state obtained earlier"
         elif not abs(now - memory.time) <= SLACK * max(1.0, now):
             text = f"currentCommunicationPoint = {now!r} s, but this instance is at t = "
             text += f"{memory.time!r} s; step from there, or set an FMU state of that time"
         else:
-            text = f"t = {now + step!r} s is past stopTime = {memory.stop!r} s; announce a later "
-            text += "one, or none"
+            text = f"t = {now + step!r} s is past stopTime = {memory.stop!r} s; give a later one, "
+            text += "or none"
         self._refuse("DoStep", ERROR, text)
 
     # --- states
@@ -415,8 +415,8 @@ class _Slave:
             for reference in references:
                 self._require_known(function, reference)
                 if self._kinds[reference] not in kinds:
-                    word = "unknown" if references is unknowns else "known"
-                    text = f"{self._name(reference)} is no {word} of the model's equations"
+                    word = "an unknown" if references is unknowns else "a known"
+                    text = f"{self._name(reference)} is not {word} of the model's equations"
                     self._refuse(function, ERROR, text)
         seeded, asked = (unknowns, knowns) if adjoint else (knowns, unknowns)
         if len(seed) != len(seeded):

@@ -642,11 +642,11 @@ def memory_of(data: bytes, block: Block, model: bytes) -> Memory:
     magic, version, length, other, checksum = _HEADER.unpack_from(data)
     body = data[_HEADER.size :]
     for wrong, text in (
-        (magic != _MAGIC, "it is no state of a planner in a process"),
+        (magic != _MAGIC, "it is not a state of an in-process planner"),
         (version != _VERSION, f"it was written by version {version}, this is {_VERSION}"),
-        (length != len(body), "it says another length than it has; pass all of the bytes"),
+        (length != len(body), "its header gives another length; pass all of the bytes"),
         (other != model, "it belongs to another scene"),
-        (checksum != digest(body), "its checksum does not fit; it has been changed"),
+        (checksum != digest(body), "its checksum does not match; it has been changed"),
     ):
         if wrong:
             raise StateRefused(text)

@@ -363,7 +363,8 @@ def _inputs(scene: Scene, contact: Contact) -> list[_Quantity]:
         for axis, unit in zip("uv", chart_units(surface)):
             rows.append(_Quantity(
                 f"{side}.{quantity}.{axis}", (), _per_second(unit, -power),
-                f"{text} {axis} of the {side}, beside the scene's own windows", "input",
+                f"{text} {axis} of the {side}, in addition to the scene's disturbance windows",
+                "input",
             ))  # fmt: skip
     return rows
 

@@ -346,7 +346,7 @@ def test_it_starts_at_the_time_of_the_context(build, version):
 def test_a_start_off_the_samples_is_refused(build):
     simulator = Simulator(FmuSystem(build(), step=0.1))
     simulator.get_mutable_context().SetTime(0.05)
-    with pytest.raises(cs.ContactSystemError, match=r"t = 0\.05 s is no multiple of the step"):
+    with pytest.raises(cs.ContactSystemError, match=r"t = 0\.05 s is not a multiple of the step"):
         simulator.Initialize()
 
 
@@ -549,8 +549,8 @@ def test_an_unknown_variable_is_refused_with_the_nearest(build):
         ({"outputs": "label"}, "label, output of type String, cannot be on an output port"),
         ({"start_values": {"count": 1}}, "count cannot be set at the start"),
         ({"start_values": {"gain": np.nan}}, "start value: .*gain = nan, is not a number"),
-        ({"start_values": {"gain": "high"}}, "start value: gain = 'high' is no Real"),
-        ({"start_values": {"on": 2}}, "start value: .*on = 2, is no Boolean"),
+        ({"start_values": {"gain": "high"}}, "start value: gain = 'high' is not of type Real"),
+        ({"start_values": {"on": 2}}, "start value: .*on = 2, is not of type Boolean"),
         ({"start_values": {"gain": [1, 2]}}, "start value: gain has 1 elements, not 2"),
     ):
         with pytest.raises(cs.ContactSystemError, match=f"^integrators.*{message}"):
@@ -564,7 +564,7 @@ def test_fmus_that_cannot_run_here_are_refused_with_the_reason(build, tmp_path):
         (build(binary=False), "platforms that it has: riscv64-plan9; export it again"),
         (build("3.0", binary=False), f"no binaries/{fmpy.platform_tuple}/integrators"),
         (tmp_path / "missing.fmu", "there is no .*missing.fmu"),
-        (tmp_path / "no.fmu", "is no FMU"),
+        (tmp_path / "no.fmu", "is not an FMU"),
         (tmp_path, "modelDescription.xml"),
     ):
         with pytest.raises(cs.ContactSystemError, match=message):
@@ -595,7 +595,7 @@ def test_inputs_that_a_variable_cannot_take_are_refused(build, version):
     port = system.GetInputPort("u")
     for u, message in (
         ([0.0, np.nan, 0.0], r"element 1, u\[2\] = nan, is not a number"),
-        ([0.0, 0.0, 0.5], "element 2, on = 0.5, is no Boolean"),
+        ([0.0, 0.0, 0.5], "element 2, on = 0.5, is not of type Boolean"),
     ):
         port.FixValue(simulator.get_mutable_context(), u)
         with pytest.raises(cs.ContactSystemError, match="input port 'u' at t = 0 s: " + message):

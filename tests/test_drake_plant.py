@@ -348,8 +348,8 @@ def side_by_side(angle):
          {"stiffness": 1e3}, r"contact 0 would be 0.002 m deep .* Torus"),
         (rolling(cs.Sphere(0.1)), {"object": "turning"}, r"the scene has no \[turning\]"),
         (rolling(cs.Sphere(0.1)), {"relaxation_time": 0.1}, "only the discrete 'sap'"),
-        (rolling(cs.Plane(), at=(0, 0)), {"object": "free"}, "object: Plane.* bounds no solid"),
-        (rolling(cs.Sphere(0.2, inside=True)), {"object": "free"}, "bounds no solid"),
+        (rolling(cs.Plane(), at=(0, 0)), {"object": "free"}, "object: Plane.* does not bound"),
+        (rolling(cs.Sphere(0.2, inside=True)), {"object": "free"}, "does not bound a solid"),
         (rolling(cs.Sphere(0.1), cs.Plane(), finger_at=(0, 0)), {}, "a fingertip is a compliant"),
         (rolling(cs.Sphere(0.03, inside=True)), {}, "contact 0: finger and object overlap"),
         # axes are parallel; rounding gives a relative curvature of either sign

@@ -785,7 +785,7 @@ def test_numbers_of_a_torus_keep_their_order_and_those_of_a_quadric_stay(exporte
     radius = "contact[1].finger.m"
     for start, words in (
         ({radius + "inor": 0.06}, f"{radius}ajor = 0.05 is refused: it must be greater than"),
-        ({fmu.table.rows[3].name: 5.0}, " = 5 is refused: the numbers of this surface hang tog"),
+        ({fmu.table.rows[3].name: 5.0}, " = 5 is refused: the parameters of this surface dep"),
     ):
         with pytest.raises(FMICallException):
             fmu.instance(start=start)

@@ -454,10 +454,10 @@ def test_state_bytes_that_do_not_fit_are_refused():
     data = slave.serializeFMUState(slave.getFMUState())
     other = begun(one_contact("ellipsoid"))
     for wrong, words in (
-        (data[:20], "its length"), (data[:-1], "another length than it has"),
-        (data + b" ", "another length than it has"), (b"X" + data[1:], "no state of a planner"),
+        (data[:20], "its length"), (data[:-1], "header gives another length"),
+        (data + b" ", "header gives another length"), (b"X" + data[1:], "not a state of an"),
         (data[:8] + b"\3" + data[9:], "written by version 3, this is 2"), (b"", "its length"),
-        (data[:60] + b"9" + data[61:], "its checksum does not fit"),
+        (data[:60] + b"9" + data[61:], "its checksum does not match"),
         (other.serializeFMUState(other.getFMUState()), "belongs to another scene"),
     ):  # fmt: skip
         with pytest.raises(FMICallException, match="the state is refused: .*" + words) as caught:
@@ -807,8 +807,8 @@ def test_adjoint_derivatives_are_the_transposed_ones():
     forward = slave.getDirectionalDerivative(unknowns, knowns, a)
     backward = slave.getAdjointDerivative(unknowns, knowns, b)
     assert b @ forward == pytest.approx(a @ backward, rel=1e-12)
-    refused(slave.getAdjointDerivative, [unknowns[0]], [unknowns[1]], [1.0], words="is no known")
-    refused(slave.getDirectionalDerivative, [knowns[0]], [knowns[0]], [1.0], words="is no unknown")
+    refused(slave.getAdjointDerivative, [unknowns[0]], [unknowns[1]], [1.0], words="is not a known")
+    refused(slave.getDirectionalDerivative, [knowns[0]], [knowns[0]], [1.0], words="not an unknown")
 
 
 # --- the file

@@ -718,12 +718,12 @@ status_t start(component_t *c) {
                   "sigma is negative from t = %.9g s on; change the profile", now->time);
   for (const order_t *o = orders; o->greater; o++)
     if (o->less == o->greater && now->value[o->less] != start_values[o->less])
-      return report(c, FAILED, "logStatusError", "%s = %.9g is refused: the numbers of this surface "
-                    "hang together; export a scene with another surface", names[o->less],
-                    now->value[o->less]);
+      return report(c, FAILED, "logStatusError", "%s = %.9g is refused: the parameters of this "
+                    "surface depend on each other and cannot be set individually; export a scene "
+                    "with another surface", names[o->less], now->value[o->less]);
     else if (o->less != o->greater && !(now->value[o->greater] > now->value[o->less]))
       return report(c, FAILED, "logStatusError", "%s = %.9g is refused: it must be greater than "
-                    "%s = %.9g, or the surface is of another kind; export its scene",
+                    "%s = %.9g, or the surface is of another kind; export a scene that has it",
                     names[o->greater], now->value[o->greater], names[o->less],
                     now->value[o->less]);
   enter_windows(c);
@@ -731,7 +731,7 @@ status_t start(component_t *c) {
     const char *wrong = place_contact(now, i);
     if (wrong)
       return report(c, FAILED, "logStatusError", "contact %ld cannot start: %s; change its "
-                    "coordinates or the numbers of the surface", i + 1, wrong);
+                    "coordinates or the parameters of the surface", i + 1, wrong);
   }
   now->settled = 1;
   return OK;
@@ -951,11 +951,11 @@ const char *read_state(const unsigned char *bytes, unsigned long long count, mem
   memcpy(memory, bytes + sizeof found, sizeof *memory);
   const header_t right = header_for(memory);
   if (memcmp(found.magic, right.magic, sizeof found.magic))
-    return "it is no state of a contact model";
+    return "it is not a state of a contact model";
   if (found.version != right.version) return "it was written by another version";
-  if (found.length != right.length) return "it says another length than it has";
+  if (found.length != right.length) return "its header gives another length";
   if (found.model != right.model) return "it belongs to another model";
-  if (found.checksum != right.checksum) return "its checksum does not fit; it has been changed";
+  if (found.checksum != right.checksum) return "its checksum does not match; it has been changed";
   const char *wrong = check_memory(memory);
   for (long i = 0; i < N_CONTACTS && !wrong; i++) wrong = check_contact(memory, i);
   return wrong;

@@ -103,7 +103,7 @@ static inline status_t save(component_t *c, void **state) {
 static inline saved_t *saved(component_t *c, void *state) {
   saved_t *s = state;
   if (s && s->magic == SAVED) return s;
-  report(c, FAILED, "logStatusError", "this is no FMU state of this model");
+  report(c, FAILED, "logStatusError", "this is not an FMU state of this model");
   return NULL;
 }
 
@@ -123,8 +123,8 @@ static inline status_t restore_saved(component_t *c, void *state) {
 static inline status_t read_bytes(component_t *c, const unsigned char *bytes, size_t count,
                                   void **state) {
   saved_t *s = calloc(1, sizeof *s);
-  const char *wrong = !s       ? "there is no memory"
-                      : !bytes ? "there are no bytes"
+  const char *wrong = !s       ? "out of memory"
+                      : !bytes ? "a pointer is missing"
                                : read_state(bytes, count, &s->memory);
   if (wrong) {
     free(s);
@@ -154,7 +154,7 @@ static inline status_t check_step(component_t *c, double from, double size) {
                   "stands at t = %.17g s; give that time, or set an FMU state", from, c->now.time);
   if (end > c->now.stop_time + room)
     return report(c, FAILED, "logStatusError", "the step ends at t = %.17g s, after the stop time "
-                  "%.17g s; announce a later one, or none", end, c->now.stop_time);
+                  "%.17g s; give a later one, or none", end, c->now.stop_time);
   return OK;
 }
 

@@ -164,14 +164,14 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component instance, const fmi2ValueR
   for (size_t k = 0; k < n_known; k++) {
     if (!known(vr[k])) REFUSE("fmi2GetDirectionalDerivative: " NO_SUCH, vr[k]);
     if (kinds[vr[k]] == CALCULATED)
-      REFUSE("fmi2GetDirectionalDerivative: %s is no known; give inputs, states or parameters",
+      REFUSE("fmi2GetDirectionalDerivative: %s is not a known; give inputs, states or parameters",
              names[vr[k]]);
     c->seed[vr[k]] += seed[k];
   }
   for (size_t k = 0; k < n_unknown; k++) {
     if (!known(unknown[k])) REFUSE("fmi2GetDirectionalDerivative: " NO_SUCH, unknown[k]);
     if (kinds[unknown[k]] != CALCULATED && kinds[unknown[k]] != EXACT)
-      REFUSE("fmi2GetDirectionalDerivative: %s is no unknown; give states or what is calculated",
+      REFUSE("fmi2GetDirectionalDerivative: %s is not an unknown; give states or calculated variables",
              names[unknown[k]]);
   }
   forward(c);
@@ -218,7 +218,7 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component instance, fmi2FMUstate state, fmi
   BEGIN("fmi2SerializeFMUstate", ANY);
   const saved_t *s = saved(c, state);
   if (!s) return fmi2Error;
-  if (!bytes || size < STATE_BYTES) REFUSE("fmi2SerializeFMUstate: there is no room");
+  if (!bytes || size < STATE_BYTES) REFUSE("fmi2SerializeFMUstate: the buffer is missing or too small");
   write_state(&s->memory, (unsigned char *)bytes);
   return fmi2OK;
 }

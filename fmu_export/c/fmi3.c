@@ -238,7 +238,7 @@ NO_SETTER(ShiftFraction, const fmi3UInt64 value[], const fmi3UInt64 resolutions[
 fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance, fmi3ValueReference vr,
                                                size_t *count) {
   BEGIN("fmi3GetNumberOfVariableDependencies", ANY);
-  REFUSE("dependencies stand in the model description alone");
+  REFUSE("dependencies are given in the model description only");
 }
 
 fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference dependent,
@@ -246,7 +246,7 @@ fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference
                                        size_t independent_elements[], fmi3DependencyKind of_kind[],
                                        size_t count) {
   BEGIN("fmi3GetVariableDependencies", ANY);
-  REFUSE("dependencies stand in the model description alone");
+  REFUSE("dependencies are given in the model description only");
 }
 
 /* --- derivatives ------------------------------------------------------------------------------ */
@@ -277,11 +277,11 @@ static status_t products(component_t *c, void (*apply)(component_t *),
   COUNTED(function, knowns, n_knowns, n_to);                                                      \
   for (size_t k = 0; k < n_unknowns; k++)                                                         \
     if (!is_unknown(unknowns[k]))                                                                 \
-      REFUSE(function ": %s is no unknown; give states or what is calculated",                    \
+      REFUSE(function ": %s is not an unknown; give states or calculated variables",              \
              names[unknowns[k]]);                                                                 \
   for (size_t k = 0; k < n_knowns; k++)                                                           \
     if (!is_known(knowns[k]))                                                                     \
-      REFUSE(function ": %s is no known; give inputs, states or parameters", names[knowns[k]])
+      REFUSE(function ": %s is not a known; give inputs, states or parameters", names[knowns[k]])
 
 fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
                                         size_t n_unknowns, const fmi3ValueReference knowns[],
@@ -336,7 +336,7 @@ fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState state, fmi3
   BEGIN("fmi3SerializeFMUState", ANY);
   const saved_t *s = saved(c, state);
   if (!s) return fmi3Error;
-  if (!bytes || size < STATE_BYTES) REFUSE("fmi3SerializeFMUState: there is no room");
+  if (!bytes || size < STATE_BYTES) REFUSE("fmi3SerializeFMUState: the buffer is missing or too small");
   write_state(&s->memory, bytes);
   return fmi3OK;
 }
