@@ -144,3 +144,21 @@ def derivative(f, t: np.ndarray, h: float = 4e-3) -> np.ndarray:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: more than 30 s")
+
+
+def _past_umbilics(name: str, axes: tuple, at: tuple, angle: float, edge: float) -> cs.Scene:
+    contact = cs.Contact(finger=cs.Sphere(0.04), object_at=at, angle=angle)
+    return cs.Scene(
+        object=cs.Ellipsoid(*axes), contacts=[contact], profile=cs.Profile([0.3]), duration=4.0,
+        gain=cs.Gain.time(5.0), disturbances=[cs.ObjectAcceleration(0, edge, 3.7, (0.5, 0.3))],
+        name=name,
+    )  # fmt: skip
+
+
+PAST_UMBILICS = [
+    _past_umbilics("one", (0.3, 0.2, 0.1), (0.13165289212708675, 0.6643586305579765),
+                   -2.5355341811604113, 2.5),
+    _past_umbilics("pairs", (0.3, 0.10001, 0.1), (1.28, -0.36), -0.91, 3.4),
+]  # fmt: skip
+"""Past one umbilic at 0.6 mm, and four that are in pairs 1.3 mm apart; the window's components are
+those of the branch that the path has come to."""

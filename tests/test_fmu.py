@@ -10,6 +10,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from conftest import PAST_UMBILICS
 
 import contact_system as cs
 from contact_system.system import SceneSystem
@@ -199,6 +200,13 @@ def test_steps_of_any_size_follow_the_plan(name, version, step, exported):
 def test_other_scenes_follow_their_plans(name, exported):
     fmu = exported(name)
     assert worst_difference(fmu, fmu.simulate(0.01)) < 1e-12
+
+
+@pytest.mark.parametrize("scene", PAST_UMBILICS, ids=lambda scene: scene.name)
+@pytest.mark.parametrize("step", [0.01, 0.4])
+def test_paths_close_to_umbilics_stay_on_their_branch(scene, step, exported):
+    fmu = exported(scene)
+    assert worst_difference(fmu, fmu.simulate(step)) < 1e-8
 
 
 def test_a_chart_that_is_a_python_function_exports_like_any_other(exported):

@@ -15,7 +15,14 @@ from threading import Barrier
 
 import numpy as np
 import pytest
-from conftest import SURFACES, one_contact, path_velocities, reflection, slip_of_states
+from conftest import (
+    PAST_UMBILICS,
+    SURFACES,
+    one_contact,
+    path_velocities,
+    reflection,
+    slip_of_states,
+)
 from numpy.polynomial import polynomial
 
 import contact_system as cs
@@ -224,21 +231,8 @@ def test_sparse_times_see_the_same_branch_as_dense_times(obj):
 
 
 @pytest.mark.parametrize("compiled", [False, True])
-@pytest.mark.parametrize(
-    ("axes", "at", "angle", "edge"),
-    [
-        ((0.3, 0.2, 0.1), (0.13165289212708675, 0.6643586305579765), -2.5355341811604113, 2.5),
-        ((0.3, 0.10001, 0.1), (1.28, -0.36), -0.91, 3.4),
-    ],
-)
-def test_paths_close_to_umbilics_stay_on_their_branch(axes, at, angle, edge, compiled):
-    # the first passes one at 0.6 mm, the second four that are in pairs 1.3 mm apart; the window's
-    # components are those of the branch that the path has come to
-    contact = cs.Contact(finger=cs.Sphere(0.04), object_at=at, angle=angle)
-    scene = cs.Scene(
-        object=cs.Ellipsoid(*axes), contacts=[contact], profile=cs.Profile([0.3]), duration=4.0,
-        gain=cs.Gain.time(5.0), disturbances=[cs.ObjectAcceleration(0, edge, 3.7, (0.5, 0.3))],
-    )  # fmt: skip
+@pytest.mark.parametrize("scene", PAST_UMBILICS, ids=lambda scene: scene.name)
+def test_paths_close_to_umbilics_stay_on_their_branch(scene, compiled):
     t = np.linspace(0.0, 4.0, 161)
     truth = cs.plan(scene, method="chart")  # the paper's equations, by scipy
     expected = truth.states(t), truth.points(t)

@@ -167,6 +167,50 @@ static inline int wind(const track_t *k, const double *ref, long stride, double 
   return turned;
 }
 
+/* Of a double cover, whether a point with this principal u continues one anchor beside it rather than the other:
+   no seam is between. */
+static inline int continues(double u, const double *near, const double *other, long stride) {
+  const int side = beyond(u, 0.0);
+  return beyond(other[0], other[stride]) != side && beyond(near[0], near[stride]) == side;
+}
+
+/* u v u' v' theta of a path at a place x, in principal coordinates; returns not 0 if it has none */
+typedef long (*place_on_t)(const void *path, double x, double *value);
+
+/* Whether a path crosses cos v = 0, not sin u = 0, between two places x where sin u cos v = y has different signs,
+   negative is the first: told where it crosses, by regula falsi (Illinois), so that it is right beside umbilics. */
+static inline int over_seam(place_on_t place_on, const void *path, double x, double y, int negative, double x2,
+                            double y2) {
+  double value[5], last = 0.0, s = 0.0, c = 1.0;
+  for (int i = 0; i < 100; i++) {
+    double at = x + (x2 - x) * (y / (y - y2));
+    if (!(at > x && at < x2)) at = 0.5 * (x + x2);
+    if (place_on(path, at, value)) return 0;
+    s = sin(value[0]), c = cos(value[1]);
+    const double found = s * c;
+    if (fmin(fabs(s), c) <= 1e-6 * fmax(fabs(s), c)) break;
+    if ((found < 0.0) == negative) {
+      if (last == y) y2 *= 0.5;
+      x = at, last = y = found;
+    } else {
+      if (last == y2) y *= 0.5;
+      x2 = at, last = y2 = found;
+    }
+  }
+  return c < fabs(s);
+}
+
+/* One point of a path at x2, in principal coordinates, to the branch that it is on coming from ref at x */
+static inline void wind_along(const track_t *k, place_on_t place_on, const void *path, double x, const double *ref,
+                              long stride, double x2, double *out, const long *row) {
+  const double y = sin(ref[0]) * cos(ref[stride]), y2 = sin(out[row[0]]) * cos(out[row[1]]);
+  const int side = beyond(ref[0], ref[stride]);
+  if (!k->double_cover || beyond(out[row[0]], 0.0) == side)
+    wind(k, ref, stride, out, row);
+  else
+    wind_to(k, second_cover(ref[stride]) ^ over_seam(place_on, path, x, y, side, x2, y2), ref, stride, out, row);
+}
+
 /* Numbers side by side in the machine's registers: the vector extension of GCC and Clang, where there is one. */
 #if !defined(__GNUC__) || defined(PLAIN_C)
 #define LANES 1

@@ -117,11 +117,8 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
         near = interval(k->anchor_at, m, x, near);
         long j = near + 1 < m && k->anchor_at[near + 1] - x < x - k->anchor_at[near] ? near + 1 : near;
         const double *to = k->anchors + b * 3 * m;
-        if (k->double_cover && near + 1 < m) { /* the other one, if no seam is between it and the point */
-          const long other = 2 * near + 1 - j;
-          const int side = beyond(block[out_row[0] + i], 0.0);
-          if (beyond(to[j], to[m + j]) != side && beyond(to[other], to[m + other]) == side) j = other;
-        }
+        const long other = 2 * near + 1 - j;
+        if (k->double_cover && near + 1 < m && continues(block[out_row[0] + i], to + other, to + j, m)) j = other;
         wind(k, to + j, m, block + i, out_row);
       }
 #endif
@@ -131,27 +128,9 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
 }
 
 #if defined(WINDS) && !defined(CLOSED)
-/* Whether a path crosses cos v = 0, not sin u = 0, between two places x where sin u cos v = y has different signs,
-   negative is the first: told where it crosses, by regula falsi (Illinois), so that it is right beside umbilics. */
-static int over_seam(const track_t *k, double x, double y, int negative, double x2, double y2) {
+static long place_on(const void *track, double x, double *value) {
   static const long row[] = {0, 1, 2, 3, 4};
-  double value[COORDINATES], last = 0.0, s = 0.0, c = 1.0;
-  for (int i = 0; i < 100; i++) {
-    double at = x + (x2 - x) * (y / (y - y2));
-    if (!(at > x && at < x2)) at = 0.5 * (x + x2);
-    if (evaluate(k, 1, &at, value, row, COORDINATES)) return 0;
-    s = sin(value[0]), c = cos(value[1]);
-    const double found = s * c;
-    if (fmin(fabs(s), c) <= 1e-6 * fmax(fabs(s), c)) break;
-    if ((found < 0.0) == negative) {
-      if (last == y) y2 *= 0.5;
-      x = at, last = y = found;
-    } else {
-      if (last == y2) y *= 0.5;
-      x2 = at, last = y2 = found;
-    }
-  }
-  return c < fabs(s);
+  return evaluate(track, 1, &x, value, row, COORDINATES);
 }
 
 /* Fill the anchors of a track: four times a panel, between which coordinates move by less than half a
@@ -175,13 +154,9 @@ void anchor(track_t *k, const double *begin, double *at, double *anchors, double
     double *raw = work + b * 5 * m, *to = anchors + b * 3 * m;
     const double *ref = begin + 3 * b;
     for (long i = 0, stride = 1; i < m; i++, stride = m) {
-      const double u = raw[i], v = raw[m + i];
-      const int side = i && beyond(ref[0], ref[m]);
-      if (i && k->double_cover && beyond(u, 0.0) != side) {
-        const int seam =
-            over_seam(&plain, at[i - 1], sin(ref[0]) * cos(ref[m]), side, at[i], sin(u) * cos(v));
-        wind_to(k, second_cover(ref[m]) ^ seam, ref, m, raw + i, row);
-      } else
+      if (i)
+        wind_along(k, place_on, &plain, at[i - 1], ref, m, at[i], raw + i, row);
+      else
         wind(k, ref, stride, raw + i, row);
       to[i] = raw[i], to[m + i] = raw[m + i], to[2 * m + i] = raw[4 * m + i];
       ref = to + i;

@@ -189,17 +189,47 @@ static const double *numbers(const memory_t *now, long i, int body) {
   return now->value + (body ? OBJECT : places[i].finger);
 }
 
-/* u v u' v' theta of one body, on the branch of a reference u v theta */
-static void coordinates(const memory_t *now, long i, int body, const moment_t *m,
-                        const double *reference, double out[5]) {
-  static const long rows[] = {0, 1, 2, 3, 4};
+/* u v u' v' theta of one body; in principal coordinates where it is moved in space, which returns 1, else 0 */
+static int own_coordinates(const memory_t *now, long i, int body, const moment_t *m, double out[5]) {
   const form_t *form = form_of(now, i);
   double c[4];
   places[i].kind->drive((const double *const[]){&m->sigma, m->w1v}, c);
   form->coordinates[body](
       (const double *const[]){m->frame[body], c + 2 * body, numbers(now, i, body)}, out);
-  if (form->size[body] == 9 && all_finite(out, 5))
-    wind(&places[i].kind->winding[body], reference, 1, out, rows);
+  return form->size[body] == 9;
+}
+
+typedef struct {
+  const memory_t *now;
+  long i;
+  int body;
+} path_t;
+
+static long place_on(const void *path, double tau, double *value) {
+  const path_t *p = path;
+  moment_t m;
+  moment(p->now, p->i, tau, &m);
+  own_coordinates(p->now, p->i, p->body, &m, value);
+  return !all_finite(value, 5);
+}
+
+static const long rows[] = {0, 1, 2, 3, 4};
+
+/* The anchors beside a local time: the nearer one, and the other */
+static void beside(const contact_t *k, int body, double tau, const double *anchor[2]) {
+  const double at = k->to > k->from ? 4.0 * (tau - k->from) / (k->to - k->from) : 0.0;
+  const long left = at < 0.0 ? 0 : at < 3.0 ? (long)at : 3, near = at - left > 0.5 ? left + 1 : left;
+  anchor[0] = k->anchor[body][near], anchor[1] = k->anchor[body][2 * left + 1 - near];
+}
+
+/* The coordinates at a local time, on the branch that the path has come to */
+static void coordinates(const memory_t *now, long i, int body, const moment_t *m, double tau, double out[5]) {
+  if (!own_coordinates(now, i, body, m, out) || !all_finite(out, 5)) return;
+  const track_t *winding = &places[i].kind->winding[body];
+  const double *anchor[2];
+  beside(&now->contact[i], body, tau, anchor);
+  const int crossed = winding->double_cover && continues(out[0], anchor[1], anchor[0], 1);
+  wind(winding, anchor[crossed], 1, out, rows);
 }
 
 /* u v theta of coordinates */
@@ -207,23 +237,20 @@ static void take_place(double place[3], const double coordinates[5]) {
   place[0] = coordinates[0], place[1] = coordinates[1], place[2] = coordinates[4];
 }
 
-static const double *nearest_anchor(const contact_t *k, int body, double tau) {
-  long q = k->to > k->from ? lrint(4.0 * (tau - k->from) / (k->to - k->from)) : 0;
-  return k->anchor[body][q < 0 ? 0 : q > 4 ? 4 : q];
-}
-
 /* Follow the coordinates through a new panel, or fill all anchors with one place (to = 0). */
 static void lay_anchors(memory_t *now, long i) {
   contact_t *k = &now->contact[i];
-  double from[2][3], out[5];
+  double from[2][3], out[5], last[2] = {k->from, k->from};
   moment_t m;
   for (int body = 0; body < 2; body++) memcpy(from[body], k->anchor[body][4], sizeof from[body]);
   for (int q = 0; q < 5; q++) {
-    moment(now, i, k->from + 0.25 * q * (k->to - k->from), &m);
+    const double tau = k->from + 0.25 * q * (k->to - k->from);
+    moment(now, i, tau, &m);
     for (int body = 0; body < 2; body++) {
-      if (form_of(now, i)->size[body] == 9) {
-        coordinates(now, i, body, &m, from[body], out);
-        if (all_finite(out, 5)) take_place(from[body], out);
+      if (own_coordinates(now, i, body, &m, out) && all_finite(out, 5)) {
+        wind_along(&places[i].kind->winding[body], place_on, &(path_t){now, i, body}, last[body],
+                   from[body], 1, tau, out, rows);
+        take_place(from[body], out), last[body] = tau;
       }
       memcpy(k->anchor[body][q], from[body], sizeof from[body]);
     }
@@ -380,12 +407,13 @@ static void begin_segment(memory_t *now, long i, const moment_t *m, double place
 static void restart(memory_t *now, long i) {
   contact_t *k = &now->contact[i];
   double place[2][3], out[5], tau = now->time - k->begin;
+  const double *anchor[2];
   moment_t m;
   moment(now, i, tau, &m);
   for (int body = 0; body < 2; body++) {
-    const double *anchor = nearest_anchor(k, body, tau);
-    coordinates(now, i, body, &m, anchor, out);
-    memcpy(place[body], anchor, sizeof place[body]);
+    coordinates(now, i, body, &m, tau, out);
+    beside(k, body, tau, anchor);
+    memcpy(place[body], anchor[0], sizeof place[body]);
     if (all_finite(out, 5)) take_place(place[body], out);
   }
   begin_segment(now, i, &m, place);
@@ -505,7 +533,7 @@ static void find_states(component_t *c, long i) {
   const moment_t *m = present(c, i);
   for (int body = 0; body < 2; body++) {
     double *state = value + AT_STATE + BODY * body, *rate = value + AT_RATE + BODY * body;
-    coordinates(now, i, body, m, nearest_anchor(k, body, tau), out[body]);
+    coordinates(now, i, body, m, tau, out[body]);
     for (int j = 0; j < 2; j++) {
       state[j] = out[body][j];
       rate[j] = out[body][2 + j] + (body ? m->disturbance[4 + j] : 0.0);
