@@ -43,6 +43,7 @@ from .checks import flag
 from .development import driven_motion, forced_motion, reflection, starting_slip
 from .equations import chart_equations
 from .errors import SceneError
+from .expressions import SYMBOLS
 from .geometry import upper_inverse
 from .kernels import per_structure
 from .kinematics import relative_pose, relative_twist
@@ -556,13 +557,14 @@ class SceneSystem:
             "stretch" (2), the Frobenius norms of M of finger and object, m, 0 where the scene has
             no acceleration.
         """
-        if outputs not in self._functions:
-            values = ca.cse([self._expressions[name] for name in outputs])
-            name = "scene_" + "_".join(outputs)
-            self._functions[outputs] = ca.Function(
-                name, list(self._symbols.values()), [ca.densify(v) for v in values],
-                list(INPUTS), list(outputs),
-            )  # fmt: skip
+        with SYMBOLS:
+            if outputs not in self._functions:
+                values = ca.cse([self._expressions[name] for name in outputs])
+                name = "scene_" + "_".join(outputs)
+                self._functions[outputs] = ca.Function(
+                    name, list(self._symbols.values()), [ca.densify(v) for v in values],
+                    list(INPUTS), list(outputs),
+                )  # fmt: skip
         return self._functions[outputs]
 
     def depends(self, output: str) -> set[str]:
