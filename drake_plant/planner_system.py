@@ -5,45 +5,32 @@ from __future__ import annotations
 import bisect
 import functools
 import math
-import operator
-import threading
-from collections.abc import Callable, Sequence
 from typing import Any
 
-import casadi as ca
 import numpy as np
-import pydrake.math as drake_math
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform_, RotationMatrix_
-from pydrake.symbolic import Expression, Formula, if_then_else
 from pydrake.systems.framework import BasicVector_, LeafSystem_, ValueProducer
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from contact_system import Scene, SceneSystem
 from contact_system.checks import finite_number, flag
-from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
-from contact_system.expressions import SYMBOLS
-from contact_system.kernels import (
-    compiled_library,
-    find_compiler,
-    library_path,
-    no_operation,
-    replay,
-)
+from contact_system.errors import ChartSingularity, SceneError
+from contact_system.scene import DISTURBANCE_KINDS
 
 from .invariants import (
     MOST,
     Limits,
-    StepWatch,
     has_invariants,
     no_limits,
-    pace_function,
     pushes,
     refuse_pace,
     stands,
     stiffness,
 )
 from .lifetimes import NO_DICTIONARY, weakly
+from .scalars import evaluate_scalars, select
+from .scratch import Scratch, Scratches
 
 CLEARANCE = 0.01
 """Distance from a chart's singularity, as a fraction of the body's size, that is refused."""
@@ -62,192 +49,8 @@ PORTS = {"state": 9, "slip": 2, "twist": 6, "acceleration": 6, "contact_point": 
 
 Array = np.ndarray
 
-
-# --- numbers: a CasADi function between fixed buffers ---------------------------------------------
-
-
-class BufferedFunction:
-    """A CasADi function that reads and writes the same arrays at every :attr:`run`.
-
-    Parameters
-    ----------
-    function : casadi.Function
-    arguments : arrays that it reads
-    compiled : bool or None
-        None: as compiled C where it can be built here, or was built before, else in CasADi's
-        virtual machine; True: as compiled C, or an error; False: in the virtual machine.
-    """
-
-    def __init__(self, function: ca.Function, arguments: Sequence[Array], compiled: bool | None):
-        function = _compiled(function, compiled)
-        self._buffer, self.run = function.buffer()
-        self.results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-        for i, array in enumerate(arguments):
-            self._buffer.set_arg(i, memoryview(array))  # type: ignore
-        for i, array in enumerate(self.results):
-            self._buffer.set_res(i, memoryview(array))  # type: ignore
-
-
-def _compiled(function: ca.Function, compiled: bool | None) -> ca.Function:
-    if compiled is False or (compiled is None and find_compiler() is None):
-        return function
-    generator = ca.CodeGenerator(function.name())
-    generator.add(function)
-    source = generator.dump()
-    try:
-        compiled_library(source)
-    except (ContactSystemError, OSError):  # a compiler without headers, a cache nobody may use
-        if compiled:
-            raise
-        return function
-    return _external(function.name(), str(library_path(source)))
-
-
-_external = functools.lru_cache(maxsize=64)(ca.external)
 # Python systems with ports are never freed (seen in Drake 1.51), so what is large is shared.
 _scene_system = functools.lru_cache(maxsize=16)(SceneSystem)
-
-
-@functools.lru_cache(maxsize=16)
-def _pace(system: SceneSystem) -> ca.Function:
-    with SYMBOLS:
-        return pace_function(system)
-
-
-class Scratch:
-    """What one thread evaluates with: arrays, and machines that read and write them.
-
-    Attributes
-    ----------
-    t, x, w, held : arguments of `SceneSystem.function`, the first of `given`
-    same : between these times w stays as it is
-    limits : what `pace_function` compares with, those of the last simulation looked at
-    hot : t, x, run, guard, derivatives of the machine of the derivatives
-    """
-
-    def __init__(self, system: SceneSystem, compiled: bool | None):
-        self._system, self._compiled = system, compiled
-        self.t, self.x, self.w = np.zeros(1), system.x0.copy(), np.zeros(system.n_w)
-        self.held = system.held0.copy()
-        self.given = (self.t, self.x, self.w, self.held)
-        self.same = (0.0, 0.0)
-        self._machines: dict[str, BufferedFunction] = {}
-        self.limits, self.steps = no_limits(system), StepWatch(system.scene)
-        if has_invariants(system):
-            given = (*self.given, system.parameters, self.limits)
-            machine = BufferedFunction(_pace(system), given, compiled)
-            self.run_pace, self.paces = machine.run, machine.results[4:]
-            self.excess = machine.results[3].data
-        else:
-            machine = self._machine("derivatives", "guard", "clearance")
-        self._hot_machine = machine  # `run` does not keep its buffers
-        rates, guard, clearance = machine.results[:3]
-        self.hot = (self.t.data, self.x.data, machine.run, guard.data, rates)
-        self.clearance = clearance.data
-
-    def _machine(self, *outputs: str) -> BufferedFunction:
-        given = (*self.given, self._system.parameters)
-        return BufferedFunction(self._system.function(*outputs), given, self._compiled)
-
-    def evaluate(self, output: str) -> Array:
-        """An output of what is loaded; the array is written again."""
-        if output not in self._machines:
-            self._machines[output] = self._machine(output)
-        machine = self._machines[output]
-        machine.run()
-        return machine.results[0]
-
-
-class Scratches(threading.local):
-    """``own`` is the Scratch of the thread that asks.
-
-    A System is const, and threads that share one have a Context each.
-    """
-
-    def __init__(self, system: SceneSystem, compiled: bool | None):  # called in each thread
-        self.own = Scratch(system, compiled)
-
-
-# --- Drake's other scalars: the same instructions, replayed ---------------------------------------
-
-
-def _where(condition: Any, value: Any, otherwise: Any) -> Any:
-    if isinstance(condition, Formula):
-        return if_then_else(condition, Expression(0.0) + value, Expression(0.0) + otherwise)
-    return value if condition else otherwise
-
-
-def _power(base: Any, exponent: Any) -> Any:
-    if isinstance(exponent, (float, Expression)):
-        return drake_math.pow(base, exponent)
-    return drake_math.exp(exponent * drake_math.log(base))
-
-
-def _truncated(a: Any) -> Any:
-    return _where(a >= 0.0, drake_math.floor(a), drake_math.ceil(a))
-
-
-_OPERATIONS: dict[int, Callable[..., Any]] = {
-    ca.OP_ASSIGN: lambda a: a,
-    ca.OP_ADD: operator.add,
-    ca.OP_SUB: operator.sub,
-    ca.OP_MUL: operator.mul,
-    ca.OP_DIV: operator.truediv,
-    ca.OP_NEG: operator.neg,
-    ca.OP_SQ: lambda a: a * a,
-    ca.OP_TWICE: lambda a: 2.0 * a,
-    ca.OP_INV: lambda a: 1.0 / a,
-    ca.OP_EXP: drake_math.exp,
-    ca.OP_LOG: drake_math.log,
-    ca.OP_POW: _power,
-    ca.OP_CONSTPOW: _power,
-    ca.OP_SQRT: drake_math.sqrt,
-    ca.OP_SIN: drake_math.sin,
-    ca.OP_COS: drake_math.cos,
-    ca.OP_TAN: drake_math.tan,
-    ca.OP_ASIN: drake_math.asin,
-    ca.OP_ACOS: drake_math.acos,
-    ca.OP_ATAN: drake_math.atan,
-    ca.OP_ATAN2: drake_math.atan2,
-    ca.OP_HYPOT: lambda a, b: drake_math.sqrt(a * a + b * b),
-    ca.OP_SINH: drake_math.sinh,
-    ca.OP_COSH: drake_math.cosh,
-    ca.OP_TANH: drake_math.tanh,
-    ca.OP_ASINH: lambda a: drake_math.log(a + drake_math.sqrt(a * a + 1.0)),
-    ca.OP_ACOSH: lambda a: drake_math.log(a + drake_math.sqrt(a * a - 1.0)),
-    ca.OP_ATANH: lambda a: 0.5 * drake_math.log((1.0 + a) / (1.0 - a)),
-    ca.OP_LOG1P: lambda a: drake_math.log(1.0 + a),
-    ca.OP_EXPM1: lambda a: drake_math.exp(a) - 1.0,
-    ca.OP_FABS: drake_math.abs,
-    ca.OP_FMIN: drake_math.min,
-    ca.OP_FMAX: drake_math.max,
-    ca.OP_COPYSIGN: lambda a, b: _where(b >= 0.0, drake_math.abs(a), -drake_math.abs(a)),
-    ca.OP_SIGN: lambda a: _where(a > 0.0, 1.0, _where(a < 0.0, -1.0, 0.0)),
-    ca.OP_FLOOR: drake_math.floor,
-    ca.OP_CEIL: drake_math.ceil,
-    ca.OP_FMOD: lambda a, b: a - b * _truncated(a / b),
-    # a condition is a number again, as it is for CasADi
-    ca.OP_LT: lambda a, b: _where(a < b, 1.0, 0.0),
-    ca.OP_LE: lambda a, b: _where(a <= b, 1.0, 0.0),
-    ca.OP_EQ: lambda a, b: _where(a == b, 1.0, 0.0),
-    ca.OP_NE: lambda a, b: _where(a != b, 1.0, 0.0),
-    ca.OP_NOT: lambda a: _where(a == 0.0, 1.0, 0.0),
-    ca.OP_AND: lambda a, b: _where(a != 0.0, _where(b != 0.0, 1.0, 0.0), 0.0),
-    ca.OP_OR: lambda a, b: _where(a != 0.0, 1.0, _where(b != 0.0, 1.0, 0.0)),
-    ca.OP_IF_ELSE_ZERO: lambda a, b: _where(a != 0.0, b, 0.0),
-}
-
-
-def evaluate_scalars(function: ca.Function, arguments: Sequence[Any], T: type) -> Array:
-    """The first output of a CasADi function of Drake's AutoDiffXd or Expression: (n,) of T."""
-
-    def apply(op: int, operands: list[Any]) -> Any:
-        if op not in _OPERATIONS:
-            raise no_operation(op, "AutoDiffXd or Expression")
-        return _OPERATIONS[op](*operands)
-
-    (values, *_) = replay(function, arguments, apply)
-    return np.array([v if isinstance(v, T) else T(v) for v in values])
 
 
 # --- refusals -------------------------------------------------------------------------------------
@@ -508,8 +311,8 @@ def _define(T: type) -> type:
             passed = context.get_discrete_state(self._window).GetAtIndex(0)
 
             def is_past(edge: float) -> Any:
-                decided = _where(passed >= edge, 1.0, 0.0)
-                return _where(t > edge, 1.0, _where(t == edge, decided, 0.0))
+                decided = select(passed >= edge, 1.0, 0.0)
+                return select(t > edge, 1.0, select(t == edge, decided, 0.0))
 
             for d, rows in self.system.windows:
                 acts = is_past(d.start) - is_past(d.stop)
@@ -579,10 +382,9 @@ def _define(T: type) -> type:
             added = self._Disturbance(context, "derivatives")
             if added is not None:
                 k = int(np.argmax(np.abs(added)))
-                what = ("finger acceleration", "object acceleration", "object rate offset")
                 remedy += (
                     f", or less on the input port 'disturbance', whose element {k} (contact "
-                    f"{k // 6}, {what[k % 6 // 2]}) is {added[k]:.6g}"
+                    f"{k // 6}, {DISTURBANCE_KINDS[k % 6 // 2].kind}) is {added[k]:.6g}"
                 )
             raise SceneError(wrong + remedy)
 

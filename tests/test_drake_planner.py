@@ -21,7 +21,7 @@ from pydrake.systems.primitives import Linearize, MatrixGain
 
 import contact_system as cs
 from contact_system import kernels
-from drake_plant import BuildStation, ContactPlanner, planner_system
+from drake_plant import BuildStation, ContactPlanner, scratch
 
 COORDINATES = ("chart", "frame")
 ORDERS = {
@@ -286,7 +286,7 @@ def built(tmp_path, monkeypatch):
 
 
 def use_compiler(monkeypatch, command):
-    for module in (kernels, planner_system):
+    for module in (kernels, scratch):
         monkeypatch.setattr(module, "find_compiler", lambda: command)
 
 

@@ -1,0 +1,94 @@
+"""CasADi functions of Drake's other scalars: the same instructions, replayed."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pydrake.math as drake_math
+from pydrake.symbolic import Expression, Formula, if_then_else
+
+from contact_system.kernels import no_operation, replay
+
+
+def select(condition: Any, value: Any, otherwise: Any) -> Any:
+    """A value by a condition, which may be a Formula."""
+    if isinstance(condition, Formula):
+        return if_then_else(condition, Expression(0.0) + value, Expression(0.0) + otherwise)
+    return value if condition else otherwise
+
+
+def _power(base: Any, exponent: Any) -> Any:
+    if isinstance(exponent, (float, Expression)):
+        return drake_math.pow(base, exponent)
+    return drake_math.exp(exponent * drake_math.log(base))
+
+
+def _truncated(a: Any) -> Any:
+    return select(a >= 0.0, drake_math.floor(a), drake_math.ceil(a))
+
+
+_OPERATIONS: dict[int, Callable[..., Any]] = {
+    ca.OP_ASSIGN: lambda a: a,
+    ca.OP_ADD: operator.add,
+    ca.OP_SUB: operator.sub,
+    ca.OP_MUL: operator.mul,
+    ca.OP_DIV: operator.truediv,
+    ca.OP_NEG: operator.neg,
+    ca.OP_SQ: lambda a: a * a,
+    ca.OP_TWICE: lambda a: 2.0 * a,
+    ca.OP_INV: lambda a: 1.0 / a,
+    ca.OP_EXP: drake_math.exp,
+    ca.OP_LOG: drake_math.log,
+    ca.OP_POW: _power,
+    ca.OP_CONSTPOW: _power,
+    ca.OP_SQRT: drake_math.sqrt,
+    ca.OP_SIN: drake_math.sin,
+    ca.OP_COS: drake_math.cos,
+    ca.OP_TAN: drake_math.tan,
+    ca.OP_ASIN: drake_math.asin,
+    ca.OP_ACOS: drake_math.acos,
+    ca.OP_ATAN: drake_math.atan,
+    ca.OP_ATAN2: drake_math.atan2,
+    ca.OP_HYPOT: lambda a, b: drake_math.sqrt(a * a + b * b),
+    ca.OP_SINH: drake_math.sinh,
+    ca.OP_COSH: drake_math.cosh,
+    ca.OP_TANH: drake_math.tanh,
+    ca.OP_ASINH: lambda a: drake_math.log(a + drake_math.sqrt(a * a + 1.0)),
+    ca.OP_ACOSH: lambda a: drake_math.log(a + drake_math.sqrt(a * a - 1.0)),
+    ca.OP_ATANH: lambda a: 0.5 * drake_math.log((1.0 + a) / (1.0 - a)),
+    ca.OP_LOG1P: lambda a: drake_math.log(1.0 + a),
+    ca.OP_EXPM1: lambda a: drake_math.exp(a) - 1.0,
+    ca.OP_FABS: drake_math.abs,
+    ca.OP_FMIN: drake_math.min,
+    ca.OP_FMAX: drake_math.max,
+    ca.OP_COPYSIGN: lambda a, b: select(b >= 0.0, drake_math.abs(a), -drake_math.abs(a)),
+    ca.OP_SIGN: lambda a: select(a > 0.0, 1.0, select(a < 0.0, -1.0, 0.0)),
+    ca.OP_FLOOR: drake_math.floor,
+    ca.OP_CEIL: drake_math.ceil,
+    ca.OP_FMOD: lambda a, b: a - b * _truncated(a / b),
+    # a condition is a number again, as it is for CasADi
+    ca.OP_LT: lambda a, b: select(a < b, 1.0, 0.0),
+    ca.OP_LE: lambda a, b: select(a <= b, 1.0, 0.0),
+    ca.OP_EQ: lambda a, b: select(a == b, 1.0, 0.0),
+    ca.OP_NE: lambda a, b: select(a != b, 1.0, 0.0),
+    ca.OP_NOT: lambda a: select(a == 0.0, 1.0, 0.0),
+    ca.OP_AND: lambda a, b: select(a != 0.0, select(b != 0.0, 1.0, 0.0), 0.0),
+    ca.OP_OR: lambda a, b: select(a != 0.0, 1.0, select(b != 0.0, 1.0, 0.0)),
+    ca.OP_IF_ELSE_ZERO: lambda a, b: select(a != 0.0, b, 0.0),
+}
+
+
+def evaluate_scalars(function: ca.Function, arguments: Sequence[Any], T: type) -> np.ndarray:
+    """The first output of a CasADi function of Drake's AutoDiffXd or Expression: (n,) of T."""
+
+    def apply(op: int, operands: list[Any]) -> Any:
+        if op not in _OPERATIONS:
+            raise no_operation(op, "AutoDiffXd or Expression")
+        return _OPERATIONS[op](*operands)
+
+    (values, *_) = replay(function, arguments, apply)
+    return np.array([v if isinstance(v, T) else T(v) for v in values])
