@@ -29,6 +29,7 @@ from .tracks import (
     Evaluator,
     Track,
     TrackData,
+    altered,
     drive_data,
     frame_kernel,
     kept,
@@ -164,17 +165,14 @@ class CircleTrack(Track):
 
     def moved(self, circle: Circle) -> CircleTrack:
         """This track on other circles."""
-        other = object.__new__(CircleTrack)
-        other.__dict__.update(self.__dict__)
-        other.circle, other._memories = circle, {"points": {}, "coordinates": {}}
         data = TrackData.from_buffer_copy(self._data[1][0])
         data.constants, data.w, data.v = (
             address(circle.constants), address(circle.pace), address(circle.phase_per_metre),
         )  # fmt: skip
-        other.__dict__["_data"] = ctypes.addressof(data), (data, circle)
-        for name in ("_entries", "_long"):
-            other.__dict__.pop(name, None)
-        return other
+        return altered(
+            self, ("_entries", "_long"), circle=circle, _memories={"points": {}, "coordinates": {}},
+            _data=(ctypes.addressof(data), (data, circle)),
+        )  # fmt: skip
 
     def again(self, tolerance: float) -> Track:
         return self

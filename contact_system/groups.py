@@ -16,7 +16,7 @@ from .errors import ChartSingularity
 from .panel_tracks import MovingTrack
 from .profile import GainPiece
 from .starts import Moment
-from .tracks import Track, prefers_ambient, restoring_kernel
+from .tracks import Track, altered, prefers_ambient, restoring_kernel
 
 SIDES = ("finger", "object")
 
@@ -101,16 +101,12 @@ class Group:
         """A group that :meth:`repeats`, for another tolerance."""
         if not self.moving:
             return self
-        other = object.__new__(Group)
-        other.__dict__.update(self.__dict__)
-        other.__dict__.pop("moving", None)
         anew = {track: track.again(tolerance) for track in self.moving}
-        other.finger, other.object = (
+        finger, obj = (
             [*tracks[:-1], anew.get(tracks[-1], tracks[-1])]  # type: ignore[call-overload]
             for tracks in (self.finger, self.object)
         )
-        other.programs = {}
-        return other
+        return altered(self, ("moving",), finger=finger, object=obj, programs={})
 
     def coordinates_at(self, side: str, count: int) -> np.ndarray:
         """Continuous (u, v, theta) at the end of the first ``count`` tracks: (n, 3).

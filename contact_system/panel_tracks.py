@@ -17,6 +17,7 @@ from .tracks import (
     Evaluator,
     Track,
     TrackData,
+    altered,
     coordinate_kernel,
     drive_data,
     evaluator,
@@ -140,10 +141,8 @@ class PanelTrack(Track):
         """This track for C alone, which integrates another motion under the same accelerations."""
         known = self.forced
         assert known is not None
-        other = object.__new__(PanelTrack)
-        other.__dict__.update(self.__dict__, panels=None, w=w)
-        other.forced = Forced(known.w1, known.v, known.grown, turn, motion)
-        other.__dict__.pop("_entries", None)
+        forced = Forced(known.w1, known.v, known.grown, turn, motion)
+        other = altered(self, ("_entries",), panels=None, w=w, forced=forced)
         data, kept = other._track_data()
         other.__dict__["_data"] = ctypes.addressof(data), data, kept
         return other
@@ -389,13 +388,7 @@ class MovingTrack(PanelTrack):
         data.w, data.v = address(self.w), address(self.w if self.v is None else self.v)
 
     def _copy(self, tolerance: float) -> MovingTrack:
-        other = object.__new__(type(self))
-        known = other.__dict__
-        known.update(self.__dict__)
-        for name in _OWN:
-            known.pop(name, None)
-        other.tolerance, other._anchors = tolerance, None
-        return other
+        return altered(self, _OWN, tolerance=tolerance, _anchors=None)
 
     @property
     def method(self) -> str:  # type: ignore[override]

@@ -30,7 +30,7 @@ from .kernels import (
     per_structure,
 )
 from .profile import GainPiece
-from .tracks import BRANCH, NODE, Drive, TrackData, drive_data
+from .tracks import BRANCH, NODE, Drive, TrackData, altered, drive_data
 
 # NODES = 16: on a unit sphere a panel spans about 2 rad at 1e-14 and Picard sweeps still converge.
 SWEEPS = 40
@@ -181,9 +181,7 @@ class Problem:
 
     def moved(self, start: np.ndarray, constants: np.ndarray, **others: Any) -> Problem:
         """This problem from another start with other constants, both contiguous."""
-        other = object.__new__(Problem)
-        other.__dict__.update(self.__dict__, start=start, constants=constants, **others)
-        return other
+        return altered(self, start=start, constants=constants, **others)
 
     def limits(self, tolerance: float) -> tuple[float, float, float]:
         """Bound of a series' tail, greatest slip that counts, and where it is let go."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -58,6 +58,20 @@ class once(kept):
     def __get__(self, instance: Any, owner: type) -> Any:
         with LOCK:
             return super().__get__(instance, owner)
+
+
+def altered(instance: Any, without: Sequence[str] = (), **changes: Any) -> Any:
+    """A copy with other attributes, ``without`` those that it must find anew.
+
+    In less than half the time of `dataclasses.replace`, which finds all anew.
+    """
+    other = object.__new__(type(instance))
+    known = other.__dict__
+    known.update(instance.__dict__)
+    for name in without:
+        known.pop(name, None)
+    known.update(changes)
+    return other
 
 
 AXIS = 6  # numbers of (x, p), to which q = n x p adds nothing
