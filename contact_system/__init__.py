@@ -3,6 +3,7 @@
 Kumar & Mukherjee, "A note on synthesizing geodesic based contact curves".
 """
 
+from .contact_sensor import measured_states
 from .errors import (
     ChartSingularity,
     ConformalContact,
@@ -10,7 +11,6 @@ from .errors import (
     SceneError,
     SurfaceError,
 )
-from .measured import measured_states
 from .measures import Rejection, great_circle_distance, rejections
 from .plan import Plan, load, plan
 from .profile import Contraction, Gain, Profile

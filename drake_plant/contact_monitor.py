@@ -53,8 +53,8 @@ from pydrake.systems.framework import (
 )
 
 from contact_system import Scene
+from contact_system.contact_sensor import ContactSensor, Measurement
 from contact_system.kernels import Kernel, made_once
-from contact_system.measured import ContactSensor, Measurement
 
 from .lifetimes import NO_DICTIONARY, weakly
 from .plant import ScenePlant

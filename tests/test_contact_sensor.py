@@ -9,8 +9,8 @@ import pytest
 from conftest import SURFACES, one_contact, slip_of_states
 
 import contact_system as cs
+from contact_system.contact_sensor import ContactSensor
 from contact_system.kinematics import contact_map
-from contact_system.measured import ContactSensor
 
 SCENES = ("K1", "K2", "K3", "K4", "D1", "D3", "C2", "bowl", "torus", "chart", "implicit")
 
