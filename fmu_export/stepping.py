@@ -183,10 +183,10 @@ class Block:
         if now.settled or plan is None:
             return
         at = min(self.snapped(now.time), self._end())
-        if at == plan.start:  # nothing has moved yet
+        if at - plan.start <= ROUNDING * max(1.0, at):  # nothing has moved yet
             assert plan.starts is not None
             end = max(self._end(), target)
-            self._plan_from(at, end, end, plan.starts)
+            self._plan_from(plan.start, end, end, plan.starts)
             return
         lasted = at - plan.start
         if at < target <= at + 2 * lasted and self._follow(at, target):

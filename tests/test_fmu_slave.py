@@ -273,6 +273,23 @@ def test_inputs_that_change_at_every_step_are_planned_step_by_step():
     close(states_now(slave), plan.states(1.0)[0])
 
 
+def test_inputs_that_change_may_be_followed_by_a_look_before_the_step():
+    # an importer with feed-through; at 0.25 s a step ends one rounding error after a plan does
+    scene = one_contact("ellipsoid", profile=(0.2,))
+    slave, windows = begun(scene), []
+    for k in range(240, 260):
+        a, b = 0.001 * (k - 1), 0.001 * k
+        if k == 240:
+            slave.doStep(0.0, a)
+        push = (math.sin(k), math.cos(3 * k))
+        windows.append(cs.FingerAcceleration(0, a, b, push))
+        put(slave, {f"contact[1].finger.acceleration.{w}": x for w, x in zip("uv", push)})
+        states_now(slave)
+        slave.doStep(a, 0.001)
+    plan = cs.plan(scene.replace(disturbances=windows), 1e-14)
+    close(states_now(slave), plan.states(0.259)[0])
+
+
 def test_steps_under_changing_inputs_pass_a_pole_as_the_plan_does():
     contact = cs.Contact(cs.Sphere(0.04), object_at=(0.3, 0.5), finger_velocity=(-1.0, 0.0))
     others = [cs.Contact(cs.Ellipsoid(0.05, 0.04, 0.03), object_at=(1.2, v)) for v in (1.0, 2.0)]
