@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypeGuard
@@ -125,3 +126,8 @@ def flag(value: Any, what: str, none: bool = False) -> Any:
     if not isinstance(value, (bool, np.bool_)):
         raise SceneError(f"{what} = {value!r}: give True or False" + ", or None" * none)
     return bool(value)
+
+
+def is_device(name: str) -> bool:
+    """Whether Windows takes a file of this name, with any ending, for a device."""
+    return re.match(r"(con|prn|aux|nul|(com|lpt)[0-9])(\.|$)", name, re.IGNORECASE) is not None

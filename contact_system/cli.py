@@ -25,6 +25,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from . import plots
+from .checks import is_device
 from .errors import ContactSystemError
 from .kernels import make_folder
 from .measures import (
@@ -176,9 +177,10 @@ def _asked_plan(args: argparse.Namespace, scene: Scene) -> Plan:
 
 
 def file_name(scene: Scene) -> str:
-    """The scene's name as that of files and folders."""
+    """The scene's name as that of files and folders, short enough for any file system."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in scene.name)
-    return name.strip(".-") or "scene"
+    name = name.encode()[:100].decode(errors="ignore").strip(".-")
+    return f"scene-{name}" if is_device(name) else name or "scene"
 
 
 def _write(

@@ -146,9 +146,9 @@ def target(path: str | os.PathLike) -> Path:
         It is a folder, or lies in something that is none.
     """
     path = Path(path)
-    if path.is_dir():
-        raise ContactSystemError(f"'{path}' is a folder; name the file to write in it")
     try:
+        if path.is_dir():
+            raise ContactSystemError(f"'{path}' is a folder; name the file to write in it")
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ContactSystemError(f"no file can be written to '{path}': {error}") from None

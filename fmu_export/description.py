@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
 from contact_system import __version__
+from contact_system.checks import is_device
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
@@ -121,7 +122,8 @@ def instantiation_token(description: str) -> str:
 def model_identifier(table: Table) -> str:
     """The scene's name as a C identifier, which names files too."""
     name = re.sub(r"\W", "_", table.scene.name[:100], flags=re.ASCII)
-    return name if re.match("[A-Za-z]", name) else f"scene_{name}".rstrip("_")
+    fine = re.match("[A-Za-z]", name) and not is_device(name)
+    return name if fine else f"scene_{name}".rstrip("_")
 
 
 def listed(table: Table, fmi_version: str) -> list[Variable]:

@@ -8,6 +8,7 @@ import zipfile
 import pytest
 
 import contact_system as cs
+from contact_system.cli import file_name
 
 fmpy = pytest.importorskip("fmpy")
 
@@ -53,6 +54,16 @@ def test_file_is_named_after_the_scene(monkeypatch, tmp_path, capsys):
     assert (tmp_path / "K1.fmu").exists() and "wrote K1.fmu" in capsys.readouterr().out
 
 
+def test_the_file_of_any_name_can_be_written_on_any_system(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    names = {"é" * 300: "é" * 50, "aux": "scene-aux", "LPT1.a": "scene-LPT1.a", "../x": "x"}
+    for name, stem in names.items():
+        assert file_name(cs.load_scene("K1").replace(name=name)) == stem
+    cs.save_scene(cs.load_scene("K1").replace(name="é" * 300), "long.toml")
+    assert command("long.toml") == 0
+    assert (tmp_path / f"{'é' * 50}.fmu").exists()
+
+
 def test_what_cannot_be_written_to_is_told_before_anything_is_made(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
@@ -61,6 +72,8 @@ def test_what_cannot_be_written_to_is_told_before_anything_is_made(tmp_path, mon
             command("K1", "-o", out)
     with pytest.raises(cs.ContactSystemError, match="no file can be written to"):
         command("K1", "-o", "file/k1.fmu")
+    with pytest.raises(cs.ContactSystemError, match="no file can be written to"):
+        command("K1", "-o", "x" * 300)
     with pytest.raises(cs.ContactSystemError, match="each once"):
         command("K1", "--interfaces", "CoSimulation", "CoSimulation")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]

@@ -145,7 +145,10 @@ def test_the_date_is_the_one_asked_for(monkeypatch, written):
 
 def test_the_identifier_is_a_c_name():
     scene = cs.load_scene("C1")
-    for name, identifier in (("4 balls & a cup", "scene_4_balls___a_cup"), ("", "scene")):
+    for name, identifier in (
+        ("4 balls & a cup", "scene_4_balls___a_cup"), ("", "scene"), ("Con", "scene_Con"),
+        ("console", "console"),
+    ):  # fmt: skip
         assert model_identifier(variable_table(scene.replace(name=name))) == identifier
     assert len(model_identifier(variable_table(scene.replace(name="x" * 300)))) == 100
 
