@@ -82,7 +82,9 @@ def _file_stems(names: Iterable[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for k, name in enumerate(names):
         stem = re.sub(r"\W", "_", name[:100], flags=re.ASCII)
-        found[name] = f"{stem}_{k + 1}" if stem in found.values() else stem
+        while stem.lower() in (known.lower() for known in found.values()):  # as Windows takes them
+            stem = f"{stem}_{k + 1}"
+        found[name] = stem
     return found
 
 

@@ -83,10 +83,11 @@ def test_file_is_valid_and_holds_valid_fmus(tmp_path):
 
 def test_names_alike_get_files_of_their_own():
     scene = one_contact()
-    tables = {name: variable_table(scene) for name in ("a/b", "a b")}
+    tables = {name: variable_table(scene) for name in ("a_b_3", "a/b", "a b", "A_B")}
     text = system_structure(tables)
-    for file in ("a_b_planner", "a_b_2_planner", "a_b_2_slip_integrator"):
-        assert text.count(f'source="resources/{file}.fmu"') == 1
+    for stem in ("a_b_3", "a_b", "a_b_3_3", "A_B_4"):
+        for part in ("planner", "slip_integrator"):
+            assert text.count(f'source="resources/{stem}_{part}.fmu"') == 1
 
 
 def test_empty_system_is_refused(tmp_path):
