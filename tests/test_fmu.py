@@ -937,6 +937,19 @@ def test_the_sources_inside_build_without_warnings(version, plain, exported, tmp
     assert run.returncode == 0, run.stderr
 
 
+def test_the_sources_refuse_a_build_without_infinities(exported, tmp_path):
+    # which would run, and be wrong by 7 rad/s in K4
+    from contact_system.kernels import find_compiler
+
+    compiler = find_compiler()
+    if compiler is None:
+        pytest.skip("no C compiler on this machine")
+    folder = os.path.join(exported("K1").folder, "sources")
+    command = [*compiler, "-Ofast", "-c", "component.c", "-o", str(tmp_path / "built")]
+    run = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert run.returncode != 0 and "compile without -ffast-math" in run.stderr
+
+
 def test_only_the_standards_functions_are_seen_outside(exported):
     fmu = exported("K1")
     library = os.path.join(fmu.folder, "binaries", "linux64", "K1.so")

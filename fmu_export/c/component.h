@@ -12,6 +12,11 @@
 #include "model.h"
 #include "common.h"
 
+/* An infinite time is one that never comes, and a value that is no number is refused. */
+#if defined(_M_FP_FAST) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "this model needs infinities and NaN: compile without -ffast-math, -Ofast or /fp:fast"
+#endif
+
 /* Only FMI's functions are seen outside: names like `step` would meet others in one process. */
 #if defined(__GNUC__)
 #pragma GCC visibility push(hidden)
