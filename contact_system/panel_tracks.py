@@ -259,8 +259,9 @@ class PanelTrack(Track):
             here = self._principal(middle)[b, :, np.arange(len(b))]
             sin, cos = np.sin(here[:, 0]), np.cos(here[:, 1])
             seams[i, b] = cos < np.abs(sin)
-            if (np.fmin(np.abs(sin), cos) <= 1e-6 * np.fmax(np.abs(sin), cos)).all():
-                break
+            there = np.fmin(np.abs(sin), cos) <= 1e-15 * np.fmax(np.abs(sin), cos)
+            if (there | (middle <= x) | (middle >= x2)).all():
+                break  # to rounding: a path may run along a seam and cross it elsewhere
             before = (sin < 0) == side[b, i]  # an end that is kept twice counts half
             c = np.where(before, np.where(kept > 0, 0.5 * c, c), sin * cos)
             a = np.where(before, sin * cos, np.where(kept < 0, 0.5 * a, a))

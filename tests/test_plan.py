@@ -243,6 +243,20 @@ def test_paths_close_to_umbilics_stay_on_their_branch(scene, compiled):
         assert np.abs(plan.points(t) - expected[1]).max() < 1e-9
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+def test_geodesic_along_a_seam_crosses_beside_the_umbilic(compiled):
+    # Jacobi's constant is positive, and so cos v is never 0: 1e-13 of the size off the seam, the
+    # path crosses y = 0 where sin u is 0, 4e-7 beyond the umbilic
+    contact = cs.Contact(
+        finger=cs.Sphere(0.04), object_at=(3.144943168853535, -1.5707579168350703),
+        finger_velocity=(0.9962732538067015, 0.08625313762065588),
+    )  # fmt: skip
+    obj = cs.Ellipsoid(1.0, 0.9999999461818512, 0.9999968767629274)
+    scene = cs.Scene(object=obj, contacts=[contact], profile=cs.Profile([12.0]), duration=1.0)
+    v = cs.plan(scene, compiled=compiled).states(np.linspace(0, 1, 400))[:, 0, 5]
+    assert (np.cos(v) > 0).all()
+
+
 @pytest.mark.parametrize("object_velocity", ["rolling", "rest"])
 def test_quadric_that_is_a_rounded_sphere_is_planned_as_the_sphere(object_velocity):
     # R (1/r^2) R^T has no zeros off its diagonal, and eigenvectors in any direction

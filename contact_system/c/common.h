@@ -185,10 +185,11 @@ static inline int over_seam(place_on_t place_on, const void *path, double x, dou
   for (int i = 0; i < 100; i++) {
     double at = x + (x2 - x) * (y / (y - y2));
     if (!(at > x && at < x2)) at = 0.5 * (x + x2);
+    if (!(at > x && at < x2)) break; /* to rounding: a path may run along a seam and cross it elsewhere */
     if (place_on(path, at, value)) return 0;
     s = sin(value[0]), c = cos(value[1]);
     const double found = s * c;
-    if (fmin(fabs(s), c) <= 1e-6 * fmax(fabs(s), c)) break;
+    if (fmin(fabs(s), c) <= 1e-15 * fmax(fabs(s), c)) break;
     if ((found < 0.0) == negative) {
       if (last == y) y2 *= 0.5;
       x = at, last = y = found;
