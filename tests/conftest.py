@@ -159,6 +159,15 @@ PAST_UMBILICS = [
     _past_umbilics("one", (0.3, 0.2, 0.1), (0.13165289212708675, 0.6643586305579765),
                    -2.5355341811604113, 2.5),
     _past_umbilics("pairs", (0.3, 0.10001, 0.1), (1.28, -0.36), -0.91, 3.4),
+    cs.Scene(  # y changes its sign at 0.006 s and, over a seam, at 0.253 s
+        object=cs.Ellipsoid(0.3, 0.2, 0.1),
+        contacts=[cs.Contact(
+            finger=cs.Sphere(0.04), object_at=(0.00045, 1.3275), finger_velocity=(0.284, -1.0),
+            object_velocity=(-0.077, 1.0),
+        )],
+        profile=cs.Profile([0.05]), duration=4.0, gain=cs.Gain.time(2.0),
+        disturbances=[cs.ObjectAcceleration(0, 2.5, 3.7, (0.05, 0.03))], name="round",
+    ),
 ]  # fmt: skip
-"""Past one umbilic at 0.6 mm, and four that are in pairs 1.3 mm apart; the window's components are
-those of the branch that the path has come to."""
+"""Past one umbilic at 0.6 mm, four that are in pairs 1.3 mm apart, and round one at 3 mm within a
+quarter of a panel; the window's components are those of the branch that the path has come to."""

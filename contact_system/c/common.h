@@ -167,13 +167,6 @@ static inline int wind(const track_t *k, const double *ref, long stride, double 
   return turned;
 }
 
-/* Of a double cover, whether a point with this principal u continues one anchor beside it rather than the other:
-   no seam is between. */
-static inline int continues(double u, const double *near, const double *other, long stride) {
-  const int side = beyond(u, 0.0);
-  return beyond(other[0], other[stride]) != side && beyond(near[0], near[stride]) == side;
-}
-
 /* u v u' v' theta of a path at a place x, in principal coordinates; returns not 0 if it has none */
 typedef long (*place_on_t)(const void *path, double x, double *value);
 
@@ -182,10 +175,11 @@ typedef long (*place_on_t)(const void *path, double x, double *value);
 static inline int over_seam(place_on_t place_on, const void *path, double x, double y, int negative, double x2,
                             double y2) {
   double value[5], last = 0.0, s = 0.0, c = 1.0;
+  y = negative ? -fabs(y) : fabs(y), y2 = negative ? fabs(y2) : -fabs(y2); /* of pi/2 even that is rounded */
   for (int i = 0; i < 100; i++) {
     double at = x + (x2 - x) * (y / (y - y2));
     if (!(at > x && at < x2)) at = 0.5 * (x + x2);
-    if (!(at > x && at < x2)) break; /* to rounding: a path may run along a seam and cross it elsewhere */
+    if (i && !(at > x && at < x2)) break; /* to rounding: a path may run along a seam and cross it elsewhere */
     if (place_on(path, at, value)) return 0;
     s = sin(value[0]), c = cos(value[1]);
     const double found = s * c;
@@ -201,15 +195,68 @@ static inline int over_seam(place_on_t place_on, const void *path, double x, dou
   return c < fabs(s);
 }
 
-/* One point of a path at x2, in principal coordinates, to the branch that it is on coming from ref at x */
+/* Whether a path leaves its side of y = sin u cos v = 0 and comes back between two places x, told with y at one
+   place where it is beyond: by parabolas towards the least |y|. */
+static inline int comes_back(place_on_t place_on, const void *path, int negative, double x, double y, double x2,
+                             double y2, double *there, double *found) {
+  const double sign = negative ? -1.0 : 1.0;
+  double a = x, c = x2, b = 0.5 * (a + c), at = b, value[5], ya = sign * y, yc = sign * y2, yb = HUGE_VAL;
+  if (fmin(ya, yc) > 0.25) return 0; /* too far for less than half a radian */
+  for (int i = 0; i < 30; i++) {
+    if (!(at > a && at < c) || place_on(path, at, value)) return 0;
+    *there = at, *found = sin(value[0]) * cos(value[1]);
+    const double now = sign * *found;
+    if (now < 0.0) return 1;
+    if (i && at < b) {
+      if (now < yb) c = b, yc = yb, b = at, yb = now; else a = at, ya = now;
+    } else if (i) {
+      if (now < yb) a = b, ya = yb, b = at, yb = now; else c = at, yc = now;
+    } else
+      yb = now;
+    const double s1 = (yb - ya) / (b - a), s2 = (yc - yb) / (c - b), bend = (s2 - s1) / (c - a);
+    at = 0.5 * (a + b) - 0.5 * s1 / bend;
+    if (!(bend > 0.0) || ya + (at - a) * (s1 + bend * (at - b)) > 0.1 * fmax(ya, yc)) return 0;
+  }
+  return 0;
+}
+
+/* One point of a path at x2, in principal coordinates, to the branch that it is on coming from ref at x; bends:
+   whether the path may come back between them */
 static inline void wind_along(const track_t *k, place_on_t place_on, const void *path, double x, const double *ref,
-                              long stride, double x2, double *out, const long *row) {
+                              long stride, double x2, int bends, double *out, const long *row) {
   const double y = sin(ref[0]) * cos(ref[stride]), y2 = sin(out[row[0]]) * cos(out[row[1]]);
   const int side = beyond(ref[0], ref[stride]);
-  if (!k->double_cover || beyond(out[row[0]], 0.0) == side)
+  double there, found;
+  if (!k->double_cover) {
     wind(k, ref, stride, out, row);
-  else
-    wind_to(k, second_cover(ref[stride]) ^ over_seam(place_on, path, x, y, side, x2, y2), ref, stride, out, row);
+    return;
+  }
+  int turned = second_cover(ref[stride]);
+  if (beyond(out[row[0]], 0.0) != side)
+    turned ^= over_seam(place_on, path, x, y, side, x2, y2);
+  else if (bends && comes_back(place_on, path, side, x, y, x2, y2, &there, &found)) {
+    turned ^= over_seam(place_on, path, x, y, side, there, found);
+    turned ^= over_seam(place_on, path, there, found, !side, x2, y2);
+  }
+  wind_to(k, turned, ref, stride, out, row);
+}
+
+/* One point of a path at x, in principal coordinates, to the branch of the anchors beside it, the first at x1, or
+   to that on which it has come from there: where both are on one side of y = 0, the path has left it between them */
+static inline void wind_beside(const track_t *k, place_on_t place_on, const void *path, double x1,
+                               const double *before, const double *after, long stride, int later, double x,
+                               double *out, const long *row) {
+  const double *ref = later ? after : before;
+  if (k->double_cover) {
+    const int side = beyond(out[row[0]], 0.0), first = beyond(before[0], before[stride]);
+    if (first != beyond(after[0], after[stride]))
+      ref = side == first ? before : after;
+    else if (side != first || second_cover(before[stride]) != second_cover(after[stride])) {
+      wind_along(k, place_on, path, x1, before, stride, x, 1, out, row);
+      return;
+    }
+  }
+  wind(k, ref, stride, out, row);
 }
 
 /* Numbers side by side in the machine's registers: the vector extension of GCC and Clang, where there is one. */

@@ -43,6 +43,21 @@ static void forced_drive(const track_t *k, long b, long n, long n_runs, const ru
 }
 #endif
 
+#if defined(WINDS) && !defined(CLOSED)
+static long place_on(const void *track, double x, double *value);
+
+/* One body of a track in the panels' variable, whatever that is; rates are not wanted */
+static track_t plain_track(const track_t *k, long b) {
+  static const double one[] = {1.0}, same[] = {0.0, 1.0};
+  track_t plain = *k;
+  plain.start = 0.0, plain.stop = k->edges[k->n_panels], plain.by_length = plain.slips = plain.n_anchors = 0;
+  plain.nb = 1, plain.forced = 0, plain.offset = NULL;
+  plain.drive.sigma = one, plain.drive.n_sigma = 1, plain.length = same;
+  plain.constants += b * NC, plain.coefficients += b * k->body_stride, plain.w += 2 * b, plain.v += 2 * b;
+  return plain;
+}
+#endif
+
 /* Results of body b at time i go to out[b * out_body + out_row[r] + i]. Returns 0, or 1 + the index
    of the first time outside [start, stop], or -1 - the index of the first time whose result is not
    finite. */
@@ -112,14 +127,13 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
         for (long i = 0; i < n; i++) block[out_row[2 + a] + i] += k->offset[2 * b + a];
 #if defined(WINDS) && !defined(CLOSED)
       const long m = k->n_anchors;
+      const track_t plain = m ? plain_track(k, b) : *k;
       for (long i = 0, near = 0; i < n && m; i++) {
-        double x = k->by_length ? length[i] : tau[i];
-        near = interval(k->anchor_at, m, x, near);
-        long j = near + 1 < m && k->anchor_at[near + 1] - x < x - k->anchor_at[near] ? near + 1 : near;
-        const double *to = k->anchors + b * 3 * m;
-        const long other = 2 * near + 1 - j;
-        if (k->double_cover && near + 1 < m && continues(block[out_row[0] + i], to + other, to + j, m)) j = other;
-        wind(k, to + j, m, block + i, out_row);
+        const double x = k->by_length ? length[i] : tau[i], *at = k->anchor_at;
+        near = interval(at, m, x, near);
+        const double *before = k->anchors + b * 3 * m + near, *after = before + (near + 1 < m);
+        const int later = near + 1 < m && at[near + 1] - x < x - at[near];
+        wind_beside(k, place_on, &plain, at[near], before, after, m, later, x, block + i, out_row);
       }
 #endif
     }
@@ -133,35 +147,38 @@ static long place_on(const void *track, double x, double *value) {
   return evaluate(track, 1, &x, value, row, COORDINATES);
 }
 
+/* Whether |y|, [m], falls towards the interval before place i from both sides */
+static int bends(const double *y, long m, long i) {
+  const int falls = i < 2 || fabs(y[i - 2]) >= fabs(y[i - 1]);
+  return falls && (i + 1 == m || fabs(y[i + 1]) >= fabs(y[i]));
+}
+
 /* Fill the anchors of a track: four times a panel, between which coordinates move by less than half a
    period, continued from begin [nb][3]. at [m], anchors [nb][3][m], work [nb][5][m],
    m = 4 n_panels + 1. */
 void anchor(track_t *k, const double *begin, double *at, double *anchors, double *work) {
-  static const double one[] = {1.0}, same[] = {0.0, 1.0};
   const long m = 4 * k->n_panels + 1;
   long row[] = {0, m, 2 * m, 3 * m, 4 * m};
   for (long p = 0; p < k->n_panels; p++)
     for (long q = 0; q < 4; q++)
       at[4 * p + q] = k->edges[p] + 0.25 * q * (k->edges[p + 1] - k->edges[p]);
   at[m - 1] = k->edges[k->n_panels];
-  track_t plain = *k; /* in the panels' variable, whatever that is; rates are not wanted */
-  plain.start = 0.0, plain.stop = at[m - 1], plain.by_length = plain.slips = plain.n_anchors = 0;
-  plain.forced = 0, plain.offset = NULL;
-  plain.drive.sigma = one, plain.drive.n_sigma = 1, plain.length = same;
+  track_t plain = plain_track(k, 0);
+  plain.nb = k->nb;
   evaluate(&plain, m, at, work, row, 5 * m);
-  plain.nb = 1;
   for (long b = 0; b < k->nb; b++) {
-    double *raw = work + b * 5 * m, *to = anchors + b * 3 * m;
+    double *raw = work + b * 5 * m, *to = anchors + b * 3 * m, *y = raw + 3 * m; /* for rates, which are not */
+    for (long i = 0; i < m && k->double_cover; i++) y[i] = sin(raw[i]) * cos(raw[m + i]);
+    plain = plain_track(k, b);
     const double *ref = begin + 3 * b;
     for (long i = 0, stride = 1; i < m; i++, stride = m) {
       if (i)
-        wind_along(k, place_on, &plain, at[i - 1], ref, m, at[i], raw + i, row);
+        wind_along(k, place_on, &plain, at[i - 1], ref, m, at[i], k->double_cover && bends(y, m, i), raw + i, row);
       else
         wind(k, ref, stride, raw + i, row);
       to[i] = raw[i], to[m + i] = raw[m + i], to[2 * m + i] = raw[4 * m + i];
       ref = to + i;
     }
-    plain.constants += NC, plain.coefficients += k->body_stride, plain.w += 2, plain.v += 2;
   }
   k->n_anchors = m, k->anchor_at = at, k->anchors = anchors;
 }

@@ -215,21 +215,23 @@ static long place_on(const void *path, double tau, double *value) {
 
 static const long rows[] = {0, 1, 2, 3, 4};
 
-/* The anchors beside a local time: the nearer one, and the other */
-static void beside(const contact_t *k, int body, double tau, const double *anchor[2]) {
+/* The anchor before a local time; whether the next one is nearer */
+static long before(const contact_t *k, double tau, int *later) {
   const double at = k->to > k->from ? 4.0 * (tau - k->from) / (k->to - k->from) : 0.0;
-  const long left = at < 0.0 ? 0 : at < 3.0 ? (long)at : 3, near = at - left > 0.5 ? left + 1 : left;
-  anchor[0] = k->anchor[body][near], anchor[1] = k->anchor[body][2 * left + 1 - near];
+  const long left = at < 0.0 ? 0 : at < 3.0 ? (long)at : 3;
+  *later = at - left > 0.5;
+  return left;
 }
 
 /* The coordinates at a local time, on the branch that the path has come to */
 static void coordinates(const memory_t *now, long i, int body, const moment_t *m, double tau, double out[5]) {
   if (!own_coordinates(now, i, body, m, out) || !all_finite(out, 5)) return;
-  const track_t *winding = &places[i].kind->winding[body];
-  const double *anchor[2];
-  beside(&now->contact[i], body, tau, anchor);
-  const int crossed = winding->double_cover && continues(out[0], anchor[1], anchor[0], 1);
-  wind(winding, anchor[crossed], 1, out, rows);
+  const contact_t *k = &now->contact[i];
+  int later;
+  const long left = before(k, tau, &later);
+  wind_beside(&places[i].kind->winding[body], place_on, &(path_t){now, i, body},
+              k->from + 0.25 * left * (k->to - k->from), k->anchor[body][left], k->anchor[body][left + 1],
+              1, later, tau, out, rows);
 }
 
 /* u v theta of coordinates */
@@ -249,7 +251,7 @@ static void lay_anchors(memory_t *now, long i) {
     for (int body = 0; body < 2; body++) {
       if (own_coordinates(now, i, body, &m, out) && all_finite(out, 5)) {
         wind_along(&places[i].kind->winding[body], place_on, &(path_t){now, i, body}, last[body],
-                   from[body], 1, tau, out, rows);
+                   from[body], 1, tau, 1, out, rows);
         take_place(from[body], out), last[body] = tau;
       }
       memcpy(k->anchor[body][q], from[body], sizeof from[body]);
@@ -407,13 +409,13 @@ static void begin_segment(memory_t *now, long i, const moment_t *m, double place
 static void restart(memory_t *now, long i) {
   contact_t *k = &now->contact[i];
   double place[2][3], out[5], tau = now->time - k->begin;
-  const double *anchor[2];
+  int later;
   moment_t m;
   moment(now, i, tau, &m);
   for (int body = 0; body < 2; body++) {
     coordinates(now, i, body, &m, tau, out);
-    beside(k, body, tau, anchor);
-    memcpy(place[body], anchor[0], sizeof place[body]);
+    const long left = before(k, tau, &later);
+    memcpy(place[body], k->anchor[body][left + later], sizeof place[body]);
     if (all_finite(out, 5)) take_place(place[body], out);
   }
   begin_segment(now, i, &m, place);
