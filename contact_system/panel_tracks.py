@@ -256,7 +256,8 @@ class PanelTrack(Track):
         for b, i in self._bends(at, y, side):
             there = self._comes_back(b, side[b, i], at[i], y[b, i], at[i + 1], y[b, i + 1])
             if there is not None:
-                x, ys = np.insert(at[i : i + 2], 1, there[0]), np.insert(y[b, i : i + 2], 1, there[1])
+                x = np.insert(at[i : i + 2], 1, there[0])
+                ys = np.insert(y[b, i : i + 2], 1, there[1])
                 sides = np.array([side[b, i], not side[b, i]])
                 both = self._over_seam([b, b], sides, x[:-1], ys[:-1], x[1:], ys[1:])
                 seams[i, b] = both[0] != both[1]
@@ -361,7 +362,8 @@ class PanelTrack(Track):
             reference = np.take_along_axis(anchors, chosen[:, None], axis=2)
             alike = covers[:, before] == covers[:, before + 1]
             for b, i in np.argwhere((first == last) & ((side != first) | ~alike)):
-                reference[b, :, i] = self._followed(b, at[before[i]], anchors[b, :, before[i]], x[i])
+                k = before[i]
+                reference[b, :, i] = self._followed(b, at[k], anchors[b, :, k], x[i])
             u, v, turned = self.surface.align(
                 values[:, 0], values[:, 1], reference[:, 0], reference[:, 1]
             )
