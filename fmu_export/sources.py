@@ -51,7 +51,7 @@ from .variables import Table
 SX = ca.SX
 
 C_SOURCES = Path(__file__).parent / "c"
-HAND_WRITTEN = ("component.h", "component.c", "fmi.h")
+HAND_WRITTEN = ("component.h", "component.c", "timeline.c", "state.c", "fmi.h")
 LAWS = tuple(GAIN_LAWS)
 _KINDS_OF_VALUE = {
     ("parameter", "fixed"): "FIXED",

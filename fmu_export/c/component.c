@@ -1,11 +1,9 @@
 #include "component.h"
 
-#include <float.h>
 #include <stdarg.h>
 #include <stdio.h>
 
 #define MOST_PANELS 20000L /* in one step: a second of work, kilometres of path */
-#define LOOK_AHEAD 1.05 /* a solver may look this far beyond sigma's end, within its last step */
 
 /* groups of results, bits of memory_t.valid */
 enum { STATE = 1, RATES = 2, SLIP = 4, TWIST = 8, POSE = 16, POINTS = 32, RESULTS = 64,
@@ -21,114 +19,11 @@ status_t report(component_t *c, status_t status, const char *category, const cha
   return status;
 }
 
-static int all_finite(const double *x, long n) {
-  double sum = 0.0;
-  for (long i = 0; i < n; i++) sum += 0.0 * x[i];
-  return sum == 0.0;
-}
-
 /* the first that is not finite; n where all are */
 static long not_finite(const double *x, long n) {
   long i = 0;
   while (i < n && fabs(x[i]) <= DBL_MAX) i++;
   return i;
-}
-
-/* times this near are one time: steps of 0.1 s do not add up to 1 s */
-int reached(double time, double edge) {
-  return time >= edge - 8 * DBL_EPSILON * fmax(1.0, fabs(edge));
-}
-
-static const double *law(const memory_t *now) { return now->value + GAIN; }
-
-/* --- sigma: where it grows, where it ends ----------------------------------------------------- */
-
-/* the sum of the sizes of a polynomial's terms, which its rounding errors are a fraction of */
-static double magnitude(const double *c, long n, double t) {
-  double size = 0.0;
-  for (long j = n - 1; j >= 0; j--) size = size * fabs(t) + fabs(c[j]);
-  return size;
-}
-
-/* the value, or 0 where its sign cannot be told from rounding: profile._clear_value */
-static double clear_value(const double *c, long n, double t) {
-  const double value = horner(c, n, t);
-  return t == 0.0 || fabs(value) > 4e-16 * n * magnitude(c, n, t) ? value : 0.0;
-}
-
-/* sign changes of a polynomial in (a, b), ascending; between those of its derivative it is
-   monotone. A root at an end, or one that only touches zero, is none. */
-static long sign_changes(const double *c, long n, double a, double b, double *found) {
-  double derivative[MAX_SIGMA], knot[MAX_SIGMA + 1], low = a, at_low = 0.0;
-  if (n < 2) return 0;
-  for (long k = 1; k < n; k++) derivative[k - 1] = k * c[k];
-  long count = 0, inner = sign_changes(derivative, n - 1, a, b, knot + 1) + 1;
-  knot[0] = a, knot[inner] = b;
-  for (long k = 0; k <= inner; k++) {
-    const double at_knot = clear_value(c, n, knot[k]);
-    double high = knot[k];
-    if (at_knot == 0.0) continue;
-    if ((at_low < 0) == (at_knot > 0) && at_low != 0.0) {
-      for (int i = 0; i < 200; i++) {
-        const double middle = 0.5 * (low + high);
-        if (middle <= low || middle >= high) break;
-        if ((horner(c, n, middle) > 0) == (at_low > 0)) low = middle; else high = middle;
-      }
-      found[count++] = high;
-    }
-    low = knot[k], at_low = at_knot;
-  }
-  return count;
-}
-
-static void study_profile(memory_t *now) {
-  const double *sigma = law(now) + 1;
-  double far = now->time + 1e3 * HORIZON, at[MAX_SIGMA + 2], rate[MAX_SIGMA];
-  long n = sign_changes(sigma, N_PROFILE, now->time, far, at);
-  const double first = clear_value(sigma, N_PROFILE, 0.5 * (now->time + (n ? at[0] : far)));
-  now->limit = first < 0 ? now->time : n ? at[0] : HUGE_VAL;
-  now->n_knots = 0;
-  if (GAIN_LAW != GUARANTEED || N_PROFILE < 2) return;
-  for (long k = 1; k < N_PROFILE; k++) rate[k - 1] = k * sigma[k];
-  n = sign_changes(rate, N_PROFILE - 1, now->time, far, at + 1);
-  at[0] = now->time, at[n + 1] = far;
-  for (long k = 0; k <= n; k++)
-    if (horner(rate, N_PROFILE - 1, 0.5 * (at[k] + at[k + 1])) > 0) {
-      now->knots[now->n_knots++] = at[k];
-      now->knots[now->n_knots++] = at[k + 1];
-    }
-}
-
-/* Whether a system of equations is asked about times after sigma's end. A solver may look there
-   from within its last step, until an event has told the importer that this is the end. */
-static int past_end(const memory_t *now) {
-  const double end = now->limit;
-  if (now->stepping || !(now->time > end) || reached(end, now->time)) return 0;
-  return now->ended || now->phase != CONTINUOUS || now->time > LOOK_AHEAD * end;
-}
-
-double next_edge(const component_t *c) {
-  const memory_t *now = &c->now;
-  double next = now->stepping || reached(now->time, now->limit) ? HUGE_VAL : now->limit;
-  for (long k = 0; k < N_WINDOWS; k++)
-    for (int side = 0; side < 2; side++) {
-      double edge = side ? windows[k].stop : windows[k].start;
-      if (!reached(now->time, edge) && edge < next) next = edge;
-    }
-  for (long k = 0; k < now->n_knots; k++)
-    if (!reached(now->time, now->knots[k]) && now->knots[k] < next) next = now->knots[k];
-  return next;
-}
-
-void enter_windows(component_t *c) {
-  memory_t *now = &c->now;
-  memset(now->window, 0, sizeof now->window);
-  for (long k = 0; k < N_WINDOWS; k++)
-    if (reached(now->time, windows[k].start) && !reached(now->time, windows[k].stop))
-      for (int j = 0; j < 6; j++) now->window[windows[k].contact][j] += windows[k].value[j];
-  memset(now->valid, 0, sizeof now->valid);
-  now->settled = now->pending = 0;
-  if (!now->stepping) now->ended = reached(now->time, now->limit);
 }
 
 /* --- a contact's motion ----------------------------------------------------------------------- */
@@ -505,10 +400,6 @@ static status_t advance_all(component_t *c, double time) {
 }
 
 /* --- results ---------------------------------------------------------------------------------- */
-
-/* whether states are given and results follow from them, else frames are */
-#define SYSTEM(now) \
-  (!(now)->stepping || ((now)->phase & (INSTANTIATED | CONFIGURATION | INITIALIZATION)))
 
 /* time, states, disturbance, law, numbers of finger and object: what the system's kernels take */
 static void system_arguments(const memory_t *now, long i, double disturbance[6],
@@ -898,95 +789,4 @@ void reverse(component_t *c) {
     for (int k = 0; k < 6; from += count[k++])
       for (long j = 0; j < count[k]; j++) c->grown[first[k] + j] += from[j];
   }
-}
-
-/* --- state bytes ------------------------------------------------------------------------------ */
-
-#define STATE_VERSION 1ULL
-
-/* FNV-1a, 64 bit */
-static unsigned long long digest(const void *data, size_t count, unsigned long long hash) {
-  const unsigned char *byte = data;
-  for (size_t k = 0; k < count; k++) hash = (hash ^ byte[k]) * 1099511628211ULL;
-  return hash;
-}
-
-static header_t header_for(const memory_t *memory) {
-  header_t h = {{'C', 'O', 'N', 'T', 'A', 'C', 'T', 'S'}, STATE_VERSION, STATE_BYTES, 0, 0};
-  h.model = digest(model_token, strlen(model_token), 14695981039346656037ULL);
-  h.checksum = digest(memory, sizeof *memory, h.model);
-  return h;
-}
-
-void write_state(const memory_t *memory, unsigned char *bytes) {
-  const header_t h = header_for(memory);
-  memcpy(bytes, &h, sizeof h);
-  memcpy(bytes + sizeof h, memory, sizeof *memory);
-}
-
-static int is_flag(int x) { return x == 0 || x == 1; }
-
-static const char *check_memory(const memory_t *now) {
-  const int phases = INSTANTIATED | CONFIGURATION | INITIALIZATION | EVENT | CONTINUOUS | STEP |
-                     TERMINATED | BROKEN;
-  const int other =
-      !now->stepping ? STEP | BROKEN : now->uses_events ? CONTINUOUS : CONTINUOUS | EVENT;
-  if (now->phase <= 0 || now->phase & (now->phase - 1) || !(now->phase & phases & ~other))
-    return "its phase is none that an instance can be in";
-  if (!is_flag(now->stepping) || !is_flag(now->uses_events) || !is_flag(now->settled) ||
-      !is_flag(now->pending) || !is_flag(now->ended))
-    return "a flag in it is neither 0 nor 1";
-  if (!(fabs(now->time) < 1e300) || now->value[0] != now->time ||
-      now->stop_time != now->stop_time || now->limit != now->limit)
-    return "its times are out of range";
-  if (now->n_knots < 0 || now->n_knots > MAX_KNOTS || now->n_knots % 2)
-    return "the number of pieces of its gain is out of range";
-  for (unsigned r = 1; r < N_VALUES; r++) {
-    const int computed = kinds[r] == CALCULATED || (kinds[r] == EXACT && !SYSTEM(now));
-    if (!computed && !(now->value[r] >= least[r] && now->value[r] <= DBL_MAX))
-      return "a parameter, an input or a state in it is out of range";
-  }
-  if (!all_finite(now->knots, MAX_KNOTS) || !all_finite(&now->slope_begin, 1) ||
-      !all_finite(now->input_slope[0], 6 * N_CONTACTS) ||
-      !all_finite(now->window[0], 6 * N_CONTACTS))
-    return "what acts on its contacts is not finite";
-  return NULL;
-}
-
-static const char *check_contact(const memory_t *now, long i) {
-  const contact_t *k = &now->contact[i];
-  const long n_exponent = GAIN_LAW == PATH ? 2 * N_PROFILE : 2;
-  if (SYSTEM(now)) return NULL; /* nothing has moved yet, or the importer moves it */
-  if (k->form < 0 || k->form >= N_FORMS) return "the form of a contact's motion is out of range";
-  if (!is_flag(k->power) || k->n_sigma != N_PROFILE || k->n_exponent != n_exponent)
-    return "the profile of a contact is out of range";
-  if (!(fabs(k->begin) < 1e300) || !(k->begin <= now->time) || k->end != k->end ||
-      !(0 <= k->from && k->from <= k->to))
-    return "the times of a contact are out of range";
-  const struct { const double *first; long count; } parts[] = {
-      {k->disturbance, 6}, {k->slope, 6}, {&k->eta, 1}, {k->sigma, MAX_SIGMA},
-      {k->exponent, MAX_EXPONENT}, {k->w1, 2}, {k->v, 2}, {k->constants, MAX_CONSTANTS},
-      {k->scale, MAX_STATES}, {&k->greatest, 1}, {&k->to, 1}, {&k->next, 1},
-      {k->first, MAX_STATES}, {k->last, MAX_STATES}, {k->series, MAX_STATES * (N + 1)},
-      {k->anchor[0][0], 2 * 5 * 3}, {k->turn, 2}};
-  for (size_t j = 0; j < sizeof parts / sizeof *parts; j++)
-    if (!all_finite(parts[j].first, parts[j].count)) return "the motion of a contact is not finite";
-  return NULL;
-}
-
-const char *read_state(const unsigned char *bytes, unsigned long long count, memory_t *memory) {
-  header_t found;
-  if (count != STATE_BYTES) return "its length is not that of this model's states";
-  memcpy(&found, bytes, sizeof found);
-  memcpy(memory, bytes + sizeof found, sizeof *memory);
-  const header_t right = header_for(memory);
-  if (memcmp(found.magic, right.magic, sizeof found.magic))
-    return "it is not a state of a contact model";
-  if (found.version != right.version) return "it was written by another version";
-  if (found.length != right.length) return "its header gives another length";
-  if (found.model != right.model) return "it belongs to another model";
-  if (found.checksum != right.checksum) return "its checksum does not match; it has been changed";
-  const char *wrong = check_memory(memory);
-  for (long i = 0; i < N_CONTACTS && !wrong; i++) wrong = check_contact(memory, i);
-  return wrong;
 }

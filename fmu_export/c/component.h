@@ -9,6 +9,8 @@
    model.h and model.c are generated for one scene: sizes, kernels, tables. */
 #ifndef CONTACT_COMPONENT
 #define CONTACT_COMPONENT
+#include <float.h>
+
 #include "model.h"
 #include "common.h"
 
@@ -152,6 +154,30 @@ typedef struct component {
   void *host; /* of the FMI layer */
 } component_t;
 
+/* whether states are given and results follow from them, else frames are */
+#define SYSTEM(now) \
+  (!(now)->stepping || ((now)->phase & (INSTANTIATED | CONFIGURATION | INITIALIZATION)))
+
+static inline const double *law(const memory_t *now) { return now->value + GAIN; }
+
+/* the sum of the sizes of a polynomial's terms, which its rounding errors are a fraction of */
+static inline double magnitude(const double *c, long n, double t) {
+  double size = 0.0;
+  for (long j = n - 1; j >= 0; j--) size = size * fabs(t) + fabs(c[j]);
+  return size;
+}
+
+/* times this near are one time: steps of 0.1 s do not add up to 1 s */
+static inline int reached(double time, double edge) {
+  return time >= edge - 8 * DBL_EPSILON * fmax(1.0, fabs(edge));
+}
+
+static inline int all_finite(const double *x, long n) {
+  double sum = 0.0;
+  for (long i = 0; i < n; i++) sum += 0.0 * x[i];
+  return sum == 0.0;
+}
+
 /* Logs and returns the status; the text may hold anything. */
 status_t report(component_t *, status_t, const char *category, const char *format, ...)
 #if defined(__GNUC__)
@@ -167,7 +193,10 @@ status_t set_slope(component_t *, unsigned reference, double slope);
 
 status_t start(component_t *);                 /* end of initialization */
 status_t step(component_t *, double target, int stop_at_edges, int *edge);
-int reached(double time, double edge);         /* rounding aside */
+void study_profile(memory_t *);                /* where sigma grows and ends */
+/* Whether a system of equations is asked about times after sigma's end. A solver may look there
+   from within its last step, until an event has told the importer that this is the end. */
+int past_end(const memory_t *);
 double next_edge(const component_t *);         /* HUGE_VAL: none */
 void enter_windows(component_t *);             /* take over what the windows say at this time */
 
