@@ -135,7 +135,7 @@ def draw_title(figure: Any, plan: Plan) -> None:
     """Name, profile, gain and description of a scene at the top of a figure."""
     scene = plan.scene
     facts = rf"$\sigma$ = {_polynomial(scene.profile)} m/s,   gain {gain_text(scene.gain)}"
-    figure.text(0.035, 0.955, scene.name, size=18, weight="bold", va="baseline")
+    figure.text(0.035, 0.955, shortened(scene.name, 30), size=18, weight="bold", va="baseline")
     figure.text(0.965, 0.955, facts, size=10, va="baseline", ha="right", color="#5a6370")
     figure.text(0.035, 0.905, shortened(scene.description, 84), size=11, va="baseline")
 
@@ -156,8 +156,12 @@ def _polynomial(profile: Profile) -> str:
 
 
 def shortened(text: str, width: int) -> str:
-    """The text, or its beginning and an ellipsis where it has more characters than that."""
-    return text if len(text) <= width else text[: width - 1].rstrip() + "…"
+    """The text for a picture, or its beginning and an ellipsis where it has more characters.
+
+    Dollar signs in it are those of a name, and begin no mathematics.
+    """
+    text = text if len(text) <= width else text[: width - 1].rstrip() + "…"
+    return text.replace("$", r"\$")
 
 
 def colour_of(contact: int) -> str:

@@ -97,6 +97,18 @@ def test_slip_can_be_drawn_with_another_law_a_jump_and_without_slip(name, tmp_pa
         assert 0.01 < _ink(image) < 0.6
 
 
+def test_names_are_drawn_as_they_are(tmp_path):
+    matplotlib = pytest.importorskip("matplotlib")
+    words = [r"costs $\foo$ and $5", r"$\bar{x$", r"half \frac{ of $x$"]  # no mathematics
+    contact = cs.Contact(finger=FINGER, object_at=(0.3, 0.2), name=words[1])
+    scene = _scene(cs.Sphere(0.1), name=words[0], description=words[2])
+    scene = scene.replace(contacts=[contact])
+    with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text
+        plots.plot(cs.plan(scene), tmp_path / "odd.svg")
+    drawn = (tmp_path / "odd.svg").read_text()
+    assert [f">{word}<" in drawn for word in words] == [True] * 3
+
+
 def test_missing_matplotlib_names_the_remedy(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(plots.MissingMatplotlib, match=r"pip install contact-system\[plot\]"):
