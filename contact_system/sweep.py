@@ -12,6 +12,7 @@ import copy
 import hashlib
 import itertools
 import json
+import numbers
 import os
 import pickle
 import sys
@@ -386,16 +387,17 @@ def sweep(
     Raises
     ------
     ContactSystemError
-        ``scenes`` that are no list of them; ``chunk`` or ``ahead`` below 1; outputs without a row a
-        contact, or that differ from scene to scene; a folder that cannot be made; an executor that
-        broke and cannot be replaced.
+        ``scenes`` that are no list of them; ``chunk`` or ``ahead`` that is no whole number from 1;
+        outputs without a row a contact, or that differ from scene to scene; a folder that cannot be
+        made; an executor that broke and cannot be replaced.
     """
     if isinstance(scenes, (Scene, str, os.PathLike)) or not isinstance(scenes, Iterable):
         raise ContactSystemError(f"scenes = {scenes!r:.80}: give a list of scenes; of one, [scene]")
     ahead = 2 * (os.cpu_count() or 1) if ahead is None else ahead
     for name, value in (("chunk", chunk), ("ahead", ahead)):
-        if value < 1:
-            raise ContactSystemError(f"{name} = {value}: give at least 1")
+        whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+        if not whole or value < 1:
+            raise ContactSystemError(f"{name} = {value!r}: give a whole number, at least 1")
     from .cli import Progress  # not on the planner's path
 
     job = Job(evaluate, tolerance, flag(compiled, "compiled", none=True))

@@ -151,9 +151,10 @@ def test_outputs_that_differ_between_scenes_are_refused():
 
 
 @pytest.mark.parametrize("option", ["chunk", "ahead"])
-def test_chunks_of_no_scene_are_refused(option):
-    with pytest.raises(cs.ContactSystemError, match=f"{option} = 0"):
-        cs.sweep([], **{option: 0})
+@pytest.mark.parametrize("value", [0, 2.5, "2", True])
+def test_chunks_of_no_scene_are_refused(option, value):
+    with pytest.raises(cs.ContactSystemError, match=f"{option} = {value!r}: give a whole number"):
+        cs.sweep([], **{option: value})
 
 
 def test_a_generator_is_not_taken_ahead_of_the_workers():
