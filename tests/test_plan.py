@@ -257,6 +257,20 @@ def test_geodesic_along_a_seam_crosses_beside_the_umbilic(compiled):
     assert (np.cos(v) > 0).all()
 
 
+def test_coarse_plans_have_one_branch_for_few_and_many_times():
+    contact = cs.Contact(
+        finger=cs.Sphere(0.04), object_at=(-0.0016728859139098205, 1.570554192253053),
+        finger_velocity=(0.9998052877529914, -0.019732880711087683),
+    )  # fmt: skip
+    scene = cs.Scene(
+        object=cs.Ellipsoid(1, 0.6, 0.59), contacts=[contact], profile=cs.Profile([1.0]), duration=1
+    )
+    t, tolerance = np.linspace(0, 1, 401), 0.08113544635687064
+    many = cs.plan(scene, tolerance, compiled=True).states(t)
+    few = cs.plan(scene.replace(), tolerance, compiled=True).states(t[::40])
+    assert np.abs(many[::40] - few).max() < 0.2
+
+
 @pytest.mark.parametrize("object_velocity", ["rolling", "rest"])
 def test_quadric_that_is_a_rounded_sphere_is_planned_as_the_sphere(object_velocity):
     # R (1/r^2) R^T has no zeros off its diagonal, and eigenvectors in any direction

@@ -549,8 +549,8 @@ static long copy_side(const side_t *side, track_t *k, const double *begin, const
 long states(const kind_t *kind, const double *block, double tolerance, const states_t *p, long nb, long nt,
             const double *t, double *out) {
   const int ordered = in_order(t, nt);
-  /* 1e-14: less is rounding */
-  const double bar = tolerance > 1e-13 ? 0.1 * tolerance : 1e-14, *angle = carried(p->angle, kind, block);
+  /* 1e-14: less is rounding; 1e-3: more would hide that a path was followed to another branch */
+  const double bar = fmin(tolerance > 1e-13 ? 0.1 * tolerance : 1e-14, 1e-3), *angle = carried(p->angle, kind, block);
   series_t s = {.size = chunk(nb, 0) * ROWS * N};
   long code = 0;
   if (!nt) return 0;
