@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .surfaces import Surface, second_cover
+from .surfaces import Surface, on_seam, second_cover
 from .tracks import wind
 
 Principal = Callable[[np.ndarray], np.ndarray]
@@ -31,7 +31,9 @@ def lay_anchors(
     if surface.double_cover:
         # the second cover begins where a seam is crossed, which neighbours alone do not tell
         first = surface.align(u[1], v[1], u[0], v[0])[2]
-        turned = np.logical_xor.accumulate(np.vstack([first, _seams(principal, at, raw)]), axis=0)
+        turned = np.logical_xor.accumulate(
+            np.vstack([first, _seams(surface, principal, at, raw)]), axis=0
+        )
         u[1:], v[1:] = np.where(turned, -u[1:], u[1:]), np.where(turned, np.pi - v[1:], v[1:])
         theta[1:] += np.pi * turned
     for values, period in zip((u, v, theta), (*surface.periods(), 2 * np.pi)):
@@ -54,10 +56,13 @@ def follow(
         side = second_cover(values[:, 0], values[:, 1])[1]
         covers, sides = second_cover(anchors[:, 0], anchors[:, 1])
         first, last = sides[:, before], sides[:, before + 1]
-        chosen = np.where(first == last, nearest, before + (side != first))
+        known = ~on_seam(values[:, 0], values[:, 1])
+        along = on_seam(anchors[:, 0], anchors[:, 1])
+        known &= ~along[:, before] & ~along[:, before + 1]
+        chosen = np.where((first == last) | ~known, nearest, before + (side != first))
         reference = np.take_along_axis(anchors, chosen[:, None], axis=2)
         alike = covers[:, before] == covers[:, before + 1]
-        for b, i in np.argwhere((first == last) & ((side != first) | ~alike)):
+        for b, i in np.argwhere(known & (first == last) & ((side != first) | ~alike)):
             k = before[i]
             reference[b, :, i] = _followed(surface, principal, b, at[k], anchors[b, :, k], x[i])
         u, v, turned = surface.align(values[:, 0], values[:, 1], reference[:, 0], reference[:, 1])
@@ -71,18 +76,25 @@ def follow(
     wind(values[:, 4], reference[:, 2], 2 * np.pi)
 
 
-def _seams(principal: Principal, at: np.ndarray, raw: np.ndarray) -> np.ndarray:
+def _seams(surface: Surface, principal: Principal, at: np.ndarray, raw: np.ndarray) -> np.ndarray:
     """Where the paths cross cos v = 0 between places, (n - 1, n_bodies).
 
     There, or where sin u = 0, the sign of y = sin u cos v changes; between places on one side
     it may do so twice.
     """
     y, side = np.sin(raw[:, 0]) * np.cos(raw[:, 1]), second_cover(raw[:, 0], raw[:, 1])[1]
-    seams = np.zeros((len(at) - 1, len(raw)), dtype=bool)
-    b, i = np.nonzero(side[:, 1:] != side[:, :-1])
+    u, v = raw[:, 0].T, raw[:, 1].T
+    along = on_seam(u, v)
+    along = along[1:] | along[:-1]
+    seams = surface.align(u[1:], v[1:], u[:-1], v[:-1])[2] & along  # there the nearest continue it
+    b, i = np.nonzero((side[:, 1:] != side[:, :-1]) & ~along.T)
     seams[i, b] = _over_seam(principal, b, side[b, i], at[i], y[b, i], at[i + 1], y[b, i + 1])
     for b, i in _bends(principal, at, y, side):
-        there = _comes_back(principal, b, side[b, i], at[i], y[b, i], at[i + 1], y[b, i + 1])
+        there = (
+            None
+            if along[i, b]
+            else _comes_back(principal, b, side[b, i], at[i], y[b, i], at[i + 1], y[b, i + 1])
+        )
         if there is not None:
             x = np.insert(at[i : i + 2], 1, there[0])
             ys = np.insert(y[b, i : i + 2], 1, there[1])
@@ -175,7 +187,7 @@ def _followed(
     """u, v, theta of one body at a place x, continued from an anchor before it."""
     raw = principal(np.array([at, x]))
     u, v, theta = raw[body, [0, 1, 4], 1]
-    if _seams(principal, np.array([at, x]), raw)[0, body] != second_cover(*anchor[:2])[0]:
+    if _seams(surface, principal, np.array([at, x]), raw)[0, body] != second_cover(*anchor[:2])[0]:
         u, v, theta = -u, np.pi - v, theta + np.pi
     found = np.array([u, v, theta])
     for k, period in enumerate((*surface.periods(), 2 * np.pi)):

@@ -503,7 +503,7 @@ class Plan:
     ) -> None:
         if group.pair is not None:
             group.anchor_pair()
-            whole = values.reshape(-1, count, len(times))
+            whole = values.reshape(2 * len(values), count, len(times))
             getattr(group.pair, output)(times, whole)
         else:
             for k, side in enumerate(SIDES):

@@ -309,7 +309,8 @@ class Surface:
             near_u - u_ref, near_v - v_ref
         )
         (second, side), (second_ref, side_ref) = second_cover(u, v), second_cover(u_ref, v_ref)
-        half_turn = np.where(side == side_ref, second != second_ref, nearer)
+        told = (side == side_ref) & ~on_seam(u, v) & ~on_seam(u_ref, v_ref)
+        half_turn = np.where(told, second != second_ref, nearer)
         return (
             np.where(half_turn, other_u, near_u),
             np.where(half_turn, other_v, near_v),
@@ -696,6 +697,12 @@ def second_cover(u: Array, v: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool
     """
     second = np.cos(v) < 0
     return second, (np.sin(u) < 0) != second
+
+
+def on_seam(u: Array, v: Array) -> NDArray[np.bool_]:
+    """Where sin(u) = 0 or cos(v) = 0 but for rounding: `second_cover` tells nothing there."""
+    turns = np.array([u, v - 0.5 * math.pi]) / math.pi
+    return np.asarray((np.abs(turns - np.rint(turns)) < 1e-12).any(axis=0))
 
 
 def _nearest(angle: Array, reference: Array, period: float | None) -> Array:

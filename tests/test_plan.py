@@ -166,6 +166,13 @@ def test_an_integer_beyond_floating_point_is_no_time_and_no_state():
         plan.restart(0.5, [[10**400] * 9])
 
 
+@pytest.mark.parametrize("name", ["D1", "K4", "C2"])
+def test_no_times_have_no_answers_without_a_compiler_either(name):
+    plan = cs.plan(cs.load_scene(name), compiled=False)
+    for ask in ASK:
+        assert getattr(plan, ask)([]).shape[:2] == (0, len(plan.scene.contacts))
+
+
 def test_unknown_method_is_refused():
     with pytest.raises(SceneError, match="method = 'euler': use one of auto, chart"):
         cs.plan(one_contact(), method="euler")

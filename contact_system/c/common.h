@@ -141,6 +141,12 @@ static inline int beyond(double u, double v) {
   return ((long long)floor(2.0 * u / TURN) + second_cover(v)) & 1;
 }
 
+/* Whether a point is on cos v = 0 or sin u = 0 but for rounding: signs tell nothing there. */
+static inline int on_seam(double u, double v) {
+  const double a = 2.0 * u / TURN, b = 2.0 * v / TURN - 0.5;
+  return fabs(a - rint(a)) < 1e-12 || fabs(b - rint(b)) < 1e-12;
+}
+
 /* One point to (-u, pi - v), where the axes are turned by pi, or not, and whole turns nearest its reference */
 static inline void wind_to(const track_t *k, int turned, const double *ref, long stride, double *out,
                            const long *row) {
@@ -156,7 +162,8 @@ static inline void wind_to(const track_t *k, int turned, const double *ref, long
 static inline int wind(const track_t *k, const double *ref, long stride, double *out, const long *row) {
   const double u = out[row[0]], v = out[row[1]];
   int turned = k->double_cover && second_cover(ref[stride]);
-  if (k->double_cover && beyond(u, 0.0) != beyond(ref[0], ref[stride])) {
+  if (k->double_cover && (beyond(u, 0.0) != beyond(ref[0], ref[stride]) || on_seam(u, v) ||
+                          on_seam(ref[0], ref[stride]))) {
     const double du = wound(u, ref[0], k->period_u) - ref[0];
     const double dv = wound(v, ref[stride], k->period_v) - ref[stride];
     const double du2 = wound(-u, ref[0], k->period_u) - ref[0];
@@ -227,7 +234,7 @@ static inline void wind_along(const track_t *k, place_on_t place_on, const void 
   const double y = sin(ref[0]) * cos(ref[stride]), y2 = sin(out[row[0]]) * cos(out[row[1]]);
   const int side = beyond(ref[0], ref[stride]);
   double there, found;
-  if (!k->double_cover) {
+  if (!k->double_cover || on_seam(ref[0], ref[stride]) || on_seam(out[row[0]], out[row[1]])) {
     wind(k, ref, stride, out, row);
     return;
   }
@@ -247,7 +254,8 @@ static inline void wind_beside(const track_t *k, place_on_t place_on, const void
                                const double *before, const double *after, long stride, int later, double x,
                                double *out, const long *row) {
   const double *ref = later ? after : before;
-  if (k->double_cover) {
+  if (k->double_cover && !on_seam(out[row[0]], out[row[1]]) && !on_seam(before[0], before[stride]) &&
+      !on_seam(after[0], after[stride])) {
     const int side = beyond(out[row[0]], 0.0), first = beyond(before[0], before[stride]);
     if (first != beyond(after[0], after[stride]))
       ref = side == first ? before : after;
