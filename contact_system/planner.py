@@ -284,24 +284,29 @@ class Family:
         By which contacts slip; of few contacts alone.
     learned : dict
         What `kinds` learned of such scenes, by how they are compiled.
+    has_kind : bool
+        Whether it learned how to plan them by numbers alone.
     """
 
     patterns: dict[tuple[bool, ...], list[Pattern]] = field(default_factory=dict)
     learned: dict[bool | None, Any] = field(default_factory=dict)
+    has_kind: bool = False
 
 
 FAMILIES = 512  # the latest, which are remembered; 2 to 40 kB each
 MOST_ALIKE = 16  # contacts of a scene whose patterns are
 _FAMILIES: OrderedDict[Hashable, Family] = OrderedDict()
+_WITH_KIND: OrderedDict[Hashable, Family] = OrderedDict()  # no scenes planned once push them out
 
 
 def family(scene: Scene) -> Family:
     """That of a scene."""
     key = _alike(scene)
-    found = _FAMILIES.pop(key, None) or Family()
-    _FAMILIES[key] = found  # the latest is last
-    if len(_FAMILIES) > FAMILIES:
-        _FAMILIES.popitem(last=False)
+    found = _WITH_KIND.pop(key, None) or _FAMILIES.pop(key, None) or Family()
+    room = _WITH_KIND if found.has_kind else _FAMILIES
+    room[key] = found  # the latest is last
+    if len(room) > FAMILIES:
+        room.popitem(last=False)
     return found
 
 

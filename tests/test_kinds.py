@@ -1,6 +1,7 @@
 """Scenes whose kind is known are planned by numbers alone: beside plans made in full."""
 
 import time
+from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -273,12 +274,25 @@ def test_plans_of_one_kind_in_threads(disturbed):
         assert found == pytest.approx(answer(scene.replace()), abs=1e-10)
 
 
-def test_a_kind_in_use_is_not_crowded_out():
+def test_scenes_that_are_planned_once_crowd_no_kind_out(monkeypatch):
+    for memory in ("_FAMILIES", "_WITH_KIND"):
+        monkeypatch.setattr(planner, memory, OrderedDict())
     for scene in scenes(3, "sphere", "sphere"):
         assert cs.plan(scene, compiled=True) is not None
     for k in range(planner.FAMILIES + 10):
         cs.plan(scene.replace(gain=cs.Gain.time(1.0 + k)), compiled=True)
-        if k % 100 == 0:
-            *_, last = scenes(4, "sphere", "sphere")
-            assert begun(cs.plan(last, compiled=True))
+    *_, last = scenes(4, "sphere", "sphere")
+    assert begun(cs.plan(last, compiled=True))
     assert len(planner._FAMILIES) == planner.FAMILIES
+
+
+def test_the_latest_kinds_are_remembered(monkeypatch):
+    for memory in ("_FAMILIES", "_WITH_KIND"):
+        monkeypatch.setattr(planner, memory, OrderedDict())
+    monkeypatch.setattr(planner, "FAMILIES", 5)
+    for k in range(8):
+        for scene in scenes(3, "sphere", "sphere"):
+            cs.plan(scene.replace(gain=cs.Gain.time(1.0 + k)), compiled=True)
+    assert (len(planner._WITH_KIND), len(planner._FAMILIES)) == (5, 0)
+    assert begun(cs.plan(scene.replace(gain=cs.Gain.time(8.0)), compiled=True))
+    assert not begun(cs.plan(scene.replace(gain=cs.Gain.time(1.0)), compiled=True))

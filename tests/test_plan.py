@@ -391,7 +391,8 @@ def test_a_plan_does_not_depend_on_scenes_planned_before(monkeypatch, kinds, obj
         plan = cs.plan(scene.replace(), compiled=compiled)
         return [plan.explain(), *(getattr(plan, ask)(t).tobytes() for ask in ASK)]
 
-    monkeypatch.setattr(planner, "_FAMILIES", OrderedDict())
+    for memory in ("_FAMILIES", "_WITH_KIND"):
+        monkeypatch.setattr(planner, memory, OrderedDict())
     alone = found()
     monkeypatch.setattr(planner, "_FAMILIES", OrderedDict())
     cs.plan(scene.replace(contacts=[other], name="first"), 1e-6, compiled=compiled).states(t)
