@@ -302,11 +302,13 @@ _WITH_KIND: OrderedDict[Hashable, Family] = OrderedDict()  # no scenes planned o
 def family(scene: Scene) -> Family:
     """That of a scene."""
     key = _alike(scene)
-    found = _WITH_KIND.pop(key, None) or _FAMILIES.pop(key, None) or Family()
-    room = _WITH_KIND if found.has_kind else _FAMILIES
-    room[key] = found  # the latest is last
-    if len(room) > FAMILIES:
-        room.popitem(last=False)
+    found = _WITH_KIND.get(key)
+    if found is None:
+        found = _FAMILIES.pop(key, None) or Family()
+        room = _WITH_KIND if found.has_kind else _FAMILIES
+        room[key] = found  # the latest is last
+        if len(room) > FAMILIES:
+            room.popitem(last=False)
     return found
 
 

@@ -227,11 +227,11 @@ static inline int comes_back(place_on_t place_on, const void *path, int negative
   return 0;
 }
 
-/* One point of a path at x2, in principal coordinates, to the branch that it is on coming from ref at x; bends:
-   whether the path may come back between them */
-static inline void wind_along(const track_t *k, place_on_t place_on, const void *path, double x, const double *ref,
-                              long stride, double x2, int bends, double *out, const long *row) {
-  const double y = sin(ref[0]) * cos(ref[stride]), y2 = sin(out[row[0]]) * cos(out[row[1]]);
+/* One point of a path at x2, in principal coordinates, to the branch that it is on coming from ref at x; y, y2: of
+   both, as in over_seam; bends: whether the path may come back between them */
+static inline void wind_along(const track_t *k, place_on_t place_on, const void *path, double x, double y,
+                              const double *ref, long stride, double x2, double y2, int bends, double *out,
+                              const long *row) {
   const int side = beyond(ref[0], ref[stride]);
   double there, found;
   if (!k->double_cover || on_seam(ref[0], ref[stride]) || on_seam(out[row[0]], out[row[1]])) {
@@ -248,20 +248,42 @@ static inline void wind_along(const track_t *k, place_on_t place_on, const void 
   wind_to(k, turned, ref, stride, out, row);
 }
 
-/* One point of a path at x, in principal coordinates, to the branch of the anchors beside it, the first at x1, or
-   to that on which it has come from there: where both are on one side of y = 0, the path has left it between them */
-static inline void wind_beside(const track_t *k, place_on_t place_on, const void *path, double x1,
-                               const double *before, const double *after, long stride, int later, double x,
-                               double *out, const long *row) {
-  const double *ref = later ? after : before;
-  if (k->double_cover && !on_seam(out[row[0]], out[row[1]]) && !on_seam(before[0], before[stride]) &&
-      !on_seam(after[0], after[stride])) {
-    const int side = beyond(out[row[0]], 0.0), first = beyond(before[0], before[stride]);
-    if (first != beyond(after[0], after[stride]))
-      ref = side == first ? before : after;
-    else if (side != first || second_cover(before[stride]) != second_cover(after[stride])) {
-      wind_along(k, place_on, path, x1, before, stride, x, 1, out, row);
+/* How points between two anchors are told their branch: where both are on one branch and one side of y = 0, points
+   there too are on it; where they are on two sides, by the one on the same side; where one side has two branches, by
+   following the path; and by the nearer where signs tell nothing. */
+typedef struct {
+  const double *before, *after;
+  int signs, sides, covers; /* whether signs tell; whether sides, covers of the surface differ */
+  int side, cover;          /* of the first */
+} between_t;
+
+static inline between_t between(const track_t *k, const double *before, const double *after, long stride) {
+  between_t w = {.before = before, .after = after};
+  w.signs = k->double_cover && !on_seam(before[0], before[stride]) && !on_seam(after[0], after[stride]);
+  if (!w.signs) return w;
+  w.side = beyond(before[0], before[stride]), w.sides = w.side != beyond(after[0], after[stride]);
+  w.cover = second_cover(before[stride]), w.covers = w.cover != second_cover(after[stride]);
+  return w;
+}
+
+/* One point of a path at x, in principal coordinates, to its branch, the first anchor being at x1, the nearer being
+   the later or not */
+static inline void wind_beside(const track_t *k, const between_t *w, place_on_t place_on, const void *path,
+                               double x1, long stride, int later, double x, double *out, const long *row) {
+  const double *ref = later ? w->after : w->before, u = out[row[0]], v = out[row[1]];
+  if (w->signs) {
+    const int differs = beyond(u, 0.0) != w->side;
+    if (!differs && !w->sides && !w->covers) {
+      wind_to(k, w->cover, ref, stride, out, row);
       return;
+    }
+    if (!on_seam(u, v)) {
+      if (!w->sides) {
+        const double *r = w->before, y = sin(r[0]) * cos(r[stride]);
+        wind_along(k, place_on, path, x1, y, r, stride, x, sin(u) * cos(v), 1, out, row);
+        return;
+      }
+      ref = differs ? w->after : w->before;
     }
   }
   wind(k, ref, stride, out, row);

@@ -128,12 +128,14 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
 #if defined(WINDS) && !defined(CLOSED)
       const long m = k->n_anchors;
       const track_t plain = m ? plain_track(k, b) : *k;
+      between_t beside = {0};
       for (long i = 0, near = 0; i < n && m; i++) {
         const double x = k->by_length ? length[i] : tau[i], *at = k->anchor_at;
         near = interval(at, m, x, near);
-        const double *before = k->anchors + b * 3 * m + near, *after = before + (near + 1 < m);
+        const double *before = k->anchors + b * 3 * m + near;
+        if (beside.before != before) beside = between(k, before, before + (near + 1 < m), m);
         const int later = near + 1 < m && at[near + 1] - x < x - at[near];
-        wind_beside(k, place_on, &plain, at[near], before, after, m, later, x, block + i, out_row);
+        wind_beside(k, &beside, place_on, &plain, at[near], m, later, x, block + i, out_row);
       }
 #endif
     }
@@ -173,7 +175,8 @@ void anchor(track_t *k, const double *begin, double *at, double *anchors, double
     const double *ref = begin + 3 * b;
     for (long i = 0, stride = 1; i < m; i++, stride = m) {
       if (i)
-        wind_along(k, place_on, &plain, at[i - 1], ref, m, at[i], k->double_cover && bends(y, m, i), raw + i, row);
+        wind_along(k, place_on, &plain, at[i - 1], y[i - 1], ref, m, at[i], y[i],
+                   k->double_cover && bends(y, m, i), raw + i, row);
       else
         wind(k, ref, stride, raw + i, row);
       to[i] = raw[i], to[m + i] = raw[m + i], to[2 * m + i] = raw[4 * m + i];
