@@ -141,6 +141,9 @@ static inline int beyond(double u, double v) {
   return ((long long)floor(2.0 * u / TURN) + second_cover(v)) & 1;
 }
 
+/* y, whose sign says that; it is the same on both covers */
+static inline double side_of(double u, double v) { return sin(u) * cos(v); }
+
 /* Whether a point is on cos v = 0 or sin u = 0 but for rounding: signs tell nothing there. */
 static inline int on_seam(double u, double v) {
   const double a = 2.0 * u / TURN, b = 2.0 * v / TURN - 0.5;
@@ -211,7 +214,7 @@ static inline int comes_back(place_on_t place_on, const void *path, int negative
   if (fmin(ya, yc) > 0.25) return 0; /* too far for less than half a radian */
   for (int i = 0; i < 30; i++) {
     if (!(at > a && at < c) || place_on(path, at, value)) return 0;
-    *there = at, *found = sin(value[0]) * cos(value[1]);
+    *there = at, *found = side_of(value[0], value[1]);
     const double now = sign * *found;
     if (now < 0.0) return 1;
     if (i && at < b) {
@@ -227,8 +230,8 @@ static inline int comes_back(place_on_t place_on, const void *path, int negative
   return 0;
 }
 
-/* One point of a path at x2, in principal coordinates, to the branch that it is on coming from ref at x; y, y2: of
-   both, as in over_seam; bends: whether the path may come back between them */
+/* One point of a path at x2, in principal coordinates, to the branch that it is on coming from ref at x; y, y2:
+   side_of both; bends: whether the path may come back between them */
 static inline void wind_along(const track_t *k, place_on_t place_on, const void *path, double x, double y,
                               const double *ref, long stride, double x2, double y2, int bends, double *out,
                               const long *row) {
@@ -279,8 +282,8 @@ static inline void wind_beside(const track_t *k, const between_t *w, place_on_t 
     }
     if (!on_seam(u, v)) {
       if (!w->sides) {
-        const double *r = w->before, y = sin(r[0]) * cos(r[stride]);
-        wind_along(k, place_on, path, x1, y, r, stride, x, sin(u) * cos(v), 1, out, row);
+        const double *r = w->before;
+        wind_along(k, place_on, path, x1, side_of(r[0], r[stride]), r, stride, x, side_of(u, v), 1, out, row);
         return;
       }
       ref = differs ? w->after : w->before;

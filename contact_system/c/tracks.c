@@ -170,7 +170,7 @@ void anchor(track_t *k, const double *begin, double *at, double *anchors, double
   evaluate(&plain, m, at, work, row, 5 * m);
   for (long b = 0; b < k->nb; b++) {
     double *raw = work + b * 5 * m, *to = anchors + b * 3 * m, *y = raw + 3 * m; /* for rates, which are not */
-    for (long i = 0; i < m && k->double_cover; i++) y[i] = sin(raw[i]) * cos(raw[m + i]);
+    for (long i = 0; i < m && k->double_cover; i++) y[i] = side_of(raw[i], raw[m + i]);
     plain = plain_track(k, b);
     const double *ref = begin + 3 * b;
     for (long i = 0, stride = 1; i < m; i++, stride = m) {

@@ -124,9 +124,10 @@ static void coordinates(const memory_t *now, long i, int body, const moment_t *m
   const contact_t *k = &now->contact[i];
   int later;
   const long left = before(k, tau, &later);
-  wind_beside(&places[i].kind->winding[body], place_on, &(path_t){now, i, body},
-              k->from + 0.25 * left * (k->to - k->from), k->anchor[body][left], k->anchor[body][left + 1],
-              1, later, tau, out, rows);
+  const track_t *winding = &places[i].kind->winding[body];
+  const between_t beside = between(winding, k->anchor[body][left], k->anchor[body][left + 1], 1);
+  wind_beside(winding, &beside, place_on, &(path_t){now, i, body}, k->from + 0.25 * left * (k->to - k->from), 1,
+              later, tau, out, rows);
 }
 
 /* u v theta of coordinates */
@@ -146,7 +147,7 @@ static void lay_anchors(memory_t *now, long i) {
     for (int body = 0; body < 2; body++) {
       if (own_coordinates(now, i, body, &m, out) && all_finite(out, 5)) {
         wind_along(&places[i].kind->winding[body], place_on, &(path_t){now, i, body}, last[body],
-                   from[body], 1, tau, 1, out, rows);
+                   side_of(from[body][0], from[body][1]), from[body], 1, tau, side_of(out[0], out[1]), 1, out, rows);
         take_place(from[body], out), last[body] = tau;
       }
       memcpy(k->anchor[body][q], from[body], sizeof from[body]);
