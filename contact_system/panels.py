@@ -131,12 +131,18 @@ def runs(which: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
 def _legendre_basis(xi: np.ndarray) -> np.ndarray:
     """P_0 .. P_N at xi: (N + 1, n)."""
     basis = np.empty((NODES + 1, len(xi)))
-    basis[0], basis[1] = 1.0, xi
-    for k in range(1, NODES):
-        np.multiply(xi, basis[k], out=basis[k + 1])
-        basis[k + 1] *= (2 * k + 1) / (k + 1)
-        basis[k + 1] -= (k / (k + 1)) * basis[k - 1]
+    before, now, *rows = basis
+    before[:], now[:] = 1.0, xi
+    for row, more, less in zip(rows, np.multiply.outer(_MORE, xi), _LESS):
+        np.multiply(more, now, out=row)
+        row -= less * before
+        before, now = now, row
     return basis
+
+
+# P_(k+1) = (2 k + 1) / (k + 1) x P_k - k / (k + 1) P_(k-1)
+_MORE = [(2 * k + 1) / (k + 1) for k in range(1, NODES)]
+_LESS = [k / (k + 1) for k in range(1, NODES)]
 
 
 @dataclass(eq=False)
