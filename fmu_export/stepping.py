@@ -166,7 +166,7 @@ class Block:
         ContactSystemError
             What stands in the way; time stands still then.
         """
-        now = self.now
+        now, target = self.now, float(target)  # an importer's time may be numpy's
         if not now.settled:
             self.settle(target)
         if target > self._end():

@@ -14,6 +14,7 @@ import pytest
 from conftest import derivative, one_contact
 
 import contact_system as cs
+from contact_system.kernels import find_compiler
 from contact_system.plan import Plan
 from contact_system.scene import Scene
 
@@ -246,6 +247,18 @@ def test_inputs_that_are_held_are_windows_of_a_scene(obj, fmi_version):
     # At an edge fmpy reads before it sets the inputs of the next step.
     off_edge = np.abs(result["time"][:, None] - windowed.edges).min(axis=1) > 1e-9
     close(states_of(result, 1)[off_edge], plan.states(result["time"])[off_edge])
+
+
+@pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
+def test_times_may_be_numpys_where_kernels_are_compiled():
+    scene = one_contact("sphere", profile=(0.1, 0.1))
+    slave = begun(scene)
+    push = cs.FingerAcceleration(0, 0.2, 0.5, (0.4, -0.3))
+    cs.plan(scene.replace(disturbances=[push]), compiled=True).states([1.0])
+    for at, inputs in ((0.0, (0.0, 0.0)), (0.25, (0.4, -0.3)), (0.5, (0.0, 0.0))):
+        put(slave, {f"contact[1].finger.acceleration.{w}": x for w, x in zip("uv", inputs)})
+        slave.doStep(np.float64(at), np.float64(0.25))
+    assert type(slave.time) is float
 
 
 def test_input_acts_at_once_on_what_depends_on_it():
