@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import math
 import sys
@@ -109,9 +110,12 @@ def test_the_error_of_a_figure_is_that_of_the_median_of_normal_noise():
     assert np.mean([figure["error"] for figure in found]) == pytest.approx(scatter, rel=0.2)
 
 
-def test_a_job_measured_against_itself_has_the_ratio_one(monkeypatch):
+def test_a_machine_that_becomes_slower_leaves_a_job_beside_itself_at_one(monkeypatch):
+    seconds = itertools.count(1)
     monkeypatch.setattr(regression, "jobs", lambda: {"pendulum": PENDULUM})
-    assert regression.measure(turns=9)["pendulum"]["ratio"] == pytest.approx(1.0, abs=0.3)
+    monkeypatch.setattr(regression, "sample", lambda job, count=1: 1e-3 * next(seconds))
+    found = regression.measure(turns=9)["pendulum"]
+    assert found["ratio"] == pytest.approx(1.0, rel=1e-14) and found["error"] < 1e-14
 
 
 def test_a_slower_figure_fails_the_section(monkeypatch, tmp_path):
