@@ -37,6 +37,8 @@ from fmpy.fmi2 import (
     fmi2CallbackFreeMemoryTYPE,
     fmi2CallbackFunctions,
     fmi2CallbackLoggerTYPE,
+    fmi2Discard,
+    fmi2Terminated,
 )
 from fmpy.fmi3 import FMU3Slave
 from fmpy.simulation import settable_in_initialization_mode, settable_in_instantiated
@@ -374,13 +376,27 @@ class Instance:
             for block, values in given:
                 block.write(self._fmu, values)
             self._at = None  # until the step has succeeded
-            done = self._fmu.doStep(time, step, not self.keeps_states)
-            if self.version == 3:
-                _, ends, early, last = done
-                if early and not ends and last < time + (1 - SLACK) * step:
-                    raise FMICallException("fmi3DoStep, early return,", 2)
+            try:
+                done = self._fmu.doStep(time, step, not self.keeps_states)
+            except FMICallException as error:
+                ends = self._asks_to_end(error)
+                if not ends:
+                    raise
+            else:
+                if self.version == 3:
+                    _, ends, early, last = done
+                    if early and not ends and last < time + (1 - SLACK) * step:
+                        raise FMICallException("fmi3DoStep, early return,", 2)
             # As Drake counts its samples: without a sum of rounding errors.
             return self._here(round(time / step + 1) * step, stepped=True), ends
+
+    def _asks_to_end(self, error: FMICallException) -> bool:
+        """Whether a step was discarded because an FMU of FMI 2 wants to end the simulation."""
+        if self.version != 2 or error.status != fmi2Discard:
+            return False
+        with contextlib.suppress(FMICallException):
+            return self._fmu.getBooleanStatus(fmi2Terminated)
+        return False
 
     def _here(self, time: float, stepped: bool) -> Moment:
         """The moment at which the FMU is."""
@@ -566,8 +582,8 @@ class FmuSystem(LeafSystem):
 
     Notes
     -----
-    When an FMU of FMI 3 asks to end the simulation, the update returns
-    EventStatus.ReachedTermination and Simulator.AdvanceTo ends there.
+    When the FMU asks to end the simulation, the update returns EventStatus.ReachedTermination and
+    Simulator.AdvanceTo ends there.
     """
 
     __slots__ = NO_DICTIONARY

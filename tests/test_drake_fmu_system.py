@@ -158,7 +158,14 @@ int fmi2SetupExperiment(void* c, int a, double tolerance, double start, int b, d
     return 0;
 }
 int fmi2EnterInitializationMode(void* c) { return 0; }
-int fmi2DoStep(void* c, double t, double h, int last) { return advance(c, h); }
+int fmi2DoStep(void* c, double t, double h, int last) {
+    int status = advance(c, h);
+    return status ? status : 2 * (M.count == M.last);
+}
+int fmi2GetBooleanStatus(void* c, int kind, int* value) {
+    *value = kind == fmi2Terminated && M.count == M.last;
+    return 0;
+}
 #else
 void* fmi3InstantiateCoSimulation(
     const char* name, const char* token, const char* place, _Bool visible, _Bool logging,
@@ -188,6 +195,7 @@ VARIABLES = {  # name, reference, dimension, type, attributes, start
     "2.0": (
         ("gain", 1, 0, "Real", PARAMETER, "1"),
         ("limit", 2, 0, "Real", PARAMETER, "1e9"),
+        ("last", 3, 0, "Real", PARAMETER, "0"),
         ("u[1]", 4, 0, "Real", 'causality="input"', "0"),
         ("u[2]", 5, 0, "Real", 'causality="input"', "0"),
         ("on", 8, 0, "Boolean", 'causality="input" ' + DISCRETE, "false"),
@@ -396,8 +404,9 @@ def test_two_fmus_in_a_ring_step_by_the_same_samples(build):
     assert [values(s, s.GetMyContextFromRoot(root))[0] for s in pair] == x.tolist()
 
 
-def test_the_fmu_may_end_the_simulation(build):
-    system = integrators(build("3.0"), start_values={"last": 6.0})
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_fmu_may_end_the_simulation(build, version):
+    system = integrators(build(version), start_values={"last": 6.0})
     simulator = connected(system)
     status = simulator.AdvanceTo(10.0)
     assert "integrators asks to end here" in status.FormatMessage()
