@@ -52,7 +52,7 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
-from contact_system import Scene
+from contact_system import Plane, Scene
 from contact_system.contact_sensor import ContactSensor, Measurement
 from contact_system.kernels import Kernel, made_once
 
@@ -64,6 +64,9 @@ SX = ca.SX
 
 # Drake's point contact acts midway between the two surfaces where both are equally stiff.
 MIDWAY = 0.5
+# Bodies planned on the radii that they roll on meet there. A plane has no radius: there it is where
+# the planned finger's surface is.
+AT_FINGER = 1.0
 # Of the places of contacts, over the size of the bodies.
 TOLERANCE = 1e-7
 
@@ -115,7 +118,7 @@ class ContactMonitor(LeafSystem):
     def __init__(self, scene: Scene, scene_plant: ScenePlant):
         super().__init__()
         self._sensor = ContactSensor(scene, TOLERANCE)
-        self._bodies = _Bodies(scene_plant)
+        self._bodies = _Bodies(scene, scene_plant)
         self._step = scene_plant.plant.time_step()
         n = len(scene.contacts)
         self._results = self.DeclareAbstractInputPort("contact_results", Value[ContactResults]())
@@ -187,8 +190,13 @@ class ContactMonitor(LeafSystem):
 class _Bodies:
     """The bodies' places in Drake's lists."""
 
-    def __init__(self, scene_plant: ScenePlant):
+    def __init__(self, scene: Scene, scene_plant: ScenePlant):
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
+        flat = isinstance(scene.object, Plane)
+        self.middles = [
+            AT_FINGER if flat and rolling.finger != nominal.finger else MIDWAY
+            for rolling, nominal in zip(scene.contacts, scene_plant.scene.contacts)
+        ]
         self.object = int(scene_plant.object_body.index())
         self.fingers = [int(body.index()) for body in fingers]
         self.contact_of_body = {index: i for i, index in enumerate(self.fingers)}
@@ -223,9 +231,11 @@ class _Bodies:
             A, B = int(info.bodyA_index()), int(info.bodyB_index())
             f_Bc_W, p_WC = info.contact_force(), info.contact_point()
             if B in self.contact_of_body:
-                seen.touch(self.contact_of_body[B], MIDWAY, p_WC, f_Bc_W, 0.0)
+                i = self.contact_of_body[B]
+                seen.touch(i, self.middles[i], p_WC, f_Bc_W, 0.0)
             elif A in self.contact_of_body:
-                seen.touch(self.contact_of_body[A], MIDWAY, p_WC, -f_Bc_W, 0.0)
+                i = self.contact_of_body[A]
+                seen.touch(i, self.middles[i], p_WC, -f_Bc_W, 0.0)
         return seen
 
 

@@ -55,7 +55,7 @@ class Setup:
         self.plant.Finalize()
         self.object, *self.fingers = self.bodies = [bodies[name] for name in names]
         parts = SimpleNamespace(
-            plant=self.plant, object_body=self.object, finger_bodies=self.fingers
+            scene=self.scene, plant=self.plant, object_body=self.object, finger_bodies=self.fingers
         )
         self.monitor = builder.AddSystem(ContactMonitor(self.scene, parts))
         for port in ("contact_results", "body_poses", "body_spatial_velocities"):

@@ -359,6 +359,23 @@ def test_a_welded_object_stays_where_it_is():
     assert result.measured["normal_force"][-1] == pytest.approx([1.0, 1.0], rel=0.01)
 
 
+@pytest.mark.parametrize("rolling_radii", (True, False))
+def test_slip_on_a_plane_is_that_of_drakes_point_contact(rolling_radii):
+    contact = cs.Contact(cs.Sphere(0.04), object_at=(0.0, 0.0), finger_velocity=(0.6, 0.8))
+    scene = cs.Scene(
+        name="flat", object=cs.Plane(), contacts=[contact], profile=cs.Profile([0.1]), duration=0.1
+    )
+    chosen = config(scene, object="welded", contact_model="point", rolling_radii=rolling_radii)
+    station = BuildStation(scene, chosen)
+    simulator = Simulator(station)
+    SetInitialState(station, simulator.get_mutable_context())
+    simulator.AdvanceTo(0.05)
+    root = simulator.get_context()
+    drakes = station.GetOutputPort("contact_results").Eval(root).point_pair_contact_info(0)
+    slip = np.linalg.norm(station.GetOutputPort("measured_slip").Eval(root))
+    assert slip == pytest.approx(drakes.slip_speed(), abs=1e-8)
+
+
 @pytest.fixture(scope="module")
 def turned():
     scene = cs.load_scene("C1")
