@@ -41,7 +41,7 @@ from contact_system import SceneError
 from contact_system.kernels import Kernel, Machine, made_once
 
 from .lifetimes import NO_DICTIONARY, weakly
-from .plant import ScenePlant, check_numbers
+from .plant import ScenePlant, check_numbers, require_config
 
 SX = ca.SX
 Array = NDArray[np.float64]
@@ -191,6 +191,7 @@ class FingertipDriver(LeafSystem):
         self.object_index = int(scene_plant.object_body.index())
         self.finger_indices = [body.index() for body in fingers]
         self._machine = Machine(driving_law(), len(fingers))
+        require_config(config, DriverConfig)
         config.check()
         _check_step(scene_plant)
         self._machine.c[:] = [_constants(body, scene_plant, config) for body in fingers]

@@ -73,6 +73,7 @@ from contact_system import (
 from contact_system import plan as make_plan
 from contact_system.checks import finite_number
 from contact_system.errors import ContactSystemError
+from contact_system.scene import require_scene
 
 from .meshes import (
     Domain,
@@ -127,6 +128,12 @@ FINGER_COLORS = (
     ((0.60, 0.85, 0.60), (0.13, 0.50, 0.20)),
     ((0.90, 0.80, 0.45), (0.65, 0.50, 0.05)),
 )
+
+
+def require_config(config: Any, kind: type, name: str = "config") -> None:
+    """Raise a SceneError where something else is given, such as a part of a configuration."""
+    if not isinstance(config, kind):
+        raise SceneError(f"{name} = {config!r}: give a {kind.__name__}")
 
 
 def check_words(config: Any, choices: Mapping[str, Sequence[str]]) -> None:
@@ -279,7 +286,9 @@ def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) ->
         A value of the configuration, or a surface that Drake's contact cannot take, with the
         remedy.
     """
+    require_scene(scene)
     try:
+        require_config(config, PlantConfig)
         config.check()
         config = dataclasses.replace(config)  # the caller may change what is his
         _check_surfaces(scene, config)

@@ -45,6 +45,7 @@ from .plant import (
     check_numbers,
     check_words,
     contact_depth,
+    require_config,
     turning_angle,
 )
 
@@ -100,8 +101,7 @@ class StationConfig:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
         for key, kind in (("plant", PlantConfig), ("driver", DriverConfig)):
             part = getattr(self, key)
-            if not isinstance(part, kind):
-                raise SceneError(f"{key} = {part!r}: give a {kind.__name__}")
+            require_config(part, kind, key)
             part.check()
         check_words(self, {"coordinates": ("chart", "frame")})
         for key in ("disturbance_input", "rolling_radii", "monitor"):
@@ -159,6 +159,9 @@ def rolling_scene(scene: Scene, config: PlantConfig) -> Scene:
     `contact_monitor`.) Of spheres, cylinders and tori that surface is another of their kind, and so
     it is nearly of ellipsoids; of others it is their equation, shifted along the normal.
     """
+    require_scene(scene)
+    with naming(f"scene '{scene.name}'"):
+        require_config(config, PlantConfig)
     depth, point = contact_depth(config), config.contact_model == "point"
     of_finger, of_object = (0.5 * depth, 0.5 * depth) if point else (depth, 0.0)
     contacts = [
@@ -260,7 +263,17 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
         A value of the configuration, or what :func:`AddScenePlant` and :class:`ContactPlanner`
         cannot do, with the remedy.
     """
-    return _build(scene, config or StationConfig.from_scene(scene))[0]
+    return _build(scene, _checked(scene, config))[0]
+
+
+def _checked(scene: Scene, config: StationConfig | None) -> StationConfig:
+    if config is None:
+        return StationConfig.from_scene(scene)
+    require_scene(scene)
+    with naming(f"scene '{scene.name}', station"):
+        require_config(config, StationConfig)
+        config.check()
+    return config
 
 
 def _build(
@@ -268,8 +281,6 @@ def _build(
     config: StationConfig,
     extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None,
 ) -> tuple[Diagram, ScenePlant]:
-    with naming(f"scene '{scene.name}', station"):
-        config.check()
     builder = DiagramBuilder()
     parts = AddScenePlant(builder, scene, config.plant)
     planned = rolling_scene(scene, config.plant) if config.rolling_radii else scene
@@ -435,10 +446,7 @@ def simulate(
         A duration shorter than a time step, or not finite, and what :func:`BuildStation` raises.
     """
     gc.collect()  # Diagrams are cycles: free those of runs before this one
-    config = config or StationConfig.from_scene(scene)
-    config = dataclasses.replace(config, monitor=True)
-    with naming(f"scene '{scene.name}', station"):
-        config.check()
+    config = dataclasses.replace(_checked(scene, config), monitor=True)
     duration = scene.duration if duration is None else duration
     period = config.plant.time_step
     if not finite_number(duration, f"scene '{scene.name}': duration") >= period:

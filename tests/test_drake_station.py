@@ -10,10 +10,12 @@ import pytest
 pytest.importorskip("pydrake")
 
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
 import contact_system as cs
 from drake_plant import (
+    AddScenePlant,
     BuildStation,
     DriverConfig,
     PlantConfig,
@@ -522,9 +524,21 @@ def test_a_wrong_configuration_is_refused_before_anything_is_built():
         (StationConfig(plant=PlantConfig(time_step=0.0)), "time_step = 0.0: .* discrete"),
         (StationConfig(driver=DriverConfig(position_gain=None)), "position_gain = None"),
         (StationConfig(plant={"friction": 0.5}), "plant = .*: give a PlantConfig"),
+        (PlantConfig(), "config = PlantConfig.*: give a StationConfig"),
+        ({"friction": 0.5}, "config = {'friction': 0.5}: give a StationConfig"),
     ):
-        with pytest.raises(cs.SceneError, match="^scene 'D1', station: " + words):
-            BuildStation(scene, wrong)
+        for start in (BuildStation, simulate):
+            with pytest.raises(cs.SceneError, match="^scene 'D1', station: " + words):
+                start(scene, wrong)
+
+
+def test_a_configuration_of_another_kind_is_refused():
+    scene, builder = cs.load_scene("D1"), DiagramBuilder()
+    for wrong in (StationConfig(), None):
+        with pytest.raises(cs.SceneError, match="^scene 'D1': config = .*: give a PlantConfig"):
+            rolling_scene(scene, wrong)
+        with pytest.raises(cs.SceneError, match="^scene 'D1', plant: config = .* a PlantConfig"):
+            AddScenePlant(builder, scene, wrong)
 
 
 def test_numbers_of_numpy_are_numbers():
