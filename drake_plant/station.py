@@ -443,7 +443,8 @@ def simulate(
     Raises
     ------
     SceneError
-        A duration shorter than a time step, or not finite, and what :func:`BuildStation` raises.
+        A duration shorter than a time step, or not finite; a recording in a folder that does not
+        exist; what :func:`BuildStation` raises.
     """
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = dataclasses.replace(_checked(scene, config), monitor=True)
@@ -457,6 +458,11 @@ def simulate(
     loggers: dict[str, Any] = {}
     film = None
     if recording is not None:
+        if not Path(recording).parent.is_dir() or Path(recording).is_dir():
+            raise SceneError(
+                f"scene '{scene.name}': recording = {str(recording)!r}: no file can be written "
+                "there; give a path in a folder that exists, such as 'film.html'"
+            )
         from .recording import Recording
 
         film = Recording()

@@ -556,3 +556,10 @@ def test_a_time_in_which_nothing_can_be_simulated_is_refused(duration):
     message = f"scene 'D1': (a simulation of|duration =) {duration!r}"
     with pytest.raises(cs.SceneError, match=message):
         simulate(scene, config(scene), duration=duration)
+
+
+@pytest.mark.parametrize("name", ["none/film.html", ""])
+def test_a_recording_that_cannot_be_written_is_refused_before_anything_is_simulated(tmp_path, name):
+    scene = cs.load_scene("D1")
+    with pytest.raises(cs.SceneError, match="scene 'D1': recording = .*folder that exists"):
+        simulate(scene, config(scene), recording=tmp_path / name)
