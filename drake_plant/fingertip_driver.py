@@ -38,7 +38,7 @@ from pydrake.multibody.tree import RigidBody
 from pydrake.systems.framework import Context, LeafSystem, State, ValueProducer
 
 from contact_system import SceneError
-from contact_system.kernels import Kernel, Machine, made_once
+from contact_system.kernels import Kernel, made_once
 
 from .lifetimes import NO_DICTIONARY, weakly
 from .plant import ScenePlant, check_numbers, require_config
@@ -190,11 +190,10 @@ class FingertipDriver(LeafSystem):
         self.scene, self.plant_config = scene_plant.scene, scene_plant.config
         self.object_index = int(scene_plant.object_body.index())
         self.finger_indices = [body.index() for body in fingers]
-        self._machine = Machine(driving_law(), len(fingers))
         require_config(config, DriverConfig)
         config.check()
         _check_step(scene_plant)
-        self._machine.c[:] = [_constants(body, scene_plant, config) for body in fingers]
+        self._constants = np.array([_constants(body, scene_plant, config) for body in fingers])
         n = len(fingers)
         poses, motions = Value[list[RigidTransform]], Value[list[SpatialVelocity]]
         self._pose = self.DeclareAbstractInputPort("pose", poses())
@@ -226,22 +225,24 @@ class FingertipDriver(LeafSystem):
 
     def _CalcLaw(self, context: Context, value: AbstractValue) -> None:
         """Torque, force and desired position of each finger: (n, 9)."""
-        x, past = self._machine.x, context.get_discrete_state_vector().value()
+        past = context.get_discrete_state_vector().value()
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
-        A = self._accelerations.Eval(context)
-        o = self.object_index
+        A, X_OF = self._accelerations.Eval(context), self._pose.Eval(context)
+        twist, acceleration = self._twist.Eval(context), self._acceleration.Eval(context)
+        normal, point = self._normal.Eval(context), self._point.Eval(context)
+        # The thread's own, filled once nothing is left to evaluate that may use it too.
+        machine, o = driving_law().machine(len(X_OF)), self.object_index
+        machine.c[:], x = self._constants, machine.x
         x[:, 0:12] = _numbers(X[o])
         x[:, 12:18], x[:, 18:24] = V[o].get_coeffs(), A[o].get_coeffs()
-        x[:, 24:36] = [_numbers(X_OF) for X_OF in self._pose.Eval(context)]
-        x[:, 36:42] = self._twist.Eval(context).reshape(-1, 6)
-        x[:, 42:48] = self._acceleration.Eval(context).reshape(-1, 6)
-        x[:, 48:51] = self._normal.Eval(context).reshape(-1, 3)
-        x[:, 51:54] = self._point.Eval(context).reshape(-1, 6)[:, :3]
+        x[:, 24:36] = [_numbers(pose) for pose in X_OF]
+        x[:, 36:42], x[:, 42:48] = twist.reshape(-1, 6), acceleration.reshape(-1, 6)
+        x[:, 48:51], x[:, 51:54] = normal.reshape(-1, 3), point.reshape(-1, 6)[:, :3]
         x[:, 54:66] = [_numbers(X[i]) for i in self.finger_indices]
         x[:, 66:72] = [V[i].get_coeffs() for i in self.finger_indices]
         x[:, 72], x[:, 73:] = past[0], past[1:].reshape(-1, 15)
-        self._machine.run()
-        value.set_value([self._machine.y.copy()])
+        machine.run()
+        value.set_value([machine.y.copy()])
 
     def _CalcForces(self, context: Context, output: Value) -> None:
         applied = []

@@ -249,7 +249,7 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
     The first seven are the planner's (see :class:`ContactPlanner`), `spatial_forces` the driver's,
     the next five the monitor's (see :class:`ContactMonitor`; only with ``monitor``), the last five
     the plant's and the scene graph's. The systems are named "planner", "driver", "monitor",
-    "plant" and "scene_graph".
+    "plant" and "scene_graph". Threads may share a station, with a Context each.
 
     Parameters
     ----------

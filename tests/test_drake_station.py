@@ -3,6 +3,7 @@
 import dataclasses
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -476,6 +477,29 @@ def test_a_station_that_has_run_starts_anew():
         simulator.AdvanceTo(2e-3)
         forces.append(station.GetOutputPort("normal_force").Eval(context).copy())
     assert forces[0] == pytest.approx(forces[1], abs=0.01)
+
+
+def test_threads_share_a_station_with_a_context_each():
+    scene = cs.load_scene("D1")
+    station = BuildStation(scene, config(scene, disturbance_input=True))
+
+    def pressed(rate):
+        simulator = Simulator(station)
+        context = simulator.get_mutable_context()
+        station.GetInputPort("disturbance").FixValue(context, np.full(18, rate))
+        SetInitialState(station, context)
+        simulator.AdvanceTo(0.03)
+        return station.GetOutputPort("plant_state").Eval(context)
+
+    rates, interval = (0.0, 0.1, 0.2, 0.3), sys.getswitchinterval()
+    expected = [pressed(rate) for rate in rates]
+    sys.setswitchinterval(1e-6)  # threads take turns after every few instructions
+    try:
+        with ThreadPoolExecutor(len(rates)) as pool:
+            found = list(pool.map(pressed, rates))
+    finally:
+        sys.setswitchinterval(interval)
+    assert np.array_equal(found, expected)
 
 
 def test_a_turning_object_starts_as_it_turns_then():
