@@ -9,6 +9,7 @@ import math
 import os
 import shutil
 import tempfile
+import threading
 import weakref
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -224,6 +225,7 @@ class Instance:
         self._fmu: Any = None
         self._at: Moment | None = None  # where the FMU is
         self._running = False
+        self._turn = threading.RLock()  # FMI allows no calls of one FMU at the same time
         self._states: dict[int, c_void_p] = {}  # the FMU's own copies of its state
         self._keys = itertools.count()
         self._log: collections.deque[tuple[int, str]] = collections.deque(maxlen=20)
@@ -330,11 +332,7 @@ class Instance:
         given : pairs of a PortVariables and values
             Inputs at that time.
         """
-        self._renew(time)
-        fmu, later = (
-            self._fmu,
-            [v for v in self._start_values if not settable_in_instantiated(v[0])],
-        )
+        later = [v for v in self._start_values if not settable_in_instantiated(v[0])]
         wrong = [v.name for v, _ in later if not settable_in_initialization_mode(v)]
         wrong += [v.name for v, _ in self._start_values if v.causality == "structuralParameter"]
         if wrong:
@@ -342,7 +340,9 @@ class Instance:
                 f"{self.name}: {', '.join(wrong)} cannot be set at the start; only inputs, "
                 "parameters and variables with initial='exact' or 'approx' can"
             )
-        with self._doing("initialization", time):
+        with self._turn, self._doing("initialization", time):
+            self._renew(time)
+            fmu = self._fmu
             if self.version == 2:
                 fmu.setupExperiment(startTime=time)
             self._set([v for v in self._start_values if v not in later])
@@ -370,9 +370,9 @@ class Instance:
         step : float
             s.
         """
-        self._go_to(moment)
         time, ends = moment.time, False
-        with self._doing(f"a step of {step:.6g} s", time):
+        with self._turn, self._doing(f"a step of {step:.6g} s", time):
+            self._go_to(moment)
             for block, values in given:
                 block.write(self._fmu, values)
             self._at = None  # until the step has succeeded
@@ -429,10 +429,11 @@ class Instance:
 
     def forget(self, key: int | None) -> None:
         """Give back the FMU's copy of its state."""
-        state = None if key is None else self._states.pop(key, None)
-        if state is not None:
-            with contextlib.suppress(FMICallException):
-                self._fmu.freeFMUState(state)
+        with self._turn:
+            state = None if key is None else self._states.pop(key, None)
+            if state is not None:
+                with contextlib.suppress(FMICallException):
+                    self._fmu.freeFMUState(state)
 
     def _renew(self, time: float) -> None:
         """An instance that nothing was done to."""
@@ -547,7 +548,8 @@ class FmuSystem(LeafSystem):
 
     The FMU's state is an abstract state, the outputs are discrete ones, so that Contexts can be
     cloned, put aside and gone back to. This needs an FMU with canGetAndSetFMUstate. Any other can
-    step one Context at a time and only forward; a second one is refused.
+    step one Context at a time and only forward; a second one is refused. Threads that share the
+    system take turns.
 
     The FMU is freed, and what was unpacked of it removed, with the system.
 

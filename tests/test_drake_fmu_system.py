@@ -11,6 +11,7 @@ import sys
 import tempfile
 import weakref
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -429,6 +430,25 @@ def test_contexts_go_their_own_ways(build, version):
             simulator.AdvanceTo(k * STEP)
     assert values(system, first.get_context()).tolist() == [0.5 + 5 * STEP, -10 * STEP]
     assert values(system, second.get_context()).tolist() == [0.5 + 2 * STEP, 44 * STEP]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_threads_that_share_an_fmu_take_turns(build, version):
+    system, interval = integrators(build(version)), sys.getswitchinterval()
+
+    def run(speed):
+        simulator = connected(system, [speed, -speed])
+        simulator.AdvanceTo(200 * STEP)
+        return values(system, simulator.get_context()).tolist()
+
+    speeds = (1.0, 2.0, 3.0, 4.0)
+    sys.setswitchinterval(1e-6)  # threads take turns after every few instructions
+    try:
+        with ThreadPoolExecutor(len(speeds)) as pool:
+            found = list(pool.map(run, speeds))
+    finally:
+        sys.setswitchinterval(interval)
+    assert found == [[0.5 + 200 * STEP * speed, -200 * STEP * speed] for speed in speeds]
 
 
 @pytest.mark.parametrize("version", VERSIONS)
