@@ -211,7 +211,7 @@ def refuse_pace(system: SceneSystem, t: float, limits: Limits, speed: Array, sli
     found = f"slips at {sigma * slip[i]:.4g} m/s; at most {most:.4g} is possible"
     if not steady[i]:
         found = f"moves at {sigma * speed[i]:.4g} m/s instead of {sigma * limits.speed[i]:.4g}"
-    remedy = "use smaller steps, an implicit scheme or one with error control"
+    remedy = "use smaller steps, an implicit scheme, or error control with a smaller accuracy"
     if system.coordinates == "chart":
         remedy += ', or ContactPlanner(scene, coordinates="frame"), which is less stiff'
     raise SceneError(

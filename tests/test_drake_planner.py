@@ -165,6 +165,12 @@ def test_steps_too_long_for_a_scheme_are_refused_with_a_remedy(scene, coordinate
         run(planner, min(scene.duration, 2.5), scheme, step)
 
 
+def test_error_control_that_is_too_lenient_is_told_to_be_less_so():
+    planner = ContactPlanner(cs.load_scene("K2"))
+    with pytest.raises(cs.SceneError, match="error control with a smaller accuracy"):
+        run(planner, 1.0, "radau1", 0.1, accuracy=1e-2)
+
+
 @pytest.mark.parametrize("eta", (1e3, 1e6, 1e9))
 @pytest.mark.parametrize("scheme", ("radau3", "implicit_euler"))
 def test_implicit_schemes_take_long_steps_however_stiff_the_gain(scheme, eta):
