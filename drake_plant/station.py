@@ -339,7 +339,8 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     What is planned is what the context has for the planner, state and time (by default the start of
     the scene). The object stays as the context has it (by default at the world's origin, at rest),
     but one that turns is put where the scene has it at that time. Each finger is pressed in as deep
-    as its normal force presses it. The driver forgets the steps before.
+    as its normal force presses it. Driver and plant forget the steps before: as in a new context,
+    the plant's accelerations and contact forces are zero until its first step.
 
     Parameters
     ----------
@@ -371,6 +372,11 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         plant.SetFreeBodyPose(physics, body, X_WO @ X_OF)
         plant.SetFreeBodySpatialVelocity(context=physics, body=body, V_JpJc=V_WF)
     driver.GetMyMutableContextFromRoot(context).get_mutable_discrete_state_vector().SetZero()
+    # The sampled outputs of Drake's plant outlive SetDefaultContext.
+    new = plant.CreateDefaultContext()
+    sampled = physics.get_mutable_state().get_mutable_abstract_state()
+    for k in range(sampled.size()):
+        sampled.get_mutable_value(k).SetFrom(new.get_abstract_state().get_value(k))
 
 
 def _finger_poses(
