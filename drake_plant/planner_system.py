@@ -187,7 +187,8 @@ def _define(T: type) -> type:
         coordinates : "chart" or "frame"
         disturbance_input : bool
         restart_period : float, optional
-            s, at least 5e-8 of the scene's duration and 1e-9 s.
+            s, at least 5e-8 of the scene's duration and 1e-9 s. A discrete plant's state between
+            two steps is that of the next one: with one, give a multiple of its time step.
         restart_slip : float, optional
             m/s, 0 or more.
         compiled : bool, optional

@@ -36,7 +36,7 @@ from contact_system.scene import require_scene
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import DISCRETE_ONLY, DriverConfig, FingertipDriver
 from .meshes import is_round
-from .planner_system import ContactPlanner
+from .planner_system import LOOK, ContactPlanner
 from .plant import (
     RADII,
     AddScenePlant,
@@ -75,7 +75,7 @@ class StationConfig:
     restart_period, restart_slip : float or None
         Close the loop: the planner restarts from the measured state every so many seconds; with
         both, only contacts whose measured slip is above so many m/s; with the slip alone, looked
-        at every 0.01 s. None: it does not.
+        at every 0.01 s. None: it does not. Restarts have to fall on steps of the plant.
     rolling_radii : bool
         Plan on the radii that bodies roll on once they are pressed together (see
         :func:`rolling_scene`), else on the nominal ones.
@@ -110,6 +110,23 @@ class StationConfig:
         check_numbers(self, ("restart_slip",), "not below 0")
         if self.plant.time_step == 0:
             raise SceneError(f"time_step = {self.plant.time_step!r}: {DISCRETE_ONLY}")
+        if self.closed_loop:
+            self._check_restarts()
+
+    def _check_restarts(self) -> None:
+        """Between two steps a discrete plant is at the end of the step already: a planner that
+        restarts there is ahead of its time, by another part of a step each time."""
+        step, period = self.plant.time_step, self.restart_period
+        steps = max((LOOK if period is None else period) / step, 1e-9)
+        whole = round(steps) if steps > 0.75 else 1 / round(1 / steps)
+        # A little early does no harm; a little late is a whole step ahead (but see EARLY).
+        if not -1e-6 < steps / whole - 1 < 1e-9:
+            every = f" (None: {LOOK:g} s)" if period is None else ""
+            raise SceneError(
+                f"restart_period = {period!r}{every}: restarts have to fall on steps of the plant, "
+                f"time_step = {step!r}; give restart_period = {max(1, round(steps)) * step:.9g}, "
+                "or another multiple of it"
+            )
 
     @classmethod
     def from_scene(cls, scene: Scene, **changes: Any) -> StationConfig:

@@ -207,6 +207,24 @@ def test_restarts_fall_together_with_steps_of_the_plant_whatever_floating_point_
     assert slip.max() < 1e-4
 
 
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"restart_period": 0.0015}, "0.0015: .* time_step = 0.001; give restart_period = 0.002"),
+        ({"restart_period": 0.01, "time_step": 0.003}, "0.01: .* give restart_period = 0.009"),
+        ({"restart_slip": 0.1, "time_step": 0.003}, r"None \(None: 0.01 s\).* = 0.009"),
+    ],
+)
+def test_restarts_between_steps_of_the_plant_are_refused(changes, told):
+    with pytest.raises(cs.SceneError, match=r"'D1', \[drake\]: restart_period = " + told):
+        config(cs.load_scene("D1"), **changes)
+
+
+@pytest.mark.parametrize("period", (0.3, 0.003, 0.001, 0.0005, None))
+def test_restarts_on_steps_of_the_plant_are_fine(period):
+    assert config(cs.load_scene("D1"), restart_period=period, restart_slip=0.1).closed_loop
+
+
 def test_ports_are_exported_only_where_they_have_a_use():
     scene = cs.load_scene("D1")
     plain = BuildStation(scene, config(scene, monitor=False))
