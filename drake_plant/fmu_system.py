@@ -39,6 +39,7 @@ from fmpy.fmi2 import (
     fmi2CallbackFunctions,
     fmi2CallbackLoggerTYPE,
     fmi2Discard,
+    fmi2LastSuccessfulTime,
     fmi2Terminated,
 )
 from fmpy.fmi3 import FMU3Slave
@@ -379,7 +380,7 @@ class Instance:
             try:
                 done = self._fmu.doStep(time, step, not self.keeps_states)
             except FMICallException as error:
-                ends = self._asks_to_end(error)
+                ends = self._asks_to_end(error, time)
                 if not ends:
                     raise
             else:
@@ -390,13 +391,16 @@ class Instance:
             # As Drake counts its samples: without a sum of rounding errors.
             return self._here(round(time / step + 1) * step, stepped=True), ends
 
-    def _asks_to_end(self, error: FMICallException) -> bool:
-        """Whether a step was discarded because an FMU of FMI 2 wants to end the simulation."""
+    def _asks_to_end(self, error: FMICallException, time: float) -> bool:
+        """Whether an FMU of FMI 2 has discarded what is left of a step from `time` on to end the
+        simulation; one that cannot even begin the step has a reason to be told."""
         if self.version != 2 or error.status != fmi2Discard:
             return False
+        ends = False
         with contextlib.suppress(FMICallException):
-            return self._fmu.getBooleanStatus(fmi2Terminated)
-        return False
+            ends = self._fmu.getBooleanStatus(fmi2Terminated)
+            return ends and self._fmu.getRealStatus(fmi2LastSuccessfulTime) > time
+        return ends
 
     def _here(self, time: float, stepped: bool) -> Moment:
         """The moment at which the FMU is."""
@@ -584,8 +588,8 @@ class FmuSystem(LeafSystem):
 
     Notes
     -----
-    When the FMU asks to end the simulation, the update returns EventStatus.ReachedTermination and
-    Simulator.AdvanceTo ends there.
+    When the FMU asks to end the simulation within a step, the update returns
+    EventStatus.ReachedTermination and Simulator.AdvanceTo ends there.
     """
 
     __slots__ = NO_DICTIONARY

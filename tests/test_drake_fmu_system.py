@@ -691,6 +691,14 @@ def test_the_exported_planner_moves_as_the_planner_in_the_same_diagram(
         assert np.abs(found - planned)[:, first:].max() <= 1e-9
 
 
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_planner_that_cannot_go_on_says_why(tmp_path, version):
+    scene = cs.load_scene("K1").replace(profile=cs.Profile([0.1, -0.15]), duration=0.5)
+    system = FmuSystem(export_fmu(scene, tmp_path / "slowing.fmu", version), step=0.25)
+    with pytest.raises(cs.ContactSystemError, match="t = 0.5 s.*sigma is negative from"):
+        Simulator(system).AdvanceTo(1.0)
+
+
 def test_a_planner_goes_back_to_a_saved_context(exported):
     scene, files = exported
     system = FmuSystem(files["3.0"], step=0.01, outputs=state_names(scene))
