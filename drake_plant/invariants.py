@@ -216,5 +216,6 @@ def refuse_pace(system: SceneSystem, t: float, limits: Limits, speed: Array, sli
         remedy += ', or ContactPlanner(scene, coordinates="frame"), which is less stiff'
     raise SceneError(
         f"scene '{scene.name}', contact {i}: integrated to t = {t:.6g} s it {found}: the steps "
-        f"are too long for this integrator; {remedy}"
+        f"are too long for this integrator; {remedy}; or, if the Context was given another state "
+        "on the way, call Simulator.Initialize() first"
     )

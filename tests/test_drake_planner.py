@@ -195,6 +195,26 @@ def test_a_simulation_may_begin_with_other_speeds_than_the_scene_has(coordinates
     assert error(planner, fast.get_context(), plan.restart(0.2, faster)) < 1e-9
 
 
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_a_state_set_on_the_way_needs_another_initialization(coordinates):
+    planner = ContactPlanner(cs.load_scene("K2"), coordinates)
+    plan = cs.plan(planner.system.scene, 1e-13)
+    faster = plan.states(0.2)[0]
+    faster[:, [2, 3, 6, 7]] *= 3.0
+    found = simulator(planner, "runge_kutta5")
+    found.AdvanceTo(0.2)
+    x, _ = planner.system.from_states(0.2, faster)
+    found.get_mutable_context().SetContinuousState(x)
+    with pytest.raises(cs.SceneError, match=r"another state .* call Simulator\.Initialize\(\)"):
+        found.AdvanceTo(0.3)
+    found.reset_context(planner.CreateDefaultContext())
+    found.get_mutable_context().SetTime(0.2)
+    found.get_mutable_context().SetContinuousState(x)
+    found.Initialize()
+    found.AdvanceTo(0.3)
+    assert error(planner, found.get_context(), plan.restart(0.2, faster)) < 1e-9
+
+
 def stretching(obj, at, acceleration, angle=0.0):
     """An object whose Lame coefficients grow on the way of a contact that is accelerated."""
     contact = cs.Contact(cs.Sphere(0.04), object_at=at, angle=angle, finger_velocity=(0.0, 1.0))
