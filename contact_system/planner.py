@@ -800,27 +800,40 @@ class GroupPlanner:
         track = self._geodesic("object", start, stop, "planned curve of the object")
         self.group.object.append(track)
         self.group.slips.append(SlipRecord(start, stop, piece, None, None, self.w1))
+        dragged = self._dragged(piece)
+        if dragged is None:
+            reason = "a geodesic like the object's: chart equations do not reach all of it"
+            dragged = self._geodesic("finger", start, stop, reason)
+        self.group.finger.append(dragged)
+
+    def _dragged(self, piece: GainPiece) -> Track | None:
+        """Fingers by the chart equations; None at poles and where there is no chart."""
+        if not (self.finger.surface.has_chart and self.object.surface.has_chart):
+            return None
         tip, obj = (
             body.at(at, False) for body, at in zip((self.finger, self.object), self.group.begin)
         )
         kernel = rolling_motion(tip.surface, obj.surface)
-        angle = self.prepared.angle
+        angle, length = self.prepared.angle, piece.stop - piece.start
         problem = Problem(
             name=self.name,
             start=np.hstack([tip.state[:, :2], angle[:, None], obj.state]),
             constants=np.hstack([tip.parameters, obj.parameters, self.w2]),
             scale=np.hstack([tip.scale, obj.scale]),
             drive=piece,
-            length=stop - start,
-            first=_first_panel(piece, stop - start, min(tip.size, obj.size)),
+            length=length,
+            first=_first_panel(piece, length, min(tip.size, obj.size)),
         )
-        panels = integrate(kernel, problem, self.tolerance, self.compiled)
+        try:
+            panels = integrate(kernel, problem, self.tolerance, self.compiled)
+        except ContactSystemError:
+            return None
         method = f"rolling imposed, chart equations, {len(panels.edges) - 1} panels"
-        self.group.finger.append(RollingTrack(
-            tip.surface, tip.parameters, start, stop, method, "the finger follows the object",
-            False, self.compiled, panels=panels, rows=slice(None), piece=piece, w=self.w1, v=None,
-            angle=angle,
-        ))  # fmt: skip
+        return RollingTrack(
+            tip.surface, tip.parameters, piece.start, piece.stop, method,
+            "the finger follows the object", False, self.compiled, panels=panels, rows=slice(None),
+            piece=piece, w=self.w1, v=None, angle=angle,
+        )  # fmt: skip
 
     # --- forms -----------------------------------------------------------------------------------
 

@@ -541,6 +541,25 @@ def test_explain_names_scene_tolerance_intervals_and_causes():
     assert "imposed" in cs.plan(cs.load_scene("C2")).explain()
 
 
+@pytest.mark.parametrize(
+    ("obj", "angle"),
+    [
+        (cs.Sphere(0.1), pi),  # through a pole of the finger
+        (cs.ImplicitSurface("x**2 + y**2 + z**4 - 1"), 0.5),
+    ],
+)
+def test_imposed_rolling_passes_poles_and_needs_no_chart(obj, angle):
+    contact = cs.Contact(finger=cs.Sphere(0.04), object_at=(1.2, 0.3), angle=angle,
+                         finger_velocity="rolling", object_velocity=(1, 0))  # fmt: skip
+    scene = cs.Scene(object=obj, contacts=[contact], profile=cs.Profile([0.1]), duration=4.0)
+    t = np.linspace(0, 4, 41)
+    # unit speed at (pi/2, 0), where E1 = [-z y x], along R_psi (1, 0)
+    along = np.array([0.0, -np.sin(angle), -np.cos(angle)])
+    s = 0.1 * t / 0.04
+    circle = 0.04 * (np.outer(np.cos(s), [1, 0, 0]) + np.outer(np.sin(s), along))
+    assert np.abs(cs.plan(scene).points(t)[:, 0, 0] - circle).max() < 1e-12 * 0.04
+
+
 def test_path_at_rest_under_an_acceleration_is_refused():
     # sigma = 0 where d acts on dq/ds: the path velocity would be infinite
     for c in ((0.0, 0.3), (0.1, -0.4, 0.4)):
