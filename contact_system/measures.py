@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from .errors import ChartSingularity
+from .errors import ChartSingularity, ContactSystemError
 from .plan import Plan
 from .scene import Scene
 
@@ -221,7 +222,7 @@ def _rejection_time(
 # --- curves ------------------------------------------------------------------------------------
 
 
-def great_circle_distance(points: np.ndarray) -> np.ndarray:
+def great_circle_distance(points: ArrayLike) -> np.ndarray:
     """Distance of a curve on a sphere from its great-circle plane (the paper's corollary).
 
     Parameters
@@ -233,5 +234,19 @@ def great_circle_distance(points: np.ndarray) -> np.ndarray:
     -------
     (n,)
         Signed distance from the plane through the centre that fits best (least squares), m.
+
+    Raises
+    ------
+    ContactSystemError
+        Another shape, or a point that is not finite.
     """
+    try:
+        points = np.asarray(points, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        points = np.empty(0)
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise ContactSystemError(
+            f"points of shape {points.shape}: give finite points of one curve, shape (n, 3), such "
+            "as plan.points(t)[:, 0, 0]"
+        )
     return points @ np.linalg.svd(points, full_matrices=len(points) < 3)[2][2]

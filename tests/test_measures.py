@@ -10,6 +10,7 @@ from conftest import one_contact, refuse_at
 
 import contact_system as cs
 from contact_system import measures
+from contact_system.errors import ContactSystemError
 
 
 @pytest.mark.parametrize("name", ["K1", "K4", "chart", "torus"])
@@ -122,3 +123,9 @@ def test_distance_from_a_great_circle_is_zero_on_one_and_known_beside_one():
     # a circle of latitude 0.1 rad: every point is sin(0.1) from the plane through the centre
     small = np.cos(0.1) * great + np.sin(0.1) * tilt[2]
     assert np.abs(cs.great_circle_distance(small)) == pytest.approx(np.sin(0.1), rel=1e-12)
+
+
+@pytest.mark.parametrize("points", [[], np.zeros((5, 1, 2, 3)), [[0, 0, math.nan]], "plan", None])
+def test_a_great_circle_asks_for_points_of_one_curve(points):
+    with pytest.raises(ContactSystemError, match=r"shape .*\(n, 3\), such as plan.points"):
+        cs.great_circle_distance(points)
