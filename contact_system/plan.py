@@ -94,7 +94,7 @@ class Plan:
         if not isinstance(scene, Scene):
             require_scene(scene)
         if not (type(tolerance) is float and 1e-15 <= tolerance <= 0.1):
-            tolerance = _tolerance(tolerance)
+            tolerance = checked_tolerance(tolerance)
         compiled = flag(compiled, "compiled", none=True)
         self.scene, self.tolerance, self.method = scene, tolerance, method
         self.solver, self.compiled, self.start, self.starts = solver, compiled, start, starts
@@ -596,7 +596,14 @@ def _align(row: np.ndarray, own: np.ndarray, surfaces: Sequence[Surface]) -> Non
             row[8] = own[8] + math.remainder(row[8] + math.pi - own[8], 2 * math.pi)
 
 
-def _tolerance(given: Any) -> float:
+def checked_tolerance(given: Any) -> float:
+    """The tolerance as a float.
+
+    Raises
+    ------
+    SceneError
+        If it is no number from 1e-15 to 1e-1.
+    """
     try:
         number = float(given) if isinstance(given, numbers.Real) else math.nan
     except OverflowError:

@@ -38,7 +38,7 @@ from .checks import flag
 from .errors import ContactSystemError
 from .kernels import make_folder
 from .measures import REJECTED
-from .plan import Plan, plan
+from .plan import Plan, checked_tolerance, plan
 from .scene import Contact, Disturbance, Scene
 from .scene_files import load_scene, scene_text, scene_to_toml
 
@@ -301,12 +301,18 @@ def _table(batch: list[Placed], outputs: Mapping[str, ArrayLike]) -> np.ndarray:
             f"evaluate returned {type(outputs).__name__}; return a dict of arrays"
         )
     for key, value in outputs.items():
-        array = np.asarray(value)
-        if key in columns or array.shape[:1] != (count,):
+        try:
+            array = np.asarray(value)
+        except ValueError:  # rows of different shapes
+            array = np.array(None)
+        if key in columns or array.shape[:1] != (count,) or array.dtype.hasobject:
             raise ContactSystemError(
-                f"evaluate returned '{key}' of shape {array.shape}; give it one row a contact of "
-                f"the plan, ({count}, ...), and a name other than scene, contact, name"
+                f"evaluate returned '{key}' of shape {array.shape} and type {array.dtype}; give it "
+                f"one row of numbers or texts a contact of the plan, ({count}, ...), and a name "
+                "other than scene, contact, name"
             )
+        if not isinstance(key, str):
+            raise ContactSystemError(f"evaluate returned the key {key!r}; give names as text")
         columns[key] = array
     kinds = [(key, array.dtype, array.shape[1:]) for key, array in columns.items()]
     table = np.empty(count, dtype=kinds)
@@ -388,8 +394,9 @@ def sweep(
     ------
     ContactSystemError
         ``scenes`` that are no list of them; ``chunk`` or ``ahead`` that is no whole number from 1;
-        outputs without a row a contact, or that differ from scene to scene; a folder that cannot be
-        made; an executor that broke and cannot be replaced.
+        another argument of the wrong kind; outputs without a row of numbers or texts a contact, or
+        that differ from scene to scene; a folder that cannot be made; functions that cannot be sent
+        to another process; an executor that broke and cannot be replaced.
     """
     if isinstance(scenes, (Scene, str, os.PathLike)) or not isinstance(scenes, Iterable):
         raise ContactSystemError(f"scenes = {scenes!r:.80}: give a list of scenes; of one, [scene]")
@@ -398,9 +405,17 @@ def sweep(
         whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
         if not whole or value < 1:
             raise ContactSystemError(f"{name} = {value!r}: give a whole number, at least 1")
+    for name, given, fits, remedy in (
+        ("evaluate", evaluate, callable(evaluate), "a function of a plan"),
+        ("executor", executor, executor is None or isinstance(executor, Executor),
+         "an executor, such as ProcessPoolExecutor(4) or a Dask client's get_executor()"),
+        ("folder", folder, folder is None or isinstance(folder, (str, os.PathLike)), "a path"),
+    ):  # fmt: skip
+        if not fits:
+            raise ContactSystemError(f"{name} = {given!r:.80}: give {remedy}")
     from .cli import Progress  # not on the planner's path
 
-    job = Job(evaluate, tolerance, flag(compiled, "compiled", none=True))
+    job = Job(evaluate, checked_tolerance(tolerance), flag(compiled, "compiled", none=True))
     store = _Store(job, None if folder is None else Path(folder))
     chunks = store.missing(_chunks(scenes, chunk))
     if executor is None:
@@ -455,7 +470,7 @@ def _spread(
                 error = _loss(future)
                 if error is None:
                     losses.pop(chunk.number, None)
-                    yield chunk, future.result()
+                    yield chunk, _result(future)
                     continue
                 losses[chunk.number] = losses.get(chunk.number, 0) + alone
                 if losses[chunk.number] < LOSSES:
@@ -469,6 +484,16 @@ def _spread(
         for future in working:
             future.cancel()
         crew.close()
+
+
+def _result(future: Future) -> Part:
+    try:
+        return future.result()
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ContactSystemError(
+            f"a chunk cannot be sent to the executor's processes ({error}); give functions of a "
+            "module, or functools.partial of one, or an executor of threads"
+        ) from error
 
 
 def _loss(future: Future) -> BaseException | None:

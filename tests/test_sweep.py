@@ -142,6 +142,23 @@ def test_outputs_without_a_row_a_contact_are_refused_by_name(count):
         cs.sweep(family(count), lambda plan: {"end": plan.states([0.0, 1.0])})
 
 
+@pytest.mark.parametrize(
+    ("outputs", "said"),
+    [
+        ({"end": [{}, {}]}, r"'end' of shape \(1,\) and type object"),
+        ({"end": [[0], [0, 1]]}, "give it one row of numbers or texts"),
+        ({1: [0, 0]}, "the key 1; give names as text"),
+    ],
+)
+def test_outputs_that_no_file_holds_are_refused_by_name(outputs, said, tmp_path):
+    def evaluate(plan):
+        return {key: rows[: len(plan.scene.contacts)] for key, rows in outputs.items()}
+
+    for folder in (None, tmp_path):
+        with pytest.raises(cs.ContactSystemError, match=said):
+            cs.sweep(family(3), evaluate, folder=folder)
+
+
 def test_outputs_that_differ_between_scenes_are_refused():
     def names(plan):
         return {plan.scene.name: np.zeros(len(plan.scene.contacts))}
@@ -251,6 +268,27 @@ def test_a_file_of_results_that_is_cut_short_is_made_again(tmp_path):
 def test_what_is_no_list_of_scenes_is_refused(scenes):
     with pytest.raises(cs.ContactSystemError, match=r"scenes = .*: give a list of scenes"):
         cs.sweep(scenes)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "remedy"),
+    [
+        ("evaluate", "summary", "give a function of a plan"),
+        ("executor", 4, "give an executor"),
+        ("folder", 3, "give a path"),
+        ("tolerance", 5, "give a number from 1e-15"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused_by_name(option, value, remedy):
+    with pytest.raises(cs.ContactSystemError, match=f"{option} = {value!r}: {remedy}"):
+        cs.sweep(["K1"], **{option: value})
+
+
+def test_functions_that_no_process_can_be_sent_are_refused():
+    with ProcessPoolExecutor(1) as pool:
+        for scenes, evaluate in ((["K1"], lambda plan: middle(plan)), ([lambda: None], middle)):
+            with pytest.raises(cs.ContactSystemError, match="give functions of a module"):
+                cs.sweep(scenes, evaluate, pool)
 
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path):
