@@ -376,7 +376,7 @@ def sweep(
     folder : path, optional
         Keep the results of each chunk in a file there, not in memory. The same call continues where
         an interrupted one stopped: chunks whose scenes (or what is in their files), tolerance and
-        name of ``evaluate`` have not changed are not done again.
+        name of ``evaluate`` have not changed are not done again; a lambda has no name of its own.
     chunk : int
         Scenes that a worker takes at a time, and that are planned together at most.
     ahead : int, optional
@@ -597,8 +597,11 @@ def _digest(job: Job, chunk: Chunk) -> str:
     """Of all that decides a chunk's results."""
     from . import __version__
 
-    named = getattr(job.evaluate, "__qualname__", "").encode() or _pickled(job.evaluate)
-    found = hashlib.sha256(named + f"{__version__} {job.tolerance!r} {chunk.first}".encode())
+    name = getattr(job.evaluate, "__qualname__", "")
+    # a lambda has no name of its own, and a method's result depends on its object
+    named = "" if "<lambda>" in name or hasattr(job.evaluate, "__self__") else name
+    known = named.encode() or _pickled(job.evaluate)
+    found = hashlib.sha256(known + f"{__version__} {job.tolerance!r} {chunk.first}".encode())
     for item in chunk.items:
         found.update(_content(item))
     return found.hexdigest()

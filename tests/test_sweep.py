@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -42,6 +43,16 @@ def middle(plan: cs.Plan) -> dict[str, np.ndarray]:
     """Contact points and states halfway."""
     t = [0.5 * plan.scene.duration]
     return {"points": plan.points(t)[0], "states": plan.states(t)[0]}
+
+
+@dataclass
+class End:
+    """Where contacts are at a time of one's own."""
+
+    t: float
+
+    def of(self, plan: cs.Plan) -> dict[str, np.ndarray]:
+        return {"end": plan.states([self.t])[0]}
 
 
 def middle_where_no_worker_dies(mark: Path, plan: cs.Plan) -> dict[str, np.ndarray]:
@@ -307,6 +318,13 @@ def test_failures_are_kept_in_the_folder(tmp_path):
 def test_functions_that_cannot_be_known_again_are_refused_with_a_folder(tmp_path):
     with pytest.raises(cs.ContactSystemError, match="function of a module"):
         cs.sweep([lambda: rolling_towards(0)], middle, folder=tmp_path)
+
+
+def test_a_folder_knows_functions_without_a_name_of_their_own_apart(tmp_path):
+    with pytest.raises(cs.ContactSystemError, match="must know it again"):
+        cs.sweep(family(1), lambda plan: middle(plan), folder=tmp_path)
+    ends = [cs.sweep(family(1), End(t).of, folder=tmp_path).table["end"][0, 0] for t in (0.1, 0.5)]
+    assert ends[0] != ends[1]
 
 
 class Terminal(io.StringIO):
