@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .checks import naming
 from .equations import chart_equations
 from .errors import ContactSystemError, SceneError
 from .groups import Group, SlipRecord
@@ -84,13 +85,14 @@ def _chart_group(
 ) -> Group:
     from scipy.integrate import solve_ivp  # 0.2 s to import, and only this method needs it
 
-    contact = scene.contacts[index]
+    contact, where = scene.contacts[index], f"scene '{scene.name}', contact {index}"
     if contact.follows:
-        raise SceneError(f"contact {index}: imposed rolling has no chart method; use the default")
+        raise SceneError(f"{where}: imposed rolling has no chart method; use the default method")
     angle = np.array([start.angle])
     at = [np.array([[*q, 0.0]]) for q in (start.finger_at, start.object_at)]
     group = Group(np.array([index]), contact_map(angle), angle, (at[0], at[1]))
-    kernel = chart_equations(contact.finger, scene.object)
+    with naming(where):
+        kernel = chart_equations(contact.finger, scene.object)
     machine = kernel.machine(1)
     machine.c[0] = [*contact.finger.parameters, *scene.object.parameters]
     y = initial_state(scene, index, start, begin)
@@ -127,8 +129,8 @@ def _chart_group(
         )
         if not result.success or not np.isfinite(result.y).all():
             raise ContactSystemError(
-                f"scene '{scene.name}', contact {index}: {solver} on the chart equations stopped "
-                f"at t = {result.t[-1]:.6g} s ({result.message}); the path may reach a pole, or "
+                f"{where}: {solver} on the chart equations stopped at "
+                f"t = {result.t[-1]:.6g} s ({result.message}); the path may reach a pole, or "
                 "lam is too stiff; use the default method"
             )
         y = result.y[:, -1]

@@ -329,7 +329,7 @@ class Plan:
                 )
         if not t < self.scene.duration:
             raise SceneError(
-                f"restart at t = {t:g} s: nothing is left to plan, the scene ends at "
+                f"{where} at t = {t:g} s: nothing is left to plan, the scene ends at "
                 f"{self.scene.duration:g} s; restart earlier or lengthen the scene"
             )
         measured = self._on_branch(t, measured)
@@ -353,7 +353,10 @@ class Plan:
 
     def _measured_start(self, t: float, i: int, row: np.ndarray) -> Start:
         if self.scene.contacts[i].follows:
-            raise SceneError(f"restart: contact {i} has its rolling imposed; nothing to measure")
+            raise SceneError(
+                f"scene '{self.scene.name}', restart: contact {i} has its rolling imposed; give "
+                "finger_velocity as numbers"
+            )
         offset = np.zeros(2)
         for d in self.scene.disturbances:
             if isinstance(d, ObjectRateOffset) and d.contact == i and d.start <= t < d.stop:

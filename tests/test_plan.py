@@ -662,7 +662,7 @@ def test_restart_refuses_what_it_cannot_start_from():
         plan.restart(0.5, state)
     with pytest.raises(ContactSystemError, match="outside the plan's horizon"):
         plan.restart(2.0, state)
-    with pytest.raises(SceneError, match="contact 0 has its rolling imposed"):
+    with pytest.raises(SceneError, match="scene 'C2', restart: contact 0 has its rolling imposed"):
         dragged = cs.plan(cs.load_scene("C2"))
         dragged.restart(0.5, dragged.states(0.5)[0])
 
