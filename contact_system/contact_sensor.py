@@ -30,6 +30,7 @@ from .user_surfaces import ParametricSurface
 
 MOST_STEPS = 30
 ROWS = 36  # of a Measurement
+NO_ROTATION = 1e-2  # what is measured may miss a rotation by its noise
 LONGEST_STEP = 0.5  # of the body's size, where bodies are far apart
 
 
@@ -104,7 +105,8 @@ def measured_states(
     Raises
     ------
     ContactSystemError
-        A wrong shape, NaN, or points from which no contact is found.
+        A wrong shape, NaN, a pose that is no rigid motion, or points from which no contact is
+        found.
     ChartSingularity
         A contact is at a pole or an umbilic.
     ConformalContact
@@ -132,9 +134,24 @@ def measured_states(
             )
         if not np.isfinite(a).all():
             raise ContactSystemError(f"scene '{scene.name}': {name} has a NaN or infinity")
+    _check_rigid(scene, arrays[0])
     found = sensor.measure(arrays[0][:, :3].reshape(n, 12), *arrays[1:])
     sensor.check(found)
     return found.states
+
+
+def _check_rigid(scene: Scene, pose: np.ndarray) -> None:
+    """Refuse poses (n, 4, 4) that are no rigid motion, such as transposed ones."""
+    turn = pose[:, :3, :3]
+    missed = np.abs(np.matmul(turn, turn.swapaxes(1, 2)) - np.eye(3)).max((1, 2))
+    missed = np.fmax(missed, np.abs(pose[:, 3] - [0, 0, 0, 1]).max(1))
+    wrong = np.flatnonzero((missed > NO_ROTATION) | (np.linalg.det(turn) < 0))
+    if len(wrong):
+        i = int(wrong[0])
+        raise ContactSystemError(
+            f"scene '{scene.name}', contact {i}: pose = {pose[i].tolist()} is no rotation and "
+            "translation over the row 0, 0, 0, 1; give X_OF, the finger's frame in the object's"
+        )
 
 
 class ContactSensor:
@@ -249,11 +266,15 @@ class _Group:
         x[:, n + 20 : n + 22] = 0.0 if slip is None else slip[self.contacts]
         x[:, :n] = self._start(pose.reshape(-1, 3, 4), points[self.contacts])
         machine.run()
+        first = y[:, n + 1].copy()
         for _ in range(MOST_STEPS):
             if not y[:, n].max() > small:  # also where there is no contact frame
                 break
             x[:, :n] = y[:, :n]
             machine.run()
+        # steps along bodies that conform lead anywhere, and there bodies may not
+        conform = (np.abs(first) <= SINGULAR) & ~(y[:, n] <= small)
+        y[conform, n + 1] = first[conform]
         return y[:, n:]
 
     def _start(self, pose: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -123,6 +123,22 @@ def test_conforming_surfaces_are_refused():
         cs.measured_states(scene, plan_like, np.zeros((1, 6)), [[0.06, 0.0, 0.08]])
 
 
+def test_conforming_surfaces_are_refused_at_a_pose_that_is_rounded():
+    contact = cs.Contact(finger=cs.Sphere(0.1), object_at=(1, 1))
+    bowl, profile = cs.Sphere(0.1, inside=True), cs.Profile([0.1])
+    scene = cs.Scene(object=bowl, contacts=[contact], profile=profile, duration=1)
+    with pytest.raises(cs.ConformalContact, match="contact 0"):
+        cs.measured_states(scene, *at(cs.plan(scene), 0.5))
+
+
+@pytest.mark.parametrize("wrong", [lambda x: x.swapaxes(1, 2), lambda x: 0 * x, lambda x: -x])
+def test_a_pose_that_is_no_rigid_motion_is_refused(wrong):
+    scene = cs.load_scene("D1")
+    pose, *others = at(cs.plan(scene), 0.5)
+    with pytest.raises(cs.ContactSystemError, match="'D1', contact 0: pose = .* give X_OF"):
+        cs.measured_states(scene, wrong(pose), *others)
+
+
 @pytest.mark.parametrize("which, shape", [(0, (2, 4, 4)), (1, (3, 3)), (2, (3,))])
 def test_wrong_shapes_are_refused(which, shape):
     scene = cs.load_scene("D1")
