@@ -747,6 +747,8 @@ def _has_kind(scene: Scene, groups: Sequence[Group], compiled: bool | None) -> b
     surfaces = [scene.object, *(contact.finger for contact in scene.contacts)]
     if len(groups) > 1 or not all(s.has_chart for s in surfaces):
         return False
+    if scene.contacts[0].follows:  # by its chart equations, which reach a pole for some of a kind
+        return False
     tracks = group.finger + group.object
     return all(map(_repeats, tracks)) and (bool(compiled) or program_built())
 

@@ -296,3 +296,15 @@ def test_the_latest_kinds_are_remembered(monkeypatch):
     assert (len(planner._WITH_KIND), len(planner._FAMILIES)) == (5, 0)
     assert begun(cs.plan(scene.replace(gain=cs.Gain.time(8.0)), compiled=True))
     assert not begun(cs.plan(scene.replace(gain=cs.Gain.time(1.0)), compiled=True))
+
+
+def test_imposed_rolling_has_no_kind_whether_or_not_it_passes_a_pole():
+    def explained(angle):
+        contact = cs.Contact(finger=cs.Sphere(0.04), object_at=(1.2, 0.3), angle=angle,
+                             finger_velocity="rolling", object_velocity=(1, 0))  # fmt: skip
+        profile = cs.Profile([0.1])
+        scene = cs.Scene(object=cs.Sphere(0.1), contacts=[contact], profile=profile, duration=4.0)
+        return cs.plan(scene, compiled=True).explain()
+
+    assert all("equations do not reach all" in explained(k * np.pi) for k in (1, -1, 3, -3))
+    assert "rolling imposed, chart equations" in explained(0.5)
