@@ -261,21 +261,21 @@ class Plan:
         after = self.scene if scene is None else scene
         require_scene(after)
         t = self._time(t)
+        where = f"scene '{after.name}', continued at t = {t:g} s"
         if not t < after.duration:
             raise SceneError(
-                f"continued at t = {t:g} s: nothing is left to plan, the scene ends at "
+                f"{where}: nothing is left to plan, the scene ends at "
                 f"{after.duration:g} s; continue earlier or lengthen the scene"
             )
         if len(after.contacts) != self._count:
             raise SceneError(
-                f"continued at t = {t:g} s: contacts = {len(after.contacts)}, and the plan has "
+                f"{where}: contacts = {len(after.contacts)}, and the plan has "
                 f"{self._count}; give a scene of the same contacts"
             )
         fingers = [[c.finger for c in s.contacts] for s in (self.scene, after)]
         if fingers[0] != fingers[1] or self.scene.object != after.object:
             raise SceneError(
-                f"continued at t = {t:g} s: the scene has other surfaces than the plan; give one "
-                "with the same"
+                f"{where}: the scene has other surfaces than the plan; give one with the same"
             )
         self._require_frames("continued")
         for s in (self.scene, after):
@@ -374,9 +374,23 @@ class Plan:
         path : path ending in .npz or .csv
         times : (n,), optional
             Default: 401 equally spaced times and the window edges.
+
+        Raises
+        ------
+        ContactSystemError
+            Another ending, or a file that cannot be written.
         """
         path = Path(path)
         t = self.sample_times() if times is None else self._times(times)
+        try:
+            self._write(path, t)
+        except OSError as error:
+            raise ContactSystemError(
+                f"scene '{self.scene.name}': '{path}' cannot be written: {error.strerror or error}; "
+                "give a path in a folder that is there"
+            ) from None
+
+    def _write(self, path: Path, t: np.ndarray) -> None:
         if path.suffix == ".npz":
             header = {
                 "tolerance": self.tolerance, "method": self.method, "solver": self.solver,

@@ -350,5 +350,18 @@ def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene as a TOML file that `load_scene` reads back to an equal scene."""
-    Path(path).write_text(scene_to_toml(scene), "utf-8")
+    """Write a scene as a TOML file that `load_scene` reads back to an equal scene.
+
+    Raises
+    ------
+    SceneError
+        If a file cannot hold it, or cannot be written.
+    """
+    text = scene_to_toml(scene)
+    try:
+        Path(path).write_text(text, "utf-8")
+    except OSError as error:
+        raise SceneError(
+            f"scene '{scene.name}': '{path}' cannot be written: {error.strerror or error}; give a "
+            "path in a folder that is there"
+        ) from None

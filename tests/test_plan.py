@@ -6,6 +6,7 @@ import contextlib
 import copy
 import csv
 import dataclasses
+import functools
 import pickle
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
@@ -846,6 +847,15 @@ def test_files_of_other_kinds_are_refused(tmp_path):
             cs.load(tmp_path / "junk.npz")
     with pytest.raises(ContactSystemError, match="cannot be read: .*No such file"):
         cs.load(tmp_path / "none.npz")
+
+
+@pytest.mark.parametrize("name", ["x.npz", "x.csv", "x.toml"])
+def test_files_in_a_folder_that_is_missing_are_refused_by_name(name, tmp_path):
+    plan = cs.plan(cs.load_scene("C2"))
+    path = tmp_path / "missing" / name
+    save = plan.save if name != "x.toml" else functools.partial(cs.save_scene, plan.scene)
+    with pytest.raises(ContactSystemError, match=f"'C2'.*{name}' cannot be written: .* a path"):
+        save(path)
 
 
 def test_a_damaged_file_is_read_or_refused(tmp_path):
