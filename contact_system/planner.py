@@ -825,7 +825,8 @@ class GroupPlanner:
             first=_first_panel(piece, length, min(tip.size, obj.size)),
         )
         try:
-            panels = integrate(kernel, problem, self.tolerance, self.compiled)
+            # beside a pole these equations magnify what a coarse tolerance leaves
+            panels = integrate(kernel, problem, min(self.tolerance, 1e-12), self.compiled)
         except ContactSystemError:
             return None
         method = f"rolling imposed, chart equations, {len(panels.edges) - 1} panels"

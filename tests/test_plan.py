@@ -561,6 +561,22 @@ def test_imposed_rolling_passes_poles_and_needs_no_chart(obj, angle):
     assert np.abs(cs.plan(scene).points(t)[:, 0, 0] - circle).max() < 1e-12 * 0.04
 
 
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-8])
+def test_imposed_rolling_keeps_a_coarse_tolerance_beside_an_umbilic(tolerance):
+    finger = cs.Ellipsoid(0.8, 0.5, 0.45)
+    rolling = {"finger_velocity": "rolling", "object_velocity": (-1.0, -1.2)}
+    given = {"finger": finger, "finger_at": (0.5, -0.08), "object_at": (0.0, 0.0)}
+    t, common = np.linspace(0, 2, 9), {"profile": cs.Profile([1.3, 0.3]), "duration": 2.0}
+    for angle in np.linspace(-3, 3, 13):
+        contact = cs.Contact(**given, **rolling, angle=angle)
+        scene = cs.Scene(object=cs.Plane(), contacts=[contact], **common)
+        c, s = np.cos(angle), np.sin(angle)
+        own = np.array([[c, -s], [-s, -c]]) @ rolling["object_velocity"]
+        planned = scene.replace(contacts=[cs.Contact(**given, angle=angle, finger_velocity=own)])
+        error = cs.plan(scene, tolerance).points(t) - cs.plan(planned).points(t)
+        assert np.abs(error).max() < tolerance * 0.8
+
+
 def test_path_at_rest_under_an_acceleration_is_refused():
     # sigma = 0 where d acts on dq/ds: the path velocity would be infinite
     for c in ((0.0, 0.3), (0.1, -0.4, 0.4)):
