@@ -386,8 +386,8 @@ class Plan:
             self._write(path, t)
         except OSError as error:
             raise ContactSystemError(
-                f"scene '{self.scene.name}': '{path}' cannot be written: {error.strerror or error}; "
-                "give a path in a folder that is there"
+                f"scene '{self.scene.name}': '{path}' cannot be written: "
+                f"{error.strerror or error}; give a path in a folder that is there"
             ) from None
 
     def _write(self, path: Path, t: np.ndarray) -> None:
