@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import os
+import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -271,3 +273,13 @@ def test_progress_is_drawn_on_a_terminal_only_and_only_when_it_takes_long(monkey
     assert pipe.getvalue() == ""
     assert "[############............] second, 0 s" in terminal.getvalue()
     assert terminal.getvalue().endswith("\r\x1b[K")  # the line is left empty
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows tells a reader's end in other ways")
+def test_a_reader_that_has_read_enough_is_no_error():
+    reads, writes = os.pipe()
+    os.close(reads)
+    command = [sys.executable, "-m", "contact_system.cli", "explain", "K4"]
+    ended = subprocess.run(command, stdout=writes, stderr=subprocess.PIPE, text=True)
+    os.close(writes)
+    assert (ended.returncode, ended.stderr) == (0, "")
