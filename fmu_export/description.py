@@ -198,6 +198,8 @@ def _variable(variable: Variable, fmi_version: str) -> ET.Element:
         element = ET.Element("Float64", common | numeric)
         for size in variable.shape:
             ET.SubElement(element, "Dimension", start=str(size))
+        if variable.causality == "output":  # or no importer may read it between internal steps
+            element.set("intermediateUpdate", "true")
         if variable.derivative is not None:
             element.set("derivative", str(variable.derivative))
         return element

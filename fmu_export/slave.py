@@ -48,9 +48,10 @@ CREATED, INITIALIZATION, STEP, EVENT, TERMINATED, FREED = (
 )  # fmt: skip
 SLACK = 1e-9  # how far an importer's time may be from the slave's own; fmpy's own bar
 
-# What a slave in this process does not do, of the flags that `.description` declares.
+# What a slave in this process does not do, of what `.description` declares.
 _ABSENT = (
     "canInterpolateInputs", "providesIntermediateUpdate", "canReturnEarlyAfterIntermediateUpdate",
+    "intermediateUpdate",
 )  # fmt: skip
 
 _KNOWN = ("independent", "state", "input", "fixed", "tunable")

@@ -111,6 +111,13 @@ def test_two_variables_of_one_name_are_refused():
         variable_table(scene)
 
 
+def test_outputs_may_be_read_between_internal_steps(written):
+    """FMI 3.0.2, 4.2.2: a variable that is not marked must not be."""
+    read = ET.parse(written("K4", "3.0") / "modelDescription.xml").find("ModelVariables")
+    marked = {v.get("name") for v in read if v.get("intermediateUpdate") == "true"}
+    assert marked == {v.get("name") for v in read if v.get("causality") == "output"}
+
+
 @pytest.mark.parametrize("version", VERSIONS)
 def test_every_unit_is_made_of_base_units(version, written):
     read = read_model_description(written("C2", version))
