@@ -329,6 +329,22 @@ def test_an_input_with_a_slope_is_extrapolated(step, exported):
     assert np.allclose(found, wanted, rtol=0, atol=1e-9)
 
 
+def test_a_slope_given_before_initialization_begins_at_the_start(exported):
+    """FMI 2.0.4, table in 4.2.4: derivatives of inputs may be set from the first state on."""
+    fmu, name, ends = exported("K2"), "contact[1].finger.acceleration.u", []
+    for early in (True, False):
+        one = fmu.instance(ready=False)
+        if early:
+            one.setRealInputDerivatives([fmu.reference(name)], [1], [0.8])
+        fmu.initialize(one, 0.2)
+        if not early:
+            one.setRealInputDerivatives([fmu.reference(name)], [1], [0.8])
+        fmu.step(one, 0.2, 0.5)
+        ends.append(fmu.get(one, name, "contact[1].finger.u", "contact[1].object.u").tolist())
+    assert ends[0] == ends[1]
+    assert ends[0][0] == pytest.approx(0.4, abs=1e-15)
+
+
 def test_starts_and_parameters_can_be_changed_before_initialization(exported):
     fmu = exported("K1")
     contacts = list(fmu.scene.contacts)

@@ -84,9 +84,10 @@ static inline status_t check_one(component_t *c, unsigned reference, double valu
   return check_value(c, reference, value);
 }
 
-/* The windows that act while the importer initializes. */
+/* The windows that act while the importer initializes; slopes that are given already begin then. */
 static inline void enter_initialization(component_t *c, double time) {
   set_time(c, time);
+  c->now.slope_begin = time;
   enter_windows(c);
   c->now.phase = INITIALIZATION;
 }

@@ -314,7 +314,7 @@ fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component instance, fmi2Real no
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component instance, const fmi2ValueReference vr[],
                                        size_t count, const fmi2Integer order[],
                                        const fmi2Real value[]) {
-  BEGIN("fmi2SetRealInputDerivatives", INITIALIZATION | STEP);
+  BEGIN("fmi2SetRealInputDerivatives", INSTANTIATED | INITIALIZATION | STEP);
   if (count && (!vr || !order || !value))
     REFUSE("fmi2SetRealInputDerivatives: a pointer is missing");
   status_t worst = OK;
