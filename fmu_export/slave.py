@@ -143,6 +143,7 @@ class _Slave:
     _version: str
     _lowest = 0
     _first_phase = STEP
+    _readable: tuple[str, ...] = (INITIALIZATION, STEP, EVENT, TERMINATED)
 
     def __init__(self, scene: Scene, name: str = "", logger: Logger | None = None):
         self.scene, self.block = scene, Block(scene, CREATED)
@@ -259,9 +260,12 @@ class _Slave:
     # --- values
 
     def _get(self, function: str, key: tuple[int, ...], asked: Sequence[int]) -> list[float]:
-        self._require(function, INITIALIZATION, STEP, EVENT, TERMINATED)
+        self._require(function, *self._readable)
         for reference in key:
             self._require_known(function, reference)
+            if self.block.now.phase == CREATED and self._kinds[reference] == "calculated":
+                text = "is calculated and has no start value; ask from initialization on"
+                self._refuse(function, ERROR, f"{self._name(reference)} {text}")
         try:
             values = self.block.values_of(key)
             self.block.remember(asked, key)
@@ -577,6 +581,7 @@ class PlannerSlave3(_Slave, FMU3Slave):
     """
 
     _version = "3.0"
+    _readable = (CREATED, *_Slave._readable)  # start values at once
 
     def __init__(
         self,

@@ -628,7 +628,7 @@ def test_calls_out_of_order_are_refused_with_a_message(version, exported):
     one = fmu.instance(ready=False)
     attempts = [
         lambda: fmu.step(one, 0.0, 0.1),
-        lambda: fmu.get(one, "contact[1].angle"),
+        lambda: fmu.get(one, "der(contact[1].angle)"),
         lambda: one.exitInitializationMode(),
         lambda: one.terminate(),
     ]
@@ -655,6 +655,17 @@ def test_calls_out_of_order_are_refused_with_a_message(version, exported):
     one.reset()
     fmu.initialize(one)
     assert fmu.get(one, "contact[1].object.u")[0] == fmu.scene.contacts[0].object_at[0]
+
+
+def test_start_values_can_be_read_before_initialization(exported):
+    """FMI 3.0.2, 2.3.2: of the description, or as they were set; FMI 2 has no values yet."""
+    fmu = exported("K1", "3.0")
+    one = fmu.instance(ready=False, start={"gain.eta": 7.0})
+    assert fmu.get(one, "gain.eta", "contact[1].object.u").tolist() == [7.0, np.pi / 6]
+    with pytest.raises(FMICallException):
+        fmu.get(one, "contact[1].angle", "der(contact[1].angle)")
+    assert "der(contact[1].angle) is calculated and has no start value" in fmu.messages[-1][2]
+    fmu.initialize(one)
 
 
 @pytest.mark.parametrize("version", VERSIONS)

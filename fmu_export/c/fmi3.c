@@ -160,8 +160,12 @@ static long total(component_t *c, const char *function, const fmi3ValueReference
 
 fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,
                           fmi3Float64 value[], size_t n) {
-  BEGIN("fmi3GetFloat64", RUNNING | INTERMEDIATE);
+  BEGIN("fmi3GetFloat64", INSTANTIATED | RUNNING | INTERMEDIATE);
   VALUES("fmi3GetFloat64", vr, count, value, n);
+  for (size_t k = 0; k < count; k++)
+    if (c->now.phase == INSTANTIATED && kinds[vr[k]] == CALCULATED)
+      REFUSE("fmi3GetFloat64: %s is calculated and has no start value; ask from initialization on",
+             names[vr[k]]);
   status_t worst = OK;
   for (size_t k = 0; k < count; value += sizes[vr[k++]]) {
     status_t s = get_values(c, vr[k], sizes[vr[k]], value);
