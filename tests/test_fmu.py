@@ -21,6 +21,7 @@ import fmpy
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Model, FMU3Slave, fmi3LogMessageCallback
+from fmu_hosts import EVERYTHING
 
 from fmu_export import export_fmu, variable_table
 from fmu_export.build import PLATFORMS
@@ -888,6 +889,23 @@ def test_steps_return_early_at_window_edges_where_that_is_allowed(exported):
             one.enterEventMode()
     assert stops == [1.0, 2.0, None]
     assert relative(fmu.states(one), cs.plan(fmu.scene).states(4.0).ravel()) < 1e-12
+
+
+def test_only_windows_are_events_of_a_co_simulation(exported):
+    """Not where sigma begins to grow, which begins a piece of the guaranteed gain."""
+    fmu = exported(EVERYTHING, "3.0")
+    one = fmu.instance(ready=False, eventModeUsed=True, earlyReturnAllowed=True)
+    fmu.initialize(one)
+    stops, t = [], 0.0
+    while t < 1.0:
+        one.updateDiscreteStates()
+        one.enterStepMode()
+        event, _, _, t = fmu.step(one, t, 1.0 - t)
+        if event:
+            stops.append(t)
+            one.enterEventMode()
+    assert stops == [0.1, 0.2, 0.3, 0.4, 0.5, 0.55]
+    assert relative(fmu.states(one), cs.plan(fmu.scene).states(1.0).ravel()) < 1e-12
 
 
 def test_a_step_returns_at_the_time_that_the_importer_asks_for(exported):

@@ -669,7 +669,7 @@ static void end_slopes(component_t *c, double duration) {
       }
 }
 
-status_t step(component_t *c, double target, int stop_at_edges, int *edge) {
+status_t step(component_t *c, double target, int stop_at_windows, int *edge) {
   memory_t *now = &c->now;
   const double began = now->time;
   *edge = 0;
@@ -680,14 +680,14 @@ status_t step(component_t *c, double target, int stop_at_edges, int *edge) {
   if (now->pending) enter_windows(c);
   settle(c);
   while (!*edge && now->time < target) {
-    const double next = next_edge(c);
+    const double next = next_edge(now), window = next_window(now);
     *edge = reached(target, next);
     const double goal = *edge ? next : fmin(target, now->limit);
     if (advance_all(c, goal)) return FAILED;
     set_time(c, goal);
     if (!*edge) break;
     now->pending = 1;
-    if (stop_at_edges) break;
+    if (stop_at_windows && reached(next, window)) break; /* a gain's pieces are no events */
     enter_windows(c);
     settle(c);
     *edge = 0;

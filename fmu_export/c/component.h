@@ -192,12 +192,13 @@ status_t get_values(component_t *, unsigned reference, long count, double *value
 status_t set_slope(component_t *, unsigned reference, double slope);
 
 status_t start(component_t *);                 /* end of initialization */
-status_t step(component_t *, double target, int stop_at_edges, int *edge);
+status_t step(component_t *, double target, int stop_at_windows, int *edge);
 void study_profile(memory_t *);                /* where sigma grows and ends */
 /* Whether a system of equations is asked about times after sigma's end. A solver may look there
    from within its last step, until an event has told the importer that this is the end. */
 int past_end(const memory_t *);
-double next_edge(const component_t *);         /* HUGE_VAL: none */
+double next_window(const memory_t *);          /* where one begins or ends; HUGE_VAL: nowhere */
+double next_edge(const memory_t *);            /* the same, of the gain's pieces and sigma too */
 void enter_windows(component_t *);             /* take over what the windows say at this time */
 
 void set_time(component_t *, double time);

@@ -242,7 +242,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component instance, fmi2EventInfo *info) {
   BEGIN("fmi2NewDiscreteStates", EVENT);
   if (!info) REFUSE("fmi2NewDiscreteStates: a pointer is missing");
   enter_windows(c);
-  const double next = next_edge(c);
+  const double next = next_edge(&c->now);
   *info = (fmi2EventInfo){.terminateSimulation = c->now.ended && !c->now.stepping,
                           .nextEventTimeDefined = next < HUGE_VAL,
                           .nextEventTime = next < HUGE_VAL ? next : 0.0};

@@ -375,7 +375,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *again,
   if (!again || !terminate || !nominals || !values || !next_defined || !next_time)
     REFUSE("fmi3UpdateDiscreteStates: a pointer is missing");
   enter_windows(c);
-  const double next = next_edge(c);
+  const double next = c->now.stepping ? next_window(&c->now) : next_edge(&c->now);
   *again = *nominals = *values = fmi3False;
   *terminate = c->now.ended && !c->now.stepping;
   *next_defined = next < HUGE_VAL;

@@ -58,14 +58,19 @@ int past_end(const memory_t *now) {
   return now->ended || now->phase != CONTINUOUS || now->time > LOOK_AHEAD * end;
 }
 
-double next_edge(const component_t *c) {
-  const memory_t *now = &c->now;
-  double next = now->stepping || reached(now->time, now->limit) ? HUGE_VAL : now->limit;
+double next_window(const memory_t *now) {
+  double next = HUGE_VAL;
   for (long k = 0; k < N_WINDOWS; k++)
     for (int side = 0; side < 2; side++) {
       double edge = side ? windows[k].stop : windows[k].start;
       if (!reached(now->time, edge) && edge < next) next = edge;
     }
+  return next;
+}
+
+double next_edge(const memory_t *now) {
+  double next = next_window(now);
+  if (!now->stepping && !reached(now->time, now->limit)) next = fmin(next, now->limit);
   for (long k = 0; k < now->n_knots; k++)
     if (!reached(now->time, now->knots[k]) && now->knots[k] < next) next = now->knots[k];
   return next;
