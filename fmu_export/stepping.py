@@ -225,7 +225,8 @@ class Block:
         gain = dataclasses.replace(scene.gain, value=float(self.now.values[GAIN]))
         pieces = gain.pieces(scene.profile, at, target)
         slowest = min(pieces[0].speed(k * (target - at) / 4) for k in range(5))
-        if len(pieces) > 1 or any(at < t < target for t in self._edges) or not slowest > 0:
+        met = any(at < t <= self.snapped(target) for t in self._edges)
+        if len(pieces) > 1 or met or not slowest > 0:
             return False
         try:
             scene.profile.check(target)
@@ -282,6 +283,8 @@ class Block:
     def _scene_between(self, begin: float, end: float, least: float) -> Scene:
         """The scene under the inputs of now, to ``end``, or ``least`` where sigma goes no further.
 
+        A bit further where a window begins or ends: values at an edge are those after it.
+
         Raises
         ------
         MotionEnds
@@ -289,7 +292,9 @@ class Block:
         SceneError
             Inputs that cannot act then.
         """
-        profile = self._scene_with(self.now.values).profile
+        profile, edge = self._scene_with(self.now.values).profile, self.snapped(end)
+        if edge in self._edges:
+            end = edge + 0.01 * (edge - begin)
         try:
             profile.check(end)
         except SceneError:

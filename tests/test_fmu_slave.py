@@ -303,6 +303,21 @@ def test_inputs_that_change_may_be_followed_by_a_look_before_the_step():
     close(states_now(slave), plan.states(0.259)[0])
 
 
+@pytest.mark.parametrize("steps", [[0.1] * 6, [0.3, 0.1, 0.2], [0.4, 0.2]], ids=str)
+def test_a_step_under_changing_inputs_that_ends_at_an_edge_has_passed_it(steps):
+    scene = one_contact(disturbances=[cs.ObjectRateOffset(0, 0.4, 0.6, (0.5, 0.2))])
+    slave, windows, met = begun(scene), list(scene.disturbances), []
+    for k, step in enumerate(steps):
+        now = slave.time
+        windows.append(cs.FingerAcceleration(0, now, now + step, (0.1 + 0.1 * k, 0.0)))
+        put(slave, {"contact[1].finger.acceleration.u": 0.1 + 0.1 * k})
+        slave.doStep(now, step)
+        if any(abs(slave.time - edge) < 1e-9 for edge in (0.4, 0.6)):
+            met.append(states_now(slave)[0])
+    plan = cs.plan(scene.replace(disturbances=windows), 1e-14)
+    close(np.array(met), plan.states([0.4, 0.6])[:, 0])
+
+
 def test_steps_under_changing_inputs_pass_a_pole_as_the_plan_does():
     contact = cs.Contact(cs.Sphere(0.04), object_at=(0.3, 0.5), finger_velocity=(-1.0, 0.0))
     others = [cs.Contact(cs.Ellipsoid(0.05, 0.04, 0.03), object_at=(1.2, v)) for v in (1.0, 2.0)]
