@@ -891,6 +891,16 @@ def test_steps_return_early_at_window_edges_where_that_is_allowed(exported):
     assert relative(fmu.states(one), cs.plan(fmu.scene).states(4.0).ravel()) < 1e-12
 
 
+def test_a_step_to_a_window_edge_but_for_rounding_tells_of_it(exported):
+    fmu, t = exported(EVERYTHING, "3.0"), 0.2
+    one = fmu.instance(ready=False, eventModeUsed=True)
+    fmu.initialize(one)
+    one.enterStepMode()
+    fmu.step(one, 0.0, t)
+    assert t + 0.1 > 0.3
+    assert fmu.step(one, t, 0.1) == (True, False, False, 0.3)
+
+
 def test_only_windows_are_events_of_a_co_simulation(exported):
     """Not where sigma begins to grow, which begins a piece of the guaranteed gain."""
     fmu = exported(EVERYTHING, "3.0")

@@ -513,7 +513,8 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 from, fmi3Float64 size,
     if (edge)
       report(c, OK, "logEvents", "a disturbance window begins or ends at t = %.17g s", c->now.time);
     until = told(c, until);
-    back = (edge && c->now.uses_events && own->early_return) || c->now.time <= before;
+    back = (edge && c->now.uses_events && (own->early_return || reached(c->now.time, until))) ||
+           c->now.time <= before;
   }
   *event = edge && c->now.uses_events;
   *early = !reached(c->now.time, target);
