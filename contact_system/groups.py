@@ -92,6 +92,11 @@ class Group:
         return True
 
     @functools.cached_property
+    def in_a_row(self) -> bool:
+        """Whether no contact of another group lies between: rows of finger and object alternate."""
+        return bool((np.diff(self.contacts) == 1).all())
+
+    @functools.cached_property
     def moving(self) -> list[MovingTrack]:
         """Of a group that :meth:`repeats`, the tracks that another tolerance changes."""
         ends = self.finger[-1], self.object[-1]
@@ -131,9 +136,10 @@ class Group:
             track.anchor(begin if index == 0 else self.coordinates_at(side, index))
 
     def anchor_all(self) -> None:
-        """Make all tracks' coordinates continuous."""
-        self.anchor_pair()
-        if self.pair is None:
+        """Make coordinates continuous, of all tracks that programs read (program.py)."""
+        if self.in_a_row:
+            self.anchor_pair()
+        if self.pair is None or not self.in_a_row:
             for side in SIDES:
                 self.coordinates_at(side, len(getattr(self, side)) - 1)
                 self.anchor(side, getattr(self, side)[-1])

@@ -102,7 +102,7 @@ def program_of(groups: Sequence[Group], output: str) -> Program | None:
         first, step = int(contacts[0]), int(contacts[1] - contacts[0]) if len(contacts) > 1 else 1
         if len(contacts) > 2 and (np.diff(contacts) != step).any():
             return None
-        if group.pair is not None and step == 1:
+        if group.pair is not None and group.in_a_row:
             chains = [([group.pair], 2 * first, 1)]
         else:
             chains = [

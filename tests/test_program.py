@@ -106,6 +106,18 @@ def test_a_plan_asked_twice_answers_the_same(obj):
 
 
 @COMPILER
+@pytest.mark.parametrize("pushed", [[0], [1], [2], [0, 2], [1, 3]], ids=str)
+def test_contacts_of_one_motion_may_have_others_between_them(pushed):
+    scene = cs.load_scene("K2")
+    contacts = [*scene.contacts, dataclasses.replace(scene.contacts[0], object_at=(1.0, 2.0))]
+    push = [cs.FingerAcceleration(i, 0.4, 0.6, (0.2, 0.1)) for i in pushed]
+    scene = scene.replace(contacts=contacts, disturbances=push)
+    found = cs.plan(scene, compiled=True).states(TIMES)
+    expected = cs.plan(scene, compiled=False).states(TIMES)
+    assert np.abs(found - expected).max() / np.abs(expected).max() < 1e-12
+
+
+@COMPILER
 def test_times_of_one_call_come_in_any_order():
     plan = cs.plan(one_contact("sphere", "sphere"), compiled=True)
     order = np.random.default_rng(3).permutation(len(TIMES))
