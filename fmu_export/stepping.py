@@ -224,9 +224,11 @@ class Block:
         scene = self._scene_with(self.now.values)
         gain = dataclasses.replace(scene.gain, value=float(self.now.values[GAIN]))
         pieces = gain.pieces(scene.profile, at, target)
-        slowest = min(pieces[0].speed(k * (target - at) / 4) for k in range(5))
+        speeds = [pieces[0].speed(k * (target - at) / 4) for k in range(5)]
+        size = min(min(c.finger.size for c in scene.contacts), scene.object.size)
         met = any(at < t <= self.snapped(target) for t in self._edges)
-        if len(pieces) > 1 or met or not slowest > 0:
+        turns = max(speeds) * (target - at) > 0.3 * size  # a step tells angles up to half a turn
+        if len(pieces) > 1 or met or turns or not min(speeds) > 0:
             return False
         try:
             scene.profile.check(target)

@@ -318,6 +318,18 @@ def test_a_step_under_changing_inputs_that_ends_at_an_edge_has_passed_it(steps):
     close(np.array(met), plan.states([0.4, 0.6])[:, 0])
 
 
+def test_long_steps_under_changing_inputs_lose_no_turn():
+    scene = cs.load_scene("D1").replace(disturbances=())
+    slave, windows = begun(scene), []
+    for k, step in enumerate((0.1, 0.2, 0.25, 0.3)):
+        now, push = slave.time, 0.1 + 0.1 * k
+        windows.append(cs.FingerAcceleration(0, now, now + step, (push, 0.0)))
+        put(slave, {"contact[1].finger.acceleration.u": push})
+        slave.doStep(now, step)
+    plan = cs.plan(scene.replace(disturbances=windows), 1e-14)
+    close(states_now(slave), plan.states(slave.time)[0], 1e-11)
+
+
 def test_steps_under_changing_inputs_pass_a_pole_as_the_plan_does():
     contact = cs.Contact(cs.Sphere(0.04), object_at=(0.3, 0.5), finger_velocity=(-1.0, 0.0))
     others = [cs.Contact(cs.Ellipsoid(0.05, 0.04, 0.03), object_at=(1.2, v)) for v in (1.0, 2.0)]
