@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 import zlib
@@ -124,6 +125,39 @@ def bowl(trial: Trial) -> Verdict:
     judge.meter.see("contact rates from the twist", np.array([b1 - a1, b2 - a2]),
                     8 * condition * (loss + 64 * EPS) * speed)  # fmt: skip
     return judge.meter.verdict()
+
+
+class OneOf:
+    """What a plan says of one of its contacts, as a plan of that contact alone would."""
+
+    def __init__(self, plan: cs.Plan, index: int):
+        self.tolerance, self._plan, self._own = plan.tolerance, plan, slice(index, index + 1)
+
+    def __getattr__(self, name: str) -> Callable[[Any], np.ndarray]:
+        return lambda t: getattr(self._plan, name)(t)[:, self._own]
+
+
+def among_others(trial: Trial) -> Verdict:
+    """A contact among others, some of which are disturbed as it is, judged as if it were alone."""
+    random, scene = np.random.default_rng(trial.seed), trial.scene
+    count, (own,) = int(random.integers(2, 6)), scene.contacts
+    index, duration = int(random.integers(count)), scene.duration
+    contacts, windows = [], []
+    for i in range(count):
+        contacts.append(own)
+        for window in scene.disturbances:
+            if i == index or random.random() < 0.5:
+                windows.append(dataclasses.replace(window, contact=i))
+        if i != index:
+            contacts[i] = dataclasses.replace(own, angle=own.angle + random.uniform(-2, 2))
+            if random.random() < 0.5:
+                pace = scene.profile.arc_length(duration) / duration**2 / trial.finger.size
+                push = tuple(pace * random.uniform(-1, 1, 2))
+                start, stop = duration * random.uniform(0, 0.4), duration * 0.5
+                windows.append(cs.FingerAcceleration(i, start, stop, push))
+    crowd = scene.replace(contacts=contacts, disturbances=windows)
+    plan = cs.plan(crowd, tolerance=trial.tolerance, compiled=trial.compiled)
+    return Judge(trial, OneOf(plan, index)).verdict()
 
 
 def _bowls() -> list[dict[str, Any]]:
@@ -297,6 +331,9 @@ FAMILIES = [
     grid("tolerance", 8, [axis("tolerance", [10.0**-k for k in range(3, 16)]),
                            axis("object", BUILT_IN), axis("slip", [0, 1]), [{"windows": 0}]]),
     grid("disturbances", 100, [axis("windows", [1, 2, 3]), [{}]]),
+    grid("contacts among others", 4, [
+        axis("object", BUILT_IN), axis("finger", ["sphere", "sphere", "torus"]),
+        axis("windows", [0, 1, 2, 3]), axis("compiled", [False, True])], among_others),
     grid("surfaces of users", 4, [axis("object", OF_USERS), axis("finger", OF_USERS),
                                   axis("slip", [0, 1])]),
     Family("wrong input", 5000, _wrong_case, endless=True),

@@ -406,7 +406,8 @@ class Judge:
         speed = self.plan.slip_speed(t)[:, 0]
         law = speed[0] / self._sigma(t[0]) * self._left(t, last)
         floor = 64 * EPS * self.terms * (1 + np.hypot(*self.v))
-        self.meter.see("slip law after the windows", speed - law, floor + 1e-12 * speed[0])
+        floor += 1e-12 * speed[0] + 8 * EPS * self.terms / self._sigma(t[0]) * law
+        self.meter.see("slip law after the windows", speed - law, floor)
 
     def _geodesics(self, times: Array, everywhere: Array, sample: Sample) -> None:
         """Closed forms and integrals of the sides that run on geodesics."""
