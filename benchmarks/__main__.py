@@ -44,7 +44,11 @@ LONG: dict[str, tuple[str, ...]] = {
     "speed": ("slip", "many", "eta"), "drake_plant": ("building",),
     "drake_station": ("forces", "recovery", "speed", "memory"),
     "fmu": ("importers", "platforms", "package", "fuzz", "endurance"), "scale": ("dask",),
-    "work_precision": ("readme",), "skip": ("drake",),
+    "skip": ("drake", "kernels"),
+    "work_precision": ("geodesic cylinder", "geodesic torus", "geodesic spheroid",
+                       "slip sphere-sphere 1e3", "slip sphere-sphere 1e5", "slip sphere-sphere 1e7",
+                       "slip sphere-ellipsoid 1e0", "slip sphere-ellipsoid 1e5", "disturbed K2",
+                       "readme"),
 }  # fmt: skip
 """Sections that the quick form of the whole leaves out."""
 

@@ -201,7 +201,7 @@ def two_cores(full: bool) -> Iterator[Bar]:
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         list(pool.map(_warm, range(2)))
         spent, found = _timed(make, pool)
-    same = found.table.tobytes() == truth.tobytes()
+    same = _alike(found.table, truth)
     note = f"an aim; {count / alone:.3g}/s here, {count / spent:.3g}/s on two, made by the workers"
     yield Bar(f"{count} disturbed scenes, two processes over one", 1.5, alone / spent, "x",
               least=True, note=note, holds=same)  # fmt: skip
@@ -233,6 +233,17 @@ def dask(full: bool) -> Iterator[Bar]:
         yield _with_one_killed("Dask", victim, 0.3 * alone, make, client.get_executor(), truth)
 
 
+def _alike(found: np.ndarray, truth: np.ndarray) -> bool:
+    """Whether two tables are the same but for rounding: a new worker plans its first two scenes of
+    a kind in another way than those after them."""
+    return len(found) == len(truth) and all(
+        np.allclose(found[name], truth[name], rtol=0.0, atol=1e-12)
+        if truth[name].dtype.kind == "f"
+        else np.array_equal(found[name], truth[name])
+        for name in truth.dtype.names
+    )
+
+
 def _with_one_killed(
     name: str, victim: int, after: float, make: list, executor: Executor, truth: np.ndarray
 ) -> Bar:
@@ -250,8 +261,8 @@ def _with_one_killed(
     timer.cancel()
     lost = len(make) - len(np.intersect1d(found.table["scene"], truth["scene"]))
     note = f"{len(make) / spent:.3g}/s, killed after {after:.2g} of {spent:.2g} s, "
-    same = found.table.tobytes() == truth.tobytes()
-    note += "the table the same to the bit" if same else "the table differs"
+    same = _alike(found.table, truth)
+    note += "the table the same" if same else "the table differs"
     return Bar(f"scenes lost of {len(make)}, one of two workers killed, {name}", 0, lost,
                note=note, holds=in_time and same)  # fmt: skip
 
