@@ -803,10 +803,8 @@ def learn(scene: Scene, groups: Sequence[Group], compiled: bool | None) -> None:
     """From the second scene on that was planned in full: what the next of its kind will need."""
     if not _has_kind(scene, groups, compiled):
         return
-    known = family(scene)
-    learned = known.learned.setdefault(compiled, _Learned())
+    learned = family(scene).learned.setdefault(compiled, _Learned())
     learned.count += 1
     if 1 < learned.count <= ATTEMPTS:
         with contextlib.suppress(NoKind):
             learned.kinds.append(Kind(scene, groups[0], compiled))
-            known.has_kind = True

@@ -284,13 +284,15 @@ class Family:
         By which contacts slip; of few contacts alone.
     learned : dict
         What `kinds` learned of such scenes, by how they are compiled.
-    has_kind : bool
-        Whether it learned how to plan them by numbers alone.
     """
 
     patterns: dict[tuple[bool, ...], list[Pattern]] = field(default_factory=dict)
     learned: dict[bool | None, Any] = field(default_factory=dict)
-    has_kind: bool = False
+
+    @property
+    def has_kind(self) -> bool:
+        """Whether `kinds` learned how to plan such scenes by numbers alone."""
+        return any(known.kinds for known in list(self.learned.values()))
 
 
 FAMILIES = 512  # the latest, which are remembered; 2 to 40 kB each
