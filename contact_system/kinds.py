@@ -48,7 +48,7 @@ from .planner import (
     plan_groups,
     slip_of,
 )
-from .program import Program, chart_states, group_program
+from .program import Program, by_contacts, chart_states, group_program
 from .scene import Scene
 from .starts import start_numbers
 from .surfaces import Surface
@@ -381,17 +381,8 @@ class Begun:
         program = kind.program(output)
         if program is None:
             return -1
-        return kind.library.fill_begun(
-            kind.at,
-            self.at,
-            tolerance,
-            program.at,
-            len(program.parts),
-            count,
-            len(t),
-            address(t),
-            address(out),
-        )
+        head = kind.at, self.at, tolerance, program.at, len(program.parts), count
+        return by_contacts(kind.library.fill_begun, head, kind.nb, t, out)
 
     @property
     def r0(self) -> np.ndarray:
@@ -410,9 +401,8 @@ class Begun:
     def states(self, t: np.ndarray, out: np.ndarray, tolerance: float) -> int:
         """Chart states (n, 9, n_t) as :meth:`ChartStates.fill`, in the same way."""
         kind = self.kind
-        return kind.library.states(
-            kind.at, self.at, tolerance, kind.states, kind.nb, len(t), address(t), address(out)
-        )
+        head = kind.at, self.at, tolerance, kind.states
+        return by_contacts(kind.library.states, head, kind.nb, t, out)
 
 
 class _Field(ctypes.Structure):

@@ -450,8 +450,9 @@ def program_library() -> ctypes.CDLL:
     library.fill.argtypes = [pointer, integer, integer, integer, pointer, pointer, pointer]
     library.begin.argtypes = [pointer] * 3
     begun: list[Any] = [pointer, pointer, ctypes.c_double]
-    library.fill_begun.argtypes = [*begun, *library.fill.argtypes[:-1]]
-    library.states.argtypes = [*begun, pointer, integer, integer, pointer, pointer]
+    some: list[Any] = [integer, integer, integer, pointer, pointer]  # contacts, times
+    library.fill_begun.argtypes = [*begun, pointer, integer, integer, *some]
+    library.states.argtypes = [*begun, pointer, *some]
     for name in ("move", "room_of", "fill", "begin", "fill_begun", "states"):
         getattr(library, name).restype = integer
     return library

@@ -1,8 +1,9 @@
 """Scenes whose kind is known are planned by numbers alone: beside plans made in full."""
 
+import multiprocessing
 import time
 from collections import OrderedDict
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -308,3 +309,44 @@ def test_imposed_rolling_has_no_kind_whether_or_not_it_passes_a_pole():
 
     assert all("equations do not reach all" in explained(k * np.pi) for k in (1, -1, 3, -3))
     assert "rolling imposed, chart equations" in explained(0.5)
+
+
+@pytest.mark.parametrize(("obj", "slips"), [("sphere", False), ("ellipsoid", True)])
+def test_contacts_filled_by_several_threads_are_the_same_to_the_bit(monkeypatch, obj, slips):
+    times, threads = np.linspace(0.0, 1.0, 600), []
+    *_, (scene, _) = (
+        (scene, cs.plan(scene, compiled=True)) for scene in scenes(4, obj, "sphere", 67, slips)
+    )
+    for count in (1, 3):
+        monkeypatch.setattr(program, "processors", lambda count=count: count)
+        plans = [cs.plan(scene, compiled=True) for _ in range(3)]
+        threads.append([plans[0].states(times), plans[1].points(times), plans[2].pose(times)])
+        plans[0].states(times[:1])  # keeps its motions from now on
+        threads[-1].append(plans[0].states(times))
+        with pytest.raises(cs.ContactSystemError, match=r"t = 1\.5 s is outside"):
+            plans[0].states(np.append(times, 1.5))
+    for one, three in zip(*threads):
+        np.testing.assert_array_equal(one, three)
+
+
+def test_contacts_are_filled_though_no_thread_can_be_started(monkeypatch):
+    def refuse(thread):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(program, "processors", lambda: 4)
+    monkeypatch.setattr("threading.Thread.start", refuse)
+    filled, t = [], np.zeros(10_000)
+
+    def run(first, last, *_):
+        filled.append(last - first)
+        return first
+
+    assert program.by_contacts(run, (), 100, t, t) == 16
+    assert sum(filled) == 100
+
+
+def test_workers_leave_processors_to_each_other(monkeypatch):
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        assert pool.submit(program.processors).result() == 1
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    assert program.processors() == 1

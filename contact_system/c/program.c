@@ -213,7 +213,7 @@ static long own_motion(motion_t *own, const motion_t *motion, const kind_t *k, c
   return code;
 }
 
-static long chunk(long nb, long first) { return nb - first < MOST ? nb - first : MOST; }
+static long chunk(long last, long first) { return last - first < MOST ? last - first : MOST; }
 
 /* Integrate all motions of some contacts, stage by stage. Returns 0; counts those that were integrated. */
 static long own_motions(motion_t *moved, const kind_t *k, double *block, double tolerance, long first, long n,
@@ -260,10 +260,10 @@ static long end_of(const part_t *part, const track_t *track, double *last) {
   return code ? -1 : 0;
 }
 
-/* `fill` for a scene of a kind, a few contacts at a time, with motions that are not kept. A negative code says
-   only that `fill` is to be asked. */
+/* `fill` for contacts [first, last) of a scene of a kind, a few at a time, with motions that are not kept. A
+   negative code says only that `fill` is to be asked. */
 long fill_begun(const kind_t *k, const double *block, double tolerance, const part_t *parts, long n_parts,
-                long count, long nt, const double *t, double *out) {
+                long count, long first, long last, long nt, const double *t, double *out) {
   motion_t *moved = NULL;
   double *own = NULL;
   long code = 0;
@@ -273,9 +273,9 @@ long fill_begun(const kind_t *k, const double *block, double tolerance, const pa
     if (!moved) return -1;
     block = own = memcpy(moved + k->n_moves, block, k->size * sizeof *own);
   }
-  for (long first = 0; first < k->nb && !code; first += MOST) {
-    const long n = chunk(k->nb, first);
-    double last[3 * MOST], *memory = NULL;
+  for (; first < last && !code; first += MOST) {
+    const long n = chunk(last, first);
+    double where[3 * MOST], *memory = NULL;
     long made = 0;
     if (moved) code = own_motions(moved, k, own, tolerance, first, n, &made);
     for (const part_t *part = parts; part < parts + n_parts && !code; part++) {
@@ -287,12 +287,12 @@ long fill_begun(const kind_t *k, const double *block, double tolerance, const pa
         track.coefficients = whole->coefficients + part->row * (N + 1);
       }
       if (part->begin && part->first)
-        memcpy(last, carried(part->begin, k, block) + 3 * first, 3 * n * sizeof(double));
-      if (part->begin && continued(part, &track, k, block, first, last, &memory))
+        memcpy(where, carried(part->begin, k, block) + 3 * first, 3 * n * sizeof(double));
+      if (part->begin && continued(part, &track, k, block, first, where, &memory))
         code = -1;
       else
         code = fill_part(part, &track, count, nt, t, out + first * part->stride * count * nt);
-      if (part->begin && !part->last && !code) code = end_of(part, &track, last);
+      if (part->begin && !part->last && !code) code = end_of(part, &track, where);
       free(memory);
       memory = NULL;
     }
@@ -543,27 +543,27 @@ static long copy_side(const side_t *side, track_t *k, const double *begin, const
   return code;
 }
 
-/* States of body b go to out[(b * OUT + r) * nt + i], a few contacts at a time: theirs stay in the cache. For a
-   scene of a kind, whose motions are not kept, or of motions that were integrated: kind NULL. Returns 0; 1 + the
-   index of the first time outside the tracks; < 0: ask the tracks. */
-long states(const kind_t *kind, const double *block, double tolerance, const states_t *p, long nb, long nt,
-            const double *t, double *out) {
+/* States of body b, of bodies [first, last), go to out[(b * OUT + r) * nt + i], a few contacts at a time: theirs
+   stay in the cache. For a scene of a kind, whose motions are not kept, or of motions that were integrated: kind
+   NULL. Returns 0; 1 + the index of the first time outside the tracks; < 0: ask the tracks. */
+long states(const kind_t *kind, const double *block, double tolerance, const states_t *p, long first, long last,
+            long nt, const double *t, double *out) {
   const int ordered = in_order(t, nt);
   /* 1e-14: less is rounding; 1e-3: more would hide that a path was followed to another branch */
   const double bar = fmin(tolerance > 1e-13 ? 0.1 * tolerance : 1e-14, 1e-3), *angle = carried(p->angle, kind, block);
-  series_t s = {.size = chunk(nb, 0) * ROWS * N};
+  series_t s = {.size = chunk(last, first) * ROWS * N};
   long code = 0;
   if (!nt) return 0;
   for (int object = 0; object < 2 && !kind; object++) { /* who keeps motions keeps anchors too */
     const motion_t *motion = p->side[object].track;
     if (p->side[object].anchor && nt <= 4 * motion->track.n_panels) return -4;
   }
-  for (long first = 0; first < nb && !code; first += MOST, out += MOST * OUT * nt)
+  for (out += first * OUT * nt; first < last && !code; first += MOST, out += MOST * OUT * nt)
     for (int object = 0; object < 2 && !code; object++) {
       const side_t *side = p->side + object;
       const motion_t *motion = side->track;
-      const long n = chunk(nb, first);
-      double *rows = out + 4 * object * nt, *psi = out + (OUT - 1) * nt, last[3 * MOST];
+      const long n = chunk(last, first);
+      double *rows = out + 4 * object * nt, *psi = out + (OUT - 1) * nt, where[3 * MOST];
       const double *from = object ? NULL : angle + first;
       motion_t own;
       if (!side->moves || !kind)
@@ -574,12 +574,12 @@ long states(const kind_t *kind, const double *block, double tolerance, const sta
       if (!ordered || !(t[0] >= k->start && t[nt - 1] <= k->stop))
         for (long i = 0; i < nt && !code; i++)
           if (!(t[i] >= k->start && t[i] <= k->stop)) code = i + 1;
-      if (side->anchor) memcpy(last, carried(side->begin, kind, block) + 3 * first, 3 * n * sizeof(double));
+      if (side->anchor) memcpy(where, carried(side->begin, kind, block) + 3 * first, 3 * n * sizeof(double));
       if (!code && !(side->resolve && nt > SERIES_PAY * (k->edges ? k->n_panels : 3)))
-        code = copy_side(side, k, last, from, nt, t, rows, psi);
+        code = copy_side(side, k, where, from, nt, t, rows, psi);
       else if (!code) {
         /* beyond a quarter of the times series save nothing */
-        code = divide(p, side, k, bar, 40 + nt / 4, last, &s) ? 0 : -4;
+        code = divide(p, side, k, bar, 40 + nt / 4, where, &s) ? 0 : -4;
         if (!code) fill_side(&s, from, nt, t, ordered, rows, psi);
       }
       if (side->moves && kind) free(own.block);
