@@ -18,7 +18,7 @@ from .kinematics import contact_map
 from .profile import GainPiece
 from .scene import DISTURBANCE_KINDS, Scene
 from .starts import Start
-from .tracks import Track
+from .tracks import Track, passed
 
 SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
 
@@ -141,6 +141,9 @@ def _chart_group(
                 offset=None if side or not offset.any() else offset[None],
                 solution=result.sol, finger=side, angle=start.angle,
             )  # fmt: skip
+            place = track.singular_place(result.sol.ts, lambda t: track.state(t)[:, :2])  # noqa: B023
+            if place is not None:
+                raise passed(where, surface, place)
             (group.finger if side else group.object).append(track)
         piece = scene.gain.pieces(scene.profile, a, b)[0]
         pair = (group.finger[-1], group.object[-1])

@@ -43,6 +43,7 @@ from .planner import (
     ENDLESS,
     MOST_ALIKE,
     TINY,
+    charted,
     family,
     group_name,
     plan_groups,
@@ -476,6 +477,8 @@ class Kind:
         Nothing disturbs it, and a block says all of a plan.
     closed : bool
         Nothing is integrated either.
+    charted : bool
+        Bodies are moved in charts that may have singular points: each plan is looked at.
     states : int or None
         Address of a :class:`ChartStates`.
 
@@ -520,6 +523,7 @@ class Kind:
             stage.tracks = tracks  # learned from no more: those keep panels
         self.planned = self._group(own, moved)
         self.closed = self.alone and not self._motions
+        self.charted = bool(list(charted([group])))
         self._programs: dict[str, Program | None] = {}
         states = chart_states(self.planned, compiled) if self.alone else None
         self.states = None if states is None else states.at

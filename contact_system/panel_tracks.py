@@ -111,6 +111,12 @@ class PanelTrack(Track):
         """The rows of the panels; rounding may put a time 1e-16 outside."""
         return self.panels.evaluate(np.clip(at, 0.0, self.panels.edges[-1]), self.rows)
 
+    def crossed(self) -> tuple[float, float] | None:
+        """u, v of a singular point of its chart that a path goes through; None without one."""
+        if self.ambient:
+            return None
+        return self.singular_place(self.panels.edges, lambda at: self._own_state(at)[:, :2])
+
     def drive(self, t: np.ndarray) -> np.ndarray:
         tau = t - self.start
         sigma = self.piece.speed(tau)

@@ -28,7 +28,7 @@ from .groups import SIDES, Group
 from .kinds import Begun
 from .kinematics import relative_pose, relative_twist
 from .panels import runs
-from .planner import plan_groups
+from .planner import plan_groups, require_regular
 from .program import Program, chart_states, group_program, program_of
 from .scene import ObjectRateOffset, Scene, require_scene
 from .scene_files import scene_from_toml, scene_to_toml
@@ -111,8 +111,11 @@ class Plan:
                 self._begun = kinds.begin(scene, compiled)
             if self._begun is None:
                 self._groups = plan_groups(scene, starts, start, tolerance, compiled)
+                require_regular(scene, self._groups)
                 if numbers_alone:
                     kinds.learn(scene, self._groups, compiled)
+            elif self._begun.kind.charted:
+                require_regular(scene, self._begun.groups(scene, self.tolerance))
         self._count = len(scene.contacts)
         self._programs: dict[str, Program | None] = {}
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import functools
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -52,6 +52,7 @@ from .tracks import (
     axis_kernel,
     in_space,
     lame_kernel,
+    passed,
     prefers_ambient,
     restoring_axis,
     scale_kernel,
@@ -832,11 +833,12 @@ class GroupPlanner:
         except ContactSystemError:
             return None
         method = f"rolling imposed, chart equations, {len(panels.edges) - 1} panels"
-        return RollingTrack(
+        track = RollingTrack(
             tip.surface, tip.parameters, piece.start, piece.stop, method,
             "the finger follows the object", False, self.compiled, panels=panels, rows=slice(None),
             piece=piece, w=self.w1, v=None, angle=angle,
         )  # fmt: skip
+        return None if track.crossed() else track
 
     # --- forms -----------------------------------------------------------------------------------
 
@@ -868,6 +870,25 @@ class RollingTrack(PanelTrack):
 
     def end(self) -> np.ndarray:
         return Track.end(self)  # not the panels' rows
+
+
+# --- singular points of charts -------------------------------------------------------------------
+
+
+def charted(groups: Sequence[Group]) -> Iterator[tuple[Group, PanelTrack]]:
+    """The tracks that are moved in charts of which nobody knows whether they are regular."""
+    for group in groups:
+        for track in (*group.finger, *group.object):
+            if isinstance(track, PanelTrack) and not track.surface.has_implicit:
+                yield group, track
+
+
+def require_regular(scene: Scene, groups: Sequence[Group]) -> None:
+    """Raise a ContactSystemError where a path goes through a singular point of its chart."""
+    for group, track in charted(groups):
+        place = track.crossed()
+        if place is not None:
+            raise passed(group_name(scene, group.contacts), track.surface, place)
 
 
 # --- small parts ---------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from . import geometry
-from .errors import ChartSingularity
+from .errors import ChartSingularity, ContactSystemError
 from .kernels import (
     PRELUDE,
     Kernel,
@@ -31,7 +31,7 @@ from .kernels import (
     row_offsets,
 )
 from .profile import GainPiece
-from .surfaces import Surface
+from .surfaces import SINGULAR, Surface
 
 SX = ca.SX
 
@@ -257,6 +257,14 @@ def lame_kernel(surface: Surface) -> Kernel:
 
 
 @per_structure
+def regularity_kernel(surface: Surface) -> Kernel:
+    """point: u, v -> the lesser of M's diagonal, m: 0 where the chart is singular."""
+    u, v, p = SX.sym("u"), SX.sym("v"), SX.sym("p", len(surface.parameters))
+    m = surface.geometry_expr(p, u, v).metric_root
+    return Kernel("regularity", ca.vertcat(u, v), p, ca.fmin(m[0, 0], m[1, 1]))
+
+
+@per_structure
 def scale_kernel(surface: Surface, ambient: bool) -> Kernel:
     """point: (x, p) or chart state; constant: parameters, size -> 1 / (size of each state).
 
@@ -273,6 +281,8 @@ def scale_kernel(surface: Surface, ambient: bool) -> Kernel:
 
 
 # --- tracks ------------------------------------------------------------------------------------
+
+_SIXTEENTHS = np.arange(16) / 16
 
 
 @dataclass(eq=False)
@@ -325,6 +335,42 @@ class Track:
 
     def anchor(self, begin: np.ndarray) -> None:
         """Continue the coordinates from (u, v, theta) at ``start``: (n_bodies, 3)."""
+
+    def singular_place(
+        self, edges: np.ndarray, places: Callable[[np.ndarray], np.ndarray]
+    ) -> tuple[float, float] | None:
+        """u, v of a singular point of the chart that a path goes through; None without one.
+
+        Integrators step across one that a path heads for along a meridian: the equations are
+        smooth there, and the contact frame turns over.
+
+        Parameters
+        ----------
+        edges : (K + 1,)
+            Ends of the integrator's steps.
+        places : callable
+            (n,) between the edges -> u, v, (n_bodies, 2, n).
+        """
+
+        def least(at: np.ndarray) -> np.ndarray:
+            return self.run(regularity_kernel(self.surface), places(at), self.parameters)[:, 0]
+
+        at = np.append(edges[:-1, None] + np.diff(edges)[:, None] * _SIXTEENTHS, edges[-1])
+        values = least(at)
+        before, here, after = values[:, :-2], values[:, 1:-1], values[:, 2:]
+        # where |x| dips to 0 between equal steps, it is below a third of one of its neighbours
+        dips = (here <= np.fmin(before, after)) & (here <= 0.4 * np.fmax(before, after))
+        for body, k in zip(*np.nonzero(dips)):
+            low, high = at[k], at[k + 2]
+            for _ in range(100):  # thirds: to neighbouring floats
+                tried = np.array([2 * low + high, low + 2 * high]) / 3
+                first, second = least(tried)[body]
+                low, high = (low, tried[1]) if first <= second else (tried[0], high)
+            middle = np.array([low])
+            if least(middle)[body, 0] <= SINGULAR * self.surface.size:
+                u, v = places(middle)[body, :, 0].tolist()
+                return u, v
+        return None
 
     @property
     def n_bodies(self) -> int:
@@ -447,6 +493,16 @@ class Track:
             f"({self.surface.chart.singular_at or 'pole'}), where u', v' and psi do not exist. Ask "
             "for points, pose and twist there (they do), or for a time nearby"
         )
+
+
+def passed(where: str, surface: Surface, place: tuple[float, float]) -> ContactSystemError:
+    """The error of a path that :meth:`Track.singular_place` told of."""
+    other = "use the default method" if surface.has_implicit else "give an ImplicitSurface"
+    return ContactSystemError(
+        f"{where}: the path goes through a singular point of its chart, {surface!r} at (u, v) = "
+        f"({place[0]:.9g}, {place[1]:.9g}), where the contact frame turns over; start elsewhere, "
+        f"change the direction, end the scene before, or {other}, which needs no chart"
+    )
 
 
 def wind(values: np.ndarray, reference: np.ndarray, period: float) -> None:

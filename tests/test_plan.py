@@ -561,6 +561,53 @@ def test_imposed_rolling_passes_poles_and_needs_no_chart(obj, angle):
     assert np.abs(cs.plan(scene).points(t)[:, 0, 0] - circle).max() < 1e-12 * 0.04
 
 
+def test_imposed_rolling_keeps_the_pose_where_the_finger_goes_through_its_pole():
+    common = {"profile": cs.Profile([0.1]), "duration": 2.0, "object": cs.Sphere(0.3)}
+    given = {"finger": cs.Sphere(0.04), "finger_at": (0.5, 0.2), "object_at": (1.5, 0.3)}
+    rolling = cs.Contact(**given, finger_velocity="rolling", object_velocity=(-1, 0))
+    planned = cs.Contact(**given, finger_velocity=(-1, 0))
+    plans = [cs.plan(cs.Scene(contacts=[contact], **common)) for contact in (rolling, planned)]
+    t = np.linspace(0, 2, 41)
+    assert plans[0].pose(t) == pytest.approx(plans[1].pose(t), abs=1e-13)
+
+
+BALL = cs.ParametricSurface(
+    ("r*sin(u)*cos(v)", "r*sin(u)*sin(v)", "r*cos(u)"), parameters={"r": 0.1}, size=0.1
+)
+CONE = cs.ParametricSurface(("v*cos(u)", "v*sin(u)", "-v"), size=0.1)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("tolerance", [1e-12, 1e-3])
+@pytest.mark.parametrize(("obj", "at", "along", "text"), [
+    (BALL, (0.5, 0.2), (-1.0, 0.0), r"contact 0: .*ParametricSurface.* at \(u, v\) = \(.*, 0.2\)"),
+    (CONE, (0.2, 0.05), (0.0, -1.0), r"contact 0: .*ParametricSurface.* at \(u, v\) = \(0.2, .*\)"),
+])  # fmt: skip
+def test_path_straight_through_a_pole_of_a_users_chart_is_refused(
+    obj, at, along, text, tolerance, compiled
+):
+    finger = cs.Sphere(0.04)
+
+    def scene(direction: tuple[float, float], place: tuple[float, float]) -> cs.Scene:
+        contact = cs.Contact(finger, object_at=place, angle=0.0, finger_velocity=direction)
+        return cs.Scene(object=obj, contacts=[contact], profile=cs.Profile([0.1]), duration=1.0)
+
+    aside = -along[1], along[0]  # R_0 turns v over
+    for k in range(3):  # the third of a kind is planned from its numbers
+        calm = scene(aside, (at[0] + 0.01 * k, at[1]))
+        assert np.isfinite(cs.plan(calm, tolerance, compiled=compiled).pose([0.1])).all()
+    with pytest.raises(ContactSystemError, match=text):
+        cs.plan(scene((along[0], -along[1]), at), tolerance, compiled=compiled)
+
+
+def test_chart_equations_refuse_a_path_straight_through_a_pole():
+    contact = cs.Contact(cs.Sphere(0.04), object_at=(0.5, 0.2), finger_velocity=(-1.0, 0.0))
+    common = {"profile": cs.Profile([0.1]), "duration": 1.0}
+    scene = cs.Scene(object=cs.Sphere(0.1), contacts=[contact], **common)
+    with pytest.raises(ContactSystemError, match=r"contact 0: .*Sphere\(0.04\) at .*default"):
+        cs.plan(scene, method="chart")
+
+
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-8])
 def test_imposed_rolling_keeps_a_coarse_tolerance_beside_an_umbilic(tolerance):
     finger = cs.Ellipsoid(0.8, 0.5, 0.45)
