@@ -27,7 +27,7 @@ import numpy as np
 
 from . import plots
 from .checks import is_device
-from .errors import ContactSystemError
+from .errors import ContactSystemError, SceneError
 from .kernels import make_folder
 from .measures import (
     REJECTED,
@@ -100,9 +100,10 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
     parser.add_argument("--gain", choices=tuple(GAIN_LAWS),
                         help="gain law instead of the scene's")  # fmt: skip
-    parser.add_argument("--eta", "--rho", dest="gain_value", type=float, metavar="X",
-                        help="eta of the laws path and time, rho of guaranteed; default: the "
-                        "scene's number")  # fmt: skip
+    number = parser.add_mutually_exclusive_group()
+    for name, laws in (("eta", "the laws path and time"), ("rho", "the law guaranteed")):
+        number.add_argument(f"--{name}", type=float, metavar="X",
+                            help=f"{name} of {laws}; default: the scene's number")  # fmt: skip
     parser.add_argument("--tolerance", type=float, default=1e-12, metavar="X",
                         help="error of contact points over the body's size; default %(default)g"
                         )  # fmt: skip
@@ -172,10 +173,17 @@ def results_folder(args: argparse.Namespace, scene: Scene) -> Path:
 
 def _asked_scene(args: argparse.Namespace) -> Scene:
     scene = load_scene(args.scene)
-    if args.gain is None and args.gain_value is None:
-        return scene
-    value = scene.gain.value if args.gain_value is None else args.gain_value
-    return scene.replace(gain=Gain(args.gain or scene.gain.law, value))
+    law = args.gain or scene.gain.law
+    taken, value = GAIN_LAWS[law], scene.gain.value
+    for name in sorted(set(GAIN_LAWS.values())):
+        given = getattr(args, name)
+        if given is not None and name != taken:
+            raise SceneError(
+                f"scene '{scene.name}': --{name} {given:g}: the gain law '{law}' takes {taken}; "
+                f"give --{taken}, or another law with --gain"
+            )
+        value = value if given is None else given
+    return scene.replace(gain=Gain(law, value))
 
 
 def _asked_plan(args: argparse.Namespace, scene: Scene) -> Plan:

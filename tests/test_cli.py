@@ -195,6 +195,8 @@ def test_unknown_key_names_the_nearest(tmp_path, capsys):
     ("words", "said"),
     [
         (["--eta", "-1"], "eta = -1.0 is negative"),
+        (["--rho", "5"], "scene 'K1': --rho 5: the gain law 'path' takes eta; give --eta"),
+        (["--gain", "guaranteed", "--eta", "5"], "--eta 5: the gain law 'guaranteed' takes rho"),
         (["--tolerance", "0"], "tolerance = 0.0"),
         (["--tolerance", "nan"], "tolerance = nan"),
         (["--gain", "path", "--eta", "inf"], "eta = inf"),
