@@ -63,7 +63,10 @@ def finite_numbers(values: Iterable[Any], what: str) -> tuple[float, ...]:
     if is_plain(plain):
         return plain
     try:
-        if isinstance(values, str) or any(isinstance(x, (bool, str)) for x in values):
+        # float() would take all of these, numpy's complex numbers for their real parts
+        if isinstance(values, str) or any(
+            isinstance(x, (bool, str)) or np.iscomplexobj(x) for x in values
+        ):
             raise TypeError
         found = tuple(float(x) for x in values)
     except OverflowError:  # an integer beyond floating point
@@ -100,8 +103,9 @@ def finite_number(
         number = value
     else:
         try:
-            # float() would take all of these
-            number = math.nan if isinstance(value, (str, bytes, bool, np.bool_)) else float(value)
+            # float() would take all of these, numpy's complex numbers for their real parts
+            wrong = isinstance(value, (str, bytes, bool, np.bool_)) or np.iscomplexobj(value)
+            number = math.nan if wrong else float(value)
         except OverflowError:  # an integer beyond floating point
             number = math.inf
         except (TypeError, ValueError):
@@ -111,6 +115,20 @@ def finite_number(
         limit = "(below 1e100)" if abs(number) >= LARGEST else bound
         raise error(f"{what} = {value!r}: give a finite number {limit}".rstrip())
     return number
+
+
+def real_array(values: Any) -> np.ndarray:
+    """The values as an array of floats, itself where it is one.
+
+    Raises
+    ------
+    TypeError, ValueError, OverflowError
+        They are texts, truth values or complex numbers, which numpy would take, or no numbers.
+    """
+    given = np.asarray(values)
+    if given.dtype.kind not in "iufO":
+        raise TypeError
+    return given.astype(float, copy=False)
 
 
 def flag(value: Any, what: str, none: bool = False) -> Any:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .charts import SX
+from .checks import real_array
 from .development import reflection
 from .errors import ChartSingularity, ConformalContact, ContactSystemError
 from .geometry import implicit_geometry, upper_inverse
@@ -122,7 +123,7 @@ def measured_states(
         (pose, "pose", (4, 4)), (twist, "twist", (6,)), (points, "points", (3,)),
     ):  # fmt: skip
         try:
-            a = np.asarray(given, dtype=float)
+            a = real_array(given)
         except (TypeError, ValueError, OverflowError):
             raise ContactSystemError(
                 f"scene '{scene.name}': {name} = {given!r:.80}; give numbers, shape {(n, *shape)}"

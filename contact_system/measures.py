@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .checks import real_array
 from .errors import ChartSingularity, ContactSystemError
 from .plan import Plan
 from .scene import Scene
@@ -241,7 +242,7 @@ def great_circle_distance(points: ArrayLike) -> np.ndarray:
         Another shape, or a point that is not finite.
     """
     try:
-        points = np.asarray(points, dtype=float)
+        points = real_array(points)
     except (TypeError, ValueError, OverflowError):
         points = np.empty(0)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from . import kinds
 from .chart_solution import chart_groups
-from .checks import flag
+from .checks import flag, real_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .groups import SIDES, Group
 from .kinds import Begun
@@ -319,7 +319,7 @@ class Plan:
         where, shape = f"scene '{self.scene.name}', restart", (len(self.scene.contacts), 9)
         t = self._time(t)
         try:
-            measured = np.asarray(state, dtype=float)
+            measured = real_array(state)
         except (TypeError, ValueError, OverflowError):
             raise SceneError(f"{where}: state = {state!r}; give numbers, shape {shape}") from None
         if measured.shape != shape:
@@ -640,9 +640,7 @@ def _one_axis(t: ArrayLike) -> np.ndarray:
     try:
         times = np.asarray(t)
         if times.dtype is not _FLOAT:
-            if times.dtype.kind not in "iufO":  # no text, truth value or complex number
-                raise TypeError
-            times = times.astype(float)
+            times = real_array(times)
     except (TypeError, ValueError, OverflowError):
         raise ContactSystemError(
             f"t = {t!r}: give a time in seconds, or one axis of times"

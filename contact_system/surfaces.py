@@ -42,7 +42,7 @@ from .charts import (
     TwoSheetChart,
     hypot,
 )
-from .checks import finite_number
+from .checks import finite_number, real_array
 from .errors import ChartSingularity, SurfaceError
 from .expressions import SYMBOLS
 from .geometry import ChartGeometry, chart_geometry, revolved_geometry
@@ -357,8 +357,8 @@ class Surface:
 
     def _finite(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
         try:
-            u, v = np.broadcast_arrays(np.asarray(u, dtype=float), np.asarray(v, dtype=float))
-        except (TypeError, ValueError):
+            u, v = np.broadcast_arrays(real_array(u), real_array(v))
+        except (TypeError, ValueError, OverflowError):
             raise SurfaceError(
                 f"{self!r}: coordinates (u, v) = ({u!r}, {v!r}) must be numbers of one shape"
             ) from None
@@ -370,7 +370,10 @@ class Surface:
         return u, v
 
     def _points(self, x: ArrayLike) -> Array:
-        points = np.asarray(x, dtype=float)
+        try:
+            points = real_array(x)
+        except (TypeError, ValueError, OverflowError):
+            raise SurfaceError(f"{self!r}: points = {x!r:.80} must be numbers") from None
         if points.ndim == 0 or points.shape[-1] != 3:
             raise SurfaceError(
                 f"{self!r}: points have shape {points.shape}; the last axis must hold x, y, z"
@@ -753,7 +756,7 @@ def _ellipsoid_chart(a: float, b: float, c: float) -> tuple[type[Chart], tuple[f
 
 def _symmetric(given: Any) -> Array:
     try:
-        matrix = np.array(given, dtype=float)
+        matrix = real_array(given)
     except (TypeError, ValueError, OverflowError):
         raise SurfaceError(f"Quadric: A = {given!r} must be a 3 by 3 matrix of numbers") from None
     if matrix.shape != (3, 3):

@@ -722,6 +722,9 @@ def test_restart_refuses_what_it_cannot_start_from():
         SceneError, match="restart at t = 0.4 s, contact 0: the measured state has nan"
     ):
         plan.restart(0.4, np.where(np.arange(9) == 3, np.nan, state))
+    for given in (state + 1e-3j, state.astype(str), state > 0, [[None] * 9]):
+        with pytest.raises(SceneError, match="restart"):
+            plan.restart(0.4, given)
     with pytest.raises(SceneError, match="sigma = 0 there.*restart where sigma > 0"):
         plan.restart(0.5, state)
     with pytest.raises(ContactSystemError, match="outside the plan's horizon"):
