@@ -59,10 +59,8 @@ def chart_groups(
     Raises
     ------
     SceneError
-        sigma = 0 inside the horizon, imposed rolling, or an unknown solver.
+        sigma = 0 inside the horizon, or imposed rolling.
     """
-    if solver not in SOLVERS:
-        raise SceneError(f"solver = {solver!r}: use one of {', '.join(SOLVERS)}")
     zeros = [t for t in scene.profile.zeros(scene.duration) if t >= begin]
     if zeros:
         raise SceneError(

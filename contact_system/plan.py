@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import kinds
-from .chart_solution import chart_groups
+from .chart_solution import SOLVERS, chart_groups
 from .checks import flag, real_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .groups import SIDES, Group
@@ -58,7 +58,7 @@ def plan(
         "chart": the paper's equations as printed, corrected (eqs. `timegeodesic`, `contrac`),
         by a scipy solver; for comparison.
     solver : str
-        scipy's method for ``method="chart"``: RK45, DOP853, Radau, BDF, LSODA.
+        scipy's method for ``method="chart"``: RK23, RK45, DOP853, Radau, BDF, LSODA.
     compiled : bool or None
         True: compiled kernels, built where they are not in the cache yet; False: none;
         None: those that were built before.
@@ -89,8 +89,9 @@ class Plan:
         start: float,
         starts: Starts | None,
     ):
-        if method not in METHODS:
-            raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
+        for word, asked, known in (("method", method, METHODS), ("solver", solver, SOLVERS)):
+            if asked not in known:
+                raise SceneError(f"{word} = {asked!r}: use one of {', '.join(known)}")
         if not isinstance(scene, Scene):
             require_scene(scene)
         if not (type(tolerance) is float and 1e-15 <= tolerance <= 0.1):

@@ -213,3 +213,5 @@ def test_method_chart_refuses_what_its_equations_cannot_state():
         cs.plan(one_contact("rounded cube"), method="chart")
     with pytest.raises(SceneError, match="use one of RK23"):
         cs.plan(one_contact(), method="chart", solver="Euler")
+    with pytest.raises(SceneError, match="solver = None: use one of RK23"):
+        cs.plan(one_contact(), solver=None)  # it would be kept, and be told of too late
