@@ -151,7 +151,8 @@ class ParametricSurface(UserSurface):
         store(self, formula=own, size=positive_length(self, "size", size))
         for name, given, period in (("u", u_range, u_period), ("v", v_range, v_period)):
             if period is not None:
-                period = positive_length(self, f"{name}_period", period)
+                what = f"{self._kind}: {name}_period"
+                period = finite_number(period, what, "above 0", SurfaceError)
             reach = math.pi if period is None else period / 2
             span = _range(self._kind, f"{name}_range", (-reach, reach) if given is None else given)
             store(self, **{f"{name}_range": span, f"{name}_period": period})
