@@ -75,8 +75,9 @@ class Plan:
     """Contact curves of a scene, evaluated on demand. Made by :func:`plan`.
 
     All times are in seconds inside [:attr:`start`, ``scene.duration``], in any order; results have
-    the times along their first axis and the contacts along the second. Several threads may ask one
-    plan, and plan scenes, at the same time.
+    the times along their first axis and the contacts along the second. At a window's edge they are
+    those after it; at the end of the horizon, those before it. Several threads may ask one plan,
+    and plan scenes, at the same time.
     """
 
     def __init__(
@@ -773,7 +774,10 @@ def _skipped(group: Group) -> list[str]:
 
 
 def load(path: str | os.PathLike) -> Plan:
-    """Read a plan saved as .npz and plan it again from the scene inside (deterministic).
+    """Read a plan saved as .npz and plan it again from the scene inside.
+
+    What it gives is the same but for rounding: the third scene of a kind is planned by a shorter
+    way than the first.
 
     The sampled results can be read with ``numpy.load`` alone.
 

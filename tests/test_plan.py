@@ -295,6 +295,16 @@ def test_quadric_that_is_a_rounded_sphere_is_planned_as_the_sphere(object_veloci
         assert getattr(cs.plan(scene), ask)(t) == pytest.approx(expected, abs=1e-13)
 
 
+@pytest.mark.parametrize("method", ["auto", "chart"])
+def test_values_at_the_end_are_those_before_the_windows_that_end_there(method):
+    windows = [cs.ObjectRateOffset(0, 0.5, 1.0, (0.4, -0.3)),
+               cs.ObjectAcceleration(0, 0.5, 1.0, (0.1, 0.2))]  # fmt: skip
+    plan = cs.plan(one_contact(disturbances=windows), 1e-9, method)
+    for ask in ("states", "slip", "acceleration", "twist"):
+        before, end = getattr(plan, ask)([1 - 1e-9, 1.0])
+        assert end == pytest.approx(before, abs=1e-6), ask
+
+
 @pytest.mark.parametrize("obj", ["sphere", "cylinder", "ellipsoid", "bumps", "rounded cube"])
 def test_motion_is_continuous_at_window_edges(obj):
     plan = cs.plan(busy(obj))
