@@ -102,6 +102,8 @@ class UserSurface(Surface):
 class ParametricSurface(UserSurface):
     """A surface given by its chart f(u, v), orthogonal or not.
 
+    A path through a point where f_u or f_v vanishes or they align, such as a pole, is refused.
+
     Parameters
     ----------
     f : callable or sequence of three texts
