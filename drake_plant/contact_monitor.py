@@ -52,12 +52,13 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
-from contact_system import Plane, Scene
+from contact_system import Plane, Scene, SceneError
 from contact_system.contact_sensor import ContactSensor, Measurement
 from contact_system.kernels import Kernel, made_once
+from contact_system.scene import require_scene
 
 from .lifetimes import NO_DICTIONARY, weakly
-from .plant import ScenePlant
+from .plant import ScenePlant, require_config
 
 Array = NDArray[np.float64]
 SX = ca.SX
@@ -111,16 +112,29 @@ class ContactMonitor(LeafSystem):
         planner and monitor read the same slip from the same rates.
     scene_plant : ScenePlant
         Finalized; the bodies' frames are their surfaces' own.
+
+    Raises
+    ------
+    SceneError
+        No scene, no ScenePlant, or one with another number of contacts than the other.
     """
 
     __slots__ = NO_DICTIONARY
 
     def __init__(self, scene: Scene, scene_plant: ScenePlant):
         super().__init__()
+        require_scene(scene)
+        require_config(scene_plant, ScenePlant, "scene_plant")
+        n, fingers = len(scene.contacts), len(scene_plant.finger_bodies)
+        if n != fingers:
+            raise SceneError(
+                f"scene '{scene.name}' has {n} contacts and scene_plant, of scene "
+                f"'{scene_plant.scene.name}', {fingers}: give the scene that it was made for, or "
+                "rolling_scene of it"
+            )
         self._sensor = ContactSensor(scene, TOLERANCE)
         self._bodies = _Bodies(scene, scene_plant)
         self._step = scene_plant.plant.time_step()
-        n = len(scene.contacts)
         self._results = self.DeclareAbstractInputPort("contact_results", Value[ContactResults]())
         self._poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
         self._velocities = self.DeclareAbstractInputPort(

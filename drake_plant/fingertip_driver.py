@@ -178,13 +178,15 @@ class FingertipDriver(LeafSystem):
     Raises
     ------
     SceneError
-        A wrong gain; a plant that is not discrete, or whose steps are too long for a finger.
+        No ScenePlant, a wrong gain; a plant that is not discrete, or whose steps are too long for a
+        finger.
     """
 
     __slots__ = NO_DICTIONARY
 
     def __init__(self, scene_plant: ScenePlant, config: DriverConfig):
         super().__init__()
+        require_config(scene_plant, ScenePlant, "scene_plant")
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
         # What the plant is made from; the plant itself would keep this system for ever.
         self.scene, self.plant_config = scene_plant.scene, scene_plant.config

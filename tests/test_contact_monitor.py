@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from conftest import slip_of_states
@@ -26,6 +24,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 import contact_system as cs
 from drake_plant.contact_monitor import ContactMonitor
+from drake_plant.plant import PlantConfig, ScenePlant
 
 R1, R2, MASS, STEP, FRICTION = 0.04, 0.1, 0.3, 1e-3, 0.5
 STIFFNESS = 1e4
@@ -48,14 +47,14 @@ class Setup:
         config = MultibodyPlantConfig(time_step=step, contact_model=model)
         if step:
             config.discrete_contact_approximation = "sap"
-        self.plant, _ = AddMultibodyPlant(config, builder)
+        self.plant, scene_graph = AddMultibodyPlant(config, builder)
         self.plant.mutable_gravity_field().set_gravity_vector([0, 0, 0])
         names = ["object", "finger 0", "finger 1"]
         bodies = {name: self._body(name) for name in (names[::-1] if fingers_first else names)}
         self.plant.Finalize()
         self.object, *self.fingers = self.bodies = [bodies[name] for name in names]
-        parts = SimpleNamespace(
-            scene=self.scene, plant=self.plant, object_body=self.object, finger_bodies=self.fingers
+        parts = ScenePlant(
+            self.scene, PlantConfig(), self.plant, scene_graph, self.object, self.fingers
         )
         self.monitor = builder.AddSystem(ContactMonitor(self.scene, parts))
         for port in ("contact_results", "body_poses", "body_spatial_velocities"):

@@ -18,7 +18,9 @@ import contact_system as cs
 from drake_plant import (
     AddScenePlant,
     BuildStation,
+    ContactMonitor,
     DriverConfig,
+    FingertipDriver,
     PlantConfig,
     SetInitialState,
     StationConfig,
@@ -582,6 +584,20 @@ def test_a_configuration_of_another_kind_is_refused():
             rolling_scene(scene, wrong)
         with pytest.raises(cs.SceneError, match="^scene 'D1', plant: config = .* a PlantConfig"):
             AddScenePlant(builder, scene, wrong)
+
+
+def test_parts_of_another_kind_or_scene_are_refused():
+    """The plant itself is not what driver and monitor are made from."""
+    scene, builder = cs.load_scene("D1"), DiagramBuilder()
+    parts = AddScenePlant(builder, scene, config(scene).plant)
+    for start, message in (
+        (lambda: FingertipDriver(parts.plant, DriverConfig()), "scene_plant = .*: give a ScenePl"),
+        (lambda: ContactMonitor(scene, parts.plant), "scene_plant = .*: give a ScenePlant"),
+        (lambda: ContactMonitor(parts, scene), "scene = .*: give a Scene"),
+        (lambda: ContactMonitor(cs.load_scene("C1"), parts), "'C1' has 1 .* 'D1', 3: give"),
+    ):
+        with pytest.raises(cs.SceneError, match=message):
+            start()
 
 
 def test_numbers_of_numpy_are_numbers():
