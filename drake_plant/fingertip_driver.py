@@ -179,7 +179,7 @@ class FingertipDriver(LeafSystem):
     ------
     SceneError
         No ScenePlant, a wrong gain; a plant that is not discrete, or whose steps are too long for a
-        finger.
+        finger. In a simulation: more or fewer poses than fingers.
     """
 
     __slots__ = NO_DICTIONARY
@@ -232,6 +232,11 @@ class FingertipDriver(LeafSystem):
         A, X_OF = self._accelerations.Eval(context), self._pose.Eval(context)
         twist, acceleration = self._twist.Eval(context), self._acceleration.Eval(context)
         normal, point = self._normal.Eval(context), self._point.Eval(context)
+        if len(X_OF) != len(self._constants):  # Drake compares sizes of vectors only
+            raise SceneError(
+                f"scene '{self.scene.name}': {len(X_OF)} poses on the driver's input port 'pose' "
+                f"for {len(self._constants)} fingers; connect the planner of this scene"
+            )
         # The thread's own, filled once nothing is left to evaluate that may use it too.
         machine, o = driving_law().machine(len(X_OF)), self.object_index
         machine.c[:], x = self._constants, machine.x

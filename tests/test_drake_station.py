@@ -600,6 +600,19 @@ def test_parts_of_another_kind_or_scene_are_refused():
             start()
 
 
+def test_poses_of_another_scene_are_refused():
+    scene, builder = cs.load_scene("D1"), DiagramBuilder()
+    parts = AddScenePlant(builder, scene, config(scene).plant)
+    driver = builder.AddSystem(FingertipDriver(parts, DriverConfig()))
+    context = driver.CreateDefaultContext()
+    for k in range(driver.num_input_ports()):
+        port = driver.get_input_port(k)
+        value = driver.AllocateInputAbstract(port)
+        port.FixValue(context, value)
+    with pytest.raises(cs.SceneError, match="'D1': 0 poses on .* port 'pose' for 3 fingers; con"):
+        driver.get_output_port().Eval(context)
+
+
 def test_numbers_of_numpy_are_numbers():
     scene = cs.load_scene("D1")
     changes = {"time_step": np.float32(1e-3), "stiffness": np.int64(10_000), "gravity": np.int32(0),
