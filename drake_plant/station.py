@@ -51,6 +51,7 @@ from .plant import (
 
 Array = NDArray[np.float64]
 
+STARTED = ("planner", "driver", "plant")
 PLANNED = ("state", "slip", "contact_point")
 MEASURED = ("state", "slip", "normal_force", "tangential_force", "contact_point")
 INTEGRATION = SimulatorConfig(
@@ -266,7 +267,9 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
     The first seven are the planner's (see :class:`ContactPlanner`), `spatial_forces` the driver's,
     the next five the monitor's (see :class:`ContactMonitor`; only with ``monitor``), the last five
     the plant's and the scene graph's. The systems are named "planner", "driver", "monitor",
-    "plant" and "scene_graph". Threads may share a station, with a Context each.
+    "plant" and "scene_graph", the Diagram "station"; two of them in one Diagram need names of their
+    own, ``builder.AddNamedSystem("left", BuildStation(scene))``, because Drake ends the process
+    where two systems have the same. Threads may share a station, with a Context each.
 
     Parameters
     ----------
@@ -364,11 +367,21 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     station : Diagram
         From :func:`BuildStation`.
     context : Context
-        Its own, or that of a Diagram that contains it.
+        The root: the station's own, or that of a Diagram that contains it.
+
+    Raises
+    ------
+    SceneError
+        No station, or no Context.
     """
-    planner, driver = (station.GetSubsystemByName(name) for name in ("planner", "driver"))
-    plant, now = station.GetSubsystemByName("plant"), planner.GetMyContextFromRoot(context)
-    physics = plant.GetMyMutableContextFromRoot(context)
+    if not isinstance(station, Diagram) or not all(map(station.HasSubsystemNamed, STARTED)):
+        raise SceneError(
+            f"station = {station!r}: give what BuildStation made; of a Diagram that contains it "
+            "give the station, and the Diagram's context"
+        )
+    require_config(context, Context, "context")
+    planner, driver, plant = map(station.GetSubsystemByName, STARTED)
+    now, physics = planner.GetMyContextFromRoot(context), plant.GetMyMutableContextFromRoot(context)
     scene, config, t = driver.scene, driver.plant_config, context.get_time()
     # A velocity of a discrete plant is the one that brought it here: that of half a step ago.
     ago = 0.5 * config.time_step

@@ -500,6 +500,27 @@ def test_a_station_that_has_run_starts_anew():
     assert forces[0] == pytest.approx(forces[1], abs=1e-6)
 
 
+def test_stations_start_inside_another_diagram_under_names_of_their_own():
+    scene, builder = cs.load_scene("D1"), DiagramBuilder()
+    names = ("left", "right")
+    stations = [builder.AddNamedSystem(n, BuildStation(scene, config(scene))) for n in names]
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    root = simulator.get_mutable_context()
+    for wrong in (diagram, root, stations[0].GetSubsystemByName("planner")):
+        with pytest.raises(cs.SceneError, match="station = .*: give what BuildStation made; of"):
+            SetInitialState(wrong, root)
+    with pytest.raises(cs.SceneError, match="context = .*: give a Context"):
+        SetInitialState(stations[0], simulator)
+    for station in stations:
+        SetInitialState(station, root)
+    simulator.AdvanceTo(0.02)
+    for station in stations:
+        own = station.GetMyContextFromRoot(root)
+        force = station.GetOutputPort("normal_force").Eval(own)
+        assert force == pytest.approx([1.0, 1.0, 1.0], abs=0.02)
+
+
 def test_threads_share_a_station_with_a_context_each():
     scene = cs.load_scene("D1")
     station = BuildStation(scene, config(scene, disturbance_input=True))
