@@ -647,7 +647,7 @@ class FmuSystem(LeafSystem):
             if not -SLACK <= (moment.time - time) / step <= 1 + SLACK:
                 self._RefuseTime(time, moment)
             return
-        if abs(time - round(time / step) * step) > SLACK * step:
+        if not math.isfinite(time) or abs(time - round(time / step) * step) > SLACK * step:
             raise ContactSystemError(
                 f"{self._instance.name}: t = {time!r} s is not a multiple of the step of {step:g} "
                 "s, so that no update would come at the start: set the Context's time to one"
