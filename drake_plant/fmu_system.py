@@ -233,6 +233,10 @@ class Instance:
         self._start_values: list[tuple[Any, list[Any]]] = []  # variables of fmpy's, elements
         self._outputs: list[PortVariables] = []
         self._made_folder: str | None = None
+        if not isinstance(fmu, (str, os.PathLike)):
+            raise ContactSystemError(f"fmu = {fmu!r:.80}: give the path of an FMU or its folder")
+        if name is not None and not isinstance(name, str):
+            raise ContactSystemError(f"instance_name = {name!r}: give a text, or None")
         path = Path(fmu)
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
@@ -275,9 +279,15 @@ class Instance:
         pool = [v for v in every if v.causality == causality and _carried(v)]
         if names is None:
             return PortVariables(pool, self.version)
+        listed = [names] if isinstance(names, str) else names
+        if not isinstance(listed, Iterable):
+            raise ContactSystemError(
+                f"{self.name}: {causality}s = {names!r}: give names of variables, or a mapping of "
+                "port names to those"
+            )
         by_name = {v.name: v for v in every}
         found: list[Any] = []
-        for name in [names] if isinstance(names, str) else names:
+        for name in map(str, listed):
             inside = [v for v in pool if v.name.startswith((f"{name}.", f"{name}["))]
             if name not in by_name and not inside:
                 known = by_name if causality == "output" else [v.name for v in pool]
@@ -297,6 +307,10 @@ class Instance:
 
     def prepare(self, start_values: Mapping[str, Any], outputs: list[PortVariables]) -> None:
         """Say what initialization sets, and what is read after it and each step."""
+        if not isinstance(start_values, Mapping):
+            raise ContactSystemError(
+                f"{self.name}: start_values = {start_values!r}: give a mapping of names to values"
+            )
         variables = {v.name: v for v in self.description.modelVariables}
         for name, value in start_values.items():
             if name not in variables:
@@ -613,7 +627,7 @@ class FmuSystem(LeafSystem):
         self.input_names = {port: block.names for port, block in read.items()}
         self.output_names = {port: block.names for port, block in held.items()}
         self._inputs = [(self.DeclareVectorInputPort(k, len(b.names)), b) for k, b in read.items()]
-        instance.prepare(start_values or {}, list(held.values()))
+        instance.prepare({} if start_values is None else start_values, list(held.values()))
         start = instance.begin(0.0)
         self._moment = self.DeclareAbstractState(AbstractValue.Make(start))
         for port, values in zip(held, start.values):
@@ -687,5 +701,10 @@ def _blocks(
 ) -> dict[str, PortVariables]:
     """Port name -> its variables; a port without variables is left out."""
     ports = chosen if isinstance(chosen, Mapping) else {usual: chosen}
+    for port in ports:
+        if not isinstance(port, str) or not port:  # Drake ends the process for the latter
+            raise ContactSystemError(
+                f"{instance.name}: {port!r}, a key of {causality}s, is no port name: give a text"
+            )
     found = {port: instance.select(names, causality) for port, names in ports.items()}
     return {port: block for port, block in found.items() if block.names}

@@ -582,6 +582,12 @@ def test_an_unknown_variable_is_refused_with_the_nearest(build):
         ({"start_values": {"gain": "high"}}, "start value: gain = 'high' is not of type Real"),
         ({"start_values": {"on": 2}}, "start value: .*on = 2, is not of type Boolean"),
         ({"start_values": {"gain": [1, 2]}}, "start value: gain has 1 elements, not 2"),
+        ({"start_values": [("gain", 2)]}, r"start_values = .*: give a mapping of names"),
+        ({"inputs": 5}, "inputs = 5: give names"),
+        ({"outputs": {"y": 5}}, "outputs = 5: give names"),
+        ({"outputs": [["x"]]}, "no output variable .*'x'"),
+        ({"outputs": {5: "x"}}, "5, a key of outputs, is no port name: give a text"),
+        ({"outputs": {"": "x"}}, "'', a key of outputs, is no port name: give a text"),
     ):
         with pytest.raises(cs.ContactSystemError, match=f"^integrators.*{message}"):
             FmuSystem(build(), **{"step": STEP} | options)
@@ -596,12 +602,16 @@ def test_fmus_that_cannot_run_here_are_refused_with_the_reason(build, tmp_path):
         (tmp_path / "missing.fmu", "there is no .*missing.fmu"),
         (tmp_path / "no.fmu", "is not an FMU"),
         (tmp_path, "modelDescription.xml"),
+        (None, "fmu = None: give the path"),
+        (cs.load_scene("K1"), r"fmu = Scene\(.*: give the path"),
     ):
         with pytest.raises(cs.ContactSystemError, match=message):
             FmuSystem(fmu, step=STEP)
     for step in (0.0, -1.0, np.nan, "a", True, None):
         with pytest.raises(cs.ContactSystemError, match=f"step = {step!r}: give a finite number"):
             FmuSystem(build(), step=step)
+    with pytest.raises(cs.ContactSystemError, match="instance_name = 5: give a text"):
+        FmuSystem(build(), step=STEP, instance_name=5)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
