@@ -49,8 +49,16 @@ PORTS = {"state": 9, "slip": 2, "twist": 6, "acceleration": 6, "contact_point": 
 
 Array = np.ndarray
 
-# Python systems with ports are never freed (seen in Drake 1.51), so what is large is shared.
-_scene_system = functools.lru_cache(maxsize=16)(SceneSystem)
+# What is derived from a scene is large: planners of the same one share it.
+_shared_system = functools.lru_cache(maxsize=16)(SceneSystem)
+
+
+def _scene_system(*options: Any) -> SceneSystem:
+    try:
+        hash(options)
+    except TypeError:  # a list in the place of a scene or a word: it says which
+        return SceneSystem(*options)
+    return _shared_system(*options)
 
 
 # --- refusals -------------------------------------------------------------------------------------

@@ -689,6 +689,8 @@ def test_a_time_that_is_not_a_number_is_refused():
     ]
     + [
         ({"disturbance_input": "no"}, "disturbance_input = 'no': give True or False"),
+        ({"disturbance_input": []}, r"disturbance_input = \[\]: give True or False"),
+        ({"coordinates": ["frame"]}, r"coordinates = \['frame'\]: use one of chart, frame"),
         ({"compiled": "no"}, "compiled = 'no': give True or False, or None"),
         ({"compiled": 0}, "compiled = 0: give True or False, or None"),
     ],
@@ -711,6 +713,8 @@ def test_a_disturbance_that_would_take_for_ever_is_named():
 
 
 def test_a_name_is_no_scene():
+    with pytest.raises(cs.SceneError, match=r"scene = \[Scene.*: give a Scene, such as load_scene"):
+        ContactPlanner([cs.load_scene("K4")])
     with pytest.raises(cs.SceneError, match=r"scene = 'K4': give a Scene, such as load_scene"):
         ContactPlanner("K4")
     with pytest.raises(cs.SceneError, match=r"scene = 'K4': give a Scene, such as load_scene"):
