@@ -14,6 +14,8 @@ import pytest
 pytest.importorskip("pydrake")
 
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.planning import DirectCollocation
+from pydrake.solvers import Solve
 from pydrake.symbolic import Expression, Variable
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import DiagramBuilder
@@ -596,6 +598,27 @@ def test_the_linearization_is_the_jacobian(coordinates):
     rates = other.EvalTimeDerivatives(found).CopyToVector()
     assert np.allclose(linear.A(), ExtractGradient(rates.reshape(-1, 1)))
     assert linear.B().shape == (len(rates), 18)
+
+
+def test_collocation_where_sigma_is_constant_ends_where_the_plan_does():
+    scene = cs.load_scene("K1").replace(profile=cs.Profile([0.1]), gain=cs.Gain.time(5.0))
+    planner = ContactPlanner(scene, "frame", disturbance_input=True)
+    port, start = planner.GetInputPort("disturbance"), planner.system.x0
+    samples, step = 11, 0.05
+    collocation = DirectCollocation(
+        planner, planner.CreateDefaultContext(), samples, step, step, port.get_index()
+    )
+    program, end = collocation.prog(), collocation.final_state()
+    program.AddBoundingBoxConstraint(start, start, collocation.initial_state())
+    for k in range(samples):
+        program.AddBoundingBoxConstraint(0.0, 0.0, collocation.input(k))
+        program.SetInitialGuess(collocation.state(k), start)
+    result = Solve(program)
+    context = planner.CreateDefaultContext()
+    context.SetTime(step * (samples - 1))
+    context.SetContinuousState(result.GetSolution(end))
+    assert result.is_success()
+    assert error(planner, context, cs.plan(scene)) < 1e-6
 
 
 @pytest.mark.parametrize("name", ("K1", "D1"))
