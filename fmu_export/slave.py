@@ -374,8 +374,9 @@ class _Slave:
         """Go back, or go where another instance of the same scene was."""
         self._require("SetFMUState", CREATED, INITIALIZATION, STEP, EVENT, TERMINATED)
         memory = self._memory_in("SetFMUState", state).copied()
-        if memory.phase == EVENT and self._first_phase == STEP:  # this instance has no event mode
-            memory.phase = STEP
+        if self._first_phase == STEP:  # this instance has no event mode
+            memory.phase = STEP if memory.phase == EVENT else memory.phase
+            memory.pending = False
         self.block.take(memory)
 
     def freeFMUState(self, state: FmuState | None) -> None:
@@ -680,15 +681,17 @@ class PlannerSlave3(_Slave, FMU3Slave):
             event = early or edge == reached
             target = edge if early else target
         self._advance(currentCommunicationPoint, communicationStepSize, target)
+        self.block.hold(event)
         if event:
             text = f"{self.instanceName}: edge of a disturbance window at t = {self.time!r} s"
             self._tell(OK, "logEvents", text)
         return event, False, early, target
 
     def enterEventMode(self) -> None:
-        """Handle events. Inputs and the gain may change, as they may in step mode."""
+        """Handle events: values are those after the edge from here on, and inputs may change."""
         self._require_events("EnterEventMode", STEP)
         self.block.now.phase = EVENT
+        self.block.hold(False)
 
     def _require_events(self, function: str, phase: str) -> None:
         if not self._events:

@@ -67,6 +67,8 @@ class Memory:
         What the plan was made with; `INPUTS` numbers a contact.
     settled : bool
         They are those of ``values``.
+    pending : bool
+        An edge is reached, and values are still those before it.
     """
 
     phase: str
@@ -77,6 +79,7 @@ class Memory:
     gain: float = math.nan
     inputs: Inputs = ()
     settled: bool = True
+    pending: bool = False
 
     def copied(self) -> Memory:
         """A copy that shares nothing that changes."""
@@ -173,6 +176,13 @@ class Block:
             self._lengthen(target)
         now.time = target
         self.row += 1
+        self.hold(False)
+
+    def hold(self, pending: bool) -> None:
+        """Keep values as they are before the edge that time is at, or let them pass it."""
+        if self.now.pending != pending:
+            self.now.pending = pending
+            self._forget()
 
     def settle(self, target: float = 0.0) -> None:
         """Let the inputs and the gain as they are set act from now on; plan up to target at least.
@@ -408,8 +418,9 @@ class Block:
             self._run, self._since = 0, time
         # A step is a difference of rounded times: 256 of them are where their mean says.
         count, step = min(2 * before, AHEAD), (time - self._since) / max(1, self._run)
+        ahead = 1 if self.now.pending or not self._run else count
         self._forget()
-        self._lay_out([time, *(time + step * np.arange(1, count if self._run else 1))])
+        self._lay_out([time, *(time + step * np.arange(1, ahead))])
 
     def _lay_out(self, times: Sequence[float]) -> None:
         plan = self.now.plan
@@ -419,6 +430,8 @@ class Block:
         at = np.array(self.times)
         for edge in self._edges:
             at[np.abs(at - edge) <= ROUNDING * max(1.0, edge)] = edge
+        if self.now.pending:
+            at = np.nextafter(at, -math.inf)
         self._at = np.clip(at, plan.start, last)
 
     def _tabulated(self, key: tuple[int, ...]) -> list[list[float]]:
@@ -536,10 +549,11 @@ class Block:
         if self.now.plan is None:
             blocks = np.array(self.table.blocks)[:, None] + INPUTS
             states = self.now.values[blocks + np.arange(STATES)]
+            acting = self._disturbance(self.snapped(self.now.time))
         else:
             self._rows_of((self.table.blocks[0] + INPUTS,))
             states = self._states()[self.row]
-        acting = self._disturbance(self.snapped(self.now.time))
+            acting = self._disturbance(self._at[self.row])
         found = []
         for i, block in enumerate(self.table.blocks):
             point = [self.now.time, *states[i], *acting[i], *sum(self._numbers(i), [])]
@@ -609,7 +623,7 @@ def _outward_place(
 
 # --- state bytes ---------------------------------------------------------------------------------
 
-_MAGIC, _VERSION = b"CONTACTP", 2
+_MAGIC, _VERSION = b"CONTACTP", 3
 _HEADER = struct.Struct("<8sQQ16s16s")  # magic, version, length, model, checksum
 
 

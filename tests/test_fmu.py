@@ -901,6 +901,27 @@ def test_a_step_to_a_window_edge_but_for_rounding_tells_of_it(exported):
     assert fmu.step(one, t, 0.1) == (True, False, False, 0.3)
 
 
+def test_event_mode_shows_values_after_the_edge_before_the_update(exported):
+    """An importer passes outputs on in event mode, then updates (FMI 3.0.2, 2.3.5)."""
+    fmu, name = exported(EVERYTHING, "3.0"), "der(contact[1].object.u)"
+    one = fmu.instance(ready=False, eventModeUsed=True)
+    fmu.initialize(one)
+    one.enterStepMode()
+    edge = next(d.start for d in fmu.scene.disturbances if type(d) is cs.ObjectRateOffset)
+    before, after = cs.plan(fmu.scene).states([np.nextafter(edge, 0), edge])[:, 0, 6]
+    assert abs(after - before) > 1e-3
+    fmu.step(one, 0.0, edge)
+    assert fmu.get(one, name) == pytest.approx([before], abs=1e-12)
+    saved = one.getFMUState()
+    one.enterEventMode()
+    for _ in range(2):
+        assert fmu.get(one, name) == pytest.approx([after], abs=1e-12)
+        one.updateDiscreteStates()
+    plain = fmu.instance()
+    plain.setFMUState(saved)
+    assert fmu.get(plain, name) == pytest.approx([after], abs=1e-12)
+
+
 def test_only_windows_are_events_of_a_co_simulation(exported):
     """Not where sigma begins to grow, which begins a piece of the guaranteed gain."""
     fmu = exported(EVERYTHING, "3.0")

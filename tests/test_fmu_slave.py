@@ -514,7 +514,7 @@ def test_state_bytes_that_do_not_fit_are_refused():
     for wrong, words in (
         (data[:20], "its length"), (data[:-1], "header gives another length"),
         (data + b" ", "header gives another length"), (b"X" + data[1:], "not a state of an"),
-        (data[:8] + b"\3" + data[9:], "written by version 3, this is 2"), (b"", "its length"),
+        (data[:8] + b"\2" + data[9:], "written by version 2, this is 3"), (b"", "its length"),
         (data[:60] + b"9" + data[61:], "its checksum does not match"),
         (other.serializeFMUState(other.getFMUState()), "belongs to another scene"),
     ):  # fmt: skip
@@ -580,6 +580,27 @@ def test_event_mode_returns_early_at_the_edges_of_windows():
     plan = cs.plan(scene, 1e-14)
     assert {1.0, 2.0} <= set(result["time"])
     close(states_of(result, 3), plan.states(result["time"]))
+
+
+def test_step_to_an_edge_shows_values_before_it_until_event_mode():
+    scene = one_contact(disturbances=[cs.ObjectRateOffset(0, 0.3, 0.8, (0.5, 0.2))])
+    slave, plain = begun(scene, "3.0", event_mode=True), begun(scene, "3.0")
+    slave.enterStepMode()
+    before, after = cs.plan(scene, 1e-14).states([0.3 - 1e-15, 0.3])
+    assert np.abs(after - before).max() > 0.1
+    advanced(slave, 0.1, 0.1, 0.1)
+    close(states_now(slave), before)
+    other = begun(scene, "3.0", event_mode=True)
+    other.setFMUState(other.deserializeFMUState(slave.serializeFMUState(slave.getFMUState())))
+    close(states_now(other), before)
+    plain.setFMUState(slave.getFMUState())
+    close(states_now(plain), after)
+    slave.enterEventMode()
+    close(states_now(slave), after)
+    slave.updateDiscreteStates()
+    slave.enterStepMode()
+    close(states_now(slave), after)
+    close(states_now(advanced(slave, 0.4)), cs.plan(scene, 1e-14).states(0.7)[0])
 
 
 def test_without_early_return_the_step_is_made_and_edges_inside_are_the_slaves_own():

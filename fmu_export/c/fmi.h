@@ -92,6 +92,13 @@ static inline void enter_initialization(component_t *c, double time) {
   c->now.phase = INITIALIZATION;
 }
 
+/* Values are those after the event from here on, and no update changes them any more: importers
+   pass them on between the two (FMI 3.0.2, 2.3.5). */
+static inline void enter_event_mode(component_t *c) {
+  enter_windows(c);
+  c->now.phase = EVENT;
+}
+
 static inline status_t save(component_t *c, void **state) {
   saved_t *s = *state ? *state : calloc(1, sizeof *s);
   if (!s) return report(c, FAILED, "logStatusError", "no memory for an FMU state");
@@ -117,6 +124,7 @@ static inline status_t restore_saved(component_t *c, void *state) {
   memcpy(&c->now, &s->memory, sizeof c->now);
   c->now.uses_events = ((const instance_t *)c->host)->uses_events;
   if (c->now.phase == EVENT && c->now.stepping && !c->now.uses_events) c->now.phase = STEP;
+  if (c->now.pending && !c->now.uses_events) enter_windows(c);
   memset(c->now.valid, 0, sizeof c->now.valid);
   return OK;
 }

@@ -234,7 +234,7 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component instance, const fmi2Byte bytes[
 
 fmi2Status fmi2EnterEventMode(fmi2Component instance) {
   BEGIN("fmi2EnterEventMode", EVENT | CONTINUOUS);
-  c->now.phase = EVENT;
+  enter_event_mode(c);
   return fmi2OK;
 }
 

@@ -358,7 +358,7 @@ fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
   BEGIN("fmi3EnterEventMode", CONTINUOUS | STEP);
   if (c->now.stepping && !c->now.uses_events)
     REFUSE("fmi3EnterEventMode: the instance was made without event mode");
-  c->now.phase = EVENT;
+  enter_event_mode(c);
   return fmi3OK;
 }
 
