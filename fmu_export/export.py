@@ -69,9 +69,10 @@ def export_fmu(
     texts = c_sources(table, token, fmi_version)
     sources = sorted(name for name in texts if name.endswith(".c"))
     description = model_description(table, fmi_version, interfaces, sources)
-    texts |= build.headers(fmi_version)
     name = model_identifier(table)
+    # FMI's own headers are the importer's, which may give functions a prefix (FMI 3.0.2, 2.2.2).
     files = {f"sources/{file}": text.encode() for file, text in texts.items()}
+    texts |= build.headers(fmi_version)
     files["sources/buildDescription.xml"] = build_description(table, sources).encode()
     files["modelDescription.xml"] = description.encode()
     files |= companions(table, fmi_version)

@@ -53,6 +53,15 @@ SX = ca.SX
 C_SOURCES = Path(__file__).parent / "c"
 HAND_WRITTEN = ("component.h", "component.c", "timeline.c", "state.c", "fmi.h")
 LAWS = tuple(GAIN_LAWS)
+SHARED = (
+    "check_grown", "check_value", "enter_windows", "forward", "gauss_end", "gauss_integral",
+    "gauss_node", "gauss_series", "get_rates", "get_states", "get_values", "kinds", "least",
+    "model_token", "names", "next_edge", "next_window", "nominals", "orders", "past_end", "places",
+    "read_state", "report", "reset", "reverse", "set_slope", "set_states", "set_time", "set_value",
+    "sizes", "start", "start_values", "step", "study_profile", "windows", "write_state",
+)  # fmt: skip
+"""What files have in common. Each name bears the model's: importers that compile the sources may
+link several models into one program."""
 _KINDS_OF_VALUE = {
     ("parameter", "fixed"): "FIXED",
     ("parameter", "tunable"): "TUNABLE",
@@ -124,8 +133,11 @@ class _Model:
         sizes |= {f"AT_{name}": offset for name, offset in zip(LAYOUT, offsets)}
         laws = ", ".join(law.upper() for law in LAWS)
         text = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
+        own = model_identifier(self.table)
+        motions = (name.removesuffix(".c") for name in self.motions)
+        text += "".join(f"#define {name} {own}_{name}\n" for name in (*SHARED, *motions))
         return (
-            f"/* {model_identifier(self.table)}: generated */\n"
+            f"/* {own}: generated */\n"
             f"#ifndef CONTACT_MODEL\n#define CONTACT_MODEL\n{text}enum {{ {laws} }};\n#endif\n"
         )
 

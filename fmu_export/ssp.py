@@ -174,8 +174,9 @@ def _export_consumer(count: int, path: Path, platforms: Sequence[str]) -> Path:
     text = (Path(__file__).parent / "c" / f"{CONSUMER}.c").read_text("utf-8")
     token = "{" + hashlib.sha256(f"{count} {text}".encode()).hexdigest()[:32] + "}"
     header = f'#define N_CONTACTS {count}\n#define TOKEN "{token}"\n'
-    texts = {f"{CONSUMER}.c": text, f"{CONSUMER}.h": header} | build.headers("2.0")
+    texts = {f"{CONSUMER}.c": text, f"{CONSUMER}.h": header}
     files = {f"sources/{name}": source.encode() for name, source in texts.items()}
+    texts |= build.headers("2.0")
     files["modelDescription.xml"] = _consumer_description(count, token).encode()
     for platform in platforms:
         place = build.library_place(CONSUMER, platform, "2.0")

@@ -24,7 +24,7 @@ from fmpy.fmi3 import FMU3Model, FMU3Slave, fmi3LogMessageCallback
 from fmu_hosts import EVERYTHING
 
 from fmu_export import export_fmu, variable_table
-from fmu_export.build import PLATFORMS
+from fmu_export.build import FMI_HEADERS, PLATFORMS
 from fmu_export.model import STATES, contact_results
 
 VERSIONS = ("2.0", "3.0")
@@ -985,6 +985,7 @@ def test_the_file_is_small_and_complete(version, exported):
               "sources/model.c", f"sources/fmi{version[0]}.c"}  # fmt: skip
     assert wanted <= names
     assert any(n.endswith(".png") for n in names)
+    assert not any("Function" in n for n in names)  # FMI's headers are the importer's
 
 
 def test_the_same_scene_gives_the_same_bytes(tmp_path, monkeypatch):
@@ -1005,12 +1006,37 @@ def test_the_sources_inside_build_without_warnings(version, plain, exported, tmp
     folder = os.path.join(exported("K3", version).folder, "sources")
     files = sorted(f for f in os.listdir(folder) if f.endswith(".c"))
     flags = ["-std=c99", "-O0", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]
-    flags += plain
+    flags += [f"-I{FMI_HEADERS}", *plain]
     run = subprocess.run(
         [*compiler, *flags, *files, "-o", str(tmp_path / "built"), "-lm"],
         cwd=folder, capture_output=True, text=True,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
+
+
+def test_sources_of_two_models_make_one_program(exported, tmp_path):
+    """FMI 3.0.2, 2.2.2: functions that an importer links bear the model's name."""
+    from contact_system.kernels import find_compiler
+
+    compiler = find_compiler()
+    if compiler is None:
+        pytest.skip("no C compiler on this machine")
+    flags, objects, main = ["-std=c99", "-O0", f"-I{FMI_HEADERS}"], [], ""
+    for name in ("K1", "C2"):
+        folder = os.path.join(exported(name, "3.0").folder, "sources")
+        own = tmp_path / name
+        own.mkdir()
+        files = [os.path.join(folder, f) for f in os.listdir(folder) if f.endswith(".c")]
+        prefix = f"-DFMI3_FUNCTION_PREFIX={name}_"
+        subprocess.run([*compiler, *flags, prefix, "-c", *files], cwd=own, check=True)
+        objects += map(str, own.glob("*.o"))
+        main += f"const char *{name}_fmi3GetVersion(void);\n"
+    main += "int main(void) { return K1_fmi3GetVersion()[0] != C2_fmi3GetVersion()[0]; }\n"
+    (tmp_path / "main.c").write_text(main)
+    program = str(tmp_path / "both")
+    link = [*compiler, str(tmp_path / "main.c"), *objects, "-o", program, "-lm"]
+    subprocess.run(link, check=True)
+    assert subprocess.run([program]).returncode == 0
 
 
 def test_the_sources_refuse_a_build_without_infinities(exported, tmp_path):
