@@ -57,11 +57,14 @@ def export_ssp(
     Raises
     ------
     ContactSystemError
-        A scene that no importer can step, no compiler, or an FMU that fmpy's validation refuses.
+        Something else than scenes, a scene that no importer can step, no compiler, or an FMU that
+        fmpy's validation refuses.
     """
-    named = {"": scenes} if isinstance(scenes, Scene) else dict(scenes)
-    if not named:
-        raise ContactSystemError("scenes = {}: give at least one")
+    named = {"": scenes} if isinstance(scenes, Scene) else scenes
+    if not (isinstance(named, Mapping) and named and all(isinstance(n, str) for n in named)):
+        raise ContactSystemError(
+            f'scenes = {scenes!r:.80}: give a Scene, or Scenes by name, such as {{"left": scene}}'
+        )
     path, moment = build.target(path), generation_time()
     tables = {name: variable_table(scene) for name, scene in named.items()}
     stems = _file_stems(named)

@@ -19,7 +19,7 @@ from itertools import islice
 import numpy as np
 
 from contact_system.errors import SceneError
-from contact_system.scene import Contact, Scene
+from contact_system.scene import Contact, Scene, require_scene
 from contact_system.surfaces import LEAST_LENGTH, Surface
 from contact_system.system import SceneSystem
 from contact_system.user_surfaces import UserSurface
@@ -197,6 +197,7 @@ def variable_table(scene: Scene) -> Table:
         A scene that no importer can step: a surface without a chart, or sigma = 0 inside the window
         of an acceleration; or names of a user's parameters that outputs have as well.
     """
+    require_scene(scene)
     require_charts(scene)
     names = _parameter_names(scene)
     values = [scene.gain.value, *scene.profile.coefficients, *scene.object.parameters]

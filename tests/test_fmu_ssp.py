@@ -90,6 +90,7 @@ def test_names_alike_get_files_of_their_own():
             assert text.count(f'source="resources/{stem}_{part}.fmu"') == 1
 
 
-def test_empty_system_is_refused(tmp_path):
-    with pytest.raises(cs.ContactSystemError, match="give at least one"):
-        export_ssp({}, tmp_path / "none.ssp")
+@pytest.mark.parametrize("scenes", [{}, "K1", [one_contact()], {1: one_contact()}, {"a": "K1"}])
+def test_what_are_no_scenes_by_name_is_refused(scenes, tmp_path):
+    with pytest.raises(cs.ContactSystemError, match=r"^scenes? = .*: give a Scene, "):
+        export_ssp(scenes, tmp_path / "none.ssp")

@@ -170,3 +170,8 @@ def test_dependencies_are_exact_on_a_sphere():
 def test_a_surface_without_a_chart_is_refused_by_name():
     with pytest.raises(cs.SceneError, match="no explicit chart"):
         variable_table(cs.load_scene("implicit"))
+
+
+def test_a_name_is_no_scene():
+    with pytest.raises(cs.SceneError, match="^scene = 'K1': give a Scene, such as load_scene"):
+        variable_table("K1")
