@@ -678,7 +678,7 @@ class PlannerSlave3(_Slave, FMU3Slave):
         if self._events:
             edge, reached = self.block.next_edge(), self.block.snapped(target)
             early = self._early and edge < reached
-            event = early or edge == reached
+            event = early or (edge <= reached and reached in self.block.edges)
             target = edge if early else target
         self._advance(currentCommunicationPoint, communicationStepSize, target)
         self.block.hold(event)

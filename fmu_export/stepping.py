@@ -100,6 +100,8 @@ class Block:
     scene : Scene
     table : Table
     now : Memory
+    edges : tuple of float
+        Where disturbance windows begin or end, s, ascending.
     asked, rows : list
         What the FMI layer was asked for last, and the answer at each of the times ahead; emptied
         when they no longer hold.
@@ -114,7 +116,7 @@ class Block:
         self.scene, self.table = scene, variable_table(scene)
         self._phase, self._places = phase, _places(self.table)
         windows = {t for d in scene.disturbances for t in (d.start, d.stop)}
-        self._edges = tuple(sorted(windows))
+        self.edges = tuple(sorted(windows))
         self._own: dict[tuple[float, ...], Scene] = {}
         self._lockstep: dict[tuple[float, ...], list[LockstepGroup]] = {}
         self.reset()
@@ -236,7 +238,7 @@ class Block:
         pieces = gain.pieces(scene.profile, at, target)
         speeds = [pieces[0].speed(k * (target - at) / 4) for k in range(5)]
         size = min(min(c.finger.size for c in scene.contacts), scene.object.size)
-        met = any(at < t <= self.snapped(target) for t in self._edges)
+        met = any(at < t <= self.snapped(target) for t in self.edges)
         turns = max(speeds) * (target - at) > 0.3 * size  # a step tells angles up to half a turn
         if len(pieces) > 1 or met or turns or not min(speeds) > 0:
             return False
@@ -276,7 +278,7 @@ class Block:
 
     def snapped(self, time: float) -> float:
         """The time, or the edge of a disturbance window that it is but for rounding."""
-        for edge in self._edges:
+        for edge in self.edges:
             if abs(edge - time) <= ROUNDING * max(1.0, edge):
                 return edge
         return time
@@ -284,7 +286,7 @@ class Block:
     def next_edge(self) -> float:
         """The first edge of a disturbance window after now, s; infinite where there is none."""
         after = self.snapped(self.now.time)
-        return min((t for t in self._edges if t > after), default=math.inf)
+        return min((t for t in self.edges if t > after), default=math.inf)
 
     # --- scenes
 
@@ -305,7 +307,7 @@ class Block:
             Inputs that cannot act then.
         """
         profile, edge = self._scene_with(self.now.values).profile, self.snapped(end)
-        if edge in self._edges:
+        if edge in self.edges:
             end = edge + 0.01 * (edge - begin)
         try:
             profile.check(end)
@@ -428,7 +430,7 @@ class Block:
         last = self._end()
         self.times = [float(t) for t in times if t <= last] or [self.now.time]
         at = np.array(self.times)
-        for edge in self._edges:
+        for edge in self.edges:
             at[np.abs(at - edge) <= ROUNDING * max(1.0, edge)] = edge
         if self.now.pending:
             at = np.nextafter(at, -math.inf)
