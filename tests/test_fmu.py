@@ -1014,6 +1014,22 @@ def test_the_sources_inside_build_without_warnings(version, plain, exported, tmp
     assert run.returncode == 0, run.stderr
 
 
+def test_sources_have_no_words_of_gnu_for_other_compilers(exported, tmp_path):
+    from contact_system.kernels import find_compiler
+
+    compiler = find_compiler()
+    if compiler is None:
+        pytest.skip("no C compiler on this machine")
+    for name in "float math stdarg stdbool stddef stdint stdio stdlib string".split():
+        (tmp_path / f"{name}.h").touch()  # a C library's own headers may define them away
+    folder = os.path.join(exported("K1", "3.0").folder, "sources")
+    files = sorted(f for f in os.listdir(folder) if f.endswith(".c"))
+    flags = ["-std=c99", "-E", "-U__GNUC__", "-U__clang__", "-nostdinc", f"-I{tmp_path}"]
+    command = [*compiler, *flags, f"-I{FMI_HEADERS}", *files]
+    run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    assert "fmi3DoStep" in run.stdout and "__attribute__" not in run.stdout
+
+
 def test_sources_of_two_models_make_one_program(exported, tmp_path):
     """FMI 3.0.2, 2.2.2: functions that an importer links bear the model's name."""
     from contact_system.kernels import find_compiler

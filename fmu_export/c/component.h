@@ -14,6 +14,10 @@
 #include "model.h"
 #include "common.h"
 
+#if !defined(__GNUC__) && !defined(__clang__)
+#define __attribute__(words) /* hints for the optimizer */
+#endif
+
 /* An infinite time is one that never comes, and a value that is no number is refused. */
 #if defined(_M_FP_FAST) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
 #error "this model needs infinities and NaN: compile without -ffast-math, -Ofast or /fp:fast"
