@@ -180,8 +180,9 @@ static inline int wind(const track_t *k, const double *ref, long stride, double 
 /* u v u' v' theta of a path at a place x, in principal coordinates; returns not 0 if it has none */
 typedef long (*place_on_t)(const void *path, double x, double *value);
 
-/* Whether a path crosses cos v = 0, not sin u = 0, between two places x where sin u cos v = y has different signs,
-   negative is the first: told where it crosses, by regula falsi (Illinois), so that it is right beside umbilics. */
+/* Whether a path crosses cos v = 0, not sin u = 0, between two places x where sin u cos v = y has different
+   signs, negative is the first: told where it crosses, by regula falsi (Illinois), so that it is right beside
+   umbilics. */
 static inline int over_seam(place_on_t place_on, const void *path, double x, double y, int negative, double x2,
                             double y2) {
   double value[5], last = 0.0, s = 0.0, c = 1.0;
@@ -251,9 +252,9 @@ static inline void wind_along(const track_t *k, place_on_t place_on, const void 
   wind_to(k, turned, ref, stride, out, row);
 }
 
-/* How points between two anchors are told their branch: where both are on one branch and one side of y = 0, points
-   there too are on it; where they are on two sides, by the one on the same side; where one side has two branches, by
-   following the path; and by the nearer where signs tell nothing. */
+/* How points between two anchors are told their branch: where both are on one branch and one side of y = 0,
+   points there too are on it; where they are on two sides, by the one on the same side; where one side has two
+   branches, by following the path; and by the nearer where signs tell nothing. */
 typedef struct {
   const double *before, *after;
   int signs, sides, covers; /* whether signs tell; whether sides, covers of the surface differ */
@@ -269,8 +270,8 @@ static inline between_t between(const track_t *k, const double *before, const do
   return w;
 }
 
-/* One point of a path at x, in principal coordinates, to its branch, the first anchor being at x1, the nearer being
-   the later or not */
+/* One point of a path at x, in principal coordinates, to its branch, the first anchor being at x1, the nearer
+   being the later or not */
 static inline void wind_beside(const track_t *k, const between_t *w, place_on_t place_on, const void *path,
                                double x1, long stride, int later, double x, double *out, const long *row) {
   const double *ref = later ? w->after : w->before, u = out[row[0]], v = out[row[1]];
@@ -292,7 +293,8 @@ static inline void wind_beside(const track_t *k, const between_t *w, place_on_t 
   wind(k, ref, stride, out, row);
 }
 
-/* Numbers side by side in the machine's registers: the vector extension of GCC and Clang, where there is one. */
+/* Numbers side by side in the machine's registers: the vector extension of GCC and Clang, where there is
+   one. */
 #if !defined(__GNUC__) || defined(PLAIN_C)
 #define LANES 1
 #elif defined(__AVX512F__)

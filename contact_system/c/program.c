@@ -151,8 +151,8 @@ typedef struct {
   long nb, n_stages, n_moves, size;
 } kind_t;
 
-/* Fill what a stage says of contacts [first, first + n): the greatest of each fact (the first is slip), then the
-   fields. Returns 0, or 1 + the fact that is beyond what scenes of this kind can have. */
+/* Fill what a stage says of contacts [first, first + n): the greatest of each fact (the first is slip), then
+   the fields. Returns 0, or 1 + the fact that is beyond what scenes of this kind can have. */
 static long work_out(const kind_t *k, const stage_t *s, double *block, long first, long n) {
   double given[MOST_FOUND], found[MOST_FOUND], *facts = block + s->facts;
   for (long b = first; b < first + n; b++) {
@@ -230,7 +230,8 @@ static long own_motions(motion_t *moved, const kind_t *k, double *block, double 
   return 0;
 }
 
-/* Let coordinates of a track continue last [nb][3]. Returns memory that is to be freed after use; 1: none left. */
+/* Let coordinates of a track continue last [nb][3], with memory that is to be freed after use. Returns 0;
+   1: none is left. */
 static int continued(const part_t *part, track_t *track, const kind_t *k, const double *block, long first,
                      const double *last, double **memory) {
   const long nb = track->nb, m = 4 * track->n_panels + 1, nc = track->n_constants;
@@ -302,9 +303,10 @@ long fill_begun(const kind_t *k, const double *block, double tolerance, const pa
   return code;
 }
 
-/* Chart states of finger and object. Where a side is dear at each time (two or three arc tangents) and there are
-   many times, it is turned into series of chart states, piece by piece, which cost 16 multiplications a number.
-   Where decay falls too fast for a series, the object's rates are kept as two smooth parts, u' = a - decay b. */
+/* Chart states of finger and object. Where a side is dear at each time (two or three arc tangents) and there
+   are many times, it is turned into series of chart states, piece by piece, which cost 16 multiplications a
+   number. Where decay falls too fast for a series, the object's rates are kept as two smooth parts,
+   u' = a - decay b. */
 #define OUT 9  /* u1 v1 u1' v1' u2 v2 u2' v2' psi */
 #define SIDE 5 /* u v u' v' theta */
 #define ROWS 7 /* u v a a theta b b */
@@ -543,14 +545,15 @@ static long copy_side(const side_t *side, track_t *k, const double *begin, const
   return code;
 }
 
-/* States of body b, of bodies [first, last), go to out[(b * OUT + r) * nt + i], a few contacts at a time: theirs
-   stay in the cache. For a scene of a kind, whose motions are not kept, or of motions that were integrated: kind
-   NULL. Returns 0; 1 + the index of the first time outside the tracks; < 0: ask the tracks. */
-long states(const kind_t *kind, const double *block, double tolerance, const states_t *p, long first, long last,
-            long nt, const double *t, double *out) {
+/* States of body b, of bodies [first, last), go to out[(b * OUT + r) * nt + i], a few contacts at a time:
+   theirs stay in the cache. For a scene of a kind, whose motions are not kept, or of motions that were
+   integrated: kind NULL. Returns 0; 1 + the index of the first time outside the tracks; < 0: ask the tracks. */
+long states(const kind_t *kind, const double *block, double tolerance, const states_t *p, long first,
+            long last, long nt, const double *t, double *out) {
   const int ordered = in_order(t, nt);
   /* 1e-14: less is rounding; 1e-3: more would hide that a path was followed to another branch */
-  const double bar = fmin(tolerance > 1e-13 ? 0.1 * tolerance : 1e-14, 1e-3), *angle = carried(p->angle, kind, block);
+  const double bar = fmin(tolerance > 1e-13 ? 0.1 * tolerance : 1e-14, 1e-3);
+  const double *angle = carried(p->angle, kind, block);
   series_t s = {.size = chunk(last, first) * ROWS * N};
   long code = 0;
   if (!nt) return 0;

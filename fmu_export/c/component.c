@@ -147,7 +147,8 @@ static void lay_anchors(memory_t *now, long i) {
     for (int body = 0; body < 2; body++) {
       if (own_coordinates(now, i, body, &m, out) && all_finite(out, 5)) {
         wind_along(&places[i].kind->winding[body], place_on, &(path_t){now, i, body}, last[body],
-                   side_of(from[body][0], from[body][1]), from[body], 1, tau, side_of(out[0], out[1]), 1, out, rows);
+                   side_of(from[body][0], from[body][1]), from[body], 1, tau, side_of(out[0], out[1]), 1,
+                   out, rows);
         take_place(from[body], out), last[body] = tau;
       }
       memcpy(k->anchor[body][q], from[body], sizeof from[body]);
