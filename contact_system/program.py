@@ -48,7 +48,7 @@ class Program:
         self.motions: list[Motion] = [
             track.motion for track in self.tracks if isinstance(track, MovingTrack) and track.motion
         ]
-        self._numbers = ctypes.c_long * (2 + len(self.motions))
+        self._numbers = ctypes.c_int64 * (2 + len(self.motions))
 
     def blank(self) -> Program:
         """The layout alone, which keeps no track alive."""

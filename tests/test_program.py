@@ -1,6 +1,8 @@
 """Whole plans in one compiled call against the tracks asked one by one, without a compiler."""
 
 import dataclasses
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from conftest import SURFACES, one_contact
 
 import contact_system as cs
 from contact_system.kernels import find_compiler
+from contact_system.panels import _program_source
 from contact_system.program import chart_states
 
 COMPILER = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
@@ -233,3 +236,14 @@ def test_rolling_does_not_end_with_a_piece_of_the_gain(obj, compiled):
     free = one_contact(obj, "sphere", profile=profile, object_velocity="rolling")
     found, expected = (cs.plan(s, compiled=compiled).points(TIMES) for s in (scene, free))
     assert found == pytest.approx(expected, abs=1e-14)
+
+
+@pytest.mark.slow  # ziglang builds a C library for Windows when it is used first
+def test_no_address_is_cut_short_where_a_long_has_32_bits(tmp_path):
+    pytest.importorskip("ziglang")
+    code = tmp_path / "program.c"
+    code.write_text(_program_source())
+    compiler = [sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu"]
+    flags = ["-std=gnu99", "-Werror=int-to-pointer-cast", "-o", str(tmp_path / "program.obj")]
+    run = subprocess.run([*compiler, *flags, "-c", str(code)], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr

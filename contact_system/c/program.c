@@ -1,5 +1,6 @@
 /* Whole plans in one call: integrate what has not been yet (panels.c), evaluate every track (tracks.c).
    Generic: kernels come as pointers to panels and evaluate. */
+#include <stdint.h>
 #include <stdlib.h>
 
 typedef long (*evaluate_t)(const track_t *, long, const double *, double *, const long *, long);
@@ -99,16 +100,17 @@ static long fill_part(const part_t *part, const track_t *track, long count, long
 
 /* Write `count` rows of every track: out[block][count][nt]. Returns 0; 1 + the index of a time outside
    the plan; -1 - the index of a time with a result that is not finite. at[0]: the code of panels, if
-   that is what failed, of motion at[1]; 1 if the times are not in order. From at[2] on: the motions. */
+   that is what failed, of motion at[1]; 1 if the times are not in order. From at[2] on: the motions, whose
+   addresses are longer than a long on Windows. */
 long fill(const part_t *parts, long n_parts, long count, long nt, const double *t, double *out,
-          long *at) {
+          int64_t *at) {
   int ordered = 0;
   at[0] = 0;
   for (long p = 0; p < n_parts; p++) {
     const part_t *part = parts + p;
     const track_t *track = part->track;
     if (part->moves) {
-      motion_t *motion = (motion_t *)at[1 + part->moves];
+      motion_t *motion = (motion_t *)(intptr_t)at[1 + part->moves];
       at[1] = part->moves - 1;
       if ((at[0] = move(motion))) return -1;
       track = &motion->track;
