@@ -1,4 +1,4 @@
-"""``method="chart"``: the paper's equations as printed, integrated by a scipy solver.
+"""``method="chart"``: the paper's equations, errata corrected, integrated by a scipy solver.
 
 For comparison, and for whoever asks for it: stiff in lam, singular at poles and where sigma = 0.
 """

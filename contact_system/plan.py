@@ -55,10 +55,10 @@ def plan(
         Bound of the error of contact points, as a fraction of the body's size, 1e-15 to 1e-1.
     method : str
         "auto": per contact and interval the cheapest exact way (theory sections 4 to 7).
-        "chart": the paper's equations as printed, corrected (eqs. `timegeodesic`, `contrac`),
-        by a scipy solver; for comparison.
+        "chart": the paper's equations (eqs. `timegeodesic`, `contrac`), errata corrected, by a
+        scipy solver; for comparison.
     solver : str
-        scipy's method for ``method="chart"``: RK23, RK45, DOP853, Radau, BDF, LSODA.
+        scipy's method for ``method="chart"``: RK23, RK45, DOP853, Radau, BDF or LSODA.
     compiled : bool or None
         True: compiled kernels, built where they are not in the cache yet; False: none;
         None: those that were built before.
@@ -76,8 +76,8 @@ class Plan:
 
     All times are in seconds inside [:attr:`start`, ``scene.duration``], in any order; results have
     the times along their first axis and the contacts along the second. At a window's edge they are
-    those after it; at the end of the horizon, those before it. Several threads may ask one plan,
-    and plan scenes, at the same time.
+    those after it; at the end of the horizon, those before it. A time outside raises a
+    ContactSystemError. Several threads may ask one plan, and plan scenes, at the same time.
     """
 
     def __init__(
@@ -165,6 +165,11 @@ class Plan:
         """Slip v_rel in E2 (eq. `netrelvel`): (len(t), n_contacts, 2), m/s.
 
         By the exact law, |v_rel| = |V| sigma exp(-L), not as a difference of velocities.
+
+        Raises
+        ------
+        ChartSingularity
+            At a time when a contact that slips passes through a pole or an umbilic of the object.
         """
         return self._in_contact_frame(t, _slip)
 
@@ -176,7 +181,7 @@ class Plan:
         """Tangential relative acceleration in E2 (eqs. `velacceleration`, `contracaccel`).
 
         (len(t), n_contacts, 2), m/s^2. (sigma'/sigma - lam) v_rel, plus R_psi M1 d1 - M2 d2 while
-        accelerations d act; object rate offsets are left out.
+        accelerations d act; object rate offsets are left out. Raises as :meth:`slip`.
         """
         return self._in_contact_frame(t, _acceleration)
 
@@ -196,7 +201,7 @@ class Plan:
         return self._collect(t, lambda motion: motion.twist(), (6,))
 
     def angles(self, t: ArrayLike) -> np.ndarray:
-        """psi: (len(t), n_contacts), rad."""
+        """psi: (len(t), n_contacts), rad. Raises as :meth:`states`."""
         return self.states(t)[:, :, 8]
 
     def carried(self, t: ArrayLike) -> np.ndarray:

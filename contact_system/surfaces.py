@@ -219,7 +219,10 @@ class Surface:
         return self._evaluate("point", u, v, (3,))
 
     def frame(self, u: ArrayLike, v: ArrayLike) -> Array:
-        """Return the contact frame E, columns x, y, n, shape (..., 3, 3)."""
+        """Return the contact frame E, columns x, y, n, shape (..., 3, 3).
+
+        Partly NaN at poles and umbilics, which `canonical` refuses.
+        """
         return self._evaluate("frame", u, v, (3, 3))
 
     def normal(self, u: ArrayLike, v: ArrayLike) -> Array:
