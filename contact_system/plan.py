@@ -331,12 +331,6 @@ class Plan:
             raise SceneError(f"{where}: state = {state!r}; give numbers, shape {shape}") from None
         if measured.shape != shape:
             raise SceneError(f"{where}: state has shape {measured.shape}; give {shape}")
-        for i, row in enumerate(measured):
-            if not np.isfinite(row).all():
-                raise SceneError(
-                    f"{where} at t = {t:g} s, contact {i}: the measured state has "
-                    f"{row[~np.isfinite(row)][0]}; leave such a measurement out"
-                )
         if not t < self.scene.duration:
             raise SceneError(
                 f"{where} at t = {t:g} s: nothing is left to plan, the scene ends at "

@@ -114,20 +114,25 @@ def measured_start(
     Raises
     ------
     SceneError
-        sigma = 0, a pole, or coordinates outside the chart.
+        NaN, sigma = 0, a pole, or coordinates outside the chart.
     """
-    sigma = float(scene.profile(t))
+    where, sigma = f"scene '{scene.name}', restart at t = {t:g} s", float(scene.profile(t))
+    if not np.isfinite(row).all():
+        raise SceneError(
+            f"{where}, contact {index}: the measured state has {row[~np.isfinite(row)][0]}; leave "
+            "such a measurement out"
+        )
     if not sigma > 0:
         raise SceneError(
-            f"scene '{scene.name}', restart at t = {t:g} s: sigma = {sigma:g} there, so rates do "
-            "not determine path velocities; restart where sigma > 0"
+            f"{where}: sigma = {sigma:g} there, so rates do not determine path velocities; restart "
+            "where sigma > 0"
         )
     velocities = []
     for side, surface, (u, v, *rates) in (
         ("finger", scene.contacts[index].finger, row[:4]),
         ("object", scene.object, row[4:8] - np.append([0.0, 0.0], offset)),
     ):
-        place = f"scene '{scene.name}', restart at t = {t:g} s, contact {index}, {side}"
+        place = f"{where}, contact {index}, {side}"
         try:
             at = surface.canonical(u, v)
         except ContactSystemError as error:

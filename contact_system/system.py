@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .charts import TINY, TURN
-from .checks import flag
+from .checks import did_you_mean, flag
 from .development import driven_motion, forced_motion, reflection, starting_slip
 from .equations import chart_equations
 from .errors import SceneError
@@ -556,10 +556,15 @@ class SceneSystem:
             "regularity" (2), distance of finger and object from their charts' singularities;
             "stretch" (2), the Frobenius norms of M of finger and object, m, 0 where the scene has
             no acceleration.
+
+        Raises
+        ------
+        SceneError
+            Another output.
         """
         with SYMBOLS:
             if outputs not in self._functions:
-                values = ca.cse([self._expressions[name] for name in outputs])
+                values = ca.cse([self._expression(name) for name in outputs])
                 name = "scene_" + "_".join(outputs)
                 self._functions[outputs] = ca.Function(
                     name, list(self._symbols.values()), [ca.densify(v) for v in values],
@@ -567,20 +572,49 @@ class SceneSystem:
                 )  # fmt: skip
         return self._functions[outputs]
 
+    def _expression(self, output: str) -> SX:
+        if output not in self._expressions:
+            raise SceneError(
+                f"scene '{self.scene.name}': output = {output!r} is unknown"
+                f"{did_you_mean(output, self._expressions)}; use one of "
+                f"{', '.join(self._expressions)}"
+            )
+        return self._expressions[output]
+
     def depends(self, output: str) -> set[str]:
-        """The inputs among t, x, w, held, p that an output depends on."""
-        value, symbols = self._expressions[output], self._symbols
+        """The inputs among t, x, w, held, p that an output of :meth:`function` depends on."""
+        value, symbols = self._expression(output), self._symbols
         return {name for name in INPUTS if ca.depends_on(value, symbols[name])}
 
     def evaluate(
         self, output: str, t: float, x: ArrayLike, w: ArrayLike | None = None,
         held: ArrayLike | None = None,
     ) -> Array:  # fmt: skip
-        """One output as numbers; by default with the windows that act, as held from the start."""
-        w = self.window_values(t) if w is None else np.asarray(w, dtype=float)
-        held = self.held0 if held is None else np.asarray(held, dtype=float)
-        values = self.function(output)(t, np.asarray(x, dtype=float), w, held, self.parameters)
-        return values.full().ravel()
+        """One output as numbers; by default with the windows that act, as held from the start.
+
+        Parameters
+        ----------
+        output : str
+            See :meth:`function`.
+        t : float
+            s.
+        x, w, held : (n_x,), (n_w,), (n_held,)
+
+        Raises
+        ------
+        SceneError
+            Another output, or arrays of other lengths.
+        """
+        w = self.window_values(t) if w is None else w
+        given = {"x": x, "w": w, "held": self.held0 if held is None else held}
+        arrays = {name: np.asarray(value, dtype=float) for name, value in given.items()}
+        for name, array in arrays.items():
+            count = self._symbols[name].numel()
+            if array.shape != (count,):
+                raise SceneError(
+                    f"scene '{self.scene.name}': {name} has shape {array.shape}; give ({count},)"
+                )
+        return self.function(output)(t, *arrays.values(), self.parameters).full().ravel()
 
     # --- windows ---------------------------------------------------------------------------------
 
@@ -638,12 +672,10 @@ class SceneSystem:
         SceneError
             A wrong shape, NaN, sigma(t) <= 0, or a point that is not in its chart.
         """
-        n, name = len(self.scene.contacts), self.scene.name
-        rows = np.asarray(state, dtype=float)
+        n, rows = len(self.scene.contacts), np.asarray(state, dtype=float)
         if rows.size != 9 * n:
-            raise SceneError(f"restart: state has shape {rows.shape}; give {(n, 9)}")
-        if not np.isfinite(rows).all():
-            raise SceneError(f"scene '{name}', restart at t = {t:g} s: a measured state is NaN")
+            where = f"scene '{self.scene.name}', restart"
+            raise SceneError(f"{where}: state has shape {rows.shape}; give {(n, 9)}")
         w = self.window_values(t) if w is None else np.asarray(w, dtype=float)
         offsets = w.reshape(-1, 6)[:, 4:] if self.n_w else np.zeros((n, 2))
         starts = [

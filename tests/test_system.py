@@ -133,9 +133,9 @@ def test_a_restart_refuses_what_does_not_determine_a_motion():
     state = cs.plan(system.scene).states(0.5)
     with pytest.raises(cs.SceneError, match="sigma = 0"):
         system.from_states(0.0, state)
-    with pytest.raises(cs.SceneError, match=r"shape \(3,\)"):
+    with pytest.raises(cs.SceneError, match=r"scene '.*', restart: state has shape \(3,\)"):
         system.from_states(0.5, np.zeros(3))
-    with pytest.raises(cs.SceneError, match="NaN"):
+    with pytest.raises(cs.SceneError, match="at t = 0.5 s, contact 0: the measured state has nan"):
         system.from_states(0.5, np.full(9, np.nan))
     beyond = state.copy()
     beyond[..., 0] *= -1
@@ -189,6 +189,19 @@ def test_clearance_is_the_distance_from_a_pole_and_negative_beyond():
         x = system.x0.copy()
         x[0] = u
         assert system.evaluate("clearance", 0.5, x)[0] == pytest.approx(np.sin(u), rel=1e-12)
+
+
+def test_an_unknown_output_and_arrays_of_other_lengths_are_refused_by_name():
+    system = SceneSystem(cs.load_scene("K1"))
+    for ask in (system.function, system.depends):
+        with pytest.raises(cs.SceneError, match=r"scene 'K1': output = 'slips' .* mean 'slip'"):
+            ask("slips")
+    for arrays, words in (
+        ((system.x0[:3],), r"x has shape \(3,\); give \(27,\)"),
+        ((system.x0, np.zeros(4)), r"w has shape \(4,\); give \(0,\)"),
+    ):
+        with pytest.raises(cs.SceneError, match=words):
+            system.evaluate("slip", 0.0, *arrays)
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
