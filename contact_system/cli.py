@@ -277,7 +277,7 @@ def _slip_table(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) 
 
 
 def _row(plan: Plan, r: Rejection) -> tuple[str, ...]:
-    name = plan.scene.contacts[r.contact].name or f"contact {r.contact + 1}"
+    name = plan.scene.contact_name(r.contact)
     slip = (f"{r.start:.3e}", f"{r.peak:.3e}", f"{r.peak_time:.3f}", f"{r.end:.3e}")
     timing = ("-", "-", "-", "-")
     if not math.isnan(r.time):
@@ -319,8 +319,8 @@ def _great_circles(plan: Plan) -> Iterable[str]:
             points = plan.points(plan.sample_times())[:, i, 0]
             distance = float(np.abs(great_circle_distance(points)).max())
             yield (
-                f"{contact.name or f'contact {i + 1}'}: its curve stays within {distance:.1e} m of "
-                f"a great circle's plane, {distance / contact.finger.size:.1e} of the radius."
+                f"{plan.scene.contact_name(i)}: its curve stays within {distance:.1e} m of a great "
+                f"circle's plane, {distance / contact.finger.size:.1e} of the radius."
             )
 
 

@@ -312,15 +312,10 @@ def _draw_finger(ax: Any, plan: Plan) -> None:
     curves = _curves(plan, same, side=0)
     mesh = mesh_of(plan, contacts[0].finger, 0, same)
     draw_body(ax, mesh, _distinct(curves, 1e-3 * contacts[0].finger.size))
-    if len(same) == len(contacts) > 1:
-        text = "On the fingers"
-    else:
-        text = "On the finger" if len(contacts) == 1 else f"On finger {', '.join(_numbers(same))}"
+    text = "On the fingers" if len(contacts) > 1 else "On the finger"
+    if len(same) < len(contacts):
+        text = shortened(f"Finger ({', '.join(map(plan.scene.contact_name, same))})", 40)
     ax.set_title(text, loc="left", weight="bold", pad=4)
-
-
-def _numbers(contacts: Sequence[int]) -> list[str]:
-    return [str(i + 1) for i in contacts]
 
 
 def _curves(plan: Plan, contacts: Sequence[int], side: int) -> list[_Curve]:
@@ -334,7 +329,9 @@ def curve_of(plan: Plan, contact: int, t: np.ndarray, points: np.ndarray) -> _Cu
     disturbed = np.zeros(len(t), bool)
     for start, stop in windows(plan, contact):
         disturbed |= (t >= start) & (t < stop)
-    return _Curve(points, disturbed, colour_of(contact), str(contact + 1))
+    name = plan.scene.contact_name(contact)  # its number is shown, such as that of "finger 1"
+    number = name[len(name.rstrip("0123456789")) :]
+    return _Curve(points, disturbed, colour_of(contact), number or str(contact))
 
 
 def _distinct(curves: Sequence[_Curve], distance: float) -> list[_Curve]:
@@ -611,10 +608,9 @@ def _key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) ->
     """What the colours and signs mean: of the slip of some laws, of the bodies, or of both."""
     from matplotlib.lines import Line2D
 
-    contacts = plan.scene.contacts
     entries = _slip_entries(laws) if laws else []
-    for i, contact in enumerate(contacts[: len(COLOURS)]):
-        name = shortened(contact.name or f"contact {i + 1}", 26)
+    for i in range(min(len(plan.scene.contacts), len(COLOURS))):
+        name = shortened(plan.scene.contact_name(i), 26)
         entries.append(Line2D([], [], color=colour_of(i), linewidth=2.4, label=name))
     if plan.scene.disturbances:
         entries.append(Line2D([], [], color=DISTURBED, linewidth=2.4, label="disturbance"))

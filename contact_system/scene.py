@@ -357,6 +357,10 @@ class Scene:
             object.__setattr__(made, "disturbances", self.disturbances)
         return made
 
+    def contact_name(self, index: int) -> str:
+        """What tables and pictures call a contact: its name, or its index from 0."""
+        return self.contacts[index].name or f"contact {index}"
+
     @property
     def edges(self) -> tuple[float, ...]:
         """0, the window edges inside the horizon and the duration, ascending [s]."""

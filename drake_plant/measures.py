@@ -165,7 +165,7 @@ def _rolling(
     pressed = normal > 0.5 * _mean(normal[steady])
     limit = result.config.plant.friction * normal[pressed]
     return {
-        "name": result.scene.contacts[i].name or f"contact {i + 1}",
+        "name": result.scene.contact_name(i),
         "normal_mean": _mean(normal[steady]),
         "normal_deviation": float(normal[steady].std()) if steady.any() else math.nan,
         "friction_peak": float(friction.max()),

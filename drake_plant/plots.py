@@ -173,8 +173,8 @@ def _key(ax: Any, result: SimulationResult) -> None:
 
     entries: list[Any] = [
         Line2D([], [], color=colour_of(i), linewidth=2.4,
-               label=shortened(contact.name or f"contact {i + 1}", 26))
-        for i, contact in enumerate(result.scene.contacts)
+               label=shortened(result.scene.contact_name(i), 26))
+        for i in range(len(result.scene.contacts))
     ]  # fmt: skip
     entries.append(Line2D([], [], color=INK, linewidth=2.4, marker="o", markersize=2.5,
                           markerfacecolor="white", markeredgewidth=0,

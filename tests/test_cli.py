@@ -86,6 +86,13 @@ def test_scenes_lists_all_with_their_descriptions(capsys):
         assert f"{name} " in out and description in out
 
 
+def test_run_and_explain_call_a_contact_without_a_name_alike(tmp_path, capsys):
+    assert _run("run", "chart", "--no-plots", "--out", tmp_path) == 0
+    assert _run("explain", "chart") == 0
+    out = capsys.readouterr().out
+    assert "  contact 0  " in out and "\ncontact 0:\n" in out and "contact 1" not in out
+
+
 def test_explain_tells_methods_and_contraction(capsys):
     assert _run("explain", "K4", "--eta", "300") == 0
     out = " ".join(capsys.readouterr().out.split())

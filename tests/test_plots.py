@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 
@@ -54,6 +55,14 @@ def test_a_hollow_is_seen_from_its_open_side():
     curve = plots._curves(plan, [0], 1)
     hidden = plots.is_hidden(mesh, plots.best_view(mesh, curve), curve[0].points)
     assert not hidden.any()
+
+
+def test_a_curve_has_the_number_that_the_legend_has():
+    scene = cs.load_scene("bowl")
+    for name, number in (("", "0"), ("finger 12", "12"), ("thumb", "0")):
+        contact = dataclasses.replace(scene.contacts[0], name=name)
+        plan = cs.plan(scene.replace(contacts=[contact], disturbances=()))
+        assert plots._curves(plan, [0], 1)[0].label == number
 
 
 def test_curves_that_coincide_are_labelled_together():
