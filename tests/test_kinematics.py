@@ -176,6 +176,19 @@ def test_ball_along_the_line_of_a_cylinder_of_its_own_radius_is_a_conformal_cont
         forward_montana(k1, k2, np.array(0.0), np.ones(2), np.ones(2))
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_whether_bodies_conform_does_not_depend_on_the_unit_of_length(unit):
+    ball = cs.Sphere(0.1 * unit).curvature_form(1.0, 0.0)
+    for gap, conforms in ((1e-5, False), (1e-7, True)):
+        bowl = cs.Sphere(0.1 * unit * (1 + gap), inside=True).curvature_form(2.0, 0.0)
+        given = ball, bowl, np.array(0.3), np.ones(2), np.zeros(2)
+        if conforms:
+            with pytest.raises(ConformalContact):
+                forward_montana(*given)
+        else:
+            assert np.isfinite(forward_montana(*given)).all()
+
+
 def test_conformal_contact_among_others_is_found():
     k1 = np.array([np.eye(2), np.eye(2), np.eye(2)])
     k2 = np.array([np.eye(2), -np.eye(2), np.eye(2)])

@@ -202,6 +202,7 @@ def test_the_guaranteed_law_ends_slip_at_once_where_sigma_starts_from_zero():
     touching = Profile([0.09, -0.6, 1])  # at 0.3, up to rounding
     assert math.isfinite(Gain.guaranteed(1).exponent(touching, 0.3))
     assert Gain.guaranteed(1).exponent(touching, 0.4) == math.inf
+    assert Gain.guaranteed(1).pieces(touching, 0, 1)[1].sigma[0] == 0
 
 
 @pytest.mark.parametrize("rho", [0, 3.0])
