@@ -369,6 +369,13 @@ def test_structures_lie_in_memory_as_those_of_c():
     assert len(structures) >= 11
 
 
+def test_offsets_of_rows_stay_where_they_are_while_a_call_reads_them():
+    for stride in range(1, 5000):  # as for so many numbers of times
+        at = [kernels.row_offsets(rows, stride) for rows in ((0, 1, 2), (0, 2, 4))]
+        first, second = ((ctypes.c_long * 3).from_address(a)[:] for a in at)
+        assert first == [0, stride, 2 * stride] and second == [0, 2 * stride, 4 * stride]
+
+
 def test_import_loads_nothing_that_is_not_needed():
     code = """
         import sys
