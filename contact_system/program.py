@@ -86,15 +86,19 @@ class Program:
             waiting = [motion for motion in motions if not motion.data.done]
             for motion in waiting:
                 motion.lock.acquire()
-                motion.ready()
-            code = self._run(*arguments)
-            for motion in waiting:
-                motion.lock.release()
+            try:
+                for motion in waiting:
+                    motion.ready()
+                code = self._run(*arguments)
+                if code < 0 and at[0] < 0:  # still held: another thread may wait to integrate there
+                    motions[at[1]].failed(at[0])
+            finally:
+                for motion in waiting:
+                    motion.lock.release()
             if code >= 0:
                 return code
             if at[0] >= 0:
                 return None
-            motions[at[1]].failed(at[0])
 
 
 def program_of(groups: Sequence[Group], output: str) -> Program | None:

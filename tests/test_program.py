@@ -10,7 +10,7 @@ from conftest import SURFACES, one_contact
 
 import contact_system as cs
 from contact_system.kernels import find_compiler
-from contact_system.panels import _program_source
+from contact_system.panels import MOST_ROOM, Motion, _program_source
 from contact_system.program import chart_states
 
 COMPILER = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
@@ -236,6 +236,22 @@ def test_rolling_does_not_end_with_a_piece_of_the_gain(obj, compiled):
     free = one_contact(obj, "sphere", profile=profile, object_velocity="rolling")
     found, expected = (cs.plan(s, compiled=compiled).points(TIMES) for s in (scene, free))
     assert found == pytest.approx(expected, abs=1e-14)
+
+
+@COMPILER
+def test_room_for_more_panels_is_made_while_no_other_thread_integrates(monkeypatch):
+    held, failed = [], Motion.failed
+
+    def watched(motion, code):
+        held.append(motion.lock.locked())
+        failed(motion, code)
+
+    monkeypatch.setattr(Motion, "failed", watched)
+    scene = one_contact("ellipsoid", "ellipsoid", profile=(1000.0,), object_velocity="rolling")
+    plan = cs.plan(scene, compiled=True)
+    plan.points(TIMES)
+    assert plan.groups[0].object[0].panels.count > MOST_ROOM
+    assert held and all(held)
 
 
 @pytest.mark.slow  # ziglang builds a C library for Windows when it is used first
