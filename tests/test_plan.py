@@ -684,14 +684,14 @@ def test_restart_takes_up_the_measured_slip():
 
 @pytest.mark.parametrize("kind", [cs.ObjectAcceleration, cs.ObjectRateOffset])
 @pytest.mark.parametrize("t0", [1.0, 1.4])
-def test_restart_from_principal_values_beyond_the_seam_is_pushed_the_same_way(kind, t0):
+@pytest.mark.parametrize("finger", [cs.Ellipsoid(0.06, 0.05, 0.04), cs.Sphere(0.05)])
+def test_restart_from_principal_values_beyond_the_seam_is_pushed_the_same_way(finger, kind, t0):
     """An ellipsoid's chart covers it twice, with axes turned by pi: pushes are the plan's."""
     scene = cs.Scene(
         object=cs.Ellipsoid(0.3, 0.2, 0.1), profile=cs.Profile([0.1]), gain=cs.Gain.time(5.0),
         duration=2.0, disturbances=[kind(0, 1.2, 1.8, (0.5, 0.3))],
-        contacts=[cs.Contact(finger=cs.Ellipsoid(0.06, 0.05, 0.04), object_at=(1.0, 1.2),
-                             finger_at=(1.2, 0.5), object_velocity=(0.2, 1.0),
-                             finger_velocity=(0.2, -1.0))],
+        contacts=[cs.Contact(finger=finger, object_at=(1.0, 1.2), finger_at=(1.2, 0.5),
+                             object_velocity=(0.2, 1.0), finger_velocity=(0.2, -1.0))],
     )  # fmt: skip
     plan = cs.plan(scene)
     own, t = plan.states(t0)[0], np.linspace(t0, 2.0, 9)

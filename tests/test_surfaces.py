@@ -313,6 +313,14 @@ def test_rounding_in_a_turned_matrix_does_not_hide_equal_axes():
     assert not turned_quadric("triaxial").great_circles
 
 
+@pytest.mark.parametrize(
+    ("diagonal", "chart"),
+    [((1.0, 1.0, 1.0 + 1e-10), "OblateChart"), ((1.0, 4.0, 1e-10), "JacobiChart")],
+)
+def test_axes_that_differ_by_more_than_rounding_stay_different(diagonal, chart):
+    assert Quadric(np.diag(diagonal)).chart.__name__ == chart
+
+
 # --- canonical coordinates
 
 
