@@ -14,6 +14,7 @@ import pytest
 from contact_system.scene_files import bundled_scenes, scene_from_toml
 
 README = Path(__file__).parent.parent / "README.md"
+DOCS = [f"docs/{path.name}" for path in (README.parent / "docs").glob("*.md")]
 
 
 def blocks(language: str, page: Path = README) -> list[str]:
@@ -75,3 +76,21 @@ def test_the_examples_of_the_page_on_fmus_run(tmp_path):
 @pytest.mark.parametrize("link", re.findall(r"\]\(([^)#]+)\)", README.read_text("utf-8")))
 def test_links_lead_somewhere(link):
     assert (README.parent / link).exists()
+
+
+def test_sections_of_the_theory_that_the_code_cites_are_there():
+    root = README.parent
+    there = set(re.findall(r"^## (\d+) ", (root / "docs" / "theory.md").read_text("utf-8"), re.M))
+    cited = set()
+    for folder in ("contact_system", "fmu_export", "drake_plant", "benchmarks", "tests"):
+        for path in (root / folder).rglob("*.py"):
+            for numbers in re.findall(r"theory sections? ([\d, to]+)", path.read_text("utf-8")):
+                cited |= set(re.findall(r"\d+", numbers))
+    assert cited and cited <= there
+
+
+@pytest.mark.parametrize("page", sorted(["README.md", *DOCS]))
+def test_links_lead_to_files_that_are_there(page):
+    path = README.parent / page
+    links = re.findall(r"\]\(([^)#:]+)\)", path.read_text("utf-8"))
+    assert [link for link in links if not (path.parent / link).exists()] == []
