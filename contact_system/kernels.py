@@ -548,11 +548,11 @@ _VARIANTS = (
 @functools.cache
 def find_compiler() -> tuple[str, ...] | None:
     """The command of a C compiler: ``$CC``, cc, gcc, clang, or the ziglang package; else None."""
-    named = os.environ.get("CC")
-    for name in ([named] if named else []) + ["cc", "gcc", "clang"]:
-        path = shutil.which(name.split()[0])
+    named = os.environ.get("CC", "").split()
+    for name, *options in [*([named] if named else []), ["cc"], ["gcc"], ["clang"]]:
+        path = shutil.which(name)
         if path:
-            return (path, *name.split()[1:])
+            return (path, *options)
     try:
         import ziglang  # noqa: F401
     except ImportError:

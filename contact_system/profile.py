@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .checks import LARGEST, finite_number, finite_numbers
+from .checks import LARGEST, finite_number, finite_numbers, real_array
 from .errors import SceneError
 
 Coefficients = tuple[float, ...]
@@ -278,7 +278,10 @@ def _shifted(coefficients: Coefficients, t0: float) -> Coefficients:
 def _as_time(t):
     if isinstance(t, float):
         return float(t)
-    return np.asarray(t, dtype=float) if np.ndim(t) else float(t)
+    try:
+        return real_array(t) if np.ndim(t) else float(real_array(t))
+    except (TypeError, ValueError, OverflowError):
+        raise SceneError(f"profile at t = {t!r}: give times in seconds") from None
 
 
 # --- gain laws ---------------------------------------------------------------------------------

@@ -358,13 +358,17 @@ class Surface:
                 "away from that point, or turn the body's axes so that it lies elsewhere"
             )
 
-    def _finite(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    def _numbers(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
         try:
             u, v = np.broadcast_arrays(real_array(u), real_array(v))
         except (TypeError, ValueError, OverflowError):
             raise SurfaceError(
                 f"{self!r}: coordinates (u, v) = ({u!r}, {v!r}) must be numbers of one shape"
             ) from None
+        return u, v
+
+    def _finite(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+        u, v = self._numbers(u, v)
         bad = ~(np.isfinite(u) & np.isfinite(v))
         if np.any(bad):
             raise SurfaceError(
@@ -386,7 +390,7 @@ class Surface:
         return points
 
     def _evaluate(self, name: str, u: ArrayLike, v: ArrayLike, shape: tuple[int, ...]) -> Array:
-        u, v = np.broadcast_arrays(np.asarray(u, dtype=float), np.asarray(v, dtype=float))
+        u, v = self._numbers(u, v)
         columns = self._call(name, *self._arguments(u.ravel(), v.ravel()))
         # Functions return each point's entries in one column, first index fastest.
         entries = columns.T.reshape((u.size, *shape[::-1]))

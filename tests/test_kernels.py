@@ -249,6 +249,9 @@ def test_compiler_named_by_cc_comes_first(monkeypatch, tmp_path, fresh_cache):
     wrapper.chmod(0o755)
     monkeypatch.setenv("CC", f"{wrapper} -DFROM_CC")
     assert find_compiler() == (str(wrapper), "-DFROM_CC")
+    find_compiler.cache_clear()
+    monkeypatch.setenv("CC", " ")
+    assert " ".join(find_compiler()) == real
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a shell")

@@ -77,6 +77,12 @@ def test_a_profile_takes_times_of_any_shape():
         assert gain.exponent(SLOW, t)[1, 2] == pytest.approx(gain.exponent(SLOW, 1), rel=1e-15)
 
 
+@pytest.mark.parametrize("t", ["now", ["1.0"], 1j, [True], [[1.0], [2.0, 3.0]]])
+def test_a_time_that_is_no_number_is_named(t):
+    with pytest.raises(SceneError, match=r"profile at t = .*: give times in seconds"):
+        SLOW(t)
+
+
 def test_extrema_are_the_sign_changes_of_the_rate():
     rate = np.polynomial.Polynomial.fromroots([0.25, 0.5, 0.5, 1.5])
     profile = Profile(rate.integ().coef)

@@ -427,6 +427,9 @@ def test_one_point_is_refused_exactly_where_an_array_of_it_is(name):
 def test_coordinates_that_are_no_numbers_are_refused(at):
     with pytest.raises(SurfaceError, match="coordinates"):
         Torus(0.1, 0.03).canonical(*at)
+    if not isinstance(at[0], float):
+        with pytest.raises(SurfaceError, match="coordinates"):
+            Torus(0.1, 0.03).point(*at)
 
 
 # --- continuity

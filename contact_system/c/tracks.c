@@ -167,11 +167,18 @@ void anchor(track_t *k, const double *begin, double *at, double *anchors, double
   at[m - 1] = k->edges[k->n_panels];
   track_t plain = plain_track(k, 0);
   plain.nb = k->nb;
-  evaluate(&plain, m, at, work, row, 5 * m);
+  const long pole = evaluate(&plain, m, at, work, row, 5 * m);
   for (long b = 0; b < k->nb; b++) {
     double *raw = work + b * 5 * m, *to = anchors + b * 3 * m, *y = raw + 3 * m; /* for rates, which are not */
-    for (long i = 0; i < m && k->double_cover; i++) y[i] = side_of(raw[i], raw[m + i]);
     plain = plain_track(k, b);
+    for (long i = 0; i < m && pole; i++) { /* an anchor at a pole is where the one before it is */
+      double value[COORDINATES];
+      const double *ref = begin + 3 * b, before[] = {ref[0], ref[1], 0.0, 0.0, ref[2]};
+      const int regular = !place_on(&plain, at[i], value);
+      for (long r = 0; r < COORDINATES; r++)
+        raw[r * m + i] = regular ? value[r] : i ? raw[r * m + i - 1] : before[r];
+    }
+    for (long i = 0; i < m && k->double_cover; i++) y[i] = side_of(raw[i], raw[m + i]);
     const double *ref = begin + 3 * b;
     for (long i = 0, stride = 1; i < m; i++, stride = m) {
       if (i)
