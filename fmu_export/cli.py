@@ -10,7 +10,9 @@ from typing import Any
 from contact_system import load_scene
 from contact_system.cli import Progress, file_name, paragraph
 
-INTERFACES = ("CoSimulation", "ModelExchange")
+from .build import PLATFORMS
+from .description import INTERFACES, VERSIONS
+from .export import export_fmu
 
 
 def register(commands: Any) -> None:
@@ -18,22 +20,19 @@ def register(commands: Any) -> None:
     parser = commands.add_parser("fmu", help="write a scene as an FMU, for FMI 2.0 or 3.0")
     parser.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
     parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="default NAME.fmu")
-    parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help="version of FMI; "
+    parser.add_argument("--fmi", choices=VERSIONS, default="2.0", help="version of FMI; "
                         "default %(default)s")  # fmt: skip
     parser.add_argument("--interfaces", nargs="+", choices=INTERFACES, default=INTERFACES,
                         metavar="INTERFACE",
                         help=f"one or more of {', '.join(INTERFACES)}; default both")  # fmt: skip
     parser.add_argument("--platforms", nargs="+", default=["native"], metavar="PLATFORM",
-                        help="native (default), or one or more of x86_64-linux, aarch64-linux, "
-                        "x86_64-windows, x86_64-darwin, aarch64-darwin, compiled by ziglang"
-                        )  # fmt: skip
+                        help=f"native (default), or one or more of {', '.join(PLATFORMS)}, "
+                        "compiled by ziglang")  # fmt: skip
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Export, tell; returns the exit code."""
-    from .export import export_fmu  # fmpy and the compiler's side only when they are needed
-
     scene, began = load_scene(args.scene), time.monotonic()
     path = args.out or Path(f"{file_name(scene)}.fmu")
     with Progress(1 + len(args.platforms), "writing the sources") as progress:
