@@ -124,8 +124,9 @@ class Table:
     rows : list of Variable
         By reference, ascending.
     parameter_first : dict
-        References of ``gain``, ``profile``, ``object`` and (as a list) ``finger``: where their
-        numbers begin.
+        References of ``gain``, ``profile`` and ``object``: where their numbers begin.
+    finger_first : list of int
+        Reference of the first number of each contact's finger.
     blocks : list of int
         Reference of the first number of each contact.
     """
