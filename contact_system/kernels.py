@@ -677,7 +677,7 @@ def _build(source: str, path: Path) -> None:
         built = folder / path.name
         for variant in _VARIANTS:
             command = [*compiler, *_FLAGS, str(code), "-o", str(built), *variant]
-            run = subprocess.run(command, capture_output=True, text=True)
+            run = subprocess.run(command, capture_output=True, text=True, errors="replace")
             if run.returncode == 0:
                 os.replace(built, path)  # atomic: a second process never sees half a file
                 return

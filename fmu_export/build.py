@@ -105,7 +105,7 @@ def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
 
 
 def _run(command: Sequence[str], folder: Path) -> None:
-    run = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    run = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace")
     if run.returncode:
         raise ContactSystemError(f"{' '.join(command)} failed:\n{run.stderr[-2000:]}")
 

@@ -1089,6 +1089,17 @@ def test_a_cache_that_cannot_be_written_to_is_named(tmp_path, monkeypatch):
     assert not (tmp_path / "x.fmu").exists()
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a shell")
+def test_a_compiler_may_write_in_any_encoding(tmp_path, monkeypatch):
+    compiler = tmp_path / "cc"
+    compiler.write_text("#!/bin/sh\nprintf 'caf\\351 ferm\\351' >&2\nexit 1\n")
+    compiler.chmod(0o755)
+    monkeypatch.setattr("fmu_export.build.find_compiler", lambda: (str(compiler),))
+    monkeypatch.setenv("CONTACT_SYSTEM_CACHE", str(tmp_path))
+    with pytest.raises(cs.ContactSystemError, match="cc(.|\n)*failed:\ncaf"):
+        export_fmu(cs.load_scene("C1"), tmp_path / "x.fmu")
+
+
 def test_an_unknown_platform_is_refused(tmp_path):
     with pytest.raises(cs.ContactSystemError, match="x86_64-linux"):
         export_fmu(cs.load_scene("C1"), tmp_path / "x.fmu", platforms=("amiga",))

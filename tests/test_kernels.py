@@ -257,10 +257,10 @@ def test_compiler_named_by_cc_comes_first(monkeypatch, tmp_path, fresh_cache):
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a shell")
 def test_failing_compiler_is_quoted(monkeypatch, tmp_path, fresh_cache):
     wrapper = tmp_path / "badcc"
-    wrapper.write_text("#!/bin/sh\necho 'out of ink' >&2\nexit 1\n")
+    wrapper.write_text("#!/bin/sh\nprintf 'out of ink in caf\\351' >&2\nexit 1\n")
     wrapper.chmod(0o755)
     monkeypatch.setenv("CC", str(wrapper))
-    with pytest.raises(ContactSystemError, match="badcc(.|\n)*failed(.|\n)*out of ink"):
+    with pytest.raises(ContactSystemError, match="badcc(.|\n)*failed(.|\n)*out of ink in caf"):
         area_kernel()(np.ones((1, 2, 3)), np.ones((1, 1)), np.empty((1, 4, 3)), compiled=True)
 
 
