@@ -252,6 +252,7 @@ class Block:
     def _following(self, piece: GainPiece, end: float, starts: Sequence[Moment]) -> Following:
         key = tuple(self.now.values[GAIN + 1 : self.table.blocks[0]].tolist())
         if key not in self._lockstep:
+            self._lockstep.clear()
             self._lockstep[key] = lockstep_groups(self._scene_with(self.now.values))
         law = [float(self.now.values[GAIN]), *key[: len(self.scene.profile.coefficients)]]
         return Following(
@@ -340,6 +341,7 @@ class Block:
         """
         key = tuple(values[GAIN + 1 : self.table.blocks[0]].tolist())
         if key not in self._own:
+            self._own.clear()  # or runs with other parameters each would fill the memory
             n = len(self.scene.profile.coefficients)
             at, *fingers = (
                 first - GAIN - 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
 import math
@@ -23,6 +24,7 @@ fmpy = pytest.importorskip("fmpy")
 from fmpy.fmi1 import FMICallException  # noqa: E402
 
 from fmu_export import stepping  # noqa: E402
+from fmu_export.following import LockstepGroup  # noqa: E402
 from fmu_export.slave import (  # noqa: E402
     DISCARD,
     ERROR,
@@ -409,6 +411,23 @@ def test_start_values_make_another_scene(fmi_version):
     close(states_of(result, 1), cs.plan(other, 1e-14).states(result["time"]))
 
 
+def test_runs_with_other_parameters_each_pile_nothing_up():
+    scene, push = cs.load_scene("K1"), "contact[1].finger.acceleration.u"
+    slave, living = begun(scene), []
+    for k in range(4):
+        slave.reset()
+        put(slave, {"object.radius": 0.1 + 0.001 * k})
+        slave.setupExperiment()
+        slave.enterInitializationMode()
+        slave.exitInitializationMode()
+        for t in (0.0, 0.001, 0.002):
+            put(slave, {push: 0.1 + t})
+            slave.doStep(t, 0.001)
+        gc.collect()
+        living.append(sum(isinstance(x, cs.Scene | LockstepGroup) for x in gc.get_objects()))
+    assert living[-1] == living[1]
+
+
 def test_frames_carried_along_may_start_turned():
     scene, angle = one_contact("ellipsoid"), 0.8
     c, s = math.cos(angle), math.sin(angle)
@@ -422,6 +441,8 @@ def test_frames_carried_along_may_start_turned():
     assert states_now(other) == pytest.approx(states_now(plain), abs=1e-14)
     at = plain.block.table["contact[1].finger.frame_angle"].reference
     assert other.getReal([at])[0] - plain.getReal([at])[0] == pytest.approx(angle, abs=1e-14)
+    kept = other.getReal([other.block.table[name].reference for name in turned][1:])
+    assert kept == pytest.approx(list(turned.values())[1:], abs=1e-14)  # nothing accelerates it
 
 
 def test_values_before_and_after_initialization_agree():
