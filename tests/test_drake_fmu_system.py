@@ -182,9 +182,10 @@ int fmi3EnterInitializationMode(void* c, _Bool a, double tolerance, double start
 int fmi3DoStep(void* c, double t, double h, _Bool none, _Bool* event, _Bool* ends, _Bool* early,
                double* reached) {
     int status = advance(c, h);
-    *event = *early = 0;
+    *event = 0;
+    *early = M.count == -M.last;
     *ends = M.count == M.last;
-    *reached = M.time;
+    *reached = *early ? t + 0.5 * h : M.time;
     return status;
 }
 #endif
@@ -626,6 +627,13 @@ def test_a_failing_step_says_what_the_fmu_says(build, version):
     simulator = connected(system)  # and it is not lost
     simulator.AdvanceTo(STEP)
     assert values(system, simulator.get_context())[0] == 0.5 + STEP
+
+
+def test_a_step_that_returns_early_and_does_not_end_the_simulation_is_refused(build):
+    system = integrators(build("3.0"), start_values={"last": -2.0}, instance_name="tank")
+    message = r"^tank: a step of 0\.125 s failed at t = 0\.125 s: fmi3DoStep, early return"
+    with pytest.raises(cs.ContactSystemError, match=message):
+        connected(system).AdvanceTo(10.0)
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -1,6 +1,7 @@
 """The station: fingers driven as planned, contact physics, closed loop, configuration."""
 
 import dataclasses
+import math
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -27,6 +28,7 @@ from drake_plant import (
     rolling_scene,
     simulate,
 )
+from drake_plant.fingertip_driver import CONSTANT, POINT, driving_law
 
 
 def config(scene, **changes):
@@ -331,6 +333,31 @@ def test_no_finger_is_so_light_or_step_so_long_that_gains_throw_it_off(changes):
     late = result.t > 0.1
     assert np.abs(result.measured["normal_force"][late] - 1).max() < 0.01
     assert np.abs(result.measured["slip"][late]).max() < 1e-5  # they roll
+
+
+@pytest.mark.parametrize(("off", "leaving", "bar"), [(1e-4, 0.0, 1e-3), (0.0, 0.01, 0.01)])
+def test_a_finger_that_is_off_goes_round_with_the_plan(off, leaving, bar):
+    """In a discrete plant, by `off` and more by `leaving` m/s: what acts is what that takes."""
+    r, omega, h, damping = 0.14, 20.0, 1e-3, 200.0
+
+    def normal(k):
+        return np.array([math.cos(omega * k * h), math.sin(omega * k * h), 0.0])
+
+    def place(k):
+        return (r + off + leaving * k * h) * normal(k)
+
+    still = {"R_WO": np.eye(3), "R_OF": np.eye(3), "R_WF": np.eye(3), "p_OF": r * normal(0),
+             "position": r * normal(-1), "normal": normal(0), "normal_before": normal(-1),
+             "p_WF": place(0), "v_WF": (place(0) - place(-1)) / h, "steps": 2.0}  # fmt: skip
+    for k, name in ((0, "a_OF"), (-1, "a_before"), (-2, "a_earlier")):
+        still[name] = -(omega**2) * r * normal(k)
+    held = {"h": h, "mass": 1.0, "normal_damping": damping}
+    machine = driving_law().machine(1)
+    for row, sizes, given in ((machine.x, POINT, still), (machine.c, CONSTANT, held)):
+        row[0] = np.concatenate([np.ravel(given.get(k, np.zeros(n))) for k, n in sizes.items()])
+    machine.run()
+    needed = (place(1) - 2 * place(0) + place(-1)) / h**2 - damping * leaving * normal(0)
+    assert machine.y[0, 3:6] == pytest.approx(needed, abs=bar)
 
 
 def test_a_step_in_which_no_gain_could_hold_a_finger_is_refused():
