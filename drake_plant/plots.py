@@ -129,8 +129,7 @@ def _thinned(t: Array, values: Array) -> tuple[Array, Array]:
     run = 2 * len(t) // LINES
     if run < 2:
         return t, values
-    n = len(t) // run * run
-    groups = values[:n].reshape(-1, run)
+    groups = np.pad(values, (0, -len(t) % run), mode="edge").reshape(-1, run)
     first = np.arange(len(groups)) * run
     ends = np.stack([groups.argmin(1), groups.argmax(1)], axis=1)
     index = np.sort(first[:, None] + ends, axis=1).ravel()

@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip("pydrake")
 
 import contact_system as cs
-from drake_plant import cli, recording
+from drake_plant import cli, plots, recording
 from drake_plant.measures import contact_speed, contact_table, recovery_time
 
 T = np.linspace(0.0, 4.0, 4001)
@@ -179,6 +179,14 @@ def test_d1_runs_tells_and_writes(tmp_path, capsys):
         assert np.isfinite(logs["measured_slip"]).all()
     rows = list(csv.reader((tmp_path / "D1-drake.csv").open()))
     assert len(rows) == 1 + 3 * 31 and all(len(row) == len(rows[0]) for row in rows)
+
+
+@pytest.mark.parametrize("at", [0, 700, 16_000])
+def test_lines_of_many_samples_are_drawn_with_every_spike(at):
+    t, values = np.linspace(0.0, 4.0, 16_001), np.zeros(16_001)
+    values[at] = 1.0
+    drawn, shown = plots._thinned(t, values)
+    assert len(drawn) < 1.1 * plots.LINES and t[at] == drawn[shown.argmax()] and shown.max() == 1.0
 
 
 def test_no_recording_is_written_where_none_is_wanted(tmp_path, monkeypatch, capsys):
