@@ -219,14 +219,15 @@ def test_damping_in_the_contact_is_what_the_scene_says(approximation):
     # Bodies so heavy that contact does not change their velocity within a step.
     world = World(
         rolling(cs.Sphere(0.1)), contact_model="point", time_step=1e-4, damping_at="contact",
-        damping=1000.0, finger_mass=1e6, discrete_contact_approximation=approximation,
+        damping=1000.0, normal_force=2.0, finger_mass=1e6,
+        discrete_contact_approximation=approximation,
     )  # fmt: skip
     (finger,) = world.parts.finger_bodies
     forces = []
     for speed in (0.0, 1e-4):
         simulator = Simulator(world.diagram, world.root.Clone())
         context = world.plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-        world.plant.SetFreeBodyPose(context, finger, RigidTransform([0, 0, 0.14 - 1e-4]))
+        world.plant.SetFreeBodyPose(context, finger, RigidTransform([0, 0, 0.14 - 2e-4]))
         V = SpatialVelocity(np.zeros(3), [0, 0, -speed])
         world.plant.SetFreeBodySpatialVelocity(context=context, body=finger, V_JpJc=V)
         simulator.AdvanceTo(1e-4)
