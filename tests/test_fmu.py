@@ -596,6 +596,18 @@ def test_steps_of_no_length_and_starts_before_the_profile_are_refused(version, e
 
 
 @pytest.mark.parametrize("version", VERSIONS)
+def test_steps_from_another_time_are_refused(version, exported):
+    fmu = exported("K1", version)
+    one = fmu.instance()
+    fmu.step(one, 0.0, 0.1)
+    for time in (0.1 - 1e-6, 0.1 + 1e-6):
+        with pytest.raises(FMICallException):
+            fmu.step(one, time, 0.1)
+        assert "the instance stands at t = 0.1" in fmu.messages[-1][2]
+    fmu.step(one, 0.1 + 1e-12, 0.1)  # importers add up steps
+
+
+@pytest.mark.parametrize("version", VERSIONS)
 def test_model_exchange_tells_of_a_pole_and_refuses_what_lies_beyond(version, exported):
     fmu = exported(OVER_POLE, version)
     one, u = fmu.instance("ModelExchange"), "contact[1].object.u"
