@@ -34,6 +34,7 @@ from .tracks import BRANCH, NODE, Drive, TrackData, altered, drive_data
 
 # NODES = 16: on a unit sphere a panel spans about 2 rad at 1e-14 and Picard sweeps still converge.
 SWEEPS = 40
+COARSE = 1e-6  # tolerance beyond which tails tell nothing of errors; panels are hardly fewer
 MANY = 4096  # panels from one look at how many more it will take to the next
 MOST = 1e6  # panels of one interval; beyond, a scene is refused
 MOST_HERE = 1e5  # without compiled kernels, where a panel takes 0.3 ms
@@ -193,7 +194,8 @@ class Problem:
         """Bound of a series' tail, greatest slip that counts, and where it is let go."""
         finish = self.finish * tolerance
         # Below 4e-16 a series' tail is rounding noise.
-        return max(0.1 * tolerance, 4e-16), self.slip if self.slip > finish else 0.0, finish
+        tail = max(0.1 * min(tolerance, COARSE), 4e-16)
+        return tail, self.slip if self.slip > finish else 0.0, finish
 
 
 def integrate(
@@ -206,7 +208,8 @@ def integrate(
     kernel : Kernel
     problem : Problem
     tolerance : float
-        Ten times the bound of the truncated series tail of a panel, in units of ``1 / scale``.
+        Ten times the bound of the truncated series tail of a panel, in units of ``1 / scale``;
+        COARSE where it is greater.
     compiled : bool or None
         True compiles if need be, False never, None uses what was built before.
 
@@ -467,6 +470,7 @@ def program_built() -> bool:
 @functools.cache
 def _program_source() -> str:
     sizes = f"#define MOST {MOST_AT_ONCE}\n#define MOST_FOUND {MOST_FOUND}\n"
+    sizes += f"#define COARSE {COARSE}\n"
     sizes += f"#define NODE {NODE}\n#define BRANCH {BRANCH}\n"
     return PRELUDE + sizes + c_source("program.c")
 

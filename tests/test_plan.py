@@ -25,6 +25,7 @@ from conftest import (
     slip_of_states,
 )
 from numpy.polynomial import polynomial
+from scipy.integrate import solve_ivp
 
 import contact_system as cs
 from contact_system import panels, planner
@@ -188,6 +189,27 @@ def test_contact_points_are_right_to_the_tolerance(name, tolerance):
     gap = np.abs(plan.points(t) - truth.points(t)).max((0, 3))
     sizes = np.array([[c.finger.size, scene.object.size] for c in scene.contacts])
     assert (gap / sizes).max() <= tolerance
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-2, 1e-4])
+def test_coarse_tolerances_are_kept_on_a_torus(tolerance, compiled):
+    major, minor, at, w = 0.25, 0.125, (0.42, -2.44), np.array([-0.765, -0.716])
+    torus = cs.Torus(major, minor)
+    contact = cs.Contact(torus, object_at=(0.0, 0.0), finger_at=at, finger_velocity=tuple(w))
+    scene = cs.Scene(object=cs.Plane(), contacts=[contact], profile=cs.Profile([1.0]), duration=2.0)
+
+    def geodesic(_, y):  # by Clairaut's and the chart's equations of second order
+        _, v, du, dv = y
+        rho, slope = major + minor * np.cos(v), -minor * np.sin(v)
+        return [du, dv, -2 * slope / rho * du * dv, rho * slope / minor**2 * du**2]
+
+    rates = w / (major + minor * np.cos(at[1]), minor)
+    t = np.linspace(0, 2, 41)
+    truth = solve_ivp(geodesic, (0, 2), [*at, *rates], "DOP853", t, rtol=1e-11, atol=1e-11).y
+    points = cs.plan(scene, tolerance, compiled=compiled).points(t)[:, 0, 0]
+    gap = np.linalg.norm(points - torus.point(*truth[:2]), axis=1)
+    assert gap.max() <= tolerance * torus.size
 
 
 # --- continuity

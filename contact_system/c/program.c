@@ -35,7 +35,7 @@ long move(motion_t *m) {
   double *series = edges + m->room + 1, finish = m->share * m->tolerance;
   method_t *method = &m->method;
   /* below 4e-16 a series' tail is rounding noise */
-  method->tolerance = m->tolerance > 4e-15 ? 0.1 * m->tolerance : 4e-16;
+  method->tolerance = m->tolerance > 4e-15 ? 0.1 * fmin(m->tolerance, COARSE) : 4e-16;
   method->finish = finish, method->slip = m->slip > finish ? m->slip : 0.0;
   method->released = -1.0, method->max_panels = m->room, k->n_anchors = 0;
   memcpy(m->block, m->start, size * sizeof(double));
