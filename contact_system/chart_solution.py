@@ -139,7 +139,11 @@ def _chart_group(
                 offset=None if side or not offset.any() else offset[None],
                 solution=result.sol, finger=side, angle=start.angle,
             )  # fmt: skip
-            place = track.singular_place(result.sol.ts, lambda t: track.state(t)[:, :2])  # noqa: B023
+            place = track.singular_place(
+                result.sol.ts,
+                lambda t: track.state(t)[:, :2],  # noqa: B023
+                lambda t, _: track.state(t)[0, :2].T,  # noqa: B023
+            )
             if place is not None:
                 raise passed(where, surface, place)
             (group.finger if side else group.object).append(track)

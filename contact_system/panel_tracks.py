@@ -115,7 +115,12 @@ class PanelTrack(Track):
         """u, v of a singular point of its chart that a path goes through; None without one."""
         if self.ambient:
             return None
-        return self.singular_place(self.panels.edges, lambda at: self._own_state(at)[:, :2])
+        own = slice(self.rows.start or 0, (self.rows.start or 0) + 2)
+        return self.singular_place(
+            self.panels.edges,
+            lambda at: self.panels.evaluate(at, own),
+            lambda at, bodies: self.panels.evaluate_each(at, bodies, own),
+        )
 
     def drive(self, t: np.ndarray) -> np.ndarray:
         tau = t - self.start

@@ -114,6 +114,13 @@ class Panels:
                 out[:, :, part] = coefficients[k] @ basis[:, part]
         return out
 
+    def evaluate_each(self, tau: np.ndarray, bodies: np.ndarray, states: slice) -> np.ndarray:
+        """The states of each of some bodies at its own local time: (n, n_states)."""
+        which = np.searchsorted(self.edges[1:-1], tau, side="right")
+        xi = 2.0 * (tau - self.edges[which]) / np.diff(self.edges)[which] - 1.0
+        basis = _legendre_basis(xi)
+        return np.einsum("nsk,kn->ns", self.coefficients[which, bodies, states], basis)
+
 
 def runs(which: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
     """(value, where it stands), for each value of an integer array; slices where it is one run."""

@@ -337,7 +337,10 @@ class Track:
         """Continue the coordinates from (u, v, theta) at ``start``: (n_bodies, 3)."""
 
     def singular_place(
-        self, edges: np.ndarray, places: Callable[[np.ndarray], np.ndarray]
+        self,
+        edges: np.ndarray,
+        places: Callable[[np.ndarray], np.ndarray],
+        place: Callable[[np.ndarray, np.ndarray], np.ndarray],
     ) -> tuple[float, float] | None:
         """u, v of a singular point of the chart that a path goes through; None without one.
 
@@ -350,26 +353,39 @@ class Track:
             Ends of the integrator's steps.
         places : callable
             (n,) between the edges -> u, v, (n_bodies, 2, n).
+        place : callable
+            (n,) between the edges, (n,) bodies -> u, v of each body at its own, (n, 2).
         """
-
-        def least(at: np.ndarray) -> np.ndarray:
-            return self.run(regularity_kernel(self.surface), places(at), self.parameters)[:, 0]
-
+        kernel, lost = regularity_kernel(self.surface), SINGULAR * self.surface.size
         at = np.append(edges[:-1, None] + np.diff(edges)[:, None] * _SIXTEENTHS, edges[-1])
-        values = least(at)
+        values = self.run(kernel, places(at), self.parameters)[:, 0]
         before, here, after = values[:, :-2], values[:, 1:-1], values[:, 2:]
-        # where |x| dips to 0 between equal steps, it is below a third of one of its neighbours
-        dips = (here <= np.fmin(before, after)) & (here <= 0.4 * np.fmax(before, after))
-        for body, k in zip(*np.nonzero(dips)):
-            low, high = at[k], at[k + 2]
-            for _ in range(100):  # thirds: to neighbouring floats
-                tried = np.array([2 * low + high, low + 2 * high]) / 3
-                first, second = least(tried)[body]
-                low, high = (low, tried[1]) if first <= second else (tried[0], high)
-            middle = np.array([low])
-            if least(middle)[body, 0] <= SINGULAR * self.surface.size:
-                u, v = places(middle)[body, :, 0].tolist()
+        step = np.diff(at)
+        with np.errstate(all="ignore"):  # steps may be shorter than a time resolves
+            slope = np.fmax((before - here) / step[:-1], (after - here) / step[1:])
+        # |x| that falls to 0 beside the least of three places does so within half the longer step
+        reach = 2 / 3 * np.fmax(step[:-1], step[1:])
+        bodies, k = np.nonzero((here <= np.fmin(before, after)) & (here <= reach * slope))
+        low, high = at[k], at[k + 2]
+        fall = slope[bodies, k] * (high - low)  # twice that of |x| on half the bracket
+        for _ in range(100):  # thirds of all brackets at once: to neighbouring floats
+            if not len(bodies):
+                break
+            tried = np.concatenate([2 * low + high, low + 2 * high]) / 3
+            both = np.concatenate([bodies, bodies])
+            reached = place(tried, both)
+            found = kernel.at(reached, self.parameters[both])[:, 0]
+            if (found <= lost).any():
+                u, v = reached[np.argmax(found <= lost)].tolist()
                 return u, v
+            first, second = found.reshape(2, -1)
+            left = first <= second
+            low, high = (
+                np.where(left, low, tried[: len(low)]), np.where(left, tried[len(low) :], high),
+            )  # fmt: skip
+            fall *= 2 / 3  # what is left of a bracket lies this near to the better of the two
+            may = ~(np.fmin(first, second) > fall)
+            bodies, low, high, fall = bodies[may], low[may], high[may], fall[may]
         return None
 
     @property

@@ -632,6 +632,18 @@ def test_path_straight_through_a_pole_of_a_users_chart_is_refused(
         cs.plan(scene((along[0], -along[1]), at), tolerance, compiled=compiled)
 
 
+@pytest.mark.parametrize(("u", "profile", "tolerance"), [
+    (1.4602377788256433, (0.02, 0.3), 1.4e-10), (1.4653, (0.02, 0.3), 1e-8),
+    (1.4619653747157348, (0.4, -0.39), 1.1e-3), (1.46066526, (0.4, -0.39), 1.6e-4),
+])  # fmt: skip
+def test_a_pole_beside_the_end_of_a_panel_is_seen(u, profile, tolerance):
+    contact = cs.Contact(cs.Plane(), (u, 0.2), (0.0, 0.0), finger_velocity=(-1.0, 0.0))
+    common = {"object": BALL, "profile": cs.Profile(profile), "duration": 1.0}
+    scene = cs.Scene(contacts=[contact], **common)
+    with pytest.raises(ContactSystemError, match=r"singular point of its chart.* at \(u, v\) = "):
+        cs.plan(scene, tolerance, compiled=False)
+
+
 def test_chart_equations_refuse_a_path_straight_through_a_pole():
     contact = cs.Contact(cs.Sphere(0.04), object_at=(0.5, 0.2), finger_velocity=(-1.0, 0.0))
     common = {"profile": cs.Profile([0.1]), "duration": 1.0}
