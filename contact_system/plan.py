@@ -52,7 +52,11 @@ def plan(
     ----------
     scene : Scene
     tolerance : float
-        Bound of the error of contact points, as a fraction of the body's size, 1e-15 to 1e-1.
+        Bound of the error of contact points, as a fraction of the body's size, 1e-15 to 1e-1. It
+        holds for paths of a few sizes. Errors made on the way grow with the path, by as much as
+        the surfaces draw neighbouring paths apart: over hundreds of sizes, and where accelerations
+        drive a contact many times around, to tens or hundreds of tolerances. Below 1e-12, and for
+        places many sizes from the origin, rounding may count for more.
     method : str
         "auto": per contact and interval the cheapest exact way (theory sections 4 to 7).
         "chart": the paper's equations (eqs. `timegeodesic`, `contrac`), errata corrected, by a
