@@ -31,8 +31,9 @@ COLOURS = ("#1f5fa8", "#12876f", "#e08e0b", "#7a4fa3", "#3aa0d8", "#8a6a3b", "#5
 DISTURBED = "#d1274b"
 RECOVERY = "#12876f"
 INK = "#2b2f36"
-BODY = ("#8f9aa6", "#f3f5f7")  # a surface turned away from the light, and towards it
-HOLLOW = ("#6d7884", "#b9c2cb")  # the back of a surface with an edge
+# Lists, since a tuple of two is a colour and its opacity to matplotlib 3.8.
+BODY = ["#8f9aa6", "#f3f5f7"]  # a surface turned away from the light, and towards it
+HOLLOW = ["#6d7884", "#b9c2cb"]  # the back of a surface with an edge
 
 DECADES = 10  # of slip below its peak that a picture shows
 CELLS = 96  # of a surface's mesh in each coordinate
