@@ -416,9 +416,11 @@ class Plan:
             raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .npz or .csv")
 
     def sample_times(self, count: int = 401) -> np.ndarray:
-        """Equally spaced times over the plan and the scene's edges."""
-        grid = np.linspace(self.start, self.scene.duration, count)
-        return np.unique(np.append(grid, [e for e in self.scene.edges if e >= self.start]))
+        """Equally spaced times over the plan and the scene's edges, none twice but for rounding."""
+        grid, spacing = np.linspace(self.start, self.scene.duration, count, retstep=True)
+        edges = np.array([e for e in self.scene.edges if e >= self.start])
+        same = (np.abs(grid[:, None] - edges) < 1e-9 * spacing).any(axis=1)
+        return np.union1d(grid[~same], edges)
 
     def _csv(self, t: np.ndarray) -> str:
         text = io.StringIO()

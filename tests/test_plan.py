@@ -1003,6 +1003,15 @@ def test_every_bundled_scene_can_be_planned_and_asked(name):
     assert plan.slip(t) == pytest.approx(slip_of_states(plan.scene, plan.states(t)), abs=1e-12)
 
 
+@pytest.mark.parametrize("edge", [0.0675, 0.14, 0.7, 0.7 + 1e-15])
+def test_an_edge_on_a_sample_time_is_sampled_once(edge):
+    # The grid comes within rounding of it; differences over such a pair would mean nothing.
+    window = cs.FingerAcceleration(contact=0, start=edge, stop=0.8, value=(0.5, 0.5))
+    times = cs.plan(one_contact(disturbances=(window,))).sample_times()
+    assert len(times) == 401 and np.diff(times).min() > 0.0024
+    assert {0.0, edge, 0.8, 1.0} <= set(times)
+
+
 def test_object_at_rest_starts_with_the_whole_path_velocity_as_slip():
     scene = cs.load_scene("K1")
     first = cs.plan(scene).slip(0.0)[0]
