@@ -120,7 +120,7 @@ def _add_foreign(commands: Any, words: Sequence[str]) -> None:
             point.load()(commands)
         except Exception as error:  # whatever goes wrong while a stranger is imported
             reason = str(error).partition("\n")[0] or type(error).__name__
-            remedy = f"; pip install contact-system[{point.name}]"
+            remedy = f'; pip install "contact-system[{point.name}]"'
             hint = f"unavailable: {reason}{'' if 'pip install' in reason else remedy}"
             if words and words[0] == point.name:
                 raise ContactSystemError(f"the command '{point.name}' is {hint}") from None

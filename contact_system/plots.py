@@ -117,7 +117,7 @@ class Picture:
             from matplotlib.figure import Figure
         except ImportError:
             raise MissingMatplotlib(
-                "pictures need matplotlib: pip install contact-system[plot]"
+                'pictures need matplotlib: pip install "contact-system[plot]"'
             ) from None
         self.style = matplotlib.rc_context(STYLE)
         self.style.__enter__()

@@ -5,7 +5,7 @@ try:
 except ImportError as error:
     raise ImportError(
         "fmu_export needs fmpy, for FMI's headers and its validation: "
-        "pip install 'contact-system[fmu]'"
+        'pip install "contact-system[fmu]"'
     ) from error
 
 from .export import export_fmu

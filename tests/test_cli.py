@@ -117,7 +117,7 @@ def test_the_gain_law_can_be_changed(tmp_path, capsys):
 def test_run_without_matplotlib_still_writes_numbers(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert _run("run", "torus", "--out", tmp_path) == 0
-    assert "pip install contact-system[plot]" in capsys.readouterr().out
+    assert 'pip install "contact-system[plot]"' in capsys.readouterr().out
     assert (tmp_path / "torus.csv").exists()
 
 

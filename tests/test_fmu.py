@@ -1137,4 +1137,4 @@ def test_every_platform_compiles(platform, tmp_path):
 def test_without_fmpy_the_import_says_what_to_install():
     code = "import sys; sys.modules['fmpy'] = None; import fmu_export"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert "contact-system[fmu]" in run.stderr
+    assert 'pip install "contact-system[fmu]"' in run.stderr
