@@ -94,3 +94,8 @@ def test_links_lead_to_files_that_are_there(page):
     path = README.parent / page
     links = re.findall(r"\]\(([^)#:]+)\)", path.read_text("utf-8"))
     assert [link for link in links if not (path.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("package", ["contact_system", "drake_plant", "fmu_export"])
+def test_type_checkers_are_told_that_there_are_types(package):
+    assert (README.parent / package / "py.typed").exists()
