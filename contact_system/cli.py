@@ -25,7 +25,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from . import plots
+from . import __version__, plots
 from .checks import is_device
 from .errors import ContactSystemError, SceneError
 from .kernels import make_folder
@@ -74,6 +74,7 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=PROGRAM, description="Plan contact curves that roll: scenes in, curves out."
     )
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
     scenes = commands.add_parser("scenes", help="list the bundled scenes")

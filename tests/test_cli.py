@@ -256,6 +256,12 @@ def test_a_package_that_cannot_be_imported_is_a_hint(monkeypatch, capsys):
     assert stop.value.code == 0 and "unavailable" in capsys.readouterr().out
 
 
+def test_the_version_is_told(capsys):
+    with pytest.raises(SystemExit) as stop:
+        _run("--version")
+    assert stop.value.code == 0 and capsys.readouterr().out == f"{cli.PROGRAM} {cs.__version__}\n"
+
+
 def test_own_commands_do_not_import_other_packages(monkeypatch, capsys):
     _foreign(monkeypatch, "fly", lambda: pytest.fail("imported"))
     assert _run("scenes") == 0
