@@ -120,5 +120,5 @@ def test_names_are_drawn_as_they_are(tmp_path):
 
 def test_missing_matplotlib_names_the_remedy(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(plots.MissingMatplotlib, match=r"pip install contact-system\[plot\]"):
+    with pytest.raises(plots.MissingMatplotlib, match=r'pip install "contact-system\[plot\]"'):
         plots.plot(cs.plan(cs.load_scene("K1")), tmp_path / "x.png")
