@@ -306,7 +306,7 @@ def _add(
             contact_model=config.contact_model,
             discrete_contact_approximation=config.discrete_contact_approximation,
             # What the last step used, so that watching contact costs no second query.
-            use_sampled_output_ports=config.time_step > 0,
+            use_sampled_output_ports=bool(config.time_step > 0),
         ),
         builder,
     )
