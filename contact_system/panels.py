@@ -307,8 +307,9 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
                     new[:, :, own] = start[:, None, own] + half * (m.integral @ f[:, :, own])
                 change = np.abs((new - x[:, :, :n_states]) * scale).max()
                 x[:, :, :n_states] = new
-                # sweeps converge ever faster: the next changes less than this one by what this did
-                quick = k > 0 and change < 0.3 * last
+                # sweeps converge ever faster: the next changes less than this one by what this did.
+                # The first change of what is stiff tells of its start alone, gone at one stroke.
+                quick = k > (problem.stiff > 0) and change < 0.3 * last
                 if (change * (change / last) if quick else change) <= 0.01 * tolerance:
                     break
                 if change <= 4e-16 or (k > 6 and change <= 1e-13 and change > 0.25 * last):

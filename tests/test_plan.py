@@ -212,6 +212,24 @@ def test_coarse_tolerances_are_kept_on_a_torus(tolerance, compiled):
     assert gap.max() <= tolerance * torus.size
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-8, 1e-9])
+def test_tolerances_are_kept_where_a_strong_gain_damps_an_acceleration(tolerance, compiled):
+    # Slip settles within a hundredth of a panel; sweeps once stopped as if all had settled with it.
+    window = cs.FingerAcceleration(contact=0, start=0.06, stop=0.67, value=(-0.334, -0.334))
+    contact = cs.Contact(
+        cs.Torus(0.0311, 0.0182), (0.224, -0.13), (-1.418, 2.472), 1.589, (0.601, 0.628)
+    )
+    scene = cs.Scene(
+        object=cs.Plane(), contacts=[contact], profile=cs.Profile([0.0742, 0.3]), duration=0.82,
+        gain=cs.Gain.time(2024.0), disturbances=[window],
+    )  # fmt: skip
+    t = np.linspace(0.0, 0.82, 30)
+    truth = cs.plan(scene, 1e-13, method="chart", solver="Radau").points(t)
+    gap = np.linalg.norm(cs.plan(scene, tolerance, compiled=compiled).points(t) - truth, axis=-1)
+    assert gap[:, 0, 0].max() <= tolerance * contact.finger.size
+
+
 # --- continuity
 
 
