@@ -18,7 +18,7 @@ from .kinematics import contact_map
 from .profile import GainPiece
 from .scene import DISTURBANCE_KINDS, Scene
 from .starts import Start
-from .tracks import Track, passed
+from .tracks import Track, in_parts, passed
 
 SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
 
@@ -139,9 +139,10 @@ def _chart_group(
                 offset=None if side or not offset.any() else offset[None],
                 solution=result.sol, finger=side, angle=start.angle,
             )  # fmt: skip
+            times = in_parts(result.sol.ts)
             place = track.singular_place(
-                result.sol.ts,
-                lambda t: track.state(t)[:, :2],  # noqa: B023
+                times,
+                track.state(times)[:, :2],
                 lambda t, _: track.state(t)[0, :2].T,  # noqa: B023
             )
             if place is not None:

@@ -22,6 +22,7 @@ from .tracks import (
     coordinate_kernel,
     drive_data,
     evaluator,
+    in_parts,
     kept,
     once,
     whole_frame,
@@ -117,8 +118,8 @@ class PanelTrack(Track):
             return None
         own = slice(self.rows.start or 0, (self.rows.start or 0) + 2)
         return self.singular_place(
-            self.panels.edges,
-            lambda at: self.panels.evaluate(at, own),
+            in_parts(self.panels.edges),
+            self.panels.in_parts(own),
             lambda at, bodies: self.panels.evaluate_each(at, bodies, own),
         )
 

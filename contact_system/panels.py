@@ -30,7 +30,7 @@ from .kernels import (
     per_structure,
 )
 from .profile import GainPiece
-from .tracks import BRANCH, NODE, Drive, TrackData, altered, drive_data
+from .tracks import BRANCH, NODE, PARTS, Drive, TrackData, altered, drive_data
 
 # NODES = 16: on a unit sphere a panel spans about 2 rad at 1e-14 and Picard sweeps still converge.
 SWEEPS = 40
@@ -121,6 +121,13 @@ class Panels:
         basis = _legendre_basis(xi)
         return np.einsum("nsk,kn->ns", self.coefficients[which, bodies, states], basis)
 
+    def in_parts(self, states: slice) -> np.ndarray:
+        """The states at PARTS equal parts of each panel and the end: (n_bodies, n_states, n)."""
+        found = self.coefficients[:, :, states] @ _parts()
+        count, *shape, parts = found.shape
+        inner = np.moveaxis(found, 0, 2).reshape(*shape, count * parts)
+        return np.concatenate([inner, self.end[:, states, None]], axis=2)
+
 
 def runs(which: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
     """(value, where it stands), for each value of an integer array; slices where it is one run."""
@@ -146,6 +153,11 @@ def _legendre_basis(xi: np.ndarray) -> np.ndarray:
         row -= less * before
         before, now = now, row
     return basis
+
+
+@functools.cache
+def _parts() -> np.ndarray:
+    return _legendre_basis(np.linspace(-1.0, 1.0, PARTS, endpoint=False))
 
 
 # P_(k+1) = (2 k + 1) / (k + 1) x P_k - k / (k + 1) P_(k-1)

@@ -282,7 +282,7 @@ def scale_kernel(surface: Surface, ambient: bool) -> Kernel:
 
 # --- tracks ------------------------------------------------------------------------------------
 
-_SIXTEENTHS = np.arange(16) / 16
+PARTS = 16  # of an integrator's step, between which a search for singular points looks
 
 
 @dataclass(eq=False)
@@ -338,8 +338,8 @@ class Track:
 
     def singular_place(
         self,
-        edges: np.ndarray,
-        places: Callable[[np.ndarray], np.ndarray],
+        at: np.ndarray,
+        places: np.ndarray,
         place: Callable[[np.ndarray, np.ndarray], np.ndarray],
     ) -> tuple[float, float] | None:
         """u, v of a singular point of the chart that a path goes through; None without one.
@@ -349,16 +349,15 @@ class Track:
 
         Parameters
         ----------
-        edges : (K + 1,)
-            Ends of the integrator's steps.
-        places : callable
-            (n,) between the edges -> u, v, (n_bodies, 2, n).
+        at : (n,)
+            Local times, :func:`in_parts`.
+        places : (n_bodies, 2, n)
+            u, v then.
         place : callable
-            (n,) between the edges, (n,) bodies -> u, v of each body at its own, (n, 2).
+            (m,) local times, (m,) bodies -> u, v of each body at its own, (m, 2).
         """
         kernel, lost = regularity_kernel(self.surface), SINGULAR * self.surface.size
-        at = np.append(edges[:-1, None] + np.diff(edges)[:, None] * _SIXTEENTHS, edges[-1])
-        values = self.run(kernel, places(at), self.parameters)[:, 0]
+        values = self.run(kernel, places, self.parameters)[:, 0]
         before, here, after = values[:, :-2], values[:, 1:-1], values[:, 2:]
         step = np.diff(at)
         with np.errstate(all="ignore"):  # steps may be shorter than a time resolves
@@ -509,6 +508,12 @@ class Track:
             f"({self.surface.chart.singular_at or 'pole'}), where u', v' and psi do not exist. Ask "
             "for points, pose and twist there (they do), or for a time nearby"
         )
+
+
+def in_parts(edges: np.ndarray) -> np.ndarray:
+    """PARTS equal parts of each step of an integrator, of its K + 1 edges: (K PARTS + 1,)."""
+    steps = np.diff(edges)[:, None] * (np.arange(PARTS) / PARTS)
+    return np.append(edges[:-1, None] + steps, edges[-1])
 
 
 def passed(where: str, surface: Surface, place: tuple[float, float]) -> ContactSystemError:
