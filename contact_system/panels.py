@@ -320,8 +320,10 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
                 change = np.abs((new - x[:, :, :n_states]) * scale).max()
                 x[:, :, :n_states] = new
                 # sweeps converge ever faster: the next changes less than this one by what this did.
-                # The first change of what is stiff tells of its start alone, gone at one stroke.
-                quick = k > (problem.stiff > 0) and change < 0.3 * last
+                # A first one tells nothing of that where it is large, as a continued series was far
+                # off, and of what is stiff, as all that was wrong is gone at one stroke.
+                tells = k > 1 or (last < 0.01 and not problem.stiff)
+                quick = tells and change < 0.3 * last
                 if (change * (change / last) if quick else change) <= 0.01 * tolerance:
                     break
                 if change <= 4e-16 or (k > 6 and change <= 1e-13 and change > 0.25 * last):

@@ -189,9 +189,11 @@ static int panel(long nb, const double *state, const double *constants, const do
     int k = 0;
     for (; k < SWEEPS; k++) {
       change = sweep(m, start, c, sc, half, lam, inv, x, f);
-      /* sweeps converge ever faster: the next changes less than this one by what this did. The first
-         change of what is stiff tells of its start alone, gone at one stroke. */
-      double next = k > (m->n_stiff > 0) && change < 0.3 * last ? change * (change / last) : change;
+      /* sweeps converge ever faster: the next changes less than this one by what this did. A first
+         one tells nothing of that where it is large, as a continued series was far off, and of what
+         is stiff, as all that was wrong is gone at one stroke. */
+      const int tells = k > 1 || (last < 0.01 && !m->n_stiff);
+      double next = tells && change < 0.3 * last ? change * (change / last) : change;
       if (next <= m->tolerance * CONVERGED || change <= 4e-16) break;
       if (k > 6 && change <= 1e-13 && change > 0.25 * last) break;
       if (!(change < 1e10) || (k > 3 && change > 4.0 * last)) { k = SWEEPS; break; }
