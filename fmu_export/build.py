@@ -8,6 +8,7 @@ import os
 import platform
 import subprocess
 import sys
+import uuid
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -172,7 +173,7 @@ def write_fmu(
     """
     # zip knows the years 1980 to 2107 only
     stamp = min(max(tuple(moment), (1980, 1, 1, 0, 0, 0)), (2107, 12, 31, 23, 59, 58))
-    half = path.with_name(path.name + ".part")
+    half = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.part")  # two may write one file
     try:
         with zipfile.ZipFile(half, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
             for name in sorted(files):

@@ -24,7 +24,7 @@ from fmpy.fmi3 import FMU3Model, FMU3Slave, fmi3LogMessageCallback
 from fmu_hosts import EVERYTHING
 
 from fmu_export import export_fmu, variable_table
-from fmu_export.build import FMI_HEADERS, PLATFORMS
+from fmu_export.build import FMI_HEADERS, PLATFORMS, write_fmu
 from fmu_export.model import STATES, contact_results
 
 VERSIONS = ("2.0", "3.0")
@@ -1117,6 +1117,18 @@ def test_a_compiler_may_write_in_any_encoding(tmp_path, monkeypatch):
     monkeypatch.setenv("CONTACT_SYSTEM_CACHE", str(tmp_path))
     with pytest.raises(cs.ContactSystemError, match="cc(.|\n)*failed:\ncaf"):
         export_fmu(cs.load_scene("C1"), tmp_path / "x.fmu")
+
+
+def test_two_that_write_one_file_at_a_time_leave_one_that_is_whole(tmp_path):
+    path, moment = tmp_path / "x.fmu", (2026, 1, 1, 0, 0, 0)
+
+    def meanwhile(half):
+        write_fmu(path, {"later": b"2"}, moment)
+        return []
+
+    write_fmu(path, {"first": b"1"}, moment, meanwhile)
+    assert zipfile.ZipFile(path).namelist() == ["first"]
+    assert [file.name for file in tmp_path.iterdir()] == ["x.fmu"]
 
 
 def test_an_unknown_platform_is_refused(tmp_path):
