@@ -216,6 +216,7 @@ class _Model:
             *self._products(a, values, finger),
             f"{{{len(finger.parameters)}, {len(obj.parameters)}}}",
             "{" + ", ".join(map(_winding, (finger, obj))) + "}",
+            str(int(not (finger.has_implicit and obj.has_implicit))),
         ]
         return "  {" + ",\n   ".join(fields) + "},\n"
 

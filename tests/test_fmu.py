@@ -223,6 +223,31 @@ def test_a_chart_that_is_a_python_function_exports_like_any_other(exported):
     assert worst_difference(fmu, fmu.simulate(0.05)) < 1e-12
 
 
+@pytest.mark.parametrize("push", [0.0, 0.05])
+def test_a_path_straight_through_a_pole_of_a_users_chart_ends_there(push, exported):
+    ball = cs.ParametricSurface(
+        ("r*sin(u)", "r*sin(v)*cos(u)", "r*cos(v)*cos(u)"), parameters={"r": 0.1}, size=0.1
+    )
+    contact = cs.Contact(
+        cs.Plane(), (np.pi / 2 - 0.5, 0.0), (0.0, 0.0), finger_velocity=(1.0, 0.0)
+    )
+    scene = cs.Scene(
+        object=ball, contacts=[contact], profile=cs.Profile([0.1]), duration=0.4, name="own_pole"
+    )
+    window = cs.FingerAcceleration(0, 0.0, 0.4, (push, 0.0))
+    expected = cs.plan(scene.replace(disturbances=[window])).points(0.4)[0, 0, 1]
+    fmu = exported(scene)
+    one = fmu.instance(start={"contact[1].finger.acceleration.u": push})
+    for k in range(4):
+        fmu.step(one, 0.1 * k, 0.1)
+    names = [f"contact[1].object.point.{axis}" for axis in "xyz"]
+    assert fmu.get(one, *names) == pytest.approx(expected, abs=1e-13)
+    with pytest.raises(FMICallException):
+        fmu.step(one, 0.4, 0.4)
+    assert "the path reaches a singular point of its chart" in fmu.messages[-1][2]
+    assert fmu.get(one, *names) == pytest.approx(expected, abs=1e-13)
+
+
 @pytest.mark.parametrize("version", VERSIONS)
 def test_fine_and_random_steps_end_in_the_same_bits(version, exported):
     fmu = exported("K4", version)

@@ -345,6 +345,31 @@ static const char *obstacle(const contact_t *k) {
          "double precision; set smaller inputs, end before or start elsewhere";
 }
 
+/* Rotation of contact i's pose at a local time */
+static void rotation_at(component_t *c, long i, double tau, double rotation[12]) {
+  const memory_t *now = &c->now;
+  moment_t m;
+  moment(now, i, tau, &m);
+  form_of(now, i)->pose((const double *const[]){&now->time, m.frame[0], m.frame[1], m.w1v, m.disturbance,
+                                                law(now), numbers(now, i, 0), numbers(now, i, 1)}, rotation);
+}
+
+/* Whether a contact frame turns over within a new panel, as it does where a path goes straight through a pole
+   of its chart: the equations are smooth there. From a sixteenth of a panel to the next, bodies turn by less
+   than a right angle. was: the rotation before the panel begins. */
+static int turns_over(component_t *c, long i, const double *was) {
+  const contact_t *k = &c->now.contact[i];
+  double rotation[2][12];
+  memcpy(rotation[0], was, sizeof rotation[0]);
+  for (int q = 1; q <= 16; q++) {
+    double trace = 0.0, *here = rotation[q % 2], *last = rotation[1 - q % 2];
+    rotation_at(c, i, k->from + q / 16.0 * (k->to - k->from), here);
+    for (int j = 0; j < 9; j++) trace += here[j] * last[j];
+    if (!(trace > 1.0)) return 1;
+  }
+  return 0;
+}
+
 /* Integrate contact i panel by panel until its series reaches a local time. */
 static status_t advance(component_t *c, long i, double tau) {
   memory_t *now = &c->now;
@@ -357,7 +382,9 @@ static status_t advance(component_t *c, long i, double tau) {
                       .slip = motion->n_stiff ? 1.0 : k->greatest, .released = -1.0,
                       .node = gauss_node, .integral = gauss_integral, .series = gauss_series,
                       .end = gauss_end, .n_stiff = motion->n_stiff};
-  double after[MAX_STATES];
+  const int charted = places[i].kind->charted;
+  double after[MAX_STATES], was[12];
+  contact_t last;
   step_t s = {.tau = k->to, .h = k->next, .length = k->to - k->from};
   s.before = k->to > 0.0 ? k->series : NULL;
   for (long tries = 0; k->to < tau; tries++) {
@@ -376,9 +403,19 @@ static status_t advance(component_t *c, long i, double tau) {
                     k->begin + k->to, obstacle(k));
     k->next = s.h;
     if (!made) continue;
+    if (charted) { /* not where the panel begins: a pole may be there */
+      rotation_at(c, i, k->to - (k->to - k->from) / 16.0, was);
+      last = *k;
+    }
     memcpy(k->series, c->trial, (size_t)(n * (N + 1)) * sizeof(double));
     memcpy(k->last, after, (size_t)n * sizeof(double));
     k->from = k->to, k->to = s.tau, s.before = k->series;
+    if (charted && turns_over(c, i, was)) { /* the motion goes on up to there */
+      last.next = 0.5 * (k->to - k->from), *k = last;
+      s = (step_t){.tau = k->to, .h = k->next, .length = k->to - k->from};
+      s.before = k->to > 0.0 ? k->series : NULL;
+      continue;
+    }
     lay_anchors(now, i);
   }
   return OK;

@@ -72,6 +72,7 @@ typedef struct {
   kernel_t forward, reverse; /* the same and seeds: products with their Jacobian */
   long n_numbers[2];
   track_t winding[2];     /* periods and double covers of the coordinates */
+  int charted;            /* whether a body is moved in a user's chart, which may have poles */
 } contact_kind_t;
 
 typedef struct {
