@@ -17,6 +17,7 @@ import numpy as np
 from contact_system import panels
 from contact_system.charts import TURN
 from contact_system.development import forced_motion, state_size
+from contact_system.errors import ContactSystemError
 from contact_system.kernels import Kernel, per_structure
 from contact_system.profile import GainPiece
 from contact_system.scene import Scene
@@ -97,6 +98,11 @@ class Following:
 
 
 _CARRIED = sum(GROUPS.values()) - GROUPS["carried"]
+_ROTATION = [
+    sum(GROUPS[name] for name in ("states", "slip", "twist")) + 4 * row + column
+    for row in range(3)
+    for column in range(3)
+]
 
 
 class LockstepGroup:
@@ -116,6 +122,7 @@ class LockstepGroup:
         self.members = members
         self.name = f"scene '{scene.name}', contact {', '.join(map(str, members))}"
         self.forms = in_space(finger, True), in_space(obj, True)
+        self.charted = not (finger.has_implicit and obj.has_implicit)
         self.size = list(map(state_size, self.forms))
         self.motion = forced_motion(finger, obj, self.forms, True)
         n_profile = len(scene.profile.coefficients)
@@ -140,7 +147,14 @@ class LockstepGroup:
         self, starts: Sequence[Moment], acting: np.ndarray, piece: GainPiece, law: Sequence[float],
         end: float,
     ) -> tuple[np.ndarray, list[list[float]]]:  # fmt: skip
-        """The states where the step ends, and the results there."""
+        """The states where the step ends, and the results there.
+
+        Raises
+        ------
+        ContactSystemError
+            The motion cannot be continued, or a contact frame turns over, as it does where a path
+            goes straight through a pole of a user's chart: the equations are smooth there.
+        """
         state = np.array([
             [*(m.finger_frame if self.forms[0] else m.finger_at), *m.finger_velocity,
              *(m.object_frame if self.forms[1] else m.object_at), *m.slip] for m in starts
@@ -162,13 +176,21 @@ class LockstepGroup:
             slip=1.0,
             stiff=2,
         )
-        state = panels.integrate(self.motion, problem, TOLERANCE, None).end
+        before, state = state, panels.integrate(self.motion, problem, TOLERANCE, None).end
         machine = self.results.machine(n)
         machine.x[:, 0], machine.x[:, 1] = end, [m.angle for m in starts]
         machine.x[:, 2:-6], machine.x[:, -6:] = state, acting
         machine.c[:, : len(law)], machine.c[:, len(law) :] = law, self.numbers
         machine.run()
-        return state, machine.y.tolist()
+        rows = machine.y.tolist()
+        if self.charted:
+            machine.x[:, 0], machine.x[:, 2:-6] = piece.start, before
+            machine.run()
+            # of bodies that turn by less than a right angle in a step the trace is more than 1
+            trace = np.sum(np.array(rows)[:, _ROTATION] * machine.y[:, _ROTATION], axis=1)
+            if not trace.min() > 1.0:
+                raise ContactSystemError(f"{self.name}: a contact frame turns over")
+        return state, rows
 
     def _scale(self, state: np.ndarray, acting: np.ndarray) -> np.ndarray:
         """1 / (size of each state): positions by the body's size, directions and angles by 1."""

@@ -305,6 +305,18 @@ def test_inputs_that_change_may_be_followed_by_a_look_before_the_step():
     close(states_now(slave), plan.states(0.259)[0])
 
 
+def test_inputs_that_change_at_every_step_lead_through_no_pole_of_a_users_chart():
+    ball = cs.ParametricSurface(("sin(u)*cos(v)", "sin(u)*sin(v)", "cos(u)"))
+    contact = cs.Contact(cs.Plane(), (0.5, 0.0), (0.0, 0.0), finger_velocity=(-1.0, 0.0))
+    scene = cs.Scene(object=ball, contacts=[contact], profile=cs.Profile([1.0]), duration=0.3)
+    slave = begun(scene)
+    with pytest.raises(FMICallException, match=r"singular point of its chart.* at \(u, v\) = \("):
+        for k in range(60):
+            put(slave, {"contact[1].finger.acceleration.u": 1e-3 * (k % 7)})
+            slave.doStep(0.01 * k, 0.01)
+    assert slave.time == pytest.approx(0.5)
+
+
 @pytest.mark.parametrize("steps", [[0.1] * 6, [0.3, 0.1, 0.2], [0.4, 0.2]], ids=str)
 def test_a_step_under_changing_inputs_that_ends_at_an_edge_has_passed_it(steps):
     scene = one_contact(disturbances=[cs.ObjectRateOffset(0, 0.4, 0.6, (0.5, 0.2))])
