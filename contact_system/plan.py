@@ -120,8 +120,9 @@ class Plan:
                 require_regular(scene, self._groups)
                 if numbers_alone:
                     kinds.learn(scene, self._groups, compiled)
-            elif self._begun.kind.charted:
-                require_regular(scene, self._begun.groups(scene, self.tolerance))
+            elif self._begun.kind.charted:  # what is integrated for this is kept
+                self._groups = self._begun.groups(scene, self.tolerance)
+                require_regular(scene, self._groups)
         self._count = len(scene.contacts)
         self._programs: dict[str, Program | None] = {}
 

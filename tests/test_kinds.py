@@ -329,6 +329,17 @@ def test_contacts_filled_by_several_threads_are_the_same_to_the_bit(monkeypatch,
         np.testing.assert_array_equal(one, three)
 
 
+def test_what_a_search_for_poles_has_integrated_is_kept():
+    hill = cs.ParametricSurface(("u", "v", "h*cos(10*u)*cos(v)"), parameters={"h": 0.05})
+    for k in range(3):
+        contact = cs.Contact(cs.Sphere(0.04), (0.1 * k, 0.2), object_velocity="rest")
+        scene = cs.Scene(object=hill, contacts=[contact], profile=cs.Profile([0.3]), duration=1.0)
+        plan = cs.plan(scene, compiled=True)
+    track = plan.groups[0].object[0]
+    assert plan._begun is not None and track.motion.data.done
+    assert track is plan.groups[0].object[0]
+
+
 def test_contacts_are_filled_though_no_thread_can_be_started(monkeypatch):
     def refuse(thread):
         raise RuntimeError("can't start new thread")
