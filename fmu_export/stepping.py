@@ -318,7 +318,8 @@ class Block:
                 profile.check(end)
             except SceneError as error:
                 raise MotionEnds(str(error)) from None
-        return self._scene_to(begin, self.snapped(end))
+        reached = self.snapped(end)
+        return self._scene_to(begin, reached if reached > begin else end)
 
     def _scene_to(self, begin: float, end: float) -> Scene:
         scene, values = self._scene_with(self.now.values), self.now.values

@@ -305,6 +305,21 @@ def test_inputs_that_change_may_be_followed_by_a_look_before_the_step():
     close(states_now(slave), plan.states(0.259)[0])
 
 
+def test_an_input_set_at_an_edge_shortly_before_sigma_ends_can_be_looked_at_before_the_step():
+    scene = one_contact(
+        profile=(0.2, -0.2), duration=0.95, disturbances=[cs.ObjectRateOffset(0, 0.4, 0.7, (1, 0))]
+    )
+    slave, push = begun(scene), "contact[1].finger.acceleration.u"
+    for at, step in ((0.0, 0.3), (0.3, 0.3), (0.6, 0.1)):
+        slave.doStep(at, step)
+    put(slave, {push: 0.4})
+    assert states_now(slave) == pytest.approx(cs.plan(scene, 1e-14).states(0.7)[0], abs=1e-12)
+    slave.doStep(0.7, 0.2)
+    window = cs.FingerAcceleration(0, 0.7, 0.95, (0.4, 0.0))
+    plan = cs.plan(scene.replace(disturbances=[*scene.disturbances, window]), 1e-14)
+    close(states_now(slave), plan.states(0.9)[0])
+
+
 def test_inputs_that_change_at_every_step_lead_through_no_pole_of_a_users_chart():
     ball = cs.ParametricSurface(("sin(u)*cos(v)", "sin(u)*sin(v)", "cos(u)"))
     contact = cs.Contact(cs.Plane(), (0.5, 0.0), (0.0, 0.0), finger_velocity=(-1.0, 0.0))
