@@ -362,9 +362,10 @@ class Track:
         step = np.diff(at)
         with np.errstate(all="ignore"):  # steps may be shorter than a time resolves
             slope = np.fmax((before - here) / step[:-1], (after - here) / step[1:])
-        # |x| that falls to 0 beside the least of three places does so within half the longer step
-        reach = 2 / 3 * np.fmax(step[:-1], step[1:])
-        bodies, k = np.nonzero((here <= np.fmin(before, after)) & (here <= reach * slope))
+            # |x| that falls to 0 beside the least of three places does so within half the longer
+            # step
+            near = here <= 2 / 3 * np.fmax(step[:-1], step[1:]) * slope
+        bodies, k = np.nonzero((here <= np.fmin(before, after)) & near)
         low, high = at[k], at[k + 2]
         fall = slope[bodies, k] * (high - low)  # twice that of |x| on half the bracket
         for _ in range(100):  # thirds of all brackets at once: to neighbouring floats

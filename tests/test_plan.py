@@ -678,6 +678,17 @@ def test_a_pole_beside_the_end_of_a_panel_is_seen(u, profile, tolerance):
         cs.plan(scene, tolerance, compiled=False)
 
 
+@pytest.mark.filterwarnings("error")
+def test_panels_too_short_for_a_difference_of_times_are_no_warning():
+    # 1e-13 m beside the pole
+    at = (2.6435730446771846, -2.887402784955306)
+    contact = cs.Contact(cs.Plane(), at, (0.2, 0.1), finger_velocity=(-1.0, -1e-12))
+    profile = cs.Profile([0.0, 1.8095648730350078])
+    scene = cs.Scene(object=BALL, contacts=[contact], profile=profile, duration=1.0)
+    plan = cs.plan(scene, 1e-8, compiled=True)
+    assert np.diff(plan.groups[0].object[0].panels.edges).min() < 1e-14
+
+
 def test_chart_equations_refuse_a_path_straight_through_a_pole():
     contact = cs.Contact(cs.Sphere(0.04), object_at=(0.5, 0.2), finger_velocity=(-1.0, 0.0))
     common = {"profile": cs.Profile([0.1]), "duration": 1.0}
