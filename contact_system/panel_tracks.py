@@ -61,6 +61,9 @@ class Forced:
         return drive - track.panels.evaluate(at, self.v) if self.v is not None else drive
 
 
+SEARCHED = 4096  # panels of all bodies that a search for poles looks at together
+
+
 @dataclass(eq=False)
 class PanelTrack(Track):
     """Bodies whose states are panels in local time, or in arc length for geodesics.
@@ -117,11 +120,17 @@ class PanelTrack(Track):
         if self.ambient:
             return None
         own = slice(self.rows.start or 0, (self.rows.start or 0) + 2)
-        return self.singular_place(
-            in_parts(self.panels.edges),
-            self.panels.in_parts(own),
-            lambda at, bodies: self.panels.evaluate_each(at, bodies, own),
-        )
+        edges, many = self.panels.edges, -(-SEARCHED // self.n_bodies)
+        for k in range(0, len(edges) - 1, many):  # or long paths would fill the memory
+            some = slice(max(k - 1, 0), min(k + many, len(edges) - 1))
+            place = self.singular_place(
+                in_parts(edges[some.start : some.stop + 1]),
+                self.panels.in_parts(some, own),
+                lambda at, bodies: self.panels.evaluate_each(at, bodies, own),
+            )
+            if place is not None:
+                return place
+        return None
 
     def drive(self, t: np.ndarray) -> np.ndarray:
         tau = t - self.start

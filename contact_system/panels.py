@@ -121,12 +121,12 @@ class Panels:
         basis = _legendre_basis(xi)
         return np.einsum("nsk,kn->ns", self.coefficients[which, bodies, states], basis)
 
-    def in_parts(self, states: slice) -> np.ndarray:
-        """The states at PARTS equal parts of each panel and the end: (n_bodies, n_states, n)."""
-        found = self.coefficients[:, :, states] @ _parts()
-        count, *shape, parts = found.shape
-        inner = np.moveaxis(found, 0, 2).reshape(*shape, count * parts)
-        return np.concatenate([inner, self.end[:, states, None]], axis=2)
+    def in_parts(self, panels: slice, states: slice) -> np.ndarray:
+        """The states at PARTS equal parts of some panels and their end: (n_bodies, n_states, n)."""
+        series = self.coefficients[panels, :, states]
+        found = np.moveaxis(series @ _parts(), 0, 2)
+        end = series[-1].sum(axis=2, keepdims=True)  # of Legendre's polynomials each is 1 there
+        return np.concatenate([found.reshape(*found.shape[:2], -1), end], axis=2)
 
 
 def runs(which: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:

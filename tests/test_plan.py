@@ -28,7 +28,7 @@ from numpy.polynomial import polynomial
 from scipy.integrate import solve_ivp
 
 import contact_system as cs
-from contact_system import panels, planner
+from contact_system import panel_tracks, panels, planner
 from contact_system.errors import ContactSystemError, SceneError
 
 ASK = ("states", "points", "slip", "acceleration", "pose", "twist", "angles")
@@ -670,7 +670,9 @@ def test_path_straight_through_a_pole_of_a_users_chart_is_refused(
     (1.4602377788256433, (0.02, 0.3), 1.4e-10), (1.4653, (0.02, 0.3), 1e-8),
     (1.4619653747157348, (0.4, -0.39), 1.1e-3), (1.46066526, (0.4, -0.39), 1.6e-4),
 ])  # fmt: skip
-def test_a_pole_beside_the_end_of_a_panel_is_seen(u, profile, tolerance):
+@pytest.mark.parametrize("searched", [1, 4096])
+def test_a_pole_beside_the_end_of_a_panel_is_seen(monkeypatch, u, profile, tolerance, searched):
+    monkeypatch.setattr(panel_tracks, "SEARCHED", searched)
     contact = cs.Contact(cs.Plane(), (u, 0.2), (0.0, 0.0), finger_velocity=(-1.0, 0.0))
     common = {"object": BALL, "profile": cs.Profile(profile), "duration": 1.0}
     scene = cs.Scene(contacts=[contact], **common)
