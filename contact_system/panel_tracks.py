@@ -122,7 +122,7 @@ class PanelTrack(Track):
         own = slice(self.rows.start or 0, (self.rows.start or 0) + 2)
         edges, many = self.panels.edges, -(-SEARCHED // self.n_bodies)
         for k in range(0, len(edges) - 1, many):  # or long paths would fill the memory
-            some = slice(max(k - 1, 0), min(k + many, len(edges) - 1))
+            some = slice(k, min(k + many, len(edges) - 1))
             place = self.singular_place(
                 in_parts(edges[some.start : some.stop + 1]),
                 self.panels.in_parts(some, own),

@@ -122,11 +122,10 @@ class Panels:
         return np.einsum("nsk,kn->ns", self.coefficients[which, bodies, states], basis)
 
     def in_parts(self, panels: slice, states: slice) -> np.ndarray:
-        """The states at PARTS equal parts of some panels and their end: (n_bodies, n_states, n)."""
-        series = self.coefficients[panels, :, states]
-        found = np.moveaxis(series @ _parts(), 0, 2)
-        end = series[-1].sum(axis=2, keepdims=True)  # of Legendre's polynomials each is 1 there
-        return np.concatenate([found.reshape(*found.shape[:2], -1), end], axis=2)
+        """States of some panels where :func:`.tracks.in_parts` says: (n_bodies, n_states, n)."""
+        found = self.coefficients[panels, :, states] @ _parts()
+        inner = np.moveaxis(found[..., 1 : PARTS + 1], 0, 2).reshape(*found.shape[1:3], -1)
+        return np.concatenate([found[0, ..., :1], inner, found[-1, ..., PARTS + 1 :]], axis=2)
 
 
 def runs(which: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
@@ -157,7 +156,7 @@ def _legendre_basis(xi: np.ndarray) -> np.ndarray:
 
 @functools.cache
 def _parts() -> np.ndarray:
-    return _legendre_basis(np.linspace(-1.0, 1.0, PARTS, endpoint=False))
+    return _legendre_basis(np.arange(-1, PARTS + 2) * (2.0 / PARTS) - 1.0)
 
 
 # P_(k+1) = (2 k + 1) / (k + 1) x P_k - k / (k + 1) P_(k-1)

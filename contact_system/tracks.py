@@ -366,8 +366,8 @@ class Track:
             # step
             near = here <= 2 / 3 * np.fmax(step[:-1], step[1:]) * slope
         bodies, k = np.nonzero((here <= np.fmin(before, after)) & near)
-        low, high = at[k], at[k + 2]
-        fall = slope[bodies, k] * (high - low)  # twice that of |x| on half the bracket
+        fall = slope[bodies, k] * (at[k + 2] - at[k])  # twice that of |x| on half the bracket
+        low, high = np.maximum(at[k], at[1]), np.minimum(at[k + 2], at[-2])
         for _ in range(100):  # thirds of all brackets at once: to neighbouring floats
             if not len(bodies):
                 break
@@ -512,9 +512,13 @@ class Track:
 
 
 def in_parts(edges: np.ndarray) -> np.ndarray:
-    """PARTS equal parts of each step of an integrator, of its K + 1 edges: (K PARTS + 1,)."""
-    steps = np.diff(edges)[:, None] * (np.arange(PARTS) / PARTS)
-    return np.append(edges[:-1, None] + steps, edges[-1])
+    """Edges of K steps -> PARTS equal parts of each, and one before and one after: (K PARTS + 3,).
+
+    A pole beside an end is between them too.
+    """
+    steps = np.diff(edges)[:, None] / PARTS
+    at = edges[:-1, None] + steps * np.arange(PARTS)
+    return np.concatenate([edges[:1] - steps[0], at.ravel(), edges[-1:], edges[-1:] + steps[-1]])
 
 
 def passed(where: str, surface: Surface, place: tuple[float, float]) -> ContactSystemError:

@@ -680,6 +680,20 @@ def test_a_pole_beside_the_end_of_a_panel_is_seen(monkeypatch, u, profile, toler
         cs.plan(scene, tolerance, compiled=False)
 
 
+@pytest.mark.parametrize("u", [1e-6, 1e-3, 0.98, 0.999, 1 - 1e-7, 1 + 1e-7, 1.01])
+@pytest.mark.parametrize("method", ["auto", "chart"])
+def test_a_pole_beside_an_end_of_the_path_is_seen_and_one_beyond_it_is_not(u, method):
+    contact = cs.Contact(cs.Plane(), (u, 0.0), (0.0, 0.0), finger_velocity=(-1.0, 0.0))
+    common = {"contacts": [contact], "profile": cs.Profile([0.1]), "duration": 1.0}
+    if u < 1:
+        with pytest.raises(ContactSystemError, match=r"singular point of its chart.* at \(u, v\)"):
+            cs.plan(cs.Scene(object=BALL, **common), 1e-9, method)
+    else:
+        scenes = [cs.Scene(object=obj, **common) for obj in (BALL, cs.Sphere(0.1))]
+        pose, expected = (cs.plan(scene, 1e-9, method).pose(1.0) for scene in scenes)
+        assert pose == pytest.approx(expected, abs=1e-8)
+
+
 @pytest.mark.filterwarnings("error")
 def test_panels_too_short_for_a_difference_of_times_are_no_warning():
     # 1e-13 m beside the pole
