@@ -143,6 +143,19 @@ def test_everything_switched_on_is_the_same_motion_without_closed_forms(name):
     assert sum(track.method.startswith("forced") for track in tracks) >= 2
 
 
+def test_scenes_are_compared_without_the_kernels_that_one_of_them_may_have(monkeypatch):
+    engines = []
+
+    def plan(scene, compiled=None):
+        engines.append(compiled)
+        return cs.Plan(scene, 1e-12, "auto", "DOP853", compiled, 0.0, None)
+
+    monkeypatch.setattr(skip, "SCENES", ("C1",))
+    monkeypatch.setattr(skip.cs, "plan", plan)
+    bars = [bar for section in (skip.planner, skip.outputs) for bar in section(False)]
+    assert all(bar.holds for bar in bars) and set(engines) == {False}
+
+
 def test_a_sphere_in_space_needs_no_trigonometry_and_its_chart_does():
     ambient = skip.driven_motion(cs.Sphere(0.1), True).function
     chart = skip.driven_motion(skip.as_chart(cs.Sphere(0.1)), False).function
