@@ -432,9 +432,9 @@ def many(full: bool) -> Iterator[Bar]:
             note = f"us a contact for {', '.join(map(str, counts))}: {each}"
             bar = f"time of 10 x contacts over 10 x time, {name}"
             yield Bar(bar, 1.0, max(growth), note=note, detail=times)
-            full, alike, alone = (times[k] for k in ("loop", "loop, one kind", "one thread"))
+            whole, alike, alone = (times[k] for k in ("loop", "loop, one kind", "one thread"))
             note = f"loop {1e6 * alike / most:.3g} us a contact; planned in full "
-            note += f"{1e6 * full / most:.3g} us, {full / times[str(most)]:.3g} x; on one thread "
+            note += f"{1e6 * whole / most:.3g} us, {whole / times[str(most)]:.3g} x; on one thread "
             note += f"{1e6 * alone / most:.3g} us, {alike / alone:.3g} x"
             ratio = alike / times[str(most)]
             yield Bar(f"{most} contacts beside a loop, {name}", 5.0, ratio, "x", True, note)

@@ -16,7 +16,7 @@ import contact_system as cs
 
 sys.path.append(str(Path(__file__).parents[1]))  # benchmarks run from a checkout
 
-from benchmarks import regression, skip, work_precision  # noqa: E402
+from benchmarks import regression, skip, speed, work_precision  # noqa: E402
 from benchmarks.__main__ import LONG, PARTS, SHARING  # noqa: E402
 from benchmarks.curves import Outcome, Run, time_at  # noqa: E402
 from benchmarks.report import Bar, markdown_table, quietly  # noqa: E402
@@ -169,6 +169,22 @@ def test_explain_is_true_about_what_it_skipped():
 
 def test_planning_imports_no_pictures_no_drake_and_no_fmpy():
     assert skip._printed(skip.IMPORT)[2:] == []
+
+
+# --- speed ---------------------------------------------------------------------------------------
+
+
+def test_the_short_form_takes_a_hundred_contacts_of_every_kind_without_a_compiler(monkeypatch):
+    counts = []
+
+    def times(jobs, repeats):
+        counts.append([int(name) for name in jobs if name.isdigit()])
+        return dict.fromkeys(jobs, Timing(1.0, 1.0, 1.0))
+
+    monkeypatch.setattr(speed, "interleaved", times)
+    monkeypatch.setattr(speed, "engines", lambda: [False, True])
+    assert len(list(speed.many(False))) == 16
+    assert counts == 4 * [[1, 10, 100, 1000]] + 4 * [[1, 10, 100]]
 
 
 # --- work-precision ------------------------------------------------------------------------------
