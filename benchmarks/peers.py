@@ -82,7 +82,7 @@ def heyoka_method(scene: cs.Scene, grid: np.ndarray, slip: bool = True) -> Metho
         return solve
 
     # A tolerance sets the order of the series; the floor is the rounding unit 2.2e-16.
-    return Method("heyoka", (1e-6, 1e-8, 1e-10, 1e-12, 1e-14, 2.3e-16), build)
+    return Method("heyoka", (*decades(3, 15), 2.3e-16), build)
 
 
 def _heyoka_equations(scene: cs.Scene, slip: bool) -> list[tuple[Any, Any]]:

@@ -16,7 +16,7 @@ import contact_system as cs
 
 sys.path.append(str(Path(__file__).parents[1]))  # benchmarks run from a checkout
 
-from benchmarks import regression, skip, speed, work_precision  # noqa: E402
+from benchmarks import peers, regression, skip, speed, work_precision  # noqa: E402
 from benchmarks.__main__ import LONG, PARTS, SHARING  # noqa: E402
 from benchmarks.curves import Outcome, Run, time_at  # noqa: E402
 from benchmarks.report import Bar, markdown_table, quietly  # noqa: E402
@@ -185,6 +185,13 @@ def test_the_short_form_takes_a_hundred_contacts_of_every_kind_without_a_compile
     monkeypatch.setattr(speed, "engines", lambda: [False, True])
     assert len(list(speed.many(False))) == 16
     assert counts == 4 * [[1, 10, 100, 1000]] + 4 * [[1, 10, 100]]
+
+
+def test_heyoka_is_tried_at_as_many_tolerances_as_we_are():
+    pytest.importorskip("heyoka")
+    scene = speed._scene(speed.OBJECTS["sphere"], cs.Gain.path(1.0))
+    tried = peers.heyoka_method(scene, np.linspace(0.0, 1.0, 3)).tolerances
+    assert set(speed.OURS[2:]) <= set(tried)
 
 
 # --- work-precision ------------------------------------------------------------------------------
