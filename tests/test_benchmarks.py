@@ -194,6 +194,23 @@ def test_heyoka_is_tried_at_as_many_tolerances_as_we_are():
     assert set(speed.OURS[2:]) <= set(tried)
 
 
+@pytest.mark.parametrize("kind", speed.OBJECTS)
+@pytest.mark.parametrize(("peak", "known"), [(1e2, False), (1e5, True), (1e7, True)])
+def test_what_slip_is_judged_by_agrees_with_30_digits_where_there_are_any(kind, peak, known):
+    gain = cs.Gain.path(peak / speed.PROFILE(1.0) ** 2)
+    check = speed._reference_check(kind, speed._scene(speed.OBJECTS[kind], gain), {})
+    assert check.get("30 digits", 0.0) < 1e-14 and ("30 digits" in check) is known
+
+
+@pytest.mark.parametrize(("off", "holds"), [(1e-8, False), (1e-11, True)])
+def test_a_ratio_holds_only_where_the_reference_is_better_than_the_error(off, holds):
+    names = ["ours no compiler 1e-09", "ours compiled 1e-09", "peer 1e-09"]
+    runs = {name: (None, 1e-10, 1.0) for name in names}
+    times = {name + more: Timing(1.0, 1.0, 1.0) for name in names for more in ("", speed.AGAIN)}
+    bar = speed._slip_bar("slip", 1.0, 1e-9, names, times, runs, {}, {"best peer": off})
+    assert bar.measured == 1.0 and bar.met is holds
+
+
 # --- work-precision ------------------------------------------------------------------------------
 
 
