@@ -31,6 +31,7 @@ import numpy as np
 import contact_system as cs
 from contact_system.kernels import find_compiler
 
+from .peers import FINEST
 from .problems import Ode, Problem
 
 Solver = Callable[[], Any]
@@ -85,6 +86,7 @@ def peers(problem: Problem, full: bool) -> Iterator[Peer]:
     absent = missing()
     every = tuple(10.0**-k for k in range(3, 16))
     some = every if full else (1e-4, 1e-7, 1e-9, 1e-11, 1e-13)
+    tight = every[1:] if full else (*some, 1e-15)
     for form, ode in problem.forms.items():
         label = f", {form}" if len(problem.forms) > 1 else ""
         if "heyoka" not in absent:
@@ -94,7 +96,7 @@ def peers(problem: Problem, full: bool) -> Iterator[Peer]:
     ode = problem.forms.get("space") or problem.forms["chart"]
     for family in ("adams", "bdf"):
         build = functools.partial(_cvodes, ode, family)
-        yield Peer(f"CVODES {family}", every[1:] if full else (*some, 1e-15), build, ode.all_points)
+        yield Peer(f"CVODES {family}", (*tight, FINEST), build, ode.all_points)
     for name in ("RK45", "DOP853", "LSODA", "Radau", "BDF"):
         build = functools.partial(_scipy, ode, name)
         # rtol below 100 rounding units is raised to it.
@@ -103,7 +105,7 @@ def peers(problem: Problem, full: bool) -> Iterator[Peer]:
     if "scikit-sundae" not in absent:
         for family in ("Adams", "BDF"):
             build = functools.partial(_sundae, ode, family)
-            yield Peer(f"scikit-sundae {family}", (*some, 1e-15), build, ode.all_points)
+            yield Peer(f"scikit-sundae {family}", (*tight, FINEST), build, ode.all_points)
     if full and "diffrax" not in absent:  # to compile takes it 2 s a problem
         # The implicit method compiles for 4 s a problem and reaches none of the small errors.
         for name in ("Dopri8", "Kvaerno5"):

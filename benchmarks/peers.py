@@ -28,6 +28,9 @@ from contact_system.kernels import find_compiler
 
 Solver = Callable[[np.ndarray, float], np.ndarray]
 """(initial state (9,), eta) -> states at the grid's times (n, 9)."""
+FINEST = 3e-16
+"""CVODES refuses relative tolerances below the rounding unit. Of stiff slip it reaches errors of
+1e-12 only here, 10 to 30 times sooner than any other peer."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +211,7 @@ def cvodes_methods(scene: cs.Scene, grid: np.ndarray) -> list[Method]:
             )
             return lambda y, value: solver(x0=y, p=value)["xf"].full().T
 
-        return Method(f"CVODES {family}", decades(7, 15), build)
+        return Method(f"CVODES {family}", (*decades(7, 15), FINEST), build)
 
     return [method("adams"), method("bdf")]
 

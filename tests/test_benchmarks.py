@@ -16,7 +16,15 @@ import contact_system as cs
 
 sys.path.append(str(Path(__file__).parents[1]))  # benchmarks run from a checkout
 
-from benchmarks import peers, regression, skip, speed, work_precision  # noqa: E402
+from benchmarks import (  # noqa: E402
+    integrators,
+    peers,
+    problems,
+    regression,
+    skip,
+    speed,
+    work_precision,
+)
 from benchmarks.__main__ import LONG, PARTS, SHARING  # noqa: E402
 from benchmarks.curves import Outcome, Run, time_at  # noqa: E402
 from benchmarks.report import Bar, markdown_table, quietly  # noqa: E402
@@ -192,6 +200,17 @@ def test_heyoka_is_tried_at_as_many_tolerances_as_we_are():
     scene = speed._scene(speed.OBJECTS["sphere"], cs.Gain.path(1.0))
     tried = peers.heyoka_method(scene, np.linspace(0.0, 1.0, 3)).tolerances
     assert set(speed.OURS[2:]) <= set(tried)
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_cvodes_is_tried_down_to_the_rounding_unit(full):
+    scene = speed._scene(speed.OBJECTS["sphere"], cs.Gain.path(1.0))
+    (problem,) = (p for p in problems.problems() if p.name == "slip sphere-sphere 1e7")
+    found = [*peers.cvodes_methods(scene, np.linspace(0.0, 1.0, 3)),
+             *integrators.peers(problem, full)]  # fmt: skip
+    finest = [min(peer.tolerances) for peer in found if peer.name.startswith("CVODES")]
+    assert len(finest) == 4
+    assert all(np.finfo(float).eps < tolerance < 2 * np.finfo(float).eps for tolerance in finest)
 
 
 @pytest.mark.parametrize("kind", speed.OBJECTS)
