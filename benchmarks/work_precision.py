@@ -220,7 +220,12 @@ def readme(full: bool) -> Iterator[Bar]:
     """Write the README's figure and table; alone, from the results of the last run."""
     outcomes, about = list(OUTCOMES.values()), surroundings()
     if not outcomes:
-        outcomes, about = stored(RESULTS / "work_precision.json")
+        last = RESULTS / "work_precision.json"
+        if not last.exists():
+            note = "there is no run to write of; run python -m benchmarks work_precision"
+            yield Bar("problems in the README's table", len(list(problems())), None, note=note)
+            return
+        outcomes, about = stored(last)
     overview(outcomes, ROOT / "docs" / "work-precision.png")
     short = [outcome for outcome in outcomes if outcome.name in SHORT]
     overview(short, ROOT / "docs" / "work-precision-short.png", columns=2)

@@ -254,6 +254,12 @@ def test_the_readme_has_the_marks_of_its_table_and_keeps_the_rest():
         between_marks("no marks", "")
 
 
+def test_without_a_run_the_readme_stays_and_the_line_says_what_to_run(monkeypatch, tmp_path):
+    monkeypatch.setattr(work_precision, "RESULTS", tmp_path)
+    (bar,) = work_precision.readme(False)
+    assert bar.met is None and "python -m benchmarks work_precision" in bar.note
+
+
 def test_stored_results_come_back_as_they_were(tmp_path):
     curve = [run(1e-6, 1e-3), run(1e-13, 2e-3)]
     bar = Bar("problem, smallest error, of the size", 1e-13, 0.0,
