@@ -1,7 +1,7 @@
-"""Accuracy bars: every number is an error against truth that contact_system has no part in.
+"""Accuracy bars: errors against truth that contact_system has no part in, and exact identities.
 
-Truth: 30-digit references of ``tests/oracles``, closed forms in mpmath, geographiclib, and
-identities that are exact (slip law, Jacobi's integral, chart round trip).
+Truth: 30-digit references of ``tests/oracles``, closed forms in mpmath, geographiclib. Identities:
+slip law, Jacobi's integral, chart round trip, with charts, profiles and gain laws of the package.
 """
 
 from __future__ import annotations
