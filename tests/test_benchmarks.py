@@ -18,6 +18,7 @@ sys.path.append(str(Path(__file__).parents[1]))  # benchmarks run from a checkou
 
 from benchmarks import (  # noqa: E402
     integrators,
+    ours,
     peers,
     problems,
     regression,
@@ -252,6 +253,16 @@ def test_the_readme_has_the_marks_of_its_table_and_keeps_the_rest():
     assert text.startswith(page.split(MARKS[0])[0]) and text.endswith(page.split(MARKS[1])[1])
     with pytest.raises(ValueError, match="lacks the lines"):
         between_marks("no marks", "")
+
+
+def test_the_readme_tells_where_new_scenes_are_slower():
+    own = f"ours, {ours.engine(ours.engines()[-1])}"
+    curves = {own: [run(1e-13, 1e-3)], f"{own}, new scene": [run(1e-13, 4e-3)]}
+    outcome = Outcome("roll", {**curves, "peer": [run(1e-13, 2e-3)]})
+    about = {"date": "2000-01-01T00:00", "machine": {"processor": "one"}}
+    table = work_precision.readme_table([outcome], about)
+    assert "| roll | 2 x (**0.5 x**) | 2 x (**0.5 x**) | 2 x (**0.5 x**) | peer | 1e-13 |" in table
+    assert "Geometric mean 2; in brackets, of scenes never planned before, 0.5." in table
 
 
 def test_without_a_run_the_readme_stays_and_the_line_says_what_to_run(monkeypatch, tmp_path):
