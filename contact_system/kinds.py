@@ -14,7 +14,6 @@ import contextlib
 import ctypes
 import dataclasses
 import math
-import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -50,8 +49,7 @@ from .planner import (
     slip_of,
 )
 from .program import Program, by_contacts, chart_states, group_program
-from .scene import Scene
-from .starts import start_numbers
+from .scene import GIVEN, Scene
 from .surfaces import Surface
 from .tracks import (
     AXIS,
@@ -69,8 +67,6 @@ from .tracks import (
 
 SX = ca.SX
 
-GIVEN = 9  # numbers of a start
-PACK = struct.Struct(f"{GIVEN}d").pack
 ATTEMPTS = 6  # scenes of a family from which kinds are learned
 
 Fields = dict[str, SX]
@@ -597,10 +593,11 @@ class Kind:
 
     def begin(self, scene: Scene) -> Begun | None:
         """A scene with the same key; None if it is of another kind all the same."""
-        starts = b"".join([PACK(*start_numbers(contact)) for contact in scene.contacts])
         block = self._block()
         at = ctypes.addressof(block)
-        return None if self.library.begin(self.at, starts, at) else Begun(self, block, at)
+        return (
+            None if self.library.begin(self.at, scene.packed_starts, at) else Begun(self, block, at)
+        )
 
     def group(self, block: Any, name: str) -> Group:
         """The plan of a scene from its block, which says all of it if nothing disturbs it."""

@@ -304,7 +304,7 @@ _WITH_KIND: OrderedDict[Hashable, Family] = OrderedDict()  # no scenes planned o
 
 def family(scene: Scene) -> Family:
     """That of a scene."""
-    key = _alike(scene)
+    key = scene.likeness
     found = _WITH_KIND.get(key)
     if found is None:
         found = _FAMILIES.pop(key, None) or Family()
@@ -313,18 +313,6 @@ def family(scene: Scene) -> Family:
         if len(room) > FAMILIES:
             room.popitem(last=False)
     return found
-
-
-def _alike(scene: Scene) -> Hashable:
-    gain, fingers = scene.gain, []
-    for contact in scene.contacts:
-        fingers.append(contact.finger.identity)
-        if isinstance(contact.finger_velocity, str):
-            fingers.append(True)  # it follows
-    return (
-        scene.duration, scene.profile.coefficients, gain.law, gain.value, scene.object.identity,
-        scene.disturbances, *fingers,
-    )  # fmt: skip
 
 
 def _patterns(scene: Scene, slips: tuple[bool, ...], begin: float) -> list[Pattern]:

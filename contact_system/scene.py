@@ -8,9 +8,11 @@ count from 0, in Python as in scene files (`scene_files`).
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import numbers
-from collections.abc import Iterable, Mapping, Sequence
+import struct
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -56,9 +58,17 @@ def _text(value: Any, what: str) -> str:
 
 
 MANY_TURNS = 1e3  # [rad]: psi keeps 13 digits of a turn
+GIVEN = 9  # numbers that say where and how fast a contact starts
+PACK = struct.Struct(f"{GIVEN}d").pack
 
 
 # --- the parts of a scene ----------------------------------------------------------------------
+
+
+def _rolled(angle: float, w: Pair) -> Pair:
+    """R_psi w, before V is worked out from it and rounding told from slip."""
+    c, s = math.cos(angle), math.sin(angle)
+    return c * w[0] - s * w[1], -s * w[0] - c * w[1]
 
 
 @dataclass(frozen=True)
@@ -136,6 +146,18 @@ class Contact:
                 f'object_velocity = "{self.object_velocity}" does not give; '
                 "give object_velocity as two numbers"
             )
+
+    def start_numbers(self) -> tuple[float, ...]:
+        """The 9 numbers of a :class:`.starts.Start` in their order; words become numbers here."""
+        own: Any = self.finger_velocity
+        given: Any = self.object_velocity
+        if own == ROLLING:  # imposed: the other is a pair
+            own = _rolled(self.angle, given)
+        elif given == ROLLING:
+            given = _rolled(self.angle, own)
+        elif given == REST:
+            given = 0.0, 0.0
+        return (*self.finger_at, *self.object_at, self.angle, *own, *given)
 
     @property
     def follows(self) -> bool:
@@ -325,6 +347,7 @@ class Scene:
             self._check_motion()
             self._place_contacts()
             _check_chosen(self)
+            _ = self.packed_starts, self.likeness  # ready, as initial states of integrators are
         except ContactSystemError as error:
             name = f"scene '{self.name}'" if self.name else "scene"
             raise SceneError(f"{name}: {error}") from None
@@ -332,6 +355,24 @@ class Scene:
     def __getstate__(self) -> dict[str, Any]:
         """What is pickled: the fields, not what a planner has worked out and keeps with them."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
+    @functools.cached_property
+    def packed_starts(self) -> bytes:
+        """:meth:`Contact.start_numbers` of each, as C takes them: (n_contacts, 9) doubles."""
+        return b"".join([PACK(*contact.start_numbers()) for contact in self.contacts])
+
+    @functools.cached_property
+    def likeness(self) -> Hashable:
+        """What scenes share that differ only in where and how fast their contacts start."""
+        gain, fingers = self.gain, []
+        for contact in self.contacts:
+            fingers.append(contact.finger.identity)
+            if isinstance(contact.finger_velocity, str):
+                fingers.append(True)  # it follows
+        return (
+            self.duration, self.profile.coefficients, gain.law, gain.value, self.object.identity,
+            self.disturbances, *fingers,
+        )  # fmt: skip
 
     def contraction(self) -> Contraction:
         """Where slip shrinks under the gain law, and the least eta that shrinks it throughout."""

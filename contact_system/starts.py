@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .errors import ContactSystemError, SceneError
-from .scene import REST, ROLLING, Contact, Scene
+from .scene import Contact, Scene
 
 
 @dataclass
@@ -40,27 +40,8 @@ class Start:
 
 def scene_start(contact: Contact) -> Start:
     """The start that a scene's contact describes."""
-    n = start_numbers(contact)
+    n = contact.start_numbers()
     return Start(n[0:2], n[2:4], n[4], n[5:7], n[7:9])  # type: ignore[arg-type]
-
-
-def start_numbers(contact: Contact) -> tuple[float, ...]:
-    """The 9 numbers of a :class:`Start` in their order; words become numbers here."""
-    own: Any = contact.finger_velocity
-    given: Any = contact.object_velocity
-    if own == ROLLING:  # imposed: the other is a pair
-        own = _rolled(contact.angle, given)
-    elif given == ROLLING:
-        given = _rolled(contact.angle, own)
-    elif given == REST:
-        given = 0.0, 0.0
-    return (*contact.finger_at, *contact.object_at, contact.angle, *own, *given)
-
-
-def _rolled(angle: float, w: tuple[float, float]) -> tuple[float, float]:
-    """R_psi w, before V is worked out from it and rounding told from slip."""
-    c, s = math.cos(angle), math.sin(angle)
-    return c * w[0] - s * w[1], -s * w[0] - c * w[1]
 
 
 @dataclass(frozen=True)
