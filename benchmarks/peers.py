@@ -65,6 +65,9 @@ def decades(first: int, last: int) -> tuple[float, ...]:
 
 # --- heyoka ------------------------------------------------------------------------------------
 
+HEYOKA = (*decades(3, 15), 2.3e-16)
+"""A tolerance sets the order of the series; the floor is the rounding unit 2.2e-16."""
+
 
 def heyoka_method(scene: cs.Scene, grid: np.ndarray, slip: bool = True) -> Method:
     """Taylor series on the chart equations, written by hand; ``slip``: with the feedback."""
@@ -84,8 +87,7 @@ def heyoka_method(scene: cs.Scene, grid: np.ndarray, slip: bool = True) -> Metho
 
         return solve
 
-    # A tolerance sets the order of the series; the floor is the rounding unit 2.2e-16.
-    return Method("heyoka", (*decades(3, 15), 2.3e-16), build)
+    return Method("heyoka", HEYOKA, build)
 
 
 def _heyoka_equations(scene: cs.Scene, slip: bool) -> list[tuple[Any, Any]]:
