@@ -1,8 +1,8 @@
 """``python -m benchmarks [PART] [--only NAME] [--full]``.
 
-Without PART, the whole bench in its quick form, within five minutes on two cores: what is not timed
-first, two parts side by side; then what is timed, alone. What takes long is left out and named; it
-belongs to ``python -m benchmarks PART`` and to ``--full``.
+Without PART, the whole bench in its quick form, within five to eight minutes on two cores: what is
+not timed first, two parts side by side; then what is timed, alone. What takes long is left out and
+named; it belongs to ``python -m benchmarks PART`` and to ``--full``.
 
 Prints one line a bar and writes results/benchmarks/*.json. The exit code is 1 if a bar of accuracy
 or of stress is missed or cannot be measured for another reason than a peer that is not installed,
