@@ -8,6 +8,7 @@ count from 0, in Python as in scene files (`scene_files`).
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import numbers
 import struct
@@ -346,7 +347,7 @@ class Scene:
             self._check_motion()
             self._place_contacts()
             _check_chosen(self)
-            self._prepare()
+            _ = self.packed_starts, self.likeness  # ready, as initial states of integrators are
         except ContactSystemError as error:
             name = f"scene '{self.name}'" if self.name else "scene"
             raise SceneError(f"{name}: {error}") from None
@@ -355,33 +356,23 @@ class Scene:
         """What is pickled: the fields, not what a planner has worked out and keeps with them."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._prepare()
+    @functools.cached_property
+    def packed_starts(self) -> bytes:
+        """:meth:`Contact.start_numbers` of each, as C takes them: (n_contacts, 9) doubles."""
+        return b"".join([PACK(*contact.start_numbers()) for contact in self.contacts])
 
-    def _prepare(self) -> None:
-        """Have what planners ask of every scene ready, as initial states of integrators are."""
-        gain, starts, fingers = self.gain, [], []
+    @functools.cached_property
+    def likeness(self) -> Hashable:
+        """What scenes share that differ only in where and how fast their contacts start."""
+        gain, fingers = self.gain, []
         for contact in self.contacts:
-            starts.append(PACK(*contact.start_numbers()))
             fingers.append(contact.finger.identity)
             if isinstance(contact.finger_velocity, str):
                 fingers.append(True)  # it follows
-        self.__dict__["_starts"] = b"".join(starts)
-        self.__dict__["_likeness"] = (
+        return (
             self.duration, self.profile.coefficients, gain.law, gain.value, self.object.identity,
             self.disturbances, *fingers,
         )  # fmt: skip
-
-    @property
-    def packed_starts(self) -> bytes:
-        """:meth:`Contact.start_numbers` of each, as C takes them: (n_contacts, 9) doubles."""
-        return self.__dict__["_starts"]
-
-    @property
-    def likeness(self) -> Hashable:
-        """What scenes share that differ only in where and how fast their contacts start."""
-        return self.__dict__["_likeness"]
 
     def contraction(self) -> Contraction:
         """Where slip shrinks under the gain law, and the least eta that shrinks it throughout."""
