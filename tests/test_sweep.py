@@ -87,6 +87,13 @@ def test_scenes_planned_together_are_where_each_alone_is(windows):
     assert table["states"] == pytest.approx(one_by_one(scenes, "states"), abs=1e-11)
 
 
+def test_scenes_planned_together_by_numbers_start_where_each_alone_does():
+    scenes = family(24)
+    for _ in range(4):  # from the third crowd of a kind on
+        table = cs.sweep(scenes, middle, compiled=True).table
+        assert table["states"] == pytest.approx(one_by_one(scenes, "states"), abs=1e-11)
+
+
 def test_scenes_that_have_nothing_in_common_keep_their_order():
     gains = [cs.Gain.time(3.0), cs.Gain.path(100.0), cs.Gain.time(3.0)]
     scenes = [rolling_towards(k, gain=gain) for k, gain in enumerate(gains)]
