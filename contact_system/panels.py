@@ -363,7 +363,7 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
         series.append(coefficients.transpose(0, 2, 1))
         known = series[-1], after - tau, 1.0
         start = end
-        h = (after - tau) * min(ratio, 2.0)
+        h = _shared((after - tau) * min(ratio, 2.0), problem.length - after)
         tau = after
         edges.append(tau)
         if slip > 0 and finish > 0:
@@ -373,6 +373,13 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
                 if problem.stops:
                     break
     return Panels(np.array(edges), np.array(series), start, released)
+
+
+def _shared(h: float, left: float) -> float:
+    """A panel's length, or half of what is left: a short last panel costs as much as a long one."""
+    if not h < left < 2.0 * h:
+        return h
+    return left if left < 1.03 * h else 0.5 * left  # 1.03: the tail predicted stays in tolerance
 
 
 def longest_panel(drive: GainPiece, slip: float, tau: float, h: float) -> float:

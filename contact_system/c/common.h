@@ -50,6 +50,12 @@ typedef struct {
   const double *anchor_at, *anchors; /* [m], [nb][3][m]: where on the panels, and u v theta there */
 } track_t;
 
+/* A step's length, or half of what is left: a short last one costs as much as a long one. */
+static inline double shared(double h, double left) {
+  if (!(h < left && left < 2.0 * h)) return h;
+  return left < 1.03 * h ? left : 0.5 * left; /* 1.03: the tail that is expected stays in tolerance */
+}
+
 static inline double horner(const double *c, long n, double x) {
   double y = c[n - 1];
   for (long k = n - 2; k >= 0; k--) y = y * x + c[k];

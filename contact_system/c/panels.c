@@ -235,7 +235,7 @@ static int panel(long nb, const double *state, const double *constants, const do
     return 0;
   }
   double grow = 0.9 * pow(m->tolerance / (error > 1e-30 ? error : 1e-30), 1.0 / N);
-  s->h = (after - tau) * (grow < 2.0 ? grow : 2.0);
+  s->h = shared((after - tau) * (grow < 2.0 ? grow : 2.0), m->length - after);
   s->length = after - tau, s->before = out, s->tau = after, s->begins = 0;
   return 1;
 }

@@ -328,14 +328,15 @@ typedef struct {
 } states_t;
 
 typedef struct {
-  double start, stop; /* local times */
+  double start, stop; /* local times, or lengths */
   long terms, slips;  /* terms that count; whether b is kept apart */
 } piece_t;
 
-/* The series of a side: [count][nb][ROWS][N], at most `size` numbers a piece */
+/* The series of a side: [count][nb][ROWS][N], at most `size` numbers a piece. Where nothing slips they are of the
+   path's length, with rates by length: smoother than of time, whatever sigma does. */
 typedef struct {
   const track_t *track;
-  long count, room, size;
+  long along, count, room, size;
   piece_t *pieces;
   double *series;
 } series_t;
@@ -434,14 +435,13 @@ static int divide(const states_t *p, const side_t *side, const track_t *k, doubl
   const double end = k->stop - k->start;
   double values[ROWS * N * MOST], combined[SIDE * N * MOST], before[3 * MOST], tau[N], times[N];
   long tries = 0, panel = 0, refused = 0;
-  double at = 0.0, h = bound(k, 0.0, 1, 2.0, &panel), tail;
-  s->track = k;
+  double at = 0.0, h = bound(k, 0.0, 1, 1.0, &panel), tail;
   for (s->count = 0; at < end; tries++) {
     if (tries == most) return 0;
     if (s->count == s->room && !grow(s)) return 0;
     piece_t *piece = s->pieces + s->count;
     double *series = s->series + s->count * size, stop = bound(k, at, 2, 5.0, &panel);
-    stop = at + h < stop ? at + h : stop;
+    stop = at + h < (1 - 1e-14) * stop ? at + h : stop;
     for (int i = 0; i < N; i++) {
       tau[i] = at + 0.5 * (stop - at) * (1.0 + p->node[i]);
       times[i] = k->start + tau[i] < k->stop ? k->start + tau[i] : k->stop;
@@ -461,8 +461,9 @@ static int divide(const states_t *p, const side_t *side, const track_t *k, doubl
         tail = resolve(p->project, nb, ROWS, tolerance, values, piece, series);
     } else
       tail = resolve(p->project, nb, SIDE, tolerance, values, piece, series);
-    /* such a tail is rounding and says nothing of the length */
-    const double next = tail < 2e-15 ? HUGE_VAL : 0.9 * pow(tolerance / tail, 1.0 / N);
+    /* such a tail is rounding and says nothing of the length; by length paths change little on their way */
+    const double unknown = s->along ? 1.5 : HUGE_VAL;
+    const double next = tail < 2e-15 ? unknown : 0.9 * pow(tolerance / tail, 1.0 / N);
     if (tail <= tolerance) {
       /* what grew harder goes on growing harder (16 % fewer samples) */
       const double most = refused ? 0.8 : 4.0;
@@ -470,6 +471,7 @@ static int divide(const states_t *p, const side_t *side, const track_t *k, doubl
       at = stop, s->count++;
       if (k->edges && next >= most && !refused && at < end) /* after a layer, as the motion does */
         h = fmax(h, bound(k, at, 1, 0.0, &panel) - at);
+      h = shared(h, end - at);
       refused = 0;
     } else {
       h = (stop - at) * (next > 0.2 ? next < 0.8 ? next : 0.8 : 0.2);
@@ -480,34 +482,48 @@ static int divide(const states_t *p, const side_t *side, const track_t *k, doubl
   return 1;
 }
 
+/* The same track at local times that are lengths of its path, so that rates are by length */
+static track_t track_along(const track_t *k) {
+  static const double one[] = {1.0}, same[] = {0.0, 1.0};
+  track_t along = *k;
+  along.start = 0.0, along.stop = horner(k->length, k->drive.n_sigma + 1, k->stop - k->start);
+  along.drive.sigma = one, along.drive.n_sigma = 1, along.length = same;
+  return along;
+}
+
+/* Where n times are: local times, or lengths */
+static void places(const series_t *s, const double *t, long n, double *tau, double *place) {
+  const track_t *k = s->track;
+  for (long i = 0; i < n; i++) tau[i] = t[i] - k->start;
+  if (s->along)
+    horners(k->length, k->drive.n_sigma + 1, tau, n, place);
+  else
+    memcpy(place, tau, n * sizeof *place);
+}
+
 /* Write a side's rows u v u' v' of body b to out[b * OUT + r], and psi less theta; angle: psi without
    any, or NULL where the other side's is in place. */
-static void fill_side(const series_t *s, const double *angle, long nt, const double *t, int ordered,
-                      double *out, double *psi) {
+static void fill_side(const series_t *s, const double *angle, long nt, const double *t, double *out, double *psi) {
   const track_t *k = s->track;
-  double xi[WIDTH] = {0}, sums[ROWS][WIDTH], tau[BLOCK], sigma[BLOCK], decay[BLOCK];
+  double xi[WIDTH] = {0}, sums[ROWS][WIDTH], tau[BLOCK], place[BLOCK], sigma[BLOCK], decay[BLOCK];
   for (long from = 0, near = 0, n; from < nt; from += n) {
-    const double at = t[from] - k->start;
-    while (near && at < s->pieces[near].start) near--;
-    while (near + 1 < s->count && at >= s->pieces[near].stop) near++;
+    const long most = nt - from < BLOCK ? nt - from : BLOCK;
+    places(s, t + from, most, tau, place);
+    while (near && place[0] < s->pieces[near].start) near--;
+    while (near + 1 < s->count && place[0] >= s->pieces[near].stop) near++;
     const piece_t *piece = s->pieces + near;
-    const double low = near ? k->start + piece->start : -HUGE_VAL;
-    const double high = near + 1 < s->count ? k->start + piece->stop : HUGE_VAL;
-    const double pace = 2.0 / (piece->stop - piece->start);
-    n = nt - from < BLOCK ? nt - from : BLOCK;
-    if (!ordered)
-      for (long most = n, i = n = 1; i < most && t[from + i] >= low && t[from + i] <= high; i++) n++;
-    else if (t[from + n - 1] > high)
-      n = 1 + earlier(t + from + 1, n - 1, nextafter(high, HUGE_VAL));
+    const double low = near ? piece->start : -HUGE_VAL, pace = 2.0 / (piece->stop - piece->start);
+    const double high = near + 1 < s->count ? piece->stop : HUGE_VAL;
+    for (n = 1; n < most && place[n] >= low && place[n] <= high;) n++;
     for (long i = 0; i < n; i++) {
-      tau[i] = t[from + i] - k->start;
-      const double x = (tau[i] - piece->start) * pace - 1.0;
+      const double x = (place[i] - piece->start) * pace - 1.0;
       xi[i] = x < 1.0 ? x : 1.0;
     }
     if (piece->slips) {
       if (k->drive.power) horners(k->drive.sigma, k->drive.n_sigma, tau, n, sigma);
       decays(&k->drive, tau, sigma, n, decay);
     }
+    if (s->along) horners(k->drive.sigma, k->drive.n_sigma, tau, n, sigma);
     for (long b = 0; b < k->nb; b++) {
       const double *c = s->series + (near * k->nb + b) * ROWS * N;
       double *to = out + b * OUT * nt + from, *y[ROWS];
@@ -520,6 +536,8 @@ static void fill_side(const series_t *s, const double *angle, long nt, const dou
           for (long i = 0; i < n; i++) y[r][i] -= decay[i] * sums[r + 3][i];
       } else
         chebyshev(c, SIDE, piece->terms, xi, n, y);
+      for (long r = 2; r < 4 && s->along; r++)
+        for (long i = 0; i < n; i++) y[r][i] *= sigma[i];
       for (long r = 0; r < 4 && !spare; r++) memcpy(to + r * nt, sums[r], n * sizeof(double));
       double *own = psi + b * OUT * nt + from;
       if (angle)
@@ -584,8 +602,10 @@ long states(const kind_t *kind, const double *block, double tolerance, const sta
         code = copy_side(side, k, where, from, nt, t, rows, psi);
       else if (!code) {
         /* beyond a quarter of the times series save nothing */
-        code = divide(p, side, k, bar, 40 + nt / 4, where, &s) ? 0 : -4;
-        if (!code) fill_side(&s, from, nt, t, ordered, rows, psi);
+        const track_t along = track_along(k);
+        s.track = k, s.along = !k->slips && (k->by_length || !k->edges) && along.stop > 0.0;
+        code = divide(p, side, s.along ? &along : k, bar, 40 + nt / 4, where, &s) ? 0 : -4;
+        if (!code) fill_side(&s, from, nt, t, rows, psi);
       }
       if (side->moves && kind) free(own.block);
     }
