@@ -37,7 +37,7 @@ from .geodesics import GeodesicTrack, geodesic_form
 from .groups import Group, SlipRecord
 from .kernels import Kernel, address, function_address, per_structure
 from .panel_tracks import Forced, MovingTrack, PanelTrack
-from .panels import MOST_FOUND, Motion, program_built, program_library
+from .panels import MOST_AT_ONCE, MOST_FOUND, Motion, program_built, program_library
 from .planner import (
     ENDLESS,
     MOST_ALIKE,
@@ -497,7 +497,7 @@ class Kind:
             laid_out[k] = self._lay_out(scene, group, begun, ended, known)
         self.alone = len(starts) == 1 and not scene.disturbances
         self._block = ctypes.c_double * self._size
-        own, rows = self._block(), np.arange(MOST_FOUND, dtype=np.dtype("l"))
+        own, rows = self._block(), np.outer([1, MOST_AT_ONCE], np.arange(MOST_FOUND)).astype("l")
         self._data = _Kind(
             ctypes.addressof(laid_out), rows.ctypes.data, ctypes.addressof(own), self.nb,
             len(starts), sum(len(stage.ends) for stage in self.stages), self._size,

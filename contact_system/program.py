@@ -157,7 +157,7 @@ def group_program(group: Group, output: str) -> Program | None:
 # --- side by side ---------------------------------------------------------------------------------
 
 WORTH = 10_000  # contacts times times for a thread: 0.4 ms of work, ten times its start
-SHARES = 2  # of each thread, where another may be late
+SHARES = 8  # of each thread, where another may be late
 
 
 def by_contacts(
@@ -294,7 +294,8 @@ def _side(track: Track, begin: np.ndarray, moves: bool) -> _Side | None:
         entry = track.entry("coordinates") if closed else None
         if entry is None:
             return None
-        track.anchor(begin)
+        if not track.anchored:  # what is shared by all plans of a scene is not written again
+            track.anchor(begin)
         own, dear = entry[0], moves and isinstance(track, CircleTrack)
         series = own.pointer if dear else None
         return _Side(own.pointer, series, None, entry[1], False, own.kernel.n_result)

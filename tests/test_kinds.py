@@ -352,7 +352,7 @@ def test_contacts_are_filled_though_no_thread_can_be_started(monkeypatch):
         filled.append(last - first)
         return first
 
-    assert program.by_contacts(run, (), 100, t, t) == 16
+    assert program.by_contacts(run, (), 100, t, t) == 8
     assert sum(filled) == 100
 
 

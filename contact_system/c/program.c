@@ -148,25 +148,36 @@ typedef struct {
 
 typedef struct {
   const stage_t *stages;
-  const long *rows;    /* 0, 1, 2, ... */
+  const long *rows;    /* 0, 1, 2, ...; from MOST_FOUND on 0, MOST, 2 MOST, ... */
   const double *block; /* where the tracks of the kind point */
   long nb, n_stages, n_moves, size;
 } kind_t;
 
 /* Fill what a stage says of contacts [first, first + n): the greatest of each fact (the first is slip), then
-   the fields. Returns 0, or 1 + the fact that is beyond what scenes of this kind can have. */
+   the fields; of contacts on the same surfaces side by side. Returns 0, or 1 + the fact that is beyond what
+   scenes of this kind can have. */
 static long work_out(const kind_t *k, const stage_t *s, double *block, long first, long n) {
-  double given[MOST_FOUND], found[MOST_FOUND], *facts = block + s->facts;
-  for (long b = first; b < first + n; b++) {
+  double given[MOST_FOUND * MOST], found[MOST_FOUND * MOST], *facts = block + s->facts;
+  const long most = n > 1 ? MOST : 1, np = s->n_parameters, *rows = k->rows + (n > 1 ? MOST_FOUND : 0);
+  for (long b = first, m; b < first + n; b += m) {
+    const double *parameters = s->parameters + b * np;
+    for (m = 1; m < most && b + m < first + n; m++)
+      if (memcmp(parameters, parameters + m * np, np * sizeof *parameters)) break;
     for (const field_t *f = s->given; f < s->given + s->n_given; f++)
-      memcpy(given + f->at, block + f->place + b * f->width, f->width * sizeof(double));
-    s->find(1, 1, given, k->rows, 0, s->parameters + b * s->n_parameters, found, k->rows, 0);
-    for (long f = 0; f < s->n_facts; f++) {
-      if (!(found[f] >= s->limits[2 * f] && found[f] <= s->limits[2 * f + 1])) return 1 + f;
-      if (b == first || found[f] > facts[f]) facts[f] = found[f];
-    }
+      for (long i = 0; i < m; i++)
+        for (long w = 0; w < f->width; w++)
+          given[(f->at + w) * most + i] = block[f->place + (b + i) * f->width + w];
+    s->find(1, m, given, rows, 0, parameters, found, rows, 0);
+    for (long f = 0; f < s->n_facts; f++)
+      for (long i = 0; i < m; i++) {
+        const double fact = found[f * most + i];
+        if (!(fact >= s->limits[2 * f] && fact <= s->limits[2 * f + 1])) return 1 + f;
+        if (b + i == first || fact > facts[f]) facts[f] = fact;
+      }
     for (const field_t *f = s->fields; f < s->fields + s->n_fields; f++)
-      memcpy(block + f->place + b * f->width, found + f->at, f->width * sizeof(double));
+      for (long i = 0; i < m; i++)
+        for (long w = 0; w < f->width; w++)
+          block[f->place + (b + i) * f->width + w] = found[(f->at + w) * most + i];
   }
   return 0;
 }
