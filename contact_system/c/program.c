@@ -559,20 +559,39 @@ static void fill_side(const series_t *s, const double *angle, long nt, const dou
   }
 }
 
+/* Whether times follow each other, from where a track starts, so closely that one tells the next its branch */
+static int closely(const track_t *k, long nt, const double *t) {
+  double shortest = HUGE_VAL, last = 0.0;
+  for (long p = 0; p < k->n_panels; p++) shortest = fmin(shortest, k->edges[p + 1] - k->edges[p]);
+  for (long i = 0; i < nt; i++) {
+    const double tau = t[i] - k->start, x = k->by_length ? horner(k->length, k->drive.n_sigma + 1, tau) : tau;
+    if (!(x >= last && x - last <= 0.25 * shortest)) return 0;
+    last = x;
+  }
+  return 1;
+}
+
 /* The same from the side itself, which begins at begin. Returns the code of evaluate. */
 static long copy_side(const side_t *side, track_t *k, const double *begin, const double *angle, long nt,
                       const double *t, double *out, double *psi) {
-  const long row[SIDE] = {0, nt, 2 * nt, 3 * nt, 4 * nt}, m = side->anchor ? 4 * k->n_panels + 1 : 0;
-  double *values = malloc((k->nb * (SIDE * nt + (3 + SIDE) * m) + m) * sizeof(double)), *value = values;
-  if (!values) return -1;
-  double *at = values + k->nb * SIDE * nt, *anchors = at + m;
-  if (m) side->anchor(k, begin, at, anchors, anchors + 3 * k->nb * m);
-  const long code = side->evaluate(k, nt, t, values, row, SIDE * nt);
-  for (long b = 0; b < k->nb && !code; b++, value += SIDE * nt, out += OUT * nt, psi += OUT * nt) {
-    memcpy(out, value, 4 * nt * sizeof(double));
-    for (long i = 0; i < nt; i++) psi[i] = (angle ? angle[b] : psi[i]) - value[4 * nt + i];
+  const long row[SIDE] = {0, nt, 2 * nt, 3 * nt, psi - out}, nb = k->nb; /* theta goes where psi is to be */
+  const int follows = side->anchor && !k->double_cover && closely(k, nt, t);
+  const long m = side->anchor && !follows ? 4 * k->n_panels + 1 : 0, before = angle ? 0 : nb * nt;
+  double *memory = malloc((before + (1 + nb * (3 + SIDE)) * m + 1) * sizeof(double)), *at = memory + before;
+  if (!memory) return -1;
+  if (m) side->anchor(k, begin, at, at + m, at + (1 + 3 * nb) * m);
+  for (long b = 0; b < nb && before; b++) memcpy(memory + b * nt, psi + b * OUT * nt, nt * sizeof(double));
+  const long code = side->evaluate(k, nt, t, out, row, OUT * nt);
+  for (long b = 0; b < nb && !code; b++, out += OUT * nt, psi += OUT * nt, begin += 3) {
+    double last[3];
+    if (follows) memcpy(last, begin, sizeof last);
+    for (long i = 0; i < nt && follows; i++) {
+      wind(k, last, 1, out + i, row);
+      last[0] = out[i], last[1] = out[nt + i], last[2] = psi[i];
+    }
+    for (long i = 0; i < nt; i++) psi[i] = (angle ? angle[b] : memory[b * nt + i]) - psi[i];
   }
-  free(values);
+  free(memory);
   return code;
 }
 
