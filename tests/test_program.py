@@ -121,6 +121,29 @@ def test_contacts_of_one_motion_may_have_others_between_them(pushed):
 
 
 @COMPILER
+@pytest.mark.parametrize("count", [7, 90, 160, 2000])
+@pytest.mark.parametrize("begin", [0.0, 0.4])
+@pytest.mark.parametrize(("obj", "turns"), [("sphere", 2), ("torus", 0.8), ("triaxial", 1)])
+def test_turns_are_counted_however_many_times_are_asked(obj, turns, count, begin):
+    surface = {"sphere": cs.Sphere(0.1), "torus": cs.Torus(0.2, 0.1),
+               "triaxial": cs.Ellipsoid(0.3, 0.2, 0.1)}[obj]  # fmt: skip
+    contact = cs.Contact(cs.Sphere(0.03), (0.7, 0.4), (1.1, 0.2), 0.3, object_velocity=(0.9, -0.5))
+    scenes = [
+        cs.Scene(object=surface, contacts=[contact], gain=cs.Gain.time(20.0 + k), duration=1.0,
+                 profile=cs.Profile([0.0, 6.0, 0.0, -6.0]))  # at rest at both ends
+        for k in range(4)
+    ]  # fmt: skip
+    times = np.linspace(begin, 1.0, count)
+    expected = cs.plan(scenes[0], tolerance=1e-14, compiled=False).states(times)
+    passed = np.abs(expected[-1, 0, [4, 5]] - (0.7, 0.4)).max() / (2 * np.pi)
+    assert passed > turns
+    for scene in (*scenes[1:], scenes[0]):  # the last is planned by numbers
+        found = cs.plan(scene, tolerance=1e-12, compiled=True).states(times)
+    size = np.maximum(np.abs(expected).max(axis=(0, 1)), 1.0)
+    assert (np.abs(found - expected) / size).max() < 1e-10
+
+
+@COMPILER
 def test_times_of_one_call_come_in_any_order():
     plan = cs.plan(one_contact("sphere", "sphere"), compiled=True)
     order = np.random.default_rng(3).permutation(len(TIMES))
