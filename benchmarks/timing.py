@@ -69,9 +69,12 @@ def interleaved(jobs: dict[str, Job], repeats: int = 9, burst: float = BURST) ->
     """
     counts = {}
     for name, job in jobs.items():
-        if sample(job) < SLOW:  # the first scenes of a kind teach what the next are planned from
-            sample(job, 2)
-        counts[name] = max(1, round(burst / max(sample(job), 1e-9)))
+        for _ in range(3):  # two may compile: a plan in full, and what the next of its kind need
+            now = sample(job)
+            if now < SLOW:
+                now = min(sample(job) for _ in range(3))
+                break
+        counts[name] = max(1, round(burst / max(now, 1e-9)))
     samples: dict[str, list[float]] = {name: [] for name in jobs}
     gc.disable()
     try:
