@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 
 from .development import slip_displacement
+from .kept import kept
 from .kernels import Kernel, address, made_once, per_structure
 from .panels import Panels, Problem, integrate
 from .profile import GainPiece
@@ -32,7 +33,6 @@ from .tracks import (
     altered,
     drive_data,
     frame_kernel,
-    kept,
     once,
     point_kernel,
     rotation,

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from . import geometry
+from .kept import kept
 from .kernels import Kernel, Restoration, address, per_structure
 from .panel_tracks import MovingTrack
 from .surfaces import Surface
@@ -18,7 +19,6 @@ from .tracks import (
     evaluator,
     frame_coordinates,
     frame_kernel,
-    kept,
     rotation,
     whole_frame,
 )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .branches import follow, lay_anchors
+from .kept import kept
 from .kernels import Kernel, address, contiguous
 from .panels import Motion, Panels, Problem, integrate, usable
 from .profile import GainPiece
@@ -23,7 +24,6 @@ from .tracks import (
     drive_data,
     evaluator,
     in_parts,
-    kept,
     once,
     whole_frame,
 )

@@ -8,7 +8,6 @@ count from 0, in Python as in scene files (`scene_files`).
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 import numbers
 import struct
@@ -22,6 +21,7 @@ import numpy as np
 from .charts import Chart
 from .checks import did_you_mean, finite_number, finite_numbers, is_plain, known_keys, naming
 from .errors import ContactSystemError, SceneError
+from .kept import kept
 from .profile import Contraction, Gain, Numbers, Profile, contraction
 from .surfaces import Surface
 
@@ -356,12 +356,12 @@ class Scene:
         """What is pickled: the fields, not what a planner has worked out and keeps with them."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
 
-    @functools.cached_property
+    @kept
     def packed_starts(self) -> bytes:
         """:meth:`Contact.start_numbers` of each, as C takes them: (n_contacts, 9) doubles."""
         return b"".join([PACK(*contact.start_numbers()) for contact in self.contacts])
 
-    @functools.cached_property
+    @kept
     def likeness(self) -> Hashable:
         """What scenes share that differ only in where and how fast their contacts start."""
         gain, fingers = self.gain, []

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, fields
-from functools import cached_property
 from numbers import Real
 from typing import Any, ClassVar
 
@@ -46,6 +45,7 @@ from .checks import finite_number, real_array
 from .errors import ChartSingularity, SurfaceError
 from .expressions import SYMBOLS
 from .geometry import ChartGeometry, chart_geometry, revolved_geometry
+from .kept import kept
 
 # A contact frame whose axes shrink below this fraction of the surface's size is taken as lost.
 # A pole typed with 16 digits gives 1e-16, a point 1e-9 rad from one still gives 1e-9.
@@ -96,7 +96,7 @@ class Surface:
         """Run-time numbers, such as radii in m; the values behind the symbols ``p``."""
         raise NotImplementedError
 
-    @cached_property
+    @kept
     def structure(self) -> Hashable:
         """What kernels are specialised by: equal structures differ in `parameters` alone."""
         return (self._kind, self.inside, self.chart.__name__)
@@ -139,7 +139,7 @@ class Surface:
         said += [f"{w.name}={getattr(self, w.name)!r}" for w in named]
         return f"{self._kind}({', '.join(said)})"
 
-    @cached_property
+    @kept
     def identity(self) -> Hashable:
         """What tells surfaces apart."""
         return (self.structure, self.parameters, self.size, self.periods())
@@ -650,7 +650,7 @@ class Quadric(Surface):
                 f"({chart.__name__}); leave sheet out"
             )
 
-    @cached_property
+    @kept
     def _principal(self) -> tuple[type[Chart], tuple[float, ...], Array]:
         """Chart, its numbers, and the rotation from chart axes to the body's, (3, 3)."""
         chart, numbers, rotation = _principal_chart(np.array(self.A))
@@ -663,7 +663,7 @@ class Quadric(Surface):
     def chart(self) -> type[Chart]:
         return self._principal[0]
 
-    @cached_property
+    @kept
     def parameters(self) -> tuple[float, ...]:
         """Three chart numbers (padded), nine of the rotation row by row, six of A."""
         _, numbers, rotation = self._principal

@@ -19,6 +19,7 @@ import numpy as np
 
 from . import geometry
 from .errors import ChartSingularity, ContactSystemError
+from .kept import T, kept
 from .kernels import (
     PRELUDE,
     Kernel,
@@ -39,23 +40,10 @@ LOCK = threading.RLock()
 """Held while something is found that plans keep: other threads may ask the same plan."""
 
 
-class kept:
-    """An attribute computed when it is first asked for; two threads may both compute it."""
-
-    def __init__(self, find: Callable[[Any], Any]):
-        self.find, self.name = find, find.__name__
-
-    def __get__(self, instance: Any, owner: type) -> Any:
-        known = instance.__dict__
-        if self.name not in known:
-            known[self.name] = self.find(instance)
-        return known[self.name]
-
-
-class once(kept):
+class once(kept[T]):
     """As `kept`, but computed once, under LOCK: C holds pointers into what it gives."""
 
-    def __get__(self, instance: Any, owner: type) -> Any:
+    def __get__(self, instance: Any, owner: type | None = None) -> T:
         with LOCK:
             return super().__get__(instance, owner)
 
