@@ -7,6 +7,7 @@ import itertools
 import json
 import math
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from benchmarks import (  # noqa: E402
     regression,
     skip,
     speed,
+    timing,
     work_precision,
 )
 from benchmarks.__main__ import LONG, PARTS, SHARING  # noqa: E402
@@ -296,3 +298,15 @@ def test_a_part_run_beside_another_gives_its_bars_and_prints_nothing(capfd):
     bars, spent = quietly("accuracy", ("revolutions",), False)
     assert bars and all(bar.met for bar in bars) and spent > 0
     assert capfd.readouterr().out == ""
+
+
+def test_calls_that_compile_first_are_not_timed_one_by_one(monkeypatch):
+    monkeypatch.setattr(timing, "SLOW", 0.02)
+    slow, calls = iter([0.05, 0.03]), []
+
+    def call(_):
+        calls.append(time.sleep(next(slow, 0.0)))
+
+    found = timing.interleaved({"compiles twice": timing.Job(call)}, repeats=2, burst=0.01)
+    assert found["compiles twice"].median < 0.02
+    assert len(calls) > 20  # several in each sample
