@@ -398,7 +398,8 @@ class Begun:
     def states(self, t: np.ndarray, out: np.ndarray, tolerance: float) -> int:
         """Chart states (n, 9, n_t) as :meth:`ChartStates.fill`, in the same way."""
         kind = self.kind
-        head = kind.at, self.at, tolerance, kind.states
+        assert kind.states is not None
+        head = kind.at, self.at, tolerance, kind.states, 0, 0
         return by_contacts(kind.library.states, head, kind.nb, t, out)
 
 

@@ -35,6 +35,7 @@ from .tracks import BRANCH, NODE, PARTS, Drive, TrackData, altered, drive_data
 # NODES = 16: on a unit sphere a panel spans about 2 rad at 1e-14 and Picard sweeps still converge.
 SWEEPS = 40
 COARSE = 1e-6  # tolerance beyond which tails tell nothing of errors; panels are hardly fewer
+STEEPEST = 20.0  # fall of ln(decay) in a panel: greater ones are refused more often than not
 MANY = 4096  # panels from one look at how many more it will take to the next
 MOST = 1e6  # panels of one interval; beyond, a scene is refused
 MOST_HERE = 1e5  # without compiled kernels, where a panel takes 0.3 ms
@@ -383,16 +384,16 @@ def _shared(h: float, left: float) -> float:
 
 
 def longest_panel(drive: GainPiece, slip: float, tau: float, h: float) -> float:
-    """Shorten a panel so that decay falls by exp(-30) at most: its first node still sees it."""
+    """Shorten a panel: ln(decay) may fall by STEEPEST, also if it goes on as at the start, so that
+    the first node still sees a layer there. A gain that grows later is seen by the other nodes."""
     if slip <= 0:
         return h
+    first, lost = drive.gain(tau), drive.lost(tau)
     for _ in range(60):
-        lost = drive.lost(tau)
-        mean = (drive.lost(tau + h) - lost) / h  # the gain may be 0 at both ends, where sigma is
-        gain = max(drive.gain(tau), drive.gain(tau + h), mean)
-        if gain * h <= 30.0 or lost > 40.0:
+        gain = max(first, (drive.lost(tau + h) - lost) / h)
+        if gain * h <= STEEPEST or lost > 40.0:
             break
-        h = 0.5 * h if 30.0 / gain < 0.5 * h else 30.0 / gain * 0.99
+        h = max(0.5 * h, 0.99 * STEEPEST / gain)
     return h
 
 
@@ -417,7 +418,8 @@ def panel_source(kernel: Kernel) -> str:
     # Inlined, a loop of 16 is unrolled and then poorly packed: five times slower.
     head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
     head += f"#define RHS {kernel.name}\n#define NX {n}L\n#define NC {kernel.n_constant}L\n"
-    head += f"#define SWEEPS {SWEEPS}\n#define NESTED {kernel.nested}\n"
+    head += f"#define SWEEPS {SWEEPS}\n#define STEEPEST {STEEPEST}\n"
+    head += f"#define NESTED {kernel.nested}\n"
     head += f"#define MANY {MANY}\n#define MOST_PANELS {MOST:g}\n"
     head += f"#define IN_ROWS {rows_in}\n#define OUT_ROWS {rows_out}\n"
     head += _restore_source(kernel)
@@ -480,10 +482,7 @@ def program_library() -> ctypes.CDLL:
     library.move.argtypes = library.room_of.argtypes = [pointer]
     library.fill.argtypes = [pointer, integer, integer, integer, pointer, pointer, pointer]
     library.begin.argtypes = [pointer] * 3
-    begun: list[Any] = [pointer, pointer, ctypes.c_double]
-    some: list[Any] = [integer, integer, integer, pointer, pointer]  # contacts, times
-    library.fill_begun.argtypes = [*begun, pointer, integer, integer, *some]
-    library.states.argtypes = [*begun, pointer, *some]
+    library.fill_begun.argtypes = library.states.argtypes = [pointer]
     for name in ("move", "room_of", "fill", "begin", "fill_begun", "states"):
         getattr(library, name).restype = integer
     return library

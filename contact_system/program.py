@@ -9,10 +9,10 @@ import contextlib
 import ctypes
 import functools
 import os
+import struct
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -156,16 +156,26 @@ def group_program(group: Group, output: str) -> Program | None:
 
 # --- side by side ---------------------------------------------------------------------------------
 
+ASKED = struct.Struct("@PPdPlllllPP")  # ``asked_t`` of c/program.c
 WORTH = 10_000  # contacts times times for a thread: 0.4 ms of work, ten times its start
 SHARES = 8  # of each thread, where another may be late
 
 
 def by_contacts(
-    run: Callable[..., int], head: tuple[Any, ...], count: int, t: np.ndarray, out: np.ndarray
+    run: Callable[[bytes], int],
+    head: tuple[int, int, float, int, int, int],
+    count: int,
+    t: np.ndarray,
+    out: np.ndarray,
 ) -> int:
-    """Have C fill results of all contacts, ``run(*head, first, last, times)``, on every processor.
+    """Have C fill results of all contacts, on every processor.
 
     C takes the same contacts at once as on one processor: results are the same to the bit.
+
+    Parameters
+    ----------
+    run : ``states`` or ``fill_begun`` of c/program.c
+    head : what it is asked, up to the rows of each body
 
     Returns
     -------
@@ -173,17 +183,15 @@ def by_contacts(
         What ``run`` returned for the first contacts for which it was not 0; else 0.
     """
     times = len(t), address(t), address(out)
-    threads = min(count * len(t) // WORTH, -(-count // MOST_AT_ONCE))
-    if threads > 1:
-        threads = min(threads, processors())
-    if threads < 2:
-        return run(*head, 0, count, *times)
+    if count <= MOST_AT_ONCE or count * len(t) < 2 * WORTH or (found := processors()) < 2:
+        return run(ASKED.pack(*head, 0, count, *times))
+    threads = min(count * len(t) // WORTH, -(-count // MOST_AT_ONCE), found)
     step = MOST_AT_ONCE * -(-count // (MOST_AT_ONCE * SHARES * threads))
     left, codes = iter(range(0, count, step)), {}
 
     def work() -> None:
         for first in left:
-            codes[first] = run(*head, first, min(first + step, count), *times)
+            codes[first] = run(ASKED.pack(*head, first, min(first + step, count), *times))
 
     others = [threading.Thread(target=work) for _ in range(threads - 1)]
     started = []
@@ -265,7 +273,7 @@ class ChartStates:
         """
         for motion in self._motions:
             motion.run()
-        return by_contacts(self._run, (None, None, tolerance, self.at), self._count, t, out)
+        return by_contacts(self._run, (0, 0, tolerance, self.at, 0, 0), self._count, t, out)
 
 
 def chart_states(group: Group, compiled: bool | None) -> ChartStates | None:

@@ -18,16 +18,15 @@
 #endif
 #define CONVERGED (NESTED ? 1e-3 : 1e-2) /* of the tolerance; rates do not show in a nested change */
 
+/* A panel shortened: ln(decay) may fall by STEEPEST, also if it goes on as at the start, so that the first node
+   still sees a layer there. A gain that grows later is seen by the other nodes. */
 static double longest(const drive_t *d, const method_t *m, double tau, double h) {
-  /* decay may fall by exp(-30) at most in a panel: its first node then still sees the layer */
   if (m->slip <= 0) return h;
+  const double first = gain_at(d, tau), lost = horner(d->exponent, d->n_exponent, tau);
   for (int k = 0; k < 60; k++) {
-    /* the gain may be 0 at both ends, where sigma is */
-    const double a = gain_at(d, tau), b = gain_at(d, tau + h), lost = horner(d->exponent, d->n_exponent, tau);
-    const double mean = (horner(d->exponent, d->n_exponent, tau + h) - lost) / h;
-    const double lam = fmax(fmax(a, b), mean);
-    if (lam * h <= 30.0 || lost > 40.0) break;
-    h = (30.0 / lam < 0.5 * h) ? 0.5 * h : 30.0 / lam * 0.99;
+    const double lam = fmax(first, (horner(d->exponent, d->n_exponent, tau + h) - lost) / h);
+    if (lam * h <= STEEPEST || lost > 40.0) break;
+    h = fmax(0.5 * h, 0.99 * STEEPEST / lam);
   }
   return h;
 }
