@@ -33,6 +33,7 @@ Exact = tuple[Sequence[int], int]
 Numbers = Sequence[float] | np.ndarray
 """What users may give for a few numbers, all of which are kept as tuples of floats."""
 
+CANCELLED = 1e5  # times as large as sigma may its terms be: 11 digits are left of it, 6 of int lam
 _BISECTIONS = 200  # down to neighbouring floats, also for a root very close to 0
 
 
@@ -148,7 +149,9 @@ class Profile:
     Parameters
     ----------
     coefficients : sequence of float
-        c_0, c_1, ... [m/s, m/s^2, ...], lowest power first.
+        c_0, c_1, ... [m/s, m/s^2, ...], lowest power first. Where terms of both signs are larger
+        than sigma, rounding takes as many digits of sigma and twice as many of int sigma^2:
+        2 and 4 for the minimum-jerk profile.
 
     Raises
     ------
@@ -222,8 +225,16 @@ class Profile:
             )
         if min(c) >= 0:  # no sum of such terms is negative
             return
-        t = min(self.knots(0.0, float(duration)), key=lambda t: _clear_value(c, t))
+        knots = self.knots(0.0, float(duration))
+        t = min(knots, key=lambda t: _clear_value(c, t))
         if _clear_value(c, t) >= 0:
+            peak = max(map(self, knots))
+            if not reach <= CANCELLED * peak:
+                raise SceneError(
+                    f"profile = {list(c)}: sigma is {peak:.3g} m/s at most and its terms are "
+                    f"{reach:.3g} m/s together at t = {duration:g} s, so that rounding leaves few "
+                    "digits of it; give a polynomial of lower degree, or a shorter duration"
+                )
             return
         crossings = _sign_changes(c, 0.0, duration)
         if crossings and self(0.5 * crossings[0]) > 0:

@@ -117,6 +117,9 @@ def test_a_profile_may_touch_zero(coefficients, duration):
     Profile(coefficients).check(duration)
 
 
+CANCELLING = np.polynomial.polynomial.polypow([0, 1, -1], 10)
+
+
 @pytest.mark.parametrize(
     "coefficients, words",
     [
@@ -127,6 +130,7 @@ def test_a_profile_may_touch_zero(coefficients, duration):
         ([-1e-12, 0, 1], ["t = 0 s", "-1e-12"]),
         ([0, 0], ["zero for all t", "at least one coefficient"]),
         ([1e99, 1e99], ["too large"]),
+        (CANCELLING, ["9.54e-07 m/s", "1.02e+03 m/s", "lower degree"]),
     ],
 )
 def test_a_profile_that_is_no_speed_is_refused_with_time_value_and_remedy(coefficients, words):
