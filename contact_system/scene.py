@@ -293,6 +293,9 @@ class Turning:
 class Scene:
     """Bodies, contacts, path profile, gain law and disturbances over one horizon.
 
+    Nothing looks at whether bodies meet elsewhere too, as fingers side by side may, or a finger
+    that is wider than its bowl.
+
     Parameters
     ----------
     object : Surface
