@@ -62,6 +62,12 @@ class Surface:
 
     Subclasses say `parameters`, `chart` and `_level`; `Quadric` also turns its chart in space.
     ``p`` stands for an SX vector of as many symbols as `parameters` has numbers.
+
+    Parameters
+    ----------
+    inside : bool
+        True: the body is on the other side of the surface. (u, v) is then the point f(u, -v) of
+        the chart that the class tells: the frame stays right-handed with n out of the body.
     """
 
     inside: bool = field(default=False, kw_only=True)
@@ -478,7 +484,7 @@ class Sphere(_OfRadius):
     radius : float
         m.
     inside : bool
-        True: a spherical bowl.
+        True: a spherical bowl; (u, v) is then the chart's f(u, -v).
     """
 
     ambient: ClassVar[bool] = True
@@ -500,7 +506,7 @@ class Cylinder(_OfRadius):
     radius : float
         m.
     inside : bool
-        True: a bore.
+        True: a bore; (u, v) is then the chart's f(u, -v).
     """
 
     @property
@@ -520,7 +526,7 @@ class Torus(Surface):
     major, minor : float
         R and r, m, 0 < r < R.
     inside : bool
-        True: the inside of a tube.
+        True: the inside of a tube; (u, v) is then the chart's f(u, -v).
     """
 
     major: float
@@ -567,7 +573,7 @@ class Ellipsoid(Surface):
     a, b, c : float
         Semi-axes, m.
     inside : bool
-        True: an ellipsoidal bowl.
+        True: an ellipsoidal bowl; (u, v) is then the chart's f(u, -v).
     """
 
     ambient: ClassVar[bool] = True
@@ -624,7 +630,7 @@ class Quadric(Surface):
         Which of two sheets: the one on the positive or the negative side of the first principal
         axis. Only for the two-sheeted hyperboloid, the hyperbolic cylinder and the planes.
     inside : bool
-        Body on the side x^T A x > 1.
+        Body on the side x^T A x > 1; (u, v) is then the chart's f(u, -v).
     """
 
     ambient: ClassVar[bool] = True

@@ -119,7 +119,7 @@ class ParametricSurface(UserSurface):
     u_period, v_period : float, optional
         Period of a coordinate that closes on itself.
     inside : bool
-        The body is on the other side.
+        The body is on the other side; (u, v) is then the point f(u, -v).
     formula : Formula, optional
         In the place of the function or text: that of another surface, of which ``parameters``
         changes what it names. `dataclasses.replace` gives it.
@@ -333,7 +333,7 @@ class ImplicitSurface(UserSurface):
     size : float
         Length scale of the surface, m.
     inside : bool
-        The body is where F > 0.
+        The body is where F > 0; v is then the azimuth the other way around.
     formula : Formula, optional
         In the place of the function or text: that of another surface, of which ``parameters``
         changes what it names. `dataclasses.replace` gives it.
