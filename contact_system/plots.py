@@ -136,8 +136,11 @@ def draw_title(figure: Any, plan: Plan) -> None:
     """Name, profile, gain and description of a scene at the top of a figure."""
     scene = plan.scene
     facts = rf"$\sigma$ = {_polynomial(scene.profile)} m/s,   gain {gain_text(scene.gain)}"
-    figure.text(0.035, 0.955, shortened(scene.name, 30), size=18, weight="bold", va="baseline")
-    figure.text(0.965, 0.955, facts, size=10, va="baseline", ha="right", color="#5a6370")
+    name = shortened(scene.name, 30)
+    drawn = figure.text(0.035, 0.955, name, size=18, weight="bold", va="baseline")
+    told = figure.text(0.965, 0.955, facts, size=10, va="baseline", ha="right", color="#5a6370")
+    if told.get_window_extent().x0 < drawn.get_window_extent().x1 + 10:  # no room beside the name
+        told.set(x=0.035, y=0.865, ha="left")
     figure.text(0.035, 0.905, shortened(scene.description, 84), size=11, va="baseline")
 
 
@@ -153,7 +156,7 @@ def _polynomial(profile: Profile) -> str:
             power = "" if k == 0 else r"$\,t$" if k == 1 else rf"$\,t^{{{k}}}$"
             sign = ("- " if c < 0 else "+ ") if terms else "-" * (c < 0)
             terms.append(f"{sign}{abs(c):.4g}{power}")
-    return " ".join(terms)
+    return " ".join([*terms[:4], "+ …"] if len(terms) > 5 else terms)
 
 
 def shortened(text: str, width: int) -> str:

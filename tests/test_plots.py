@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import sys
 
@@ -116,6 +117,19 @@ def test_names_are_drawn_as_they_are(tmp_path):
         plots.plot(cs.plan(scene), tmp_path / "odd.svg")
     drawn = (tmp_path / "odd.svg").read_text()
     assert [f">{word}<" in drawn for word in words] == [True] * 3
+
+
+@pytest.mark.parametrize("name", ["K4", "rest to rest on the ring"])
+@pytest.mark.parametrize("terms", [1, 5, 9])
+def test_name_description_and_profile_have_room_beside_each_other(name, terms):
+    figures = pytest.importorskip("matplotlib.figure")
+    profile = cs.Profile([0.1234] * terms)
+    scene = _scene(cs.Sphere(0.1), name=name, description=name, profile=profile)
+    left, _ = figures.Figure((12, 6)).subfigures(1, 2, width_ratios=(1, 0.95))
+    plots.draw_title(left, cs.plan(scene))
+    boxes = [text.get_window_extent() for text in left.texts]
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+    assert max(box.x1 for box in boxes) < left.bbox.x1
 
 
 def test_missing_matplotlib_names_the_remedy(monkeypatch, tmp_path):
