@@ -339,7 +339,7 @@ def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
     if given in names:
         return (_bundled_folder() / f"{given}.toml").read_text("utf-8"), f"{given}.toml"
     try:
-        return Path(given).read_text("utf-8"), given
+        return Path(given).read_text("utf-8-sig"), given  # editors on Windows begin with a mark
     except FileNotFoundError:
         raise SceneError(
             f"'{given}' is neither a bundled scene nor a file{did_you_mean(given, names)}; "

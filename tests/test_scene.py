@@ -492,6 +492,11 @@ def test_files_that_are_no_text_are_refused(tmp_path):
         load_scene(tmp_path / "x.toml")
 
 
+def test_a_file_may_begin_with_a_byte_order_mark_and_have_lines_of_windows(tmp_path):
+    (tmp_path / "x.toml").write_text(GOOD.replace("good", "größer"), "utf-8-sig", newline="\r\n")
+    assert load_scene(tmp_path / "x.toml") == scene_from_toml(GOOD.replace("good", "größer"))
+
+
 def test_a_scene_saved_to_a_file_is_read_back_equal(tmp_path):
     scene = scene_from_toml(GOOD)
     save_scene(scene, tmp_path / "s.toml")
