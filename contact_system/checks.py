@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -144,6 +146,20 @@ def flag(value: Any, what: str, none: bool = False) -> Any:
     if not isinstance(value, (bool, np.bool_)):
         raise SceneError(f"{what} = {value!r}: give True or False" + ", or None" * none)
     return bool(value)
+
+
+def a_path(value: Any, what: str = "path") -> Path:
+    """The path, from all that names files in Python.
+
+    Raises
+    ------
+    SceneError
+        It is something else, as a scene where arguments are exchanged.
+    """
+    try:
+        return Path(os.fsdecode(value))
+    except TypeError:
+        raise SceneError(f"{what} = {value!r:.80}: give a path") from None
 
 
 def is_device(name: str) -> bool:

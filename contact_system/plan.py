@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from . import kinds
 from .chart_solution import SOLVERS, chart_groups
-from .checks import flag, real_array
+from .checks import a_path, flag, real_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .groups import SIDES, Group
 from .kinds import Begun
@@ -387,9 +387,9 @@ class Plan:
         Raises
         ------
         ContactSystemError
-            Another ending, or a file that cannot be written.
+            No path, another ending, or a file that cannot be written.
         """
-        path = Path(path)
+        path = a_path(path)
         t = self.sample_times() if times is None else self._times(times)
         try:
             self._write(path, t)

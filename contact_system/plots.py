@@ -11,11 +11,11 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .checks import a_path
 from .errors import ContactSystemError
 from .measures import (
     exact_slip,
@@ -109,7 +109,7 @@ class Picture:
     """A figure in our style, written to its path at the end."""
 
     def __init__(self, path: str | os.PathLike, size: tuple[float, float], dpi: int):
-        self.path, self.size, self.dpi = Path(path), size, dpi
+        self.path, self.size, self.dpi = a_path(path), size, dpi
 
     def __enter__(self) -> Any:
         try:

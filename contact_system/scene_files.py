@@ -16,7 +16,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from .checks import did_you_mean, finite_number, known_keys, naming
+from .checks import a_path, did_you_mean, finite_number, known_keys, naming
 from .errors import SceneError
 from .expressions import parse
 from .profile import GAIN_LAWS, Gain, Profile
@@ -33,6 +33,7 @@ from .scene import (
     Disturbance,
     Scene,
     Turning,
+    require_scene,
 )
 from .surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
 from .user_surfaces import ImplicitSurface, ParametricSurface
@@ -355,11 +356,12 @@ def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     Raises
     ------
     SceneError
-        If a file cannot hold it, or cannot be written.
+        If it is no scene, a file cannot hold it, or cannot be written.
     """
-    text = scene_to_toml(scene)
+    require_scene(scene)
+    path, text = a_path(path), scene_to_toml(scene)
     try:
-        Path(path).write_text(text, "utf-8")
+        path.write_text(text, "utf-8")
     except OSError as error:
         raise SceneError(
             f"scene '{scene.name}': '{path}' cannot be written: {error.strerror or error}; give a "

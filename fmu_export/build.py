@@ -16,6 +16,7 @@ from pathlib import Path
 
 import fmpy
 
+from contact_system.checks import a_path
 from contact_system.errors import ContactSystemError
 from contact_system.kernels import cache_folder, cache_room, find_compiler
 
@@ -144,9 +145,9 @@ def target(path: str | os.PathLike) -> Path:
     Raises
     ------
     ContactSystemError
-        It is a folder, or lies in something that is none.
+        It is none, or a folder, or lies in something that is no folder.
     """
-    path = Path(path)
+    path = a_path(path)
     try:
         if path.is_dir():
             raise ContactSystemError(f"'{path}' is a folder; name the file to write in it")

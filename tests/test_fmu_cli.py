@@ -14,7 +14,7 @@ fmpy = pytest.importorskip("fmpy")
 
 from fmpy.validation import validate_fmu  # noqa: E402
 
-from fmu_export import cli, export_fmu  # noqa: E402
+from fmu_export import cli, export_fmu, write_description  # noqa: E402
 from fmu_export.build import write_fmu  # noqa: E402
 
 WRONG = b"""<fmiModelDescription fmiVersion="2.0" modelName="x" guid="x">
@@ -76,6 +76,12 @@ def test_what_cannot_be_written_to_is_told_before_anything_is_made(tmp_path, mon
         command("K1", "-o", "x" * 300)
     with pytest.raises(cs.ContactSystemError, match="each once"):
         command("K1", "--interfaces", "CoSimulation", "CoSimulation")
+    scene = cs.load_scene("K1")
+    for given in (None, scene):  # in the place of each other, too
+        with pytest.raises(cs.ContactSystemError, match="path = .*: give a path"):
+            export_fmu(scene, given)
+    with pytest.raises(cs.ContactSystemError, match="folder = 3: give a path"):
+        write_description(scene, 3)
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
