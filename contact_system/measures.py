@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from .checks import real_array
 from .errors import ChartSingularity, ContactSystemError
-from .plan import Plan
+from .plan import Plan, require_plan
 from .scene import Scene
 
 REJECTED = 0.05
@@ -158,7 +158,13 @@ def rejections(plan: Plan) -> list[Rejection]:
     list of Rejection
         One a contact, in the scene's order; `Rejection.time` is the time until slip stays below
         5 %, s.
+
+    Raises
+    ------
+    ContactSystemError
+        If it is no plan.
     """
+    require_plan(plan)
     knots = _monotone_from(plan)
     times = np.unique(np.concatenate([plan.sample_times(1001), knots, _last_before_edges(plan)]))
     slip = plan.slip_speed(times)

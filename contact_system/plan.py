@@ -779,6 +779,12 @@ def _skipped(group: Group) -> list[str]:
     return notes
 
 
+def require_plan(given: Any) -> None:
+    """Raise a ContactSystemError where something else is given, such as a scene."""
+    if not isinstance(given, Plan):
+        raise ContactSystemError(f"plan = {given!r:.80}: give a Plan, such as plan(scene)")
+
+
 def load(path: str | os.PathLike) -> Plan:
     """Read a plan saved as .npz and plan it again from the scene inside.
 

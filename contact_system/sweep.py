@@ -38,7 +38,7 @@ from .checks import flag
 from .errors import ContactSystemError
 from .kernels import make_folder
 from .measures import REJECTED
-from .plan import Plan, checked_tolerance, plan
+from .plan import Plan, checked_tolerance, plan, require_plan
 from .scene import Contact, Disturbance, Scene
 from .scene_files import load_scene, scene_text, scene_to_toml
 
@@ -130,7 +130,13 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
         last disturbance (or the start) until slip stays below 5 % of its value there, interpolated
         between those times; inf if it stays above, nan if there is no slip.
         ``state_end`` : (n_contacts, 9), as :meth:`Plan.states`.
+
+    Raises
+    ------
+    ContactSystemError
+        If it is no plan.
     """
+    require_plan(plan)
     since = np.full(len(plan.scene.contacts), plan.start)
     for d in plan.scene.disturbances:
         since[d.contact] = max(since[d.contact], d.stop)

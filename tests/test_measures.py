@@ -125,6 +125,12 @@ def test_distance_from_a_great_circle_is_zero_on_one_and_known_beside_one():
     assert np.abs(cs.great_circle_distance(small)) == pytest.approx(np.sin(0.1), rel=1e-12)
 
 
+@pytest.mark.parametrize("measure", [cs.rejections, cs.summary])
+def test_a_scene_in_the_place_of_its_plan_is_refused(measure):
+    with pytest.raises(ContactSystemError, match="plan = Scene.*: give a Plan, such as plan"):
+        measure(cs.load_scene("K1"))
+
+
 @pytest.mark.parametrize("points", [[], np.zeros((5, 1, 2, 3)), [[0, 0, math.nan]], "plan", None])
 def test_a_great_circle_asks_for_points_of_one_curve(points):
     with pytest.raises(ContactSystemError, match=r"shape .*\(n, 3\), such as plan.points"):
