@@ -104,10 +104,11 @@ def check_choice(fmi_version: str, interfaces: Sequence[str]) -> None:
     """Refuse versions and interfaces that there are not."""
     if fmi_version not in VERSIONS:
         raise ContactSystemError(f"fmi_version = {fmi_version!r}: use one of {', '.join(VERSIONS)}")
-    unknown = [i for i in interfaces if i not in INTERFACES]
-    if unknown or not interfaces or len(set(interfaces)) < len(interfaces):
+    given = () if isinstance(interfaces, str) else tuple(interfaces or ())
+    unknown = [i for i in given if i not in INTERFACES]
+    if unknown or not given or len(set(given)) < len(given):
         raise ContactSystemError(
-            f"interfaces = {tuple(interfaces)!r}: give one or both of {', '.join(INTERFACES)}, "
+            f"interfaces = {interfaces!r}: give a list of one or both of {', '.join(INTERFACES)}, "
             "each once"
         )
 

@@ -62,8 +62,10 @@ def export_fmu(
         FMU that fmpy's validation refuses.
     """
     path, moment = build.target(path), generation_time()
-    if not platforms:
-        raise ContactSystemError('platforms = (): give at least one, such as ("native",)')
+    if not platforms or isinstance(platforms, str):
+        raise ContactSystemError(
+            f'platforms = {platforms!r}: give a list of at least one, such as ("native",)'
+        )
     table = variable_table(scene)
     token = instantiation_token(model_description(table, fmi_version, interfaces))
     texts = c_sources(table, token, fmi_version)

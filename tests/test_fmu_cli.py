@@ -96,6 +96,12 @@ def test_a_wrong_file_replaces_nothing_and_leaves_nothing_behind(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("wrong", [(), None, "native"])
+def test_platforms_are_a_list(wrong, tmp_path):
+    with pytest.raises(cs.ContactSystemError, match="platforms = .*: give a list"):
+        export_fmu(cs.load_scene("K1"), tmp_path / "k1.fmu", platforms=wrong)
+
+
 def test_wrong_words_are_told(tmp_path, capsys):
     with pytest.raises(SystemExit):
         command("K1", "--fmi", "1.0")

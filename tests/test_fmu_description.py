@@ -199,8 +199,10 @@ def test_a_terminal_gathers_a_contact():
         {"interfaces": ()},
         {"interfaces": ("Scheduled",)},
         {"interfaces": ("CoSimulation", "CoSimulation")},
+        {"interfaces": "CoSimulation"},
+        {"interfaces": None},
     ],
 )
 def test_what_there_is_not_is_refused(options):
-    with pytest.raises(cs.ContactSystemError, match=r"use one of|give one or both"):
+    with pytest.raises(cs.ContactSystemError, match=r"use one of|give a list of one or both"):
         model_description(variable_table(cs.load_scene("C1")), **options)
