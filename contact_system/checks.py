@@ -65,8 +65,9 @@ def finite_numbers(values: Iterable[Any], what: str) -> tuple[float, ...]:
     if is_plain(plain):
         return plain
     try:
-        # float() would take all of these, numpy's complex numbers for their real parts
-        if isinstance(values, str) or any(
+        # float() would take all of these, numpy's complex numbers for their real parts; the
+        # numbers of a set have no order, and a table gives its keys
+        if isinstance(values, (str, set, frozenset, Mapping)) or any(
             isinstance(x, (bool, str)) or np.iscomplexobj(x) for x in values
         ):
             raise TypeError
