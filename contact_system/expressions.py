@@ -108,7 +108,8 @@ def parse(text: str, names: Mapping[str, SX]) -> Value:
     except SyntaxError as error:
         column = lead + max(error.offset or 1, 1)
         raise ContactSystemError(
-            f"formula {text!r}, column {column}: not readable ({error.msg}); write products with *"
+            f"formula {text!r}, column {column}: not readable ({error.msg}); write products with "
+            "* and leave units out (SI, radians)"
         ) from None
     except (RecursionError, MemoryError):
         raise ContactSystemError(f"formula {text[:40]!r}... is nested too deeply") from None

@@ -458,7 +458,7 @@ class Scene:
         if not 0 <= indices[0] < count:
             raise SceneError(
                 f"contact = {d.contact}: the scene has {count} contact{'s' * (count > 1)}, "
-                f'counted from 0; use 0 to {count - 1} or "all"'
+                f'counted from 0; use {f"0 to {count - 1}" if count > 1 else 0} or "all"'
             )
         for i in indices:
             if self.contacts[i].follows:
@@ -514,7 +514,9 @@ def _all_of(kind: type, values: Any, what: str) -> tuple:
     values = tuple(values)
     for k, value in enumerate(values):
         if not isinstance(value, kind):
-            raise SceneError(f"{what}[{k}] = {value!r}: give a {kind.__name__}")
+            kinds = DISTURBANCE_KINDS if kind is Disturbance else (kind,)
+            names = " or ".join(k.__name__ for k in kinds)
+            raise SceneError(f"{what}[{k}] = {value!r}: give a {names}")
     return values
 
 

@@ -89,6 +89,11 @@ def _read(key: str, value: Any) -> Any:
     if key == "duration":
         return _numbers(value, key)
     if key == "profile":
+        if not isinstance(value, list):
+            raise SceneError(
+                f"profile = {value!r}: give a list, the coefficients of sigma(t) from that of t^0 "
+                "on, such as [0.1, 0.2] for 0.1 + 0.2 t"
+            )
         return Profile(_numbers(value, key))
     if key in ("contacts", "disturbances"):
         return _read_list(key, value, _read_contact if key == "contacts" else _read_disturbance)
@@ -145,7 +150,7 @@ def _read_disturbance(table: dict) -> Disturbance:
 
 
 def _read_gain(value: Any) -> Gain:
-    table = _table(value)
+    table = _table(value, 'law = "time", eta = 100')
     _required(table, ("law",))
     law = _one_of(table["law"], GAIN_LAWS, "law")
     parameter = GAIN_LAWS[law]
@@ -155,7 +160,7 @@ def _read_gain(value: Any) -> Gain:
 
 
 def _read_surface(value: Any) -> Surface:
-    table = _table(value)
+    table = _table(value, 'surface = "sphere", radius = 0.04')
     _required(table, ("surface",))
     name = _one_of(table["surface"], _SURFACES, "surface")
     kind, keys = _SURFACES[name]
@@ -175,9 +180,9 @@ def _read_surface(value: Any) -> Surface:
         return kind(**arguments)
 
 
-def _table(value: Any) -> dict:
+def _table(value: Any, example: str = "key = value") -> dict:
     if not isinstance(value, dict):
-        raise SceneError(f"{value!r} is not a table; write it like {{ key = value }}")
+        raise SceneError(f"{value!r} is not a table; write it like {{ {example} }}")
     return value
 
 
@@ -342,8 +347,9 @@ def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
     try:
         return Path(given).read_text("utf-8-sig"), given  # editors on Windows begin with a mark
     except FileNotFoundError:
+        near = Path(given).name.removesuffix(".toml")
         raise SceneError(
-            f"'{given}' is neither a bundled scene nor a file{did_you_mean(given, names)}; "
+            f"'{given}' is neither a bundled scene nor a file{did_you_mean(near, names)}; "
             f"bundled are {', '.join(names)}"
         ) from None
     except (OSError, ValueError) as error:  # no text, or no name that a file may have

@@ -288,6 +288,7 @@ FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(
         (over(contacts=[]), ["contacts", "at least one"]),
         (over(contacts=Contact(FINGER, (1, 1))), ["contacts", "give a list"]),
         (over(contacts=[FINGER]), ["contacts[0]", "give a Contact"]),
+        (over(disturbances=[(0, 0, 1, (1, 1))]), ["disturbances[0]", "or ObjectRateOffset"]),
         (over(profile=[0.1]), ["profile = [0.1]", "give a Profile"]),
         (over(gain=100), ["gain = 100", "give a Gain"]),
         (over(turning=(1, 1, 1)), ["turning", "give a Turning"]),
@@ -411,6 +412,11 @@ def test_arithmetic_texts_are_numbers():
         ('[0.1, "1/5"]', '[0.1, "1/0"]', ["profile[1]", "division by zero"]),
         ('[0.1, "1/5"]', '[0.1, "__import__(1)"]', ["profile[1]"]),
         ('[0.1, "1/5"]', "0.1", ["profile = 0.1", "list"]),
+        ('[0.1, "1/5"]', '"0.1 + 0.2*t"', ["profile = '0.1 + 0.2*t'", "coefficients of sigma"]),
+        ("duration = 2.0", 'duration = "2 s"', ["duration: formula '2 s'", "leave units out"]),
+        ("rho = 5", 'rho = "5°"', ["gain: rho: formula '5°'", "radians"]),
+        ('{ law = "guaranteed", rho = 5 }', '"time"', ["gain", "'time'", '{ law = "time", eta']),
+        ('{ surface = "sphere", radius = "4e-2" }', '"sphere"', ["finger", '{ surface = "sphere"']),
         ('law = "guaranteed"', 'law = "garanteed"', ["gain", "'guaranteed'"]),
         ("rho = 5", "eta = 5", ["gain", "'eta' is unknown", "rho"]),
         ("rho = 5", "rho = -5", ["gain", "-5", "use 0 or more"]),
@@ -476,6 +482,8 @@ def test_an_unknown_scene_is_refused_with_the_nearest_name():
         load_scene("k1")
     with pytest.raises(SceneError, match="did you mean 'torus'"):
         load_scene("torsu")
+    with pytest.raises(SceneError, match="did you mean 'K1'"):
+        load_scene("scenes/K1.toml")
 
 
 @pytest.mark.parametrize("wrong", [None, 4, ["K4"]])
