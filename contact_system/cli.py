@@ -243,8 +243,8 @@ def _report(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> I
             f"{REJECTED:.0%} after': time from then until slip stays below {REJECTED:.0%} of its "
             "value then."
         )
-        yield from ("", *map(paragraph, _verdict(plans, measured)), "")
-        yield paragraph(str(scene.contraction()))
+        verdict = [paragraph(text) for text in _verdict(plans, measured)]
+        yield from ("", *verdict, *[""] * bool(verdict), paragraph(str(scene.contraction())))
     else:
         yield "No slip: every contact rolls throughout."
     yield from (*_great_circles(plans[0]), "")

@@ -55,6 +55,7 @@ def test_every_bundled_scene_runs(name, tmp_path, capsys):
     expected = {".npz", ".csv"} | ({".png"} if name in DRAWN else set())
     assert {p.suffix for p in tmp_path.iterdir()} == expected
     assert all(f"wrote {tmp_path / name}{suffix}" in out for suffix in expected)
+    assert "\n\n\n" not in out
     scene = cs.load_scene(name)
     assert cs.load(tmp_path / f"{name}.npz").scene == scene
     if "reports" in scene.paper and not scene.contacts[0].follows:
