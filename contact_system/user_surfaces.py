@@ -197,6 +197,16 @@ class ParametricSurface(UserSurface):
     def _outward_chart(self, p: SX, u: SX, v: SX) -> SX:
         return self.formula(p, u, v)
 
+    def _require_regular(self, u: Array, v: Array) -> None:
+        super()._require_regular(u, v)
+        with np.errstate(all="ignore"):  # where a formula ends its derivatives may go on: log(u)
+            missing = ~np.isfinite(self.point(u, v)).all(axis=-1)
+        if np.any(missing):
+            raise SurfaceError(
+                f"{self!r}: the formula has no point at (u, v) = "
+                f"({float(u[missing][0])}, {float(v[missing][0])}); move the contact"
+            )
+
     def _wrap(self, u: Array, v: Array) -> tuple[Array, Array]:
         return (
             _into(u, self.u_range, self.u_period),

@@ -589,6 +589,13 @@ def test_a_mistake_in_a_users_surface_is_named(surface, words):
         assert word in str(error.value)
 
 
+def test_a_contact_where_a_formula_gives_no_point_is_refused():
+    horn = ParametricSurface(["u", "v", "log(u - 1)"])  # its derivatives go on below u = 1
+    assert small_scene(object=horn, contacts=[Contact(FINGER, (1.5, 0))]).contacts
+    with pytest.raises(SceneError, match=r"contacts\[0\]: object_at = .*no point at \(u, v\)"):
+        small_scene(object=horn, contacts=[Contact(FINGER, (0.5, 0))])
+
+
 def test_a_surface_given_as_a_python_function_cannot_be_saved():
     scene = small_scene(object=ParametricSurface(lambda u, v: (u, v, 0.01 * u * v)))
     with pytest.raises(SceneError, match="scene 'small': object: f is a Python function"):
