@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from . import kinds
 from .chart_solution import SOLVERS, chart_groups
-from .checks import a_path, flag, real_array
+from .checks import a_path, flag, real_array, writing
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .groups import SIDES, Group
 from .kinds import Begun
@@ -391,13 +391,8 @@ class Plan:
         """
         path = a_path(path)
         t = self.sample_times() if times is None else self._times(times)
-        try:
+        with writing(path, f"scene '{self.scene.name}': "):
             self._write(path, t)
-        except OSError as error:
-            raise ContactSystemError(
-                f"scene '{self.scene.name}': '{path}' cannot be written: "
-                f"{error.strerror or error}; give a path in a folder that is there"
-            ) from None
 
     def _write(self, path: Path, t: np.ndarray) -> None:
         if path.suffix == ".npz":

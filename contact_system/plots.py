@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from .checks import a_path
+from .checks import a_path, writing
 from .errors import ContactSystemError
 from .measures import (
     exact_slip,
@@ -71,6 +71,8 @@ def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: in
     ------
     MissingMatplotlib
         If it is not installed.
+    ContactSystemError
+        No path, another ending, or a file that cannot be written.
     """
     laws = [plan] if other is None else [plan, other]
     with Picture(path, (12, 6), dpi) as figure:
@@ -114,11 +116,17 @@ class Picture:
     def __enter__(self) -> Any:
         try:
             import matplotlib
+            from matplotlib.backend_bases import FigureCanvasBase
             from matplotlib.figure import Figure
         except ImportError:
             raise MissingMatplotlib(
                 'pictures need matplotlib: pip install "contact-system[plot]"'
             ) from None
+        ending = self.path.suffix
+        if ending[1:].lower() not in FigureCanvasBase.get_supported_filetypes():
+            raise ContactSystemError(
+                f"{self.path}: unknown ending {ending!r}; use .png, .pdf or .svg"
+            )
         self.style = matplotlib.rc_context(STYLE)
         self.style.__enter__()
         self.figure = Figure(figsize=self.size, facecolor="white")
@@ -127,7 +135,8 @@ class Picture:
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
         try:
             if kind is None:
-                self.figure.savefig(self.path, dpi=self.dpi)
+                with writing(self.path):
+                    self.figure.savefig(self.path, dpi=self.dpi)
         finally:
             self.style.__exit__(kind, error, trace)
 

@@ -16,7 +16,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from .checks import a_path, did_you_mean, finite_number, known_keys, naming
+from .checks import a_path, did_you_mean, finite_number, known_keys, naming, writing
 from .errors import SceneError
 from .expressions import parse
 from .profile import GAIN_LAWS, Gain, Profile
@@ -366,10 +366,5 @@ def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     """
     require_scene(scene)
     path, text = a_path(path), scene_to_toml(scene)
-    try:
+    with writing(path, f"scene '{scene.name}': "):
         path.write_text(text, "utf-8")
-    except OSError as error:
-        raise SceneError(
-            f"scene '{scene.name}': '{path}' cannot be written: {error.strerror or error}; give a "
-            "path in a folder that is there"
-        ) from None

@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import flag
+from .checks import flag, writing
 from .errors import ContactSystemError
 from .kernels import make_folder
 from .measures import REJECTED
@@ -401,8 +401,8 @@ def sweep(
     ContactSystemError
         ``scenes`` that are no list of them; ``chunk`` or ``ahead`` that is no whole number from 1;
         another argument of the wrong kind; outputs without a row of numbers or texts a contact, or
-        that differ from scene to scene; a folder that cannot be made; functions that cannot be sent
-        to another process; an executor that broke and cannot be replaced.
+        that differ from scene to scene; a folder that cannot be made or written to; functions that
+        cannot be sent to another process; an executor that broke and cannot be replaced.
     """
     if isinstance(scenes, (Scene, str, os.PathLike)) or not isinstance(scenes, Iterable):
         raise ContactSystemError(f"scenes = {scenes!r:.80}: give a list of scenes; of one, [scene]")
@@ -575,9 +575,10 @@ class _Store:
         unfinished = path.with_suffix(".part")
         failures = json.dumps([asdict(failure) for failure in part.failures])
         digest = self.digests.pop(chunk.number)
-        with unfinished.open("wb") as file:
-            np.savez(file, digest=digest, table=part.table, failures=failures)
-        unfinished.replace(path)
+        with writing(path):
+            with unfinished.open("wb") as file:
+                np.savez(file, digest=digest, table=part.table, failures=failures)
+            unfinished.replace(path)
 
     def _path(self, chunk: Chunk) -> Path:
         assert self.folder is not None

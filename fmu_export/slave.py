@@ -29,7 +29,7 @@ from fmpy.fmi2 import FMU2Slave, fmi2DoStepStatus, fmi2LastSuccessfulTime, fmi2T
 from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import read_model_description
 
-from contact_system.checks import a_path
+from contact_system.checks import a_path, writing
 from contact_system.errors import ChartSingularity, ContactSystemError
 from contact_system.scene import Scene
 
@@ -83,8 +83,9 @@ def write_description(scene: Scene, folder: Path | str, fmi_version: str = "2.0"
     """
     text = model_description(variable_table(scene), fmi_version, ("CoSimulation",))
     path = a_path(folder, "folder") / "modelDescription.xml"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(re.sub(f' (?:{"|".join(_ABSENT)})="true"', "", text), encoding="utf-8")
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(re.sub(f' (?:{"|".join(_ABSENT)})="true"', "", text), encoding="utf-8")
     return path
 
 

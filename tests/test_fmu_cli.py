@@ -82,6 +82,8 @@ def test_what_cannot_be_written_to_is_told_before_anything_is_made(tmp_path, mon
             export_fmu(scene, given)
     with pytest.raises(cs.ContactSystemError, match="folder = 3: give a path"):
         write_description(scene, 3)
+    with pytest.raises(cs.ContactSystemError, match="modelDescription.xml' cannot be written: "):
+        write_description(scene, "file")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 

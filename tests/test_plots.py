@@ -132,6 +132,16 @@ def test_name_description_and_profile_have_room_beside_each_other(name, terms):
     assert max(box.x1 for box in boxes) < left.bbox.x1
 
 
+def test_a_picture_that_cannot_be_written_is_refused(tmp_path):
+    pytest.importorskip("matplotlib")
+    plan = cs.plan(cs.load_scene("K1"))
+    with pytest.raises(cs.ContactSystemError, match="x.png' cannot be written: No such file"):
+        plots.plot_slip(plan, tmp_path / "missing" / "x.png", dpi=30)
+    for name in ("x.txt", "x"):
+        with pytest.raises(cs.ContactSystemError, match="unknown ending .*; use .png, .pdf or"):
+            plots.plot_slip(plan, tmp_path / name)
+
+
 def test_missing_matplotlib_names_the_remedy(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(plots.MissingMatplotlib, match=r'pip install "contact-system\[plot\]"'):

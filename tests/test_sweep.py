@@ -315,6 +315,12 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
         cs.sweep(["C1"], folder=tmp_path / "taken")
 
 
+def test_results_that_cannot_be_kept_are_refused_by_their_file(tmp_path):
+    (tmp_path / "chunk-00000000.part").mkdir()
+    with pytest.raises(cs.ContactSystemError, match="chunk-00000000.npz' cannot be written: "):
+        cs.sweep(["C1"], folder=tmp_path)
+
+
 def test_failures_are_kept_in_the_folder(tmp_path):
     scenes = [rolling_towards(0), "K0"]
     first = cs.sweep(scenes, middle, folder=tmp_path)
