@@ -497,7 +497,7 @@ def program_built() -> bool:
 @functools.cache
 def _program_source() -> str:
     sizes = f"#define MOST {MOST_AT_ONCE}\n#define MOST_FOUND {MOST_FOUND}\n"
-    sizes += f"#define COARSE {COARSE}\n"
+    sizes += f"#define COARSE {COARSE}\n#define STEEPEST {STEEPEST}\n"
     sizes += f"#define NODE {NODE}\n#define BRANCH {BRANCH}\n"
     return PRELUDE + sizes + c_source("program.c")
 

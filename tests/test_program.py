@@ -251,6 +251,22 @@ def test_slip_whose_path_is_negligible_still_shows_in_the_rates(obj, compiled):
     assert velocity == pytest.approx(np.array([0.2, -0.5]) * scene.profile(0.0), rel=1e-9)
 
 
+@COMPILER
+@pytest.mark.parametrize(("eta", "tolerance"), [(1e6, 1e-3), (1e8, 1e-5)])
+@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "oblate"])
+def test_slip_that_moves_nothing_shows_in_the_rates_at_many_times(obj, eta, tolerance):
+    scene = one_contact(obj, "sphere", gain=cs.Gain.time(eta), object_velocity=(0.2, -0.5))
+    plan = cs.plan(scene, tolerance=tolerance, compiled=True)
+    layer = np.linspace(0.0, 40.0, 21) / eta
+    times = np.concatenate([layer, np.linspace(0.01, 1.0, 4000)])
+    for state, slip in zip(plan.states(times)[:21, 0], plan.slip(layer)[:, 0]):
+        c, s = np.cos(state[8]), np.sin(state[8])
+        finger = scene.contacts[0].finger.metric_root(*state[0:2]) @ state[2:4]
+        velocity = scene.object.metric_root(*state[4:6]) @ state[6:8]
+        expected = np.array([[c, -s], [-s, -c]]) @ finger - slip
+        assert velocity == pytest.approx(expected, abs=3 * tolerance * scene.profile(0.0))
+
+
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=COMPILER)])
 @pytest.mark.parametrize("obj", SURFACES)
 def test_rolling_does_not_end_with_a_piece_of_the_gain(obj, compiled):

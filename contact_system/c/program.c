@@ -481,7 +481,9 @@ static int divide(const states_t *p, const side_t *side, const track_t *k, doubl
       piece->slips = horner(k->drive.exponent, k->drive.n_exponent, at) < 40.0;
       join(k, piece->slips, tau, values, combined);
       tail = resolve(p->project, nb, SIDE, tolerance, combined, piece, series);
-      if (tail <= tolerance)
+      /* a layer before the first node would look smooth: motions pass one that moves the contact too little */
+      const int seen = gain_at(&k->drive, at) * (stop - at) <= STEEPEST;
+      if (tail <= tolerance && seen)
         piece->slips = 0;
       else if (piece->slips)
         tail = resolve(p->project, nb, ROWS, tolerance, values, piece, series);
