@@ -31,7 +31,6 @@ import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -39,6 +38,7 @@ from numpy.polynomial import polynomial as poly
 from numpy.polynomial.legendre import leggauss
 
 import contact_system as cs
+from contact_system.kept import kept
 
 from .stress_scenes import DISTURBANCES, EPS, TURNS, Array, Body, Trial
 from .verdicts import Verdict, refusal
@@ -143,7 +143,7 @@ class Sample:
         return Sample(self.t[where], self.states[where],
                       *((a[where], b[where]) for a, b in pairs))  # fmt: skip
 
-    @cached_property
+    @kept
     def turn(self) -> Array:
         """R_psi (n, 2, 2)."""
         c, s = np.cos(self.states[:, 8]), np.sin(self.states[:, 8])

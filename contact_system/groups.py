@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bisect
 import contextlib
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 
 from .closed_form import CircleTrack
 from .errors import ChartSingularity
+from .kept import kept
 from .panel_tracks import MovingTrack
 from .profile import GainPiece
 from .starts import Moment
@@ -91,12 +91,12 @@ class Group:
                 return False
         return True
 
-    @functools.cached_property
+    @kept
     def in_a_row(self) -> bool:
         """Whether no contact of another group lies between: rows of finger and object alternate."""
         return bool((np.diff(self.contacts) == 1).all())
 
-    @functools.cached_property
+    @kept
     def moving(self) -> list[MovingTrack]:
         """Of a group that :meth:`repeats`, the tracks that another tolerance changes."""
         ends = self.finger[-1], self.object[-1]

@@ -33,6 +33,7 @@ import numpy as np
 
 from .errors import ContactSystemError
 from .expressions import SYMBOLS
+from .kept import kept
 
 C_SOURCES = Path(__file__).parent / "c"
 NODES = 16  # Gauss points of a panel; see panels.Collocation
@@ -208,11 +209,11 @@ class Kernel:
             machine.x.reshape(bodies, n, -1), machine.y.reshape(bodies, n, -1), machine.run
         )
 
-    @functools.cached_property
+    @kept
     def _numpy(self) -> NumpyProgram:
         return NumpyProgram(self.function)
 
-    @functools.cached_property
+    @kept
     def loop_source(self) -> str:
         """:meth:`loop` under the kernel's own name."""
         return self.loop(self.name)
@@ -238,7 +239,7 @@ class Kernel:
             f"{body}    }}\n  }}\n}}\n"
         )
 
-    @functools.cached_property
+    @kept
     def library(self) -> Any:
         """:meth:`loop`, compiled."""
         library = compiled_library(PRELUDE + self.loop_source)
@@ -249,7 +250,7 @@ class Kernel:
         entry.restype = None
         return entry
 
-    @functools.cached_property
+    @kept
     def built(self) -> bool:
         """Whether the compiled form lies in the cache (looked up once)."""
         return is_built(PRELUDE + self.loop_source)

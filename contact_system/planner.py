@@ -31,6 +31,7 @@ from .development import (
 from .errors import ContactSystemError, SceneError
 from .geodesics import GeodesicTrack, geodesic_form
 from .groups import Group, SlipRecord
+from .kept import kept
 from .kernels import Kernel, contiguous
 from .panel_tracks import Forced, MovingTrack, PanelTrack
 from .panels import Motion, Panels, Problem, integrate, usable
@@ -156,17 +157,17 @@ class Interval:
     free_until: float
     reach: float
 
-    @functools.cached_property
+    @kept
     def accelerated(self) -> bool:
         """Finger or object is accelerated."""
         return self.pushed or bool(self.forcing[ObjectAcceleration].any())
 
-    @functools.cached_property
+    @kept
     def turns(self) -> bool:
         """Something is given in chart components of the object."""
         return bool(self.forcing[ObjectAcceleration].any()) or self.offset is not None
 
-    @functools.cached_property
+    @kept
     def offset(self) -> np.ndarray | None:
         """Object rate offsets, (n, 2), or None where there are none."""
         offset = self.forcing[ObjectRateOffset]
@@ -177,9 +178,9 @@ class Interval:
 class Pattern:
     """What scenes that differ only in where contacts start have in common, of one group.
 
-    ``finger`` and ``object`` stand nowhere. ``kept`` holds tracks and problems that begin at edges
-    of the intervals, from which those of another start or tolerance are made, with what C knows of
-    them.
+    ``finger`` and ``object`` stand nowhere. ``memory`` holds tracks and problems that begin at
+    edges of the intervals, from which those of another start or tolerance are made, with what C
+    knows of them.
     """
 
     contacts: np.ndarray
@@ -187,9 +188,9 @@ class Pattern:
     object: Body
     follows: bool
     intervals: tuple[Interval, ...]
-    kept: dict[Any, Any] = field(default_factory=dict)
+    memory: dict[Any, Any] = field(default_factory=dict)
 
-    @functools.cached_property
+    @kept
     def edges(self) -> set[float]:
         """Starts of the intervals."""
         return {interval.start for interval in self.intervals}
@@ -199,7 +200,7 @@ class Pattern:
 class Prepared:
     """What the scene alone says about a group; kept with the scene, so worked out once.
 
-    ``kept`` holds what planning finds and no tolerance changes: great circles from the start, and
+    ``memory`` holds what planning finds and no tolerance changes: great circles from the start, and
     whole groups that consist of them.
     """
 
@@ -214,7 +215,7 @@ class Prepared:
     finger: Body
     object: Body
     at: tuple[np.ndarray, np.ndarray]
-    kept: dict[Any, Any] = field(default_factory=dict)
+    memory: dict[Any, Any] = field(default_factory=dict)
 
 
 def plan_groups(
@@ -236,14 +237,14 @@ def plan_groups(
 
 
 def _planned(prepared: Prepared, tolerance: float, compiled: bool | None) -> Group:
-    known: Group | None = prepared.kept.get(("group", compiled))
+    known: Group | None = prepared.memory.get(("group", compiled))
     if known is not None:
         return known.again(tolerance)
     group = GroupPlanner(prepared, tolerance, compiled).run()
-    if "repeats" not in prepared.kept:
-        prepared.kept["repeats"] = group.repeats(tolerance)
-    if prepared.kept["repeats"]:
-        prepared.kept["group", compiled] = group.again(tolerance)  # without what this one finds
+    if "repeats" not in prepared.memory:
+        prepared.memory["repeats"] = group.repeats(tolerance)
+    if prepared.memory["repeats"]:
+        prepared.memory["group", compiled] = group.again(tolerance)  # without what this one finds
     return group
 
 
@@ -477,15 +478,15 @@ class GroupPlanner:
         if len(circles) == len(tracks) and not self.v.any():
             group.pair = pair_of(circles)
         kinds = len(group.finger), *((type(t), t.ambient) for t in tracks)
-        group.layouts = self.pattern.kept.setdefault(("layouts", self.compiled, kinds), {})
+        group.layouts = self.pattern.memory.setdefault(("layouts", self.compiled, kinds), {})
         return group
 
     def _once(self, key: Any, find: Callable[[], Any]) -> Any:
         """What the scene alone says, found once."""
-        kept = self.prepared.kept
-        if key not in kept:
-            kept[key] = find()
-        return kept[key]
+        memory = self.prepared.memory
+        if key not in memory:
+            memory[key] = find()
+        return memory[key]
 
     def _refuse_endless(self) -> bool:
         path = sum(interval.length for interval in self.pattern.intervals)
@@ -538,7 +539,7 @@ class GroupPlanner:
             numbers = [w, np.zeros_like(w), np.zeros_like(w)]
         first, constants = contiguous(first), np.hstack([body.parameters, *numbers])
         key = "geodesic", side, start, stop, form is None, body.ambient, self.compiled
-        known: MovingTrack | None = self.pattern.kept.get(key)
+        known: MovingTrack | None = self.pattern.memory.get(key)
         if known is not None:
             problem = known.problem.moved(first, constants, scale=scale, name=self.name)
             return known.moved(self.tolerance, problem, w, None)
@@ -556,7 +557,7 @@ class GroupPlanner:
             body.ambient, self.compiled, kernel, problem, self.tolerance, w, None,
         )  # fmt: skip
         if start in self.pattern.edges:
-            self.pattern.kept[key] = track.again(self.tolerance)  # without what this one finds
+            self.pattern.memory[key] = track.again(self.tolerance)  # without what this one finds
         return track
 
     def _great_circle(
@@ -572,7 +573,7 @@ class GroupPlanner:
         self, key: Hashable, body: Body, w: np.ndarray, piece: GainPiece, why: str
     ) -> CircleTrack:
         circle = great_circle(body.surface, body.parameters, body.state, w)
-        known: CircleTrack | None = self.pattern.kept.get(key)
+        known: CircleTrack | None = self.pattern.memory.get(key)
         if known is not None:
             return known.moved(circle)
         track = CircleTrack(
@@ -580,7 +581,7 @@ class GroupPlanner:
             why, True, self.compiled, circle=circle, piece=piece,
         )  # fmt: skip
         if piece.start in self.pattern.edges:
-            self.pattern.kept[key] = track
+            self.pattern.memory[key] = track
         return track
 
     def _flat(
@@ -647,7 +648,7 @@ class GroupPlanner:
         stops = body.surface.great_circles and interval.length > LONG_REST * body.size
         finish = min(negligible, RATE_LEFT) if stops else negligible
         key = "driven", interval.start, body.ambient, self.compiled
-        known = self.pattern.kept.get(key)
+        known = self.pattern.memory.get(key)
         start, w, v = contiguous(body.state), contiguous(self.w2), contiguous(self.v)
         if known is not None and not stops:
             constants, n = known.problem.constants.copy(), body.parameters.shape[1]
@@ -677,7 +678,7 @@ class GroupPlanner:
                 body.surface, body.parameters, interval.piece, why, body.ambient, self.compiled,
                 kernel, problem, self.tolerance, w, v, offset,
             )  # fmt: skip
-            self.pattern.kept[key] = track.again(self.tolerance) if offset is None else None
+            self.pattern.memory[key] = track.again(self.tolerance) if offset is None else None
         if stops and track.panels.edges[-1] < span:
             track.stop = interval.start + track.panels.edges[-1]
         self._append("object", track)
@@ -692,9 +693,9 @@ class GroupPlanner:
         tip = self._in_form("finger", True) if pushed else self.finger
         n1 = tip.state.shape[1] if pushed else 0
         key = "forced", start, tip.ambient, obj.ambient, self.compiled
-        known: _Forced | None = self.pattern.kept.get(key)
+        known: _Forced | None = self.pattern.memory.get(key)
         if known is None:
-            known = self.pattern.kept[key] = self._forced_problem(interval, tip, obj)
+            known = self.pattern.memory[key] = self._forced_problem(interval, tip, obj)
         moving = [tip.state, self.w1, obj.state, self.v] if pushed else [obj.state, self.v]
         scale = known.scale(tip, obj, pushed, self.v)
         given = np.concatenate([self._once("turn", self._turn), self.w1], axis=1)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, reduce
+from functools import lru_cache, reduce
 from operator import truediv
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ import numpy as np
 
 from .checks import LARGEST, finite_number, finite_numbers, real_array
 from .errors import SceneError
+from .kept import kept
 
 Coefficients = tuple[float, ...]
 """Coefficients of a polynomial, lowest power first."""
@@ -253,20 +254,20 @@ class Profile:
         knots = self.knots(0.0, float(duration))
         return tuple(t for t in knots if _clear_value(self.coefficients, t) <= 0)
 
-    @cached_property
+    @kept
     def square(self) -> Coefficients:
         """Coefficients of sigma^2."""
         return _rounded(_product(self.coefficients, self.coefficients))
 
-    @cached_property
+    @kept
     def _rate(self) -> Coefficients:
         return _derivative(self.coefficients)
 
-    @cached_property
+    @kept
     def _arc_length(self) -> Coefficients:
         return integral(self.coefficients)
 
-    @cached_property
+    @kept
     def _energy(self) -> Coefficients:
         return integral(self.square)
 
@@ -360,21 +361,21 @@ class GainPiece:
                 lam = lam + self.slope(tau) / self.speed(tau)
         return lam
 
-    @cached_property
+    @kept
     def _slope(self) -> Coefficients:
         return _derivative(self.sigma)
 
-    @cached_property
+    @kept
     def lengths(self) -> Coefficients:
         """Coefficients of the arc length, lowest first."""
         return integral(self.sigma)
 
-    @cached_property
+    @kept
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """sigma, lengths and exponent as arrays, for compiled code."""
         return np.array(self.sigma), np.array(self.lengths), np.array(self.exponent)
 
-    @cached_property
+    @kept
     def _lost_slope(self) -> Coefficients:
         return _derivative(self.exponent)
 

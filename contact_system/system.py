@@ -45,6 +45,7 @@ from .equations import chart_equations
 from .errors import SceneError
 from .expressions import SYMBOLS
 from .geometry import upper_inverse
+from .kept import kept
 from .kernels import per_structure
 from .kinematics import relative_pose, relative_twist
 from .profile import integral, law_rate, polynomial, product
@@ -465,7 +466,7 @@ class SceneSystem:
             len(scene.profile.coefficients), self._growths,
         )  # fmt: skip
 
-    @functools.cached_property
+    @kept
     def _growths(self) -> tuple[tuple[float, float], ...]:
         """Where sigma grows, which the guaranteed law makes up for; far beyond the horizon too."""
         if self.scene.gain.law != "guaranteed":
@@ -474,7 +475,7 @@ class SceneSystem:
 
     # --- names -----------------------------------------------------------------------------------
 
-    @functools.cached_property
+    @kept
     def parameter_names(self) -> list[str]:
         """Names of p, such as ``gain.eta``, ``profile[0]``, ``contacts[0].finger.radius``."""
         scene = self.scene
@@ -488,12 +489,12 @@ class SceneSystem:
 
     # --- functions -------------------------------------------------------------------------------
 
-    @functools.cached_property
+    @kept
     def _symbols(self) -> dict[str, SX]:
         sizes = (1, len(self.x0), self.n_w, len(self.held0), len(self.parameters))
         return {name: SX.sym(name, size) for name, size in zip(INPUTS, sizes)}
 
-    @functools.cached_property
+    @kept
     def _expressions(self) -> dict[str, SX]:
         """Every output as an expression of the symbols."""
         t, x, w, held, p = self._symbols.values()
@@ -573,13 +574,14 @@ class SceneSystem:
         return self._functions[outputs]
 
     def _expression(self, output: str) -> SX:
-        if output not in self._expressions:
+        with SYMBOLS:
+            known = self._expressions
+        if output not in known:
             raise SceneError(
                 f"scene '{self.scene.name}': output = {output!r} is unknown"
-                f"{did_you_mean(output, self._expressions)}; use one of "
-                f"{', '.join(self._expressions)}"
+                f"{did_you_mean(output, known)}; use one of {', '.join(known)}"
             )
-        return self._expressions[output]
+        return known[output]
 
     def depends(self, output: str) -> set[str]:
         """The inputs among t, x, w, held, p that an output of :meth:`function` depends on."""
@@ -618,7 +620,7 @@ class SceneSystem:
 
     # --- windows ---------------------------------------------------------------------------------
 
-    @functools.cached_property
+    @kept
     def windows(self) -> list[tuple[Disturbance, slice]]:
         """The scene's disturbances and where each stands in w."""
         return [

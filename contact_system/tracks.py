@@ -8,7 +8,6 @@ Coordinates, rates, frame angle and curvature are evaluated from these by kernel
 from __future__ import annotations
 
 import ctypes
-import functools
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -572,12 +571,12 @@ class Evaluator:
         head += "#define CLOSED\n" * closed + "#define WINDS\n" * winds
         self.source = head + c_source("tracks.c")
 
-    @functools.cached_property
+    @kept
     def built(self) -> bool:
         """Whether the compiled form lies in the cache (looked up once)."""
         return is_built(self.source)
 
-    @functools.cached_property
+    @kept
     def library(self) -> ctypes.CDLL:
         """``evaluate`` and, where coordinates are continued, ``anchor``."""
         library = compiled_library(self.source)
@@ -589,7 +588,7 @@ class Evaluator:
             library.anchor.restype = None
         return library
 
-    @functools.cached_property
+    @kept
     def pointer(self) -> int:
         """Address of ``evaluate``."""
         return function_address(self.library.evaluate)

@@ -13,7 +13,7 @@ import math
 import warnings
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cache, cached_property
+from functools import cache
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -35,6 +35,7 @@ from .checks import finite_number
 from .errors import ContactSystemError, SurfaceError
 from .expressions import FUNCTIONS, SYMBOLS, parse
 from .geometry import ChartGeometry, contact_frame, tangent_geometry
+from .kept import kept
 from .surfaces import Surface, positive_length, store
 
 
@@ -175,7 +176,7 @@ class ParametricSurface(UserSurface):
     def periods(self) -> Periods:
         return (self.u_period, self.v_period)
 
-    @cached_property
+    @kept
     def identity(self) -> Hashable:
         return (super().identity, self.u_range, self.v_range)
 

@@ -13,7 +13,6 @@ an error is fmpy's FMICallException, and its text is the log line.
 from __future__ import annotations
 
 import contextlib
-import functools
 import logging
 import math
 import re
@@ -31,6 +30,7 @@ from fmpy.model_description import read_model_description
 
 from contact_system.checks import a_path, writing
 from contact_system.errors import ChartSingularity, ContactSystemError
+from contact_system.kept import kept
 from contact_system.scene import Scene
 
 from .description import (
@@ -162,13 +162,13 @@ class _Slave:
         """The communication point, s."""
         return self.block.now.time
 
-    @functools.cached_property
+    @kept
     def guid(self) -> str:
         """The GUID or instantiation token of the description."""
         text = model_description(self.block.table, self._version, ("CoSimulation",))
         return instantiation_token(text)
 
-    @functools.cached_property
+    @kept
     def _model(self) -> bytes:
         """Tells states of different scenes from each other."""
         surfaces = [self.scene.object, *(c.finger for c in self.scene.contacts)]

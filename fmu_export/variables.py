@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 from itertools import islice
 
 import numpy as np
 
 from contact_system.errors import SceneError
+from contact_system.kept import kept
 from contact_system.scene import Contact, Scene, require_scene
 from contact_system.surfaces import LEAST_LENGTH, Surface
 from contact_system.system import SceneSystem
@@ -152,7 +152,7 @@ class Table:
         """Length of the component's array of values."""
         return self.blocks[-1] + BLOCK
 
-    @cached_property
+    @kept
     def start_values(self) -> np.ndarray:
         """The values before initialization: starts, and 0 for what is calculated, (n_values,)."""
         values = np.zeros(self.n_values)
@@ -165,7 +165,7 @@ class Table:
         """Every variable as FMI 2 sees it, by reference."""
         return [scalar for row in self.rows for scalar in row.scalars()]
 
-    @cached_property
+    @kept
     def orders(self) -> list[tuple[int, int]]:
         """References of pairs of a surface's numbers, as `model.kept_order` has them."""
         scene, first = self.scene, self.parameter_first["object"]
@@ -173,7 +173,7 @@ class Table:
         surfaces += [(at, c.finger) for at, c in zip(self.finger_first, scene.contacts)]
         return [(at + i, at + j) for at, surface in surfaces for i, j in kept_order(surface)]
 
-    @cached_property
+    @kept
     def state_nominals(self) -> np.ndarray:
         """Nominal values of the continuous states, contact by contact."""
         states = {b + INPUTS + k for b in self.blocks for k in range(STATES)}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 import contact_system as cs
 from contact_system import SceneSystem
+from contact_system.expressions import SYMBOLS
 from contact_system.system import COORDINATES, PER_CONTACT
 
 TURN = 2 * np.pi
@@ -174,6 +177,26 @@ def test_only_what_a_scene_has_is_in_its_system():
     assert disturbed.edges == (2.0, 2.5)
     assert disturbed.window_values(2.0)[4:6].tolist() == [0.6, 1.0]
     assert not disturbed.window_values(2.5).any()
+
+
+def test_threads_that_ask_two_systems_do_not_wait_for_each_other():
+    scene = one_contact(profile=(0.1, *[0.01] * 6))  # whose kernel is not made yet
+    one, other, held = SceneSystem(scene), SceneSystem(scene), threading.Event()
+
+    def ask_while_symbols_are_held():
+        with SYMBOLS:
+            held.set()
+            time.sleep(0.2)
+            other.function("slip")
+
+    first = threading.Thread(target=ask_while_symbols_are_held, daemon=True)
+    second = threading.Thread(target=one.depends, args=("slip",), daemon=True)
+    first.start()
+    held.wait()
+    second.start()
+    first.join(60)
+    second.join(60)
+    assert not first.is_alive() and not second.is_alive()
 
 
 def test_the_guard_tells_numbers_that_must_not_be_used():
