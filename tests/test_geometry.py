@@ -170,15 +170,6 @@ def test_metric_quantities_follow_their_definitions(name):
                 assert error < 2e-14, (quantity, u, v, error)
 
 
-def test_sphere_curves_outward_by_one_over_radius_and_twists_by_its_latitude():
-    u = np.array([0.3, 1.2, 2.9])
-    shape = Sphere(0.25)
-    assert np.allclose(shape.curvature_form(u, 0.4), np.eye(2) / 0.25, rtol=1e-14, atol=1e-14)
-    torsion = shape.torsion_form(u, 0.4)
-    assert np.allclose(torsion[:, 1], 1 / np.tan(u) / 0.25, rtol=1e-14)
-    assert np.all(torsion[:, 0] == 0)
-
-
 def test_sphere_symbols_are_the_printed_ones():
     """Eq. ``symbols``."""
     u = 0.8

@@ -275,10 +275,6 @@ def test_inside_turns_v_and_the_normal_and_keeps_the_surface(name):
     assert np.allclose(frame[..., 0], outer.frame(u, v)[..., 0], atol=1e-15)
 
 
-def test_bowl_curves_by_minus_one_over_radius():
-    assert np.allclose(Sphere(0.5, inside=True).curvature_form(1.0, 2.0), -2 * np.eye(2))
-
-
 @pytest.mark.parametrize("name", ["two sheets", "hyperbolic cylinder", "planes"])
 def test_other_sheet_lies_opposite_with_its_normal_outward(name):
     upper, lower = turned_quadric(name), turned_quadric(name, sheet=-1)
