@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from .charts import TURN
 from .surfaces import Surface, on_seam, second_cover
 from .tracks import wind
 
@@ -36,7 +37,7 @@ def lay_anchors(
         )
         u[1:], v[1:] = np.where(turned, -u[1:], u[1:]), np.where(turned, np.pi - v[1:], v[1:])
         theta[1:] += np.pi * turned
-    for values, period in zip((u, v, theta), (*surface.periods(), 2 * np.pi)):
+    for values, period in zip((u, v, theta), (*surface.periods(), TURN)):
         if period is not None:
             values[:] = np.unwrap(values, axis=0, period=period)
     return np.stack([u, v, theta])[:, 1:].transpose(2, 0, 1)
@@ -73,7 +74,7 @@ def follow(
         for row, period in enumerate(surface.periods()):
             if period is not None:
                 wind(values[:, row], reference[:, row], period)
-    wind(values[:, 4], reference[:, 2], 2 * np.pi)
+    wind(values[:, 4], reference[:, 2], TURN)
 
 
 def _seams(surface: Surface, principal: Principal, at: np.ndarray, raw: np.ndarray) -> np.ndarray:
@@ -190,7 +191,7 @@ def _followed(
     if _seams(surface, principal, np.array([at, x]), raw)[0, body] != second_cover(*anchor[:2])[0]:
         u, v, theta = -u, np.pi - v, theta + np.pi
     found = np.array([u, v, theta])
-    for k, period in enumerate((*surface.periods(), 2 * np.pi)):
+    for k, period in enumerate((*surface.periods(), TURN)):
         if period is not None:
             wind(found[k : k + 1], anchor[k : k + 1], period)
     return found

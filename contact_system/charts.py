@@ -30,7 +30,7 @@ Angle = Any  # a float or an array of them
 Numbers = Sequence[float]
 
 TURN = 2.0 * math.pi
-# Keeps 0/0 out of expressions whose numerator is zero as well; far below any real length ratio.
+# Keeps 1/0 and 0/0 out of what is not used or has a zero above; far below any real length ratio.
 TINY = 1e-300
 
 
@@ -534,11 +534,8 @@ class HyperbolicCylinderChart(Chart):
         return min(p[1], 1.0)  # h_u >= b
 
 
-class OffsetPlaneChart(Chart):
+class OffsetPlaneChart(FlatChart):
     """(a, u, v): the plane at distance a from the origin, p = (a,)."""
-
-    orthogonal = True
-    developable = True
 
     @staticmethod
     def point(p: SX, u: SX, v: SX) -> SX:
@@ -551,10 +548,6 @@ class OffsetPlaneChart(Chart):
     @staticmethod
     def frame(p: SX, x: SX) -> Frame:
         return SX([0, 1, 0]), SX([0, 0, 1]), SX.eye(2)
-
-    @staticmethod
-    def metric_floor(p: Numbers, u: float, v: float) -> float:
-        return 1.0
 
 
 class FreeChart(Chart):

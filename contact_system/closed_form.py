@@ -17,6 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from .charts import TINY, TURN
 from .development import slip_displacement
 from .kept import kept
 from .kernels import Kernel, address, made_once, per_structure
@@ -44,8 +45,6 @@ SX = ca.SX
 # A phase of 2 pi k carries k times the rounding of the arc length; beyond this many radians it is
 # computed in doubled precision instead.  256 rad leave 256 * 1.1e-16 * 2 = 6e-14 of the radius.
 LONG_PHASE = 256.0
-TINY = 1e-300  # keeps 0/0 out of what is not used
-TURN = 2 * np.pi
 
 
 @per_structure
@@ -351,7 +350,7 @@ def slip_length(piece: GainPiece, slip_matters: bool, compiled: bool | None) -> 
         name=f"quadrature of slip over [{piece.start:g}, {piece.stop:g}] s",
         start=np.zeros((1, 2)),
         constants=np.zeros((1, 1)),
-        scale=np.full((1, 2), 1.0 / max(piece.arc_length(span), 1e-300)),
+        scale=np.full((1, 2), 1.0 / max(piece.arc_length(span), TINY)),
         drive=piece,
         length=span,
         first=span,
@@ -361,7 +360,7 @@ def slip_length(piece: GainPiece, slip_matters: bool, compiled: bool | None) -> 
     if not slip_matters:
         return integrate(kernel, problem, 1e-15, compiled)
     rough = integrate(kernel, problem, 1e-3, compiled)  # how large g is
-    problem.scale[0, 1] = 1.0 / max(rough.end[0, 1], 1e-300)
+    problem.scale[0, 1] = 1.0 / max(rough.end[0, 1], TINY)
     return integrate(kernel, problem, 1e-15, compiled)
 
 

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from .charts import TINY
 from .closed_form import (
     LONG_PHASE,
     Circle,
@@ -41,7 +42,6 @@ from .panels import MOST_AT_ONCE, MOST_FOUND, Motion, program_built, program_lib
 from .planner import (
     ENDLESS,
     MOST_ALIKE,
-    TINY,
     charted,
     family,
     group_name,

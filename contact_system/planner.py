@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from .charts import TINY
 from .closed_form import CircleTrack, FlatTrack, great_circle, pair_of, slip_length
 from .development import (
     axis_forced_motion,
@@ -67,7 +68,6 @@ ROUNDING = 1e-17
 RATE_LEFT = 0.1
 # Path beyond which, in sizes of a sphere, the rest of a slipping interval is made a great circle.
 LONG_REST = 6.0
-TINY = 1e-300  # keeps 1/0 out
 # Path, in sizes of a body, after which no digit of its position is left.
 ENDLESS = 1e12
 
