@@ -30,7 +30,7 @@ from .kinematics import relative_pose, relative_twist
 from .panels import runs
 from .planner import plan_groups, require_regular
 from .program import Program, chart_states, group_program, program_of
-from .scene import ObjectRateOffset, Scene, require_scene
+from .scene import Scene, acting, require_scene
 from .scene_files import scene_from_toml, scene_to_toml
 from .starts import Moment, Start, Starts, measured_start, scene_start
 from .surfaces import Surface
@@ -300,11 +300,9 @@ class Plan:
                         f"continued at t = {t:g} s: scene '{s.name}', contact {i}: rolling that is "
                         "imposed has one plan; give finger_velocity as numbers"
                     )
-        moments = {i: m for g in self.groups for i, m in zip(g.contacts, g.moments(float(t)))}
+        moments = {i: m for g in self.groups for i, m in zip(g.contacts, g.moments(t))}
         ordered = [moments[i] for i in range(self._count)]
-        return Plan(
-            after, self.tolerance, self.method, self.solver, self.compiled, float(t), ordered
-        )
+        return Plan(after, self.tolerance, self.method, self.solver, self.compiled, t, ordered)
 
     def _require_frames(self, asked: str) -> None:
         if self.method == "chart":
@@ -342,10 +340,14 @@ class Plan:
                 f"{self.scene.duration:g} s; restart earlier or lengthen the scene"
             )
         measured = self._on_branch(t, measured)
-        starts = [self._measured_start(float(t), i, row) for i, row in enumerate(measured)]
-        return Plan(
-            self.scene, self.tolerance, self.method, self.solver, self.compiled, float(t), starts
-        )
+        offsets, starts = acting(self.scene, t)[:, 4:], []
+        for i, contact in enumerate(self.scene.contacts):
+            if contact.follows:
+                raise SceneError(
+                    f"{where}: contact {i} has its rolling imposed; give finger_velocity as numbers"
+                )
+            starts.append(measured_start(self.scene, i, t, measured[i], offsets[i]))
+        return Plan(self.scene, self.tolerance, self.method, self.solver, self.compiled, t, starts)
 
     def _on_branch(self, t: float, measured: np.ndarray) -> np.ndarray:
         """Rows on the plan's side of charts that cover their surface twice.
@@ -359,18 +361,6 @@ class Plan:
                 for row, own, pair in zip(rows, self.states(t)[0], surfaces):
                     _align(row, own, pair)
         return rows
-
-    def _measured_start(self, t: float, i: int, row: np.ndarray) -> Start:
-        if self.scene.contacts[i].follows:
-            raise SceneError(
-                f"scene '{self.scene.name}', restart: contact {i} has its rolling imposed; give "
-                "finger_velocity as numbers"
-            )
-        offset = np.zeros(2)
-        for d in self.scene.disturbances:
-            if isinstance(d, ObjectRateOffset) and d.contact == i and d.start <= t < d.stop:
-                offset += d.value
-        return measured_start(self.scene, i, t, row, offset)
 
     def save(self, path: str | os.PathLike, times: ArrayLike | None = None) -> None:
         """Write the plan and its sampled results.

@@ -632,6 +632,19 @@ def _check_chosen(scene: Scene) -> None:
             )
 
 
+def acting(scene: Scene, t: float) -> np.ndarray:
+    """What the windows add on the interval that begins at t: (n_contacts, 6), chart components.
+
+    Two numbers each, in the order of `DISTURBANCE_KINDS`.
+    """
+    found = np.zeros((len(scene.contacts), 2 * len(DISTURBANCE_KINDS)))
+    for d in scene.disturbances:
+        if d.start <= t < d.stop:
+            k = 2 * DISTURBANCE_KINDS.index(type(d))
+            found[int(d.contact), k : k + 2] += d.value
+    return found
+
+
 def require_scene(scene: Any) -> None:
     """Raise a SceneError where something else is given, such as a scene's name."""
     if not isinstance(scene, Scene):

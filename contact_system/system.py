@@ -56,6 +56,7 @@ from .scene import (
     ObjectAcceleration,
     ObjectRateOffset,
     Scene,
+    acting,
     require_scene,
 )
 from .starts import Start, measured_start, scene_start
@@ -631,11 +632,7 @@ class SceneSystem:
 
     def window_values(self, t: float) -> Array:
         """What the scene's windows add on the interval that begins at t: (n_w,)."""
-        w = np.zeros(self.n_w)
-        for d, rows in self.windows:
-            if d.start <= t < d.stop:
-                w[rows] += d.value
-        return w
+        return acting(self.scene, t).ravel()[: self.n_w]
 
     # --- starting --------------------------------------------------------------------------------
 

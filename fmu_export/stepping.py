@@ -26,7 +26,7 @@ import numpy as np
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
 from contact_system.plan import Plan
 from contact_system.profile import GainPiece
-from contact_system.scene import DISTURBANCE_KINDS, Contact, Disturbance, Scene
+from contact_system.scene import DISTURBANCE_KINDS, Contact, Disturbance, Scene, acting
 from contact_system.starts import Moment, Start, Starts, scene_start
 from contact_system.surfaces import Surface
 
@@ -504,12 +504,7 @@ class Block:
 
     def _disturbance(self, t: float) -> np.ndarray:
         """Inputs and the scene's windows: (n_contacts, 6)."""
-        acting = np.array(self._inputs())
-        for d in self.scene.disturbances:
-            if d.start <= t < d.stop:
-                k = 2 * DISTURBANCE_KINDS.index(type(d))
-                acting[int(d.contact), k : k + 2] += d.value
-        return acting
+        return np.array(self._inputs()) + acting(self.scene, t)
 
     def _numbers(self, i: int) -> list[list[float]]:
         """What `contact_results` takes besides time, state and disturbance."""
