@@ -178,6 +178,12 @@ class Group:
         raise track.singular(t)
 
 
+def moments(groups: Sequence[Group], t: float) -> list[Moment]:
+    """Where every contact of a plan has come to at time t, in the scene's order."""
+    found = {i: m for group in groups for i, m in zip(group.contacts, group.moments(t))}
+    return [found[i] for i in range(len(found))]
+
+
 def _acting(intervals: Sequence[Any], t: float) -> Any:
     """The track or record of a time; an edge belongs to the later one."""
     return intervals[bisect.bisect_right([i.start for i in intervals[1:]], t)]

@@ -24,7 +24,7 @@ from . import kinds
 from .chart_solution import SOLVERS, chart_groups
 from .checks import a_path, flag, real_array, writing
 from .errors import ChartSingularity, ContactSystemError, SceneError
-from .groups import SIDES, Group
+from .groups import SIDES, Group, moments
 from .kinds import Begun
 from .kinematics import relative_pose, relative_twist
 from .panels import runs
@@ -32,7 +32,7 @@ from .planner import plan_groups, require_regular
 from .program import Program, chart_states, group_program, program_of
 from .scene import Scene, acting, require_scene
 from .scene_files import scene_from_toml, scene_to_toml
-from .starts import Moment, Start, Starts, measured_start, scene_start
+from .starts import Start, Starts, measured_start, scene_start, starts_from_plain
 from .surfaces import Surface
 from .tracks import Track
 
@@ -300,9 +300,8 @@ class Plan:
                         f"continued at t = {t:g} s: scene '{s.name}', contact {i}: rolling that is "
                         "imposed has one plan; give finger_velocity as numbers"
                     )
-        moments = {i: m for g in self.groups for i, m in zip(g.contacts, g.moments(t))}
-        ordered = [moments[i] for i in range(self._count)]
-        return Plan(after, self.tolerance, self.method, self.solver, self.compiled, t, ordered)
+        starts = moments(self.groups, t)
+        return Plan(after, self.tolerance, self.method, self.solver, self.compiled, t, starts)
 
     def _require_frames(self, asked: str) -> None:
         if self.method == "chart":
@@ -789,8 +788,7 @@ def load(path: str | os.PathLike) -> Plan:
         tolerance, method, solver = (header[key] for key in ("tolerance", "method", "solver"))
         start, starts = float(header["start"]), header["starts"] or None
         if starts is not None:
-            kind = Moment if "slip" in starts[0] else Start
-            starts = [kind.from_plain(plain) for plain in starts]
+            starts = starts_from_plain(starts)
     except OSError as error:
         raise ContactSystemError(f"{path} cannot be read: {error}; give a plan's file") from None
     except Exception:  # whatever a file of another kind, or a damaged one, leads to

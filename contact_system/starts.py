@@ -31,12 +31,6 @@ class Start:
     finger_velocity: tuple[float, float]
     object_velocity: tuple[float, float]
 
-    @classmethod
-    def from_plain(cls, plain: Mapping[str, Any]) -> Start:
-        """From the values that ``vars`` gave, pairs being lists by now."""
-        pairs = {k: _pair(v) for k, v in plain.items() if k != "angle"}
-        return cls(angle=float(plain["angle"]), **pairs)
-
 
 def scene_start(contact: Contact) -> Start:
     """The start that a scene's contact describes."""
@@ -64,15 +58,18 @@ class Moment:
     finger_frame: tuple[float, ...]
     object_frame: tuple[float, ...]
 
-    @classmethod
-    def from_plain(cls, plain: Mapping[str, Any]) -> Moment:
-        """From the values that ``vars`` gave, tuples being lists by now."""
-        lists = {k: tuple(map(float, v)) for k, v in plain.items() if k != "angle"}
-        return cls(angle=float(plain["angle"]), **lists)
-
 
 Starts = Sequence[Start | Moment]
 """Either all Start or all Moment."""
+
+
+def starts_from_plain(plain: Sequence[Mapping[str, Any]]) -> Starts:
+    """From what ``vars`` gave of each, tuples being lists by now."""
+    kind: Any = Moment if "slip" in plain[0] else Start
+    return [
+        kind(**{k: float(v) if k == "angle" else tuple(map(float, v)) for k, v in one.items()})
+        for one in plain
+    ]
 
 
 def measured_start(
@@ -127,7 +124,3 @@ def measured_start(
             )
         velocities.append(tuple(surface.metric_root(u, v) @ rates / sigma))
     return Start(tuple(row[0:2]), tuple(row[4:6]), float(row[8]), velocities[0], velocities[1])
-
-
-def _pair(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    return float(values[0]), float(values[1])

@@ -24,10 +24,11 @@ import casadi as ca
 import numpy as np
 
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
+from contact_system.groups import moments
 from contact_system.plan import Plan
 from contact_system.profile import GainPiece
 from contact_system.scene import DISTURBANCE_KINDS, Contact, Disturbance, Scene, acting
-from contact_system.starts import Moment, Start, Starts, scene_start
+from contact_system.starts import Moment, Start, Starts, scene_start, starts_from_plain
 from contact_system.surfaces import Surface
 
 from .following import TOLERANCE, Following, LockstepGroup, lockstep_groups
@@ -225,8 +226,7 @@ class Block:
         assert plan is not None
         if isinstance(plan, Following):
             return plan.moments
-        found = {i: m for g in plan.groups for i, m in zip(g.contacts, g.moments(at))}
-        return [found[i] for i in range(len(found))]
+        return moments(plan.groups, at)
 
     def _follow(self, at: float, target: float) -> bool:
         """Make a single step to the target, if nothing but the inputs happens there.
@@ -683,8 +683,7 @@ def memory_of(data: bytes, block: Block, model: bytes) -> Memory:
 
 def _plan_again(plain: dict[str, Any], memory: Memory, block: Block) -> Plan | Following:
     """The plan of a memory, made again from where it started: the same to the last bit."""
-    kind = Moment if "slip" in plain["starts"][0] else Start
-    starts: Starts = [kind.from_plain(start) for start in plain["starts"]]
+    starts = starts_from_plain(plain["starts"])
     helper = copy.copy(block)
     helper.take(memory.copied())
     helper.now.values[GAIN] = memory.gain
