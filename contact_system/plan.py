@@ -28,7 +28,7 @@ from .groups import SIDES, Group, moments
 from .kinds import Begun
 from .kinematics import relative_pose, relative_twist
 from .panels import runs
-from .planner import plan_groups, require_regular
+from .planner import group_name, plan_groups, require_regular
 from .program import Program, chart_states, group_program, program_of
 from .scene import Scene, acting, require_scene
 from .scene_files import scene_from_toml, scene_to_toml
@@ -507,8 +507,7 @@ class Plan:
         return angle
 
     def _named(self, group: Group, error: ChartSingularity) -> ChartSingularity:
-        names = ", ".join(str(i) for i in group.contacts)
-        return ChartSingularity(f"scene '{self.scene.name}', contact {names}: {error}")
+        return ChartSingularity(f"{group_name(self.scene, group.contacts)}: {error}")
 
     def _fill_group(
         self, group: Group, output: str, times: np.ndarray, count: int, values: np.ndarray

@@ -44,6 +44,7 @@ from .scene import (
     ObjectAcceleration,
     ObjectRateOffset,
     Scene,
+    refuse_rest,
 )
 from .starts import Moment, Starts, scene_start
 from .surfaces import Surface
@@ -727,7 +728,7 @@ class GroupPlanner:
         self.v = panels.end[:, rows_v].copy()
 
     def _forced_problem(self, interval: Interval, tip: Body, obj: Body) -> _Forced:
-        self._refuse_rest(interval.start, interval.stop)
+        refuse_rest(self.scene, self.name, interval.start, interval.stop)
         span, pushed, forcing = interval.stop - interval.start, interval.pushed, interval.forcing
         kernel = axis_forced_motion(tip.surface, obj.surface, (tip.ambient, obj.ambient), pushed)
         d = [forcing[kind] for kind in DISTURBANCE_KINDS]
@@ -770,19 +771,6 @@ class GroupPlanner:
         """1 / (least lam): how long slip is remembered."""
         gains = [interval.piece.gain(t) for t in (0.0, interval.stop - interval.start)]
         return 1.0 / max(min(gains), 1e-9)
-
-    def _refuse_rest(self, start: float, stop: float) -> None:
-        """sigma = 0 under an acceleration: path velocities would have to be infinite."""
-        profile = self.scene.profile
-        inside = [t for t in profile.zeros(self.scene.duration) if start <= t <= stop]
-        if inside:
-            names = ", ".join(str(i) for i in self.pattern.contacts)
-            raise SceneError(
-                f"scene '{self.scene.name}', contact {names}: sigma = 0 at t = {inside[0]:g} s "
-                f"inside the window [{start:g}, {stop:g}] s of an acceleration, where the path "
-                "velocity dq/ds would be infinite; add a small constant to the profile or move "
-                "the window"
-            )
 
     # --- imposed rolling -------------------------------------------------------------------------
 

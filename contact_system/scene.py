@@ -645,6 +645,17 @@ def acting(scene: Scene, t: float) -> np.ndarray:
     return found
 
 
+def refuse_rest(scene: Scene, where: str, start: float, stop: float) -> None:
+    """Raise a SceneError where sigma = 0 under an acceleration: dq/ds would have to be infinite."""
+    inside = [t for t in scene.profile.zeros(scene.duration) if start <= t <= stop]
+    if inside:
+        raise SceneError(
+            f"{where}: sigma = 0 at t = {inside[0]:g} s inside the window [{start:g}, {stop:g}] s "
+            "of an acceleration, where the path velocity dq/ds would be infinite; add a small "
+            "constant to the profile or move the window"
+        )
+
+
 def require_scene(scene: Any) -> None:
     """Raise a SceneError where something else is given, such as a scene's name."""
     if not isinstance(scene, Scene):

@@ -57,6 +57,7 @@ from .scene import (
     ObjectRateOffset,
     Scene,
     acting,
+    refuse_rest,
     require_scene,
 )
 from .starts import Start, measured_start, scene_start
@@ -427,8 +428,8 @@ class SceneSystem:
 
     def _refuse(self) -> None:
         scene = self.scene
-        zeros = scene.profile.zeros(scene.duration)
         if self.coordinates == "chart":
+            zeros = scene.profile.zeros(scene.duration)
             if zeros:
                 raise SceneError(
                     f"scene '{scene.name}': the chart equations divide by sigma, which is zero at "
@@ -442,14 +443,9 @@ class SceneSystem:
                             'chart for the chart equations; use coordinates="frame"'
                         )
         for d in scene.disturbances:
-            inside = [t for t in zeros if d.start <= t <= d.stop]
-            if inside and not isinstance(d, ObjectRateOffset):
-                raise SceneError(
-                    f"scene '{scene.name}', contact {d.contact}: sigma = 0 at t = {inside[0]:g} s "
-                    f"inside the window [{d.start:g}, {d.stop:g}] s of an acceleration, where the "
-                    "path velocity dq/ds would be infinite; add a small constant to the profile or "
-                    "move the window"
-                )
+            if not isinstance(d, ObjectRateOffset):
+                where = f"scene '{scene.name}', contact {d.contact}"
+                refuse_rest(scene, where, d.start, d.stop)
 
     def _form(self, index: int) -> Form:
         scene, chart = self.scene, self.coordinates == "chart"
