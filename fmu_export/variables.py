@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -20,7 +20,7 @@ import numpy as np
 from contact_system.errors import SceneError
 from contact_system.kept import kept
 from contact_system.scene import Contact, Scene, require_scene
-from contact_system.surfaces import LEAST_LENGTH, Surface
+from contact_system.surfaces import LEAST_LENGTH, Quadric, Surface
 from contact_system.system import SceneSystem
 from contact_system.user_surfaces import UserSurface
 
@@ -136,12 +136,10 @@ class Table:
     parameter_first: dict[str, int]
     finger_first: list[int]
     blocks: list[int]
-    _by_name: dict[str, Variable] = field(default_factory=dict, init=False)
 
-    def __post_init__(self) -> None:
-        for row in self.rows:
-            self._by_name[row.name] = row
-            self._by_name.update((scalar.name, scalar) for scalar in row.scalars())
+    @kept
+    def _by_name(self) -> dict[str, Variable]:
+        return {v.name: v for row in self.rows for v in (row, *row.scalars())}
 
     def __getitem__(self, name: str) -> Variable:
         """The variable of an FMI 2 or FMI 3 name; KeyError where there is none."""
@@ -201,11 +199,12 @@ def variable_table(scene: Scene) -> Table:
     require_scene(scene)
     require_charts(scene)
     names = _parameter_names(scene)
-    values = [scene.gain.value, *scene.profile.coefficients, *scene.object.parameters]
-    values += [x for c in scene.contacts for x in c.finger.parameters]
+    surfaces = [scene.object, *(c.finger for c in scene.contacts)]
+    law = [(x, None) for x in (scene.gain.value, *scene.profile.coefficients)]
+    values = [*law, *((x, surface) for surface in surfaces for x in surface.parameters)]
     rows = [
         Variable("time", 0, "independent", "continuous", None, "Simulation time", (0, 1, 0)),
-        *(_parameter(scene, n, 1 + k, x) for k, (n, x) in enumerate(zip(names, values))),
+        *(_parameter(scene, n, 1 + k, *x) for k, (n, x) in enumerate(zip(names, values))),
     ]
     n_profile = len(scene.profile.coefficients)
     first = {"gain": 1, "profile": 2, "object": 2 + n_profile}
@@ -217,7 +216,6 @@ def variable_table(scene: Scene) -> Table:
     table = Table(scene, rows, first, fingers, blocks)
     for i in range(len(scene.contacts)):
         rows += _contact_rows(scene, i, blocks[i], _known(scene, table, i))
-    table = Table(scene, rows, first, fingers, blocks)
     _require_names(table)
     return table
 
@@ -263,7 +261,9 @@ def _require_names(table: Table) -> None:
             )
 
 
-def _parameter(scene: Scene, name: str, reference: int, value: float) -> Variable:
+def _parameter(
+    scene: Scene, name: str, reference: int, value: float, surface: Surface | None
+) -> Variable:
     """A row for one of `SceneSystem.parameter_names`; indices count from 1 here."""
     name = _counted_from_one(name)
     owner, _, last = name.rpartition(".")
@@ -275,7 +275,7 @@ def _parameter(scene: Scene, name: str, reference: int, value: float) -> Variabl
     elif not owner:
         power = int(last[len("profile[") : -1]) - 1
         unit, text = (1, -1 - power, 0), f"Path profile sigma(t), coefficient of t^{power}"
-    elif _is_user_or_quadric(scene, owner):
+    elif isinstance(surface, (UserSurface, Quadric)):
         unit = None
     else:
         low, nominal = LEAST_LENGTH, value
@@ -292,13 +292,6 @@ def _counted_from_one(name: str) -> str:
         index, rest = part.split("]", 1)
         head += f"[{int(index) + 1}]{rest}"
     return head
-
-
-def _is_user_or_quadric(scene: Scene, owner: str) -> bool:
-    surface = scene.object
-    if owner != "object":
-        surface = _finger(scene, int(owner[len("contact[") :].split("]")[0]) - 1)
-    return isinstance(surface, UserSurface) or type(surface).__name__ == "Quadric"
 
 
 # --- contacts ------------------------------------------------------------------------------------
