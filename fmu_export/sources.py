@@ -18,7 +18,7 @@ from contact_system import kernels, panels
 from contact_system.charts import TINY
 from contact_system.development import driven_motion, forced_motion, state_size
 from contact_system.expressions import SYMBOLS
-from contact_system.kernels import NODES, PRELUDE, Kernel, Restoration, c_statements
+from contact_system.kernels import NODES, PRELUDE, Kernel, c_statements
 from contact_system.profile import GAIN_LAWS
 from contact_system.scene import DISTURBANCE_KINDS
 from contact_system.surfaces import Surface
@@ -351,17 +351,15 @@ def _driven_pair(finger: Surface, obj: Surface, forms: Forms) -> Kernel:
     frames = [SX.sym("frame", state_size(ambient)) for ambient in forms]
     p1, p2 = SX.sym("p1", len(finger.parameters)), SX.sym("p2", len(obj.parameters))
     w1, v, drive, none = SX.sym("W1", 2), SX.sym("V", 2), SX.sym("drive", 2), SX(2, 1)
+    tip, body = driven_motion(finger, forms[0]), driven_motion(obj, forms[1])
     rates = [
-        driven_motion(finger, forms[0]).function(
-            ca.vertcat(frames[0], drive), ca.vertcat(p1, w1, none, none)
-        ),
-        driven_motion(obj, forms[1]).function(
-            ca.vertcat(frames[1], drive), ca.vertcat(p2, FLIP @ w1, v, none)
-        ),
+        tip.function(ca.vertcat(frames[0], drive), ca.vertcat(p1, w1, none, none)),
+        body.function(ca.vertcat(frames[1], drive), ca.vertcat(p2, FLIP @ w1, v, none)),
     ]
     constant = ca.vertcat(p1, p2, w1, v)
     kernel = Kernel("driven", ca.vertcat(*frames, drive), constant, ca.vertcat(*rates))
-    kernel.restores = _restores(finger, obj, forms, 0)
+    place = {"row": frames[0].numel(), "constant": p1.numel()}
+    kernel.restores = (*tip.restores, *(r._replace(**place) for r in body.restores))
     return kernel
 
 
@@ -383,18 +381,8 @@ def _pushed_pair(finger: Surface, obj: Surface, forms: Forms) -> Kernel:
         ca.vertcat(p1, p2, 1, 0, w1, first + drive[2] * slope),
     )
     kernel = Kernel("pushed", ca.vertcat(state, drive), ca.vertcat(p1, p2, first, slope), rates)
-    kernel.restores = _restores(finger, obj, forms, 2)
+    kernel.restores = motion.restores
     return kernel
-
-
-def _restores(finger: Surface, obj: Surface, forms: Forms, between: int) -> tuple:
-    kept = []
-    if forms[0]:
-        kept.append(Restoration(restoring_kernel(finger), 0, 0))
-    if forms[1]:
-        first = state_size(forms[0]) + between
-        kept.append(Restoration(restoring_kernel(obj), first, len(finger.parameters)))
-    return tuple(kept)
 
 
 def motion_source(kernel: Kernel, name: str, timed: bool) -> str:
