@@ -752,23 +752,18 @@ status_t set_states(component_t *c, const double *state) {
   return OK;
 }
 
-status_t get_states(component_t *c, double *state) {
+static status_t get_all(component_t *c, long at, double *out) {
   for (long i = 0; i < N_CONTACTS; i++) {
-    status_t s = get_values(c, (unsigned)(places[i].block + AT_STATE), SYSTEM_STATES,
-                            state + SYSTEM_STATES * i);
+    status_t s = get_values(c, (unsigned)(places[i].block + at), SYSTEM_STATES,
+                            out + SYSTEM_STATES * i);
     if (s) return s;
   }
   return OK;
 }
 
-status_t get_rates(component_t *c, double *rate) {
-  for (long i = 0; i < N_CONTACTS; i++) {
-    status_t s = get_values(c, (unsigned)(places[i].block + AT_RATE), SYSTEM_STATES,
-                            rate + SYSTEM_STATES * i);
-    if (s) return s;
-  }
-  return OK;
-}
+status_t get_states(component_t *c, double *state) { return get_all(c, AT_STATE, state); }
+
+status_t get_rates(component_t *c, double *rate) { return get_all(c, AT_RATE, rate); }
 
 /* What kernels of derivatives take: the system's arguments, and where their seeds lie. Returns
    whether there are derivatives. */

@@ -25,6 +25,7 @@ typedef struct {
 /* where values can be got; after a step that failed those are of the time before it */
 #define RUNNING (INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED | BROKEN)
 #define ANY (INSTANTIATED | CONFIGURATION | RUNNING)
+#define ME_RUNNING (INITIALIZATION | EVENT | CONTINUOUS | TERMINATED)
 
 /* position of a category in LogCategories, or -1 */
 static inline int category_index(const char *category) {
@@ -56,6 +57,20 @@ static inline status_t allowed(component_t *c, const char *function, int phases)
 
 #define NO_SUCH "there is no variable with value reference %u; see modelDescription.xml"
 #define REFUSE(...) return (STATUS)report(c, FAILED, "logStatusError", __VA_ARGS__)
+#define OF_SIZE(function, pointer, count, right) \
+  if (!(pointer) || (count) != (size_t)(right))  \
+  REFUSE(function ": a pointer is missing, or the count is wrong")
+
+/* Some categories, or without any all of them. */
+static inline status_t set_logging(instance_t *own, const char *function, int on, size_t count,
+                                   const char *const categories[]) {
+  for (size_t k = 0; k < count; k++)
+    if (!categories || category_index(categories[k]) < 0)
+      return report(&own->component, FAILED, "logStatusError", "%s: unknown category", function);
+  for (int k = 0; k < CATEGORIES; k++) own->logging[k] = count ? own->logging[k] : on;
+  for (size_t k = 0; k < count; k++) own->logging[category_index(categories[k])] = on;
+  return OK;
+}
 
 static inline int settable(const memory_t *now, unsigned reference) {
   const int before = INSTANTIATED | CONFIGURATION | INITIALIZATION;

@@ -56,13 +56,7 @@ void fmi2FreeInstance(fmi2Component instance) { free(instance); }
 fmi2Status fmi2SetDebugLogging(fmi2Component instance, fmi2Boolean on, size_t count,
                                const fmi2String categories[]) {
   BEGIN("fmi2SetDebugLogging", ANY);
-  instance_t *own = instance;
-  for (size_t k = 0; k < count; k++)
-    if (!categories || category_index(categories[k]) < 0)
-      REFUSE("fmi2SetDebugLogging: unknown category");
-  for (int k = 0; k < CATEGORIES; k++) own->logging[k] = count ? own->logging[k] : on != fmi2False;
-  for (size_t k = 0; k < count; k++) own->logging[category_index(categories[k])] = on != fmi2False;
-  return fmi2OK;
+  return (fmi2Status)set_logging(instance, "fmi2SetDebugLogging", on != fmi2False, count, categories);
 }
 
 /* --- initialization --------------------------------------------------------------------------- */
@@ -270,11 +264,6 @@ fmi2Status fmi2SetTime(fmi2Component instance, fmi2Real time) {
   set_time(c, time);
   return fmi2OK;
 }
-
-#define ME_RUNNING (INITIALIZATION | EVENT | CONTINUOUS | TERMINATED)
-#define OF_SIZE(function, pointer, count, right) \
-  if (!(pointer) || (count) != (size_t)(right))  \
-  REFUSE(function ": a pointer is missing, or the count is wrong")
 
 fmi2Status fmi2SetContinuousStates(fmi2Component instance, const fmi2Real x[], size_t count) {
   BEGIN("fmi2SetContinuousStates", EVENT | CONTINUOUS);

@@ -74,13 +74,7 @@ void fmi3FreeInstance(fmi3Instance instance) { free(instance); }
 fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean on, size_t count,
                                const fmi3String categories[]) {
   BEGIN("fmi3SetDebugLogging", ANY);
-  instance_t *own = instance;
-  for (size_t k = 0; k < count; k++)
-    if (!categories || category_index(categories[k]) < 0)
-      REFUSE("fmi3SetDebugLogging: unknown category");
-  for (int k = 0; k < CATEGORIES; k++) own->logging[k] = count ? own->logging[k] : on;
-  for (size_t k = 0; k < count; k++) own->logging[category_index(categories[k])] = on;
-  return fmi3OK;
+  return (fmi3Status)set_logging(instance, "fmi3SetDebugLogging", on, count, categories);
 }
 
 /* --- initialization --------------------------------------------------------------------------- */
@@ -388,10 +382,6 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *again,
 #define SYSTEM_ONLY(function, phases)                                                 \
   BEGIN(function, phases);                                                            \
   if (c->now.stepping) REFUSE(function ": the instance was made for Co-Simulation")
-#define ME_RUNNING (INITIALIZATION | EVENT | CONTINUOUS | TERMINATED)
-#define OF_SIZE(function, pointer, count, right) \
-  if (!(pointer) || (count) != (size_t)(right))  \
-  REFUSE(function ": a pointer is missing, or the count is wrong")
 
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
   SYSTEM_ONLY("fmi3EnterContinuousTimeMode", EVENT);
