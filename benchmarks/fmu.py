@@ -219,12 +219,12 @@ def validation(full: bool) -> Iterator[Bar]:
               detail=said)  # fmt: skip
 
 
-def _measured(what: str, limit: float, measure: Callable[[], float], unit: str = "") -> Bar:
+def _measured(what: str, limit: float, measure: Callable[[], float]) -> Bar:
     """A bar, unmeasured where a tool is missing."""
     try:
-        return Bar(what, limit, measure(), unit)
+        return Bar(what, limit, measure())
     except (Unavailable, ImportError) as error:
-        return Bar(what, limit, None, unit, note=str(error))
+        return Bar(what, limit, None, note=str(error))
 
 
 def other_importers(full: bool) -> Iterator[Bar]:

@@ -311,7 +311,7 @@ def build_description(table: Table, sources: Sequence[str]) -> str:
     return xml_text(root)
 
 
-def terminals(table: Table, fmi_version: str = "3.0") -> str:
+def terminals(table: Table) -> str:
     """The text of terminalsAndIcons.xml: a terminal a contact, with its disturbances and results.
 
     FMI 3.0.2, section 2.4.9. Members are matched by name, in no order.
@@ -323,7 +323,7 @@ def terminals(table: Table, fmi_version: str = "3.0") -> str:
             everything, "Terminal", name=f"contact{i + 1}", matchingRule="bus",
             terminalKind="contact", description=table.scene.contacts[i].name or f"Contact {i + 1}",
         )  # fmt: skip
-        for v in listed(table, fmi_version):
+        for v in listed(table, "3.0"):
             inside = block <= v.reference < block + BLOCK
             if inside and v.causality in ("input", "output"):
                 ET.SubElement(

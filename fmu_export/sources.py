@@ -196,9 +196,10 @@ class _Model:
             self._form(finger, (tip, body), True),
         ]
         law, n_profile = self.scene.gain.law, len(self.scene.profile.coefficients)
+        bodies = finger, obj
         spatial = [
-            self._spatial(s) if s.double_cover and a else "NULL"
-            for s, a in zip((finger, obj), home)
+            self._of_place("spatial", frame_kernel(s), s) if s.double_cover and a else "NULL"
+            for s, a in zip(bodies, home)
         ]
         results = contact_results(finger, obj, law, n_profile)
         a = arguments(finger, obj, n_profile)
@@ -207,7 +208,7 @@ class _Model:
             "{" + ", ".join(forms) + "}",
             self._start(finger, home),
             "{" + ", ".join(spatial) + "}",
-            "{" + ", ".join(map(self._lame, (finger, obj))) + "}",
+            "{" + ", ".join(self._of_place("lame", lame_kernel(s), s) for s in bodies) + "}",
             self._regularity(finger),
             self._velocity(),
             self._drive(),
@@ -241,24 +242,16 @@ class _Model:
             self.functions.append(_c_function(called, inputs, value))
         return self.names[known]
 
-    def _numbers_of(self, surface: Surface, name: str = "p") -> SX:
-        return SX.sym(name, len(surface.parameters))
-
     def _coordinates(self, surface: Surface, ambient: bool) -> str:
-        p = self._numbers_of(surface)
+        p = SX.sym("p", len(surface.parameters))
         frame, c = SX.sym("frame", state_size(ambient)), SX.sym("c", 2)
         value = coordinate_kernel(surface, ambient).function(ca.vertcat(frame, c), p)
         return self._function("coordinates", (frame, c, p), value, surface, ambient)
 
-    def _spatial(self, surface: Surface) -> str:
-        place, p = SX.sym("place", 3), self._numbers_of(surface)
-        return self._function(
-            "spatial", (place, p), frame_kernel(surface).function(place, p), surface
-        )
-
-    def _lame(self, surface: Surface) -> str:
-        place, p = SX.sym("place", 3), self._numbers_of(surface)
-        return self._function("lame", (place, p), lame_kernel(surface).function(place, p), surface)
+    def _of_place(self, name: str, kernel: Kernel, surface: Surface) -> str:
+        """Of a chart state, which is what the kernel takes."""
+        place, p = SX.sym("place", 3), SX.sym("p", kernel.n_constant)
+        return self._function(name, (place, p), kernel.function(place, p), surface)
 
     def _velocity(self) -> str:
         turn, w1v = SX.sym("turn", 2), SX.sym("w1v", 4)
@@ -274,7 +267,7 @@ class _Model:
     def _slip(self, ambient: bool) -> str:
         obj = self.scene.object
         frame, theta, v = SX.sym("frame", state_size(ambient)), SX.sym("theta"), SX.sym("v", 2)
-        offset, p = SX.sym("offset", 2), self._numbers_of(obj)
+        offset, p = SX.sym("offset", 2), SX.sym("p", len(obj.parameters))
         pushed = vector_kernel(obj, ambient).function(frame, ca.vertcat(p, offset))
         value = rotation(theta) @ (v - pushed)
         return self._function("slip", (frame, theta, v, offset, p), value, ambient)

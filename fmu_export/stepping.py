@@ -113,7 +113,7 @@ class Block:
         A scene that no importer can step.
     """
 
-    def __init__(self, scene: Scene, phase: str = ""):
+    def __init__(self, scene: Scene, phase: str):
         self.scene, self.table = scene, variable_table(scene)
         self._phase, self._places = phase, _places(self.table)
         windows = {t for d in scene.disturbances for t in (d.start, d.stop)}

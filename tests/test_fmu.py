@@ -36,7 +36,6 @@ OVER_POLE = cs.Scene(
     profile=cs.Profile([0.1]), gain=cs.Gain.path(100.0), duration=0.5, name="over_pole",
 )  # fmt: skip
 """Along a meridian of the object, through its pole at 0.3 s."""
-RATES = ("finger.u", "finger.v", "object.u", "object.v")
 
 
 class Exported:
