@@ -347,7 +347,7 @@ class Nodes(NamedTuple):
 class Machine:
     """CasADi's virtual machine on n points, with fixed buffers.
 
-    Write ``x`` (n, n_point) and ``c`` (n, n_constant), call, read ``y`` (n, n_result).
+    Write ``x`` (n, n_point) and ``c`` (n, n_constant), call ``run``, read ``y`` (n, n_result).
     """
 
     def __init__(self, kernel: Kernel, n: int):
