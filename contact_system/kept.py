@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 class kept(Generic[T]):
-    """An attribute computed when it is first asked for; of two threads the first gives it to both.
+    """An attribute computed when it is first asked for; two threads may both compute it.
 
     ``functools.cached_property`` without its lock, which until Python 3.12 costs 0.6 us and is one
     for all instances: a thread that holds it and waits for another lock may wait forever.
@@ -23,5 +23,5 @@ class kept(Generic[T]):
             return self  # type: ignore[return-value]
         known = instance.__dict__
         if self.name not in known:
-            known.setdefault(self.name, self.find(instance))
+            known[self.name] = self.find(instance)
         return known[self.name]

@@ -607,13 +607,14 @@ class SceneSystem:
         w = self.window_values(t) if w is None else w
         given = {"x": x, "w": w, "held": self.held0 if held is None else held}
         arrays = {name: np.asarray(value, dtype=float) for name, value in given.items()}
+        function = self.function(output)
         for name, array in arrays.items():
-            count = self._symbols[name].numel()
+            count = function.numel_in(name)
             if array.shape != (count,):
                 raise SceneError(
                     f"scene '{self.scene.name}': {name} has shape {array.shape}; give ({count},)"
                 )
-        return self.function(output)(t, *arrays.values(), self.parameters).full().ravel()
+        return function(t, *arrays.values(), self.parameters).full().ravel()
 
     # --- windows ---------------------------------------------------------------------------------
 
