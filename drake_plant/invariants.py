@@ -105,7 +105,7 @@ class Limits(NamedTuple):
 
     def begun(self, speed: Array, slip: Array) -> Limits:
         """The limits of contacts that have left a rest."""
-        return self._replace(speed=speed.copy(), slip=slip.copy())
+        return self._replace(speed=speed, slip=slip)
 
     def near(self) -> Array:
         """Limits well within these, as `pace_function` takes them: (5 n)."""

@@ -377,7 +377,10 @@ def _define(T: type) -> type:
                 self.DeclarePerStepPublishEvent(watch)
 
         def _KeepLimitsInContext(self) -> None:
-            producer = ValueProducer(lambda: AbstractValue.Make([None]), lambda _, value: None)
+            # Numbers, 0 until they are kept: Drake copies Contexts without Python's lock when it
+            # evaluates batches, and a Python object in one would end the process.
+            start = BasicVector_[float](np.zeros(1 + 4 * len(self.system.scene.contacts)))
+            producer = ValueProducer(lambda: AbstractValue.Make(start), lambda _, value: None)
             entry = self.DeclareCacheEntry("limits", producer, {self.nothing_ticket()})
             self._kept_limits, self._pushes = entry.cache_index(), pushes(self.system)
             self.DeclareInitializationPublishEvent(weakly(self._SetLimits))
@@ -399,9 +402,19 @@ def _define(T: type) -> type:
                 )
             raise SceneError(wrong + remedy)
 
-        def _Kept(self, context: Any) -> list[Limits | None]:
-            """The limits of the simulation that a Context belongs to; changed in place."""
-            return self.get_cache_entry(self._kept_limits).Eval(context)
+        def _Kept(self, context: Any) -> Limits | None:
+            """The limits of the simulation that a Context belongs to, if it was initialized."""
+            kept, *numbers = self.get_cache_entry(self._kept_limits).Eval(context).value()
+            if not kept:
+                return None
+            rows = np.reshape(numbers, (4, -1))
+            return Limits(rows[0], rows[1], rows[2:].T, self._pushes)
+
+        def _Keep(self, context: Any, limits: Limits) -> None:
+            rows = np.vstack([limits.speed, limits.slip, limits.stretch.T])
+            kept = self.get_cache_entry(self._kept_limits).Eval(context)
+            kept.SetFromVector([1.0, *rows.ravel()])
+            self._scratches.own.limits[:] = limits.near()
 
         def _SetLimits(self, context: Any) -> None:
             self._Load(context)
@@ -411,13 +424,12 @@ def _define(T: type) -> type:
             """From now on speed and slip are compared with those of what is loaded."""
             own = self._scratches.own
             own.run_pace()
-            speed, slip, stretch = (values.copy() for values in own.paces)
-            limits = Limits(speed, slip, stretch.reshape(-1, 2), self._pushes)
-            self._Kept(context)[0], own.limits[:] = limits, limits.near()
+            speed, slip, stretch = own.paces
+            self._Keep(context, Limits(speed, slip, stretch.reshape(-1, 2), self._pushes))
 
         def _CheckPace(self, context: Any) -> None:
             kept, own = self._Kept(context), self._scratches.own
-            if kept[0] is None:  # nobody has initialized this one
+            if kept is None:  # nobody has initialized this one
                 own.limits[:] = no_limits(self.system)
                 return
             self._Load(context)
@@ -425,10 +437,10 @@ def _define(T: type) -> type:
                 _refuse(self.system, *own.given)
             own.run_pace()
             speed, slip, stretch = own.paces
-            limits, t = kept[0].widened(stretch.reshape(-1, 2)), context.get_time()
+            limits, t = kept.widened(stretch.reshape(-1, 2)), context.get_time()
             if limits.unknown and not stands(self.system.scene, t):
                 limits = limits.begun(speed, slip)
-            kept[0], own.limits[:] = limits, limits.near()
+            self._Keep(context, limits)
             refuse_pace(self.system, t, limits, speed, slip)
 
         def _Load(self, context: Any, output: str = "derivatives") -> None:

@@ -14,11 +14,17 @@ import pytest
 pytest.importorskip("pydrake")
 
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.common import Parallelism
 from pydrake.planning import DirectCollocation
 from pydrake.solvers import Solve
 from pydrake.symbolic import Expression, Variable
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.analysis import (
+    ApplySimulatorConfig,
+    BatchEvalTimeDerivatives,
+    Simulator,
+    SimulatorConfig,
+)
+from pydrake.systems.framework import DiagramBuilder, InputPortSelection
 from pydrake.systems.primitives import Linearize, MatrixGain
 
 import contact_system as cs
@@ -293,6 +299,21 @@ def test_threads_share_a_planner_with_a_context_each(coordinates, restless):
     tasks = [lambda end=end: run(planner, end, "runge_kutta5") for end in ends]
     plan = cs.plan(planner.system.scene, 1e-13)
     assert max(error(planner, context, plan) for context in run_in_threads(tasks)) < 1e-9
+
+
+@pytest.mark.parametrize("threads", (1, 2))
+def test_drake_evaluates_batches_without_the_lock_of_python(threads):
+    planner = ContactPlanner(cs.load_scene("K3"))
+    context, times = run(planner, 0.1), np.linspace(0.0, 0.2, 5)
+    x, no_input = context.get_continuous_state_vector().CopyToVector(), np.zeros((0, 5))
+    found = BatchEvalTimeDerivatives(
+        planner, context, times[None], np.tile(x, (5, 1)).T, no_input,
+        InputPortSelection.kNoInput, Parallelism(threads),
+    )  # fmt: skip
+    own = context.Clone()
+    for t, rates in zip(times, found.T):
+        own.SetTime(t)
+        assert np.array_equal(rates, planner.EvalTimeDerivatives(own).CopyToVector())
 
 
 def test_a_thread_refuses_what_another_one_has_initialized():
