@@ -257,7 +257,7 @@ def _define(T: type) -> type:
                 self._DeclareRestart(n, restart_period)
             self._DeclareOutputs(n)
             if T is float:
-                self._scratches = Scratches(system, compiled)
+                self._scratches = Scratches(system, compiled, {})
                 self._DeclareWatch()
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:

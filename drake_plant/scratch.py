@@ -112,8 +112,12 @@ class Scratch:
 class Scratches(threading.local):
     """``own`` is the Scratch of the thread that asks.
 
-    A System is const, and threads that share one have a Context each.
+    A System is const, and threads that share one have a Context each. ``made`` keeps them by
+    ``get_ident()``: to ``threading.local`` a thread of Drake's own is a new one at every call.
     """
 
-    def __init__(self, system: SceneSystem, compiled: bool | None):  # called in each thread
-        self.own = Scratch(system, compiled)
+    def __init__(self, system: SceneSystem, compiled: bool | None, made: dict[int, Scratch]):
+        thread = threading.get_ident()
+        if thread not in made:
+            made[thread] = Scratch(system, compiled)
+        self.own = made[thread]

@@ -302,14 +302,17 @@ def test_threads_share_a_planner_with_a_context_each(coordinates, restless):
 
 
 @pytest.mark.parametrize("threads", (1, 2))
-def test_drake_evaluates_batches_without_the_lock_of_python(threads):
+def test_drake_evaluates_batches_without_the_lock_of_python(threads, monkeypatch):
+    made, kind = [], scratch.Scratch
+    monkeypatch.setattr(scratch, "Scratch", lambda *given: made.append(1) or kind(*given))
     planner = ContactPlanner(cs.load_scene("K3"))
-    context, times = run(planner, 0.1), np.linspace(0.0, 0.2, 5)
-    x, no_input = context.get_continuous_state_vector().CopyToVector(), np.zeros((0, 5))
+    context, times = run(planner, 0.1), np.linspace(0.0, 0.2, 20)
+    x, no_input = context.get_continuous_state_vector().CopyToVector(), np.zeros((0, 20))
     found = BatchEvalTimeDerivatives(
-        planner, context, times[None], np.tile(x, (5, 1)).T, no_input,
+        planner, context, times[None], np.tile(x, (20, 1)).T, no_input,
         InputPortSelection.kNoInput, Parallelism(threads),
     )  # fmt: skip
+    assert len(made) <= 1 + threads  # what a thread needs is made once, and not at every call
     own = context.Clone()
     for t, rates in zip(times, found.T):
         own.SetTime(t)
