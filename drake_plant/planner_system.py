@@ -184,12 +184,12 @@ def _define(T: type) -> type:
 
         A planner may be shared by threads that have a Context each.
 
-        AutoDiffXd and Expression are supported. ``Linearize`` needs a planner without discrete
-        state: of a scene without windows, ``scene.replace(disturbances=[])``, and without restarts;
-        for others Drake ends the process. ``DirectCollocation`` evaluates systems at one time, and
-        so is right only where sigma is constant. In frame coordinates Drake takes hours to evaluate
-        the symbolic acceleration, whose tree has 1e10 nodes; derivatives and the rest take up to
-        seconds.
+        AutoDiffXd and Expression are supported. ``Linearize`` and ``DiscreteTimeApproximation``
+        need a planner without discrete state: of a scene without windows,
+        ``scene.replace(disturbances=[])``, and without restarts; for others Drake ends the process.
+        ``DirectCollocation`` evaluates systems at one time, and so is right only where sigma is
+        constant. In frame coordinates Drake takes hours to evaluate the symbolic acceleration,
+        whose tree has 1e10 nodes; derivatives and the rest take up to seconds.
 
         Parameters
         ----------

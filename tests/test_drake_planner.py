@@ -21,6 +21,7 @@ from pydrake.symbolic import Expression, Variable
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     BatchEvalTimeDerivatives,
+    DiscreteTimeApproximation,
     Simulator,
     SimulatorConfig,
 )
@@ -623,6 +624,17 @@ def test_the_linearization_is_the_jacobian(coordinates):
     rates = other.EvalTimeDerivatives(found).CopyToVector()
     assert np.allclose(linear.A(), ExtractGradient(rates.reshape(-1, 1)))
     assert linear.B().shape == (len(rates), 18)
+
+
+def test_a_discrete_approximation_moves_as_planned():
+    planner = ContactPlanner(cs.load_scene("K1"))
+    config = SimulatorConfig(integration_scheme="runge_kutta5", accuracy=1e-9)
+    found = Simulator(DiscreteTimeApproximation(planner, 0.01, config))
+    found.AdvanceTo(0.5)
+    context = planner.CreateDefaultContext()
+    context.SetTime(0.5)
+    context.SetContinuousState(found.get_context().get_discrete_state_vector().CopyToVector())
+    assert error(planner, context) < 1e-9
 
 
 def test_collocation_where_sigma_is_constant_ends_where_the_plan_does():
