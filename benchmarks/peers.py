@@ -26,6 +26,8 @@ import contact_system as cs
 from contact_system.equations import chart_equations
 from contact_system.kernels import find_compiler
 
+from .problems import metric
+
 Solver = Callable[[np.ndarray, float], np.ndarray]
 """(initial state (9,), eta) -> states at the grid's times (n, 9)."""
 FINEST = 3e-16
@@ -101,8 +103,8 @@ def _heyoka_equations(scene: cs.Scene, slip: bool) -> list[tuple[Any, Any]]:
         sigma = sigma * hy.time + c
         slope = slope * hy.time + k * c if k else slope
     growth = slope / sigma
-    tip = _heyoka_metric(scene.contacts[0].finger, u1, v1, a1, b1)
-    body = _heyoka_metric(scene.object, u2, v2, a2, b2)
+    tip = metric(scene.contacts[0].finger, hy, u1, v1, a1, b1)
+    body = metric(scene.object, hy, u2, v2, a2, b2)
     accelerations = [growth * a1 + tip.bend[0], growth * b1 + tip.bend[1]]
     object_accelerations = [growth * a2 + body.bend[0], growth * b2 + body.bend[1]]
     if slip:
@@ -113,41 +115,6 @@ def _heyoka_equations(scene: cs.Scene, slip: bool) -> list[tuple[Any, Any]]:
         object_accelerations[1] += lam * ((-sin * x - cos * y) / body.lame[1] - b2)
     right = [a1, b1, *accelerations, a2, b2, *object_accelerations, tip.spin + body.spin]
     return list(zip(state, right, strict=True))
-
-
-@dataclass(frozen=True)
-class _Metric:
-    """h_u, h_v; -Gamma^k_ij q'_i q'_j; T M q'."""
-
-    lame: Sequence[Any]
-    bend: Sequence[Any]
-    spin: Any
-
-
-def _heyoka_metric(surface: cs.Surface, u: Any, v: Any, du: Any, dv: Any) -> _Metric:
-    import heyoka as hy
-
-    su, cu = hy.sin(u), hy.cos(u)
-    if isinstance(surface, cs.Sphere):
-        r = surface.radius
-        return _Metric((r, r * su), (su * cu * dv**2, -2.0 * (cu / su) * du * dv), cu * dv)
-    sv, cv = hy.sin(v), hy.cos(v)
-    a2, b2, c2 = (w**2 for w in (surface.a, surface.b, surface.c))
-    k2, l2 = (b2 - c2) / (a2 - c2), (a2 - b2) / (a2 - c2)
-    # h_u^2 = p A(u), h_v^2 = p B(v) (eq. `ellipsoid`), p = k'^2 sin^2 u + k^2 cos^2 v
-    p = l2 * su**2 + k2 * cv**2
-    up, down = a2 * su**2 + b2 * cu**2, k2 + l2 * su**2
-    top, under = b2 * sv**2 + c2 * cv**2, l2 + k2 * cv**2
-    big_a, big_b = up / down, top / under
-    p_u, p_v = 2.0 * l2 * su * cu, -2.0 * k2 * sv * cv
-    a_u = 2.0 * su * cu * ((a2 - b2) / up - l2 / down)  # A'/A
-    b_v = 2.0 * sv * cv * ((b2 - c2) / top + k2 / under)  # B'/B
-    ratio = big_b / big_a
-    bend_u = 0.5 * ((p_u / p + a_u) * du**2 - ratio * p_u / p * dv**2) + p_v / p * du * dv
-    bend_v = 0.5 * ((p_v / p + b_v) * dv**2 - p_v / p / ratio * du**2) + p_u / p * du * dv
-    root = hy.sqrt(ratio)
-    spin = 0.5 * (p_u * root * dv - p_v / root * du) / p
-    return _Metric((hy.sqrt(p * big_a), hy.sqrt(p * big_b)), (-bend_u, -bend_v), spin)
 
 
 def heyoka_great_circles(
