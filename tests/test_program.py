@@ -268,6 +268,19 @@ def test_slip_that_moves_nothing_shows_in_the_rates_at_many_times(obj, eta, tole
 
 
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=COMPILER)])
+@pytest.mark.parametrize(("coefficients", "most"), [([0.001, 0.0, 0.4], 2), ([0.401, -0.4], 6)])
+def test_a_gain_that_grows_later_takes_no_more_panels(coefficients, most, compiled):
+    scene = one_contact(
+        "sphere", "sphere", profile=coefficients, gain=cs.Gain.path(620.0),
+        object_velocity="rest", duration=1.0,
+    )  # fmt: skip
+    plan = cs.plan(scene, tolerance=1e-6, compiled=compiled)
+    exact = cs.plan(scene, tolerance=1e-14, compiled=False).points(TIMES)
+    assert np.abs(plan.points(TIMES) - exact).max() < 1e-6 * scene.contacts[0].finger.size
+    assert plan.groups[0].object[0].panels.count <= most
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=COMPILER)])
 @pytest.mark.parametrize("obj", SURFACES)
 def test_rolling_does_not_end_with_a_piece_of_the_gain(obj, compiled):
     gain, profile = cs.Gain.guaranteed(2.0), (0.1, 1.0, -1.0)
