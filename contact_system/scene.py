@@ -58,6 +58,7 @@ def _text(value: Any, what: str) -> str:
 
 
 MANY_TURNS = 1e3  # [rad]: psi keeps 13 digits of a turn
+MANY_PLACES = 16  # on one surface, from which on arrays are faster
 GIVEN = 9  # numbers that say where and how fast a contact starts
 PACK = struct.Struct(f"{GIVEN}d").pack
 
@@ -470,41 +471,44 @@ class Scene:
 
     def _place_contacts(self) -> None:
         """Every contact's coordinates into the charts' regular range."""
-        contacts = []
+        contacts = list(self.contacts)
         turned: set[tuple[str, int]] = set()
-        known = self._places_at_once()
-        for i, contact in enumerate(self.contacts):
-            for body, surface in (("object", self.object), ("finger", contact.finger)):
-                contact, half_turn = _placed(contact, i, surface, body, known.get((body, i)))
-                if half_turn:
-                    turned.add((body, i))
-            contacts.append(contact)
+        for i, body, known in self._unplaced():
+            surface = self.object if body == "object" else contacts[i].finger
+            contacts[i], half_turn = _placed(contacts[i], i, surface, body, known)
+            if half_turn:
+                turned.add((body, i))
         object.__setattr__(self, "contacts", tuple(contacts))
         if turned:
             moved = tuple(_turned(d, turned) for d in self.disturbances)
             object.__setattr__(self, "disturbances", moved)
 
-    def _places_at_once(self) -> dict[tuple[str, int], Pair]:
-        """Places on surfaces whose charts take a kernel to tell that a point is regular.
+    def _unplaced(self) -> list[tuple[int, str, Pair | None]]:
+        """Contacts and bodies whose coordinates may have to change, and to what, if that is known.
 
-        Of all contacts of a surface in one call; none where one of them is refused, so that it is
-        refused by name.
+        Many places on one surface are told at once; one by one where one of them is refused, so
+        that it is refused by name.
         """
-        crowds: dict[tuple[str, int], list[int]] = {}
-        if len(self.contacts) > 1:
-            for i, contact in enumerate(self.contacts):
-                for body, surface in (("object", self.object), ("finger", contact.finger)):
-                    if surface.chart.metric_floor is Chart.metric_floor:
-                        crowds.setdefault((body, id(surface)), []).append(i)
-        known = {}
-        for (body, _), members in crowds.items():
-            first = self.contacts[members[0]]
-            surface = self.object if body == "object" else first.finger
-            given = np.array([getattr(self.contacts[i], f"{body}_at") for i in members])
-            with suppress(ContactSystemError):
-                u, v = surface.canonical(*given.T)
-                known.update({(body, i): at for i, *at in zip(members, u.tolist(), v.tolist())})
-        return {key: (at[0], at[1]) for key, at in known.items()}
+        contacts = self.contacts
+        if len(contacts) == 1:
+            return [(0, "object", None), (0, "finger", None)]
+        fingers: dict[int, list[int]] = {}
+        for i, contact in enumerate(contacts):
+            fingers.setdefault(id(contact.finger), []).append(i)
+        found: list[tuple[int, str, Pair | None]] = []
+        everyone = [("object", list(range(len(contacts))))]
+        for body, members in everyone + [("finger", members) for members in fingers.values()]:
+            surface = self.object if body == "object" else contacts[members[0]].finger
+            quick = surface.chart.metric_floor is not Chart.metric_floor
+            if len(members) >= (MANY_PLACES if quick else 2):
+                given = np.array([getattr(contacts[i], f"{body}_at") for i in members])
+                with suppress(ContactSystemError):
+                    at = np.stack(surface.canonical(*given.T), axis=-1)
+                    moved = np.flatnonzero((at != given).any(axis=-1)).tolist()
+                    found += [(members[k], body, tuple(at[k].tolist())) for k in moved]
+                    continue
+            found += [(i, body, None) for i in members]
+        return sorted(found, key=lambda place: place[0])
 
 
 def _all_of(kind: type, values: Any, what: str) -> tuple:

@@ -283,14 +283,15 @@ class Surface:
         ChartSingularity
             The frame is lost there (pole, umbilic): the metric root is below 1e-12 of the size.
         """
-        if isinstance(u, float) and isinstance(v, float) and math.isfinite(u) and math.isfinite(v):
-            # one point, told regular without arrays and kernels wherever that is clear
-            at = self._wrap(float(u), float(v))
-            if self.chart.metric_floor(self.parameters, *at) > 2 * SINGULAR * self.size:
-                return float(at[0]), float(at[1])
-        us, vs = self._wrap(*self._finite(u, v))
-        self._require_regular(us, vs)
-        return (float(us), float(vs)) if np.ndim(us) == 0 else (us, vs)
+        if one := isinstance(u, float) and isinstance(v, float) and math.isfinite(u + v):
+            us, vs = self._wrap(float(u), float(v))
+        else:
+            us, vs = self._wrap(*self._finite(u, v))
+        # told regular without kernels, and one point without arrays, wherever that is clear
+        clear = self.chart.metric_floor(self.parameters, us, vs) > 2 * SINGULAR * self.size
+        if not (clear if one else np.all(clear)):
+            self._require_regular(np.asarray(us), np.asarray(vs))
+        return (float(us), float(vs)) if one or np.ndim(us) == 0 else (us, vs)
 
     def align(
         self, u: ArrayLike, v: ArrayLike, u_ref: ArrayLike, v_ref: ArrayLike

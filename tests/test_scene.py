@@ -15,6 +15,7 @@ from contact_system.errors import SceneError
 from contact_system.plan import plan
 from contact_system.profile import Gain, Profile
 from contact_system.scene import (
+    DISTURBANCE_KINDS,
     Contact,
     FingerAcceleration,
     ObjectAcceleration,
@@ -170,6 +171,28 @@ def test_a_scene_of_regular_contacts_is_made_without_evaluating_kernels(surface,
     monkeypatch.setattr(Surface, "_call", refuse)
     made = small_scene(object=surface, contacts=[Contact(finger=surface, object_at=(7.0, -1.1))])
     assert made.contacts[0].object_at == surface.canonical(7.0, -1.1)
+
+
+@pytest.mark.parametrize("surface", [Sphere(0.1), Torus(0.3, 0.1), Ellipsoid(0.3, 0.2, 0.1)])
+def test_contacts_of_a_crowd_are_placed_as_each_alone(surface):
+    at = np.random.default_rng(3).uniform(-9, 9, (40, 4)).tolist()
+    velocity, others = (0.6, 0.8), [Sphere(0.02), Ellipsoid(0.06, 0.05, 0.04)]
+    contacts = [
+        Contact(others[i % 2], at[:2], finger_at=at[2:], angle=0.1 * i, object_velocity=velocity)
+        for i, at in enumerate(at)
+    ]
+    contacts += small_scene(object=surface, contacts=contacts[:1]).contacts  # one in range already
+    pushes = [kind(k, 0, 1, velocity) for kind in DISTURBANCE_KINDS for k in range(41)]
+    crowd = small_scene(object=surface, contacts=contacts, disturbances=pushes)
+    for k, contact in enumerate(contacts):
+        own = [kind(0, 0, 1, velocity) for kind in DISTURBANCE_KINDS]
+        alone = small_scene(object=surface, contacts=[contact], disturbances=own)
+        assert crowd.contacts[k] == alone.contacts[0]
+        found = [d.value for d in crowd.disturbances if d.contact == k]
+        assert found == [d.value for d in alone.disturbances]
+    wrong = Contact(contacts[0].finger, (0.3, 0.4), (0.0, 1.0))
+    with pytest.raises(SceneError, match=r"contacts\[30\]: finger_at = \(0.0, 1.0\): .*pole"):
+        small_scene(object=surface, contacts=contacts[:30] + [wrong] + contacts[31:])
 
 
 def test_a_contact_on_the_second_cover_of_an_ellipsoid_keeps_its_motion():
