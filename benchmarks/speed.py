@@ -19,7 +19,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -417,7 +417,8 @@ def many(full: bool) -> Iterator[Bar]:
 
     A scene of many contacts is evaluated on all processors, as users have it; the note tells of one
     thread. In the loop all scenes are of one kind: compiled, they are planned by numbers as well.
-    The note tells of a loop that plans every scene in full, each having a gain of its own.
+    The note tells of a loop that plans every scene in full, each having a gain of its own. Twice:
+    with the scenes made before, and from a list of contacts, where both have to make them.
     """
     t = np.linspace(0.0, 1.0, 100)
     for compiled in reversed(engines()):
@@ -432,6 +433,11 @@ def many(full: bool) -> Iterator[Bar]:
                     lambda scenes, call=call: [call(scene) for scene in scenes],
                     lambda kind=kind, slips=slips, n=most, step=step: _loop(kind, slips, n, step),
                 )
+            crowd = partial(_crowd, kind, slips, most)
+            jobs["made"] = Job(_unpinned(lambda s, call=call: call(_made(s, s.contacts))), crowd)
+            jobs["loop, made"] = Job(
+                lambda s, call=call: [call(_made(s, [contact])) for contact in s.contacts], crowd
+            )
             times = {k: v.median for k, v in interleaved(jobs, repeats=5).items()}
             growth = [times[str(10 * n)] / (10 * times[str(n)]) for n in counts[:-1]]
             name = f"{kind}, {'slip' if slips else 'no slip'}, {_engine(compiled)}"
@@ -445,6 +451,10 @@ def many(full: bool) -> Iterator[Bar]:
             note += f"{1e6 * alone / most:.3g} us, {alike / alone:.3g} x"
             ratio = alike / times[str(most)]
             yield Bar(f"{most} contacts beside a loop, {name}", 5.0, ratio, "x", True, note)
+            whole, loop = times["made"], times["loop, made"]
+            note = f"{1e6 * whole / most:.3g} us a contact beside {1e6 * loop / most:.3g} us"
+            bar = f"{most} contacts, scenes made on the way, beside a loop, {name}"
+            yield Bar(bar, 5.0, loop / whole, "x", True, note)
 
 
 def _unpinned(call: Callable[[cs.Scene], np.ndarray]) -> Callable[[cs.Scene], np.ndarray]:
@@ -471,6 +481,14 @@ def _loop(kind: str, slips: bool, count: int, step: float) -> list[cs.Scene]:
         whole.replace(contacts=[contact], gain=cs.Gain.time(20.0 + step * next(_OWN)))
         for contact in whole.contacts
     ]
+
+
+def _made(scene: cs.Scene, contacts: Sequence[cs.Contact]) -> cs.Scene:
+    """A scene like this one."""
+    return cs.Scene(
+        object=scene.object, contacts=contacts, profile=scene.profile, gain=scene.gain,
+        duration=scene.duration,
+    )  # fmt: skip
 
 
 def _crowd(kind: str, slips: bool, count: int) -> cs.Scene:

@@ -194,7 +194,7 @@ def test_the_short_form_takes_a_hundred_contacts_of_every_kind_without_a_compile
 
     monkeypatch.setattr(speed, "interleaved", times)
     monkeypatch.setattr(speed, "engines", lambda: [False, True])
-    assert len(list(speed.many(False))) == 16
+    assert len(list(speed.many(False))) == 24
     assert counts == 4 * [[1, 10, 100, 1000]] + 4 * [[1, 10, 100]]
 
 
