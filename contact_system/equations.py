@@ -9,7 +9,7 @@ State of a contact: u1 v1 u1' v1' u2 v2 u2' v2' psi. With sigma the path profile
         + \lambda\,(M_2^{-1} R_\psi M_1 \dot q_1 - \dot q_2)^k + d_2^k && (\text{eq. contrac}) \\
     \dot\psi &= T_1 M_1 \dot q_1 + T_2 M_2 \dot q_2 .
 
-Errata of the paper kept here: the first Christoffel term multiplies u'^2 (eqs. `timegeodesic` and
+Unlike in the paper the first Christoffel term of v" multiplies u'^2 (eqs. `timegeodesic` and
 `contrac` print v'^2), and psi obeys the last line, which the paper uses and does not print.
 
 An object rate offset d moves the contact point (u2' + d) but not the feedback: q2' is carried along

@@ -6,8 +6,8 @@ A chart ``f(u, v)`` need not be orthogonal. Its contact frame is ``E = [x y n]``
 
 and ``M`` (the metric root, ``M^T M`` is the metric) turns coordinate rates into velocity
 components along ``x`` and ``y``. For an orthogonal chart ``y = f_v/|f_v|`` and
-``M = diag(h_u, h_v)``, and every formula below reduces to the one printed in the paper
-(eq. ``christoffel``, eq. ``relvel``).
+``M = diag(h_u, h_v)``, and the frame, M and the Christoffel symbols are those printed in the paper
+(eqs. ``rotationmat``, ``finetune``, ``christoffel``).
 
 Lengths in metres, angles in radians. All results are CasADi SX expressions.
 """
