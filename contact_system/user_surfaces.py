@@ -114,7 +114,7 @@ class ParametricSurface(UserSurface):
     parameters : mapping of str to float, optional
         Named numbers of the formula; changing them needs no new kernel.
     size : float
-        Length scale of the surface, m.
+        Length scale of the surface, m, about its greatest radius; tolerances are fractions of it.
     u_range, v_range : pairs of float, optional
         Where the inverse chart looks first; one period about 0, or (-pi, pi).
     u_period, v_period : float, optional
@@ -124,6 +124,22 @@ class ParametricSurface(UserSurface):
     formula : Formula, optional
         In the place of the function or text: that of another surface, of which ``parameters``
         changes what it names. `dataclasses.replace` gives it.
+
+    Raises
+    ------
+    SurfaceError
+        Naming the argument, the value and the remedy.
+
+    Examples
+    --------
+    A hollow of the ground, as a function and as text:
+
+    >>> import contact_system as cs
+    >>> ground = cs.ParametricSurface(
+    ...     lambda u, v, k: (u, v, k * (u**2 + v**2)), parameters={"k": 2.0}, size=0.1)
+    >>> same = cs.ParametricSurface(("u", "v", "k*(u**2 + v**2)"), parameters={"k": 2.0}, size=0.1)
+    >>> print(ground.point(0.5, 0.0), same.point(0.5, 0.0))
+    [0.5 0.  0.5] [0.5 0.  0.5]
     """
 
     has_implicit: ClassVar[bool] = False
@@ -342,12 +358,28 @@ class ImplicitSurface(UserSurface):
     parameters : mapping of str to float, optional
         Named numbers of the formula; changing them needs no new kernel.
     size : float
-        Length scale of the surface, m.
+        Length scale of the surface, m, about its greatest radius; tolerances are fractions of it.
     inside : bool
         The body is where F > 0; v is then the azimuth the other way around.
     formula : Formula, optional
         In the place of the function or text: that of another surface, of which ``parameters``
         changes what it names. `dataclasses.replace` gives it.
+
+    Raises
+    ------
+    SurfaceError
+        Naming the argument, the value and the remedy.
+
+    Examples
+    --------
+    A rounded cube, as text and as a function:
+
+    >>> import contact_system as cs
+    >>> cube = cs.ImplicitSurface("x**4 + y**4 + z**4 - r**4", parameters={"r": 0.1}, size=0.1)
+    >>> same = cs.ImplicitSurface(
+    ...     lambda x, r: x[0]**4 + x[1]**4 + x[2]**4 - r**4, parameters={"r": 0.1}, size=0.1)
+    >>> print(cube.point(1.57, 0.0).round(3), same.point(1.57, 0.0).round(3))
+    [0.1 0.  0. ] [0.1 0.  0. ]
     """
 
     has_chart: ClassVar[bool] = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import os
 import re
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from contact_system import user_surfaces
 from contact_system.scene_files import bundled_scenes, scene_from_toml
 
 README = Path(__file__).parent.parent / "README.md"
@@ -53,6 +55,11 @@ def test_the_examples_of_the_page_on_drake_run(tmp_path):
 def test_the_python_example_has_ten_lines():
     example = blocks("python")[0]
     assert len(example.splitlines()) == 10
+
+
+def test_examples_of_surfaces_print_what_their_help_shows():
+    failed, tried = doctest.testmod(user_surfaces)
+    assert tried and not failed
 
 
 def test_the_scene_file_is_read():
