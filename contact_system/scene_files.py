@@ -1,7 +1,8 @@
 """Scenes as TOML: reading, writing, and the scenes that come with the package.
 
 The messages name the file, the contact, the key, the value and the remedy. See the bundled
-`scenes/*.toml`. Every number may be written as arithmetic text, such as "2*pi/3".
+`scenes/*.toml`. Every number may be written as arithmetic text, such as "2*pi/3", but for those of
+`[drake]`, which may hold words too.
 """
 
 from __future__ import annotations
