@@ -5,7 +5,7 @@ force along the planned normal through the planned contact point, and tracking i
 along the normal there is only a damper, so that the contact itself decides how far the finger sinks
 in.
 
-Two things decide how steady the normal force is, because the fingers of D1 need up to 9 N of
+Two things decide how steady the normal force is, because the fingers of D1 need up to 8 N of
 centripetal force beside the 1 N of contact, and those of D3 150 N:
 
 * What a discrete plant needs (semi-implicit Euler, step h). Its velocity at t_k moved the body from
