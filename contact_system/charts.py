@@ -35,10 +35,12 @@ TINY = 1e-300
 
 
 def hypot(a: SX | float, b: SX | float) -> SX:
+    """Return sqrt(a^2 + b^2)."""
     return ca.sqrt(a * a + b * b)
 
 
 def diagonal(a: SX | float, b: SX | float) -> SX:
+    """Return the matrix diag(a, b)."""
     return ca.diag(ca.vertcat(a, b))
 
 

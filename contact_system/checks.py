@@ -35,6 +35,7 @@ def did_you_mean(word: object, known: Iterable[str]) -> str:
 
 
 def known_keys(table: Mapping, known: Iterable[str], place: str = "") -> None:
+    """Raise a SceneError for the first key that is not known, with the nearest that is."""
     for key in table:
         if key not in known:
             raise SceneError(

@@ -168,6 +168,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def results_folder(args: argparse.Namespace, scene: Scene) -> Path:
+    """The folder that was asked for, or results/NAME; made where it is missing."""
     folder = args.out or Path("results") / file_name(scene)
     return make_folder(folder, "name another one with --out")
 

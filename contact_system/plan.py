@@ -82,6 +82,14 @@ class Plan:
     the times along their first axis and the contacts along the second. At a window's edge they are
     those after it; at the end of the horizon, those before it. A time outside raises a
     ContactSystemError. Several threads may ask one plan, and plan scenes, at the same time.
+
+    Attributes
+    ----------
+    scene : Scene
+    tolerance : float
+    method, solver : str
+    start : float
+        Where the plan begins, s: 0, or the time of :meth:`restart` or :meth:`continued`.
     """
 
     def __init__(
@@ -169,7 +177,8 @@ class Plan:
     def slip(self, t: ArrayLike) -> np.ndarray:
         """Slip v_rel in E2 (eq. `netrelvel`): (len(t), n_contacts, 2), m/s.
 
-        By the exact law, |v_rel| = |V| sigma exp(-L), not as a difference of velocities.
+        By the exact law, |v_rel| = |V| sigma exp(-L), not as a difference of velocities; while an
+        object rate offset d acts, less M2 d.
 
         Raises
         ------
@@ -240,7 +249,10 @@ class Plan:
     # --- telling, saving -----------------------------------------------------------------------
 
     def explain(self) -> str:
-        """Which way was taken for each contact and interval, why, and what was skipped."""
+        """Which way was taken for each contact and interval, why, and what was skipped.
+
+        A text; its panels are steps of Gauss collocation.
+        """
         lines = [f"scene '{self.scene.name}': tolerance {self.tolerance:g}, method {self.method}"]
         for group in sorted(self.groups, key=lambda g: g.contacts[0]):
             names = ", ".join(str(i) for i in group.contacts)
@@ -323,7 +335,8 @@ class Plan:
         Raises
         ------
         SceneError
-            A wrong shape, NaN, sigma(t) = 0, or contacts whose rolling is imposed.
+            A wrong shape, NaN, a contact at a pole or an umbilic, sigma(t) = 0, nothing left to
+            plan, or contacts whose rolling is imposed.
         """
         where, shape = f"scene '{self.scene.name}', restart", (len(self.scene.contacts), 9)
         t = self._time(t)
@@ -401,7 +414,15 @@ class Plan:
             raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .npz or .csv")
 
     def sample_times(self, count: int = 401) -> np.ndarray:
-        """Equally spaced times over the plan and the scene's edges, none twice but for rounding."""
+        """Equally spaced times over the plan, and the scene's edges: (n,), ascending, s.
+
+        None stands there twice but for rounding.
+
+        Parameters
+        ----------
+        count : int
+            Of the equally spaced ones.
+        """
         grid, spacing = np.linspace(self.start, self.scene.duration, count, retstep=True)
         edges = np.array([e for e in self.scene.edges if e >= self.start])
         same = (np.abs(grid[:, None] - edges) < 1e-9 * spacing).any(axis=1)

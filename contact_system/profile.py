@@ -427,7 +427,10 @@ class Gain:
 
     @classmethod
     def guaranteed(cls, rho: float) -> Gain:
-        """lam = max(0, sigma'/sigma) + rho: slip decays at least as fast as exp(-rho t) [1/s]."""
+        """lam = max(0, sigma'/sigma) + rho: slip decays at least as fast as exp(-rho t) [1/s].
+
+        It is below 5 % after 3/rho, whatever sigma does.
+        """
         return cls("guaranteed", rho)
 
     @property

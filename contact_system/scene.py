@@ -90,7 +90,8 @@ class Contact:
     angle : float
         psi at t = 0, the contact angle between the two frames [rad].
     finger_velocity : (float, float) or "rolling"
-        M1 dq1/ds in the finger's frame E1, no unit. "rolling": the finger's curve is not planned
+        M1 dq1/ds in the finger's frame E1, no unit: its length times sigma is the speed of the
+        contact point on the finger, m/s. "rolling": the finger's curve is not planned
         but follows from rolling imposed on the object's (eq. `corollary`).
     object_velocity : (float, float), "rolling" or "rest"
         M2 dq2/ds in the object's frame E2, no unit. "rolling": no slip at the start;
@@ -319,11 +320,13 @@ class Scene:
     source : str
         Where the scene was read from; not compared.
     paper : mapping
-        What the paper reports; keys `PAPER_KEYS`.
+        What the paper reports: ``figure`` and ``reports``, texts; ``recovery_time``, within which
+        slip is rejected [s]; ``lateral_force``, at which a contact saturates [N].
     chosen : sequence of str
         Keys whose values the paper leaves out, such as "contacts.finger_at".
     drake : mapping
-        Contact physics, passed through untouched.
+        Contact physics: fields of `drake_plant`'s StationConfig, PlantConfig and DriverConfig, by
+        whom they are checked.
 
     Raises
     ------
@@ -575,9 +578,6 @@ def _half_turn(contact: Contact, velocity: str) -> Contact:
 # --- keys of scene files -----------------------------------------------------------------------
 
 PAPER_KEYS = ("figure", "reports", "recovery_time", "lateral_force")
-"""What a scene's `paper` table may say: the figure's label in the paper, what it reports in words,
-the time after the disturbance (or after t = 0) within which slip is reported rejected [s], and
-the lateral force a contact saturates at [N]."""
 PAPER_NUMBERS = PAPER_KEYS[2:]
 
 SCENE_KEYS = (

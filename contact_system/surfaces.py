@@ -742,6 +742,7 @@ def store(surface: Surface, **values: Any) -> None:
 
 
 def positive_length(surface: Surface, name: str, value: Any) -> float:
+    """Return a length in m as a float; raise a SurfaceError where it is not above 0."""
     kind = type(surface).__name__
     number = finite_number(value, f"{kind}: {name}", error=SurfaceError)
     if number <= 0:

@@ -280,6 +280,13 @@ def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) ->
     A turning object hangs on a revolute joint with an implicit controller of high gain, fed by a
     TrajectorySource "turning": Drake's joints cannot be prescribed.
 
+    Parameters
+    ----------
+    builder : DiagramBuilder
+    scene : Scene
+        It is planned here, to make meshes fine where contacts go.
+    config : PlantConfig
+
     Raises
     ------
     SceneError, SurfaceError
