@@ -259,6 +259,11 @@ class Surface:
         """Return (u, v), each of shape (...), of points (..., 3) on the surface.
 
         The principal branch; its range is `chart`.ranges, with the sign of v turned inside.
+
+        Raises
+        ------
+        SurfaceError
+            Points of another shape, or not finite.
         """
         points = self._points(x)
         uv = self._call("coordinates", points.reshape(-1, 3).T)
@@ -567,7 +572,7 @@ class Ellipsoid(Surface):
     """Ellipsoid with semi-axes a >= b >= c along x, y, z; Jacobi's chart, eq. ``ellipsoid``.
 
     Equal axes take the regular limit of that chart: `OblateChart` (a = b), `ProlateChart` (b = c),
-    and for a = b = c the sphere's `PolarChart`.
+    and for a = b = c the sphere's `PolarChart`; ``help(surface.chart)`` shows its formula.
 
     Parameters
     ----------
@@ -621,7 +626,8 @@ class Quadric(Surface):
 
     Coordinates are laid along the principal axes: an ellipsoid in any orientation (charts of
     `Ellipsoid`), hyperboloids of one and two sheets, elliptic and hyperbolic cylinders, a pair of
-    planes. The normal is along A x, so the body is where x^T A x < 1; ``inside`` turns it.
+    planes; ``help(surface.chart)`` shows the chart. The normal is along A x, so the body is where
+    x^T A x < 1; ``inside`` turns it.
 
     Parameters
     ----------
