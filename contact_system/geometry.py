@@ -41,8 +41,6 @@ class ChartGeometry:
         K, symmetric: ``n' = [x y] K M q'``; +I/r on a sphere of radius r. 1/m.
     torsion_form : SX (1, 2)
         T: ``y . x' = T M q'``. 1/m.
-    defect : SX
-        ``f_u . f_v``: zero exactly where the chart is orthogonal.
     """
 
     point: SX
@@ -52,7 +50,6 @@ class ChartGeometry:
     christoffel: tuple[SX, SX]
     curvature_form: SX
     torsion_form: SX
-    defect: SX
 
 
 def contact_frame(f_u: SX, f_v: SX, orthogonal: bool = False) -> tuple[SX, SX, SX]:
@@ -141,7 +138,6 @@ def tangent_geometry(
         christoffel=(gamma_u, gamma_v),
         curvature_form=curvature,
         torsion_form=torsion,
-        defect=SX(0) if orthogonal else ca.dot(f_u, f_v),
     )
 
 

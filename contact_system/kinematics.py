@@ -32,18 +32,6 @@ def contact_map(psi: np.ndarray | float) -> np.ndarray:
     return out
 
 
-def slip(psi: np.ndarray, finger: np.ndarray, obj: np.ndarray) -> np.ndarray:
-    """Slip v_rel in E2 (eq. `netrelvel`), m/s.
-
-    Parameters
-    ----------
-    psi : (...)
-    finger, obj : (..., 2)
-        Velocities of the contact point, M_i q_i', in E_i.
-    """
-    return np.einsum("...ij,...j->...i", contact_map(psi), finger) - obj
-
-
 def inverse_montana(
     curvature_1: np.ndarray,
     curvature_2: np.ndarray,

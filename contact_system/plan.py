@@ -214,10 +214,6 @@ class Plan:
         """
         return self._collect(t, lambda motion: motion.twist(), (6,))
 
-    def angles(self, t: ArrayLike) -> np.ndarray:
-        """psi: (len(t), n_contacts), rad. Raises as :meth:`states`."""
-        return self.states(t)[:, :, 8]
-
     def carried(self, t: ArrayLike) -> np.ndarray:
         """The frames carried along by parallel transport (theory section 4), finger and object.
 

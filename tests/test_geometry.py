@@ -193,18 +193,11 @@ def test_orthogonal_chart_reduces_to_the_printed_christoffel_formulas():
         printed.append(ca.vertcat(*rows))
     for promise in (False, True):
         shape = geometry.chart_geometry(f, u, v, orthogonal=promise)
-        both = ca.Function("both", [u, v], [*shape.christoffel, *printed, shape.defect])
+        both = ca.Function("both", [u, v], [*shape.christoffel, *printed])
         values = [w.full() for w in both(0.4, 1.3)]
-        first, second, first_printed, second_printed, defect = values
+        first, second, first_printed, second_printed = values
         assert np.allclose(first, first_printed, atol=1e-15)
         assert np.allclose(second, second_printed, atol=1e-15)
-        assert abs(defect.item()) < 1e-17
-
-
-def test_defect_is_the_dot_product_of_the_tangents():
-    u, v = SX.sym("u"), SX.sym("v")
-    shape = geometry.chart_geometry(ca.vertcat(u, v, u * v), u, v)
-    assert float(ca.Function("f", [u, v], [shape.defect])(0.5, 3.0)) == 1.5
 
 
 def test_metric_root_squares_to_the_metric_of_an_oblique_chart():

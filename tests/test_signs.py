@@ -9,7 +9,7 @@ import pytest
 from conftest import SURFACES, derivative, one_contact, path_velocities, reflection
 
 import contact_system as cs
-from contact_system.kinematics import contact_map, inverse_montana, slip
+from contact_system.kinematics import contact_map, inverse_montana
 
 T = np.linspace(0.1, 0.9, 5)
 SURFACE = pytest.mark.parametrize("name", SURFACES)
@@ -125,10 +125,6 @@ def test_psi_turns_the_fingers_first_axis_from_the_objects_first_axis_clockwise(
     plan = cs.plan(one_contact("plane", "plane", angle=psi))
     x1_in_object = plan.pose(0.0)[0, 0, :3, :3] @ [1.0, 0.0, 0.0]
     assert x1_in_object == pytest.approx([np.cos(psi), -np.sin(psi), 0.0])
-
-
-def test_slip_is_rolled_velocity_less_object_velocity():
-    assert slip(0.0, np.array([1.0, 2.0]), np.array([0.5, 0.25])) == pytest.approx([0.5, -2.25])
 
 
 @pytest.mark.parametrize("obj", ["sphere", "bowl", "ellipsoid", "bumps"])
