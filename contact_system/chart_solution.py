@@ -16,7 +16,7 @@ from .errors import ContactSystemError, SceneError
 from .groups import Group, SlipRecord
 from .kinematics import contact_map
 from .profile import GainPiece
-from .scene import DISTURBANCE_KINDS, Scene
+from .scene import Scene, acting
 from .starts import Start
 from .tracks import Track, in_parts, passed
 
@@ -99,14 +99,8 @@ def _chart_group(
     pieces = [p.start for p in scene.gain.pieces(scene.profile, begin, scene.duration)]
     edges = sorted({begin, scene.duration, *windows, *pieces})
     for a, b in zip(edges, edges[1:]):
-        d1, d2, offset = (
-            sum(
-                (np.array(d.value) for d in own if type(d) is kind and d.start <= a < d.stop),
-                np.zeros(2),
-            )
-            for kind in DISTURBANCE_KINDS
-        )
-        machine.x[0, 11:] = [*d1, *d2, *offset]
+        machine.x[0, 11:] = acts = acting(scene, a)[index]
+        d1, d2, offset = acts.reshape(3, 2)
 
         def rate(t: float, state: np.ndarray) -> np.ndarray:
             machine.x[0, :9] = state
