@@ -191,10 +191,8 @@ def chart_form(scene: cs.Scene, times: np.ndarray) -> Ode:
 
 
 def _pieces(scene: cs.Scene, times: np.ndarray) -> Iterator[Piece]:
-    inner = (edge for d in scene.disturbances for edge in (d.start, d.stop))
-    edges = sorted({0.0, scene.duration, *inner})
     coefficients = [*scene.profile.coefficients, 0.0, 0.0][:3]
-    for begin, end in zip(edges, edges[1:]):
+    for begin, end in zip(scene.edges, scene.edges[1:]):
         pushed = np.zeros(4)
         for d in scene.disturbances:
             if d.contact == 0 and d.start <= begin and end <= d.stop:

@@ -144,7 +144,7 @@ class Judge:
         Blocks take times within 8 eps of a window's edge for the edge.
         """
         scene = plan.scene
-        for edge in {e for d in scene.disturbances for e in (d.start, d.stop)}:
+        for edge in scene.window_edges:
             t = np.where(np.abs(t - edge) <= 8 * EPS * max(1.0, edge), edge, t)
         least = min(s.size for s in (scene.object, *(c.finger for c in scene.contacts)))
         last = t.max()  # which is known to its rounding only
@@ -352,9 +352,7 @@ def _random_steps(name: str, random: np.random.Generator) -> list[float]:
 
 def _edge_steps(name: str, off: float) -> list[float]:
     """From near an edge of a window to near the next."""
-    scene = scene_of(name)
-    edges = sorted({e for d in scene.disturbances for e in (d.start, d.stop)} | {scene.duration})
-    times = [e + off * max(1.0, e) for e in edges if e > 0]
+    times = [e + off * max(1.0, e) for e in scene_of(name).edges if e > 0]
     return np.diff([0.0, *times, times[-1] + 1e-3]).tolist()
 
 

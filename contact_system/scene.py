@@ -410,10 +410,14 @@ class Scene:
         return self.contacts[index].name or f"contact {index}"
 
     @property
+    def window_edges(self) -> tuple[float, ...]:
+        """Where windows of disturbances begin or end, ascending [s]."""
+        return tuple(sorted({t for d in self.disturbances for t in (d.start, d.stop)}))
+
+    @property
     def edges(self) -> tuple[float, ...]:
         """0, the window edges inside the horizon and the duration, ascending [s]."""
-        windows = {t for d in self.disturbances for t in (d.start, d.stop)}
-        return tuple(sorted({0.0, self.duration, *windows}))
+        return tuple(sorted({0.0, self.duration, *self.window_edges}))
 
     def _check_parts(self) -> None:
         """Types, and everything into its plain immutable form."""

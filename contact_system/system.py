@@ -413,7 +413,7 @@ class SceneSystem:
         self._refuse()
         n = len(scene.contacts)
         self.n_w = 6 * n if scene.disturbances or disturbance_input else 0
-        self.edges = tuple(sorted({t for d in scene.disturbances for t in (d.start, d.stop)}))
+        self.edges = scene.window_edges
         self.forms = [self._form(i) for i in range(n)]
         self.state_slices = _consecutive(sum(form.sizes) for form in self.forms)
         self.held_slices = _consecutive(form.n_held for form in self.forms)

@@ -116,8 +116,7 @@ class Block:
     def __init__(self, scene: Scene, phase: str):
         self.scene, self.table = scene, variable_table(scene)
         self._phase, self._places = phase, _places(self.table)
-        windows = {t for d in scene.disturbances for t in (d.start, d.stop)}
-        self.edges = tuple(sorted(windows))
+        self.edges = scene.window_edges
         self._own: dict[tuple[float, ...], Scene] = {}
         self._lockstep: dict[tuple[float, ...], list[LockstepGroup]] = {}
         self.reset()
