@@ -155,8 +155,8 @@ class Group:
         record = _acting(self.slips, t)
         w1, v = record.finger_velocity(time)[:, :, 0], record.slip(time)[:, :, 0]
         columns = [self.angle[:, None], w1, v]
-        columns += [self._places(side, t) for side in ("finger", "object")]
-        columns += [_moving_frame(_acting(getattr(self, s), t), t) for s in ("finger", "object")]
+        columns += [self._places(side, t) for side in SIDES]
+        columns += [_moving_frame(_acting(getattr(self, side), t), t) for side in SIDES]
         rows = zip(*(column.tolist() for column in columns))
         return [Moment(angle[0], *map(tuple, others)) for angle, *others in rows]
 

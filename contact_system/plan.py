@@ -25,6 +25,7 @@ from .chart_solution import SOLVERS, chart_groups
 from .checks import a_path, flag, real_array, writing
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .groups import SIDES, Group, moments
+from .kept import kept
 from .kinds import Begun
 from .kinematics import relative_pose, relative_twist
 from .panels import runs
@@ -253,7 +254,7 @@ class Plan:
         for group in sorted(self.groups, key=lambda g: g.contacts[0]):
             names = ", ".join(str(i) for i in group.contacts)
             lines.append(f"contact{'s' * (len(group.contacts) > 1)} {names}:")
-            for side in ("finger", "object"):
+            for side in SIDES:
                 for track in getattr(group, side):
                     lines.append(
                         f"  {side:6s} [{track.start:.6g}, {track.stop:.6g}] s  {track.method}"
@@ -675,23 +676,14 @@ class Sample:
 
     def __init__(self, group: Group, finger: Track, obj: Track, slip, t: np.ndarray):
         self.group, self.finger, self.object, self.record, self.t = group, finger, obj, slip, t
-        self._memory: dict[str, np.ndarray] = {}
 
-    def _once(self, name: str, make: Callable[[], np.ndarray]) -> np.ndarray:
-        if name not in self._memory:
-            self._memory[name] = make()
-        return self._memory[name]
-
-    @property
+    @kept
     def frames(self) -> tuple[np.ndarray, np.ndarray]:
-        return (
-            self._once("frame 1", lambda: self.finger.frames(self.t)),
-            self._once("frame 2", lambda: self.object.frames(self.t)),
-        )
+        return self.finger.frames(self.t), self.object.frames(self.t)
 
-    @property
+    @kept
     def pose(self) -> np.ndarray:
-        return self._once("pose", lambda: relative_pose(*self.frames, self.group.r0))
+        return relative_pose(*self.frames, self.group.r0)
 
     def twist(self) -> np.ndarray:
         tracks = self.finger, self.object
