@@ -165,7 +165,7 @@ class Plan:
         if at_once is not None:
             return at_once
         out = self._fill("coordinates", t, 5)  # u v u' v' theta of the finger, then of the object
-        psi = self._angles() - (out[:, 4] + out[:, 9])
+        psi = self._at_first("angle")[:, None] - (out[:, 4] + out[:, 9])
         out[:, 4:8] = out[:, 5:9]
         out[:, 8] = psi
         return out[:, :9].transpose(2, 0, 1)
@@ -205,7 +205,7 @@ class Plan:
         times = _one_axis(t)
         frames = np.empty((self._count, 18, len(times)))
         if self._fill_compiled("frames", times, 9, frames):
-            return relative_pose(frames[:, :9], frames[:, 9:], self._maps()).swapaxes(0, 1)
+            return relative_pose(frames[:, :9], frames[:, 9:], self._at_first("r0")).swapaxes(0, 1)
         return self._collect(t, lambda motion: motion.pose, (4, 4))
 
     def twist(self, t: ArrayLike) -> np.ndarray:
@@ -502,27 +502,17 @@ class Plan:
             self._refuse(times)
         return out.transpose(2, 0, 1) if code == 0 else None
 
-    def _maps(self) -> np.ndarray:
-        """R_0 of all contacts, (n_contacts, 2, 2)."""
+    def _at_first(self, name: str) -> np.ndarray:
+        """ "r0", R_0, or "angle", psi(0), of all contacts along the first axis."""
         if self._groups is None:
-            assert self._begun is not None
-            return self._begun.r0
-        r0 = np.empty((self._count, 2, 2))
-        for group in self._groups:
-            r0[group.contacts] = group.r0
-        return r0
-
-    def _angles(self) -> np.ndarray:
-        """psi(0) of all contacts, (n_contacts, 1)."""
-        if self._groups is None:
-            assert self._begun is not None
-            return self._begun.angle[:, None]
-        if len(self.groups) == 1:
-            return self.groups[0].angle[:, None]
-        angle = np.empty((self._count, 1))
-        for group in self.groups:
-            angle[group.contacts, 0] = group.angle
-        return angle
+            return getattr(self._begun, name)
+        parts = [getattr(group, name) for group in self._groups]
+        if len(parts) == 1:
+            return parts[0]
+        found = np.empty((self._count, *parts[0].shape[1:]))
+        for group, part in zip(self._groups, parts):
+            found[group.contacts] = part
+        return found
 
     def _named(self, group: Group, error: ChartSingularity) -> ChartSingularity:
         return ChartSingularity(f"{group_name(self.scene, group.contacts)}: {error}")
