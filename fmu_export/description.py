@@ -17,7 +17,7 @@ from contact_system.checks import is_device
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
-from .variables import BLOCK, INPUTS, STATES, Table, Variable, unit_name
+from .variables import BLOCK, INPUTS, STATES, Table, Unit, Variable, unit_name
 
 VERSIONS = ("2.0", "3.0")
 INTERFACES = ("CoSimulation", "ModelExchange")
@@ -96,7 +96,7 @@ def model_description(
             assert element is not None  # _interface has made it
             files = ET.SubElement(element, "SourceFiles")
             files.extend(ET.Element("File", name=name) for name in sources)
-    root.set("generationDateAndTime", time.strftime("%Y-%m-%dT%H:%M:%SZ", generation_time()))
+    root.set("generationDateAndTime", generation_text())
     return xml_text(root)
 
 
@@ -152,6 +152,11 @@ def generation_time() -> time.struct_time:
     )
 
 
+def generation_text() -> str:
+    """The same as model descriptions say it."""
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", generation_time())
+
+
 # --- head ----------------------------------------------------------------------------------------
 
 
@@ -178,9 +183,15 @@ def _interface(table: Table, fmi_version: str, interface: str) -> ET.Element:
 def _unit_definitions(table: Table) -> ET.Element:
     element = ET.Element("UnitDefinitions")
     for unit in sorted({row.unit for row in table.rows if row.unit is not None}):
-        exponents = {k: str(x) for k, x in zip(("m", "s", "rad"), unit) if x}
-        ET.SubElement(ET.SubElement(element, "Unit", name=unit_name(unit)), "BaseUnit", exponents)
+        add_unit(element, unit)
     return element
+
+
+def add_unit(parent: ET.Element, unit: Unit, namespace: str = "") -> None:
+    """What a unit's name stands for, in FMI's words and SSP's."""
+    exponents = {k: str(x) for k, x in zip(("m", "s", "rad"), unit) if x}
+    own = ET.SubElement(parent, f"{namespace}Unit", name=unit_name(unit))
+    ET.SubElement(own, f"{namespace}BaseUnit", exponents)
 
 
 # --- variables -----------------------------------------------------------------------------------
@@ -207,7 +218,7 @@ def _variable(variable: Variable, fmi_version: str) -> ET.Element:
     element = ET.Element("ScalarVariable", common)
     real = ET.SubElement(element, "Real", numeric)
     if variable.derivative is not None:
-        real.set("derivative", str(_index(variable.derivative)))
+        real.set("derivative", str(variable.derivative))
     return element
 
 
@@ -219,11 +230,6 @@ def _numeric_attributes(variable: Variable) -> dict[str, str]:
         "start": " ".join(map(_number, variable.start)) or None,
     }
     return {name: value for name, value in found.items() if value is not None}
-
-
-def _index(reference: int) -> int:
-    """FMI 2's index of a scalar: counted from 1, and time, reference 0, is left out."""
-    return reference
 
 
 def _number(value: float) -> str:
@@ -257,9 +263,8 @@ def _structure(table: Table, fmi_version: str) -> ET.Element:
         for v in unknowns:
             listed_as = " ".join(map(str, knowns.of(v, allowed)))
             if fmi_version == "2.0":
-                ET.SubElement(
-                    parent, "Unknown", index=str(_index(v.reference)), dependencies=listed_as
-                )
+                # The index counts from 1, and leaves out time, reference 0: it is the reference.
+                ET.SubElement(parent, "Unknown", index=str(v.reference), dependencies=listed_as)
             else:
                 ET.SubElement(parent, name, valueReference=str(v.reference), dependencies=listed_as)
     return structure

@@ -10,7 +10,6 @@ import hashlib
 import os
 import re
 import tempfile
-import time
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -21,7 +20,7 @@ from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
 from . import build
-from .description import generation_time, xml_text
+from .description import add_unit, generation_text, generation_time, xml_text
 from .export import export_fmu
 from .variables import Table, Unit, unit_name, variable_table
 
@@ -135,9 +134,7 @@ def system_structure(tables: Mapping[str, Table]) -> str:
             _connect(connections, (consumer, slid), ("", prefix + slid))
     declared = _add(root, "Units")
     for unit in sorted(units):
-        exponents = {k: str(x) for k, x in zip(("m", "s", "rad"), unit) if x}
-        own = ET.SubElement(declared, f"{{{_SSC}}}Unit", name=unit_name(unit))
-        ET.SubElement(own, f"{{{_SSC}}}BaseUnit", exponents)
+        add_unit(declared, unit, f"{{{_SSC}}}")
     stop = max(table.scene.duration for table in tables.values())
     _add(root, "DefaultExperiment", startTime="0", stopTime=repr(stop))
     return xml_text(root)
@@ -193,15 +190,14 @@ def _consumer_description(count: int, token: str) -> str:
     root = ET.Element(
         "fmiModelDescription", fmiVersion="2.0", modelName=CONSUMER, guid=token,
         description="Adds up how far contacts have slid", variableNamingConvention="structured",
-        generationDateAndTime=time.strftime("%Y-%m-%dT%H:%M:%SZ", generation_time()),
+        generationDateAndTime=generation_text(),
     )  # fmt: skip
     flags = {"modelIdentifier": CONSUMER, "canHandleVariableCommunicationStepSize": "true"}
     files = ET.SubElement(ET.SubElement(root, "CoSimulation", flags), "SourceFiles")
     ET.SubElement(files, "File", name=f"{CONSUMER}.c")
     units = ET.SubElement(root, "UnitDefinitions")
     for unit in (DISTANCE, SLIP):
-        exponents = {k: str(x) for k, x in zip("ms", unit) if x}
-        ET.SubElement(ET.SubElement(units, "Unit", name=unit_name(unit)), "BaseUnit", exponents)
+        add_unit(units, unit)
     variables = ET.SubElement(root, "ModelVariables")
     slips = [f"slip[{i + 1}].{axis}" for i in range(count) for axis in "xy"]
     distances = [f"distance[{i + 1}]" for i in range(count)]
