@@ -55,7 +55,7 @@ _ABSENT = (
     "intermediateUpdate",
 )  # fmt: skip
 
-_KNOWN = ("independent", "state", "input", "fixed", "tunable")
+_KNOWN = ("independent", "exact", "input", "fixed", "tunable")
 
 Logger = Callable[[int, str, str], None]
 """Takes a status, a category of `LOG_CATEGORIES` and a text."""
@@ -303,11 +303,11 @@ class _Slave:
         self._require_known(function, reference)
         kind = self._kinds[reference]
         at_first = self.block.now.phase in (CREATED, INITIALIZATION)
-        if kind in ("calculated", "independent") or (kind in ("fixed", "state") and not at_first):
+        if kind in ("calculated", "independent") or (kind in ("fixed", "exact") and not at_first):
             text = "cannot be set, it is calculated; disturb the motion by the inputs"
             if kind == "fixed":
                 text = "is fixed; set it before initialization ends, or reset first"
-            elif kind == "state":
+            elif kind == "exact":
                 text = "is a start value; set it before initialization ends, or use the inputs"
             self._refuse(function, ERROR, f"{self._name(reference)} {text}")
         if kind == "tunable" and self._first_phase == EVENT and self.block.now.phase == STEP:
@@ -419,7 +419,7 @@ class _Slave:
     ) -> list[float]:
         """The Jacobian of unknowns by knowns, or its transpose, times a seed."""
         self._require(function, INITIALIZATION, STEP, EVENT, TERMINATED)
-        for references, kinds in ((unknowns, ("calculated", "state")), (knowns, _KNOWN)):
+        for references, kinds in ((unknowns, ("calculated", "exact")), (knowns, _KNOWN)):
             for reference in references:
                 self._require_known(function, reference)
                 if self._kinds[reference] not in kinds:
@@ -456,14 +456,9 @@ def _kinds(table: Table) -> tuple[list[str], dict[int, float]]:
     kinds: list[str] = []
     least: dict[int, float] = {}
     for v in table.rows:
-        kind = {"parameter": v.variability, "output": "calculated", "local": "calculated"}.get(
-            v.causality, v.causality
-        )
-        if v.initial == "exact" and v.causality != "parameter":
-            kind = "state"
-        if v.causality == "parameter" and v.minimum is not None:
+        if v.minimum is not None:
             least[v.reference] = v.minimum
-        kinds += [kind] * v.size
+        kinds += [v.kind] * v.size
     return kinds, least
 
 

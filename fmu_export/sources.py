@@ -62,12 +62,6 @@ SHARED = (
 )  # fmt: skip
 """What files have in common. Each name bears the model's: importers that compile the sources may
 link several models into one program."""
-_KINDS_OF_VALUE = {
-    ("parameter", "fixed"): "FIXED",
-    ("parameter", "tunable"): "TUNABLE",
-    ("input", "continuous"): "INPUT",
-    ("independent", "continuous"): "INDEPENDENT",
-}
 
 Forms = tuple[bool, bool]
 """Whether finger and object are moved in space (x, p, q), else in their charts."""
@@ -148,13 +142,11 @@ class _Model:
         sizes = np.zeros(values, dtype=int)
         kinds, names = ["CALCULATED"] * values, [""] * values
         for row in self.table.rows:
-            own = range(row.reference, row.reference + row.size)
-            default = "EXACT" if row.initial == "exact" else "CALCULATED"
-            for k in own:
-                kinds[k] = _KINDS_OF_VALUE.get((row.causality, row.variability), default)
-            names[own.start : own.stop] = row.elements or (row.name,)
-            if row.causality == "parameter" and row.minimum is not None:
-                least[own.start : own.stop] = row.minimum
+            own = slice(row.reference, row.reference + row.size)
+            kinds[own] = [row.kind.upper()] * row.size
+            names[own] = row.elements or (row.name,)
+            if row.minimum is not None:
+                least[own] = row.minimum
             sizes[row.reference] = row.size
         tables = [
             ("double gauss_node", m.node), ("double gauss_integral", m.integral.T),

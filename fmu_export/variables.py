@@ -100,6 +100,16 @@ class Variable:
         """Number of elements."""
         return len(self.elements) or 1
 
+    @property
+    def kind(self) -> str:
+        """When it is set, if ever: "fixed", "tunable", "input", "independent", "exact" (a start
+        value) or "calculated"."""
+        if self.causality == "parameter":
+            return self.variability
+        if self.causality in ("input", "independent"):
+            return self.causality
+        return self.initial or "calculated"
+
     def scalars(self) -> Iterator[Variable]:
         """The variables of FMI 2 in this row."""
         if not self.shape:
