@@ -26,7 +26,7 @@ import numpy as np
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
 from contact_system.groups import moments
 from contact_system.plan import Plan
-from contact_system.profile import GainPiece
+from contact_system.profile import Gain, GainPiece
 from contact_system.scene import DISTURBANCE_KINDS, Contact, Disturbance, Scene, acting
 from contact_system.starts import Moment, Start, Starts, scene_start, starts_from_plain
 from contact_system.surfaces import Surface
@@ -36,9 +36,8 @@ from .model import RESULTS, STATES, contact_results, jacobian, regularity, surfa
 from .variables import BLOCK, INPUTS, Table, variable_table
 
 AHEAD = 256  # most steps that one evaluation serves
-ROUNDING = (
-    8 * sys.float_info.epsilon
-)  # times this near are one time: ten steps of 0.1 s are not 1 s
+# Times this near are one time: ten steps of 0.1 s are not 1 s.
+ROUNDING = 8 * sys.float_info.epsilon
 GAIN = 1  # reference of the gain
 
 Inputs = tuple[tuple[float, ...], ...]
@@ -233,8 +232,7 @@ class Block:
         For inputs that change at every step: a plan of the same costs five times as much.
         """
         scene = self._scene_with(self.now.values)
-        gain = dataclasses.replace(scene.gain, value=float(self.now.values[GAIN]))
-        pieces = gain.pieces(scene.profile, at, target)
+        pieces = self._gain().pieces(scene.profile, at, target)
         speeds = [pieces[0].speed(k * (target - at) / 4) for k in range(5)]
         size = min(min(c.finger.size for c in scene.contacts), scene.object.size)
         met = any(at < t <= self.snapped(target) for t in self.edges)
@@ -321,7 +319,7 @@ class Block:
         return self._scene_to(begin, reached if reached > begin else end)
 
     def _scene_to(self, begin: float, end: float) -> Scene:
-        scene, values = self._scene_with(self.now.values), self.now.values
+        scene = self._scene_with(self.now.values)
         windows: list[Disturbance] = [
             dataclasses.replace(d, stop=min(d.stop, end))
             for d in self.scene.disturbances
@@ -331,8 +329,10 @@ class Block:
             for k, kind in enumerate(DISTURBANCE_KINDS):
                 if any(row[2 * k : 2 * k + 2]):
                     windows.append(kind(i, begin, end, row[2 * k : 2 * k + 2]))
-        gain = dataclasses.replace(scene.gain, value=float(values[GAIN]))
-        return scene.replace(gain=gain, duration=end, disturbances=windows)
+        return scene.replace(gain=self._gain(), duration=end, disturbances=windows)
+
+    def _gain(self) -> Gain:
+        return dataclasses.replace(self.scene.gain, value=float(self.now.values[GAIN]))
 
     def _scene_with(self, values: np.ndarray) -> Scene:
         """The scene with the profile and the surfaces as they are set.
@@ -690,8 +690,7 @@ def _plan_again(plain: dict[str, Any], memory: Memory, block: Block) -> Plan | F
         helper.now.values[first : first + INPUTS] = own
     if plain["step"]:
         scene = helper._scene_with(helper.now.values)
-        gain = dataclasses.replace(scene.gain, value=memory.gain)
-        piece = gain.pieces(scene.profile, plain["start"], plain["end"])[0]
+        piece = helper._gain().pieces(scene.profile, plain["start"], plain["end"])[0]
         return helper._following(piece, plain["end"], starts)  # type: ignore[arg-type]
     helper._plan_from(plain["start"], plain["end"], plain["end"], starts)
     assert helper.now.plan is not None
