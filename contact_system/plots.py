@@ -304,13 +304,23 @@ class _View:
 
 @dataclass
 class _Mesh:
-    """A surface on a grid: points, normals (n, 3) and triangles (m, 3)."""
+    """A surface on a grid: points and normals, (n, 3)."""
 
     shape: tuple[int, int]
     points: np.ndarray
     normals: np.ndarray
-    triangles: np.ndarray
     inside: bool
+
+    @property
+    def grid(self) -> np.ndarray:
+        """Numbers of the points."""
+        return np.arange(len(self.points)).reshape(self.shape)
+
+    def triangles(self, every: int = 1) -> np.ndarray:
+        """Between some lines of the grid: (m, 3)."""
+        grid = self.grid[::every, ::every]
+        a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+        return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
 
 
 def _draw_object(ax: Any, plan: Plan) -> None:
@@ -372,13 +382,8 @@ def mesh_of(plan: Plan, surface: Surface, side: int, contacts: Sequence[int]) ->
             continue
         if whole and np.ptp(points, axis=(0, 1)).max() > UNBOUNDED * surface.size:
             continue
-        corner = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
-        a, b, c, d = corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]
-        triangles = np.concatenate([
-            np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)
-        ])  # fmt: skip
         flat = points.reshape(-1, 3), normals.reshape(-1, 3)
-        return _Mesh(points.shape[:2], *flat, triangles, surface.inside)
+        return _Mesh(points.shape[:2], *flat, surface.inside)
     return None
 
 
@@ -463,9 +468,9 @@ def _normals_at(mesh: _Mesh | None, points: np.ndarray) -> np.ndarray:
 def _draw_surface(ax: Any, mesh: _Mesh, view: _View) -> None:
     from matplotlib.colors import LinearSegmentedColormap
 
-    seen = view(mesh.points)
-    depth = seen[mesh.triangles, 2].mean(1)
-    facing = (mesh.normals @ view.axes[2])[mesh.triangles].mean(1)
+    seen, triangles = view(mesh.points), mesh.triangles()
+    depth = seen[triangles, 2].mean(1)
+    facing = (mesh.normals @ view.axes[2])[triangles].mean(1)
     light = view.axes.T @ np.array([-0.45, 0.6, 0.75])
     shade = 0.5 + 0.5 * mesh.normals @ (light / np.linalg.norm(light))
     layers = [(facing > 0, BODY, shade)]
@@ -474,7 +479,7 @@ def _draw_surface(ax: Any, mesh: _Mesh, view: _View) -> None:
     for chosen, colours, values in layers:
         order = np.flatnonzero(chosen)[np.argsort(depth[chosen])]
         if len(order):
-            ax.tripcolor(seen[:, 0], seen[:, 1], mesh.triangles[order], values, shading="gouraud",
+            ax.tripcolor(seen[:, 0], seen[:, 1], triangles[order], values, shading="gouraud",
                          cmap=LinearSegmentedColormap.from_list("body", colours), vmin=0, vmax=1,
                          zorder=1, rasterized=True)  # fmt: skip
     _draw_chart_lines(ax, mesh, view)
@@ -482,9 +487,8 @@ def _draw_surface(ax: Any, mesh: _Mesh, view: _View) -> None:
 
 
 def _draw_chart_lines(ax: Any, mesh: _Mesh, view: _View) -> None:
-    grid = np.arange(len(mesh.points)).reshape(mesh.shape)
     step = CELLS // 12
-    for line in (*grid[::step], *grid.T[::step]):
+    for line in (*mesh.grid[::step], *mesh.grid.T[::step]):
         x, facing = mesh.points[line], mesh.normals[line] @ view.axes[2]
         shown = facing > 0
         shown[shown] = ~is_hidden(mesh, view, x[shown])
@@ -497,8 +501,8 @@ def _draw_outline(ax: Any, mesh: _Mesh, view: _View) -> None:
     """Where the surface turns away from the camera, and its edges: n . d = 0 in each triangle."""
     from matplotlib.collections import LineCollection
 
-    facing = (mesh.normals @ view.axes[2])[mesh.triangles]
-    x = mesh.points[mesh.triangles]
+    triangles = mesh.triangles()
+    facing, x = (mesh.normals @ view.axes[2])[triangles], mesh.points[triangles]
     ends = []
     for i, j in ((0, 1), (1, 2), (2, 0)):
         crosses = (facing[:, i] > 0) != (facing[:, j] > 0)
@@ -536,9 +540,10 @@ def is_hidden(mesh: _Mesh | None, view: _View, points: np.ndarray) -> np.ndarray
     hidden = np.zeros(len(points), bool)
     if mesh is None:
         return hidden
-    corners = view(mesh.points)[_coarse(mesh)]
+    triangles = mesh.triangles(OCCLUDER)
+    corners = view(mesh.points)[triangles]
     if mesh.inside:
-        facing = (mesh.normals @ view.axes[2])[_coarse(mesh)].mean(1)
+        facing = (mesh.normals @ view.axes[2])[triangles].mean(1)
         corners = corners[facing > 0]
     slack = 0.02 * np.ptp(mesh.points, axis=0).max()
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -553,12 +558,6 @@ def is_hidden(mesh: _Mesh | None, view: _View, points: np.ndarray) -> np.ndarray
         covers = (beta >= 0) & (gamma >= 0) & (beta + gamma <= 1) & nearer
         hidden[first : first + 64] = covers.any(1)
     return hidden
-
-
-def _coarse(mesh: _Mesh) -> np.ndarray:
-    grid = np.arange(len(mesh.points)).reshape(mesh.shape)[::OCCLUDER, ::OCCLUDER]
-    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
 
 
 def _runs(chosen: np.ndarray) -> Iterator[slice]:
