@@ -60,6 +60,11 @@ class Formula:
     values: tuple[float, ...]
     text: tuple[str, ...] | None
 
+    @property
+    def named(self) -> dict[str, float]:
+        """The numbers by their names."""
+        return dict(zip(self.names, self.values, strict=True))
+
     def __call__(self, p: SX, *variables: SX) -> SX:
         return _restore(self.code)(p, *variables)
 
@@ -68,8 +73,7 @@ class Formula:
         said = repr(self.text)
         if self.text is None:
             said = f"<function {hashlib.sha256(self.code.encode()).hexdigest()[:12]}>"
-        named = dict(zip(self.names, self.values, strict=True))
-        return f"{said}, parameters={named}" if named else said
+        return f"{said}, parameters={self.named}" if self.names else said
 
 
 @cache
@@ -87,7 +91,7 @@ class UserSurface(Surface):
     @property
     def named_parameters(self) -> dict[str, float]:
         """The numbers of the formula by name."""
-        return dict(zip(self.formula.names, self.formula.values, strict=True))
+        return self.formula.named
 
     @property
     def structure(self) -> Hashable:
@@ -625,13 +629,12 @@ def _one_of(kind: str, name: str, given: Any, formula: Formula | None) -> Any:
 
 
 def _with_numbers(kind: str, formula: Formula, numbers: dict[str, float]) -> Formula:
-    known = dict(zip(formula.names, formula.values, strict=True))
     for name in numbers:
-        if name not in known:
+        if name not in formula.names:
             raise SurfaceError(
-                f"{kind}: the formula has no parameter {name!r}; known: {', '.join(known)}"
+                f"{kind}: the formula has no parameter {name!r}; known: {', '.join(formula.names)}"
             )
-    return replace(formula, values=tuple({**known, **numbers}.values()))
+    return replace(formula, values=tuple({**formula.named, **numbers}.values()))
 
 
 def _texts(kind: str, given: Any, count: int) -> tuple[str, ...]:
