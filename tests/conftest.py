@@ -142,10 +142,6 @@ def derivative(f, t: np.ndarray, h: float = 4e-3) -> np.ndarray:
     return table[0]
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "slow: more than 30 s")
-
-
 def _past_umbilics(name: str, axes: tuple, at: tuple, angle: float, edge: float) -> cs.Scene:
     contact = cs.Contact(finger=cs.Sphere(0.04), object_at=at, angle=angle)
     return cs.Scene(
