@@ -32,6 +32,7 @@ import contact_system as cs
 from contact_system.errors import ContactSystemError
 from contact_system.kernels import find_compiler
 from contact_system.scene import DISTURBANCE_KINDS, Disturbance, Scene
+from contact_system.system import COORDINATES
 
 from .verdicts import Case, Family, Verdict, refusal
 
@@ -713,7 +714,6 @@ DRIVEN |= {
     for name in ("K1", "K4")
     for eta in (1e3, 1e9)
 }
-COORDINATES = ("chart", "frame")
 
 
 class Driven(NamedTuple):

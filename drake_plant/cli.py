@@ -16,9 +16,11 @@ from contact_system.cli import Progress, file_name, paragraph, results_folder, t
 from contact_system.measures import REJECTED
 from contact_system.plots import MissingMatplotlib
 from contact_system.scene_files import scene_to_toml
+from contact_system.system import COORDINATES
 
 from . import plots
 from .measures import EDGE, SATURATED, ContactReport, contact_table
+from .plant import CHOICES
 from .station import SimulationResult, StationConfig, simulate
 
 TICKS = 1000  # of the progress bar
@@ -32,12 +34,12 @@ def register(commands: Any) -> None:
                         "results/NAME")  # fmt: skip
     parser.add_argument("--until", type=float, metavar="T", help="stop after so many seconds "
                         "instead of the scene's duration")  # fmt: skip
-    parser.add_argument("--contact", choices=("hydroelastic", "point"), help="contact model "
+    parser.add_argument("--contact", choices=CHOICES["contact_model"], help="contact model "
                         "instead of the scene's")  # fmt: skip
-    parser.add_argument("--object", choices=("free", "welded", "turning"), help="how the object "
+    parser.add_argument("--object", choices=CHOICES["object"], help="how the object "
                         "moves, instead of as the scene says")  # fmt: skip
     parser.add_argument("--time-step", type=float, metavar="H", help="of the plant, s")
-    parser.add_argument("--coordinates", choices=("chart", "frame"), help="what the planner "
+    parser.add_argument("--coordinates", choices=COORDINATES, help="what the planner "
                         "integrates: the paper's chart equations, or moving frames")  # fmt: skip
     parser.add_argument("--no-recording", action="store_true", help="write no Meshcat recording")
     parser.set_defaults(run=run)

@@ -471,8 +471,8 @@ class Instance:
             )  # fmt: skip
             fmu.instantiate(loggingOn=True, **self._logger())
         self._fmu = fmu
-        known = getattr(self.description, "logCategories", ())  # fmpy 0.3.21 has none
-        status = [c.name for c in known if c.name.startswith("logStatus")]
+        categories = [category.name for category in self.description.logCategories]
+        status = [name for name in categories if name.startswith("logStatus")]
         if status:  # and not what it says about each step
             with contextlib.suppress(FMICallException):
                 fmu.setDebugLogging(True, status)

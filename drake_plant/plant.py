@@ -108,11 +108,12 @@ SPACING = 0.0025  # m, of points along the plan that show where contacts go
 LINE = 1e-6  # of the greatest relative curvature: less is a line, straight but for rounding
 TURNING_GAIN = 1e8  # N m/rad
 AGES = 1e9  # s
-APPROXIMATIONS = ("sap", "lagged", "similar")
-MAY_BE_NONE = (
-    "relaxation_time", "drake_spheres", "finger_edge", "object_edge", "restart_period",
-    "restart_slip",
-)  # fmt: skip
+CHOICES = {
+    "contact_model": ("hydroelastic", "point"),
+    "discrete_contact_approximation": ("sap", "lagged", "similar"),
+    "object": ("free", "welded", "turning"),
+    "damping_at": ("driver", "contact"),
+}
 NOT_NEGATIVE = ("time_step", "damping", "relaxation_time", "friction", "strip_margin")
 POSITIVE = (
     "object_mass", "finger_mass", "stiffness", "normal_force", "drake_spheres", "finger_edge",
@@ -147,13 +148,14 @@ def check_words(config: Any, choices: Mapping[str, Sequence[str]]) -> None:
 def check_numbers(config: Any, keys: Sequence[str], bound: str = "") -> None:
     """Raise a SceneError for the first field that is not a finite number within the bound.
 
+    None is fine where it is the default.
+
     bound : "above 0", "not below 0" or none
     """
     for key in keys:
         value = getattr(config, key)
-        if value is None and key in MAY_BE_NONE:
-            continue
-        finite_number(value, key, bound)
+        if value is not None or getattr(type(config), key) is not None:
+            finite_number(value, key, bound)
 
 
 @dataclass
@@ -217,13 +219,7 @@ class PlantConfig:
 
     def check(self) -> None:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
-        choices = {
-            "contact_model": ("hydroelastic", "point"),
-            "discrete_contact_approximation": APPROXIMATIONS,
-            "object": ("free", "welded", "turning"),
-            "damping_at": ("driver", "contact"),
-        }
-        check_words(self, choices)
+        check_words(self, CHOICES)
         check_numbers(self, ("gravity",))
         check_numbers(self, POSITIVE, "above 0")
         check_numbers(self, NOT_NEGATIVE, "not below 0")

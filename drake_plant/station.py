@@ -32,6 +32,7 @@ from pydrake.systems.primitives import LogVectorOutput
 from contact_system import ImplicitSurface, Quadric, Scene, SceneError, Surface
 from contact_system.checks import did_you_mean, finite_number, flag, naming
 from contact_system.scene import require_scene
+from contact_system.system import COORDINATES
 
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import DISCRETE_ONLY, DriverConfig, FingertipDriver
@@ -104,7 +105,7 @@ class StationConfig:
             part = getattr(self, key)
             require_config(part, kind, key)
             part.check()
-        check_words(self, {"coordinates": ("chart", "frame")})
+        check_words(self, {"coordinates": COORDINATES})
         for key in ("disturbance_input", "rolling_radii", "monitor"):
             flag(getattr(self, key), key)
         check_numbers(self, ("restart_period",), "above 0")

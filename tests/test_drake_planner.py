@@ -30,9 +30,9 @@ from pydrake.systems.primitives import Linearize, MatrixGain
 
 import contact_system as cs
 from contact_system import kernels
+from contact_system.system import COORDINATES
 from drake_plant import BuildStation, ContactPlanner, scratch
 
-COORDINATES = ("chart", "frame")
 ORDERS = {
     "bogacki_shampine3": 3, "explicit_euler": 1, "implicit_euler": 1, "radau1": 1, "radau3": 3,
     "runge_kutta2": 2, "runge_kutta3": 3, "runge_kutta5": 5, "semi_explicit_euler": 1,
