@@ -6,30 +6,18 @@ slip law, Jacobi's integral, chart round trip, with charts, profiles and gain la
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from oracles.load import load, scene_of
 
 import contact_system as cs
 from contact_system.kernels import find_compiler
 from contact_system.kinematics import contact_map
 
 from .report import Bar
-
-ORACLES = Path(__file__).parents[1] / "tests" / "oracles"
-
-
-def reference(name: str) -> dict[str, Any]:
-    """A file of ``tests/oracles`` as arrays."""
-    spec = importlib.util.spec_from_file_location("oracles_load", ORACLES / "load.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.load(name)
 
 
 def engines() -> list[bool]:
@@ -64,7 +52,7 @@ def paper_scenes(full: bool) -> Iterator[Bar]:
     """K1 to K4 with the printed gain, K1 and K2 with the gain of the reported times."""
     detail: dict[str, float] = {}
     for name, law in (("k_scenes", "path"), ("k_scenes_time", "time")):
-        for key, record in reference(name)["scenes"].items():
+        for key, record in load(name)["scenes"].items():
             scene = cs.load_scene(key).replace(gain=cs.Gain(law, 100.0))
             for compiled in engines():
                 points = cs.plan(scene, 1e-12, compiled=compiled).points(record["times"])
@@ -81,8 +69,8 @@ def stiff_slip_scenes(full: bool) -> Iterator[Bar]:
     """Slip under gains up to 1e7/s, on sphere and ellipsoid, against 30-digit references."""
     detail: dict[str, float] = {}
     for name in ("sphere_slip", "ellipsoid_slip"):
-        for key, record in reference(name)["scenes"].items():
-            scene = _reference_scene(record)
+        for key, record in load(name)["scenes"].items():
+            scene = scene_of(record)
             truth = record["contacts"][0]["points"]
             for compiled in engines():
                 points = cs.plan(scene, 1e-12, compiled=compiled).points(record["times"])[:, 0]
@@ -90,25 +78,6 @@ def stiff_slip_scenes(full: bool) -> Iterator[Bar]:
                 detail[f"{name} {key}{' compiled' * compiled}"] = error
     worst = max(detail.values())
     yield Bar("slip scenes, points / size, against 30 digits", 1e-12, worst, detail=detail)
-
-
-def _plain(value: Any) -> Any:
-    return tuple(value) if isinstance(value, np.ndarray) else value
-
-
-def _reference_scene(record: dict[str, Any]) -> cs.Scene:
-    radii = record["object"]["radii"]
-    body = cs.Sphere(*radii) if record["object"]["surface"] == "sphere" else cs.Ellipsoid(*radii)
-    keys = ("object_at", "object_velocity", "finger_at", "finger_velocity", "angle")
-    contacts = [
-        cs.Contact(finger=cs.Sphere(record["finger_radius"]), **{k: _plain(c[k]) for k in keys})
-        for c in record["contacts"]
-    ]
-    gain = cs.Gain(record["gain"]["law"], record["gain"]["eta"])
-    profile = cs.Profile(record["profile"])
-    return cs.Scene(
-        object=body, contacts=contacts, profile=profile, gain=gain, duration=record["duration"]
-    )
 
 
 # --- the slip law ------------------------------------------------------------------------------
@@ -264,26 +233,31 @@ def helix(mp: Any, radius: float, at: tuple[Any, Any], w: tuple[Any, Any], s: An
 # --- ellipsoids --------------------------------------------------------------------------------
 
 
-def _geodesic_scene(
-    surface: cs.Surface, at: tuple[float, float], direction: tuple[float, float], length: float
+def geodesic_scene(
+    surface: cs.Surface,
+    at: tuple[float, float],
+    direction: tuple[float, float],
+    length: float,
+    finger_at: tuple[float, float] = (math.pi / 2, 0.0),
 ) -> cs.Scene:
     """A sphere rolls at 1 m/s; the object's contact curve is the geodesic."""
     x, y = direction
     contact = cs.Contact(
-        finger=cs.Sphere(0.04), object_at=at, finger_velocity=(x, -y), object_velocity=(x, y)
-    )
+        finger=cs.Sphere(0.04), object_at=at, finger_at=finger_at, finger_velocity=(x, -y),
+        object_velocity=(x, y),
+    )  # fmt: skip
     return cs.Scene(object=surface, contacts=[contact], profile=cs.Profile([1.0]), duration=length)
 
 
 def triaxial(full: bool) -> Iterator[Bar]:
     """200 geodesics of 3 m on the ellipsoid 0.3/0.2/0.1; Jacobi's integral along each."""
-    data = reference("ellipsoid_geodesics")
+    data = load("ellipsoid_geodesics")
     axes, length = data["axes"], float(data["length"])
     surface = cs.Ellipsoid(*axes)
     errors, drifts, from_start = [], [], []
     t = np.linspace(0.0, length, 50)
     for k, (u, v, a) in enumerate(data["start"]):
-        scene = _geodesic_scene(surface, (u, v), (math.cos(a), math.sin(a)), length)
+        scene = geodesic_scene(surface, (u, v), (math.cos(a), math.sin(a)), length)
         plan = cs.plan(scene, tolerance=1e-15)
         found = plan.points([0.5 * length, length])[:, 0, 1]
         truth = np.array([data["middle"][k], data["end"][k]])
@@ -351,9 +325,9 @@ def _spheroid_scene(f: float, latitude: float, azimuth: float, length: float) ->
     east, north = math.sin(alpha), math.cos(alpha)
     if f > 0:
         surface = cs.Ellipsoid(1.0, 1.0, 1.0 - f)
-        return _geodesic_scene(surface, (0.0, beta), (east, north), length)
+        return geodesic_scene(surface, (0.0, beta), (east, north), length)
     surface = cs.Ellipsoid(1.0 - f, 1.0, 1.0)
-    return _geodesic_scene(surface, (math.pi / 2 - beta, 0.0), (-north, east), length)
+    return geodesic_scene(surface, (math.pi / 2 - beta, 0.0), (-north, east), length)
 
 
 def _spheroid_point(f: float, latitude: float, longitude: float) -> np.ndarray:

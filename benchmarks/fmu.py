@@ -22,6 +22,8 @@ import numpy as np
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
+from fmu_hosts import EVERYTHING, importers, native
+from fmu_hosts.native import Fmu, Program, Unavailable
 
 import contact_system as cs
 from contact_system.scene import Scene
@@ -32,10 +34,6 @@ from fmu_export.slave import in_process
 from .fmu_peer import build_peer
 from .report import Bar
 from .timing import Job, interleaved
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
-from fmu_hosts import EVERYTHING, importers, native  # noqa: E402
-from fmu_hosts.native import Fmu, Program, Unavailable  # noqa: E402
 
 VERSIONS = ("2.0", "3.0")
 KINEMATIC = ("K1", "K2", "K3", "K4")

@@ -14,12 +14,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from oracles.load import load, scene_of, surface_of
 
 import contact_system as cs
 from contact_system.chart_solution import initial_state
 from contact_system.starts import scene_start
 
-from .accuracy import reference
+from .accuracy import geodesic_scene
 
 Rates = Callable[[Any, Any, Sequence[Any], Sequence[Any]], list[Any]]
 """(module with sin, cos, sqrt; t; state; parameters) -> state'."""
@@ -98,15 +99,15 @@ class Problem:
 
 def problems() -> Iterator[Problem]:
     """All of them."""
-    for name, record in reference("geodesics")["geodesics"].items():
+    for name, record in load("geodesics")["geodesics"].items():
         yield _geodesic(name, record)
-    peaks = reference("slip_peaks")["scenes"]
+    peaks = load("slip_peaks")["scenes"]
     for kind in ("sphere", "ellipsoid"):
-        stiffest = reference(f"{kind}_slip")["scenes"]["path peak 1e7"]
+        stiffest = load(f"{kind}_slip")["scenes"]["path peak 1e7"]
         own = {k.split()[-1]: v for k, v in peaks.items() if k.startswith(kind)}
         for peak, record in (own | {"1e+07": stiffest}).items():
             yield _rolling(f"slip sphere-{kind} {peak.replace('+0', '')}", record)
-    scenes = reference("k_scenes")["scenes"]
+    scenes = load("k_scenes")["scenes"]
     for name in ("K2", "K4"):
         yield _rolling(f"disturbed {name}", scenes[name])
 
@@ -115,46 +116,13 @@ def problems() -> Iterator[Problem]:
 
 
 def _rolling(name: str, record: dict[str, Any]) -> Problem:
-    scene = _scene(record)
+    scene = scene_of(record)
     times = record["times"]
     truth = np.stack([c["points"] for c in record["contacts"]], axis=1)
     sizes = np.array([record["finger_radius"], scene.object.size])
     return Problem(
-        name, partial(_scene, record), times, truth, sizes, {"chart": chart_form(scene, times)}
+        name, partial(scene_of, record), times, truth, sizes, {"chart": chart_form(scene, times)}
     )
-
-
-def _scene(record: dict[str, Any]) -> cs.Scene:
-    body, gain = _surface(record["object"]), record["gain"]
-    windows = [
-        kind(contact=i, start=w["start"], stop=w["stop"], value=tuple(w["value"]))
-        for w in record["windows"]
-        for kind in [_WINDOWS[w["kind"]]]
-        for i in range(len(record["contacts"]))
-    ]
-    keys = ("object_at", "object_velocity", "finger_at", "finger_velocity", "angle")
-    contacts = [
-        cs.Contact(finger=cs.Sphere(record["finger_radius"]), **{k: _plain(c[k]) for k in keys})
-        for c in record["contacts"]
-    ]
-    return cs.Scene(
-        object=body, contacts=contacts, profile=cs.Profile(record["profile"]),
-        gain=cs.Gain(gain["law"], gain["eta"]), duration=record["duration"], disturbances=windows,
-    )  # fmt: skip
-
-
-_WINDOWS = {"finger": cs.FingerAcceleration, "object": cs.ObjectAcceleration}
-
-
-def _plain(value: Any) -> Any:
-    return tuple(value) if isinstance(value, np.ndarray) else value
-
-
-def _surface(record: dict[str, Any]) -> cs.Surface:
-    kinds = {
-        "sphere": cs.Sphere, "cylinder": cs.Cylinder, "torus": cs.Torus, "ellipsoid": cs.Ellipsoid,
-    }  # fmt: skip
-    return kinds[record["surface"]](*record["radii"])
 
 
 def chart_form(scene: cs.Scene, times: np.ndarray) -> Ode:
@@ -250,29 +218,18 @@ def _ellipsoid_metric(surface: cs.Ellipsoid, m: Any, u: Any, v: Any, du: Any, dv
 
 
 def _geodesic(name: str, record: dict[str, Any]) -> Problem:
-    scene = geodesic_scene(record)
+    surface, (x, y) = surface_of(record["object"]), record["velocity"]
+    start = {"at": tuple(record["at"]), "direction": (x, y), "finger_at": (1.5, 0.2)}
+    make = partial(geodesic_scene, surface, length=record["duration"], **start)
     forms = {"chart": _geodesic_on_chart(record), "space": _geodesic_in_space(record)}
     return Problem(
-        f"geodesic {name}", partial(geodesic_scene, record), record["times"],
-        record["points"][:, None, None], np.array([scene.object.size]), forms,
-    )  # fmt: skip
-
-
-def geodesic_scene(record: dict[str, Any]) -> cs.Scene:
-    """Rolls a sphere at 1 m/s; the object's contact curve is the geodesic."""
-    (x, y), at = record["velocity"], record["at"]
-    contact = cs.Contact(
-        finger=cs.Sphere(0.04), finger_at=(1.5, 0.2), finger_velocity=(x, -y),
-        object_at=tuple(at), object_velocity=(x, y),
-    )  # fmt: skip
-    return cs.Scene(
-        object=_surface(record["object"]), contacts=[contact], profile=cs.Profile([1.0]),
-        duration=record["duration"],
+        f"geodesic {name}", make, record["times"], record["points"][:, None, None],
+        np.array([surface.size]), forms,
     )  # fmt: skip
 
 
 def _geodesic_on_chart(record: dict[str, Any]) -> Ode:
-    surface, w = _surface(record["object"]), record["velocity"]
+    surface, w = surface_of(record["object"]), record["velocity"]
 
     def rates(m: Any, t: Any, x: Sequence[Any], p: Sequence[Any]) -> list[Any]:
         bend = metric(surface, m, x[0], x[1], x[2], x[3]).bend
@@ -287,7 +244,7 @@ def _geodesic_on_chart(record: dict[str, Any]) -> Ode:
 
 
 def _geodesic_in_space(record: dict[str, Any]) -> Ode:
-    surface, at = _surface(record["object"]), record["at"]
+    surface, at = surface_of(record["object"]), record["at"]
 
     def rates(m: Any, t: Any, x: Sequence[Any], p: Sequence[Any]) -> list[Any]:
         place, pace = [x[i] for i in range(3)], [x[i] for i in range(3, 6)]

@@ -25,13 +25,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from oracles.load import load
 
 import contact_system as cs
 from contact_system.chart_solution import initial_state
 from contact_system.starts import scene_start
 
 from . import peers
-from .accuracy import arc_length, engines, great_circle, point_error, reference
+from .accuracy import arc_length, engines, great_circle, point_error
 from .peers import Method, Solver
 from .report import Bar
 from .timing import SLOW, Job, Timing, interleaved, least
@@ -336,8 +337,8 @@ def _reference_check(kind: str, scene: cs.Scene, runs: dict[str, Any]) -> dict[s
     """How far the reference (our plan at 1e-15) is from independent solutions."""
     rivals = [error for name, (_, error, _) in runs.items() if not name.startswith("ours")]
     check = {"best peer": min(rivals, default=math.nan)}
-    peaks = reference("slip_peaks")["scenes"]
-    records = reference(f"{kind}_slip")["scenes"] | {
+    peaks = load("slip_peaks")["scenes"]
+    records = load(f"{kind}_slip")["scenes"] | {
         key: record for key, record in peaks.items() if key.startswith(kind)
     }
     for record in records.values():

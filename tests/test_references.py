@@ -7,7 +7,7 @@ import functools
 import numpy as np
 import pytest
 from conftest import path_velocities, reflection
-from oracles.load import load, load_residual
+from oracles.load import load, load_residual, scene_of
 
 import contact_system as cs
 from contact_system.kernels import find_compiler
@@ -16,8 +16,6 @@ COMPILED = pytest.param(
     True, marks=pytest.mark.skipif(find_compiler() is None, reason="no C compiler"), id="compiled"
 )
 ENGINE = pytest.mark.parametrize("compiled", [pytest.param(False, id="plain"), COMPILED])
-SURFACES = {"sphere": cs.Sphere, "ellipsoid": cs.Ellipsoid, "torus": cs.Torus}
-WINDOWS = {"finger": cs.FingerAcceleration, "object": cs.ObjectAcceleration}
 FILES = {
     "k_scenes": ["K1", "K2", "K3", "K4"],
     "k_scenes_time": ["K1", "K2"],
@@ -29,31 +27,6 @@ CASES = [(file, name) for file, names in FILES.items() for name in names]
 
 reference = functools.cache(load)
 residual = functools.cache(load_residual)
-
-
-def scene_of(case: dict) -> cs.Scene:
-    """The scene that a reference's inputs describe."""
-    contacts = [
-        cs.Contact(
-            finger=cs.Sphere(case["finger_radius"]),
-            object_at=c["object_at"], finger_at=c["finger_at"], angle=c["angle"],
-            finger_velocity=tuple(c["finger_velocity"]),
-            object_velocity=c["object_velocity"]
-            if isinstance(c["object_velocity"], str) else tuple(c["object_velocity"]),
-        )
-        for c in case["contacts"]
-    ]  # fmt: skip
-    windows = [
-        WINDOWS[w["kind"]]("all", w["start"], w["stop"], w["value"]) for w in case["windows"]
-    ]
-    return cs.Scene(
-        object=SURFACES[case["object"]["surface"]](*case["object"]["radii"]),
-        contacts=contacts,
-        profile=cs.Profile(case["profile"]),
-        gain=cs.Gain(case["gain"]["law"], case["gain"]["eta"]),
-        duration=case["duration"],
-        disturbances=windows,
-    )
 
 
 @functools.cache

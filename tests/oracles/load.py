@@ -1,4 +1,4 @@
-"""Read the reference solutions of this folder."""
+"""Read the reference solutions of this folder, and the scenes that they are of."""
 
 from __future__ import annotations
 
@@ -9,6 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+import contact_system as cs
+
+_SURFACES = {
+    "sphere": cs.Sphere, "cylinder": cs.Cylinder, "torus": cs.Torus, "ellipsoid": cs.Ellipsoid,
+}  # fmt: skip
+_WINDOWS = {"finger": cs.FingerAcceleration, "object": cs.ObjectAcceleration}
+_START = ("object_at", "object_velocity", "finger_at", "finger_velocity", "angle")
 
 
 def load(name: str) -> dict[str, Any]:
@@ -49,6 +57,31 @@ def load_residual(name: str) -> dict[str, Any]:
         For a name that has no file.
     """
     return _convert(_read(name), lambda x: float(Fraction(x) - Fraction(float(x))))
+
+
+def surface_of(record: dict[str, Any]) -> cs.Surface:
+    """The surface that a record's "object" describes."""
+    return _SURFACES[record["surface"]](*record["radii"])
+
+
+def scene_of(record: dict[str, Any]) -> cs.Scene:
+    """The scene that a record of "scenes" describes."""
+    finger, gain = cs.Sphere(record["finger_radius"]), record["gain"]
+    starts = ({key: _plain(contact[key]) for key in _START} for contact in record["contacts"])
+    return cs.Scene(
+        object=surface_of(record["object"]),
+        contacts=[cs.Contact(finger, **start) for start in starts],
+        profile=cs.Profile(record["profile"]),
+        gain=cs.Gain(gain["law"], gain["eta"]),
+        duration=record["duration"],
+        disturbances=[
+            _WINDOWS[w["kind"]]("all", w["start"], w["stop"], w["value"]) for w in record["windows"]
+        ],
+    )
+
+
+def _plain(value: Any) -> Any:
+    return tuple(value) if isinstance(value, np.ndarray) else value
 
 
 def _read(name: str) -> dict[str, Any]:
