@@ -39,6 +39,12 @@ def slip_from_states(scene: cs.Scene, states: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
+def chart_points(scene: cs.Scene, states: np.ndarray) -> np.ndarray:
+    """Contact points of chart states of the first contact: (n, 9) -> (n, 2, 3), m."""
+    tip = scene.contacts[0].finger.point(states[:, 0], states[:, 1])
+    return np.stack([tip, scene.object.point(states[:, 4], states[:, 5])], axis=1)
+
+
 def point_error(scene: cs.Scene, contact: int, found: np.ndarray, truth: np.ndarray) -> float:
     """Greatest distance of contact points (n, 2, 3) as a fraction of each body's size."""
     sizes = (scene.contacts[contact].finger.size, scene.object.size)

@@ -20,7 +20,7 @@ import contact_system as cs
 from contact_system.chart_solution import initial_state
 from contact_system.starts import scene_start
 
-from .accuracy import geodesic_scene
+from .accuracy import chart_points, geodesic_scene
 
 Rates = Callable[[Any, Any, Sequence[Any], Sequence[Any]], list[Any]]
 """(module with sin, cos, sqrt; t; state; parameters) -> state'."""
@@ -149,12 +149,9 @@ def chart_form(scene: cs.Scene, times: np.ndarray) -> Ode:
             tip.spin + body.spin,
         ]  # fmt: skip
 
-    def points(states: np.ndarray) -> np.ndarray:
-        tip = finger.point(states[:, 0], states[:, 1])
-        return np.stack([tip, obj.point(states[:, 4], states[:, 5])], axis=1)
-
     starts = [initial_state(scene, i, scene_start(c), 0.0) for i, c in enumerate(scene.contacts)]
     pieces = tuple(_pieces(scene, times))
+    points = partial(chart_points, scene)
     return Ode(f"chart {finger!r} {obj!r}", rates, np.stack(starts), pieces, points)
 
 

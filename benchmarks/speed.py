@@ -32,7 +32,7 @@ from contact_system.chart_solution import initial_state
 from contact_system.starts import scene_start
 
 from . import peers
-from .accuracy import arc_length, engines, great_circle, point_error
+from .accuracy import arc_length, chart_points, engines, great_circle, point_error
 from .peers import Method, Solver
 from .report import Bar
 from .timing import SLOW, Job, Timing, interleaved, least
@@ -60,12 +60,6 @@ def _states(scene: cs.Scene, t: np.ndarray, tolerance: float, compiled: bool) ->
 
 def _points(scene: cs.Scene, t: np.ndarray, tolerance: float, compiled: bool) -> np.ndarray:
     return cs.plan(scene, tolerance=tolerance, compiled=compiled).points(t)
-
-
-def _points_of(scene: cs.Scene, states: np.ndarray) -> np.ndarray:
-    """Contact points of chart states: (n, 9) -> (n, 2, 3)."""
-    tip = scene.contacts[0].finger.point(states[:, 0], states[:, 1])
-    return np.stack([tip, scene.object.point(states[:, 4], states[:, 5])], axis=1)
 
 
 def _engine(compiled: bool) -> str:
@@ -155,7 +149,7 @@ def _beside(
         errors = []
         for scene, truth in zip(scenes, truths, strict=True):
             found = solve(scene)
-            points = found if found.ndim == 3 else _points_of(scene, found)
+            points = found if found.ndim == 3 else chart_points(scene, found)
             errors.append(point_error(scene, 0, points, truth))
         return max(errors)
 
@@ -240,7 +234,7 @@ def _work_precision(
     for compiled in engines():
         for tolerance in OURS:
             call = partial(_states, t=t, tolerance=tolerance, compiled=compiled)
-            error = point_error(scene, 0, _points_of(scene, call(make())[:, 0]), truth)
+            error = point_error(scene, 0, chart_points(scene, call(make())[:, 0]), truth)
             chosen_by = least(Job(call, make), 50)  # 5 us tell them apart
             runs[f"ours {_engine(compiled)} {tolerance:g}"] = (Job(call, make), error, chosen_by)
     check = _reference_check(kind, scene, runs)
@@ -281,7 +275,7 @@ def _scan_peer(
             failures[f"{method.name} {tolerance:g}"] = str(reason).strip().splitlines()[-1][-120:]
             return
         job = Job(lambda _, solver=solver: solver(start, scene.gain.value))
-        error = point_error(scene, 0, _points_of(scene, states), truth)
+        error = point_error(scene, 0, chart_points(scene, states), truth)
         elapsed = elapsed if elapsed > SLOW else least(job, 3)
         runs[f"{method.name} {tolerance:g}"] = (job, error, elapsed)
         if error < 0.1 * min(TARGETS):
