@@ -44,10 +44,13 @@ SPEED_STEP, SPEED_COUNT = 1e-3, 1000
 _KEPT = tempfile.TemporaryDirectory(prefix="fmu-benchmarks-", ignore_cleanup_errors=True)
 
 
-@functools.cache
 def fmu_of(scene: str | Scene, version: str, *platforms: str) -> Fmu:
     """The exported FMU of a scene, unpacked."""
-    scene = cs.load_scene(scene) if isinstance(scene, str) else scene
+    return _exported(cs.load_scene(scene) if isinstance(scene, str) else scene, version, *platforms)
+
+
+@functools.cache
+def _exported(scene: Scene, version: str, *platforms: str) -> Fmu:
     folder = Path(tempfile.mkdtemp(dir=_KEPT.name))
     path = folder / f"{scene.name}.fmu"
     export_fmu(scene, path, version, platforms=platforms or ("native",))
@@ -457,11 +460,10 @@ def fuzz(full: bool) -> Iterator[Bar]:
 
     full: of each in every FMU. A forged state has the right checksum and wrong numbers.
     """
-    scenes = ("K2", "K4", EVERYTHING)
+    scenes = (cs.load_scene("K2"), cs.load_scene("K4"), EVERYTHING)
     count = 10_000 if full else -(-10_000 // (len(scenes) * len(VERSIONS)))
     for seed, (scene, version) in enumerate(itertools.product(scenes, VERSIONS)):
-        name = scene if isinstance(scene, str) else scene.name
-        what = f"{name}, FMI {version}: {count} sequences, damaged, forged states: findings"
+        what = f"{scene.name}, FMI {version}: {count} sequences, damaged, forged states: findings"
         fmu = fmu_of(scene, version)
         try:
             program = Program("fuzz", fmu, sanitized=True)
@@ -480,13 +482,11 @@ def fuzz(full: bool) -> Iterator[Bar]:
 
 def endurance(full: bool) -> Iterator[Bar]:
     """A million steps; 64 instances in two threads."""
-    for scene in ("K1", "K4", EVERYTHING):
+    for scene in (cs.load_scene("K1"), cs.load_scene("K4"), EVERYTHING):
         for version in VERSIONS:
-            name = scene if isinstance(scene, str) else scene.name
-            fmu = fmu_of(scene, version)
-            duration = EVERYTHING.duration if scene is EVERYTHING else cs.load_scene(name).duration
+            fmu, duration = fmu_of(scene, version), scene.duration
             model = fmu.model_arguments(fmu.outputs)
-            what = f"{name}, FMI {version}: "
+            what = f"{scene.name}, FMI {version}: "
             try:
                 program = Program("endurance", fmu)
             except Unavailable as error:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -86,8 +84,6 @@ def chart(problem: Problem) -> Iterator[Ours]:
 
 # --- the FMU -----------------------------------------------------------------------------------
 
-_FOLDERS: list[tempfile.TemporaryDirectory] = []  # loaded libraries lie in them until the end
-
 
 def fmu(problem: Problem) -> Iterator[Ours]:
     """The exported FMU, stepped from output to output by fmpy; it has one tolerance, 1e-14.
@@ -97,23 +93,16 @@ def fmu(problem: Problem) -> Iterator[Ours]:
     ImportError
         fmpy is not installed.
     """
-    import fmpy
+    from .fmu import fmu_of, initialize, slave_of
 
-    from fmu_export import export_fmu
-
-    _FOLDERS.append(tempfile.TemporaryDirectory())
-    folder, scene = Path(_FOLDERS[-1].name), problem.make()
-    path = export_fmu(scene, folder / "scene.fmu", interfaces=("CoSimulation",))
-    unpacked = fmpy.extract(str(path), str(folder / "unpacked"))
-    slave, wanted = _slave(unpacked, problem)
+    made = fmu_of(problem.make().replace(name="scene"), "2.0")
+    slave, wanted = slave_of(made), _points(made.description, problem)
     times = problem.times.tolist()
     shape = (len(times), *problem.truth.shape[1:])
 
     def call(_: Any) -> np.ndarray:
         slave.reset()
-        slave.setupExperiment(startTime=0.0)
-        slave.enterInitializationMode()
-        slave.exitInitializationMode()
+        initialize(slave)
         rows = [slave.getReal(wanted)]
         for begin, end in zip(times, times[1:]):
             slave.doStep(currentCommunicationPoint=begin, communicationStepSize=end - begin)
@@ -123,20 +112,11 @@ def fmu(problem: Problem) -> Iterator[Ours]:
     yield Ours("ours, FMU", (1e-14,), lambda _: Job(call))
 
 
-def _slave(unpacked: str, problem: Problem) -> tuple[Any, list[int]]:
-    """An FMI 2 slave, and the references of its contact points."""
-    import fmpy
-    from fmpy.fmi2 import FMU2Slave
-
-    read = fmpy.read_model_description(unpacked)
-    slave = FMU2Slave(
-        guid=read.guid, unzipDirectory=unpacked, instanceName="one",
-        modelIdentifier=read.coSimulation.modelIdentifier,
-    )  # fmt: skip
-    slave.instantiate()
-    references = {v.name: v.valueReference for v in read.modelVariables}
+def _points(description: Any, problem: Problem) -> list[int]:
+    """References of the contact points."""
+    references = {v.name: v.valueReference for v in description.modelVariables}
     bodies = ("finger", "object")[2 - len(problem.sizes) :]
-    return slave, [
+    return [
         references[f"contact[{i + 1}].{body}.point.{axis}"]
         for i in range(problem.truth.shape[1]) for body in bodies for axis in "xyz"
     ]  # fmt: skip
