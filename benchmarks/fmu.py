@@ -113,17 +113,6 @@ def simulated(name: str, version: str, **options: Any) -> tuple[np.ndarray, dict
     return t, found
 
 
-def slave_of(fmu: Fmu) -> FMU2Slave | FMU3Slave:
-    """An instance in fmpy, not initialized."""
-    kind = FMU2Slave if fmu.version == "2.0" else FMU3Slave
-    slave = kind(
-        guid=fmu.token, unzipDirectory=str(fmu.folder), instanceName="one",
-        modelIdentifier=fmu.description.coSimulation.modelIdentifier,
-    )  # fmt: skip
-    slave.instantiate()
-    return slave
-
-
 def initialize(slave: FMU2Slave | FMU3Slave) -> None:
     """Through initialization mode, from t = 0."""
     if isinstance(slave, FMU2Slave):
@@ -134,7 +123,7 @@ def initialize(slave: FMU2Slave | FMU3Slave) -> None:
 
 def stepped(name: str, version: str, times: Sequence[float]) -> dict[str, np.ndarray]:
     """Quantities where fmpy's slave was stepped to by hand."""
-    slave, table = slave_of(fmu_of(name, version)), variable_table(cs.load_scene(name))
+    slave, table = fmu_of(name, version).instance(), variable_table(cs.load_scene(name))
     rows = [table[quantity] for quantity in planned(name, np.zeros(1))]
     references = [r for row in rows for r in range(row.reference, row.reference + row.size)]
     initialize(slave)
@@ -314,7 +303,7 @@ def _fmpy_job(fmu: Fmu, names: Sequence[str]) -> Job:
     references = [v.valueReference for v in fmu.description.modelVariables if v.name in names]
 
     def make() -> FMU2Slave | FMU3Slave:
-        slave = slave_of(fmu)
+        slave = fmu.instance()
         initialize(slave)
         return slave
 
@@ -422,7 +411,7 @@ def _through_fmpy(full: bool) -> Iterator[Bar]:
 
 def _peer_error(fmu: Fmu) -> float:
     """How far pythonfmu's states are from the plan after a second, of the greatest state."""
-    slave = slave_of(fmu)
+    slave = fmu.instance()
     initialize(slave)
     _run(slave, None)
     found = np.array(slave.getReal([v.valueReference for v in fmu.outputs])).reshape(3, 9)

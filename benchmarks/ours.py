@@ -93,10 +93,10 @@ def fmu(problem: Problem) -> Iterator[Ours]:
     ImportError
         fmpy is not installed.
     """
-    from .fmu import fmu_of, initialize, slave_of
+    from .fmu import fmu_of, initialize
 
     made = fmu_of(problem.make().replace(name="scene"), "2.0")
-    slave, wanted = slave_of(made), _points(made.description, problem)
+    slave, wanted = made.instance(), _points(made.description, problem)
     times = problem.times.tolist()
     shape = (len(times), *problem.truth.shape[1:])
 

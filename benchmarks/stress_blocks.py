@@ -258,8 +258,8 @@ class Stepper:
 
 @functools.cache
 def exported(name: str, version: str) -> Any:
-    """The FMU of a scene: its folder and description."""
-    import fmpy
+    """The FMU of a scene, unpacked."""
+    from fmu_hosts.native import Fmu
 
     from fmu_export import export_fmu
 
@@ -267,8 +267,7 @@ def exported(name: str, version: str) -> Any:
     # fmpy's validation takes 85 % of an export, and is a matter of other tests.
     with mock.patch("fmu_export.export.validate_fmu", return_value=[]):
         path = export_fmu(scene_of(name), folder / f"{name}.fmu", version)
-    unpacked = fmpy.extract(str(path), str(folder / "unpacked"))
-    return unpacked, fmpy.read_model_description(unpacked)
+    return Fmu.unpacked(path, folder / "unpacked")
 
 
 @functools.cache
@@ -276,41 +275,18 @@ def instance(name: str, block: str, exchange: bool = False) -> Stepper:
     """The one instance of a block in this process, made when it is first needed."""
     kind, version = block.split()
     scene, messages = scene_of(name), []  # type: tuple[Scene, list[str]]
+
+    def log(status: int, category: str, text: str) -> None:
+        messages.append(text)
+
     if kind == "slave":
         from fmu_export.slave import PlannerSlave2, PlannerSlave3
 
-        made = PlannerSlave2 if version == "2.0" else PlannerSlave3
-        return Stepper(scene, version, made(scene, name, lambda s, c, m: messages.append(m)),
-                       messages)  # fmt: skip
-    return Stepper(scene, version, _instance_of_fmu(name, version, exchange, messages), messages)
-
-
-def _instance_of_fmu(name: str, version: str, exchange: bool, messages: list[str]) -> Any:
-    import fmpy.fmi2 as fmi2
-    import fmpy.fmi3 as fmi3
-
-    folder, read = exported(name, version)
-    kinds = {("2.0", False): fmi2.FMU2Slave, ("2.0", True): fmi2.FMU2Model,
-             ("3.0", False): fmi3.FMU3Slave, ("3.0", True): fmi3.FMU3Model}  # fmt: skip
-    found = kinds[version, exchange](
-        guid=read.guid if version == "2.0" else read.instantiationToken, unzipDirectory=folder,
-        modelIdentifier=read.coSimulation.modelIdentifier, instanceName=name,
-    )  # fmt: skip
-    if version == "2.0":
-
-        def log2(environment: Any, who: bytes, status: int, category: bytes, text: bytes) -> None:
-            messages.append(text.decode())
-
-        found.kept = fmi2.fmi2CallbackFunctions(logger=fmi2.fmi2CallbackLoggerTYPE(log2))
-        found.instantiate(callbacks=found.kept, loggingOn=True)
-        return found
-
-    def log3(environment: Any, status: int, category: bytes, text: bytes) -> None:
-        messages.append(text.decode())
-
-    found.kept = fmi3.fmi3LogMessageCallback(log3)
-    found.instantiate(loggingOn=True, logMessage=found.kept)
-    return found
+        made = (PlannerSlave2 if version == "2.0" else PlannerSlave3)(scene, name, log)
+    else:
+        interface = "ModelExchange" if exchange else "CoSimulation"
+        made = exported(name, version).instance(log, interface, name)
+    return Stepper(scene, version, made, messages)
 
 
 REMEDY = re.compile(r"\b(give|ask|set|use|announce|choose|end|start|run|pass|move|shorten|lower)\b")

@@ -19,9 +19,9 @@ pytest.importorskip("fmpy")
 
 import fmpy
 from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
-from fmpy.fmi3 import FMU3Model, FMU3Slave, fmi3LogMessageCallback
+from fmpy.fmi3 import FMU3Model, FMU3Slave
 from fmu_hosts import EVERYTHING
+from fmu_hosts.native import Fmu
 
 from fmu_export import export_fmu, variable_table
 from fmu_export.build import FMI_HEADERS, PLATFORMS, write_fmu
@@ -44,9 +44,8 @@ class Exported:
     def __init__(self, scene, version, folder):
         self.scene, self.version, self.table = scene, version, variable_table(scene)
         self.path = export_fmu(scene, folder / f"{scene.name}_{version}.fmu", version)
-        self.folder = fmpy.extract(str(self.path), str(folder / f"{scene.name}_{version}"))
-        self.description = fmpy.read_model_description(self.folder)
-        self.messages = []
+        self.fmu = Fmu.unpacked(self.path, folder / f"{scene.name}_{version}")
+        self.folder, self.messages = self.fmu.folder, []
 
     def reference(self, name):
         return self.table[name].reference
@@ -54,26 +53,13 @@ class Exported:
     def simulate(self, step, **options):
         options = {"fmi_type": "CoSimulation", "stop_time": self.scene.duration} | options
         return fmpy.simulate_fmu(
-            self.folder, model_description=self.description, step_size=step,
+            str(self.folder), model_description=self.fmu.description, step_size=step,
             output_interval=step, relative_tolerance=1e-10, **options,
         )  # fmt: skip
 
     def instance(self, interface="CoSimulation", start=None, ready=True, **options):
         """An instance, initialized if ``ready``; ``start``: name -> value."""
-        of = {
-            ("2.0", "CoSimulation"): FMU2Slave, ("2.0", "ModelExchange"): FMU2Model,
-            ("3.0", "CoSimulation"): FMU3Slave, ("3.0", "ModelExchange"): FMU3Model,
-        }[self.version, interface]  # fmt: skip
-        read = self.description
-        fmu = of(
-            guid=read.guid if self.version == "2.0" else read.instantiationToken,
-            unzipDirectory=self.folder, modelIdentifier=read.coSimulation.modelIdentifier,
-            instanceName="one",
-        )  # fmt: skip
-        if self.version == "2.0":
-            fmu.instantiate(callbacks=self._callbacks(), **{"loggingOn": True} | options)
-        else:
-            fmu.instantiate(logMessage=self._log3(), **{"loggingOn": True} | options)
+        fmu = self.fmu.instance(lambda *said: self.messages.append(said), interface, **options)
         if start:
             self.set(fmu, start)
         if ready:
@@ -87,20 +73,6 @@ class Exported:
         else:
             fmu.enterInitializationMode(startTime=time)
         fmu.exitInitializationMode()
-
-    def _callbacks(self):
-        def log(environment, instance, status, category, message):
-            self.messages.append((status, category.decode(), message.decode()))
-
-        self._kept = fmi2CallbackFunctions(logger=fmi2CallbackLoggerTYPE(log))
-        return self._kept
-
-    def _log3(self):
-        def log(environment, status, category, message):
-            self.messages.append((status, category.decode(), message.decode()))
-
-        self._kept = fmi3LogMessageCallback(log)
-        return self._kept
 
     def set(self, fmu, values):
         put = fmu.setReal if self.version == "2.0" else fmu.setFloat64

@@ -15,13 +15,16 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import numpy as np
+from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi3 import FMU3Model, FMU3Slave, fmi3LogMessageCallback
 from fmpy.model_description import ModelDescription, ModelVariable
 
 from contact_system.kernels import find_compiler
@@ -63,6 +66,47 @@ class Fmu:
         """GUID (FMI 2) or instantiation token (FMI 3)."""
         read = self.description
         return read.guid if self.version == "2.0" else read.instantiationToken
+
+    def instance(
+        self,
+        log: Callable[[int, str, str], None] | None = None,
+        interface: str = "CoSimulation",
+        name: str = "one",
+        **options: Any,
+    ) -> Any:
+        """An instance in fmpy, not initialized.
+
+        Parameters
+        ----------
+        log : callable, optional
+            Takes status, category and text of what it logs.
+        interface : "CoSimulation" or "ModelExchange"
+        name : str
+        options
+            Of fmpy's ``instantiate``.
+        """
+        kind = {
+            ("2.0", "CoSimulation"): FMU2Slave, ("2.0", "ModelExchange"): FMU2Model,
+            ("3.0", "CoSimulation"): FMU3Slave, ("3.0", "ModelExchange"): FMU3Model,
+        }[self.version, interface]  # fmt: skip
+        made = kind(
+            guid=self.token, unzipDirectory=str(self.folder), instanceName=name,
+            modelIdentifier=self.description.coSimulation.modelIdentifier,
+        )  # fmt: skip
+        if log is not None:
+
+            def told(*words: Any) -> None:
+                status, category, text = words[-3:]  # FMI 2 says first which instance it is
+                log(status, category.decode(), text.decode())
+
+            if self.version == "2.0":
+                made.kept = fmi2CallbackFunctions(logger=fmi2CallbackLoggerTYPE(told))
+                options = {"callbacks": made.kept, "loggingOn": True} | options
+            else:
+                made.kept = fmi3LogMessageCallback(told)
+                options = {"logMessage": made.kept, "loggingOn": True} | options
+        made.instantiate(**options)
+        return made
 
     def library(self, target: str) -> Path:
         """The library inside for a platform."""
