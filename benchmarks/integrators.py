@@ -12,7 +12,6 @@ et al., JMLR 21, 2020 (geomstats); Karney, J. Geodesy 87, 2013 (geographiclib).
 from __future__ import annotations
 
 import functools
-import importlib.util
 import itertools
 import math
 import subprocess
@@ -31,7 +30,7 @@ import numpy as np
 import contact_system as cs
 from contact_system.kernels import find_compiler
 
-from .peers import FINEST
+from .peers import FINEST, decades, installed
 from .problems import Ode, Problem
 
 Solver = Callable[[], Any]
@@ -66,7 +65,7 @@ def missing() -> dict[str, str]:
     }  # fmt: skip
     return {
         name: "not installed" for name, package in packages.items()
-        if importlib.util.find_spec(package) is None
+        if not installed(package)
     }  # fmt: skip
 
 
@@ -84,7 +83,7 @@ def versions() -> dict[str, str]:
 def peers(problem: Problem, full: bool) -> Iterator[Peer]:
     """All that are installed; ``full``: every decade of tolerance."""
     absent = missing()
-    every = tuple(10.0**-k for k in range(3, 16))
+    every = decades(3, 15)
     some = every if full else (1e-4, 1e-7, 1e-9, 1e-11, 1e-13)
     tight = every[1:] if full else (*some, 1e-15)
     for form, ode in problem.forms.items():

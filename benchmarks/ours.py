@@ -13,10 +13,11 @@ import numpy as np
 import contact_system as cs
 
 from .accuracy import engines
+from .peers import decades
 from .problems import Problem
 from .timing import Job
 
-TOLERANCES = tuple(10.0**-k for k in range(3, 16))
+TOLERANCES = decades(3, 15)
 ACCURACIES = (1e-3, 1e-6, 1e-9)
 SCHEMES = ("runge_kutta3", "runge_kutta5", "radau3")
 

@@ -55,9 +55,9 @@ class Method:
     limit: float = 20.0
 
 
-def has_heyoka() -> bool:
-    """Whether heyoka is installed."""
-    return importlib.util.find_spec("heyoka") is not None
+def installed(package: str) -> bool:
+    """Whether a package can be imported."""
+    return importlib.util.find_spec(package) is not None
 
 
 def decades(first: int, last: int) -> tuple[float, ...]:
@@ -157,7 +157,6 @@ def cvodes_methods(scene: cs.Scene, grid: np.ndarray) -> list[Method]:
     """Adams and BDF on the symbolic chart equations, as C where there is a compiler."""
     finger, obj = scene.contacts[0].finger, scene.object
     t, state, eta = ca.SX.sym("t"), ca.SX.sym("state", 9), ca.SX.sym("eta")
-    sigma, slope = scene.profile(0.0), scene.profile.rate(0.0)
     powers = enumerate(scene.profile.coefficients)
     terms = [(c * t**k, k * c * t ** max(k - 1, 0)) for k, c in powers]
     sigma, slope = sum(a for a, _ in terms), sum(b for _, b in terms)

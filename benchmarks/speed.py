@@ -11,7 +11,6 @@ time for others.
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import math
 import os
@@ -71,8 +70,8 @@ def _engine(compiled: bool) -> str:
 
 def no_slip(full: bool) -> Iterator[Bar]:
     """A sphere rolls on a sphere: points beside heyoka in space, states beside heyoka on charts."""
-    for package, there in (("mpmath", _installed("mpmath")), ("heyoka", peers.has_heyoka())):
-        if not there:
+    for package in ("mpmath", "heyoka"):
+        if not peers.installed(package):
             yield Bar("no slip, beside heyoka", 3.0, None, "x", note=f"{package} not installed")
             return
     t = np.linspace(0.0, 1.0, POINTS)
@@ -88,10 +87,6 @@ def no_slip(full: bool) -> Iterator[Bar]:
         "chart states", scenes, truths, partial(_states, t=t, tolerance=1e-12), 1.5,
         lambda tolerance: partial(chart.build(tolerance), eta=0.0), _start_on_charts,
     )  # fmt: skip
-
-
-def _installed(package: str) -> bool:
-    return importlib.util.find_spec(package) is not None
 
 
 def _rolling_scene(k: int) -> cs.Scene:
@@ -210,7 +205,7 @@ def slip(full: bool) -> Iterator[Bar]:
 
 
 def _methods(scene: cs.Scene, t: np.ndarray, limit: float) -> list[Method]:
-    found = [peers.heyoka_method(scene, t)] if peers.has_heyoka() else []
+    found = [peers.heyoka_method(scene, t)] if peers.installed("heyoka") else []
     return found + peers.cvodes_methods(scene, t) + peers.scipy_methods(scene, t, limit)
 
 

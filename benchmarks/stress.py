@@ -173,16 +173,13 @@ def search(chosen: list[tuple[Family, range]], workers: int = 2) -> Iterator[Rec
     while batches or any(w.todo for w in crew):
         heard = wait([w.link for w in crew], timeout=0.5)
         for worker in crew:
-            record = None
+            record, gone = None, worker.stuck
             if worker.link in heard:
                 try:
-                    record = worker.take()
+                    record, gone = worker.take(), False
                 except (EOFError, ConnectionError):
-                    record, rest = worker.lost()
-                    failures += record is None
-                    if rest:
-                        batches.append(rest)
-            elif worker.stuck:
+                    gone = True
+            if gone:
                 record, rest = worker.lost()
                 failures += record is None
                 if rest:
