@@ -113,12 +113,13 @@ def orientations() -> list[tuple[RigidTransform, RigidTransform]]:
     ]
 
 
-def sphere_force(depth: float, r1: float = 0.04, r2: float = 0.1) -> float:
+def sphere_force(depth: float) -> float:
     """Integral of the pressure E (1 - r/r1) over the rigid sphere inside the finger, N.
 
     r is the distance from the finger's centre; no expansion for a small depth. E as for 10 kN/m at
     1 N (`drake_plant.plant`).
     """
+    r1, r2 = 0.04, 0.1
     modulus = 1e8 * (r1 + r2) / r2 / (4 * math.pi)
     distance = r1 + r2 - depth
     edge = math.acos((r2**2 + distance**2 - r1**2) / (2 * r2 * distance))

@@ -60,11 +60,12 @@ class Collocation:
 
 
 @functools.cache
-def collocation(n: int = NODES) -> Collocation:
+def collocation() -> Collocation:
     """The matrices, from the Legendre polynomials at Gauss points.
 
     Their inverse rather than discrete orthogonality: numpy's weights are off by 7e-15.
     """
+    n = NODES
     node, _ = legendre.leggauss(n)
     basis = legendre.legvander(node, n)  # P_0 .. P_n at the nodes
     project = np.linalg.inv(basis[:, :n])

@@ -38,6 +38,9 @@ from .geometry import ChartGeometry, contact_frame, tangent_geometry
 from .kept import kept
 from .surfaces import Surface, positive_length, store
 
+CELLS = 32  # in each coordinate, of the grid on which a nearest point is first sought
+TRIES = 4  # so many of its points may lead to it
+
 
 @dataclass(frozen=True)
 class Formula:
@@ -300,21 +303,21 @@ class ParametricSurface(UserSurface):
         u, v, miss = (w.reshape(points.shape[:-1]) for w in found)
         return u, v, miss
 
-    def _grid_starts(self, flat: Array, cells: int = 32, tries: int = 4) -> list[tuple[Any, ...]]:
+    def _grid_starts(self, flat: Array) -> list[tuple[Any, ...]]:
         """Return the nearest few grid points to each of (n, 3) points, nearest first."""
         # Centres of cells, because the rim of a range is where charts have their poles.
-        fraction = (np.arange(cells) + 0.5) / cells
+        fraction = (np.arange(CELLS) + 0.5) / CELLS
         spans = (self.u_range, self.v_range)
         axes = [lo + (hi - lo) * fraction for lo, hi in spans]
         grid_u, grid_v = (w.ravel() for w in np.meshgrid(*axes, indexing="ij"))
         if self.inside:
             grid_v = -grid_v
         grid = self.point(grid_u, grid_v)
-        nearest = np.empty((len(flat), tries), dtype=int)
+        nearest = np.empty((len(flat), TRIES), dtype=int)
         for i, target in enumerate(flat):
             distance = np.sum((grid - target) ** 2, axis=1)
             distance[np.isnan(distance)] = np.inf
-            nearest[i] = np.argsort(distance)[:tries]
+            nearest[i] = np.argsort(distance)[:TRIES]
         return [(grid_u[k], grid_v[k]) for k in nearest.T]
 
     def _descend(self, target: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:

@@ -50,6 +50,7 @@ Triangles = NDArray[np.int64]
 WHOLE = 10_000  # triangles; above, a strip saves time to build (a query takes as long with it)
 LARGEST = 200_000  # triangles; Drake needs 60 us for each when it builds and again for a Context
 FLAT = 0.9  # least cosine between a triangle's normals, in or out of the strip
+ROUNDS = 40  # in which the vertices of a base mesh are moved
 MEAN_SAGITTA = 1 / 24  # of the sum of II(e, e) over a triangle's edges
 
 
@@ -393,9 +394,7 @@ def _parts(domain: Domain, curve: Array, opposing: float, gap: float) -> float:
     return domain.coarsest * math.sqrt(abs(mesh.gaps(opposing)[at].mean()) / gap)
 
 
-def _evened(
-    domain: Domain, size: float, opposing: float, rounds: int = 40
-) -> tuple[Array, Triangles]:
+def _evened(domain: Domain, size: float, opposing: float) -> tuple[Array, Triangles]:
     """The base mesh, its vertices moved until the gaps along all edges are about equal.
 
     Every edge is a spring; the rim stays where it is. Sizes on the ellipsoid 0.3/0.2/0.1 lie within
@@ -409,7 +408,7 @@ def _evened(
     fixed = np.zeros(len(q), dtype=bool)
     fixed[edges[np.bincount(of.ravel()) < 2]] = True
     start, area = q, _facing(*domain.place(q), triangles).sum()
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         points, normals = domain.place(q)
         edge = points[j] - points[i]
         # On a saddle no gap may open along an edge, or a negative one: no contact gets there.

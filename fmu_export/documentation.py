@@ -55,8 +55,9 @@ def page(table: Table, fmi_version: str) -> str:
     )
 
 
-def icon_png(side: int = 96) -> bytes:
+def icon_png() -> bytes:
     """A small ball on a large one, as a PNG file."""
+    side = 96
     y, x = np.mgrid[0:side, 0:side] / side
     pixels = np.full((side, side, 4), 255, dtype=np.uint8)
     pixels[..., 3] = 0
