@@ -323,8 +323,11 @@ class _Slave:
 
     def _require_known(self, function: str, reference: int) -> None:
         if not self._lowest <= reference < len(self._kinds):
-            text = f"value reference {reference!r} is unknown; see modelDescription.xml"
-            self._refuse(function, ERROR, text)
+            self._refuse_unknown(function, reference)
+
+    def _refuse_unknown(self, function: str, reference: int) -> NoReturn:
+        text = f"value reference {reference!r} is unknown; see modelDescription.xml"
+        self._refuse(function, ERROR, text)
 
     def _name(self, reference: int) -> str:
         rows = self.block.table.rows
@@ -626,8 +629,7 @@ class PlannerSlave3(_Slave, FMU3Slave):
         if key not in self._elements:
             for reference in key:
                 if reference not in self._sizes:
-                    text = f"value reference {reference!r} is unknown; see modelDescription.xml"
-                    self._refuse(function, ERROR, text)
+                    self._refuse_unknown(function, reference)
             spans = (range(r, r + self._sizes[r]) for r in key)
             self._elements[key] = tuple(element for span in spans for element in span)
         return self._elements[key]

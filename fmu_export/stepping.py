@@ -213,10 +213,9 @@ class Block:
         self._plan_on(at, max(target, 2 * at - plan.start), target)
 
     def _end(self) -> float:
-        """Until when the motion is known, s."""
         plan = self.now.plan
         assert plan is not None
-        return plan.end if isinstance(plan, Following) else plan.scene.duration
+        return _end_of(plan)
 
     def _moments(self, at: float) -> list[Moment]:
         """Where each contact has come to."""
@@ -564,6 +563,11 @@ class Block:
         return found
 
 
+def _end_of(plan: Plan | Following) -> float:
+    """Until when a motion is known, s."""
+    return plan.end if isinstance(plan, Following) else plan.scene.duration
+
+
 def _places(table: Table) -> list[tuple[str, int, int]]:
     """For each reference the group of results, or "" for what is set; contact, index in it."""
     states = [("states", 0), ("states", 1), *(("carried", k) for k in (0, 1, 2)),
@@ -643,8 +647,7 @@ def state_bytes(memory: Memory, model: bytes) -> bytes:
         plan = memory.plan
         starts = [vars(start) for start in plan.starts or ()]
         step = isinstance(plan, Following)
-        end = plan.end if isinstance(plan, Following) else plan.scene.duration
-        plain["plan"] = {"start": plan.start, "end": end, "starts": starts, "step": step}
+        plain["plan"] = {"start": plan.start, "end": _end_of(plan), "starts": starts, "step": step}
     body = json.dumps(plain).encode()
     return _HEADER.pack(_MAGIC, _VERSION, len(body), model, digest(body)) + body
 

@@ -190,8 +190,9 @@ class Table:
     def arguments(self, contact: int) -> list[int]:
         """References of the arguments of `model.contact_results`, in order."""
         first, block = self.parameter_first, self.blocks[contact]
+        own = self.scene.contacts[contact].finger
         law = [first["gain"], *_range(first["profile"], len(self.scene.profile.coefficients))]
-        finger = _range(self.finger_first[contact], len(_finger(self.scene, contact).parameters))
+        finger = _range(self.finger_first[contact], len(own.parameters))
         obj = _range(first["object"], len(self.scene.object.parameters))
         state, inputs = _range(block + INPUTS, STATES), _range(block, INPUTS)
         return [0, *state, *inputs, *law, *finger, *obj]
@@ -421,7 +422,7 @@ def _outputs(scene: Scene, contact: Contact) -> list[_Quantity]:
 
 def _known(scene: Scene, table: Table, i: int) -> list[tuple[int, ...]]:
     """For each result of a contact, references of what it depends on."""
-    finger, obj = _finger(scene, i), scene.object
+    finger, obj = scene.contacts[i].finger, scene.object
     function = contact_results(finger, obj, scene.gain.law, len(scene.profile.coefficients))
     random = np.random.default_rng(1)
     start = start_state(scene.contacts[i])
@@ -437,10 +438,6 @@ def _known(scene: Scene, table: Table, i: int) -> list[tuple[int, ...]]:
     found = dependencies(function, samples)
     references = np.array(table.arguments(i))
     return [tuple(sorted(set(references[row].tolist()))) for row in found]
-
-
-def _finger(scene: Scene, i: int) -> Surface:
-    return scene.contacts[i].finger
 
 
 def _range(first: int, count: int) -> list[int]:
