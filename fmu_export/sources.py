@@ -129,7 +129,8 @@ class _Model:
         text = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
         own = model_identifier(self.table)
         motions = (name.removesuffix(".c") for name in self.motions)
-        text += "".join(f"#define {name} {own}_{name}\n" for name in (*SHARED, *motions))
+        # The model's name last: `contact_kinds`, `enter_windows` are names of this code already.
+        text += "".join(f"#define {name} {name}_of_{own}\n" for name in (*SHARED, *motions))
         return (
             f"/* {own}: generated */\n"
             f"#ifndef CONTACT_MODEL\n#define CONTACT_MODEL\n{text}enum {{ {laws} }};\n#endif\n"

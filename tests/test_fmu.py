@@ -1070,6 +1070,13 @@ def test_sources_of_two_models_make_one_program(exported, tmp_path):
     assert subprocess.run([program]).returncode == 0
 
 
+@pytest.mark.parametrize("name", ["contact", "enter", "check", "va"])
+def test_a_scene_may_be_called_as_the_sources_call_their_own_things(name, tmp_path):
+    # contact_kinds, enter_windows, check_step, va_start
+    path = export_fmu(cs.load_scene("C1").replace(name=name), tmp_path / "one.fmu")
+    assert fmpy.read_model_description(str(path)).coSimulation.modelIdentifier == name
+
+
 def test_the_sources_refuse_a_build_without_infinities(exported, tmp_path):
     # which would run, and be wrong by 7 rad/s in K4
     from contact_system.kernels import find_compiler
