@@ -162,13 +162,14 @@ def generation_text() -> str:
 
 def _head(table: Table, fmi_version: str) -> dict[str, str]:
     scene = table.scene
+    plain = all(row.name.isascii() for row in table.rows)  # a user's parameter may be called λ
     head = {
         "fmiVersion": fmi_version,
         "modelName": scene.name or "scene",
         "description": scene.description or "Rolling contact curves",
         "version": __version__,
         "generationTool": f"contact-system {__version__}",
-        "variableNamingConvention": "structured",
+        "variableNamingConvention": "structured" if plain else "flat",
     }
     if fmi_version == "2.0":
         head["numberOfEventIndicators"] = "0"

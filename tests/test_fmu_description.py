@@ -36,7 +36,8 @@ def written(tmp_path):
 
     def write(name, version, **options):
         table = variable_table(cs.load_scene(name) if isinstance(name, str) else name)
-        (tmp_path / "modelDescription.xml").write_text(model_description(table, version, **options))
+        text = model_description(table, version, **options)
+        (tmp_path / "modelDescription.xml").write_text(text, encoding="utf-8")
         return tmp_path
 
     return write
@@ -109,6 +110,19 @@ def test_two_variables_of_one_name_are_refused():
     scene = cs.load_scene("K1").replace(contacts=[contact])
     with pytest.raises(cs.SceneError, match=r"called contact\[1\].finger.point; give the surface"):
         variable_table(scene)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_parameter_may_have_a_greek_name(version, written):
+    """Structured names are ASCII (FMI 2.0.4, 2.2.9; FMI 3.0.2, 2.4.7.5.1)."""
+    ball = cs.ParametricSurface(
+        ("λ*sin(u)*cos(v)", "λ*sin(u)*sin(v)", "λ*cos(u)"), parameters={"λ": 0.04}, size=0.04
+    )
+    contact = cs.Contact(ball, object_at=(1.2, 0.3), finger_at=(1.5, 0.0))
+    folder = written(cs.load_scene("K1").replace(contacts=[contact]), version)
+    assert validate_fmu(str(folder)) == []
+    names = {v.name for v in read_model_description(folder).modelVariables}
+    assert "contact[1].finger.λ" in names
 
 
 def test_outputs_may_be_read_between_internal_steps(written):
