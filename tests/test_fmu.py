@@ -667,6 +667,23 @@ def test_calls_out_of_order_are_refused_with_a_message(version, exported):
     assert fmu.get(one, "contact[1].object.u")[0] == fmu.scene.contacts[0].object_at[0]
 
 
+def test_functions_of_the_other_interface_are_refused(exported):
+    fmu = exported("K1")
+    ready = ["CoSimulation", "ModelExchange"]
+    stepped, solved = (fmu.instance(interface, ready=False) for interface in ready)
+    slope = fmu.reference("contact[1].finger.acceleration.u")
+    real, integer = (ctypes.c_double * 33)(), (ctypes.c_int * 1)(1)
+    reference = (ctypes.c_uint * 1)(slope)
+    for one, function, arguments in (
+        (solved, "fmi2SetRealInputDerivatives", (reference, 1, integer, real)),
+        (stepped, "fmi2GetNominalsOfContinuousStates", (real, 33)),
+    ):
+        called = getattr(one.dll, function)
+        sizes = [ctypes.c_size_t(x) if isinstance(x, int) else x for x in arguments]
+        assert called(ctypes.c_void_p(one.component), *sizes) == 3
+        assert f"{function}: the instance was made for" in fmu.messages[-1][2]
+
+
 def test_start_values_can_be_read_before_initialization(exported):
     """FMI 3.0.2, 2.3.2: of the description, or as they were set; FMI 2 has no values yet."""
     fmu = exported("K1", "3.0")

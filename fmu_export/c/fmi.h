@@ -57,6 +57,13 @@ static inline status_t allowed(component_t *c, const char *function, int phases)
 
 #define NO_SUCH "there is no variable with value reference %u; see modelDescription.xml"
 #define REFUSE(...) return (STATUS)report(c, FAILED, "logStatusError", __VA_ARGS__)
+/* Functions of one interface only, of Model Exchange or of Co-Simulation */
+#define SYSTEM_ONLY(function, phases)                                                 \
+  BEGIN(function, phases);                                                            \
+  if (c->now.stepping) REFUSE(function ": the instance was made for Co-Simulation")
+#define STEPPING_ONLY(function, phases)                                               \
+  BEGIN(function, phases);                                                            \
+  if (!c->now.stepping) REFUSE(function ": the instance was made for Model Exchange")
 #define OF_SIZE(function, pointer, count, right) \
   if (!(pointer) || (count) != (size_t)(right))  \
   REFUSE(function ": a pointer is missing, or the count is wrong")

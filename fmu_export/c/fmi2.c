@@ -272,27 +272,27 @@ fmi2Status fmi2SetContinuousStates(fmi2Component instance, const fmi2Real x[], s
 }
 
 fmi2Status fmi2GetDerivatives(fmi2Component instance, fmi2Real rate[], size_t count) {
-  BEGIN("fmi2GetDerivatives", ME_RUNNING);
+  SYSTEM_ONLY("fmi2GetDerivatives", ME_RUNNING);
   OF_SIZE("fmi2GetDerivatives", rate, count, SYSTEM_STATES * N_CONTACTS);
   return (fmi2Status)get_rates(c, rate);
 }
 
 fmi2Status fmi2GetEventIndicators(fmi2Component instance, fmi2Real indicator[], size_t count) {
-  BEGIN("fmi2GetEventIndicators", ME_RUNNING);
+  SYSTEM_ONLY("fmi2GetEventIndicators", ME_RUNNING);
   (void)indicator;
   if (count) REFUSE("fmi2GetEventIndicators: there are none");
   return fmi2OK;
 }
 
 fmi2Status fmi2GetContinuousStates(fmi2Component instance, fmi2Real x[], size_t count) {
-  BEGIN("fmi2GetContinuousStates", ME_RUNNING);
+  SYSTEM_ONLY("fmi2GetContinuousStates", ME_RUNNING);
   OF_SIZE("fmi2GetContinuousStates", x, count, SYSTEM_STATES * N_CONTACTS);
   return (fmi2Status)get_states(c, x);
 }
 
 fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component instance, fmi2Real nominal[],
                                              size_t count) {
-  BEGIN("fmi2GetNominalsOfContinuousStates", ANY);
+  SYSTEM_ONLY("fmi2GetNominalsOfContinuousStates", ANY);
   OF_SIZE("fmi2GetNominalsOfContinuousStates", nominal, count, SYSTEM_STATES * N_CONTACTS);
   memcpy(nominal, nominals, sizeof nominals);
   return fmi2OK;
@@ -303,7 +303,7 @@ fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component instance, fmi2Real no
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component instance, const fmi2ValueReference vr[],
                                        size_t count, const fmi2Integer order[],
                                        const fmi2Real value[]) {
-  BEGIN("fmi2SetRealInputDerivatives", INSTANTIATED | INITIALIZATION | STEP);
+  STEPPING_ONLY("fmi2SetRealInputDerivatives", INSTANTIATED | INITIALIZATION | STEP);
   if (count && (!vr || !order || !value))
     REFUSE("fmi2SetRealInputDerivatives: a pointer is missing");
   status_t worst = OK;
@@ -322,7 +322,7 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component instance, const fmi2ValueRe
 
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component instance, const fmi2ValueReference vr[],
                                         size_t count, const fmi2Integer order[], fmi2Real value[]) {
-  BEGIN("fmi2GetRealOutputDerivatives", STEP | TERMINATED);
+  STEPPING_ONLY("fmi2GetRealOutputDerivatives", STEP | TERMINATED);
   (void)vr, (void)order, (void)value;
   if (count) REFUSE("fmi2GetRealOutputDerivatives: derivatives are outputs of their own, der(...)");
   return fmi2OK;
@@ -342,13 +342,13 @@ fmi2Status fmi2CancelStep(fmi2Component instance) {
 }
 
 fmi2Status fmi2GetStatus(fmi2Component instance, const fmi2StatusKind kind, fmi2Status *value) {
-  BEGIN("fmi2GetStatus", STEP | TERMINATED | BROKEN);
+  STEPPING_ONLY("fmi2GetStatus", STEP | TERMINATED | BROKEN);
   (void)kind, (void)value;
   return (fmi2Status)report(c, DISCARD, "logStatusDiscard", "steps are never asynchronous");
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component instance, const fmi2StatusKind kind, fmi2Real *value) {
-  BEGIN("fmi2GetRealStatus", STEP | TERMINATED | BROKEN);
+  STEPPING_ONLY("fmi2GetRealStatus", STEP | TERMINATED | BROKEN);
   if (kind != fmi2LastSuccessfulTime || !value)
     return (fmi2Status)report(c, DISCARD, "logStatusDiscard",
                               "only the last successful time is known");
@@ -358,14 +358,14 @@ fmi2Status fmi2GetRealStatus(fmi2Component instance, const fmi2StatusKind kind, 
 
 fmi2Status fmi2GetIntegerStatus(fmi2Component instance, const fmi2StatusKind kind,
                                 fmi2Integer *value) {
-  BEGIN("fmi2GetIntegerStatus", STEP | TERMINATED | BROKEN);
+  STEPPING_ONLY("fmi2GetIntegerStatus", STEP | TERMINATED | BROKEN);
   (void)kind, (void)value;
   return (fmi2Status)report(c, DISCARD, "logStatusDiscard", "there is no such status");
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component instance, const fmi2StatusKind kind,
                                 fmi2Boolean *value) {
-  BEGIN("fmi2GetBooleanStatus", STEP | TERMINATED | BROKEN);
+  STEPPING_ONLY("fmi2GetBooleanStatus", STEP | TERMINATED | BROKEN);
   if (kind != fmi2Terminated || !value)
     return (fmi2Status)report(c, DISCARD, "logStatusDiscard", "there is no such status");
   *value = c->now.ended ? fmi2True : fmi2False;
@@ -374,7 +374,7 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component instance, const fmi2StatusKind kin
 
 fmi2Status fmi2GetStringStatus(fmi2Component instance, const fmi2StatusKind kind,
                                fmi2String *value) {
-  BEGIN("fmi2GetStringStatus", STEP | TERMINATED | BROKEN);
+  STEPPING_ONLY("fmi2GetStringStatus", STEP | TERMINATED | BROKEN);
   (void)kind, (void)value;
   return (fmi2Status)report(c, DISCARD, "logStatusDiscard", "there is no such status");
 }

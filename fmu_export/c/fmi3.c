@@ -379,10 +379,6 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *again,
 
 /* --- Model Exchange --------------------------------------------------------------------------- */
 
-#define SYSTEM_ONLY(function, phases)                                                 \
-  BEGIN(function, phases);                                                            \
-  if (c->now.stepping) REFUSE(function ": the instance was made for Co-Simulation")
-
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
   SYSTEM_ONLY("fmi3EnterContinuousTimeMode", EVENT);
   c->now.phase = CONTINUOUS;
@@ -454,8 +450,7 @@ fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *count)
 /* --- Co-Simulation ---------------------------------------------------------------------------- */
 
 fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
-  BEGIN("fmi3EnterStepMode", EVENT);
-  if (!c->now.stepping) REFUSE("fmi3EnterStepMode: the instance was made for Model Exchange");
+  STEPPING_ONLY("fmi3EnterStepMode", EVENT);
   c->now.phase = STEP;
   return fmi3OK;
 }
@@ -463,7 +458,7 @@ fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
 fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueReference vr[],
                                     size_t count,
                                     const fmi3Int32 orders[], fmi3Float64 value[], size_t n) {
-  BEGIN("fmi3GetOutputDerivatives", STEP | TERMINATED | INTERMEDIATE);
+  STEPPING_ONLY("fmi3GetOutputDerivatives", STEP | TERMINATED | INTERMEDIATE);
   if (count) REFUSE("fmi3GetOutputDerivatives: derivatives are outputs of their own, der(...)");
   return fmi3OK;
 }
