@@ -439,6 +439,8 @@ class _Slave:
             jacobians = self.block.jacobians()
         except ChartSingularity as error:
             self._refuse(function, DISCARD, str(error))
+        except ContactSystemError as error:  # as values are refused
+            self._refuse(function, ERROR, str(error))
         for matrix, rows, columns in jacobians:
             if not adjoint:
                 grown[rows] = matrix @ given[columns]

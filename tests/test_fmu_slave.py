@@ -926,6 +926,16 @@ def test_directional_derivatives_are_the_models(when):
     assert exact == pytest.approx(expected, abs=1e-8 * np.abs(expected).max())
 
 
+def test_derivatives_are_refused_where_an_input_cannot_act():
+    slave = begun(one_contact().replace(profile=cs.Profile([0.0, 1.0])))
+    of = slave.block.table
+    push, slip = (of[f"contact[1].{n}"].reference for n in ("finger.acceleration.u", "slip.x"))
+    slave.setReal([push], [0.1])
+    refused(slave.getDirectionalDerivative, [slip], [push], [1.0], words="sigma")
+    slave.setReal([push], [0.0])
+    assert slave.getDirectionalDerivative([slip], [push], [1.0]) == [0.0]
+
+
 def test_adjoint_derivatives_are_the_transposed_ones():
     slave = advanced(begun(cs.load_scene("K1"), "3.0"), 0.2)
     table, random = slave.block.table, np.random.default_rng(0)
