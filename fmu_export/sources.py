@@ -56,9 +56,10 @@ LAWS = tuple(GAIN_LAWS)
 SHARED = (
     "check_grown", "check_value", "enter_windows", "forward", "gauss_end", "gauss_integral",
     "gauss_node", "gauss_series", "get_rates", "get_states", "get_values", "kinds", "least",
-    "model_token", "names", "next_edge", "next_window", "nominals", "orders", "past_end", "places",
-    "read_state", "report", "reset", "reverse", "set_slope", "set_states", "set_time", "set_value",
-    "sizes", "start", "start_values", "step", "study_profile", "windows", "write_state",
+    "model_digest", "model_token", "names", "next_edge", "next_window", "nominals", "orders",
+    "past_end", "places", "read_state", "report", "reset", "reverse", "set_slope", "set_states",
+    "set_time", "set_value", "sizes", "start", "start_values", "step", "study_profile", "windows",
+    "write_state",
 )  # fmt: skip
 """What files have in common. Each name bears the model's: importers that compile the sources may
 link several models into one program."""

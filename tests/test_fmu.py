@@ -520,6 +520,20 @@ def test_state_bytes_that_were_changed_are_refused(exported):
     fmu.step(one, 0.0, 0.1)
 
 
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_state_of_another_model_is_refused(version, exported):
+    fmu = exported("K1", version)
+    one, other = fmu.instance(), exported("C2", version).instance()
+    suffix = "FMUstate" if version == "2.0" else "FMUState"
+    theirs = getattr(other, f"get{suffix}")()  # of another size
+    for name in ("set", "serialize", "free"):
+        with pytest.raises(FMICallException):
+            getattr(one, name + suffix)(theirs)
+        assert "another model's; give one that this model handed out" in fmu.messages[-1][2]
+    getattr(other, f"free{suffix}")(theirs)
+    fmu.step(one, 0.0, 0.1)
+
+
 # --- misuse --------------------------------------------------------------------------------------
 
 

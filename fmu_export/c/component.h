@@ -224,6 +224,7 @@ typedef struct {
 } header_t;
 #define STATE_BYTES (sizeof(header_t) + sizeof(memory_t))
 
+unsigned long long model_digest(void); /* tells models apart */
 void write_state(const memory_t *, unsigned char *bytes);
 /* Returns NULL, or what does not fit. Bytes with the right checksum may have been made by anybody:
    every number that chooses, counts or points is held to what it may be, and those that the motion

@@ -17,11 +17,10 @@ typedef struct {
 } instance_t;
 
 typedef struct {
-  unsigned long long magic;
+  unsigned long long model; /* whose it is: those of others are of other sizes */
   memory_t memory;
 } saved_t;
 
-#define SAVED 0x5354415445u /* "STATE" */
 /* where values can be got; after a step that failed those are of the time before it */
 #define RUNNING (INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED | BROKEN)
 #define ANY (INSTANTIATED | CONFIGURATION | RUNNING)
@@ -124,7 +123,7 @@ static inline void enter_event_mode(component_t *c) {
 static inline status_t save(component_t *c, void **state) {
   saved_t *s = *state ? *state : calloc(1, sizeof *s);
   if (!s) return report(c, FAILED, "logStatusError", "no memory for an FMU state");
-  s->magic = SAVED;
+  s->model = model_digest();
   memcpy(&s->memory, &c->now, sizeof s->memory);
   *state = s;
   return OK;
@@ -132,8 +131,9 @@ static inline status_t save(component_t *c, void **state) {
 
 static inline saved_t *saved(component_t *c, void *state) {
   saved_t *s = state;
-  if (s && s->magic == SAVED) return s;
-  report(c, FAILED, "logStatusError", "this is not an FMU state of this model");
+  if (s && s->model == model_digest()) return s;
+  report(c, FAILED, "logStatusError", "this is no FMU state, or another model's; give one "
+         "that this model handed out and that has not been freed");
   return NULL;
 }
 
@@ -162,7 +162,7 @@ static inline status_t read_bytes(component_t *c, const unsigned char *bytes, si
     return report(c, FAILED, "logStatusError", "serialized FMU state refused: %s; use the bytes "
                   "that this FMU wrote, as they are", wrong);
   }
-  s->magic = SAVED;
+  s->model = model_digest();
   if (*state) free(*state);
   *state = s;
   return OK;

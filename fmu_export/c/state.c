@@ -10,9 +10,13 @@ static unsigned long long digest(const void *data, size_t count, unsigned long l
   return hash;
 }
 
+unsigned long long model_digest(void) {
+  return digest(model_token, strlen(model_token), 14695981039346656037ULL);
+}
+
 static header_t header_for(const memory_t *memory) {
   header_t h = {{'C', 'O', 'N', 'T', 'A', 'C', 'T', 'S'}, STATE_VERSION, STATE_BYTES, 0, 0};
-  h.model = digest(model_token, strlen(model_token), 14695981039346656037ULL);
+  h.model = model_digest();
   h.checksum = digest(memory, sizeof *memory, h.model);
   return h;
 }
