@@ -650,17 +650,19 @@ def test_model_exchange_tells_of_a_pole_and_refuses_what_lies_beyond(version, ex
 def test_calls_out_of_order_are_refused_with_a_message(version, exported):
     fmu = exported("K1", version)
     one = fmu.instance(ready=False)
+    order, terminate = "in the state 'instantiated', only in: ", "event mode, step mode"
     attempts = [
-        lambda: fmu.step(one, 0.0, 0.1),
-        lambda: fmu.get(one, "der(contact[1].angle)"),
-        lambda: one.exitInitializationMode(),
-        lambda: one.terminate(),
+        (lambda: fmu.step(one, 0.0, 0.1), order + "step mode"),
+        (lambda: fmu.get(one, "der(contact[1].angle)"), "initialization"),
+        (lambda: one.exitInitializationMode(), order + "initialization mode"),
+        (lambda: one.terminate(), order + terminate),
     ]
-    for attempt in attempts:
+    for attempt, words in attempts:
         fmu.messages.clear()
         with pytest.raises(FMICallException):
             attempt()
-        assert [(s, c) for s, c, _ in fmu.messages] == [(3, "logStatusError")]
+        ((status, category, text),) = fmu.messages
+        assert (status, category) == (3, "logStatusError") and words in text
     fmu.initialize(one)
     result = "contact[1].slip.x" if version == "2.0" else "der(contact[1].angle)"
     for attempt in (
@@ -676,6 +678,10 @@ def test_calls_out_of_order_are_refused_with_a_message(version, exported):
             attempt()
     fmu.step(one, 0.0, 1.0)
     assert relative(fmu.states(one), cs.plan(fmu.scene).states(1.0).ravel()) < 1e-12
+    one.terminate()
+    with pytest.raises(FMICallException):
+        fmu.step(one, 1.0, 0.1)
+    assert "in the state 'terminated', only in: step mode; reset, or set" in fmu.messages[-1][2]
     one.reset()
     fmu.initialize(one)
     assert fmu.get(one, "contact[1].object.u")[0] == fmu.scene.contacts[0].object_at[0]

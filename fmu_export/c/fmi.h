@@ -44,9 +44,19 @@ static inline int is_told(const instance_t *instance, status_t status, const cha
 }
 
 static inline status_t allowed(component_t *c, const char *function, int phases) {
-  if (c->now.phase & phases) return OK;
-  return report(c, FAILED, "logStatusError", "%s is not allowed in this state of the instance",
-                function);
+  static const char *const name[] = {
+      "instantiated", "initialization mode", "event mode", "continuous-time mode", "step mode",
+      "terminated", "after a failed step", "configuration mode", "intermediate update mode"};
+  const int phase = c->now.phase, never = c->now.stepping ? CONTINUOUS : STEP | BROKEN;
+  const char *own = "", *remedy = phase & (TERMINATED | BROKEN) ? "; reset, or set an FMU state" : "";
+  char others[192] = "";
+  if (phase & phases) return OK;
+  for (int k = 0; k < (int)(sizeof name / sizeof *name); k++) {
+    if (phase >> k & 1) own = name[k];
+    if ((phases & ~never) >> k & 1) strcat(strcat(others, *others ? ", " : ""), name[k]);
+  }
+  return report(c, FAILED, "logStatusError", "%s is not allowed in the state '%s', only in: %s%s", function,
+                own, *others ? others : "the other interface", remedy);
 }
 
 #define BEGIN(function, phases)                                          \
