@@ -17,7 +17,6 @@ a contact are, in this order,
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -170,8 +169,8 @@ def surface_with(surface: Surface, values: Sequence[float]) -> Surface:
         )
     other: Surface
     if isinstance(surface, UserSurface):
-        other = copy.copy(surface)
-        other.__dict__["formula"] = dataclasses.replace(surface.formula, values=numbers)
+        named = dict(zip(surface.formula.names, numbers, strict=True))
+        other = dataclasses.replace(surface, parameters=named)  # type: ignore[call-arg]
     elif isinstance(surface, Ellipsoid):
         axes = {1: (0, 0, 0), 2: (0, 0, 1) if surface.a == surface.b else (0, 1, 1), 3: (0, 1, 2)}
         other = Ellipsoid(*(numbers[k] for k in axes[len(numbers)]), inside=surface.inside)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import json
 import logging
@@ -436,6 +437,18 @@ def test_start_values_make_another_scene(fmi_version):
         start = {k: list(v) if len(v) > 1 else v[0] for k, v in start.items()}
     result = run(scene, fmi_version, start_values=start, output_interval=0.1)
     close(states_of(result, 1), cs.plan(other, 1e-14).states(result["time"]))
+
+
+def test_parameters_of_a_users_surface_are_those_of_this_run_after_others():
+    scene = cs.load_scene("chart")
+    found = []
+    for k in (20.0, 20.2):
+        slave = begun(scene, start={"object.k": k})
+        slave.doStep(0.0, 0.9)
+        found.append(states_now(slave))
+    wavy = dataclasses.replace(scene.object, parameters={"k": 20.2})
+    for states, other in zip(found, (scene, scene.replace(object=wavy))):
+        close(states, cs.plan(other, 1e-14).states(0.9)[0])
 
 
 def test_runs_with_other_parameters_each_pile_nothing_up():
