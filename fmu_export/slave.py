@@ -40,7 +40,16 @@ from .description import (
     model_description,
     model_identifier,
 )
-from .stepping import Block, Memory, MotionEnds, StateRefused, digest, memory_of, state_bytes
+from .stepping import (
+    INFINITE,
+    Block,
+    Memory,
+    MotionEnds,
+    StateRefused,
+    digest,
+    memory_of,
+    state_bytes,
+)
 from .variables import Table, variable_table
 
 OK, WARNING, DISCARD, ERROR = range(4)  # as in FMI 2 and 3
@@ -280,12 +289,18 @@ class _Slave:
 
     def _require_values(self, function: str, key: Sequence[int], values: Sequence[float]) -> None:
         for reference, value in zip(key, values):
-            if not math.isfinite(value):
+            if abs(value) <= INFINITE:
+                continue
+            if not math.isfinite(value) or self.block.rests():
                 beyond = self.block.now.plan is None
-                text = f"{self._name(reference)} has no value at t = {self.time:.17g} s, at "
-                text += "or beyond a " if beyond else "a "
-                text += "singular point of a chart (a pole or an umbilic); "
-                text += "start elsewhere" if beyond else "ask a moment later"
+                text = f"{self._name(reference)} has no value at t = {self.time:.17g} s"
+                if self.block.rests():
+                    text += ": sigma is zero, and an acceleration cannot act on a path that rests; "
+                    text += "accelerate while sigma > 0, or disturb the object's rates"
+                else:
+                    text += ", at or beyond a " if beyond else ", at a "
+                    text += "singular point of a chart (a pole or an umbilic); "
+                    text += "start elsewhere" if beyond else "ask a moment later"
                 self._refuse(function, DISCARD, text)
 
     def _set(self, function: str, key: Sequence[int], values: Sequence[float]) -> None:

@@ -38,6 +38,7 @@ from .variables import BLOCK, INPUTS, Table, variable_table
 AHEAD = 256  # most steps that one evaluation serves
 # Times this near are one time: ten steps of 0.1 s are not 1 s.
 ROUNDING = 8 * sys.float_info.epsilon
+INFINITE = 1e200  # kernels divide an acceleration by 1e-300 where sigma is zero
 GAIN = 1  # reference of the gain
 
 Inputs = tuple[tuple[float, ...], ...]
@@ -535,6 +536,17 @@ class Block:
             if not all(self._outward(i, state[0])):  # numbers of a frame that points inward
                 values[at : at + RESULTS] = math.nan
         return values
+
+    def rests(self) -> bool:
+        """Whether sigma is zero but for rounding, and contact frames exist as states are set."""
+        now, n = self.now, len(self.scene.profile.coefficients)
+        terms = now.values[GAIN + 1 : GAIN + 1 + n] * now.time ** np.arange(n)
+        if now.plan is None:
+            blocks = enumerate(self.table.blocks)
+            states = [(i, now.values[b + INPUTS : b + INPUTS + STATES].tolist()) for i, b in blocks]
+            if not all(all(self._outward(i, x)) for i, x in states):
+                return False
+        return bool(terms.sum() <= 1e-15 * np.abs(terms).sum())
 
     def jacobians(self) -> list[tuple[np.ndarray, list[int], list[int]]]:
         """Exact derivatives of each contact's results: matrix, references of rows and columns.

@@ -846,6 +846,24 @@ def test_an_acceleration_of_a_path_at_rest_is_said_to_be_one(exported):
 
 
 @pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
+def test_an_acceleration_of_a_path_at_rest_has_no_rate_and_no_derivative(interface, exported):
+    fmu, push = exported(FROM_REST), "contact[2].finger.acceleration.u"
+    rates = [f"der(contact[2].finger.velocity.{axis})" for axis in "xy"]
+    one = fmu.instance(interface)
+    assert not fmu.get(one, *rates).any()
+    for ask in (
+        lambda: directional(one, [fmu.reference(rates[0])], [fmu.reference(push)], [1.0]),
+        lambda: fmu.get(one, *rates),  # 4e+297, with status OK
+    ):
+        with pytest.raises(FMICallException):
+            ask()
+        assert f"{rates[0]} has no value at t = 0 s: sigma is zero, and" in fmu.messages[-1][2]
+        fmu.set(one, {push: 0.5})
+    fmu.set(one, {push: 0.0})
+    assert not fmu.get(one, *rates).any()
+
+
+@pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
 @pytest.mark.parametrize("version", VERSIONS)
 def test_numbers_that_make_another_kind_of_surface_are_refused(version, interface, exported):
     fmu = exported("K3", version)

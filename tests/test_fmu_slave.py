@@ -949,6 +949,21 @@ def test_derivatives_are_refused_where_an_input_cannot_act():
     assert slave.getDirectionalDerivative([slip], [push], [1.0]) == [0.0]
 
 
+def test_an_acceleration_of_a_path_at_rest_has_no_rate_and_no_derivative():
+    slave = PlannerSlave2(one_contact().replace(profile=cs.Profile([0.0, 1.0])))
+    slave.enterInitializationMode()
+    of, words = slave.block.table, r"finger.velocity.x\) has no value at t = 0 s: sigma is zero"
+    push = of["contact[1].finger.acceleration.u"].reference
+    rate = of["der(contact[1].finger.velocity.x)"].reference
+    refused(slave.getDirectionalDerivative, [rate], [push], [1.0], words=words, status=DISCARD)
+    slave.setReal([push], [0.5])
+    refused(slave.getReal, [rate], words=words, status=DISCARD)
+    slave.setReal([push], [0.0])
+    slave.exitInitializationMode()
+    assert slave.getReal([rate]) == [0.0]
+    refused(slave.getDirectionalDerivative, [rate], [push], [1.0], words=words, status=DISCARD)
+
+
 def test_adjoint_derivatives_are_the_transposed_ones():
     slave = advanced(begun(cs.load_scene("K1"), "3.0"), 0.2)
     table, random = slave.block.table, np.random.default_rng(0)

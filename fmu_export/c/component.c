@@ -334,13 +334,21 @@ static void settle(component_t *c) {
   now->settled = 1;
 }
 
+/* whether sigma is zero but for rounding */
+static int rests(const memory_t *now) {
+  const double *sigma = law(now) + 1, t = now->time;
+  return horner(sigma, N_PROFILE, t) <= 1e-15 * magnitude(sigma, N_PROFILE, t);
+}
+
+#define AT_REST "sigma is zero, and an acceleration cannot act on a path that rests; accelerate " \
+                "while sigma > 0, or disturb the object's rates"
+
 /* What stands in the way where a panel cannot be made. */
 static const char *obstacle(const contact_t *k) {
   const double sigma = horner(k->sigma, k->n_sigma, k->to);
   const int pushed = largest(k->disturbance, 4) > 0 || largest(k->slope, 4) > 0;
   if (pushed && sigma <= 1e-6 * largest(k->sigma, k->n_sigma))
-    return "sigma is zero, and an acceleration cannot act on a path that rests; accelerate while "
-           "sigma > 0, or disturb the object's rates";
+    return AT_REST;
   return "the path reaches a singular point of its chart or its surface, or moves too fast for "
          "double precision; set smaller inputs, end before or start elsewhere";
 }
@@ -560,6 +568,11 @@ static status_t refuse(component_t *c, const char *what) {
     return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s: sigma is "
                   "negative from t = %.9g s on; end there, or change the profile", what, now->time,
                   now->limit);
+  int framed = 1;
+  for (long i = 0; i < 2L * N_CONTACTS; i++) framed &= regularity(now, i / 2, (int)(i % 2)) > 0;
+  if (rests(now) && framed)
+    return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s: " AT_REST, what,
+                  now->time);
   const char *where =
       SYSTEM(now) ? "or beyond a singular point of a chart (a pole or an umbilic); start elsewhere, "
                     "or run the Co-Simulation, which passes such points"
@@ -589,6 +602,18 @@ static void find(component_t *c, long i, unsigned group) {
   now->valid[i] |= group;
 }
 
+#define INFINITE 1e200 /* kernels divide an acceleration by 1e-300 where sigma is zero */
+
+/* The first of these values that there is not; count where there are all */
+static long without_value(const memory_t *now, unsigned reference, const double *value, long count) {
+  long i = 0;
+  for (; i < count; i++) {
+    if (fabs(value[i]) <= INFINITE) continue;
+    if (!(fabs(value[i]) <= DBL_MAX) || (kinds[reference + i] == CALCULATED && rests(now))) break;
+  }
+  return i;
+}
+
 status_t get_values(component_t *c, unsigned reference, long count, double *value) {
   memory_t *now = &c->now;
   const long offset = (long)reference - places[0].block;
@@ -598,7 +623,8 @@ status_t get_values(component_t *c, unsigned reference, long count, double *valu
     find(c, i, group_of(now, offset % BLOCK_SIZE));
   }
   memcpy(value, now->value + reference, (size_t)count * sizeof *value);
-  return all_finite(value, count) ? OK : refuse(c, names[reference + not_finite(value, count)]);
+  const long wrong = without_value(now, reference, value, count);
+  return wrong == count ? OK : refuse(c, names[reference + wrong]);
 }
 
 status_t check_value(component_t *c, unsigned reference, double value) {
@@ -790,7 +816,7 @@ static void no_numbers(double *x, long n) {
 }
 
 status_t check_grown(component_t *c, unsigned reference, long count) {
-  const long wrong = not_finite(c->grown + reference, count);
+  const long wrong = without_value(&c->now, reference, c->grown + reference, count);
   return wrong == count ? OK : refuse(c, names[reference + wrong]);
 }
 
