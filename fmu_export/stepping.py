@@ -16,7 +16,7 @@ import json
 import math
 import struct
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -161,7 +161,7 @@ class Block:
         starts = [self._start_of(scene, i) for i in range(len(scene.contacts))]
         last = now.time + duration if now.time >= duration else duration
         end = now.stop if now.time < now.stop < math.inf else last
-        self._plan_from(now.time, end, last, starts)
+        self._plan_from(now.time, end, _just_after(now.time), starts)
 
     def advance(self, target: float) -> None:
         """Let time go on; evaluates nothing, plans where something has changed.
@@ -197,8 +197,8 @@ class Block:
         at = min(self.snapped(now.time), self._end())
         if at - plan.start <= ROUNDING * max(1.0, at):  # nothing has moved yet
             assert plan.starts is not None
-            end = max(self._end(), target)
-            self._plan_from(plan.start, end, end, plan.starts)
+            least = max(target, _just_after(plan.start))
+            self._plan_from(plan.start, max(self._end(), target), least, plan.starts)
             return
         lasted = at - plan.start
         if at < target <= at + 2 * lasted and self._follow(at, target):
@@ -257,16 +257,34 @@ class Block:
         )
 
     def _plan_from(self, begin: float, end: float, least: float, starts: Starts) -> None:
-        scene = self._scene_between(begin, end, least)
-        self._planned(Plan(scene, TOLERANCE, "auto", "DOP853", None, begin, starts))
+        def plan(scene: Scene) -> Plan:
+            return Plan(scene, TOLERANCE, "auto", "DOP853", None, begin, starts)
+
+        self._plan_ahead(plan, begin, end, least)
 
     def _plan_on(self, at: float, end: float, least: float) -> None:
-        plan, scene = self.now.plan, self._scene_between(at, end, least)
+        plan = self.now.plan
         assert plan is not None
         if isinstance(plan, Following):
-            self._planned(Plan(scene, TOLERANCE, "auto", "DOP853", None, at, plan.moments))
+            self._plan_from(at, end, least, plan.moments)
         else:
-            self._planned(plan.continued(at, scene))
+            self._plan_ahead(lambda scene: plan.continued(at, scene), at, end, least)
+
+    def _plan_ahead(
+        self, plan: Callable[[Scene], Plan], begin: float, end: float, least: float
+    ) -> None:
+        """Plan to the end, or to ``least`` where something stands in the way behind it."""
+        try:
+            self._planned(plan(self._scene_between(begin, end, least)))
+        except MotionEnds:
+            raise
+        except ContactSystemError as error:  # sigma = 0 under an input, a pole of a user's chart
+            if not least < end:
+                raise
+            try:
+                self._planned(plan(self._scene_between(begin, least, least)))
+            except ContactSystemError:
+                raise error from None
 
     def _planned(self, plan: Plan | Following) -> None:
         now = self.now
@@ -305,7 +323,7 @@ class Block:
             Inputs that cannot act then.
         """
         profile, edge = self._scene_with(self.now.values).profile, self.snapped(end)
-        if edge in self.edges:
+        if edge > begin and edge in self.edges:
             end = edge + 0.01 * (edge - begin)
         try:
             profile.check(end)
@@ -578,6 +596,10 @@ class Block:
 def _end_of(plan: Plan | Following) -> float:
     """Until when a motion is known, s."""
     return plan.end if isinstance(plan, Following) else plan.scene.duration
+
+
+def _just_after(time: float) -> float:
+    return time + ROUNDING * max(1.0, time)
 
 
 def _places(table: Table) -> list[tuple[str, int, int]]:

@@ -828,6 +828,28 @@ def test_sigma_may_end_after_the_stop_time():
     close(states_now(slave), cs.plan(scene, 1e-14).states(1.0)[0])
 
 
+def test_what_lies_behind_a_step_does_not_hinder_it():
+    """Sigma is zero at t = 1 s, where no input can accelerate; or it is negative from 0.75 s on."""
+    scene = one_contact().replace(profile=cs.Profile([0.3, -0.3]), duration=1.0, disturbances=())
+    push = {"contact[1].finger.acceleration.u": 0.1}
+    for at in (0.0, 0.3):
+        slave = advanced(begun(scene), at) if at else begun(scene, start=push)
+        put(slave, push)
+        advanced(slave, 0.25, 0.9 - at - 0.25)
+        window = cs.FingerAcceleration(0, at, 0.9, (0.1, 0.0))
+        expected = cs.plan(scene.replace(duration=0.9, disturbances=[window]), 1e-14)
+        close(states_now(slave), expected.states(0.9)[0], 1e-11)
+    early = advanced(begun(scene, start={"profile[2]": -0.4}), 0.5)
+    refused(early.doStep, 0.5, 0.5, words="is negative", status=DISCARD)
+    advanced(early, 0.25)
+    late = PlannerSlave2(scene.replace(disturbances=[cs.FingerAcceleration(0, 0.1, 0.2, (0.1, 0))]))
+    put(late, {"profile[2]": -0.4})
+    late.setupExperiment(startTime=0.1)  # at an edge
+    late.enterInitializationMode()
+    late.exitInitializationMode()
+    late.deSerializeFMUstate(late.serializeFMUstate(late.getFMUstate()))
+
+
 def test_whole_turns_of_a_start_do_not_matter():
     scene = cs.load_scene("K4")
     name = "contact[1].finger.u"
