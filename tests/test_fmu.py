@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -843,6 +844,18 @@ def test_an_acceleration_of_a_path_at_rest_is_said_to_be_one(exported):
         fmu.step(one, 0.0, 0.1)
     words = "contact 2: the motion cannot be continued past t = 0 s: sigma is zero, and an accelera"
     assert words in fmu.messages[-1][2]
+
+
+def test_an_acceleration_up_to_where_a_path_comes_to_rest_is_said_to_be_one(exported):
+    fmu = exported("C1")
+    one = fmu.instance()
+    fmu.step(one, 0.0, 0.3)
+    fmu.set(one, {"contact[1].finger.acceleration.u": 0.05})
+    fmu.step(one, 0.3, 0.6)
+    with pytest.raises(FMICallException):  # after as many pieces as a step may have
+        fmu.step(one, 0.9, 0.1)
+    words = r"contact 1: the motion cannot be continued past t = 0.99\d* s: sigma is zero, and"
+    assert re.match(words, fmu.messages[-1][2])
 
 
 @pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])

@@ -343,12 +343,16 @@ static int rests(const memory_t *now) {
 #define AT_REST "sigma is zero, and an acceleration cannot act on a path that rests; accelerate " \
                 "while sigma > 0, or disturb the object's rates"
 
-/* What stands in the way where a panel cannot be made. */
-static const char *obstacle(const contact_t *k) {
+/* Whether a contact is accelerated where its path comes to rest. */
+static int pushed_at_rest(const contact_t *k) {
   const double sigma = horner(k->sigma, k->n_sigma, k->to);
   const int pushed = largest(k->disturbance, 4) > 0 || largest(k->slope, 4) > 0;
-  if (pushed && sigma <= 1e-6 * largest(k->sigma, k->n_sigma))
-    return AT_REST;
+  return pushed && sigma <= 1e-5 * largest(k->sigma, k->n_sigma);
+}
+
+/* What stands in the way where a panel cannot be made. */
+static const char *obstacle(const contact_t *k) {
+  if (pushed_at_rest(k)) return AT_REST;
   return "the path reaches a singular point of its chart or its surface, or moves too fast for "
          "double precision; set smaller inputs, end before or start elsewhere";
 }
@@ -396,12 +400,13 @@ static status_t advance(component_t *c, long i, double tau) {
   step_t s = {.tau = k->to, .h = k->next, .length = k->to - k->from};
   s.before = k->to > 0.0 ? k->series : NULL;
   for (long tries = 0; k->to < tau; tries++) {
-    if (tries > MOST_PANELS)
+    const int too_many = tries > MOST_PANELS;
+    if (too_many && !pushed_at_rest(k))
       return report(c, FAILED, "logStatusError",
                     "contact %ld: a step of %.9g s to t = %.9g s is too long, it would take more "
                     "than %ld pieces of motion (they reach t = %.9g s); make shorter steps", i + 1,
                     k->begin + tau - now->time, k->begin + tau, MOST_PANELS, k->begin + k->to);
-    int made = !(k->next > 1e-13 * (end < tau ? end : tau))
+    int made = too_many || !(k->next > 1e-13 * (end < tau ? end : tau))
                    ? -2
                    : motion->panel(1, k->last, k->constants, k->scale, &d, &m, &s, c->trial,
                                    c->work, after);
