@@ -104,6 +104,7 @@ def driven_motion(surface: Surface, ambient: bool, offset: bool = False) -> Kern
     c = drive[0] * (w - v * drive[1])
     rate = body_motion(surface, ambient, p, state, c, d if offset else None)
     kernel = Kernel("driven", ca.vertcat(state, drive), ca.vertcat(p, w, v, d), rate)
+    kernel.reach = surface.reach
     if ambient:
         kernel.restores = (Restoration(restoring_kernel(surface), 0, 0),)
     return kernel
@@ -139,6 +140,7 @@ def forced_motion(
     rates += [body_motion(obj, ambient[1], p2, own, sigma * (r0 @ w1 - v), offset), v_rate]
     constant = ca.vertcat(p1, p2, turn, w_start, d1, d2, offset)
     kernel = Kernel("forced", ca.vertcat(state, drive), constant, ca.vertcat(*rates))
+    kernel.reach = min(finger.reach, obj.reach)
     if finger_forced and ambient[0]:
         kernel.restores += (Restoration(restoring_kernel(finger), 0, 0),)
     if ambient[1]:
@@ -167,7 +169,9 @@ def rolling_motion(finger: Surface, obj: Surface) -> Kernel:
     rates = geometry.upper_inverse(tip.metric_root) @ a1
     spin = tip.torsion_form @ a1 + body.torsion_form @ a2
     rate = ca.vertcat(rates, spin, body_motion(obj, False, p2, own, c))
-    return Kernel("rolling", ca.vertcat(state, drive), ca.vertcat(p1, p2, w), rate)
+    kernel = Kernel("rolling", ca.vertcat(state, drive), ca.vertcat(p1, p2, w), rate)
+    kernel.reach = min(finger.reach, obj.reach)
+    return kernel
 
 
 # --- the same of (x, p) alone, as the planner moves bodies in space: a third of the states less ---
@@ -188,6 +192,7 @@ def axis_motion(surface: Surface, ambient: bool, offset: bool = False) -> Kernel
     frame = _whole(surface, ambient, constant[:n], state)
     rate = kernel.function(ca.vertcat(frame, drive), constant)[:AXIS]
     made = Kernel("driven", ca.vertcat(state, drive), constant, rate)
+    made.reach = kernel.reach
     made.restores = (Restoration(restoring_axis(surface), 0, 0),)
     return made
 
@@ -214,6 +219,7 @@ def axis_forced_motion(
         state = ca.vertcat(state, own, path)
     rate = kernel.function(ca.vertcat(whole, drive), constant)[taken]
     made = Kernel("forced", ca.vertcat(state, drive), constant, rate)
+    made.reach = kernel.reach
     made.restores = tuple(restores)
     return made
 

@@ -146,7 +146,7 @@ def _clairaut_form(surface: Surface) -> GeodesicForm:
     motion = Kernel(
         "geodesic", ca.vertcat(state, drive), constant, ca.vertcat(turn, state[2], bend)
     )
-    motion.nested = 1
+    motion.nested, motion.reach = 1, surface.reach
     # A Newton step along the gradient of the speed's square puts it right; short of where that is
     # flat (equators), since rounding would be divided by its square.
     lean = h[1] * state[2] / numbers[1]

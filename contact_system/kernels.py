@@ -180,6 +180,7 @@ class Kernel:
         self.function = ca.Function(name, [point, constant], [ca.cse(ca.densify(ca.vec(result)))])
         self.restores: tuple[Restoration, ...] = ()
         self.nested = 0  # so many last states are rates of others, see panels.c
+        self.reach = np.inf  # sizes by which its states change in a panel, see Surface.reach
         self._memory = threading.local()  # a machine has buffers: one for each thread
 
     def machine(self, n: int) -> Machine:

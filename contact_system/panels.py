@@ -364,8 +364,10 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
             continue
         series.append(coefficients.transpose(0, 2, 1))
         known = series[-1], after - tau, 1.0
+        far = (np.abs(end - start) * problem.scale).max()
         start = end
-        h = _shared((after - tau) * min(ratio, 2.0), problem.length - after)
+        grow = min(ratio, 2.0, kernel.reach / max(far, 1e-30))
+        h = _shared((after - tau) * grow, problem.length - after)
         tau = after
         edges.append(tau)
         if slip > 0 and finish > 0:
@@ -421,6 +423,7 @@ def panel_source(kernel: Kernel) -> str:
     head += f"#define RHS {kernel.name}\n#define NX {n}L\n#define NC {kernel.n_constant}L\n"
     head += f"#define SWEEPS {SWEEPS}\n#define STEEPEST {STEEPEST}\n"
     head += f"#define NESTED {kernel.nested}\n"
+    head += f"#define REACH {kernel.reach}\n" if kernel.reach < np.inf else ""
     head += f"#define MANY {MANY}\n#define MOST_PANELS {MOST:g}\n"
     head += f"#define IN_ROWS {rows_in}\n#define OUT_ROWS {rows_out}\n"
     head += _restore_source(kernel)

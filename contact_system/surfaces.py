@@ -87,6 +87,7 @@ class Surface:
     has_chart: ClassVar[bool] = True
     has_implicit: ClassVar[bool] = True
     ambient: ClassVar[bool] = False
+    reach: ClassVar[float] = math.inf  # sizes that a panel grows to: it sees nothing between nodes
 
     @property
     def _kind(self) -> str:

@@ -88,6 +88,7 @@ def _restore(code: str) -> ca.Function:
 class UserSurface(Surface):
     """What surfaces written by the user share: a formula and a length scale."""
 
+    reach: ClassVar[float] = 2.0  # a bump may lie anywhere, and even ground tells nothing of it
     formula: Formula
     size: float = field(default=1.0, kw_only=True)
 
@@ -122,6 +123,8 @@ class ParametricSurface(UserSurface):
         Named numbers of the formula; changing them needs no new kernel.
     size : float
         Length scale of the surface, m, about its greatest radius; tolerances are fractions of it.
+        Details beside even ground that are narrower than a tenth of it may be overlooked; give the
+        scale of the details there.
     u_range, v_range : pairs of float, optional
         Where the inverse chart looks first; one period about 0, or (-pi, pi).
     u_period, v_period : float, optional
@@ -366,6 +369,8 @@ class ImplicitSurface(UserSurface):
         Named numbers of the formula; changing them needs no new kernel.
     size : float
         Length scale of the surface, m, about its greatest radius; tolerances are fractions of it.
+        Details beside even ground that are narrower than a tenth of it may be overlooked; give the
+        scale of the details there.
     inside : bool
         The body is where F > 0; v is then the azimuth the other way around.
     formula : Formula, optional

@@ -347,6 +347,7 @@ def _driven_pair(finger: Surface, obj: Surface, forms: Forms) -> Kernel:
     kernel = Kernel("driven", ca.vertcat(*frames, drive), constant, ca.vertcat(*rates))
     place = {"row": frames[0].numel(), "constant": p1.numel()}
     kernel.restores = (*tip.restores, *(r._replace(**place) for r in body.restores))
+    kernel.reach = min(tip.reach, body.reach)
     return kernel
 
 
@@ -368,7 +369,7 @@ def _pushed_pair(finger: Surface, obj: Surface, forms: Forms) -> Kernel:
         ca.vertcat(p1, p2, 1, 0, w1, first + drive[2] * slope),
     )
     kernel = Kernel("pushed", ca.vertcat(state, drive), ca.vertcat(p1, p2, first, slope), rates)
-    kernel.restores = motion.restores
+    kernel.restores, kernel.reach = motion.restores, motion.reach
     return kernel
 
 

@@ -25,7 +25,7 @@ from conftest import (
     slip_of_states,
 )
 from numpy.polynomial import polynomial
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 
 import contact_system as cs
 from contact_system import panel_tracks, panels, planner
@@ -691,6 +691,34 @@ def test_a_pole_beside_an_end_of_the_path_is_seen_and_one_beyond_it_is_not(u, me
         scenes = [cs.Scene(object=obj, **common) for obj in (BALL, cs.Sphere(0.1))]
         pose, expected = (cs.plan(scene, 1e-9, method).pose(1.0) for scene in scenes)
         assert pose == pytest.approx(expected, abs=1e-8)
+
+
+BUMP = "h*exp(-(({} - 3)**2 + {}**2)/h**2)"
+GROUND = {
+    "chart": (cs.ParametricSurface(
+        ("u", "v", BUMP.format("u", "v")), parameters={"h": 0.005}, size=0.1), (0.0, 0.0), 1.0),
+    "implicit": (cs.ImplicitSurface(
+        "z - " + BUMP.format("x", "y"), parameters={"h": 0.005}, size=0.1, center=(1.7, 0.0, -4.0)),
+        (np.arctan(1.7 / 4.0), pi), -1.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("slip", [0.0, 0.5])
+@pytest.mark.parametrize("ground", GROUND)
+def test_a_bump_far_out_on_even_ground_is_seen(ground, slip, compiled):
+    """A path straight over its top stays upright: its length is that of the bump's outline."""
+    obj, at, ahead = GROUND[ground]
+    contact = cs.Contact(
+        cs.Plane(), at, (0.0, 0.0), finger_velocity=(ahead, 0.0),
+        object_velocity=(ahead * (1 - slip), 0.0),
+    )  # fmt: skip
+    scene = cs.Scene(object=obj, contacts=[contact], profile=cs.Profile([3.5]), duration=1.0)
+    x, y, z = cs.plan(scene, compiled=compiled).points(1.0)[0, 0, 1]
+    reach = slip * 3.5 / 100 * (1 - np.exp(-100))  # lam = 100 1/s
+    slope = lambda u: 2 * (u - 3) / 0.005 * np.exp(-(((u - 3) / 0.005) ** 2))  # noqa: E731
+    rise = quad(lambda u: np.hypot(1, slope(u)) - 1, 2.95, 3.05, points=[3], epsabs=1e-13)[0]
+    assert [x, y, z] == pytest.approx([3.5 - reach - rise, 0, 0], abs=1e-11)
 
 
 @pytest.mark.filterwarnings("error")

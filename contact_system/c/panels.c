@@ -233,8 +233,13 @@ static int panel(long nb, const double *state, const double *constants, const do
     s->length = after - tau, s->before = out, s->begins = 1;
     return 0;
   }
-  double grow = 0.9 * pow(m->tolerance / (error > 1e-30 ? error : 1e-30), 1.0 / N);
-  s->h = shared((after - tau) * (grow < 2.0 ? grow : 2.0), m->length - after);
+  double grow = fmin(2.0, 0.9 * pow(m->tolerance / (error > 1e-30 ? error : 1e-30), 1.0 / N));
+#ifdef REACH
+  double far = 1e-30; /* sizes that the panel spans */
+  for (long r = 0; r < nb * NX; r++) far = fmax(far, fabs(panel_state[r] - state[r]) * scale[r]);
+  grow = fmin(grow, REACH / far);
+#endif
+  s->h = shared((after - tau) * grow, m->length - after);
   s->length = after - tau, s->before = out, s->tau = after, s->begins = 0;
   return 1;
 }
