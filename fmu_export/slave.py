@@ -53,9 +53,12 @@ from .stepping import (
 from .variables import Table, variable_table
 
 OK, WARNING, DISCARD, ERROR = range(4)  # as in FMI 2 and 3
-CREATED, INITIALIZATION, STEP, EVENT, TERMINATED, FREED = (
-    "instantiated", "initialization mode", "step mode", "event mode", "terminated", "freed",
+CREATED, INITIALIZATION, STEP, EVENT, TERMINATED, BROKEN, FREED = (
+    "instantiated", "initialization mode", "step mode", "event mode", "terminated",
+    "after a failed step", "freed",
 )  # fmt: skip
+_RUNNING = (INITIALIZATION, STEP, EVENT, TERMINATED, BROKEN)
+_ANY = (CREATED, *_RUNNING)
 SLACK = 1e-9  # how far an importer's time may be from the slave's own; fmpy's own bar
 
 # What a slave in this process does not do, of what `.description` declares.
@@ -154,7 +157,7 @@ class _Slave:
     _version: str
     _lowest = 0
     _first_phase = STEP
-    _readable: tuple[str, ...] = (INITIALIZATION, STEP, EVENT, TERMINATED)
+    _readable: tuple[str, ...] = _RUNNING
 
     def __init__(self, scene: Scene, name: str = "", logger: Logger | None = None):
         self.scene, self.block = scene, Block(scene, CREATED)
@@ -214,6 +217,7 @@ class _Slave:
         phase = self.block.now.phase
         if phase not in phases:
             text = f"not allowed in the state '{phase}', only in: {', '.join(phases)}"
+            text += "; reset, or set an FMU state" if phase in (TERMINATED, BROKEN) else ""
             self._refuse(function, ERROR, text)
 
     def setDebugLogging(self, loggingOn: bool, categories: Sequence[str] = ()) -> None:
@@ -243,7 +247,7 @@ class _Slave:
 
     def reset(self) -> None:
         """Back to where the scene starts, also after an error."""
-        self._require("Reset", CREATED, INITIALIZATION, STEP, EVENT, TERMINATED)
+        self._require("Reset", *_ANY)
         self.block.reset()
 
     def terminate(self) -> None:
@@ -367,6 +371,7 @@ class _Slave:
         except MotionEnds as error:
             self._refuse("DoStep", DISCARD, str(error))
         except ContactSystemError as error:
+            memory.phase = BROKEN  # as the compiled FMU, component.c
             self._refuse("DoStep", ERROR, str(error))
 
     def _refuse_step(self, now: float, step: float) -> NoReturn:
@@ -387,12 +392,12 @@ class _Slave:
 
     def getFMUState(self) -> FmuState:
         """All that this instance knows, to go back to."""
-        self._require("GetFMUState", CREATED, INITIALIZATION, STEP, EVENT, TERMINATED)
+        self._require("GetFMUState", *_ANY)
         return FmuState(self.block.now.copied(), self._model)
 
     def setFMUState(self, state: FmuState) -> None:
         """Go back, or go where another instance of the same scene was."""
-        self._require("SetFMUState", CREATED, INITIALIZATION, STEP, EVENT, TERMINATED)
+        self._require("SetFMUState", *_ANY)
         memory = self._memory_in("SetFMUState", state).copied()
         if self._first_phase == STEP:  # this instance has no event mode
             memory.phase = STEP if memory.phase == EVENT else memory.phase
@@ -436,7 +441,7 @@ class _Slave:
         adjoint: bool = False,
     ) -> list[float]:
         """The Jacobian of unknowns by knowns, or its transpose, times a seed."""
-        self._require(function, INITIALIZATION, STEP, EVENT, TERMINATED)
+        self._require(function, *_RUNNING)
         for references, kinds in ((unknowns, ("calculated", "exact")), (knowns, _KNOWN)):
             for reference in references:
                 self._require_known(function, reference)
@@ -599,7 +604,7 @@ class PlannerSlave3(_Slave, FMU3Slave):
     """
 
     _version = "3.0"
-    _readable = (CREATED, *_Slave._readable)  # start values at once
+    _readable = _ANY  # start values at once
 
     def __init__(
         self,

@@ -850,6 +850,27 @@ def test_what_lies_behind_a_step_does_not_hinder_it():
     late.deSerializeFMUstate(late.serializeFMUstate(late.getFMUstate()))
 
 
+@pytest.mark.parametrize("fmi_version", VERSIONS)
+def test_after_a_failed_step_values_are_those_of_before_and_only_a_state_or_a_reset_go_on(
+    fmi_version,
+):
+    scene = one_contact().replace(profile=cs.Profile([0.3, -0.3]), duration=1.0)
+    push = {"contact[1].finger.acceleration.u": 0.1}
+    slave = begun(scene, fmi_version, start=push)
+    kept = advanced(slave, 0.5).getFMUState()
+    before = everything(slave)
+    refused(slave.doStep, 0.5, 0.5, words="sigma = 0 at t = 1 s")
+    assert np.array_equal(everything(slave), before)
+    words = "'after a failed step', only in: .*; reset, or set an FMU state"
+    refused(slave.doStep, 0.5, 0.1, words=words)
+    refused(put, slave, {"contact[1].finger.acceleration.u": 0.0}, words=words)
+    refused(slave.terminate, words=words)
+    slave.setFMUState(kept)
+    advanced(slave, 0.4)
+    slave.reset()
+    slave.enterInitializationMode()
+
+
 def test_whole_turns_of_a_start_do_not_matter():
     scene = cs.load_scene("K4")
     name = "contact[1].finger.u"
