@@ -40,6 +40,7 @@ AHEAD = 256  # most steps that one evaluation serves
 ROUNDING = 8 * sys.float_info.epsilon
 INFINITE = 1e200  # kernels divide an acceleration by 1e-300 where sigma is zero
 GAIN = 1  # reference of the gain
+PUSHES = 4  # of `INPUTS`, the first: accelerations
 
 Inputs = tuple[tuple[float, ...], ...]
 
@@ -161,7 +162,7 @@ class Block:
         starts = [self._start_of(scene, i) for i in range(len(scene.contacts))]
         last = now.time + duration if now.time >= duration else duration
         end = now.stop if now.time < now.stop < math.inf else last
-        self._plan_from(now.time, end, _just_after(now.time), starts)
+        self._look(lambda: self._plan_from(now.time, end, _just_after(now.time), starts))
 
     def advance(self, target: float) -> None:
         """Let time go on; evaluates nothing, plans where something has changed.
@@ -173,7 +174,7 @@ class Block:
         """
         now, target = self.now, float(target)  # an importer's time may be numpy's
         if not now.settled:
-            self.settle(target)
+            self._settle(target)
         if target > self._end():
             self._lengthen(target)
         now.time = target
@@ -186,7 +187,24 @@ class Block:
             self.now.pending = pending
             self._forget()
 
-    def settle(self, target: float = 0.0) -> None:
+    def _look(self, settle: Callable[[], None]) -> None:
+        """Plan for values of this time; where a path rests that is pushed, without the push.
+
+        It has no rate, which shows in the rates alone; the next step will refuse it.
+        """
+        now, values = self.now, self.now.values
+        pushes = [first + k for first in self.table.blocks for k in range(PUSHES)]
+        if not (values[pushes].any() and self.rests()):
+            settle()
+            return
+        now.values = values.copy()
+        now.values[pushes] = 0.0
+        try:
+            settle()
+        finally:
+            now.values, now.settled = values, False
+
+    def _settle(self, target: float = 0.0) -> None:
         """Let the inputs and the gain as they are set act from now on; plan up to target at least.
 
         Where events follow each other closely, it is no use to plan far.
@@ -424,7 +442,7 @@ class Block:
         return abs(self.times[k] - time) <= ROUNDING * max(1.0, time)
 
     def _rows_of(self, key: tuple[int, ...]) -> list[list[float]]:
-        self.settle()
+        self._look(self._settle)
         if not self.is_ahead():
             self._look_ahead()
         if key not in self._requests:

@@ -982,16 +982,6 @@ def test_directional_derivatives_are_the_models(when):
     assert exact == pytest.approx(expected, abs=1e-8 * np.abs(expected).max())
 
 
-def test_derivatives_are_refused_where_an_input_cannot_act():
-    slave = begun(one_contact().replace(profile=cs.Profile([0.0, 1.0])))
-    of = slave.block.table
-    push, slip = (of[f"contact[1].{n}"].reference for n in ("finger.acceleration.u", "slip.x"))
-    slave.setReal([push], [0.1])
-    refused(slave.getDirectionalDerivative, [slip], [push], [1.0], words="sigma")
-    slave.setReal([push], [0.0])
-    assert slave.getDirectionalDerivative([slip], [push], [1.0]) == [0.0]
-
-
 def test_an_acceleration_of_a_path_at_rest_has_no_rate_and_no_derivative():
     slave = PlannerSlave2(one_contact().replace(profile=cs.Profile([0.0, 1.0])))
     slave.enterInitializationMode()
@@ -1001,10 +991,36 @@ def test_an_acceleration_of_a_path_at_rest_has_no_rate_and_no_derivative():
     refused(slave.getDirectionalDerivative, [rate], [push], [1.0], words=words, status=DISCARD)
     slave.setReal([push], [0.5])
     refused(slave.getReal, [rate], words=words, status=DISCARD)
-    slave.setReal([push], [0.0])
     slave.exitInitializationMode()
+    refused(slave.getReal, [rate], words=words, status=DISCARD)
+    slave.setReal([push], [0.0])
     assert slave.getReal([rate]) == [0.0]
     refused(slave.getDirectionalDerivative, [rate], [push], [1.0], words=words, status=DISCARD)
+
+
+@pytest.mark.parametrize("profile, at", [([0.0, 1.0], 0.0), ([0.09, -0.6, 1.0], 0.3)])
+def test_an_acceleration_of_a_path_at_rest_is_taken_and_the_step_refused(profile, at):
+    """As by the compiled FMU: values stay to be read, all but the rates."""
+    scene = one_contact().replace(profile=cs.Profile(profile), duration=0.2)
+    push, slip = (f"contact[1].{name}" for name in ("finger.acceleration.u", "slip.x"))
+    slave = begun(scene, start={} if at else {push: 0.5})
+    if at:
+        advanced(slave, at)
+        put(slave, {push: 0.5})
+    kept, of = slave.getFMUState(), slave.block.table
+    expected = cs.plan(scene.replace(duration=0.4), 1e-14)
+    first = of.blocks[0]
+    coordinates = [first + k for k in (6, 7, 11, 12, 16)]
+    for _ in range(2):
+        seen = slave.getReal([*coordinates, of[slip].reference])
+        close(np.array(seen[:5]), expected.states(at)[0, 0, [0, 1, 4, 5, 8]])
+        assert seen[5] == pytest.approx(0.0, abs=1e-15)
+        by = slave.getDirectionalDerivative([of[slip].reference], [of[push].reference], [1.0])
+        assert by == [0.0]
+        refused(slave.doStep, at, 0.1, words=f"sigma = 0 at t = {at:g} s|a failed step")
+    slave.setFMUState(slave.deserializeFMUState(slave.serializeFMUState(kept)))
+    put(slave, {push: 0.0})
+    close(states_now(advanced(slave, 0.1)), expected.states(at + 0.1)[0])
 
 
 def test_adjoint_derivatives_are_the_transposed_ones():
