@@ -213,6 +213,8 @@ class Block:
         if now.settled or plan is None:
             return
         at = min(self.snapped(now.time), self._end())
+        if now.pending:  # what is set now acts already before the edge
+            at = max(math.nextafter(at, -math.inf), plan.start)
         if at - plan.start <= ROUNDING * max(1.0, at):  # nothing has moved yet
             assert plan.starts is not None
             least = max(target, _just_after(plan.start))

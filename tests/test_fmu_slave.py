@@ -664,6 +664,27 @@ def test_step_to_an_edge_shows_values_before_it_until_event_mode():
     close(states_now(advanced(slave, 0.4)), cs.plan(scene, 1e-14).states(0.7)[0])
 
 
+@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "bumps"])
+def test_an_input_set_at_an_edge_is_shown_before_it_until_event_mode(obj):
+    window = cs.ObjectRateOffset(0, 0.3, 0.8, (0.5, 0.2))
+    scene = one_contact(obj, disturbances=[window])
+    slave = begun(scene, "3.0", event_mode=True)
+    slave.enterStepMode()
+    advanced(slave, 0.3)
+    before = states_now(slave)
+    put(slave, {"contact[1].object.rate_offset.u": 0.3})
+    close(states_now(slave) - before, np.array([[0, 0, 0, 0, 0, 0, 0.3, 0, 0]]))
+    kept = slave.getFMUState()
+    for enter in (False, True):
+        slave.setFMUState(kept)
+        if enter:
+            slave.enterEventMode()
+            close(states_now(slave) - before, np.array([[0, 0, 0, 0, 0, 0, 0.8, 0.2, 0]]))
+            slave.enterStepMode()
+        pushed = scene.replace(disturbances=[window, dataclasses.replace(window, value=(0.3, 0))])
+        close(states_now(advanced(slave, 0.2)), cs.plan(pushed, 1e-14).states(0.5)[0])
+
+
 def test_without_early_return_the_step_is_made_and_edges_inside_are_the_slaves_own():
     scene = cs.load_scene("K4")
     result = run(scene, "3.0", {"event_mode": True}, output_interval=0.3, use_event_mode=True)
