@@ -10,7 +10,7 @@ import os
 import re
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from contact_system import __version__
 from contact_system.checks import is_device
@@ -77,9 +77,7 @@ def model_description(
     # The schemas want Model Exchange first.
     root.extend(_interface(table, fmi_version, i) for i in sorted(interfaces, reverse=True))
     root.append(_unit_definitions(table))
-    categories = ET.SubElement(root, "LogCategories")
-    for name, meaning in LOG_CATEGORIES.items():
-        ET.SubElement(categories, "Category", name=name, description=meaning)
+    add_log_categories(root, LOG_CATEGORIES)
     horizon = table.scene.duration
     ET.SubElement(
         root, "DefaultExperiment", startTime="0", stopTime=_number(horizon), tolerance="1e-10",
@@ -193,6 +191,13 @@ def add_unit(parent: ET.Element, unit: Unit, namespace: str = "") -> None:
     exponents = {k: str(x) for k, x in zip(("m", "s", "rad"), unit) if x}
     own = ET.SubElement(parent, f"{namespace}Unit", name=unit_name(unit))
     ET.SubElement(own, f"{namespace}BaseUnit", exponents)
+
+
+def add_log_categories(parent: ET.Element, names: Iterable[str]) -> None:
+    """Some of `LOG_CATEGORIES`."""
+    categories = ET.SubElement(parent, "LogCategories")
+    for name in names:
+        ET.SubElement(categories, "Category", name=name, description=LOG_CATEGORIES[name])
 
 
 # --- variables -----------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
 from . import build
-from .description import add_unit, generation_text, generation_time, xml_text
+from .description import add_log_categories, add_unit, generation_text, generation_time, xml_text
 from .export import export_fmu
 from .variables import Table, Unit, unit_name, variable_table
 
@@ -198,6 +198,7 @@ def _consumer_description(count: int, token: str) -> str:
     units = ET.SubElement(root, "UnitDefinitions")
     for unit in (DISTANCE, SLIP):
         add_unit(units, unit)
+    add_log_categories(root, ["logStatusError"])
     variables = ET.SubElement(root, "ModelVariables")
     slips = [f"slip[{i + 1}].{axis}" for i in range(count) for axis in "xy"]
     distances = [f"distance[{i + 1}]" for i in range(count)]

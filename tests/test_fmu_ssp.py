@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import subprocess
 import zipfile
 
 import numpy as np
@@ -9,13 +11,17 @@ import pytest
 from conftest import one_contact
 
 import contact_system as cs
+from contact_system.kernels import find_compiler
 
 fmpy = pytest.importorskip("fmpy")
 
+from fmpy.fmi1 import FMICallException  # noqa: E402
 from fmpy.ssp.simulation import simulate_ssp  # noqa: E402
 from fmpy.ssp.ssd import read_ssd  # noqa: E402
 from fmpy.validation import validate_fmu  # noqa: E402
+from fmu_hosts.native import Fmu  # noqa: E402
 
+from fmu_export.build import FMI_HEADERS  # noqa: E402
 from fmu_export.ssp import export_ssp, system_structure  # noqa: E402
 from fmu_export.variables import variable_table  # noqa: E402
 
@@ -79,6 +85,55 @@ def test_file_is_valid_and_holds_valid_fmus(tmp_path):
     slips = {"distance[1]": 0.25, "slip[1].x": 0.3, "slip[1].y": -0.4}
     result = fmpy.simulate_fmu(consumer, start_values=slips, stop_time=1.0, output_interval=0.5)
     assert result["distance[1]"].tolist() == pytest.approx([0.25, 0.5, 0.75], abs=1e-15)
+
+
+@pytest.fixture(scope="module")
+def consumer(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("consumer")
+    path = export_ssp(cs.load_scene("C2"), folder / "planner.ssp")
+    with zipfile.ZipFile(path) as archive:
+        archive.extract("resources/slip_integrator.fmu", folder)
+    return Fmu.unpacked(folder / "resources" / "slip_integrator.fmu", folder / "consumer")
+
+
+def test_consumer_refuses_as_planners_do_with_a_line_in_the_log(consumer):
+    said: list[tuple] = []
+    one = consumer.instance(lambda *line: said.append(line))
+
+    def refused(words, call, *arguments):
+        with pytest.raises(FMICallException):
+            call(*arguments)
+        status, category, text = said[-1]
+        assert (status, category) == (3, "logStatusError") and words in text
+
+    refused("fmi2DoStep is not allowed before initialization begins", one.doStep, 0.0, 0.1)
+    one.setupExperiment()
+    one.enterInitializationMode()
+    one.setReal([0, 1, 2], [3.0, 4.0, 1.0])
+    one.exitInitializationMode()
+    for size in (0.0, -0.1, np.inf, np.nan):
+        refused("give a positive length", one.doStep, 0.0, size)
+    one.doStep(0.0, 0.1)
+    refused("begins at t = 0 s, but the instance stands at t = 0.1", one.doStep, 0.0, 0.1)
+    refused("distance[1] is a start value", one.setReal, [0, 2], [1.0, 0.0])
+    refused("value reference 0 = nan is refused", one.setReal, [0], [np.nan])
+    refused("no variable with value reference 3", one.getReal, [3])
+    refused("fmi2GetFMUstate: this block does not have it", one.getFMUstate)
+    assert one.getInteger([]) == []
+    assert one.getReal([0, 1, 2]) == [3.0, 4.0, 1.5]
+    one.terminate()
+    refused("after the simulation has ended; reset first", one.doStep, 0.1, 0.1)
+    assert one.dll.fmi2DoStep(None, ctypes.c_double(0.0), ctypes.c_double(0.1), 0) == 3
+    categories = [category.name for category in consumer.description.logCategories]
+    assert {line[1] for line in said} == {*categories}
+
+
+@pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
+def test_the_consumers_sources_build_without_warnings(consumer, tmp_path):
+    flags = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", f"-I{FMI_HEADERS}", "-c"]
+    command = [*find_compiler(), *flags, "slip_integrator.c", "-o", str(tmp_path / "built")]
+    run = subprocess.run(command, cwd=consumer.folder / "sources", capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
 
 
 def test_names_alike_get_files_of_their_own():

@@ -5,6 +5,8 @@
 #include "slip_integrator.h"
 
 #include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -13,10 +15,44 @@
 #define N_INPUTS (2 * N_CONTACTS)
 #define N_VALUES (3 * N_CONTACTS)
 
+enum { INSTANTIATED = 1, INITIALIZATION = 2, STEP = 4, TERMINATED = 8, ANY = 15 };
+
 typedef struct {
-  double value[N_VALUES];
-  int begun; /* initialized: distances are no start values any more */
+  double value[N_VALUES], time;
+  int state;
+  fmi2CallbackLogger log;
+  void *environment;
+  char name[256];
 } block_t;
+
+/* Errors are told always, as by the planners; the text holds no percent sign. */
+static fmi2Status refuse(const block_t *block, const char *format, ...) {
+  char text[256];
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(text, sizeof text, format, arguments);
+  va_end(arguments);
+  if (block->log) block->log(block->environment, block->name, fmi2Error, "logStatusError", text);
+  return fmi2Error;
+}
+
+static fmi2Status allowed(const block_t *block, const char *function, int states) {
+  if (!block) return fmi2Error;
+  if (block->state & states) return fmi2OK;
+  return refuse(block, "%s is not allowed %s", function,
+                block->state == INSTANTIATED     ? "before initialization begins"
+                : block->state == INITIALIZATION ? "during initialization"
+                : block->state == STEP           ? "after initialization; reset first"
+                                                 : "after the simulation has ended; reset first");
+}
+
+#define BEGIN(function, states)  \
+  block_t *const block = c;      \
+  if (allowed(block, function, states)) return fmi2Error
+
+#if defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wunused-parameter" /* the standard's signatures, from here on */
+#endif
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 
@@ -25,70 +61,123 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String location,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible,
                               fmi2Boolean logging) {
-  (void)name, (void)location, (void)functions, (void)visible, (void)logging;
-  if (type != fmi2CoSimulation || !guid || strcmp(guid, TOKEN)) return NULL;
-  return calloc(1, sizeof(block_t));
+  block_t *block = calloc(1, sizeof *block);
+  if (!block) return NULL;
+  block->state = INSTANTIATED;
+  if (functions) block->log = functions->logger, block->environment = functions->componentEnvironment;
+  if (name) strncpy(block->name, name, sizeof block->name - 1);
+  const char *wrong = type != fmi2CoSimulation       ? "this block is for Co-Simulation only"
+                      : !guid || strcmp(guid, TOKEN) ? "the GUID is another model's"
+                                                     : NULL;
+  if (!wrong) return block;
+  refuse(block, "fmi2Instantiate: %s", wrong);
+  free(block);
+  return NULL;
 }
 
 void fmi2FreeInstance(fmi2Component c) { free(c); }
 
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String x[]) {
+  return allowed(c, "fmi2SetDebugLogging", ANY);
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance,
+                               fmi2Real start, fmi2Boolean stop_defined, fmi2Real stop) {
+  BEGIN("fmi2SetupExperiment", INSTANTIATED);
+  if (!(fabs(start) < HUGE_VAL)) return refuse(block, "a start at %g s is refused", start);
+  block->time = start;
+  return fmi2OK;
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
+  BEGIN("fmi2EnterInitializationMode", INSTANTIATED);
+  block->state = INITIALIZATION;
+  return fmi2OK;
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+  BEGIN("fmi2ExitInitializationMode", INITIALIZATION);
+  block->state = STEP;
+  return fmi2OK;
+}
+
+fmi2Status fmi2Terminate(fmi2Component c) {
+  BEGIN("fmi2Terminate", STEP);
+  block->state = TERMINATED;
+  return fmi2OK;
+}
+
 fmi2Status fmi2Reset(fmi2Component c) {
-  memset(c, 0, sizeof(block_t));
+  BEGIN("fmi2Reset", ANY);
+  memset(block->value, 0, sizeof block->value);
+  block->time = 0.0, block->state = INSTANTIATED;
   return fmi2OK;
 }
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count, fmi2Real value[]) {
+  BEGIN("fmi2GetReal", INITIALIZATION | STEP | TERMINATED);
+  if (count && (!vr || !value)) return refuse(block, "fmi2GetReal: a pointer is missing");
   for (size_t k = 0; k < count; k++) {
-    if (vr[k] >= N_VALUES) return fmi2Error;
-    value[k] = ((block_t *)c)->value[vr[k]];
+    if (vr[k] >= N_VALUES)
+      return refuse(block, "fmi2GetReal: there is no variable with value reference %u", vr[k]);
+    value[k] = block->value[vr[k]];
   }
   return fmi2OK;
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count,
                        const fmi2Real value[]) {
-  block_t *block = c;
-  const fmi2ValueReference n = block->begun ? N_INPUTS : N_VALUES;
-  for (size_t k = 0; k < count; k++)
-    if (vr[k] >= n || !(fabs(value[k]) < HUGE_VAL)) return fmi2Error;
+  BEGIN("fmi2SetReal", INSTANTIATED | INITIALIZATION | STEP);
+  if (count && (!vr || !value)) return refuse(block, "fmi2SetReal: a pointer is missing");
+  for (size_t k = 0; k < count; k++) { /* all are set, or none */
+    if (vr[k] >= N_VALUES)
+      return refuse(block, "fmi2SetReal: there is no variable with value reference %u", vr[k]);
+    if (vr[k] >= N_INPUTS && block->state == STEP)
+      return refuse(block, "distance[%u] is a start value; set it before initialization ends",
+                    vr[k] - N_INPUTS + 1);
+    if (!(fabs(value[k]) < HUGE_VAL))
+      return refuse(block, "value reference %u = %g is refused; give a finite number", vr[k], value[k]);
+  }
   for (size_t k = 0; k < count; k++) block->value[vr[k]] = value[k];
-  return fmi2OK;
-}
-
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
-  ((block_t *)c)->begun = 1;
   return fmi2OK;
 }
 
 /* The inputs are held. */
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real from, fmi2Real size, fmi2Boolean no_return) {
-  double *value = ((block_t *)c)->value;
-  (void)from, (void)no_return;
-  if (!(size >= 0)) return fmi2Error;
+  BEGIN("fmi2DoStep", STEP);
+  double *value = block->value;
+  if (!(size > 0 && size < HUGE_VAL))
+    return refuse(block, "a step of %g s is refused; give a positive length", size);
+  if (!(fabs(from - block->time) <= 1e-9 * fmax(1.0, fabs(from + size))))
+    return refuse(block, "the step begins at t = %.17g s, but the instance stands at t = %.17g s",
+                  from, block->time);
   for (long i = 0; i < N_CONTACTS; i++)
     value[N_INPUTS + i] += size * hypot(value[2 * i], value[2 * i + 1]);
+  block->time = from + size;
   return fmi2OK;
 }
 
-#define NOTHING_TO_DO(name, ...) \
-  fmi2Status name(__VA_ARGS__) { return fmi2OK; }
-
-NOTHING_TO_DO(fmi2SetDebugLogging, fmi2Component c, fmi2Boolean on, size_t n, const fmi2String x[])
-NOTHING_TO_DO(fmi2SetupExperiment, fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance,
-              fmi2Real start, fmi2Boolean stop_defined, fmi2Real stop)
-NOTHING_TO_DO(fmi2EnterInitializationMode, fmi2Component c)
-NOTHING_TO_DO(fmi2Terminate, fmi2Component c)
-
-#define NOT_HERE(name, ...) \
-  fmi2Status name(__VA_ARGS__) { return fmi2Error; }
 #define REFERENCES fmi2Component c, const fmi2ValueReference vr[], size_t n
 
-NOT_HERE(fmi2GetInteger, REFERENCES, fmi2Integer x[])
-NOT_HERE(fmi2GetBoolean, REFERENCES, fmi2Boolean x[])
-NOT_HERE(fmi2GetString, REFERENCES, fmi2String x[])
-NOT_HERE(fmi2SetInteger, REFERENCES, const fmi2Integer x[])
-NOT_HERE(fmi2SetBoolean, REFERENCES, const fmi2Boolean x[])
-NOT_HERE(fmi2SetString, REFERENCES, const fmi2String x[])
+#define NO_VARIABLES(name, ...) \
+  fmi2Status name(REFERENCES, __VA_ARGS__) {                                    \
+    BEGIN(#name, ANY);                                                          \
+    return n ? refuse(block, #name ": there are no such variables") : fmi2OK;   \
+  }
+
+NO_VARIABLES(fmi2GetInteger, fmi2Integer x[])
+NO_VARIABLES(fmi2GetBoolean, fmi2Boolean x[])
+NO_VARIABLES(fmi2GetString, fmi2String x[])
+NO_VARIABLES(fmi2SetInteger, const fmi2Integer x[])
+NO_VARIABLES(fmi2SetBoolean, const fmi2Boolean x[])
+NO_VARIABLES(fmi2SetString, const fmi2String x[])
+
+#define NOT_HERE(name, ...)                                                              \
+  fmi2Status name(__VA_ARGS__) {                                                         \
+    BEGIN(#name, ANY);                                                                   \
+    return refuse(block, #name ": this block does not have it; see modelDescription.xml"); \
+  }
+
 NOT_HERE(fmi2GetFMUstate, fmi2Component c, fmi2FMUstate *state)
 NOT_HERE(fmi2SetFMUstate, fmi2Component c, fmi2FMUstate state)
 NOT_HERE(fmi2FreeFMUstate, fmi2Component c, fmi2FMUstate *state)
