@@ -31,12 +31,13 @@ LOG_CATEGORIES = {
 
 _FLAGS = {
     ("2.0", "ModelExchange"): (
-        "completedIntegratorStepNotNeeded", "canGetAndSetFMUstate", "canSerializeFMUstate",
-        "providesDirectionalDerivative",
+        "completedIntegratorStepNotNeeded", "canNotUseMemoryManagementFunctions",
+        "canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative",
     ),
     ("2.0", "CoSimulation"): (
-        "canHandleVariableCommunicationStepSize", "canInterpolateInputs", "canGetAndSetFMUstate",
-        "canSerializeFMUstate", "providesDirectionalDerivative",
+        "canHandleVariableCommunicationStepSize", "canInterpolateInputs",
+        "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate",
+        "providesDirectionalDerivative",
     ),
     ("3.0", "ModelExchange"): (
         "canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives",

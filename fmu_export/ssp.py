@@ -192,7 +192,8 @@ def _consumer_description(count: int, token: str) -> str:
         description="Adds up how far contacts have slid", variableNamingConvention="structured",
         generationDateAndTime=generation_text(),
     )  # fmt: skip
-    flags = {"modelIdentifier": CONSUMER, "canHandleVariableCommunicationStepSize": "true"}
+    flags = {"modelIdentifier": CONSUMER, "canHandleVariableCommunicationStepSize": "true",
+             "canNotUseMemoryManagementFunctions": "true"}  # fmt: skip
     files = ET.SubElement(ET.SubElement(root, "CoSimulation", flags), "SourceFiles")
     ET.SubElement(files, "File", name=f"{CONSUMER}.c")
     units = ET.SubElement(root, "UnitDefinitions")

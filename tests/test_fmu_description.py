@@ -25,6 +25,7 @@ from fmu_export.description import (
     model_identifier,
     terminals,
 )
+from fmu_export.ssp import _consumer_description
 from fmu_export.variables import variable_table
 
 PAPER = ["K1", "K2", "K3", "K4", "D1", "D2", "D3", "C1", "C2"]
@@ -60,6 +61,15 @@ def test_fmpy_reads_back_what_the_table_says(version, written):
     assert len(read.derivatives) == (33 if version == "2.0" else 3 * 9)
     assert read.defaultExperiment.stopTime == "4.0"
     assert read.generationDateAndTime.endswith("Z")
+
+
+def test_memory_that_an_importer_offers_is_said_not_to_be_used(written):
+    """FMI 2.0.4, tables in 3.3.1 and 4.3.1: by default allocateMemory would be called."""
+    read = read_model_description(written("C2", "2.0"))
+    consumer = ET.fromstring(_consumer_description(1, "{}")).find("CoSimulation")
+    assert read.coSimulation.canNotUseMemoryManagementFunctions
+    assert read.modelExchange.canNotUseMemoryManagementFunctions
+    assert consumer.get("canNotUseMemoryManagementFunctions") == "true"
 
 
 def test_dependencies_stand_by_index_in_fmi_2(written):
