@@ -145,12 +145,16 @@ def target(path: str | os.PathLike) -> Path:
     Raises
     ------
     ContactSystemError
-        It is none, or a folder, or lies in something that is no folder.
+        It is none, or a folder, a device or a pipe, or lies in something that is no folder.
     """
     path = a_path(path)
     try:
         if path.is_dir():
             raise ContactSystemError(f"'{path}' is a folder; name the file to write in it")
+        if path.exists() and not path.is_file():
+            raise ContactSystemError(
+                f"'{path}' is a device or a pipe, which a file would replace; name a file"
+            )
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ContactSystemError(f"no file can be written to '{path}': {error}") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import zipfile
 
 import pytest
@@ -85,6 +86,14 @@ def test_what_cannot_be_written_to_is_told_before_anything_is_made(tmp_path, mon
     with pytest.raises(cs.ContactSystemError, match="modelDescription.xml' cannot be written: "):
         write_description(scene, "file")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a pipe that is a file")
+def test_a_device_or_a_pipe_is_not_replaced_by_a_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe")  # as /dev/null, which root can replace
+    with pytest.raises(cs.ContactSystemError, match="pipe' is a device or a pipe, which a file"):
+        command("K1", "-o", str(tmp_path / "pipe"))
+    assert (tmp_path / "pipe").is_fifo()
 
 
 def test_a_wrong_file_replaces_nothing_and_leaves_nothing_behind(tmp_path):
