@@ -178,7 +178,8 @@ def write_fmu(
     """
     # zip knows the years 1980 to 2107 only
     stamp = min(max(tuple(moment), (1980, 1, 1, 0, 0, 0)), (2107, 12, 31, 23, 59, 58))
-    half = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.part")  # two may write one file
+    own = path.resolve() if path.is_symlink() else path  # a link stays one
+    half = own.with_name(f"{own.name}.{uuid.uuid4().hex[:8]}.part")  # two may write one file
     try:
         with zipfile.ZipFile(half, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
             for name in sorted(files):
@@ -189,7 +190,7 @@ def write_fmu(
         problems = check(str(half))
         if problems:
             raise ContactSystemError(f"{path}: fmpy's validation says: " + "; ".join(problems))
-        os.replace(half, path)
+        os.replace(half, own)
     except OSError as error:
         raise ContactSystemError(f"'{path}' cannot be written: {error}") from None
     finally:

@@ -96,6 +96,18 @@ def test_a_device_or_a_pipe_is_not_replaced_by_a_file(tmp_path):
     assert (tmp_path / "pipe").is_fifo()
 
 
+def test_a_file_is_written_where_a_link_leads(tmp_path):
+    real, link = tmp_path / "there" / "real.fmu", tmp_path / "link.fmu"
+    real.parent.mkdir()
+    real.write_bytes(b"old")
+    try:
+        link.symlink_to(real)
+    except OSError as error:  # Windows wants a privilege
+        pytest.skip(str(error))
+    write_fmu(link, {"new": b"1"}, (2026, 1, 1, 0, 0, 0))
+    assert link.is_symlink() and zipfile.ZipFile(real).namelist() == ["new"]
+
+
 def test_a_wrong_file_replaces_nothing_and_leaves_nothing_behind(tmp_path):
     path, moment = tmp_path / "good.fmu", (1970, 1, 1, 0, 0, 0)
     path.write_bytes(b"good")
