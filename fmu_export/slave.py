@@ -740,7 +740,7 @@ class PlannerSlave3(_Slave, FMU3Slave):
         nSensitivity: int | None = None,
     ) -> list[float]:
         """Exact derivatives of some unknowns along a direction in some knowns."""
-        return self._of_elements("GetDirectionalDerivative", unknowns, knowns, seed)
+        return self._of_elements("GetDirectionalDerivative", unknowns, knowns, seed, nSensitivity)
 
     def getAdjointDerivative(
         self,
@@ -750,7 +750,7 @@ class PlannerSlave3(_Slave, FMU3Slave):
         nSensitivity: int | None = None,
     ) -> list[float]:
         """Exact derivatives of a combination of unknowns by some knowns."""
-        return self._of_elements("GetAdjointDerivative", unknowns, knowns, seed, True)
+        return self._of_elements("GetAdjointDerivative", unknowns, knowns, seed, nSensitivity, True)
 
     def _of_elements(
         self,
@@ -758,7 +758,12 @@ class PlannerSlave3(_Slave, FMU3Slave):
         unknowns: Sequence[int],
         knowns: Sequence[int],
         seed: Sequence[float],
+        count: int | None,
         adjoint: bool = False,
     ) -> list[float]:
         rows, columns = (self._elements_of(function, vr) for vr in (unknowns, knowns))
+        has = len(columns if adjoint else rows)
+        if count is not None and count != has:
+            text = f"nSensitivity = {count}; these variables have {has} elements"
+            self._refuse(function, ERROR, text)
         return self._product(function, rows, columns, seed, adjoint)

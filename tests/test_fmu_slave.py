@@ -1056,6 +1056,12 @@ def test_adjoint_derivatives_are_the_transposed_ones():
     forward = slave.getDirectionalDerivative(unknowns, knowns, a)
     backward = slave.getAdjointDerivative(unknowns, knowns, b)
     assert b @ forward == pytest.approx(a @ backward, rel=1e-12)
+    assert slave.getDirectionalDerivative(unknowns, knowns, a, rows) == forward
+    for call, seed, count in (
+        (slave.getDirectionalDerivative, a, rows), (slave.getAdjointDerivative, b, columns)
+    ):  # fmt: skip
+        words = f"nSensitivity = {count - 1}; these variables have {count} elements"
+        refused(call, unknowns, knowns, seed, count - 1, words=words)
     refused(slave.getAdjointDerivative, [unknowns[0]], [unknowns[1]], [1.0], words="is not a known")
     refused(slave.getDirectionalDerivative, [knowns[0]], [knowns[0]], [1.0], words="not an unknown")
 
