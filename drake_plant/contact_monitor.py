@@ -33,31 +33,22 @@ that turns, where Drake's own point contact has 1e-4 mm/s.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import ContactResults
-from pydrake.systems.framework import (
-    BasicVector,
-    CacheEntry,
-    CacheIndex,
-    Context,
-    DependencyTicket,
-    LeafSystem,
-    ValueProducer,
-)
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from contact_system import Plane, Scene, SceneError
-from contact_system.contact_sensor import ContactSensor, Measurement
+from contact_system.contact_sensor import ContactSensor
 from contact_system.kernels import Kernel, made_once
 from contact_system.scene import require_scene
 
-from .lifetimes import NO_DICTIONARY, weakly
+from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, require_config
 
 Array = NDArray[np.float64]
@@ -70,6 +61,10 @@ MIDWAY = 0.5
 AT_FINGER = 1.0
 # Of the places of contacts, over the size of the bodies.
 TOLERANCE = 1e-7
+
+# Columns of what is kept of each contact, of where the step that ended now began, and of now.
+SLIP, NORMAL, TANGENTIAL, POINT, VELOCITY = map(slice, (0, 2, 3, 5, 8), (2, 3, 5, 8, 11))
+STATE, POINT_NOW = slice(0, 9), slice(9, 12)
 
 
 class ContactMonitor(LeafSystem):
@@ -141,64 +136,46 @@ class ContactMonitor(LeafSystem):
             "body_spatial_velocities", Value[list[SpatialVelocity]]()
         )
         inputs = [port.ticket() for port in (self._results, self._poses, self._velocities)]
-        seen = self._entry("seen", self._CalcSeen, inputs)
-        begun = self._entry("begun", self._CalcBegun, [seen.ticket()])
-        ended = self._entry("ended", self._CalcEnded, [seen.ticket(), begun.ticket()])
-        # Indices, because the entries themselves would keep this system for ever.
-        self._seen, self._begun = seen.cache_index(), begun.cache_index()
-        for name, size, entry in (
-            ("state", 9, ended),
-            ("slip", 2, begun),
-            ("normal_force", 1, begun),
-            ("tangential_force", 2, begun),
-            ("contact_point", 3, ended),
+        seen, self._seen = array_entry(self._CalcSeen, (n, 47), inputs)
+        begun, self._begun = array_entry(self._CalcBegun, (n, 11), [seen])
+        ended, self._ended = array_entry(self._CalcEnded, (n, 12), [seen, begun])
+        for name, size, entry, table, columns in (
+            ("state", 9, ended, self._ended, STATE),
+            ("slip", 2, begun, self._begun, SLIP),
+            ("normal_force", 1, begun, self._begun, NORMAL),
+            ("tangential_force", 2, begun, self._begun, TANGENTIAL),
+            ("contact_point", 3, ended, self._ended, POINT_NOW),
         ):
-            calc = weakly(self._Copy, entry.cache_index(), name)
-            self.DeclareVectorOutputPort(name, size * n, calc, {entry.ticket()})
+            calc = weakly(self._Copy, table, columns)
+            self.DeclareVectorOutputPort(name, size * n, calc, {entry})
 
-    def _entry(
-        self, name: str, calc: Callable, prerequisites: list[DependencyTicket]
-    ) -> CacheEntry:
-        producer = ValueProducer(allocate=lambda: AbstractValue.Make([None]), calc=weakly(calc))
-        return self.DeclareCacheEntry(name, producer, set(prerequisites))
+    def _Copy(self, table: Callable, columns: slice, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(table(context)[:, columns].ravel())
 
-    def _Cached(self, context: Context, index: CacheIndex) -> Any:
-        return self.get_cache_entry(index).Eval(context)[0]
-
-    def _Copy(self, index: CacheIndex, name: str, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._Cached(context, index)[name])
-
-    def _CalcSeen(self, context: Context, value: AbstractValue) -> None:
+    def _CalcSeen(self, context: Context) -> Array:
         X_W, V_W = self._poses.Eval(context), self._velocities.Eval(context)
-        value.set_value([self._bodies.seen(X_W, V_W, self._results.Eval(context))])
+        return self._bodies.seen(X_W, V_W, self._results.Eval(context)).table
 
-    def _CalcBegun(self, context: Context, value: AbstractValue) -> None:
+    def _CalcBegun(self, context: Context) -> Array:
         """Slip and forces, where the step that ended now began."""
-        seen: _Seen = self._Cached(context, self._seen)
-        moved = seen.in_object(-self._step)
+        seen = _Seen(self._seen(context))
+        moved, away = seen.in_object(-self._step), seen.touching == 0
         pose, twist, points = moved[:, :12], moved[:, 12:18], moved[:, 18:21]
-        if not seen.touching.all():
-            points[~seen.touching] = self._sensor.approach(pose)[~seen.touching]
+        if away.any():
+            points[away] = self._sensor.approach(pose)[away]
         found = self._sensor.measure(pose, twist, points, seen.share)
         force = _split(np.hstack([found.object_surface, moved[:, 18:]]))
-        force[~seen.touching] = 0.0  # with no frame either
-        outputs = {
-            "slip": found.slip.ravel(),
-            "normal_force": force[:, 0],
-            "tangential_force": force[:, 1:].ravel(),
-        }
-        value.set_value([outputs | {"found": found}])
+        force[away] = 0.0  # with no frame either
+        return np.hstack([found.slip, force, found.points[:, 1], found.velocity])
 
-    def _CalcEnded(self, context: Context, value: AbstractValue) -> None:
+    def _CalcEnded(self, context: Context) -> Array:
         """Where the contacts are now, with the slip of the step."""
-        found: Measurement = self._Cached(context, self._begun)["found"]
-        if self._step:
-            moved = self._Cached(context, self._seen).in_object(0.0)
-            # Where to begin to look; at a pole it is not known how fast the contact moves.
-            points = found.points[:, 1] + self._step * np.nan_to_num(found.velocity)
-            found = self._sensor.measure(moved[:, :12], moved[:, 12:18], points, slip=found.slip)
-        outputs = {"state": found.states.ravel(), "contact_point": found.points[:, 1].ravel()}
-        value.set_value([outputs])
+        begun, moved = self._begun(context), _Seen(self._seen(context)).in_object(0.0)
+        # Where to begin to look; at a pole it is not known how fast the contact moves.
+        points = begun[:, POINT] + self._step * np.nan_to_num(begun[:, VELOCITY])
+        pose, twist, slip = moved[:, :12], moved[:, 12:18], begun[:, SLIP]
+        found = self._sensor.measure(pose, twist, points, slip=slip)
+        return np.hstack([found.states, found.points[:, 1]])
 
 
 class _Bodies:
@@ -223,7 +200,7 @@ class _Bodies:
     def seen(
         self, X_W: list[RigidTransform], V_W: list[SpatialVelocity], results: ContactResults
     ) -> _Seen:
-        seen = _Seen(len(self.fingers))
+        seen = _Seen(np.zeros((len(self.fingers), 47)))
         X_WO, row = X_W[self.object], seen.row
         row[:, :12] = X_WO.GetAsMatrix34().ravel()
         row[:, 12:18] = V_W[self.object].get_coeffs()
@@ -256,18 +233,19 @@ class _Bodies:
 class _Seen:
     """What Drake says of n contacts, in the world.
 
-    row (n, 45): X_WO (12, row by row), V_WO (6), X_WF (12), V_WF (6), the point C of the contact,
-    force on the finger and its torque about C.
+    table (n, 47): a row of 45, where slip is taken, whether they touch (0 or 1). The row: X_WO (12,
+    row by row), V_WO (6), X_WF (12), V_WF (6), the point C of the contact, force on the finger and
+    its torque about C.
     """
 
-    def __init__(self, n: int):
-        self.row, self.share = np.zeros((n, 45)), np.zeros(n)
-        self.touching = np.zeros(n, bool)
+    def __init__(self, table: Array):
+        self.table, self.row = table, table[:, :45]
+        self.share, self.touching = table[:, 45], table[:, 46]
 
     def touch(self, i: int, share: float, p_WC: Array, force: Array, torque: Array | float) -> None:
         row = self.row[i]
         row[36:39], row[39:42], row[42:45] = p_WC, force, torque
-        self.share[i], self.touching[i] = share, True
+        self.share[i], self.touching[i] = share, 1.0
 
     def in_object(self, later: float) -> Array:
         """(n, 27): X_OF (12), V_OF_O (6), C, force and torque, all in O, some seconds later.

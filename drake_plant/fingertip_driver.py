@@ -30,17 +30,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialAcceleration, SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.multibody.tree import RigidBody
-from pydrake.systems.framework import Context, LeafSystem, State, ValueProducer
+from pydrake.systems.framework import Context, LeafSystem, State
 
 from contact_system import SceneError
 from contact_system.kernels import Kernel, made_once
 
-from .lifetimes import NO_DICTIONARY, weakly
+from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, check_numbers, require_config
 
 SX = ca.SX
@@ -209,15 +209,9 @@ class FingertipDriver(LeafSystem):
             "body_spatial_accelerations", Value[list[SpatialAcceleration]]()
         )
         forces = Value[list[ExternallyAppliedSpatialForce]]
-        law = self.DeclareCacheEntry(
-            "law",
-            ValueProducer(allocate=lambda: AbstractValue.Make([None]), calc=weakly(self._CalcLaw)),
-            prerequisites_of_calc={self.all_input_ports_ticket(), self.xd_ticket()},
-        )
-        self.DeclareAbstractOutputPort(
-            "spatial_forces", forces, weakly(self._CalcForces), {law.ticket()}
-        )
-        self._law = law.cache_index()  # the entry itself would keep this system for ever
+        needs = (self.all_input_ports_ticket(), self.xd_ticket())
+        law, self._law = array_entry(self._CalcLaw, (n, 9), needs)
+        self.DeclareAbstractOutputPort("spatial_forces", forces, weakly(self._CalcForces), {law})
         # Steps behind us; of each finger position, spin, normal, acceleration one step ago and two.
         self.DeclareDiscreteState(1 + 15 * n)
         # Unrestricted, because the plant's step is such an update (for its sampled ports), and
@@ -225,7 +219,7 @@ class FingertipDriver(LeafSystem):
         step = plant.time_step()
         self.DeclarePeriodicUnrestrictedUpdateEvent(step, 0.0, weakly(self._Remember))
 
-    def _CalcLaw(self, context: Context, value: AbstractValue) -> None:
+    def _CalcLaw(self, context: Context) -> Array:
         """Torque, force and desired position of each finger: (n, 9)."""
         past = context.get_discrete_state_vector().value()
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
@@ -249,13 +243,11 @@ class FingertipDriver(LeafSystem):
         x[:, 66:72] = [V[i].get_coeffs() for i in self.finger_indices]
         x[:, 72], x[:, 73:] = past[0], past[1:].reshape(-1, 15)
         machine.run()
-        value.set_value([machine.y.copy()])
+        return machine.y
 
     def _CalcForces(self, context: Context, output: Value) -> None:
         applied = []
-        for index, row in zip(
-            self.finger_indices, self.get_cache_entry(self._law).Eval(context)[0].tolist()
-        ):
+        for index, row in zip(self.finger_indices, self._law(context).tolist()):
             force = ExternallyAppliedSpatialForce()
             force.body_index = index
             force.p_BoBq_B = np.zeros(3)
@@ -264,7 +256,7 @@ class FingertipDriver(LeafSystem):
         output.set_value(applied)
 
     def _Remember(self, context: Context, state: State) -> None:
-        position = self.get_cache_entry(self._law).Eval(context)[0][:, 6:]
+        position = self._law(context)[:, 6:]
         now = state.get_mutable_discrete_state().get_mutable_value()
         spin = self._twist.Eval(context).reshape(-1, 6)[:, :3]
         normal = self._normal.Eval(context).reshape(-1, 3)

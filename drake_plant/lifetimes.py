@@ -9,14 +9,22 @@ reasons that the garbage collector does not see through:
   collector counts one reference too few and takes the cycle for alive. A class with
   ``__slots__ = NO_DICTIONARY`` has only that of its base, visited once;
 * cache entries: the object that DeclareCacheEntry returns holds its system out of the collector's
-  sight. A system that needs an entry keeps its index and asks ``get_cache_entry``.
+  sight. A system that needs an entry keeps its index and asks ``get_cache_entry``:
+  :func:`array_entry` does.
 """
 
 from __future__ import annotations
 
+import math
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import BasicVector, Context, DependencyTicket, ValueProducer
+
+Array = np.ndarray
 
 NO_DICTIONARY: tuple[str, ...] = ()
 """``__slots__`` of a system; its attributes go into its base's dictionary."""
@@ -31,3 +39,38 @@ def weakly(method: Callable, *first: Any) -> Callable:
         return reference()(*first, *arguments)  # type: ignore[misc]
 
     return call
+
+
+def array_entry(
+    calc: Callable[[Context], Array], shape: tuple[int, ...], needs: Iterable[DependencyTicket]
+) -> tuple[DependencyTicket, Callable[[Context], Array]]:
+    """Declare a cache entry that holds what a system's method makes of a Context, an array.
+
+    A vector holds it: Drake copies Contexts without Python's lock when it evaluates batches, and a
+    Python object in one would end the process.
+
+    Parameters
+    ----------
+    calc : bound method
+    shape : tuple of int
+    needs : iterable of DependencyTicket
+
+    Returns
+    -------
+    DependencyTicket
+    callable
+        Context -> the array, not to be written to.
+    """
+    made, zeros = weakly(calc), BasicVector(np.zeros(math.prod(shape)))
+    system: Any = calc.__self__  # type: ignore[attr-defined]
+
+    def fill(context: Context, value: Any) -> None:
+        value.get_mutable_value().SetFromVector(made(context).ravel())
+
+    producer = ValueProducer(lambda: AbstractValue.Make(zeros), fill)
+    entry = system.DeclareCacheEntry(calc.__name__, producer, set(needs))
+    index, owner = entry.cache_index(), weakref.proxy(system)
+    return (
+        entry.ticket(),
+        lambda context: owner.get_cache_entry(index).Eval(context).value().reshape(shape),
+    )

@@ -11,8 +11,9 @@ import pytest
 
 pytest.importorskip("pydrake")
 
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.common import Parallelism
+from pydrake.systems.analysis import BatchEvalTimeDerivatives, Simulator
+from pydrake.systems.framework import DiagramBuilder, InputPortSelection
 from scipy.spatial.transform import Rotation
 
 import contact_system as cs
@@ -569,6 +570,27 @@ def test_threads_share_a_station_with_a_context_each():
     finally:
         sys.setswitchinterval(interval)
     assert np.array_equal(found, expected)
+
+
+def test_drake_evaluates_batches_of_a_station_that_has_run():
+    """It copies Contexts, what is cached included, without the lock of Python.
+
+    With two threads Drake's own copies of its SceneGraph's query race.
+    """
+    scene = cs.load_scene("D1")
+    station = BuildStation(scene, config(scene))
+    simulator = Simulator(station)
+    context = simulator.get_mutable_context()
+    SetInitialState(station, context)
+    simulator.AdvanceTo(0.003)
+    station.GetOutputPort("measured_state").Eval(context)
+    x = context.get_continuous_state_vector().CopyToVector()
+    found = BatchEvalTimeDerivatives(
+        station, context, np.full((1, 20), 0.003), np.tile(x, (20, 1)).T, np.zeros((0, 20)),
+        InputPortSelection.kNoInput, Parallelism(1),
+    )  # fmt: skip
+    rates = station.EvalTimeDerivatives(context).CopyToVector()
+    assert np.array_equal(found, np.tile(rates, (20, 1)).T)
 
 
 def test_a_turning_object_starts_as_it_turns_then():
