@@ -707,4 +707,12 @@ def _blocks(
                 f"{instance.name}: {port!r}, a key of {causality}s, is no port name: give a text"
             )
     found = {port: instance.select(names, causality) for port, names in ports.items()}
+    given: dict[str, str] = {}
+    for port, name in ((k, n) for k in found for n in found[k].names if causality == "input"):
+        if name in given:  # the last one would be what the FMU sees
+            raise ContactSystemError(
+                f"{instance.name}: input variable '{name}' would be set twice, by the input port "
+                f"'{given[name]}' and by '{port}': name it once"
+            )
+        given[name] = port
     return {port: block for port, block in found.items() if block.names}

@@ -589,6 +589,7 @@ def test_an_unknown_variable_is_refused_with_the_nearest(build):
         ({"outputs": [["x"]]}, "no output variable .*'x'"),
         ({"outputs": {5: "x"}}, "5, a key of outputs, is no port name: give a text"),
         ({"outputs": {"": "x"}}, "'', a key of outputs, is no port name: give a text"),
+        ({"inputs": {"a": "u", "b": "u[2]"}}, r"'u\[2\]' would be set twice, .* 'a' and by 'b'"),
     ):
         with pytest.raises(cs.ContactSystemError, match=f"^integrators.*{message}"):
             FmuSystem(build(), **{"step": STEP} | options)
