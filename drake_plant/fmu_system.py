@@ -59,6 +59,7 @@ KINDS = {
     "UInt16": np.uint16, "Int32": np.int32, "UInt32": np.uint32, "Int64": np.int64,
     "UInt64": np.uint64,
 }  # fmt: skip
+TEXTS = {"String": str, "Binary": bytes}  # what start values may be besides
 
 
 # --- variables -----------------------------------------------------------------------------------
@@ -320,20 +321,27 @@ class Instance:
 
     def _start_value(self, variable: Any, value: Any) -> list[Any]:
         """As fmpy's setters take it."""
-        if not _carried(variable):
-            return [value]
-        block, problem = PortVariables([variable], self.version), None
-        try:
-            values = np.ravel(np.asarray(value, dtype=float))
-        except (TypeError, ValueError):
-            problem = f"{variable.name} = {value!r} is not of type {variable.type}"
+        block, kind = PortVariables([variable], self.version), _kind(variable, self.version)
+        given = np.ravel(np.array(value, dtype=object)).tolist()
+        problem: str | None = f"{variable.name} = {value!r} is not of type {variable.type}"
+        if len(given) != len(block.names):
+            problem = f"{variable.name} has {len(block.names)} elements, not {len(given)}"
+        elif kind in TEXTS:
+            problem = None if all(isinstance(v, TEXTS[kind]) for v in given) else problem
+        elif not _carried(variable):
+            return given
+        elif issubclass(KINDS[kind], np.integer):  # no floats, which have 53 bits
+            with contextlib.suppress(TypeError, ValueError, OverflowError):
+                whole, info = [int(v) for v in given], np.iinfo(KINDS[kind])
+                if whole == given and all(info.min <= v <= info.max for v in whole):
+                    return whole
         else:
-            if len(values) != len(block.names):
-                problem = f"{variable.name} has {len(block.names)} elements, not {len(values)}"
-            problem = problem or block.check(values)
+            with contextlib.suppress(TypeError, ValueError):
+                values = np.array(given, dtype=float)
+                given, problem = values.astype(KINDS[kind]).tolist(), block.check(values)
         if problem:
             raise ContactSystemError(f"{self.name}: start value: {problem}")
-        return values.astype(KINDS[_kind(variable, self.version)]).tolist()
+        return given
 
     # --- life
 

@@ -84,7 +84,7 @@ typedef _Bool Boolean;
 typedef fmi3LogMessageCallback Logger;
 #endif
 
-typedef struct { double time, gain, limit, last, u[2], x[2]; int on, count; } Model;
+typedef struct { double time, gain, limit, last, u[2], x[2]; int on, count; long long seed; } Model;
 typedef struct { Model model; Logger log; void* environment; } Instance;
 typedef unsigned Reference;
 #define M (((Instance*)c)->model)
@@ -140,7 +140,8 @@ int SetReal(void* c, const Reference* r, size_t n, const double* v COUNT) {
     return 0;
 }
 int GetInteger(void* c, const Reference* r, size_t n, int* v COUNT) {
-    for (size_t k = 0; k < n; k++) v[k] = r[k] == 10 ? copies : M.count;
+    for (size_t k = 0; k < n; k++)
+        v[k] = r[k] == 10 ? copies : r[k] == 12 ? (int)(M.seed % 10) : M.count;
     return 0;
 }
 int GetBoolean(void* c, const Reference* r, size_t n, Boolean* v COUNT) { *v = M.on; return 0; }
@@ -168,6 +169,10 @@ int fmi2GetBooleanStatus(void* c, int kind, int* value) {
     return 0;
 }
 #else
+int fmi3SetInt64(void* c, const Reference* r, size_t n, const fmi3Int64* v, size_t values) {
+    M.seed = *v;
+    return 0;
+}
 void* fmi3InstantiateCoSimulation(
     const char* name, const char* token, const char* place, _Bool visible, _Bool logging,
     _Bool events, _Bool early, const Reference* r, size_t n, void* environment, Logger log,
@@ -220,6 +225,8 @@ VARIABLES = {  # name, reference, dimension, type, attributes, start
         ("count", 9, 0, "Int32", 'causality="output"', None),
         ("was_on", 8, 0, "Boolean", 'causality="output"', None),
         ("copies", 10, 0, "Int32", 'causality="local"', None),
+        ("seed", 11, 0, "Int64", PARAMETER, "0"),
+        ("last_digit", 12, 0, "Int32", 'causality="local"', None),
     ),
 }
 
@@ -332,6 +339,14 @@ def test_samples_are_those_of_the_model(build, version):
         assert values(system, context, "y").tolist() == [t, 0.5 + 3 * t, -6 * t, k, 1]
     simulator.AdvanceTo(t + 0.5 * STEP)  # held until the next sample
     assert values(system, context, "y")[0] == t + STEP
+
+
+@pytest.mark.parametrize(("seed", "digit"), [(2**53 + 1, 3), (2**63 - 1, 7), (-(2**63), -8)])
+def test_long_integers_start_as_they_are_given(build, seed, digit):
+    system = FmuSystem(
+        build("3.0"), step=STEP, start_values={"seed": seed}, outputs={"x": "last_digit"}
+    )
+    assert values(system, system.CreateDefaultContext()) == [digit]
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -581,6 +596,7 @@ def test_an_unknown_variable_is_refused_with_the_nearest(build):
         ({"start_values": {"count": 1}}, "count cannot be set at the start"),
         ({"start_values": {"gain": np.nan}}, "start value: .*gain = nan, is not a number"),
         ({"start_values": {"gain": "high"}}, "start value: gain = 'high' is not of type Real"),
+        ({"start_values": {"label": 3}}, "start value: label = 3 is not of type String"),
         ({"start_values": {"on": 2}}, "start value: .*on = 2, is not of type Boolean"),
         ({"start_values": {"gain": [1, 2]}}, "start value: gain has 1 elements, not 2"),
         ({"start_values": [("gain", 2)]}, r"start_values = .*: give a mapping of names"),
