@@ -102,6 +102,9 @@ Array = NDArray[np.float64]
 # the true normal, reads 2.3 % above mu N in D1 (2.9: 1.7 %, 2.4: 1.2 %).
 # A step of D1 takes 4 us a face, and 21 us without contact.
 FINGER_GAP, OBJECT_GAP = 1.04, 2.9
+# The widest gap of edges that somebody gives. At 9 depths the force of D1 has a spread of 0.2 to
+# 0.3 N of 1 N (Drake's own spheres 0.9 N), at 35 fingers bounce, and beyond that contact is lost.
+WIDEST_GAP = 10.0
 
 REACH = 0.02  # m, that meshes of unbounded surfaces reach beyond the planned patches
 SPACING = 0.0025  # m, of points along the plan that show where contacts go
@@ -192,7 +195,8 @@ class PlantConfig:
     gravity : float
         m/s^2, towards -z of the world.
     drake_spheres : float or None
-        m; instead of meshes made for the scene, Drake's own spheres with this resolution hint.
+        m; instead of meshes made for the scene, Drake's own spheres with this resolution hint. One
+        so coarse that contact would be lost is refused, as such edges are.
     finger_edge, object_edge : float or None
         m, edges of the meshes at the planned contacts; None: chosen by the size of the patch.
     strip_margin : float
@@ -295,7 +299,9 @@ def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) ->
         config.check()
         config = dataclasses.replace(config)  # the caller may change what is his
         _check_surfaces(scene, config)
-        return _add(builder, scene, config, _touches(scene))
+        touches = _touches(scene)
+        _check_edges(config, touches)
+        return _add(builder, scene, config, touches)
     except ContactSystemError as error:
         raise type(error)(f"scene '{scene.name}', plant: {error}") from None
 
@@ -452,6 +458,22 @@ def _check_surfaces(scene: Scene, config: PlantConfig) -> None:
                 f"contact {i}: a fingertip is a compliant solid, which {finger!r} does not bound; "
                 "use a sphere, an ellipsoid, a cylinder, a torus or an ImplicitSurface"
             )
+
+
+def _check_edges(config: PlantConfig, touches: Sequence[_Touch]) -> None:
+    """Refuse meshes so coarse that bodies which roll on them lose contact."""
+    for key in ("drake_spheres", "finger_edge", "object_edge"):
+        edge, depth = getattr(config, key), contact_depth(config)
+        if edge is None or config.contact_model == "point":
+            continue
+        for i, touch in enumerate(touches):
+            bend = (touch.finger_curvature + touch.object_curvature) / 2
+            if bend * edge**2 > WIDEST_GAP * depth:
+                raise SceneError(
+                    f"{key} = {edge!r}: contact {i}: bodies would stand {bend * edge**2:.2g} m off "
+                    f"each other along such an edge, and press {depth:.2g} m deep; give at most "
+                    f"{math.sqrt(WIDEST_GAP * depth / bend):.2g} m, or leave it out"
+                )
 
 
 # --- bodies ------------------------------------------------------------------------------------

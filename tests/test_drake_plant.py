@@ -357,6 +357,11 @@ def side_by_side(angle):
         (side_by_side(0.0), {"object": "welded"}, "touch along a line .* turn the finger"),
         (side_by_side(math.pi), {"object": "welded"}, "touch along a line .* turn the finger"),
         (rolling(cs.Cylinder(0.1)), {"drake_spheres": 1e-3}, "not all spheres"),
+        *(
+            (rolling(cs.Sphere(0.1)), {key: 0.02},
+             f"{key} = 0.02: contact 0: .* 0.007 m off .* 0.0002 m deep; give at most 0.011 m")
+            for key in ("drake_spheres", "finger_edge", "object_edge")
+        ),
         (cs.load_scene("C1"), {"object": "turning"}, "needs a discrete plant"),
     ],
 )  # fmt: skip
