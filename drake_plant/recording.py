@@ -13,6 +13,9 @@ from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
 
+from contact_system import SceneError
+from contact_system.checks import a_path, finite_number, writing
+
 from .lifetimes import NO_DICTIONARY, weakly
 from .plant import ScenePlant
 
@@ -41,7 +44,7 @@ class Recording:
     """
 
     def __init__(self, frames: float = 64.0):
-        self._period = 1.0 / frames
+        self._period = 1.0 / finite_number(frames, "frames", "above 0")
         log = logging.getLogger("drake")
         level = log.level
         log.setLevel(logging.WARNING)  # nobody needs to know the address it listens at
@@ -79,10 +82,12 @@ class Recording:
         path : path
             Ending in .html.
         """
-        assert self._visualizer is not None, "call Add first"
+        if self._visualizer is None:
+            raise SceneError(f"nothing to save in {path}: call Add before the Diagram is built")
         self._visualizer.StopRecording()
         self._visualizer.PublishRecording()
-        Path(path).write_text(self._meshcat.StaticHtml())
+        with writing(a_path(path)):
+            a_path(path).write_text(self._meshcat.StaticHtml())
 
 
 class _Follower(LeafSystem):

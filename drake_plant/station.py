@@ -30,7 +30,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventSta
 from pydrake.systems.primitives import LogVectorOutput
 
 from contact_system import ImplicitSurface, Quadric, Scene, SceneError, Surface
-from contact_system.checks import did_you_mean, finite_number, flag, naming
+from contact_system.checks import a_path, did_you_mean, finite_number, flag, naming
 from contact_system.scene import require_scene
 from contact_system.system import COORDINATES
 
@@ -495,7 +495,8 @@ def simulate(
     loggers: dict[str, Any] = {}
     film = None
     if recording is not None:
-        if not Path(recording).parent.is_dir() or Path(recording).is_dir():
+        recording = a_path(recording, f"scene '{scene.name}': recording")
+        if not recording.parent.is_dir() or recording.is_dir():
             raise SceneError(
                 f"scene '{scene.name}': recording = {str(recording)!r}: no file can be written "
                 "there; give a path in a folder that exists, such as 'film.html'"

@@ -30,6 +30,7 @@ from drake_plant import (
     simulate,
 )
 from drake_plant.fingertip_driver import CONSTANT, POINT, driving_law
+from drake_plant.recording import Recording
 
 
 def config(scene, **changes):
@@ -705,3 +706,18 @@ def test_a_recording_that_cannot_be_written_is_refused_before_anything_is_simula
     scene = cs.load_scene("D1")
     with pytest.raises(cs.SceneError, match="scene 'D1': recording = .*folder that exists"):
         simulate(scene, config(scene), recording=tmp_path / name)
+
+
+def test_a_recording_that_is_none_is_refused(tmp_path):
+    with pytest.raises(cs.SceneError, match="scene 'D1': recording = 5: give a path"):
+        simulate(cs.load_scene("D1"), recording=5)
+    for frames in (0, -3.0, "many"):
+        with pytest.raises(cs.SceneError, match=f"frames = {frames!r}: give a finite number above"):
+            Recording(frames)
+    with pytest.raises(cs.SceneError, match="nothing to save in film.html: call Add before"):
+        Recording().Save("film.html")
+    builder, film, scene = DiagramBuilder(), Recording(), cs.load_scene("D1")
+    film.Add(builder, AddScenePlant(builder, scene, config(scene).plant))
+    builder.Build()
+    with pytest.raises(cs.SceneError, match="'.*film.html' cannot be written: .*give a path in a"):
+        film.Save(tmp_path / "none" / "film.html")
