@@ -196,6 +196,9 @@ class _Bodies:
             for i, body in enumerate(fingers)
             for geometry in plant.GetCollisionGeometriesForBody(body)
         }
+        # A plant of somebody's own may have other bodies that fingers touch.
+        geometries = plant.GetCollisionGeometriesForBody(scene_plant.object_body)
+        self.object_geometries = {geometry.get_value() for geometry in geometries}
 
     def seen(
         self, X_W: list[RigidTransform], V_W: list[SpatialVelocity], results: ContactResults
@@ -211,20 +214,21 @@ class _Bodies:
             info = results.hydroelastic_contact_info(k)
             patch, F_Ac_W = info.contact_surface(), info.F_Ac_W().get_coeffs()
             M, N = patch.id_M().get_value(), patch.id_N().get_value()
-            if M in self.contact_of_geometry:  # body A has geometry M
+            if M in self.contact_of_geometry and N in self.object_geometries:
+                # body A has geometry M
                 i = self.contact_of_geometry[M]
                 seen.touch(i, 0.0, patch.centroid(), F_Ac_W[3:], F_Ac_W[:3])
-            elif N in self.contact_of_geometry:
+            elif N in self.contact_of_geometry and M in self.object_geometries:
                 i = self.contact_of_geometry[N]
                 seen.touch(i, 0.0, patch.centroid(), -F_Ac_W[3:], -F_Ac_W[:3])
         for k in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(k)
             A, B = int(info.bodyA_index()), int(info.bodyB_index())
             f_Bc_W, p_WC = info.contact_force(), info.contact_point()
-            if B in self.contact_of_body:
+            if B in self.contact_of_body and A == self.object:
                 i = self.contact_of_body[B]
                 seen.touch(i, self.middles[i], p_WC, f_Bc_W, 0.0)
-            elif A in self.contact_of_body:
+            elif A in self.contact_of_body and B == self.object:
                 i = self.contact_of_body[A]
                 seen.touch(i, self.middles[i], p_WC, -f_Bc_W, 0.0)
         return seen

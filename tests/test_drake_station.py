@@ -12,6 +12,11 @@ import pytest
 pytest.importorskip("pydrake")
 
 from pydrake.common import Parallelism
+from pydrake.geometry import HalfSpace
+from pydrake.geometry import Sphere as SphereShape
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import BatchEvalTimeDerivatives, Simulator
 from pydrake.systems.framework import DiagramBuilder, InputPortSelection
 from scipy.spatial.transform import Rotation
@@ -24,6 +29,7 @@ from drake_plant import (
     DriverConfig,
     FingertipDriver,
     PlantConfig,
+    ScenePlant,
     SetInitialState,
     StationConfig,
     rolling_scene,
@@ -402,6 +408,39 @@ def test_fingertips_that_are_no_spheres_press_with_one_newton_and_roll(finger, a
 
 
 # --- objects that are not free -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("time_step", [0.0, 1e-3])
+def test_a_finger_on_something_else_does_not_touch_the_object(time_step):
+    """In a plant of the user's own, where a table stands under the fingertip."""
+    scene, builder = cs.load_scene("C2"), DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step)
+    bodies = []
+    for name, surface in (("object", scene.object), ("finger", scene.contacts[0].finger)):
+        inertia = SpatialInertia.SolidSphereWithMass(1.0, surface.size)
+        bodies.append(plant.AddRigidBody(name, inertia))
+        shape = SphereShape(surface.size)
+        plant.RegisterCollisionGeometry(
+            bodies[-1], RigidTransform(), shape, name, CoulombFriction(0.5, 0.5)
+        )
+    plant.RegisterCollisionGeometry(
+        plant.world_body(), RigidTransform(), HalfSpace(), "table", CoulombFriction(0.5, 0.5)
+    )
+    plant.Finalize()
+    parts = ScenePlant(scene, PlantConfig(time_step), plant, scene_graph, bodies[0], bodies[1:])
+    monitor = builder.AddSystem(ContactMonitor(scene, parts))
+    for name in ("contact_results", "body_poses", "body_spatial_velocities"):
+        builder.Connect(plant.GetOutputPort(name), monitor.GetInputPort(name))
+    simulator = Simulator(builder.Build())
+    root = simulator.get_mutable_context()
+    context = plant.GetMyMutableContextFromRoot(root)
+    for body, place in zip(bodies, ([0, 0, 5.0], [0.5, 0, scene.contacts[0].finger.size - 1e-3])):
+        plant.SetFreeBodyPose(context, body, RigidTransform(np.array(place)))
+    simulator.AdvanceTo(time_step)
+    assert plant.get_contact_results_output_port().Eval(context).num_point_pair_contacts() == 1
+    own = monitor.GetMyContextFromRoot(root)
+    for name, nothing in (("normal_force", [0.0]), ("tangential_force", [0.0, 0.0])):
+        assert monitor.GetOutputPort(name).Eval(own).tolist() == nothing
 
 
 def test_a_welded_object_stays_where_it_is():
