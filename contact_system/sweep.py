@@ -16,7 +16,6 @@ import numbers
 import os
 import pickle
 import sys
-import zipfile
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sized
 from concurrent.futures import (
@@ -84,19 +83,37 @@ class Part:
     failures: list[Failure]
 
 
+@dataclass(frozen=True)
+class Kept:
+    """A part in a file, and the digest by which the file knows its scenes."""
+
+    path: Path
+    digest: str
+
+
 class Sweep:
     """Results of :func:`sweep`; iterating gives them one chunk's table at a time, in order.
 
-    Those of a sweep with a folder stay there and are read when they are asked for.
+    Those of a sweep with a folder stay there and are read when they are asked for; a
+    ContactSystemError says where they were removed, damaged or written over since.
     """
 
-    def __init__(self, parts: Mapping[int, Part | Path]):
+    def __init__(self, parts: Mapping[int, Part | Kept]):
         self._parts = [parts[k] for k in sorted(parts)]
 
     def parts(self) -> Iterator[Part]:
         """Chunk by chunk, in the order of the scenes."""
         for part in self._parts:
-            yield part if isinstance(part, Part) else _read(part)
+            if isinstance(part, Part):
+                yield part
+            elif (found := _read(part)) is not None:
+                yield found
+            else:
+                raise ContactSystemError(
+                    f"'{part.path}' holds results of this sweep no more: since then it was "
+                    "removed, damaged or written over by another sweep; call sweep again, with a "
+                    "folder of its own"
+                )
 
     def __iter__(self) -> Iterator[np.ndarray]:
         return (part.table for part in self.parts())
@@ -549,9 +566,10 @@ class _Store:
     """Results by number of their chunk: in memory, or as files that know their scenes."""
 
     def __init__(self, job: Job, folder: Path | None):
-        self.job, self.folder = job, folder
-        self.parts: dict[int, Part | Path] = {}
-        self.digests: dict[int, str] = {}
+        # absolute: results are read later, perhaps from another current folder
+        self.job, self.folder = job, None if folder is None else folder.absolute()
+        self.parts: dict[int, Part | Kept] = {}
+        self.unfinished: dict[int, Kept] = {}
         if folder is not None:
             make_folder(folder, "give another folder")
 
@@ -559,11 +577,12 @@ class _Store:
         """Those chunks that are not finished; the others are taken over."""
         for chunk in chunks:
             if self.folder is not None:
-                path, digest = self._path(chunk), _digest(self.job, chunk)
-                if _digest_of(path) == digest:
-                    self.parts[chunk.number] = path
+                path = self.folder / f"chunk-{chunk.number:08d}.npz"
+                kept = Kept(path, _digest(self.job, chunk))
+                if _read(kept) is not None:
+                    self.parts[chunk.number] = kept
                     continue
-                self.digests[chunk.number] = digest
+                self.unfinished[chunk.number] = kept
             yield chunk
 
     def put(self, chunk: Chunk, part: Part) -> None:
@@ -571,32 +590,24 @@ class _Store:
         if self.folder is None:
             self.parts[chunk.number] = part
             return
-        path = self.parts[chunk.number] = self._path(chunk)
-        unfinished = path.with_suffix(".part")
+        kept = self.parts[chunk.number] = self.unfinished.pop(chunk.number)
+        unfinished = kept.path.with_suffix(".part")
         failures = json.dumps([asdict(failure) for failure in part.failures])
-        digest = self.digests.pop(chunk.number)
-        with writing(path):
+        with writing(kept.path):
             with unfinished.open("wb") as file:
-                np.savez(file, digest=digest, table=part.table, failures=failures)
-            unfinished.replace(path)
-
-    def _path(self, chunk: Chunk) -> Path:
-        assert self.folder is not None
-        return self.folder / f"chunk-{chunk.number:08d}.npz"
+                np.savez(file, digest=kept.digest, table=part.table, failures=failures)
+            unfinished.replace(kept.path)
 
 
-def _read(path: Path) -> Part:
-    with np.load(path) as data:
-        failures = [Failure(**fields) for fields in json.loads(str(data["failures"]))]
-        return Part(data["table"], failures)
-
-
-def _digest_of(path: Path) -> str | None:
-    """The digest in a file of results; None where there is no such file, or another one."""
+def _read(kept: Kept) -> Part | None:
+    """What is kept; None where its file is not there, is damaged or holds other results."""
     try:
-        with np.load(path) as data:
-            return str(data["digest"])
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        with np.load(kept.path) as data:
+            if str(data["digest"]) != kept.digest:
+                return None
+            failures = [Failure(**fields) for fields in json.loads(str(data["failures"]))]
+            return Part(data["table"], failures)
+    except Exception:  # whatever a file of another kind, or a damaged one, leads to
         return None
 
 

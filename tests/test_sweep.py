@@ -274,12 +274,33 @@ def test_results_of_a_file_that_was_changed_are_not_taken_over(tmp_path):
         assert found.table["states"] == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_file_of_results_that_is_cut_short_is_made_again(tmp_path):
+@pytest.mark.parametrize("damage", [
+    lambda whole: whole[:700],
+    lambda whole: whole.replace(b"table.npy", b"tible.npy"),
+    lambda whole: whole.replace(b"scene", b"xcene", 1),  # digest and directory are whole
+])  # fmt: skip
+def test_a_file_of_results_that_is_damaged_is_made_again(damage, tmp_path):
     scenes = family(3)
     expected = cs.sweep(scenes, middle, folder=tmp_path).table
     (file,) = tmp_path.iterdir()
-    file.write_bytes(file.read_bytes()[:700])
+    whole = file.read_bytes()
+    file.write_bytes(damage(whole))
+    assert file.read_bytes() != whole
     assert np.array_equal(cs.sweep(scenes, middle, folder=tmp_path).table, expected)
+
+
+def test_results_that_were_written_over_or_removed_since_are_not_told(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    first = cs.sweep(family(2), middle, folder="results")
+    monkeypatch.chdir("/")
+    expected = first.table
+    second = cs.sweep(family(3)[1:], middle, folder=tmp_path / "results")
+    assert not np.array_equal(second.table, expected)
+    with pytest.raises(cs.ContactSystemError, match="chunk-00000000.npz' holds .* no more"):
+        _ = first.table
+    (tmp_path / "results" / "chunk-00000000.npz").unlink()
+    with pytest.raises(cs.ContactSystemError, match="with a folder of its own"):
+        _ = second.failures
 
 
 @pytest.mark.parametrize("scenes", ["K1", Path("K1.toml"), rolling_towards(0), None])
