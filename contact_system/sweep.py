@@ -399,7 +399,8 @@ def sweep(
     folder : path, optional
         Keep the results of each chunk in a file there, not in memory. The same call continues where
         an interrupted one stopped: chunks whose scenes (or what is in their files), tolerance and
-        name of ``evaluate`` have not changed are not done again; a lambda has no name of its own.
+        name of ``evaluate`` (and the numbers, texts, tuples and arrays that it encloses, where a
+        function made it) have not changed are not done again; a lambda has no name of its own.
     chunk : int
         Scenes that a worker takes at a time, and that are planned together at most.
     ahead : int, optional
@@ -617,12 +618,21 @@ def _digest(job: Job, chunk: Chunk) -> str:
 
     name = getattr(job.evaluate, "__qualname__", "")
     # a lambda has no name of its own, and a method's result depends on its object
-    named = "" if "<lambda>" in name or hasattr(job.evaluate, "__self__") else name
-    known = named.encode() or _pickled(job.evaluate)
+    if not name or "<lambda>" in name or hasattr(job.evaluate, "__self__"):
+        known = _pickled(job.evaluate)
+    else:
+        known = f"{job.evaluate.__module__}.{name} {_enclosed(job.evaluate)}".encode()
     found = hashlib.sha256(known + f"{__version__} {job.tolerance!r} {chunk.first}".encode())
     for item in chunk.items:
         found.update(_content(item))
     return found.hexdigest()
+
+
+def _enclosed(function: Callable) -> list:
+    """What a function made inside another one takes from there, as far as it stays what it is."""
+    values = [cell.cell_contents for cell in getattr(function, "__closure__", None) or ()]
+    fixed = [x for x in values if isinstance(x, (numbers.Number, str, tuple, np.ndarray))]
+    return [x.tolist() if isinstance(x, np.ndarray) else x for x in fixed]
 
 
 def _content(item: Item) -> bytes:

@@ -361,6 +361,20 @@ def test_a_folder_knows_functions_without_a_name_of_their_own_apart(tmp_path):
     assert ends[0] != ends[1]
 
 
+def end_at(t: float | np.ndarray):
+    def end(plan: cs.Plan) -> dict[str, np.ndarray]:
+        return {"end": plan.states(np.reshape(t, 1))[0]}
+
+    return end
+
+
+@pytest.mark.parametrize("times", [(0.1, 0.5), np.array([[0.1], [0.5]])])
+def test_a_folder_knows_functions_apart_that_one_function_made_of_other_numbers(times, tmp_path):
+    for t in times:
+        found = cs.sweep(family(1), end_at(t), folder=tmp_path).table["end"]
+        assert found == pytest.approx(cs.plan(family(1)[0]).states(np.reshape(t, 1))[0], abs=1e-12)
+
+
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
