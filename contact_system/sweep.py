@@ -549,6 +549,11 @@ class _Crew:
                     f"the executor {broken!r} broke ({error}) and cannot be replaced; repair it "
                     "and call again: with a folder, what is finished is not done again"
                 ) from error
+        except RuntimeError as error:
+            raise ContactSystemError(
+                f"the executor {self.executor!r} takes no work ({error}); give one that is not "
+                "shut down, and where it starts processes, sweep below if __name__ == '__main__'"
+            ) from error
         self.close()
         names = ("_max_workers", "_mp_context", "_initializer", "_initargs")
         self.executor = ProcessPoolExecutor(*(getattr(broken, name) for name in names))

@@ -330,6 +330,14 @@ def test_functions_that_no_process_can_be_sent_are_refused():
                 cs.sweep(scenes, evaluate, pool)
 
 
+@pytest.mark.parametrize("kind", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_an_executor_that_was_shut_down_is_refused(kind):
+    with kind(1) as pool:
+        pass
+    with pytest.raises(cs.ContactSystemError, match="takes no work .*; give one that is not shut"):
+        cs.sweep(["C1"], executor=pool)
+
+
 def test_a_folder_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "taken").touch()
     with pytest.raises(cs.ContactSystemError, match="taken': .*; give another folder"):
