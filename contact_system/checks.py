@@ -110,8 +110,8 @@ def finite_number(
             # float() would take all of these, numpy's complex numbers for their real parts
             wrong = isinstance(value, (str, bytes, bool, np.bool_)) or np.iscomplexobj(value)
             number = math.nan if wrong else float(value)
-        except OverflowError:  # an integer beyond floating point
-            number = math.inf
+        except OverflowError:  # an integer beyond floating point, perhaps too long to be shown
+            value = number = math.inf
         except (TypeError, ValueError):
             number = math.nan
     within = number > 0 or not bound or (number == 0 and bound != "above 0")

@@ -76,13 +76,22 @@ def scene_from_toml(text: str, source: str = "") -> Scene:
     """
     with naming(source or "TOML text"):
         try:
-            table = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise SceneError(f"is not valid TOML: {error}; correct that line") from None
-        known_keys(table, SCENE_KEYS)
-        _required(table, ("duration", "profile", "object", "contacts"))
-        table = {"name": Path(source).stem, **table, "source": source}
-        return Scene(**{key: _read(key, value) for key, value in table.items()})
+            return _scene(text, source)
+        except RecursionError:
+            raise SceneError("lists or tables are nested too deeply; nest them less") from None
+
+
+def _scene(text: str, source: str) -> Scene:
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"is not valid TOML: {error}; correct that line") from None
+    except ValueError as error:  # int() reads no more than 4300 digits
+        raise SceneError(f"holds a number that is too long: {error}; shorten it") from None
+    known_keys(table, SCENE_KEYS)
+    _required(table, ("duration", "profile", "object", "contacts"))
+    table = {"name": Path(source).stem, **table, "source": source}
+    return Scene(**{key: _read(key, value) for key, value in table.items()})
 
 
 def _read(key: str, value: Any) -> Any:

@@ -476,6 +476,10 @@ def test_arithmetic_texts_are_numbers():
         ("friction = 0.5", "friction = nan", ["drake.friction", "nan"]),
         ("[drake]", "[darke]", ["'darke'", "'drake'"]),
         ("[[contacts]]", "[contacts]", ["TOML"]),
+        ('[0.1, "1/5"]', "[" * 2000 + "]" * 2000, ["nested too deeply"]),
+        ("friction = 0.5", "x" + ".x" * 2000 + " = 1", ["nested too deeply"]),
+        ("friction = 0.5", "friction = " + 5000 * "9", ["too long", "shorten"]),
+        ("stop = 1", "stop = 0x" + 5000 * "f", ["disturbances[0]", "stop = inf"]),
     ],
 )
 def test_a_mistake_in_a_file_is_named_by_file_key_value_and_remedy(old, new, words):
