@@ -5,7 +5,7 @@ its command, that loads to a function ``register(subparsers)``. It adds an argpa
 its default ``run`` to a function of the parsed arguments that returns the exit code. Such packages
 are imported only when their command or the help is asked for.
 
-Exit codes: 0; 2 after a user's error, told in one line on stderr.
+Exit codes: 0; 2 after a user's error, told in one line on stderr; 130 where Ctrl-C ended it.
 """
 
 from __future__ import annotations
@@ -60,8 +60,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = _parser(words).parse_args(words)
         code = args.run(args)
-        sys.stdout.flush()
+        if sys.stdout is not None:  # a program that has none prints nothing
+            sys.stdout.flush()
         return code
+    except KeyboardInterrupt:
+        print(f"{PROGRAM}: interrupted", file=sys.stderr)
+        return 130  # as shells have it
     except BrokenPipeError:  # whoever reads the output, such as head, has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -219,6 +219,20 @@ def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path, capsys):
     assert "taken" in _fails(capsys, "run", "torus", "--no-plots", "--out", tmp_path / "taken")
 
 
+def test_a_run_that_is_interrupted_says_so_in_one_line(monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "plan", interrupted)
+    assert _run("run", "K1") == 130
+    assert capsys.readouterr() == ("", "contact-system: interrupted\n")
+
+
+def test_a_program_without_a_screen_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)
+    assert _run("run", "C1", "--no-plots", "--out", tmp_path) == 0
+
+
 def test_unknown_command_is_refused(capsys):
     with pytest.raises(SystemExit) as stop:
         _run("plan", "K1")
