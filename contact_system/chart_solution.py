@@ -110,15 +110,16 @@ def _chart_group(
             machine.run()
             return machine.y[0].copy()  # the solver keeps it
 
-        result = solve_ivp(
-            rate,
-            (a, b),
-            y,
-            method=solver,
-            rtol=max(tolerance, 3e-14),
-            atol=tolerance,
-            dense_output=True,
-        )
+        with np.errstate(under="ignore"):  # of the spacing of doubles at t = 0
+            result = solve_ivp(
+                rate,
+                (a, b),
+                y,
+                method=solver,
+                rtol=max(tolerance, 3e-14),
+                atol=tolerance,
+                dense_output=True,
+            )
         if not result.success or not np.isfinite(result.y).all():
             raise ContactSystemError(
                 f"{where}: {solver} on the chart equations stopped at "

@@ -928,7 +928,8 @@ def slip_of(
 
 
 def _decaying(v: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndarray:
-    return v[:, :, None] * piece.decay(tau, piece.speed(tau))
+    with np.errstate(under="ignore"):
+        return v[:, :, None] * piece.decay(tau, piece.speed(tau))
 
 
 def _first_panel(piece: GainPiece, span: float, size: float) -> float:

@@ -347,9 +347,10 @@ class GainPiece:
 
     def decay(self, tau, speed):
         """exp(-(L(tau) - L(0))) at local time tau, where sigma is ``speed``."""
-        decay = np.exp(-polynomial(self.exponent, tau))
-        if self.power:
-            with np.errstate(divide="ignore", invalid="ignore"):
+        # slip may end below what a double holds, and sigma be 0 where a piece begins
+        with np.errstate(under="ignore", divide="ignore", invalid="ignore"):
+            decay = np.exp(-polynomial(self.exponent, tau))
+            if self.power:
                 decay = decay * np.where(np.asarray(tau) > 0, self.sigma[0] / speed, 1.0)
         return decay
 

@@ -95,6 +95,19 @@ def test_what_was_asked_before_does_not_change_an_answer():
         assert np.array_equal(getattr(fresh, ask)(t), getattr(used, ask)(t)), ask
 
 
+@pytest.mark.parametrize(("gain", "method"), [
+    (cs.Gain.time(1e4), "auto"), (cs.Gain.guaranteed(1e4), "auto"), (cs.Gain.time(1.0), "chart"),
+])  # fmt: skip
+def test_slip_that_ends_below_what_a_double_holds_is_no_error(gain, method):
+    scene = cs.load_scene("K2").replace(gain=gain)
+    with np.errstate(all="raise"):
+        plan = cs.plan(scene, method=method, compiled=False)
+        for ask in ASK:
+            getattr(plan, ask)(np.linspace(0, scene.duration, 9))
+        assert np.isfinite(cs.summary(plan)["slip_end"]).all()
+        assert len(cs.rejections(plan)) == len(scene.contacts)
+
+
 def test_plans_are_deterministic():
     t = np.linspace(0, 1, 31)
     scene = busy()
