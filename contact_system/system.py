@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .charts import TINY, TURN
-from .checks import did_you_mean, flag
+from .checks import did_you_mean, flag, real_array
 from .development import driven_motion, forced_motion, reflection, starting_slip
 from .equations import chart_equations
 from .errors import SceneError
@@ -604,9 +604,10 @@ class SceneSystem:
         SceneError
             Another output, or arrays of other lengths.
         """
+        t = float(self._numbers("t", t))
         w = self.window_values(t) if w is None else w
         given = {"x": x, "w": w, "held": self.held0 if held is None else held}
-        arrays = {name: np.asarray(value, dtype=float) for name, value in given.items()}
+        arrays = {name: self._numbers(name, value) for name, value in given.items()}
         function = self.function(output)
         for name, array in arrays.items():
             count = function.numel_in(name)
@@ -615,6 +616,22 @@ class SceneSystem:
                     f"scene '{self.scene.name}': {name} has shape {array.shape}; give ({count},)"
                 )
         return function(t, *arrays.values(), self.parameters).full().ravel()
+
+    def _numbers(self, name: str, value: ArrayLike) -> Array:
+        """The value as an array of floats, of t without an axis."""
+        try:
+            found = real_array(value)
+            if name != "t" or found.ndim == 0:
+                return found
+        except (TypeError, ValueError, OverflowError):
+            pass
+        remedy = "a time in seconds" if name == "t" else "numbers"
+        raise SceneError(f"scene '{self.scene.name}': {name} = {value!r:.80}; give {remedy}")
+
+    def __getstate__(self) -> dict:
+        """What is pickled and copied: all but symbols and functions, which are made when asked."""
+        made = ("_symbols", "_expressions", "_functions")
+        return {k: v for k, v in vars(self).items() if k not in made} | {"_functions": {}}
 
     # --- windows ---------------------------------------------------------------------------------
 
@@ -668,11 +685,16 @@ class SceneSystem:
         SceneError
             A wrong shape, NaN, sigma(t) <= 0, or a point that is not in its chart.
         """
-        n, rows = len(self.scene.contacts), np.asarray(state, dtype=float)
+        n, rows = len(self.scene.contacts), self._numbers("state", state)
         if rows.size != 9 * n:
             where = f"scene '{self.scene.name}', restart"
             raise SceneError(f"{where}: state has shape {rows.shape}; give {(n, 9)}")
-        w = self.window_values(t) if w is None else np.asarray(w, dtype=float)
+        t = float(self._numbers("t", t))
+        w = self.window_values(t) if w is None else self._numbers("w", w)
+        if w.shape != (self.n_w,):
+            raise SceneError(
+                f"scene '{self.scene.name}': w has shape {w.shape}; give ({self.n_w},)"
+            )
         offsets = w.reshape(-1, 6)[:, 4:] if self.n_w else np.zeros((n, 2))
         starts = [
             measured_start(self.scene, i, t, row, offsets[i])

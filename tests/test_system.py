@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import pickle
 import threading
 import time
 
@@ -225,6 +227,33 @@ def test_an_unknown_output_and_arrays_of_other_lengths_are_refused_by_name():
     ):
         with pytest.raises(cs.SceneError, match=words):
             system.evaluate("slip", 0.0, *arrays)
+
+
+@pytest.mark.parametrize("wrong", ["a", {}, 1j, 10**400])
+def test_what_is_no_number_is_refused_by_name(wrong):
+    scene = cs.load_scene("K4")
+    system, state = cs.SceneSystem(scene), cs.plan(scene).states(0.5)[0]
+    for ask, name in (
+        (lambda: system.evaluate("state", wrong, system.x0), "t"),
+        (lambda: system.evaluate("state", [0.1], system.x0), "t"),
+        (lambda: system.evaluate("state", 0.1, wrong), "x"),
+        (lambda: system.from_states(wrong, state), "t"),
+        (lambda: system.from_states(0.5, wrong), "state"),
+        (lambda: system.from_states(0.5, state, wrong), "w"),
+        (lambda: system.from_states(0.5, state, [1.0]), r"w has shape \(1,\)"),
+    ):
+        with pytest.raises(cs.SceneError, match=f"scene 'K4'(, restart)?: {name}"):
+            ask()
+
+
+@pytest.mark.parametrize(
+    "copied", [copy.copy, copy.deepcopy, lambda system: pickle.loads(pickle.dumps(system))]
+)
+def test_a_system_that_was_asked_is_pickled_and_copied(copied):
+    system = cs.SceneSystem(cs.load_scene("K4"), "frame")
+    expected = system.evaluate("twist", 0.1, system.x0)
+    assert system.depends("slip")
+    assert np.array_equal(copied(system).evaluate("twist", 0.1, system.x0), expected)
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
