@@ -624,15 +624,29 @@ def _least_gain(profile: Profile, law: str, duration: float) -> float:
 
 def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[float, float], ...]:
     """Intervals on which sigma' - lam sigma < 0."""
-    c, slope = profile.coefficients, profile._rate
-    if gain.law == "path":
-        rate = _rounded(_exact(slope), _product((-gain.value,), c, c, c))
-    elif gain.law == "time":
-        rate = _rounded(_exact(slope), _product((-gain.value,), c))
-    else:  # rho = 0: the law only makes up for growth
-        rate = slope
-    knots = (0.0, *_sign_changes(rate, 0.0, duration), duration)
-    return tuple((a, b) for a, b in zip(knots, knots[1:]) if _clear_value(rate, 0.5 * (a + b)) < 0)
+    found: list[tuple[float, float]] = []
+    knots = profile.knots(0.0, duration)
+    for start, stop in zip(knots, knots[1:]):
+        # around its middle, where terms of sigma^3 cancel least
+        middle = 0.5 * (start + stop)
+        rate = _slip_rate(profile.shifted(middle), gain)
+        ends = start - middle, stop - middle
+        turns = [middle + tau for tau in _sign_changes(rate, *ends)]
+        for a, b in zip([start, *turns], [*turns, stop]):
+            if _clear_value(rate, 0.5 * (a + b) - middle) < 0:
+                if found and found[-1][1] == a:
+                    a = found.pop()[0]
+                found.append((a, b))
+    return tuple(found)
+
+
+def _slip_rate(c: Coefficients, gain: Gain) -> Coefficients:
+    """Coefficients of sigma' - lam sigma from those of sigma."""
+    slope = _derivative(c)
+    if gain.law == "guaranteed":  # rho = 0: the law only makes up for growth
+        return slope
+    power = 3 if gain.law == "path" else 1
+    return _rounded(_exact(slope), _product((-gain.value,), *[c] * power))
 
 
 def _slip_factors(

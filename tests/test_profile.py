@@ -292,6 +292,17 @@ def test_least_eta_and_intervals_agree_with_a_grid(law, profile):
     assert np.array_equal(listed[inside], shrinks[inside])
 
 
+def test_intervals_are_found_where_terms_of_the_cube_cancel():
+    c = (3005.1403161236235, -1740.4493292790798, 376.88626263685416, -36.17421559902501,
+         1.2990199109844012)  # fmt: skip
+    intervals = contraction(Profile(c), Gain.path(1.0), 7.9).intervals
+    for t in map(Fraction, np.linspace(0.01, 7.89, 400).tolist()):
+        sigma = sum(Fraction(x) * t**k for k, x in enumerate(c))
+        rate = sum(k * Fraction(x) * t ** (k - 1) for k, x in enumerate(c) if k)
+        if abs(rate - sigma**3) > 1e-3 * (abs(rate) + sigma**3) and sigma > 1e-6:
+            assert any(a <= t <= b for a, b in intervals) == (rate < sigma**3), float(t)
+
+
 @pytest.mark.parametrize("gain", [Gain.path(3), Gain.time(0.3), Gain.guaranteed(0.1)])
 def test_growth_and_what_is_left_agree_with_the_law(gain):
     report = contraction(WAVY, gain, 2)
