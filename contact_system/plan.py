@@ -566,7 +566,6 @@ class Plan:
             self._programs[output] = program_of(self.groups, output)
         return self._programs[output]
 
-    @np.errstate(under="ignore")  # slip may end below what a double holds
     def _collect(
         self, t: ArrayLike, read: Callable[[Sample], np.ndarray], shape: tuple[int, ...]
     ) -> np.ndarray:
@@ -575,10 +574,10 @@ class Plan:
         for group in self.groups:
             for motion, where in _motions(group, times):
                 index = where if isinstance(where, np.ndarray) else np.arange(len(times))[where]
-                out[np.ix_(index, group.contacts)] = read(motion).swapaxes(0, 1)
+                with np.errstate(under="ignore"):  # slip may end below what a double holds
+                    out[np.ix_(index, group.contacts)] = read(motion).swapaxes(0, 1)
         return out
 
-    @np.errstate(under="ignore")  # slip may end below what a double holds
     def _in_contact_frame(self, t: ArrayLike, read: Callable[[Sample], np.ndarray]) -> np.ndarray:
         """Turn (n, 2, n_times) from the object's parallel frame into E2."""
         times = self._times(t)
@@ -586,12 +585,13 @@ class Plan:
         for group in self.groups:
             values = np.zeros((len(group.contacts), 2, len(times)))
             for motion, where in _motions(group, times):
-                plane = read(motion)
-                if plane.any():
-                    theta = self._object_angle(group, motion)
-                    c, s = np.cos(theta), np.sin(theta)
-                    values[:, 0, where] = c * plane[:, 0] - s * plane[:, 1]
-                    values[:, 1, where] = s * plane[:, 0] + c * plane[:, 1]
+                with np.errstate(under="ignore"):  # slip may end below what a double holds
+                    plane = read(motion)
+                    if plane.any():
+                        theta = self._object_angle(group, motion)
+                        c, s = np.cos(theta), np.sin(theta)
+                        values[:, 0, where] = c * plane[:, 0] - s * plane[:, 1]
+                        values[:, 1, where] = s * plane[:, 0] + c * plane[:, 1]
             out[group.contacts] = values
         return out.transpose(2, 0, 1)
 
