@@ -64,7 +64,7 @@ def chart_groups(
     zeros = [t for t in scene.profile.zeros(scene.duration) if t >= begin]
     if zeros:
         raise SceneError(
-            f"scene '{scene.name}': the chart equations divide by sigma, which is zero at "
+            f"{scene.title}: the chart equations divide by sigma, which is zero at "
             f"t = {zeros[0]:g} s; use the default method, which does not"
         )
     return [_chart_group(scene, i, starts[i], begin, tolerance, solver) for i in range(len(starts))]
@@ -83,7 +83,7 @@ def _chart_group(
 ) -> Group:
     from scipy.integrate import solve_ivp  # 0.2 s to import, and only this method needs it
 
-    contact, where = scene.contacts[index], f"scene '{scene.name}', contact {index}"
+    contact, where = scene.contacts[index], f"{scene.title}, contact {index}"
     if contact.follows:
         raise SceneError(f"{where}: imposed rolling has no chart method; use the default method")
     angle = np.array([start.angle])

@@ -185,7 +185,7 @@ def _asked_scene(args: argparse.Namespace) -> Scene:
         given = getattr(args, name)
         if given is not None and name != taken:
             raise SceneError(
-                f"scene '{scene.name}': --{name} {given:g}: the gain law '{law}' takes {taken}; "
+                f"{scene.title}: --{name} {given:g}: the gain law '{law}' takes {taken}; "
                 f"give --{taken}, or another law with --gain"
             )
         value = value if given is None else given

@@ -126,15 +126,15 @@ def measured_states(
             a = real_array(given)
         except (TypeError, ValueError, OverflowError):
             raise ContactSystemError(
-                f"scene '{scene.name}': {name} = {given!r:.80}; give numbers, shape {(n, *shape)}"
+                f"{scene.title}: {name} = {given!r:.80}; give numbers, shape {(n, *shape)}"
             ) from None
         arrays.append(a)
         if a.shape != (n, *shape):
             raise ContactSystemError(
-                f"scene '{scene.name}': {name} has shape {a.shape}; give {(n, *shape)}"
+                f"{scene.title}: {name} has shape {a.shape}; give {(n, *shape)}"
             )
         if not np.isfinite(a).all():
-            raise ContactSystemError(f"scene '{scene.name}': {name} has a NaN or infinity")
+            raise ContactSystemError(f"{scene.title}: {name} has a NaN or infinity")
     _check_rigid(scene, arrays[0])
     found = sensor.measure(arrays[0][:, :3].reshape(n, 12), *arrays[1:])
     sensor.check(found)
@@ -150,7 +150,7 @@ def _check_rigid(scene: Scene, pose: np.ndarray) -> None:
     if len(wrong):
         i = int(wrong[0])
         raise ContactSystemError(
-            f"scene '{scene.name}', contact {i}: pose = {pose[i].tolist()} is no rotation and "
+            f"{scene.title}, contact {i}: pose = {pose[i].tolist()} is no rotation and "
             "translation over the row 0, 0, 0, 1; give X_OF, the finger's frame in the object's"
         )
 
@@ -216,7 +216,7 @@ class ContactSensor:
     def check(self, found: Measurement) -> None:
         """Raise what is wrong with a measurement; see :func:`measured_states`."""
         for i in range(self.count):
-            what = f"scene '{self.scene.name}', contact {i}"
+            what = f"{self.scene.title}, contact {i}"
             if abs(found.relative[i]) <= SINGULAR:
                 raise ConformalContact(
                     f"{what}: the surfaces conform to each other at the contact, so a twist does "

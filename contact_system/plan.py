@@ -250,7 +250,7 @@ class Plan:
 
         A text; its panels are steps of Gauss collocation.
         """
-        lines = [f"scene '{self.scene.name}': tolerance {self.tolerance:g}, method {self.method}"]
+        lines = [f"{self.scene.title}: tolerance {self.tolerance:g}, method {self.method}"]
         for group in sorted(self.groups, key=lambda g: g.contacts[0]):
             names = ", ".join(str(i) for i in group.contacts)
             lines.append(f"contact{'s' * (len(group.contacts) > 1)} {names}:")
@@ -285,7 +285,7 @@ class Plan:
         after = self.scene if scene is None else scene
         require_scene(after)
         t = self._time(t)
-        where = f"scene '{after.name}', continued at t = {t:g} s"
+        where = f"{after.title}, continued at t = {t:g} s"
         if not t < after.duration:
             raise SceneError(
                 f"{where}: nothing is left to plan, the scene ends at "
@@ -306,7 +306,7 @@ class Plan:
             for i, contact in enumerate(s.contacts):
                 if contact.follows:
                     raise SceneError(
-                        f"continued at t = {t:g} s: scene '{s.name}', contact {i}: rolling that is "
+                        f"continued at t = {t:g} s: {s.title}, contact {i}: rolling that is "
                         "imposed has one plan; give finger_velocity as numbers"
                     )
         starts = moments(self.groups, t)
@@ -335,7 +335,7 @@ class Plan:
             A wrong shape, NaN, a contact at a pole or an umbilic, sigma(t) = 0, nothing left to
             plan, or contacts whose rolling is imposed.
         """
-        where, shape = f"scene '{self.scene.name}', restart", (len(self.scene.contacts), 9)
+        where, shape = f"{self.scene.title}, restart", (len(self.scene.contacts), 9)
         t = self._time(t)
         try:
             measured = real_array(state)
@@ -390,7 +390,7 @@ class Plan:
         """
         path = a_path(path)
         t = self.sample_times() if times is None else self._times(times)
-        with writing(path, f"scene '{self.scene.name}': "):
+        with writing(path, f"{self.scene.title}: "):
             self._write(path, t)
 
     def _write(self, path: Path, t: np.ndarray) -> None:
@@ -443,7 +443,7 @@ class Plan:
         """One time inside the horizon."""
         times = self._times(t)
         if np.ndim(t):
-            raise SceneError(f"scene '{self.scene.name}': t = {t!r}; give a time in seconds")
+            raise SceneError(f"{self.scene.title}: t = {t!r}; give a time in seconds")
         return float(times[0])
 
     def _times(self, t: ArrayLike) -> np.ndarray:
@@ -456,7 +456,7 @@ class Plan:
         first, last = self.start, self.scene.duration
         bad = times[~((times >= first) & (times <= last))]
         raise ContactSystemError(
-            f"scene '{self.scene.name}': t = {float(bad[0])!r} s is outside the plan's horizon "
+            f"{self.scene.title}: t = {float(bad[0])!r} s is outside the plan's horizon "
             f"[{first:g}, {last:g}] s; ask inside it, or lengthen the scene's duration"
         )
 

@@ -499,7 +499,7 @@ class GroupPlanner:
             if not turns.max() <= ENDLESS:
                 worst = int(self.pattern.contacts[turns.argmax()])
                 raise SceneError(
-                    f"scene '{self.scene.name}', contact {worst}: its path is {turns.max():.3g} "
+                    f"{self.scene.title}, contact {worst}: its path is {turns.max():.3g} "
                     f"times as long as {body.surface!r} is large, and no digit of its position "
                     f"would be left (limit {ENDLESS:g}); lower its velocity, sigma or the duration"
                 )
@@ -873,7 +873,7 @@ def require_regular(scene: Scene, groups: Sequence[Group]) -> None:
 
 def group_name(scene: Scene, contacts: np.ndarray) -> str:
     """Contacts of a scene, for messages."""
-    return f"scene '{scene.name}', contact {', '.join(map(str, contacts.tolist()))}"
+    return f"{scene.title}, contact {', '.join(map(str, contacts.tolist()))}"
 
 
 def _standing(

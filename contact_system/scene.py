@@ -356,8 +356,7 @@ class Scene:
             _check_chosen(self)
             _ = self.packed_starts, self.likeness  # ready, as initial states of integrators are
         except ContactSystemError as error:
-            name = f"scene '{self.name}'" if self.name else "scene"
-            raise SceneError(f"{name}: {error}") from None
+            raise SceneError(f"{self.title}: {error}") from None
 
     def __getstate__(self) -> dict[str, Any]:
         """What is pickled: the fields, not what a planner has worked out and keeps with them."""
@@ -408,6 +407,11 @@ class Scene:
     def contact_name(self, index: int) -> str:
         """What tables and pictures call a contact: its name, or its index from 0."""
         return self.contacts[index].name or f"contact {index}"
+
+    @property
+    def title(self) -> str:
+        """What messages call it."""
+        return f"scene '{self.name}'" if self.name else "scene"
 
     @property
     def window_edges(self) -> tuple[float, ...]:

@@ -235,7 +235,7 @@ def scene_to_toml(scene: Scene) -> str:
         If a surface was given as a Python function or is of a kind of your own, which a file
         cannot hold.
     """
-    with naming(f"scene '{scene.name}'"):
+    with naming(scene.title):
         gain = {"law": scene.gain.law, scene.gain.parameter: scene.gain.value}
         lines = _lines(
             {
@@ -376,5 +376,5 @@ def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     """
     require_scene(scene)
     path, text = a_path(path), scene_to_toml(scene)
-    with writing(path, f"scene '{scene.name}': "):
+    with writing(path, f"{scene.title}: "):
         path.write_text(text, "utf-8")

@@ -94,7 +94,7 @@ def measured_start(
     SceneError
         NaN, sigma = 0, a pole, or coordinates outside the chart.
     """
-    where, sigma = f"scene '{scene.name}', restart at t = {t:g} s", float(scene.profile(t))
+    where, sigma = f"{scene.title}, restart at t = {t:g} s", float(scene.profile(t))
     if not np.isfinite(row).all():
         raise SceneError(
             f"{where}, contact {index}: the measured state has {row[~np.isfinite(row)][0]}; leave "

@@ -432,19 +432,19 @@ class SceneSystem:
             zeros = scene.profile.zeros(scene.duration)
             if zeros:
                 raise SceneError(
-                    f"scene '{scene.name}': the chart equations divide by sigma, which is zero at "
+                    f"{scene.title}: the chart equations divide by sigma, which is zero at "
                     f't = {zeros[0]:g} s; use coordinates="frame", which start and rest at zero'
                 )
             for i, contact in enumerate(scene.contacts):
                 for surface in (contact.finger, scene.object):
                     if not surface.has_chart:
                         raise SceneError(
-                            f"scene '{scene.name}', contact {i}: {surface!r} has no explicit "
+                            f"{scene.title}, contact {i}: {surface!r} has no explicit "
                             'chart for the chart equations; use coordinates="frame"'
                         )
         for d in scene.disturbances:
             if not isinstance(d, ObjectRateOffset):
-                where = f"scene '{scene.name}', contact {d.contact}"
+                where = f"{scene.title}, contact {d.contact}"
                 refuse_rest(scene, where, d.start, d.stop)
 
     def _form(self, index: int) -> Form:
@@ -575,7 +575,7 @@ class SceneSystem:
             known = self._expressions
         if output not in known:
             raise SceneError(
-                f"scene '{self.scene.name}': output = {output!r} is unknown"
+                f"{self.scene.title}: output = {output!r} is unknown"
                 f"{did_you_mean(output, known)}; use one of {', '.join(known)}"
             )
         return known[output]
@@ -613,7 +613,7 @@ class SceneSystem:
             count = function.numel_in(name)
             if array.shape != (count,):
                 raise SceneError(
-                    f"scene '{self.scene.name}': {name} has shape {array.shape}; give ({count},)"
+                    f"{self.scene.title}: {name} has shape {array.shape}; give ({count},)"
                 )
         return function(t, *arrays.values(), self.parameters).full().ravel()
 
@@ -626,7 +626,7 @@ class SceneSystem:
         except (TypeError, ValueError, OverflowError):
             pass
         remedy = "a time in seconds" if name == "t" else "numbers"
-        raise SceneError(f"scene '{self.scene.name}': {name} = {value!r:.80}; give {remedy}")
+        raise SceneError(f"{self.scene.title}: {name} = {value!r:.80}; give {remedy}")
 
     def __getstate__(self) -> dict:
         """What is pickled and copied: all but symbols and functions, which are made when asked."""
@@ -687,14 +687,12 @@ class SceneSystem:
         """
         n, rows = len(self.scene.contacts), self._numbers("state", state)
         if rows.size != 9 * n:
-            where = f"scene '{self.scene.name}', restart"
+            where = f"{self.scene.title}, restart"
             raise SceneError(f"{where}: state has shape {rows.shape}; give {(n, 9)}")
         t = float(self._numbers("t", t))
         w = self.window_values(t) if w is None else self._numbers("w", w)
         if w.shape != (self.n_w,):
-            raise SceneError(
-                f"scene '{self.scene.name}': w has shape {w.shape}; give ({self.n_w},)"
-            )
+            raise SceneError(f"{self.scene.title}: w has shape {w.shape}; give ({self.n_w},)")
         offsets = w.reshape(-1, 6)[:, 4:] if self.n_w else np.zeros((n, 2))
         starts = [
             measured_start(self.scene, i, t, row, offsets[i])

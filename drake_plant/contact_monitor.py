@@ -123,8 +123,8 @@ class ContactMonitor(LeafSystem):
         n, fingers = len(scene.contacts), len(scene_plant.finger_bodies)
         if n != fingers:
             raise SceneError(
-                f"scene '{scene.name}' has {n} contacts and scene_plant, of scene "
-                f"'{scene_plant.scene.name}', {fingers}: give the scene that it was made for, or "
+                f"{scene.title} has {n} contacts and scene_plant, of "
+                f"{scene_plant.scene.title}, {fingers}: give the scene that it was made for, or "
                 "rolling_scene of it"
             )
         self._sensor = ContactSensor(scene, TOLERANCE)

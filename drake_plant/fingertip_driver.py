@@ -228,7 +228,7 @@ class FingertipDriver(LeafSystem):
         normal, point = self._normal.Eval(context), self._point.Eval(context)
         if len(X_OF) != len(self._constants):  # Drake compares sizes of vectors only
             raise SceneError(
-                f"scene '{self.scene.name}': {len(X_OF)} poses on the driver's input port 'pose' "
+                f"{self.scene.title}: {len(X_OF)} poses on the driver's input port 'pose' "
                 f"for {len(self._constants)} fingers; connect the planner of this scene"
             )
         # The thread's own, filled once nothing is left to evaluate that may use it too.
@@ -280,13 +280,13 @@ def _check_step(parts: ScenePlant) -> None:
     """
     scene, config = parts.scene, parts.config
     if not config.time_step:
-        raise SceneError(f"scene '{scene.name}': time_step = {config.time_step!r}: {DISCRETE_ONLY}")
+        raise SceneError(f"{scene.title}: time_step = {config.time_step!r}: {DISCRETE_ONLY}")
     borne = SHARE * config.finger_mass / config.time_step**2
     for i, contact in enumerate(scene.contacts):
         needed = config.normal_force / (contact.finger.size + scene.object.size)
         if borne < needed:
             raise SceneError(
-                f"scene '{scene.name}', contact {i}: time_step = {config.time_step!r}: a finger of "
+                f"{scene.title}, contact {i}: time_step = {config.time_step!r}: a finger of "
                 f"{config.finger_mass:g} kg can be held with {borne:.3g} N/m, and pressing with "
                 f"{config.normal_force:g} N needs {needed:.3g} N/m; give at most "
                 f"{math.sqrt(SHARE * config.finger_mass / needed):.2g} s, or a heavier finger"

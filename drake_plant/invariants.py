@@ -56,7 +56,7 @@ class StepWatch:
             return ""
         self.short = 0
         return (
-            f"scene '{self.scene.name}': at t = {t:.6g} s the integrator takes steps of "
+            f"{self.scene.title}: at t = {t:.6g} s the integrator takes steps of "
             f"{length:.2g} s, and the scene ends at {self.scene.duration:g} s; "
         )
 
@@ -215,7 +215,7 @@ def refuse_pace(system: SceneSystem, t: float, limits: Limits, speed: Array, sli
     if system.coordinates == "chart":
         remedy += ', or ContactPlanner(scene, coordinates="frame"), which is less stiff'
     raise SceneError(
-        f"scene '{scene.name}', contact {i}: integrated to t = {t:.6g} s it {found}: the steps "
+        f"{scene.title}, contact {i}: integrated to t = {t:.6g} s it {found}: the steps "
         f"are too long for this integrator; {remedy}; or, if the Context was given another state "
         "on the way, call Simulator.Initialize() first"
     )

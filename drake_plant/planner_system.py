@@ -76,7 +76,7 @@ def _refuse_singularity(system: SceneSystem, t: Array, x: Array, w: Array, held:
     if system.coordinates == "frame":
         remedy = "move the contact away from that point, or turn the body's axes"
     raise ChartSingularity(
-        f"scene '{scene.name}', contact {i}, {('finger', 'object')[side]}: at t = {time:.6g} s the "
+        f"{scene.title}, contact {i}, {('finger', 'object')[side]}: at t = {time:.6g} s the "
         f"contact is {values[i, side]:.2g} of the body's size from a singular point of the chart "
         f"of {surface!r} ({where}): less than {CLEARANCE:g}, or beyond it; {remedy}"
     )
@@ -88,14 +88,14 @@ def _refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> N
     sigma = scene.profile(time)
     if sigma < 0:
         raise SceneError(
-            f"scene '{scene.name}': sigma = {sigma:.6g} m/s at t = {time:.6g} s is negative; the "
+            f"{scene.title}: sigma = {sigma:.6g} m/s at t = {time:.6g} s is negative; the "
             f"scene runs from 0 to {scene.duration:g} s: simulate no further, or lengthen it"
         )
     for i, part in enumerate(system.state_slices):
         for name, value in (("state", x[part]), ("disturbance", w[6 * i : 6 * i + 6])):
             if not np.isfinite(value).all():
                 raise SceneError(
-                    f"scene '{scene.name}', contact {i}: the {name} at t = {time:.6g} s is "
+                    f"{scene.title}, contact {i}: the {name} at t = {time:.6g} s is "
                     f"{value.tolist()}; it must be finite. Check what sets it"
                 )
     if not system.evaluate("clearance", time, x, w, held)[0] > CLEARANCE:
@@ -104,7 +104,7 @@ def _refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> N
     worst = [float(np.abs(rates[part]).max()) for part in system.state_slices]
     i = int(np.argmax(worst))  # of NaNs the first
     raise ChartSingularity(
-        f"scene '{scene.name}', contact {i}: at t = {time:.6g} s (sigma = {sigma:.6g} m/s) "
+        f"{scene.title}, contact {i}: at t = {time:.6g} s (sigma = {sigma:.6g} m/s) "
         f"derivatives are as large as {worst[i]:.3g}: the contact is at a pole, an acceleration "
         "acts while sigma = 0, or the steps are too long for the integrator. Move the contact, "
         "raise sigma, or take smaller steps"
@@ -112,7 +112,7 @@ def _refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> N
 
 
 def _check_restart(scene: Scene, period: Any, slip: Any) -> None:
-    least, what = max(EARLY, scene.duration / MOST), f"scene '{scene.name}': restart_"
+    least, what = max(EARLY, scene.duration / MOST), f"{scene.title}: restart_"
     if period is not None and finite_number(period, f"{what}period", "above 0") < least:
         raise SceneError(
             f"{what}period = {period!r}: give a time in s, at least {least:.2g} s, with which the "

@@ -303,7 +303,7 @@ def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) ->
         _check_edges(config, touches)
         return _add(builder, scene, config, touches)
     except ContactSystemError as error:
-        raise type(error)(f"scene '{scene.name}', plant: {error}") from None
+        raise type(error)(f"{scene.title}, plant: {error}") from None
 
 
 def _add(

@@ -152,7 +152,7 @@ class StationConfig:
         for key in table:
             if key not in names:
                 raise SceneError(
-                    f"scene '{scene.name}', [drake]: key {key!r} is unknown"
+                    f"{scene.title}, [drake]: key {key!r} is unknown"
                     f"{did_you_mean(key, names)}; the keys here are {', '.join(sorted(names))}"
                 )
 
@@ -164,7 +164,7 @@ class StationConfig:
             driver=DriverConfig(**take(known["driver"])),
             **take(own),
         )
-        with naming(f"scene '{scene.name}', [drake]"):
+        with naming(f"{scene.title}, [drake]"):
             config.check()
         return config
 
@@ -179,7 +179,7 @@ def rolling_scene(scene: Scene, config: PlantConfig) -> Scene:
     it is nearly of ellipsoids; of others it is their equation, shifted along the normal.
     """
     require_scene(scene)
-    with naming(f"scene '{scene.name}'"):
+    with naming(scene.title):
         require_config(config, PlantConfig)
     depth, point = contact_depth(config), config.contact_model == "point"
     of_finger, of_object = (0.5 * depth, 0.5 * depth) if point else (depth, 0.0)
@@ -291,7 +291,7 @@ def _checked(scene: Scene, config: StationConfig | None) -> StationConfig:
     if config is None:
         return StationConfig.from_scene(scene)
     require_scene(scene)
-    with naming(f"scene '{scene.name}', station"):
+    with naming(f"{scene.title}, station"):
         require_config(config, StationConfig)
         config.check()
     return config
@@ -487,18 +487,18 @@ def simulate(
     config = dataclasses.replace(_checked(scene, config), monitor=True)
     duration = scene.duration if duration is None else duration
     period = config.plant.time_step
-    if not finite_number(duration, f"scene '{scene.name}': duration") >= period:
+    if not finite_number(duration, f"{scene.title}: duration") >= period:
         raise SceneError(
-            f"scene '{scene.name}': a simulation of {duration!r} s with a time_step of {period:g} "
+            f"{scene.title}: a simulation of {duration!r} s with a time_step of {period:g} "
             "s: give a finite time of at least one step"
         )
     loggers: dict[str, Any] = {}
     film = None
     if recording is not None:
-        recording = a_path(recording, f"scene '{scene.name}': recording")
+        recording = a_path(recording, f"{scene.title}: recording")
         if not recording.parent.is_dir() or recording.is_dir():
             raise SceneError(
-                f"scene '{scene.name}': recording = {str(recording)!r}: no file can be written "
+                f"{scene.title}: recording = {str(recording)!r}: no file can be written "
                 "there; give a path in a folder that exists, such as 'film.html'"
             )
         from .recording import Recording

@@ -120,7 +120,7 @@ class LockstepGroup:
     def __init__(self, scene: Scene, members: list[int]):
         finger, obj = scene.contacts[members[0]].finger, scene.object
         self.members = members
-        self.name = f"scene '{scene.name}', contact {', '.join(map(str, members))}"
+        self.name = f"{scene.title}, contact {', '.join(map(str, members))}"
         self.forms = in_space(finger, True), in_space(obj, True)
         self.charted = not (finger.has_implicit and obj.has_implicit)
         self.size = list(map(state_size, self.forms))

@@ -221,7 +221,7 @@ def require_charts(scene: Scene) -> None:
     for place, surface in bodies:
         if not surface.has_chart:
             raise SceneError(
-                f"scene '{scene.name}', {place}: {surface!r} has no explicit chart f(u, v), which "
+                f"{scene.title}, {place}: {surface!r} has no explicit chart f(u, v), which "
                 "an importer needs to set where the contact starts; give a ParametricSurface"
             )
 

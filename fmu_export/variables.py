@@ -267,7 +267,7 @@ def _require_names(table: Table) -> None:
         name, count = Counter(names).most_common(1)[0]
         if count > 1:
             raise SceneError(
-                f"scene '{table.scene.name}': two variables of the FMU would be called {name}; "
+                f"{table.scene.title}: two variables of the FMU would be called {name}; "
                 f"give the surface's parameter '{name.rpartition('.')[2]}' another name"
             )
 
