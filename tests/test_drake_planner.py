@@ -740,12 +740,13 @@ def test_a_time_that_is_not_a_number_is_refused():
     ("options", "message"),
     [
         ({"restart_period": value}, f"'K1': restart_period = {value!r}: give a finite number")
-        for value in (-1, 0, math.nan, math.inf, 10**400, True, "a")
+        for value in (-1, 0, math.nan, math.inf, True, "a")
     ]
+    + [({"restart_slip": 10**5000}, "'K1': restart_slip = inf: give a finite number")]
     + [({"restart_period": 1e-10}, "'K1': restart_period = 1e-10: give a time in s, at least")]
     + [
         ({"restart_slip": value}, f"'K1': restart_slip = {value!r}: give a finite number")
-        for value in (-1, math.nan, math.inf, 10**400, True, "a")
+        for value in (-1, math.nan, math.inf, True, "a")
     ]
     + [
         ({"disturbance_input": "no"}, "disturbance_input = 'no': give True or False"),
