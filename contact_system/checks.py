@@ -127,10 +127,13 @@ def real_array(values: Any) -> np.ndarray:
     Raises
     ------
     TypeError, ValueError, OverflowError
-        They are texts, truth values or complex numbers, which numpy would take, or no numbers.
+        They are texts, truth values, complex numbers or None, which numpy would take, or no
+        numbers.
     """
     given = np.asarray(values)
     if given.dtype.kind not in "iufO":
+        raise TypeError
+    if given.dtype.kind == "O" and any(x is None for x in given.flat):  # NaN to numpy
         raise TypeError
     return given.astype(float, copy=False)
 

@@ -246,6 +246,19 @@ def test_what_is_no_number_is_refused_by_name(wrong):
             ask()
 
 
+def test_none_is_no_number():
+    scene = cs.load_scene("K1")
+    system, motion = cs.SceneSystem(scene), cs.plan(scene)
+    for ask, message in (
+        (lambda: system.evaluate("slip", None, system.x0), "scene 'K1': t = None; give a time"),
+        (lambda: motion.slip([0.1, None]), r"t = \[0.1, None\]: give a time"),
+        (lambda: scene.profile(None), "profile at t = None: give times"),
+        (lambda: scene.object.point(None, 1.0), r"\(None, 1.0\) must be numbers"),
+    ):
+        with pytest.raises(cs.ContactSystemError, match=message):
+            ask()
+
+
 @pytest.mark.parametrize(
     "copied", [copy.copy, copy.deepcopy, lambda system: pickle.loads(pickle.dumps(system))]
 )
