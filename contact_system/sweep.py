@@ -635,7 +635,10 @@ def _digest(job: Job, chunk: Chunk) -> str:
 
 def _enclosed(function: Callable) -> list:
     """What a function made inside another one takes from there, as far as it stays what it is."""
-    values = [cell.cell_contents for cell in getattr(function, "__closure__", None) or ()]
+    values = []
+    for cell in getattr(function, "__closure__", None) or ():
+        with contextlib.suppress(ValueError):  # a name that has no value yet
+            values.append(cell.cell_contents)
     fixed = [x for x in values if isinstance(x, (numbers.Number, str, tuple, np.ndarray))]
     return [x.tolist() if isinstance(x, np.ndarray) else x for x in fixed]
 

@@ -383,6 +383,15 @@ def test_a_folder_knows_functions_apart_that_one_function_made_of_other_numbers(
         assert found == pytest.approx(cs.plan(family(1)[0]).states(np.reshape(t, 1))[0], abs=1e-12)
 
 
+def test_a_function_that_encloses_a_name_without_a_value_fails_scene_by_scene(tmp_path):
+    def end(plan: cs.Plan) -> dict[str, np.ndarray]:
+        return {"end": plan.states(later)[0]}
+
+    (failure,) = cs.sweep(family(1), end, folder=tmp_path).failures
+    assert "later" in failure.error
+    later = 0.1
+
+
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
