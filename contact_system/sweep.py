@@ -639,8 +639,14 @@ def _enclosed(function: Callable) -> list:
     for cell in getattr(function, "__closure__", None) or ():
         with contextlib.suppress(ValueError):  # a name that has no value yet
             values.append(cell.cell_contents)
-    fixed = [x for x in values if isinstance(x, (numbers.Number, str, tuple, np.ndarray))]
-    return [x.tolist() if isinstance(x, np.ndarray) else x for x in fixed]
+    return [_plain(x) for x in values if isinstance(x, (numbers.Number, str, tuple, np.ndarray))]
+
+
+def _plain(value: Any) -> Any:
+    """The value with lists for arrays, whose own repr rounds and leaves out."""
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def _content(item: Item) -> bytes:

@@ -376,7 +376,9 @@ def end_at(t: float | np.ndarray):
     return end
 
 
-@pytest.mark.parametrize("times", [(0.1, 0.5), np.array([[0.1], [0.5]])])
+@pytest.mark.parametrize("times", [
+    (0.1, 0.5), np.array([[0.1], [0.5]]), [(np.array([0.1]),), (np.array([0.1 + 3e-10]),)]
+])  # fmt: skip
 def test_a_folder_knows_functions_apart_that_one_function_made_of_other_numbers(times, tmp_path):
     for t in times:
         found = cs.sweep(family(1), end_at(t), folder=tmp_path).table["end"]
