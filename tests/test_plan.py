@@ -718,15 +718,22 @@ GROUND = {
 
 @pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("slip", [0.0, 0.5])
+@pytest.mark.parametrize("push", [0.0, 1e-13])
 @pytest.mark.parametrize("ground", GROUND)
-def test_a_bump_far_out_on_even_ground_is_seen(ground, slip, compiled):
-    """A path straight over its top stays upright: its length is that of the bump's outline."""
+def test_a_bump_far_out_on_even_ground_is_seen(ground, push, slip, compiled):
+    """A path straight over its top stays upright: its length is that of the bump's outline.
+
+    Also where an acceleration, too small to be noticed, has both bodies moved together.
+    """
     obj, at, ahead = GROUND[ground]
     contact = cs.Contact(
         cs.Plane(), at, (0.0, 0.0), finger_velocity=(ahead, 0.0),
         object_velocity=(ahead * (1 - slip), 0.0),
     )  # fmt: skip
-    scene = cs.Scene(object=obj, contacts=[contact], profile=cs.Profile([3.5]), duration=1.0)
+    pushes = [cs.FingerAcceleration(0, 0.1, 1.0, (ahead * push, 0.0))] if push else []
+    scene = cs.Scene(
+        object=obj, contacts=[contact], profile=cs.Profile([3.5]), duration=1.0, disturbances=pushes
+    )
     x, y, z = cs.plan(scene, compiled=compiled).points(1.0)[0, 0, 1]
     reach = slip * 3.5 / 100 * (1 - np.exp(-100))  # lam = 100 1/s
     slope = lambda u: 2 * (u - 3) / 0.005 * np.exp(-(((u - 3) / 0.005) ** 2))  # noqa: E731
