@@ -283,12 +283,12 @@ class _Slave:
                 self._refuse(function, ERROR, f"{self._name(reference)} {text}")
         try:
             values = self.block.values_of(key)
-            self.block.remember(asked, key)
+            self._require_values(function, key, values)
+            self.block.remember(asked, key)  # what was refused is refused again
         except ChartSingularity as error:
             self._refuse(function, DISCARD, str(error))
         except ContactSystemError as error:  # from planning on under new inputs
             self._refuse(function, ERROR, str(error))
-        self._require_values(function, key, values)
         return values
 
     def _require_values(self, function: str, key: Sequence[int], values: Sequence[float]) -> None:
