@@ -231,7 +231,8 @@ class Block:
         plan = self.now.plan
         assert plan is not None
         at = self._end()
-        self._plan_on(at, max(target, 2 * at - plan.start), target)
+        # Twice as far as before: after one input few plans follow, not one a step.
+        self._plan_on(at, max(target, at + 2 * (at - plan.start)), target)
 
     def _end(self) -> float:
         plan = self.now.plan

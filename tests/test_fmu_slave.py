@@ -392,6 +392,22 @@ def test_inputs_that_change_at_every_step_need_no_plan_each(monkeypatch):
     assert len(made) < 5
 
 
+def test_after_an_input_few_plans_are_made_for_many_steps(monkeypatch):
+    """A thousand steps of 1 ms took a plan each."""
+    scene, made = cs.load_scene("K4"), []
+    for name in ("__init__", "continued"):
+        own = getattr(cs.Plan, name)
+        monkeypatch.setattr(cs.Plan, name, lambda *a, own=own: made.append(0) or own(*a))
+    slave = advanced(begun(scene), 0.25)
+    put(slave, {"contact[2].object.acceleration.v": 0.3})
+    made.clear()
+    states = states_now(advanced(slave, *500 * [1e-3]))
+    assert len(made) < 25
+    monkeypatch.undo()
+    pushed = [*scene.disturbances, cs.ObjectAcceleration(1, 0.25, 1.0, (0.0, 0.3))]
+    close(states, cs.plan(scene.replace(disturbances=pushed), 1e-14).states(0.75)[0])
+
+
 def test_a_step_under_changing_inputs_restores_from_its_bytes_to_the_bit():
     scene = cs.load_scene("K4")
     slave, other = begun(scene), begun(scene)
