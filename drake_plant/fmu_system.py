@@ -322,8 +322,11 @@ class Instance:
     def _start_value(self, variable: Any, value: Any) -> list[Any]:
         """As fmpy's setters take it."""
         block, kind = PortVariables([variable], self.version), _kind(variable, self.version)
-        given = np.ravel(np.array(value, dtype=object)).tolist()
         problem: str | None = f"{variable.name} = {value!r} is not of type {variable.type}"
+        try:
+            given = np.ravel(np.array(value, dtype=object)).tolist()
+        except ValueError:  # arrays of several shapes
+            raise ContactSystemError(f"{self.name}: start value: {problem}") from None
         if len(given) != len(block.names):
             problem = f"{variable.name} has {len(block.names)} elements, not {len(given)}"
         elif kind in TEXTS:
@@ -338,7 +341,9 @@ class Instance:
         else:
             with contextlib.suppress(TypeError, ValueError):
                 values = np.array(given, dtype=float)
-                given, problem = values.astype(KINDS[kind]).tolist(), block.check(values)
+                problem = block.check(values)
+                if not problem:
+                    return values.astype(KINDS[kind]).tolist()
         if problem:
             raise ContactSystemError(f"{self.name}: start value: {problem}")
         return given
