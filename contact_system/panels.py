@@ -256,8 +256,9 @@ def _endless(problem: Problem, tau: float, count: int, most: float = MOST) -> Co
     return ContactSystemError(
         f"{problem.name}: {count} panels reach local time {problem.drive.start + tau:.9g} of "
         f"{problem.drive.start + problem.length:.9g} only, more than {most:g} would be needed; "
-        "shorten the scene, lower the speed, the acceleration or the surface's curvature; where a "
-        "disturbance drives the contact into a pole of its chart, end its window before"
+        "shorten the scene, lower the speed, the acceleration or the surface's curvature, or give "
+        "a surface of your own a greater size; where a disturbance drives the contact into a pole "
+        "of its chart, end its window before"
         + (", or plan with compiled=True" if most < MOST else "")
     )
 
