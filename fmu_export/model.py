@@ -41,6 +41,7 @@ LAYOUT = {"INPUT": 6, "STATE": 11, "RATE": 11, "SLIP": 2, "TWIST": 6, "POSE": 12
 INPUTS, STATES = LAYOUT["INPUT"], LAYOUT["STATE"]
 BLOCK = sum(LAYOUT.values())
 RESULTS = BLOCK - INPUTS - STATES
+INFINITE = 1e200  # no rate is greater; kernels divide an acceleration by 1e-300 where sigma is 0
 WORK_SIZE = 1.0
 """Stands for a body's size where `contact_function` asks for one and no result depends on it."""
 

@@ -40,8 +40,8 @@ from .description import (
     model_description,
     model_identifier,
 )
+from .model import INFINITE
 from .stepping import (
-    INFINITE,
     Block,
     Memory,
     MotionEnds,

@@ -38,6 +38,7 @@ from .description import model_identifier
 from .following import TOLERANCE
 from .model import (
     BLOCK,
+    INFINITE,
     LAYOUT,
     STATES,
     arguments,
@@ -122,7 +123,7 @@ class _Model:
             "MAX_NUMBERS": max(1, *(len(b.parameters) for b in bodies)),
             "GAIN_LAW": scene.gain.law.upper(),
             "MOTIONS": ", ".join(name.removesuffix(".c") for name in self.motions),
-            "TOLERANCE": TOLERANCE, "BLOCK_SIZE": BLOCK,
+            "TOLERANCE": TOLERANCE, "BLOCK_SIZE": BLOCK, "INFINITE": INFINITE,
         }  # fmt: skip
         offsets = accumulate(LAYOUT.values(), initial=0)
         sizes |= {f"AT_{name}": offset for name, offset in zip(LAYOUT, offsets)}

@@ -38,7 +38,6 @@ from .variables import BLOCK, INPUTS, Table, variable_table
 AHEAD = 256  # most steps that one evaluation serves
 # Times this near are one time: ten steps of 0.1 s are not 1 s.
 ROUNDING = 8 * sys.float_info.epsilon
-INFINITE = 1e200  # kernels divide an acceleration by 1e-300 where sigma is zero
 GAIN = 1  # reference of the gain
 PUSHES = 4  # of `INPUTS`, the first: accelerations
 

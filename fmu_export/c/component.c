@@ -607,8 +607,6 @@ static void find(component_t *c, long i, unsigned group) {
   now->valid[i] |= group;
 }
 
-#define INFINITE 1e200 /* kernels divide an acceleration by 1e-300 where sigma is zero */
-
 /* The first of these values that there is not; count where there are all */
 static long without_value(const memory_t *now, unsigned reference, const double *value, long count) {
   long i = 0;
