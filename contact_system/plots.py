@@ -25,6 +25,7 @@ from .measures import (
 )
 from .plan import Plan
 from .profile import Gain, Profile
+from .scene import Scene
 from .surfaces import Surface
 
 COLOURS = ("#1f5fa8", "#12876f", "#e08e0b", "#7a4fa3", "#3aa0d8", "#8a6a3b", "#5b7083")
@@ -38,6 +39,9 @@ HOLLOW = ["#6d7884", "#b9c2cb"]  # the back of a surface with an edge
 DECADES = 10  # of slip below its peak that a picture shows
 CELLS = 96  # of a surface's mesh in each coordinate
 OCCLUDER = 3  # every third mesh line tells what is hidden: flat faces miss a sphere by 0.005 r
+# of a scale: from which length on [m], in which unit [m]
+LENGTHS = ((1e9, 1.0, "m"), (1e3, 1e3, "km"), (0.1, 1.0, "m"), (1e-4, 1e-3, "mm"),
+           (1e-7, 1e-6, "µm"), (1e-10, 1e-9, "nm"))  # fmt: skip
 UNBOUNDED = 50  # times its size: an implicit surface that large does not close
 STYLE = {
     "font.size": 11, "axes.titlesize": 12, "axes.labelsize": 11, "legend.fontsize": 10,
@@ -195,13 +199,18 @@ def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
     # slip may leave the picture long before it ends, and need not fill it
     peak, least = slip.max(), slip[slip > 0].min()
     ax.set_ylim(max(peak * 10.0**-DECADES, min(least / 5, peak / 1e3)), peak * 10)
-    ax.set_xlim(plan.start, plan.scene.duration)
-    ax.set_xlabel("time [s]")
     ax.set_ylabel("slip [m/s]")
+    _time_axis(ax, plan)
     ax.grid(axis="y", color="#e4e7eb", linewidth=0.8)
     ax.set_axisbelow(True)
     shade_windows(ax, plan)
     ax.set_title("Slip at the contacts", loc="left", weight="bold")
+
+
+def _time_axis(ax: Any, plan: Plan) -> None:
+    ax.set_xlim(plan.start, plan.scene.duration)
+    ax.set_xlabel("time [s]")
+    ax.ticklabel_format(axis="x", scilimits=(-2, 4))  # longer numbers run into each other
 
 
 def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
@@ -261,8 +270,10 @@ def _draw_rolling(ax: Any, plan: Plan) -> None:
         i for i, c in enumerate(plan.scene.contacts) if c.follows and c.finger.great_circles
     ]
     if not followers:
-        ax.text(0.5, 0.5, "slip is zero throughout", ha="center", transform=ax.transAxes)
-        ax.set_axis_off()
+        ax.plot(t, plan.scene.profile(t), color=INK, linewidth=1.8)
+        ax.set_ylim(bottom=0.0)
+        ax.set_ylabel(r"path speed $\sigma$ [m/s]")
+        _time_axis(ax, plan)
         return
     for i in followers:
         radius = plan.scene.contacts[i].finger.size
@@ -272,9 +283,8 @@ def _draw_rolling(ax: Any, plan: Plan) -> None:
     ax.text(t[0], 3e-18, " dotted: relative spacing of doubles, 2.2e-16", size=9, color="#5a6370")
     ax.set_yscale("log")
     ax.set_ylim(1e-18, 1e-13)
-    ax.set_xlim(t[0], t[-1])
-    ax.set_xlabel("time [s]")
     ax.set_ylabel("distance / radius")
+    _time_axis(ax, plan)
     ax.set_title("Finger's curve from a great circle", loc="left", weight="bold")
 
 
@@ -352,23 +362,57 @@ def curve_of(plan: Plan, contact: int, t: np.ndarray, points: np.ndarray) -> _Cu
     disturbed = np.zeros(len(t), bool)
     for start, stop in windows(plan, contact):
         disturbed |= (t >= start) & (t < stop)
-    name = plan.scene.contact_name(contact)  # its number is shown, such as that of "finger 1"
+    return _Curve(points, disturbed, colour_of(contact), _number_of(plan.scene, contact))
+
+
+def _number_of(scene: Scene, contact: int) -> str:
+    """The number at the end of its name, such as that of "finger 1", or its index."""
+    name = scene.contact_name(contact)
     number = name[len(name.rstrip("0123456789")) :]
-    return _Curve(points, disturbed, colour_of(contact), number or str(contact))
+    return number if 0 < len(number) < 10 else str(contact)
+
+
+def contact_keys(scene: Scene) -> list[Any]:
+    """Legend entries of the contacts: one a colour, with the numbers of all that have it."""
+    from matplotlib.lines import Line2D
+
+    entries = []
+    for i in range(min(len(scene.contacts), len(COLOURS))):
+        others = range(i + len(COLOURS), len(scene.contacts), len(COLOURS))
+        names = ", ".join([scene.contact_name(i), *(_number_of(scene, k) for k in others)])
+        entries.append(
+            Line2D([], [], color=colour_of(i), linewidth=2.4, label=shortened(names, 26))
+        )
+    return entries
 
 
 def _distinct(curves: Sequence[_Curve], distance: float) -> list[_Curve]:
     """Curves that coincide are one curve with all their numbers."""
     kept: list[_Curve] = []
+    labels: list[list[str]] = []
     for curve in curves:
-        for known in kept:
+        for known, numbers in zip(kept, labels):
             if np.abs(known.points - curve.points).max() < distance:
-                known.label += f",{curve.label}"
+                numbers.append(curve.label)
                 known.disturbed |= curve.disturbed
                 break
         else:
             kept.append(curve)
+            labels.append([curve.label])
+    for curve, numbers in zip(kept, labels):
+        curve.label = shortened(_listed(numbers), 12)
     return kept
+
+
+def _listed(numbers: Sequence[str]) -> str:
+    """Numbers in short, such as 1,2,5-12: four or more that follow on each other are a range."""
+    runs: list[list[str]] = []
+    for number in numbers:
+        if runs and int(number) == int(runs[-1][-1]) + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 3 else ",".join(run) for run in runs)
 
 
 def mesh_of(plan: Plan, surface: Surface, side: int, contacts: Sequence[int]) -> _Mesh | None:
@@ -429,9 +473,12 @@ def draw_body(ax: Any, mesh: _Mesh | None, curves: Sequence[_Curve]) -> None:
     for curve in curves:
         hidden = is_hidden(mesh, view, curve.points)
         _draw_curve(ax, view, curve, hidden)
-    for curve in curves:
+    starts = np.array([view(curve.points[0])[:2] for curve in curves])
+    room = 0.04 * max(ax.dataLim.width, ax.dataLim.height)  # of a label
+    for k, curve in enumerate(curves):
         hidden = is_hidden(mesh, view, curve.points[:1])
-        _mark_start(ax, view, curve, bool(hidden[0]))
+        before = np.linalg.norm(starts[:k] - starts[k], axis=1) < room
+        _mark_start(ax, starts[k], curve, bool(hidden[0]), int(before.sum()))
     ax.set_aspect("equal")
     ax.margins(0.06)
     ax.set_axis_off()
@@ -595,13 +642,15 @@ def _draw_arrow(ax: Any, seen: np.ndarray, curve: _Curve, behind: bool) -> None:
     })  # fmt: skip
 
 
-def _mark_start(ax: Any, view: _View, curve: _Curve, behind: bool) -> None:
-    x, y, _ = view(curve.points[0])
-    ax.text(x, y, curve.label, color="white", size=9, weight="bold", ha="center", va="center",
-            zorder=8, alpha=0.75 if behind else 1.0,
-            bbox={"boxstyle": "circle,pad=0.25" if len(curve.label) < 2 else "round,pad=0.25",
-                  "facecolor": curve.colour, "edgecolor": "white", "linewidth": 1.1,
-                  "alpha": 0.55 if behind else 1.0})  # fmt: skip
+def _mark_start(ax: Any, start: np.ndarray, curve: _Curve, behind: bool, below: int) -> None:
+    """A curve's number where it begins, or below so many others that stand there."""
+    ax.annotate(
+        curve.label, start, (0, -17 * below), textcoords="offset points", color="white", size=9,
+        weight="bold", ha="center", va="center", zorder=8, alpha=0.75 if behind else 1.0,
+        bbox={"boxstyle": "circle,pad=0.25" if len(curve.label) < 2 else "round,pad=0.25",
+              "facecolor": curve.colour, "edgecolor": "white", "linewidth": 1.1,
+              "alpha": 0.55 if behind else 1.0},
+    )  # fmt: skip
 
 
 def _scale_bar(ax: Any) -> None:
@@ -611,9 +660,17 @@ def _scale_bar(ax: Any) -> None:
     length = max(k * decade for k in (1, 2, 5) if k * decade <= wanted)
     y = bottom - 0.02 * (top - bottom)
     ax.plot([left, left + length], [y, y], color=INK, linewidth=2.5, solid_capstyle="butt")
-    text = f"{length:g} m" if length >= 0.1 else f"{1000 * length:g} mm"
-    ax.text(left + length / 2, y - 0.015 * (top - bottom), text, ha="center", va="top", size=9)
+    ax.text(left + length / 2, y - 0.015 * (top - bottom), _length_text(length), ha="center",
+            va="top", size=9)  # fmt: skip
     ax.set_ylim(y - 0.09 * (top - bottom), top)
+
+
+def _length_text(length: float) -> str:
+    """A round length [m] in the unit that people read it in."""
+    for least, unit, name in LENGTHS:
+        if length > 0.99 * least:
+            return f"{length / unit:g} {name}"
+    return f"{length:g} m"
 
 
 def _key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) -> None:
@@ -621,9 +678,7 @@ def _key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) ->
     from matplotlib.lines import Line2D
 
     entries = _slip_entries(laws) if laws else []
-    for i in range(min(len(plan.scene.contacts), len(COLOURS))):
-        name = shortened(plan.scene.contact_name(i), 26)
-        entries.append(Line2D([], [], color=colour_of(i), linewidth=2.4, label=name))
+    entries += contact_keys(plan.scene)
     if plan.scene.disturbances:
         entries.append(Line2D([], [], color=DISTURBED, linewidth=2.4, label="disturbance"))
     if bodies:

@@ -20,13 +20,13 @@ from contact_system.plots import (
     Picture,
     best_view,
     colour_of,
+    contact_keys,
     curve_of,
     draw_body,
     draw_title,
     is_hidden,
     mesh_of,
     shade_windows,
-    shortened,
 )
 
 if TYPE_CHECKING:
@@ -170,11 +170,7 @@ def _key(ax: Any, result: SimulationResult) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    entries: list[Any] = [
-        Line2D([], [], color=colour_of(i), linewidth=2.4,
-               label=shortened(result.scene.contact_name(i), 26))
-        for i in range(len(result.scene.contacts))
-    ]  # fmt: skip
+    entries = contact_keys(result.scene)
     entries.append(Line2D([], [], color=INK, linewidth=2.4, marker="o", markersize=2.5,
                           markerfacecolor="white", markeredgewidth=0,
                           label="measured curve, dots where planned"))  # fmt: skip

@@ -69,6 +69,42 @@ def test_a_curve_has_the_number_that_the_legend_has():
 def test_curves_that_coincide_are_labelled_together():
     curves = plots._curves(cs.plan(cs.load_scene("K1")), [0, 1, 2], 0)
     assert [c.label for c in plots._distinct(curves, 1e-6)] == ["1,2,3"]
+    assert plots._listed([str(k) for k in (1, 2, 3, 5, 6, 7, 8, 9)]) == "1,2,3,5-9"
+
+
+def test_curves_from_one_place_have_labels_apart_and_every_contact_is_in_the_legend():
+    figures = pytest.importorskip("matplotlib.figure")
+    at = np.linspace(0, 6, 12)
+    contacts = [cs.Contact(FINGER, (1.0, u), name=f"finger {k}") for k, u in enumerate(at)]
+    knock = cs.FingerAcceleration(contact=3, start=0.2, stop=0.5, value=(3.0, 0.0))
+    scene = _scene(cs.Sphere(0.1)).replace(contacts=contacts, disturbances=[knock])
+    ax = figures.Figure((3, 3)).add_axes((0, 0, 1, 1))
+    plots._draw_finger(ax, cs.plan(scene))
+    labels = [text for text in ax.texts if text.get_text() and text.get_color() == "white"]
+    assert [text.get_text() for text in labels] == ["0,1,2,4-11", "3"]
+    assert not labels[0].get_window_extent().overlaps(labels[1].get_window_extent())
+    keys = [entry.get_label() for entry in plots.contact_keys(scene)]
+    assert keys[0] == "finger 0, 7" and keys[-1] == "finger 6" and len(keys) == 7
+
+
+@pytest.mark.parametrize(
+    "length, text",
+    [(2e6, "2000 km"), (500.0, "500 m"), (0.1, "0.1 m"), (0.02, "20 mm"), (1e-4, "0.1 mm"),
+     (2e-5, "20 µm"), (5e-11, "5e-11 m")],
+)  # fmt: skip
+def test_a_scale_has_the_unit_that_its_length_is_read_in(length, text):
+    assert plots._length_text(length) == text
+
+
+def test_contacts_that_roll_throughout_leave_no_panel_empty():
+    figures = pytest.importorskip("matplotlib.figure")
+    scene = _scene(cs.Plane())
+    rolling = dataclasses.replace(scene.contacts[0], object_velocity="rolling")
+    ax = figures.Figure().add_axes((0, 0, 1, 1))
+    plots._draw_slip(ax, [cs.plan(scene.replace(contacts=[rolling]))])
+    line = ax.lines[-1]
+    assert np.allclose(line.get_ydata(), 0.1 + 0.2 * line.get_xdata(), rtol=1e-14)
+    assert ax.get_xlabel() == "time [s]" and "m/s" in ax.get_ylabel()
 
 
 SURFACES = {
