@@ -150,12 +150,16 @@ def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
     head = (("contact", ""), ("normal force", "N"), ("deviation", "N"), ("peak friction", "N"),
             ("over mu N", ""), ("in rolling", "N"), ("slip/speed", ""),
             ("distance", "mm"))  # fmt: skip
-    rows = [
-        (r.name, f"{r.normal_mean:.4f}", f"{r.normal_deviation:.4f}", f"{r.friction_peak:.3f}",
-         f"{r.friction_ratio:.3f}", f"{r.rolling_friction:.3f}", f"{r.rolling_slip:.1e}",
-         f"{1e3 * r.distance:.3f}")
+    measured = [
+        (r.name, r.normal_mean, r.normal_deviation, r.friction_peak, r.friction_ratio,
+         r.rolling_friction, r.rolling_slip, 1e3 * r.distance)
         for r in reports
     ]  # fmt: skip
+    forms = (".4f", ".4f", ".3f", ".3f", ".3f", ".1e", ".3f")
+    rows = [
+        (name, *("-" if math.isnan(x) else format(x, form) for x, form in zip(values, forms)))
+        for name, *values in measured
+    ]
     return (*table(head, rows, 1), "")
 
 
@@ -184,8 +188,9 @@ def _verdict(result: SimulationResult, reports: Sequence[ContactReport]) -> Iter
         return
     yield f"The paper reports: {paper['reports']}."
     disturbed = [r for r in reports if not math.isnan(r.recovery)]
-    recovered = all(r.as_reported is not False for r in disturbed)
-    yield f"Here slip {'is' if recovered else 'is not'} rejected within that time."
+    timed = not math.isnan(disturbed[0].reported)
+    recovered = all(r.as_reported if timed else math.isfinite(r.recovery) for r in disturbed)
+    yield f"Here slip {'is' if recovered else 'is not'} rejected{' within that time' * timed}."
     if not recovered and all(r.settling <= r.reported for r in disturbed):
         yield (
             f"It is down to that of undisturbed rolling after "

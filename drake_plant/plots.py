@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SMOOTH = 0.02  # s over which the bold line of a rippling signal is averaged
+BOLD = f"bold: mean of {1e3 * SMOOTH:g} ms"
 LINES = 2400  # samples that a line is drawn with
 DOTS = 200  # places of each planned curve that are marked
 
@@ -91,7 +92,7 @@ def _draw_normal(ax: Any, result: SimulationResult) -> None:
     wanted = result.config.plant.normal_force
     ax.axhline(wanted, color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, 2 * wanted)
-    ax.set_title("Normal force (dotted: asked for)", loc="left", weight="bold")
+    ax.set_title(f"Normal force ({BOLD}; dotted: asked for)", loc="left", weight="bold")
     ax.set_ylabel("force [N]")
 
 
@@ -102,7 +103,7 @@ def _draw_friction(ax: Any, result: SimulationResult) -> None:
     limit = result.config.plant.friction * result.config.plant.normal_force
     ax.axhline(limit, color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, 1.3 * limit)
-    ax.set_title(r"Tangential force (dotted: $\mu N$)", loc="left", weight="bold")
+    ax.set_title(rf"Tangential force ({BOLD}; dotted: $\mu N$)", loc="left", weight="bold")
     ax.set_ylabel("force [N]")
 
 

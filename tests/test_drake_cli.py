@@ -174,6 +174,7 @@ def test_d1_runs_tells_and_writes(tmp_path, capsys):
     names = {p.name for p in tmp_path.iterdir()}
     assert names == {f"D1-drake.{s}" for s in ("npz", "csv", "png", "html")}
     assert all(f"wrote {tmp_path / name}" in out for name in names)
+    assert "nan" not in out  # too short a run to measure a steady force
     with np.load(tmp_path / "D1-drake.npz") as logs:
         assert logs["measured_normal_force"].shape == (len(logs["t"]), 3)
         assert logs["planned_state"].shape == (len(logs["t"]), 3, 9)
@@ -209,6 +210,14 @@ def test_a_whole_run_is_told_beside_the_paper(tmp_path, monkeypatch, capsys):
     assert "0.50 times real time" in out
     assert "Here slip is rejected within that time." in out
     assert "Tangential force saturates at finger 1; its peak is 0.500 N" in out
+
+
+@pytest.mark.parametrize(("rate", "told"), [(40.0, "Here slip is rejected."), (0.1, "is not rej")])
+def test_no_time_is_compared_with_where_the_paper_gives_none(rate, told):
+    result = made_up(decaying(rate), np.zeros(len(T)))
+    result.scene = result.scene.replace(paper={"reports": "rejected after the disturbance"})
+    text = " ".join(cli._told(result, contact_table(result)))
+    assert told in text and "that time" not in text
 
 
 @pytest.mark.parametrize(
