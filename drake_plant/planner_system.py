@@ -142,9 +142,9 @@ def _define(T: type) -> type:
             - slip
             - twist
             - acceleration
-            - pose
             - contact_point
             - normal
+            - pose
 
         For n contacts, in SI units and radians; F_i is the frame of finger i, O of the object, each
         the frame of the body's surface:
@@ -161,9 +161,9 @@ def _define(T: type) -> type:
           have the other sign than in :meth:`contact_system.Plan.slip`, as u2' v2' may.
         - `twist` (6n): V_OF_O, the finger's angular velocity and its origin's velocity in O.
         - `acceleration` (6n): the time derivative of the twist's components.
-        - `pose`: list of RigidTransform X_OF.
         - `contact_point` (6n): the contact on the finger, in F, and on the object, in O.
         - `normal` (3n): the object's outward unit normal at the contact, in O.
+        - `pose`: list of RigidTransform X_OF.
 
         The continuous state is that of :class:`contact_system.SceneSystem`: u1 v1 u1' v1' u2 v2 u2'
         v2' psi a contact for ``coordinates="chart"``; moving frames without poles and, but for

@@ -250,9 +250,9 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
         - slip
         - twist
         - acceleration
-        - pose
         - contact_point
         - normal
+        - pose
         - spatial_forces
         - measured_state
         - measured_slip

@@ -1,6 +1,7 @@
 """The station: fingers driven as planned, contact physics, closed loop, configuration."""
 
 import dataclasses
+import inspect
 import math
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from drake_plant import (
     AddScenePlant,
     BuildStation,
     ContactMonitor,
+    ContactPlanner,
     DriverConfig,
     FingertipDriver,
     PlantConfig,
@@ -284,6 +286,18 @@ def test_fingers_start_in_contact_and_moving_as_planned():
     planned = cs.plan(rolling_scene(scene, StationConfig.from_scene(scene).plant)).twist([0.0])[0]
     moving = plant.GetBodyByName("finger 1").EvalSpatialVelocityInWorld(physics)
     assert moving.get_coeffs() == pytest.approx(planned[0], rel=0.01, abs=0.01)
+
+
+def test_docstrings_list_the_ports_in_the_order_of_their_indices():
+    station = BuildStation(cs.load_scene("D1"))
+    for system, described in [
+        (station, BuildStation), (station.GetSubsystemByName("planner"), ContactPlanner),
+        (station.GetSubsystemByName("driver"), FingertipDriver),
+        (station.GetSubsystemByName("monitor"), ContactMonitor),
+    ]:  # fmt: skip
+        block = inspect.getdoc(described).split("output_ports:\n")[1].split("\n\n")[0]
+        names = [system.get_output_port(i).get_name() for i in range(system.num_output_ports())]
+        assert [line.split()[1] for line in block.splitlines()] == names
 
 
 def test_without_drake_the_import_says_what_to_install():
