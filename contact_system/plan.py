@@ -201,7 +201,10 @@ class Plan:
         return self._in_contact_frame(t, _acceleration)
 
     def pose(self, t: ArrayLike) -> np.ndarray:
-        """Pose of the finger's body frame in the object's: (len(t), n_contacts, 4, 4)."""
+        """Pose of the finger's body frame in the object's: (len(t), n_contacts, 4, 4).
+
+        Homogeneous matrices, origin in m (theory section 8).
+        """
         times = _one_axis(t)
         frames = np.empty((self._count, 18, len(times)))
         if self._fill_compiled("frames", times, 9, frames):
@@ -211,7 +214,8 @@ class Plan:
     def twist(self, t: ArrayLike) -> np.ndarray:
         """Twist V_OF_O: (len(t), n_contacts, 6), rad/s then m/s.
 
-        The finger frame's angular velocity and the velocity of its origin, in the object's frame.
+        The finger frame's angular velocity and the velocity of its origin, in the object's frame
+        (theory section 8).
         """
         return self._collect(t, lambda motion: motion.twist(), (6,))
 

@@ -220,22 +220,29 @@ class Disturbance:
 
 @dataclass(frozen=True, init=False)
 class FingerAcceleration(Disturbance):
-    """Adds (du, dv) to the finger's (u1", v1") [rad/s^2, or the chart's units]."""
+    """Adds `value` = (du, dv) to the finger's (u1", v1") [rad/s^2, or the chart's units].
+
+    `contact` is its index from 0, or "all"; `start` and `stop` [s] lie inside the horizon.
+    """
 
     kind: ClassVar[str] = "finger acceleration"
 
 
 @dataclass(frozen=True, init=False)
 class ObjectAcceleration(Disturbance):
-    """Adds (du, dv) to the object's (u2", v2") [rad/s^2, or the chart's units]."""
+    """Adds `value` = (du, dv) to the object's (u2", v2") [rad/s^2, or the chart's units].
+
+    `contact` is its index from 0, or "all"; `start` and `stop` [s] lie inside the horizon.
+    """
 
     kind: ClassVar[str] = "object acceleration"
 
 
 @dataclass(frozen=True, init=False)
 class ObjectRateOffset(Disturbance):
-    """Adds (du, dv) to the object's (u2', v2') [rad/s, or the chart's units].
+    """Adds `value` = (du, dv) to the object's (u2', v2') [rad/s, or the chart's units].
 
+    `contact` is its index from 0, or "all"; `start` and `stop` [s] lie inside the horizon.
     It moves the contact point and counts in the twist, but is kept out of the feedback
     (the paper's dynamic examples).
     """

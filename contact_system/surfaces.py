@@ -226,7 +226,7 @@ class Surface:
         return self._evaluate("point", u, v, (3,))
 
     def frame(self, u: ArrayLike, v: ArrayLike) -> Array:
-        """Return the contact frame E, columns x, y, n, shape (..., 3, 3).
+        """Return the contact frame E, columns x, y, n, shape (..., 3, 3) (eq. ``rotationmat``).
 
         Partly NaN at poles and umbilics, which `canonical` refuses.
         """
@@ -237,15 +237,18 @@ class Surface:
         return self.frame(u, v)[..., 2]
 
     def lame(self, u: ArrayLike, v: ArrayLike) -> Array:
-        """Return the Lame coefficients (h_u, h_v), shape (..., 2)."""
+        """Return the Lame coefficients (h_u, h_v), shape (..., 2), m/rad (or m a unit of u, v)."""
         return self._evaluate("lame", u, v, (2,))
 
     def metric_root(self, u: ArrayLike, v: ArrayLike) -> Array:
-        """Return M, shape (..., 2, 2): coordinate rates to velocity in the contact frame."""
+        """Return M, shape (..., 2, 2): coordinate rates to velocity in the contact frame.
+
+        Units as of `lame`; diagonal where the chart is orthogonal (eq. ``finetune``).
+        """
         return self._evaluate("metric_root", u, v, (2, 2))
 
     def christoffel(self, u: ArrayLike, v: ArrayLike) -> Array:
-        """Return Gamma^k_ij as [..., k, i, j] (eq. ``christoffel``)."""
+        """Return Gamma^k_ij, shape (..., 2, 2, 2), indices k, i, j (eq. ``christoffel``)."""
         return self._evaluate("christoffel", u, v, (2, 2, 2))
 
     def curvature_form(self, u: ArrayLike, v: ArrayLike) -> Array:

@@ -177,6 +177,19 @@ def rolling_scene(scene: Scene, config: PlantConfig) -> Scene:
     the object's surface drops towards the rim the tilt of friction there makes up for, see
     `contact_monitor`.) Of spheres, cylinders and tori that surface is another of their kind, and so
     it is nearly of ellipsoids; of others it is their equation, shifted along the normal.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : PlantConfig
+        Its normal force and stiffness say the depth.
+
+    Raises
+    ------
+    SceneError
+        No scene, or no PlantConfig.
+    SurfaceError
+        A body smaller than the depth.
     """
     require_scene(scene)
     with naming(scene.title):

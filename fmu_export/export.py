@@ -46,7 +46,8 @@ def export_fmu(
     fmi_version : "2.0" or "3.0"
     interfaces : sequence of "CoSimulation" and "ModelExchange"
     platforms : sequence of str
-        "native", or keys of `build.PLATFORMS`; all but the host's need the ziglang package.
+        "native", or of x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin and
+        aarch64-darwin those wanted; all but the host's need the ziglang package.
     progress : callable, optional
         Called with what is begun, once for each platform and for the file itself.
 
