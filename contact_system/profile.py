@@ -558,7 +558,7 @@ class Contraction:
                 f"{self.growth[1]:.3g} times its first value."
             )
         if not math.isnan(self.left):
-            text.append(f" At the end {self.left:.2g} of the slip at t = 0 is left.")
+            text.append(f" At the end slip is {self.left:.2g} times its value at t = 0.")
         return "".join(text) + self._remedy()
 
     def _when(self) -> str:
