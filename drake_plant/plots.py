@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 SMOOTH = 0.02  # s over which the bold line of a rippling signal is averaged
 BOLD = f"bold: mean of {1e3 * SMOOTH:g} ms"
 LINES = 2400  # samples that a line is drawn with
-DOTS = 200  # places of each planned curve that are marked
+DOTS, APART = 200, 0.02  # most marks on a planned curve, and how far apart, of the picture's size
 
 
 def plot(result: SimulationResult, path: str | os.PathLike, dpi: int = 160) -> None:
@@ -102,7 +102,7 @@ def _draw_friction(ax: Any, result: SimulationResult) -> None:
         _ripple(ax, result.t, force, colour_of(i))
     limit = result.config.plant.friction * result.config.plant.normal_force
     ax.axhline(limit, color=INK, linewidth=0.9, linestyle=":")
-    ax.set_ylim(0.0, 1.3 * limit)
+    ax.set_ylim(0.0, 1.3 * limit or None)
     ax.set_title(rf"Tangential force ({BOLD}; dotted: $\mu N$)", loc="left", weight="bold")
     ax.set_ylabel("force [N]")
 
@@ -117,7 +117,8 @@ def _draw_distance(ax: Any, result: SimulationResult) -> None:
 
 
 def _ripple(ax: Any, t: Array, values: Array, colour: str) -> None:
-    """A signal, pale, and its running mean."""
+    """A signal, pale, and its running mean, from the first step on: before it there is none."""
+    t, values = t[1:], values[1:]
     ax.plot(*_thinned(t, values), color=colour, linewidth=0.5, alpha=0.35)
     width = max(1, round(SMOOTH / (t[1] - t[0]))) if len(t) > 1 else 1
     ends = width // 2, (width - 1) // 2
@@ -161,10 +162,18 @@ def _draw_curves(ax: Any, result: SimulationResult, planned: Plan) -> None:
     mesh = mesh_of(planned, result.scene.object, 1, contacts)
     draw_body(ax, mesh, curves)
     view = best_view(mesh, curves)
-    dots = result.planned["contact_point"][:: max(1, len(result.t) // DOTS)].reshape(-1, 3)
+    apart = APART * max(ax.dataLim.width, ax.dataLim.height)
+    dots = np.concatenate([_dots(x, apart) for x in result.planned["contact_point"].swapaxes(0, 1)])
     seen = view(dots[~is_hidden(mesh, view, dots)])
     ax.plot(seen[:, 0], seen[:, 1], linestyle="none", marker="o", markersize=1.7, color="white",
             zorder=7)  # fmt: skip
+
+
+def _dots(points: Array, apart: float) -> Array:
+    """Of a curve (n, 3) the points that are marked: closer together they would cover it."""
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    places = np.arange(0.0, along[-1], max(apart, along[-1] / DOTS))
+    return points[np.searchsorted(along, places)]
 
 
 def _key(ax: Any, result: SimulationResult) -> None:

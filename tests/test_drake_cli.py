@@ -191,6 +191,27 @@ def test_lines_of_many_samples_are_drawn_with_every_spike(at):
     assert len(drawn) < 1.1 * plots.LINES and t[at] == drawn[shown.argmax()] and shown.max() == 1.0
 
 
+@pytest.mark.parametrize(("length", "marks"), [(0.0, 0), (0.03, 3), (0.1, 10), (9.0, 200)])
+def test_marks_of_the_plan_never_cover_the_measured_curve(length, marks):
+    points = np.linspace([0.0, 0.0, 0.0], [length, 0.0, 0.0], 4001)
+    drawn = plots._dots(points, 0.01)
+    assert len(drawn) == pytest.approx(marks, abs=1)
+    assert (np.diff(drawn[:, 0]) > 0.0099).all()
+
+
+def test_forces_are_drawn_from_the_first_step_on_and_without_friction_too():
+    figures = pytest.importorskip("matplotlib.figure")
+    result = made_up(decaying(40.0), np.zeros(len(T)))
+    result.config.plant.friction = 0.0
+    result.measured["normal_force"][0] = 0.0  # nothing has been stepped yet
+    normal, friction = figures.Figure().subplots(2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plots._draw_friction(friction, result)
+    plots._draw_normal(normal, result)
+    assert min(np.min(line.get_ydata()) for line in normal.lines) == pytest.approx(1.0)
+
+
 def test_no_recording_is_written_where_none_is_wanted(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     words = ("--until", 0.01, "--contact", "point", "--time-step", 5e-4, "--coordinates", "frame")
