@@ -20,7 +20,16 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 
-from .report import THREADS, Bar, collect, quietly, sections_of, surroundings, write
+from .report import (
+    THREADS,
+    Bar,
+    Sections,
+    collect,
+    quietly,
+    sections_of,
+    surroundings,
+    write,
+)
 
 PARTS = (
     "accuracy", "stress", "speed", "work_precision", "skip", "scale", "drake_planner",
@@ -70,27 +79,39 @@ def main(arguments: list[str] | None = None) -> int:
         "--full", action="store_true", help="all sections, more points, 20 s for a run of a peer"
     )
     options = parser.parse_args(arguments)
+    chosen = {}
+    if options.part or options.only:
+        for name in [options.part] if options.part else PARTS:
+            chosen[name] = _chosen(name, options.only or "", bool(options.part))
+        if not any(chosen.values()):
+            told = f"no section is called {options.only!r} or contains it"
+            if options.part:
+                told += f"; {options.part}: {', '.join(sections_of(options.part))}"
+            parser.error(told)
     about = surroundings()
     print(f"{about['machine']['processor']}, Python {about['python']}, one thread")
-    if options.part or options.only:
-        failed = False
-        for name in [options.part] if options.part else PARTS:
-            failed |= _part(name, options.only or "", options.full, bool(options.part))
-        return int(failed)
+    if chosen:
+        failed = [_part(*part, options.only or "", options.full) for part in chosen.items()]
+        return int(any(failed))
     return int(_whole(options.full))
 
 
-def _part(name: str, only: str, full: bool, asked: bool) -> bool:
-    """Run one part, or some of its sections; returns whether it failed."""
+def _chosen(name: str, only: str, asked: bool) -> Sections:
+    """The section of a part that is called so or, where none is, those that contain it."""
     try:
         sections = sections_of(name)
     except ImportError as error:
         if asked:
             raise
         print(f"\n{name}: left out, {error}")
-        return False
-    chosen = {k: run for k, run in sections.items() if k == only or only not in sections}
-    chosen = {k: run for k, run in chosen.items() if only in k}
+        return {}
+    if only in sections:
+        return {only: sections[only]}
+    return {k: run for k, run in sections.items() if only in k}
+
+
+def _part(name: str, chosen: Sections, only: str, full: bool) -> bool:
+    """Run some sections of a part; returns whether it failed."""
     if not chosen:
         return False
     print(f"\n{name}: {', '.join(chosen)}")

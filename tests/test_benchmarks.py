@@ -28,9 +28,9 @@ from benchmarks import (  # noqa: E402
     timing,
     work_precision,
 )
-from benchmarks.__main__ import LONG, PARTS, SHARING  # noqa: E402
+from benchmarks.__main__ import LONG, PARTS, SHARING, main  # noqa: E402
 from benchmarks.curves import Outcome, Run, time_at  # noqa: E402
-from benchmarks.report import Bar, markdown_table, quietly  # noqa: E402
+from benchmarks.report import THREADS, Bar, markdown_table, quietly  # noqa: E402
 from benchmarks.timing import Timing  # noqa: E402
 from benchmarks.work_precision import MARKS, between_marks  # noqa: E402
 
@@ -292,6 +292,16 @@ def test_every_section_that_is_named_for_the_whole_bench_exists():
             problems = work_precision.SECTIONS if name == "work_precision" else ()
             for section in chosen or ():
                 assert section in problems or f'"{section}"' in text, (name, section)
+
+
+@pytest.mark.parametrize("part, others", [(["accuracy"], "; accuracy: "), ([], "\n")])
+def test_a_section_that_does_not_exist_is_an_error(part, others, monkeypatch, capsys):
+    for name in THREADS:
+        monkeypatch.setenv(name, "1")  # as the command does, but not for the tests that follow
+    with pytest.raises(SystemExit) as end:
+        main([*part, "--only", "revolution s"])
+    assert end.value.code == 2
+    assert f"no section is called 'revolution s' or contains it{others}" in capsys.readouterr().err
 
 
 def test_a_part_run_beside_another_gives_its_bars_and_prints_nothing(capfd):
