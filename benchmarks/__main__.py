@@ -102,7 +102,7 @@ def _chosen(name: str, only: str, asked: bool) -> Sections:
         sections = sections_of(name)
     except ImportError as error:
         if asked:
-            raise
+            sys.exit(f'{name} cannot run: {error}; pip install ".[bench]" in a clone')
         print(f"\n{name}: left out, {error}")
         return {}
     if only in sections:

@@ -304,6 +304,14 @@ def test_a_section_that_does_not_exist_is_an_error(part, others, monkeypatch, ca
     assert f"no section is called 'revolution s' or contains it{others}" in capsys.readouterr().err
 
 
+def test_a_part_whose_package_is_missing_says_what_to_install(monkeypatch):
+    for name in THREADS:
+        monkeypatch.setenv(name, "1")
+    monkeypatch.setitem(sys.modules, "benchmarks.drake_planner", None)
+    with pytest.raises(SystemExit, match=r'drake_planner cannot run: .*pip install "\.\[bench\]"'):
+        main(["drake_planner"])
+
+
 def test_a_part_run_beside_another_gives_its_bars_and_prints_nothing(capfd):
     bars, spent = quietly("accuracy", ("revolutions",), False)
     assert bars and all(bar.met for bar in bars) and spent > 0
