@@ -29,8 +29,8 @@ class Bar:
     Attributes
     ----------
     name : str
-    limit : float
-        In ``unit``.
+    limit : float or None
+        In ``unit``; None: no bar, the number is only reported.
     measured : float or None
         None: not measured; ``note`` says why.
     unit : str
@@ -46,7 +46,7 @@ class Bar:
     """
 
     name: str
-    limit: float
+    limit: float | None
     measured: float | None
     unit: str = ""
     least: bool = False
@@ -56,8 +56,8 @@ class Bar:
 
     @property
     def met(self) -> bool | None:
-        """Whether the bar is met; None if it was not measured. A NaN meets no bar."""
-        if self.measured is None:
+        """Whether the bar is met, by no NaN; None if it was not measured or there is none."""
+        if self.measured is None or self.limit is None:
             return None
         reached = self.measured >= self.limit if self.least else self.measured <= self.limit
         return bool(reached and self.holds)
@@ -65,7 +65,7 @@ class Bar:
     @property
     def verdict(self) -> str:
         """ "yes", or "NO by" the factor that is missing, or "-"."""
-        if self.measured is None:
+        if self.measured is None or self.limit is None:
             return "-"
         if self.met:
             return "yes"
@@ -83,7 +83,8 @@ class Bar:
         shown = "-" if self.measured is None else f"{self.measured:.2e}"
         if self.measured is not None and 1e-2 <= abs(self.measured) < 1e4:
             shown = f"{self.measured:.3g}"
-        cells = (self.name, f"{sign} {self.limit:g}{unit}", f"{shown}{unit}")
+        bar = "reported" if self.limit is None else f"{sign} {self.limit:g}{unit}"
+        cells = (self.name, bar, f"{shown}{unit}")
         padded = "  ".join(f"{cell:{width}s}" for cell, width in zip(cells, WIDTHS, strict=True))
         return f"{padded}  {self.verdict:14s} {self.note}".rstrip()
 

@@ -294,6 +294,11 @@ def test_every_section_that_is_named_for_the_whole_bench_exists():
                 assert section in problems or f'"{section}"' in text, (name, section)
 
 
+def test_what_is_only_reported_is_no_bar_that_is_met():
+    bar = Bar("cost", None, 4.2, "us")
+    assert bar.met is None and bar.row().split() == ["cost", "reported", "4.2", "us", "-"]
+
+
 @pytest.mark.parametrize("part, others", [(["accuracy"], "; accuracy: "), ([], "\n")])
 def test_a_section_that_does_not_exist_is_an_error(part, others, monkeypatch, capsys):
     for name in THREADS:
