@@ -32,6 +32,7 @@ that turns, where Drake's own point contact has 1e-4 mm/s.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import casadi as ca
@@ -61,6 +62,7 @@ MIDWAY = 0.5
 AT_FINGER = 1.0
 # Of the places of contacts, over the size of the bodies.
 TOLERANCE = 1e-7
+TINY = np.finfo(float).tiny
 
 # Columns of what is kept of each contact, of where the step that ended now began, and of now.
 SLIP, NORMAL, TANGENTIAL, POINT, VELOCITY = map(slice, (0, 2, 3, 5, 8), (2, 3, 5, 8, 11))
@@ -96,6 +98,8 @@ class ContactMonitor(LeafSystem):
     * `tangential_force` (2n) acts on the finger, in E2;
     * `contact_point` (3n) is where the line normal to both surfaces meets the object's, in O.
 
+    Where a finger touches the object with several patches or pairs of points, forces are those of
+    their sum, taken along and across the normal at its centre of pressure.
     Without contact the forces are 0 and the others are those of the points nearest to each other.
     Where there is no contact frame (at a pole or an umbilic) what needs one is NaN: a planner that
     restarts then keeps its plan.
@@ -237,9 +241,9 @@ class _Bodies:
 class _Seen:
     """What Drake says of n contacts, in the world.
 
-    table (n, 47): a row of 45, where slip is taken, whether they touch (0 or 1). The row: X_WO (12,
-    row by row), V_WO (6), X_WF (12), V_WF (6), the point C of the contact, force on the finger and
-    its torque about C.
+    table (n, 47): a row of 45, where slip is taken, how much touches: the sizes of all forces, 0
+    without contact. The row: X_WO (12, row by row), V_WO (6), X_WF (12), V_WF (6), the point C of
+    the contact, force on the finger and its torque about C.
     """
 
     def __init__(self, table: Array):
@@ -247,9 +251,19 @@ class _Seen:
         self.share, self.touching = table[:, 45], table[:, 46]
 
     def touch(self, i: int, share: float, p_WC: Array, force: Array, torque: Array | float) -> None:
-        row = self.row[i]
-        row[36:39], row[39:42], row[42:45] = p_WC, force, torque
-        self.share[i], self.touching[i] = share, 1.0
+        """Add one patch or point; C is the mean of all, weighted by the sizes of their forces."""
+        row, before = self.row[i], self.touching[i]
+        size = math.hypot(*force) + TINY  # two that do not press count alike
+        part = size / (before + size)
+        to_C = part * (p_WC - row[36:39])
+        if before:
+            arms = np.array([-to_C, p_WC - row[36:39] - to_C])
+            row[42:45] += np.cross(arms, [row[39:42], force]).sum(0)
+        row[36:39] += to_C
+        row[39:42] += force
+        row[42:45] += torque
+        self.share[i] += part * (share - self.share[i])
+        self.touching[i] += size
 
     def in_object(self, later: float) -> Array:
         """(n, 27): X_OF (12), V_OF_O (6), C, force and torque, all in O, some seconds later.
@@ -296,7 +310,7 @@ def _force_kernel() -> Kernel:
     E2, K2 = ca.reshape(row[3:12], 3, 3), ca.reshape(row[12:16], 2, 2)
     arm, force, torque = (E2.T @ v for v in (row[16:19] - row[:3], row[19:22], row[22:25]))
     # a force along n at r from where the torque is taken has the torque r x n
-    pressing = ca.fmax(force[2], np.finfo(float).tiny)
+    pressing = ca.fmax(force[2], TINY)
     offset = ca.if_else(force[2] > 0, ca.vertcat(-torque[1], torque[0]) / pressing, 0)
     tilt = K2 @ (arm[:2] + offset)
     normal = force[2] + ca.dot(tilt, force[:2])

@@ -33,10 +33,16 @@ OUTPUTS = {"state": 9, "slip": 2, "normal_force": 1, "tangential_force": 2, "con
 
 
 class Setup:
-    """Two fingers and an object, and a monitor of their contacts."""
+    """Two fingers and an object, and a monitor of their contacts.
 
-    def __init__(self, model: str, fingers_first: bool = False, step: float = STEP):
-        self.model, self.step = model, step
+    spots : (angle, depth) of each geometry of a finger, rolled that far along the object
+    """
+
+    def __init__(
+        self, model: str, fingers_first: bool = False, step: float = STEP,
+        friction: float = FRICTION, spots: tuple[tuple[float, float], ...] = (),
+    ):  # fmt: skip
+        self.model, self.step, self.friction, self.spots = model, step, friction, spots
         self.scene = cs.Scene(
             object=cs.Sphere(R2),
             contacts=[cs.Contact(cs.Sphere(R1), (1.0, 0.3)), cs.Contact(cs.Sphere(R1), (2.0, -2))],
@@ -67,7 +73,8 @@ class Setup:
         body = self.plant.AddRigidBody(name, self.plant.AddModelInstance(name), inertia)
         material = ProximityProperties()
         AddContactMaterial(
-            material, point_stiffness=2 * STIFFNESS, friction=CoulombFriction(FRICTION, FRICTION)
+            material, point_stiffness=2 * STIFFNESS,
+            friction=CoulombFriction(self.friction, self.friction),
         )
         if self.step:
             material.AddProperty("material", "relaxation_time", 0.0)
@@ -75,8 +82,16 @@ class Setup:
             AddRigidHydroelasticProperties(0.004, material)
         else:
             AddCompliantHydroelasticProperties(0.004, 1e6, material)
-        shape = Sphere(radius)
-        self.plant.RegisterCollisionGeometry(body, RigidTransform(), shape, name, material)
+        places = [np.zeros(3)]
+        if name != "object" and self.spots:
+            places = [
+                (R1 + R2 - d) * np.array([np.sin(a), 0.0, np.cos(a)])
+                - [0.0, 0.0, R1 + R2 - DEPTH[self.model]]
+                for a, d in self.spots
+            ]
+        for k, place in enumerate(places):
+            X_BG, label = RigidTransform(place), f"{name} {k}"
+            self.plant.RegisterCollisionGeometry(body, X_BG, Sphere(radius), label, material)
         return body
 
     def run(self, sliding: tuple[float, float] = (0, 0), depth: float | None = None) -> None:
@@ -101,8 +116,9 @@ class Setup:
             velocity = frame[:, :2] @ sliding - np.cross(omega, arm)
             V_OF = SpatialVelocity(X_WO.rotation() @ omega, X_WO.rotation() @ velocity)
             V_WF = V_WO.ComposeWithMovingFrameVelocity(X_WO.rotation() @ centre, V_OF)
-            self._set(body, RigidTransform(_any_rotation(rng), X_WO @ centre), V_WF)
             self.frames.append(X_WO.rotation().matrix() @ frame)
+            turn = RotationMatrix(self.frames[-1]) if self.spots else _any_rotation(rng)
+            self._set(body, RigidTransform(turn, X_WO @ centre), V_WF)
         self._advance()
 
     def height(self, depth: float) -> float:
@@ -193,6 +209,22 @@ def test_forces_are_those_that_push_the_fingers(setup):
     assert normal[:, 0] == pytest.approx(pushes[:, 2], rel=0.02)
     assert tangential == pytest.approx(pushes[:, :2], abs=0.02 * pushes[0, 2])
     assert (normal > 0.5).all()
+
+
+@pytest.mark.parametrize("model", ["point", "hydroelastic"])
+def test_forces_of_several_geometries_of_one_finger_add_up(model):
+    """Without friction all of them pass the object's centre, and so does their sum."""
+    deep = DEPTH[model]
+    spots = ((-0.06, deep), (0.02, 2 * deep), (0.12, 0.7 * deep))
+    setup = Setup(model, friction=0.0, spots=spots)
+    setup.run()
+    results = setup.plant.GetOutputPort("contact_results").Eval(setup.context)
+    assert results.num_point_pair_contacts() + results.num_hydroelastic_contacts() == 6
+    size = np.linalg.norm(setup.pushes(), axis=1)
+    assert (np.hypot(*setup.pushes()[:, :2].T) > 0.01 * size).all()  # not what the middle says
+    assert setup.read("normal_force")[:, 0] == pytest.approx(size, rel=2e-3)
+    bar = {"point": 1e-3, "hydroelastic": 5e-3}[model]
+    assert np.abs(setup.read("tangential_force") / size[:, None]).max() < bar
 
 
 def test_sliding_friction_is_mu_times_the_normal_force_and_drags_along_slip(setup):
