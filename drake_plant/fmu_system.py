@@ -324,10 +324,13 @@ class Instance:
         block, kind = PortVariables([variable], self.version), _kind(variable, self.version)
         problem: str | None = f"{variable.name} = {value!r} is not of type {variable.type}"
         try:
-            given = np.ravel(np.array(value, dtype=object)).tolist()
+            array = np.array(value, dtype=object)
         except ValueError:  # arrays of several shapes
             raise ContactSystemError(f"{self.name}: start value: {problem}") from None
-        if len(given) != len(block.names):
+        given, shape = array.ravel().tolist(), tuple(variable.shape or ())
+        if array.ndim > 1 and array.shape != shape:  # such as a transposed matrix
+            problem = f"{variable.name} has shape {shape}, not {array.shape}"
+        elif len(given) != len(block.names):
             problem = f"{variable.name} has {len(block.names)} elements, not {len(given)}"
         elif kind in TEXTS:
             problem = None if all(isinstance(v, TEXTS[kind]) for v in given) else problem

@@ -610,6 +610,8 @@ def test_an_unknown_variable_is_refused_with_the_nearest(build):
     ):
         with pytest.raises(cs.ContactSystemError, match=f"^integrators.*{message}"):
             FmuSystem(build(), **{"step": STEP} | options)
+    with pytest.raises(cs.ContactSystemError, match=r"value: u has shape \(2,\), not \(2, 1\)"):
+        FmuSystem(build("3.0"), step=STEP, start_values={"u": [[1.0], [2.0]]})
 
 
 def test_fmus_that_cannot_run_here_are_refused_with_the_reason(build, tmp_path):
