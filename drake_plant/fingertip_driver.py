@@ -41,7 +41,7 @@ from contact_system import SceneError
 from contact_system.kernels import Kernel, made_once
 
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant, check_numbers, require_config
+from .plant import ScenePlant, check_numbers, require_config, require_plant
 
 SX = ca.SX
 Array = NDArray[np.float64]
@@ -50,6 +50,9 @@ DISCRETE_ONLY = "fingers are driven in a discrete plant only; give a time step, 
 SHARE = 0.4
 """Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
 may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4."""
+
+OFF = 1e-4
+"""Of a finger's size, how far its mass centre may be from its origin."""
 
 
 @dataclass
@@ -172,21 +175,23 @@ class FingertipDriver(LeafSystem):
     Parameters
     ----------
     scene_plant : ScenePlant
-        Finalized and discrete; its configuration says the normal force.
+        Finalized and discrete, with sampled output ports as Drake's own are; its configuration says
+        the normal force, its bodies the masses.
     config : DriverConfig
 
     Raises
     ------
     SceneError
-        No ScenePlant, a wrong gain; a plant that is not discrete, or whose steps are too long for a
-        finger. In a simulation: more or fewer poses than fingers.
+        No ScenePlant, a wrong gain; a plant that is not finalized or not discrete, or whose steps
+        are too long for a finger; a finger whose mass centre is not its origin. In a simulation:
+        more or fewer poses than fingers.
     """
 
     __slots__ = NO_DICTIONARY
 
     def __init__(self, scene_plant: ScenePlant, config: DriverConfig):
         super().__init__()
-        require_config(scene_plant, ScenePlant, "scene_plant")
+        require_plant(scene_plant)
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
         # What the plant is made from; the plant itself would keep this system for ever.
         self.scene, self.plant_config = scene_plant.scene, scene_plant.config
@@ -194,7 +199,7 @@ class FingertipDriver(LeafSystem):
         self.finger_indices = [body.index() for body in fingers]
         require_config(config, DriverConfig)
         config.check()
-        _check_step(scene_plant)
+        _check(scene_plant)
         self._constants = np.array([_constants(body, scene_plant, config) for body in fingers])
         n = len(fingers)
         poses, motions = Value[list[RigidTransform]], Value[list[SpatialVelocity]]
@@ -272,24 +277,32 @@ def _numbers(X: RigidTransform) -> Array:
     return np.concatenate([matrix[:, :3], matrix[:, 3]], axis=None)
 
 
-def _check_step(parts: ScenePlant) -> None:
-    """Refuse steps in which nothing explicit can hold a finger.
+def _check(parts: ScenePlant) -> None:
+    """Refuse what the forces are not made for, such as steps in which nothing explicit can hold a
+    finger.
 
     A force N that presses a body of size a on one of size b pushes it off with N/(a + b) times the
     error.
     """
-    scene, config = parts.scene, parts.config
-    if not config.time_step:
-        raise SceneError(f"{scene.title}: time_step = {config.time_step!r}: {DISCRETE_ONLY}")
-    borne = SHARE * config.finger_mass / config.time_step**2
-    for i, contact in enumerate(scene.contacts):
+    scene, config, step = parts.scene, parts.config, parts.plant.time_step()
+    if not step:
+        raise SceneError(f"{scene.title}: time_step = {step!r}: {DISCRETE_ONLY}")
+    for i, (contact, body) in enumerate(zip(scene.contacts, parts.finger_bodies)):
+        mass, center = body.default_mass(), body.default_com()
+        if not np.linalg.norm(center) <= OFF * contact.finger.size:
+            raise SceneError(
+                f"{scene.title}, contact {i}: the mass centre of body '{body.name()}' is at "
+                f"{center.tolist()} m in its frame; forces are made for one at the origin, which "
+                "is that of the finger's surface: give the body such an inertia"
+            )
+        borne = SHARE * mass / step**2
         needed = config.normal_force / (contact.finger.size + scene.object.size)
         if borne < needed:
             raise SceneError(
-                f"{scene.title}, contact {i}: time_step = {config.time_step!r}: a finger of "
-                f"{config.finger_mass:g} kg can be held with {borne:.3g} N/m, and pressing with "
+                f"{scene.title}, contact {i}: time_step = {step!r}: a finger of "
+                f"{mass:g} kg can be held with {borne:.3g} N/m, and pressing with "
                 f"{config.normal_force:g} N needs {needed:.3g} N/m; give at most "
-                f"{math.sqrt(SHARE * config.finger_mass / needed):.2g} s, or a heavier finger"
+                f"{math.sqrt(SHARE * mass / needed):.2g} s, or a heavier finger"
             )
 
 

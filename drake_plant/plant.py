@@ -238,13 +238,15 @@ class PlantConfig:
 
 @dataclass(frozen=True)
 class ScenePlant:
-    """A scene's plant in a DiagramBuilder.
+    """A scene's plant in a DiagramBuilder: that of :func:`AddScenePlant`, or one of your own.
+
+    The frames of the bodies are those of their surfaces.
 
     Attributes
     ----------
     scene : Scene
     config : PlantConfig
-        What it is made from.
+        What it is made from; of one of your own the driver takes the normal force.
     plant : MultibodyPlant
         Finalized.
     scene_graph : SceneGraph
@@ -259,6 +261,16 @@ class ScenePlant:
     scene_graph: SceneGraph
     object_body: RigidBody
     finger_bodies: list[RigidBody]
+
+
+def require_plant(scene_plant: Any) -> None:
+    """Raise a SceneError where something else is given, or a plant that may still change."""
+    require_config(scene_plant, ScenePlant, "scene_plant")
+    if not scene_plant.plant.is_finalized():
+        raise SceneError(
+            f"{scene_plant.scene.title}: scene_plant has a plant that is not finalized: call "
+            "plant.Finalize() first"
+        )
 
 
 def contact_depth(config: PlantConfig) -> float:

@@ -17,7 +17,7 @@ from pydrake.geometry import HalfSpace
 from pydrake.geometry import Sphere as SphereShape
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
-from pydrake.multibody.tree import SpatialInertia
+from pydrake.multibody.tree import SpatialInertia, UnitInertia
 from pydrake.systems.analysis import BatchEvalTimeDerivatives, Simulator
 from pydrake.systems.framework import DiagramBuilder, InputPortSelection
 from scipy.spatial.transform import Rotation
@@ -722,6 +722,30 @@ def test_parts_of_another_kind_or_scene_are_refused():
     ):
         with pytest.raises(cs.SceneError, match=message):
             start()
+
+
+@pytest.mark.parametrize(
+    ("step", "off", "finalized", "message"),
+    [
+        (0.0, 0.0, True, "'C2': time_step = 0.0: fingers are driven in a discrete plant only"),
+        (0.1, 0.0, True, "'C2', contact 0: time_step = 0.1: a finger of 0.01 kg can be held"),
+        (1e-3, 1e-3, True, "'C2', contact 0: the mass centre of body 'finger' is at .0.001, 0"),
+        (1e-3, 0.0, False, "'C2': scene_plant has a plant that is not finalized: call plant.Fin"),
+    ],
+)
+def test_fingers_of_a_plant_of_ones_own_that_cannot_be_driven_are_refused(
+    step, off, finalized, message
+):
+    """Whatever its PlantConfig says."""
+    scene, builder = cs.load_scene("C2"), DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, step)
+    inertia = SpatialInertia(0.01, np.array([off, 0.0, 0.0]), UnitInertia.SolidSphere(0.04))
+    bodies = [plant.AddRigidBody(name, inertia) for name in ("object", "finger")]
+    if finalized:
+        plant.Finalize()
+    parts = ScenePlant(scene, PlantConfig(), plant, scene_graph, bodies[0], bodies[1:])
+    with pytest.raises(cs.SceneError, match=message):
+        FingertipDriver(parts, DriverConfig())
 
 
 def test_poses_of_another_scene_are_refused():
