@@ -50,7 +50,7 @@ from contact_system.kernels import Kernel, made_once
 from contact_system.scene import require_scene
 
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant, require_config
+from .plant import ScenePlant, require_plant
 
 Array = NDArray[np.float64]
 SX = ca.SX
@@ -87,8 +87,9 @@ class ContactMonitor(LeafSystem):
         - contact_point
 
     The inputs are the plant's. Of a discrete plant slip and forces are those of the step that ended
-    now, state and contact point are those now. Of the outputs, n contacts in the scene's order and
-    SI units,
+    now, state and contact point are those now. Without sampled output ports Drake reports the step
+    that begins instead: all are those of now, as in a continuous plant. Of the outputs, n contacts
+    in the scene's order and SI units,
 
     * `state` (9n) holds u1 v1 du1 dv1 u2 v2 du2 dv2 psi in principal values, for the planner's
       `measured_state`; its rates fulfil ``R_psi M1 q1' - M2 q2' = v_rel`` with the measured slip;
@@ -115,7 +116,8 @@ class ContactMonitor(LeafSystem):
     Raises
     ------
     SceneError
-        No scene, no ScenePlant, or one with another number of contacts than the other.
+        No scene, no ScenePlant, one with another number of contacts than the other, or a plant
+        that is not finalized.
     """
 
     __slots__ = NO_DICTIONARY
@@ -123,7 +125,7 @@ class ContactMonitor(LeafSystem):
     def __init__(self, scene: Scene, scene_plant: ScenePlant):
         super().__init__()
         require_scene(scene)
-        require_config(scene_plant, ScenePlant, "scene_plant")
+        require_plant(scene_plant)
         n, fingers = len(scene.contacts), len(scene_plant.finger_bodies)
         if n != fingers:
             raise SceneError(
@@ -133,7 +135,8 @@ class ContactMonitor(LeafSystem):
             )
         self._sensor = ContactSensor(scene, TOLERANCE)
         self._bodies = _Bodies(scene, scene_plant)
-        self._step = scene_plant.plant.time_step()
+        plant = scene_plant.plant
+        self._step = plant.time_step() if plant.has_sampled_output_ports() else 0.0
         self._results = self.DeclareAbstractInputPort("contact_results", Value[ContactResults]())
         self._poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
         self._velocities = self.DeclareAbstractInputPort(
