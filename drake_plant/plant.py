@@ -302,13 +302,14 @@ def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) ->
     Raises
     ------
     SceneError, SurfaceError
-        A value of the configuration, or a surface that Drake's contact cannot take, with the
-        remedy.
+        A value of the configuration, a surface that Drake's contact cannot take, or a builder that
+        has a system "plant", "scene_graph" or "turning" already, with the remedy.
     """
     require_scene(scene)
     try:
         require_config(config, PlantConfig)
         config.check()
+        _check_names(builder, config)
         config = dataclasses.replace(config)  # the caller may change what is his
         _check_surfaces(scene, config)
         touches = _touches(scene)
@@ -350,6 +351,17 @@ def _add(
     if turning is not None:
         _connect_turning(builder, plant, turning)
     return ScenePlant(scene, config, plant, scene_graph, object_body, fingers)
+
+
+def _check_names(builder: DiagramBuilder, config: PlantConfig) -> None:
+    """Refuse names that are taken: Drake would end the process when it builds the Diagram."""
+    for name in ("plant", "scene_graph", *["turning"] * (config.object == "turning")):
+        if builder.HasSubsystemNamed(name):
+            raise SceneError(
+                f"the builder has a system named {name!r} already, and two of a name cannot be in "
+                f"a Diagram: call builder.GetMutableSubsystemByName({name!r}).set_name(...) first, "
+                "or add the plant to a Diagram of its own"
+            )
 
 
 def _finger_names(given: Sequence[str]) -> list[str]:

@@ -14,6 +14,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
@@ -369,3 +370,16 @@ def test_what_cannot_be_simulated_is_refused_with_reason_and_remedy(scene, chang
     with pytest.raises(cs.SceneError, match=words) as error:
         World(cs.Scene.replace(scene, name="mine"), **changes)
     assert str(error.value).startswith("scene 'mine', plant: ")
+
+
+@pytest.mark.parametrize("name", ["plant", "scene_graph", "turning"])
+def test_names_that_are_taken_in_a_diagram_are_refused_and_may_be_changed(name):
+    """Drake itself ends the process."""
+    scene, builder = cs.load_scene("C1"), DiagramBuilder()
+    config = PlantConfig(contact_model="point", object="turning")
+    taken = builder.AddNamedSystem(name, ConstantVectorSource([0.0]))
+    with pytest.raises(cs.SceneError, match=f"'C1', plant: the builder has a system named '{name}"):
+        AddScenePlant(builder, scene, config)
+    taken.set_name("mine")
+    AddScenePlant(builder, scene, config)
+    assert builder.Build().num_continuous_states() == 0
