@@ -39,6 +39,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
+from pydrake.geometry import PenetrationAsPointPair
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import ContactResults
@@ -55,8 +56,6 @@ from .plant import ScenePlant, require_plant
 Array = NDArray[np.float64]
 SX = ca.SX
 
-# Drake's point contact acts midway between the two surfaces where both are equally stiff.
-MIDWAY = 0.5
 # Bodies planned on the radii that they roll on meet there. A plane has no radius: there it is where
 # the planned finger's surface is.
 AT_FINGER = 1.0
@@ -191,8 +190,8 @@ class _Bodies:
     def __init__(self, scene: Scene, scene_plant: ScenePlant):
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
         flat = isinstance(scene.object, Plane)
-        self.middles = [
-            AT_FINGER if flat and rolling.finger != nominal.finger else MIDWAY
+        self.at_finger = [
+            flat and rolling.finger != nominal.finger
             for rolling, nominal in zip(scene.contacts, scene_plant.scene.contacts)
         ]
         self.object = int(scene_plant.object_body.index())
@@ -231,14 +230,19 @@ class _Bodies:
         for k in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(k)
             A, B = int(info.bodyA_index()), int(info.bodyB_index())
-            f_Bc_W, p_WC = info.contact_force(), info.contact_point()
+            f_Bc_W, p_WC, pair = info.contact_force(), info.contact_point(), info.point_pair()
             if B in self.contact_of_body and A == self.object:
                 i = self.contact_of_body[B]
-                seen.touch(i, self.middles[i], p_WC, f_Bc_W, 0.0)
+                seen.touch(i, self.share(i, pair, pair.p_WCa, p_WC), p_WC, f_Bc_W, 0.0)
             elif A in self.contact_of_body and B == self.object:
                 i = self.contact_of_body[A]
-                seen.touch(i, self.middles[i], p_WC, -f_Bc_W, 0.0)
+                seen.touch(i, self.share(i, pair, pair.p_WCb, p_WC), p_WC, -f_Bc_W, 0.0)
         return seen
+
+    def share(self, i: int, pair: PenetrationAsPointPair, surface: Array, p_WC: Array) -> float:
+        """How far from the object's surface to the finger's Drake's point contact acts: midway
+        where both are equally stiff, else nearer to the stiffer one's."""
+        return AT_FINGER if self.at_finger[i] else math.dist(surface, p_WC) / pair.depth
 
 
 class _Seen:

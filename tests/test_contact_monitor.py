@@ -41,10 +41,10 @@ class Setup:
     def __init__(
         self, model: str, fingers_first: bool = False, step: float = STEP,
         friction: float = FRICTION, spots: tuple[tuple[float, float], ...] = (),
-        sampled: bool = True,
+        sampled: bool = True, stiffer: float = 1.0,
     ):  # fmt: skip
         self.model, self.step, self.friction, self.spots = model, step, friction, spots
-        self.sampled = sampled
+        self.sampled, self.stiffer = sampled, stiffer  # how much the object is than a finger
         self.scene = cs.Scene(
             object=cs.Sphere(R2),
             contacts=[cs.Contact(cs.Sphere(R1), (1.0, 0.3)), cs.Contact(cs.Sphere(R1), (2.0, -2))],
@@ -76,7 +76,8 @@ class Setup:
         body = self.plant.AddRigidBody(name, self.plant.AddModelInstance(name), inertia)
         material = ProximityProperties()
         AddContactMaterial(
-            material, point_stiffness=2 * STIFFNESS,
+            material,
+            point_stiffness=2 * STIFFNESS * (self.stiffer if name == "object" else 1.0),
             friction=CoulombFriction(self.friction, self.friction),
         )
         if self.step:
@@ -188,12 +189,15 @@ def test_slip_is_minus_the_velocity_of_the_fingers_material_point(setup, sliding
     assert np.sign(setup.read("slip")[0, 1]) == -np.sign(sliding[1]) or sliding[1] == 0
 
 
+@pytest.mark.parametrize("fingers_first", [True, False])
+@pytest.mark.parametrize("stiffer", [1.0, 100.0, 0.01])
 @pytest.mark.parametrize("sliding", [(0.0, 0.0), (0.05, 0.1)])
-def test_slip_is_the_one_that_drakes_point_contact_works_with(sliding):
-    setup = Setup("point")
+def test_slip_is_the_one_that_drakes_point_contact_works_with(sliding, stiffer, fingers_first):
+    setup = Setup("point", fingers_first, stiffer=stiffer)
     setup.run(sliding)
     results = setup.plant.GetOutputPort("contact_results").Eval(setup.context)
     speeds = [results.point_pair_contact_info(k).slip_speed() for k in range(2)]
+    speeds = speeds[::-1] if fingers_first else speeds
     assert np.linalg.norm(setup.read("slip"), axis=1) == pytest.approx(speeds, rel=1e-6, abs=1e-8)
 
 
