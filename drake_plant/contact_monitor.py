@@ -19,7 +19,8 @@ mean over faces, each along itself          +0.06 +- 0.13
 ==========================================  ===============
 
 so the third is what is used: it needs no face, only the poses of the two bodies. The rest is the
-facets of the meshes.
+facets of the meshes. In a plant of somebody's own the object may be compliant too: then the patch
+lies between the two surfaces, by how stiff they are, and slip is taken there.
 
 A discrete step solves for forces that act where its end brings the bodies, in fast rolling further
 along the curve than the patch it starts from (1 mm at 1 m/s and 1 ms). The normal is another one
@@ -39,7 +40,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
-from pydrake.geometry import PenetrationAsPointPair
+from pydrake.geometry import ContactSurface, PenetrationAsPointPair
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import ContactResults
@@ -223,10 +224,10 @@ class _Bodies:
             if M in self.contact_of_geometry and N in self.object_geometries:
                 # body A has geometry M
                 i = self.contact_of_geometry[M]
-                seen.touch(i, 0.0, patch.centroid(), F_Ac_W[3:], F_Ac_W[:3])
+                seen.touch(i, 1.0 - _share_of_M(patch), patch.centroid(), F_Ac_W[3:], F_Ac_W[:3])
             elif N in self.contact_of_geometry and M in self.object_geometries:
                 i = self.contact_of_geometry[N]
-                seen.touch(i, 0.0, patch.centroid(), -F_Ac_W[3:], -F_Ac_W[:3])
+                seen.touch(i, _share_of_M(patch), patch.centroid(), -F_Ac_W[3:], -F_Ac_W[:3])
         for k in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(k)
             A, B = int(info.bodyA_index()), int(info.bodyB_index())
@@ -243,6 +244,20 @@ class _Bodies:
         """How far from the object's surface to the finger's Drake's point contact acts: midway
         where both are equally stiff, else nearer to the stiffer one's."""
         return AT_FINGER if self.at_finger[i] else math.dist(surface, p_WC) / pair.depth
+
+
+def _share_of_M(patch: ContactSurface) -> float:
+    """How much of the depth geometry M gives way; at some face, where pressure is the same in both.
+
+    Pressure grows by a gradient from each surface to the patch between them; 0 for a rigid body.
+    """
+    if not patch.HasGradE_M():
+        return 0.0
+    if not patch.HasGradE_N():
+        return 1.0
+    face = patch.num_faces() // 2
+    in_M, in_N = (math.hypot(*g(face)) for g in (patch.EvaluateGradE_M_W, patch.EvaluateGradE_N_W))
+    return in_N / (in_M + in_N)
 
 
 class _Seen:

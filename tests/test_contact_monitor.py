@@ -36,15 +36,18 @@ class Setup:
     """Two fingers and an object, and a monitor of their contacts.
 
     spots : (angle, depth) of each geometry of a finger, rolled that far along the object
+    stiffer : how much the object is than a finger, in point contact
+    moduli : of object and finger, Pa; None: rigid
     """
 
     def __init__(
         self, model: str, fingers_first: bool = False, step: float = STEP,
         friction: float = FRICTION, spots: tuple[tuple[float, float], ...] = (),
         sampled: bool = True, stiffer: float = 1.0,
+        moduli: tuple[float | None, float | None] = (None, 1e6),
     ):  # fmt: skip
         self.model, self.step, self.friction, self.spots = model, step, friction, spots
-        self.sampled, self.stiffer = sampled, stiffer  # how much the object is than a finger
+        self.sampled, self.stiffer, self.moduli = sampled, stiffer, moduli
         self.scene = cs.Scene(
             object=cs.Sphere(R2),
             contacts=[cs.Contact(cs.Sphere(R1), (1.0, 0.3)), cs.Contact(cs.Sphere(R1), (2.0, -2))],
@@ -82,10 +85,11 @@ class Setup:
         )
         if self.step:
             material.AddProperty("material", "relaxation_time", 0.0)
-        if name == "object":
+        modulus = self.moduli[name != "object"]
+        if modulus is None:
             AddRigidHydroelasticProperties(0.004, material)
         else:
-            AddCompliantHydroelasticProperties(0.004, 1e6, material)
+            AddCompliantHydroelasticProperties(0.004, modulus, material)
         places = [np.zeros(3)]
         if name != "object" and self.spots:
             places = [
@@ -242,6 +246,18 @@ def test_sliding_friction_is_mu_times_the_normal_force_and_drags_along_slip(setu
     assert size == pytest.approx(FRICTION * normal[:, 0], rel=0.01)
     along = slip / np.linalg.norm(slip, axis=1)[:, None]
     assert (friction * along).sum(1) == pytest.approx(size, rel=1e-3)
+
+
+@pytest.mark.parametrize("moduli", [(1e6, None), (1e6, 1e6), (1e6, 1e5), (1e5, 1e6)])
+@pytest.mark.parametrize("fingers_first", [True, False])
+def test_friction_drags_along_slip_on_a_compliant_object_too(moduli, fingers_first):
+    """Where the patch is: at the object's surface slip would be up to 0.16 rad off."""
+    setup = Setup("hydroelastic", fingers_first, 1e-4, moduli=moduli)
+    setup.run((0.2, 0.0))
+    friction, slip = setup.read("tangential_force"), setup.read("slip")
+    assert (np.linalg.norm(friction, axis=1) > 0.02).all()
+    angles = [np.arctan2(*v.T[::-1]) for v in (friction, slip)]
+    assert np.sin(angles[0] - angles[1]) == pytest.approx([0.0, 0.0], abs=0.03)
 
 
 def test_point_contact_presses_by_its_stiffness_and_the_depth_that_the_step_leads_to():
