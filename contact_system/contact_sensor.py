@@ -30,7 +30,7 @@ from .surfaces import Surface
 from .user_surfaces import ParametricSurface
 
 MOST_STEPS = 30
-ROWS = 36  # of a Measurement
+ROWS = 40  # of a Measurement
 NO_ROTATION = 1e-2  # what is measured may miss a rotation by its noise
 LONGEST_STEP = 0.5  # of the body's size, where bodies are far apart
 
@@ -42,7 +42,7 @@ class Measurement:
 
     Attributes
     ----------
-    table : (n, 36)
+    table : (n, 40)
         All of it.
     step : (n,)
         Length of the step that Newton's method would take next, m.
@@ -56,8 +56,8 @@ class Measurement:
         x_1 on the finger and x_2 on the object, each in its body's frame, m.
     frame : (n, 3, 3)
         E2, rows x, y, n, in the object's frame.
-    curvature : (n, 2, 2)
-        K_2, 1/m.
+    curvature, finger_curvature : (n, 2, 2)
+        K_2, and K_1 in E2, 1/m.
     gap : (n,)
         Distance of the surfaces along the normal, negative where they overlap, m.
     velocity : (n, 3)
@@ -66,17 +66,17 @@ class Measurement:
 
     def __init__(self, table: np.ndarray):
         n, self.table = len(table), table
-        self.step, self.relative, self.gap = table[:, 0], table[:, 1], table[:, 32]
-        self.velocity = table[:, 33:36]
+        self.step, self.relative, self.gap = table[:, 0], table[:, 1], table[:, 36]
+        self.velocity = table[:, 37:40]
         self.states, self.slip = table[:, 2:11], table[:, 11:13]
         self.points = table[:, 13:19].reshape(n, 2, 3)
         self.frame = table[:, 19:28].reshape(n, 3, 3)
-        self.curvature = table[:, 28:32].reshape(n, 2, 2)
+        self.curvature, self.finger_curvature = table[:, 28:36].reshape(n, 2, 2, 2).swapaxes(0, 1)
 
     @property
-    def object_surface(self) -> np.ndarray:
-        """x_2, the axes of E2 and K_2 of each contact: (n, 16)."""
-        return self.table[:, 16:32]
+    def surfaces(self) -> np.ndarray:
+        """x_2, the axes of E2, K_2 and K_1 in E2 of each contact: (n, 20)."""
+        return self.table[:, 16:36]
 
 
 def measured_states(
@@ -351,7 +351,7 @@ def contact_kernel(finger: Surface, obj: Surface) -> Kernel:
     known, known slip (2).
     constant: parameters and size of the finger, and of the object.
     result: next unknowns, length of the step, det of the relative curvature over its square,
-    states (9), slip (2), x_1, x_2 (6), E2 (9), K_2 (4), gap, velocity (3).
+    states (9), slip (2), x_1, x_2 (6), E2 (9), K_2, K_1 in E2 (8), gap, velocity (3).
     """
     z1, z2 = SX.sym("z1", _unknowns(finger)), SX.sym("z2", _unknowns(obj))
     pose, twist, share = SX.sym("pose", 12), SX.sym("twist", 6), SX.sym("share")
@@ -382,14 +382,15 @@ def contact_kernel(finger: Surface, obj: Surface) -> Kernel:
     omega = tip.tangents.T @ (turn.T @ twist[:3])
     bend = ca.vertcat(-omega[1], omega[0])
     a1, a2 = contact_velocities(tip.curvature, body.curvature, map_21, bend, slip, _solve)
-    relative = map_21 @ body.curvature @ map_21 + tip.curvature
+    tip_curvature = map_21 @ tip.curvature @ map_21
+    relative = body.curvature + tip_curvature
     size = ca.norm_fro(tip.curvature) + ca.norm_fro(body.curvature)
     result = ca.vertcat(
         tip.moved(step_1), body.moved(step_2),
         ca.norm_2(ca.vertcat(step_1, step_2, tip.missed, body.missed)), ca.det(relative) / size**2,
         tip.coordinates, tip.rates(a1), body.coordinates, body.rates(a2), psi,
-        slip, tip.x, body.x, ca.vec(body.frame), ca.vec(body.curvature), gap,
-        body.tangents @ a2,
+        slip, tip.x, body.x, ca.vec(body.frame), ca.vec(body.curvature),
+        ca.vec(tip_curvature), gap, body.tangents @ a2,
     )  # fmt: skip
     point, constant = ca.vertcat(z1, z2, pose, twist, share, is_known, known), ca.vertcat(p1, p2)
     return Kernel("measured", point, constant, result)

@@ -67,6 +67,7 @@ TINY = np.finfo(float).tiny
 # Columns of what is kept of each contact, of where the step that ended now began, and of now.
 SLIP, NORMAL, TANGENTIAL, POINT, VELOCITY = map(slice, (0, 2, 3, 5, 8), (2, 3, 5, 8, 11))
 STATE, POINT_NOW = slice(0, 9), slice(9, 12)
+SEEN = 48  # of what Drake says
 
 
 class ContactMonitor(LeafSystem):
@@ -143,7 +144,7 @@ class ContactMonitor(LeafSystem):
             "body_spatial_velocities", Value[list[SpatialVelocity]]()
         )
         inputs = [port.ticket() for port in (self._results, self._poses, self._velocities)]
-        seen, self._seen = array_entry(self._CalcSeen, (n, 47), inputs)
+        seen, self._seen = array_entry(self._CalcSeen, (n, SEEN), inputs)
         begun, self._begun = array_entry(self._CalcBegun, (n, 11), [seen])
         ended, self._ended = array_entry(self._CalcEnded, (n, 12), [seen, begun])
         for name, size, entry, table, columns in (
@@ -170,8 +171,8 @@ class ContactMonitor(LeafSystem):
         pose, twist, points = moved[:, :12], moved[:, 12:18], moved[:, 18:21]
         if away.any():
             points[away] = self._sensor.approach(pose)[away]
-        found = self._sensor.measure(pose, twist, points, seen.share)
-        force = _split(np.hstack([found.object_surface, moved[:, 18:]]))
+        found = self._sensor.measure(pose, twist, points, seen.between[:, 0])
+        force = _split(np.hstack([found.surfaces, moved[:, 18:], seen.between[:, 1:]]))
         force[away] = 0.0  # with no frame either
         return np.hstack([found.slip, force, found.points[:, 1], found.velocity])
 
@@ -210,7 +211,7 @@ class _Bodies:
     def seen(
         self, X_W: list[RigidTransform], V_W: list[SpatialVelocity], results: ContactResults
     ) -> _Seen:
-        seen = _Seen(np.zeros((len(self.fingers), 47)))
+        seen = _Seen(np.zeros((len(self.fingers), SEEN)))
         X_WO, row = X_W[self.object], seen.row
         row[:, :12] = X_WO.GetAsMatrix34().ravel()
         row[:, 12:18] = V_W[self.object].get_coeffs()
@@ -223,27 +224,30 @@ class _Bodies:
             M, N = patch.id_M().get_value(), patch.id_N().get_value()
             if M in self.contact_of_geometry and N in self.object_geometries:
                 # body A has geometry M
-                i = self.contact_of_geometry[M]
-                seen.touch(i, 1.0 - _share_of_M(patch), patch.centroid(), F_Ac_W[3:], F_Ac_W[:3])
+                i, share = self.contact_of_geometry[M], 1.0 - _share_of_M(patch)
+                seen.touch(i, (share, share), patch.centroid(), F_Ac_W[3:], F_Ac_W[:3])
             elif N in self.contact_of_geometry and M in self.object_geometries:
-                i = self.contact_of_geometry[N]
-                seen.touch(i, _share_of_M(patch), patch.centroid(), -F_Ac_W[3:], -F_Ac_W[:3])
+                i, share = self.contact_of_geometry[N], _share_of_M(patch)
+                seen.touch(i, (share, share), patch.centroid(), -F_Ac_W[3:], -F_Ac_W[:3])
         for k in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(k)
             A, B = int(info.bodyA_index()), int(info.bodyB_index())
             f_Bc_W, p_WC, pair = info.contact_force(), info.contact_point(), info.point_pair()
             if B in self.contact_of_body and A == self.object:
                 i = self.contact_of_body[B]
-                seen.touch(i, self.share(i, pair, pair.p_WCa, p_WC), p_WC, f_Bc_W, 0.0)
+                seen.touch(i, self.between(i, pair, pair.p_WCa, p_WC), p_WC, f_Bc_W, 0.0)
             elif A in self.contact_of_body and B == self.object:
                 i = self.contact_of_body[A]
-                seen.touch(i, self.share(i, pair, pair.p_WCb, p_WC), p_WC, -f_Bc_W, 0.0)
+                seen.touch(i, self.between(i, pair, pair.p_WCb, p_WC), p_WC, -f_Bc_W, 0.0)
         return seen
 
-    def share(self, i: int, pair: PenetrationAsPointPair, surface: Array, p_WC: Array) -> float:
+    def between(
+        self, i: int, pair: PenetrationAsPointPair, surface: Array, p_WC: Array
+    ) -> tuple[float, float]:
         """How far from the object's surface to the finger's Drake's point contact acts: midway
-        where both are equally stiff, else nearer to the stiffer one's."""
-        return AT_FINGER if self.at_finger[i] else math.dist(surface, p_WC) / pair.depth
+        where both are equally stiff, else nearer to the stiffer one's. Points lie on the object."""
+        share = AT_FINGER if self.at_finger[i] else math.dist(surface, p_WC) / pair.depth
+        return share, 0.0
 
 
 def _share_of_M(patch: ContactSurface) -> float:
@@ -263,16 +267,24 @@ def _share_of_M(patch: ContactSurface) -> float:
 class _Seen:
     """What Drake says of n contacts, in the world.
 
-    table (n, 47): a row of 45, where slip is taken, how much touches: the sizes of all forces, 0
-    without contact. The row: X_WO (12, row by row), V_WO (6), X_WF (12), V_WF (6), the point C of
-    the contact, force on the finger and its torque about C.
+    table (n, 48): a row of 45, where between the surfaces of object (0) and finger (1) slip is
+    taken, and how much of the contact bends with the finger's; how much touches: the sizes of all
+    forces, 0 without contact. The row: X_WO (12, row by row), V_WO (6), X_WF (12), V_WF (6), the
+    point C of the contact, force on the finger and its torque about C.
     """
 
     def __init__(self, table: Array):
         self.table, self.row = table, table[:, :45]
-        self.share, self.touching = table[:, 45], table[:, 46]
+        self.between, self.touching = table[:, 45:47], table[:, 47]
 
-    def touch(self, i: int, share: float, p_WC: Array, force: Array, torque: Array | float) -> None:
+    def touch(
+        self,
+        i: int,
+        between: tuple[float, float],
+        p_WC: Array,
+        force: Array,
+        torque: Array | float,
+    ) -> None:
         """Add one patch or point; C is the mean of all, weighted by the sizes of their forces."""
         row, before = self.row[i], self.touching[i]
         size = math.hypot(*force) + TINY  # two that do not press count alike
@@ -284,7 +296,7 @@ class _Seen:
         row[36:39] += to_C
         row[39:42] += force
         row[42:45] += torque
-        self.share[i] += part * (share - self.share[i])
+        self.between[i] += part * (between - self.between[i])
         self.touching[i] += size
 
     def in_object(self, later: float) -> Array:
@@ -296,7 +308,8 @@ class _Seen:
 
 
 def _split(row: Array) -> Array:
-    """x_2, E2, K_2, C, force, torque (n, 25) to normal force and tangential force in E2 (n, 3)."""
+    """x_2, E2, K_2, K_1, C, force, torque, how much of the contact bends with the finger (n, 30) to
+    normal force and tangential force in E2 (n, 3)."""
     return _force_kernel().at(row, np.empty((len(row), 0)))
 
 
@@ -328,12 +341,13 @@ def _moved(X: SX, V: SX, later: SX) -> tuple[SX, SX]:
 @made_once
 def _force_kernel() -> Kernel:
     """See :func:`_split`; the normal is that at the centre of pressure, to first order."""
-    row = SX.sym("row", 25)
-    E2, K2 = ca.reshape(row[3:12], 3, 3), ca.reshape(row[12:16], 2, 2)
-    arm, force, torque = (E2.T @ v for v in (row[16:19] - row[:3], row[19:22], row[22:25]))
+    row = SX.sym("row", 30)
+    E2, K2, K1 = (ca.reshape(row[a:b], n, n) for a, b, n in ((3, 12, 3), (12, 16, 2), (16, 20, 2)))
+    arm, force, torque = (E2.T @ v for v in (row[20:23] - row[:3], row[23:26], row[26:29]))
+    curvature = K2 - row[29] * (K2 + K1)
     # a force along n at r from where the torque is taken has the torque r x n
     pressing = ca.fmax(force[2], TINY)
     offset = ca.if_else(force[2] > 0, ca.vertcat(-torque[1], torque[0]) / pressing, 0)
-    tilt = K2 @ (arm[:2] + offset)
+    tilt = curvature @ (arm[:2] + offset)
     normal = force[2] + ca.dot(tilt, force[:2])
     return Kernel("force", row, SX(0, 1), ca.vertcat(normal, force[:2] - normal * tilt))
