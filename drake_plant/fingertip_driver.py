@@ -176,7 +176,7 @@ class FingertipDriver(LeafSystem):
     ----------
     scene_plant : ScenePlant
         Finalized and discrete, with sampled output ports as Drake's own are; its configuration says
-        the normal force, its bodies the masses.
+        the normal force, its bodies' defaults the masses, whatever a Context says.
     config : DriverConfig
 
     Raises

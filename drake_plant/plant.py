@@ -246,7 +246,8 @@ class ScenePlant:
     ----------
     scene : Scene
     config : PlantConfig
-        What it is made from; of one of your own the driver takes the normal force.
+        What it is made from; of one of your own the driver takes the normal force, and
+        SetInitialState how deep that presses.
     plant : MultibodyPlant
         Finalized.
     scene_graph : SceneGraph

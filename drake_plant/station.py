@@ -379,7 +379,7 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     Parameters
     ----------
     station : Diagram
-        From :func:`BuildStation`.
+        From :func:`BuildStation`, or of your own with systems "planner", "driver" and "plant".
     context : Context
         The root: the station's own, or that of a Diagram that contains it.
 
@@ -389,17 +389,16 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         No station, or no Context.
     """
     if not isinstance(station, Diagram) or not all(map(station.HasSubsystemNamed, STARTED)):
-        raise SceneError(
-            f"station = {station!r}: give what BuildStation made; of a Diagram that contains it "
-            "give the station, and the Diagram's context"
-        )
+        raise _no_station(station)
     require_config(context, Context, "context")
     planner, driver, plant = map(station.GetSubsystemByName, STARTED)
+    if not isinstance(driver, FingertipDriver):
+        raise _no_station(station)
     now, physics = planner.GetMyContextFromRoot(context), plant.GetMyMutableContextFromRoot(context)
     scene, config, t = driver.scene, driver.plant_config, context.get_time()
     # A velocity of a discrete plant is the one that brought it here: that of half a step ago.
-    ago = 0.5 * config.time_step
-    if config.object == "turning":
+    ago = 0.5 * plant.time_step()
+    if config.object == "turning" and scene.turning is not None:
         joint, angle = plant.GetJointByName("turning"), turning_angle(scene.turning)
         joint.set_angle(physics, angle(t))
         joint.set_angular_rate(physics, angle.deriv()(t - ago))
@@ -421,6 +420,14 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     sampled = physics.get_mutable_state().get_mutable_abstract_state()
     for k in range(sampled.size()):
         sampled.get_mutable_value(k).SetFrom(new.get_abstract_state().get_value(k))
+
+
+def _no_station(station: Any) -> SceneError:
+    return SceneError(
+        f"station = {station!r}: give what BuildStation made, or a Diagram of your own whose "
+        "ContactPlanner, FingertipDriver and MultibodyPlant are named 'planner', 'driver' and "
+        "'plant'; of a Diagram that contains it give the station, and the Diagram's context"
+    )
 
 
 def _finger_poses(

@@ -590,7 +590,7 @@ def test_stations_start_inside_another_diagram_under_names_of_their_own():
     simulator = Simulator(diagram)
     root = simulator.get_mutable_context()
     for wrong in (diagram, root, stations[0].GetSubsystemByName("planner")):
-        with pytest.raises(cs.SceneError, match="station = .*: give what BuildStation made; of"):
+        with pytest.raises(cs.SceneError, match="station = .*: give what BuildStation made, or"):
             SetInitialState(wrong, root)
     with pytest.raises(cs.SceneError, match="context = .*: give a Context"):
         SetInitialState(stations[0], simulator)
@@ -601,6 +601,22 @@ def test_stations_start_inside_another_diagram_under_names_of_their_own():
         own = station.GetMyContextFromRoot(root)
         force = station.GetOutputPort("normal_force").Eval(own)
         assert force == pytest.approx([1.0, 1.0, 1.0], abs=0.02)
+
+
+def test_a_diagram_of_ones_own_starts_by_the_names_of_its_systems():
+    """And is refused where systems of these names are others."""
+    scene, builder = cs.load_scene("D1"), DiagramBuilder()
+    parts = AddScenePlant(builder, scene, config(scene).plant)
+    builder.AddNamedSystem("planner", ContactPlanner(scene))
+    driver = builder.AddNamedSystem("driver", FingertipDriver(parts, DriverConfig()))
+    diagram = builder.Build()
+    SetInitialState(diagram, root := diagram.CreateDefaultContext())
+    X_WF = parts.finger_bodies[0].EvalPoseInWorld(parts.plant.GetMyContextFromRoot(root))
+    assert np.linalg.norm(X_WF.translation()) == pytest.approx(0.14, abs=1e-3)
+    driver.set_name("mine")
+    parts.scene_graph.set_name("driver")
+    with pytest.raises(cs.SceneError, match="FingertipDriver and .* are named 'planner', 'driver"):
+        SetInitialState(diagram, root)
 
 
 def test_threads_share_a_station_with_a_context_each():
