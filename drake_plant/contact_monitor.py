@@ -52,7 +52,7 @@ from contact_system.kernels import Kernel, made_once
 from contact_system.scene import require_scene
 
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant, require_plant
+from .plant import ScenePlant, require_config
 
 Array = NDArray[np.float64]
 SX = ca.SX
@@ -117,8 +117,7 @@ class ContactMonitor(LeafSystem):
     Raises
     ------
     SceneError
-        No scene, no ScenePlant, one with another number of contacts than the other, or a plant
-        that is not finalized.
+        No scene, no ScenePlant, or one with another number of contacts than the other.
     """
 
     __slots__ = NO_DICTIONARY
@@ -126,7 +125,7 @@ class ContactMonitor(LeafSystem):
     def __init__(self, scene: Scene, scene_plant: ScenePlant):
         super().__init__()
         require_scene(scene)
-        require_plant(scene_plant)
+        require_config(scene_plant, ScenePlant, "scene_plant")
         n, fingers = len(scene.contacts), len(scene_plant.finger_bodies)
         if n != fingers:
             raise SceneError(

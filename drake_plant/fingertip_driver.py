@@ -41,7 +41,7 @@ from contact_system import SceneError
 from contact_system.kernels import Kernel, made_once
 
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant, check_numbers, require_config, require_plant
+from .plant import ScenePlant, check_numbers, require_config
 
 SX = ca.SX
 Array = NDArray[np.float64]
@@ -182,16 +182,16 @@ class FingertipDriver(LeafSystem):
     Raises
     ------
     SceneError
-        No ScenePlant, a wrong gain; a plant that is not finalized or not discrete, or whose steps
-        are too long for a finger; a finger whose mass centre is not its origin. In a simulation:
-        more or fewer poses than fingers.
+        No ScenePlant, a wrong gain; a plant that is not discrete, or whose steps are too long for a
+        finger; a finger whose mass centre is not its origin. In a simulation: more or fewer poses
+        than fingers.
     """
 
     __slots__ = NO_DICTIONARY
 
     def __init__(self, scene_plant: ScenePlant, config: DriverConfig):
         super().__init__()
-        require_plant(scene_plant)
+        require_config(scene_plant, ScenePlant, "scene_plant")
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
         # What the plant is made from; the plant itself would keep this system for ever.
         self.scene, self.plant_config = scene_plant.scene, scene_plant.config

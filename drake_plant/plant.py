@@ -71,7 +71,7 @@ from contact_system import (
     Turning,
 )
 from contact_system import plan as make_plan
-from contact_system.checks import finite_number
+from contact_system.checks import finite_number, naming
 from contact_system.errors import ContactSystemError
 from contact_system.scene import require_scene
 
@@ -254,6 +254,12 @@ class ScenePlant:
     object_body : RigidBody
     finger_bodies : list of RigidBody
         One a contact.
+
+    Raises
+    ------
+    SceneError
+        Something else in one of these places, a plant that is not finalized, bodies of another
+        plant, one body in two places, or more or fewer fingers than contacts.
     """
 
     scene: Scene
@@ -263,15 +269,32 @@ class ScenePlant:
     object_body: RigidBody
     finger_bodies: list[RigidBody]
 
+    def __post_init__(self) -> None:
+        require_scene(self.scene)
+        with naming(f"{self.scene.title}, scene_plant"):
+            require_config(self.config, PlantConfig)
+            require_config(self.plant, MultibodyPlant, "plant")
+            if not self.plant.is_finalized():
+                raise SceneError("the plant is not finalized: call plant.Finalize() first")
+            self._check_bodies()
 
-def require_plant(scene_plant: Any) -> None:
-    """Raise a SceneError where something else is given, or a plant that may still change."""
-    require_config(scene_plant, ScenePlant, "scene_plant")
-    if not scene_plant.plant.is_finalized():
-        raise SceneError(
-            f"{scene_plant.scene.title}: scene_plant has a plant that is not finalized: call "
-            "plant.Finalize() first"
-        )
+    def _check_bodies(self) -> None:
+        fingers, wanted = self.finger_bodies, len(self.scene.contacts)
+        if not isinstance(fingers, Sequence) or isinstance(fingers, str) or len(fingers) != wanted:
+            raise SceneError(
+                f"finger_bodies = {fingers!r}: give a list of {wanted}, one for each contact"
+            )
+        bodies = {"object_body": self.object_body}
+        bodies |= {f"finger_bodies[{i}]": body for i, body in enumerate(fingers)}
+        taken: dict[int, str] = {}
+        for name, body in bodies.items():
+            require_config(body, RigidBody, name)
+            index = int(body.index())
+            if index >= self.plant.num_bodies() or self.plant.get_body(body.index()) is not body:
+                raise SceneError(f"{name} = {body!r} is a body of another plant")
+            if index in taken:
+                raise SceneError(f"{name} = {body!r} is {taken[index]} already: give another body")
+            taken[index] = name
 
 
 def contact_depth(config: PlantConfig) -> float:

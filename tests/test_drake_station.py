@@ -740,28 +740,54 @@ def test_parts_of_another_kind_or_scene_are_refused():
             start()
 
 
-@pytest.mark.parametrize(
-    ("step", "off", "finalized", "message"),
-    [
-        (0.0, 0.0, True, "'C2': time_step = 0.0: fingers are driven in a discrete plant only"),
-        (0.1, 0.0, True, "'C2', contact 0: time_step = 0.1: a finger of 0.01 kg can be held"),
-        (1e-3, 1e-3, True, "'C2', contact 0: the mass centre of body 'finger' is at .0.001, 0"),
-        (1e-3, 0.0, False, "'C2': scene_plant has a plant that is not finalized: call plant.Fin"),
-    ],
-)
-def test_fingers_of_a_plant_of_ones_own_that_cannot_be_driven_are_refused(
-    step, off, finalized, message
-):
-    """Whatever its PlantConfig says."""
+def own_parts(step=1e-3, off=0.0, finalized=True, **changes):
+    """Of two bodies by hand, and a third one, changed."""
     scene, builder = cs.load_scene("C2"), DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, step)
     inertia = SpatialInertia(0.01, np.array([off, 0.0, 0.0]), UnitInertia.SolidSphere(0.04))
     bodies = [plant.AddRigidBody(name, inertia) for name in ("object", "finger")]
     if finalized:
         plant.Finalize()
-    parts = ScenePlant(scene, PlantConfig(), plant, scene_graph, bodies[0], bodies[1:])
+    given = dict(
+        scene=scene, config=PlantConfig(), plant=plant, scene_graph=scene_graph,
+        object_body=bodies[0], finger_bodies=bodies[1:],
+    )  # fmt: skip
+    return ScenePlant(**given | changes)
+
+
+@pytest.mark.parametrize(
+    ("step", "off", "message"),
+    [
+        (0.0, 0.0, "'C2': time_step = 0.0: fingers are driven in a discrete plant only"),
+        (0.1, 0.0, "'C2', contact 0: time_step = 0.1: a finger of 0.01 kg can be held"),
+        (1e-3, 1e-3, "'C2', contact 0: the mass centre of body 'finger' is at .0.001, 0"),
+    ],
+)
+def test_fingers_of_a_plant_of_ones_own_that_cannot_be_driven_are_refused(step, off, message):
+    """Whatever its PlantConfig says."""
+    parts = own_parts(step, off)
     with pytest.raises(cs.SceneError, match=message):
         FingertipDriver(parts, DriverConfig())
+
+
+def test_wrong_parts_of_a_plant_of_ones_own_are_named():
+    other = own_parts()
+    for changes, words in (
+        ({"finalized": False}, "the plant is not finalized: call plant.Finalize.. first"),
+        ({"plant": None}, "plant = None: give a MultibodyPlant"),
+        ({"config": StationConfig()}, "config = StationConfig.*: give a PlantConfig"),
+        ({"object_body": "object"}, "object_body = 'object': give a RigidBody"),
+        ({"object_body": other.object_body}, "object_body = .* is a body of another plant"),
+        ({"finger_bodies": ["finger"]}, r"finger_bodies\[0\] = 'finger': give a RigidBody"),
+        ({"finger_bodies": other.object_body}, "finger_bodies = <.*: give a list of 1, one for"),
+        ({"finger_bodies": []}, r"finger_bodies = \[\]: give a list of 1, one for each contact"),
+    ):
+        with pytest.raises(cs.SceneError, match=f"^scene 'C2', scene_plant: {words}"):
+            own_parts(**changes)
+    with pytest.raises(cs.SceneError, match="scene = 'C2': give a Scene"):
+        own_parts(scene="C2")
+    with pytest.raises(cs.SceneError, match=r"finger_bodies\[0\] = .* is object_body already"):
+        dataclasses.replace(other, finger_bodies=[other.object_body])
 
 
 def test_poses_of_another_scene_are_refused():
