@@ -245,8 +245,10 @@ class _Bodies:
     ) -> tuple[float, float]:
         """How far from the object's surface to the finger's Drake's point contact acts: midway
         where both are equally stiff, else nearer to the stiffer one's. Points lie on the object."""
-        share = AT_FINGER if self.at_finger[i] else math.dist(surface, p_WC) / pair.depth
-        return share, 0.0
+        if self.at_finger[i]:
+            return AT_FINGER, 0.0
+        # a depth may be 0, or rounding alone
+        return min(1.0, math.dist(surface, p_WC) / max(pair.depth, TINY)), 0.0
 
 
 def _share_of_M(patch: ContactSurface) -> float:

@@ -325,6 +325,17 @@ def test_without_contact_there_is_no_force_and_slip_is_that_of_the_nearest_point
     assert np.linalg.norm(setup.read("contact_point"), axis=1) == pytest.approx(R2, abs=1e-12)
 
 
+def test_bodies_that_touch_without_depth_are_measured():
+    setup = Setup("point", sampled=False)
+    setup.run()
+    for body, y in ((setup.object, 0.0), (setup.fingers[0], R1 + R2)):
+        setup._set(body, RigidTransform([0.0, y, 0.0]), SpatialVelocity.Zero())
+    results = setup.plant.GetOutputPort("contact_results").Eval(setup.context)
+    assert results.point_pair_contact_info(0).point_pair().depth == 0.0
+    assert setup.read("slip")[0] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert setup.read("normal_force")[0] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_what_needs_a_contact_frame_is_nan_at_a_pole_and_other_contacts_are_measured(setup):
     setup.run()
     for body, z in ((setup.object, 0.0), (setup.fingers[0], R1 + R2 - DEPTH[setup.model])):
