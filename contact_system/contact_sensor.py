@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .charts import SX
+from .charts import SX, TINY
 from .checks import real_array
 from .development import reflection
 from .errors import ChartSingularity, ConformalContact, ContactSystemError
@@ -220,7 +220,7 @@ class ContactSensor:
             if abs(found.relative[i]) <= SINGULAR:
                 raise ConformalContact(
                     f"{what}: the surfaces conform to each other at the contact, so a twist does "
-                    "not determine where they touch; change a radius"
+                    "not determine where they touch; change a radius or a surface"
                 )
             if not np.isfinite(found.states[i]).all():
                 at = found.points[i].tolist()
@@ -385,9 +385,10 @@ def contact_kernel(finger: Surface, obj: Surface) -> Kernel:
     tip_curvature = map_21 @ tip.curvature @ map_21
     relative = body.curvature + tip_curvature
     size = ca.norm_fro(tip.curvature) + ca.norm_fro(body.curvature)
+    relative = ca.det(relative) / ca.fmax(size**2, TINY)  # planes, of no curvature, conform too
     result = ca.vertcat(
         tip.moved(step_1), body.moved(step_2),
-        ca.norm_2(ca.vertcat(step_1, step_2, tip.missed, body.missed)), ca.det(relative) / size**2,
+        ca.norm_2(ca.vertcat(step_1, step_2, tip.missed, body.missed)), relative,
         tip.coordinates, tip.rates(a1), body.coordinates, body.rates(a2), psi,
         slip, tip.x, body.x, ca.vec(body.frame), ca.vec(body.curvature),
         ca.vec(tip_curvature), gap, body.tangents @ a2,

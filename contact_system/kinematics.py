@@ -100,7 +100,7 @@ def forward_montana(
         raise ConformalContact(
             "the surfaces conform to each other at the contact (relative curvature "
             f"{relative[at].tolist()} 1/m is singular), so a twist does not determine where they "
-            "touch; change a radius"
+            "touch; change a radius or a surface"
         )
     bend = np.stack([-omega[..., 1], omega[..., 0]], axis=-1)
     a1, a2 = contact_velocities(

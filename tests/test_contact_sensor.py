@@ -123,10 +123,16 @@ def test_conforming_surfaces_are_refused():
         cs.measured_states(scene, plan_like, np.zeros((1, 6)), [[0.06, 0.0, 0.08]])
 
 
-def test_conforming_surfaces_are_refused_at_a_pose_that_is_rounded():
-    contact = cs.Contact(finger=cs.Sphere(0.1), object_at=(1, 1))
-    bowl, profile = cs.Sphere(0.1, inside=True), cs.Profile([0.1])
-    scene = cs.Scene(object=bowl, contacts=[contact], profile=profile, duration=1)
+FLAT = cs.Quadric(np.diag([4.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("obj", "finger"),
+    [(cs.Sphere(0.1, inside=True), cs.Sphere(0.1)), (cs.Plane(), cs.Plane()), (FLAT, cs.Plane())],
+)
+def test_conforming_surfaces_are_refused_at_a_pose_that_is_rounded(obj, finger):
+    contact = cs.Contact(finger=finger, object_at=(1, 1))
+    scene = cs.Scene(object=obj, contacts=[contact], profile=cs.Profile([0.1]), duration=1)
     with pytest.raises(cs.ConformalContact, match="contact 0"):
         cs.measured_states(scene, *at(cs.plan(scene), 0.5))
 
