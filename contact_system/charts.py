@@ -571,7 +571,7 @@ class CentralChart(Chart):
     """Polar angle u from +z and azimuth v of the ray from a centre; p starts with the centre."""
 
     periods = (None, TURN)
-    singular_at = "a pole (u = 0 or pi)"
+    singular_at = "a pole (u = 0 or pi), or out of the centre's sight"
     ranges = PolarChart.ranges
     wrap = PolarChart.wrap
 

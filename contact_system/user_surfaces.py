@@ -365,6 +365,7 @@ class ImplicitSurface(UserSurface):
         ``"x**2/a**2 + y**2 + z**4 - 1"``. Negative inside the body.
     center : three floats
         A point inside (with ``inside=True``, inside the hollow) that sees the whole surface, m.
+        What a path out of its sight has in chart components is refused.
     parameters : mapping of str to float, optional
         Named numbers of the formula; changing them needs no new kernel.
     size : float
@@ -449,7 +450,8 @@ class ImplicitSurface(UserSurface):
         d_u = ca.vertcat(ray[0] * ray[2] / s, ray[1] * ray[2] / s, -s) / rho
         d_v = ca.vertcat(-ray[1], ray[0], 0) / rho
         gradient = ca.gradient(self._level(p, x), x)
-        along = ca.dot(gradient, direction)
+        # no frame where the centre does not see the point: f_u x f_v would point into the body
+        along = ca.fmax(ca.dot(gradient, direction), 0)
 
         def tangent(turned: SX) -> SX:
             """rho d turned, plus what keeps the point on the surface: grad F . f_u = 0."""

@@ -655,6 +655,24 @@ BALL = cs.ParametricSurface(
 CONE = cs.ParametricSurface(("v*cos(u)", "v*sin(u)", "-v"), size=0.1)
 
 
+def test_states_are_refused_where_the_centre_of_an_implicit_surface_does_not_see_the_path():
+    level = "(sqrt(x**2 + y**2) - 0.2)**2 + z**2 - 0.07**2"  # a ring, seen from within its tube
+    ring = cs.ImplicitSurface(level, center=(0.2, 0, 0), size=0.27)
+    u, v = ring.coordinates(cs.Torus(0.2, 0.07).point(0.1, 0.3))
+    contact = cs.Contact(
+        finger=cs.Plane(), finger_at=(0, 0), object_at=(u, v), finger_velocity=(0.8, 0.6),
+        object_velocity=(0.5, 0.2),
+    )  # fmt: skip
+    gain, profile = cs.Gain.time(3), cs.Profile([1.5])
+    scene = cs.Scene(object=ring, contacts=[contact], profile=profile, gain=gain, duration=1)
+    plan = cs.plan(scene, compiled=False)
+    assert plan.points(1.0)[0, 0, 1, 0] < 0 and np.isfinite(plan.twist(1.0)).all()
+    assert np.isfinite(plan.states(0.1)).all()
+    for ask in (plan.states, plan.slip):
+        with pytest.raises(cs.ChartSingularity, match="out of the centre's sight"):
+            ask([0.1, 1.0])
+
+
 @pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("tolerance", [1e-12, 1e-3])
 @pytest.mark.parametrize(("obj", "at", "along", "text"), [
