@@ -31,6 +31,7 @@ from .user_surfaces import ParametricSurface
 
 MOST_STEPS = 30
 ROWS = 40  # of a Measurement
+SETTLED = 1e3  # steps at which rounding may hold Newton's method up, in those asked for
 NO_ROTATION = 1e-2  # what is measured may miss a rotation by its noise
 LONGEST_STEP = 0.5  # of the body's size, where bodies are far apart
 
@@ -170,6 +171,8 @@ class ContactSensor:
         self.scene, self.count = scene, len(scene.contacts)
         sizes = [scene.object.size, *(contact.finger.size for contact in scene.contacts)]
         self._small = tolerance * min(sizes)
+        # steps shrink as their squares do: what stays above is rounding, as of a far larger body
+        self._settled = max(SETTLED * self._small, 1e-15 * max(sizes))
         kinds: dict[object, list[int]] = {}
         for i, contact in enumerate(scene.contacts):
             kinds.setdefault(contact.finger.structure, []).append(i)
@@ -229,7 +232,7 @@ class ContactSensor:
                     f"({at[0]} m on the finger, {at[1]} m on the object); measure nearby, or turn "
                     "the body's axes so that the pole lies elsewhere"
                 )
-            if not found.step[i] <= self._small:
+            if not found.step[i] <= self._settled:
                 raise ContactSystemError(
                     f"{what}: no common normal of the surfaces is found, the next step is "
                     f"{found.step[i]:.3g} m; give a point nearer to the contact"

@@ -107,6 +107,16 @@ def test_nearest_points_of_sphere_and_ellipsoid_lie_on_one_normal(gap):
     assert found.gap == pytest.approx(gap, abs=1e-12)
 
 
+def test_a_contact_on_a_body_a_thousand_times_larger_is_measured():
+    for k in range(40):
+        contact = cs.Contact(finger=cs.Sphere(0.005), object_at=(0.9 + 0.01 * k, 0.5), angle=k)
+        profile = cs.Profile([0.005])
+        scene = cs.Scene(object=cs.Sphere(5), contacts=[contact], profile=profile, duration=1)
+        plan = cs.plan(scene)
+        measured = cs.measured_states(scene, *at(plan, 0.3))
+        assert_same_states(scene, measured, plan.states(0.3)[0])
+
+
 def test_measuring_at_a_pole_names_the_contact():
     scene = one_contact("sphere", "sphere")
     pose = np.eye(4)[None].copy()
