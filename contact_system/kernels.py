@@ -562,18 +562,30 @@ def find_compiler() -> tuple[str, ...] | None:
     return (sys.executable, "-m", "ziglang", "cc")
 
 
+# Where users' caches are: the variable that names the folder, and what it is below their homes.
+_CACHES = {"win32": ("LOCALAPPDATA", "AppData", "Local"), "darwin": ("", "Library", "Caches")}
+_REMEDY = "set CONTACT_SYSTEM_CACHE to a folder that can be written to"
+
+
 def cache_folder() -> Path:
-    """Where compiled kernels are kept: ``$CONTACT_SYSTEM_CACHE`` or the user's cache folder."""
+    """Where compiled kernels are kept: ``$CONTACT_SYSTEM_CACHE`` or the user's cache folder.
+
+    Raises
+    ------
+    ContactSystemError
+        The user has no home folder, as some users of containers.
+    """
     chosen = os.environ.get("CONTACT_SYSTEM_CACHE")
     if chosen:
         return Path(chosen).absolute()  # a bare file name would be sought among the system's
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA", str(Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = str(Path.home() / "Library" / "Caches")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
-    return Path(base) / "contact_system"
+    variable, *below = _CACHES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
+    base = Path(os.environ.get(variable, ""))
+    if not base.is_absolute():  # XDG has it ignored then
+        try:
+            base = Path.home().joinpath(*below)
+        except RuntimeError:
+            raise ContactSystemError(f"this user has no home folder; {_REMEDY}") from None
+    return base / "contact_system"
 
 
 def make_folder(path: Path, remedy: str) -> Path:
@@ -600,13 +612,12 @@ def cache_room() -> Iterator[Path]:
     ContactSystemError
         Nothing can be written there.
     """
-    remedy = "set CONTACT_SYSTEM_CACHE to a folder that can be written to"
-    folder = make_folder(cache_folder(), remedy)
+    folder = make_folder(cache_folder(), _REMEDY)
     try:
         with tempfile.TemporaryDirectory(dir=folder) as room:
             yield Path(room)
     except OSError as error:
-        raise ContactSystemError(f"cache folder '{folder}': {error}; {remedy}") from None
+        raise ContactSystemError(f"cache folder '{folder}': {error}; {_REMEDY}") from None
 
 
 @functools.cache
@@ -629,8 +640,11 @@ def library_path(source: str) -> Path:
 
 
 def is_built(source: str) -> bool:
-    """Whether a C source has been built here before."""
-    return find_compiler() is not None and library_path(source).exists()
+    """Whether a C source has been built here before, where this user may read it."""
+    try:
+        return find_compiler() is not None and os.access(library_path(source), os.R_OK)
+    except ContactSystemError:  # no folder to look in
+        return False
 
 
 def compiled_library(source: str) -> ctypes.CDLL:

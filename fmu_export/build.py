@@ -89,7 +89,7 @@ def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
     command = _command(identifier, target)
     text = "\0".join([identifier, *command, *(f"{k}\0{sources[k]}" for k in sorted(sources))])
     kept = cache_folder() / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.fmulib"
-    if kept.exists():
+    if os.access(kept, os.R_OK):
         return kept.read_bytes()
     with cache_room() as folder:
         for file, content in sources.items():

@@ -353,6 +353,55 @@ def test_a_cache_that_cannot_be_written_to_is_named(tmp_path, monkeypatch):
         kernels.compiled_library("double one = 1.0;")
 
 
+@pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="they keep caches elsewhere")
+@pytest.mark.parametrize("named", [None, "", "relative"])
+def test_the_cache_is_below_the_home_unless_another_place_is_named(monkeypatch, tmp_path, named):
+    monkeypatch.delenv("CONTACT_SYSTEM_CACHE")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    if named is not None:
+        monkeypatch.setenv("XDG_CACHE_HOME", named)
+    assert kernels.cache_folder() == tmp_path / ".cache" / "contact_system"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "named"))
+    assert kernels.cache_folder() == tmp_path / "named" / "contact_system"
+
+
+@needs_compiler
+def test_a_user_without_a_home_plans_and_is_told_where_kernels_may_be_kept(monkeypatch):
+    def no_home():
+        raise RuntimeError("Could not determine home directory.")
+
+    for variable in ("CONTACT_SYSTEM_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(Path, "home", no_home)
+    assert not kernels.is_built("double two = 2.0;")
+    with pytest.raises(cs.ContactSystemError, match="no home folder; set CONTACT_SYSTEM_CACHE"):
+        kernels.compiled_library("double two = 2.0;")
+
+
+@needs_compiler
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="needs users as those of Unix")
+def test_a_cache_that_nobody_may_look_into_is_as_an_empty_one(tmp_path):
+    (tmp_path / "locked").mkdir(0o000)
+    code = """
+        import os
+        import contact_system as cs
+        from contact_system import kernels
+        scene = cs.load_scene("K4")
+        if os.geteuid() == 0:  # whom nothing is locked to
+            os.setuid(65534)
+        print(cs.plan(scene).states([0.0, 1.0]).shape)
+        try:
+            kernels.compiled_library("double three = 3.0;")
+        except cs.ContactSystemError as error:
+            print(error)
+    """
+    run = python(code, CONTACT_SYSTEM_CACHE=str(tmp_path / "locked" / "cache"))
+    out, errors = run.communicate(timeout=120)
+    assert run.returncode == 0, errors
+    assert re.match(r"\(2, 3, 9\)\nno folder .*: Permission denied; set CONTACT_SYSTEM_CACHE", out)
+
+
 @needs_compiler
 def test_structures_lie_in_memory_as_those_of_c():
     every = ctypes.Structure.__subclasses__()
