@@ -654,14 +654,22 @@ def compiled_library(source: str) -> ctypes.CDLL:
     ------
     ContactSystemError
         No compiler, the compiler refused (its message is quoted), or a cache folder that cannot be
-        written to.
+        written to, or that no library can be loaded from.
     """
     path = library_path(source)
     with contextlib.suppress(OSError):  # not there, or damaged: built again
         if not _is_cut_short(path):
             return ctypes.CDLL(str(path))
     _build(source, path)
-    return ctypes.CDLL(str(path))
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        path.unlink(missing_ok=True)  # or plans that take what they find would fail from now on
+        raise ContactSystemError(
+            f"what {(find_compiler() or ('none',))[0]} built cannot be loaded: {error}; if that "
+            "folder may hold no programs (noexec), set CONTACT_SYSTEM_CACHE to another one, else "
+            "set CC to this machine's compiler"
+        ) from None
 
 
 def _is_cut_short(path: Path) -> bool:

@@ -264,6 +264,19 @@ def test_failing_compiler_is_quoted(monkeypatch, tmp_path, fresh_cache):
         area_kernel()(np.ones((1, 2, 3)), np.ones((1, 1)), np.empty((1, 4, 3)), compiled=True)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a shell")
+def test_a_library_that_cannot_be_loaded_does_not_stay(monkeypatch, tmp_path, fresh_cache):
+    wrapper = tmp_path / "othercc"  # for another machine, as it were
+    wrapper.write_text('#!/bin/sh\nwhile [ "$1" != -o ]; do shift; done\necho odd > "$2"\n')
+    wrapper.chmod(0o755)
+    monkeypatch.setenv("CC", str(wrapper))
+    arguments = np.ones((1, 2, 3)), np.ones((1, 1)), np.empty((1, 4, 3))
+    with pytest.raises(ContactSystemError, match="othercc built cannot .*noexec.*set CC"):
+        area_kernel()(*arguments, compiled=True)
+    assert not list(fresh_cache.iterdir())
+    area_kernel()(*arguments, compiled=None)
+
+
 @needs_compiler
 def test_kernel_is_built_once_and_found_again(fresh_cache):
     kernel = area_kernel()
