@@ -120,7 +120,8 @@ def by_definition(chart: Chart, u: float, v: float) -> dict[str, np.ndarray]:
         return a / mp.sqrt(dot(a, a))
 
     def cross(a, b):
-        return mp.matrix([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)])
+        after = [(1, 2), (2, 0), (0, 1)]  # mpmath 1.3 takes no index below 0
+        return mp.matrix([a[i] * b[k] - a[k] * b[i] for i, k in after])
 
     def tangents(s, t):
         return [

@@ -57,14 +57,16 @@ def test_slip_speed_refuses_times_outside_the_horizon():
 
 
 def test_only_times_at_a_pole_are_not_regular(monkeypatch):
-    # North along a meridian at 0.1 m/s on a radius of 0.1 m: u = 0.7 - t, but for rounding.
+    # North along a meridian at 0.1 m/s on a radius of 0.1 m: u = 0.7 - t, but for rounding, by
+    # which numpy 1.26 meets the pole at 0.7 s and others do not.
     scene = one_contact("sphere", "plane", angle=0.0, object_at=(0.7, 0.0), profile=(0.1,),
                         finger_velocity=(-1.0, 0.0), object_velocity="rolling")  # fmt: skip
     plan = cs.plan(scene, compiled=False)
     t = np.array([0.1, *(0.7 + np.arange(-40, 41) * np.spacing(0.7)), 0.9])
-    assert np.array_equal(measures.regular_times(plan, t), t)
+    regular = measures.regular_times(plan, t)
+    assert np.abs(np.setdiff1d(t, regular) - 0.7).max(initial=0.0) < 1e-15
     refuse_at(monkeypatch, t[40:43].tolist(), "states")
-    assert np.array_equal(measures.regular_times(plan, t), np.delete(t, [40, 41, 42]))
+    assert np.array_equal(measures.regular_times(plan, t), np.setdiff1d(regular, t[40:43]))
     assert plan.slip_speed(t) == pytest.approx(0, abs=0)
 
 
