@@ -103,6 +103,15 @@ def test_links_lead_to_files_that_are_there(page):
     assert [link for link in links if not (path.parent / link).exists()] == []
 
 
-@pytest.mark.parametrize("package", ["contact_system", "drake_plant", "fmu_export"])
+PACKAGES = ["contact_system", "drake_plant", "fmu_export"]
+
+
+def test_a_source_distribution_holds_what_the_layout_shows():
+    manifest = (README.parent / "MANIFEST.in").read_text("utf-8")
+    held = [*PACKAGES, *re.findall(r"^graft (\S+)$", manifest, re.M)]
+    assert sorted(held) == sorted(re.findall(r"^([.\w]+)/", blocks("text")[-1], re.M))
+
+
+@pytest.mark.parametrize("package", PACKAGES)
 def test_type_checkers_are_told_that_there_are_types(package):
     assert (README.parent / package / "py.typed").exists()
