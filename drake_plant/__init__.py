@@ -36,14 +36,13 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-__all__ = [
+__all__ = [  # what a star imports: FmuSystem needs fmpy
     "AddScenePlant",
     "BuildStation",
     "ContactMonitor",
     "ContactPlanner",
     "DriverConfig",
     "FingertipDriver",
-    "FmuSystem",
     "PlantConfig",
     "ScenePlant",
     "SetInitialState",

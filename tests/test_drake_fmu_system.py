@@ -758,3 +758,11 @@ def test_without_fmpy_the_error_says_what_to_install(monkeypatch):
     monkeypatch.delitem(sys.modules, "drake_plant.fmu_system")
     with pytest.raises(ImportError, match=re.escape('pip install "contact-system[fmu]"')):
         importlib.import_module("drake_plant.fmu_system")
+
+
+def test_without_fmpy_all_else_can_be_imported_by_a_star(monkeypatch):
+    monkeypatch.setitem(sys.modules, "fmpy", None)
+    monkeypatch.delitem(sys.modules, "drake_plant.fmu_system")
+    names: dict = {}
+    exec("from drake_plant import *", names)
+    assert "BuildStation" in names and "FmuSystem" not in names
