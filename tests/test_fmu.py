@@ -1078,18 +1078,27 @@ def test_the_same_scene_gives_the_same_bytes(tmp_path, monkeypatch):
     assert export_fmu(scene, tmp_path / "two.fmu").read_bytes() == first
 
 
-@pytest.mark.parametrize("plain", [[], ["-DPLAIN_C", "-pedantic-errors"]], ids=["gnu", "c99"])
+@pytest.mark.parametrize(
+    "dialect",
+    [[], ["-DPLAIN_C", "-pedantic-errors"], ["-mfpmath=387"]],
+    ids=["gnu", "c99", "as x86 of 32 bits"],
+)
 @pytest.mark.parametrize("version", VERSIONS)
-def test_the_sources_inside_build_without_warnings(version, plain, exported, tmp_path):
+def test_the_sources_inside_build_without_warnings(version, dialect, exported, tmp_path):
     from contact_system.kernels import find_compiler
 
     compiler = find_compiler()
     if compiler is None:
         pytest.skip("no C compiler on this machine")
+    probe = tmp_path / "probe.c"
+    probe.write_text("int main(void) { return 0; }\n")
+    command = [*compiler, *dialect, str(probe), "-o", str(tmp_path / "probe")]
+    if subprocess.run(command, capture_output=True).returncode:
+        pytest.skip(f"the compiler does not take {dialect}")
     folder = os.path.join(exported("K3", version).folder, "sources")
     files = sorted(f for f in os.listdir(folder) if f.endswith(".c"))
     flags = ["-std=c99", "-O0", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]
-    flags += [f"-I{FMI_HEADERS}", *plain]
+    flags += [f"-I{FMI_HEADERS}", *dialect]
     run = subprocess.run(
         [*compiler, *flags, *files, "-o", str(tmp_path / "built"), "-lm"],
         cwd=folder, capture_output=True, text=True,

@@ -2,6 +2,7 @@
    nodes of a panel. */
 #ifndef CONTACT_SYSTEM_COMMON
 #define CONTACT_SYSTEM_COMMON
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -300,8 +301,8 @@ static inline void wind_beside(const track_t *k, const between_t *w, place_on_t 
 }
 
 /* Numbers side by side in the machine's registers: the vector extension of GCC and Clang, where there is
-   one. */
-#if !defined(__GNUC__) || defined(PLAIN_C)
+   one, and where doubles are not computed as long doubles (on x86 of 32 bits they are). */
+#if !defined(__GNUC__) || defined(PLAIN_C) || FLT_EVAL_METHOD == 2 || FLT_EVAL_METHOD < 0
 #define LANES 1
 #elif defined(__AVX512F__)
 #define LANES 8
