@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 pytest.importorskip("fmpy")
@@ -38,6 +39,11 @@ def test_random_calls_and_damaged_or_forged_state_bytes_do_no_harm(fmu):
 def test_states_hold_the_motion_and_nothing_that_lay_on_the_stack(fmu):
     found = program("states", fmu).table(*fmu.model_arguments())
     assert found.tolist() == [[0, 0]] * 3  # own bytes refused; bytes unlike those of the first run
+
+
+def test_steps_do_nothing_that_a_program_may_trap(fmu):
+    found = program("trajectory", fmu).table(0.01, 90, *fmu.model_arguments())
+    assert len(found) == 91 and np.isfinite(found).all()
 
 
 def test_a_million_steps_take_no_memory(fmu):

@@ -172,9 +172,10 @@ static inline double magnitude(const double *c, long n, double t) {
   return size;
 }
 
-/* times this near are one time: steps of 0.1 s do not add up to 1 s */
+/* Times this near are one time: steps of 0.1 s do not add up to 1 s. The edge may be infinite; a
+   tolerance of its size would be too, and inf - inf ends programs that trap invalid operations. */
 static inline int reached(double time, double edge) {
-  return time >= edge - 8 * DBL_EPSILON * fmax(1.0, fabs(edge));
+  return edge - time <= 8 * DBL_EPSILON * fmax(1.0, fabs(time));
 }
 
 static inline int all_finite(const double *x, long n) {

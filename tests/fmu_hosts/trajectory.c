@@ -1,6 +1,10 @@
 /* trajectory STEP COUNT TOKEN N_VALUES REFERENCE...
-   Steps an FMU and prints the values at every communication point, one line each. */
+   Steps an FMU and prints the values at every communication point, one line each. Where the C
+   library can, it traps operations that have no number as their result, as importers may. */
+#define _GNU_SOURCE
 #include "fmu.h"
+
+#include <fenv.h>
 
 static void heard(int status, const char *category, const char *text) {
   fprintf(stderr, "%d %s: %s\n", status, category, text);
@@ -12,6 +16,9 @@ int main(int count, char **argument) {
   const double size = strtod(argument[1], NULL);
   const long steps = strtol(argument[2], NULL, 10);
   const model_t m = model_of(count - 3, argument + 3);
+#ifdef __GLIBC__
+  feenableexcept(FE_DIVBYZERO | FE_INVALID | FE_OVERFLOW);
+#endif
   fmu_t fmu = create(m.token);
   if (!fmu || begin(fmu)) stop("the FMU does not start");
   for (long k = 0; k <= steps; k++) {
