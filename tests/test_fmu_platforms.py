@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 import contact_system as cs
@@ -26,6 +28,14 @@ def test_a_windows_library_bears_the_name_of_its_file(tmp_path):
     path = export_fmu(cs.load_scene("C1"), tmp_path / "C1.fmu", platforms=("x86_64-windows",))
     fmu = Fmu.unpacked(path, tmp_path / "C1")
     assert b"\0C1.dll\0" in fmu.library("x86_64-windows").read_bytes()
+
+
+def test_a_linux_library_by_name_asks_for_no_new_c_library(tmp_path):
+    pytest.importorskip("ziglang")
+    path = export_fmu(cs.load_scene("C1"), tmp_path / "C1.fmu", platforms=("x86_64-linux",))
+    content = Fmu.unpacked(path, tmp_path / "C1").library("x86_64-linux").read_bytes()
+    asked = [int(minor) for minor in re.findall(rb"GLIBC_2\.(\d+)", content)]
+    assert asked and max(asked) <= 17
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
