@@ -491,12 +491,15 @@ class Scene:
         """Every contact's coordinates into the charts' regular range."""
         contacts = list(self.contacts)
         turned: set[tuple[str, int]] = set()
-        for i, body, known in self._unplaced():
+        unplaced = self._unplaced()
+        for i, body, known in unplaced:
             surface = self.object if body == "object" else contacts[i].finger
             contacts[i], half_turn = _placed(contacts[i], i, surface, body, known)
             if half_turn:
                 turned.add((body, i))
         object.__setattr__(self, "contacts", tuple(contacts))
+        if unplaced:
+            self.__dict__.pop("packed_starts", None)  # of the coordinates as given
         if turned:
             moved = tuple(_turned(d, turned) for d in self.disturbances)
             object.__setattr__(self, "disturbances", moved)
@@ -514,12 +517,13 @@ class Scene:
         for i, contact in enumerate(contacts):
             fingers.setdefault(id(contact.finger), []).append(i)
         found: list[tuple[int, str, Pair | None]] = []
+        starts = np.frombuffer(self.packed_starts).reshape(-1, GIVEN)
         everyone = [("object", list(range(len(contacts))))]
         for body, members in everyone + [("finger", members) for members in fingers.values()]:
             surface = self.object if body == "object" else contacts[members[0]].finger
             quick = surface.chart.metric_floor is not Chart.metric_floor
             if len(members) >= (MANY_PLACES if quick else 2):
-                given = np.array([getattr(contacts[i], f"{body}_at") for i in members])
+                given = starts[members, 2:4] if body == "object" else starts[members, 0:2]
                 with suppress(ContactSystemError):
                     at = np.stack(surface.canonical(*given.T), axis=-1)
                     moved = np.flatnonzero((at != given).any(axis=-1)).tolist()

@@ -188,6 +188,7 @@ def test_contacts_of_a_crowd_are_placed_as_each_alone(surface):
         own = [kind(0, 0, 1, velocity) for kind in DISTURBANCE_KINDS]
         alone = small_scene(object=surface, contacts=[contact], disturbances=own)
         assert crowd.contacts[k] == alone.contacts[0]
+        assert crowd.packed_starts[72 * k : 72 * (k + 1)] == alone.packed_starts
         found = [d.value for d in crowd.disturbances if d.contact == k]
         assert found == [d.value for d in alone.disturbances]
     wrong = Contact(contacts[0].finger, (0.3, 0.4), (0.0, 1.0))
