@@ -272,9 +272,10 @@ class _Group:
         machine.run()
         first = y[:, n + 1].copy()
         for _ in range(MOST_STEPS):
-            if not y[:, n].max() > small:  # also where there is no contact frame
+            if not (y[:, n] > small).any():
                 break
-            x[:, :n] = y[:, :n]
+            framed = ~np.isnan(y[:, n])
+            x[framed, :n] = y[framed, :n]
             machine.run()
         # steps along bodies that conform lead anywhere, and there bodies may not
         conform = (np.abs(first) <= SINGULAR) & ~(y[:, n] <= small)

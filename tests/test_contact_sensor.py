@@ -107,6 +107,19 @@ def test_nearest_points_of_sphere_and_ellipsoid_lie_on_one_normal(gap):
     assert found.gap == pytest.approx(gap, abs=1e-12)
 
 
+def test_a_contact_at_a_pole_leaves_the_others_as_precise_as_ever():
+    contacts = [cs.Contact(cs.Ellipsoid(0.05, 0.04, 0.03), (1.0, 0.3))] * 2
+    profile = cs.Profile([0.1])
+    scene = cs.Scene(object=cs.Sphere(0.1), contacts=contacts, profile=profile, duration=1.0)
+    plan = cs.plan(scene)
+    pose, twist, points = at(plan, 0.3)
+    pose, points = pose[:, :3].reshape(2, 12), points + 0.003
+    pose[0], points[0] = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0.13], [0, 0, 0.1]
+    found = ContactSensor(scene).measure(pose, twist, points)
+    assert np.isnan(found.states[0]).any()
+    assert found.states[1] == pytest.approx(plan.states(0.3)[0, 1], abs=1e-10)
+
+
 def test_a_contact_on_a_body_a_thousand_times_larger_is_measured():
     for k in range(40):
         contact = cs.Contact(finger=cs.Sphere(0.005), object_at=(0.9 + 0.01 * k, 0.5), angle=k)
