@@ -57,8 +57,8 @@ class Measurement:
         x_1 on the finger and x_2 on the object, each in its body's frame, m.
     frame : (n, 3, 3)
         E2, rows x, y, n, in the object's frame.
-    curvature, finger_curvature : (n, 2, 2)
-        K_2, and K_1 in E2, 1/m.
+    surfaces : (n, 20)
+        x_2, E2 as in `frame`, K_2, K_1 in E2, 1/m.
     gap : (n,)
         Distance of the surfaces along the normal, negative where they overlap, m.
     velocity : (n, 3)
@@ -71,13 +71,7 @@ class Measurement:
         self.velocity = table[:, 37:40]
         self.states, self.slip = table[:, 2:11], table[:, 11:13]
         self.points = table[:, 13:19].reshape(n, 2, 3)
-        self.frame = table[:, 19:28].reshape(n, 3, 3)
-        self.curvature, self.finger_curvature = table[:, 28:36].reshape(n, 2, 2, 2).swapaxes(0, 1)
-
-    @property
-    def surfaces(self) -> np.ndarray:
-        """x_2, the axes of E2, K_2 and K_1 in E2 of each contact: (n, 20)."""
-        return self.table[:, 16:36]
+        self.frame, self.surfaces = table[:, 19:28].reshape(n, 3, 3), table[:, 16:36]
 
 
 def measured_states(
@@ -110,7 +104,7 @@ def measured_states(
         A wrong shape, NaN, a pose that is no rigid motion, or points from which no contact is
         found.
     ChartSingularity
-        A contact is at a pole or an umbilic.
+        A contact is at a pole or an umbilic, or out of sight of an implicit surface's center.
     ConformalContact
         The twist does not determine where the bodies touch.
     """
@@ -228,9 +222,10 @@ class ContactSensor:
             if not np.isfinite(found.states[i]).all():
                 at = found.points[i].tolist()
                 raise ChartSingularity(
-                    f"{what}: measured at a pole or an umbilic, where there is no contact frame "
-                    f"({at[0]} m on the finger, {at[1]} m on the object); measure nearby, or turn "
-                    "the body's axes so that the pole lies elsewhere"
+                    f"{what}: measured at a pole, an umbilic or out of sight of an implicit "
+                    f"surface's center, where there is no contact frame ({at[0]} m on the finger, "
+                    f"{at[1]} m on the object); measure nearby, turn the body's axes so that the "
+                    "pole lies elsewhere, or choose another center"
                 )
             if not found.step[i] <= self._settled:
                 raise ContactSystemError(

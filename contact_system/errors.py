@@ -14,7 +14,7 @@ class SurfaceError(ContactSystemError):
 
 
 class ChartSingularity(ContactSystemError):
-    """The chart has no contact frame at this point: a pole or an umbilic."""
+    """The chart has no contact frame at this point, such as a pole or an umbilic."""
 
 
 class ConformalContact(ContactSystemError):

@@ -365,7 +365,7 @@ class ImplicitSurface(UserSurface):
         ``"x**2/a**2 + y**2 + z**4 - 1"``. Negative inside the body.
     center : three floats
         A point inside (with ``inside=True``, inside the hollow) that sees the whole surface, m.
-        What a path out of its sight has in chart components is refused.
+        Where rays from it enter the body again, chart components of a path are refused.
     parameters : mapping of str to float, optional
         Named numbers of the formula; changing them needs no new kernel.
     size : float

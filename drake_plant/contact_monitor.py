@@ -103,7 +103,7 @@ class ContactMonitor(LeafSystem):
     Where a finger touches the object with several patches or pairs of points, forces are those of
     their sum, taken along and across the normal at its centre of pressure.
     Without contact the forces are 0 and the others are those of the points nearest to each other.
-    Where there is no contact frame (at a pole or an umbilic) what needs one is NaN: a planner that
+    Where there is no contact frame (such as at a pole) what needs one is NaN: a planner that
     restarts then keeps its plan.
 
     Parameters

@@ -671,6 +671,9 @@ def test_states_are_refused_where_the_centre_of_an_implicit_surface_does_not_see
     for ask in (plan.states, plan.slip):
         with pytest.raises(cs.ChartSingularity, match="out of the centre's sight"):
             ask([0.1, 1.0])
+    motion = plan.pose(1.0)[0], plan.twist(1.0)[0], plan.points(1.0)[0, :, 1]
+    with pytest.raises(cs.ChartSingularity, match="out of sight of an .* another center"):
+        cs.measured_states(scene, *motion)
 
 
 @pytest.mark.parametrize("compiled", [False, True])
