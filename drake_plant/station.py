@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
@@ -52,7 +53,7 @@ from .plant import (
 
 Array = NDArray[np.float64]
 
-STARTED = ("planner", "driver", "plant")
+STARTED = {"planner": ContactPlanner, "driver": FingertipDriver, "plant": MultibodyPlant}
 PLANNED = ("state", "slip", "contact_point")
 MEASURED = ("state", "slip", "normal_force", "tangential_force", "contact_point")
 INTEGRATION = SimulatorConfig(
@@ -388,12 +389,17 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     SceneError
         No station, or no Context.
     """
-    if not isinstance(station, Diagram) or not all(map(station.HasSubsystemNamed, STARTED)):
-        raise _no_station(station)
+    if not isinstance(station, Diagram) or not all(
+        station.HasSubsystemNamed(name) and isinstance(station.GetSubsystemByName(name), kind)
+        for name, kind in STARTED.items()
+    ):
+        raise SceneError(
+            f"station = {station!r}: give what BuildStation made, or a Diagram of your own whose "
+            "ContactPlanner, FingertipDriver and MultibodyPlant are named 'planner', 'driver' and "
+            "'plant'; of a Diagram that contains it give the station, and the Diagram's context"
+        )
     require_config(context, Context, "context")
     planner, driver, plant = map(station.GetSubsystemByName, STARTED)
-    if not isinstance(driver, FingertipDriver):
-        raise _no_station(station)
     now, physics = planner.GetMyContextFromRoot(context), plant.GetMyMutableContextFromRoot(context)
     scene, config, t = driver.scene, driver.plant_config, context.get_time()
     # A velocity of a discrete plant is the one that brought it here: that of half a step ago.
@@ -420,14 +426,6 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     sampled = physics.get_mutable_state().get_mutable_abstract_state()
     for k in range(sampled.size()):
         sampled.get_mutable_value(k).SetFrom(new.get_abstract_state().get_value(k))
-
-
-def _no_station(station: Any) -> SceneError:
-    return SceneError(
-        f"station = {station!r}: give what BuildStation made, or a Diagram of your own whose "
-        "ContactPlanner, FingertipDriver and MultibodyPlant are named 'planner', 'driver' and "
-        "'plant'; of a Diagram that contains it give the station, and the Diagram's context"
-    )
 
 
 def _finger_poses(

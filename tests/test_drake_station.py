@@ -607,16 +607,19 @@ def test_a_diagram_of_ones_own_starts_by_the_names_of_its_systems():
     """And is refused where systems of these names are others."""
     scene, builder = cs.load_scene("D1"), DiagramBuilder()
     parts = AddScenePlant(builder, scene, config(scene).plant)
-    builder.AddNamedSystem("planner", ContactPlanner(scene))
+    planner = builder.AddNamedSystem("planner", ContactPlanner(scene))
     driver = builder.AddNamedSystem("driver", FingertipDriver(parts, DriverConfig()))
     diagram = builder.Build()
     SetInitialState(diagram, root := diagram.CreateDefaultContext())
     X_WF = parts.finger_bodies[0].EvalPoseInWorld(parts.plant.GetMyContextFromRoot(root))
     assert np.linalg.norm(X_WF.translation()) == pytest.approx(0.14, abs=1e-3)
-    driver.set_name("mine")
-    parts.scene_graph.set_name("driver")
-    with pytest.raises(cs.SceneError, match="FingertipDriver and .* are named 'planner', 'driver"):
-        SetInitialState(diagram, root)
+    for system, name in ((planner, "planner"), (driver, "driver"), (parts.plant, "plant")):
+        system.set_name("mine")
+        parts.scene_graph.set_name(name)
+        with pytest.raises(cs.SceneError, match="FingertipDriver and .* are named 'planner', 'dr"):
+            SetInitialState(diagram, root)
+        parts.scene_graph.set_name("scene_graph")
+        system.set_name(name)
 
 
 def test_threads_share_a_station_with_a_context_each():
