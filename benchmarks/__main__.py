@@ -74,7 +74,9 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("part", nargs="?", choices=PARTS, help="one part only, all of it")
-    parser.add_argument("--only", metavar="NAME", help="one section, or all that contain it")
+    parser.add_argument(
+        "--only", metavar="NAME", default="", help="one section, or all that contain it"
+    )
     parser.add_argument(
         "--full", action="store_true", help="all sections, more points, 20 s for a run of a peer"
     )
@@ -82,7 +84,7 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = {}
     if options.part or options.only:
         for name in [options.part] if options.part else PARTS:
-            chosen[name] = _chosen(name, options.only or "", bool(options.part))
+            chosen[name] = _chosen(name, options.only, bool(options.part))
         if not any(chosen.values()):
             told = f"no section is called {options.only!r} or contains it"
             if options.part:
@@ -91,7 +93,7 @@ def main(arguments: list[str] | None = None) -> int:
     about = surroundings()
     print(f"{about['machine']['processor']}, Python {about['python']}, one thread")
     if chosen:
-        failed = [_part(*part, options.only or "", options.full) for part in chosen.items()]
+        failed = [_part(*part, options.only, options.full) for part in chosen.items()]
         return int(any(failed))
     return int(_whole(options.full))
 
