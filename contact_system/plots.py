@@ -39,9 +39,7 @@ HOLLOW = ["#6d7884", "#b9c2cb"]  # the back of a surface with an edge
 DECADES = 10  # of slip below its peak that a picture shows
 CELLS = 96  # of a surface's mesh in each coordinate
 OCCLUDER = 3  # every third mesh line tells what is hidden: flat faces miss a sphere by 0.005 r
-# of a scale: from which length on [m], in which unit [m]
-LENGTHS = ((1e9, 1.0, "m"), (1e3, 1e3, "km"), (0.1, 1.0, "m"), (1e-4, 1e-3, "mm"),
-           (1e-7, 1e-6, "µm"), (1e-10, 1e-9, "nm"))  # fmt: skip
+UNITS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm"))  # of a scale, from 0.1 of each on
 UNBOUNDED = 50  # times its size: an implicit surface that large does not close
 STYLE = {
     "font.size": 11, "axes.titlesize": 12, "axes.labelsize": 11, "legend.fontsize": 10,
@@ -667,10 +665,8 @@ def _scale_bar(ax: Any) -> None:
 
 def _length_text(length: float) -> str:
     """A round length [m] in the unit that people read it in."""
-    for least, unit, name in LENGTHS:
-        if length > 0.99 * least:
-            return f"{length / unit:g} {name}"
-    return f"{length:g} m"
+    unit, name = next((unit for unit in UNITS if length > 0.09 * unit[0]), UNITS[0])
+    return f"{length / unit:g} {name}"
 
 
 def _key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) -> None:

@@ -89,7 +89,7 @@ def test_curves_from_one_place_have_labels_apart_and_every_contact_is_in_the_leg
 
 @pytest.mark.parametrize(
     "length, text",
-    [(2e6, "2000 km"), (500.0, "500 m"), (0.1, "0.1 m"), (0.02, "20 mm"), (1e-4, "0.1 mm"),
+    [(500.0, "500 m"), (0.1, "0.1 m"), (0.02, "20 mm"), (1e-4, "0.1 mm"),
      (2e-5, "20 µm"), (5e-11, "5e-11 m")],
 )  # fmt: skip
 def test_a_scale_has_the_unit_that_its_length_is_read_in(length, text):
