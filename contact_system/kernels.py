@@ -666,9 +666,9 @@ def compiled_library(source: str) -> ctypes.CDLL:
     except OSError as error:
         path.unlink(missing_ok=True)  # or plans that take what they find would fail from now on
         raise ContactSystemError(
-            f"what {(find_compiler() or ('none',))[0]} built cannot be loaded: {error}; if that "
-            "folder may hold no programs (noexec), set CONTACT_SYSTEM_CACHE to another one, else "
-            "set CC to this machine's compiler"
+            f"what the compiler built cannot be loaded: {error}; if that folder may hold no "
+            "programs (noexec), set CONTACT_SYSTEM_CACHE to another one, else set CC to this "
+            "machine's compiler"
         ) from None
 
 
