@@ -274,13 +274,14 @@ class ScenePlant:
         with naming(f"{self.scene.title}, scene_plant"):
             require_config(self.config, PlantConfig)
             require_config(self.plant, MultibodyPlant, "plant")
+            require_config(self.scene_graph, SceneGraph, "scene_graph")
             if not self.plant.is_finalized():
                 raise SceneError("the plant is not finalized: call plant.Finalize() first")
             self._check_bodies()
 
     def _check_bodies(self) -> None:
         fingers, wanted = self.finger_bodies, len(self.scene.contacts)
-        if not isinstance(fingers, Sequence) or isinstance(fingers, str) or len(fingers) != wanted:
+        if not isinstance(fingers, Sequence) or len(fingers) != wanted:
             raise SceneError(
                 f"finger_bodies = {fingers!r}: give a list of {wanted}, one for each contact"
             )

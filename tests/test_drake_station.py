@@ -778,6 +778,7 @@ def test_wrong_parts_of_a_plant_of_ones_own_are_named():
     for changes, words in (
         ({"finalized": False}, "the plant is not finalized: call plant.Finalize.. first"),
         ({"plant": None}, "plant = None: give a MultibodyPlant"),
+        ({"scene_graph": None}, "scene_graph = None: give a SceneGraph"),
         ({"config": StationConfig()}, "config = StationConfig.*: give a PlantConfig"),
         ({"object_body": "object"}, "object_body = 'object': give a RigidBody"),
         ({"object_body": other.object_body}, "object_body = .* is a body of another plant"),
