@@ -36,8 +36,6 @@ from .model import RESULTS, STATES, contact_results, jacobian, regularity, surfa
 from .variables import BLOCK, INPUTS, Table, variable_table
 
 AHEAD = 256  # most steps that one evaluation serves
-# Times this near are one time: ten steps of 0.1 s are not 1 s.
-ROUNDING = 8 * sys.float_info.epsilon
 GAIN = 1  # reference of the gain
 PUSHES = 4  # of `INPUTS`, the first: accelerations
 
@@ -214,7 +212,7 @@ class Block:
         at = min(self.snapped(now.time), self._end())
         if now.pending:  # what is set now acts already before the edge
             at = max(math.nextafter(at, -math.inf), plan.start)
-        if at - plan.start <= ROUNDING * max(1.0, at):  # nothing has moved yet
+        if at - plan.start <= _rounding(at):  # nothing has moved yet
             assert plan.starts is not None
             least = max(target, _just_after(plan.start))
             self._plan_from(plan.start, max(self._end(), target), least, plan.starts)
@@ -314,8 +312,9 @@ class Block:
 
     def snapped(self, time: float) -> float:
         """The time, or the edge of a disturbance window that it is but for rounding."""
+        near = _rounding(time)
         for edge in self.edges:
-            if abs(edge - time) <= ROUNDING * max(1.0, edge):
+            if abs(edge - time) <= near:
                 return edge
         return time
 
@@ -441,7 +440,7 @@ class Block:
         k, time = self.row, self.now.time
         if k >= len(self.times):
             return False
-        return abs(self.times[k] - time) <= ROUNDING * max(1.0, time)
+        return abs(self.times[k] - time) <= _rounding(time)
 
     def _rows_of(self, key: tuple[int, ...]) -> list[list[float]]:
         self._look(self._settle)
@@ -469,9 +468,7 @@ class Block:
         assert plan is not None
         last = self._end()
         self.times = [float(t) for t in times if t <= last] or [self.now.time]
-        at = np.array(self.times)
-        for edge in self.edges:
-            at[np.abs(at - edge) <= ROUNDING * max(1.0, edge)] = edge
+        at = np.array([self.snapped(t) for t in self.times])
         if self.now.pending:
             at = np.nextafter(at, -math.inf)
         self._at = np.clip(at, plan.start, last)
@@ -618,8 +615,13 @@ def _end_of(plan: Plan | Following) -> float:
     return plan.end if isinstance(plan, Following) else plan.scene.duration
 
 
+def _rounding(time: float) -> float:
+    """Times this near are one time, as in the C of an FMU: ten steps of 0.1 s are not 1 s."""
+    return 8 * sys.float_info.epsilon * max(1.0, time)
+
+
 def _just_after(time: float) -> float:
-    return time + ROUNDING * max(1.0, time)
+    return time + _rounding(time)
 
 
 def _places(table: Table) -> list[tuple[str, int, int]]:
