@@ -30,14 +30,6 @@ def test_a_windows_library_bears_the_name_of_its_file(tmp_path):
     assert b"\0C1.dll\0" in fmu.library("x86_64-windows").read_bytes()
 
 
-def test_a_linux_library_by_name_asks_for_no_new_c_library(tmp_path):
-    pytest.importorskip("ziglang")
-    path = export_fmu(cs.load_scene("C1"), tmp_path / "C1.fmu", platforms=("x86_64-linux",))
-    content = Fmu.unpacked(path, tmp_path / "C1").library("x86_64-linux").read_bytes()
-    asked = [int(minor) for minor in re.findall(rb"GLIBC_2\.(\d+)", content)]
-    assert asked and max(asked) <= 17
-
-
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize(
     "target",
@@ -50,6 +42,8 @@ def test_another_platform_finds_the_same_trajectory(target, version, tmp_path):
     platforms = ("native", target)
     path = export_fmu(scene, tmp_path / "K2.fmu", version, platforms=platforms)
     fmu = Fmu.unpacked(path, tmp_path / "K2")
+    asked = re.findall(rb"GLIBC_2\.(\d+)", fmu.library(target).read_bytes())
+    assert all(int(minor) <= 17 for minor in asked)  # it loads where Linux is old
     arguments = ("0.01", "100", *fmu.model_arguments(fmu.outputs))
     found = program(fmu, target).table(*arguments)
     wanted = program(fmu, "native").table(*arguments)
