@@ -241,26 +241,27 @@ class _Bodies:
         return seen
 
     def between(
-        self, i: int, pair: PenetrationAsPointPair, surface: Array, p_WC: Array
+        self, i: int, pair: PenetrationAsPointPair, p_WO: Array, p_WC: Array
     ) -> tuple[float, float]:
-        """How far from the object's surface to the finger's Drake's point contact acts: midway
-        where both are equally stiff, else nearer to the stiffer one's. Points lie on the object."""
+        """Where Drake's point contact acts, for :meth:`_Seen.touch`; p_WO is on the object's
+        surface. Midway in depth where both are equally stiff, else nearer to the stiffer's surface.
+        """
         if self.at_finger[i]:
             return AT_FINGER, 0.0
         # a depth may be 0, or rounding alone
-        return min(1.0, math.dist(surface, p_WC) / max(pair.depth, TINY)), 0.0
+        return min(1.0, math.dist(p_WO, p_WC) / max(pair.depth, TINY)), 0.0
 
 
 def _share_of_M(patch: ContactSurface) -> float:
-    """How much of the depth geometry M gives way; at some face, where pressure is the same in both.
+    """How much of the depth geometry M gives way, 0 where it is rigid.
 
-    Pressure grows by a gradient from each surface to the patch between them; 0 for a rigid body.
+    From each surface to the patch pressure grows by that body's gradient, to the same at the patch.
     """
     if not patch.HasGradE_M():
         return 0.0
     if not patch.HasGradE_N():
         return 1.0
-    face = patch.num_faces() // 2
+    face = patch.num_faces() // 2  # any
     in_M, in_N = (math.hypot(*g(face)) for g in (patch.EvaluateGradE_M_W, patch.EvaluateGradE_N_W))
     return in_N / (in_M + in_N)
 
