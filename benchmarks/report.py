@@ -56,7 +56,7 @@ class Bar:
 
     @property
     def met(self) -> bool | None:
-        """Whether the bar is met, by no NaN; None if it was not measured or there is none."""
+        """Whether the bar is met (NaN meets none); None without a measurement or without a bar."""
         if self.measured is None or self.limit is None:
             return None
         reached = self.measured >= self.limit if self.least else self.measured <= self.limit

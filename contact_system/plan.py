@@ -328,8 +328,8 @@ class Plan:
         Parameters
         ----------
         t : float
-            s, with sigma(t) > 0. The path goes on along rates over sigma: beside a rest it is as
-            uncertain as the rates' error, be it rounding, over sigma. :meth:`continued` needs none.
+            s, with sigma(t) > 0. The path goes on along rates / sigma: beside a rest the rates'
+            rounding alone may turn it. :meth:`continued` takes no rates and is exact there.
         state : (n_contacts, 9)
             Measured u1 v1 u1' v1' u2 v2 u2' v2' psi, as :meth:`states` gives them or in principal
             values: where a chart covers its surface twice, they are turned to the plan's side.
