@@ -33,6 +33,7 @@ MOST_STEPS = 30
 ROWS = 40  # of a Measurement
 SETTLED = 1e3  # steps at which rounding may hold Newton's method up, in those asked for
 NO_ROTATION = 1e-2  # what is measured may miss a rotation by its noise
+GRID = 25  # points in each coordinate of a finger, of which the nearest to the object is sought
 LONGEST_STEP = 0.5  # of the body's size, where bodies are far apart
 
 
@@ -205,10 +206,8 @@ class ContactSensor:
 
     def approach(self, pose: np.ndarray) -> np.ndarray:
         """Points near which bodies that do not touch would: (n, 12) -> (n, 3), m."""
-        origin = pose[:, 3::4]
-        direction = np.array([_outward(self.scene.object, x) for x in origin])
-        reach = [contact.finger.size for contact in self.scene.contacts]
-        return origin - np.array(reach)[:, None] * direction
+        obj, contacts = self.scene.object, self.scene.contacts
+        return np.array([_ahead(c.finger, obj, X.reshape(3, 4)) for c, X in zip(contacts, pose)])
 
     def check(self, found: Measurement) -> None:
         """Raise what is wrong with a measurement; see :func:`measured_states`."""
@@ -415,15 +414,43 @@ def _nearest(surface: Surface, x: np.ndarray) -> np.ndarray:
     return np.array(surface.nearest(x)[:2])
 
 
-def _outward(surface: Surface, x: np.ndarray) -> np.ndarray:
-    """The direction away from a body at a point outside, (3,)."""
-    if not surface.has_implicit:
-        return surface.normal(*_nearest(surface, x))
-    gradient = _gradient_kernel(surface).at(x[None], np.array([surface.parameters]))[0]
-    return gradient / np.linalg.norm(gradient)
+def _ahead(finger: Surface, obj: Surface, pose: np.ndarray) -> np.ndarray:
+    """Of a grid of points on a finger the one that is nearest to the object, in its frame, (3,)."""
+    turn, origin = pose[:, :3], pose[:, 3]
+    points = _grid(finger, -_height(obj, origin, origin[None])[0, 1:] @ turn, obj.size)
+    points = points @ turn.T + origin
+    return points[np.nanargmin(_height(obj, origin, points)[:, 0])]
+
+
+def _grid(finger: Surface, foot: np.ndarray, reach: float) -> np.ndarray:
+    """Points around a finger, and where it has no end as far as another body reaches: (n, 3)."""
+    at = finger.coordinates(foot) if finger.has_implicit else _nearest(finger, foot)
+    at, part, rows = np.nan_to_num(at), np.linspace(-1, 1, GRID), []
+    for w, lame, period in zip(at, finger.lame(*at), finger.periods()):
+        half = (reach + 2 * finger.size) / lame if period is None else period / 2
+        rows.append(w + half * part)
+    u, v = np.meshgrid(*rows)
+    return finger.point(u.ravel(), v.ravel())
+
+
+def _height(surface: Surface, origin: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Of points (n, 3) their height over a body, to first order, and the way up to there: (n, 4).
+
+    Of a body known by its chart only the plane is taken that touches it below the origin.
+    """
+    if surface.has_implicit:
+        constants = np.broadcast_to(surface.parameters, (len(points), len(surface.parameters)))
+        return _height_kernel(surface).at(points, constants)
+    below = _nearest(surface, origin)
+    normal = surface.normal(*below)
+    heights = (points - surface.point(*below)) @ normal
+    return np.column_stack([heights, np.multiply.outer(heights, normal)])
 
 
 @per_structure
-def _gradient_kernel(surface: Surface) -> Kernel:
+def _height_kernel(surface: Surface) -> Kernel:
     x, p = SX.sym("x", 3), SX.sym("p", len(surface.parameters))
-    return Kernel("gradient", x, p, ca.gradient(surface.implicit_expr(p, x), x))
+    level = surface.implicit_expr(p, x)
+    gradient = ca.gradient(level, x)
+    size = ca.norm_2(gradient) + TINY  # 0 at the centre
+    return Kernel("height", x, p, ca.vertcat(level, level * gradient / size) / size)

@@ -120,6 +120,35 @@ def test_a_contact_at_a_pole_leaves_the_others_as_precise_as_ever():
     assert found.states[1] == pytest.approx(plan.states(0.3)[0, 1], abs=1e-10)
 
 
+@pytest.mark.parametrize("gap", [-1e-4, 1e-3, 1e-2])
+@pytest.mark.parametrize("obj", ["sphere", "bowl", "plane", "torus", "oblate", "bumps"])
+@pytest.mark.parametrize(
+    ("finger", "at"),
+    [
+        (cs.Torus(0.05, 0.02), (1.0, 0.3)),
+        (cs.Ellipsoid(0.04, 0.04, 0.01), (0.4, 0.5)),
+        (cs.Ellipsoid(0.1, 0.02, 0.02), (0.3, 0.5)),
+        (cs.ImplicitSurface("x**2 + y**2 + z**2 - 0.03**2", size=0.3), (1.0, 0.5)),
+    ],
+    ids=["torus", "disc", "needle", "wrong size"],
+)
+def test_nearest_points_are_found_whatever_the_fingers_shape_and_the_size_it_is_said_to_have(
+    finger, at, obj, gap
+):
+    surface, (u, v) = SURFACES[obj]
+    scene = cs.Scene(object=surface, contacts=[cs.Contact(finger, (u, v), at, angle=0.3)],
+                     profile=cs.Profile([0.1]), duration=0.1)  # fmt: skip
+    pose = cs.plan(scene).pose(0.0)[0, 0].copy()
+    pose[:3, 3] += gap * surface.normal(u, v)
+    sensor, flat = ContactSensor(scene), pose[:3].reshape(1, 12)
+    found = sensor.measure(flat, np.zeros((1, 6)), sensor.approach(flat))
+    sensor.check(found)
+    assert found.points[0] == pytest.approx(
+        np.array([finger.point(*at), surface.point(u, v)]), abs=1e-9
+    )
+    assert found.gap == pytest.approx(gap, abs=1e-9)
+
+
 def test_a_contact_on_a_body_a_thousand_times_larger_is_measured():
     for k in range(40):
         contact = cs.Contact(finger=cs.Sphere(0.005), object_at=(0.9 + 0.01 * k, 0.5), angle=k)
