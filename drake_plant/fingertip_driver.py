@@ -41,7 +41,7 @@ from contact_system import SceneError
 from contact_system.kernels import Kernel, made_once
 
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant, check_numbers, require_config
+from .plant import ScenePlant, check_numbers, require_config, types_known
 
 SX = ca.SX
 Array = NDArray[np.float64]
@@ -55,6 +55,7 @@ OFF = 1e-4
 """Of a finger's size, how far its mass centre may be from its origin."""
 
 
+@types_known
 @dataclass
 class DriverConfig:
     """Gains of a :class:`FingertipDriver`.

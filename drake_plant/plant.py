@@ -20,7 +20,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -88,6 +88,7 @@ from .meshes import (
 )
 
 Array = NDArray[np.float64]
+Config = TypeVar("Config", bound=type)
 
 # Gap that opens along an edge, in depths. What a facet stands off the surface ripples with the
 # period of the mesh, and a patch of radius a averages the ripple with the weight J1(q a)/(q a),
@@ -161,6 +162,18 @@ def check_numbers(config: Any, keys: Sequence[str], bound: str = "") -> None:
             finite_number(value, key, bound)
 
 
+def types_known(config: Config) -> Config:
+    """A dataclass whose fields hold their types instead of the words for them.
+
+    Drake's yaml_load_typed and yaml_dump_typed read them there.
+    """
+    types = get_type_hints(config)
+    for field in dataclasses.fields(config):
+        field.type = types[field.name]
+    return config
+
+
+@types_known
 @dataclass
 class PlantConfig:
     """What a scene's plant is made of.

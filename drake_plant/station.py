@@ -49,6 +49,7 @@ from .plant import (
     contact_depth,
     require_config,
     turning_angle,
+    types_known,
 )
 
 Array = NDArray[np.float64]
@@ -62,6 +63,7 @@ INTEGRATION = SimulatorConfig(
 """ Of the planner's continuous states; the plant's are discrete."""
 
 
+@types_known
 @dataclass
 class StationConfig:
     """What a station is made of.

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("pydrake")
 
 from pydrake.common import Parallelism
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from pydrake.geometry import HalfSpace
 from pydrake.geometry import Sphere as SphereShape
 from pydrake.math import RigidTransform
@@ -718,6 +719,17 @@ def test_a_wrong_configuration_is_refused_before_anything_is_built():
         for start in (BuildStation, simulate):
             with pytest.raises(cs.SceneError, match="^scene 'D1', station: " + words):
                 start(scene, wrong)
+
+
+def test_drakes_yaml_functions_read_and_write_configurations():
+    text = "plant: {time_step: 2e-3, finger_edge: 0.001}\ndriver: {spin_gain: 0.1}\n"
+    text += "coordinates: frame\nrestart_period: 0.1\n"
+    read = yaml_load_typed(schema=StationConfig, data=text, defaults=StationConfig())
+    plant = PlantConfig(time_step=2e-3, finger_edge=1e-3)
+    assert read == StationConfig(
+        plant, DriverConfig(spin_gain=0.1), coordinates="frame", restart_period=0.1
+    )
+    assert yaml_load_typed(schema=StationConfig, data=yaml_dump_typed(read)) == read
 
 
 def test_a_configuration_of_another_kind_is_refused():
