@@ -32,7 +32,15 @@ from pydrake.common import MemoryFile
 from pydrake.geometry import InMemoryMesh, Mesh
 from scipy.spatial import cKDTree
 
-from contact_system import Cylinder, Ellipsoid, ImplicitSurface, Quadric, Surface, Torus
+from contact_system import (
+    Cylinder,
+    Ellipsoid,
+    ImplicitSurface,
+    ParametricSurface,
+    Quadric,
+    Surface,
+    Torus,
+)
 from contact_system.charts import (
     CentralChart,
     JacobiChart,
@@ -478,10 +486,13 @@ def _facing(points: Array, normals: Array, triangles: Triangles) -> Array:
 
 
 def _no_normal(surface: Surface, at: Array) -> SurfaceError:
+    remedy = "plan contacts away from it, or write the surface as an ImplicitSurface"
+    if isinstance(surface, ParametricSurface):
+        remedy += "; if (u, v) in u_range and v_range cover places twice, give ranges that do not"
     return SurfaceError(
         f"{surface!r}: the normal is lost or turns too fast for a mesh about the point "
-        f"{at.round(6).tolist()}, a pole of its chart or an edge; contact needs a mesh there: plan "
-        "contacts away from it, or write the surface as an ImplicitSurface"
+        f"{at.round(6).tolist()}, a pole of its chart or an edge; contact needs a mesh there: "
+        f"{remedy}"
     )
 
 

@@ -208,3 +208,14 @@ def test_a_chart_that_is_singular_within_the_mesh_is_refused_with_the_place():
     cone = cs.ParametricSurface(("u*cos(v)", "u*sin(v)", "-u"), v_period=2 * math.pi)
     with pytest.raises(cs.SurfaceError, match="a pole of its chart"):
         mesh_of(cone, cone.point(np.linspace(0.0, 0.1, 9), np.zeros(9)))
+
+
+def test_a_chart_that_covers_places_twice_is_meshed_in_ranges_that_do_not():
+    f = ("a*sin(u)*cos(v)", "a*sin(u)*sin(v)", "c*cos(u)")
+    given = {"parameters": {"a": 0.1, "c": 0.13}, "size": 0.13, "v_period": 2 * math.pi}
+    twice = cs.ParametricSurface(f, **given)
+    once = cs.ParametricSurface(f, u_range=(0.0, math.pi), **given)
+    curve = once.point(np.linspace(1.2, 1.5, 50), np.linspace(0.3, 0.0, 50))
+    with pytest.raises(cs.SurfaceError, match="u_range and v_range cover places twice, give"):
+        mesh_of(twice, curve)
+    assert not mesh_of(once, curve).closed
