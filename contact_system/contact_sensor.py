@@ -12,6 +12,7 @@ The rates are then the forward map of the measured twist.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -204,10 +205,10 @@ class ContactSensor:
             table[group.contacts] = group.find(pose, twist, points, share, slip, self._small)
         return Measurement(table)
 
-    def approach(self, pose: np.ndarray) -> np.ndarray:
-        """Points near which bodies that do not touch would: (n, 12) -> (n, 3), m."""
-        obj, contacts = self.scene.object, self.scene.contacts
-        return np.array([_ahead(c.finger, obj, X.reshape(3, 4)) for c, X in zip(contacts, pose)])
+    def approach(self, pose: np.ndarray, away: Iterable[int]) -> np.ndarray:
+        """Points near which those that are away would touch: (n, 12) -> (len(away), 3), m."""
+        obj, fingers = self.scene.object, [contact.finger for contact in self.scene.contacts]
+        return np.array([_ahead(fingers[i], obj, pose[i].reshape(3, 4)) for i in away])
 
     def check(self, found: Measurement) -> None:
         """Raise what is wrong with a measurement; see :func:`measured_states`."""

@@ -169,7 +169,7 @@ class ContactMonitor(LeafSystem):
         moved, away = seen.in_object(-self._step), seen.touching == 0
         pose, twist, points = moved[:, :12], moved[:, 12:18], moved[:, 18:21]
         if away.any():
-            points[away] = self._sensor.approach(pose)[away]
+            points[away] = self._sensor.approach(pose, np.flatnonzero(away))
         found = self._sensor.measure(pose, twist, points, seen.between[:, 0])
         force = _split(np.hstack([found.surfaces, moved[:, 18:], seen.between[:, 1:]]))
         force[away] = 0.0  # with no frame either

@@ -101,7 +101,7 @@ def test_nearest_points_of_sphere_and_ellipsoid_lie_on_one_normal(gap):
     pose[0, :3, 3] = x2 + (0.1 + gap) * normal
     sensor = ContactSensor(scene)
     flat = pose[:, :3].reshape(1, 12)
-    found = sensor.measure(flat, np.zeros((1, 6)), sensor.approach(flat))
+    found = sensor.measure(flat, np.zeros((1, 6)), sensor.approach(flat, [0]))
     sensor.check(found)
     assert found.points[0] == pytest.approx(np.array([-0.1 * normal, x2]), abs=1e-12)
     assert found.gap == pytest.approx(gap, abs=1e-12)
@@ -141,7 +141,7 @@ def test_nearest_points_are_found_whatever_the_fingers_shape_and_the_size_it_is_
     pose = cs.plan(scene).pose(0.0)[0, 0].copy()
     pose[:3, 3] += gap * surface.normal(u, v)
     sensor, flat = ContactSensor(scene), pose[:3].reshape(1, 12)
-    found = sensor.measure(flat, np.zeros((1, 6)), sensor.approach(flat))
+    found = sensor.measure(flat, np.zeros((1, 6)), sensor.approach(flat, [0]))
     sensor.check(found)
     assert found.points[0] == pytest.approx(
         np.array([finger.point(*at), surface.point(u, v)]), abs=1e-9
