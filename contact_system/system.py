@@ -354,7 +354,10 @@ def start_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     else:
         frames = [_first_frame(b, q, a) for b, q, a in zip(bodies, at, (-psi, SX(0)))]
         w1_parallel = rotation(psi) @ w1
-        constants = ca.vertcat(w1_parallel, starting_slip(w1_parallel, FLIP @ w1_parallel, y))
+        v = starting_slip(w1_parallel, FLIP @ w1_parallel, y)
+        if form.law == "guaranteed":  # which lets no slip leave a rest
+            v = ca.if_else(polynomial(ca.vertsplit(law[1:]), t) > 0, v, 0)
+        constants = ca.vertcat(w1_parallel, v)
         x, held = ca.vertcat(*frames), ca.vertcat(constants, t)
         if form.forced:
             x, held = ca.vertcat(x, constants), SX(0, 1)

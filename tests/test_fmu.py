@@ -247,18 +247,21 @@ def test_model_exchange_with_cvode_follows_the_plan(name, version, exported):
     assert worst_difference(fmu, result) < 1e-7
 
 
-def test_model_exchange_starts_from_rest(exported):
-    fmu = exported("C1")
-    result = fmu.simulate(0.05, fmi_type="ModelExchange", solver="CVode")
-    assert worst_difference(fmu, result) < 1e-7
-
-
 GUARANTEED = cs.load_scene("K1").replace(
     name="dip", profile=cs.Profile([0.3, -0.84, 2.0, -4 / 3]), gain=cs.Gain.guaranteed(8.0)
 )
 FROM_REST = cs.load_scene("K1").replace(
     name="rest", profile=cs.Profile([0.0, 0.3, -0.1]), gain=cs.Gain.time(20.0)
 )
+
+SLIPLESS = FROM_REST.replace(name="slipless", gain=cs.Gain.guaranteed(8.0))
+
+
+@pytest.mark.parametrize("scene", ["C1", SLIPLESS], ids=("C1", "guaranteed"))
+def test_model_exchange_starts_from_rest(scene, exported):
+    fmu = exported(scene)
+    result = fmu.simulate(0.05, fmi_type="ModelExchange", solver="CVode")
+    assert worst_difference(fmu, result) < 1e-7
 
 
 @pytest.mark.parametrize("scene", [GUARANTEED, FROM_REST], ids=lambda s: s.name)

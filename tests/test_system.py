@@ -90,9 +90,11 @@ def test_slip_decays_by_every_gain_law_as_planned(gain, coordinates):
     assert error(SceneSystem(scene, coordinates), np.linspace(0, 1, 6)) < 1e-8
 
 
+@pytest.mark.parametrize("windows", ((), (cs.FingerAcceleration(0, 0.5, 0.75, (0.1, 0.2)),)))
+@pytest.mark.parametrize("profile", ((0.0, 0.3), (0.0, 0.0, 0.3)))
 @pytest.mark.parametrize("gain", (cs.Gain.path(50.0), cs.Gain.guaranteed(4.0)))
-def test_frames_start_where_sigma_is_zero(gain):
-    scene = one_contact("bowl", profile=(0.0, 0.3), gain=gain)
+def test_frames_start_where_sigma_is_zero(gain, profile, windows):
+    scene = one_contact("bowl", profile=profile, gain=gain, disturbances=windows)
     t = np.linspace(0, 1, 5)
     assert error(SceneSystem(scene, "frame"), t) < 1e-9
 

@@ -200,6 +200,13 @@ static double slip_scale(const memory_t *now, long i) {
   return 1.0 / fmin(1.0, fmax(expected, 1e-3));
 }
 
+/* Whether sigma grows under the guaranteed law from this time on. */
+static int makes_up_for_growth(const memory_t *now, double t) {
+  for (long j = 0; j < now->n_knots; j += 2)
+    if (reached(t, now->knots[j]) && !reached(t, now->knots[j + 1])) return 1;
+  return 0;
+}
+
 /* sigma and decay in the local time that begins at k->begin: profile.GainPiece */
 static void set_drive(const memory_t *now, contact_t *k) {
   const double *global = law(now) + 1, t = k->begin;
@@ -207,7 +214,7 @@ static void set_drive(const memory_t *now, contact_t *k) {
   for (long j = 0; j < N_PROFILE; j++) /* Taylor shift by synthetic division */
     for (long l = N_PROFILE - 2; l >= j; l--) k->sigma[l] += t * k->sigma[l + 1];
   if (fabs(k->sigma[0]) <= 1e-15 * magnitude(global, N_PROFILE, t)) k->sigma[0] = 0.0;
-  k->n_sigma = N_PROFILE, k->power = 0, k->n_exponent = 2;
+  k->n_sigma = N_PROFILE, k->n_exponent = 2;
   k->exponent[0] = 0.0, k->exponent[1] = k->eta;
   if (GAIN_LAW == PATH) {
     k->n_exponent = 2 * N_PROFILE;
@@ -216,8 +223,7 @@ static void set_drive(const memory_t *now, contact_t *k) {
       for (long b = 0; b < N_PROFILE; b++)
         k->exponent[a + b + 1] += k->eta * k->sigma[a] * k->sigma[b] / (double)(a + b + 1);
   }
-  for (long j = 0; j < now->n_knots; j += 2)
-    if (reached(t, now->knots[j]) && !reached(t, now->knots[j + 1])) k->power = 1;
+  k->power = makes_up_for_growth(now, t);
 }
 
 static double own_end(const memory_t *now, long i) {
@@ -677,24 +683,31 @@ void set_time(component_t *c, double time) {
 /* Put contact i where its states say. Returns what is wrong, or NULL. */
 static const char *place_contact(memory_t *now, long i) {
   const contact_kind_t *kind = places[i].kind;
-  const double *state = now->value + places[i].block + AT_STATE;
+  double *state = now->value + places[i].block + AT_STATE;
   const double *const a[] = {state, numbers(now, i, 0), numbers(now, i, 1)};
-  double first[MAX_STATES + 4];
+  double first[MAX_STATES + 4], velocity[4], turn[2];
   double place[2][3] = {{state[0], state[1], -state[ANGLE]}, {state[BODY], state[BODY + 1], 0.0}};
   for (int body = 0; body < 2; body++)
     if (!(regularity(now, i, body) > 1e-12))
       return body ? "the object has no outward contact frame at (u, v)"
                   : "the finger has no outward contact frame at (u, v)";
-  if (!now->stepping) return NULL;
   moment_t m;
   kind->start(a, first);
   const long n = kind->form[DRIVEN].size[0] + kind->form[DRIVEN].size[1];
   if (!all_finite(first, n + 4)) return "the start is not finite";
   memcpy(m.w1v, first + n, sizeof m.w1v);
+  for (int body = 0; body < 2; body++) turn[body] = state[BODY * body + FRAME_ANGLE] - place[body][2];
+  if (!now->stepping) {
+    if (rests(now) && makes_up_for_growth(now, now->time)) { /* no slip leaves a rest */
+      m.w1v[2] = m.w1v[3] = 0.0;
+      kind->velocity((const double *const[]){turn, m.w1v}, velocity);
+      memcpy(state + BODY + VELOCITY, velocity + 2, 2 * sizeof *velocity);
+    }
+    return NULL;
+  }
   m.frame[0] = first, m.frame[1] = first + kind->form[DRIVEN].size[0];
   now->contact[i].form = DRIVEN;
-  for (int body = 0; body < 2; body++)
-    now->contact[i].turn[body] = state[BODY * body + FRAME_ANGLE] - place[body][2];
+  memcpy(now->contact[i].turn, turn, sizeof turn);
   begin_segment(now, i, &m, place);
   return NULL;
 }
