@@ -33,8 +33,15 @@ from .planner import group_name, plan_groups, require_regular
 from .program import Program, chart_states, group_program, program_of
 from .scene import Scene, acting, require_scene
 from .scene_files import scene_from_toml, scene_to_toml
-from .starts import Start, Starts, measured_start, scene_start, starts_from_plain
-from .surfaces import Surface
+from .starts import (
+    Start,
+    Starts,
+    covers_twice,
+    measured_start,
+    on_branch,
+    scene_start,
+    starts_from_plain,
+)
 from .tracks import Track
 
 METHODS = ("auto", "chart")
@@ -368,13 +375,10 @@ class Plan:
 
         Disturbances are chart components: on the other side they would act the other way.
         """
-        surfaces = [(contact.finger, self.scene.object) for contact in self.scene.contacts]
-        rows = measured.copy()
-        if any(surface.double_cover for pair in surfaces for surface in pair):
-            with contextlib.suppress(ChartSingularity):  # the plan is at an umbilic: no side
-                for row, own, pair in zip(rows, self.states(t)[0], surfaces):
-                    _align(row, own, pair)
-        return rows
+        with contextlib.suppress(ChartSingularity):  # the plan is at an umbilic: no side
+            if covers_twice(self.scene):
+                return on_branch(self.scene, measured, self.states(t)[0])
+        return measured
 
     def save(self, path: str | os.PathLike, times: ArrayLike | None = None) -> None:
         """Write the plan and its sampled results.
@@ -609,17 +613,6 @@ class Plan:
         except ChartSingularity as error:
             raise self._named(group, error) from None
         return values[:, 4]
-
-
-def _align(row: np.ndarray, own: np.ndarray, surfaces: Sequence[Surface]) -> None:
-    """Bring a measured state to the branch of another one, in place."""
-    for surface, k in zip(surfaces, (0, 4)):
-        if not surface.double_cover:
-            continue
-        *row[k : k + 2], turned = surface.align(*row[k : k + 2], *own[k : k + 2])
-        if turned:
-            row[k + 2 : k + 4] *= -1
-            row[8] = own[8] + math.remainder(row[8] + math.pi - own[8], 2 * math.pi)
 
 
 def checked_tolerance(given: Any) -> float:

@@ -124,3 +124,36 @@ def measured_start(
             )
         velocities.append(tuple(surface.metric_root(u, v) @ rates / sigma))
     return Start(tuple(row[0:2]), tuple(row[4:6]), float(row[8]), velocities[0], velocities[1])
+
+
+def covers_twice(scene: Scene) -> bool:
+    """Whether a chart in the scene covers its surface twice."""
+    surfaces = [scene.object, *(contact.finger for contact in scene.contacts)]
+    return any(surface.double_cover for surface in surfaces)
+
+
+def on_branch(scene: Scene, measured: np.ndarray, planned: np.ndarray) -> np.ndarray:
+    """Measured states on the planned ones' side of charts that cover their surface twice.
+
+    Disturbances are chart components: on the other side they would act the other way.
+
+    Parameters
+    ----------
+    scene : Scene
+    measured, planned : (n_contacts, 9)
+        u1 v1 u1' v1' u2 v2 u2' v2' psi.
+
+    Returns
+    -------
+    (n_contacts, 9)
+    """
+    rows = measured.copy()
+    for row, own, contact in zip(rows, planned, scene.contacts):
+        for surface, k in ((contact.finger, 0), (scene.object, 4)):
+            if not surface.double_cover:
+                continue
+            *row[k : k + 2], turned = surface.align(*row[k : k + 2], *own[k : k + 2])
+            if turned:
+                row[k + 2 : k + 4] *= -1
+                row[8] = own[8] + math.remainder(row[8] + math.pi - own[8], 2 * math.pi)
+    return rows

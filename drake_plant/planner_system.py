@@ -17,6 +17,7 @@ from contact_system import Scene, SceneSystem
 from contact_system.checks import finite_number, flag
 from contact_system.errors import ChartSingularity, SceneError
 from contact_system.scene import DISTURBANCE_KINDS
+from contact_system.starts import on_branch
 
 from .invariants import (
     MOST,
@@ -152,7 +153,8 @@ def _define(T: type) -> type:
         - `disturbance` (6n): acceleration of the finger, acceleration of the object, object rate
           offset, chart components, two numbers each; added to the scene's windows. Zero where the
           port is not connected.
-        - `measured_state` (9n): as `state`.
+        - `measured_state` (9n): as `state`, or in principal values: where a chart covers its
+          surface twice, they are turned to the planner's side, so that disturbances act as before.
         - `state` (9n): u1 v1 u1' v1' u2 v2 u2' v2' psi of each contact (eq. `contrac`), object rate
           offsets included. In frame coordinates angles are those of the chart's principal range,
           and on a triaxial ellipsoid either of the two ways to write a point.
@@ -534,9 +536,8 @@ def _define(T: type) -> type:
             if not chosen.any():
                 return
             planned, own = self._Numbers(context, "state").reshape(-1, 9), self._scratches.own
-            x, held = system.from_states(
-                context.get_time(), np.where(chosen[:, None], rows, planned), own.w
-            )
+            rows = on_branch(system.scene, np.where(chosen[:, None], rows, planned), planned)
+            x, held = system.from_states(context.get_time(), rows, own.w)
             if limit is not None:
                 slip = system.evaluate("slip", context.get_time(), x, own.w, held)
                 chosen &= np.hypot(*slip.reshape(-1, 2).T) > limit

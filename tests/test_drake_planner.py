@@ -484,6 +484,26 @@ def test_the_planner_restarts_from_the_measured_state(coordinates):
     assert np.abs(points - plan.restart(0.2, expected).points(0.35)[0]).max() < 1e-9
 
 
+@pytest.mark.parametrize("kind", (cs.ObjectAcceleration, cs.ObjectRateOffset))
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_disturbances_act_as_before_on_what_is_measured_in_principal_values(kind, coordinates):
+    contact = cs.Contact(cs.Sphere(0.04), object_at=(2.0, 1.4), finger_velocity=(0.1, 1), angle=3)
+    scene = cs.Scene(
+        object=cs.Ellipsoid(0.3, 0.2, 0.1), contacts=[contact], profile=cs.Profile([0.1]),
+        duration=1.6, disturbances=[kind(0, 1.2, 1.6, (0.3, 0.2))],
+    )  # fmt: skip
+    plan = cs.plan(scene)
+    pose, twist, points = plan.pose(1.0)[0], plan.twist(1.0)[0], plan.points(1.0)[0, :, 1]
+    measured = cs.measured_states(scene, pose, twist, points)
+    assert measured[0, 5] < math.pi / 2 < plan.states(1.0)[0, 0, 5]  # on either side of the seam
+    planner = ContactPlanner(scene, coordinates, restart_period=1.0)
+    found = simulator(planner, "runge_kutta5")
+    port = planner.GetInputPort("measured_state")
+    port.FixValue(found.get_mutable_context(), measured.ravel())
+    found.AdvanceTo(1.5)
+    assert error(planner, found.get_context(), plan) < 1e-8
+
+
 @pytest.mark.parametrize("coordinates", COORDINATES)
 def test_only_contacts_that_slip_restart(coordinates):
     scene = cs.load_scene("K1")
