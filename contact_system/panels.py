@@ -40,6 +40,7 @@ MANY = 4096  # panels from one look at how many more it will take to the next
 MOST = 1e6  # panels of one interval; beyond, a scene is refused
 MOST_HERE = 1e5  # without compiled kernels, where a panel takes 0.3 ms
 MOST_BYTES = 2e9
+AT_REST = 1e-5  # of the greatest coefficient of sigma: what is said of an acceleration there
 
 
 @dataclass(frozen=True)
@@ -243,22 +244,38 @@ def integrate(
     return _integrate_here(kernel, problem, tolerance)
 
 
+def _pushed_at_rest(problem: Problem, tau: float) -> str:
+    """What to do about an acceleration where the path all but rests; empty elsewhere."""
+    sigma = problem.drive.speed(tau)
+    if not problem.stiff or sigma > AT_REST * max(map(abs, problem.drive.sigma)):
+        return ""
+    return (
+        f"an acceleration acts where the path almost rests, sigma = {sigma:.3g} m/s; add a "
+        "constant to the profile, or accelerate before or after"
+    )
+
+
 def _stuck(problem: Problem, tau: float) -> ContactSystemError:
+    why = _pushed_at_rest(problem, tau) or (
+        "the path reaches a singular point of its chart or its surface, or moves too fast for "
+        "double precision; start elsewhere, change the direction or end the scene before"
+    )
     return ContactSystemError(
         f"{problem.name}: the motion cannot be continued past local time "
-        f"{problem.drive.start + tau:.9g}: the path reaches a singular point of its chart or its "
-        "surface, or moves too fast for double precision; start elsewhere, change the direction or "
-        "end the scene before"
+        f"{problem.drive.start + tau:.9g}: {why}"
     )
 
 
 def _endless(problem: Problem, tau: float, count: int, most: float = MOST) -> ContactSystemError:
-    return ContactSystemError(
-        f"{problem.name}: {count} panels reach local time {problem.drive.start + tau:.9g} of "
-        f"{problem.drive.start + problem.length:.9g} only, more than {most:g} would be needed; "
+    why = _pushed_at_rest(problem, tau) or (
         "shorten the scene, lower the speed, the acceleration or the surface's curvature, or give "
         "a surface of your own a greater size; where a disturbance drives the contact into a pole "
         "of its chart, end its window before"
+    )
+    return ContactSystemError(
+        f"{problem.name}: {count} panels reach local time {problem.drive.start + tau:.9g} of "
+        f"{problem.drive.start + problem.length:.9g} only, more than {most:g} would be needed; "
+        + why
         + (", or plan with compiled=True" if most < MOST else "")
     )
 

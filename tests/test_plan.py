@@ -489,6 +489,16 @@ def test_a_refusal_names_the_scene_that_is_planned_now(monkeypatch):
             cs.plan(scene, compiled=False).states([0.0, 1.0])
 
 
+def test_an_acceleration_where_the_path_almost_rests_is_refused_as_such(monkeypatch):
+    monkeypatch.setattr(panels, "MOST_HERE", 1e3)
+    windows = [cs.FingerAcceleration(0, 0.1, 1.0, (0.3, 0.1))]
+    scene = one_contact("sphere", "sphere").replace(
+        disturbances=windows, profile=cs.Profile([0.1 + 1e-9, -0.4, 0.4])
+    )
+    with pytest.raises(cs.ContactSystemError, match=r"sigma = .* m/s; add a constant"):
+        cs.plan(scene, compiled=False).states([0.0, 1.0])
+
+
 def test_the_latest_families_are_remembered(monkeypatch):
     monkeypatch.setattr(planner, "_FAMILIES", OrderedDict())
     scene = one_contact("sphere", "sphere")
