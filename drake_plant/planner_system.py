@@ -90,7 +90,7 @@ def _refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> N
     if sigma < 0:
         raise SceneError(
             f"{scene.title}: sigma = {sigma:.6g} m/s at t = {time:.6g} s is negative; the "
-            f"scene runs from 0 to {scene.duration:g} s: simulate no further, or lengthen it"
+            f"scene runs from 0 to {scene.duration:g} s: simulate no further, or change the profile"
         )
     for i, part in enumerate(system.state_slices):
         for name, value in (("state", x[part]), ("disturbance", w[6 * i : 6 * i + 6])):

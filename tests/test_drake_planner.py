@@ -807,5 +807,6 @@ def test_beyond_the_horizon_the_motion_goes_on_until_sigma_turns_negative(coordi
     planner = ContactPlanner(pole_scene(1.2, (0.1, -0.05), duration=1.5), coordinates)
     longer = cs.plan(planner.system.scene.replace(duration=1.9), 1e-13)
     assert error(planner, run(planner, 1.9, "runge_kutta5"), longer) < 1e-9
-    with pytest.raises(cs.SceneError, match=r"sigma = -.* the scene runs from 0 to 1\.5 s"):
+    message = r"sigma = -.* the scene runs from 0 to 1\.5 s: .* or change the profile"
+    with pytest.raises(cs.SceneError, match=message):
         run(planner, 2.5)
