@@ -673,9 +673,9 @@ def refuse_rest(scene: Scene, where: str, start: float, stop: float) -> None:
     inside = [t for t in scene.profile.zeros(scene.duration) if start <= t <= stop]
     if inside:
         raise SceneError(
-            f"{where}: sigma = 0 at t = {inside[0]:g} s inside the window [{start:g}, {stop:g}] s "
-            "of an acceleration, where the path velocity dq/ds would be infinite; add a small "
-            "constant to the profile or move the window"
+            f"{where}: sigma = 0 at t = {inside[0]:g} s while an acceleration acts, which would "
+            "make the path velocity dq/ds infinite; accelerate while sigma > 0, or add a small "
+            "constant to the profile"
         )
 
 

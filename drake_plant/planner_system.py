@@ -16,7 +16,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from contact_system import Scene, SceneSystem
 from contact_system.checks import finite_number, flag
 from contact_system.errors import ChartSingularity, SceneError
-from contact_system.scene import DISTURBANCE_KINDS
+from contact_system.scene import DISTURBANCE_KINDS, refuse_rest
 from contact_system.starts import on_branch
 
 from .invariants import (
@@ -99,6 +99,9 @@ def _refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> N
                     f"{scene.title}, contact {i}: the {name} at t = {time:.6g} s is "
                     f"{value.tolist()}; it must be finite. Check what sets it"
                 )
+    for i in range(len(w) // 6):
+        if w[6 * i : 6 * i + 4].any():
+            refuse_rest(scene, f"{scene.title}, contact {i}", time, time)
     if not system.evaluate("clearance", time, x, w, held)[0] > CLEARANCE:
         _refuse_singularity(system, t, x, w, held)
     rates = system.evaluate("derivatives", time, x, w, held)

@@ -727,6 +727,14 @@ def test_a_state_that_is_not_a_number_is_named_when_a_simulation_starts():
         simulator.AdvanceTo(0.1)
 
 
+def test_an_input_that_accelerates_a_path_at_rest_is_refused_as_a_window_is():
+    planner = ContactPlanner(pole_scene(profile=(0, 0.1)), "frame", disturbance_input=True)
+    context = planner.CreateDefaultContext()
+    planner.GetInputPort("disturbance").FixValue(context, [0.1, 0, 0, 0, 0, 0])
+    with pytest.raises(cs.SceneError, match="contact 0: sigma = 0 at t = 0 s.*accelerate while"):
+        planner.EvalTimeDerivatives(context)
+
+
 def test_no_output_is_not_a_number():
     planner = ContactPlanner(cs.load_scene("K1"))
     for port in (*VALUES, "pose"):
