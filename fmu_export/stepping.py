@@ -227,9 +227,13 @@ class Block:
     def _lengthen(self, target: float) -> None:
         plan = self.now.plan
         assert plan is not None
-        at = self._end()
-        # Twice as far as before: after one input few plans follow, not one a step.
-        self._plan_on(at, max(target, at + 2 * (at - plan.start)), target)
+        at, length = self._end(), self._scene_with(self.now.values).profile.arc_length
+        # Twice as far as before, so that few plans follow after an input, not one a step; along the
+        # path, which is what a plan costs, at most four times as far.
+        end, most = at + 2 * (at - plan.start), 5 * length(at) - 4 * length(plan.start)
+        while end > target and length(end) > most:
+            end = at + 0.5 * (end - at)
+        self._plan_on(at, max(target, end), target)
 
     def _end(self) -> float:
         plan = self.now.plan

@@ -200,6 +200,20 @@ def test_times_past_the_scenes_duration_are_planned_too():
     close(states_now(slave), cs.plan(longer, 1e-14).states(2.0)[0])
 
 
+def test_long_steps_plan_no_further_than_five_times_the_path(monkeypatch):
+    """sigma grows like t^2: a plan of twice the time took 10 s without compiled kernels."""
+    scene, ends = cs.load_scene("K3"), []
+    own = cs.Plan.continued
+    monkeypatch.setattr(
+        cs.Plan, "continued", lambda plan, t, to: ends.append((t, to.duration)) or own(plan, t, to)
+    )
+    advanced(begun(scene), *4 * [3.0])
+    assert len(ends) == 4
+    length = scene.profile.arc_length
+    for step, (begin, end) in enumerate(ends, 1):
+        assert length(end) <= 1.0001 * max(length(3.0 * step), 5 * length(begin))
+
+
 def test_start_time_is_where_the_scene_starts():
     scene = one_contact("ellipsoid", disturbances=[cs.ObjectRateOffset(0, 0.2, 0.4, (0.3, 0.1))])
     result = run(scene, start_time=0.25, stop_time=0.9, output_interval=0.05)
