@@ -54,8 +54,9 @@ LONG: dict[str, tuple[str, ...]] = {
     "drake_station": ("forces", "recovery", "speed", "memory"),
     "fmu": ("importers", "platforms", "package", "fuzz", "endurance"), "scale": ("dask",),
     "skip": ("drake", "kernels"),
-    "work_precision": ("geodesic cylinder", "geodesic torus", "geodesic spheroid",
-                       "slip sphere-sphere 1e3", "slip sphere-sphere 1e5", "slip sphere-sphere 1e7",
+    "work_precision": ("geodesic sphere", "geodesic cylinder", "geodesic torus",
+                       "geodesic spheroid", "slip sphere-sphere 1e0", "slip sphere-sphere 1e3",
+                       "slip sphere-sphere 1e5", "slip sphere-sphere 1e7",
                        "slip sphere-ellipsoid 1e0", "slip sphere-ellipsoid 1e5", "disturbed K2",
                        "readme"),
 }  # fmt: skip
