@@ -40,7 +40,7 @@ MANY = 4096  # panels from one look at how many more it will take to the next
 MOST = 1e6  # panels of one interval; beyond, a scene is refused
 MOST_HERE = 1e5  # without compiled kernels, where a panel takes 0.3 ms
 MOST_BYTES = 2e9
-AT_REST = 1e-5  # of the greatest coefficient of sigma: what is said of an acceleration there
+ALMOST_RESTS = 1e-5  # of the greatest coefficient of sigma: what is said of an acceleration there
 
 
 @dataclass(frozen=True)
@@ -247,7 +247,7 @@ def integrate(
 def _pushed_at_rest(problem: Problem, tau: float) -> str:
     """What to do about an acceleration where the path all but rests; empty elsewhere."""
     sigma = problem.drive.speed(tau)
-    if not problem.stiff or sigma > AT_REST * max(map(abs, problem.drive.sigma)):
+    if not problem.stiff or sigma > ALMOST_RESTS * max(map(abs, problem.drive.sigma)):
         return ""
     return (
         f"an acceleration acts where the path almost rests, sigma = {sigma:.3g} m/s; add a "

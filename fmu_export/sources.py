@@ -124,6 +124,7 @@ class _Model:
             "GAIN_LAW": scene.gain.law.upper(),
             "MOTIONS": ", ".join(name.removesuffix(".c") for name in self.motions),
             "TOLERANCE": TOLERANCE, "BLOCK_SIZE": BLOCK, "INFINITE": INFINITE,
+            "ALMOST_RESTS": panels.ALMOST_RESTS,
         }  # fmt: skip
         offsets = accumulate(LAYOUT.values(), initial=0)
         sizes |= {f"AT_{name}": offset for name, offset in zip(LAYOUT, offsets)}

@@ -207,6 +207,17 @@ static int makes_up_for_growth(const memory_t *now, double t) {
   return 0;
 }
 
+/* whether sigma is zero but for rounding */
+static int rests(const memory_t *now) {
+  const double *sigma = law(now) + 1, t = now->time;
+  return horner(sigma, N_PROFILE, t) <= 1e-15 * magnitude(sigma, N_PROFILE, t);
+}
+
+/* Whether the path leaves a rest under the guaranteed law, which no slip does. */
+static int leaves_slip_behind(const memory_t *now) {
+  return rests(now) && makes_up_for_growth(now, now->time);
+}
+
 /* sigma and decay in the local time that begins at k->begin: profile.GainPiece */
 static void set_drive(const memory_t *now, contact_t *k) {
   const double *global = law(now) + 1, t = k->begin;
@@ -276,7 +287,7 @@ static void begin_segment(memory_t *now, long i, const moment_t *m, double place
   memset(k->constants, 0, sizeof k->constants), memset(k->scale, 0, sizeof k->scale);
   memset(k->first, 0, sizeof k->first), memset(k->series, 0, sizeof k->series);
   memcpy(k->w1, m->w1v, sizeof k->w1), memcpy(k->v, m->w1v + 2, sizeof k->v);
-  if (k->power && k->sigma[0] == 0.0) k->v[0] = k->v[1] = 0.0; /* no slip leaves a rest */
+  if (leaves_slip_behind(now)) k->v[0] = k->v[1] = 0.0;
   k->greatest = hypot(k->v[0], k->v[1]);
   const form_t *form = form_of(now, i);
   const motion_t *motion = form->motion;
@@ -340,12 +351,6 @@ static void settle(component_t *c) {
   now->settled = 1;
 }
 
-/* whether sigma is zero but for rounding */
-static int rests(const memory_t *now) {
-  const double *sigma = law(now) + 1, t = now->time;
-  return horner(sigma, N_PROFILE, t) <= 1e-15 * magnitude(sigma, N_PROFILE, t);
-}
-
 #define AT_REST "sigma is zero, and an acceleration cannot act on a path that rests; accelerate " \
                 "while sigma > 0, or disturb the object's rates"
 
@@ -353,7 +358,7 @@ static int rests(const memory_t *now) {
 static int pushed_at_rest(const contact_t *k) {
   const double sigma = horner(k->sigma, k->n_sigma, k->to);
   const int pushed = largest(k->disturbance, 4) > 0 || largest(k->slope, 4) > 0;
-  return pushed && sigma <= 1e-5 * largest(k->sigma, k->n_sigma);
+  return pushed && sigma <= ALMOST_RESTS * largest(k->sigma, k->n_sigma);
 }
 
 /* What stands in the way where a panel cannot be made. */
@@ -698,7 +703,7 @@ static const char *place_contact(memory_t *now, long i) {
   memcpy(m.w1v, first + n, sizeof m.w1v);
   for (int body = 0; body < 2; body++) turn[body] = state[BODY * body + FRAME_ANGLE] - place[body][2];
   if (!now->stepping) {
-    if (rests(now) && makes_up_for_growth(now, now->time)) { /* no slip leaves a rest */
+    if (leaves_slip_behind(now)) {
       m.w1v[2] = m.w1v[3] = 0.0;
       kind->velocity((const double *const[]){turn, m.w1v}, velocity);
       memcpy(state + BODY + VELOCITY, velocity + 2, 2 * sizeof *velocity);
