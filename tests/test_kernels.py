@@ -96,6 +96,21 @@ def test_every_operation_is_numpys_in_every_engine():
         assert values[0] == pytest.approx(expected, rel=2e-15, abs=1e-15), name
 
 
+def test_what_divides_many_numbers_is_inverted_once():
+    x, c = SX.sym("x", 5), SX.sym("c", 2)
+    parts = [x[0] / x[2], x[1] / x[2], 1 / x[2]]  # shared: inverted at every point
+    parts += [x[3] / c[0]]  # the same at all points: inverted once a body
+    parts += [x[3] / x[4], c[0] / c[1]]  # nothing to save
+    kernel = Kernel("quotients", x, c, ca.vertcat(*parts))
+    assert kernel.loop_source.count(" / ") == 4
+    assert kernel.loop_source.count("1.0 / ") == 2
+    random = np.random.default_rng(0)
+    points, constants = random.uniform(0.2, 2, (1, 5, 40)), random.uniform(0.2, 2, (3, 2))
+    values = evaluate(kernel, points, constants)
+    for engine, found in values.items():
+        assert found == pytest.approx(values["machine"], rel=4e-16), engine
+
+
 @pytest.mark.parametrize("name", SURFACES)
 def test_engines_agree_on_a_surfaces_geometry(name):
     surface, (u, v) = SURFACES[name]
