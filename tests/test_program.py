@@ -3,6 +3,7 @@
 import dataclasses
 import subprocess
 import sys
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -288,6 +289,26 @@ def test_rolling_does_not_end_with_a_piece_of_the_gain(obj, compiled):
     free = one_contact(obj, "sphere", profile=profile, object_velocity="rolling")
     found, expected = (cs.plan(s, compiled=compiled).points(TIMES) for s in (scene, free))
     assert found == pytest.approx(expected, abs=1e-14)
+
+
+def has_fma() -> bool:
+    """Whether the compiler makes instructions that multiply and add with one rounding here."""
+    command = [*find_compiler(), "-march=native", "-dM", "-E", "-x", "c", "-"]
+    known = subprocess.run(command, input="", capture_output=True, text=True).stdout
+    return "__FP_FAST_FMA " in known or "__FMA__ " in known
+
+
+@COMPILER
+def test_paths_are_as_long_as_a_double_can_say():
+    if not has_fma():
+        pytest.skip("no fma here")
+    sigma = (0.001, 0.0, 0.375)
+    contact = cs.Contact(cs.Sphere(0.04), object_at=(0.0, 0.0), finger_velocity=(1.0, 0.0))
+    scene = cs.Scene(object=cs.Plane(), contacts=[contact], profile=cs.Profile(sigma), duration=1.0)
+    found = cs.plan(scene, compiled=True).states(TIMES)[:, 0, 4]
+    for t, length in zip(TIMES[1:].tolist(), found[1:].tolist()):
+        true = sum(Fraction(c) * Fraction(t) ** (k + 1) / (k + 1) for k, c in enumerate(sigma))
+        assert abs(Fraction(length) - true) <= true / 2**53
 
 
 @COMPILER

@@ -71,6 +71,28 @@ static inline void horners(const double *restrict c, long n, const double *restr
     for (long i = 0; i < count; i++) y[i] = y[i] * x[i] + c[k];
 }
 
+/* The length of a path at BLOCK local times at most. Where fma is an instruction, what each step rounds off is
+   summed and put back (Graillat, Langlois, Louvet, Algorithms for accurate, validated and fast polynomial
+   evaluation, 2009): rounded lengths would be most of the error of great circles. */
+static inline void lengths(const track_t *k, const double *restrict tau, long n, double *restrict out) {
+#if defined(__FP_FAST_FMA) || defined(__FMA__)
+  const double *c = k->length + k->drive.n_sigma;
+  double lost[BLOCK] = {0};
+  for (long i = 0; i < n; i++) out[i] = *c;
+  while (c-- > k->length)
+#pragma omp simd
+    for (long i = 0; i < n; i++) {
+      const double product = out[i] * tau[i], sum = product + *c, part = sum - product;
+      const double off = (product - (sum - part)) + (*c - part);
+      lost[i] = lost[i] * tau[i] + (fma(out[i], tau[i], -product) + off);
+      out[i] = sum;
+    }
+  for (long i = 0; i < n; i++) out[i] += lost[i];
+#else
+  horners(k->length, k->drive.n_sigma + 1, tau, n, out);
+#endif
+}
+
 /* dy/dx of the same */
 static inline double slope(const double *c, long n, double x) {
   double y = 0.0;
@@ -97,9 +119,10 @@ static inline void decays(const drive_t *d, const double *tau, const double *sig
       if (tau[i] > 0) out[i] *= d->sigma[0] / sigma[i];
 }
 
-/* the k of edges[k] <= x < edges[k + 1], ends included, starting the search at a guess */
+/* the k of edges[k] <= x < edges[k + 1], ends included, where a guess and the next are looked at first */
 static inline long interval(const double *edges, long n, double x, long k) {
-  if (k < n && x >= edges[k] && (k == n - 1 || x < edges[k + 1])) return k;
+  for (const long next = k + 2; k < n && k < next && x >= edges[k]; k++)
+    if (k == n - 1 || x < edges[k + 1]) return k;
   long low = 0, high = n;
   while (high - low > 1) {
     long middle = (low + high) / 2;

@@ -524,7 +524,7 @@ static void places(const series_t *s, const double *t, long n, double *tau, doub
   const track_t *k = s->track;
   for (long i = 0; i < n; i++) tau[i] = t[i] - k->start;
   if (s->along)
-    horners(k->length, k->drive.n_sigma + 1, tau, n, place);
+    lengths(k, tau, n, place);
   else
     memcpy(place, tau, n * sizeof *place);
 }

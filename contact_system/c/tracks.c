@@ -82,7 +82,7 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
       for (long i = 0; i < n; i++)
         if (!(t[from + i] >= k->start && t[from + i] <= k->stop)) return from + i + 1;
     horners(d->sigma, d->n_sigma, tau, n, sigma);
-    if (BY_LENGTH) horners(k->length, d->n_sigma + 1, tau, n, length);
+    if (BY_LENGTH) lengths(k, tau, n, length);
 #ifndef CLOSED
     if (k->slips && !SPLIT) {
       decays(d, tau, sigma, n, decay);
