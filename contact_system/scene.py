@@ -153,13 +153,12 @@ class Contact:
         """The 9 numbers of a :class:`.starts.Start` in their order; words become numbers here."""
         own: Any = self.finger_velocity
         given: Any = self.object_velocity
-        if own == ROLLING:  # imposed: the other is a pair
+        if isinstance(own, str):  # imposed: the other is a pair
             own = _rolled(self.angle, given)
-        elif given == ROLLING:
-            given = _rolled(self.angle, own)
-        elif given == REST:
-            given = 0.0, 0.0
-        return (*self.finger_at, *self.object_at, self.angle, *own, *given)
+        elif isinstance(given, str):
+            given = _rolled(self.angle, own) if given == ROLLING else (0.0, 0.0)
+        (u1, v1), (u2, v2) = self.finger_at, self.object_at
+        return u1, v1, u2, v2, self.angle, own[0], own[1], given[0], given[1]
 
     @property
     def follows(self) -> bool:
@@ -523,11 +522,12 @@ class Scene:
             surface = self.object if body == "object" else contacts[members[0]].finger
             quick = surface.chart.metric_floor is not Chart.metric_floor
             if len(members) >= (MANY_PLACES if quick else 2):
-                given = starts[members, 2:4] if body == "object" else starts[members, 0:2]
+                own = starts if len(members) == len(contacts) else starts[members]
+                u, v = own.T[2:4] if body == "object" else own.T[0:2]
                 with suppress(ContactSystemError):
-                    at = np.stack(surface.canonical(*given.T), axis=-1)
-                    moved = np.flatnonzero((at != given).any(axis=-1)).tolist()
-                    found += [(members[k], body, tuple(at[k].tolist())) for k in moved]
+                    us, vs = surface.canonical(u, v)
+                    moved = np.flatnonzero((us != u) | (vs != v)).tolist()
+                    found += [(members[k], body, (float(us[k]), float(vs[k]))) for k in moved]
                     continue
             found += [(i, body, None) for i in members]
         return sorted(found, key=lambda place: place[0])
