@@ -338,7 +338,7 @@ long fill_begun(const asked_t *asked) {
 #define OUT 9  /* u1 v1 u1' v1' u2 v2 u2' v2' psi */
 #define SIDE 5 /* u v u' v' theta */
 #define ROWS 7 /* u v a a theta b b */
-#define SERIES_PAY 64 /* times a panel; a great circle counts as three */
+#define SERIES_PAY 68 /* times a panel; a great circle counts as three */
 
 typedef struct {
   evaluate_t evaluate, resolve; /* SIDE rows; `rows` rows of what series are made of, or NULL */
