@@ -28,6 +28,21 @@ def test_exact_slip_follows_the_polynomial_law_and_the_plan(name):
         assert slip == pytest.approx((0.001 + 0.4 * t**2) * np.exp(-lost), rel=1e-12)
 
 
+@pytest.mark.parametrize("sigma", [(0.0, 0.3), (0.2, -0.8, 0.8)])  # zero at 0 s, at 0.5 s
+@pytest.mark.parametrize("restarted", [False, True])
+def test_exact_slip_under_the_guaranteed_gain_goes_on_after_a_rest(sigma, restarted):
+    push = cs.ObjectAcceleration(contact=0, start=0.6, stop=0.7, value=(3.0, 2.0))
+    scene = one_contact("sphere", profile=sigma, gain=cs.Gain.guaranteed(5.0), disturbances=[push])
+    plan = cs.plan(scene)
+    if restarted:
+        plan = plan.restart(0.8, plan.states(0.8)[0])
+    t, slip = measures.exact_slip(plan, 0)
+    later = t > 0.75
+    assert later.sum() > 5
+    expected = plan.slip_speed(0.8)[0, 0] * np.exp(-5 * (t[later] - 0.8))  # sigma only grows there
+    assert slip[later] == pytest.approx(expected, rel=1e-12)
+
+
 def test_exact_slip_says_nothing_inside_windows():
     plan = cs.plan(cs.load_scene("K4"))
     t, _ = measures.exact_slip(plan, 0)
