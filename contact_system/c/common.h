@@ -76,17 +76,18 @@ static inline void horners(const double *restrict c, long n, const double *restr
    evaluation, 2009): rounded lengths would be most of the error of great circles. */
 static inline void lengths(const track_t *k, const double *restrict tau, long n, double *restrict out) {
 #if defined(__FP_FAST_FMA) || defined(__FMA__)
-  const double *c = k->length + k->drive.n_sigma;
   double lost[BLOCK] = {0};
-  for (long i = 0; i < n; i++) out[i] = *c;
-  while (c-- > k->length)
+  for (long i = 0; i < n; i++) out[i] = k->length[k->drive.n_sigma];
+  for (long j = k->drive.n_sigma - 1; j >= 0; j--) {
+    const double c = k->length[j];
 #pragma omp simd
     for (long i = 0; i < n; i++) {
-      const double product = out[i] * tau[i], sum = product + *c, part = sum - product;
-      const double off = (product - (sum - part)) + (*c - part);
+      const double product = out[i] * tau[i], sum = product + c, part = sum - product;
+      const double off = (product - (sum - part)) + (c - part);
       lost[i] = lost[i] * tau[i] + (fma(out[i], tau[i], -product) + off);
       out[i] = sum;
     }
+  }
   for (long i = 0; i < n; i++) out[i] += lost[i];
 #else
   horners(k->length, k->drive.n_sigma + 1, tau, n, out);
