@@ -311,13 +311,16 @@ def _constants(body: RigidBody, parts: ScenePlant, config: DriverConfig) -> list
     """`CONSTANT` of a finger."""
     h, mass = parts.plant.time_step(), body.default_mass()
     inertia = body.default_spatial_inertia().CalcRotationalInertia().CopyToFullMatrix3()
+    # A model's gravity may be switched off.
+    heavy = parts.plant.is_gravity_enabled(body.model_instance())
+    gravity = float(heavy) * parts.plant.gravity_field().gravity_vector()
     least = float(np.linalg.eigvalsh(inertia)[0])
 
     def borne(gain: float, inert: float, order: int) -> float:
         return min(gain, SHARE * inert / h**order)
 
     return [
-        h, mass, *inertia.ravel(), *parts.plant.gravity_field().gravity_vector(),
+        h, mass, *inertia.ravel(), *gravity,
         parts.config.normal_force, borne(config.position_gain, mass, 2),
         borne(config.velocity_gain, mass, 1), borne(config.normal_damping, mass, 1),
         borne(config.rotation_gain, least, 2), borne(config.spin_gain, least, 1),

@@ -17,7 +17,12 @@ from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from pydrake.geometry import HalfSpace
 from pydrake.geometry import Sphere as SphereShape
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+from pydrake.multibody.plant import (
+    AddMultibodyPlant,
+    AddMultibodyPlantSceneGraph,
+    CoulombFriction,
+    MultibodyPlantConfig,
+)
 from pydrake.multibody.tree import SpatialInertia, UnitInertia
 from pydrake.systems.analysis import BatchEvalTimeDerivatives, Simulator
 from pydrake.systems.framework import DiagramBuilder, InputPortSelection
@@ -755,12 +760,17 @@ def test_parts_of_another_kind_or_scene_are_refused():
             start()
 
 
-def own_parts(step=1e-3, off=0.0, finalized=True, **changes):
-    """Of two bodies by hand, and a third one, changed."""
-    scene, builder = cs.load_scene("C2"), DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, step)
+def own_parts(
+    step=1e-3, off=0.0, finalized=True, more=lambda plant, finger: None, sampled=True, builder=None,
+    **changes,
+):  # fmt: skip
+    """Of two bodies by hand, and what ``more`` adds, changed."""
+    scene, builder = cs.load_scene("C2"), builder or DiagramBuilder()
+    wanted = MultibodyPlantConfig(time_step=step, use_sampled_output_ports=sampled)
+    plant, scene_graph = AddMultibodyPlant(wanted, builder)
     inertia = SpatialInertia(0.01, np.array([off, 0.0, 0.0]), UnitInertia.SolidSphere(0.04))
     bodies = [plant.AddRigidBody(name, inertia) for name in ("object", "finger")]
+    more(plant, bodies[1])
     if finalized:
         plant.Finalize()
     given = dict(
@@ -783,6 +793,34 @@ def test_fingers_of_a_plant_of_ones_own_that_cannot_be_driven_are_refused(step, 
     parts = own_parts(step, off)
     with pytest.raises(cs.SceneError, match=message):
         FingertipDriver(parts, DriverConfig())
+
+
+@pytest.mark.parametrize("heavy", (True, False))
+def test_fingers_move_as_planned_whether_gravity_pulls_them_or_not(heavy):
+    """Drake can switch it off for a model; nothing else acts here."""
+    builder = DiagramBuilder()
+
+    def pulled(plant, finger):
+        plant.set_gravity_enabled(finger.model_instance(), heavy)
+
+    parts = own_parts(builder=builder, more=pulled, config=PlantConfig(normal_force=1e-9))
+    planner = builder.AddNamedSystem("planner", ContactPlanner(parts.scene))
+    driver = builder.AddNamedSystem("driver", FingertipDriver(parts, DriverConfig()))
+    for port in map(driver.get_input_port, range(driver.num_input_ports())):
+        source = planner if planner.HasOutputPort(port.get_name()) else parts.plant
+        builder.Connect(source.GetOutputPort(port.get_name()), port)
+    applied = parts.plant.get_applied_spatial_force_input_port()
+    builder.Connect(driver.get_output_port(), applied)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    root = simulator.get_mutable_context()
+    SetInitialState(diagram, root)
+    simulator.AdvanceTo(0.05)
+    physics = parts.plant.GetMyContextFromRoot(root)
+    X_WO, X_WF = (b.EvalPoseInWorld(physics) for b in (parts.object_body, *parts.finger_bodies))
+    (X_OF,) = planner.GetOutputPort("pose").Eval(planner.GetMyContextFromRoot(root))
+    assert X_WO.translation()[2] == pytest.approx(-0.5 * 9.81 * 0.05**2 * heavy, rel=0.05)
+    assert (X_WO.inverse() @ X_WF).IsNearlyEqualTo(X_OF, 1e-5)
 
 
 def test_wrong_parts_of_a_plant_of_ones_own_are_named():
