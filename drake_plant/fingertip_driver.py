@@ -34,7 +34,7 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialAcceleration, SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
-from pydrake.multibody.tree import RigidBody
+from pydrake.multibody.tree import RigidBody, world_index
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from contact_system import SceneError
@@ -183,9 +183,9 @@ class FingertipDriver(LeafSystem):
     Raises
     ------
     SceneError
-        No ScenePlant, a wrong gain; a plant that is not discrete, or whose steps are too long for a
-        finger; a finger whose mass centre is not its origin. In a simulation: more or fewer poses
-        than fingers.
+        No ScenePlant, a wrong gain; a plant that is not discrete, without sampled output ports, or
+        whose steps are too long for a finger; a finger that is not free, or whose mass centre is
+        not its origin. In a simulation: more or fewer poses than fingers.
     """
 
     __slots__ = NO_DICTIONARY
@@ -288,7 +288,23 @@ def _check(parts: ScenePlant) -> None:
     scene, config, step = parts.scene, parts.config, parts.plant.time_step()
     if not step:
         raise SceneError(f"{scene.title}: time_step = {step!r}: {DISCRETE_ONLY}")
+    if not parts.plant.has_sampled_output_ports():  # Drake would tell of an algebraic loop
+        raise SceneError(
+            f"{scene.title}: the plant has no sampled output ports, so that its accelerations "
+            "depend on the forces that are made from them; give MultibodyPlantConfig "
+            "use_sampled_output_ports=True"
+        )
+    joints = list(map(parts.plant.get_joint, parts.plant.GetJointIndices()))
     for i, (contact, body) in enumerate(zip(scene.contacts, parts.finger_bodies)):
+        for joint in joints:
+            inboard, index = joint.parent_body().index(), body.index()
+            free = joint.num_velocities() == 6 and inboard == world_index()
+            if inboard == index or (joint.child_body().index() == index and not free):
+                raise SceneError(
+                    f"{scene.title}, contact {i}: body '{body.name()}' is not free, but has the "
+                    f"joint '{joint.name()}'; forces are made for a body that moves alone: take "
+                    "the joint away, and make one body of several that are welded together"
+                )
         mass, center = body.default_mass(), body.default_com()
         if not np.linalg.norm(center) <= OFF * contact.finger.size:
             raise SceneError(

@@ -23,7 +23,12 @@ from pydrake.multibody.plant import (
     CoulombFriction,
     MultibodyPlantConfig,
 )
-from pydrake.multibody.tree import SpatialInertia, UnitInertia
+from pydrake.multibody.tree import (
+    PrismaticJoint,
+    RpyFloatingJoint,
+    SpatialInertia,
+    UnitInertia,
+)
 from pydrake.systems.analysis import BatchEvalTimeDerivatives, Simulator
 from pydrake.systems.framework import DiagramBuilder, InputPortSelection
 from scipy.spatial.transform import Rotation
@@ -793,6 +798,37 @@ def test_fingers_of_a_plant_of_ones_own_that_cannot_be_driven_are_refused(step, 
     parts = own_parts(step, off)
     with pytest.raises(cs.SceneError, match=message):
         FingertipDriver(parts, DriverConfig())
+
+
+def with_a_camera(plant, finger):
+    camera = plant.AddRigidBody("camera", SpatialInertia.SolidSphereWithMass(0.1, 0.01))
+    plant.WeldFrames(finger.body_frame(), camera.body_frame())
+
+
+def on_a_slide(plant, finger):
+    slide = PrismaticJoint("slide", plant.world_frame(), finger.body_frame(), [0.0, 0.0, 1.0])
+    plant.AddJoint(slide)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"more": with_a_camera}, "0: body 'finger' is not free, but has the joint 'finger_welds_"),
+        ({"more": on_a_slide}, "0: body 'finger' is not free, but has the joint 'slide'; forces"),
+        ({"sampled": False}, "the plant has no sampled output ports, .* give Multi"),
+    ],
+)
+def test_fingers_that_do_not_move_alone_are_refused(changes, message):
+    """And forces that depend on the accelerations that they cause."""
+    with pytest.raises(cs.SceneError, match=message):
+        FingertipDriver(own_parts(**changes), DriverConfig())
+
+
+def test_a_finger_may_have_a_floating_joint_of_ones_own():
+    def floating(plant, finger):
+        plant.AddJoint(RpyFloatingJoint("free", plant.world_frame(), finger.body_frame()))
+
+    FingertipDriver(own_parts(more=floating), DriverConfig())
 
 
 @pytest.mark.parametrize("heavy", (True, False))
