@@ -37,7 +37,7 @@ class ContactReport:
         Greatest tangential force [N].
     friction_ratio : float
         Greatest tangential force over mu times the momentary normal force, where that is at least
-        half its mean.
+        half its mean; NaN where mu is 0.
     rolling_friction : float
         Mean tangential force before any disturbance [N].
     rolling_slip : float
@@ -162,14 +162,14 @@ def _rolling(
     """Forces of one contact, and where it is while nothing has been disturbed yet."""
     normal, friction = _forces(result, i)
     apart = result.measured["contact_point"][:, i] - result.planned["contact_point"][:, i]
-    pressed = normal > 0.5 * _mean(normal[steady])
-    limit = result.config.plant.friction * normal[pressed]
+    limit = result.config.plant.friction * normal
+    pressed = (normal > 0.5 * _mean(normal[steady])) & (limit > 0)
     return {
         "name": result.scene.contact_name(i),
         "normal_mean": _mean(normal[steady]),
         "normal_deviation": float(normal[steady].std()) if steady.any() else math.nan,
         "friction_peak": float(friction.max()),
-        "friction_ratio": _greatest(friction[pressed] / limit),
+        "friction_ratio": _greatest(friction[pressed] / limit[pressed]),
         "rolling_friction": _mean(friction[before]),
         "distance": _greatest(np.linalg.norm(apart[before], axis=1)),
     }
@@ -195,7 +195,9 @@ def _rejection(
         return dict.fromkeys(nothing, math.nan)
     level = REJECTED * _mean(slip[during])
     normal, friction = _forces(result, i)
-    saturated = friction >= SATURATED * result.config.plant.friction * normal
+    # A finger that is off the object, or that nothing holds, has no friction to saturate.
+    limit = result.config.plant.friction * normal
+    saturated = (friction >= SATURATED * limit) & (friction > 0)
     return {
         "disturbed_slip": _mean(slip[during]),
         "saturated": float(saturated[during].mean()),

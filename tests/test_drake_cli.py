@@ -125,6 +125,17 @@ def test_forces_are_compared_with_the_momentary_normal_force():
     assert finger.rolling_friction == pytest.approx(0.05)
 
 
+@pytest.mark.parametrize(("mu", "pressing"), [(0.0, 1.0), (0.5, 0.0)])
+def test_where_no_friction_can_act_none_is_saturated(mu, pressing):
+    """Without a coefficient, or where a finger is off the object while disturbed."""
+    normal = np.where((T >= START) & (T < STOP), pressing, 1.0)
+    result = made_up(decaying(40.0), np.zeros(len(T)), normal)
+    result.config.plant.friction = mu
+    finger = contact_table(result)[0]
+    assert finger.saturated == 0.0 and not finger.saturates
+    assert np.isnan(finger.friction_ratio) if mu == 0 else finger.friction_ratio == 0
+
+
 def test_normal_force_is_measured_outside_of_transients():
     normal = np.ones(len(T))
     for edge in (0.0, START, STOP):
