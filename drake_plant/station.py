@@ -375,9 +375,10 @@ def SetInitialState(station: Diagram, context: Context) -> None:
 
     What is planned is what the context has for the planner, state and time (by default the start of
     the scene). The object stays as the context has it (by default at the world's origin, at rest),
-    but one that turns is put where the scene has it at that time. Each finger is pressed in as deep
-    as its normal force presses it. Driver and plant forget the steps before: as in a new context,
-    the plant's accelerations and contact forces are zero until its first step.
+    but one that turns on the joint of :func:`AddScenePlant` is put where the scene has it at that
+    time. Each finger is pressed in as deep as its normal force presses it. Driver and plant forget
+    the steps before: as in a new context, the plant's accelerations and contact forces are zero
+    until its first step.
 
     Parameters
     ----------
@@ -406,7 +407,8 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     scene, config, t = driver.scene, driver.plant_config, context.get_time()
     # A velocity of a discrete plant is the one that brought it here: that of half a step ago.
     ago = 0.5 * plant.time_step()
-    if config.object == "turning" and scene.turning is not None:
+    # A plant of somebody's own may turn its object in another way.
+    if config.object == "turning" and scene.turning and plant.HasJointNamed("turning"):
         joint, angle = plant.GetJointByName("turning"), turning_angle(scene.turning)
         joint.set_angle(physics, angle(t))
         joint.set_angular_rate(physics, angle.deriv()(t - ago))

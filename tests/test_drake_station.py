@@ -694,6 +694,18 @@ def test_a_turning_object_starts_as_it_turns_then():
     assert np.linalg.norm(station.GetOutputPort("measured_slip").Eval(context)) < 1e-3
 
 
+def test_an_object_of_a_plant_of_ones_own_that_turns_in_another_way_stays_where_it_is():
+    scene, builder = cs.load_scene("C1"), DiagramBuilder()
+    turns = StationConfig.from_scene(scene, coordinates="frame").plant
+    parts = own_parts(builder=builder, scene=scene, config=turns)
+    builder.AddNamedSystem("planner", ContactPlanner(scene, "frame"))
+    builder.AddNamedSystem("driver", FingertipDriver(parts, DriverConfig()))
+    context = at_time(station := builder.Build(), 0.5)
+    SetInitialState(station, context)
+    physics = parts.plant.GetMyContextFromRoot(context)
+    assert parts.object_body.EvalPoseInWorld(physics).IsExactlyIdentity()
+
+
 # --- what is refused -----------------------------------------------------------------------------
 
 
