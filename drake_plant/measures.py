@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 EDGE = 0.1
 """Time after the start, and before and after a disturbance's edge, that counts as transient [s]."""
 
+STANDING = 1e-4
+"""Part of a contact's greatest speed below which slip relative to its speed says nothing."""
+
 SATURATED = 0.95
 """Friction counts as saturated from this part of mu N on: facets let N itself ripple."""
 
@@ -41,7 +44,8 @@ class ContactReport:
     rolling_friction : float
         Mean tangential force before any disturbance [N].
     rolling_slip : float
-        Mean slip over the speed of the contact point on the object, before the disturbance.
+        Mean slip over the speed of the contact point on the object, before the disturbance, while
+        that is more than 1e-4 of its greatest.
     disturbed_slip : float
         Mean slip during the last disturbance [m/s].
     saturated : float
@@ -110,17 +114,17 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     steady = (t >= EDGE) & (np.abs(t[:, None] - edges) > EDGE).all(1)
     slip = np.linalg.norm(result.measured["slip"], axis=2)
     speed = contact_speed(result.scene, result.planned["state"])
-    with np.errstate(divide="ignore", invalid="ignore"):  # a path may start from rest
-        ratio = slip / speed
+    moving = speed > STANDING * speed.max(axis=0)  # a path may start from rest, or end there
+    ratio = np.divide(slip, speed, out=np.full_like(slip, math.nan), where=moving)
     untouched = ratio[t >= EDGE][:, [not w for w in disturbed]]
     reports = []
     for i, acting in enumerate(disturbed):
         usual = np.append(untouched, ratio[before, i])
-        allowed = _greatest(usual) * speed[:, i]
+        allowed = _greatest(usual[np.isfinite(usual)]) * speed[:, i]
         reports.append(
             ContactReport(
                 **_rolling(result, i, before, steady),
-                rolling_slip=_mean(ratio[before, i]),
+                rolling_slip=_mean(ratio[before & moving[:, i], i]),
                 slip_before=_greatest(slip[before, i]),
                 **_rejection(result, i, acting, slip[:, i], before, allowed),
             )

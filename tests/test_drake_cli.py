@@ -125,6 +125,17 @@ def test_forces_are_compared_with_the_momentary_normal_force():
     assert finger.rolling_friction == pytest.approx(0.05)
 
 
+def test_slip_over_speed_is_that_of_contacts_that_move():
+    """A path may come to rest."""
+    result = made_up(decaying(40.0), np.zeros(len(T)))
+    moved = contact_table(result)
+    for hold in (T == 1.0, T == T[-1]):
+        result.planned["state"][hold, :, 6:8] = 0.0
+    for stood, report in zip(contact_table(result), moved):
+        assert stood.rolling_slip == pytest.approx(report.rolling_slip, rel=1e-3)
+        assert stood.settling == pytest.approx(report.settling, nan_ok=True)
+
+
 @pytest.mark.parametrize(("mu", "pressing"), [(0.0, 1.0), (0.5, 0.0)])
 def test_where_no_friction_can_act_none_is_saturated(mu, pressing):
     """Without a coefficient, or where a finger is off the object while disturbed."""
