@@ -156,6 +156,9 @@ def _define(T: type) -> type:
         - `disturbance` (6n): acceleration of the finger, acceleration of the object, object rate
           offset, chart components, two numbers each; added to the scene's windows. Zero where the
           port is not connected. A contact whose rolling is imposed is disturbed as a planned one.
+          Components are those of the coordinates that `state` starts with: a place on a triaxial
+          ellipsoid that a scene gives outside the principal range is written the other way, and
+          its windows with it, but not what is on the port.
         - `measured_state` (9n): as `state`, or in principal values: where a chart covers its
           surface twice, they are turned to the planner's side, so that disturbances act as before.
         - `state` (9n): u1 v1 u1' v1' u2 v2 u2' v2' psi of each contact (eq. `contrac`), object rate
