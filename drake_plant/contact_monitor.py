@@ -103,6 +103,8 @@ class ContactMonitor(LeafSystem):
     Where a finger touches the object with several patches or pairs of points, forces are those of
     their sum, taken along and across the normal at its centre of pressure.
     Without contact the forces are 0 and the others are those of the points nearest to each other.
+    Bodies are taken to move in a step with the velocity at its end, as free ones do. Slip of those
+    that swing on joints is off by a step times their centripetal acceleration at most.
     Where there is no contact frame (such as at a pole) what needs one is NaN: a planner that
     restarts then keeps its plan.
 
