@@ -22,6 +22,8 @@ SX = ca.SX
 # A formula longer than this is a mistake, and Python's parser is not to be strained by it.
 LONGEST_TEXT = 10_000
 
+LINE_ENDS = {ord(end): " " for end in "\r\n"}
+
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
 SYMBOLS = threading.RLock()
@@ -102,6 +104,8 @@ def parse(text: str, names: Mapping[str, SX]) -> Value:
             f"formula {text[:40]!r}... has {len(text)} characters; at most {LONGEST_TEXT} are read"
         )
     stripped = text.strip()
+    if "#" not in text:  # over several lines, as TOML's long texts are; a remark ends with its line
+        stripped = stripped.translate(LINE_ENDS)
     lead = len(text) - len(text.lstrip())
     try:
         return _Reader(text, lead, names).read(ast.parse(stripped, mode="eval").body)

@@ -37,6 +37,8 @@ def value(text: str, **numbers: float) -> float:
         ("fmin(2, 3)*fmax(2, 3) + sign(-2) + copysign(3, -0.5)", 2.0),
         ("abs(-3) + fabs(-4)", 7.0),
         ("7", 7.0),
+        ("\n  1\n  + 2*3\r\n- hypot(3,\n4)\n", 2.0),
+        ("1 + 2  # a remark", 3.0),
     ],
 )
 def test_arithmetic_means_what_python_means(text, expected):
