@@ -639,6 +639,13 @@ def _one_of(kind: str, name: str, given: Any, formula: Formula | None) -> Any:
 
 
 def _with_numbers(kind: str, formula: Formula, numbers: dict[str, float]) -> Formula:
+    known = ca.vertcat(p, *arguments)
+    strange = [symbol.name() for symbol in ca.symvar(value) if not ca.depends_on(known, symbol)]
+    if strange:
+        raise SurfaceError(
+            f"{kind}: the formula uses symbols of its own ({', '.join(strange)}); give them "
+            "numbers in parameters and take them as arguments by name"
+        )
     for name in numbers:
         if name not in formula.names:
             raise SurfaceError(

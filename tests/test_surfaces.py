@@ -690,6 +690,8 @@ def test_point_off_a_parametric_surface_is_an_error_not_an_answer():
         (lambda: ParametricSurface(lambda u, v: [u, v, u if u > 0 else v]), ["no if"]),
         (lambda: ParametricSurface(lambda u, v, k: [u, v, k]), ["TypeError", "by name"]),
         (lambda: ParametricSurface(("u", "v", "u"), size=-1), ["size = -1"]),
+        (lambda: ParametricSurface(lambda u, v: [u, v, ca.SX.sym("k") * u]), ["(k)", "parameters"]),
+        (lambda: ImplicitSurface(lambda x: x.T @ x - ca.SX.sym("r")), ["(r)", "parameters"]),
         (lambda: ParametricSurface(("u", "v", "u"), u_range=(1, 0)), ["u_range = (1, 0)"]),
         (lambda: ParametricSurface(("u", "v", "u"), u_period=-1), ["u_period = -1: give"]),
         (lambda: ParametricSurface(("u", "v", "k"), parameters={"k": np.inf}), ["'k'", "inf"]),
