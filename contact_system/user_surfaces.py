@@ -39,6 +39,7 @@ from .kept import kept
 from .surfaces import Surface, positive_length, store
 
 CELLS = 32  # in each coordinate, of the grid on which a nearest point is first sought
+NEAR = 1e-9  # of the size: so near are points that are one
 TRIES = 4  # so many of its points may lead to it
 
 
@@ -185,6 +186,28 @@ class ParametricSurface(UserSurface):
             reach = math.pi if period is None else period / 2
             span = _range(self._kind, f"{name}_range", (-reach, reach) if given is None else given)
             store(self, **{f"{name}_range": span, f"{name}_period": period})
+        self._require_periods()
+
+    def _require_periods(self) -> None:
+        """Raise where a period does not lead back to the same point: contacts would be moved."""
+        places = np.array([0.1, 0.4, 0.8])
+        u, v = (low + (high - low) * places for low, high in (self.u_range, self.v_range))
+        for name, period in (("u", self.u_period), ("v", self.v_period)):
+            if period is None:
+                continue
+            turn_u, turn_v = (period, 0.0) if name == "u" else (0.0, period)
+            with np.errstate(all="ignore"):  # a formula may have no point there
+                here, there = self.point(u, v), self.point(u + turn_u, v + turn_v)
+                reach = np.fmax(self.size, np.linalg.norm(here, axis=1))
+                apart = np.linalg.norm(there - here, axis=1)
+                wrong = np.flatnonzero(apart > NEAR * reach)
+            if len(wrong):
+                i = wrong[0]
+                raise SurfaceError(
+                    f"{self._kind}: {name}_period = {period!r}: the points at (u, v) = "
+                    f"({u[i]:.6g}, {v[i]:.6g}) and one period on are {apart[i]:.3g} m apart; give "
+                    f"the period of the formula to all digits, or leave {name}_period out"
+                )
 
     @property
     def chart(self) -> type[Chart]:
@@ -261,7 +284,7 @@ class ParametricSurface(UserSurface):
         u, v, miss = self.nearest(points, guess)
         reach = np.fmax(self.size, np.linalg.norm(points, axis=-1))
         # ~(a <= b) rather than a > b: a descent that ends in NaN has missed as well.
-        missed = np.flatnonzero(~(miss <= 1e-9 * reach))
+        missed = np.flatnonzero(~(miss <= NEAR * reach))
         if len(missed):
             i = int(missed[0])
             raise SurfaceError(
@@ -300,7 +323,7 @@ class ParametricSurface(UserSurface):
         for start_u, start_v in starts:
             tried = np.array(self._descend(flat[missed], start_u[missed], start_v[missed]))
             found[:, missed] = np.where(~(tried[2] >= found[2, missed]), tried, found[:, missed])
-            missed = np.flatnonzero(~(found[2] <= 1e-9 * self.size))
+            missed = np.flatnonzero(~(found[2] <= NEAR * self.size))
             if not len(missed):
                 break
         u, v, miss = (w.reshape(points.shape[:-1]) for w in found)
@@ -616,6 +639,13 @@ def _formula(
             value = ca.vertcat(*map(SX, lines))
         except ContactSystemError as error:
             raise SurfaceError(f"{kind}: {error}") from None
+    known = ca.vertcat(p, *arguments)
+    strange = [symbol.name() for symbol in ca.symvar(value) if not ca.depends_on(known, symbol)]
+    if strange:
+        raise SurfaceError(
+            f"{kind}: the formula uses symbols of its own ({', '.join(strange)}); give them "
+            "numbers in parameters and take them as arguments by name"
+        )
     for argument in arguments:
         if not ca.depends_on(value, argument):
             raise SurfaceError(
@@ -639,13 +669,6 @@ def _one_of(kind: str, name: str, given: Any, formula: Formula | None) -> Any:
 
 
 def _with_numbers(kind: str, formula: Formula, numbers: dict[str, float]) -> Formula:
-    known = ca.vertcat(p, *arguments)
-    strange = [symbol.name() for symbol in ca.symvar(value) if not ca.depends_on(known, symbol)]
-    if strange:
-        raise SurfaceError(
-            f"{kind}: the formula uses symbols of its own ({', '.join(strange)}); give them "
-            "numbers in parameters and take them as arguments by name"
-        )
     for name in numbers:
         if name not in formula.names:
             raise SurfaceError(

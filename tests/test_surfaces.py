@@ -52,7 +52,8 @@ EXPLICIT: dict[str, Surface] = {
     **{f"quadric {name}": turned_quadric(name) for name in SIGNATURES},
 }
 IMPLICIT = ImplicitSurface("x**2/a**2 + y**4 + z**2 - 1", parameters={"a": 1.5}, size=1.5)
-PARAMETRIC = ParametricSurface(TORUS, parameters={"R": 0.1, "r": 0.03}, size=0.13)
+RADII = {"R": 0.1, "r": 0.03}
+PARAMETRIC = ParametricSurface(TORUS, parameters=RADII, size=0.13)
 ALL = EXPLICIT | {"implicit": IMPLICIT, "parametric": PARAMETRIC}
 
 
@@ -485,7 +486,7 @@ def test_surfaces_hash_compare_and_pickle(name):
 
 
 def test_surfaces_that_differ_print_differently():
-    level, chart = "x**2 + y**2 + z**4 - r", ("u", "v", "0.1*u*v")
+    level, chart = "x**2 + y**2 + z**4 - r", ("cos(u)", "cos(v)", "sin(u) + sin(v)")
     surfaces = [
         *ALL.values(),
         ImplicitSurface(level, parameters={"r": 1.0}),
@@ -689,11 +690,17 @@ def test_point_off_a_parametric_surface_is_an_error_not_an_answer():
         (lambda: ParametricSurface(lambda u, v: [u, v, __import__("math").cos(u)]), ["np.cos"]),
         (lambda: ParametricSurface(lambda u, v: [u, v, u if u > 0 else v]), ["no if"]),
         (lambda: ParametricSurface(lambda u, v, k: [u, v, k]), ["TypeError", "by name"]),
-        (lambda: ParametricSurface(("u", "v", "u"), size=-1), ["size = -1"]),
         (lambda: ParametricSurface(lambda u, v: [u, v, ca.SX.sym("k") * u]), ["(k)", "parameters"]),
         (lambda: ImplicitSurface(lambda x: x.T @ x - ca.SX.sym("r")), ["(r)", "parameters"]),
+        (lambda: ParametricSurface(("u", "v", "u"), size=-1), ["size = -1"]),
         (lambda: ParametricSurface(("u", "v", "u"), u_range=(1, 0)), ["u_range = (1, 0)"]),
         (lambda: ParametricSurface(("u", "v", "u"), u_period=-1), ["u_period = -1: give"]),
+        (lambda: ParametricSurface(TORUS, u_period=pi, v_period=2 * pi, parameters=RADII),
+         ["u_period = 3.14", "m apart", "leave u_period out"]),
+        (lambda: ParametricSurface(TORUS, u_period=2 * pi, v_period=6.2832, parameters=RADII),
+         ["v_period = 6.2832", "to all digits"]),
+        (lambda: ParametricSurface(("v*cos(u)", "v*sin(u)", "0.1*u"), u_period=2 * pi, inside=True),
+         ["u_period", "0.628 m apart"]),
         (lambda: ParametricSurface(("u", "v", "k"), parameters={"k": np.inf}), ["'k'", "inf"]),
         (lambda: ParametricSurface(("u", "v", "u"), parameters={"u": 1}), ["'u'", "meaning"]),
         (lambda: ParametricSurface(("u", "v", "u"), parameters={"a b": 1}), ["'a b'"]),
