@@ -698,10 +698,11 @@ def _trace(
             value = function(*arguments, **symbols)
             column = ca.vertcat(*(ca.vec(SX(part)) for part in _parts(value)))
     except Exception as error:  # whatever a user's function may raise
+        given = "x, one column of three coordinates" if len(arguments) == 1 else "u, v"
         raise SurfaceError(
-            f"{kind}: the function fails on symbols ({type(error).__name__}: {error}); use numpy "
-            "or casadi functions, no if and no conversion to float, and take the parameters "
-            f"{list(symbols)} by name"
+            f"{kind}: the function fails on symbols ({type(error).__name__}: {error}); it is given "
+            f"{given}, and the parameters {list(symbols)} by name: take them so, use numpy or "
+            "casadi functions, no if and no conversion to float"
         ) from error
     if column.shape != (count, 1):
         raise SurfaceError(

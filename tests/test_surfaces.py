@@ -705,6 +705,7 @@ def test_point_off_a_parametric_surface_is_an_error_not_an_answer():
         (lambda: ParametricSurface(("u", "v", "u"), parameters={"u": 1}), ["'u'", "meaning"]),
         (lambda: ParametricSurface(("u", "v", "u"), parameters={"a b": 1}), ["'a b'"]),
         (lambda: ParametricSurface(("u", "v", "u"), parameters=[1]), ["table"]),
+        (lambda: ImplicitSurface(lambda x, y, z: x + y * z), ["'z'", "x, one column of three"]),
         (lambda: ImplicitSurface("x + q"), ["unknown name q"]),
         (lambda: ImplicitSurface("3"), ["does not depend"]),
         (lambda: ImplicitSurface("x", center=(0, 0)), ["center = (0, 0)", "3 numbers"]),
