@@ -147,14 +147,12 @@ def _name_of(op: int, column: int) -> str:
 
 
 def c_statements(
-    function: ca.Function, arguments: Sequence[Sequence[str]], points: Sequence[str] = ()
+    function: ca.Function, arguments: Sequence[Sequence[str]]
 ) -> tuple[list[str], list[list[str]]]:
     """C99 declarations that evaluate ``function``, and the names that hold its outputs.
 
-    What divides several numbers, or those of many points, is inverted once: that costs one rounding
-    more, and processors multiply many times faster than they divide.
-
-    points: the arguments that change in a loop, which computes once what the others determine
+    What divides several numbers is inverted once: that costs one rounding more, and processors
+    multiply many times faster than they divide.
     """
     steps: list[tuple[int, list[str]]] = []
 
@@ -164,13 +162,10 @@ def c_statements(
 
     outputs = replay(function, arguments, apply, lambda value: f"({value!r})")
     divides = Counter(x[-1] for op, x in steps if op in (ca.OP_DIV, ca.OP_INV))
-    lines, inverse, changing = [], dict[str, str](), set(points)
+    lines, inverse = [], dict[str, str]()
     for k, (op, operands) in enumerate(steps):
-        if not changing.isdisjoint(operands):
-            changing.add(f"w{k}")
         divisor = operands[-1]
-        once = operands[0] in changing and divisor not in changing
-        if op in (ca.OP_DIV, ca.OP_INV) and (once or divides[divisor] > 1):
+        if op in (ca.OP_DIV, ca.OP_INV) and divides[divisor] > 1:
             if divisor not in inverse:
                 inverse[divisor] = f"over{k}"
                 lines.append(f"const double over{k} = 1.0 / {divisor};")
@@ -244,7 +239,7 @@ class Kernel:
         """C99: ``void name(nb, nt, in, in_row, in_body, constants, out, out_row, out_body)``."""
         point = [f"in[in_row[{i}] + b * in_body + i]" for i in range(self.n_point)]
         constant = [f"c[{i}]" for i in range(self.n_constant)]
-        lines, (outputs,) = c_statements(self.function, [point, constant], point)
+        lines, (outputs,) = c_statements(self.function, [point, constant])
         body = "".join(f"      {line}\n" for line in lines)
         body += "".join(
             f"      out[out_row[{i}] + b * out_body + i] = {name};\n"
