@@ -18,6 +18,7 @@ import ctypes
 import functools
 import hashlib
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -554,6 +555,9 @@ VECTOR double asin(double); VECTOR double acos(double);
 """
 _FLAGS = ["-std=gnu99", "-O3", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math",
           "-fopenmp-simd", "-march=native"]  # fmt: skip
+if platform.machine().lower() in ("x86_64", "amd64"):
+    # GCC prefers half the width of AVX-512 on Intel's processors: 10 to 20 % slower on crowds
+    _FLAGS.append("-mprefer-vector-width=512")
 # Tried in turn until one builds.  GCC's sincos pass would turn sin(x), cos(x) into a call that has
 # no vector form (measured: 7 times slower); Clang finds glibc's vector forms by its own option.
 _VARIANTS = (
