@@ -66,12 +66,12 @@ def circle_kernel(surface: Surface, output: str) -> Kernel:
     if output == "coordinates":
         flat, steep = node[0], node[1]
         sin, cos = ca.sin(point[0] + node[2]), ca.cos(point[0] + node[2])
-        rho, climb = ca.sqrt(cos**2 + (flat * sin) ** 2), steep * cos  # sin u, dz/dphi
+        rho = ca.sqrt(cos**2 + (flat * sin) ** 2)  # sin u
         v = branch[0] + branch[1] * (point[2] + _lead(flat, steep, sin, cos))
-        pace = point[1] / rho
-        rates = ca.vertcat((-1 / p[0]) * (climb * pace), (branch[1] * flat / p[0]) * (pace / rho))
-        theta = branch[2] + branch[1] * ca.atan2(climb, flat)
-        result = ca.vertcat(ca.atan2(rho, steep * sin), v, rates, theta)
+        pace, climb = point[1] / rho, (branch[1] * steep) * cos  # dz/dphi eastwards
+        rates = (-branch[1] / p[0]) * (climb * pace), (branch[1] * flat / p[0]) * (pace / rho)
+        theta = branch[2] + ca.atan2(climb, flat)
+        result = ca.vertcat(ca.atan2(rho, steep * sin), v, *rates, theta)
         return Kernel("circle_coordinates", point, constant, result)
     cos, sin = ca.cos(point[0]), ca.sin(point[0])
     x = cos * (p[0] * start) + sin * (p[0] * along)
@@ -85,7 +85,7 @@ def circle_kernel(surface: Surface, output: str) -> Kernel:
 
 def _lead(flat: SX, steep: SX, sin: SX, cos: SX) -> SX:
     """By how much a great circle's longitude from its node is ahead of its phase: within pi/2."""
-    bend = -(steep**2) / (1 + flat)  # flat - 1
+    bend = steep**2 / (-1 - flat)  # flat - 1
     return ca.atan2(bend * (sin * cos), cos**2 + flat * sin**2)
 
 
@@ -128,7 +128,8 @@ class CircleTrack(Track):
         tau = t - self.start
         points, circle = np.empty((3, self.n_bodies, len(t))), self.circle
         phase = points[0] if only_place else points[2]
-        np.multiply(circle.phase_per_metre[:, None], self.piece.arc_length(tau), out=phase)
+        length = self.piece.arc_length(tau) if only_place else self.piece.rounded_length(tau)
+        np.multiply(circle.phase_per_metre[:, None], length, out=phase)
         if not only_place:
             np.multiply(circle.pace[:, None], self.piece.speed(tau), out=points[1])
             points[0] = phase

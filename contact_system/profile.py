@@ -302,6 +302,11 @@ GAIN_LAWS = {"path": "eta", "time": "eta", "guaranteed": "rho"}
 """The gain laws and what their parameter is called."""
 
 
+# Rounding in arc lengths would be most of the error of a great circle's coordinates. x86 has doubles
+# of 80 bits; elsewhere long ones are plain, or have 128 bits that take software ten times as long.
+WIDE = np.longdouble if np.finfo(np.longdouble).nmant == 63 else np.float64
+
+
 @dataclass(frozen=True)
 class GainPiece:
     """One piece of the horizon on which the decay of slip has a single closed form.
@@ -340,6 +345,11 @@ class GainPiece:
     def arc_length(self, tau):
         """int_0^tau sigma [m]."""
         return polynomial(self.lengths, tau)
+
+    def rounded_length(self, tau: np.ndarray) -> np.ndarray:
+        """:meth:`arc_length`, rounded once where there is a type for it."""
+        wide = tau.astype(WIDE)
+        return (wide * polynomial(self.lengths[1:], wide)).astype(float)
 
     def lost(self, tau):
         """P(tau), the exponent of the decay."""

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contact_system.errors import SceneError
-from contact_system.profile import Gain, Profile, contraction
+from contact_system.profile import WIDE, Gain, Profile, contraction
 
 SLOW = Profile([0.001, 0, 0.4])  # K1-K3, D3
 MEDIUM = Profile([0.1, 0.2, -0.02])  # K4
@@ -64,6 +64,16 @@ def test_integrals_agree_with_quadrature(profile):
             energy = mpmath.quad(lambda x: exact_value(profile, x) ** 2, [0, t])
         assert profile.arc_length(t) == pytest.approx(float(length), rel=4e-16)
         assert profile.energy(t) == pytest.approx(float(energy), rel=4e-16)
+
+
+@pytest.mark.parametrize("profile", [SLOW, MEDIUM, FAST, WAVY, Profile([0.3])])
+def test_lengths_for_coordinates_are_rounded_once(profile):
+    (piece,) = Gain.path(100).pieces(profile, 0.0, 1.0)[:1]
+    times = np.random.default_rng(0).uniform(0.0, piece.stop, 200)
+    once = 0.51 if WIDE == np.longdouble else 2.0 + 2.0 * len(piece.lengths)
+    for tau, length in zip(times, piece.rounded_length(times), strict=True):
+        exact = sum(Fraction(c) * Fraction(tau) ** k for k, c in enumerate(piece.lengths))
+        assert abs(Fraction(length) - exact) <= once * np.spacing(float(exact))
 
 
 def test_a_profile_takes_times_of_any_shape():
