@@ -305,8 +305,9 @@ class JacobiChart(Chart):
         )
 
     @staticmethod
-    def circular(p: SX, x: SX) -> tuple[SX, SX, SX, SX, SX]:
-        r"""Return (sin u, cos u, sin v, cos v, k'^2 sin^2 u + k^2 cos^2 v), cos v >= 0.
+    def circular(p: SX, x: SX) -> tuple[SX, ...]:
+        r"""Return (sin u, cos u, sin v, cos v), cos v >= 0, and k'^2 sin^2 u + k^2 cos^2 v,
+        sqrt(k^2 + k'^2 sin^2 u), sqrt(k'^2 + k^2 cos^2 v).
 
         (X, Y, Z) = (x/a, y/b, z/c) is a point of the unit sphere in sphero-conal coordinates.
         alpha = k'^2 sin^2 u and beta = k^2 cos^2 v have the difference
@@ -329,26 +330,23 @@ class JacobiChart(Chart):
         alpha_leads = difference >= 0
         root_alpha = ca.if_else(alpha_leads, greater, smaller)
         root_beta = ca.if_else(alpha_leads, smaller, greater)
-        sin_u = ca.copysign(root_alpha / l1, ys)
-        cos_u = xs / ca.sqrt(l2 + root_beta**2)
-        sin_v = zs / ca.sqrt(k2 + root_alpha**2)
-        return sin_u, cos_u, sin_v, root_beta / k, total
+        root_u, root_v = ca.sqrt(k2 + root_alpha**2), ca.sqrt(l2 + root_beta**2)
+        sin_u, cos_u = ca.copysign(root_alpha / l1, ys), xs / root_v
+        return sin_u, cos_u, zs / root_u, root_beta / k, total, root_u, root_v
 
     @staticmethod
     def coordinates(p: SX, x: SX) -> Pair:
-        sin_u, cos_u, sin_v, cos_v, _ = JacobiChart.circular(p, x)
+        sin_u, cos_u, sin_v, cos_v, *_ = JacobiChart.circular(p, x)
         return ca.atan2(sin_u, cos_u), ca.atan2(sin_v, cos_v)
 
     @staticmethod
     def frame(p: SX, x: SX) -> Frame:
         a, b, c = p[0], p[1], p[2]
         k2, l2 = JacobiChart.moduli(p)
-        sin_u, cos_u, sin_v, cos_v, total = JacobiChart.circular(p, x)
-        root_u = ca.sqrt(k2 + l2 * sin_u**2)
-        root_v = ca.sqrt(l2 + k2 * cos_v**2)
+        sin_u, cos_u, sin_v, cos_v, total, root_u, root_v = JacobiChart.circular(p, x)
         # h_u^2 = (k'^2 sin^2 u + k^2 cos^2 v)(a^2 sin^2 u + b^2 cos^2 u)/(k^2 + k'^2 sin^2 u).
-        h_u = ca.sqrt(total) * hypot(a * sin_u, b * cos_u) / root_u
-        h_v = ca.sqrt(total) * hypot(b * sin_v, c * cos_v) / root_v
+        h_u = ca.sqrt(total * ((a * sin_u) ** 2 + (b * cos_u) ** 2)) / root_u
+        h_v = ca.sqrt(total * ((b * sin_v) ** 2 + (c * cos_v) ** 2)) / root_v
         f_u = ca.vertcat(
             -a * sin_u * root_v, b * cos_u * cos_v, c * sin_v * l2 * sin_u * cos_u / root_u
         )
