@@ -1,6 +1,6 @@
 """Gauss collocation in panels, here and in C (c/panels.c).
 
-The length of a panel follows the decay of the solution's Legendre series; that series is also the
+The length of a panel follows the decay of the solution's Chebyshev series; that series is also the
 dense output.
 """
 
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.polynomial import legendre
+from numpy.polynomial import chebyshev, legendre
 
 from .errors import ContactSystemError
 from .kernels import (
@@ -35,6 +35,7 @@ from .tracks import BRANCH, NODE, PARTS, Drive, TrackData, altered, drive_data
 # NODES = 16: on a unit sphere a panel spans about 2 rad at 1e-14 and Picard sweeps still converge.
 SWEEPS = 40
 COARSE = 1e-6  # tolerance beyond which tails tell nothing of errors; panels are hardly fewer
+TAIL = 3.6  # times a series' last coefficient is taken for its error
 STEEPEST = 20.0  # fall of ln(decay) in a panel; 30 takes 3 % more sweeps, 16 as many
 MANY = 4096  # panels from one look at how many more it will take to the next
 MOST = 1e6  # panels of one interval; beyond, a scene is refused
@@ -47,9 +48,9 @@ ALMOST_RESTS = 1e-5  # of the greatest coefficient of sigma: what is said of an 
 class Collocation:
     """Matrices of collocation at the Gauss points of [-1, 1].
 
-    project : (N, N), node values -> Legendre coefficients of the interpolant
+    project : (N, N), node values -> Chebyshev coefficients of the interpolant
     integral : (N, N), antiderivative of the interpolant at the nodes
-    series : (N + 1, N), node values of f -> Legendre coefficients of its antiderivative from -1
+    series : (N + 1, N), node values of f -> Chebyshev coefficients of its antiderivative from -1
     end : (2, N), weights of the integral over [-1, 1]; extrapolation of node values to +1
     """
 
@@ -62,21 +63,17 @@ class Collocation:
 
 @functools.cache
 def collocation() -> Collocation:
-    """The matrices, from the Legendre polynomials at Gauss points.
+    """The matrices, from Chebyshev polynomials at Gauss points.
 
-    Their inverse rather than discrete orthogonality: numpy's weights are off by 7e-15.
+    Chebyshev's recurrence takes one operation where Legendre's takes three.
     """
     n = NODES
     node, _ = legendre.leggauss(n)
-    basis = legendre.legvander(node, n)  # P_0 .. P_n at the nodes
+    basis = chebyshev.chebvander(node, n)  # T_0 .. T_n at the nodes
     project = np.linalg.inv(basis[:, :n])
-    primitive = np.zeros((n + 1, n))  # int_-1 P_k = (P_{k+1} - P_{k-1}) / (2k + 1)
-    primitive[0, 0] = primitive[1, 0] = 1.0
-    for k in range(1, n):
-        primitive[k + 1, k] += 1.0 / (2 * k + 1)
-        primitive[k - 1, k] -= 1.0 / (2 * k + 1)
+    primitive = chebyshev.chebint(np.eye(n), lbnd=-1)
     series = primitive @ project
-    end = np.vstack([2.0 * project[0], project.sum(axis=0)])
+    end = np.vstack([primitive.sum(axis=0), np.ones(n)]) @ project
     return Collocation(
         node, project, np.ascontiguousarray(basis @ series), np.ascontiguousarray(series), end
     )
@@ -84,7 +81,7 @@ def collocation() -> Collocation:
 
 @dataclass(eq=False)  # not frozen: that makes it four times slower to make
 class Panels:
-    """A motion as Legendre series on panels.
+    """A motion as Chebyshev series on panels.
 
     edges : (K + 1,), local time (or arc length) of the panel ends
     coefficients : (K, n_bodies, n_states, N + 1)
@@ -109,7 +106,7 @@ class Panels:
         out = np.empty(coefficients.shape[1:3] + (len(tau),))
         which = np.searchsorted(self.edges[1:-1], tau, side="right")
         xi = 2.0 * (tau - self.edges[which]) / np.diff(self.edges)[which] - 1.0
-        basis = _legendre_basis(xi)
+        basis = _basis(xi)
         for k, part in runs(which):
             if isinstance(part, slice):
                 np.matmul(coefficients[k], basis[:, part], out=out[:, :, part])
@@ -121,7 +118,7 @@ class Panels:
         """The states of each of some bodies at its own local time: (n, n_states)."""
         which = np.searchsorted(self.edges[1:-1], tau, side="right")
         xi = 2.0 * (tau - self.edges[which]) / np.diff(self.edges)[which] - 1.0
-        basis = _legendre_basis(xi)
+        basis = _basis(xi)
         return np.einsum("nsk,kn->ns", self.coefficients[which, bodies, states], basis)
 
     def in_parts(self, panels: slice, states: slice) -> np.ndarray:
@@ -145,26 +142,21 @@ def runs(which: np.ndarray) -> Iterator[tuple[int, slice | np.ndarray]]:
             yield value, np.flatnonzero(which == value)
 
 
-def _legendre_basis(xi: np.ndarray) -> np.ndarray:
-    """P_0 .. P_N at xi: (N + 1, n)."""
+def _basis(xi: np.ndarray) -> np.ndarray:
+    """T_0 .. T_N at xi: (N + 1, n)."""
     basis = np.empty((NODES + 1, len(xi)))
     before, now, *rows = basis
-    before[:], now[:] = 1.0, xi
-    for row, more, less in zip(rows, np.multiply.outer(_MORE, xi), _LESS):
-        np.multiply(more, now, out=row)
-        row -= less * before
+    before[:], now[:], twice = 1.0, xi, 2.0 * xi
+    for row in rows:
+        np.multiply(twice, now, out=row)
+        row -= before
         before, now = now, row
     return basis
 
 
 @functools.cache
 def _parts() -> np.ndarray:
-    return _legendre_basis(np.arange(-1, PARTS + 2) * (2.0 / PARTS) - 1.0)
-
-
-# P_(k+1) = (2 k + 1) / (k + 1) x P_k - k / (k + 1) P_(k-1)
-_MORE = [(2 * k + 1) / (k + 1) for k in range(1, NODES)]
-_LESS = [k / (k + 1) for k in range(1, NODES)]
+    return _basis(np.arange(-1, PARTS + 2) * (2.0 / PARTS) - 1.0)
 
 
 @dataclass(eq=False)
@@ -317,7 +309,7 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
             # Picard sweeps start from the last panel's series (28 % fewer of them), or from that
             # of the longer panel that was refused
             before, length, place = known
-            basis = _legendre_basis(place + (after - tau) / length * (1.0 + m.node))
+            basis = _basis(place + (after - tau) / length * (1.0 + m.node))
             x[:, :, :n_states] = (before @ basis).transpose(0, 2, 1)
         else:
             x[:, :, :n_states] = start[:, None, :]
@@ -351,7 +343,7 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
                     k = SWEEPS
                     break
                 top = np.abs(half * (m.series[-1] @ f) * problem.scale).max() if k == 3 else 0.0
-                if top > 100.0 * tolerance:  # much too long, as its tail tells by now
+                if TAIL * top > 100.0 * tolerance:  # much too long, as its tail tells by now
                     break
                 last = change
             else:
@@ -373,7 +365,7 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
             end[:, own] = restore.at(end[:, own], parameters)
         # what must be put back tells of the panel's error too
         moved = (np.abs(end - reached) * problem.scale).max()
-        error = max((tail * problem.scale).max(), 0.1 * moved if moved > 1e-13 else 0.0)
+        error = max(TAIL * (tail * problem.scale).max(), 0.1 * moved if moved > 1e-13 else 0.0)
         # an error below 1e-30 says no more than one of 1e-30, and a quotient must not overflow
         ratio = 0.9 * (tolerance / max(error, 1e-30)) ** (1.0 / NODES)
         if not error <= tolerance:
@@ -440,7 +432,7 @@ def panel_source(kernel: Kernel) -> str:
     head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
     head += f"#define RHS {kernel.name}\n#define NX {n}L\n#define NC {kernel.n_constant}L\n"
     head += f"#define SWEEPS {SWEEPS}\n#define STEEPEST {STEEPEST}\n"
-    head += f"#define NESTED {kernel.nested}\n"
+    head += f"#define TAIL {TAIL}\n#define NESTED {kernel.nested}\n"
     head += f"#define REACH {kernel.reach}\n" if kernel.reach < np.inf else ""
     head += f"#define MANY {MANY}\n#define MOST_PANELS {MOST:g}\n"
     head += f"#define IN_ROWS {rows_in}\n#define OUT_ROWS {rows_out}\n"
@@ -449,19 +441,12 @@ def panel_source(kernel: Kernel) -> str:
 
 
 def _restore_source(kernel: Kernel) -> str:
-    """C99: ``restore(state, constants)`` puts one body's state back on its surfaces, in place."""
-    loops, calls = "", ""
+    """C99: what puts states back on their surfaces, and where it does so; see panels.c."""
+    loops, parts = "", ""
     for i, (restore, row, constant) in enumerate(kernel.restores):
-        n = restore.n_result
-        rows = ", ".join(map(str, range(n)))
         loops += "static " + restore.loop(f"restore_{i}")
-        calls += (
-            f"  {{ static const long rows[] = {{{rows}}}; double to[{n}];\n"
-            f"    restore_{i}(1, 1, state + {row}, rows, 0, c + {constant}, to, rows, 0);\n"
-            f"    memcpy(state + {row}, to, sizeof to); }}\n"
-        )
-    head = "#include <string.h>\n" + loops
-    return head + f"static void restore(double *state, const double *c) {{\n{calls}}}\n"
+        parts += f"{{restore_{i}, {restore.n_result}, {row}, {constant}, {restore.n_constant}}}, "
+    return f"{loops}#define RESTORES {parts}{{0}}\n"
 
 
 @per_structure

@@ -302,8 +302,8 @@ GAIN_LAWS = {"path": "eta", "time": "eta", "guaranteed": "rho"}
 """The gain laws and what their parameter is called."""
 
 
-# Rounding in arc lengths would be most of the error of a great circle's coordinates. x86 has doubles
-# of 80 bits; elsewhere long ones are plain, or have 128 bits that take software ten times as long.
+# Rounding in arc lengths would be most of the error of a great circle's coordinates. x86 has
+# doubles of 80 bits; elsewhere long ones are plain, or have 128 bits and are slow.
 WIDE = np.longdouble if np.finfo(np.longdouble).nmant == 63 else np.float64
 
 

@@ -15,7 +15,6 @@ import threading
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
 from .closed_form import CircleTrack, FlatTrack
 from .groups import SIDES, Group
@@ -241,9 +240,7 @@ class _States(ctypes.Structure):
 
 @functools.cache
 def _projection() -> np.ndarray:
-    """Node values to Chebyshev coefficients, transposed: (N, N)."""
-    node = collocation().node
-    return np.ascontiguousarray(np.linalg.inv(chebyshev.chebvander(node, len(node) - 1)).T)
+    return np.ascontiguousarray(collocation().project.T)
 
 
 class ChartStates:

@@ -172,6 +172,9 @@ static inline int beyond(double u, double v) {
   return ((long long)floor(2.0 * u / TURN) + second_cover(v)) & 1;
 }
 
+/* beyond(u, 0) of a principal u, which is within pi: no division */
+static inline int principal_beyond(double u) { return u < 0.0 || u >= 0.5 * TURN; }
+
 /* y, whose sign says that; it is the same on both covers */
 static inline double side_of(double u, double v) { return sin(u) * cos(v); }
 
@@ -196,7 +199,7 @@ static inline void wind_to(const track_t *k, int turned, const double *ref, long
 static inline int wind(const track_t *k, const double *ref, long stride, double *out, const long *row) {
   const double u = out[row[0]], v = out[row[1]];
   int turned = k->double_cover && second_cover(ref[stride]);
-  if (k->double_cover && (beyond(u, 0.0) != beyond(ref[0], ref[stride]) || on_seam(u, v) ||
+  if (k->double_cover && (principal_beyond(u) != beyond(ref[0], ref[stride]) || on_seam(u, v) ||
                           on_seam(ref[0], ref[stride]))) {
     const double du = wound(u, ref[0], k->period_u) - ref[0];
     const double dv = wound(v, ref[stride], k->period_v) - ref[stride];
@@ -274,7 +277,7 @@ static inline void wind_along(const track_t *k, place_on_t place_on, const void 
     return;
   }
   int turned = second_cover(ref[stride]);
-  if (beyond(out[row[0]], 0.0) != side)
+  if (principal_beyond(out[row[0]]) != side)
     turned ^= over_seam(place_on, path, x, y, side, x2, y2);
   else if (bends && comes_back(place_on, path, side, x, y, x2, y2, &there, &found)) {
     turned ^= over_seam(place_on, path, x, y, side, there, found);
@@ -307,7 +310,7 @@ static inline void wind_beside(const track_t *k, const between_t *w, place_on_t 
                                double x1, long stride, int later, double x, double *out, const long *row) {
   const double *ref = later ? w->after : w->before, u = out[row[0]], v = out[row[1]];
   if (w->signs) {
-    const int differs = beyond(u, 0.0) != w->side;
+    const int differs = principal_beyond(u) != w->side;
     if (!differs && !w->sides && !w->covers) {
       wind_to(k, w->cover, ref, stride, out, row);
       return;
@@ -379,54 +382,39 @@ INLINE void combine(const double *q, long terms, int rows, const double *f, long
                   y + whole * y_row, y_row);
 }
 
-/* y[r][i] = sum_k c[r][k] P_k(xi[i]) for i in [from, to) and up to LANES - 1 more, `terms` > 1
-   terms of each of ROWS_AT_ONCE rows at most, whose number is known to the compiler. */
 #define ROWS_AT_ONCE 12
 
-INLINE void series_group(const double *c, long c_row, int rows, long terms, const double *xi,
-                         long from, long to, double *y, long y_row) {
-  /* P_k = (2 - 1/k) x P_(k-1) - (1 - 1/k) P_(k-2) */
-  static const double less[] = {0, 0, 1. / 2, 1. / 3, 1. / 4, 1. / 5, 1. / 6, 1. / 7, 1. / 8, 1. / 9, 1. / 10,
-                                1. / 11, 1. / 12, 1. / 13, 1. / 14, 1. / 15, 1. / 16};
-  for (long i = from; i < to; i += LANES) {
-    const lanes_t x = *(const lanes_t *)(xi + i);
+/* y[r][i] = sum_k c[r][k] T_k(xi[i]) for i < n and up to LANES - 1 more, `terms` > 1 terms of each of
+   ROWS_AT_ONCE rows at most, whose number is known to the compiler. */
+INLINE void chebyshev(const double *c, long c_row, int rows, long terms, const double *xi, long n,
+                      double *const *y) {
+  for (long i = 0; i < n; i += LANES) {
+    const lanes_t x = *(const lanes_t *)(xi + i), twice = x + x;
     lanes_t before = (lanes_t){0} + 1.0, now = x, sum[ROWS_AT_ONCE];
     UNROLL for (int r = 0; r < rows; r++) sum[r] = c[r * c_row] + c[r * c_row + 1] * now;
 #pragma GCC unroll 1
     for (long k = 2; k < terms; k++) {
-      const lanes_t next = (2.0 - less[k]) * x * now - (1.0 - less[k]) * before;
+      const lanes_t next = twice * now - before;
       before = now, now = next;
       UNROLL for (int r = 0; r < rows; r++) sum[r] += c[r * c_row + k] * now;
     }
-    UNROLL for (int r = 0; r < rows; r++) *(lanes_t *)(y + r * y_row + i) = sum[r];
+    UNROLL for (int r = 0; r < rows; r++) *(lanes_t *)(y[r] + i) = sum[r];
   }
 }
 
-INLINE void series(const double *c, long c_row, int rows, long terms, const double *xi, long from,
-                   long to, double *y, long y_row) {
+INLINE void series_group(const double *c, int rows, const double *xi, long n, double *y, long y_row) {
+  double *row[ROWS_AT_ONCE];
+  UNROLL for (int r = 0; r < rows; r++) row[r] = y + r * y_row;
+  chebyshev(c, N + 1, rows, N + 1, xi, n, row);
+}
+
+/* All terms of a panel's series, any number of rows side by side */
+INLINE void series(const double *c, int rows, const double *xi, long n, double *y, long y_row) {
   const int whole = rows / ROWS_AT_ONCE * ROWS_AT_ONCE;
 #pragma GCC unroll 1
   for (int r = 0; r < whole; r += ROWS_AT_ONCE)
-    series_group(c + r * c_row, c_row, ROWS_AT_ONCE, terms, xi, from, to, y + r * y_row, y_row);
-  if (whole < rows)
-    series_group(c + whole * c_row, c_row, rows - whole, terms, xi, from, to, y + whole * y_row, y_row);
-}
-
-/* y[r][i] = sum_k c[r][k] T_k(xi[i]) for i < n and up to LANES - 1 more, ROWS_AT_ONCE rows at most: Chebyshev's
-   recurrence, T_k = 2 x T_(k-1) - T_(k-2), takes one operation where Legendre's takes three. */
-INLINE void chebyshev(const double *c, int rows, long terms, const double *xi, long n, double *const *y) {
-  for (long i = 0; i < n; i += LANES) {
-    const lanes_t x = *(const lanes_t *)(xi + i), twice = x + x;
-    lanes_t before = (lanes_t){0} + 1.0, now = x, sum[ROWS_AT_ONCE];
-    UNROLL for (int r = 0; r < rows; r++) sum[r] = c[r * N] + c[r * N + 1] * now;
-#pragma GCC unroll 1
-    for (long k = 2; k < terms; k++) {
-      const lanes_t next = twice * now - before;
-      before = now, now = next;
-      UNROLL for (int r = 0; r < rows; r++) sum[r] += c[r * N + k] * now;
-    }
-    UNROLL for (int r = 0; r < rows; r++) *(lanes_t *)(y[r] + i) = sum[r];
-  }
+    series_group(c + r * (N + 1), ROWS_AT_ONCE, xi, n, y + r * y_row, y_row);
+  if (whole < rows) series_group(c + whole * (N + 1), rows - whole, xi, n, y + whole * y_row, y_row);
 }
 
 #endif

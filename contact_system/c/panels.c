@@ -2,10 +2,10 @@
 
    X' = f(X, sigma(tau), decay(tau)) on tau in [0, length] for nb bodies in lockstep; the last
    n_stiff states V obey V' = f_V - lam(tau) V, whose linear part is solved implicitly.
-   The includer defines RHS (a kernel loop, see Kernel.loop), NX, NC, N (nodes) and
-   restore(state, constants), which puts the end of a panel back on its surfaces; NESTED if the last so many
-   states are the rates of as many before them and nothing else depends on them; ONE_PANEL if it calls
-   panel itself; DRIVES 3 if RHS takes local time after sigma and decay.
+   The includer defines RHS (a kernel loop, see Kernel.loop), NX, NC, N (nodes) and RESTORES, the restore_t by
+   which the end of a panel is put back on its surfaces, {0} last; NESTED if the last so many states are the
+   rates of as many before them and nothing else depends on them; ONE_PANEL if it calls panel itself; DRIVES 3
+   if RHS takes local time after sigma and decay.
 
    Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.7: collocation at Gauss
    points conserves quadratic invariants, here F(x), |p|, |q|, p.q of every quadric. */
@@ -79,18 +79,17 @@ static double dot(const double *a, const double *b) {
   return sum;
 }
 
-/* The known series at the nodes of a panel `ratio` times as long, from its end (1) or start (-1):
+/* The terms of a known series at the nodes of a panel `ratio` times as long, from its end (1) or start (-1):
    basis[N + 1][N] */
 static void continuation(const method_t *m, double ratio, double from, double *basis) {
-  double xi[N];
-  for (int i = 0; i < N; i++)
-    xi[i] = from + ratio * (1.0 + m->node[i]), basis[i] = 1.0, basis[N + i] = xi[i];
-  for (int k = 1; k < N; k++) {
-    const double a = (2 * k + 1) / (k + 1.0), b = k / (k + 1.0), *one = basis + k * N;
-    double *next = basis + (k + 1) * N;
-#pragma omp simd
-    for (int i = 0; i < N; i++) next[i] = a * xi[i] * one[i] - b * one[i - N];
+  double twice[N];
+  for (int i = 0; i < N; i++) {
+    basis[i] = 1.0, basis[N + i] = from + ratio * (1.0 + m->node[i]);
+    twice[i] = 2.0 * basis[N + i];
   }
+  for (int k = N; k < N * N; k += N)
+#pragma omp simd
+    for (int i = 0; i < N; i++) basis[k + N + i] = twice[i] * basis[k + i] - basis[k - N + i];
 }
 
 /* One sweep: f at the nodes, then x = start + h/2 Q f (V: the implicit form). Returns the change. */
@@ -102,7 +101,7 @@ static double sweep(const method_t *m, const double *start, const double *c, con
 #else
   static const long rows_in[] = {IN_ROWS}, rows_out[] = {OUT_ROWS};
 #endif
-  double y[NX][N], g[N], worst[N] = {0}, total[N] = {0};
+  double y[NX][N], g[N], worst[N] = {0}, change = 0.0, none = 0.0;
   RHS(1, N, &x[0][0], rows_in, 0, c, &f[0][0], rows_out, 0);
   combine(m->integral, N, NX - 2 * NESTED, f[0], N, start, half, y[0], N);
   if (NESTED) {
@@ -124,25 +123,54 @@ static double sweep(const method_t *m, const double *start, const double *c, con
     for (int i = 0; i < N; i++) {
       double d = fabs(y[s][i] - x[s][i]) * scale[s];
       worst[i] = d > worst[i] ? d : worst[i];
-      total[i] += d; /* catches a NaN, which a maximum drops */
       x[s][i] = y[s][i];
     }
+    none += 0.0 * y[s][0]; /* a maximum drops a NaN, but one at a node is at all of them after a sweep */
   }
-  double change = 0.0, all = 0.0;
-#pragma omp simd reduction(max : change) reduction(+ : all)
-  for (int i = 0; i < N; i++) {
-    change = worst[i] > change ? worst[i] : change;
-    all += total[i];
-  }
-  if (!(all < 1e300)) return HUGE_VAL;
-  return change;
+#pragma omp simd reduction(max : change)
+  for (int i = 0; i < N; i++) change = worst[i] > change ? worst[i] : change;
+  return none == 0.0 ? change : HUGE_VAL;
 }
 
 /* Whether the panel is so much too long that its tail tells before the sweeps have converged. */
 static int hopeless(const method_t *m, double half, const double *scale, double f[NX][N]) {
   for (long r = NX - 2 * NESTED < NX - NESTED ? NX - NESTED : 0; r < NX; r++)
-    if (fabs(half * dot(m->series + N * N, f[r])) * scale[r] > 100.0 * m->tolerance) return 1;
+    if (TAIL * fabs(half * dot(m->series + N * N, f[r])) * scale[r] > 100.0 * m->tolerance) return 1;
   return 0;
+}
+
+/* What is put back of a state: n numbers from `row`, by a kernel with n_constants numbers from `constant` */
+typedef struct {
+  void (*kernel)(long, long, const double *, const long *, long, const double *, double *, const long *, long);
+  long n, row, constant, n_constants;
+} restore_t;
+
+/* Put states [nb][NX] back on their surfaces; of bodies on the same ones side by side. Returns the greatest
+   change. */
+static double restore(long nb, double *state, const double *constants, const double *scale) {
+  static const restore_t parts[] = {RESTORES};
+  double from[NX * LANES], to[NX * LANES], moved = 0.0;
+  long rows[NX];
+  for (const restore_t *p = parts; p->kernel; p++)
+    for (long b = 0, m; b < nb; b += m) {
+      const double *c = constants + b * NC + p->constant, *size = scale + b * NX + p->row;
+      double *own = state + b * NX + p->row;
+      for (m = 1; m < LANES && b + m < nb; m++)
+        if (memcmp(c, c + m * NC, p->n_constants * sizeof *c)) break;
+      const long lanes = m > 1 ? LANES : 1; /* the last body fills those that are left */
+      for (long r = 0; r < p->n; r++) {
+        rows[r] = r * lanes;
+        for (long i = 0; i < lanes; i++) from[r * lanes + i] = own[(i < m ? i : m - 1) * NX + r];
+      }
+      p->kernel(1, lanes, from, rows, 0, c, to, rows, 0);
+      for (long r = 0; r < p->n; r++)
+        for (long i = 0; i < m; i++) {
+          const double off = fabs(to[r * lanes + i] - own[i * NX + r]) * size[i * NX + r];
+          moved = off > moved ? off : moved;
+          own[i * NX + r] = to[r * lanes + i];
+        }
+    }
+  return moved;
 }
 
 /* One panel from s->tau: state[nb][NX] to panel_state[nb][NX], both known on the surfaces, and its
@@ -215,18 +243,15 @@ static int panel(long nb, const double *state, const double *constants, const do
       top = dot(m->series + N * N, f[r]);
       o[N] = half * top, o[0] += start[r];
       double tail = fabs(o[N]), last_but_one = 0.1 * fabs(o[N - 1]);
-      tail = (tail > last_but_one ? tail : last_but_one) * sc[r];
+      tail = TAIL * (tail > last_but_one ? tail : last_but_one) * sc[r];
       error = tail > error ? tail : error;
       panel_state[b * NX + r] = r >= NX - m->n_stiff ? dot(m->end + N, x[r])
                                                      : start[r] + half * dot(m->end, f[r]);
     }
-    double end[NX], moved = 0.0;
-    memcpy(end, panel_state + b * NX, sizeof end);
-    restore(panel_state + b * NX, c);
-    for (long r = 0; r < NX; r++) moved = fmax(moved, fabs(panel_state[b * NX + r] - end[r]) * sc[r]);
-    /* what must be put back tells of the panel's error too */
-    if (moved > 1e-13 && 0.1 * moved > error) error = 0.1 * moved;
   }
+  /* what must be put back tells of the panel's error too */
+  const double moved = restore(nb, panel_state, constants, scale);
+  if (moved > 1e-13 && 0.1 * moved > error) error = 0.1 * moved;
   if (!(error <= m->tolerance)) {
     double shrink = 0.9 * pow(m->tolerance / error, 1.0 / N);
     s->h = (after - tau) * (shrink > 0.35 ? (shrink < 0.8 ? shrink : 0.8) : 0.35);
@@ -236,7 +261,10 @@ static int panel(long nb, const double *state, const double *constants, const do
   double grow = fmin(2.0, 0.9 * pow(m->tolerance / (error > 1e-30 ? error : 1e-30), 1.0 / N));
 #ifdef REACH
   double far = 1e-30; /* sizes that the panel spans */
-  for (long r = 0; r < nb * NX; r++) far = fmax(far, fabs(panel_state[r] - state[r]) * scale[r]);
+  for (long r = 0; r < nb * NX; r++) {
+    const double way = fabs(panel_state[r] - state[r]) * scale[r];
+    far = way > far ? way : far;
+  }
   grow = fmin(grow, REACH / far);
 #endif
   s->h = shared((after - tau) * grow, m->length - after);

@@ -403,7 +403,7 @@ static void join(const track_t *k, int slips, const double *tau, const double *v
 
 /* Coefficients [nb][ROWS][N] from values [nb][rows][N] at the nodes of a piece. Returns the greatest
    tail, in units of each row's size, and counts the terms that make more than a tenth of the tolerance.
-   The last coefficients are less than Legendre's, by which the motion's tails are measured: hence 2. */
+   A tail is taken for twice the last coefficient. */
 INLINE double resolve(const double *project, long nb, int rows, double tolerance, const double *values,
                       piece_t *piece, double *series) {
   static const double angle[ROWS] = {1, 1, 0, 0, 1, 0, 0};
@@ -561,11 +561,11 @@ static void fill_side(const series_t *s, const double *angle, int ordered, long 
       const int spare = from + n + LANES <= nt;
       for (long r = 0; r < ROWS; r++) y[r] = spare && r < 4 ? to + r * nt : sums[r];
       if (piece->slips) {
-        chebyshev(c, ROWS, piece->terms, xi, n, y);
+        chebyshev(c, N, ROWS, piece->terms, xi, n, y);
         for (long r = 2; r < 4; r++)
           for (long i = 0; i < n; i++) y[r][i] -= decay[i] * sums[r + 3][i];
       } else
-        chebyshev(c, SIDE, piece->terms, xi, n, y);
+        chebyshev(c, N, SIDE, piece->terms, xi, n, y);
       for (long r = 2; r < 4 && s->along; r++)
         for (long i = 0; i < n; i++) y[r][i] *= sigma[i];
       for (long r = 0; r < 4 && !spare; r++) memcpy(to + r * nt, sums[r], n * sizeof(double));

@@ -18,9 +18,9 @@
 /* Two rows of the panels at n points */
 static void rows_at(const track_t *k, long b, long row, long n_runs, const run_t *runs,
                     const double *xi, double (*out)[POINTS]) {
+  const double *c = k->coefficients + b * k->body_stride + row * (N + 1);
   for (long r = 0, from = 0; r < n_runs; from = runs[r++].stop)
-    series(k->coefficients + runs[r].panel * k->panel_stride + b * k->body_stride + row * (N + 1),
-           N + 1, 2, N + 1, xi, from, runs[r].stop, out[0], POINTS);
+    series(c + runs[r].panel * k->panel_stride, 2, xi + from, runs[r].stop - from, out[0] + from, POINTS);
 }
 
 /* sigma (W - V) of a body under accelerations */
@@ -55,6 +55,24 @@ static track_t plain_track(const track_t *k, long b) {
   plain.drive.sigma = one, plain.drive.n_sigma = 1, plain.length = same;
   plain.constants += b * NC, plain.coefficients += b * k->body_stride, plain.w += 2 * b, plain.v += 2 * b;
   return plain;
+}
+
+/* n points of body b at places x, in principal coordinates, to their branches; those between two anchors in one
+   go */
+static void wind_all(const track_t *k, long b, long n, const double *x, double *out, const long *row) {
+  const track_t plain = plain_track(k, b);
+  const long m = k->n_anchors;
+  const double *at = k->anchor_at;
+  for (long i = 0, near = 0; i < n;) {
+    near = interval(at, m, x[i], near);
+    const int inside = near + 1 < m;
+    const double *before = k->anchors + b * 3 * m + near, low = at[near], high = inside ? at[near + 1] : HUGE_VAL;
+    const between_t beside = between(k, before, before + inside, m);
+    do {
+      wind_beside(k, &beside, place_on, &plain, low, m, high - x[i] < x[i] - low, x[i], out + i, row);
+      i++;
+    } while (i < n && x[i] >= low && x[i] < high);
+  }
 }
 #endif
 
@@ -97,9 +115,9 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
         point[1][i] = k->w[b] * sigma[i];
       }
 #else
+      const double *c = k->coefficients + b * k->body_stride;
       for (long r = 0, i = 0; r < n_runs; i = runs[r++].stop)
-        series(k->coefficients + runs[r].panel * k->panel_stride + b * k->body_stride, N + 1, NS,
-               N + 1, xi, i, runs[r].stop, point[0], POINTS);
+        series(c + runs[r].panel * k->panel_stride, NS, xi + i, runs[r].stop - i, point[0] + i, POINTS);
 #if NP > NS
       if (k->forced) forced_drive(k, b, n, n_runs, runs, xi, sigma, point + NS);
       else
@@ -126,17 +144,7 @@ long evaluate(const track_t *k, long nt, const double *t, double *out, const lon
       for (long a = 0; a < 2 && k->offset && NR == COORDINATES; a++)
         for (long i = 0; i < n; i++) block[out_row[2 + a] + i] += k->offset[2 * b + a];
 #if defined(WINDS) && !defined(CLOSED)
-      const long m = k->n_anchors;
-      const track_t plain = m ? plain_track(k, b) : *k;
-      between_t beside = {0};
-      for (long i = 0, near = 0; i < n && m; i++) {
-        const double x = k->by_length ? length[i] : tau[i], *at = k->anchor_at;
-        near = interval(at, m, x, near);
-        const double *before = k->anchors + b * 3 * m + near;
-        if (beside.before != before) beside = between(k, before, before + (near + 1 < m), m);
-        const int later = near + 1 < m && at[near + 1] - x < x - at[near];
-        wind_beside(k, &beside, place_on, &plain, at[near], m, later, x, block + i, out_row);
-      }
+      if (k->n_anchors) wind_all(k, b, n, k->by_length ? length : tau, block, out_row);
 #endif
     }
   }

@@ -36,12 +36,9 @@ static drive_t drive_of(const contact_t *k) {
   return (drive_t){k->n_sigma, k->n_exponent, k->power, k->sigma, k->exponent};
 }
 
-static void legendre_at(double xi, double basis[N + 1]) {
+static void chebyshev_at(double xi, double basis[N + 1]) {
   basis[0] = 1.0, basis[1] = xi;
-  for (long k = 1; k < N; k++) {
-    const double a = (2 * k + 1) / (k + 1.0), b = k / (k + 1.0);
-    basis[k + 1] = a * xi * basis[k] - b * basis[k - 1];
-  }
+  for (long k = 1; k < N; k++) basis[k + 1] = 2.0 * xi * basis[k] - basis[k - 1];
 }
 
 /* Local times inside the current panel, its ends included. */
@@ -55,7 +52,7 @@ static void moment(const memory_t *now, long i, double tau, moment_t *m) {
     memcpy(m->y, k->last, sizeof m->y);
   } else {
     double basis[N + 1];
-    legendre_at(2.0 * (tau - k->from) / (k->to - k->from) - 1.0, basis);
+    chebyshev_at(2.0 * (tau - k->from) / (k->to - k->from) - 1.0, basis);
     for (long s = 0; s < n; s++) { /* four sums at a time: one alone waits for itself */
       const double *c = k->series + s * (N + 1);
       double a = c[N] * basis[N], b = 0.0, d = 0.0, e = 0.0;
@@ -313,7 +310,7 @@ static void begin_segment(memory_t *now, long i, const moment_t *m, double place
   } else {
     memcpy(c, k->w1, sizeof k->w1), memcpy(c + 2, k->v, sizeof k->v);
   }
-  motion->restore(k->first, k->constants);
+  motion->restore(1, k->first, k->constants, k->scale);
   memcpy(k->last, k->first, sizeof k->last);
   k->from = k->to = 0.0;
   for (int body = 0; body < 2; body++)

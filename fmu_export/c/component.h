@@ -2,7 +2,7 @@
 
    Two ways through one set of variables. As a block that steps itself (Co-Simulation) each contact
    is moved in frame coordinates, panel by panel of Gauss collocation (contact_system/c/panels.c); a
-   panel's Legendre series is kept, so that a step inside a panel is an evaluation and nothing
+   panel's Chebyshev series is kept, so that a step inside a panel is an evaluation and nothing
    depends on how the horizon is cut into steps. As a system of equations (Model Exchange, and
    initialization in both) everything is a function of the eleven states of each contact.
 
@@ -46,7 +46,7 @@ typedef struct {
   long n_states, n_constants, n_stiff;
   int (*panel)(long, const double *, const double *, const double *, const drive_t *,
                const method_t *, step_t *, double *, double *, double *);
-  void (*restore)(double *, const double *); /* state back onto the surfaces */
+  double (*restore)(long, double *, const double *, const double *); /* states back onto their surfaces */
 } motion_t;
 
 /* forms of finger and object: 9 numbers (x, p, q) in space or 3 (u, v, theta) in the chart */
