@@ -354,7 +354,7 @@ def slip_length(piece: GainPiece, slip_matters: bool, compiled: bool | None) -> 
         scale=np.full((1, 2), 1.0 / max(piece.arc_length(span), TINY)),
         drive=piece,
         length=span,
-        first=span,
+        first=4.0 * span,  # at any tolerance
         slip=float(slip_matters),
     )
     kernel = slip_displacement()

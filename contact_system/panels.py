@@ -37,6 +37,7 @@ SWEEPS = 40
 COARSE = 1e-6  # tolerance beyond which tails tell nothing of errors; panels are hardly fewer
 TAIL = 3.6  # times a series' last coefficient is taken for its error
 STEEPEST = 20.0  # fall of ln(decay) in a panel; 30 takes 3 % more sweeps, 16 as many
+FALL = 4.5  # the same in a first panel at a tolerance of 1e-12
 MANY = 4096  # panels from one look at how many more it will take to the next
 MOST = 1e6  # panels of one interval; beyond, a scene is refused
 MOST_HERE = 1e5  # without compiled kernels, where a panel takes 0.3 ms
@@ -176,7 +177,7 @@ class Problem:
     length : float
         End of the integration in local time.
     first : float
-        First panel to try.
+        First panel to try at a tolerance of 1e-12.
     slip : float
         Greatest |V| of the bodies; 0 where there is none (decay is then not evaluated).
     finish : float
@@ -286,7 +287,10 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
     series: list[np.ndarray] = []
     # what sweeps may start from: a series, its length, and its end (1) or start (-1) at tau
     known: tuple[np.ndarray, float, float] | None = None
-    tau, h, tries, mark = 0.0, min(problem.first, problem.length), 0, 0.0
+    wide = (tolerance / 1e-13) ** (1.0 / NODES)
+    first = problem.first * wide
+    h = longest_panel(drive, slip, 0.0, min(first, problem.length), min(STEEPEST, FALL * wide))
+    tau, tries, mark = 0.0, 0, 0.0
     while tau < problem.length:
         tries += 1
         # a layer at the start may be as thin as it likes
@@ -296,7 +300,7 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
             if MANY * (problem.length - tau) > MOST_HERE * (tau - mark):
                 raise _endless(problem, tau, len(series), MOST_HERE)
             mark = tau
-        h = longest_panel(drive, slip, tau, min(h, problem.length - tau))
+        h = longest_panel(drive, slip, tau, min(h, problem.length - tau), STEEPEST)
         after = tau + h
         if after >= problem.length * (1 - 1e-14):
             after = problem.length
@@ -383,7 +387,7 @@ def _integrate_here(kernel: Kernel, problem: Problem, tolerance: float) -> Panel
         if slip > 0 and finish > 0:
             if slip * drive.decay(tau, drive.speed(tau)) <= finish:
                 slip, released = 0.0, tau  # from here on decay is not evaluated, nor resolved
-                h = problem.first
+                h = first
                 if problem.stops:
                     break
     return Panels(np.array(edges), np.array(series), start, released)
@@ -396,17 +400,17 @@ def _shared(h: float, left: float) -> float:
     return left if left < 1.03 * h else 0.5 * left  # 1.03: the tail predicted stays in tolerance
 
 
-def longest_panel(drive: GainPiece, slip: float, tau: float, h: float) -> float:
-    """Shorten a panel: ln(decay) may fall by STEEPEST, also if it goes on as at the start, so that
+def longest_panel(drive: GainPiece, slip: float, tau: float, h: float, steepest: float) -> float:
+    """Shorten a panel: ln(decay) may fall by so much, also if it goes on as at the start, so that
     the first node still sees a layer there. A gain that grows later is seen by the other nodes."""
     if slip <= 0:
         return h
     first, lost = drive.gain(tau), drive.lost(tau)
     for _ in range(60):
         gain = max(first, (drive.lost(tau + h) - lost) / h)
-        if gain * h <= STEEPEST or lost > 40.0:
+        if gain * h <= steepest or lost > 40.0:
             break
-        h = max(0.5 * h, 0.99 * STEEPEST / gain)
+        h = max(0.5 * h, 0.99 * steepest / gain)
     return h
 
 
@@ -431,7 +435,7 @@ def panel_source(kernel: Kernel) -> str:
     # Inlined, a loop of 16 is unrolled and then poorly packed: five times slower.
     head = PRELUDE + "static __attribute__((noinline)) " + kernel.loop_source
     head += f"#define RHS {kernel.name}\n#define NX {n}L\n#define NC {kernel.n_constant}L\n"
-    head += f"#define SWEEPS {SWEEPS}\n#define STEEPEST {STEEPEST}\n"
+    head += f"#define SWEEPS {SWEEPS}\n#define STEEPEST {STEEPEST}\n#define FALL {FALL}\n"
     head += f"#define TAIL {TAIL}\n#define NESTED {kernel.nested}\n"
     head += f"#define REACH {kernel.reach}\n" if kernel.reach < np.inf else ""
     head += f"#define MANY {MANY}\n#define MOST_PANELS {MOST:g}\n"

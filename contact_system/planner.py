@@ -62,6 +62,7 @@ from .tracks import (
 )
 
 # Slip whose whole remaining displacement is below this fraction of tolerance * size is let go.
+FIRST = 0.7  # least radii of curvature along a first panel's path, at a tolerance of 1e-12
 NEGLIGIBLE = 0.01
 # The same of what no tolerance asks for.
 ROUNDING = 1e-17
@@ -86,8 +87,8 @@ class Body:
         Length scale of each, m.
     state : (n, 6) ambient, (x, p); or (n, 3) chart, (u, v, theta)
     ambient : bool
-    size : float
-        The least of the sizes, m.
+    size, bend : float
+        The least of the sizes, and of the least radii of curvature, m.
     scales : dict
         What does not depend on where they stand: the scale of (x, p).
     """
@@ -98,6 +99,7 @@ class Body:
     state: np.ndarray
     ambient: bool
     size: float
+    bend: float
     scales: dict[bool, np.ndarray] = field(default_factory=dict)
 
     @classmethod
@@ -105,13 +107,17 @@ class Body:
         """Bodies of one structure, nowhere yet."""
         parameters = np.array([s.parameters for s in surfaces], dtype=float)
         sizes, nowhere = [s.size for s in surfaces], np.empty((len(surfaces), 0))
-        return cls(surfaces[0], parameters, np.array(sizes)[:, None], nowhere, False, min(sizes))
+        return cls(
+            surfaces[0], parameters, np.array(sizes)[:, None], nowhere, False, min(sizes),
+            min(s.bend for s in surfaces),
+        )  # fmt: skip
 
     def at(self, state: np.ndarray, ambient: bool) -> Body:
         """The same bodies elsewhere."""
         return Body(
-            self.surface, self.parameters, self.sizes, state, ambient, self.size, self.scales
-        )
+            self.surface, self.parameters, self.sizes, state, ambient, self.size, self.bend,
+            self.scales,
+        )  # fmt: skip
 
     @property
     def lame(self) -> np.ndarray:
@@ -551,7 +557,7 @@ class GroupPlanner:
             scale=scale,
             drive=GainPiece(0.0, length, (1.0,), (0.0,), 0),
             length=length,
-            first=min(length, 1.5 * body.size),
+            first=FIRST * body.bend,
         )
         track = (GeodesicTrack if form else MovingTrack)(
             body.surface, body.parameters, piece, why + "; no closed form on this surface",
@@ -669,7 +675,7 @@ class GroupPlanner:
                 scale=body.scale,
                 drive=interval.piece,
                 length=span,
-                first=_first_panel(interval.piece, span, body.size),
+                first=_first_panel(interval.piece, span, body.bend),
                 slip=slip,
                 finish=finish if offset is None else 0.0,
                 stops=stops,
@@ -739,7 +745,7 @@ class GroupPlanner:
             scale=obj.scale,
             drive=interval.piece,
             length=span,
-            first=_first_panel(interval.piece, span, min(tip.size, obj.size)),
+            first=_first_panel(interval.piece, span, min(tip.bend, obj.bend)),
             slip=1.0,
             stiff=2,
         )
@@ -802,7 +808,7 @@ class GroupPlanner:
             scale=np.hstack([tip.scale, obj.scale]),
             drive=piece,
             length=length,
-            first=_first_panel(piece, length, min(tip.size, obj.size)),
+            first=_first_panel(piece, length, min(tip.bend, obj.bend)),
         )
         try:
             # beside a pole these equations magnify what a coarse tolerance leaves
@@ -932,13 +938,15 @@ def _decaying(v: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndarray:
         return v[:, :, None] * piece.decay(tau, piece.speed(tau))
 
 
-def _first_panel(piece: GainPiece, span: float, size: float) -> float:
-    """About the time in which a path grows as long as 0.3 of a size, s."""
-    reach = 0.3 * size
+def _first_panel(piece: GainPiece, span: float, bend: float) -> float:
+    """About the time in which a path grows as long as a first panel may be, s."""
+    reach = FIRST * bend
     first = span * min(1.0, reach / max(piece.arc_length(span), TINY))
     for _ in range(20):  # sigma may grow a lot
+        if first == span:
+            return 4.0 * span  # at any tolerance
         longer = min(1.5 * first, span)
-        if first == span or piece.arc_length(longer) > reach:
+        if piece.arc_length(longer) > reach:
             break
         first = longer
     return first

@@ -114,6 +114,11 @@ class Surface:
         raise NotImplementedError
 
     @property
+    def bend(self) -> float:
+        """Least radius of curvature, m, as far as it is known; else the size."""
+        return self.size
+
+    @property
     def developable(self) -> bool:
         """T = 0 exactly and constant Lame coefficients: a straight line stays one, unrolled."""
         return self.chart.developable
@@ -567,6 +572,10 @@ class Torus(Surface):
     def size(self) -> float:
         return self.major + self.minor
 
+    @property
+    def bend(self) -> float:
+        return min(self.minor, self.major - self.minor)
+
     def _level(self, p: SX, x: SX) -> SX:
         return ((hypot(x[0], x[1]) - p[0]) ** 2 + x[2] ** 2 - p[1] ** 2) / 2
 
@@ -613,6 +622,10 @@ class Ellipsoid(Surface):
     @property
     def size(self) -> float:
         return self.a
+
+    @property
+    def bend(self) -> float:
+        return self.c**2 / self.a
 
     def _level(self, p: SX, x: SX) -> SX:
         axes = {
@@ -692,6 +705,10 @@ class Quadric(Surface):
     @property
     def size(self) -> float:
         return max(self._principal[1])
+
+    @property
+    def bend(self) -> float:
+        return min(self._principal[1]) ** 2 / max(self._principal[1])
 
     def _rotation(self, p: SX) -> SX:
         return ca.reshape(p[3:12], 3, 3).T

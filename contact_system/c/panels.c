@@ -18,15 +18,15 @@
 #endif
 #define CONVERGED (NESTED ? 1e-3 : 1e-2) /* of the tolerance; rates do not show in a nested change */
 
-/* A panel shortened: ln(decay) may fall by STEEPEST, also if it goes on as at the start, so that the first node
+/* A panel shortened: ln(decay) may fall by so much, also if it goes on as at the start, so that the first node
    still sees a layer there. A gain that grows later is seen by the other nodes. */
-static double longest(const drive_t *d, const method_t *m, double tau, double h) {
+static double longest(const drive_t *d, const method_t *m, double tau, double h, double steepest) {
   if (m->slip <= 0) return h;
   const double first = gain_at(d, tau), lost = horner(d->exponent, d->n_exponent, tau);
   for (int k = 0; k < 60; k++) {
     const double lam = fmax(first, (horner(d->exponent, d->n_exponent, tau + h) - lost) / h);
-    if (lam * h <= STEEPEST || lost > 40.0) break;
-    h = fmax(0.5 * h, 0.99 * STEEPEST / lam);
+    if (lam * h <= steepest || lost > 40.0) break;
+    h = fmax(0.5 * h, 0.99 * steepest / lam);
   }
   return h;
 }
@@ -181,7 +181,7 @@ static int panel(long nb, const double *state, const double *constants, const do
                  double *panel_state) {
   const double tau = s->tau;
   double h = s->h, lam[N], inv[N * N], basis[(N + 1) * N];
-  h = longest(drive, m, tau, h < m->length - tau ? h : m->length - tau);
+  h = longest(drive, m, tau, h < m->length - tau ? h : m->length - tau, STEEPEST);
   double after = tau + h;
   if (after >= m->length * (1 - 1e-14)) after = m->length;
   double half = 0.5 * (after - tau), t[N], sig[N], dec[N] = {0};
@@ -280,7 +280,8 @@ static int panel(long nb, const double *state, const double *constants, const do
 long panels(long nb, double *state, const double *constants, const double *scale,
             const drive_t *drive, method_t *m, double *edges, double *coefficients,
             double *work, double *panel_state) {
-  step_t s = {.h = m->first};
+  const double wide = pow(m->tolerance / 1e-13, 1.0 / N), first = m->first * wide;
+  step_t s = {.h = longest(drive, m, 0.0, fmin(first, m->length), fmin(STEEPEST, FALL * wide))};
   long count = 0, tries = 0;
   double mark = 0.0;
   edges[0] = 0.0;
@@ -306,7 +307,7 @@ long panels(long nb, double *state, const double *constants, const double *scale
         m->released = s.tau;
         if (m->stops) break;
         m->slip = 0.0; /* from here on decay is not evaluated, nor resolved */
-        s.h = m->first;
+        s.h = first;
       }
     }
   }
