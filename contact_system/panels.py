@@ -186,6 +186,8 @@ class Problem:
         End the integration there, else go on without slip.
     stiff : int
         How many trailing states carry the term -lam.
+    variable : str
+        What ``length`` is of, for messages.
     """
 
     name: str
@@ -199,6 +201,7 @@ class Problem:
     finish: float = 0.0
     stops: bool = False
     stiff: int = 0
+    variable: str = "local time"
 
     def moved(self, start: np.ndarray, constants: np.ndarray, **others: Any) -> Problem:
         """This problem from another start with other constants, both contiguous."""
@@ -254,7 +257,7 @@ def _stuck(problem: Problem, tau: float) -> ContactSystemError:
         "double precision; start elsewhere, change the direction or end the scene before"
     )
     return ContactSystemError(
-        f"{problem.name}: the motion cannot be continued past local time "
+        f"{problem.name}: the motion cannot be continued past {problem.variable} "
         f"{problem.drive.start + tau:.9g}: {why}"
     )
 
@@ -265,8 +268,9 @@ def _endless(problem: Problem, tau: float, count: int, most: float = MOST) -> Co
         "a surface of your own a greater size; where a disturbance drives the contact into a pole "
         "of its chart, end its window before"
     )
+    reached = problem.drive.start + tau
     return ContactSystemError(
-        f"{problem.name}: {count} panels reach local time {problem.drive.start + tau:.9g} of "
+        f"{problem.name}: {count} panels reach {problem.variable} {reached:.9g} of "
         f"{problem.drive.start + problem.length:.9g} only, more than {most:g} would be needed; "
         + why
         + (", or plan with compiled=True" if most < MOST else "")

@@ -558,6 +558,7 @@ class GroupPlanner:
             drive=GainPiece(0.0, length, (1.0,), (0.0,), 0),
             length=length,
             first=FIRST * body.bend,
+            variable="arc length",
         )
         track = (GeodesicTrack if form else MovingTrack)(
             body.surface, body.parameters, piece, why + "; no closed form on this surface",

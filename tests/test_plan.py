@@ -690,7 +690,8 @@ def test_states_are_refused_where_the_centre_of_an_implicit_surface_does_not_see
 @pytest.mark.parametrize("tolerance", [1e-12, 1e-3])
 @pytest.mark.parametrize(("obj", "at", "along", "text"), [
     (BALL, (0.5, 0.2), (-1.0, 0.0), r"contact 0: .*ParametricSurface.* at \(u, v\) = \(.*, 0.2\)"),
-    (CONE, (0.2, 0.05), (0.0, -1.0), r"contact 0: .*ParametricSurface.* at \(u, v\) = \(0.2, .*\)"),
+    (CONE, (0.2, 0.05), (0.0, -1.0),
+     r"contact 0: .*(ParametricSurface.* at \(u, v\) = \(0.2, .*\)|past arc length 0.07071.*chart)"),
 ])  # fmt: skip
 def test_path_straight_through_a_pole_of_a_users_chart_is_refused(
     obj, at, along, text, tolerance, compiled
@@ -709,18 +710,25 @@ def test_path_straight_through_a_pole_of_a_users_chart_is_refused(
         cs.plan(scene((along[0], -along[1]), at), tolerance, compiled=compiled)
 
 
-@pytest.mark.parametrize(("u", "profile", "tolerance"), [
-    (1.4602377788256433, (0.02, 0.3), 1.4e-10), (1.4653, (0.02, 0.3), 1e-8),
-    (1.4619653747157348, (0.4, -0.39), 1.1e-3), (1.46066526, (0.4, -0.39), 1.6e-4),
+@pytest.mark.parametrize(("profile", "tolerance"), [
+    ((0.02, 0.3), 1.4e-10), ((0.02, 0.3), 1e-8), ((0.4, -0.39), 1.1e-3), ((0.4, -0.39), 1.6e-4),
 ])  # fmt: skip
 @pytest.mark.parametrize("searched", [1, 4096])
-def test_a_pole_beside_the_end_of_a_panel_is_seen(monkeypatch, u, profile, tolerance, searched):
+def test_a_pole_is_seen_wherever_panels_end(monkeypatch, profile, tolerance, searched):
     monkeypatch.setattr(panel_tracks, "SEARCHED", searched)
-    contact = cs.Contact(cs.Plane(), (u, 0.2), (0.0, 0.0), finger_velocity=(-1.0, 0.0))
-    common = {"object": BALL, "profile": cs.Profile(profile), "duration": 1.0}
-    scene = cs.Scene(contacts=[contact], **common)
-    with pytest.raises(ContactSystemError, match=r"singular point of its chart.* at \(u, v\) = "):
-        cs.plan(scene, tolerance, compiled=False)
+    refused, t = 0, np.linspace(0, 1, 11)
+    for u in np.linspace(1.46, 1.47, 40):
+        contact = cs.Contact(cs.Plane(), (u, 0.2), (0.0, 0.0), finger_velocity=(-1.0, 0.0))
+        common = {"contacts": [contact], "profile": cs.Profile(profile), "duration": 1.0}
+        try:
+            pose = cs.plan(cs.Scene(object=BALL, **common), tolerance, compiled=False).pose(t)
+        except ContactSystemError as error:
+            assert "singular point of its chart" in str(error)
+            refused += 1
+        else:  # rounding may lead a path past the pole, in ever smaller panels
+            right = cs.plan(cs.Scene(object=cs.Sphere(0.1), **common)).pose(t)
+            assert pose == pytest.approx(right, abs=tolerance)
+    assert refused > 5
 
 
 @pytest.mark.parametrize("u", [1e-6, 1e-3, 0.98, 0.999, 1 - 1e-7, 1 + 1e-7, 1.01])
