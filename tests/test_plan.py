@@ -691,7 +691,7 @@ def test_states_are_refused_where_the_centre_of_an_implicit_surface_does_not_see
 @pytest.mark.parametrize(("obj", "at", "along", "text"), [
     (BALL, (0.5, 0.2), (-1.0, 0.0), r"contact 0: .*ParametricSurface.* at \(u, v\) = \(.*, 0.2\)"),
     (CONE, (0.2, 0.05), (0.0, -1.0),
-     r"contact 0: .*(ParametricSurface.* at \(u, v\) = \(0.2, .*\)|past arc length 0.07071.*chart)"),
+     r"contact 0: .*(ParametricSurface.* at \(u, v\) = \(0.2, .*\)|past arc length 0.07071)"),
 ])  # fmt: skip
 def test_path_straight_through_a_pole_of_a_users_chart_is_refused(
     obj, at, along, text, tolerance, compiled

@@ -66,6 +66,23 @@ def test_fingers_that_turn_many_times_miss_no_turn(tolerance):
 
 
 @COMPILER
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])
+def test_along_a_meridian_the_noise_of_longitude_asks_for_no_pieces(tolerance):
+    contact = cs.Contact(
+        finger=cs.Sphere(0.08), object_at=(0.9, 0.4), finger_at=(1.0, 0.2), angle=0.0,
+        finger_velocity=(1.0, 0.0), object_velocity=(1.3, 0.0),
+    )  # fmt: skip
+    scene = cs.Scene(object=cs.Sphere(0.12), contacts=[contact], gain=cs.Gain.path(600.0),
+                     profile=cs.Profile([0.001, 0, 0.4]), duration=1.0)  # fmt: skip
+    plan, out = cs.plan(scene, tolerance=tolerance, compiled=True), np.empty((1, 9, len(TIMES)))
+    made = chart_states(plan.groups[0], True)
+    assert made is not None
+    assert made.fill(tolerance, TIMES, out) == 0
+    expected = cs.plan(scene, tolerance=1e-14, compiled=False).states(TIMES)
+    assert np.abs(out.transpose(2, 0, 1) - expected).max() < 10 * tolerance
+
+
+@COMPILER
 @pytest.mark.parametrize("aside", [1e-2, 1e-3, 1e-4, 1e-6, 1e-8])
 def test_fingers_that_graze_a_pole_take_no_end_of_pieces(aside):
     for k in range(5):

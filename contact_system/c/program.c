@@ -403,18 +403,26 @@ static void join(const track_t *k, int slips, const double *tau, const double *v
 
 /* Coefficients [nb][ROWS][N] from values [nb][rows][N] at the nodes of a piece. Returns the greatest
    tail, in units of each row's size, and counts the terms that make more than a tenth of the tolerance.
-   A tail is taken for twice the last coefficient. */
+   A tail is taken for twice the last coefficient. A rate that is small beside the others may be noise: along a
+   meridian the other one is. */
 INLINE double resolve(const double *project, long nb, int rows, double tolerance, const double *values,
                       piece_t *piece, double *series) {
-  static const double angle[ROWS] = {1, 1, 0, 0, 1, 0, 0};
-  double worst = 0.0;
+  static const int angle[ROWS] = {1, 1, 0, 0, 1, 0, 0};
+  double worst = 0.0, sizes[ROWS];
   piece->terms = 2;
   for (long j = 0; j < nb; j++, values += rows * N, series += ROWS * N) {
     combine(project, N, rows, values, N, NULL, 1.0, series, N);
+    double rates = 0.0;
     for (long r = 0; r < rows; r++) {
-      const double *c = series + r * N, *v = values + r * N;
-      double size = angle[r];
-      for (int i = 0; i < N; i++) size = fabs(v[i]) > size ? fabs(v[i]) : size;
+      double size = 0.0;
+#pragma omp simd reduction(max : size)
+      for (int i = 0; i < N; i++) size = fabs(values[r * N + i]) > size ? fabs(values[r * N + i]) : size;
+      sizes[r] = size;
+      if (!angle[r] && size > rates) rates = size;
+    }
+    for (long r = 0; r < rows; r++) {
+      const double *c = series + r * N, least = angle[r] ? 1.0 : 0.01 * rates;
+      const double size = sizes[r] > least ? sizes[r] : least;
       const double tail = 2.0 * fmax(fabs(c[N - 1]), 0.1 * fabs(c[N - 2]));
       if (tail > worst * size) worst = tail / size; /* evaluate lets no NaN pass */
       long terms = N;
