@@ -647,7 +647,7 @@ long states(const asked_t *asked) {
       const side_t *side = p->side + object;
       const motion_t *motion = side->track;
       const long n = chunk(last, first);
-      double *rows = out + 4 * object * nt, *psi = out + (OUT - 1) * nt, where[3 * MOST];
+      double *rows = out + 4 * object * nt, *psi = out + (OUT - 1) * nt, where[3 * MOST] = {0};
       const double *from = object ? NULL : angle + first;
       motion_t own;
       if (!side->moves || !kind)
@@ -665,8 +665,12 @@ long states(const asked_t *asked) {
         /* beyond a quarter of the times series save nothing */
         const track_t along = track_along(k);
         s.track = k, s.along = !k->slips && (k->by_length || !k->edges) && along.stop > 0.0;
-        code = divide(p, side, s.along ? &along : k, bar, 40 + nt / 4, where, &s) ? 0 : -4;
-        if (!code) fill_side(&s, from, ordered, nt, t, rows, psi);
+        double last[3 * MOST];
+        memcpy(last, where, 3 * n * sizeof(double));
+        if (divide(p, side, s.along ? &along : k, bar, 20 + nt / 16, last, &s))
+          fill_side(&s, from, ordered, nt, t, rows, psi);
+        else
+          code = copy_side(side, k, where, from, nt, t, rows, psi);
       }
       if (side->moves && kind) free(own.block);
     }
