@@ -61,8 +61,8 @@ from .tracks import (
     scale_kernel,
 )
 
+FIRST = 0.7  # least radii along a first panel's path, at a tolerance of 1e-12
 # Slip whose whole remaining displacement is below this fraction of tolerance * size is let go.
-FIRST = 0.7  # least radii of curvature along a first panel's path, at a tolerance of 1e-12
 NEGLIGIBLE = 0.01
 # The same of what no tolerance asks for.
 ROUNDING = 1e-17
@@ -88,7 +88,7 @@ class Body:
     state : (n, 6) ambient, (x, p); or (n, 3) chart, (u, v, theta)
     ambient : bool
     size, bend : float
-        The least of the sizes, and of the least radii of curvature, m.
+        The least of the sizes, and of the least radii, m.
     scales : dict
         What does not depend on where they stand: the scale of (x, p).
     """

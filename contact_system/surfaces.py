@@ -115,7 +115,8 @@ class Surface:
 
     @property
     def bend(self) -> float:
-        """Least radius of curvature, m, as far as it is known; else the size."""
+        """Least radius, m, as far as it is known; else the size. That of curvature may be far less
+        at a tip or on an inner rim, which few paths meet."""
         return self.size
 
     @property
@@ -574,7 +575,7 @@ class Torus(Surface):
 
     @property
     def bend(self) -> float:
-        return min(self.minor, self.major - self.minor)
+        return self.minor
 
     def _level(self, p: SX, x: SX) -> SX:
         return ((hypot(x[0], x[1]) - p[0]) ** 2 + x[2] ** 2 - p[1] ** 2) / 2
@@ -625,7 +626,7 @@ class Ellipsoid(Surface):
 
     @property
     def bend(self) -> float:
-        return self.c**2 / self.a
+        return self.c
 
     def _level(self, p: SX, x: SX) -> SX:
         axes = {
@@ -708,7 +709,7 @@ class Quadric(Surface):
 
     @property
     def bend(self) -> float:
-        return min(self._principal[1]) ** 2 / max(self._principal[1])
+        return min(self._principal[1])
 
     def _rotation(self, p: SX) -> SX:
         return ca.reshape(p[3:12], 3, 3).T

@@ -710,6 +710,20 @@ def test_path_straight_through_a_pole_of_a_users_chart_is_refused(
         cs.plan(scene((along[0], -along[1]), at), tolerance, compiled=compiled)
 
 
+@pytest.mark.parametrize(("finger", "at"), [
+    (cs.Ellipsoid(0.1, 0.1, 0.001), (0.4, 0.3)), (cs.Ellipsoid(0.1, 0.001, 0.00099), (1.2, 0.3)),
+    (cs.Torus(0.1, 0.1 * (1 - 1e-9)), (0.3, 0.5)),
+])  # fmt: skip
+def test_a_short_path_far_from_a_tip_or_an_inner_rim_takes_few_panels(finger, at):
+    contact = cs.Contact(finger, (0.0, 0.0), at, finger_velocity=(0.6, 0.8))
+    scene = cs.Scene(
+        object=cs.Plane(), contacts=[contact], profile=cs.Profile([0.002]), duration=1.0
+    )
+    plan = cs.plan(scene, compiled=False)
+    plan.pose(0.5)
+    assert plan.groups[0].finger[0].panels.count <= 6
+
+
 @pytest.mark.parametrize(("profile", "tolerance"), [
     ((0.02, 0.3), 1.4e-10), ((0.02, 0.3), 1e-8), ((0.4, -0.39), 1.1e-3), ((0.4, -0.39), 1.6e-4),
 ])  # fmt: skip
