@@ -555,16 +555,15 @@ VECTOR double asin(double); VECTOR double acos(double);
 """
 _FLAGS = ["-std=gnu99", "-O3", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math",
           "-fopenmp-simd", "-march=native"]  # fmt: skip
-if platform.machine().lower() in ("x86_64", "amd64"):
-    # GCC prefers half the width of AVX-512 on Intel's processors: 10 to 20 % slower on crowds
-    _FLAGS.append("-mprefer-vector-width=512")
-# Tried in turn until one builds.  GCC's sincos pass would turn sin(x), cos(x) into a call that has
-# no vector form (measured: 7 times slower); Clang finds glibc's vector forms by its own option.
-_VARIANTS = (
-    ["-fdisable-tree-sincos", "-lmvec", "-lm"],
-    ["-fveclib=libmvec", "-lmvec", "-lm"],
-    ["-lm"],
-)
+# GCC prefers half the width of AVX-512 on Intel's processors: 10 to 20 % slower on crowds. Before
+# its version 8 it had no such option.
+_X86 = platform.machine().lower() in ("x86_64", "amd64")
+_WIDTHS = [["-mprefer-vector-width=512"], []] if _X86 else [[]]
+# GCC's sincos pass would turn sin(x), cos(x) into a call that has no vector form (measured: 7 times
+# slower); Clang finds glibc's vector forms by its own option.
+_FORMS = ["-fdisable-tree-sincos", "-lmvec"], ["-fveclib=libmvec", "-lmvec"], []
+# Tried in turn until one builds
+_VARIANTS = [[*width, *form, "-lm"] for width in _WIDTHS for form in _FORMS]
 
 
 @functools.cache
@@ -654,7 +653,8 @@ def _machine_tag() -> str:
 def library_path(source: str) -> Path:
     """The cache file of a C source: its name is a digest of source, flags and machine."""
     compiler = " ".join(find_compiler() or ("none",))
-    digest = hashlib.sha256("\0".join([source, *_FLAGS, compiler, _machine_tag()]).encode())
+    flags = [*_FLAGS, *_VARIANTS[0]]
+    digest = hashlib.sha256("\0".join([source, *flags, compiler, _machine_tag()]).encode())
     suffix = ".dll" if sys.platform == "win32" else ".so"
     return cache_folder() / (digest.hexdigest()[:24] + suffix)
 

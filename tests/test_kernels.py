@@ -269,6 +269,22 @@ def test_compiler_named_by_cc_comes_first(monkeypatch, tmp_path, fresh_cache):
     assert " ".join(find_compiler()) == real
 
 
+@needs_compiler
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a shell")
+def test_a_compiler_that_knows_no_width_builds_too(monkeypatch, tmp_path, fresh_cache):
+    wrapper, real = tmp_path / "gcc7", " ".join(find_compiler())
+    find_compiler.cache_clear()
+    wrapper.write_text(
+        '#!/bin/sh\ncase "$*" in *-mprefer-vector-width*) echo unrecognized >&2; exit 1;; esac\n'
+        f'exec {real} "$@"\n'
+    )
+    wrapper.chmod(0o755)
+    monkeypatch.setenv("CC", str(wrapper))
+    out = np.empty((1, 4, 3))
+    area_kernel()(np.ones((1, 2, 3)), np.ones((1, 1)), out, compiled=True)
+    assert out[0, 0] == pytest.approx(1.0)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a shell")
 def test_failing_compiler_is_quoted(monkeypatch, tmp_path, fresh_cache):
     wrapper = tmp_path / "badcc"
