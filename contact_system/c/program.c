@@ -662,7 +662,7 @@ long states(const asked_t *asked) {
       if (!code && !(side->resolve && nt > SERIES_PAY * (k->edges ? k->n_panels : 3)))
         code = copy_side(side, k, where, from, nt, t, rows, psi);
       else if (!code) {
-        /* beyond a quarter of the times series save nothing */
+        /* by nt / 16 tries N nodes are as many samples as the times: series save nothing */
         const track_t along = track_along(k);
         s.track = k, s.along = !k->slips && (k->by_length || !k->edges) && along.stop > 0.0;
         double last[3 * MOST];
