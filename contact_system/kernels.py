@@ -561,7 +561,7 @@ _X86 = platform.machine().lower() in ("x86_64", "amd64")
 _WIDTHS = [["-mprefer-vector-width=512"], []] if _X86 else [[]]
 # GCC's sincos pass would turn sin(x), cos(x) into a call that has no vector form (measured: 7 times
 # slower); Clang finds glibc's vector forms by its own option.
-_FORMS = ["-fdisable-tree-sincos", "-lmvec"], ["-fveclib=libmvec", "-lmvec"], []
+_FORMS: list[list[str]] = [["-fdisable-tree-sincos", "-lmvec"], ["-fveclib=libmvec", "-lmvec"], []]
 # Tried in turn until one builds
 _VARIANTS = [[*width, *form, "-lm"] for width in _WIDTHS for form in _FORMS]
 

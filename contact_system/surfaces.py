@@ -115,8 +115,8 @@ class Surface:
 
     @property
     def bend(self) -> float:
-        """Least radius, m, as far as it is known; else the size. That of curvature may be far less
-        at a tip or on an inner rim, which few paths meet."""
+        """Least radius of curvature, m, as far as it is known and where many paths come; else the
+        size. At a tip or on an inner rim, which few paths meet, it may be far less."""
         return self.size
 
     @property
@@ -626,7 +626,7 @@ class Ellipsoid(Surface):
 
     @property
     def bend(self) -> float:
-        return self.c
+        return max(self.c**2 / self.a, self.c / 3)
 
     def _level(self, p: SX, x: SX) -> SX:
         axes = {

@@ -66,6 +66,21 @@ def test_fingers_that_turn_many_times_miss_no_turn(tolerance):
 
 
 @COMPILER
+@pytest.mark.parametrize(("axes", "at", "along", "tolerance"), [
+    ((0.1, 0.0004438, 0.0002084), (0.6568, 1.305), (0.1245, -0.4823), 1e-10),
+    ((0.1, 0.0008505, 0.0005225), (0.9113, 1.2948), (-0.8555, -5.435e-5), 3e-8),
+    ((0.1, 0.0049151, 0.0017677), (0.6223, -1.3992), (0.4888, 0.7038), 1e-11),
+])  # fmt: skip
+def test_axes_are_right_where_panels_are_short_against_the_body(axes, at, along, tolerance):
+    contact = cs.Contact(cs.Plane(), at, (0.0, 0.0), finger_velocity=along)
+    scene = cs.Scene(object=cs.Ellipsoid(*axes), contacts=[contact], profile=cs.Profile([0.1]),
+                     duration=1.0)  # fmt: skip
+    found = cs.plan(scene, tolerance=tolerance, compiled=True).pose(TIMES)
+    expected = cs.plan(scene, tolerance=1e-14, compiled=False).pose(TIMES)
+    assert np.abs(found - expected)[..., :3, :3].max() < tolerance
+
+
+@COMPILER
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])
 def test_along_a_meridian_the_noise_of_longitude_asks_for_no_pieces(tolerance):
     contact = cs.Contact(

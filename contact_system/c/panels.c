@@ -16,7 +16,7 @@
 #ifndef NESTED
 #define NESTED 0
 #endif
-#define CONVERGED (NESTED ? 1e-3 : 1e-2) /* of the tolerance; rates do not show in a nested change */
+#define CONVERGED 1e-2 /* of the tolerance */
 
 /* A panel shortened: ln(decay) may fall by so much, also if it goes on as at the start, so that the first node
    still sees a layer there. A gain that grows later is seen by the other nodes. */
@@ -212,7 +212,9 @@ static int panel(long nb, const double *state, const double *constants, const do
     memcpy(x[NX], sig, sizeof sig);
     memcpy(x[NX + 1], dec, sizeof dec);
     if (DRIVES > 2) memcpy(x[NX + DRIVES - 1], t, sizeof t);
-    double last = HUGE_VAL, change = HUGE_VAL;
+    double last = HUGE_VAL, change = HUGE_VAL, converged = CONVERGED;
+    /* rates do not show in a nested change: they change by more, as the panel is shorter than what moves */
+    for (long r = NX - NESTED; r < NX; r++) converged = fmin(converged, CONVERGED * half * sc[r - NESTED] / sc[r]);
     int k = 0;
     for (; k < SWEEPS; k++) {
       change = sweep(m, start, c, sc, half, lam, inv, x, f);
@@ -221,7 +223,7 @@ static int panel(long nb, const double *state, const double *constants, const do
          is stiff, as all that was wrong is gone at one stroke. */
       const int tells = k > 1 || (last < 0.01 && !m->n_stiff);
       double next = tells && change < 0.3 * last ? change * (change / last) : change;
-      if (next <= m->tolerance * CONVERGED || change <= 4e-16) break;
+      if (next <= m->tolerance * converged || change <= 4e-16) break;
       if (k > 6 && change <= 1e-13 && change > 0.25 * last) break;
       if (!(change < 1e10) || (k > 3 && change > 4.0 * last)) { k = SWEEPS; break; }
       if (k == 3 && hopeless(m, half, sc, f)) break;
