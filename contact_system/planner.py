@@ -940,8 +940,8 @@ def _decaying(v: np.ndarray, piece: GainPiece, tau: np.ndarray) -> np.ndarray:
 
 
 def _first_panel(piece: GainPiece, span: float, bend: float) -> float:
-    """About the time in which a path grows as long as a first panel may be, s."""
-    reach = FIRST * bend
+    """About the time in which a path that may slip grows as long as a first panel may be, s."""
+    reach = 0.4 * FIRST * bend
     first = span * min(1.0, reach / max(piece.arc_length(span), TINY))
     for _ in range(20):  # sigma may grow a lot
         if first == span:
