@@ -287,7 +287,7 @@ def _row(plan: Plan, r: Rejection) -> tuple[str, ...]:
     slip = (f"{r.start:.3e}", f"{r.peak:.3e}", f"{r.peak_time:.3f}", f"{r.end:.3e}")
     timing = ("-", "-", "-", "-")
     if not math.isnan(r.time):
-        left = plan.scene.duration - r.since
+        left = plan.end - r.since
         taken = f"{r.time:.4f}" if math.isfinite(r.time) else f"> {left:g}"
         reported = "-" if math.isnan(r.reported) else f"{r.reported:g}"
         answer = {True: "yes", False: "no", None: "-"}[r.as_reported]

@@ -84,8 +84,8 @@ def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, n
         s, m/s; only times at which there is slip.
     """
     profile, gain = plan.scene.profile, plan.scene.gain
-    grid = np.linspace(plan.start, plan.scene.duration, count)
-    knots = [plan.start, *np.ravel(windows(plan, contact)), plan.scene.duration]
+    grid = np.linspace(plan.start, plan.end, count)
+    knots = [plan.start, *np.ravel(windows(plan, contact)), plan.end]
     times, values = [np.empty(0)], [np.empty(0)]
     for start, stop in zip(knots[::2], knots[1::2]):
         t = np.concatenate([[start], grid[(grid > start) & (grid < stop)], [stop]])
@@ -200,7 +200,7 @@ def _magnitude(plan: Plan, contact: int, t: float) -> float:
 def _monotone_from(plan: Plan) -> np.ndarray:
     """Times between which slip that nothing disturbs only grows or only shrinks, s."""
     ends = np.ravel(plan.scene.contraction().intervals)
-    return np.unique(np.clip([plan.start, *ends, plan.scene.duration], plan.start, None))
+    return np.unique(np.clip([plan.start, *ends, plan.end], plan.start, None))
 
 
 def _last_before_edges(plan: Plan) -> np.ndarray:

@@ -86,7 +86,7 @@ def plan(
 class Plan:
     """Contact curves of a scene, evaluated on demand. Made by :func:`plan`.
 
-    All times are in seconds inside [:attr:`start`, ``scene.duration``], in any order; results have
+    All times are in seconds inside [:attr:`start`, :attr:`end`], in any order; results have
     the times along their first axis and the contacts along the second. At a window's edge they are
     those after it; at the end of the horizon, those before it. A time outside raises a
     ContactSystemError. Several threads may ask one plan, and plan scenes, at the same time.
@@ -98,7 +98,13 @@ class Plan:
     method, solver : str
     start : float
         Where the plan begins, s: 0, or the time of :meth:`restart` or :meth:`continued`.
+    end : float
+        Where it ends, s: ``scene.duration``.
     """
+
+    _groups: list[Group] | None = None
+    _begun: Begun | None = None
+    _asked = False
 
     def __init__(
         self,
@@ -110,19 +116,19 @@ class Plan:
         start: float,
         starts: Starts | None,
     ):
-        for word, asked, known in (("method", method, METHODS), ("solver", solver, SOLVERS)):
-            if asked not in known:
-                raise SceneError(f"{word} = {asked!r}: use one of {', '.join(known)}")
+        if method not in METHODS:
+            raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
+        if solver not in SOLVERS:
+            raise SceneError(f"solver = {solver!r}: use one of {', '.join(SOLVERS)}")
         if not isinstance(scene, Scene):
             require_scene(scene)
         if not (type(tolerance) is float and 1e-15 <= tolerance <= 0.1):
             tolerance = checked_tolerance(tolerance)
-        compiled = flag(compiled, "compiled", none=True)
+        if compiled is not True:
+            compiled = flag(compiled, "compiled", none=True)
         self.scene, self.tolerance, self.method = scene, tolerance, method
         self.solver, self.compiled, self.start, self.starts = solver, compiled, start, starts
-        self._groups: list[Group] | None = None
-        self._begun: Begun | None = None
-        self._asked = False
+        self.end = scene.duration
         if method == "chart":
             given = [s for s in starts or () if isinstance(s, Start)]
             given = given or [scene_start(contact) for contact in scene.contacts]
@@ -140,7 +146,6 @@ class Plan:
                 self._groups = self._begun.groups(scene, self.tolerance)
                 require_regular(scene, self._groups)
         self._count = len(scene.contacts)
-        self._programs: dict[str, Program | None] = {}
 
     def __reduce__(self) -> tuple:
         """What is pickled and copied: what the plan is made from, as in :meth:`save`."""
@@ -355,10 +360,10 @@ class Plan:
             raise SceneError(f"{where}: state = {state!r}; give numbers, shape {shape}") from None
         if measured.shape != shape:
             raise SceneError(f"{where}: state has shape {measured.shape}; give {shape}")
-        if not t < self.scene.duration:
+        if not t < self.end:
             raise SceneError(
                 f"{where} at t = {t:g} s: nothing is left to plan, the scene ends at "
-                f"{self.scene.duration:g} s; restart earlier or lengthen the scene"
+                f"{self.end:g} s; restart earlier or lengthen the scene"
             )
         measured = self._on_branch(t, measured)
         offsets, starts = acting(self.scene, t)[:, 4:], []
@@ -429,7 +434,7 @@ class Plan:
         count : int
             Of the equally spaced ones.
         """
-        grid, spacing = np.linspace(self.start, self.scene.duration, count, retstep=True)
+        grid, spacing = np.linspace(self.start, self.end, count, retstep=True)
         edges = np.array([e for e in self.scene.edges if e >= self.start])
         same = (np.abs(grid[:, None] - edges) < 1e-9 * spacing).any(axis=1)
         return np.union1d(grid[~same], edges)
@@ -457,12 +462,12 @@ class Plan:
 
     def _times(self, t: ArrayLike) -> np.ndarray:
         times = _one_axis(t)
-        if times.size and not (times.min() >= self.start and times.max() <= self.scene.duration):
+        if times.size and not (times.min() >= self.start and times.max() <= self.end):
             self._refuse(times)
         return times
 
     def _refuse(self, times: np.ndarray) -> None:
-        first, last = self.start, self.scene.duration
+        first, last = self.start, self.end
         bad = times[~((times >= first) & (times <= last))]
         raise ContactSystemError(
             f"{self.scene.title}: t = {float(bad[0])!r} s is outside the plan's horizon "
@@ -567,6 +572,10 @@ class Plan:
         """Whether nothing was asked yet: who looks once needs no motions that are kept."""
         first, self._asked = not self._asked and self._groups is None, True
         return first
+
+    @kept
+    def _programs(self) -> dict[str, Program | None]:
+        return {}
 
     def _program(self, output: str) -> Program | None:
         if len(self.groups) == 1:

@@ -206,7 +206,7 @@ def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
 
 
 def _time_axis(ax: Any, plan: Plan) -> None:
-    ax.set_xlim(plan.start, plan.scene.duration)
+    ax.set_xlim(plan.start, plan.end)
     ax.set_xlabel("time [s]")
     ax.ticklabel_format(axis="x", scilimits=(-2, 4))  # longer numbers run into each other
 

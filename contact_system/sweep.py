@@ -159,7 +159,7 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
         since[d.contact] = max(since[d.contact], d.stop)
     # a rate offset's slip ends with its window: what was there is seen just before
     before = np.where(since > plan.start, np.nextafter(since, plan.start), since)
-    grid = np.linspace(plan.start, plan.scene.duration, SAMPLES)
+    grid = np.linspace(plan.start, plan.end, SAMPLES)
     t = np.unique(np.concatenate([grid, since, before]))
     slip = plan.slip_speed(t)
     return {
@@ -167,7 +167,7 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
         "slip_peak": slip.max(axis=0),
         "slip_end": slip[-1],
         "recovery": _recovery(t, slip, since, before),
-        "state_end": plan.states([plan.scene.duration])[0],
+        "state_end": plan.states([plan.end])[0],
     }
 
 

@@ -169,14 +169,18 @@ class Block:
         ContactSystemError
             What stands in the way; time stands still then.
         """
-        now, target = self.now, float(target)  # an importer's time may be numpy's
+        now = self.now
+        if type(target) is not float:  # an importer's time may be numpy's
+            target = float(target)
         if not now.settled:
             self._settle(target)
-        if target > self._end():
+        assert now.plan is not None
+        if target > now.plan.end:
             self._lengthen(target)
         now.time = target
         self.row += 1
-        self.hold(False)
+        if now.pending:
+            self.hold(False)
 
     def hold(self, pending: bool) -> None:
         """Keep values as they are before the edge that time is at, or let them pass it."""
@@ -209,13 +213,13 @@ class Block:
         now, plan = self.now, self.now.plan
         if now.settled or plan is None:
             return
-        at = min(self.snapped(now.time), self._end())
+        at = min(self.snapped(now.time), plan.end)
         if now.pending:  # what is set now acts already before the edge
             at = max(math.nextafter(at, -math.inf), plan.start)
         if at - plan.start <= _rounding(at):  # nothing has moved yet
             assert plan.starts is not None
             least = max(target, _just_after(plan.start))
-            self._plan_from(plan.start, max(self._end(), target), least, plan.starts)
+            self._plan_from(plan.start, max(plan.end, target), least, plan.starts)
             return
         lasted = at - plan.start
         if at < target <= at + 2 * lasted and self._follow(at, target):
@@ -227,18 +231,13 @@ class Block:
     def _lengthen(self, target: float) -> None:
         plan = self.now.plan
         assert plan is not None
-        at, length = self._end(), self._scene_with(self.now.values).profile.arc_length
+        at, length = plan.end, self._scene_with(self.now.values).profile.arc_length
         # Twice as far as before, so that few plans follow after an input, not one a step; along the
         # path, which is what a plan costs, at most four times as far.
         end, most = at + 2 * (at - plan.start), 5 * length(at) - 4 * length(plan.start)
         while end > target and length(end) > most:
             end = at + 0.5 * (end - at)
         self._plan_on(at, max(target, end), target)
-
-    def _end(self) -> float:
-        plan = self.now.plan
-        assert plan is not None
-        return _end_of(plan)
 
     def _moments(self, at: float) -> list[Moment]:
         """Where each contact has come to."""
@@ -470,12 +469,11 @@ class Block:
     def _lay_out(self, times: Sequence[float]) -> None:
         plan = self.now.plan
         assert plan is not None
-        last = self._end()
-        self.times = [float(t) for t in times if t <= last] or [self.now.time]
+        self.times = [float(t) for t in times if t <= plan.end] or [self.now.time]
         at = np.array([self.snapped(t) for t in self.times])
         if self.now.pending:
             at = np.nextafter(at, -math.inf)
-        self._at = np.clip(at, plan.start, last)
+        self._at = np.clip(at, plan.start, plan.end)
 
     def _tabulated(self, key: tuple[int, ...]) -> list[list[float]]:
         """Rows of values, one for each time laid out."""
@@ -614,11 +612,6 @@ class Block:
         return found
 
 
-def _end_of(plan: Plan | Following) -> float:
-    """Until when a motion is known, s."""
-    return plan.end if isinstance(plan, Following) else plan.scene.duration
-
-
 def _rounding(time: float) -> float:
     """Times this near are one time, as in the C of an FMU: ten steps of 0.1 s are not 1 s."""
     return 8 * sys.float_info.epsilon * max(1.0, time)
@@ -707,7 +700,7 @@ def state_bytes(memory: Memory, model: bytes) -> bytes:
         plan = memory.plan
         starts = [vars(start) for start in plan.starts or ()]
         step = isinstance(plan, Following)
-        plain["plan"] = {"start": plan.start, "end": _end_of(plan), "starts": starts, "step": step}
+        plain["plan"] = {"start": plan.start, "end": plan.end, "starts": starts, "step": step}
     body = json.dumps(plain).encode()
     return _HEADER.pack(_MAGIC, _VERSION, len(body), model, digest(body)) + body
 
