@@ -176,7 +176,7 @@ class Plan:
         at_once = self._states_at_once(t)
         if at_once is not None:
             return at_once
-        out = self._fill("coordinates", t, 5)  # u v u' v' theta of the finger, then of the object
+        out = self._coordinates(t)
         psi = self._at_first("angle")[:, None] - (out[:, 4] + out[:, 9])
         out[:, 4:8] = out[:, 5:9]
         out[:, 8] = psi
@@ -184,8 +184,10 @@ class Plan:
 
     def points(self, t: ArrayLike) -> np.ndarray:
         """Contact point on finger and object, each in its body's frame: (len(t), n, 2, 3), m."""
-        out = self._fill("points", t, 3)
-        return out.reshape(self._count, 2, 3, -1).transpose(3, 0, 1, 2)
+        times = _one_axis(t)
+        out = np.empty((self._count, 2, 3, len(times)))
+        self._fill("points", times, 3, out)
+        return out.transpose(3, 0, 1, 2)
 
     def slip(self, t: ArrayLike) -> np.ndarray:
         """Slip v_rel in E2 (eq. `netrelvel`): (len(t), n_contacts, 2), m/s.
@@ -247,7 +249,7 @@ class Plan:
         """
         self._require_frames("carried")
         out = np.empty((len(_one_axis(t)), self._count, 2, 3))
-        out[..., 0] = self._fill("coordinates", t, 5)[:, 4::5].transpose(2, 0, 1)
+        out[..., 0] = self._coordinates(t)[:, 4::5].transpose(2, 0, 1)
         times = self._times(t)
         for group in self.groups:
             for record, where in _parts(group.slips, times):
@@ -474,13 +476,18 @@ class Plan:
             f"[{first:g}, {last:g}] s; ask inside it, or lengthen the scene's duration"
         )
 
-    def _fill(self, output: str, t: ArrayLike, count: int) -> np.ndarray:
-        """``count`` rows of the finger, then of the object: (n_contacts, 2 count, n_times)."""
+    def _coordinates(self, t: ArrayLike) -> np.ndarray:
+        """u v u' v' theta of the finger, then of the object: (n_contacts, 10, n_times)."""
         times = _one_axis(t)
-        out = np.empty((self._count, 2 * count, len(times)))
+        out = np.empty((self._count, 10, len(times)))
+        self._fill("coordinates", times, 5, out)
+        return out
+
+    def _fill(self, output: str, times: np.ndarray, count: int, out: np.ndarray) -> None:
+        """Write ``count`` rows of the finger, then of the object, of each contact."""
         if self._fill_compiled(output, times, count, out):
-            return out
-        only = len(self.groups) == 1
+            return
+        only, out = len(self.groups) == 1, out.reshape(self._count, 2 * count, len(times))
         group = self.groups[0]
         try:
             times = self._times(times)
@@ -491,7 +498,6 @@ class Plan:
                     out[group.contacts] = values
         except ChartSingularity as error:
             raise self._named(group, error) from None
-        return out
 
     def _states_at_once(self, t: ArrayLike) -> np.ndarray | None:
         """The states by one compiled call, or None where there is no such way (program.py)."""

@@ -185,6 +185,17 @@ def by_contacts(
     if count <= MOST_AT_ONCE or count * len(t) < 2 * WORTH or (found := processors()) < 2:
         return run(ASKED.pack(*head, 0, count, *times))
     threads = min(count * len(t) // WORTH, -(-count // MOST_AT_ONCE), found)
+    return _side_by_side(run, head, count, times, threads)
+
+
+def _side_by_side(
+    run: Callable[[bytes], int],
+    head: tuple[int, int, float, int, int, int],
+    count: int,
+    times: tuple[int, int, int],
+    threads: int,
+) -> int:
+    """The same in threads, each of which takes a share of the contacts when it is free."""
     step = MOST_AT_ONCE * -(-count // (MOST_AT_ONCE * SHARES * threads))
     left, codes = iter(range(0, count, step)), {}
 
