@@ -49,11 +49,10 @@ def follow(
 ) -> None:  # fmt: skip
     """Bring u, v, rates, theta at places x, (n, 5, m), to the branch of anchors beside them."""
     nearest = np.searchsorted(0.5 * (at[1:] + at[:-1]), x)
-    reference = anchors[:, :, nearest]
+    before = np.clip(np.searchsorted(at, x, side="right") - 1, 0, len(at) - 2)
     if surface.double_cover:
         # that on the point's side of y = 0, and its cover; where both anchors are on one side,
         # the path has left it between them, and must be followed
-        before = np.clip(np.searchsorted(at, x, side="right") - 1, 0, len(at) - 2)
         side = second_cover(values[:, 0], values[:, 1])[1]
         covers, sides = second_cover(anchors[:, 0], anchors[:, 1])
         first, last = sides[:, before], sides[:, before + 1]
@@ -71,6 +70,12 @@ def follow(
         values[:, 2:4] *= np.where(turned, -1.0, 1.0)[:, None]
         values[:, 4] += np.pi * turned
     else:
+        # beside a pole, where v and theta swing by half a turn, the anchor that is nearer in theta
+        theta, ends = values[:, 4], (anchors[:, 2, before], anchors[:, 2, before + 1])
+        off = [np.abs(x - TURN * np.rint(x / TURN)) for x in (theta - ends[0], theta - ends[1])]
+        swings = np.abs(ends[1] - ends[0]) > 0.25 * TURN
+        chosen = np.where(swings, before + (off[1] < off[0]), nearest)
+        reference = np.take_along_axis(anchors, chosen[:, None], axis=2)
         for row, period in enumerate(surface.periods()):
             if period is not None:
                 wind(values[:, row], reference[:, row], period)

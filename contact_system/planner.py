@@ -533,7 +533,8 @@ class GroupPlanner:
             return self._great_circle(side, body, w, piece, why)
         if body.surface.developable:
             return self._flat(body, w, 0 * w, piece, None, why)
-        length = piece.arc_length(stop - start)
+        # where sigma touches zero at a window's edge an interval may be rounding long
+        length = max(piece.arc_length(stop - start), TINY)
         form = geodesic_form(body.surface, body.ambient) if w.any(1).all() else None
         if form is not None:
             found = form.start.at(np.hstack([body.state, w]), body.parameters)

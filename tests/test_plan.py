@@ -809,6 +809,48 @@ def test_panels_too_short_for_a_difference_of_times_are_no_warning():
     assert np.diff(plan.groups[0].object[0].panels.edges).min() < 1e-14
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_coordinates_lose_no_turn_where_a_path_that_slips_goes_straight_through_a_pole(compiled):
+    rng = np.random.default_rng(3)
+    for k in range(60):
+        contact = cs.Contact(
+            finger=cs.Sphere(0.04), finger_at=(1.3, 0.2), finger_velocity=(-1.0, 0.0),
+            object_at=(rng.uniform(0.4, 2.6), rng.uniform(-3, 3)), object_velocity=(0.6, 0.0),
+        )  # fmt: skip
+        scene = cs.Scene(
+            object=cs.Sphere(0.1) if k % 2 else cs.Ellipsoid(0.1, 0.1, 0.07), contacts=[contact],
+            profile=cs.Profile([rng.uniform(0.3, 1.0)]), duration=1.0,
+            gain=cs.Gain.path(10.0 ** rng.uniform(0, 4)),
+        )  # fmt: skip
+        plan = cs.plan(scene, tolerance=10.0 ** rng.uniform(-13, -6), compiled=compiled)
+        for count in (150, 701):
+            with contextlib.suppress(cs.ChartSingularity):  # a time at a pole
+                v = plan.states(np.linspace(0.0, 1.0, count))[:, 0, [1, 5]]
+                assert np.abs(np.diff(v, axis=0)).max() < 3.2
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("obj", [
+    cs.Torus(3.0, 1.0), cs.Ellipsoid(3.0, 2.0, 1.0),
+    cs.ParametricSurface(("u", "v", "0.1*cos(u)*cos(v)")),
+])  # fmt: skip
+def test_a_window_may_end_where_rounding_sees_the_path_rest_an_instant_later(obj, compiled):
+    profile = cs.Profile((2.442754781845688, -0.3257006375794251, 0.010856687919314168))
+    edge = 15.0
+    (rest,) = profile.extrema(0.0, 30.0)
+    assert edge < rest < edge + 1e-14  # between them no path is left, or less than none
+    scene = cs.Scene(
+        object=obj, profile=profile, gain=cs.Gain.guaranteed(5.0), duration=30.0,
+        contacts=[cs.Contact(finger=cs.Sphere(0.5), finger_at=(1.3, 0.2), object_at=(0.9, 0.4))],
+        disturbances=[cs.ObjectRateOffset(0, 6.0, edge, (0.1, 0.2))],
+    )  # fmt: skip
+    t = [edge - 1e-9, edge, rest, edge + 1e-9]
+    for ask in ("points", "states"):
+        found = getattr(cs.plan(scene, tolerance=1e-8, compiled=compiled), ask)(t)[:, 0]
+        found = found[..., [0, 1, 4, 5, 8]] if ask == "states" else found
+        assert np.abs(found - found[1]).max() < 1e-8
+
+
 def test_chart_equations_refuse_a_path_straight_through_a_pole():
     contact = cs.Contact(cs.Sphere(0.04), object_at=(0.5, 0.2), finger_velocity=(-1.0, 0.0))
     common = {"profile": cs.Profile([0.1]), "duration": 1.0}

@@ -288,16 +288,19 @@ static inline void wind_along(const track_t *k, place_on_t place_on, const void 
 
 /* How points between two anchors are told their branch: where both are on one branch and one side of y = 0,
    points there too are on it; where they are on two sides, by the one on the same side; where one side has two
-   branches, by following the path; and by the nearer where signs tell nothing. */
+   branches, by following the path; and by the nearer where signs tell nothing. Beside a pole v and theta swing
+   by half a turn: a point is on the branch of the anchor that is nearer in theta. */
 typedef struct {
   const double *before, *after;
   int signs, sides, covers; /* whether signs tell; whether sides, covers of the surface differ */
   int side, cover;          /* of the first */
+  int swings;
 } between_t;
 
 static inline between_t between(const track_t *k, const double *before, const double *after, long stride) {
   between_t w = {.before = before, .after = after};
   w.signs = k->double_cover && !on_seam(before[0], before[stride]) && !on_seam(after[0], after[stride]);
+  w.swings = !k->double_cover && fabs(after[2 * stride] - before[2 * stride]) > 0.25 * TURN;
   if (!w.signs) return w;
   w.side = beyond(before[0], before[stride]), w.sides = w.side != beyond(after[0], after[stride]);
   w.cover = second_cover(before[stride]), w.covers = w.cover != second_cover(after[stride]);
@@ -308,6 +311,10 @@ static inline between_t between(const track_t *k, const double *before, const do
    being the later or not */
 static inline void wind_beside(const track_t *k, const between_t *w, place_on_t place_on, const void *path,
                                double x1, long stride, int later, double x, double *out, const long *row) {
+  if (w->swings) {
+    const double a = out[row[4]] - w->before[2 * stride], b = out[row[4]] - w->after[2 * stride];
+    later = fabs(b - TURN * rint(b / TURN)) < fabs(a - TURN * rint(a / TURN));
+  }
   const double *ref = later ? w->after : w->before, u = out[row[0]], v = out[row[1]];
   if (w->signs) {
     const int differs = principal_beyond(u) != w->side;
