@@ -23,7 +23,7 @@ from .measures import (
     regular_times,
     windows,
 )
-from .plan import Plan
+from .plan import Plan, require_plan
 from .profile import Gain, Profile
 from .scene import Scene
 from .surfaces import Surface
@@ -74,9 +74,9 @@ def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: in
     MissingMatplotlib
         If it is not installed.
     ContactSystemError
-        No path, another ending, or a file that cannot be written.
+        No plan, no path, another ending, or a file that cannot be written.
     """
-    laws = [plan] if other is None else [plan, other]
+    laws = _plans(plan, other)
     with Picture(path, (12, 6), dpi) as figure:
         left, right = figure.subfigures(1, 2, width_ratios=(1, 0.95))
         draw_title(left, plan)
@@ -88,6 +88,7 @@ def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: in
 
 def plot_curves(plan: Plan, path: str | os.PathLike, dpi: int = 160) -> None:
     """Contact curves in 3-D, on the object and on a finger; see :func:`plot`."""
+    require_plan(plan)
     with Picture(path, (12, 6), dpi) as figure:
         draw_title(figure, plan)
         _draw_object(figure.add_axes((0.02, 0.04, 0.58, 0.80)), plan)
@@ -99,10 +100,17 @@ def plot_slip(
     plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: int = 160
 ) -> None:
     """Slip magnitude of each contact on a log axis beside its exact law; see :func:`plot`."""
-    laws = [plan] if other is None else [plan, other]
+    laws = _plans(plan, other)
     with Picture(path, (11, 5), dpi) as figure:
         _draw_slip(figure.add_axes((0.09, 0.13, 0.62, 0.77)), laws)
         _key(figure.add_axes((0.73, 0.13, 0.26, 0.77)), plan, laws, bodies=False)
+
+
+def _plans(plan: Plan, other: Plan | None) -> list[Plan]:
+    laws = [plan] if other is None else [plan, other]
+    for given in laws:
+        require_plan(given)
+    return laws
 
 
 def _slips(plan: Plan) -> bool:

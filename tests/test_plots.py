@@ -178,6 +178,15 @@ def test_a_picture_that_cannot_be_written_is_refused(tmp_path):
             plots.plot_slip(plan, tmp_path / name)
 
 
+@pytest.mark.parametrize("draw", [plots.plot, plots.plot_slip, plots.plot_curves])
+def test_a_scene_in_the_place_of_its_plan_is_refused(draw, tmp_path):
+    scene = cs.load_scene("K1")
+    plans = [(scene,)] if draw is plots.plot_curves else [(scene,), (cs.plan(scene), scene)]
+    for first, *other in plans:
+        with pytest.raises(cs.ContactSystemError, match=r"give a Plan, such as plan\(scene\)"):
+            draw(first, tmp_path / "x.png", *other)
+
+
 def test_missing_matplotlib_names_the_remedy(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(plots.MissingMatplotlib, match=r'pip install "contact-system\[plot\]"'):
