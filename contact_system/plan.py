@@ -60,8 +60,8 @@ def plan(
     ----------
     scene : Scene
     tolerance : float
-        Bound of the error of contact points, as a fraction of the body's size, 1e-15 to 1e-1. It
-        holds for paths of a few sizes. Errors made on the way grow with the path, by as much as
+        Bound of the error of contact points, as a fraction of the body's ``size``, 1e-15 to 1e-1.
+        It holds for paths of a few sizes. Errors made on the way grow with the path, by as much as
         the surfaces draw neighbouring paths apart: over hundreds of sizes, and where accelerations
         drive a contact many times around, to tens or hundreds of tolerances. Below 1e-12, and for
         places many sizes from the origin, rounding may count for more.
@@ -86,10 +86,11 @@ def plan(
 class Plan:
     """Contact curves of a scene, evaluated on demand. Made by :func:`plan`.
 
-    All times are in seconds inside [:attr:`start`, :attr:`end`], in any order; results have
-    the times along their first axis and the contacts along the second. At a window's edge they are
-    those after it; at the end of the horizon, those before it. A time outside raises a
-    ContactSystemError. Several threads may ask one plan, and plan scenes, at the same time.
+    Times are in seconds inside [:attr:`start`, :attr:`end`], one or an axis of them, in any order;
+    results have the times along their first axis, of length 1 for one time, and the contacts along
+    the second. At a window's edge they are those after it; at the end of the horizon, those before
+    it. A time outside raises a ContactSystemError. Several threads may ask one plan, and plan
+    scenes, at the same time.
 
     Attributes
     ----------
@@ -434,8 +435,10 @@ class Plan:
         Parameters
         ----------
         count : int
-            Of the equally spaced ones.
+            Of the equally spaced ones, at least 1.
         """
+        if not isinstance(count, numbers.Integral) or isinstance(count, bool) or count < 1:
+            raise ContactSystemError(f"count = {count!r}: give a whole number, at least 1")
         grid, spacing = np.linspace(self.start, self.end, count, retstep=True)
         edges = np.array([e for e in self.scene.edges if e >= self.start])
         same = (np.abs(grid[:, None] - edges) < 1e-9 * spacing).any(axis=1)
@@ -470,10 +473,15 @@ class Plan:
 
     def _refuse(self, times: np.ndarray) -> None:
         first, last = self.start, self.end
-        bad = times[~((times >= first) & (times <= last))]
+        bad = float(times[~((times >= first) & (times <= last))][0])
+        others = ""
+        if bad > last:
+            others = ", or lengthen the scene's duration"
+        elif 0 <= bad < first:
+            others = ", or the plan that this one goes on from"
         raise ContactSystemError(
-            f"{self.scene.title}: t = {float(bad[0])!r} s is outside the plan's horizon "
-            f"[{first:g}, {last:g}] s; ask inside it, or lengthen the scene's duration"
+            f"{self.scene.title}: t = {bad!r} s is outside the plan's horizon "
+            f"[{first:g}, {last:g}] s; ask inside it{others}"
         )
 
     def _coordinates(self, t: ArrayLike) -> np.ndarray:

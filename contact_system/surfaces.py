@@ -110,7 +110,7 @@ class Surface:
 
     @property
     def size(self) -> float:
-        """Length scale, m: the greatest radius."""
+        """Length, m, of which tolerances are fractions: the greatest radius; of a plane 1 m."""
         raise NotImplementedError
 
     @property

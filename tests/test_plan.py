@@ -961,6 +961,11 @@ def test_restart_has_no_past():
     again = plan.restart(0.5, plan.states(0.5)[0])
     with pytest.raises(ContactSystemError, match=r"outside the plan's horizon \[0.5, 1\] s"):
         again.states(0.4)
+    for t, remedy in ((0.4, "or the plan that this one goes on from"), (1.5, "or lengthen")):
+        with pytest.raises(ContactSystemError, match=f"ask inside it, {remedy}"):
+            again.slip(t)
+    with pytest.raises(ContactSystemError, match="ask inside it$"):
+        again.points(-1.0)
     assert again.sample_times(11)[0] == 0.5
 
 
@@ -1227,6 +1232,12 @@ def test_an_edge_on_a_sample_time_is_sampled_once(edge):
     times = cs.plan(one_contact(disturbances=(window,))).sample_times()
     assert len(times) == 401 and np.diff(times).min() > 0.0024
     assert {0.0, edge, 0.8, 1.0} <= set(times)
+
+
+@pytest.mark.parametrize("count", [0, -1, 2.5, "9", True])
+def test_a_count_of_times_is_a_whole_number(count):
+    with pytest.raises(ContactSystemError, match=f"count = {count!r}: give a whole number"):
+        cs.plan(one_contact()).sample_times(count)
 
 
 def test_object_at_rest_starts_with_the_whole_path_velocity_as_slip():
