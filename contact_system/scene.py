@@ -86,7 +86,8 @@ class Contact:
         Chart coordinates (u, v) of the contact on the object and on the finger (rad, or the
         chart's own units). A scene brings them into the chart's regular range: a point with an
         inward frame, such as (-1.57, 2.44) on a sphere, becomes the same point with the frame the
-        equations assume, and the velocities are read in that frame.
+        equations assume, and the velocities are read in that frame. A triaxial ellipsoid's chart
+        covers it twice: there velocities, angle and disturbances are turned with the frame.
     angle : float
         psi at t = 0, the contact angle between the two frames [rad].
     finger_velocity : (float, float) or "rolling"
