@@ -63,6 +63,7 @@ from contact_system import (
     Cylinder,
     Ellipsoid,
     Plane,
+    Quadric,
     Scene,
     SceneError,
     Sphere,
@@ -320,6 +321,26 @@ def contact_depth(config: PlantConfig) -> float:
     return power * config.normal_force / config.stiffness
 
 
+def check_depth(scene: Scene, config: PlantConfig) -> None:
+    """Raise a SceneError where a contact would be as deep as half a body's least radius."""
+    depth = contact_depth(config)
+    for i, contact in enumerate(scene.contacts):
+        for body in (contact.finger, scene.object):
+            thin = _least_radius(body)
+            if not depth < thin / 2:
+                raise SceneError(
+                    f"stiffness = {config.stiffness!r}: contact {i} would be {depth:.3g} m deep at "
+                    f"normal_force = {config.normal_force!r}, which is too much for {body!r}; give "
+                    f"a stiffness far above {config.stiffness * depth / (thin / 2):.3g} N/m"
+                )
+
+
+def _least_radius(body: Surface) -> float:
+    if isinstance(body, Quadric) and is_round(body):
+        return float(np.linalg.eigvalsh(body.A)[-1] ** -0.5)
+    return min(getattr(body, name) for name in RADII.get(type(body), ("size",)))
+
+
 def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) -> ScenePlant:
     """Add a finalized MultibodyPlant and a SceneGraph with the scene's bodies.
 
@@ -496,17 +517,9 @@ def _check_surfaces(scene: Scene, config: PlantConfig) -> None:
             f"drake_spheres = {config.drake_spheres!r}: object and fingers are not all spheres; "
             "leave it out"
         )
-    depth = contact_depth(config)
+    check_depth(scene, config)
     for i, contact in enumerate(scene.contacts):
         finger = contact.finger
-        for body in (finger, scene.object):
-            thin = min(getattr(body, name) for name in RADII.get(type(body), ("size",)))
-            if not depth < thin / 2:
-                raise SceneError(
-                    f"stiffness = {config.stiffness!r}: contact {i} would be {depth:.3g} m deep at "
-                    f"normal_force = {config.normal_force!r}, which is too much for {body!r}; give "
-                    f"a stiffness far above {config.stiffness * depth / (thin / 2):.3g} N/m"
-                )
         if config.contact_model == "point":
             round_pair = isinstance(finger, Sphere) and isinstance(scene.object, (Sphere, Plane))
             if not round_pair or finger.inside or scene.object.inside:

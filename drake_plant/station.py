@@ -44,6 +44,7 @@ from .plant import (
     AddScenePlant,
     PlantConfig,
     ScenePlant,
+    check_depth,
     check_numbers,
     check_words,
     contact_depth,
@@ -85,7 +86,7 @@ class StationConfig:
         Plan on the radii that bodies roll on once they are pressed together (see
         :func:`rolling_scene`), else on the nominal ones.
     monitor : bool
-        Whether there is a ContactMonitor; the closed loop needs it.
+        Whether there is a ContactMonitor; a closed loop and :func:`simulate` have one anyway.
     """
 
     plant: PlantConfig = field(default_factory=PlantConfig)
@@ -190,13 +191,12 @@ def rolling_scene(scene: Scene, config: PlantConfig) -> Scene:
     Raises
     ------
     SceneError
-        No scene, or no PlantConfig.
-    SurfaceError
-        A body smaller than the depth.
+        No scene, no PlantConfig, or a depth of half a body's least radius or more.
     """
     require_scene(scene)
     with naming(scene.title):
         require_config(config, PlantConfig)
+        check_depth(scene, config)
     depth, point = contact_depth(config), config.contact_model == "point"
     of_finger, of_object = (0.5 * depth, 0.5 * depth) if point else (depth, 0.0)
     contacts = [
