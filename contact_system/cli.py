@@ -108,7 +108,8 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
     number = parser.add_mutually_exclusive_group()
     for name, laws in (("eta", "the laws path and time"), ("rho", "the law guaranteed")):
         number.add_argument(f"--{name}", type=float, metavar="X",
-                            help=f"{name} of {laws}; default: the scene's number")  # fmt: skip
+                            help=f"{name} of {laws}; default: the number of the scene's own law"
+                            )  # fmt: skip
     parser.add_argument("--tolerance", type=float, default=1e-12, metavar="X",
                         help="error of contact points over the body's size; default %(default)g"
                         )  # fmt: skip

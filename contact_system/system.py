@@ -383,7 +383,7 @@ class SceneSystem:
     ----------
     scene : Scene
     coordinates : "chart" or "frame"
-        See the module's text.
+        ``help(contact_system.system)`` explains both, and t, x, w, held and p.
     disturbance_input : bool
         Whether w may hold more than the scene's windows, on every contact.
 
