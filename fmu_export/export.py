@@ -41,8 +41,8 @@ def export_fmu(
     ----------
     scene : Scene
     path : path
-        The file to write, such as ``planner.fmu``. Nothing is written, and what is there stays,
-        unless all goes well.
+        The file to write, such as ``planner.fmu``; its folder is made where it is missing. No file
+        is written, and what is there stays, unless all goes well.
     fmi_version : "2.0" or "3.0"
     interfaces : sequence of "CoSimulation" and "ModelExchange"
     platforms : sequence of str
