@@ -525,6 +525,24 @@ def test_state_bytes_that_were_changed_are_refused(exported):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
+def test_a_state_with_legendre_series_is_refused(version, exported):
+    """Version 1: the same scene's, of the same length, so that only the version tells."""
+    fmu = exported("K4", version)
+    one = fmu.instance()
+    fmu.step(one, 0.0, 0.3)
+    if version == "2.0":
+        write, read = one.serializeFMUstate, one.deSerializeFMUstate
+        data = bytes(write(one.getFMUstate()))
+    else:
+        write, read = one.serializeFMUState, one.deserializeFMUState
+        data = bytes(write(one.getFMUState()))
+    read(data)
+    with pytest.raises(FMICallException):
+        read(data[:8] + (1).to_bytes(8, sys.byteorder) + data[16:])
+    assert "it was written by another version" in fmu.messages[-1][2]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
 def test_a_state_of_another_model_is_refused(version, exported):
     fmu = exported("K1", version)
     one, other = fmu.instance(), exported("C2", version).instance()
