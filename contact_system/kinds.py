@@ -753,6 +753,9 @@ def _repeats(track: Track) -> bool:
     if track.ambient != prefers_ambient(track.surface) and track.start > 0.0:
         return False  # in its chart, on the branch that the tracks before have come to
     if isinstance(track, MovingTrack):
+        if track.by_length and type(track) is MovingTrack:  # a body rests, others of a kind may not
+            if geodesic_form(track.surface, track.ambient) is not None:
+                return False
         return track.motion is not None and not track.problem.stops
     forced = type(track) is PanelTrack and track.motion is not None
     return forced or isinstance(track, CircleTrack)
