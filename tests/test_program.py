@@ -81,6 +81,19 @@ def test_axes_are_right_where_panels_are_short_against_the_body(axes, at, along,
 
 
 @COMPILER
+def test_axes_on_a_blade_are_right_at_every_tolerance():
+    """One tolerance alone may be met by luck: that of another compiler is not."""
+    contact = cs.Contact(cs.Plane(), (0.9113, 1.2948), (0.0, 0.0),
+                         finger_velocity=(-0.8555, -5.435e-5))  # fmt: skip
+    scene = cs.Scene(object=cs.Ellipsoid(0.1, 0.0008505, 0.0005225), contacts=[contact],
+                     profile=cs.Profile([0.1]), duration=1.0)  # fmt: skip
+    expected = cs.plan(scene, tolerance=1e-14, compiled=False).pose(TIMES)
+    for tolerance in np.geomspace(5e-9, 1e-7, 14):
+        found = cs.plan(scene, tolerance=float(tolerance), compiled=True).pose(TIMES)
+        assert np.abs(found - expected)[..., :3, :3].max() < tolerance, tolerance
+
+
+@COMPILER
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])
 def test_along_a_meridian_the_noise_of_longitude_asks_for_no_pieces(tolerance):
     contact = cs.Contact(

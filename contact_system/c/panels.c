@@ -213,8 +213,12 @@ static int panel(long nb, const double *state, const double *constants, const do
     memcpy(x[NX + 1], dec, sizeof dec);
     if (DRIVES > 2) memcpy(x[NX + DRIVES - 1], t, sizeof t);
     double last = HUGE_VAL, change = HUGE_VAL, converged = CONVERGED;
-    /* rates do not show in a nested change: they change by more, as the panel is shorter than what moves */
-    for (long r = NX - NESTED; r < NX; r++) converged = fmin(converged, CONVERGED * half * sc[r - NESTED] / sc[r]);
+    /* rates do not show in a nested change: they change by more, as the panel is shorter than what moves; where
+       it is much shorter, as on blades, axes were off by two tolerances without the square */
+    for (long r = NX - NESTED; r < NX; r++) {
+      const double part = half * sc[r - NESTED] / sc[r];
+      converged = fmin(converged, CONVERGED * part * fmin(1.0, 4.0 * part));
+    }
     int k = 0;
     for (; k < SWEEPS; k++) {
       change = sweep(m, start, c, sc, half, lam, inv, x, f);
