@@ -202,7 +202,7 @@ class Judge:
 
     def verdict(self) -> Verdict:
         """Every law in turn."""
-        if max(self.e) - self.plan.tolerance > 1e-2:
+        if max(self.e) - self.plan.tolerance > 1e-3:
             nan = float("nan")
             return Verdict("silent", nan, nan, "planned, though no digit of a point can be known")
         times = self._times()
