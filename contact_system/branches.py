@@ -71,10 +71,12 @@ def follow(
         values[:, 4] += np.pi * turned
     else:
         # beside a pole, where v and theta swing by half a turn, the anchor that is nearer in theta
-        theta, ends = values[:, 4], (anchors[:, 2, before], anchors[:, 2, before + 1])
-        off = [np.abs(x - TURN * np.rint(x / TURN)) for x in (theta - ends[0], theta - ends[1])]
+        ends = np.stack([anchors[:, 2, before], anchors[:, 2, before + 1]])
+        theta = np.stack([values[:, 4]] * 2)
+        wind(theta, ends, TURN)
+        first, last = np.abs(theta - ends)
         swings = np.abs(ends[1] - ends[0]) > 0.25 * TURN
-        chosen = np.where(swings, before + (off[1] < off[0]), nearest)
+        chosen = np.where(swings, before + (last < first), nearest)
         reference = np.take_along_axis(anchors, chosen[:, None], axis=2)
         for row, period in enumerate(surface.periods()):
             if period is not None:

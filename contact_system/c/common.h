@@ -312,8 +312,8 @@ static inline between_t between(const track_t *k, const double *before, const do
 static inline void wind_beside(const track_t *k, const between_t *w, place_on_t place_on, const void *path,
                                double x1, long stride, int later, double x, double *out, const long *row) {
   if (w->swings) {
-    const double a = out[row[4]] - w->before[2 * stride], b = out[row[4]] - w->after[2 * stride];
-    later = fabs(b - TURN * rint(b / TURN)) < fabs(a - TURN * rint(a / TURN));
+    const double theta = out[row[4]], a = w->before[2 * stride], b = w->after[2 * stride];
+    later = fabs(wound(theta, b, TURN) - b) < fabs(wound(theta, a, TURN) - a);
   }
   const double *ref = later ? w->after : w->before, u = out[row[0]], v = out[row[1]];
   if (w->signs) {
