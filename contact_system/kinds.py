@@ -4,8 +4,8 @@ Surfaces, profile, gain law, duration and disturbances decide how contacts are p
 start enters as numbers. Once two scenes of a kind have been planned, C plans the third: a kernel
 for each stage, at the start and wherever tracks begin later, works out all that those tracks hold,
 from where contacts start or where their last motions ended, into one block of memory; and the
-tracks of the kind are evaluated with that block in the place of their own. A plan takes 4 us
-instead of 150.
+tracks of the kind are evaluated with that block in the place of their own. A plan takes 2 to 3 us
+instead of 170.
 """
 
 from __future__ import annotations
