@@ -18,7 +18,7 @@ import numpy as np
 
 from .closed_form import CircleTrack, FlatTrack
 from .groups import SIDES, Group
-from .kernels import address, function_address
+from .kernels import ARRAYS_SAY, HEADER, address, function_address
 from .panel_tracks import MovingTrack
 from .panels import MOST_AT_ONCE, Motion, collocation, program_built, program_library
 from .tracks import Track, evaluator
@@ -181,7 +181,11 @@ def by_contacts(
     int
         What ``run`` returned for the first contacts for which it was not 0; else 0.
     """
-    times = len(t), address(t), address(out)
+    if ARRAYS_SAY:
+        times = len(t), id(t) + HEADER, id(out) + HEADER
+    else:
+        held = (ctypes.c_void_p * 2)(address(t), address(out))
+        times = len(t), ctypes.addressof(held), ctypes.addressof(held) + ctypes.sizeof(held) // 2
     if count <= MOST_AT_ONCE or count * len(t) < 2 * WORTH or (found := processors()) < 2:
         return run(ASKED.pack(*head, 0, count, *times))
     threads = min(count * len(t) // WORTH, -(-count // MOST_AT_ONCE), found)

@@ -380,6 +380,26 @@ def test_contacts_are_filled_though_no_thread_can_be_started(monkeypatch):
     assert sum(filled) == 100
 
 
+@pytest.mark.parametrize("arrays_say", [True, False])
+def test_times_are_read_from_any_memory(monkeypatch, tmp_path, arrays_say):
+    if arrays_say and not program.ARRAYS_SAY:
+        pytest.skip("arrays of this Python keep their address elsewhere")
+    monkeypatch.setattr(program, "ARRAYS_SAY", arrays_say)
+    fixed, mapped = TIMES.copy(), np.memmap(tmp_path / "times", float, "w+", shape=TIMES.shape)
+    fixed.setflags(write=False)
+    mapped[:] = TIMES
+    inside, spread = np.zeros(100)[20 : 20 + TIMES.size], np.zeros(2 * TIMES.size)[::2]
+    inside[:], spread[:] = TIMES, TIMES
+    for scene in scenes(4, "ellipsoid", "sphere"):
+        expected = cs.plan(scene, compiled=True)
+    for times in (TIMES, fixed, mapped, inside, spread, TIMES.tolist(), TIMES.astype(">f8")):
+        plan = cs.plan(scene, compiled=True)
+        assert begun(plan)
+        for output in ("points", "states"):
+            values = getattr(plan, output)(times)
+            np.testing.assert_allclose(values, getattr(expected, output)(TIMES), 0, 1e-10)
+
+
 def test_workers_leave_processors_to_each_other(monkeypatch):
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         assert pool.submit(program.processors).result() == 1

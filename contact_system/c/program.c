@@ -274,7 +274,8 @@ static long end_of(const part_t *part, const track_t *track, double *last) {
   return code ? -1 : 0;
 }
 
-/* What fill_begun and states are asked, in one piece: ctypes takes 0.1 us over each argument. */
+/* What fill_begun and states are asked, in one piece: ctypes takes 0.1 us over each argument. Arrays are told by
+   where Python keeps their addresses. */
 typedef struct {
   const kind_t *kind; /* of a scene of a kind; or NULL, with motions that were integrated */
   const double *block;
@@ -282,8 +283,8 @@ typedef struct {
   const void *what;         /* part_t[n_parts], or states_t */
   long n_parts, count;      /* rows of each body */
   long first, last, nt;     /* contacts [first, last) at nt times */
-  const double *t;
-  double *out;
+  const double *const *t;
+  double *const *out;
 } asked_t;
 
 /* `fill` for some contacts of a scene of a kind, a few at a time, with motions that are not kept. A negative
@@ -291,10 +292,10 @@ typedef struct {
 long fill_begun(const asked_t *asked) {
   const kind_t *k = asked->kind;
   const part_t *parts = asked->what;
-  const double *block = asked->block, *t = asked->t, tolerance = asked->tolerance;
+  const double *block = asked->block, *t = *asked->t, tolerance = asked->tolerance;
   const long n_parts = asked->n_parts, count = asked->count, last = asked->last, nt = asked->nt;
   motion_t *moved = NULL;
-  double *own = NULL, *out = asked->out;
+  double *own = NULL, *out = *asked->out;
   long code = 0, first = asked->first;
   if (k->n_stages > 1 && !in_order(t, nt)) return -1;
   if (k->n_moves || k->n_stages > 1) { /* the scene's block is shared by all who plan it */
@@ -359,10 +360,11 @@ typedef struct {
 } piece_t;
 
 /* The series of a side: [count][nb][ROWS][N], at most `size` numbers a piece. Where nothing slips they are of the
-   path's length, with rates by length: smoother than of time, whatever sigma does. */
+   path's length, with rates by length: smoother than of time, whatever sigma does. fine: where lengths' rounding
+   counts. */
 typedef struct {
   const track_t *track;
-  long along, count, room, size;
+  long along, fine, count, room, size;
   piece_t *pieces;
   double *series;
 } series_t;
@@ -402,7 +404,7 @@ static void join(const track_t *k, int slips, const double *tau, const double *v
 }
 
 /* Coefficients [nb][ROWS][N] from values [nb][rows][N] at the nodes of a piece. Returns the greatest
-   tail, in units of each row's size, and counts the terms that make more than a tenth of the tolerance.
+   tail, in units of each row's size, and counts the terms that make more than 0.3 of the tolerance.
    A tail is taken for twice the last coefficient. A rate that is small beside the others may be noise: along a
    meridian the other one is. */
 INLINE double resolve(const double *project, long nb, int rows, double tolerance, const double *values,
@@ -426,7 +428,7 @@ INLINE double resolve(const double *project, long nb, int rows, double tolerance
       const double tail = 2.0 * fmax(fabs(c[N - 1]), 0.1 * fabs(c[N - 2]));
       if (tail > worst * size) worst = tail / size; /* evaluate lets no NaN pass */
       long terms = N;
-      for (double left = 0.1 * tolerance * size; terms > piece->terms; terms--)
+      for (double left = 0.3 * tolerance * size; terms > piece->terms; terms--)
         if ((left -= fabs(c[terms - 1])) < 0.0) break;
       piece->terms = terms;
     }
@@ -445,19 +447,42 @@ static double until(const track_t *k, double at, double end, double length) {
   return end;
 }
 
-/* Where a piece from `at` must end: after so many panels, or radians of a great circle. A longer one may look
-   smooth at N nodes that miss whole turns. */
-static double bound(const track_t *k, double at, long panels, double radians, long *panel) {
+/* Where a piece from `at` must end: after so many panels. A longer one may look smooth at N nodes that miss whole
+   turns. */
+static double panels_bound(const track_t *k, double at, long panels, long *panel) {
   const double end = k->stop - k->start;
-  if (!k->edges) {
-    double fastest = 0.0;
-    for (long b = 0; b < k->nb; b++) fastest = k->v[b] > fastest ? k->v[b] : fastest;
-    return until(k, at, end, radians / fastest);
-  }
   const double x = k->by_length ? horner(k->length, k->drive.n_sigma + 1, at) : at;
   *panel = interval(k->edges, k->n_panels, x, *panel);
   if (*panel + panels >= k->n_panels) return end;
   return k->by_length ? until(k, at, end, k->edges[*panel + panels] - x) : k->edges[*panel + panels];
+}
+
+/* The same of great circles, whose series converge like rho^-n. Coordinates are singular `away` from the highest
+   and lowest points, at imaginary phases, sinh(away) = cot(inclination). They must not lie within the piece's
+   Bernstein ellipse of rho (Trefethen, Approximation Theory and Approximation Practice, theorem 8.2), so that one
+   that is `ahead` lets it have 2 (a hypot(ahead, away) - ahead) / b^2 radians. There are 5 at most. */
+static double circles_bound(const track_t *k, double at, double rho, const double *away) {
+  const double pi = 0.5 * TURN, a = 0.5 * (rho + 1.0 / rho), b = 0.5 * (rho - 1.0 / rho);
+  const double end = k->stop - k->start, length = horner(k->length, k->drive.n_sigma + 1, at);
+  double most = HUGE_VAL;
+  for (long j = 0; j < k->nb; j++) {
+    const double past = k->constants[(j + 1) * k->n_constants - BRANCH - NODE + 2];
+    /* fewest radians at x: the singular points on both sides of it count. 2.5 pi: phases may be negative */
+    const double x = away[j] / b, one = x - fmod(past + k->v[j] * length + 2.5 * pi + x, pi), two = one + pi;
+    const double far = away[j] * away[j];
+    const double least = fmin(a * sqrt(one * one + far) - one, a * sqrt(two * two + far) - two);
+    most = fmin(most, fmin(5.0, 2.0 * least / (b * b)) / k->v[j]);
+  }
+  const double stop = at + shared(until(k, at, end, most) - at, end - at);
+  return stop < (1 - 1e-14) * end ? stop : end;
+}
+
+/* How far from their highest and lowest points great circles' coordinates are singular; far enough is 100. */
+static void singular(const track_t *k, double *away) {
+  for (long j = 0; j < k->nb; j++) {
+    const double *node = k->constants + (j + 1) * k->n_constants - BRANCH - NODE;
+    away[j] = node[1] > 0.0 ? fmin(asinh(node[0] / node[1]), 100.0) : 100.0;
+  }
 }
 
 /* The pieces of one side; false if it takes more than `most` tries to resolve it: near a pole of the chart
@@ -467,14 +492,18 @@ static int divide(const states_t *p, const side_t *side, const track_t *k, doubl
   static const long row[ROWS] = {0, N, 2 * N, 3 * N, 4 * N, 5 * N, 6 * N};
   const long nb = k->nb, size = nb * ROWS * N;
   const double end = k->stop - k->start;
-  double values[ROWS * N * MOST], combined[SIDE * N * MOST], before[3 * MOST], tau[N], times[N];
+  double values[ROWS * N * MOST], combined[SIDE * N * MOST], before[3 * MOST], away[MOST], tau[N], times[N];
   long tries = 0, panel = 0, refused = 0;
-  double at = 0.0, h = bound(k, 0.0, 1, 1.0, &panel), tail;
+  /* with 6, of 100 pieces 1 to 13 are refused, and few are much shorter than they could be */
+  const double rho = k->edges ? 0.0 : pow(6.0 / tolerance, 1.0 / (N - 1));
+  double at = 0.0, h = k->edges ? panels_bound(k, 0.0, 1, &panel) : HUGE_VAL, tail;
+  if (!k->edges) singular(k, away);
   for (s->count = 0; at < end; tries++) {
     if (tries == most) return 0;
     if (s->count == s->room && !grow(s)) return 0;
     piece_t *piece = s->pieces + s->count;
-    double *series = s->series + s->count * size, stop = bound(k, at, 2, 5.0, &panel);
+    double *series = s->series + s->count * size;
+    double stop = k->edges ? panels_bound(k, at, 2, &panel) : circles_bound(k, at, rho, away);
     stop = at + h < (1 - 1e-14) * stop ? at + h : stop;
     for (int i = 0; i < N; i++) {
       tau[i] = at + 0.5 * (stop - at) * (1.0 + p->node[i]);
@@ -497,17 +526,18 @@ static int divide(const states_t *p, const side_t *side, const track_t *k, doubl
         tail = resolve(p->project, nb, ROWS, tolerance, values, piece, series);
     } else
       tail = resolve(p->project, nb, SIDE, tolerance, values, piece, series);
-    /* such a tail is rounding and says nothing of the length; by length paths change little on their way */
+    /* such a tail is rounding and says nothing of the length; by length paths change little on their way. powf
+       takes half of pow's time */
     const double unknown = s->along ? 1.5 : HUGE_VAL;
-    const double next = tail < 2e-15 ? unknown : 0.9 * pow(tolerance / tail, 1.0 / N);
+    const double next = tail < 2e-15 ? unknown : 0.9 * powf(tolerance / tail, 1.0f / N);
     if (tail <= tolerance) {
       /* what grew harder goes on growing harder (16 % fewer samples) */
       const double most = refused ? 0.8 : 4.0;
       h = (stop - at) * (next < most ? next : most);
       at = stop, s->count++;
       if (k->edges && next >= most && !refused && at < end) /* after a layer, as the motion does */
-        h = fmax(h, bound(k, at, 1, 0.0, &panel) - at);
-      h = shared(h, end - at);
+        h = fmax(h, panels_bound(k, at, 1, &panel) - at);
+      h = k->edges ? shared(h, end - at) : HUGE_VAL;
       refused = 0;
     } else {
       h = (stop - at) * (next > 0.2 ? next < 0.8 ? next : 0.8 : 0.2);
@@ -531,8 +561,10 @@ static track_t track_along(const track_t *k) {
 static void places(const series_t *s, const double *t, long n, double *tau, double *place) {
   const track_t *k = s->track;
   for (long i = 0; i < n; i++) tau[i] = t[i] - k->start;
-  if (s->along)
+  if (s->along && s->fine)
     lengths(k, tau, n, place);
+  else if (s->along)
+    horners(k->length, k->drive.n_sigma + 1, tau, n, place);
   else
     memcpy(place, tau, n * sizeof *place);
 }
@@ -627,15 +659,15 @@ static long copy_side(const side_t *side, track_t *k, const double *begin, const
 long states(const asked_t *asked) {
   const kind_t *kind = asked->kind;
   const states_t *p = asked->what;
-  const double *block = asked->block, *t = asked->t, tolerance = asked->tolerance;
+  const double *block = asked->block, *t = *asked->t, tolerance = asked->tolerance;
   const long last = asked->last, nt = asked->nt;
   long first = asked->first;
-  double *out = asked->out;
+  double *out = *asked->out;
   const int ordered = in_order(t, nt);
   /* 1e-14: less is rounding; 1e-3: more would hide that a path was followed to another branch */
   const double bar = fmin(tolerance > 1e-13 ? 0.1 * tolerance : 1e-14, 1e-3);
   const double *angle = carried(p->angle, kind, block);
-  series_t s = {.size = chunk(last, first) * ROWS * N};
+  series_t s = {.size = chunk(last, first) * ROWS * N, .fine = bar < 1e-11};
   long code = 0;
   if (!nt) return 0;
   for (int object = 0; object < 2 && !kind; object++) { /* who keeps motions keeps anchors too */
