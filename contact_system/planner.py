@@ -70,8 +70,8 @@ ROUNDING = 1e-17
 RATE_LEFT = 0.1
 # Path beyond which, in sizes of a sphere, the rest of a slipping interval is made a great circle.
 LONG_REST = 6.0
-# Path, in sizes of a body, after which no digit of its position is left.
-ENDLESS = 1e12
+# Path, in sizes of a body, after which rounding leaves less than four digits of its position.
+ENDLESS = 1e11
 
 
 @dataclass(eq=False)
@@ -506,8 +506,9 @@ class GroupPlanner:
                 worst = int(self.pattern.contacts[turns.argmax()])
                 raise SceneError(
                     f"{self.scene.title}, contact {worst}: its path is {turns.max():.3g} "
-                    f"times as long as {body.surface!r} is large, and no digit of its position "
-                    f"would be left (limit {ENDLESS:g}); lower its velocity, sigma or the duration"
+                    f"times as long as {body.surface!r} is large, and rounding would leave less "
+                    f"than four digits of its position (limit {ENDLESS:g}); lower its velocity, "
+                    "sigma or the duration"
                 )
         return True
 

@@ -877,6 +877,20 @@ def test_imposed_rolling_keeps_a_coarse_tolerance_beside_an_umbilic(tolerance):
         assert np.abs(error).max() < tolerance * 0.8
 
 
+@pytest.mark.parametrize("compiled", [False, None])
+def test_paths_of_which_rounding_leaves_too_few_digits_are_refused(compiled):
+    for size in (1.0, 2.0, 3.0, 1.05e11, 5e11, 1.05e11):  # the third is of a kind that is known
+        contact = cs.Contact(cs.Sphere(0.04), (0.7, 0.4), finger_velocity=(0.04 * size, 0.0))
+        scene = cs.Scene(
+            object=cs.Sphere(0.1), contacts=[contact], profile=cs.Profile([1.0]), duration=1.0
+        )
+        if size < 1e11:
+            cs.plan(scene, compiled=compiled)
+        else:
+            with pytest.raises(cs.SceneError, match="leave less than four digits of its position"):
+                cs.plan(scene, compiled=compiled)
+
+
 def test_path_at_rest_under_an_acceleration_is_refused():
     # sigma = 0 where d acts on dq/ds: the path velocity would be infinite
     for c in ((0.0, 0.3), (0.1, -0.4, 0.4)):
