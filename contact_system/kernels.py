@@ -777,18 +777,6 @@ def address(array: np.ndarray) -> int:
 
 _addressof, _number_in = ctypes.addressof, ctypes.c_double.from_buffer
 
-HEADER = object.__basicsize__  # of every object in CPython, whose id is its address
-
-
-def _arrays_say() -> bool:
-    """Whether an array's address is behind its header, where numpy's C interface has it
-    (PyArray_DATA): to be read from there it costs nothing, beside 0.4 us for two addresses."""
-    probe, cpython = np.empty(1), sys.implementation.name == "cpython"
-    return cpython and ctypes.c_void_p.from_address(id(probe) + HEADER).value == probe.ctypes.data
-
-
-ARRAYS_SAY = _arrays_say()
-
 
 def function_address(function: Any) -> int:
     """Address of a compiled library's function."""

@@ -380,11 +380,11 @@ def test_contacts_are_filled_though_no_thread_can_be_started(monkeypatch):
     assert sum(filled) == 100
 
 
-@pytest.mark.parametrize("arrays_say", [True, False])
-def test_times_are_read_from_any_memory(monkeypatch, tmp_path, arrays_say):
-    if arrays_say and not program.ARRAYS_SAY:
+@pytest.mark.parametrize("layout_known", [True, False])
+def test_times_are_read_from_any_memory(monkeypatch, tmp_path, layout_known):
+    if layout_known and not program.LAYOUT_KNOWN:
         pytest.skip("arrays of this Python keep their address elsewhere")
-    monkeypatch.setattr(program, "ARRAYS_SAY", arrays_say)
+    monkeypatch.setattr(program, "LAYOUT_KNOWN", layout_known)
     fixed, mapped = TIMES.copy(), np.memmap(tmp_path / "times", float, "w+", shape=TIMES.shape)
     fixed.setflags(write=False)
     mapped[:] = TIMES
