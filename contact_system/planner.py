@@ -308,18 +308,24 @@ FAMILIES = 512  # the latest, which are remembered; 2 to 40 kB each
 MOST_ALIKE = 16  # contacts of a scene whose patterns are
 _FAMILIES: OrderedDict[Hashable, Family] = OrderedDict()
 _WITH_KIND: OrderedDict[Hashable, Family] = OrderedDict()  # no scenes planned once push them out
+_LATEST: tuple[Hashable, Family] = (None, Family())  # a key is compared sooner than hashed
 
 
 def family(scene: Scene) -> Family:
     """That of a scene."""
-    key = scene.likeness
-    found = _WITH_KIND.get(key)
-    if found is None:
-        found = _FAMILIES.pop(key, None) or Family()
-        room = _WITH_KIND if found.has_kind else _FAMILIES
-        room[key] = found  # the latest is last
-        if len(room) > FAMILIES:
-            room.popitem(last=False)
+    global _LATEST
+    key, (latest, found) = scene.likeness, _LATEST
+    if key == latest:
+        return found
+    known = _WITH_KIND.get(key)
+    if known is not None:
+        _LATEST = key, known
+        return known
+    found = _FAMILIES.pop(key, None) or Family()
+    room = _WITH_KIND if found.has_kind else _FAMILIES
+    room[key] = found  # the latest is last
+    if len(room) > FAMILIES:
+        room.popitem(last=False)
     return found
 
 
