@@ -361,7 +361,7 @@ typedef struct {
 
 /* The series of a side: [count][nb][ROWS][N], at most `size` numbers a piece. Where nothing slips they are of the
    path's length, with rates by length: smoother than of time, whatever sigma does. fine: where lengths' rounding
-   counts. */
+   counts, whose terms may be 1e5 times as large as they are. */
 typedef struct {
   const track_t *track;
   long along, fine, count, room, size;
@@ -667,7 +667,7 @@ long states(const asked_t *asked) {
   /* 1e-14: less is rounding; 1e-3: more would hide that a path was followed to another branch */
   const double bar = fmin(tolerance > 1e-13 ? 0.1 * tolerance : 1e-14, 1e-3);
   const double *angle = carried(p->angle, kind, block);
-  series_t s = {.size = chunk(last, first) * ROWS * N, .fine = bar < 1e-11};
+  series_t s = {.size = chunk(last, first) * ROWS * N, .fine = bar < 1e-8};
   long code = 0;
   if (!nt) return 0;
   for (int object = 0; object < 2 && !kind; object++) { /* who keeps motions keeps anchors too */
