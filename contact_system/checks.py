@@ -15,6 +15,7 @@ import numpy as np
 
 from .errors import ContactSystemError, SceneError
 
+FLOAT = np.dtype(float)
 LARGEST = 1e100  # beyond this sigma^3 overflows; it is no path speed anyway
 
 
@@ -67,8 +68,8 @@ def finite_numbers(values: Iterable[Any], what: str) -> tuple[float, ...]:
         return plain
     try:
         # float() would take all of these, numpy's complex numbers for their real parts; the
-        # numbers of a set have no order, and a table gives its keys
-        if isinstance(values, (str, set, frozenset, Mapping)) or any(
+        # numbers of a set have no order, a table gives its keys and bytes their codes
+        if isinstance(values, (str, bytes, set, frozenset, Mapping)) or any(
             isinstance(x, (bool, str)) or np.iscomplexobj(x) for x in values
         ):
             raise TypeError
@@ -131,6 +132,8 @@ def real_array(values: Any) -> np.ndarray:
         numbers.
     """
     given = np.asarray(values)
+    if given.dtype is FLOAT:  # what most are costs no more
+        return given
     if given.dtype.kind not in "iufO":
         raise TypeError
     if given.dtype.kind == "O" and any(x is None for x in given.flat):  # NaN to numpy
@@ -162,9 +165,25 @@ def a_path(value: Any, what: str = "path") -> Path:
         It is something else, as a scene where arguments are exchanged.
     """
     try:
-        return Path(os.fsdecode(value))
+        found = os.fsdecode(value)
+        if "\0" in found:
+            raise TypeError
     except TypeError:
         raise SceneError(f"{what} = {value!r:.80}: give a path") from None
+    return Path(found)
+
+
+def function_or_none(value: Any, what: str, remedy: str) -> Any:
+    """The value, a function or None.
+
+    Raises
+    ------
+    SceneError
+        It is something else; `remedy` says what the function is of.
+    """
+    if value is not None and not callable(value):
+        raise SceneError(f"{what} = {value!r:.80}: give {remedy}, or None")
+    return value
 
 
 @contextmanager

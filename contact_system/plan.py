@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from . import kinds
 from .chart_solution import SOLVERS, chart_groups
-from .checks import a_path, flag, real_array, writing
+from .checks import FLOAT, a_path, flag, real_array, writing
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .groups import SIDES, Group, moments
 from .kept import kept
@@ -655,13 +655,10 @@ def checked_tolerance(given: Any) -> float:
     return number
 
 
-_FLOAT = np.dtype(float)
-
-
 def _one_axis(t: ArrayLike) -> np.ndarray:
     try:
         times = np.asarray(t)
-        if times.dtype is not _FLOAT:
+        if times.dtype is not FLOAT:
             times = real_array(times)
     except (TypeError, ValueError, OverflowError):
         raise ContactSystemError(

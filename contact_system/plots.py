@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from .checks import a_path, writing
+from .checks import a_path, finite_number, writing
 from .errors import ContactSystemError
 from .measures import (
     exact_slip,
@@ -36,6 +36,7 @@ INK = "#2b2f36"
 BODY = ["#8f9aa6", "#f3f5f7"]  # a surface turned away from the light, and towards it
 HOLLOW = ["#6d7884", "#b9c2cb"]  # the back of a surface with an edge
 
+FEWEST, MOST = 10, 2400  # dots an inch: with fewer there are no letters
 DECADES = 10  # of slip below its peak that a picture shows
 CELLS = 96  # of a surface's mesh in each coordinate
 OCCLUDER = 3  # every third mesh line tells what is hidden: flat faces miss a sphere by 0.005 r
@@ -67,7 +68,7 @@ def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: in
     other : Plan, optional
         The same scene under another gain law; its slip is drawn beside this one's.
     dpi : int
-        Dots an inch; the picture is 12 by 6 inches.
+        Dots an inch, 10 to 2400; the picture is 12 by 6 inches.
 
     Raises
     ------
@@ -121,7 +122,9 @@ class Picture:
     """A figure in our style, written to its path at the end."""
 
     def __init__(self, path: str | os.PathLike, size: tuple[float, float], dpi: int):
-        self.path, self.size, self.dpi = a_path(path), size, dpi
+        self.path, self.size, self.dpi = a_path(path), size, finite_number(dpi, "dpi")
+        if not FEWEST <= self.dpi <= MOST:
+            raise ContactSystemError(f"dpi = {dpi!r}: give a number from {FEWEST} to {MOST}")
 
     def __enter__(self) -> Any:
         try:

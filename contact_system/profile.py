@@ -187,11 +187,12 @@ class Profile:
 
     def shifted(self, t0: float) -> Coefficients:
         """Coefficients of tau -> sigma(t0 + tau), each rounded once."""
-        return _shifted(self.coefficients, float(t0))
+        return _shifted(self.coefficients, finite_number(t0, "t0"))
 
     def extrema(self, t0: float, t1: float) -> tuple[float, ...]:
         """Times inside (t0, t1) at which sigma' changes sign, ascending [s]."""
-        return tuple(_sign_changes(self._rate, float(t0), float(t1)))
+        span = finite_number(t0, "t0"), finite_number(t1, "t1")
+        return tuple(_sign_changes(self._rate, *span))
 
     def knots(self, t0: float, t1: float) -> tuple[float, ...]:
         """t0, the extrema between, t1: sigma is monotonic from each to the next [s]."""
@@ -212,13 +213,13 @@ class Profile:
         SceneError
             Naming the time, the value and the remedy.
         """
-        c = self.coefficients
+        c, duration = self.coefficients, finite_number(duration, "duration")
         if not any(c):
             raise SceneError(
                 f"profile = {list(c)}: sigma is zero for all t, so nothing moves; "
                 "give at least one coefficient that is not zero"
             )
-        reach = polynomial([abs(x) for x in c], float(duration))
+        reach = polynomial([abs(x) for x in c], duration)
         if not reach < LARGEST:
             raise SceneError(
                 f"profile = {list(c)}: sigma reaches about {reach:.3g} m/s at t = {duration:g} s, "
@@ -226,7 +227,7 @@ class Profile:
             )
         if min(c) >= 0:  # no sum of such terms is negative
             return
-        knots = self.knots(0.0, float(duration))
+        knots = self.knots(0.0, duration)
         t = min(knots, key=lambda t: _clear_value(c, t))
         if _clear_value(c, t) >= 0:
             peak = max(map(self, knots))
@@ -251,7 +252,7 @@ class Profile:
         """Times in [0, duration] at which a checked profile touches zero, ascending [s]."""
         if min(self.coefficients) >= 0:
             return () if self.coefficients[0] else (0.0,)
-        knots = self.knots(0.0, float(duration))
+        knots = self.knots(0.0, finite_number(duration, "duration"))
         return tuple(t for t in knots if _clear_value(self.coefficients, t) <= 0)
 
     @kept

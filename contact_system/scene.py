@@ -204,7 +204,7 @@ class Disturbance:
 
     def __post_init__(self) -> None:
         put, contact = object.__setattr__, self.contact
-        if contact != ALL:
+        if not (isinstance(contact, str) and contact == ALL):
             if isinstance(contact, bool) or not isinstance(contact, numbers.Integral):
                 raise SceneError(f'contact = {contact!r}: give an index from 0, or "all"')
             put(self, "contact", int(contact))
@@ -413,6 +413,11 @@ class Scene:
 
     def contact_name(self, index: int) -> str:
         """What tables and pictures call a contact: its name, or its index from 0."""
+        if not isinstance(index, numbers.Integral) or not 0 <= index < len(self.contacts):
+            raise SceneError(
+                f"{self.title}: contact = {index!r}: give an index from 0 to "
+                f"{len(self.contacts) - 1}"
+            )
         return self.contacts[index].name or f"contact {index}"
 
     @property

@@ -100,7 +100,7 @@ def measured_start(
             f"{where}, contact {index}: the measured state has {row[~np.isfinite(row)][0]}; leave "
             "such a measurement out"
         )
-    if not sigma > 0:
+    if not 0 < sigma < math.inf:
         raise SceneError(
             f"{where}: sigma = {sigma:g} there, so rates do not determine path velocities; restart "
             "where sigma > 0"

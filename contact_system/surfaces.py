@@ -11,7 +11,7 @@ Surfaces that users write themselves are in `contact_system.user_surfaces`. SI u
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields
 from numbers import Real
 from typing import Any, ClassVar
@@ -321,9 +321,7 @@ class Surface:
         half_turn : bool array
             Where both frame axes are turned by pi against the coordinates given.
         """
-        u, v, u_ref, v_ref = np.broadcast_arrays(
-            *(np.asarray(w, dtype=float) for w in (u, v, u_ref, v_ref))
-        )
+        u, v, u_ref, v_ref = self._numbers(u, v, u_ref, v_ref)
         period_u, period_v = self.periods()
         near_u, near_v = _nearest(u, u_ref, period_u), _nearest(v, v_ref, period_v)
         if not self.double_cover:
@@ -354,9 +352,9 @@ class Surface:
         half_turn : bool array
             Where both frame axes are turned by pi against the coordinates given.
         """
-        u, v = np.broadcast_arrays(np.asarray(u, dtype=float), np.asarray(v, dtype=float))
+        u, v = self._numbers(u, v)
         half_turn = np.zeros(u.shape, dtype=bool)
-        if self.double_cover and len(u) > 1:
+        if self.double_cover and u.ndim and len(u) > 1:
             # Turning both neighbours leaves their distance: turns against the neighbour add up.
             step = self.align(u[1:], v[1:], u[:-1], v[:-1])[2]
             half_turn[1:] = np.logical_xor.accumulate(step, axis=0)
@@ -380,14 +378,14 @@ class Surface:
                 "away from that point, or turn the body's axes so that it lies elsewhere"
             )
 
-    def _numbers(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    def _numbers(self, *given: ArrayLike) -> Sequence[Array]:
         try:
-            u, v = np.broadcast_arrays(real_array(u), real_array(v))
+            return np.broadcast_arrays(*map(real_array, given))
         except (TypeError, ValueError, OverflowError):
+            names = "(u, v, u_ref, v_ref)" if len(given) > 2 else "(u, v)"
             raise SurfaceError(
-                f"{self!r}: coordinates (u, v) = ({u!r}, {v!r}) must be numbers of one shape"
+                f"{self!r}: coordinates {names} = {given!r} must be numbers of one shape"
             ) from None
-        return u, v
 
     def _finite(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
         u, v = self._numbers(u, v)
@@ -757,7 +755,7 @@ def _nearest(angle: Array, reference: Array, period: float | None) -> Array:
 
 
 def _unwrap(angle: Array, period: float | None) -> Array:
-    if period is None or len(angle) < 2:
+    if period is None or not angle.ndim or len(angle) < 2:
         return angle
     turns = np.cumsum(np.round(np.diff(angle, axis=0) / period), axis=0)
     return np.concatenate([angle[:1], angle[1:] - period * turns])

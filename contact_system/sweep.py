@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import flag, writing
+from .checks import a_path, flag, writing
 from .errors import ContactSystemError
 from .kernels import make_folder
 from .measures import REJECTED
@@ -433,14 +433,13 @@ def sweep(
         ("evaluate", evaluate, callable(evaluate), "a function of a plan"),
         ("executor", executor, executor is None or isinstance(executor, Executor),
          "an executor, such as ProcessPoolExecutor(4) or a Dask client's get_executor()"),
-        ("folder", folder, folder is None or isinstance(folder, (str, os.PathLike)), "a path"),
     ):  # fmt: skip
         if not fits:
             raise ContactSystemError(f"{name} = {given!r:.80}: give {remedy}")
     from .cli import Progress  # not on the planner's path
 
     job = Job(evaluate, checked_tolerance(tolerance), flag(compiled, "compiled", none=True))
-    store = _Store(job, None if folder is None else Path(folder))
+    store = _Store(job, None if folder is None else a_path(folder, "folder"))
     chunks = store.missing(_chunks(scenes, chunk))
     if executor is None:
         finished = ((c, run_chunk(job, c)) for c in chunks)

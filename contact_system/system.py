@@ -408,7 +408,7 @@ class SceneSystem:
     """
 
     def __init__(self, scene: Scene, coordinates: str = "chart", disturbance_input: bool = False):
-        if coordinates not in COORDINATES:
+        if not isinstance(coordinates, str) or coordinates not in COORDINATES:
             raise SceneError(f"coordinates = {coordinates!r}: use one of {', '.join(COORDINATES)}")
         require_scene(scene)
         self.scene, self.coordinates = scene, coordinates
@@ -564,7 +564,11 @@ class SceneSystem:
             Another output.
         """
         with SYMBOLS:
-            if outputs not in self._functions:
+            try:
+                known = outputs in self._functions
+            except TypeError:  # a list, which `_expression` refuses
+                known = False
+            if not known:
                 values = ca.cse([self._expression(name) for name in outputs])
                 name = "scene_" + "_".join(outputs)
                 self._functions[outputs] = ca.Function(
@@ -576,7 +580,7 @@ class SceneSystem:
     def _expression(self, output: str) -> SX:
         with SYMBOLS:
             known = self._expressions
-        if output not in known:
+        if not isinstance(output, str) or output not in known:
             raise SceneError(
                 f"{self.scene.title}: output = {output!r} is unknown"
                 f"{did_you_mean(output, known)}; use one of {', '.join(known)}"

@@ -31,7 +31,7 @@ from .charts import (
     Periods,
     hypot,
 )
-from .checks import finite_number
+from .checks import finite_number, real_array
 from .errors import ContactSystemError, SurfaceError
 from .expressions import FUNCTIONS, SYMBOLS, parse
 from .geometry import ChartGeometry, contact_frame, tangent_geometry
@@ -316,8 +316,14 @@ class ParametricSurface(UserSurface):
         if guess is None:
             starts = self._grid_starts(flat)
         else:
-            given = np.broadcast_arrays(points[..., 0], *map(np.asarray, guess))[1:]
-            starts = [tuple(np.array(w, dtype=float).ravel() for w in given)]
+            try:
+                guess_u, guess_v = map(real_array, guess)
+                given = [np.broadcast_to(w, points.shape[:-1]) for w in (guess_u, guess_v)]
+            except (TypeError, ValueError, OverflowError):
+                raise SurfaceError(
+                    f"{self!r}: guess = {guess!r:.80} must be a pair (u, v), for each point or all"
+                ) from None
+            starts = [tuple(w.ravel() for w in given)]
         found = np.array([*starts[0], np.full(len(flat), np.inf)])
         missed = np.arange(len(flat))
         for start_u, start_v in starts:

@@ -342,8 +342,8 @@ class Instance:
                 if whole == given and all(info.min <= v <= info.max for v in whole):
                     return whole
         else:
-            with contextlib.suppress(TypeError, ValueError):
-                values = np.array(given, dtype=float)
+            with contextlib.suppress(TypeError, ValueError, OverflowError):
+                values = np.array([0 + v for v in given], dtype=float)  # no texts
                 problem = block.check(values)
                 if not problem:
                     return values.astype(KINDS[kind]).tolist()

@@ -366,6 +366,7 @@ def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) ->
     """
     require_scene(scene)
     try:
+        require_config(builder, DiagramBuilder, "builder")
         require_config(config, PlantConfig)
         config.check()
         _check_names(builder, config)

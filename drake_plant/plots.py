@@ -49,7 +49,7 @@ def plot(result: SimulationResult, path: str | os.PathLike, dpi: int = 160) -> N
     path : path
         Its ending chooses the format (.png, .pdf, .svg).
     dpi : int
-        Dots an inch; the picture is 13 by 9 inches.
+        Dots an inch, 10 to 2400; the picture is 13 by 9 inches.
 
     Raises
     ------

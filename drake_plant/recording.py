@@ -17,7 +17,7 @@ from contact_system import SceneError
 from contact_system.checks import a_path, finite_number, writing
 
 from .lifetimes import NO_DICTIONARY, weakly
-from .plant import ScenePlant
+from .plant import ScenePlant, require_config
 
 Array = NDArray[np.float64]
 
@@ -61,6 +61,8 @@ class Recording:
         scene_plant : ScenePlant
             With the default poses that the camera is to look at.
         """
+        require_config(builder, DiagramBuilder, "builder")
+        require_config(scene_plant, ScenePlant, "scene_plant")
         params = MeshcatVisualizerParams(
             publish_period=self._period, role=Role.kIllustration, prefix=BODIES
         )

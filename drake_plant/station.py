@@ -31,7 +31,14 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventSta
 from pydrake.systems.primitives import LogVectorOutput
 
 from contact_system import ImplicitSurface, Quadric, Scene, SceneError, Surface
-from contact_system.checks import a_path, did_you_mean, finite_number, flag, naming
+from contact_system.checks import (
+    a_path,
+    did_you_mean,
+    finite_number,
+    flag,
+    function_or_none,
+    naming,
+)
 from contact_system.scene import require_scene
 from contact_system.system import COORDINATES
 
@@ -514,6 +521,7 @@ def simulate(
             f"{scene.title}: a simulation of {duration!r} s with a time_step of {period:g} "
             "s: give a finite time of at least one step"
         )
+    function_or_none(progress, f"{scene.title}: progress", "a function of a time")
     loggers: dict[str, Any] = {}
     film = None
     if recording is not None:

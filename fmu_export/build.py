@@ -10,7 +10,7 @@ import subprocess
 import sys
 import uuid
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -57,6 +57,17 @@ def _platform(target: str) -> tuple[str, str, str, str]:
         known = ", ".join(["native", *PLATFORMS])
         raise ContactSystemError(f"platform {target!r} is unknown; use one of {known}")
     return PLATFORMS[native_platform() if target == "native" else target]
+
+
+def chosen(platforms: Iterable[str]) -> tuple[str, ...]:
+    """The platforms asked for; or an error that says what they are instead."""
+    fine = isinstance(platforms, Iterable) and not isinstance(platforms, str)
+    found = tuple(platforms) if fine else ()
+    if not found:
+        raise ContactSystemError(
+            f'platforms = {platforms!r}: give a list of at least one, such as ("native",)'
+        )
+    return found
 
 
 def headers(fmi_version: str) -> dict[str, str]:

@@ -103,7 +103,8 @@ def check_choice(fmi_version: str, interfaces: Sequence[str]) -> None:
     """Refuse versions and interfaces that there are not."""
     if fmi_version not in VERSIONS:
         raise ContactSystemError(f"fmi_version = {fmi_version!r}: use one of {', '.join(VERSIONS)}")
-    given = () if isinstance(interfaces, str) else tuple(interfaces or ())
+    fine = isinstance(interfaces, Iterable) and not isinstance(interfaces, str)
+    given = tuple(interfaces) if fine else ()
     unknown = [i for i in given if i not in INTERFACES]
     if unknown or not given or len(set(given)) < len(given):
         raise ContactSystemError(

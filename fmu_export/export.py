@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fmpy.validation import validate_fmu
 
-from contact_system.errors import ContactSystemError
+from contact_system.checks import function_or_none
 from contact_system.scene import Scene
 
 from . import build
@@ -63,10 +63,8 @@ def export_fmu(
         FMU that fmpy's validation refuses.
     """
     path, moment = build.target(path), generation_time()
-    if not platforms or isinstance(platforms, str):
-        raise ContactSystemError(
-            f'platforms = {platforms!r}: give a list of at least one, such as ("native",)'
-        )
+    platforms = build.chosen(platforms)
+    tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
     table = variable_table(scene)
     token = instantiation_token(model_description(table, fmi_version, interfaces))
     texts = c_sources(table, token, fmi_version)
@@ -79,7 +77,6 @@ def export_fmu(
     files["sources/buildDescription.xml"] = build_description(table, sources).encode()
     files["modelDescription.xml"] = description.encode()
     files |= companions(table, fmi_version)
-    tell = progress or (lambda step: None)
     for platform in platforms:
         tell(f"compiling for {platform}")
         place = build.library_place(name, platform, fmi_version)

@@ -19,6 +19,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -28,8 +29,8 @@ from fmpy.fmi2 import FMU2Slave, fmi2DoStepStatus, fmi2LastSuccessfulTime, fmi2T
 from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import read_model_description
 
-from contact_system.checks import a_path, writing
-from contact_system.errors import ChartSingularity, ContactSystemError
+from contact_system.checks import a_path, flag, function_or_none, writing
+from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
 from contact_system.kept import kept
 from contact_system.scene import Scene
 
@@ -151,7 +152,7 @@ class _Slave:
     Raises
     ------
     SceneError
-        A scene that no importer can step.
+        A scene that no importer can step, or an option of the wrong kind.
     """
 
     _version: str
@@ -160,6 +161,9 @@ class _Slave:
     _readable: tuple[str, ...] = _RUNNING
 
     def __init__(self, scene: Scene, name: str = "", logger: Logger | None = None):
+        if not isinstance(name, str):
+            raise SceneError(f"name = {name!r:.80}: give a text")
+        logger = function_or_none(logger, "logger", "a function of a status, a category and a text")
         self.scene, self.block = scene, Block(scene, CREATED)
         self.modelIdentifier = model_identifier(self.block.table)
         self.instanceName = name or self.modelIdentifier
@@ -257,11 +261,12 @@ class _Slave:
 
     def _announce(self, function: str, startTime: float, stopTime: float | None) -> None:
         self._require(function, CREATED)
-        now, stop = self.block.now, math.inf if stopTime is None else float(stopTime)
-        if not 0 <= startTime < math.inf or not stop >= startTime:
+        now, stop = self.block.now, math.inf if stopTime is None else stopTime
+        numbers = isinstance(startTime, Real) and isinstance(stop, Real)
+        if not numbers or not 0 <= startTime < math.inf or not stop >= startTime:
             text = f"startTime = {startTime!r}, stopTime = {stopTime!r}: give 0 <= startTime <= "
             self._refuse(function, ERROR, text + "stopTime; the profile counts from t = 0")
-        now.time, now.stop = float(startTime), stop
+        now.time, now.stop = float(startTime), float(stop)
 
     def exitInitializationMode(self) -> None:
         """Plan from the start values."""
@@ -417,8 +422,8 @@ class _Slave:
     def deserializeFMUState(self, serializedState: bytes, state: Any = None) -> FmuState:
         """A state from its bytes; the instance stays where it is."""
         try:
-            memory = memory_of(bytes(serializedState), self.block, self._model)
-        except StateRefused as error:
+            memory = memory_of(bytes(memoryview(serializedState)), self.block, self._model)
+        except (StateRefused, TypeError) as error:  # the latter of what are no bytes
             self._refuse("DeserializeFMUState", ERROR, f"the state is refused: {error}")
         return FmuState(memory, self._model)
 
@@ -501,7 +506,7 @@ class PlannerSlave2(_Slave, FMU2Slave):
     Raises
     ------
     SceneError
-        A scene that no importer can step.
+        A scene that no importer can step, or an option of the wrong kind.
     """
 
     _version = "2.0"
@@ -615,7 +620,7 @@ class PlannerSlave3(_Slave, FMU3Slave):
         early_return: bool = False,
     ):
         super().__init__(scene, name, logger)
-        self._use(event_mode, early_return)
+        self._use(flag(event_mode, "event_mode"), flag(early_return, "early_return"))
         self._sizes = {v.reference: v.size for v in self.block.table.rows}
         self._elements: dict[tuple[int, ...], tuple[int, ...]] = {}
 

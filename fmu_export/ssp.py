@@ -64,7 +64,7 @@ def export_ssp(
         raise ContactSystemError(
             f'scenes = {scenes!r:.80}: give a Scene, or Scenes by name, such as {{"left": scene}}'
         )
-    path, moment = build.target(path), generation_time()
+    path, moment, platforms = build.target(path), generation_time(), build.chosen(platforms)
     tables = {name: variable_table(scene) for name, scene in named.items()}
     stems = _file_stems(named)
     files = {"SystemStructure.ssd": system_structure(tables).encode()}

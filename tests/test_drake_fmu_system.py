@@ -596,6 +596,8 @@ def test_an_unknown_variable_is_refused_with_the_nearest(build):
         ({"start_values": {"count": 1}}, "count cannot be set at the start"),
         ({"start_values": {"gain": np.nan}}, "start value: .*gain = nan, is not a number"),
         ({"start_values": {"gain": "high"}}, "start value: gain = 'high' is not of type Real"),
+        ({"start_values": {"gain": "2"}}, "start value: gain = '2' is not of type Real"),
+        ({"start_values": {"gain": 10**400}}, "start value: gain = 10+ is not of type Real"),
         ({"start_values": {"gain": [np.ones((1, 2)), np.ones((1, 3))]}}, "is not of type Real"),
         ({"start_values": {"label": 3}}, "start value: label = 3 is not of type String"),
         ({"start_values": {"on": 2}}, "start value: .*on = 2, is not of type Boolean"),

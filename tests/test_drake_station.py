@@ -942,6 +942,12 @@ def test_a_recording_that_cannot_be_written_is_refused_before_anything_is_simula
         simulate(scene, config(scene), recording=tmp_path / name)
 
 
+@pytest.mark.parametrize("progress", [3, "bar", True])
+def test_a_progress_that_is_no_function_is_refused(progress):
+    with pytest.raises(cs.SceneError, match=f"'D1': progress = {progress!r}: give a function of a"):
+        simulate(cs.load_scene("D1"), progress=progress)
+
+
 def test_a_recording_that_is_none_is_refused(tmp_path):
     with pytest.raises(cs.SceneError, match="scene 'D1': recording = 5: give a path"):
         simulate(cs.load_scene("D1"), recording=5)
@@ -951,6 +957,11 @@ def test_a_recording_that_is_none_is_refused(tmp_path):
     with pytest.raises(cs.SceneError, match="nothing to save in film.html: call Add before"):
         Recording().Save("film.html")
     builder, film, scene = DiagramBuilder(), Recording(), cs.load_scene("D1")
+    for given, name in (((None, scene), "builder"), ((builder, scene), "scene_plant")):
+        with pytest.raises(cs.SceneError, match=f"{name} = .*: give a "):
+            film.Add(*given)
+    with pytest.raises(cs.SceneError, match="'D1', plant: builder = None: give a DiagramBuilder"):
+        AddScenePlant(None, scene, config(scene).plant)
     film.Add(builder, AddScenePlant(builder, scene, config(scene).plant))
     builder.Build()
     with pytest.raises(cs.SceneError, match="'.*film.html' cannot be written: .*give a path in a"):

@@ -6,6 +6,7 @@ import argparse
 import os
 import zipfile
 
+import numpy as np
 import pytest
 
 import contact_system as cs
@@ -119,10 +120,17 @@ def test_a_wrong_file_replaces_nothing_and_leaves_nothing_behind(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("wrong", [(), None, "native"])
+@pytest.mark.parametrize("wrong", [(), None, "native", 3, np.array([])])
 def test_platforms_are_a_list(wrong, tmp_path):
     with pytest.raises(cs.ContactSystemError, match="platforms = .*: give a list"):
         export_fmu(cs.load_scene("K1"), tmp_path / "k1.fmu", platforms=wrong)
+
+
+@pytest.mark.parametrize("option", ["interfaces", "progress"])
+@pytest.mark.parametrize("wrong", [3, True])
+def test_other_options_of_the_wrong_kind_are_refused(option, wrong, tmp_path):
+    with pytest.raises(cs.ContactSystemError, match=f"{option} = {wrong}: give a "):
+        export_fmu(cs.load_scene("K1"), tmp_path / "k1.fmu", **{option: wrong})
 
 
 def test_wrong_words_are_told(tmp_path, capsys):

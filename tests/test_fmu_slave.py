@@ -608,6 +608,7 @@ def test_state_bytes_that_do_not_fit_are_refused():
         (data[:8] + b"\2" + data[9:], "written by version 2, this is 3"), (b"", "its length"),
         (data[:60] + b"9" + data[61:], "its checksum does not match"),
         (other.serializeFMUState(other.getFMUState()), "belongs to another scene"),
+        (slave.getFMUState(), "bytes-like"), (None, "bytes-like"), (3, "bytes-like"),
     ):  # fmt: skip
         with pytest.raises(FMICallException, match="the state is refused: .*" + words) as caught:
             slave.deserializeFMUState(wrong)
@@ -1112,6 +1113,23 @@ def test_description_is_the_only_file_and_says_what_the_slave_can_do(tmp_path, f
     with pytest.raises(cs.ContactSystemError, match="fmi_version = '1.0': use one of 2.0, 3.0"):
         write_description(cs.load_scene("K1"), tmp_path, "1.0")
     assert stepping.TOLERANCE == 1e-14
+
+
+@pytest.mark.parametrize("option, wrong", [
+    ("name", 3), ("name", None), ("logger", 3), ("logger", "log"), ("event_mode", "no"),
+    ("event_mode", 1), ("early_return", None),
+])  # fmt: skip
+def test_options_of_the_wrong_kind_are_refused(option, wrong):
+    with pytest.raises(cs.ContactSystemError, match=f"{option} = {wrong!r}: give "):
+        PlannerSlave3(one_contact(), **{option: wrong})
+
+
+@pytest.mark.parametrize("times", [("0", None), (None, None), (0.0, "1"), (0.0, [1.0])])
+def test_times_that_are_no_numbers_are_refused(times):
+    for call in (PlannerSlave2(one_contact()).setupExperiment,
+                 PlannerSlave3(one_contact()).enterInitializationMode):  # fmt: skip
+        with pytest.raises(FMICallException, match="startTime = .*: give 0 <= startTime"):
+            call(None, *times)
 
 
 # --- the exported FMU

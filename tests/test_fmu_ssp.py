@@ -73,7 +73,7 @@ def test_disturbances_come_in_through_the_system_and_planners_do_not_mix(tmp_pat
 
 
 def test_file_is_valid_and_holds_valid_fmus(tmp_path):
-    path = export_ssp(cs.load_scene("C2"), tmp_path / "planner.ssp")
+    path = export_ssp(cs.load_scene("C2"), tmp_path / "planner.ssp", iter(["native"]))
     assert read_ssd(str(path)).system.name == "planners"
     with zipfile.ZipFile(path) as archive:
         fmus = [name for name in archive.namelist() if name.endswith(".fmu")]

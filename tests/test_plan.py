@@ -1196,7 +1196,7 @@ def test_files_in_a_folder_that_is_missing_are_refused_by_name(name, tmp_path):
         save(path)
 
 
-@pytest.mark.parametrize("path", [None, 3, cs.load_scene("C2")])
+@pytest.mark.parametrize("path", [None, 3, "a\0.npz", cs.load_scene("C2")])
 def test_what_is_no_path_is_refused(path):
     plan = cs.plan(cs.load_scene("C2"))
     for write in (plan.save, functools.partial(cs.save_scene, plan.scene)):

@@ -178,6 +178,13 @@ def test_a_picture_that_cannot_be_written_is_refused(tmp_path):
             plots.plot_slip(plan, tmp_path / name)
 
 
+@pytest.mark.parametrize("dpi", ["x", None, 0, -160, 3, 1e5, np.nan, [160], True])
+def test_what_are_no_dots_an_inch_is_refused(dpi, tmp_path):
+    with pytest.raises(cs.ContactSystemError, match=r"dpi = .*: give a (finite )?number"):
+        plots.plot_slip(cs.plan(cs.load_scene("K1")), tmp_path / "x.png", dpi=dpi)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("draw", [plots.plot, plots.plot_slip, plots.plot_curves])
 def test_a_scene_in_the_place_of_its_plan_is_refused(draw, tmp_path):
     scene = cs.load_scene("K1")

@@ -93,6 +93,16 @@ def test_a_time_that_is_no_number_is_named(t):
         SLOW(t)
 
 
+@pytest.mark.parametrize("t", ["1", None, math.nan, [1.0]])
+def test_an_end_of_a_span_that_is_no_number_is_named(t):
+    for check, name in (
+        (WAVY.check, "duration"), (WAVY.zeros, "duration"), (WAVY.shifted, "t0"),
+        (lambda t: WAVY.knots(t, 1), "t0"), (lambda t: WAVY.growths(0, t), "t1"),
+    ):  # fmt: skip
+        with pytest.raises(SceneError, match=f"{name} = .*: give a finite number"):
+            check(t)
+
+
 def test_extrema_are_the_sign_changes_of_the_rate():
     rate = np.polynomial.Polynomial.fromroots([0.25, 0.5, 0.5, 1.5])
     profile = Profile(rate.integ().coef)
@@ -151,8 +161,10 @@ def test_a_profile_that_is_no_speed_is_refused_with_time_value_and_remedy(coeffi
 
 
 @pytest.mark.parametrize(
-    "bad", [[], [math.nan], [1, math.inf], 0.1, "0.1", ["0.1"], [True], [1e200], [10**400], [None]]
-)
+    "bad",
+    [[], [math.nan], [1, math.inf], 0.1, "0.1", b"0.1", ["0.1"], [True], [1e200], [10**400],
+     [None]],
+)  # fmt: skip
 def test_profile_coefficients_must_be_finite_numbers(bad):
     with pytest.raises(SceneError, match="profile"):
         Profile(bad)

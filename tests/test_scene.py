@@ -358,6 +358,10 @@ FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(
         (window(0, 1, contact=-1), ["contact = -1"]),
         (window(0, 1, contact="every"), ["contact = 'every'", '"all"']),
         (window(0, 1, contact=True), ["contact = True"]),
+        (window(0, 1, contact=np.array([0, 1])), ["contact = array([0, 1])", '"all"']),
+        (window(0, 1, value=b"10"), ["value = b'10'", "list of numbers"]),
+        (lambda: small_scene().contact_name(2), ["scene 'small': contact = 2", "0 to 1"]),
+        (lambda: small_scene().contact_name("thumb"), ["contact = 'thumb'", "an index"]),
         (window(0, 1, value=(1, math.inf)), ["value[1]", "inf"]),
         (window(0, math.nan), ["stop", "nan"]),
         (

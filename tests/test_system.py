@@ -138,8 +138,9 @@ def test_measured_states_restart_the_motion(kind, coordinates):
 def test_a_restart_refuses_what_does_not_determine_a_motion():
     system = SceneSystem(one_contact("bowl", profile=(0.0, 0.3)), "frame")
     state = cs.plan(system.scene).states(0.5)
-    with pytest.raises(cs.SceneError, match="sigma = 0"):
-        system.from_states(0.0, state)
+    for t, speed in ((0.0, "0"), (np.inf, "inf")):
+        with pytest.raises(cs.SceneError, match=f"sigma = {speed}"):
+            system.from_states(t, state)
     with pytest.raises(cs.SceneError, match=r"scene '.*', restart: state has shape \(3,\)"):
         system.from_states(0.5, np.zeros(3))
     with pytest.raises(cs.SceneError, match="at t = 0.5 s, contact 0: the measured state has nan"):
@@ -223,6 +224,8 @@ def test_an_unknown_output_and_arrays_of_other_lengths_are_refused_by_name():
     for ask in (system.function, system.depends):
         with pytest.raises(cs.SceneError, match=r"scene 'K1': output = 'slips' .* mean 'slip'"):
             ask("slips")
+        with pytest.raises(cs.SceneError, match=r"output = \['pose'\] is unknown"):
+            ask(["pose"])
     for arrays, words in (
         ((system.x0[:3],), r"x has shape \(3,\); give \(27,\)"),
         ((system.x0, np.zeros(4)), r"w has shape \(4,\); give \(0,\)"),
