@@ -314,13 +314,13 @@ _LATEST: tuple[Hashable, Family] = (None, Family())  # a key is compared sooner 
 def family(scene: Scene) -> Family:
     """That of a scene."""
     global _LATEST
-    key, (latest, found) = scene.likeness, _LATEST
+    key, (latest, known) = scene.likeness, _LATEST
     if key == latest:
-        return found
-    known = _WITH_KIND.get(key)
-    if known is not None:
-        _LATEST = key, known
         return known
+    found = _WITH_KIND.get(key)
+    if found is not None:
+        _LATEST = key, found
+        return found
     found = _FAMILIES.pop(key, None) or Family()
     room = _WITH_KIND if found.has_kind else _FAMILIES
     room[key] = found  # the latest is last
