@@ -173,6 +173,11 @@ def a_path(value: Any, what: str = "path") -> Path:
     return Path(found)
 
 
+def items_of(values: Any) -> tuple:
+    """What is in a list, or in an iterator, gone through once; nothing of a text or of another."""
+    return tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else ()
+
+
 def function_or_none(value: Any, what: str, remedy: str) -> Any:
     """The value, a function or None.
 

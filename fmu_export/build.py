@@ -16,7 +16,7 @@ from pathlib import Path
 
 import fmpy
 
-from contact_system.checks import a_path
+from contact_system.checks import a_path, items_of
 from contact_system.errors import ContactSystemError
 from contact_system.kernels import cache_folder, cache_room, find_compiler
 
@@ -61,8 +61,7 @@ def _platform(target: str) -> tuple[str, str, str, str]:
 
 def chosen(platforms: Iterable[str]) -> tuple[str, ...]:
     """The platforms asked for; or an error that says what they are instead."""
-    fine = isinstance(platforms, Iterable) and not isinstance(platforms, str)
-    found = tuple(platforms) if fine else ()
+    found = items_of(platforms)
     if not found:
         raise ContactSystemError(
             f'platforms = {platforms!r}: give a list of at least one, such as ("native",)'

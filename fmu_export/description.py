@@ -13,7 +13,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 
 from contact_system import __version__
-from contact_system.checks import is_device
+from contact_system.checks import is_device, items_of
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
@@ -73,7 +73,7 @@ def model_description(
     ContactSystemError
         An unknown version or interface.
     """
-    check_choice(fmi_version, interfaces)
+    interfaces = check_choice(fmi_version, interfaces)
     root = ET.Element("fmiModelDescription", _head(table, fmi_version))
     # The schemas want Model Exchange first.
     root.extend(_interface(table, fmi_version, i) for i in sorted(interfaces, reverse=True))
@@ -99,18 +99,18 @@ def model_description(
     return xml_text(root)
 
 
-def check_choice(fmi_version: str, interfaces: Sequence[str]) -> None:
-    """Refuse versions and interfaces that there are not."""
+def check_choice(fmi_version: str, interfaces: Iterable[str]) -> tuple[str, ...]:
+    """The interfaces asked for; versions and interfaces that there are not are refused."""
     if fmi_version not in VERSIONS:
         raise ContactSystemError(f"fmi_version = {fmi_version!r}: use one of {', '.join(VERSIONS)}")
-    fine = isinstance(interfaces, Iterable) and not isinstance(interfaces, str)
-    given = tuple(interfaces) if fine else ()
+    given = items_of(interfaces)
     unknown = [i for i in given if i not in INTERFACES]
     if unknown or not given or len(set(given)) < len(given):
         raise ContactSystemError(
             f"interfaces = {interfaces!r}: give a list of one or both of {', '.join(INTERFACES)}, "
             "each once"
         )
+    return given
 
 
 def instantiation_token(description: str) -> str:

@@ -15,6 +15,7 @@ from . import build
 from .description import (
     INTERFACES,
     build_description,
+    check_choice,
     generation_time,
     instantiation_token,
     model_description,
@@ -63,7 +64,7 @@ def export_fmu(
         FMU that fmpy's validation refuses.
     """
     path, moment = build.target(path), generation_time()
-    platforms = build.chosen(platforms)
+    platforms, interfaces = build.chosen(platforms), check_choice(fmi_version, interfaces)
     tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
     table = variable_table(scene)
     token = instantiation_token(model_description(table, fmi_version, interfaces))

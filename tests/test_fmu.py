@@ -709,6 +709,14 @@ def test_calls_out_of_order_are_refused_with_a_message(version, exported):
     assert fmu.get(one, "contact[1].object.u")[0] == fmu.scene.contacts[0].object_at[0]
 
 
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_interfaces_of_an_iterator_are_all_in_the_file(version, tmp_path):
+    both = ["CoSimulation", "ModelExchange"]
+    path = export_fmu(cs.load_scene("C1"), tmp_path / "C1.fmu", version, iter(both))
+    found = fmpy.read_model_description(path)
+    assert found.coSimulation is not None and found.modelExchange is not None
+
+
 def test_functions_of_the_other_interface_are_refused(exported):
     fmu = exported("K1")
     ready = ["CoSimulation", "ModelExchange"]
