@@ -6,19 +6,19 @@ Every scene is simulated over its whole horizon, with hydroelastic and with poin
 from __future__ import annotations
 
 import functools
-import math
+import itertools
 import statistics
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 import contact_system as cs
 from drake_plant import StationConfig, simulate
-from drake_plant.measures import ContactReport, contact_table
-from drake_plant.station import SimulationResult
+from drake_plant.measures import contact_table
 
-from .report import Bar
-from .timing import resident
+from .report import Bar, Sections
 
 SCENES = ("D1", "D2", "D3")
 MODELS = ("hydroelastic", "point")
@@ -27,58 +27,40 @@ SPEED_TIME = 0.5  # [s] simulated in a run of the speed comparison
 
 
 @functools.cache
-def run(name: str, model: str) -> SimulationResult:
-    """A simulation of the whole horizon, kept for all bars that look at it."""
+def worst(name: str, model: str) -> dict[str, float]:
+    """The measures of a scene's worst contact over the whole horizon."""
     scene = cs.load_scene(name)
-    return simulate(scene, StationConfig.from_scene(scene, contact_model=model))
-
-
-@functools.cache
-def reports(name: str, model: str) -> list[ContactReport]:
-    """Measures of its contacts."""
-    return contact_table(run(name, model))
-
-
-def _bar(
-    what: str, name: str, model: str, limit: float, value: Callable[[ContactReport], float],
-    unit: str = "", note: str = "",
-) -> Bar:  # fmt: skip
-    """The worst contact of a scene against a limit."""
-    seen = reports(name, model)
-    detail = {r.name: asdict(r) for r in seen}
-    worst = max(value(r) for r in seen if not math.isnan(value(r)))
-    return Bar(f"{name} {model}: {what}", limit, worst, unit, note=note, detail=detail)
+    told = contact_table(simulate(scene, StationConfig.from_scene(scene, contact_model=model)))
+    rows = [{**asdict(report), "off": abs(report.normal_mean - 1)} for report in told]
+    numbers = [key for key, value in rows[0].items() if isinstance(value, float)]
+    return {key: float(np.nanmax([row[key] for row in rows])) for key in numbers}
 
 
 def forces(full: bool) -> Iterator[Bar]:
     """Normal force outside 0.1 s around edges, and friction against mu times it."""
-    for model, deviation in zip(MODELS, (0.05, 0.01)):
-        for name in SCENES:
-            yield _bar("mean normal force off 1 N by", name, model, 0.01,
-                       lambda r: abs(r.normal_mean - 1), "N")  # fmt: skip
-            yield _bar("its standard deviation", name, model, deviation,
-                       lambda r: r.normal_deviation, "N")  # fmt: skip
-            share = max(r.saturated for r in reports(name, model) if not math.isnan(r.saturated))
-            yield _bar("tangential force over mu N", name, model, 1.02,
-                       lambda r: r.friction_ratio,
-                       note=f"saturated {share:.0%} of the disturbance")  # fmt: skip
+    for (model, limit), name in itertools.product(zip(MODELS, (0.05, 0.01)), SCENES):
+        what, found = f"{name} {model}: ", worst(name, model)
+        yield Bar(what + "mean normal force off 1 N by", 0.01, found["off"], "N")
+        yield Bar(what + "its standard deviation", limit, found["normal_deviation"], "N")
+        note = f"saturated {found['saturated']:.0%} of the disturbance"
+        yield Bar(what + "tangential force over mu N", 1.02, found["friction_ratio"], note=note)
 
 
 def rolling(full: bool) -> Iterator[Bar]:
     """D1 before its disturbance: slip, friction, measured against planned contact points."""
-    for model, slip in zip(MODELS, (1e-3, 1e-4)):
-        yield _bar("slip over contact speed", "D1", model, slip, lambda r: r.rolling_slip)
-        yield _bar("friction spent", "D1", model, 0.1, lambda r: r.rolling_friction, "N")
-        yield _bar("contact point off the plan", "D1", model, 1e-3, lambda r: r.distance, "m")
+    for model, limit in zip(MODELS, (1e-3, 1e-4)):
+        what, found = f"D1 {model}: ", worst("D1", model)
+        yield Bar(what + "slip over contact speed", limit, found["rolling_slip"])
+        yield Bar(what + "friction spent", 0.1, found["rolling_friction"], "N")
+        yield Bar(what + "contact point off the plan", 1e-3, found["distance"], "m")
 
 
 def recovery(full: bool) -> Iterator[Bar]:
     """Time until slip is rejected, against what the paper reports."""
-    for model in MODELS:
-        for name in SCENES:
-            rolling = max(r.settling for r in reports(name, model) if not math.isnan(r.settling))
-            yield _bar("recovery", name, model, RECOVERY[name], lambda r: r.recovery, "s",
-                       note=f"to the slip of undisturbed rolling {rolling:.3f} s")  # fmt: skip
+    for model, (name, limit) in itertools.product(MODELS, RECOVERY.items()):
+        found = worst(name, model)
+        note = f"to the slip of undisturbed rolling {found['settling']:.3f} s"
+        yield Bar(f"{name} {model}: recovery", limit, found["recovery"], "s", note=note)
 
 
 def speed(full: bool) -> Iterator[Bar]:
@@ -95,31 +77,16 @@ def speed(full: bool) -> Iterator[Bar]:
             if name == "ours":
                 builds.append(result.build_time)
     ours, theirs = (statistics.median(rates[name]) for name in meshes)
-    beside = f"{theirs:.3g} times real time with those"
-    yield Bar("D1 hydroelastic: faster than Drake's spheres at 1.5 mm by", 3.0, ours / theirs, "x",
-              least=True, note=beside, detail=rates)  # fmt: skip
-    yield Bar("D1 hydroelastic: simulated over wall time", 1.0, ours, "x", least=True,
-              note="an aim", detail=rates)  # fmt: skip
-    yield Bar("D1 hydroelastic: building the Diagram", 3.0, statistics.median(builds), "s",
-              detail={"builds": builds})  # fmt: skip
+    what, note = "D1 hydroelastic: ", f"{theirs:.3g} times real time with those"
+    over = "faster than Drake's spheres at 1.5 mm by"
+    yield Bar(what + over, 3.0, ours / theirs, "x", True, note, detail=rates)
+    yield Bar(what + "simulated over wall time", 1.0, ours, "x", True, "an aim")
+    yield Bar(what + "building the Diagram", 3.0, statistics.median(builds), "s")
 
 
-def memory(full: bool) -> Iterator[Bar]:
-    """Growth of the process over 90 builds and short runs, after ten."""
-    scene = cs.load_scene("D1")
-    config = StationConfig.from_scene(scene, contact_model="hydroelastic")
-    sizes = []
-    for _ in range(100):
-        simulate(scene, config, duration=0.005)
-        sizes.append(resident())
-    yield Bar("100 builds and short runs: growth after the tenth", 20.0, sizes[-1] - sizes[9], "MB",
-              detail={"sizes": sizes})  # fmt: skip
-
-
-SECTIONS = {
+SECTIONS: Sections = {
     "forces": forces,
     "rolling": rolling,
     "recovery": recovery,
     "speed": speed,
-    "memory": memory,
 }

@@ -1,101 +1,82 @@
 """pythonfmu stepping the same equations: an FMU whose steps are plain Python.
 
 The slave does what a user of pythonfmu would write: the paper's chart equations of all contacts,
-one classical Runge-Kutta step a communication step. The equations come from contact_system's
-kernel, instruction by instruction, so common terms are computed once.
+one classical Runge-Kutta step a communication step.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 
-from contact_system.equations import chart_equations
-from contact_system.kernels import c_statements
-from contact_system.scene import Scene
+import contact_system as cs
 
 SCRIPT = """
-from math import *
+from math import cos, sin
 
 from pythonfmu import Fmi2Causality, Fmi2Slave, Real
 
 STARTS = {starts}
-PROFILE = {profile}
+C0, C1, C2 = {profile}
 ETA = {eta}
+RATIO = {ratio}
 
 
-def drive(t):
-    sigma, slope = 0.0, 0.0
-    for c in reversed(PROFILE):
-        slope, sigma = sigma + t * slope, c + t * sigma
-    return slope / sigma, ETA * sigma * sigma
+def rate(x, t):
+    u1, v1, a1, b1, u2, v2, a2, b2, psi = x
+    sigma = C0 + t * (C1 + t * C2)
+    growth, lam = (C1 + 2.0 * C2 * t) / sigma, ETA * sigma * sigma
+    s1, s2, spin1, spin2 = sin(u1), sin(u2), cos(u1) * b1, cos(u2) * b2
+    forward, sideways, c, s = RATIO * a1, RATIO * s1 * b1, cos(psi), sin(psi)
+    return (
+        a1,
+        b1,
+        growth * a1 + s1 * spin1 * b1,
+        growth * b1 - 2.0 * a1 * spin1 / s1,
+        a2,
+        b2,
+        growth * a2 + s2 * spin2 * b2 + lam * (c * forward - s * sideways - a2),
+        growth * b2 - 2.0 * a2 * spin2 / s2 - lam * ((s * forward + c * sideways) / s2 + b2),
+        spin1 + spin2,
+    )
 
 
-def rate(x, growth, lam):
-    x0, x1, x2, x3, x4, x5, x6, x7, x8 = x
-    {statements}
-    return {results}
+def moved(x, h, k):
+    return [a + h * b for a, b in zip(x, k)]
 
 
 class Peer(Fmi2Slave):
     def __init__(self, **given):
         super().__init__(**given)
         self.x = [list(start) for start in STARTS]
+        out = Fmi2Causality.output
         for i in range(len(STARTS)):
             for k in range(9):
                 getter = lambda i=i, k=k: self.x[i][k]
-                self.register_variable(
-                    Real(f"x{{i}}_{{k}}", causality=Fmi2Causality.output, getter=getter)
-                )
+                self.register_variable(Real(f"x{{i}}_{{k}}", causality=out, getter=getter))
 
     def do_step(self, t, h):
-        begin, middle, end = drive(t), drive(t + 0.5 * h), drive(t + h)
         for i, x in enumerate(self.x):
-            k1 = rate(x, *begin)
-            k2 = rate([a + 0.5 * h * b for a, b in zip(x, k1)], *middle)
-            k3 = rate([a + 0.5 * h * b for a, b in zip(x, k2)], *middle)
-            k4 = rate([a + h * b for a, b in zip(x, k3)], *end)
-            self.x[i] = [
-                a + h / 6.0 * (b + 2.0 * c + 2.0 * d + e)
-                for a, b, c, d, e in zip(x, k1, k2, k3, k4)
-            ]
+            k1 = rate(x, t)
+            k2 = rate(moved(x, 0.5 * h, k1), t + 0.5 * h)
+            k3 = rate(moved(x, 0.5 * h, k2), t + 0.5 * h)
+            k4 = rate(moved(x, h, k3), t + h)
+            slope = [a + 2.0 * b + 2.0 * c + d for a, b, c, d in zip(k1, k2, k3, k4)]
+            self.x[i] = moved(x, h / 6.0, slope)
         return True
 """
 
 
-def build_peer(scene: Scene, starts: np.ndarray, folder: Path) -> Path:
-    """Write the FMU of a scene whose contacts are alike, without disturbances.
+def build_peer(scene: cs.Scene, starts: np.ndarray, folder: Path) -> Path:
+    """Write the FMU of spheres on a sphere, gain law `path`, without disturbances.
 
-    Parameters
-    ----------
-    scene : Scene
-        Gain law `path`.
-    starts : (n_contacts, 9)
-        u1 v1 u1' v1' u2 v2 u2' v2' psi.
-    folder : Path
-
-    Raises
-    ------
-    ImportError
-        pythonfmu is not installed.
+    ``starts`` (n_contacts, 9): u1 v1 u1' v1' u2 v2 u2' v2' psi.
     """
     from pythonfmu.builder import FmuBuilder
 
-    finger = scene.contacts[0].finger
-    x, growth, lam = ca.SX.sym("x", 9), ca.SX.sym("growth"), ca.SX.sym("lam")
-    numbers = ca.DM([*finger.parameters, *scene.object.parameters])
-    point = ca.vertcat(x, growth, lam, ca.SX.zeros(6))
-    rates = chart_equations(finger, scene.object).function(point, numbers)
-    function = ca.Function("rates", [x, growth, lam], [ca.cse(ca.densify(rates))])
-    names = [[f"x{k}" for k in range(9)], ["growth"], ["lam"]]
-    lines, outputs = c_statements(function, names)
-    script = folder / "peer.py"
-    script.write_text(SCRIPT.format(
-        starts=[[float(v) for v in start] for start in starts],
-        profile=[float(c) for c in scene.profile.coefficients], eta=float(scene.gain.value),
-        statements="\n    ".join(s.removeprefix("const double ").rstrip(";") for s in lines),
-        results=f"({', '.join(outputs[0])})",
-    ))  # fmt: skip
+    script, contact = folder / "peer.py", scene.contacts[0]
+    profile = (*map(float, scene.profile.coefficients), 0.0, 0.0)[:3]
+    given = {"starts": np.asarray(starts).tolist(), "profile": profile, "eta": scene.gain.value}
+    script.write_text(SCRIPT.format(**given, ratio=contact.finger.radius / scene.object.radius))
     return Path(FmuBuilder.build_FMU(script, dest=folder))

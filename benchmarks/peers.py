@@ -1,21 +1,25 @@
-"""Other integrators on the same motion: heyoka, CasADi's CVODES, scipy.
+"""Other libraries on the same motion: general integrators, and geographiclib.
 
-A `Method` builds a solver for one tolerance (just-in-time compilation happens there, outside every
-time) and the solver then integrates one contact from an initial state.
+A `Peer` builds a solver for one problem and one tolerance; just-in-time compilation and everything
+else that a second run would not repeat happens there, and is told apart.
 
 References: Biscani & Izzo, MNRAS 504, 2021 (heyoka, Taylor series); Hindmarsh et al., ACM TOMS 31,
-2005 (CVODES); Andersson et al., Math. Prog. Comp. 11, 2019 (CasADi); Virtanen et al., Nature
-Methods 17, 2020 (scipy).
+2005 (CVODES); Andersson et al., Math. Prog. Comp. 11, 2019 (CasADi, which calls it); Virtanen et
+al., Nature Methods 17, 2020 (scipy); Karney, J. Geodesy 87, 2013 (geographiclib).
 """
 
 from __future__ import annotations
 
+import functools
 import importlib.util
-import os
+import itertools
+import math
+import shutil
+import subprocess
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,41 +27,35 @@ import casadi as ca
 import numpy as np
 
 import contact_system as cs
-from contact_system.equations import chart_equations
-from contact_system.kernels import find_compiler
 
-from .problems import metric
+from .accuracy import spheroid_point
+from .problems import Ode, Problem
 
-Solver = Callable[[np.ndarray, float], np.ndarray]
-"""(initial state (9,), eta) -> states at the grid's times (n, 9)."""
+Array = np.ndarray
+Solver = Callable[[], Any]
+"""What the peer finds at the problem's times: one array of states (n, n_states) a contact."""
 FINEST = 3e-16
 """CVODES refuses relative tolerances below the rounding unit. Of stiff slip it reaches errors of
 1e-12 only here, 10 to 30 times sooner than any other peer."""
+HEYOKA = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14, 2.3e-16)
+"""A tolerance sets the order of the series."""
 
 
 @dataclass(frozen=True)
-class Method:
-    """A peer on the paper's chart equations of a sphere rolling on an object, gain law `path`.
-
-    Attributes
-    ----------
-    name : str
-    tolerances : loosest first
-    build : callable
-        tolerance -> Solver.
-    limit : float
-        Longest run, s.
-    """
+class Peer:
+    """A library's method on one form of the equations."""
 
     name: str
-    tolerances: tuple[float, ...]
-    build: Callable[[float], Solver]
-    limit: float = 20.0
+    tolerances: tuple[float, ...]  # loosest first
+    build: Callable[[float, float], Solver] | None  # of a tolerance and the longest run, s
+    points: Callable[[Any], Array]  # of what is found: (n, n_contacts, n_bodies, 3), m; not timed
 
 
-def installed(package: str) -> bool:
-    """Whether a package can be imported."""
-    return importlib.util.find_spec(package) is not None
+def missing() -> dict[str, str]:
+    """Peers that are not installed: name -> reason."""
+    packages = ("heyoka", "geographiclib")
+    absent = (package for package in packages if not importlib.util.find_spec(package))
+    return dict.fromkeys(absent, "not installed")
 
 
 def decades(first: int, last: int) -> tuple[float, ...]:
@@ -65,182 +63,191 @@ def decades(first: int, last: int) -> tuple[float, ...]:
     return tuple(10.0**-k for k in range(first, last + 1))
 
 
-# --- heyoka ------------------------------------------------------------------------------------
-
-HEYOKA = (*decades(3, 15), 2.3e-16)
-"""A tolerance sets the order of the series; the floor is the rounding unit 2.2e-16."""
-
-
-def heyoka_method(scene: cs.Scene, grid: np.ndarray, slip: bool = True) -> Method:
-    """Taylor series on the chart equations, written by hand; ``slip``: with the feedback."""
-    equations = _heyoka_equations(scene, slip)
-
-    def build(tolerance: float) -> Solver:
-        import heyoka as hy
-
-        solver = hy.taylor_adaptive(equations, [1.0] * 9, tol=tolerance, pars=[0.0] if slip else [])
-
-        def solve(state: np.ndarray, eta: float) -> np.ndarray:
-            solver.time = 0.0
-            solver.state[:] = state
-            if slip:
-                solver.pars[0] = eta
-            return solver.propagate_grid(grid)[-1]
-
-        return solve
-
-    return Method("heyoka", HEYOKA, build)
+def heyokas(problem: Problem) -> Iterator[Peer]:
+    """heyoka on every form of the equations."""
+    if "heyoka" not in missing():
+        for form, ode in problem.forms.items():
+            name = f"heyoka, {form}" if len(problem.forms) > 1 else "heyoka"
+            yield Peer(name, HEYOKA, functools.partial(_heyoka, ode), ode.all_points)
 
 
-def _heyoka_equations(scene: cs.Scene, slip: bool) -> list[tuple[Any, Any]]:
-    """Theory section 2, state order u1 v1 u1' v1' u2 v2 u2' v2' psi; par[0] is eta."""
-    import heyoka as hy
-
-    names = ("u1", "v1", "a1", "b1", "u2", "v2", "a2", "b2", "psi")
-    u1, v1, a1, b1, u2, v2, a2, b2, psi = state = hy.make_vars(*names)
-    sigma, slope = 0.0, 0.0
-    for k, c in reversed(list(enumerate(scene.profile.coefficients))):
-        sigma = sigma * hy.time + c
-        slope = slope * hy.time + k * c if k else slope
-    growth = slope / sigma
-    tip = metric(scene.contacts[0].finger, hy, u1, v1, a1, b1)
-    body = metric(scene.object, hy, u2, v2, a2, b2)
-    accelerations = [growth * a1 + tip.bend[0], growth * b1 + tip.bend[1]]
-    object_accelerations = [growth * a2 + body.bend[0], growth * b2 + body.bend[1]]
-    if slip:
-        lam = hy.par[0] * sigma**2
-        x, y = tip.lame[0] * a1, tip.lame[1] * b1
-        cos, sin = hy.cos(psi), hy.sin(psi)
-        object_accelerations[0] += lam * ((cos * x - sin * y) / body.lame[0] - a2)
-        object_accelerations[1] += lam * ((-sin * x - cos * y) / body.lame[1] - b2)
-    right = [a1, b1, *accelerations, a2, b2, *object_accelerations, tip.spin + body.spin]
-    return list(zip(state, right, strict=True))
+def peers(problem: Problem, full: bool) -> Iterator[Peer]:
+    """All that are installed; ``full``: every decade of tolerance."""
+    yield from heyokas(problem)
+    some = decades(3, 15) if full else (1e-4, 1e-7, 1e-9, 1e-11, 1e-13)
+    lowest = (*(t for t in some if t > 3e-14), 2.3e-14)  # scipy takes none below
+    # The form in space is regular everywhere and has no trigonometry: the others' better choice.
+    ode = problem.forms.get("space") or problem.forms["chart"]
+    for method in ("adams", "bdf"):
+        build = functools.partial(_cvodes, ode, method)
+        yield Peer(f"CVODES {method}", (*some, 1e-15, FINEST), build, ode.all_points)
+    for method in ("RK45", "DOP853", "LSODA", "Radau", "BDF"):
+        build = functools.partial(_scipy, ode, method)
+        yield Peer(f"scipy {method}", lowest, build, ode.all_points)
+    if problem.name == "geodesic spheroid" and "geographiclib" not in missing():
+        yield _geographiclib(problem)
 
 
-def heyoka_great_circles(
-    radii: Sequence[float], lengths: np.ndarray, tolerance: float
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Both contact points of rolling spheres in Cartesian form, x" = -|x'|^2/r^2 x in arc length.
-
-    Parameters
-    ----------
-    radii : finger and object, m
-    lengths : (n,), arc lengths of the output, m
-
-    Returns
-    -------
-    callable
-        (12,), point and path velocity of finger and object -> points (n, 2, 3), m.
-    """
-    import heyoka as hy
-
-    symbols = hy.make_vars(*(f"x{i}" for i in range(12)))
-    equations = []
-    for k, r in enumerate(radii):
-        x, p = symbols[6 * k : 6 * k + 3], symbols[6 * k + 3 : 6 * k + 6]
-        square = (p[0] ** 2 + p[1] ** 2 + p[2] ** 2) / r**2
-        equations += [(x[i], p[i]) for i in range(3)] + [(p[i], -square * x[i]) for i in range(3)]
-    solver = hy.taylor_adaptive(equations, [1.0] * 12, tol=tolerance)
-
-    def solve(start: np.ndarray) -> np.ndarray:
-        solver.time = 0.0
-        solver.state[:] = start
-        return solver.propagate_grid(lengths)[-1].reshape(-1, 2, 6)[:, :, :3]
-
-    return solve
-
-
-# --- CasADi's CVODES ---------------------------------------------------------------------------
-
-
-def cvodes_methods(scene: cs.Scene, grid: np.ndarray) -> list[Method]:
-    """Adams and BDF on the symbolic chart equations, as C where there is a compiler."""
-    finger, obj = scene.contacts[0].finger, scene.object
-    t, state, eta = ca.SX.sym("t"), ca.SX.sym("state", 9), ca.SX.sym("eta")
-    powers = enumerate(scene.profile.coefficients)
-    terms = [(c * t**k, k * c * t ** max(k - 1, 0)) for k, c in powers]
-    sigma, slope = sum(a for a, _ in terms), sum(b for _, b in terms)
-    point = ca.vertcat(state, slope / sigma, eta * sigma**2, ca.SX.zeros(6))
-    numbers = ca.DM([*finger.parameters, *obj.parameters])
-    rate = chart_equations(finger, obj).function(point, numbers)
-    problem = {"x": state, "t": t, "p": eta, "ode": rate}
-
-    def method(family: str) -> Method:
-        def build(tolerance: float) -> Solver:
-            options: dict[str, Any] = {
-                "linear_multistep_method": family, "reltol": tolerance,
-                "abstol": 0.1 * tolerance, "max_num_steps": 100_000, "show_eval_warnings": False,
-            }  # fmt: skip
-            if find_compiler():
-                options |= {"jit": True, "compiler": "shell", "jit_cleanup": False}
-                options["jit_options"] = {"flags": ["-O3"], "verbose": False, "cleanup": False}
-            solver = _in_scratch_folder(
-                lambda: ca.integrator("peer", "cvodes", problem, 0.0, list(grid), options)
-            )
-            return lambda y, value: solver(x0=y, p=value)["xf"].full().T
-
-        return Method(f"CVODES {family}", (*decades(7, 15), FINEST), build)
-
-    return [method("adams"), method("bdf")]
-
-
-def _in_scratch_folder(make: Callable[[], Any]) -> Any:
-    """CasADi writes its C files into the working folder; loaded, they are not needed any more."""
-    home = os.getcwd()
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        try:
-            return make()
-        finally:
-            os.chdir(home)
-
-
-# --- scipy -------------------------------------------------------------------------------------
-
-
-def scipy_methods(scene: cs.Scene, grid: np.ndarray, limit: float) -> list[Method]:
-    """scipy's solvers with the chart equations in CasADi's virtual machine.
+def _solver(ode: Ode, advance: Callable[[int, Array], Array], limit: float) -> Solver:
+    """Chains the pieces of all contacts; ``advance``: (piece, state) -> states (n, n_states).
 
     Raises (when solving)
     ---------------------
     TimeoutError
-        A run takes longer than twice ``limit``, s.
+        A piece is begun later than ``limit`` s after the start.
     """
+
+    def solve() -> list[Array]:
+        begin, columns = time.perf_counter(), []
+        for state in ode.starts:
+            rows = [state[None]]
+            for k in range(len(ode.pieces)):
+                if time.perf_counter() - begin > limit:
+                    raise TimeoutError(f"longer than {limit:g} s")
+                rows.append(advance(k, rows[-1][-1])[1:])
+            columns.append(np.concatenate(rows))
+        return columns
+
+    return solve
+
+
+def _once(make: Callable[..., Any]) -> Callable[..., Any]:
+    """Keep what is made for an Ode's right-hand side and other arguments: it takes long."""
+    known: dict[Any, Any] = {}
+
+    def get(ode: Ode, *others: Any) -> Any:
+        if (ode.key, *others) not in known:
+            known[ode.key, *others] = make(ode, *others)
+        return known[ode.key, *others]
+
+    return get
+
+
+def _heyoka(ode: Ode, tolerance: float, limit: float) -> Solver:
+    solver = _heyoka_compiled(ode, tolerance)
+
+    def advance(k: int, state: Array) -> Array:
+        piece = ode.pieces[k]
+        solver.time, solver.state[:] = piece.times[0], state
+        if len(piece.parameters):
+            solver.pars[:] = piece.parameters
+        return solver.propagate_grid(piece.times)[-1]
+
+    return _solver(ode, advance, limit)
+
+
+@_once
+def _heyoka_compiled(ode: Ode, tolerance: float) -> Any:
+    import heyoka as hy
+
+    states, parameters = ode.starts.shape[1], len(ode.pieces[0].parameters)
+    x = hy.make_vars(*(f"x{i:02d}" for i in range(states)))
+    right = ode.rates(hy, hy.time, x, [hy.par[i] for i in range(parameters)])
+    given = {"tol": tolerance, "pars": [0.0] * parameters}
+    return hy.taylor_adaptive(list(zip(x, right)), [1.0] * states, **given)
+
+
+_NUMBER = itertools.count()
+
+
+@_once
+def _function(ode: Ode) -> ca.Function:
+    """(t, state, parameters) -> state', with its Jacobian, as C where there is a compiler."""
+    name = f"peer{next(_NUMBER)}"
+    t, x = ca.SX.sym("t"), ca.SX.sym("x", ode.starts.shape[1])
+    p = ca.SX.sym("p", len(ode.pieces[0].parameters))
+    right = ca.vertcat(*ode.rates(ca, t, ca.vertsplit(x), ca.vertsplit(p) if p.numel() else []))
+    plain = ca.Function(name, [t, x, p], [right], ["t", "x", "p"], ["f"])
+    compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    if compiler is None:
+        return plain
+    with tempfile.TemporaryDirectory() as folder:  # loaded, the files are not needed any more
+        code, library = ca.CodeGenerator(f"{name}.c"), f"{folder}/{name}.so"
+        for each in (plain, plain.jacobian()):
+            code.add(each)
+        source = code.generate(f"{folder}/")
+        command = [compiler, "-O3", "-fPIC", "-shared", source, "-o", library, "-lm"]
+        subprocess.run(command, check=True, capture_output=True)
+        return ca.external(name, library)
+
+
+def _cvodes(ode: Ode, family: str, tolerance: float, limit: float) -> Solver:
+    function = _function(ode)
+    t, x = ca.MX.sym("t"), ca.MX.sym("x", ode.starts.shape[1])
+    p = ca.MX.sym("p", len(ode.pieces[0].parameters))
+    problem = {"x": x, "t": t, "p": p, "ode": function(t, x, p)}
+    options = {
+        "linear_multistep_method": family,
+        "reltol": tolerance,
+        "abstol": 0.1 * tolerance,
+        "max_num_steps": 100_000,
+        "show_eval_warnings": False,
+    }
+    solvers = [
+        ca.integrator("peer", "cvodes", problem, piece.times[0], list(piece.times[1:]), options)
+        for piece in ode.pieces
+    ]
+
+    def advance(k: int, state: Array) -> Array:
+        found = solvers[k](x0=state, p=ode.pieces[k].parameters)["xf"].full().T
+        return np.concatenate([state[None], found])
+
+    return _solver(ode, advance, limit)
+
+
+def _scipy(ode: Ode, name: str, tolerance: float, limit: float) -> Solver:
     from scipy.integrate import solve_ivp
 
-    finger, obj = scene.contacts[0].finger, scene.object
-    machine = chart_equations(finger, obj).machine(1)
-    numbers = [*finger.parameters, *obj.parameters]
-    c, x, y, run = machine.c, machine.x[0], machine.y[0], machine.run
-    profile = scene.profile
+    function = _function(ode)
+    n, count = ode.starts.shape[1], len(ode.pieces[0].parameters)
+    now, x, p, y = np.zeros(1), np.zeros(n), np.zeros(count), np.zeros(n)
+    buffer, run = function.buffer()
+    for i, array in enumerate((now, x, p)):
+        if array.size:
+            buffer.set_arg(i, memoryview(array))
+    buffer.set_res(0, memoryview(y))
+    deadline = 0.0
 
-    def method(name: str) -> Method:
-        def build(tolerance: float) -> Solver:
-            def solve(start: np.ndarray, eta: float) -> np.ndarray:
-                c[0], x[9:] = numbers, 0.0
-                deadline = time.perf_counter() + 2 * limit
+    def rate(t: float, state: Array, kept: Any = (buffer, function)) -> Array:
+        if time.perf_counter() > deadline:
+            raise TimeoutError(f"longer than {limit:g} s")
+        now[0], x[:] = t, state
+        run()
+        return y.copy()
 
-                def rate(t: float, state: np.ndarray) -> np.ndarray:
-                    if time.perf_counter() > deadline:
-                        raise TimeoutError(f"{name}: longer than {limit:g} s")
-                    sigma = profile(t)
-                    x[:9], x[9], x[10] = state, profile.rate(t) / sigma, eta * sigma * sigma
-                    run()
-                    return y.copy()
+    def advance(k: int, state: Array) -> Array:
+        nonlocal deadline
+        piece, deadline = ode.pieces[k], time.perf_counter() + limit
+        p[:] = piece.parameters
+        span, bounds = piece.times[[0, -1]], {"rtol": tolerance, "atol": 0.1 * tolerance}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = solve_ivp(rate, span, state, name, piece.times, **bounds)
+        if not found.success:
+            raise ArithmeticError(found.message)
+        return found.y.T
 
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")
-                    found = solve_ivp(
-                        rate, (0.0, grid[-1]), start, name, grid,
-                        rtol=tolerance, atol=0.1 * tolerance,
-                    )  # fmt: skip
-                if not found.success:
-                    raise ArithmeticError(f"{name}: {found.message}")
-                return found.y.T
+    return _solver(ode, advance, limit)
 
-            return solve
 
-        # rtol below 100 rounding units is raised to it
-        return Method(f"scipy {name}", (1e-8, 1e-11, 2.3e-14), build, limit)
+def _geographiclib(problem: Problem) -> Peer:
+    """Latitudes and longitudes on an oblate body."""
+    from geographiclib.geodesic import Geodesic
 
-    return [method(name) for name in ("DOP853", "LSODA", "Radau", "BDF")]
+    scene = problem.make()
+    obj, contact = scene.object, scene.contacts[0]
+    assert isinstance(obj, cs.Ellipsoid) and obj.a == obj.b
+    f, (turn, reduced) = 1.0 - obj.c / obj.a, contact.object_at
+    latitude = math.degrees(math.atan2(math.sin(reduced), (1.0 - f) * math.cos(reduced)))
+    azimuth = math.degrees(math.atan2(*contact.object_velocity))
+    earth, wanted = Geodesic(obj.a, f), Geodesic.LATITUDE | Geodesic.LONGITUDE
+
+    def solve() -> list[dict[str, float]]:
+        line = earth.Line(latitude, math.degrees(turn), azimuth, wanted | Geodesic.DISTANCE_IN)
+        return [line.Position(s, wanted) for s in problem.times]
+
+    def points(ends: list[dict[str, float]]) -> Array:
+        found = [obj.a * spheroid_point(f, end["lat2"], end["lon2"]) for end in ends]
+        return np.array(found)[:, None, None]
+
+    return Peer("geographiclib", (0.0,), lambda tolerance, limit: solve, points)

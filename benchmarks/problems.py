@@ -1,13 +1,14 @@
-"""Problems of the work-precision diagrams: scene, 30-digit truth, and equations for the peers.
+"""Problems with a known answer: scene, truth, and equations for other libraries.
 
-Truth is data of ``tests/oracles``. The peers' equations are written out once, over any module with
-sin, cos and sqrt, so that each integrator has them in its own arithmetic: the paper's chart
-equations (theory section 2) and, for geodesics, x" = -(x'^T Hess F x')/|grad F|^2 grad F in space,
-which has no trigonometry.
+Truth has 25 to 30 digits; it is data of ``tests/oracles`` or a closed form in mpmath. The peers'
+equations are written out once, over any module with sin, cos and sqrt, so that each integrator has
+them in its own arithmetic: the paper's chart equations (theory section 2) and, for geodesics, x" =
+-(x'^T Hess F x')/|grad F|^2 grad F in space, which has no trigonometry.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,88 +18,74 @@ import numpy as np
 from oracles.load import load, scene_of, surface_of
 
 import contact_system as cs
-from contact_system.chart_solution import initial_state
-from contact_system.starts import scene_start
 
-from .accuracy import chart_points, geodesic_scene
-
+Array = np.ndarray
 Rates = Callable[[Any, Any, Sequence[Any], Sequence[Any]], list[Any]]
 """(module with sin, cos, sqrt; t; state; parameters) -> state'."""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """An interval without edges inside.
+    """An interval without edges inside: outputs (n,), both ends included, s; what is constant."""
 
-    Attributes
-    ----------
-    times : (n,), outputs, both ends included, s
-    parameters : constant on the interval
-    """
-
-    times: np.ndarray
-    parameters: np.ndarray
+    times: Array
+    parameters: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Ode:
-    """An initial value problem for each contact of a problem.
+    """An initial value problem for each contact of a problem."""
 
-    Attributes
-    ----------
-    key : str
-        Problems with the same key have the same right-hand side.
-    rates : callable
-    starts : (n_contacts, n_states)
-    pieces : in the order of time, each starting where the one before ends
-    points : callable
-        States (n, n_states) -> contact points (n, n_bodies, 3), m.
-    """
-
-    key: str
+    key: str  # the same of those that have the same right-hand side
     rates: Rates
-    starts: np.ndarray
-    pieces: tuple[Piece, ...]
-    points: Callable[[np.ndarray], np.ndarray]
+    starts: Array  # (n_contacts, n_states)
+    pieces: tuple[Piece, ...]  # each starts where the one before ends
+    points: Callable[[Array], Array]  # (n, n_states) -> contact points (n, n_bodies, 3), m
 
-    def all_points(self, states: Sequence[np.ndarray]) -> np.ndarray:
+    def all_points(self, states: Sequence[Array]) -> Array:
         """States (n, n_states) of each contact -> (n, n_contacts, n_bodies, 3), m."""
         return np.stack([self.points(rows) for rows in states], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What all methods solve.
-
-    Attributes
-    ----------
-    name : str
-    make : callable
-        A new scene.
-    times : (n,), s
-    truth : (n, n_contacts, n_bodies, 3), contact points, m
-    sizes : (n_bodies,), m
-    forms : name -> Ode
-    """
+    """What all methods solve."""
 
     name: str
-    make: Callable[[], cs.Scene]
-    times: np.ndarray
-    truth: np.ndarray
-    sizes: np.ndarray
+    make: Callable[[], cs.Scene]  # a new scene each time
+    times: Array  # (n,), s
+    truth: Array  # contact points (n, n_contacts, n_bodies, 3), m
+    sizes: Array  # (n_bodies,), m
     forms: dict[str, Ode]
+    output: str = "points"  # what a plan is asked for; of "states", points are made untimed
 
-    def of_plan(self, plan: cs.Plan) -> np.ndarray:
-        """Contact points of a plan, the layout of ``truth``."""
-        return plan.points(self.times)[:, :, 2 - len(self.sizes) :]
+    def solve(self, tolerance: float, scene: cs.Scene) -> Array:
+        """Plan a scene and ask it."""
+        return getattr(cs.plan(scene, tolerance), self.output)(self.times)
 
-    def error(self, points: np.ndarray) -> float:
+    def points(self, found: Array) -> Array:
+        """What `solve` returns -> the layout of ``truth``."""
+        if self.output == "states":
+            found = points_of_states(self.make(), found)
+        return found[:, :, 2 - len(self.sizes) :]
+
+    def error(self, points: Array) -> float:
         """Greatest distance from the truth, of the body's size."""
         return float((np.linalg.norm(points - self.truth, axis=3) / self.sizes).max())
 
 
+def points_of_states(scene: cs.Scene, states: Array) -> Array:
+    """Contact points of chart states: (n, n_contacts, 9) -> (n, n_contacts, 2, 3), m."""
+    pairs = [_pair(c.finger, scene.object, states[:, i]) for i, c in enumerate(scene.contacts)]
+    return np.stack(pairs, axis=1)
+
+
+def _pair(finger: cs.Surface, obj: cs.Surface, s: Array) -> Array:
+    return np.stack([finger.point(s[:, 0], s[:, 1]), obj.point(s[:, 4], s[:, 5])], axis=1)
+
+
 def problems() -> Iterator[Problem]:
-    """All of them."""
+    """All that `work_precision` shows."""
     for name, record in load("geodesics")["geodesics"].items():
         yield _geodesic(name, record)
     peaks = load("slip_peaks")["scenes"]
@@ -112,59 +99,56 @@ def problems() -> Iterator[Problem]:
         yield _rolling(f"disturbed {name}", scenes[name])
 
 
-# --- rolling with slip -------------------------------------------------------------------------
-
-
 def _rolling(name: str, record: dict[str, Any]) -> Problem:
-    scene = scene_of(record)
-    times = record["times"]
+    scene, times = scene_of(record), record["times"]
     truth = np.stack([c["points"] for c in record["contacts"]], axis=1)
-    sizes = np.array([record["finger_radius"], scene.object.size])
-    return Problem(
-        name, partial(scene_of, record), times, truth, sizes, {"chart": chart_form(scene, times)}
-    )
+    forms = {"chart": chart(scene, times)}
+    return Problem(name, partial(scene_of, record), times, truth, sizes_of(scene), forms)
 
 
-def chart_form(scene: cs.Scene, times: np.ndarray) -> Ode:
-    """The paper's equations of one contact, gain law `path`: u1 v1 u1' v1' u2 v2 u2' v2' psi.
+def sizes_of(scene: cs.Scene) -> Array:
+    """Of the bodies of its contacts, m."""
+    return np.array([scene.contacts[0].finger.size, scene.object.size])
 
-    Parameters: eta, the accelerations added to u1" v1" u2" v2", the profile's coefficients.
+
+def chart(scene: cs.Scene, times: Array, slip: bool = True) -> Ode:
+    """The paper's equations of a contact, gain law `path`: u1 v1 u1' v1' u2 v2 u2' v2' psi.
+
+    Parameters: eta, where it slips; in disturbed scenes also what is added to u1" v1" u2" v2".
     """
     finger, obj = scene.contacts[0].finger, scene.object
+    c0, c1, c2 = (*scene.profile.coefficients, 0.0, 0.0)[:3]
 
     def rates(m: Any, t: Any, x: Sequence[Any], p: Sequence[Any]) -> list[Any]:
         u1, v1, a1, b1, u2, v2, a2, b2, psi = (x[i] for i in range(9))
-        sigma = p[5] + t * (p[6] + t * p[7])
-        growth = (p[6] + 2.0 * t * p[7]) / sigma
-        lam = p[0] * sigma * sigma
+        sigma = c0 + t * (c1 + t * c2)
+        growth = (c1 + 2.0 * c2 * t) / sigma
         tip, body = metric(finger, m, u1, v1, a1, b1), metric(obj, m, u2, v2, a2, b2)
-        forward, sideways = tip.lame[0] * a1, tip.lame[1] * b1
-        cos, sin = m.cos(psi), m.sin(psi)
-        rolled = (cos * forward - sin * sideways, -sin * forward - cos * sideways)
-        return [
-            a1, b1, growth * a1 + tip.bend[0] + p[1], growth * b1 + tip.bend[1] + p[2],
-            a2, b2,
-            growth * a2 + body.bend[0] + lam * (rolled[0] / body.lame[0] - a2) + p[3],
-            growth * b2 + body.bend[1] + lam * (rolled[1] / body.lame[1] - b2) + p[4],
-            tip.spin + body.spin,
-        ]  # fmt: skip
+        found = [growth * a1 + tip.bend[0], growth * b1 + tip.bend[1]]
+        found += [growth * a2 + body.bend[0], growth * b2 + body.bend[1]]
+        if slip:
+            lam, cos, sin = p[0] * sigma * sigma, m.cos(psi), m.sin(psi)
+            forward, sideways = tip.lame[0] * a1, tip.lame[1] * b1
+            found[2] += lam * ((cos * forward - sin * sideways) / body.lame[0] - a2)
+            found[3] += lam * ((-sin * forward - cos * sideways) / body.lame[1] - b2)
+        if scene.disturbances:
+            found = [rate + p[1 + k] for k, rate in enumerate(found)]
+        return [a1, b1, *found[:2], a2, b2, *found[2:], tip.spin + body.spin]
 
-    starts = [initial_state(scene, i, scene_start(c), 0.0) for i, c in enumerate(scene.contacts)]
-    pieces = tuple(_pieces(scene, times))
-    points = partial(chart_points, scene)
-    return Ode(f"chart {finger!r} {obj!r}", rates, np.stack(starts), pieces, points)
+    starts = cs.SceneSystem(scene, "chart").x0.reshape(-1, 9)
+    key = f"chart {finger!r} {obj!r} {c0, c1, c2} {slip} {bool(scene.disturbances)}"
+    return Ode(key, rates, starts, tuple(_pieces(scene, times, slip)), partial(_pair, finger, obj))
 
 
-def _pieces(scene: cs.Scene, times: np.ndarray) -> Iterator[Piece]:
-    coefficients = [*scene.profile.coefficients, 0.0, 0.0][:3]
+def _pieces(scene: cs.Scene, times: Array, slip: bool) -> Iterator[Piece]:
     for begin, end in zip(scene.edges, scene.edges[1:]):
-        pushed = np.zeros(4)
+        pushed = np.zeros(4 * bool(scene.disturbances))
         for d in scene.disturbances:
             if d.contact == 0 and d.start <= begin and end <= d.stop:
                 first = 0 if isinstance(d, cs.FingerAcceleration) else 2
                 pushed[first : first + 2] += d.value
         inside = times[(begin <= times) & (times <= end)]
-        yield Piece(inside, np.array([scene.gain.value, *pushed, *coefficients]))
+        yield Piece(inside, np.append([scene.gain.value] * slip, pushed))
 
 
 @dataclass(frozen=True)
@@ -211,52 +195,55 @@ def _ellipsoid_metric(surface: cs.Ellipsoid, m: Any, u: Any, v: Any, du: Any, dv
     return Metric((m.sqrt(p * big_a), m.sqrt(p * big_b)), (-bend_u, -bend_v), spin)
 
 
-# --- geodesics ---------------------------------------------------------------------------------
+def geodesic_scene(
+    surface: cs.Surface,
+    at: tuple[float, float],
+    direction: tuple[float, float],
+    length: float,
+    finger_at: tuple[float, float] = (math.pi / 2, 0.0),
+) -> cs.Scene:
+    """A sphere rolls at 1 m/s; the object's contact curve is the geodesic."""
+    x, y = direction
+    contact = cs.Contact(
+        finger=cs.Sphere(0.04),
+        object_at=at,
+        finger_at=finger_at,
+        finger_velocity=(x, -y),
+        object_velocity=(x, y),
+    )
+    return cs.Scene(object=surface, contacts=[contact], profile=cs.Profile([1.0]), duration=length)
 
 
 def _geodesic(name: str, record: dict[str, Any]) -> Problem:
-    surface, (x, y) = surface_of(record["object"]), record["velocity"]
-    start = {"at": tuple(record["at"]), "direction": (x, y), "finger_at": (1.5, 0.2)}
-    make = partial(geodesic_scene, surface, length=record["duration"], **start)
-    forms = {"chart": _geodesic_on_chart(record), "space": _geodesic_in_space(record)}
-    return Problem(
-        f"geodesic {name}", make, record["times"], record["points"][:, None, None],
-        np.array([surface.size]), forms,
-    )  # fmt: skip
+    surface, velocity = surface_of(record["object"]), tuple(record["velocity"])
+    at, times = tuple(record["at"]), record["times"]
+    pieces = (Piece(times, np.zeros(0)),)
 
-
-def _geodesic_on_chart(record: dict[str, Any]) -> Ode:
-    surface, w = surface_of(record["object"]), record["velocity"]
-
-    def rates(m: Any, t: Any, x: Sequence[Any], p: Sequence[Any]) -> list[Any]:
+    def on_chart(m: Any, t: Any, x: Sequence[Any], p: Sequence[Any]) -> list[Any]:
         bend = metric(surface, m, x[0], x[1], x[2], x[3]).bend
         return [x[2], x[3], bend[0] + 0.0 * x[2], bend[1] + 0.0 * x[3]]
 
-    lame = metric(surface, np, *record["at"], 0.0, 0.0).lame
-    start = np.array([*record["at"], w[0] / lame[0], w[1] / lame[1]])
-    return Ode(
-        f"geodesic chart {surface!r}", rates, start[None], (Piece(record["times"], np.zeros(0)),),
-        lambda states: surface.point(states[:, 0], states[:, 1])[:, None],
-    )  # fmt: skip
-
-
-def _geodesic_in_space(record: dict[str, Any]) -> Ode:
-    surface, at = surface_of(record["object"]), record["at"]
-
-    def rates(m: Any, t: Any, x: Sequence[Any], p: Sequence[Any]) -> list[Any]:
-        place, pace = [x[i] for i in range(3)], [x[i] for i in range(3, 6)]
-        slope, bend = _implicit(surface, m, place, pace)
+    def in_space(m: Any, t: Any, x: Sequence[Any], p: Sequence[Any]) -> list[Any]:
+        slope, bend = _implicit(surface, m, x[:3], x[3:])
         factor = -bend / sum(g * g for g in slope)
-        return [*pace, *(factor * g for g in slope)]
+        return [*x[3:], *(factor * g for g in slope)]
 
-    start = np.append(surface.point(*at), surface.frame(*at)[:, :2] @ record["velocity"])
-    return Ode(
-        f"geodesic space {surface!r}", rates, start[None], (Piece(record["times"], np.zeros(0)),),
-        lambda states: states[:, None, :3],
-    )  # fmt: skip
+    def of_chart(states: Array) -> Array:
+        return surface.point(states[:, 0], states[:, 1])[:, None]
+
+    lame = metric(surface, np, *at, 0.0, 0.0).lame
+    chart = np.array([[*at, velocity[0] / lame[0], velocity[1] / lame[1]]])
+    space = np.append(surface.point(*at), surface.frame(*at)[:, :2] @ velocity)[None]
+    forms = {
+        "chart": Ode(f"chart of {surface!r}", on_chart, chart, pieces, of_chart),
+        "space": Ode(f"space of {surface!r}", in_space, space, pieces, lambda x: x[:, None, :3]),
+    }
+    make = partial(geodesic_scene, surface, at, velocity, record["duration"], (1.5, 0.2))
+    truth, sizes = record["points"][:, None, None], np.array([surface.size])
+    return Problem(f"geodesic {name}", make, times, truth, sizes, forms)
 
 
-def _implicit(surface: cs.Surface, m: Any, x: list[Any], p: list[Any]) -> tuple[list[Any], Any]:
+def _implicit(surface: cs.Surface, m: Any, x: Any, p: Any) -> tuple[list[Any], Any]:
     """grad F and p^T (Hess F) p, both up to one factor."""
     if isinstance(surface, cs.Torus):  # F = (rho - R)^2 + z^2 - r^2 over 2
         square = x[0] * x[0] + x[1] * x[1]
@@ -271,3 +258,66 @@ def _implicit(surface: cs.Surface, m: Any, x: list[Any], p: list[Any]) -> tuple[
         diagonal = [1.0, 1.0, 1.0 if isinstance(surface, cs.Sphere) else 0.0]
     slope = [d * c for d, c in zip(diagonal, x)]
     return slope, sum(d * c * c for d, c in zip(diagonal, p))
+
+
+def no_slip(output: str, count: int) -> Problem:
+    """Great circles on both spheres, as "points" in space or as "states" on charts."""
+    pace, profile = math.sqrt(0.5), cs.Profile([0.001, 0.0, 0.4])
+    bodies = [
+        (cs.Sphere(0.04), (1.4, 0.1), (pace, pace)),
+        (cs.Sphere(0.1), (1.1, 0.5), (pace, -pace)),  # psi = 0 turns y about
+    ]
+    (finger, finger_at, w), (obj, object_at, _) = bodies
+
+    def make() -> cs.Scene:
+        contact = cs.Contact(finger, object_at, finger_at, finger_velocity=w)
+        return cs.Scene(object=obj, contacts=[contact], profile=profile, duration=1.0)
+
+    def rates(m: Any, t: Any, x: Sequence[Any], p: Sequence[Any]) -> list[Any]:
+        found = []
+        for k, (body, _, _) in enumerate(bodies):
+            place, path = x[6 * k : 6 * k + 3], x[6 * k + 3 : 6 * k + 6]
+            square = sum(c * c for c in path) / body.radius**2
+            found += [*path, *(-square * c for c in place)]
+        return found
+
+    times = np.linspace(0.0, 1.0, count)
+    start = [[s.point(*at), s.frame(*at)[:, :2] @ along] for s, at, along in bodies]
+    pieces = (Piece(profile.arc_length(times), np.zeros(0)),)
+    space = Ode("great circles", rates, np.reshape(start, (1, 12)), pieces, _of_space)
+    forms = {"points": {"space": space}, "states": {"chart": chart(make(), times, slip=False)}}
+    truth = _great_circles(profile, bodies, times)[:, None]
+    sizes = sizes_of(make())
+    return Problem(f"no slip, {output}", make, times, truth, sizes, forms[output], output)
+
+
+def _of_space(states: Array) -> Array:
+    """Points of both bodies among points and path velocities."""
+    return states.reshape(-1, 2, 6)[:, :, :3]
+
+
+def _great_circles(profile: cs.Profile, bodies: Any, times: Array) -> Array:
+    """Contact points in closed form, (n, 2, 3), m."""
+    import mpmath as mp
+
+    with mp.workdps(40):
+        lengths = [arc_length(mp, profile, t) for t in times]
+        rows = [[great_circle(mp, b.radius, at, w, s) for b, at, w in bodies] for s in lengths]
+        return np.array(rows, dtype=float)
+
+
+def arc_length(mp: Any, profile: cs.Profile, t: float) -> Any:
+    """s(t) in mpmath, m."""
+    powers = enumerate(profile.coefficients)
+    return mp.fsum(mp.mpf(c) * mp.mpf(t) ** (k + 1) / (k + 1) for k, c in powers)
+
+
+def great_circle(mp: Any, radius: float, at: Any, w: Any, s: Any) -> list[Any]:
+    """Point of a sphere at arc length s, from chart coordinates ``at`` along path velocity w."""
+    (u, v), r, pace = map(mp.mpf, at), mp.mpf(radius), mp.hypot(*map(mp.mpf, w))
+    normal = [mp.sin(u) * mp.cos(v), mp.sin(u) * mp.sin(v), mp.cos(u)]
+    x_axis = [mp.cos(u) * mp.cos(v), mp.cos(u) * mp.sin(v), -mp.sin(u)]
+    y_axis = [-mp.sin(v), mp.cos(v), mp.mpf(0)]
+    phase = pace * s / r
+    along = [(w[0] * a + w[1] * b) / pace for a, b in zip(x_axis, y_axis, strict=True)]
+    return [r * (mp.cos(phase) * n + mp.sin(phase) * e) for n, e in zip(normal, along, strict=True)]

@@ -27,7 +27,7 @@ size / (least Lame coefficient) at a pole. Each law below states its multiple.
 
 from __future__ import annotations
 
-import dataclasses
+import functools
 import itertools
 import math
 from dataclasses import dataclass
@@ -38,10 +38,9 @@ from numpy.polynomial import polynomial as poly
 from numpy.polynomial.legendre import leggauss
 
 import contact_system as cs
-from contact_system.kept import kept
 
 from .stress_scenes import DISTURBANCES, EPS, TURNS, Array, Body, Trial
-from .verdicts import Verdict, refusal
+from .verdicts import NAN, Verdict, refusal
 
 NODES, WEIGHTS = leggauss(10)
 
@@ -75,14 +74,8 @@ class Meter:
 
 
 def run(trial: Trial) -> Verdict:
-    """Plan a trial and judge the plan; every other compiled one after two scenes of its kind."""
-    alone = not trial.compiled or trial.seed % 2 or trial.scene.disturbances
-    kin = [] if alone else [trial.scene.replace() for _ in range(2)]
-    *_, plan = (
-        cs.plan(scene, tolerance=trial.tolerance, compiled=trial.compiled)
-        for scene in (*kin, trial.scene)
-    )
-    return Judge(trial, plan).verdict()
+    """Plan a trial and judge the plan."""
+    return Judge(trial, cs.plan(trial.scene, trial.tolerance)).verdict()
 
 
 def left_over(sigma: Array, gain: cs.Gain, t: Array, since: float = 0.0) -> Array:
@@ -119,31 +112,22 @@ def _fallen(sigma: Array, since: float, t: Array) -> Array:
 
 @dataclass
 class Sample:
-    """What a plan says at some times, all of them regular.
+    """What a plan says at some times, all of them regular; pairs are finger's and object's."""
 
-    Attributes
-    ----------
-    t : (n,)
-    states : (n, 9)
-    x, frame, rate, force : finger's, object's
-        Contact points (n, 3), frames (n, 3, 3), contact points' velocities in space (n, 3), and
-        M of the chart (n, 2, 2).
-    """
-
-    t: Array
-    states: Array
-    x: tuple[Array, Array]
-    frame: tuple[Array, Array]
-    root: tuple[Array, Array]
-    rate: tuple[Array, Array]
+    t: Array  # (n,)
+    states: Array  # (n, 9)
+    x: tuple[Array, Array]  # contact points (n, 3)
+    frame: tuple[Array, Array]  # (n, 3, 3)
+    root: tuple[Array, Array]  # M of the chart (n, 2, 2)
+    rate: tuple[Array, Array]  # contact points' velocities in space (n, 3)
 
     def part(self, where: slice) -> Sample:
         """Some of the times."""
         pairs = (self.x, self.frame, self.root, self.rate)
-        return Sample(self.t[where], self.states[where],
-                      *((a[where], b[where]) for a, b in pairs))  # fmt: skip
+        own = ((a[where], b[where]) for a, b in pairs)
+        return Sample(self.t[where], self.states[where], *own)
 
-    @kept
+    @functools.cached_property
     def turn(self) -> Array:
         """R_psi (n, 2, 2)."""
         c, s = np.cos(self.states[:, 8]), np.sin(self.states[:, 8])
@@ -159,7 +143,7 @@ class Sample:
 
 
 MANY = 700
-"""Times at which a plan evaluates in its fastest way."""
+"""Times that are asked for beside the sample's."""
 
 
 class Judge:
@@ -203,12 +187,11 @@ class Judge:
     def verdict(self) -> Verdict:
         """Every law in turn."""
         if max(self.e) - self.plan.tolerance > 1e-3:
-            nan = float("nan")
-            return Verdict("silent", nan, nan, "planned, though no digit of a point can be known")
+            return Verdict("silent", NAN, NAN, "planned, though no digit of a point can be known")
         times = self._times()
         everywhere = self.plan.points(times)[:, 0]
         self._on_surfaces(everywhere)
-        sample, gaps = self._sample(times)
+        sample, gaps = self.sample(times)
         for text in gaps:
             if (said := refusal(text)).outcome != "refused":
                 return said
@@ -220,9 +203,6 @@ class Judge:
         self._geodesics(times, everywhere, sample)
         self._developed(times, everywhere)
         self._short_panel(sample)
-        every = 3 if self.trial.compiled else 12  # without a compiler it takes far longer
-        if self.trial.seed % every == 0 and self.turns < TURNS * math.pi:
-            self._in_company(times, everywhere)
         return self.meter.verdict()
 
     # -- what the plan says
@@ -234,7 +214,7 @@ class Judge:
         edges = [e for w in self.windows for e in w]
         return np.unique([0.0, *drawn, *layer, *edges, *self.trial.special, end])
 
-    def _sample(self, times: Array) -> tuple[Sample, list[str]]:
+    def sample(self, times: Array) -> tuple[Sample, list[str]]:
         """The plan at those of the times where states exist, and what it says about the others."""
         gaps: list[str] = []
         try:
@@ -248,16 +228,20 @@ class Judge:
                 except cs.ChartSingularity as error:
                     gaps.append(str(error))
             times, states = np.array(kept), np.array(rows).reshape(-1, 9)
-        points = self.plan.points(times)[:, 0]
         self.meter.see("finite states", np.where(np.isfinite(states), 0.0, math.inf), 1.0)
+        return self.seen(times, states, self.plan.points(times)[:, 0]), gaps
+
+    def seen(self, times: Array, states: Array, points: Array | None = None) -> Sample:
+        """States (n, 9) in space; points (n, 2, 3) are those of the states, or others."""
         parts: list[tuple[Array, ...]] = []
         for k, body in enumerate(self.bodies):
             q = states[:, 4 * k : 4 * k + 2].T
             frame, root = body.surface.frame(*q), body.surface.metric_root(*q)
             plane = np.einsum("nij,nj->ni", root, states[:, 4 * k + 2 : 4 * k + 4])
             rate = np.einsum("nij,nj->ni", frame[:, :, :2], plane)
-            parts.append((points[:, k], frame, root, rate))
-        return Sample(times, states, *zip(*parts)), gaps
+            x = body.surface.point(*q) if points is None else points[:, k]
+            parts.append((x, frame, root, rate))
+        return Sample(times, states, *zip(*parts))
 
     def _sigma(self, t: Array) -> Array:
         return poly.polyval(t, self.sigma)
@@ -276,7 +260,7 @@ class Judge:
         reach = 1 + np.abs(q).max(axis=1) * np.maximum(1.0, np.minimum(1.0, least / body.size))
         return 64 * EPS * reach * np.maximum(1.0, body.size / least)
 
-    def _loss(self, sample: Sample, k: int) -> Array:
+    def loss(self, sample: Sample, k: int) -> Array:
         """Bound of a unit vector's error in space as read from states, (n,)."""
         return 4 * self.bodies[k].kappa * self.e[k] + self._chart_loss(sample, k)
 
@@ -296,10 +280,10 @@ class Judge:
             where = body.surface.point(*sample.states[:, 4 * k : 4 * k + 2].T)
             size = body.size + np.linalg.norm(where, axis=1)
             bound = (2 * self.e[k] + self._chart_loss(sample, k)) * size
-            self.meter.see(f"f(u{k + 1}, v{k + 1}) is point {k + 1}",
-                           np.linalg.norm(where - sample.x[k], axis=1), bound)  # fmt: skip
+            away = np.linalg.norm(where - sample.x[k], axis=1)
+            self.meter.see(f"f(u{k + 1}, v{k + 1}) is point {k + 1}", away, bound)
             speed = np.hypot(*sample.plane(k).T)  # which does not underflow
-            bound = self._loss(sample, k) * (sigma + 1e-3 * self.terms) + 16 * EPS * self.terms
+            bound = self.loss(sample, k) * (sigma + 1e-3 * self.terms) + 16 * EPS * self.terms
             bound *= 1 + np.hypot(*self.v)
             self.meter.see(f"speed of contact point {k + 1}", (speed - w)[still], bound[still])
 
@@ -313,11 +297,11 @@ class Judge:
         except cs.ChartSingularity:
             return
         apart = states[np.searchsorted(t, sample.t)] - sample.states
-        loss = [
-            8 * (4 * self.e[k] + self._chart_loss(sample, k))[:, None]
-            * body.size / np.diagonal(sample.root[k], axis1=1, axis2=2)
-            for k, body in enumerate(self.bodies)
-        ]  # fmt: skip
+        loss = []
+        for k, body in enumerate(self.bodies):
+            lame = np.diagonal(sample.root[k], axis1=1, axis2=2)
+            lost = 8 * (4 * self.e[k] + self._chart_loss(sample, k))
+            loss.append(lost[:, None] * body.size / lame)
         self.meter.see("psi among many times", apart[:, 8], sum(x.max(axis=1) for x in loss))
         for k, body in enumerate(self.bodies):
             q = slice(4 * k, 4 * k + 2)
@@ -348,7 +332,7 @@ class Judge:
         self.meter.see("contact points meet", met, sum(self.e) * reach[:, None])
         n1, n2 = (b.normal(x)[0] for b, x in zip(self.bodies, sample.x))
         n1 = np.einsum("nij,nj->ni", rotation, n1)
-        loss = [self._loss(sample, k) for k in (0, 1)]
+        loss = [self.loss(sample, k) for k in (0, 1)]
         self.meter.see("normals oppose", n1 + n2, sum(loss)[:, None])
         flip = np.zeros((len(sample.t), 3, 3))
         flip[:, :2, :2], flip[:, 2, 2] = sample.turn, -1.0
@@ -387,7 +371,7 @@ class Judge:
         finger, obj = sample.plane(0), sample.plane(1)
         rolled = np.einsum("nij,nj->ni", sample.turn, finger)
         scale = np.linalg.norm(finger, axis=1) + np.linalg.norm(obj, axis=1)
-        bound = sum(self._loss(sample, k) for k in (0, 1)) * scale + floor
+        bound = sum(self.loss(sample, k) for k in (0, 1)) * scale + floor
         self.meter.see("slip of states", rolled - obj - slip, bound[:, None])
         # V and W2 are carried together: slip keeps its angle to R_psi M1 q1'.
         c, s = self.w2 @ self.v, self.w2[0] * self.v[1] - self.w2[1] * self.v[0]
@@ -454,29 +438,11 @@ class Judge:
         value, by_x, by_p = body.shape.integral(sample.x[k][clear], along)
         first, from_x, from_p = body.shape.integral(x[None], p[None])
         # the rate has the rounding of sigma, by which it is divided
-        loss = self._loss(sample, k)[clear] + 16 * EPS * self.terms / sigma
+        loss = self.loss(sample, k)[clear] + 16 * EPS * self.terms / sigma
         bound = 4 * self.e[k] * body.size * (by_x + from_x) + loss * (by_p + from_p)
         self.meter.see(f"integral of geodesic {k + 1}", value - first, bound)
 
     # -- the equations of motion over short panels
-
-    def _in_company(self, times: Array, everywhere: Array) -> None:
-        """The contact is where it is alone when another one is planned before it.
-
-        Not after many turns: a tolerance bounds what one panel adds to a point's error.
-        """
-        contact = self.scene.contacts[0]
-        other = dataclasses.replace(contact, angle=contact.angle - 0.5)
-        windows = [dataclasses.replace(d, contact=1) for d in self.scene.disturbances]
-        both = self.scene.replace(contacts=[other, contact], disturbances=windows)
-        try:
-            plan = cs.plan(both, tolerance=self.trial.tolerance, compiled=self.trial.compiled)
-            points = plan.points(times)[:, 1]
-        except cs.ContactSystemError:
-            return  # it is the other one that runs into something
-        for k, body in enumerate(self.bodies):
-            away = np.linalg.norm(points[:, k] - everywhere[:, k], axis=1)
-            self.meter.see("in company", away, 10 * self.e[k] * body.size)
 
     def _short_panel(self, sample: Sample) -> None:
         """Gauss sums over a panel from one of the times, where states exist."""
@@ -485,7 +451,7 @@ class Judge:
         if panel is None:
             return
         t, acting = panel
-        inside, gaps = self._sample(t)
+        inside, gaps = self.sample(t)
         if not gaps and (self._sigma(t) > 1e-9 * self.speed).all():
             self._balance(inside, 0.5 * WEIGHTS * (t[-1] - t[0]), acting)
 
@@ -552,17 +518,17 @@ class Judge:
             n, _ = body.normal(sample.x[k])
             bent = n * np.sum(body.turning(sample.x[k], sample.rate[k]) * path, 1, keepdims=True)
             change = sample.space(k, push) / sigma[:, None] - bent
-            loss = float(self._loss(sample, k).max())
+            loss = float(self.loss(sample, k).max())
             moved = weights @ np.linalg.norm(sample.rate[k][1:-1], axis=1)
             reach = body.size + np.linalg.norm(sample.x[k][0])
             error = sample.x[k][-1] - sample.x[k][0] - weights @ sample.rate[k][1:-1]
-            self.meter.see(f"point {k + 1} moves by its rate", error,
-                           4 * self.e[k] * reach + loss * moved)  # fmt: skip
+            bound = 4 * self.e[k] * reach + loss * moved
+            self.meter.see(f"point {k + 1} moves by its rate", error, bound)
             # lam times an error of the velocities adds to their change
             stiff = weights.sum() * gain.max()
             scale = np.linalg.norm(path, axis=1).max() + np.hypot(*self.w1)
-            other = float(self._loss(sample, 0).max()) if k else 0.0
+            other = float(self.loss(sample, 0).max()) if k else 0.0
             error = path[-1] - path[0] - weights @ change[1:-1]
             unsure = self.terms / sigma.min() * EPS * 64  # rounding of sigma, by which both divide
-            self.meter.see(f"path velocity {k + 1} obeys its equation", error,
-                           8 * (loss + other + unsure) * scale * (1 + stiff))  # fmt: skip
+            bound = 8 * (loss + other + unsure) * scale * (1 + stiff)
+            self.meter.see(f"path velocity {k + 1} obeys its equation", error, bound)

@@ -6,10 +6,11 @@ tests; a family fixes some of its choices on a grid. Level functions are written
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import polynomial as poly
@@ -20,21 +21,8 @@ EPS = 2.0**-52
 Array = np.ndarray
 
 
-# --- where choices come from -------------------------------------------------------------------
-
-
-class Draw(Protocol):
-    """A source of choices: seeded here, hypothesis in the tests."""
-
-    def pick(self, values: Sequence[Any]) -> Any:
-        """One of the values."""
-
-    def real(self, low: float, high: float) -> float:
-        """A number between two."""
-
-
-class Seeded:
-    """Choices of a generator with a seed of integers."""
+class Draw:
+    """Choices of a generator with a seed of integers; the tests let hypothesis choose."""
 
     def __init__(self, *seed: int):
         self.random = np.random.default_rng(seed)
@@ -48,7 +36,7 @@ class Seeded:
         return float(self.random.uniform(low, high))
 
 
-# --- shapes: level functions that the package has no part in -----------------------------------
+# F (n,), grad F (n, 3) and (Hess F) y (n, 3) of points x and vectors y (n, 3)
 
 
 @dataclass(frozen=True)
@@ -60,15 +48,12 @@ class Quadric:
     c: float
 
     def level(self, x: Array) -> Array:
-        """F (n,)."""
         return 0.5 * np.einsum("ni,ij,nj->n", x, self.A, x) + x @ self.b - self.c / 2
 
     def slope(self, x: Array) -> Array:
-        """grad F (n, 3)."""
         return x @ self.A + self.b
 
     def bend(self, x: Array, y: Array) -> Array:
-        """(Hess F) y (n, 3)."""
         return y @ self.A
 
     def integral(self, x: Array, p: Array) -> tuple[Array, Array, Array]:
@@ -87,17 +72,14 @@ class Tube:
     r: float
 
     def level(self, x: Array) -> Array:
-        """F (n,)."""
         rho = np.hypot(x[:, 0], x[:, 1])
         return ((rho - self.R) ** 2 + x[:, 2] ** 2 - self.r**2) / 2
 
     def slope(self, x: Array) -> Array:
-        """grad F (n, 3)."""
         rho = np.hypot(x[:, 0], x[:, 1])
         return x * np.stack([1 - self.R / rho, 1 - self.R / rho, np.ones(len(x))], 1)
 
     def bend(self, x: Array, y: Array) -> Array:
-        """(Hess F) y (n, 3)."""
         rho = np.hypot(x[:, 0], x[:, 1])
         flat = x * [1.0, 1.0, 0.0]
         along = (self.R * np.sum(flat * y, 1) / rho**3)[:, None] * flat
@@ -116,15 +98,12 @@ class Cube:
     r: float
 
     def level(self, x: Array) -> Array:
-        """F (n,)."""
         return np.sum((x / self.r) ** 4, 1) - 1
 
     def slope(self, x: Array) -> Array:
-        """grad F (n, 3)."""
         return 4 * (x / self.r) ** 3 / self.r
 
     def bend(self, x: Array, y: Array) -> Array:
-        """(Hess F) y (n, 3)."""
         return 12 * (x / self.r**2) ** 2 * y
 
 
@@ -140,18 +119,15 @@ class Waves:
         return (np.cos(self.k * u), np.sin(self.k * u), np.cos(self.k * v), np.sin(self.k * v))
 
     def level(self, x: Array) -> Array:
-        """F (n,)."""
         cu, _, cv, _ = self._parts(x)
         return x[:, 2] - self.h * cu * cv
 
     def slope(self, x: Array) -> Array:
-        """grad F (n, 3)."""
         cu, su, cv, sv = self._parts(x)
         by_u, by_v = self.h * self.k * su * cv, self.h * self.k * cu * sv
         return np.stack([by_u, by_v - 0.4 * by_u, np.ones(len(x))], 1)
 
     def bend(self, x: Array, y: Array) -> Array:
-        """(Hess F) y (n, 3)."""
         cu, su, cv, sv = self._parts(x)
         pure, mixed = self.h * self.k**2 * cu * cv, -self.h * self.k**2 * su * sv
         du, dv = y[:, 0] - 0.4 * y[:, 1], y[:, 1]
@@ -161,27 +137,16 @@ class Waves:
 
 @dataclass(frozen=True)
 class Body:
-    """A surface, a contact on it, and what is known about it without the package.
-
-    Attributes
-    ----------
-    surface : contact_system.Surface
-    shape : level function with ``level``, ``slope``, ``bend`` and perhaps ``integral``
-    at : (u, v)
-    size : float
-        m; errors are counted in it.
-    kappa : float
-        Size times the greatest curvature, at least 1.
-    line : {"", "plane", "sphere", "cylinder"}
-        Which closed form its geodesics have.
-    """
+    """A surface, a contact on it, and what is known about it without the package."""
 
     surface: cs.Surface
-    shape: Any
-    at: tuple[float, float]
-    size: float
-    kappa: float = 1.0
-    line: str = ""
+    shape: Any  # a level function
+    at: tuple[float, float]  # u, v
+    size: float  # m; errors are counted in it
+    kappa: float = 1.0  # size times the greatest curvature, at least 1
+    line: str = ""  # "plane", "sphere" or "cylinder": its geodesics have this closed form
+    integrated: bool = True  # no closed form is known to a planner either
+    umbilics: bool = False  # the chart is Jacobi's
 
     @property
     def side(self) -> float:
@@ -212,13 +177,13 @@ class Body:
             across = np.array([-x[1], x[0], 0.0])
             turn = s[:, None] * (p @ across) / self.size**2
             flat = x * [1.0, 1.0, 0.0]
-            return (
-                flat * np.cos(turn) + across * np.sin(turn) + (x[2] + p[2] * s[:, None]) * [0, 0, 1]
-            )
+            height = (x[2] + p[2] * s[:, None]) * [0.0, 0.0, 1.0]
+            return flat * np.cos(turn) + across * np.sin(turn) + height
         return None
 
 
 def round_body(r: float) -> Quadric:
+    """The level function of a sphere."""
     return Quadric(np.eye(3) / r / r, np.zeros(3), 1.0)
 
 
@@ -229,26 +194,25 @@ def _ellipsoid(a: float, b: float, c: float) -> Quadric:
 TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.7], [-0.6, 0.2, 1.0]]))[0]
 
 
-# --- drawing bodies ----------------------------------------------------------------------------
-
-
 def plane(draw: Draw, size: float, inside: bool) -> Body:
     """The plane; ``inside`` puts the body above."""
     at = (size * draw.real(-1, 1), size * draw.real(-1, 1))
     shape = Quadric(np.zeros((3, 3)), np.array([0.0, 0.0, 1.0]), 0.0)
-    return Body(cs.Plane(inside=inside), shape, at, 1.0, line="plane")
+    return Body(cs.Plane(inside=inside), shape, at, 1.0, line="plane", integrated=False)
 
 
 def sphere(draw: Draw, size: float, inside: bool) -> Body:
     """A sphere or a spherical bowl."""
-    return Body(cs.Sphere(size, inside=inside), round_body(size), _polar(draw), size, line="sphere")
+    surface, known = cs.Sphere(size, inside=inside), {"line": "sphere", "integrated": False}
+    return Body(surface, round_body(size), _polar(draw), size, **known)
 
 
 def cylinder(draw: Draw, size: float, inside: bool) -> Body:
     """A cylinder or a bore."""
     shape = Quadric(np.diag([size**-2, size**-2, 0.0]), np.zeros(3), 1.0)
     at = (draw.real(-3, 3), size * draw.real(-1, 1))
-    return Body(cs.Cylinder(size, inside=inside), shape, at, size, line="cylinder")
+    surface = cs.Cylinder(size, inside=inside)
+    return Body(surface, shape, at, size, line="cylinder", integrated=False)
 
 
 def torus(draw: Draw, size: float, inside: bool) -> Body:
@@ -261,25 +225,33 @@ def torus(draw: Draw, size: float, inside: bool) -> Body:
     return Body(cs.Torus(major, r, inside=inside), Tube(major, r), at, major + r, kappa)
 
 
-SHAPES = ("plain", "needle", "pancake", "nearly a sphere", "nearly oblate", "nearly prolate",
-          "oblate", "prolate", "equal axes", "any")  # fmt: skip
+SHAPES: dict[str, Callable[[float, float, float, float], tuple[float, float]]] = {
+    "plain": lambda near, x, y, z: (2 / 3, 1 / 3),
+    "needle": lambda near, x, y, z: (0.01, 0.009),
+    "pancake": lambda near, x, y, z: (0.98, 0.01),
+    "nearly a sphere": lambda near, x, y, z: (near, near * near),
+    "nearly oblate": lambda near, x, y, z: (near, 0.3),
+    "nearly prolate": lambda near, x, y, z: (0.3, 0.3 * near),
+    "oblate": lambda near, x, y, z: (1.0, x),
+    "prolate": lambda near, x, y, z: (0.2, 0.2),
+    "equal axes": lambda near, x, y, z: (1.0, 1.0),
+    "any": lambda near, x, y, z: (y, z),
+}
+"""The smaller axes of ellipsoids, of what is drawn: ``near`` is nearly 1."""
 
 
 def ellipsoid(draw: Draw, size: float, inside: bool, shape: str | None = None) -> Body:
     """An ellipsoid of one of `SHAPES`."""
     near = 1 - 10 ** draw.real(-15, -6) if draw.pick([0, 1]) else 1 - 1e-12
-    b, c = {
-        "plain": (2 / 3, 1 / 3), "needle": (0.01, 0.009), "pancake": (0.98, 0.01),
-        "nearly a sphere": (near, near * near), "nearly oblate": (near, 0.3),
-        "nearly prolate": (0.3, 0.3 * near), "oblate": (1.0, draw.real(0.02, 0.9)),
-        "prolate": (0.2, 0.2), "equal axes": (1.0, 1.0),
-        "any": (draw.real(0.3, 1.0), draw.real(0.02, 0.3)),
-    }[shape or draw.pick(SHAPES)]  # fmt: skip
+    drawn = near, draw.real(0.02, 0.9), draw.real(0.3, 1.0), draw.real(0.02, 0.3)
+    b, c = SHAPES[shape or draw.pick(list(SHAPES))](*drawn)
     b, c = min(b * size, size), min(c * size, b * size)
-    surface = cs.Ellipsoid(size, b, c, inside=inside)
-    at = _polar(draw) if b in (size, c) else _jacobi(draw)
-    line = "sphere" if size == b == c else ""
-    return Body(surface, _ellipsoid(size, b, c), at, size, (size / c) ** 2, line)
+    surface, level = cs.Ellipsoid(size, b, c, inside=inside), _ellipsoid(size, b, c)
+    kappa, umbilics = (size / c) ** 2, b not in (size, c)
+    at = _jacobi(draw) if umbilics else _polar(draw)
+    if size == b == c:
+        return Body(surface, level, at, size, kappa, "sphere", integrated=False)
+    return Body(surface, level, at, size, kappa, umbilics=umbilics)
 
 
 def turned(draw: Draw, size: float, inside: bool) -> Body:
@@ -290,8 +262,8 @@ def turned(draw: Draw, size: float, inside: bool) -> Body:
     surface = cs.Quadric(matrix, inside=inside)
     at = (draw.real(0.3, 1.2), draw.real(0.2, 1.2) * (size if values[2] == 0 else 1.0))
     # Open quadrics are most curved at their waist or vertex, and have size = their longest axis.
-    kappa = max(1.0, surface.size * max(map(abs, values)) / size)
-    return Body(surface, Quadric(matrix, np.zeros(3), 1.0), at, surface.size, kappa**2)
+    kappa = max(1.0, surface.size * max(map(abs, values)) / size) ** 2
+    return Body(surface, Quadric(matrix, np.zeros(3), 1.0), at, surface.size, kappa)
 
 
 def chart_sphere(draw: Draw, size: float, inside: bool) -> Body:
@@ -324,10 +296,8 @@ def chart_waves(draw: Draw, size: float, inside: bool) -> Body:
 def implicit_ellipsoid(draw: Draw, size: float, inside: bool) -> Body:
     """An ellipsoid by a user's equation."""
     b, c = 0.7 * size, 0.4 * size
-    text = "(x/a)**2 + (y/b)**2 + (z/c)**2 - 1"
-    surface = cs.ImplicitSurface(
-        text, parameters={"a": size, "b": b, "c": c}, size=size, inside=inside
-    )
+    text, axes = "(x/a)**2 + (y/b)**2 + (z/c)**2 - 1", {"a": size, "b": b, "c": c}
+    surface = cs.ImplicitSurface(text, parameters=axes, size=size, inside=inside)
     return Body(surface, _ellipsoid(size, b, c), _polar(draw), size, (size / c) ** 2)
 
 
@@ -338,13 +308,9 @@ def implicit_cube(draw: Draw, size: float, inside: bool) -> Body:
     return Body(surface, Cube(size), _polar(draw), size, 4.0)
 
 
-BODIES: dict[str, Callable[[Draw, float, bool], Body]] = {
-    f.__name__: f
-    for f in (plane, sphere, cylinder, torus, ellipsoid, turned, chart_sphere, chart_torus,
-              chart_waves, implicit_ellipsoid, implicit_cube)
-}  # fmt: skip
-
-
+MADE = (plane, sphere, cylinder, torus, ellipsoid, turned)
+OF_USERS = (chart_sphere, chart_torus, chart_waves, implicit_ellipsoid, implicit_cube)
+BODIES: dict[str, Callable[..., Body]] = {f.__name__: f for f in (*MADE, *OF_USERS)}
 OFTEN = [*list(BODIES)[:6] * 8, *BODIES]
 """Names to draw from; surfaces of users cost ten times as much, so they come less often."""
 
@@ -357,8 +323,6 @@ def _jacobi(draw: Draw) -> tuple[float, float]:
     """Coordinates off umbilics, sometimes on a seam."""
     return draw.real(0.1, 3.0), draw.pick([draw.real(-1.4, 1.4), math.pi / 2, -math.pi / 2])
 
-
-# --- drawing scenes ----------------------------------------------------------------------------
 
 PROFILES: dict[str, tuple[float, ...]] = {
     "constant": (1.0,),
@@ -390,7 +354,6 @@ class Trial:
     finger: Body
     object: Body
     tolerance: float = 1e-12
-    compiled: bool | None = None
     special: tuple[float, ...] = ()
     """Times beside the drawn ones, s."""
     seed: int = 0
@@ -404,8 +367,8 @@ def draw_trial(draw: Draw, **fixed: Any) -> Trial:
     draw : Draw
     fixed
         finger, object (names of `BODIES`), size, ratio, shape, inside, profile, law, eta, turns,
-        duration, tolerance, compiled, slip, windows, angle, pole (see `_aimed`), bowl (the object
-        hollow, the finger not), most (radians that a body turns which needs integration).
+        duration, tolerance, slip, windows, angle, pole (see `_aimed`), bowl (the object hollow, the
+        finger not), most (radians that a body turns which needs integration).
 
     Raises
     ------
@@ -416,48 +379,36 @@ def draw_trial(draw: Draw, **fixed: Any) -> Trial:
     def choose(key: str, values: Sequence[Any]) -> Any:
         return fixed[key] if key in fixed else draw.pick(values)
 
+    def body(kind: str, size: float, own: bool) -> Body:
+        inside = own if "bowl" in fixed else choose("inside", [False, False, True])
+        shape = {"shape": fixed["shape"]} if kind == "ellipsoid" and "shape" in fixed else {}
+        return BODIES[kind](draw, size, inside, **shape)
+
     size = choose("size", [0.1, 0.1, 1.0, 10 ** draw.real(-4, 4)])
     ratio = choose("ratio", [0.4, 1.0, 10 ** draw.real(-2, 2)])
-    shape = {"shape": fixed["shape"]} if "shape" in fixed else {}
     kinds = [choose(side, OFTEN) for side in ("object", "finger")]
-    obj, finger = (
-        BODIES[kind](draw, length,
-                     own if "bowl" in fixed else choose("inside", [False, False, True]),
-                     **(shape if kind == "ellipsoid" else {}))
-        for kind, length, own in zip(kinds, (size, ratio * size), (True, False))
-    )  # fmt: skip
+    obj, finger = body(kinds[0], size, True), body(kinds[1], ratio * size, False)
     duration = choose("duration", [1.0, 1.0, 0.01, 30.0])
     turns = choose("turns", [1.0, 5.0, 10 ** draw.real(-3, 2)])
     length = turns * obj.size
-    for body in (obj, finger):
-        if not (body.surface.great_circles or body.surface.developable):  # it is integrated
-            length = min(length, fixed.get("most", TURNS) * body.size / body.kappa)
+    for each in (obj, finger):
+        if each.integrated:
+            length = min(length, fixed.get("most", TURNS) * each.size / each.kappa)
     profile = stretched(PROFILES[choose("profile", list(PROFILES))], length, duration)
     obj, finger, contact, special = _contact(draw, fixed, obj, finger, length, duration)
-    values = {
-        "object": obj.surface, "contacts": [contact], "profile": profile, "duration": duration,
-        "gain": cs.Gain(choose("law", LAWS), choose("eta", [*ETAS, 10 ** draw.real(-3, 12)])),
-        "name": "stress",
-    }  # fmt: skip
-    windows = choose("windows", [0, 0, 1, 2])
-    if windows:
-        bodies = (finger, obj)
-        values["disturbances"] = [
-            _disturbance(draw, bodies, length, duration) for _ in range(windows)
-        ]
-    return Trial(
-        cs.Scene(**values), finger, obj, choose("tolerance", [1e-12, 1e-12, 1e-9, 1e-6]),
-        _compiled(draw, fixed, kinds), special, int(draw.real(0, 2**31)),
-    )  # fmt: skip
-
-
-COMPILED = {"plane", "sphere", "cylinder", "torus", "chart_torus", "implicit_ellipsoid"}
-"""Bodies whose kernels are also compiled here: 0.2 s each, once."""
-
-
-def _compiled(draw: Draw, fixed: dict, kinds: list[str]) -> bool | None:
-    few = COMPILED.issuperset(kinds)
-    return fixed["compiled"] if "compiled" in fixed else draw.pick([few or None, None, False])
+    gain = cs.Gain(choose("law", LAWS), choose("eta", [*ETAS, 10 ** draw.real(-3, 12)]))
+    count, bodies = choose("windows", [0, 0, 1, 2]), (finger, obj)
+    scene = cs.Scene(
+        object=obj.surface,
+        contacts=[contact],
+        profile=profile,
+        duration=duration,
+        gain=gain,
+        name="stress",
+        disturbances=[_disturbance(draw, bodies, length, duration) for _ in range(count)],
+    )
+    tolerance = choose("tolerance", [1e-12, 1e-12, 1e-9, 1e-6])
+    return Trial(scene, finger, obj, tolerance, special, int(draw.real(0, 2**31)))
 
 
 def stretched(shape: Sequence[float], length: float, duration: float) -> cs.Profile:
@@ -477,20 +428,22 @@ def _contact(
         side, miss = fixed["pole"]
         body = obj if side == "object" else finger
         at, heading, arc = _aimed(draw, body, miss)
-        body = Body(body.surface, body.shape, at, body.size, body.kappa, body.line)
+        body = dataclasses.replace(body, at=at)
         obj, finger = (body, finger) if side == "object" else (obj, body)
         special = tuple(duration * f for f in arc / length + np.array([0.0, -1e-9, 1e-9]))
         special = tuple(t for t in special if 0 <= t <= duration)
         if side == "object":  # R_psi is its own inverse: what the finger does to that end
             heading = -angle - heading
-    given = (math.cos(heading), math.sin(heading))
     slips = fixed["slip"] if "slip" in fixed else draw.pick([0, 1, 1, 2])
     slipping = (draw.real(-1, 1), draw.real(-1, 1))
-    velocity: Any = ("rolling", slipping, "rest")[slips]
     contact = cs.Contact(
-        finger=finger.surface, object_at=obj.at, finger_at=finger.at, angle=angle,
-        finger_velocity=given, object_velocity=velocity,
-    )  # fmt: skip
+        finger=finger.surface,
+        object_at=obj.at,
+        finger_at=finger.at,
+        angle=angle,
+        finger_velocity=(math.cos(heading), math.sin(heading)),
+        object_velocity=("rolling", slipping, "rest")[slips],
+    )
     return obj, finger, contact, special
 
 
@@ -500,7 +453,7 @@ def _aimed(draw: Draw, body: Body, miss: float) -> tuple[tuple[float, float], fl
     Polar charts: along a meridian. Jacobi's chart: along the ellipse y = 0, which holds all four
     umbilics, so the path to the first is not told (0).
     """
-    if body.surface.double_cover:
+    if body.umbilics:
         return (draw.real(0.3, 2.8), math.pi / 2), draw.pick([0.0, math.pi]) + miss, 0.0
     u = draw.real(0.2, 2.9)
     # u is a polar angle on every chart with poles here; only a sphere's meridian is so simple
@@ -508,9 +461,7 @@ def _aimed(draw: Draw, body: Body, miss: float) -> tuple[tuple[float, float], fl
     return (u, draw.real(-3, 3)), math.pi + miss, arc
 
 
-def _disturbance(
-    draw: Draw, bodies: tuple[Body, Body], length: float, duration: float
-) -> cs.scene.Disturbance:
+def _disturbance(draw: Draw, bodies: tuple[Body, Body], length: float, duration: float) -> Any:
     """One window, as strong as the motion itself or weaker."""
     kind = draw.pick(DISTURBANCES)
     start = draw.pick([0.0, 0.2, draw.real(0, 0.7)])

@@ -1,13 +1,19 @@
-"""Run times of competitors in one process, interleaved, with their spread."""
+"""Run times: jobs in one process in turns, programs in processes of their own; memory."""
 
 from __future__ import annotations
 
 import gc
+import json
+import os
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+
+from .report import ROOT
 
 BURST = 0.01  # [s] that one sample lasts at least, so that the clock's own cost is lost in it
 SLOW = 0.2  # [s]: what takes longer is sampled twice only
@@ -15,16 +21,7 @@ SLOW = 0.2  # [s]: what takes longer is sampled twice only
 
 @dataclass(frozen=True)
 class Job:
-    """What is timed.
-
-    Attributes
-    ----------
-    call : callable
-        Takes one item.
-    make : callable
-        Makes an item, outside the time. A scene keeps what was found out about it when it was
-        planned first, so a scene that is to be planned afresh is made anew for every call.
-    """
+    """What is timed: a call with an item that is made outside the time, such as a new scene."""
 
     call: Callable[[Any], Any]
     make: Callable[[], Any] = lambda: None
@@ -42,8 +39,13 @@ class Timing:
         return f"{1e6 * self.median:.4g} us ({1e6 * self.low:.4g} to {1e6 * self.high:.4g})"
 
 
+def spread(seconds: list[float]) -> Timing:
+    """Of some samples."""
+    return Timing(statistics.median(seconds), min(seconds), max(seconds))
+
+
 def sample(job: Job, count: int = 1) -> float:
-    """Seconds a call, over ``count`` calls."""
+    """Seconds a call, over ``count`` calls with an item each."""
     items = [job.make() for _ in range(count)]
     call = job.call
     begin = time.perf_counter()
@@ -52,13 +54,7 @@ def sample(job: Job, count: int = 1) -> float:
     return (time.perf_counter() - begin) / count
 
 
-def least(job: Job, tries: int = 5) -> float:
-    """Least of a few single calls, s; slow ones are called once."""
-    first = sample(job)
-    return first if first > SLOW else min(first, *(sample(job) for _ in range(tries - 1)))
-
-
-def interleaved(jobs: dict[str, Job], repeats: int = 9, burst: float = BURST) -> dict[str, Timing]:
+def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) -> dict[Any, Timing]:
     """Time jobs in turns, so that a slow spell of the machine meets all of them.
 
     Parameters
@@ -69,35 +65,53 @@ def interleaved(jobs: dict[str, Job], repeats: int = 9, burst: float = BURST) ->
     """
     counts = {}
     for name, job in jobs.items():
-        for _ in range(3):  # two may compile: a plan in full, and what the next of its kind need
-            now = sample(job)
-            if now < SLOW:
-                now = min(sample(job) for _ in range(3))
-                break
+        now = sample(job)
+        if now < SLOW:
+            now = min(sample(job) for _ in range(3))
         counts[name] = max(1, round(burst / max(now, 1e-9)))
-    samples: dict[str, list[float]] = {name: [] for name in jobs}
+    samples: dict[Any, list[float]] = {name: [] for name in jobs}
     gc.disable()
     try:
         for turn in range(repeats):
             for name, job in jobs.items():
-                if turn >= 2 and samples[name][0] > SLOW:
-                    continue
-                gc.collect()
-                samples[name].append(sample(job, counts[name]))
+                if turn < 2 or samples[name][0] < SLOW:
+                    gc.collect()
+                    samples[name].append(sample(job, counts[name]))
     finally:
         gc.enable()
+    return {name: spread(found) for name, found in samples.items()}
+
+
+def in_new_process(code: str, *arguments: str) -> Any:
+    """What a Python program prints as JSON in a process of its own, in the checkout."""
+    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    command = [sys.executable, "-c", code, *arguments]
+    done = subprocess.run(command, cwd=ROOT, env=kept, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    return json.loads(done.stdout)
+
+
+def in_new_processes(count: int, code: str, *arguments: str) -> dict[str, Any]:
+    """Timings of the numbers that a program prints, each time in another process.
+
+    The first run counts for nothing: it brings files into the machine's memory. What is no number
+    is that of the last run.
+    """
+    runs = [in_new_process(code, *arguments) for _ in range(count + 1)][1:]
     return {
-        name: Timing(statistics.median(found), min(found), max(found))
-        for name, found in samples.items()
+        key: spread([run[key] for run in runs]) if isinstance(value, float) else value
+        for key, value in runs[-1].items()
     }
 
 
-def resident() -> float:
-    """Memory of this process, MB; its peak where the system does not tell more."""
-    import resource  # Windows has none
-
+def memory(what: str = "VmRSS") -> float:
+    """Memory of this process, MB: "VmRSS" now, "VmHWM" its peak, where the system tells both."""
     try:
-        with open("/proc/self/statm") as file:
-            return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+        with open("/proc/self/status") as file:
+            (line,) = (line for line in file if line.startswith(what))
+        return int(line.split()[1]) / 1e3
     except OSError:
+        import resource  # Windows has none
+
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6

@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from contact_system.errors import ContactSystemError
+from contact_system import ContactSystemError
 
 OUTCOMES = ("right", "refused", "silent", "crash", "hang")
 FAILURES = OUTCOMES[2:]
+NAN = math.nan
 
 
 @dataclass(frozen=True)
 class Verdict:
     """How a case ended.
 
-    Attributes
-    ----------
-    outcome : str
-        "right": every error within its bound; "refused": a clear error of the package; "silent":
-        wrong, NaN or infinite; "crash": another exception, or the end of the process; "hang".
-    error, bound : float
-        The error nearest to its bound, or furthest beyond it, and that bound; NaN if refused.
-    message : str
-        What was compared, or the text of the refusal or exception.
+    "right": every error within its bound; "refused": a clear error of the package; "silent": wrong,
+    NaN or infinite; "crash": another exception, or the end of the process; "hang". The error is the
+    one nearest to its bound, or furthest beyond it; the message is what was compared, or the text
+    of the refusal or exception.
     """
 
     outcome: str
@@ -35,42 +32,20 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Case:
-    """One thing to try.
-
-    Attributes
-    ----------
-    name : str
-        Says everything about it that the family does not.
-    family : str
-    call : callable
-        Returns the verdict. A `ContactSystemError` that it raises is judged as a refusal, anything
-        else as a crash (see `judged`).
-    """
+    """One thing to try; ``call`` returns the verdict or raises (see `judged`)."""
 
     name: str
-    family: str
     call: Callable[[], Verdict]
 
 
 @dataclass(frozen=True)
 class Family:
-    """Cases of one kind, each made anew from its index, so in any process and any order.
-
-    Attributes
-    ----------
-    name : str
-    count : int
-        Cases in the quick form: indices 0 to count - 1.
-    make : callable
-        The case of an index.
-    endless : bool
-        A random search: any index makes a case, and ``--full`` takes indices that no run had.
-    """
+    """Cases that are alike, each made anew from its index, so in any process and any order."""
 
     name: str
-    count: int
+    count: int  # cases in the quick form: indices 0 to count - 1
     make: Callable[[int], Case]
-    endless: bool = False
+    endless: bool = False  # any index makes a case, and ``--full`` takes indices that no run had
 
 
 def judged(case: Case) -> Verdict:
@@ -80,27 +55,27 @@ def judged(case: Case) -> Verdict:
     except ContactSystemError as error:
         return refusal(str(error))
     except Exception as error:
-        return Verdict("crash", float("nan"), float("nan"), f"{type(error).__name__}: {error}")
+        return Verdict("crash", NAN, NAN, f"{type(error).__name__}: {error}")
 
 
 # What a refusal must name (a part that is made alone knows its own key only), and words that tell
 # what to do about it.
-_PLACE = re.compile(
+PLACE = re.compile(
     r"scene|contact|gain|profile|disturbance|Sphere|Cylinder|Torus|Ellipsoid|Quadric|Surface|"
     r"^[\w ]+(\[\d\])?( =|:| at )"
 )
-_VALUE = re.compile(r"\d| = ")
-_REMEDY = re.compile(
+VALUE = re.compile(r"\d| = |nan|inf")
+REMEDY = re.compile(
     r"\b(use|give|move|turn|start|end|restart|shorten|lengthen|lower|raise|make|ask|write|choose|"
-    r"must|leave|change|scale|split|keep|set|plan|add|exchange|continue|check)\b", re.IGNORECASE,
-)  # fmt: skip
+    r"must|leave|change|scale|split|keep|set|plan|add|exchange|continue|check|announce|run|pass)\b",
+    re.IGNORECASE,
+)
 
 
-def refusal(text: str) -> Verdict:
+def refusal(text: str, place: re.Pattern = PLACE) -> Verdict:
     """ "refused" if a text names place, value and remedy, else "crash" with what it lacks."""
-    parts = {"the scene or contact": _PLACE, "a value": _VALUE, "a remedy": _REMEDY}
+    parts = {"the scene or contact": place, "a value": VALUE, "a remedy": REMEDY}
     missing = [name for name, pattern in parts.items() if not pattern.search(text)]
-    nan = float("nan")
     if missing:
-        return Verdict("crash", nan, nan, f"the error names not {', '.join(missing)}: {text}")
-    return Verdict("refused", nan, nan, text)
+        return Verdict("crash", NAN, NAN, f"the error names not {', '.join(missing)}: {text}")
+    return Verdict("refused", NAN, NAN, text)

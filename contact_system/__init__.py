@@ -13,7 +13,6 @@ from .errors import (
 )
 from .measures import Rejection, great_circle_distance, rejections
 from .plan import Plan, load, plan
-from .profile import Contraction, Gain, Profile
 from .scene import (
     Contact,
     FingerAcceleration,
@@ -21,20 +20,65 @@ from .scene import (
     ObjectRateOffset,
     Scene,
     Turning,
+    bundled_scenes,
+    load_scene,
+    save_scene,
 )
-from .scene_files import bundled_scenes, load_scene, save_scene
-from .surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
+from .surfaces import (
+    Cylinder,
+    Ellipsoid,
+    ImplicitSurface,
+    ParametricSurface,
+    Plane,
+    Quadric,
+    Sphere,
+    Surface,
+    Torus,
+)
 from .sweep import Failure, Sweep, summary, sweep
 from .system import SceneSystem
-from .user_surfaces import ImplicitSurface, ParametricSurface
+from .theory.gain import Contraction, Gain
+from .theory.profile import Profile
 
 __version__ = "0.1.0"
 
 __all__ = [
-    "ChartSingularity", "ConformalContact", "Contact", "ContactSystemError", "Contraction",
-    "Cylinder", "Ellipsoid", "Failure", "FingerAcceleration", "Gain", "ImplicitSurface",
-    "ObjectAcceleration", "ObjectRateOffset", "ParametricSurface", "Plan", "Plane", "Profile",
-    "Quadric", "Rejection", "Scene", "SceneError", "SceneSystem", "Sphere", "Surface",
-    "SurfaceError", "Sweep", "Torus", "Turning", "bundled_scenes", "great_circle_distance", "load",
-    "load_scene", "measured_states", "plan", "rejections", "save_scene", "summary", "sweep",
-]  # fmt: skip
+    "ChartSingularity",
+    "ConformalContact",
+    "Contact",
+    "ContactSystemError",
+    "Contraction",
+    "Cylinder",
+    "Ellipsoid",
+    "Failure",
+    "FingerAcceleration",
+    "Gain",
+    "ImplicitSurface",
+    "ObjectAcceleration",
+    "ObjectRateOffset",
+    "ParametricSurface",
+    "Plan",
+    "Plane",
+    "Profile",
+    "Quadric",
+    "Rejection",
+    "Scene",
+    "SceneError",
+    "SceneSystem",
+    "Sphere",
+    "Surface",
+    "SurfaceError",
+    "Sweep",
+    "Torus",
+    "Turning",
+    "bundled_scenes",
+    "great_circle_distance",
+    "load",
+    "load_scene",
+    "measured_states",
+    "plan",
+    "rejections",
+    "save_scene",
+    "summary",
+    "sweep",
+]

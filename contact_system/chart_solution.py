@@ -5,155 +5,196 @@ For comparison, and for whoever asks for it: stiff in lam, singular at poles and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy.integrate import OdeSolution, solve_ivp
 
 from .checks import naming
-from .equations import chart_equations
 from .errors import ContactSystemError, SceneError
-from .groups import Group, SlipRecord
-from .kinematics import contact_map
-from .profile import GainPiece
-from .scene import Scene, acting
-from .starts import Start
-from .tracks import Track, in_parts, passed
+from .motion import SHAPES, passed
+from .scene import Scene
+from .starts import Start, Starts, scene_start
+from .system import SceneSystem
+from .theory.equations import chart_equations
 
-SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
-
-
-@dataclass(eq=False)
-class ChartTrack(Track):
-    """One side of one contact from a dense solution; [p q] is chosen along the chart of the object.
-
-    Any frame angles with psi + theta1 + theta2 = psi(0) describe the same motion: theta2 = 0.
-    """
-
-    solution: object
-    finger: bool
-    angle: float
-
-    def _values(self, t: np.ndarray) -> np.ndarray:
-        return self.solution(t)  # type: ignore[operator]
-
-    def state(self, t: np.ndarray) -> np.ndarray:
-        y = self._values(t)
-        theta = self.angle - y[8] if self.finger else 0.0 * t
-        return np.stack([*(y[0:2] if self.finger else y[4:6]), theta])[None]
-
-    def drive(self, t: np.ndarray) -> np.ndarray:
-        y, state = self._values(t), self.state(t)
-        rates = y[2:4] if self.finger else y[6:8]
-        root = self.surface.metric_root(state[0, 0], state[0, 1])
-        a = np.einsum("tij,jt->it", root, rates)
-        c, s = np.cos(state[0, 2]), np.sin(state[0, 2])
-        return np.stack([c * a[0] + s * a[1], -s * a[0] + c * a[1]])[None]
+PARTS = 16  # of a solver's step, between which singular points are looked for
+LOST = 1e-12  # of the body's size: a Lame coefficient below it is none
+OUTPUTS = {"states": "state", "points": "contact_point", "slip_speed": "slip"}
+"""What `SceneSystem` calls results, where it has other names."""
 
 
-def chart_groups(
-    scene: Scene, starts: Sequence[Start], begin: float, tolerance: float, solver: str
-) -> list[Group]:
-    """Integrate every contact by itself.
+class ChartMotion:
+    """All contacts by the chart equations; asked as :class:`.motion.Motion`.
 
     Raises
     ------
-    SceneError
-        sigma = 0 inside the horizon, or imposed rolling.
+    ContactSystemError
+        sigma = 0 inside the horizon, imposed rolling, a surface without a chart, a path into a
+        singular point, or a solver that gives up.
     """
-    zeros = [t for t in scene.profile.zeros(scene.duration) if t >= begin]
-    if zeros:
-        raise SceneError(
-            f"{scene.title}: the chart equations divide by sigma, which is zero at "
-            f"t = {zeros[0]:g} s; use the default method, which does not"
-        )
-    return [_chart_group(scene, i, starts[i], begin, tolerance, solver) for i in range(len(starts))]
 
-
-def initial_state(scene: Scene, index: int, start: Start, begin: float) -> np.ndarray:
-    """u1 v1 u1' v1' u2 v2 u2' v2' psi of a contact at its start: (9,)."""
-    sigma, finger = float(scene.profile(begin)), scene.contacts[index].finger
-    q1 = np.linalg.solve(finger.metric_root(*start.finger_at), start.finger_velocity)
-    q2 = np.linalg.solve(scene.object.metric_root(*start.object_at), start.object_velocity)
-    return np.array([*start.finger_at, *(sigma * q1), *start.object_at, *(sigma * q2), start.angle])
-
-
-def _chart_group(
-    scene: Scene, index: int, start: Start, begin: float, tolerance: float, solver: str
-) -> Group:
-    from scipy.integrate import solve_ivp  # 0.2 s to import, and only this method needs it
-
-    contact, where = scene.contacts[index], f"{scene.title}, contact {index}"
-    if contact.follows:
-        raise SceneError(f"{where}: imposed rolling has no chart method; use the default method")
-    angle = np.array([start.angle])
-    at = [np.array([[*q, 0.0]]) for q in (start.finger_at, start.object_at)]
-    group = Group(np.array([index]), contact_map(angle), angle, (at[0], at[1]))
-    with naming(where):
-        kernel = chart_equations(contact.finger, scene.object)
-    machine = kernel.machine(1)
-    machine.c[0] = [*contact.finger.parameters, *scene.object.parameters]
-    y = initial_state(scene, index, start, begin)
-    own = [d for d in scene.disturbances if d.contact == index]
-    windows = [t for d in own for t in (d.start, d.stop) if t > begin]
-    pieces = [p.start for p in scene.gain.pieces(scene.profile, begin, scene.duration)]
-    edges = sorted({begin, scene.duration, *windows, *pieces})
-    for a, b in zip(edges, edges[1:]):
-        machine.x[0, 11:] = acts = acting(scene, a)[index]
-        d1, d2, offset = acts.reshape(3, 2)
-
-        def rate(t: float, state: np.ndarray) -> np.ndarray:
-            machine.x[0, :9] = state
-            sigma = scene.profile(t)
-            machine.x[0, 9] = scene.profile.rate(t) / sigma
-            machine.x[0, 10] = scene.gain.rate(scene.profile, t)
-            machine.run()
-            return machine.y[0].copy()  # the solver keeps it
-
-        with np.errstate(under="ignore"):  # of the spacing of doubles at t = 0
-            result = solve_ivp(
-                rate,
-                (a, b),
-                y,
-                method=solver,
-                rtol=max(tolerance, 3e-14),
-                atol=tolerance,
-                dense_output=True,
+    def __init__(
+        self, scene: Scene, tolerance: float, begin: float, starts: Starts | None, solver: str
+    ):
+        zeros = scene.profile.zeros(scene.duration)
+        if zeros:
+            raise SceneError(
+                f"{scene.title}: the chart equations divide by sigma, which is zero at "
+                f"t = {zeros[0]:g} s; use the default method, which does not"
             )
-        if not result.success or not np.isfinite(result.y).all():
-            raise ContactSystemError(
-                f"{where}: {solver} on the chart equations stopped at "
-                f"t = {result.t[-1]:.6g} s ({result.message}); the path may reach a pole, or "
-                "lam is too stiff; use the default method"
+        given = starts or [scene_start(contact) for contact in scene.contacts]
+        self._contacts = [
+            ChartContact(scene, i, start, begin, tolerance, solver)
+            for i, start in enumerate(given)
+            if isinstance(start, Start)
+        ]
+
+    def evaluate(self, t: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
+        """What is asked for at times inside the horizon: (n_times, n_contacts, ...)."""
+        return {name: np.stack([c.result(name, t) for c in self._contacts], 1) for name in names}
+
+    def lines(self) -> list[str]:
+        """How each contact was integrated."""
+        lines = []
+        for i, contact in enumerate(self._contacts):
+            lines.append(f"contact {i}:")
+            lines += [f"  {side} {told}" for side in ("finger", "object") for told in contact.told]
+        return lines
+
+
+class ChartContact:
+    """One contact of a scene, integrated by itself."""
+
+    def __init__(
+        self, scene: Scene, index: int, start: Start, begin: float, tolerance: float, solver: str
+    ):
+        contact, self._where = scene.contacts[index], f"{scene.title}, contact {index}"
+        if contact.follows:
+            raise SceneError(
+                f"{self._where}: imposed rolling has no chart method; use the default method"
             )
-        y = result.y[:, -1]
-        method = f"chart equations by {solver}, {result.nfev} evaluations"
-        for side, surface in ((True, contact.finger), (False, scene.object)):
-            track = ChartTrack(
-                surface, np.array([surface.parameters]), a, b, method, "asked for", False, False,
-                offset=None if side or not offset.any() else offset[None],
-                solution=result.sol, finger=side, angle=start.angle,
-            )  # fmt: skip
-            times = in_parts(result.sol.ts)
-            place = track.singular_place(
-                times,
-                track.state(times)[:, :2],
-                lambda t, _: track.state(t)[0, :2].T,  # noqa: B023
-            )
-            if place is not None:
-                raise passed(where, surface, place)
-            (group.finger if side else group.object).append(track)
-        piece = scene.gain.pieces(scene.profile, a, b)[0]
-        pair = (group.finger[-1], group.object[-1])
-        group.slips.append(
-            SlipRecord(a, b, piece, _slip_of(pair, group.r0, piece), (d1[None], d2[None]))
-        )
-    return group
+        with naming(self._where):
+            chart_equations(contact.finger, scene.object)  # refuses surfaces without a chart
+        own = [replace(d, contact=0) for d in scene.disturbances if d.contact == index]
+        alone = scene.replace(contacts=[contact], disturbances=own)
+        self._system = SceneSystem(alone, "chart", disturbance_input=True)
+        pieces = [p.start for p in scene.gain.pieces(scene.profile, begin, scene.duration)]
+        windows = [t for t in self._system.edges if t > begin]
+        self._edges = np.array(sorted({begin, scene.duration, *windows, *pieces}))
+        self._acting = np.array([self._system.window_values(t) for t in self._edges[:-1]])
+        self.told: list[str] = []
+        self._solution = self._integrated(start, tolerance, solver)
+        self._require_regular()
+
+    def _integrated(self, start: Start, tolerance: float, solver: str) -> OdeSolution:
+        """From edge to edge, each with what then acts."""
+        rate, p = self._system.function("derivatives"), self._system.parameters
+        state, held = self._system.place(float(self._edges[0]), [start])
+        times, steps = [self._edges[0]], []
+        tolerances = {"rtol": max(tolerance, 3e-14), "atol": tolerance}
+        for a, b, acting in zip(self._edges, self._edges[1:], self._acting):
+
+            def f(t: float, x: np.ndarray, acting: np.ndarray = acting) -> np.ndarray:
+                return rate(t, x, acting, held, p).full().ravel()
+
+            with np.errstate(under="ignore"):  # of the spacing of doubles at t = 0
+                found = solve_ivp(f, (a, b), state, solver, dense_output=True, **tolerances)
+            if not found.success or not np.isfinite(found.y).all():
+                raise ContactSystemError(
+                    f"{self._where}: {solver} on the chart equations stopped at "
+                    f"t = {found.t[-1]:.6g} s ({found.message}); the path may reach a pole, or "
+                    "lam is too stiff; use the default method"
+                )
+            state = found.y[:, -1]
+            times += found.sol.ts[1:].tolist()
+            steps += found.sol.interpolants
+            way = f"chart equations by {solver}, {found.nfev} evaluations"
+            self.told.append(f"[{a:.6g}, {b:.6g}] s  {way}  (asked for)")
+        return OdeSolution(times, steps)
+
+    def _require_regular(self) -> None:
+        """Refuse a path through a singular point of a chart.
+
+        Solvers step across one that a path heads for along a meridian: the equations are smooth
+        there, and the contact frame turns over.
+        """
+        ends, parts = self._solution.ts, np.arange(PARTS) / PARTS
+        t = np.append(ends[:-1, None] + np.diff(ends)[:, None] * parts, ends[-1])
+        scene = self._system.scene
+        for side, surface in enumerate((scene.contacts[0].finger, scene.object)):
+
+            def regular(t: np.ndarray, side: int = side) -> np.ndarray:
+                return np.abs(self._output("regularity", t, *self._at(t))[:, side])
+
+            lost = _zero(regular, t)
+            if lost is not None:
+                u, v = self._solution(lost)[4 * side : 4 * side + 2].tolist()
+                raise passed(self._where, surface, (u, v))
+
+    def _at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States (9, n_times) and what acts on them (6, n_times)."""
+        interval = np.searchsorted(self._edges[1:-1], t, side="right")
+        return self._solution(t), self._acting[interval].T
+
+    def _output(self, name: str, t: np.ndarray, x: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """An output of the system: (n_times, n)."""
+        system = self._system
+        return system.function(name)(t[None], x, w, system.held0, system.parameters).full().T
+
+    def result(self, name: str, t: np.ndarray) -> np.ndarray:
+        """As a plan gives it, of this contact: (n_times, ...)."""
+        if not len(t):
+            return np.empty((0, *SHAPES[name]))
+        x, w = self._at(t)
+        if name == "acceleration":
+            return self._acceleration(t, x, w)
+        found = self._output(OUTPUTS.get(name, name), t, x, w)
+        if name == "slip_speed":
+            return np.hypot(*found.T)
+        if name == "pose":
+            pose = np.tile(np.eye(4), (len(t), 1, 1))
+            pose[:, :3, :] = found.reshape(-1, 4, 3).swapaxes(1, 2)
+            return pose
+        return found.reshape(-1, *SHAPES[name])
+
+    def _acceleration(self, t: np.ndarray, x: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """(sigma'/sigma - lam) v_rel + R_psi M1 d1 - M2 d2, rate offsets left out: (n_times, 2)."""
+        profile, gain = self._system.scene.profile, self._system.scene.gain
+        rate = profile.rate(t) / profile(t) - gain.rate(profile, t)
+        pushed = x.copy()  # v_rel is linear in the rates: with d1, d2 in their places
+        pushed[2:4], pushed[6:8] = w[:2], w[2:4]
+        slip, push = (self._output("slip", t, states, 0 * w) for states in (x, pushed))
+        return rate[:, None] * slip + push
 
 
-def _slip_of(pair: tuple[Track, Track], r0: np.ndarray, piece: GainPiece):
-    def slip(tau: np.ndarray) -> np.ndarray:
-        t = piece.start + tau
-        return (r0 @ pair[0].drive(t) - pair[1].drive(t)) / piece.speed(tau)
+def _zero(y: Callable[[np.ndarray], np.ndarray], t: np.ndarray) -> float | None:
+    """A time at which y, values like |x|, falls below LOST; None where there is no such time.
 
-    return slip
+    Around the least of the values at times t it is looked closer and closer.
+    """
+    values = y(t)
+    before, after = _neighbours(values)
+    k = np.flatnonzero((values <= np.fmin(before, after)) & (values < np.fmax(before, after)))
+    low, high = t[np.fmax(k - 1, 0)], t[np.fmin(k + 1, len(t) - 1)]
+    for _ in range(30):
+        if not len(low):
+            break
+        tried = np.linspace(low, high, 9)
+        values = y(tried.ravel()).reshape(tried.shape)
+        if values.min() <= LOST:
+            return float(tried.flat[values.argmin()])
+        before, after = _neighbours(values)
+        k, each = values.argmin(axis=0), np.arange(len(low))
+        low, high = tried[np.fmax(k - 1, 0), each], tried[np.fmin(k + 1, 8), each]
+        # of equidistant places the nearest to a zero has a quarter of its neighbours' sum at most
+        falls = 3 * values[k, each] <= before[k, each] + after[k, each]
+        low, high = low[falls], high[falls]
+    return None
+
+
+def _neighbours(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values before and after, along the first axis; inf beyond the ends."""
+    beyond = np.full_like(values[:1], np.inf)
+    return np.concatenate([beyond, values[:-1]]), np.concatenate([values[1:], beyond])

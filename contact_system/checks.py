@@ -191,6 +191,21 @@ def function_or_none(value: Any, what: str, remedy: str) -> Any:
     return value
 
 
+def make_folder(path: Path, remedy: str) -> Path:
+    """The folder, made if it is not there.
+
+    Raises
+    ------
+    ContactSystemError
+        It cannot be made; the message ends with the remedy.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ContactSystemError(f"no folder '{path}': {error.strerror}; {remedy}") from None
+    return path
+
+
 @contextmanager
 def writing(path: Path, place: str = "") -> Iterator[None]:
     """Say in one line why a file cannot be written."""

@@ -26,9 +26,8 @@ from typing import Any, TextIO
 import numpy as np
 
 from . import __version__, plots
-from .checks import is_device
+from .checks import is_device, make_folder
 from .errors import ContactSystemError, SceneError
-from .kernels import make_folder
 from .measures import (
     REJECTED,
     Rejection,
@@ -38,9 +37,8 @@ from .measures import (
     rejections,
 )
 from .plan import METHODS, Plan, plan
-from .profile import GAIN_LAWS, Gain
-from .scene import Scene
-from .scene_files import bundled_scenes, load_scene
+from .scene import Scene, bundled_scenes, load_scene
+from .theory.gain import LAWS, Gain
 
 PROGRAM = "contact-system"
 GROUP = "contact_system.commands"
@@ -86,8 +84,9 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="plan a scene, measure its slip, write and draw results")
     _add_scene(run)
-    run.add_argument("--out", type=Path, metavar="DIR", help="folder for the results; default "
-                     "results/NAME")  # fmt: skip
+    run.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder for the results; default results/NAME"
+    )
     run.add_argument("--no-plots", action="store_true", help="draw no pictures")
     run.set_defaults(run=_run)
 
@@ -103,20 +102,29 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 def _add_scene(parser: argparse.ArgumentParser) -> None:
     """The scene, and how it is planned."""
     parser.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
-    parser.add_argument("--gain", choices=tuple(GAIN_LAWS),
-                        help="gain law instead of the scene's")  # fmt: skip
+    parser.add_argument("--gain", choices=tuple(LAWS), help="gain law instead of the scene's")
     number = parser.add_mutually_exclusive_group()
     for name, laws in (("eta", "the laws path and time"), ("rho", "the law guaranteed")):
-        number.add_argument(f"--{name}", type=float, metavar="X",
-                            help=f"{name} of {laws}; default: the number of the scene's own law"
-                            )  # fmt: skip
-    parser.add_argument("--tolerance", type=float, default=1e-12, metavar="X",
-                        help="error of contact points over the body's size; default %(default)g"
-                        )  # fmt: skip
-    parser.add_argument("--method", choices=METHODS, default="auto", help="auto: the cheapest "
-                        "exact way; chart: the paper's equations by scipy")  # fmt: skip
-    parser.add_argument("--compiled", action="store_true", help="build compiled kernels where "
-                        "they are missing")  # fmt: skip
+        number.add_argument(
+            f"--{name}",
+            type=float,
+            metavar="X",
+            help=f"{name} of {laws}; default: the number of the scene's own law",
+        )
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=1e-12,
+        metavar="X",
+        help="error of contact points over the body's size; default %(default)g",
+    )
+    parser.add_argument(
+        "--method",
+        choices=METHODS,
+        default="auto",
+        help="auto: the cheapest exact way; chart: the paper's equations by scipy",
+    )
+    parser.add_argument("--compiled", action="store_true", help=argparse.SUPPRESS)  # ignored
 
 
 def _add_foreign(commands: Any, words: Sequence[str]) -> None:
@@ -181,8 +189,8 @@ def results_folder(args: argparse.Namespace, scene: Scene) -> Path:
 def _asked_scene(args: argparse.Namespace) -> Scene:
     scene = load_scene(args.scene)
     law = args.gain or scene.gain.law
-    taken, value = GAIN_LAWS[law], scene.gain.value
-    for name in sorted(set(GAIN_LAWS.values())):
+    taken, value = LAWS[law].parameter, scene.gain.value
+    for name in sorted({row.parameter for row in LAWS.values()}):
         given = getattr(args, name)
         if given is not None and name != taken:
             raise SceneError(
@@ -194,7 +202,7 @@ def _asked_scene(args: argparse.Namespace) -> Scene:
 
 
 def _asked_plan(args: argparse.Namespace, scene: Scene) -> Plan:
-    return plan(scene, args.tolerance, args.method, compiled=True if args.compiled else None)
+    return plan(scene, args.tolerance, args.method)
 
 
 def file_name(scene: Scene) -> str:
@@ -276,8 +284,18 @@ def table(
 
 def _slip_table(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> Iterable[str]:
     """Slip of every contact under every law."""
-    head = ("gain", "contact", "start", "peak", "at", "end", "from", f"below {REJECTED:.0%} after",
-            "paper", "as reported")  # fmt: skip
+    head = (
+        "gain",
+        "contact",
+        "start",
+        "peak",
+        "at",
+        "end",
+        "from",
+        f"below {REJECTED:.0%} after",
+        "paper",
+        "as reported",
+    )
     units = ("", "", "m/s", "m/s", "s", "m/s", "s", "s", "s", "")
     rows = [_row(plan, r) for plan, found in zip(plans, measured) for r in found]
     return table(list(zip(head, units)), rows, 2)

@@ -2,7 +2,7 @@ r"""Contact states from a measured relative motion of the bodies: nothing of a p
 
 Where two bodies touch, or would touch next, follows from their relative pose alone: the points
 x_1, x_2 at which the line that joins them is normal to both surfaces. Newton's method finds them,
-and its step is Montana's forward map (:func:`contact_system.kinematics.contact_velocities`): how
+and its step is Montana's forward map (:func:`.theory.equations.contact_velocities`): how
 far contact points have to move so that normals turn by what they miss, and so that the line stands
 on both surfaces. A gap g between the bodies is met by moving the object's surface out to the
 finger, which makes its curvature form ``(I + g K_2)^{-1} K_2``.
@@ -12,30 +12,29 @@ The rates are then the forward map of the measured twist.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterable
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .charts import SX, TINY
 from .checks import real_array
-from .development import reflection
+from .engine.binding import run
 from .errors import ChartSingularity, ConformalContact, ContactSystemError
-from .geometry import implicit_geometry, upper_inverse
-from .kernels import Kernel, per_structure
-from .kinematics import SINGULAR, contact_velocities
 from .scene import Scene, require_scene
-from .surfaces import Surface
-from .user_surfaces import ParametricSurface
+from .surfaces import SINGULAR, TINY, ParametricSurface, Surface
+from .theory import symbols as ca
+from .theory.equations import contact_velocities, reflection, relative_curvature, solve_plane
+from .theory.geometry import implicit_geometry, number_symbols, numbers_function, upper_inverse
+from .theory.lowering import Table
+from .theory.symbols import per_structure
 
+CONFORMAL = 1e-12  # det of the relative curvature over its square, below which bodies conform
 MOST_STEPS = 30
-ROWS = 40  # of a Measurement
 SETTLED = 1e3  # steps at which rounding may hold Newton's method up, in those asked for
 NO_ROTATION = 1e-2  # what is measured may miss a rotation by its noise
 GRID = 25  # points in each coordinate of a finger, of which the nearest to the object is sought
 LONGEST_STEP = 0.5  # of the body's size, where bodies are far apart
+ROWS = 40  # of a Measurement
 
 
 class Measurement:
@@ -45,35 +44,22 @@ class Measurement:
 
     Attributes
     ----------
-    table : (n, 40)
-        All of it.
-    step : (n,)
-        Length of the step that Newton's method would take next, m.
-    relative : (n,)
-        det of the relative curvature over the square of its size: 0 where bodies conform.
-    states : (n, 9)
-        u1 v1 u1' v1' u2 v2 u2' v2' psi, principal values.
-    slip : (n, 2)
-        v_rel in E2, m/s.
-    points : (n, 2, 3)
-        x_1 on the finger and x_2 on the object, each in its body's frame, m.
-    frame : (n, 3, 3)
-        E2, rows x, y, n, in the object's frame.
-    surfaces : (n, 20)
-        x_2, E2 as in `frame`, K_2, K_1 in E2, 1/m.
-    gap : (n,)
-        Distance of the surfaces along the normal, negative where they overlap, m.
-    velocity : (n, 3)
-        Of the contact point on the object, in its frame, m/s.
+    step : (n,), length of the step that Newton's method would take next, m
+    relative : (n,), det of the relative curvature over its square: 0 where bodies conform
+    states : (n, 9), u1 v1 u1' v1' u2 v2 u2' v2' psi, principal values
+    slip : (n, 2), v_rel in E2, m/s
+    points : (n, 2, 3), x_1 on the finger and x_2 on the object, each in its body's frame, m
+    frame : (n, 3, 3), E2, rows x, y, n, in the object's frame
+    surfaces : (n, 20), x_2, E2 as in `frame`, K_2, K_1 in E2, 1/m
+    gap : (n,), distance along the normal, negative where the bodies overlap, m
+    velocity : (n, 3), of the contact point on the object, in its frame, m/s
     """
 
     def __init__(self, table: np.ndarray):
-        n, self.table = len(table), table
         self.step, self.relative, self.gap = table[:, 0], table[:, 1], table[:, 36]
-        self.velocity = table[:, 37:40]
-        self.states, self.slip = table[:, 2:11], table[:, 11:13]
-        self.points = table[:, 13:19].reshape(n, 2, 3)
-        self.frame, self.surfaces = table[:, 19:28].reshape(n, 3, 3), table[:, 16:36]
+        self.states, self.slip, self.velocity = table[:, 2:11], table[:, 11:13], table[:, 37:]
+        self.points = table[:, 13:19].reshape(-1, 2, 3)
+        self.surfaces, self.frame = table[:, 16:36], table[:, 19:28].reshape(-1, 3, 3)
 
 
 def measured_states(
@@ -111,41 +97,37 @@ def measured_states(
         The twist does not determine where the bodies touch.
     """
     require_scene(scene)
-    sensor = scene.__dict__.get("_sensor")
-    if sensor is None:
-        sensor = scene.__dict__["_sensor"] = ContactSensor(scene)
-    n = sensor.count
-    arrays = []
-    for given, name, shape in (
-        (pose, "pose", (4, 4)), (twist, "twist", (6,)), (points, "points", (3,)),
-    ):  # fmt: skip
-        try:
-            a = real_array(given)
-        except (TypeError, ValueError, OverflowError):
-            raise ContactSystemError(
-                f"{scene.title}: {name} = {given!r:.80}; give numbers, shape {(n, *shape)}"
-            ) from None
-        arrays.append(a)
-        if a.shape != (n, *shape):
-            raise ContactSystemError(
-                f"{scene.title}: {name} has shape {a.shape}; give {(n, *shape)}"
-            )
-        if not np.isfinite(a).all():
-            raise ContactSystemError(f"{scene.title}: {name} has a NaN or infinity")
-    _check_rigid(scene, arrays[0])
-    found = sensor.measure(arrays[0][:, :3].reshape(n, 12), *arrays[1:])
+    poses = _given(scene, "pose", pose, (4, 4))
+    _check_rigid(scene, poses)
+    others = _given(scene, "twist", twist, (6,)), _given(scene, "points", points, (3,))
+    sensor = ContactSensor(scene)
+    found = sensor.measure(poses[:, :3].reshape(-1, 12), *others)
     sensor.check(found)
     return found.states
+
+
+def _given(scene: Scene, name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    """A measurement of every contact, finite."""
+    shape = (len(scene.contacts), *shape)
+    try:
+        found = real_array(value)
+    except (TypeError, ValueError, OverflowError):
+        raise ContactSystemError(
+            f"{scene.title}: {name} = {value!r:.80}; give numbers, shape {shape}"
+        ) from None
+    if found.shape != shape:
+        raise ContactSystemError(f"{scene.title}: {name} has shape {found.shape}; give {shape}")
+    if not np.isfinite(found).all():
+        raise ContactSystemError(f"{scene.title}: {name} has a NaN or infinity")
+    return found
 
 
 def _check_rigid(scene: Scene, pose: np.ndarray) -> None:
     """Refuse poses (n, 4, 4) that are no rigid motion, such as transposed ones."""
     turn = pose[:, :3, :3]
-    missed = np.abs(np.matmul(turn, turn.swapaxes(1, 2)) - np.eye(3)).max((1, 2))
+    missed = np.abs(turn @ turn.swapaxes(1, 2) - np.eye(3)).max((1, 2))
     missed = np.fmax(missed, np.abs(pose[:, 3] - [0, 0, 0, 1]).max(1))
-    wrong = np.flatnonzero((missed > NO_ROTATION) | (np.linalg.det(turn) < 0))
-    if len(wrong):
-        i = int(wrong[0])
+    for i in np.flatnonzero((missed > NO_ROTATION) | (np.linalg.det(turn) < 0)):
         raise ContactSystemError(
             f"{scene.title}, contact {i}: pose = {pose[i].tolist()} is no rotation and "
             "translation over the row 0, 0, 0, 1; give X_OF, the finger's frame in the object's"
@@ -164,15 +146,15 @@ class ContactSensor:
     """
 
     def __init__(self, scene: Scene, tolerance: float = 1e-13):
-        self.scene, self.count = scene, len(scene.contacts)
-        sizes = [scene.object.size, *(contact.finger.size for contact in scene.contacts)]
+        self.scene, obj = scene, scene.object
+        sizes = [obj.size, *(contact.finger.size for contact in scene.contacts)]
         self._small = tolerance * min(sizes)
         # steps shrink as their squares do: what stays above is rounding, as of a far larger body
         self._settled = max(SETTLED * self._small, 1e-15 * max(sizes))
-        kinds: dict[object, list[int]] = {}
+        alike: dict[Hashable, list[int]] = {}  # contacts whose fingers have one table
         for i, contact in enumerate(scene.contacts):
-            kinds.setdefault(contact.finger.structure, []).append(i)
-        self._groups = [_Group(scene, contacts) for contacts in kinds.values()]
+            alike.setdefault(contact.finger.structure, []).append(i)
+        self._groups = [_Group(scene, contacts) for contacts in alike.values()]
 
     def measure(
         self,
@@ -200,10 +182,16 @@ class ContactSensor:
         -------
         Measurement
         """
-        table = np.empty((self.count, ROWS))
+        n = len(pose)
+        known = np.zeros((n, 3))  # whether slip is, and the slip
+        if slip is not None:
+            known[:, 0], known[:, 1:] = 1, slip
+        seen = np.column_stack([pose, twist, np.broadcast_to(share, n), known])
+        found = np.empty((n, ROWS))
         for group in self._groups:
-            table[group.contacts] = group.find(pose, twist, points, share, slip, self._small)
-        return Measurement(table)
+            own = group.contacts
+            found[own] = group.find(seen[own], points[own], self._small)
+        return Measurement(found)
 
     def approach(self, pose: np.ndarray, away: Iterable[int]) -> np.ndarray:
         """Points near which those that are away would touch: (n, 12) -> (len(away), 3), m."""
@@ -212,9 +200,9 @@ class ContactSensor:
 
     def check(self, found: Measurement) -> None:
         """Raise what is wrong with a measurement; see :func:`measured_states`."""
-        for i in range(self.count):
+        for i in range(len(self.scene.contacts)):
             what = f"{self.scene.title}, contact {i}"
-            if abs(found.relative[i]) <= SINGULAR:
+            if abs(found.relative[i]) <= CONFORMAL:
                 raise ConformalContact(
                     f"{what}: the surfaces conform to each other at the contact, so a twist does "
                     "not determine where they touch; change a radius or a surface"
@@ -235,197 +223,173 @@ class ContactSensor:
 
 
 class _Group:
-    """Contacts whose fingers are of one kind."""
+    """Contacts whose fingers are of one structure, which share a table."""
 
     def __init__(self, scene: Scene, contacts: list[int]):
-        self.contacts = np.array(contacts)
-        self.surfaces = [scene.contacts[i].finger for i in contacts], scene.object
-        self.kernel = contact_kernel(self.surfaces[0][0], scene.object)
-        self.n_start = tuple(_unknowns(s) for s in (self.surfaces[0][0], scene.object))
-        obj = (*scene.object.parameters, scene.object.size)
-        self.constants = np.array([(*f.parameters, f.size, *obj) for f in self.surfaces[0]])
+        self.contacts, self.object = contacts, scene.object
+        self.fingers = [scene.contacts[i].finger for i in contacts]
+        self.table = measurement(self.fingers[0], scene.object)
+        obj = (*scene.object.numbers, scene.object.size)
+        self.numbers = np.array([(*f.numbers, f.size, *obj) for f in self.fingers]).T
 
-    def find(
-        self,
-        pose: np.ndarray,
-        twist: np.ndarray,
-        points: np.ndarray,
-        share: np.ndarray | float,
-        slip: np.ndarray | None,
-        small: float,
-    ) -> np.ndarray:
-        """Newton's method: (n_contacts of the group, n_result without the next start)."""
-        machine, n = self.kernel.machine(len(self.contacts)), sum(self.n_start)
-        x, y = machine.x, machine.y
-        machine.c[:] = self.constants
-        x[:, n : n + 12] = pose = pose[self.contacts]
-        x[:, n + 12 : n + 18] = twist[self.contacts]
-        x[:, n + 18] = share if np.isscalar(share) else share[self.contacts]  # type: ignore
-        x[:, n + 19] = slip is not None
-        x[:, n + 20 : n + 22] = 0.0 if slip is None else slip[self.contacts]
-        x[:, :n] = self._start(pose.reshape(-1, 3, 4), points[self.contacts])
-        machine.run()
+    def find(self, seen: np.ndarray, points: np.ndarray, small: float) -> np.ndarray:
+        """Newton's method from points near the contacts, until steps are small: (n, 40)."""
+        pose = seen[:, :12].reshape(-1, 3, 4)
+        of_finger = ((points - pose[:, :, 3])[:, None] @ pose[:, :, :3])[:, 0]
+        sides = zip(self.fingers, of_finger, points)
+        x = np.array([(*_sought(f, p), *_sought(self.object, q)) for f, p, q in sides])
+        n, y = x.shape[1], self._measured(x, seen)
         first = y[:, n + 1].copy()
         for _ in range(MOST_STEPS):
-            if not (y[:, n] > small).any():
+            step = y[:, n]
+            if not (step > small).any():
                 break
-            framed = ~np.isnan(y[:, n])
-            x[framed, :n] = y[framed, :n]
-            machine.run()
+            x = np.where(np.isnan(step)[:, None], x, y[:, :n])  # stay where there is no frame
+            y = self._measured(x, seen)
         # steps along bodies that conform lead anywhere, and there bodies may not
-        conform = (np.abs(first) <= SINGULAR) & ~(y[:, n] <= small)
+        conform = (np.abs(first) <= CONFORMAL) & ~(y[:, n] <= small)
         y[conform, n + 1] = first[conform]
         return y[:, n:]
 
-    def _start(self, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Both sides' unknowns from points near the contacts."""
-        of_finger = np.matmul((points - pose[:, :, 3])[:, None], pose[:, :, :3])[:, 0]
-        fingers, obj = self.surfaces
-        sides = ((fingers, of_finger), ([obj] * len(points), points))
-        return np.hstack([
-            x if _unknowns(surfaces[0]) == 3 else
-            np.array([_nearest(s, at) for s, at in zip(surfaces, x)])
-            for surfaces, x in sides
-        ])  # fmt: skip
+    def _measured(self, x: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        return run(self.table, np.hstack([x, seen]).T, self.numbers).T
+
+
+def _sought(surface: Surface, x: np.ndarray) -> np.ndarray:
+    """The unknowns beside a point: it, or coordinates where there is no level function."""
+    if isinstance(surface, ParametricSurface):
+        return np.array(surface.nearest(x)[:2])
+    return x
 
 
 # --- symbolic ----------------------------------------------------------------------------------
 
 
-def _unknowns(surface: Surface) -> int:
-    """A contact point is sought in space, or by its coordinates where there is only a chart."""
-    return 3 if surface.has_implicit else 2
-
-
-@dataclass
 class _Side:
-    """A body at the unknowns z: a point, by `missed` off its surface, or coordinates."""
+    """A body at its unknowns, a point near it or coordinates, in symbols.
 
-    x: SX
-    frame: SX
-    metric_root: SX
-    curvature: SX
-    coordinates: SX
-    z: SX
-    missed: SX
+    constants: sign, parameters and size. missed: how far off the surface the unknowns are, m.
+    """
 
-    @property
-    def tangents(self) -> SX:
-        return self.frame[:, :2]
+    def __init__(self, surface: Surface):
+        n = len(surface.parameters)
+        self.constants = ca.SX.sym("constants", n + 2)
+        sign, p, self.size = ca.vertsplit(self.constants, [0, 1, n + 1, n + 2])
+        self.in_space = surface.has_implicit
+        self.unknowns = z = ca.SX.sym("z", 3 if self.in_space else 2)
+        if not self.in_space:
+            at = surface.geometry_expr(p, z[0], z[1], sign)
+            self.x, self.tangents, self.normal = at.point, at.frame[:, :2], at.frame[:, 2]
+            self.metric_root, self.curvature = at.metric_root, at.curvature_form
+            self.coordinates, self.missed = z, ca.SX(0)
+            return
+        level = surface.implicit_expr(p, z, sign)
+        gradient, hessian = implicit_geometry(level, z)
+        x_axis, y_axis, metric_root = surface.frame_expr(p, z, sign)
+        tangents = ca.horzcat(x_axis, y_axis)
+        curvature = tangents.T @ hessian @ tangents / ca.norm_2(gradient)
+        coordinates = ca.vertcat(*surface.coordinates_expr(p, z, sign))
+        # all of it one Newton step nearer to the surface: what is left is the distance's square
+        self.x = z - level * gradient / ca.dot(gradient, gradient)
+        there = [tangents, metric_root, curvature, coordinates]
+        self.tangents, self.metric_root, self.curvature, self.coordinates = ca.substitute(
+            there, [z], [self.x]
+        )
+        self.normal = ca.cross(self.tangents[:, 0], self.tangents[:, 1])
+        self.missed = ca.norm_2(self.x - z)
 
-    @property
-    def normal(self) -> SX:
-        return self.frame[:, 2]
-
-    def rates(self, velocity: SX) -> SX:
+    def rates(self, velocity: ca.SX) -> ca.SX:
         return upper_inverse(self.metric_root) @ velocity
 
-    def moved(self, step: SX) -> SX:
-        return self.z + (self.tangents @ step if self.z.numel() == 3 else self.rates(step))
+    def framed(self) -> ca.SX:
+        """Whether there is a contact frame, as `Surface.canonical` has it."""
+        return ca.fmin(self.metric_root[0, 0], self.metric_root[1, 1]) > SINGULAR * self.size
 
+    def shortened(self, step: ca.SX) -> ca.SX:
+        return step * ca.fmin(1, LONGEST_STEP * self.size / (ca.norm_2(step) + 1e-300))
 
-def _side(surface: Surface, p: SX, z: SX) -> _Side:
-    if z.numel() == 2:
-        shape = surface.geometry_expr(p, z[0], z[1])
-        return _Side(shape.point, shape.frame, shape.metric_root, shape.curvature_form, z, z, SX(0))
-    level = surface.implicit_expr(p, z)
-    gradient, hessian = implicit_geometry(level, z)
-    x_axis, y_axis, metric_root = surface.frame_expr(p, z)
-    tangents = ca.horzcat(x_axis, y_axis)
-    curvature = tangents.T @ hessian @ tangents / ca.norm_2(gradient)
-    frame = ca.horzcat(tangents, ca.cross(x_axis, y_axis))
-    coordinates = ca.vertcat(*surface.coordinates_expr(p, z))
-    # all of it one Newton step nearer to the surface: what is left is the distance's square
-    x = z - level * gradient / ca.dot(gradient, gradient)
-    there = ca.substitute([frame, metric_root, curvature, coordinates], [z], [x])
-    frame, metric_root, curvature, coordinates = there
-    return _Side(x, frame, metric_root, curvature, coordinates, x, ca.norm_2(x - z))
+    def moved(self, step: ca.SX) -> ca.SX:
+        """The next unknowns."""
+        return self.x + self.tangents @ step if self.in_space else self.unknowns + self.rates(step)
 
 
 @per_structure
-def contact_kernel(finger: Surface, obj: Surface) -> Kernel:
-    """Kernel of one contact: a Newton step towards it, and all that is measured.
+def measurement(finger: Surface, obj: Surface) -> Table:
+    """The table of one contact: a Newton step towards it, and all that is measured.
 
     point: unknowns of finger and object, X_OF (12, row by row), V_OF_O (6), share, whether slip is
     known, known slip (2).
-    constant: parameters and size of the finger, and of the object.
+    constant: sign, parameters and size of the finger, and of the object.
     result: next unknowns, length of the step, det of the relative curvature over its square,
     states (9), slip (2), x_1, x_2 (6), E2 (9), K_2, K_1 in E2 (8), gap, velocity (3).
     """
-    z1, z2 = SX.sym("z1", _unknowns(finger)), SX.sym("z2", _unknowns(obj))
-    pose, twist, share = SX.sym("pose", 12), SX.sym("twist", 6), SX.sym("share")
-    is_known, known = SX.sym("is_known"), SX.sym("known", 2)
-    p1, p2 = SX.sym("p1", len(finger.parameters) + 1), SX.sym("p2", len(obj.parameters) + 1)
+    pose, twist, share = ca.SX.sym("pose", 12), ca.SX.sym("twist", 6), ca.SX.sym("share")
+    is_known, known = ca.SX.sym("is_known"), ca.SX.sym("known", 2)
+    tip, body = _Side(finger), _Side(obj)
     rows = ca.reshape(pose, 4, 3).T
     turn, origin = rows[:, :3], rows[:, 3]
-    tip, body = _side(finger, p1[:-1], z1), _side(obj, p2[:-1], z2)
     between = turn @ tip.x + origin - body.x
-    gap = ca.dot(body.normal, between)
     alike = body.tangents.T @ turn @ tip.tangents
     psi = ca.atan2(-(alike[0, 1] + alike[1, 0]), alike[0, 0] - alike[1, 1])
     map_21 = reflection(ca.cos(psi), ca.sin(psi))
-
-    # Newton's step: as velocities that turn the normals and move the points by what they miss
-    missed = map_21 @ (body.tangents.T @ (-turn @ tip.normal - body.normal))
-    outside = _solve(SX.eye(2) + gap * body.curvature, body.curvature)
-    step_1, step_2 = contact_velocities(
-        tip.curvature, outside, map_21, missed, -body.tangents.T @ between, _solve
-    )
-    step_2 = _solve(SX.eye(2) + gap * body.curvature, step_2)
-    step_1, step_2 = (_shortened(s, LONGEST_STEP * p[-1]) for s, p in ((step_1, p1), (step_2, p2)))
-
+    step_1, step_2 = _newton_step(tip, body, turn, between, map_21)
     # what the twist says, of bodies taken as touching
     at = body.x + share * between
     seen = -body.tangents.T @ (twist[3:] + ca.cross(twist[:3], at - origin))
     slip = ca.if_else(is_known, known, seen)
     omega = tip.tangents.T @ (turn.T @ twist[:3])
     bend = ca.vertcat(-omega[1], omega[0])
-    a1, a2 = contact_velocities(tip.curvature, body.curvature, map_21, bend, slip, _solve)
-    tip_curvature = map_21 @ tip.curvature @ map_21
-    relative = body.curvature + tip_curvature
+    a1, a2 = contact_velocities(tip.curvature, body.curvature, map_21, bend, slip)
+    relative = ca.det(relative_curvature(body.curvature, tip.curvature, map_21))
     size = ca.norm_fro(tip.curvature) + ca.norm_fro(body.curvature)
-    relative = ca.det(relative) / ca.fmax(size**2, TINY)  # planes, of no curvature, conform too
+    states = ca.vertcat(tip.coordinates, tip.rates(a1), body.coordinates, body.rates(a2), psi)
     result = ca.vertcat(
-        tip.moved(step_1), body.moved(step_2),
-        ca.norm_2(ca.vertcat(step_1, step_2, tip.missed, body.missed)), relative,
-        tip.coordinates, tip.rates(a1), body.coordinates, body.rates(a2), psi,
-        slip, tip.x, body.x, ca.vec(body.frame), ca.vec(body.curvature),
-        ca.vec(tip_curvature), gap, body.tangents @ a2,
-    )  # fmt: skip
-    point, constant = ca.vertcat(z1, z2, pose, twist, share, is_known, known), ca.vertcat(p1, p2)
-    return Kernel("measured", point, constant, result)
+        tip.moved(step_1),
+        body.moved(step_2),
+        ca.norm_2(ca.vertcat(step_1, step_2, tip.missed, body.missed)),
+        relative / ca.fmax(size**2, TINY),  # planes, of no curvature, conform too
+        ca.if_else(ca.logic_and(tip.framed(), body.framed()), states, np.nan),
+        slip,
+        tip.x,
+        body.x,
+        ca.vec(body.tangents),
+        body.normal,
+        ca.vec(body.curvature),
+        ca.vec(map_21 @ tip.curvature @ map_21),
+        ca.dot(body.normal, between),
+        body.tangents @ a2,
+    )
+    point = ca.vertcat(tip.unknowns, body.unknowns, pose, twist, share, is_known, known)
+    constants = ca.vertcat(tip.constants, body.constants)
+    return Table(ca.Function("measured", [point, constants], [ca.densify(result)]))
 
 
-def _solve(a: SX, b: SX) -> SX:
-    """Cramer's rule for 2x2."""
-    adjugate = ca.vertcat(ca.horzcat(a[1, 1], -a[0, 1]), ca.horzcat(-a[1, 0], a[0, 0]))
-    return adjugate @ b / (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
-
-
-def _shortened(step: SX, longest: SX) -> SX:
-    return step * ca.fmin(1, longest / (ca.norm_2(step) + 1e-300))
+def _newton_step(
+    tip: _Side, body: _Side, turn: ca.SX, between: ca.SX, map_21: ca.SX
+) -> tuple[ca.SX, ca.SX]:
+    """As velocities that turn the normals and move the points by what they miss."""
+    missed = map_21 @ (body.tangents.T @ (-turn @ tip.normal - body.normal))
+    lifted = ca.SX.eye(2) + ca.dot(body.normal, between) * body.curvature
+    outside = solve_plane(lifted, body.curvature)
+    off = -body.tangents.T @ between
+    step_1, step_2 = contact_velocities(tip.curvature, outside, map_21, missed, off)
+    return tip.shortened(step_1), body.shortened(solve_plane(lifted, step_2))
 
 
 # --- where to begin ----------------------------------------------------------------------------
 
 
-def _nearest(surface: Surface, x: np.ndarray) -> np.ndarray:
-    """(u, v) of the point nearest to one point, (2,)."""
-    assert isinstance(surface, ParametricSurface)  # the only kind without a level function
-    return np.array(surface.nearest(x)[:2])
-
-
 def _ahead(finger: Surface, obj: Surface, pose: np.ndarray) -> np.ndarray:
     """Of a grid of points on a finger the one that is nearest to the object, in its frame, (3,)."""
     turn, origin = pose[:, :3], pose[:, 3]
-    points = _grid(finger, -_height(obj, origin, origin[None])[0, 1:] @ turn, obj.size)
-    points = points @ turn.T + origin
+    up = _height(obj, origin, origin[None])[0, 1:]
+    points = _grid(finger, -up @ turn, obj.size) @ turn.T + origin
     return points[np.nanargmin(_height(obj, origin, points)[:, 0])]
 
 
 def _grid(finger: Surface, foot: np.ndarray, reach: float) -> np.ndarray:
     """Points around a finger, and where it has no end as far as another body reaches: (n, 3)."""
-    at = finger.coordinates(foot) if finger.has_implicit else _nearest(finger, foot)
+    at = finger.coordinates(foot) if finger.has_implicit else _sought(finger, foot)
     at, part, rows = np.nan_to_num(at), np.linspace(-1, 1, GRID), []
     for w, lame, period in zip(at, finger.lame(*at), finger.periods()):
         half = (reach + 2 * finger.size) / lame if period is None else period / 2
@@ -440,18 +404,18 @@ def _height(surface: Surface, origin: np.ndarray, points: np.ndarray) -> np.ndar
     Of a body known by its chart only the plane is taken that touches it below the origin.
     """
     if surface.has_implicit:
-        constants = np.broadcast_to(surface.parameters, (len(points), len(surface.parameters)))
-        return _height_kernel(surface).at(points, constants)
-    below = _nearest(surface, origin)
+        return run(_heights(surface), points.T, surface.numbers).T
+    below = _sought(surface, origin)
     normal = surface.normal(*below)
     heights = (points - surface.point(*below)) @ normal
-    return np.column_stack([heights, np.multiply.outer(heights, normal)])
+    return np.column_stack([heights, np.outer(heights, normal)])
 
 
 @per_structure
-def _height_kernel(surface: Surface) -> Kernel:
-    x, p = SX.sym("x", 3), SX.sym("p", len(surface.parameters))
-    level = surface.implicit_expr(p, x)
+def _heights(surface: Surface) -> Table:
+    x, (sign, p) = ca.SX.sym("x", 3), number_symbols(surface)
+    level = surface.implicit_expr(p, x, sign)
     gradient = ca.gradient(level, x)
     size = ca.norm_2(gradient) + TINY  # 0 at the centre
-    return Kernel("height", x, p, ca.vertcat(level, level * gradient / size) / size)
+    height = ca.vertcat(level, level * gradient / size) / size
+    return Table(numbers_function("heights", x, sign, p, height))

@@ -9,15 +9,12 @@ from __future__ import annotations
 import ast
 import math
 import operator
-import threading
 from collections.abc import Callable, Mapping
-
-import casadi as ca
+from typing import Any, TypeAlias
 
 from .checks import did_you_mean
 from .errors import ContactSystemError
-
-SX = ca.SX
+from .theory import symbols as ca
 
 # A formula longer than this is a mistake, and Python's parser is not to be strained by it.
 LONGEST_TEXT = 10_000
@@ -26,13 +23,8 @@ LINE_ENDS = {ord(end): " " for end in "\r\n"}
 
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
-SYMBOLS = threading.RLock()
-"""Held while expressions of symbols are made.
-
-CasADi keeps constants in a table that two threads may not change at once."""
-
-Value = SX | float
-Meaning = tuple[Callable[..., float], Callable[..., SX]]
+Value: TypeAlias = "ca.SX | float"
+Meaning = tuple[Callable[..., float], Callable[..., Any]]
 """What is done with numbers, and what where a symbol is among them."""
 
 
@@ -40,29 +32,34 @@ def _sign(x: float) -> float:
     return float((x > 0) - (x < 0))
 
 
+def _of_symbols(name: str) -> Callable[..., Any]:
+    """CasADi's function of this name, which is looked up when it is called."""
+    return lambda *operands: getattr(ca, name)(*operands)
+
+
 # name: (number of arguments, of numbers, of symbols)
-FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., SX]]] = {
-    "sqrt": (1, math.sqrt, ca.sqrt),
-    "sin": (1, math.sin, ca.sin),
-    "cos": (1, math.cos, ca.cos),
-    "tan": (1, math.tan, ca.tan),
-    "asin": (1, math.asin, ca.asin),
-    "acos": (1, math.acos, ca.acos),
-    "atan": (1, math.atan, ca.atan),
-    "atan2": (2, math.atan2, ca.atan2),
-    "exp": (1, math.exp, ca.exp),
-    "log": (1, math.log, ca.log),
-    "sinh": (1, math.sinh, ca.sinh),
-    "cosh": (1, math.cosh, ca.cosh),
-    "tanh": (1, math.tanh, ca.tanh),
+FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., Any]]] = {
+    "sqrt": (1, math.sqrt, _of_symbols("sqrt")),
+    "sin": (1, math.sin, _of_symbols("sin")),
+    "cos": (1, math.cos, _of_symbols("cos")),
+    "tan": (1, math.tan, _of_symbols("tan")),
+    "asin": (1, math.asin, _of_symbols("asin")),
+    "acos": (1, math.acos, _of_symbols("acos")),
+    "atan": (1, math.atan, _of_symbols("atan")),
+    "atan2": (2, math.atan2, _of_symbols("atan2")),
+    "exp": (1, math.exp, _of_symbols("exp")),
+    "log": (1, math.log, _of_symbols("log")),
+    "sinh": (1, math.sinh, _of_symbols("sinh")),
+    "cosh": (1, math.cosh, _of_symbols("cosh")),
+    "tanh": (1, math.tanh, _of_symbols("tanh")),
     "hypot": (2, math.hypot, lambda a, b: ca.sqrt(a * a + b * b)),
     "pow": (2, math.pow, operator.pow),
-    "abs": (1, abs, ca.fabs),
-    "fabs": (1, abs, ca.fabs),
-    "fmin": (2, min, ca.fmin),
-    "fmax": (2, max, ca.fmax),
-    "sign": (1, _sign, ca.sign),
-    "copysign": (2, math.copysign, ca.copysign),
+    "abs": (1, abs, _of_symbols("fabs")),
+    "fabs": (1, abs, _of_symbols("fabs")),
+    "fmin": (2, min, _of_symbols("fmin")),
+    "fmax": (2, max, _of_symbols("fmax")),
+    "sign": (1, _sign, _of_symbols("sign")),
+    "copysign": (2, math.copysign, _of_symbols("copysign")),
 }
 
 _BINARY: dict[type[ast.operator], Meaning] = {
@@ -74,7 +71,7 @@ _BINARY: dict[type[ast.operator], Meaning] = {
 }
 
 
-def parse(text: str, names: Mapping[str, SX]) -> Value:
+def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
     """Return what a formula stands for: a number, or an SX expression of the names in it.
 
     Parameters
@@ -89,7 +86,7 @@ def parse(text: str, names: Mapping[str, SX]) -> Value:
     -------
     float or SX
         A float, by Python's arithmetic, where none of the names occurs; else a scalar expression,
-        which is made while `SYMBOLS` is held.
+        which is made while `theory.symbols.SYMBOLS` is held.
 
     Raises
     ------
@@ -126,7 +123,7 @@ def parse(text: str, names: Mapping[str, SX]) -> Value:
 class _Reader:
     """Walks one formula's syntax tree; carries what error messages need."""
 
-    def __init__(self, text: str, lead: int, names: Mapping[str, SX]) -> None:
+    def __init__(self, text: str, lead: int, names: Mapping[str, ca.SX]) -> None:
         self.text = text
         self.lead = lead
         self.names = names
@@ -194,7 +191,7 @@ class _Reader:
 
     def apply(self, node: ast.expr, meaning: Meaning, *values: Value) -> Value:
         of_numbers, of_symbols = meaning
-        if any(isinstance(value, SX) for value in values):
+        if not all(isinstance(value, float) for value in values):
             return of_symbols(*values)
         try:
             found = of_numbers(*values)

@@ -13,38 +13,20 @@ import json
 import math
 import numbers
 import os
-from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import kinds
-from .chart_solution import SOLVERS, chart_groups
-from .checks import FLOAT, a_path, flag, real_array, writing
+from .checks import FLOAT, a_path, did_you_mean, flag, real_array, writing
 from .errors import ChartSingularity, ContactSystemError, SceneError
-from .groups import SIDES, Group, moments
-from .kept import kept
-from .kinds import Begun
-from .kinematics import relative_pose, relative_twist
-from .panels import runs
-from .planner import group_name, plan_groups, require_regular
-from .program import Program, chart_states, group_program, program_of
-from .scene import Scene, acting, require_scene
-from .scene_files import scene_from_toml, scene_to_toml
-from .starts import (
-    Start,
-    Starts,
-    covers_twice,
-    measured_start,
-    on_branch,
-    scene_start,
-    starts_from_plain,
-)
-from .tracks import Track
+from .motion import SHAPES, Motion
+from .scene import Scene, acting, require_scene, scene_from_toml, scene_to_toml
+from .starts import Starts, covers_twice, measured_start, on_branch, starts_from_plain
 
 METHODS = ("auto", "chart")
+SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
 
 
 def plan(
@@ -72,8 +54,7 @@ def plan(
     solver : str
         scipy's method for ``method="chart"``: RK23, RK45, DOP853, Radau, BDF or LSODA.
     compiled : bool or None
-        True: compiled kernels, built where they are not in the cache yet; False: none;
-        None: those that were built before.
+        Accepted and ignored: there is one engine, which is compiled when the package is installed.
 
     Raises
     ------
@@ -103,10 +84,6 @@ class Plan:
         Where it ends, s: ``scene.duration``.
     """
 
-    _groups: list[Group] | None = None
-    _begun: Begun | None = None
-    _asked = False
-
     def __init__(
         self,
         scene: Scene,
@@ -125,43 +102,59 @@ class Plan:
             require_scene(scene)
         if not (type(tolerance) is float and 1e-15 <= tolerance <= 0.1):
             tolerance = checked_tolerance(tolerance)
-        if compiled is not True:
-            compiled = flag(compiled, "compiled", none=True)
+        if compiled is not None:
+            flag(compiled, "compiled")
         self.scene, self.tolerance, self.method = scene, tolerance, method
-        self.solver, self.compiled, self.start, self.starts = solver, compiled, start, starts
+        self.solver, self.start, self.starts = solver, start, starts
         self.end = scene.duration
-        if method == "chart":
-            given = [s for s in starts or () if isinstance(s, Start)]
-            given = given or [scene_start(contact) for contact in scene.contacts]
-            self._groups = chart_groups(scene, given, start, tolerance, solver)
-        else:
-            numbers_alone = starts is None and compiled is not False and kinds.are_few(scene)
-            if numbers_alone:
-                self._begun = kinds.begin(scene, compiled)
-            if self._begun is None:
-                self._groups = plan_groups(scene, starts, start, tolerance, compiled)
-                require_regular(scene, self._groups)
-                if numbers_alone:
-                    kinds.learn(scene, self._groups, compiled)
-            elif self._begun.kind.charted:  # what is integrated for this is kept
-                self._groups = self._begun.groups(scene, self.tolerance)
-                require_regular(scene, self._groups)
-        self._count = len(scene.contacts)
+        self._motion = self._planned()
+
+    def _planned(self) -> Any:
+        if self.method == "auto":
+            return Motion(self.scene, self.tolerance, self.start, self.starts)
+        from .chart_solution import ChartMotion  # scipy, which only this method needs
+
+        return ChartMotion(self.scene, self.tolerance, self.start, self.starts, self.solver)
 
     def __reduce__(self) -> tuple:
         """What is pickled and copied: what the plan is made from, as in :meth:`save`."""
-        made_from = (self.scene, self.tolerance, self.method, self.solver, self.compiled)
+        made_from = (self.scene, self.tolerance, self.method, self.solver, None)
         return Plan, (*made_from, self.start, self.starts)
 
-    @property
-    def groups(self) -> list[Group]:
-        """Contacts that move together, and their tracks."""
-        if self._groups is None:
-            assert self._begun is not None
-            self._groups = self._begun.groups(self.scene, self.tolerance)
-        return self._groups
-
     # --- results -------------------------------------------------------------------------------
+
+    def evaluate(self, t: ArrayLike, *names: str) -> dict[str, np.ndarray]:
+        """Several results at once, from one reading of the motion.
+
+        Parameters
+        ----------
+        t : (n,) or a number
+            s.
+        names : str
+            Of the methods below: "states", "points", "slip", "slip_speed", "twist", "pose",
+            "acceleration", "carried".
+
+        Returns
+        -------
+        dict
+            The arrays that the methods give, by their names. Nothing else is computed.
+
+        Raises
+        ------
+        ContactSystemError
+            Another name, a time outside the horizon, or what the methods raise.
+        """
+        for name in names:
+            if not isinstance(name, str) or name not in SHAPES:
+                raise ContactSystemError(
+                    f"{self.scene.title}: result {name!r} is unknown{did_you_mean(name, SHAPES)}; "
+                    f"use one of {', '.join(SHAPES)}"
+                )
+        if "carried" in names:
+            self._require_frames("carried")
+        times = _one_axis(t)
+        found = self._motion.evaluate(times, names)
+        return self._refuse(times) if found is None else found
 
     def states(self, t: ArrayLike) -> np.ndarray:
         """u1 v1 u1' v1' u2 v2 u2' v2' psi: (len(t), n_contacts, 9); rad, or m where charts have it.
@@ -174,21 +167,11 @@ class Plan:
         ChartSingularity
             At a time when a contact passes through a pole or an umbilic.
         """
-        at_once = self._states_at_once(t)
-        if at_once is not None:
-            return at_once
-        out = self._coordinates(t)
-        psi = self._at_first("angle")[:, None] - (out[:, 4] + out[:, 9])
-        out[:, 4:8] = out[:, 5:9]
-        out[:, 8] = psi
-        return out[:, :9].transpose(2, 0, 1)
+        return self.evaluate(t, "states")["states"]
 
     def points(self, t: ArrayLike) -> np.ndarray:
         """Contact point on finger and object, each in its body's frame: (len(t), n, 2, 3), m."""
-        times = _one_axis(t)
-        out = np.empty((self._count, 2, 3, len(times)))
-        self._fill("points", times, 3, out)
-        return out.transpose(3, 0, 1, 2)
+        return self.evaluate(t, "points")["points"]
 
     def slip(self, t: ArrayLike) -> np.ndarray:
         """Slip v_rel in E2 (eq. `netrelvel`): (len(t), n_contacts, 2), m/s.
@@ -201,11 +184,11 @@ class Plan:
         ChartSingularity
             At a time when a contact that slips passes through a pole or an umbilic of the object.
         """
-        return self._in_contact_frame(t, _slip)
+        return self.evaluate(t, "slip")["slip"]
 
     def slip_speed(self, t: ArrayLike) -> np.ndarray:
         """Length of :meth:`slip`: (len(t), n_contacts), m/s. It exists at a pole too."""
-        return self._collect(t, lambda motion: np.linalg.norm(_slip(motion), axis=1), ())
+        return self.evaluate(t, "slip_speed")["slip_speed"]
 
     def acceleration(self, t: ArrayLike) -> np.ndarray:
         """Tangential relative acceleration in E2 (eqs. `velacceleration`, `contracaccel`).
@@ -213,18 +196,14 @@ class Plan:
         (len(t), n_contacts, 2), m/s^2. (sigma'/sigma - lam) v_rel, plus R_psi M1 d1 - M2 d2 while
         accelerations d act; object rate offsets are left out. Raises as :meth:`slip`.
         """
-        return self._in_contact_frame(t, _acceleration)
+        return self.evaluate(t, "acceleration")["acceleration"]
 
     def pose(self, t: ArrayLike) -> np.ndarray:
         """Pose of the finger's body frame in the object's: (len(t), n_contacts, 4, 4).
 
         Homogeneous matrices, origin in m (theory section 8).
         """
-        times = _one_axis(t)
-        frames = np.empty((self._count, 18, len(times)))
-        if self._fill_compiled("frames", times, 9, frames):
-            return relative_pose(frames[:, :9], frames[:, 9:], self._at_first("r0")).swapaxes(0, 1)
-        return self._collect(t, lambda motion: motion.pose, (4, 4))
+        return self.evaluate(t, "pose")["pose"]
 
     def twist(self, t: ArrayLike) -> np.ndarray:
         """Twist V_OF_O: (len(t), n_contacts, 6), rad/s then m/s.
@@ -232,7 +211,7 @@ class Plan:
         The finger frame's angular velocity and the velocity of its origin, in the object's frame
         (theory section 8).
         """
-        return self._collect(t, lambda motion: motion.twist(), (6,))
+        return self.evaluate(t, "twist")["twist"]
 
     def carried(self, t: ArrayLike) -> np.ndarray:
         """The frames carried along by parallel transport (theory section 4), finger and object.
@@ -248,19 +227,7 @@ class Plan:
         SceneError
             ``method="chart"``, which carries no frames.
         """
-        self._require_frames("carried")
-        out = np.empty((len(_one_axis(t)), self._count, 2, 3))
-        out[..., 0] = self._coordinates(t)[:, 4::5].transpose(2, 0, 1)
-        times = self._times(t)
-        for group in self.groups:
-            for record, where in _parts(group.slips, times):
-                own = record.finger_velocity(times[where])
-                index = np.ix_(np.arange(len(times))[where], group.contacts)
-                out[..., 0, 1:][index] = own.transpose(2, 0, 1)
-                out[..., 1, 1:][index] = (group.r0 @ own - record.slip(times[where])).transpose(
-                    2, 0, 1
-                )
-        return out
+        return self.evaluate(t, "carried")["carried"]
 
     # --- telling, saving -----------------------------------------------------------------------
 
@@ -269,18 +236,8 @@ class Plan:
 
         A text; its panels are steps of Gauss collocation.
         """
-        lines = [f"{self.scene.title}: tolerance {self.tolerance:g}, method {self.method}"]
-        for group in sorted(self.groups, key=lambda g: g.contacts[0]):
-            names = ", ".join(str(i) for i in group.contacts)
-            lines.append(f"contact{'s' * (len(group.contacts) > 1)} {names}:")
-            for side in SIDES:
-                for track in getattr(group, side):
-                    lines.append(
-                        f"  {side:6s} [{track.start:.6g}, {track.stop:.6g}] s  {track.method}"
-                        f"  ({track.reason})"
-                    )
-            lines += [f"  skipped: {text}" for text in _skipped(group)]
-        return "\n".join(lines)
+        head = f"{self.scene.title}: tolerance {self.tolerance:g}, method {self.method}"
+        return "\n".join([head, *self._motion.lines()])
 
     def continued(self, t: float, scene: Scene | None = None) -> Plan:
         """The plan from time t on, under other disturbances, gain, profile or duration.
@@ -310,10 +267,10 @@ class Plan:
                 f"{where}: nothing is left to plan, the scene ends at "
                 f"{after.duration:g} s; continue earlier or lengthen the scene"
             )
-        if len(after.contacts) != self._count:
+        if len(after.contacts) != len(self.scene.contacts):
             raise SceneError(
                 f"{where}: contacts = {len(after.contacts)}, and the plan has "
-                f"{self._count}; give a scene of the same contacts"
+                f"{len(self.scene.contacts)}; give a scene of the same contacts"
             )
         fingers = [[c.finger for c in s.contacts] for s in (self.scene, after)]
         if fingers[0] != fingers[1] or self.scene.object != after.object:
@@ -328,8 +285,11 @@ class Plan:
                         f"continued at t = {t:g} s: {s.title}, contact {i}: rolling that is "
                         "imposed has one plan; give finger_velocity as numbers"
                     )
-        starts = moments(self.groups, t)
-        return Plan(after, self.tolerance, self.method, self.solver, self.compiled, t, starts)
+        return Plan(after, self.tolerance, self.method, self.solver, None, t, self.moments(t))
+
+    def moments(self, t: float) -> Starts:
+        """Where every contact has come to at time t, as :meth:`continued` goes on from."""
+        return self._motion.moments(t)
 
     def _require_frames(self, asked: str) -> None:
         if self.method == "chart":
@@ -376,7 +336,7 @@ class Plan:
                     f"{where}: contact {i} has its rolling imposed; give finger_velocity as numbers"
                 )
             starts.append(measured_start(self.scene, i, t, measured[i], offsets[i]))
-        return Plan(self.scene, self.tolerance, self.method, self.solver, self.compiled, t, starts)
+        return Plan(self.scene, self.tolerance, self.method, self.solver, None, t, starts)
 
     def _on_branch(self, t: float, measured: np.ndarray) -> np.ndarray:
         """Rows on the plan's side of charts that cover their surface twice.
@@ -413,15 +373,23 @@ class Plan:
     def _write(self, path: Path, t: np.ndarray) -> None:
         if path.suffix == ".npz":
             header = {
-                "tolerance": self.tolerance, "method": self.method, "solver": self.solver,
+                "tolerance": self.tolerance,
+                "method": self.method,
+                "solver": self.solver,
                 "start": self.start,
                 "starts": [vars(s) for s in self.starts] if self.starts else None,
-            }  # fmt: skip
+            }
             np.savez_compressed(
-                path, scene=scene_to_toml(self.scene), plan=json.dumps(header), t=t,
-                states=self.states(t), slip=self.slip(t), twist=self.twist(t), pose=self.pose(t),
+                path,
+                scene=scene_to_toml(self.scene),
+                plan=json.dumps(header),
+                t=t,
+                states=self.states(t),
+                slip=self.slip(t),
+                twist=self.twist(t),
+                pose=self.pose(t),
                 points=self.points(t),
-            )  # fmt: skip
+            )
         elif path.suffix == ".csv":
             path.write_text(self._csv(t))
         else:
@@ -447,8 +415,24 @@ class Plan:
     def _csv(self, t: np.ndarray) -> str:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(["t [s]", "contact", "u1", "v1", "du1", "dv1", "u2", "v2", "du2", "dv2",
-                         "psi [rad]", "slip x [m/s]", "slip y [m/s]", "slip [m/s]"])  # fmt: skip
+        writer.writerow(
+            [
+                "t [s]",
+                "contact",
+                "u1",
+                "v1",
+                "du1",
+                "dv1",
+                "u2",
+                "v2",
+                "du2",
+                "dv2",
+                "psi [rad]",
+                "slip x [m/s]",
+                "slip y [m/s]",
+                "slip [m/s]",
+            ]
+        )
         states, slip = self.states(t), self.slip(t)
         for k, time in enumerate(t):
             for i in range(len(self.scene.contacts)):
@@ -471,7 +455,7 @@ class Plan:
             self._refuse(times)
         return times
 
-    def _refuse(self, times: np.ndarray) -> None:
+    def _refuse(self, times: np.ndarray) -> NoReturn:
         first, last = self.start, self.end
         bad = float(times[~((times >= first) & (times <= last))][0])
         others = ""
@@ -483,159 +467,6 @@ class Plan:
             f"{self.scene.title}: t = {bad!r} s is outside the plan's horizon "
             f"[{first:g}, {last:g}] s; ask inside it{others}"
         )
-
-    def _coordinates(self, t: ArrayLike) -> np.ndarray:
-        """u v u' v' theta of the finger, then of the object: (n_contacts, 10, n_times)."""
-        times = _one_axis(t)
-        out = np.empty((self._count, 10, len(times)))
-        self._fill("coordinates", times, 5, out)
-        return out
-
-    def _fill(self, output: str, times: np.ndarray, count: int, out: np.ndarray) -> None:
-        """Write ``count`` rows of the finger, then of the object, of each contact."""
-        if self._fill_compiled(output, times, count, out):
-            return
-        only, out = len(self.groups) == 1, out.reshape(self._count, 2 * count, len(times))
-        group = self.groups[0]
-        try:
-            times = self._times(times)
-            for group in self.groups:
-                values = out if only else np.empty((len(group.contacts), *out.shape[1:]))
-                self._fill_group(group, output, times, count, values)
-                if values is not out:
-                    out[group.contacts] = values
-        except ChartSingularity as error:
-            raise self._named(group, error) from None
-
-    def _states_at_once(self, t: ArrayLike) -> np.ndarray | None:
-        """The states by one compiled call, or None where there is no such way (program.py)."""
-        times, begun = _one_axis(t), self._begun
-        if not times.flags.c_contiguous:
-            return None
-        shape, code = (self._count, 9, len(times)), -1
-        if begun is not None and begun.kind.states and (begun.kind.closed or self._first_look()):
-            out = np.empty(shape)
-            code = begun.states(times, out, self.tolerance)
-        if begun is not None and not begun.kind.alone and self._groups is None:
-            return None
-        if code < 0:
-            group = self.groups[0]
-            one = len(self.groups) == 1 and group.moving
-            made = chart_states(group, self.compiled) if one else None
-            if made is None:
-                return None
-            out = np.empty(shape)
-            code = made.fill(self.tolerance, times, out)
-        if code > 0:
-            self._refuse(times)
-        return out.transpose(2, 0, 1) if code == 0 else None
-
-    def _at_first(self, name: str) -> np.ndarray:
-        """ "r0", R_0, or "angle", psi(0), of all contacts along the first axis."""
-        if self._groups is None:
-            return getattr(self._begun, name)
-        parts = [getattr(group, name) for group in self._groups]
-        if len(parts) == 1:
-            return parts[0]
-        found = np.empty((self._count, *parts[0].shape[1:]))
-        for group, part in zip(self._groups, parts):
-            found[group.contacts] = part
-        return found
-
-    def _named(self, group: Group, error: ChartSingularity) -> ChartSingularity:
-        return ChartSingularity(f"{group_name(self.scene, group.contacts)}: {error}")
-
-    def _fill_group(
-        self, group: Group, output: str, times: np.ndarray, count: int, values: np.ndarray
-    ) -> None:
-        if group.pair is not None:
-            group.anchor_pair()
-            whole = values.reshape(2 * len(values), count, len(times))
-            getattr(group.pair, output)(times, whole)
-        else:
-            for k, side in enumerate(SIDES):
-                for track, where in _parts(getattr(group, side), times):
-                    if output == "coordinates":
-                        group.anchor(side, track)
-                    part = values[:, k * count : (k + 1) * count]
-                    _write(getattr(track, output), times, where, part)
-
-    def _fill_compiled(self, output: str, times: np.ndarray, count: int, out: np.ndarray) -> bool:
-        """The shortest way: all tracks in one call. False if there is none."""
-        if not times.flags.c_contiguous:
-            return False
-        begun = self._begun
-        if begun is not None and (begun.kind.closed or self._first_look()):
-            found = begun.fill(output, count, times, out, self.tolerance)
-            if found > 0:
-                self._refuse(times)
-            if found == 0:
-                return True
-        program = self._program(output)
-        if program is None:
-            return False
-        if output == "coordinates":
-            for group in self.groups:
-                group.anchor_all()
-        code = program.fill(count, times, out)
-        if code:
-            self._refuse(times)
-        return code == 0
-
-    def _first_look(self) -> bool:
-        """Whether nothing was asked yet: who looks once needs no motions that are kept."""
-        first, self._asked = not self._asked and self._groups is None, True
-        return first
-
-    @kept
-    def _programs(self) -> dict[str, Program | None]:
-        return {}
-
-    def _program(self, output: str) -> Program | None:
-        if len(self.groups) == 1:
-            return group_program(self.groups[0], output)
-        if output not in self._programs:
-            self._programs[output] = program_of(self.groups, output)
-        return self._programs[output]
-
-    def _collect(
-        self, t: ArrayLike, read: Callable[[Sample], np.ndarray], shape: tuple[int, ...]
-    ) -> np.ndarray:
-        times = self._times(t)
-        out = np.empty((len(times), len(self.scene.contacts), *shape))
-        for group in self.groups:
-            for motion, where in _motions(group, times):
-                index = where if isinstance(where, np.ndarray) else np.arange(len(times))[where]
-                with np.errstate(under="ignore"):  # slip may end below what a double holds
-                    out[np.ix_(index, group.contacts)] = read(motion).swapaxes(0, 1)
-        return out
-
-    def _in_contact_frame(self, t: ArrayLike, read: Callable[[Sample], np.ndarray]) -> np.ndarray:
-        """Turn (n, 2, n_times) from the object's parallel frame into E2."""
-        times = self._times(t)
-        out = np.zeros((len(self.scene.contacts), 2, len(times)))
-        for group in self.groups:
-            values = np.zeros((len(group.contacts), 2, len(times)))
-            for motion, where in _motions(group, times):
-                with np.errstate(under="ignore"):  # slip may end below what a double holds
-                    plane = read(motion)
-                    if plane.any():
-                        theta = self._object_angle(group, motion)
-                        c, s = np.cos(theta), np.sin(theta)
-                        values[:, 0, where] = c * plane[:, 0] - s * plane[:, 1]
-                        values[:, 1, where] = s * plane[:, 0] + c * plane[:, 1]
-            out[group.contacts] = values
-        return out.transpose(2, 0, 1)
-
-    def _object_angle(self, group: Group, motion: Sample) -> np.ndarray:
-        """theta of the object, (n, n_times)."""
-        values = np.empty((len(group.contacts), 5, len(motion.t)))
-        group.anchor("object", motion.object)
-        try:
-            motion.object.coordinates(motion.t, values)
-        except ChartSingularity as error:
-            raise self._named(group, error) from None
-        return values[:, 4]
 
 
 def checked_tolerance(given: Any) -> float:
@@ -671,116 +502,6 @@ def _one_axis(t: ArrayLike) -> np.ndarray:
     raise ContactSystemError(f"times have shape {times.shape}; give one axis of times")
 
 
-def _write(method: Callable, times: np.ndarray, where: slice | np.ndarray, out: np.ndarray) -> None:
-    """Call a track's method for some of the times, into some of the columns of out."""
-    if isinstance(where, slice):
-        method(times[where], out[..., where])
-    else:
-        part = np.empty((*out.shape[:-1], len(where)))
-        method(times[where], part)
-        out[..., where] = part
-
-
-class Sample:
-    """Both sides of a group at times of one interval."""
-
-    def __init__(self, group: Group, finger: Track, obj: Track, slip, t: np.ndarray):
-        self.group, self.finger, self.object, self.record, self.t = group, finger, obj, slip, t
-
-    @kept
-    def frames(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.finger.frames(self.t), self.object.frames(self.t)
-
-    @kept
-    def pose(self) -> np.ndarray:
-        return relative_pose(*self.frames, self.group.r0)
-
-    def twist(self) -> np.ndarray:
-        tracks = self.finger, self.object
-        states = [
-            frame if track.ambient else track.state(self.t)
-            for track, frame in zip(tracks, self.frames)
-        ]
-        velocities = [track.velocity(self.t, s) for track, s in zip(tracks, states)]
-        shapes = [track.shape(s) for track, s in zip(tracks, states)]
-        return relative_twist(
-            self.frames[1],
-            self.pose,
-            (shapes[0], shapes[1]),
-            (velocities[0], velocities[1]),
-            self.group.r0,
-            _slip(self),
-        )
-
-
-def _slip(motion: Sample) -> np.ndarray:
-    """v_rel along (p_2, q_2): sigma V, less the object rate offset's velocity."""
-    record, track = motion.record, motion.object
-    tau = motion.t - record.start
-    out = np.zeros((len(motion.group.contacts), 2, len(tau)))
-    if record.of is not None:
-        out += record.of(tau) * record.piece.speed(tau)
-    if track.offset is not None:
-        out -= track.parallel(track.state(motion.t), track.offset)
-    return out
-
-
-def _acceleration(motion: Sample) -> np.ndarray:
-    record = motion.record
-    tau = motion.t - record.start
-    out = np.zeros((len(motion.group.contacts), 2, len(tau)))
-    if record.of is not None:
-        v = record.of(tau)
-        lam = np.where(v.any((0, 1)), record.piece.gain(tau), 0.0)
-        out += v * (record.piece.slope(tau) - lam * record.piece.speed(tau))
-    if record.forcing is None:
-        return out
-    finger, obj = record.forcing
-    if finger.any():
-        pushed = motion.finger.parallel(motion.finger.state(motion.t), finger)
-        out += motion.group.r0 @ pushed
-    if obj.any():
-        out -= motion.object.parallel(motion.object.state(motion.t), obj)
-    return out
-
-
-def _parts(intervals: Sequence[Any], times: np.ndarray) -> Iterator[tuple[Any, slice | np.ndarray]]:
-    """(interval, where its times stand); an edge belongs to the later interval."""
-    if len(intervals) == 1:
-        yield intervals[0], slice(None)
-        return
-    which = np.searchsorted([i.start for i in intervals[1:]], times, side="right")
-    for k, where in runs(which):
-        yield intervals[k], where
-
-
-def _motions(group: Group, times: np.ndarray):
-    """Cut times by the tracks of both sides and the slip records."""
-    for record, where in _parts(group.slips, times):
-        index = np.arange(len(times))[where]
-        for finger, inner in _parts(group.finger, times[index]):
-            rest = index[inner]
-            for obj, innermost in _parts(group.object, times[rest]):
-                chosen = rest[innermost]
-                yield Sample(group, finger, obj, record, times[chosen]), chosen
-
-
-def _skipped(group: Group) -> list[str]:
-    tracks = group.finger + group.object
-    notes = []
-    closed = [t for t in tracks if t.method.startswith("closed form")]
-    if len(closed) == len(tracks):
-        notes.append("all integration")
-    elif all(t.method.startswith("closed form") for t in group.finger):
-        notes.append("integration of the finger")
-    if all(record.of is None for record in group.slips):
-        if any(track.offset is not None for track in tracks):
-            notes.append("gain (slip is that of rate offsets, which ends with them)")
-        else:
-            notes.append("slip and gain (there is none to reject)")
-    return notes
-
-
 def require_plan(given: Any) -> None:
     """Raise a ContactSystemError where something else is given, such as a scene."""
     if not isinstance(given, Plan):
@@ -790,10 +511,7 @@ def require_plan(given: Any) -> None:
 def load(path: str | os.PathLike) -> Plan:
     """Read a plan saved as .npz and plan it again from the scene inside.
 
-    What it gives is the same but for rounding: the third scene of a kind is planned by a shorter
-    way than the first.
-
-    The sampled results can be read with ``numpy.load`` alone.
+    What it gives is the same to the last bit. ``numpy.load`` alone reads the sampled results.
 
     Raises
     ------

@@ -24,9 +24,10 @@ from .measures import (
     windows,
 )
 from .plan import Plan, require_plan
-from .profile import Gain, Profile
 from .scene import Scene
 from .surfaces import Surface
+from .theory.gain import Gain
+from .theory.profile import Profile
 
 COLOURS = ("#1f5fa8", "#12876f", "#e08e0b", "#7a4fa3", "#3aa0d8", "#8a6a3b", "#5b7083")
 DISTURBED = "#d1274b"
@@ -43,11 +44,19 @@ OCCLUDER = 3  # every third mesh line tells what is hidden: flat faces miss a sp
 UNITS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm"))  # of a scale, from 0.1 of each on
 UNBOUNDED = 50  # times its size: an implicit surface that large does not close
 STYLE = {
-    "font.size": 11, "axes.titlesize": 12, "axes.labelsize": 11, "legend.fontsize": 10,
-    "axes.edgecolor": INK, "text.color": INK, "axes.labelcolor": INK, "xtick.color": INK,
-    "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False,
+    "font.size": 11,
+    "axes.titlesize": 12,
+    "axes.labelsize": 11,
+    "legend.fontsize": 10,
+    "axes.edgecolor": INK,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
     "mathtext.fontset": "dejavusans",
-}  # fmt: skip
+}
 
 
 class MissingMatplotlib(ContactSystemError):
@@ -233,11 +242,25 @@ def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
         above = np.isclose(slip[:, i + 1 :], slip[:, i : i + 1], rtol=0.02).all(0).sum()
         line = np.where(slip[:, i] > 0, slip[:, i], np.nan)
         style = {"dashes": (2.2, 1.1)} if dashed else {}
-        ax.plot(t, line, color=colour_of(i), linewidth=1.8 + 1.7 * min(above, 3),
-                solid_capstyle="butt", **style)  # fmt: skip
+        ax.plot(
+            t,
+            line,
+            color=colour_of(i),
+            linewidth=1.8 + 1.7 * min(above, 3),
+            solid_capstyle="butt",
+            **style,
+        )
         if slip[:, i].any():
-            ax.plot(*exact_slip(plan, i), linestyle="none", marker="o", markersize=4.5, zorder=5,
-                    markerfacecolor="white", markeredgecolor=INK, markeredgewidth=0.9)  # fmt: skip
+            ax.plot(
+                *exact_slip(plan, i),
+                linestyle="none",
+                marker="o",
+                markersize=4.5,
+                zorder=5,
+                markerfacecolor="white",
+                markeredgecolor=INK,
+                markeredgewidth=0.9,
+            )
     return slip
 
 
@@ -258,14 +281,29 @@ def _slip_entries(laws: Sequence[Plan]) -> list[Any]:
     from matplotlib.patches import Patch
 
     entries: list[Any] = [
-        Line2D([], [], color=INK, linewidth=2.2, linestyle="--" if k else "-",
-               label=f"gain {gain_text(law.scene.gain)}")
+        Line2D(
+            [],
+            [],
+            color=INK,
+            linewidth=2.2,
+            linestyle="--" if k else "-",
+            label=f"gain {gain_text(law.scene.gain)}",
+        )
         for k, law in enumerate(laws)
-    ]  # fmt: skip
+    ]
     if any(len(exact_slip(laws[0], i)[0]) for i in range(len(laws[0].scene.contacts))):
-        entries.append(Line2D([], [], linestyle="none", marker="o", markersize=4.5,
-                              label="exact law", markerfacecolor="white",
-                              markeredgecolor=INK))  # fmt: skip
+        entries.append(
+            Line2D(
+                [],
+                [],
+                linestyle="none",
+                marker="o",
+                markersize=4.5,
+                label="exact law",
+                markerfacecolor="white",
+                markeredgecolor=INK,
+            )
+        )
     if "recovery_time" in laws[0].scene.paper:
         entries.append(Patch(color=RECOVERY, alpha=0.2, label="recovery time in the paper"))
     return entries
@@ -535,9 +573,18 @@ def _draw_surface(ax: Any, mesh: _Mesh, view: _View) -> None:
     for chosen, colours, values in layers:
         order = np.flatnonzero(chosen)[np.argsort(depth[chosen])]
         if len(order):
-            ax.tripcolor(seen[:, 0], seen[:, 1], triangles[order], values, shading="gouraud",
-                         cmap=LinearSegmentedColormap.from_list("body", colours), vmin=0, vmax=1,
-                         zorder=1, rasterized=True)  # fmt: skip
+            ax.tripcolor(
+                seen[:, 0],
+                seen[:, 1],
+                triangles[order],
+                values,
+                shading="gouraud",
+                cmap=LinearSegmentedColormap.from_list("body", colours),
+                vmin=0,
+                vmax=1,
+                zorder=1,
+                rasterized=True,
+            )
     _draw_chart_lines(ax, mesh, view)
     _draw_outline(ax, mesh, view)
 
@@ -571,9 +618,11 @@ def _draw_outline(ax: Any, mesh: _Mesh, view: _View) -> None:
     pairs = pairs[np.isfinite(pairs[:, :, 0])].reshape(-1, 2, 3)
     pairs = np.concatenate([pairs, _edges(mesh)])
     pairs = pairs[~is_hidden(mesh, view, pairs.mean(1))]
-    ax.add_collection(LineCollection(
-        view(pairs)[:, :, :2], colors="#6b7580", linewidths=0.9, zorder=2, capstyle="round"
-    ))  # fmt: skip
+    ax.add_collection(
+        LineCollection(
+            view(pairs)[:, :, :2], colors="#6b7580", linewidths=0.9, zorder=2, capstyle="round"
+        )
+    )
 
 
 def _edges(mesh: _Mesh) -> np.ndarray:
@@ -631,10 +680,15 @@ def _draw_curve(ax: Any, view: _View, curve: _Curve, hidden: np.ndarray) -> None
             chosen = (curve.disturbed == disturbed) & (hidden == behind)
             chosen[1:] |= chosen[:-1]  # join with the next run
             for run in _runs(chosen):
-                ax.plot(seen[run, 0], seen[run, 1], zorder=3 if behind else 4 + disturbed,
-                        color=DISTURBED if disturbed else curve.colour, solid_capstyle="round",
-                        linewidth=1.3 if behind else 2.4,
-                        alpha=0.33 if behind else 1.0)  # fmt: skip
+                ax.plot(
+                    seen[run, 0],
+                    seen[run, 1],
+                    zorder=3 if behind else 4 + disturbed,
+                    color=DISTURBED if disturbed else curve.colour,
+                    solid_capstyle="round",
+                    linewidth=1.3 if behind else 2.4,
+                    alpha=0.33 if behind else 1.0,
+                )
     _draw_arrow(ax, seen, curve, bool(hidden[-1]))
 
 
@@ -645,21 +699,46 @@ def _draw_arrow(ax: Any, seen: np.ndarray, curve: _Curve, behind: bool) -> None:
     if not len(far):
         return
     colour = DISTURBED if curve.disturbed[-1] else curve.colour
-    ax.annotate("", seen[-1, :2], seen[far[-1], :2], zorder=6, annotation_clip=False, arrowprops={
-        "arrowstyle": "-|>", "mutation_scale": 16, "color": colour, "linewidth": 0,
-        "shrinkA": 0, "shrinkB": 0, "alpha": 0.4 if behind else 1.0,
-    })  # fmt: skip
+    ax.annotate(
+        "",
+        seen[-1, :2],
+        seen[far[-1], :2],
+        zorder=6,
+        annotation_clip=False,
+        arrowprops={
+            "arrowstyle": "-|>",
+            "mutation_scale": 16,
+            "color": colour,
+            "linewidth": 0,
+            "shrinkA": 0,
+            "shrinkB": 0,
+            "alpha": 0.4 if behind else 1.0,
+        },
+    )
 
 
 def _mark_start(ax: Any, start: np.ndarray, curve: _Curve, behind: bool, below: int) -> None:
     """A curve's number where it begins, or below so many others that stand there."""
     ax.annotate(
-        curve.label, start, (0, -17 * below), textcoords="offset points", color="white", size=9,
-        weight="bold", ha="center", va="center", zorder=8, alpha=0.75 if behind else 1.0,
-        bbox={"boxstyle": "circle,pad=0.25" if len(curve.label) < 2 else "round,pad=0.25",
-              "facecolor": curve.colour, "edgecolor": "white", "linewidth": 1.1,
-              "alpha": 0.55 if behind else 1.0},
-    )  # fmt: skip
+        curve.label,
+        start,
+        (0, -17 * below),
+        textcoords="offset points",
+        color="white",
+        size=9,
+        weight="bold",
+        ha="center",
+        va="center",
+        zorder=8,
+        alpha=0.75 if behind else 1.0,
+        bbox={
+            "boxstyle": "circle,pad=0.25" if len(curve.label) < 2 else "round,pad=0.25",
+            "facecolor": curve.colour,
+            "edgecolor": "white",
+            "linewidth": 1.1,
+            "alpha": 0.55 if behind else 1.0,
+        },
+    )
 
 
 def _scale_bar(ax: Any) -> None:
@@ -669,8 +748,14 @@ def _scale_bar(ax: Any) -> None:
     length = max(k * decade for k in (1, 2, 5) if k * decade <= wanted)
     y = bottom - 0.02 * (top - bottom)
     ax.plot([left, left + length], [y, y], color=INK, linewidth=2.5, solid_capstyle="butt")
-    ax.text(left + length / 2, y - 0.015 * (top - bottom), _length_text(length), ha="center",
-            va="top", size=9)  # fmt: skip
+    ax.text(
+        left + length / 2,
+        y - 0.015 * (top - bottom),
+        _length_text(length),
+        ha="center",
+        va="top",
+        size=9,
+    )
     ax.set_ylim(y - 0.09 * (top - bottom), top)
 
 

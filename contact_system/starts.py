@@ -9,27 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from .errors import ContactSystemError, SceneError
+from .checks import naming
+from .errors import SceneError
 from .scene import Contact, Scene
 
 
 @dataclass
 class Start:
-    """Where one contact starts, in its contact frames at the start time.
+    """Where one contact starts, in its contact frames at the start time."""
 
-    Attributes
-    ----------
-    finger_at, object_at : (u, v)
-    angle : psi
-    finger_velocity : M1 dq1/ds in E1
-    object_velocity : M2 dq2/ds in E2, without object rate offsets
-    """
-
-    finger_at: tuple[float, float]
+    finger_at: tuple[float, float]  # u, v
     object_at: tuple[float, float]
-    angle: float
-    finger_velocity: tuple[float, float]
-    object_velocity: tuple[float, float]
+    angle: float  # psi
+    finger_velocity: tuple[float, float]  # M1 dq1/ds in E1
+    object_velocity: tuple[float, float]  # M2 dq2/ds in E2, without object rate offsets
 
 
 def scene_start(contact: Contact) -> Start:
@@ -40,22 +33,14 @@ def scene_start(contact: Contact) -> Start:
 
 @dataclass(frozen=True)
 class Moment:
-    """One contact on its way, in its moving frames: all that a plan needs to go on exactly.
+    """One contact on its way, in its moving frames: all that a plan needs to go on exactly."""
 
-    Attributes
-    ----------
-    angle : psi where both frame angles are zero
-    finger_velocity, slip : W_1 and V in the parallel frames (theory section 4)
-    finger_at, object_at : u, v, theta, continued along the path
-    finger_frame, object_frame : x, p, q (9); empty where the body is moved in its chart
-    """
-
-    angle: float
-    finger_velocity: tuple[float, ...]
-    slip: tuple[float, ...]
-    finger_at: tuple[float, ...]
+    angle: float  # psi where both frame angles are zero
+    finger_velocity: tuple[float, ...]  # W_1 in the parallel frame (theory section 4)
+    slip: tuple[float, ...]  # V, likewise
+    finger_at: tuple[float, ...]  # u, v, theta, continued along the path
     object_at: tuple[float, ...]
-    finger_frame: tuple[float, ...]
+    finger_frame: tuple[float, ...]  # x, p; empty where the body is moved in its chart
     object_frame: tuple[float, ...]
 
 
@@ -77,17 +62,8 @@ def measured_start(
 ) -> Start:
     """The start of a contact from its measured state at time t.
 
-    Parameters
-    ----------
-    scene : Scene
-    index : int
-        Of the contact.
-    t : float
-        s, with sigma(t) > 0.
-    row : (9,)
-        u1 v1 u1' v1' u2 v2 u2' v2' psi.
-    offset : (2,)
-        Object rate offset at t, which the rates include.
+    row (9): u1 v1 u1' v1' u2 v2 u2' v2' psi; offset (2): that of the object's rates at t, which
+    they include.
 
     Raises
     ------
@@ -106,15 +82,14 @@ def measured_start(
             "where sigma > 0"
         )
     velocities = []
+    moved = row[4:8] - [0.0, 0.0, *offset]
     for side, surface, (u, v, *rates) in (
         ("finger", scene.contacts[index].finger, row[:4]),
-        ("object", scene.object, row[4:8] - np.append([0.0, 0.0], offset)),
+        ("object", scene.object, moved),
     ):
         place = f"{where}, contact {index}, {side}"
-        try:
+        with naming(place):
             at = surface.canonical(u, v)
-        except ContactSystemError as error:
-            raise SceneError(f"{place}: {error}") from None
         near = surface.align(*at, u, v)
         if math.hypot(near[0] - u, near[1] - v) > 1e-9:
             raise SceneError(
@@ -135,17 +110,8 @@ def covers_twice(scene: Scene) -> bool:
 def on_branch(scene: Scene, measured: np.ndarray, planned: np.ndarray) -> np.ndarray:
     """Measured states on the planned ones' side of charts that cover their surface twice.
 
-    Disturbances are chart components: on the other side they would act the other way.
-
-    Parameters
-    ----------
-    scene : Scene
-    measured, planned : (n_contacts, 9)
-        u1 v1 u1' v1' u2 v2 u2' v2' psi.
-
-    Returns
-    -------
-    (n_contacts, 9)
+    Disturbances are chart components: on the other side they would act the other way. States are
+    (n_contacts, 9): u1 v1 u1' v1' u2 v2 u2' v2' psi.
     """
     rows = measured.copy()
     for row, own, contact in zip(rows, planned, scene.contacts):

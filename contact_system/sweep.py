@@ -33,13 +33,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import a_path, flag, writing
+from .checks import a_path, flag, make_folder, writing
 from .errors import ContactSystemError
-from .kernels import make_folder
 from .measures import REJECTED
 from .plan import Plan, checked_tolerance, plan, require_plan
-from .scene import Contact, Disturbance, Scene
-from .scene_files import load_scene, scene_text, scene_to_toml
+from .scene import Contact, Disturbance, Scene, load_scene, scene_text, scene_to_toml
 
 Item = Scene | str | os.PathLike | Callable[[], Scene]
 """A scene, the name or file of one, or a function that makes one (called where it is planned)."""
@@ -198,7 +196,6 @@ class Job:
 
     evaluate: Evaluate
     tolerance: float
-    compiled: bool | None
 
 
 @dataclass(frozen=True)
@@ -252,9 +249,14 @@ def _kind(scene: Scene) -> tuple:
     """Scenes that agree in this can be planned as one."""
     windows = frozenset((type(d), d.start, d.stop) for d in scene.disturbances)
     return (
-        scene.object, scene.profile, scene.gain, scene.duration, scene.turning, windows,
+        scene.object,
+        scene.profile,
+        scene.gain,
+        scene.duration,
+        scene.turning,
+        windows,
         repr(scene.paper),
-    )  # fmt: skip
+    )
 
 
 def _batches(scenes: list[Placed]) -> Iterator[list[Placed]]:
@@ -275,7 +277,7 @@ def _rows(job: Job, batch: list[Placed], failures: list[Failure]) -> list[np.nda
     """Tables of a batch; halved where something fails, down to the scene that does."""
     try:
         one = _together([scene for _, scene in batch])
-        outputs = job.evaluate(plan(one, tolerance=job.tolerance, compiled=job.compiled))
+        outputs = job.evaluate(plan(one, tolerance=job.tolerance))
     except Exception as error:  # whatever a user's function raises
         if len(batch) == 1:
             failures.append(_failure(*batch[0], error))
@@ -431,14 +433,19 @@ def sweep(
             raise ContactSystemError(f"{name} = {value!r}: give a whole number, at least 1")
     for name, given, fits, remedy in (
         ("evaluate", evaluate, callable(evaluate), "a function of a plan"),
-        ("executor", executor, executor is None or isinstance(executor, Executor),
-         "an executor, such as ProcessPoolExecutor(4) or a Dask client's get_executor()"),
-    ):  # fmt: skip
+        (
+            "executor",
+            executor,
+            executor is None or isinstance(executor, Executor),
+            "an executor, such as ProcessPoolExecutor(4) or a Dask client's get_executor()",
+        ),
+    ):
         if not fits:
             raise ContactSystemError(f"{name} = {given!r:.80}: give {remedy}")
     from .cli import Progress  # not on the planner's path
 
-    job = Job(evaluate, checked_tolerance(tolerance), flag(compiled, "compiled", none=True))
+    flag(compiled, "compiled", none=True)
+    job = Job(evaluate, checked_tolerance(tolerance))
     store = _Store(job, None if folder is None else a_path(folder, "folder"))
     chunks = store.missing(_chunks(scenes, chunk))
     if executor is None:

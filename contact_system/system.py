@@ -23,74 +23,66 @@ Two choices of coordinates describe the same motion:
   W_1 and V, and with V the rate lam. Frames are chosen so that psi = -theta_1 - theta_2: the map
   between them is diag(1, -1).
 
-The equations themselves stand in `equations` and `development`; here they are put together.
+The equations themselves stand in `theory`; here they are put together. CasADi is loaded when the
+first system is made.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .charts import TINY, TURN
 from .checks import did_you_mean, flag, real_array
-from .development import driven_motion, forced_motion, reflection, starting_slip
-from .equations import chart_equations
 from .errors import SceneError
-from .expressions import SYMBOLS
-from .geometry import upper_inverse
 from .kept import kept
-from .kernels import per_structure
-from .kinematics import relative_pose, relative_twist
-from .profile import integral, law_rate, polynomial, product
-from .scene import (
-    DISTURBANCE_KINDS,
-    Disturbance,
-    FingerAcceleration,
-    ObjectAcceleration,
-    ObjectRateOffset,
-    Scene,
-    acting,
-    refuse_rest,
-    require_scene,
-)
+from .scene import SLOTS, Disturbance, Scene, acting, refuse_rest, require_scene
 from .starts import Start, measured_start, scene_start
-from .surfaces import Ellipsoid, Surface
-from .tracks import (
-    coordinate_kernel,
-    frame_kernel,
-    in_space,
-    restoring_kernel,
-    rotation,
-    shape_kernel,
-    standing_size,
-    vector_kernel,
+from .surfaces import TINY, TURN, Ellipsoid, Surface, UserSurface
+from .theory import symbols as ca
+from .theory.development import InChart, InSpace, in_space, moving
+from .theory.equations import (
+    chart_equations,
+    pushed_paths,
+    reflection,
+    relative_pose,
+    relative_twist,
+    relative_velocity,
+    starting_slip,
 )
-from .user_surfaces import UserSurface
+from .theory.gain import LAWS
+from .theory.geometry import rotation
+from .theory.profile import integral, polynomial, product
+from .theory.symbols import SYMBOLS, per_structure
 
-SX = ca.SX
 Array = np.ndarray
 
 COORDINATES = ("chart", "frame")
 INPUTS = ("t", "x", "w", "held", "p")
-PER_CONTACT = {
-    "state": 9, "slip": 2, "twist": 6, "acceleration": 6, "pose": 12, "contact_point": 6,
-    "normal": 3, "regularity": 2,
-}  # fmt: skip
-"""Outputs of :meth:`SceneSystem.function` that have so many numbers a contact."""
-HELD = 5
-FLIP = reflection(SX(1), SX(0))
-"""R_0 between the moving frames of finger and object."""
+PER_CONTACT = (
+    "state",
+    "slip",
+    "twist",
+    "acceleration",
+    "pose",
+    "contact_point",
+    "normal",
+    "regularity",
+    "stretch",
+)
+"""Outputs of :meth:`SceneSystem.function` that every contact has."""
 
 
 class Form(NamedTuple):
-    """How the motion of one contact is written; with the surfaces' structures it names a kernel."""
+    """How the motion of one contact is written; with the surfaces' structures it names a function.
+
+    ambient: whether finger and object are moved in space. growths: where sigma grows, for the laws
+    that make up for it.
+    """
 
     coordinates: str
     forced: bool
@@ -100,61 +92,95 @@ class Form(NamedTuple):
     growths: tuple[tuple[float, float], ...]
 
     @property
-    def sizes(self) -> tuple[int, int, int, int]:
-        """Numbers of states: finger, object, W_1, V."""
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers of states, of finger and object first."""
         if self.coordinates == "chart":
-            return 4, 4, 1, 0
-        finger, obj = map(standing_size, self.ambient)
-        return finger, obj, 2 * self.forced, 2 * self.forced
+            return 4, 4, 1
+        finger, obj = ((InSpace if ambient else InChart).size for ambient in self.ambient)
+        return (finger, obj, 2, 2) if self.forced else (finger, obj)
 
     @property
     def n_held(self) -> int:
-        return HELD * (self.coordinates == "frame" and not self.forced)
+        return 0 if self.coordinates == "chart" or self.forced else 5
+
+
+# --- one contact ---------------------------------------------------------------------------------
 
 
 class Body(NamedTuple):
-    """One side of a contact: its numbers ``p`` and its size are symbols."""
+    """One side of a contact: numbers (sign and parameters), size and place are symbols."""
 
     surface: Surface
     ambient: bool
-    p: SX
-    size: SX
+    numbers: ca.SX
+    size: ca.SX
+    place: ca.SX  # of its moving frame
+
+    def at(self, *place: ca.SX | float) -> Body:
+        return self._replace(place=ca.vertcat(*place))
+
+    def find(self, name: str, *drive: ca.SX | float) -> ca.SX:
+        """What a function of the moving frame gives (`theory.development`)."""
+        function = moving(self.surface, self.ambient)(name)
+        return function(ca.vertcat(self.place, *drive), self.numbers)
+
+    def frame(self) -> ca.SX:
+        """x, p, q, (9)."""
+        if self.ambient:
+            return ca.vertcat(self.place, self.find("second"))
+        return self.find("frame")
+
+    def regularity(self) -> ca.SX:
+        """The lesser Lame coefficient over the size: 0 where the chart is singular.
+
+        Negative where f_u x f_v points into the body (beyond a sphere's pole); 1 for charts that
+        are regular everywhere.
+        """
+        surface = self.surface
+        if self.ambient or not (surface.chart.singular_at or isinstance(surface, UserSurface)):
+            return ca.SX(1)
+        least = self.find("lame")[2] / self.size
+        if not surface.has_implicit:
+            return least
+        x, p, q = ca.vertsplit(self.frame(), 3)
+        outward = moving(surface, True)("second")(ca.vertcat(x, p), self.numbers)
+        return ca.copysign(least, ca.dot(outward, q))
+
+    def stretch(self) -> ca.SX:
+        """|M|, m: of the vectors that the chart's components count."""
+        return ca.norm_fro(ca.vertcat(self.find("vector", 1, 0), self.find("vector", 0, 1)))
+
+
+class Drive(NamedTuple):
+    sigma: ca.SX
+    slope: ca.SX  # sigma'
+    lam: ca.SX
 
 
 class ContactMotion(NamedTuple):
-    """What every output of a contact is read off.
+    """What every output of a contact is read off; (p_i, q_i) are the bodies' moving frames."""
 
-    Attributes
-    ----------
-    rate : x'
-    state : u1 v1 u1' v1' u2 v2 u2' v2' psi
-    slip : in E2
-    frames : x, p, q of finger and object, (9) each
-    curvatures : K_pp, K_pq, K_qq of finger and object
-    velocities : of the contact point along (p_i, q_i)
-    sliding : slip along (p_2, q_2)
-    turn : (2, 2), takes tangent components along (p_1, q_1) to (p_2, q_2)
-    """
-
-    rate: SX
-    state: SX
-    slip: SX
-    frames: list[SX]
-    curvatures: list[SX]
-    velocities: tuple[SX, SX]
-    sliding: SX
-    turn: SX
+    rate: ca.SX  # x'
+    state: ca.SX  # u1 v1 u1' v1' u2 v2 u2' v2' psi
+    bodies: tuple[Body, Body]
+    velocities: tuple[ca.SX, ca.SX]  # of the contact point along (p_i, q_i)
+    turn: ca.SX  # (2, 2), takes components along (p_1, q_1) to (p_2, q_2)
+    sliding: ca.SX  # slip along (p_2, q_2)
+    theta: ca.SX  # the angle of (p_2, q_2) in E2
 
 
-# --- sigma, lam and the decay of slip -----------------------------------------------------------
+def flip() -> ca.SX:
+    """R_0 between the moving frames of finger and object."""
+    return reflection(ca.SX(1), ca.SX(0))
 
 
-def _decay(form: Form, value: SX, profile: list[SX], since: SX, t: SX) -> SX:
+def _decay(form: Form, value: ca.SX, profile: list[ca.SX], since: ca.SX, t: ca.SX) -> ca.SX:
     """exp(-(L(t) - L(since))), as `Gain.exponent` gives L."""
-    if form.law == "path":
-        energy = integral(product(profile, profile))
-        return ca.exp(-value * (polynomial(energy, t) - polynomial(energy, since)))
-    decay = ca.exp(-value * (t - since))
+    powers: Sequence[ca.SX] = [ca.SX(1)]
+    for _ in range(LAWS[form.law].power):
+        powers = product(powers, profile)
+    lost = integral(powers)
+    decay = ca.exp(-value * (polynomial(lost, t) - polynomial(lost, since)))
     for start, stop in form.growths:
         first, last = (
             ca.fmax(polynomial(profile, ca.fmin(ca.fmax(time, start), stop)), TINY)
@@ -164,134 +190,68 @@ def _decay(form: Form, value: SX, profile: list[SX], since: SX, t: SX) -> SX:
     return decay
 
 
-# --- one contact ---------------------------------------------------------------------------------
-
-
-def _bodies(finger: Surface, obj: Surface, form: Form) -> tuple[tuple[Body, Body], list[SX]]:
+def _bodies(finger: Surface, obj: Surface, form: Form) -> tuple[Body, Body, list[ca.SX]]:
     """Finger and object, and the symbols of their numbers, each followed by the body's size."""
-    symbols = [SX.sym(name, len(s.parameters) + 1) for name, s in (("p1", finger), ("p2", obj))]
-    sides = [
-        # not p[:-1], which is a row where a surface has no parameters
-        Body(s, a, *ca.vertsplit(p, [0, len(s.parameters), len(s.parameters) + 1]))
-        for s, a, p in zip((finger, obj), form.ambient, symbols)
-    ]
-    return (sides[0], sides[1]), symbols
+    symbols = [ca.SX.sym(name, len(s.parameters) + 1) for name, s in (("p1", finger), ("p2", obj))]
+    tip, body = (
+        Body(s, ambient, ca.vertcat(s.sign, p)[:-1], p[-1], ca.SX())
+        for s, ambient, p in zip((finger, obj), form.ambient, symbols)
+    )
+    return tip, body, symbols
 
 
-def _regularity(body: Body, u: SX, v: SX) -> SX:
-    """The lesser Lame coefficient over the size: 0 where the chart is singular.
-
-    Negative where f_u x f_v points into the body (beyond a sphere's pole); 1 for charts that are
-    regular everywhere.
-    """
-    surface = body.surface
-    if body.ambient or not (surface.chart.singular_at or isinstance(surface, UserSurface)):
-        return SX(1)
-    shape = surface.geometry_expr(body.p, u, v)
-    least = ca.fmin(shape.metric_root[0, 0], shape.metric_root[1, 1]) / body.size
-    if not surface.has_implicit:
-        return least
-    x = SX.sym("x", 3)
-    gradient = ca.gradient(surface.implicit_expr(body.p, x), x)
-    outward = ca.dot(shape.frame[:, 2], ca.substitute(gradient, x, shape.point))
-    return ca.copysign(least, outward)
-
-
-def _chart_motion(tip: Body, body: Body, x: SX, w: SX, drive: tuple[SX, SX, SX]) -> ContactMotion:
-    sigma, slope, lam = drive
-    point = ca.vertcat(x, slope / sigma, lam, w)
-    rate = chart_equations(tip.surface, body.surface).function(point, ca.vertcat(tip.p, body.p))
-    shapes = (tip.surface.geometry_expr(tip.p, x[0], x[1]),
-              body.surface.geometry_expr(body.p, x[4], x[5]))  # fmt: skip
-    moved = x[6:8] + w[4:6]
-    turn = reflection(ca.cos(x[8]), ca.sin(x[8]))
-    velocities = (shapes[0].metric_root @ x[2:4], shapes[1].metric_root @ moved)
-    slip = turn @ velocities[0] - velocities[1]
-    frames = [ca.vertcat(s.point, ca.vec(s.frame[:, :2])) for s in shapes]
-    curvatures = [ca.vec(s.curvature_form)[[0, 1, 3]] for s in shapes]
-    state = ca.vertcat(x[:6], moved, x[8])
-    return ContactMotion(rate, state, slip, frames, curvatures, velocities, slip, turn)
-
-
-def _moving_frame(body: Body, own: SX) -> SX:
-    """The frame that a state stands for: (x, p, q), on the surface again, or (u, v, theta)."""
-    if not body.ambient:
-        return own
-    return restoring_kernel(body.surface).function(ca.vertcat(own, SX(3, 1)), body.p)
-
-
-def _frame_rates(
-    bodies: tuple[Body, Body], forced: bool, frames: list[SX], w1: SX, v: SX, w: SX,
-    drive: tuple[SX, SX, SX],
-) -> list[SX]:  # fmt: skip
-    """Rates of the two frames and, where they are states, of W_1 and V."""
-    (tip, body), (sigma, _, lam) = bodies, drive
-    if not forced:
-        none = SX(2, 1)
-        return [
-            driven_motion(tip.surface, tip.ambient).function(
-                ca.vertcat(frames[0], sigma, 1), ca.vertcat(tip.p, w1, none, none)
-            ),
-            driven_motion(body.surface, body.ambient, True).function(
-                ca.vertcat(frames[1], sigma, 1), ca.vertcat(body.p, FLIP @ w1, v, w[4:6])
-            ),
-        ]
-    kernel = forced_motion(tip.surface, body.surface, (tip.ambient, body.ambient), True)
-    point = ca.vertcat(frames[0], w1, frames[1], v, ca.fmax(sigma, TINY), 0)
-    rates = kernel.function(point, ca.vertcat(tip.p, body.p, 1, 0, w1, w))
-    n1, n2 = frames[0].numel(), frames[1].numel()
-    finger, w1_rate, obj, v_rate = ca.vertsplit(rates, np.cumsum([0, n1, 2, n2, 2]).tolist())
-    return [finger, obj, w1_rate, v_rate - lam * v]
+def _chart_motion(tip: Body, body: Body, x: ca.SX, w: ca.SX, drive: Drive) -> ContactMotion:
+    """In the contact frames themselves: theta = 0."""
+    q1, rate_1, q2, rate_2, psi = ca.vertsplit(x, [0, 2, 4, 6, 8, 9])
+    tip, body, moved = tip.at(q1, 0), body.at(q2, 0), rate_2 + w[4:6]
+    equations = chart_equations(tip.surface, body.surface)
+    point = ca.vertcat(x, drive.slope / drive.sigma, drive.lam, w)
+    velocities = tip.find("vector", rate_1), body.find("vector", moved)
+    turn = reflection(ca.cos(psi), ca.sin(psi))
+    return ContactMotion(
+        rate=equations(point, ca.vertcat(tip.numbers, body.numbers)),
+        state=ca.vertcat(x[:6], moved, psi),
+        bodies=(tip, body),
+        velocities=velocities,
+        turn=turn,
+        sliding=relative_velocity(turn, *velocities),
+        theta=ca.SX(0),
+    )
 
 
 def _frame_motion(
-    bodies: tuple[Body, Body], form: Form, x: SX, w: SX, drive: tuple[SX, SX, SX], w1: SX, v: SX
+    tip: Body, body: Body, form: Form, x: ca.SX, w: ca.SX, drive: Drive, held: ca.SX
 ) -> ContactMotion:
-    sigma, offset, obj = drive[0], w[4:6], bodies[1]
+    """In frames carried along by parallel transport; held: W_1 and V."""
+    w1, v = ca.vertsplit(held, 2)
     own = ca.vertsplit(x, np.cumsum([0, *form.sizes]).tolist())
-    frames = [_moving_frame(b, s) for b, s in zip(bodies, own)]
-    rates = _frame_rates(bodies, form.forced, frames, w1, v, w, drive)
-    for k, b in enumerate(bodies):
+    # in space, the state on the surface again
+    tip, body = (
+        b.at(b.at(f).find("restore") if b.ambient else f) for b, f in zip((tip, body), own)
+    )
+    offset = body.find("vector", w[4:6])
+    velocities = drive.sigma * w1, drive.sigma * (flip() @ w1 - v) + offset
+    rates = []
+    for b, f, velocity in zip((tip, body), own, velocities):
+        rates.append(b.find("motion", velocity))
         if b.ambient:  # drift off the surface dies out along a path of the body's size
-            rates[k] = rates[k][:6] + sigma / b.size * (frames[k][:6] - own[k])
-    velocities = [sigma * w1, sigma * (FLIP @ w1 - v)]
-    sides = [
-        coordinate_kernel(b.surface, b.ambient).function(ca.vertcat(f, c), b.p)
-        for b, f, c in zip(bodies, frames, velocities)
-    ]
-    theta = sides[1][4]
-    psi = -sides[0][4] - theta
+            rates[-1] += drive.sigma / b.size * (b.place - f)
+    if form.forced:
+        pushed = tip.find("vector", w[:2]), body.find("vector", w[2:4])
+        w1_rate, v_rate = pushed_paths(ca.fmax(drive.sigma, TINY), flip(), *pushed)
+        rates += [w1_rate, v_rate - drive.lam * v]
+    first, second = (b.find("coordinates", c) for b, c in zip((tip, body), velocities))
+    psi = -first[4] - second[4]
     psi -= TURN * ca.floor((psi + math.pi) / TURN)
-    state = ca.vertcat(sides[0][:4], sides[1][:2], sides[1][2:4] + offset, psi)
-    pushed = vector_kernel(obj.surface, obj.ambient).function(frames[1], ca.vertcat(obj.p, offset))
-    sliding = sigma * v - pushed
-    curvatures = [
-        shape_kernel(b.surface, b.ambient).function(f, b.p) for b, f in zip(bodies, frames)
-    ]
-    spatial = [
-        f if b.ambient else frame_kernel(b.surface).function(f, b.p) for b, f in zip(bodies, frames)
-    ]
     return ContactMotion(
-        ca.vertcat(*rates), state, rotation(theta) @ sliding, spatial, curvatures,
-        (velocities[0], velocities[1] + pushed), sliding, FLIP,
-    )  # fmt: skip
-
-
-def _relative(motion: ContactMotion) -> tuple[SX, SX]:
-    """Pose, by columns (12), and twist of the finger's frame in the object's, by `kinematics`."""
-
-    def numbers(value: SX, *shape: int) -> Array:
-        array = np.empty(value.numel(), dtype=object)
-        array[:] = value.elements()
-        return array.reshape(1, *shape)
-
-    frames = [numbers(frame, 9, 1) for frame in motion.frames]
-    k1, k2 = (numbers(k, 3, 1) for k in motion.curvatures)
-    a1, a2 = (numbers(a, 2, 1) for a in motion.velocities)
-    turn = numbers(motion.turn.T, 2, 2)
-    pose = relative_pose(frames[0], frames[1], turn)
-    twist = relative_twist(frames[1], pose, (k1, k2), (a1, a2), turn, numbers(motion.sliding, 2, 1))
-    return ca.vertcat(*pose[0, 0, :3].T.ravel()), ca.vertcat(*twist.ravel())
+        rate=ca.vertcat(*rates),
+        state=ca.vertcat(first[:4], second[:4], psi),
+        bodies=(tip, body),
+        velocities=velocities,
+        turn=flip(),
+        sliding=drive.sigma * v - offset,
+        theta=second[4],
+    )
 
 
 @per_structure
@@ -301,35 +261,41 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     Inputs: t, x, w (6), held, law (gain, profile coefficients), numbers and size of the finger and
     of the object. The twist's rate follows by the chain rule along the motion.
     """
-    bodies, numbers = _bodies(finger, obj, form)
-    t, x, w = SX.sym("t"), SX.sym("x", sum(form.sizes)), SX.sym("w", 6)
-    held, law = SX.sym("held", form.n_held), SX.sym("law", 1 + form.n_profile)
-    sigma = polynomial(ca.vertsplit(law[1:]), t)
+    tip, body, numbers = _bodies(finger, obj, form)
+    t, x, w = ca.SX.sym("t"), ca.SX.sym("x", sum(form.sizes)), ca.SX.sym("w", 6)
+    held, law = ca.SX.sym("held", form.n_held), ca.SX.sym("law", 1 + form.n_profile)
+    profile = ca.vertsplit(law[1:])
+    sigma = polynomial(profile, t)
     slope = ca.gradient(sigma, t)
     growth = ca.fmax(0, slope / ca.fmax(sigma, TINY))
-    drive = (sigma, slope, law_rate(form.law, law[0], sigma, growth))
+    drive = Drive(sigma, slope, LAWS[form.law].rate(law[0], sigma, growth))
     if form.coordinates == "chart":
-        motion = _chart_motion(*bodies, x, w, drive)
+        motion = _chart_motion(tip, body, x, w, drive)
     elif form.forced:
-        motion = _frame_motion(bodies, form, x, w, drive, x[-4:-2], x[-2:])
+        motion = _frame_motion(tip, body, form, x, w, drive, x[-4:])
     else:
-        v = held[2:4] * _decay(form, law[0], ca.vertsplit(law[1:]), held[4], t)
-        motion = _frame_motion(bodies, form, x, w, drive, held[:2], v)
-
-    def along(value: SX) -> SX:
-        """The total time derivative; disturbances do not change between edges."""
-        return ca.jtimes(value, x, motion.rate) + ca.jtimes(value, t, SX(1))
-
-    pose, twist = _relative(motion)
-    regularity = [_regularity(b, x[k], x[k + 1]) for b, k in zip(bodies, (0, form.sizes[0]))]
-    (x1, _), (x2, tangents) = (ca.vertsplit(f, [0, 3, 9]) for f in motion.frames)
-    outputs = [
-        motion.rate, motion.state, motion.slip, twist, along(twist),
-        pose, ca.vertcat(x1, x2),
-        ca.cross(tangents[:3], tangents[3:]), ca.vertcat(*regularity),
-    ]  # fmt: skip
+        v = held[2:4] * _decay(form, law[0], profile, held[4], t)
+        motion = _frame_motion(tip, body, form, x, w, drive, ca.vertcat(held[:2], v))
+    rate, state, (tip, body), velocities, turn, sliding, theta = motion
+    frames, shapes = (tip.frame(), body.frame()), (tip.find("shape"), body.find("shape"))
+    twist = ca.vertcat(*relative_twist(frames, shapes, velocities, turn, sliding))
+    (x1, _), (x2, tangents) = (ca.vertsplit(frame, [0, 3, 9]) for frame in frames)
+    outputs = {
+        "derivatives": rate,
+        "state": state,
+        "slip": rotation(theta) @ sliding,
+        "twist": twist,
+        # disturbances do not change between edges
+        "acceleration": ca.jtimes(twist, x, rate) + ca.jtimes(twist, t, ca.SX(1)),
+        "pose": ca.vertcat(*map(ca.vec, relative_pose(*frames, turn))),
+        "contact_point": ca.vertcat(x1, x2),
+        "normal": ca.cross(tangents[:3], tangents[3:]),
+        "regularity": ca.vertcat(tip.regularity(), body.regularity()),
+        "stretch": ca.vertcat(tip.stretch(), body.stretch()),
+    }
     inputs = [t, x, w, held, law, *numbers]
-    return ca.Function("contact", inputs, [ca.densify(value) for value in ca.cse(outputs)])
+    values = ca.cse([outputs[name] for name in ("derivatives", *PER_CONTACT)])
+    return ca.Function("contact", inputs, [ca.densify(value) for value in values])
 
 
 @per_structure
@@ -338,39 +304,36 @@ def start_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
 
     Inputs: t; the finger's place, the object's place, psi, W_1 in E1, the object's path velocity
     in E2; law; numbers and size of the finger and of the object. A place is (u, v), or where there
-    is no chart the point and the frame's axes x, y (9).
+    is no chart the point and the contact frame's first axis (6).
     """
-    bodies, numbers = _bodies(finger, obj, form)
-    t, law = SX.sym("t"), SX.sym("law", 1 + form.n_profile)
-    at = [SX.sym("at", 2 if s.has_chart else 9) for s in (finger, obj)]
-    psi, w1, y = SX.sym("psi"), SX.sym("W1", 2), SX.sym("Y", 2)
+    tip, body, numbers = _bodies(finger, obj, form)
+    t, law = ca.SX.sym("t"), ca.SX.sym("law", 1 + form.n_profile)
+    at = [ca.SX.sym("at", 2 if s.has_chart else 6) for s in (finger, obj)]
+    psi, w1, y = ca.SX.sym("psi"), ca.SX.sym("W1", 2), ca.SX.sym("Y", 2)
+    sigma = polynomial(ca.vertsplit(law[1:]), t)
     if form.coordinates == "chart":
-        sigma = polynomial(ca.vertsplit(law[1:]), t)
-        parts = []
-        for b, q, c in zip(bodies, at, (w1, y)):
-            root = b.surface.geometry_expr(b.p, q[0], q[1]).metric_root
-            parts += [q, sigma * (upper_inverse(root) @ c)]
-        x, held = ca.vertcat(*parts, psi), SX(0, 1)
+        first = tip.at(at[0], 0).find("coordinates", sigma * w1)
+        second = body.at(at[1], 0).find("coordinates", sigma * y)
+        x, held = ca.vertcat(first[:4], second[:4], psi), ca.SX(0, 1)
     else:
-        frames = [_first_frame(b, q, a) for b, q, a in zip(bodies, at, (-psi, SX(0)))]
+        frames = ca.vertcat(_first_frame(tip, at[0], -psi), _first_frame(body, at[1], ca.SX(0)))
         w1_parallel = rotation(psi) @ w1
-        v = starting_slip(w1_parallel, FLIP @ w1_parallel, y)
-        if form.law == "guaranteed":  # which lets no slip leave a rest
-            v = ca.if_else(polynomial(ca.vertsplit(law[1:]), t) > 0, v, 0)
-        constants = ca.vertcat(w1_parallel, v)
-        x, held = ca.vertcat(*frames), ca.vertcat(constants, t)
+        v = starting_slip(w1_parallel, flip() @ w1_parallel, y)
+        if LAWS[form.law].makes_up:  # which lets no slip leave a rest
+            v = ca.if_else(sigma > 0, v, 0)
+        x, held = frames, ca.vertcat(w1_parallel, v, t)
         if form.forced:
-            x, held = ca.vertcat(x, constants), SX(0, 1)
+            x, held = ca.vertcat(frames, w1_parallel, v), ca.SX(0, 1)
     inputs = [t, ca.vertcat(*at, psi, w1, y), law, *numbers]
     return ca.Function("start", inputs, [ca.densify(x), ca.densify(held)])
 
 
-def _first_frame(body: Body, place: SX, theta: SX) -> SX:
-    """The state of a moving frame at a place, its first axis at -theta from the chart's."""
-    if place.numel() == 9:
-        return ca.vertcat(place[:3], ca.reshape(place[3:], 3, 2) @ rotation(theta)[:, 0])
-    own = ca.vertcat(place, theta)
-    return frame_kernel(body.surface).function(own, body.p)[:6] if body.ambient else own
+def _first_frame(body: Body, place: ca.SX, theta: ca.SX) -> ca.SX:
+    """The state of a moving frame at a place, turned by theta from the contact frame."""
+    if body.surface.has_chart:
+        return body.at(place, theta).find("start") if body.ambient else ca.vertcat(place, theta)
+    x, first = ca.vertsplit(place, 3)
+    return ca.vertcat(x, ca.cos(theta) * first + ca.sin(theta) * body.at(place).find("second"))
 
 
 # --- the scene -----------------------------------------------------------------------------------
@@ -397,8 +360,8 @@ class SceneSystem:
         6 a contact, or 0 where w is empty.
     edges : tuple of float
         Times at which :meth:`window_values` changes, ascending, s.
-    state_slices : list of slice
-        The part of x that belongs to each contact.
+    state_slices, held_slices : list of slice
+        The parts of x and held that belong to each contact.
 
     Raises
     ------
@@ -412,12 +375,12 @@ class SceneSystem:
             raise SceneError(f"coordinates = {coordinates!r}: use one of {', '.join(COORDINATES)}")
         require_scene(scene)
         self.scene, self.coordinates = scene, coordinates
-        self.disturbance_input = disturbance_input = flag(disturbance_input, "disturbance_input")
+        self.disturbance_input = flag(disturbance_input, "disturbance_input")
         self._refuse()
         n = len(scene.contacts)
         self.n_w = 6 * n if scene.disturbances or disturbance_input else 0
         self.edges = scene.window_edges
-        self.forms = [self._form(i) for i in range(n)]
+        self.forms = self._forms()
         self.state_slices = _consecutive(sum(form.sizes) for form in self.forms)
         self.held_slices = _consecutive(form.n_held for form in self.forms)
         bodies = [scene.object, *(contact.finger for contact in scene.contacts)]
@@ -427,53 +390,45 @@ class SceneSystem:
         self.x0, self.held0 = self.place(0.0, [scene_start(c) for c in scene.contacts])
         self._functions: dict[tuple[str, ...], ca.Function] = {}
 
-    # --- what a scene must fulfil ----------------------------------------------------------------
+    def __reduce__(self) -> tuple:
+        """What is pickled and copied: what it is made from."""
+        return SceneSystem, (self.scene, self.coordinates, self.disturbance_input)
 
     def _refuse(self) -> None:
+        """Raise what the class says of scenes that cannot be written."""
         scene = self.scene
-        if self.coordinates == "chart":
-            zeros = scene.profile.zeros(scene.duration)
-            if zeros:
-                raise SceneError(
-                    f"{scene.title}: the chart equations divide by sigma, which is zero at "
-                    f't = {zeros[0]:g} s; use coordinates="frame", which start and rest at zero'
-                )
-            for i, contact in enumerate(scene.contacts):
-                for surface in (contact.finger, scene.object):
-                    if not surface.has_chart:
-                        raise SceneError(
-                            f"{scene.title}, contact {i}: {surface!r} has no explicit "
-                            'chart for the chart equations; use coordinates="frame"'
-                        )
-        for d in scene.disturbances:
-            if not isinstance(d, ObjectRateOffset):
-                where = f"{scene.title}, contact {d.contact}"
-                refuse_rest(scene, where, d.start, d.stop)
-
-    def _form(self, index: int) -> Form:
-        scene, chart = self.scene, self.coordinates == "chart"
-        own = {type(d) for d in scene.disturbances if d.contact == index}
-        d1, d2, offset = (self.disturbance_input or kind in own for kind in DISTURBANCE_KINDS)
-        ambient = [
-            not chart and in_space(surface, pushed)
-            for surface, pushed in (
-                (scene.contacts[index].finger, d1),
-                (scene.object, d2 or offset),
+        zeros = scene.profile.zeros(scene.duration)
+        if self.coordinates == "chart" and zeros:
+            raise SceneError(
+                f"{scene.title}: the chart equations divide by sigma, which is zero at "
+                f't = {zeros[0]:g} s; use coordinates="frame", which start and rest at zero'
             )
-        ]
-        return Form(
-            self.coordinates, not chart and (d1 or d2), (ambient[0], ambient[1]), scene.gain.law,
-            len(scene.profile.coefficients), self._growths,
-        )  # fmt: skip
+        for i, contact in enumerate(scene.contacts):
+            for surface in (contact.finger, scene.object):
+                if self.coordinates == "chart" and not surface.has_chart:
+                    raise SceneError(
+                        f"{scene.title}, contact {i}: {surface!r} has no explicit "
+                        'chart for the chart equations; use coordinates="frame"'
+                    )
+        for d in scene.disturbances:
+            if d.accelerates:
+                refuse_rest(scene, f"{scene.title}, contact {d.contact}", d.start, d.stop)
 
-    @kept
-    def _growths(self) -> tuple[tuple[float, float], ...]:
-        """Where sigma grows, which the guaranteed law makes up for; far beyond the horizon too."""
-        if self.scene.gain.law != "guaranteed":
-            return ()
-        return tuple(self.scene.profile.growths(0.0, 1e3 * self.scene.duration))
-
-    # --- names -----------------------------------------------------------------------------------
+    def _forms(self) -> list[Form]:
+        scene, chart = self.scene, self.coordinates == "chart"
+        growths: tuple[tuple[float, float], ...] = ()
+        if scene.gain.row.makes_up:  # for growth far beyond the horizon too
+            growths = tuple(scene.profile.growths(0.0, 1e3 * scene.duration))
+        law, n_profile = scene.gain.law, len(scene.profile.coefficients)
+        forms = []
+        for i, contact in enumerate(scene.contacts):
+            slots = {d.slot for d in scene.disturbances if d.contact == i}
+            d1, d2, offset = (self.disturbance_input or slot in slots for slot in range(len(SLOTS)))
+            tip = not chart and in_space(contact.finger, d1)
+            body = not chart and in_space(scene.object, d2 or offset)
+            forced = not chart and (d1 or d2)
+            forms.append(Form(self.coordinates, forced, (tip, body), law, n_profile, growths))
+        return forms
 
     @kept
     def parameter_names(self) -> list[str]:
@@ -490,56 +445,36 @@ class SceneSystem:
     # --- functions -------------------------------------------------------------------------------
 
     @kept
-    def _symbols(self) -> dict[str, SX]:
+    def _symbols(self) -> dict[str, ca.SX]:
         sizes = (1, len(self.x0), self.n_w, len(self.held0), len(self.parameters))
-        return {name: SX.sym(name, size) for name, size in zip(INPUTS, sizes)}
+        return {name: ca.SX.sym(name, size) for name, size in zip(INPUTS, sizes)}
 
     @kept
-    def _expressions(self) -> dict[str, SX]:
+    def _expressions(self) -> dict[str, ca.SX]:
         """Every output as an expression of the symbols."""
         t, x, w, held, p = self._symbols.values()
         law, obj, *fingers = (p[s] for s in self._number_slices)
-        names = ("derivatives", *PER_CONTACT)
-        found: dict[str, list[SX]] = {name: [] for name in names}
-        for i, (contact, form) in enumerate(zip(self.scene.contacts, self.forms)):
-            acts = self.disturbance_input or any(d.contact == i for d in self.scene.disturbances)
-            own = w[6 * i : 6 * i + 6] if acts else SX.zeros(6)
-            function = contact_function(contact.finger, self.scene.object, form)
-            values = function(
-                t, x[self.state_slices[i]], own, held[self.held_slices[i]], law, fingers[i], obj
-            )
-            for name, value in zip(names, values):
-                found[name].append(value)
+        scene, names = self.scene, ("derivatives", *PER_CONTACT)
+        found: dict[str, list[ca.SX]] = {name: [] for name in names}
+        for i, (contact, form) in enumerate(zip(scene.contacts, self.forms)):
+            own = [d for d in scene.disturbances if d.contact == i]
+            acts = w[6 * i : 6 * i + 6] if self.disturbance_input or own else ca.SX.zeros(6)
+            function = contact_function(contact.finger, scene.object, form)
+            carried = x[self.state_slices[i]], acts, held[self.held_slices[i]]
+            values = dict(zip(names, function(t, *carried, law, fingers[i], obj)))
+            pushed = {d.side for d in own if d.accelerates}
+            values["stretch"] *= ca.DM(["finger" in pushed, "object" in pushed])
+            for name in names:
+                found[name].append(values[name])
         outputs = {name: ca.vertcat(*values) for name, values in found.items()}
-        outputs["guard"] = self._guard(outputs["derivatives"], t, law[1:])
-        outputs["clearance"] = functools.reduce(ca.fmin, ca.vertsplit(outputs["regularity"]))
-        outputs["stretch"] = ca.vertcat(
-            *(self._stretch(i, state, finger, obj)
-              for i, (state, finger) in enumerate(zip(found["state"], fingers)))
-        )  # fmt: skip
+        outputs["guard"] = self._guard(outputs["derivatives"], t, ca.vertsplit(law[1:]))
+        outputs["clearance"] = ca.mmin(outputs["regularity"])
         return outputs
 
-    def _stretch(self, index: int, state: SX, finger: SX, obj: SX) -> SX:
-        """|M| of finger and object, (2); 0 where the scene does not accelerate along the chart."""
-        scene = self.scene
-        kinds = {type(d) for d in scene.disturbances if d.contact == index}
-        sides = (
-            (FingerAcceleration, scene.contacts[index].finger, finger, state[:2]),
-            (ObjectAcceleration, scene.object, obj, state[4:6]),
-        )
-        found, point = SX.zeros(2), SX.sym("point", 2)
-        for k, (kind, surface, numbers, at) in enumerate(sides):
-            if kind in kinds:
-                p, _ = ca.vertsplit(numbers, [0, numbers.numel() - 1, numbers.numel()])
-                m = surface.geometry_expr(p, point[0], point[1]).metric_root
-                found[k] = ca.substitute(ca.norm_fro(m), point, at)
-        return found
-
-    def _guard(self, rate: SX, t: SX, profile: SX) -> SX:
+    def _guard(self, rate: ca.SX, t: ca.SX, profile: list[ca.SX]) -> ca.SX:
         """1; -1 where sigma < 0; -inf or NaN where a derivative is not finite."""
-        c = ca.vertsplit(profile)
-        rounding = 1e-14 * polynomial([ca.fabs(k) for k in c], ca.fabs(t))
-        return ca.copysign(1, polynomial(c, t) + rounding) - TINY * ca.sumsqr(rate)
+        rounding = 1e-14 * polynomial([ca.fabs(c) for c in profile], ca.fabs(t))
+        return ca.copysign(1, polynomial(profile, t) + rounding) - TINY * ca.sumsqr(rate)
 
     def function(self, *outputs: str) -> ca.Function:
         """The CasADi function (t, x, w, held, p) -> outputs, one vector each.
@@ -564,20 +499,15 @@ class SceneSystem:
             Another output.
         """
         with SYMBOLS:
-            try:
-                known = outputs in self._functions
-            except TypeError:  # a list, which `_expression` refuses
-                known = False
-            if not known:
-                values = ca.cse([self._expression(name) for name in outputs])
-                name = "scene_" + "_".join(outputs)
-                self._functions[outputs] = ca.Function(
-                    name, list(self._symbols.values()), [ca.densify(v) for v in values],
-                    list(INPUTS), list(outputs),
-                )  # fmt: skip
+            values = [self._expression(name) for name in outputs]
+            if outputs not in self._functions:
+                dense = [ca.densify(value) for value in ca.cse(values)]
+                inputs, name = list(self._symbols.values()), "scene_" + "_".join(outputs)
+                made = ca.Function(name, inputs, dense, list(INPUTS), list(outputs))
+                self._functions[outputs] = made
         return self._functions[outputs]
 
-    def _expression(self, output: str) -> SX:
+    def _expression(self, output: str) -> ca.SX:
         with SYMBOLS:
             known = self._expressions
         if not isinstance(output, str) or output not in known:
@@ -593,86 +523,73 @@ class SceneSystem:
         return {name for name in INPUTS if ca.depends_on(value, symbols[name])}
 
     def evaluate(
-        self, output: str, t: float, x: ArrayLike, w: ArrayLike | None = None,
+        self,
+        output: str,
+        t: float,
+        x: ArrayLike,
+        w: ArrayLike | None = None,
         held: ArrayLike | None = None,
-    ) -> Array:  # fmt: skip
-        """One output as numbers; by default with the windows that act, as held from the start.
+    ) -> Array:
+        """One output of :meth:`function` as numbers, at time t [s]: (n,).
 
-        Parameters
-        ----------
-        output : str
-            See :meth:`function`.
-        t : float
-            s.
-        x, w, held : (n_x,), (n_w,), (n_held,)
+        By default with the windows that act, and as held from the start.
 
         Raises
         ------
         SceneError
-            Another output, or arrays of other lengths.
+            Another output, or arrays of other lengths than (n_x,), (n_w,), (n_held,).
         """
-        t = float(self._numbers("t", t))
-        w = self.window_values(t) if w is None else w
-        given = {"x": x, "w": w, "held": self.held0 if held is None else held}
-        arrays = {name: self._numbers(name, value) for name, value in given.items()}
-        function = self.function(output)
-        for name, array in arrays.items():
-            count = function.numel_in(name)
-            if array.shape != (count,):
-                raise SceneError(
-                    f"{self.scene.title}: {name} has shape {array.shape}; give ({count},)"
-                )
-        return function(t, *arrays.values(), self.parameters).full().ravel()
+        t, function = float(self._numbers("t", t)), self.function(output)
+        arrays = (
+            self._numbers("x", x, len(self.x0)),
+            self._numbers("w", self.window_values(t) if w is None else w, self.n_w),
+            self._numbers("held", self.held0 if held is None else held, len(self.held0)),
+        )
+        return function(t, *arrays, self.parameters).full().ravel()
 
-    def _numbers(self, name: str, value: ArrayLike) -> Array:
-        """The value as an array of floats, of t without an axis."""
+    def _numbers(self, name: str, value: ArrayLike, count: int | None = None) -> Array:
+        """The value as an array of floats, so many where they are counted; t without an axis."""
         try:
             found = real_array(value)
-            if name != "t" or found.ndim == 0:
-                return found
+            if name == "t" and found.ndim:
+                raise TypeError
         except (TypeError, ValueError, OverflowError):
-            pass
-        remedy = "a time in seconds" if name == "t" else "numbers"
-        raise SceneError(f"{self.scene.title}: {name} = {value!r:.80}; give {remedy}")
+            remedy = "a time in seconds" if name == "t" else "numbers"
+            raise SceneError(f"{self.scene.title}: {name} = {value!r:.80}; give {remedy}") from None
+        if count is not None and found.shape != (count,):
+            raise SceneError(f"{self.scene.title}: {name} has shape {found.shape}; give ({count},)")
+        return found
 
-    def __getstate__(self) -> dict:
-        """What is pickled and copied: all but symbols and functions, which are made when asked."""
-        made = ("_symbols", "_expressions", "_functions")
-        return {k: v for k, v in vars(self).items() if k not in made} | {"_functions": {}}
+    # --- windows and starts ----------------------------------------------------------------------
 
-    # --- windows ---------------------------------------------------------------------------------
-
-    @kept
+    @property
     def windows(self) -> list[tuple[Disturbance, slice]]:
         """The scene's disturbances and where each stands in w."""
-        return [
-            (d, slice(first, first + 2))
-            for d in self.scene.disturbances
-            for first in [6 * int(d.contact) + 2 * DISTURBANCE_KINDS.index(type(d))]
-        ]
+        first = [6 * int(d.contact) + 2 * d.slot for d in self.scene.disturbances]
+        return [(d, slice(k, k + 2)) for d, k in zip(self.scene.disturbances, first)]
 
     def window_values(self, t: float) -> Array:
         """What the scene's windows add on the interval that begins at t: (n_w,)."""
         return acting(self.scene, t).ravel()[: self.n_w]
 
-    # --- starting --------------------------------------------------------------------------------
-
     def place(self, t: float, starts: Sequence[Start]) -> tuple[Array, Array]:
         """States and held numbers of contacts that start at time t: (n_x,), (n_held,)."""
-        scene, numbers = self.scene, [self.parameters[s] for s in self._number_slices]
+        obj = self.scene.object
+        law, obj_numbers, *numbers = (self.parameters[s] for s in self._number_slices)
         parts = []
-        for i, (contact, form, start) in enumerate(zip(scene.contacts, self.forms, starts)):
-            function = start_function(contact.finger, scene.object, form)
-            at = [_place(contact.finger, start.finger_at), _place(scene.object, start.object_at)]
+        for contact, form, start, own in zip(self.scene.contacts, self.forms, starts, numbers):
+            at = [_place(contact.finger, start.finger_at), _place(obj, start.object_at)]
             given = np.hstack([*at, start.angle, start.finger_velocity, start.object_velocity])
-            values = function(t, given, numbers[0], numbers[2 + i], numbers[1])
+            function = start_function(contact.finger, obj, form)
+            values = function(t, given, law, own, obj_numbers)
             parts.append([value.full().ravel() for value in values])
-        return np.concatenate([x for x, _ in parts]), np.concatenate([held for _, held in parts])
+        x, held = zip(*parts)
+        return np.concatenate(x), np.concatenate(held)
 
     def from_states(
         self, t: float, state: ArrayLike, w: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """States and held numbers from measured chart states.
+        """States and held numbers from measured chart states: (n_x,), (n_held,).
 
         Parameters
         ----------
@@ -682,10 +599,6 @@ class SceneSystem:
             u1 v1 u1' v1' u2 v2 u2' v2' psi, object rate offsets included in u2' v2'.
         w : (n_w,), optional
             The disturbances that act; by default the scene's windows.
-
-        Returns
-        -------
-        x, held : (n_x,), (n_held,)
 
         Raises
         ------
@@ -697,14 +610,10 @@ class SceneSystem:
             where = f"{self.scene.title}, restart"
             raise SceneError(f"{where}: state has shape {rows.shape}; give {(n, 9)}")
         t = float(self._numbers("t", t))
-        w = self.window_values(t) if w is None else self._numbers("w", w)
-        if w.shape != (self.n_w,):
-            raise SceneError(f"{self.scene.title}: w has shape {w.shape}; give ({self.n_w},)")
+        w = self._numbers("w", self.window_values(t) if w is None else w, self.n_w)
         offsets = w.reshape(-1, 6)[:, 4:] if self.n_w else np.zeros((n, 2))
-        starts = [
-            measured_start(self.scene, i, t, row, offsets[i])
-            for i, row in enumerate(rows.reshape(n, 9))
-        ]
+        measured = zip(rows.reshape(n, 9), offsets)
+        starts = [measured_start(self.scene, i, t, *given) for i, given in enumerate(measured)]
         return self.place(t, starts)
 
 
@@ -717,8 +626,7 @@ def _place(surface: Surface, at: tuple[float, float]) -> Array:
     """What `start_function` takes for a body at (u, v)."""
     if surface.has_chart:
         return np.array(at)
-    frame = surface.frame(*at)
-    return np.hstack([surface.point(*at), frame[:, 0], frame[:, 1]])
+    return np.hstack([surface.point(*at), surface.frame(*at)[:, 0]])
 
 
 def _number_names(surface: Surface) -> tuple[str, ...]:

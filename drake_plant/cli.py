@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from contact_system import load_scene
 from contact_system.cli import Progress, file_name, paragraph, results_folder, table
 from contact_system.measures import REJECTED
 from contact_system.plots import MissingMatplotlib
-from contact_system.scene_files import scene_to_toml
+from contact_system.scene import scene_to_toml
 from contact_system.system import COORDINATES
 
 from . import plots
@@ -30,17 +30,17 @@ def register(commands: Any) -> None:
     """Add the command to an argparse parser's subparsers (see :mod:`contact_system.cli`)."""
     parser = commands.add_parser("drake", help="simulate a scene in Drake, with contact physics")
     parser.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results; default "
-                        "results/NAME")  # fmt: skip
-    parser.add_argument("--until", type=float, metavar="T", help="stop after so many seconds "
-                        "instead of the scene's duration")  # fmt: skip
-    parser.add_argument("--contact", choices=CHOICES["contact_model"], help="contact model "
-                        "instead of the scene's")  # fmt: skip
-    parser.add_argument("--object", choices=CHOICES["object"], help="how the object "
-                        "moves, instead of as the scene says")  # fmt: skip
+    out = "folder for the results; default results/NAME"
+    parser.add_argument("--out", type=Path, metavar="DIR", help=out)
+    until = "stop after so many seconds instead of the scene's duration"
+    parser.add_argument("--until", type=float, metavar="T", help=until)
+    contact = "contact model instead of the scene's"
+    parser.add_argument("--contact", choices=CHOICES["contact_model"], help=contact)
+    moves = "how the object moves, instead of as the scene says"
+    parser.add_argument("--object", choices=CHOICES["object"], help=moves)
     parser.add_argument("--time-step", type=float, metavar="H", help="of the plant, s")
-    parser.add_argument("--coordinates", choices=COORDINATES, help="what the planner "
-                        "integrates: the paper's chart equations, or moving frames")  # fmt: skip
+    planner = "what the planner integrates: the paper's chart equations, or moving frames"
+    parser.add_argument("--coordinates", choices=COORDINATES, help=planner)
     parser.add_argument("--no-recording", action="store_true", help="write no Meshcat recording")
     parser.set_defaults(run=run)
 
@@ -48,8 +48,9 @@ def register(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate, tell, write; returns the exit code."""
     scene = load_scene(args.scene)
-    wished = {"contact_model": args.contact, "object": args.object, "time_step": args.time_step,
-              "coordinates": args.coordinates}  # fmt: skip
+    asked = {"contact_model": "contact"}  # a field's name where it is another than the option's
+    fields = ("contact_model", "object", "time_step", "coordinates")
+    wished = {name: getattr(args, asked.get(name, name)) for name in fields}
     config = StationConfig.from_scene(scene, **{k: v for k, v in wished.items() if v is not None})
     stem = results_folder(args, scene) / f"{file_name(scene)}-drake"
     recording = None if args.no_recording else stem.with_suffix(".html")
@@ -96,19 +97,23 @@ def save_npz(result: SimulationResult, path: Path) -> None:
 
 def save_csv(result: SimulationResult, path: Path) -> None:
     """Write forces, slip and contact points, one line a time and contact."""
-    head = ["t [s]", "contact", "normal force [N]", "tangential force x [N]",
-            "tangential force y [N]", "slip x [m/s]", "slip y [m/s]", "planned slip x [m/s]",
-            "planned slip y [m/s]", *(f"contact point {w} [m]" for w in "xyz"),
-            *(f"planned contact point {w} [m]" for w in "xyz")]  # fmt: skip
-    seen, wanted = result.measured, result.planned
-    columns = np.concatenate(
-        [seen["normal_force"][:, :, None], seen["tangential_force"], seen["slip"], wanted["slip"],
-         seen["contact_point"], wanted["contact_point"]], axis=2,
-    )  # fmt: skip
+    head = ["t [s]", "contact", "normal force [N]"]
+    columns = [result.measured["normal_force"][:, :, None]]
+    for kind, name, axes, unit in (
+        ("measured", "tangential force", "xy", "N"),
+        ("measured", "slip", "xy", "m/s"),
+        ("planned", "slip", "xy", "m/s"),
+        ("measured", "contact point", "xyz", "m"),
+        ("planned", "contact point", "xyz", "m"),
+    ):
+        title = name if kind == "measured" else f"planned {name}"
+        head += [f"{title} {axis} [{unit}]" for axis in axes]
+        columns.append(getattr(result, kind)[name.replace(" ", "_")])
+    table = np.concatenate(columns, axis=2)
     with path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(head)
-        for t, contacts in zip(result.t.tolist(), columns.tolist()):
+        for t, contacts in zip(result.t.tolist(), table.tolist()):
             writer.writerows([repr(t), i, *map(repr, row)] for i, row in enumerate(contacts))
 
 
@@ -147,38 +152,42 @@ def _explained(text: str) -> Iterable[str]:
 
 
 def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
-    head = (("contact", ""), ("normal force", "N"), ("deviation", "N"), ("peak friction", "N"),
-            ("over mu N", ""), ("in rolling", "N"), ("slip/speed", ""),
-            ("distance", "mm"))  # fmt: skip
-    measured = [
-        (r.name, r.normal_mean, r.normal_deviation, r.friction_peak, r.friction_ratio,
-         r.rolling_friction, r.rolling_slip, 1e3 * r.distance)
-        for r in reports
-    ]  # fmt: skip
-    forms = (".4f", ".4f", ".3f", ".3f", ".3f", ".1e", ".3f")
-    rows = [
-        (name, *("-" if math.isnan(x) else format(x, form) for x, form in zip(values, forms)))
-        for name, *values in measured
-    ]
+    columns: tuple[tuple[str, str, str, Callable[[ContactReport], float]], ...] = (
+        ("normal force", "N", ".4f", lambda r: r.normal_mean),
+        ("deviation", "N", ".4f", lambda r: r.normal_deviation),
+        ("peak friction", "N", ".3f", lambda r: r.friction_peak),
+        ("over mu N", "", ".3f", lambda r: r.friction_ratio),
+        ("in rolling", "N", ".3f", lambda r: r.rolling_friction),
+        ("slip/speed", "", ".1e", lambda r: r.rolling_slip),
+        ("distance", "mm", ".3f", lambda r: 1e3 * r.distance),
+    )
+    head = (("contact", ""), *((name, unit) for name, unit, _, _ in columns))
+    rows = [(r.name, *(_number(value(r), form) for _, _, form, value in columns)) for r in reports]
     return (*table(head, rows, 1), "")
 
 
 def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
-    head = (("contact", ""), ("slip disturbed", "m/s"), ("greatest before", "m/s"),
-            ("saturated", ""), ("recovery", "s"), ("to rolling", "s"), ("paper", "s"),
-            ("as reported", ""))  # fmt: skip
-    rows = []
-    for r in reports:
-        if math.isnan(r.recovery):
-            continue
-        taken = [
-            f"{x:.3f}" if math.isfinite(x) else "not in time" for x in (r.recovery, r.settling)
-        ]
-        reported = "-" if math.isnan(r.reported) else f"{r.reported:g}"
-        answer = {True: "yes", False: "no", None: "-"}[r.as_reported]
-        rows.append((r.name, f"{r.disturbed_slip:.2e}", f"{r.slip_before:.2e}",
-                     f"{r.saturated:.0%}", *taken, reported, answer))  # fmt: skip
+    columns: tuple[tuple[str, str, Callable[[ContactReport], str]], ...] = (
+        ("slip disturbed", "m/s", lambda r: f"{r.disturbed_slip:.2e}"),
+        ("greatest before", "m/s", lambda r: f"{r.slip_before:.2e}"),
+        ("saturated", "", lambda r: f"{r.saturated:.0%}"),
+        ("recovery", "s", lambda r: _taken(r.recovery)),
+        ("to rolling", "s", lambda r: _taken(r.settling)),
+        ("paper", "s", lambda r: _number(r.reported, "g")),
+        ("as reported", "", lambda r: {True: "yes", False: "no", None: "-"}[r.as_reported]),
+    )
+    head = (("contact", ""), *((name, unit) for name, unit, _ in columns))
+    disturbed = [r for r in reports if not math.isnan(r.recovery)]
+    rows = [(r.name, *(text(r) for _, _, text in columns)) for r in disturbed]
     return (*table(head, rows, 1), "")
+
+
+def _number(value: float, form: str) -> str:
+    return "-" if math.isnan(value) else format(value, form)
+
+
+def _taken(time: float) -> str:
+    return f"{time:.3f}" if math.isfinite(time) else "not in time"
 
 
 def _verdict(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterable[str]:

@@ -36,7 +36,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
@@ -48,14 +47,16 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from contact_system import Plane, Scene, SceneError
 from contact_system.contact_sensor import ContactSensor
-from contact_system.kernels import Kernel, made_once
+from contact_system.engine.binding import run
 from contact_system.scene import require_scene
+from contact_system.theory import symbols as ca
+from contact_system.theory.lowering import Table
+from contact_system.theory.symbols import per_structure
 
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, require_config
 
 Array = NDArray[np.float64]
-SX = ca.SX
 
 # Bodies planned on the radii that they roll on meet there. A plane has no radius: there it is where
 # the planned finger's surface is.
@@ -308,22 +309,22 @@ class _Seen:
 
         The bodies go there as a discrete plant moves them, with the velocities they have.
         """
-        return _motion_kernel().at(self.row, np.full((len(self.row), 1), later))
+        return run(_motion(), self.row.T, [later]).T
 
 
 def _split(row: Array) -> Array:
     """x_2, E2, K_2, K_1, C, force, torque, how much of the contact bends with the finger (n, 30) to
     normal force and tangential force in E2 (n, 3)."""
-    return _force_kernel().at(row, np.empty((len(row), 0)))
+    return run(_forces(), row.T, []).T
 
 
 # --- symbolic ----------------------------------------------------------------------------------
 
 
-@made_once
-def _motion_kernel() -> Kernel:
+@per_structure
+def _motion() -> Table:
     """See :meth:`_Seen.in_object`."""
-    row, later = SX.sym("row", 45), SX.sym("later")
+    row, later = ca.SX.sym("row", 45), ca.SX.sym("later")
     V_WO, V_WF = row[12:18], row[30:36]
     R_WO, p_WO = _moved(row[:12], V_WO, later)
     R_WF, p_WF = _moved(row[18:30], V_WF, later)
@@ -331,21 +332,22 @@ def _motion_kernel() -> Kernel:
     v_OF_W = V_WF[3:] - V_WO[3:] - ca.cross(V_WO[:3], p_OF_W)
     vectors = ca.horzcat(V_WF[:3] - V_WO[:3], v_OF_W, row[36:39] - p_WO, row[39:42], row[42:45])
     X_OF = R_OW @ ca.horzcat(R_WF, p_OF_W)
-    return Kernel("motion", row, later, ca.vertcat(ca.vec(X_OF.T), ca.vec(R_OW @ vectors)))
+    found = ca.vertcat(ca.vec(X_OF.T), ca.vec(R_OW @ vectors))
+    return Table(ca.Function("motion", [row, later], [ca.densify(found)]))
 
 
-def _moved(X: SX, V: SX, later: SX) -> tuple[SX, SX]:
+def _moved(X: ca.SX, V: ca.SX, later: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Rotation and position after a step of Drake's, whose quaternions turn by Cayley's map."""
     rows = ca.reshape(X, 4, 3).T
     a = ca.skew(later / 2 * V[:3])
-    turn = SX.eye(3) + 2 * (a + a @ a) / (1 + later**2 / 4 * ca.sumsqr(V[:3]))
+    turn = ca.SX.eye(3) + 2 * (a + a @ a) / (1 + later**2 / 4 * ca.sumsqr(V[:3]))
     return turn @ rows[:, :3], rows[:, 3] + later * V[3:]
 
 
-@made_once
-def _force_kernel() -> Kernel:
+@per_structure
+def _forces() -> Table:
     """See :func:`_split`; the normal is that at the centre of pressure, to first order."""
-    row = SX.sym("row", 30)
+    row = ca.SX.sym("row", 30)
     E2, K2, K1 = (ca.reshape(row[a:b], n, n) for a, b, n in ((3, 12, 3), (12, 16, 2), (16, 20, 2)))
     arm, force, torque = (E2.T @ v for v in (row[20:23] - row[:3], row[23:26], row[26:29]))
     curvature = K2 - row[29] * (K2 + K1)
@@ -354,4 +356,5 @@ def _force_kernel() -> Kernel:
     offset = ca.if_else(force[2] > 0, ca.vertcat(-torque[1], torque[0]) / pressing, 0)
     tilt = curvature @ (arm[:2] + offset)
     normal = force[2] + ca.dot(tilt, force[:2])
-    return Kernel("force", row, SX(0, 1), ca.vertcat(normal, force[:2] - normal * tilt))
+    found = ca.vertcat(normal, force[:2] - normal * tilt)
+    return Table(ca.Function("forces", [row, ca.SX(0, 1)], [ca.densify(found)]))

@@ -27,7 +27,6 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
@@ -38,12 +37,14 @@ from pydrake.multibody.tree import RigidBody, world_index
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from contact_system import SceneError
-from contact_system.kernels import Kernel, made_once
+from contact_system.engine.binding import run
+from contact_system.theory import symbols as ca
+from contact_system.theory.lowering import Table
+from contact_system.theory.symbols import per_structure
 
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, check_numbers, require_config, types_known
 
-SX = ca.SX
 Array = NDArray[np.float64]
 
 DISCRETE_ONLY = "fingers are driven in a discrete plant only; give a time step, such as 0.001 s"
@@ -86,29 +87,27 @@ class DriverConfig:
         check_numbers(self, [f.name for f in dataclasses.fields(self)], "not below 0")
 
 
-# Rows of the kernel's inputs: what the object, the plan, the finger and the steps before give.
-POINT = {
-    "R_WO": 9, "p_WO": 3, "w_WO": 3, "v_WO": 3, "alpha_WO": 3, "a_WO": 3,
-    "R_OF": 9, "p_OF": 3, "w_OF": 3, "v_OF": 3, "alpha_OF": 3, "a_OF": 3,
-    "normal": 3, "point": 3,
-    "R_WF": 9, "p_WF": 3, "w_WF": 3, "v_WF": 3,
-    "steps": 1, "position": 3, "spin": 3, "normal_before": 3, "a_before": 3, "a_earlier": 3,
-}  # fmt: skip
-CONSTANT = {
-    "h": 1, "mass": 1, "inertia": 9, "gravity": 3, "normal_force": 1, "position_gain": 1,
-    "velocity_gain": 1, "normal_damping": 1, "rotation_gain": 1, "spin_gain": 1,
-}  # fmt: skip
+# Rows of the table's inputs: what the object, the plan, the finger and the steps before give.
+_OBJECT = ("R_WO", "p_WO", "w_WO", "v_WO", "alpha_WO", "a_WO")
+_PLAN = ("R_OF", "p_OF", "w_OF", "v_OF", "alpha_OF", "a_OF", "normal", "point")
+_FINGER = ("R_WF", "p_WF", "w_WF", "v_WF")
+_BEFORE = ("steps", "position", "spin", "normal_before", "a_before", "a_earlier")
+POINT = dict.fromkeys((*_OBJECT, *_PLAN, *_FINGER, *_BEFORE), 3)
+POINT |= {"R_WO": 9, "R_OF": 9, "R_WF": 9, "steps": 1}
+_GAINS = ("position_gain", "velocity_gain", "normal_damping", "rotation_gain", "spin_gain")
+CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3, "normal_force": 1}
+CONSTANT |= dict.fromkeys(_GAINS, 1)
 
 
-@made_once
-def driving_law() -> Kernel:
-    """Kernel of one finger: `POINT`, `CONSTANT` -> torque (3), force (3), desired position (3).
+@per_structure
+def driving_law() -> Table:
+    """Table of one finger: `POINT`, `CONSTANT` -> torque (3), force (3), desired position (3).
 
     All in the world. Rotations are given row by row.
     """
 
-    def symbols(sizes: dict[str, int]) -> tuple[SX, dict[str, Any]]:
-        every = {name: SX.sym(name, n) for name, n in sizes.items()}
+    def symbols(sizes: dict[str, int]) -> tuple[ca.SX, dict[str, Any]]:
+        every = {name: ca.SX.sym(name, n) for name, n in sizes.items()}
         shaped = {k: ca.reshape(v, 3, 3).T if v.numel() == 9 else v for k, v in every.items()}
         return ca.vertcat(*every.values()), shaped
 
@@ -146,7 +145,8 @@ def driving_law() -> Kernel:
     torque = inertia @ alpha + cross(w, inertia @ w)
     torque += c.spin_gain * (w - x.w_WF) + c.rotation_gain * axis
     torque -= c.normal_force * cross(x.R_WO @ x.R_OF @ x.point, normal)
-    return Kernel("driving", point, constant, ca.vertcat(torque, force, position))
+    found = ca.densify(ca.vertcat(torque, force, position))
+    return Table(ca.Function("driving", [point, constant], [found]))
 
 
 class FingertipDriver(LeafSystem):
@@ -201,7 +201,7 @@ class FingertipDriver(LeafSystem):
         require_config(config, DriverConfig)
         config.check()
         _check(scene_plant)
-        self._constants = np.array([_constants(body, scene_plant, config) for body in fingers])
+        self._constants = np.transpose([_constants(body, scene_plant, config) for body in fingers])
         n = len(fingers)
         poses, motions = Value[list[RigidTransform]], Value[list[SpatialVelocity]]
         self._pose = self.DeclareAbstractInputPort("pose", poses())
@@ -232,14 +232,13 @@ class FingertipDriver(LeafSystem):
         A, X_OF = self._accelerations.Eval(context), self._pose.Eval(context)
         twist, acceleration = self._twist.Eval(context), self._acceleration.Eval(context)
         normal, point = self._normal.Eval(context), self._point.Eval(context)
-        if len(X_OF) != len(self._constants):  # Drake compares sizes of vectors only
+        fingers = len(self.finger_indices)
+        if len(X_OF) != fingers:  # Drake compares sizes of vectors only
             raise SceneError(
                 f"{self.scene.title}: {len(X_OF)} poses on the driver's input port 'pose' "
-                f"for {len(self._constants)} fingers; connect the planner of this scene"
+                f"for {fingers} fingers; connect the planner of this scene"
             )
-        # The thread's own, filled once nothing is left to evaluate that may use it too.
-        machine, o = driving_law().machine(len(X_OF)), self.object_index
-        machine.c[:], x = self._constants, machine.x
+        x, o = np.empty((fingers, sum(POINT.values()))), self.object_index
         x[:, 0:12] = _numbers(X[o])
         x[:, 12:18], x[:, 18:24] = V[o].get_coeffs(), A[o].get_coeffs()
         x[:, 24:36] = [_numbers(pose) for pose in X_OF]
@@ -248,8 +247,7 @@ class FingertipDriver(LeafSystem):
         x[:, 54:66] = [_numbers(X[i]) for i in self.finger_indices]
         x[:, 66:72] = [V[i].get_coeffs() for i in self.finger_indices]
         x[:, 72], x[:, 73:] = past[0], past[1:].reshape(-1, 15)
-        machine.run()
-        return machine.y
+        return run(driving_law(), x.T, self._constants).T
 
     def _CalcForces(self, context: Context, output: Value) -> None:
         applied = []
@@ -332,12 +330,8 @@ def _constants(body: RigidBody, parts: ScenePlant, config: DriverConfig) -> list
     gravity = float(heavy) * parts.plant.gravity_field().gravity_vector()
     least = float(np.linalg.eigvalsh(inertia)[0])
 
-    def borne(gain: float, inert: float, order: int) -> float:
-        return min(gain, SHARE * inert / h**order)
-
-    return [
-        h, mass, *inertia.ravel(), *gravity,
-        parts.config.normal_force, borne(config.position_gain, mass, 2),
-        borne(config.velocity_gain, mass, 1), borne(config.normal_damping, mass, 1),
-        borne(config.rotation_gain, least, 2), borne(config.spin_gain, least, 1),
-    ]  # fmt: skip
+    # of each gain, what it moves and to which power the step divides what is borne
+    moved = ((mass, 2), (mass, 1), (mass, 1), (least, 2), (least, 1))
+    borne = [SHARE * inert / h**order for inert, order in moved]
+    gains = [min(getattr(config, name), most) for name, most in zip(_GAINS, borne)]
+    return [h, mass, *inertia.ravel(), *gravity, parts.config.normal_force, *gains]

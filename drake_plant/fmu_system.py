@@ -53,12 +53,10 @@ SLACK = 1e-6
 """By how much of a step the Context's time and the FMU's may differ."""
 WARNING, FATAL = 1, 4  # statuses, the same in FMI 2 and 3
 # FMI type -> numpy's, for what a vector port can carry.
-KINDS = {
-    "Real": np.float64, "Integer": np.int32, "Float64": np.float64, "Float32": np.float32,
-    "Boolean": np.bool_, "Int8": np.int8, "UInt8": np.uint8, "Int16": np.int16,
-    "UInt16": np.uint16, "Int32": np.int32, "UInt32": np.uint32, "Int64": np.int64,
-    "UInt64": np.uint64,
-}  # fmt: skip
+KINDS: dict[str, Any] = {"Real": np.float64, "Integer": np.int32, "Boolean": np.bool_}
+KINDS |= {"Float32": np.float32, "Float64": np.float64}
+KINDS |= {"Int8": np.int8, "Int16": np.int16, "Int32": np.int32, "Int64": np.int64}
+KINDS |= {"UInt8": np.uint8, "UInt16": np.uint16, "UInt32": np.uint32, "UInt64": np.uint64}
 TEXTS = {"String": str, "Binary": bytes}  # what start values may be besides
 
 
@@ -481,10 +479,12 @@ class Instance:
         kind = FMU2Slave if self.version == 2 else FMU3Slave
         with self._doing("loading", time), contextlib.chdir(os.getcwd()):  # fmpy may leave it
             fmu = kind(
-                guid=self.description.guid, unzipDirectory=str(self._folder),
+                guid=self.description.guid,
+                unzipDirectory=str(self._folder),
                 modelIdentifier=self.description.coSimulation.modelIdentifier,
-                instanceName=self.name, libraryPath=str(self._library),
-            )  # fmt: skip
+                instanceName=self.name,
+                libraryPath=str(self._library),
+            )
             fmu.instantiate(loggingOn=True, **self._logger())
         self._fmu = fmu
         categories = [category.name for category in self.description.logCategories]

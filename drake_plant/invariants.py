@@ -13,17 +13,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from contact_system import SceneSystem
 from contact_system.errors import SceneError
-from contact_system.profile import polynomial
-from contact_system.scene import FingerAcceleration, ObjectRateOffset, Scene
+from contact_system.scene import Scene
+from contact_system.theory import symbols as ca
+from contact_system.theory.profile import polynomial
 
 Array = NDArray[np.float64]
-SX = ca.SX
 
 TOLERANCE = 0.25
 """Of the path speed and the slip that there are at first."""
@@ -133,30 +132,24 @@ def pace_function(system: SceneSystem) -> ca.Function:
     part of the slip that the equations feed back (theory section 7), so w is zero here.
     """
     n = len(system.scene.contacts)
-    core, slip, points, state, stretch = (
-        system.function(*names)
-        for names in (("derivatives", "guard", "clearance"), ("slip",), ("contact_point",),
-                      ("derivatives",), ("stretch",))
-    )  # fmt: skip
-    symbols = [SX.sym(core.name_in(i), core.size1_in(i)) for i in range(core.n_in())]
+    core = system.function("derivatives", "guard", "clearance")
+    names = ("derivatives", "slip", "contact_point", "stretch")
+    state, slip, points, stretch = (system.function(name) for name in names)
+    symbols = [ca.SX.sym(core.name_in(i), core.size1_in(i)) for i in range(core.n_in())]
     t, x, w, held, p = symbols
-    resting = [t, x, SX.zeros(w.numel()), held, p]
+    resting = [t, x, ca.SX.zeros(w.numel()), held, p]
     moved = ca.reshape(ca.jtimes(points(*resting), x, state(*resting)), 6, n)[:3, :]
     coefficients = p[1 : 1 + len(system.scene.profile.coefficients)]
     sigma = polynomial(ca.vertsplit(coefficients), t)
     speed = ca.sqrt(ca.sum1(moved**2)).T / sigma
     slipping = ca.sqrt(ca.sum1(ca.reshape(slip(*resting), 2, n) ** 2)).T / sigma
     stretched = stretch(*resting)
-    limits = SX.sym("limits", 5 * n)
+    limits = ca.SX.sym("limits", 5 * n)
     least, most, slipped, reach = ca.vertsplit(limits, [0, n, 2 * n, 3 * n, 5 * n])
     excess = ca.mmax(ca.vertcat(least - speed, speed - most, slipping - slipped, stretched - reach))
     outputs = [*core(*symbols), excess, speed, slipping, stretched]
-    names = ["derivatives", "guard", "clearance", "excess", "speed", "slip", "stretch"]
-    inputs = [*symbols, limits]
-    return ca.Function(
-        "scene_pace", inputs, [ca.densify(v) for v in ca.cse(outputs)],
-        [*core.name_in(), "limits"], names,
-    )  # fmt: skip
+    dense = [ca.densify(value) for value in ca.cse(outputs)]
+    return ca.Function("scene_pace", [*symbols, limits], dense)
 
 
 def no_limits(system: SceneSystem) -> Array:
@@ -178,11 +171,11 @@ def pushes(system: SceneSystem) -> Array:
     """The integral of |d| / sigma over the scene's accelerations, of finger and object: (n, 2)."""
     scene, found = system.scene, np.zeros((len(system.scene.contacts), 2))
     for d in scene.disturbances:
-        if isinstance(d, ObjectRateOffset):
+        if not d.accelerates:
             continue
         times = np.linspace(d.start, d.stop, 101)
         slowness = (d.stop - d.start) * np.mean(1.0 / np.maximum(scene.profile(times), 1e-300))
-        side = 0 if isinstance(d, FingerAcceleration) else 1
+        side = 0 if d.side == "finger" else 1
         found[int(d.contact), side] += np.linalg.norm(d.value) * slowness
     return found
 

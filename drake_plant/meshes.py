@@ -25,32 +25,29 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common import MemoryFile
 from pydrake.geometry import InMemoryMesh, Mesh
 from scipy.spatial import cKDTree
 
-from contact_system import (
+from contact_system.engine.binding import run
+from contact_system.errors import SurfaceError
+from contact_system.surfaces import (
+    CentralChart,
     Cylinder,
     Ellipsoid,
     ImplicitSurface,
+    JacobiChart,
+    OblateChart,
     ParametricSurface,
+    PolarChart,
+    ProlateChart,
     Quadric,
     Surface,
     Torus,
 )
-from contact_system.charts import (
-    CentralChart,
-    JacobiChart,
-    OblateChart,
-    PolarChart,
-    ProlateChart,
-)
-from contact_system.errors import SurfaceError
-from contact_system.geometry import implicit_geometry
-from contact_system.kernels import per_structure
+from contact_system.surfaces.base import RAY
 
 Array = NDArray[np.float64]
 Triangles = NDArray[np.int64]
@@ -168,11 +165,13 @@ class RoundDomain:
         self._back = np.linalg.inv(self.shape)
 
     def place(self, q: Array) -> tuple[Array, Array]:
-        points = self.centre + q @ self.shape
-        if isinstance(self.surface, ImplicitSurface):
-            points = self.surface.point(*self.surface.coordinates(points))
-        normals = _normal_function(self.surface)(self.surface.parameters, points.T)
-        return points, normals.full().T
+        points, surface = self.centre + q @ self.shape, self.surface
+        if isinstance(surface, ImplicitSurface):
+            points = surface.point(*surface.coordinates(points))
+            gradient = _gradient(surface, points)
+        else:  # that of |points @ back|^2
+            gradient = points @ self._back @ self._back.T
+        return points, surface.sign * _unit(gradient)
 
     def midpoints(self, a: Array, b: Array) -> Array:
         return _unit(a + b)
@@ -266,12 +265,10 @@ class ChartDomain:
         def at(column: Array, row: Array) -> Triangles:
             return (row % height) * width + column % width
 
-        odd = (j % 2)[:, None]
-        even_row = np.stack([at(i, j), at(i + 1, j), at(i, j + 1),
-                             at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)], axis=1)  # fmt: skip
-        odd_row = np.stack([at(i, j), at(i + 1, j), at(i + 1, j + 1),
-                            at(i, j), at(i + 1, j + 1), at(i, j + 1)], axis=1)  # fmt: skip
-        triangles = np.where(odd, odd_row, even_row).reshape(-1, 3)
+        # two triangles a square; rows are halved by one diagonal and by the other in turn
+        a, b, c, d = at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)
+        halves = [np.stack(corners, axis=1) for corners in ((a, b, d, b, c, d), (a, b, c, a, c, d))]
+        triangles = np.where((j % 2)[:, None], halves[1], halves[0]).reshape(-1, 3)
         return self._spans[:, 0] + q * (self._spans[:, 1] - self._spans[:, 0]), triangles
 
     def patches(self) -> tuple[Array, Triangles, NDArray[np.bool_]]:
@@ -306,12 +303,11 @@ def _unit(x: Array) -> Array:
     return x / np.linalg.norm(x, axis=-1, keepdims=True)
 
 
-@per_structure
-def _normal_function(surface: Surface) -> ca.Function:
-    """Numbers of a surface, point -> the unit normal out of the body, from the level function."""
-    p, x = ca.SX.sym("p", len(surface.parameters)), ca.SX.sym("x", 3)
-    gradient = implicit_geometry(surface.implicit_expr(p, x), x)[0]
-    return ca.Function("normal", [p, x], [gradient / ca.norm_2(gradient)])
+def _gradient(surface: ImplicitSurface, points: Array) -> Array:
+    """Gradient of the level function as it is written: its slopes along the axes, (n, 3)."""
+    n = len(points)
+    given = np.vstack([np.tile(points.T, 3), np.repeat(np.eye(3), n, axis=1)])
+    return run(surface.tables.other[RAY], given, surface.numbers)[1].reshape(3, n).T
 
 
 def icosphere(parts: int) -> tuple[Array, Triangles]:
@@ -322,8 +318,8 @@ def icosphere(parts: int) -> tuple[Array, Triangles]:
     for k in range(3):  # cyclic permutations of (+-1, +-golden, 0)
         corner[4 * k : 4 * k + 4, [k, (k + 1) % 3]] = signs * (1, golden)
     near = np.linalg.norm(corner[:, None] - corner, axis=2) < 2.1
-    faces = np.array([(i, j, k) for i in range(12) for j in range(i) for k in range(j)
-                      if near[i, j] and near[j, k] and near[k, i]])  # fmt: skip
+    triples = [(i, j, k) for i in range(12) for j in range(i) for k in range(j)]
+    faces = np.array([(i, j, k) for i, j, k in triples if near[i, j] and near[j, k] and near[k, i]])
     share, local = _subdivided(parts)
     points = _unit(np.einsum("pk,fki->fpi", share, corner[faces]).reshape(-1, 3))
     triangles = (len(share) * np.arange(20)[:, None, None] + local).reshape(-1, 3)
@@ -338,8 +334,8 @@ def _subdivided(parts: int) -> tuple[Array, Triangles]:
     steps = [(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]
     at = {w: n for n, w in enumerate(steps)}
     upright = [(at[i, j], at[i + 1, j], at[i, j + 1]) for i, j in steps if i + j < parts]
-    between = [(at[i + 1, j], at[i + 1, j + 1], at[i, j + 1]) for i, j in steps
-               if i + j < parts - 1]  # fmt: skip
+    inner = [(i, j) for i, j in steps if i + j < parts - 1]
+    between = [(at[i + 1, j], at[i + 1, j + 1], at[i, j + 1]) for i, j in inner]
     share = np.array([(parts - i - j, i, j) for i, j in steps]) / parts
     return share, np.array(upright + between)
 

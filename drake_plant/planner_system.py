@@ -210,11 +210,7 @@ def _define(T: type) -> type:
         restart_slip : float, optional
             m/s, 0 or more.
         compiled : bool, optional
-            None: compiled kernels where a C compiler or the ziglang package is found, else CasADi's
-            virtual machine. The kernel of the derivatives is built here, that of an output when it
-            is first asked for, and each is kept in the cache of :mod:`contact_system.kernels`: 0.1
-            to 0.5 s for three contacts, once. True: compiled, or an error; False: none. Other
-            scalars compile nothing.
+            Accepted and ignored: nothing is compiled when it runs.
 
         Raises
         ------
@@ -241,11 +237,13 @@ def _define(T: type) -> type:
             converter: Any = None,
         ) -> None:
             Base.__init__(self, converter=converter)
-            compiled = flag(compiled, "compiled", none=True)
+            flag(compiled, "compiled", none=True)
             self._options = dict(
-                coordinates=coordinates, disturbance_input=disturbance_input,
-                restart_period=restart_period, restart_slip=restart_slip, compiled=compiled,
-            )  # fmt: skip
+                coordinates=coordinates,
+                disturbance_input=disturbance_input,
+                restart_period=restart_period,
+                restart_slip=restart_slip,
+            )
             self.system = system = _scene_system(scene, coordinates, disturbance_input)
             _check_restart(scene, restart_period, restart_slip)
             self._slip_limit = restart_slip
@@ -265,7 +263,7 @@ def _define(T: type) -> type:
                 self._DeclareRestart(n, restart_period)
             self._DeclareOutputs(n)
             if T is float:
-                self._scratches = Scratches(system, compiled, {})
+                self._scratches = Scratches(system, {})
                 self._DeclareWatch()
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
@@ -292,17 +290,13 @@ def _define(T: type) -> type:
 
         def _DeclareOutputs(self, n: int) -> None:
             for name, size in PORTS.items():
-                self.DeclareVectorOutputPort(
-                    name, size * n, weakly(self._CalcVector, name),
-                    prerequisites_of_calc=self._Prerequisites(name),
-                )  # fmt: skip
-            self.DeclareAbstractOutputPort(
-                "pose", Value[list[RigidTransform_[T]]], weakly(self._CalcPose),
-                prerequisites_of_calc=self._Prerequisites("pose"),
-            )  # fmt: skip
+                calc = weakly(self._CalcVector, name)
+                self.DeclareVectorOutputPort(name, size * n, calc, self._Prerequisites(name))
+            kind, calc = Value[list[RigidTransform_[T]]], weakly(self._CalcPose)
+            self.DeclareAbstractOutputPort("pose", kind, calc, self._Prerequisites("pose"))
 
         def _Prerequisites(self, output: str) -> set:
-            """What an output depends on, from the sparsity of its kernel."""
+            """What an output depends on, from the sparsity of its function."""
             inputs = self.system.depends(output)
             if "w" in inputs:
                 self._fed_through.add(output)

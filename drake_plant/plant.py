@@ -120,10 +120,8 @@ CHOICES = {
     "damping_at": ("driver", "contact"),
 }
 NOT_NEGATIVE = ("time_step", "damping", "relaxation_time", "friction", "strip_margin")
-POSITIVE = (
-    "object_mass", "finger_mass", "stiffness", "normal_force", "drake_spheres", "finger_edge",
-    "object_edge",
-)  # fmt: skip
+_EDGES = ("finger_edge", "object_edge")
+POSITIVE = ("object_mass", "finger_mass", "stiffness", "normal_force", "drake_spheres", *_EDGES)
 TAKEN = ("", "object", "WorldModelInstance", "DefaultModelInstance")  # the last two by Drake
 # Of kinds of surfaces what is less where they give way by a depth.
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}

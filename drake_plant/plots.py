@@ -165,8 +165,7 @@ def _draw_curves(ax: Any, result: SimulationResult, planned: Plan) -> None:
     apart = APART * max(ax.dataLim.width, ax.dataLim.height)
     dots = np.concatenate([_dots(x, apart) for x in result.planned["contact_point"].swapaxes(0, 1)])
     seen = view(dots[~is_hidden(mesh, view, dots)])
-    ax.plot(seen[:, 0], seen[:, 1], linestyle="none", marker="o", markersize=1.7, color="white",
-            zorder=7)  # fmt: skip
+    ax.plot(*seen.T[:2], linestyle="none", marker="o", markersize=1.7, color="white", zorder=7)
 
 
 def _dots(points: Array, apart: float) -> Array:
@@ -181,9 +180,9 @@ def _key(ax: Any, result: SimulationResult) -> None:
     from matplotlib.patches import Patch
 
     entries = contact_keys(result.scene)
-    entries.append(Line2D([], [], color=INK, linewidth=2.4, marker="o", markersize=2.5,
-                          markerfacecolor="white", markeredgewidth=0,
-                          label="measured curve, dots where planned"))  # fmt: skip
+    label = "measured curve, dots where planned"
+    dots = {"marker": "o", "markersize": 2.5, "markerfacecolor": "white", "markeredgewidth": 0}
+    entries.append(Line2D([], [], color=INK, linewidth=2.4, label=label, **dots))
     if result.scene.disturbances:
         entries.append(Patch(color=DISTURBED, alpha=0.3, label="disturbance"))
     if result.scene.disturbances and "recovery_time" in result.scene.paper:

@@ -6,12 +6,12 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pydrake.math as drake_math
 from pydrake.symbolic import Expression, Formula, if_then_else
 
-from contact_system.kernels import no_operation, replay
+from contact_system.theory import symbols as ca
+from contact_system.theory.lowering import no_operation, replay
 
 
 def select(condition: Any, value: Any, otherwise: Any) -> Any:

@@ -1,68 +1,66 @@
-"""Where numbers are evaluated: CasADi functions between fixed arrays, a set for each thread."""
+"""Where numbers are evaluated: tables on registers of their own, a set for each thread."""
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import threading
-from collections.abc import Sequence
 
-import casadi as ca
 import numpy as np
 
 from contact_system import SceneSystem
-from contact_system.errors import ContactSystemError
-from contact_system.expressions import SYMBOLS
-from contact_system.kernels import compiled_library, find_compiler, library_path
+from contact_system.engine.binding import step
+from contact_system.theory import symbols as ca
+from contact_system.theory.lowering import Table
+from contact_system.theory.symbols import SYMBOLS
 
 from .invariants import StepWatch, has_invariants, no_limits, pace_function
 
 Array = np.ndarray
 
+# The function that `pace_function` gives, among those that `SceneSystem.function` has names for.
+PACE = "pace"
 
-class BufferedFunction:
-    """A CasADi function that reads and writes the same arrays at every :attr:`run`.
 
-    Parameters
+@functools.lru_cache(maxsize=128)
+def _lowered(system: SceneSystem, *outputs: str) -> tuple[Table, list[int]]:
+    """The table (t, x, w, held, limits | p) -> outputs, and where each of these ends."""
+    with SYMBOLS:
+        pace = outputs == (PACE,)
+        function = pace_function(system) if pace else system.function(*outputs)
+        given = [ca.SX.sym(f"x{i}", function.size1_in(i)) for i in range(function.n_in())]
+        found = function.call(given)
+        *point, p = *given[:4], *given[5:], given[4]
+        flat = ca.Function("flat", [ca.vertcat(*point), p], [ca.vertcat(*found)])
+    return Table(flat), np.cumsum([value.numel() for value in found]).tolist()
+
+
+class Machine:
+    """A table on registers of one number each, which are written to and read from.
+
+    Attributes
     ----------
-    function : casadi.Function
-    arguments : arrays that it reads
-    compiled : bool or None
-        None: as compiled C where it can be built here, or was built before, else in CasADi's
-        virtual machine; True: as compiled C, or an error; False: in the virtual machine.
+    point : (n_in,)
+        What `run` reads.
+    results : list of arrays
+        What it writes.
     """
 
-    def __init__(self, function: ca.Function, arguments: Sequence[Array], compiled: bool | None):
-        function = _compiled(function, compiled)
-        self._buffer, self.run = function.buffer()
-        self.results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-        for i, array in enumerate(arguments):
-            self._buffer.set_arg(i, memoryview(array))  # type: ignore
-        for i, array in enumerate(self.results):
-            self._buffer.set_res(i, memoryview(array))  # type: ignore
-
-
-def _compiled(function: ca.Function, compiled: bool | None) -> ca.Function:
-    if compiled is False or (compiled is None and find_compiler() is None):
-        return function
-    generator = ca.CodeGenerator(function.name())
-    generator.add(function)
-    source = generator.dump()
-    try:
-        compiled_library(source)
-    except (ContactSystemError, OSError):  # a compiler without headers, a cache nobody may use
-        if compiled:
-            raise
-        return function
-    return _external(function.name(), str(library_path(source)))
-
-
-_external = functools.lru_cache(maxsize=64)(ca.external)
-
-
-@functools.lru_cache(maxsize=16)
-def _pace(system: SceneSystem) -> ca.Function:
-    with SYMBOLS:
-        return pace_function(system)
+    def __init__(self, system: SceneSystem, *outputs: str):
+        table, ends = _lowered(system, *outputs)
+        r = np.zeros(table.n_regs)
+        r[table.n_in : table.first_lit] = system.parameters
+        r[table.first_lit :][: len(table.literals)] = table.literals
+        code, prologue = (
+            (ctypes.c_void_p * 2)(words.ctypes.data, r.ctypes.data)
+            for words in (table.body, table.prologue)
+        )
+        step(ctypes.addressof(prologue))
+        # an address made beforehand saves half of the time of a call
+        self.run = functools.partial(step, ctypes.c_void_p(ctypes.addressof(code)))
+        self._kept = table, code  # which C knows by their addresses alone
+        self.point = r[: table.n_in]
+        self.results = np.split(r[table.first_out :][: table.n_out], ends[:-1])
 
 
 class Scratch:
@@ -76,35 +74,33 @@ class Scratch:
     hot : t, x, run, guard, derivatives of the machine of the derivatives
     """
 
-    def __init__(self, system: SceneSystem, compiled: bool | None):
-        self._system, self._compiled = system, compiled
-        self.t, self.x, self.w = np.zeros(1), system.x0.copy(), np.zeros(system.n_w)
-        self.held = system.held0.copy()
-        self.given = (self.t, self.x, self.w, self.held)
+    def __init__(self, system: SceneSystem):
+        self._system = system
         self.same = (0.0, 0.0)
-        self._machines: dict[str, BufferedFunction] = {}
-        self.limits, self.steps = no_limits(system), StepWatch(system.scene)
-        if has_invariants(system):
-            given = (*self.given, system.parameters, self.limits)
-            machine = BufferedFunction(_pace(system), given, compiled)
+        self._machines: dict[str, Machine] = {}
+        paced = has_invariants(system)
+        names = (PACE,) if paced else ("derivatives", "guard", "clearance")
+        machine = self._hot_machine = Machine(system, *names)
+        sizes = (1, len(system.x0), system.n_w, len(system.held0))
+        *given, self.limits = np.split(machine.point, np.cumsum(sizes))
+        self.given = self.t, self.x, self.w, self.held = given
+        self._given = machine.point[: sum(sizes)]
+        self.x[:], self.held[:] = system.x0, system.held0
+        self.steps = StepWatch(system.scene)
+        if paced:
+            self.limits[:] = no_limits(system)
             self.run_pace, self.paces = machine.run, machine.results[4:]
             self.excess = machine.results[3].data
-        else:
-            machine = self._machine("derivatives", "guard", "clearance")
-        self._hot_machine = machine  # `run` does not keep its buffers
         rates, guard, clearance = machine.results[:3]
         self.hot = (self.t.data, self.x.data, machine.run, guard.data, rates)
         self.clearance = clearance.data
 
-    def _machine(self, *outputs: str) -> BufferedFunction:
-        given = (*self.given, self._system.parameters)
-        return BufferedFunction(self._system.function(*outputs), given, self._compiled)
-
     def evaluate(self, output: str) -> Array:
         """An output of what is loaded; the array is written again."""
         if output not in self._machines:
-            self._machines[output] = self._machine(output)
+            self._machines[output] = Machine(self._system, output)
         machine = self._machines[output]
+        machine.point[:] = self._given
         machine.run()
         return machine.results[0]
 
@@ -116,8 +112,8 @@ class Scratches(threading.local):
     ``get_ident()``: to ``threading.local`` a thread of Drake's own is a new one at every call.
     """
 
-    def __init__(self, system: SceneSystem, compiled: bool | None, made: dict[int, Scratch]):
+    def __init__(self, system: SceneSystem, made: dict[int, Scratch]):
         thread = threading.get_ident()
         if thread not in made:
-            made[thread] = Scratch(system, compiled)
+            made[thread] = Scratch(system)
         self.own = made[thread]

@@ -19,7 +19,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform
@@ -41,6 +40,7 @@ from contact_system.checks import (
 )
 from contact_system.scene import require_scene
 from contact_system.system import COORDINATES
+from contact_system.theory import symbols as ca
 
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import DISCRETE_ONLY, DriverConfig, FingertipDriver
@@ -248,9 +248,12 @@ def _smaller_implicit(surface: ImplicitSurface, by: float) -> ImplicitSurface:
         return ca.substitute(level, x, x + by * normal)
 
     return ImplicitSurface(
-        shifted, center=surface.center, parameters={**surface.named_parameters, depth: by},
-        size=surface.size - by, inside=surface.inside,
-    )  # fmt: skip
+        shifted,
+        center=surface.center,
+        parameters={**surface.named_parameters, depth: by},
+        size=surface.size - by,
+        inside=surface.inside,
+    )
 
 
 def _depth_between(nominal: Surface, planned: Surface) -> float:

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import os
 import platform
+import shutil
 import subprocess
 import sys
+import tempfile
 import uuid
 import zipfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import fmpy
 
-from contact_system.checks import a_path, items_of
+from contact_system.checks import a_path, items_of, make_folder
 from contact_system.errors import ContactSystemError
-from contact_system.kernels import cache_folder, cache_room, find_compiler
 
 FMI_HEADERS = Path(fmpy.__file__).parent / "c-code"
 
@@ -32,9 +34,7 @@ PLATFORMS = {
 }
 
 # Contraction to fused operations would make platforms differ in the last digits.
-FLAGS = (
-    "-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fopenmp-simd",
-)  # fmt: skip
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fopenmp-simd")
 LINK_FLAGS = ("-shared", "-s")
 
 
@@ -69,6 +69,61 @@ def chosen(platforms: Iterable[str]) -> tuple[str, ...]:
     return found
 
 
+# --- compiler and cache --------------------------------------------------------------------------
+
+
+@functools.cache
+def find_compiler() -> tuple[str, ...] | None:
+    """The command of a C compiler: ``$CC``, cc, gcc, clang, or the ziglang package; else None."""
+    named = os.environ.get("CC", "").split()
+    for name, *options in [*([named] if named else []), ["cc"], ["gcc"], ["clang"]]:
+        path = shutil.which(name)
+        if path:
+            return (path, *options)
+    try:
+        import ziglang  # noqa: F401
+    except ImportError:
+        return None
+    return (sys.executable, "-m", "ziglang", "cc")
+
+
+# Where users' caches are: the variable that names the folder, and what it is below their homes.
+_CACHES = {"win32": ("LOCALAPPDATA", "AppData", "Local"), "darwin": ("", "Library", "Caches")}
+_REMEDY = "set CONTACT_SYSTEM_CACHE to a folder that can be written to"
+
+
+def cache_folder() -> Path:
+    """Where built libraries are kept: ``$CONTACT_SYSTEM_CACHE`` or the user's cache folder.
+
+    Raises
+    ------
+    ContactSystemError
+        The user has no home folder, as some users of containers.
+    """
+    chosen = os.environ.get("CONTACT_SYSTEM_CACHE")
+    if chosen:
+        return Path(chosen).absolute()  # a bare file name would be sought among the system's
+    variable, *below = _CACHES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
+    base = Path(os.environ.get(variable, ""))
+    if not base.is_absolute():  # XDG has it ignored then
+        try:
+            base = Path.home().joinpath(*below)
+        except RuntimeError:
+            raise ContactSystemError(f"this user has no home folder; {_REMEDY}") from None
+    return base / "contact_system"
+
+
+@contextlib.contextmanager
+def _cache_room() -> Iterator[Path]:
+    """A folder in the cache's, for the time in which a file is made that goes there."""
+    folder = make_folder(cache_folder(), _REMEDY)
+    try:
+        with tempfile.TemporaryDirectory(dir=folder) as room:
+            yield Path(room)
+    except OSError as error:
+        raise ContactSystemError(f"cache folder '{folder}': {error}; {_REMEDY}") from None
+
+
 def headers(fmi_version: str) -> dict[str, str]:
     """Name -> text of FMI's own headers, which fmpy brings."""
     names = {
@@ -101,7 +156,7 @@ def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
     kept = cache_folder() / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.fmulib"
     if os.access(kept, os.R_OK):
         return kept.read_bytes()
-    with cache_room() as folder:
+    with _cache_room() as folder:
         for file, content in sources.items():
             (folder / file).write_text(content, "utf-8")
         # A Windows library carries the name it is linked under, and programs look for that one.

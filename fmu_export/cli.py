@@ -20,14 +20,24 @@ def register(commands: Any) -> None:
     parser = commands.add_parser("fmu", help="write a scene as an FMU, for FMI 2.0 or 3.0")
     parser.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
     parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="default NAME.fmu")
-    parser.add_argument("--fmi", choices=VERSIONS, default="2.0", help="version of FMI; "
-                        "default %(default)s")  # fmt: skip
-    parser.add_argument("--interfaces", nargs="+", choices=INTERFACES, default=INTERFACES,
-                        metavar="INTERFACE",
-                        help=f"one or more of {', '.join(INTERFACES)}; default both")  # fmt: skip
-    parser.add_argument("--platforms", nargs="+", default=["native"], metavar="PLATFORM",
-                        help=f"native (default), or one or more of {', '.join(PLATFORMS)}, "
-                        "compiled by ziglang")  # fmt: skip
+    parser.add_argument(
+        "--fmi", choices=VERSIONS, default="2.0", help="version of FMI; default %(default)s"
+    )
+    parser.add_argument(
+        "--interfaces",
+        nargs="+",
+        choices=INTERFACES,
+        default=INTERFACES,
+        metavar="INTERFACE",
+        help=f"one or more of {', '.join(INTERFACES)}; default both",
+    )
+    parser.add_argument(
+        "--platforms",
+        nargs="+",
+        default=["native"],
+        metavar="PLATFORM",
+        help=f"native (default), or one or more of {', '.join(PLATFORMS)}, compiled by ziglang",
+    )
     parser.set_defaults(run=run)
 
 
@@ -37,9 +47,11 @@ def run(args: argparse.Namespace) -> int:
     path = args.out or Path(f"{file_name(scene)}.fmu")
     with Progress(1 + len(args.platforms), "writing the sources") as progress:
         export_fmu(scene, path, args.fmi, args.interfaces, args.platforms, progress.step)
-    print(paragraph(
-        f"wrote {path}: {path.stat().st_size / 1000:.0f} kB, FMI {args.fmi}, "
-        f"{' and '.join(args.interfaces)}, for {', '.join(args.platforms)}; "
-        f"{time.monotonic() - began:.1f} s"
-    ))  # fmt: skip
+    print(
+        paragraph(
+            f"wrote {path}: {path.stat().st_size / 1000:.0f} kB, FMI {args.fmi}, "
+            f"{' and '.join(args.interfaces)}, for {', '.join(args.platforms)}; "
+            f"{time.monotonic() - began:.1f} s"
+        )
+    )
     return 0

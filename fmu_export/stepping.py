@@ -3,8 +3,7 @@
 Knows nothing of FMI, as component.c does not. An event is a change of an input or of the gain; it
 continues the plan under another scene (`Plan.continued`), in which an input that is held is a
 disturbance window from that moment on. A step evaluates nothing. What is asked for is evaluated
-for some equal steps ahead. Where events follow each other at every step there is no plan, but one
-such step after the other (:mod:`.following`).
+for some equal steps ahead.
 """
 
 from __future__ import annotations
@@ -20,19 +19,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
-from contact_system.groups import moments
 from contact_system.plan import Plan
-from contact_system.profile import Gain, GainPiece
 from contact_system.scene import DISTURBANCE_KINDS, Contact, Disturbance, Scene, acting
-from contact_system.starts import Moment, Start, Starts, scene_start, starts_from_plain
+from contact_system.starts import Start, Starts, scene_start, starts_from_plain
 from contact_system.surfaces import Surface
+from contact_system.theory import symbols as ca
 
-from .following import TOLERANCE, Following, LockstepGroup, lockstep_groups
-from .model import RESULTS, STATES, contact_results, jacobian, regularity, surface_with
+from .model import RESULTS, STATES, TOLERANCE, contact_results, jacobian, regularity, surface_with
 from .variables import BLOCK, INPUTS, Table, variable_table
 
 AHEAD = 256  # most steps that one evaluation serves
@@ -60,7 +56,7 @@ class Memory:
         Where stepping will end, s; infinite where nobody said.
     values : (n_values,)
         Parameters, inputs and, up to the start, states.
-    plan : Plan or Following or None
+    plan : Plan or None
         The motion since the last event; None before the start.
     gain, inputs : float, tuple
         What the plan was made with; `INPUTS` numbers a contact.
@@ -74,7 +70,7 @@ class Memory:
     time: float
     stop: float
     values: np.ndarray
-    plan: Plan | Following | None = None
+    plan: Plan | None = None
     gain: float = math.nan
     inputs: Inputs = ()
     settled: bool = True
@@ -116,7 +112,6 @@ class Block:
         self._phase, self._places = phase, _places(self.table)
         self.edges = scene.window_edges
         self._own: dict[tuple[float, ...], Scene] = {}
-        self._lockstep: dict[tuple[float, ...], list[LockstepGroup]] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -222,8 +217,6 @@ class Block:
             self._plan_from(plan.start, max(plan.end, target), least, plan.starts)
             return
         lasted = at - plan.start
-        if at < target <= at + 2 * lasted and self._follow(at, target):
-            return
         far = max(self.scene.duration, at + lasted, now.stop if now.stop < math.inf else 0.0)
         end = max(target, min(at + lasted, far))
         self._plan_on(at, end, max(target, math.nextafter(at, math.inf)))
@@ -239,44 +232,6 @@ class Block:
             end = at + 0.5 * (end - at)
         self._plan_on(at, max(target, end), target)
 
-    def _moments(self, at: float) -> list[Moment]:
-        """Where each contact has come to."""
-        plan = self.now.plan
-        assert plan is not None
-        if isinstance(plan, Following):
-            return plan.moments
-        return moments(plan.groups, at)
-
-    def _follow(self, at: float, target: float) -> bool:
-        """Make a single step to the target, if nothing but the inputs happens there.
-
-        For inputs that change at every step: a plan of the same costs five times as much.
-        """
-        scene = self._scene_with(self.now.values)
-        pieces = self._gain().pieces(scene.profile, at, target)
-        speeds = [pieces[0].speed(k * (target - at) / 4) for k in range(5)]
-        size = min(min(c.finger.size for c in scene.contacts), scene.object.size)
-        met = any(at < t <= self.snapped(target) for t in self.edges)
-        turns = max(speeds) * (target - at) > 0.3 * size  # a step tells angles up to half a turn
-        if len(pieces) > 1 or met or turns or not min(speeds) > 0:
-            return False
-        try:
-            scene.profile.check(target)
-            self._planned(self._following(pieces[0], target, self._moments(at)))
-        except ContactSystemError:  # what a plan says of it is clearer
-            return False
-        return True
-
-    def _following(self, piece: GainPiece, end: float, starts: Sequence[Moment]) -> Following:
-        key = tuple(self.now.values[GAIN + 1 : self.table.blocks[0]].tolist())
-        if key not in self._lockstep:
-            self._lockstep.clear()
-            self._lockstep[key] = lockstep_groups(self._scene_with(self.now.values))
-        law = [float(self.now.values[GAIN]), *key[: len(self.scene.profile.coefficients)]]
-        return Following(
-            self._lockstep[key], piece, law, end, starts, self._disturbance(piece.start)
-        )
-
     def _plan_from(self, begin: float, end: float, least: float, starts: Starts) -> None:
         def plan(scene: Scene) -> Plan:
             return Plan(scene, TOLERANCE, "auto", "DOP853", None, begin, starts)
@@ -286,10 +241,7 @@ class Block:
     def _plan_on(self, at: float, end: float, least: float) -> None:
         plan = self.now.plan
         assert plan is not None
-        if isinstance(plan, Following):
-            self._plan_from(at, end, least, plan.moments)
-        else:
-            self._plan_ahead(lambda scene: plan.continued(at, scene), at, end, least)
+        self._plan_ahead(lambda scene: plan.continued(at, scene), at, end, least)
 
     def _plan_ahead(
         self, plan: Callable[[Scene], Plan], begin: float, end: float, least: float
@@ -307,7 +259,7 @@ class Block:
             except ContactSystemError:
                 raise error from None
 
-    def _planned(self, plan: Plan | Following) -> None:
+    def _planned(self, plan: Plan) -> None:
         now = self.now
         now.plan, now.settled = plan, True
         now.gain, now.inputs = float(now.values[GAIN]), self._inputs()
@@ -369,10 +321,8 @@ class Block:
             for k, kind in enumerate(DISTURBANCE_KINDS):
                 if any(row[2 * k : 2 * k + 2]):
                     windows.append(kind(i, begin, end, row[2 * k : 2 * k + 2]))
-        return scene.replace(gain=self._gain(), duration=end, disturbances=windows)
-
-    def _gain(self) -> Gain:
-        return dataclasses.replace(self.scene.gain, value=float(self.now.values[GAIN]))
+        gain = dataclasses.replace(scene.gain, value=float(self.now.values[GAIN]))
+        return scene.replace(gain=gain, duration=end, disturbances=windows)
 
     def _scene_with(self, values: np.ndarray) -> Scene:
         """The scene with the profile and the surfaces as they are set.
@@ -487,44 +437,44 @@ class Block:
         return self._columns(key).tolist()
 
     def _columns(self, key: tuple[int, ...]) -> np.ndarray:
+        self._find({self._places[reference][0] for reference in key})
         out = np.empty((len(self.times), len(key)))
         for column, reference in enumerate(key):
             group, contact, index = self._places[reference]
             if group:
-                out[:, column] = self._group(group)[:, contact, index]
+                out[:, column] = self._groups[group][:, contact, index]
             else:
                 out[:, column] = self.now.values[reference]
         return out
 
-    def _group(self, name: str) -> np.ndarray:
-        """One group of results at all times laid out: (n_times, n_contacts, n)."""
-        if name not in self._groups:
-            own = {"rates": self._rates, "carried": self._carried}.get(name)
-            found = own() if own else self._of_plan(name)
-            self._groups[name] = found.reshape(len(self.times), len(self.scene.contacts), -1)
-        return self._groups[name]
+    def _find(self, names: set[str]) -> None:
+        """Evaluate groups of results at all times laid out: (n_times, n_contacts, n) each."""
+        plan, groups = self.now.plan, self._groups
+        assert plan is not None
+        if "rates" in names:
+            names = names | {"states", "carried"}
+        missing = names - groups.keys() - {"", "rates"}
+        if missing:
+            for name, values in plan.evaluate(self._at, *missing).items():
+                groups[name] = values.reshape(len(self.times), len(self.scene.contacts), -1)
+        if "carried" in missing:
+            self._turn(groups["carried"])
+        if "rates" in names and "rates" not in groups:
+            groups["rates"] = self._rates()
 
-    def _of_plan(self, name: str) -> np.ndarray:
-        plan = self.now.plan
-        if isinstance(plan, Following):
-            return plan.found[name]
-        return getattr(plan, name)(self._at)
-
-    def _carried(self) -> np.ndarray:
-        """`Plan.carried`, whose frames start as the contact frames, from the angles as set."""
-        found = self._of_plan("carried")
-        found = found.reshape(len(self._at), -1, 2, 3).copy()
-        states = np.array(self.table.blocks) + INPUTS
-        for side, at in enumerate((2, 7)):
-            for i, angle in enumerate(self.now.values[states + at]):
+    def _turn(self, carried: np.ndarray) -> None:
+        """From `Plan.carried`, whose frames start as the contact frames, to the angles as set."""
+        for i, block in enumerate(self.table.blocks):
+            for side, at in enumerate((2, 7)):
+                angle = self.now.values[block + INPUTS + at]
                 if angle:
-                    found[:, i, side, 0] += angle
-                    found[:, i, side, 1:] = np.stack(_turned(found[:, i, side, 1:].T, -angle), -1)
-        return found
+                    own = carried[:, i, 3 * side : 3 * side + 3]
+                    own[:, 0] += angle
+                    own[:, 1:] = np.stack(_turned(own[:, 1:].T, -angle), axis=-1)
 
     def _states(self) -> np.ndarray:
         """The eleven numbers of each contact: (n_times, n_contacts, 11)."""
-        chart, frames = self._group("states"), self._group("carried")
+        chart, frames = self._groups["states"], self._groups["carried"]
         parts = [chart[..., 0:2], frames[..., :3], chart[..., 4:6], frames[..., 3:], chart[..., 8:]]
         return np.concatenate(parts, axis=-1)
 
@@ -599,6 +549,7 @@ class Block:
             acting = self._disturbance(self.snapped(self.now.time))
         else:
             self._rows_of((self.table.blocks[0] + INPUTS,))
+            self._find({"states", "carried"})
             states = self._states()[self.row]
             acting = self._disturbance(self._at[self.row])
         found = []
@@ -623,9 +574,15 @@ def _just_after(time: float) -> float:
 
 def _places(table: Table) -> list[tuple[str, int, int]]:
     """For each reference the group of results, or "" for what is set; contact, index in it."""
-    states = [("states", 0), ("states", 1), *(("carried", k) for k in (0, 1, 2)),
-              ("states", 4), ("states", 5), *(("carried", k) for k in (3, 4, 5)),
-              ("states", 8)]  # fmt: skip
+    states = [
+        ("states", 0),
+        ("states", 1),
+        *(("carried", k) for k in (0, 1, 2)),
+        ("states", 4),
+        ("states", 5),
+        *(("carried", k) for k in (3, 4, 5)),
+        ("states", 8),
+    ]
     rates = [("rates", k) for k in range(STATES)]
     for k, column in ((0, 2), (1, 3), (5, 6), (6, 7)):
         rates[k] = ("states", column)
@@ -679,7 +636,7 @@ def _outward_place(
 
 # --- state bytes ---------------------------------------------------------------------------------
 
-_MAGIC, _VERSION = b"CONTACTP", 3
+_MAGIC, _VERSION = b"CONTACTP", 4
 _HEADER = struct.Struct("<8sQQ16s16s")  # magic, version, length, model, checksum
 
 
@@ -699,8 +656,7 @@ def state_bytes(memory: Memory, model: bytes) -> bytes:
     if memory.plan is not None:
         plan = memory.plan
         starts = [vars(start) for start in plan.starts or ()]
-        step = isinstance(plan, Following)
-        plain["plan"] = {"start": plan.start, "end": plan.end, "starts": starts, "step": step}
+        plain["plan"] = {"start": plan.start, "end": plan.end, "starts": starts}
     body = json.dumps(plain).encode()
     return _HEADER.pack(_MAGIC, _VERSION, len(body), model, digest(body)) + body
 
@@ -736,7 +692,7 @@ def memory_of(data: bytes, block: Block, model: bytes) -> Memory:
     return memory
 
 
-def _plan_again(plain: dict[str, Any], memory: Memory, block: Block) -> Plan | Following:
+def _plan_again(plain: dict[str, Any], memory: Memory, block: Block) -> Plan:
     """The plan of a memory, made again from where it started: the same to the last bit."""
     starts = starts_from_plain(plain["starts"])
     helper = copy.copy(block)
@@ -744,10 +700,6 @@ def _plan_again(plain: dict[str, Any], memory: Memory, block: Block) -> Plan | F
     helper.now.values[GAIN] = memory.gain
     for first, own in zip(block.table.blocks, memory.inputs):
         helper.now.values[first : first + INPUTS] = own
-    if plain["step"]:
-        scene = helper._scene_with(helper.now.values)
-        piece = helper._gain().pieces(scene.profile, plain["start"], plain["end"])[0]
-        return helper._following(piece, plain["end"], starts)  # type: ignore[arg-type]
     helper._plan_from(plain["start"], plain["end"], plain["end"], starts)
     assert helper.now.plan is not None
     return helper.now.plan

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
@@ -20,9 +20,8 @@ import numpy as np
 from contact_system.errors import SceneError
 from contact_system.kept import kept
 from contact_system.scene import Contact, Scene, require_scene
-from contact_system.surfaces import LEAST_LENGTH, Quadric, Surface
+from contact_system.surfaces import LEAST_LENGTH, Quadric, Surface, UserSurface
 from contact_system.system import SceneSystem
-from contact_system.user_surfaces import UserSurface
 
 from .model import (
     BLOCK,
@@ -43,10 +42,12 @@ Unit = tuple[int, int, int]
 
 METRE, RADIAN, NONE = (1, 0, 0), (0, 0, 1), (0, 0, 0)
 _PLAIN_CHARTS = {
-    "FlatChart": (METRE, METRE), "OffsetPlaneChart": (METRE, METRE),
-    "RoundCylinderChart": (RADIAN, METRE), "EllipticCylinderChart": (RADIAN, METRE),
+    "FlatChart": (METRE, METRE),
+    "OffsetPlaneChart": (METRE, METRE),
+    "RoundCylinderChart": (RADIAN, METRE),
+    "EllipticCylinderChart": (RADIAN, METRE),
     "HyperbolicCylinderChart": (RADIAN, METRE),
-}  # fmt: skip
+}
 _GAIN_UNITS = {"path": (-2, 1, 0), "time": (0, -1, 0), "guaranteed": (0, -1, 0)}
 
 
@@ -116,12 +117,16 @@ class Variable:
             yield self
             return
         for i, name in enumerate(self.elements):
-            derivative = None if self.derivative is None else self.derivative + i
-            yield Variable(
-                name, self.reference + i, self.causality, self.variability, self.initial,
-                self.description, self.unit, self.start[i : i + 1], (), (), self.minimum,
-                self.nominal, derivative, self.known[i : i + 1],
-            )  # fmt: skip
+            yield replace(
+                self,
+                name=name,
+                reference=self.reference + i,
+                start=self.start[i : i + 1],
+                elements=(),
+                shape=(),
+                derivative=None if self.derivative is None else self.derivative + i,
+                known=self.known[i : i + 1],
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,10 +295,8 @@ def _parameter(
         unit = None
     else:
         low, nominal = LEAST_LENGTH, value
-    return Variable(
-        name, reference, "parameter", variability, "exact", text, unit, (value,), minimum=low,
-        nominal=nominal or None,
-    )  # fmt: skip
+    named = (name, reference, "parameter", variability, "exact", text, unit, (value,))
+    return Variable(*named, minimum=low, nominal=nominal or None)
 
 
 def _counted_from_one(name: str) -> str:
@@ -308,19 +311,6 @@ def _counted_from_one(name: str) -> str:
 # --- contacts ------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Quantity:
-    """A row of a contact before it has a place: name without ``contact[i].``, axes, unit, text."""
-
-    name: str
-    axes: tuple[str, ...]
-    unit: Unit | None
-    text: str
-    kind: str = "output"
-    shape: tuple[int, ...] = ()
-    nominal: float | None = None
-
-
 XY, XYZ = ("x", "y"), ("x", "y", "z")
 
 
@@ -329,92 +319,103 @@ def _contact_rows(
 ) -> Iterator[Variable]:
     contact = scene.contacts[i]
     states = _states(scene, contact)
-    quantities = [
-        *_inputs(scene, contact), *states, *map(_derivative, states), *_outputs(scene, contact)
-    ]  # fmt: skip
+    derivatives = list(map(_derivative, states))
     starts = [*[0.0] * INPUTS, *start_state(contact).tolist()]
     at = 0
-    for q in quantities:
-        end, result = at + max(1, len(q.axes)), at - INPUTS - STATES
-        state = first + at - STATES if q.name.startswith("der(") else None
-        own = known[result : result + end - at] if result >= 0 else []
-        yield _contact_row(q, i, first + at, tuple(starts[at:end]), own, state)
+    for v in (*_inputs(scene, contact), *states, *derivatives, *_outputs(scene, contact)):
+        end, result = at + v.size, at - INPUTS - STATES
+        yield replace(
+            v,
+            name=_of_contact(i, v.name),
+            reference=first + at,
+            start=tuple(starts[at:end]),
+            elements=tuple(_of_contact(i, name) for name in v.elements),
+            derivative=first + at - STATES if v.name.startswith("der(") else None,
+            known=tuple(known[result : result + v.size]) if result >= 0 else (),
+        )
         at = end
 
 
-def _contact_row(
-    q: _Quantity, i: int, reference: int, start: tuple[float, ...], known: list[tuple[int, ...]],
-    state: int | None,
-) -> Variable:  # fmt: skip
-    inner = q.name[4:-1] if q.name.startswith("der(") else q.name
-    full = f"contact[{i + 1}].{inner}"
-    elements = [full + (axis if axis.startswith("[") else f".{axis}") for axis in q.axes]
-    if inner != q.name:
-        full, elements = f"der({full})", [f"der({e})" for e in elements]
-    causality = {"input": "input", "local": "local"}.get(q.kind, "output")
-    initial = {"input": None, "state": "exact"}.get(q.kind, "calculated")
-    return Variable(
-        full, reference, causality, "continuous", initial, q.text, q.unit, start, tuple(elements),
-        q.shape or ((len(q.axes),) if q.axes else ()), None, q.nominal, state, tuple(known),
-    )  # fmt: skip
+def _of_contact(i: int, name: str) -> str:
+    head, inner = ("der(", name[4:]) if name.startswith("der(") else ("", name)
+    return f"{head}contact[{i + 1}].{inner}"
 
 
-def _inputs(scene: Scene, contact: Contact) -> list[_Quantity]:
-    rows = []
-    for side, surface, quantity, power, text in (
-        ("finger", contact.finger, "acceleration", -2, "Added to the second derivative of"),
-        ("object", scene.object, "acceleration", -2, "Added to the second derivative of"),
-        ("object", scene.object, "rate_offset", -1, "Added to the rate, not to the feedback, of"),
+def _quantity(
+    name: str,
+    axes: tuple[str, ...],
+    unit: Unit | None,
+    text: str,
+    nominal: float | None = None,
+    shape: tuple[int, ...] = (),
+    kind: tuple[str, str | None] = ("output", "calculated"),
+) -> Variable:
+    """A row before it has a place, its names without ``contact[i].``."""
+    elements = tuple(name + (axis if axis.startswith("[") else f".{axis}") for axis in axes)
+    shape = shape or ((len(axes),) if axes else ())
+    said = (name, 0, kind[0], "continuous", kind[1], text, unit, (), elements, shape)
+    return Variable(*said, nominal=nominal)
+
+
+def _inputs(scene: Scene, contact: Contact) -> Iterator[Variable]:
+    for side, surface, quantity, power, to in (
+        ("finger", contact.finger, "acceleration", 2, "second derivative"),
+        ("object", scene.object, "acceleration", 2, "second derivative"),
+        ("object", scene.object, "rate_offset", 1, "rate, not to the feedback,"),
     ):
         for axis, unit in zip("uv", chart_units(surface)):
-            rows.append(_Quantity(
-                f"{side}.{quantity}.{axis}", (), _per_second(unit, -power),
-                f"{text} {axis} of the {side}, in addition to the scene's disturbance windows",
-                "input",
-            ))  # fmt: skip
-    return rows
+            text = f"Added to the {to} of {axis} of the {side}"
+            text += ", in addition to the scene's disturbance windows"
+            name = f"{side}.{quantity}.{axis}"
+            yield _quantity(name, (), _per_second(unit, power), text, kind=("input", None))
 
 
-def _states(scene: Scene, contact: Contact) -> list[_Quantity]:
-    rows = []
+def _states(scene: Scene, contact: Contact) -> list[Variable]:
+    rows: list[tuple[str, tuple[str, ...], Unit | None, str, float]] = []
     for side, body, surface in (("finger", 1, contact.finger), ("object", 2, scene.object)):
         for axis, unit in zip("uv", chart_units(surface)):
             nominal = SMALL * surface.size if unit == METRE else SMALL
             text = f"Coordinate {axis} of the contact point on the {side}"
-            rows.append(_Quantity(f"{side}.{axis}", (), unit, text, "state", nominal=nominal))
+            rows.append((f"{side}.{axis}", (), unit, text, nominal))
         text = f"Angle in E{body} of a frame carried along the path by parallel transport"
-        rows.append(_Quantity(f"{side}.frame_angle", (), RADIAN, text, "state", nominal=SMALL))
+        rows.append((f"{side}.frame_angle", (), RADIAN, text, SMALL))
         text = f"Path velocity of the {side}'s contact point, M{body} dq{body}/ds, in that frame"
-        rows.append(_Quantity(f"{side}.velocity", XY, NONE, text, "state", nominal=SMALL))
+        rows.append((f"{side}.velocity", XY, NONE, text, SMALL))
     text = "Contact angle psi between the contact frames E1 and E2"
-    return [*rows, _Quantity("angle", (), RADIAN, text, "state", nominal=SMALL)]
+    rows.append(("angle", (), RADIAN, text, SMALL))
+    return [_quantity(*row, kind=("output", "exact")) for row in rows]
 
 
-def _derivative(state: _Quantity) -> _Quantity:
+def _derivative(state: Variable) -> Variable:
     """Rates of coordinates are outputs, the other derivatives are local."""
-    kind = "output" if state.name[-2:] in (".u", ".v") else "local"
-    text = "Time derivative: " + state.text
-    return _Quantity(f"der({state.name})", state.axes, _per_second(state.unit, 1), text, kind)
+    return replace(
+        state,
+        name=f"der({state.name})",
+        elements=tuple(f"der({name})" for name in state.elements),
+        description="Time derivative: " + state.description,
+        unit=_per_second(state.unit, 1),
+        causality="output" if state.name[-2:] in (".u", ".v") else "local",
+        initial="calculated",
+        nominal=None,
+    )
 
 
-def _outputs(scene: Scene, contact: Contact) -> list[_Quantity]:
-    size = contact.finger.size
+def _outputs(scene: Scene, contact: Contact) -> list[Variable]:
+    finger, obj = contact.finger.size, scene.object.size
     speed = max(float(scene.profile(t)) for t in np.linspace(0.0, scene.duration, 33)) or None
     cells = tuple(f"[{a},{b}]" for a in (1, 2, 3) for b in (1, 2, 3))
-    in_object = "in the object's frame"
+    there, turning, moving = "in the object's frame", (0, -1, 1), (1, -1, 0)
+    matrix = "Rotation matrix from the finger's frame to the object's"
+    origin = "of the finger's frame " + there
     return [
-        _Quantity("slip", XY, (1, -1, 0), "Slip v_rel in E2", nominal=speed),
-        _Quantity("twist.angular", XYZ, (0, -1, 1), f"Angular velocity of the finger {in_object}"),
-        _Quantity("twist.linear", XYZ, (1, -1, 0),
-                  f"Velocity of the origin of the finger's frame {in_object}", nominal=speed),
-        _Quantity("pose.rotation", cells, NONE,
-                  "Rotation matrix from the finger's frame to the object's", shape=(3, 3)),
-        _Quantity("pose.position", XYZ, METRE, f"Origin of the finger's frame {in_object}",
-                  nominal=max(size, scene.object.size)),
-        _Quantity("finger.point", XYZ, METRE, "Contact point in the finger's frame", nominal=size),
-        _Quantity("object.point", XYZ, METRE, f"Contact point {in_object}",
-                  nominal=scene.object.size),
-    ]  # fmt: skip
+        _quantity("slip", XY, moving, "Slip v_rel in E2", speed),
+        _quantity("twist.angular", XYZ, turning, f"Angular velocity of the finger {there}"),
+        _quantity("twist.linear", XYZ, moving, f"Velocity of the origin {origin}", speed),
+        _quantity("pose.rotation", cells, NONE, matrix, shape=(3, 3)),
+        _quantity("pose.position", XYZ, METRE, f"Origin {origin}", max(finger, obj)),
+        _quantity("finger.point", XYZ, METRE, "Contact point in the finger's frame", finger),
+        _quantity("object.point", XYZ, METRE, f"Contact point {there}", obj),
+    ]
 
 
 # --- dependencies --------------------------------------------------------------------------------

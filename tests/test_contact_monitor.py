@@ -35,18 +35,21 @@ OUTPUTS = {"state": 9, "slip": 2, "normal_force": 1, "tangential_force": 2, "con
 class Setup:
     """Two fingers and an object, and a monitor of their contacts.
 
-    spots : (angle, depth) of each geometry of a finger, rolled that far along the object
     stiffer : how much the object is than a finger, in point contact
     moduli : of object and finger, Pa; None: rigid
     """
 
     def __init__(
-        self, model: str, fingers_first: bool = False, step: float = STEP,
-        friction: float = FRICTION, spots: tuple[tuple[float, float], ...] = (),
-        sampled: bool = True, stiffer: float = 1.0,
+        self,
+        model: str,
+        fingers_first: bool = False,
+        step: float = STEP,
+        friction: float = FRICTION,
+        sampled: bool = True,
+        stiffer: float = 1.0,
         moduli: tuple[float | None, float | None] = (None, 1e6),
-    ):  # fmt: skip
-        self.model, self.step, self.friction, self.spots = model, step, friction, spots
+    ):
+        self.model, self.step, self.friction = model, step, friction
         self.sampled, self.stiffer, self.moduli = sampled, stiffer, moduli
         self.scene = cs.Scene(
             object=cs.Sphere(R2),
@@ -90,16 +93,8 @@ class Setup:
             AddRigidHydroelasticProperties(0.004, material)
         else:
             AddCompliantHydroelasticProperties(0.004, modulus, material)
-        places = [np.zeros(3)]
-        if name != "object" and self.spots:
-            places = [
-                (R1 + R2 - d) * np.array([np.sin(a), 0.0, np.cos(a)])
-                - [0.0, 0.0, R1 + R2 - DEPTH[self.model]]
-                for a, d in self.spots
-            ]
-        for k, place in enumerate(places):
-            X_BG, label = RigidTransform(place), f"{name} {k}"
-            self.plant.RegisterCollisionGeometry(body, X_BG, Sphere(radius), label, material)
+        shape, label = Sphere(radius), f"{name} shape"
+        self.plant.RegisterCollisionGeometry(body, RigidTransform(), shape, label, material)
         return body
 
     def run(self, sliding: tuple[float, float] = (0, 0), depth: float | None = None) -> None:
@@ -125,8 +120,7 @@ class Setup:
             V_OF = SpatialVelocity(X_WO.rotation() @ omega, X_WO.rotation() @ velocity)
             V_WF = V_WO.ComposeWithMovingFrameVelocity(X_WO.rotation() @ centre, V_OF)
             self.frames.append(X_WO.rotation().matrix() @ frame)
-            turn = RotationMatrix(self.frames[-1]) if self.spots else _any_rotation(rng)
-            self._set(body, RigidTransform(turn, X_WO @ centre), V_WF)
+            self._set(body, RigidTransform(_any_rotation(rng), X_WO @ centre), V_WF)
         self._advance()
 
     def height(self, depth: float) -> float:
@@ -194,8 +188,7 @@ def test_slip_is_minus_the_velocity_of_the_fingers_material_point(setup, sliding
 
 
 @pytest.mark.parametrize("fingers_first", [True, False])
-@pytest.mark.parametrize("stiffer", [1.0, 100.0, 0.01])
-@pytest.mark.parametrize("sliding", [(0.0, 0.0), (0.05, 0.1)])
+@pytest.mark.parametrize(("stiffer", "sliding"), [(1.0, (0.0, 0.0)), (100.0, (0.05, 0.1))])
 def test_slip_is_the_one_that_drakes_point_contact_works_with(sliding, stiffer, fingers_first):
     setup = Setup("point", fingers_first, stiffer=stiffer)
     setup.run(sliding)
@@ -223,22 +216,6 @@ def test_forces_are_those_that_push_the_fingers(setup):
     assert (normal > 0.5).all()
 
 
-@pytest.mark.parametrize("model", ["point", "hydroelastic"])
-def test_forces_of_several_geometries_of_one_finger_add_up(model):
-    """Without friction all of them pass the object's centre, and so does their sum."""
-    deep = DEPTH[model]
-    spots = ((-0.06, deep), (0.02, 2 * deep), (0.12, 0.7 * deep))
-    setup = Setup(model, friction=0.0, spots=spots)
-    setup.run()
-    results = setup.plant.GetOutputPort("contact_results").Eval(setup.context)
-    assert results.num_point_pair_contacts() + results.num_hydroelastic_contacts() == 6
-    size = np.linalg.norm(setup.pushes(), axis=1)
-    assert (np.hypot(*setup.pushes()[:, :2].T) > 0.01 * size).all()  # not what the middle says
-    assert setup.read("normal_force")[:, 0] == pytest.approx(size, rel=2e-3)
-    bar = {"point": 1e-3, "hydroelastic": 5e-3}[model]
-    assert np.abs(setup.read("tangential_force") / size[:, None]).max() < bar
-
-
 def test_sliding_friction_is_mu_times_the_normal_force_and_drags_along_slip(setup):
     setup.run((0.2, -0.1))
     normal, friction = setup.read("normal_force"), setup.read("tangential_force")
@@ -248,7 +225,7 @@ def test_sliding_friction_is_mu_times_the_normal_force_and_drags_along_slip(setu
     assert (friction * along).sum(1) == pytest.approx(size, rel=1e-3)
 
 
-@pytest.mark.parametrize("moduli", [(1e6, None), (1e6, 1e6), (1e6, 1e5), (1e5, 1e6)])
+@pytest.mark.parametrize("moduli", [(1e6, None), (1e6, 1e5), (1e5, 1e6)])
 @pytest.mark.parametrize("fingers_first", [True, False])
 def test_friction_drags_along_slip_on_a_compliant_object_too(moduli, fingers_first):
     """Where the patch is: at the object's surface slip would be up to 0.16 rad off."""
@@ -260,7 +237,7 @@ def test_friction_drags_along_slip_on_a_compliant_object_too(moduli, fingers_fir
     assert np.sin(angles[0] - angles[1]) == pytest.approx([0.0, 0.0], abs=0.03)
 
 
-@pytest.mark.parametrize("moduli", [(None, 1e6), (1e6, None), (1e6, 1e6), (1e6, 1e5)])
+@pytest.mark.parametrize("moduli", [(None, 1e6), (1e6, None), (1e6, 1e5)])
 @pytest.mark.parametrize("fingers_first", [True, False])
 def test_without_friction_there_is_no_tangential_force_on_a_patch_however_it_bends(
     moduli, fingers_first
@@ -276,28 +253,6 @@ def test_point_contact_presses_by_its_stiffness_and_the_depth_that_the_step_lead
     setup.run()
     depth = DEPTH["point"] - STEP * setup.velocities(DEPTH["point"])[:, 2]
     assert setup.read("normal_force")[:, 0] == pytest.approx(STIFFNESS * depth, rel=1e-3)
-
-
-def test_hydroelastic_force_is_that_of_the_contact_results():
-    setup = Setup("hydroelastic")
-    setup.run((0.02, 0.0))
-    results = setup.plant.GetOutputPort("contact_results").Eval(setup.context)
-    forces = [results.hydroelastic_contact_info(k).F_Ac_W().translational() for k in range(2)]
-    lengths = np.hypot(
-        setup.read("normal_force")[:, 0], np.linalg.norm(setup.read("tangential_force"), axis=1)
-    )
-    assert sorted(lengths) == pytest.approx(sorted(np.linalg.norm(forces, axis=1)), rel=1e-4)
-
-
-@pytest.mark.parametrize("model", ["point", "hydroelastic"])
-def test_order_of_the_bodies_changes_nothing(model):
-    readings = []
-    for fingers_first in (False, True):
-        setup = Setup(model, fingers_first)
-        setup.run((0.1, 0.05))
-        readings.append([setup.read(name) for name in OUTPUTS])
-    for one, other in zip(*readings):
-        assert one == pytest.approx(other, rel=1e-6, abs=1e-6)
 
 
 def test_state_and_contact_point_are_those_of_the_bodies_poses_now(setup):
@@ -325,17 +280,6 @@ def test_without_contact_there_is_no_force_and_slip_is_that_of_the_nearest_point
     assert np.linalg.norm(setup.read("contact_point"), axis=1) == pytest.approx(R2, abs=1e-12)
 
 
-def test_bodies_that_touch_without_depth_are_measured():
-    setup = Setup("point", sampled=False)
-    setup.run()
-    for body, y in ((setup.object, 0.0), (setup.fingers[0], R1 + R2)):
-        setup._set(body, RigidTransform([0.0, y, 0.0]), SpatialVelocity.Zero())
-    results = setup.plant.GetOutputPort("contact_results").Eval(setup.context)
-    assert results.point_pair_contact_info(0).point_pair().depth == 0.0
-    assert setup.read("slip")[0] == pytest.approx([0.0, 0.0], abs=1e-12)
-    assert setup.read("normal_force")[0] == pytest.approx(0.0, abs=1e-6)
-
-
 def test_what_needs_a_contact_frame_is_nan_at_a_pole_and_other_contacts_are_measured(setup):
     setup.run()
     for body, z in ((setup.object, 0.0), (setup.fingers[0], R1 + R2 - DEPTH[setup.model])):
@@ -344,16 +288,3 @@ def test_what_needs_a_contact_frame_is_nan_at_a_pole_and_other_contacts_are_meas
         assert np.isfinite(setup.read(name)[1]).all()
     assert not np.isfinite(setup.read("state")[0]).all()
     assert setup.read("contact_point")[0] == pytest.approx([0, 0, R2], abs=1e-12)
-
-
-def test_nothing_is_searched_that_nobody_reads(setup, monkeypatch):
-    setup.run()
-    calls = []
-    measure = setup.monitor._sensor.measure
-    monkeypatch.setattr(
-        setup.monitor._sensor, "measure", lambda *a, **k: calls.append(1) or measure(*a, **k)
-    )
-    for names, searches in ((["slip", "normal_force", "tangential_force"], 1), (OUTPUTS, 2)):
-        for name in names:
-            setup.read(name)
-        assert len(calls) == searches

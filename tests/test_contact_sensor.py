@@ -6,11 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from conftest import SURFACES, one_contact, slip_of_states
+from conftest import SURFACES, one_contact, reflection, slip_of_states
 
 import contact_system as cs
 from contact_system.contact_sensor import ContactSensor
-from contact_system.kinematics import contact_map
 
 SCENES = ("K1", "K2", "K3", "K4", "D1", "D3", "C2", "bowl", "torus", "chart", "implicit")
 
@@ -32,7 +31,7 @@ def assert_same_states(scene: cs.Scene, measured: np.ndarray, planned: np.ndarra
 
 def conformity(finger: cs.Surface, obj: cs.Surface, row: np.ndarray) -> float:
     """By how much a twist's rounding grows: greatest curvature over least relative one."""
-    turn = contact_map(row[8])
+    turn = reflection(row[8])
     first, second = finger.curvature_form(*row[:2]), obj.curvature_form(*row[4:6])
     least = np.linalg.norm(first + turn @ second @ turn, -2)
     return max(np.abs(first).max(), np.abs(second).max()) / least
@@ -136,8 +135,12 @@ def test_nearest_points_are_found_whatever_the_fingers_shape_and_the_size_it_is_
     finger, at, obj, gap
 ):
     surface, (u, v) = SURFACES[obj]
-    scene = cs.Scene(object=surface, contacts=[cs.Contact(finger, (u, v), at, angle=0.3)],
-                     profile=cs.Profile([0.1]), duration=0.1)  # fmt: skip
+    scene = cs.Scene(
+        object=surface,
+        contacts=[cs.Contact(finger, (u, v), at, angle=0.3)],
+        profile=cs.Profile([0.1]),
+        duration=0.1,
+    )
     pose = cs.plan(scene).pose(0.0)[0, 0].copy()
     pose[:3, 3] += gap * surface.normal(u, v)
     sensor, flat = ContactSensor(scene), pose[:3].reshape(1, 12)
@@ -150,7 +153,7 @@ def test_nearest_points_are_found_whatever_the_fingers_shape_and_the_size_it_is_
 
 
 def test_a_contact_on_a_body_a_thousand_times_larger_is_measured():
-    for k in range(40):
+    for k in range(10):
         contact = cs.Contact(finger=cs.Sphere(0.005), object_at=(0.9 + 0.01 * k, 0.5), angle=k)
         profile = cs.Profile([0.005])
         scene = cs.Scene(object=cs.Sphere(5), contacts=[contact], profile=profile, duration=1)
@@ -167,14 +170,6 @@ def test_measuring_at_a_pole_names_the_contact():
         cs.measured_states(scene, pose, np.zeros((1, 6)), [[0.0, 0.0, 0.1]])
 
 
-def test_conforming_surfaces_are_refused():
-    scene = one_contact("bowl", "sphere", finger_at=(1.1, 0.4))
-    scene = scene.replace(object=cs.Sphere(0.1, inside=True))
-    plan_like = np.eye(4)[None]
-    with pytest.raises(cs.ConformalContact, match="contact 0"):
-        cs.measured_states(scene, plan_like, np.zeros((1, 6)), [[0.06, 0.0, 0.08]])
-
-
 FLAT = cs.Quadric(np.diag([4.0, 0.0, 0.0]))
 
 
@@ -189,40 +184,29 @@ def test_conforming_surfaces_are_refused_at_a_pose_that_is_rounded(obj, finger):
         cs.measured_states(scene, *at(cs.plan(scene), 0.5))
 
 
-@pytest.mark.parametrize("wrong", [lambda x: x.swapaxes(1, 2), lambda x: 0 * x, lambda x: -x])
-def test_a_pose_that_is_no_rigid_motion_is_refused(wrong):
-    scene = cs.load_scene("D1")
-    pose, *others = at(cs.plan(scene), 0.5)
-    with pytest.raises(cs.ContactSystemError, match="'D1', contact 0: pose = .* give X_OF"):
-        cs.measured_states(scene, wrong(pose), *others)
-
-
-@pytest.mark.parametrize("which, shape", [(0, (2, 4, 4)), (1, (3, 3)), (2, (3,))])
-def test_wrong_shapes_are_refused(which, shape):
-    scene = cs.load_scene("D1")
-    arguments: list = list(at(cs.plan(scene), 0.5))
-    arguments[which] = np.zeros(shape)
-    with pytest.raises(cs.ContactSystemError, match="has shape"):
-        cs.measured_states(scene, *arguments)
-
-
-@pytest.mark.parametrize("which, given", [(0, "pose"), (1, 1j), (2, {}), (2, 10**400)])
-def test_what_is_no_number_is_refused(which, given):
+@pytest.mark.parametrize(
+    ("which", "given", "words"),
+    [
+        *(
+            (0, change, "'D1', contact 0: pose = .* give X_OF")
+            for change in (lambda x: x.swapaxes(1, 2), lambda x: 0 * x, lambda x: -x)
+        ),
+        (0, np.zeros((2, 4, 4)), "has shape"),
+        (1, np.zeros((3, 3)), "has shape"),
+        (2, np.zeros(3), "has shape"),
+        *((i, x, "D1.*give numbers, shape") for i, x in enumerate(("pose", 1j, {}))),
+        (2, 10**400, "D1.*give numbers, shape"),
+        (1, np.full((3, 6), np.nan), "twist has a NaN"),
+    ],
+)
+def test_what_is_no_measurement_is_refused(which, given, words):
     scene = cs.load_scene("D1")
     arguments: list = list(at(cs.plan(scene), 0.5))
-    arguments[which] = given
-    with pytest.raises(cs.ContactSystemError, match="D1.*give numbers, shape"):
+    arguments[which] = given(arguments[which]) if callable(given) else given
+    with pytest.raises(cs.ContactSystemError, match=words):
         cs.measured_states(scene, *arguments)
     with pytest.raises(cs.SceneError, match="'D1': give a Scene"):
         cs.measured_states("D1", *arguments)  # type: ignore[arg-type]
-
-
-def test_nan_is_refused():
-    scene = cs.load_scene("D1")
-    pose, twist, points = at(cs.plan(scene), 0.5)
-    twist[1, 2] = np.nan
-    with pytest.raises(cs.ContactSystemError, match="twist has a NaN"):
-        cs.measured_states(scene, pose, twist, points)
 
 
 def test_a_plan_restarts_from_measured_states():

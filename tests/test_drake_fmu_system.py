@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 import weakref
-import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -21,6 +20,8 @@ pytest.importorskip("pydrake")
 pytest.importorskip("fmpy")
 
 import fmpy
+from fmu_hosts.blocks import columns
+from fmu_hosts.native import find_compiler
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
@@ -33,7 +34,6 @@ from pydrake.systems.primitives import (
 )
 
 import contact_system as cs
-from contact_system.kernels import find_compiler
 from drake_plant import ContactPlanner
 from drake_plant.fmu_system import FmuSystem
 from fmu_export import export_fmu
@@ -50,45 +50,23 @@ MODEL = r"""
 #include <string.h>
 #if FMI == 2
 #include "fmi2FunctionTypes.h"
-#define GetReal fmi2GetReal
-#define SetReal fmi2SetReal
-#define GetInteger fmi2GetInteger
-#define GetBoolean fmi2GetBoolean
-#define SetBoolean fmi2SetBoolean
-#define GetState fmi2GetFMUstate
-#define SetState fmi2SetFMUstate
-#define FreeState fmi2FreeFMUstate
-#define FreeInstance fmi2FreeInstance
-#define ExitInitializationMode fmi2ExitInitializationMode
-#define Terminate fmi2Terminate
-#define Reset fmi2Reset
+#define F(two, three) fmi2##two
 #define COUNT
 typedef int Boolean;
 typedef const fmi2CallbackFunctions* Logger;
 #else
 #include "fmi3FunctionTypes.h"
-#define GetReal fmi3GetFloat64
-#define SetReal fmi3SetFloat64
-#define GetInteger fmi3GetInt32
-#define GetBoolean fmi3GetBoolean
-#define SetBoolean fmi3SetBoolean
-#define GetState fmi3GetFMUState
-#define SetState fmi3SetFMUState
-#define FreeState fmi3FreeFMUState
-#define FreeInstance fmi3FreeInstance
-#define ExitInitializationMode fmi3ExitInitializationMode
-#define Terminate fmi3Terminate
-#define Reset fmi3Reset
+#define F(two, three) fmi3##three
 #define COUNT , size_t values
 typedef _Bool Boolean;
 typedef fmi3LogMessageCallback Logger;
 #endif
 
-typedef struct { double time, gain, limit, last, u[2], x[2]; int on, count; long long seed; } Model;
+typedef struct { double time, gain, limit, last, u[2], x[2]; int on, count; } Model;
 typedef struct { Model model; Logger log; void* environment; } Instance;
 typedef unsigned Reference;
 #define M (((Instance*)c)->model)
-static const Model FRESH = {0, 1, 1e9, 0, {0, 0}, {0.5, 0}, 0, 0};
+static const Model FRESH = {.gain = 1, .limit = 1e9, .x = {0.5, 0}};
 static int copies;
 
 static int width(Reference r) { return FMI == 3 && (r == 4 || r == 6) ? 2 : 1; }
@@ -116,36 +94,44 @@ static void* make(const char* token, Logger log, void* environment) {
     return strcmp(token, "{token}") ? 0 : c;
 }
 
-void FreeInstance(void* c) { free(c); }
-int ExitInitializationMode(void* c) { return 0; }
-int Terminate(void* c) { return 0; }
-int Reset(void* c) { M = FRESH; return RESETS ? 0 : 3; }
+void F(FreeInstance, FreeInstance)(void* c) { free(c); }
+int F(ExitInitializationMode, ExitInitializationMode)(void* c) { return 0; }
+int F(Terminate, Terminate)(void* c) { return 0; }
+int F(Reset, Reset)(void* c) { M = FRESH; return RESETS ? 0 : 3; }
 
-int GetState(void* c, void** state) {
+int F(GetFMUstate, GetFMUState)(void* c, void** state) {
     *state = memcpy(malloc(sizeof(Model)), &M, sizeof(Model));
     copies++;
     return 0;
 }
-int SetState(void* c, void* state) { M = *(Model*)state; return 0; }
-int FreeState(void* c, void** state) { free(*state); *state = 0; copies--; return 0; }
+int F(SetFMUstate, SetFMUState)(void* c, void* state) { M = *(Model*)state; return 0; }
+int F(FreeFMUstate, FreeFMUState)(void* c, void** state) {
+    free(*state);
+    *state = 0;
+    copies--;
+    return 0;
+}
 
-int GetReal(void* c, const Reference* r, size_t n, double* v COUNT) {
+int F(GetReal, GetFloat64)(void* c, const Reference* r, size_t n, double* v COUNT) {
     for (size_t k = 0; k < n; k++)
         for (int e = 0; e < width(r[k]); e++) *v++ = (&M.time)[r[k] + e];
     return 0;
 }
-int SetReal(void* c, const Reference* r, size_t n, const double* v COUNT) {
+int F(SetReal, SetFloat64)(void* c, const Reference* r, size_t n, const double* v COUNT) {
     for (size_t k = 0; k < n; k++)
         for (int e = 0; e < width(r[k]); e++) (&M.time)[r[k] + e] = *v++;
     return 0;
 }
-int GetInteger(void* c, const Reference* r, size_t n, int* v COUNT) {
+int F(GetInteger, GetInt32)(void* c, const Reference* r, size_t n, int* v COUNT) {
     for (size_t k = 0; k < n; k++)
-        v[k] = r[k] == 10 ? copies : r[k] == 12 ? (int)(M.seed % 10) : M.count;
+        v[k] = r[k] == 10 ? copies : M.count;
     return 0;
 }
-int GetBoolean(void* c, const Reference* r, size_t n, Boolean* v COUNT) { *v = M.on; return 0; }
-int SetBoolean(void* c, const Reference* r, size_t n, const Boolean* v COUNT) {
+int F(GetBoolean, GetBoolean)(void* c, const Reference* r, size_t n, Boolean* v COUNT) {
+    *v = M.on;
+    return 0;
+}
+int F(SetBoolean, SetBoolean)(void* c, const Reference* r, size_t n, const Boolean* v COUNT) {
     M.on = *v;
     return 0;
 }
@@ -169,10 +155,6 @@ int fmi2GetBooleanStatus(void* c, int kind, int* value) {
     return 0;
 }
 #else
-int fmi3SetInt64(void* c, const Reference* r, size_t n, const fmi3Int64* v, size_t values) {
-    M.seed = *v;
-    return 0;
-}
 void* fmi3InstantiateCoSimulation(
     const char* name, const char* token, const char* place, _Bool visible, _Bool logging,
     _Bool events, _Bool early, const Reference* r, size_t n, void* environment, Logger log,
@@ -196,52 +178,45 @@ int fmi3DoStep(void* c, double t, double h, _Bool none, _Bool* event, _Bool* end
 #endif
 """
 
-PARAMETER, DISCRETE = 'causality="parameter" variability="fixed"', 'variability="discrete"'
-START = 'causality="output" initial="exact"'
-VARIABLES = {  # name, reference, dimension, type, attributes, start
-    "2.0": (
-        ("gain", 1, 0, "Real", PARAMETER, "1"),
-        ("limit", 2, 0, "Real", PARAMETER, "1e9"),
-        ("last", 3, 0, "Real", PARAMETER, "0"),
-        ("u[1]", 4, 0, "Real", 'causality="input"', "0"),
-        ("u[2]", 5, 0, "Real", 'causality="input"', "0"),
-        ("on", 8, 0, "Boolean", 'causality="input" ' + DISCRETE, "false"),
-        ("time", 0, 0, "Real", 'causality="output"', None),
-        ("x[1]", 6, 0, "Real", START, "0.5"),
-        ("x[2]", 7, 0, "Real", START, "0"),
-        ("count", 9, 0, "Integer", 'causality="output" ' + DISCRETE, None),
-        ("was_on", 8, 0, "Boolean", 'causality="output" ' + DISCRETE, None),
-        ("copies", 10, 0, "Integer", 'causality="local" ' + DISCRETE, None),
-        ("label", 11, 0, "String", 'causality="output" ' + DISCRETE, None),
-    ),
-    "3.0": (
-        ("gain", 1, 0, "Float64", PARAMETER, "1"),
-        ("limit", 2, 0, "Float64", PARAMETER, "1e9"),
-        ("last", 3, 0, "Float64", PARAMETER, "0"),
-        ("u", 4, 2, "Float64", 'causality="input"', "0 0"),
-        ("on", 8, 0, "Boolean", 'causality="input"', "false"),
-        ("time", 0, 0, "Float64", 'causality="output"', None),
-        ("x", 6, 2, "Float64", START, "0.5 0"),
-        ("count", 9, 0, "Int32", 'causality="output"', None),
-        ("was_on", 8, 0, "Boolean", 'causality="output"', None),
-        ("copies", 10, 0, "Int32", 'causality="local"', None),
-        ("seed", 11, 0, "Int64", PARAMETER, "0"),
-        ("last_digit", 12, 0, "Int32", 'causality="local"', None),
-    ),
-}
+
+# name, reference, dimension, type, causality, start
+VARIABLES = """gain 1 0 Real parameter 1
+limit 2 0 Real parameter 1e9
+last 3 0 Real parameter 0
+u 4 2 Real input 0 0
+on 8 0 Boolean input false
+time 0 0 Real output
+x 6 2 Real output 0.5 0
+count 9 0 Integer output
+was_on 8 0 Boolean output
+copies 10 0 Integer local
+label 11 0 String output"""
+THREE = {"Real": "Float64", "Integer": "Int32"}  # what FMI 3 calls them
 
 
 def description(version, interface):
     """modelDescription.xml, as far as fmpy reads it."""
     token, lines = "guid" if version == "2.0" else "instantiationToken", []
-    for name, reference, dimension, kind, attributes, start in VARIABLES[version]:
-        head = f'name="{name}" valueReference="{reference}" {attributes}'
-        given = f'start="{start}"' if start else ""
-        if version == "2.0":
+    for row in VARIABLES.splitlines():
+        name, reference, dimension, kind, causality, *start = row.split()
+        if kind == "String" and version == "3.0":
+            continue
+        more = f'causality="{causality}"' + ' initial="exact"' * (name == "x")
+        if causality == "parameter":
+            more += ' variability="fixed"'
+        elif kind != "Real":
+            more += ' variability="discrete"'
+        if version == "3.0":
+            given = f'start="{" ".join(start)}"' if start else ""
+            inside = f'<Dimension start="{dimension}"/>' if dimension != "0" else ""
+            tag, head = THREE.get(kind, kind), f'name="{name}" valueReference="{reference}" {more}'
+            lines.append(f"<{tag} {head} {given}>{inside}</{tag}>")
+            continue
+        for k in range(max(1, int(dimension))):
+            given = f'start="{start[k]}"' if start else ""
+            element = f"{name}[{k + 1}]" if dimension != "0" else name
+            head = f'name="{element}" valueReference="{int(reference) + k}" {more}'
             lines.append(f"<ScalarVariable {head}><{kind} {given}/></ScalarVariable>")
-        else:
-            inside = f'<Dimension start="{dimension}"/>' * (dimension > 0)
-            lines.append(f"<{kind} {head} {given}>{inside}</{kind}>")
     return (
         f'<fmiModelDescription fmiVersion="{version}" modelName="integrators" {token}="{{token}}">'
         f'{interface}<LogCategories><Category name="logStatusError"/></LogCategories>'
@@ -253,7 +228,9 @@ def source(version):
     """One file of C with everything that fmpy looks up; what the model leaves out fails."""
     header = HEADERS / f"fmi{version[0]}FunctionTypes.h"
     names = re.findall(r"(fmi\d\w+)TYPE *\(", header.read_text())
-    return MODEL + "".join(f"int {n}() {{ return 3; }}\n" for n in names if n not in MODEL)
+    own = {pair[version == "3.0"] for pair in re.findall(r"F\((\w+), (\w+)\)", MODEL)}
+    left = [n for n in names if n not in MODEL and n[4:] not in own]
+    return MODEL + "".join(f"int {n}() {{ return 3; }}\n" for n in left)
 
 
 @pytest.fixture(scope="module")
@@ -273,10 +250,9 @@ def build(tmp_path_factory):
         folder.mkdir(parents=True)
         (root / "integrators.c").write_text(source(version))
         library = folder / f"integrators{fmpy.sharedLibraryExtension}"
-        subprocess.run(
-            [*compiler, "-shared", "-fPIC", "-std=c99", "-w", f"-DFMI={version[0]}", "-I", HEADERS,
-             f"-DRESETS={int(reset)}", "-o", library, root / "integrators.c"], check=True,
-        )  # fmt: skip
+        flags = ["-shared", "-fPIC", "-std=c99", "-w", f"-DFMI={version[0]}", f"-I{HEADERS}"]
+        flags += [f"-DRESETS={int(reset)}", "-o", library, root / "integrators.c"]
+        subprocess.run([*compiler, *flags], check=True)
         state = f'canGetAndSetFMU{"s" if version == "2.0" else "S"}tate="{str(keeps).lower()}"'
         xml = description(version, f'<{interface} modelIdentifier="integrators" {state}/>')
         (root / "unpacked" / "modelDescription.xml").write_text(xml)
@@ -310,24 +286,21 @@ def integrators(fmu, **options):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_the_ports_are_those_of_the_description(build, version):
-    system = FmuSystem(build(version), step=STEP)
-    assert system.input_names == {"u": ("u[1]", "u[2]", "on")}
-    assert system.output_names == {"y": ("time", "x[1]", "x[2]", "count", "was_on")}
-    assert (system.num_input_ports(), system.num_output_ports()) == (1, 1)
-
-
-@pytest.mark.parametrize("version", VERSIONS)
 def test_a_structure_or_an_array_is_a_vector_in_either_version(build, version):
     outputs = {"x": "x", "rest": ["count", "time"], "gain": "gain", "none": []}
     system = FmuSystem(build(version), step=STEP, inputs={"rate": "u"}, outputs=outputs)
     names = {"x": ("x[1]", "x[2]"), "rest": ("count", "time"), "gain": ("gain",)}
     assert (system.input_names, system.output_names) == ({"rate": ("u[1]", "u[2]")}, names)
+    start = {"x[1]": 2.0} if version == "2.0" else {"x": np.array([2.0, 0.0])}
+    system = integrators(build(version), start_values=start)  # and has values at once
+    assert values(system, system.CreateDefaultContext()).tolist() == [2.0, 0.0]
 
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_samples_are_those_of_the_model(build, version):
     system = FmuSystem(build(version), step=STEP, start_values={"gain": 3.0})
+    assert system.input_names == {"u": ("u[1]", "u[2]", "on")}
+    assert system.output_names == {"y": ("time", "x[1]", "x[2]", "count", "was_on")}
     simulator = Simulator(system)
     context = simulator.get_mutable_context()
     system.GetInputPort("u").FixValue(context, [*U, 1.0])
@@ -341,21 +314,6 @@ def test_samples_are_those_of_the_model(build, version):
     assert values(system, context, "y")[0] == t + STEP
 
 
-@pytest.mark.parametrize(("seed", "digit"), [(2**53 + 1, 3), (2**63 - 1, 7), (-(2**63), -8)])
-def test_long_integers_start_as_they_are_given(build, seed, digit):
-    system = FmuSystem(
-        build("3.0"), step=STEP, start_values={"seed": seed}, outputs={"x": "last_digit"}
-    )
-    assert values(system, system.CreateDefaultContext()) == [digit]
-
-
-@pytest.mark.parametrize("version", VERSIONS)
-def test_outputs_are_there_before_anything_is_initialized(build, version):
-    start = {"x[1]": 2.0} if version == "2.0" else {"x": np.array([2.0, 0.0])}
-    system = integrators(build(version), start_values=start)
-    assert values(system, system.CreateDefaultContext()).tolist() == [2.0, 0.0]
-
-
 @pytest.mark.parametrize("version", VERSIONS)
 def test_it_starts_at_the_time_of_the_context(build, version):
     system = FmuSystem(build(version), step=0.1, outputs="time")
@@ -366,23 +324,15 @@ def test_it_starts_at_the_time_of_the_context(build, version):
     assert values(system, context, "y") == 0.3
     simulator.AdvanceTo(10.0)
     assert values(system, context, "y") == pytest.approx(10.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("time", [0.05, np.nan, np.inf])
-def test_a_start_off_the_samples_is_refused(build, time):
-    simulator = Simulator(FmuSystem(build(), step=0.1))
-    simulator.get_mutable_context().SetTime(time)
-    with pytest.raises(cs.ContactSystemError, match=f"t = {time} s is not a multiple of the step"):
+    context.SetTime(0.0)
+    with pytest.raises(cs.ContactSystemError, match="time is 0 s and its FMU is at 10"):
         simulator.Initialize()
-
-
-@pytest.mark.parametrize("version", VERSIONS)
-def test_inputs_that_are_not_connected_keep_their_start_values(build, version):
-    start = {"u[2]": 4.0} if version == "2.0" else {"u": [0.0, 4.0]}
-    system = integrators(build(version), start_values=start)
-    simulator = Simulator(system)
-    simulator.AdvanceTo(2 * STEP)
-    assert values(system, simulator.get_context()).tolist() == [0.5, 8 * STEP]
+    for time in (0.05, np.nan, np.inf):
+        late = Simulator(FmuSystem(build(version), step=0.1))
+        late.get_mutable_context().SetTime(time)
+        words = f"t = {time} s is not a multiple of the step"
+        with pytest.raises(cs.ContactSystemError, match=words):
+            late.Initialize()
 
 
 def test_a_discrete_system_downstream_sees_the_sample_of_its_own_time(build):
@@ -403,23 +353,9 @@ def test_a_discrete_system_downstream_sees_the_sample_of_its_own_time(build):
     assert found.tolist() == (STEP * y.sum(axis=1)).tolist()
     log = sink.FindLog(root)
     assert (log.sample_times()[:4].tolist(), log.data()[:, :4].tolist()) == (
-        (n * STEP).tolist(), y.tolist(),
-    )  # fmt: skip
-
-
-def test_two_fmus_in_a_ring_step_by_the_same_samples(build):
-    """x1' = x2, x2' = -x1 by Euler steps, of which each sees the sample before."""
-    builder = DiagramBuilder()
-    pair = [builder.AddSystem(integrators(build(), start_values={"gain": g})) for g in (1, -1)]
-    for a, b in (pair, pair[::-1]):
-        builder.Connect(a.get_output_port(), b.get_input_port())
-    simulator = Simulator(builder.Build())
-    simulator.AdvanceTo(3 * STEP)
-    x = np.array([0.5, 0.5])
-    for _ in range(3):
-        x = x + STEP * np.array([x[1], -x[0]])
-    root = simulator.get_context()
-    assert [values(s, s.GetMyContextFromRoot(root))[0] for s in pair] == x.tolist()
+        (n * STEP).tolist(),
+        y.tolist(),
+    )
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -468,28 +404,6 @@ def test_threads_that_share_an_fmu_take_turns(build, version):
     assert found == [[0.5 + 200 * STEP * speed, -200 * STEP * speed] for speed in speeds]
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_a_context_between_samples_goes_on_where_it_was(build, version):
-    system = integrators(build(version))
-    simulator = connected(system)
-    simulator.AdvanceTo(2.5 * STEP)
-    saved = simulator.get_context().Clone()
-    simulator.AdvanceTo(4 * STEP)
-    other = Simulator(system, saved)
-    other.AdvanceTo(4 * STEP)
-    assert values(system, saved).tolist() == values(system, simulator.get_context()).tolist()
-
-
-def test_an_update_that_was_done_before_a_clone_is_not_done_again(build):
-    system = integrators(build())
-    simulator = connected(system)
-    simulator.AdvanceTo(0.0)  # Drake does the update at 0 s here
-    assert values(system, simulator.get_context())[0] == 0.5 + STEP
-    other = Simulator(system, simulator.get_context().Clone())
-    other.AdvanceTo(2 * STEP)
-    assert values(system, other.get_context())[0] == 0.5 + 2 * STEP
-
-
 @pytest.mark.parametrize("options", ({}, {"keeps": False}, {"keeps": False, "reset": False}))
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_simulation_can_be_run_again(build, version, options):
@@ -510,77 +424,33 @@ def test_without_states_a_second_context_is_refused(build, version):
     message = r"cannot go to this Context's t = 0\.25 s: it is at t = 0\.125 s, and has no way back"
     with pytest.raises(cs.ContactSystemError, match=message):
         first.AdvanceTo(3 * STEP)
+    saved = second.get_context().Clone()
     second.AdvanceTo(2 * STEP)
     assert values(system, second.get_context())[0] == 0.5 + 2 * STEP
-
-
-def test_without_states_a_step_back_is_refused(build):
-    system = integrators(build(keeps=False))
-    simulator = connected(system)
-    simulator.AdvanceTo(STEP)
-    saved = simulator.get_context().Clone()
-    simulator.AdvanceTo(3 * STEP)
     with pytest.raises(cs.ContactSystemError, match="make an FmuSystem for each Context"):
         Simulator(system, saved).AdvanceTo(2 * STEP)
-
-
-def test_a_time_set_by_hand_is_refused(build):
-    system = integrators(build())
-    simulator = connected(system)
-    simulator.AdvanceTo(2 * STEP)
-    simulator.get_mutable_context().SetTime(0.0)
-    with pytest.raises(cs.ContactSystemError, match=r"time is 0 s and its FMU is at 0\.25 s"):
-        simulator.Initialize()
 
 
 # --- freeing -------------------------------------------------------------------------------------
 
 
-def test_copies_of_states_are_given_back(build):
-    system = integrators(build(), outputs="copies")
-    simulator = connected(system)
-    simulator.AdvanceTo(100 * STEP)
-    assert values(system, simulator.get_context(), "y") <= 4
-
-
 @pytest.mark.parametrize("version", VERSIONS)
-def test_everything_is_freed_with_the_diagram(build, version, tmp_path, monkeypatch):
+def test_everything_is_freed_with_the_system(build, version, tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    builder = DiagramBuilder()
-    system = builder.AddSystem(integrators(build(version)))
-    source = builder.AddSystem(ConstantVectorSource(U))
-    builder.Connect(source.get_output_port(), system.get_input_port())
-    simulator = Simulator(builder.Build())
-    simulator.AdvanceTo(STEP)
+    with pytest.raises(cs.ContactSystemError):
+        FmuSystem(build(version), step=STEP, outputs="nothing")
+    system = FmuSystem(build(version), step=STEP, outputs="copies")
+    simulator = Simulator(system)
+    simulator.AdvanceTo(100 * STEP)
+    assert values(system, simulator.get_context(), "y") <= 4  # copies of states are given back
+    gc.collect()
     assert len(list(tmp_path.iterdir())) == 1
     gone = weakref.ref(system)
     context = simulator.get_context().Clone()  # outlives the system
-    del builder, system, source, simulator
-    gc.collect()
-    assert gone() is None
-    assert not list(tmp_path.iterdir())
-    del context
-
-
-def test_a_refused_fmu_leaves_nothing_behind(build, tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    for options in ({"interface": "ModelExchange"}, {}):
-        with pytest.raises(cs.ContactSystemError):
-            FmuSystem(build(**options), step=STEP, outputs="nothing")
-    gc.collect()
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_unpacked_folder_is_run_where_it_is(build, tmp_path):
-    with zipfile.ZipFile(build()) as archive:
-        archive.extractall(tmp_path / "folder")
-    system = integrators(tmp_path / "folder")
-    simulator = connected(system)
-    simulator.AdvanceTo(STEP)
-    assert values(system, simulator.get_context())[0] == 0.5 + STEP
     del system, simulator
     gc.collect()
-    assert (tmp_path / "folder" / "modelDescription.xml").exists()
+    assert gone() is None and context is not None
+    assert not list(tmp_path.iterdir())
 
 
 # --- refusals ------------------------------------------------------------------------------------
@@ -649,13 +519,11 @@ def test_a_failing_step_says_what_the_fmu_says(build, version):
     simulator = connected(system)  # and it is not lost
     simulator.AdvanceTo(STEP)
     assert values(system, simulator.get_context())[0] == 0.5 + STEP
-
-
-def test_a_step_that_returns_early_and_does_not_end_the_simulation_is_refused(build):
-    system = integrators(build("3.0"), start_values={"last": -2.0}, instance_name="tank")
-    message = r"^tank: a step of 0\.125 s failed at t = 0\.125 s: fmi3DoStep, early return"
-    with pytest.raises(cs.ContactSystemError, match=message):
-        connected(system).AdvanceTo(10.0)
+    if version == "3.0":  # without asking for the end of the simulation
+        system = integrators(build(version), start_values={"last": -2.0}, instance_name="tank")
+        words = r"^tank: a step of 0\.125 s failed at t = 0\.125 s: fmi3DoStep, early return"
+        with pytest.raises(cs.ContactSystemError, match=words):
+            connected(system).AdvanceTo(10.0)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -688,13 +556,7 @@ def exported(tmp_path_factory):
 
 def state_names(scene):
     """The FMU's variables in the order of the planner's port `state`."""
-    names = []
-    for i in range(1, len(scene.contacts) + 1):
-        for body in ("finger", "object"):
-            pair = [f"contact[{i}].{body}.{axis}" for axis in "uv"]
-            names += [*pair, *(f"der({name})" for name in pair)]
-        names.append(f"contact[{i}].angle")
-    return names
+    return [name for i in range(len(scene.contacts)) for name in columns(i)]
 
 
 @pytest.mark.parametrize("disturbed", (False, True))
@@ -755,16 +617,11 @@ def test_a_planner_goes_back_to_a_saved_context(exported):
     assert np.abs(pair[0] - plan).max() < 1e-9
 
 
-def test_without_fmpy_the_error_says_what_to_install(monkeypatch):
+def test_without_fmpy_the_error_says_what_to_install_and_all_else_is_there(monkeypatch):
     monkeypatch.setitem(sys.modules, "fmpy", None)
     monkeypatch.delitem(sys.modules, "drake_plant.fmu_system")
     with pytest.raises(ImportError, match=re.escape('pip install "contact-system[fmu]"')):
         importlib.import_module("drake_plant.fmu_system")
-
-
-def test_without_fmpy_all_else_can_be_imported_by_a_star(monkeypatch):
-    monkeypatch.setitem(sys.modules, "fmpy", None)
-    monkeypatch.delitem(sys.modules, "drake_plant.fmu_system")
     names: dict = {}
     exec("from drake_plant import *", names)
     assert "BuildStation" in names and "FmuSystem" not in names

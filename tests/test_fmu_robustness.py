@@ -29,11 +29,11 @@ def program(name, fmu, **options):
 
 def test_random_calls_and_damaged_or_forged_state_bytes_do_no_harm(fmu):
     made, granted, slowest, _, taken = (
-        program("fuzz", fmu, sanitized=True).run(500, 500, 1, *fmu.model_arguments()).split()
+        program("fuzz", fmu, sanitized=True).run(300, 300, 1, *fmu.model_arguments()).split()
     )
-    assert int(made) > 10_000
+    assert int(made) > 6_000
     assert int(granted) > 0.2 * int(made), "hardly anything that was called was legal"
-    assert 50 < int(taken) < 450, "forged states are told from good ones by what they hold"
+    assert 30 < int(taken) < 270, "forged states are told from good ones by what they hold"
 
 
 def test_states_hold_the_motion_and_nothing_that_lay_on_the_stack(fmu):

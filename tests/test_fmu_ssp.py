@@ -11,7 +11,6 @@ import pytest
 from conftest import one_contact
 
 import contact_system as cs
-from contact_system.kernels import find_compiler
 
 fmpy = pytest.importorskip("fmpy")
 
@@ -19,7 +18,7 @@ from fmpy.fmi1 import FMICallException  # noqa: E402
 from fmpy.ssp.simulation import simulate_ssp  # noqa: E402
 from fmpy.ssp.ssd import read_ssd  # noqa: E402
 from fmpy.validation import validate_fmu  # noqa: E402
-from fmu_hosts.native import Fmu  # noqa: E402
+from fmu_hosts.native import Fmu, find_compiler  # noqa: E402
 
 from fmu_export.build import FMI_HEADERS  # noqa: E402
 from fmu_export.ssp import export_ssp, system_structure  # noqa: E402
@@ -56,10 +55,12 @@ def test_disturbances_come_in_through_the_system_and_planners_do_not_mix(tmp_pat
     path = export_ssp({"100%": left, "../right": right}, tmp_path / "two.ssp")
     with zipfile.ZipFile(path) as archive:  # names that a file or a URI would have to escape
         assert archive.namelist() == [
-            "SystemStructure.ssd", "resources/100__planner.fmu",
-            "resources/100__slip_integrator.fmu", "resources/___right_planner.fmu",
+            "SystemStructure.ssd",
+            "resources/100__planner.fmu",
+            "resources/100__slip_integrator.fmu",
+            "resources/___right_planner.fmu",
             "resources/___right_slip_integrator.fmu",
-        ]  # fmt: skip
+        ]
     push = "../right.contact[1].finger.acceleration.u"
     result = simulate_ssp(
         str(path), stop_time=0.5, step_size=STEP, input={push: lambda t: 0.5 if t < 0.2 else 0.0}
@@ -82,6 +83,8 @@ def test_file_is_valid_and_holds_valid_fmus(tmp_path):
             archive.extract(name, tmp_path)
             assert validate_fmu(str(tmp_path / name)) == []
     consumer = str(tmp_path / fmus[1])
+    can = fmpy.read_model_description(consumer).coSimulation
+    assert can.canNotUseMemoryManagementFunctions  # else allocateMemory would be called
     slips = {"distance[1]": 0.25, "slip[1].x": 0.3, "slip[1].y": -0.4}
     result = fmpy.simulate_fmu(consumer, start_values=slips, stop_time=1.0, output_interval=0.5)
     assert result["distance[1]"].tolist() == pytest.approx([0.25, 0.5, 0.75], abs=1e-15)

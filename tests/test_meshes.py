@@ -20,14 +20,11 @@ from pydrake.math import RigidTransform
 
 import contact_system as cs
 from drake_plant.meshes import (
-    SurfaceMesh,
     compliant_mesh,
     contact_mesh,
     domain_of,
-    icosphere,
     inner_points,
     painted_meshes,
-    refined,
     rigid_mesh,
 )
 
@@ -36,12 +33,20 @@ CIRCLE = np.stack([np.cos(AROUND), np.sin(AROUND), 0 * AROUND], axis=1)
 # Surface, a curve on it, its volume and the Euler characteristic of its mesh.
 SOLIDS = {
     "sphere": (cs.Sphere(0.04), 0.04 * CIRCLE, 4 / 3 * math.pi * 0.04**3, 2),
-    "ellipsoid": (cs.Ellipsoid(0.12, 0.1, 0.08), [0.12, 0.1, 0] * CIRCLE,
-                  4 / 3 * math.pi * 0.12 * 0.1 * 0.08, 2),
+    "ellipsoid": (
+        cs.Ellipsoid(0.12, 0.1, 0.08),
+        [0.12, 0.1, 0] * CIRCLE,
+        4 / 3 * math.pi * 0.12 * 0.1 * 0.08,
+        2,
+    ),
     "torus": (cs.Torus(0.1, 0.03), 0.13 * CIRCLE, 2 * math.pi**2 * 0.1 * 0.03**2, 0),
-    "quadric": (cs.Quadric(np.diag([100.0, 100.0, 400.0])), 0.1 * CIRCLE,
-                4 / 3 * math.pi * 0.1 * 0.1 * 0.05, 2),
-}  # fmt: skip
+    "quadric": (
+        cs.Quadric(np.diag([100.0, 100.0, 400.0])),
+        0.1 * CIRCLE,
+        4 / 3 * math.pi * 0.1 * 0.1 * 0.05,
+        2,
+    ),
+}
 
 
 def mesh_of(surface, curve, gap=1e-3, opposing=25.0, strip=0.01):
@@ -146,24 +151,6 @@ def test_a_strip_is_as_fine_as_the_whole_surface_would_be_and_no_vertex_hangs():
     fine = edge[height < 0.02]
     assert fine.max() < 1.3 * fine.mean()
     assert edge[height > 0.5].min() > 5 * fine.mean()
-
-
-def test_refinement_keeps_the_surface_closed_whatever_triangles_are_chosen():
-    domain = domain_of(cs.Sphere(1.0), CIRCLE, 0.1, 1.0)
-    q, triangles = domain.base(5)
-    random = np.random.default_rng(1)
-    for _ in range(3):
-        q, triangles = refined(domain, q, triangles, random.random(len(triangles)) < 0.2)
-        mesh = SurfaceMesh(*domain.place(q), triangles)
-        assert mesh.closed
-        assert len(q) - edge_count(triangles) + len(triangles) == 2
-
-
-def test_an_icosphere_has_the_points_and_triangles_of_an_icosahedron_divided():
-    for parts in (1, 2, 7):
-        points, triangles = icosphere(parts)
-        assert len(points) == 10 * parts**2 + 2 and len(triangles) == 20 * parts**2
-        assert np.linalg.norm(points, axis=1) == pytest.approx(1)
 
 
 @pytest.mark.parametrize(

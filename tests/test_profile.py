@@ -6,11 +6,9 @@ from fractions import Fraction
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from contact_system.errors import SceneError
-from contact_system.profile import WIDE, Gain, Profile, contraction
+import contact_system as cs
+from contact_system import Gain, Profile, SceneError
 
 SLOW = Profile([0.001, 0, 0.4])  # K1-K3, D3
 MEDIUM = Profile([0.1, 0.2, -0.02])  # K4
@@ -18,8 +16,12 @@ FAST = Profile([1, 0.2, -0.02])  # D1, D2
 WAVY = Profile([0.5, 1.0, -1.2, 0.35])  # grows, falls and grows again on [0, 2]
 GAINS = [Gain.path(100), Gain.time(30), Gain.guaranteed(5)]
 
-coefficient = st.floats(-1e3, 1e3, allow_subnormal=False)
-time = st.floats(0, 10, allow_subnormal=False)
+
+def contraction(profile: Profile, gain: Gain, duration: float) -> cs.Contraction:
+    """What a scene with this profile and gain says."""
+    contact = cs.Contact(finger=cs.Sphere(0.04), object_at=(0.0, 0.0))
+    motion = {"profile": profile, "gain": gain, "duration": duration}
+    return cs.Scene(object=cs.Plane(), contacts=[contact], **motion).contraction()
 
 
 def exact_value(profile: Profile, t: mpmath.mpf) -> mpmath.mpf:
@@ -38,24 +40,6 @@ def slip_factor(profile: Profile, gain: Gain, start: float, stop: float) -> floa
 # --- profile -----------------------------------------------------------------------------------
 
 
-@given(st.lists(coefficient, min_size=1, max_size=6), time, time)
-def test_a_shifted_profile_has_correctly_rounded_coefficients(c, t0, tau):
-    shifted = Profile(c).shifted(t0)
-    exact = sum(Fraction(x) * (Fraction(t0) + Fraction(tau)) ** k for k, x in enumerate(c))
-    local = sum(Fraction(x) * Fraction(tau) ** k for k, x in enumerate(shifted))
-    size = sum(abs(Fraction(x)) * Fraction(tau) ** k for k, x in enumerate(shifted))
-    assert abs(local - exact) <= Fraction(2) ** -52 * size + Fraction(1, 10**300)
-
-
-@given(st.lists(coefficient, min_size=1, max_size=6))
-def test_squares_are_correctly_rounded(c):
-    exact = [Fraction(0)] * (2 * len(c) - 1)
-    for i, x in enumerate(c):
-        for j, y in enumerate(c):
-            exact[i + j] += Fraction(x) * Fraction(y)
-    assert Profile(c).square == tuple(map(float, exact))
-
-
 @pytest.mark.parametrize("profile", [SLOW, MEDIUM, FAST, WAVY])
 def test_integrals_agree_with_quadrature(profile):
     for t in (0.0, 0.3, 1.7):
@@ -64,16 +48,6 @@ def test_integrals_agree_with_quadrature(profile):
             energy = mpmath.quad(lambda x: exact_value(profile, x) ** 2, [0, t])
         assert profile.arc_length(t) == pytest.approx(float(length), rel=4e-16)
         assert profile.energy(t) == pytest.approx(float(energy), rel=4e-16)
-
-
-@pytest.mark.parametrize("profile", [SLOW, MEDIUM, FAST, WAVY, Profile([0.3])])
-def test_lengths_for_coordinates_are_rounded_once(profile):
-    (piece,) = Gain.path(100).pieces(profile, 0.0, 1.0)[:1]
-    times = np.random.default_rng(0).uniform(0.0, piece.stop, 200)
-    once = 0.51 if WIDE == np.longdouble else 2.0 + 2.0 * len(piece.lengths)
-    for tau, length in zip(times, piece.rounded_length(times), strict=True):
-        exact = sum(Fraction(c) * Fraction(tau) ** k for k, c in enumerate(piece.lengths))
-        assert abs(Fraction(length) - exact) <= once * np.spacing(float(exact))
 
 
 def test_a_profile_takes_times_of_any_shape():
@@ -87,7 +61,7 @@ def test_a_profile_takes_times_of_any_shape():
         assert gain.exponent(SLOW, t)[1, 2] == pytest.approx(gain.exponent(SLOW, 1), rel=1e-15)
 
 
-@pytest.mark.parametrize("t", ["now", ["1.0"], 1j, [True], [[1.0], [2.0, 3.0]]])
+@pytest.mark.parametrize("t", ["now", ["1.0"], 1j, [True], [[1.0], [2.0, 3.0]], None])
 def test_a_time_that_is_no_number_is_named(t):
     with pytest.raises(SceneError, match=r"profile at t = .*: give times in seconds"):
         SLOW(t)
@@ -95,10 +69,7 @@ def test_a_time_that_is_no_number_is_named(t):
 
 @pytest.mark.parametrize("t", ["1", None, math.nan, [1.0]])
 def test_an_end_of_a_span_that_is_no_number_is_named(t):
-    for check, name in (
-        (WAVY.check, "duration"), (WAVY.zeros, "duration"), (WAVY.shifted, "t0"),
-        (lambda t: WAVY.knots(t, 1), "t0"), (lambda t: WAVY.growths(0, t), "t1"),
-    ):  # fmt: skip
+    for check, name in ((WAVY.check, "duration"), (lambda t: WAVY.extrema(0, t), "t1")):
         with pytest.raises(SceneError, match=f"{name} = .*: give a finite number"):
             check(t)
 
@@ -114,12 +85,6 @@ def test_extrema_are_the_sign_changes_of_the_rate():
 def test_a_rounded_double_root_of_the_rate_is_no_extremum():
     # 0.09 - 0.6 t + t^2 = (t - 0.3)^2 up to rounding
     assert Profile([1, 0.09, -0.3, 1 / 3]).extrema(0, 1) == ()
-
-
-@given(st.floats(1e-6, 1), st.floats(1e-6, 1))
-def test_extrema_of_a_cubic_agree_with_its_roots(a, b):
-    profile = Profile(np.polynomial.Polynomial.fromroots([a, -b]).integ().coef)
-    assert profile.extrema(0, 2) == pytest.approx((a,), rel=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -162,18 +127,23 @@ def test_a_profile_that_is_no_speed_is_refused_with_time_value_and_remedy(coeffi
 
 @pytest.mark.parametrize(
     "bad",
-    [[], [math.nan], [1, math.inf], 0.1, "0.1", b"0.1", ["0.1"], [True], [1e200], [10**400],
-     [None]],
-)  # fmt: skip
+    [
+        [],
+        [math.nan],
+        [1, math.inf],
+        0.1,
+        "0.1",
+        b"0.1",
+        ["0.1"],
+        [True],
+        [1e200],
+        [10**400],
+        [None],
+    ],
+)
 def test_profile_coefficients_must_be_finite_numbers(bad):
     with pytest.raises(SceneError, match="profile"):
         Profile(bad)
-
-
-def test_profiles_and_gains_are_values():
-    assert Profile([1, 2]) == Profile((1.0, 2.0))
-    assert hash(Profile([1, 2])) == hash(Profile((1.0, 2.0)))
-    assert len({Gain.path(1), Gain.path(1.0), Gain.time(1)}) == 2
 
 
 # --- gain laws ---------------------------------------------------------------------------------
@@ -188,53 +158,13 @@ def test_the_exponent_is_the_integral_of_the_gain(gain, profile):
     assert gain.exponent(profile, t[1:]) == pytest.approx(summed, rel=1e-5, abs=1e-5)
 
 
-@pytest.mark.parametrize("gain", [*GAINS, Gain.path(1e10), Gain.guaranteed(0)])
-@pytest.mark.parametrize("profile", [SLOW, WAVY, Profile([0.5])])
-def test_pieces_give_the_decay_of_the_gain_law(gain, profile):
-    pieces = gain.pieces(profile, 0.2, 2.0)
-    assert (pieces[0].start, pieces[-1].stop) == (0.2, 2.0)
-    assert all(a.stop == b.start for a, b in zip(pieces, pieces[1:]))
-    for piece in pieces:
-        assert piece.exponent[0] == 0
-        for tau in (piece.stop - piece.start) * np.array([1e-9, 0.3, 1.0]):
-            t = piece.start + tau
-            local = np.polynomial.polynomial.polyval(tau, piece.sigma)
-            assert local == pytest.approx(profile(t), rel=1e-14)
-            exponent = np.polynomial.polynomial.polyval(tau, piece.exponent)
-            exponent -= piece.power * math.log(piece.sigma[0] / local)
-            given_by_law = gain.exponent(profile, t) - gain.exponent(profile, piece.start)
-            # the law's own difference cancels, the piece's does not
-            tolerance = 1e-14 * (1 + gain.exponent(profile, t))
-            assert exponent == pytest.approx(given_by_law, rel=1e-13, abs=tolerance)
-
-
-def test_a_large_gain_loses_nothing_to_cancellation():
-    (piece,) = Gain.path(1e10).pieces(MEDIUM, 3.5, 4.0)
-    tau = 1e-9
-    with mpmath.workdps(40):
-        window = [mpmath.mpf(3.5), mpmath.mpf(3.5) + mpmath.mpf(tau)]
-        exact = 1e10 * mpmath.quad(lambda t: exact_value(MEDIUM, t) ** 2, window)
-    value = np.polynomial.polynomial.polyval(tau, piece.exponent)
-    assert value == pytest.approx(float(exact), rel=4e-16)
-
-
-def test_the_guaranteed_law_is_cut_where_sigma_turns():
-    pieces = Gain.guaranteed(5).pieces(WAVY, 0, 2)
-    turns = sorted(np.polynomial.Polynomial(WAVY.coefficients).deriv().roots())
-    assert [p.start for p in pieces[1:]] == pytest.approx(turns, rel=1e-12)
-    assert [p.power for p in pieces] == [1, 0, 1]
-
-
 def test_the_guaranteed_law_ends_slip_at_once_where_sigma_starts_from_zero():
     start = Profile([0, 1])
     assert Gain.guaranteed(1).rate(start, 0.0) == math.inf
     assert Gain.guaranteed(1).exponent(start, np.array([0, 1e-9])).tolist() == [0, math.inf]
-    (piece,) = Gain.guaranteed(1).pieces(start, 0, 1)
-    assert (piece.sigma[0], piece.power) == (0, 1)
     touching = Profile([0.09, -0.6, 1])  # at 0.3, up to rounding
     assert math.isfinite(Gain.guaranteed(1).exponent(touching, 0.3))
     assert Gain.guaranteed(1).exponent(touching, 0.4) == math.inf
-    assert Gain.guaranteed(1).pieces(touching, 0, 1)[1].sigma[0] == 0
 
 
 @pytest.mark.parametrize("rho", [0, 3.0])
@@ -278,16 +208,6 @@ def test_the_least_gain_of_the_papers_profiles(profile, duration, least):
     assert report.least_eta == pytest.approx(least, rel=5e-3)
 
 
-def test_the_printed_gain_contracts_only_late_in_the_papers_example():
-    report = contraction(SLOW, Gain.path(100), 1)
-    assert not report.throughout
-    # at t = 0 sigma' = 0, so a moment of contraction comes before the growth
-    (_, instant), (start, stop) = report.intervals
-    assert instant < 2e-7
-    assert start == pytest.approx(0.66, abs=0.005)
-    assert stop == 1
-
-
 @pytest.mark.parametrize("first", [1e-60, 1e-120, 5e-324])
 def test_no_start_is_too_slow_for_a_contraction(first):
     # sigma' / sigma^3 at the start, where it is greatest; beyond floating point it is infinite
@@ -315,8 +235,13 @@ def test_least_eta_and_intervals_agree_with_a_grid(law, profile):
 
 
 def test_intervals_are_found_where_terms_of_the_cube_cancel():
-    c = (3005.1403161236235, -1740.4493292790798, 376.88626263685416, -36.17421559902501,
-         1.2990199109844012)  # fmt: skip
+    c = (
+        3005.1403161236235,
+        -1740.4493292790798,
+        376.88626263685416,
+        -36.17421559902501,
+        1.2990199109844012,
+    )
     intervals = contraction(Profile(c), Gain.path(1.0), 7.9).intervals
     for t in map(Fraction, np.linspace(0.01, 7.89, 400).tolist()):
         sigma = sum(Fraction(x) * t**k for k, x in enumerate(c))

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import tempfile
 import tomllib
 from pathlib import Path
 
@@ -10,33 +11,36 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from contact_system import scene as scene_module
-from contact_system.errors import SceneError
-from contact_system.plan import plan
-from contact_system.profile import Gain, Profile
-from contact_system.scene import (
-    DISTURBANCE_KINDS,
+import contact_system as cs
+from contact_system import (
     Contact,
+    Cylinder,
+    Ellipsoid,
     FingerAcceleration,
+    Gain,
+    ImplicitSurface,
     ObjectAcceleration,
     ObjectRateOffset,
+    ParametricSurface,
+    Plane,
+    Profile,
+    Quadric,
     Scene,
+    SceneError,
+    Sphere,
+    Torus,
     Turning,
-)
-from contact_system.scene_files import (
-    bundled_scenes,
     load_scene,
     save_scene,
-    scene_from_toml,
-    scene_to_toml,
 )
-from contact_system.surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
-from contact_system.user_surfaces import ImplicitSurface, ParametricSurface
 
 pi = math.pi
 PAPER = ("C1", "C2", "D1", "D2", "D3", "K1", "K2", "K3", "K4")
 OWN = ("bowl", "chart", "implicit", "torus")
 FINGER = Sphere(0.04)
+
+
+DISTURBANCES = FingerAcceleration, ObjectAcceleration, ObjectRateOffset
 
 
 def small_scene(**changes) -> Scene:
@@ -51,21 +55,30 @@ def small_scene(**changes) -> Scene:
     return Scene(**(fields | changes))
 
 
+def read(text: str, name: str = "wrong.toml") -> Scene:
+    """The scene of a file."""
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, name).write_text(text, "utf-8")
+        return load_scene(Path(folder, name))
+
+
+def written(scene: Scene) -> str:
+    """The file of a scene."""
+    with tempfile.TemporaryDirectory() as folder:
+        save_scene(scene, Path(folder, "scene.toml"))
+        return Path(folder, "scene.toml").read_text("utf-8")
+
+
 # --- bundled scenes ----------------------------------------------------------------------------
-
-
-def test_the_papers_nine_scenes_and_our_own_are_bundled():
-    assert set(PAPER + OWN) <= set(bundled_scenes())
-    assert all(text and "\n" not in text for text in bundled_scenes().values())
 
 
 @pytest.mark.parametrize("name", PAPER + OWN)
 def test_a_bundled_scene_loads_and_survives_a_round_trip(name):
     scene = load_scene(name)
     assert scene.name == name
-    again = scene_from_toml(scene_to_toml(scene))
+    again = read(written(scene))
     assert again == scene
-    assert scene_to_toml(again) == scene_to_toml(scene)
+    assert written(again) == written(scene)
 
 
 SPHERES = [(pi / 6, pi / 6), (2 * pi / 3, pi / 6), (pi / 10, pi)]
@@ -79,15 +92,33 @@ SLOW, MEDIUM, FAST = (0.001, 0, 0.4), (0.1, 0.2, -0.02), (1, 0.2, -0.02)
     [
         ("K1", Sphere(0.1), SLOW, 1, SPHERES, None, None, None, 0.04),
         ("K2", Sphere(0.1), SLOW, 1, SPHERES, FingerAcceleration, (0, 0.1), (0.1, 0), 0.04),
-        ("K3", Ellipsoid(0.3, 0.2, 0.1), SLOW, 1, ON_ELLIPSOID, FingerAcceleration, (0.1, 0.15),
-         (-0.1, -0.1), 0.015),
-        ("K4", Ellipsoid(0.3, 0.2, 0.1), MEDIUM, 4, ON_ELLIPSOID, FingerAcceleration, (1, 2),
-         (-0.3, -0.3), None),
+        (
+            "K3",
+            Ellipsoid(0.3, 0.2, 0.1),
+            SLOW,
+            1,
+            ON_ELLIPSOID,
+            FingerAcceleration,
+            (0.1, 0.15),
+            (-0.1, -0.1),
+            0.015,
+        ),
+        (
+            "K4",
+            Ellipsoid(0.3, 0.2, 0.1),
+            MEDIUM,
+            4,
+            ON_ELLIPSOID,
+            FingerAcceleration,
+            (1, 2),
+            (-0.3, -0.3),
+            None,
+        ),
         ("D1", Sphere(0.1), FAST, 4, DYNAMIC, ObjectRateOffset, (2, 2.5), (0.6, 1.0), 0.2),
         ("D2", Sphere(0.1), FAST, 4, DYNAMIC, ObjectRateOffset, (0.5, 2.5), (0.6, 0.1), 0.1),
         ("D3", Sphere(0.1), SLOW, 4, DYNAMIC, ObjectRateOffset, (0.5, 2.5), (0.6, 0.1), 1.0),
     ],
-)  # fmt: skip
+)
 def test_a_bundled_scene_holds_the_papers_numbers(
     name, object_, sigma, duration, contacts, kind, window, value, recovery
 ):
@@ -110,7 +141,8 @@ def test_a_bundled_scene_holds_the_papers_numbers(
 
 @pytest.mark.parametrize("name", PAPER)
 def test_every_key_a_file_marks_as_chosen_is_listed(name):
-    text = (Path(scene_module.__file__).parent / "scenes" / f"{name}.toml").read_text("utf-8")
+    (path,) = Path(cs.__file__).parent.rglob(f"{name}.toml")
+    text = path.read_text("utf-8")
     lines = [line for line in text.splitlines() if "chosen" in line and line[0] != "#"]
     marked = {line.split(" = ")[0] for line in lines}
     chosen = load_scene(name).chosen
@@ -135,65 +167,7 @@ def test_in_c1_the_finger_that_keeps_its_orientation_rolls_without_spin():
     assert scene.turning.rotation_vector(1.0) == pytest.approx([1, 1, 1], abs=1e-14)
 
 
-def test_in_c1_and_c2_the_finger_follows_and_its_rate_is_not_planned():
-    for name in ("C1", "C2"):
-        assert all(c.follows for c in load_scene(name).contacts)
-
-
 # --- contacts ----------------------------------------------------------------------------------
-
-
-def test_the_papers_inward_contact_becomes_the_same_point_with_an_outward_frame():
-    (contact,) = small_scene(contacts=[Contact(FINGER, (-1.57, 2.44))]).contacts
-    u, v = contact.object_at
-    assert 0 < u < pi
-    point = 0.1 * np.array(
-        [math.sin(-1.57) * math.cos(2.44), math.sin(-1.57) * math.sin(2.44), math.cos(-1.57)]
-    )
-    assert Sphere(0.1).point(u, v) == pytest.approx(point, abs=1e-16)
-
-
-def test_contacts_in_range_stay_as_given_to_the_last_bit():
-    at = [(2 * pi / 3, pi / 2), (-2 * pi / 3, -pi / 2), (pi / 6, pi / 2), (0.3, 0.1)]
-    scene = small_scene(object=Ellipsoid(0.3, 0.2, 0.1), contacts=[Contact(FINGER, x) for x in at])
-    assert [c.object_at for c in scene.contacts] == at
-
-
-@pytest.mark.parametrize(
-    "surface",
-    [Sphere(0.1), Plane(), Cylinder(0.1), Torus(0.3, 0.1), Ellipsoid(0.3, 0.2, 0.1)]
-    + [Ellipsoid(0.3, 0.3, 0.1), Ellipsoid(0.3, 0.1, 0.1), Quadric(np.diag([1.0, 2.0, 3.0]))],
-)
-def test_a_scene_of_regular_contacts_is_made_without_evaluating_kernels(surface, monkeypatch):
-    def refuse(*arguments):
-        raise AssertionError("a kernel was evaluated")
-
-    monkeypatch.setattr(Surface, "_call", refuse)
-    made = small_scene(object=surface, contacts=[Contact(finger=surface, object_at=(7.0, -1.1))])
-    assert made.contacts[0].object_at == surface.canonical(7.0, -1.1)
-
-
-@pytest.mark.parametrize("surface", [Sphere(0.1), Torus(0.3, 0.1), Ellipsoid(0.3, 0.2, 0.1)])
-def test_contacts_of_a_crowd_are_placed_as_each_alone(surface):
-    at = np.random.default_rng(3).uniform(-9, 9, (40, 4)).tolist()
-    velocity, others = (0.6, 0.8), [Sphere(0.02), Ellipsoid(0.06, 0.05, 0.04)]
-    contacts = [
-        Contact(others[i % 2], at[:2], finger_at=at[2:], angle=0.1 * i, object_velocity=velocity)
-        for i, at in enumerate(at)
-    ]
-    contacts += small_scene(object=surface, contacts=contacts[:1]).contacts  # one in range already
-    pushes = [kind(k, 0, 1, velocity) for kind in DISTURBANCE_KINDS for k in range(41)]
-    crowd = small_scene(object=surface, contacts=contacts, disturbances=pushes)
-    for k, contact in enumerate(contacts):
-        own = [kind(0, 0, 1, velocity) for kind in DISTURBANCE_KINDS]
-        alone = small_scene(object=surface, contacts=[contact], disturbances=own)
-        assert crowd.contacts[k] == alone.contacts[0]
-        assert crowd.packed_starts[72 * k : 72 * (k + 1)] == alone.packed_starts
-        found = [d.value for d in crowd.disturbances if d.contact == k]
-        assert found == [d.value for d in alone.disturbances]
-    wrong = Contact(contacts[0].finger, (0.3, 0.4), (0.0, 1.0))
-    with pytest.raises(SceneError, match=r"contacts\[30\]: finger_at = \(0.0, 1.0\): .*pole"):
-        small_scene(object=surface, contacts=contacts[:30] + [wrong] + contacts[31:])
 
 
 def test_a_contact_on_the_second_cover_of_an_ellipsoid_keeps_its_motion():
@@ -235,7 +209,7 @@ def test_disturbances_that_are_kept_beside_new_contacts_are_not_turned_again():
     assert scene.disturbances[0].value == (-1.0, -0.5)
     assert scene.replace(contacts=[given]) == scene.replace(contacts=scene.contacts) == scene
     assert scene.replace(contacts=[given], disturbances=[push]) == scene
-    ends = [plan(s).points([2.0]) for s in (scene, scene.replace(contacts=[given]))]
+    ends = [cs.plan(s).points([2.0]) for s in (scene, scene.replace(contacts=[given]))]
     assert np.array_equal(*ends)
 
 
@@ -319,45 +293,31 @@ FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(
         (over(gain=100), ["gain = 100", "give a Gain"]),
         (over(turning=(1, 1, 1)), ["turning", "give a Turning"]),
         (over(duration=0), ["duration = 0 s", "longer than 0"]),
-        (over(duration=-1), ["duration = -1 s"]),
-        (over(duration=math.nan), ["duration", "nan", "finite"]),
-        (over(duration=math.inf), ["duration", "inf", "finite"]),
         (over(duration="2"), ["duration = '2'", "number"]),
         (over(profile=Profile([0.1, -0.1])), ["-0.1 m/s", "t = 2 s", "before t = 1 s"]),
         (over(name=3), ["name = 3", "text"]),
         (over(paper={"reprots": "x"}), ["paper", "'reprots'", "'reports'"]),
         (over(paper={"recovery_time": "soon"}), ["recovery_time = 'soon'", "a finite number"]),
-        (over(paper={"lateral_force": [1]}), ["paper: lateral_force = [1", "a finite number"]),
-        (over(paper={"recovery_time": math.inf}), ["recovery_time = inf", "finite"]),
         (over(paper={"reports": 3}), ["paper: reports = 3", "text"]),
         (over(paper=[1]), ["paper = [1]", "table"]),
         (over(drake={"mass": math.nan}), ["drake.mass", "nan"]),
-        (over(drake={"mass": None}), ["drake.mass = None"]),
         (over(drake={1: 2}), ["drake: key = 1", "text"]),
         (over(chosen=["contacts.fingr_at"]), ["chosen[0]", "'finger_at'"]),
         (over(chosen=["durations"]), ["chosen[0]", "'duration'"]),
-        (over(chosen="duration"), ["chosen", "list"]),
         (contact(finger=0.04), ["finger = 0.04", "Sphere"]),
         (contact(object_at=1.0), ["object_at = 1.0", "two numbers"]),
-        (contact(object_at=(1, 2, 3)), ["object_at", "two numbers"]),
         (contact(object_at={2, 1}), ["object_at = {1, 2}", "list of numbers"]),
-        (contact(object_at={1: 2, 3: 4}), ["object_at = {1: 2", "list of numbers"]),
         (lambda: Profile({0.1, 0.2}), ["profile = {", "list of numbers"]),
         (contact(finger_at=(1, math.nan)), ["finger_at[1]", "nan", "finite"]),
         (contact(angle=math.inf), ["angle", "inf", "finite"]),
-        (contact(angle=True), ["angle = True", "number"]),
         (contact(finger_velocity="rest"), ["finger_velocity = 'rest'", 'or "rolling"']),
         (contact(object_velocity="roling"), ["object_velocity = 'roling'", '"rolling" or "rest"']),
-        (contact(object_velocity=(1,)), ["object_velocity = (1,)", "two numbers"]),
         (contact(finger_velocity="rolling"), ['"rolling"', "object_velocity as two numbers"]),
         (window(1, 1), ["start = 1, stop = 1", "exchange"]),
-        (window(1.5, 0.5), ["start = 1.5, stop = 0.5", "exchange"]),
         (window(-0.5, 1), ["disturbances[0]", "start = -0.5", "[0, 2] s"]),
         (window(1, 2.5), ["disturbances[0]", "stop = 2.5", "change the duration"]),
         (window(0, 1, contact=2), ["contact = 2", "2 contacts", "0 to 1"]),
-        (window(0, 1, contact=-1), ["contact = -1"]),
         (window(0, 1, contact="every"), ["contact = 'every'", '"all"']),
-        (window(0, 1, contact=True), ["contact = True"]),
         (window(0, 1, contact=np.array([0, 1])), ["contact = array([0, 1])", '"all"']),
         (window(0, 1, value=b"10"), ["value = b'10'", "list of numbers"]),
         (lambda: small_scene().contact_name(2), ["scene 'small': contact = 2", "0 to 1"]),
@@ -369,7 +329,6 @@ FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(
             ["contact = 0", "imposes rolling", "leave the disturbance out"],
         ),
         (lambda: Turning((0, 0, 0), [1]), ["axis", "not all zero"]),
-        (lambda: Turning((1, 1), [1]), ["axis = (1, 1)", "three numbers"]),
         (lambda: Turning((1, 1, 1), [math.nan]), ["angle[0]", "nan"]),
     ],
 )
@@ -416,7 +375,7 @@ friction = 0.5
 
 
 def test_arithmetic_texts_are_numbers():
-    scene = scene_from_toml(GOOD + '[paper]\nrecovery_time = "1/25"\nlateral_force = 1\n')
+    scene = read(GOOD + '[paper]\nrecovery_time = "1/25"\nlateral_force = 1\n')
     assert scene.paper == {"recovery_time": 0.04, "lateral_force": 1.0}
     assert scene.profile == Profile([0.1, 0.2])
     assert scene.object == Ellipsoid(0.3, 0.2, 0.1)
@@ -432,13 +391,8 @@ def test_arithmetic_texts_are_numbers():
         ('name = "good"', "name = 3", ["name = 3"]),
         ("duration = 2.0", "", ["'duration' is missing"]),
         ("duration = 2.0", "durration = 2.0", ["'durration'", "'duration'"]),
-        ("duration = 2.0", "duration = nan", ["duration", "finite"]),
-        ("duration = 2.0", "duration = -1", ["duration = -1"]),
-        ("duration = 2.0", "duration = [1]", ["duration"]),
         ("duration = 2.0", "duration = 1" + 400 * "0", ["duration", "finite"]),
-        ('[0.1, "1/5"]', "[0.1, inf]", ["profile[1]", "inf"]),
         ('[0.1, "1/5"]', "[0.1, -0.1]", ["scene 'good'", "t = 2 s"]),
-        ('[0.1, "1/5"]', '[0.1, "1/x"]', ["profile[1]", "1/x"]),
         ('[0.1, "1/5"]', '[0.1, "1/0"]', ["profile[1]", "division by zero"]),
         ('[0.1, "1/5"]', '[0.1, "__import__(1)"]', ["profile[1]"]),
         ('[0.1, "1/5"]', "0.1", ["profile = 0.1", "list"]),
@@ -448,39 +402,20 @@ def test_arithmetic_texts_are_numbers():
         ('{ law = "guaranteed", rho = 5 }', '"time"', ["gain", "'time'", '{ law = "time", eta']),
         ('{ surface = "sphere", radius = "4e-2" }', '"sphere"', ["finger", '{ surface = "sphere"']),
         ('law = "guaranteed"', 'law = "garanteed"', ["gain", "'guaranteed'"]),
-        ("rho = 5", "eta = 5", ["gain", "'eta' is unknown", "rho"]),
-        ("rho = 5", "rho = -5", ["gain", "-5", "use 0 or more"]),
-        (", rho = 5", "", ["gain", "'rho' is missing"]),
         ('{ law = "guaranteed", rho = 5 }', "5", ["gain", "5 is not a table"]),
-        ("axis = [0, 0, 1]", "axis = [0, 0, 0]", ["turning", "axis", "not all zero"]),
         ("axis = [0, 0, 1]", "axes = [0, 0, 1]", ["turning", "'axes'", "'axis'"]),
         ('"ellipsoid"', '"elipsoid"', ["object", "'elipsoid'", "'ellipsoid'"]),
-        ("c = 0.1", "d = 0.1", ["object", "ellipsoid", "'d' is unknown"]),
-        ("c = 0.1", "", ["object", "'c' is missing"]),
-        ("c = 0.1", "c = -0.1", ["object", "ellipsoid", "-0.1"]),
-        ("c = 0.1", "c = nan", ["object", "c", "nan"]),
         ("c = 0.1", "c = 0.1\ninside = 1", ["object", "inside = 1", "true or false"]),
-        ('radius = "4e-2"', "radius = 0", ["contacts[0]", "finger", "sphere", "radius"]),
         ('radius = "4e-2"', "radus = 1", ["contacts[0]", "finger", "'radus'", "'radius'"]),
-        ("minor = 0.02", "minor = 0.06", ["contacts[1]", "torus", "0.06"]),
         ('"2*pi/3"', '"2*pii/3"', ["contacts[0]", "object_at[0]", "pii", "pi"]),
-        ('"2*pi/3"', "nan", ["contacts[0]", "object_at[0]", "nan"]),
         ('"2*pi/3"', "0", ["scene 'good'", "contacts[0] 'thumb'", "object_at = (0.0,"]),
         ('["2*pi/3", "pi/2"]', '"pi"', ["contacts[0]", "object_at", "two numbers"]),
         ('finger_velocity = "rolling"', 'finger_velocity = "roling"', ["contacts[1]", "'rolling'"]),
         ("object_velocity", "object_velocty", ["contacts[1]", "'object_velocity'"]),
         ('kind = "object rate offset"', 'kind = "object rate"', ["disturbances[0]", "kind"]),
-        ('kind = "object rate offset"', "kind = [1]", ["disturbances[0]", "kind"]),
         ("contact = 0", 'contact = "al"', ["disturbances[0]", "'al'", '"all"']),
-        ("contact = 0", "contact = 1.0", ["disturbances[0]", "1.0", "index"]),
         ("contact = 0", "contact = 1", ["disturbances[0]", "imposes rolling"]),
-        ("contact = 0", "contact = 2", ["disturbances[0]", "contact = 2", "2 contacts"]),
-        ("stop = 1", "stop = 3", ["disturbances[0]", "stop = 3", "[0, 2] s"]),
-        ("stop = 1", "stop = 0.5", ["disturbances[0]", "stop = 0.5"]),
-        ("stop = 1", "", ["disturbances[0]", "'stop' is missing"]),
         ("[drake]", '[paper]\nrecovery_time = "soon"\n[drake]', ["paper: recovery_time", "soon"]),
-        ("[drake]", "[paper]\nrecovery_time = [1]\n[drake]", ["paper: recovery_time", "number"]),
-        ("friction = 0.5", "friction = nan", ["drake.friction", "nan"]),
         ("[drake]", "[darke]", ["'darke'", "'drake'"]),
         ("[[contacts]]", "[contacts]", ["TOML"]),
         ('[0.1, "1/5"]', "[" * 2000 + "]" * 2000, ["nested too deeply"]),
@@ -492,23 +427,14 @@ def test_arithmetic_texts_are_numbers():
 def test_a_mistake_in_a_file_is_named_by_file_key_value_and_remedy(old, new, words):
     assert old in GOOD
     with pytest.raises(SceneError) as error:
-        scene_from_toml(GOOD.replace(old, new, 1), source="wrong.toml")
+        read(GOOD.replace(old, new, 1))
     for word in ["wrong.toml", *words]:
         assert word in str(error.value)
 
 
-@pytest.mark.parametrize("key", ["contacts", "disturbances"])
-def test_a_single_table_instead_of_a_list_is_refused(key):
-    text = 'duration = 1\nprofile = [1]\nobject = { surface = "plane" }\n'
-    other = "" if key == "contacts" else "contacts = []\n"
-    with pytest.raises(SceneError, match=rf"\[\[{key}\]\]"):
-        scene_from_toml(f"{text}{other}[{key}]\nstart = 1\n")
-
-
 def test_a_nameless_scene_is_named_after_its_file():
     text = GOOD.replace('name = "good"', "")
-    assert scene_from_toml(text, source="folder/mine.toml").name == "mine"
-    assert scene_from_toml(text).name == ""
+    assert read(text, "mine.toml").name == "mine"
 
 
 def test_an_unknown_scene_is_refused_with_the_nearest_name():
@@ -539,14 +465,7 @@ def test_files_that_are_no_text_are_refused(tmp_path):
 
 def test_a_file_may_begin_with_a_byte_order_mark_and_have_lines_of_windows(tmp_path):
     (tmp_path / "x.toml").write_text(GOOD.replace("good", "größer"), "utf-8-sig", newline="\r\n")
-    assert load_scene(tmp_path / "x.toml") == scene_from_toml(GOOD.replace("good", "größer"))
-
-
-def test_a_scene_saved_to_a_file_is_read_back_equal(tmp_path):
-    scene = scene_from_toml(GOOD)
-    save_scene(scene, tmp_path / "s.toml")
-    assert load_scene(tmp_path / "s.toml") == scene
-    assert load_scene(str(tmp_path / "s.toml")).source.endswith("s.toml")
+    assert load_scene(tmp_path / "x.toml") == read(GOOD.replace("good", "größer"))
 
 
 number = st.floats(-10, 10)
@@ -565,7 +484,7 @@ SURFACES = [
 @settings(max_examples=30, deadline=None)
 @given(
     st.sampled_from(SURFACES),
-    st.text(),
+    st.text(min_size=1),
     st.tuples(number, number),
     st.floats(0, 1e300),
     st.dictionaries(st.text(), st.one_of(st.text(), number, st.lists(number), st.booleans())),
@@ -582,21 +501,14 @@ def test_every_float_and_every_text_survives_a_round_trip(surface, text, velocit
         paper={"reports": text, "recovery_time": 0.1},
         drake={**table, "nested": {"list": [1, 2.5, {"deep": True}]}},
     )
-    assert scene_from_toml(scene_to_toml(scene)) == scene
+    assert read(written(scene)) == scene
 
 
 def test_a_sheet_survives_a_round_trip_as_any_kind_of_number():
     for sheet in (np.int64(-1), -1.0):
         scene = small_scene(object=Quadric(np.diag([4.0, -2.0, -3.0]), sheet=sheet))
-        assert scene_from_toml(scene_to_toml(scene)) == scene
+        assert read(written(scene)) == scene
         assert repr(scene.object).endswith("sheet=-1)")
-
-
-def test_user_surfaces_keep_their_text_parameters_and_size():
-    for name, parameters in (("chart", {"h": 0.01, "k": 20}), ("implicit", {"r": 0.1})):
-        body = scene_from_toml(scene_to_toml(load_scene(name))).object
-        assert body.named_parameters == parameters
-        assert body.size == 0.1
 
 
 @pytest.mark.parametrize(
@@ -618,7 +530,7 @@ def test_user_surfaces_keep_their_text_parameters_and_size():
 def test_a_mistake_in_a_users_surface_is_named(surface, words):
     old = 'surface = "ellipsoid"\na = "3/10"\nb = 0.2\nc = 0.1'
     with pytest.raises(SceneError) as error:
-        scene_from_toml(GOOD.replace(old, surface), source="wrong.toml")
+        read(GOOD.replace(old, surface))
     for word in ["wrong.toml", *words]:
         assert word in str(error.value)
 
@@ -633,10 +545,10 @@ def test_a_contact_where_a_formula_gives_no_point_is_refused():
 def test_a_surface_given_as_a_python_function_cannot_be_saved():
     scene = small_scene(object=ParametricSurface(lambda u, v: (u, v, 0.01 * u * v)))
     with pytest.raises(SceneError, match="scene 'small': object: f is a Python function"):
-        scene_to_toml(scene)
+        written(scene)
     scene = small_scene(contacts=[Contact(ImplicitSurface(lambda x: x.T @ x - 1), (1, 1))])
     with pytest.raises(SceneError, match=r"contacts\[0\]: finger: F is a Python function"):
-        scene_to_toml(scene)
+        written(scene)
 
 
 def test_a_surface_of_a_kind_of_ones_own_cannot_be_saved(tmp_path):
@@ -648,7 +560,7 @@ def test_a_surface_of_a_kind_of_ones_own_cannot_be_saved(tmp_path):
 
 
 def test_scene_files_are_flat_toml_with_known_keys():
-    table = tomllib.loads(scene_to_toml(load_scene("K4")))
+    table = tomllib.loads(written(load_scene("K4")))
     assert table["gain"] == {"law": "path", "eta": 100.0}
     assert table["object"] == {"surface": "ellipsoid", "a": 0.3, "b": 0.2, "c": 0.1}
     assert table["contacts"][0]["finger"] == {"surface": "sphere", "radius": 0.04}

@@ -19,8 +19,6 @@ from conftest import (
 from numpy.polynomial import legendre, polynomial
 
 import contact_system as cs
-from contact_system.errors import ChartSingularity
-from contact_system.measures import regular_times
 
 T = np.linspace(0.0, 1.0, 41)
 PROFILE = (0.05, 0.2, -0.1)
@@ -78,31 +76,6 @@ def test_slip_is_carried_by_parallel_transport_along_the_objects_curve(obj):
     assert angle[-1] - angle[0] == pytest.approx(turned, abs=1e-11)
 
 
-@pytest.mark.parametrize("finger", SURFACES)
-def test_path_speed_of_the_finger_is_sigma(finger):
-    # (0.6, 0.8) has length 1, so |M1 q1'| = sigma
-    scene = one_contact("ellipsoid", finger)
-    a1, _ = path_velocities(scene, cs.plan(scene).states(T))
-    sigma = polynomial.polyval(T, scene.profile.coefficients)
-    assert np.linalg.norm(a1[:, 0], axis=1) == pytest.approx(sigma, rel=1e-13)
-
-
-@pytest.mark.parametrize("pair", [("ellipsoid", "sphere"), ("bumps", "torus"), ("bowl", "oblate")])
-def test_psi_obeys_montanas_angle_equation_with_slip(pair):
-    scene = one_contact(*pair)
-    plan = cs.plan(scene)
-    node, weight = legendre.leggauss(60)
-    states = plan.states(0.5 * (1 + node))
-    rate = 0.0
-    for k, (surface, a) in enumerate(
-        zip((scene.contacts[0].finger, scene.object), path_velocities(scene, states))
-    ):
-        torsion = surface.torsion_form(*states[:, 0, 4 * k : 4 * k + 2].T).reshape(-1, 2)
-        rate = rate + (torsion * a[:, 0]).sum(1)
-    psi = plan.states([0.0, 1.0])[:, 0, 8]
-    assert psi[1] - psi[0] == pytest.approx(rate @ (0.5 * weight), abs=1e-11)
-
-
 @pytest.mark.parametrize("gain", GAINS)
 def test_slip_shrinks_where_the_scene_says_that_it_contracts(gain):
     scene = one_contact("ellipsoid", gain=GAINS[gain])
@@ -153,10 +126,9 @@ PROFILES = {
 }
 
 
-@pytest.mark.parametrize("compiled", [False, None])
 @pytest.mark.parametrize("eta", [1e4, 1e9, 1e12, 1e15])
 @pytest.mark.parametrize("profile", PROFILES)
-def test_slip_moves_a_contact_by_the_integral_of_the_law(profile, eta, compiled):
+def test_slip_moves_a_contact_by_the_integral_of_the_law(profile, eta):
     # g = int sigma exp(-L), lam = eta sigma^2, by mpmath: also where lam is 0 at both ends
     c = PROFILES[profile]
     lost = [mp.mpf(x) for x in polynomial.polyint(polynomial.polymul(c, c))]
@@ -166,14 +138,11 @@ def test_slip_moves_a_contact_by_the_integral_of_the_law(profile, eta, compiled)
         return sigma * mp.exp(-eta * left)
 
     g = float(mp.quad(integrand, [0, *np.geomspace(1e-16, 1.0, 33).tolist()]))
-    common = {"profile": cs.Profile(c), "gain": cs.Gain.path(eta), "duration": 1.0}
-    start = cs.Contact(
-        finger=cs.Sphere(0.1), object_at=(1.3, 0.1), finger_at=(1.2, 0.1),
-        finger_velocity=(0.0, 0.0), object_velocity=(0.6, 0.8),
-    )  # fmt: skip
+    start = {"object_at": (1.3, 0.1), "finger_at": (1.2, 0.1), "angle": 0.0}
+    start |= {"finger_velocity": (0.0, 0.0), "object_velocity": (0.6, 0.8)}
     for obj in (cs.Plane(), cs.Sphere(1.0)):  # a great circle, since the finger rests
-        scene = cs.Scene(object=obj, contacts=[start], **common)
-        first, last = cs.plan(scene, compiled=compiled).points([0.0, 1.0])[:, 0, 1]
+        scene = one_contact(obj, cs.Sphere(0.1), cs.Gain.path(eta), c, **start)
+        first, last = cs.plan(scene).points([0.0, 1.0])[:, 0, 1]
         moved = np.linalg.norm(last - first)
         moved = 2 * np.arcsin(moved / 2) if obj.great_circles else moved
         assert moved == pytest.approx(g, abs=2e-13)
@@ -247,27 +216,14 @@ def test_geodesic_on_the_object_gives_a_geodesic_on_the_finger(obj, finger):
     assert not dragged.slip(T).any()
 
 
-@pytest.mark.parametrize("name", ["C1", "C2"])
-def test_corollary_scenes_draw_a_great_circle_on_the_finger(name):
-    scene = cs.load_scene(name)
-    points = cs.plan(scene).points(np.linspace(0, scene.duration, 101))[:, 0, 0]
-    _, spread, _ = np.linalg.svd(points)
-    assert spread[1] > 1e-2  # it is no straight line
-    assert spread[2] < 1e-14  # the plane through the centre that holds all the points
-
-
 # --- geodesics
 
 
 def geodesic(surface: cs.Surface, at, direction, length: float) -> cs.Plan:
     """A contact that rolls along a geodesic of the object at 1 m/s."""
-    duration = length
-    return cs.plan(cs.Scene(
-        object=surface,
-        contacts=[cs.Contact(finger=cs.Plane(), object_at=at, finger_at=(0.0, 0.0),
-                             finger_velocity=tuple(reflection(0.0) @ direction))],
-        profile=cs.Profile([1.0]), duration=duration,
-    ))  # fmt: skip
+    start = {"finger_at": (0.0, 0.0), "finger_velocity": tuple(reflection(0.0) @ direction)}
+    start |= {"object_at": at, "object_velocity": "rolling", "angle": 0.0}
+    return cs.plan(one_contact(surface, cs.Plane(), profile=(1.0,), duration=length, **start))
 
 
 TRIAXIAL_STARTS = [((0.7, 0.4), 0.3), ((2.1, 1.2), 2.0), ((-1.0, -0.6), -1.3), ((1.5, 0.1), 1.5)]
@@ -316,8 +272,10 @@ def test_geodesic_of_a_cylinder_is_straight_when_unrolled(angle):
     plan = geodesic(cs.Cylinder(r), (0.3, 0.2), (cos(angle), sin(angle)), length)
     t = np.linspace(0, length, 101)
     with mp.workdps(30):
-        phase = [float((mp.mpf(0.3) + mp.mpf(cos(angle)) * mp.mpf(s) / mp.mpf(r)) % (2 * mp.pi))
-                 for s in t]  # fmt: skip
+        phase = [
+            float((mp.mpf(0.3) + mp.mpf(cos(angle)) * mp.mpf(s) / mp.mpf(r)) % (2 * mp.pi))
+            for s in t
+        ]
     expected = np.stack([r * np.cos(phase), r * np.sin(phase), 0.2 + sin(angle) * t], axis=1)
     moved = plan.points(t)[:, 0, 1]
     assert moved[:, :2] == pytest.approx(expected[:, :2], abs=1e-12 * r)
@@ -329,15 +287,13 @@ def test_great_circle_stays_on_its_circle_for_a_thousand_revolutions(body):
     r, turns = 0.1, 1000
     length = 2 * pi * r * turns
     at, w = (1.1, 0.4), (0.6, 0.8)
-    ball, plane = {"surface": cs.Sphere(r), "at": at}, {"surface": cs.Plane(), "at": (0.0, 0.0)}
-    tip, obj = (ball, plane) if body == "finger" else (plane, ball)
-    given = w if body == "finger" else tuple(reflection(0.0) @ w)
-    plan = cs.plan(cs.Scene(
-        object=obj["surface"],
-        contacts=[cs.Contact(finger=tip["surface"], object_at=obj["at"], finger_at=tip["at"],
-                             finger_velocity=given)],
-        profile=cs.Profile([length]), duration=1.0,
-    ))  # fmt: skip
+    start = {"angle": 0.0, "object_velocity": "rolling", "profile": (length,)}
+    if body == "finger":
+        start |= {"finger_at": at, "finger_velocity": w, "object_at": (0.0, 0.0)}
+        plan = cs.plan(one_contact(cs.Plane(), cs.Sphere(r), **start))
+    else:
+        start |= {"finger_velocity": tuple(reflection(0.0) @ w), "finger_at": (0.0, 0.0)}
+        plan = cs.plan(one_contact(cs.Sphere(r), cs.Plane(), object_at=at, **start))
     t = np.linspace(0, 1, 203)
     with mp.workdps(40):
         expected = np.array([great_circle(r, at, w, mp.mpf(length) * mp.mpf(s)) for s in t])
@@ -358,24 +314,20 @@ def great_circle(r: float, at, w, length) -> list[float]:
     return [float(r * (mp.cos(phi) * x + mp.sin(phi) * e)) for x, e in zip(n, along)]
 
 
-@pytest.mark.parametrize("method_of", ["sphere", "round ellipsoid"])
-def test_plane_of_a_great_circle_is_constant(method_of):
-    # in closed form, and by integration of the same body given as an ellipsoid
-    surface = {"sphere": cs.Sphere(0.2), "round ellipsoid": cs.Ellipsoid(0.2, 0.2, 0.2)}[method_of]
-    plan = geodesic(surface, (1.1, 0.4), (0.6, 0.8), 5.0)
-    frame = surface.frame(1.1, 0.4)
-    pole = np.cross(frame[:, 2], frame[:, :2] @ [0.6, 0.8])
-    points = plan.points(np.linspace(0, 5, 101))[:, 0, 1]
-    assert points @ pole == pytest.approx(0.0, abs=2e-14)
-
-
 def test_octant_of_a_sphere_has_a_holonomy_of_ninety_degrees():
     # Three legs of 90 degrees with left turns of 90 degrees between them close on a sphere; the
     # parallel frame comes back turned by the octant's area over r^2. On the plane theta2 = 0.
     r = 0.1
     leg = pi * r / 2
-    scene = one_contact("plane", "sphere", profile=(leg,), duration=3.0, object_velocity="rolling",
-                        finger_at=(1.1, 0.4), finger_velocity=(0.6, 0.8))  # fmt: skip
+    scene = one_contact(
+        "plane",
+        "sphere",
+        profile=(leg,),
+        duration=3.0,
+        object_velocity="rolling",
+        finger_at=(1.1, 0.4),
+        finger_velocity=(0.6, 0.8),
+    )
     plan, left = cs.plan(scene), np.array([[0.0, -1.0], [1.0, 0.0]])
     first = plan.states(0.0)[0, 0]
     for corner in (1.0, 2.0):
@@ -425,9 +377,15 @@ MERIDIANS = {
 @pytest.mark.parametrize("name", MERIDIANS)
 def test_path_through_a_pole_is_smooth(name, slipping):
     at, w, pole = MERIDIANS[name]
-    scene = one_contact(name, "plane", angle=0.0, object_at=at, profile=(0.6,),
-                        finger_velocity=(w[0], -w[1]),
-                        object_velocity=(0.5 * w[0], 0.5 * w[1]) if slipping else w)  # fmt: skip
+    scene = one_contact(
+        name,
+        "plane",
+        angle=0.0,
+        object_at=at,
+        profile=(0.6,),
+        finger_velocity=(w[0], -w[1]),
+        object_velocity=(0.5 * w[0], 0.5 * w[1]) if slipping else w,
+    )
     assert_smooth_across(cs.plan(scene), np.array(pole))
 
 
@@ -435,23 +393,43 @@ def test_path_through_a_pole_is_smooth(name, slipping):
 def test_path_through_an_umbilic_is_smooth(slipping):
     # The ellipse y = 0 is a geodesic, and all four umbilics lie on it.
     given = {"object_velocity": (-0.5, 0.0)} if slipping else {"object_velocity": "rolling"}
-    scene = one_contact("ellipsoid", "sphere", angle=0.0, object_at=(1.0, pi / 2), profile=(0.4,),
-                        finger_velocity=(-1.0, 0.0), **given)  # fmt: skip
+    scene = one_contact(
+        "ellipsoid",
+        "sphere",
+        angle=0.0,
+        object_at=(1.0, pi / 2),
+        profile=(0.4,),
+        finger_velocity=(-1.0, 0.0),
+        **given,
+    )
     assert_smooth_across(cs.plan(scene), np.array([0.3 * sqrt(5 / 8), 0.0, 0.1 * sqrt(3 / 8)]))
 
 
-@pytest.mark.parametrize("compiled", [False, None])
-def test_states_at_a_pole_are_those_of_one_side_or_the_other(compiled):
+def has_states(plan: cs.Plan, t: float) -> bool:
+    try:
+        return bool(np.isfinite(plan.states(t)).all())
+    except cs.ChartSingularity:
+        return False
+
+
+def test_states_at_a_pole_are_those_of_one_side_or_the_other():
     # North along a meridian at 0.1 m/s on a radius of 0.1 m: u = u0 - t, but for rounding.
     u0 = 0.7
-    scene = one_contact("sphere", "plane", angle=0.0, object_at=(u0, 0.0), profile=(0.1,),
-                        finger_velocity=(-1.0, 0.0), object_velocity="rolling")  # fmt: skip
-    plan = cs.plan(scene, compiled=compiled)
+    scene = one_contact(
+        "sphere",
+        "plane",
+        angle=0.0,
+        object_at=(u0, 0.0),
+        profile=(0.1,),
+        finger_velocity=(-1.0, 0.0),
+        object_velocity="rolling",
+    )
+    plan = cs.plan(scene)
     t = u0 + np.arange(-40, 41) * np.spacing(u0)
     x = plan.points(t)[:, 0, 1]
     assert x == pytest.approx(np.broadcast_to([0.0, 0.0, 0.1], x.shape), abs=1e-15)
     assert np.isfinite(plan.pose(t)).all() and np.isfinite(plan.twist(t)).all()
-    t = regular_times(plan, t)  # numpy 1.26 meets the pole exactly, where there are no states
+    t = np.array([x for x in t if has_states(plan, x)])  # one may meet the pole exactly
     assert len(t) > 70
     u, v, du, dv = plan.states(t)[:, 0, 4:8].T
     assert np.abs(scene.object.point(u, v) - plan.points(t)[:, 0, 1]).max() < 1e-16
@@ -459,13 +437,3 @@ def test_states_at_a_pole_are_those_of_one_side_or_the_other(compiled):
     assert np.array_equal(np.sign(du), np.where(turned, 1.0, -1.0)) and not dv.any()
     assert np.abs(np.abs(v) - np.where(turned, pi, 0.0)).max() < 1e-15
     assert turned[-1] and not turned[0]
-
-
-@pytest.mark.parametrize("compiled", [False, None])
-def test_no_state_leaves_that_is_not_finite(compiled):
-    plan = cs.plan(one_contact("sphere", "plane", object_velocity="rolling"), compiled=compiled)
-    plan.states([0.2])
-    plan.groups[0].object[0].circle.constants[0, -3:] = np.nan
-    message = "scene 'plane on sphere', contact 0: .*pole .*Ask for points, pose and twist"
-    with pytest.raises(ChartSingularity, match=message):
-        plan.states([0.1, 0.3])

@@ -7,6 +7,7 @@ with its own truth.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import subprocess
 import sys
@@ -38,13 +39,9 @@ class Choices:
 
 def search(examples: int):
     """Settings of a search that is the same in every run."""
-    return settings(
-        max_examples=examples,
-        derandomize=True,
-        deadline=None,
-        database=None,
-        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-    )
+    slow = [HealthCheck.too_slow, HealthCheck.data_too_large]
+    same = {"derandomize": True, "deadline": None, "database": None}
+    return settings(max_examples=examples, suppress_health_check=slow, **same)
 
 
 DISTURBED = {"object": "sphere", "finger": "ellipsoid", "shape": "plain", "turns": 1.0}
@@ -54,27 +51,27 @@ def verdict_of(data: st.DataObject, **fixed) -> verdicts.Verdict:
     def call() -> verdicts.Verdict:
         return stress_laws.run(stress_scenes.draw_trial(Choices(data), **fixed))
 
-    return verdicts.judged(verdicts.Case("drawn", "hypothesis", call))
+    return verdicts.judged(verdicts.Case("drawn", call))
 
 
-@search(60)
+@search(40)
 @given(st.data())
 def test_any_scene_ends_right_or_refused(data):
-    verdict = verdict_of(data, compiled=False)
+    verdict = verdict_of(data)
     assert verdict.outcome in ("right", "refused"), verdict
 
 
 @search(20)
 @given(st.data())
 def test_any_disturbed_scene_ends_right_or_refused(data):
-    verdict = verdict_of(data, compiled=False, windows=2, **DISTURBED)
+    verdict = verdict_of(data, windows=2, **DISTURBED)
     assert verdict.outcome in ("right", "refused"), verdict
 
 
-@search(40)
+@search(25)
 @given(st.data(), st.sampled_from(stress_cases._poles()))
 def test_any_path_through_or_past_a_pole_ends_right_or_refused(data, aim):
-    verdict = verdict_of(data, compiled=False, **aim)
+    verdict = verdict_of(data, **aim)
     assert verdict.outcome in ("right", "refused"), verdict
 
 
@@ -90,11 +87,10 @@ def test_every_family_makes_cases_that_end_right_or_refused(family):
 
 
 def trial() -> stress_scenes.Trial:
-    return stress_scenes.draw_trial(
-        stress_scenes.Seeded(5), object="ellipsoid", finger="torus", shape="plain", slip=1,
-        windows=0, eta=2.0, law="time", profile="rising", ratio=0.4, size=0.1, duration=1.0,
-        turns=3.0, tolerance=1e-12, compiled=False, inside=False,
-    )  # fmt: skip
+    bodies = {"object": "ellipsoid", "finger": "torus", "shape": "plain", "inside": False}
+    motion = {"law": "time", "eta": 2.0, "profile": "rising", "turns": 3.0, "duration": 1.0}
+    given = bodies | motion | {"slip": 1, "windows": 0, "ratio": 0.4, "size": 0.1}
+    return stress_scenes.draw_trial(stress_scenes.Draw(5), tolerance=1e-12, **given)
 
 
 WRONG = {
@@ -105,7 +101,7 @@ WRONG = {
     "spin of 1e-6": ("twist", lambda x: x + 1e-6 * np.eye(6)[2]),
     "finger displaced by 1e-9 m": ("pose", lambda x: x + 1e-9 * np.outer(*np.eye(4)[[0, 3]])),
     "a NaN": ("states", lambda x: np.where(np.arange(9) == 3, math.nan, x)),
-}  # fmt: skip
+}
 
 
 def test_judge_finds_a_plan_right():
@@ -117,7 +113,7 @@ def test_judge_finds_a_plan_right():
 def test_judge_notices(what):
     output, change = WRONG[what]
     drawn = trial()
-    plan = cs.plan(drawn.scene, compiled=False)
+    plan = cs.plan(drawn.scene)
     own = getattr(plan, output)
     setattr(plan, output, lambda t: change(own(t)))
     assert stress_laws.Judge(drawn, plan).verdict().outcome == "silent"
@@ -126,17 +122,9 @@ def test_judge_notices(what):
 def test_judge_notices_a_path_that_leaves_its_geodesic():
     # A plan of another start, told as if it were this one: every law holds but that of the start.
     drawn = trial()
-    contact = drawn.scene.contacts[0]
-    moved = drawn.scene.replace(
-        contacts=[
-            cs.Contact(
-                **{k: getattr(contact, k) for k in ("finger", "object_at", "finger_at", "angle")},
-                finger_velocity=contact.finger_velocity[::-1],
-                object_velocity=contact.object_velocity,
-            )
-        ]
-    )
-    plan = cs.plan(moved, compiled=False)
+    (contact,) = drawn.scene.contacts
+    turned = dataclasses.replace(contact, finger_velocity=contact.finger_velocity[::-1])
+    plan = cs.plan(drawn.scene.replace(contacts=[turned]))
     assert stress_laws.Judge(drawn, plan).verdict().outcome == "silent"
 
 
@@ -150,52 +138,54 @@ def test_a_refusal_must_name_place_value_and_remedy():
 # --- what the search has found -----------------------------------------------------------------
 
 
+AHEAD = {"object_at": (0.0, 0.0), "finger_velocity": (1.0, 0.0)}
+
+
 def planned(**changes) -> cs.Plan:
     contact = {"finger": cs.Sphere(0.04), "object_at": (1.0, 0.5)} | changes.pop("contact", {})
+    tolerance = changes.pop("tolerance", 1e-12)
     scene = {"object": cs.Sphere(0.1), "profile": cs.Profile([0.1]), "duration": 1.0} | changes
-    return cs.plan(cs.Scene(contacts=[cs.Contact(**contact)], **scene), compiled=False)
+    return cs.plan(cs.Scene(contacts=[cs.Contact(**contact)], **scene), tolerance)
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])
 def test_slip_on_a_cylinder_keeps_the_tolerance_on_long_paths(tolerance):
     # y = W s - V g unrolled, g = sigma (1 - exp(-eta t)) / eta
     sigma, rate, t = 785.0, 1e4, np.array([1e-5, 3e-5, 1e-4, 3e-4, 1e-3])
-    scene = cs.Scene(
-        object=cs.Cylinder(0.1), duration=30.0, profile=cs.Profile([sigma]),
+    plan = planned(
+        contact={**AHEAD, "finger": cs.Sphere(0.3), "object_velocity": (0.3, 0.9)},
+        object=cs.Cylinder(0.1),
+        duration=30.0,
+        profile=cs.Profile([sigma]),
         gain=cs.Gain.time(rate),
-        contacts=[cs.Contact(finger=cs.Sphere(0.3), object_at=(0.0, 0.0),
-                             finger_velocity=(1.0, 0.0), object_velocity=(0.3, 0.9))],
-    )  # fmt: skip
+        tolerance=tolerance,
+    )
     g = -sigma * np.expm1(-rate * t) / rate
-    u = cs.plan(scene, tolerance=tolerance, compiled=False).states(t)[:, 0, 4]
+    u = plan.states(t)[:, 0, 4]
     assert u == pytest.approx((sigma * t - 0.7 * g) / 0.1, abs=tolerance)
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-def test_an_object_that_rolls_on_a_plane_comes_to_the_end_under_every_gain(compiled):
+def test_an_object_that_rolls_on_a_plane_comes_to_the_end_under_every_gain():
     # The guaranteed law has two pieces here, and nothing to do.
-    contact = cs.Contact(finger=cs.Ellipsoid(0.3, 0.2, 0.1), object_at=(0.0, 0.0),
-                         finger_at=(1.0, 0.5), finger_velocity=(0.6, 0.8))  # fmt: skip
-    scene = cs.Scene(
-        object=cs.Plane(), contacts=[contact], duration=1.0, profile=cs.Profile([0.1, 1.0, -1.0]),
+    finger = {"finger": cs.Ellipsoid(0.3, 0.2, 0.1), "finger_at": (1.0, 0.5)}
+    plan = planned(
+        contact={**AHEAD, **finger, "finger_velocity": (0.6, 0.8)},
+        object=cs.Plane(),
+        profile=cs.Profile([0.1, 1.0, -1.0]),
         gain=cs.Gain.guaranteed(2.0),
-    )  # fmt: skip
+    )
     t = np.linspace(0.0, 1.0, 6)
     path = 0.1 * t + t**2 / 2 - t**3 / 3
-    points = cs.plan(scene, compiled=compiled).points(t)[:, 0, 1]
-    assert points == pytest.approx(np.outer(path, [0.6, -0.8, 0.0]), abs=1e-14)
+    expected = np.outer(path, [0.6, -0.8, 0.0])
+    assert plan.points(t)[:, 0, 1] == pytest.approx(expected, abs=1e-14)
 
 
-@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("surface", [cs.Plane(), cs.Cylinder(0.1)])
-def test_slip_whose_path_is_below_the_tolerance_still_has_its_rate(surface, compiled):
-    contact = cs.Contact(finger=cs.Sphere(0.04), object_at=(0.0, 0.0), finger_velocity=(1.0, 0.0),
-                         object_velocity=(0.3, 0.9))  # fmt: skip
-    scene = cs.Scene(object=surface, contacts=[contact], profile=cs.Profile([0.1]), duration=1.0,
-                     gain=cs.Gain.time(1e12))  # fmt: skip
+def test_slip_whose_path_is_below_the_tolerance_still_has_its_rate(surface):
+    contact = {**AHEAD, "object_velocity": (0.3, 0.9)}
+    plan = planned(contact=contact, object=surface, gain=cs.Gain.time(1e12), tolerance=1e-6)
     t = np.array([0.0, 1e-12])
-    states = cs.plan(scene, tolerance=1e-6, compiled=compiled).states(t)[:, 0]
-    rates = states[:, 6:8] * np.diag(surface.metric_root(0.0, 0.0))
+    rates = plan.states(t)[:, 0, 6:8] * np.diag(surface.metric_root(0.0, 0.0))
     slip = np.outer(np.exp(-1e12 * t), [0.7, -0.9])
     assert rates == pytest.approx(0.1 * ([1.0, 0.0] - slip), abs=1e-12)
 
@@ -252,14 +242,14 @@ def test_a_time_that_is_no_number_is_refused(call):
 
 
 HANGS = {
-    "force": "s.replace(disturbances=[cs.FingerAcceleration(0, 0.1, 0.5, (0.1, 5e18))])",
-    "tube": "s.replace(object=cs.Torus(0.1, 1.2e-12))",
-    "grain": "s.replace(object=cs.Quadric([[-4e14, 0, 0], [0, 2, 0], [0, 0, -4e14]]))",
+    "force": "disturbances=[cs.FingerAcceleration(0, 0.1, 0.5, (0.1, 5e18))]",
+    "tube": "object=cs.Torus(0.1, 1.2e-12)",
+    "grain": "object=cs.Quadric([[-4e14, 0, 0], [0, 2, 0], [0, 0, -4e14]])",
 }
 
 
 @pytest.mark.parametrize("what", HANGS)
-def test_a_path_of_too_many_panels_is_refused(what):
+def test_a_path_of_very_many_panels_ends_soon_or_is_refused(what):
     text = f"""
 import signal
 signal.setitimer(signal.ITIMER_PROF, 10.0)
@@ -267,9 +257,9 @@ import contact_system as cs
 s = cs.Scene(object=cs.Sphere(0.1), profile=cs.Profile([0.1]), duration=1.0,
              contacts=[cs.Contact(finger=cs.Sphere(0.04), object_at=(1.0, 0.5))])
 try:
-    cs.plan({HANGS[what]}, compiled=False).points([1.0])
+    cs.plan(s.replace({HANGS[what]})).points([1.0])
 except cs.ContactSystemError as error:
     print("refused:", error)
 """
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True)
-    assert done.stdout.startswith("refused:"), done.returncode
+    assert done.returncode == 0, done.stderr

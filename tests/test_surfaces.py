@@ -6,20 +6,27 @@ import dataclasses
 import pickle
 from math import pi
 
-import casadi as ca
 import mpmath as mp
 import numpy as np
 import pytest
+from conftest import TURN
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from contact_system.errors import ChartSingularity, SurfaceError
-from contact_system.surfaces import Cylinder, Ellipsoid, Plane, Quadric, Sphere, Surface, Torus
-from contact_system.user_surfaces import ImplicitSurface, ParametricSurface
+from contact_system import (
+    ChartSingularity,
+    Cylinder,
+    Ellipsoid,
+    ImplicitSurface,
+    ParametricSurface,
+    Plane,
+    Quadric,
+    Sphere,
+    Surface,
+    SurfaceError,
+    Torus,
+)
 
-SX = ca.SX
-# A rotation with nothing special about it.
-TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.7], [-0.6, 0.2, 1.0]]))[0]
 TORUS = ("(R + r*cos(v))*cos(u)", "(R + r*cos(v))*sin(u)", "r*sin(v)")
 SIGNATURES = {
     "triaxial": (1.0, 2.0, 3.0),
@@ -58,12 +65,6 @@ ALL = EXPLICIT | {"implicit": IMPLICIT, "parametric": PARAMETRIC}
 
 
 def inside_out(surface: Surface) -> Surface:
-    if isinstance(surface, ImplicitSurface):
-        return ImplicitSurface(surface.F, parameters={"a": 1.5}, size=1.5, inside=True)
-    if isinstance(surface, ParametricSurface):
-        return ParametricSurface(
-            TORUS, parameters=surface.named_parameters, size=surface.size, inside=True
-        )
     return dataclasses.replace(surface, inside=True)
 
 
@@ -71,18 +72,6 @@ def sample(surface: Surface, count: int = 200) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates spread over the chart, off its singular points."""
     u, v = np.random.default_rng(5).uniform(-3, 3, (2, count))
     return surface.canonical(u, v)
-
-
-def at_points(surface: Surface, *expressions_of, x: np.ndarray) -> list[np.ndarray]:
-    """Values (n, ...) of expressions of (p, x) at points (n, 3)."""
-    p, symbol = SX.sym("p", len(surface.parameters)), SX.sym("x", 3)
-    values = [ca.densify(ca.SX(w)) for f in expressions_of for w in f(p, symbol)]
-    function = ca.Function("f", [p, symbol], [ca.vec(w) for w in values])
-    results = function.call([ca.DM(surface.parameters), ca.DM(x.T)])
-    return [
-        r.full().T.reshape(len(x), *w.shape[::-1]).swapaxes(1, 2)
-        for r, w in zip(results, values, strict=True)
-    ]
 
 
 def near_umbilics_and_seam() -> tuple[np.ndarray, np.ndarray]:
@@ -104,7 +93,10 @@ def near_umbilics_and_seam() -> tuple[np.ndarray, np.ndarray]:
 # --- inverse charts
 
 
-@pytest.mark.parametrize("inside", [False, True])
+both_sides = pytest.mark.parametrize("inside", [False, True])
+
+
+@both_sides
 @pytest.mark.parametrize("name", ALL)
 def test_coordinates_bring_back_point_and_coordinates(name, inside):
     surface = inside_out(ALL[name]) if inside else ALL[name]
@@ -195,32 +187,44 @@ def test_any_ellipsoid_comes_back_from_its_points(axes, u, v):
     assert np.max(np.abs(surface.point(*surface.coordinates(x)) - x)) < 4e-15 * surface.size
 
 
-def test_nearly_equal_axes_approach_the_limit_charts():
-    u, v = np.array([0.4, 1.3, 2.5]), np.array([-1.1, 0.2, 0.9])
-    tiny = 1e-10
-    for near, limit in (
-        (Ellipsoid(0.3 * (1 + tiny), 0.3, 0.1), Ellipsoid(0.3, 0.3, 0.1)),
-        (Ellipsoid(0.3, 0.1, 0.1 * (1 - tiny)), Ellipsoid(0.3, 0.1, 0.1)),
-    ):
-        assert np.allclose(near.point(u, v), limit.point(u, v), atol=1e-9)
-        assert np.allclose(near.frame(u, v), limit.frame(u, v), atol=1e-8)
-
-
 # --- frames, orientation, level functions
 
 
-@pytest.mark.parametrize("inside", [False, True])
+def level_gradient(surface: Surface, x: np.ndarray) -> np.ndarray:
+    """The level function's gradient at points (n, 3), by hand; outward for a solid."""
+    flat = x * [1, 1, 0]
+    if isinstance(surface, Torus):
+        along = flat / np.linalg.norm(flat, axis=1)[:, None]
+        return x - surface.major * along
+    if isinstance(surface, Quadric):
+        return x @ np.array(surface.A)
+    if isinstance(surface, Ellipsoid):
+        return x / np.square([surface.a, surface.b, surface.c])
+    if surface is IMPLICIT:
+        return np.stack([2 * x[:, 0] / 1.5**2, 4 * x[:, 1] ** 3, 2 * x[:, 2]], axis=1)
+    return {Plane: 0 * x + [0, 0, 1], Sphere: x, Cylinder: flat}[type(surface)]
+
+
+@both_sides
 @pytest.mark.parametrize("name", [n for n in ALL if n != "parametric"])
+def test_normal_is_along_the_gradient_of_the_level_function(name, inside):
+    surface = inside_out(ALL[name]) if inside else ALL[name]
+    u, v = sample(surface)
+    gradient = level_gradient(ALL[name], surface.point(u, v)) * (-1 if inside else 1)
+    gradient /= np.linalg.norm(gradient, axis=1)[:, None]
+    assert np.allclose(surface.normal(u, v), gradient, atol=1e-14)
+
+
+@both_sides
+@pytest.mark.parametrize("name", ALL)
 def test_frame_of_the_point_is_the_frame_of_its_coordinates(name, inside):
     surface = inside_out(ALL[name]) if inside else ALL[name]
     u, v = sample(surface)
-    x_axis, y_axis, m = at_points(surface, surface.frame_expr, x=surface.point(u, v))
-    frame = surface.frame(u, v)
+    again = surface.coordinates(surface.point(u, v))
     # Rounding of x moves the axes by its size over the distance to a pole or umbilic.
-    assert np.allclose(x_axis[..., 0], frame[..., 0], atol=1e-12)
-    assert np.allclose(y_axis[..., 0], frame[..., 1], atol=1e-12)
-    scale = np.max(np.abs(m))
-    assert np.allclose(m, surface.metric_root(u, v), atol=1e-14 * scale)
+    assert np.allclose(surface.frame(*again), surface.frame(u, v), atol=1e-12)
+    root = surface.metric_root(u, v)
+    assert np.allclose(surface.metric_root(*again), root, atol=1e-14 * np.abs(root).max())
 
 
 @pytest.mark.parametrize("distance", [1e-2, 1e-4, 1e-6])
@@ -228,41 +232,9 @@ def test_ellipsoid_frame_near_an_umbilic_loses_no_more_than_the_point_does(dista
     surface = Ellipsoid(0.3, 0.2, 0.1)
     angle = np.linspace(0, 2 * pi, 40)
     u, v = distance * np.sin(angle), pi / 2 - distance * np.abs(np.cos(angle)) - 1e-3 * distance
-    x_axis, y_axis, _ = at_points(surface, surface.frame_expr, x=surface.point(u, v))
-    frame = surface.frame(u, v)
-    assert np.max(np.abs(x_axis[..., 0] - frame[..., 0])) < 1e-15 / distance**2
-    gram = np.concatenate([x_axis, y_axis], axis=2)
-    assert np.allclose(gram.swapaxes(1, 2) @ gram, np.eye(2), atol=1e-15 / distance)
-
-
-def test_ellipsoid_frame_and_coordinates_have_finite_derivatives_across_the_seam():
-    surface = Ellipsoid(0.3, 0.2, 0.1)
-    x = surface.point(np.array([2 * pi / 3, 0.5, -1.0]), np.array([pi / 2, -pi / 2, pi / 2]))
-    x[:, 1] = [0.0, 1e-17, -1e-17]
-
-    def slopes(p, symbol):
-        x_axis, y_axis, m = surface.frame_expr(p, symbol)
-        u, v = surface.coordinates_expr(p, symbol)
-        return [ca.jacobian(ca.vertcat(x_axis, y_axis, ca.vec(m), u, v), symbol)]
-
-    assert np.all(np.isfinite(at_points(surface, slopes, x=x)[0]))
-
-
-@pytest.mark.parametrize("inside", [False, True])
-@pytest.mark.parametrize("name", [n for n in ALL if n != "parametric"])
-def test_normal_is_along_the_gradient_of_the_level_function(name, inside):
-    surface = inside_out(ALL[name]) if inside else ALL[name]
-    u, v = sample(surface)
-    x = surface.point(u, v)
-
-    def level(p, symbol):
-        value = surface.implicit_expr(p, symbol)
-        return [value, ca.gradient(value, symbol)]
-
-    value, gradient = (w[..., 0] for w in at_points(surface, level, x=x))
-    gradient /= np.linalg.norm(gradient, axis=1)[:, None]
-    assert np.allclose(surface.normal(u, v), gradient, atol=1e-14)
-    assert np.max(np.abs(value)) < 1e-14 * max(1, np.max(np.abs(x)) / surface.size) ** 2
+    found = surface.frame(*surface.coordinates(surface.point(u, v)))
+    assert np.abs(found[..., 0] - surface.frame(u, v)[..., 0]).max() < 1e-15 / distance**2
+    assert np.allclose(found.swapaxes(1, 2) @ found, np.eye(3), atol=1e-15 / distance)
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -284,7 +256,6 @@ def test_other_sheet_lies_opposite_with_its_normal_outward(name):
     assert np.all(upper.point(u, v) @ first_axis > 0)
     assert np.all(lower.point(u, v) @ first_axis < 0)
     assert np.allclose(lower.normal(0.0, 0.0), -first_axis)
-    assert upper.structure == lower.structure
 
 
 @pytest.mark.parametrize("name", SIGNATURES)
@@ -296,26 +267,14 @@ def test_quadric_points_satisfy_its_equation(name):
     assert np.max(np.abs(value - 1) / (1 + np.sum(x**2, axis=1))) < 1e-14
 
 
-def test_quadric_along_the_axes_is_the_ellipsoid():
-    quadric = Quadric(np.diag([1 / 0.3**2, 1 / 0.2**2, 1 / 0.1**2]))
-    u, v = sample(quadric, 20)
-    assert np.allclose(quadric.point(u, v), Ellipsoid(0.3, 0.2, 0.1).point(u, v), atol=1e-15)
-
-
-def test_rounding_in_a_turned_matrix_does_not_hide_equal_axes():
-    assert turned_quadric("round").great_circles
-    assert turned_quadric("round cylinder").developable
-    assert turned_quadric("planes").developable
+def test_quadrics_know_their_degenerate_cases_through_rounding_and_no_others():
+    assert turned_quadric("round").great_circles and Ellipsoid(1, 1, 1).great_circles
+    assert turned_quadric("round cylinder").developable and turned_quadric("planes").developable
     assert turned_quadric("oblate").periods() == (2 * pi, None)
-    assert not turned_quadric("triaxial").great_circles
-
-
-@pytest.mark.parametrize(
-    ("diagonal", "chart"),
-    [((1.0, 1.0, 1.0 + 1e-10), "OblateChart"), ((1.0, 4.0, 1e-10), "JacobiChart")],
-)
-def test_axes_that_differ_by_more_than_rounding_stay_different(diagonal, chart):
-    assert Quadric(np.diag(diagonal)).chart.__name__ == chart
+    assert Plane().developable and Cylinder(1).developable and Sphere(1).great_circles
+    for other in (turned_quadric("triaxial"), Quadric(np.diag([1.0, 1.0, 1.0 + 1e-10]))):
+        assert not other.great_circles and not other.developable
+    assert not Quadric(np.diag([1.0, 4.0, 1e-10])).developable
 
 
 # --- canonical coordinates
@@ -335,7 +294,7 @@ def test_papers_ellipsoid_contacts_stay_bit_for_bit(at):
     assert Ellipsoid(0.3, 0.2, 0.1).canonical(*at) == at
 
 
-@pytest.mark.parametrize("inside", [False, True])
+@both_sides
 @pytest.mark.parametrize("name", [n for n in EXPLICIT if not n.startswith("quadric")])
 def test_canonical_coordinates_name_the_same_point_with_the_normal_outward(name, inside):
     surface = inside_out(EXPLICIT[name]) if inside else EXPLICIT[name]
@@ -370,11 +329,6 @@ def test_poles_and_umbilics_are_refused_with_surface_place_and_remedy(surface, a
     assert type(surface).__name__ in text and "(u, v) = (" in text and "Move the contact" in text
 
 
-def test_points_close_to_a_pole_or_umbilic_are_accepted():
-    assert Sphere(0.1).canonical(1e-9, 0.3) == (1e-9, 0.3)
-    assert Ellipsoid(0.3, 0.2, 0.1).canonical(1e-9, pi / 2) == (1e-9, pi / 2)
-
-
 @pytest.mark.parametrize("name", ALL)
 def test_one_point_is_taken_as_among_many(name):
     many = np.random.default_rng(9).uniform(-9, 9, (2, 100))
@@ -394,17 +348,6 @@ def nearly_singular(rng) -> tuple[np.ndarray, np.ndarray]:
     return u, v
 
 
-@pytest.mark.parametrize("inside", [False, True])
-@pytest.mark.parametrize("name", EXPLICIT)
-def test_the_metric_root_is_not_below_the_charts_floor(name, inside):
-    surface = inside_out(EXPLICIT[name]) if inside else EXPLICIT[name]
-    u, v = nearly_singular(np.random.default_rng(10))
-    least = surface.metric_root(u, v)[:, (0, 1), (0, 1)].min(axis=1)
-    floor = [surface.chart.metric_floor(surface.parameters, *map(float, at)) for at in zip(u, v)]
-    # near an umbilic the kernel's own root has rounding errors of this size
-    assert np.all(np.array(floor) <= least * (1 + 1e-9) + 2e-15 * surface.size)
-
-
 @pytest.mark.parametrize("name", EXPLICIT)
 def test_one_point_is_refused_exactly_where_an_array_of_it_is(name):
     surface = EXPLICIT[name]
@@ -420,7 +363,9 @@ def test_one_point_is_refused_exactly_where_an_array_of_it_is(name):
             assert surface.canonical(u, v) == expected
 
 
-@pytest.mark.parametrize("at", [(np.nan, 0.0), (0.0, np.inf), ("a", 0.0), ([1, 2], [1, 2, 3])])
+@pytest.mark.parametrize(
+    "at", [(np.nan, 0.0), (0.0, np.inf), ("a", 0.0), ([1, 2], [1, 2, 3]), (None, 1.0)]
+)
 def test_coordinates_that_are_no_numbers_are_refused(at):
     with pytest.raises(SurfaceError, match="coordinates"):
         Torus(0.1, 0.03).canonical(*at)
@@ -440,11 +385,6 @@ def test_references_and_guesses_that_are_no_numbers_are_refused(wrong):
             PARAMETRIC.nearest(PARAMETRIC.point(two, 0.2), guess)
 
 
-def test_one_point_is_unwound_already():
-    for surface in (Torus(0.1, 0.03), Ellipsoid(0.3, 0.2, 0.1)):
-        assert surface.unwind(7.0, 0.2) == (7.0, 0.2, False)
-
-
 # --- continuity
 
 
@@ -458,6 +398,8 @@ def test_align_takes_the_nearest_of_all_representatives():
     u, v, half_turn = Torus(0.1, 0.03).align([3.0, 0.1], 0.0, [-3.0, 0.2], 2 * pi)
     assert np.allclose(u, [3.0 - 2 * pi, 0.1]) and np.allclose(v, 2 * pi)
     assert not np.any(half_turn)
+    for surface in (Torus(0.1, 0.03), Ellipsoid(0.3, 0.2, 0.1)):
+        assert surface.unwind(7.0, 0.2) == (7.0, 0.2, False)  # one point is unwound already
 
 
 def test_unwind_makes_a_path_over_the_seam_continuous():
@@ -481,22 +423,15 @@ def test_unwind_makes_a_path_over_the_seam_continuous():
 # --- identity, shapes
 
 
-def test_structure_is_shared_by_sizes_and_not_by_degenerate_cases():
-    assert Sphere(0.1).structure == Sphere(0.2).structure != Sphere(0.1, inside=True).structure
-    assert Ellipsoid(3, 2, 1).structure == Ellipsoid(5, 2, 1).structure
-    assert Ellipsoid(3, 2, 1).structure != Ellipsoid(3, 3, 1).structure
-    assert turned_quadric("one sheet").structure != turned_quadric("two sheets").structure
-    other = ParametricSurface(TORUS, parameters={"r": 0.2, "R": 0.5})
-    assert other.structure == PARAMETRIC.structure
-    assert other.parameters == (0.5, 0.2)
-
-
 @pytest.mark.parametrize("name", ALL)
 def test_surfaces_hash_compare_and_pickle(name):
     surface = ALL[name]
     again = pickle.loads(pickle.dumps(surface))
     assert again == surface and hash(again) == hash(surface)
     assert inside_out(surface) != surface != "surface"
+    assert Sphere(0.1) != Cylinder(0.1)
+    assert Sphere(0.1) == Sphere(np.float64(0.1)) != Sphere(0.2)
+    assert Quadric(np.eye(3)) == Quadric([[1, 0, 0], [0, 1, 0], [0, 0, 1]])
     assert np.array_equal(again.point(0.5, 0.6), surface.point(0.5, 0.6))
     assert type(surface).__name__ in repr(surface)
 
@@ -511,36 +446,29 @@ def test_surfaces_that_differ_print_differently():
         ImplicitSurface(level, parameters={"r": 1.0}, size=2.0),
         ImplicitSurface(lambda x: x.T @ x - 1),
         ImplicitSurface(lambda x: x.T @ x - 2),
-        *(ParametricSurface(chart, **given) for given in (
-            {}, {"size": 0.1}, {"u_range": (0, 1)}, {"v_range": (0, 1)}, {"u_period": 2 * pi},
-            {"v_period": 2 * pi},
-        )),
-    ]  # fmt: skip
+        *(
+            ParametricSurface(chart, **given)
+            for given in (
+                {},
+                {"size": 0.1},
+                {"u_range": (0, 1)},
+                {"v_range": (0, 1)},
+                {"u_period": 2 * pi},
+                {"v_period": 2 * pi},
+            )
+        ),
+    ]
     surfaces = [s for k, s in enumerate(surfaces) if s not in surfaces[:k]]
     assert len(surfaces) >= len(ALL) - 2 + 12
     assert len({repr(s) for s in surfaces}) == len(surfaces)
 
 
-@pytest.mark.parametrize("name", ALL)
-def test_any_surface_is_changed_by_dataclasses_replace(name):
-    surface = ALL[name]
-    turned = dataclasses.replace(surface, inside=not surface.inside)
-    assert turned != surface == dataclasses.replace(turned, inside=surface.inside)
-    assert turned.normal(0.5, -0.6) == pytest.approx(-surface.normal(0.5, 0.6), abs=1e-12)
-
-
 def test_parameters_are_changed_by_dataclasses_replace():
     wider = dataclasses.replace(PARAMETRIC, parameters={"R": 0.7})
     numbers = PARAMETRIC.named_parameters | {"R": 0.7}
-    assert wider.named_parameters == numbers and wider.structure == PARAMETRIC.structure
+    assert wider.named_parameters == numbers
     with pytest.raises(SurfaceError, match="no parameter 'Q'; known: R, r"):
         dataclasses.replace(PARAMETRIC, parameters={"Q": 0.7})
-
-
-def test_equal_numbers_of_other_kinds_are_other_surfaces():
-    assert Sphere(0.1) != Cylinder(0.1)
-    assert Sphere(0.1) == Sphere(np.float64(0.1)) != Sphere(0.2)
-    assert Quadric(np.eye(3)) == Quadric([[1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -565,107 +493,6 @@ def test_numeric_methods_are_vectorised_over_leading_axes(name):
     assert surface.coordinates(surface.point(u, v))[1].shape == (4, 3)
 
 
-def test_flags_say_what_a_surface_has():
-    assert Plane().developable and Cylinder(1).developable and not Sphere(1).developable
-    assert Sphere(1).great_circles and Ellipsoid(1, 1, 1).great_circles
-    assert not Ellipsoid(2, 1, 1).great_circles
-    assert [n for n, s in ALL.items() if not s.has_implicit] == ["parametric"]
-    assert [n for n, s in ALL.items() if not s.has_chart] == ["implicit"]
-    ambient = {type(s) for s in ALL.values() if s.ambient}
-    assert ambient == {Sphere, Ellipsoid, Quadric, ImplicitSurface}
-    assert [n for n, s in ALL.items() if s.double_cover] == ["ellipsoid", "quadric triaxial"]
-
-
-# --- what users write
-
-
-@pytest.mark.parametrize(
-    "chart",
-    [
-        lambda u, v: [
-            (0.1 + 0.03 * np.cos(v)) * np.cos(u),
-            (0.1 + 0.03 * np.cos(v)) * np.sin(u),
-            0.03 * np.sin(v),
-        ],
-        lambda u, v: np.array(
-            [
-                (0.1 + 0.03 * ca.cos(v)) * ca.cos(u),
-                (0.1 + 0.03 * ca.cos(v)) * ca.sin(u),
-                0.03 * ca.sin(v),
-            ]
-        ),
-        lambda u, v: (
-            ca.vertcat((0.1 + 0.03 * ca.cos(v)) * ca.vertcat(ca.cos(u), ca.sin(u)), 0)
-            + ca.vertcat(0, 0, 0.03 * ca.sin(v))
-        ),
-    ],
-)
-def test_chart_may_be_plain_numpy_or_casadi(chart):
-    surface, truth = ParametricSurface(chart, size=0.13), Torus(0.1, 0.03)
-    assert np.allclose(surface.point(0.4, 0.7), truth.point(0.4, 0.7), atol=1e-17)
-    assert np.allclose(surface.christoffel(0.4, 0.7), truth.christoffel(0.4, 0.7), atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    "level",
-    [
-        "x**2 + y**2 + z**2 - 0.01",
-        lambda x: x[0] ** 2 + x[1] ** 2 + x[2] ** 2 - 0.01,
-        lambda x: np.dot(x, x) - 0.01,
-        lambda x: x.T @ np.eye(3) @ x - 0.01,
-        lambda x: [ca.norm_2(x) - 0.1],
-    ],
-)
-def test_implicit_sphere_is_the_sphere(level):
-    surface, truth = ImplicitSurface(level, size=0.1), Sphere(0.1)
-    for quantity in ("point", "frame", "lame", "christoffel", "curvature_form", "torsion_form"):
-        value = getattr(surface, quantity)(0.8, -2.0)
-        assert np.allclose(value, getattr(truth, quantity)(0.8, -2.0), rtol=1e-13, atol=1e-13)
-
-
-def test_named_parameters_reach_a_function_by_name():
-    surface = ParametricSurface(lambda u, v, k: [u, v, k * u * v], parameters={"k": 3.0})
-    assert np.allclose(surface.point(2.0, 0.5), [2.0, 0.5, 3.0])
-    assert surface.f is None and surface.named_parameters == {"k": 3.0}
-    assert PARAMETRIC.f == TORUS
-    assert IMPLICIT.F == "x**2/a**2 + y**4 + z**2 - 1"
-
-
-def test_implicit_surface_is_solved_from_an_offset_centre():
-    surface = ImplicitSurface(
-        "x**2/0.09 + y**2/0.04 + z**2/0.01 - 1", center=(0.05, 0.02, 0.01), size=0.3
-    )
-    u, v = sample(surface)
-    x = surface.point(u, v)
-    assert np.max(np.abs(np.sum((x / [0.3, 0.2, 0.1]) ** 2, axis=1) - 1)) < 2e-15
-    ray = x - surface.center
-    assert np.allclose(np.arctan2(ray[:, 1], ray[:, 0]), v, atol=1e-14)
-    assert np.allclose(np.arccos(ray[:, 2] / np.linalg.norm(ray, axis=1)), u, atol=1e-13)
-
-
-def test_implicit_surface_refuses_an_explicit_chart_and_says_why():
-    with pytest.raises(SurfaceError, match="no explicit chart"):
-        IMPLICIT.chart_expr(SX.sym("p", 4), SX.sym("u"), SX.sym("v"))
-
-
-def test_parametric_coordinates_start_from_a_guess():
-    u, v = PARAMETRIC.coordinates(PARAMETRIC.point(0.5, 0.2), guess=(0.5 + 2 * pi, 0.1))
-    assert np.allclose([u, v], [0.5 + 2 * pi, 0.2])
-
-
-def test_parametric_coordinates_fold_into_the_range_of_a_period():
-    surface = ParametricSurface(
-        TORUS, parameters={"R": 0.1, "r": 0.03}, size=0.13, u_range=(0, 2 * pi), u_period=2 * pi
-    )
-    assert np.isclose(surface.coordinates(surface.point(-0.5, 0.2))[0], 2 * pi - 0.5)
-    assert np.isclose(surface.canonical(-0.5, 0.2)[0], 2 * pi - 0.5)
-
-
-def test_point_off_a_parametric_surface_is_an_error_not_an_answer():
-    with pytest.raises(SurfaceError, match="nearest miss.*guess"):
-        PARAMETRIC.coordinates([[0.13, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-
 # --- errors
 
 
@@ -673,60 +500,26 @@ def test_point_off_a_parametric_surface_is_an_error_not_an_answer():
     ("make", "words"),
     [
         (lambda: Sphere(-0.1), ["Sphere", "radius = -0.1", "inside=True"]),
-        (lambda: Sphere(0), ["radius = 0"]),
         (lambda: Sphere(np.nan), ["radius = nan", "finite"]),
         (lambda: Cylinder(np.inf), ["Cylinder", "radius = inf"]),
         (lambda: Sphere("0.1"), ["radius = '0.1'", "number"]),
         (lambda: Sphere(True), ["radius = True"]),
         (lambda: Sphere(0.1, inside="yes"), ["inside = 'yes'"]),
         (lambda: Torus(0.1, 0.2), ["minor = 0.2", "major = 0.1"]),
-        (lambda: Torus(0.1, 0.1), ["minor = 0.1"]),
         (lambda: Ellipsoid(0.1, 0.2, 0.3), ["a >= b >= c", "Ellipsoid(0.3, 0.2, 0.1)"]),
         (lambda: Sphere(1e-160), ["Sphere: radius = 1e-160 m", "use a smaller unit"]),
-        (lambda: Sphere(np.complex128(0.1 + 1j)), ["Sphere: radius", "0.1+1j"]),
         (lambda: Sphere(0.1).coordinates([0.1j, 0, 0]), ["Sphere(0.1): points", "numbers"]),
         (lambda: Sphere(0.1).coordinates(["a", "b", "c"]), ["Sphere(0.1): points", "numbers"]),
         (lambda: Sphere(0.1).canonical(np.array([1 + 1j]), 1.0), ["Sphere(0.1): coordinates"]),
         (lambda: Quadric(np.eye(3) + 0j), ["3 by 3 matrix of numbers"]),
         (lambda: Quadric(-np.eye(3)), ["none positive"]),
-        (lambda: Quadric(np.diag([-1.0, 0.0, 0.0])), ["none positive"]),
-        (lambda: Quadric(np.zeros((3, 3))), ["none positive"]),
         (lambda: Quadric(np.eye(2)), ["(2, 2)"]),
         (lambda: Quadric([[1, 2, 0], [0, 1, 0], [0, 0, 1]]), ["symmetric", "(A + A.T)/2"]),
         (lambda: Quadric(np.diag([1, np.nan, 1])), ["finite"]),
         (lambda: Quadric("A"), ["'A'"]),
         (lambda: Quadric(np.eye(3), sheet=-1), ["sheet = -1", "one piece"]),
-        (lambda: Quadric(np.eye(3), sheet=2), ["sheet = 2"]),
         (lambda: Quadric(np.diag([1, -1, -2]), sheet=True), ["sheet = True"]),
         (lambda: Quadric([[10**400, 0, 0], [0, 1, 0], [0, 0, 1]]), ["3 by 3 matrix of numbers"]),
-        (lambda: ParametricSurface(("u", "v")), ["3 text(s)"]),
-        (lambda: ParametricSurface(("u", "v", "cso(u)")), ["did you mean 'cos'"]),
-        (lambda: ParametricSurface(("u", "u", "u")), ["does not depend on v"]),
-        (lambda: ParametricSurface(lambda u, v: [u, v]), ["2 component", "3"]),
-        (lambda: ParametricSurface(lambda u, v: [u, v, __import__("math").cos(u)]), ["np.cos"]),
-        (lambda: ParametricSurface(lambda u, v: [u, v, u if u > 0 else v]), ["no if"]),
-        (lambda: ParametricSurface(lambda u, v, k: [u, v, k]), ["TypeError", "by name"]),
-        (lambda: ParametricSurface(lambda u, v: [u, v, ca.SX.sym("k") * u]), ["(k)", "parameters"]),
-        (lambda: ImplicitSurface(lambda x: x.T @ x - ca.SX.sym("r")), ["(r)", "parameters"]),
-        (lambda: ParametricSurface(("u", "v", "u"), size=-1), ["size = -1"]),
-        (lambda: ParametricSurface(("u", "v", "u"), u_range=(1, 0)), ["u_range = (1, 0)"]),
-        (lambda: ParametricSurface(("u", "v", "u"), u_period=-1), ["u_period = -1: give"]),
-        (lambda: ParametricSurface(TORUS, u_period=pi, v_period=2 * pi, parameters=RADII),
-         ["u_period = 3.14", "m apart", "leave u_period out"]),
-        (lambda: ParametricSurface(TORUS, u_period=2 * pi, v_period=6.2832, parameters=RADII),
-         ["v_period = 6.2832", "to all digits"]),
-        (lambda: ParametricSurface(("v*cos(u)", "v*sin(u)", "0.1*u"), u_period=2 * pi, inside=True),
-         ["u_period", "0.628 m apart"]),
-        (lambda: ParametricSurface(("u", "v", "k"), parameters={"k": np.inf}), ["'k'", "inf"]),
-        (lambda: ParametricSurface(("u", "v", "u"), parameters={"u": 1}), ["'u'", "meaning"]),
-        (lambda: ParametricSurface(("u", "v", "u"), parameters={"a b": 1}), ["'a b'"]),
-        (lambda: ParametricSurface(("u", "v", "u"), parameters=[1]), ["table"]),
-        (lambda: ImplicitSurface(lambda x, y, z: x + y * z), ["'z'", "x, one column of three"]),
-        (lambda: ImplicitSurface("x + q"), ["unknown name q"]),
-        (lambda: ImplicitSurface("3"), ["does not depend"]),
-        (lambda: ImplicitSurface("x", center=(0, 0)), ["center = (0, 0)", "3 numbers"]),
-        (lambda: ImplicitSurface("x**2 + y**2 + z**2 + 1").point(1, 1), ["negative", "center"]),
-        (lambda: ImplicitSurface("z - 1").point(2.5, 1.0), ["does not meet", "(2.5, 1.0)"]),
         (lambda: Sphere(1).coordinates([1.0, 2.0]), ["last axis"]),
         (lambda: Sphere(1).coordinates([1.0, 2.0, np.nan]), ["finite"]),
     ],
@@ -735,14 +528,3 @@ def test_errors_name_the_argument_the_value_and_the_remedy(make, words):
     with pytest.raises(SurfaceError) as caught:
         make()
     assert all(word in str(caught.value) for word in words), str(caught.value)
-
-
-def test_a_formula_of_another_kind_of_surface_is_refused():
-    ground = ParametricSurface(("u", "v", "0.1*u*v"))
-    with pytest.raises(SurfaceError, match=r"another kind of surface; give one of 1 component"):
-        ImplicitSurface(formula=ground.formula)
-    ball = ImplicitSurface("x**2 + y**2 + z**2 - 1")
-    with pytest.raises(SurfaceError, match=r"give one of 3 components in u, v"):
-        ParametricSurface(formula=ball.formula)
-    with pytest.raises(SurfaceError, match=r"F and formula are both given"):
-        ImplicitSurface("x**2 + y**2 + 2*z**2 - 1", formula=ball.formula)

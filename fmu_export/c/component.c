@@ -1,13 +1,12 @@
-#include "component.h"
-
 #include <stdarg.h>
 #include <stdio.h>
+
+#include "winding.h"
 
 #define MOST_PANELS 20000L /* in one step: a second of work, kilometres of path */
 
 /* groups of results, bits of memory_t.valid */
-enum { STATE = 1, RATES = 2, SLIP = 4, TWIST = 8, POSE = 16, POINTS = 32, RESULTS = 64,
-    MOMENT = 128 };
+enum { STATE = 1, RATES = 2, SLIP = 4, OUTPUTS = 8, RESULTS = 16, MOMENT = 32 };
 
 status_t report(component_t *c, status_t status, const char *category, const char *format, ...) {
   char text[512];
@@ -36,9 +35,9 @@ static drive_t drive_of(const contact_t *k) {
   return (drive_t){k->n_sigma, k->n_exponent, k->power, k->sigma, k->exponent};
 }
 
-static void chebyshev_at(double xi, double basis[N + 1]) {
+static void chebyshev_at(double xi, double basis[TERMS]) {
   basis[0] = 1.0, basis[1] = xi;
-  for (long k = 1; k < N; k++) basis[k + 1] = 2.0 * xi * basis[k] - basis[k - 1];
+  for (long k = 1; k < L; k++) basis[k + 1] = 2.0 * xi * basis[k] - basis[k - 1];
 }
 
 /* Local times inside the current panel, its ends included. */
@@ -51,12 +50,12 @@ static void moment(const memory_t *now, long i, double tau, moment_t *m) {
   } else if (tau >= k->to) {
     memcpy(m->y, k->last, sizeof m->y);
   } else {
-    double basis[N + 1];
+    double basis[TERMS];
     chebyshev_at(2.0 * (tau - k->from) / (k->to - k->from) - 1.0, basis);
     for (long s = 0; s < n; s++) { /* four sums at a time: one alone waits for itself */
-      const double *c = k->series + s * (N + 1);
-      double a = c[N] * basis[N], b = 0.0, d = 0.0, e = 0.0;
-      for (long j = 0; j < N; j += 4) {
+      const double *c = k->series + s * TERMS;
+      double a = c[L] * basis[L], b = 0.0, d = 0.0, e = 0.0;
+      for (long j = 0; j < L; j += 4) {
         a += c[j] * basis[j], b += c[j + 1] * basis[j + 1];
         d += c[j + 2] * basis[j + 2], e += c[j + 3] * basis[j + 3];
       }
@@ -71,7 +70,7 @@ static void moment(const memory_t *now, long i, double tau, moment_t *m) {
   } else {
     double decay = 1.0;
     const drive_t d = drive_of(k);
-    if (tau > 0.0 && k->greatest > 0.0) decays(&d, &tau, &m->sigma, 1, &decay);
+    if (tau > 0.0 && k->greatest > 0.0) decay = decay_at(&d, tau, m->sigma);
     for (int j = 0; j < 2; j++) m->w1v[j] = k->w1[j], m->w1v[2 + j] = k->v[j] * decay;
   }
   for (int j = 0; j < 6; j++) m->disturbance[j] = k->disturbance[j] + k->slope[j] * tau;
@@ -81,31 +80,23 @@ static const double *numbers(const memory_t *now, long i, int body) {
   return now->value + (body ? OBJECT : places[i].finger);
 }
 
-/* u v u' v' theta of one body; in principal coordinates where it is moved in space, which returns 1, else 0 */
-static int own_coordinates(const memory_t *now, long i, int body, const moment_t *m, double out[5]) {
+/* u v u' v' theta of one body. Returns whether they are principal values, of one moved in space. */
+static int own_coordinates(const memory_t *now, long i, int body, const moment_t *m,
+                           double out[COORDINATES]) {
   const form_t *form = form_of(now, i);
   double c[4];
   places[i].kind->drive((const double *const[]){&m->sigma, m->w1v}, c);
   form->coordinates[body](
       (const double *const[]){m->frame[body], c + 2 * body, numbers(now, i, body)}, out);
-  return form->size[body] == 9;
+  return form->size[body] == IN_SPACE;
 }
 
-typedef struct {
-  const memory_t *now;
-  long i;
-  int body;
-} path_t;
-
-static long place_on(const void *path, double tau, double *value) {
-  const path_t *p = path;
+static int place_on(const path_t *p, double tau, double *value) {
   moment_t m;
   moment(p->now, p->i, tau, &m);
   own_coordinates(p->now, p->i, p->body, &m, value);
-  return !all_finite(value, 5);
+  return !all_finite(value, COORDINATES);
 }
-
-static const long rows[] = {0, 1, 2, 3, 4};
 
 /* The anchor before a local time; whether the next one is nearer */
 static long before(const contact_t *k, double tau, int *later) {
@@ -116,36 +107,35 @@ static long before(const contact_t *k, double tau, int *later) {
 }
 
 /* The coordinates at a local time, on the branch that the path has come to */
-static void coordinates(const memory_t *now, long i, int body, const moment_t *m, double tau, double out[5]) {
-  if (!own_coordinates(now, i, body, m, out) || !all_finite(out, 5)) return;
+static void coordinates(const memory_t *now, long i, int body, const moment_t *m, double tau,
+                        double out[COORDINATES]) {
+  if (!own_coordinates(now, i, body, m, out) || !all_finite(out, COORDINATES)) return;
   const contact_t *k = &now->contact[i];
   int later;
   const long left = before(k, tau, &later);
-  const track_t *winding = &places[i].kind->winding[body];
-  const between_t beside = between(winding, k->anchor[body][left], k->anchor[body][left + 1], 1);
-  wind_beside(winding, &beside, place_on, &(path_t){now, i, body}, k->from + 0.25 * left * (k->to - k->from), 1,
-              later, tau, out, rows);
+  const double(*anchor)[3] = (const double(*)[3])k->anchor[body] + left;
+  const double first = k->from + 0.25 * left * (k->to - k->from);
+  wind_between(&(path_t){now, i, body}, anchor[0], anchor[1], first, later, tau, out);
 }
 
 /* u v theta of coordinates */
-static void take_place(double place[3], const double coordinates[5]) {
-  place[0] = coordinates[0], place[1] = coordinates[1], place[2] = coordinates[4];
+static void take_place(double place[3], const double out[COORDINATES]) {
+  place[0] = out[U], place[1] = out[V], place[2] = out[THETA];
 }
 
 /* Follow the coordinates through a new panel, or fill all anchors with one place (to = 0). */
 static void lay_anchors(memory_t *now, long i) {
   contact_t *k = &now->contact[i];
-  double from[2][3], out[5], last[2] = {k->from, k->from};
+  double from[2][3], out[COORDINATES], last[2] = {k->from, k->from};
   moment_t m;
   for (int body = 0; body < 2; body++) memcpy(from[body], k->anchor[body][4], sizeof from[body]);
   for (int q = 0; q < 5; q++) {
     const double tau = k->from + 0.25 * q * (k->to - k->from);
     moment(now, i, tau, &m);
     for (int body = 0; body < 2; body++) {
-      if (own_coordinates(now, i, body, &m, out) && all_finite(out, 5)) {
-        wind_along(&places[i].kind->winding[body], place_on, &(path_t){now, i, body}, last[body],
-                   side_of(from[body][0], from[body][1]), from[body], 1, tau, side_of(out[0], out[1]), 1,
-                   out, rows);
+      if (own_coordinates(now, i, body, &m, out) && all_finite(out, COORDINATES)) {
+        wind_along(&(path_t){now, i, body}, last[body], side_of(from[body][0], from[body][1]),
+                   from[body], tau, out);
         take_place(from[body], out), last[body] = tau;
       }
       memcpy(k->anchor[body][q], from[body], sizeof from[body]);
@@ -162,9 +152,9 @@ static double largest(const double *x, long n) {
 /* 1 / (size of each state): positions by the body's size, angles and directions by 1 */
 static void set_scale(const memory_t *now, long i, int body, const double *frame, double *scale) {
   const double size = places[i].size[body];
-  double lame[2];
-  if (form_of(now, i)->size[body] == 9) {
-    for (int j = 0; j < 9; j++) scale[j] = j < 3 ? 1.0 / size : 1.0;
+  double lame[3];
+  if (form_of(now, i)->size[body] == IN_SPACE) {
+    for (int j = 0; j < IN_SPACE; j++) scale[j] = j < 3 ? 1.0 / size : 1.0;
     return;
   }
   places[i].kind->lame[body]((const double *const[]){frame, numbers(now, i, body)}, lame);
@@ -183,7 +173,7 @@ static double first_panel(const memory_t *now, long i) {
   return h;
 }
 
-/* 1 / (the slip that can come about), as planner._Forced, so that slip is right to tolerance */
+/* 1 / (the slip that can come about), so that slip is right to tolerance */
 static double slip_scale(const memory_t *now, long i) {
   const contact_t *k = &now->contact[i];
   const drive_t d = drive_of(k);
@@ -215,7 +205,7 @@ static int leaves_slip_behind(const memory_t *now) {
   return rests(now) && makes_up_for_growth(now, now->time);
 }
 
-/* sigma and decay in the local time that begins at k->begin: profile.GainPiece */
+/* sigma and decay in the local time that begins at k->begin, as theory/gain.py has them */
 static void set_drive(const memory_t *now, contact_t *k) {
   const double *global = law(now) + 1, t = k->begin;
   for (long j = 0; j < N_PROFILE; j++) k->sigma[j] = global[j];
@@ -263,8 +253,8 @@ static void change_form(const memory_t *now, long i, int body, const double *fra
                         long to, const double *place, double *out) {
   if (from == to)
     memcpy(out, frame, (size_t)to * sizeof(double));
-  else if (to == 3)
-    memcpy(out, place, 3 * sizeof(double));
+  else if (to == IN_CHART)
+    memcpy(out, place, IN_CHART * sizeof(double));
   else
     places[i].kind->spatial[body]((const double *const[]){place, numbers(now, i, body)}, out);
 }
@@ -310,7 +300,7 @@ static void begin_segment(memory_t *now, long i, const moment_t *m, double place
   } else {
     memcpy(c, k->w1, sizeof k->w1), memcpy(c + 2, k->v, sizeof k->v);
   }
-  motion->restore(1, k->first, k->constants, k->scale);
+  restore(motion, k->constants, k->scale, k->first);
   memcpy(k->last, k->first, sizeof k->last);
   k->from = k->to = 0.0;
   for (int body = 0; body < 2; body++)
@@ -319,7 +309,7 @@ static void begin_segment(memory_t *now, long i, const moment_t *m, double place
 
 static void restart(memory_t *now, long i) {
   contact_t *k = &now->contact[i];
-  double place[2][3], out[5], tau = now->time - k->begin;
+  double place[2][3], out[COORDINATES], tau = now->time - k->begin;
   int later;
   moment_t m;
   moment(now, i, tau, &m);
@@ -327,7 +317,7 @@ static void restart(memory_t *now, long i) {
     coordinates(now, i, body, &m, tau, out);
     const long left = before(k, tau, &later);
     memcpy(place[body], k->anchor[body][left + later], sizeof place[body]);
-    if (all_finite(out, 5)) take_place(place[body], out);
+    if (all_finite(out, COORDINATES)) take_place(place[body], out);
   }
   begin_segment(now, i, &m, place);
 }
@@ -365,25 +355,32 @@ static const char *obstacle(const contact_t *k) {
          "double precision; set smaller inputs, end before or start elsewhere";
 }
 
-/* Rotation of contact i's pose at a local time */
-static void rotation_at(component_t *c, long i, double tau, double rotation[12]) {
-  const memory_t *now = &c->now;
-  moment_t m;
-  moment(now, i, tau, &m);
-  form_of(now, i)->pose((const double *const[]){&now->time, m.frame[0], m.frame[1], m.w1v, m.disturbance,
-                                                law(now), numbers(now, i, 0), numbers(now, i, 1)}, rotation);
+/* Twist, pose and contact points of contact i at some moment */
+static void outputs_at(const memory_t *now, long i, const moment_t *m, double *out) {
+  form_of(now, i)->outputs((const double *const[]){&now->time, m->frame[0], m->frame[1], m->w1v,
+                                                   m->disturbance, law(now), numbers(now, i, 0),
+                                                   numbers(now, i, 1)}, out);
 }
 
-/* Whether a contact frame turns over within a new panel, as it does where a path goes straight through a pole
-   of its chart: the equations are smooth there. From a sixteenth of a panel to the next, bodies turn by less
-   than a right angle. was: the rotation before the panel begins. */
-static int turns_over(component_t *c, long i, const double *was) {
-  const contact_t *k = &c->now.contact[i];
-  double rotation[2][12];
+/* Rotation of contact i's pose at a local time */
+static void rotation_at(const memory_t *now, long i, double tau, double rotation[9]) {
+  double out[BLOCK_SIZE - AT_TWIST];
+  moment_t m;
+  moment(now, i, tau, &m);
+  outputs_at(now, i, &m, out);
+  memcpy(rotation, out + AT_POSE - AT_TWIST, 9 * sizeof *rotation);
+}
+
+/* Whether a contact frame turns over within a new panel, as it does where a path goes straight
+   through a pole of its chart: the equations are smooth there. From a sixteenth of a panel to the
+   next, bodies turn by less than a right angle. was: the rotation before the panel begins. */
+static int turns_over(const memory_t *now, long i, const double *was) {
+  const contact_t *k = &now->contact[i];
+  double rotation[2][9];
   memcpy(rotation[0], was, sizeof rotation[0]);
   for (int q = 1; q <= 16; q++) {
     double trace = 0.0, *here = rotation[q % 2], *last = rotation[1 - q % 2];
-    rotation_at(c, i, k->from + q / 16.0 * (k->to - k->from), here);
+    rotation_at(now, i, k->from + q / 16.0 * (k->to - k->from), here);
     for (int j = 0; j < 9; j++) trace += here[j] * last[j];
     if (!(trace > 1.0)) return 1;
   }
@@ -398,14 +395,11 @@ static status_t advance(component_t *c, long i, double tau) {
   const long n = motion->n_states;
   const drive_t d = drive_of(k);
   const double end = fmin(k->end - k->begin, 1e6 * HORIZON);
-  const method_t m = {.length = end, .tolerance = TOLERANCE, .first = k->next,
-                      .slip = motion->n_stiff ? 1.0 : k->greatest, .released = -1.0,
-                      .node = gauss_node, .integral = gauss_integral, .series = gauss_series,
-                      .end = gauss_end, .n_stiff = motion->n_stiff};
+  const method_t m = {motion, &d, k->constants, k->scale, end, motion->n_stiff ? 1.0 : k->greatest};
   const int charted = places[i].kind->charted;
-  double after[MAX_STATES], was[12];
+  double after[MAX_STATES], was[9];
   contact_t last;
-  step_t s = {.tau = k->to, .h = k->next, .length = k->to - k->from};
+  step_t s = {.tau = k->to, .h = k->next, .span = k->to - k->from};
   s.before = k->to > 0.0 ? k->series : NULL;
   for (long tries = 0; k->to < tau; tries++) {
     const int too_many = tries > MOST_PANELS;
@@ -415,9 +409,8 @@ static status_t advance(component_t *c, long i, double tau) {
                     "than %ld pieces of motion (they reach t = %.9g s); make shorter steps", i + 1,
                     k->begin + tau - now->time, k->begin + tau, MOST_PANELS, k->begin + k->to);
     int made = too_many || !(k->next > 1e-13 * (end < tau ? end : tau))
-                   ? -2
-                   : motion->panel(1, k->last, k->constants, k->scale, &d, &m, &s, c->trial,
-                                   c->work, after);
+                   ? -1
+                   : panel(&m, &s, k->last, c->trial, after);
     if (made < 0)
       return report(c, FAILED, "logStatusError",
                     "contact %ld: the motion cannot be continued past t = %.9g s: %s", i + 1,
@@ -425,15 +418,15 @@ static status_t advance(component_t *c, long i, double tau) {
     k->next = s.h;
     if (!made) continue;
     if (charted) { /* not where the panel begins: a pole may be there */
-      rotation_at(c, i, k->to - (k->to - k->from) / 16.0, was);
+      rotation_at(now, i, k->to - (k->to - k->from) / 16.0, was);
       last = *k;
     }
-    memcpy(k->series, c->trial, (size_t)(n * (N + 1)) * sizeof(double));
+    memcpy(k->series, c->trial, (size_t)(n * TERMS) * sizeof(double));
     memcpy(k->last, after, (size_t)n * sizeof(double));
     k->from = k->to, k->to = s.tau, s.before = k->series;
-    if (charted && turns_over(c, i, was)) { /* the motion goes on up to there */
+    if (charted && turns_over(now, i, was)) { /* the motion goes on up to there */
       last.next = 0.5 * (k->to - k->from), *k = last;
-      s = (step_t){.tau = k->to, .h = k->next, .length = k->to - k->from};
+      s = (step_t){.tau = k->to, .h = k->next, .span = k->to - k->from};
       s.before = k->to > 0.0 ? k->series : NULL;
       continue;
     }
@@ -481,7 +474,7 @@ static const moment_t *present(component_t *c, long i) {
 static void find_states(component_t *c, long i) {
   memory_t *now = &c->now;
   contact_t *k = &now->contact[i];
-  double *value = now->value + places[i].block, out[2][5], theta[2];
+  double *value = now->value + places[i].block, out[2][COORDINATES], theta[2];
   const double tau = now->time - k->begin;
   const moment_t *m = present(c, i);
   for (int body = 0; body < 2; body++) {
@@ -512,24 +505,13 @@ static void find_other_rates(memory_t *now, long i) {
     if (j % BODY > 1 || j == ANGLE) value[j] = rate[j];
 }
 
-static void find_from_frames(component_t *c, long i, unsigned group) {
+static void find_slip(component_t *c, long i) {
   memory_t *now = &c->now;
-  const form_t *form = form_of(now, i);
   const moment_t *m = present(c, i);
-  double *value = now->value + places[i].block, v[2];
-  const double *const a[] = {&now->time, m->frame[0], m->frame[1], m->w1v, m->disturbance, law(now),
-                             numbers(now, i, 0), numbers(now, i, 1)};
-  if (group == SLIP) {
-    for (int j = 0; j < 2; j++) v[j] = m->sigma * m->w1v[2 + j];
-    form->slip((const double *const[]){m->frame[1], &now->contact[i].theta, v, m->disturbance + 4,
-                                       numbers(now, i, 1)}, value + AT_SLIP);
-  } else if (group == TWIST) {
-    form->twist(a, value + AT_TWIST);
-  } else if (group == POSE) {
-    form->pose(a, value + AT_POSE);
-  } else {
-    form->points(a, value + AT_POINTS);
-  }
+  const double v[2] = {m->sigma * m->w1v[2], m->sigma * m->w1v[3]};
+  form_of(now, i)->slip((const double *const[]){m->frame[1], &now->contact[i].theta, v,
+                                                m->disturbance + 4, numbers(now, i, 1)},
+                        now->value + places[i].block + AT_SLIP);
 }
 
 static unsigned group_of(const memory_t *now, long offset) {
@@ -539,7 +521,7 @@ static unsigned group_of(const memory_t *now, long offset) {
     const long j = offset - AT_RATE;
     return j < 0 || (j % BODY < 2 && j != ANGLE) ? STATE : RATES;
   }
-  return offset < AT_TWIST ? SLIP : offset < AT_POSE ? TWIST : offset < AT_POINTS ? POSE : POINTS;
+  return offset < AT_TWIST ? SLIP : OUTPUTS;
 }
 
 /* Least Lame coefficient of the chart of one body of contact i at its states, over the body's size:
@@ -587,8 +569,8 @@ static status_t refuse(component_t *c, const char *what) {
     return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s: " AT_REST, what,
                   now->time);
   const char *where =
-      SYSTEM(now) ? "or beyond a singular point of a chart (a pole or an umbilic); start elsewhere, "
-                    "or run the Co-Simulation, which passes such points"
+      SYSTEM(now) ? "or beyond a singular point of a chart (a pole or an umbilic); start "
+                    "elsewhere, or run the Co-Simulation, which passes such points"
                   : "a singular point of a chart (a pole or an umbilic); ask a moment later";
   return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s, at %s", what,
                 now->time, where);
@@ -610,13 +592,15 @@ static void find(component_t *c, long i, unsigned group) {
     if (group == RATES || group == SLIP) find(c, i, STATE);
     if (group == STATE) find_states(c, i);
     else if (group == RATES) find_other_rates(now, i);
-    else find_from_frames(c, i, group);
+    else if (group == SLIP) find_slip(c, i);
+    else outputs_at(now, i, present(c, i), value + AT_TWIST);
   }
   now->valid[i] |= group;
 }
 
 /* The first of these values that there is not; count where there are all */
-static long without_value(const memory_t *now, unsigned reference, const double *value, long count) {
+static long without_value(const memory_t *now, unsigned reference, const double *value,
+                          long count) {
   long i = 0;
   for (; i < count; i++) {
     if (fabs(value[i]) <= INFINITE) continue;
@@ -643,8 +627,8 @@ status_t check_value(component_t *c, unsigned reference, double value) {
     return report(c, DISCARD, "logStatusDiscard", "%s = %g is refused; give a finite number",
                   names[reference], value);
   if (value < least[reference])
-    return report(c, DISCARD, "logStatusDiscard", "%s = %.9g is refused; give %g or more", names[reference],
-                  value, least[reference]);
+    return report(c, DISCARD, "logStatusDiscard", "%s = %.9g is refused; give %g or more",
+                  names[reference], value, least[reference]);
   return OK;
 }
 
@@ -698,7 +682,8 @@ static const char *place_contact(memory_t *now, long i) {
   const long n = kind->form[DRIVEN].size[0] + kind->form[DRIVEN].size[1];
   if (!all_finite(first, n + 4)) return "the start is not finite";
   memcpy(m.w1v, first + n, sizeof m.w1v);
-  for (int body = 0; body < 2; body++) turn[body] = state[BODY * body + FRAME_ANGLE] - place[body][2];
+  for (int body = 0; body < 2; body++)
+    turn[body] = state[BODY * body + FRAME_ANGLE] - place[body][2];
   if (!now->stepping) {
     if (leaves_slip_behind(now)) {
       m.w1v[2] = m.w1v[3] = 0.0;

@@ -1,8 +1,8 @@
 /* A scene that is stepped or evaluated: all that fmi2.c and fmi3.c know of it, and nothing of FMI.
 
    Two ways through one set of variables. As a block that steps itself (Co-Simulation) each contact
-   is moved in frame coordinates, panel by panel of Gauss collocation (contact_system/c/panels.c); a
-   panel's Chebyshev series is kept, so that a step inside a panel is an evaluation and nothing
+   is moved in frame coordinates, panel by panel of Gauss collocation (panels.c); the Chebyshev
+   series of a panel is kept, so that a step inside a panel is an evaluation and nothing
    depends on how the horizon is cut into steps. As a system of equations (Model Exchange, and
    initialization in both) everything is a function of the eleven states of each contact.
 
@@ -10,10 +10,15 @@
 #ifndef CONTACT_COMPONENT
 #define CONTACT_COMPONENT
 #include <float.h>
+#include <math.h>
+#include <string.h>
 
 #include "model.h"
-#include "common.h"
 
+/* omp simd is for compilers that are told of it (-fopenmp-simd) */
+#if defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wunknown-pragmas"
+#endif
 #if !defined(__GNUC__) && !defined(__clang__)
 #define __attribute__(words) /* hints for the optimizer */
 #endif
@@ -34,6 +39,7 @@ enum { BODY = 5, FRAME_ANGLE = 2, VELOCITY = 3, ANGLE = 10 };
 
 typedef enum { OK, WARNING, DISCARD, FAILED } status_t; /* numbered as in FMI 2 and 3 */
 
+enum { PATH, TIME, GUARANTEED }; /* gain laws */
 enum { CALCULATED, INDEPENDENT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is; see `kinds` */
 
 /* --- what model.c says of the scene ----------------------------------------------------------- */
@@ -41,37 +47,48 @@ enum { CALCULATED, INDEPENDENT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value 
 typedef const double *const *arguments_t;
 typedef void (*kernel_t)(arguments_t, double *); /* a[i] points to the numbers of argument i */
 
-/* one contact's motion in one pair of forms: the kernel of a panel and what its numbers are */
+enum { L = 16, TERMS = L + 1 }; /* Gauss points of a panel, terms of its series */
+
+/* one contact's motion in one pair of forms: its states are the frames of finger and object, and
+   where n_stiff is 2, W_1 and V after them */
 typedef struct {
-  long n_states, n_constants, n_stiff;
-  int (*panel)(long, const double *, const double *, const double *, const drive_t *,
-               const method_t *, step_t *, double *, double *, double *);
-  double (*restore)(long, double *, const double *, const double *); /* states back onto their surfaces */
+  long n_states, n_stiff;
+  double reach; /* sizes by which states change in a panel at most */
+  /* at the nodes: states, sigma, decay and local time -> rates */
+  void (*rates)(double (*x)[L], const double *constants, double (*f)[L]);
+  kernel_t restore; /* states, constants -> states back on their surfaces; NULL: as they are */
 } motion_t;
 
-/* forms of finger and object: 9 numbers (x, p, q) in space or 3 (u, v, theta) in the chart */
+enum { IN_CHART = 3, IN_SPACE = 6 }; /* numbers of a frame: u v theta, or x p */
+
+/* forms of finger and object */
 typedef struct {
   long size[2];
   const motion_t *motion;
   kernel_t coordinates[2]; /* frame, c, numbers -> u v u' v' theta */
   kernel_t slip;           /* frame of the object, theta2, sigma V, offset, numbers of the object */
-  kernel_t twist, pose, points; /* time, frames, W1 V, disturbance, law, numbers of both */
+  kernel_t outputs;        /* time, frames, W1 V, disturbance, law, numbers of both: AT_TWIST.. */
 } form_t;
 
 enum { DRIVEN, PUSHED_FINGER, PUSHED_OBJECT, N_FORMS }; /* nothing, the finger alone, the object */
 
 typedef struct {
+  int double_cover;          /* (-u, pi - v) is the same point as (u, v) */
+  double period_u, period_v; /* 0: none */
+} winding_t;
+
+typedef struct {
   form_t form[N_FORMS];
   kernel_t start;         /* states, numbers of both -> frames, W1, V in the forms of DRIVEN */
-  kernel_t spatial[2];    /* u v theta, numbers -> x p q; NULL where no form changes */
-  kernel_t lame[2];       /* u v theta, numbers -> h_u h_v */
+  kernel_t spatial[2];    /* u v theta, numbers -> x p; NULL where no form changes */
+  kernel_t lame[2];       /* u v theta, numbers -> h_u h_v, and what restricts charts */
   kernel_t regularity;    /* states, numbers of both -> least Lame coefficients, signed */
   kernel_t velocity;      /* turns of the frames, W1 V -> path velocities of finger and object */
   kernel_t drive;         /* sigma, W1 V -> velocities of both contact points along their frames */
   kernel_t rates, results; /* time, states, disturbance, law, numbers: AT_RATE.., AT_SLIP.. */
   kernel_t forward, reverse; /* the same and seeds: products with their Jacobian */
   long n_numbers[2];
-  track_t winding[2];     /* periods and double covers of the coordinates */
+  winding_t winding[2];   /* of the coordinates */
   int charted;            /* whether a body is moved in a user's chart, which may have poles */
 } contact_kind_t;
 
@@ -86,7 +103,6 @@ typedef struct {
   double start, stop, value[6];
 } window_t;
 
-extern const motion_t MOTIONS;
 /* of numbers of a surface the one is greater than the other, or is the other: stays as it is */
 typedef struct {
   unsigned greater, less;
@@ -97,8 +113,6 @@ extern const order_t orders[]; /* the last is {0, 0} */
 extern const window_t windows[N_WINDOWS + 1];
 extern const double start_values[N_VALUES], least[N_VALUES], nominals[SYSTEM_STATES * N_CONTACTS];
 extern const unsigned char kinds[N_VALUES], sizes[N_VALUES];
-extern const double gauss_node[N], gauss_integral[N * N], gauss_series[(N + 1) * N],
-    gauss_end[2 * N];
 extern const char *const model_token, *const names[N_VALUES]; /* of every value, as in FMI 2 */
 
 /* --- one instance ----------------------------------------------------------------------------- */
@@ -117,7 +131,7 @@ typedef struct {
   double w1[2], v[2];                     /* at begin */
   double constants[MAX_CONSTANTS], scale[MAX_STATES], greatest;
   double from, to, next;                  /* current panel, local time; length to try next */
-  double first[MAX_STATES], last[MAX_STATES], series[MAX_STATES * (N + 1)];
+  double first[MAX_STATES], last[MAX_STATES], series[MAX_STATES * TERMS];
   /* u v theta of both bodies at the quarters of the panel */
   double anchor[2][5][3];
   double turn[2];                         /* from the frames moved here to those of the states */
@@ -153,8 +167,7 @@ typedef struct component {
   contact_t before[N_CONTACTS]; /* as a step found them, should it fail */
   moment_t moment[N_CONTACTS]; /* at the present time, where memory_t.valid says so */
   int warned[N_CONTACTS][2];   /* the path is near a pole, and the log says so */
-  double work[(2 * MAX_STATES + 3) * N], trial[MAX_STATES * (N + 1)], seed[N_VALUES],
-      grown[N_VALUES];
+  double trial[MAX_STATES * TERMS], seed[N_VALUES], grown[N_VALUES];
   void (*report)(struct component *, status_t, const char *category, const char *text);
   void *host; /* of the FMI layer */
 } component_t;
@@ -164,6 +177,42 @@ typedef struct component {
   (!(now)->stepping || ((now)->phase & (INSTANTIATED | CONFIGURATION | INITIALIZATION)))
 
 static inline const double *law(const memory_t *now) { return now->value + GAIN; }
+
+/* --- sigma and the gain ----------------------------------------------------------------------- */
+
+/* polynomials in local time, lowest power first; the decay of slip gets (sigma(0)/sigma)^power */
+typedef struct {
+  long n_sigma, n_exponent, power;
+  const double *sigma, *exponent;
+} drive_t;
+
+static inline double horner(const double *c, long n, double x) {
+  double y = c[n - 1];
+  for (long k = n - 2; k >= 0; k--) y = y * x + c[k];
+  return y;
+}
+
+/* dy/dx of the same */
+static inline double slope(const double *c, long n, double x) {
+  double y = 0.0;
+  for (long k = n - 1; k >= 1; k--) y = y * x + k * c[k];
+  return y;
+}
+
+/* lam at a local time */
+static inline double gain_at(const drive_t *d, double tau) {
+  double lam = slope(d->exponent, d->n_exponent, tau);
+  if (d->power) lam += slope(d->sigma, d->n_sigma, tau) / horner(d->sigma, d->n_sigma, tau);
+  return lam;
+}
+
+/* exp(-(L(tau) - L(0))) where sigma is given. Less than exp(-100) is nothing, and libm takes long
+   over an underflow. */
+static inline double decay_at(const drive_t *d, double tau, double sigma) {
+  const double lost = horner(d->exponent, d->n_exponent, tau);
+  const double decay = lost < 100 ? exp(-lost) : 0.0;
+  return d->power && tau > 0 ? decay * (d->sigma[0] / sigma) : decay;
+}
 
 /* the sum of the sizes of a polynomial's terms, which its rounding errors are a fraction of */
 static inline double magnitude(const double *c, long n, double t) {
@@ -183,6 +232,29 @@ static inline int all_finite(const double *x, long n) {
   for (long i = 0; i < n; i++) sum += 0.0 * x[i];
   return sum == 0.0;
 }
+
+/* --- panels ----------------------------------------------------------------------------------- */
+
+typedef struct {
+  const motion_t *motion;
+  const drive_t *drive;
+  const double *constants, *scale; /* errors are measured in 1/scale */
+  double length, slip; /* local time at the end; greatest |V|, where it is 0 there is no decay */
+} method_t;
+
+/* where an integration stands: the next panel from tau, of length h at most; a series of `span` to
+   start from, or NULL: it ends at tau (the last panel) or begins there (a refused one) */
+typedef struct {
+  double tau, h, span;
+  const double *before;
+  int begins;
+} step_t;
+
+/* One panel from s->tau: its series, and the state at its end, back on the surfaces. Returns 1;
+   0: refused, s->h is what to try next; -1: no solution. */
+int panel(const method_t *, step_t *, const double *start, double *series, double *end);
+/* Puts a state back on its surfaces; returns the greatest change, in 1/scale. */
+double restore(const motion_t *, const double *constants, const double *scale, double *state);
 
 /* Logs and returns the status; the text may hold anything. */
 status_t report(component_t *, status_t, const char *category, const char *format, ...)

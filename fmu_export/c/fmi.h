@@ -48,15 +48,16 @@ static inline status_t allowed(component_t *c, const char *function, int phases)
       "instantiated", "initialization mode", "event mode", "continuous-time mode", "step mode",
       "terminated", "after a failed step", "configuration mode", "intermediate update mode"};
   const int phase = c->now.phase, never = c->now.stepping ? CONTINUOUS : STEP | BROKEN;
-  const char *own = "", *remedy = phase & (TERMINATED | BROKEN) ? "; reset, or set an FMU state" : "";
+  const int over = phase & (TERMINATED | BROKEN);
+  const char *own = "", *remedy = over ? "; reset, or set an FMU state" : "";
   char others[192] = "";
   if (phase & phases) return OK;
   for (int k = 0; k < (int)(sizeof name / sizeof *name); k++) {
     if (phase >> k & 1) own = name[k];
     if ((phases & ~never) >> k & 1) strcat(strcat(others, *others ? ", " : ""), name[k]);
   }
-  return report(c, FAILED, "logStatusError", "%s is not allowed in the state '%s', only in: %s%s", function,
-                own, *others ? others : "the other interface", remedy);
+  return report(c, FAILED, "logStatusError", "%s is not allowed in the state '%s', only in: %s%s",
+                function, own, *others ? others : "the other interface", remedy);
 }
 
 #define BEGIN(function, phases)                                          \
@@ -182,7 +183,8 @@ static inline status_t read_bytes(component_t *c, const unsigned char *bytes, si
 static inline status_t check_times(component_t *c, double start, int stop_defined, double stop) {
   if (start >= 0 && start < 1e300 && (!stop_defined || stop >= start)) return OK;
   return report(c, FAILED, "logStatusError", "start %g s and stop %g s are refused; give "
-                "0 <= start <= stop, the profile counts from t = 0", start, stop_defined ? stop : HUGE_VAL);
+                "0 <= start <= stop, the profile counts from t = 0", start,
+                stop_defined ? stop : HUGE_VAL);
 }
 
 static inline status_t check_step(component_t *c, double from, double size) {

@@ -4,6 +4,18 @@
 #include "fmi3Functions.h"
 
 #define STATUS fmi3Status
+#define INSTANCE fmi3Instance
+#define REFERENCE fmi3ValueReference
+#define REAL fmi3Float64
+#define BYTE fmi3Byte
+#define BOOLEAN fmi3Boolean
+#define FMU_STATE fmi3FMUState
+#define PREFIX "fmi3"
+#define PASTED(name) fmi3##name
+#define FMI(name) PASTED(name)
+#define SIZE(r) ((r) < N_VALUES ? (unsigned)sizes[r] : 0u)
+#define OTHER_TOKEN "the instantiation token is another model's"
+#include "fmi_both.h"
 
 static void log_text(component_t *c, status_t status, const char *category, const char *text) {
   const instance_t *instance = c->host;
@@ -14,67 +26,40 @@ static void log_text(component_t *c, status_t status, const char *category, cons
 
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
-static instance_t *instantiate(fmi3String name, fmi3String token, fmi3Boolean logging,
-                               fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
-                               int stepping) {
-  instance_t *instance = calloc(1, sizeof *instance);
-  if (!instance) return NULL;
-  component_t *c = &instance->component;
-  c->report = log_text, c->host = instance;
-  instance->log = (void (*)(void))log, instance->environment = environment;
-  const char *wrong = !name || !*name ? "the instance has no name"
-                      : !token || strcmp(token, model_token)
-                          ? "the instantiation token is another model's"
-                          : NULL;
-  if (wrong) {
-    report(c, FAILED, "logStatusError", "fmi3Instantiate: %s", wrong);
-    free(instance);
-    return NULL;
-  }
-  for (int k = 0; k < CATEGORIES; k++) instance->logging[k] = logging;
-  reset(c, stepping);
-  return instance;
-}
-
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
                                           fmi3Boolean visible, fmi3Boolean logging,
                                           fmi3InstanceEnvironment environment,
                                           fmi3LogMessageCallback log) {
   (void)resources, (void)visible;
-  return instantiate(name, token, logging, environment, log, 0);
+  return instantiate(name, token, (void (*)(void))log, environment, logging, 0, NULL);
 }
 
-fmi3Instance fmi3InstantiateCoSimulation(
-    fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
-    fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean early_return,
-    const fmi3ValueReference required[], size_t n_required, fmi3InstanceEnvironment environment,
-    fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update) {
+fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources,
+                                         fmi3Boolean visible, fmi3Boolean logging,
+                                         fmi3Boolean event_mode, fmi3Boolean early_return,
+                                         const fmi3ValueReference required[], size_t n_required,
+                                         fmi3InstanceEnvironment environment,
+                                         fmi3LogMessageCallback log,
+                                         fmi3IntermediateUpdateCallback update) {
   (void)resources, (void)visible, (void)required, (void)n_required;
-  instance_t *instance = instantiate(name, token, logging, environment, log, 1);
+  instance_t *instance =
+      instantiate(name, token, (void (*)(void))log, environment, logging, 1, NULL);
   if (!instance) return NULL;
   instance->component.now.uses_events = instance->uses_events = event_mode;
   instance->early_return = early_return, instance->update = (void (*)(void))update;
   return instance;
 }
 
-fmi3Instance fmi3InstantiateScheduledExecution(
-    fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
-    fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
-    fmi3ClockUpdateCallback clock, fmi3LockPreemptionCallback lock,
-    fmi3UnlockPreemptionCallback unlock) {
+fmi3Instance
+fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
+                                  fmi3Boolean visible, fmi3Boolean logging,
+                                  fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+                                  fmi3ClockUpdateCallback clock, fmi3LockPreemptionCallback lock,
+                                  fmi3UnlockPreemptionCallback unlock) {
   (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)clock, (void)lock,
       (void)unlock;
-  if (log)
-    log(environment, fmi3Error, "logStatusError", "this model has no Scheduled Execution");
+  if (log) log(environment, fmi3Error, "logStatusError", "this model has no Scheduled Execution");
   return NULL;
-}
-
-void fmi3FreeInstance(fmi3Instance instance) { free(instance); }
-
-fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean on, size_t count,
-                               const fmi3String categories[]) {
-  BEGIN("fmi3SetDebugLogging", ANY);
-  return (fmi3Status)set_logging(instance, "fmi3SetDebugLogging", on, count, categories);
 }
 
 /* --- initialization --------------------------------------------------------------------------- */
@@ -102,55 +87,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
   return fmi3OK;
 }
 
-fmi3Status fmi3ExitInitializationMode(fmi3Instance instance) {
-  BEGIN("fmi3ExitInitializationMode", INITIALIZATION);
-  if (start(c)) return fmi3Error;
-  c->now.phase = c->now.stepping && !c->now.uses_events ? STEP : EVENT;
-  return fmi3OK;
-}
-
-fmi3Status fmi3Terminate(fmi3Instance instance) {
-  BEGIN("fmi3Terminate", EVENT | CONTINUOUS | STEP);
-  c->now.phase = TERMINATED;
-  return fmi3OK;
-}
-
-fmi3Status fmi3Reset(fmi3Instance instance) {
-  BEGIN("fmi3Reset", ANY);
-  reset(c, c->now.stepping);
-  c->now.uses_events = ((instance_t *)instance)->uses_events;
-  return fmi3OK;
-}
-
 /* --- values ----------------------------------------------------------------------------------- */
-
-/* Number of values behind references, or -1 where one is unknown, with a log line. */
-static long total(component_t *c, const char *function, const fmi3ValueReference vr[],
-                  size_t count) {
-  long sum = 0;
-  for (size_t k = 0; k < count; k++) {
-    if (vr[k] >= N_VALUES || !sizes[vr[k]]) {
-      report(c, FAILED, "logStatusError", "%s: " NO_SUCH, function, vr[k]);
-      return -1;
-    }
-    sum += sizes[vr[k]];
-  }
-  return sum;
-}
-
-/* Refuses unknown references and another number of values than theirs. */
-#define COUNTED(function, vr, count, n)                                                           \
-  do {                                                                                            \
-    const long all = total(c, function, vr, count);                                               \
-    if (all < 0) return fmi3Error;                                                                \
-    if ((size_t)all != (n))                                                                       \
-      REFUSE(function ": room for %lu values, but the variables have %ld", (unsigned long)(n),    \
-             all);                                                                                \
-  } while (0)
-
-#define VALUES(function, vr, count, value, n)                                                     \
-  if ((count) && (!(vr) || !(value))) REFUSE(function ": a pointer is missing");                  \
-  COUNTED(function, vr, count, n)
 
 fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,
                           fmi3Float64 value[], size_t n) {
@@ -160,49 +97,28 @@ fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], 
     if (c->now.phase == INSTANTIATED && kinds[vr[k]] == CALCULATED)
       REFUSE("fmi3GetFloat64: %s is calculated and has no start value; ask from initialization on",
              names[vr[k]]);
-  status_t worst = OK;
-  for (size_t k = 0; k < count; value += sizes[vr[k++]]) {
-    status_t s = get_values(c, vr[k], sizes[vr[k]], value);
-    worst = s > worst ? s : worst;
-  }
-  return (fmi3Status)worst;
+  return get_all(c, vr, count, value);
 }
 
 fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,
                           const fmi3Float64 value[], size_t n) {
-  BEGIN("fmi3SetFloat64",
-        INSTANTIATED | CONFIGURATION | INITIALIZATION | EVENT | CONTINUOUS | STEP);
+  BEGIN("fmi3SetFloat64", SETTABLE);
   VALUES("fmi3SetFloat64", vr, count, value, n);
-  const fmi3Float64 *next = value;
-  for (size_t k = 0; k < count; k++) /* all are set, or none */
-    for (unsigned j = 0; j < sizes[vr[k]]; j++) {
-      const status_t wrong = check_one(c, vr[k] + j, *next++);
-      if (wrong) return (fmi3Status)wrong;
-    }
-  for (size_t k = 0; k < count; k++)
-    for (unsigned j = 0; j < sizes[vr[k]]; j++) set_value(c, vr[k] + j, *value++);
-  return fmi3OK;
+  return set_all(c, vr, count, value);
 }
 
 /* There are variables of type Float64 only. */
-#define NO_GETTER(name, ...)                                                                      \
-  fmi3Status fmi3Get##name(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,    \
-                           __VA_ARGS__) {                                                         \
-    BEGIN("fmi3Get" #name, RUNNING | INTERMEDIATE);                                               \
-    (void)vr, (void)value;                                                                        \
-    if (count) REFUSE("fmi3Get" #name ": there are no variables of this type");                   \
-    return fmi3OK;                                                                                \
+#define NO_FUNCTION(name, phases, ...)                                                             \
+  fmi3Status fmi3##name(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,        \
+                        __VA_ARGS__) {                                                             \
+    BEGIN("fmi3" #name, phases);                                                                   \
+    (void)vr, (void)value;                                                                         \
+    if (count) REFUSE("fmi3" #name ": there are no variables of this type");                       \
+    return fmi3OK;                                                                                 \
   }
-#define NO_SETTER(name, ...)                                                                      \
-  fmi3Status fmi3Set##name(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,    \
-                           __VA_ARGS__) {                                                         \
-    BEGIN("fmi3Set" #name,                                                                        \
-          INSTANTIATED | CONFIGURATION | INITIALIZATION | EVENT | CONTINUOUS | STEP);             \
-    (void)vr, (void)value;                                                                        \
-    if (count) REFUSE("fmi3Set" #name ": there are no variables of this type");                   \
-    return fmi3OK;                                                                                \
-  }
-#define NO_VARIABLES(name, type)                                                                  \
+#define NO_GETTER(name, ...) NO_FUNCTION(Get##name, RUNNING | INTERMEDIATE, __VA_ARGS__)
+#define NO_SETTER(name, ...) NO_FUNCTION(Set##name, SETTABLE, __VA_ARGS__)
+#define NO_VARIABLES(name, type)                                                                   \
   NO_GETTER(name, type value[], size_t n) NO_SETTER(name, const type value[], size_t n)
 
 #if defined(__GNUC__)
@@ -249,45 +165,13 @@ fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference
 
 /* --- derivatives ------------------------------------------------------------------------------ */
 
-static int is_unknown(fmi3ValueReference r) { return kinds[r] == CALCULATED || kinds[r] == EXACT; }
-static int is_known(fmi3ValueReference r) { return kinds[r] != CALCULATED; }
-
-/* Both directions: seeds go to the references `from`, products come from the references `to`. */
-static status_t products(component_t *c, void (*apply)(component_t *),
-                         const fmi3ValueReference from[], size_t n_from, const fmi3Float64 seed[],
-                         const fmi3ValueReference to[], size_t n_to, fmi3Float64 value[]) {
-  memset(c->seed, 0, sizeof c->seed);
-  for (size_t k = 0; k < n_from; k++)
-    for (unsigned j = 0; j < sizes[from[k]]; j++) c->seed[from[k] + j] += *seed++;
-  apply(c);
-  for (size_t k = 0; k < n_to; value += sizes[to[k++]]) {
-    const status_t s = check_grown(c, to[k], sizes[to[k]]);
-    if (s) return s;
-    memcpy(value, c->grown + to[k], sizes[to[k]] * sizeof *value);
-  }
-  return OK;
-}
-
-#define CHECK_PRODUCTS(function, n_from, n_to)                                                    \
-  if ((n_unknowns && !unknowns) || (n_knowns && !knowns) || !seed || !value)                      \
-    REFUSE(function ": a pointer is missing");                                                    \
-  COUNTED(function, unknowns, n_unknowns, n_from);                                                \
-  COUNTED(function, knowns, n_knowns, n_to);                                                      \
-  for (size_t k = 0; k < n_unknowns; k++)                                                         \
-    if (!is_unknown(unknowns[k]))                                                                 \
-      REFUSE(function ": %s is not an unknown; give states or calculated variables",              \
-             names[unknowns[k]]);                                                                 \
-  for (size_t k = 0; k < n_knowns; k++)                                                           \
-    if (!is_known(knowns[k]))                                                                     \
-      REFUSE(function ": %s is not a known; give inputs, states or parameters", names[knowns[k]])
-
 fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
                                         size_t n_unknowns, const fmi3ValueReference knowns[],
                                         size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,
                                         fmi3Float64 value[], size_t n) {
   BEGIN("fmi3GetDirectionalDerivative", RUNNING | INTERMEDIATE);
   CHECK_PRODUCTS("fmi3GetDirectionalDerivative", n, n_seed);
-  return (fmi3Status)products(c, forward, knowns, n_knowns, seed, unknowns, n_unknowns, value);
+  return products(c, forward, knowns, n_knowns, seed, unknowns, n_unknowns, value);
 }
 
 fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
@@ -296,54 +180,7 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueRefere
                                     fmi3Float64 value[], size_t n) {
   BEGIN("fmi3GetAdjointDerivative", RUNNING | INTERMEDIATE);
   CHECK_PRODUCTS("fmi3GetAdjointDerivative", n_seed, n);
-  return (fmi3Status)products(c, reverse, unknowns, n_unknowns, seed, knowns, n_knowns, value);
-}
-
-/* --- FMU states ------------------------------------------------------------------------------- */
-
-fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *state) {
-  BEGIN("fmi3GetFMUState", ANY);
-  if (!state || (*state && !saved(c, *state))) REFUSE("fmi3GetFMUState: a pointer is missing");
-  return (fmi3Status)save(c, state);
-}
-
-fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state) {
-  BEGIN("fmi3SetFMUState", ANY);
-  return (fmi3Status)restore_saved(c, state);
-}
-
-fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *state) {
-  BEGIN("fmi3FreeFMUState", ANY);
-  if (!state || !*state) return fmi3OK;
-  if (!saved(c, *state)) return fmi3Error;
-  free(*state);
-  *state = NULL;
-  return fmi3OK;
-}
-
-fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState state, size_t *size) {
-  BEGIN("fmi3SerializedFMUStateSize", ANY);
-  if (!size) REFUSE("fmi3SerializedFMUStateSize: a pointer is missing");
-  if (!saved(c, state)) return fmi3Error;
-  *size = STATE_BYTES;
-  return fmi3OK;
-}
-
-fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState state, fmi3Byte bytes[],
-                                 size_t size) {
-  BEGIN("fmi3SerializeFMUState", ANY);
-  const saved_t *s = saved(c, state);
-  if (!s) return fmi3Error;
-  if (!bytes || size < STATE_BYTES) REFUSE("fmi3SerializeFMUState: the buffer is missing or too small");
-  write_state(&s->memory, bytes);
-  return fmi3OK;
-}
-
-fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte bytes[], size_t size,
-                                   fmi3FMUState *state) {
-  BEGIN("fmi3DeserializeFMUState", ANY);
-  if (!state) REFUSE("fmi3DeserializeFMUState: a pointer is missing");
-  return (fmi3Status)read_bytes(c, bytes, size, state);
+  return products(c, reverse, unknowns, n_unknowns, seed, knowns, n_knowns, value);
 }
 
 /* --- events ----------------------------------------------------------------------------------- */
@@ -362,9 +199,9 @@ fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance) {
 }
 
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *again,
-                                    fmi3Boolean *terminate,
-                                    fmi3Boolean *nominals, fmi3Boolean *values,
-                                    fmi3Boolean *next_defined, fmi3Float64 *next_time) {
+                                    fmi3Boolean *terminate, fmi3Boolean *nominals,
+                                    fmi3Boolean *values, fmi3Boolean *next_defined,
+                                    fmi3Float64 *next_time) {
   BEGIN("fmi3UpdateDiscreteStates", EVENT);
   if (!again || !terminate || !nominals || !values || !next_defined || !next_time)
     REFUSE("fmi3UpdateDiscreteStates: a pointer is missing");
@@ -378,60 +215,6 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *again,
 }
 
 /* --- Model Exchange --------------------------------------------------------------------------- */
-
-fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance instance) {
-  SYSTEM_ONLY("fmi3EnterContinuousTimeMode", EVENT);
-  c->now.phase = CONTINUOUS;
-  return fmi3OK;
-}
-
-fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Boolean no_return,
-                                       fmi3Boolean *enter_event_mode, fmi3Boolean *terminate) {
-  SYSTEM_ONLY("fmi3CompletedIntegratorStep", CONTINUOUS);
-  if (!enter_event_mode || !terminate) REFUSE("fmi3CompletedIntegratorStep: a pointer is missing");
-  *enter_event_mode = *terminate = fmi3False;
-  return fmi3OK;
-}
-
-fmi3Status fmi3SetTime(fmi3Instance instance, fmi3Float64 time) {
-  SYSTEM_ONLY("fmi3SetTime", EVENT | CONTINUOUS);
-  if (!(fabs(time) < 1e300)) REFUSE("fmi3SetTime: t = %g s is refused", time);
-  set_time(c, time);
-  return fmi3OK;
-}
-
-fmi3Status fmi3SetContinuousStates(fmi3Instance instance, const fmi3Float64 x[], size_t count) {
-  SYSTEM_ONLY("fmi3SetContinuousStates", EVENT | CONTINUOUS);
-  OF_SIZE("fmi3SetContinuousStates", x, count, SYSTEM_STATES * N_CONTACTS);
-  return (fmi3Status)set_states(c, x);
-}
-
-fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, fmi3Float64 rate[],
-                                             size_t count) {
-  SYSTEM_ONLY("fmi3GetContinuousStateDerivatives", ME_RUNNING);
-  OF_SIZE("fmi3GetContinuousStateDerivatives", rate, count, SYSTEM_STATES * N_CONTACTS);
-  return (fmi3Status)get_rates(c, rate);
-}
-
-fmi3Status fmi3GetEventIndicators(fmi3Instance instance, fmi3Float64 indicator[], size_t count) {
-  SYSTEM_ONLY("fmi3GetEventIndicators", ME_RUNNING);
-  if (count) REFUSE("fmi3GetEventIndicators: there are none");
-  return fmi3OK;
-}
-
-fmi3Status fmi3GetContinuousStates(fmi3Instance instance, fmi3Float64 x[], size_t count) {
-  SYSTEM_ONLY("fmi3GetContinuousStates", ME_RUNNING);
-  OF_SIZE("fmi3GetContinuousStates", x, count, SYSTEM_STATES * N_CONTACTS);
-  return (fmi3Status)get_states(c, x);
-}
-
-fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance instance, fmi3Float64 nominal[],
-                                             size_t count) {
-  SYSTEM_ONLY("fmi3GetNominalsOfContinuousStates", ANY);
-  OF_SIZE("fmi3GetNominalsOfContinuousStates", nominal, count, SYSTEM_STATES * N_CONTACTS);
-  memcpy(nominal, nominals, sizeof nominals);
-  return fmi3OK;
-}
 
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *count) {
   SYSTEM_ONLY("fmi3GetNumberOfEventIndicators", ANY);
@@ -456,8 +239,8 @@ fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
 }
 
 fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueReference vr[],
-                                    size_t count,
-                                    const fmi3Int32 orders[], fmi3Float64 value[], size_t n) {
+                                    size_t count, const fmi3Int32 orders[], fmi3Float64 value[],
+                                    size_t n) {
   STEPPING_ONLY("fmi3GetOutputDerivatives", STEP | TERMINATED | INTERMEDIATE);
   if (count) REFUSE("fmi3GetOutputDerivatives: derivatives are outputs of their own, der(...)");
   return fmi3OK;
@@ -478,9 +261,8 @@ static double told(component_t *c, double target) {
 }
 
 fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 from, fmi3Float64 size,
-                      fmi3Boolean no_return,
-                      fmi3Boolean *event, fmi3Boolean *terminate, fmi3Boolean *early,
-                      fmi3Float64 *last_time) {
+                      fmi3Boolean no_return, fmi3Boolean *event, fmi3Boolean *terminate,
+                      fmi3Boolean *early, fmi3Float64 *last_time) {
   BEGIN("fmi3DoStep", STEP);
   const instance_t *own = instance;
   const double target = from + size;

@@ -46,8 +46,8 @@ static fmi2Status allowed(const block_t *block, const char *function, int states
                                                  : "after the simulation has ended; reset first");
 }
 
-#define BEGIN(function, states)  \
-  block_t *const block = c;      \
+#define BEGIN(function, states)                                                                    \
+  block_t *const block = c;                                                                        \
   if (allowed(block, function, states)) return fmi2Error
 
 #if defined(__GNUC__)
@@ -64,7 +64,8 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
   block_t *block = calloc(1, sizeof *block);
   if (!block) return NULL;
   block->state = INSTANTIATED;
-  if (functions) block->log = functions->logger, block->environment = functions->componentEnvironment;
+  if (functions)
+    block->log = functions->logger, block->environment = functions->componentEnvironment;
   if (name) strncpy(block->name, name, sizeof block->name - 1);
   const char *wrong = type != fmi2CoSimulation       ? "this block is for Co-Simulation only"
                       : !guid || strcmp(guid, TOKEN) ? "the GUID is another model's"
@@ -89,23 +90,15 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined, f
   return fmi2OK;
 }
 
-fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
-  BEGIN("fmi2EnterInitializationMode", INSTANTIATED);
-  block->state = INITIALIZATION;
-  return fmi2OK;
-}
-
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
-  BEGIN("fmi2ExitInitializationMode", INITIALIZATION);
-  block->state = STEP;
-  return fmi2OK;
-}
-
-fmi2Status fmi2Terminate(fmi2Component c) {
-  BEGIN("fmi2Terminate", STEP);
-  block->state = TERMINATED;
-  return fmi2OK;
-}
+#define CHANGE(name, from, to)                                                                     \
+  fmi2Status name(fmi2Component c) {                                                               \
+    BEGIN(#name, from);                                                                            \
+    block->state = to;                                                                             \
+    return fmi2OK;                                                                                 \
+  }
+CHANGE(fmi2EnterInitializationMode, INSTANTIATED, INITIALIZATION)
+CHANGE(fmi2ExitInitializationMode, INITIALIZATION, STEP)
+CHANGE(fmi2Terminate, STEP, TERMINATED)
 
 fmi2Status fmi2Reset(fmi2Component c) {
   BEGIN("fmi2Reset", ANY);
@@ -114,29 +107,31 @@ fmi2Status fmi2Reset(fmi2Component c) {
   return fmi2OK;
 }
 
-fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count, fmi2Real value[]) {
+#define VALUES(function)                                                                           \
+  if (count && (!vr || !value)) return refuse(block, function ": a pointer is missing");           \
+  for (size_t k = 0; k < count; k++)                                                               \
+    if (vr[k] >= N_VALUES)                                                                         \
+  return refuse(block, function ": there is no variable with value reference %u", vr[k])
+
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count,
+                       fmi2Real value[]) {
   BEGIN("fmi2GetReal", INITIALIZATION | STEP | TERMINATED);
-  if (count && (!vr || !value)) return refuse(block, "fmi2GetReal: a pointer is missing");
-  for (size_t k = 0; k < count; k++) {
-    if (vr[k] >= N_VALUES)
-      return refuse(block, "fmi2GetReal: there is no variable with value reference %u", vr[k]);
-    value[k] = block->value[vr[k]];
-  }
+  VALUES("fmi2GetReal");
+  for (size_t k = 0; k < count; k++) value[k] = block->value[vr[k]];
   return fmi2OK;
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count,
                        const fmi2Real value[]) {
   BEGIN("fmi2SetReal", INSTANTIATED | INITIALIZATION | STEP);
-  if (count && (!vr || !value)) return refuse(block, "fmi2SetReal: a pointer is missing");
+  VALUES("fmi2SetReal");
   for (size_t k = 0; k < count; k++) { /* all are set, or none */
-    if (vr[k] >= N_VALUES)
-      return refuse(block, "fmi2SetReal: there is no variable with value reference %u", vr[k]);
     if (vr[k] >= N_INPUTS && block->state == STEP)
       return refuse(block, "distance[%u] is a start value; set it before initialization ends",
                     vr[k] - N_INPUTS + 1);
     if (!(fabs(value[k]) < HUGE_VAL))
-      return refuse(block, "value reference %u = %g is refused; give a finite number", vr[k], value[k]);
+      return refuse(block, "value reference %u = %g is refused; give a finite number", vr[k],
+                    value[k]);
   }
   for (size_t k = 0; k < count; k++) block->value[vr[k]] = value[k];
   return fmi2OK;
@@ -159,10 +154,10 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real from, fmi2Real size, fmi2Boolean
 
 #define REFERENCES fmi2Component c, const fmi2ValueReference vr[], size_t n
 
-#define NO_VARIABLES(name, ...) \
-  fmi2Status name(REFERENCES, __VA_ARGS__) {                                    \
-    BEGIN(#name, ANY);                                                          \
-    return n ? refuse(block, #name ": there are no such variables") : fmi2OK;   \
+#define NO_VARIABLES(name, ...)                                                                    \
+  fmi2Status name(REFERENCES, __VA_ARGS__) {                                                       \
+    BEGIN(#name, ANY);                                                                             \
+    return n ? refuse(block, #name ": there are no such variables") : fmi2OK;                      \
   }
 
 NO_VARIABLES(fmi2GetInteger, fmi2Integer x[])
@@ -172,10 +167,10 @@ NO_VARIABLES(fmi2SetInteger, const fmi2Integer x[])
 NO_VARIABLES(fmi2SetBoolean, const fmi2Boolean x[])
 NO_VARIABLES(fmi2SetString, const fmi2String x[])
 
-#define NOT_HERE(name, ...)                                                              \
-  fmi2Status name(__VA_ARGS__) {                                                         \
-    BEGIN(#name, ANY);                                                                   \
-    return refuse(block, #name ": this block does not have it; see modelDescription.xml"); \
+#define NOT_HERE(name, ...)                                                                        \
+  fmi2Status name(__VA_ARGS__) {                                                                   \
+    BEGIN(#name, ANY);                                                                             \
+    return refuse(block, #name ": this block does not have it; see modelDescription.xml");         \
   }
 
 NOT_HERE(fmi2GetFMUstate, fmi2Component c, fmi2FMUstate *state)

@@ -1,7 +1,7 @@
 /* The bytes of an FMU state, and what in foreign ones cannot be. */
 #include "component.h"
 
-#define STATE_VERSION 2ULL /* 1 held Legendre series */
+#define STATE_VERSION 3ULL /* 2 held frames of nine numbers */
 
 /* FNV-1a, 64 bit */
 static unsigned long long digest(const void *data, size_t count, unsigned long long hash) {
@@ -70,7 +70,7 @@ static const char *check_contact(const memory_t *now, long i) {
       {k->disturbance, 6}, {k->slope, 6}, {&k->eta, 1}, {k->sigma, MAX_SIGMA},
       {k->exponent, MAX_EXPONENT}, {k->w1, 2}, {k->v, 2}, {k->constants, MAX_CONSTANTS},
       {k->scale, MAX_STATES}, {&k->greatest, 1}, {&k->to, 1}, {&k->next, 1},
-      {k->first, MAX_STATES}, {k->last, MAX_STATES}, {k->series, MAX_STATES * (N + 1)},
+      {k->first, MAX_STATES}, {k->last, MAX_STATES}, {k->series, MAX_STATES * TERMS},
       {k->anchor[0][0], 2 * 5 * 3}, {k->turn, 2}};
   for (size_t j = 0; j < sizeof parts / sizeof *parts; j++)
     if (!all_finite(parts[j].first, parts[j].count)) return "the motion of a contact is not finite";

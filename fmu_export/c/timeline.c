@@ -3,7 +3,7 @@
 
 #define LOOK_AHEAD 1.05 /* a solver may look this far beyond sigma's end, within its last step */
 
-/* the value, or 0 where its sign cannot be told from rounding: profile._clear_value */
+/* the value, or 0 where its sign cannot be told from rounding: theory/profile.py */
 static double clear_value(const double *c, long n, double t) {
   const double value = horner(c, n, t);
   return t == 0.0 || fabs(value) > 4e-16 * n * magnitude(c, n, t) ? value : 0.0;

@@ -113,6 +113,114 @@ static void keep_bytes(size_t n) {
   memset(bytes, 0, n);
 }
 
+/* What both versions have, under names that they spell differently. */
+#if FMI_VERSION == 2
+#define F(two, three) fmi2##two
+typedef fmi2Byte byte_t;
+static void no_callback(void) {}
+#else
+#define F(two, three) fmi3##three
+typedef fmi3Byte byte_t;
+static fmu_t inside; /* the instance that calls back */
+static void no_callback(void) { inside = NULL; }
+#endif
+
+static F(FMUstate, FMUState) state[KEPT];
+
+static void forget_states(fmu_t fmu) {
+  for (int k = 0; k < KEPT; k++) F(FreeFMUstate, FreeFMUState)(fmu, &state[k]);
+  no_callback();
+}
+
+static int write_bytes(fmu_t fmu) {
+  F(FMUstate, FMUState) own = NULL;
+  size_t size = 0;
+  int status = F(GetFMUstate, GetFMUState)(fmu, &own);
+  if (status) return status;
+  status = F(SerializedFMUstateSize, SerializedFMUStateSize)(fmu, own, &size);
+  keep_bytes(size);
+  if (!status) status = F(SerializeFMUstate, SerializeFMUState)(fmu, own, (byte_t *)bytes, size);
+  F(FreeFMUstate, FreeFMUState)(fmu, &own);
+  return status;
+}
+
+static int parse(fmu_t fmu, const unsigned char *given, size_t n, F(FMUstate, FMUState) * to) {
+  return F(DeSerializeFMUstate, DeserializeFMUState)(fmu, (const byte_t *)given, n, to);
+}
+
+static int read_bytes(fmu_t fmu, const unsigned char *given, size_t n) {
+  F(FMUstate, FMUState) *to = &state[below(KEPT)], before = *to;
+  const int status = parse(fmu, given, n, to);
+  if (status && *to != before) fail("refused bytes change the state that was given");
+  return status;
+}
+
+/* Go where bytes say. */
+static int take_bytes(fmu_t fmu, const unsigned char *given, size_t n) {
+  F(FMUstate, FMUState) own = NULL;
+  int status = parse(fmu, given, n, &own);
+  if (status) return status;
+  status = F(SetFMUstate, SetFMUState)(fmu, own);
+  F(FreeFMUstate, FreeFMUState)(fmu, &own);
+  return status;
+}
+
+static int set_debug_logging(fmu_t fmu) {
+  static const F(String, String) names[] = {"logStatusError", "nothing", "logEvents", "%s%n"};
+  logging = 0;
+  return F(SetDebugLogging, SetDebugLogging)(fmu, one_in(2), below(3),
+                                             one_in(9) ? NULL : names + below(3));
+}
+
+static int terminate(fmu_t fmu) {
+  return one_in(4) ? (int)F(Terminate, Terminate)(fmu) : get(fmu, NULL, 0, NULL, 0);
+}
+
+static int reset_any(fmu_t fmu) {
+  time_now = 0.0;
+  return reset(fmu);
+}
+
+static int get_state(fmu_t fmu) { return F(GetFMUstate, GetFMUState)(fmu, &state[below(KEPT)]); }
+static int free_state(fmu_t fmu) { return F(FreeFMUstate, FreeFMUState)(fmu, &state[below(KEPT)]); }
+
+static int deserialize(fmu_t fmu) {
+  if (!n_bytes) return parse(fmu, NULL, below(100), &state[0]);
+  return read_bytes(fmu, bytes, one_in(4) ? below((unsigned)n_bytes) : n_bytes);
+}
+
+static int exit_initialization(fmu_t fmu) {
+  return F(ExitInitializationMode, ExitInitializationMode)(fmu);
+}
+static int enter_event(fmu_t fmu) { return F(EnterEventMode, EnterEventMode)(fmu); }
+static int enter_continuous(fmu_t fmu) {
+  return F(EnterContinuousTimeMode, EnterContinuousTimeMode)(fmu);
+}
+static int set_time(fmu_t fmu) { return F(SetTime, SetTime)(fmu, number()); }
+
+static int completed_step(fmu_t fmu) {
+  F(Boolean, Boolean) a, b;
+  return F(CompletedIntegratorStep, CompletedIntegratorStep)(fmu, one_in(2),
+                                                             one_in(50) ? NULL : &a, &b);
+}
+
+static size_t of_states(void) { return one_in(15) ? below((unsigned)n_states) : n_states; }
+
+static int set_states(fmu_t fmu) {
+  fill_states();
+  const size_t n = of_states();
+  const int status = F(SetContinuousStates, SetContinuousStates)(fmu, value, n);
+  if (!status && !finite_values(n)) fail("a state that is not finite was taken");
+  return status;
+}
+
+static int get_derivatives(fmu_t fmu) {
+  const size_t n = of_states();
+  const int status = F(GetDerivatives, GetContinuousStateDerivatives)(fmu, value, n);
+  if (!status && !finite_values(n)) fail("a derivative that is not finite, with status OK");
+  return status;
+}
+
 #if FMI_VERSION == 2
 #include "fuzz2.h"
 #else

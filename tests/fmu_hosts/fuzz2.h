@@ -1,7 +1,5 @@
 /* The calls of FMI 2 with random arguments. */
 
-static fmi2FMUstate state[KEPT];
-
 static fmu_t create_any(int stepping) {
   plain = 1;
   return fmi2Instantiate("one", stepping ? fmi2CoSimulation : fmi2ModelExchange, model.token, "",
@@ -14,39 +12,6 @@ static void start_any(fmu_t fmu, int stepping) {
   if (stepping) return;
   fmi2NewDiscreteStates(fmu, &info);
   if (!one_in(4)) fmi2EnterContinuousTimeMode(fmu);
-}
-
-static void forget_states(fmu_t fmu) {
-  for (int k = 0; k < KEPT; k++) fmi2FreeFMUstate(fmu, &state[k]);
-}
-
-static int write_bytes(fmu_t fmu) {
-  fmi2FMUstate own = NULL;
-  size_t size = 0;
-  int status = fmi2GetFMUstate(fmu, &own);
-  if (status) return status;
-  status = fmi2SerializedFMUstateSize(fmu, own, &size);
-  keep_bytes(size);
-  status = status ? status : (int)fmi2SerializeFMUstate(fmu, own, (fmi2Byte *)bytes, size);
-  fmi2FreeFMUstate(fmu, &own);
-  return status;
-}
-
-static int read_bytes(fmu_t fmu, const unsigned char *given, size_t n) {
-  fmi2FMUstate *to = &state[below(KEPT)], before = *to;
-  const int status = fmi2DeSerializeFMUstate(fmu, (const fmi2Byte *)given, n, to);
-  if (status && *to != before) fail("refused bytes change the state that was given");
-  return status;
-}
-
-/* Go where bytes say. */
-static int take_bytes(fmu_t fmu, const unsigned char *given, size_t n) {
-  fmi2FMUstate own = NULL;
-  int status = fmi2DeSerializeFMUstate(fmu, (const fmi2Byte *)given, n, &own);
-  if (status) return status;
-  status = fmi2SetFMUstate(fmu, own);
-  fmi2FreeFMUstate(fmu, &own);
-  return status;
 }
 
 /* Find out what a model description would say: the number of states. */
@@ -70,26 +35,11 @@ static int instantiate(fmu_t fmu) {
   return fmu ? fmi2OK : fmi2Error;
 }
 
-static int set_debug_logging(fmu_t fmu) {
-  static const fmi2String names[] = {"logStatusError", "nothing", "logEvents", "%s%n"};
-  logging = 0;
-  return fmi2SetDebugLogging(fmu, one_in(2), below(3), one_in(9) ? NULL : names + below(3));
-}
-
 static int setup(fmu_t fmu) {
   return fmi2SetupExperiment(fmu, one_in(2), number(), number(), one_in(3), number());
 }
 
 static int enter_initialization(fmu_t fmu) { return fmi2EnterInitializationMode(fmu); }
-static int exit_initialization(fmu_t fmu) { return fmi2ExitInitializationMode(fmu); }
-static int terminate(fmu_t fmu) {
-  return one_in(4) ? fmi2Terminate(fmu) : fmi2GetReal(fmu, NULL, 0, NULL);
-}
-
-static int reset_any(fmu_t fmu) {
-  time_now = 0.0;
-  return fmi2Reset(fmu);
-}
 
 static int get_real(fmu_t fmu) {
   const size_t n = pick();
@@ -151,20 +101,10 @@ static int directional(fmu_t fmu) {
                                       product);
 }
 
-static int get_state(fmu_t fmu) { return fmi2GetFMUstate(fmu, &state[below(KEPT)]); }
-
 static int set_state(fmu_t fmu) {
   const int status = fmi2SetFMUstate(fmu, state[below(KEPT)]);
   if (!status) fmi2GetRealStatus(fmu, fmi2LastSuccessfulTime, &time_now), lines = 0;
   return status;
-}
-
-static int free_state(fmu_t fmu) { return fmi2FreeFMUstate(fmu, &state[below(KEPT)]); }
-static int serialize(fmu_t fmu) { return write_bytes(fmu); }
-
-static int deserialize(fmu_t fmu) {
-  if (!n_bytes) return fmi2DeSerializeFMUstate(fmu, NULL, below(100), &state[0]);
-  return read_bytes(fmu, bytes, one_in(4) ? below((unsigned)n_bytes) : n_bytes);
 }
 
 static int new_discrete_states(fmu_t fmu) {
@@ -172,33 +112,7 @@ static int new_discrete_states(fmu_t fmu) {
   return fmi2NewDiscreteStates(fmu, one_in(50) ? NULL : &info);
 }
 
-static int enter_event(fmu_t fmu) { return fmi2EnterEventMode(fmu); }
-static int enter_continuous(fmu_t fmu) { return fmi2EnterContinuousTimeMode(fmu); }
-static int set_time(fmu_t fmu) { return fmi2SetTime(fmu, number()); }
-
-static int completed_step(fmu_t fmu) {
-  fmi2Boolean a, b;
-  return fmi2CompletedIntegratorStep(fmu, one_in(2), one_in(50) ? NULL : &a, &b);
-}
-
-static size_t of_states(void) { return one_in(15) ? below((unsigned)n_states) : n_states; }
-
-static int set_states(fmu_t fmu) {
-  fill_states();
-  const size_t n = of_states();
-  const int status = fmi2SetContinuousStates(fmu, value, n);
-  if (!status && !finite_values(n)) fail("a state that is not finite was taken");
-  return status;
-}
-
 static int get_states(fmu_t fmu) { return fmi2GetContinuousStates(fmu, value, of_states()); }
-
-static int get_derivatives(fmu_t fmu) {
-  const size_t n = of_states();
-  const int status = fmi2GetDerivatives(fmu, value, n);
-  if (!status && !finite_values(n)) fail("a derivative that is not finite, with status OK");
-  return status;
-}
 
 static int get_indicators(fmu_t fmu) { return fmi2GetEventIndicators(fmu, value, below(2)); }
 
@@ -235,7 +149,7 @@ static const call_t calls[] = {{"fmi2Instantiate", 1, instantiate},
                                {"fmi2GetFMUstate", 2, get_state},
                                {"fmi2SetFMUstate", 2, set_state},
                                {"fmi2FreeFMUstate", 1, free_state},
-                               {"fmi2SerializeFMUstate", 1, serialize},
+                               {"fmi2SerializeFMUstate", 1, write_bytes},
                                {"fmi2DeSerializeFMUstate", 2, deserialize},
                                {"fmi2NewDiscreteStates", 2, new_discrete_states},
                                {"fmi2EnterEventMode", 1, enter_event},

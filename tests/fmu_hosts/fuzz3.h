@@ -1,8 +1,5 @@
 /* The calls of FMI 3 with random arguments. */
 
-static fmi3FMUState state[KEPT];
-static fmu_t inside; /* the instance that calls back */
-
 /* An intermediate update: reads, tries what is not allowed there, asks to be back early. */
 static void updated(fmi3InstanceEnvironment environment, fmi3Float64 time, fmi3Boolean set,
                     fmi3Boolean can_get, fmi3Boolean finished, fmi3Boolean can_return,
@@ -33,40 +30,6 @@ static void start_any(fmu_t fmu, int stepping) {
   begin(fmu);
   if (stepping) fmi3EnterStepMode(fmu);
   else if (!one_in(4)) fmi3EnterContinuousTimeMode(fmu);
-}
-
-static void forget_states(fmu_t fmu) {
-  for (int k = 0; k < KEPT; k++) fmi3FreeFMUState(fmu, &state[k]);
-  inside = NULL;
-}
-
-static int write_bytes(fmu_t fmu) {
-  fmi3FMUState own = NULL;
-  size_t size = 0;
-  int status = fmi3GetFMUState(fmu, &own);
-  if (status) return status;
-  status = fmi3SerializedFMUStateSize(fmu, own, &size);
-  keep_bytes(size);
-  status = status ? status : (int)fmi3SerializeFMUState(fmu, own, bytes, size);
-  fmi3FreeFMUState(fmu, &own);
-  return status;
-}
-
-static int read_bytes(fmu_t fmu, const unsigned char *given, size_t n) {
-  fmi3FMUState *to = &state[below(KEPT)], before = *to;
-  const int status = fmi3DeserializeFMUState(fmu, given, n, to);
-  if (status && *to != before) fail("refused bytes change the state that was given");
-  return status;
-}
-
-/* Go where bytes say. */
-static int take_bytes(fmu_t fmu, const unsigned char *given, size_t n) {
-  fmi3FMUState own = NULL;
-  int status = fmi3DeserializeFMUState(fmu, given, n, &own);
-  if (status) return status;
-  status = fmi3SetFMUState(fmu, own);
-  fmi3FreeFMUState(fmu, &own);
-  return status;
 }
 
 static unsigned char *sizes; /* of variables, by reference; 0: there is none */
@@ -103,12 +66,6 @@ static int instantiate(fmu_t fmu) {
   return fmu ? fmi3OK : fmi3Error;
 }
 
-static int set_debug_logging(fmu_t fmu) {
-  static const fmi3String names[] = {"logStatusError", "nothing", "logEvents", "%s%n"};
-  logging = 0;
-  return fmi3SetDebugLogging(fmu, one_in(2), below(3), one_in(9) ? NULL : names + below(3));
-}
-
 static int configuration(fmu_t fmu) {
   return one_in(2) ? fmi3EnterConfigurationMode(fmu) : fmi3ExitConfigurationMode(fmu);
 }
@@ -119,16 +76,6 @@ static int enter_initialization(fmu_t fmu) {
       fmi3EnterInitializationMode(fmu, one_in(2), number(), from, one_in(3), number());
   if (!status) time_now = from;
   return status;
-}
-
-static int exit_initialization(fmu_t fmu) { return fmi3ExitInitializationMode(fmu); }
-static int terminate(fmu_t fmu) {
-  return one_in(4) ? fmi3Terminate(fmu) : fmi3GetFloat64(fmu, NULL, 0, NULL, 0);
-}
-
-static int reset_any(fmu_t fmu) {
-  time_now = 0.0;
-  return fmi3Reset(fmu);
 }
 
 static int get_float(fmu_t fmu) {
@@ -202,21 +149,11 @@ static int derivatives(fmu_t fmu) {
   return fmi3GetAdjointDerivative(fmu, reference, n_unknown, known, n_known, value, m, product, n);
 }
 
-static int get_state(fmu_t fmu) { return fmi3GetFMUState(fmu, &state[below(KEPT)]); }
-
 static int set_state(fmu_t fmu) {
   const unsigned time_reference = 0;
   const int status = fmi3SetFMUState(fmu, state[below(KEPT)]);
   if (!status) fmi3GetFloat64(fmu, &time_reference, 1, &time_now, 1), lines = 0;
   return status;
-}
-
-static int free_state(fmu_t fmu) { return fmi3FreeFMUState(fmu, &state[below(KEPT)]); }
-static int serialize(fmu_t fmu) { return write_bytes(fmu); }
-
-static int deserialize(fmu_t fmu) {
-  if (!n_bytes) return fmi3DeserializeFMUState(fmu, NULL, below(100), &state[0]);
-  return read_bytes(fmu, bytes, one_in(4) ? below((unsigned)n_bytes) : n_bytes);
 }
 
 static int update_discrete_states(fmu_t fmu) {
@@ -226,38 +163,13 @@ static int update_discrete_states(fmu_t fmu) {
 }
 
 static int evaluate_discrete_states(fmu_t fmu) { return fmi3EvaluateDiscreteStates(fmu); }
-static int enter_event(fmu_t fmu) { return fmi3EnterEventMode(fmu); }
 static int enter_step(fmu_t fmu) { return fmi3EnterStepMode(fmu); }
-static int enter_continuous(fmu_t fmu) { return fmi3EnterContinuousTimeMode(fmu); }
-static int set_time(fmu_t fmu) { return fmi3SetTime(fmu, number()); }
-
-static int completed_step(fmu_t fmu) {
-  fmi3Boolean a, b;
-  return fmi3CompletedIntegratorStep(fmu, one_in(2), one_in(50) ? NULL : &a, &b);
-}
-
-static size_t of_states(void) { return one_in(15) ? below((unsigned)n_states) : n_states; }
-
-static int set_states(fmu_t fmu) {
-  fill_states();
-  const size_t n = of_states();
-  const int status = fmi3SetContinuousStates(fmu, value, n);
-  if (!status && !finite_values(n)) fail("a state that is not finite was taken");
-  return status;
-}
 
 static int get_states(fmu_t fmu) {
   size_t n;
   if (one_in(3)) return fmi3GetNumberOfContinuousStates(fmu, one_in(9) ? NULL : &n);
   if (one_in(3)) return fmi3GetNominalsOfContinuousStates(fmu, value, of_states());
   return fmi3GetContinuousStates(fmu, value, of_states());
-}
-
-static int get_derivatives(fmu_t fmu) {
-  const size_t n = of_states();
-  const int status = fmi3GetContinuousStateDerivatives(fmu, value, n);
-  if (!status && !finite_values(n)) fail("a derivative that is not finite, with status OK");
-  return status;
 }
 
 static int get_indicators(fmu_t fmu) {
@@ -287,7 +199,7 @@ static const call_t calls[] = {{"fmi3Instantiate", 1, instantiate},
                                {"fmi3GetFMUState", 2, get_state},
                                {"fmi3SetFMUState", 2, set_state},
                                {"fmi3FreeFMUState", 1, free_state},
-                               {"fmi3SerializeFMUState", 1, serialize},
+                               {"fmi3SerializeFMUState", 1, write_bytes},
                                {"fmi3DeserializeFMUState", 2, deserialize},
                                {"fmi3UpdateDiscreteStates", 2, update_discrete_states},
                                {"fmi3EvaluateDiscreteStates", 1, evaluate_discrete_states},

@@ -14,10 +14,6 @@ import casadi as ca
 import fmpy
 import numpy as np
 
-from contact_system.scene import DISTURBANCE_KINDS, Scene
-from fmu_export.model import RESULTS, STATES, contact_results
-from fmu_export.variables import INPUTS, variable_table
-
 from .native import Fmu, Unavailable
 
 NANOSECOND = 1e-9
@@ -26,9 +22,14 @@ NANOSECOND = 1e-9
 def with_fmpy(fmu: Fmu, names: Sequence[str], step: float, count: int) -> np.ndarray:
     """Scalar variables at communication points 1 to count, by fmpy: (count, n_names)."""
     result = fmpy.simulate_fmu(
-        str(fmu.folder), model_description=fmu.description, fmi_type="CoSimulation",
-        output=list(names), step_size=step, output_interval=step, stop_time=count * step,
-    )  # fmt: skip
+        str(fmu.folder),
+        model_description=fmu.description,
+        fmi_type="CoSimulation",
+        output=list(names),
+        step_size=step,
+        output_interval=step,
+        stop_time=count * step,
+    )
     return np.stack([result[name] for name in names], axis=1)[1:]
 
 
@@ -125,35 +126,3 @@ def _leave_out_arrays(path: Path) -> None:
         known = unknown.attrib["dependencies"].split()
         unknown.set("dependencies", " ".join(r for r in known if r not in left_out))
     tree.write(path)
-
-
-def kernel_jacobian(scene: Scene, values: np.ndarray) -> np.ndarray:
-    """Derivatives of all variables with respect to all, by CasADi from contact_system's kernels.
-
-    Parameters
-    ----------
-    scene : Scene
-    values : (n_values,)
-        Of the variables, by reference, time first.
-
-    Returns
-    -------
-    (n_values, n_values); rows of variables that are no results are those of the identity
-    """
-    table = variable_table(scene)
-    matrix, acting = np.eye(table.n_values), values.copy()
-    for window in scene.disturbances:
-        if window.start <= values[0] < window.stop:
-            first = table.blocks[window.contact] + 2 * DISTURBANCE_KINDS.index(type(window))
-            acting[first : first + 2] += window.value
-    for i, contact in enumerate(scene.contacts):
-        n_profile = len(scene.profile.coefficients)
-        kernel = contact_results(contact.finger, scene.object, scene.gain.law, n_profile)
-        sizes = np.cumsum([0, *(kernel.nnz_in(k) for k in range(kernel.n_in()))]).tolist()
-        z = ca.SX.sym("z", sizes[-1])
-        jacobian = ca.Function("J", [z], [ca.jacobian(kernel(*ca.vertsplit(z, sizes)), z)])
-        references = table.arguments(i)
-        first = table.blocks[i] + INPUTS + STATES
-        matrix[first : first + RESULTS] = 0.0
-        matrix[first : first + RESULTS, references] = jacobian(acting[references]).full()
-    return matrix

@@ -8,6 +8,7 @@ UndefinedBehaviorSanitizer.
 from __future__ import annotations
 
 import functools
+import importlib.util
 import os
 import platform
 import re
@@ -27,16 +28,29 @@ from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackL
 from fmpy.fmi3 import FMU3Model, FMU3Slave, fmi3LogMessageCallback
 from fmpy.model_description import ModelDescription, ModelVariable
 
-from contact_system.kernels import find_compiler
 from fmu_export.build import FMI_HEADERS, PLATFORMS, library_place, native_platform
 
 HERE = Path(__file__).parent
 FLAGS = ("-std=gnu11", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wno-unused-function")
 SANITIZERS = (
-    "-fsanitize=address,undefined", "-fsanitize=float-cast-overflow", "-fno-sanitize-recover=all",
-    "-fno-omit-frame-pointer", "-g",
-)  # fmt: skip
+    "-fsanitize=address,undefined",
+    "-fsanitize=float-cast-overflow",
+    "-fno-sanitize-recover=all",
+    "-fno-omit-frame-pointer",
+    "-g",
+)
 SYSROOT = Path("/usr/aarch64-linux-gnu")  # of Debian's libc6-arm64-cross
+
+
+@functools.cache
+def find_compiler() -> tuple[str, ...] | None:
+    """The command of this machine's C compiler, as words; else ziglang's; None without one."""
+    for command in (os.environ.get("CC", "").split(), ["cc"], ["gcc"], ["clang"]):
+        if command and shutil.which(command[0]):
+            return tuple(command)
+    if importlib.util.find_spec("ziglang"):
+        return (sys.executable, "-m", "ziglang", "cc")
+    return None
 
 
 class Unavailable(Exception):
@@ -86,13 +100,17 @@ class Fmu:
             Of fmpy's ``instantiate``.
         """
         kind = {
-            ("2.0", "CoSimulation"): FMU2Slave, ("2.0", "ModelExchange"): FMU2Model,
-            ("3.0", "CoSimulation"): FMU3Slave, ("3.0", "ModelExchange"): FMU3Model,
-        }[self.version, interface]  # fmt: skip
+            ("2.0", "CoSimulation"): FMU2Slave,
+            ("2.0", "ModelExchange"): FMU2Model,
+            ("3.0", "CoSimulation"): FMU3Slave,
+            ("3.0", "ModelExchange"): FMU3Model,
+        }[self.version, interface]
         made = kind(
-            guid=self.token, unzipDirectory=str(self.folder), instanceName=name,
+            guid=self.token,
+            unzipDirectory=str(self.folder),
+            instanceName=name,
             modelIdentifier=self.description.coSimulation.modelIdentifier,
-        )  # fmt: skip
+        )
         if log is not None:
 
             def told(*words: Any) -> None:
@@ -210,10 +228,8 @@ def _compiler(target: str) -> tuple[str, ...]:
         if compiler is None:
             raise Unavailable("no C compiler")
         return compiler
-    try:
-        import ziglang  # noqa: F401
-    except ImportError:
-        raise Unavailable("no compiler for other platforms: ziglang is not installed") from None
+    if not importlib.util.find_spec("ziglang"):
+        raise Unavailable("no compiler for other platforms: ziglang is not installed")
     return (sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[target][3])
 
 

@@ -13,8 +13,11 @@ import numpy as np
 import contact_system as cs
 
 _SURFACES = {
-    "sphere": cs.Sphere, "cylinder": cs.Cylinder, "torus": cs.Torus, "ellipsoid": cs.Ellipsoid,
-}  # fmt: skip
+    "sphere": cs.Sphere,
+    "cylinder": cs.Cylinder,
+    "torus": cs.Torus,
+    "ellipsoid": cs.Ellipsoid,
+}
 _WINDOWS = {"finger": cs.FingerAcceleration, "object": cs.ObjectAcceleration}
 _START = ("object_at", "object_velocity", "finger_at", "finger_velocity", "angle")
 

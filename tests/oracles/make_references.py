@@ -146,7 +146,6 @@ def check_charts() -> mp.mpf:
         chart, metric = CHARTS[name]
         p = [mp.mpf(r) for r in radii]
         for u, v in [(0.7, 0.4), (2.1, -1.3), (1.1, math.pi / 2)]:
-
             at = (mp.mpf(u), mp.mpf(v))
 
             def d(i: int, j: int, at=at, chart=chart, p=p) -> list[mp.mpf]:
@@ -579,10 +578,7 @@ def paper_scenes(names: Sequence[str], law: str) -> dict[str, Any]:
     egg = replace(ball, object="ellipsoid", radii=(0.3, 0.2, 0.1))
     scenes = {
         "K1": (replace(ball, object_velocity=(0.0, 0.0)), SPHERE_CONTACTS),
-        "K2": (
-            replace(ball, windows=(Window("finger", 0.0, 0.1, (0.1, 0.0)),)),
-            SPHERE_CONTACTS,
-        ),
+        "K2": (replace(ball, windows=(Window("finger", 0.0, 0.1, (0.1, 0.0)),)), SPHERE_CONTACTS),
         "K3": (
             replace(egg, windows=(Window("finger", 0.1, 0.15, (-0.1, -0.1)),)),
             ELLIPSOID_CONTACTS,
@@ -622,10 +618,7 @@ def make_torus_slip() -> None:
         "time",
         5.0,
         angle=0.4,
-        windows=(
-            Window("finger", 0.2, 0.4, (0.5, -0.8)),
-            Window("object", 0.5, 0.6, (0.7, 1.1)),
-        ),
+        windows=(Window("finger", 0.2, 0.4, (0.5, -0.8)), Window("object", 0.5, 0.6, (0.7, 1.1))),
     )
     save("torus_slip", {"about": ABOUT, "scenes": {"torus": scene_record([case], 11)}})
 

@@ -1,0 +1,1 @@
+"""The engine: C that plans contacts and evaluates them, and its binding."""

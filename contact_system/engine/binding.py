@@ -1,0 +1,246 @@
+"""The engine's library for Python: structures as in engine.h, and few calls.
+
+Knows tables, numbers and addresses; no scene, no surface by its equations.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from collections.abc import Sequence
+from ctypes import POINTER, Structure, c_char_p, c_double, c_int32, c_int64, c_void_p
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+N_AMBIENT, N_CHART, N_OTHER = 7, 7, 4
+
+
+class TableData(Structure):
+    """``table_t``."""
+
+    _fields_ = [
+        *((name, c_int32) for name in ("n_in", "n_const", "n_out", "n_lit")),
+        *((name, c_int32) for name in ("first_lit", "first_out", "n_regs", "twin")),
+        *((name, c_void_p) for name in ("prologue", "body", "literals")),
+    ]
+
+
+class SurfaceData(Structure):
+    """``surface_t``."""
+
+    _fields_ = [
+        ("name", c_char_p),
+        *((name, c_int32) for name in ("n_numbers", "double_cover", "closed", "flags")),
+        *((name, c_double) for name in ("period_u", "period_v")),
+        ("ambient", c_void_p * N_AMBIENT),
+        ("chart", c_void_p * N_CHART),
+        ("other", c_void_p * N_OTHER),
+    ]
+
+
+class Program(Structure):
+    """``program_t``: what ``step`` runs, on registers of one double each."""
+
+    _fields_ = [("code", c_void_p), ("registers", c_void_p)]
+
+
+class Failure(Structure):
+    """``failure_t``: why a call failed."""
+
+    _fields_ = [
+        *((name, c_int64) for name in ("code", "contact", "side", "panels", "by_length", "pushed")),
+        *((name, c_double) for name in ("t", "end", "value", "u", "v")),
+    ]
+
+
+class Fact(Structure):
+    """``fact_t``: what became of one body on one interval."""
+
+    _fields_ = [
+        *((name, c_double) for name in ("start", "stop", "released")),
+        *((name, c_int64) for name in ("side", "kind", "ambient", "by_length", "forced")),
+        *((name, c_int64) for name in ("panels", "reason", "slips")),
+    ]
+
+
+# Addresses are passed as integers: to make a pointer object of each costs more than the call.
+_CALLS: dict[str, Any] = {
+    "plan": ctypes.CFUNCTYPE(c_void_p, c_void_p, c_int64, c_void_p, POINTER(Failure)),
+    "drop": ctypes.CFUNCTYPE(None, c_void_p),
+    "anchor": ctypes.CFUNCTYPE(c_int32, c_void_p, POINTER(Failure)),
+    "evaluate": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, POINTER(Failure)),
+    "moments": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
+    "facts": ctypes.CFUNCTYPE(c_int64, c_void_p, c_int64, c_int64, POINTER(Fact)),
+    "bytes": ctypes.CFUNCTYPE(c_double, c_void_p),
+    "run": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, c_int32, c_void_p),
+    # it takes a microsecond, in which the lock may be kept
+    "step": ctypes.PYFUNCTYPE(None, c_void_p),
+}
+
+
+class Engine(Structure):
+    """``engine_t``: what the library does, in the widest vectors that this processor has."""
+
+    _fields_ = [("version", c_int32), ("variant", c_char_p), *_CALLS.items()]
+
+
+def _library() -> ctypes.CDLL:
+    suffix = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+    path = Path(__file__).with_name(f"_engine{suffix}")
+    try:
+        found = ctypes.CDLL(str(path))
+    except OSError as error:
+        raise ImportError(
+            f"the engine of contact_system cannot be loaded: {error}; install the package again "
+            "(pip install .), or in a checkout: pip install -e ."
+        ) from None
+    found.contact_engine.restype = POINTER(Engine)
+    found.contact_surface.restype = POINTER(SurfaceData)
+    found.contact_table.restype = c_void_p
+    return found
+
+
+_LIBRARY = _library()
+ENGINE: Engine = _LIBRARY.contact_engine().contents
+# to fetch a function from a structure makes it anew
+plan, drop, anchor, evaluate = ENGINE.plan, ENGINE.drop, ENGINE.anchor, ENGINE.evaluate
+moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
+step = ENGINE.step
+LAYOUT = tuple((c_int32 * 6).in_dll(_LIBRARY, "contact_layout"))
+"""Version of the scene's buffer; sizes of its header, a body, a window, a contact, a moment."""
+
+
+class Builtin(NamedTuple):
+    """A table of the library."""
+
+    address: int
+    n_in: int
+    n_out: int
+
+
+class Builtins:
+    """The tables of a bundled surface, under the names that `lowering.SurfaceTables` has too.
+
+    Attributes
+    ----------
+    address : int
+        Of the ``surface_t``.
+    ambient, chart, other : tuples of Builtin or None
+    """
+
+    def __init__(self, data: SurfaceData):
+        self.address, self._data = ctypes.addressof(data), data
+
+    def __getattr__(self, group: str) -> tuple[Builtin | None, ...]:
+        addresses = getattr(self._data, group)
+        found = tuple(None if at is None else _builtin_table(at) for at in addresses)
+        self.__dict__[group] = found
+        return found
+
+
+def _builtin_table(address: int) -> Builtin:
+    data = TableData.from_address(address)
+    return Builtin(address, data.n_in, data.n_out)
+
+
+def _surfaces() -> dict[str, SurfaceData]:
+    found, index = {}, 0
+    while pointer := _LIBRARY.contact_surface(index):
+        found[pointer.contents.name.decode()] = pointer.contents
+        index += 1
+    return found
+
+
+_SURFACES = _surfaces()
+_BUILTINS: dict[str, Builtins] = {}
+
+
+def builtin(name: str) -> Builtins:
+    """The tables of a bundled surface by its ``table_name``."""
+    if name not in _BUILTINS:
+        _BUILTINS[name] = Builtins(_SURFACES[name])
+    return _BUILTINS[name]
+
+
+def contact_table(index: int) -> Builtin:
+    """One of the tables of contacts, by its place in engine.h."""
+    return _builtin_table(_LIBRARY.contact_table(index))
+
+
+def _data_of(table: Any) -> TableData:
+    """The ``table_t`` of a `lowering.Table`, kept with it: it points into its arrays."""
+    data = table.__dict__.get("_data")
+    if data is None:
+        data = table.__dict__["_data"] = TableData(
+            table.n_in,
+            table.n_const,
+            table.n_out,
+            len(table.literals),
+            table.first_lit,
+            table.first_out,
+            table.n_regs,
+            -1,
+            table.prologue.ctypes.data,
+            table.body.ctypes.data,
+            table.literals.ctypes.data,
+        )
+    return data
+
+
+def address(array: np.ndarray) -> int:
+    """Address of a contiguous array's first number; ``.ctypes.data`` takes four times as long."""
+    return array.__array_interface__["data"][0]
+
+
+def table_address(table: Any) -> int:
+    """Where the ``table_t`` of a table is."""
+    return table.address if isinstance(table, Builtin) else ctypes.addressof(_data_of(table))
+
+
+def surface_data(
+    tables: Any,
+    n_numbers: int,
+    double_cover: bool,
+    closed: int,
+    flags: int,
+    periods: Sequence[float | None],
+) -> SurfaceData:
+    """The ``surface_t`` of tables that were lowered for a user's surface; it points to them."""
+    made = SurfaceData(
+        b"", n_numbers, double_cover, closed, flags, *(period or 0.0 for period in periods)
+    )
+    for group in ("ambient", "chart", "other"):
+        for k, table in enumerate(getattr(tables, group)):
+            getattr(made, group)[k] = None if table is None else table_address(table)
+    return made
+
+
+def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:
+    """Evaluate a table at many points.
+
+    Parameters
+    ----------
+    table : Builtin or lowering.Table
+    points : (n_in, n)
+    constants : (n_const,) or (n_const, n)
+
+    Returns
+    -------
+    (n_out, n)
+    """
+    points = np.ascontiguousarray(points, dtype=float)
+    constants = np.ascontiguousarray(constants, dtype=float)
+    out = np.empty((table.n_out, points.shape[1]))
+    code = _run(
+        table_address(table),
+        points.shape[1],
+        address(points),
+        address(constants),
+        constants.ndim == 2,
+        address(out),
+    )
+    if code:
+        raise MemoryError
+    return out

@@ -1,0 +1,299 @@
+/* On which branch of its chart a path is: coordinates continued along it.
+
+   Coordinates of a point in space are principal values. Where a chart has periods the nearest turn
+   continues them; where it covers its surface twice (triaxial ellipsoids), the cover changes where
+   the path crosses the seam cos v = 0, and there alone: which neighbours do not tell beside
+   umbilics. Places whose branch is known, anchors, lie so close that between two of them
+   coordinates move by less than half a period. */
+
+enum { U, V, DU, DV, THETA, N_COORDINATES };
+enum { PANEL_ANCHORS = 4, CIRCLE_ANCHORS = 16 }; /* a panel, a revolution */
+
+/* one body's path, in the variable of its panels or the phase of its circle */
+typedef struct {
+  work_t *w;
+  const body_t *body;
+  const track_t *track;
+  int side;
+} path_t;
+
+/* u v u' v' theta in principal values at places x; rates are none */
+static lanes_t principal(const path_t *p, const double *x) {
+  const track_t *k = p->track;
+  unit_t *u = table_of(p->w, p->side, 1, A_COORDINATES, p->body);
+  int64_t hint = 0;
+  if (k->kind == CIRCLE)
+    circle_at(k, p->body, x, u->r);
+  else
+    panels_at(&k->panels, k->row, 6, x, &hint, u->r);
+  memset(u->r + 6, 0, 2 * sizeof *u->r);
+  return run(u);
+}
+
+/* The same at one place; returns not 0 where there are none, at a pole or an umbilic. */
+static int place_on(const path_t *p, double x, double *value) {
+  double at[L], sum = 0.0;
+  fill_lanes(at, x);
+  lanes_t z = principal(p, at);
+  for (int r = 0; r < N_COORDINATES; r++) value[r] = z[r][0], sum += 0.0 * z[r][0];
+  return sum != 0.0;
+}
+
+/* The value by whole periods nearest a reference */
+static inline double wound(double value, double reference, double period) {
+  const double far = reference - value;
+  return fabs(far) <= 0.5 * period || period <= 0 ? value : value + period * rint(far / period);
+}
+
+/* Of a chart that covers its surface twice: whether cos v < 0, and whether sin u cos v < 0. They
+   change where a path crosses cos v = 0 or sin u = 0, and nowhere else. */
+static inline int second_cover(double v) { return (int64_t)floor(2.0 * v / TURN + 0.5) & 1; }
+static inline int beyond(double u, double v) {
+  return ((int64_t)floor(2.0 * u / TURN) + second_cover(v)) & 1;
+}
+
+/* y, whose sign says that; it is the same on both covers */
+static inline double side_of(double u, double v) { return sin(u) * cos(v); }
+
+/* Whether a point is on cos v = 0 or sin u = 0 but for rounding: signs tell nothing there. */
+static inline int on_seam(double u, double v) {
+  const double a = 2.0 * u / TURN, b = 2.0 * v / TURN - 0.5;
+  return fabs(a - rint(a)) < 1e-12 || fabs(b - rint(b)) < 1e-12;
+}
+
+/* One point to (-u, pi - v), where the axes are turned by pi, or not, and whole turns nearest its
+   reference u v theta */
+static inline void wind_to(const surface_t *s, int turned, const double *ref, lanes_t z, int i) {
+  const double half = turned ? 0.5 * TURN : 0.0, sign = turned ? -1.0 : 1.0;
+  z[U][i] = wound(sign * z[U][i], ref[0], s->period_u);
+  z[V][i] = wound(half + sign * z[V][i], ref[1], s->period_v);
+  z[DU][i] *= sign, z[DV][i] *= sign;
+  z[THETA][i] = wound(z[THETA][i] + half, ref[2], TURN);
+}
+
+/* One point in principal coordinates to its reference's branch: known where sin u cos v has the
+   same sign, else taken as the nearest */
+static void wind(const surface_t *s, const double *ref, lanes_t z, int i) {
+  const double u = z[U][i], v = z[V][i];
+  int turned = s->double_cover && second_cover(ref[1]);
+  if (s->double_cover &&
+      (beyond(u, 0.0) != beyond(ref[0], ref[1]) || on_seam(u, v) || on_seam(ref[0], ref[1]))) {
+    const double du = wound(u, ref[0], s->period_u) - ref[0];
+    const double dv = wound(v, ref[1], s->period_v) - ref[1];
+    const double du2 = wound(-u, ref[0], s->period_u) - ref[0];
+    const double dv2 = wound(0.5 * TURN - v, ref[1], s->period_v) - ref[1];
+    turned = du2 * du2 + dv2 * dv2 < du * du + dv * dv;
+  }
+  wind_to(s, turned, ref, z, i);
+}
+
+/* Whether a path crosses cos v = 0, not sin u = 0, between two places x where sin u cos v = y has
+   different signs, negative is the first: told where it crosses, by regula falsi (Illinois), so
+   that it is right beside umbilics. */
+static int over_seam(const path_t *p, double x, double y, int negative, double x2, double y2) {
+  double value[N_COORDINATES], last = 0.0, s = 0.0, c = 1.0;
+  y = negative ? -fabs(y) : fabs(y), y2 = negative ? fabs(y2) : -fabs(y2);
+  for (int i = 0; i < 100; i++) {
+    double at = x + (x2 - x) * (y / (y - y2));
+    if (!(at > x && at < x2)) at = 0.5 * (x + x2);
+    /* to rounding: a path may run along a seam and cross it elsewhere */
+    if (i && !(at > x && at < x2)) break;
+    if (place_on(p, at, value)) return 0;
+    s = sin(value[U]), c = cos(value[V]);
+    const double found = s * c;
+    if (fmin(fabs(s), c) <= 1e-15 * fmax(fabs(s), c)) break;
+    if ((found < 0.0) == negative) {
+      if (last == y) y2 *= 0.5;
+      x = at, last = y = found;
+    } else {
+      if (last == y2) y *= 0.5;
+      x2 = at, last = y2 = found;
+    }
+  }
+  return c < fabs(s);
+}
+
+/* Whether a path leaves its side of y = sin u cos v = 0 and comes back between two places x, told
+   with y at one place where it is beyond: by parabolas towards the least |y|. */
+static int comes_back(const path_t *p, int negative, double x, double y, double x2, double y2,
+                      double *there, double *found) {
+  const double sign = negative ? -1.0 : 1.0;
+  double a = x, c = x2, b = 0.5 * (a + c), at = b, value[N_COORDINATES];
+  double ya = sign * y, yc = sign * y2, yb = HUGE_VAL;
+  if (fmin(ya, yc) > 0.25) return 0; /* too far for less than half a radian */
+  for (int i = 0; i < 30; i++) {
+    if (!(at > a && at < c) || place_on(p, at, value)) return 0;
+    *there = at, *found = side_of(value[U], value[V]);
+    const double now = sign * *found;
+    if (now < 0.0) return 1;
+    if (i == 0)
+      yb = now;
+    else if (at < b && now < yb)
+      c = b, yc = yb, b = at, yb = now;
+    else if (at < b)
+      a = at, ya = now;
+    else if (now < yb)
+      a = b, ya = yb, b = at, yb = now;
+    else
+      c = at, yc = now;
+    const double s1 = (yb - ya) / (b - a), s2 = (yc - yb) / (c - b), bend = (s2 - s1) / (c - a);
+    at = 0.5 * (a + b) - 0.5 * s1 / bend;
+    const double lowest = ya + (at - a) * (s1 + bend * (at - b));
+    if (!(bend > 0.0) || lowest > 0.1 * fmax(ya, yc)) return 0;
+  }
+  return 0;
+}
+
+/* One point of a path at x2, in principal coordinates, to the branch that it is on coming from ref
+   at x; y, y2: side_of both; bends: whether the path may come back between them */
+static void wind_along(const path_t *p, double x, double y, const double *ref, double x2, double y2,
+                       int bends, lanes_t z, int i) {
+  const surface_t *s = p->body->surface;
+  const int side = beyond(ref[0], ref[1]);
+  double there, found;
+  if (!s->double_cover || on_seam(ref[0], ref[1]) || on_seam(z[U][i], z[V][i])) {
+    wind(s, ref, z, i);
+    return;
+  }
+  int turned = second_cover(ref[1]);
+  if (beyond(z[U][i], 0.0) != side)
+    turned ^= over_seam(p, x, y, side, x2, y2);
+  else if (bends && comes_back(p, side, x, y, x2, y2, &there, &found)) {
+    turned ^= over_seam(p, x, y, side, there, found);
+    turned ^= over_seam(p, there, found, !side, x2, y2);
+  }
+  wind_to(s, turned, ref, z, i);
+}
+
+/* ---- anchors ---- */
+
+/* Whether |y| falls towards the interval before place i from both sides */
+static int bends_before(const double *y, int64_t n, int64_t i) {
+  const int falls = i < 2 || fabs(y[i - 2]) >= fabs(y[i - 1]);
+  return falls && (i + 1 == n || fabs(y[i + 1]) >= fabs(y[i]));
+}
+
+/* Principal coordinates at the anchors' places; at a pole those of the anchor before it */
+static void raw_anchors(const path_t *p, int64_t n, const double *at, const double *begin,
+                        double (*raw)[N_COORDINATES]) {
+  for (int64_t from = 0; from < n; from += L) {
+    double x[L];
+    for (int q = 0; q < L; q++) x[q] = at[from + q < n ? from + q : n - 1];
+    lanes_t z = principal(p, x);
+    for (int64_t i = from; i < n && i < from + L; i++) {
+      double sum = 0.0;
+      for (int r = 0; r < N_COORDINATES; r++) raw[i][r] = z[r][i - from], sum += 0.0 * raw[i][r];
+      if (sum == 0.0) continue;
+      const double first[N_COORDINATES] = {begin[0], begin[1], 0.0, 0.0, begin[2]};
+      memcpy(raw[i], i ? raw[i - 1] : first, sizeof *raw);
+    }
+  }
+}
+
+/* Finds the anchors of a track that begins at u v theta. */
+static void anchor_track(work_t *w, const body_t *b, int side, track_t *k, const double *begin) {
+  const int circle = k->kind == CIRCLE;
+  const int64_t n = circle ? CIRCLE_ANCHORS + 1 : PANEL_ANCHORS * k->panels.n + 1;
+  double *at = keep(w, (size_t)n), (*to)[3] = keep(w, (size_t)(3 * n));
+  double (*raw)[N_COORDINATES] = malloc((size_t)n * (sizeof *raw + sizeof(double)));
+  if (!raw) fail(w, NO_MEMORY);
+  double *y = (double *)(raw + n);
+  for (int64_t i = 0; i < n; i++) {
+    const int64_t part = i / PANEL_ANCHORS;
+    const double *edge = circle ? NULL : k->panels.edges + part;
+    if (circle)
+      at[i] = TURN * (double)i / CIRCLE_ANCHORS;
+    else
+      at[i] = i + 1 == n
+                  ? edge[0]
+                  : edge[0] + (double)(i % PANEL_ANCHORS) / PANEL_ANCHORS * (edge[1] - edge[0]);
+  }
+  const path_t p = {w, b, k, side};
+  raw_anchors(&p, n, at, begin, raw);
+  const int twice = b->surface->double_cover;
+  for (int64_t i = 0; i < n; i++) y[i] = twice ? side_of(raw[i][U], raw[i][V]) : 0.0;
+  for (int64_t i = 0; i < n; i++) {
+    double z[N_COORDINATES][L];
+    for (int r = 0; r < N_COORDINATES; r++) z[r][0] = raw[i][r];
+    if (i)
+      wind_along(&p, at[i - 1], y[i - 1], to[i - 1], at[i], y[i], twice && bends_before(y, n, i), z,
+                 0);
+    else
+      wind(b->surface, begin, z, 0);
+    to[i][0] = z[U][0], to[i][1] = z[V][0], to[i][2] = z[THETA][0];
+  }
+  free(raw);
+  if (circle) /* a revolution later everything is as before but for whole turns */
+    for (int j = 0; j < 3; j++) k->turn[j] = TURN * rint((to[n - 1][j] - to[0][j]) / TURN);
+  k->anchor_at = at, k->anchors = (const double (*)[3])to, k->n_anchors = n;
+}
+
+/* ---- points between two anchors ----
+   Where both anchors are on one branch and one side of y = 0, points there too are on it; where
+   they are on two sides, by the one on the same side; where one side has two branches, by following
+   the path; and by the nearer where signs tell nothing. Beside a pole v and theta swing by half a
+   turn: a point is on the branch of the anchor that is nearer in theta. */
+typedef struct {
+  double before[3], after[3];
+  double low, high;
+  int signs, sides, covers; /* whether signs tell; whether sides, covers of the surface differ */
+  int side, cover;          /* of the first */
+  int swings;
+} between_t;
+
+/* Between the anchors around a place, `turns` revolutions later */
+static between_t between(const surface_t *s, const track_t *k, double x, double turns,
+                         int64_t *hint) {
+  const int64_t i = *hint = interval(k->anchor_at, k->n_anchors - 1, x, *hint);
+  between_t w = {.low = k->anchor_at[i], .high = k->anchor_at[i + 1]};
+  for (int j = 0; j < 3; j++) {
+    w.before[j] = k->anchors[i][j] + turns * k->turn[j];
+    w.after[j] = k->anchors[i + 1][j] + turns * k->turn[j];
+  }
+  const double *a = w.before, *b = w.after;
+  w.signs = s->double_cover && !on_seam(a[0], a[1]) && !on_seam(b[0], b[1]);
+  w.swings = !s->double_cover && fabs(b[2] - a[2]) > 0.25 * TURN;
+  if (!w.signs) return w;
+  w.side = beyond(a[0], a[1]), w.sides = w.side != beyond(b[0], b[1]);
+  w.cover = second_cover(a[1]), w.covers = w.cover != second_cover(b[1]);
+  return w;
+}
+
+/* One point of a path at x, in principal coordinates, to its branch */
+static void wind_between(const path_t *p, const between_t *w, double x, lanes_t z, int i) {
+  const surface_t *s = p->body->surface;
+  int later = w->high - x < x - w->low;
+  if (w->swings) {
+    const double theta = z[THETA][i], a = w->before[2], b = w->after[2];
+    later = fabs(wound(theta, b, TURN) - b) < fabs(wound(theta, a, TURN) - a);
+  }
+  const double *ref = later ? w->after : w->before, u = z[U][i], v = z[V][i];
+  if (w->signs) {
+    const int differs = beyond(u, 0.0) != w->side;
+    if (!differs && !w->sides && !w->covers) {
+      wind_to(s, w->cover, ref, z, i);
+      return;
+    }
+    if (!on_seam(u, v)) {
+      if (!w->sides) {
+        const double y = side_of(w->before[0], w->before[1]);
+        wind_along(p, w->low, y, w->before, x, side_of(u, v), 1, z, i);
+        return;
+      }
+      ref = differs ? w->after : w->before;
+    }
+  }
+  wind(s, ref, z, i);
+}
+
+/* Points of a path at places x, in principal coordinates, to their branches */
+static void wind_all(const path_t *p, const double *x, const double *turns, lanes_t z, int n) {
+  int64_t hint = 0;
+  between_t w = {.low = HUGE_VAL, .high = -HUGE_VAL};
+  const surface_t *s = p->body->surface;
+  for (int i = 0; i < n; i++) {
+    if (i == 0 || !(x[i] >= w.low && x[i] < w.high) || turns[i] != turns[i - 1])
+      w = between(s, p->track, x[i], turns[i], &hint);
+    wind_between(p, &w, x[i], z, i);
+  }
+}

@@ -1,0 +1,103 @@
+/* Curves that need no integration: great circles, and lines on developable surfaces.
+
+   A phase of 2 pi k carries k times the rounding of the arc length. Beyond FAR_PHASE radians it is
+   computed in doubled precision, after Dekker; 256 rad leave 256 * 1.1e-16 * 2 = 6e-14 of the
+   radius. */
+
+static const double FAR_PHASE = 256.0;
+
+static twofold_t twofold_length(const drive_t *d, double tau) {
+  twofold_t s = twofold(0.0);
+  for (int64_t k = d->n_sigma - 1; k >= 0; k--)
+    s = times(plus(s, over(twofold(d->sigma[k]), twofold((double)k + 1.0))), twofold(tau));
+  return s;
+}
+
+/* ---- great circles ---- */
+
+/* The circle through x with frame p, q, along w */
+static void lay_circle(work_t *w, int side, const body_t *b, const double *state, track_t *k) {
+  double q[3];
+  run_one(table_of(w, side, 1, A_SECOND, b), state, q);
+  const double pace = hypot(k->w[0], k->w[1]);
+  /* a contact point at rest has no direction; p will do */
+  k->lean[0] = pace > 0 ? k->w[0] / pace : 1.0, k->lean[1] = pace > 0 ? k->w[1] / pace : 0.0;
+  for (int j = 0; j < 3; j++) {
+    const double p = state[3 + j];
+    k->at[j] = state[j];
+    k->along[j] = k->lean[0] * p + k->lean[1] * q[j];
+    k->across[j] = k->lean[0] * q[j] - k->lean[1] * p;
+  }
+  k->kind = CIRCLE, k->rate = pace / b->size;
+  k->far = k->rate * length_at(k->drive, k->stop - k->start) > FAR_PHASE;
+}
+
+/* (x, p) at phases */
+static void circle_at(const track_t *k, const body_t *b, const double *phase, lanes_t state) {
+  double s[L], c[L];
+  lanes_sincos(phase, s, c);
+  for (int j = 0; j < 3; j++) {
+    const double x = k->at[j], e = b->size * k->along[j], back = k->at[j] / b->size;
+    const double a0 = k->lean[0], off = k->lean[1] * k->across[j];
+  SIMD for (int i = 0; i < L; i++) {
+      state[j][i] = x * c[i] + e * s[i];
+      state[3 + j][i] = a0 * (k->along[j] * c[i] - back * s[i]) - off;
+    }
+  }
+}
+
+/* Phases in [0, 2 pi) at local times, and how many revolutions came before */
+static void phases(const track_t *k, const body_t *b, const double *tau, double *phase,
+                   double *turns) {
+  double length[L];
+  horners(k->drive->length, k->drive->n_sigma + 1, tau, length);
+  for (int i = 0; i < L; i++) {
+    double angle = k->rate * length[i], before = 0.0;
+    if (k->far) {
+      const twofold_t rate = over(twofold_norm(k->w[0], k->w[1]), twofold(b->size));
+      angle = without_turns(times(rate, twofold_length(k->drive, tau[i])), &before);
+    }
+    const double more = floor(angle / TURN);
+    phase[i] = angle - more * TURN, turns[i] = before + more;
+  }
+}
+
+/* ---- lines on developable surfaces ---- */
+
+static void lay_line(work_t *w, int side, const body_t *b, const double *state, track_t *k) {
+  double lame[3], turned[2];
+  memcpy(k->begin, state, sizeof k->begin);
+  run_one(table_of(w, side, 0, C_LAME, b), state, lame);
+  unit_t *u = pair_table(w, T_TURNED, NULL);
+  for (int which = 0; which < 2; which++) {
+    const double *y = which ? k->v : k->w, in[3] = {state[2], y[0], y[1]};
+    run_one(u, in, turned);
+    for (int a = 0; a < 2; a++) (which ? k->aside : k->slope)[a] = turned[a] / lame[a];
+  }
+  k->kind = LINE;
+  const double length = length_at(k->drive, k->stop - k->start);
+  for (int a = 0; a < 2; a++)
+    k->far |= fabs(k->slope[a] * length) + fabs(state[a]) > FAR_PHASE * b->size;
+}
+
+/* u, v, theta at local times; with `reduced`, whole turns are taken off long paths. */
+static void line_at(const track_t *k, const body_t *b, const double *tau, int reduced,
+                    int64_t *hint, lanes_t state) {
+  double length[L], g[1][L];
+  horners(k->drive->length, k->drive->n_sigma + 1, tau, length);
+  memset(g, 0, sizeof g);
+  if (k->panels.n) panels_at(&k->panels, 0, 1, tau, hint, g);
+  for (int a = 0; a < 2; a++) {
+    SIMD for (int i = 0; i < L; i++) state[a][i] = k->begin[a] + k->slope[a] * length[i];
+    for (int i = 0; i < L && reduced && k->far; i++) {
+      twofold_t at = times(twofold(k->slope[a]), twofold_length(k->drive, tau[i]));
+      double turns;
+      at = plus(at, twofold(k->begin[a]));
+      const int closes = (a ? b->surface->period_v : b->surface->period_u) > 0;
+      state[a][i] = closes ? without_turns(at, &turns) : at.high + at.low;
+    }
+    SIMD for (int i = 0; i < L; i++)
+      state[a][i] += k->offset[a] * tau[i] - k->aside[a] * g[0][i];
+  }
+  fill_lanes(state[2], k->begin[2]);
+}

@@ -1,0 +1,174 @@
+/* The engine of one vector width, in one unit: see engine.h. Compiled once for each VARIANT. */
+#include "engine.h"
+
+#include <setjmp.h>
+#include <stdlib.h>
+
+#include "vmath.h"
+/* */
+#include "twofold.h"
+
+#include "generated/gauss.inc"
+#include "generated/operations.inc"
+
+#define SIMD_SUM(sum) _Pragma("omp simd reduction(+ : sum)")
+
+typedef struct work work_t;
+static _Noreturn void fail(work_t *w, int code);
+
+#include "interpret.c"
+/* */
+#include "work.h"
+/* */
+#include "motion.c"
+/* */
+#include "schedule.c"
+/* */
+#include "closed_form.c"
+/* */
+#include "branches.c"
+/* */
+#include "segments.c"
+/* */
+#include "output.c"
+
+/* ---- what others call ---- */
+
+static void drop(plan_t *plan) {
+  if (!plan) return;
+  for (block_t *b = plan->memory, *next; b; b = next) next = b->next, free(b);
+  free(plan);
+}
+
+static plan_t *make_plan(const double *scene, int64_t size, const surface_t *const *surfaces,
+                         failure_t *failure) {
+  work_t w;
+  begin_work(&w, calloc(1, sizeof(plan_t)), failure);
+  if (!w.plan) {
+    failure->code = NO_MEMORY;
+    return NULL;
+  }
+  if (setjmp(w.jump)) {
+    end_work(&w);
+    drop(w.plan);
+    return NULL;
+  }
+  plan_t *plan = w.plan;
+  plan->scene = keep(&w, (size_t)size);
+  memcpy(plan->scene, scene, (size_t)size * sizeof *scene);
+  plan->surfaces = surfaces;
+  plan->tolerance = scene[S_TOLERANCE], plan->begin = scene[S_BEGIN], plan->end = scene[S_END];
+  plan->contacts = keep_items(&w, (int64_t)scene[S_CONTACTS], sizeof(contact_t));
+  memset(plan->contacts, 0, (size_t)scene[S_CONTACTS] * sizeof(contact_t));
+  for (; plan->n_contacts < (int64_t)scene[S_CONTACTS]; plan->n_contacts++)
+    plan_contact(&w, plan->n_contacts);
+  end_work(&w);
+  return plan;
+}
+
+static int anchor(plan_t *plan, failure_t *failure) {
+  work_t w;
+  begin_work(&w, plan, failure);
+  if (setjmp(w.jump) == 0) {
+    for (int64_t i = 0; i < plan->n_contacts; i++)
+      for (int s = 0; s < 2; s++)
+        anchor_side(&w, plan->contacts + i, s, plan->contacts[i].n_tracks[s]);
+    plan->anchored = 1;
+  }
+  end_work(&w);
+  return (int)failure->code;
+}
+
+static int evaluate(const plan_t *plan, int64_t n, const double *t, double *const *out,
+                    failure_t *failure) {
+  work_t w;
+  begin_work(&w, (plan_t *)plan, failure);
+  for (int64_t i = 0; i < n; i++)
+    if (!(t[i] >= plan->begin && t[i] <= plan->end)) return (int)(failure->code = OUTSIDE);
+  if (setjmp(w.jump) == 0)
+    for (int64_t i = 0; i < plan->n_contacts; i++) {
+      double *own[N_OUTPUTS];
+      for (int k = 0; k < N_OUTPUTS; k++) own[k] = out[k] ? out[k] + i * OUTPUT_ROWS[k] * n : NULL;
+      evaluate_contact(&w, plan->contacts + i, n, t, own);
+    }
+  end_work(&w);
+  return (int)failure->code;
+}
+
+static int moments(const plan_t *plan, double t, double *out, failure_t *failure) {
+  work_t w;
+  begin_work(&w, (plan_t *)plan, failure);
+  if (setjmp(w.jump) == 0)
+    for (int64_t i = 0; i < plan->n_contacts; i++)
+      moment_of(&w, plan->contacts + i, t, out + i * MOMENT_SIZE);
+  end_work(&w);
+  return (int)failure->code;
+}
+
+static int64_t facts(const plan_t *plan, int64_t contact, int64_t room, fact_t *out) {
+  const contact_t *c = plan->contacts + contact;
+  int64_t n = 0;
+  for (int s = 0; s < 2; s++)
+    for (int64_t i = 0; i < c->n_tracks[s]; i++, n++) {
+      const track_t *k = c->tracks[s] + i;
+      if (n < room)
+        out[n] = (fact_t){.start = k->start,
+                          .stop = k->stop,
+                          .released = k->released,
+                          .side = s,
+                          .kind = k->kind,
+                          .ambient = k->ambient,
+                          .by_length = k->by_length,
+                          .forced = k->forced,
+                          .panels = k->panels.n,
+                          .reason = k->reason,
+                          .slips = k->slips};
+    }
+  return n;
+}
+
+static double bytes(const plan_t *plan) { return plan->bytes; }
+
+static int run_table(const table_t *table, int64_t n, const double *in, const double *constants,
+                     int constants_vary, double *out) {
+  work_t w;
+  failure_t failure;
+  begin_work(&w, NULL, &failure);
+  if (setjmp(w.jump) == 0) {
+    unit_t *u = &w.pair[0];
+    lanes_t r = n > 0 ? load(&w, u, table, constants) : NULL;
+    for (int64_t i = 0; i < n; i += L) {
+      const int count = (int)(n - i < L ? n - i : L);
+      for (int j = 0; j < table->n_in; j++)
+        for (int q = 0; q < L; q++) r[j][q] = in[j * n + i + (q < count ? q : count - 1)];
+      if (constants_vary) { /* the prologue runs again for each block */
+        for (int j = 0; j < table->n_const; j++)
+          for (int q = 0; q < L; q++)
+            r[table->n_in + j][q] = constants[j * n + i + (q < count ? q : count - 1)];
+        interpret(table->prologue, r);
+      }
+      lanes_t found = run(u);
+      for (int j = 0; j < table->n_out; j++)
+        memcpy(out + j * n + i, found[j], (size_t)count * sizeof *out);
+    }
+  }
+  end_work(&w);
+  return (int)failure.code;
+}
+
+#define NAME_(variant) engine_##variant
+#define NAME(variant) NAME_(variant)
+#define TEXT_(variant) #variant
+#define TEXT(variant) TEXT_(variant)
+
+const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
+                                .variant = TEXT(VARIANT),
+                                .plan = make_plan,
+                                .drop = drop,
+                                .anchor = anchor,
+                                .evaluate = evaluate,
+                                .moments = moments,
+                                .facts = facts,
+                                .bytes = bytes,
+                                .run = run_table,
+                                .step = step};

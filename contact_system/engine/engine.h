@@ -1,0 +1,184 @@
+/* The engine: plans contacts one at a time and evaluates them, with tables and numbers alone.
+
+   It knows no surface by name and no equation: both come as tables of instructions, which
+   `contact_system/theory` makes from symbols. A scene comes as one buffer of numbers (see
+   SCENE_VERSION below). The header is all that others see: the binding in Python, tests, FMUs. */
+#ifndef CONTACT_SYSTEM_ENGINE
+#define CONTACT_SYSTEM_ENGINE
+#include <stddef.h>
+#include <stdint.h>
+
+enum { L = 16 }; /* lanes: the Gauss points of a panel, or so many times at once */
+
+/* ---- tables: straight-line programs on registers of L lanes ---- */
+
+typedef struct {
+  uint16_t op, to, a, b, c;
+} code_t;
+
+/* registers: [inputs][constants][literals][results of the prologue][outputs][temporaries];
+   prologue: what depends on constants alone. twin: index of the same in compiled C, or -1. */
+typedef struct {
+  int32_t n_in, n_const, n_out, n_lit, first_lit, first_out, n_regs, twin;
+  const code_t *prologue, *body;
+  const double *literals;
+} table_t;
+
+/* the tables of a body moved in space, state x p */
+enum { A_MOTION, A_RESTORE, A_COORDINATES, A_VECTOR, A_SECOND, A_SHAPE, A_START, N_AMBIENT };
+/* the tables of a body moved in its chart, state u v theta */
+enum { C_MOTION, C_COORDINATES, C_VECTOR, C_FRAME, C_SHAPE, C_POINT, C_LAME, N_CHART };
+/* the tables that only Python asks for */
+enum { GEOMETRY, INVERSE, RAY, N_OTHER = 4 };
+/* the tables of a contact, which no surface enters */
+enum { T_START, T_POSE, T_TWIST, T_TURNED, T_ACCELERATION, T_PUSHED, N_CONTACT_TABLES };
+
+enum { NO_CLOSED_FORM, GREAT_CIRCLES, DEVELOPABLE };
+enum { MAY_BE_SINGULAR = 1 }; /* flags: nobody knows where the chart is regular */
+
+typedef struct {
+  const char *name;
+  int32_t n_numbers, double_cover, closed, flags;
+  double period_u, period_v; /* 0: none */
+  const table_t *ambient[N_AMBIENT], *chart[N_CHART], *other[N_OTHER];
+} surface_t;
+
+extern const surface_t builtin_surfaces[];
+extern const int n_builtin_surfaces;
+extern const table_t contact_tables[];
+
+/* ---- the scene's buffer: doubles, places as offsets from its beginning ---- */
+
+enum { SCENE_VERSION = 2 };
+
+/* the header */
+enum {
+  S_VERSION,
+  S_CONTACTS,  /* how many */
+  S_TOLERANCE, /* of contact points, in sizes of the body */
+  S_BEGIN,     /* s */
+  S_END,       /* s */
+  S_PROFILE,   /* where the coefficients of sigma stand, lowest power first, and how many */
+  S_PROFILE_SIZE,
+  S_EXTREMA, /* where the times of its extrema stand, ascending, s, and how many */
+  S_EXTREMA_SIZE,
+  S_GAIN,        /* lam = gain sigma^power, */
+  S_GAIN_POWER,  /* a whole number from 0 on, */
+  S_MAKES_UP,    /* and 1: max(0, sigma'/sigma) besides */
+  S_AT_CONTACTS, /* where they stand, CONTACT_SIZE each */
+  S_OBJECT,      /* the object, BODY_SIZE numbers */
+  S_HEADER = S_OBJECT + 5
+};
+/* a body */
+enum { B_SURFACE, B_NUMBERS /* where they stand */, B_LENGTH, B_BEND, B_REACH, BODY_SIZE };
+/* a window, what it adds in chart components; slots: acceleration of finger, of object, rate offset
+ */
+enum { W_SLOT, W_START, W_STOP, W_VALUE, WINDOW_SIZE = W_VALUE + 2 };
+/* a contact */
+enum {
+  K_FINGER,                /* BODY_SIZE numbers */
+  K_MOMENT = K_FINGER + 5, /* 0: it starts as a scene says; 1: it goes on from moving frames */
+  K_FOLLOWS,               /* rolling is imposed: the finger's curve is developed too */
+  K_FRAMES,                /* which frames are given: 1 finger, 2 object, 3 both */
+  K_WINDOWS,               /* where its windows stand, and how many */
+  K_WINDOWS_SIZE,
+  K_PLACE_1, /* u v theta of the finger */
+  K_PLACE_2 = K_PLACE_1 + 3,
+  K_ANGLE = K_PLACE_2 + 3, /* psi where both thetas are zero */
+  K_W1,                    /* path velocity in the finger's parallel frame */
+  K_Y = K_W1 + 2,          /* the object's path velocity; of a moment, V */
+  K_FRAME_1 = K_Y + 2,     /* x p */
+  K_FRAME_2 = K_FRAME_1 + 6,
+  CONTACT_SIZE = K_FRAME_2 + 6
+};
+/* what is left of a contact at some time: enough to go on from */
+enum {
+  M_ANGLE,
+  M_W1,
+  M_V = 3,
+  M_PLACE_1 = 5,
+  M_PLACE_2 = 8,
+  M_FRAME_1 = 11,
+  M_FRAME_2 = 17,
+  MOMENT_SIZE = 23
+};
+
+/* ---- what can be asked for ---- */
+
+enum { STATES, POINTS, SLIP, SLIP_SPEED, TWIST, POSE, ACCELERATION, CARRIED, N_OUTPUTS };
+
+/* why something failed */
+enum {
+  NO_FAILURE,
+  NO_MEMORY,
+  STUCK,
+  TOO_MANY_PANELS,
+  TOO_LONG,
+  SINGULAR_CHART,
+  SINGULAR_TIME,
+  OUTSIDE
+};
+
+typedef struct {
+  int64_t code, contact, side, panels, by_length, pushed;
+  double t, end, value, u, v; /* value: sigma, or the path's length in sizes */
+} failure_t;
+
+/* what became of one interval of one body */
+enum { CIRCLE, LINE, PANELS };
+enum {
+  UNPUSHED,
+  NO_SLIP,
+  SLIP_LEFT,
+  SLIPS,
+  OFFSET,
+  OFFSET_AND_SLIP,
+  PUSHED,
+  NEGLIGIBLE,
+  FOLLOWING
+};
+typedef struct {
+  double start, stop, released; /* released: when slip was let go, s; or NaN */
+  int64_t side, kind, ambient, by_length, forced, panels, reason, slips;
+} fact_t;
+
+typedef struct plan plan_t;
+
+/* a table's prologue or body on registers of one double each, which are the caller's */
+typedef struct {
+  const code_t *code;
+  double *registers;
+} program_t;
+
+typedef struct {
+  int32_t version;
+  const char *variant;
+  plan_t *(*plan)(const double *scene, int64_t size, const surface_t *const *surfaces,
+                  failure_t *failure);
+  void (*drop)(plan_t *plan);
+  /* finds the branches of charts; before the first of STATES, SLIP, ACCELERATION, CARRIED, moments
+   */
+  int (*anchor)(plan_t *plan, failure_t *failure);
+  /* out[output][contact][row][time], NULL where not asked for */
+  int (*evaluate)(const plan_t *plan, int64_t n, const double *t, double *const *out,
+                  failure_t *failure);
+  int (*moments)(const plan_t *plan, double t, double *out, failure_t *failure);
+  int64_t (*facts)(const plan_t *plan, int64_t contact, int64_t room, fact_t *out);
+  double (*bytes)(const plan_t *plan);
+  /* a table at n points, in[n_in][n] and out[n_out][n]; constants[n_const], or [n_const][n] */
+  int (*run)(const table_t *table, int64_t n, const double *in, const double *constants,
+             int constants_vary, double *out);
+  void (*step)(const program_t *program);
+} engine_t;
+
+#ifdef _WIN32
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+EXPORT const engine_t *contact_engine(void);
+EXPORT const surface_t *contact_surface(int index); /* of this package, NULL past the last */
+EXPORT const table_t *contact_table(int index);
+EXPORT extern const int32_t contact_layout[6]; /* what the binding checks: see dispatch.c */
+
+#endif

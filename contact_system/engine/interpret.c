@@ -1,0 +1,142 @@
+/* Running tables of instructions on lanes. */
+
+typedef double (*lanes_t)[L];
+typedef void (*twin_t)(double (*restrict r)[L]);
+
+#include "generated/twins.inc"
+
+/* the operations' operands, as operations.inc writes them */
+#define A a[i]
+#define B b[i]
+#define C c[i]
+#define D d[i]
+#define E e[i]
+#define F f[i]
+
+/* gcc unrolls 16 lanes completely and then packs them poorly, but for `omp simd` */
+static void interpret(const code_t *restrict k, lanes_t r) {
+#define ADDRESS(name, ...) [OP_##name] = &&DO_##name,
+  static const void *const go[] = {[OP_END] = &&DO_END,
+                                   OPERATIONS(ADDRESS, ADDRESS, ADDRESS, ADDRESS)};
+  double *to;
+  const double *a, *b, *c;
+#define NEXT                                                                                       \
+  to = r[k->to], a = r[k->a], b = r[k->b], c = r[k->c];                                            \
+  goto *go[k->op];
+#define SIMPLE(name, value)                                                                        \
+  DO_##name : SIMD for (int i = 0; i < L; i++) to[i] = (value);                                    \
+  k++;                                                                                             \
+  NEXT
+#define SIMPLE2(name, value)                                                                       \
+  DO_##name : {                                                                                    \
+    const double *d = r[k[1].a], *e = r[k[1].b], *f = r[k[1].c];                                   \
+    (void)e, (void)f;                                                                              \
+    SIMD for (int i = 0; i < L; i++) to[i] = (value);                                              \
+  }                                                                                                \
+  k += 2;                                                                                          \
+  NEXT
+#define CALL1(name, function)                                                                      \
+  DO_##name : lanes_##function(to, a);                                                             \
+  k++;                                                                                             \
+  NEXT
+#define CALL2(name, function)                                                                      \
+  DO_##name : lanes_##function(to, a, b);                                                          \
+  k++;                                                                                             \
+  NEXT
+  NEXT OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) DO_END : (void)c;
+}
+#undef NEXT
+#undef SIMPLE
+#undef SIMPLE2
+#undef CALL1
+#undef CALL2
+#undef A
+#undef B
+#undef C
+#undef D
+#undef E
+#undef F
+
+/* The same of one point, a register being one double: for who asks for a derivative at a time */
+#define A r[k->a]
+#define B r[k->b]
+#define C r[k->c]
+#define D r[k[1].a]
+#define E r[k[1].b]
+#define F r[k[1].c]
+static void step(const program_t *program) {
+  static const void *const go[] = {[OP_END] = &&DO_END,
+                                   OPERATIONS(ADDRESS, ADDRESS, ADDRESS, ADDRESS)};
+  const code_t *restrict k = program->code;
+  double *restrict r = program->registers;
+#define NEXT goto *go[k->op];
+#define SIMPLE(name, value)                                                                        \
+  DO_##name : r[k->to] = (value);                                                                  \
+  k++;                                                                                             \
+  NEXT
+#define SIMPLE2(name, value)                                                                       \
+  DO_##name : r[k->to] = (value);                                                                  \
+  k += 2;                                                                                          \
+  NEXT
+#define CALL1(name, function)                                                                      \
+  DO_##name : r[k->to] = function(A);                                                              \
+  k++;                                                                                             \
+  NEXT
+#define CALL2(name, function)                                                                      \
+  DO_##name : r[k->to] = function(A, B);                                                           \
+  k++;                                                                                             \
+  NEXT
+  NEXT OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) DO_END :;
+}
+#undef A
+#undef B
+#undef C
+#undef D
+#undef E
+#undef F
+
+/* A table with room to run in, its constants and prologue done. Bodies, places and times change
+   from run to run, constants seldom. */
+typedef struct {
+  const table_t *table;
+  const double *constants;
+  lanes_t r;
+  int64_t room;
+} unit_t;
+
+static void fill_lanes(double *lanes, double value) {
+  for (int i = 0; i < L; i++) lanes[i] = value;
+}
+
+/* Returns the registers: inputs from r[0] on. */
+static lanes_t load(work_t *w, unit_t *u, const table_t *table, const double *constants) {
+  if (u->table == table && u->constants == constants) return u->r;
+  if (u->room < table->n_regs) {
+    free(u->r);
+    u->table = NULL, u->room = 0;
+    u->r = malloc((size_t)table->n_regs * sizeof *u->r);
+    if (!u->r) fail(w, NO_MEMORY);
+    u->room = table->n_regs;
+  }
+  for (int j = 0; j < table->n_const; j++) fill_lanes(u->r[table->n_in + j], constants[j]);
+  for (int j = 0; j < table->n_lit; j++) fill_lanes(u->r[table->first_lit + j], table->literals[j]);
+  interpret(table->prologue, u->r);
+  u->table = table, u->constants = constants;
+  return u->r;
+}
+
+/* Runs what is loaded; returns the results' rows. */
+static inline lanes_t run(const unit_t *u) {
+  if (u->table->twin >= 0)
+    twins[u->table->twin](u->r);
+  else
+    interpret(u->table->body, u->r);
+  return u->r + u->table->first_out;
+}
+
+/* The same of one point in all lanes */
+static void run_one(const unit_t *u, const double *in, double *out) {
+  for (int j = 0; j < u->table->n_in; j++) fill_lanes(u->r[j], in[j]);
+  lanes_t found = run(u);
+  for (int j = 0; j < u->table->n_out; j++) out[j] = found[j][0];
+}

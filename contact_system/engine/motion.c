@@ -1,0 +1,419 @@
+/* Gauss collocation in panels: X' = f(X, sigma, decay) on local time, or arc length, [0, length].
+
+   The length of a panel follows the decay of the solution's Chebyshev series, which is also the
+   dense output. Collocation at Gauss points conserves quadratic invariants: F(x), |p| of every
+   quadric (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.7). The last
+   states may carry the term -lam, which is solved implicitly. */
+
+static const double COARSE = 1e-6;   /* tolerance beyond which tails tell nothing of errors */
+static const double TAIL = 3.6;      /* times a series' last coefficient is taken for its error */
+static const double STEEPEST = 20.0; /* fall of ln(decay) in a panel; 30 takes 3 % more sweeps */
+static const double FALL = 4.5;      /* the same in a first panel at a tolerance of 1e-12 */
+enum { SWEEPS = 40 };
+enum { MANY = 4096 }; /* panels from one look at how many more it will take to the next */
+static const double MOST_PANELS = 1e6; /* of one interval; beyond, a scene is refused */
+
+typedef struct motion motion_t;
+struct motion {
+  int64_t n, n_stiff;
+  void (*rates)(work_t *, motion_t *, lanes_t x, const double *sigma, const double *decay,
+                lanes_t f);
+  void (*restore)(work_t *, motion_t *, double *state); /* back onto the surfaces; NULL: nothing */
+  const drive_t *drive;
+  int by_length, stops;
+  double length, first, reach;
+  double tolerance, slip, finish; /* slip: |V|, 0 without; it is let go where |V| decay <= finish */
+  double state[MAX_STATES], scale[MAX_STATES]; /* errors are measured in 1/scale */
+  /* what `rates` reads */
+  const body_t *body[2];
+  int ambient[2], pushed, offsets;
+  const double *r0; /* the contact's own: tables know their constants by the address */
+  double w[2], v[2], disturbance[6];
+  int64_t object_row; /* where the object's state begins */
+  /* what came out */
+  panels_t panels;
+  double reached, released; /* released: -1 unless slip was let go */
+};
+
+static unit_t *table_of(work_t *w, int side, int ambient, int table, const body_t *b) {
+  unit_t *u = &w->body[side][ambient][table];
+  load(w, u, ambient ? b->surface->ambient[table] : b->surface->chart[table], b->numbers);
+  return u;
+}
+
+static unit_t *pair_table(work_t *w, int table, const double *constants) {
+  unit_t *u = &w->pair[table];
+  load(w, u, contact_tables + table, constants);
+  return u;
+}
+
+static int state_size(int ambient) { return ambient ? 6 : 3; }
+
+/* ---- right-hand sides ---- */
+
+/* Chart components d to the parallel frame, Rot(theta)^T M d */
+static lanes_t to_parallel(work_t *w, int side, int ambient, const body_t *b, lanes_t state,
+                           const double *d) {
+  unit_t *u = table_of(w, side, ambient, ambient ? A_VECTOR : C_VECTOR, b);
+  const int n = state_size(ambient);
+  memcpy(u->r, state, (size_t)n * sizeof *state);
+  fill_lanes(u->r[n], d[0]), fill_lanes(u->r[n + 1], d[1]);
+  return run(u);
+}
+
+/* A body's moving frame when its contact point is driven by c */
+static void moved(work_t *w, int side, int ambient, const body_t *b, lanes_t state, lanes_t c,
+                  lanes_t out) {
+  unit_t *u = table_of(w, side, ambient, ambient ? A_MOTION : C_MOTION, b);
+  const int n = state_size(ambient);
+  memcpy(u->r, state, (size_t)n * sizeof *state);
+  memcpy(u->r + n, c, 2 * sizeof *c);
+  memcpy(out, run(u), (size_t)n * sizeof *out);
+}
+
+/* One body: c = sigma (W - V decay), and what a rate offset adds */
+static void driven_rates(work_t *w, motion_t *m, lanes_t x, const double *sigma,
+                         const double *decay, lanes_t f) {
+  double c[2][L];
+  const int side = m->body[1] != NULL, ambient = m->ambient[side];
+  const body_t *b = m->body[side];
+  for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) c[a][i] = sigma[i] * (m->w[a] - m->v[a] * decay[i]);
+  if (m->offsets) {
+    lanes_t d = to_parallel(w, side, ambient, b, x, m->disturbance + 4);
+    for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) c[a][i] += d[a][i];
+  }
+  moved(w, side, ambient, b, x, c, f);
+}
+
+/* A contact under accelerations: [finger, W_1], object, V. V' lacks -lam V, see `sweep`. */
+static void forced_rates(work_t *w, motion_t *m, lanes_t x, const double *sigma, const double *decay,
+                         lanes_t f) {
+  (void)decay;
+  const double *r = m->r0;
+  lanes_t own = x + m->object_row, v = x + m->n - 2;
+  double c[2][L], w1[2][L];
+  unit_t *u = pair_table(w, T_PUSHED, r);
+  memset(u->r + 1, 0, 4 * sizeof *u->r);
+  memcpy(u->r[0], sigma, sizeof *u->r);
+  for (int a = 0; a < 2; a++)
+    if (m->pushed)
+      memcpy(w1[a], x[m->object_row - 2 + a], sizeof *w1);
+    else
+      fill_lanes(w1[a], m->w[a]);
+  if (m->pushed) {
+    for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) c[a][i] = sigma[i] * w1[a][i];
+    moved(w, 0, m->ambient[0], m->body[0], x, c, f);
+    lanes_t d = to_parallel(w, 0, m->ambient[0], m->body[0], x, m->disturbance);
+    memcpy(u->r + 1, d, 2 * sizeof *d);
+  }
+  for (int a = 0; a < 2; a++)
+    SIMD for (int i = 0; i < L; i++)
+      c[a][i] = sigma[i] * (r[2 * a] * w1[0][i] + r[2 * a + 1] * w1[1][i] - v[a][i]);
+  const double *d2 = m->disturbance + 2;
+  if (d2[0] != 0 || d2[1] != 0) {
+    lanes_t d = to_parallel(w, 1, m->ambient[1], m->body[1], own, d2);
+    memcpy(u->r + 3, d, 2 * sizeof *d);
+  }
+  if (m->offsets) {
+    lanes_t d = to_parallel(w, 1, m->ambient[1], m->body[1], own, m->disturbance + 4);
+    for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) c[a][i] += d[a][i];
+  }
+  moved(w, 1, m->ambient[1], m->body[1], own, c, f + m->object_row);
+  lanes_t grown = run(u);
+  if (m->pushed) memcpy(f + m->object_row - 2, grown, 2 * sizeof *grown);
+  memcpy(f + m->n - 2, grown + 2, 2 * sizeof *grown);
+}
+
+/* What slip costs on a developable body: g' = sigma decay */
+static void quadrature_rates(work_t *w, motion_t *m, lanes_t x, const double *sigma,
+                             const double *decay, lanes_t f) {
+  (void)w, (void)m, (void)x;
+  SIMD for (int i = 0; i < L; i++) f[0][i] = sigma[i] * decay[i];
+}
+
+static void restore_body(work_t *w, int side, const body_t *b, double *state) {
+  double found[6];
+  run_one(table_of(w, side, 1, A_RESTORE, b), state, found);
+  memcpy(state, found, sizeof found);
+}
+
+static void restore_driven(work_t *w, motion_t *m, double *state) {
+  const int side = m->body[1] != NULL;
+  if (m->ambient[side]) restore_body(w, side, m->body[side], state);
+}
+
+static void restore_forced(work_t *w, motion_t *m, double *state) {
+  if (m->pushed && m->ambient[0]) restore_body(w, 0, m->body[0], state);
+  if (m->ambient[1]) restore_body(w, 1, m->body[1], state + m->object_row);
+}
+
+/* 1/(size of each state): positions count by the body's size, angles and directions by 1. */
+static void scales(work_t *w, int side, int ambient, const body_t *b, const double *state,
+                   double *scale) {
+  if (ambient) {
+    for (int j = 0; j < 6; j++) scale[j] = j < 3 ? 1.0 / b->size : 1.0;
+    return;
+  }
+  double lame[3];
+  run_one(table_of(w, side, 0, C_LAME, b), state, lame);
+  for (int j = 0; j < 2; j++) scale[j] = fmax(lame[j] / b->size, 1e-2);
+  scale[2] = 1.0;
+}
+
+/* ---- panels ---- */
+
+/* where an integration stands: the next panel from tau, of length h at most; a series of `span` to
+   start from, or NULL: it ends at tau (the last panel) or begins there (a refused one) */
+typedef struct {
+  double tau, h, span;
+  const double *before;
+  int begins;
+} step_t;
+
+/* A panel shortened: ln(decay) may fall by so much, also if it goes on as at the start, so that the
+   first node still sees a layer there. A gain that grows later is seen by the other nodes. */
+static double longest(const motion_t *m, double tau, double h, double steepest) {
+  if (m->slip <= 0) return h;
+  const double first = gain_at(m->drive, tau), lost = lost_at(m->drive, tau);
+  for (int k = 0; k < 60; k++) {
+    const double lam = fmax(first, (lost_at(m->drive, tau + h) - lost) / h);
+    if (lam * h <= steepest || lost > 40.0) break;
+    h = fmax(0.5 * h, 0.99 * steepest / lam);
+  }
+  return h;
+}
+
+/* A step's length, or half of what is left: a short last one costs as much as a long one. */
+static double shared(double h, double left) {
+  if (!(h < left && left < 2.0 * h)) return h;
+  return left < 1.03 * h ? left : 0.5 * left; /* 1.03: the tail that is expected stays in tolerance */
+}
+
+/* inverse of I + h/2 Q diag(lam), transposed: by Gauss and Jordan in place, with row pivots */
+static int implicit(const double *lam, double half, double (*a)[L]) {
+  int pivot[L];
+  for (int i = 0; i < L; i++)
+    for (int j = 0; j < L; j++) a[i][j] = half * lam[i] * gauss_integral[i * L + j] + (i == j);
+  for (int k = 0; k < L; k++) {
+    int p = k;
+    for (int i = k + 1; i < L; i++)
+      if (fabs(a[i][k]) > fabs(a[p][k])) p = i;
+    if (a[p][k] == 0.0 || !isfinite(a[p][k])) return 1;
+    pivot[k] = p;
+    for (int j = 0; j < L && p != k; j++) {
+      const double t = a[k][j];
+      a[k][j] = a[p][j], a[p][j] = t;
+    }
+    const double scale = 1.0 / a[k][k];
+    double row[L];
+    SIMD for (int j = 0; j < L; j++) row[j] = scale * a[k][j];
+    for (int i = 0; i < L; i++) {
+      const double t = a[i][k];
+      SIMD for (int j = 0; j < L; j++) a[i][j] -= t * row[j];
+      a[i][k] = -t * scale;
+    }
+    memcpy(a[k], row, sizeof row);
+    a[k][k] = scale;
+  }
+  for (int k = L - 1; k >= 0; k--)
+    for (int i = 0; i < L && pivot[k] != k; i++) {
+      const double t = a[i][k];
+      a[i][k] = a[i][pivot[k]], a[i][pivot[k]] = t;
+    }
+  return 0;
+}
+
+/* The values at the nodes of a panel `ratio` times as long as a known series, from its end (1) or
+   its start (-1) on */
+static void continued(const double *series, int64_t rows, double ratio, double from, lanes_t x) {
+  double xi[L];
+  for (int i = 0; i < L; i++) xi[i] = from + ratio * (1.0 + gauss_node[i]);
+  series_at(series, rows, xi, x);
+}
+
+/* One sweep: f at the nodes, then x = start + h/2 Q f (V: the implicit form). Returns the change. */
+static double sweep(work_t *w, motion_t *m, double half, const double *sigma, const double *decay,
+                    const double *lam, double (*inverse)[L], lanes_t x, lanes_t f) {
+  double y[MAX_STATES][L], g[L], worst[L] = {0}, change = 0.0, none = 0.0;
+  m->rates(w, m, x, sigma, decay, f);
+  combine(gauss_integral, L, m->n, f[0], L, m->state, half, y[0], L);
+  for (int64_t s = m->n - m->n_stiff; s < m->n; s++) {
+    combine(inverse[0], L, 1, y[s], L, NULL, 1.0, g, L);
+    SIMD for (int i = 0; i < L; i++) y[s][i] = g[i], f[s][i] -= lam[i] * g[i];
+  }
+  for (int64_t s = 0; s < m->n; s++) {
+    const double scale = m->scale[s];
+    SIMD for (int i = 0; i < L; i++) {
+      const double far = fabs(y[s][i] - x[s][i]) * scale;
+      worst[i] = far > worst[i] ? far : worst[i];
+      x[s][i] = y[s][i];
+    }
+    none += 0.0 * y[s][0]; /* a maximum drops a NaN, but one at a node is at all after a sweep */
+  }
+  for (int i = 0; i < L; i++) change = worst[i] > change ? worst[i] : change;
+  return none == 0.0 ? change : HUGE_VAL;
+}
+
+/* Whether the panel is so much too long that its tail tells before the sweeps have converged. */
+static int hopeless(const motion_t *m, double half, lanes_t f) {
+  for (int64_t r = 0; r < m->n; r++)
+    if (TAIL * fabs(half * dot(gauss_top, f[r])) * m->scale[r] > 100.0 * m->tolerance) return 1;
+  return 0;
+}
+
+/* Sweeps until x holds still. Returns 0 where they do not converge. */
+static int converge(work_t *w, motion_t *m, double half, const double *sigma, const double *decay,
+                    const double *lam, double (*inverse)[L], lanes_t x, lanes_t f) {
+  double last = HUGE_VAL;
+  for (int k = 0; k < SWEEPS; k++) {
+    const double change = sweep(w, m, half, sigma, decay, lam, inverse, x, f);
+    /* Sweeps converge ever faster: the next changes less than this one by what this did. A first
+       one tells nothing of that where it is large, as a continued series was far off; nor of what is
+       stiff, as all that was wrong is gone at one stroke. */
+    const int tells = k > 1 || (last < 0.01 && !m->n_stiff);
+    const double next = tells && change < 0.3 * last ? change * (change / last) : change;
+    if (next <= 1e-2 * m->tolerance || change <= 4e-16) return 1;
+    if (k > 6 && change <= 1e-13 && change > 0.25 * last) return 1;
+    if (!(change < 1e10) || (k > 3 && change > 4.0 * last)) return 0;
+    if (k == 3 && hopeless(m, half, f)) return 1;
+    last = change;
+  }
+  return 0;
+}
+
+/* The series of a converged panel and the state at its end; returns the error. */
+static double close_panel(work_t *w, motion_t *m, double half, lanes_t x, lanes_t f, double *out,
+                          double *end) {
+  double error = 0.0, reached[MAX_STATES];
+  combine(gauss_series, L, m->n, f[0], L, NULL, half, out, TERMS);
+  for (int64_t r = 0; r < m->n; r++) {
+    double *o = out + r * TERMS;
+    o[L] = half * dot(gauss_top, f[r]), o[0] += m->state[r];
+    error = fmax(error, TAIL * fmax(fabs(o[L]), 0.1 * fabs(o[L - 1])) * m->scale[r]);
+    reached[r] = r >= m->n - m->n_stiff ? dot(gauss_last, x[r])
+                                        : m->state[r] + half * dot(gauss_weight, f[r]);
+  }
+  memcpy(end, reached, sizeof reached);
+  if (m->restore) m->restore(w, m, end);
+  /* what must be put back tells of the panel's error too */
+  double back = 0.0;
+  for (int64_t r = 0; r < m->n; r++) back = fmax(back, fabs(end[r] - reached[r]) * m->scale[r]);
+  if (!(back < HUGE_VAL)) return HUGE_VAL;
+  return back > 1e-13 ? fmax(error, 0.1 * back) : error;
+}
+
+/* One panel from s->tau: its series to `out`, m->state to its end. Returns 1; 0: refused, s->h is
+   what to try next; -1: no solution. */
+static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
+  const double tau = s->tau, left = m->length - tau;
+  double after = tau + longest(m, tau, s->h < left ? s->h : left, STEEPEST);
+  if (after >= m->length * (1 - 1e-14)) after = m->length;
+  const double span = after - tau, half = 0.5 * span;
+  double t[L], sigma[L], decay[L] = {0}, lam[L], inverse[L][L];
+  double x[MAX_STATES][L], f[MAX_STATES][L], end[MAX_STATES];
+  for (int i = 0; i < L; i++) t[i] = tau + half * (1.0 + gauss_node[i]);
+  if (m->by_length)
+    fill_lanes(sigma, 1.0);
+  else
+    horners(m->drive->sigma, m->drive->n_sigma, t, sigma);
+  if (m->slip > 0) decays(m->drive, t, sigma, decay);
+  if (m->n_stiff) {
+    for (int i = 0; i < L; i++) lam[i] = gain_at(m->drive, t[i]);
+    if (implicit(lam, half, inverse)) return -1;
+  }
+  /* sweeps start from the last panel's series (28 % fewer of them), or from that of the longer panel
+     that was refused */
+  if (s->before && span <= (s->begins ? 1.0 : 2.0) * s->span)
+    continued(s->before, m->n, span / s->span, s->begins ? -1.0 : 1.0, x);
+  else
+    for (int64_t r = 0; r < m->n; r++) fill_lanes(x[r], m->state[r]);
+  if (!converge(w, m, half, sigma, decay, lam, inverse, x, f)) {
+    if (s->begins) s->before = NULL;
+    s->h = 0.35 * span;
+    return 0;
+  }
+  const double error = close_panel(w, m, half, x, f, out, end);
+  /* an error below 1e-30 says no more than one of 1e-30 */
+  const double ratio = 0.9 * pow(m->tolerance / fmax(error, 1e-30), 1.0 / L);
+  s->span = span, s->before = out;
+  if (!(error <= m->tolerance)) {
+    s->h = span * (ratio > 0.35 ? (ratio < 0.8 ? ratio : 0.8) : 0.35), s->begins = 1;
+    return 0;
+  }
+  double far = 1e-30; /* sizes that the panel spans */
+  for (int64_t r = 0; r < m->n; r++) far = fmax(far, fabs(end[r] - m->state[r]) * m->scale[r]);
+  s->h = shared(span * fmin(fmin(ratio, 2.0), m->reach / far), m->length - after);
+  s->tau = after, s->begins = 0;
+  memcpy(m->state, end, sizeof end);
+  return 1;
+}
+
+/* Room for n panels of a motion's series; what is there stays. */
+static void make_room(work_t *w, int64_t n, int64_t rows) {
+  if (n * rows <= w->room) return;
+  const int64_t room = 2 * n * rows;
+  double *edges = realloc(w->edges, (size_t)(room + 1) * sizeof(double));
+  if (!edges) fail(w, NO_MEMORY);
+  w->edges = edges;
+  double *series = realloc(w->series, (size_t)(room * TERMS + L) * sizeof(double));
+  if (!series) fail(w, NO_MEMORY);
+  w->series = series, w->room = room;
+}
+
+static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s, int code,
+                                  int64_t count) {
+  failure_t *e = w->failure;
+  const double start = m->by_length ? 0.0 : m->drive->start;
+  e->t = start + s->tau, e->end = start + m->length, e->panels = count;
+  e->by_length = m->by_length, e->pushed = m->n_stiff > 0;
+  e->value = m->by_length ? 1.0 : sigma_at(m->drive, s->tau);
+  fail(w, code);
+}
+
+/* Integrates a motion from m->state over [0, m->length]; panels stay in the work's room. */
+static void integrate(work_t *w, motion_t *m, double tolerance) {
+  /* below 4e-16 a series' tail is rounding */
+  m->tolerance = fmax(0.1 * fmin(tolerance, COARSE), 4e-16);
+  m->released = -1.0;
+  const double wide = pow(m->tolerance / 1e-13, 1.0 / L), first = m->first * wide;
+  step_t s = {.h = longest(m, 0.0, fmin(first, m->length), fmin(STEEPEST, FALL * wide))};
+  int64_t count = 0, tries = 0;
+  double mark = 0.0;
+  make_room(w, 8, m->n);
+  w->edges[0] = 0.0;
+  while (s.tau < m->length) {
+    /* a layer at the start may be as thin as it likes */
+    if (++tries > 40 * (count + 25) || !(s.h > 1e-15 * s.tau + 1e-30 * m->length))
+      fail_motion(w, m, &s, STUCK, count);
+    if (count && count % MANY == 0 && s.tau > mark) {
+      if (MANY * (m->length - s.tau) > MOST_PANELS * (s.tau - mark))
+        fail_motion(w, m, &s, TOO_MANY_PANELS, count);
+      mark = s.tau;
+    }
+    const int64_t before = s.before ? s.before - w->series : -1;
+    make_room(w, count + 1, m->n);
+    if (before >= 0) s.before = w->series + before;
+    const int made = panel(w, m, &s, w->series + count * m->n * TERMS);
+    if (made < 0) fail_motion(w, m, &s, STUCK, count);
+    if (!made) continue;
+    w->edges[++count] = s.tau;
+    if (m->slip > 0 && m->finish > 0 && s.tau < m->length &&
+        m->slip * decay_at(m->drive, s.tau) <= m->finish) {
+      m->released = s.tau;
+      if (m->stops) break;
+      m->slip = 0.0; /* from here on decay is not evaluated, nor resolved */
+      s.h = first;
+    }
+  }
+  m->reached = s.tau;
+  m->panels = (panels_t){count, m->n, w->edges, w->series};
+}
+
+/* The panels, in the plan's memory */
+static panels_t kept_panels(work_t *w, const motion_t *m) {
+  panels_t p = m->panels;
+  const size_t edges = (size_t)p.n + 1, series = (size_t)(p.n * p.rows) * TERMS;
+  p.edges = memcpy(keep(w, edges), p.edges, edges * sizeof(double));
+  p.series = memcpy(keep(w, series), p.series, series * sizeof(double));
+  return p;
+}

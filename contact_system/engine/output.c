@@ -1,0 +1,522 @@
+/* Everything that is asked for, in one pass over the times. */
+
+/* ---- one body at local times ---- */
+
+/* Where times are on a track: local time, arc length, or the phase and the revolutions before */
+static void variable(const track_t *k, const body_t *b, const double *tau, double *x,
+                     double *turns) {
+  memset(turns, 0, L * sizeof *turns);
+  if (k->kind == CIRCLE)
+    phases(k, b, tau, x, turns);
+  else if (k->by_length)
+    horners(k->drive->length, k->drive->n_sigma + 1, tau, x);
+  else
+    memcpy(x, tau, L * sizeof *x);
+}
+
+/* The moving frame, (x, p) or (u, v, theta) */
+static void state_at(const track_t *k, const body_t *b, const double *tau, const double *x,
+                     int reduced, int64_t *hint, lanes_t state) {
+  if (k->kind == CIRCLE)
+    circle_at(k, b, x, state);
+  else if (k->kind == LINE)
+    line_at(k, b, tau, reduced, hint, state);
+  else
+    panels_at(&k->panels, k->row, state_size((int)k->ambient), x, hint, state);
+}
+
+static void track_state(work_t *w, int side, const body_t *b, const track_t *k, double t,
+                        double *state) {
+  double tau[L], x[L], turns[L], found[6][L];
+  int64_t hint = k->panels.n ? k->panels.n - 1 : 0;
+  (void)w, (void)side;
+  fill_lanes(tau, t - k->start);
+  variable(k, b, tau, x, turns);
+  state_at(k, b, tau, x, 0, &hint, found);
+  for (int j = 0; j < state_size((int)k->ambient); j++) state[j] = found[j][0];
+}
+
+/* W_1 and V where accelerations change them, else as they are: rows of panels, or numbers */
+static void path_velocity(const panels_t *p, int64_t row, const double *constant, const double *tau,
+                          int64_t *hint, lanes_t out) {
+  if (row >= 0)
+    panels_at(p, row, 2, tau, hint, out);
+  else
+    for (int a = 0; a < 2; a++) fill_lanes(out[a], constant[a]);
+}
+
+/* Velocity of the contact point in the parallel frame, without rate offsets */
+static void drive_velocity(const contact_t *c, int side, const track_t *k, const double *tau,
+                           const double *sigma, int64_t *hint, lanes_t out) {
+  double decay[L], w1[2][L], v[2][L];
+  if (!k->forced) {
+    if (k->slips) decays(k->drive, tau, sigma, decay);
+    for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++)
+        out[a][i] = sigma[i] * (k->slips ? k->w[a] - k->v[a] * decay[i] : k->w[a]);
+    return;
+  }
+  const double nothing[2] = {0.0, 0.0}, *r = c->r0;
+  /* W_1 is a row of the panels, or c->w of the track is W itself */
+  path_velocity(&k->panels, k->w_row, k->w, tau, hint, w1);
+  path_velocity(&k->panels, k->v_row, nothing, tau, hint, v);
+  for (int a = 0; a < 2; a++) {
+    const int turns = side && k->w_row >= 0;
+    const double x = turns ? r[2 * a] : a == 0, y = turns ? r[2 * a + 1] : a == 1;
+    SIMD for (int i = 0; i < L; i++) out[a][i] = sigma[i] * (x * w1[0][i] + y * w1[1][i] - v[a][i]);
+  }
+}
+
+/* ---- a block of times of one contact ---- */
+
+/* What is needed of a body */
+enum { NEED_COORDINATES = 1, NEED_POINT = 2, NEED_FRAME = 4, NEED_SHAPE = 8, NEED_VELOCITY = 16 };
+
+typedef struct {
+  const track_t *track;
+  int64_t hint;
+  double tau[L], sigma[L], state[6][L], velocity[2][L], offset[2][L];
+  double coordinates[N_COORDINATES][L], frame[9][L], shape[3][L];
+} side_t;
+
+typedef struct {
+  const slip_t *slip;
+  int64_t hint;
+  double tau[L], sigma[L], v[2][L], w1[2][L], sliding[2][L];
+  side_t side[2];
+} sample_t;
+
+static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, const double *x,
+                             const double *turns, int n) {
+  const track_t *k = a->track;
+  const body_t *b = &c->body[s];
+  unit_t *u = table_of(w, s, (int)k->ambient, k->ambient ? A_COORDINATES : C_COORDINATES, b);
+  const int rows = state_size((int)k->ambient);
+  memcpy(u->r, a->state, (size_t)rows * sizeof *a->state);
+  memcpy(u->r + rows, a->velocity, sizeof a->velocity);
+  memcpy(a->coordinates, run(u), sizeof a->coordinates);
+  if (k->ambient) {
+    const path_t p = {w, b, k, s};
+    wind_all(&p, x, turns, a->coordinates, n);
+  }
+  for (int j = 0; j < 2 && k->offsets; j++)
+    for (int i = 0; i < L; i++) a->coordinates[DU + j][i] += k->offset[j];
+}
+
+static void find_frame(work_t *w, const contact_t *c, int s, side_t *a, lanes_t state) {
+  const int ambient = (int)a->track->ambient;
+  unit_t *u = table_of(w, s, ambient, ambient ? A_SECOND : C_FRAME, &c->body[s]);
+  memcpy(u->r, state, (size_t)state_size(ambient) * sizeof *state);
+  lanes_t found = run(u);
+  if (ambient) memcpy(a->frame, state, 6 * sizeof *state);
+  memcpy(a->frame + (ambient ? 6 : 0), found, (ambient ? 3 : 9) * sizeof *found);
+}
+
+static void find_one(work_t *w, const contact_t *c, int s, side_t *a, int table, lanes_t state,
+                     lanes_t out, int rows) {
+  unit_t *u = table_of(w, s, (int)a->track->ambient, table, &c->body[s]);
+  memcpy(u->r, state, (size_t)state_size((int)a->track->ambient) * sizeof *state);
+  memcpy(out, run(u), (size_t)rows * sizeof *out);
+}
+
+/* One body at times t, n of L of which are asked for */
+static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, const double *t, int n,
+                        int needs) {
+  const track_t *k = a->track;
+  const body_t *b = &c->body[s];
+  double x[L], turns[L], far[6][L];
+  for (int i = 0; i < L; i++) a->tau[i] = t[i] - k->start;
+  variable(k, b, a->tau, x, turns);
+  state_at(k, b, a->tau, x, 0, &a->hint, a->state);
+  if (needs & (NEED_COORDINATES | NEED_VELOCITY)) {
+    horners(k->drive->sigma, k->drive->n_sigma, a->tau, a->sigma);
+    drive_velocity(c, s, k, a->tau, a->sigma, &a->hint, a->velocity);
+  }
+  if (needs & NEED_COORDINATES) find_coordinates(w, c, s, a, x, turns, n);
+  lanes_t state = a->state;
+  if (k->kind == LINE && k->far && needs & (NEED_POINT | NEED_FRAME)) {
+    line_at(k, b, a->tau, 1, &a->hint, far);
+    state = far;
+  }
+  if (needs & NEED_FRAME)
+    find_frame(w, c, s, a, state);
+  else if (needs & NEED_POINT && k->ambient)
+    memcpy(a->frame, state, 3 * sizeof *state);
+  else if (needs & NEED_POINT)
+    find_one(w, c, s, a, C_POINT, state, a->frame, 3);
+  if (needs & NEED_SHAPE) find_one(w, c, s, a, k->ambient ? A_SHAPE : C_SHAPE, state, a->shape, 3);
+  if (k->offsets) {
+    memcpy(a->offset, to_parallel(w, s, (int)k->ambient, b, a->state, k->offset), sizeof a->offset);
+    for (int j = 0; j < 2 && needs & NEED_VELOCITY; j++)
+      for (int i = 0; i < L; i++) a->velocity[j][i] += a->offset[j][i];
+  }
+}
+
+/* V, W_1 and the slip along (p_2, q_2): sigma V, less what a rate offset adds */
+static void sample_slip(sample_t *m, const double *t) {
+  const slip_t *s = m->slip;
+  for (int i = 0; i < L; i++) m->tau[i] = t[i] - s->start;
+  horners(s->drive->sigma, s->drive->n_sigma, m->tau, m->sigma);
+  path_velocity(&s->panels, s->w_row, s->w1, m->tau, &m->hint, m->w1);
+  path_velocity(&s->panels, s->v_row, s->v, m->tau, &m->hint, m->v);
+  if (s->slips && !s->forced) {
+    double decay[L];
+    decays(s->drive, m->tau, m->sigma, decay);
+    for (int a = 0; a < 2; a++) for (int i = 0; i < L; i++) m->v[a][i] *= decay[i];
+  }
+  const side_t *o = &m->side[1];
+  for (int a = 0; a < 2; a++)
+    for (int i = 0; i < L; i++)
+      m->sliding[a][i] = m->sigma[i] * m->v[a][i] - (o->track->offsets ? o->offset[a][i] : 0.0);
+}
+
+static int all_zero(lanes_t y) {
+  double sum = 0.0;
+  for (int a = 0; a < 2; a++) for (int i = 0; i < L; i++) sum += y[a][i] != 0.0;
+  return sum == 0.0;
+}
+
+/* From the object's parallel frame to E2 */
+static void turn_to_contact_frame(work_t *w, const sample_t *m, lanes_t y) {
+  if (all_zero(y)) return;
+  unit_t *u = pair_table(w, T_TURNED, NULL);
+  memcpy(u->r, m->side[1].coordinates + THETA, sizeof *u->r);
+  memcpy(u->r + 1, y, 2 * sizeof *y);
+  memcpy(y, run(u), 2 * sizeof *y);
+}
+
+/* (sigma'/sigma - lam) v_rel, and what the accelerations add, along (p_2, q_2) */
+static void accelerate(work_t *w, const contact_t *c, sample_t *m, lanes_t out) {
+  const slip_t *s = m->slip;
+  const int pulls = !all_zero(m->v);
+  unit_t *u = pair_table(w, T_ACCELERATION, c->r0);
+  memcpy(u->r, m->sigma, sizeof *u->r);
+  for (int i = 0; i < L; i++) {
+    const double tau = m->tau[i];
+    u->r[1][i] = pulls ? slope_of(s->drive->sigma, s->drive->n_sigma, tau) : 0.0;
+    u->r[2][i] = pulls ? gain_at(s->drive, tau) : 0.0;
+  }
+  memcpy(u->r + 3, m->v, sizeof m->v);
+  memset(u->r + 5, 0, 4 * sizeof *u->r);
+  for (int k = 0; k < 2 && s->accelerated; k++) {
+    const double *d = s->accelerations + 2 * k;
+    const side_t *a = &m->side[k];
+    if (!any(d)) continue;
+    lanes_t found = to_parallel(w, k, (int)a->track->ambient, &c->body[k], (lanes_t)a->state, d);
+    memcpy(u->r + 5 + 2 * k, found, 2 * sizeof *found);
+  }
+  memcpy(out, run(u), 2 * sizeof *out);
+}
+
+static void fill_pair(unit_t *u, const sample_t *m) {
+  memcpy(u->r, m->side[0].frame, sizeof m->side[0].frame);
+  memcpy(u->r + 9, m->side[1].frame, sizeof m->side[1].frame);
+}
+
+/* ---- writing ---- */
+
+static const int OUTPUT_ROWS[N_OUTPUTS] = {[STATES] = 9, [POINTS] = 6, [SLIP] = 2,
+                                           [SLIP_SPEED] = 1, [TWIST] = 6, [POSE] = 16,
+                                           [ACCELERATION] = 2, [CARRIED] = 6};
+
+/* where the results of a block go: out[row][n_times], `count` of them from `first` on */
+typedef struct {
+  double *const *out;
+  int64_t n, first;
+  int count;
+} target_t;
+
+static void put(const target_t *to, int output, int row, const double *values) {
+  memcpy(to->out[output] + row * to->n + to->first, values, (size_t)to->count * sizeof *values);
+}
+
+static void put_states(const target_t *to, const contact_t *c, const sample_t *m) {
+  double psi[L];
+  for (int s = 0; s < 2; s++)
+    for (int j = 0; j < 4; j++) put(to, STATES, 4 * s + j, m->side[s].coordinates[j]);
+  for (int i = 0; i < L; i++)
+    psi[i] = c->angle - (m->side[0].coordinates[THETA][i] + m->side[1].coordinates[THETA][i]);
+  put(to, STATES, 8, psi);
+}
+
+static void put_carried(const target_t *to, const contact_t *c, const sample_t *m) {
+  const double *r = c->r0;
+  for (int s = 0; s < 2; s++) put(to, CARRIED, 3 * s, m->side[s].coordinates[THETA]);
+  for (int a = 0; a < 2; a++) {
+    double own[L];
+    put(to, CARRIED, 1 + a, m->w1[a]);
+    for (int i = 0; i < L; i++)
+      own[i] = r[2 * a] * m->w1[0][i] + r[2 * a + 1] * m->w1[1][i] - m->v[a][i];
+    put(to, CARRIED, 4 + a, own);
+  }
+}
+
+static void put_pose(work_t *w, const target_t *to, const contact_t *c, const sample_t *m) {
+  static const double zero[L], one[L] = {1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+  unit_t *u = pair_table(w, T_POSE, c->r0);
+  fill_pair(u, m);
+  lanes_t found = run(u);
+  for (int i = 0; i < 3; i++) {
+    for (int j = 0; j < 3; j++) put(to, POSE, 4 * i + j, found[3 * i + j]);
+    put(to, POSE, 4 * i + 3, found[9 + i]);
+    put(to, POSE, 12 + i, zero);
+  }
+  put(to, POSE, 15, one);
+}
+
+static void put_twist(work_t *w, const target_t *to, const contact_t *c, const sample_t *m) {
+  unit_t *u = pair_table(w, T_TWIST, c->r0);
+  fill_pair(u, m);
+  for (int s = 0; s < 2; s++) {
+    memcpy(u->r + 18 + 3 * s, m->side[s].shape, sizeof m->side[s].shape);
+    memcpy(u->r + 24 + 2 * s, m->side[s].velocity, sizeof m->side[s].velocity);
+  }
+  memcpy(u->r + 28, m->sliding, sizeof m->sliding);
+  lanes_t found = run(u);
+  for (int j = 0; j < 6; j++) put(to, TWIST, j, found[j]);
+}
+
+/* A block of times on one track of each body and one interval of slip */
+static void put_block(work_t *w, const contact_t *c, sample_t *m, const double *t,
+                      const target_t *to, int needs, int turned) {
+  double *const *out = to->out;
+  for (int s = 0; s < 2; s++) {
+    /* slip needs the object's theta alone, and only where there is slip */
+    const int lies = s && turned && (m->slip->slips || m->side[1].track->offsets ||
+                                     (out[ACCELERATION] && m->slip->accelerated));
+    sample_body(w, c, s, &m->side[s], t, to->count, needs | (lies ? NEED_COORDINATES : 0));
+  }
+  if (out[POINTS])
+    for (int s = 0; s < 2; s++)
+      for (int j = 0; j < 3; j++) put(to, POINTS, 3 * s + j, m->side[s].frame[j]);
+  if (out[STATES]) put_states(to, c, m);
+  if (out[POSE]) put_pose(w, to, c, m);
+  if (!(out[SLIP] || out[SLIP_SPEED] || out[TWIST] || out[ACCELERATION] || out[CARRIED])) return;
+  sample_slip(m, t);
+  if (out[TWIST]) put_twist(w, to, c, m);
+  if (out[CARRIED]) put_carried(to, c, m);
+  if (out[SLIP_SPEED]) {
+    double speed[L];
+    for (int i = 0; i < L; i++) speed[i] = hypot(m->sliding[0][i], m->sliding[1][i]);
+    put(to, SLIP_SPEED, 0, speed);
+  }
+  if (out[ACCELERATION]) {
+    double a[2][L];
+    accelerate(w, c, m, a);
+    turn_to_contact_frame(w, m, a);
+    for (int j = 0; j < 2; j++) put(to, ACCELERATION, j, a[j]);
+  }
+  if (out[SLIP]) {
+    turn_to_contact_frame(w, m, m->sliding);
+    for (int j = 0; j < 2; j++) put(to, SLIP, j, m->sliding[j]);
+  }
+}
+
+/* The interval of a time among n, an edge being that of the later one; hint: look there first */
+#define WHICH(items, n, t, k)                                                                      \
+  do {                                                                                             \
+    if ((t) < (items)[k].start) k = 0;                                                             \
+    while (k + 1 < (n) && (items)[k + 1].start <= (t)) k++;                                        \
+  } while (0)
+
+/* What stands at times without a frame is not finite: at a pole or an umbilic. */
+static void require_finite(work_t *w, const contact_t *c, int64_t n, const double *t,
+                           double *const *out) {
+  static const int asked[] = {STATES, SLIP, ACCELERATION, CARRIED};
+  for (int a = 0; a < 4; a++) {
+    double sum = 0.0;
+    const double *y = out[asked[a]];
+    const int64_t size = y ? n * OUTPUT_ROWS[asked[a]] : 0;
+    SIMD_SUM(sum) for (int64_t i = 0; i < size; i++) sum += 0.0 * y[i];
+    if (sum == 0.0) continue;
+    for (int64_t i = 0; i < size; i++) {
+      if (isfinite(y[i])) continue;
+      const int64_t row = i / n;
+      w->failure->contact = c - w->plan->contacts, w->failure->t = t[i % n];
+      w->failure->side = asked[a] != STATES || (row >= 4 && row < 8);
+      if (asked[a] == STATES && row == 8) w->failure->side = 0;
+      fail(w, SINGULAR_TIME);
+    }
+  }
+}
+
+static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const double *times,
+                             double *const *out) {
+  const int turned = out[SLIP] || out[ACCELERATION];
+  int needs = 0;
+  if (out[STATES] || out[CARRIED]) needs |= NEED_COORDINATES;
+  if (out[POINTS]) needs |= NEED_POINT;
+  if (out[POSE] || out[TWIST]) needs |= NEED_FRAME;
+  if (out[TWIST]) needs |= NEED_SHAPE | NEED_VELOCITY;
+  sample_t m;
+  memset(&m, 0, sizeof m);
+  int64_t which[2] = {0, 0}, record = 0;
+  for (int64_t i = 0; i < n;) {
+    double t[L], until = HUGE_VAL, from = -HUGE_VAL;
+    WHICH(c->slips, c->n_slips, times[i], record);
+    m.slip = c->slips + record;
+    if (record) from = m.slip->start;
+    if (record + 1 < c->n_slips) until = m.slip[1].start;
+    for (int s = 0; s < 2; s++) {
+      WHICH(c->tracks[s], c->n_tracks[s], times[i], which[s]);
+      const track_t *k = c->tracks[s] + which[s];
+      if (k != m.side[s].track) m.side[s].hint = 0;
+      m.side[s].track = k;
+      if (which[s]) from = fmax(from, k->start);
+      if (which[s] + 1 < c->n_tracks[s]) until = fmin(until, k[1].start);
+    }
+    int count = 0;
+    while (count < L && i + count < n && times[i + count] >= from && times[i + count] < until)
+      t[count] = times[i + count], count++;
+    for (int q = count; q < L; q++) t[q] = t[count - 1];
+    const target_t to = {out, n, i, count};
+    put_block(w, c, &m, t, &to, needs, turned);
+    i += count;
+  }
+  require_finite(w, c, n, times, out);
+}
+
+/* ---- branches, and where contacts have come to ---- */
+
+/* u v theta at a time; returns not 0 where there are none */
+static int place_on_track(work_t *w, const contact_t *c, int side, const track_t *k, double t,
+                          double *place) {
+  side_t a;
+  double times[L], sum = 0.0;
+  memset(&a, 0, sizeof a);
+  a.track = k;
+  fill_lanes(times, t);
+  sample_body(w, c, side, &a, times, 1, NEED_COORDINATES);
+  const int rows[3] = {U, V, THETA};
+  for (int j = 0; j < 3; j++) place[j] = a.coordinates[rows[j]][0], sum += 0.0 * place[j];
+  return sum != 0.0;
+}
+
+/* Anchors the first n tracks of a side, each from where the one before it ends. */
+static void anchor_side(work_t *w, contact_t *c, int side, int64_t n) {
+  double place[3];
+  memcpy(place, c->place[side], sizeof place);
+  for (int64_t i = 0; i < n; i++) {
+    track_t *k = c->tracks[side] + i;
+    if (k->ambient && !k->n_anchors) anchor_track(w, &c->body[side], side, k, place);
+    if (i + 1 < c->n_tracks[side]) {
+      double found[3];
+      if (!place_on_track(w, c, side, k, k->stop, found)) memcpy(place, found, sizeof place);
+    }
+  }
+}
+
+/* u v theta at the end of a track, or of an earlier time; where there are none, of a moment beside */
+static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t, double *place) {
+  anchor_side(w, c, side, which + 1);
+  const track_t *k = c->tracks[side] + which;
+  if (t > k->stop) t = k->stop;
+  const double aside = 1e-7 * (k->stop - k->start);
+  const double tried[3] = {t, fmax(t - aside, k->start), fmin(t + aside, k->stop)};
+  for (int i = 0; i < 3; i++)
+    if (!place_on_track(w, c, side, k, tried[i], place)) return;
+  w->failure->contact = c - w->plan->contacts, w->failure->side = side, w->failure->t = t;
+  fail(w, SINGULAR_TIME);
+}
+
+static void moment_of(work_t *w, contact_t *c, double t, double *out) {
+  int64_t record = 0, hint = 0;
+  double tau[L], w1[2][L], v[2][L];
+  memset(out, 0, MOMENT_SIZE * sizeof *out);
+  WHICH(c->slips, c->n_slips, t, record);
+  const slip_t *s = c->slips + record;
+  fill_lanes(tau, t - s->start);
+  path_velocity(&s->panels, s->w_row, s->w1, tau, &hint, w1);
+  path_velocity(&s->panels, s->v_row, s->v, tau, &hint, v);
+  const double left = s->slips && !s->forced ? decay_at(s->drive, tau[0]) : 1.0;
+  out[M_ANGLE] = c->angle;
+  for (int a = 0; a < 2; a++) out[M_W1 + a] = w1[a][0], out[M_V + a] = v[a][0] * left;
+  for (int side = 0; side < 2; side++) {
+    const body_t *b = &c->body[side];
+    int64_t which = 0;
+    WHICH(c->tracks[side], c->n_tracks[side], t, which);
+    const track_t *k = c->tracks[side] + which;
+    double *frame = out + (side ? M_FRAME_2 : M_FRAME_1);
+    place_at(w, c, side, which, t, out + (side ? M_PLACE_2 : M_PLACE_1));
+    if (!moves_in_space(b->surface)) continue;
+    double state[6];
+    track_state(w, side, b, k, t, state);
+    if (k->ambient)
+      memcpy(frame, state, sizeof state);
+    else
+      to_space(w, side, b, state, frame);
+    restore_body(w, side, b, frame);
+  }
+}
+
+/* ---- singular points of charts that nobody knows ---- */
+
+enum { SEARCH = L }; /* parts of a panel between which a search looks */
+
+/* The least of |f_u| and |f_v| at places xi of a panel */
+static void regularity(work_t *w, int side, const body_t *b, const track_t *k, int64_t panel,
+                       const double *xi, lanes_t place, double *out) {
+  unit_t *u = table_of(w, side, 0, C_LAME, b);
+  series_at(k->panels.series + (panel * k->panels.rows + k->row) * TERMS, 3, xi, place);
+  memcpy(u->r, place, 3 * sizeof *place);
+  memcpy(out, run(u)[2], L * sizeof *out);
+}
+
+/* Whether |x| that falls to 0 beside the least of three places does so: by thirds of the bracket, as
+   long as it may. from: local time. */
+static void search_bracket(course_t *c, int side, const track_t *k, double low, double high,
+                           double fall) {
+  const body_t *b = &c->c->body[side];
+  const double lost = 1e-12 * b->size;
+  for (int i = 0; i < 100 && low < high; i++) {
+    const double tried[2] = {(2 * low + high) / 3, (low + 2 * high) / 3};
+    double found[2];
+    for (int q = 0; q < 2; q++) {
+      const int64_t p = interval(k->panels.edges, k->panels.n, tried[q], 0);
+      const double from = k->panels.edges[p], to = k->panels.edges[p + 1];
+      double xi[L], place[3][L], least[L];
+      fill_lanes(xi, 2.0 * (tried[q] - from) / (to - from) - 1.0);
+      regularity(c->w, side, b, k, p, xi, place, least);
+      found[q] = least[0];
+      if (!(least[0] <= lost)) continue;
+      failure_t *e = c->w->failure;
+      e->side = side, e->u = place[0][0], e->v = place[1][0];
+      fail(c->w, SINGULAR_CHART);
+    }
+    if (found[0] <= found[1])
+      high = tried[1];
+    else
+      low = tried[0];
+    fall *= 2.0 / 3.0; /* what is left of a bracket lies this near to the better of the two */
+    if (fmin(found[0], found[1]) > fall) return;
+  }
+}
+
+static void require_regular(course_t *c, int side, const track_t *k) {
+  const body_t *b = &c->c->body[side];
+  if (k->ambient || !(b->surface->flags & MAY_BE_SINGULAR)) return;
+  /* two places before the one that is looked at: the last of the panel before */
+  double at[3] = {0}, least[3] = {0}, place[3][L], xi[L];
+  for (int64_t p = 0; p < k->panels.n; p++) {
+    const double from = k->panels.edges[p], span = k->panels.edges[p + 1] - from;
+    const double part = 2.0 / SEARCH;
+    const int first = p == 0, last = p + 1 == k->panels.n;
+    /* places -1, 0, ..., SEARCH - 1 of a panel; SEARCH and SEARCH + 1 of the last */
+    for (int q = 0; q < L; q++) xi[q] = -1.0 + part * q;
+    double inner[L], ends[L], beside[L];
+    regularity(c->w, side, b, k, p, xi, place, inner);
+    for (int q = 0; q < L; q++) beside[q] = -1.0 + part * (q == 0 ? -1 : q == 1 ? SEARCH : SEARCH + 1);
+    regularity(c->w, side, b, k, p, beside, place, ends);
+    if (first) at[0] = from - span / SEARCH, least[0] = ends[0], at[1] = from, least[1] = inner[0];
+    for (int q = first; q < SEARCH + 2 * last; q++) {
+      at[2] = from + span * q / SEARCH, least[2] = q < SEARCH ? inner[q] : ends[q - SEARCH + 1];
+      const double step[2] = {at[1] - at[0], at[2] - at[1]};
+      const double slope = fmax((least[0] - least[1]) / step[0], (least[2] - least[1]) / step[1]);
+      const int lowest = least[1] <= fmin(least[0], least[2]);
+      if (lowest && least[1] <= 2.0 / 3.0 * fmax(step[0], step[1]) * slope) {
+        const double end = k->panels.edges[k->panels.n];
+        search_bracket(c, side, k, fmax(at[0], 0.0), fmin(at[2], end), slope * (at[2] - at[0]));
+      }
+      at[0] = at[1], least[0] = least[1], at[1] = at[2], least[1] = least[2];
+    }
+  }
+}

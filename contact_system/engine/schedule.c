@@ -1,0 +1,131 @@
+/* The horizon of a contact, cut where a window begins or ends and where its gain law changes its
+   form; sigma and the gain on each piece, in local time.
+
+   Everything is local to a piece, so that a large gain loses nothing to cancellation. Shifts and
+   products of polynomials are formed in doubled precision and rounded once: terms of sigma may
+   cancel. */
+
+/* a piece of the horizon, and what acts on it: accelerations of finger and object, rate offset of
+   the object, in chart components */
+typedef struct {
+  const drive_t *drive;
+  double acting[6];
+} segment_t;
+
+/* Taylor's shift to start, by Horner's scheme again and again */
+static void shift(const double *c, int64_t n, double start, twofold_t *out) {
+  for (int64_t i = 0; i < n; i++) out[i] = twofold(c[i]);
+  for (int64_t i = 0; i + 1 < n && start != 0; i++)
+    for (int64_t j = n - 2; j >= i; j--) out[j] = plus(out[j], times(twofold(start), out[j + 1]));
+}
+
+/* sigma(start), or 0 where it cannot be told from rounding */
+static double clear_value(const double *c, int64_t n, double start, double value) {
+  double size = 0.0;
+  for (int64_t k = n - 1; k >= 0; k--) size = size * fabs(start) + fabs(c[k]);
+  return start == 0 || fabs(value) > 4e-16 * (double)n * size ? value : 0.0;
+}
+
+/* Coefficients of int value sigma^power; returns how many */
+static int64_t exponent_of(work_t *w, const twofold_t *sigma, int64_t n, double value,
+                           int64_t power, const double **out) {
+  const int64_t size = power * (n - 1) + 1;
+  double *found = keep(w, (size_t)size + 1);
+  twofold_t *rate = malloc(2 * (size_t)size * sizeof *rate), *next = rate + size;
+  if (!rate) fail(w, NO_MEMORY);
+  rate[0] = twofold(value);
+  int64_t terms = 1;
+  for (int64_t p = 0; p < power; p++, terms += n - 1) {
+    for (int64_t k = 0; k < terms + n - 1; k++) next[k] = twofold(0.0);
+    for (int64_t i = 0; i < terms; i++)
+      for (int64_t j = 0; j < n; j++) next[i + j] = plus(next[i + j], times(rate[i], sigma[j]));
+    memcpy(rate, next, (size_t)(terms + n - 1) * sizeof *rate);
+  }
+  found[0] = 0.0;
+  for (int64_t k = 0; k < size; k++) found[k + 1] = (rate[k].high + rate[k].low) / (double)(k + 1);
+  free(rate);
+  *out = found;
+  return size + 1;
+}
+
+/* sigma and the gain from start to stop */
+static const drive_t *drive_on(work_t *w, double start, double stop) {
+  const double *scene = w->plan->scene, *c = scene + (int64_t)scene[S_PROFILE];
+  const int64_t n = (int64_t)scene[S_PROFILE_SIZE], power = (int64_t)scene[S_GAIN_POWER];
+  drive_t *d = keep_items(w, 1, sizeof *d);
+  twofold_t *shifted = keep_items(w, n, sizeof *shifted);
+  double *sigma = keep(w, (size_t)(2 * n + 1)), *length = sigma + n;
+  shift(c, n, start, shifted);
+  for (int64_t i = 0; i < n; i++) sigma[i] = shifted[i].high + shifted[i].low;
+  *d = (drive_t){.start = start, .stop = stop, .sigma = sigma, .length = length, .n_sigma = n};
+  if (scene[S_MAKES_UP] > 0) {
+    /* where sigma touches zero its rounded first coefficient must not set the ratio's scale */
+    sigma[0] = clear_value(c, n, start, sigma[0]);
+    d->power = slope_of(c, n, 0.5 * (start + stop)) > 0;
+  }
+  length[0] = 0.0;
+  for (int64_t i = 0; i < n; i++) length[i + 1] = sigma[i] / (double)(i + 1);
+  d->n_exponent = exponent_of(w, shifted, n, scene[S_GAIN], power, &d->exponent);
+
+  const double span = stop - start, ends[2] = {sigma[0], sigma_at(d, span)};
+  double least = fmin(ends[0], ends[1]), greatest = fmax(ends[0], ends[1]);
+  const double *turns = scene + (int64_t)scene[S_EXTREMA];
+  for (int64_t k = 0; k < (int64_t)scene[S_EXTREMA_SIZE]; k++)
+    if (turns[k] > start && turns[k] < stop) {
+      const double value = sigma_at(d, turns[k] - start);
+      least = fmin(least, value), greatest = fmax(greatest, value);
+    }
+  d->least = least;
+  /* slip V still moves the contact by |V| over this at most: lam/sigma, or the path's length */
+  const double base = power > 1 ? least : fmax(greatest, 1e-300);
+  d->per_metre =
+      fmax(scene[S_GAIN] * pow(base, (double)(power - 1)), 1.0 / fmax(length_at(d, span), 1e-300));
+  /* how long slip is remembered; a law that makes up for growth is infinite where sigma is zero */
+  double lam = HUGE_VAL;
+  for (int k = 0; k < 2; k++)
+    if (ends[k] > 0) lam = fmin(lam, gain_at(d, k ? span : 0.0));
+  d->memory = lam < HUGE_VAL ? 1.0 / fmax(lam, 1e-9) : 1e9;
+  return d;
+}
+
+static int ascending(const void *a, const void *b) {
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+/* The segments of a contact; returns how many */
+static int64_t schedule(work_t *w, const double *row, const segment_t **out) {
+  const double *scene = w->plan->scene, *windows = scene + (int64_t)row[K_WINDOWS];
+  const double begin = scene[S_BEGIN], end = scene[S_END];
+  const int64_t n = (int64_t)row[K_WINDOWS_SIZE];
+  const int64_t n_turns = scene[S_MAKES_UP] > 0 ? (int64_t)scene[S_EXTREMA_SIZE] : 0;
+  double *knots = keep(w, (size_t)(2 * n + n_turns + 2));
+  int64_t count = 0;
+  knots[count++] = begin, knots[count++] = end;
+  for (int64_t k = 0; k < n; k++) {
+    const double *window = windows + k * WINDOW_SIZE;
+    for (int j = 0; j < 2; j++)
+      if (window[W_START + j] > begin && window[W_START + j] < end)
+        knots[count++] = window[W_START + j];
+  }
+  for (int64_t k = 0; k < n_turns; k++) {
+    const double t = scene[(int64_t)scene[S_EXTREMA] + k];
+    if (t > begin && t < end) knots[count++] = t;
+  }
+  qsort(knots, (size_t)count, sizeof *knots, ascending);
+  segment_t *segments = keep_items(w, count - 1, sizeof *segments);
+  int64_t found = 0;
+  for (int64_t k = 0; k + 1 < count; k++) {
+    if (!(knots[k] < knots[k + 1])) continue;
+    segment_t *s = segments + found++;
+    memset(s, 0, sizeof *s);
+    s->drive = drive_on(w, knots[k], knots[k + 1]);
+    for (int64_t i = 0; i < n; i++) {
+      const double *window = windows + i * WINDOW_SIZE;
+      if (!(window[W_START] <= knots[k] && knots[k + 1] <= window[W_STOP])) continue;
+      for (int a = 0; a < 2; a++) s->acting[2 * (int)window[W_SLOT] + a] += window[W_VALUE + a];
+    }
+  }
+  *out = segments;
+  return found;
+}

@@ -1,0 +1,388 @@
+/* From the schedule of a contact to its tracks: on each interval the cheapest exact way.
+
+   * A finger that nothing accelerates runs on a geodesic, in closed form where there is one, else
+     integrated once in arc length.
+   * The object runs on a geodesic too while slip is negligible, on the developed curve W s - V g
+     while there is.
+   * Only a contact under an acceleration is integrated with its forcing. */
+
+static const double FIRST =
+    0.7; /* least radii along a first panel's path, at a tolerance of 1e-12 */
+/* Slip whose whole remaining displacement is below this part of tolerance * size is let go. */
+static const double NEGLIGIBLE_PART = 0.01;
+static const double ROUNDING = 1e-17; /* the same of what no tolerance asks for */
+/* Slip left when a slipping object goes over to a geodesic, in path speeds and tolerances */
+static const double RATE_LEFT = 0.1;
+/* Path beyond which, in sizes of the body, the rest of a slipping interval is made a geodesic: that
+   is free however long it is, while a short rest is cheaper as one more panel. */
+static const double LONG_REST = 6.0;
+/* Path, in sizes of a body, after which rounding leaves less than four digits of its position */
+static const double ENDLESS = 1e11;
+
+/* a contact on its way through its segments */
+typedef struct {
+  work_t *w;
+  contact_t *c;
+  const double *row; /* the contact in the buffer */
+  const segment_t *segments;
+  int64_t n;
+  double state[2][6], w1[2], w2[2], v[2];
+  int ambient[2]; /* the form that each body is kept in */
+  int follows;
+} course_t;
+
+static int moves_in_space(const surface_t *s) { return s->ambient[A_MOTION] != NULL; }
+
+/* A disturbance is given in chart components. Where the chart is a double cover their sign belongs
+   to the branch that the path is on, which only the chart form knows. */
+static int in_space(const surface_t *s, int disturbed) {
+  return moves_in_space(s) && !(disturbed && s->double_cover);
+}
+
+static int any(const double *d) { return d[0] != 0.0 || d[1] != 0.0; }
+
+static double norm(const double *d) { return hypot(d[0], d[1]); }
+
+static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, int reason) {
+  track_t *k = &c->c->tracks[side][c->c->n_tracks[side]++];
+  memset(k, 0, sizeof *k);
+  k->drive = d, k->start = d->start, k->stop = stop, k->reason = reason;
+  k->released = NAN, k->w_row = k->v_row = -1;
+  k->ambient = c->ambient[side];
+  return k;
+}
+
+/* ---- states of bodies ---- */
+
+/* u v theta to (x, p) */
+static void to_space(work_t *w, int side, const body_t *b, const double *place, double *state) {
+  double found[9];
+  if (b->surface->ambient[A_START]) {
+    run_one(table_of(w, side, 1, A_START, b), place, found);
+  } else { /* known by its frame alone */
+    run_one(table_of(w, side, 0, C_FRAME, b), place, found);
+  }
+  memcpy(state, found, 6 * sizeof *state);
+}
+
+static void track_state(work_t *w, int side, const body_t *b, const track_t *k, double t,
+                        double *state);
+static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t, double *place);
+
+/* The body where its last track ends, in the form that it is kept in */
+static void go_on(course_t *c, int side) {
+  const body_t *b = &c->c->body[side];
+  const track_t *k = &c->c->tracks[side][c->c->n_tracks[side] - 1];
+  double state[6];
+  track_state(c->w, side, b, k, k->stop, state);
+  if (c->ambient[side] && !k->ambient)
+    to_space(c->w, side, b, state, c->state[side]);
+  else
+    memcpy(c->state[side], state, sizeof state);
+  if (c->ambient[side]) restore_body(c->w, side, b, c->state[side]);
+}
+
+/* The state in the form that an interval needs */
+static void in_form(course_t *c, int side, int ambient, double *state) {
+  if (c->ambient[side] == ambient)
+    memcpy(state, c->state[side], sizeof c->state[side]);
+  else if (c->c->n_tracks[side] == 0)
+    memcpy(state, c->c->place[side], sizeof c->c->place[side]);
+  else
+    place_at(c->w, c->c, side, c->c->n_tracks[side] - 1, HUGE_VAL, state);
+}
+
+/* ---- geodesics ---- */
+
+static void fail_on(course_t *c, int side) { c->w->failure->side = side; }
+
+/* A path goes through a singular point of its chart where |f_u| or |f_v| falls to 0: the equations
+   are smooth there, and the contact frame turns over. Looked for where nobody knows where a chart
+   is regular, between places in equal parts of the panels. */
+static void require_regular(course_t *c, int side, const track_t *k);
+
+static void geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
+  const body_t *b = &c->c->body[side];
+  track_t *k = add_track(c, side, drive, stop, reason);
+  memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
+  /* that rolling follows the object's curve as a geodesic is to come out, not to be put in */
+  const int closed = c->follows && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
+  if (closed == GREAT_CIRCLES) {
+    lay_circle(c->w, side, b, c->state[side], k);
+  } else if (closed == DEVELOPABLE) {
+    lay_line(c->w, side, b, c->state[side], k);
+  } else {
+    motion_t m = {.n = state_size(k->ambient), .rates = driven_rates, .restore = restore_driven};
+    /* where sigma touches zero at a window's edge an interval may be rounding long */
+    const double length = fmax(length_at(k->drive, stop - k->start), 1e-300), speed = norm(k->w);
+    m.drive = k->drive, m.by_length = 1, m.length = length;
+    m.first = speed > 0 ? fmin(FIRST * b->bend / speed, 4.0 * length) : 4.0 * length;
+    m.reach = b->reach, m.body[side] = b, m.ambient[side] = k->ambient;
+    memcpy(m.w, k->w, sizeof m.w), memcpy(m.state, c->state[side], sizeof c->state[side]);
+    scales(c->w, side, k->ambient, b, m.state, m.scale);
+    fail_on(c, side);
+    integrate(c->w, &m, c->w->plan->tolerance);
+    k->kind = PANELS, k->by_length = 1, k->panels = kept_panels(c->w, &m);
+    require_regular(c, side, k);
+  }
+  go_on(c, side);
+}
+
+/* ---- slip and rate offsets ---- */
+
+static slip_t *add_slip(course_t *c, const drive_t *d) {
+  slip_t *s = &c->c->slips[c->c->n_slips++];
+  memset(s, 0, sizeof *s);
+  s->start = d->start, s->stop = d->stop, s->drive = d, s->w_row = s->v_row = -1;
+  memcpy(s->w1, c->w1, sizeof s->w1), memcpy(s->v, c->v, sizeof s->v);
+  s->slips = any(c->v);
+  return s;
+}
+
+/* About the time in which a path that may slip grows as long as a first panel may be, s */
+static double first_panel(const drive_t *d, double span, double bend) {
+  const double reach = 0.4 * FIRST * bend;
+  double first = span * fmin(1.0, reach / fmax(length_at(d, span), 1e-300));
+  for (int k = 0; k < 20; k++) {          /* sigma may grow a lot */
+    if (first == span) return 4.0 * span; /* at any tolerance */
+    const double longer = fmin(1.5 * first, span);
+    if (length_at(d, longer) > reach) break;
+    first = longer;
+  }
+  return first;
+}
+
+/* g(t) = int sigma exp(-L), right to rounding whatever the tolerance */
+static panels_t slip_length(course_t *c, const drive_t *d) {
+  motion_t m = {.n = 1, .rates = quadrature_rates, .drive = d, .length = d->stop - d->start};
+  m.first = 4.0 * m.length, m.slip = 1.0, m.reach = HUGE_VAL;
+  m.scale[0] = 1.0 / fmax(length_at(d, m.length), 1e-300);
+  integrate(c->w, &m, 1e-3); /* how large g is */
+  m.scale[0] = 1.0 / fmax(m.state[0], 1e-300), m.state[0] = 0.0, m.slip = 1.0;
+  integrate(c->w, &m, 1e-15);
+  return kept_panels(c->w, &m);
+}
+
+static void line(course_t *c, const drive_t *d, const double *offset, int matters, int reason) {
+  track_t *k = add_track(c, 1, d, d->stop, reason);
+  memcpy(k->w, c->w2, sizeof k->w), memcpy(k->v, c->v, sizeof k->v);
+  memcpy(k->offset, offset, sizeof k->offset);
+  k->slips = any(c->v), k->offsets = any(offset);
+  if (matters)
+    k->panels = slip_length(c, d); /* else what is left of slip shows in the rates alone */
+  lay_line(c->w, 1, &c->c->body[1], c->state[1], k);
+  go_on(c, 1);
+}
+
+/* Develops the object while slip or a rate offset lasts; returns the time reached. Slip that moves
+   the contact by less than the tolerance is left out of the integration, never out of the rates. */
+static double driven(course_t *c, const drive_t *d, const double *offset, double negligible) {
+  const body_t *b = &c->c->body[1];
+  const double span = d->stop - d->start, tolerance = c->w->plan->tolerance;
+  motion_t m = {.rates = driven_rates, .restore = restore_driven, .drive = d, .length = span};
+  m.ambient[1] = in_space(b->surface, any(offset));
+  m.n = state_size(m.ambient[1]), m.body[1] = b, m.offsets = any(offset);
+  in_form(c, 1, m.ambient[1], m.state);
+  memcpy(m.w, c->w2, sizeof m.w), memcpy(m.v, c->v, sizeof m.v);
+  memcpy(m.disturbance + 4, offset, 2 * sizeof *offset);
+  m.stops = !m.offsets && length_at(d, span) > LONG_REST * b->size;
+  const double finish = (m.stops ? fmin(negligible, RATE_LEFT) : negligible) * tolerance;
+  m.finish = m.offsets ? 0.0 : finish;
+  m.slip = norm(c->v) > m.finish ? norm(c->v) : 0.0;
+  m.first = first_panel(d, span, b->bend), m.reach = b->reach;
+  scales(c->w, 1, m.ambient[1], b, m.state, m.scale);
+  fail_on(c, 1);
+  integrate(c->w, &m, tolerance);
+  const int reason = m.offsets ? (any(c->v) ? OFFSET_AND_SLIP : OFFSET) : SLIPS;
+  const double stop = m.reached < span ? d->start + m.reached : d->stop;
+  track_t *k = add_track(c, 1, d, stop, reason);
+  k->kind = PANELS, k->ambient = m.ambient[1], k->panels = kept_panels(c->w, &m);
+  memcpy(k->w, c->w2, sizeof k->w), memcpy(k->v, c->v, sizeof k->v);
+  memcpy(k->offset, offset, sizeof k->offset);
+  k->slips = any(c->v), k->offsets = m.offsets;
+  if (m.released >= 0) k->released = d->start + m.released;
+  require_regular(c, 1, k);
+  go_on(c, 1);
+  return stop;
+}
+
+/* The object on a segment on which nothing accelerates; `stop`: the end of the run of such segments
+   without rate offsets. Returns the time reached. */
+static double free_object(course_t *c, const segment_t *s, double stop) {
+  const drive_t *d = s->drive;
+  const double *offset = s->acting + 4;
+  const body_t *b = &c->c->body[1];
+  /* the guaranteed law lets no slip leave a rest */
+  if (d->power && d->sigma[0] == 0.0) c->v[0] = c->v[1] = 0.0;
+  add_slip(c, d);
+  const double slip = norm(c->v), negligible = NEGLIGIBLE_PART * b->size * d->per_metre;
+  double reached = d->stop;
+  if (b->surface->closed == DEVELOPABLE && (slip > 0 || any(offset)))
+    line(c, d, offset, slip > ROUNDING * b->size * d->per_metre, slip > 0 ? SLIPS : NO_SLIP);
+  else if (slip == 0 && !any(offset))
+    geodesic(c, 1, d, reached = stop, c->follows ? FOLLOWING : NO_SLIP);
+  else if (slip <= fmin(negligible, RATE_LEFT) * c->w->plan->tolerance && !any(offset))
+    geodesic(c, 1, d, d->stop, NEGLIGIBLE);
+  else {
+    const double until = driven(c, d, offset, negligible);
+    if (until < d->stop) geodesic(c, 1, drive_on(c->w, until, d->stop), d->stop, SLIP_LEFT);
+  }
+  if (slip > 0) {
+    const double left = decay_at(d, d->stop - d->start);
+    c->v[0] *= left, c->v[1] *= left;
+  }
+  return reached;
+}
+
+/* ---- accelerations ---- */
+
+static void forced(course_t *c, const segment_t *segment) {
+  const drive_t *d = segment->drive;
+  const double *act = segment->acting, span = d->stop - d->start;
+  const body_t *tip = &c->c->body[0], *obj = &c->c->body[1];
+  motion_t m = {.rates = forced_rates, .restore = restore_forced, .drive = d, .length = span};
+  m.n_stiff = 2, m.slip = 1.0, m.pushed = any(act), m.offsets = any(act + 4);
+  m.ambient[0] = in_space(tip->surface, m.pushed);
+  m.ambient[1] = in_space(obj->surface, any(act + 2) || m.offsets);
+  const int n1 = m.pushed ? state_size(m.ambient[0]) : 0, n2 = state_size(m.ambient[1]);
+  m.object_row = m.pushed ? n1 + 2 : 0, m.n = m.object_row + n2 + 2;
+  m.body[0] = tip, m.body[1] = obj;
+  memcpy(m.w, c->w1, sizeof m.w), m.r0 = c->c->r0;
+  memcpy(m.disturbance, act, sizeof m.disturbance);
+  /* slip that the accelerations can bring about is to be right to tolerance */
+  const double push = fmax(fmax(fabs(act[0]), fabs(act[1])) * tip->size,
+                           fmax(fabs(act[2]), fabs(act[3])) * obj->size);
+  const double grown = fmax(push / fmax(d->least, 1e-300) * fmin(span, d->memory), 1e-3);
+  const double slip = fmin(fmax(norm(c->v), grown), 1.0);
+  if (m.pushed) {
+    in_form(c, 0, m.ambient[0], m.state);
+    scales(c->w, 0, m.ambient[0], tip, m.state, m.scale);
+    memcpy(m.state + n1, c->w1, sizeof c->w1);
+    m.scale[n1] = m.scale[n1 + 1] = 1.0;
+  }
+  double own[6];
+  in_form(c, 1, m.ambient[1], own);
+  memcpy(m.state + m.object_row, own, (size_t)n2 * sizeof *own);
+  scales(c->w, 1, m.ambient[1], obj, own, m.scale + m.object_row);
+  memcpy(m.state + m.n - 2, c->v, sizeof c->v);
+  m.scale[m.n - 2] = m.scale[m.n - 1] = 1.0 / slip;
+  m.first = first_panel(d, span, fmin(tip->bend, obj->bend));
+  m.reach = fmin(tip->reach, obj->reach);
+  fail_on(c, 1);
+  integrate(c->w, &m, c->w->plan->tolerance);
+
+  const panels_t panels = kept_panels(c->w, &m);
+  const int64_t w_row = m.pushed ? n1 : -1;
+  slip_t *s = add_slip(c, d);
+  s->slips = s->forced = s->accelerated = 1, s->pushed = m.pushed;
+  s->panels = panels, s->w_row = w_row, s->v_row = m.n - 2;
+  memcpy(s->accelerations, act, sizeof s->accelerations);
+  for (int side = m.pushed ? 0 : 1; side < 2; side++) {
+    track_t *k = add_track(c, side, d, d->stop, PUSHED);
+    k->kind = PANELS, k->forced = 1, k->ambient = m.ambient[side], k->panels = panels;
+    k->row = side ? m.object_row : 0, k->w_row = w_row, k->v_row = side ? m.n - 2 : -1;
+    memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
+    if (side) memcpy(k->offset, act + 4, sizeof k->offset), k->offsets = m.offsets;
+    require_regular(c, side, k);
+    go_on(c, side);
+  }
+  if (m.pushed) {
+    const double *r = c->c->r0;
+    memcpy(c->w1, m.state + n1, sizeof c->w1);
+    for (int a = 0; a < 2; a++) c->w2[a] = r[2 * a] * c->w1[0] + r[2 * a + 1] * c->w1[1];
+  }
+  memcpy(c->v, m.state + m.n - 2, sizeof c->v);
+}
+
+/* ---- a contact ---- */
+
+/* The end of the run of segments, from one on, in which the finger (0) is not accelerated, or
+   nothing acts on the object (1) */
+static double free_until(const course_t *c, int side, int64_t k) {
+  double stop = c->segments[k].drive->stop;
+  for (k++; k < c->n; k++) {
+    const double *act = c->segments[k].acting;
+    if (any(act) || (side && (any(act + 2) || any(act + 4)))) break;
+    stop = c->segments[k].drive->stop;
+  }
+  return stop;
+}
+
+static void refuse_endless(course_t *c) {
+  double path = 0.0;
+  for (int64_t k = 0; k < c->n; k++) {
+    const drive_t *d = c->segments[k].drive;
+    path += length_at(d, d->stop - d->start);
+  }
+  const double given[2] = {c->w2[0] - c->v[0], c->w2[1] - c->v[1]};
+  for (int side = 0; side < 2; side++) {
+    const double sizes = norm(side ? given : c->w1) * path / c->c->body[side].size;
+    if (sizes <= ENDLESS) continue;
+    c->w->failure->side = side, c->w->failure->value = sizes;
+    fail(c->w, TOO_LONG);
+  }
+}
+
+static body_t body_of(const plan_t *plan, const double *row) {
+  return (body_t){plan->surfaces[(int64_t)row[B_SURFACE]], plan->scene + (int64_t)row[B_NUMBERS],
+                  row[B_LENGTH], row[B_BEND], row[B_REACH]};
+}
+
+/* W_1, W_2, V and R_0 where a contact starts, and its bodies' states */
+static void begin(course_t *c) {
+  const double *row = c->row;
+  double found[8], in[5] = {row[K_ANGLE], row[K_W1], row[K_W1 + 1], row[K_Y], row[K_Y + 1]};
+  run_one(pair_table(c->w, T_START, NULL), in, found);
+  memcpy(c->c->r0, found, sizeof c->c->r0);
+  memcpy(c->w1, row + K_W1, sizeof c->w1), memcpy(c->w2, found + 4, sizeof c->w2);
+  memcpy(c->v, row[K_MOMENT] > 0 ? row + K_Y : found + 6, sizeof c->v);
+  c->c->angle = row[K_ANGLE];
+  memcpy(c->c->w1, c->w1, sizeof c->w1);
+  for (int side = 0; side < 2; side++) {
+    const body_t *b = &c->c->body[side];
+    memcpy(c->c->place[side], row + (side ? K_PLACE_2 : K_PLACE_1), sizeof c->c->place[side]);
+    c->ambient[side] = moves_in_space(b->surface);
+    if (!c->ambient[side]) {
+      memcpy(c->state[side], c->c->place[side], sizeof c->c->place[side]);
+    } else if ((int64_t)row[K_FRAMES] & (1 << side)) {
+      memcpy(c->state[side], row + (side ? K_FRAME_2 : K_FRAME_1), sizeof c->state[side]);
+      restore_body(c->w, side, b, c->state[side]);
+    } else {
+      to_space(c->w, side, b, c->c->place[side], c->state[side]);
+    }
+  }
+}
+
+static void plan_contact(work_t *w, int64_t index) {
+  plan_t *plan = w->plan;
+  contact_t *own = plan->contacts + index;
+  course_t c = {.w = w, .c = own};
+  c.row = plan->scene + (int64_t)plan->scene[S_AT_CONTACTS] + index * CONTACT_SIZE;
+  c.follows = c.row[K_FOLLOWS] > 0;
+  w->failure->contact = index;
+  own->body[0] = body_of(plan, c.row + K_FINGER),
+  own->body[1] = body_of(plan, plan->scene + S_OBJECT);
+  begin(&c);
+  c.n = schedule(w, c.row, &c.segments);
+  refuse_endless(&c);
+  for (int side = 0; side < 2; side++)
+    own->tracks[side] = keep_items(w, side ? 2 * c.n : c.n, sizeof(track_t));
+  own->slips = keep_items(w, c.n, sizeof(slip_t));
+  double until[2] = {plan->begin, plan->begin};
+  for (int64_t k = 0; k < c.n; k++) {
+    const segment_t *s = c.segments + k;
+    const drive_t *d = s->drive;
+    if (any(s->acting)) {
+      until[0] = d->stop;
+    } else if (until[0] <= d->start) {
+      until[0] = free_until(&c, 0, k);
+      geodesic(&c, 0, d, until[0], c.follows ? FOLLOWING : UNPUSHED);
+    }
+    if (any(s->acting) || any(s->acting + 2))
+      forced(&c, s), until[1] = d->stop;
+    else if (until[1] <= d->start)
+      until[1] = free_object(&c, s, free_until(&c, 1, k));
+    else
+      add_slip(&c, d);
+  }
+}

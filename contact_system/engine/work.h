@@ -1,0 +1,314 @@
+/* What one call works with: drives, bodies, room, and where errors go. */
+
+typedef struct work work_t;
+static _Noreturn void fail(work_t *w, int code);
+
+/* numbers that live as long as a plan, in few pieces */
+typedef struct block {
+  struct block *next;
+  size_t used, size;
+  double data[];
+} block_t;
+
+/* sigma and the gain on one interval; tau is local time */
+typedef struct {
+  double start, stop;
+  double least;     /* sigma */
+  double per_metre; /* least lam/sigma, or 1/length: what is left of V moves the contact by |V| over
+                       it */
+  double memory;    /* 1/(least lam): how long slip is remembered */
+  int64_t power;    /* decay gets (sigma(0)/sigma)^power */
+  int64_t n_sigma, n_exponent;
+  const double *sigma, *exponent, *length; /* length: int sigma, one coefficient more */
+} drive_t;
+
+typedef struct {
+  const surface_t *surface;
+  const double *numbers;
+  double size, bend, reach; /* m, m, sizes that a panel grows to */
+} body_t;
+
+/* a motion as Chebyshev series: edges[n + 1], series[n][rows][L + 1] */
+typedef struct {
+  int64_t n, rows;
+  const double *edges, *series;
+} panels_t;
+
+/* One body on one interval. Its drive is sigma (w - v decay) in the parallel frame; of a contact
+   under accelerations, W_1 and V are rows of the panels. */
+typedef struct {
+  double start, stop, released;
+  int64_t kind, ambient, by_length, forced, reason;
+  const drive_t *drive;
+  double w[2], v[2], offset[2];
+  int slips, offsets;
+  panels_t panels;
+  int64_t row, w_row, v_row; /* of the state, W_1 and V; -1: none */
+  /* great circles: x0, unit velocity along, and the frame against it */
+  double at[3], along[3], across[3], lean[2], rate;
+  /* lines in a developed chart: begin + along s - aside g + offset tau */
+  double begin[3], slope[2], aside[2];
+  int far; /* so far that whole turns are taken off in doubled precision */
+  /* where the branch of the chart is known: places on the panels, or phases of one revolution */
+  int64_t n_anchors;
+  const double *anchor_at;
+  const double (*anchors)[3]; /* u v theta */
+  double turn[3];             /* by which they differ a revolution later */
+} track_t;
+
+/* V on [start, stop]; slip is sigma V less the offset's part */
+typedef struct {
+  double start, stop;
+  const drive_t *drive;
+  double v[2], w1[2], accelerations[4];
+  int slips, forced, pushed, accelerated; /* pushed: W_1 is in the panels; forced: V is */
+  panels_t panels;
+  int64_t w_row, v_row;
+} slip_t;
+
+typedef struct {
+  body_t body[2];
+  double angle, r0[4], w1[2];
+  double place[2][3]; /* u v theta where it begins */
+  int64_t n_tracks[2], n_slips;
+  track_t *tracks[2];
+  slip_t *slips;
+} contact_t;
+
+struct plan {
+  double *scene;
+  const surface_t *const *surfaces;
+  double tolerance, begin, end;
+  int64_t n_contacts;
+  contact_t *contacts;
+  block_t *memory;
+  double bytes;
+  int anchored;
+};
+
+enum { MAX_STATES = 16, TERMS = L + 1 };
+
+struct work {
+  jmp_buf jump;
+  failure_t *failure;
+  plan_t *plan;
+  const contact_t *contact;
+  unit_t body[2][2][N_CHART]; /* side, ambient or not, table */
+  unit_t pair[N_CONTACT_TABLES];
+  double *edges, *series; /* of the motion that is being integrated */
+  int64_t room;           /* for so many rows of series */
+};
+
+static _Noreturn void fail(work_t *w, int code) {
+  w->failure->code = code;
+  longjmp(w->jump, 1);
+}
+
+static void begin_work(work_t *w, plan_t *plan, failure_t *failure) {
+  memset(w, 0, sizeof *w);
+  memset(failure, 0, sizeof *failure);
+  w->plan = plan, w->failure = failure;
+}
+
+static void end_work(work_t *w) {
+  for (int s = 0; s < 2; s++)
+    for (int a = 0; a < 2; a++)
+      for (int t = 0; t < N_CHART; t++) free(w->body[s][a][t].r);
+  for (int t = 0; t < N_CONTACT_TABLES; t++) free(w->pair[t].r);
+  free(w->edges), free(w->series);
+}
+
+/* Room for n doubles in the plan */
+static void *keep(work_t *w, size_t n) {
+  block_t *b = w->plan->memory;
+  if (!b || b->used + n > b->size) {
+    const size_t more = b ? 2 * b->size : 64, most = 1 << 16; /* twice as many each time */
+    const size_t whole = more < most ? more : most, size = n > whole ? n : whole;
+    b = malloc(sizeof *b + size * sizeof(double));
+    if (!b) fail(w, NO_MEMORY);
+    b->next = w->plan->memory, b->used = 0, b->size = size;
+    w->plan->memory = b;
+    w->plan->bytes += (double)(sizeof *b + size * sizeof(double));
+  }
+  void *found = b->data + b->used;
+  b->used += n;
+  return found;
+}
+
+static void *keep_items(work_t *w, int64_t n, size_t size) {
+  return keep(w, ((size_t)n * size + sizeof(double) - 1) / sizeof(double));
+}
+
+/* ---- polynomials ---- */
+
+static inline double horner(const double *c, int64_t n, double x) {
+  double y = c[n - 1];
+  for (int64_t k = n - 2; k >= 0; k--) y = y * x + c[k];
+  return y;
+}
+
+/* dy/dx of the same */
+static inline double slope_of(const double *c, int64_t n, double x) {
+  double y = 0.0;
+  for (int64_t k = n - 1; k >= 1; k--) y = y * x + (double)k * c[k];
+  return y;
+}
+
+static inline void horners(const double *c, int64_t n, const double *x, double *restrict y) {
+  for (int i = 0; i < L; i++) y[i] = c[n - 1];
+  for (int64_t k = n - 2; k >= 0; k--) SIMD for (int i = 0; i < L; i++) y[i] = y[i] * x[i] + c[k];
+}
+
+static inline double sigma_at(const drive_t *d, double tau) {
+  return horner(d->sigma, d->n_sigma, tau);
+}
+static inline double length_at(const drive_t *d, double tau) {
+  return horner(d->length, d->n_sigma + 1, tau);
+}
+static inline double lost_at(const drive_t *d, double tau) {
+  return horner(d->exponent, d->n_exponent, tau);
+}
+
+/* lam */
+static inline double gain_at(const drive_t *d, double tau) {
+  double lam = slope_of(d->exponent, d->n_exponent, tau);
+  if (d->power) lam += slope_of(d->sigma, d->n_sigma, tau) / sigma_at(d, tau);
+  return lam;
+}
+
+/* exp(-(L(tau) - L(0))) where sigma is given */
+static void decays(const drive_t *d, const double *tau, const double *sigma, double *out) {
+  double lost[L];
+  horners(d->exponent, d->n_exponent, tau, lost);
+  SIMD for (int i = 0; i < L; i++) out[i] = v_exp(-lost[i]);
+  if (d->power)
+    for (int i = 0; i < L; i++)
+      if (tau[i] > 0) out[i] *= d->sigma[0] / sigma[i];
+}
+
+static double decay_at(const drive_t *d, double tau) {
+  double t[L], sigma[L], out[L];
+  fill_lanes(t, tau);
+  horners(d->sigma, d->n_sigma, t, sigma);
+  decays(d, t, sigma, out);
+  return out[0];
+}
+
+/* ---- series ---- */
+
+/* numbers side by side in a register: the vector extension of GCC and Clang */
+#if defined(__AVX512F__)
+enum { WIDE = 8 };
+#elif defined(__AVX__)
+enum { WIDE = 4 };
+#else
+enum { WIDE = 2 };
+#endif
+typedef double wide_t __attribute__((vector_size(8 * WIDE), aligned(8), may_alias));
+#define INLINE static inline __attribute__((always_inline))
+#define UNROLL _Pragma("GCC unroll 16")
+enum { PARTS = L / WIDE };
+
+INLINE void combine_some(const double *q, int64_t terms, int rows, const double *f, int64_t f_row,
+                         const double *start, double half, double *y, int64_t y_row) {
+  wide_t sum[3][PARTS];
+  UNROLL for (int r = 0; r < rows; r++) UNROLL for (int p = 0; p < PARTS; p++) sum[r][p] = (wide_t){0};
+  for (int64_t j = 0; j < terms; j++) {
+    UNROLL for (int p = 0; p < PARTS; p++) {
+      const wide_t part = *(const wide_t *)(q + j * L + p * WIDE);
+      UNROLL for (int r = 0; r < rows; r++) sum[r][p] += f[r * f_row + j] * part;
+    }
+  }
+  UNROLL for (int r = 0; r < rows; r++) UNROLL for (int p = 0; p < PARTS; p++)
+    *(wide_t *)(y + r * y_row + p * WIDE) = (start ? start[r] : 0.0) + half * sum[r][p];
+}
+
+/* y[r] = start[r] + half sum_j f[r][j] q[j], q[terms][L]; start may be NULL */
+static void combine(const double *q, int64_t terms, int64_t rows, const double *f, int64_t f_row,
+                    const double *start, double half, double *y, int64_t y_row) {
+  for (; rows >= 3; rows -= 3) {
+    combine_some(q, terms, 3, f, f_row, start, half, y, y_row);
+    f += 3 * f_row, y += 3 * y_row, start = start ? start + 3 : start;
+  }
+  if (rows == 2)
+    combine_some(q, terms, 2, f, f_row, start, half, y, y_row);
+  else if (rows == 1)
+    combine_some(q, terms, 1, f, f_row, start, half, y, y_row);
+}
+
+INLINE void series_some(const double *c, int rows, const double *xi, lanes_t y) {
+  for (int i = 0; i < L; i += WIDE) {
+    const wide_t x = *(const wide_t *)(xi + i), twice = x + x;
+    wide_t before = (wide_t){0} + 1.0, now = x, sum[3];
+    UNROLL for (int r = 0; r < rows; r++) sum[r] = c[r * TERMS] + c[r * TERMS + 1] * x;
+    for (int k = 2; k < TERMS; k++) {
+      const wide_t next = twice * now - before;
+      before = now, now = next;
+      UNROLL for (int r = 0; r < rows; r++) sum[r] += c[r * TERMS + k] * now;
+    }
+    UNROLL for (int r = 0; r < rows; r++) *(wide_t *)(y[r] + i) = sum[r];
+  }
+}
+
+/* Rows of a panel's series at places xi in [-1, 1] */
+static void series_at(const double *c, int64_t rows, const double *xi, lanes_t y) {
+  for (; rows >= 3; rows -= 3, c += 3 * TERMS, y += 3) series_some(c, 3, xi, y);
+  if (rows == 2)
+    series_some(c, 2, xi, y);
+  else if (rows == 1)
+    series_some(c, 1, xi, y);
+}
+
+/* In eight sums whatever the vectors' width: the same to the last bit on all processors */
+static inline double dot(const double *a, const double *b) {
+  double s[8];
+  SIMD for (int i = 0; i < 8; i++) s[i] = a[i] * b[i] + a[8 + i] * b[8 + i];
+  return ((s[0] + s[4]) + (s[2] + s[6])) + ((s[1] + s[5]) + (s[3] + s[7]));
+}
+
+/* The k of edges[k] <= x < edges[k + 1], ends included; a guess is looked at first. */
+static int64_t interval(const double *edges, int64_t n, double x, int64_t guess) {
+  if (guess < n && x >= edges[guess]) {
+    if (guess == n - 1 || x < edges[guess + 1]) return guess;
+    if (guess + 2 == n || x < edges[guess + 2]) return guess + 1;
+  }
+  int64_t low = 0, high = n;
+  while (high - low > 1) {
+    const int64_t middle = (low + high) / 2;
+    if (x >= edges[middle])
+      low = middle;
+    else
+      high = middle;
+  }
+  return low;
+}
+
+/* Rows of a motion at places x, clipped to it; hint: the panel to look at first */
+static void panels_at(const panels_t *p, int64_t row, int64_t rows, const double *x, int64_t *hint,
+                      lanes_t y) {
+  const double end = p->edges[p->n];
+  for (int i = 0; i < L;) {
+    const double at = x[i] < 0 ? 0 : x[i] > end ? end : x[i];
+    const int64_t k = *hint = interval(p->edges, p->n, at, *hint);
+    const double low = p->edges[k], high = p->edges[k + 1];
+    /* a panel may be so short that its inverse is infinite */
+    const double pace = high - low > 1e-300 ? 2.0 / (high - low) : 0.0;
+    const double from = k ? low : -HUGE_VAL, to = k + 1 < p->n ? high : HUGE_VAL;
+    double xi[L], part[MAX_STATES][L];
+    int stop = i + 1;
+    while (stop < L && x[stop] >= from && x[stop] < to) stop++;
+    for (int q = 0; q < L; q++) {
+      const double place = (x[q] - low) * pace - 1.0;
+      xi[q] = place < -1.0 ? -1.0 : place > 1.0 ? 1.0 : place;
+    }
+    const double *c = p->series + (k * p->rows + row) * TERMS;
+    if (i == 0 && stop == L)
+      series_at(c, rows, xi, y);
+    else {
+      series_at(c, rows, xi, part);
+      for (int64_t r = 0; r < rows; r++)
+        memcpy(y[r] + i, part[r] + i, (size_t)(stop - i) * sizeof(double));
+    }
+    i = stop;
+  }
+}

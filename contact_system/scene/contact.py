@@ -1,0 +1,194 @@
+"""The parts of a scene: contacts, and how the object turns.
+
+Everything a user can get wrong is checked where it is given; messages name the key, the value and
+the remedy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..checks import finite_number, finite_numbers, is_plain
+from ..errors import SceneError
+from ..surfaces import Surface
+from ..theory.profile import Numbers, Profile
+
+Pair = tuple[float, float]
+
+ROLLING = "rolling"
+REST = "rest"
+
+
+def pair(value: Any, what: str, words: Sequence[str] = ()) -> Pair:
+    if is_plain(value) and len(value) == 2:
+        return value
+    choice = "".join(f' or "{word}"' for word in words)
+    remedy = f"{what} = {value!r}: give two numbers{choice}"
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise SceneError(remedy)
+    found = finite_numbers(value, what)
+    if len(found) != 2:
+        raise SceneError(remedy)
+    return found
+
+
+def a_surface(value: Any, what: str) -> Surface:
+    if not isinstance(value, Surface):
+        raise SceneError(f"{what} = {value!r}: give a surface, such as Sphere(0.04)")
+    return value
+
+
+def a_text(value: Any, what: str) -> str:
+    if not isinstance(value, str):
+        raise SceneError(f"{what} = {value!r}: give a text in quotes")
+    return value
+
+
+MANY_TURNS = 1e3  # [rad]: psi keeps 13 digits of a turn
+
+
+def _rolled(angle: float, w: Pair) -> Pair:
+    """R_psi w, before V is worked out from it and rounding told from slip."""
+    c, s = math.cos(angle), math.sin(angle)
+    return c * w[0] - s * w[1], -s * w[0] - c * w[1]
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One finger on the object, and how their contact starts to move.
+
+    Velocities are path velocities (per metre of s), so sigma may start at zero.
+
+    Parameters
+    ----------
+    finger : Surface
+        The finger (body 1).
+    object_at, finger_at : (float, float)
+        Chart coordinates (u, v) of the contact on the object and on the finger (rad, or the
+        chart's own units). A scene brings them into the chart's regular range: a point with an
+        inward frame, such as (-1.57, 2.44) on a sphere, becomes the same point with the frame the
+        equations assume, and the velocities are read in that frame. A triaxial ellipsoid's chart
+        covers it twice: there velocities, angle and disturbances are turned with the frame.
+    angle : float
+        psi at t = 0, the contact angle between the two frames [rad].
+    finger_velocity : (float, float) or "rolling"
+        M1 dq1/ds in the finger's frame E1, no unit: its length times sigma is the speed of the
+        contact point on the finger, m/s. "rolling": the finger's curve is not planned
+        but follows from rolling imposed on the object's (eq. `corollary`).
+    object_velocity : (float, float), "rolling" or "rest"
+        M2 dq2/ds in the object's frame E2, no unit. "rolling": no slip at the start;
+        "rest": the contact point on the object starts at rest, so the finger slides.
+    name : str
+        For messages and pictures.
+
+    Raises
+    ------
+    SceneError
+        Naming the key, the value and the remedy.
+    """
+
+    finger: Surface
+    object_at: Pair
+    finger_at: Pair = (math.pi / 2, 0.0)
+    angle: float = 0.0
+    finger_velocity: Pair | str = (2**-0.5, 2**-0.5)
+    object_velocity: Pair | str = ROLLING
+    name: str = ""
+
+    if TYPE_CHECKING:  # the fields say what is kept, this what may be given
+
+        def __init__(
+            self,
+            finger: Surface,
+            object_at: Numbers,
+            finger_at: Numbers = ...,
+            angle: float = ...,
+            finger_velocity: Numbers | str = ...,
+            object_velocity: Numbers | str = ...,
+            name: str = ...,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        a_text(self.name, "name")
+        a_surface(self.finger, "finger")
+        put = object.__setattr__
+        put(self, "object_at", pair(self.object_at, "object_at"))
+        put(self, "finger_at", pair(self.finger_at, "finger_at"))
+        put(self, "angle", finite_number(self.angle, "angle"))
+        if abs(self.angle) > MANY_TURNS:
+            raise SceneError(
+                f"angle = {self.angle!r}: beyond {MANY_TURNS:g} rad a double resolves an angle "
+                "within its turn too poorly; subtract whole turns"
+            )
+        for key, words in (("finger_velocity", (ROLLING,)), ("object_velocity", (ROLLING, REST))):
+            value = getattr(self, key)
+            if not (isinstance(value, str) and value in words):
+                put(self, key, pair(value, key, words))
+        if self.follows and isinstance(self.object_velocity, str):
+            raise SceneError(
+                f'finger_velocity = "rolling" lets the finger follow the object\'s curve, which '
+                f'object_velocity = "{self.object_velocity}" does not give; '
+                "give object_velocity as two numbers"
+            )
+
+    def start_numbers(self) -> tuple[float, ...]:
+        """The 9 numbers of a :class:`.starts.Start` in their order; words become numbers here."""
+        own: Any = self.finger_velocity
+        given: Any = self.object_velocity
+        if isinstance(own, str):  # imposed: the other is a pair
+            own = _rolled(self.angle, given)
+        elif isinstance(given, str):
+            given = _rolled(self.angle, own) if given == ROLLING else (0.0, 0.0)
+        (u1, v1), (u2, v2) = self.finger_at, self.object_at
+        return u1, v1, u2, v2, self.angle, own[0], own[1], given[0], given[1]
+
+    @property
+    def follows(self) -> bool:
+        """True if the finger's curve follows from imposed rolling (the paper's corollary)."""
+        return self.finger_velocity == ROLLING
+
+
+@dataclass(frozen=True)
+class Turning:
+    """Turning of the object in the world: rotation vector p(t) * axis.
+
+    Parameters
+    ----------
+    axis : (float, float, float)
+        The axis, used as given: its length scales the angle. (1, 1, 1) turns with angular
+        velocity p'(t) (1, 1, 1).
+    angle : sequence of float
+        Coefficients of the polynomial p(t) [rad], lowest power first.
+
+    Raises
+    ------
+    SceneError
+        Naming the key, the value and the remedy.
+    """
+
+    axis: tuple[float, float, float]
+    angle: tuple[float, ...]
+
+    if TYPE_CHECKING:  # the fields say what is kept, this what may be given
+
+        def __init__(self, axis: Numbers, angle: Numbers) -> None: ...
+
+    def __post_init__(self) -> None:
+        axis = finite_numbers(self.axis, "axis")
+        if len(axis) != 3 or not any(axis):
+            raise SceneError(f"axis = {self.axis!r}: give three numbers, not all zero")
+        object.__setattr__(self, "axis", axis)
+        object.__setattr__(self, "angle", finite_numbers(self.angle, "angle"))
+
+    def rotation_vector(self, t) -> np.ndarray:
+        """p(t) axis [rad], shape t.shape + (3,); t [s]."""
+        return np.multiply.outer(np.asarray(Profile(self.angle)(t)), self.axis)
+
+    def angular_velocity(self, t) -> np.ndarray:
+        """p'(t) axis [rad/s], shape t.shape + (3,); t [s]."""
+        return np.multiply.outer(np.asarray(Profile(self.angle).rate(t)), self.axis)

@@ -1,0 +1,125 @@
+"""What disturbs contacts: one class a kind, named here and where the package exports it.
+
+A kind says which body it acts on, whether it accelerates it, and which of the numbers it feeds that
+act on a contact (`SLOTS` of them, two chart components each; engine/motion.c reads them).
+"""
+
+from __future__ import annotations
+
+import numbers
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from ..checks import finite_number
+from ..errors import SceneError
+from ..theory.profile import Numbers
+from .contact import Pair, pair
+
+ALL = "all"
+SLOTS = ("acceleration of the finger", "acceleration of the object", "rate offset of the object")
+"""What can act on a contact, in the order in which systems and blocks take it as inputs."""
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Something added to one contact's motion on the window [start, stop].
+
+    Windows may overlap, also of one kind on one contact: their values add.
+
+    Parameters
+    ----------
+    contact : int or "all"
+        Index of the contact, from 0; a scene expands "all" to one disturbance a contact.
+    start, stop : float
+        The window [s], inside the scene's horizon.
+    value : (float, float)
+        Chart components of what is added.
+
+    Raises
+    ------
+    SceneError
+        Naming the key, the value and the remedy.
+    """
+
+    kind: ClassVar[str]
+    """The name in scene files."""
+    side: ClassVar[str]
+    """ "finger" or "object": in whose chart the components are."""
+    accelerates: ClassVar[bool]
+    slot: ClassVar[int]
+    """Which of `SLOTS` it feeds."""
+
+    contact: int | str
+    start: float
+    stop: float
+    value: Pair
+
+    if TYPE_CHECKING:  # the fields say what is kept, this what may be given
+
+        def __init__(
+            self, contact: int | str, start: float, stop: float, value: Numbers
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        put, contact = object.__setattr__, self.contact
+        if not (isinstance(contact, str) and contact == ALL):
+            if isinstance(contact, bool) or not isinstance(contact, numbers.Integral):
+                raise SceneError(f'contact = {contact!r}: give an index from 0, or "all"')
+            put(self, "contact", int(contact))
+        put(self, "start", finite_number(self.start, "start"))
+        put(self, "stop", finite_number(self.stop, "stop"))
+        put(self, "value", pair(self.value, "value"))
+        if not self.start < self.stop:
+            raise SceneError(
+                f"start = {self.start:g}, stop = {self.stop:g}: a window must stop after it "
+                "starts; exchange them or make it longer"
+            )
+
+
+@dataclass(frozen=True, init=False)
+class FingerAcceleration(Disturbance):
+    """Adds `value` = (du, dv) to the finger's (u1", v1") [rad/s^2, or the chart's units].
+
+    `contact` is its index from 0, or "all"; `start` and `stop` [s] lie inside the horizon.
+    """
+
+    kind: ClassVar[str] = "finger acceleration"
+    side: ClassVar[str] = "finger"
+    accelerates: ClassVar[bool] = True
+    slot: ClassVar[int] = 0
+
+
+@dataclass(frozen=True, init=False)
+class ObjectAcceleration(Disturbance):
+    """Adds `value` = (du, dv) to the object's (u2", v2") [rad/s^2, or the chart's units].
+
+    `contact` is its index from 0, or "all"; `start` and `stop` [s] lie inside the horizon.
+    """
+
+    kind: ClassVar[str] = "object acceleration"
+    side: ClassVar[str] = "object"
+    accelerates: ClassVar[bool] = True
+    slot: ClassVar[int] = 1
+
+
+@dataclass(frozen=True, init=False)
+class ObjectRateOffset(Disturbance):
+    """Adds `value` = (du, dv) to the object's (u2', v2') [rad/s, or the chart's units].
+
+    `contact` is its index from 0, or "all"; `start` and `stop` [s] lie inside the horizon.
+    It moves the contact point and counts in the twist, but is kept out of the feedback
+    (the paper's dynamic examples).
+    """
+
+    kind: ClassVar[str] = "object rate offset"
+    side: ClassVar[str] = "object"
+    accelerates: ClassVar[bool] = False
+    slot: ClassVar[int] = 2
+
+
+DISTURBANCE_KINDS: list[type[Disturbance]] = [
+    FingerAcceleration,
+    ObjectAcceleration,
+    ObjectRateOffset,
+]
+"""All kinds, that of each slot first."""

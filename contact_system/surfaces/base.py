@@ -1,0 +1,535 @@
+r"""What surfaces of bodies share: chart, inverse chart, level function, and all that is metric.
+
+A surface is said once, in symbols (``*_expr`` methods, over CasADi SX symbols for its parameters);
+its numbers come from tables that are lowered from them, vectorised over leading axes. A surface
+joins a `Chart` to numbers. ``inside=True`` puts the body on the other side: the chart becomes
+``f(u, -v)`` and the level function changes sign, so that ``f_u x f_v`` still points out of the
+body. In symbols the side is a sign, -1 inside, which is a number as the parameters are.
+
+SI units, radians.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import finite_number, real_array
+from ..engine.binding import builtin, run
+from ..errors import ChartSingularity, SurfaceError
+from ..kept import kept
+from ..theory import symbols as ca
+from ..theory.geometry import (
+    QUANTITIES,
+    ChartGeometry,
+    Level,
+    chart_geometry,
+    level_geometry,
+    revolved_geometry,
+)
+from ..theory.lowering import lowered
+from .charts import Array, Chart, Frame, Pair, Periods
+
+Sign: TypeAlias = "ca.SX | float | None"
+
+# A contact frame whose axes shrink below this fraction of the surface's size is taken as lost.
+# A pole typed with 16 digits gives 1e-16, a point 1e-9 rad from one still gives 1e-9.
+SINGULAR = 1e-12
+GEOMETRY, INVERSE, RAY = range(3)  # of the tables that are no motion's
+LEAST_LENGTH = 1e-150  # m; squares of less, and what is divided by them, are no numbers any more
+
+
+def _rows() -> dict[str, slice]:
+    """Where each quantity stands in the table of all of them."""
+    found, first = {}, 0
+    for name, shape in QUANTITIES.items():
+        found[name] = slice(first, first + math.prod(shape))
+        first = found[name].stop
+    return found
+
+
+ROWS = _rows()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Surface:
+    """A smooth surface that bounds a body. Immutable; equal where structure and numbers are equal.
+
+    Subclasses say `parameters`, `chart` and `_level`; `Quadric` also turns its chart in space.
+    ``p`` stands for an SX vector of as many symbols as `parameters` has numbers, ``sign`` for one
+    of the side, -1 inside; by default it is that of this surface.
+
+    Parameters
+    ----------
+    inside : bool
+        True: the body is on the other side of the surface. (u, v) is then the point f(u, -v) of
+        the chart that the class tells: the frame stays right-handed with n out of the body.
+    """
+
+    inside: bool = field(default=False, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if type(self.inside) is bool:
+            return
+        if not isinstance(self.inside, np.bool_):
+            raise SurfaceError(
+                f"{self._kind}: inside = {self.inside!r} must be True or False; True puts the "
+                "body on the other side, as for a bowl"
+            )
+        store(self, inside=bool(self.inside))
+
+    # -- what a surface is
+
+    has_chart: ClassVar[bool] = True
+    has_implicit: ClassVar[bool] = True
+    ambient: ClassVar[bool] = False
+    reach: ClassVar[float] = math.inf  # sizes that a panel grows to: it sees nothing between nodes
+    table_name: ClassVar[str | None] = None
+    """Under which the engine has the tables of this structure; None: they are made when asked."""
+
+    @property
+    def _kind(self) -> str:
+        return type(self).__name__
+
+    @property
+    def chart(self) -> type[Chart]:
+        """The chart of the surface."""
+        raise NotImplementedError
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        """Run-time numbers, such as radii in m; the values behind the symbols ``p``."""
+        raise NotImplementedError
+
+    @kept
+    def structure(self) -> Hashable:
+        """What tables are made for: surfaces of one structure differ in `numbers` alone."""
+        return (self._kind, self.chart.__name__)
+
+    @property
+    def sign(self) -> float:
+        """-1 where the body is inside, else 1."""
+        return -1.0 if self.inside else 1.0
+
+    @kept
+    def numbers(self) -> Array:
+        """Constants of the tables: the sign, then `parameters`."""
+        return np.array([self.sign, *self.parameters])
+
+    @kept
+    def tables(self) -> Any:
+        """The tables of instructions of this structure, in groups ambient, chart and other."""
+        return lowered(self) if self.table_name is None else builtin(self.table_name)
+
+    @property
+    def size(self) -> float:
+        """Length, m, of which tolerances are fractions: the greatest radius; of a plane 1 m."""
+        raise NotImplementedError
+
+    @property
+    def bend(self) -> float:
+        """Least radius of curvature, m, as far as it is known and where many paths come; else the
+        size. At a tip or on an inner rim, which few paths meet, it may be far less."""
+        return self.size
+
+    @property
+    def developable(self) -> bool:
+        """T = 0 exactly and constant Lame coefficients: a straight line stays one, unrolled."""
+        return self.chart.developable
+
+    @property
+    def great_circles(self) -> bool:
+        """The surface is a sphere about the origin of its frame."""
+        return self.chart.great_circles
+
+    @property
+    def double_cover(self) -> bool:
+        """(-u, pi - v) is the same point as (u, v), with both frame axes turned by pi."""
+        return self.chart.double_cover
+
+    def periods(self) -> Periods:
+        """Return the periods of u and v, rad, None where a coordinate has none."""
+        return self.chart.periods
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Surface):
+            return NotImplemented
+        return self.identity == other.identity
+
+    def __hash__(self) -> int:
+        return hash((self.structure, self.parameters))  # the rest seldom tells any apart
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: what was given, without what was worked out from it."""
+        return {w.name: getattr(self, w.name) for w in fields(self)}
+
+    def __repr__(self) -> str:
+        said = [f"{getattr(self, w.name)!r}" for w in fields(self) if not w.kw_only]
+        named = [w for w in fields(self) if w.kw_only and getattr(self, w.name) != w.default]
+        said += [f"{w.name}={getattr(self, w.name)!r}" for w in named]
+        return f"{self._kind}({', '.join(said)})"
+
+    @kept
+    def identity(self) -> Hashable:
+        """What tells surfaces apart."""
+        return (self.structure, self.inside, self.parameters, self.size, self.periods())
+
+    # -- symbolic
+
+    def chart_expr(self, p: ca.SX, u: ca.SX, v: ca.SX, sign: Sign = None) -> ca.SX:
+        """Return the chart f(u, v), (3, 1), m.
+
+        Raises
+        ------
+        SurfaceError
+            For an `ImplicitSurface`, which has no explicit chart (`has_chart` is False).
+        """
+        return self._outward_chart(p, u, self._side(sign) * v)
+
+    def implicit_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> ca.SX:
+        """Return F(x), zero on the surface, gradient out of the body.
+
+        Raises
+        ------
+        SurfaceError
+            For a `ParametricSurface`, which has no such form (`has_implicit` is False).
+        """
+        return self._side(sign) * self._level(p, x)
+
+    def coordinates_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Pair:
+        """Return (u, v) of a point of the surface, in the ranges that its chart documents.
+
+        Raises
+        ------
+        SurfaceError
+            For a `ParametricSurface`, whose inverse chart is numerical only.
+        """
+        u, v = self._outward_coordinates(p, x)
+        return u, self._side(sign) * v
+
+    def frame_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Frame:
+        """Return (x axis, y axis, M) of the contact frame as expressions of the point x.
+
+        Raises
+        ------
+        SurfaceError
+            For a `ParametricSurface`, whose inverse chart is numerical only.
+        """
+        x_axis, y_axis, m = self._outward_frame(p, x)
+        # v turns, hence f_v and the normal do; y = n x x turns with the normal.
+        side = self._side(sign)
+        if not self.chart.orthogonal:
+            m = ca.vertcat(ca.horzcat(m[0, 0], side * m[0, 1]), m[1, :])
+        return x_axis, side * y_axis, m
+
+    def geometry_expr(self, p: ca.SX, u: ca.SX, v: ca.SX, sign: Sign = None) -> ChartGeometry:
+        """Return every metric quantity at (u, v), symbols; see `ChartGeometry`."""
+        shape = chart_geometry(self.chart_expr(p, u, v, sign), u, v, self.chart.orthogonal)
+        if self.chart.turning is None:
+            return shape
+        lame, poles = self.chart.lame(p, u, v), bool(self.chart.singular_at)
+        return revolved_geometry(shape, u, v, self.chart.turning, lame, poles)
+
+    def geometry_symbols(
+        self, p: ca.SX, sign: Sign = None
+    ) -> tuple[tuple[ca.SX, ...], ChartGeometry]:
+        """Return symbols of where the surface is asked, (u, v) or x, and the geometry there."""
+        u, v = ca.SX.sym("u"), ca.SX.sym("v")
+        return (u, v), self.geometry_expr(p, u, v, sign)
+
+    def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
+        """Return the level function, its derivatives, of the chart's own side; see `Level`."""
+        return level_geometry(self._level(p, x), x)
+
+    def _side(self, sign: Sign) -> Any:
+        return self.sign if sign is None else sign
+
+    def _outward_chart(self, p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
+        return self.chart.point(p, u, v)
+
+    def _outward_coordinates(self, p: ca.SX, x: ca.SX) -> Pair:
+        return self.chart.coordinates(p, x)
+
+    def _outward_frame(self, p: ca.SX, x: ca.SX) -> Frame:
+        return self.chart.frame(p, x)
+
+    def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
+        raise NotImplementedError
+
+    # -- numeric, vectorised over leading axes
+
+    def point(self, u: ArrayLike, v: ArrayLike) -> Array:
+        """Return f(u, v), shape (..., 3), m."""
+        return self._evaluate("point", u, v)
+
+    def frame(self, u: ArrayLike, v: ArrayLike) -> Array:
+        """Return the contact frame E, columns x, y, n, shape (..., 3, 3) (eq. ``rotationmat``).
+
+        Partly NaN at poles and umbilics, which `canonical` refuses.
+        """
+        return self._evaluate("frame", u, v)
+
+    def normal(self, u: ArrayLike, v: ArrayLike) -> Array:
+        """Return the unit normal out of the body, shape (..., 3)."""
+        return self.frame(u, v)[..., 2]
+
+    def lame(self, u: ArrayLike, v: ArrayLike) -> Array:
+        """Return the Lame coefficients (h_u, h_v), shape (..., 2), m/rad (or m a unit of u, v)."""
+        return self._evaluate("lame", u, v)
+
+    def metric_root(self, u: ArrayLike, v: ArrayLike) -> Array:
+        """Return M, shape (..., 2, 2): coordinate rates to velocity in the contact frame.
+
+        Units as of `lame`; diagonal where the chart is orthogonal (eq. ``finetune``).
+        """
+        return self._evaluate("metric_root", u, v)
+
+    def christoffel(self, u: ArrayLike, v: ArrayLike) -> Array:
+        """Return Gamma^k_ij, shape (..., 2, 2, 2), indices k, i, j (eq. ``christoffel``)."""
+        return self._evaluate("christoffel", u, v)
+
+    def curvature_form(self, u: ArrayLike, v: ArrayLike) -> Array:
+        """Return K, shape (..., 2, 2), 1/m; +I/r on a sphere."""
+        return self._evaluate("curvature_form", u, v)
+
+    def torsion_form(self, u: ArrayLike, v: ArrayLike) -> Array:
+        """Return T, shape (..., 2), 1/m: ``y . x' = T M q'``."""
+        return self._evaluate("torsion_form", u, v)
+
+    def coordinates(self, x: ArrayLike) -> tuple[Array, Array]:
+        """Return (u, v), each of shape (...), of points (..., 3) on the surface.
+
+        The principal branch; its range is `chart`.ranges, with the sign of v turned inside.
+
+        Raises
+        ------
+        SurfaceError
+            Points of another shape, or not finite.
+        """
+        points = self._points(x)
+        uv = self._run(self.tables.other[INVERSE], points.reshape(-1, 3).T)
+        lead = points.shape[:-1]
+        # atan2(-0.0, negative) is -pi, the half-open range ends at +pi.
+        u, v = (
+            np.where(w == -math.pi, math.pi, w) if period else w
+            for w, period in zip(uv, self.periods(), strict=True)
+        )
+        return u.reshape(lead), v.reshape(lead)
+
+    def canonical(self, u: ArrayLike, v: ArrayLike) -> tuple[Any, Any]:
+        """Return the same points in the chart's principal range, checked to be regular.
+
+        Points in range stay as they are, bit for bit. Components given along the frame axes refer
+        to the frame at the returned coordinates. Floats in, floats out.
+
+        Raises
+        ------
+        SurfaceError
+            A coordinate is NaN or infinite.
+        ChartSingularity
+            The frame is lost there (pole, umbilic): the metric root is below 1e-12 of the size.
+        """
+        if one := isinstance(u, float) and isinstance(v, float) and math.isfinite(u + v):
+            us, vs = self._wrap(float(u), float(v))
+        else:
+            us, vs = self._wrap(*self._finite(u, v))
+        # told regular without tables, and one point without arrays, wherever that is clear
+        clear = self.chart.metric_floor(self.parameters, us, vs) > 2 * SINGULAR * self.size
+        if not (clear if one else np.all(clear)):
+            self._require_regular(np.asarray(us), np.asarray(vs))
+        return (float(us), float(vs)) if one or np.ndim(us) == 0 else (us, vs)
+
+    def align(
+        self, u: ArrayLike, v: ArrayLike, u_ref: ArrayLike, v_ref: ArrayLike
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return the coordinates of the same points that continue reference coordinates.
+
+        Nearest to them; of a `double_cover` on the same one, if sin(u) cos(v) has the same sign.
+
+        Returns
+        -------
+        u, v : arrays of the broadcast shape
+        half_turn : bool array
+            Where both frame axes are turned by pi against the coordinates given.
+        """
+        u, v, u_ref, v_ref = self._numbers(u, v, u_ref, v_ref)
+        period_u, period_v = self.periods()
+        near_u, near_v = _nearest(u, u_ref, period_u), _nearest(v, v_ref, period_v)
+        if not self.double_cover:
+            return near_u, near_v, np.zeros(u.shape, dtype=bool)
+        other_u = _nearest(-u, u_ref, period_u)
+        other_v = _nearest(math.pi - v, v_ref, period_v)
+        nearer = np.hypot(other_u - u_ref, other_v - v_ref) < np.hypot(
+            near_u - u_ref, near_v - v_ref
+        )
+        (second, side), (second_ref, side_ref) = second_cover(u, v), second_cover(u_ref, v_ref)
+        told = (side == side_ref) & ~on_seam(u, v) & ~on_seam(u_ref, v_ref)
+        half_turn = np.where(told, second != second_ref, nearer)
+        return (
+            np.where(half_turn, other_u, near_u),
+            np.where(half_turn, other_v, near_v),
+            half_turn,
+        )
+
+    def unwind(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return coordinates made continuous along axis 0, starting from the first as given.
+
+        The same as `align` of each sample to the one before, for a whole path at once. Samples
+        must lie close enough that the nearest representative is the right one.
+
+        Returns
+        -------
+        u, v : arrays of the given shape
+        half_turn : bool array
+            Where both frame axes are turned by pi against the coordinates given.
+        """
+        u, v = self._numbers(u, v)
+        half_turn = np.zeros(u.shape, dtype=bool)
+        if self.double_cover and u.ndim and len(u) > 1:
+            # Turning both neighbours leaves their distance: turns against the neighbour add up.
+            step = self.align(u[1:], v[1:], u[:-1], v[:-1])[2]
+            half_turn[1:] = np.logical_xor.accumulate(step, axis=0)
+            u, v = np.where(half_turn, -u, u), np.where(half_turn, math.pi - v, v)
+        period_u, period_v = self.periods()
+        return _unwrap(u, period_u), _unwrap(v, period_v), half_turn
+
+    def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
+        return self.chart.wrap(u, v)
+
+    def _require_regular(self, u: Array, v: Array) -> None:
+        m = self.metric_root(u, v)
+        least = np.minimum(m[..., 0, 0], m[..., 1, 1])
+        lost = ~(least > SINGULAR * self.size)
+        if np.any(lost):
+            at = (float(u[lost][0]), float(v[lost][0]))
+            where = self.chart.singular_at or "a point where f_u or f_v vanishes or they align"
+            raise ChartSingularity(
+                f"{self!r}: no contact frame at (u, v) = {at}, {where}; the metric root is "
+                f"{float(least[lost][0]):.3g} against a size of {self.size:.3g}. Move the contact "
+                "away from that point, or turn the body's axes so that it lies elsewhere"
+            )
+
+    def _numbers(self, *given: ArrayLike) -> Sequence[Array]:
+        try:
+            return np.broadcast_arrays(*map(real_array, given))
+        except (TypeError, ValueError, OverflowError):
+            names = "(u, v, u_ref, v_ref)" if len(given) > 2 else "(u, v)"
+            raise SurfaceError(
+                f"{self!r}: coordinates {names} = {given!r} must be numbers of one shape"
+            ) from None
+
+    def _finite(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+        u, v = self._numbers(u, v)
+        bad = ~(np.isfinite(u) & np.isfinite(v))
+        if np.any(bad):
+            raise SurfaceError(
+                f"{self!r}: coordinates (u, v) = ({u[bad][0]}, {v[bad][0]}) must be finite numbers"
+            )
+        return u, v
+
+    def _points(self, x: ArrayLike) -> Array:
+        try:
+            points = real_array(x)
+        except (TypeError, ValueError, OverflowError):
+            raise SurfaceError(f"{self!r}: points = {x!r:.80} must be numbers") from None
+        if points.ndim == 0 or points.shape[-1] != 3:
+            raise SurfaceError(
+                f"{self!r}: points have shape {points.shape}; the last axis must hold x, y, z"
+            )
+        if not np.all(np.isfinite(points)):
+            raise SurfaceError(f"{self!r}: points must be finite numbers, got NaN or inf")
+        return points
+
+    def _evaluate(self, name: str, u: ArrayLike, v: ArrayLike) -> Array:
+        u, v = self._numbers(u, v)
+        columns = self._run(self.tables.other[GEOMETRY], self._arguments(u.ravel(), v.ravel()))
+        # Tables give each point's entries in one column, first index fastest.
+        shape = QUANTITIES[name]
+        entries = columns[ROWS[name]].T.reshape((u.size, *shape[::-1]))
+        order = (0, *range(len(shape), 0, -1))
+        return np.ascontiguousarray(entries.transpose(order)).reshape(u.shape + shape)
+
+    def _arguments(self, u: Array, v: Array) -> Array:
+        """Return where the table of the geometry is asked, one column a point."""
+        return np.stack([u, v])
+
+    def _run(self, table: Any, points: Array) -> Array:
+        return run(table, np.ascontiguousarray(points), self.numbers)
+
+
+# --- helpers --------------------------------------------------------------------------------------
+
+
+def second_cover(u: Array, v: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Of a double cover: where cos(v) < 0, and where sin(u) cos(v) < 0.
+
+    Both change where a path crosses sin(u) = 0 or cos(v) = 0, and nowhere else.
+    """
+    second = np.cos(v) < 0
+    return second, (np.sin(u) < 0) != second
+
+
+def on_seam(u: Array, v: Array) -> NDArray[np.bool_]:
+    """Where sin(u) = 0 or cos(v) = 0 but for rounding: `second_cover` tells nothing there."""
+    turns = np.array([u, v - 0.5 * math.pi]) / math.pi
+    return np.asarray((np.abs(turns - np.rint(turns)) < 1e-12).any(axis=0))
+
+
+def _nearest(angle: Array, reference: Array, period: float | None) -> Array:
+    if period is None:
+        return angle
+    return angle + period * np.round((reference - angle) / period)
+
+
+def _unwrap(angle: Array, period: float | None) -> Array:
+    if period is None or not angle.ndim or len(angle) < 2:
+        return angle
+    turns = np.cumsum(np.round(np.diff(angle, axis=0) / period), axis=0)
+    return np.concatenate([angle[:1], angle[1:] - period * turns])
+
+
+def store(surface: Surface, **values: Any) -> None:
+    """Store checked values in a frozen dataclass that is still being made."""
+    for name, value in values.items():
+        object.__setattr__(surface, name, value)
+
+
+def positive_length(surface: Surface, name: str, value: Any) -> float:
+    """Return a length in m as a float; raise a SurfaceError where it is not above 0."""
+    kind = type(surface).__name__
+    number = finite_number(value, f"{kind}: {name}", error=SurfaceError)
+    if number <= 0:
+        raise SurfaceError(
+            f"{kind}: {name} = {value!r} must be a positive length in metres; for a concave "
+            "surface give the length positive and inside=True"
+        )
+    if number < LEAST_LENGTH:
+        raise SurfaceError(
+            f"{kind}: {name} = {value!r} m is below {LEAST_LENGTH:g} m, and its square is no "
+            "number any more; use a smaller unit of length"
+        )
+    return number
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OfRadius(Surface):
+    """What sphere and cylinder share: one radius, m."""
+
+    radius: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        store(self, radius=positive_length(self, "radius", self.radius))
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        return (self.radius,)
+
+    @property
+    def size(self) -> float:
+        return self.radius

@@ -1,0 +1,303 @@
+"""Ellipsoids: Jacobi's chart and its limits for equal axes.
+
+Sources: Kumar & Mukherjee (eq. ``ellipsoid`` and text); the inverse chart is the one of
+sphero-conal coordinates, see `JacobiChart`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from ..errors import SurfaceError
+from ..theory import symbols as ca
+from ..theory.geometry import Level
+from .base import Surface, positive_length, store
+from .charts import (
+    TINY,
+    TURN,
+    Angle,
+    Chart,
+    Frame,
+    Numbers,
+    Pair,
+    choose,
+    cosine,
+    diagonal,
+    fold_latitude,
+    hypot,
+    sine,
+    wrap_angle,
+)
+from .sphere import PolarChart
+
+
+class JacobiChart(Chart):
+    r"""Jacobi's ellipsoidal coordinates, eq. ``ellipsoid``, a > b > c, p = (a, b, c).
+
+    With :math:`k^2 = (b^2-c^2)/(a^2-c^2)` and :math:`k'^2 = (a^2-b^2)/(a^2-c^2) = 1 - k^2`,
+
+    .. math:: f = (a \cos u \sqrt{k'^2 + k^2\cos^2 v},\; b \sin u \cos v,\;
+                   c \sin v \sqrt{k^2 + k'^2 \sin^2 u}),
+
+    which is the paper's chart with its differences of squares factored, so that nothing cancels
+    for nearly equal axes. Lines of curvature; four umbilics at v = +-pi/2, u in {0, pi}. The seam
+    v = +-pi/2 is regular: (u, v) and (-u, pi - v) are one point.
+    """
+
+    name = "jacobi"
+    orthogonal = True
+    periods = (TURN, TURN)
+    double_cover = True
+    singular_at = "an umbilic (v = +-pi/2 with u = 0 or pi)"
+    ranges = "-pi < u <= pi, -pi/2 <= v <= pi/2"
+
+    @staticmethod
+    def moduli(p: ca.SX | Numbers) -> tuple[Any, Any]:
+        """Return (k^2, k'^2); the differences of nearly equal axes are exact."""
+        a, b, c = p[0], p[1], p[2]
+        whole = (a - c) * (a + c)
+        return (b - c) * (b + c) / whole, (a - b) * (a + b) / whole
+
+    @staticmethod
+    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
+        k2, l2 = JacobiChart.moduli(p)
+        sin_u, cos_v = ca.sin(u), ca.cos(v)
+        return ca.vertcat(
+            p[0] * ca.cos(u) * ca.sqrt(l2 + k2 * cos_v**2),
+            p[1] * sin_u * cos_v,
+            p[2] * ca.sin(v) * ca.sqrt(k2 + l2 * sin_u**2),
+        )
+
+    @staticmethod
+    def circular(p: ca.SX, x: ca.SX) -> tuple[ca.SX, ...]:
+        r"""Return (sin u, cos u, sin v, cos v), cos v >= 0, and k'^2 sin^2 u + k^2 cos^2 v,
+        sqrt(k^2 + k'^2 sin^2 u), sqrt(k'^2 + k^2 cos^2 v).
+
+        (X, Y, Z) = (x/a, y/b, z/c) is a point of the unit sphere in sphero-conal coordinates.
+        alpha = k'^2 sin^2 u and beta = k^2 cos^2 v have the difference
+        D = Z^2 - k^2 + k'^2 Y^2 = k'^2 - X^2 - k^2 Y^2 and the product (k k' Y)^2: the greater
+        follows from a sum, the smaller from the product, and neither loses digits. Of the two
+        forms of D the one with the smaller terms is exact where D is small: near the umbilics,
+        which crowd at the x or the z axis as the ellipsoid nears one of revolution.
+        """
+        k2, l2 = JacobiChart.moduli(p)
+        k, l1 = ca.sqrt(k2), ca.sqrt(l2)
+        xs, ys, zs = x[0] / p[0], x[1] / p[1], x[2] / p[2]
+        from_z = (ca.fabs(zs) - k) * (ca.fabs(zs) + k) + l2 * ys**2
+        from_x = (l1 - ca.fabs(xs)) * (l1 + ca.fabs(xs)) - k2 * ys**2
+        difference = ca.if_else(k2 < l2, from_z, from_x)
+        half_product = k * l1 * ca.fabs(ys)
+        total = hypot(difference, 2 * half_product)
+        greater = ca.sqrt((ca.fabs(difference) + total) / 2)
+        # At an umbilic both vanish; where their squares underflow the quotient alone would not.
+        smaller = ca.fmin(half_product / ca.fmax(greater, TINY), greater)
+        alpha_leads = difference >= 0
+        root_alpha = ca.if_else(alpha_leads, greater, smaller)
+        root_beta = ca.if_else(alpha_leads, smaller, greater)
+        root_u, root_v = ca.sqrt(k2 + root_alpha**2), ca.sqrt(l2 + root_beta**2)
+        sin_u, cos_u = ca.copysign(root_alpha / l1, ys), xs / root_v
+        return sin_u, cos_u, zs / root_u, root_beta / k, total, root_u, root_v
+
+    @staticmethod
+    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
+        sin_u, cos_u, sin_v, cos_v, *_ = JacobiChart.circular(p, x)
+        return ca.atan2(sin_u, cos_u), ca.atan2(sin_v, cos_v)
+
+    @staticmethod
+    def frame(p: ca.SX, x: ca.SX) -> Frame:
+        a, b, c = p[0], p[1], p[2]
+        k2, l2 = JacobiChart.moduli(p)
+        sin_u, cos_u, sin_v, cos_v, total, root_u, root_v = JacobiChart.circular(p, x)
+        # h_u^2 = (k'^2 sin^2 u + k^2 cos^2 v)(a^2 sin^2 u + b^2 cos^2 u)/(k^2 + k'^2 sin^2 u).
+        h_u = ca.sqrt(total * ((a * sin_u) ** 2 + (b * cos_u) ** 2)) / root_u
+        h_v = ca.sqrt(total * ((b * sin_v) ** 2 + (c * cos_v) ** 2)) / root_v
+        f_u = ca.vertcat(
+            -a * sin_u * root_v, b * cos_u * cos_v, c * sin_v * l2 * sin_u * cos_u / root_u
+        )
+        f_v = ca.vertcat(
+            -a * cos_u * k2 * cos_v * sin_v / root_v, -b * sin_u * sin_v, c * cos_v * root_u
+        )
+        return f_u / h_u, f_v / h_v, diagonal(h_u, h_v)
+
+    @staticmethod
+    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
+        v, beyond = fold_latitude(v)
+        return wrap_angle(choose(beyond, -u, u)), v
+
+    @staticmethod
+    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
+        # h_u >= b sqrt(total) and h_v >= c sqrt(total), see `frame`.
+        k2, l2 = JacobiChart.moduli(p)
+        return p[2] * (l2 * sine(u) ** 2 + k2 * cosine(v) ** 2) ** 0.5
+
+
+class OblateChart(Chart):
+    """(a cos u cos v, a sin u cos v, c sin v): Jacobi's chart in the limit a = b, p = (a, c)."""
+
+    name = "oblate"
+    orthogonal = True
+    turning = 0
+    periods = (TURN, None)
+    singular_at = "a pole (v = +-pi/2)"
+    ranges = "-pi < u <= pi, -pi/2 < v < pi/2"
+
+    @staticmethod
+    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
+        rho = p[0] * ca.cos(v)
+        return ca.vertcat(rho * ca.cos(u), rho * ca.sin(u), p[1] * ca.sin(v))
+
+    @staticmethod
+    def lame(p: ca.SX, u: ca.SX, v: ca.SX) -> Pair:
+        return p[0] * ca.cos(v), hypot(p[0] * ca.sin(v), p[1] * ca.cos(v))
+
+    @staticmethod
+    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
+        return ca.atan2(x[1], x[0]), ca.atan2(x[2] / p[1], hypot(x[0], x[1]) / p[0])
+
+    @staticmethod
+    def frame(p: ca.SX, x: ca.SX) -> Frame:
+        rho = hypot(x[0], x[1])
+        cos_u, sin_u = x[0] / rho, x[1] / rho
+        outward, upward = -p[0] * x[2] / p[1], p[1] * rho / p[0]
+        h_v = hypot(outward, upward)
+        y_axis = ca.vertcat(outward * cos_u, outward * sin_u, upward) / h_v
+        return ca.vertcat(-sin_u, cos_u, 0), y_axis, diagonal(rho, h_v)
+
+    @staticmethod
+    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
+        v, beyond = fold_latitude(v)
+        return wrap_angle(choose(beyond, u + math.pi, u)), v
+
+    @staticmethod
+    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
+        return p[1] * abs(cosine(v))  # h_u = a |cos v|, h_v >= c
+
+
+class ProlateChart(Chart):
+    """(a cos u, b sin u cos v, b sin u sin v): Jacobi's chart in the limit b = c, p = (a, b)."""
+
+    name = "prolate"
+    orthogonal = True
+    turning = 1
+    periods = (None, TURN)
+    singular_at = "a pole (u = 0 or pi)"
+    ranges = "0 < u < pi, -pi < v <= pi"
+    wrap = PolarChart.wrap
+
+    @staticmethod
+    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
+        rho = p[1] * ca.sin(u)
+        return ca.vertcat(p[0] * ca.cos(u), rho * ca.cos(v), rho * ca.sin(v))
+
+    @staticmethod
+    def lame(p: ca.SX, u: ca.SX, v: ca.SX) -> Pair:
+        return hypot(p[0] * ca.sin(u), p[1] * ca.cos(u)), p[1] * ca.sin(u)
+
+    @staticmethod
+    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
+        return ca.atan2(hypot(x[1], x[2]) / p[1], x[0] / p[0]), ca.atan2(x[2], x[1])
+
+    @staticmethod
+    def frame(p: ca.SX, x: ca.SX) -> Frame:
+        rho = hypot(x[1], x[2])
+        cos_v, sin_v = x[1] / rho, x[2] / rho
+        axial, radial = -p[0] * rho / p[1], p[1] * x[0] / p[0]
+        h_u = hypot(axial, radial)
+        x_axis = ca.vertcat(axial, radial * cos_v, radial * sin_v) / h_u
+        return x_axis, ca.vertcat(0, -sin_v, cos_v), diagonal(h_u, rho)
+
+    @staticmethod
+    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
+        return p[1] * abs(sine(u))  # h_v = b |sin u|, h_u >= b
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SecondDegree(Surface):
+    """The surface x^T A x = 1, of which everything but the chart follows from A."""
+
+    ambient: ClassVar[bool] = True
+
+    def _matrix(self, p: ca.SX) -> ca.SX:
+        """Return A, (3, 3), 1/m^2."""
+        raise NotImplementedError
+
+    def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
+        return (ca.dot(x, self._matrix(p) @ x) - 1) / 2
+
+    def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
+        matrix = self._matrix(p)
+        gradient = matrix @ x
+        return Level(self._level(p, x), gradient, matrix, 1 / ca.dot(gradient, gradient))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Ellipsoid(SecondDegree):
+    """Ellipsoid with semi-axes a >= b >= c along x, y, z; Jacobi's chart, eq. ``ellipsoid``.
+
+    Equal axes take the regular limit of that chart: `OblateChart` (a = b), `ProlateChart` (b = c),
+    and for a = b = c the sphere's `PolarChart`; ``help(surface.chart)`` shows its formula.
+
+    Parameters
+    ----------
+    a, b, c : float
+        Semi-axes, m.
+    inside : bool
+        True: an ellipsoidal bowl; (u, v) is then the chart's f(u, -v).
+    """
+
+    a: float
+    b: float
+    c: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        axes = tuple(positive_length(self, name, getattr(self, name)) for name in "abc")
+        if not axes[0] >= axes[1] >= axes[2]:
+            given, sorted_ = (", ".join(map(repr, w)) for w in (axes, sorted(axes, reverse=True)))
+            raise SurfaceError(
+                f"Ellipsoid: semi-axes ({given}) must satisfy a >= b >= c; write "
+                f"Ellipsoid({sorted_}), or Quadric for axes along other directions"
+            )
+        store(self, a=axes[0], b=axes[1], c=axes[2])
+
+    @property
+    def chart(self) -> type[Chart]:
+        return ellipsoid_chart(self.a, self.b, self.c)[0]
+
+    @property
+    def table_name(self) -> str:  # type: ignore[override]
+        return f"ellipsoid_{self.chart.name}"
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        return ellipsoid_chart(self.a, self.b, self.c)[1]
+
+    @property
+    def size(self) -> float:
+        return self.a
+
+    @property
+    def bend(self) -> float:
+        return max(self.c**2 / self.a, self.c / 3)
+
+    def _matrix(self, p: ca.SX) -> ca.SX:
+        axes = {
+            JacobiChart: (0, 1, 2),
+            OblateChart: (0, 0, 1),
+            ProlateChart: (0, 1, 1),
+            PolarChart: (0, 0, 0),
+        }[self.chart]
+        return ca.diag(ca.vertcat(*(1 / p[k] ** 2 for k in axes)))
+
+
+def ellipsoid_chart(a: float, b: float, c: float) -> tuple[type[Chart], tuple[float, ...]]:
+    """Return the chart that is regular for a >= b >= c, and the numbers it takes."""
+    if a == b == c:
+        return PolarChart, (a,)
+    if a == b:
+        return OblateChart, (a, c)
+    if b == c:
+        return ProlateChart, (a, b)
+    return JacobiChart, (a, b, c)

@@ -1,0 +1,92 @@
+"""The sphere, and its polar chart."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from ..theory import symbols as ca
+from ..theory.geometry import Level
+from .base import OfRadius
+from .charts import (
+    TURN,
+    Angle,
+    Chart,
+    Frame,
+    Numbers,
+    Pair,
+    choose,
+    diagonal,
+    hypot,
+    sine,
+    wrap_angle,
+)
+
+
+class PolarChart(Chart):
+    """r (sin u cos v, sin u sin v, cos u): the sphere, p = (r,)."""
+
+    name = "polar"
+    orthogonal = True
+    turning = 1
+    periods = (None, TURN)
+    great_circles = True
+    singular_at = "a pole (u = 0 or pi)"
+    ranges = "0 < u < pi, -pi < v <= pi"
+
+    @staticmethod
+    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
+        rho = p[0] * ca.sin(u)
+        return ca.vertcat(rho * ca.cos(v), rho * ca.sin(v), p[0] * ca.cos(u))
+
+    @staticmethod
+    def lame(p: ca.SX, u: ca.SX, v: ca.SX) -> Pair:
+        return p[0], p[0] * ca.sin(u)
+
+    @staticmethod
+    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
+        return ca.atan2(hypot(x[0], x[1]), x[2]), ca.atan2(x[1], x[0])
+
+    @staticmethod
+    def frame(p: ca.SX, x: ca.SX) -> Frame:
+        r, rho = p[0], hypot(x[0], x[1])
+        cos_v, sin_v, cos_u = x[0] / rho, x[1] / rho, x[2] / r
+        x_axis = ca.vertcat(cos_u * cos_v, cos_u * sin_v, -rho / r)
+        return x_axis, ca.vertcat(-sin_v, cos_v, 0), diagonal(r, rho)
+
+    @staticmethod
+    def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
+        u = wrap_angle(u)
+        # (-u, v) is the point (u, v + pi), but there f_u x f_v points into the body.
+        return abs(u), wrap_angle(choose(u < 0, v + math.pi, v))
+
+    @staticmethod
+    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
+        return p[0] * abs(sine(u))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sphere(OfRadius):
+    """Sphere about the origin; chart r (sin u cos v, sin u sin v, cos u), poles at u = 0, pi.
+
+    Parameters
+    ----------
+    radius : float
+        m.
+    inside : bool
+        True: a spherical bowl; (u, v) is then the chart's f(u, -v).
+    """
+
+    ambient: ClassVar[bool] = True
+    table_name: ClassVar[str] = "sphere"
+
+    @property
+    def chart(self) -> type[Chart]:
+        return PolarChart
+
+    def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
+        return (ca.dot(x, x) - p[0] ** 2) / 2
+
+    def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
+        return Level(self._level(p, x), x, ca.SX.eye(3), 1 / p[0] ** 2)

@@ -1,0 +1,554 @@
+"""Surfaces that users write: by a chart f(u, v) or by a level function F(x), in Python or as text.
+
+Their tables are made from the formula when they are first asked for. SI units, radians.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..checks import finite_number, real_array
+from ..errors import SurfaceError
+from ..kept import kept
+from ..theory import symbols as ca
+from ..theory.geometry import ChartGeometry, contact_frame, tangent_geometry
+from ..theory.symbols import SYMBOLS
+from .base import RAY, Sign, Surface, positive_length, store
+from .charts import TURN, Array, Chart, Frame, Pair, Periods, hypot
+from .formula import Formula, make_formula, one_of
+from .sphere import PolarChart
+
+CELLS = 32  # in each coordinate, of the grid on which a nearest point is first sought
+NEAR = 1e-9  # of the size: so near are points that are one
+TRIES = 4  # so many of its points may lead to it
+
+
+class FreeChart(Chart):
+    """A chart written by the user; nothing is known about it in advance."""
+
+    ranges = "as given by u_range and v_range"
+
+
+class CentralChart(Chart):
+    """Polar angle u from +z and azimuth v of the ray from a centre; p starts with the centre."""
+
+    periods = (None, TURN)
+    singular_at = "a pole (u = 0 or pi), or out of the centre's sight"
+    ranges = PolarChart.ranges
+    wrap = PolarChart.wrap
+
+    @staticmethod
+    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
+        return PolarChart.coordinates(p, x - p[:3])
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class UserSurface(Surface):
+    """What surfaces written by the user share: a formula and a length scale."""
+
+    reach: ClassVar[float] = 2.0  # a bump may lie anywhere, and even ground tells nothing of it
+    formula: Formula
+    size: float = field(default=1.0, kw_only=True)
+
+    @property
+    def named_parameters(self) -> dict[str, float]:
+        """The numbers of the formula by name."""
+        return self.formula.named
+
+    @property
+    def structure(self) -> Hashable:
+        return (self._kind, self.formula.code)
+
+    def __repr__(self) -> str:
+        others = {w.name: getattr(self, w.name) for w in fields(self) if w.name != "formula"}
+        said = [f"{k}={x!r}" for k, x in others.items() if x is not None and x is not False]
+        return f"{self._kind}({', '.join([self.formula.describe(), *said])})"
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class ParametricSurface(UserSurface):
+    """A surface given by its chart f(u, v), orthogonal or not.
+
+    A path through a point where f_u or f_v vanishes or they align, such as a pole, is refused.
+
+    Parameters
+    ----------
+    f : callable or sequence of three texts
+        ``f(u, v)`` or ``f(u, v, **parameters)`` returning x, y, z in m from symbols, with numpy or
+        CasADi functions; or texts such as ``"(R + r*cos(v))*cos(u)"``. f_u x f_v points out of
+        the body.
+    parameters : mapping of str to float, optional
+        Named numbers of the formula; changing them needs no new tables.
+    size : float
+        Length scale of the surface, m, about its greatest radius; tolerances are fractions of it.
+        Details beside even ground that are narrower than a tenth of it may be overlooked; give the
+        scale of the details there.
+    u_range, v_range : pairs of float, optional
+        Where the inverse chart looks first; one period about 0, or (-pi, pi).
+    u_period, v_period : float, optional
+        Period of a coordinate that closes on itself.
+    inside : bool
+        The body is on the other side; (u, v) is then the point f(u, -v).
+    formula : Formula, optional
+        In the place of the function or text: that of another surface, of which ``parameters``
+        changes what it names. `dataclasses.replace` gives it.
+
+    Raises
+    ------
+    SurfaceError
+        Naming the argument, the value and the remedy.
+
+    Examples
+    --------
+    A hollow of the ground, as a function and as text:
+
+    >>> import contact_system as cs
+    >>> ground = cs.ParametricSurface(
+    ...     lambda u, v, k: (u, v, k * (u**2 + v**2)), parameters={"k": 2.0}, size=0.1)
+    >>> same = cs.ParametricSurface(("u", "v", "k*(u**2 + v**2)"), parameters={"k": 2.0}, size=0.1)
+    >>> print(ground.point(0.5, 0.0), same.point(0.5, 0.0))
+    [0.5 0.  0.5] [0.5 0.  0.5]
+    """
+
+    has_implicit: ClassVar[bool] = False
+    u_range: tuple[float, float]
+    v_range: tuple[float, float]
+    u_period: float | None
+    v_period: float | None
+
+    def __init__(
+        self,
+        f: Callable[..., Any] | Sequence[str] | None = None,
+        *,
+        parameters: Mapping[str, float] | None = None,
+        size: float = 1.0,
+        u_range: tuple[float, float] | None = None,
+        v_range: tuple[float, float] | None = None,
+        u_period: float | None = None,
+        v_period: float | None = None,
+        inside: bool = False,
+        formula: Formula | None = None,
+    ) -> None:
+        store(self, inside=inside)
+        self.__post_init__()
+        with SYMBOLS:
+            variables = {"u": ca.SX.sym("u"), "v": ca.SX.sym("v")}
+            arguments, said = list(variables.values()), one_of(self._kind, "f", f, formula)
+            own = make_formula(self._kind, said, variables, arguments, parameters, 3)
+        store(self, formula=own, size=positive_length(self, "size", size))
+        for name, given, period in (("u", u_range, u_period), ("v", v_range, v_period)):
+            if period is not None:
+                what = f"{self._kind}: {name}_period"
+                period = finite_number(period, what, "above 0", SurfaceError)
+            reach = math.pi if period is None else period / 2
+            span = _range(self._kind, f"{name}_range", (-reach, reach) if given is None else given)
+            store(self, **{f"{name}_range": span, f"{name}_period": period})
+        self._require_periods()
+
+    def _require_periods(self) -> None:
+        """Raise where a period does not lead back to the same point: contacts would be moved."""
+        places = np.array([0.1, 0.4, 0.8])
+        u, v = (low + (high - low) * places for low, high in (self.u_range, self.v_range))
+        for name, period in (("u", self.u_period), ("v", self.v_period)):
+            if period is None:
+                continue
+            turn_u, turn_v = (period, 0.0) if name == "u" else (0.0, period)
+            with np.errstate(all="ignore"):  # a formula may have no point there
+                here, there = self.point(u, v), self.point(u + turn_u, v + turn_v)
+                reach = np.fmax(self.size, np.linalg.norm(here, axis=1))
+                apart = np.linalg.norm(there - here, axis=1)
+                wrong = np.flatnonzero(apart > NEAR * reach)
+            if len(wrong):
+                i = wrong[0]
+                raise SurfaceError(
+                    f"{self._kind}: {name}_period = {period!r}: the points at (u, v) = "
+                    f"({u[i]:.6g}, {v[i]:.6g}) and one period on are {apart[i]:.3g} m apart; give "
+                    f"the period of the formula to all digits, or leave {name}_period out"
+                )
+
+    @property
+    def chart(self) -> type[Chart]:
+        return FreeChart
+
+    @property
+    def f(self) -> tuple[str, ...] | None:
+        """The three texts of the chart; None where it was given as a function."""
+        return self.formula.text
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        return self.formula.values
+
+    def periods(self) -> Periods:
+        return (self.u_period, self.v_period)
+
+    @kept
+    def identity(self) -> Hashable:
+        return (super().identity, self.u_range, self.v_range)
+
+    def implicit_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> ca.SX:
+        raise self._known_by_chart_only("equation F(x) = 0")
+
+    def coordinates_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Pair:
+        raise self._known_by_chart_only("expression for (u, v) of a point")
+
+    def frame_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Frame:
+        raise self._known_by_chart_only("expression for the frame at a point")
+
+    def _known_by_chart_only(self, wanted: str) -> SurfaceError:
+        return SurfaceError(
+            f"{self!r} has no {wanted}, which was asked for; use its chart f(u, v), or write it "
+            "as an ImplicitSurface"
+        )
+
+    def _outward_chart(self, p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
+        return self.formula(p, u, v)
+
+    def _require_regular(self, u: Array, v: Array) -> None:
+        super()._require_regular(u, v)
+        with np.errstate(all="ignore"):  # where a formula ends its derivatives may go on: log(u)
+            missing = ~np.isfinite(self.point(u, v)).all(axis=-1)
+        if np.any(missing):
+            raise SurfaceError(
+                f"{self!r}: the formula has no point at (u, v) = "
+                f"({float(u[missing][0])}, {float(v[missing][0])}); move the contact"
+            )
+
+    def _wrap(self, u: Array, v: Array) -> tuple[Array, Array]:
+        return (
+            _into(u, self.u_range, self.u_period),
+            _into(v, self.v_range, self.v_period),
+        )
+
+    def coordinates(
+        self, x: ArrayLike, guess: tuple[ArrayLike, ArrayLike] | None = None
+    ) -> tuple[Array, Array]:
+        """Return (u, v) of points (..., 3) by Gauss-Newton on the distance to the surface.
+
+        Parameters
+        ----------
+        x : array-like (..., 3)
+            Points on the surface, m.
+        guess : pair of array-likes (...), optional
+            Where to start; otherwise the nearest of a grid over u_range and v_range.
+
+        Raises
+        ------
+        SurfaceError
+            No point of the surface is found within 1e-9 of the size.
+        """
+        points = self._points(x)
+        u, v, miss = self.nearest(points, guess)
+        reach = np.fmax(self.size, np.linalg.norm(points, axis=-1))
+        # ~(a <= b) rather than a > b: a descent that ends in NaN has missed as well.
+        missed = np.flatnonzero(~(miss <= NEAR * reach))
+        if len(missed):
+            i = int(missed[0])
+            raise SurfaceError(
+                f"{self!r}: no (u, v) found for the point {points.reshape(-1, 3)[i].tolist()}, "
+                f"nearest miss {miss.ravel()[i]:.3g} m; check that it lies on the surface, or give "
+                f"guess=(u, v), or u_range (now {self.u_range}) and v_range (now {self.v_range})"
+            )
+        return self._wrap(u, v)
+
+    def nearest(
+        self, x: ArrayLike, guess: tuple[ArrayLike, ArrayLike] | None = None
+    ) -> tuple[Array, Array, Array]:
+        """Return (u, v) of the points of the surface nearest to points (..., 3), and how near.
+
+        Parameters
+        ----------
+        x : array-like (..., 3)
+            m.
+        guess : pair of array-likes (...), optional
+            As for `coordinates`; without it a near point of the surface may be overlooked.
+
+        Returns
+        -------
+        u, v, distance : arrays (...)
+            The distance is infinite or NaN where nothing is found.
+        """
+        points = self._points(x)
+        flat = points.reshape(-1, 3)
+        if guess is None:
+            starts = self._grid_starts(flat)
+        else:
+            try:
+                guess_u, guess_v = map(real_array, guess)
+                given = [np.broadcast_to(w, points.shape[:-1]) for w in (guess_u, guess_v)]
+            except (TypeError, ValueError, OverflowError):
+                raise SurfaceError(
+                    f"{self!r}: guess = {guess!r:.80} must be a pair (u, v), for each point or all"
+                ) from None
+            starts = [tuple(w.ravel() for w in given)]
+        found = np.array([*starts[0], np.full(len(flat), np.inf)])
+        missed = np.arange(len(flat))
+        for start_u, start_v in starts:
+            tried = np.array(self._descend(flat[missed], start_u[missed], start_v[missed]))
+            found[:, missed] = np.where(~(tried[2] >= found[2, missed]), tried, found[:, missed])
+            missed = np.flatnonzero(~(found[2] <= NEAR * self.size))
+            if not len(missed):
+                break
+        u, v, miss = (w.reshape(points.shape[:-1]) for w in found)
+        return u, v, miss
+
+    def _grid_starts(self, flat: Array) -> list[tuple[Any, ...]]:
+        """Return the nearest few grid points to each of (n, 3) points, nearest first."""
+        # Centres of cells, because the rim of a range is where charts have their poles.
+        fraction = (np.arange(CELLS) + 0.5) / CELLS
+        spans = (self.u_range, self.v_range)
+        axes = [lo + (hi - lo) * fraction for lo, hi in spans]
+        grid_u, grid_v = (w.ravel() for w in np.meshgrid(*axes, indexing="ij"))
+        if self.inside:
+            grid_v = -grid_v
+        grid = self.point(grid_u, grid_v)
+        nearest = np.empty((len(flat), TRIES), dtype=int)
+        for i, target in enumerate(flat):
+            distance = np.sum((grid - target) ** 2, axis=1)
+            distance[np.isnan(distance)] = np.inf
+            nearest[i] = np.argsort(distance)[:TRIES]
+        return [(grid_u[k], grid_v[k]) for k in nearest.T]
+
+    def _descend(self, target: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Gauss-Newton with step halving; returns u, v and the distance left, each (n,)."""
+        offset = target - self.point(u, v)
+        miss = np.linalg.norm(offset, axis=1)
+        pace = np.ones(len(u))
+        for _ in range(60):
+            tangents = self.frame(u, v)[..., :2]
+            ahead = np.einsum("nik,ni->nk", tangents, offset)
+            if np.all(np.abs(ahead) <= np.finfo(float).eps * self.size):
+                break
+            m = self.metric_root(u, v)
+            step_v = ahead[:, 1] / m[:, 1, 1]
+            step_u = (ahead[:, 0] - m[:, 0, 1] * step_v) / m[:, 0, 0]
+            trial_u, trial_v = u + pace * step_u, v + pace * step_v
+            trial_offset = target - self.point(trial_u, trial_v)
+            trial_miss = np.linalg.norm(trial_offset, axis=1)
+            better = trial_miss < miss
+            u, v = np.where(better, trial_u, u), np.where(better, trial_v, v)
+            offset = np.where(better[:, None], trial_offset, offset)
+            miss = np.where(better, trial_miss, miss)
+            pace = np.where(better, 1.0, pace / 2)
+            if np.all(pace < 1e-6):
+                break
+        return u, v, miss
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class ImplicitSurface(UserSurface):
+    """The surface F(x) = 0 of a body F < 0 that is star-shaped about a centre.
+
+    Coordinates are the polar angle u from the z direction and the azimuth v of the ray from the
+    centre: the inverse chart is explicit, the chart itself is solved along the ray. Equations
+    that need an explicit chart are refused (`has_chart` is False); motion is planned in ambient
+    form.
+
+    Parameters
+    ----------
+    F : callable or text
+        ``F(x)`` or ``F(x, **parameters)`` of a symbolic 3-vector, or a text in x, y, z such as
+        ``"x**2/a**2 + y**2 + z**4 - 1"``. Negative inside the body.
+    center : three floats
+        A point inside (with ``inside=True``, inside the hollow) that sees the whole surface, m.
+        Where rays from it enter the body again, chart components of a path are refused.
+    parameters : mapping of str to float, optional
+        Named numbers of the formula; changing them needs no new tables.
+    size : float
+        Length scale of the surface, m, about its greatest radius; tolerances are fractions of it.
+        Details beside even ground that are narrower than a tenth of it may be overlooked; give the
+        scale of the details there.
+    inside : bool
+        The body is where F > 0; v is then the azimuth the other way around.
+    formula : Formula, optional
+        In the place of the function or text: that of another surface, of which ``parameters``
+        changes what it names. `dataclasses.replace` gives it.
+
+    Raises
+    ------
+    SurfaceError
+        Naming the argument, the value and the remedy.
+
+    Examples
+    --------
+    A rounded cube, as text and as a function:
+
+    >>> import contact_system as cs
+    >>> cube = cs.ImplicitSurface("x**4 + y**4 + z**4 - r**4", parameters={"r": 0.1}, size=0.1)
+    >>> same = cs.ImplicitSurface(
+    ...     lambda x, r: x[0]**4 + x[1]**4 + x[2]**4 - r**4, parameters={"r": 0.1}, size=0.1)
+    >>> print(cube.point(1.57, 0.0).round(3), same.point(1.57, 0.0).round(3))
+    [0.1 0.  0. ] [0.1 0.  0. ]
+    """
+
+    has_chart: ClassVar[bool] = False
+    ambient: ClassVar[bool] = True
+    center: tuple[float, float, float]
+
+    def __init__(
+        self,
+        F: Callable[..., Any] | str | None = None,
+        *,
+        center: Sequence[float] = (0.0, 0.0, 0.0),
+        parameters: Mapping[str, float] | None = None,
+        size: float = 1.0,
+        inside: bool = False,
+        formula: Formula | None = None,
+    ) -> None:
+        store(self, inside=inside)
+        self.__post_init__()
+        with SYMBOLS:
+            x = ca.SX.sym("x", 3)
+            variables = {"x": x[0], "y": x[1], "z": x[2]}
+            said = one_of(self._kind, "F", F, formula)
+            own = make_formula(self._kind, said, variables, [x], parameters, 1)
+        store(self, formula=own, size=positive_length(self, "size", size))
+        store(self, center=_numbers(self._kind, "center", center, 3))
+
+    @property
+    def chart(self) -> type[Chart]:
+        return CentralChart
+
+    @property
+    def F(self) -> str | None:
+        """The text of the level function; None where it was given as a function."""
+        return None if self.formula.text is None else self.formula.text[0]
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        """The centre, then the formula's numbers in order of their names."""
+        return (*self.center, *self.formula.values)
+
+    def chart_expr(self, p: ca.SX, u: ca.SX, v: ca.SX, sign: Sign = None) -> ca.SX:
+        raise SurfaceError(
+            f"{self!r} has no explicit chart f(u, v), which was asked for; plan it in ambient form "
+            "(the default), or write it as a ParametricSurface"
+        )
+
+    def frame_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Frame:
+        return contact_frame(*self._tangents(p, x, sign))
+
+    def _tangents(self, p: ca.SX, x: ca.SX, sign: Sign) -> Pair:
+        """Return (f_u, f_v) of the central projection as fields of the point x."""
+        ray = x - p[:3]
+        rho, s = ca.norm_2(ray), hypot(ray[0], ray[1])
+        direction = ray / rho
+        d_u = ca.vertcat(ray[0] * ray[2] / s, ray[1] * ray[2] / s, -s) / rho
+        d_v = ca.vertcat(-ray[1], ray[0], 0) / rho
+        gradient = ca.gradient(self._level(p, x), x)
+        # no frame where the centre does not see the point: f_u x f_v would point into the body
+        along = ca.fmax(ca.dot(gradient, direction), 0)
+
+        def tangent(turned: ca.SX) -> ca.SX:
+            """rho d turned, plus what keeps the point on the surface: grad F . f_u = 0."""
+            return rho * (turned - ca.dot(gradient, turned) / along * direction)
+
+        return tangent(d_u), tangent(self._side(sign) * d_v)
+
+    def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
+        return self.formula(p[3:], x)
+
+    def geometry_symbols(
+        self, p: ca.SX, sign: Sign = None
+    ) -> tuple[tuple[ca.SX, ...], ChartGeometry]:
+        x = ca.SX.sym("x", 3)
+        f_u, f_v = self._tangents(p, x, sign)
+        along_u = ca.jacobian(f_u, x)
+        f_vv = ca.jacobian(f_v, x) @ f_v
+        return (x,), tangent_geometry(x, f_u, f_v, along_u @ f_u, along_u @ f_v, f_vv)
+
+    def _arguments(self, u: Array, v: Array) -> Array:
+        return self.point(u, v).T
+
+    def point(self, u: ArrayLike, v: ArrayLike) -> Array:
+        """Return the point where the ray (u, v) leaves the body, shape (..., 3), m.
+
+        Newton's method along the ray, kept inside a bracket by bisection. A ray that leaves the
+        body more than once, from a badly chosen centre, ends at any one of these points.
+
+        Raises
+        ------
+        SurfaceError
+            The centre is not inside, or the ray does not meet the surface.
+        """
+        u, v = self._finite(u, v)
+        turned = -v if self.inside else v
+        ray = np.stack(
+            [np.sin(u) * np.cos(turned), np.sin(u) * np.sin(turned), np.cos(u)], axis=-1
+        ).reshape(-1, 3)
+        reach = self._bracket(ray, u.ravel(), v.ravel())
+        low, t = np.zeros_like(reach), reach
+        for _ in range(100):
+            level, slope = self._along(ray, t)
+            low, reach = np.where(level < 0, t, low), np.where(level >= 0, t, reach)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                trial = t - level / slope
+            trial = np.where((trial >= low) & (trial <= reach), trial, (low + reach) / 2)
+            settled = np.all(np.abs(trial - t) <= 4 * np.finfo(float).eps * t)
+            t = trial
+            if settled:
+                break
+        return (np.array(self.center) + t[:, None] * ray).reshape((*u.shape, 3))
+
+    def _bracket(self, ray: Array, u: Array, v: Array) -> Array:
+        """Return for each ray a distance beyond the surface."""
+        level, _ = self._along(ray, np.zeros(len(ray)))
+        if np.any(~(level < 0)):
+            raise SurfaceError(
+                f"{self!r}: F = {level[0]} at center = {self.center}; F must be negative there: "
+                "choose a center inside, or change the sign of F (and inside, if need be)"
+            )
+        reach = np.full(len(ray), self.size)
+        for _ in range(40):
+            within = ~(self._along(ray, reach)[0] > 0)
+            if not np.any(within):
+                return reach
+            reach = np.where(within, 2 * reach, reach)
+        i = int(np.argmax(within))
+        raise SurfaceError(
+            f"{self!r}: the ray (u, v) = ({u[i]}, {v[i]}) from center = {self.center} does not "
+            f"meet the surface within {reach[i]:.3g} m; choose another center or point"
+        )
+
+    def _along(self, ray: Array, t: Array) -> tuple[Array, Array]:
+        """Return F and its slope at distances t along the rays, each (n,)."""
+        places = np.array(self.center) + t[:, None] * ray
+        columns = self._run(self.tables.other[RAY], np.hstack([places, ray]).T)
+        return columns[0], columns[1]
+
+
+# --- helpers --------------------------------------------------------------------------------------
+
+
+def _into(w: Array, span: tuple[float, float], period: float | None) -> Array:
+    """Return a periodic coordinate within one period of its range's start, where it is out."""
+    if period is None:
+        return w
+    inside = (w >= span[0]) & (w <= span[1])
+    return np.where(inside, w, w - period * np.floor((w - span[0]) / period))
+
+
+def _numbers(kind: str, name: str, given: Any, count: int) -> tuple[Any, ...]:
+    try:
+        values = tuple(given)
+    except TypeError:
+        values = ()
+    if len(values) != count or isinstance(given, str):
+        raise SurfaceError(f"{kind}: {name} = {given!r} must be {count} numbers")
+    return tuple(
+        finite_number(value, f"{kind}: {name}[{i}]", error=SurfaceError)
+        for i, value in enumerate(values)
+    )
+
+
+def _range(kind: str, name: str, given: Any) -> tuple[float, float]:
+    low, high = _numbers(kind, name, given, 2)
+    if not low < high:
+        raise SurfaceError(f"{kind}: {name} = {given!r} must run from a lesser to a greater number")
+    return low, high

@@ -1,0 +1,275 @@
+r"""Rolling as the development of a plane curve: moving frames on any surface (theory 4, 5).
+
+The contact point of body i moves with velocity ``c_1 p + c_2 q``, where ``[p q]`` is a frame
+carried by parallel transport and ``c`` is known in advance:
+
+.. math:: c_1 = \sigma W_1, \qquad c_2 = \sigma (W - V e^{-L}), \qquad W = R_0 W_1 .
+
+No sigma'/sigma, no stiffness, and no coupling between the bodies. Two forms of state:
+
+* in space, (x, p), for surfaces with an implicit form: no chart, no poles; q = n x p;
+* in the chart, (u, v, theta), for surfaces given by a chart: [p q] is the contact frame turned by
+  theta.
+
+Each form says where the frame stands (`place`, `turn`, `theta`) and how it moves; what follows from
+these is said once, for both. Every function takes (point, numbers), numbers being the surface's
+sign and parameters.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..kept import kept
+from . import symbols as ca
+from .geometry import (
+    ChartGeometry,
+    Level,
+    number_symbols,
+    numbers_function,
+    plane_turn,
+    rotation,
+    upper_inverse,
+)
+from .symbols import SYMBOLS, per_structure
+
+if TYPE_CHECKING:
+    from ..surfaces.base import Surface
+
+IN_SPACE = ("motion", "restore", "coordinates", "vector", "second", "shape", "start")
+IN_CHART = ("motion", "coordinates", "vector", "frame", "shape", "point", "lame")
+DRIVEN = ("motion", "coordinates", "vector")
+"""Functions whose point is a state and a vector of the plane (2)."""
+
+
+def prefers_space(surface: Surface) -> bool:
+    """Whether bodies of this surface are moved as (x, p) in space, else as (u, v, theta)."""
+    return surface.ambient and not surface.developable
+
+
+def in_space(surface: Surface, disturbed: bool) -> bool:
+    """Whether a body is moved in space, by whether a disturbance acts on it.
+
+    A disturbance is given in chart components. Where the chart is a double cover (triaxial
+    ellipsoid) their sign belongs to the branch the path is on, which only the chart form knows.
+    """
+    return prefers_space(surface) and not (disturbed and surface.double_cover)
+
+
+class Moving:
+    """A frame [p q] carried along a surface, in symbols."""
+
+    size: int
+    """Of the state."""
+
+    def __init__(self, surface: Surface):
+        self.surface = surface
+        self.sign, self.p = number_symbols(surface)
+        self.state = ca.SX.sym("state", self.size)
+        self._functions: dict[str, ca.Function] = {}
+
+    def __call__(self, name: str) -> ca.Function:
+        """Return one of `IN_SPACE` or `IN_CHART` as a function of (point, numbers)."""
+        if name not in self._functions:
+            with SYMBOLS:
+                self._functions[name] = self._function(name)
+        return self._functions[name]
+
+    def _function(self, name: str) -> ca.Function:
+        drive = [ca.SX.sym("c", 2)] if name in DRIVEN else []
+        point, result = ca.vertcat(self.state, *drive), getattr(self, name)(*drive)
+        return numbers_function(name, point, self.sign, self.p, result)
+
+    @property
+    def place(self) -> tuple[ca.SX, ca.SX]:
+        """u, v"""
+        raise NotImplementedError
+
+    @property
+    def turn(self) -> ca.SX:
+        """Rot(theta), (2, 2): [p q] is the contact frame turned by it."""
+        raise NotImplementedError
+
+    @property
+    def theta(self) -> ca.SX:
+        raise NotImplementedError
+
+    @property
+    def metric_root(self) -> ca.SX:
+        raise NotImplementedError
+
+    def coordinates(self, c: ca.SX) -> ca.SX:
+        """u, v, u', v', theta, where c is the velocity in the parallel frame, m/s."""
+        rates = upper_inverse(self.metric_root) @ (self.turn @ c)
+        return ca.vertcat(*self.place, rates, self.theta)
+
+    def vector(self, components: ca.SX) -> ca.SX:
+        """The vector a f_u + b f_v in the parallel frame: Rot(theta)^T M (a, b)."""
+        return self.turn.T @ (self.metric_root @ components)
+
+
+class InSpace(Moving):
+    """State x, p: a point of the surface and a unit tangent, m and 1."""
+
+    size = 6
+
+    def __init__(self, surface: Surface):
+        super().__init__(surface)
+        self.x, self.first = ca.vertsplit(self.state, [0, 3, 6])
+
+    @kept
+    def level(self) -> Level:
+        return self.surface.level_geometry(self.p, self.x)
+
+    @kept
+    def _across(self) -> tuple[ca.SX, ca.SX]:
+        """grad F x p, and the number that makes it q = n x p."""
+        across = ca.cross(self.level.gradient, self.first)
+        return across, self.sign * ca.sqrt(self.level.steepness)
+
+    def second(self) -> ca.SX:
+        """q = n x p, n the normal out of the body."""
+        across, scale = self._across
+        return scale * across
+
+    def motion(self, c: ca.SX) -> ca.SX:
+        """x' = c1 p + c2 q, p' = -II(p, x') n; that of q follows."""
+        across, scale = self._across
+        velocity = c[0] * self.first + (c[1] * scale) * across
+        # n and II both have the sign of the side
+        bend = ca.dot(self.level.hessian @ self.first, velocity) * self.level.steepness
+        return ca.vertcat(velocity, -bend * self.level.gradient)
+
+    def shape(self) -> ca.SX:
+        """K in the parallel frame, (K_pp, K_pq, K_qq)."""
+        across, scale = self._across
+        frame = ca.horzcat(self.first, scale * across)
+        k = frame.T @ self.level.hessian @ frame * scale
+        return ca.vertcat(k[0, 0], k[0, 1], k[1, 1])
+
+    def restore(self) -> ca.SX:
+        """The state with x back on the surface and p a unit tangent.
+
+        One Newton step along the gradient: what is left is the square of the defect.
+        """
+        level = self.level
+        moved = self.x - level.value * level.steepness * level.gradient
+        normal = ca.substitute(level.gradient, self.x, moved)
+        normal /= ca.norm_2(normal)
+        first = self.first - ca.dot(self.first, normal) * normal
+        return ca.vertcat(moved, first / ca.norm_2(first))
+
+    @kept
+    def _contact_frame(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        return self.surface.frame_expr(self.p, self.x, self.sign)
+
+    @property
+    def place(self) -> tuple[ca.SX, ca.SX]:
+        return self.surface.coordinates_expr(self.p, self.x, self.sign)
+
+    @property
+    def turn(self) -> ca.SX:
+        x_axis, y_axis, _ = self._contact_frame
+        return plane_turn(ca.dot(self.first, x_axis), ca.dot(self.first, y_axis))
+
+    @property
+    def theta(self) -> ca.SX:
+        return ca.atan2(self.turn[1, 0], self.turn[0, 0])
+
+    @property
+    def metric_root(self) -> ca.SX:
+        return self._contact_frame[2]
+
+    def _function(self, name: str) -> ca.Function:
+        if name != "start":
+            return super()._function(name)
+        # u, v, theta -> x, p, on the surface to rounding
+        place, numbers = ca.SX.sym("place", 3), ca.vertcat(self.sign, self.p)
+        frame = moving(self.surface, False)("frame")(place, numbers)
+        back = self("restore")(frame[:6], numbers)
+        return numbers_function(name, place, self.sign, self.p, back)
+
+
+class InChart(Moving):
+    """State u, v, theta."""
+
+    size = 3
+
+    @property
+    def place(self) -> tuple[ca.SX, ca.SX]:
+        return self.state[0], self.state[1]
+
+    @property
+    def turn(self) -> ca.SX:
+        return rotation(self.theta)
+
+    @property
+    def theta(self) -> ca.SX:
+        return self.state[2]
+
+    @property
+    def metric_root(self) -> ca.SX:
+        return self._shape.metric_root
+
+    @kept
+    def _shape(self) -> ChartGeometry:
+        return self.surface.geometry_expr(self.p, *self.place, self.sign)
+
+    def motion(self, c: ca.SX) -> ca.SX:
+        """(u', v') = M^-1 Rot(theta) c, theta' = -T Rot(theta) c."""
+        velocity = self.turn @ c
+        rates = upper_inverse(self.metric_root) @ velocity
+        return ca.vertcat(rates, -self._shape.torsion_form @ velocity)
+
+    def frame(self) -> ca.SX:
+        """x, p, q, (9)."""
+        return ca.vertcat(self._shape.point, ca.vec(self._shape.frame[:, :2] @ self.turn))
+
+    def shape(self) -> ca.SX:
+        """K in the parallel frame, (K_pp, K_pq, K_qq)."""
+        k = self.turn.T @ self._shape.curvature_form @ self.turn
+        return ca.vertcat(k[0, 0], k[0, 1], k[1, 1])
+
+    def point(self) -> ca.SX:
+        """x, (3)."""
+        return self._shape.point
+
+    def lame(self) -> ca.SX:
+        """h_u, h_v and the lesser of M's diagonal, m: 0 where the chart is singular."""
+        m = self.metric_root
+        return ca.vertcat(self._shape.lame, ca.fmin(m[0, 0], m[1, 1]))
+
+
+@per_structure
+def moving(surface: Surface, ambient: bool) -> Moving:
+    """The moving frames of surfaces of one structure, in space or in their chart."""
+    return (InSpace if ambient else InChart)(surface)
+
+
+def body_motion(
+    surface: Surface,
+    ambient: bool,
+    numbers: ca.SX,
+    state: ca.SX,
+    c: ca.SX,
+    offset: ca.SX | None = None,
+) -> ca.SX:
+    """Rate of a body's moving frame when its contact point is driven by c.
+
+    Parameters
+    ----------
+    surface : Surface
+    ambient : bool
+        The form of the state.
+    numbers : SX
+        Sign and parameters of the surface.
+    state : SX (6) or (3)
+    c : SX (2)
+        Velocity of the contact point in the parallel frame, m/s.
+    offset : SX (2), optional
+        Chart rates added to the motion of the point (theory section 7).
+    """
+    body = moving(surface, ambient)
+    if offset is not None:
+        c = c + body("vector")(ca.vertcat(state, offset), numbers)
+    return body("motion")(ca.vertcat(state, c), numbers)

@@ -1,0 +1,281 @@
+r"""The paper's equations of two bodies in contact, corrected (theory sections 2, 3, 8).
+
+Body 1 is the finger, body 2 the object. In contact frames E_i, or in any frames carried along with
+R the map between their tangent components,
+
+.. math::
+    R_\psi = \begin{bmatrix}\cos\psi & -\sin\psi\\ -\sin\psi & -\cos\psi\end{bmatrix}, \qquad
+    v_{rel} = R_\psi M_1 \dot q_1 - M_2 \dot q_2 \quad (\text{eq. } netrelvel).
+
+The velocity of the finger's material point relative to the object's is ``-v_rel`` in E2.
+
+State of a contact in charts: u1 v1 u1' v1' u2 v2 u2' v2' psi. With sigma the path profile and lam
+the gain,
+
+.. math::
+    \ddot q_1^k &= \tfrac{\dot\sigma}{\sigma}\dot q_1^k - \Gamma^k_{ij}\dot q_1^i\dot q_1^j + d_1^k
+        && (\text{eq. timegeodesic}) \\
+    \ddot q_2^k &= \tfrac{\dot\sigma}{\sigma}\dot q_2^k - \Gamma^k_{ij}\dot q_2^i\dot q_2^j
+        + \lambda\,(M_2^{-1} R_\psi M_1 \dot q_1 - \dot q_2)^k + d_2^k && (\text{eq. contrac}) \\
+    \dot\psi &= T_1 M_1 \dot q_1 + T_2 M_2 \dot q_2 .
+
+Unlike in the paper the first Christoffel term of v" multiplies u'^2 (eqs. `timegeodesic` and
+`contrac` print v'^2), and psi obeys the last line, which the paper uses and does not print.
+
+An object rate offset d moves the contact point (u2' + d) but not the feedback: q2' is carried along
+the actual motion, ``-Gamma^k_ij (q2' + d)^i q2'^j``, so that the slip law stays exact.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..errors import SurfaceError
+from . import symbols as ca
+from .geometry import ChartGeometry, rotation, upper_inverse
+from .symbols import SYMBOLS, per_structure
+
+if TYPE_CHECKING:
+    from ..surfaces.base import Surface
+
+
+def reflection(cos_psi: ca.SX, sin_psi: ca.SX) -> ca.SX:
+    """R_psi (eq. ``rotation``) from the cosine and sine of psi, 2x2; its own inverse."""
+    return ca.vertcat(ca.horzcat(cos_psi, -sin_psi), ca.horzcat(-sin_psi, -cos_psi))
+
+
+def relative_velocity(r: ca.SX, a1: ca.SX, a2: ca.SX) -> ca.SX:
+    """v_rel of eq. ``netrelvel`` from the contact velocities a_i = M_i q_i', m/s, (2)."""
+    return r @ a1 - a2
+
+
+# --- chart coordinates ---------------------------------------------------------------------------
+
+
+def transport(shape: ChartGeometry, along: ca.SX, vector: ca.SX) -> ca.SX:
+    """-Gamma^k_ij along^i vector^j: what keeps a chart vector parallel on the way."""
+    return -ca.vertcat(*(ca.bilin(gamma, along, vector) for gamma in shape.christoffel))
+
+
+@per_structure
+def chart_equations(finger: Surface, obj: Surface) -> ca.Function:
+    """One contact's equations of motion in chart coordinates.
+
+    Inputs: state (9), sigma'/sigma, lam, d1 (2), d2 (2), object rate offset (2), one column; the
+    numbers of finger and object, each with its sign first. Output: state' (9).
+
+    Raises
+    ------
+    SurfaceError
+        A surface without an explicit chart (ImplicitSurface).
+    """
+    for surface in (finger, obj):
+        if not surface.has_chart:
+            raise SurfaceError(
+                f"{surface!r} has no explicit chart, so the chart equations cannot be written for "
+                "it; use the default method, which works in space, or give a ParametricSurface"
+            )
+    point = ca.SX.sym("point", 17)
+    state, growth, lam, d1, d2, offset = ca.vertsplit(point, [0, 9, 10, 11, 13, 15, 17])
+    q1, rate_1, q2, rate_2, psi = ca.vertsplit(state, [0, 2, 4, 6, 8, 9])
+    shapes, numbers = [], []
+    for surface, q in ((finger, q1), (obj, q2)):
+        sign, p = ca.SX.sym("sign"), ca.SX.sym("p", len(surface.parameters))
+        numbers += [sign, p]
+        shapes.append(surface.geometry_expr(p, q[0], q[1], sign))
+    tip, body = shapes
+    moved = rate_2 + offset
+    a1 = tip.metric_root @ rate_1
+    rolled = reflection(ca.cos(psi), ca.sin(psi)) @ a1
+    accel_1 = growth * rate_1 + transport(tip, rate_1, rate_1) + d1
+    accel_2 = growth * rate_2 + transport(body, moved, rate_2) + d2
+    accel_2 += lam * (upper_inverse(body.metric_root) @ rolled - rate_2)
+    spin = tip.torsion_form @ a1 + body.torsion_form @ (body.metric_root @ moved)
+    result = ca.vertcat(rate_1, accel_1, moved, accel_2, spin)
+    return ca.Function("chart_equations", [point, ca.vertcat(*numbers)], [ca.cse(result)])
+
+
+# --- in parallel frames ----------------------------------------------------------------------
+
+
+def starting_slip(w1: ca.SX, w2: ca.SX, given: ca.SX) -> ca.SX:
+    """V = W_2 less the path velocity given; of a rolling start, which is rounded twice, none."""
+    v, rounding = w2 - given, 1e-15 * ca.fmax(ca.fmax(ca.fabs(w1[0]), ca.fabs(w1[1])), 1e-300)
+    return ca.if_else(ca.fabs(v) <= rounding, 0, v)
+
+
+def pushed_paths(sigma: ca.SX, r0: ca.SX, pushed_1: ca.SX, pushed_2: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Rates of W_1 and of V, but for -lam V, under accelerations (theory section 7), (2) each.
+
+    pushed_i: Rot(theta)^T M d, the accelerations in the parallel frames, m/s^2.
+    """
+    w1_rate = pushed_1 / sigma
+    return w1_rate, r0 @ w1_rate - pushed_2 / sigma
+
+
+def slip_acceleration(
+    growth: ca.SX, v: ca.SX, r0: ca.SX, pushed_1: ca.SX, pushed_2: ca.SX
+) -> ca.SX:
+    """D v_rel/dt along curve 2, of v_rel = sigma V (theory section 3); growth: sigma' - lam sigma.
+
+    In the parallel frame, m/s^2, (2).
+    """
+    return v * growth + r0 @ pushed_1 - pushed_2
+
+
+# --- pose and twist ------------------------------------------------------------------------------
+
+
+def relative_pose(frame_1: ca.SX, frame_2: ca.SX, r0: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Pose of the finger's body frame in the object's (theory section 8).
+
+    Parameters
+    ----------
+    frame_1, frame_2 : SX (9)
+        Contact point x and tangent axes p, q of each body, in its own frame.
+    r0 : SX (2, 2)
+        Map from tangent components along (p_1, q_1) to those along (p_2, q_2).
+
+    Returns
+    -------
+    R_21 (3, 3), origin of the finger's frame in the object's (3), m
+    """
+    (x1, p1, q1), (x2, p2, q2) = (ca.vertsplit(f, [0, 3, 6, 9]) for f in (frame_1, frame_2))
+    # [p2 q2 n2] diag(R_0, -1) [p1 q1 n1]^T
+    tangent = ca.horzcat(p2, q2) @ r0 @ ca.horzcat(p1, q1).T
+    turn = tangent - ca.cross(p2, q2) @ ca.cross(p1, q1).T
+    return turn, x2 - turn @ x1
+
+
+def bending(shape: ca.SX, a: ca.SX, r: ca.SX, other_shape: ca.SX, other_a: ca.SX) -> ca.SX:
+    """Montana's inverse map, with nothing to invert: K a + R K' a', rad/s, (2).
+
+    It is [-omega_y, omega_x] in the frame of K = K_1, [-omega_y, omega_x] of the other body's
+    motion against it in that of K = K_2. Montana, Int. J. Robotics Research 7(3), 1988.
+    """
+    return shape @ a + r @ (other_shape @ other_a)
+
+
+def relative_twist(
+    frames: tuple[ca.SX, ca.SX],
+    shapes: tuple[ca.SX, ca.SX],
+    velocities: tuple[ca.SX, ca.SX],
+    r0: ca.SX,
+    v_rel: ca.SX,
+) -> tuple[ca.SX, ca.SX]:
+    """Twist of the finger's frame in the object's frame (theory section 8).
+
+    Parameters
+    ----------
+    frames : two SX (9)
+        x, p, q of finger and object.
+    shapes : two SX (3)
+        K_pp, K_pq, K_qq of finger and object.
+    velocities : two SX (2)
+        a_1, a_2: velocity of the contact point in (p_i, q_i), m/s.
+    r0 : SX (2, 2)
+        As for :func:`relative_pose`.
+    v_rel : SX (2)
+        Slip along (p_2, q_2), m/s.
+
+    Returns
+    -------
+    omega (3), rad/s, and the velocity of the origin of the finger's frame (3), m/s
+    """
+    x2, p2, q2 = ca.vertsplit(frames[1], [0, 3, 6, 9])
+    k1, k2 = (symmetric(k) for k in shapes)
+    k = bending(k2, velocities[1], r0, k1, velocities[0])
+    omega = k[0] * q2 - k[1] * p2
+    sliding = v_rel[0] * p2 + v_rel[1] * q2
+    arm = x2 - relative_pose(*frames, r0)[1]  # from the finger's origin to the contact
+    return omega, -sliding - ca.cross(omega, arm)
+
+
+def symmetric(entries: ca.SX) -> ca.SX:
+    """The matrix of (a, b, c): [[a, b], [b, c]]."""
+    a, b, c = ca.vertsplit(entries)
+    return ca.vertcat(ca.horzcat(a, b), ca.horzcat(b, c))
+
+
+def contact_velocities(
+    shape_1: ca.SX, shape_2: ca.SX, r: ca.SX, bend: ca.SX, v_rel: ca.SX
+) -> tuple[ca.SX, ca.SX]:
+    """Montana's forward map: contact velocities from what a twist says.
+
+    Parameters
+    ----------
+    shape_1, shape_2 : SX (2, 2)
+        K_1, K_2, 1/m.
+    r : SX (2, 2)
+        R_psi.
+    bend : SX (2)
+        ``K_1 a_1 + R_psi K_2 a_2 = [-omega_y, omega_x]`` in E1, rad/s.
+    v_rel : SX (2)
+        Slip in E2, m/s.
+
+    Returns
+    -------
+    a1, a2 : SX (2)
+        M_i q_i' in E_i, m/s; not finite where the bodies conform.
+    """
+    a1 = solve_plane(relative_curvature(shape_1, shape_2, r), bend + r @ shape_2 @ v_rel)
+    return a1, r @ a1 - v_rel
+
+
+def relative_curvature(shape_1: ca.SX, shape_2: ca.SX, r: ca.SX) -> ca.SX:
+    """K_1 + R_psi K_2 R_psi in E1, 1/m; singular where the surfaces conform to each other."""
+    return shape_1 + r @ shape_2 @ r
+
+
+def solve_plane(a: ca.SX, b: ca.SX) -> ca.SX:
+    """Solve A x = b by Cramer's rule for 2x2."""
+    adjugate = ca.vertcat(ca.horzcat(a[1, 1], -a[0, 1]), ca.horzcat(-a[1, 0], a[0, 0]))
+    return adjugate @ b / (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
+
+
+# --- what the engine runs of a contact -----------------------------------------------------------
+
+
+def contact_functions() -> dict[str, ca.Function]:
+    """The functions (point, constants) that no surface enters, in the engine's order.
+
+    R0, by rows, is a constant of all that need it.
+    """
+    sym = ca.SX.sym
+    with SYMBOLS:
+        rows = sym("R0", 4)
+        r0 = ca.reshape(rows, 2, 2).T
+        psi, w1, given, y = sym("psi"), sym("W1", 2), sym("given", 2), sym("y", 2)
+        theta, sigma, slope, lam = (sym(name) for name in ("theta", "sigma", "slope", "lam"))
+        frames, shapes = (sym("frame1", 9), sym("frame2", 9)), (sym("K1", 3), sym("K2", 3))
+        velocities, slip, v = (sym("a1", 2), sym("a2", 2)), sym("v_rel", 2), sym("V", 2)
+        pushed = (sym("pushed1", 2), sym("pushed2", 2))
+        start_r = reflection(ca.cos(psi), ca.sin(psi))
+        w2 = start_r @ w1
+        turn, origin = relative_pose(*frames, r0)
+        none = ca.SX(0, 1)
+        growth = slope - lam * sigma
+        made = {
+            "start": (
+                [psi, w1, given],
+                none,
+                [ca.vec(start_r.T), w2, starting_slip(w1, w2, given)],
+            ),
+            "pose": ([*frames], rows, [ca.vec(turn.T), origin]),
+            "twist": (
+                [*frames, *shapes, *velocities, slip],
+                rows,
+                [*relative_twist(frames, shapes, velocities, r0, slip)],
+            ),
+            "turned": ([theta, y], none, [rotation(theta) @ y]),
+            "acceleration": (
+                [sigma, slope, lam, v, *pushed],
+                rows,
+                [slip_acceleration(growth, v, r0, *pushed)],
+            ),
+            "pushed": ([sigma, *pushed], rows, [*pushed_paths(sigma, r0, *pushed)]),
+        }
+        return {
+            name: ca.Function(name, [ca.vertcat(*point), constants], [ca.vertcat(*result)])
+            for name, (point, constants, result) in made.items()
+        }

@@ -1,0 +1,396 @@
+r"""Gain laws lam(t), and what a law does to slip. A law is one row of `LAWS`.
+
+Slip obeys an exact scalar law on every surface (eq. `contracaccel`, with any gain lam in the place
+of eta sigma^2)::
+
+    |v_rel|(t) = |v_rel|(0) sigma(t)/sigma(0) exp(-L(t)),        L(t) = int_0^t lam
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..checks import finite_number
+from ..errors import SceneError
+from .profile import (
+    Coefficients,
+    Exact,
+    Profile,
+    as_time,
+    clear_value,
+    derivative,
+    exact,
+    exact_product,
+    integral,
+    polynomial,
+    rounded,
+    sign_changes,
+)
+
+
+@dataclass(frozen=True)
+class Law:
+    """A gain law: lam = value sigma^power, and with `makes_up` max(0, sigma'/sigma) besides.
+
+    Its integral is a polynomial, and a logarithm where sigma grows. It shrinks slip while
+    sigma'/sigma - lam < 0; without `makes_up` that is throughout for every value above the
+    greatest sigma'/sigma^(power + 1), with it for every positive one.
+
+    Attributes
+    ----------
+    parameter : str
+        What the value is called.
+    formula : str
+    power : int
+    makes_up : bool
+    """
+
+    parameter: str
+    formula: str
+    power: int
+    makes_up: bool = False
+
+    def rate(self, value: Any, sigma: Any, growth: Any) -> Any:
+        """lam, of numbers or symbols; growth is max(0, sigma'/sigma)."""
+        lam = value * sigma**self.power
+        return lam + growth if self.makes_up else lam
+
+    def integrand(self, value: float, sigma: Sequence[float]) -> Coefficients:
+        """Coefficients of value sigma^power from those of sigma, rounded once."""
+        return rounded(exact_product((value,), *[sigma] * self.power))
+
+
+LAWS = {
+    "path": Law("eta", "lam = eta sigma^2", 2),
+    "time": Law("eta", "lam = eta", 0),
+    "guaranteed": Law("rho", "lam = max(0, sigma'/sigma) + rho", 0, makes_up=True),
+}
+"""The gain laws by their names: as the paper prints it, as its times are, and safe."""
+
+
+@dataclass(frozen=True)
+class GainPiece:
+    """One piece of the horizon on which the decay of slip has a single closed form.
+
+    With tau = t - start, and L = int lam::
+
+        exp(-(L(t) - L(start))) = exp(-P(tau)) (sigma(start)/sigma(t))^power
+
+    Attributes
+    ----------
+    start, stop : float
+        The piece [s].
+    sigma : tuple of float
+        Coefficients of tau -> sigma(start + tau), lowest first.
+    exponent : tuple of float
+        Coefficients of P, lowest first; exponent[0] is 0.
+    power : int
+        0, or 1 where the law makes up for a growing sigma. Where sigma(start) = 0 the ratio is 0
+        for tau > 0: slip per path speed ends at once.
+    """
+
+    start: float
+    stop: float
+    sigma: Coefficients
+    exponent: Coefficients
+    power: int
+
+    def speed(self, tau):
+        """sigma at local time tau [m/s]."""
+        return polynomial(self.sigma, tau)
+
+    def arc_length(self, tau):
+        """int_0^tau sigma [m]."""
+        return polynomial(integral(self.sigma), tau)
+
+    def decay(self, tau, speed):
+        """exp(-(L(tau) - L(0))) at local time tau, where sigma is ``speed``."""
+        # slip may end below what a double holds, and sigma be 0 where a piece begins
+        with np.errstate(under="ignore", divide="ignore", invalid="ignore"):
+            decay = np.exp(-polynomial(self.exponent, tau))
+            if self.power:
+                decay = decay * np.where(np.asarray(tau) > 0, self.sigma[0] / speed, 1.0)
+        return decay
+
+    def gain(self, tau: float) -> float:
+        """lam at a local time at which sigma > 0 [1/s]."""
+        lam = polynomial(derivative(self.exponent), tau)
+        return lam + polynomial(derivative(self.sigma), tau) / self.speed(tau) * self.power
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Gain law lam(t) [1/s]: how hard the object's curve is pulled towards rolling.
+
+    Use the constructors `Gain.path`, `Gain.time`, `Gain.guaranteed`. The paper prints the first
+    (eq. `contrac`); its reported recovery times are those of the second.
+
+    Attributes
+    ----------
+    law : str
+        "path" lam = eta sigma^2; "time" lam = eta; "guaranteed" lam = max(0, sigma'/sigma) + rho.
+    value : float
+        eta [s/m^2] for "path", eta [1/s] for "time", rho [1/s] for "guaranteed".
+
+    Raises
+    ------
+    SceneError
+        If the law is unknown, or the value negative or not finite.
+    """
+
+    law: str
+    value: float
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.law, str) or self.law not in LAWS:
+            *others, last = map(repr, LAWS)
+            raise SceneError(
+                f"gain: law = {self.law!r} is unknown; use {', '.join(others)} or {last}"
+            )
+        value = finite_number(self.value, f"gain: {self.parameter}")
+        if value < 0:
+            raise SceneError(
+                f"gain: {self.parameter} = {value!r} is negative and would feed slip; use 0 or more"
+            )
+        object.__setattr__(self, "value", value)
+
+    @classmethod
+    def path(cls, eta: float) -> Gain:
+        """lam = eta sigma^2, as printed in eq. `contrac`; eta [s/m^2]."""
+        return cls("path", eta)
+
+    @classmethod
+    def time(cls, eta: float) -> Gain:
+        """lam = eta, a constant rate [1/s]."""
+        return cls("time", eta)
+
+    @classmethod
+    def guaranteed(cls, rho: float) -> Gain:
+        """lam = max(0, sigma'/sigma) + rho: slip decays at least as fast as exp(-rho t) [1/s].
+
+        It is below 5 % after 3/rho, whatever sigma does.
+        """
+        return cls("guaranteed", rho)
+
+    @property
+    def row(self) -> Law:
+        """The law's row of `LAWS`."""
+        return LAWS[self.law]
+
+    @property
+    def parameter(self) -> str:
+        """Name of the number in the law, such as "eta"."""
+        return self.row.parameter
+
+    def rate(self, profile: Profile, t):
+        """lam(t) [1/s]; t [s] of any shape.
+
+        The guaranteed law is +inf where sigma = 0: it removes slip at once as a path starts.
+        """
+        t = as_time(t)
+        sigma: Any = profile(t)
+        growth: Any = 0.0
+        if self.row.makes_up:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                growth = np.maximum(0.0, np.asarray(profile.rate(t)) / sigma)
+            growth = np.where(np.asarray(sigma) > 0, growth, np.inf)[()]
+        return self.row.rate(self.value, sigma, growth)
+
+    def exponent(self, profile: Profile, t):
+        """L(t) = int_0^t lam, closed form; t >= 0 [s] of any shape.
+
+        Growth of the guaranteed law is log(sigma/sigma(start of the growth)), which is +inf after
+        a start at sigma = 0.
+        """
+        t = as_time(t)
+        total = polynomial(integral(self.row.integrand(self.value, profile.coefficients)), t)
+        if self.row.makes_up:
+            last = float(np.max(t, initial=0.0))
+            for start, stop in profile.growths(0.0, last):
+                with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                    first = clear_value(profile.coefficients, start)
+                    ratio = np.divide(profile(np.clip(t, start, stop)), first)
+                total = total + np.where(t > start, np.log(np.maximum(ratio, 1.0)), 0.0)
+        return total
+
+    def pieces(self, profile: Profile, start: float, stop: float) -> list[GainPiece]:
+        """Cut [start, stop] into pieces with one closed form of the decay each.
+
+        Laws that make up for growth are cut at the extrema of sigma, others not at all. Everything
+        is local to a piece, so that a large gain loses nothing to cancellation.
+        """
+        start, stop = float(start), float(stop)
+        knots = profile.knots(start, stop) if self.row.makes_up else (start, stop)
+        pieces = []
+        for a, b in zip(knots, knots[1:]):
+            sigma = profile.shifted(a)
+            grows = self.row.makes_up and profile.rate(0.5 * (a + b)) > 0
+            if self.row.makes_up:
+                # where sigma touches zero its rounded first coefficient must not set the ratio
+                sigma = (clear_value(profile.coefficients, a), *sigma[1:])
+            exponent = integral(self.row.integrand(self.value, sigma))
+            pieces.append(GainPiece(a, b, sigma, exponent, int(grows)))
+        return pieces
+
+
+# --- what a gain law guarantees ----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Contraction:
+    """What a gain law does to slip over a horizon (eq. `contracaccel`).
+
+    Attributes
+    ----------
+    gain : Gain
+        The law examined.
+    duration : float
+        The horizon [s].
+    intervals : tuple of (float, float)
+        The times between which slip shrinks: sigma'/sigma - lam < 0 [s].
+    throughout : bool
+        True if slip shrinks over the whole horizon.
+    least_eta : float
+        The law shrinks slip over the whole horizon for every gain above this one, in the unit of
+        `Gain.value`; inf if none does (sigma leaves zero), 0 if every positive one does.
+    growth : tuple of (float, float)
+        When slip is greatest [s], and how many times its value at t = 0 it then is. (0, nan) if
+        sigma(0) = 0, because slip itself then starts at zero.
+    left : float
+        Slip at the end as a multiple of its value at t = 0; nan if sigma(0) = 0.
+    """
+
+    gain: Gain
+    duration: float
+    intervals: tuple[tuple[float, float], ...]
+    throughout: bool
+    least_eta: float
+    growth: tuple[float, float]
+    left: float
+
+    def __str__(self) -> str:
+        text = f"Gain law '{self.gain.law}', {self.gain.row.formula}, {self.gain.parameter} = "
+        text += f"{self.gain.value:.6g}: {self._when()}"
+        if self.growth[1] > 1:
+            text += (
+                f" Slip that is there at t = 0 is greatest at t = {self.growth[0]:.3g} s, "
+                f"{self.growth[1]:.3g} times its first value."
+            )
+        if not math.isnan(self.left):
+            text += f" At the end slip is {self.left:.2g} times its value at t = 0."
+        return text + self._remedy()
+
+    def _when(self) -> str:
+        if self.throughout:
+            return f"slip shrinks over the whole horizon of {self.duration:g} s."
+        if not self.intervals:
+            return f"slip never shrinks in the horizon of {self.duration:g} s."
+        listed = ", ".join(f"[{a:.3g}, {b:.3g}] s" for a, b in self.intervals)
+        return f"slip shrinks only on {listed} of the horizon of {self.duration:g} s."
+
+    def _remedy(self) -> str:
+        if self.gain.row.makes_up:
+            return " Any rho > 0 makes slip shrink throughout, at least as fast as exp(-rho t)."
+        if math.isinf(self.least_eta):
+            leaves = "starts from zero" if math.isnan(self.left) else "touches zero on the way"
+            return (
+                f" No finite eta shrinks it throughout: sigma {leaves}, where sigma'/sigma "
+                "is unbounded (slip in units of the path speed shrinks all the same). The law "
+                "'guaranteed' does."
+            )
+        return f" This law shrinks it throughout for every eta above {self.least_eta:.3g}."
+
+
+def contraction(profile: Profile, gain: Gain, duration: float) -> Contraction:
+    """Where slip shrinks under a gain law, and the least gain that shrinks it throughout.
+
+    Parameters
+    ----------
+    profile : Profile
+        A path profile that passes `Profile.check`.
+    gain : Gain
+        The law and its gain.
+    duration : float
+        The horizon [s].
+
+    Returns
+    -------
+    Contraction
+        Its `str` is one readable paragraph.
+    """
+    supremum = _least_gain(profile, gain.row, duration)
+    throughout = gain.value > supremum
+    intervals = ((0.0, duration),) if throughout else _shrinking(profile, gain, duration)
+    growth, left = _slip_factors(profile, gain, duration, intervals)
+    return Contraction(gain, duration, intervals, throughout, max(0.0, supremum), growth, left)
+
+
+def _least_gain(profile: Profile, law: Law, duration: float) -> float:
+    """Supremum over the horizon of sigma'/sigma^(power + 1)."""
+    c, slope = profile.coefficients, profile.slope
+    zeros = profile.zeros(duration)
+    if not law.makes_up and any(t < duration for t in zeros):
+        return math.inf
+    n = law.power + 1
+    # d/dt (sigma' sigma^-n) = 0  <=>  sigma'' sigma - n sigma'^2 = 0
+    stationary = rounded(exact_product(derivative(slope), c), exact_product((-n,), slope, slope))
+    times = {0.0, duration, *sign_changes(stationary, 0.0, duration)} - set(zeros)
+    supremum = max((_steepness(profile, n, t) for t in times), default=math.inf)
+    return min(0.0, supremum) if law.makes_up else supremum
+
+
+def _steepness(profile: Profile, n: int, t: float) -> float:
+    """sigma'/sigma^n, divided step by step: a power of a tiny sigma is 0."""
+    value = profile.rate(t)
+    for _ in range(n):
+        value /= profile(t)
+    return value
+
+
+def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[float, float], ...]:
+    """Intervals on which sigma' - lam sigma < 0."""
+    found: list[tuple[float, float]] = []
+    knots = profile.knots(0.0, duration)
+    for start, stop in zip(knots, knots[1:]):
+        # around its middle, where terms of powers of sigma cancel least
+        middle = 0.5 * (start + stop)
+        rate = _slip_rate(profile.shifted(middle), gain)
+        ends = start - middle, stop - middle
+        turns = [middle + tau for tau in sign_changes(rate, *ends)]
+        for a, b in zip([start, *turns], [*turns, stop]):
+            if clear_value(rate, 0.5 * (a + b) - middle) < 0:
+                if found and found[-1][1] == a:
+                    a = found.pop()[0]
+                found.append((a, b))
+    return tuple(found)
+
+
+def _slip_rate(c: Coefficients, gain: Gain) -> Coefficients:
+    """Coefficients of sigma' - lam sigma from those of sigma."""
+    slope = derivative(c)
+    if gain.row.makes_up:  # rho = 0: the law only makes up for growth
+        return slope
+    lost: Exact = exact_product((-gain.value,), *[c] * (gain.row.power + 1))
+    return rounded(exact(slope), lost)
+
+
+def _slip_factors(
+    profile: Profile, gain: Gain, duration: float, intervals: Sequence[tuple[float, float]]
+) -> tuple[tuple[float, float], float]:
+    """Greatest slip (time, factor) and slip at the end (factor), both over slip at t = 0."""
+    if 0.0 in profile.zeros(duration):
+        return (0.0, math.nan), math.nan
+
+    def factor(t: float) -> float:
+        growth, exponent = profile(t) / profile(0.0), gain.exponent(profile, t)
+        return growth * math.exp(-exponent) if growth > 0 else 0.0
+
+    # slip is greatest where it starts to shrink, or at an end of the horizon
+    times = sorted({0.0, duration, *(start for start, _ in intervals)})
+    greatest = max(times, key=factor)
+    return (greatest, factor(greatest)), factor(duration)

@@ -1,0 +1,292 @@
+r"""Everything metric about a surface, stated once, symbolically, for any chart.
+
+A chart ``f(u, v)`` need not be orthogonal. Its contact frame is ``E = [x y n]`` with
+
+.. math:: x = f_u/|f_u|, \quad n = f_u \times f_v/|f_u \times f_v|, \quad y = n \times x,
+
+and ``M`` (the metric root, ``M^T M`` is the metric) turns coordinate rates into velocity
+components along ``x`` and ``y``. For an orthogonal chart ``y = f_v/|f_v|`` and
+``M = diag(h_u, h_v)``, and the frame, M and the Christoffel symbols are those printed in the paper
+(eqs. ``rotationmat``, ``finetune``, ``christoffel``).
+
+Lengths in metres, angles in radians. All results are CasADi SX expressions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from . import symbols as ca
+from .symbols import per_structure
+
+if TYPE_CHECKING:
+    from ..surfaces.base import Surface
+
+
+@dataclass(frozen=True, eq=False)
+class ChartGeometry:
+    """The metric quantities of a chart at one point, as SX expressions.
+
+    Attributes
+    ----------
+    point : SX (3, 1)
+        Position f, m.
+    frame : SX (3, 3)
+        Contact frame E, columns x, y, n.
+    metric_root : SX (2, 2)
+        M, upper triangular: ``M @ (u', v')`` is the velocity along (x, y).
+    lame : SX (2, 1)
+        Lame coefficients ``|f_u|``, ``|f_v|``.
+    christoffel : tuple of two SX (2, 2)
+        Second kind, ``christoffel[k][i, j]`` = Gamma^k_ij, both symmetric.
+    curvature_form : SX (2, 2)
+        K, symmetric: ``n' = [x y] K M q'``; +I/r on a sphere of radius r. 1/m.
+    torsion_form : SX (1, 2)
+        T: ``y . x' = T M q'``. 1/m.
+    """
+
+    point: ca.SX
+    frame: ca.SX
+    metric_root: ca.SX
+    lame: ca.SX
+    christoffel: tuple[ca.SX, ca.SX]
+    curvature_form: ca.SX
+    torsion_form: ca.SX
+
+    def column(self) -> ca.SX:
+        """Return all of it as one column, in the order of `QUANTITIES`, first indices fastest."""
+        first, second = self.christoffel
+        # (k, i, j) with k fastest
+        christoffel = ca.horzcat(ca.vec(first), ca.vec(second)).T
+        given = {name: getattr(self, name) for name in QUANTITIES}
+        return ca.vertcat(*(ca.vec(w) for w in ({**given, "christoffel": christoffel}).values()))
+
+
+QUANTITIES: dict[str, tuple[int, ...]] = {
+    "point": (3,),
+    "frame": (3, 3),
+    "lame": (2,),
+    "metric_root": (2, 2),
+    "christoffel": (2, 2, 2),
+    "curvature_form": (2, 2),
+    "torsion_form": (2,),
+}
+"""Shapes of the quantities as numbers."""
+
+
+def contact_frame(f_u: ca.SX, f_v: ca.SX, orthogonal: bool = False) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return the contact frame axes and the metric root of two tangent vectors.
+
+    Parameters
+    ----------
+    f_u, f_v : SX (3, 1)
+        Partial derivatives of the chart.
+    orthogonal : bool
+        Promise that ``f_u . f_v`` vanishes identically; saves its evaluation.
+
+    Returns
+    -------
+    x, y : SX (3, 1)
+        Unit tangent axes; the normal is ``x`` cross ``y``.
+    M : SX (2, 2)
+        Metric root.
+    """
+    h_u = ca.norm_2(f_u)
+    x = f_u / h_u
+    if orthogonal:
+        h_v = ca.norm_2(f_v)
+        return x, f_v / h_v, ca.diag(ca.vertcat(h_u, h_v))
+    along = ca.dot(x, f_v)
+    # y from f_v with its x part removed: the same vector as n cross x, and no cross products.
+    across = f_v - along * x
+    h_across = ca.norm_2(across)
+    metric_root = ca.vertcat(ca.horzcat(h_u, along), ca.horzcat(0, h_across))
+    return x, across / h_across, metric_root
+
+
+def chart_geometry(f: ca.SX, u: ca.SX, v: ca.SX, orthogonal: bool = False) -> ChartGeometry:
+    """Return every metric quantity of the chart ``f(u, v)``.
+
+    Parameters
+    ----------
+    f : SX (3, 1)
+        Chart, m.
+    u, v : SX scalar symbols
+        Surface coordinates.
+    orthogonal : bool
+        Promise that ``f_u . f_v`` vanishes identically; shortens every expression.
+    """
+    q = ca.vertcat(u, v)
+    f_q = ca.jacobian(f, q)
+    f_u, f_v = f_q[:, 0], f_q[:, 1]
+    f_uq = ca.jacobian(f_u, q)
+    return tangent_geometry(f, f_u, f_v, f_uq[:, 0], f_uq[:, 1], ca.jacobian(f_v, v), orthogonal)
+
+
+def tangent_geometry(
+    point: ca.SX,
+    f_u: ca.SX,
+    f_v: ca.SX,
+    f_uu: ca.SX,
+    f_uv: ca.SX,
+    f_vv: ca.SX,
+    orthogonal: bool = False,
+) -> ChartGeometry:
+    """Return every metric quantity from the derivatives of a chart, however they were found.
+
+    Parameters
+    ----------
+    point, f_u, f_v, f_uu, f_uv, f_vv : SX (3, 1)
+        The chart's value and first and second partial derivatives.
+    orthogonal : bool
+        Promise that ``f_u . f_v`` vanishes identically.
+    """
+    x, y, m = contact_frame(f_u, f_v, orthogonal)
+    n = ca.cross(x, y)
+
+    def second(axis: ca.SX) -> ca.SX:
+        """Components of the second derivatives along one frame axis, symmetric 2x2."""
+        uu, uv, vv = (ca.dot(axis, d) for d in (f_uu, f_uv, f_vv))
+        return ca.vertcat(ca.horzcat(uu, uv), ca.horzcat(uv, vv))
+
+    along_x, along_y, along_n = second(x), second(y), second(n)
+    # Gamma^k_ij = g^kl f_l.f_ij; with g = M^T M this is M^-1 [x y]^T f_ij, no metric inverse.
+    gamma_v = along_y / m[1, 1]
+    gamma_u = (along_x - m[0, 1] * gamma_v) / m[0, 0]
+    # n_i.f_j = -n.f_ij (differentiate n.f_j = 0), so K needs no derivative of the normal.
+    m_inv = upper_inverse(m)
+    curvature = -m_inv.T @ along_n @ m_inv
+    # y.x_i = y.f_ui/h_u, the rest of x_i being along x.
+    torsion = along_y[0, :] / m[0, 0] @ m_inv
+    return ChartGeometry(
+        point=point,
+        frame=ca.horzcat(x, y, n),
+        metric_root=m,
+        lame=ca.vertcat(m[0, 0], ca.norm_2(f_v)),
+        christoffel=(gamma_u, gamma_v),
+        curvature_form=curvature,
+        torsion_form=torsion,
+    )
+
+
+def revolved_geometry(
+    shape: ChartGeometry, u: ca.SX, v: ca.SX, turning: int, lame: tuple[ca.SX, ca.SX], poles: bool
+) -> ChartGeometry:
+    """Say the metric quantities of a surface of revolution without the angle about its axis.
+
+    Parameters
+    ----------
+    shape : ChartGeometry
+        Of an orthogonal chart.
+    u, v : SX scalar symbols
+    turning : int
+        Which of them is that angle.
+    lame : two SX
+        |f_u|, |f_v| in closed form, m, but for their signs, of which the connection is free.
+        CasADi does not know that sin^2 + cos^2 = 1.
+    poles : bool
+        Whether one of them changes its sign somewhere.
+
+    The rest follows from them (do Carmo, Differential Geometry, 4-3): Gamma^k_ij of an orthogonal
+    metric, y.x_u = -h_u,v/h_v, y.x_v = h_v,u/h_u.
+    """
+    h_u, h_v = ca.SX(lame[0]), ca.SX(lame[1])
+    (uu, uv), (vu, vv) = (ca.horzsplit(ca.jacobian(h, ca.vertcat(u, v))) for h in (h_u, h_v))
+    gamma_u = ca.vertcat(ca.horzcat(uu, uv), ca.horzcat(uv, -h_v * vu / h_u)) / h_u
+    gamma_v = ca.vertcat(ca.horzcat(-h_u * uv / h_v, vu), ca.horzcat(vu, vv)) / h_v
+    curvature = ca.substitute(shape.curvature_form, (u, v)[turning], 0)
+    lengths = ca.vertcat(h_u, h_v)
+    if poles:
+        lengths[turning] = ca.fabs(lengths[turning])
+    return replace(
+        shape,
+        metric_root=ca.diag(lengths),
+        lame=lengths,
+        christoffel=(gamma_u, gamma_v),
+        curvature_form=curvature,
+        torsion_form=ca.horzcat(-uv / (h_u * h_v), vu / (h_u * h_v)),
+    )
+
+
+def plane_turn(cos: ca.SX, sin: ca.SX) -> ca.SX:
+    """Return the rotation of the plane by an angle of this cosine and sine, 2x2."""
+    return ca.vertcat(ca.horzcat(cos, -sin), ca.horzcat(sin, cos))
+
+
+def rotation(angle: ca.SX) -> ca.SX:
+    """Return Rot(angle), 2x2."""
+    return plane_turn(ca.cos(angle), ca.sin(angle))
+
+
+def upper_inverse(m: ca.SX) -> ca.SX:
+    """Return the inverse of an upper triangular 2x2 matrix, term by term."""
+    corner = -m[0, 1] / (m[0, 0] * m[1, 1])
+    return ca.vertcat(ca.horzcat(1 / m[0, 0], corner), ca.horzcat(0, 1 / m[1, 1]))
+
+
+def implicit_geometry(level: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return gradient (3, 1) and Hessian (3, 3) of the level function ``F(x)``.
+
+    With F negative inside the body, ``n = grad/|grad|`` points out of it, and the curvature
+    form in tangent axes [x y] is ``[x y]^T Hess [x y]/|grad|``.
+    """
+    hessian, gradient = ca.hessian(level, x)
+    return gradient, hessian
+
+
+class Level(NamedTuple):
+    """A level function F at a point of the surface F = 0; its gradient points out of the body.
+
+    That of the other side of the surface is -F: what depends on the side takes its sign besides.
+    """
+
+    value: ca.SX
+    gradient: ca.SX
+    hessian: ca.SX
+    steepness: ca.SX
+    """1 / |gradient|^2, right on the surface alone."""
+
+
+def level_geometry(level: ca.SX, x: ca.SX) -> Level:
+    """Return what :class:`Level` holds, of any expression F of x."""
+    gradient, hessian = implicit_geometry(level, x)
+    return Level(level, gradient, hessian, 1 / ca.dot(gradient, gradient))
+
+
+# --- functions of (point, numbers of a surface): its sign and its parameters --------------------
+
+
+@per_structure
+def geometry_function(surface: Surface) -> ca.Function:
+    """(u, v), of an implicit surface x -> :meth:`ChartGeometry.column`."""
+    sign, p = number_symbols(surface)
+    arguments, shape = surface.geometry_symbols(p, sign)
+    return numbers_function("geometry", ca.vertcat(*arguments), sign, p, shape.column())
+
+
+@per_structure
+def inverse_function(surface: Surface) -> ca.Function:
+    """x -> u, v."""
+    (sign, p), x = number_symbols(surface), ca.SX.sym("x", 3)
+    found = ca.vertcat(*surface.coordinates_expr(p, x, sign))
+    return numbers_function("inverse", x, sign, p, found)
+
+
+@per_structure
+def ray_function(surface: Surface) -> ca.Function:
+    """x, d -> F and its slope along d, of the level function as it is written."""
+    (sign, p), x, ray = number_symbols(surface), ca.SX.sym("x", 3), ca.SX.sym("d", 3)
+    level = surface.implicit_expr(p, x, 1.0)
+    slope = ca.dot(ca.gradient(level, x), ray)
+    return numbers_function("ray", ca.vertcat(x, ray), sign, p, ca.vertcat(level, slope))
+
+
+def number_symbols(surface: Surface) -> tuple[ca.SX, ca.SX]:
+    """Return symbols for a surface's sign and its parameters."""
+    return ca.SX.sym("sign"), ca.SX.sym("p", len(surface.parameters))
+
+
+def numbers_function(name: str, point: ca.SX, sign: ca.SX, p: ca.SX, result: ca.SX) -> ca.Function:
+    """Return the function (point, numbers) -> result, one column each."""
+    return ca.Function(name, [point, ca.vertcat(sign, p)], [ca.densify(ca.vec(result))])

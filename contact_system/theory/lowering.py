@@ -1,0 +1,431 @@
+"""From symbols to tables of instructions, which the engine runs, and to their twins in C.
+
+A table is a straight-line program on registers of 16 lanes, made from a CasADi SX function
+(point, constants) -> result. Its registers, in this order: point, constants, literals, what the
+prologue finds, results, temporaries. The prologue computes what depends on constants alone, once a
+body; the body of the table does the rest, at every point.
+
+On the way equal values are computed once, a product that is used once goes into its sum, and what
+divides by a constant, or by one number several times, is multiplied by the inverse: processors
+multiply many times faster than they divide.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..errors import ContactSystemError
+from ..kept import kept
+from . import symbols as ca
+from .development import IN_CHART, IN_SPACE, moving, prefers_space
+from .geometry import geometry_function, inverse_function, ray_function
+from .symbols import SYMBOLS, per_structure
+
+if TYPE_CHECKING:
+    from ..surfaces.base import Surface
+
+
+class Operation(NamedTuple):
+    """One row of the table of operations.
+
+    Attributes
+    ----------
+    name : str
+        As in CasADi's OP_..., but for `FUSED`.
+    arity : int
+    c : str
+        C expression of the operands A, B, C (and D, E, F), or the function that runs it on lanes.
+    kind : str
+        "SIMPLE", "SIMPLE2" (with the operands D, E, F in a second row), "CALL1" or "CALL2".
+    """
+
+    name: str
+    arity: int
+    c: str
+    kind: str = "SIMPLE"
+
+
+FUSED = ("FMA", "FMS", "FNMA", "DOT2", "DOT3")
+CALLS_1 = (
+    "SIN COS TAN ASIN ACOS ATAN SINH COSH TANH ASINH ACOSH ATANH EXP LOG LOG1P EXPM1 FLOOR CEIL"
+)
+CALLS_2 = "POW FMOD"
+OPERATIONS = (
+    Operation("ASSIGN", 1, "A"),
+    Operation("ADD", 2, "A + B"),
+    Operation("SUB", 2, "A - B"),
+    Operation("MUL", 2, "A * B"),
+    Operation("DIV", 2, "A / B"),
+    Operation("FMA", 3, "A * B + C"),
+    Operation("FMS", 3, "A * B - C"),
+    Operation("FNMA", 3, "C - A * B"),
+    Operation("DOT2", 4, "A * B + C * D", "SIMPLE2"),
+    Operation("DOT3", 6, "A * B + C * D + E * F", "SIMPLE2"),
+    Operation("NEG", 1, "-A"),
+    Operation("INV", 1, "1.0 / A"),
+    Operation("SQRT", 1, "sqrt(A)"),
+    Operation("FABS", 1, "fabs(A)"),
+    Operation("FMIN", 2, "B < A ? B : A"),
+    Operation("FMAX", 2, "A < B ? B : A"),
+    Operation("COPYSIGN", 2, "copysign(A, B)"),
+    Operation("SIGN", 1, "A > 0 ? 1.0 : A < 0 ? -1.0 : 0.0"),
+    Operation("LT", 2, "A < B ? 1.0 : 0.0"),
+    Operation("LE", 2, "A <= B ? 1.0 : 0.0"),
+    Operation("EQ", 2, "A == B ? 1.0 : 0.0"),
+    Operation("NE", 2, "A != B ? 1.0 : 0.0"),
+    Operation("NOT", 1, "A == 0 ? 1.0 : 0.0"),
+    Operation("AND", 2, "A != 0 && B != 0 ? 1.0 : 0.0"),
+    Operation("OR", 2, "A != 0 || B != 0 ? 1.0 : 0.0"),
+    Operation("IF_ELSE_ZERO", 2, "A != 0 ? B : 0.0"),
+    Operation("ATAN2", 2, "v_atan2(A, B)"),
+    *(Operation(n, 1, n.lower(), "CALL1") for n in CALLS_1.split()),
+    *(Operation(n, 2, n.lower(), "CALL2") for n in CALLS_2.split()),
+)
+"""In the order of their codes in tables, which begin at 1; 0 ends a program."""
+
+CODES = {row.name: code for code, row in enumerate(OPERATIONS, start=1)}
+BY_NAME = {row.name: row for row in OPERATIONS}
+
+Value = tuple[Any, ...]
+"""An operation's name and its operands, numbers of earlier values; or one of `LEAVES`."""
+Step = tuple[str, int, list[int]]
+"""An instruction: operation, register of the result, registers of the operands."""
+LEAVES = ("IN", "CONSTANT", "LITERAL")
+COMMUTE = ("ADD", "MUL")
+
+
+def replay(
+    function: ca.Function,
+    arguments: Sequence[Sequence[Any]],
+    apply: Callable[[int, list[Any]], Any],
+    constant: Callable[[float], Any] = lambda value: value,
+) -> list[list[Any]]:
+    """Replay the scalar instructions of an SX function on scalars of any type.
+
+    The only place that reads CasADi's instructions. It works for mpmath numbers, Drake expressions
+    and numbers of instructions alike.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        An SX function with dense inputs and outputs.
+    arguments : sequence of sequences
+        ``arguments[i][j]`` is the j-th scalar of input i (column-major).
+    apply : callable
+        ``apply(op, operands)`` returns the value of the CasADi operation ``op``.
+    constant : callable
+        Turns a float constant of the expression into the scalar type.
+
+    Returns
+    -------
+    list of lists: the scalars of each output.
+    """
+    work: list[Any] = [None] * function.sz_w()
+    results: list[list[Any]] = [
+        [constant(0.0)] * function.nnz_out(i) for i in range(function.n_out())
+    ]
+    taken, given, literal = ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST
+    for k in range(function.n_instructions()):
+        op = function.instruction_id(k)
+        out, inp = function.instruction_output(k), function.instruction_input(k)
+        if op == taken:
+            work[out[0]] = arguments[inp[0]][inp[1]]
+        elif op == given:
+            results[out[0]][out[1]] = work[inp[0]]
+        elif op == literal:
+            work[out[0]] = constant(function.instruction_constant(k))
+        else:
+            work[out[0]] = apply(op, [work[i] for i in inp])
+    return results
+
+
+def no_operation(op: int, form: str) -> ContactSystemError:
+    """The error of an operation of CasADi that cannot be written in a form, such as C."""
+    import casadi
+
+    known = vars(casadi)
+    name = next((key for key in known if key.startswith("OP_") and known[key] == op), op)
+    return ContactSystemError(
+        f"operation {name} of CasADi has no {form} form here; write the surface with "
+        "+ - * / sqrt, trigonometric, hyperbolic, exp, log, pow, fabs, fmin, fmax, fmod, if_else"
+    )
+
+
+@cache
+def _names() -> dict[int, str]:
+    """CasADi's codes of operations -> names here, or of what they are made of in `_Values`."""
+    names = [row.name for row in OPERATIONS if row.name not in FUSED]
+    found = {getattr(ca, f"OP_{name}"): name for name in (*names, "SQ", "TWICE", "HYPOT")}
+    return found | {ca.OP_CONSTPOW: "POW"}
+
+
+class _Values:
+    """A program as values in the order of their computation, each once."""
+
+    def __init__(self, n_in: int, n_const: int):
+        self.rows: list[Value] = []
+        self.uniform: list[bool] = []
+        """Whether a value depends on constants and literals alone."""
+        self._numbers: dict[Value, int] = {}
+        self.inputs = [self.leaf("IN", i) for i in range(n_in)]
+        self.constants = [self.leaf("CONSTANT", i) for i in range(n_const)]
+
+    def leaf(self, *value: Any) -> int:
+        number = self._numbers.setdefault(value, len(self.rows))
+        if number == len(self.rows):
+            self.rows.append(value)
+            self.uniform.append(value[0] != "IN")
+        return number
+
+    def put(self, name: str, a: int, b: int | None = None) -> int:
+        """The number of a value, a new one or one that is there."""
+        value: Value
+        if b is None:
+            value, uniform = (name, a), self.uniform[a]
+        else:
+            if a > b and name in COMMUTE:
+                a, b = b, a
+            value, uniform = (name, a, b), self.uniform[a] and self.uniform[b]
+        number = self._numbers.setdefault(value, len(self.rows))
+        if number == len(self.rows):
+            self.rows.append(value)
+            self.uniform.append(uniform)
+        return number
+
+    def apply(self, op: int, operands: list[int]) -> int:
+        """The value of an operation of CasADi."""
+        name = _names().get(op)
+        a, b = operands[0], operands[-1]
+        match name:
+            case None:
+                raise no_operation(op, "C")
+            case "ASSIGN":
+                return a
+            case "SQ":
+                return self.put("MUL", a, a)
+            case "TWICE":
+                return self.put("ADD", a, a)
+            case "HYPOT":
+                return self.put(
+                    "SQRT", self.put("ADD", self.put("MUL", a, a), self.put("MUL", b, b))
+                )
+            case "DIV" if not (self.uniform[a] and self.uniform[b]):
+                return self.put("MUL", a, self.put("INV", b))
+        return self.put(name, *operands)
+
+
+def _read(function: ca.Function) -> tuple[_Values, list[int]]:
+    """The values of a function, and which are its results."""
+    values = _Values(function.numel_in(0), function.numel_in(1))
+    given = [values.inputs, values.constants]
+    return values, replay(function, given, values.apply, partial(values.leaf, "LITERAL"))[0]
+
+
+def _divide(rows: list[Value], uniform: list[bool], uses: Counter[int]) -> None:
+    """Divide again by what nothing else is divided by: that is rounded once less."""
+    for k, (name, *operands) in enumerate(rows):
+        if name != "MUL":
+            continue
+        for inverse, other in (operands, operands[::-1]):
+            if rows[inverse][0] == "INV" and uses[inverse] == 1 and not uniform[inverse]:
+                rows[k] = ("DIV", other, rows[inverse][1])
+                break
+
+
+def _fuse(rows: list[Value], uniform: list[bool], uses: Counter[int]) -> None:
+    """Put products that are used once into the sums that use them."""
+
+    def alone(j: int) -> bool:
+        return rows[j][0] == "MUL" and uses[j] == 1 and not uniform[j]
+
+    for k, (name, *operands) in enumerate(rows):
+        if name not in ("ADD", "SUB") or uniform[k]:
+            continue
+        x, y = operands
+        if name == "ADD" and alone(x) and alone(y):
+            rows[k] = ("DOT2", *rows[x][1:], *rows[y][1:])
+        elif name == "ADD" and rows[x][0] == "DOT2" and uses[x] == 1 and alone(y):
+            rows[k] = ("DOT3", *rows[x][1:], *rows[y][1:])
+        elif name == "ADD" and rows[y][0] == "DOT2" and uses[y] == 1 and alone(x):
+            rows[k] = ("DOT3", *rows[y][1:], *rows[x][1:])
+        elif alone(y):
+            rows[k] = ("FMA" if name == "ADD" else "FNMA", *rows[y][1:], x)
+        elif alone(x):
+            rows[k] = ("FMA" if name == "ADD" else "FMS", *rows[x][1:], y)
+
+
+def _live(rows: list[Value], results: list[int]) -> list[int]:
+    """What the results need, in the order of computation."""
+    needed = set(results)
+    for k in range(len(rows) - 1, -1, -1):
+        if k in needed and rows[k][0] not in LEAVES:
+            needed.update(rows[k][1:])
+    return sorted(needed)
+
+
+class Table:
+    """A program of instructions, `prologue` and `body`, made from (point, constants) -> result.
+
+    Attributes
+    ----------
+    n_in, n_const, n_out, n_regs : int
+        Numbers of a point, of constants, of results; registers in all.
+    first_lit, first_out : int
+        Registers where literals and results begin.
+    literals : (n_lit,) float64
+    prologue, body : (n, 5) uint16
+        Rows of op, to, a, b, c, the last all 0; operations of kind "SIMPLE2" take two rows, with
+        d, e, f in the second.
+    """
+
+    def __init__(self, function: ca.Function):
+        with SYMBOLS:
+            self.n_in, self.n_const = function.numel_in(0), function.numel_in(1)
+            self.n_out = function.numel_out(0)
+            assert function.nnz_out(0) == self.n_out, "results must be dense"
+            values, results = _read(function)
+        rows, uniform = values.rows, values.uniform
+        uses = Counter(j for row in rows if row[0] not in LEAVES for j in row[1:])
+        uses.update(results)
+        _divide(rows, uniform, uses)
+        _fuse(rows, uniform, uses)
+        self._place(values, results, _live(rows, results))
+
+    def _place(self, values: _Values, results: list[int], live: list[int]) -> None:
+        """Give every value its register and write the instructions."""
+        rows, place = values.rows, dict[int, int]()
+        place.update((k, k) for k in (*values.inputs, *values.constants))
+        literals = [k for k in live if rows[k][0] == "LITERAL"]
+        steps = [k for k in live if rows[k][0] not in LEAVES]
+        kept = [*literals, *(k for k in steps if values.uniform[k])]
+        self.first_lit = self.n_in + self.n_const
+        self.literals = np.array([rows[k][1] for k in literals])
+        self.first_out = self.first_lit + len(kept)
+        place.update((k, self.first_lit + i) for i, k in enumerate(kept))
+        copies = list[Step]()
+        for i, k in enumerate(results):
+            if k in place:
+                copies.append(("ASSIGN", self.first_out + i, [place[k]]))
+            else:
+                place[k] = self.first_out + i
+        last = {j: k for k in steps for j in rows[k][1:]}
+        free: list[int] = []
+        self.n_regs = first_free = self.first_out + self.n_out
+        prologue, body = list[Step](), list[Step]()
+        for k in steps:
+            name, *operands = rows[k]
+            registers = [place[j] for j in operands]
+            free += {r for j, r in zip(operands, registers) if r >= first_free and last[j] == k}
+            if k not in place:
+                if not free:
+                    free.append(self.n_regs)
+                    self.n_regs += 1
+                place[k] = free.pop()
+            (prologue if values.uniform[k] else body).append((name, place[k], registers))
+        self.prologue, self.body = _words(prologue), _words(body + copies)
+
+    def twin(self) -> str | None:
+        """C text that does to registers r what the body does; None where it is not that simple.
+
+        A loop over the lanes in which values live in the processor's registers; every operation is
+        the table's, so that both give the same bits.
+        """
+        literals = range(self.first_lit, self.first_lit + len(self.literals))
+        results = range(self.first_out, self.first_out + self.n_out)
+        held: dict[int, str] = {}
+
+        def operand(register: int) -> str:
+            if register in literals:
+                return c_number(self.literals[register - self.first_lit])
+            return held.get(register, f"r[{register}][i]")
+
+        lines = list[str]()
+        for op, to, registers in instructions(self.body):
+            row = OPERATIONS[op - 1]
+            if not row.kind.startswith("SIMPLE"):
+                return None
+            given = dict(zip("ABCDEF", map(operand, registers)))
+            value = re.sub(r"\b[A-F]\b", lambda found: given[found[0]], row.c)  # noqa: B023
+            lines.append(f"const double t{len(lines)} = {value};")
+            held[to] = f"t{len(lines) - 1}"
+        lines += [f"r[{to}][i] = {held[to]};" for to in results]
+        loop = "".join(f"    {line}\n" for line in lines)
+        return f"  SIMD\n  for (int i = 0; i < L; i++) {{\n{loop}  }}\n"
+
+
+def _words(steps: list[Step]) -> np.ndarray:
+    rows = []
+    for name, to, registers in steps:
+        padded = [*registers, 0, 0]
+        rows.append((CODES[name], to, *padded[:3]))
+        if BY_NAME[name].kind == "SIMPLE2":
+            rows.append((0, 0, *padded[3:6]))
+    rows.append((0, 0, 0, 0, 0))
+    return np.array(rows, dtype=np.uint16)
+
+
+def instructions(words: np.ndarray) -> Iterator[tuple[int, int, list[int]]]:
+    """Yield the code, the result's register and the operands' of every instruction."""
+    rows = iter(words.tolist())
+    for op, to, *registers in rows:
+        if not op:
+            return
+        row = OPERATIONS[op - 1]
+        if row.kind == "SIMPLE2":
+            registers += next(rows)[2:]
+        yield op, to, registers[: row.arity]
+
+
+def c_number(value: float) -> str:
+    """A float in C, to the last bit."""
+    return repr(float(value))
+
+
+# --- the tables of a surface ---------------------------------------------------------------------
+
+
+class SurfaceTables:
+    """The tables of the surfaces of one structure, in groups, made when a group is asked for."""
+
+    def __init__(self, surface: Surface):
+        self.surface = surface
+
+    @kept
+    def ambient(self) -> tuple[Table | None, ...]:
+        """State x, p: `development.IN_SPACE`."""
+        if not prefers_space(self.surface):
+            return (None,) * len(IN_SPACE)
+        body = moving(self.surface, True)
+        names = [name if self.surface.has_chart or name != "start" else None for name in IN_SPACE]
+        return tuple(None if name is None else Table(body(name)) for name in names)
+
+    @kept
+    def chart(self) -> tuple[Table | None, ...]:
+        """State u, v, theta: `development.IN_CHART`, of bodies that may be moved so."""
+        if prefers_space(self.surface) and not self.surface.double_cover:
+            return (None,) * len(IN_CHART)
+        body = moving(self.surface, False)
+        return tuple(Table(body(name)) for name in IN_CHART)
+
+    @kept
+    def other(self) -> tuple[Table | None, ...]:
+        """Geometry, inverse chart, and of surfaces without a chart the level along a ray."""
+        surface = self.surface
+        return (
+            Table(geometry_function(surface)),
+            Table(inverse_function(surface)) if surface.has_implicit else None,
+            None if surface.has_chart else Table(ray_function(surface)),
+            None,
+        )
+
+
+@per_structure
+def lowered(surface: Surface) -> SurfaceTables:
+    """The tables of a surface that the engine does not know, such as a user's."""
+    return SurfaceTables(surface)

@@ -1,0 +1,292 @@
+r"""Polynomials with exact integrals, and the path profile sigma(t).
+
+Products, squares and shifts of polynomials are formed exactly, in integers over one power of two
+(as `fractions.Fraction` would, several times as fast), and rounded once. So nothing about sigma or
+its integrals is integrated numerically.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..checks import LARGEST, finite_number, finite_numbers, real_array
+from ..errors import SceneError
+from ..kept import kept
+
+Coefficients = tuple[float, ...]
+"""Coefficients of a polynomial, lowest power first."""
+
+Exact = tuple[Sequence[int], int]
+"""The same in rational numbers: numerators and the denominator of all, a power of two."""
+
+Numbers = Sequence[float] | np.ndarray
+"""What users may give for a few numbers, all of which are kept as tuples of floats."""
+
+CANCELLED = 1e5  # times as large as sigma may its terms be: 11 digits are left of it, 6 of int lam
+_BISECTIONS = 200  # down to neighbouring floats, also for a root very close to 0
+
+
+# --- polynomials -------------------------------------------------------------------------------
+
+
+def polynomial(coefficients: Sequence, t):
+    """The value at t, numbers or symbols, of a polynomial; coefficients from the lowest power."""
+    if len(coefficients) < 2:
+        return sum(coefficients, 0.0 * t)
+    result = coefficients[-1] * t
+    for c in reversed(coefficients[1:-1]):
+        result += c  # in place for arrays
+        result *= t
+    return result + coefficients[0]
+
+
+def _noise(coefficients: Sequence[float], t: float) -> float:
+    """Bound of the rounding error of `polynomial`, which also forgives rounded coefficients."""
+    return (
+        4e-16 * len(coefficients) * polynomial([abs(c) for c in coefficients], abs(t)) if t else 0.0
+    )
+
+
+def clear_value(coefficients: Sequence[float], t: float) -> float:
+    """The value at t, or 0 where its sign cannot be told from rounding."""
+    value = polynomial(coefficients, t)
+    return value if abs(value) > _noise(coefficients, t) else 0.0
+
+
+def derivative(coefficients: Sequence[float]) -> Coefficients:
+    return tuple(k * c for k, c in enumerate(coefficients))[1:] or (0.0,)
+
+
+def integral(coefficients: Sequence) -> tuple:
+    """Coefficients of the integral from 0, numbers or symbols."""
+    return (0.0, *(c / (k + 1) for k, c in enumerate(coefficients)))
+
+
+def product(a: Sequence, b: Sequence) -> tuple:
+    """Coefficients of the product of two polynomials, numbers or symbols."""
+    result = [0 * a[0]] * (len(a) + len(b) - 1)
+    for i, x in enumerate(a):
+        for j, y in enumerate(b):
+            result[i + j] = result[i + j] + x * y
+    return tuple(result)
+
+
+def exact(coefficients: Sequence[float]) -> Exact:
+    ratios = [c.as_integer_ratio() for c in coefficients]
+    whole = max(below for _, below in ratios)
+    return [above * (whole // below) for above, below in ratios], whole
+
+
+def exact_product(*factors: Sequence[float]) -> Exact:
+    """Exact product of polynomials."""
+    numerators, whole = exact(factors[0])
+    for factor in factors[1:]:
+        others, below = exact(factor)
+        numerators, whole = product(numerators, others), whole * below
+    return numerators, whole
+
+
+def rounded(*terms: Exact) -> Coefficients:
+    """Sum of exact polynomials, each coefficient rounded once."""
+    whole = max(below for _, below in terms)
+    total = [0] * max(len(numerators) for numerators, _ in terms)
+    for numerators, below in terms:
+        for k, x in enumerate(numerators):
+            total[k] += x * (whole // below)
+    return tuple(x / whole for x in total)
+
+
+def sign_changes(coefficients: Sequence[float], start: float, stop: float) -> list[float]:
+    """Times inside (start, stop) at which the polynomial changes sign, ascending.
+
+    Between the sign changes of its derivative a polynomial is monotone, so bisection finds every
+    one. Roots that only touch zero, rounded or not, are no sign changes.
+    """
+    if not any(coefficients[1:]):
+        return []
+    turns = sign_changes(derivative(coefficients), start, stop)
+    signed = [(t, clear_value(coefficients, t)) for t in (start, *turns, stop)]
+    signed = [(t, value) for t, value in signed if value != 0]
+    return [
+        _bisect(coefficients, a, b, at_a)
+        for (a, at_a), (b, at_b) in zip(signed, signed[1:])
+        if at_a * at_b < 0
+    ]
+
+
+def _bisect(coefficients: Sequence[float], a: float, b: float, value_at_a: float) -> float:
+    if len(coefficients) == 2:  # a line: its root, kept between the ends
+        return min(max(a, -coefficients[0] / coefficients[1]), b)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (a + b)
+        if not a < middle < b:
+            break
+        if polynomial(coefficients, middle) * value_at_a > 0:
+            a = middle
+        else:
+            b = middle
+    return b
+
+
+# --- the path profile --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Path profile sigma(t) = ds/dt = sum_k c_k t^k, a polynomial (eq. `sigma`).
+
+    Parameters
+    ----------
+    coefficients : sequence of float
+        c_0, c_1, ... [m/s, m/s^2, ...], lowest power first. Where terms of both signs are larger
+        than sigma, rounding takes as many digits of sigma and twice as many of int sigma^2:
+        2 and 4 for the minimum-jerk profile.
+
+    Raises
+    ------
+    SceneError
+        If there is no coefficient, or one is not a finite number.
+    """
+
+    coefficients: Coefficients
+
+    if TYPE_CHECKING:  # the fields say what is kept, this what may be given
+
+        def __init__(self, coefficients: Numbers) -> None: ...
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "coefficients", finite_numbers(self.coefficients, "profile"))
+
+    def __call__(self, t):
+        """sigma(t) [m/s]; t [s] of any shape."""
+        return polynomial(self.coefficients, as_time(t))
+
+    def rate(self, t):
+        """sigma'(t) [m/s^2]; t [s] of any shape."""
+        return polynomial(self.slope, as_time(t))
+
+    def arc_length(self, t):
+        """s(t) = int_0^t sigma [m]; t [s] of any shape."""
+        return polynomial(self._arc_length, as_time(t))
+
+    def energy(self, t):
+        """int_0^t sigma^2 [m^2/s]; t [s] of any shape."""
+        return polynomial(self._energy, as_time(t))
+
+    def shifted(self, t0: float) -> Coefficients:
+        """Coefficients of tau -> sigma(t0 + tau), each rounded once."""
+        return _shifted(self.coefficients, finite_number(t0, "t0"))
+
+    def extrema(self, t0: float, t1: float) -> tuple[float, ...]:
+        """Times inside (t0, t1) at which sigma' changes sign, ascending [s]."""
+        if t0 == 0 and min(self.coefficients[1:], default=0.0) >= 0:
+            return ()  # no term turns, the commonest profile
+        span = finite_number(t0, "t0"), finite_number(t1, "t1")
+        return tuple(sign_changes(self.slope, *span))
+
+    def knots(self, t0: float, t1: float) -> tuple[float, ...]:
+        """t0, the extrema between, t1: sigma is monotonic from each to the next [s]."""
+        return (t0, *self.extrema(t0, t1), t1)
+
+    def growths(self, t0: float, t1: float) -> list[tuple[float, float]]:
+        """The intervals of [t0, t1] on which sigma grows [s]."""
+        knots = self.knots(t0, t1)
+        return [(a, b) for a, b in zip(knots, knots[1:]) if self.rate(0.5 * (a + b)) > 0]
+
+    def check(self, duration: float) -> None:
+        """Check that sigma is a path speed on [0, duration]: finite, not negative, not all zero.
+
+        Touching zero is allowed; so is starting or ending there.
+
+        Raises
+        ------
+        SceneError
+            Naming the time, the value and the remedy.
+        """
+        c, duration = self.coefficients, finite_number(duration, "duration")
+        if not any(c):
+            raise SceneError(
+                f"profile = {list(c)}: sigma is zero for all t, so nothing moves; "
+                "give at least one coefficient that is not zero"
+            )
+        reach = polynomial([abs(x) for x in c], duration)
+        if not reach < LARGEST:
+            raise SceneError(
+                f"profile = {list(c)}: sigma reaches about {reach:.3g} m/s at t = {duration:g} s, "
+                "too large for floating point; shorten the duration or lower the coefficients"
+            )
+        if min(c) >= 0:  # no sum of such terms is negative
+            return
+        knots = self.knots(0.0, duration)
+        t = min(knots, key=lambda t: clear_value(c, t))
+        if clear_value(c, t) >= 0:
+            peak = max(map(self, knots))
+            if not reach <= CANCELLED * peak:
+                raise SceneError(
+                    f"profile = {list(c)}: sigma is {peak:.3g} m/s at most and its terms are "
+                    f"{reach:.3g} m/s together at t = {duration:g} s, so that rounding leaves few "
+                    "digits of it; give a polynomial of lower degree, or a shorter duration"
+                )
+            return
+        crossings = sign_changes(c, 0.0, duration)
+        if crossings and self(0.5 * crossings[0]) > 0:
+            remedy = f"end the scene before t = {crossings[0]:.6g} s, where sigma changes sign"
+        else:
+            remedy = "start with sigma >= 0 (to run a path backwards turn its path velocities)"
+        raise SceneError(
+            f"profile = {list(c)}: sigma = {self(t):.6g} m/s at t = {t:.6g} s is negative, "
+            f"and sigma is a speed along the path; {remedy}"
+        )
+
+    def zeros(self, duration: float) -> tuple[float, ...]:
+        """Times in [0, duration] at which a checked profile touches zero, ascending [s]."""
+        if min(self.coefficients) >= 0:
+            return () if self.coefficients[0] else (0.0,)
+        knots = self.knots(0.0, finite_number(duration, "duration"))
+        return tuple(t for t in knots if clear_value(self.coefficients, t) <= 0)
+
+    @kept
+    def square(self) -> Coefficients:
+        """Coefficients of sigma^2."""
+        return rounded(exact_product(self.coefficients, self.coefficients))
+
+    @kept
+    def slope(self) -> Coefficients:
+        """Coefficients of sigma'."""
+        return derivative(self.coefficients)
+
+    @kept
+    def _arc_length(self) -> Coefficients:
+        return integral(self.coefficients)
+
+    @kept
+    def _energy(self) -> Coefficients:
+        return integral(self.square)
+
+
+def _shifted(coefficients: Coefficients, t0: float) -> Coefficients:
+    if t0 == 0:
+        return coefficients
+    numerators, whole = exact(coefficients)
+    step, unit = t0.as_integer_ratio()
+    last = len(numerators) - 1
+    scaled = [x * unit ** (last - j) for j, x in enumerate(numerators)]
+    return tuple(
+        sum(math.comb(j, k) * scaled[j] * step ** (j - k) for j in range(k, last + 1))
+        / (whole * unit ** (last - k))
+        for k in range(last + 1)
+    )
+
+
+def as_time(t):
+    if isinstance(t, float):
+        return float(t)
+    try:
+        return real_array(t) if np.ndim(t) else float(real_array(t))
+    except (TypeError, ValueError, OverflowError):
+        raise SceneError(f"profile at t = {t!r}: give times in seconds") from None

@@ -1,0 +1,185 @@
+"""The exported FMU and the slave in this process behind names: what one does the other does."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import re
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+
+import contact_system as cs
+from fmu_export import PlannerSlave2, PlannerSlave3, export_fmu, in_process, variable_table
+
+from .native import Fmu
+
+BLOCKS = [(kind, version) for kind in ("FMU", "slave") for version in ("2.0", "3.0")]
+_STATE = {"2.0": ("FMUstate", "deSerialize"), "3.0": ("FMUState", "deserialize")}
+
+
+@functools.cache
+def _folder() -> tempfile.TemporaryDirectory:
+    return tempfile.TemporaryDirectory(prefix="fmu-blocks-")
+
+
+@functools.cache
+def exported(scene: cs.Scene, version: str) -> Fmu:
+    """The scene's FMU, made once."""
+    folder = Path(tempfile.mkdtemp(dir=_folder().name))
+    return Fmu.unpacked(export_fmu(scene, folder / "x.fmu", version), folder / "x")
+
+
+def columns(i: int) -> list[str]:
+    """u1 v1 u1' v1' u2 v2 u2' v2' psi of contact i, from 0, as `Plan.states` has them."""
+    c = f"contact[{i + 1}]."
+    sides = [[f"{c}{side}.u", f"{c}{side}.v"] for side in ("finger", "object")]
+    return [*(n for ab in sides for n in (*ab, *(f"der({n})" for n in ab))), c + "angle"]
+
+
+class Instance:
+    """An instance of an FMU or a slave, asked by names; ``time`` is where it stands.
+
+    Options are those of fmpy (``eventModeUsed``, ``earlyReturnAllowed``) or, for a slave, turned
+    into its own.
+    """
+
+    def __init__(self, scene: cs.Scene, kind: str, version: str, interface="CoSimulation", **given):
+        self.scene, self.kind, self.version, self.interface = scene, kind, version, interface
+        self.table, self.time = variable_table(scene), 0.0
+        self.said: list[tuple[int, str, str]] = []
+        if kind == "FMU":
+            log = lambda *line: self.said.append(line)  # noqa: E731
+            self.own = exported(scene, version).instance(log, interface, **given)
+        else:
+            names = {"eventModeUsed": "event_mode", "earlyReturnAllowed": "early_return"}
+            options = {names[key]: value for key, value in given.items()}
+            slave = {"2.0": PlannerSlave2, "3.0": PlannerSlave3}[version]
+            self.own = slave(scene, logger=lambda *line: self.said.append(line), **options)
+
+    def begin(self, time: float = 0.0, stop: float | None = None, **start: Any) -> Instance:
+        """Set what is given by name, initialize, and enter step mode where there is one."""
+        self.put(start.get("start", {}))
+        self.time = time
+        if self.version == "2.0":
+            self.own.setupExperiment(startTime=time, stopTime=stop)
+            self.own.enterInitializationMode()
+        else:
+            self.own.enterInitializationMode(startTime=time, stopTime=stop)
+        self.own.exitInitializationMode()
+        return self
+
+    def reference(self, name: str) -> int:
+        return self.table[name].reference
+
+    def put(self, values: dict[str, Any]) -> None:
+        for name, value in values.items():
+            first, numbers = self.reference(name), np.ravel(value).tolist()
+            if self.version == "2.0":
+                self.own.setReal(list(range(first, first + len(numbers))), numbers)
+            else:
+                self.own.setFloat64([first], numbers)
+
+    def get(self, *names: str) -> np.ndarray:
+        found = []
+        for name in names:
+            first, size = self.reference(name), self.table[name].size
+            if self.version == "2.0":
+                found += self.own.getReal(list(range(first, first + size)))
+            else:
+                found += self.own.getFloat64([first], size)
+        return np.array(found)
+
+    def step(self, *sizes: float) -> Any:
+        for size in sizes:
+            told = self.own.doStep(self.time, size)
+            self.time = told[-1] if self.version == "3.0" else self.time + size
+        return told
+
+    def states(self) -> np.ndarray:
+        """(n_contacts, 9)"""
+        count = len(self.scene.contacts)
+        return self.get(*(n for i in range(count) for n in columns(i))).reshape(count, 9)
+
+    def everything(self) -> np.ndarray:
+        """All variables but time."""
+        return self.get(*(v.name for v in self.table.rows[1:]))
+
+    def state(self) -> Any:
+        return getattr(self.own, f"get{_STATE[self.version][0]}")()
+
+    def restore(self, state: Any, time: float) -> Instance:
+        getattr(self.own, f"set{_STATE[self.version][0]}")(state)
+        self.time = time
+        return self
+
+    def written(self, state: Any = None) -> bytes:
+        """A state, or the present one, as bytes."""
+        write = getattr(self.own, f"serialize{_STATE[self.version][0]}")
+        return bytes(write(self.state() if state is None else state))
+
+    def read(self, data: bytes) -> Any:
+        suffix, word = _STATE[self.version]
+        return getattr(self.own, word + suffix)(data)
+
+    def free(self, state: Any) -> None:
+        getattr(self.own, f"free{_STATE[self.version][0]}")(state)
+
+    def directional(self, unknowns: list[str], knowns: list[str], seed: Any) -> np.ndarray:
+        """Of variables of one element."""
+        count = () if self.version == "2.0" else (len(unknowns),)
+        references = [[self.reference(n) for n in names] for names in (unknowns, knowns)]
+        return np.array(self.own.getDirectionalDerivative(*references, list(seed), *count))
+
+    def product(self, which: str, unknowns: list[str], knowns: list[str], seed: Any) -> np.ndarray:
+        """FMI 3: "Directional" or "Adjoint" derivative of arrays along a seed."""
+        references = [[self.reference(n) for n in names] for names in (unknowns, knowns)]
+        rows, count = (sum(self.table[n].size for n in names) for names in (unknowns, knowns))
+        if self.kind == "slave":
+            return np.array(getattr(self.own, f"get{which}Derivative")(*references, list(seed)))
+        u, k = ((ctypes.c_uint32 * len(r))(*r) for r in references)
+        out = (ctypes.c_double * (rows if which == "Directional" else count))()
+        s = (ctypes.c_double * len(seed))(*seed)
+        call = getattr(self.own, f"fmi3Get{which}Derivative")
+        call(self.own.component, u, len(u), k, len(k), s, len(s), out, len(out))
+        return np.array(out)
+
+    def refused(self, words: str, call: Any, *arguments: Any) -> None:
+        """The call ends in an error whose message, or last line of the log, matches words."""
+        self.said.clear()
+        with pytest.raises(FMICallException) as caught:
+            call(*arguments)
+        told = "\n".join([str(caught.value), *(line[-1] for line in self.said)])
+        assert re.search(words, told), told
+
+
+def simulated(scene: cs.Scene, kind: str, version: str, slave: dict | None = None, **given):
+    """What `fmpy.simulate_fmu` gives, all outputs and states."""
+    names = [v.name for v in variable_table(scene).rows if v.causality in ("output", "local")]
+    if version == "2.0":
+        scalars = variable_table(scene).scalars()
+        names = [v.name for v in scalars if v.causality in ("output", "local")]
+    given = {"output": names, "relative_tolerance": 1e-10} | given
+    if kind == "slave":
+        with in_process(scene, version, **(slave or {})) as ready:
+            return fmpy.simulate_fmu(**ready, **given)
+    fmu = exported(scene, version)
+    given = {"fmi_type": "CoSimulation", "stop_time": scene.duration} | given
+    return fmpy.simulate_fmu(str(fmu.folder), model_description=fmu.description, **given)
+
+
+def simulated_states(result: np.ndarray, count: int) -> np.ndarray:
+    """(n_times, n_contacts, 9) of what fmpy gives."""
+    found = [[result[name] for name in columns(i)] for i in range(count)]
+    return np.moveaxis(np.array(found), 2, 0)
+
+
+def close(found: Any, expected: Any, bar: float = 1e-12) -> None:
+    """Within a fraction of the size of what is expected."""
+    size = max(1.0, np.abs(expected).max())
+    np.testing.assert_allclose(found, expected, rtol=0, atol=bar * size)

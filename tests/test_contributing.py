@@ -1,0 +1,73 @@
+"""What docs/contributing.md shows works as it is printed."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import contact_system as cs
+from contact_system.scene import DISTURBANCE_KINDS
+from contact_system.theory.gain import LAWS
+
+PAGE = Path(__file__).parent.parent / "docs" / "contributing.md"
+T = np.linspace(0.0, 1.0, 21)
+
+
+@pytest.fixture
+def example(monkeypatch):
+    """Run the block of a section; what it registers is gone afterwards."""
+    laws, kinds = dict(LAWS), list(DISTURBANCE_KINDS)
+
+    def run(section: str) -> dict:
+        text = PAGE.read_text("utf-8").split(f"## {section}\n")[1].split("\n## ")[0]
+        scope: dict = {"__name__": "example"}
+        code = re.search(r"```python\n(.*?)```", text, re.S)[1]
+        exec(compile(code, "example", "exec", dont_inherit=True), scope)
+        return scope
+
+    yield run
+    LAWS.clear()
+    LAWS.update(laws)
+    DISTURBANCE_KINDS[:] = kinds
+
+
+BALL = cs.Sphere(0.1)
+
+
+def scene(obj: cs.Surface = BALL, **others) -> cs.Scene:
+    contact = cs.Contact(finger=cs.Sphere(0.04), object_at=(0.4, 0.3), object_velocity="rest")
+    given = {"profile": cs.Profile([0.1, 0.2]), "duration": 1.0} | others
+    return cs.Scene(object=obj, contacts=[contact], **given)
+
+
+def test_a_surface_of_one_class_is_that_of_its_equation(example):
+    bowl = example("A surface")["Paraboloid"](4.0)
+    assert np.abs(bowl.curvature_form(0.0, 0.0) + 4.0 * np.eye(2)).max() < 1e-14
+    points = cs.plan(scene(bowl)).points(T)[:, 0, 1]
+    level = points[:, 2] - 2 * (points[:, 0] ** 2 + points[:, 1] ** 2)
+    assert np.abs(level).max() < 1e-14
+
+
+def test_a_law_of_one_row_decays_as_its_integral_says(example):
+    example("A gain law")
+    plan = cs.plan(scene(gain=cs.Gain("speed", 20.0)))
+    sigma, length = plan.scene.profile(T), plan.scene.profile.arc_length(T)
+    expected = plan.slip_speed(0.0)[0, 0] * sigma / sigma[0] * np.exp(-20.0 * length)
+    assert plan.slip_speed(T)[:, 0] == pytest.approx(expected, rel=1e-12)
+    # sigma'/sigma^2 is greatest at the start
+    assert plan.scene.contraction().least_eta == pytest.approx(0.2 / 0.1**2)
+    assert "lam = eta sigma," in str(plan.scene.contraction())
+
+
+def test_a_kind_of_one_class_disturbs_and_is_read_from_files(example, tmp_path):
+    drift = example("A disturbance")["ObjectDrift"]
+    found, expected = (
+        scene(disturbances=[kind("all", 0.2, 0.5, (0.3, -0.1))])
+        for kind in (drift, cs.ObjectRateOffset)
+    )
+    assert (cs.plan(found).states(T) == cs.plan(expected).states(T)).all()
+    cs.save_scene(found, tmp_path / "drift.toml")
+    assert cs.load_scene(tmp_path / "drift.toml").disturbances == found.disturbances

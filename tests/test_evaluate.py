@@ -1,0 +1,197 @@
+"""Several outputs in one pass, by many threads at once, and what importing and planning load."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import textwrap
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
+import numpy as np
+import pytest
+from conftest import busy, one_contact, several
+
+import contact_system as cs
+
+OUTPUTS = ("states", "points", "slip", "slip_speed", "twist", "pose", "acceleration", "carried")
+SCENES = {
+    "windows": busy,
+    "contacts": several,
+    "flat": lambda: one_contact("plane", "cylinder"),
+    "users' surfaces": lambda: one_contact("bumps", "rounded cube"),
+    "imposed rolling": lambda: cs.load_scene("C2"),
+    "rate offset": lambda: cs.load_scene("D1"),
+}
+
+
+# --- one pass
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_evaluate_gives_what_the_single_methods_give(name):
+    scene = SCENES[name]()
+    t = np.linspace(0.0, scene.duration, 41)
+    outputs = OUTPUTS[:-1] if scene.contacts[0].follows else OUTPUTS
+    plan = cs.plan(scene)
+    found = plan.evaluate(t, *outputs)
+    assert isinstance(found, dict) and tuple(found) == outputs
+    for output, values in found.items():
+        expected = getattr(plan, output)(t)
+        assert values.shape == expected.shape and values.dtype == np.float64, output
+        assert np.array_equal(values, expected), output
+        alone = cs.plan(scene.replace()).evaluate(t, output)
+        assert list(alone) == [output] and np.array_equal(alone[output], values), output
+
+
+def test_evaluate_keeps_the_order_and_the_kinds_of_times():
+    plan, t = cs.plan(busy()), np.linspace(0.0, 1.0, 21)
+    order = np.random.default_rng(2).permutation(len(t))
+    inside = plan.evaluate(t, "points", "twist")
+    mixed = plan.evaluate(t[order], "twist", "points")
+    assert list(mixed) == ["twist", "points"]
+    for output in mixed:
+        assert mixed[output] == pytest.approx(inside[output][order], abs=1e-14), output
+    for moment, count in ((0.5, 1), ([], 0), ([1, 0], 2)):
+        found = plan.evaluate(moment, *OUTPUTS)
+        for output, values in found.items():
+            assert values.shape == (count, *getattr(plan, output)(0.5).shape[1:]), output
+
+
+def test_evaluate_of_a_plan_that_goes_on_is_that_of_its_methods():
+    plan, t = cs.plan(busy()), np.linspace(0.45, 1.0, 12)
+    for later in (plan.restart(0.45, plan.states(0.45)[0]), plan.continued(0.45)):
+        for output, values in later.evaluate(t, *OUTPUTS).items():
+            assert np.array_equal(values, getattr(later, output)(t)), output
+
+
+def test_evaluate_of_the_chart_equations_is_that_of_their_methods():
+    plan, t = cs.plan(busy(), 1e-9, "chart"), np.linspace(0.0, 1.0, 9)
+    for output, values in plan.evaluate(t, *OUTPUTS[:-1]).items():
+        assert np.array_equal(values, getattr(plan, output)(t)), output
+    with pytest.raises(cs.SceneError, match="'chart' carries no frames along"):
+        plan.evaluate(t, "points", "carried")
+
+
+@pytest.mark.parametrize(
+    ("outputs", "words"),
+    [
+        (("points", "twsit"), "'twsit'.*did you mean 'twist'"),
+        (("point",), "'point'.*did you mean 'points'"),
+        (("velocity",), "'velocity'.*states"),
+        ((None,), "None"),
+        ((["points", "twist"],), r"\['points', 'twist'\]"),
+    ],
+)
+def test_unknown_outputs_are_refused_with_the_nearest_name(outputs, words):
+    with pytest.raises(cs.ContactSystemError, match=words):
+        cs.plan(one_contact()).evaluate(0.5, *outputs)
+
+
+@pytest.mark.parametrize("t", [1.5, [-0.1, 0.5], "0.5", [[0.1, 0.2]], np.nan])
+def test_evaluate_refuses_times_as_the_methods_do(t):
+    plan = cs.plan(one_contact())
+    with pytest.raises(cs.ContactSystemError) as expected:
+        plan.points(t)
+    with pytest.raises(cs.ContactSystemError) as found:
+        plan.evaluate(t, "points", "twist")
+    assert str(found.value) == str(expected.value)
+
+
+def test_what_needs_no_chart_is_evaluated_at_a_pole():
+    # North along a meridian at 0.1 m/s on a radius of 0.1 m.
+    north = {"object_at": (0.7, 0.0), "finger_velocity": (-1.0, 0.0), "angle": 0.0}
+    plan = cs.plan(
+        one_contact("sphere", "plane", profile=(0.1,), object_velocity="rolling", **north)
+    )
+    found = plan.evaluate([0.0, 0.7, 1.0], "points", "pose", "twist", "acceleration", "slip_speed")
+    assert all(np.isfinite(values).all() for values in found.values())
+    assert found["points"][1, 0, 1] == pytest.approx([0.0, 0.0, 0.1], abs=1e-15)
+
+
+# --- threads
+
+
+@pytest.mark.parametrize("make", [busy, several, SCENES["users' surfaces"]])
+def test_threads_get_the_same_bits_from_one_plan(make):
+    plan, t = cs.plan(make()), np.linspace(0.0, 1.0, 200)
+    expected = cs.plan(make()).evaluate(t, *OUTPUTS)
+    gate = Barrier(6)
+
+    def ask(turn: int) -> dict[str, np.ndarray]:
+        gate.wait()
+        return plan.evaluate(t, *np.roll(OUTPUTS, turn).tolist())
+
+    with ThreadPoolExecutor(6) as pool:
+        for found in list(pool.map(ask, range(6))):
+            for output, values in expected.items():
+                assert np.array_equal(found[output], values), output
+
+
+def test_threads_plan_and_evaluate_scenes_of_every_kind_at_once():
+    makers = [make for make in SCENES.values()] * 6
+
+    def answer(make) -> list[bytes]:
+        scene = make()
+        t = np.linspace(0.0, scene.duration, 50)
+        found = cs.plan(scene, 1e-10).evaluate(t, "points", "states", "twist")
+        return [values.tobytes() for values in found.values()]
+
+    with ThreadPoolExecutor(8) as pool:
+        together = list(pool.map(answer, makers))
+    assert together == [answer(make) for make in makers]
+
+
+# --- what is loaded
+
+
+HEAVY = ("casadi", "scipy", "matplotlib", "pydrake", "fmpy", "drake_plant", "fmu_export")
+
+
+def loaded(code: str) -> list[str]:
+    """Which of HEAVY a new process has loaded after some code; its own words come first."""
+    told = f"import sys\nprint([name for name in {HEAVY} if name in sys.modules])"
+    command = [sys.executable, "-c", textwrap.dedent(code) + told]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_importing_loads_nothing_that_is_not_needed():
+    assert loaded("import contact_system\n") == ["[]"]
+
+
+def test_planning_bundled_surfaces_loads_no_symbols():
+    words = loaded("""
+        import numpy as np
+        import contact_system as cs
+        planned = 0
+        for name in cs.bundled_scenes():
+            if name in ("chart", "implicit"):  # whose surfaces are formulas
+                continue
+            scene = cs.load_scene(name)
+            plan, t = cs.plan(scene), np.linspace(0.0, scene.duration, 5)
+            plan.points(t), plan.states(t), plan.slip(t), plan.pose(t), plan.twist(t)
+            plan.acceleration(t), plan.explain()
+            planned += 1
+        print(planned)
+    """)
+    assert int(words[0]) >= 10 and words[1:] == ["[]"]
+
+
+def test_numbers_of_bundled_surfaces_load_no_symbols():
+    words = loaded("""
+        import contact_system as cs
+        surfaces = [cs.Plane(), cs.Sphere(0.1), cs.Cylinder(0.1), cs.Torus(0.2, 0.1, inside=True)]
+        surfaces += [cs.Ellipsoid(*axes) for axes in ((3, 2, 1), (3, 3, 1), (3, 1, 1), (2, 2, 2))]
+        for diagonal in ((1, 2, 3), (1, 2, -3), (1, -2, -3), (1, 2, 0), (1, -2, 0), (4, 0, 0)):
+            rows = [[float(x) * (i == j) for j in range(3)] for i, x in enumerate(diagonal)]
+            surfaces.append(cs.Quadric(rows))
+        for surface in surfaces:
+            at = surface.canonical(0.7, 0.4)
+            for name in ("frame", "lame", "metric_root", "christoffel", "curvature_form"):
+                getattr(surface, name)(*at)
+            surface.torsion_form(*at), surface.normal(*at)
+            surface.coordinates(surface.point(*at)), surface.unwind([0.1, 0.2], 0.3)
+    """)
+    assert words == ["[]"]

@@ -1,0 +1,301 @@
+"""The file that `export_fmu` and ``contact-system fmu`` write: what is in it, where it goes."""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import os
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import contact_system as cs
+from contact_system.cli import file_name
+
+fmpy = pytest.importorskip("fmpy")
+
+from fmpy.validation import validate_fmu  # noqa: E402
+from fmu_hosts.blocks import exported  # noqa: E402
+from fmu_hosts.native import Fmu, Program, Unavailable, difference, find_compiler  # noqa: E402
+
+from fmu_export import cli, export_fmu  # noqa: E402
+from fmu_export.build import FMI_HEADERS, PLATFORMS, write_fmu  # noqa: E402
+
+of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
+needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
+K1, C2 = cs.load_scene("K1"), cs.load_scene("C2")
+WRONG = b"""<fmiModelDescription fmiVersion="2.0" modelName="x" guid="x">
+<CoSimulation modelIdentifier="x"/><ModelVariables><ScalarVariable name="a" valueReference="1"
+causality="output"><Real/></ScalarVariable></ModelVariables><ModelStructure/>
+</fmiModelDescription>"""
+"""An output that the structure does not list."""
+
+
+# --- what is in it
+
+
+@of_versions
+def test_the_file_is_valid_small_and_complete(version):
+    fmu = exported(cs.load_scene("K4"), version)
+    assert validate_fmu(str(fmu.path)) == []
+    assert fmu.path.stat().st_size < 300_000
+    names = set(zipfile.ZipFile(fmu.path).namelist())
+    wanted = {"modelDescription.xml", "documentation/index.html", "sources/buildDescription.xml"}
+    assert wanted <= names and any(n.endswith(".png") for n in names)
+    assert any(n.startswith("sources/") and n.endswith(".c") for n in names)
+    assert not any("Function" in n for n in names)  # FMI's headers are the importer's
+
+
+def test_the_same_scene_gives_the_same_bytes(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    first = export_fmu(C2, tmp_path / "one.fmu").read_bytes()
+    assert export_fmu(C2, tmp_path / "two.fmu").read_bytes() == first
+
+
+@of_versions
+def test_interfaces_of_an_iterator_are_all_in_the_file(version, tmp_path):
+    both = iter(["CoSimulation", "ModelExchange"])
+    found = fmpy.read_model_description(export_fmu(C2, tmp_path / "C2.fmu", version, both))
+    assert found.coSimulation is not None and found.modelExchange is not None
+
+
+@pytest.mark.parametrize("name", ["contact", "enter", "va"])
+def test_a_scene_may_be_called_as_the_sources_call_their_own_things(name, tmp_path):
+    # contact_kinds, enter_windows, va_start
+    path = export_fmu(C2.replace(name=name), tmp_path / "one.fmu")
+    assert fmpy.read_model_description(str(path)).coSimulation.modelIdentifier == name
+    result = fmpy.simulate_fmu(str(path), stop_time=0.1)
+    assert len(result) > 1
+
+
+def sources(scene: cs.Scene, version: str) -> tuple[Path, list[str]]:
+    """The folder of an FMU's sources, and their names."""
+    folder = exported(scene, version).folder / "sources"
+    return folder, sorted(f.name for f in folder.glob("*.c"))
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    "dialect",
+    [[], ["-DPLAIN_C", "-pedantic-errors"], ["-mfpmath=387"]],
+    ids=["gnu", "c99", "as x86 of 32 bits"],
+)
+@of_versions
+def test_the_sources_inside_build_without_warnings(version, dialect, tmp_path):
+    (tmp_path / "probe.c").write_text("int main(void) { return 0; }\n")
+    probe = [*find_compiler(), *dialect, str(tmp_path / "probe.c"), "-o", str(tmp_path / "probe")]
+    if subprocess.run(probe, capture_output=True).returncode:
+        pytest.skip(f"the compiler does not take {dialect}")
+    folder, files = sources(cs.load_scene("K3"), version)
+    flags = ["-std=c99", "-O0", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", *dialect]
+    command = [*find_compiler(), *flags, f"-I{FMI_HEADERS}", *files, "-lm"]
+    command += ["-o", str(tmp_path / "built")]
+    run = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+
+
+@needs_compiler
+def test_sources_have_no_words_of_gnu_for_other_compilers(tmp_path):
+    for name in "float math stdarg stdbool stddef stdint stdio stdlib string".split():
+        (tmp_path / f"{name}.h").touch()  # a C library's own headers may define them away
+    folder, files = sources(K1, "3.0")
+    flags = ["-std=c99", "-E", "-U__GNUC__", "-U__clang__", "-nostdinc", f"-I{tmp_path}"]
+    command = [*find_compiler(), *flags, f"-I{FMI_HEADERS}", *files]
+    run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    assert "fmi3DoStep" in run.stdout and "__attribute__" not in run.stdout
+
+
+@needs_compiler
+def test_sources_of_two_models_make_one_program(tmp_path):
+    """FMI 3.0.2, 2.2.2: functions that an importer links bear the model's name."""
+    flags, objects, main = ["-std=c99", "-O0", f"-I{FMI_HEADERS}"], [], ""
+    for scene in (K1, C2):
+        folder, files = sources(scene, "3.0")
+        (own := tmp_path / scene.name).mkdir()
+        prefix = f"-DFMI3_FUNCTION_PREFIX={scene.name}_"
+        command = [*find_compiler(), *flags, prefix, "-c", *(str(folder / f) for f in files)]
+        subprocess.run(command, cwd=own, check=True)
+        objects += map(str, own.glob("*.o"))
+        main += f"const char *{scene.name}_fmi3GetVersion(void);\n"
+    main += "int main(void) { return K1_fmi3GetVersion()[0] != C2_fmi3GetVersion()[0]; }\n"
+    (tmp_path / "main.c").write_text(main)
+    program = str(tmp_path / "both")
+    link = [*find_compiler(), str(tmp_path / "main.c"), *objects, "-o", program, "-lm"]
+    subprocess.run(link, check=True)
+    assert subprocess.run([program]).returncode == 0
+
+
+@needs_compiler
+def test_the_sources_refuse_a_build_without_infinities(tmp_path):
+    folder, files = sources(K1, "2.0")  # which would run, and be wrong by 7 rad/s in K4
+    flags = ["-Ofast", f"-I{FMI_HEADERS}", "-c"]
+    runs = [
+        subprocess.run(
+            [*find_compiler(), *flags, file, "-o", str(tmp_path / "built")],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+        )
+        for file in files
+    ]
+    assert any(r.returncode and "compile without -ffast-math" in r.stderr for r in runs)
+
+
+def test_only_the_standards_functions_are_seen_outside():
+    library = exported(K1, "2.0").library("x86_64-linux")
+    if not library.exists():
+        pytest.skip("reads the symbols of a Linux library")
+    table, loaded = library.read_bytes(), ctypes.CDLL(str(library))
+    assert b"\0fmi2DoStep\0" in table
+    for name in ("step", "start", "reset", "report", "motion_0", "places"):
+        assert not hasattr(loaded, name) or b"\0" + name.encode() + b"\0" not in table
+
+
+# --- other platforms, run here by wine and qemu
+
+
+@pytest.mark.slow  # ziglang builds a C library for each when it is used first
+def test_every_platform_is_in_one_file_if_asked_for(tmp_path):
+    pytest.importorskip("ziglang")
+    path = export_fmu(cs.load_scene("C1"), tmp_path / "C1.fmu", "3.0", platforms=sorted(PLATFORMS))
+    names = zipfile.ZipFile(path).namelist()
+    for platform in PLATFORMS.values():
+        assert any(n.startswith(f"binaries/{platform[1]}/") for n in names)
+    fmu = Fmu.unpacked(path, tmp_path / "C1")
+    assert b"\0C1.dll\0" in fmu.library("x86_64-windows").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("target", "version"),
+    [pytest.param("x86_64-windows", "2.0", marks=pytest.mark.slow), ("aarch64-linux", "3.0")],
+)
+def test_another_platform_finds_the_same_trajectory(target, version, tmp_path):
+    pytest.importorskip("ziglang")
+    scene = cs.load_scene("K2")
+    path = export_fmu(scene, tmp_path / "K2.fmu", version, platforms=("native", target))
+    fmu = Fmu.unpacked(path, tmp_path / "K2")
+    asked = re.findall(rb"GLIBC_2\.(\d+)", fmu.library(target).read_bytes())
+    assert all(int(minor) <= 17 for minor in asked)  # it loads where Linux is old
+    arguments = ("0.01", "100", *fmu.model_arguments(fmu.outputs))
+    try:
+        found, wanted = (
+            Program("trajectory", fmu, platform).table(*arguments)
+            for platform in (target, "native")
+        )
+    except Unavailable as error:
+        pytest.skip(str(error))
+    assert difference(fmu.outputs, found, wanted) < 1e-14
+
+
+# --- the command
+
+
+def command(*words: str) -> int:
+    parser = argparse.ArgumentParser()
+    cli.register(parser.add_subparsers())
+    args = parser.parse_args(["fmu", *words])
+    return args.run(args)
+
+
+def test_command_writes_a_valid_fmu_and_says_so(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "planner.fmu"
+    given = ("C2", "-o", str(path), "--fmi", "3.0", "--interfaces", "CoSimulation")
+    assert command(*given) == 0
+    assert validate_fmu(str(path)) == []
+    description = fmpy.read_model_description(str(path))
+    assert (description.fmiVersion, description.modelExchange) == ("3.0", None)
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"wrote {path}:" in said and "kB, FMI 3.0, CoSimulation, for native;" in said
+    monkeypatch.chdir(tmp_path)
+    command("K1")
+    assert (tmp_path / "K1.fmu").exists() and "wrote K1.fmu" in capsys.readouterr().out
+
+
+def test_the_file_of_any_name_can_be_written_on_any_system(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    names = {"é" * 300: "é" * 50, "aux": "scene-aux", "LPT1.a": "scene-LPT1.a", "../x": "x"}
+    for name, stem in names.items():
+        assert file_name(K1.replace(name=name)) == stem
+    cs.save_scene(K1.replace(name="é" * 300), "long.toml")
+    assert command("long.toml") == 0
+    assert (tmp_path / f"{'é' * 50}.fmu").exists()
+
+
+def test_what_cannot_be_written_to_is_told_before_anything_is_made(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    for words, said in (
+        (("-o", ""), "is a folder; name the file to write in"),
+        (("-o", str(tmp_path)), "is a folder; name the file to write in"),
+        (("-o", "file/k1.fmu"), "no file can be written to"),
+        (("-o", "x" * 300), "no file can be written to"),
+        (("--interfaces", "CoSimulation", "CoSimulation"), "each once"),
+        (("-o", "k1.fmu", "--platforms", "riscv"), "'riscv' is unknown; use one of native, .*x86"),
+    ):
+        with pytest.raises(cs.ContactSystemError, match=said):
+            command("K1", *words)
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+    with pytest.raises(cs.ContactSystemError, match="neither a bundled scene nor a file"):
+        command("K9")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a pipe that is a file")
+def test_a_device_or_a_pipe_is_not_replaced_by_a_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe")  # as /dev/null, which root can replace
+    with pytest.raises(cs.ContactSystemError, match="pipe' is a device or a pipe, which a file"):
+        command("K1", "-o", str(tmp_path / "pipe"))
+    assert (tmp_path / "pipe").is_fifo()
+
+
+def test_files_are_replaced_whole_where_a_link_leads_and_by_what_is_valid_alone(tmp_path):
+    real, link = tmp_path / "real.fmu", tmp_path / "link.fmu"
+    real.write_bytes(b"old")
+    try:
+        link.symlink_to(real)
+    except OSError as error:  # Windows wants a privilege
+        pytest.skip(str(error))
+    moment = (1970, 1, 1, 0, 0, 0)
+    with pytest.raises(cs.ContactSystemError, match="link.fmu: fmpy's validation says: "):
+        write_fmu(link, {"modelDescription.xml": WRONG}, moment, validate_fmu)
+    assert real.read_bytes() == b"old"
+
+    def meanwhile(half):
+        write_fmu(link, {"later": b"2"}, moment)
+        return []
+
+    write_fmu(link, {"first": b"1"}, moment, meanwhile)
+    (file,) = zipfile.ZipFile(real).infolist()
+    assert link.is_symlink() and (file.filename, file.date_time[0]) == ("first", 1980)  # zip's
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["link.fmu", "real.fmu"]
+
+
+@pytest.mark.parametrize(
+    ("option", "wrong", "words"),
+    [
+        *(("platforms", x, "give a list") for x in ((), None, "native", 3, np.array([]))),
+        ("platforms", ("amiga",), "x86_64-linux"),
+        *((name, x, "give a ") for name in ("interfaces", "progress") for x in (3, True)),
+        *(("path", x, "give a path") for x in (None, K1)),
+    ],
+)
+def test_options_of_the_wrong_kind_are_refused(option, wrong, words, tmp_path):
+    given = {"path": tmp_path / "k1.fmu", option: wrong}
+    with pytest.raises(cs.ContactSystemError, match=words):
+        export_fmu(K1, given.pop("path"), **given)
+
+
+def test_progress_names_what_is_begun(tmp_path):
+    seen: list[str] = []
+    export_fmu(K1, tmp_path / "k1.fmu", progress=seen.append)
+    assert seen and seen[-1] == "packing"
+
+
+def test_without_fmpy_the_import_says_what_to_install():
+    code = "import sys; sys.modules['fmpy'] = None; import fmu_export"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert 'pip install "contact-system[fmu]"' in run.stderr

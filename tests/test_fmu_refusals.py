@@ -1,0 +1,412 @@
+"""What FMUs and slaves refuse, in which words, and that they live on."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import math
+import sys
+
+import numpy as np
+import pytest
+from conftest import one_contact
+
+import contact_system as cs
+
+fmpy = pytest.importorskip("fmpy")
+
+from fmu_hosts.blocks import BLOCKS, Instance, close, simulated, simulated_states  # noqa: E402
+
+from fmu_export import PlannerSlave2, PlannerSlave3  # noqa: E402
+
+of_blocks = pytest.mark.parametrize(("kind", "version"), BLOCKS)
+of_kinds = pytest.mark.parametrize("kind", ["FMU", "slave"])
+of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
+of_interfaces = pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
+K1, K3, K4 = (cs.load_scene(name) for name in ("K1", "K3", "K4"))
+PUSH = "contact[1].finger.acceleration.u"
+LINE = {"profile[1]": 0.3, "profile[2]": -0.2, "profile[3]": 0.0}
+"""sigma, zero at 1.5 s."""
+
+
+# --- values
+
+
+@of_blocks
+def test_wrong_values_are_refused_by_name_value_and_remedy_and_the_instance_lives(kind, version):
+    one = Instance(K1, kind, version).begin()
+    inputs = [v.name for v in one.table.rows if v.causality == "input"]
+    before = one.everything()
+    for name in inputs:
+        for value in (math.nan, math.inf, -math.inf):
+            words = rf"{name} = {value} is refused; give a finite number".replace("[", r"\[")
+            one.refused(words, one.put, {name: value})
+    for name, value, words in (
+        ("gain.eta", -1.0, r"gain.eta = -1(.0)? is refused; give 0"),
+        ("object.radius", 0.2, "object.radius.* is fixed; set it before"),
+        ("contact[2].angle", 0.1, r"contact\[2\].angle.* is a start value"),
+        ("der(contact[1].angle)", 0.1, r"der\(contact\[1\].angle\).* is calculated"),
+    ):
+        one.refused(words, one.put, {name: value})
+    names = ("getReal", "setReal") if version == "2.0" else ("getFloat64", "setFloat64")
+    read, write = (getattr(one.own, name) for name in names)
+    one.refused("value reference 4000", read, [4000])
+    one.refused("value reference 4000", write, [4000], [1.0])
+    good, bad = (one.reference(f"contact[{k}].finger.acceleration.u") for k in (1, 2))
+    one.refused("nan", write, [good, bad], [0.3, math.nan])  # all of a call or none
+    assert np.array_equal(one.everything(), before)
+    one.step(1.0)
+    close(one.states(), cs.plan(K1).states(1.0)[0])
+
+
+@of_blocks
+def test_lengths_that_are_not_positive_are_refused_where_they_are_set(kind, version):
+    one = Instance(K1, kind, version)
+    for value in (0.0, -1.0):
+        words = rf"object.radius = {value:g}(.0)? is refused; give 1e-150 or more"
+        one.refused(words, one.put, {"object.radius": value})
+
+
+@of_kinds
+def test_an_element_of_an_array_is_named_as_in_fmi_2(kind):
+    one, words = Instance(K1, kind, "3.0"), r"contact\[2\].object.velocity.y = nan is refused"
+    one.refused(words, one.put, {"contact[2].object.velocity": [1.0, math.nan]})
+
+
+@of_blocks
+def test_numbers_that_make_another_kind_of_surface_are_refused(kind, version):
+    for start, words in (
+        ({"object.a": 0.15}, "object.a = 0.15 is refused: it must be greater than object.b = 0.2"),
+        ({"object.a": 0.2}, "object.a = 0.2 is refused: it must be greater than object.b = 0.2"),
+        ({"object.c": 0.25}, "object.b = 0.2 is refused: it must be greater than object.c = 0.25"),
+    ):
+        one = Instance(K3, kind, version)
+        if kind == "slave":
+            words = "a >= b >= c|another kind of surface"
+        one.refused(words, lambda one=one, start=start: one.begin(start=start))
+    Instance(K3, kind, version).begin(start={"object.a": 0.15, "object.b": 0.12})
+
+
+def test_numbers_of_a_torus_keep_their_order_and_those_of_a_quadric_stay():
+    turned = cs.Quadric([[30.0, 5.0, 0.0], [5.0, 40.0, 0.0], [0.0, 0.0, 100.0]])
+    scene = one_contact(turned, cs.Torus(0.05, 0.02)).replace(name="a*/b\x01\u00e9")
+    one, radius = Instance(scene, "FMU", "2.0"), "contact[1].finger.m"
+    of_quadric = next(v.name for v in one.table.rows if v.name.startswith("object."))
+    for start, words in (
+        ({radius + "inor": 0.06}, f"{radius}ajor = 0.05 is refused: it must".replace("[", r"\[")),
+        ({of_quadric: 5.0}, " = 5 is refused: the parameters of this surface dep"),
+    ):
+        one = Instance(scene, "FMU", "2.0")
+        one.refused(words, lambda one=one, start=start: one.begin(start=start))
+
+
+@of_blocks
+def test_a_start_without_a_contact_frame_is_refused(kind, version):
+    for place in (0.0, math.pi, -1.0):
+        one = Instance(K1, kind, version)
+        start = {"contact[1].finger.u": place}
+        one.refused("no outward (contact )?frame|pole", lambda: one.begin(start=start))  # noqa: B023
+
+
+@of_blocks
+def test_whole_turns_of_a_start_do_not_matter(kind, version):
+    turned = {"contact[1].finger.u": K4.contacts[0].finger_at[0] + 2 * math.pi}
+    found, expected = (Instance(K4, kind, version).begin(start=x) for x in (turned, {}))
+    for one in (found, expected):
+        one.step(1.5)
+    close(found.states(), expected.states(), 1e-13)
+
+
+@of_kinds
+def test_start_values_can_be_read_before_initialization(kind):
+    """FMI 3.0.2, 2.3.2: of the description, or as they were set; FMI 2 has no values yet."""
+    one = Instance(K1, kind, "3.0")
+    one.put({"gain.eta": 7.0})
+    assert one.get("gain.eta", "contact[1].object.u").tolist() == [7.0, math.pi / 6]
+    one.refused("has no start value", one.get, "der(contact[1].angle)")
+    one.begin()
+
+
+# --- steps and the order of calls
+
+
+@of_blocks
+def test_wrong_steps_are_refused_and_the_instance_lives(kind, version):
+    one = Instance(K1, kind, version).begin(stop=0.9)
+    one.step(0.5)
+    for step in (-0.1, 0.0, math.nan):
+        one.refused("give a positive", one.own.doStep, 0.5, step)
+    for time in (0.4, 0.5 + 1e-6):
+        one.refused("instance (stands|is) at t = 0.5", one.own.doStep, time, 0.1)
+    one.own.doStep(0.5 + 1e-12, 0.1)  # importers add up steps
+    for start, stop in ((-1.0, None), (math.nan, None), (1.0, 0.5)):
+        other = Instance(K1, kind, version)
+        other.refused("give 0 <= start", other.begin, start, stop)
+
+
+@of_blocks
+def test_calls_out_of_order_are_refused(kind, version):
+    one = Instance(K1, kind, version)
+    order = "in the state '{}', only in: |not allowed in the state '{}'"
+    for state in ("instantiated", "step mode|initialized", "terminated"):
+        words = "|".join(order.format(part, part) for part in state.split("|"))
+        if state == "terminated":
+            one.own.terminate()
+        if state != "instantiated":
+            one.refused("state '", one.own.enterInitializationMode)
+        if not state.startswith("step"):
+            one.refused(words, one.own.doStep, 0.0, 0.1)
+            one.refused(words, one.own.exitInitializationMode)
+        if state == "instantiated":
+            one.refused(words, one.own.terminate)
+            one.begin()
+    one.own.reset()
+    one.begin()
+    assert one.get("contact[1].object.u") == pytest.approx(K1.contacts[0].object_at[0], rel=1e-15)
+
+
+@of_versions
+def test_states_that_were_freed_are_refused_by_a_slave(version):
+    one = Instance(K1, "slave", version).begin()
+    state = one.state()
+    one.free(state)
+    one.free(None)
+    for call in (lambda x: one.restore(x, 0.0), one.free, one.written):
+        for wrong in (state, object()):
+            one.refused("no such state", call, wrong)
+    for wrong in (state, None, 3):
+        one.refused("the state is refused|bytes-like", one.read, wrong)
+
+
+@of_versions
+def test_a_state_of_another_version_is_refused(version):
+    one = Instance(K4, "FMU", version).begin()
+    one.step(0.3)
+    data = one.written()
+    one.read(data)
+    old = data[:8] + (1).to_bytes(8, sys.byteorder) + data[16:]
+    one.refused("it was written by another version", one.read, old)
+
+
+def test_functions_that_there_are_not_are_refused_in_words():
+    two, three = (Instance(K1, "slave", version).begin() for version in ("2.0", "3.0"))
+    two.refused("fmi2SetInteger: this slave does not have it", two.own.setInteger, [1], [1])
+    three.refused("fmi3GetInt32: this slave", three.own.getInt32, [1])
+    two.refused("category 'logAll' is unknown", two.own.setDebugLogging, True, ["logAll"])
+    for call in (three.own.updateDiscreteStates, three.own.enterEventMode):
+        three.refused("event_mode=True", call)
+    stepped, solved = (Instance(K1, "FMU", "2.0", x) for x in ("CoSimulation", "ModelExchange"))
+    real, integer = (ctypes.c_double * 33)(), (ctypes.c_int * 1)(1)
+    reference = (ctypes.c_uint * 1)(stepped.reference(PUSH))
+    for one, function, arguments in (
+        (solved, "fmi2SetRealInputDerivatives", (reference, 1, integer, real)),
+        (stepped, "fmi2GetNominalsOfContinuousStates", (real, 33)),
+    ):
+        sizes = [ctypes.c_size_t(x) if isinstance(x, int) else x for x in arguments]
+        called = getattr(one.own.dll, function)
+        assert called(ctypes.c_void_p(one.own.component), *sizes) == 3
+        assert f"{function}: the instance was made for" in one.said[-1][2]
+
+
+@of_blocks
+def test_errors_are_told_though_logging_is_off(kind, version, caplog):
+    one = Instance(K1, kind, version, **({"loggingOn": False} if kind == "FMU" else {})).begin()
+    one.refused("", one.own.doStep, 0.0, -0.1)
+    if kind == "FMU":
+        assert [(s, c) for s, c, _ in one.said] == [(3, "logStatusError")]
+        return
+    slave = Instance(K1, kind, version)
+    slave.own = {"2.0": PlannerSlave2, "3.0": PlannerSlave3}[version](K1)
+    with caplog.at_level(logging.INFO, "fmu_export"):  # where there is no logger
+        slave.begin()
+        slave.refused("finite", slave.put, {"gain.eta": math.nan})
+        slave.own.setDebugLogging(True, ["logEvents"])
+        slave.refused("finite", slave.put, {"gain.eta": math.inf})
+        slave.refused("positive", slave.own.doStep, 0.0, -0.1)  # errors are always told
+    assert [r.levelname for r in caplog.records] == ["WARNING", "ERROR"]
+    assert "nan" in caplog.text and "inf" not in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("option", "wrong"),
+    [
+        ("name", 3),
+        ("logger", "log"),
+        ("event_mode", "no"),
+        ("event_mode", 1),
+        ("early_return", None),
+    ],
+)
+def test_options_of_the_wrong_kind_are_refused(option, wrong):
+    with pytest.raises(cs.ContactSystemError, match=f"{option} = {wrong!r}: give "):
+        PlannerSlave3(one_contact(), **{option: wrong})
+
+
+# --- where sigma or the path ends
+
+
+@of_kinds
+def test_an_importer_stops_where_sigma_ends(kind):
+    scene = K1.replace(profile=cs.Profile([0.3, -0.2]))
+    one = Instance(scene, kind, "3.0").begin()
+    one.step(1.4)
+    one.refused("is negative", one.step, 0.2)
+    one.step(0.1)
+    result = simulated(scene, kind, "2.0", output_interval=0.2, stop_time=3.0)
+    assert 1.3 < result["time"][-1] < 1.6
+
+
+@of_blocks
+def test_sigma_that_falls_from_zero_is_refused_at_the_start(kind, version):
+    one = Instance(K1, kind, version)
+    start = LINE | {"profile[1]": 0.0}
+    one.refused("is negative", lambda: one.begin(start=start))
+    late = Instance(K1, kind, version)
+    late.put(LINE)
+    late.refused("is negative from t = 1.5 s on|is negative", late.begin, 1.6)
+
+
+@of_blocks
+def test_sigma_that_touches_zero_does_not_end_there(kind, version):
+    # 0.7 (t - 0.4)^2, in doubles -3e-17 m/s where it is least
+    start = {"profile[1]": 0.112, "profile[2]": -0.56, "profile[3]": 0.7}
+    one = Instance(K1, kind, version).begin(start=start)
+    one.step(1.0)
+    close(one.states(), cs.plan(K1.replace(profile=cs.Profile([*start.values()]))).states(1.0)[0])
+
+
+@of_versions
+def test_model_exchange_ends_where_sigma_does(version):
+    scene = K1.replace(profile=cs.Profile([*LINE.values()]), duration=1.5)
+    options = {"fmi_type": "ModelExchange", "solver": "CVode", "start_values": LINE}
+    options |= {"output_interval": 0.05, "step_size": 0.05}
+    result = simulated(K1, "FMU", version, stop_time=1.5, **options)
+    assert result["time"][-1] == 1.5
+    close(simulated_states(result, 3), cs.plan(scene).states(result["time"]), 1e-7)
+    longer = simulated(K1, "FMU", version, stop_time=2.0, **options)
+    assert longer["time"][-1] == pytest.approx(1.5, abs=1e-15)  # the FMU ends the simulation
+    one, rate = Instance(K1, "FMU", version, "ModelExchange").begin(start=LINE), "der({}.u)"
+    rate, events = rate.format("contact[1].finger"), []
+
+    def update():
+        own = one.own
+        told = own.newDiscreteStates() if version == "2.0" else own.updateDiscreteStates()
+        events.append((told[-1] if told[-2] else None, bool(told[1])))
+
+    update()
+    one.own.enterContinuousTimeMode()
+    one.own.setTime(1.55)  # a solver looks beyond the end of its last step, where the path rests
+    assert one.get(rate)[0] == pytest.approx(0.0, abs=1e-15)
+    one.own.setTime(1.5)
+    one.own.enterEventMode()
+    update()
+    assert events == [(pytest.approx(1.5, abs=1e-15), False), (None, True)]
+    one.own.enterContinuousTimeMode()
+    one.own.setTime(1.55)
+    words = "sigma is negative from t = 1.5 s on; end there"
+    one.refused(words, one.get, rate)
+    one.refused(words, one.directional, [rate], ["gain.eta"], [1.0])
+
+
+@of_versions
+def test_model_exchange_tells_of_a_pole_and_refuses_what_lies_beyond(version):
+    # along a meridian of the object, through its pole at 0.3 s
+    start = {"object_at": (0.3, 0.5), "finger_at": (1.2, 0.3), "angle": 0.0}
+    start |= {"finger_velocity": (-1.0, 0.0), "object_velocity": "rolling", "profile": (0.1,)}
+    scene = one_contact("sphere", cs.Sphere(0.04), cs.Gain.path(100.0), duration=0.5, **start)
+    one, u = Instance(scene, "FMU", version, "ModelExchange").begin(), "contact[1].object.u"
+    if version == "3.0":
+        one.own.updateDiscreteStates()
+    rate, offset = f"der({u})", "contact[1].object.rate_offset.u"
+    near = {0.3: 0, 1e-4: 1, 2e-4: 1, 0.2: 1, 1e-5: 2}
+    for place, warnings in near.items():  # one warning each time the path comes near
+        one.put({u: place})
+        one.get(rate)
+        warned = [m for _, c, m in one.said if c == "logStatusWarning"]
+        assert len(warned) == warnings
+    assert warned[0].startswith("contact[1].object: at t = 0 s the path is within 0.0001 of")
+    one.put({u: -0.1})
+    one.refused("beyond a singular point of a chart", one.get, rate)
+    one.refused("beyond a singular point", one.directional, [rate], [offset], [1.0])
+    one.put({u: 0.3})
+    assert one.get(rate)[0] == pytest.approx(-1.0, abs=1e-14)  # sigma / r
+    assert one.directional([rate], [offset], [1.0]) == [1.0]
+    over = Instance(scene, "FMU", version).begin()  # while Co-Simulation passes it
+    over.step(0.5)
+    close(over.get("contact[1].pose.position"), cs.plan(scene).pose(0.5)[0, 0, :3, 3])
+
+
+@of_blocks
+def test_beyond_a_pole_there_is_nothing_to_initialize_with(kind, version):
+    one = Instance(one_contact(), kind, version)
+    one.own.enterInitializationMode()
+    one.put({"contact[1].finger.u": -0.5})
+    rate, words = "der(contact[1].finger.v)", "beyond a singular point"
+    one.refused(words, one.get, rate)
+    one.refused(words, one.directional, [rate], ["gain.eta"], [1.0])
+    one.put({"contact[1].finger.u": 0.5})
+    assert math.isfinite(one.get(rate)[0])
+
+
+@of_blocks
+def test_after_a_failed_step_values_are_those_of_before(kind, version):
+    """FMI 2.0.4, 4.2.4, state error; FMI 3.0.2, 2.3.8: only a state or a reset go on."""
+    scene = one_contact(profile=(0.3, -0.3))
+    one = Instance(scene, kind, version).begin(start={PUSH: 0.1})
+    kept = one.state()
+    one.step(0.5)
+    before = one.everything()
+    one.refused("sigma (is zero|= 0)", one.step, 0.5)
+    assert np.array_equal(one.everything(), before)
+    one.refused("reset, or set", one.own.doStep, 0.5, 0.1)
+    one.refused("reset, or set", one.own.terminate)
+    one.restore(kept, 0.0).step(0.5, 0.4)
+    window = cs.FingerAcceleration(0, 0.0, 0.9, (0.1, 0.0))
+    close(one.states(), cs.plan(scene.replace(duration=0.9, disturbances=[window])).states(0.9)[0])
+    one.own.reset()
+    one.begin()
+
+
+@of_versions
+def test_a_step_that_would_take_too_many_pieces_is_refused(version):
+    start = {"profile[1]": 0.1, "profile[2]": 0.0, "profile[3]": 0.0}
+    one = Instance(K1, "FMU", version).begin(start=start | {"contact[2].finger.radius": 1e-6})
+    words = "contact 2: a step of 50 s to t = 50 s is too long, it would take more than 20000"
+    one.refused(words, one.step, 50.0)
+
+
+@of_blocks
+@pytest.mark.parametrize(("profile", "at"), [((0.0, 1.0), 0.0), ((0.09, -0.6, 1.0), 0.3)])
+def test_an_acceleration_of_a_path_at_rest_is_taken_and_the_step_refused(
+    profile, at, kind, version
+):
+    """Values stay to be read, all but the rates and their derivatives."""
+    scene = one_contact(profile=profile, duration=0.2)
+    one = Instance(scene, kind, version).begin()
+    if at:
+        one.step(at)
+    one.put({PUSH: 0.5})
+    kept, rate = one.state(), "der(contact[1].finger.u)"
+    expected = cs.plan(scene.replace(duration=0.4), 1e-14)
+    coordinates = ["finger.u", "finger.v", "object.u", "object.v", "angle"]
+    for _ in range(2):
+        seen = one.get(*(f"contact[1].{name}" for name in coordinates))
+        close(seen, expected.states(at)[0, 0, [0, 1, 4, 5, 8]])
+        one.refused(r"sigma (is zero|= 0)|failed step", one.own.doStep, at, 0.1)
+    one.restore(one.read(one.written(kept)), at).put({PUSH: 0.0})
+    assert one.get(rate) == pytest.approx([0.0], abs=1e-15)
+    one.step(0.1)
+    close(one.states(), expected.states(at + 0.1)[0])
+
+
+@of_kinds
+def test_an_acceleration_of_a_path_at_rest_has_no_rate_and_no_derivative(kind):
+    one = Instance(one_contact(profile=(0.0, 1.0)), kind, "2.0")
+    one.own.enterInitializationMode()
+    rate = "der(contact[1].finger.velocity.x)"
+    words = r"der\(contact\[1\].finger.velocity.x\) has no value at t = 0 s: sigma is zero"
+    one.refused(words, one.directional, [rate], [PUSH], [1.0])
+    one.put({PUSH: 0.5})
+    one.refused(words, one.get, rate)  # 4e+297, with status OK
+    one.put({PUSH: 0.0})
+    assert one.get(rate) == [0.0]

@@ -1,0 +1,316 @@
+"""Plans that go on from a measured state or from themselves, and plans in files."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import csv
+import dataclasses
+import functools
+import pickle
+from math import pi
+
+import numpy as np
+import pytest
+from conftest import (
+    ASK,
+    WINDOWS,
+    assert_same,
+    busy,
+    one_contact,
+    path_velocities,
+    several,
+    slip_of_states,
+)
+from numpy.polynomial import polynomial
+
+import contact_system as cs
+
+PLACES = [0.0, 0.1, 0.2, 0.35, 0.5, 0.55, 0.8, 0.9]
+
+
+# --- restart
+
+
+@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "bumps", "rounded cube"])
+def test_restart_from_its_own_states_reproduces_the_plan(obj):
+    plan = cs.plan(busy(obj))
+    for t0 in PLACES:
+        again = plan.restart(t0, plan.states(t0)[0])
+        assert again.start == t0 and again.end == again.scene.duration
+        assert_same(again, plan, np.linspace(t0, 1, 17), 2e-12)
+
+
+def test_restart_of_many_contacts_reproduces_the_plan():
+    plan = cs.plan(several())
+    again = plan.restart(0.4, plan.states(0.4)[0])
+    t = np.linspace(0.4, 1, 17)
+    assert again.states(t) == pytest.approx(plan.states(t), abs=1e-11)
+
+
+def test_restart_takes_up_the_measured_slip():
+    plan = cs.plan(one_contact("ellipsoid", object_velocity="rolling", profile=(0.2, 0.1)))
+    state = plan.states(0.5)[0]
+    state[0, 6:8] += [0.05, -0.04]
+    again, t = plan.restart(0.5, state), np.linspace(0.5, 1, 21)
+    first = slip_of_states(plan.scene, state[None])[0, 0]
+    assert again.slip(0.5)[0, 0] == pytest.approx(first, abs=1e-15)
+    sigma = polynomial.polyval(t, (0.2, 0.1))
+    law = np.linalg.norm(first) * sigma / sigma[0] * np.exp(-3.0 * (t - 0.5))
+    assert again.slip_speed(t)[:, 0] == pytest.approx(law, abs=1e-14)
+    a1, _ = path_velocities(plan.scene, again.states(t))
+    assert np.linalg.norm(a1[:, 0], axis=1) == pytest.approx(sigma, rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", [cs.ObjectAcceleration, cs.ObjectRateOffset])
+@pytest.mark.parametrize("finger", [cs.Ellipsoid(0.06, 0.05, 0.04), cs.Sphere(0.05)])
+def test_restart_from_principal_values_beyond_the_seam_is_pushed_the_same_way(finger, kind):
+    """An ellipsoid's chart covers it twice, with axes turned by pi: pushes are the plan's."""
+    start = {"object_at": (1.0, 1.2), "finger_at": (1.2, 0.5), "angle": 0.0}
+    start |= {"object_velocity": (0.2, 1.0), "finger_velocity": (0.2, -1.0), "profile": (0.1,)}
+    push = [kind(0, 1.2, 1.8, (0.5, 0.3))]
+    scene = one_contact(
+        "ellipsoid", finger, cs.Gain.time(5.0), disturbances=push, duration=2.0, **start
+    )
+    plan = cs.plan(scene)
+    for t0 in (1.0, 1.4):
+        own, t = plan.states(t0)[0], np.linspace(t0, 2.0, 9)
+        assert own[0, 5] > pi / 2  # the seam is crossed
+        motion = plan.pose(t0)[0], plan.twist(t0)[0], plan.points(t0)[0, :, 1]
+        measured = cs.measured_states(scene, *motion)
+        assert measured[0, 5] < pi / 2
+        again = plan.restart(t0, measured)
+        assert again.states(t) == pytest.approx(plan.restart(t0, own).states(t), abs=1e-12)
+        assert again.points(t) == pytest.approx(plan.points(t), abs=1e-13)
+
+
+def test_restart_takes_a_time_of_any_kind():
+    plan = cs.plan(one_contact())
+    state = plan.states(0.5)[0]
+    for t in (np.array(0.5), np.float32(0.5)):
+        assert plan.restart(t, state).start == plan.continued(t).start == 0.5
+    for t in ([0.5], True, "0.5", None):
+        with pytest.raises(cs.ContactSystemError, match="give a time in seconds|horizon"):
+            plan.restart(t, state)
+        with pytest.raises(cs.ContactSystemError, match="give a time in seconds|horizon"):
+            plan.continued(t)
+
+
+def test_restart_has_no_past():
+    plan = cs.plan(one_contact())
+    again = plan.restart(0.5, plan.states(0.5)[0])
+    with pytest.raises(cs.ContactSystemError, match=r"outside the plan's horizon \[0.5, 1\] s"):
+        again.states(0.4)
+    for t, remedy in ((0.4, "or the plan that this one goes on from"), (1.5, "or lengthen")):
+        with pytest.raises(cs.ContactSystemError, match=f"ask inside it, {remedy}"):
+            again.slip(t)
+    with pytest.raises(cs.ContactSystemError, match="ask inside it$"):
+        again.points(-1.0)
+    assert again.sample_times(11)[0] == 0.5
+
+
+def test_restart_refuses_what_it_cannot_start_from():
+    plan = cs.plan(one_contact(profile=(0.1, -0.4, 0.4)))
+    state = plan.states(0.4)[0]
+    broken = np.where(np.arange(9) == 3, np.nan, state)
+    for t, given, words in (
+        (0.4, state[0], r"state has shape \(9,\); give \(1, 9\)"),
+        (0.4, broken, "restart at t = 0.4 s, contact 0: the measured state has nan"),
+        (0.4, [[10**400] * 9], r"give numbers, shape \(1, 9\)"),
+        *((0.4, x, "restart") for x in (state + 1e-3j, state.astype(str), state > 0, [[None] * 9])),
+        (0.5, state, "sigma = 0 there.*restart where sigma > 0"),
+        (2.0, state, "outside the plan's horizon"),
+        (1.0, state, "restart at t = 1 s"),
+    ):
+        with pytest.raises(cs.ContactSystemError, match=words):
+            plan.restart(t, given)
+    dragged = cs.plan(cs.load_scene("C2"))
+    words = "scene 'C2', restart: contact 0 has its rolling imposed"
+    with pytest.raises(cs.SceneError, match=words):
+        dragged.restart(0.5, dragged.states(0.5)[0])
+
+
+# --- continued, carried frames
+
+
+@pytest.mark.parametrize(
+    "obj", ["sphere", "ellipsoid", "cylinder", "torus", "bumps", "bowl", "rounded cube"]
+)
+def test_plan_continued_under_the_same_scene_is_the_same_plan(obj):
+    plan = cs.plan(busy(obj), tolerance=1e-14)
+    for t0 in PLACES:
+        again = plan.continued(t0)
+        assert again.start == t0
+        assert_same(again, plan, np.linspace(t0, 1, 17), 2e-13, *ASK, "carried")
+
+
+def test_continuing_many_contacts_again_and_again_loses_nothing():
+    plan = again = cs.plan(several(), tolerance=1e-14)
+    for t in np.linspace(0, 1, 51)[:-1]:
+        again = again.continued(t)
+    assert_same(again, plan, 1.0, 1e-13, *ASK, "carried")
+
+
+def test_disturbance_brought_in_by_continuing_is_the_window_of_a_scene():
+    free = busy().replace(disturbances=())
+    some = free.replace(disturbances=[w for w in WINDOWS if w.start < 0.4])
+    later = cs.plan(free, tolerance=1e-14).continued(0.2, some)
+    later = later.continued(0.35, busy()).continued(0.5, busy())
+    expected = cs.plan(busy(), tolerance=1e-14)
+    assert_same(later, expected, np.linspace(0.5, 1, 21), 2e-13, "states")
+
+
+def test_plan_is_continued_from_a_pole():
+    start = {"object_at": (pi / 2, 0.0), "finger_velocity": (1.0, 0.0), "angle": 0.0}
+    start |= {"object_velocity": (1.0, 0.0), "profile": (pi / 20,), "duration": 3.0}
+    plan = cs.plan(one_contact(**start))
+    again, t = plan.continued(1.0), np.array([1.5, 2.5, 3.0])
+    assert np.hypot(*plan.points(1.0)[0, 0, 1, :2]) < 1e-16
+    assert again.points(t) == pytest.approx(plan.points(t), abs=1e-16)
+    assert again.states(t) == pytest.approx(plan.states(t), abs=2e-15)
+
+
+def test_plan_is_continued_from_a_rest():
+    plan = cs.plan(one_contact(profile=(0.1, -0.4, 0.4)), tolerance=1e-14)
+    again, t = plan.continued(0.5), np.linspace(0.5, 1, 9)
+    assert again.states(t) == pytest.approx(plan.states(t), abs=1e-14)
+
+
+def test_continuing_refuses_other_surfaces_the_end_and_imposed_rolling():
+    plan = cs.plan(one_contact())
+    (contact,) = plan.scene.contacts
+    imposed = {"finger_velocity": "rolling", "object_velocity": (0.2, 1.0)}
+    rolling = plan.scene.replace(contacts=[dataclasses.replace(contact, **imposed)])
+    once = "contact 0: rolling that is imposed has one plan"
+    for own, t, other, words in (
+        (plan, 0.5, one_contact("ellipsoid"), "at t = 0.5 s: the scene has other surfaces"),
+        (plan, 1.0, None, "at t = 1 s: nothing is left to plan"),
+        (plan, 1.5, None, "outside the plan's horizon"),
+        (cs.plan(cs.load_scene("C2")), 0.5, None, once),
+        (plan, 0.5, rolling, once),
+        (plan, 0.5, plan.scene.replace(contacts=[contact] * 2), "contacts = 2, and the plan has 1"),
+        (plan, 0.5, "K4", "scene = 'K4': give a Scene"),
+    ):
+        with pytest.raises(cs.ContactSystemError, match=words):
+            own.continued(t, other)
+    for ask in ("continued", "carried"):
+        with pytest.raises(cs.SceneError, match="'chart' carries no frames along"):
+            getattr(cs.plan(one_contact(), method="chart"), ask)(0.5)
+
+
+def test_carried_frames_say_the_rates_and_the_angle_of_the_states():
+    scene = busy(angle=0.3).replace(disturbances=WINDOWS[:2])
+    plan, t = cs.plan(scene), np.linspace(0, 1, 41)
+    states, carried = plan.states(t), plan.carried(t)
+    sigma = polynomial.polyval(t, (0.2, 0.1))[:, None]
+    for k, expected in enumerate(path_velocities(scene, states)):
+        theta, x, y = carried[:, :, k].transpose(2, 0, 1)
+        c, s = np.cos(theta), np.sin(theta)
+        found = np.stack([c * x - s * y, s * x + c * y], axis=-1)
+        assert sigma[:, :, None] * found == pytest.approx(expected, abs=2e-14)
+    assert states[..., 8] == pytest.approx(0.3 - carried[..., 0].sum(axis=-1), abs=1e-14)
+
+
+def test_carried_velocities_are_the_scenes_while_nothing_acts_also_from_rest():
+    free = one_contact("ellipsoid", profile=(0.0, 0.1), object_velocity="rolling")
+    carried = cs.plan(free).carried(np.linspace(0, 1, 9))
+    assert carried[0, 0, :, 0] == pytest.approx([0.0, 0.0], abs=1e-15)
+    assert carried[:, 0, 0, 1:] == pytest.approx(np.full((9, 2), (0.6, 0.8)), abs=1e-15)
+    assert np.ptp(carried[:, 0, 1, 1:], axis=0) == pytest.approx(0.0, abs=1e-15)
+
+
+# --- files
+
+
+@pytest.mark.parametrize("begun", ["auto", "chart", "restarted", "continued"])
+@pytest.mark.parametrize("way", ["npz", "pickle", "deepcopy"])
+def test_plans_come_back_from_files_pickles_and_copies(tmp_path, way, begun):
+    plan = cs.plan(busy(), tolerance=1e-9, method="chart" if begun == "chart" else "auto")
+    if begun == "restarted":
+        state = plan.states(0.45)[0]
+        state[0, 6] += 0.1
+        plan = plan.restart(0.45, state)
+    elif begun == "continued":
+        plan = plan.continued(0.45)
+    if way == "npz":
+        plan.save(tmp_path / "plan.npz")
+        again = cs.load(tmp_path / "plan.npz")
+    else:
+        again = pickle.loads(pickle.dumps(plan)) if way == "pickle" else copy.deepcopy(plan)
+    assert_same(again, plan, np.linspace(plan.start, 1, 12), 0.0)
+    expected = plan.scene, plan.start, plan.tolerance, plan.method
+    assert (again.scene, again.start, again.tolerance, again.method) == expected
+
+
+def test_npz_file_holds_sampled_results(tmp_path):
+    plan = cs.plan(several())
+    plan.save(str(tmp_path / "plan.npz"))
+    with np.load(tmp_path / "plan.npz") as data:
+        t = data["t"]
+        assert len(t) == 401 + len(set(plan.scene.edges) - set(np.linspace(0, 1, 401)))
+        assert set(plan.scene.edges) <= set(t)
+        for ask in ("states", "slip", "twist", "pose", "points"):
+            assert np.array_equal(data[ask], getattr(plan, ask)(t)), ask
+
+
+def test_csv_file_holds_states_and_slip_to_the_last_digit(tmp_path):
+    plan, t = cs.plan(several()), [0.0, 0.25, 1.0]
+    plan.save(tmp_path / "plan.csv", t)
+    with open(tmp_path / "plan.csv", newline="") as file:
+        head, *rows = csv.reader(file)
+    table = np.array(rows, dtype=float).reshape(3, 7, 14)
+    assert head[:4] == ["t [s]", "contact", "u1", "v1"] and len(head) == 14
+    assert np.array_equal(table[:, :, 0], np.repeat(np.array(t)[:, None], 7, axis=1))
+    assert np.array_equal(table[0, :, 1], np.arange(7))
+    assert np.array_equal(table[:, :, 2:11], plan.states(t))
+    assert np.array_equal(table[:, :, 11:13], plan.slip(t))
+    assert table[:, :, 13] == pytest.approx(plan.slip_speed(t), rel=1e-15)
+
+
+def test_files_of_other_kinds_are_refused(tmp_path):
+    plan = cs.plan(one_contact())
+    with pytest.raises(cs.ContactSystemError, match="unknown ending '.mat'; use .npz or .csv"):
+        plan.save(tmp_path / "plan.mat")
+    with pytest.raises(cs.ContactSystemError, match="cannot be read: .*No such file"):
+        cs.load(tmp_path / "none.npz")
+    path = tmp_path / "junk.npz"
+    plan.save(path)
+    with np.load(path) as data:
+        kept = dict(data)
+    headers = "{}", "[]", '{"tolerance": 1e-9, "method": "auto", "solver": "", "start": "x"}'
+    contents = [functools.partial(np.savez, path, **{**kept, "plan": x}) for x in headers]
+    contents += [functools.partial(np.savez, path, x=np.zeros(3))]
+    contents += [functools.partial(path.write_bytes, x) for x in (b"junk", b"", b"PK\3\4 cut")]
+    for write in contents:
+        write()
+        with pytest.raises(cs.ContactSystemError, match="junk.npz: not a plan written by Plan.sav"):
+            cs.load(path)
+
+
+@pytest.mark.parametrize("name", ["x.npz", "x.csv", "x.toml"])
+def test_files_in_a_folder_that_is_missing_are_refused_by_name(name, tmp_path):
+    plan = cs.plan(cs.load_scene("C2"))
+    save = plan.save if name != "x.toml" else functools.partial(cs.save_scene, plan.scene)
+    with pytest.raises(cs.ContactSystemError, match=f"'C2'.*{name}' cannot be written: .* path in"):
+        save(tmp_path / "missing" / name)
+
+
+@pytest.mark.parametrize("path", [None, 3, "a\0.npz", cs.load_scene("C2")])
+def test_what_is_no_path_is_refused(path):
+    plan = cs.plan(cs.load_scene("C2"))
+    for write in (plan.save, functools.partial(cs.save_scene, plan.scene)):
+        with pytest.raises(cs.ContactSystemError, match="path = .*: give a path"):
+            write(path)
+    with pytest.raises(cs.ContactSystemError, match="scene = 'C2.toml': give a Scene"):
+        cs.save_scene("C2.toml", path)
+
+
+def test_a_damaged_file_is_read_or_refused(tmp_path):
+    cs.plan(one_contact()).save(tmp_path / "plan.npz", [0.0])
+    content, rng = (tmp_path / "plan.npz").read_bytes(), np.random.default_rng(1)
+    for _ in range(200):
+        damaged = bytearray(content)
+        damaged[rng.integers(len(content))] ^= 1 << int(rng.integers(8))
+        (tmp_path / "plan.npz").write_bytes(damaged)
+        with contextlib.suppress(cs.ContactSystemError):
+            cs.load(tmp_path / "plan.npz")
