@@ -56,26 +56,14 @@ def is_plain(values: Any) -> TypeGuard[tuple[float, ...]]:
 
 
 def finite_numbers(values: Iterable[Any], what: str) -> tuple[float, ...]:
-    """The values as a tuple of floats.
-
-    Raises
-    ------
-    SceneError
-        If there are none, or one is not a finite number; `what` names them in the message.
-    """
-    plain = tuple(values) if type(values) is list else values
-    if is_plain(plain):
-        return plain
+    """The values as a tuple of floats; raises a SceneError for none and for what is not finite."""
+    if is_plain(values):
+        return values
     try:
-        # float() would take all of these, numpy's complex numbers for their real parts; the
-        # numbers of a set have no order, a table gives its keys and bytes their codes
-        if isinstance(values, (str, bytes, set, frozenset, Mapping)) or any(
-            isinstance(x, (bool, str)) or np.iscomplexobj(x) for x in values
-        ):
+        # the numbers of a set have no order, a table gives its keys and bytes their codes
+        if isinstance(values, (str, bytes, set, frozenset, Mapping)):
             raise TypeError
-        found = tuple(float(x) for x in values)
-    except OverflowError:  # an integer beyond floating point
-        found = (math.inf,)
+        found = tuple(map(_as_float, values))
     except (TypeError, ValueError):
         raise SceneError(f"{what} = {values!r}: give a list of numbers") from None
     if not found:
@@ -89,81 +77,61 @@ def finite_numbers(values: Iterable[Any], what: str) -> tuple[float, ...]:
 def finite_number(
     value: Any, what: str, bound: str = "", error: type[ContactSystemError] = SceneError
 ) -> float:
-    """The value as a float.
+    """The value as a float; raises the error if it is no finite number within the bound.
 
-    Parameters
-    ----------
-    value : number
-    what : str
-        Its name, for the message.
-    bound : "", "above 0" or "not below 0"
-    error : what to raise
-
-    Raises
-    ------
-    error
-        If it is no finite number within the bound.
+    That is "above 0" or "not below 0".
     """
-    if is_plain((value,)):
-        number = value
-    else:
-        try:
-            # float() would take all of these, numpy's complex numbers for their real parts
-            wrong = isinstance(value, (str, bytes, bool, np.bool_)) or np.iscomplexobj(value)
-            number = math.nan if wrong else float(value)
-        except OverflowError:  # an integer beyond floating point, perhaps too long to be shown
-            value = number = math.inf
-        except (TypeError, ValueError):
-            number = math.nan
+    try:
+        number = _as_float(value)
+    except (TypeError, ValueError):
+        number = math.nan
     within = number > 0 or not bound or (number == 0 and bound != "above 0")
     if not (within and abs(number) < LARGEST):
+        shown = number if math.isinf(number) else value  # an integer may be too long to be shown
         limit = "(below 1e100)" if abs(number) >= LARGEST else bound
-        raise error(f"{what} = {value!r}: give a finite number {limit}".rstrip())
+        raise error(f"{what} = {shown!r}: give a finite number {limit}".rstrip())
     return number
+
+
+def _as_float(x: Any) -> float:
+    """x as a float, inf beyond all floats; TypeError or ValueError where it is no number."""
+    if type(x) is float:
+        return x
+    # float() would take all of these, numpy's complex numbers for their real parts
+    if isinstance(x, (str, bytes, bool, np.bool_)) or np.iscomplexobj(x):
+        raise TypeError
+    try:
+        return float(x)
+    except OverflowError:
+        return math.inf
 
 
 def real_array(values: Any) -> np.ndarray:
     """The values as an array of floats, itself where it is one.
 
-    Raises
-    ------
-    TypeError, ValueError, OverflowError
-        They are texts, truth values, complex numbers or None, which numpy would take, or no
-        numbers.
+    Raises a TypeError, a ValueError or an OverflowError for what are no numbers, and for texts,
+    truth values, complex numbers and None, which numpy would take.
     """
     given = np.asarray(values)
     if given.dtype is FLOAT:  # what most are costs no more
         return given
-    if given.dtype.kind not in "iufO":
-        raise TypeError
-    if given.dtype.kind == "O" and any(x is None for x in given.flat):  # NaN to numpy
+    kind = given.dtype.kind
+    if kind not in "iufO" or (kind == "O" and any(x is None for x in given.flat)):
         raise TypeError
     return given.astype(float, copy=False)
 
 
 def flag(value: Any, what: str, none: bool = False) -> Any:
-    """The value as a bool, or None where that has a meaning.
-
-    Raises
-    ------
-    SceneError
-        It is something else, as "no", which counts as true; `what` names it in the message.
-    """
+    """The value as a bool, or None where that has a meaning; raises a SceneError for any other."""
     if none and value is None:
         return None
-    if not isinstance(value, (bool, np.bool_)):
+    if not isinstance(value, (bool, np.bool_)):  # "no" would count as true
         raise SceneError(f"{what} = {value!r}: give True or False" + ", or None" * none)
     return bool(value)
 
 
 def a_path(value: Any, what: str = "path") -> Path:
-    """The path, from all that names files in Python.
-
-    Raises
-    ------
-    SceneError
-        It is something else, as a scene where arguments are exchanged.
-    """
+    """The path, from all that names files in Python; raises a SceneError for anything else."""
     try:
         found = os.fsdecode(value)
         if "\0" in found:
@@ -179,26 +147,14 @@ def items_of(values: Any) -> tuple:
 
 
 def function_or_none(value: Any, what: str, remedy: str) -> Any:
-    """The value, a function or None.
-
-    Raises
-    ------
-    SceneError
-        It is something else; `remedy` says what the function is of.
-    """
+    """The value, a function or None; raises a SceneError, whose remedy says what it is of."""
     if value is not None and not callable(value):
         raise SceneError(f"{what} = {value!r:.80}: give {remedy}, or None")
     return value
 
 
 def make_folder(path: Path, remedy: str) -> Path:
-    """The folder, made if it is not there.
-
-    Raises
-    ------
-    ContactSystemError
-        It cannot be made; the message ends with the remedy.
-    """
+    """The folder, made if it is not there; raises a ContactSystemError with the remedy."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

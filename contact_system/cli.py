@@ -43,15 +43,12 @@ from .theory.gain import LAWS, Gain
 PROGRAM = "contact-system"
 GROUP = "contact_system.commands"
 
+Laws = dict[Plan, list[Rejection]]
+"""Plans of a scene under some gain laws, and what became of the slip of their contacts."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the program; returns its exit code.
-
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        Arguments after the program's name; by default those of the process.
-    """
+    """Run the program with these arguments, or those of the process; returns its exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
     if isinstance(sys.stdout, io.TextIOWrapper):  # names of scenes may be in any script
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -84,9 +81,8 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="plan a scene, measure its slip, write and draw results")
     _add_scene(run)
-    run.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder for the results; default results/NAME"
-    )
+    folder = "folder for the results; default results/NAME"
+    run.add_argument("--out", type=Path, metavar="DIR", help=folder)
     run.add_argument("--no-plots", action="store_true", help="draw no pictures")
     run.set_defaults(run=_run)
 
@@ -105,25 +101,12 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gain", choices=tuple(LAWS), help="gain law instead of the scene's")
     number = parser.add_mutually_exclusive_group()
     for name, laws in (("eta", "the laws path and time"), ("rho", "the law guaranteed")):
-        number.add_argument(
-            f"--{name}",
-            type=float,
-            metavar="X",
-            help=f"{name} of {laws}; default: the number of the scene's own law",
-        )
-    parser.add_argument(
-        "--tolerance",
-        type=float,
-        default=1e-12,
-        metavar="X",
-        help="error of contact points over the body's size; default %(default)g",
-    )
-    parser.add_argument(
-        "--method",
-        choices=METHODS,
-        default="auto",
-        help="auto: the cheapest exact way; chart: the paper's equations by scipy",
-    )
+        text = f"{name} of {laws}; default: the number of the scene's own law"
+        number.add_argument(f"--{name}", type=float, metavar="X", help=text)
+    text = "error of contact points over the body's size; default %(default)g"
+    parser.add_argument("--tolerance", type=float, default=1e-12, metavar="X", help=text)
+    text = "auto: the cheapest exact way; chart: the paper's equations by scipy"
+    parser.add_argument("--method", choices=METHODS, default="auto", help=text)
     parser.add_argument("--compiled", action="store_true", help=argparse.SUPPRESS)  # ignored
 
 
@@ -156,7 +139,7 @@ def _scenes(args: argparse.Namespace) -> int:
 def _explain(args: argparse.Namespace) -> int:
     scene = _asked_scene(args)
     with Progress(1, "planning"):
-        planned = _asked_plan(args, scene)
+        planned = plan(scene, args.tolerance, args.method)
     print(planned.explain(), "", paragraph(str(scene.contraction())), sep="\n")
     return 0
 
@@ -164,33 +147,28 @@ def _explain(args: argparse.Namespace) -> int:
 def _run(args: argparse.Namespace) -> int:
     scene = _asked_scene(args)
     with Progress(2, "planning") as progress:
-        plans = [_asked_plan(args, scene)]
-        measured = [rejections(plans[0])]
+        planned = plan(scene, args.tolerance, args.method)
+        laws = {planned: rejections(planned)}
         progress.step("planning under another gain law")
         # the law as printed does not give the times as printed: show beside it the one that may
-        if scene.gain.law == "path" and any(r.as_reported is False for r in measured[0]):
-            plans.append(_asked_plan(args, scene.replace(gain=Gain.time(scene.gain.value))))
-            measured.append(rejections(plans[1]))
-    print("\n".join(_report(plans, measured)))
+        if scene.gain.law == "path" and any(r.as_reported is False for r in laws[planned]):
+            scene = scene.replace(gain=Gain.time(scene.gain.value))
+            other = plan(scene, args.tolerance, args.method)
+            laws[other] = rejections(other)
+    print("\n".join(_report(laws)))
 
     folder = results_folder(args, scene)
     with Progress(3, "writing") as progress:
-        written = list(_write(args, plans, folder / file_name(scene), progress))
+        written = list(_write(args, list(laws), folder / file_name(scene), progress))
     print(*written, sep="\n")
     return 0
-
-
-def results_folder(args: argparse.Namespace, scene: Scene) -> Path:
-    """The folder that was asked for, or results/NAME; made where it is missing."""
-    folder = args.out or Path("results") / file_name(scene)
-    return make_folder(folder, "name another one with --out")
 
 
 def _asked_scene(args: argparse.Namespace) -> Scene:
     scene = load_scene(args.scene)
     law = args.gain or scene.gain.law
     taken, value = LAWS[law].parameter, scene.gain.value
-    for name in sorted({row.parameter for row in LAWS.values()}):
+    for name in ("eta", "rho"):
         given = getattr(args, name)
         if given is not None and name != taken:
             raise SceneError(
@@ -201,8 +179,10 @@ def _asked_scene(args: argparse.Namespace) -> Scene:
     return scene.replace(gain=Gain(law, value))
 
 
-def _asked_plan(args: argparse.Namespace, scene: Scene) -> Plan:
-    return plan(scene, args.tolerance, args.method)
+def results_folder(args: argparse.Namespace, scene: Scene) -> Path:
+    """The folder that was asked for, or results/NAME; made where it is missing."""
+    folder = args.out or Path("results") / file_name(scene)
+    return make_folder(folder, "name another one with --out")
 
 
 def file_name(scene: Scene) -> str:
@@ -218,13 +198,16 @@ def _write(
     """Write the results; yields a line for each file, and for what is left out."""
     times = plans[0].sample_times()
     kept = regular_times(plans[0], times)
-    if len(kept) < len(times):
-        yield _left_out(np.setdiff1d(times, kept))
-    for suffix in (".npz", ".csv"):
+    left = np.setdiff1d(times, kept).tolist()
+    if left:
+        which = f"{len(left)} sample times from t = {left[0]!r} to {left[-1]!r} s"
+        which = which if len(left) > 1 else f"t = {left[0]!r} s"
+        yield f"left out of the files: {which}; at a pole or an umbilic there are no states"
+    for suffix, following in ((".npz", "writing"), (".csv", "drawing")):
         path = stem.with_name(stem.name + suffix)
         plans[0].save(path, kept)
         yield f"wrote {path}"
-        progress.step("drawing" if suffix == ".csv" else "writing")
+        progress.step(following)
     if not args.no_plots:
         path = stem.with_name(stem.name + ".png")
         try:
@@ -234,34 +217,26 @@ def _write(
             yield f"no picture: {error}"
 
 
-def _left_out(times: np.ndarray) -> str:
-    """What the files do not hold, in one line."""
-    first, last = float(times[0]), float(times[-1])
-    which = f"t = {first!r} s"
-    if len(times) > 1:
-        which = f"{len(times)} sample times from t = {first!r} to {last!r} s"
-    return f"left out of the files: {which}; at a pole or an umbilic there are no states"
-
-
 # --- telling -----------------------------------------------------------------------------------
 
 
-def _report(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> Iterable[str]:
-    scene = plans[0].scene
+def _report(laws: Laws) -> Iterable[str]:
+    planned = next(iter(laws))
+    scene = planned.scene
     yield f"{scene.name or 'scene'}: {scene.description}".rstrip(": ")
     yield ""
-    if any(r.peak > 0 for rows in measured for r in rows):
-        yield from _slip_table(plans, measured)
+    if any(r.peak > 0 for found in laws.values() for r in found):
+        yield from _slip_table(laws)
         yield paragraph(
             f"'from': the end of the contact's last disturbance, or the start; 'below "
             f"{REJECTED:.0%} after': time from then until slip stays below {REJECTED:.0%} of its "
             "value then."
         )
-        verdict = [paragraph(text) for text in _verdict(plans, measured)]
+        verdict = [paragraph(text) for text in _verdict(laws, scene)]
         yield from ("", *verdict, *[""] * bool(verdict), paragraph(str(scene.contraction())))
     else:
         yield "No slip: every contact rolls throughout."
-    yield from (*_great_circles(plans[0]), "")
+    yield from (*_great_circles(planned), "")
 
 
 def paragraph(text: str) -> str:
@@ -282,41 +257,28 @@ def table(
         yield "  ".join(cells).rstrip()
 
 
-def _slip_table(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> Iterable[str]:
+def _slip_table(laws: Laws) -> Iterable[str]:
     """Slip of every contact under every law."""
-    head = (
-        "gain",
-        "contact",
-        "start",
-        "peak",
-        "at",
-        "end",
-        "from",
-        f"below {REJECTED:.0%} after",
-        "paper",
-        "as reported",
-    )
-    units = ("", "", "m/s", "m/s", "s", "m/s", "s", "s", "s", "")
-    rows = [_row(plan, r) for plan, found in zip(plans, measured) for r in found]
-    return table(list(zip(head, units)), rows, 2)
+    head = [("gain", ""), ("contact", "")]
+    head += [("start", "m/s"), ("peak", "m/s"), ("at", "s"), ("end", "m/s")]
+    head += [("from", "s"), (f"below {REJECTED:.0%} after", "s"), ("paper", "s")]
+    head += [("as reported", "")]
+    rows = []
+    for law, r in ((law, r) for law, found in laws.items() for r in found):
+        names = plots.gain_text(law.scene.gain), law.scene.contact_name(r.contact)
+        slip = f"{r.start:.3e}", f"{r.peak:.3e}", f"{r.peak_time:.3f}", f"{r.end:.3e}"
+        timing = ("-", "-", "-", "-")
+        if not math.isnan(r.time):
+            taken = f"{r.time:.4f}" if math.isfinite(r.time) else f"> {law.end - r.since:g}"
+            reported = "-" if math.isnan(r.reported) else f"{r.reported:g}"
+            answer = {True: "yes", False: "no", None: "-"}[r.as_reported]
+            timing = f"{r.since:g}", taken, reported, answer
+        rows.append((*names, *slip, *timing))
+    return table(head, rows, 2)
 
 
-def _row(plan: Plan, r: Rejection) -> tuple[str, ...]:
-    name = plan.scene.contact_name(r.contact)
-    slip = (f"{r.start:.3e}", f"{r.peak:.3e}", f"{r.peak_time:.3f}", f"{r.end:.3e}")
-    timing = ("-", "-", "-", "-")
-    if not math.isnan(r.time):
-        left = plan.end - r.since
-        taken = f"{r.time:.4f}" if math.isfinite(r.time) else f"> {left:g}"
-        reported = "-" if math.isnan(r.reported) else f"{r.reported:g}"
-        answer = {True: "yes", False: "no", None: "-"}[r.as_reported]
-        timing = (f"{r.since:g}", taken, reported, answer)
-    return (plots.gain_text(plan.scene.gain), name, *slip, *timing)
-
-
-def _verdict(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> Iterable[str]:
+def _verdict(laws: Laws, scene: Scene) -> Iterable[str]:
     """What the paper reports, and whether the laws give it."""
-    scene = plans[0].scene
     if "reports" not in scene.paper:
         return
     yield f"The paper reports: {scene.paper['reports']}."
@@ -326,15 +288,17 @@ def _verdict(plans: Sequence[Plan], measured: Sequence[Sequence[Rejection]]) -> 
             "offset ends with it at once, so that there is no time to compare."
         )
         return
-    for law, found in zip(plans, measured):
-        gain, slipping = law.scene.gain, [r for r in found if not math.isnan(r.time)]
-        law_text = f"Gain law '{gain.law}' with {gain.parameter} = {gain.value:g}"
-        if any(r.as_reported is not None for r in slipping):
-            same = all(r.as_reported for r in slipping)
-            yield f"{law_text} {'reproduces' if same else 'does not reproduce'} that time."
-        elif slipping:
-            rejected = all(math.isfinite(r.time) for r in slipping)
-            yield f"{law_text} {'reproduces' if rejected else 'does not reproduce'} that."
+    for law, found in laws.items():
+        slipping = [r for r in found if not math.isnan(r.time)]
+        if not slipping:
+            continue
+        compared = any(r.as_reported is not None for r in slipping)
+        same = all(r.as_reported if compared else math.isfinite(r.time) for r in slipping)
+        gain = law.scene.gain
+        yield (
+            f"Gain law '{gain.law}' with {gain.parameter} = {gain.value:g} "
+            f"{'reproduces' if same else 'does not reproduce'} that{' time' * compared}."
+        )
 
 
 def _great_circles(plan: Plan) -> Iterable[str]:
@@ -350,16 +314,7 @@ def _great_circles(plan: Plan) -> Iterable[str]:
 
 
 class Progress:
-    """A bar of named steps on stderr: only on a terminal, only after a second.
-
-    Parameters
-    ----------
-    steps : int
-    name : str
-        The first step.
-    stream : text stream, optional
-        By default stderr.
-    """
+    """A bar of named steps on stderr, or another stream: only on a terminal, after a second."""
 
     DELAY, WIDTH = 1.0, 24
 

@@ -9,22 +9,18 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from .checks import did_you_mean
 from .errors import ContactSystemError
 from .theory import symbols as ca
 
-# A formula longer than this is a mistake, and Python's parser is not to be strained by it.
-LONGEST_TEXT = 10_000
-
-LINE_ENDS = {ord(end): " " for end in "\r\n"}
-
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
 Value: TypeAlias = "ca.SX | float"
-Meaning = tuple[Callable[..., float], Callable[..., Any]]
+Meaning: TypeAlias = Sequence[Callable[..., Any]]
 """What is done with numbers, and what where a symbol is among them."""
 
 
@@ -37,21 +33,15 @@ def _of_symbols(name: str) -> Callable[..., Any]:
     return lambda *operands: getattr(ca, name)(*operands)
 
 
+def _alike(names: str, count: int) -> dict[str, tuple[int, Any, Any]]:
+    """Functions that Python's math and CasADi have under one name."""
+    return {name: (count, getattr(math, name), _of_symbols(name)) for name in names.split()}
+
+
 # name: (number of arguments, of numbers, of symbols)
 FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., Any]]] = {
-    "sqrt": (1, math.sqrt, _of_symbols("sqrt")),
-    "sin": (1, math.sin, _of_symbols("sin")),
-    "cos": (1, math.cos, _of_symbols("cos")),
-    "tan": (1, math.tan, _of_symbols("tan")),
-    "asin": (1, math.asin, _of_symbols("asin")),
-    "acos": (1, math.acos, _of_symbols("acos")),
-    "atan": (1, math.atan, _of_symbols("atan")),
-    "atan2": (2, math.atan2, _of_symbols("atan2")),
-    "exp": (1, math.exp, _of_symbols("exp")),
-    "log": (1, math.log, _of_symbols("log")),
-    "sinh": (1, math.sinh, _of_symbols("sinh")),
-    "cosh": (1, math.cosh, _of_symbols("cosh")),
-    "tanh": (1, math.tanh, _of_symbols("tanh")),
+    **_alike("sqrt sin cos tan asin acos atan exp log sinh cosh tanh", 1),
+    **_alike("atan2 copysign", 2),
     "hypot": (2, math.hypot, lambda a, b: ca.sqrt(a * a + b * b)),
     "pow": (2, math.pow, operator.pow),
     "abs": (1, abs, _of_symbols("fabs")),
@@ -59,7 +49,6 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., Any]]] = {
     "fmin": (2, min, _of_symbols("fmin")),
     "fmax": (2, max, _of_symbols("fmax")),
     "sign": (1, _sign, _of_symbols("sign")),
-    "copysign": (2, math.copysign, _of_symbols("copysign")),
 }
 
 _BINARY: dict[type[ast.operator], Meaning] = {
@@ -74,6 +63,9 @@ _BINARY: dict[type[ast.operator], Meaning] = {
 def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
     """Return what a formula stands for: a number, or an SX expression of the names in it.
 
+    A float, by Python's arithmetic, where none of the names occurs; else a scalar expression, which
+    is made while `theory.symbols.SYMBOLS` is held.
+
     Parameters
     ----------
     text : str
@@ -81,12 +73,6 @@ def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
         `FUNCTIONS`.
     names : mapping of str to SX
         Symbols the formula may use; they take precedence over ``pi`` and ``e``.
-
-    Returns
-    -------
-    float or SX
-        A float, by Python's arithmetic, where none of the names occurs; else a scalar expression,
-        which is made while `theory.symbols.SYMBOLS` is held.
 
     Raises
     ------
@@ -96,13 +82,9 @@ def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
     """
     if not isinstance(text, str):
         raise ContactSystemError(f"formula {text!r} must be a text such as '2*pi/3'")
-    if len(text) > LONGEST_TEXT:
-        raise ContactSystemError(
-            f"formula {text[:40]!r}... has {len(text)} characters; at most {LONGEST_TEXT} are read"
-        )
     stripped = text.strip()
     if "#" not in text:  # over several lines, as TOML's long texts are; a remark ends with its line
-        stripped = stripped.translate(LINE_ENDS)
+        stripped = stripped.replace("\r", " ").replace("\n", " ")
     lead = len(text) - len(text.lstrip())
     try:
         return _Reader(text, lead, names).read(ast.parse(stripped, mode="eval").body)
@@ -120,13 +102,13 @@ def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
         raise ContactSystemError(f"formula {text!r}: not readable ({error})") from None
 
 
+@dataclass
 class _Reader:
     """Walks one formula's syntax tree; carries what error messages need."""
 
-    def __init__(self, text: str, lead: int, names: Mapping[str, ca.SX]) -> None:
-        self.text = text
-        self.lead = lead
-        self.names = names
+    text: str
+    lead: int
+    names: Mapping[str, ca.SX]
 
     def fail(self, node: ast.expr, problem: str) -> ContactSystemError:
         # Python counts columns in UTF-8 bytes, people count characters.
@@ -168,26 +150,26 @@ class _Reader:
             return CONSTANTS[node.id]
         if node.id in FUNCTIONS:
             raise self.fail(node, f"{node.id} is a function; write {node.id}(...)")
-        raise self.fail(node, self.unknown("name", node.id, [*self.names, *CONSTANTS]))
+        raise self.unknown(node, node.id, [*self.names, *CONSTANTS])
 
     def operation(self, node: ast.BinOp) -> Value:
         if isinstance(node.op, ast.BitXor):
             raise self.fail(node, "^ is not a power here; write **")
-        if type(node.op) not in _BINARY:
+        meaning = _BINARY.get(type(node.op))
+        if meaning is None:
             raise self.fail(node, "only + - * / ** combine two values in a formula")
-        return self.apply(node, _BINARY[type(node.op)], self.read(node.left), self.read(node.right))
+        return self.apply(node, meaning, self.read(node.left), self.read(node.right))
 
     def call(self, node: ast.Call) -> Value:
         if not isinstance(node.func, ast.Name) or node.keywords:
             raise self.fail(node, "call functions by their plain name, as in atan2(y, x)")
         name = node.func.id
         if name not in FUNCTIONS:
-            raise self.fail(node, self.unknown("function", name, [*FUNCTIONS]))
-        count, of_numbers, of_symbols = FUNCTIONS[name]
+            raise self.unknown(node, name, FUNCTIONS)
+        count, *meaning = FUNCTIONS[name]
         if len(node.args) != count:
             raise self.fail(node, f"{name} takes {count} argument(s), not {len(node.args)}")
-        values = [self.read(argument) for argument in node.args]
-        return self.apply(node, (of_numbers, of_symbols), *values)
+        return self.apply(node, meaning, *map(self.read, node.args))
 
     def apply(self, node: ast.expr, meaning: Meaning, *values: Value) -> Value:
         of_numbers, of_symbols = meaning
@@ -201,7 +183,7 @@ class _Reader:
             raise self.fail(node, "the number is too large")
         return found
 
-    @staticmethod
-    def unknown(kind: str, name: str, known: list[str]) -> str:
+    def unknown(self, node: ast.expr, name: str, known: Iterable[str]) -> ContactSystemError:
         hint = did_you_mean(name, known) or f"; known are {', '.join(sorted(known))}"
-        return f"unknown {kind} {name}{hint}"
+        kind = "function" if known is FUNCTIONS else "name"
+        return self.fail(node, f"unknown {kind} {name}{hint}")

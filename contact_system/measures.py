@@ -21,17 +21,9 @@ REJECTED = 0.05
 
 
 def windows(plan: Plan, contact: int) -> list[tuple[float, float]]:
-    """Windows in which one contact is disturbed, overlapping ones joined.
+    """Windows (start, stop) in which one contact is disturbed, overlapping ones joined, s.
 
-    Parameters
-    ----------
-    plan : Plan
-    contact : int
-
-    Returns
-    -------
-    list of (start, stop)
-        Ascending, s; what has ended before the plan starts is left out.
+    Ascending; what has ended before the plan starts is left out.
     """
     joined: list[tuple[float, float]] = []
     acting = [d for d in plan.scene.disturbances if d.contact == contact and d.stop > plan.start]
@@ -43,18 +35,9 @@ def windows(plan: Plan, contact: int) -> list[tuple[float, float]]:
 
 
 def regular_times(plan: Plan, t: np.ndarray) -> np.ndarray:
-    """Those of the times at which :meth:`Plan.states` exist: no contact is at a pole or an umbilic.
+    """Those of the times (n,) at which :meth:`Plan.states` exist: (m,), s.
 
-    Parameters
-    ----------
-    plan : Plan
-    t : (n,)
-        Times in the plan's horizon, s.
-
-    Returns
-    -------
-    (m,)
-        m <= n, s.
+    The others are those at which a contact is at a pole or an umbilic.
     """
     try:
         plan.states(t)
@@ -66,30 +49,19 @@ def regular_times(plan: Plan, t: np.ndarray) -> np.ndarray:
 
 
 def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, np.ndarray]:
-    """Slip magnitude by the exact law where nothing disturbs the contact.
+    """Times (n,), s, and slip (n,), m/s, by the exact law where nothing disturbs the contact.
 
     |v_rel|(t) = |v_rel|(t0) sigma(t)/sigma(t0) exp(-(L(t) - L(t0))) (eq. `contracaccel`), with t0
     the start of each undisturbed interval: from one number of the plan, without its integration.
-
-    Parameters
-    ----------
-    plan : Plan
-    contact : int
-    count : int
-        Times over the horizon.
-
-    Returns
-    -------
-    t, slip : (n,), (n,)
-        s, m/s; only times at which there is slip.
+    Of so many times over the horizon, and the windows' edges, those at which there is slip.
     """
     profile, gain = plan.scene.profile, plan.scene.gain
-    grid = np.linspace(plan.start, plan.end, count)
     knots = [plan.start, *np.ravel(windows(plan, contact)), plan.end]
+    grid = np.union1d(np.linspace(plan.start, plan.end, count), knots)
+    grid = grid[profile(grid) > 0]
     times, values = [np.empty(0)], [np.empty(0)]
     for start, stop in zip(knots[::2], knots[1::2]):
-        t = np.concatenate([[start], grid[(grid > start) & (grid < stop)], [stop]])
-        t = t[profile(t) > 0]
+        t = grid[(grid >= start) & (grid <= stop)]
         if stop <= start or not len(t):
             continue
         left, decay = 1.0, np.ones(len(t))
@@ -105,7 +77,7 @@ def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, n
     return t[slip > 0], slip[slip > 0]
 
 
-# --- rejection of slip ------------------------------------------------------------------------
+# --- rejection of slip -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -153,15 +125,10 @@ def rejections(plan: Plan) -> list[Rejection]:
     The crossing of `REJECTED` is found by bisection between the times at which the exact law
     (eq. `contracaccel`) turns from growth to decay, to the last bit.
 
-    Parameters
-    ----------
-    plan : Plan
-
     Returns
     -------
     list of Rejection
-        One a contact, in the scene's order; `Rejection.time` is the time until slip stays below
-        5 %, s.
+        One a contact, in the scene's order.
 
     Raises
     ------
@@ -169,17 +136,21 @@ def rejections(plan: Plan) -> list[Rejection]:
         If it is no plan.
     """
     require_plan(plan)
-    knots = _monotone_from(plan)
-    times = np.unique(np.concatenate([plan.sample_times(1001), knots, _last_before_edges(plan)]))
+    # slip that nothing disturbs only grows or only shrinks between two of these
+    turns = np.ravel(plan.scene.contraction().intervals)
+    knots = np.unique([plan.start, *turns[turns > plan.start], plan.end])
+    edges = np.array([e for e in plan.scene.edges if e > plan.start])
+    times = np.unique([*plan.sample_times(1001), *knots, *np.nextafter(edges, plan.start)])
     slip = plan.slip_speed(times)
-    paper = {} if is_dynamic(plan.scene) else plan.scene.paper
-    reported = paper.get("recovery_time", math.nan)
+    reported = math.nan
+    if not is_dynamic(plan.scene):
+        reported = plan.scene.paper.get("recovery_time", reported)
     found = []
     for i in range(len(plan.scene.contacts)):
         acting = windows(plan, i)
         since = acting[-1][1] if acting else plan.start
         # an object rate offset ends at once: its slip is the one just before
-        left = _magnitude(plan, i, math.nextafter(since, plan.start) if acting else since)
+        left = _slip_at(plan, i, math.nextafter(since, plan.start) if acting else since)
         level = REJECTED * (left or slip[times >= since, i].max())
         greatest = int(slip[:, i].argmax())
         first, peak, end = slip[[0, greatest, -1], i].tolist()
@@ -193,19 +164,8 @@ def is_dynamic(scene: Scene) -> bool:
     return "lateral_force" in scene.paper
 
 
-def _magnitude(plan: Plan, contact: int, t: float) -> float:
-    return float(plan.slip_speed([t])[0, contact])
-
-
-def _monotone_from(plan: Plan) -> np.ndarray:
-    """Times between which slip that nothing disturbs only grows or only shrinks, s."""
-    ends = np.ravel(plan.scene.contraction().intervals)
-    return np.unique(np.clip([plan.start, *ends, plan.end], plan.start, None))
-
-
-def _last_before_edges(plan: Plan) -> np.ndarray:
-    edges = np.array([e for e in plan.scene.edges if e > plan.start])
-    return np.nextafter(edges, plan.start)
+def _slip_at(plan: Plan, contact: int, t: float) -> float:
+    return float(plan.slip_speed(t)[0, contact])
 
 
 def _rejection_time(
@@ -214,20 +174,19 @@ def _rejection_time(
     """Time after `since` of the last crossing of a level of slip, by bisection."""
     if level == 0:
         return math.nan
-    steps = [since, *knots[knots > since]]
-    above = [_magnitude(plan, contact, t) >= level for t in steps]
-    if not any(above):
+    steps = np.array([since, *knots[knots > since]])
+    above = np.flatnonzero(plan.slip_speed(steps)[:, contact] >= level)
+    if not len(above):
         return 0.0
-    last = len(above) - 1 - above[::-1].index(True)
-    if last == len(steps) - 1:
+    if above[-1] == len(steps) - 1:
         return math.inf
-    high, low = steps[last], steps[last + 1]
+    high, low = steps[above[-1] :][:2].tolist()
     while high < (middle := 0.5 * (high + low)) < low:
-        if _magnitude(plan, contact, middle) >= level:
+        if _slip_at(plan, contact, middle) >= level:
             high = middle
         else:
             low = middle
-    return float(low - since)
+    return low - since
 
 
 # --- curves ------------------------------------------------------------------------------------

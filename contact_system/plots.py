@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +18,7 @@ import numpy as np
 
 from .checks import a_path, finite_number, writing
 from .errors import ContactSystemError
-from .measures import (
-    exact_slip,
-    great_circle_distance,
-    regular_times,
-    windows,
-)
+from .measures import exact_slip, great_circle_distance, regular_times, windows
 from .plan import Plan, require_plan
 from .scene import Scene
 from .surfaces import Surface
@@ -33,6 +29,7 @@ COLOURS = ("#1f5fa8", "#12876f", "#e08e0b", "#7a4fa3", "#3aa0d8", "#8a6a3b", "#5
 DISTURBED = "#d1274b"
 RECOVERY = "#12876f"
 INK = "#2b2f36"
+GREY = "#5a6370"
 # Lists, since a tuple of two is a colour and its opacity to matplotlib 3.8.
 BODY = ["#8f9aa6", "#f3f5f7"]  # a surface turned away from the light, and towards it
 HOLLOW = ["#6d7884", "#b9c2cb"]  # the back of a surface with an edge
@@ -57,6 +54,9 @@ STYLE = {
     "axes.spines.right": False,
     "mathtext.fontset": "dejavusans",
 }
+TITLE = {"loc": "left", "weight": "bold"}
+DOTS: Any = {"linestyle": "none", "marker": "o", "markersize": 4.5}
+DOTS |= {"markerfacecolor": "white", "markeredgecolor": INK}
 
 
 class MissingMatplotlib(ContactSystemError):
@@ -87,13 +87,14 @@ def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: in
         No plan, no path, another ending, or a file that cannot be written.
     """
     laws = _plans(plan, other)
+    slips = plan.slip_speed(plan.sample_times()).any()
     with Picture(path, (12, 6), dpi) as figure:
         left, right = figure.subfigures(1, 2, width_ratios=(1, 0.95))
         draw_title(left, plan)
         _draw_object(left.add_axes((0.02, 0.04, 0.94, 0.80)), plan)
         _draw_slip(right.add_axes((0.15, 0.52, 0.79, 0.42)), laws)
         _draw_finger(right.add_axes((0.04, 0.02, 0.42, 0.37)), plan)
-        _key(right.add_axes((0.53, 0.01, 0.45, 0.39)), plan, laws if _slips(plan) else ())
+        _draw_key(right.add_axes((0.53, 0.01, 0.45, 0.39)), plan, laws if slips else ())
 
 
 def plot_curves(plan: Plan, path: str | os.PathLike, dpi: int = 160) -> None:
@@ -103,7 +104,7 @@ def plot_curves(plan: Plan, path: str | os.PathLike, dpi: int = 160) -> None:
         draw_title(figure, plan)
         _draw_object(figure.add_axes((0.02, 0.04, 0.58, 0.80)), plan)
         _draw_finger(figure.add_axes((0.63, 0.38, 0.34, 0.46)), plan)
-        _key(figure.add_axes((0.68, 0.03, 0.30, 0.30)), plan)
+        _draw_key(figure.add_axes((0.68, 0.03, 0.30, 0.30)), plan)
 
 
 def plot_slip(
@@ -113,7 +114,7 @@ def plot_slip(
     laws = _plans(plan, other)
     with Picture(path, (11, 5), dpi) as figure:
         _draw_slip(figure.add_axes((0.09, 0.13, 0.62, 0.77)), laws)
-        _key(figure.add_axes((0.73, 0.13, 0.26, 0.77)), plan, laws, bodies=False)
+        _draw_key(figure.add_axes((0.73, 0.13, 0.26, 0.77)), plan, laws, bodies=False)
 
 
 def _plans(plan: Plan, other: Plan | None) -> list[Plan]:
@@ -123,56 +124,40 @@ def _plans(plan: Plan, other: Plan | None) -> list[Plan]:
     return laws
 
 
-def _slips(plan: Plan) -> bool:
-    return bool(plan.slip_speed(plan.sample_times()).any())
-
-
-class Picture:
+@contextmanager
+def Picture(path: str | os.PathLike, size: tuple[float, float], dpi: int) -> Iterator[Any]:
     """A figure in our style, written to its path at the end."""
+    path, dots = a_path(path), finite_number(dpi, "dpi")
+    if not FEWEST <= dots <= MOST:
+        raise ContactSystemError(f"dpi = {dpi!r}: give a number from {FEWEST} to {MOST}")
+    try:
+        import matplotlib
+        from matplotlib.backend_bases import FigureCanvasBase
+        from matplotlib.figure import Figure
+    except ImportError:
+        remedy = 'pictures need matplotlib: pip install "contact-system[plot]"'
+        raise MissingMatplotlib(remedy) from None
+    if path.suffix[1:].lower() not in FigureCanvasBase.get_supported_filetypes():
+        raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .png, .pdf or .svg")
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=size, facecolor="white")
+        yield figure
+        with writing(path):
+            figure.savefig(path, dpi=dots)
 
-    def __init__(self, path: str | os.PathLike, size: tuple[float, float], dpi: int):
-        self.path, self.size, self.dpi = a_path(path), size, finite_number(dpi, "dpi")
-        if not FEWEST <= self.dpi <= MOST:
-            raise ContactSystemError(f"dpi = {dpi!r}: give a number from {FEWEST} to {MOST}")
 
-    def __enter__(self) -> Any:
-        try:
-            import matplotlib
-            from matplotlib.backend_bases import FigureCanvasBase
-            from matplotlib.figure import Figure
-        except ImportError:
-            raise MissingMatplotlib(
-                'pictures need matplotlib: pip install "contact-system[plot]"'
-            ) from None
-        ending = self.path.suffix
-        if ending[1:].lower() not in FigureCanvasBase.get_supported_filetypes():
-            raise ContactSystemError(
-                f"{self.path}: unknown ending {ending!r}; use .png, .pdf or .svg"
-            )
-        self.style = matplotlib.rc_context(STYLE)
-        self.style.__enter__()
-        self.figure = Figure(figsize=self.size, facecolor="white")
-        return self.figure
-
-    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
-        try:
-            if kind is None:
-                with writing(self.path):
-                    self.figure.savefig(self.path, dpi=self.dpi)
-        finally:
-            self.style.__exit__(kind, error, trace)
+# --- words -------------------------------------------------------------------------------------
 
 
 def draw_title(figure: Any, plan: Plan) -> None:
     """Name, profile, gain and description of a scene at the top of a figure."""
     scene = plan.scene
     facts = rf"$\sigma$ = {_polynomial(scene.profile)} m/s,   gain {gain_text(scene.gain)}"
-    name = shortened(scene.name, 30)
-    drawn = figure.text(0.035, 0.955, name, size=18, weight="bold", va="baseline")
-    told = figure.text(0.965, 0.955, facts, size=10, va="baseline", ha="right", color="#5a6370")
-    if told.get_window_extent().x0 < drawn.get_window_extent().x1 + 10:  # no room beside the name
+    name = figure.text(0.035, 0.955, _shortened(scene.name, 30), size=18, weight="bold")
+    told = figure.text(0.965, 0.955, facts, size=10, ha="right", color=GREY)
+    if told.get_window_extent().x0 < name.get_window_extent().x1 + 10:  # no room beside the name
         told.set(x=0.035, y=0.865, ha="left")
-    figure.text(0.035, 0.905, shortened(scene.description, 84), size=11, va="baseline")
+    figure.text(0.035, 0.905, _shortened(scene.description, 84), size=11)
 
 
 def gain_text(gain: Gain) -> str:
@@ -190,7 +175,7 @@ def _polynomial(profile: Profile) -> str:
     return " ".join([*terms[:4], "+ …"] if len(terms) > 5 else terms)
 
 
-def shortened(text: str, width: int) -> str:
+def _shortened(text: str, width: int) -> str:
     """The text for a picture, or its beginning and an ellipsis where it has more characters.
 
     Dollar signs in it are those of a name, and begin no mathematics.
@@ -204,12 +189,60 @@ def colour_of(contact: int) -> str:
     return COLOURS[contact % len(COLOURS)]
 
 
+def contact_keys(scene: Scene) -> list[Any]:
+    """Legend entries of the contacts: one a colour, with the numbers of all that have it."""
+    entries, count = [], len(scene.contacts)
+    for i in range(min(count, len(COLOURS))):
+        others = (_number_of(scene, k) for k in range(i + len(COLOURS), count, len(COLOURS)))
+        names = _shortened(", ".join([scene.contact_name(i), *others]), 26)
+        entries.append(_entry(names, color=colour_of(i), linewidth=2.4))
+    return entries
+
+
+def _number_of(scene: Scene, contact: int) -> str:
+    """The number at the end of its name, such as that of "finger 1", or its index."""
+    name = scene.contact_name(contact)
+    number = name[len(name.rstrip("0123456789")) :]
+    return number if 0 < len(number) < 10 else str(contact)
+
+
+def _entry(label: str, **style: Any) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=label, **style)
+
+
+def _draw_key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) -> None:
+    """What the colours and signs mean: of the slip of some laws, of the bodies, or of both."""
+    from matplotlib.patches import Patch
+
+    entries = []
+    for k, law in enumerate(laws):
+        text = f"gain {gain_text(law.scene.gain)}"
+        entries.append(_entry(text, color=INK, linewidth=2.2, linestyle="--" if k else "-"))
+    contacts = range(len(plan.scene.contacts))
+    if laws and any(len(exact_slip(plan, i)[0]) for i in contacts):
+        entries.append(_entry("exact law", **DOTS))
+    if laws and "recovery_time" in plan.scene.paper:
+        entries.append(Patch(color=RECOVERY, alpha=0.2, label="recovery time in the paper"))
+    entries += contact_keys(plan.scene)
+    if plan.scene.disturbances:
+        entries.append(_entry("disturbance", color=DISTURBED, linewidth=2.4))
+    if bodies:
+        entries.append(_entry("behind the body", color=INK, linewidth=1.3, alpha=0.35))
+    ax.set_axis_off()
+    ax.legend(handles=entries, loc="center left", frameon=False, handlelength=2.2)
+
+
 # --- slip --------------------------------------------------------------------------------------
 
 
 def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
     plan = laws[0]
     slip = np.concatenate([_slip_lines(ax, law, dashed=k > 0) for k, law in enumerate(laws)])
+    ax.set_xlim(plan.start, plan.end)
+    ax.set_xlabel("time [s]")
+    ax.ticklabel_format(axis="x", scilimits=(-2, 4))  # longer numbers run into each other
     if not slip.any():
         _draw_rolling(ax, plan)
         return
@@ -218,17 +251,10 @@ def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
     peak, least = slip.max(), slip[slip > 0].min()
     ax.set_ylim(max(peak * 10.0**-DECADES, min(least / 5, peak / 1e3)), peak * 10)
     ax.set_ylabel("slip [m/s]")
-    _time_axis(ax, plan)
     ax.grid(axis="y", color="#e4e7eb", linewidth=0.8)
     ax.set_axisbelow(True)
     shade_windows(ax, plan)
-    ax.set_title("Slip at the contacts", loc="left", weight="bold")
-
-
-def _time_axis(ax: Any, plan: Plan) -> None:
-    ax.set_xlim(plan.start, plan.end)
-    ax.set_xlabel("time [s]")
-    ax.ticklabel_format(axis="x", scilimits=(-2, 4))  # longer numbers run into each other
+    ax.set_title("Slip at the contacts", **TITLE)
 
 
 def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
@@ -237,30 +263,14 @@ def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
     # an offset's slip ends at once: the last time before the edge belongs to the line as well
     t = np.unique(np.append(t, np.nextafter(t[np.isin(t, plan.scene.edges) & (t > plan.start)], 0)))
     slip = plan.slip_speed(t)
-    for i in range(len(plan.scene.contacts)):
+    style: dict[str, Any] = {"dashes": (2.2, 1.1)} if dashed else {}
+    for i in np.flatnonzero(slip.any(axis=0)).tolist():
         # lines that lie on each other: the lower the wider, so that each is seen
         above = np.isclose(slip[:, i + 1 :], slip[:, i : i + 1], rtol=0.02).all(0).sum()
+        style |= {"color": colour_of(i), "linewidth": 1.8 + 1.7 * min(above, 3)}
         line = np.where(slip[:, i] > 0, slip[:, i], np.nan)
-        style = {"dashes": (2.2, 1.1)} if dashed else {}
-        ax.plot(
-            t,
-            line,
-            color=colour_of(i),
-            linewidth=1.8 + 1.7 * min(above, 3),
-            solid_capstyle="butt",
-            **style,
-        )
-        if slip[:, i].any():
-            ax.plot(
-                *exact_slip(plan, i),
-                linestyle="none",
-                marker="o",
-                markersize=4.5,
-                zorder=5,
-                markerfacecolor="white",
-                markeredgecolor=INK,
-                markeredgewidth=0.9,
-            )
+        ax.plot(t, line, solid_capstyle="butt", **style)
+        ax.plot(*exact_slip(plan, i), markeredgewidth=0.9, zorder=5, **DOTS)
     return slip
 
 
@@ -275,67 +285,29 @@ def shade_windows(ax: Any, plan: Plan) -> None:
         ax.axvspan(end, end + wanted, color=RECOVERY, alpha=0.16, linewidth=0)
 
 
-def _slip_entries(laws: Sequence[Plan]) -> list[Any]:
-    """Legend entries of the slip axes, but for the contacts and the disturbance."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    entries: list[Any] = [
-        Line2D(
-            [],
-            [],
-            color=INK,
-            linewidth=2.2,
-            linestyle="--" if k else "-",
-            label=f"gain {gain_text(law.scene.gain)}",
-        )
-        for k, law in enumerate(laws)
-    ]
-    if any(len(exact_slip(laws[0], i)[0]) for i in range(len(laws[0].scene.contacts))):
-        entries.append(
-            Line2D(
-                [],
-                [],
-                linestyle="none",
-                marker="o",
-                markersize=4.5,
-                label="exact law",
-                markerfacecolor="white",
-                markeredgecolor=INK,
-            )
-        )
-    if "recovery_time" in laws[0].scene.paper:
-        entries.append(Patch(color=RECOVERY, alpha=0.2, label="recovery time in the paper"))
-    return entries
-
-
 def _draw_rolling(ax: Any, plan: Plan) -> None:
     """No slip at all: the finger's distance from its great circle where it has one."""
-    ax.set_title("No slip: the contacts roll", loc="left", weight="bold")
-    t = plan.sample_times()
-    followers = [
-        i for i, c in enumerate(plan.scene.contacts) if c.follows and c.finger.great_circles
-    ]
+    t, contacts = plan.sample_times(), plan.scene.contacts
+    followers = [i for i, c in enumerate(contacts) if c.follows and c.finger.great_circles]
     if not followers:
         ax.plot(t, plan.scene.profile(t), color=INK, linewidth=1.8)
         ax.set_ylim(bottom=0.0)
         ax.set_ylabel(r"path speed $\sigma$ [m/s]")
-        _time_axis(ax, plan)
+        ax.set_title("No slip: the contacts roll", **TITLE)
         return
     for i in followers:
-        radius = plan.scene.contacts[i].finger.size
-        distance = np.abs(great_circle_distance(plan.points(t)[:, i, 0])) / radius
+        points = plan.points(t)[:, i, 0]
+        distance = np.abs(great_circle_distance(points)) / contacts[i].finger.size
         ax.plot(t, np.maximum(distance, 1e-17), color=colour_of(i), linewidth=1.2)
     ax.axhline(np.finfo(float).eps, color="#9aa3ad", linewidth=1, linestyle=":")
-    ax.text(t[0], 3e-18, " dotted: relative spacing of doubles, 2.2e-16", size=9, color="#5a6370")
+    ax.text(t[0], 3e-18, " dotted: relative spacing of doubles, 2.2e-16", size=9, color=GREY)
     ax.set_yscale("log")
     ax.set_ylim(1e-18, 1e-13)
     ax.set_ylabel("distance / radius")
-    _time_axis(ax, plan)
-    ax.set_title("Finger's curve from a great circle", loc="left", weight="bold")
+    ax.set_title("Finger's curve from a great circle", **TITLE)
 
 
-# --- bodies ------------------------------------------------------------------------------------
+# --- curves ------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -348,54 +320,22 @@ class _Curve:
     label: str
 
 
-@dataclass
-class _View:
-    """Orthographic camera: rows right, up, towards the camera."""
-
-    axes: np.ndarray
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Right, up and depth (greater is nearer) of points (..., 3), m."""
-        return x @ self.axes.T
-
-
-@dataclass
-class _Mesh:
-    """A surface on a grid: points and normals, (n, 3)."""
-
-    shape: tuple[int, int]
-    points: np.ndarray
-    normals: np.ndarray
-    inside: bool
-
-    @property
-    def grid(self) -> np.ndarray:
-        """Numbers of the points."""
-        return np.arange(len(self.points)).reshape(self.shape)
-
-    def triangles(self, every: int = 1) -> np.ndarray:
-        """Between some lines of the grid: (m, 3)."""
-        grid = self.grid[::every, ::every]
-        a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-        return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
-
-
 def _draw_object(ax: Any, plan: Plan) -> None:
-    curves = _curves(plan, range(len(plan.scene.contacts)), side=1)
-    draw_body(ax, mesh_of(plan, plan.scene.object, 1, range(len(plan.scene.contacts))), curves)
+    contacts = range(len(plan.scene.contacts))
+    draw_body(ax, mesh_of(plan, plan.scene.object, 1, contacts), _curves(plan, contacts, 1))
 
 
 def _draw_finger(ax: Any, plan: Plan) -> None:
     """The first finger, with the curves of all contacts that have the same one."""
     contacts = plan.scene.contacts
-    same = [i for i, c in enumerate(contacts) if c.finger == contacts[0].finger]
-    curves = _curves(plan, same, side=0)
-    mesh = mesh_of(plan, contacts[0].finger, 0, same)
-    draw_body(ax, mesh, _distinct(curves, 1e-3 * contacts[0].finger.size))
+    finger = contacts[0].finger
+    same = [i for i, c in enumerate(contacts) if c.finger == finger]
+    curves = _distinct(_curves(plan, same, 0), 1e-3 * finger.size)
+    draw_body(ax, mesh_of(plan, finger, 0, same), curves)
     text = "On the fingers" if len(contacts) > 1 else "On the finger"
     if len(same) < len(contacts):
-        text = shortened(f"Finger ({', '.join(map(plan.scene.contact_name, same))})", 40)
-    ax.set_title(text, loc="left", weight="bold", pad=4)
+        text = _shortened(f"Finger ({', '.join(map(plan.scene.contact_name, same))})", 40)
+    ax.set_title(text, pad=4, **TITLE)
 
 
 def _curves(plan: Plan, contacts: Sequence[int], side: int) -> list[_Curve]:
@@ -412,43 +352,20 @@ def curve_of(plan: Plan, contact: int, t: np.ndarray, points: np.ndarray) -> _Cu
     return _Curve(points, disturbed, colour_of(contact), _number_of(plan.scene, contact))
 
 
-def _number_of(scene: Scene, contact: int) -> str:
-    """The number at the end of its name, such as that of "finger 1", or its index."""
-    name = scene.contact_name(contact)
-    number = name[len(name.rstrip("0123456789")) :]
-    return number if 0 < len(number) < 10 else str(contact)
-
-
-def contact_keys(scene: Scene) -> list[Any]:
-    """Legend entries of the contacts: one a colour, with the numbers of all that have it."""
-    from matplotlib.lines import Line2D
-
-    entries = []
-    for i in range(min(len(scene.contacts), len(COLOURS))):
-        others = range(i + len(COLOURS), len(scene.contacts), len(COLOURS))
-        names = ", ".join([scene.contact_name(i), *(_number_of(scene, k) for k in others)])
-        entries.append(
-            Line2D([], [], color=colour_of(i), linewidth=2.4, label=shortened(names, 26))
-        )
-    return entries
-
-
 def _distinct(curves: Sequence[_Curve], distance: float) -> list[_Curve]:
     """Curves that coincide are one curve with all their numbers."""
-    kept: list[_Curve] = []
-    labels: list[list[str]] = []
+    groups: list[list[_Curve]] = []
     for curve in curves:
-        for known, numbers in zip(kept, labels):
-            if np.abs(known.points - curve.points).max() < distance:
-                numbers.append(curve.label)
-                known.disturbed |= curve.disturbed
+        for group in groups:
+            if np.abs(group[0].points - curve.points).max() < distance:
+                group.append(curve)
                 break
         else:
-            kept.append(curve)
-            labels.append([curve.label])
-    for curve, numbers in zip(kept, labels):
-        curve.label = shortened(_listed(numbers), 12)
-    return kept
+            groups.append([curve])
+    for first, *others in groups:
+        first.disturbed = np.any([c.disturbed for c in (first, *others)], axis=0)
+        first.label = _shortened(_listed([c.label for c in (first, *others)]), 12)
+    return [group[0] for group in groups]
 
 
 def _listed(numbers: Sequence[str]) -> str:
@@ -462,54 +379,81 @@ def _listed(numbers: Sequence[str]) -> str:
     return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 3 else ",".join(run) for run in runs)
 
 
+# --- bodies ------------------------------------------------------------------------------------
+
+
+@dataclass
+class _View:
+    """Orthographic camera: rows right, up, towards the camera."""
+
+    axes: np.ndarray
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Right, up and depth (greater is nearer) of points (..., 3), m."""
+        return x @ self.axes.T
+
+
+@dataclass
+class _Mesh:
+    """A surface on a grid of this shape: points and normals, (n, 3)."""
+
+    shape: tuple[int, int]
+    points: np.ndarray
+    normals: np.ndarray
+    inside: bool
+
+    @property
+    def grid(self) -> np.ndarray:
+        """Numbers of the points."""
+        return np.arange(len(self.points)).reshape(self.shape)
+
+    @property
+    def size(self) -> float:
+        """Of its bounding box, m."""
+        return np.ptp(self.points, axis=0).max()
+
+    def triangles(self, every: int = 1) -> np.ndarray:
+        """Between some lines of the grid: (m, 3)."""
+        grid = self.grid[::every, ::every]
+        a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+        return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+
+
 def mesh_of(plan: Plan, surface: Surface, side: int, contacts: Sequence[int]) -> _Mesh | None:
     """The whole surface if it closes on itself, else what lies around the curves."""
     for whole in (True, False):
+        spans = [_span(plan, surface, side, contacts, k, whole) for k in (0, 1)]
         try:
-            u, v = (_cells(*span) for span in _extent(plan, surface, side, contacts, whole))
-            grid = np.meshgrid(u, v, indexing="ij")
-            points, normals = surface.point(*grid), surface.normal(*grid)
+            u, v = np.meshgrid(*(np.linspace(*span, CELLS + 1) for span in spans), indexing="ij")
+            points, normals = surface.point(u, v), surface.normal(u, v)
         except ContactSystemError:  # an implicit surface that the rays of its chart do not all meet
             continue
-        if whole and np.ptp(points, axis=(0, 1)).max() > UNBOUNDED * surface.size:
-            continue
-        flat = points.reshape(-1, 3), normals.reshape(-1, 3)
-        return _Mesh(points.shape[:2], *flat, surface.inside)
+        mesh = _Mesh(u.shape, points.reshape(-1, 3), normals.reshape(-1, 3), surface.inside)
+        if not whole or mesh.size <= UNBOUNDED * surface.size:
+            return mesh
     return None
 
 
-def _cells(start: float, stop: float) -> np.ndarray:
-    # a hair inside: charts end at poles, where there is no frame
-    hair = 1e-6 * (stop - start)
-    return np.linspace(start + hair, stop - hair, CELLS + 1)
-
-
-def _extent(
-    plan: Plan, surface: Surface, side: int, contacts: Sequence[int], whole: bool
-) -> list[tuple[float, float]]:
-    """Range of u and of v to draw."""
-    closed = [(0.0, math.pi), (-math.pi / 2, math.pi / 2)]  # between poles, by which coordinate
-    if surface.double_cover:
-        return [(-math.pi, math.pi), closed[1]]
-    spans: list[tuple[float, float]] = []
-    for k, period in enumerate(surface.periods()):
-        if whole and period is not None:
-            spans.append((-period / 2, period / 2))
-        elif whole and surface.chart.singular_at:  # only charts with poles close without a period
-            spans.append(closed[k])
-        else:
-            spans.append(_around(plan, surface, side, contacts, k))
-    return spans
-
-
-def _around(
-    plan: Plan, surface: Surface, side: int, contacts: Sequence[int], k: int
+def _span(
+    plan: Plan, surface: Surface, side: int, contacts: Sequence[int], k: int, whole: bool
 ) -> tuple[float, float]:
-    t = regular_times(plan, plan.sample_times())
-    q = plan.states(t)[:, contacts, 4 * side : 4 * side + 2].reshape(-1, 2)
-    reach = np.ptp(plan.points(t)[:, contacts, side].reshape(-1, 3), axis=0).max()
-    margin = 0.35 * reach / surface.lame(*q[len(q) // 2])[k]
-    return q[:, k].min() - margin, q[:, k].max() + margin
+    """Range of u or v to draw, a hair less: charts end at poles, where there is no frame."""
+    period = surface.periods()[k]
+    if surface.double_cover:
+        start, stop = ((-math.pi, math.pi), (-math.pi / 2, math.pi / 2))[k]
+    elif whole and period is not None:
+        start, stop = -period / 2, period / 2
+    elif whole and surface.chart.singular_at:  # only charts with poles close without a period
+        start, stop = ((0.0, math.pi), (-math.pi / 2, math.pi / 2))[k]
+    else:
+        t = regular_times(plan, plan.sample_times())
+        found = plan.evaluate(t, "states", "points")
+        q = found["states"][:, contacts, 4 * side : 4 * side + 2].reshape(-1, 2)
+        reach = np.ptp(found["points"][:, contacts, side].reshape(-1, 3), axis=0).max()
+        margin = 0.35 * reach / surface.lame(*q[len(q) // 2])[k]
+        start, stop = q[:, k].min() - margin, q[:, k].max() + margin
+    hair = 1e-6 * (stop - start)
+    return start + hair, stop - hair
 
 
 def draw_body(ax: Any, mesh: _Mesh | None, curves: Sequence[_Curve]) -> None:
@@ -517,15 +461,14 @@ def draw_body(ax: Any, mesh: _Mesh | None, curves: Sequence[_Curve]) -> None:
     view = best_view(mesh, curves)
     if mesh is not None:
         _draw_surface(ax, mesh, view)
-    for curve in curves:
-        hidden = is_hidden(mesh, view, curve.points)
-        _draw_curve(ax, view, curve, hidden)
+    hidden = [is_hidden(mesh, view, curve.points) for curve in curves]
+    for curve, behind in zip(curves, hidden):
+        _draw_curve(ax, view(curve.points), curve, behind)
     starts = np.array([view(curve.points[0])[:2] for curve in curves])
     room = 0.04 * max(ax.dataLim.width, ax.dataLim.height)  # of a label
     for k, curve in enumerate(curves):
-        hidden = is_hidden(mesh, view, curve.points[:1])
         before = np.linalg.norm(starts[:k] - starts[k], axis=1) < room
-        _mark_start(ax, starts[k], curve, bool(hidden[0]), int(before.sum()))
+        _mark_start(ax, starts[k], curve, hidden[k][0], int(before.sum()))
     ax.set_aspect("equal")
     ax.margins(0.06)
     ax.set_axis_off()
@@ -536,108 +479,22 @@ def best_view(mesh: _Mesh | None, curves: Sequence[_Curve]) -> _View:
     """Of a ring of cameras the one that the curves face most."""
     points = np.concatenate([c.points[::20] for c in curves])
     starts = np.array([c.points[0] for c in curves])
-    normals = [_normals_at(mesh, points), _normals_at(mesh, starts)]
-    best, best_score = None, -math.inf
-    for elevation, penalty in ((28, 0.0), (40, 0.06), (60, 0.3), (-28, 0.15)):
-        for azimuth in range(0, 360, 15):
-            e, a = math.radians(elevation), math.radians(azimuth)
-            toward = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
-            facing, first = (np.clip(n @ toward, -0.2, 0.6).mean() for n in normals)
-            score = facing + 0.5 * first - penalty
-            if score > best_score:
-                right = np.array([-math.sin(a), math.cos(a), 0.0])
-                best, best_score = _View(np.array([right, np.cross(toward, right), toward])), score
-    assert best is not None
-    return best
+    elevation, azimuth = np.meshgrid([28, 40, 60, -28], range(0, 360, 15), indexing="ij")
+    penalty = np.repeat([0.0, 0.06, 0.3, 0.15], azimuth.shape[1])
+    e, a = np.radians(elevation).ravel(), np.radians(azimuth).ravel()
+    toward = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], 1)
+    right = np.stack([-np.sin(a), np.cos(a), 0 * a], 1)
+    normals = _normals_at(mesh, points), _normals_at(mesh, starts)
+    facing, first = (np.clip(n @ toward.T, -0.2, 0.6).mean(0) for n in normals)
+    best = np.argmax(facing + 0.5 * first - penalty)
+    return _View(np.stack([right, np.cross(toward, right), toward], 1)[best])
 
 
 def _normals_at(mesh: _Mesh | None, points: np.ndarray) -> np.ndarray:
     """Normal of the mesh vertex next to each point."""
     if mesh is None:
         return np.tile([0.0, 0.0, 1.0], (len(points), 1))
-    near = [int(np.argmin(((mesh.points - x) ** 2).sum(1))) for x in points]
-    return mesh.normals[near]
-
-
-def _draw_surface(ax: Any, mesh: _Mesh, view: _View) -> None:
-    from matplotlib.colors import LinearSegmentedColormap
-
-    seen, triangles = view(mesh.points), mesh.triangles()
-    depth = seen[triangles, 2].mean(1)
-    facing = (mesh.normals @ view.axes[2])[triangles].mean(1)
-    light = view.axes.T @ np.array([-0.45, 0.6, 0.75])
-    shade = 0.5 + 0.5 * mesh.normals @ (light / np.linalg.norm(light))
-    layers = [(facing > 0, BODY, shade)]
-    if not mesh.inside:  # of a hollow only the far side is seen, as in a bowl cut open
-        layers.insert(0, (facing <= 0, HOLLOW, 1 - shade))
-    for chosen, colours, values in layers:
-        order = np.flatnonzero(chosen)[np.argsort(depth[chosen])]
-        if len(order):
-            ax.tripcolor(
-                seen[:, 0],
-                seen[:, 1],
-                triangles[order],
-                values,
-                shading="gouraud",
-                cmap=LinearSegmentedColormap.from_list("body", colours),
-                vmin=0,
-                vmax=1,
-                zorder=1,
-                rasterized=True,
-            )
-    _draw_chart_lines(ax, mesh, view)
-    _draw_outline(ax, mesh, view)
-
-
-def _draw_chart_lines(ax: Any, mesh: _Mesh, view: _View) -> None:
-    step = CELLS // 12
-    for line in (*mesh.grid[::step], *mesh.grid.T[::step]):
-        x, facing = mesh.points[line], mesh.normals[line] @ view.axes[2]
-        shown = facing > 0
-        shown[shown] = ~is_hidden(mesh, view, x[shown])
-        for run in _runs(shown):
-            seen = view(x[run])
-            ax.plot(seen[:, 0], seen[:, 1], color="white", linewidth=0.7, alpha=0.75, zorder=2)
-
-
-def _draw_outline(ax: Any, mesh: _Mesh, view: _View) -> None:
-    """Where the surface turns away from the camera, and its edges: n . d = 0 in each triangle."""
-    from matplotlib.collections import LineCollection
-
-    triangles = mesh.triangles()
-    facing, x = (mesh.normals @ view.axes[2])[triangles], mesh.points[triangles]
-    ends = []
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        crosses = (facing[:, i] > 0) != (facing[:, j] > 0)
-        part = np.full(len(x), np.nan)
-        np.divide(facing[:, i], facing[:, i] - facing[:, j], out=part, where=crosses)
-        ends.append(x[:, i] + part[:, None] * (x[:, j] - x[:, i]))
-    cut = np.stack(ends, 1)
-    crossed = np.isfinite(cut[:, :, 0]).sum(1) == 2
-    pairs = cut[crossed]
-    pairs = pairs[np.isfinite(pairs[:, :, 0])].reshape(-1, 2, 3)
-    pairs = np.concatenate([pairs, _edges(mesh)])
-    pairs = pairs[~is_hidden(mesh, view, pairs.mean(1))]
-    ax.add_collection(
-        LineCollection(
-            view(pairs)[:, :, :2], colors="#6b7580", linewidths=0.9, zorder=2, capstyle="round"
-        )
-    )
-
-
-def _edges(mesh: _Mesh) -> np.ndarray:
-    """Segments (n, 2, 3) of the grid's border that do not close on another one."""
-    grid = mesh.points.reshape(*mesh.shape, 3)
-    size = np.ptp(mesh.points, axis=0).max()
-    pairs = [np.empty((0, 2, 3))]
-    for first, last in ((grid[0], grid[-1]), (grid[:, 0], grid[:, -1])):
-        closes = np.linalg.norm(first - last, axis=1).max() < 1e-3 * size
-        for line in () if closes else (first, last):
-            # a pole, or a seam folded on itself, is no edge
-            folded = np.linalg.norm(line - line[::-1], axis=1).max() < 1e-3 * size
-            if not folded:
-                pairs.append(np.stack([line[:-1], line[1:]], 1))
-    return np.concatenate(pairs)
+    return mesh.normals[[((mesh.points - x) ** 2).sum(1).argmin() for x in points]]
 
 
 def is_hidden(mesh: _Mesh | None, view: _View, points: np.ndarray) -> np.ndarray:
@@ -645,16 +502,13 @@ def is_hidden(mesh: _Mesh | None, view: _View, points: np.ndarray) -> np.ndarray
     hidden = np.zeros(len(points), bool)
     if mesh is None:
         return hidden
-    triangles = mesh.triangles(OCCLUDER)
+    triangles, slack = mesh.triangles(OCCLUDER), 0.02 * mesh.size
+    if mesh.inside:  # a hollow is open towards the camera
+        triangles = triangles[(mesh.normals @ view.axes[2])[triangles].mean(1) > 0]
     corners = view(mesh.points)[triangles]
-    if mesh.inside:
-        facing = (mesh.normals @ view.axes[2])[triangles].mean(1)
-        corners = corners[facing > 0]
-    slack = 0.02 * np.ptp(mesh.points, axis=0).max()
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
-    kept = np.abs(area) > 1e-12 * slack**2
-    a, b, c, area = a[kept], b[kept], c[kept], area[kept]
+    area[np.abs(area) <= 1e-12 * slack**2] = np.nan  # seen from the side: hides nothing
     for first in range(0, len(points), 64):
         p = view(points[first : first + 64])[:, None] - a
         beta = (p[..., 0] * c[:, 1] - p[..., 1] * c[:, 0]) / area
@@ -665,117 +519,121 @@ def is_hidden(mesh: _Mesh | None, view: _View, points: np.ndarray) -> np.ndarray
     return hidden
 
 
-def _runs(chosen: np.ndarray) -> Iterator[slice]:
+# --- drawing bodies ----------------------------------------------------------------------------
+
+
+def _draw_surface(ax: Any, mesh: _Mesh, view: _View) -> None:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    (x, y, depth), triangles = view(mesh.points).T, mesh.triangles()
+    triangles = triangles[np.argsort(depth[triangles].mean(1))]
+    facing = (mesh.normals @ view.axes[2])[triangles].mean(1)
+    light = view.axes.T @ np.array([-0.45, 0.6, 0.75])
+    shade = 0.5 + 0.5 * mesh.normals @ (light / np.linalg.norm(light))
+    layers = [(facing <= 0, HOLLOW, 1 - shade), (facing > 0, BODY, shade)]
+    style = {"shading": "gouraud", "vmin": 0, "vmax": 1, "zorder": 1, "rasterized": True}
+    # of a hollow only the far side is seen, as in a bowl cut open
+    for chosen, colours, values in layers[mesh.inside :]:
+        if chosen.any():
+            colours = LinearSegmentedColormap.from_list("body", colours)
+            ax.tripcolor(x, y, triangles[chosen], values, cmap=colours, **style)
+    _draw_chart_lines(ax, mesh, view)
+    _draw_outline(ax, mesh, view)
+
+
+def _draw_chart_lines(ax: Any, mesh: _Mesh, view: _View) -> None:
+    step = CELLS // 12
+    for line in (*mesh.grid[::step], *mesh.grid.T[::step]):
+        x, shown = mesh.points[line], mesh.normals[line] @ view.axes[2] > 0
+        shown[shown] = ~is_hidden(mesh, view, x[shown])
+        for run in _runs(shown):
+            ax.plot(*view(x[run]).T[:2], color="white", linewidth=0.7, alpha=0.75, zorder=2)
+
+
+def _draw_outline(ax: Any, mesh: _Mesh, view: _View) -> None:
+    """Where the surface turns away from the camera, and its edges: n . d = 0 in each triangle."""
+    from matplotlib.collections import LineCollection
+
+    facing, triangles = mesh.normals @ view.axes[2], mesh.triangles()
+    following = triangles[:, [1, 2, 0]]
+    crosses = (facing[triangles] > 0) != (facing[following] > 0)  # on two sides, or none
+    a, b = triangles[crosses], following[crosses]
+    part = (facing[a] / (facing[a] - facing[b]))[:, None]
+    turns = mesh.points[a] + part * (mesh.points[b] - mesh.points[a])
+    pairs = np.concatenate([turns.reshape(-1, 2, 3), _edges(mesh)])
+    pairs = view(pairs[~is_hidden(mesh, view, pairs.mean(1))])[:, :, :2]
+    style = {"colors": "#6b7580", "linewidths": 0.9, "zorder": 2, "capstyle": "round"}
+    ax.add_collection(LineCollection(pairs, **style))
+
+
+def _edges(mesh: _Mesh) -> np.ndarray:
+    """Segments (n, 2, 3) of the grid's border that do not close on another one."""
+
+    def meet(first: np.ndarray, last: np.ndarray) -> bool:
+        return np.linalg.norm(first - last, axis=1).max() < 1e-3 * mesh.size
+
+    grid = mesh.points.reshape(*mesh.shape, 3)
+    pairs = [np.empty((0, 2, 3))]
+    for first, last in ((grid[0], grid[-1]), (grid[:, 0], grid[:, -1])):
+        for line in () if meet(first, last) else (first, last):
+            if not meet(line, line[::-1]):  # a pole, or a seam folded on itself, is no edge
+                pairs.append(np.stack([line[:-1], line[1:]], 1))
+    return np.concatenate(pairs)
+
+
+def _runs(chosen: np.ndarray) -> list[slice]:
     """Slices of consecutive true entries, of two or more."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(int), [0]])))
-    for start, stop in zip(edges[::2], edges[1::2]):
-        if stop - start > 1:
-            yield slice(start, stop)
+    runs = np.ma.clump_masked(np.ma.array(chosen, mask=chosen))
+    return [run for run in runs if run.stop - run.start > 1]
 
 
-def _draw_curve(ax: Any, view: _View, curve: _Curve, hidden: np.ndarray) -> None:
-    seen = view(curve.points)
+def _draw_curve(ax: Any, seen: np.ndarray, curve: _Curve, hidden: np.ndarray) -> None:
+    """A curve as it is seen, (n, 3), with an arrowhead at its end."""
     for disturbed in (False, True):
+        colour = DISTURBED if disturbed else curve.colour
         for behind in (True, False):
+            style: dict[str, Any] = (
+                {"linewidth": 1.3, "alpha": 0.33} if behind else {"linewidth": 2.4}
+            )
+            style |= {"color": colour, "zorder": 3 if behind else 4 + disturbed}
             chosen = (curve.disturbed == disturbed) & (hidden == behind)
             chosen[1:] |= chosen[:-1]  # join with the next run
             for run in _runs(chosen):
-                ax.plot(
-                    seen[run, 0],
-                    seen[run, 1],
-                    zorder=3 if behind else 4 + disturbed,
-                    color=DISTURBED if disturbed else curve.colour,
-                    solid_capstyle="round",
-                    linewidth=1.3 if behind else 2.4,
-                    alpha=0.33 if behind else 1.0,
-                )
-    _draw_arrow(ax, seen, curve, bool(hidden[-1]))
-
-
-def _draw_arrow(ax: Any, seen: np.ndarray, curve: _Curve, behind: bool) -> None:
-    """An arrowhead at the end of the curve."""
-    away = np.linalg.norm(seen[:, :2] - seen[-1, :2], axis=1)
-    far = np.flatnonzero(away > 0.01 * np.ptp(seen[:, :2], axis=0).max())
-    if not len(far):
-        return
-    colour = DISTURBED if curve.disturbed[-1] else curve.colour
-    ax.annotate(
-        "",
-        seen[-1, :2],
-        seen[far[-1], :2],
-        zorder=6,
-        annotation_clip=False,
-        arrowprops={
-            "arrowstyle": "-|>",
-            "mutation_scale": 16,
-            "color": colour,
-            "linewidth": 0,
-            "shrinkA": 0,
-            "shrinkB": 0,
-            "alpha": 0.4 if behind else 1.0,
-        },
-    )
+                ax.plot(*seen[run].T[:2], solid_capstyle="round", **style)
+    seen = seen[:, :2]
+    away = np.linalg.norm(seen - seen[-1], axis=1)
+    far = np.flatnonzero(away > 0.01 * np.ptp(seen, axis=0).max())
+    if len(far):
+        colour = DISTURBED if curve.disturbed[-1] else curve.colour
+        arrow: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 16, "linewidth": 0}
+        arrow |= {"shrinkA": 0, "shrinkB": 0, "color": colour, "alpha": 0.4 if hidden[-1] else 1.0}
+        ends = seen[-1], seen[far[-1]]
+        ax.annotate("", *ends, zorder=6, annotation_clip=False, arrowprops=arrow)
 
 
 def _mark_start(ax: Any, start: np.ndarray, curve: _Curve, behind: bool, below: int) -> None:
     """A curve's number where it begins, or below so many others that stand there."""
-    ax.annotate(
-        curve.label,
-        start,
-        (0, -17 * below),
-        textcoords="offset points",
-        color="white",
-        size=9,
-        weight="bold",
-        ha="center",
-        va="center",
-        zorder=8,
-        alpha=0.75 if behind else 1.0,
-        bbox={
-            "boxstyle": "circle,pad=0.25" if len(curve.label) < 2 else "round,pad=0.25",
-            "facecolor": curve.colour,
-            "edgecolor": "white",
-            "linewidth": 1.1,
-            "alpha": 0.55 if behind else 1.0,
-        },
-    )
+    style: dict[str, Any] = {"size": 9, "weight": "bold", "ha": "center", "va": "center"}
+    style |= {"color": "white", "alpha": 0.75 if behind else 1.0, "zorder": 8}
+    box = {"facecolor": curve.colour, "edgecolor": "white", "linewidth": 1.1}
+    box["alpha"] = 0.55 if behind else 1.0
+    box["boxstyle"] = "circle,pad=0.25" if len(curve.label) < 2 else "round,pad=0.25"
+    place = (0, -17 * below)
+    ax.annotate(curve.label, start, place, textcoords="offset points", bbox=box, **style)
 
 
 def _scale_bar(ax: Any) -> None:
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
-    wanted = 0.3 * (right - left)
+    wanted, height = 0.3 * (right - left), top - bottom
     decade = 10.0 ** math.floor(math.log10(wanted))
     length = max(k * decade for k in (1, 2, 5) if k * decade <= wanted)
-    y = bottom - 0.02 * (top - bottom)
+    y, middle = bottom - 0.02 * height, left + length / 2
     ax.plot([left, left + length], [y, y], color=INK, linewidth=2.5, solid_capstyle="butt")
-    ax.text(
-        left + length / 2,
-        y - 0.015 * (top - bottom),
-        _length_text(length),
-        ha="center",
-        va="top",
-        size=9,
-    )
-    ax.set_ylim(y - 0.09 * (top - bottom), top)
+    ax.text(middle, y - 0.015 * height, _length_text(length), ha="center", va="top", size=9)
+    ax.set_ylim(y - 0.09 * height, top)
 
 
 def _length_text(length: float) -> str:
     """A round length [m] in the unit that people read it in."""
     unit, name = next((unit for unit in UNITS if length > 0.09 * unit[0]), UNITS[0])
     return f"{length / unit:g} {name}"
-
-
-def _key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) -> None:
-    """What the colours and signs mean: of the slip of some laws, of the bodies, or of both."""
-    from matplotlib.lines import Line2D
-
-    entries = _slip_entries(laws) if laws else []
-    entries += contact_keys(plan.scene)
-    if plan.scene.disturbances:
-        entries.append(Line2D([], [], color=DISTURBED, linewidth=2.4, label="disturbance"))
-    if bodies:
-        entries.append(
-            Line2D([], [], color=INK, linewidth=1.3, alpha=0.35, label="behind the body")
-        )
-    ax.set_axis_off()
-    ax.legend(handles=entries, loc="center left", frameon=False, handlelength=2.2)

@@ -1,14 +1,15 @@
 """Many scenes: planned over any executor, results as one table, failures kept beside them.
 
-Contacts are independent of each other, so contacts of many scenes that share object, profile, gain,
-duration and windows are planned as one scene of many contacts; that is where the speed comes from.
-Other scenes are planned one by one.
+Contacts do not act on each other, so contacts of many scenes that share object, profile, gain,
+duration and windows are planned as one scene of many contacts: ten times as fast as one by one
+where scenes have one contact, as the time would go into Python's calls.
 """
 
 from __future__ import annotations
 
 import contextlib
 import copy
+import functools
 import hashlib
 import itertools
 import json
@@ -16,16 +17,9 @@ import numbers
 import os
 import pickle
 import sys
-from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sized
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    wait,
-)
+from concurrent import futures
+from concurrent.futures import Executor, Future
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -165,7 +159,7 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
         "slip_peak": slip.max(axis=0),
         "slip_end": slip[-1],
         "recovery": _recovery(t, slip, since, before),
-        "state_end": plan.states([plan.end])[0],
+        "state_end": plan.states(plan.end)[0],
     }
 
 
@@ -191,141 +185,113 @@ def _recovery(t: np.ndarray, slip: np.ndarray, since: np.ndarray, before: np.nda
 
 
 @dataclass(frozen=True)
-class Job:
-    """What is done with every scene."""
-
-    evaluate: Evaluate
-    tolerance: float
-
-
-@dataclass(frozen=True)
 class Chunk:
-    """Scenes that one worker takes: its number, the place of its first scene, the scenes."""
+    """Scenes that one worker takes.
+
+    Its number, the place of its first scene among all, the scenes, and where its results are kept.
+    """
 
     number: int
     first: int
     items: tuple[Item, ...]
+    kept: Kept | None
 
 
-Placed = tuple[int, Scene]
-"""A scene and its place among all."""
+Batch = list[tuple[int, Scene]]
+"""Scenes that can be planned as one, of equally many contacts, and their places among all."""
+
+Run = functools.partial[Part]
+"""What workers do with a chunk: `run_chunk` with its first two arguments."""
 
 
-def run_chunk(job: Job, chunk: Chunk) -> Part:
+def run_chunk(evaluate: Evaluate, tolerance: float, chunk: Chunk) -> Part:
     """Plan and evaluate the scenes of a chunk; what goes wrong is part of the result."""
+
+    def tables_of(batch: Batch) -> list[np.ndarray]:
+        try:
+            outputs = evaluate(plan(_together(batch), tolerance=tolerance))
+        except Exception as error:  # whatever a user's function raises
+            if len(batch) > 1:  # in halves, to find what fails
+                half = len(batch) // 2
+                return tables_of(batch[:half]) + tables_of(batch[half:])
+            failures.append(_failure(*batch[0], error))
+            return []
+        return [_table(batch, outputs)]
+
     failures: list[Failure] = []
-    alike: dict[Any, list[Placed]] = {}
+    alike: dict[Any, Batch] = {}
     for place, item in enumerate(chunk.items, chunk.first):
         try:
             scene = _scene(item)
-            alike.setdefault(_kind(scene), []).append((place, scene))
+            # the first one alone: an axis of times that is as long as the contacts are many must
+            # not pass for rows of contacts
+            alike.setdefault((not alike, *_shared(scene)), []).append((place, scene))
         except Exception as error:  # whatever a user's function raises
             failures.append(_failure(place, item, error))
-    batches = [batch for scenes in alike.values() for batch in _batches(scenes)]
-    if chunk.number == 0 and batches:  # one alone: an axis of times that is as long as the
-        first = batches.pop(0)  # contacts are many must not pass for rows of contacts
-        batches[:0] = [part for part in (first[:1], first[1:]) if part]
-    tables = [table for batch in batches for table in _rows(job, batch, failures)]
+    tables = []
+    for batch in alike.values():
+        size = max(1, TOGETHER // len(batch[0][1].contacts))
+        for k in range(0, len(batch), size):
+            tables += tables_of(batch[k : k + size])
     table = _joined(tables)
     failures.sort(key=lambda failure: failure.scene)
     return Part(table[np.argsort(table["scene"], kind="stable")], failures)
 
 
 def _scene(item: Item) -> Scene:
-    if isinstance(item, Scene):
-        return item
+    scene = item() if callable(item) else item
+    if isinstance(scene, Scene):
+        return scene
     if isinstance(item, (str, os.PathLike)):
         return load_scene(item)
-    scene = item() if callable(item) else item
-    if not isinstance(scene, Scene):
-        raise ContactSystemError(
-            f"{scene!r:.80} is no scene; give a Scene, the name or file of one, or a function that "
-            "makes one"
-        )
-    return scene
-
-
-def _kind(scene: Scene) -> tuple:
-    """Scenes that agree in this can be planned as one."""
-    windows = frozenset((type(d), d.start, d.stop) for d in scene.disturbances)
-    return (
-        scene.object,
-        scene.profile,
-        scene.gain,
-        scene.duration,
-        scene.turning,
-        windows,
-        repr(scene.paper),
+    raise ContactSystemError(
+        f"{scene!r:.80} is no scene; give a Scene, the name or file of one, or a function that "
+        "makes one"
     )
 
 
-def _batches(scenes: list[Placed]) -> Iterator[list[Placed]]:
-    """At most TOGETHER contacts each, or one scene."""
-    batch: list[Placed] = []
-    count = 0
-    for placed in scenes:
-        own = len(placed[1].contacts)
-        if batch and count + own > TOGETHER:
-            yield batch
-            batch, count = [], 0
-        batch.append(placed)
-        count += own
-    yield batch
+def _shared(scene: Scene) -> tuple:
+    """Scenes that agree in this can be planned as one."""
+    windows = frozenset((type(d), d.start, d.stop) for d in scene.disturbances)
+    given = scene.object, scene.profile, scene.gain, scene.duration, scene.turning
+    return *given, windows, repr(scene.paper), len(scene.contacts)
 
 
-def _rows(job: Job, batch: list[Placed], failures: list[Failure]) -> list[np.ndarray]:
-    """Tables of a batch; halved where something fails, down to the scene that does."""
-    try:
-        one = _together([scene for _, scene in batch])
-        outputs = job.evaluate(plan(one, tolerance=job.tolerance))
-    except Exception as error:  # whatever a user's function raises
-        if len(batch) == 1:
-            failures.append(_failure(*batch[0], error))
-            return []
-    else:
-        return [_table(batch, outputs)]
-    half = len(batch) // 2
-    return _rows(job, batch[:half], failures) + _rows(job, batch[half:], failures)
+def _together(batch: Batch) -> Scene:
+    """The contacts of a batch, in order, as one scene.
 
-
-def _together(scenes: list[Scene]) -> Scene:
-    """The contacts of scenes of one kind, in order, as one scene.
-
-    Its parts were checked in their own scenes; checking them again would double the time of a
-    disturbed scene, so the new one is put together without.
+    Its parts were checked in their own scenes, and are not again: with that a sweep of disturbed
+    scenes would take a seventh longer.
     """
-    first = scenes[0]
-    if len(scenes) == 1:
-        return first
     contacts: list[Contact] = []
     disturbances: list[Disturbance] = []
-    for scene in scenes:
+    for _, scene in batch:
         for d in scene.disturbances:
-            assert isinstance(d.contact, int)  # "all" is no more once it is in a scene
             moved = copy.copy(d)
-            vars(moved)["contact"] = d.contact + len(contacts)
+            vars(moved)["contact"] = int(d.contact) + len(contacts)
             disturbances.append(moved)
         contacts += scene.contacts
-    one = copy.copy(first)
+    one = copy.copy(batch[0][1])
     vars(one).update(contacts=tuple(contacts), disturbances=tuple(disturbances))
     return one
 
 
-def _table(batch: list[Placed], outputs: Mapping[str, ArrayLike]) -> np.ndarray:
+def _table(batch: Batch, outputs: Mapping[str, ArrayLike]) -> np.ndarray:
     """One row a contact of the batch, from what `evaluate` returned."""
-    counts = [len(scene.contacts) for _, scene in batch]
-    ends = np.cumsum(counts)
-    count = int(ends[-1])
+    contacts = len(batch[0][1].contacts)
+    count = contacts * len(batch)
     columns = {
-        "scene": np.repeat([place for place, _ in batch], counts),
-        "contact": np.arange(count) - np.repeat(ends - counts, counts),
-        "name": np.repeat([scene.name or "" for _, scene in batch], counts),
+        "scene": np.repeat([place for place, _ in batch], contacts),
+        "contact": np.tile(np.arange(contacts), len(batch)),
+        "name": np.repeat([scene.name for _, scene in batch], contacts),
     }
     if not isinstance(outputs, Mapping):
         raise ContactSystemError(
             f"evaluate returned {type(outputs).__name__}; return a dict of arrays"
         )
     for key, value in outputs.items():
+        if not isinstance(key, str):
+            raise ContactSystemError(f"evaluate returned the key {key!r}; give names as text")
         try:
             array = np.asarray(value)
         except ValueError:  # rows of different shapes
@@ -336,11 +302,8 @@ def _table(batch: list[Placed], outputs: Mapping[str, ArrayLike]) -> np.ndarray:
                 f"one row of numbers or texts a contact of the plan, ({count}, ...), and a name "
                 "other than scene, contact, name"
             )
-        if not isinstance(key, str):
-            raise ContactSystemError(f"evaluate returned the key {key!r}; give names as text")
         columns[key] = array
-    kinds = [(key, array.dtype, array.shape[1:]) for key, array in columns.items()]
-    table = np.empty(count, dtype=kinds)
+    table = np.empty(count, [(key, array.dtype, array.shape[1:]) for key, array in columns.items()])
     for key, array in columns.items():
         table[key] = array
     return table
@@ -424,6 +387,8 @@ def sweep(
         that differ from scene to scene; a folder that cannot be made or written to; functions that
         cannot be sent to another process; an executor that broke and cannot be replaced.
     """
+    from .cli import Progress  # not on the planner's path
+
     if isinstance(scenes, (Scene, str, os.PathLike)) or not isinstance(scenes, Iterable):
         raise ContactSystemError(f"scenes = {scenes!r:.80}: give a list of scenes; of one, [scene]")
     ahead = 2 * (os.cpu_count() or 1) if ahead is None else ahead
@@ -431,139 +396,98 @@ def sweep(
         whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
         if not whole or value < 1:
             raise ContactSystemError(f"{name} = {value!r}: give a whole number, at least 1")
-    for name, given, fits, remedy in (
-        ("evaluate", evaluate, callable(evaluate), "a function of a plan"),
-        (
-            "executor",
-            executor,
-            executor is None or isinstance(executor, Executor),
-            "an executor, such as ProcessPoolExecutor(4) or a Dask client's get_executor()",
-        ),
-    ):
-        if not fits:
-            raise ContactSystemError(f"{name} = {given!r:.80}: give {remedy}")
-    from .cli import Progress  # not on the planner's path
-
+    if not callable(evaluate):
+        raise ContactSystemError(f"evaluate = {evaluate!r:.80}: give a function of a plan")
+    if executor is not None and not isinstance(executor, Executor):
+        raise ContactSystemError(
+            f"executor = {executor!r:.80}: give an executor, such as ProcessPoolExecutor(4) or a "
+            "Dask client's get_executor()"
+        )
     flag(compiled, "compiled", none=True)
-    job = Job(evaluate, checked_tolerance(tolerance))
-    store = _Store(job, None if folder is None else a_path(folder, "folder"))
-    chunks = store.missing(_chunks(scenes, chunk))
+    run = functools.partial(run_chunk, evaluate, checked_tolerance(tolerance))
+    if folder is not None:  # absolute: results may be read from another current folder
+        folder = make_folder(a_path(folder, "folder"), "give another folder").absolute()
+    parts: dict[int, Part | Kept] = {}
+    chunks = _unfinished(scenes, chunk, run, folder, parts)
     if executor is None:
-        finished = ((c, run_chunk(job, c)) for c in chunks)
+        finished = ((done, run(done)) for done in chunks)
     else:
-        finished = _spread(chunks, job, executor, ahead)
+        finished = _spread(chunks, run, executor, ahead)
     # how many a generator has is not known: its bar stays empty, the count beside it runs
     steps = -(-len(scenes) // chunk) if isinstance(scenes, Sized) else sys.maxsize
     with Progress(max(steps, 1), "0 scenes") as progress, contextlib.closing(finished):
         count = 0
         for done, part in finished:
-            store.put(done, part)
+            parts[done.number] = _keep(part, done.kept)
             count += len(done.items)
-            progress.step(f"{count} scenes")
-            progress.done = len(store.parts)
-    return Sweep(store.parts)
-
-
-def _chunks(scenes: Iterable[Item], size: int) -> Iterator[Chunk]:
-    items = iter(scenes)
-    for number in itertools.count():
-        own = tuple(itertools.islice(items, size))
-        if not own:
-            return
-        yield Chunk(number, number * size, own)
+            progress.name, progress.done = f"{count} scenes", len(parts)
+    return Sweep(parts)
 
 
 def _spread(
-    chunks: Iterator[Chunk], job: Job, executor: Executor, ahead: int
+    chunks: Iterator[Chunk], run: Run, executor: Executor, ahead: int
 ) -> Generator[tuple[Chunk, Part]]:
     """Run chunks on an executor, at most ``ahead`` at a time.
 
-    Chunks lost with a worker go again, one at a time, so that one which kills its worker shows: its
-    scenes become failures after ``LOSSES`` workers.
+    Chunks lost with a worker go again in the end, one at a time, so that one which kills its worker
+    shows: its scenes become failures after ``LOSSES`` more workers.
     """
-    crew = _Crew(executor)
-    working: dict[Future, Chunk] = {}
-    lost: deque[Chunk] = deque()
-    losses: dict[int, int] = {}
-    try:
-        while True:
-            while not working or (len(working) < ahead and not losses):
-                chunk = lost.popleft() if lost else next(chunks, None)
-                if chunk is None:
+    lost = []
+    with contextlib.closing(_Crew(executor, run)) as crew:
+        for chunk, part in crew.work(chunks, ahead):
+            if isinstance(part, Part):
+                yield chunk, part
+            else:
+                lost.append(chunk)
+        for chunk in lost:
+            for _ in range(LOSSES):
+                ((_, part),) = crew.work([chunk], 1)
+                if isinstance(part, Part):
                     break
-                working[crew.submit(run_chunk, job, chunk)] = chunk
-            if not working:
-                return
-            alone = len(working) == 1
-            for future in wait(working, return_when=FIRST_COMPLETED).done:
-                chunk = working.pop(future)
-                error = _loss(future)
-                if error is None:
-                    losses.pop(chunk.number, None)
-                    yield chunk, _result(future)
-                    continue
-                losses[chunk.number] = losses.get(chunk.number, 0) + alone
-                if losses[chunk.number] < LOSSES:
-                    lost.append(chunk)
-                else:
-                    del losses[chunk.number]
-                    places = enumerate(chunk.items, chunk.first)
-                    failures = [_failure(place, item, error) for place, item in places]
-                    yield chunk, Part(NOTHING, failures)
-    finally:
-        for future in working:
-            future.cancel()
-        crew.close()
-
-
-def _result(future: Future) -> Part:
-    try:
-        return future.result()
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
-        raise ContactSystemError(
-            f"a chunk cannot be sent to the executor's processes ({error}); give functions of a "
-            "module, or functools.partial of one, or an executor of threads"
-        ) from error
-
-
-def _loss(future: Future) -> BaseException | None:
-    """What a future says if its worker is gone; None where it has a result or its own error."""
-    try:
-        error = future.exception()
-    except CancelledError as cancelled:
-        return cancelled
-    # Dask's own for a task whose workers died again and again
-    gone = isinstance(error, (BrokenExecutor, CancelledError))
-    return error if gone or type(error).__name__ == "KilledWorker" else None
+            else:
+                places = enumerate(chunk.items, chunk.first)
+                part = Part(NOTHING, [_failure(*placed, part) for placed in places])
+            yield chunk, part
 
 
 class _Crew:
-    """An executor, and the one in its place after it broke."""
+    """The workers of an executor, and of the one in its place after it broke."""
 
-    def __init__(self, executor: Executor):
-        self.executor, self.given = executor, executor
+    def __init__(self, executor: Executor, run: Run):
+        self.executor, self.given, self.run = executor, executor, run
 
-    def submit(self, function: Callable[..., Part], *arguments: Any) -> Future:
+    def work(self, chunks: Iterable[Chunk], ahead: int) -> Generator[tuple[Chunk, Any]]:
+        """Chunks as they are done, each with its part or with the error that took its worker."""
+        working: dict[Future, Chunk] = {}
+        waiting = iter(chunks)
         try:
-            return self.executor.submit(function, *arguments)
-        except BrokenExecutor as error:
-            from concurrent.futures import ProcessPoolExecutor  # loads multiprocessing
+            while True:
+                for chunk in itertools.islice(waiting, ahead - len(working)):
+                    working[self._submit(chunk)] = chunk
+                if not working:
+                    return
+                for future in futures.wait(working, return_when=futures.FIRST_COMPLETED).done:
+                    yield working.pop(future), _outcome(future)
+        finally:
+            for future in working:
+                future.cancel()
 
-            broken = self.executor
-            if not isinstance(broken, ProcessPoolExecutor):
-                raise ContactSystemError(
-                    f"the executor {broken!r} broke ({error}) and cannot be replaced; repair it "
-                    "and call again: with a folder, what is finished is not done again"
-                ) from error
+    def _submit(self, chunk: Chunk) -> Future:
+        executor = self.executor
+        try:
+            return executor.submit(self.run, chunk)
         except RuntimeError as error:
-            raise ContactSystemError(
-                f"the executor {self.executor!r} takes no work ({error}); give one that is not "
-                "shut down, and where it starts processes, sweep below if __name__ == '__main__'"
-            ) from error
+            broke = isinstance(error, futures.BrokenExecutor)
+            if not broke or not isinstance(executor, futures.ProcessPoolExecutor):
+                raise ContactSystemError(
+                    f"the executor {executor!r} takes no work ({error}); give one that is not "
+                    "shut down, and where it starts processes, sweep below if __name__ == "
+                    "'__main__'; with a folder, what is finished is not done again"
+                ) from error
         self.close()
         names = ("_max_workers", "_mp_context", "_initializer", "_initargs")
-        self.executor = ProcessPoolExecutor(*(getattr(broken, name) for name in names))
-        return self.executor.submit(function, *arguments)
+        self.executor = futures.ProcessPoolExecutor(*(getattr(executor, name) for name in names))
+        return self.executor.submit(self.run, chunk)
 
     def close(self) -> None:
         """Shut down what was not given."""
@@ -571,44 +495,54 @@ class _Crew:
             self.executor.shutdown()
 
 
+def _outcome(future: Future) -> Part | Exception:
+    """The part, or the error that says that the worker is gone; any other error is raised."""
+    try:
+        return future.result()
+    except (futures.BrokenExecutor, futures.CancelledError) as error:
+        return error
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ContactSystemError(
+            f"a chunk cannot be sent to the executor's processes ({error}); give functions of a "
+            "module, or functools.partial of one, or an executor of threads"
+        ) from error
+    except Exception as error:
+        if type(error).__name__ == "KilledWorker":  # of Dask, whose workers died again and again
+            return error
+        raise
+
+
 # --- keeping results ---------------------------------------------------------------------------
 
 
-class _Store:
-    """Results by number of their chunk: in memory, or as files that know their scenes."""
-
-    def __init__(self, job: Job, folder: Path | None):
-        # absolute: results are read later, perhaps from another current folder
-        self.job, self.folder = job, None if folder is None else folder.absolute()
-        self.parts: dict[int, Part | Kept] = {}
-        self.unfinished: dict[int, Kept] = {}
-        if folder is not None:
-            make_folder(folder, "give another folder")
-
-    def missing(self, chunks: Iterator[Chunk]) -> Iterator[Chunk]:
-        """Those chunks that are not finished; the others are taken over."""
-        for chunk in chunks:
-            if self.folder is not None:
-                path = self.folder / f"chunk-{chunk.number:08d}.npz"
-                kept = Kept(path, _digest(self.job, chunk))
-                if _read(kept) is not None:
-                    self.parts[chunk.number] = kept
-                    continue
-                self.unfinished[chunk.number] = kept
-            yield chunk
-
-    def put(self, chunk: Chunk, part: Part) -> None:
-        """Keep a result; a file is there whole or not at all."""
-        if self.folder is None:
-            self.parts[chunk.number] = part
+def _unfinished(
+    scenes: Iterable[Item], size: int, run: Run, folder: Path | None, parts: dict[int, Part | Kept]
+) -> Iterator[Chunk]:
+    """Chunks of the scenes, but for those with results in a file, which joins the parts."""
+    items, kept = iter(scenes), None
+    for number in itertools.count():
+        own = tuple(itertools.islice(items, size))
+        if not own:
             return
-        kept = self.parts[chunk.number] = self.unfinished.pop(chunk.number)
-        unfinished = kept.path.with_suffix(".part")
-        failures = json.dumps([asdict(failure) for failure in part.failures])
-        with writing(kept.path):
-            with unfinished.open("wb") as file:
-                np.savez(file, digest=kept.digest, table=part.table, failures=failures)
-            unfinished.replace(kept.path)
+        if folder is not None:
+            kept = Kept(folder / f"chunk-{number:08d}.npz", _digest(run, number * size, own))
+        if kept is not None and _read(kept) is not None:
+            parts[number] = kept
+        else:
+            yield Chunk(number, number * size, own, kept)
+
+
+def _keep(part: Part, kept: Kept | None) -> Part | Kept:
+    """The part, or its file, which is there whole or not at all."""
+    if kept is None:
+        return part
+    unfinished = kept.path.with_suffix(".part")
+    failures = json.dumps([asdict(failure) for failure in part.failures])
+    with writing(kept.path):
+        with unfinished.open("wb") as file:
+            np.savez(file, digest=kept.digest, table=part.table, failures=failures)
+        unfinished.replace(kept.path)
+    return kept
 
 
 def _read(kept: Kept) -> Part | None:
@@ -623,36 +557,32 @@ def _read(kept: Kept) -> Part | None:
         return None
 
 
-def _digest(job: Job, chunk: Chunk) -> str:
+def _digest(run: Run, first: int, items: tuple[Item, ...]) -> str:
     """Of all that decides a chunk's results."""
     from . import __version__
 
-    name = getattr(job.evaluate, "__qualname__", "")
+    evaluate, tolerance = run.args
+    name = getattr(evaluate, "__qualname__", "")
     # a lambda has no name of its own, and a method's result depends on its object
-    if not name or "<lambda>" in name or hasattr(job.evaluate, "__self__"):
-        known = _pickled(job.evaluate)
+    if not name or "<lambda>" in name or hasattr(evaluate, "__self__"):
+        known = _pickled(evaluate)
     else:
-        known = f"{job.evaluate.__module__}.{name} {_enclosed(job.evaluate)}".encode()
-    found = hashlib.sha256(known + f"{__version__} {job.tolerance!r} {chunk.first}".encode())
-    for item in chunk.items:
+        known = f"{evaluate.__module__}.{name} {_enclosed(evaluate)}".encode()
+    found = hashlib.sha256(known + f"{__version__} {tolerance!r} {first}".encode())
+    for item in items:
         found.update(_content(item))
     return found.hexdigest()
 
 
-def _enclosed(function: Callable) -> list:
+def _enclosed(function: Callable) -> str:
     """What a function made inside another one takes from there, as far as it stays what it is."""
     values = []
     for cell in getattr(function, "__closure__", None) or ():
         with contextlib.suppress(ValueError):  # a name that has no value yet
-            values.append(cell.cell_contents)
-    return [_plain(x) for x in values if isinstance(x, (numbers.Number, str, tuple, np.ndarray))]
-
-
-def _plain(value: Any) -> Any:
-    """The value with lists for arrays, whose own repr rounds and leaves out."""
-    if isinstance(value, tuple):
-        return tuple(map(_plain, value))
-    return value.tolist() if isinstance(value, np.ndarray) else value
+            if isinstance(cell.cell_contents, (numbers.Number, str, tuple, np.ndarray)):
+                values.append(cell.cell_contents)
+    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):  # arrays in full
+        return repr(values)
 
 
 def _content(item: Item) -> bytes:

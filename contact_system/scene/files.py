@@ -8,29 +8,22 @@ The messages name the file, the contact, the key, the value and the remedy. See 
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import json
 import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
+from .. import surfaces
 from ..checks import a_path, did_you_mean, finite_number, known_keys, naming, writing
 from ..errors import SceneError
 from ..expressions import parse
-from ..surfaces import (
-    Cylinder,
-    Ellipsoid,
-    ImplicitSurface,
-    ParametricSurface,
-    Plane,
-    Quadric,
-    Sphere,
-    Surface,
-    Torus,
-)
+from ..surfaces import Surface
 from ..theory.gain import LAWS, Gain
 from ..theory.profile import Profile
 from .contact import REST, ROLLING, Contact, Turning
@@ -45,39 +38,40 @@ from .scene import (
     require_scene,
 )
 
-_SURFACES: dict[str, tuple[type, tuple[str, ...]]] = {
-    "plane": (Plane, ()),
-    "sphere": (Sphere, ("radius",)),
-    "cylinder": (Cylinder, ("radius",)),
-    "torus": (Torus, ("major", "minor")),
-    "ellipsoid": (Ellipsoid, ("a", "b", "c")),
-    "quadric": (Quadric, ("A", "sheet")),
-    "parametric": (
-        ParametricSurface,
-        ("f", "parameters", "size", "u_range", "v_range", "u_period", "v_period"),
-    ),
-    "implicit": (ImplicitSurface, ("F", "center", "parameters", "size")),
+_SURFACES: dict[str, type[Surface]] = {
+    "plane": surfaces.Plane,
+    "sphere": surfaces.Sphere,
+    "cylinder": surfaces.Cylinder,
+    "torus": surfaces.Torus,
+    "ellipsoid": surfaces.Ellipsoid,
+    "quadric": surfaces.Quadric,
+    "parametric": surfaces.ParametricSurface,
+    "implicit": surfaces.ImplicitSurface,
 }
-_REQUIRED_SURFACE_KEYS = ("radius", "major", "minor", "a", "b", "c", "A", "f", "F")
+_FORMULAS = ("f", "F")  # not needed in Python, where they may be those of another surface
+
+
+def _surface_keys(name: str) -> dict[str, bool]:
+    """What a file says of a surface, as its class does, and whether it must."""
+    given = inspect.signature(_SURFACES[name]).parameters
+    return {
+        key: parameter.default is parameter.empty or key in _FORMULAS
+        for key, parameter in given.items()
+        if key not in ("inside", "formula")
+    }
 
 
 # --- reading -----------------------------------------------------------------------------------
 
 
 def scene_from_toml(text: str, source: str = "") -> Scene:
-    """The scene a TOML text describes.
-
-    Parameters
-    ----------
-    text : str
-        TOML; the bundled scenes are the reference for its keys.
-    source : str
-        Where the text comes from, for messages; its stem is the name of a nameless scene.
+    """The scene that a TOML text describes; the bundled scenes are the reference for its keys.
 
     Raises
     ------
     SceneError
-        Naming the source, the contact, the key, the value and the remedy.
+        Naming the source, the contact, the key, the value and the remedy. A nameless scene is
+        called after the source.
     """
     with naming(source or "TOML text"):
         try:
@@ -88,13 +82,12 @@ def scene_from_toml(text: str, source: str = "") -> Scene:
 
 def _scene(text: str, source: str) -> Scene:
     try:
-        table = tomllib.loads(text)
+        given = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"is not valid TOML: {error}; correct that line") from None
     except ValueError as error:  # int() reads no more than 4300 digits
         raise SceneError(f"holds a number that is too long: {error}; shorten it") from None
-    known_keys(table, SCENE_KEYS)
-    _required(table, ("duration", "profile", "object", "contacts"))
+    table = _table(given, SCENE_KEYS, ("duration", "profile", "object", "contacts"))
     table = {"name": Path(source).stem, **table, "source": source}
     return Scene(**{key: _read(key, value) for key, value in table.items()})
 
@@ -111,101 +104,94 @@ def _read(key: str, value: Any) -> Any:
             )
         return Profile(_numbers(value, key))
     if key in ("contacts", "disturbances"):
-        return _read_list(key, value, _read_contact if key == "contacts" else _read_disturbance)
-    with naming(key):
-        if key == "object":
+        if not isinstance(value, list):
+            raise SceneError(f"{key} = {value!r}: write each one as a table under [[{key}]]")
+        return [_read_part(key, f"{key}[{i}]", item) for i, item in enumerate(value)]
+    return _read_part(key, key, value)
+
+
+def _read_part(key: str, place: str, value: Any) -> Any:
+    with naming(place):
+        if key in ("object", "finger"):
             return _read_surface(value)
         if key == "gain":
             return _read_gain(value)
+        if key == "contacts":
+            return _read_contact(_table(value, CONTACT_KEYS, ("finger", "object_at")))
+        if key == "disturbances":
+            return _read_disturbance(_table(value, DISTURBANCE_KEYS, DISTURBANCE_KEYS))
         if key == "turning":
-            known_keys(_table(value), TURNING_KEYS)
-            _required(value, TURNING_KEYS)
-            return Turning(**{k: _numbers(x, k) for k, x in value.items()})
+            return Turning(**_with_numbers(_table(value, TURNING_KEYS, TURNING_KEYS)))
         if key == "paper":
-            table = _table(value)
-            return {k: _numbers(x, k) if k in PAPER_NUMBERS else x for k, x in table.items()}
+            return _with_numbers(_table(value), PAPER_NUMBERS)
     return value
 
 
-def _read_list(key: str, value: Any, read) -> list:
-    if not isinstance(value, list):
-        raise SceneError(f"{key} = {value!r}: write each one as a table under [[{key}]]")
-    result = []
-    for i, table in enumerate(value):
-        with naming(f"{key}[{i}]"):
-            result.append(read(_table(table)))
-    return result
-
-
 def _read_contact(table: dict) -> Contact:
-    known_keys(table, CONTACT_KEYS)
-    _required(table, ("finger", "object_at"))
-    fields = dict(table)
-    with naming("finger"):
-        fields["finger"] = _read_surface(table["finger"])
-    for key in ("object_at", "finger_at", "angle", "finger_velocity", "object_velocity"):
-        words = (ROLLING, REST) if key.endswith("velocity") else ()
-        if key in fields and isinstance(fields[key], str) and words:
-            if fields[key] not in words:
+    fields, words = dict(table), (ROLLING, REST)
+    for key, value in table.items():
+        if key == "finger":
+            fields[key] = _read_part(key, key, value)
+        elif isinstance(value, str) and key.endswith("velocity"):
+            if value not in words:
                 raise SceneError(
-                    f"{key} = '{fields[key]}': give two numbers or one of {', '.join(words)}"
-                    f"{did_you_mean(fields[key], words)}"
+                    f"{key} = '{value}': give two numbers or one of {', '.join(words)}"
+                    f"{did_you_mean(value, words)}"
                 )
-        elif key in fields:
-            fields[key] = _numbers(fields[key], key)
+        elif key != "name":
+            fields[key] = _numbers(value, key)
     return Contact(**fields)
 
 
 def _read_disturbance(table: dict) -> Disturbance:
-    known_keys(table, DISTURBANCE_KEYS)
-    _required(table, DISTURBANCE_KEYS)
     kinds = {kind.kind: kind for kind in DISTURBANCE_KINDS}
     kind = kinds[_one_of(table["kind"], kinds, "kind")]
-    values = {key: _numbers(table[key], key) for key in ("start", "stop", "value")}
-    return kind(contact=table["contact"], **values)
+    fields = _with_numbers(table, ("start", "stop", "value"))
+    return kind(**{key: x for key, x in fields.items() if key != "kind"})
 
 
 def _read_gain(value: Any) -> Gain:
-    table = _table(value, 'law = "time", eta = 100')
-    _required(table, ("law",))
+    table = _table(value, required=("law",), example='law = "time", eta = 100')
     law = _one_of(table["law"], LAWS, "law")
     parameter = LAWS[law].parameter
-    known_keys(table, ("law", parameter))
-    _required(table, (parameter,))
+    table = _table(table, ("law", parameter), (parameter,))
     return Gain(law, _numbers(table[parameter], parameter))
 
 
 def _read_surface(value: Any) -> Surface:
-    table = _table(value, 'surface = "sphere", radius = 0.04')
-    _required(table, ("surface",))
+    table = _table(value, required=("surface",), example='surface = "sphere", radius = 0.04')
     name = _one_of(table["surface"], _SURFACES, "surface")
-    kind, keys = _SURFACES[name]
-    known_keys(table, ("surface", *keys, "inside"), f"{name}: ")
-    _required(table, [key for key in keys if key in _REQUIRED_SURFACE_KEYS], f"{name}: ")
-    arguments = {key: value for key, value in table.items() if key != "surface"}
-    for key, value in arguments.items():
-        if key == "inside":
-            if not isinstance(value, bool):
-                raise SceneError(f"inside = {value!r}: write true or false")
-        elif key == "parameters":
-            with naming(key):
-                arguments[key] = {k: _numbers(x, k) for k, x in _table(value).items()}
-        elif key not in ("f", "F"):
-            arguments[key] = _numbers(value, key)
+    keys = _surface_keys(name)
+    required = [key for key, needed in keys.items() if needed]
+    table = _table(table, ("surface", *keys, "inside"), required, place=f"{name}: ")
+    inside = table.get("inside", False)
+    if not isinstance(inside, bool):
+        raise SceneError(f"inside = {inside!r}: write true or false")
+    given = {key: table[key] for key in keys if key in table}
+    if "parameters" in given:
+        with naming("parameters"):
+            given["parameters"] = _with_numbers(_table(given["parameters"]))
+    given = _with_numbers(given, given.keys() - {*_FORMULAS, "parameters"})
     with naming(name):
-        return kind(**arguments)
+        return _SURFACES[name](**given, inside=inside)
 
 
-def _table(value: Any, example: str = "key = value") -> dict:
+def _table(
+    value: Any,
+    known: Iterable[str] | None = None,
+    required: Iterable[str] = (),
+    place: str = "",
+    example: str = "key = value",
+) -> dict:
+    """The value, a table without unknown keys that has the required ones."""
     if not isinstance(value, dict):
         raise SceneError(f"{value!r} is not a table; write it like {{ {example} }}")
-    return value
-
-
-def _required(table: Mapping, keys: Iterable[str], place: str = "") -> None:
-    for key in keys:
-        if key not in table:
+    if known is not None:
+        known_keys(value, known, place)
+    for key in required:
+        if key not in value:
             raise SceneError(f"{place}key '{key}' is missing; add {key} = ...")
+    return value
 
 
 def _one_of(word: Any, known: Iterable[str], what: str) -> str:
@@ -217,8 +203,14 @@ def _one_of(word: Any, known: Iterable[str], what: str) -> str:
     return word
 
 
+def _with_numbers(table: dict, keys: Iterable[str] | None = None) -> dict:
+    """The table with the numbers of these keys, or of all, read."""
+    chosen = table if keys is None else keys
+    return {key: _numbers(x, key) if key in chosen else x for key, x in table.items()}
+
+
 def _numbers(value: Any, what: str) -> Any:
-    """Numbers of a file: itself, or a list of them; arithmetic texts evaluated."""
+    """Numbers of a file: one, or a list of them; arithmetic texts evaluated."""
     if isinstance(value, list):
         return tuple(_numbers(x, f"{what}[{k}]") for k, x in enumerate(value))
     if isinstance(value, str):
@@ -242,17 +234,10 @@ def scene_to_toml(scene: Scene) -> str:
         cannot hold.
     """
     with naming(scene.title):
-        gain = {"law": scene.gain.law, scene.gain.parameter: scene.gain.value}
-        lines = _lines(
-            {
-                "name": scene.name,
-                "description": scene.description,
-                "duration": scene.duration,
-                "profile": scene.profile.coefficients,
-                "gain": gain,
-                "chosen": scene.chosen,
-            }
-        )
+        table = {key: getattr(scene, key) for key in ("name", "description", "duration")}
+        table["profile"] = scene.profile.coefficients
+        table["gain"] = {"law": scene.gain.law, scene.gain.parameter: scene.gain.value}
+        lines = _lines(table | {"chosen": scene.chosen})
         if scene.turning is not None:
             lines += ["", "[turning]", *_lines(dataclasses.asdict(scene.turning))]
         lines += ["", "[object]", *_lines(_surface_table(scene.object, "object"))]
@@ -261,20 +246,18 @@ def scene_to_toml(scene: Scene) -> str:
             table["finger"] = _surface_table(contact.finger, f"contacts[{i}]: finger")
             lines += ["", "[[contacts]]", *_lines(table)]
         for d in scene.disturbances:
-            lines += ["", "[[disturbances]]"]
-            lines += _lines({key: getattr(d, key) for key in DISTURBANCE_KEYS})
+            table = {key: getattr(d, key) for key in DISTURBANCE_KEYS}
+            lines += ["", "[[disturbances]]", *_lines(table)]
         for key in ("paper", "drake"):
-            if getattr(scene, key):
-                lines += ["", f"[{key}]", *_lines(getattr(scene, key))]
+            if table := getattr(scene, key):
+                lines += ["", f"[{key}]", *_lines(table)]
     return "\n".join(lines) + "\n"
 
 
 def _lines(table: Mapping[str, Any]) -> list[str]:
-    return [f"{_toml_key(key)} = {_toml(value)}" for key, value in table.items()]
-
-
-def _toml_key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml(key)
+    plain = r"[A-Za-z0-9_-]+"
+    keys = [key if re.fullmatch(plain, key) else _toml(key) for key in table]
+    return [f"{key} = {_toml(value)}" for key, value in zip(keys, table.values())]
 
 
 def _toml(value: Any) -> str:
@@ -291,21 +274,21 @@ def _toml(value: Any) -> str:
 
 def _surface_table(surface: Surface, what: str) -> dict[str, Any]:
     """The table of a surface in a scene file."""
-    name = next((n for n, (kind, _) in _SURFACES.items() if type(surface) is kind), None)
+    name = next((n for n, kind in _SURFACES.items() if type(surface) is kind), None)
     if name is None:
         raise SceneError(
             f"{what} = {surface!r}: a file holds no {type(surface).__name__}; "
             f"its surfaces are {', '.join(_SURFACES)}"
         )
-    keys, table = _SURFACES[name][1], dict[str, Any](surface=name)
-    for key in keys:
+    table: dict[str, Any] = {"surface": name}
+    for key in _surface_keys(name):
         value = getattr(surface, "named_parameters" if key == "parameters" else key)
-        if value is None and key in _REQUIRED_SURFACE_KEYS:
+        if value is not None:
+            table[key] = value
+        elif key in _FORMULAS:
             raise SceneError(
                 f"{what}: {key} is a Python function, which a file cannot hold; give {key} as text"
             )
-        if value is not None:
-            table[key] = value
     if surface.inside:
         table["inside"] = True
     return table
@@ -314,22 +297,16 @@ def _surface_table(surface: Surface, what: str) -> dict[str, Any]:
 # --- files -------------------------------------------------------------------------------------
 
 
-def _bundled_folder():
-    return resources.files("contact_system") / "scenes"
-
-
-def _bundled_names() -> list[str]:
-    names = (entry.name for entry in _bundled_folder().iterdir())
-    return sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml"))
+def _bundled() -> dict[str, Traversable]:
+    """The files of the bundled scenes by name."""
+    files = (resources.files("contact_system") / "scenes").iterdir()
+    scenes = {f.name.removesuffix(".toml"): f for f in files if f.name.endswith(".toml")}
+    return dict(sorted(scenes.items()))
 
 
 def bundled_scenes() -> dict[str, str]:
     """Names of the bundled scenes, each with its one-line description."""
-    folder = _bundled_folder()
-    return {
-        name: tomllib.loads((folder / f"{name}.toml").read_text("utf-8"))["description"]
-        for name in _bundled_names()
-    }
+    return {n: tomllib.loads(f.read_text("utf-8"))["description"] for n, f in _bundled().items()}
 
 
 def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
@@ -346,27 +323,21 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
 
 
 def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
-    """The TOML text that `load_scene` reads, and where it comes from.
-
-    Raises
-    ------
-    SceneError
-        If there is no such scene, or the file cannot be read.
-    """
+    """The TOML text that `load_scene` reads, and where it comes from."""
     try:
         given = os.fsdecode(name_or_path)
     except TypeError:
         raise SceneError(f"scene = {name_or_path!r:.80}: give a name or a path") from None
-    names = _bundled_names()
-    if given in names:
-        return (_bundled_folder() / f"{given}.toml").read_text("utf-8"), f"{given}.toml"
+    bundled = _bundled()
+    if given in bundled:
+        return bundled[given].read_text("utf-8"), bundled[given].name
     try:
         return Path(given).read_text("utf-8-sig"), given  # editors on Windows begin with a mark
     except FileNotFoundError:
         near = Path(given).name.removesuffix(".toml")
         raise SceneError(
-            f"'{given}' is neither a bundled scene nor a file{did_you_mean(near, names)}; "
-            f"bundled are {', '.join(names)}"
+            f"'{given}' is neither a bundled scene nor a file{did_you_mean(near, bundled)}; "
+            f"bundled are {', '.join(bundled)}"
         ) from None
     except (OSError, ValueError) as error:  # no text, or no name that a file may have
         raise SceneError(f"'{given}' cannot be read: {error}; give a TOML text file") from None

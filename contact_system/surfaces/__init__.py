@@ -1,56 +1,23 @@
-"""Surfaces that bound bodies: one class a file, with its chart."""
+"""Surfaces that bound bodies: one class a file, with its chart. A new one has a line here."""
 
-from .base import LEAST_LENGTH, SINGULAR, Surface, on_seam, positive_length, second_cover, store
+# ruff: noqa: F401
+
+from .base import LEAST_LENGTH, SINGULAR, Surface
 from .charts import TINY, TURN, Chart
 from .cylinder import Cylinder, RoundCylinderChart
 from .ellipsoid import Ellipsoid, JacobiChart, OblateChart, ProlateChart
-from .formula import Formula
 from .plane import FlatChart, Plane
-from .quadric import (
-    EllipticCylinderChart,
-    HyperbolicCylinderChart,
-    OffsetPlaneChart,
-    OneSheetChart,
-    Quadric,
-    TwoSheetChart,
-)
+from .quadric import Quadric
 from .sphere import PolarChart, Sphere
 from .torus import Torus, TorusChart
-from .user import CentralChart, FreeChart, ImplicitSurface, ParametricSurface, UserSurface
+from .user import CentralChart, Formula, ImplicitSurface, ParametricSurface, UserSurface
 
-__all__ = [
-    "LEAST_LENGTH",
-    "SINGULAR",
-    "TINY",
-    "TURN",
-    "CentralChart",
-    "Chart",
-    "Cylinder",
-    "Ellipsoid",
-    "EllipticCylinderChart",
-    "FlatChart",
-    "Formula",
-    "FreeChart",
-    "HyperbolicCylinderChart",
-    "ImplicitSurface",
-    "JacobiChart",
-    "OblateChart",
-    "OffsetPlaneChart",
-    "OneSheetChart",
-    "ParametricSurface",
-    "Plane",
-    "PolarChart",
-    "ProlateChart",
-    "Quadric",
-    "RoundCylinderChart",
-    "Sphere",
-    "Surface",
-    "Torus",
-    "TorusChart",
-    "TwoSheetChart",
-    "UserSurface",
-    "on_seam",
-    "positive_length",
-    "second_cover",
-    "store",
-]
+KINDS: dict[str, type[Surface]] = {
+    name.removesuffix("Surface").lower(): found
+    for name, found in tuple(globals().items())
+    if isinstance(found, type) and issubclass(found, Surface)
+    if found not in (Surface, UserSurface)
+}
+"""The kinds of surfaces by their words in scene files, such as "sphere"."""
+
+__all__ = ["Surface", *(kind.__name__ for kind in KINDS.values())]

@@ -26,6 +26,7 @@ from ..kept import kept
 from ..theory import symbols as ca
 from ..theory.geometry import (
     QUANTITIES,
+    ROWS,
     ChartGeometry,
     Level,
     chart_geometry,
@@ -44,23 +45,11 @@ GEOMETRY, INVERSE, RAY = range(3)  # of the tables that are no motion's
 LEAST_LENGTH = 1e-150  # m; squares of less, and what is divided by them, are no numbers any more
 
 
-def _rows() -> dict[str, slice]:
-    """Where each quantity stands in the table of all of them."""
-    found, first = {}, 0
-    for name, shape in QUANTITIES.items():
-        found[name] = slice(first, first + math.prod(shape))
-        first = found[name].stop
-    return found
-
-
-ROWS = _rows()
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Surface:
     """A smooth surface that bounds a body. Immutable; equal where structure and numbers are equal.
 
-    Subclasses say `parameters`, `chart` and `_level`; `Quadric` also turns its chart in space.
+    Subclasses say `chart`, `size`, `_level`, and `parameters` where they are not the fields.
     ``p`` stands for an SX vector of as many symbols as `parameters` has numbers, ``sign`` for one
     of the side, -1 inside; by default it is that of this surface.
 
@@ -74,14 +63,13 @@ class Surface:
     inside: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
-        if type(self.inside) is bool:
-            return
-        if not isinstance(self.inside, np.bool_):
+        if isinstance(self.inside, np.bool_):
+            store(self, inside=bool(self.inside))
+        if not isinstance(self.inside, bool):
             raise SurfaceError(
                 f"{self._kind}: inside = {self.inside!r} must be True or False; True puts the "
                 "body on the other side, as for a bowl"
             )
-        store(self, inside=bool(self.inside))
 
     # -- what a surface is
 
@@ -89,8 +77,9 @@ class Surface:
     has_implicit: ClassVar[bool] = True
     ambient: ClassVar[bool] = False
     reach: ClassVar[float] = math.inf  # sizes that a panel grows to: it sees nothing between nodes
-    table_name: ClassVar[str | None] = None
-    """Under which the engine has the tables of this structure; None: they are made when asked."""
+    __match_args__: ClassVar[tuple[str, ...]]  # by dataclasses: names of what is given by position
+    examples: ClassVar[tuple[tuple[Any, ...], ...]] = ()
+    """Of a class whose tables the engine has: arguments of a surface of each structure."""
 
     @property
     def _kind(self) -> str:
@@ -101,15 +90,21 @@ class Surface:
         """The chart of the surface."""
         raise NotImplementedError
 
-    @property
+    @kept
     def parameters(self) -> tuple[float, ...]:
         """Run-time numbers, such as radii in m; the values behind the symbols ``p``."""
-        raise NotImplementedError
+        return tuple([getattr(self, name) for name in self.__match_args__])
 
-    @kept
-    def structure(self) -> Hashable:
+    @property
+    def structure(self) -> tuple[str, ...]:
         """What tables are made for: surfaces of one structure differ in `numbers` alone."""
-        return (self._kind, self.chart.__name__)
+        return (type(self).__name__, self.chart.__name__)
+
+    @property
+    def table_name(self) -> str | None:
+        """Of this structure's tables in the engine; None: they are made when they are asked for."""
+        own = type(self)
+        return f"{own.__name__}_{self.chart.__name__}" if "examples" in vars(own) else None
 
     @property
     def sign(self) -> float:
@@ -124,7 +119,8 @@ class Surface:
     @kept
     def tables(self) -> Any:
         """The tables of instructions of this structure, in groups ambient, chart and other."""
-        return lowered(self) if self.table_name is None else builtin(self.table_name)
+        name = self.table_name
+        return lowered(self) if name is None else builtin(name)
 
     @property
     def size(self) -> float:
@@ -169,7 +165,7 @@ class Surface:
         return {w.name: getattr(self, w.name) for w in fields(self)}
 
     def __repr__(self) -> str:
-        said = [f"{getattr(self, w.name)!r}" for w in fields(self) if not w.kw_only]
+        said = [f"{getattr(self, name)!r}" for name in self.__match_args__]
         named = [w for w in fields(self) if w.kw_only and getattr(self, w.name) != w.default]
         said += [f"{w.name}={getattr(self, w.name)!r}" for w in named]
         return f"{self._kind}({', '.join(said)})"
@@ -179,60 +175,36 @@ class Surface:
         """What tells surfaces apart."""
         return (self.structure, self.inside, self.parameters, self.size, self.periods())
 
-    # -- symbolic
+    # -- symbolic; what a kind of surface lacks (`has_chart`, `has_implicit`) is refused
 
     def chart_expr(self, p: ca.SX, u: ca.SX, v: ca.SX, sign: Sign = None) -> ca.SX:
-        """Return the chart f(u, v), (3, 1), m.
-
-        Raises
-        ------
-        SurfaceError
-            For an `ImplicitSurface`, which has no explicit chart (`has_chart` is False).
-        """
-        return self._outward_chart(p, u, self._side(sign) * v)
+        """Return the chart f(u, v), (3, 1), m."""
+        return self._axes(p) @ self.chart(p).point(u, self._side(sign) * v)
 
     def implicit_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> ca.SX:
-        """Return F(x), zero on the surface, gradient out of the body.
-
-        Raises
-        ------
-        SurfaceError
-            For a `ParametricSurface`, which has no such form (`has_implicit` is False).
-        """
+        """Return F(x), zero on the surface, gradient out of the body."""
         return self._side(sign) * self._level(p, x)
 
     def coordinates_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Pair:
-        """Return (u, v) of a point of the surface, in the ranges that its chart documents.
-
-        Raises
-        ------
-        SurfaceError
-            For a `ParametricSurface`, whose inverse chart is numerical only.
-        """
-        u, v = self._outward_coordinates(p, x)
+        """Return (u, v) of a point of the surface, in the ranges that its chart documents."""
+        u, v = self.chart(p).coordinates(self._axes(p).T @ x)
         return u, self._side(sign) * v
 
     def frame_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Frame:
-        """Return (x axis, y axis, M) of the contact frame as expressions of the point x.
-
-        Raises
-        ------
-        SurfaceError
-            For a `ParametricSurface`, whose inverse chart is numerical only.
-        """
-        x_axis, y_axis, m = self._outward_frame(p, x)
+        """Return (x axis, y axis, M) of the contact frame as expressions of the point x."""
+        axes, side = self._axes(p), self._side(sign)
+        x_axis, y_axis, m = self.chart(p).frame(axes.T @ x)
         # v turns, hence f_v and the normal do; y = n x x turns with the normal.
-        side = self._side(sign)
         if not self.chart.orthogonal:
             m = ca.vertcat(ca.horzcat(m[0, 0], side * m[0, 1]), m[1, :])
-        return x_axis, side * y_axis, m
+        return axes @ x_axis, side * (axes @ y_axis), m
 
     def geometry_expr(self, p: ca.SX, u: ca.SX, v: ca.SX, sign: Sign = None) -> ChartGeometry:
         """Return every metric quantity at (u, v), symbols; see `ChartGeometry`."""
         shape = chart_geometry(self.chart_expr(p, u, v, sign), u, v, self.chart.orthogonal)
         if self.chart.turning is None:
             return shape
-        lame, poles = self.chart.lame(p, u, v), bool(self.chart.singular_at)
+        lame, poles = self.chart(p).lame(u, v), bool(self.chart.singular_at)
         return revolved_geometry(shape, u, v, self.chart.turning, lame, poles)
 
     def geometry_symbols(
@@ -249,14 +221,9 @@ class Surface:
     def _side(self, sign: Sign) -> Any:
         return self.sign if sign is None else sign
 
-    def _outward_chart(self, p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
-        return self.chart.point(p, u, v)
-
-    def _outward_coordinates(self, p: ca.SX, x: ca.SX) -> Pair:
-        return self.chart.coordinates(p, x)
-
-    def _outward_frame(self, p: ca.SX, x: ca.SX) -> Frame:
-        return self.chart.frame(p, x)
+    def _axes(self, p: ca.SX) -> ca.SX:
+        """Return the rotation from the chart's axes to the body's, (3, 3)."""
+        return ca.SX.eye(3)
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
         raise NotImplementedError
@@ -312,14 +279,13 @@ class Surface:
             Points of another shape, or not finite.
         """
         points = self._points(x)
-        uv = self._run(self.tables.other[INVERSE], points.reshape(-1, 3).T)
-        lead = points.shape[:-1]
+        uv = run(self.tables.other[INVERSE], points.reshape(-1, 3).T, self.numbers)
         # atan2(-0.0, negative) is -pi, the half-open range ends at +pi.
         u, v = (
             np.where(w == -math.pi, math.pi, w) if period else w
-            for w, period in zip(uv, self.periods(), strict=True)
+            for w, period in zip(uv, self.periods())
         )
-        return u.reshape(lead), v.reshape(lead)
+        return u.reshape(points.shape[:-1]), v.reshape(points.shape[:-1])
 
     def canonical(self, u: ArrayLike, v: ArrayLike) -> tuple[Any, Any]:
         """Return the same points in the chart's principal range, checked to be regular.
@@ -334,15 +300,15 @@ class Surface:
         ChartSingularity
             The frame is lost there (pole, umbilic): the metric root is below 1e-12 of the size.
         """
-        if one := isinstance(u, float) and isinstance(v, float) and math.isfinite(u + v):
-            us, vs = self._wrap(float(u), float(v))
-        else:
-            us, vs = self._wrap(*self._finite(u, v))
-        # told regular without tables, and one point without arrays, wherever that is clear
-        clear = self.chart.metric_floor(self.parameters, us, vs) > 2 * SINGULAR * self.size
-        if not (clear if one else np.all(clear)):
-            self._require_regular(np.asarray(us), np.asarray(vs))
-        return (float(us), float(vs)) if one or np.ndim(us) == 0 else (us, vs)
+        if isinstance(u, float) and isinstance(v, float) and math.isfinite(u + v):
+            # one point without arrays, and without a table's run wherever it is clearly regular
+            us, vs = self._wrap(u, v)
+            if not self.chart(self.parameters).floor(us, vs) > 2 * SINGULAR * self.size:
+                self._require_regular(np.asarray(us), np.asarray(vs))
+            return float(us), float(vs)
+        us, vs = self._wrap(*self._finite(u, v))
+        self._require_regular(us, vs)
+        return (float(us), float(vs)) if us.ndim == 0 else (us, vs)
 
     def align(
         self, u: ArrayLike, v: ArrayLike, u_ref: ArrayLike, v_ref: ArrayLike
@@ -364,33 +330,26 @@ class Surface:
             return near_u, near_v, np.zeros(u.shape, dtype=bool)
         other_u = _nearest(-u, u_ref, period_u)
         other_v = _nearest(math.pi - v, v_ref, period_v)
-        nearer = np.hypot(other_u - u_ref, other_v - v_ref) < np.hypot(
-            near_u - u_ref, near_v - v_ref
+        far = np.hypot(near_u - u_ref, near_v - v_ref)
+        nearer = np.hypot(other_u - u_ref, other_v - v_ref) < far
+        (second, side, seam), (second_ref, side_ref, seam_ref) = (
+            _covers(u, v),
+            _covers(u_ref, v_ref),
         )
-        (second, side), (second_ref, side_ref) = second_cover(u, v), second_cover(u_ref, v_ref)
-        told = (side == side_ref) & ~on_seam(u, v) & ~on_seam(u_ref, v_ref)
+        told = (side == side_ref) & ~seam & ~seam_ref
         half_turn = np.where(told, second != second_ref, nearer)
-        return (
-            np.where(half_turn, other_u, near_u),
-            np.where(half_turn, other_v, near_v),
-            half_turn,
-        )
+        u_near, v_near = np.where(half_turn, [other_u, other_v], [near_u, near_v])
+        return u_near, v_near, half_turn
 
     def unwind(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return coordinates made continuous along axis 0, starting from the first as given.
 
         The same as `align` of each sample to the one before, for a whole path at once. Samples
-        must lie close enough that the nearest representative is the right one.
-
-        Returns
-        -------
-        u, v : arrays of the given shape
-        half_turn : bool array
-            Where both frame axes are turned by pi against the coordinates given.
+        must lie close enough that the nearest representative is the right one. Returns as `align`.
         """
         u, v = self._numbers(u, v)
         half_turn = np.zeros(u.shape, dtype=bool)
-        if self.double_cover and u.ndim and len(u) > 1:
+        if self.double_cover and u.ndim:
             # Turning both neighbours leaves their distance: turns against the neighbour add up.
             step = self.align(u[1:], v[1:], u[:-1], v[:-1])[2]
             half_turn[1:] = np.logical_xor.accumulate(step, axis=0)
@@ -402,6 +361,8 @@ class Surface:
         return self.chart.wrap(u, v)
 
     def _require_regular(self, u: Array, v: Array) -> None:
+        if self.chart.singular_at == "":
+            return
         m = self.metric_root(u, v)
         least = np.minimum(m[..., 0, 0], m[..., 1, 1])
         lost = ~(least > SINGULAR * self.size)
@@ -447,37 +408,28 @@ class Surface:
 
     def _evaluate(self, name: str, u: ArrayLike, v: ArrayLike) -> Array:
         u, v = self._numbers(u, v)
-        columns = self._run(self.tables.other[GEOMETRY], self._arguments(u.ravel(), v.ravel()))
-        # Tables give each point's entries in one column, first index fastest.
-        shape = QUANTITIES[name]
-        entries = columns[ROWS[name]].T.reshape((u.size, *shape[::-1]))
-        order = (0, *range(len(shape), 0, -1))
-        return np.ascontiguousarray(entries.transpose(order)).reshape(u.shape + shape)
+        found = run(self.tables.other[GEOMETRY], self._asked(u.ravel(), v.ravel()), self.numbers)
+        # a column a point, first index fastest
+        entries = found[ROWS[name]].reshape((*QUANTITIES[name], u.size), order="F")
+        return np.moveaxis(entries, -1, 0).reshape(u.shape + QUANTITIES[name])
 
-    def _arguments(self, u: Array, v: Array) -> Array:
+    def _asked(self, u: Array, v: Array) -> Array:
         """Return where the table of the geometry is asked, one column a point."""
         return np.stack([u, v])
-
-    def _run(self, table: Any, points: Array) -> Array:
-        return run(table, np.ascontiguousarray(points), self.numbers)
 
 
 # --- helpers --------------------------------------------------------------------------------------
 
 
-def second_cover(u: Array, v: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Of a double cover: where cos(v) < 0, and where sin(u) cos(v) < 0.
+def _covers(u: Array, v: Array) -> tuple[NDArray[np.bool_], ...]:
+    """Of a double cover: where cos(v) < 0, where sin(u) cos(v) < 0, and where these tell nothing.
 
-    Both change where a path crosses sin(u) = 0 or cos(v) = 0, and nowhere else.
+    They change where a path crosses sin(u) = 0 or cos(v) = 0 and nowhere else; there, but for
+    rounding, they tell nothing.
     """
-    second = np.cos(v) < 0
-    return second, (np.sin(u) < 0) != second
-
-
-def on_seam(u: Array, v: Array) -> NDArray[np.bool_]:
-    """Where sin(u) = 0 or cos(v) = 0 but for rounding: `second_cover` tells nothing there."""
-    turns = np.array([u, v - 0.5 * math.pi]) / math.pi
-    return np.asarray((np.abs(turns - np.rint(turns)) < 1e-12).any(axis=0))
+    second, turns = np.cos(v) < 0, np.array([u, v - 0.5 * math.pi]) / math.pi
+    on_seam = (np.abs(turns - np.rint(turns)) < 1e-12).any(axis=0)
+    return second, (np.sin(u) < 0) != second, np.asarray(on_seam)
 
 
 def _nearest(angle: Array, reference: Array, period: float | None) -> Array:
@@ -501,35 +453,31 @@ def store(surface: Surface, **values: Any) -> None:
 
 def positive_length(surface: Surface, name: str, value: Any) -> float:
     """Return a length in m as a float; raise a SurfaceError where it is not above 0."""
-    kind = type(surface).__name__
-    number = finite_number(value, f"{kind}: {name}", error=SurfaceError)
+    what = f"{type(surface).__name__}: {name}"
+    number = finite_number(value, what, error=SurfaceError)
     if number <= 0:
         raise SurfaceError(
-            f"{kind}: {name} = {value!r} must be a positive length in metres; for a concave "
+            f"{what} = {value!r} must be a positive length in metres; for a concave "
             "surface give the length positive and inside=True"
         )
     if number < LEAST_LENGTH:
         raise SurfaceError(
-            f"{kind}: {name} = {value!r} m is below {LEAST_LENGTH:g} m, and its square is no "
+            f"{what} = {value!r} m is below {LEAST_LENGTH:g} m, and its square is no "
             "number any more; use a smaller unit of length"
         )
     return number
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OfRadius(Surface):
-    """What sphere and cylinder share: one radius, m."""
-
-    radius: float
+class OfLengths(Surface):
+    """A surface of radii or semi-axes: all that is given are lengths, m."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        store(self, radius=positive_length(self, "radius", self.radius))
-
-    @property
-    def parameters(self) -> tuple[float, ...]:
-        return (self.radius,)
+        lengths: tuple[str, ...] = self.__match_args__
+        for name in lengths:
+            store(self, **{name: positive_length(self, name, getattr(self, name))})
 
     @property
     def size(self) -> float:
-        return self.radius
+        return max(self.parameters)

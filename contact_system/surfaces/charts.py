@@ -1,15 +1,12 @@
-r"""Charts: coordinates (u, v) on the families of surfaces that bodies have.
+"""Charts: coordinates (u, v) on the families of surfaces that bodies have.
 
-Each chart is a small stateless class: the point of a pair of coordinates, the coordinates and the
-contact frame of a point, and which part of the plane is the principal one. Every chart is
-right-handed, ``f_u x f_v`` along the normal out of the body. Surfaces join charts to numbers; a new
-surface of a known family needs none of its own. SI units, radians.
+Surfaces join charts to numbers; a new surface of a known family needs no chart of its own. Every
+chart is right-handed, ``f_u x f_v`` along the normal out of the body. SI units, radians.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
@@ -22,7 +19,6 @@ Pair: TypeAlias = "tuple[ca.SX, ca.SX]"
 Frame: TypeAlias = "tuple[ca.SX, ca.SX, ca.SX]"
 Periods = tuple[float | None, float | None]
 Angle = Any  # a float or an array of them
-Numbers = Sequence[float]
 
 TURN = 2.0 * math.pi
 # Keeps 1/0 and 0/0 out of what is not used or has a zero above; far below any real length ratio.
@@ -44,13 +40,12 @@ def choose(condition: Any, a: Any, b: Any) -> Any:
     return np.where(condition, a, b) if isinstance(condition, np.ndarray) else a if condition else b
 
 
-def sine(angle: Angle) -> Angle:
-    """Return the sine of one number as of arrays; numpy's of one costs ten times as much."""
-    return np.sin(angle) if isinstance(angle, np.ndarray) else math.sin(angle)
-
-
-def cosine(angle: Angle) -> Angle:
-    return np.cos(angle) if isinstance(angle, np.ndarray) else math.cos(angle)
+def wrap_angle(angle: Angle) -> Angle:
+    """Return the angle in (-pi, pi], untouched where it is there already."""
+    in_range = (angle > -math.pi) & (angle <= math.pi)  # a bool or an array of them
+    if in_range is True:  # one number, as contacts mostly have
+        return angle
+    return choose(in_range, angle, angle - TURN * np.ceil((angle - math.pi) / TURN))
 
 
 def fold_latitude(v: Angle) -> tuple[Angle, Any]:
@@ -60,56 +55,45 @@ def fold_latitude(v: Angle) -> tuple[Angle, Any]:
     return choose(beyond, choose(v > 0, math.pi, -math.pi) - v, v), beyond
 
 
-def wrap_angle(angle: Angle) -> Angle:
-    """Return the angle in (-pi, pi], untouched where it is there already."""
-    in_range = (angle > -math.pi) & (angle <= math.pi)  # a bool or an array of them
-    if in_range is True:  # one number, as contacts mostly have
-        return angle
-    ceil = np.ceil if isinstance(angle, np.ndarray) else math.ceil
-    return choose(in_range, angle, angle - TURN * ceil((angle - math.pi) / TURN))
-
-
 class Chart:
-    """One way to lay coordinates on a family of surfaces. Stateless; ``p`` holds its numbers.
+    """One way to lay coordinates on a family of surfaces; ``p`` are the numbers of one.
 
-    Class attributes: `name` (in those of tables), `orthogonal` (``f_u . f_v = 0`` identically),
-    `periods` of u and v in radians or None, `double_cover` ((-u, pi - v) is the same point as
-    (u, v), with both frame axes turned by pi), `developable` (T = 0 and constant Lame
-    coefficients), `great_circles` (geodesics are great circles), `turning` (0 or 1: the coordinate
-    that only turns the surface about its axis; such a chart has `lame`), `singular_at` (where the
-    frame is lost, for messages), `ranges` of the principal branch.
+    Class attributes: `orthogonal` (``f_u . f_v = 0`` identically), `periods` of u and v in radians
+    or None, `double_cover` ((-u, pi - v) is the same point as (u, v), with both frame axes turned
+    by pi), `developable` (T = 0 and constant Lame coefficients), `great_circles` (geodesics are
+    great circles), `turning` (0 or 1: the coordinate that only turns the surface about its axis;
+    such a chart has `lame`), `singular_at` (where the frame is lost, for messages; "" nowhere,
+    None not known), `ranges` of the principal branch.
     """
 
-    name: ClassVar[str] = ""
     orthogonal: ClassVar[bool] = False
     periods: ClassVar[Periods] = (None, None)
     double_cover: ClassVar[bool] = False
     developable: ClassVar[bool] = False
     great_circles: ClassVar[bool] = False
     turning: ClassVar[int | None] = None
-    singular_at: ClassVar[str] = ""
+    singular_at: ClassVar[str | None] = None
     ranges: ClassVar[str] = "u and v any real number"
 
-    @staticmethod
-    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
+    def __init__(self, p: Any):
+        self.p = p
+
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         """Return f(u, v), (3, 1), m."""
         raise NotImplementedError
 
-    @staticmethod
-    def lame(p: ca.SX, u: ca.SX, v: ca.SX) -> Pair:
+    def lame(self, u: ca.SX, v: ca.SX) -> Pair:
         """Return |f_u|, |f_v|, m, of a chart that is `turning`, without that angle.
 
         Beyond a pole the one that vanishes there is negative.
         """
         raise NotImplementedError
 
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
+    def coordinates(self, x: ca.SX) -> Pair:
         """Return (u, v) of a point x on the surface, principal branch."""
         raise NotImplementedError
 
-    @staticmethod
-    def frame(p: ca.SX, x: ca.SX) -> Frame:
+    def frame(self, x: ca.SX) -> Frame:
         """Return (x axis, y axis, M) at a point x on the surface."""
         raise NotImplementedError
 
@@ -118,11 +102,9 @@ class Chart:
         """Return the same point in the principal range; what is in range stays bit for bit."""
         return u, v
 
-    @staticmethod
-    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
+    def floor(self, u: float, v: float) -> float:
         """Return what no diagonal entry of the metric root is below, m; 0 where none is known.
 
-        It costs a sine where the entries themselves cost a table, and so tells cheaply that a point
-        is regular.
+        It costs a sine, the entries a table: so most points are told regular.
         """
         return 0.0

@@ -11,23 +11,21 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from ..errors import SurfaceError
+from ..kept import kept
 from ..theory import symbols as ca
 from ..theory.geometry import Level
-from .base import Surface, positive_length, store
+from .base import OfLengths, Surface
 from .charts import (
     TINY,
     TURN,
     Angle,
     Chart,
     Frame,
-    Numbers,
     Pair,
     choose,
-    cosine,
     diagonal,
     fold_latitude,
     hypot,
-    sine,
     wrap_angle,
 )
 from .sphere import PolarChart
@@ -46,32 +44,26 @@ class JacobiChart(Chart):
     v = +-pi/2 is regular: (u, v) and (-u, pi - v) are one point.
     """
 
-    name = "jacobi"
     orthogonal = True
     periods = (TURN, TURN)
     double_cover = True
     singular_at = "an umbilic (v = +-pi/2 with u = 0 or pi)"
     ranges = "-pi < u <= pi, -pi/2 <= v <= pi/2"
 
-    @staticmethod
-    def moduli(p: ca.SX | Numbers) -> tuple[Any, Any]:
-        """Return (k^2, k'^2); the differences of nearly equal axes are exact."""
-        a, b, c = p[0], p[1], p[2]
-        whole = (a - c) * (a + c)
-        return (b - c) * (b + c) / whole, (a - b) * (a + b) / whole
+    def __init__(self, p: Any):
+        self.a, self.b, self.c = a, b, c = p[0], p[1], p[2]
+        whole = (a - c) * (a + c)  # the differences of nearly equal axes are exact
+        self.k2, self.l2 = (b - c) * (b + c) / whole, (a - b) * (a + b) / whole
 
-    @staticmethod
-    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
-        k2, l2 = JacobiChart.moduli(p)
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         sin_u, cos_v = ca.sin(u), ca.cos(v)
         return ca.vertcat(
-            p[0] * ca.cos(u) * ca.sqrt(l2 + k2 * cos_v**2),
-            p[1] * sin_u * cos_v,
-            p[2] * ca.sin(v) * ca.sqrt(k2 + l2 * sin_u**2),
+            self.a * ca.cos(u) * ca.sqrt(self.l2 + self.k2 * cos_v**2),
+            self.b * sin_u * cos_v,
+            self.c * ca.sin(v) * ca.sqrt(self.k2 + self.l2 * sin_u**2),
         )
 
-    @staticmethod
-    def circular(p: ca.SX, x: ca.SX) -> tuple[ca.SX, ...]:
+    def circular(self, x: ca.SX) -> tuple[ca.SX, ...]:
         r"""Return (sin u, cos u, sin v, cos v), cos v >= 0, and k'^2 sin^2 u + k^2 cos^2 v,
         sqrt(k^2 + k'^2 sin^2 u), sqrt(k'^2 + k^2 cos^2 v).
 
@@ -82,9 +74,9 @@ class JacobiChart(Chart):
         forms of D the one with the smaller terms is exact where D is small: near the umbilics,
         which crowd at the x or the z axis as the ellipsoid nears one of revolution.
         """
-        k2, l2 = JacobiChart.moduli(p)
+        k2, l2 = self.k2, self.l2
         k, l1 = ca.sqrt(k2), ca.sqrt(l2)
-        xs, ys, zs = x[0] / p[0], x[1] / p[1], x[2] / p[2]
+        xs, ys, zs = x[0] / self.a, x[1] / self.b, x[2] / self.c
         from_z = (ca.fabs(zs) - k) * (ca.fabs(zs) + k) + l2 * ys**2
         from_x = (l1 - ca.fabs(xs)) * (l1 + ca.fabs(xs)) - k2 * ys**2
         difference = ca.if_else(k2 < l2, from_z, from_x)
@@ -100,24 +92,21 @@ class JacobiChart(Chart):
         sin_u, cos_u = ca.copysign(root_alpha / l1, ys), xs / root_v
         return sin_u, cos_u, zs / root_u, root_beta / k, total, root_u, root_v
 
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
-        sin_u, cos_u, sin_v, cos_v, *_ = JacobiChart.circular(p, x)
+    def coordinates(self, x: ca.SX) -> Pair:
+        sin_u, cos_u, sin_v, cos_v, *_ = self.circular(x)
         return ca.atan2(sin_u, cos_u), ca.atan2(sin_v, cos_v)
 
-    @staticmethod
-    def frame(p: ca.SX, x: ca.SX) -> Frame:
-        a, b, c = p[0], p[1], p[2]
-        k2, l2 = JacobiChart.moduli(p)
-        sin_u, cos_u, sin_v, cos_v, total, root_u, root_v = JacobiChart.circular(p, x)
+    def frame(self, x: ca.SX) -> Frame:
+        a, b, c = self.a, self.b, self.c
+        sin_u, cos_u, sin_v, cos_v, total, root_u, root_v = self.circular(x)
         # h_u^2 = (k'^2 sin^2 u + k^2 cos^2 v)(a^2 sin^2 u + b^2 cos^2 u)/(k^2 + k'^2 sin^2 u).
         h_u = ca.sqrt(total * ((a * sin_u) ** 2 + (b * cos_u) ** 2)) / root_u
         h_v = ca.sqrt(total * ((b * sin_v) ** 2 + (c * cos_v) ** 2)) / root_v
         f_u = ca.vertcat(
-            -a * sin_u * root_v, b * cos_u * cos_v, c * sin_v * l2 * sin_u * cos_u / root_u
+            -a * sin_u * root_v, b * cos_u * cos_v, c * sin_v * self.l2 * sin_u * cos_u / root_u
         )
         f_v = ca.vertcat(
-            -a * cos_u * k2 * cos_v * sin_v / root_v, -b * sin_u * sin_v, c * cos_v * root_u
+            -a * cos_u * self.k2 * cos_v * sin_v / root_v, -b * sin_u * sin_v, c * cos_v * root_u
         )
         return f_u / h_u, f_v / h_v, diagonal(h_u, h_v)
 
@@ -126,41 +115,37 @@ class JacobiChart(Chart):
         v, beyond = fold_latitude(v)
         return wrap_angle(choose(beyond, -u, u)), v
 
-    @staticmethod
-    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
+    def floor(self, u: float, v: float) -> float:
         # h_u >= b sqrt(total) and h_v >= c sqrt(total), see `frame`.
-        k2, l2 = JacobiChart.moduli(p)
-        return p[2] * (l2 * sine(u) ** 2 + k2 * cosine(v) ** 2) ** 0.5
+        return self.c * math.sqrt(self.l2 * math.sin(u) ** 2 + self.k2 * math.cos(v) ** 2)
 
 
 class OblateChart(Chart):
     """(a cos u cos v, a sin u cos v, c sin v): Jacobi's chart in the limit a = b, p = (a, c)."""
 
-    name = "oblate"
     orthogonal = True
     turning = 0
     periods = (TURN, None)
     singular_at = "a pole (v = +-pi/2)"
     ranges = "-pi < u <= pi, -pi/2 < v < pi/2"
 
-    @staticmethod
-    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
-        rho = p[0] * ca.cos(v)
-        return ca.vertcat(rho * ca.cos(u), rho * ca.sin(u), p[1] * ca.sin(v))
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
+        rho = self.p[0] * ca.cos(v)
+        return ca.vertcat(rho * ca.cos(u), rho * ca.sin(u), self.p[1] * ca.sin(v))
 
-    @staticmethod
-    def lame(p: ca.SX, u: ca.SX, v: ca.SX) -> Pair:
-        return p[0] * ca.cos(v), hypot(p[0] * ca.sin(v), p[1] * ca.cos(v))
+    def lame(self, u: ca.SX, v: ca.SX) -> Pair:
+        a, c = self.p[0], self.p[1]
+        return a * ca.cos(v), hypot(a * ca.sin(v), c * ca.cos(v))
 
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
-        return ca.atan2(x[1], x[0]), ca.atan2(x[2] / p[1], hypot(x[0], x[1]) / p[0])
+    def coordinates(self, x: ca.SX) -> Pair:
+        a, c = self.p[0], self.p[1]
+        return ca.atan2(x[1], x[0]), ca.atan2(x[2] / c, hypot(x[0], x[1]) / a)
 
-    @staticmethod
-    def frame(p: ca.SX, x: ca.SX) -> Frame:
+    def frame(self, x: ca.SX) -> Frame:
+        a, c = self.p[0], self.p[1]
         rho = hypot(x[0], x[1])
         cos_u, sin_u = x[0] / rho, x[1] / rho
-        outward, upward = -p[0] * x[2] / p[1], p[1] * rho / p[0]
+        outward, upward = -a * x[2] / c, c * rho / a
         h_v = hypot(outward, upward)
         y_axis = ca.vertcat(outward * cos_u, outward * sin_u, upward) / h_v
         return ca.vertcat(-sin_u, cos_u, 0), y_axis, diagonal(rho, h_v)
@@ -170,47 +155,38 @@ class OblateChart(Chart):
         v, beyond = fold_latitude(v)
         return wrap_angle(choose(beyond, u + math.pi, u)), v
 
-    @staticmethod
-    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
-        return p[1] * abs(cosine(v))  # h_u = a |cos v|, h_v >= c
+    def floor(self, u: float, v: float) -> float:
+        return self.p[1] * abs(math.cos(v))  # h_u = a |cos v|, h_v >= c
 
 
-class ProlateChart(Chart):
+class ProlateChart(PolarChart):
     """(a cos u, b sin u cos v, b sin u sin v): Jacobi's chart in the limit b = c, p = (a, b)."""
 
-    name = "prolate"
-    orthogonal = True
-    turning = 1
-    periods = (None, TURN)
-    singular_at = "a pole (u = 0 or pi)"
-    ranges = "0 < u < pi, -pi < v <= pi"
-    wrap = PolarChart.wrap
+    great_circles = False
 
-    @staticmethod
-    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
-        rho = p[1] * ca.sin(u)
-        return ca.vertcat(p[0] * ca.cos(u), rho * ca.cos(v), rho * ca.sin(v))
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
+        rho = self.p[1] * ca.sin(u)
+        return ca.vertcat(self.p[0] * ca.cos(u), rho * ca.cos(v), rho * ca.sin(v))
 
-    @staticmethod
-    def lame(p: ca.SX, u: ca.SX, v: ca.SX) -> Pair:
-        return hypot(p[0] * ca.sin(u), p[1] * ca.cos(u)), p[1] * ca.sin(u)
+    def lame(self, u: ca.SX, v: ca.SX) -> Pair:
+        a, b = self.p[0], self.p[1]
+        return hypot(a * ca.sin(u), b * ca.cos(u)), b * ca.sin(u)
 
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
-        return ca.atan2(hypot(x[1], x[2]) / p[1], x[0] / p[0]), ca.atan2(x[2], x[1])
+    def coordinates(self, x: ca.SX) -> Pair:
+        a, b = self.p[0], self.p[1]
+        return ca.atan2(hypot(x[1], x[2]) / b, x[0] / a), ca.atan2(x[2], x[1])
 
-    @staticmethod
-    def frame(p: ca.SX, x: ca.SX) -> Frame:
+    def frame(self, x: ca.SX) -> Frame:
+        a, b = self.p[0], self.p[1]
         rho = hypot(x[1], x[2])
         cos_v, sin_v = x[1] / rho, x[2] / rho
-        axial, radial = -p[0] * rho / p[1], p[1] * x[0] / p[0]
+        axial, radial = -a * rho / b, b * x[0] / a
         h_u = hypot(axial, radial)
         x_axis = ca.vertcat(axial, radial * cos_v, radial * sin_v) / h_u
         return x_axis, ca.vertcat(0, -sin_v, cos_v), diagonal(h_u, rho)
 
-    @staticmethod
-    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
-        return p[1] * abs(sine(u))  # h_v = b |sin u|, h_u >= b
+    def floor(self, u: float, v: float) -> float:
+        return self.p[1] * abs(math.sin(u))  # h_v = b |sin u|, h_u >= b
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -233,7 +209,7 @@ class SecondDegree(Surface):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Ellipsoid(SecondDegree):
+class Ellipsoid(OfLengths, SecondDegree):
     """Ellipsoid with semi-axes a >= b >= c along x, y, z; Jacobi's chart, eq. ``ellipsoid``.
 
     Equal axes take the regular limit of that chart: `OblateChart` (a = b), `ProlateChart` (b = c),
@@ -247,57 +223,39 @@ class Ellipsoid(SecondDegree):
         True: an ellipsoidal bowl; (u, v) is then the chart's f(u, -v).
     """
 
+    examples: ClassVar = tuple((1.0, b, c) for b, c in ((1, 1), (1, 0.6), (0.8, 0.8), (0.8, 0.6)))
     a: float
     b: float
     c: float
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        axes = tuple(positive_length(self, name, getattr(self, name)) for name in "abc")
+        axes = (self.a, self.b, self.c)
         if not axes[0] >= axes[1] >= axes[2]:
             given, sorted_ = (", ".join(map(repr, w)) for w in (axes, sorted(axes, reverse=True)))
             raise SurfaceError(
                 f"Ellipsoid: semi-axes ({given}) must satisfy a >= b >= c; write "
                 f"Ellipsoid({sorted_}), or Quadric for axes along other directions"
             )
-        store(self, a=axes[0], b=axes[1], c=axes[2])
 
-    @property
+    @kept
     def chart(self) -> type[Chart]:
         return ellipsoid_chart(self.a, self.b, self.c)[0]
 
-    @property
-    def table_name(self) -> str:  # type: ignore[override]
-        return f"ellipsoid_{self.chart.name}"
-
-    @property
+    @kept
     def parameters(self) -> tuple[float, ...]:
         return ellipsoid_chart(self.a, self.b, self.c)[1]
-
-    @property
-    def size(self) -> float:
-        return self.a
 
     @property
     def bend(self) -> float:
         return max(self.c**2 / self.a, self.c / 3)
 
     def _matrix(self, p: ca.SX) -> ca.SX:
-        axes = {
-            JacobiChart: (0, 1, 2),
-            OblateChart: (0, 0, 1),
-            ProlateChart: (0, 1, 1),
-            PolarChart: (0, 0, 0),
-        }[self.chart]
-        return ca.diag(ca.vertcat(*(1 / p[k] ** 2 for k in axes)))
+        axes = (p[self.parameters.index(axis)] for axis in (self.a, self.b, self.c))
+        return ca.diag(ca.vertcat(*(1 / axis**2 for axis in axes)))
 
 
 def ellipsoid_chart(a: float, b: float, c: float) -> tuple[type[Chart], tuple[float, ...]]:
-    """Return the chart that is regular for a >= b >= c, and the numbers it takes."""
-    if a == b == c:
-        return PolarChart, (a,)
-    if a == b:
-        return OblateChart, (a, c)
-    if b == c:
-        return ProlateChart, (a, b)
-    return JacobiChart, (a, b, c)
+    """Return the chart that is regular for a >= b >= c, and its numbers: equal axes are one."""
+    charts = (JacobiChart, OblateChart), (ProlateChart, PolarChart)
+    return charts[b == c][a == b], tuple(dict.fromkeys((a, b, c)))

@@ -10,7 +10,7 @@ import hashlib
 import keyword
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import finite_number
-from ..errors import ContactSystemError, SurfaceError
+from ..errors import SurfaceError
 from ..expressions import FUNCTIONS, parse
 from ..theory import symbols as ca
 from ..theory.symbols import MOST_KEPT
@@ -48,7 +48,7 @@ class Formula:
     @property
     def named(self) -> dict[str, float]:
         """The numbers by their names."""
-        return dict(zip(self.names, self.values, strict=True))
+        return dict(zip(self.names, self.values))
 
     def __call__(self, p: ca.SX, *variables: ca.SX) -> ca.SX:
         return _restore(self.code)(p, *variables)
@@ -66,109 +66,98 @@ def _restore(code: str) -> ca.Function:
     return ca.Function.deserialize(code)
 
 
-def _named(kind: str, given: Any, variables: Mapping[str, ca.SX]) -> dict[str, float]:
-    """Return named parameters in order of their names."""
-    if given is None:
-        return {}
-    if not isinstance(given, Mapping):
-        raise SurfaceError(f'{kind}: parameters = {given!r} must be a table such as {{"R": 0.1}}')
-    for name in given:
-        if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
-            raise SurfaceError(f"{kind}: parameter name {name!r} must be a plain word")
-        if name in variables or name in FUNCTIONS:
-            raise SurfaceError(
-                f"{kind}: parameter name {name!r} already has a meaning in formulas; use another"
-            )
-    return {
-        name: finite_number(given[name], f"{kind}: parameters[{name!r}]", error=SurfaceError)
-        for name in sorted(given)
-    }
+def make_formula(given: Any, parameters: Any, letters: str) -> Formula:
+    """Turn what a user wrote into a checked `Formula`.
 
-
-def make_formula(
-    kind: str,
-    given: Any,
-    variables: Mapping[str, ca.SX],
-    arguments: list[ca.SX],
-    parameters: Any,
-    count: int,
-) -> Formula:
-    """Turn a user's function or text into a checked `Formula` with ``count`` components."""
-    numbers = _named(kind, parameters, variables)
-    if isinstance(given, Formula):
-        function = _restore(given.code)
-        if (function.n_in(), function.numel_out(0)) != (1 + len(arguments), count):
-            raise SurfaceError(
-                f"{kind}: formula = {given.describe()} is that of another kind of surface; give "
-                f"one of {count} component{'s' * (count > 1)} in {', '.join(variables)}"
-            )
-        return _with_numbers(kind, given, numbers)
-    p = ca.SX.sym("p", len(numbers))
-    symbols = {name: p[i] for i, name in enumerate(numbers)}
-    text = None
-    if callable(given):
-        value = _trace(kind, given, arguments, symbols, count)
+    Parameters
+    ----------
+    given : callable, text, sequence of texts or Formula
+    parameters : mapping of str to float, or None
+    letters : {"uv", "xyz"}
+        Coordinates in texts: of a chart with three components, or of a level function.
+    """
+    numbers = _named(parameters, letters)
+    if letters == "uv":
+        arguments, count = [ca.SX.sym("u"), ca.SX.sym("v")], 3
     else:
-        text = _texts(kind, given, count)
-        try:
-            lines = [parse(line, {**variables, **symbols}) for line in text]
-            value = ca.vertcat(*map(ca.SX, lines))
-        except ContactSystemError as error:
-            raise SurfaceError(f"{kind}: {error}") from None
-    known = ca.vertcat(p, *arguments)
-    strange = [symbol.name() for symbol in ca.symvar(value) if not ca.depends_on(known, symbol)]
+        arguments, count = [ca.SX.sym("x", 3)], 1
+    if isinstance(given, Formula):
+        return _renumbered(given, numbers, letters, arguments, count)
+    p = ca.SX.sym("p", len(numbers))
+    symbols, text = dict(zip(numbers, ca.vertsplit(p))), None
+    if callable(given):
+        value = _trace(given, arguments, symbols, count)
+    else:
+        text = (given,) if isinstance(given, str) else given
+        if not isinstance(text, Sequence) or len(text) != count:
+            raise SurfaceError(
+                f"{given!r} must be a function of symbols, or {count} text(s), one for each "
+                "component"
+            )
+        known = dict(zip(letters, ca.vertsplit(ca.vertcat(*arguments)))) | symbols
+        value = ca.vertcat(*(ca.SX(parse(line, known)) for line in text))
+    inputs = ca.vertcat(p, *arguments)
+    strange = [symbol.name() for symbol in ca.symvar(value) if not ca.depends_on(inputs, symbol)]
     if strange:
         raise SurfaceError(
-            f"{kind}: the formula uses symbols of its own ({', '.join(strange)}); give them "
+            f"the formula uses symbols of its own ({', '.join(strange)}); give them "
             "numbers in parameters and take them as arguments by name"
         )
     for argument in arguments:
         if not ca.depends_on(value, argument):
-            raise SurfaceError(
-                f"{kind}: the formula does not depend on {argument}, as a surface must"
-            )
+            raise SurfaceError(f"the formula does not depend on {argument}, as a surface must")
     function = ca.Function("surface", [p, *arguments], [value])
     for i in range(function.n_instructions()):
         is_constant = function.instruction_id(i) == ca.OP_CONST
         if is_constant and not math.isfinite(function.instruction_constant(i)):
             raise SurfaceError(
-                f"{kind}: the formula holds a NaN or infinite constant; in a function of symbols "
+                "the formula holds a NaN or infinite constant; in a function of symbols "
                 "use numpy or casadi functions (np.cos), not those of math"
             )
-    return Formula(function.serialize(), tuple(numbers), tuple(numbers.values()), text)
+    return Formula(
+        function.serialize(),
+        tuple(numbers),
+        tuple(numbers.values()),
+        None if text is None else tuple(text),
+    )
 
 
-def one_of(kind: str, name: str, given: Any, formula: Formula | None) -> Any:
-    if given is not None and formula is not None:
-        raise SurfaceError(f"{kind}: {name} and formula are both given; give one of them")
-    return formula if given is None else given
+def _named(given: Any, letters: str) -> dict[str, float]:
+    """Return named parameters in order of their names."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise SurfaceError(f'parameters = {given!r} must be a table such as {{"R": 0.1}}')
+    for name in given:
+        if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
+            raise SurfaceError(f"parameter name {name!r} must be a plain word")
+        if name in (*letters, *FUNCTIONS):
+            raise SurfaceError(
+                f"parameter name {name!r} already has a meaning in formulas; use another"
+            )
+    return {name: finite_number(given[name], f"parameters[{name!r}]") for name in sorted(given)}
 
 
-def _with_numbers(kind: str, formula: Formula, numbers: dict[str, float]) -> Formula:
+def _renumbered(
+    formula: Formula, numbers: dict[str, float], letters: str, arguments: list[ca.SX], count: int
+) -> Formula:
+    """Return the formula with other numbers; raise where it is not one of this kind."""
+    function = _restore(formula.code)
+    if (function.n_in(), function.numel_out(0)) != (1 + len(arguments), count):
+        raise SurfaceError(
+            f"formula = {formula.describe()} is that of another kind of surface; give "
+            f"one of {count} component{'s' * (count > 1)} in {', '.join(letters)}"
+        )
     for name in numbers:
         if name not in formula.names:
             raise SurfaceError(
-                f"{kind}: the formula has no parameter {name!r}; known: {', '.join(formula.names)}"
+                f"the formula has no parameter {name!r}; known: {', '.join(formula.names)}"
             )
     return replace(formula, values=tuple({**formula.named, **numbers}.values()))
 
 
-def _texts(kind: str, given: Any, count: int) -> tuple[str, ...]:
-    lines = (given,) if isinstance(given, str) else given
-    if not isinstance(lines, Sequence) or len(lines) != count:
-        raise SurfaceError(
-            f"{kind}: {given!r} must be a function of symbols, or {count} text(s), one for each "
-            "component"
-        )
-    return tuple(lines)
-
-
 def _trace(
-    kind: str,
-    function: Callable[..., Any],
-    arguments: list[ca.SX],
-    symbols: dict[str, ca.SX],
-    count: int,
+    function: Callable[..., Any], arguments: list[ca.SX], symbols: dict[str, ca.SX], count: int
 ) -> ca.SX:
     """Call a user's function on symbols and return its components as one column."""
     try:
@@ -180,18 +169,18 @@ def _trace(
     except Exception as error:  # whatever a user's function may raise
         given = "x, one column of three coordinates" if len(arguments) == 1 else "u, v"
         raise SurfaceError(
-            f"{kind}: the function fails on symbols ({type(error).__name__}: {error}); it is given "
+            f"the function fails on symbols ({type(error).__name__}: {error}); it is given "
             f"{given}, and the parameters {list(symbols)} by name: take them so, use numpy or "
             "casadi functions, no if and no conversion to float"
         ) from error
     if column.shape != (count, 1):
         raise SurfaceError(
-            f"{kind}: the function returns {column.numel()} component(s); it must return {count}"
+            f"the function returns {column.numel()} component(s); it must return {count}"
         )
     return column
 
 
-def _parts(value: Any) -> list[Any]:
+def _parts(value: Any) -> Iterable[Any]:
     if isinstance(value, np.ndarray):
         return value.ravel().tolist()
-    return list(value) if isinstance(value, (list, tuple)) else [value]
+    return value if isinstance(value, (list, tuple)) else [value]

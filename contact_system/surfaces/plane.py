@@ -7,50 +7,33 @@ from typing import ClassVar
 
 from ..theory import symbols as ca
 from .base import Surface
-from .charts import Angle, Chart, Frame, Numbers, Pair
+from .charts import Chart, Frame, Pair
 
 
 class FlatChart(Chart):
     """(u, v, 0): the plane; lengths are coordinates."""
 
-    name = "flat"
     orthogonal = True
     developable = True
+    singular_at = ""
 
-    @staticmethod
-    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
         return ca.vertcat(u, v, 0)
 
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
+    def coordinates(self, x: ca.SX) -> Pair:
         return x[0], x[1]
 
-    @staticmethod
-    def frame(p: ca.SX, x: ca.SX) -> Frame:
+    def frame(self, x: ca.SX) -> Frame:
         return ca.SX([1, 0, 0]), ca.SX([0, 1, 0]), ca.SX.eye(2)
-
-    @staticmethod
-    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
-        return 1.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plane(Surface):
     """The plane z = 0, body below; chart (u, v, 0), coordinates in m."""
 
-    table_name: ClassVar[str] = "plane"
-
-    @property
-    def chart(self) -> type[Chart]:
-        return FlatChart
-
-    @property
-    def parameters(self) -> tuple[float, ...]:
-        return ()
-
-    @property
-    def size(self) -> float:
-        return 1.0
+    chart = FlatChart
+    size = 1.0
+    examples: ClassVar = ((),)
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
         return x[2]

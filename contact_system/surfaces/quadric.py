@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from numbers import Real
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from ..kept import kept
 from ..theory import symbols as ca
 from ..theory.geometry import contact_frame
 from .base import store
-from .charts import TURN, Angle, Array, Chart, Frame, Numbers, Pair, diagonal, hypot
+from .charts import TURN, Array, Chart, Frame, Pair, hypot
 from .cylinder import RoundCylinderChart
 from .ellipsoid import SecondDegree, ellipsoid_chart
 from .plane import FlatChart
@@ -24,23 +23,21 @@ from .plane import FlatChart
 class OneSheetChart(Chart):
     """(a cosh v cos u, b cosh v sin u, c sinh v): hyperboloid of one sheet, p = (a, b, c)."""
 
-    name = "one_sheet"
     periods = (TURN, None)
     ranges = "-pi < u <= pi, v any"
     wrap = RoundCylinderChart.wrap
 
-    @staticmethod
-    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
+        a, b, c = self.p[0], self.p[1], self.p[2]
         swell = ca.cosh(v)
-        return ca.vertcat(p[0] * swell * ca.cos(u), p[1] * swell * ca.sin(u), p[2] * ca.sinh(v))
+        return ca.vertcat(a * swell * ca.cos(u), b * swell * ca.sin(u), c * ca.sinh(v))
 
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
-        return ca.atan2(x[1] / p[1], x[0] / p[0]), ca.asinh(x[2] / p[2])
+    def coordinates(self, x: ca.SX) -> Pair:
+        a, b, c = self.p[0], self.p[1], self.p[2]
+        return ca.atan2(x[1] / b, x[0] / a), ca.asinh(x[2] / c)
 
-    @staticmethod
-    def frame(p: ca.SX, x: ca.SX) -> Frame:
-        a, b, c = p[0], p[1], p[2]
+    def frame(self, x: ca.SX) -> Frame:
+        a, b, c = self.p[0], self.p[1], self.p[2]
         slope = x[2] / c
         swell = hypot(1, slope)
         f_u = ca.vertcat(-x[1] * a / b, x[0] * b / a, 0)
@@ -51,95 +48,78 @@ class OneSheetChart(Chart):
 class TwoSheetChart(Chart):
     """(a sqrt(1 + u^2 + v^2), b u, c v): one sheet of two, p = (a, b, c)."""
 
-    name = "two_sheet"
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
+        return ca.vertcat(self.p[0] * ca.sqrt(1 + u**2 + v**2), self.p[1] * u, self.p[2] * v)
 
-    @staticmethod
-    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
-        return ca.vertcat(p[0] * ca.sqrt(1 + u**2 + v**2), p[1] * u, p[2] * v)
+    def coordinates(self, x: ca.SX) -> Pair:
+        return x[1] / self.p[1], x[2] / self.p[2]
 
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
-        return x[1] / p[1], x[2] / p[2]
-
-    @staticmethod
-    def frame(p: ca.SX, x: ca.SX) -> Frame:
-        u, v = TwoSheetChart.coordinates(p, x)
+    def frame(self, x: ca.SX) -> Frame:
+        a, b, c = self.p[0], self.p[1], self.p[2]
+        u, v = self.coordinates(x)
         swell = ca.sqrt(1 + u**2 + v**2)
-        return contact_frame(
-            ca.vertcat(p[0] * u / swell, p[1], 0), ca.vertcat(p[0] * v / swell, 0, p[2])
-        )
+        return contact_frame(ca.vertcat(a * u / swell, b, 0), ca.vertcat(a * v / swell, 0, c))
 
 
-class EllipticCylinderChart(Chart):
+class EllipticCylinderChart(RoundCylinderChart):
     """(a cos u, b sin u, v), p = (a, b)."""
 
-    name = "elliptic_cylinder"
-    orthogonal = True
-    periods = (TURN, None)
-    ranges = RoundCylinderChart.ranges
-    wrap = RoundCylinderChart.wrap
+    turning: ClassVar[int | None] = None
+    developable = False
 
-    @staticmethod
-    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
-        return ca.vertcat(p[0] * ca.cos(u), p[1] * ca.sin(u), v)
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
+        return ca.vertcat(self.p[0] * ca.cos(u), self.p[1] * ca.sin(u), v)
 
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
-        return ca.atan2(x[1] / p[1], x[0] / p[0]), x[2]
+    def coordinates(self, x: ca.SX) -> Pair:
+        return ca.atan2(x[1] / self.p[1], x[0] / self.p[0]), x[2]
 
-    @staticmethod
-    def frame(p: ca.SX, x: ca.SX) -> Frame:
-        f_u = ca.vertcat(-x[1] * p[0] / p[1], x[0] * p[1] / p[0], 0)
-        h_u = hypot(f_u[0], f_u[1])
-        return f_u / h_u, ca.SX([0, 0, 1]), diagonal(h_u, 1)
-
-    @staticmethod
-    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
-        return min(p[1], 1.0)  # h_u >= b, as a >= b
+    def frame(self, x: ca.SX) -> Frame:
+        a, b = self.p[0], self.p[1]
+        f_u = ca.vertcat(-x[1] * a / b, x[0] * b / a, 0)
+        return contact_frame(f_u, ca.SX([0, 0, 1]), self.orthogonal)
 
 
 class HyperbolicCylinderChart(Chart):
     """(a sqrt(1 + u^2), b u, v), p = (a, b)."""
 
-    name = "hyperbolic_cylinder"
     orthogonal = True
+    singular_at = ""
 
-    @staticmethod
-    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
-        return ca.vertcat(p[0] * ca.sqrt(1 + u**2), p[1] * u, v)
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
+        return ca.vertcat(self.p[0] * ca.sqrt(1 + u**2), self.p[1] * u, v)
 
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
-        return x[1] / p[1], x[2]
+    def coordinates(self, x: ca.SX) -> Pair:
+        return x[1] / self.p[1], x[2]
 
-    @staticmethod
-    def frame(p: ca.SX, x: ca.SX) -> Frame:
-        u = x[1] / p[1]
-        f_u = ca.vertcat(p[0] * u / hypot(1, u), p[1], 0)
-        h_u = hypot(f_u[0], f_u[1])
-        return f_u / h_u, ca.SX([0, 0, 1]), diagonal(h_u, 1)
-
-    @staticmethod
-    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
-        return min(p[1], 1.0)  # h_u >= b
+    def frame(self, x: ca.SX) -> Frame:
+        u = x[1] / self.p[1]
+        f_u = ca.vertcat(self.p[0] * u / hypot(1, u), self.p[1], 0)
+        return contact_frame(f_u, ca.SX([0, 0, 1]), self.orthogonal)
 
 
 class OffsetPlaneChart(FlatChart):
     """(a, u, v): the plane at distance a from the origin, p = (a,)."""
 
-    name = "offset_plane"
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
+        return ca.vertcat(self.p[0], u, v)
 
-    @staticmethod
-    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
-        return ca.vertcat(p[0], u, v)
-
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
+    def coordinates(self, x: ca.SX) -> Pair:
         return x[1], x[2]
 
-    @staticmethod
-    def frame(p: ca.SX, x: ca.SX) -> Frame:
+    def frame(self, x: ca.SX) -> Frame:
         return ca.SX([0, 1, 0]), ca.SX([0, 0, 1]), ca.SX.eye(2)
+
+
+CHARTS: dict[str, type[Chart]] = {
+    "++-": OneSheetChart,
+    "+--": TwoSheetChart,
+    "++0": EllipticCylinderChart,
+    "+-0": HyperbolicCylinderChart,
+    "+00": OffsetPlaneChart,
+}
+"""By the signs of the eigenvalues; of an ellipsoid and of equal axes there are others."""
+IN_TWO = (TwoSheetChart, HyperbolicCylinderChart, OffsetPlaneChart)
+"""Charts of one of two pieces of their surfaces."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -162,26 +142,28 @@ class Quadric(SecondDegree):
         Body on the side x^T A x > 1; (u, v) is then the chart's f(u, -v).
     """
 
+    examples: ClassVar = tuple(
+        (((x, 0, 0), (0, y, 0), (0, 0, z)),)
+        for x, y, z in (
+            *((1.0, 1.0, 1.0), (1.0, 1.0, 0.6), (1.0, 0.8, 0.8), (1.0, 0.8, 0.6)),
+            *((1.0, 0.8, -0.6), (1.0, -0.8, -0.6)),
+            *((1.0, 1.0, 0), (1.0, 0.8, 0), (1.0, -0.8, 0), (1.0, 0, 0)),
+        )
+    )
     A: tuple[tuple[float, float, float], ...]
     sheet: int = field(default=1, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        matrix = _symmetric(self.A)
-        store(self, A=tuple(tuple(float(w) for w in row) for row in matrix))
+        store(self, A=tuple(map(tuple, _symmetric(self.A).tolist())))
         given = self.sheet
         if not isinstance(given, Real) or isinstance(given, bool) or given not in (1, -1):
             raise SurfaceError(f"Quadric: sheet = {given!r} must be 1 or -1")
         store(self, sheet=int(given))
-        chart = self.chart
-        if self.sheet == -1 and chart not in (
-            TwoSheetChart,
-            HyperbolicCylinderChart,
-            OffsetPlaneChart,
-        ):
+        if self.chart not in IN_TWO and self.sheet == -1:
             raise SurfaceError(
                 "Quadric: sheet = -1, but this surface is in one piece "
-                f"({chart.__name__}); leave sheet out"
+                f"({self.chart.__name__}); leave sheet out"
             )
 
     @kept
@@ -197,18 +179,12 @@ class Quadric(SecondDegree):
     def chart(self) -> type[Chart]:
         return self._principal[0]
 
-    @property
-    def table_name(self) -> str:  # type: ignore[override]
-        return f"quadric_{self.chart.name}"
-
     @kept
     def parameters(self) -> tuple[float, ...]:
         """Three chart numbers (padded), nine of the rotation row by row, six of A."""
         _, numbers, rotation = self._principal
-        padded = (*numbers, 1.0, 1.0)[:3]
-        matrix = np.array(self.A)
-        upper = matrix[np.triu_indices(3)]
-        return (*padded, *map(float, rotation.ravel()), *map(float, upper))
+        upper = np.array(self.A)[np.triu_indices(3)]
+        return (*(*numbers, 1.0, 1.0)[:3], *rotation.ravel().tolist(), *upper.tolist())
 
     @property
     def size(self) -> float:
@@ -218,24 +194,12 @@ class Quadric(SecondDegree):
     def bend(self) -> float:
         return min(self._principal[1])
 
-    def _rotation(self, p: ca.SX) -> ca.SX:
+    def _axes(self, p: ca.SX) -> ca.SX:
         return ca.reshape(p[3:12], 3, 3).T
 
-    def _outward_chart(self, p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
-        return self._rotation(p) @ self.chart.point(p, u, v)
-
-    def _outward_coordinates(self, p: ca.SX, x: ca.SX) -> Pair:
-        return self.chart.coordinates(p, self._rotation(p).T @ x)
-
-    def _outward_frame(self, p: ca.SX, x: ca.SX) -> Frame:
-        rotation = self._rotation(p)
-        x_axis, y_axis, m = self.chart.frame(p, rotation.T @ x)
-        return rotation @ x_axis, rotation @ y_axis, m
-
     def _matrix(self, p: ca.SX) -> ca.SX:
-        a = ca.vertsplit(p[12:18])
-        rows = ((a[0], a[1], a[2]), (a[1], a[3], a[4]), (a[2], a[4], a[5]))
-        return ca.vertcat(*(ca.horzcat(*row) for row in rows))
+        xx, xy, xz, yy, yz, zz = ca.vertsplit(p[12:18])
+        return ca.reshape(ca.vertcat(xx, xy, xz, xy, yy, yz, xz, yz, zz), 3, 3)
 
 
 def _symmetric(given: Any) -> Array:
@@ -275,16 +239,23 @@ def _principal_chart(matrix: Array) -> tuple[type[Chart], tuple[float, ...], Arr
     axes, rotation = axes[order], vectors[:, order]
     if np.linalg.det(rotation) < 0:
         rotation = rotation * np.array([1.0, 1.0, -1.0])
-    chart, numbers = _CASES[case](*map(float, _merge_equal(axes, case)))
+    lengths = tuple(_merge_equal(axes, case)[: len(case.rstrip("0"))].tolist())
+    chart: type[Chart]
+    if case == "+++":
+        chart, lengths = ellipsoid_chart(*lengths)
+    elif case == "++0" and lengths[0] == lengths[1]:
+        chart, lengths = RoundCylinderChart, lengths[:1]
+    else:
+        chart = CHARTS[case]
     if chart.great_circles:  # what eigh finds of a rounded sphere says nothing
         rotation = np.eye(3)
-    return chart, numbers, rotation
+    return chart, lengths, rotation
 
 
 def _eigen(matrix: Array) -> tuple[Array, Array]:
     """Return eigenvalues and eigenvectors; exact for a diagonal matrix."""
     if np.count_nonzero(matrix - np.diag(np.diag(matrix))) == 0:
-        return np.diag(matrix).copy(), np.eye(3)
+        return np.diag(matrix), np.eye(3)
     return np.linalg.eigh(matrix)
 
 
@@ -295,15 +266,3 @@ def _merge_equal(axes: Array, case: str) -> Array:
         if case[i] == case[i - 1] and merged[i - 1] - merged[i] <= 4e-15 * merged[i - 1]:
             merged[i] = merged[i - 1]
     return merged
-
-
-_CASES: dict[str, Callable[[float, float, float], tuple[type[Chart], tuple[float, ...]]]] = {
-    "+++": ellipsoid_chart,
-    "++-": lambda a, b, c: (OneSheetChart, (a, b, c)),
-    "+--": lambda a, b, c: (TwoSheetChart, (a, b, c)),
-    "++0": lambda a, b, c: (
-        (RoundCylinderChart, (a,)) if a == b else (EllipticCylinderChart, (a, b))
-    ),
-    "+-0": lambda a, b, c: (HyperbolicCylinderChart, (a, b)),
-    "+00": lambda a, b, c: (OffsetPlaneChart, (a,)),
-}

@@ -8,26 +8,13 @@ from typing import ClassVar
 
 from ..theory import symbols as ca
 from ..theory.geometry import Level
-from .base import OfRadius
-from .charts import (
-    TURN,
-    Angle,
-    Chart,
-    Frame,
-    Numbers,
-    Pair,
-    choose,
-    diagonal,
-    hypot,
-    sine,
-    wrap_angle,
-)
+from .base import OfLengths
+from .charts import TURN, Angle, Chart, Frame, Pair, choose, diagonal, hypot, wrap_angle
 
 
 class PolarChart(Chart):
     """r (sin u cos v, sin u sin v, cos u): the sphere, p = (r,)."""
 
-    name = "polar"
     orthogonal = True
     turning = 1
     periods = (None, TURN)
@@ -35,22 +22,18 @@ class PolarChart(Chart):
     singular_at = "a pole (u = 0 or pi)"
     ranges = "0 < u < pi, -pi < v <= pi"
 
-    @staticmethod
-    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
-        rho = p[0] * ca.sin(u)
-        return ca.vertcat(rho * ca.cos(v), rho * ca.sin(v), p[0] * ca.cos(u))
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
+        rho = self.p[0] * ca.sin(u)
+        return ca.vertcat(rho * ca.cos(v), rho * ca.sin(v), self.p[0] * ca.cos(u))
 
-    @staticmethod
-    def lame(p: ca.SX, u: ca.SX, v: ca.SX) -> Pair:
-        return p[0], p[0] * ca.sin(u)
+    def lame(self, u: ca.SX, v: ca.SX) -> Pair:
+        return self.p[0], self.p[0] * ca.sin(u)
 
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
+    def coordinates(self, x: ca.SX) -> Pair:
         return ca.atan2(hypot(x[0], x[1]), x[2]), ca.atan2(x[1], x[0])
 
-    @staticmethod
-    def frame(p: ca.SX, x: ca.SX) -> Frame:
-        r, rho = p[0], hypot(x[0], x[1])
+    def frame(self, x: ca.SX) -> Frame:
+        r, rho = self.p[0], hypot(x[0], x[1])
         cos_v, sin_v, cos_u = x[0] / rho, x[1] / rho, x[2] / r
         x_axis = ca.vertcat(cos_u * cos_v, cos_u * sin_v, -rho / r)
         return x_axis, ca.vertcat(-sin_v, cos_v, 0), diagonal(r, rho)
@@ -61,13 +44,12 @@ class PolarChart(Chart):
         # (-u, v) is the point (u, v + pi), but there f_u x f_v points into the body.
         return abs(u), wrap_angle(choose(u < 0, v + math.pi, v))
 
-    @staticmethod
-    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
-        return p[0] * abs(sine(u))
+    def floor(self, u: float, v: float) -> float:
+        return self.p[0] * abs(math.sin(u))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sphere(OfRadius):
+class Sphere(OfLengths):
     """Sphere about the origin; chart r (sin u cos v, sin u sin v, cos u), poles at u = 0, pi.
 
     Parameters
@@ -78,12 +60,10 @@ class Sphere(OfRadius):
         True: a spherical bowl; (u, v) is then the chart's f(u, -v).
     """
 
+    chart = PolarChart
     ambient: ClassVar[bool] = True
-    table_name: ClassVar[str] = "sphere"
-
-    @property
-    def chart(self) -> type[Chart]:
-        return PolarChart
+    examples: ClassVar = ((1.0,),)
+    radius: float
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
         return (ca.dot(x, x) - p[0] ** 2) / 2

@@ -8,51 +8,43 @@ from typing import ClassVar
 from ..errors import SurfaceError
 from ..theory import symbols as ca
 from ..theory.geometry import Level
-from .base import Surface, positive_length, store
-from .charts import TURN, Angle, Chart, Frame, Numbers, Pair, diagonal, hypot, wrap_angle
+from .base import OfLengths
+from .charts import TURN, Angle, Chart, Frame, Pair, diagonal, hypot, wrap_angle
 
 
 class TorusChart(Chart):
     """((R + r cos v) cos u, (R + r cos v) sin u, r sin v), p = (R, r); regular everywhere."""
 
-    name = "torus"
     orthogonal = True
     turning = 0
     periods = (TURN, TURN)
+    singular_at = ""
     ranges = "-pi < u, v <= pi"
 
-    @staticmethod
-    def point(p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
-        rho = p[0] + p[1] * ca.cos(v)
-        return ca.vertcat(rho * ca.cos(u), rho * ca.sin(u), p[1] * ca.sin(v))
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
+        rho = self.p[0] + self.p[1] * ca.cos(v)
+        return ca.vertcat(rho * ca.cos(u), rho * ca.sin(u), self.p[1] * ca.sin(v))
 
-    @staticmethod
-    def lame(p: ca.SX, u: ca.SX, v: ca.SX) -> Pair:
-        return p[0] + p[1] * ca.cos(v), p[1]
+    def lame(self, u: ca.SX, v: ca.SX) -> Pair:
+        return self.p[0] + self.p[1] * ca.cos(v), self.p[1]
 
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
-        return ca.atan2(x[1], x[0]), ca.atan2(x[2], hypot(x[0], x[1]) - p[0])
+    def coordinates(self, x: ca.SX) -> Pair:
+        return ca.atan2(x[1], x[0]), ca.atan2(x[2], hypot(x[0], x[1]) - self.p[0])
 
-    @staticmethod
-    def frame(p: ca.SX, x: ca.SX) -> Frame:
+    def frame(self, x: ca.SX) -> Frame:
         rho = hypot(x[0], x[1])
         cos_u, sin_u = x[0] / rho, x[1] / rho
-        cos_v, sin_v = (rho - p[0]) / p[1], x[2] / p[1]
+        cos_v, sin_v = (rho - self.p[0]) / self.p[1], x[2] / self.p[1]
         y_axis = ca.vertcat(-sin_v * cos_u, -sin_v * sin_u, cos_v)
-        return ca.vertcat(-sin_u, cos_u, 0), y_axis, diagonal(rho, p[1])
+        return ca.vertcat(-sin_u, cos_u, 0), y_axis, diagonal(rho, self.p[1])
 
     @staticmethod
     def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
         return wrap_angle(u), wrap_angle(v)
 
-    @staticmethod
-    def metric_floor(p: Numbers, u: Angle, v: Angle) -> Angle:
-        return min(p[0] - p[1], p[1])
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Torus(Surface):
+class Torus(OfLengths):
     """Torus about the z axis; chart ((R + r cos v) cos u, (R + r cos v) sin u, r sin v).
 
     Parameters
@@ -63,31 +55,19 @@ class Torus(Surface):
         True: the inside of a tube; (u, v) is then the chart's f(u, -v).
     """
 
+    chart = TorusChart
     ambient: ClassVar[bool] = True
-    table_name: ClassVar[str] = "torus"
+    examples: ClassVar = ((1.0, 0.6),)
     major: float
     minor: float
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        store(
-            self,
-            major=positive_length(self, "major", self.major),
-            minor=positive_length(self, "minor", self.minor),
-        )
         if not self.minor < self.major:
             raise SurfaceError(
                 f"Torus: minor = {self.minor} must be less than major = {self.major}, or the tube "
                 "meets itself; give Torus(major, minor) in that order"
             )
-
-    @property
-    def chart(self) -> type[Chart]:
-        return TorusChart
-
-    @property
-    def parameters(self) -> tuple[float, ...]:
-        return (self.major, self.minor)
 
     @property
     def size(self) -> float:

@@ -14,14 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import finite_number, real_array
-from ..errors import SurfaceError
+from ..engine.binding import run
+from ..errors import ContactSystemError, SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
 from ..theory.geometry import ChartGeometry, contact_frame, tangent_geometry
 from ..theory.symbols import SYMBOLS
 from .base import RAY, Sign, Surface, positive_length, store
 from .charts import TURN, Array, Chart, Frame, Pair, Periods, hypot
-from .formula import Formula, make_formula, one_of
+from .formula import Formula, make_formula
 from .sphere import PolarChart
 
 CELLS = 32  # in each coordinate, of the grid on which a nearest point is first sought
@@ -43,9 +44,8 @@ class CentralChart(Chart):
     ranges = PolarChart.ranges
     wrap = PolarChart.wrap
 
-    @staticmethod
-    def coordinates(p: ca.SX, x: ca.SX) -> Pair:
-        return PolarChart.coordinates(p, x - p[:3])
+    def coordinates(self, x: ca.SX) -> Pair:
+        return PolarChart(None).coordinates(x - self.p[:3])
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -56,13 +56,27 @@ class UserSurface(Surface):
     formula: Formula
     size: float = field(default=1.0, kw_only=True)
 
+    def _write(self, letters: str, given: Any, parameters: Any, size: Any, inside: Any) -> None:
+        """Check and store what both kinds are given; in ``letters``, u and v or x, y and z."""
+        store(self, inside=inside)
+        self.__post_init__()
+        (name, own), (_, formula) = given.items()
+        if own is not None and formula is not None:
+            raise SurfaceError(f"{self._kind}: {name} and formula are both given; give one of them")
+        try:
+            with SYMBOLS:
+                form = make_formula(own if formula is None else formula, parameters, letters)
+        except ContactSystemError as error:
+            raise SurfaceError(f"{self._kind}: {error}") from error.__cause__
+        store(self, formula=form, size=positive_length(self, "size", size))
+
     @property
     def named_parameters(self) -> dict[str, float]:
         """The numbers of the formula by name."""
         return self.formula.named
 
     @property
-    def structure(self) -> Hashable:
+    def structure(self) -> tuple[str, ...]:
         return (self._kind, self.formula.code)
 
     def __repr__(self) -> str:
@@ -116,6 +130,7 @@ class ParametricSurface(UserSurface):
     [0.5 0.  0.5] [0.5 0.  0.5]
     """
 
+    chart = FreeChart
     has_implicit: ClassVar[bool] = False
     u_range: tuple[float, float]
     v_range: tuple[float, float]
@@ -135,13 +150,7 @@ class ParametricSurface(UserSurface):
         inside: bool = False,
         formula: Formula | None = None,
     ) -> None:
-        store(self, inside=inside)
-        self.__post_init__()
-        with SYMBOLS:
-            variables = {"u": ca.SX.sym("u"), "v": ca.SX.sym("v")}
-            arguments, said = list(variables.values()), one_of(self._kind, "f", f, formula)
-            own = make_formula(self._kind, said, variables, arguments, parameters, 3)
-        store(self, formula=own, size=positive_length(self, "size", size))
+        self._write("uv", {"f": f, "formula": formula}, parameters, size, inside)
         for name, given, period in (("u", u_range, u_period), ("v", v_range, v_period)):
             if period is not None:
                 what = f"{self._kind}: {name}_period"
@@ -161,9 +170,8 @@ class ParametricSurface(UserSurface):
             turn_u, turn_v = (period, 0.0) if name == "u" else (0.0, period)
             with np.errstate(all="ignore"):  # a formula may have no point there
                 here, there = self.point(u, v), self.point(u + turn_u, v + turn_v)
-                reach = np.fmax(self.size, np.linalg.norm(here, axis=1))
                 apart = np.linalg.norm(there - here, axis=1)
-                wrong = np.flatnonzero(apart > NEAR * reach)
+                wrong = np.flatnonzero(apart > NEAR * self._scale(here))
             if len(wrong):
                 i = wrong[0]
                 raise SurfaceError(
@@ -172,9 +180,9 @@ class ParametricSurface(UserSurface):
                     f"the period of the formula to all digits, or leave {name}_period out"
                 )
 
-    @property
-    def chart(self) -> type[Chart]:
-        return FreeChart
+    def _scale(self, points: Array) -> Array:
+        """Lengths of which `NEAR` is a fraction at points (..., 3): their coordinates round."""
+        return np.fmax(self.size, np.linalg.norm(points, axis=-1))
 
     @property
     def f(self) -> tuple[str, ...] | None:
@@ -192,6 +200,9 @@ class ParametricSurface(UserSurface):
     def identity(self) -> Hashable:
         return (super().identity, self.u_range, self.v_range)
 
+    def chart_expr(self, p: ca.SX, u: ca.SX, v: ca.SX, sign: Sign = None) -> ca.SX:
+        return self.formula(p, u, self._side(sign) * v)
+
     def implicit_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> ca.SX:
         raise self._known_by_chart_only("equation F(x) = 0")
 
@@ -207,9 +218,6 @@ class ParametricSurface(UserSurface):
             "as an ImplicitSurface"
         )
 
-    def _outward_chart(self, p: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
-        return self.formula(p, u, v)
-
     def _require_regular(self, u: Array, v: Array) -> None:
         super()._require_regular(u, v)
         with np.errstate(all="ignore"):  # where a formula ends its derivatives may go on: log(u)
@@ -220,7 +228,7 @@ class ParametricSurface(UserSurface):
                 f"({float(u[missing][0])}, {float(v[missing][0])}); move the contact"
             )
 
-    def _wrap(self, u: Array, v: Array) -> tuple[Array, Array]:
+    def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
         return (
             _into(u, self.u_range, self.u_period),
             _into(v, self.v_range, self.v_period),
@@ -245,9 +253,8 @@ class ParametricSurface(UserSurface):
         """
         points = self._points(x)
         u, v, miss = self.nearest(points, guess)
-        reach = np.fmax(self.size, np.linalg.norm(points, axis=-1))
         # ~(a <= b) rather than a > b: a descent that ends in NaN has missed as well.
-        missed = np.flatnonzero(~(miss <= NEAR * reach))
+        missed = np.flatnonzero(~(miss <= NEAR * self._scale(points)))
         if len(missed):
             i = int(missed[0])
             raise SurfaceError(
@@ -302,18 +309,13 @@ class ParametricSurface(UserSurface):
         """Return the nearest few grid points to each of (n, 3) points, nearest first."""
         # Centres of cells, because the rim of a range is where charts have their poles.
         fraction = (np.arange(CELLS) + 0.5) / CELLS
-        spans = (self.u_range, self.v_range)
-        axes = [lo + (hi - lo) * fraction for lo, hi in spans]
+        axes = [lo + (hi - lo) * fraction for lo, hi in (self.u_range, self.v_range)]
         grid_u, grid_v = (w.ravel() for w in np.meshgrid(*axes, indexing="ij"))
-        if self.inside:
-            grid_v = -grid_v
+        grid_v = self.sign * grid_v
         grid = self.point(grid_u, grid_v)
-        nearest = np.empty((len(flat), TRIES), dtype=int)
-        for i, target in enumerate(flat):
-            distance = np.sum((grid - target) ** 2, axis=1)
-            distance[np.isnan(distance)] = np.inf
-            nearest[i] = np.argsort(distance)[:TRIES]
-        return [(grid_u[k], grid_v[k]) for k in nearest.T]
+        # NaN, where the formula has no point, comes last
+        nearest = [np.argsort(np.sum((grid - x) ** 2, axis=1))[:TRIES] for x in flat]
+        return [(grid_u[k], grid_v[k]) for k in np.reshape(nearest, (-1, TRIES)).astype(int).T]
 
     def _descend(self, target: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:
         """Gauss-Newton with step halving; returns u, v and the distance left, each (n,)."""
@@ -358,17 +360,10 @@ class ImplicitSurface(UserSurface):
     center : three floats
         A point inside (with ``inside=True``, inside the hollow) that sees the whole surface, m.
         Where rays from it enter the body again, chart components of a path are refused.
-    parameters : mapping of str to float, optional
-        Named numbers of the formula; changing them needs no new tables.
-    size : float
-        Length scale of the surface, m, about its greatest radius; tolerances are fractions of it.
-        Details beside even ground that are narrower than a tenth of it may be overlooked; give the
-        scale of the details there.
+    parameters, size, formula
+        As for `ParametricSurface`.
     inside : bool
         The body is where F > 0; v is then the azimuth the other way around.
-    formula : Formula, optional
-        In the place of the function or text: that of another surface, of which ``parameters``
-        changes what it names. `dataclasses.replace` gives it.
 
     Raises
     ------
@@ -387,6 +382,7 @@ class ImplicitSurface(UserSurface):
     [0.1 0.  0. ] [0.1 0.  0. ]
     """
 
+    chart = CentralChart
     has_chart: ClassVar[bool] = False
     ambient: ClassVar[bool] = True
     center: tuple[float, float, float]
@@ -401,19 +397,8 @@ class ImplicitSurface(UserSurface):
         inside: bool = False,
         formula: Formula | None = None,
     ) -> None:
-        store(self, inside=inside)
-        self.__post_init__()
-        with SYMBOLS:
-            x = ca.SX.sym("x", 3)
-            variables = {"x": x[0], "y": x[1], "z": x[2]}
-            said = one_of(self._kind, "F", F, formula)
-            own = make_formula(self._kind, said, variables, [x], parameters, 1)
-        store(self, formula=own, size=positive_length(self, "size", size))
+        self._write("xyz", {"F": F, "formula": formula}, parameters, size, inside)
         store(self, center=_numbers(self._kind, "center", center, 3))
-
-    @property
-    def chart(self) -> type[Chart]:
-        return CentralChart
 
     @property
     def F(self) -> str | None:
@@ -460,10 +445,10 @@ class ImplicitSurface(UserSurface):
         x = ca.SX.sym("x", 3)
         f_u, f_v = self._tangents(p, x, sign)
         along_u = ca.jacobian(f_u, x)
-        f_vv = ca.jacobian(f_v, x) @ f_v
-        return (x,), tangent_geometry(x, f_u, f_v, along_u @ f_u, along_u @ f_v, f_vv)
+        second = along_u @ f_u, along_u @ f_v, ca.jacobian(f_v, x) @ f_v
+        return (x,), tangent_geometry(x, f_u, f_v, second)
 
-    def _arguments(self, u: Array, v: Array) -> Array:
+    def _asked(self, u: Array, v: Array) -> Array:
         return self.point(u, v).T
 
     def point(self, u: ArrayLike, v: ArrayLike) -> Array:
@@ -478,7 +463,7 @@ class ImplicitSurface(UserSurface):
             The centre is not inside, or the ray does not meet the surface.
         """
         u, v = self._finite(u, v)
-        turned = -v if self.inside else v
+        turned = self.sign * v
         ray = np.stack(
             [np.sin(u) * np.cos(turned), np.sin(u) * np.sin(turned), np.cos(u)], axis=-1
         ).reshape(-1, 3)
@@ -516,22 +501,20 @@ class ImplicitSurface(UserSurface):
             f"meet the surface within {reach[i]:.3g} m; choose another center or point"
         )
 
-    def _along(self, ray: Array, t: Array) -> tuple[Array, Array]:
-        """Return F and its slope at distances t along the rays, each (n,)."""
+    def _along(self, ray: Array, t: Array) -> Array:
+        """Return F and its slope at distances t along the rays, (2, n)."""
         places = np.array(self.center) + t[:, None] * ray
-        columns = self._run(self.tables.other[RAY], np.hstack([places, ray]).T)
-        return columns[0], columns[1]
+        return run(self.tables.other[RAY], np.hstack([places, ray]).T, self.numbers)
 
 
 # --- helpers --------------------------------------------------------------------------------------
 
 
-def _into(w: Array, span: tuple[float, float], period: float | None) -> Array:
+def _into(w: Any, span: tuple[float, float], period: float | None) -> Any:
     """Return a periodic coordinate within one period of its range's start, where it is out."""
     if period is None:
         return w
-    inside = (w >= span[0]) & (w <= span[1])
-    return np.where(inside, w, w - period * np.floor((w - span[0]) / period))
+    return w - period * np.floor((w - span[0]) / period) * ((w < span[0]) | (w > span[1]))
 
 
 def _numbers(kind: str, name: str, given: Any, count: int) -> tuple[Any, ...]:

@@ -20,17 +20,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..kept import kept
 from . import symbols as ca
-from .geometry import (
-    ChartGeometry,
-    Level,
-    number_symbols,
-    numbers_function,
-    plane_turn,
-    rotation,
-    upper_inverse,
-)
+from .geometry import number_symbols, numbers_function, plane_turn, rotation, upper_inverse
 from .symbols import SYMBOLS, per_structure
 
 if TYPE_CHECKING:
@@ -61,6 +52,12 @@ class Moving:
 
     size: int
     """Of the state."""
+    place: tuple[ca.SX, ca.SX]
+    """u, v"""
+    theta: ca.SX
+    turn: ca.SX
+    """Rot(theta), (2, 2): [p q] is the contact frame turned by it."""
+    metric_root: ca.SX
 
     def __init__(self, surface: Surface):
         self.surface = surface
@@ -80,24 +77,6 @@ class Moving:
         point, result = ca.vertcat(self.state, *drive), getattr(self, name)(*drive)
         return numbers_function(name, point, self.sign, self.p, result)
 
-    @property
-    def place(self) -> tuple[ca.SX, ca.SX]:
-        """u, v"""
-        raise NotImplementedError
-
-    @property
-    def turn(self) -> ca.SX:
-        """Rot(theta), (2, 2): [p q] is the contact frame turned by it."""
-        raise NotImplementedError
-
-    @property
-    def theta(self) -> ca.SX:
-        raise NotImplementedError
-
-    @property
-    def metric_root(self) -> ca.SX:
-        raise NotImplementedError
-
     def coordinates(self, c: ca.SX) -> ca.SX:
         """u, v, u', v', theta, where c is the velocity in the parallel frame, m/s."""
         rates = upper_inverse(self.metric_root) @ (self.turn @ c)
@@ -116,35 +95,30 @@ class InSpace(Moving):
     def __init__(self, surface: Surface):
         super().__init__(surface)
         self.x, self.first = ca.vertsplit(self.state, [0, 3, 6])
-
-    @kept
-    def level(self) -> Level:
-        return self.surface.level_geometry(self.p, self.x)
-
-    @kept
-    def _across(self) -> tuple[ca.SX, ca.SX]:
-        """grad F x p, and the number that makes it q = n x p."""
-        across = ca.cross(self.level.gradient, self.first)
-        return across, self.sign * ca.sqrt(self.level.steepness)
+        self.level = surface.level_geometry(self.p, self.x)
+        # grad F x p, and the number that makes it q = n x p
+        self._across = ca.cross(self.level.gradient, self.first)
+        self._scale = self.sign * ca.sqrt(self.level.steepness)
+        self.place = surface.coordinates_expr(self.p, self.x, self.sign)
+        x_axis, y_axis, self.metric_root = surface.frame_expr(self.p, self.x, self.sign)
+        self.turn = plane_turn(ca.dot(self.first, x_axis), ca.dot(self.first, y_axis))
+        self.theta = ca.atan2(self.turn[1, 0], self.turn[0, 0])
 
     def second(self) -> ca.SX:
         """q = n x p, n the normal out of the body."""
-        across, scale = self._across
-        return scale * across
+        return self._scale * self._across
 
     def motion(self, c: ca.SX) -> ca.SX:
         """x' = c1 p + c2 q, p' = -II(p, x') n; that of q follows."""
-        across, scale = self._across
-        velocity = c[0] * self.first + (c[1] * scale) * across
+        velocity = c[0] * self.first + (c[1] * self._scale) * self._across
         # n and II both have the sign of the side
         bend = ca.dot(self.level.hessian @ self.first, velocity) * self.level.steepness
         return ca.vertcat(velocity, -bend * self.level.gradient)
 
     def shape(self) -> ca.SX:
         """K in the parallel frame, (K_pp, K_pq, K_qq)."""
-        across, scale = self._across
-        frame = ca.horzcat(self.first, scale * across)
-        k = frame.T @ self.level.hessian @ frame * scale
+        frame = ca.horzcat(self.first, self.second())
+        k = frame.T @ self.level.hessian @ frame * self._scale
         return ca.vertcat(k[0, 0], k[0, 1], k[1, 1])
 
     def restore(self) -> ca.SX:
@@ -158,27 +132,6 @@ class InSpace(Moving):
         normal /= ca.norm_2(normal)
         first = self.first - ca.dot(self.first, normal) * normal
         return ca.vertcat(moved, first / ca.norm_2(first))
-
-    @kept
-    def _contact_frame(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        return self.surface.frame_expr(self.p, self.x, self.sign)
-
-    @property
-    def place(self) -> tuple[ca.SX, ca.SX]:
-        return self.surface.coordinates_expr(self.p, self.x, self.sign)
-
-    @property
-    def turn(self) -> ca.SX:
-        x_axis, y_axis, _ = self._contact_frame
-        return plane_turn(ca.dot(self.first, x_axis), ca.dot(self.first, y_axis))
-
-    @property
-    def theta(self) -> ca.SX:
-        return ca.atan2(self.turn[1, 0], self.turn[0, 0])
-
-    @property
-    def metric_root(self) -> ca.SX:
-        return self._contact_frame[2]
 
     def _function(self, name: str) -> ca.Function:
         if name != "start":
@@ -195,49 +148,36 @@ class InChart(Moving):
 
     size = 3
 
-    @property
-    def place(self) -> tuple[ca.SX, ca.SX]:
-        return self.state[0], self.state[1]
-
-    @property
-    def turn(self) -> ca.SX:
-        return rotation(self.theta)
-
-    @property
-    def theta(self) -> ca.SX:
-        return self.state[2]
-
-    @property
-    def metric_root(self) -> ca.SX:
-        return self._shape.metric_root
-
-    @kept
-    def _shape(self) -> ChartGeometry:
-        return self.surface.geometry_expr(self.p, *self.place, self.sign)
+    def __init__(self, surface: Surface):
+        super().__init__(surface)
+        u, v, self.theta = ca.vertsplit(self.state)
+        self.place, self.turn = (u, v), rotation(self.theta)
+        self.geometry = surface.geometry_expr(self.p, u, v, self.sign)
+        self.metric_root = self.geometry.metric_root
 
     def motion(self, c: ca.SX) -> ca.SX:
         """(u', v') = M^-1 Rot(theta) c, theta' = -T Rot(theta) c."""
         velocity = self.turn @ c
         rates = upper_inverse(self.metric_root) @ velocity
-        return ca.vertcat(rates, -self._shape.torsion_form @ velocity)
+        return ca.vertcat(rates, -self.geometry.torsion_form @ velocity)
 
     def frame(self) -> ca.SX:
         """x, p, q, (9)."""
-        return ca.vertcat(self._shape.point, ca.vec(self._shape.frame[:, :2] @ self.turn))
+        return ca.vertcat(self.point(), ca.vec(self.geometry.frame[:, :2] @ self.turn))
 
     def shape(self) -> ca.SX:
         """K in the parallel frame, (K_pp, K_pq, K_qq)."""
-        k = self.turn.T @ self._shape.curvature_form @ self.turn
+        k = self.turn.T @ self.geometry.curvature_form @ self.turn
         return ca.vertcat(k[0, 0], k[0, 1], k[1, 1])
 
     def point(self) -> ca.SX:
         """x, (3)."""
-        return self._shape.point
+        return self.geometry.point
 
     def lame(self) -> ca.SX:
         """h_u, h_v and the lesser of M's diagonal, m: 0 where the chart is singular."""
         m = self.metric_root
-        return ca.vertcat(self._shape.lame, ca.fmin(m[0, 0], m[1, 1]))
+        return ca.vertcat(self.geometry.lame, ca.fmin(m[0, 0], m[1, 1]))
 
 
 @per_structure
@@ -254,20 +194,10 @@ def body_motion(
     c: ca.SX,
     offset: ca.SX | None = None,
 ) -> ca.SX:
-    """Rate of a body's moving frame when its contact point is driven by c.
+    """Rate of a body's moving frame whose contact point is driven by c (2), m/s, in that frame.
 
-    Parameters
-    ----------
-    surface : Surface
-    ambient : bool
-        The form of the state.
-    numbers : SX
-        Sign and parameters of the surface.
-    state : SX (6) or (3)
-    c : SX (2)
-        Velocity of the contact point in the parallel frame, m/s.
-    offset : SX (2), optional
-        Chart rates added to the motion of the point (theory section 7).
+    ``ambient`` is the form of the state, ``numbers`` are sign and parameters of the surface;
+    ``offset`` (2) are chart rates added to the motion of the point (theory section 7).
     """
     body = moving(surface, ambient)
     if offset is not None:

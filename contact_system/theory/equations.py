@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import SurfaceError
 from . import symbols as ca
-from .geometry import ChartGeometry, rotation, upper_inverse
+from .geometry import ChartGeometry, number_symbols, rotation, symmetric, upper_inverse
 from .symbols import SYMBOLS, per_structure
 
 if TYPE_CHECKING:
@@ -62,12 +62,8 @@ def chart_equations(finger: Surface, obj: Surface) -> ca.Function:
     """One contact's equations of motion in chart coordinates.
 
     Inputs: state (9), sigma'/sigma, lam, d1 (2), d2 (2), object rate offset (2), one column; the
-    numbers of finger and object, each with its sign first. Output: state' (9).
-
-    Raises
-    ------
-    SurfaceError
-        A surface without an explicit chart (ImplicitSurface).
+    numbers of finger and object, each with its sign first. Output: state' (9). A surface without
+    an explicit chart (ImplicitSurface) is refused.
     """
     for surface in (finger, obj):
         if not surface.has_chart:
@@ -80,7 +76,7 @@ def chart_equations(finger: Surface, obj: Surface) -> ca.Function:
     q1, rate_1, q2, rate_2, psi = ca.vertsplit(state, [0, 2, 4, 6, 8, 9])
     shapes, numbers = [], []
     for surface, q in ((finger, q1), (obj, q2)):
-        sign, p = ca.SX.sym("sign"), ca.SX.sym("p", len(surface.parameters))
+        sign, p = number_symbols(surface)
         numbers += [sign, p]
         shapes.append(surface.geometry_expr(p, q[0], q[1], sign))
     tip, body = shapes
@@ -127,18 +123,10 @@ def slip_acceleration(
 
 
 def relative_pose(frame_1: ca.SX, frame_2: ca.SX, r0: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Pose of the finger's body frame in the object's (theory section 8).
+    """R_21 (3, 3) and the origin (3), m, of the finger's body frame in the object's (section 8).
 
-    Parameters
-    ----------
-    frame_1, frame_2 : SX (9)
-        Contact point x and tangent axes p, q of each body, in its own frame.
-    r0 : SX (2, 2)
-        Map from tangent components along (p_1, q_1) to those along (p_2, q_2).
-
-    Returns
-    -------
-    R_21 (3, 3), origin of the finger's frame in the object's (3), m
+    frame_i (9): contact point x and tangent axes p, q of a body, in its own frame. r0 (2, 2): map
+    from tangent components along (p_1, q_1) to those along (p_2, q_2).
     """
     (x1, p1, q1), (x2, p2, q2) = (ca.vertsplit(f, [0, 3, 6, 9]) for f in (frame_1, frame_2))
     # [p2 q2 n2] diag(R_0, -1) [p1 q1 n1]^T
@@ -165,25 +153,21 @@ def relative_twist(
 ) -> tuple[ca.SX, ca.SX]:
     """Twist of the finger's frame in the object's frame (theory section 8).
 
+    That is omega (3), rad/s, and the velocity of the frame's origin (3), m/s.
+
     Parameters
     ----------
-    frames : two SX (9)
-        x, p, q of finger and object.
+    frames, r0
+        As for :func:`relative_pose`.
     shapes : two SX (3)
         K_pp, K_pq, K_qq of finger and object.
     velocities : two SX (2)
         a_1, a_2: velocity of the contact point in (p_i, q_i), m/s.
-    r0 : SX (2, 2)
-        As for :func:`relative_pose`.
     v_rel : SX (2)
         Slip along (p_2, q_2), m/s.
-
-    Returns
-    -------
-    omega (3), rad/s, and the velocity of the origin of the finger's frame (3), m/s
     """
     x2, p2, q2 = ca.vertsplit(frames[1], [0, 3, 6, 9])
-    k1, k2 = (symmetric(k) for k in shapes)
+    k1, k2 = (symmetric(*ca.vertsplit(k)) for k in shapes)
     k = bending(k2, velocities[1], r0, k1, velocities[0])
     omega = k[0] * q2 - k[1] * p2
     sliding = v_rel[0] * p2 + v_rel[1] * q2
@@ -191,32 +175,13 @@ def relative_twist(
     return omega, -sliding - ca.cross(omega, arm)
 
 
-def symmetric(entries: ca.SX) -> ca.SX:
-    """The matrix of (a, b, c): [[a, b], [b, c]]."""
-    a, b, c = ca.vertsplit(entries)
-    return ca.vertcat(ca.horzcat(a, b), ca.horzcat(b, c))
-
-
 def contact_velocities(
     shape_1: ca.SX, shape_2: ca.SX, r: ca.SX, bend: ca.SX, v_rel: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
-    """Montana's forward map: contact velocities from what a twist says.
+    """Montana's forward map: the contact velocities a_i = M_i q_i' in E_i from what a twist says.
 
-    Parameters
-    ----------
-    shape_1, shape_2 : SX (2, 2)
-        K_1, K_2, 1/m.
-    r : SX (2, 2)
-        R_psi.
-    bend : SX (2)
-        ``K_1 a_1 + R_psi K_2 a_2 = [-omega_y, omega_x]`` in E1, rad/s.
-    v_rel : SX (2)
-        Slip in E2, m/s.
-
-    Returns
-    -------
-    a1, a2 : SX (2)
-        M_i q_i' in E_i, m/s; not finite where the bodies conform.
+    shape_i: K_i (2, 2); r: R_psi; bend: ``K_1 a_1 + R_psi K_2 a_2 = [-omega_y, omega_x]`` in E1,
+    rad/s; v_rel: slip in E2, m/s. Not finite where the bodies conform.
     """
     a1 = solve_plane(relative_curvature(shape_1, shape_2, r), bend + r @ shape_2 @ v_rel)
     return a1, r @ a1 - v_rel
@@ -243,7 +208,7 @@ def contact_functions() -> dict[str, ca.Function]:
     """
     sym = ca.SX.sym
     with SYMBOLS:
-        rows = sym("R0", 4)
+        rows, none = sym("R0", 4), ca.SX(0, 1)
         r0 = ca.reshape(rows, 2, 2).T
         psi, w1, given, y = sym("psi"), sym("W1", 2), sym("given", 2), sym("y", 2)
         theta, sigma, slope, lam = (sym(name) for name in ("theta", "sigma", "slope", "lam"))
@@ -253,26 +218,18 @@ def contact_functions() -> dict[str, ca.Function]:
         start_r = reflection(ca.cos(psi), ca.sin(psi))
         w2 = start_r @ w1
         turn, origin = relative_pose(*frames, r0)
-        none = ca.SX(0, 1)
-        growth = slope - lam * sigma
-        made = {
+        twist = relative_twist(frames, shapes, velocities, r0, slip)
+        pushing = slip_acceleration(slope - lam * sigma, v, r0, *pushed)
+        made: dict[str, tuple[list[ca.SX], ca.SX, list[ca.SX]]] = {
             "start": (
                 [psi, w1, given],
                 none,
                 [ca.vec(start_r.T), w2, starting_slip(w1, w2, given)],
             ),
             "pose": ([*frames], rows, [ca.vec(turn.T), origin]),
-            "twist": (
-                [*frames, *shapes, *velocities, slip],
-                rows,
-                [*relative_twist(frames, shapes, velocities, r0, slip)],
-            ),
+            "twist": ([*frames, *shapes, *velocities, slip], rows, [*twist]),
             "turned": ([theta, y], none, [rotation(theta) @ y]),
-            "acceleration": (
-                [sigma, slope, lam, v, *pushed],
-                rows,
-                [slip_acceleration(growth, v, r0, *pushed)],
-            ),
+            "acceleration": ([sigma, slope, lam, v, *pushed], rows, [pushing]),
             "pushed": ([sigma, *pushed], rows, [*pushed_paths(sigma, r0, *pushed)]),
         }
         return {

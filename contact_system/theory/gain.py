@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import truediv
 from typing import Any
 
 import numpy as np
@@ -19,16 +21,15 @@ from ..checks import finite_number
 from ..errors import SceneError
 from .profile import (
     Coefficients,
-    Exact,
     Profile,
     as_time,
     clear_value,
     derivative,
-    exact,
     exact_product,
     integral,
     polynomial,
     rounded,
+    rounded_product,
     sign_changes,
 )
 
@@ -40,17 +41,10 @@ class Law:
     Its integral is a polynomial, and a logarithm where sigma grows. It shrinks slip while
     sigma'/sigma - lam < 0; without `makes_up` that is throughout for every value above the
     greatest sigma'/sigma^(power + 1), with it for every positive one.
-
-    Attributes
-    ----------
-    parameter : str
-        What the value is called.
-    formula : str
-    power : int
-    makes_up : bool
     """
 
     parameter: str
+    """What the value is called."""
     formula: str
     power: int
     makes_up: bool = False
@@ -60,9 +54,9 @@ class Law:
         lam = value * sigma**self.power
         return lam + growth if self.makes_up else lam
 
-    def integrand(self, value: float, sigma: Sequence[float]) -> Coefficients:
+    def integrand(self, value: float, sigma: Coefficients) -> Coefficients:
         """Coefficients of value sigma^power from those of sigma, rounded once."""
-        return rounded(exact_product((value,), *[sigma] * self.power))
+        return rounded_product((value,), *[sigma] * self.power)
 
 
 LAWS = {
@@ -104,10 +98,6 @@ class GainPiece:
         """sigma at local time tau [m/s]."""
         return polynomial(self.sigma, tau)
 
-    def arc_length(self, tau):
-        """int_0^tau sigma [m]."""
-        return polynomial(integral(self.sigma), tau)
-
     def decay(self, tau, speed):
         """exp(-(L(tau) - L(0))) at local time tau, where sigma is ``speed``."""
         # slip may end below what a double holds, and sigma be 0 where a piece begins
@@ -116,11 +106,6 @@ class GainPiece:
             if self.power:
                 decay = decay * np.where(np.asarray(tau) > 0, self.sigma[0] / speed, 1.0)
         return decay
-
-    def gain(self, tau: float) -> float:
-        """lam at a local time at which sigma > 0 [1/s]."""
-        lam = polynomial(derivative(self.exponent), tau)
-        return lam + polynomial(derivative(self.sigma), tau) / self.speed(tau) * self.power
 
 
 @dataclass(frozen=True)
@@ -274,8 +259,12 @@ class Contraction:
     left: float
 
     def __str__(self) -> str:
+        listed = ", ".join(f"[{a:.3g}, {b:.3g}] s" for a, b in self.intervals)
+        shrinks = f"shrinks only on {listed} of the" if listed else "never shrinks in the"
         text = f"Gain law '{self.gain.law}', {self.gain.row.formula}, {self.gain.parameter} = "
-        text += f"{self.gain.value:.6g}: {self._when()}"
+        text += f"{self.gain.value:.6g}: slip "
+        text += "shrinks over the whole" if self.throughout else shrinks
+        text += f" horizon of {self.duration:g} s."
         if self.growth[1] > 1:
             text += (
                 f" Slip that is there at t = 0 is greatest at t = {self.growth[0]:.3g} s, "
@@ -284,14 +273,6 @@ class Contraction:
         if not math.isnan(self.left):
             text += f" At the end slip is {self.left:.2g} times its value at t = 0."
         return text + self._remedy()
-
-    def _when(self) -> str:
-        if self.throughout:
-            return f"slip shrinks over the whole horizon of {self.duration:g} s."
-        if not self.intervals:
-            return f"slip never shrinks in the horizon of {self.duration:g} s."
-        listed = ", ".join(f"[{a:.3g}, {b:.3g}] s" for a, b in self.intervals)
-        return f"slip shrinks only on {listed} of the horizon of {self.duration:g} s."
 
     def _remedy(self) -> str:
         if self.gain.row.makes_up:
@@ -309,19 +290,7 @@ class Contraction:
 def contraction(profile: Profile, gain: Gain, duration: float) -> Contraction:
     """Where slip shrinks under a gain law, and the least gain that shrinks it throughout.
 
-    Parameters
-    ----------
-    profile : Profile
-        A path profile that passes `Profile.check`.
-    gain : Gain
-        The law and its gain.
-    duration : float
-        The horizon [s].
-
-    Returns
-    -------
-    Contraction
-        Its `str` is one readable paragraph.
+    The profile passes `Profile.check`; the duration is the horizon [s].
     """
     supremum = _least_gain(profile, gain.row, duration)
     throughout = gain.value > supremum
@@ -340,16 +309,10 @@ def _least_gain(profile: Profile, law: Law, duration: float) -> float:
     # d/dt (sigma' sigma^-n) = 0  <=>  sigma'' sigma - n sigma'^2 = 0
     stationary = rounded(exact_product(derivative(slope), c), exact_product((-n,), slope, slope))
     times = {0.0, duration, *sign_changes(stationary, 0.0, duration)} - set(zeros)
-    supremum = max((_steepness(profile, n, t) for t in times), default=math.inf)
+    # divided step by step: a power of a tiny sigma is 0
+    steepest = (reduce(truediv, [profile(t)] * n, profile.rate(t)) for t in times)
+    supremum = max(steepest, default=math.inf)
     return min(0.0, supremum) if law.makes_up else supremum
-
-
-def _steepness(profile: Profile, n: int, t: float) -> float:
-    """sigma'/sigma^n, divided step by step: a power of a tiny sigma is 0."""
-    value = profile.rate(t)
-    for _ in range(n):
-        value /= profile(t)
-    return value
 
 
 def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[float, float], ...]:
@@ -359,7 +322,10 @@ def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[flo
     for start, stop in zip(knots, knots[1:]):
         # around its middle, where terms of powers of sigma cancel least
         middle = 0.5 * (start + stop)
-        rate = _slip_rate(profile.shifted(middle), gain)
+        c, law = profile.shifted(middle), gain.row
+        # rho = 0: the law only makes up for growth
+        lost = () if law.makes_up else exact_product((-gain.value,), *[c] * (law.power + 1))
+        rate = rounded(exact_product(derivative(c)), lost)
         ends = start - middle, stop - middle
         turns = [middle + tau for tau in sign_changes(rate, *ends)]
         for a, b in zip([start, *turns], [*turns, stop]):
@@ -368,15 +334,6 @@ def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[flo
                     a = found.pop()[0]
                 found.append((a, b))
     return tuple(found)
-
-
-def _slip_rate(c: Coefficients, gain: Gain) -> Coefficients:
-    """Coefficients of sigma' - lam sigma from those of sigma."""
-    slope = derivative(c)
-    if gain.row.makes_up:  # rho = 0: the law only makes up for growth
-        return slope
-    lost: Exact = exact_product((-gain.value,), *[c] * (gain.row.power + 1))
-    return rounded(exact(slope), lost)
 
 
 def _slip_factors(

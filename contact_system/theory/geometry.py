@@ -7,14 +7,18 @@ A chart ``f(u, v)`` need not be orthogonal. Its contact frame is ``E = [x y n]``
 and ``M`` (the metric root, ``M^T M`` is the metric) turns coordinate rates into velocity
 components along ``x`` and ``y``. For an orthogonal chart ``y = f_v/|f_v|`` and
 ``M = diag(h_u, h_v)``, and the frame, M and the Christoffel symbols are those printed in the paper
-(eqs. ``rotationmat``, ``finetune``, ``christoffel``).
+(eqs. ``rotationmat``, ``finetune``, ``christoffel``). ``orthogonal`` promises that ``f_u . f_v``
+vanishes identically and shortens every expression.
 
 Lengths in metres, angles in radians. All results are CasADi SX expressions.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import TYPE_CHECKING, NamedTuple
 
 from . import symbols as ca
@@ -56,11 +60,9 @@ class ChartGeometry:
 
     def column(self) -> ca.SX:
         """Return all of it as one column, in the order of `QUANTITIES`, first indices fastest."""
-        first, second = self.christoffel
-        # (k, i, j) with k fastest
-        christoffel = ca.horzcat(ca.vec(first), ca.vec(second)).T
-        given = {name: getattr(self, name) for name in QUANTITIES}
-        return ca.vertcat(*(ca.vec(w) for w in ({**given, "christoffel": christoffel}).values()))
+        first, second = (ca.vec(gamma) for gamma in self.christoffel)
+        given = {**vars(self), "christoffel": ca.horzcat(first, second).T}  # (k, i, j), k fastest
+        return ca.vertcat(*(ca.vec(given[name]) for name in QUANTITIES))
 
 
 QUANTITIES: dict[str, tuple[int, ...]] = {
@@ -74,24 +76,13 @@ QUANTITIES: dict[str, tuple[int, ...]] = {
 }
 """Shapes of the quantities as numbers."""
 
+_ENDS = [*accumulate(map(math.prod, QUANTITIES.values()), initial=0)]
+ROWS = dict(zip(QUANTITIES, map(slice, _ENDS, _ENDS[1:])))
+"""Where each stands in `ChartGeometry.column`."""
+
 
 def contact_frame(f_u: ca.SX, f_v: ca.SX, orthogonal: bool = False) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the contact frame axes and the metric root of two tangent vectors.
-
-    Parameters
-    ----------
-    f_u, f_v : SX (3, 1)
-        Partial derivatives of the chart.
-    orthogonal : bool
-        Promise that ``f_u . f_v`` vanishes identically; saves its evaluation.
-
-    Returns
-    -------
-    x, y : SX (3, 1)
-        Unit tangent axes; the normal is ``x`` cross ``y``.
-    M : SX (2, 2)
-        Metric root.
-    """
+    """Return the unit tangent axes x and y (3, 1) of f_u and f_v, and the metric root (2, 2)."""
     h_u = ca.norm_2(f_u)
     x = f_u / h_u
     if orthogonal:
@@ -106,51 +97,25 @@ def contact_frame(f_u: ca.SX, f_v: ca.SX, orthogonal: bool = False) -> tuple[ca.
 
 
 def chart_geometry(f: ca.SX, u: ca.SX, v: ca.SX, orthogonal: bool = False) -> ChartGeometry:
-    """Return every metric quantity of the chart ``f(u, v)``.
-
-    Parameters
-    ----------
-    f : SX (3, 1)
-        Chart, m.
-    u, v : SX scalar symbols
-        Surface coordinates.
-    orthogonal : bool
-        Promise that ``f_u . f_v`` vanishes identically; shortens every expression.
-    """
-    q = ca.vertcat(u, v)
-    f_q = ca.jacobian(f, q)
-    f_u, f_v = f_q[:, 0], f_q[:, 1]
-    f_uq = ca.jacobian(f_u, q)
-    return tangent_geometry(f, f_u, f_v, f_uq[:, 0], f_uq[:, 1], ca.jacobian(f_v, v), orthogonal)
+    """Return every metric quantity of the chart ``f(u, v)``, (3, 1), m, of symbols u and v."""
+    f_u, f_v = ca.horzsplit(ca.jacobian(f, ca.vertcat(u, v)))
+    f_uu, f_uv = ca.horzsplit(ca.jacobian(f_u, ca.vertcat(u, v)))
+    return tangent_geometry(f, f_u, f_v, (f_uu, f_uv, ca.jacobian(f_v, v)), orthogonal)
 
 
 def tangent_geometry(
-    point: ca.SX,
-    f_u: ca.SX,
-    f_v: ca.SX,
-    f_uu: ca.SX,
-    f_uv: ca.SX,
-    f_vv: ca.SX,
-    orthogonal: bool = False,
+    point: ca.SX, f_u: ca.SX, f_v: ca.SX, second: Sequence[ca.SX], orthogonal: bool = False
 ) -> ChartGeometry:
-    """Return every metric quantity from the derivatives of a chart, however they were found.
+    """Return every metric quantity from a chart's value and derivatives, however they were found.
 
-    Parameters
-    ----------
-    point, f_u, f_v, f_uu, f_uv, f_vv : SX (3, 1)
-        The chart's value and first and second partial derivatives.
-    orthogonal : bool
-        Promise that ``f_u . f_v`` vanishes identically.
+    All are (3, 1); the second ones are f_uu, f_uv, f_vv.
     """
     x, y, m = contact_frame(f_u, f_v, orthogonal)
     n = ca.cross(x, y)
-
-    def second(axis: ca.SX) -> ca.SX:
-        """Components of the second derivatives along one frame axis, symmetric 2x2."""
-        uu, uv, vv = (ca.dot(axis, d) for d in (f_uu, f_uv, f_vv))
-        return ca.vertcat(ca.horzcat(uu, uv), ca.horzcat(uv, vv))
-
-    along_x, along_y, along_n = second(x), second(y), second(n)
+    # components of the second derivatives along each axis
+    along_x, along_y, along_n = (
+        symmetric(*(ca.dot(axis, d) for d in second)) for axis in (x, y, n)
+    )
     # Gamma^k_ij = g^kl f_l.f_ij; with g = M^T M this is M^-1 [x y]^T f_ij, no metric inverse.
     gamma_v = along_y / m[1, 1]
     gamma_u = (along_x - m[0, 1] * gamma_v) / m[0, 0]
@@ -193,9 +158,6 @@ def revolved_geometry(
     """
     h_u, h_v = ca.SX(lame[0]), ca.SX(lame[1])
     (uu, uv), (vu, vv) = (ca.horzsplit(ca.jacobian(h, ca.vertcat(u, v))) for h in (h_u, h_v))
-    gamma_u = ca.vertcat(ca.horzcat(uu, uv), ca.horzcat(uv, -h_v * vu / h_u)) / h_u
-    gamma_v = ca.vertcat(ca.horzcat(-h_u * uv / h_v, vu), ca.horzcat(vu, vv)) / h_v
-    curvature = ca.substitute(shape.curvature_form, (u, v)[turning], 0)
     lengths = ca.vertcat(h_u, h_v)
     if poles:
         lengths[turning] = ca.fabs(lengths[turning])
@@ -203,10 +165,18 @@ def revolved_geometry(
         shape,
         metric_root=ca.diag(lengths),
         lame=lengths,
-        christoffel=(gamma_u, gamma_v),
-        curvature_form=curvature,
+        christoffel=(
+            symmetric(uu, uv, -h_v * vu / h_u) / h_u,
+            symmetric(-h_u * uv / h_v, vu, vv) / h_v,
+        ),
+        curvature_form=ca.substitute(shape.curvature_form, (u, v)[turning], 0),
         torsion_form=ca.horzcat(-uv / (h_u * h_v), vu / (h_u * h_v)),
     )
+
+
+def symmetric(a: ca.SX, b: ca.SX, c: ca.SX) -> ca.SX:
+    """Return the matrix [[a, b], [b, c]]."""
+    return ca.vertcat(ca.horzcat(a, b), ca.horzcat(b, c))
 
 
 def plane_turn(cos: ca.SX, sin: ca.SX) -> ca.SX:

@@ -32,30 +32,19 @@ if TYPE_CHECKING:
 
 
 class Operation(NamedTuple):
-    """One row of the table of operations.
-
-    Attributes
-    ----------
-    name : str
-        As in CasADi's OP_..., but for `FUSED`.
-    arity : int
-    c : str
-        C expression of the operands A, B, C (and D, E, F), or the function that runs it on lanes.
-    kind : str
-        "SIMPLE", "SIMPLE2" (with the operands D, E, F in a second row), "CALL1" or "CALL2".
-    """
+    """One row of the table of operations."""
 
     name: str
+    """As in CasADi's OP_..., but for `FUSED`."""
     arity: int
     c: str
+    """C expression of the operands A, B, C (and D, E, F), or C's function of so many numbers."""
     kind: str = "SIMPLE"
+    """"SIMPLE", "SIMPLE2" (with the operands D, E, F in a second row), "CALL1" or "CALL2"."""
 
 
 FUSED = ("FMA", "FMS", "FNMA", "DOT2", "DOT3")
-CALLS_1 = (
-    "SIN COS TAN ASIN ACOS ATAN SINH COSH TANH ASINH ACOSH ATANH EXP LOG LOG1P EXPM1 FLOOR CEIL"
-)
-CALLS_2 = "POW FMOD"
+CALLS = "SIN COS TAN ASIN ACOS ATAN SINH COSH TANH ASINH ACOSH ATANH EXP LOG LOG1P EXPM1 FLOOR CEIL"
 OPERATIONS = (
     Operation("ASSIGN", 1, "A"),
     Operation("ADD", 2, "A + B"),
@@ -84,13 +73,13 @@ OPERATIONS = (
     Operation("OR", 2, "A != 0 || B != 0 ? 1.0 : 0.0"),
     Operation("IF_ELSE_ZERO", 2, "A != 0 ? B : 0.0"),
     Operation("ATAN2", 2, "v_atan2(A, B)"),
-    *(Operation(n, 1, n.lower(), "CALL1") for n in CALLS_1.split()),
-    *(Operation(n, 2, n.lower(), "CALL2") for n in CALLS_2.split()),
+    *(Operation(name, 1, name.lower(), "CALL1") for name in CALLS.split()),
+    Operation("POW", 2, "pow", "CALL2"),
+    Operation("FMOD", 2, "fmod", "CALL2"),
 )
 """In the order of their codes in tables, which begin at 1; 0 ends a program."""
 
 CODES = {row.name: code for code, row in enumerate(OPERATIONS, start=1)}
-BY_NAME = {row.name: row for row in OPERATIONS}
 
 Value = tuple[Any, ...]
 """An operation's name and its operands, numbers of earlier values; or one of `LEAVES`."""
@@ -106,7 +95,7 @@ def replay(
     apply: Callable[[int, list[Any]], Any],
     constant: Callable[[float], Any] = lambda value: value,
 ) -> list[list[Any]]:
-    """Replay the scalar instructions of an SX function on scalars of any type.
+    """Replay the instructions of an SX function, dense throughout, on scalars of any type.
 
     The only place that reads CasADi's instructions. It works for mpmath numbers, Drake expressions
     and numbers of instructions alike.
@@ -114,17 +103,12 @@ def replay(
     Parameters
     ----------
     function : casadi.Function
-        An SX function with dense inputs and outputs.
     arguments : sequence of sequences
-        ``arguments[i][j]`` is the j-th scalar of input i (column-major).
+        The scalars of each input, column-major; those of each output are returned.
     apply : callable
         ``apply(op, operands)`` returns the value of the CasADi operation ``op``.
     constant : callable
         Turns a float constant of the expression into the scalar type.
-
-    Returns
-    -------
-    list of lists: the scalars of each output.
     """
     work: list[Any] = [None] * function.sz_w()
     results: list[list[Any]] = [
@@ -168,34 +152,31 @@ def _names() -> dict[int, str]:
 class _Values:
     """A program as values in the order of their computation, each once."""
 
-    def __init__(self, n_in: int, n_const: int):
+    def __init__(self, function: ca.Function):
         self.rows: list[Value] = []
         self.uniform: list[bool] = []
         """Whether a value depends on constants and literals alone."""
         self._numbers: dict[Value, int] = {}
-        self.inputs = [self.leaf("IN", i) for i in range(n_in)]
-        self.constants = [self.leaf("CONSTANT", i) for i in range(n_const)]
+        self.inputs = [self.put("IN", i) for i in range(function.numel_in(0))]
+        self.constants = [self.put("CONSTANT", i) for i in range(function.numel_in(1))]
+        given, literal = (self.inputs, self.constants), partial(self.put, "LITERAL")
+        self.results = replay(function, given, self.apply, literal)[0]
+        uses = Counter(j for row in self.rows if row[0] not in LEAVES for j in row[1:])
+        uses.update(self.results)
+        self.once = [uses[k] == 1 and not uniform for k, uniform in enumerate(self.uniform)]
+        """Whether a value at every point is used once."""
+        self._divide()
+        self._fuse()
 
-    def leaf(self, *value: Any) -> int:
-        number = self._numbers.setdefault(value, len(self.rows))
-        if number == len(self.rows):
-            self.rows.append(value)
-            self.uniform.append(value[0] != "IN")
-        return number
-
-    def put(self, name: str, a: int, b: int | None = None) -> int:
+    def put(self, name: str, *operands: Any) -> int:
         """The number of a value, a new one or one that is there."""
-        value: Value
-        if b is None:
-            value, uniform = (name, a), self.uniform[a]
-        else:
-            if a > b and name in COMMUTE:
-                a, b = b, a
-            value, uniform = (name, a, b), self.uniform[a] and self.uniform[b]
+        a, b = operands[0], operands[-1]
+        value = (name, b, a) if name in COMMUTE and a > b else (name, *operands)
         number = self._numbers.setdefault(value, len(self.rows))
         if number == len(self.rows):
             self.rows.append(value)
-            self.uniform.append(uniform)
+            known = name != "IN" if name in LEAVES else self.uniform[a] and self.uniform[b]
+            self.uniform.append(known)
         return number
 
     def apply(self, op: int, operands: list[int]) -> int:
@@ -212,61 +193,49 @@ class _Values:
             case "TWICE":
                 return self.put("ADD", a, a)
             case "HYPOT":
-                return self.put(
-                    "SQRT", self.put("ADD", self.put("MUL", a, a), self.put("MUL", b, b))
-                )
+                squares = self.put("MUL", a, a), self.put("MUL", b, b)
+                return self.put("SQRT", self.put("ADD", *squares))
             case "DIV" if not (self.uniform[a] and self.uniform[b]):
                 return self.put("MUL", a, self.put("INV", b))
         return self.put(name, *operands)
 
+    def _divide(self) -> None:
+        """Divide again by what nothing else is divided by: that is rounded once less."""
+        rows = self.rows
+        for k, (name, *operands) in enumerate(rows):
+            if name != "MUL":
+                continue
+            for inverse, other in (operands, operands[::-1]):
+                if rows[inverse][0] == "INV" and self.once[inverse]:
+                    rows[k] = ("DIV", other, rows[inverse][1])
+                    break
 
-def _read(function: ca.Function) -> tuple[_Values, list[int]]:
-    """The values of a function, and which are its results."""
-    values = _Values(function.numel_in(0), function.numel_in(1))
-    given = [values.inputs, values.constants]
-    return values, replay(function, given, values.apply, partial(values.leaf, "LITERAL"))[0]
-
-
-def _divide(rows: list[Value], uniform: list[bool], uses: Counter[int]) -> None:
-    """Divide again by what nothing else is divided by: that is rounded once less."""
-    for k, (name, *operands) in enumerate(rows):
-        if name != "MUL":
-            continue
-        for inverse, other in (operands, operands[::-1]):
-            if rows[inverse][0] == "INV" and uses[inverse] == 1 and not uniform[inverse]:
-                rows[k] = ("DIV", other, rows[inverse][1])
+    def _fuse(self) -> None:
+        """Put products that are used once into the sums that use them."""
+        rows = self.rows
+        for k, (name, *operands) in enumerate(rows):
+            if name not in ("ADD", "SUB") or self.uniform[k]:
+                continue
+            x, y = operands
+            for fused, other, product in (("FNMA", x, y), ("FMS", y, x)):
+                if rows[product][0] != "MUL" or not self.once[product]:
+                    continue
+                wider = {"MUL": "DOT2", "DOT2": "DOT3"}.get(rows[other][0])
+                if name == "SUB":
+                    rows[k] = (fused, *rows[product][1:], other)
+                elif wider and self.once[other]:
+                    rows[k] = (wider, *rows[other][1:], *rows[product][1:])
+                else:
+                    rows[k] = ("FMA", *rows[product][1:], other)
                 break
 
-
-def _fuse(rows: list[Value], uniform: list[bool], uses: Counter[int]) -> None:
-    """Put products that are used once into the sums that use them."""
-
-    def alone(j: int) -> bool:
-        return rows[j][0] == "MUL" and uses[j] == 1 and not uniform[j]
-
-    for k, (name, *operands) in enumerate(rows):
-        if name not in ("ADD", "SUB") or uniform[k]:
-            continue
-        x, y = operands
-        if name == "ADD" and alone(x) and alone(y):
-            rows[k] = ("DOT2", *rows[x][1:], *rows[y][1:])
-        elif name == "ADD" and rows[x][0] == "DOT2" and uses[x] == 1 and alone(y):
-            rows[k] = ("DOT3", *rows[x][1:], *rows[y][1:])
-        elif name == "ADD" and rows[y][0] == "DOT2" and uses[y] == 1 and alone(x):
-            rows[k] = ("DOT3", *rows[y][1:], *rows[x][1:])
-        elif alone(y):
-            rows[k] = ("FMA" if name == "ADD" else "FNMA", *rows[y][1:], x)
-        elif alone(x):
-            rows[k] = ("FMA" if name == "ADD" else "FMS", *rows[x][1:], y)
-
-
-def _live(rows: list[Value], results: list[int]) -> list[int]:
-    """What the results need, in the order of computation."""
-    needed = set(results)
-    for k in range(len(rows) - 1, -1, -1):
-        if k in needed and rows[k][0] not in LEAVES:
-            needed.update(rows[k][1:])
-    return sorted(needed)
+    def live(self) -> list[int]:
+        """What the results need, in the order of computation."""
+        needed = set(self.results)
+        for k in range(len(self.rows) - 1, -1, -1):
+            if k in needed and self.rows[k][0] not in LEAVES:
+                needed.update(self.rows[k][1:])
+        return sorted(needed)
 
 
 class Table:
@@ -285,22 +254,13 @@ class Table:
     """
 
     def __init__(self, function: ca.Function):
+        assert function.nnz_out(0) == function.numel_out(0), "results must be dense"
         with SYMBOLS:
-            self.n_in, self.n_const = function.numel_in(0), function.numel_in(1)
-            self.n_out = function.numel_out(0)
-            assert function.nnz_out(0) == self.n_out, "results must be dense"
-            values, results = _read(function)
-        rows, uniform = values.rows, values.uniform
-        uses = Counter(j for row in rows if row[0] not in LEAVES for j in row[1:])
-        uses.update(results)
-        _divide(rows, uniform, uses)
-        _fuse(rows, uniform, uses)
-        self._place(values, results, _live(rows, results))
-
-    def _place(self, values: _Values, results: list[int], live: list[int]) -> None:
-        """Give every value its register and write the instructions."""
-        rows, place = values.rows, dict[int, int]()
-        place.update((k, k) for k in (*values.inputs, *values.constants))
+            values = _Values(function)
+        rows, live = values.rows, values.live()
+        self.n_in, self.n_const = len(values.inputs), len(values.constants)
+        self.n_out = len(values.results)
+        place = {k: k for k in (*values.inputs, *values.constants)}
         literals = [k for k in live if rows[k][0] == "LITERAL"]
         steps = [k for k in live if rows[k][0] not in LEAVES]
         kept = [*literals, *(k for k in steps if values.uniform[k])]
@@ -309,7 +269,7 @@ class Table:
         self.first_out = self.first_lit + len(kept)
         place.update((k, self.first_lit + i) for i, k in enumerate(kept))
         copies = list[Step]()
-        for i, k in enumerate(results):
+        for i, k in enumerate(values.results):
             if k in place:
                 copies.append(("ASSIGN", self.first_out + i, [place[k]]))
             else:
@@ -323,10 +283,8 @@ class Table:
             registers = [place[j] for j in operands]
             free += {r for j, r in zip(operands, registers) if r >= first_free and last[j] == k}
             if k not in place:
-                if not free:
-                    free.append(self.n_regs)
-                    self.n_regs += 1
-                place[k] = free.pop()
+                place[k] = free.pop() if free else self.n_regs
+                self.n_regs = max(self.n_regs, place[k] + 1)
             (prologue if values.uniform[k] else body).append((name, place[k], registers))
         self.prologue, self.body = _words(prologue), _words(body + copies)
 
@@ -364,7 +322,7 @@ def _words(steps: list[Step]) -> np.ndarray:
     for name, to, registers in steps:
         padded = [*registers, 0, 0]
         rows.append((CODES[name], to, *padded[:3]))
-        if BY_NAME[name].kind == "SIMPLE2":
+        if OPERATIONS[CODES[name] - 1].kind == "SIMPLE2":
             rows.append((0, 0, *padded[3:6]))
     rows.append((0, 0, 0, 0, 0))
     return np.array(rows, dtype=np.uint16)
@@ -399,19 +357,19 @@ class SurfaceTables:
     @kept
     def ambient(self) -> tuple[Table | None, ...]:
         """State x, p: `development.IN_SPACE`."""
-        if not prefers_space(self.surface):
-            return (None,) * len(IN_SPACE)
-        body = moving(self.surface, True)
-        names = [name if self.surface.has_chart or name != "start" else None for name in IN_SPACE]
-        return tuple(None if name is None else Table(body(name)) for name in names)
+        return self._moving(prefers_space(self.surface), True, IN_SPACE)
 
     @kept
     def chart(self) -> tuple[Table | None, ...]:
         """State u, v, theta: `development.IN_CHART`, of bodies that may be moved so."""
-        if prefers_space(self.surface) and not self.surface.double_cover:
-            return (None,) * len(IN_CHART)
-        body = moving(self.surface, False)
-        return tuple(Table(body(name)) for name in IN_CHART)
+        wanted = self.surface.double_cover or not prefers_space(self.surface)
+        return self._moving(wanted, False, IN_CHART)
+
+    def _moving(self, wanted: bool, ambient: bool, names: Sequence[str]) -> tuple[Any, ...]:
+        if not wanted:
+            return (None,) * len(names)
+        body, missing = moving(self.surface, ambient), () if self.surface.has_chart else ("start",)
+        return tuple(None if name in missing else Table(body(name)) for name in names)
 
     @kept
     def other(self) -> tuple[Table | None, ...]:

@@ -1,8 +1,7 @@
 r"""Polynomials with exact integrals, and the path profile sigma(t).
 
-Products, squares and shifts of polynomials are formed exactly, in integers over one power of two
-(as `fractions.Fraction` would, several times as fast), and rounded once. So nothing about sigma or
-its integrals is integrated numerically.
+Products and shifts of polynomials are formed exactly, in fractions, and rounded once. So nothing
+about sigma or its integrals is integrated numerically.
 """
 
 from __future__ import annotations
@@ -10,6 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache, reduce
+from itertools import zip_longest
+from operator import mul
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,8 +24,8 @@ from ..kept import kept
 Coefficients = tuple[float, ...]
 """Coefficients of a polynomial, lowest power first."""
 
-Exact = tuple[Sequence[int], int]
-"""The same in rational numbers: numerators and the denominator of all, a power of two."""
+Exact = tuple[Fraction, ...]
+"""The same in rational numbers."""
 
 Numbers = Sequence[float] | np.ndarray
 """What users may give for a few numbers, all of which are kept as tuples of floats."""
@@ -45,21 +48,15 @@ def polynomial(coefficients: Sequence, t):
     return result + coefficients[0]
 
 
-def _noise(coefficients: Sequence[float], t: float) -> float:
-    """Bound of the rounding error of `polynomial`, which also forgives rounded coefficients."""
-    return (
-        4e-16 * len(coefficients) * polynomial([abs(c) for c in coefficients], abs(t)) if t else 0.0
-    )
-
-
 def clear_value(coefficients: Sequence[float], t: float) -> float:
-    """The value at t, or 0 where its sign cannot be told from rounding."""
+    """The value at t, or 0 where its sign cannot be told from rounding, of coefficients too."""
     value = polynomial(coefficients, t)
-    return value if abs(value) > _noise(coefficients, t) else 0.0
+    terms = polynomial([*map(abs, coefficients)], abs(t)) if t else 0.0
+    return value if abs(value) > 4e-16 * len(coefficients) * terms else 0.0
 
 
 def derivative(coefficients: Sequence[float]) -> Coefficients:
-    return tuple(k * c for k, c in enumerate(coefficients))[1:] or (0.0,)
+    return tuple(map(mul, range(1, len(coefficients)), coefficients[1:])) or (0.0,)
 
 
 def integral(coefficients: Sequence) -> tuple:
@@ -76,29 +73,21 @@ def product(a: Sequence, b: Sequence) -> tuple:
     return tuple(result)
 
 
-def exact(coefficients: Sequence[float]) -> Exact:
-    ratios = [c.as_integer_ratio() for c in coefficients]
-    whole = max(below for _, below in ratios)
-    return [above * (whole // below) for above, below in ratios], whole
-
-
 def exact_product(*factors: Sequence[float]) -> Exact:
     """Exact product of polynomials."""
-    numerators, whole = exact(factors[0])
-    for factor in factors[1:]:
-        others, below = exact(factor)
-        numerators, whole = product(numerators, others), whole * below
-    return numerators, whole
+    return reduce(product, (tuple(map(Fraction, factor)) for factor in factors))
 
 
 def rounded(*terms: Exact) -> Coefficients:
     """Sum of exact polynomials, each coefficient rounded once."""
-    whole = max(below for _, below in terms)
-    total = [0] * max(len(numerators) for numerators, _ in terms)
-    for numerators, below in terms:
-        for k, x in enumerate(numerators):
-            total[k] += x * (whole // below)
-    return tuple(x / whole for x in total)
+    sums = map(sum, zip_longest(*terms, fillvalue=Fraction()))
+    return tuple(map(float, sums))
+
+
+@lru_cache(maxsize=64)
+def rounded_product(*factors: Coefficients) -> Coefficients:
+    """Product of polynomials, each coefficient rounded once."""
+    return rounded(exact_product(*factors))
 
 
 def sign_changes(coefficients: Sequence[float], start: float, stop: float) -> list[float]:
@@ -172,15 +161,20 @@ class Profile:
 
     def arc_length(self, t):
         """s(t) = int_0^t sigma [m]; t [s] of any shape."""
-        return polynomial(self._arc_length, as_time(t))
+        return polynomial(integral(self.coefficients), as_time(t))
 
     def energy(self, t):
         """int_0^t sigma^2 [m^2/s]; t [s] of any shape."""
-        return polynomial(self._energy, as_time(t))
+        return polynomial(integral(self.square), as_time(t))
 
     def shifted(self, t0: float) -> Coefficients:
         """Coefficients of tau -> sigma(t0 + tau), each rounded once."""
-        return _shifted(self.coefficients, finite_number(t0, "t0"))
+        c, start = exact_product(self.coefficients), Fraction(finite_number(t0, "t0"))
+        powers = range(len(c))
+        return tuple(
+            float(sum(math.comb(j, k) * c[j] * start ** (j - k) for j in powers[k:]))
+            for k in powers
+        )
 
     def extrema(self, t0: float, t1: float) -> tuple[float, ...]:
         """Times inside (t0, t1) at which sigma' changes sign, ascending [s]."""
@@ -253,34 +247,12 @@ class Profile:
     @kept
     def square(self) -> Coefficients:
         """Coefficients of sigma^2."""
-        return rounded(exact_product(self.coefficients, self.coefficients))
+        return rounded_product(self.coefficients, self.coefficients)
 
     @kept
     def slope(self) -> Coefficients:
         """Coefficients of sigma'."""
         return derivative(self.coefficients)
-
-    @kept
-    def _arc_length(self) -> Coefficients:
-        return integral(self.coefficients)
-
-    @kept
-    def _energy(self) -> Coefficients:
-        return integral(self.square)
-
-
-def _shifted(coefficients: Coefficients, t0: float) -> Coefficients:
-    if t0 == 0:
-        return coefficients
-    numerators, whole = exact(coefficients)
-    step, unit = t0.as_integer_ratio()
-    last = len(numerators) - 1
-    scaled = [x * unit ** (last - j) for j, x in enumerate(numerators)]
-    return tuple(
-        sum(math.comb(j, k) * scaled[j] * step ** (j - k) for j in range(k, last + 1))
-        / (whole * unit ** (last - k))
-        for k in range(last + 1)
-    )
 
 
 def as_time(t):

@@ -6,6 +6,7 @@ scene of bundled surfaces makes no symbols, and so never loads it.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import threading
 from collections.abc import Callable
@@ -31,29 +32,27 @@ def __getattr__(name: str) -> Any:
     return found
 
 
+@dataclasses.dataclass(frozen=True)
 class _Alike:
     """A surface in the place of all of its structure and side, which differ in numbers alone."""
 
-    def __init__(self, surface: Any):
-        self.surface, self.key = surface, (surface.structure, surface.inside)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Alike) and self.key == other.key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
+    key: tuple[Any, ...]
+    surface: Any = dataclasses.field(compare=False)
 
 
 def per_structure(build: Callable[..., Any]) -> Callable[..., Any]:
     """Keep the latest results of a maker of symbols, by structure and side of surfaces it takes."""
 
     @functools.lru_cache(maxsize=MOST_KEPT)
-    def made(*keys: Any) -> Any:
+    def made(*given: Any) -> Any:
         with SYMBOLS:
-            return build(*(k.surface if isinstance(k, _Alike) else k for k in keys))
+            return build(*(k.surface if isinstance(k, _Alike) else k for k in given))
 
     @functools.wraps(build)
-    def kept(*arguments: Any) -> Any:
-        return made(*(_Alike(a) if hasattr(a, "structure") else a for a in arguments))
+    def kept(*given: Any) -> Any:
+        surfaces = (
+            _Alike((a.structure, a.inside), a) if hasattr(a, "structure") else a for a in given
+        )
+        return made(*surfaces)
 
     return kept

@@ -113,7 +113,7 @@ static void coordinates(const memory_t *now, long i, int body, const moment_t *m
   const contact_t *k = &now->contact[i];
   int later;
   const long left = before(k, tau, &later);
-  const double(*anchor)[3] = (const double(*)[3])k->anchor[body] + left;
+  const double (*anchor)[3] = (const double (*)[3])k->anchor[body] + left;
   const double first = k->from + 0.25 * left * (k->to - k->from);
   wind_between(&(path_t){now, i, body}, anchor[0], anchor[1], first, later, tau, out);
 }
@@ -338,8 +338,9 @@ static void settle(component_t *c) {
   now->settled = 1;
 }
 
-#define AT_REST "sigma is zero, and an acceleration cannot act on a path that rests; accelerate " \
-                "while sigma > 0, or disturb the object's rates"
+#define AT_REST                                                                                    \
+  "sigma is zero, and an acceleration cannot act on a path that rests; accelerate "                \
+  "while sigma > 0, or disturb the object's rates"
 
 /* Whether a contact is accelerated where its path comes to rest. */
 static int pushed_at_rest(const contact_t *k) {
@@ -359,7 +360,8 @@ static const char *obstacle(const contact_t *k) {
 static void outputs_at(const memory_t *now, long i, const moment_t *m, double *out) {
   form_of(now, i)->outputs((const double *const[]){&now->time, m->frame[0], m->frame[1], m->w1v,
                                                    m->disturbance, law(now), numbers(now, i, 0),
-                                                   numbers(now, i, 1)}, out);
+                                                   numbers(now, i, 1)},
+                           out);
 }
 
 /* Rotation of contact i's pose at a local time */
@@ -406,8 +408,9 @@ static status_t advance(component_t *c, long i, double tau) {
     if (too_many && !pushed_at_rest(k))
       return report(c, FAILED, "logStatusError",
                     "contact %ld: a step of %.9g s to t = %.9g s is too long, it would take more "
-                    "than %ld pieces of motion (they reach t = %.9g s); make shorter steps", i + 1,
-                    k->begin + tau - now->time, k->begin + tau, MOST_PANELS, k->begin + k->to);
+                    "than %ld pieces of motion (they reach t = %.9g s); make shorter steps",
+                    i + 1, k->begin + tau - now->time, k->begin + tau, MOST_PANELS,
+                    k->begin + k->to);
     int made = too_many || !(k->next > 1e-13 * (end < tau ? end : tau))
                    ? -1
                    : panel(&m, &s, k->last, c->trial, after);
@@ -542,10 +545,12 @@ static int has_frames(component_t *c, long i) {
   for (int body = 0; body < 2; body++) {
     const double left = regularity(&c->now, i, body);
     if (!c->now.stepping && left < NEAR && !c->warned[i][body])
-      report(c, OK, "logStatusWarning", "contact[%ld].%s: at t = %.9g s the path is within %.2g of "
+      report(c, OK, "logStatusWarning",
+             "contact[%ld].%s: at t = %.9g s the path is within %.2g of "
              "the body's size of a singular point of its chart (a pole or an umbilic), where a "
              "solver takes tiny steps or stops; start elsewhere, or run the Co-Simulation, which "
-             "passes such points", i + 1, body ? "object" : "finger", c->now.time, fabs(left));
+             "passes such points",
+             i + 1, body ? "object" : "finger", c->now.time, fabs(left));
     c->warned[i][body] = left < NEAR;
     all &= left > 0;
   }
@@ -560,9 +565,10 @@ static int is_defined(component_t *c, long i) { return !past_end(&c->now) && has
 static status_t refuse(component_t *c, const char *what) {
   const memory_t *now = &c->now;
   if (past_end(now))
-    return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s: sigma is "
-                  "negative from t = %.9g s on; end there, or change the profile", what, now->time,
-                  now->limit);
+    return report(c, DISCARD, "logStatusDiscard",
+                  "%s has no value at t = %.17g s: sigma is "
+                  "negative from t = %.9g s on; end there, or change the profile",
+                  what, now->time, now->limit);
   int framed = 1;
   for (long i = 0; i < 2L * N_CONTACTS; i++) framed &= regularity(now, i / 2, (int)(i % 2)) > 0;
   if (rests(now) && framed)
@@ -590,10 +596,14 @@ static void find(component_t *c, long i, unsigned group) {
       for (long j = first; j < end; j++) value[j] = NAN;
   } else {
     if (group == RATES || group == SLIP) find(c, i, STATE);
-    if (group == STATE) find_states(c, i);
-    else if (group == RATES) find_other_rates(now, i);
-    else if (group == SLIP) find_slip(c, i);
-    else outputs_at(now, i, present(c, i), value + AT_TWIST);
+    if (group == STATE)
+      find_states(c, i);
+    else if (group == RATES)
+      find_other_rates(now, i);
+    else if (group == SLIP)
+      find_slip(c, i);
+    else
+      outputs_at(now, i, present(c, i), value + AT_TWIST);
   }
   now->valid[i] |= group;
 }
@@ -643,8 +653,10 @@ void set_value(component_t *c, unsigned reference, double value) {
 status_t set_slope(component_t *c, unsigned reference, double slope) {
   const long offset = (long)reference - places[0].block;
   if (!(fabs(slope) <= DBL_MAX))
-    return report(c, DISCARD, "logStatusDiscard", "%s: the derivative %g is refused; give a finite "
-                  "number", names[reference], slope);
+    return report(c, DISCARD, "logStatusDiscard",
+                  "%s: the derivative %g is refused; give a finite "
+                  "number",
+                  names[reference], slope);
   c->now.input_slope[offset / BLOCK_SIZE][offset % BLOCK_SIZE] = slope;
   c->now.slope_begin = c->now.time;
   c->now.settled = 0;
@@ -707,20 +719,24 @@ status_t start(component_t *c) {
                   "sigma is negative from t = %.9g s on; change the profile", now->time);
   for (const order_t *o = orders; o->greater; o++)
     if (o->less == o->greater && now->value[o->less] != start_values[o->less])
-      return report(c, FAILED, "logStatusError", "%s = %.9g is refused: the parameters of this "
+      return report(c, FAILED, "logStatusError",
+                    "%s = %.9g is refused: the parameters of this "
                     "surface depend on each other and cannot be set individually; export a scene "
-                    "with another surface", names[o->less], now->value[o->less]);
+                    "with another surface",
+                    names[o->less], now->value[o->less]);
     else if (o->less != o->greater && !(now->value[o->greater] > now->value[o->less]))
-      return report(c, FAILED, "logStatusError", "%s = %.9g is refused: it must be greater than "
+      return report(c, FAILED, "logStatusError",
+                    "%s = %.9g is refused: it must be greater than "
                     "%s = %.9g, or the surface is of another kind; export a scene that has it",
-                    names[o->greater], now->value[o->greater], names[o->less],
-                    now->value[o->less]);
+                    names[o->greater], now->value[o->greater], names[o->less], now->value[o->less]);
   enter_windows(c);
   for (long i = 0; i < N_CONTACTS; i++) {
     const char *wrong = place_contact(now, i);
     if (wrong)
-      return report(c, FAILED, "logStatusError", "contact %ld cannot start: %s; change its "
-                    "coordinates or the parameters of the surface", i + 1, wrong);
+      return report(c, FAILED, "logStatusError",
+                    "contact %ld cannot start: %s; change its "
+                    "coordinates or the parameters of the surface",
+                    i + 1, wrong);
   }
   now->settled = 1;
   return OK;
@@ -742,8 +758,10 @@ status_t step(component_t *c, double target, int stop_at_windows, int *edge) {
   *edge = 0;
   now->ended = target > now->limit && !reached(now->limit, target);
   if (now->ended)
-    return report(c, DISCARD, "logStatusDiscard", "no step to t = %.9g s: sigma is negative from "
-                  "t = %.9g s on; end there, or change the profile", target, now->limit);
+    return report(c, DISCARD, "logStatusDiscard",
+                  "no step to t = %.9g s: sigma is negative from "
+                  "t = %.9g s on; end there, or change the profile",
+                  target, now->limit);
   if (now->pending) enter_windows(c);
   settle(c);
   while (!*edge && now->time < target) {
@@ -772,8 +790,10 @@ static unsigned state_reference(long k) {
 status_t set_states(component_t *c, const double *state) {
   const long n = (long)SYSTEM_STATES * N_CONTACTS, wrong = not_finite(state, n);
   if (wrong < n)
-    return report(c, DISCARD, "logStatusDiscard", "%s = %g is refused; give finite continuous "
-                  "states", names[state_reference(wrong)], state[wrong]);
+    return report(c, DISCARD, "logStatusDiscard",
+                  "%s = %g is refused; give finite continuous "
+                  "states",
+                  names[state_reference(wrong)], state[wrong]);
   for (long i = 0; i < N_CONTACTS; i++)
     memcpy(c->now.value + places[i].block + AT_STATE, state + SYSTEM_STATES * i,
            SYSTEM_STATES * sizeof *state);
@@ -783,8 +803,8 @@ status_t set_states(component_t *c, const double *state) {
 
 static status_t get_all(component_t *c, long at, double *out) {
   for (long i = 0; i < N_CONTACTS; i++) {
-    status_t s = get_values(c, (unsigned)(places[i].block + at), SYSTEM_STATES,
-                            out + SYSTEM_STATES * i);
+    status_t s =
+        get_values(c, (unsigned)(places[i].block + at), SYSTEM_STATES, out + SYSTEM_STATES * i);
     if (s) return s;
   }
   return OK;
@@ -829,8 +849,10 @@ void forward(component_t *c) {
   memcpy(c->grown, c->seed, sizeof c->grown);
   for (long i = 0; i < N_CONTACTS; i++) {
     double *grown = c->grown + places[i].block + AT_RATE;
-    if (prepare(c, i, disturbance, a)) places[i].kind->forward(a, grown);
-    else no_numbers(grown, BLOCK_SIZE - AT_RATE);
+    if (prepare(c, i, disturbance, a))
+      places[i].kind->forward(a, grown);
+    else
+      no_numbers(grown, BLOCK_SIZE - AT_RATE);
   }
 }
 
@@ -846,8 +868,10 @@ void reverse(component_t *c) {
     if (all_zero(c->seed + block + AT_RATE, BLOCK_SIZE - AT_RATE)) continue;
     const int found = prepare(c, i, disturbance, a);
     a[6] = c->seed + block + AT_RATE;
-    if (found) kind->reverse(a, product);
-    else no_numbers(product, sizeof product / sizeof *product);
+    if (found)
+      kind->reverse(a, product);
+    else
+      no_numbers(product, sizeof product / sizeof *product);
     const double *from = product;
     for (int k = 0; k < 6; from += count[k++])
       for (long j = 0; j < count[k]; j++) c->grown[first[k] + j] += from[j];

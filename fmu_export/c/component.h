@@ -39,7 +39,7 @@ enum { BODY = 5, FRAME_ANGLE = 2, VELOCITY = 3, ANGLE = 10 };
 
 typedef enum { OK, WARNING, DISCARD, FAILED } status_t; /* numbered as in FMI 2 and 3 */
 
-enum { PATH, TIME, GUARANTEED }; /* gain laws */
+enum { PATH, TIME, GUARANTEED };                                /* gain laws */
 enum { CALCULATED, INDEPENDENT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is; see `kinds` */
 
 /* --- what model.c says of the scene ----------------------------------------------------------- */
@@ -79,17 +79,17 @@ typedef struct {
 
 typedef struct {
   form_t form[N_FORMS];
-  kernel_t start;         /* states, numbers of both -> frames, W1, V in the forms of DRIVEN */
-  kernel_t spatial[2];    /* u v theta, numbers -> x p; NULL where no form changes */
-  kernel_t lame[2];       /* u v theta, numbers -> h_u h_v, and what restricts charts */
-  kernel_t regularity;    /* states, numbers of both -> least Lame coefficients, signed */
-  kernel_t velocity;      /* turns of the frames, W1 V -> path velocities of finger and object */
-  kernel_t drive;         /* sigma, W1 V -> velocities of both contact points along their frames */
+  kernel_t start;          /* states, numbers of both -> frames, W1, V in the forms of DRIVEN */
+  kernel_t spatial[2];     /* u v theta, numbers -> x p; NULL where no form changes */
+  kernel_t lame[2];        /* u v theta, numbers -> h_u h_v, and what restricts charts */
+  kernel_t regularity;     /* states, numbers of both -> least Lame coefficients, signed */
+  kernel_t velocity;       /* turns of the frames, W1 V -> path velocities of finger and object */
+  kernel_t drive;          /* sigma, W1 V -> velocities of both contact points along their frames */
   kernel_t rates, results; /* time, states, disturbance, law, numbers: AT_RATE.., AT_SLIP.. */
   kernel_t forward, reverse; /* the same and seeds: products with their Jacobian */
   long n_numbers[2];
-  winding_t winding[2];   /* of the coordinates */
-  int charted;            /* whether a body is moved in a user's chart, which may have poles */
+  winding_t winding[2]; /* of the coordinates */
+  int charted;          /* whether a body is moved in a user's chart, which may have poles */
 } contact_kind_t;
 
 typedef struct {
@@ -124,31 +124,40 @@ extern const char *const model_token, *const names[N_VALUES]; /* of every value,
 /* A contact's motion from `begin` on, while nothing that acts on it changes. */
 typedef struct {
   int form, power;
-  double begin, end;                      /* s; `end`: the next edge that concerns this contact */
-  double disturbance[6], slope[6], eta;   /* what acts: input and windows, input rates, gain */
+  double begin, end;                    /* s; `end`: the next edge that concerns this contact */
+  double disturbance[6], slope[6], eta; /* what acts: input and windows, input rates, gain */
   double sigma[MAX_SIGMA], exponent[MAX_EXPONENT];
   long n_sigma, n_exponent;
-  double w1[2], v[2];                     /* at begin */
+  double w1[2], v[2]; /* at begin */
   double constants[MAX_CONSTANTS], scale[MAX_STATES], greatest;
-  double from, to, next;                  /* current panel, local time; length to try next */
+  double from, to, next; /* current panel, local time; length to try next */
   double first[MAX_STATES], last[MAX_STATES], series[MAX_STATES * TERMS];
   /* u v theta of both bodies at the quarters of the panel */
   double anchor[2][5][3];
-  double turn[2];                         /* from the frames moved here to those of the states */
-  double theta;                           /* of the object, where the results stand */
+  double turn[2]; /* from the frames moved here to those of the states */
+  double theta;   /* of the object, where the results stand */
 } contact_t;
 
-typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, EVENT = 4, CONTINUOUS = 8, STEP = 16,
-               TERMINATED = 32, BROKEN = 64, CONFIGURATION = 128, INTERMEDIATE = 256 } phase_t;
+typedef enum {
+  INSTANTIATED = 1,
+  INITIALIZATION = 2,
+  EVENT = 4,
+  CONTINUOUS = 8,
+  STEP = 16,
+  TERMINATED = 32,
+  BROKEN = 64,
+  CONFIGURATION = 128,
+  INTERMEDIATE = 256
+} phase_t;
 
 /* Everything that changes, and nothing else: the FMU state is a copy of it. No pointers. */
 typedef struct {
   int phase, stepping, uses_events, settled;
-  int pending;              /* an edge is reached, its windows are not yet taken over */
+  int pending; /* an edge is reached, its windows are not yet taken over */
   double time, stop_time;
-  double limit;             /* where sigma turns negative */
-  int ended;                /* the last step asked for goes beyond that, or an event was there */
-  double knots[MAX_KNOTS];  /* where sigma grows, from knots[2 k] to knots[2 k + 1] */
+  double limit;            /* where sigma turns negative */
+  int ended;               /* the last step asked for goes beyond that, or an event was there */
+  double knots[MAX_KNOTS]; /* where sigma grows, from knots[2 k] to knots[2 k + 1] */
   long n_knots;
   double value[N_VALUES];
   double input_slope[N_CONTACTS][6], slope_begin, window[N_CONTACTS][6];
@@ -165,15 +174,15 @@ typedef struct {
 typedef struct component {
   memory_t now;
   contact_t before[N_CONTACTS]; /* as a step found them, should it fail */
-  moment_t moment[N_CONTACTS]; /* at the present time, where memory_t.valid says so */
-  int warned[N_CONTACTS][2];   /* the path is near a pole, and the log says so */
+  moment_t moment[N_CONTACTS];  /* at the present time, where memory_t.valid says so */
+  int warned[N_CONTACTS][2];    /* the path is near a pole, and the log says so */
   double trial[MAX_STATES * TERMS], seed[N_VALUES], grown[N_VALUES];
   void (*report)(struct component *, status_t, const char *category, const char *text);
   void *host; /* of the FMI layer */
 } component_t;
 
 /* whether states are given and results follow from them, else frames are */
-#define SYSTEM(now) \
+#define SYSTEM(now)                                                                                \
   (!(now)->stepping || ((now)->phase & (INSTANTIATED | CONFIGURATION | INITIALIZATION)))
 
 static inline const double *law(const memory_t *now) { return now->value + GAIN; }
@@ -269,15 +278,15 @@ void set_value(component_t *, unsigned reference, double value); /* checked befo
 status_t get_values(component_t *, unsigned reference, long count, double *value);
 status_t set_slope(component_t *, unsigned reference, double slope);
 
-status_t start(component_t *);                 /* end of initialization */
+status_t start(component_t *); /* end of initialization */
 status_t step(component_t *, double target, int stop_at_windows, int *edge);
-void study_profile(memory_t *);                /* where sigma grows and ends */
+void study_profile(memory_t *); /* where sigma grows and ends */
 /* Whether a system of equations is asked about times after sigma's end. A solver may look there
    from within its last step, until an event has told the importer that this is the end. */
 int past_end(const memory_t *);
-double next_window(const memory_t *);          /* where one begins or ends; HUGE_VAL: nowhere */
-double next_edge(const memory_t *);            /* the same, of the gain's pieces and sigma too */
-void enter_windows(component_t *);             /* take over what the windows say at this time */
+double next_window(const memory_t *); /* where one begins or ends; HUGE_VAL: nowhere */
+double next_edge(const memory_t *);   /* the same, of the gain's pieces and sigma too */
+void enter_windows(component_t *);    /* take over what the windows say at this time */
 
 void set_time(component_t *, double time);
 status_t set_states(component_t *, const double *state);

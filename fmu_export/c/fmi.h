@@ -45,8 +45,9 @@ static inline int is_told(const instance_t *instance, status_t status, const cha
 
 static inline status_t allowed(component_t *c, const char *function, int phases) {
   static const char *const name[] = {
-      "instantiated", "initialization mode", "event mode", "continuous-time mode", "step mode",
-      "terminated", "after a failed step", "configuration mode", "intermediate update mode"};
+      "instantiated",         "initialization mode", "event mode",
+      "continuous-time mode", "step mode",           "terminated",
+      "after a failed step",  "configuration mode",  "intermediate update mode"};
   const int phase = c->now.phase, never = c->now.stepping ? CONTINUOUS : STEP | BROKEN;
   const int over = phase & (TERMINATED | BROKEN);
   const char *own = "", *remedy = over ? "; reset, or set an FMU state" : "";
@@ -60,22 +61,22 @@ static inline status_t allowed(component_t *c, const char *function, int phases)
                 function, own, *others ? others : "the other interface", remedy);
 }
 
-#define BEGIN(function, phases)                                          \
-  if (!instance) return (STATUS)FAILED;                                  \
-  component_t *c = &((instance_t *)instance)->component;                 \
+#define BEGIN(function, phases)                                                                    \
+  if (!instance) return (STATUS)FAILED;                                                            \
+  component_t *c = &((instance_t *)instance)->component;                                           \
   if (allowed(c, function, phases)) return (STATUS)FAILED
 
 #define NO_SUCH "there is no variable with value reference %u; see modelDescription.xml"
 #define REFUSE(...) return (STATUS)report(c, FAILED, "logStatusError", __VA_ARGS__)
 /* Functions of one interface only, of Model Exchange or of Co-Simulation */
-#define SYSTEM_ONLY(function, phases)                                                 \
-  BEGIN(function, phases);                                                            \
+#define SYSTEM_ONLY(function, phases)                                                              \
+  BEGIN(function, phases);                                                                         \
   if (c->now.stepping) REFUSE(function ": the instance was made for Co-Simulation")
-#define STEPPING_ONLY(function, phases)                                               \
-  BEGIN(function, phases);                                                            \
+#define STEPPING_ONLY(function, phases)                                                            \
+  BEGIN(function, phases);                                                                         \
   if (!c->now.stepping) REFUSE(function ": the instance was made for Model Exchange")
-#define OF_SIZE(function, pointer, count, right) \
-  if (!(pointer) || (count) != (size_t)(right))  \
+#define OF_SIZE(function, pointer, count, right)                                                   \
+  if (!(pointer) || (count) != (size_t)(right))                                                    \
   REFUSE(function ": a pointer is missing, or the count is wrong")
 
 /* Some categories, or without any all of them. */
@@ -93,12 +94,17 @@ static inline int settable(const memory_t *now, unsigned reference) {
   const int before = INSTANTIATED | CONFIGURATION | INITIALIZATION;
   const int free = before | EVENT | (now->uses_events ? 0 : STEP);
   switch (kinds[reference]) {
-    case FIXED: return now->phase & before;
-    /* Importers such as CasADi's set continuous states one by one. */
-    case EXACT: return now->phase & (before | (now->stepping ? 0 : EVENT | CONTINUOUS));
-    case TUNABLE: return now->phase & free;
-    case INPUT: return now->phase & (before | EVENT | CONTINUOUS | STEP);
-    default: return 0;
+  case FIXED:
+    return now->phase & before;
+  /* Importers such as CasADi's set continuous states one by one. */
+  case EXACT:
+    return now->phase & (before | (now->stepping ? 0 : EVENT | CONTINUOUS));
+  case TUNABLE:
+    return now->phase & free;
+  case INPUT:
+    return now->phase & (before | EVENT | CONTINUOUS | STEP);
+  default:
+    return 0;
   }
 }
 
@@ -143,7 +149,8 @@ static inline status_t save(component_t *c, void **state) {
 static inline saved_t *saved(component_t *c, void *state) {
   saved_t *s = state;
   if (s && s->model == model_digest()) return s;
-  report(c, FAILED, "logStatusError", "this is no FMU state, or another model's; give one "
+  report(c, FAILED, "logStatusError",
+         "this is no FMU state, or another model's; give one "
          "that this model handed out and that has not been freed");
   return NULL;
 }
@@ -170,8 +177,10 @@ static inline status_t read_bytes(component_t *c, const unsigned char *bytes, si
                                : read_state(bytes, count, &s->memory);
   if (wrong) {
     free(s);
-    return report(c, FAILED, "logStatusError", "serialized FMU state refused: %s; use the bytes "
-                  "that this FMU wrote, as they are", wrong);
+    return report(c, FAILED, "logStatusError",
+                  "serialized FMU state refused: %s; use the bytes "
+                  "that this FMU wrote, as they are",
+                  wrong);
   }
   s->model = model_digest();
   if (*state) free(*state);
@@ -182,22 +191,29 @@ static inline status_t read_bytes(component_t *c, const unsigned char *bytes, si
 /* FMI leaves the sign of the start open; a scene's profile and windows count from t = 0. */
 static inline status_t check_times(component_t *c, double start, int stop_defined, double stop) {
   if (start >= 0 && start < 1e300 && (!stop_defined || stop >= start)) return OK;
-  return report(c, FAILED, "logStatusError", "start %g s and stop %g s are refused; give "
-                "0 <= start <= stop, the profile counts from t = 0", start,
-                stop_defined ? stop : HUGE_VAL);
+  return report(c, FAILED, "logStatusError",
+                "start %g s and stop %g s are refused; give "
+                "0 <= start <= stop, the profile counts from t = 0",
+                start, stop_defined ? stop : HUGE_VAL);
 }
 
 static inline status_t check_step(component_t *c, double from, double size) {
   const double end = from + size, room = 1e-9 * fmax(1.0, fabs(end));
   if (!(size > 0) || !(fabs(end) < 1e300)) /* FMI 2 and 3 alike: h must be greater than 0 */
-    return report(c, FAILED, "logStatusError", "a step of %g s from t = %g s is refused; give a "
-                  "positive length; to go back, set an FMU state", size, from);
+    return report(c, FAILED, "logStatusError",
+                  "a step of %g s from t = %g s is refused; give a "
+                  "positive length; to go back, set an FMU state",
+                  size, from);
   if (fabs(from - c->now.time) > room)
-    return report(c, FAILED, "logStatusError", "the step begins at t = %.17g s, but the instance "
-                  "stands at t = %.17g s; give that time, or set an FMU state", from, c->now.time);
+    return report(c, FAILED, "logStatusError",
+                  "the step begins at t = %.17g s, but the instance "
+                  "stands at t = %.17g s; give that time, or set an FMU state",
+                  from, c->now.time);
   if (end > c->now.stop_time + room)
-    return report(c, FAILED, "logStatusError", "the step ends at t = %.17g s, after the stop time "
-                  "%.17g s; give a later one, or none", end, c->now.stop_time);
+    return report(c, FAILED, "logStatusError",
+                  "the step ends at t = %.17g s, after the stop time "
+                  "%.17g s; give a later one, or none",
+                  end, c->now.stop_time);
   return OK;
 }
 

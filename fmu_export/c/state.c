@@ -32,8 +32,9 @@ static int is_flag(int x) { return x == 0 || x == 1; }
 static const char *check_memory(const memory_t *now) {
   const int phases = INSTANTIATED | CONFIGURATION | INITIALIZATION | EVENT | CONTINUOUS | STEP |
                      TERMINATED | BROKEN;
-  const int other =
-      !now->stepping ? STEP | BROKEN : now->uses_events ? CONTINUOUS : CONTINUOUS | EVENT;
+  const int other = !now->stepping     ? STEP | BROKEN
+                    : now->uses_events ? CONTINUOUS
+                                       : CONTINUOUS | EVENT;
   if (now->phase <= 0 || now->phase & (now->phase - 1) || !(now->phase & phases & ~other))
     return "its phase is none that an instance can be in";
   if (!is_flag(now->stepping) || !is_flag(now->uses_events) || !is_flag(now->settled) ||
@@ -66,12 +67,26 @@ static const char *check_contact(const memory_t *now, long i) {
   if (!(fabs(k->begin) < 1e300) || !(k->begin <= now->time) || k->end != k->end ||
       !(0 <= k->from && k->from <= k->to))
     return "the times of a contact are out of range";
-  const struct { const double *first; long count; } parts[] = {
-      {k->disturbance, 6}, {k->slope, 6}, {&k->eta, 1}, {k->sigma, MAX_SIGMA},
-      {k->exponent, MAX_EXPONENT}, {k->w1, 2}, {k->v, 2}, {k->constants, MAX_CONSTANTS},
-      {k->scale, MAX_STATES}, {&k->greatest, 1}, {&k->to, 1}, {&k->next, 1},
-      {k->first, MAX_STATES}, {k->last, MAX_STATES}, {k->series, MAX_STATES * TERMS},
-      {k->anchor[0][0], 2 * 5 * 3}, {k->turn, 2}};
+  const struct {
+    const double *first;
+    long count;
+  } parts[] = {{k->disturbance, 6},
+               {k->slope, 6},
+               {&k->eta, 1},
+               {k->sigma, MAX_SIGMA},
+               {k->exponent, MAX_EXPONENT},
+               {k->w1, 2},
+               {k->v, 2},
+               {k->constants, MAX_CONSTANTS},
+               {k->scale, MAX_STATES},
+               {&k->greatest, 1},
+               {&k->to, 1},
+               {&k->next, 1},
+               {k->first, MAX_STATES},
+               {k->last, MAX_STATES},
+               {k->series, MAX_STATES * TERMS},
+               {k->anchor[0][0], 2 * 5 * 3},
+               {k->turn, 2}};
   for (size_t j = 0; j < sizeof parts / sizeof *parts; j++)
     if (!all_finite(parts[j].first, parts[j].count)) return "the motion of a contact is not finite";
   return NULL;

@@ -25,7 +25,10 @@ static long sign_changes(const double *c, long n, double a, double b, double *fo
       for (int i = 0; i < 200; i++) {
         const double middle = 0.5 * (low + high);
         if (middle <= low || middle >= high) break;
-        if ((horner(c, n, middle) > 0) == (at_low > 0)) low = middle; else high = middle;
+        if ((horner(c, n, middle) > 0) == (at_low > 0))
+          low = middle;
+        else
+          high = middle;
       }
       found[count++] = high;
     }
