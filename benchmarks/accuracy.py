@@ -195,7 +195,7 @@ def spheroids(full: bool) -> Iterator[Bar]:
     from geographiclib.geodesic import Geodesic
 
     random = np.random.default_rng(2013)
-    errors: dict[str, float] = {"oblate": 0.0, "prolate": 0.0}
+    errors = []
     for _ in range(200):
         f = random.uniform(-0.01, 0.01)
         latitude, azimuth = random.uniform(-85, 85), random.uniform(-180, 180)
@@ -204,10 +204,9 @@ def spheroids(full: bool) -> Iterator[Bar]:
         scene = _spheroid_scene(f, latitude, azimuth, length)
         found = cs.plan(scene, tolerance=1e-15).points([length])[0, 0, 1]
         truth = spheroid_point(f, end["lat2"], end["lon2"])
-        kind = "oblate" if f > 0 else "prolate"
-        errors[kind] = max(errors[kind], float(np.linalg.norm(found - truth)))
+        errors.append(float(np.linalg.norm(found - truth)))
     name, note = "ellipsoids of revolution, of a", "against geographiclib, itself about 2.4e-15"
-    yield Bar(name, 1e-13, max(errors.values()), note=note, detail=errors)
+    yield Bar(name, 1e-13, max(errors), note=note)
 
 
 def _reduced(f: float, latitude: float) -> float:

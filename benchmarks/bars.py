@@ -28,7 +28,8 @@ SECTIONS: Sections = {
     for name, section in part.SECTIONS.items()
     if name not in ("page", "skipped")
 }
-SECTIONS |= {"stress: cases": stress.cases, "lines": lines}
+SECTIONS |= {f"stress: {name}": section for name, section in stress.SECTIONS.items()}
+SECTIONS["lines"] = lines
 
 QUICK: Sections = {
     name: section

@@ -22,11 +22,7 @@ from .timing import Job, interleaved
 
 SCENES = ("K1", "K2", "K3", "K4")
 COORDINATES = ("chart", "frame")
-TITLES = {
-    "K1": "3 spheres on a sphere",
-    "D1": "the same with a window",
-    "K3": "3 spheres on an ellipsoid",
-}
+TITLES = {"K1": "on a sphere", "D1": "on a sphere, with a window", "K3": "on an ellipsoid"}
 TIMED, EVALUATIONS = 0.3, 900
 """s simulated in one sample of a cost, in steps of 1 ms by runge_kutta3."""
 
@@ -94,7 +90,8 @@ def cost(full: bool) -> Iterator[Bar]:
         for coordinates in COORDINATES:
             own, empty = costs[f"{name} {coordinates}"], costs[f"empty {name} {coordinates}"]
             limit, note = None if name == "K3" else 4.0, f"empty takes {empty:.3g} us"
-            yield Bar(f"{title}, {coordinates}: over empty", limit, own - empty, "us", note=note)
+            what = f"3 spheres {title}, {coordinates}: over empty"
+            yield Bar(what, limit, own - empty, "us", note=note)
 
 
 SECTIONS: Sections = {"exact": exact, "cost": cost}

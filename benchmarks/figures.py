@@ -23,6 +23,7 @@ def overview(outcomes: list[Outcome], file: Path, columns: int = 4) -> None:
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
+    from PIL import Image  # matplotlib needs it
 
     columns = min(columns, len(outcomes))
     rows = math.ceil(len(outcomes) / columns)
@@ -40,7 +41,9 @@ def overview(outcomes: list[Outcome], file: Path, columns: int = 4) -> None:
     figure.legend(named.values(), named.keys(), **place)
     figure.savefig(file, dpi=110)
     pyplot.close(figure)
-    _reduce(file)
+    with Image.open(file) as picture:  # to 64 colours: a quarter of the size
+        few = picture.convert("RGB").quantize(64)
+    few.save(file, optimize=True)
 
 
 def _best(outcome: Outcome) -> dict[str, list[Run]]:
@@ -65,12 +68,3 @@ def _draw(axes: Any, outcome: Outcome) -> None:
     axes.invert_xaxis()
     axes.grid(alpha=0.3)
     axes.set_title(outcome.name, fontsize="small")
-
-
-def _reduce(file: Path) -> None:
-    """To 64 colours: a quarter of the size."""
-    from PIL import Image  # matplotlib needs it
-
-    with Image.open(file) as picture:
-        few = picture.convert("RGB").quantize(64)
-    few.save(file, optimize=True)

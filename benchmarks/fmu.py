@@ -47,11 +47,8 @@ def off_plan(name: str, t: Array, found: dict[str, Array]) -> float:
             wanted[f"{side}.{axis}"] = states[:, :, [4 * k + j]]
             wanted[f"der({side}.{axis})"] = states[:, :, [4 * k + 2 + j]]
     wanted["angle"] = states[:, :, 8:]
-    errors = []
-    for quantity, values in found.items():
-        off, size = np.abs(values - wanted[quantity]).max(), np.abs(wanted[quantity]).max()
-        errors.append(off / max(size, 1e-3))
-    return max(errors)
+    sizes = {quantity: max(np.abs(wanted[quantity]).max(), 1e-3) for quantity in found}
+    return max(np.abs(found[q] - wanted[q]).max() / size for q, size in sizes.items())
 
 
 def _named(quantity: str, i: int) -> str:

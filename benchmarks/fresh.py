@@ -20,7 +20,7 @@ from oracles.load import load, scene_of
 import contact_system as cs
 
 from .accuracy import reference_error, rolled
-from .first import SCENES, USERS
+from .many import OUTPUTS
 from .peers import decades, heyokas
 from .problems import Problem, chart, geodesic_scene, no_slip, sizes_of
 from .report import Bar, Sections
@@ -28,8 +28,7 @@ from .timing import Job, interleaved
 from .work_precision import TARGETS, beside, measure
 
 POINTS = 400
-LIMITS = {"K1": 0.15, "K2": 0.5, "K4": 0.6, "D1": 0.6, "bowl": 0.6}
-ALL = ("points", "states", "slip", "pose", "twist")
+LIMITS = {"K1": 0.15, "K2": 0.5, "K4": 0.6, "D1": 0.6, "bowl": 0.6, "implicit": 1.0, "chart": 1.0}
 OBJECTS = {"sphere": cs.Sphere(0.1), "ellipsoid": cs.Ellipsoid(0.3, 0.2, 0.1)}
 _NUMBER = itertools.count(1)
 
@@ -62,22 +61,14 @@ def _like(name: str, *outputs: str) -> Job:
 
 
 def scenes(full: bool) -> Iterator[Bar]:
-    """Later scenes of the kinds that `first` plans; then all that K4 can be asked for."""
-    jobs = {name: _like(name, "points") for name in SCENES} | {"all": _like("K4", *ALL)}
+    """Later scenes like those that `first` plans; then all that K4 can be asked for."""
+    jobs = {name: _like(name, "points") for name in LIMITS} | {"all": _like("K4", *OUTPUTS)}
     times = interleaved(jobs, 15 if full else 7)
-    for name in SCENES:
+    for name, limit in LIMITS.items():
         what = f"later fresh plan and {POINTS} points, {name}"
-        yield Bar(what, LIMITS[name], 1e3 * times[name].median, "ms", note=f"{times[name]}")
+        yield Bar(what, limit, 1e3 * times[name].median, "ms", note=f"{times[name]}")
     what = "the same and states, slip, pose, twist, K4"
     yield Bar(what, 2.0, 1e3 * times["all"].median, "ms", note=f"{times['all']}")
-
-
-def users(full: bool) -> Iterator[Bar]:
-    """Later scenes on surfaces that a user gives by an equation, or by a chart."""
-    times = interleaved({name: _like(name, "points") for name in USERS}, 15 if full else 7)
-    for name, timing in times.items():
-        what = f"user's {name}, later fresh plan and {POINTS} points"
-        yield Bar(what, 1.0, 1e3 * timing.median, "ms", note=f"{timing}")
 
 
 def geodesic(full: bool) -> Iterator[Bar]:
@@ -213,7 +204,6 @@ def skipped(full: bool) -> Iterator[Bar]:
 
 SECTIONS: Sections = {
     "scenes": scenes,
-    "users": users,
     "geodesic": geodesic,
     "heyoka": heyoka,
     "eta": eta,

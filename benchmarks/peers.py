@@ -91,10 +91,7 @@ def peers(problem: Problem, full: bool) -> Iterator[Peer]:
 def _solver(ode: Ode, advance: Callable[[int, Array], Array], limit: float) -> Solver:
     """Chains the pieces of all contacts; ``advance``: (piece, state) -> states (n, n_states).
 
-    Raises (when solving)
-    ---------------------
-    TimeoutError
-        A piece is begun later than ``limit`` s after the start.
+    It raises TimeoutError where a piece is begun later than ``limit`` s after the start.
     """
 
     def solve() -> list[Array]:

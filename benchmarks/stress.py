@@ -9,15 +9,21 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
+import shutil
 import signal
+import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 
-from .report import Bar, Sections
+from .report import ROOT, Bar, Sections
+from .timing import in_new_process
 from .verdicts import FAILURES, NAN, OUTCOMES, Family, Verdict, judged
 
 LIMIT, WALL = 30.0, 120.0
@@ -221,4 +227,34 @@ def _failure(record: Record) -> str:
     return f"{v.outcome}: error {v.error:.3g}, bound {v.bound:.3g}: {v.message}\n    {again}"
 
 
-SECTIONS: Sections = {"cases": cases}
+SANITIZERS = "-O1 -g -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all"
+IN_COPY = """
+import json
+from collections import Counter
+from benchmarks import stress, stress_cases
+
+chosen = [(family, range(family.count)) for family in stress_cases.FAMILIES]
+print(json.dumps(Counter(record.verdict.outcome for record in stress.search(chosen))))
+"""
+
+
+def sanitized(full: bool) -> Iterator[Bar]:
+    """The planner's cases by an engine under sanitizers, in a copy of the checkout; needs gcc."""
+    name = "findings of sanitizers in the planner's cases"
+    if not shutil.which("gcc"):
+        yield Bar(name, 0, None, note="gcc is not installed")
+        return
+    with tempfile.TemporaryDirectory() as room:
+        folder, unwanted = Path(room, "copy"), (".*", "_engine.*", "build", "results")
+        shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*unwanted))
+        flags = {"CC": "gcc", "CONTACT_SYSTEM_CFLAGS": SANITIZERS}
+        build = [sys.executable, "setup.py", "build_ext", "--inplace"]
+        subprocess.run(build, cwd=folder, env=os.environ | flags, check=True, capture_output=True)
+        asan = subprocess.check_output(["gcc", "-print-file-name=libasan.so"], text=True).strip()
+        loaded = {"LD_PRELOAD": asan, "ASAN_OPTIONS": "detect_leaks=0"}
+        found = in_new_process(IN_COPY, folder=folder, **loaded)
+    note = ", ".join(f"{count} {outcome}" for outcome, count in sorted(found.items()))
+    yield Bar(name, 0, sum(found.get(outcome, 0) for outcome in FAILURES), note=note)
+
+
+SECTIONS: Sections = {"cases": cases, "sanitized": sanitized}

@@ -362,18 +362,9 @@ class Trial:
 def draw_trial(draw: Draw, **fixed: Any) -> Trial:
     """A trial; ``fixed`` holds choices that are not to be drawn.
 
-    Parameters
-    ----------
-    draw : Draw
-    fixed
-        finger, object (names of `BODIES`), size, ratio, shape, inside, profile, law, eta, turns,
-        duration, tolerance, slip, windows, angle, pole (see `_aimed`), bowl (the object hollow, the
-        finger not), most (radians that a body turns which needs integration).
-
-    Raises
-    ------
-    ContactSystemError
-        Where the package refuses the scene.
+    These are finger, object (names of `BODIES`), size, ratio, shape, inside, profile, law, eta,
+    turns, duration, tolerance, slip, windows, angle, pole (see `_aimed`), bowl (the object hollow,
+    the finger not), most (radians that a body turns which needs integration).
     """
 
     def choose(key: str, values: Sequence[Any]) -> Any:

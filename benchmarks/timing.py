@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from .report import ROOT
@@ -57,11 +58,7 @@ def sample(job: Job, count: int = 1) -> float:
 def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) -> dict[Any, Timing]:
     """Time jobs in turns, so that a slow spell of the machine meets all of them.
 
-    Parameters
-    ----------
-    jobs : by name; every job is called before its time counts
-    repeats : samples of each job
-    burst : s, least length of a sample
+    Every job is called before its time counts; a sample lasts ``burst`` s at least.
     """
     counts = {}
     for name, job in jobs.items():
@@ -82,11 +79,11 @@ def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) ->
     return {name: spread(found) for name, found in samples.items()}
 
 
-def in_new_process(code: str, *arguments: str) -> Any:
-    """What a Python program prints as JSON in a process of its own, in the checkout."""
-    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+def in_new_process(code: str, *arguments: str, folder: Path = ROOT, **environment: str) -> Any:
+    """What a Python program prints as JSON in a process of its own, in a checkout."""
+    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | environment
     command = [sys.executable, "-c", code, *arguments]
-    done = subprocess.run(command, cwd=ROOT, env=kept, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=folder, env=kept, capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(done.stderr)
     return json.loads(done.stdout)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -20,7 +20,7 @@ from .theory import symbols as ca
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
 Value: TypeAlias = "ca.SX | float"
-Meaning: TypeAlias = Sequence[Callable[..., Any]]
+Meaning: TypeAlias = Sequence[Any]
 """What is done with numbers, and what where a symbol is among them."""
 
 
@@ -28,27 +28,22 @@ def _sign(x: float) -> float:
     return float((x > 0) - (x < 0))
 
 
-def _of_symbols(name: str) -> Callable[..., Any]:
-    """CasADi's function of this name, which is looked up when it is called."""
-    return lambda *operands: getattr(ca, name)(*operands)
-
-
-def _alike(names: str, count: int) -> dict[str, tuple[int, Any, Any]]:
+def _alike(names: str, count: int) -> dict[str, tuple[int, Any, str]]:
     """Functions that Python's math and CasADi have under one name."""
-    return {name: (count, getattr(math, name), _of_symbols(name)) for name in names.split()}
+    return {name: (count, getattr(math, name), name) for name in names.split()}
 
 
-# name: (number of arguments, of numbers, of symbols)
-FUNCTIONS: dict[str, tuple[int, Callable[..., float], Callable[..., Any]]] = {
+# name: (number of arguments, of numbers, of symbols or the name of CasADi's)
+FUNCTIONS: dict[str, tuple[int, Any, Any]] = {
     **_alike("sqrt sin cos tan asin acos atan exp log sinh cosh tanh", 1),
     **_alike("atan2 copysign", 2),
     "hypot": (2, math.hypot, lambda a, b: ca.sqrt(a * a + b * b)),
     "pow": (2, math.pow, operator.pow),
-    "abs": (1, abs, _of_symbols("fabs")),
-    "fabs": (1, abs, _of_symbols("fabs")),
-    "fmin": (2, min, _of_symbols("fmin")),
-    "fmax": (2, max, _of_symbols("fmax")),
-    "sign": (1, _sign, _of_symbols("sign")),
+    "abs": (1, abs, "fabs"),
+    "fabs": (1, abs, "fabs"),
+    "fmin": (2, min, "fmin"),
+    "fmax": (2, max, "fmax"),
+    "sign": (1, _sign, "sign"),
 }
 
 _BINARY: dict[type[ast.operator], Meaning] = {
@@ -174,7 +169,7 @@ class _Reader:
     def apply(self, node: ast.expr, meaning: Meaning, *values: Value) -> Value:
         of_numbers, of_symbols = meaning
         if not all(isinstance(value, float) for value in values):
-            return of_symbols(*values)
+            return (getattr(ca, of_symbols) if isinstance(of_symbols, str) else of_symbols)(*values)
         try:
             found = of_numbers(*values)
         except (ArithmeticError, ValueError) as error:

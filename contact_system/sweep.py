@@ -1,8 +1,8 @@
 """Many scenes: planned over any executor, results as one table, failures kept beside them.
 
 Contacts do not act on each other, so contacts of many scenes that share object, profile, gain,
-duration and windows are planned as one scene of many contacts: ten times as fast as one by one
-where scenes have one contact, as the time would go into Python's calls.
+duration and windows are planned as one scene of many contacts. One by one the time would go into
+Python's calls: of scenes of one contact each, slip would take 3 times as long, `summary` 8 times.
 """
 
 from __future__ import annotations

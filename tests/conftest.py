@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,13 @@ from numpy.polynomial import polynomial
 import contact_system as cs
 
 TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.7], [-0.6, 0.2, 1.0]]))[0]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
+    """None but this process for the tests of one file: another would only start more slowly."""
+    files = {Path(argument.split("::")[0]) for argument in config.args}
+    return 0 if len(files) == 1 and files.pop().is_file() else None
 
 
 def turned(*eigenvalues: float) -> cs.Quadric:

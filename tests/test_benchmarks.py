@@ -14,7 +14,7 @@ import contact_system as cs
 sys.path.append(str(Path(__file__).parents[1]))  # benchmarks run from a checkout
 pytest.importorskip("mpmath")
 
-from benchmarks import bars, first, fresh, peers, problems, timing, work_precision  # noqa: E402
+from benchmarks import bars, fresh, peers, problems, timing, work_precision  # noqa: E402
 from benchmarks.__main__ import PARTS, main  # noqa: E402
 from benchmarks.report import THREADS, Bar, markdown_table  # noqa: E402
 from benchmarks.timing import Job, Timing  # noqa: E402
@@ -91,7 +91,7 @@ def test_new_processes_give_medians_of_numbers_and_the_last_of_others():
         timing.in_new_process("1/0")
 
 
-@pytest.mark.parametrize("name", [*first.SCENES, *first.USERS])
+@pytest.mark.parametrize("name", fresh.LIMITS)
 def test_a_scene_made_anew_shares_no_part_and_moves_almost_alike(name):
     scene = cs.load_scene(name)
     new = fresh.anew(scene)
@@ -136,6 +136,7 @@ def test_what_slip_is_judged_by_agrees_with_30_digits(kind):
 
 def test_the_overview_runs_a_part_of_the_table_of_bars():
     assert set(bars.QUICK) - {"stress: sample"} < set(bars.SECTIONS)
+    assert {"stress: cases", "stress: sanitized", "lines"} < set(bars.SECTIONS)
     assert sum(name.startswith("work_precision") for name in bars.SECTIONS) == 16
     assert sum(name.startswith("work_precision") for name in bars.QUICK) == 5
 

@@ -145,19 +145,6 @@ def test_a_sample_time_at_a_pole_is_left_out_of_the_files(tmp_path, monkeypatch,
     assert len((tmp_path / "pole.csv").read_text().splitlines()) == 1 + 2 * (len(times) - 1)
 
 
-def test_table_and_picture_need_no_chart(tmp_path, monkeypatch, capsys):
-    pytest.importorskip("matplotlib")
-    assert _run("run", "K1", "--out", tmp_path / "all") == 0
-    whole = capsys.readouterr().out
-    refuse_at(monkeypatch, [0.4, 0.5], "states", "slip")
-    assert _run("run", "K1", "--out", tmp_path / "some") == 0
-    out = capsys.readouterr().out
-    assert "left out of the files: 2 sample times from t = 0.4 to 0.5 s;" in out
-    assert out.partition("left out")[0] == whole.partition("wrote")[0]
-    picture = (tmp_path / "some" / "K1.png").read_bytes()
-    assert picture == (tmp_path / "all" / "K1.png").read_bytes()
-
-
 # --- great circles -----------------------------------------------------------------------------
 
 

@@ -131,18 +131,6 @@ def test_rolling_radii_share_the_depth_in_point_contact_and_take_it_off_complian
     assert soft.contacts[0].object_at == scene.contacts[0].object_at
 
 
-@pytest.mark.parametrize(
-    "finger", [cs.Sphere(0.04), cs.Torus(0.2, 0.04), cs.Quadric(np.diag([123.0, 278.0, 625.0]))]
-)
-def test_a_contact_deeper_than_a_body_bears_has_no_rolling_radius(finger):
-    scene = cs.load_scene("D1")
-    contacts = [cs.Contact(finger, scene.contacts[0].object_at)]
-    scene = scene.replace(contacts=contacts, disturbances=[])
-    rolling_scene(scene, PlantConfig(stiffness=110.0))
-    with pytest.raises(cs.SceneError, match="'D1': stiffness = 90.0: contact 0 would be .* deep"):
-        rolling_scene(scene, PlantConfig(stiffness=90.0))
-
-
 TURN = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3
 AXES = np.array([0.05, 0.04, 0.03])
 

@@ -141,26 +141,6 @@ def test_a_path_straight_through_a_pole_of_a_users_chart_ends_there(push, kind):
     assert one.get("contact[1].object.point") == pytest.approx(expected, abs=1e-13)
 
 
-@of_kinds
-def test_rates_of_all_states_are_their_derivatives(kind):
-    names = [v for v in variable_names(SCENES["K4"]) if v.startswith("der(contact[1]")]
-    one = Instance(SCENES["K4"], kind, "2.0").begin()
-    first, t = one.state(), np.array([0.4, 1.5, 2.6])
-
-    def at(x: float, asked: list[str]) -> np.ndarray:
-        one.restore(first, 0.0).step(float(x))
-        return one.get(*asked)
-
-    rates = np.array([at(x, names) for x in t])
-    states = lambda times: np.array([at(x, [n[4:-1] for n in names]) for x in times])  # noqa: E731
-    assert rates == pytest.approx(derivative(states, t), abs=1e-9)
-    assert len(names) == 11 and np.abs(rates).max(axis=0).min() > 1e-6
-
-
-def variable_names(scene: cs.Scene) -> list[str]:
-    return [v.name for v in Instance(scene, "slave", "2.0").table.scalars()]
-
-
 @of_blocks
 def test_a_later_start_time_starts_there(kind, version):
     scene = one_contact("ellipsoid", disturbances=[cs.ObjectRateOffset(0, 0.2, 0.4, (0.3, 0.1))])

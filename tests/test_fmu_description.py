@@ -12,13 +12,12 @@ import contact_system as cs
 
 fmpy = pytest.importorskip("fmpy")
 
-from fmpy.model_description import read_build_description, read_model_description  # noqa: E402
+from fmpy.model_description import read_model_description  # noqa: E402
 from fmpy.validation import validate_fmu  # noqa: E402
 from fmu_hosts.blocks import Instance  # noqa: E402
 
 from fmu_export import variable_table, write_description  # noqa: E402
 from fmu_export.description import (  # noqa: E402
-    build_description,
     model_description,
     model_identifier,
     terminals,
@@ -232,17 +231,6 @@ def test_names_become_identifiers_and_are_escaped_for_xml(written):
         assert read.modelName == "a<b>&\"c'\ufffd" and read.description == "1 < 2 & 3\ufffd\ufffd"
     terminal = ET.fromstring(terminals(variable_table(scene)).encode())[0][0]
     assert "\ufffdb" in terminal.get("description")
-
-
-def test_companions_are_valid_and_gather_a_contact(tmp_path):
-    (tmp_path / "sources").mkdir()
-    text = build_description(variable_table(K1), ["a.c"])
-    (tmp_path / "sources" / "buildDescription.xml").write_text(text)
-    (build,) = read_build_description(tmp_path)
-    assert build.modelIdentifier == "K1" and build.sourceFileSets[0].sourceFiles == ["a.c"]
-    text = terminals(variable_table(K1))
-    assert text.count("<Terminal ") == 3
-    assert 'variableName="contact[2].slip" memberName="slip"' in text
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import subprocess
 import zipfile
 
 import numpy as np
@@ -18,9 +17,8 @@ from fmpy.fmi1 import FMICallException  # noqa: E402
 from fmpy.ssp.simulation import simulate_ssp  # noqa: E402
 from fmpy.ssp.ssd import read_ssd  # noqa: E402
 from fmpy.validation import validate_fmu  # noqa: E402
-from fmu_hosts.native import Fmu, find_compiler  # noqa: E402
+from fmu_hosts.native import Fmu  # noqa: E402
 
-from fmu_export.build import FMI_HEADERS  # noqa: E402
 from fmu_export.ssp import export_ssp, system_structure  # noqa: E402
 from fmu_export.variables import variable_table  # noqa: E402
 
@@ -129,14 +127,6 @@ def test_consumer_refuses_as_planners_do_with_a_line_in_the_log(consumer):
     assert one.dll.fmi2DoStep(None, ctypes.c_double(0.0), ctypes.c_double(0.1), 0) == 3
     categories = [category.name for category in consumer.description.logCategories]
     assert {line[1] for line in said} == {*categories}
-
-
-@pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
-def test_the_consumers_sources_build_without_warnings(consumer, tmp_path):
-    flags = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", f"-I{FMI_HEADERS}", "-c"]
-    command = [*find_compiler(), *flags, "slip_integrator.c", "-o", str(tmp_path / "built")]
-    run = subprocess.run(command, cwd=consumer.folder / "sources", capture_output=True, text=True)
-    assert run.returncode == 0, run.stderr
 
 
 def test_names_alike_get_files_of_their_own():

@@ -179,26 +179,3 @@ def test_sphere_symbols_are_the_printed_ones():
     expected[0, 1, 1] = -np.sin(u) * np.cos(u)
     expected[1, 0, 1] = expected[1, 1, 0] = 1 / np.tan(u)
     assert np.allclose(gamma, expected, atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("surface", "gradient", "hessian"),
-    [
-        (
-            Ellipsoid(0.3, 0.2, 0.1),
-            lambda x: 2 * x / [0.09, 0.04, 0.01],
-            lambda x: np.diag([2 / 0.09, 2 / 0.04, 2 / 0.01]),
-        ),
-        (
-            ImplicitSurface("x**4 + y**4 + z - 1"),
-            lambda x: np.array([4 * x[0] ** 3, 4 * x[1] ** 3, 1.0]),
-            lambda x: np.diag([12 * x[0] ** 2, 12 * x[1] ** 2, 0.0]),
-        ),
-    ],
-)
-def test_curvature_form_equals_the_hessian_in_the_tangent_axes(surface, gradient, hessian):
-    x, axes = surface.point(0.9, 0.5), surface.frame(0.9, 0.5)
-    g = gradient(x)
-    assert np.allclose(axes[:, 2], g / np.linalg.norm(g), atol=1e-14)
-    truth = axes[:, :2].T @ hessian(x) @ axes[:, :2] / np.linalg.norm(g)
-    assert np.allclose(surface.curvature_form(0.9, 0.5), truth, rtol=1e-12, atol=1e-12)

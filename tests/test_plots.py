@@ -72,21 +72,6 @@ def test_curves_that_coincide_are_labelled_together():
     assert plots._listed([str(k) for k in (1, 2, 3, 5, 6, 7, 8, 9)]) == "1,2,3,5-9"
 
 
-def test_curves_from_one_place_have_labels_apart_and_every_contact_is_in_the_legend():
-    figures = pytest.importorskip("matplotlib.figure")
-    at = np.linspace(0, 6, 12)
-    contacts = [cs.Contact(FINGER, (1.0, u), name=f"finger {k}") for k, u in enumerate(at)]
-    knock = cs.FingerAcceleration(contact=3, start=0.2, stop=0.5, value=(3.0, 0.0))
-    scene = _scene(cs.Sphere(0.1)).replace(contacts=contacts, disturbances=[knock])
-    ax = figures.Figure((3, 3)).add_axes((0, 0, 1, 1))
-    plots._draw_finger(ax, cs.plan(scene))
-    labels = [text for text in ax.texts if text.get_text() and text.get_color() == "white"]
-    assert [text.get_text() for text in labels] == ["0,1,2,4-11", "3"]
-    assert not labels[0].get_window_extent().overlaps(labels[1].get_window_extent())
-    keys = [entry.get_label() for entry in plots.contact_keys(scene)]
-    assert keys[0] == "finger 0, 7" and keys[-1] == "finger 6" and len(keys) == 7
-
-
 SURFACES = {
     "plane": (cs.Plane(), (0.0, 0.0)),
     "ellipsoid of revolution": (cs.Ellipsoid(0.3, 0.1, 0.1), (1.0, 0.0)),

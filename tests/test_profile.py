@@ -208,15 +208,6 @@ def test_the_least_gain_of_the_papers_profiles(profile, duration, least):
     assert report.least_eta == pytest.approx(least, rel=5e-3)
 
 
-@pytest.mark.parametrize("first", [1e-60, 1e-120, 5e-324])
-def test_no_start_is_too_slow_for_a_contraction(first):
-    # sigma' / sigma^3 at the start, where it is greatest; beyond floating point it is infinite
-    greatest = 0.4 / first**3 if first > 1e-100 else math.inf
-    report = contraction(Profile([first, 0.4]), Gain.path(10), 1.0)
-    assert report.least_eta == pytest.approx(greatest, rel=1e-15)
-    assert not report.throughout
-
-
 @pytest.mark.parametrize("law", [Gain.path, Gain.time])
 @pytest.mark.parametrize("profile", [SLOW, MEDIUM, FAST, WAVY])
 def test_least_eta_and_intervals_agree_with_a_grid(law, profile):

@@ -374,17 +374,6 @@ def test_coordinates_that_are_no_numbers_are_refused(at):
             Torus(0.1, 0.03).point(*at)
 
 
-@pytest.mark.parametrize("wrong", ["a", None, 10**400, [1, 2, 3]])
-def test_references_and_guesses_that_are_no_numbers_are_refused(wrong):
-    torus, two = Torus(0.1, 0.03), [0.1, 0.2]
-    for ask in (lambda: torus.align(two, 1, 1, wrong), lambda: torus.unwind(two, wrong)):
-        with pytest.raises(SurfaceError, match=r"coordinates \(u, v.* must be numbers"):
-            ask()
-    for guess in (3, (0.5, wrong)):
-        with pytest.raises(SurfaceError, match=r"guess = .* must be a pair \(u, v\)"):
-            PARAMETRIC.nearest(PARAMETRIC.point(two, 0.2), guess)
-
-
 # --- continuity
 
 

@@ -9,7 +9,6 @@ import os
 import re
 import signal
 import sys
-import threading
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
@@ -383,22 +382,3 @@ def test_a_scene_that_kills_its_workers_fails_alone():
     assert found.table["scene"].tolist() == [0, 2, 3]
     assert [failure.scene for failure in found.failures] == [1]
     assert "BrokenProcessPool" in found.failures[0].error
-
-
-@needs_kill
-def test_dask_loses_nothing_with_a_worker_that_is_killed():
-    distributed = pytest.importorskip("distributed")
-    scenes = family(24)
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        victim = next(iter(client.run(os.getpid).values()))
-        timer = threading.Timer(0.4, os.kill, (victim, signal.SIGKILL))
-        timer.start()
-        found = cs.sweep(scenes, middle_slowly, client.get_executor(), chunk=1, ahead=6)
-        timer.join()
-    assert not found.failures
-    assert found.table["points"] == pytest.approx(one_by_one(scenes, "points"), abs=1e-12)

@@ -13,39 +13,36 @@ typedef void (*twin_t)(double (*restrict r)[L]);
 #define E e[i]
 #define F f[i]
 
-/* gcc unrolls 16 lanes completely and then packs them poorly, but for `omp simd` */
+/* gcc unrolls 16 lanes completely and then packs them poorly, but for `omp simd`; clang vectorises
+   no loop that a computed goto leads to, hence the switch. */
 static void interpret(const code_t *restrict k, lanes_t r) {
-#define ADDRESS(name, ...) [OP_##name] = &&DO_##name,
-  static const void *const go[] = {[OP_END] = &&DO_END,
-                                   OPERATIONS(ADDRESS, ADDRESS, ADDRESS, ADDRESS)};
-  double *to;
-  const double *a, *b, *c;
-#define NEXT                                                                                       \
-  to = r[k->to], a = r[k->a], b = r[k->b], c = r[k->c];                                            \
-  goto *go[k->op];
 #define SIMPLE(name, value)                                                                        \
-  DO_##name : SIMD for (int i = 0; i < L; i++) to[i] = (value);                                    \
-  k++;                                                                                             \
-  NEXT
+  case OP_##name: {                                                                                \
+    SIMD for (int i = 0; i < L; i++) to[i] = (value);                                              \
+    break;                                                                                         \
+  }
 #define SIMPLE2(name, value)                                                                       \
-  DO_##name : {                                                                                    \
+  case OP_##name: {                                                                                \
     const double *d = r[k[1].a], *e = r[k[1].b], *f = r[k[1].c];                                   \
     (void)e, (void)f;                                                                              \
     SIMD for (int i = 0; i < L; i++) to[i] = (value);                                              \
-  }                                                                                                \
-  k += 2;                                                                                          \
-  NEXT
+    k++;                                                                                           \
+    break;                                                                                         \
+  }
 #define CALL1(name, function)                                                                      \
-  DO_##name : lanes_##function(to, a);                                                             \
-  k++;                                                                                             \
-  NEXT
+  case OP_##name:                                                                                  \
+    lanes_##function(to, a);                                                                       \
+    break;
 #define CALL2(name, function)                                                                      \
-  DO_##name : lanes_##function(to, a, b);                                                          \
-  k++;                                                                                             \
-  NEXT
-  NEXT OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) DO_END : (void)c;
+  case OP_##name:                                                                                  \
+    lanes_##function(to, a, b);                                                                    \
+    break;
+  for (; k->op != OP_END; k++) {
+    double *to = r[k->to];
+    const double *a = r[k->a], *b = r[k->b], *c = r[k->c];
+    switch (k->op) { OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) }
+  }
 }
-#undef NEXT
 #undef SIMPLE
 #undef SIMPLE2
 #undef CALL1
@@ -65,6 +62,7 @@ static void interpret(const code_t *restrict k, lanes_t r) {
 #define E r[k[1].b]
 #define F r[k[1].c]
 static void step(const program_t *program) {
+#define ADDRESS(name, ...) [OP_##name] = &&DO_##name,
   static const void *const go[] = {[OP_END] = &&DO_END,
                                    OPERATIONS(ADDRESS, ADDRESS, ADDRESS, ADDRESS)};
   const code_t *restrict k = program->code;

@@ -1,8 +1,5 @@
 /* What one call works with: drives, bodies, room, and where errors go. */
 
-typedef struct work work_t;
-static _Noreturn void fail(work_t *w, int code);
-
 /* numbers that live as long as a plan, in few pieces */
 typedef struct block {
   struct block *next;

@@ -38,22 +38,12 @@ from .scene import (
     require_scene,
 )
 
-_SURFACES: dict[str, type[Surface]] = {
-    "plane": surfaces.Plane,
-    "sphere": surfaces.Sphere,
-    "cylinder": surfaces.Cylinder,
-    "torus": surfaces.Torus,
-    "ellipsoid": surfaces.Ellipsoid,
-    "quadric": surfaces.Quadric,
-    "parametric": surfaces.ParametricSurface,
-    "implicit": surfaces.ImplicitSurface,
-}
 _FORMULAS = ("f", "F")  # not needed in Python, where they may be those of another surface
 
 
 def _surface_keys(name: str) -> dict[str, bool]:
     """What a file says of a surface, as its class does, and whether it must."""
-    given = inspect.signature(_SURFACES[name]).parameters
+    given = inspect.signature(surfaces.KINDS[name]).parameters
     return {
         key: parameter.default is parameter.empty or key in _FORMULAS
         for key, parameter in given.items()
@@ -160,7 +150,7 @@ def _read_gain(value: Any) -> Gain:
 
 def _read_surface(value: Any) -> Surface:
     table = _table(value, required=("surface",), example='surface = "sphere", radius = 0.04')
-    name = _one_of(table["surface"], _SURFACES, "surface")
+    name = _one_of(table["surface"], surfaces.KINDS, "surface")
     keys = _surface_keys(name)
     required = [key for key, needed in keys.items() if needed]
     table = _table(table, ("surface", *keys, "inside"), required, place=f"{name}: ")
@@ -173,7 +163,7 @@ def _read_surface(value: Any) -> Surface:
             given["parameters"] = _with_numbers(_table(given["parameters"]))
     given = _with_numbers(given, given.keys() - {*_FORMULAS, "parameters"})
     with naming(name):
-        return _SURFACES[name](**given, inside=inside)
+        return surfaces.KINDS[name](**given, inside=inside)
 
 
 def _table(
@@ -274,11 +264,11 @@ def _toml(value: Any) -> str:
 
 def _surface_table(surface: Surface, what: str) -> dict[str, Any]:
     """The table of a surface in a scene file."""
-    name = next((n for n, kind in _SURFACES.items() if type(surface) is kind), None)
+    name = next((n for n, kind in surfaces.KINDS.items() if type(surface) is kind), None)
     if name is None:
         raise SceneError(
             f"{what} = {surface!r}: a file holds no {type(surface).__name__}; "
-            f"its surfaces are {', '.join(_SURFACES)}"
+            f"its surfaces are {', '.join(surfaces.KINDS)}"
         )
     table: dict[str, Any] = {"surface": name}
     for key in _surface_keys(name):

@@ -30,7 +30,7 @@ from ..theory.geometry import (
     ChartGeometry,
     Level,
     chart_geometry,
-    level_geometry,
+    implicit_geometry,
     revolved_geometry,
 )
 from ..theory.lowering import lowered
@@ -216,7 +216,9 @@ class Surface:
 
     def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
         """Return the level function, its derivatives, of the chart's own side; see `Level`."""
-        return level_geometry(self._level(p, x), x)
+        level = self._level(p, x)
+        gradient, hessian = implicit_geometry(level, x)
+        return Level(level, gradient, hessian, 1 / ca.dot(gradient, gradient))
 
     def _side(self, sign: Sign) -> Any:
         return self.sign if sign is None else sign

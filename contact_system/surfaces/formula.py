@@ -26,24 +26,15 @@ from ..theory.symbols import MOST_KEPT
 
 @dataclass(frozen=True)
 class Formula:
-    """A user's function of symbols, kept as data so that surfaces compare, hash and pickle.
-
-    Attributes
-    ----------
-    code : str
-        Serialised CasADi function of (named parameters, *variables).
-    names : tuple of str
-        Named parameters, sorted.
-    values : tuple of float
-        Their numbers.
-    text : tuple of str, or None
-        The formula as written, where it was written as text.
-    """
+    """A user's function of symbols, kept as data so that surfaces compare, hash and pickle."""
 
     code: str = field(repr=False)
+    """Serialised CasADi function of (named parameters, *variables)."""
     names: tuple[str, ...]
+    """Named parameters, sorted."""
     values: tuple[float, ...]
     text: tuple[str, ...] | None
+    """The formula as written, where it was written as text."""
 
     @property
     def named(self) -> dict[str, float]:

@@ -109,16 +109,6 @@ def pushed_paths(sigma: ca.SX, r0: ca.SX, pushed_1: ca.SX, pushed_2: ca.SX) -> t
     return w1_rate, r0 @ w1_rate - pushed_2 / sigma
 
 
-def slip_acceleration(
-    growth: ca.SX, v: ca.SX, r0: ca.SX, pushed_1: ca.SX, pushed_2: ca.SX
-) -> ca.SX:
-    """D v_rel/dt along curve 2, of v_rel = sigma V (theory section 3); growth: sigma' - lam sigma.
-
-    In the parallel frame, m/s^2, (2).
-    """
-    return v * growth + r0 @ pushed_1 - pushed_2
-
-
 # --- pose and twist ------------------------------------------------------------------------------
 
 
@@ -133,15 +123,6 @@ def relative_pose(frame_1: ca.SX, frame_2: ca.SX, r0: ca.SX) -> tuple[ca.SX, ca.
     tangent = ca.horzcat(p2, q2) @ r0 @ ca.horzcat(p1, q1).T
     turn = tangent - ca.cross(p2, q2) @ ca.cross(p1, q1).T
     return turn, x2 - turn @ x1
-
-
-def bending(shape: ca.SX, a: ca.SX, r: ca.SX, other_shape: ca.SX, other_a: ca.SX) -> ca.SX:
-    """Montana's inverse map, with nothing to invert: K a + R K' a', rad/s, (2).
-
-    It is [-omega_y, omega_x] in the frame of K = K_1, [-omega_y, omega_x] of the other body's
-    motion against it in that of K = K_2. Montana, Int. J. Robotics Research 7(3), 1988.
-    """
-    return shape @ a + r @ (other_shape @ other_a)
 
 
 def relative_twist(
@@ -168,8 +149,10 @@ def relative_twist(
     """
     x2, p2, q2 = ca.vertsplit(frames[1], [0, 3, 6, 9])
     k1, k2 = (symmetric(*ca.vertsplit(k)) for k in shapes)
-    k = bending(k2, velocities[1], r0, k1, velocities[0])
-    omega = k[0] * q2 - k[1] * p2
+    # Montana's inverse map, with nothing to invert, (-omega_y, omega_x) in the frame of K_2:
+    # Montana, Int. J. Robotics Research 7(3), 1988.
+    bend = k2 @ velocities[1] + r0 @ (k1 @ velocities[0])
+    omega = bend[0] * q2 - bend[1] * p2
     sliding = v_rel[0] * p2 + v_rel[1] * q2
     arm = x2 - relative_pose(*frames, r0)[1]  # from the finger's origin to the contact
     return omega, -sliding - ca.cross(omega, arm)
@@ -219,7 +202,8 @@ def contact_functions() -> dict[str, ca.Function]:
         w2 = start_r @ w1
         turn, origin = relative_pose(*frames, r0)
         twist = relative_twist(frames, shapes, velocities, r0, slip)
-        pushing = slip_acceleration(slope - lam * sigma, v, r0, *pushed)
+        # D v_rel/dt along curve 2, of v_rel = sigma V, in the parallel frame (theory section 3)
+        acceleration = v * (slope - lam * sigma) + r0 @ pushed[0] - pushed[1]
         made: dict[str, tuple[list[ca.SX], ca.SX, list[ca.SX]]] = {
             "start": (
                 [psi, w1, given],
@@ -229,7 +213,7 @@ def contact_functions() -> dict[str, ca.Function]:
             "pose": ([*frames], rows, [ca.vec(turn.T), origin]),
             "twist": ([*frames, *shapes, *velocities, slip], rows, [*twist]),
             "turned": ([theta, y], none, [rotation(theta) @ y]),
-            "acceleration": ([sigma, slope, lam, v, *pushed], rows, [pushing]),
+            "acceleration": ([sigma, slope, lam, v, *pushed], rows, [acceleration]),
             "pushed": ([sigma, *pushed], rows, [*pushed_paths(sigma, r0, *pushed)]),
         }
         return {

@@ -30,33 +30,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ChartGeometry:
-    """The metric quantities of a chart at one point, as SX expressions.
-
-    Attributes
-    ----------
-    point : SX (3, 1)
-        Position f, m.
-    frame : SX (3, 3)
-        Contact frame E, columns x, y, n.
-    metric_root : SX (2, 2)
-        M, upper triangular: ``M @ (u', v')`` is the velocity along (x, y).
-    lame : SX (2, 1)
-        Lame coefficients ``|f_u|``, ``|f_v|``.
-    christoffel : tuple of two SX (2, 2)
-        Second kind, ``christoffel[k][i, j]`` = Gamma^k_ij, both symmetric.
-    curvature_form : SX (2, 2)
-        K, symmetric: ``n' = [x y] K M q'``; +I/r on a sphere of radius r. 1/m.
-    torsion_form : SX (1, 2)
-        T: ``y . x' = T M q'``. 1/m.
-    """
+    """The metric quantities of a chart at one point, as SX expressions."""
 
     point: ca.SX
+    """Position f, (3, 1), m."""
     frame: ca.SX
+    """Contact frame E, columns x, y, n."""
     metric_root: ca.SX
+    """M, (2, 2), upper triangular: ``M @ (u', v')`` is the velocity along (x, y)."""
     lame: ca.SX
+    """Lame coefficients ``|f_u|``, ``|f_v|``, (2, 1)."""
     christoffel: tuple[ca.SX, ca.SX]
+    """Second kind, ``christoffel[k][i, j]`` = Gamma^k_ij, both symmetric."""
     curvature_form: ca.SX
+    """K, (2, 2), symmetric: ``n' = [x y] K M q'``; +I/r on a sphere of radius r. 1/m."""
     torsion_form: ca.SX
+    """T, (1, 2): ``y . x' = T M q'``. 1/m."""
 
     def column(self) -> ca.SX:
         """Return all of it as one column, in the order of `QUANTITIES`, first indices fastest."""
@@ -140,21 +129,10 @@ def revolved_geometry(
 ) -> ChartGeometry:
     """Say the metric quantities of a surface of revolution without the angle about its axis.
 
-    Parameters
-    ----------
-    shape : ChartGeometry
-        Of an orthogonal chart.
-    u, v : SX scalar symbols
-    turning : int
-        Which of them is that angle.
-    lame : two SX
-        |f_u|, |f_v| in closed form, m, but for their signs, of which the connection is free.
-        CasADi does not know that sin^2 + cos^2 = 1.
-    poles : bool
-        Whether one of them changes its sign somewhere.
-
-    The rest follows from them (do Carmo, Differential Geometry, 4-3): Gamma^k_ij of an orthogonal
-    metric, y.x_u = -h_u,v/h_v, y.x_v = h_v,u/h_u.
+    That angle is u or v by ``turning``, 0 or 1. ``lame``: |f_u|, |f_v| of an orthogonal chart in
+    closed form, as CasADi does not know that sin^2 + cos^2 = 1; but for their signs, of which the
+    connection is free and one changes where there are poles. The rest follows (do Carmo,
+    Differential Geometry, 4-3): Gamma^k_ij, y.x_u = -h_u,v/h_v, y.x_v = h_v,u/h_u.
     """
     h_u, h_v = ca.SX(lame[0]), ca.SX(lame[1])
     (uu, uv), (vu, vv) = (ca.horzsplit(ca.jacobian(h, ca.vertcat(u, v))) for h in (h_u, h_v))
@@ -216,12 +194,6 @@ class Level(NamedTuple):
     hessian: ca.SX
     steepness: ca.SX
     """1 / |gradient|^2, right on the surface alone."""
-
-
-def level_geometry(level: ca.SX, x: ca.SX) -> Level:
-    """Return what :class:`Level` holds, of any expression F of x."""
-    gradient, hessian = implicit_geometry(level, x)
-    return Level(level, gradient, hessian, 1 / ca.dot(gradient, gradient))
 
 
 # --- functions of (point, numbers of a surface): its sign and its parameters --------------------

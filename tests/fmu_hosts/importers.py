@@ -84,21 +84,11 @@ def with_libcosim(fmu: Fmu, names: Sequence[str], step: float, count: int) -> np
 def casadi_function(
     fmu: Fmu, result: str, folder: Path
 ) -> tuple[ca.Function, list[str], list[str]]:
-    """CasADi's import of an FMU for Model Exchange.
+    """CasADi's import of an FMU for Model Exchange, in a new folder.
 
-    CasADi (3.8) knows no arrays of FMI 3: it is shown a model description without them.
-
-    Parameters
-    ----------
-    fmu : Fmu
-    result : "ode" or "y"
-        Derivatives or outputs; CasADi wants no variable twice, and some are both.
-    folder : Path
-        A new folder to work in.
-
-    Returns
-    -------
-    function of states and inputs, names of (states then inputs), names of results
+    The function of states and inputs, names of (states then inputs), names of results: "ode",
+    derivatives, or "y", outputs; CasADi wants no variable twice, and some are both. It (3.8) knows
+    no arrays of FMI 3, and is shown a model description without them.
     """
     shown = fmu.folder
     if fmu.version == "3.0":

@@ -88,16 +88,9 @@ class Fmu:
         name: str = "one",
         **options: Any,
     ) -> Any:
-        """An instance in fmpy, not initialized.
+        """An instance in fmpy, not initialized; ``options`` are those of its ``instantiate``.
 
-        Parameters
-        ----------
-        log : callable, optional
-            Takes status, category and text of what it logs.
-        interface : "CoSimulation" or "ModelExchange"
-        name : str
-        options
-            Of fmpy's ``instantiate``.
+        ``log`` takes status, category and text of what it logs.
         """
         kind = {
             ("2.0", "CoSimulation"): FMU2Slave,

@@ -478,13 +478,7 @@ def short(x: mp.mpf) -> float:
 
 
 def agreed(what: str, difference: mp.mpf) -> float:
-    """`short` of a difference that must stay below `AGREEMENT`.
-
-    Raises
-    ------
-    ArithmeticError
-        Naming what disagrees and by how much.
-    """
+    """`short` of a difference that must stay below `AGREEMENT`, or ArithmeticError."""
     if difference > AGREEMENT:
         raise ArithmeticError(f"{what}: {mp.nstr(difference, 3)} exceeds {AGREEMENT}")
     return short(difference)
@@ -515,12 +509,8 @@ def contact_record(case: Case, times: Sequence[float], stiff: bool) -> dict[str,
         checks["two_pass_difference"] = agreed(f"two passes, {name}", difference)
     print(f"  {name}: {checks}, {time.time() - begun:.1f} s", flush=True)
     slips = [slip(case, state) for state in states]
-    return {
-        "object_at": case.object_at,
-        "object_velocity": case.object_velocity,
-        "finger_at": case.finger_at,
-        "finger_velocity": case.finger_velocity,
-        "angle": case.angle,
+    given = ("object_at", "object_velocity", "finger_at", "finger_velocity", "angle")
+    return {name: getattr(case, name) for name in given} | {
         "checks": checks,
         "states": [[text(x) for x in state] for state in states],
         "points": [[[text(c) for c in x] for x in contact_points(case, s)] for s in states],
@@ -935,13 +925,7 @@ MAKERS: dict[str, Callable[[], None]] = {
 
 
 def main(names: Sequence[str]) -> None:
-    """Make the named references, or all of them.
-
-    Raises
-    ------
-    SystemExit
-        On an unknown name, listing the known ones.
-    """
+    """Make the named references, or all of them."""
     unknown = [name for name in names if name not in MAKERS]
     if unknown:
         raise SystemExit(f"unknown reference {unknown[0]!r}; known: {', '.join(MAKERS)}")
