@@ -35,7 +35,7 @@ QUICK: Sections = {
     name: section
     for name, section in SECTIONS.items()
     if not name.startswith(("work_precision: ", "stress: "))
-    or name.removeprefix("work_precision: ") in (*work_precision.PICTURED, "summary")
+    or name.removeprefix("work_precision: ") in (*work_precision.QUICK, "summary")
 }
 """What is run where no part is named: four problems, and every eleventh case of stress."""
 QUICK |= {"stress: sample": stress.sample}

@@ -17,7 +17,7 @@ STYLES = {
 }
 
 
-def overview(outcomes: list[Outcome], file: Path, columns: int = 4) -> None:
+def overview(outcomes: list[Outcome], file: Path) -> None:
     """Write one picture of some problems: our plans and the best of each library."""
     import matplotlib
 
@@ -25,7 +25,7 @@ def overview(outcomes: list[Outcome], file: Path, columns: int = 4) -> None:
     from matplotlib import pyplot
     from PIL import Image  # matplotlib needs it
 
-    columns = min(columns, len(outcomes))
+    columns = 4
     rows = math.ceil(len(outcomes) / columns)
     size = (3.2 * columns, 2.6 * rows)
     figure, grid = pyplot.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)

@@ -27,13 +27,13 @@ TARGETS = (1e-6, 1e-9, 1e-12)
 OURS = "ours"
 FLOOR = 2e-15  # tighter tolerances cannot show in double precision
 LONG = 0.01  # [s]: what takes longer is sampled while scanning only
-PICTURED = (
+QUICK = (
     "geodesic ellipsoid",
     "slip sphere-ellipsoid 1e3",
     "slip sphere-ellipsoid 1e7",
     "disturbed K4",
 )
-"""Problems of the short picture, and of the quick form of the bench."""
+"""Problems of the quick form of the bench."""
 
 
 @dataclass(frozen=True)
@@ -222,8 +222,6 @@ def page(full: bool) -> Iterator[Bar]:
         text = page_text(outcomes, surroundings())
         (ROOT / "docs" / "work-precision.md").write_text(text, "utf-8")
         overview(outcomes, ROOT / "docs" / "work-precision.png")
-        short = [outcome for outcome in outcomes if outcome.name in PICTURED]
-        overview(short, ROOT / "docs" / "work-precision-short.png", columns=2)
     yield Bar("problems of this run, for the page in docs", count, len(outcomes), least=True)
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import functools
-import hashlib
 import itertools
 import json
 import numbers
@@ -559,6 +558,8 @@ def _read(kept: Kept) -> Part | None:
 
 def _digest(run: Run, first: int, items: tuple[Item, ...]) -> str:
     """Of all that decides a chunk's results."""
+    import hashlib  # slow to import, and of no use but with a folder
+
     from . import __version__
 
     evaluate, tolerance = run.args

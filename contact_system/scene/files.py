@@ -14,8 +14,6 @@ import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -287,11 +285,10 @@ def _surface_table(surface: Surface, what: str) -> dict[str, Any]:
 # --- files -------------------------------------------------------------------------------------
 
 
-def _bundled() -> dict[str, Traversable]:
+def _bundled() -> dict[str, Path]:
     """The files of the bundled scenes by name."""
-    files = (resources.files("contact_system") / "scenes").iterdir()
-    scenes = {f.name.removesuffix(".toml"): f for f in files if f.name.endswith(".toml")}
-    return dict(sorted(scenes.items()))
+    folder = Path(__file__).parents[1] / "scenes"
+    return {file.stem: file for file in sorted(folder.glob("*.toml"))}
 
 
 def bundled_scenes() -> dict[str, str]:

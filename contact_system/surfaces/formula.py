@@ -6,7 +6,6 @@ stay symbols, so that changing one needs no new tables.
 
 from __future__ import annotations
 
-import hashlib
 import keyword
 import math
 import warnings
@@ -48,6 +47,8 @@ class Formula:
         """Return the arguments that make this formula; other ones for another formula."""
         said = repr(self.text)
         if self.text is None:
+            import hashlib  # slow to import
+
             said = f"<function {hashlib.sha256(self.code.encode()).hexdigest()[:12]}>"
         return f"{said}, parameters={self.named}" if self.names else said
 
