@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 import sys
 
@@ -90,15 +89,6 @@ def test_every_kind_of_surface_can_be_drawn(name, tmp_path, pillow):
         assert _ink(image) > 0.05
 
 
-def test_what_is_cropped_stays_near_the_curve():
-    for name in ("plane", "hyperboloid", "open implicit"):
-        surface, at = SURFACES[name]
-        plan = cs.plan(_scene(surface, at))
-        mesh = plots.mesh_of(plan, surface, 1, [0])
-        curve = plan.points(plan.sample_times())[:, 0, 1]
-        assert np.ptp(mesh.points, axis=0).max() < 12 * np.ptp(curve, axis=0).max()
-
-
 @pytest.mark.parametrize("name", ["K1", "D1", "C1"])
 def test_slip_can_be_drawn_with_another_law_a_jump_and_without_slip(name, tmp_path, pillow):
     scene = cs.load_scene(name)
@@ -118,19 +108,6 @@ def test_names_are_drawn_as_they_are(tmp_path):
         plots.plot(cs.plan(scene), tmp_path / "odd.svg")
     drawn = (tmp_path / "odd.svg").read_text()
     assert [f">{word}<" in drawn for word in words] == [True] * 3
-
-
-@pytest.mark.parametrize("name", ["K4", "rest to rest on the ring"])
-@pytest.mark.parametrize("terms", [1, 5, 9])
-def test_name_description_and_profile_have_room_beside_each_other(name, terms):
-    figures = pytest.importorskip("matplotlib.figure")
-    profile = cs.Profile([0.1234] * terms)
-    scene = _scene(cs.Sphere(0.1), name=name, description=name, profile=profile)
-    left, _ = figures.Figure((12, 6)).subfigures(1, 2, width_ratios=(1, 0.95))
-    plots.draw_title(left, cs.plan(scene))
-    boxes = [text.get_window_extent() for text in left.texts]
-    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
-    assert max(box.x1 for box in boxes) < left.bbox.x1
 
 
 def test_a_picture_that_cannot_be_written_is_refused(tmp_path):

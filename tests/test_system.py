@@ -108,16 +108,6 @@ def test_imposed_rolling_is_a_contact_without_slip(name):
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
-def test_three_contacts_give_the_chart_states_of_the_plan(coordinates):
-    scene = dataclasses.replace(cs.load_scene("D2"), duration=1.0, disturbances=())
-    t = np.linspace(0, 1, 4)
-    system = SceneSystem(scene, coordinates)
-    gap = outputs(system, integrate(system, t), "state") - cs.plan(scene, 1e-13).states(t)
-    gap[..., ANGLES] -= TURN * np.rint(gap[..., ANGLES] / TURN)
-    assert np.abs(gap).max() < 1e-8
-
-
-@pytest.mark.parametrize("coordinates", COORDINATES)
 def test_acceleration_is_the_rate_of_the_planned_twist(coordinates):
     scene = one_contact("ellipsoid", disturbances=(cs.FingerAcceleration(0, 0.0, 1.0, (0.5, 1)),))
     system, plan = SceneSystem(scene, coordinates), cs.plan(scene, 1e-14)
