@@ -250,11 +250,24 @@ def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Cont
                 f"contacts[{i}]: {key}: {name} = {value!r}: beyond {MANY_TURNS:g} rad a "
                 "double resolves an angle within its turn too poorly; subtract whole turns"
             )
-    half_turn = surface.double_cover and bool(surface.align(*at, *given)[2])
+    half_turn = surface.double_cover and _on_other_cover(at, given)
     if half_turn:
         contact = _half_turn(contact, f"{body}_velocity")
     moved: dict[str, Any] = {key: at}
     return dataclasses.replace(contact, **moved), half_turn
+
+
+def _on_other_cover(at: Pair, given: Pair) -> bool:
+    """Of the same point twice: true if given is (-u, pi - v) of `at`, but for whole turns.
+
+    What `Surface.align` says, of floats: crowds would wait for its arrays.
+    """
+    (u, v), (u_given, v_given), turn = at, given, 2 * math.pi
+    same = math.hypot(math.remainder(u - u_given, turn), math.remainder(v - v_given, turn))
+    other = math.hypot(
+        math.remainder(u + u_given, turn), math.remainder(v + v_given - math.pi, turn)
+    )
+    return other < same
 
 
 def _turned(disturbance: Disturbance, turned: set[tuple[str, int]]) -> Disturbance:
