@@ -251,9 +251,9 @@ def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Cont
                 "double resolves an angle within its turn too poorly; subtract whole turns"
             )
     half_turn = surface.double_cover and _on_other_cover(at, given)
-    if half_turn:
-        contact = _half_turn(contact, f"{body}_velocity")
     moved: dict[str, Any] = {key: at}
+    if half_turn:
+        moved |= _half_turn(contact, f"{body}_velocity")
     return dataclasses.replace(contact, **moved), half_turn
 
 
@@ -278,13 +278,13 @@ def _turned(disturbance: Disturbance, turned: set[tuple[str, int]]) -> Disturban
     return dataclasses.replace(disturbance, value=(-u, -v))
 
 
-def _half_turn(contact: Contact, velocity: str) -> Contact:
-    """The same contact seen from a frame turned by pi about the normal."""
+def _half_turn(contact: Contact, velocity: str) -> dict[str, Any]:
+    """What changes of a contact that is seen from a frame turned by pi about the normal."""
     value = getattr(contact, velocity)
     turned: dict[str, Any] = {"angle": math.remainder(contact.angle + math.pi, 2 * math.pi)}
     if not isinstance(value, str):
         turned[velocity] = (-value[0], -value[1])
-    return dataclasses.replace(contact, **turned)
+    return turned
 
 
 # --- keys of scene files -----------------------------------------------------------------------
