@@ -80,9 +80,10 @@ class ChartContact:
         own = [replace(d, contact=0) for d in scene.disturbances if d.contact == index]
         alone = scene.replace(contacts=[contact], disturbances=own)
         self._system = SceneSystem(alone, "chart", disturbance_input=True)
-        pieces = [p.start for p in scene.gain.pieces(scene.profile, begin, scene.duration)]
+        makes_up, ends = scene.gain.row.makes_up, (begin, scene.duration)
+        knots = scene.profile.knots(*ends) if makes_up else ends  # of the gain
         windows = [t for t in self._system.edges if t > begin]
-        self._edges = np.array(sorted({begin, scene.duration, *windows, *pieces}))
+        self._edges = np.array(sorted({*windows, *knots}))
         self._acting = np.array([self._system.window_values(t) for t in self._edges[:-1]])
         self.told: list[str] = []
         self._solution = self._integrated(start, tolerance, solver)

@@ -64,15 +64,9 @@ def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, n
         t = grid[(grid >= start) & (grid <= stop)]
         if stop <= start or not len(t):
             continue
-        left, decay = 1.0, np.ones(len(t))
-        # piece by piece: from t = 0 on the exponent is infinite where sigma left zero before
-        for piece in gain.pieces(profile, t[0], t[-1]):
-            inside = (t >= piece.start) & (t <= piece.stop)
-            tau = np.append(t[inside], piece.stop) - piece.start
-            *decay[inside], left = left * piece.decay(tau, piece.speed(tau))
         first = plan.slip_speed(t[:1])[0, contact]
         times.append(t)
-        values.append(first * profile(t) / profile(t[0]) * decay)
+        values.append(first * profile(t) / profile(t[0]) * gain.decay(profile, t))
     t, slip = np.concatenate(times), np.concatenate(values)
     return t[slip > 0], slip[slip > 0]
 

@@ -68,47 +68,6 @@ LAWS = {
 
 
 @dataclass(frozen=True)
-class GainPiece:
-    """One piece of the horizon on which the decay of slip has a single closed form.
-
-    With tau = t - start, and L = int lam::
-
-        exp(-(L(t) - L(start))) = exp(-P(tau)) (sigma(start)/sigma(t))^power
-
-    Attributes
-    ----------
-    start, stop : float
-        The piece [s].
-    sigma : tuple of float
-        Coefficients of tau -> sigma(start + tau), lowest first.
-    exponent : tuple of float
-        Coefficients of P, lowest first; exponent[0] is 0.
-    power : int
-        0, or 1 where the law makes up for a growing sigma. Where sigma(start) = 0 the ratio is 0
-        for tau > 0: slip per path speed ends at once.
-    """
-
-    start: float
-    stop: float
-    sigma: Coefficients
-    exponent: Coefficients
-    power: int
-
-    def speed(self, tau):
-        """sigma at local time tau [m/s]."""
-        return polynomial(self.sigma, tau)
-
-    def decay(self, tau, speed):
-        """exp(-(L(tau) - L(0))) at local time tau, where sigma is ``speed``."""
-        # slip may end below what a double holds, and sigma be 0 where a piece begins
-        with np.errstate(under="ignore", divide="ignore", invalid="ignore"):
-            decay = np.exp(-polynomial(self.exponent, tau))
-            if self.power:
-                decay = decay * np.where(np.asarray(tau) > 0, self.sigma[0] / speed, 1.0)
-        return decay
-
-
-@dataclass(frozen=True)
 class Gain:
     """Gain law lam(t) [1/s]: how hard the object's curve is pulled towards rolling.
 
@@ -203,24 +162,29 @@ class Gain:
                 total = total + np.where(t > start, np.log(np.maximum(ratio, 1.0)), 0.0)
         return total
 
-    def pieces(self, profile: Profile, start: float, stop: float) -> list[GainPiece]:
-        """Cut [start, stop] into pieces with one closed form of the decay each.
+    def decay(self, profile: Profile, t: np.ndarray) -> np.ndarray:
+        """exp(-(L(t) - L(t[0]))) at ascending times [s] at which sigma > 0.
 
-        Laws that make up for growth are cut at the extrema of sigma, others not at all. Everything
+        From extremum to extremum of sigma, so that there is one closed form at a time; everything
         is local to a piece, so that a large gain loses nothing to cancellation.
         """
-        start, stop = float(start), float(stop)
-        knots = profile.knots(start, stop) if self.row.makes_up else (start, stop)
-        pieces = []
-        for a, b in zip(knots, knots[1:]):
-            sigma = profile.shifted(a)
-            grows = self.row.makes_up and profile.rate(0.5 * (a + b)) > 0
+        left, found = 1.0, np.ones(len(t))
+        knots = profile.knots(t[0], t[-1]) if self.row.makes_up else (t[0], t[-1])
+        for start, stop in zip(knots, knots[1:]):
+            inside = (t >= start) & (t <= stop)
+            tau = np.append(t[inside], stop) - start
+            sigma = profile.shifted(start)
+            # where sigma touches zero its rounded first coefficient must not set the ratio
+            first = clear_value(profile.coefficients, start)
             if self.row.makes_up:
-                # where sigma touches zero its rounded first coefficient must not set the ratio
-                sigma = (clear_value(profile.coefficients, a), *sigma[1:])
-            exponent = integral(self.row.integrand(self.value, sigma))
-            pieces.append(GainPiece(a, b, sigma, exponent, int(grows)))
-        return pieces
+                sigma = (first, *sigma[1:])
+            # slip may end below what a double holds, and sigma be 0 where a piece begins
+            with np.errstate(under="ignore", divide="ignore", invalid="ignore"):
+                decay = np.exp(-polynomial(integral(self.row.integrand(self.value, sigma)), tau))
+                if self.row.makes_up and profile.rate(0.5 * (start + stop)) > 0:
+                    decay *= np.where(tau > 0, first / polynomial(sigma, tau), 1.0)
+            *found[inside], left = left * decay
+        return found
 
 
 # --- what a gain law guarantees ----------------------------------------------------------------
