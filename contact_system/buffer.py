@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 
 from .engine.binding import LAYOUT
 from .scene import Disturbance, Scene, refuse_rest
-from .starts import Moment, Start, Starts
+from .starts import Moment, Starts
 from .surfaces import Surface
 from .theory.gain import LAWS
 
@@ -71,29 +74,28 @@ class Buffer:
 
     def _rows(self, scene: Scene, begin: float, starts: Starts | None) -> list[bytes]:
         """Each contact: its finger, where it starts, what disturbs it."""
-        windows = _windows(scene, begin)
-        rows, charts = [], scene.object.has_chart
-        for i, contact in enumerate(scene.contacts):
+        windows, rows = _windows(scene, begin), []
+        given = [
+            start if isinstance(start, Moment) else start.start_numbers()
+            for start in (scene.contacts if starts is None else starts)
+        ]
+        found = _found_frames(scene, given)
+        for i, (contact, start) in enumerate(zip(scene.contacts, given)):
             own = windows.get(i, ())
             at = self._put([x for d in own for x in (d.slot, d.start, d.stop, *d.value)])
-            given = None if starts is None else starts[i]
-            if isinstance(given, Moment):
-                goes_on, (frames, numbers) = 1, _going_on(given)
+            if isinstance(start, Moment):
+                goes_on, frame_1, frame_2 = 1, start.finger_frame[:6], start.object_frame[:6]
+                numbers: Numbers = (*start.finger_at, *start.object_at, start.angle)
+                numbers += (*start.finger_velocity, *start.slip)
             else:
-                goes_on, frames = 0, (0, _NO_FRAME, _NO_FRAME)
-                numbers = contact.start_numbers() if given is None else _measured(given)
-                if not (charts and contact.finger.has_chart):
-                    frames = _found_frames(contact.finger, scene.object, numbers)
-                u1, v1, u2, v2, *others = numbers
+                goes_on, frame_1, frame_2 = 0, found.get((i, 0), ()), found.get((i, 1), ())
+                u1, v1, u2, v2, *others = start
                 numbers = (u1, v1, 0.0, u2, v2, 0.0, *others)
-            body, (which, frame_1, frame_2) = self._body(contact.finger), frames
-            state = (goes_on, contact.follows, which, at, len(own))
-            rows.append(_ROW(*body, *state, *numbers, *frame_1, *frame_2))
+            which = bool(frame_1) + 2 * bool(frame_2)
+            state = (goes_on, contact.follows, which, at, len(own), *numbers)
+            frames = (*(frame_1 or _NO_FRAME), *(frame_2 or _NO_FRAME))
+            rows.append(_ROW(*self._body(contact.finger), *state, *frames))
         return rows
-
-
-Frames = tuple[int, Numbers, Numbers]
-"""Which are given, as bits, and x, p of finger and object."""
 
 
 def _windows(scene: Scene, begin: float) -> dict[int, list[Disturbance]]:
@@ -110,23 +112,21 @@ def _windows(scene: Scene, begin: float) -> dict[int, list[Disturbance]]:
     return found
 
 
-def _going_on(m: Moment) -> tuple[Frames, Numbers]:
-    given = bool(m.finger_frame) + 2 * bool(m.object_frame)
-    frames = (given, m.finger_frame[:6] or _NO_FRAME, m.object_frame[:6] or _NO_FRAME)
-    return frames, (*m.finger_at, *m.object_at, m.angle, *m.finger_velocity, *m.slip)
+def _found_frames(scene: Scene, given: Sequence[Any]) -> dict[tuple[int, int], Numbers]:
+    """(x, p) by contact and side on surfaces without a chart, whose points are found numerically.
 
-
-def _measured(start: Start) -> Numbers:
-    places = (*start.finger_at, *start.object_at, start.angle)
-    return (*places, *start.finger_velocity, *start.object_velocity)
-
-
-def _found_frames(finger: Surface, obj: Surface, start: Numbers) -> Frames:
-    """Of surfaces without a chart, on which the point is found numerically."""
-    which, frames = 0, [_NO_FRAME, _NO_FRAME]
-    for k, surface in enumerate((finger, obj)):
-        if not surface.has_chart:
-            at = start[2 * k : 2 * k + 2]
-            which += 1 << k
-            frames[k] = (*surface.point(*at).tolist(), *surface.frame(*at)[:, 0].tolist())
-    return which, frames[0], frames[1]
+    All of a surface are found at once.
+    """
+    places: dict[int, list[tuple[int, int]]] = {}
+    surfaces: dict[int, Surface] = {}
+    for i, contact in enumerate(scene.contacts):
+        for side, surface in enumerate((contact.finger, scene.object)):
+            if not surface.has_chart and not isinstance(given[i], Moment):
+                places.setdefault(id(surface), []).append((i, side))
+                surfaces[id(surface)] = surface
+    found: dict[tuple[int, int], Numbers] = {}
+    for key, where in places.items():
+        at = np.array([given[i][2 * side : 2 * side + 2] for i, side in where])
+        point, frame = surfaces[key].point_and_frame(*at.T)
+        found |= zip(where, map(tuple, np.hstack([point, frame[..., 0]]).tolist()))
+    return found

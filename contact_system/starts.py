@@ -24,6 +24,11 @@ class Start:
     finger_velocity: tuple[float, float]  # M1 dq1/ds in E1
     object_velocity: tuple[float, float]  # M2 dq2/ds in E2, without object rate offsets
 
+    def start_numbers(self) -> tuple[float, ...]:
+        """The 9 numbers in this order."""
+        places = (*self.finger_at, *self.object_at, self.angle)
+        return (*places, *self.finger_velocity, *self.object_velocity)
+
 
 def scene_start(contact: Contact) -> Start:
     """The start that a scene's contact describes."""

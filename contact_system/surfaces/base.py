@@ -234,14 +234,19 @@ class Surface:
 
     def point(self, u: ArrayLike, v: ArrayLike) -> Array:
         """Return f(u, v), shape (..., 3), m."""
-        return self._evaluate("point", u, v)
+        return self._evaluate(u, v, "point")[0]
 
     def frame(self, u: ArrayLike, v: ArrayLike) -> Array:
         """Return the contact frame E, columns x, y, n, shape (..., 3, 3) (eq. ``rotationmat``).
 
         Partly NaN at poles and umbilics, which `canonical` refuses.
         """
-        return self._evaluate("frame", u, v)
+        return self._evaluate(u, v, "frame")[0]
+
+    def point_and_frame(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+        """Return `point` and `frame` together, at the price of one where points must be found."""
+        point, frame = self._evaluate(u, v, "point", "frame")
+        return point, frame
 
     def normal(self, u: ArrayLike, v: ArrayLike) -> Array:
         """Return the unit normal out of the body, shape (..., 3)."""
@@ -249,26 +254,26 @@ class Surface:
 
     def lame(self, u: ArrayLike, v: ArrayLike) -> Array:
         """Return the Lame coefficients (h_u, h_v), shape (..., 2), m/rad (or m a unit of u, v)."""
-        return self._evaluate("lame", u, v)
+        return self._evaluate(u, v, "lame")[0]
 
     def metric_root(self, u: ArrayLike, v: ArrayLike) -> Array:
         """Return M, shape (..., 2, 2): coordinate rates to velocity in the contact frame.
 
         Units as of `lame`; diagonal where the chart is orthogonal (eq. ``finetune``).
         """
-        return self._evaluate("metric_root", u, v)
+        return self._evaluate(u, v, "metric_root")[0]
 
     def christoffel(self, u: ArrayLike, v: ArrayLike) -> Array:
         """Return Gamma^k_ij, shape (..., 2, 2, 2), indices k, i, j (eq. ``christoffel``)."""
-        return self._evaluate("christoffel", u, v)
+        return self._evaluate(u, v, "christoffel")[0]
 
     def curvature_form(self, u: ArrayLike, v: ArrayLike) -> Array:
         """Return K, shape (..., 2, 2), 1/m; +I/r on a sphere."""
-        return self._evaluate("curvature_form", u, v)
+        return self._evaluate(u, v, "curvature_form")[0]
 
     def torsion_form(self, u: ArrayLike, v: ArrayLike) -> Array:
         """Return T, shape (..., 2), 1/m: ``y . x' = T M q'``."""
-        return self._evaluate("torsion_form", u, v)
+        return self._evaluate(u, v, "torsion_form")[0]
 
     def coordinates(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return (u, v), each of shape (...), of points (..., 3) on the surface.
@@ -408,12 +413,14 @@ class Surface:
             raise SurfaceError(f"{self!r}: points must be finite numbers, got NaN or inf")
         return points
 
-    def _evaluate(self, name: str, u: ArrayLike, v: ArrayLike) -> Array:
+    def _evaluate(self, u: ArrayLike, v: ArrayLike, *names: str) -> list[Array]:
         u, v = self._numbers(u, v)
         found = run(self.tables.other[GEOMETRY], self._asked(u.ravel(), v.ravel()), self.numbers)
-        # a column a point, first index fastest
-        entries = found[ROWS[name]].reshape((*QUANTITIES[name], u.size), order="F")
-        return np.moveaxis(entries, -1, 0).reshape(u.shape + QUANTITIES[name])
+        results = []
+        for name in names:  # a column a point, first index fastest
+            entries = found[ROWS[name]].reshape((*QUANTITIES[name], u.size), order="F")
+            results.append(np.moveaxis(entries, -1, 0).reshape(u.shape + QUANTITIES[name]))
+        return results
 
     def _asked(self, u: Array, v: Array) -> Array:
         """Return where the table of the geometry is asked, one column a point."""
