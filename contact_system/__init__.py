@@ -16,6 +16,7 @@ from .plan import Plan, load, plan
 from .scene import (
     Contact,
     FingerAcceleration,
+    Leg,
     ObjectAcceleration,
     ObjectRateOffset,
     Scene,
@@ -54,6 +55,7 @@ __all__ = [
     "FingerAcceleration",
     "Gain",
     "ImplicitSurface",
+    "Leg",
     "ObjectAcceleration",
     "ObjectRateOffset",
     "ParametricSurface",

@@ -6,6 +6,7 @@ checked when the library is loaded.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from typing import Any
@@ -13,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from .engine.binding import LAYOUT
-from .scene import Disturbance, Scene, refuse_rest
+from .scene import Disturbance, Leg, Scene, Stretch, refuse_rest
 from .starts import Moment, Starts
 from .surfaces import Surface
 from .theory.gain import LAWS
 
-VERSION = 2
-HEADER, BODY, WINDOW, CONTACT, MOMENT = 18, 5, 5, 33, 23  # so many numbers each
-if LAYOUT != (VERSION, HEADER, BODY, WINDOW, CONTACT, MOMENT):
+VERSION = 3
+HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT = 14, 5, 5, 7, 35, 23  # so many numbers each
+if LAYOUT != (VERSION, HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT):
     raise ImportError(
         f"the engine of contact_system has another layout of scenes, {LAYOUT}, than this Python; "
         "install the package again, or in a checkout: pip install -e ."
@@ -46,13 +47,10 @@ class Buffer:
         self.surfaces: list[Surface] = []
         self._tail: list[float] = []  # what follows the header
         self._bodies: dict[int, Numbers] = {}
-        law, sigma = LAWS[scene.gain.law], scene.profile.coefficients
-        turns = scene.profile.extrema(begin, scene.duration)
-        at_sigma, at_turns, obj = self._put(sigma), self._put(turns), self._body(scene.object)
+        law, obj = LAWS[scene.gain.law], self._body(scene.object)
         rows = self._rows(scene, begin, starts)
         head = _HEAD(
             *(VERSION, len(scene.contacts), tolerance, begin, scene.duration),
-            *(at_sigma, len(sigma), at_turns, len(turns)),
             *(scene.gain.value, law.power, law.makes_up, HEADER + len(self._tail), *obj),
         )
         self.numbers = b"".join([head, struct.pack(f"{len(self._tail)}d", *self._tail), *rows])
@@ -72,9 +70,21 @@ class Buffer:
             self._bodies[id(surface)] = known
         return known
 
+    def _way(self, way: Sequence[Stretch]) -> tuple[int, int]:
+        """Add legs; returns where they stand, and how many."""
+        numbers, direction = [], way[0].direction
+        for start, stop, along, profile in way:
+            extrema = profile.extrema(0.0, stop - start)
+            at = self._put(profile.coefficients), self._put(extrema)
+            numbers += [start, at[0], len(profile.coefficients), at[1], len(extrema)]
+            numbers += [math.cos(along - direction), math.sin(along - direction)]
+            direction = along
+        return self._put(numbers), len(way)
+
     def _rows(self, scene: Scene, begin: float, starts: Starts | None) -> list[bytes]:
         """Each contact: its finger, where it starts, what disturbs it."""
         windows, rows = _windows(scene, begin), []
+        ways: dict[Sequence[Leg], tuple[int, int]] = {}
         given = [
             start if isinstance(start, Moment) else start.start_numbers()
             for start in (scene.contacts if starts is None else starts)
@@ -83,6 +93,7 @@ class Buffer:
         for i, (contact, start) in enumerate(zip(scene.contacts, given)):
             own = windows.get(i, ())
             at = self._put([x for d in own for x in (d.slot, d.start, d.stop, *d.value)])
+            legs = ways.get(contact.legs) or ways.setdefault(contact.legs, self._way(scene.way(i)))
             if isinstance(start, Moment):
                 goes_on, frame_1, frame_2 = 1, start.finger_frame[:6], start.object_frame[:6]
                 numbers: Numbers = (*start.finger_at, *start.object_at, start.angle)
@@ -92,7 +103,7 @@ class Buffer:
                 u1, v1, u2, v2, *others = start
                 numbers = (u1, v1, 0.0, u2, v2, 0.0, *others)
             which = bool(frame_1) + 2 * bool(frame_2)
-            state = (goes_on, contact.follows, which, at, len(own), *numbers)
+            state = (goes_on, contact.follows, which, at, len(own), *legs, *numbers)
             frames = (*(frame_1 or _NO_FRAME), *(frame_2 or _NO_FRAME))
             rows.append(_ROW(*self._body(contact.finger), *state, *frames))
         return rows
@@ -104,11 +115,10 @@ def _windows(scene: Scene, begin: float) -> dict[int, list[Disturbance]]:
     for d in scene.disturbances:
         if d.stop > begin:
             found.setdefault(int(d.contact), []).append(d)
-    if found and scene.profile.zeros(scene.duration):
-        for d in (d for own in found.values() for d in own):
+    for contact, own in found.items():
+        for d in own:
             if d.accelerates and any(d.value):
-                where = f"{scene.title}, contact {d.contact}"
-                refuse_rest(scene, where, max(d.start, begin), d.stop)
+                refuse_rest(scene, contact, max(d.start, begin), d.stop)
     return found
 
 

@@ -37,7 +37,7 @@ from .measures import (
     rejections,
 )
 from .plan import METHODS, Plan, plan
-from .scene import Scene, bundled_scenes, load_scene
+from .scene import STILL, Scene, bundled_scenes, load_scene
 from .theory.gain import LAWS, Gain
 
 PROGRAM = "contact-system"
@@ -136,11 +136,16 @@ def _scenes(args: argparse.Namespace) -> int:
     return 0
 
 
+def _contraction(scene: Scene) -> list[str]:
+    """Where slip shrinks under the scene's profile, after an empty line; legs have their own."""
+    return [] if scene.profile == STILL else ["", paragraph(str(scene.contraction()))]
+
+
 def _explain(args: argparse.Namespace) -> int:
     scene = _asked_scene(args)
     with Progress(1, "planning"):
         planned = plan(scene, args.tolerance, args.method)
-    print(planned.explain(), "", paragraph(str(scene.contraction())), sep="\n")
+    print(planned.explain(), *_contraction(scene), sep="\n")
     return 0
 
 
@@ -233,7 +238,7 @@ def _report(laws: Laws) -> Iterable[str]:
             "value then."
         )
         verdict = [paragraph(text) for text in _verdict(laws, scene)]
-        yield from ("", *verdict, *[""] * bool(verdict), paragraph(str(scene.contraction())))
+        yield from ("", *verdict, *_contraction(scene)[not verdict :])
     else:
         yield "No slip: every contact rolls throughout."
     yield from (*_great_circles(planned), "")

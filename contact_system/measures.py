@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -11,7 +12,8 @@ from numpy.typing import ArrayLike
 from .checks import real_array
 from .errors import ChartSingularity, ContactSystemError
 from .plan import Plan, require_plan
-from .scene import Scene
+from .scene import STILL, Scene
+from .theory.gain import contraction
 
 REJECTED = 0.05
 """Slip counts as rejected below this fraction of what the disturbance left."""
@@ -55,18 +57,19 @@ def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, n
     the start of each undisturbed interval: from one number of the plan, without its integration.
     Of so many times over the horizon, and the windows' edges, those at which there is slip.
     """
-    profile, gain = plan.scene.profile, plan.scene.gain
     knots = [plan.start, *np.ravel(windows(plan, contact)), plan.end]
     grid = np.union1d(np.linspace(plan.start, plan.end, count), knots)
-    grid = grid[profile(grid) > 0]
     times, values = [np.empty(0)], [np.empty(0)]
-    for start, stop in zip(knots[::2], knots[1::2]):
-        t = grid[(grid >= start) & (grid <= stop)]
-        if stop <= start or not len(t):
+    ways = itertools.product(plan.scene.way(contact), zip(knots[::2], knots[1::2]))
+    for (begin, end, _, profile), (start, stop) in ways:
+        tau = grid[(grid >= max(start, begin)) & (grid <= min(stop, end))] - begin
+        tau = tau[profile(tau) > 0]
+        if stop <= start or not len(tau):
             continue
-        first = plan.slip_speed(t[:1])[0, contact]
-        times.append(t)
-        values.append(first * profile(t) / profile(t[0]) * gain.decay(profile, t))
+        first = plan.slip_speed(begin + tau[:1])[0, contact]
+        decay = plan.scene.gain.decay(profile, tau)
+        times.append(begin + tau)
+        values.append(first * profile(tau) / profile(tau[0]) * decay)
     t, slip = np.concatenate(times), np.concatenate(values)
     return t[slip > 0], slip[slip > 0]
 
@@ -131,7 +134,7 @@ def rejections(plan: Plan) -> list[Rejection]:
     """
     require_plan(plan)
     # slip that nothing disturbs only grows or only shrinks between two of these
-    turns = np.ravel(plan.scene.contraction().intervals)
+    turns = _turns(plan.scene)
     knots = np.unique([plan.start, *turns[turns > plan.start], plan.end])
     edges = np.array([e for e in plan.scene.edges if e > plan.start])
     times = np.unique([*plan.sample_times(1001), *knots, *np.nextafter(edges, plan.start)])
@@ -151,6 +154,17 @@ def rejections(plan: Plan) -> list[Rejection]:
         taken = _rejection_time(plan, i, since, level, knots)
         found.append(Rejection(i, first, peak, float(times[greatest]), end, since, taken, reported))
     return found
+
+
+def _turns(scene: Scene) -> np.ndarray:
+    """Times between which every slip that nothing disturbs only grows or only shrinks, s."""
+    found = set()
+    for start, stop, _, profile in {s for i in range(len(scene.contacts)) for s in scene.way(i)}:
+        found |= {start, stop}
+        if profile != STILL:
+            intervals = contraction(profile, scene.gain, stop - start).intervals
+            found |= {start + t for interval in intervals for t in interval}
+    return np.array(sorted(found))
 
 
 def is_dynamic(scene: Scene) -> bool:

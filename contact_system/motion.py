@@ -256,8 +256,9 @@ def passed(name: str, surface: Surface, place: tuple[float, float]) -> ContactSy
 
 def _pushed_at_rest(scene: Scene, failure: binding.Failure) -> str:
     """What to do about an acceleration where the path all but rests; empty elsewhere."""
-    sigma = failure.value
-    if not failure.pushed or sigma > ALMOST_RESTS * max(map(abs, scene.profile.coefficients)):
+    sigma, way = failure.value, scene.way(failure.contact)
+    greatest = max(abs(c) for stretch in way for c in stretch.profile.coefficients)
+    if not failure.pushed or sigma > ALMOST_RESTS * greatest:
         return ""
     return (
         f"an acceleration acts where the path almost rests, sigma = {sigma:.3g} m/s; add a "

@@ -20,7 +20,7 @@ from .checks import a_path, finite_number, writing
 from .errors import ContactSystemError
 from .measures import exact_slip, great_circle_distance, regular_times, windows
 from .plan import Plan, require_plan
-from .scene import Scene
+from .scene import STILL, Scene, speed
 from .surfaces import Surface
 from .theory.gain import Gain
 from .theory.profile import Profile
@@ -152,7 +152,9 @@ def Picture(path: str | os.PathLike, size: tuple[float, float], dpi: int) -> Ite
 def draw_title(figure: Any, plan: Plan) -> None:
     """Name, profile, gain and description of a scene at the top of a figure."""
     scene = plan.scene
-    facts = rf"$\sigma$ = {_polynomial(scene.profile)} m/s,   gain {gain_text(scene.gain)}"
+    still = scene.profile == STILL
+    sigma = "of legs" if still else f"= {_polynomial(scene.profile)} m/s"
+    facts = rf"$\sigma$ {sigma},   gain {gain_text(scene.gain)}"
     name = figure.text(0.035, 0.955, _shortened(scene.name, 30), size=18, weight="bold")
     told = figure.text(0.965, 0.955, facts, size=10, ha="right", color=GREY)
     if told.get_window_extent().x0 < name.get_window_extent().x1 + 10:  # no room beside the name
@@ -290,7 +292,8 @@ def _draw_rolling(ax: Any, plan: Plan) -> None:
     t, contacts = plan.sample_times(), plan.scene.contacts
     followers = [i for i, c in enumerate(contacts) if c.follows and c.finger.great_circles]
     if not followers:
-        ax.plot(t, plan.scene.profile(t), color=INK, linewidth=1.8)
+        for way in {plan.scene.way(i) for i in range(len(contacts))}:
+            ax.plot(t, speed(way, t), color=INK, linewidth=1.8)
         ax.set_ylim(bottom=0.0)
         ax.set_ylabel(r"path speed $\sigma$ [m/s]")
         ax.set_title("No slip: the contacts roll", **TITLE)

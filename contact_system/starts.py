@@ -11,7 +11,7 @@ import numpy as np
 
 from .checks import naming
 from .errors import SceneError
-from .scene import Contact, Scene
+from .scene import Contact, Scene, speed
 
 
 @dataclass
@@ -75,7 +75,8 @@ def measured_start(
     SceneError
         NaN, sigma = 0, a pole, or coordinates outside the chart.
     """
-    where, sigma = f"{scene.title}, restart at t = {t:g} s", float(scene.profile(t))
+    where = f"{scene.title}, restart at t = {t:g} s"
+    sigma = float(speed(scene.way(index), np.array(t)))
     if not np.isfinite(row).all():
         raise SceneError(
             f"{where}, contact {index}: the measured state has {row[~np.isfinite(row)][0]}; leave "

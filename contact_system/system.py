@@ -397,6 +397,12 @@ class SceneSystem:
     def _refuse(self) -> None:
         """Raise what the class says of scenes that cannot be written."""
         scene = self.scene
+        for i, contact in enumerate(scene.contacts):
+            if contact.legs:
+                raise SceneError(
+                    f"{scene.title}, contact {i}: legs = {len(contact.legs)}: the equations of a "
+                    "system turn no corners; ask plan(), which does, or leave the legs out"
+                )
         zeros = scene.profile.zeros(scene.duration)
         if self.coordinates == "chart" and zeros:
             raise SceneError(
@@ -412,7 +418,7 @@ class SceneSystem:
                     )
         for d in scene.disturbances:
             if d.accelerates:
-                refuse_rest(scene, f"{scene.title}, contact {d.contact}", d.start, d.stop)
+                refuse_rest(scene, int(d.contact), d.start, d.stop)
 
     def _forms(self) -> list[Form]:
         scene, chart = self.scene, self.coordinates == "chart"

@@ -101,7 +101,7 @@ def _refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> N
                 )
     for i in range(len(w) // 6):
         if w[6 * i : 6 * i + 4].any():
-            refuse_rest(scene, f"{scene.title}, contact {i}", time, time)
+            refuse_rest(scene, i, time, time)
     if not system.evaluate("clearance", time, x, w, held)[0] > CLEARANCE:
         _refuse_singularity(system, t, x, w, held)
     rates = system.evaluate("derivatives", time, x, w, held)

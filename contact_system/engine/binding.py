@@ -108,7 +108,7 @@ ENGINE: Engine = _LIBRARY.contact_engine().contents
 plan, drop, anchor, evaluate = ENGINE.plan, ENGINE.drop, ENGINE.anchor, ENGINE.evaluate
 moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
 step = ENGINE.step
-LAYOUT = tuple((c_int32 * 6).in_dll(_LIBRARY, "contact_layout"))
+LAYOUT = tuple((c_int32 * 7).in_dll(_LIBRARY, "contact_layout"))
 """Version of the scene's buffer; sizes of its header, a body, a window, a contact, a moment."""
 
 

@@ -49,19 +49,15 @@ extern const table_t contact_tables[];
 
 /* ---- the scene's buffer: doubles, places as offsets from its beginning ---- */
 
-enum { SCENE_VERSION = 2 };
+enum { SCENE_VERSION = 3 };
 
 /* the header */
 enum {
   S_VERSION,
-  S_CONTACTS,  /* how many */
-  S_TOLERANCE, /* of contact points, in sizes of the body */
-  S_BEGIN,     /* s */
-  S_END,       /* s */
-  S_PROFILE,   /* where the coefficients of sigma stand, lowest power first, and how many */
-  S_PROFILE_SIZE,
-  S_EXTREMA, /* where the times of its extrema stand, ascending, s, and how many */
-  S_EXTREMA_SIZE,
+  S_CONTACTS,    /* how many */
+  S_TOLERANCE,   /* of contact points, in sizes of the body */
+  S_BEGIN,       /* s */
+  S_END,         /* s */
   S_GAIN,        /* lam = gain sigma^power, */
   S_GAIN_POWER,  /* a whole number from 0 on, */
   S_MAKES_UP,    /* and 1: max(0, sigma'/sigma) besides */
@@ -74,6 +70,17 @@ enum { B_SURFACE, B_NUMBERS /* where they stand */, B_LENGTH, B_BEND, B_REACH, B
 /* a window, what it adds in chart components; slots: acceleration of finger, of object, rate offset
  */
 enum { W_SLOT, W_START, W_STOP, W_VALUE, WINDOW_SIZE = W_VALUE + 2 };
+/* a leg, which lasts until the next one begins; a contact has one at least */
+enum {
+  G_START,   /* s */
+  G_PROFILE, /* where the coefficients of sigma stand, lowest power first, t from G_START, and how
+              */
+  G_PROFILE_SIZE, /* many */
+  G_EXTREMA,      /* where the times of its extrema stand, ascending, from G_START, and how many */
+  G_EXTREMA_SIZE,
+  G_TURN, /* cosine and sine of the angle by which the path turns where the leg begins */
+  LEG_SIZE = G_TURN + 2
+};
 /* a contact */
 enum {
   K_FINGER,                /* BODY_SIZE numbers */
@@ -82,6 +89,8 @@ enum {
   K_FRAMES,                /* which frames are given: 1 finger, 2 object, 3 both */
   K_WINDOWS,               /* where its windows stand, and how many */
   K_WINDOWS_SIZE,
+  K_LEGS, /* where its legs stand, and how many */
+  K_LEGS_SIZE,
   K_PLACE_1, /* u v theta of the finger */
   K_PLACE_2 = K_PLACE_1 + 3,
   K_ANGLE = K_PLACE_2 + 3, /* psi where both thetas are zero */
@@ -179,6 +188,6 @@ typedef struct {
 EXPORT const engine_t *contact_engine(void);
 EXPORT const surface_t *contact_surface(int index); /* of this package, NULL past the last */
 EXPORT const table_t *contact_table(int index);
-EXPORT extern const int32_t contact_layout[6]; /* what the binding checks: see dispatch.c */
+EXPORT extern const int32_t contact_layout[7]; /* what the binding checks: see dispatch.c */
 
 #endif

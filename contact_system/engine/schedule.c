@@ -1,15 +1,16 @@
-/* The horizon of a contact, cut where a window begins or ends and where its gain law changes its
-   form; sigma and the gain on each piece, in local time.
+/* The horizon of a contact, cut where a leg or a window begins or ends and where its gain law
+   changes its form; sigma and the gain on each piece, in local time.
 
    Everything is local to a piece, so that a large gain loses nothing to cancellation. Shifts and
    products of polynomials are formed in doubled precision and rounded once: terms of sigma may
    cancel. */
 
 /* a piece of the horizon, and what acts on it: accelerations of finger and object, rate offset of
-   the object, in chart components */
+   the object, in chart components; where a leg begins, it also says how the path turns there */
 typedef struct {
   const drive_t *drive;
   double acting[6];
+  const double *turn; /* cosine and sine, or NULL */
 } segment_t;
 
 /* Taylor's shift to start, by Horner's scheme again and again */
@@ -48,20 +49,22 @@ static int64_t exponent_of(work_t *w, const twofold_t *sigma, int64_t n, double 
   return size + 1;
 }
 
-/* sigma and the gain from start to stop */
-static const drive_t *drive_on(work_t *w, double start, double stop) {
-  const double *scene = w->plan->scene, *c = scene + (int64_t)scene[S_PROFILE];
-  const int64_t n = (int64_t)scene[S_PROFILE_SIZE], power = (int64_t)scene[S_GAIN_POWER];
+/* sigma and the gain from start to stop, within a leg */
+static const drive_t *drive_on(work_t *w, const double *leg, double start, double stop) {
+  const double *scene = w->plan->scene, *c = scene + (int64_t)leg[G_PROFILE];
+  const int64_t n = (int64_t)leg[G_PROFILE_SIZE], power = (int64_t)scene[S_GAIN_POWER];
+  const double from = start - leg[G_START], to = stop - leg[G_START];
   drive_t *d = keep_items(w, 1, sizeof *d);
   twofold_t *shifted = keep_items(w, n, sizeof *shifted);
   double *sigma = keep(w, (size_t)(2 * n + 1)), *length = sigma + n;
-  shift(c, n, start, shifted);
+  shift(c, n, from, shifted);
   for (int64_t i = 0; i < n; i++) sigma[i] = shifted[i].high + shifted[i].low;
-  *d = (drive_t){.start = start, .stop = stop, .sigma = sigma, .length = length, .n_sigma = n};
+  *d = (drive_t){.leg = leg, .start = start, .stop = stop, .sigma = sigma, .length = length};
+  d->n_sigma = n;
   if (scene[S_MAKES_UP] > 0) {
     /* where sigma touches zero its rounded first coefficient must not set the ratio's scale */
-    sigma[0] = clear_value(c, n, start, sigma[0]);
-    d->power = slope_of(c, n, 0.5 * (start + stop)) > 0;
+    sigma[0] = clear_value(c, n, from, sigma[0]);
+    d->power = slope_of(c, n, 0.5 * (from + to)) > 0;
   }
   length[0] = 0.0;
   for (int64_t i = 0; i < n; i++) length[i + 1] = sigma[i] / (double)(i + 1);
@@ -69,10 +72,10 @@ static const drive_t *drive_on(work_t *w, double start, double stop) {
 
   const double span = stop - start, ends[2] = {sigma[0], sigma_at(d, span)};
   double least = fmin(ends[0], ends[1]), greatest = fmax(ends[0], ends[1]);
-  const double *turns = scene + (int64_t)scene[S_EXTREMA];
-  for (int64_t k = 0; k < (int64_t)scene[S_EXTREMA_SIZE]; k++)
-    if (turns[k] > start && turns[k] < stop) {
-      const double value = sigma_at(d, turns[k] - start);
+  const double *turns = scene + (int64_t)leg[G_EXTREMA];
+  for (int64_t k = 0; k < (int64_t)leg[G_EXTREMA_SIZE]; k++)
+    if (turns[k] > from && turns[k] < to) {
+      const double value = sigma_at(d, turns[k] - from);
       least = fmin(least, value), greatest = fmax(greatest, value);
     }
   d->least = least;
@@ -93,33 +96,49 @@ static int ascending(const void *a, const void *b) {
   return (x > y) - (x < y);
 }
 
+/* The times at which something changes for a contact, ascending; returns how many */
+static int64_t knots_of(work_t *w, const double *row, double **out) {
+  const double *scene = w->plan->scene, *windows = scene + (int64_t)row[K_WINDOWS];
+  const double *legs = scene + (int64_t)row[K_LEGS];
+  const double begin = scene[S_BEGIN], end = scene[S_END];
+  const int64_t n = (int64_t)row[K_WINDOWS_SIZE], n_legs = (int64_t)row[K_LEGS_SIZE];
+  const int cut = scene[S_MAKES_UP] > 0; /* the law changes its form at extrema of sigma */
+  int64_t room = 2 + 2 * n + n_legs, count = 0;
+  for (int64_t k = 0; k < n_legs && cut; k++) room += (int64_t)legs[k * LEG_SIZE + G_EXTREMA_SIZE];
+  double *knots = *out = keep(w, (size_t)room);
+  knots[count++] = begin, knots[count++] = end;
+  for (int64_t k = 0; k < n; k++)
+    for (int j = 0; j < 2; j++) knots[count++] = windows[k * WINDOW_SIZE + W_START + j];
+  for (int64_t k = 0; k < n_legs; k++) {
+    const double *leg = legs + k * LEG_SIZE, *turns = scene + (int64_t)leg[G_EXTREMA];
+    knots[count++] = leg[G_START];
+    for (int64_t j = 0; j < (int64_t)leg[G_EXTREMA_SIZE] && cut; j++)
+      knots[count++] = leg[G_START] + turns[j];
+  }
+  int64_t inside = 0;
+  for (int64_t k = 0; k < count; k++)
+    if (knots[k] >= begin && knots[k] <= end) knots[inside++] = knots[k];
+  qsort(knots, (size_t)inside, sizeof *knots, ascending);
+  return inside;
+}
+
 /* The segments of a contact; returns how many */
 static int64_t schedule(work_t *w, const double *row, const segment_t **out) {
   const double *scene = w->plan->scene, *windows = scene + (int64_t)row[K_WINDOWS];
-  const double begin = scene[S_BEGIN], end = scene[S_END];
-  const int64_t n = (int64_t)row[K_WINDOWS_SIZE];
-  const int64_t n_turns = scene[S_MAKES_UP] > 0 ? (int64_t)scene[S_EXTREMA_SIZE] : 0;
-  double *knots = keep(w, (size_t)(2 * n + n_turns + 2));
-  int64_t count = 0;
-  knots[count++] = begin, knots[count++] = end;
-  for (int64_t k = 0; k < n; k++) {
-    const double *window = windows + k * WINDOW_SIZE;
-    for (int j = 0; j < 2; j++)
-      if (window[W_START + j] > begin && window[W_START + j] < end)
-        knots[count++] = window[W_START + j];
-  }
-  for (int64_t k = 0; k < n_turns; k++) {
-    const double t = scene[(int64_t)scene[S_EXTREMA] + k];
-    if (t > begin && t < end) knots[count++] = t;
-  }
-  qsort(knots, (size_t)count, sizeof *knots, ascending);
+  const double *leg = scene + (int64_t)row[K_LEGS];
+  const double *last = leg + ((int64_t)row[K_LEGS_SIZE] - 1) * LEG_SIZE;
+  double *knots;
+  const int64_t n = (int64_t)row[K_WINDOWS_SIZE], count = knots_of(w, row, &knots);
   segment_t *segments = keep_items(w, count - 1, sizeof *segments);
   int64_t found = 0;
   for (int64_t k = 0; k + 1 < count; k++) {
     if (!(knots[k] < knots[k + 1])) continue;
     segment_t *s = segments + found++;
     memset(s, 0, sizeof *s);
-    s->drive = drive_on(w, knots[k], knots[k + 1]);
+    while (leg < last && leg[LEG_SIZE + G_START] <= knots[k]) leg += LEG_SIZE;
+    s->drive = drive_on(w, leg, knots[k], knots[k + 1]);
+    /* the start's velocity is that of the leg it lies on */
+    if (leg[G_START] == knots[k] && knots[k] > scene[S_BEGIN]) s->turn = leg + G_TURN;
     for (int64_t i = 0; i < n; i++) {
       const double *window = windows + i * WINDOW_SIZE;
       if (!(window[W_START] <= knots[k] && knots[k + 1] <= window[W_STOP])) continue;

@@ -225,7 +225,7 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
     geodesic(c, 1, d, d->stop, NEGLIGIBLE);
   else {
     const double until = driven(c, d, offset, negligible);
-    if (until < d->stop) geodesic(c, 1, drive_on(c->w, until, d->stop), d->stop, SLIP_LEFT);
+    if (until < d->stop) geodesic(c, 1, drive_on(c->w, d->leg, until, d->stop), d->stop, SLIP_LEFT);
   }
   if (slip > 0) {
     const double left = decay_at(d, d->stop - d->start);
@@ -235,6 +235,13 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
 }
 
 /* ---- accelerations ---- */
+
+/* The path velocity becomes w1: W_2 = R_0 W_1. What slips goes on slipping. */
+static void go_along(course_t *c, const double *w1) {
+  const double *r = c->c->r0;
+  memcpy(c->w1, w1, sizeof c->w1);
+  for (int a = 0; a < 2; a++) c->w2[a] = r[2 * a] * w1[0] + r[2 * a + 1] * w1[1];
+}
 
 static void forced(course_t *c, const segment_t *segment) {
   const drive_t *d = segment->drive;
@@ -286,21 +293,17 @@ static void forced(course_t *c, const segment_t *segment) {
     require_regular(c, side, k);
     go_on(c, side);
   }
-  if (m.pushed) {
-    const double *r = c->c->r0;
-    memcpy(c->w1, m.state + n1, sizeof c->w1);
-    for (int a = 0; a < 2; a++) c->w2[a] = r[2 * a] * c->w1[0] + r[2 * a + 1] * c->w1[1];
-  }
+  if (m.pushed) go_along(c, m.state + n1);
   memcpy(c->v, m.state + m.n - 2, sizeof c->v);
 }
 
 /* ---- a contact ---- */
 
-/* The end of the run of segments, from one on, in which the finger (0) is not accelerated, or
-   nothing acts on the object (1) */
+/* The end of the run of segments of a leg, from one on, in which the finger (0) is not accelerated,
+   or nothing acts on the object (1) */
 static double free_until(const course_t *c, int side, int64_t k) {
   double stop = c->segments[k].drive->stop;
-  for (k++; k < c->n; k++) {
+  for (k++; k < c->n && !c->segments[k].turn; k++) {
     const double *act = c->segments[k].acting;
     if (any(act) || (side && (any(act + 2) || any(act + 4)))) break;
     stop = c->segments[k].drive->stop;
@@ -372,6 +375,10 @@ static void plan_contact(work_t *w, int64_t index) {
   for (int64_t k = 0; k < c.n; k++) {
     const segment_t *s = c.segments + k;
     const drive_t *d = s->drive;
+    if (s->turn) {
+      const double cosine = s->turn[0], sine = s->turn[1], *w1 = c.w1;
+      go_along(&c, (double[2]){cosine * w1[0] - sine * w1[1], sine * w1[0] + cosine * w1[1]});
+    }
     if (any(s->acting)) {
       until[0] = d->stop;
     } else if (until[0] <= d->start) {

@@ -9,6 +9,7 @@ typedef struct block {
 
 /* sigma and the gain on one interval; tau is local time */
 typedef struct {
+  const double *leg; /* in the buffer */
   double start, stop;
   double least;     /* sigma */
   double per_metre; /* least lam/sigma, or 1/length: what is left of V moves the contact by |V| over

@@ -17,6 +17,7 @@ from .files import (
     scene_text,
     scene_to_toml,
 )
+from .legs import STILL, Leg, Stretch, speed
 from .scene import Scene, acting, refuse_rest, require_scene
 
 __all__ = [
@@ -24,12 +25,15 @@ __all__ = [
     "REST",
     "ROLLING",
     "SLOTS",
+    "STILL",
     "Contact",
     "Disturbance",
     "FingerAcceleration",
+    "Leg",
     "ObjectAcceleration",
     "ObjectRateOffset",
     "Scene",
+    "Stretch",
     "Turning",
     "acting",
     "bundled_scenes",
@@ -40,4 +44,5 @@ __all__ = [
     "scene_from_toml",
     "scene_text",
     "scene_to_toml",
+    "speed",
 ]

@@ -17,6 +17,7 @@ from ..checks import finite_number, finite_numbers, is_plain
 from ..errors import SceneError
 from ..surfaces import Surface
 from ..theory.profile import Numbers, Profile
+from .legs import Leg
 
 Pair = tuple[float, float]
 
@@ -47,6 +48,18 @@ def a_text(value: Any, what: str) -> str:
     if not isinstance(value, str):
         raise SceneError(f"{what} = {value!r}: give a text in quotes")
     return value
+
+
+def all_of(kind: type, values: Any, what: str, names: str = "") -> tuple:
+    """The values as a tuple, each of which must be of the kind."""
+    # the usual kinds first: what an abstract class takes in costs more to find out
+    if isinstance(values, (kind, str)) or not isinstance(values, (list, tuple, Iterable)):
+        raise SceneError(f"{what} = {values!r}: give a list")
+    values = tuple(values)
+    for k, value in enumerate(values):
+        if not isinstance(value, kind):
+            raise SceneError(f"{what}[{k}] = {value!r}: give a {names or kind.__name__}")
+    return values
 
 
 MANY_TURNS = 1e3  # [rad]: psi keeps 13 digits of a turn
@@ -85,6 +98,10 @@ class Contact:
         "rest": the contact point on the object starts at rest, so the finger slides.
     name : str
         For messages and pictures.
+    legs : sequence of Leg
+        The path turns at corners: each leg has its own direction, length, time and sigma, and the
+        scene's profile is not this contact's. After the last one the contact rests. With one,
+        ``finger_velocity`` is where the directions count from, and "rolling" is no choice for it.
 
     Raises
     ------
@@ -99,6 +116,7 @@ class Contact:
     finger_velocity: Pair | str = (2**-0.5, 2**-0.5)
     object_velocity: Pair | str = ROLLING
     name: str = ""
+    legs: Sequence[Leg] = ()
 
     if TYPE_CHECKING:  # the fields say what is kept, this what may be given
 
@@ -111,6 +129,7 @@ class Contact:
             finger_velocity: Numbers | str = ...,
             object_velocity: Numbers | str = ...,
             name: str = ...,
+            legs: Sequence[Leg] = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -135,11 +154,21 @@ class Contact:
                 f'object_velocity = "{self.object_velocity}" does not give; '
                 "give object_velocity as two numbers"
             )
+        if self.legs != ():
+            put(self, "legs", all_of(Leg, self.legs, "legs"))
+        if self.legs and self.follows:
+            raise SceneError(
+                'finger_velocity = "rolling" has one geodesic of the object to follow, and no '
+                "legs; give finger_velocity as two numbers, or leave the legs out"
+            )
 
     def start_numbers(self) -> tuple[float, ...]:
         """The 9 numbers of a :class:`.starts.Start` in their order; words become numbers here."""
         own: Any = self.finger_velocity
         given: Any = self.object_velocity
+        if self.legs:
+            c, s = math.cos(self.legs[0].direction), math.sin(self.legs[0].direction)
+            own = c * own[0] - s * own[1], s * own[0] + c * own[1]
         if isinstance(own, str):  # imposed: the other is a pair
             own = _rolled(self.angle, given)
         elif isinstance(given, str):

@@ -26,9 +26,11 @@ from ..theory.gain import LAWS, Gain
 from ..theory.profile import Profile
 from .contact import REST, ROLLING, Contact, Turning
 from .disturbances import DISTURBANCE_KINDS, Disturbance
+from .legs import STILL, Leg
 from .scene import (
     CONTACT_KEYS,
     DISTURBANCE_KEYS,
+    LEG_KEYS,
     PAPER_NUMBERS,
     SCENE_KEYS,
     TURNING_KEYS,
@@ -75,7 +77,10 @@ def _scene(text: str, source: str) -> Scene:
         raise SceneError(f"is not valid TOML: {error}; correct that line") from None
     except ValueError as error:  # int() reads no more than 4300 digits
         raise SceneError(f"holds a number that is too long: {error}; shorten it") from None
-    table = _table(given, SCENE_KEYS, ("duration", "profile", "object", "contacts"))
+    contacts = given.get("contacts")
+    all_legs = isinstance(contacts, list) and all("legs" in c for c in contacts if type(c) is dict)
+    moved = () if all_legs else ("duration", "profile")
+    table = _table(given, SCENE_KEYS, (*moved, "object", "contacts"))
     table = {"name": Path(source).stem, **table, "source": source}
     return Scene(**{key: _read(key, value) for key, value in table.items()})
 
@@ -108,6 +113,12 @@ def _read_part(key: str, place: str, value: Any) -> Any:
             return _read_contact(_table(value, CONTACT_KEYS, ("finger", "object_at")))
         if key == "disturbances":
             return _read_disturbance(_table(value, DISTURBANCE_KEYS, DISTURBANCE_KEYS))
+        if key == "legs":
+            numbers = _with_numbers(_table(value, LEG_KEYS, ("direction", "duration")))
+            given = {"length": None, **numbers}
+            if "profile" in given:
+                given["profile"] = Profile(given["profile"])
+            return Leg(**given)
         if key == "turning":
             return Turning(**_with_numbers(_table(value, TURNING_KEYS, TURNING_KEYS)))
         if key == "paper":
@@ -120,6 +131,10 @@ def _read_contact(table: dict) -> Contact:
     for key, value in table.items():
         if key == "finger":
             fields[key] = _read_part(key, key, value)
+        elif key == "legs":
+            if not isinstance(value, list):
+                raise SceneError(f"legs = {value!r}: give a list of tables")
+            fields[key] = [_read_part(key, f"legs[{k}]", leg) for k, leg in enumerate(value)]
         elif isinstance(value, str) and key.endswith("velocity"):
             if value not in words:
                 raise SceneError(
@@ -223,7 +238,8 @@ def scene_to_toml(scene: Scene) -> str:
     """
     with naming(scene.title):
         table = {key: getattr(scene, key) for key in ("name", "description", "duration")}
-        table["profile"] = scene.profile.coefficients
+        if scene.profile != STILL:
+            table["profile"] = scene.profile.coefficients
         table["gain"] = {"law": scene.gain.law, scene.gain.parameter: scene.gain.value}
         lines = _lines(table | {"chosen": scene.chosen})
         if scene.turning is not None:
@@ -232,6 +248,9 @@ def scene_to_toml(scene: Scene) -> str:
         for i, contact in enumerate(scene.contacts):
             table = {key: getattr(contact, key) for key in CONTACT_KEYS}
             table["finger"] = _surface_table(contact.finger, f"contacts[{i}]: finger")
+            table["legs"] = list(map(_leg_table, contact.legs))
+            if not contact.legs:
+                del table["legs"]
             lines += ["", "[[contacts]]", *_lines(table)]
         for d in scene.disturbances:
             table = {key: getattr(d, key) for key in DISTURBANCE_KEYS}
@@ -258,6 +277,15 @@ def _toml(value: Any) -> str:
     if isinstance(value, Mapping):
         return "{ " + ", ".join(_lines(value)) + " }"
     return "[" + ", ".join(_toml(x) for x in value) + "]"
+
+
+def _leg_table(leg: Leg) -> dict[str, Any]:
+    """The table of a leg: its length, or its own profile."""
+    table = {"direction": leg.direction, "duration": leg.duration}
+    if leg == Leg(leg.direction, leg.length, leg.duration):
+        return table | {"length": leg.length}
+    assert leg.profile is not None
+    return table | {"profile": leg.profile.coefficients}
 
 
 def _surface_table(surface: Surface, what: str) -> dict[str, Any]:

@@ -21,8 +21,9 @@ from ..errors import ContactSystemError, SceneError
 from ..surfaces import Surface
 from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
-from .contact import MANY_TURNS, Contact, Pair, Turning, a_surface, a_text
+from .contact import MANY_TURNS, Contact, Pair, Turning, a_surface, a_text, all_of
 from .disturbances import DISTURBANCE_KINDS, SLOTS, Disturbance
+from .legs import STILL, Leg, Stretch, check_legs, stretches
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,11 +40,11 @@ class Scene:
     contacts : sequence of Contact
         At least one.
     profile : Profile
-        sigma(t) [m/s]; not negative on the horizon.
+        sigma(t) [m/s] of contacts without legs, who must be given one; not negative on the horizon.
     gain : Gain
         The gain law; the default is `Gain.time(100)`.
     duration : float
-        The horizon is [0, duration] [s].
+        The horizon is [0, duration] [s]; by default as long as the legs take.
     disturbances : sequence of Disturbance
         Overlapping windows add.
     turning : Turning, optional
@@ -70,8 +71,8 @@ class Scene:
 
     object: Surface
     contacts: Sequence[Contact]
-    profile: Profile
-    duration: float
+    profile: Profile = STILL
+    duration: float = 0.0
     gain: Gain = Gain("time", 100.0)
     disturbances: Sequence[Disturbance] = ()
     turning: Turning | None = None
@@ -140,17 +141,26 @@ class Scene:
 
     @property
     def edges(self) -> tuple[float, ...]:
-        """0, the window edges inside the horizon and the duration, ascending [s]."""
-        return tuple(sorted({0.0, self.duration, *self.window_edges}))
+        """Where legs and windows begin or end, 0 and the duration, ascending [s]."""
+        ways = (self.way(i) for i, contact in enumerate(self.contacts) if contact.legs)
+        corners = {stretch.start for way in ways for stretch in way}
+        return tuple(sorted({0.0, self.duration, *self.window_edges, *corners}))
+
+    def way(self, contact: int) -> tuple[Stretch, ...]:
+        """sigma of a contact, leg by leg; of one without legs the scene's profile."""
+        if legs := self.contacts[contact].legs:
+            return stretches(legs, self.duration)
+        return (Stretch(0.0, self.duration, 0.0, self.profile),)
 
     def _check_parts(self) -> None:
         """Types, and everything into its plain immutable form."""
         put = object.__setattr__
         a_surface(self.object, "object")
-        put(self, "contacts", _all_of(Contact, self.contacts, "contacts"))
+        put(self, "contacts", all_of(Contact, self.contacts, "contacts"))
         if not self.contacts:
             raise SceneError("contacts = []: a scene needs at least one contact")
-        put(self, "disturbances", _all_of(Disturbance, self.disturbances, "disturbances"))
+        kinds = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
+        put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", kinds))
         for key, kind in (("profile", Profile), ("gain", Gain), ("turning", Turning)):
             value = getattr(self, key)
             if not isinstance(value, kind) and not (key == "turning" and value is None):
@@ -166,10 +176,16 @@ class Scene:
     def _check_motion(self) -> None:
         """The horizon, sigma on it, and every window inside it."""
         put = object.__setattr__
-        put(self, "duration", finite_number(self.duration, "duration"))
+        with_legs = [(i, c.legs) for i, c in enumerate(self.contacts) if c.legs]
+        longest = max((sum(x.duration for x in legs) for _, legs in with_legs), default=0.0)
+        put(self, "duration", finite_number(self.duration or longest, "duration"))
         if not self.duration > 0:
             raise SceneError(f"duration = {self.duration:g} s: give a horizon longer than 0 s")
-        self.profile.check(self.duration)
+        for i, legs in with_legs:
+            with naming(f"contacts[{i}]"):
+                check_legs(legs, self.duration)
+        if len(with_legs) < len(self.contacts) or self.profile != STILL:
+            self.profile.check(self.duration)
         if not self.disturbances:
             return
         expanded: list[Disturbance] = []
@@ -214,19 +230,6 @@ class Scene:
         if turned:
             moved = tuple(_turned(d, turned) for d in self.disturbances)
             object.__setattr__(self, "disturbances", moved)
-
-
-def _all_of(kind: type, values: Any, what: str) -> tuple:
-    # the usual kinds first: what an abstract class takes in costs more to find out
-    if isinstance(values, (kind, str)) or not isinstance(values, (list, tuple, Iterable)):
-        raise SceneError(f"{what} = {values!r}: give a list")
-    values = tuple(values)
-    for k, value in enumerate(values):
-        if not isinstance(value, kind):
-            kinds = DISTURBANCE_KINDS if kind is Disturbance else (kind,)
-            names = " or ".join(k.__name__ for k in kinds)
-            raise SceneError(f"{what}[{k}] = {value!r}: give a {names}")
-    return values
 
 
 def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Contact, bool]:
@@ -307,6 +310,7 @@ SCENE_KEYS = (
     "drake",
 )
 CONTACT_KEYS = tuple(f.name for f in dataclasses.fields(Contact))
+LEG_KEYS = tuple(f.name for f in dataclasses.fields(Leg))
 TURNING_KEYS = tuple(f.name for f in dataclasses.fields(Turning))
 DISTURBANCE_KEYS = ("kind", *(f.name for f in dataclasses.fields(Disturbance)))
 
@@ -336,7 +340,7 @@ def _plain(value: Any, what: str) -> Any:
 
 def _check_chosen(scene: Scene) -> None:
     """Every entry of `chosen` names a key that a scene file has."""
-    object.__setattr__(scene, "chosen", _all_of(str, scene.chosen, "chosen"))
+    object.__setattr__(scene, "chosen", all_of(str, scene.chosen, "chosen"))
     if not scene.chosen:
         return
     below: dict[str, Iterable[str]] = {
@@ -370,14 +374,19 @@ def acting(scene: Scene, t: float) -> np.ndarray:
     return found
 
 
-def refuse_rest(scene: Scene, where: str, start: float, stop: float) -> None:
+def refuse_rest(scene: Scene, contact: int, start: float, stop: float) -> None:
     """Raise a SceneError where sigma = 0 under an acceleration: dq/ds would have to be infinite."""
-    inside = [t for t in scene.profile.zeros(scene.duration) if start <= t <= stop]
+    inside = [
+        max(stretch.start + t, start)
+        for stretch in scene.way(contact)
+        for t in stretch.profile.zeros(stretch.stop - stretch.start)
+        if start <= stretch.start + t <= stop
+    ]
     if inside:
         raise SceneError(
-            f"{where}: sigma = 0 at t = {inside[0]:g} s while an acceleration acts, which would "
-            "make the path velocity dq/ds infinite; accelerate while sigma > 0, or add a small "
-            "constant to the profile"
+            f"{scene.title}, contact {contact}: sigma = 0 at t = {inside[0]:g} s while an "
+            "acceleration acts, which would make the path velocity dq/ds infinite; accelerate "
+            "while sigma > 0, or add a small constant to the profile"
         )
 
 
