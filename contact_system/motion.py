@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import threading
 from collections.abc import Sequence
 from ctypes import byref
 from typing import Any
@@ -64,23 +63,22 @@ class Motion:
         What stands in the way.
     """
 
-    _at: int | None = None
+    _as_parameter_: int | None = None  # the plan's address, by which the engine takes this object
 
     def __init__(self, scene: Scene, tolerance: float, begin: float, starts: Starts | None):
         self.scene = scene
         buffer = Buffer(scene, tolerance, begin, starts)
         self._surfaces = buffer.surfaces  # the engine points into their tables
         addresses = (ctypes.c_void_p * len(self._surfaces))(*map(_address, self._surfaces))
-        self._addresses, self._anchored, self._lock = addresses, False, threading.Lock()
+        self._addresses, self._anchored = addresses, False
         failure = binding.Failure()
         size = len(buffer.numbers) // 8
-        self._at = binding.plan(buffer.numbers, size, ctypes.addressof(addresses), byref(failure))
-        if not self._at:
+        at = binding.plan(buffer.numbers, size, ctypes.addressof(addresses), byref(failure))
+        self._as_parameter_ = at
+        if not at:
             raise self._error(failure)
 
-    def __del__(self) -> None:
-        if self._at:
-            binding.drop(self._at)
+    __del__ = binding.drop
 
     # --- results -------------------------------------------------------------------------------
 
@@ -97,27 +95,25 @@ class Motion:
             )
             failure = binding.Failure()
             at = address(t), ctypes.addressof(wanted)
-            if binding.evaluate(self._at, n, *at, byref(failure)):
+            if binding.evaluate(self, n, *at, byref(failure)):
                 if failure.code == OUTSIDE:
                     return None
                 raise self._error(failure)
         return {name: values.transpose(_TIMES_FIRST[name]) for name, values in found.items()}
 
     def _anchor(self) -> None:
-        """Find the branches of charts, once."""
-        with self._lock:
-            if not self._anchored:
-                failure = binding.Failure()
-                if binding.anchor(self._at, byref(failure)):
-                    raise self._error(failure)
-                self._anchored = True
+        """Find the branches of charts; a second time it changes nothing."""
+        failure = binding.Failure()
+        if binding.anchor(self, byref(failure)):
+            raise self._error(failure)
+        self._anchored = True
 
     def moments(self, t: float) -> list[Moment]:
         """Where every contact has come to at time t."""
         self._anchor()
         found = np.empty((len(self.scene.contacts), MOMENT))
         failure = binding.Failure()
-        if binding.moments(self._at, t, address(found), byref(failure)):
+        if binding.moments(self, t, address(found), byref(failure)):
             raise self._error(failure)
         return [self._moment(i, row) for i, row in enumerate(found.tolist())]
 
@@ -147,9 +143,9 @@ class Motion:
 
     def facts(self, index: int) -> list[binding.Fact]:
         """What became of a contact's bodies, interval by interval, the finger first."""
-        count = binding.facts(self._at, index, 0, None)
+        count = binding.facts(self, index, 0, None)
         found = (binding.Fact * count)()
-        binding.facts(self._at, index, count, found)
+        binding.facts(self, index, count, found)
         return list(found)
 
     def _told(self, index: int) -> list[str]:

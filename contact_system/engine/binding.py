@@ -69,13 +69,14 @@ class Fact(Structure):
 _CALLS: dict[str, Any] = {
     "plan": ctypes.CFUNCTYPE(c_void_p, c_void_p, c_int64, c_void_p, POINTER(Failure)),
     "drop": ctypes.CFUNCTYPE(None, c_void_p),
-    "anchor": ctypes.CFUNCTYPE(c_int32, c_void_p, POINTER(Failure)),
+    # it changes the plan, which other threads may ask meanwhile: Python's lock is kept
+    "anchor": ctypes.PYFUNCTYPE(c_int32, c_void_p, POINTER(Failure)),
     "evaluate": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, POINTER(Failure)),
     "moments": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
     "facts": ctypes.CFUNCTYPE(c_int64, c_void_p, c_int64, c_int64, POINTER(Fact)),
     "bytes": ctypes.CFUNCTYPE(c_double, c_void_p),
     "run": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, c_int32, c_void_p),
-    # it takes a microsecond, in which the lock may be kept
+    # it takes a microsecond
     "step": ctypes.PYFUNCTYPE(None, c_void_p),
 }
 
@@ -105,11 +106,17 @@ def _library() -> ctypes.CDLL:
 _LIBRARY = _library()
 ENGINE: Engine = _LIBRARY.contact_engine().contents
 # to fetch a function from a structure makes it anew
-plan, drop, anchor, evaluate = ENGINE.plan, ENGINE.drop, ENGINE.anchor, ENGINE.evaluate
+plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
 step = ENGINE.step
+_method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
+    ("PyInstanceMethod_New", ctypes.pythonapi)
+)
+drop = _method(ENGINE.drop)
+"""A ``__del__`` of objects with a plan's address as ``_as_parameter_``, and not in Python: there
+Ctrl-C would be lost."""
 LAYOUT = tuple((c_int32 * 7).in_dll(_LIBRARY, "contact_layout"))
-"""Version of the scene's buffer; sizes of its header, a body, a window, a contact, a moment."""
+"""Version of the scene's buffer; sizes of its header, a body, window, leg, contact and moment."""
 
 
 class Builtin(NamedTuple):
