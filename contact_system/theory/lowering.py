@@ -12,6 +12,7 @@ multiply many times faster than they divide.
 
 from __future__ import annotations
 
+import copy
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -25,7 +26,7 @@ from ..kept import kept
 from . import symbols as ca
 from .development import IN_CHART, IN_SPACE, moving, prefers_space
 from .geometry import geometry_function, inverse_function, ray_function
-from .symbols import SYMBOLS, per_structure
+from .symbols import making_symbols, per_structure
 
 if TYPE_CHECKING:
     from ..surfaces.base import Surface
@@ -255,7 +256,7 @@ class Table:
 
     def __init__(self, function: ca.Function):
         assert function.nnz_out(0) == function.numel_out(0), "results must be dense"
-        with SYMBOLS:
+        with making_symbols():
             values = _Values(function)
         rows, live = values.rows, values.live()
         self.n_in, self.n_const = len(values.inputs), len(values.constants)
@@ -386,4 +387,4 @@ class SurfaceTables:
 @per_structure
 def lowered(surface: Surface) -> SurfaceTables:
     """The tables of a surface that the engine does not know, such as a user's."""
-    return SurfaceTables(surface)
+    return SurfaceTables(copy.copy(surface))  # one that does not hold the tables in its turn
