@@ -59,7 +59,7 @@ def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
     """Return what a formula stands for: a number, or an SX expression of the names in it.
 
     A float, by Python's arithmetic, where none of the names occurs; else a scalar expression, which
-    is made while `theory.symbols.SYMBOLS` is held.
+    is made inside of `theory.symbols.making_symbols`.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ from .theory.equations import (
 from .theory.gain import LAWS
 from .theory.geometry import rotation
 from .theory.profile import integral, polynomial, product
-from .theory.symbols import SYMBOLS, per_structure
+from .theory.symbols import making_symbols, per_structure
 
 Array = np.ndarray
 
@@ -504,7 +504,7 @@ class SceneSystem:
         SceneError
             Another output.
         """
-        with SYMBOLS:
+        with making_symbols():
             values = [self._expression(name) for name in outputs]
             if outputs not in self._functions:
                 dense = [ca.densify(value) for value in ca.cse(values)]
@@ -514,7 +514,7 @@ class SceneSystem:
         return self._functions[outputs]
 
     def _expression(self, output: str) -> ca.SX:
-        with SYMBOLS:
+        with making_symbols():
             known = self._expressions
         if not isinstance(output, str) or output not in known:
             raise SceneError(

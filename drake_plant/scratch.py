@@ -12,7 +12,7 @@ from contact_system import SceneSystem
 from contact_system.engine.binding import step
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
-from contact_system.theory.symbols import SYMBOLS
+from contact_system.theory.symbols import making_symbols
 
 from .invariants import StepWatch, has_invariants, no_limits, pace_function
 
@@ -25,7 +25,7 @@ PACE = "pace"
 @functools.lru_cache(maxsize=128)
 def _lowered(system: SceneSystem, *outputs: str) -> tuple[Table, list[int]]:
     """The table (t, x, w, held, limits | p) -> outputs, and where each of these ends."""
-    with SYMBOLS:
+    with making_symbols():
         pace = outputs == (PACE,)
         function = pace_function(system) if pace else system.function(*outputs)
         given = [ca.SX.sym(f"x{i}", function.size1_in(i)) for i in range(function.n_in())]

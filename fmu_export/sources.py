@@ -23,7 +23,7 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.development import body_motion, in_space, moving
 from contact_system.theory.equations import pushed_paths
 from contact_system.theory.geometry import rotation
-from contact_system.theory.symbols import SYMBOLS
+from contact_system.theory.symbols import making_symbols
 
 from .codegen import c_function, c_loop
 from .description import model_identifier
@@ -75,7 +75,7 @@ def c_sources(table: Table, token: str, fmi_version: str) -> dict[str, str]:
     layer = f"fmi{fmi_version[0]}.c"
     files = {name: (C_SOURCES / name).read_text("utf-8") for name in (*HAND_WRITTEN, layer)}
     files["gauss.inc"] = GAUSS.read_text("utf-8")
-    with SYMBOLS:
+    with making_symbols():
         model = _Model(table, token)
     return files | {"model.h": model.header, "model.c": model.source}
 

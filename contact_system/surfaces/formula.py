@@ -20,7 +20,7 @@ from ..checks import finite_number
 from ..errors import SurfaceError
 from ..expressions import FUNCTIONS, parse
 from ..theory import symbols as ca
-from ..theory.symbols import MOST_KEPT
+from ..theory.symbols import MOST_KEPT, hearing_ctrl_c
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _trace(
 ) -> ca.SX:
     """Call a user's function on symbols and return its components as one column."""
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), hearing_ctrl_c():
             # CasADi announces a coming change of what numpy functions of symbols return.
             warnings.simplefilter("ignore", FutureWarning)
             value = function(*arguments, **symbols)

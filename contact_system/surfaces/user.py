@@ -19,7 +19,7 @@ from ..errors import ContactSystemError, SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
 from ..theory.geometry import ChartGeometry, contact_frame, tangent_geometry
-from ..theory.symbols import SYMBOLS
+from ..theory.symbols import making_symbols
 from .base import RAY, Sign, Surface, positive_length, store
 from .charts import TURN, Array, Chart, Frame, Pair, Periods, hypot
 from .formula import Formula, make_formula
@@ -64,7 +64,7 @@ class UserSurface(Surface):
         if own is not None and formula is not None:
             raise SurfaceError(f"{self._kind}: {name} and formula are both given; give one of them")
         try:
-            with SYMBOLS:
+            with making_symbols():
                 form = make_formula(own if formula is None else formula, parameters, letters)
         except ContactSystemError as error:
             raise SurfaceError(f"{self._kind}: {error}") from error.__cause__

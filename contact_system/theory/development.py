@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 from . import symbols as ca
 from .geometry import number_symbols, numbers_function, plane_turn, rotation, upper_inverse
-from .symbols import SYMBOLS, per_structure
+from .symbols import making_symbols, per_structure
 
 if TYPE_CHECKING:
     from ..surfaces.base import Surface
@@ -68,7 +68,7 @@ class Moving:
     def __call__(self, name: str) -> ca.Function:
         """Return one of `IN_SPACE` or `IN_CHART` as a function of (point, numbers)."""
         if name not in self._functions:
-            with SYMBOLS:
+            with making_symbols():
                 self._functions[name] = self._function(name)
         return self._functions[name]
 

@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING
 from ..errors import SurfaceError
 from . import symbols as ca
 from .geometry import ChartGeometry, number_symbols, rotation, symmetric, upper_inverse
-from .symbols import SYMBOLS, per_structure
+from .symbols import making_symbols, per_structure
 
 if TYPE_CHECKING:
     from ..surfaces.base import Surface
@@ -190,7 +190,7 @@ def contact_functions() -> dict[str, ca.Function]:
     R0, by rows, is a constant of all that need it.
     """
     sym = ca.SX.sym
-    with SYMBOLS:
+    with making_symbols():
         rows, none = sym("R0", 4), ca.SX(0, 1)
         r0 = ca.reshape(rows, 2, 2).T
         psi, w1, given, y = sym("psi"), sym("W1", 2), sym("given", 2), sym("y", 2)
