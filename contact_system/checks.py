@@ -162,18 +162,6 @@ def make_folder(path: Path, remedy: str) -> Path:
     return path
 
 
-@contextmanager
-def writing(path: Path, place: str = "") -> Iterator[None]:
-    """Say in one line why a file cannot be written."""
-    try:
-        yield
-    except OSError as error:
-        raise SceneError(
-            f"{place}'{path}' cannot be written: {error.strerror or error}; give a path in a "
-            "folder that is there and can be written to"
-        ) from None
-
-
 def is_device(name: str) -> bool:
     """Whether Windows takes a file of this name, with any ending, for a device."""
     return re.match(r"(con|prn|aux|nul|(com|lpt)[0-9])(\.|$)", name, re.IGNORECASE) is not None

@@ -13,17 +13,17 @@ import json
 import math
 import numbers
 import os
-from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import FLOAT, a_path, did_you_mean, flag, real_array, writing
+from .checks import FLOAT, a_path, did_you_mean, flag, real_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .motion import SHAPES, Motion
 from .scene import Scene, acting, require_scene, scene_from_toml, scene_to_toml
 from .starts import Starts, covers_twice, measured_start, on_branch, starts_from_plain
+from .writing import writing
 
 METHODS = ("auto", "chart")
 SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
@@ -367,11 +367,13 @@ class Plan:
         """
         path = a_path(path)
         t = self.sample_times() if times is None else self._times(times)
-        with writing(path, f"{self.scene.title}: "):
-            self._write(path, t)
+        if path.suffix not in (".npz", ".csv"):
+            raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .npz or .csv")
+        with writing(path, f"{self.scene.title}: ") as file:
+            self._write(file, path.suffix, t)
 
-    def _write(self, path: Path, t: np.ndarray) -> None:
-        if path.suffix == ".npz":
+    def _write(self, file: BinaryIO, ending: str, t: np.ndarray) -> None:
+        if ending == ".npz":
             header = {
                 "tolerance": self.tolerance,
                 "method": self.method,
@@ -380,7 +382,7 @@ class Plan:
                 "starts": [vars(s) for s in self.starts] if self.starts else None,
             }
             np.savez_compressed(
-                path,
+                file,
                 scene=scene_to_toml(self.scene),
                 plan=json.dumps(header),
                 t=t,
@@ -390,10 +392,8 @@ class Plan:
                 pose=self.pose(t),
                 points=self.points(t),
             )
-        elif path.suffix == ".csv":
-            path.write_text(self._csv(t))
         else:
-            raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .npz or .csv")
+            file.write(self._csv(t).encode())
 
     def sample_times(self, count: int = 401) -> np.ndarray:
         """Equally spaced times over the plan, and the scene's edges: (n,), ascending, s.

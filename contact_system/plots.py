@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .checks import a_path, finite_number, writing
+from .checks import a_path, finite_number
 from .errors import ContactSystemError
 from .measures import exact_slip, great_circle_distance, regular_times, windows
 from .plan import Plan, require_plan
@@ -24,6 +24,7 @@ from .scene import STILL, Scene, speed
 from .surfaces import Surface
 from .theory.gain import Gain
 from .theory.profile import Profile
+from .writing import writing
 
 COLOURS = ("#1f5fa8", "#12876f", "#e08e0b", "#7a4fa3", "#3aa0d8", "#8a6a3b", "#5b7083")
 DISTURBED = "#d1274b"
@@ -137,13 +138,14 @@ def Picture(path: str | os.PathLike, size: tuple[float, float], dpi: int) -> Ite
     except ImportError:
         remedy = 'pictures need matplotlib: pip install "contact-system[plot]"'
         raise MissingMatplotlib(remedy) from None
-    if path.suffix[1:].lower() not in FigureCanvasBase.get_supported_filetypes():
+    ending = path.suffix[1:].lower()
+    if ending not in FigureCanvasBase.get_supported_filetypes():
         raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .png, .pdf or .svg")
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=size, facecolor="white")
         yield figure
-        with writing(path):
-            figure.savefig(path, dpi=dots)
+        with writing(path) as file:
+            figure.savefig(file, format=ending, dpi=dots)
 
 
 # --- words -------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import io
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -17,6 +18,7 @@ from contact_system.measures import REJECTED
 from contact_system.plots import MissingMatplotlib
 from contact_system.scene import scene_to_toml
 from contact_system.system import COORDINATES
+from contact_system.writing import writing
 
 from . import plots
 from .measures import EDGE, SATURATED, ContactReport, contact_table
@@ -92,7 +94,8 @@ def save_npz(result: SimulationResult, path: Path) -> None:
         for name, values in table.items()
     }
     logs |= {"t": result.t, "object_pose": result.object_pose}
-    np.savez_compressed(path, scene=np.array(scene_to_toml(result.scene)), **logs)
+    with writing(path) as file:
+        np.savez_compressed(file, scene=np.array(scene_to_toml(result.scene)), **logs)
 
 
 def save_csv(result: SimulationResult, path: Path) -> None:
@@ -110,11 +113,13 @@ def save_csv(result: SimulationResult, path: Path) -> None:
         head += [f"{title} {axis} [{unit}]" for axis in axes]
         columns.append(getattr(result, kind)[name.replace(" ", "_")])
     table = np.concatenate(columns, axis=2)
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(head)
-        for t, contacts in zip(result.t.tolist(), table.tolist()):
-            writer.writerows([repr(t), i, *map(repr, row)] for i, row in enumerate(contacts))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    for t, contacts in zip(result.t.tolist(), table.tolist()):
+        writer.writerows([repr(t), i, *map(repr, row)] for i, row in enumerate(contacts))
+    with writing(path) as file:
+        file.write(text.getvalue().encode())
 
 
 # --- telling -----------------------------------------------------------------------------------

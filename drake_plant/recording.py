@@ -14,7 +14,8 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
 
 from contact_system import SceneError
-from contact_system.checks import a_path, finite_number, writing
+from contact_system.checks import a_path, finite_number
+from contact_system.writing import writing
 
 from .lifetimes import NO_DICTIONARY, weakly
 from .plant import ScenePlant, require_config
@@ -88,8 +89,8 @@ class Recording:
             raise SceneError(f"nothing to save in {path}: call Add before the Diagram is built")
         self._visualizer.StopRecording()
         self._visualizer.PublishRecording()
-        with writing(a_path(path)):
-            a_path(path).write_text(self._meshcat.StaticHtml())
+        with writing(a_path(path)) as file:
+            file.write(self._meshcat.StaticHtml().encode())
 
 
 class _Follower(LeafSystem):

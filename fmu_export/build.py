@@ -11,7 +11,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import uuid
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +20,7 @@ import fmpy
 
 from contact_system.checks import a_path, items_of, make_folder
 from contact_system.errors import ContactSystemError
+from contact_system.writing import writing
 
 FMI_HEADERS = Path(fmpy.__file__).parent / "c-code"
 
@@ -243,21 +243,13 @@ def write_fmu(
     """
     # zip knows the years 1980 to 2107 only
     stamp = min(max(tuple(moment), (1980, 1, 1, 0, 0, 0)), (2107, 12, 31, 23, 59, 58))
-    own = path.resolve() if path.is_symlink() else path  # a link stays one
-    half = own.with_name(f"{own.name}.{uuid.uuid4().hex[:8]}.part")  # two may write one file
-    try:
-        with zipfile.ZipFile(half, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+    with writing(path) as file:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
             for name in sorted(files):
                 entry = zipfile.ZipInfo(name, stamp)  # type: ignore[arg-type]
                 entry.compress_type = zipfile.ZIP_DEFLATED
                 entry.create_system, entry.external_attr = 3, 0o644 << 16
                 archive.writestr(entry, files[name])
-        problems = check(str(half))
-        if problems:
+        file.flush()
+        if problems := check(file.name):
             raise ContactSystemError(f"{path}: fmpy's validation says: " + "; ".join(problems))
-        os.replace(half, own)
-    except OSError as error:
-        raise ContactSystemError(f"'{path}' cannot be written: {error}") from None
-    finally:
-        with contextlib.suppress(OSError):  # a folder, which somebody else has made
-            half.unlink(missing_ok=True)

@@ -29,10 +29,11 @@ from fmpy.fmi2 import FMU2Slave, fmi2DoStepStatus, fmi2LastSuccessfulTime, fmi2T
 from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import read_model_description
 
-from contact_system.checks import a_path, flag, function_or_none, writing
+from contact_system.checks import a_path, flag, function_or_none, make_folder
 from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
 from contact_system.kept import kept
 from contact_system.scene import Scene
+from contact_system.writing import writing
 
 from .description import (
     LOG_CATEGORIES,
@@ -95,9 +96,9 @@ def write_description(scene: Scene, folder: Path | str, fmi_version: str = "2.0"
     """
     text = model_description(variable_table(scene), fmi_version, ("CoSimulation",))
     path = a_path(folder, "folder") / "modelDescription.xml"
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(re.sub(f' (?:{"|".join(_ABSENT)})="true"', "", text), encoding="utf-8")
+    make_folder(path.parent, "give another folder")
+    with writing(path) as file:
+        file.write(re.sub(f' (?:{"|".join(_ABSENT)})="true"', "", text).encode())
     return path
 
 

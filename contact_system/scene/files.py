@@ -18,12 +18,13 @@ from pathlib import Path
 from typing import Any
 
 from .. import surfaces
-from ..checks import a_path, did_you_mean, finite_number, known_keys, naming, writing
+from ..checks import a_path, did_you_mean, finite_number, known_keys, naming
 from ..errors import SceneError
 from ..expressions import parse
 from ..surfaces import Surface
 from ..theory.gain import LAWS, Gain
 from ..theory.profile import Profile
+from ..writing import writing
 from .contact import REST, ROLLING, Contact, Turning
 from .disturbances import DISTURBANCE_KINDS, Disturbance
 from .legs import STILL, Leg
@@ -368,5 +369,5 @@ def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     """
     require_scene(scene)
     path, text = a_path(path), scene_to_toml(scene)
-    with writing(path, f"{scene.title}: "):
-        path.write_text(text, "utf-8")
+    with writing(path, f"{scene.title}: ") as file:
+        file.write(text.encode())

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..surfaces import KINDS, Surface
+from ..writing import writing
 from .equations import contact_functions
 from .gauss import gauss_include
 from .lowering import OPERATIONS, Table, c_number, lowered
@@ -127,4 +128,5 @@ def generated() -> dict[str, str]:
 
 if __name__ == "__main__":
     for file, text in generated().items():
-        (FOLDER / file).write_text(text)
+        with writing(FOLDER / file) as out:
+            out.write(text.encode())
