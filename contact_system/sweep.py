@@ -16,6 +16,7 @@ import numbers
 import os
 import pickle
 import sys
+import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sized
 from concurrent import futures
 from concurrent.futures import Executor, Future
@@ -26,11 +27,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import a_path, flag, make_folder, writing
+from .checks import a_path, flag, make_folder
 from .errors import ContactSystemError
 from .measures import REJECTED
 from .plan import Plan, checked_tolerance, plan, require_plan
 from .scene import Contact, Disturbance, Scene, load_scene, scene_text, scene_to_toml
+from .writing import writing
 
 Item = Scene | str | os.PathLike | Callable[[], Scene]
 """A scene, the name or file of one, or a function that makes one (called where it is planned)."""
@@ -40,6 +42,7 @@ Evaluate = Callable[[Plan], Mapping[str, ArrayLike]]
 TOGETHER = 1000  # contacts a plan; more save nothing, and their samples would leave the cache
 SAMPLES = 100  # times at which `summary` looks at a plan
 LOSSES = 2  # workers that a chunk may lose while it is the only one at work
+WATCH = "contact_system-sweep"  # the thread by which a worker ends with its sweep
 
 
 # --- results -----------------------------------------------------------------------------------
@@ -74,22 +77,14 @@ class Part:
     failures: list[Failure]
 
 
-@dataclass(frozen=True)
-class Kept:
-    """A part in a file, and the digest by which the file knows its scenes."""
-
-    path: Path
-    digest: str
-
-
 class Sweep:
     """Results of :func:`sweep`; iterating gives them one chunk's table at a time, in order.
 
     Those of a sweep with a folder stay there and are read when they are asked for; a
-    ContactSystemError says where they were removed, damaged or written over since.
+    ContactSystemError says where they were removed or damaged since.
     """
 
-    def __init__(self, parts: Mapping[int, Part | Kept]):
+    def __init__(self, parts: Mapping[int, Part | Path]):
         self._parts = [parts[k] for k in sorted(parts)]
 
     def parts(self) -> Iterator[Part]:
@@ -101,9 +96,8 @@ class Sweep:
                 yield found
             else:
                 raise ContactSystemError(
-                    f"'{part.path}' holds results of this sweep no more: since then it was "
-                    "removed, damaged or written over by another sweep; call sweep again, with a "
-                    "folder of its own"
+                    f"'{part}' holds results of this sweep no more: since then it was removed or "
+                    "damaged; call sweep again"
                 )
 
     def __iter__(self) -> Iterator[np.ndarray]:
@@ -185,26 +179,26 @@ def _recovery(t: np.ndarray, slip: np.ndarray, since: np.ndarray, before: np.nda
 
 @dataclass(frozen=True)
 class Chunk:
-    """Scenes that one worker takes.
+    """Scenes that one worker takes, the place of the first among all, the file of the results."""
 
-    Its number, the place of its first scene among all, the scenes, and where its results are kept.
-    """
-
-    number: int
     first: int
     items: tuple[Item, ...]
-    kept: Kept | None
+    file: Path | None
 
 
 Batch = list[tuple[int, Scene]]
 """Scenes that can be planned as one, of equally many contacts, and their places among all."""
 
 Run = functools.partial[Part]
-"""What workers do with a chunk: `run_chunk` with its first two arguments."""
+"""What workers do with a chunk: `run_chunk` with its first three arguments."""
 
 
-def run_chunk(evaluate: Evaluate, tolerance: float, chunk: Chunk) -> Part:
-    """Plan and evaluate the scenes of a chunk; what goes wrong is part of the result."""
+def run_chunk(evaluate: Evaluate, tolerance: float, sweeper: int, chunk: Chunk) -> Part:
+    """Plan and evaluate the scenes of a chunk; what goes wrong is part of the result.
+
+    ``sweeper`` is the process of the sweep, which that of this chunk does not outlive.
+    """
+    _end_with(sweeper)
 
     def tables_of(batch: Batch) -> list[np.ndarray]:
         try:
@@ -365,6 +359,8 @@ def sweep(
         an interrupted one stopped: chunks whose scenes (or what is in their files), tolerance and
         name of ``evaluate`` (and the numbers, texts, tuples and arrays that it encloses, where a
         function made it) have not changed are not done again; a lambda has no name of its own.
+        Files are named and checked by digests: sweeps may share a folder, also at the same time,
+        and what is damaged is done again. Results of scenes that have changed stay there.
     chunk : int
         Scenes that a worker takes at a time, and that are planned together at most.
     ahead : int, optional
@@ -403,10 +399,10 @@ def sweep(
             "Dask client's get_executor()"
         )
     flag(compiled, "compiled", none=True)
-    run = functools.partial(run_chunk, evaluate, checked_tolerance(tolerance))
+    run = functools.partial(run_chunk, evaluate, checked_tolerance(tolerance), os.getpid())
     if folder is not None:  # absolute: results may be read from another current folder
         folder = make_folder(a_path(folder, "folder"), "give another folder").absolute()
-    parts: dict[int, Part | Kept] = {}
+    parts: dict[int, Part | Path] = {}
     chunks = _unfinished(scenes, chunk, run, folder, parts)
     if executor is None:
         finished = ((done, run(done)) for done in chunks)
@@ -417,7 +413,7 @@ def sweep(
     with Progress(max(steps, 1), "0 scenes") as progress, contextlib.closing(finished):
         count = 0
         for done, part in finished:
-            parts[done.number] = _keep(part, done.kept)
+            parts[done.first] = _keep(part, done.file)
             count += len(done.items)
             progress.name, progress.done = f"{count} scenes", len(parts)
     return Sweep(parts)
@@ -454,6 +450,12 @@ class _Crew:
 
     def __init__(self, executor: Executor, run: Run):
         self.executor, self.given, self.run = executor, executor, run
+        # a worker that was given no chunk yet must end with the sweep, too
+        if isinstance(executor, futures.ProcessPoolExecutor):
+            pool: Any = executor
+            if pool._initializer is not _begin:
+                pool._initargs = (os.getpid(), pool._initializer, pool._initargs)
+                pool._initializer = _begin
 
     def work(self, chunks: Iterable[Chunk], ahead: int) -> Generator[tuple[Chunk, Any]]:
         """Chunks as they are done, each with its part or with the error that took its worker."""
@@ -494,6 +496,35 @@ class _Crew:
             self.executor.shutdown()
 
 
+def _begin(sweeper: int, initializer: Callable | None, arguments: tuple) -> None:
+    """Begin a worker: watch the sweep, then do what the executor was given."""
+    _end_with(sweeper)
+    if initializer is not None:
+        initializer(*arguments)
+
+
+def _end_with(sweeper: int) -> None:
+    """See that this process, if it is a worker of the sweep in another one, ends with that one.
+
+    It would wait for work forever, as it holds the other end of its queue itself.
+    """
+    if os.getpid() == sweeper or any(thread.name == WATCH for thread in threading.enumerate()):
+        return
+    from multiprocessing import parent_process  # not on the planner's path
+
+    parent, born = parent_process(), os.getppid()
+    if parent is not None and parent.pid == sweeper:
+
+        def watch() -> None:
+            # of forked processes later ones may keep alive what tells that the parent is gone, and
+            # one of a fork server is no child of it
+            while parent.is_alive() and os.getppid() == born:
+                parent.join(1.0)
+            os._exit(1)
+
+        threading.Thread(target=watch, name=WATCH, daemon=True).start()
+
+
 def _outcome(future: Future) -> Part | Exception:
     """The part, or the error that says that the worker is gone; any other error is raised."""
     try:
@@ -515,54 +546,58 @@ def _outcome(future: Future) -> Part | Exception:
 
 
 def _unfinished(
-    scenes: Iterable[Item], size: int, run: Run, folder: Path | None, parts: dict[int, Part | Kept]
+    scenes: Iterable[Item], size: int, run: Run, folder: Path | None, parts: dict[int, Part | Path]
 ) -> Iterator[Chunk]:
     """Chunks of the scenes, but for those with results in a file, which joins the parts."""
-    items, kept = iter(scenes), None
-    for number in itertools.count():
-        own = tuple(itertools.islice(items, size))
-        if not own:
-            return
+    items, first, file = iter(scenes), 0, None
+    while own := tuple(itertools.islice(items, size)):
         if folder is not None:
-            kept = Kept(folder / f"chunk-{number:08d}.npz", _digest(run, number * size, own))
-        if kept is not None and _read(kept) is not None:
-            parts[number] = kept
+            file = folder / f"chunk-{first:08d}-{_digest(run, first, own)}.npz"
+        if file is not None and _read(file) is not None:
+            parts[first] = file
         else:
-            yield Chunk(number, number * size, own, kept)
+            yield Chunk(first, own, file)
+        first += size
 
 
-def _keep(part: Part, kept: Kept | None) -> Part | Kept:
-    """The part, or its file, which is there whole or not at all."""
-    if kept is None:
+def _keep(part: Part, path: Path | None) -> Part | Path:
+    """The part, or its file."""
+    if path is None:
         return part
-    unfinished = kept.path.with_suffix(".part")
     failures = json.dumps([asdict(failure) for failure in part.failures])
-    with writing(kept.path):
-        with unfinished.open("wb") as file:
-            np.savez(file, digest=kept.digest, table=part.table, failures=failures)
-        unfinished.replace(kept.path)
-    return kept
+    with writing(path) as file:
+        seal = _seal(path, part.table, failures)
+        np.savez(file, table=part.table, failures=failures, seal=seal)
+    return path
 
 
-def _read(kept: Kept) -> Part | None:
-    """What is kept; None where its file is not there, is damaged or holds other results."""
+def _read(path: Path) -> Part | None:
+    """What is kept; None where the file is not there, is damaged or holds other results."""
     try:
-        with np.load(kept.path) as data:
-            if str(data["digest"]) != kept.digest:
+        with np.load(path) as data:
+            table, failures = data["table"], str(data["failures"])
+            if str(data["seal"]) != _seal(path, table, failures):
                 return None
-            failures = [Failure(**fields) for fields in json.loads(str(data["failures"]))]
-            return Part(data["table"], failures)
+            return Part(table, [Failure(**fields) for fields in json.loads(failures)])
     except Exception:  # whatever a file of another kind, or a damaged one, leads to
         return None
 
 
+def _seal(path: Path, table: np.ndarray, failures: str) -> str:
+    """Digest of what a file holds and, as its name does, of what that was made from."""
+    import hashlib  # slow to import, and of no use but with a folder
+
+    said = f"{path.name} {table.dtype.descr} {table.shape} {failures}"
+    return hashlib.sha256(said.encode() + table.tobytes()).hexdigest()
+
+
 def _digest(run: Run, first: int, items: tuple[Item, ...]) -> str:
     """Of all that decides a chunk's results."""
-    import hashlib  # slow to import, and of no use but with a folder
+    import hashlib
 
     from . import __version__
 
-    evaluate, tolerance = run.args
+    evaluate, tolerance, _ = run.args
     name = getattr(evaluate, "__qualname__", "")
     # a lambda has no name of its own, and a method's result depends on its object
     if not name or "<lambda>" in name or hasattr(evaluate, "__self__"):
@@ -572,7 +607,7 @@ def _digest(run: Run, first: int, items: tuple[Item, ...]) -> str:
     found = hashlib.sha256(known + f"{__version__} {tolerance!r} {first}".encode())
     for item in items:
         found.update(_content(item))
-    return found.hexdigest()
+    return found.hexdigest()[:32]
 
 
 def _enclosed(function: Callable) -> str:
