@@ -5,13 +5,14 @@ For comparison, and for whoever asks for it: stiff in lam, singular at poles and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.integrate import OdeSolution, solve_ivp
 
-from .checks import naming
+from .checks import naming, within
 from .errors import ContactSystemError, SceneError
 from .motion import SHAPES, passed
 from .scene import Scene
@@ -45,8 +46,9 @@ class ChartMotion:
                 f"t = {zeros[0]:g} s; use the default method, which does not"
             )
         given = starts or [scene_start(contact) for contact in scene.contacts]
+        spent = itertools.count(1)  # evaluations by all contacts
         self._contacts = [
-            ChartContact(scene, i, start, begin, tolerance, solver)
+            ChartContact(scene, i, start, begin, tolerance, solver, spent)
             for i, start in enumerate(given)
             if isinstance(start, Start)
         ]
@@ -68,7 +70,14 @@ class ChartContact:
     """One contact of a scene, integrated by itself."""
 
     def __init__(
-        self, scene: Scene, index: int, start: Start, begin: float, tolerance: float, solver: str
+        self,
+        scene: Scene,
+        index: int,
+        start: Start,
+        begin: float,
+        tolerance: float,
+        solver: str,
+        spent: Iterator[int],
     ):
         contact, self._where = scene.contacts[index], f"{scene.title}, contact {index}"
         if contact.follows:
@@ -86,11 +95,14 @@ class ChartContact:
         self._edges = np.array(sorted({*windows, *knots}))
         self._acting = np.array([self._system.window_values(t) for t in self._edges[:-1]])
         self.told: list[str] = []
-        self._solution = self._integrated(start, tolerance, solver)
+        self._solution = self._integrated(start, tolerance, solver, spent)
         self._require_regular()
 
-    def _integrated(self, start: Start, tolerance: float, solver: str) -> OdeSolution:
+    def _integrated(
+        self, start: Start, tolerance: float, solver: str, spent: Iterator[int]
+    ) -> OdeSolution:
         """From edge to edge, each with what then acts."""
+        what = f"{self._where}: {solver}: evaluations of the plan's chart equations"
         rate, p = self._system.function("derivatives"), self._system.parameters
         state, held = self._system.place(float(self._edges[0]), [start])
         times, steps = [self._edges[0]], []
@@ -98,6 +110,7 @@ class ChartContact:
         for a, b, acting in zip(self._edges, self._edges[1:], self._acting):
 
             def f(t: float, x: np.ndarray, acting: np.ndarray = acting) -> np.ndarray:
+                within("EVALUATIONS", next(spent), what)
                 return rate(t, x, acting, held, p).full().ravel()
 
             with np.errstate(under="ignore"):  # of the spacing of doubles at t = 0

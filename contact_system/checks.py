@@ -6,6 +6,7 @@ import difflib
 import math
 import os
 import re
+import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
+from . import limits
 from .errors import ContactSystemError, SceneError
 
 FLOAT = np.dtype(float)
@@ -26,6 +28,29 @@ def naming(place: str) -> Iterator[None]:
         yield
     except ContactSystemError as error:
         raise SceneError(f"{place}: {error}") from None
+
+
+def within(
+    limit: str, count: float, what: str, error: type[ContactSystemError] = SceneError
+) -> None:
+    """Raise the error where a count is above one of `limits`; `what` says of what."""
+    most = getattr(limits, limit)
+    if count > most:
+        raise error(
+            f"{what}: {min(count, 1e300):.15g}, and the limit is {most:.15g}; make it smaller, or "
+            f"set contact_system.limits.{limit} higher"
+        )
+
+
+def require_regular(path: str | os.PathLike[str]) -> None:
+    """Raise a SceneError for a folder, a device or a pipe, which may never end.
+
+    And an OSError where there is nothing, or a ValueError for no path.
+    """
+    if not stat.S_ISREG(os.stat(path).st_mode):
+        raise SceneError(
+            f"'{path}' cannot be read: it is a folder, a device or a pipe; give a regular file"
+        )
 
 
 def did_you_mean(word: object, known: Iterable[str]) -> str:

@@ -1,8 +1,27 @@
 """What can be wrong with a scene, a surface or a contact, each under its own name."""
 
+from . import limits
+
 
 class ContactSystemError(ValueError):
-    """Base of every error this package raises on purpose; the text says what to change."""
+    """Base of every error this package raises on purpose; the text says what to change.
+
+    What it echoes may come from a stranger's file: control characters are shown as escapes, and of
+    more than `limits.MESSAGE` characters the middle is left out.
+    """
+
+    def __init__(self, text: object = ""):
+        super().__init__(_clipped(str(text)))
+
+
+def _clipped(text: str) -> str:
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+    over = len(text) - limits.MESSAGE
+    if over <= 0:
+        return text
+    gap, half = f" [... {over + 40} characters ...] ", (limits.MESSAGE - 40) // 2
+    return text[:half] + gap + text[-half:]
 
 
 class SceneError(ContactSystemError):

@@ -13,10 +13,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from .checks import did_you_mean
+from .checks import did_you_mean, within
 from .errors import ContactSystemError
 from .theory import symbols as ca
 
+NO_ARITHMETIC = "only arithmetic and known functions are allowed in a formula"
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
 Value: TypeAlias = "ca.SX | float"
@@ -77,6 +78,7 @@ def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
     """
     if not isinstance(text, str):
         raise ContactSystemError(f"formula {text!r} must be a text such as '2*pi/3'")
+    within("FORMULA_LENGTH", len(text), f"formula {text:.40}...: characters", ContactSystemError)
     stripped = text.strip()
     if "#" not in text:  # over several lines, as TOML's long texts are; a remark ends with its line
         stripped = stripped.replace("\r", " ").replace("\n", " ")
@@ -90,7 +92,9 @@ def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
             "* and leave units out (SI, radians)"
         ) from None
     except (RecursionError, MemoryError):
-        raise ContactSystemError(f"formula {text[:40]!r}... is nested too deeply") from None
+        raise ContactSystemError(
+            f"formula {text:.40}... is nested too deeply; nest it less, or shorten its sums"
+        ) from None
     except ValueError as error:
         if isinstance(error, ContactSystemError):
             raise
@@ -104,6 +108,7 @@ class _Reader:
     text: str
     lead: int
     names: Mapping[str, ca.SX]
+    depth: int = 0
 
     def fail(self, node: ast.expr, problem: str) -> ContactSystemError:
         # Python counts columns in UTF-8 bytes, people count characters.
@@ -117,15 +122,27 @@ class _Reader:
                 return self.number(node)
             case ast.Name():
                 return self.name(node)
-            case ast.UnaryOp(op=ast.USub()):
-                return -self.read(node.operand)
-            case ast.UnaryOp(op=ast.UAdd()):
-                return self.read(node.operand)
+            case ast.UnaryOp() | ast.BinOp() | ast.Call():
+                return self.deeper(node)
+        raise self.fail(node, NO_ARITHMETIC)
+
+    def deeper(self, node: ast.UnaryOp | ast.BinOp | ast.Call) -> Value:
+        """What is made of other values, one level down."""
+        self.depth += 1
+        within("FORMULA_NESTING", self.depth, f"formula {self.text:.40}...: nesting")
+        match node:
             case ast.BinOp():
-                return self.operation(node)
+                found = self.operation(node)
             case ast.Call():
-                return self.call(node)
-        raise self.fail(node, "only arithmetic and known functions are allowed in a formula")
+                found = self.call(node)
+            case ast.UnaryOp(op=ast.USub()):
+                found = -self.read(node.operand)
+            case ast.UnaryOp(op=ast.UAdd()):
+                found = self.read(node.operand)
+            case _:
+                raise self.fail(node, NO_ARITHMETIC)
+        self.depth -= 1
+        return found
 
     def number(self, node: ast.Constant) -> float:
         if isinstance(node.value, bool) or not isinstance(node.value, (int, float)):

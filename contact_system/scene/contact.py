@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import finite_number, finite_numbers, is_plain
+from ..checks import finite_number, finite_numbers, is_plain, within
 from ..errors import SceneError
 from ..surfaces import Surface
 from ..theory.profile import Numbers, Profile
@@ -213,6 +213,7 @@ class Turning:
             raise SceneError(f"axis = {self.axis!r}: give three numbers, not all zero")
         object.__setattr__(self, "axis", axis)
         object.__setattr__(self, "angle", finite_numbers(self.angle, "angle"))
+        within("COEFFICIENTS", len(self.angle), "angle: coefficients")
 
     def rotation_vector(self, t) -> np.ndarray:
         """p(t) axis [rad], shape t.shape + (3,); t [s]."""

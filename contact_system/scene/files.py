@@ -17,9 +17,17 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from .. import surfaces
-from ..checks import a_path, did_you_mean, finite_number, known_keys, naming
-from ..errors import SceneError
+from .. import limits, surfaces
+from ..checks import (
+    a_path,
+    did_you_mean,
+    finite_number,
+    known_keys,
+    naming,
+    require_regular,
+    within,
+)
+from ..errors import ContactSystemError, SceneError
 from ..expressions import parse
 from ..surfaces import Surface
 from ..theory.gain import LAWS, Gain
@@ -71,7 +79,36 @@ def scene_from_toml(text: str, source: str = "") -> Scene:
             raise SceneError("lists or tables are nested too deeply; nest them less") from None
 
 
+_TOKENS = re.compile(  # possessive, so that no text makes it go back and forth
+    r'"""(?:[^"\\]|\\.|"(?!""))*+"{3,5}|"(?:[^"\\\n]|\\.)*+"|'
+    r"'''(?:[^']|'(?!''))*+'{3,5}|'[^'\n]*+'|#[^\n]*+|[\[\]{}.]|[\n=,]",
+    re.DOTALL,
+)
+
+
+def _require_shallow(text: str) -> None:
+    """Refuse what is nested too deeply before it is read, which would take the square of it."""
+    depth = dots = 0
+    for token in _TOKENS.finditer(text):
+        mark = token[0]
+        if mark in "[{":
+            depth += 1
+        elif mark in "]}":
+            depth = max(0, depth - 1)
+        elif mark == ".":
+            dots += 1
+        elif mark in "\n=,":
+            dots = 0
+        else:
+            continue
+        if depth + dots > limits.NESTING:
+            line = text.count("\n", 0, token.start()) + 1
+            within("NESTING", depth + dots, f"line {line}, nested too deeply")
+
+
 def _scene(text: str, source: str) -> Scene:
+    within("SCENE_BYTES", len(text), "characters")
+    _require_shallow(text)
     try:
         given = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -216,6 +253,7 @@ def _with_numbers(table: dict, keys: Iterable[str] | None = None) -> dict:
 def _numbers(value: Any, what: str) -> Any:
     """Numbers of a file: one, or a list of them; arithmetic texts evaluated."""
     if isinstance(value, list):
+        within("COEFFICIENTS", len(value), f"{what}: numbers")
         return tuple(_numbers(x, f"{what}[{k}]") for k, x in enumerate(value))
     if isinstance(value, str):
         with naming(what):
@@ -348,7 +386,12 @@ def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
     if given in bundled:
         return bundled[given].read_text("utf-8"), bundled[given].name
     try:
+        require_regular(given)
+        with naming(given):
+            within("SCENE_BYTES", os.path.getsize(given), "bytes")
         return Path(given).read_text("utf-8-sig"), given  # editors on Windows begin with a mark
+    except ContactSystemError:
+        raise
     except FileNotFoundError:
         near = Path(given).name.removesuffix(".toml")
         raise SceneError(

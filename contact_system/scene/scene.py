@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import did_you_mean, finite_number, known_keys, naming
+from ..checks import did_you_mean, finite_number, known_keys, naming, within
 from ..errors import ContactSystemError, SceneError
 from ..surfaces import Surface
 from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
 from .contact import MANY_TURNS, Contact, Pair, Turning, a_surface, a_text, all_of
-from .disturbances import DISTURBANCE_KINDS, SLOTS, Disturbance
+from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
 from .legs import STILL, Leg, Stretch, check_legs, stretches
 
 
@@ -188,6 +188,8 @@ class Scene:
             self.profile.check(self.duration)
         if not self.disturbances:
             return
+        copies = (len(self.contacts) if d.contact == ALL else 1 for d in self.disturbances)
+        within("WINDOWS", sum(copies), "disturbances: windows of all contacts")
         expanded: list[Disturbance] = []
         for k, disturbance in enumerate(self.disturbances):
             with naming(f"disturbances[{k}]"):

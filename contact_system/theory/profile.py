@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..checks import LARGEST, finite_number, finite_numbers, real_array
+from ..checks import LARGEST, finite_number, finite_numbers, real_array, within
 from ..errors import SceneError
 from ..kept import kept
 
@@ -150,6 +150,7 @@ class Profile:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", finite_numbers(self.coefficients, "profile"))
+        within("COEFFICIENTS", len(self.coefficients), "profile: coefficients")
 
     def __call__(self, t):
         """sigma(t) [m/s]; t [s] of any shape."""
