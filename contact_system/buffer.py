@@ -13,14 +13,15 @@ from typing import Any
 
 import numpy as np
 
+from . import limits
 from .engine.binding import LAYOUT
 from .scene import Disturbance, Leg, Scene, Stretch, refuse_rest
 from .starts import Moment, Starts
 from .surfaces import Surface
 from .theory.gain import LAWS
 
-VERSION = 3
-HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT = 14, 5, 5, 7, 35, 23  # so many numbers each
+VERSION = 4
+HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT = 15, 5, 5, 7, 35, 23  # so many numbers each
 if LAYOUT != (VERSION, HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT):
     raise ImportError(
         f"the engine of contact_system has another layout of scenes, {LAYOUT}, than this Python; "
@@ -50,7 +51,7 @@ class Buffer:
         law, obj = LAWS[scene.gain.law], self._body(scene.object)
         rows = self._rows(scene, begin, starts)
         head = _HEAD(
-            *(VERSION, len(scene.contacts), tolerance, begin, scene.duration),
+            *(VERSION, len(scene.contacts), tolerance, limits.PANELS, begin, scene.duration),
             *(scene.gain.value, law.power, law.makes_up, HEADER + len(self._tail), *obj),
         )
         self.numbers = b"".join([head, struct.pack(f"{len(self._tail)}d", *self._tail), *rows])

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from . import limits
 from .buffer import MOMENT, Buffer
 from .engine import binding
 from .engine.binding import address
@@ -34,7 +35,6 @@ IN_CONTACT_FRAMES = {"states", "slip", "acceleration", "carried"}
 
 SIDES = ("finger", "object")
 ENDLESS = 1e11
-MOST_PANELS = 1e6
 ALMOST_RESTS = 1e-5  # of the greatest coefficient of sigma: what is said of an acceleration there
 
 # failure_t.code and the kinds and reasons of fact_t, as in engine.h
@@ -202,7 +202,9 @@ class Motion:
             return passed(name, surface, (failure.u, failure.v))
         if failure.code == SINGULAR_TIME:
             return singular(name, surface, failure.t)
-        return MemoryError(name)
+        return ContactSystemError(
+            f"{name}: there is not enough memory; shorten the scene, or plan fewer contacts at once"
+        )
 
 
 def moves_in_space(surface: Surface) -> bool:
@@ -282,7 +284,9 @@ def _endless(scene: Scene, name: str, failure: binding.Failure) -> ContactSystem
     variable = "arc length" if failure.by_length else "local time"
     return ContactSystemError(
         f"{name}: {failure.panels} panels reach {variable} {failure.t:.9g} of {failure.end:.9g} "
-        f"only, more than {MOST_PANELS:g} would be needed; {why}"
+        f"only, more than the plan may take are needed: it has tried {failure.spent}, contact "
+        f"{failure.greediest} most, {failure.most}, and the limit is {limits.PANELS:.15g}; {why}, "
+        "or set contact_system.limits.PANELS higher"
     )
 
 

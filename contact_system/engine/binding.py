@@ -51,6 +51,7 @@ class Failure(Structure):
 
     _fields_ = [
         *((name, c_int64) for name in ("code", "contact", "side", "panels", "by_length", "pushed")),
+        *((name, c_int64) for name in ("spent", "most", "greediest")),
         *((name, c_double) for name in ("t", "end", "value", "u", "v")),
     ]
 

@@ -60,8 +60,11 @@ static plan_t *make_plan(const double *scene, int64_t size, const surface_t *con
   plan->tolerance = scene[S_TOLERANCE], plan->begin = scene[S_BEGIN], plan->end = scene[S_END];
   plan->contacts = keep_items(&w, (int64_t)scene[S_CONTACTS], sizeof(contact_t));
   memset(plan->contacts, 0, (size_t)scene[S_CONTACTS] * sizeof(contact_t));
-  for (; plan->n_contacts < (int64_t)scene[S_CONTACTS]; plan->n_contacts++)
+  for (; plan->n_contacts < (int64_t)scene[S_CONTACTS]; plan->n_contacts++) {
+    w.begun = w.spent;
     plan_contact(&w, plan->n_contacts);
+    if (w.spent - w.begun > w.most) w.most = w.spent - w.begun, w.greediest = plan->n_contacts;
+  }
   end_work(&w);
   return plan;
 }

@@ -49,13 +49,14 @@ extern const table_t contact_tables[];
 
 /* ---- the scene's buffer: doubles, places as offsets from its beginning ---- */
 
-enum { SCENE_VERSION = 3 };
+enum { SCENE_VERSION = 4 };
 
 /* the header */
 enum {
   S_VERSION,
   S_CONTACTS,    /* how many */
   S_TOLERANCE,   /* of contact points, in sizes of the body */
+  S_PANELS,      /* that all contacts may take together */
   S_BEGIN,       /* s */
   S_END,         /* s */
   S_GAIN,        /* lam = gain sigma^power, */
@@ -130,7 +131,8 @@ enum {
 
 typedef struct {
   int64_t code, contact, side, panels, by_length, pushed;
-  double t, end, value, u, v; /* value: sigma, or the path's length in sizes */
+  int64_t spent, most, greediest; /* panels tried for the plan, for the contact that took most */
+  double t, end, value, u, v;     /* value: sigma, or the path's length in sizes */
 } failure_t;
 
 /* what became of one interval of one body */

@@ -11,7 +11,6 @@ static const double STEEPEST = 20.0; /* fall of ln(decay) in a panel; 30 takes 3
 static const double FALL = 4.5;      /* the same in a first panel at a tolerance of 1e-12 */
 enum { SWEEPS = 40 };
 enum { MANY = 4096 }; /* panels from one look at how many more it will take to the next */
-static const double MOST_PANELS = 1e6; /* of one interval; beyond, a scene is refused */
 
 typedef struct motion motion_t;
 struct motion {
@@ -365,6 +364,9 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   failure_t *e = w->failure;
   const double start = m->by_length ? 0.0 : m->drive->start;
   e->t = start + s->tau, e->end = start + m->length, e->panels = count;
+  const int this = w->spent - w->begun > w->most;
+  e->spent = w->spent, e->most = this ? w->spent - w->begun : w->most;
+  e->greediest = this ? e->contact : w->greediest;
   e->by_length = m->by_length, e->pushed = m->n_stiff > 0;
   e->value = m->by_length ? 1.0 : sigma_at(m->drive, s->tau);
   fail(w, code);
@@ -377,6 +379,7 @@ static void integrate(work_t *w, motion_t *m, double tolerance) {
   m->released = -1.0;
   const double wide = pow(m->tolerance / 1e-13, 1.0 / L), first = m->first * wide;
   step_t s = {.h = longest(m, 0.0, fmin(first, m->length), fmin(STEEPEST, FALL * wide))};
+  const double budget = w->plan->scene[S_PANELS];
   int64_t count = 0, tries = 0;
   double mark = 0.0;
   make_room(w, 8, m->n);
@@ -385,8 +388,9 @@ static void integrate(work_t *w, motion_t *m, double tolerance) {
     /* a layer at the start may be as thin as it likes */
     if (++tries > 40 * (count + 25) || !(s.h > 1e-15 * s.tau + 1e-30 * m->length))
       fail_motion(w, m, &s, STUCK, count);
+    if ((double)++w->spent > budget) fail_motion(w, m, &s, TOO_MANY_PANELS, count);
     if (count && count % MANY == 0 && s.tau > mark) {
-      if (MANY * (m->length - s.tau) > MOST_PANELS * (s.tau - mark))
+      if (MANY * (m->length - s.tau) > (budget - (double)w->spent) * (s.tau - mark))
         fail_motion(w, m, &s, TOO_MANY_PANELS, count);
       mark = s.tau;
     }

@@ -93,8 +93,10 @@ struct work {
   const contact_t *contact;
   unit_t body[2][2][N_CHART]; /* side, ambient or not, table */
   unit_t pair[N_CONTACT_TABLES];
-  double *edges, *series; /* of the motion that is being integrated */
-  int64_t room;           /* for so many rows of series */
+  double *edges, *series;  /* of the motion that is being integrated */
+  int64_t room;            /* for so many rows of series */
+  int64_t spent, begun;    /* panels tried so far, and before this contact */
+  int64_t most, greediest; /* by the contact that took most, of those before */
 };
 
 static _Noreturn void fail(work_t *w, int code) {
