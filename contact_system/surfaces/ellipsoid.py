@@ -30,6 +30,12 @@ from .charts import (
 )
 from .sphere import PolarChart
 
+THINNEST = 1e-6
+"""Least axis over the greatest. The rim or a tip has a radius of curvature of c^2/a: here 1e-12 a,
+by which the default tolerance lets points be wrong. Few paths turn over the rim of a body thinner
+than 1e-4, the others are refused; at 1e-12 rounding of x, 1e-16 a, tells in (z/c)^2, and does so
+unseen."""
+
 
 class JacobiChart(Chart):
     r"""Jacobi's ellipsoidal coordinates, eq. ``ellipsoid``, a > b > c, p = (a, b, c).
@@ -237,6 +243,7 @@ class Ellipsoid(OfLengths, SecondDegree):
                 f"Ellipsoid: semi-axes ({given}) must satisfy a >= b >= c; write "
                 f"Ellipsoid({sorted_}), or Quadric for axes along other directions"
             )
+        require_thick("Ellipsoid", self.a, self.c)
 
     @kept
     def chart(self) -> type[Chart]:
@@ -253,6 +260,16 @@ class Ellipsoid(OfLengths, SecondDegree):
     def _matrix(self, p: ca.SX) -> ca.SX:
         axes = (p[self.parameters.index(axis)] for axis in (self.a, self.b, self.c))
         return ca.diag(ca.vertcat(*(1 / axis**2 for axis in axes)))
+
+
+def require_thick(kind: str, a: float, c: float) -> None:
+    """Refuse an ellipsoid that is too flat, or too thin, to be resolved."""
+    if c < THINNEST * a:
+        raise SurfaceError(
+            f"{kind}: the least semi-axis, {c!r} m, is less than {THINNEST:g} of the greatest, "
+            f"{a!r} m, and its edge too sharp to be followed; make it thicker, or give a Plane or "
+            "a Cylinder"
+        )
 
 
 def ellipsoid_chart(a: float, b: float, c: float) -> tuple[type[Chart], tuple[float, ...]]:

@@ -16,7 +16,7 @@ from ..theory.geometry import contact_frame
 from .base import store
 from .charts import TURN, Array, Chart, Frame, Pair, hypot
 from .cylinder import RoundCylinderChart
-from .ellipsoid import SecondDegree, ellipsoid_chart
+from .ellipsoid import SecondDegree, ellipsoid_chart, require_thick
 from .plane import FlatChart
 
 
@@ -242,6 +242,7 @@ def _principal_chart(matrix: Array) -> tuple[type[Chart], tuple[float, ...], Arr
     lengths = tuple(_merge_equal(axes, case)[: len(case.rstrip("0"))].tolist())
     chart: type[Chart]
     if case == "+++":
+        require_thick("Quadric", lengths[0], lengths[2])
         chart, lengths = ellipsoid_chart(*lengths)
     elif case == "++0" and lengths[0] == lengths[1]:
         chart, lengths = RoundCylinderChart, lengths[:1]
