@@ -18,11 +18,12 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import FLOAT, a_path, did_you_mean, flag, real_array
+from .checks import FLOAT, a_path, did_you_mean, flag, naming, real_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .motion import SHAPES, Motion
+from .saved import checked_start, digest, read_plan
 from .scene import Scene, acting, require_scene, scene_from_toml, scene_to_toml
-from .starts import Starts, covers_twice, measured_start, on_branch, starts_from_plain
+from .starts import Starts, covers_twice, measured_start, on_branch
 from .writing import writing
 
 METHODS = ("auto", "chart")
@@ -381,10 +382,11 @@ class Plan:
                 "start": self.start,
                 "starts": [vars(s) for s in self.starts] if self.starts else None,
             }
+            texts = {"scene": scene_to_toml(self.scene), "plan": json.dumps(header)}
             np.savez_compressed(
                 file,
-                scene=scene_to_toml(self.scene),
-                plan=json.dumps(header),
+                **texts,
+                digest=digest(texts.values()),
                 t=t,
                 states=self.states(t),
                 slip=self.slip(t),
@@ -516,20 +518,13 @@ def load(path: str | os.PathLike) -> Plan:
     Raises
     ------
     ContactSystemError
-        If the file cannot be read, or is not such a plan.
+        If the file cannot be read, is not such a plan, is damaged, or is beyond a limit of
+        `contact_system.limits`.
     """
-    try:
-        with np.load(path) as data:
-            text, header = str(data["scene"]), json.loads(str(data["plan"]))
-        tolerance, method, solver = (header[key] for key in ("tolerance", "method", "solver"))
-        start, starts = float(header["start"]), header["starts"] or None
-        if starts is not None:
-            starts = starts_from_plain(starts)
-    except OSError as error:
-        raise ContactSystemError(f"{path} cannot be read: {error}; give a plan's file") from None
-    except Exception:  # whatever a file of another kind, or a damaged one, leads to
-        raise ContactSystemError(
-            f"{path}: not a plan written by Plan.save; give such a file ending in .npz"
-        ) from None
+    path = a_path(path)
+    text, header = read_plan(path)
     scene = scene_from_toml(text, source=str(path))
-    return Plan(scene, tolerance, method, solver, None, start, starts)
+    with naming(str(path)):
+        start, starts = checked_start(header, scene)
+        tolerance, method, solver = (header[key] for key in ("tolerance", "method", "solver"))
+        return Plan(scene, tolerance, method, solver, None, start, starts)

@@ -12,6 +12,7 @@ import numpy as np
 from .checks import naming
 from .errors import SceneError
 from .scene import Contact, Scene, speed
+from .surfaces import Surface
 
 
 @dataclass
@@ -62,6 +63,19 @@ def starts_from_plain(plain: Sequence[Mapping[str, Any]]) -> Starts:
     ]
 
 
+def require_place(surface: Surface, u: float, v: float, place: str) -> None:
+    """Refuse coordinates outside the chart's regular range, whichever turn they are in."""
+    with naming(place):
+        at = surface.canonical(u, v)
+    near = surface.align(*at, u, v)
+    if math.hypot(near[0] - u, near[1] - v) > 1e-9:
+        raise SceneError(
+            f"{place}: (u, v) = ({u:.9g}, {v:.9g}) is outside the chart of {surface!r}; the "
+            f"same point is ({at[0]:.9g}, {at[1]:.9g}), where the rates and psi have other "
+            "values"
+        )
+
+
 def measured_start(
     scene: Scene, index: int, t: float, row: np.ndarray, offset: np.ndarray
 ) -> Start:
@@ -93,16 +107,7 @@ def measured_start(
         ("finger", scene.contacts[index].finger, row[:4]),
         ("object", scene.object, moved),
     ):
-        place = f"{where}, contact {index}, {side}"
-        with naming(place):
-            at = surface.canonical(u, v)
-        near = surface.align(*at, u, v)
-        if math.hypot(near[0] - u, near[1] - v) > 1e-9:
-            raise SceneError(
-                f"{place}: (u, v) = ({u:.9g}, {v:.9g}) is outside the chart of {surface!r}; the "
-                f"same point is ({at[0]:.9g}, {at[1]:.9g}), where the rates and psi have other "
-                "values"
-            )
+        require_place(surface, u, v, f"{where}, contact {index}, {side}")
         velocities.append(tuple(surface.metric_root(u, v) @ rates / sigma))
     return Start(tuple(row[0:2]), tuple(row[4:6]), float(row[8]), velocities[0], velocities[1])
 

@@ -1,0 +1,126 @@
+"""Saved plans read back: nothing of the file is believed before it is checked."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .archives import member, opened
+from .checks import finite_number, finite_numbers, known_keys, naming
+from .engine.binding import run
+from .errors import ContactSystemError, SceneError
+from .motion import moves_in_space
+from .scene import Scene
+from .starts import Moment, Start, Starts, require_place
+from .surfaces import Surface
+
+KEYS = ("tolerance", "method", "solver", "start", "starts")
+A_RESTORE = 1  # of a surface's tables, as in engine.h
+PLAN_FILE = "a plan written by Plan.save"
+SIZES = {"angle": (), "finger_at": 3, "object_at": 3, "finger_frame": 6, "object_frame": 6}
+"""Numbers of a Moment's fields; the others, and those of a Start, have two."""
+
+
+def digest(texts: Iterable[str]) -> str:
+    """What tells whether the texts are those that were written."""
+    import hashlib  # slow to import
+
+    return hashlib.sha256("\0".join(texts).encode()).hexdigest()
+
+
+def read_plan(path: Path) -> tuple[str, dict[str, Any]]:
+    """The scene's TOML text and the header of a saved plan.
+
+    Raises
+    ------
+    ContactSystemError
+        No such file, a damaged one, or one that was changed after it was written.
+    """
+    with opened(path, PLAN_FILE) as archive:
+        names = ("scene", "plan", "digest")[: 2 + ("digest.npy" in archive.namelist())]
+        texts = []
+        for name in names:
+            data = io.BytesIO(member(archive, f"{name}.npy", "PLAN_BYTES"))
+            texts.append(str(np.lib.format.read_array(data, allow_pickle=False)[()]))
+        scene, plan, *known = texts  # plans of older versions have no digest
+        if known not in ([], [digest([scene, plan])]):
+            raise ContactSystemError(
+                f"{path}: not {PLAN_FILE}, but changed since: its digest is that of another; take "
+                "the file as it was written"
+            )
+        header = json.loads(plan)
+    with naming(f"{path}: not {PLAN_FILE}"):
+        if not isinstance(header, dict):
+            raise SceneError(f"plan = {header!r}: give a table of {', '.join(KEYS)}")
+        known_keys(header, KEYS, "plan: ")
+        for key in KEYS:
+            if key not in header:
+                raise SceneError(f"plan: key '{key}' is missing; save the plan again")
+    return scene, header
+
+
+def checked_start(header: dict[str, Any], scene: Scene) -> tuple[float, Starts | None]:
+    """When a saved plan begins, s, and where its contacts start.
+
+    Raises
+    ------
+    SceneError
+        What is no time, no place on its surface, or no direction there.
+    """
+    start = finite_number(header["start"], "start", "not below 0")
+    if not start < scene.duration:
+        raise SceneError(f"start = {start:g} s: give a time before the end, {scene.duration:g} s")
+    given = header["starts"]
+    if given is None:
+        if start > 0:
+            raise SceneError(f"starts = None: a plan that starts at {start:g} s needs its contacts")
+        return start, None
+    count = len(scene.contacts)
+    if not isinstance(given, list) or len(given) != count:
+        raise SceneError(f"starts = {given!r}: give a list, one for each of {count} contacts")
+    moments = isinstance(given[0], dict) and "slip" in given[0]
+    return start, [_start(scene, i, one, moments) for i, one in enumerate(given)]
+
+
+def _start(scene: Scene, index: int, given: Any, moments: bool) -> Start | Moment:
+    kind, contact, place = Moment if moments else Start, scene.contacts[index], f"starts[{index}]"
+    names = [f.name for f in fields(kind)]
+    if not isinstance(given, dict) or sorted(given) != sorted(names):
+        raise SceneError(f"{place} = {given!r}: give a table of {', '.join(names)}")
+    if contact.follows:
+        raise SceneError(f"{place}: rolling that is imposed has one plan; leave starts out")
+    bodies = {"finger": contact.finger, "object": scene.object}
+    read: dict[str, Any] = {}
+    for name, value in given.items():
+        what, size = f"{place}.{name}", SIZES.get(name, 2) if moments else 2
+        if name == "angle":
+            read[name] = finite_number(value, what)
+            continue
+        if name.endswith("frame") and not moves_in_space(bodies[name[:6]]):
+            size = 0
+        if not isinstance(value, list) or len(value) != size:
+            raise SceneError(f"{what} = {value!r}: give a list of {size} numbers")
+        read[name] = finite_numbers(value, what) if size else ()
+    for side, surface in bodies.items():
+        if frame := read.get(f"{side}_frame"):
+            _require_on(surface, frame, f"{place}.{side}_frame")
+        else:
+            require_place(surface, *read[f"{side}_at"][:2], f"{place}.{side}_at")
+    return kind(**read)
+
+
+def _require_on(surface: Surface, frame: tuple[float, ...], what: str) -> None:
+    """A point of the surface and a unit vector along it, but for what planning puts back."""
+    given = np.array(frame)[:, None]
+    moved = run(surface.tables.ambient[A_RESTORE], given, surface.numbers) - given
+    moved[:3] /= surface.size
+    if not np.abs(moved).max() < 1e-6:
+        raise SceneError(
+            f"{what} = {frame}: give a point on {surface!r} and a unit vector along it"
+        )
