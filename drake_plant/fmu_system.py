@@ -7,11 +7,12 @@ import contextlib
 import itertools
 import math
 import os
+import re
 import shutil
+import struct
 import tempfile
 import threading
 import weakref
-import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from ctypes import byref, c_void_p
 from pathlib import Path
@@ -21,7 +22,8 @@ import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem, State
 
-from contact_system.checks import did_you_mean, finite_number
+from contact_system.archives import opened, unpack
+from contact_system.checks import did_you_mean, finite_number, require_regular, within
 from contact_system.errors import ContactSystemError
 
 from .lifetimes import NO_DICTIONARY, weakly
@@ -144,9 +146,16 @@ def _carried(variable: Any) -> bool:
 def _read_description(fmu: Path, folder: Path) -> Any:
     """Of an FMU that FmuSystem can run; or an error that says why it cannot."""
     try:
+        xml = folder / "modelDescription.xml"
+        require_regular(xml)
+        within("DESCRIPTION_BYTES", xml.stat().st_size, "bytes", ContactSystemError)
         description = fmpy.read_model_description(str(folder), validate=False)
+        _require_sane(description)
     except Exception as error:  # fmpy raises bare ones
-        raise ContactSystemError(f"{fmu}: its modelDescription.xml says: {error}") from error
+        raise ContactSystemError(
+            f"{fmu}: its modelDescription.xml is not one of FMI 2 or 3: {type(error).__name__}: "
+            f"{error}; export it again"
+        ) from error
     if not description.fmiVersion.startswith(("2.", "3.")):
         raise ContactSystemError(
             f"{fmu} is of FMI {description.fmiVersion}; FmuSystem runs 2.0 and 3.0: "
@@ -160,6 +169,39 @@ def _read_description(fmu: Path, folder: Path) -> Any:
     return description
 
 
+def _require_sane(description: Any) -> None:
+    """What is used of a description and fmpy takes as it is."""
+    for v in description.modelVariables:
+        if not v.name or min(v.shape or (0,)) < 0:
+            raise ContactSystemError(f"variable {v.name!r} has shape {v.shape}")
+    elements = sum(map(_size, description.modelVariables))
+    within("FMU_ELEMENTS", elements, "elements of all its variables", ContactSystemError)
+    if description.coSimulation is not None:
+        name = description.coSimulation.modelIdentifier
+        if not re.fullmatch(r"[A-Za-z_]\w{0,199}", str(name), re.ASCII):  # it names a file
+            raise ContactSystemError(f"modelIdentifier = {name!r} is no plain word, as C has them")
+
+
+def _require_whole(fmu: Path, library: Path) -> None:
+    """Refuse a library of Linux that is cut: to load it would end the process."""
+    with open(library, "rb") as file:
+        head = file.read(64)
+        if len(head) < 64 or head[:6] != b"\x7fELF\2\1":  # what loads it names what it is not
+            return
+        programs, sections = struct.unpack_from("<QQ", head, 32)
+        sizes = struct.unpack_from("<4H", head, 54)  # of an entry of each, how many
+        file.seek(min(programs, 1 << 40))
+        rows = file.read(sizes[0] * sizes[1])
+    ends = [programs + sizes[0] * sizes[1], sections + sizes[2] * sizes[3]]
+    for k in range(0, len(rows) - 39, max(sizes[0], 1)):
+        ends.append(sum(struct.unpack_from("<Q16xQ", rows, k + 8)))
+    if max(ends) > library.stat().st_size:
+        raise ContactSystemError(
+            f"{fmu}: its library {library.name} is cut, of {library.stat().st_size} bytes where "
+            f"{max(ends)} belong; export it again"
+        )
+
+
 def _library(fmu: Path, folder: Path, description: Any) -> Path:
     """The shared library for this machine."""
     name = description.coSimulation.modelIdentifier + fmpy.sharedLibraryExtension
@@ -169,6 +211,7 @@ def _library(fmu: Path, folder: Path, description: Any) -> Path:
     for place in places:
         path = folder / "binaries" / place / name
         if path.is_file():
+            _require_whole(fmu, path)
             return path
     there = ", ".join(sorted(p.parent.name for p in folder.glob("binaries/*/*"))) or "none"
     remedy = "export it again for this machine"
@@ -236,7 +279,7 @@ class Instance:
             raise ContactSystemError(f"fmu = {fmu!r:.80}: give the path of an FMU or its folder")
         if name is not None and not isinstance(name, str):
             raise ContactSystemError(f"instance_name = {name!r}: give a text, or None")
-        path = Path(fmu)
+        self._path = path = Path(fmu)
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
             self._folder = self._unpacked(path)
@@ -249,13 +292,12 @@ class Instance:
     def _unpacked(self, path: Path) -> Path:
         if path.is_dir():
             return path.resolve()
+        if not path.exists():
+            raise ContactSystemError(f"there is no {path}: give an FMU or its folder")
         self._made_folder = tempfile.mkdtemp(prefix="fmu-")
-        try:
-            return Path(fmpy.extract(str(path), self._made_folder))
-        except FileNotFoundError as error:
-            raise ContactSystemError(f"there is no {path}: give an FMU or its folder") from error
-        except zipfile.BadZipFile as error:
-            raise ContactSystemError(f"{path} is not an FMU: {error}") from error
+        with opened(path, "an FMU") as archive:
+            unpack(archive, Path(self._made_folder), "FMU_BYTES")
+        return Path(self._made_folder)
 
     @property
     def keeps_states(self) -> bool:
@@ -477,7 +519,10 @@ class Instance:
             except FMICallException:  # many tools leave it out
                 self._free()
         kind = FMU2Slave if self.version == 2 else FMU3Slave
-        with self._doing("loading", time), contextlib.chdir(os.getcwd()):  # fmpy may leave it
+        with (
+            self._doing(f"loading {self._path}", time),
+            contextlib.chdir(os.getcwd()),
+        ):  # fmpy may leave it
             fmu = kind(
                 guid=self.description.guid,
                 unzipDirectory=str(self._folder),

@@ -493,7 +493,7 @@ def test_fmus_that_cannot_run_here_are_refused_with_the_reason(build, tmp_path):
         (build(binary=False), "platforms that it has: riscv64-plan9; export it again"),
         (build("3.0", binary=False), f"no binaries/{fmpy.platform_tuple}/integrators"),
         (tmp_path / "missing.fmu", "there is no .*missing.fmu"),
-        (tmp_path / "no.fmu", "is not an FMU"),
+        (tmp_path / "no.fmu", "no.fmu: not an FMU"),
         (tmp_path, "modelDescription.xml"),
         (None, "fmu = None: give the path"),
         (cs.load_scene("K1"), r"fmu = Scene\(.*: give the path"),
