@@ -21,10 +21,10 @@ from .report import THREADS, Bar, Section, Sections, header, surroundings, write
 
 PARTS = (
     *("bars", "first", "fresh", "many", "work_precision", "accuracy", "stress"),
-    *("drake_planner", "drake_plant", "drake_station", "fmu", "faults", "processes"),
+    *("drake_planner", "drake_plant", "drake_station", "fmu", "faults", "processes", "strangers"),
 )
 """Modules of this package; each has SECTIONS, name -> function of ``full`` that yields bars."""
-BINDING = ("accuracy", "stress", "faults", "processes")
+BINDING = ("accuracy", "stress", "faults", "processes", "strangers")
 """Parts whose missed bars make the exit code 1."""
 
 

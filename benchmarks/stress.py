@@ -8,6 +8,7 @@ whole process is counted and not suffered.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import multiprocessing
 import os
 import shutil
@@ -67,14 +68,14 @@ def rerun(family: str, index: int) -> Verdict:
     return verdict
 
 
-def _work(link: Connection) -> None:
+def _work(link: Connection, home: str, limit: float) -> None:
     """What a worker does: batches of (family, indices) in, verdicts out."""
-    known = families()
+    known = importlib.import_module(home).families()
     while (batch := link.recv()) is not None:
         name, indices = batch
         for index in indices:
             begin = time.process_time()
-            _limit(LIMIT)
+            _limit(limit)
             try:
                 verdict = judged(known[name].make(index))
             finally:
@@ -89,12 +90,16 @@ def _limit(seconds: float) -> None:
 
 
 class Worker:
-    """A process, the cases that it has still to do, and since when it does the first of them."""
+    """A process, the cases that it has still to do, and since when it does the first of them.
 
-    def __init__(self) -> None:
+    Cases are of the families of the module called `home`, and hang after `limit` s.
+    """
+
+    def __init__(self, home: str, limit: float) -> None:
         context = multiprocessing.get_context("spawn")
         self.link, other = context.Pipe()
-        self.process = context.Process(target=_work, args=(other,), daemon=True)
+        self.limit = limit
+        self.process = context.Process(target=_work, args=(other, home, limit), daemon=True)
         self.process.start()
         other.close()
         self.todo: list[tuple[str, int]] = []
@@ -123,9 +128,9 @@ class Worker:
         self.link.close()
         code = self.process.exitcode
         slow |= code == -getattr(signal, "SIGPROF", 27)
-        text = f"over {LIMIT:g} s" if slow else f"the process ended with code {code}"
+        text = f"over {self.limit:g} s" if slow else f"the process ended with code {code}"
         verdict = Verdict("hang" if slow else "crash", NAN, NAN, text)
-        return Record(*self.todo.pop(0), verdict, LIMIT)
+        return Record(*self.todo.pop(0), verdict, self.limit)
 
     def stop(self) -> None:
         """Let the process end."""
@@ -134,7 +139,12 @@ class Worker:
         self.process.kill()
 
 
-def search(chosen: list[tuple[Family, range]], workers: int = 2) -> Iterator[Record]:
+def search(
+    chosen: list[tuple[Family, range]],
+    workers: int = 2,
+    home: str = __name__,
+    limit: float = LIMIT,
+) -> Iterator[Record]:
     """Run cases of families, of ranges of indices; records in the order in which they come."""
     batches = [
         [(family.name, i) for i in indices[k : k + BATCH]]
@@ -142,7 +152,7 @@ def search(chosen: list[tuple[Family, range]], workers: int = 2) -> Iterator[Rec
         for k in range(0, len(indices), BATCH)
     ]
     batches.reverse()
-    crew, lost = [Worker() for _ in range(workers)], 0
+    crew, lost = [Worker(home, limit) for _ in range(workers)], 0
     while batches or any(worker.todo for worker in crew):
         for worker in crew:
             if not worker.todo and batches:
@@ -154,7 +164,7 @@ def search(chosen: list[tuple[Family, range]], workers: int = 2) -> Iterator[Rec
             yield (record := worker.take())
             if worker.ended:
                 batches += [worker.todo] if worker.todo else []
-                crew[k], lost = Worker(), lost + 1
+                crew[k], lost = Worker(home, limit), lost + 1
             if lost > 100:
                 raise RuntimeError(f"100 processes have ended; the last: {record}")
     for worker in crew:
