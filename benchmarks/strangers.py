@@ -186,7 +186,7 @@ def _mutated(index: int) -> Case:
     name = rng.choice(SCENES)
     text = scene_text(name)[0]
     for _ in range(rng.choice((1, 1, 2, 3))):
-        text = rng.choice((_other_number, _other_number, _other_lines, _other_sections))(rng, text)
+        text = rng.choice((*[_other_number] * 8, _other_lines, _other_sections))(rng, text)
 
     def call() -> Verdict:
         try:
@@ -203,8 +203,8 @@ def _other_number(rng: random.Random, text: str) -> str:
         return text
     match = rng.choice(found)
     x = float(match[0])
-    choices = (x * 10 ** rng.uniform(-3, 3), -x, 0.0, 10 ** rng.uniform(3, 300))
-    value = rng.choice((*choices, 10 ** -rng.uniform(3, 300)))
+    scaled = [x * 10 ** rng.uniform(-k, k) for k in (1, 3, 10, 20)]
+    value = rng.choice((*scaled, *scaled, -x, 0.0, 10 ** rng.uniform(-300, 300)))
     return f"{text[: match.start()]}{value!r}{text[match.end() :]}"
 
 

@@ -284,9 +284,9 @@ def _endless(scene: Scene, name: str, failure: binding.Failure) -> ContactSystem
     variable = "arc length" if failure.by_length else "local time"
     return ContactSystemError(
         f"{name}: {failure.panels} panels reach {variable} {failure.t:.9g} of {failure.end:.9g} "
-        f"only, more than the plan may take are needed: it has tried {failure.spent}, contact "
-        f"{failure.greediest} most, {failure.most}, and the limit is {limits.PANELS:.15g}; {why}, "
-        "or set contact_system.limits.PANELS higher"
+        f"only, and what is left of the plan's limit will not do: it has tried {failure.spent}, "
+        f"contact {failure.greediest} most, {failure.most}, and the limit is {limits.PANELS:.15g}; "
+        f"{why}, or set contact_system.limits.PANELS higher"
     )
 
 

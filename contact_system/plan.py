@@ -382,11 +382,12 @@ class Plan:
                 "start": self.start,
                 "starts": [vars(s) for s in self.starts] if self.starts else None,
             }
-            texts = {"scene": scene_to_toml(self.scene), "plan": json.dumps(header)}
+            scene, plan = scene_to_toml(self.scene), json.dumps(header)
             np.savez_compressed(
                 file,
-                **texts,
-                digest=digest(texts.values()),
+                scene=scene,
+                plan=plan,
+                digest=digest([scene, plan]),
                 t=t,
                 states=self.states(t),
                 slip=self.slip(t),

@@ -111,7 +111,8 @@ def _start(scene: Scene, index: int, given: Any, moments: bool) -> Start | Momen
         if frame := read.get(f"{side}_frame"):
             _require_on(surface, frame, f"{place}.{side}_frame")
         else:
-            require_place(surface, *read[f"{side}_at"][:2], f"{place}.{side}_at")
+            u, v = read[f"{side}_at"][:2]
+            require_place(surface, u, v, f"{place}.{side}_at")
     return kind(**read)
 
 

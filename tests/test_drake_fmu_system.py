@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import weakref
+import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -505,6 +506,55 @@ def test_fmus_that_cannot_run_here_are_refused_with_the_reason(build, tmp_path):
             FmuSystem(build(), step=step)
     with pytest.raises(cs.ContactSystemError, match="instance_name = 5: give a text"):
         FmuSystem(build(), step=STEP, instance_name=5)
+
+
+def strange(good, path, old="", new="", **members):
+    """The FMU with its description changed and members replaced, or added."""
+    with zipfile.ZipFile(good) as archive:
+        kept = {m: archive.read(m) for m in archive.namelist() if not m.endswith("/")}
+    library = next(name for name in kept if "binaries/" in name)
+    kept["modelDescription.xml"] = kept["modelDescription.xml"].replace(old.encode(), new.encode())
+    for name, data in members.items():
+        name = library if name == "library" else name
+        kept[name] = data(kept[name]) if callable(data) else data
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in kept.items():
+            archive.writestr(name, data)
+    return path
+
+
+def test_fmus_of_strangers_are_refused_by_name_and_stay_in_their_folder(build, tmp_path):
+    (tmp_path / "outside").mkdir()
+    shutil.unpack_archive(build("3.0"), tmp_path / "outside", "zip")
+    outside = next((tmp_path / "outside").glob("binaries/*/*")).with_suffix("")
+    word, end = '"integrators"', "</ModelVariables>"
+    array = f'<Float64 name="a" valueReference="99"><Dimension start="{{}}"/></Float64>{end}'
+    for change, message in (
+        (
+            {"old": f"modelIdentifier={word}", "new": f'modelIdentifier="{outside}"'},
+            "no plain word",
+        ),
+        ({"old": f"modelIdentifier={word}", "new": 'modelIdentifier="../x"'}, "no plain word"),
+        ({"old": end, "new": array.format(10**12)}, "FMU_ELEMENTS high"),
+        ({"old": end, "new": array.format(-2)}, "has shape"),
+        ({"old": "<ModelVariables>", "new": "<a>" * 10**5}, "is not one of FMI 2 or 3"),
+        ({"library": lambda data: data[: len(data) // 2]}, "cut|failed at t"),
+        ({"library": b"text"}, "failed at t = 0 s"),
+        ({"../x": b""}, "'../x' in it is no path inside it"),
+        ({"a\\b": b""}, "in it is no path inside it"),
+        ({"/x": b""}, "'/x' in it is no path inside it"),
+        ({"binaries": b""}, "lies in 'binaries', which is a file"),
+    ):
+        path = strange(build("3.0"), tmp_path / "strange.fmu", **change)
+        with pytest.raises(cs.ContactSystemError, match=f"strange.fmu.*{message}"):
+            FmuSystem(path, step=STEP)
+    assert not (tmp_path / "x").exists()
+
+
+def test_an_fmu_unpacks_to_no_more_than_a_limit(build, monkeypatch):
+    monkeypatch.setattr(cs.limits, "FMU_BYTES", 1e3)
+    with pytest.raises(cs.ContactSystemError, match="integrators.fmu.*limits.FMU_BYTES higher"):
+        FmuSystem(build(), step=STEP)
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -335,3 +335,19 @@ def test_object_at_rest_starts_with_the_whole_path_velocity_as_slip():
     first = cs.plan(cs.load_scene("K1")).slip(0.0)[0]
     expected = 1e-3 * reflection(0.0) @ [2**-0.5, 2**-0.5]
     assert first == pytest.approx(np.broadcast_to(expected, (3, 2)), abs=1e-18)
+
+
+def test_panels_are_a_budget_of_all_contacts_and_the_greediest_is_named(monkeypatch):
+    scene = cs.load_scene("K4")
+    short, long = (
+        dataclasses.replace(scene.contacts[0], finger_velocity=(speed, 0.0)) for speed in (1, 20)
+    )
+    scene = scene.replace(contacts=[short, long, short], disturbances=())
+    monkeypatch.setattr(cs.limits, "PANELS", 1e4)
+    found = cs.plan(scene)
+    monkeypatch.setattr(cs.limits, "PANELS", 400)
+    with pytest.raises(
+        cs.ContactSystemError, match="contact 1 most, .* limit is 400; .*PANELS high"
+    ):
+        cs.plan(scene)
+    assert np.isfinite(found.points(1.0)).all()

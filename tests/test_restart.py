@@ -7,6 +7,8 @@ import copy
 import csv
 import dataclasses
 import functools
+import json
+import math
 import pickle
 from math import pi
 
@@ -314,3 +316,55 @@ def test_a_damaged_file_is_read_or_refused(tmp_path):
         (tmp_path / "plan.npz").write_bytes(damaged)
         with contextlib.suppress(cs.ContactSystemError):
             cs.load(tmp_path / "plan.npz")
+
+
+def edited(path, plan, digest=True, **changes):
+    """A saved plan, one header value or the digest another; begun[0] means that of contact 0."""
+    plan.save(path, [plan.start])
+    with np.load(path) as data:
+        kept = dict(data)
+    header = json.loads(str(kept["plan"]))
+    for key, value in changes.items():
+        (header["starts"][0] if key in header["starts"][0] else header)[key] = value
+    kept["plan"] = json.dumps(header)
+    if not digest:
+        del kept["digest"]  # as plans of older versions are
+    np.savez(path, **kept)
+
+
+def test_a_saved_plan_that_was_changed_is_refused(tmp_path):
+    plan = cs.plan(busy()).continued(0.45)
+    edited(tmp_path / "plan.npz", plan, tolerance=1e-3)
+    with pytest.raises(cs.ContactSystemError, match="plan.npz: not a plan .* changed since"):
+        cs.load(tmp_path / "plan.npz")
+    edited(tmp_path / "plan.npz", plan, digest=False)
+    assert_same(cs.load(tmp_path / "plan.npz"), plan, [0.5, 1.0], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("tolerance", x) for x in (None, "x", -1, math.nan)),
+        *(("method", x) for x in (None, [], "magic")),
+        *(("start", x) for x in (None, -1, math.nan, 1e9)),
+        *(("starts", x) for x in ([], {}, "x", [1])),
+        *(("object_at", x) for x in (None, [], [1, math.nan, 0])),
+        *(("object_frame", x) for x in ([], [1e9, 0, 0, 0, 0, 1], [0] * 6, [math.inf] * 6)),
+        *(("angle", x) for x in (None, [0], math.nan)),
+        ("slip", [1]),
+        ("unknown", 1),
+    ],
+)
+def test_restart_data_that_cannot_be_are_refused_by_file_and_key(tmp_path, key, value):
+    path = tmp_path / "plan.npz"
+    edited(path, cs.plan(busy()).continued(0.45), digest=False, **{key: value})
+    with pytest.raises(cs.ContactSystemError, match=f"plan.npz.*{key}"):
+        cs.load(path)
+
+
+def test_a_saved_plan_unpacks_to_no_more_than_a_limit(tmp_path, monkeypatch):
+    path = tmp_path / "plan.npz"
+    np.savez_compressed(path, scene="x" * 10**7, plan="{}")
+    monkeypatch.setattr(cs.limits, "PLAN_BYTES", 1e7)
+    with pytest.raises(cs.ContactSystemError, match="plan.npz: scene.npy.*limits.PLAN_BYTES high"):
+        cs.load(path)

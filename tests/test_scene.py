@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import os
 import tempfile
 import tomllib
 from pathlib import Path
@@ -432,6 +433,33 @@ def test_a_mistake_in_a_file_is_named_by_file_key_value_and_remedy(old, new, wor
         assert word in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("limit", "lower", "old", "new"),
+    [
+        ("SCENE_BYTES", 1e6, "duration = 2.0", "duration = 2.0 #" + "x" * 10**6),
+        ("NESTING", 3, "friction = 0.5", "friction = [[[[1]]]]"),
+        ("FORMULA_LENGTH", 100, '"2*pi/3"', f'"2{" " * 199}"'),
+        ("FORMULA_NESTING", 20, '"2*pi/3"', f'"{"-" * 30}2"'),
+        ("COEFFICIENTS", 4, '[0.1, "1/5"]', "[0.1, 0, 0, 0, 0]"),
+        ("WINDOWS", 0, "", ""),
+    ],
+)
+def test_a_limit_is_named_where_it_is_met_and_can_be_raised(monkeypatch, limit, lower, old, new):
+    assert old in GOOD
+    monkeypatch.setattr(cs.limits, limit, lower)
+    with pytest.raises(SceneError, match=f"wrong.toml.*set contact_system.limits.{limit} higher"):
+        read(GOOD.replace(old, new, 1))
+    monkeypatch.setattr(cs.limits, limit, 1e7)
+    read(GOOD.replace(old, new, 1))
+
+
+def test_errors_echo_long_and_hidden_text_clipped_and_escaped():
+    for key in ("x" * 10**5, "\\u001b[2J"):
+        with pytest.raises(SceneError, match="wrong.toml: key .*the keys here are") as error:
+            read(f'"{key}" = 1\n{GOOD}')
+        assert len(str(error.value)) <= cs.limits.MESSAGE and "\x1b" not in str(error.value)
+
+
 def test_a_nameless_scene_is_named_after_its_file():
     text = GOOD.replace('name = "good"', "")
     assert read(text, "mine.toml").name == "mine"
@@ -456,8 +484,9 @@ def test_what_is_no_name_of_a_scene_is_said(wrong):
 
 
 def test_files_that_are_no_text_are_refused(tmp_path):
-    with pytest.raises(SceneError, match="cannot be read"):
-        load_scene(tmp_path)
+    for path in (tmp_path, os.devnull):
+        with pytest.raises(SceneError, match="cannot be read: it is a folder, a device"):
+            load_scene(path)
     (tmp_path / "x.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(SceneError, match="cannot be read"):
         load_scene(tmp_path / "x.toml")

@@ -122,7 +122,7 @@ AXES = [
     (2.0, 1.0, np.nextafter(1.0, 0.0)),
     (100.0, 1.0, 0.9),
     (100.0, 99.0, 1.0),
-    (1e6, 1.0, 1e-6),
+    (1e3, 1.0, 1e-3),
 ]
 
 
@@ -496,6 +496,11 @@ def test_numeric_methods_are_vectorised_over_leading_axes(name):
         (lambda: Sphere(0.1, inside="yes"), ["inside = 'yes'"]),
         (lambda: Torus(0.1, 0.2), ["minor = 0.2", "major = 0.1"]),
         (lambda: Ellipsoid(0.1, 0.2, 0.3), ["a >= b >= c", "Ellipsoid(0.3, 0.2, 0.1)"]),
+        (
+            lambda: Ellipsoid(0.1, 0.1, 9e-8),
+            ["9e-08 m", "less than 1e-06 of the greatest", "Plane"],
+        ),
+        (lambda: Quadric(np.diag([1, 1, 2e12])), ["less than 1e-06 of the greatest", "thicker"]),
         (lambda: Sphere(1e-160), ["Sphere: radius = 1e-160 m", "use a smaller unit"]),
         (lambda: Sphere(0.1).coordinates([0.1j, 0, 0]), ["Sphere(0.1): points", "numbers"]),
         (lambda: Sphere(0.1).coordinates(["a", "b", "c"]), ["Sphere(0.1): points", "numbers"]),
