@@ -17,6 +17,7 @@ from .checks import did_you_mean, within
 from .errors import ContactSystemError
 from .theory import symbols as ca
 
+MOST_POWER = 1e6  # edges sharper than double precision resolves, say x**(1e17), are no surface's
 NO_ARITHMETIC = "only arithmetic and known functions are allowed in a formula"
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
@@ -170,7 +171,15 @@ class _Reader:
         meaning = _BINARY.get(type(node.op))
         if meaning is None:
             raise self.fail(node, "only + - * / ** combine two values in a formula")
-        return self.apply(node, meaning, self.read(node.left), self.read(node.right))
+        left, right = self.read(node.left), self.read(node.right)
+        steep = (
+            isinstance(node.op, ast.Pow) and isinstance(right, float) and abs(right) > MOST_POWER
+        )
+        if steep and not isinstance(left, float):
+            raise self.fail(
+                node, f"the power {right:g} is beyond {MOST_POWER:g}; write a lower one"
+            )
+        return self.apply(node, meaning, left, right)
 
     def call(self, node: ast.Call) -> Value:
         if not isinstance(node.func, ast.Name) or node.keywords:

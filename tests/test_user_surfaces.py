@@ -217,6 +217,7 @@ def test_numbers_of_scene_files_are_pythons_to_the_last_bit(tmp_path):
         ("(-8)**(1/3)", 1, "domain"),
         ("9**9**9", 1, "range"),
         ("2*1e308*1e308", 1, "too large"),
+        ("u**1e9", 1, "the power 1e.09 is beyond"),
         ("  R + r*cso(v)", 9, "did you mean 'cos'"),
         ("2 * ( raduis )", 7, "did you mean 'radius"),
     ],
@@ -225,6 +226,13 @@ def test_mistakes_in_formulas_are_refused_by_column(text, column, words):
     numbers = {"R": 1.0, "r": 0.1, "radius": 2.0}
     with pytest.raises(ContactSystemError, match=f"column {column}: .*{words}"):
         value(text, **numbers)
+
+
+@pytest.mark.parametrize("power", [10, 1000, 60000])
+def test_points_of_edges_as_sharp_as_high_powers_make_them_are_found(power):
+    x = ImplicitSurface(f"x**{power} + y**4 + z**4 - 1").point(*np.mgrid[0.1:3:9j, -3:3:9j])
+    steps = 10 * np.finfo(float).eps * np.array([power, 4, 4])
+    assert (np.abs((x ** [power, 4, 4]).sum(-1) - 1) < steps.max()).all()
 
 
 UNKNOWN = """__import__('os').system('true') | ().__class__ | u.real | [1, 2] | (1, 2) | lambda: 1

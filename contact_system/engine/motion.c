@@ -295,9 +295,12 @@ static double close_panel(work_t *w, motion_t *m, double half, lanes_t x, lanes_
   memcpy(end, reached, sizeof reached);
   if (m->restore) m->restore(w, m, end);
   /* what must be put back tells of the panel's error too */
-  double back = 0.0;
-  for (int64_t r = 0; r < m->n; r++) back = fmax(back, fabs(end[r] - reached[r]) * m->scale[r]);
-  if (!(back < HUGE_VAL)) return HUGE_VAL;
+  double back = 0.0, none = 0.0; /* fmax drops a NaN */
+  for (int64_t r = 0; r < m->n; r++) {
+    back = fmax(back, fabs(end[r] - reached[r]) * m->scale[r]);
+    none += 0.0 * end[r];
+  }
+  if (!(back < HUGE_VAL && none == 0.0)) return HUGE_VAL;
   return back > 1e-13 ? fmax(error, 0.1 * back) : error;
 }
 

@@ -468,17 +468,24 @@ class ImplicitSurface(UserSurface):
             [np.sin(u) * np.cos(turned), np.sin(u) * np.sin(turned), np.cos(u)], axis=-1
         ).reshape(-1, 3)
         reach = self._bracket(ray, u.ravel(), v.ravel())
-        low, t = np.zeros_like(reach), reach
-        for _ in range(100):
+        low, t, step = np.zeros_like(reach), reach, np.full_like(reach, np.inf)
+        for _ in range(200):
             level, slope = self._along(ray, t)
             low, reach = np.where(level < 0, t, low), np.where(level >= 0, t, reach)
-            with np.errstate(divide="ignore", invalid="ignore"):
+            with np.errstate(all="ignore"):
                 trial = t - level / slope
-            trial = np.where((trial >= low) & (trial <= reach), trial, (low + reach) / 2)
-            settled = np.all(np.abs(trial - t) <= 4 * np.finfo(float).eps * t)
-            t = trial
-            if settled:
+            inside = (trial >= low) & (trial <= reach) & np.isfinite(slope)
+            falls = np.abs(trial - t) <= 0.5 * step  # else Newton's method may creep, as on x**1000
+            trial = np.where(inside & falls, trial, (low + reach) / 2)
+            step, t = np.abs(trial - t), trial
+            if np.all(step <= 4 * np.finfo(float).eps * t):
                 break
+        else:
+            i = int(np.argmax(step / t))
+            raise SurfaceError(
+                f"{self!r}: the point at (u, v) = ({u.ravel()[i]:.9g}, {v.ravel()[i]:.9g}) is not "
+                "found, F is too steep or no number there; write F with lower powers"
+            )
         return (np.array(self.center) + t[:, None] * ray).reshape((*u.shape, 3))
 
     def _bracket(self, ray: Array, u: Array, v: Array) -> Array:
