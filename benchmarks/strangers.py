@@ -14,7 +14,7 @@ import re
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -45,22 +45,21 @@ NUMBER = re.compile(r"(?<![\w.\"-])-?\d+(?:\.\d+)?(?:e-?\d+)?")
 
 def families() -> dict[str, Family]:
     """All families by name."""
+    scenes, plans = scene_files(), plan_files()
     found = [
-        Family("scene files", 94, lambda k: _hostile(scene_files(), k, cs.load_scene, ".toml")),
-        Family("saved plans", 86, lambda k: _hostile(plan_files(), k, cs.load, ".npz")),
-        Family("FMUs", 41, lambda k: _hostile(fmu_files(), k, _fmu, ".fmu")),
+        Family("scene files", len(scenes), lambda k: _hostile(scenes, k, cs.load_scene, ".toml")),
+        Family("saved plans", len(plans), lambda k: _hostile(plans, k, cs.load, ".npz")),
         Family("bits turned", 3000, _flipped),
         Family("truncations", 400, _cut),
         Family("restart data", 100, _edited),
         Family("mutations", 1000, _mutated),
     ]
+    with contextlib.suppress(ImportError):
+        from drake_plant import FmuSystem
+
+        fmus, load = fmu_files(), partial(FmuSystem, step=0.1)
+        found.append(Family("FMUs", len(fmus), lambda k: _hostile(fmus, k, load, ".fmu")))
     return {family.name: family for family in found}
-
-
-def _fmu(path: Path) -> Any:
-    from drake_plant import FmuSystem
-
-    return FmuSystem(path, step=0.1)
 
 
 def _hostile(files: dict[str, Make], index: int, load: Callable[[Path], Any], ending: str) -> Case:
@@ -264,6 +263,8 @@ def _section(limit: float, *names: str, full: int = 1) -> Section:
 
     def section(thorough: bool) -> Iterator[Bar]:
         known = families()
+        if missing := set(names) - set(known):
+            raise ImportError(f"{', '.join(missing)} need drake_plant and fmu_export")
         chosen = [(known[n], range(known[n].count * (full if thorough else 1))) for n in names]
         records = []
         for record in stress.search(chosen, workers=1, home=__name__, limit=limit):
@@ -282,7 +283,8 @@ def _section(limit: float, *names: str, full: int = 1) -> Section:
 
 
 SECTIONS: Sections = {
-    "files": _section(2.0, "scene files", "saved plans", "FMUs"),
+    "files": _section(2.0, "scene files", "saved plans"),
+    "fmus": _section(2.0, "FMUs"),
     "damage": _section(2.0, "bits turned", "truncations", "restart data"),
     "mutations": _section(12.0, "mutations", full=5),
 }
