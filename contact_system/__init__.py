@@ -13,6 +13,7 @@ from .errors import (
 )
 from .measures import Rejection, great_circle_distance, rejections
 from .plan import Plan, load, plan
+from .reach import Goal, Route, reach
 from .scene import (
     Contact,
     FingerAcceleration,
@@ -54,6 +55,7 @@ __all__ = [
     "Failure",
     "FingerAcceleration",
     "Gain",
+    "Goal",
     "ImplicitSurface",
     "Leg",
     "ObjectAcceleration",
@@ -64,6 +66,7 @@ __all__ = [
     "Profile",
     "Quadric",
     "Rejection",
+    "Route",
     "Scene",
     "SceneError",
     "SceneSystem",
@@ -79,6 +82,7 @@ __all__ = [
     "load_scene",
     "measured_states",
     "plan",
+    "reach",
     "rejections",
     "save_scene",
     "summary",

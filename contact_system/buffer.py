@@ -40,11 +40,14 @@ class Buffer:
     ----------
     numbers : bytes
         Doubles.
+    count : int
+        Of contacts.
     surfaces : list of Surface
         The surfaces that the buffer counts.
     """
 
     def __init__(self, scene: Scene, tolerance: float, begin: float, starts: Starts | None):
+        self.count = len(scene.contacts)
         self.surfaces: list[Surface] = []
         self._tail: list[float] = []  # what follows the header
         self._bodies: dict[int, Numbers] = {}

@@ -15,7 +15,7 @@ from .engine import binding
 from .engine.binding import address
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .scene import DISTURBANCE_KINDS, Scene
-from .starts import Moment, Starts
+from .starts import Moment
 from .surfaces import Surface
 
 SHAPES: dict[str, tuple[int, ...]] = {
@@ -51,11 +51,8 @@ class Motion:
     Parameters
     ----------
     scene : Scene
-    tolerance : float
-    begin : float
-        s.
-    starts : Starts or None
-        None: as the scene says.
+    buffer : Buffer
+        Its numbers.
 
     Raises
     ------
@@ -65,9 +62,8 @@ class Motion:
 
     _as_parameter_: int | None = None  # the plan's address, by which the engine takes this object
 
-    def __init__(self, scene: Scene, tolerance: float, begin: float, starts: Starts | None):
-        self.scene = scene
-        buffer = Buffer(scene, tolerance, begin, starts)
+    def __init__(self, scene: Scene, buffer: Buffer):
+        self.scene, self._count = scene, buffer.count
         self._surfaces = buffer.surfaces  # the engine points into their tables
         addresses = (ctypes.c_void_p * len(self._surfaces))(*map(_address, self._surfaces))
         self._addresses, self._anchored = addresses, False
@@ -87,7 +83,7 @@ class Motion:
         if not self._anchored and not IN_CONTACT_FRAMES.isdisjoint(names):
             self._anchor()
         t = np.ascontiguousarray(t)
-        count, n = len(self.scene.contacts), len(t)
+        count, n = self._count, len(t)
         found = {name: np.empty((count, *SHAPES[name], n)) for name in names}
         if n:
             wanted = (ctypes.c_void_p * len(SHAPES))(

@@ -18,6 +18,7 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .buffer import Buffer
 from .checks import FLOAT, a_path, did_you_mean, flag, naming, real_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .motion import SHAPES, Motion
@@ -112,7 +113,8 @@ class Plan:
 
     def _planned(self) -> Any:
         if self.method == "auto":
-            return Motion(self.scene, self.tolerance, self.start, self.starts)
+            buffer = Buffer(self.scene, self.tolerance, self.start, self.starts)
+            return Motion(self.scene, buffer)
         from .chart_solution import ChartMotion  # scipy, which only this method needs
 
         return ChartMotion(self.scene, self.tolerance, self.start, self.starts, self.solver)

@@ -65,10 +65,15 @@ def all_of(kind: type, values: Any, what: str, names: str = "") -> tuple:
 MANY_TURNS = 1e3  # [rad]: psi keeps 13 digits of a turn
 
 
-def _rolled(angle: float, w: Pair) -> Pair:
+def rolled(angle: float, w: Any) -> Any:
     """R_psi w, before V is worked out from it and rounding told from slip."""
     c, s = math.cos(angle), math.sin(angle)
     return c * w[0] - s * w[1], -s * w[0] - c * w[1]
+
+
+def turned(cosine: Any, sine: Any, w: Pair) -> Any:
+    """A path velocity turned by an angle."""
+    return cosine * w[0] - sine * w[1], sine * w[0] + cosine * w[1]
 
 
 @dataclass(frozen=True)
@@ -167,12 +172,11 @@ class Contact:
         own: Any = self.finger_velocity
         given: Any = self.object_velocity
         if self.legs:
-            c, s = math.cos(self.legs[0].direction), math.sin(self.legs[0].direction)
-            own = c * own[0] - s * own[1], s * own[0] + c * own[1]
+            own = turned(math.cos(self.legs[0].direction), math.sin(self.legs[0].direction), own)
         if isinstance(own, str):  # imposed: the other is a pair
-            own = _rolled(self.angle, given)
+            own = rolled(self.angle, given)
         elif isinstance(given, str):
-            given = _rolled(self.angle, own) if given == ROLLING else (0.0, 0.0)
+            given = rolled(self.angle, own) if given == ROLLING else (0.0, 0.0)
         (u1, v1), (u2, v2) = self.finger_at, self.object_at
         return u1, v1, u2, v2, self.angle, own[0], own[1], given[0], given[1]
 

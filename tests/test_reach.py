@@ -1,0 +1,120 @@
+"""Legs from a start to a goal: they arrive, and what cannot be reached is refused."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+import contact_system as cs
+
+PAIRS = {
+    "sphere on plane": (cs.Sphere(0.04), cs.Plane()),
+    "sphere on sphere": (cs.Sphere(0.04), cs.Sphere(0.1)),
+    "sphere on ellipsoid": (cs.Sphere(0.04), cs.Ellipsoid(0.3, 0.2, 0.1)),
+    "ellipsoid on ellipsoid": (cs.Ellipsoid(0.05, 0.04, 0.03), cs.Ellipsoid(0.3, 0.2, 0.1)),
+    "sphere in a bowl": (cs.Sphere(0.04), cs.Sphere(0.2, inside=True)),
+    "sphere on torus": (cs.Sphere(0.04), cs.Torus(0.3, 0.1)),
+}
+ELLIPSOID = PAIRS["sphere on ellipsoid"]
+
+
+def place(rng: np.random.Generator, surface: cs.Surface) -> tuple[float, float]:
+    if isinstance(surface, cs.Plane):
+        return tuple(rng.uniform(-0.3, 0.3, 2))
+    return rng.uniform(0.3, 2.8), rng.uniform(-1.4, 1.4)
+
+
+def scene(finger, obj, **contact) -> cs.Scene:
+    given = {"object_at": (1.0, 0.2), "finger_at": (1.1, 0.4), "angle": 0.3, **contact}
+    return cs.Scene(
+        object=obj,
+        contacts=[cs.Contact(finger, **given)],
+        duration=3.0,
+        profile=cs.Profile([0.1]),
+        gain=cs.Gain.time(20.0),
+    )
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_random_goals_of_places_and_angle_are_reached(name):
+    finger, obj = PAIRS[name]
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        at = {"object_at": place(rng, obj), "finger_at": place(rng, finger)}
+        goal = cs.Goal(
+            object_at=place(rng, obj), finger_at=place(rng, finger), angle=rng.uniform(-3, 3)
+        )
+        route = cs.reach(scene(finger, obj, **at, angle=rng.uniform(-3, 3)), goal)
+        assert len(route.legs[0]) <= 4 and route.residual <= 1e-12
+        end = cs.plan(route.scene, 1e-14).points(3.0)[0, 0]
+        assert end[0] == pytest.approx(finger.point(*goal.finger_at), abs=1e-12 * finger.size)
+        assert end[1] == pytest.approx(obj.point(*goal.object_at), abs=1e-12 * obj.size)
+        psi = cs.plan(route.scene, 1e-14).states(3.0)[0, 0, 8]
+        if finger.double_cover or obj.double_cover:
+            psi = math.remainder(2 * (psi - goal.angle), 2 * math.pi)  # covers turn frames by pi
+        else:
+            psi = math.remainder(psi - goal.angle, 2 * math.pi)
+        assert abs(psi) < 1e-11
+
+
+def test_a_goal_may_leave_parts_out_and_needs_fewer_legs_then():
+    start = scene(*ELLIPSOID)
+    for legs, goal in enumerate(
+        (cs.Goal(object_at=(2.0, 1.0)), cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5))), 1
+    ):
+        route = cs.reach(start, goal)
+        assert len(route.legs[0]) == legs and route.residual <= 1e-12
+
+
+def test_a_pose_that_can_be_rolled_to_is_a_goal():
+    start = scene(*ELLIPSOID)
+    goal = cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5), angle=1.0)
+    pose = cs.plan(cs.reach(start, goal).scene).pose(3.0)[0, 0]
+    route = cs.reach(start, cs.Goal(pose=pose))
+    assert cs.plan(route.scene).pose(3.0)[0, 0] == pytest.approx(pose, abs=1e-12)
+
+
+def test_slip_at_the_start_has_died_at_the_goal():
+    goal = cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5), angle=1.0)
+    route = cs.reach(scene(*ELLIPSOID, object_velocity=(0.3, -0.5)), goal)
+    plan = cs.plan(route.scene, 1e-14)
+    assert plan.slip_speed([0.1])[0, 0] > 1e-3
+    assert plan.points(3.0)[0, 0, 1] == pytest.approx(ELLIPSOID[1].point(2.0, 1.0), abs=1e-12)
+
+
+def test_every_contact_has_its_own_goal_or_rests():
+    start = scene(*ELLIPSOID)
+    contacts = [*start.contacts, cs.Contact(cs.Sphere(0.03), (2.0, -1.0))]
+    route = cs.reach(start.replace(contacts=contacts), [cs.Goal(object_at=(2.0, 1.0)), None])
+    first, last = cs.plan(route.scene).points([0.0, 3.0])
+    assert np.array_equal(first[1], last[1])
+    assert last[0, 1] == pytest.approx(ELLIPSOID[1].point(2.0, 1.0), abs=1e-12)
+
+
+def test_legs_keep_to_a_greatest_length_and_time_makes_them_shorter():
+    start, goal = scene(*ELLIPSOID), cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5), angle=1.0)
+    first, best = cs.reach(start, goal), cs.reach(start, goal, seconds=0.5)
+    assert best.length <= first.length
+    short = cs.reach(start, cs.Goal(object_at=(2.0, 1.0)), longest=0.2)
+    assert max(leg.length for leg in itertools.chain(*short.legs)) <= 0.2 * (1 + 1e-12)
+
+
+REFUSED = {
+    "mirror image": lambda: cs.reach(
+        scene(cs.Sphere(0.04), cs.Sphere(0.04)),
+        cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5), angle=1.0),
+    ),
+    "needs a place": lambda: cs.Goal(),
+    "give both places": lambda: cs.Goal(object_at=(1.0, 2.0), angle=1.0),
+    "0 goals for 1 contacts": lambda: cs.reach(scene(*ELLIPSOID), []),
+    "no rotation": lambda: cs.Goal(pose=np.ones((4, 4))),
+}
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_cannot_be_reached_is_refused_with_the_reason(message):
+    with pytest.raises(cs.SceneError, match=message):
+        REFUSED[message]()
