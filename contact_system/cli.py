@@ -18,6 +18,7 @@ import sys
 import textwrap
 import threading
 import time
+import tomllib
 from collections.abc import Iterable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -26,7 +27,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from . import __version__, plots
-from .checks import is_device, make_folder
+from .checks import is_device, known_keys, make_folder
 from .errors import ContactSystemError, SceneError
 from .measures import (
     REJECTED,
@@ -37,7 +38,8 @@ from .measures import (
     rejections,
 )
 from .plan import METHODS, Plan, plan
-from .scene import STILL, Scene, bundled_scenes, load_scene
+from .reach import Goal, reach
+from .scene import STILL, Scene, bundled_scenes, load_scene, save_scene
 from .theory.gain import LAWS, Gain
 
 PROGRAM = "contact-system"
@@ -89,6 +91,16 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     explain = commands.add_parser("explain", help="which way the planner takes, and why")
     _add_scene(explain)
     explain.set_defaults(run=_explain)
+
+    steer = commands.add_parser("reach", help="find legs that take a scene's contacts to goals")
+    _add_scene(steer)
+    text = 'a goal, such as "object_at = [2, 1], angle = 0.5"; one a contact, "" where it rests'
+    steer.add_argument("--to", action="append", required=True, metavar="GOAL", help=text)
+    text = "look so many seconds for a shorter route; default %(default)g"
+    steer.add_argument("--seconds", type=float, default=0.0, metavar="X", help=text)
+    steer.add_argument("--out", type=Path, metavar="DIR", help=folder)
+    steer.add_argument("--no-plots", action="store_true", help="draw no pictures")
+    steer.set_defaults(run=_reach)
 
     if not words or words[0] not in commands.choices:
         _add_foreign(commands, words)
@@ -167,6 +179,37 @@ def _run(args: argparse.Namespace) -> int:
         written = list(_write(args, list(laws), folder / file_name(scene), progress))
     print(*written, sep="\n")
     return 0
+
+
+def _reach(args: argparse.Namespace) -> int:
+    scene = _asked_scene(args)
+    goals = [_goal(text) for text in args.to]
+    with Progress(2, "looking for legs") as progress:
+        route = reach(scene, goals, seconds=args.seconds)
+        progress.step("planning")
+        planned = plan(route.scene, args.tolerance)
+    print(f"{scene.title}: {route.length:.6g} m in all, {route.residual:.1e} off; {route.tried}")
+    for i, legs in enumerate(route.legs):
+        for k, leg in enumerate(legs):
+            where = f"contact {i}, leg {k + 1}"
+            print(f"{where}: direction {leg.direction:.9g} rad, length {leg.length:.9g} m")
+    folder = results_folder(args, scene)
+    path = folder / f"{file_name(scene)}-reached.toml"
+    save_scene(route.scene, path)
+    with Progress(3, "writing") as progress:
+        written = list(_write(args, [planned], folder / file_name(scene), progress))
+    print(f"wrote {path}", *written, sep="\n")
+    return 0
+
+
+def _goal(text: str) -> Goal | None:
+    """A goal from the text of an inline table of TOML."""
+    try:
+        given = tomllib.loads(f"goal = {{ {text} }}")["goal"]
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f'--to "{text}": {error}; write it like "object_at = [2, 1]"') from None
+    known_keys(given, ("object_at", "finger_at", "angle", "pose"), f'--to "{text}": ')
+    return Goal(**given) if given else None
 
 
 def _asked_scene(args: argparse.Namespace) -> Scene:
