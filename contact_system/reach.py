@@ -21,7 +21,7 @@ from .checks import finite_number, real_array
 from .errors import SceneError
 from .motion import Motion
 from .plan import plan
-from .scene import ROLLING, Contact, Leg, Scene, require_scene
+from .scene import ROLLING, STILL, Contact, Leg, Scene, require_scene
 from .scene.contact import pair, rolled, turned
 from .theory.profile import Profile
 
@@ -179,7 +179,8 @@ def reach(
         off = max(off, way.residual)
     contacts = [dataclasses.replace(c, legs=own) for c, own in zip(scene.contacts, found)]
     whole = sum(leg.length or 0.0 for own in found for leg in own)
-    return Route(scene.replace(contacts=contacts), tuple(found), whole, off, "; ".join(told))
+    legged = scene.replace(contacts=contacts, profile=STILL)
+    return Route(legged, tuple(found), whole, off, "; ".join(told))
 
 
 # --- one contact -------------------------------------------------------------------------------
