@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from .buffer import LEG, Buffer
+from .buffer import AT_CONTACTS, COUNT, LEG, LEGS, W1, Buffer, Y
 from .checks import finite_number, real_array
 from .errors import SceneError
 from .motion import Motion
@@ -35,10 +35,6 @@ MOST_LEGS = 4
 STARTS = 60
 """So many starts are tried with each number of legs."""
 _STEPS, _SHIFT = 40, 1e-7
-
-# places in a contact's row of the buffer, as in engine.h
-_AT_CONTACTS = 8
-_LEGS, _W1, _Y = 10, 19, 21
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,9 +194,9 @@ class _Rolls:
         self._scene = alone
         self._buffer = Buffer(alone, TOLERANCE, 0.0, None)
         numbers = np.frombuffer(self._buffer.numbers)
-        at = int(numbers[_AT_CONTACTS])
+        at = int(numbers[AT_CONTACTS])
         self._head, self._row = numbers[:at].copy(), numbers[at:].copy()
-        first = int(self._row[_LEGS])
+        first = int(self._row[LEGS])
         self._legs = numbers[first : first + n * LEG].reshape(n, LEG).copy()
         places = [slice(int(leg[1]), int(leg[1] + leg[2])) for leg in self._legs]
         self._sigma = np.stack([numbers[place] for place in places])
@@ -226,14 +222,14 @@ class _Rolls:
         sigma = self._sigma * s[..., None]
         blocks = np.hstack([sigma.reshape(m, -1), legs.reshape(m, -1)])
         rows = np.repeat(self._row[None], m, axis=0)
-        rows[:, _LEGS] = offset + n * size
+        rows[:, LEGS] = offset + n * size
         given: Any = self.contact.finger_velocity
         own = turned(np.cos(phi[:, 0]), np.sin(phi[:, 0]), given)
-        rows[:, _W1], rows[:, _W1 + 1] = own
+        rows[:, W1], rows[:, W1 + 1] = own
         if self.contact.object_velocity == ROLLING:
-            rows[:, _Y], rows[:, _Y + 1] = rolled(self.contact.angle, own)
+            rows[:, Y], rows[:, Y + 1] = rolled(self.contact.angle, own)
         head = self._head.copy()
-        head[1], head[_AT_CONTACTS] = m, len(head) + blocks.size
+        head[COUNT], head[AT_CONTACTS] = m, len(head) + blocks.size
         return np.concatenate([head, blocks.ravel(), rows.ravel()])
 
 
