@@ -355,10 +355,10 @@ class _Search:
 
     def _refusal(self, tried: Sequence[str], nearest: float) -> str:
         why = "no path was found that arrives there"
-        if self.pose is not None and self._alike():
+        if self._alike():
             why = (
-                "the finger and the object are each other's mirror image, and what rolls stays one:"
-                " a place on one body sets the place and the angle on the other"
+                "the finger and the object have the same curvature everywhere, so that a place on "
+                "one body sets the place on the other, and the angle"
             )
         elif self.goal.pose is not None:
             why += "; do the bodies touch in that pose, from outside?"
@@ -368,5 +368,7 @@ class _Search:
         )
 
     def _alike(self) -> bool:
+        """Whether rolling keeps a relation between the places: K_1 = K_2 (theory section 11)."""
         one, other = self.bodies
-        return type(one) is type(other) and one.parameters == other.parameters
+        balls = one.great_circles and other.great_circles
+        return (balls and one.size == other.size) or (one.developable and other.developable)

@@ -104,7 +104,7 @@ def test_legs_keep_to_a_greatest_length_and_time_makes_them_shorter():
 
 
 REFUSED = {
-    "mirror image": lambda: cs.reach(
+    "same curvature": lambda: cs.reach(
         scene(cs.Sphere(0.04), cs.Sphere(0.04)),
         cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5), angle=1.0),
     ),
