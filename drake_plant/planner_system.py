@@ -38,7 +38,7 @@ CLEARANCE = 0.01
 NEARBY = 10 * CLEARANCE
 """Where the distance is watched more closely."""
 LOOK = 0.01
-"""How often the measured slip is looked at where no period is given, s."""
+"""How often the distance from the plan is looked at where no period is given, s."""
 EARLY = 1e-9
 """How much before its time a restart happens, s."""
 OTHERS = 257
@@ -115,15 +115,15 @@ def _refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> N
     )
 
 
-def _check_restart(scene: Scene, period: Any, slip: Any) -> None:
+def _check_restart(scene: Scene, period: Any, distance: Any) -> None:
     least, what = max(EARLY, scene.duration / MOST), f"{scene.title}: restart_"
     if period is not None and finite_number(period, f"{what}period", "above 0") < least:
         raise SceneError(
             f"{what}period = {period!r}: give a time in s, at least {least:.2g} s, with which the "
             "scene's end is reached, or None"
         )
-    if slip is not None:
-        finite_number(slip, f"{what}slip", "not below 0")
+    if distance is not None:
+        finite_number(distance, f"{what}distance", "not below 0")
 
 
 # --- the system -----------------------------------------------------------------------------------
@@ -140,7 +140,7 @@ def _define(T: type) -> type:
             name: ContactPlanner
             input_ports:
             - disturbance (with disturbance_input)
-            - measured_state (with restart_period or restart_slip)
+            - measured_state (with restart_period or restart_distance)
             output_ports:
             - state
             - slip
@@ -149,6 +149,7 @@ def _define(T: type) -> type:
             - contact_point
             - normal
             - pose
+            - restarts (with restart_period or restart_distance)
 
         For n contacts, in SI units and radians; F_i is the frame of finger i, O of the object, each
         the frame of the body's surface:
@@ -172,6 +173,7 @@ def _define(T: type) -> type:
         - `contact_point` (6n): the contact on the finger, in F, and on the object, in O.
         - `normal` (3n): the object's outward unit normal at the contact, in O.
         - `pose`: list of RigidTransform X_OF.
+        - `restarts` (n): how often each contact's plan began anew.
 
         The continuous state is that of :class:`contact_system.SceneSystem`: u1 v1 u1' v1' u2 v2 u2'
         v2' psi a contact for ``coordinates="chart"``; moving frames without poles and, but for
@@ -179,16 +181,18 @@ def _define(T: type) -> type:
         the scene says. What the scene's windows add follows from the time; where there are any, a
         discrete state (1) holds when an edge was last passed, so that at an edge itself it is known
         which side acts; events at the edges set it, and no integrator steps across one. Where the
-        planner restarts and coordinates are frames, another one holds W_1, V and its time.
+        planner restarts and coordinates are frames, another one holds W_1, V and its time. The last
+        one of a planner that restarts counts the restarts.
 
         States of :meth:`contact_system.SceneSystem.from_states` can be started from in chart
         coordinates. In frame coordinates W_1 and V of contacts that nothing accelerates are no
         states: the scene's own are used, so that a simulation must start where the scene does,
-        unless the planner restarts and the last discrete state is set to ``held`` as well.
+        unless the planner restarts and that discrete state is set to ``held`` as well.
 
-        The planner takes the measured state as its own every `restart_period` seconds, and that of
-        contacts whose measured slip is above `restart_slip`, looked at every `restart_period` or
-        0.01 s. Contacts whose measured state is not finite keep their plan.
+        The planner takes the measured state as its own every `restart_period` seconds; with a
+        `restart_distance` that of contacts which are further from the planned point on the object,
+        looked at every `restart_period` or 0.01 s. Contacts whose measured state is not finite keep
+        their plan. `restarts` tells what follows the plan to take no difference across a restart.
 
         A planner may be shared by threads that have a Context each.
 
@@ -207,8 +211,8 @@ def _define(T: type) -> type:
         restart_period : float, optional
             s, at least 5e-8 of the scene's duration and 1e-9 s. A discrete plant's state between
             two steps is that of the next one: with one, give a multiple of its time step.
-        restart_slip : float, optional
-            m/s, 0 or more.
+        restart_distance : float, optional
+            m, 0 or more.
         compiled : bool, optional
             Accepted and ignored: nothing is compiled when it runs.
 
@@ -216,9 +220,9 @@ def _define(T: type) -> type:
         ------
         SceneError
             No scene, or one that cannot be written in these coordinates; a restart_period that is
-            too short, a restart_slip < 0, a flag that is neither True nor False; in a simulation:
-            sigma < 0, a derivative or output that is not finite, steps that are too long for the
-            integrator.
+            too short, a restart_distance < 0, a flag that is neither True nor False; in a
+            simulation: sigma < 0, a derivative or output that is not finite, steps that are too
+            long for the integrator.
         ChartSingularity
             In a simulation: a contact has come to a pole or an umbilic of its chart.
         """
@@ -232,7 +236,7 @@ def _define(T: type) -> type:
             *,
             disturbance_input: bool = False,
             restart_period: float | None = None,
-            restart_slip: float | None = None,
+            restart_distance: float | None = None,
             compiled: bool | None = None,
             converter: Any = None,
         ) -> None:
@@ -242,24 +246,25 @@ def _define(T: type) -> type:
                 coordinates=coordinates,
                 disturbance_input=disturbance_input,
                 restart_period=restart_period,
-                restart_slip=restart_slip,
+                restart_distance=restart_distance,
             )
             self.system = system = _scene_system(scene, coordinates, disturbance_input)
-            _check_restart(scene, restart_period, restart_slip)
-            self._slip_limit = restart_slip
+            _check_restart(scene, restart_period, restart_distance)
+            self._distance = restart_distance
             n = len(scene.contacts)
             self.DeclareContinuousState(_vector(system.x0, T))
             self._window: Any = None
             self._held: Any = None
             self._disturbance: Any = None
             self._measured: Any = None
+            self._restarts: Any = None
             self._fed_through = {"derivatives"}
             if system.edges:
                 self._window = self.DeclareDiscreteState(_vector(np.zeros(1), T))
                 self._DeclareEdges()
             if disturbance_input:
                 self._disturbance = self.DeclareVectorInputPort("disturbance", 6 * n)
-            if restart_period is not None or restart_slip is not None:
+            if restart_period is not None or restart_distance is not None:
                 self._DeclareRestart(n, restart_period)
             self._DeclareOutputs(n)
             if T is float:
@@ -282,6 +287,8 @@ def _define(T: type) -> type:
             self._measured = self.DeclareVectorInputPort("measured_state", 9 * n)
             if len(self.system.held0):
                 self._held = self.DeclareDiscreteState(_vector(self.system.held0, T))
+            self._restarts = self.DeclareDiscreteState(_vector(np.zeros(n), T))
+            self.DeclareStateOutputPort("restarts", self._restarts)
             period = LOOK if period is None else period
             # A little early: 3 * 0.1 s comes after 300 * 1 ms in floating point, and a discrete
             # plant that has stepped already would be measured a step ahead of the planner.
@@ -530,7 +537,7 @@ def _define(T: type) -> type:
             """Take over the measured state of the contacts that ask for it."""
             if T is not float:
                 raise TypeError("ContactPlanner restarts with T = float only; simulate that one")
-            system, limit = self.system, self._slip_limit
+            system, limit = self.system, self._distance
             rows = self._measured.Eval(context).reshape(-1, 9)
             chosen = np.isfinite(rows).all(axis=1)
             if not chosen.any():
@@ -539,14 +546,18 @@ def _define(T: type) -> type:
             rows = on_branch(system.scene, np.where(chosen[:, None], rows, planned), planned)
             x, held = system.from_states(context.get_time(), rows, own.w)
             if limit is not None:
-                slip = system.evaluate("slip", context.get_time(), x, own.w, held)
-                chosen &= np.hypot(*slip.reshape(-1, 2).T) > limit
+                now = context.get_time(), x, own.w, held
+                there = system.evaluate("contact_point", *now)
+                apart = there - self._Numbers(context, "contact_point")
+                chosen &= np.linalg.norm(apart.reshape(-1, 6)[:, 3:], axis=1) > limit
             for i in np.flatnonzero(chosen):
                 states, kept = system.state_slices[i], system.held_slices[i]
                 own.x[states], own.held[kept] = x[states], held[kept]
             if has_invariants(system):
                 self._KeepLimits(context)  # what is loaded is the state that is set
             state.get_mutable_continuous_state().SetFromVector(own.x)
+            restarts = state.get_mutable_discrete_state(self._restarts)
+            restarts.SetFromVector(restarts.value() + chosen)
             if self._held is not None:
                 state.get_mutable_discrete_state(self._held).SetFromVector(own.held)
 

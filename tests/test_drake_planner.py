@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -301,7 +300,11 @@ def restarted(measured, coordinates="chart", **options):
     found = simulator(planner, "runge_kutta5")
     planner.GetInputPort("measured_state").FixValue(found.get_mutable_context(), measured.ravel())
     found.AdvanceTo(0.35)
-    return planner.GetOutputPort("contact_point").Eval(found.get_context()).reshape(3, 2, 3)
+    points, restarts = (
+        planner.GetOutputPort(name).Eval(found.get_context())
+        for name in ("contact_point", "restarts")
+    )
+    return points.reshape(3, 2, 3), restarts
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
@@ -311,21 +314,20 @@ def test_the_planner_restarts_from_the_measured_state(coordinates):
     measured[:, [0, 4, 8]] += 0.05
     measured[1] = np.nan  # this finger has lost its contact: it keeps its plan
     expected = np.where(np.isnan(measured), plan.states(0.2)[0], measured)
-    points = restarted(measured, coordinates, restart_period=0.2)
+    points, restarts = restarted(measured, coordinates, restart_period=0.2)
+    assert restarts.tolist() == [1, 0, 1]
     assert np.abs(points - plan.restart(0.2, expected).points(0.35)[0]).max() < 1e-9
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
-def test_only_contacts_that_slip_restart(coordinates):
-    scene = cs.load_scene("K1")
-    rolling = [dataclasses.replace(c, object_velocity="rolling") for c in scene.contacts]
-    plan = cs.plan(scene, 1e-13)
-    measured = cs.plan(scene.replace(contacts=rolling)).states(0.2)[0]
-    measured[2, 6:8] = 0.0  # the third finger slides at its full speed, 0.017 m/s
+def test_only_contacts_that_are_off_the_plan_restart_and_it_is_told_which(coordinates):
+    plan = cs.plan(cs.load_scene("K1"), 1e-13)
+    measured = plan.states(0.2)[0]
+    measured[:, 4] += [0.0, 0.009, 0.011]  # on a sphere of 0.1 m
     expected = np.vstack([plan.states(0.2)[0][:2], measured[2:]])
-    options = {"restart_period": 0.2, "restart_slip": 0.01}
-    points = restarted(measured, coordinates, **options)
+    points, restarts = restarted(measured, coordinates, restart_period=0.2, restart_distance=1e-3)
     assert np.abs(points - plan.restart(0.2, expected).points(0.35)[0]).max() < 1e-9
+    assert restarts.tolist() == [0, 0, 1]
 
 
 # --- other scalars -------------------------------------------------------------------------------
@@ -508,11 +510,11 @@ def test_beyond_the_horizon_the_motion_goes_on_until_sigma_turns_negative(coordi
     [
         *(
             ({name: value}, f"'K1': {name} = {value!r}: give a finite number")
-            for name in ("restart_period", "restart_slip")
+            for name in ("restart_period", "restart_distance")
             for value in (-1, math.nan, math.inf, True, "a")
         ),
         ({"restart_period": 0}, "'K1': restart_period = 0: give a finite number"),
-        ({"restart_slip": 10**5000}, "'K1': restart_slip = inf: give a finite number"),
+        ({"restart_distance": 10**5000}, "'K1': restart_distance = inf: give a finite number"),
         ({"restart_period": 1e-10}, "'K1': restart_period = 1e-10: give a time in s, at least"),
         ({"disturbance_input": "no"}, "disturbance_input = 'no': give True or False"),
         ({"coordinates": ["frame"]}, r"coordinates = \['frame'\]: use one of chart, frame"),
