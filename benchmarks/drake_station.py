@@ -1,6 +1,7 @@
-"""What contact physics makes of D1 to D3, and how fast: the paper's dynamic scenes in Drake.
+"""What contact physics makes of D1 to D4, and how fast: the dynamic scenes in Drake.
 
-Every scene is simulated over its whole horizon, with hydroelastic and with point contact.
+The paper's are simulated over their whole horizon, with hydroelastic and with point contact; D4's
+bodies, under pushes, for as long as one takes, with the loop open and closed.
 """
 
 from __future__ import annotations
@@ -13,16 +14,23 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from pydrake.common import RandomDistribution
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput, MatrixGain, RandomSource
 
 import contact_system as cs
-from drake_plant import StationConfig, simulate
+from drake_plant import BuildStation, Push, SetInitialState, StationConfig, simulate
+from drake_plant.contact_monitor import SATURATED
 from drake_plant.measures import contact_table
+from drake_plant.station import INTEGRATION
 
 from .report import Bar, Sections
 
 SCENES = ("D1", "D2", "D3")
 MODELS = ("hydroelastic", "point")
 RECOVERY = {"D1": 0.2, "D2": 0.1, "D3": 1.0}
+PUSHED, AFTER = 0.2, 0.5  # [s] when a push begins, and what is looked at after it
 SPEED_TIME = 0.5  # [s] simulated in a run of the speed comparison
 
 
@@ -63,6 +71,92 @@ def recovery(full: bool) -> Iterator[Bar]:
         yield Bar(f"{name} {model}: recovery", limit, found["recovery"], "s", note=note)
 
 
+def _pushed(size: float, time: float, across: bool, model: str, closed: bool) -> dict[str, float]:
+    """D4's finger 1 under one push: slip while touching and time off, summed, and distance left.
+
+    size : N; the force stays as it is in the world
+    """
+    scene, finger = cs.load_scene("D4"), 0
+    around = PUSHED + np.array([-1e-5, 0, 1e-5])
+    points = cs.plan(scene).points(around)[:, finger, 1]
+    along = (points[2] - points[0]) / np.linalg.norm(points[2] - points[0])
+    normal = points[1] / np.linalg.norm(points[1])
+    force = size * (np.cross(normal, along) if across else along)
+    name, stop = scene.contact_name(finger), PUSHED + time
+    pushes = [Push(name, PUSHED, stop, force.tolist())]
+    config = StationConfig.from_scene(scene, contact_model=model, pushes=pushes)
+    result = simulate(scene, config if closed else config.opened(), duration=stop + AFTER)
+    since, step = result.t > PUSHED, config.plant.time_step
+    slip = np.linalg.norm(result.measured["slip"][since, finger], axis=1)
+    normal = result.measured["normal_force"][since, finger]
+    friction = np.linalg.norm(result.measured["tangential_force"][since, finger], axis=1)
+    touches, limit = normal > 0, SATURATED * config.plant.friction * normal
+    apart = result.measured["contact_point"][-1] - result.planned["contact_point"][-1]
+    return {
+        "slip": step * float(slip[touches].sum()),
+        "slides": bool((friction >= limit)[touches].any()),
+        "off": step * float((~touches).sum()),
+        "distance": float(np.linalg.norm(apart[finger])),
+    }
+
+
+def feedback(full: bool) -> Iterator[Bar]:
+    """Pushes of 0.5 to 4 N on a finger of D4, along and across: loop closed over loop open."""
+    sizes, times = ((0.5, 2, 4), (0.02, 0.05, 0.3)) if full else ((2, 4), (0.02, 0.05))
+    for model in MODELS:
+        found = {}
+        for size, time, across in itertools.product(sizes, times, (True, False)):
+            if full or model == "point" or size == 4:
+                case = f"{size:g} N, {1e3 * time:g} ms, {('along', 'across')[across]}"
+                opened, closed = (
+                    _pushed(size, time, across, model, loop) for loop in (False, True)
+                )
+                found[case] = {"open": opened, "closed": closed}
+        pairs = [(each["open"], each["closed"]) for each in found.values()]
+        ratios = [b["slip"] / a["slip"] for a, b in pairs if a["slides"]]
+        what, held = f"D4 {model}: ", len(pairs) - len(ratios)
+        note = f"{len(ratios)} pushes; friction holds {held} more"
+        name = "slip while touching, closed over open, geometric mean"
+        mean = statistics.geometric_mean(ratios)
+        yield Bar(what + name, 0.7, mean, note=note + "; the aim is 0.5", detail=found)
+        yield Bar(what + "the greatest of these", 1.05, max(ratios))
+        more = max(b["off"] - a["off"] for a, b in pairs)
+        longest = max(a["off"] for a, _ in pairs)
+        note = f"open up to {longest:.3g} s"
+        yield Bar(what + "longer off the object, closed than open", 0.0, more, "s", note=note)
+        left = max(b["distance"] for _, b in pairs)
+        yield Bar(what + "distance from the curve 0.5 s after a push", 1e-4, left, "m")
+
+
+def noise(full: bool) -> Iterator[Bar]:
+    """D4 without pushes, 1 mrad and 0.1 of noise on what is measured, a restart every 10 ms."""
+    scene, time = cs.load_scene("D4"), 3.0 if full else 0.5
+    for model in MODELS:
+        slipped = []
+        for size in (0.0, 1.0):
+            config = StationConfig.from_scene(
+                scene, contact_model=model, pushes=[], restart_period=0.01
+            )
+            builder, n = DiagramBuilder(), len(scene.contacts)
+            station = builder.AddSystem(BuildStation(scene, config))
+            source = builder.AddSystem(RandomSource(RandomDistribution.kGaussian, 9 * n, 1e-3))
+            sizes = size * np.tile([1e-3, 1e-3, 0.1, 0.1, 1e-3, 1e-3, 0.1, 0.1, 1e-3], n)
+            scaled = builder.AddSystem(MatrixGain(np.diag(sizes)))
+            builder.Connect(source.get_output_port(), scaled.get_input_port())
+            builder.Connect(scaled.get_output_port(), station.GetInputPort("noise"))
+            log = LogVectorOutput(station.GetOutputPort("measured_slip"), builder, 1e-3)
+            simulator = Simulator(builder.Build())
+            ApplySimulatorConfig(INTEGRATION, simulator)
+            context = simulator.get_mutable_context()
+            SetInitialState(station, context)
+            simulator.AdvanceTo(time)
+            slip = log.FindLog(context).data().T.reshape(-1, n, 2)
+            slipped.append(1e-3 * np.linalg.norm(slip, axis=2).sum(axis=0).max())
+        still, shaken = slipped
+        note = f"in {time:g} s; {1e3 * still:.3g} mm without noise"
+        yield Bar(f"D4 {model}: slip that noise adds", 1e-4, shaken - still, "m", note=note)
+
+
 def speed(full: bool) -> Iterator[Bar]:
     """Simulated over wall time, ours and Drake's own spheres at 1.5 mm, turn by turn."""
     scene = cs.load_scene("D1")
@@ -88,5 +182,7 @@ SECTIONS: Sections = {
     "forces": forces,
     "rolling": rolling,
     "recovery": recovery,
+    "feedback": feedback,
+    "noise": noise,
     "speed": speed,
 }

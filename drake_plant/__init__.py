@@ -17,6 +17,7 @@ from .contact_monitor import ContactMonitor
 from .fingertip_driver import DriverConfig, FingertipDriver
 from .planner_system import ContactPlanner
 from .plant import AddScenePlant, PlantConfig, ScenePlant
+from .pushes import Push, PushSource
 from .station import (
     BuildStation,
     SetInitialState,
@@ -44,6 +45,8 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
     "DriverConfig",
     "FingertipDriver",
     "PlantConfig",
+    "Push",
+    "PushSource",
     "ScenePlant",
     "SetInitialState",
     "SimulationResult",

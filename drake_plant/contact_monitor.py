@@ -45,7 +45,7 @@ from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from contact_system import Plane, Scene, SceneError
+from contact_system import Plane, Scene, SceneError, Surface
 from contact_system.contact_sensor import ContactSensor
 from contact_system.engine.binding import run
 from contact_system.scene import require_scene
@@ -64,6 +64,8 @@ AT_FINGER = 1.0
 # Of the places of contacts, over the size of the bodies.
 TOLERANCE = 1e-7
 TINY = np.finfo(float).tiny
+SATURATED = 0.95
+"""Friction counts as saturated from this part of mu N on: facets let N itself ripple."""
 
 # Columns of what is kept of each contact, of where the step that ended now began, and of now.
 SLIP, NORMAL, TANGENTIAL, POINT, VELOCITY = map(slice, (0, 2, 3, 5, 8), (2, 3, 5, 8, 11))
@@ -81,14 +83,17 @@ class ContactMonitor(LeafSystem):
         - contact_results
         - body_poses
         - body_spatial_velocities
+        - noise (optional)
         output_ports:
         - state
         - slip
         - normal_force
         - tangential_force
         - contact_point
+        - sliding
 
-    The inputs are the plant's. Of a discrete plant slip and forces are those of the step that ended
+    The first three inputs are the plant's; `noise` (9n) is added to `state`, and so to `sliding`,
+    which follows from it. Of a discrete plant slip and forces are those of the step that ended
     now, state and contact point are those now. Without sampled output ports Drake reports the step
     that begins instead: all are those of now, as in a continuous plant. Of the outputs, n contacts
     in the scene's order and SI units,
@@ -99,7 +104,10 @@ class ContactMonitor(LeafSystem):
       object's (theory section 2);
     * `normal_force` (n) is positive where the bodies press;
     * `tangential_force` (2n) acts on the finger, in E2;
-    * `contact_point` (3n) is where the line normal to both surfaces meets the object's, in O.
+    * `contact_point` (3n) is where the line normal to both surfaces meets the object's, in O;
+    * `sliding` (3n) is v_rel of `state` as a vector in O where the contact slides, which shows in
+      its friction: at 95 % of mu N or more. Zero elsewhere, so that noise moves no finger that
+      rolls. mu is that of the plant's configuration.
 
     Where a finger touches the object with several patches or pairs of points, forces are those of
     their sum, taken along and across the normal at its centre of pressure.
@@ -138,6 +146,7 @@ class ContactMonitor(LeafSystem):
             )
         self._sensor = ContactSensor(scene, TOLERANCE)
         self._bodies = _Bodies(scene, scene_plant)
+        self._friction = scene_plant.config.friction
         plant = scene_plant.plant
         self._step = plant.time_step() if plant.has_sampled_output_ports() else 0.0
         self._results = self.DeclareAbstractInputPort("contact_results", Value[ContactResults]())
@@ -145,12 +154,13 @@ class ContactMonitor(LeafSystem):
         self._velocities = self.DeclareAbstractInputPort(
             "body_spatial_velocities", Value[list[SpatialVelocity]]()
         )
+        self._noise = self.DeclareVectorInputPort("noise", 9 * n)
         inputs = [port.ticket() for port in (self._results, self._poses, self._velocities)]
         seen, self._seen = array_entry(self._CalcSeen, (n, SEEN), inputs)
         begun, self._begun = array_entry(self._CalcBegun, (n, 11), [seen])
         ended, self._ended = array_entry(self._CalcEnded, (n, 12), [seen, begun])
+        measured = {ended, self._noise.ticket()}
         for name, size, entry, table, columns in (
-            ("state", 9, ended, self._ended, STATE),
             ("slip", 2, begun, self._begun, SLIP),
             ("normal_force", 1, begun, self._begun, NORMAL),
             ("tangential_force", 2, begun, self._begun, TANGENTIAL),
@@ -158,9 +168,32 @@ class ContactMonitor(LeafSystem):
         ):
             calc = weakly(self._Copy, table, columns)
             self.DeclareVectorOutputPort(name, size * n, calc, {entry})
+        for name, size, calc, needs in (
+            ("state", 9, self._CalcState, measured),
+            ("sliding", 3, self._CalcSliding, {begun, *measured}),
+        ):
+            self.DeclareVectorOutputPort(name, size * n, weakly(calc), needs)
 
     def _Copy(self, table: Callable, columns: slice, context: Context, output: BasicVector) -> None:
         output.SetFromVector(table(context)[:, columns].ravel())
+
+    def _State(self, context: Context) -> Array:
+        """What is measured now, with its noise: (n, 9)."""
+        state = self._ended(context)[:, STATE]
+        if not self._noise.HasValue(context):
+            return state
+        return state + self._noise.Eval(context).reshape(-1, 9)
+
+    def _CalcState(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._State(context).ravel())
+
+    def _CalcSliding(self, context: Context, output: BasicVector) -> None:
+        begun = self._begun(context)
+        normal, friction = begun[:, NORMAL.start], np.hypot(*begun[:, TANGENTIAL].T)
+        found, scene = np.zeros((len(begun), 3)), self._sensor.scene
+        for i in np.flatnonzero((friction >= SATURATED * self._friction * normal) & (normal > 0)):
+            found[i] = _slip(scene.contacts[i].finger, scene.object, self._State(context)[i])
+        output.SetFromVector(np.nan_to_num(found).ravel())  # no feedback at a pole
 
     def _CalcSeen(self, context: Context) -> Array:
         X_W, V_W = self._poses.Eval(context), self._velocities.Eval(context)
@@ -186,6 +219,14 @@ class ContactMonitor(LeafSystem):
         pose, twist, slip = moved[:, :12], moved[:, 12:18], begun[:, SLIP]
         found = self._sensor.measure(pose, twist, points, slip=slip)
         return np.hstack([found.states, found.points[:, 1]])
+
+
+def _slip(finger: Surface, obj: Surface, state: Array) -> Array:
+    """v_rel (eq. `netrelvel`) of the state of a contact (9,) as a vector in O, m/s."""
+    u1, v1, *rates_1, u2, v2, du2, dv2, psi = state
+    c, s = math.cos(psi), math.sin(psi)
+    a1, a2 = finger.metric_root(u1, v1) @ rates_1, obj.metric_root(u2, v2) @ (du2, dv2)
+    return obj.frame(u2, v2)[:, :2] @ (np.array([[c, -s], [-s, -c]]) @ a1 - a2)
 
 
 class _Bodies:

@@ -3,7 +3,8 @@ r"""Forces that move free fingertips as planned relative to a moving object.
 A fingertip is a free body. Its force is what the planned motion needs (feed-forward), the normal
 force along the planned normal through the planned contact point, and tracking in the tangent plane;
 along the normal there is only a damper, so that the contact itself decides how far the finger sinks
-in.
+in. Slip that is really there is rejected by the paper's own term, an acceleration of -lam times it,
+with the planned curve held: to plan anew from where a pushed finger is adds slip.
 
 Two things decide how steady the normal force is, because the fingers of D1 need up to 8 N of
 centripetal force beside the 1 N of contact, and those of D3 150 N:
@@ -25,7 +26,6 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +33,8 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialAcceleration, SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
-from pydrake.multibody.tree import RigidBody, world_index
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.multibody.tree import BodyIndex, RigidBody, world_index
+from pydrake.systems.framework import Context, InputPort, LeafSystem, State
 
 from contact_system import SceneError
 from contact_system.engine.binding import run
@@ -52,6 +52,9 @@ SHARE = 0.4
 """Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
 may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4."""
 
+SLIP_SHARE = 0.5
+"""Of slip what may be taken away in a step: more would turn it over where friction helps."""
+
 OFF = 1e-4
 """Of a finger's size, how far its mass centre may be from its origin."""
 
@@ -68,6 +71,9 @@ class DriverConfig:
     ----------
     position_gain, velocity_gain : float
         N/m and N s/m, in the tangent plane.
+    slip_gain : float
+        lam of the slip that is measured, 1/s; 0 leaves the loop open. At most 0.5/h is used, which
+        takes away half of the slip in a step.
     normal_damping : float
         N s/m, along the normal. The sap solver lifts a sliding contact by h mu |slip|; much damping
         would turn changes of that into normal force (100 N s/m: 2.4 % in D1, 30: 0.8 %).
@@ -81,22 +87,26 @@ class DriverConfig:
     normal_damping: float = 30.0
     rotation_gain: float = 0.0
     spin_gain: float = 0.04
+    slip_gain: float = 0.0
 
     def check(self) -> None:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
         check_numbers(self, [f.name for f in dataclasses.fields(self)], "not below 0")
 
 
-# Rows of the table's inputs: what the object, the plan, the finger and the steps before give.
+# Rows of the table's inputs: what the object, the plan, the finger, the steps before and sensors
+# give.
 _OBJECT = ("R_WO", "p_WO", "w_WO", "v_WO", "alpha_WO", "a_WO")
 _PLAN = ("R_OF", "p_OF", "w_OF", "v_OF", "alpha_OF", "a_OF", "normal", "point")
 _FINGER = ("R_WF", "p_WF", "w_WF", "v_WF")
 _BEFORE = ("steps", "position", "spin", "normal_before", "a_before", "a_earlier")
-POINT = dict.fromkeys((*_OBJECT, *_PLAN, *_FINGER, *_BEFORE), 3)
+POINT = dict.fromkeys((*_OBJECT, *_PLAN, *_FINGER, *_BEFORE, "sliding", "push"), 3)
 POINT |= {"R_WO": 9, "R_OF": 9, "R_WF": 9, "steps": 1}
 _GAINS = ("position_gain", "velocity_gain", "normal_damping", "rotation_gain", "spin_gain")
 CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3, "normal_force": 1}
-CONSTANT |= dict.fromkeys(_GAINS, 1)
+CONSTANT |= dict.fromkeys((*_GAINS, "slip_gain"), 1)
+KEPT = 17
+"""Numbers a finger that its driver keeps from step to step."""
 
 
 @per_structure
@@ -106,47 +116,64 @@ def driving_law() -> Table:
     All in the world. Rotations are given row by row.
     """
 
-    def symbols(sizes: dict[str, int]) -> tuple[ca.SX, dict[str, Any]]:
+    def symbols(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
         every = {name: ca.SX.sym(name, n) for name, n in sizes.items()}
         shaped = {k: ca.reshape(v, 3, 3).T if v.numel() == 9 else v for k, v in every.items()}
-        return ca.vertcat(*every.values()), shaped
+        return ca.vertcat(*every.values()), SimpleNamespace(**shaped)
 
-    point, now = symbols(POINT)
-    constant, given = symbols(CONSTANT)
-    x, c = SimpleNamespace(**now), SimpleNamespace(**given)
-    cross, dot, h = ca.cross, ca.dot, c.h
+    point, x = symbols(POINT)
+    constant, c = symbols(CONSTANT)
+    wanted = _desired_motion(x, c.h)
+    force, torque = _force(x, c, wanted), _torque(x, c, wanted)
+    found = ca.densify(ca.vertcat(torque, force, wanted.position))
+    return Table(ca.Function("driving", [point, constant], [found]))
 
-    # Desired motion in the world: the plan carried by the object.
+
+def _desired_motion(x: SimpleNamespace, h: ca.SX) -> SimpleNamespace:
+    """The plan carried by the object, in the world, as a discrete plant needs it.
+
+    position and acceleration ``a`` of now; velocity ``ago``, which brought the finger here; ``w``
+    and ``alpha``; the contact's normal and how fast it turns.
+    """
+    cross, begun = ca.cross, x.steps > 0
     arm, v, spin = x.R_WO @ x.p_OF, x.R_WO @ x.v_OF, x.R_WO @ x.w_OF
     position, swept = x.p_WO + arm, cross(x.w_WO, arm)
     second = (x.a_OF - 2 * x.a_before + x.a_earlier) / 12  # h^2/12 A''
     a = x.a_WO + cross(x.alpha_WO, arm) + cross(x.w_WO, swept + 2 * v)
     a += x.R_WO @ (x.a_OF + ca.if_else(x.steps > 1, second, 0))
-    ago = ca.if_else(x.steps > 0, (position - x.position) / h, x.v_WO + swept + v - 0.5 * h * a)
-    w = x.w_WO + ca.if_else(x.steps > 0, 0.5 * (spin + x.R_WO @ x.spin), spin)
+    ago = ca.if_else(begun, (position - x.position) / h, x.v_WO + swept + v - 0.5 * h * a)
+    w = x.w_WO + ca.if_else(begun, 0.5 * (spin + x.R_WO @ x.spin), spin)
     alpha = x.alpha_WO + x.R_WO @ x.alpha_OF + cross(x.w_WO, spin)
-
     normal = x.R_WO @ x.normal
-    turned = cross(x.normal_before, x.normal) / h
-    turning = ca.if_else(x.steps > 0, x.R_WO @ turned, 0) + x.w_WO - dot(x.w_WO, normal) * normal
+    turned = ca.if_else(begun, x.R_WO @ cross(x.normal_before, x.normal) / h, 0)
+    turning = turned + x.w_WO - ca.dot(x.w_WO, normal) * normal
+    return SimpleNamespace(
+        position=position, ago=ago, a=a, w=w, alpha=alpha, normal=normal, turning=turning
+    )
 
-    error, error_rate = position - x.p_WF, ago - x.v_WF
+
+def _force(x: SimpleNamespace, c: SimpleNamespace, wanted: SimpleNamespace) -> ca.SX:
+    """Feed-forward, pressing, tracking in the frame that turns with the contact, slip, a push."""
+    cross, normal, turning = ca.cross, wanted.normal, wanted.turning
+    error, error_rate = wanted.position - x.p_WF, wanted.ago - x.v_WF
     # The velocities are those of half a step ago, so the error has to be too.
-    error_rate -= cross(turning, error - 0.5 * h * error_rate)
-    a -= 2 * cross(turning, error_rate) + cross(turning, cross(turning, error))
-    approach = dot(error_rate, normal)
+    error_rate -= cross(turning, error - 0.5 * c.h * error_rate)
+    a = wanted.a - 2 * cross(turning, error_rate) - cross(turning, cross(turning, error))
+    a += c.slip_gain * (x.R_WO @ x.sliding)  # v_rel: minus the finger's velocity on the object
+    approach = ca.dot(error_rate, normal)
     force = c.mass * (a - c.gravity) + (c.normal_damping * approach - c.normal_force) * normal
-    force += c.position_gain * (error - dot(error, normal) * normal)
-    force += c.velocity_gain * (error_rate - approach * normal)
+    force += c.position_gain * (error - ca.dot(error, normal) * normal)
+    return force + c.velocity_gain * (error_rate - approach * normal) + x.push
 
-    inertia = x.R_WF @ c.inertia @ x.R_WF.T
+
+def _torque(x: SimpleNamespace, c: SimpleNamespace, wanted: SimpleNamespace) -> ca.SX:
+    """Feed-forward, the normal force through the contact point, damping of spin."""
+    inertia, w = x.R_WF @ c.inertia @ x.R_WF.T, wanted.w
     off = x.R_WO @ x.R_OF @ x.R_WF.T
     axis = 0.5 * ca.vertcat(off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1])
-    torque = inertia @ alpha + cross(w, inertia @ w)
+    torque = inertia @ wanted.alpha + ca.cross(w, inertia @ w)
     torque += c.spin_gain * (w - x.w_WF) + c.rotation_gain * axis
-    torque -= c.normal_force * cross(x.R_WO @ x.R_OF @ x.point, normal)
-    found = ca.densify(ca.vertcat(torque, force, position))
-    return Table(ca.Function("driving", [point, constant], [found]))
+    return torque - c.normal_force * ca.cross(x.R_WO @ x.R_OF @ x.point, wanted.normal)
 
 
 class FingertipDriver(LeafSystem):
@@ -164,14 +191,26 @@ class FingertipDriver(LeafSystem):
         - body_poses
         - body_spatial_velocities
         - body_spatial_accelerations
+        - restarts (optional)
+        - sliding (optional)
+        - push (optional)
         output_ports:
         - spatial_forces
 
-    The first five are :class:`ContactPlanner`'s outputs, the others the plant's. The output is a
-    list of ExternallyAppliedSpatialForce, one a fingertip, at its mass centre.
+    The first five are :class:`ContactPlanner`'s outputs, the next three the plant's. What is
+    optional is zero where nothing is connected:
 
-    The discrete state counts the steps and holds the fingers' desired positions in the world,
-    planned spins and normals one step ago, and planned accelerations one and two steps ago.
+    - `restarts` (n): how often the plan of each finger began anew, as a planner that restarts says
+      it. No difference is taken across that.
+    - `sliding` (3n): slip to be rejected, as :class:`ContactMonitor` gives it.
+    - `push` (3n + 3): forces in the world on the fingers and on the object, N.
+
+    The output is a list of ExternallyAppliedSpatialForce, one a fingertip and one on the object, at
+    their mass centres.
+
+    The discrete state holds 17 numbers a finger: its restarts, the steps since the last one, its
+    desired position in the world, planned spin and normal one step ago, and planned accelerations
+    one and two steps ago.
 
     Parameters
     ----------
@@ -214,12 +253,14 @@ class FingertipDriver(LeafSystem):
         self._accelerations = self.DeclareAbstractInputPort(
             "body_spatial_accelerations", Value[list[SpatialAcceleration]]()
         )
+        self._restarts = self.DeclareVectorInputPort("restarts", n)
+        self._sliding = self.DeclareVectorInputPort("sliding", 3 * n)
+        self._push = self.DeclareVectorInputPort("push", 3 * n + 3)
         forces = Value[list[ExternallyAppliedSpatialForce]]
         needs = (self.all_input_ports_ticket(), self.xd_ticket())
         law, self._law = array_entry(self._CalcLaw, (n, 9), needs)
         self.DeclareAbstractOutputPort("spatial_forces", forces, weakly(self._CalcForces), {law})
-        # Steps behind us; of each finger position, spin, normal, acceleration one step ago and two.
-        self.DeclareDiscreteState(1 + 15 * n)
+        self.DeclareDiscreteState(KEPT * n)
         # Unrestricted, because the plant's step is such an update (for its sampled ports), and
         # those come before discrete ones: a discrete update would see the object a step ahead.
         step = plant.time_step()
@@ -227,7 +268,6 @@ class FingertipDriver(LeafSystem):
 
     def _CalcLaw(self, context: Context) -> Array:
         """Torque, force and desired position of each finger: (n, 9)."""
-        past = context.get_discrete_state_vector().value()
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
         A, X_OF = self._accelerations.Eval(context), self._pose.Eval(context)
         twist, acceleration = self._twist.Eval(context), self._acceleration.Eval(context)
@@ -246,28 +286,46 @@ class FingertipDriver(LeafSystem):
         x[:, 48:51], x[:, 51:54] = normal.reshape(-1, 3), point.reshape(-1, 6)[:, :3]
         x[:, 54:66] = [_numbers(X[i]) for i in self.finger_indices]
         x[:, 66:72] = [V[i].get_coeffs() for i in self.finger_indices]
-        x[:, 72], x[:, 73:] = past[0], past[1:].reshape(-1, 15)
+        x[:, 72:88] = self._Before(context)[:, 1:]
+        x[:, 88:91] = _given(self._sliding, context).reshape(-1, 3)
+        x[:, 91:94] = _given(self._push, context)[:-3].reshape(-1, 3)
         return run(driving_law(), x.T, self._constants).T
 
+    def _Before(self, context: Context) -> Array:
+        """What is kept, (n, 17), with no steps behind those that have restarted since."""
+        kept = context.get_discrete_state_vector().value().reshape(-1, KEPT).copy()
+        restarts = _given(self._restarts, context)
+        kept[restarts != kept[:, 0], 1] = 0
+        kept[:, 0] = restarts
+        return kept
+
     def _CalcForces(self, context: Context, output: Value) -> None:
-        applied = []
-        for index, row in zip(self.finger_indices, self._law(context).tolist()):
-            force = ExternallyAppliedSpatialForce()
-            force.body_index = index
-            force.p_BoBq_B = np.zeros(3)
-            force.F_Bq_W = SpatialForce(row[0:3], row[3:6])
-            applied.append(force)
+        driven = zip(self.finger_indices, self._law(context))
+        applied = [_at_centre(index, row[0:3], row[3:6]) for index, row in driven]
+        pushed = _given(self._push, context)[-3:]
+        applied.append(_at_centre(BodyIndex(self.object_index), np.zeros(3), pushed))
         output.set_value(applied)
 
     def _Remember(self, context: Context, state: State) -> None:
-        position = self._law(context)[:, 6:]
+        position, before = self._law(context)[:, 6:], self._Before(context)
         now = state.get_mutable_discrete_state().get_mutable_value()
         spin = self._twist.Eval(context).reshape(-1, 6)[:, :3]
         normal = self._normal.Eval(context).reshape(-1, 3)
         a = self._acceleration.Eval(context).reshape(-1, 6)[:, 3:]
-        before = context.get_discrete_state_vector().value()[1:].reshape(-1, 15)[:, 9:12]
-        now[0] += 1
-        now[1:] = np.hstack([position, spin, normal, a, before]).ravel()
+        steps = before[:, :2] + [0, 1]
+        now[:] = np.hstack([steps, position, spin, normal, a, before[:, 11:14]]).ravel()
+
+
+def _at_centre(body: BodyIndex, torque: Array, force: Array) -> ExternallyAppliedSpatialForce:
+    applied = ExternallyAppliedSpatialForce()
+    applied.body_index, applied.p_BoBq_B = body, np.zeros(3)
+    applied.F_Bq_W = SpatialForce(torque, force)
+    return applied
+
+
+def _given(port: InputPort, context: Context) -> Array:
+    """What a port has, zeros where nothing is connected to it."""
+    return port.Eval(context) if port.HasValue(context) else np.zeros(port.size())
 
 
 def _numbers(X: RigidTransform) -> Array:
@@ -334,4 +392,5 @@ def _constants(body: RigidBody, parts: ScenePlant, config: DriverConfig) -> list
     moved = ((mass, 2), (mass, 1), (mass, 1), (least, 2), (least, 1))
     borne = [SHARE * inert / h**order for inert, order in moved]
     gains = [min(getattr(config, name), most) for name, most in zip(_GAINS, borne)]
+    gains.append(min(config.slip_gain, SLIP_SHARE / h))
     return [h, mass, *inertia.ravel(), *gravity, parts.config.normal_force, *gains]

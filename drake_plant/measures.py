@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from contact_system import Scene, plan
 from contact_system.measures import REJECTED, windows
 
+from .contact_monitor import SATURATED
+
 if TYPE_CHECKING:
     from .station import SimulationResult
 
@@ -22,9 +24,6 @@ EDGE = 0.1
 
 STANDING = 1e-4
 """Part of a contact's greatest speed below which slip relative to its speed says nothing."""
-
-SATURATED = 0.95
-"""Friction counts as saturated from this part of mu N on: facets let N itself ripple."""
 
 
 @dataclass(frozen=True)

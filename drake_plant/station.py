@@ -26,7 +26,7 @@ from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import LogVectorOutput
 
 from contact_system import ImplicitSurface, Quadric, Scene, SceneError, Surface
@@ -59,6 +59,7 @@ from .plant import (
     turning_angle,
     types_known,
 )
+from .pushes import Push, PushSource, check_pushes, pushes_of
 
 Array = NDArray[np.float64]
 
@@ -85,15 +86,16 @@ class StationConfig:
         "chart" or "frame", of the :class:`ContactPlanner`.
     disturbance_input : bool
         Whether the planner's `disturbance` port is there, exported.
-    restart_period, restart_slip : float or None
-        Close the loop: the planner restarts from the measured state every so many seconds; with
-        both, only contacts whose measured slip is above so many m/s; with the slip alone, looked
-        at every 0.01 s. None: it does not. Restarts have to fall on steps of the plant.
+    restart_period, restart_distance : float or None
+        The planner restarts from the measured state every so many seconds; with both, only
+        contacts that are so many m from the planned point; with the distance alone, looked at every
+        0.01 s. None: it does not. Restarts have to fall on steps of the plant. Slip is rejected by
+        the driver's ``slip_gain``; a restart serves where the way back to the curve is too long.
     rolling_radii : bool
         Plan on the radii that bodies roll on once they are pressed together (see
         :func:`rolling_scene`), else on the nominal ones.
-    monitor : bool
-        Whether there is a ContactMonitor; a closed loop and :func:`simulate` have one anyway.
+    pushes : list of Push
+        Where there are any, they are what the port `push` would give.
     """
 
     plant: PlantConfig = field(default_factory=PlantConfig)
@@ -101,14 +103,24 @@ class StationConfig:
     coordinates: str = "chart"
     disturbance_input: bool = False
     restart_period: float | None = None
-    restart_slip: float | None = None
+    restart_distance: float | None = None
     rolling_radii: bool = True
-    monitor: bool = True
+    pushes: list[Push] = field(default_factory=list)
+
+    @property
+    def restarts(self) -> bool:
+        """Whether the planner restarts from measured states."""
+        return self.restart_period is not None or self.restart_distance is not None
 
     @property
     def closed_loop(self) -> bool:
-        """Whether the planner restarts from measured states."""
-        return self.restart_period is not None or self.restart_slip is not None
+        """Whether anything that is measured acts on the fingers."""
+        return self.restarts or self.driver.slip_gain > 0
+
+    def opened(self) -> StationConfig:
+        """The same with the loop open."""
+        driver = dataclasses.replace(self.driver, slip_gain=0.0)
+        return dataclasses.replace(self, driver=driver, restart_period=None, restart_distance=None)
 
     def check(self) -> None:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
@@ -117,13 +129,13 @@ class StationConfig:
             require_config(part, kind, key)
             part.check()
         check_words(self, {"coordinates": COORDINATES})
-        for key in ("disturbance_input", "rolling_radii", "monitor"):
+        for key in ("disturbance_input", "rolling_radii"):
             flag(getattr(self, key), key)
         check_numbers(self, ("restart_period",), "above 0")
-        check_numbers(self, ("restart_slip",), "not below 0")
+        check_numbers(self, ("restart_distance",), "not below 0")
         if self.plant.time_step == 0:
             raise SceneError(f"time_step = {self.plant.time_step!r}: {DISCRETE_ONLY}")
-        if self.closed_loop:
+        if self.restarts:
             self._check_restarts()
 
     def _check_restarts(self) -> None:
@@ -176,7 +188,9 @@ class StationConfig:
             **take(own),
         )
         with naming(f"{scene.title}, [drake]"):
+            config.pushes = pushes_of(config.pushes)
             config.check()
+            check_pushes(scene, config.pushes)
         return config
 
 
@@ -270,6 +284,8 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
 
         name: Station
         input_ports:
+        - push (without pushes)
+        - noise
         - disturbance (with disturbance_input)
         output_ports:
         - state
@@ -279,22 +295,25 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
         - contact_point
         - normal
         - pose
+        - restarts (with restart_period or restart_distance)
         - spatial_forces
-        - measured_state
         - measured_slip
         - normal_force
         - tangential_force
         - measured_contact_point
+        - measured_state
+        - sliding
         - plant_state
         - object_state
         - body_poses
         - contact_results
         - query
 
-    The first seven are the planner's (see :class:`ContactPlanner`), `spatial_forces` the driver's,
-    the next five the monitor's (see :class:`ContactMonitor`; only with ``monitor``), the last five
-    the plant's and the scene graph's. The systems are named "planner", "driver", "monitor",
-    "plant" and "scene_graph", the Diagram "station"; two of them in one Diagram need names of their
+    The first eight are the planner's (see :class:`ContactPlanner`), `spatial_forces` the driver's,
+    the next six the monitor's (see :class:`ContactMonitor`), the last five the plant's and the
+    scene graph's; `push` is the driver's (see :class:`FingertipDriver`), `noise` the monitor's. The
+    systems are named "planner", "driver", "monitor", "plant" and "scene_graph", the Diagram
+    "station"; two of them in one Diagram need names of their
     own, ``builder.AddNamedSystem("left", BuildStation(scene))``, because Drake ends the process
     where two systems have the same. Threads may share a station, with a Context each.
 
@@ -320,6 +339,7 @@ def _checked(scene: Scene, config: StationConfig | None) -> StationConfig:
     with naming(f"{scene.title}, station"):
         require_config(config, StationConfig)
         config.check()
+        check_pushes(scene, config.pushes)
     return config
 
 
@@ -338,46 +358,74 @@ def _build(
             config.coordinates,
             disturbance_input=config.disturbance_input,
             restart_period=config.restart_period,
-            restart_slip=config.restart_slip,
+            restart_distance=config.restart_distance,
         ),
     )
     start = _finger_poses(planner, planner.CreateDefaultContext(), scene, config.plant)
     for body, X_OF in zip(parts.finger_bodies, start):
         parts.plant.SetDefaultFloatingBaseBodyPose(body, X_OF)
     driver = builder.AddNamedSystem("driver", FingertipDriver(parts, config.driver))
-    plant = parts.plant
-    for name in ("pose", "twist", "acceleration", "normal", "contact_point"):
-        builder.Connect(planner.GetOutputPort(name), driver.GetInputPort(name))
-    for name in ("body_poses", "body_spatial_velocities", "body_spatial_accelerations"):
-        builder.Connect(plant.GetOutputPort(name), driver.GetInputPort(name))
-    applied = plant.get_applied_spatial_force_input_port()
-    builder.Connect(driver.GetOutputPort("spatial_forces"), applied)
-    for i in range(planner.num_output_ports()):
-        port = planner.get_output_port(i)
-        builder.ExportOutput(port, port.get_name())
-    builder.ExportOutput(driver.GetOutputPort("spatial_forces"), "spatial_forces")
+    monitor = builder.AddNamedSystem("monitor", ContactMonitor(planned, parts))
+    _connect(builder, config, planner, driver, monitor, parts.plant)
+    if config.pushes:
+        source = builder.AddNamedSystem("push", PushSource(scene, config.pushes))
+        builder.Connect(source.get_output_port(), driver.GetInputPort("push"))
+    else:
+        builder.ExportInput(driver.GetInputPort("push"), "push")
+    builder.ExportInput(monitor.GetInputPort("noise"), "noise")
     if config.disturbance_input:
         builder.ExportInput(planner.GetInputPort("disturbance"), "disturbance")
-    if config.monitor or config.closed_loop:
-        monitor = builder.AddNamedSystem("monitor", ContactMonitor(planned, parts))
-        for name in ("contact_results", "body_poses", "body_spatial_velocities"):
-            builder.Connect(plant.GetOutputPort(name), monitor.GetInputPort(name))
-        for name in MEASURED:
-            exported = name if name.endswith("force") else f"measured_{name}"
-            builder.ExportOutput(monitor.GetOutputPort(name), exported)
-        if config.closed_loop:
-            builder.Connect(monitor.GetOutputPort("state"), planner.GetInputPort("measured_state"))
-    builder.ExportOutput(plant.get_state_output_port(), "plant_state")
-    instance = parts.object_body.model_instance()
-    builder.ExportOutput(plant.get_state_output_port(instance), "object_state")
-    for name in ("body_poses", "contact_results"):
-        builder.ExportOutput(plant.GetOutputPort(name), name)
-    builder.ExportOutput(parts.scene_graph.get_query_output_port(), "query")
+    _export(builder, planner, driver, monitor, parts)
     if extend is not None:
         extend(builder, parts)
     station = builder.Build()
     station.set_name("station")
     return station, parts
+
+
+def _connect(
+    builder: DiagramBuilder,
+    config: StationConfig,
+    planner: ContactPlanner,
+    driver: FingertipDriver,
+    monitor: ContactMonitor,
+    plant: MultibodyPlant,
+) -> None:
+    wires: list[tuple[LeafSystem, LeafSystem, tuple[str, ...]]] = [
+        (planner, driver, ("pose", "twist", "acceleration", "normal", "contact_point")),
+        (plant, driver, ("body_poses", "body_spatial_velocities", "body_spatial_accelerations")),
+        (plant, monitor, ("contact_results", "body_poses", "body_spatial_velocities")),
+    ]
+    if config.driver.slip_gain:
+        wires.append((monitor, driver, ("sliding",)))
+    if config.restarts:
+        wires.append((planner, driver, ("restarts",)))
+        builder.Connect(monitor.GetOutputPort("state"), planner.GetInputPort("measured_state"))
+    for source, target, names in wires:
+        for name in names:
+            builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
+    applied = plant.get_applied_spatial_force_input_port()
+    builder.Connect(driver.GetOutputPort("spatial_forces"), applied)
+
+
+def _export(
+    builder: DiagramBuilder,
+    planner: ContactPlanner,
+    driver: FingertipDriver,
+    monitor: ContactMonitor,
+    parts: ScenePlant,
+) -> None:
+    for system in (planner, driver, monitor):
+        for i in range(system.num_output_ports()):
+            port = system.get_output_port(i)
+            taken = system is monitor and planner.HasOutputPort(port.get_name())
+            builder.ExportOutput(port, "measured_" * taken + port.get_name())
+    plant, instance = parts.plant, parts.object_body.model_instance()
+    builder.ExportOutput(plant.get_state_output_port(), "plant_state")
+    builder.ExportOutput(plant.get_state_output_port(instance), "object_state")
+    for name in ("body_poses", "contact_results"):
+        builder.ExportOutput(plant.GetOutputPort(name), name)
+    builder.ExportOutput(parts.scene_graph.get_query_output_port(), "query")
 
 
 def SetInitialState(station: Diagram, context: Context) -> None:
@@ -516,7 +564,7 @@ def simulate(
         exist; what :func:`BuildStation` raises.
     """
     gc.collect()  # Diagrams are cycles: free those of runs before this one
-    config = dataclasses.replace(_checked(scene, config), monitor=True)
+    config = _checked(scene, config)
     duration = scene.duration if duration is None else duration
     period = config.plant.time_step
     if not finite_number(duration, f"{scene.title}: duration") >= period:

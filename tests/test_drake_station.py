@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("pydrake")
 
+from pydrake.common import RandomDistribution
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from pydrake.geometry import HalfSpace
 from pydrake.geometry import Sphere as SphereShape
@@ -18,6 +19,7 @@ from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, Multibod
 from pydrake.multibody.tree import PrismaticJoint, RpyFloatingJoint, SpatialInertia, UnitInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput, MatrixGain, RandomSource
 from scipy.spatial.transform import Rotation
 
 import contact_system as cs
@@ -29,6 +31,7 @@ from drake_plant import (
     DriverConfig,
     FingertipDriver,
     PlantConfig,
+    Push,
     ScenePlant,
     SetInitialState,
     StationConfig,
@@ -207,6 +210,91 @@ def test_a_closed_loop_restarts_the_planner_from_the_measured_state():
     assert apart[1] < apart[0]
 
 
+def pushed(push=None, model="point", scene=None, **changes):
+    """D4 with one push of 0.05 s on finger 1, at 0.1 s, open or closed, until 0.4 s."""
+    scene = scene or cs.load_scene("D4")
+    pushes = [push or Push("finger 1", 0.1, 0.15, [-3.64, -1.28, -1.07])]  # 4 N across
+    given = {"contact_model": model, "pushes": pushes, **changes}
+    return simulate(scene, StationConfig.from_scene(scene, **given), duration=0.4)
+
+
+def slipped(result):
+    """Slip of finger 1 summed while it touches, m."""
+    touches = result.measured["normal_force"][:, 0] > 0
+    return np.diff(result.t, prepend=0.0)[touches] @ lengths(result, "slip")[touches, 0]
+
+
+@pytest.mark.parametrize("model", ["point", "hydroelastic"])
+def test_fed_back_slip_of_a_pushed_finger_is_less_than_half_and_it_comes_back(model):
+    closed, opened = pushed(model=model), pushed(model=model, slip_gain=0.0)
+    assert slipped(opened) > 5e-4
+    assert slipped(closed) < 0.5 * slipped(opened)
+    for result in (closed, opened):
+        miss = result.measured["contact_point"][-1] - result.planned["contact_point"][-1]
+        assert np.linalg.norm(miss, axis=1).max() < 1e-4
+
+
+def test_restarts_under_a_push_are_no_kick():
+    """The plan jumps to where the finger is; as a velocity that would be 0.1 m/s and more."""
+    opened = pushed(slip_gain=0.0)
+    often = pushed(slip_gain=0.0, restart_period=0.01)
+    far = pushed(restart_distance=5e-4)
+    assert slipped(often) < 1.5 * slipped(opened)
+    assert slipped(far) < 0.7 * slipped(opened)
+    assert lengths(often, "slip").max() < 1.5 * lengths(opened, "slip").max()
+
+
+def test_a_push_on_the_object_moves_it_by_its_mass():
+    result = pushed(Push("object", 0.1, 0.15, [0.0, 0.0, 10.0]))
+    speed = 10.0 * 0.05 / (4.18 + 3 * 0.261)  # the fingers go with it
+    moved = result.object_pose[-1, :3, 3] - result.object_pose[150, :3, 3]
+    still = pushed(Push("object", 0.1, 0.15, [0.0, 0.0, 0.0]))
+    moved -= still.object_pose[-1, :3, 3] - still.object_pose[150, :3, 3]
+    assert moved == pytest.approx([0.0, 0.0, speed * 0.25], abs=0.2 * speed * 0.25)
+
+
+def test_noise_on_what_is_measured_moves_no_finger_that_rolls():
+    scene, builder = cs.load_scene("D4"), DiagramBuilder()
+    given = {"pushes": [], "restart_period": 0.01}
+    station = builder.AddSystem(BuildStation(scene, config(scene, **given)))
+    noise = builder.AddSystem(RandomSource(RandomDistribution.kGaussian, 27, 1e-3))
+    sizes = np.tile([1e-3, 1e-3, 0.1, 0.1, 1e-3, 1e-3, 0.1, 0.1, 1e-3], 3)
+    scaled = builder.AddSystem(MatrixGain(np.diag(sizes)))
+    builder.Connect(noise.get_output_port(), scaled.get_input_port())
+    builder.Connect(scaled.get_output_port(), station.GetInputPort("noise"))
+    log = LogVectorOutput(station.GetOutputPort("measured_slip"), builder, 1e-3)
+    simulator = Simulator(builder.Build())
+    context = simulator.get_mutable_context()
+    SetInitialState(station, context)
+    simulator.AdvanceTo(0.305)
+    slip = np.linalg.norm(log.FindLog(context).data().T.reshape(-1, 3, 2), axis=2)
+    assert slip[10:].max() < 1e-4
+    own = station.GetMyContextFromRoot(context)
+    measured = station.GetOutputPort("measured_state").Eval(own)
+    planned = station.GetOutputPort("state").Eval(own)
+    assert 0.01 < np.abs(measured - planned).reshape(3, 9)[:, [2, 3, 6, 7]].max() < 2.0
+
+
+@pytest.mark.parametrize(
+    ("push", "words"),
+    [
+        ({"on": "finger 9"}, "on = 'finger 9'.*: give one of finger 1, .*, object"),
+        ({"start": -1.0}, "start = -1.0: give a finite number not below 0"),
+        ({"stop": 0.1}, "stop = 0.1: give a time after start = 0.1"),
+        ({"force": [1.0, 2.0]}, r"force = \[1.0, 2.0\]: give three numbers, N"),
+        ({"force": [1.0, 2.0, "3"]}, "force = '3': give a finite number"),
+        ({"stopp": 0.1}, "key 'stopp' is unknown.*'stop'"),
+    ],
+)
+def test_a_wrong_push_is_named(push, words):
+    table = {"on": "object", "start": 0.1, "stop": 0.2, "force": [0.0, 0.0, 1.0], **push}
+    with pytest.raises(cs.SceneError, match=r"'D1', \[drake\]: pushes\[0\]: " + words):
+        StationConfig.from_scene(cs.load_scene("D1"), pushes=[table])
+    for wrong in ("often", [1.0], {"on": "object"}):
+        with pytest.raises(cs.SceneError, match=r"pushes(\[0\])? = .*: give a (list|table)"):
+            StationConfig.from_scene(cs.load_scene("D1"), pushes=wrong)
+
+
 def test_restarts_fall_together_with_steps_of_the_plant_whatever_floating_point_makes_of_both():
     """3 * 0.1 s lies after 300 * 1 ms; a restart a step late would make slip of 0.3 m/s."""
     scene = cs.load_scene("D1")
@@ -216,15 +304,19 @@ def test_restarts_fall_together_with_steps_of_the_plant_whatever_floating_point_
 
 
 def test_ports_are_exported_only_where_they_have_a_use():
-    scene = cs.load_scene("D1")
-    plain = BuildStation(scene, config(scene, monitor=False))
-    outputs = {plain.get_output_port(i).get_name() for i in range(plain.num_output_ports())}
-    assert plain.num_input_ports() == 0
-    assert {"state", "slip", "spatial_forces", "contact_results", "query"} <= outputs
-    assert not any(name.startswith("measured") for name in outputs)
-    full = BuildStation(scene, config(scene, disturbance_input=True))
-    assert full.GetInputPort("disturbance").size() == 18
-    assert full.GetOutputPort("measured_slip").size() == 6
+    def names(scene, **changes):
+        station = BuildStation(scene, config(scene, **changes))
+        given = [station.get_input_port(i).get_name() for i in range(station.num_input_ports())]
+        outputs = range(station.num_output_ports())
+        return given, {station.get_output_port(i).get_name() for i in outputs}
+
+    given, outputs = names(scene := cs.load_scene("D1"))
+    assert given == ["push", "noise"]
+    assert {"state", "slip", "measured_slip", "sliding", "contact_results"} <= outputs
+    assert "restarts" not in outputs
+    given, outputs = names(scene, disturbance_input=True, restart_distance=1e-3)
+    assert given == ["push", "noise", "disturbance"] and "restarts" in outputs
+    assert names(cs.load_scene("D4"))[0] == ["noise"]  # which says who pushes
 
 
 def test_a_disturbance_from_outside_moves_the_contact_like_a_scheduled_one():
@@ -477,7 +569,7 @@ def test_fingers_move_as_planned_whether_gravity_pulls_them_or_not(heavy):
     parts = own_parts(builder=builder, more=pulled, config=PlantConfig(normal_force=1e-9))
     planner = builder.AddNamedSystem("planner", ContactPlanner(parts.scene))
     driver = builder.AddNamedSystem("driver", FingertipDriver(parts, DriverConfig()))
-    for port in map(driver.get_input_port, range(driver.num_input_ports())):
+    for port in map(driver.get_input_port, range(8)):
         source = planner if planner.HasOutputPort(port.get_name()) else parts.plant
         builder.Connect(source.GetOutputPort(port.get_name()), port)
     applied = parts.plant.get_applied_spatial_force_input_port()
@@ -518,7 +610,7 @@ def test_drakes_yaml_functions_read_and_write_configurations():
 def test_numbers_of_numpy_are_numbers():
     scene, single = cs.load_scene("D1"), np.float32
     changes = {"time_step": single(1e-3), "stiffness": np.int64(10_000), "gravity": np.int32(0)}
-    changes |= {"monitor": np.bool_(True), "restart_slip": single(0.1)}
+    changes |= {"rolling_radii": np.bool_(True), "restart_distance": single(0.1)}
     result = simulate(scene, config(scene, **changes), duration=single(0.05))
     assert result.measured["normal_force"][-1] == pytest.approx([1.0, 1.0, 1.0], abs=0.02)
 
@@ -533,15 +625,15 @@ def test_numbers_of_numpy_are_numbers():
         ({"velocity_gain": np.nan}, "velocity_gain = nan: give a finite number not below 0"),
         ({"spin_gain": -1}, "spin_gain = -1: .* not below 0"),
         ({"coordinates": ["chart"]}, "coordinates = .*: use one of chart, frame"),
-        ({"monitor": "no"}, "monitor = 'no': give True or False"),
+        ({"rolling_radii": "no"}, "rolling_radii = 'no': give True or False"),
         ({"restart_period": 0.0}, "restart_period = 0.0: give a finite number above 0"),
-        ({"restart_slip": "small"}, "restart_slip = 'small': give"),
+        ({"restart_distance": "small"}, "restart_distance = 'small': give"),
         (
             {"restart_period": 0.0015},
             "restart_period = 0.0015: .* time_step = 0.001; give restart_period = 0.002",
         ),
         (
-            {"restart_slip": 0.1, "time_step": 0.003},
+            {"restart_distance": 0.1, "time_step": 0.003},
             r"restart_period = None \(None: 0.01 s\).* = 0.009",
         ),
     ],
@@ -553,7 +645,7 @@ def test_a_wrong_value_of_the_drake_table_is_named(changes, words):
 
 def test_restarts_on_steps_of_the_plant_are_fine():
     for period in (0.3, 0.003, 0.001, 0.0005, None):
-        assert config(cs.load_scene("D1"), restart_period=period, restart_slip=0.1).closed_loop
+        assert config(cs.load_scene("D1"), restart_period=period, restart_distance=0.1).closed_loop
 
 
 @pytest.mark.parametrize(
