@@ -17,6 +17,7 @@ is 0.2 % less. SI units, radians.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -461,12 +462,13 @@ def _touches(scene: Scene) -> list[_Touch]:
     Raises
     ------
     SceneError
-        The surfaces do not part around a planned contact.
+        The surfaces do not part around a planned contact, or two fingers are to be in one place.
     """
     plan, length = make_plan(scene), float(scene.profile.arc_length(scene.duration))
     times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
-    points, turns = plan.points(times), plan.pose(times)[..., :3, :3]
-    touches = []
+    points, poses = plan.points(times), plan.pose(times)
+    _check_apart(scene, times, poses[..., :3, 3])
+    turns, touches = poses[..., :3, :3], []
     for i, contact in enumerate(scene.contacts):
         forms, frames = [], []
         for surface, x in zip((contact.finger, scene.object), points[:, i].swapaxes(0, 1)):
@@ -495,6 +497,28 @@ def _touches(scene: Scene) -> list[_Touch]:
             _Touch(finger_points, object_points, frames[0][..., 2], mean[0], mean[1], openness)
         )
     return touches
+
+
+def _check_apart(scene: Scene, times: Array, places: Array) -> None:
+    """Refuse fingers that would overlap, as they do not collide here; places (m, n, 3).
+
+    A finger is taken as the ball about its origin that fits into it, a sphere as what it is.
+    """
+    radii = [_inner_radius(contact.finger) for contact in scene.contacts]
+    for i, j in itertools.combinations(range(len(radii)), 2):
+        apart = np.linalg.norm(places[:, i] - places[:, j], axis=1) - (radii[i] + radii[j])
+        k = int(np.argmin(apart))
+        if apart[k] < 0 and min(radii[i], radii[j]) > 0:
+            raise SceneError(
+                f"{scene.contact_name(i)} and {scene.contact_name(j)} are planned to overlap by "
+                f"{-apart[k]:.3g} m at t = {times[k]:.3g} s; move one of them, shorten the scene "
+                "or make them smaller"
+            )
+
+
+def _inner_radius(finger: Surface) -> float:
+    """Of the ball about the origin that fits into a finger, 0 where it is not known, m."""
+    return _least_radius(finger) if isinstance(finger, (Sphere, Ellipsoid, Quadric)) else 0.0
 
 
 def _check_surfaces(scene: Scene, config: PlantConfig) -> None:
