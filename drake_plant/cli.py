@@ -21,7 +21,7 @@ from contact_system.system import COORDINATES
 from contact_system.writing import writing
 
 from . import plots
-from .measures import EDGE, SATURATED, ContactReport, contact_table
+from .measures import EDGE, SATURATED, ContactReport, contact_table, object_report, push_table
 from .plant import CHOICES
 from .station import SimulationResult, StationConfig, simulate
 
@@ -64,23 +64,28 @@ def run(args: argparse.Namespace) -> int:
             progress.done = int(TICKS * min(1.0, t / duration))
 
         result = simulate(scene, config, duration, progress=advance, recording=recording)
-    print("\n".join(_told(result, contact_table(result))))
+        opened = None
+        if config.pushes and config.closed_loop:  # which is judged by what it spares
+            opened = simulate(scene, config.opened(), duration, progress=advance)
+    print("\n".join(_told(result, opened)))
     with Progress(3, "writing") as progress:
-        for line in _written(result, stem, progress):
+        for line in _written(result, opened, stem, progress):
             print(line)
     if recording is not None:
         print(f"wrote {recording}")
     return 0
 
 
-def _written(result: SimulationResult, stem: Path, progress: Progress) -> Iterable[str]:
+def _written(
+    result: SimulationResult, opened: SimulationResult | None, stem: Path, progress: Progress
+) -> Iterable[str]:
     """Write logs and picture; yields a line for each file, and for what is left out."""
     for suffix, write in ((".npz", save_npz), (".csv", save_csv)):
         write(result, stem.with_suffix(suffix))
         yield f"wrote {stem.with_suffix(suffix)}"
         progress.step("drawing" if suffix == ".csv" else "writing")
     try:
-        plots.plot(result, stem.with_suffix(".png"))
+        plots.plot(result, stem.with_suffix(".png"), opened=opened)
         yield f"wrote {stem.with_suffix('.png')}"
     except MissingMatplotlib as error:
         yield f"no picture: {error}"
@@ -125,8 +130,8 @@ def save_csv(result: SimulationResult, path: Path) -> None:
 # --- telling -----------------------------------------------------------------------------------
 
 
-def _told(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterable[str]:
-    scene, plant = result.scene, result.config.plant
+def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable[str]:
+    scene, plant, reports = result.scene, result.config.plant, contact_table(result)
     yield f"{scene.name or 'scene'}: {scene.description}".rstrip(": ")
     yield (
         f"{plant.contact_model} contact, step {plant.time_step:g} s: "
@@ -141,7 +146,9 @@ def _told(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterabl
         "Peak over mu N: with the normal force of the same moment. Friction and slip in rolling, "
         "distance from the planned contact point: before any disturbance."
     )
-    if any(not math.isnan(r.recovery) for r in reports):
+    yield paragraph(" ".join(_happened(result, reports)))
+    yield ""
+    if any(r.disturbed for r in reports):
         yield from _rejections(reports)
         yield from _explained(
             "Recovery: time from the disturbance's end until slip stays below "
@@ -150,16 +157,37 @@ def _told(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterabl
             f"Saturated: part of the disturbance with friction above {SATURATED:.0%} of mu N."
         )
         yield from (*map(paragraph, _verdict(result, reports)), "")
+    if result.config.pushes:
+        yield from _pushes(result, opened)
 
 
 def _explained(text: str) -> Iterable[str]:
     return (paragraph(text), "")
 
 
+def _happened(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterable[str]:
+    """What any reader has to know before anything else."""
+    found = object_report(result)
+    yield f"The object moved by {found.moved:.3g} m and turned by {math.degrees(found.turned):.3g}"
+    yield "degrees."
+    if found.falls:
+        yield f"It falls: {max(found.carried, 0.0):.0%} of its weight is carried."
+    elif not math.isnan(found.carried):
+        yield "Its weight is carried."
+    for r in reports:
+        if r.off:
+            yield f"{r.name} was off the object for {r.off:.3g} s."
+    if slips := [r for r in reports if r.plan_slips]:
+        time, most = (max(getattr(r, key) for r in slips) for key in ("plan_slips", "planned_slip"))
+        yield f"The plan itself slips at {', '.join(r.name for r in slips)}, for {time:.3g} s and"
+        yield f"by {most:.2g} m/s at most, which is not counted as rolling."
+
+
 def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
     columns: tuple[tuple[str, str, str, Callable[[ContactReport], float]], ...] = (
         ("normal force", "N", ".4f", lambda r: r.normal_mean),
         ("deviation", "N", ".4f", lambda r: r.normal_deviation),
+        ("off object", "s", ".3f", lambda r: r.off),
         ("peak friction", "N", ".3f", lambda r: r.friction_peak),
         ("over mu N", "", ".3f", lambda r: r.friction_ratio),
         ("in rolling", "N", ".3f", lambda r: r.rolling_friction),
@@ -174,17 +202,39 @@ def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
 def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
     columns: tuple[tuple[str, str, Callable[[ContactReport], str]], ...] = (
         ("slip disturbed", "m/s", lambda r: f"{r.disturbed_slip:.2e}"),
-        ("greatest before", "m/s", lambda r: f"{r.slip_before:.2e}"),
+        ("greatest before", "m/s", lambda r: _number(r.slip_before, ".2e")),
         ("saturated", "", lambda r: f"{r.saturated:.0%}"),
         ("recovery", "s", lambda r: _taken(r.recovery)),
         ("to rolling", "s", lambda r: _taken(r.settling)),
         ("paper", "s", lambda r: _number(r.reported, "g")),
-        ("as reported", "", lambda r: {True: "yes", False: "no", None: "-"}[r.as_reported]),
+        ("as reported", "", _outcome),
     )
     head = (("contact", ""), *((name, unit) for name, unit, _ in columns))
-    disturbed = [r for r in reports if not math.isnan(r.recovery)]
-    rows = [(r.name, *(text(r) for _, _, text in columns)) for r in disturbed]
+    rows = [(r.name, *(text(r) for _, _, text in columns)) for r in reports if r.disturbed]
     return (*table(head, rows, 1), "")
+
+
+def _pushes(result: SimulationResult, opened: SimulationResult | None) -> Iterable[str]:
+    """What pushes did, with the loop as it is and open."""
+    loops = {"closed" if result.config.closed_loop else "open": push_table(result)}
+    if opened is not None:
+        loops["open"] = push_table(opened)
+    names = (("slip", "mm", 1e3), ("off", "ms", 1e3), ("farthest", "mm", 1e3), ("left", "mm", 1e3))
+    head = [("push on", ""), ("from", "s"), ("for", "s"), ("force", "N")]
+    head += [(f"{name}, {loop}", unit) for name, unit, _ in names for loop in loops]
+    rows = []
+    for pushed in zip(*loops.values()):
+        push = pushed[0].push
+        size, time = math.hypot(*push.force), push.stop - push.start
+        row = [push.on, f"{push.start:g}", f"{time:.3g}", f"{size:.3g}"]
+        row += [f"{scale * getattr(r, name):.3f}" for name, _, scale in names for r in pushed]
+        rows.append(tuple(row))
+    yield from (*table(head, rows, 1), "")
+    yield from _explained(
+        "Slip: summed while the finger touches, until the next push begins. Farthest, left: of the "
+        "contact point from the planned one, at most and when the next push begins. Of a push on "
+        "the object: of the worst contact."
+    )
 
 
 def _number(value: float, form: str) -> str:
@@ -192,7 +242,13 @@ def _number(value: float, form: str) -> str:
 
 
 def _taken(time: float) -> str:
-    return f"{time:.3f}" if math.isfinite(time) else "not in time"
+    return "not in time" if math.isinf(time) else _number(time, ".3f")
+
+
+def _outcome(report: ContactReport) -> str:
+    if not report.slid:
+        return "held"
+    return {True: "yes", False: "no", None: "-"}[report.as_reported]
 
 
 def _verdict(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterable[str]:
@@ -201,22 +257,36 @@ def _verdict(result: SimulationResult, reports: Sequence[ContactReport]) -> Iter
     if "reports" not in paper:
         return
     yield f"The paper reports: {paper['reports']}."
-    disturbed = [r for r in reports if not math.isnan(r.recovery)]
-    timed = not math.isnan(disturbed[0].reported)
-    recovered = all(r.as_reported if timed else math.isfinite(r.recovery) for r in disturbed)
-    yield f"Here slip {'is' if recovered else 'is not'} rejected{' within that time' * timed}."
-    if not recovered and all(r.settling <= r.reported for r in disturbed):
+    disturbed = [r for r in reports if r.disturbed]
+    held, slid = ([r for r in disturbed if r.slid is slides] for slides in (False, True))
+    if held:
+        most = max(r.friction_ratio for r in held)
         yield (
-            f"It is down to that of undisturbed rolling after "
-            f"{max(r.settling for r in disturbed):.3f} s. Rolling itself slips in proportion to "
-            "its speed, by the facets of the meshes and the length of the steps, and comes above "
-            "the level compared with as the speed grows."
+            f"Friction alone held {', '.join(r.name for r in held)}, with at most {most:.0%} of "
+            "mu N: there was no slip to reject."
         )
+    lost = [r.name for r in reports if r.off]
+    if lost or object_report(result).falls:
+        what = f"contact was lost at {', '.join(lost)}" if lost else "the object falls"
+        yield f"This is not what the paper reports on: {what}."
+    elif slid:
+        yield from _rejected(slid)
     if "lateral_force" in paper:
         names = ", ".join(r.name for r in disturbed if r.saturates)
-        peak = max(r.friction_peak for r in reports)
         happens = f"saturates at {names}" if names else "does not saturate"
+        peak = max(r.friction_peak for r in reports)
         yield (
             f"Tangential force {happens}; its peak is {peak:.3f} N, the paper's limit "
             f"{paper['lateral_force']:g} N."
+        )
+
+
+def _rejected(slid: Sequence[ContactReport]) -> Iterable[str]:
+    timed = not math.isnan(slid[0].reported)
+    recovered = all(r.as_reported if timed else math.isfinite(r.recovery) for r in slid)
+    yield f"Here slip {'is' if recovered else 'is not'} rejected{' within that time' * timed}."
+    if not recovered and all(r.settling <= r.reported for r in slid):
+        yield (
+            "It is down to what undisturbed contacts have at the same speed after "
+            f"{max(r.settling for r in slid):.3f} s."
         )

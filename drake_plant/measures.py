@@ -15,6 +15,7 @@ from contact_system.measures import REJECTED, windows
 from .contact_monitor import SATURATED
 
 if TYPE_CHECKING:
+    from .pushes import Push
     from .station import SimulationResult
 
 Array = NDArray[np.float64]
@@ -24,6 +25,12 @@ EDGE = 0.1
 
 STANDING = 1e-4
 """Part of a contact's greatest speed below which slip relative to its speed says nothing."""
+
+ROLLS = 1e-2
+"""Part of sigma below which planned slip counts as rolling."""
+
+CARRIED = 0.95
+"""Part of its weight that carries an object."""
 
 
 @dataclass(frozen=True)
@@ -35,20 +42,30 @@ class ContactReport:
     name : str
     normal_mean, normal_deviation : float
         Of the normal force outside the transients [N].
+    off : float
+        Time off the object, from the first step on [s].
+    kept : bool
+        Whether no contact of the simulation was off the object, and the object does not fall.
     friction_peak : float
         Greatest tangential force [N].
     friction_ratio : float
         Greatest tangential force over mu times the momentary normal force, where that is at least
         half its mean; NaN where mu is 0.
+    planned_slip : float
+        Greatest slip of the plan itself before any disturbance [m/s].
+    plan_slips : float
+        Time before any disturbance in which that is more than 1 % of sigma [s].
     rolling_friction : float
-        Mean tangential force before any disturbance [N].
+        Mean tangential force before any disturbance, while the plan rolls [N].
     rolling_slip : float
         Mean slip over the speed of the contact point on the object, before the disturbance, while
-        that is more than 1e-4 of its greatest.
+        the plan rolls and that speed is more than 1e-4 of its greatest.
     disturbed_slip : float
         Mean slip during the last disturbance [m/s].
     saturated : float
         Part of that time with friction saturated.
+    slid : bool
+        Whether the contact slid in it at all: friction came to its limit while it touched.
     slip_before : float
         Greatest slip before any disturbance [m/s].
     recovery : float
@@ -57,8 +74,7 @@ class ContactReport:
     settling : float
         The same until it stays below what undisturbed rolling has at that speed, where that is
         more than 5 % of `disturbed_slip` [s]: the greatest slip over contact speed of this contact
-        before any disturbance, and of contacts that are never disturbed at any time. Facets of
-        meshes make slip in proportion to speed, which the first does not allow for.
+        before any disturbance, and of contacts that are never disturbed at any time.
     reported : float
         Within how long the paper reports it [s].
     distance : float
@@ -69,12 +85,17 @@ class ContactReport:
     name: str
     normal_mean: float
     normal_deviation: float
+    off: float
+    kept: bool
     friction_peak: float
     friction_ratio: float
+    planned_slip: float
+    plan_slips: float
     rolling_friction: float
     rolling_slip: float
     disturbed_slip: float
     saturated: float
+    slid: bool
     slip_before: float
     recovery: float
     settling: float
@@ -82,16 +103,103 @@ class ContactReport:
     distance: float
 
     @property
+    def disturbed(self) -> bool:
+        """Whether a disturbance of this contact was seen, and is over."""
+        return not math.isnan(self.disturbed_slip)
+
+    @property
     def as_reported(self) -> bool | None:
-        """Whether slip is rejected within the time reported; None where nothing is to compare."""
-        if math.isnan(self.recovery) or math.isnan(self.reported):
+        """Whether slip is rejected within the time reported, with all contacts kept.
+
+        None where nothing is to compare: nothing reported, or no slip to be rejected.
+        """
+        if not self.disturbed or math.isnan(self.reported):
             return None
-        return self.recovery <= self.reported
+        if not self.kept:
+            return False
+        return self.recovery <= self.reported if self.slid else None
 
     @property
     def saturates(self) -> bool | None:
         """Whether friction is saturated during the disturbance at all; None where there is none."""
         return None if math.isnan(self.saturated) else self.saturated > 0
+
+
+@dataclass(frozen=True)
+class ObjectReport:
+    """What became of the object.
+
+    Attributes
+    ----------
+    moved, turned : float
+        Farthest from where it began [m], [rad].
+    carried : float
+        Part of its weight that something balances, by how far it has fallen; NaN without gravity,
+        or where it is not free.
+    """
+
+    moved: float
+    turned: float
+    carried: float
+
+    @property
+    def falls(self) -> bool:
+        """Whether gravity is not balanced."""
+        return self.carried < CARRIED
+
+
+@dataclass(frozen=True)
+class PushReport:
+    """What a push did until the next one began: of its finger, or of the worst if on the object.
+
+    Attributes
+    ----------
+    push : Push
+    slip : float
+        Summed while touching [m].
+    off : float
+        Time off the object [s].
+    farthest, left : float
+        Distance of the contact point from the planned one, at most and at the end [m].
+    """
+
+    push: Push
+    slip: float
+    off: float
+    farthest: float
+    left: float
+
+
+def object_report(result: SimulationResult) -> ObjectReport:
+    """How far the object moved and turned, and whether it falls."""
+    poses, time = result.object_pose, result.t[-1] - result.t[0]
+    path = poses[:, :3, 3] - poses[0, :3, 3]
+    traces = np.einsum("mij,ij->m", poses[:, :3, :3], poses[0, :3, :3])
+    angle = np.arccos(np.clip((traces - 1) / 2, -1, 1))
+    plant, carried = result.config.plant, math.nan
+    if plant.gravity and plant.object == "free":
+        carried = 1 + 2 * path[-1, 2] / (plant.gravity * time**2)
+    farthest = np.linalg.norm(path, axis=1).max()
+    return ObjectReport(float(farthest), float(angle.max()), float(carried))
+
+
+def push_table(result: SimulationResult) -> list[PushReport]:
+    """What each push of a simulation did, in the order of time."""
+    pushes = sorted(result.config.pushes, key=lambda push: push.start)
+    names = [result.scene.contact_name(i) for i in range(len(result.scene.contacts))]
+    slip = np.linalg.norm(result.measured["slip"], axis=2)
+    apart = np.linalg.norm(_misses(result), axis=2)
+    touches = result.measured["normal_force"] > 0
+    steps, reports = np.diff(result.t, prepend=result.t[0])[:, None], []
+    for push, stop in zip(pushes, [*(push.start for push in pushes[1:]), math.inf]):
+        seen = (result.t > push.start) & (result.t <= stop)
+        if seen.any():
+            of = slice(None) if push.on == "object" else [names.index(push.on)]
+            slid = (steps * slip * touches)[seen][:, of].sum(0)
+            off, miss = (steps * ~touches)[seen][:, of].sum(0), apart[seen][:, of]
+            found = (slid.max(), off.max(), miss.max(), miss[-1].max())
+            reports.append(PushReport(push, *map(float, found)))
+    return reports
 
 
 def contact_table(result: SimulationResult) -> list[ContactReport]:
@@ -108,27 +216,47 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     """
     planned, t = plan(result.scene), result.t  # the plan knows the windows of every contact
     disturbed = [windows(planned, i) for i in range(len(result.scene.contacts))]
-    edges = np.ravel([w for of_contact in disturbed for w in of_contact])
+    pushes = [(push.start, push.stop) for push in result.config.pushes]
+    edges = np.ravel([w for of_contact in (*disturbed, pushes) for w in of_contact])
     before = (t >= EDGE) & (t < min(edges, default=math.inf))
     steady = (t >= EDGE) & (np.abs(t[:, None] - edges) > EDGE).all(1)
     slip = np.linalg.norm(result.measured["slip"], axis=2)
+    of_plan = np.linalg.norm(result.planned["slip"], axis=2)
+    rolls = of_plan <= ROLLS * result.scene.profile(t)[:, None]
     speed = contact_speed(result.scene, result.planned["state"])
-    moving = speed > STANDING * speed.max(axis=0)  # a path may start from rest, or end there
+    moving = rolls & (speed > STANDING * speed.max(axis=0))  # a path may start or end at rest
     ratio = np.divide(slip, speed, out=np.full_like(slip, math.nan), where=moving)
-    untouched = ratio[t >= EDGE][:, [not w for w in disturbed]]
+    untouched = ratio[t >= EDGE][:, [not w and not pushes for w in disturbed]]
+    off, early = _off(result), t < min(edges, default=math.inf)
+    kept = not off.any() and not object_report(result).falls
     reports = []
     for i, acting in enumerate(disturbed):
         usual = np.append(untouched, ratio[before, i])
         allowed = _greatest(usual[np.isfinite(usual)]) * speed[:, i]
         reports.append(
             ContactReport(
-                **_rolling(result, i, before, steady),
+                **_rolling(result, i, before, steady, rolls[:, i]),
+                off=float(off[i]),
+                kept=kept,
+                planned_slip=_greatest(of_plan[early, i]),
+                plan_slips=float((early & ~rolls[:, i]) @ np.diff(t, prepend=t[0])),
                 rolling_slip=_mean(ratio[before & moving[:, i], i]),
                 slip_before=_greatest(slip[before, i]),
                 **_rejection(result, i, acting, slip[:, i], before, allowed),
             )
         )
     return reports
+
+
+def _off(result: SimulationResult) -> Array:
+    """Time off the object of each contact, (n,), s; at the start no step has been taken yet."""
+    away = result.measured["normal_force"][1:] <= 0
+    return np.diff(result.t) @ away
+
+
+def _misses(result: SimulationResult) -> Array:
+    """From planned to measured contact points on the object, (m, n, 3), m."""
+    return result.measured["contact_point"] - result.planned["contact_point"]
 
 
 def contact_speed(scene: Scene, states: Array) -> Array:
@@ -160,11 +288,15 @@ def recovery_time(t: Array, slip: Array, since: float, level: Array | float) -> 
 
 
 def _rolling(
-    result: SimulationResult, i: int, before: NDArray[np.bool_], steady: NDArray[np.bool_]
+    result: SimulationResult,
+    i: int,
+    before: NDArray[np.bool_],
+    steady: NDArray[np.bool_],
+    rolls: NDArray[np.bool_],
 ) -> dict[str, Any]:
     """Forces of one contact, and where it is while nothing has been disturbed yet."""
     normal, friction = _forces(result, i)
-    apart = result.measured["contact_point"][:, i] - result.planned["contact_point"][:, i]
+    apart = _misses(result)[:, i]
     limit = result.config.plant.friction * normal
     pressed = (normal > 0.5 * _mean(normal[steady])) & (limit > 0)
     return {
@@ -173,7 +305,7 @@ def _rolling(
         "normal_deviation": float(normal[steady].std()) if steady.any() else math.nan,
         "friction_peak": float(friction.max()),
         "friction_ratio": _greatest(friction[pressed] / limit[pressed]),
-        "rolling_friction": _mean(friction[before]),
+        "rolling_friction": _mean(friction[before & rolls]),
         "distance": _greatest(np.linalg.norm(apart[before], axis=1)),
     }
 
@@ -195,17 +327,20 @@ def _rejection(
     during = (t >= start) & (t < stop)
     if not during.any() or not (t > stop).any():
         nothing = ("disturbed_slip", "saturated", "recovery", "settling", "reported")
-        return dict.fromkeys(nothing, math.nan)
+        return dict.fromkeys(nothing, math.nan) | {"slid": False}
     level = REJECTED * _mean(slip[during])
     normal, friction = _forces(result, i)
     # A finger that is off the object, or that nothing holds, has no friction to saturate.
     limit = result.config.plant.friction * normal
-    saturated = (friction >= SATURATED * limit) & (friction > 0)
+    at_limit = (friction >= SATURATED * limit) & (normal > 0)
+    slid = bool(at_limit[during].any())
+    undisturbed = np.fmax(level, _greatest(slip[before]))
     return {
         "disturbed_slip": _mean(slip[during]),
-        "saturated": float(saturated[during].mean()),
-        "recovery": recovery_time(t, slip, stop, np.fmax(level, _greatest(slip[before]))),
-        "settling": recovery_time(t, slip, stop, np.fmax(level, allowed)),
+        "saturated": float((at_limit & (friction > 0))[during].mean()),
+        "slid": slid,
+        "recovery": recovery_time(t, slip, stop, undisturbed) if slid else math.nan,
+        "settling": recovery_time(t, slip, stop, np.fmax(level, allowed)) if slid else math.nan,
         "reported": result.scene.paper.get("recovery_time", math.nan),
     }
 

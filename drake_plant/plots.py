@@ -40,7 +40,12 @@ LINES = 2400  # samples that a line is drawn with
 DOTS, APART = 200, 0.02  # most marks on a planned curve, and how far apart, of the picture's size
 
 
-def plot(result: SimulationResult, path: str | os.PathLike, dpi: int = 160) -> None:
+def plot(
+    result: SimulationResult,
+    path: str | os.PathLike,
+    dpi: int = 160,
+    opened: SimulationResult | None = None,
+) -> None:
     """One picture: contact curves on the object; slip, forces and distances over time.
 
     Parameters
@@ -50,6 +55,8 @@ def plot(result: SimulationResult, path: str | os.PathLike, dpi: int = 160) -> N
         Its ending chooses the format (.png, .pdf, .svg).
     dpi : int
         Dots an inch, 10 to 2400; the picture is 13 by 9 inches.
+    opened : SimulationResult, optional
+        The same with the loop open, to be drawn beside it.
 
     Raises
     ------
@@ -66,23 +73,27 @@ def plot(result: SimulationResult, path: str | os.PathLike, dpi: int = 160) -> N
         for k, draw in enumerate(panels):
             axes = right.add_axes((0.12, 0.785 - 0.24 * k, 0.84, 0.175))
             draw(axes, result)
+            if opened is not None and draw in (_draw_slip, _draw_distance):
+                draw(axes, opened, closed=False)
             _finish(axes, result, planned, last=k == len(panels) - 1)
 
 
-def _draw_slip(ax: Any, result: SimulationResult) -> None:
-    """Measured slip and, dashed, the planner's."""
-    peak = 0.0
-    for i in range(len(result.scene.contacts)):
-        measured = np.linalg.norm(result.measured["slip"][:, i], axis=1)
-        planned = np.linalg.norm(result.planned["slip"][:, i], axis=1)
-        ax.plot(*_thinned(result.t, measured), color=colour_of(i), linewidth=0.9)
-        shown = np.where(planned > 0, planned, np.nan)
-        ax.plot(*_thinned(result.t, shown), color=colour_of(i), linewidth=1.6, dashes=(2.2, 1.1))
-        peak = max(peak, measured.max(), planned.max())
+def _draw_slip(ax: Any, result: SimulationResult, closed: bool = True) -> None:
+    """Measured slip and, dashed, the planner's; of an open loop beside it slip alone, dotted."""
+    slip = np.linalg.norm(result.measured["slip"], axis=2)
+    planned = np.linalg.norm(result.planned["slip"], axis=2)
+    for i in range(slip.shape[1]):
+        line = {"color": colour_of(i), "linewidth": 0.9, "linestyle": "-" if closed else ":"}
+        ax.plot(*_thinned(result.t, slip[:, i]), **line)
+        shown = np.where(planned[:, i] > 0, planned[:, i], np.nan)
+        if closed:
+            line |= {"linewidth": 1.6, "dashes": (2.2, 1.1)}
+            ax.plot(*_thinned(result.t, shown), **line)
     ax.set_yscale("log")
-    if peak > 0:
+    if (peak := max(slip.max(), planned.max())) > 0:
         ax.set_ylim(1e-5 * peak, 3 * peak)
-    ax.set_title("Slip, measured (dashed: of the plan)", loc="left", weight="bold")
+    title = "Slip, measured (dashed: of the plan)" if closed else "Slip (dotted: loop open)"
+    ax.set_title(title, loc="left", weight="bold")
     ax.set_ylabel("slip [m/s]")
 
 
@@ -107,13 +118,15 @@ def _draw_friction(ax: Any, result: SimulationResult) -> None:
     ax.set_ylabel("force [N]")
 
 
-def _draw_distance(ax: Any, result: SimulationResult) -> None:
+def _draw_distance(ax: Any, result: SimulationResult, closed: bool = True) -> None:
     apart = result.measured["contact_point"] - result.planned["contact_point"]
     for i, distance in enumerate(1e3 * np.linalg.norm(apart, axis=2).T):
-        ax.plot(*_thinned(result.t, distance), color=colour_of(i), linewidth=1.2)
+        line = {"linewidth": 1.2, "linestyle": "-" if closed else ":"}
+        ax.plot(*_thinned(result.t, distance), color=colour_of(i), **line)
     ax.set_title("Measured contact point from the planned one", loc="left", weight="bold")
     ax.set_ylabel("distance [mm]")
-    ax.set_ylim(bottom=0.0)
+    ax.relim()
+    ax.set_ylim(bottom=0.0, top=1.05 * ax.dataLim.ymax or None)
 
 
 def _ripple(ax: Any, t: Array, values: Array, colour: str) -> None:
@@ -144,6 +157,8 @@ def _finish(ax: Any, result: SimulationResult, planned: Plan, last: bool) -> Non
     ax.set_axisbelow(True)
     if result.scene.disturbances:
         shade_windows(ax, planned)
+    for push in result.config.pushes:
+        ax.axvspan(push.start, push.stop, color=DISTURBED, alpha=0.3, linewidth=0)
     if last:
         ax.set_xlabel("time [s]")
     else:
@@ -183,8 +198,9 @@ def _key(ax: Any, result: SimulationResult) -> None:
     label = "measured curve, dots where planned"
     dots = {"marker": "o", "markersize": 2.5, "markerfacecolor": "white", "markeredgewidth": 0}
     entries.append(Line2D([], [], color=INK, linewidth=2.4, label=label, **dots))
-    if result.scene.disturbances:
-        entries.append(Patch(color=DISTURBED, alpha=0.3, label="disturbance"))
+    if result.scene.disturbances or result.config.pushes:
+        label = "disturbance" if result.scene.disturbances else "push"
+        entries.append(Patch(color=DISTURBED, alpha=0.3, label=label))
     if result.scene.disturbances and "recovery_time" in result.scene.paper:
         entries.append(Patch(color=RECOVERY, alpha=0.2, label="recovery time in the paper"))
     ax.set_axis_off()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import dataclasses
+import functools
 import math
 import sys
 import warnings
@@ -16,12 +17,14 @@ import pytest
 pytest.importorskip("pydrake")
 
 import contact_system as cs
-from drake_plant import cli, recording
+from drake_plant import StationConfig, cli, recording, simulate
 from drake_plant.measures import contact_speed, contact_table
 
 T = np.linspace(0.0, 4.0, 4001)
 START, STOP = 2.0, 2.5  # of D1's disturbance
 NOISE = 1e-4
+PUSHED = ["finger", "1", "0.5"]  # the line of D4's first push
+LIMIT = np.full(len(T), 0.5)  # mu N
 
 
 def made_up(slip: np.ndarray, friction: np.ndarray, normal: np.ndarray | float = 1.0):
@@ -40,7 +43,9 @@ def made_up(slip: np.ndarray, friction: np.ndarray, normal: np.ndarray | float =
         "contact_point": points + [0.0, 3e-4, 0.0],
     }
     given = {"friction": 0.5, "contact_model": "point", "time_step": 1e-3, "normal_force": 1.0}
-    told = {"scene": scene, "config": SimpleNamespace(plant=SimpleNamespace(**given)), "t": T}
+    given |= {"gravity": 0.0, "object": "free"}
+    config = SimpleNamespace(plant=SimpleNamespace(**given), pushes=[], closed_loop=False)
+    told = {"scene": scene, "config": config, "t": T}
     told |= {"planned": planned, "measured": measured, "build_time": 0.1, "wall_time": 8.0}
     return SimpleNamespace(**told, object_pose=np.tile(np.eye(4), (len(T), 1, 1)))
 
@@ -57,29 +62,29 @@ def decaying(rate: float) -> np.ndarray:
 
 @pytest.mark.parametrize("rate", [10.0, 40.0])
 def test_recovery_is_when_slip_falls_below_a_twentieth(rate):
-    finger = contact_table(made_up(decaying(rate), np.zeros(len(T))))[0]
+    finger = contact_table(made_up(decaying(rate), LIMIT))[0]
     assert finger.disturbed_slip == pytest.approx(0.05, rel=1e-9)
     assert finger.recovery == pytest.approx(math.log(20) / rate, abs=1.1e-3)
     assert finger.reported == 0.2
     assert finger.as_reported is (rate == 40.0)
     slip = decaying(rate)
     slip[T > 3.999] = 0.01  # slip that comes back has not recovered
-    reports = contact_table(made_up(slip, np.zeros(len(T))))
+    reports = contact_table(made_up(slip, LIMIT))
     assert reports[0].recovery == math.inf and reports[0].as_reported is False
     assert [math.isnan(r.recovery) for r in reports] == [False, True, True]  # not disturbed
-    assert [r.saturates for r in reports] == [False, None, None]
+    assert [r.saturates for r in reports] == [True, None, None]
 
 
 def test_slip_need_not_fall_below_what_it_was_before():
     slip = decaying(10.0)
     slip[T < START] = 0.01
-    finger = contact_table(made_up(slip, np.zeros(len(T))))[0]
+    finger = contact_table(made_up(slip, LIMIT))[0]
     assert finger.slip_before == pytest.approx(0.01)
     assert finger.recovery == pytest.approx(math.log(5) / 10, abs=1.1e-3)
 
 
 def test_slip_has_settled_when_undisturbed_contacts_slip_as_much_at_that_speed():
-    result = made_up(decaying(40.0), np.zeros(len(T)))
+    result = made_up(decaying(40.0), LIMIT)
     sigma = result.scene.profile(T)
     result.measured["slip"][:, 0, 0] += 3e-3 * (T >= STOP)  # what rolling has by now
     result.measured["slip"][:, 1, 0] = 2.5e-3 * sigma
@@ -142,6 +147,92 @@ def test_rolling_is_measured_before_the_disturbance():
         assert report.distance == pytest.approx(3e-4)
 
 
+# --- what happened -------------------------------------------------------------------------------
+
+
+@functools.cache
+def told(name: str, **changes) -> tuple[list, str]:
+    """The reports of a scene with its disturbance early, and all that is said of it."""
+    scene = cs.load_scene(name)
+    windows = [dataclasses.replace(d, start=0.2, stop=0.4) for d in scene.disturbances]
+    scene = scene.replace(disturbances=windows, duration=0.6)
+    result = simulate(
+        scene, StationConfig.from_scene(scene, **{"contact_model": "point", **changes})
+    )
+    return contact_table(result), " ".join(" ".join(cli._told(result, None)).split())
+
+
+def test_slip_that_is_rejected_with_all_contacts_kept_is_as_reported():
+    reports, text = told("D1")
+    assert reports[0].as_reported and reports[0].slid and not reports[0].off
+    assert "Here slip is rejected within that time." in text
+    assert "The object moved by 0.023 m and turned by 6.12 degrees." in text
+
+
+def test_bodies_that_fall_together_are_not_what_the_paper_reports():
+    reports, text = told("D1", gravity=9.81)
+    assert reports[0].as_reported is False
+    assert "The object moved by 1.75 m" in text and "It falls: 1% of its weight is carr" in text
+    assert "This is not what the paper reports on: the object falls." in text
+
+
+def test_a_finger_that_leaves_the_object_is_not_as_reported():
+    reports, text = told("D1", normal_force=0.1)
+    assert reports[0].off > 0.1 and reports[0].as_reported is False
+    assert "finger 1 was off the object for" in text
+    assert "contact was lost at finger 1." in text and "is rejected" not in text
+
+
+def test_an_object_that_flies_away_is_told_of_and_no_cause_is_made_up():
+    _, text = told("D1", object_mass=0.05)
+    assert "The object moved by 1.79 m" in text
+    assert "facets" not in text and "meshes" not in text
+
+
+@pytest.mark.parametrize(("name", "model"), [("K2", "point"), ("K4", "hydroelastic")])
+def test_where_friction_holds_there_is_nothing_to_reject(name, model):
+    reports, text = told(name, contact_model=model)
+    for report in reports:
+        assert not report.slid and report.as_reported is None and math.isnan(report.recovery)
+    assert "Friction alone held finger 1, finger 2, finger 3, with at most 9%" in text
+    assert "rejected." not in text and text.count(" held ") == 4
+
+
+def test_a_plan_that_slides_is_not_said_to_roll():
+    reports, text = told("K1")
+    for report in reports:
+        assert math.isnan(report.rolling_friction) and math.isnan(report.rolling_slip)
+        assert report.plan_slips == pytest.approx(0.6, abs=2e-3)
+    assert (
+        "The plan itself slips at finger 1, finger 2, finger 3, for 0.6 s and by 0.11 m/s" in text
+    )
+
+
+def test_a_welded_object_does_not_fall():
+    reports, text = told("D1", gravity=9.81, object="welded")
+    assert reports[0].as_reported and "falls" not in text and "moved by 0 m" in text
+
+
+def test_fingers_that_are_planned_to_overlap_are_refused_by_name():
+    scene = cs.load_scene("D1")
+    near = dataclasses.replace(scene.contacts[1], object_at=(0.3886, 3.6), name="its neighbour")
+    crowded = scene.replace(contacts=[scene.contacts[0], near])
+    words = "'D1', plant: finger 1 and its neighbour are planned to overlap by .* m at t = .*; move"
+    with pytest.raises(cs.SceneError, match=words):
+        simulate(crowded, duration=0.1)
+
+
+def test_pushes_are_told_with_the_loop_closed_and_open(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    words = ("--until", 0.6, "--contact", "point", "--no-recording", "--out", tmp_path)
+    assert run("D4", *words) == 0
+    out = capsys.readouterr().out
+    line = next(line.split() for line in out.splitlines() if line.split()[:3] == PUSHED)
+    closed, opened = map(float, line[5:7])
+    assert 0 < closed < 0.5 * opened
+    assert (tmp_path / "D4-drake.png").exists()
+
+
 # --- camera --------------------------------------------------------------------------------------
 
 
@@ -194,7 +285,7 @@ def test_a_whole_run_is_told_beside_the_paper(tmp_path, monkeypatch, capsys):
     friction = np.where((T >= START) & (T < STOP), 0.5, 0.05)
     result = made_up(decaying(40.0), friction)
     monkeypatch.setattr(cli, "simulate", lambda *args, **options: result)
-    monkeypatch.setattr(cli.plots, "plot", lambda *args: None)
+    monkeypatch.setattr(cli.plots, "plot", lambda *args, **options: None)
     assert run("D1", "--out", tmp_path, "--no-recording") == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "0.50 times real time" in out
