@@ -6,13 +6,14 @@ import argparse
 import csv
 import io
 import math
+import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from contact_system import load_scene
+from contact_system import SceneError, load_scene
 from contact_system.cli import Progress, file_name, paragraph, results_folder, table
 from contact_system.measures import REJECTED
 from contact_system.plots import MissingMatplotlib
@@ -43,6 +44,8 @@ def register(commands: Any) -> None:
     parser.add_argument("--time-step", type=float, metavar="H", help="of the plant, s")
     planner = "what the planner integrates: the paper's chart equations, or moving frames"
     parser.add_argument("--coordinates", choices=COORDINATES, help=planner)
+    change = "any key of the scene's [drake] table for this run, such as drake.friction=0.3"
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=change)
     parser.add_argument("--no-recording", action="store_true", help="write no Meshcat recording")
     parser.set_defaults(run=run)
 
@@ -53,7 +56,8 @@ def run(args: argparse.Namespace) -> int:
     asked = {"contact_model": "contact"}  # a field's name where it is another than the option's
     fields = ("contact_model", "object", "time_step", "coordinates")
     wished = {name: getattr(args, asked.get(name, name)) for name in fields}
-    config = StationConfig.from_scene(scene, **{k: v for k, v in wished.items() if v is not None})
+    wished = {k: v for k, v in wished.items() if v is not None}
+    config = StationConfig.from_scene(scene, **wished | dict(map(_setting, args.set)))
     stem = results_folder(args, scene) / f"{file_name(scene)}-drake"
     recording = None if args.no_recording else stem.with_suffix(".html")
     duration = scene.duration if args.until is None else args.until
@@ -74,6 +78,18 @@ def run(args: argparse.Namespace) -> int:
     if recording is not None:
         print(f"wrote {recording}")
     return 0
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    """Of ``drake.friction=0.3`` the key and its value, as TOML has it, or a word."""
+    key, equals, value = text.partition("=")
+    table, _, name = key.strip().partition(".")
+    if not equals or table != "drake" or not name:
+        raise SceneError(f"--set {text}: write it like drake.friction=0.3")
+    try:
+        return name, tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return name, value.strip()
 
 
 def _written(

@@ -281,6 +281,20 @@ def test_no_recording_is_written_where_none_is_wanted(tmp_path, monkeypatch, cap
     assert "step 0.0005 s" in out and "no picture: pictures need matplotlib" in out
 
 
+def test_keys_of_the_drake_table_can_be_set_for_a_run(tmp_path):
+    words = ("--until", 0.01, "--no-recording", "--out", tmp_path)
+    settings = ("--set", "drake.friction=0.3", "--set", "drake.contact_model=point")
+    assert run("D1", *words, *settings) == 0
+    for wrong, told in (
+        ("friction=0.3", "--set friction=0.3: write it like drake.friction=0.3"),
+        ("drake.friction", "--set drake.friction: write it like"),
+        ("drake.frction=0.3", "key 'frction'.*'friction'"),
+        ("drake.friction=slippery", "friction = 'slippery': give a finite number"),
+    ):
+        with pytest.raises(cs.SceneError, match=told):
+            run("D1", *words, "--set", wrong)
+
+
 def test_a_whole_run_is_told_beside_the_paper(tmp_path, monkeypatch, capsys):
     friction = np.where((T >= START) & (T < STOP), 0.5, 0.05)
     result = made_up(decaying(40.0), friction)
