@@ -312,10 +312,8 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
     The first eight are the planner's (see :class:`ContactPlanner`), `spatial_forces` the driver's,
     the next six the monitor's (see :class:`ContactMonitor`), the last five the plant's and the
     scene graph's; `push` is the driver's (see :class:`FingertipDriver`), `noise` the monitor's. The
-    systems are named "planner", "driver", "monitor", "plant" and "scene_graph", the Diagram
-    "station"; two of them in one Diagram need names of their
-    own, ``builder.AddNamedSystem("left", BuildStation(scene))``, because Drake ends the process
-    where two systems have the same. Threads may share a station, with a Context each.
+    systems are named "planner", "driver", "monitor", "plant" and "scene_graph", with pushes "push"
+    too. Threads may share a station, with a Context each.
 
     Parameters
     ----------
@@ -378,9 +376,7 @@ def _build(
     _export(builder, planner, driver, monitor, parts)
     if extend is not None:
         extend(builder, parts)
-    station = builder.Build()
-    station.set_name("station")
-    return station, parts
+    return builder.Build(), parts
 
 
 def _connect(

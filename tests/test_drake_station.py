@@ -481,6 +481,13 @@ def test_stations_start_inside_another_diagram_under_names_of_their_own():
         assert force == pytest.approx([1.0, 1.0, 1.0], abs=0.02)
 
 
+def test_two_stations_without_names_stand_in_one_diagram():
+    builder = DiagramBuilder()
+    for _ in range(2):
+        builder.AddSystem(BuildStation(cs.load_scene("C2")))
+    assert len(builder.Build().GetSystems()) == 2
+
+
 def test_a_diagram_of_ones_own_starts_by_the_names_of_its_systems():
     """And is refused where systems of these names are others."""
     scene, builder = cs.load_scene("D1"), DiagramBuilder()
