@@ -191,7 +191,8 @@ class ContactMonitor(LeafSystem):
         begun = self._begun(context)
         normal, friction = begun[:, NORMAL.start], np.hypot(*begun[:, TANGENTIAL].T)
         found, scene = np.zeros((len(begun), 3)), self._sensor.scene
-        for i in np.flatnonzero((friction >= SATURATED * self._friction * normal) & (normal > 0)):
+        slides = (friction >= SATURATED * self._friction * normal) & (normal > 0)
+        for i in np.flatnonzero(slides).tolist():
             found[i] = _slip(scene.contacts[i].finger, scene.object, self._State(context)[i])
         output.SetFromVector(np.nan_to_num(found).ravel())  # no feedback at a pole
 

@@ -495,7 +495,7 @@ def _no_normal(surface: Surface, at: Array) -> SurfaceError:
 def _too_many(surface: Surface, gap: float, strip: float) -> SurfaceError:
     return SurfaceError(
         f"{surface!r}: edges that open a gap of {gap:.3g} m within {strip:.3g} m of the planned "
-        f"contacts take more than {LARGEST} triangles; give a smaller strip_margin, a longer edge, "
+        f"contacts take more than {LARGEST} triangles; give a longer edge, "
         "or a softer contact, whose patch is larger"
     )
 

@@ -110,6 +110,7 @@ FINGER_GAP, OBJECT_GAP = 1.04, 2.9
 WIDEST_GAP = 10.0
 
 REACH = 0.02  # m, that meshes of unbounded surfaces reach beyond the planned patches
+STRIP = 0.01  # m, that a mesh of too many triangles is fine beyond the planned patches
 SPACING = 0.0025  # m, of points along the plan that show where contacts go
 LINE = 1e-6  # of the greatest relative curvature: less is a line, straight but for rounding
 TURNING_GAIN = 1e8  # N m/rad
@@ -118,11 +119,10 @@ CHOICES = {
     "contact_model": ("hydroelastic", "point"),
     "discrete_contact_approximation": ("sap", "lagged", "similar"),
     "object": ("free", "welded", "turning"),
-    "damping_at": ("driver", "contact"),
 }
-NOT_NEGATIVE = ("time_step", "damping", "relaxation_time", "friction", "strip_margin")
-_EDGES = ("finger_edge", "object_edge")
-POSITIVE = ("object_mass", "finger_mass", "stiffness", "normal_force", "drake_spheres", *_EDGES)
+NOT_NEGATIVE = ("time_step", "friction")
+EDGES = ("finger_edge", "object_edge")
+POSITIVE = ("object_mass", "finger_mass", "stiffness", "normal_force", *EDGES)
 TAKEN = ("", "object", "WorldModelInstance", "DefaultModelInstance")  # the last two by Drake
 # Of kinds of surfaces what is less where they give way by a depth.
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
@@ -178,6 +178,10 @@ def types_known(config: Config) -> Config:
 class PlantConfig:
     """What a scene's plant is made of.
 
+    Contact itself is elastic: the damper between the bodies is the FingertipDriver's. Material
+    enters a fast rolling patch on one side and leaves on the other, so that a damping which is
+    strong for the bodies would destroy contact.
+
     Attributes
     ----------
     time_step : float
@@ -193,27 +197,14 @@ class PlantConfig:
         kg, spread evenly, with the mass centre at the body's origin.
     stiffness : float
         N/m, of a contact that carries ``normal_force``.
-    damping : float
-        N s/m, of a contact that carries ``normal_force``, where ``damping_at`` says.
-    damping_at : str
-        "driver": contact itself is elastic, a damper between the bodies is the FingertipDriver's.
-        "contact": dissipation of Drake's contact. Material enters a fast rolling patch on one side
-        and leaves on the other, so that a damping that is strong for the bodies destroys contact.
-    relaxation_time : float or None
-        s, of the "sap" approximation; None: what ``damping_at`` says.
     friction : float
         Coulomb's coefficient, static and dynamic.
     normal_force : float
         N, along the planned normal, with which every finger presses.
     gravity : float
         m/s^2, towards -z of the world.
-    drake_spheres : float or None
-        m; instead of meshes made for the scene, Drake's own spheres with this resolution hint. One
-        so coarse that contact would be lost is refused, as such edges are.
     finger_edge, object_edge : float or None
         m, edges of the meshes at the planned contacts; None: chosen by the size of the patch.
-    strip_margin : float
-        m; a mesh of more than 10 000 triangles is fine only this far beyond the planned patches.
     """
 
     time_step: float = 1e-3
@@ -223,16 +214,11 @@ class PlantConfig:
     object_mass: float = 1.0
     finger_mass: float = 0.1
     stiffness: float = 1e4
-    damping: float = 1e3
-    damping_at: str = "driver"
-    relaxation_time: float | None = None
     friction: float = 0.5
     normal_force: float = 1.0
     gravity: float = 0.0
-    drake_spheres: float | None = None
     finger_edge: float | None = None
     object_edge: float | None = None
-    strip_margin: float = 0.01
 
     def check(self) -> None:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
@@ -240,13 +226,6 @@ class PlantConfig:
         check_numbers(self, ("gravity",))
         check_numbers(self, POSITIVE, "above 0")
         check_numbers(self, NOT_NEGATIVE, "not below 0")
-        if self.relaxation_time is not None and (
-            self.time_step == 0 or self.discrete_contact_approximation != "sap"
-        ):
-            raise SceneError(
-                f"relaxation_time = {self.relaxation_time!r}: only the discrete 'sap' "
-                'approximation has one; leave it out, and use damping and damping_at = "contact"'
-            )
 
 
 @dataclass(frozen=True)
@@ -532,14 +511,6 @@ def _check_surfaces(scene: Scene, config: PlantConfig) -> None:
             'object = "turning" needs a discrete plant, whose implicit controllers bear the gain; '
             "give time_step > 0"
         )
-    bodies = (scene.object, *(contact.finger for contact in scene.contacts))
-    if config.drake_spheres is not None and not all(
-        isinstance(body, Sphere) and not body.inside for body in bodies
-    ):
-        raise SceneError(
-            f"drake_spheres = {config.drake_spheres!r}: object and fingers are not all spheres; "
-            "leave it out"
-        )
     check_depth(scene, config)
     for i, contact in enumerate(scene.contacts):
         finger = contact.finger
@@ -560,7 +531,7 @@ def _check_surfaces(scene: Scene, config: PlantConfig) -> None:
 
 def _check_edges(config: PlantConfig, touches: Sequence[_Touch]) -> None:
     """Refuse meshes so coarse that bodies which roll on them lose contact."""
-    for key in ("drake_spheres", "finger_edge", "object_edge"):
+    for key in EDGES:
         edge, depth = getattr(config, key), contact_depth(config)
         if edge is None or config.contact_model == "point":
             continue
@@ -590,10 +561,8 @@ def _add_object(
         lengths = (OBJECT_GAP, config.object_edge)
         domain, mesh = _mesh(surface, curve, (own, opposing), config, lengths)
         shape = SphereShape(surface.size) if mesh is None else rigid_mesh(mesh, "object")
-    properties = _material(config, relaxation_time=0.0)
-    if config.drake_spheres is not None:
-        AddRigidHydroelasticProperties(config.drake_spheres, properties)
-    elif config.contact_model == "hydroelastic":
+    properties = _material(config)
+    if config.contact_model == "hydroelastic":
         AddRigidHydroelasticProperties(properties)
     # A welded or turning object may be a surface that bounds no solid; its inertia has no effect.
     inertia = SpatialInertia.SolidSphereWithMass(config.object_mass, surface.size)
@@ -608,12 +577,12 @@ def _add_finger(
     curvatures = (touch.finger_curvature, touch.object_curvature)
     lengths = (FINGER_GAP, config.finger_edge)
     domain, mesh = _mesh(surface, touch.finger_points, curvatures, config, lengths)
-    properties = _material(config, _relaxation_time(config))
+    properties = _material(config)
     shape: Shape = SphereShape(surface.size)
     if config.contact_model == "hydroelastic":
         inner = inner_points(surface)
         shape = shape if mesh is None else compliant_mesh(mesh, inner, name)
-        hint = config.drake_spheres or surface.size  # Drake asks for one, and ignores it for meshes
+        hint = surface.size  # Drake asks for one, and ignores it for meshes
         AddCompliantHydroelasticProperties(hint, _modulus(config, touch, inner), properties)
     inertia = _solid(name, surface, config.finger_mass, mesh)
     return _add_body(plant, name, inertia, shape, properties, domain, paint)
@@ -635,11 +604,11 @@ def _mesh(
     depth = contact_depth(config)
     patch = math.sqrt(2 * depth / (own + opposing))
     domain = domain_of(surface, curve, REACH + patch, opposing)
-    if config.contact_model == "point" or config.drake_spheres is not None:
+    if config.contact_model == "point":
         return domain, None
     depths, edge = lengths
     gap = depths * depth if edge is None else (own + opposing) * edge**2 / 2
-    return domain, contact_mesh(domain, curve, opposing, gap, config.strip_margin + patch)
+    return domain, contact_mesh(domain, curve, opposing, gap, STRIP + patch)
 
 
 def _add_body(
@@ -670,25 +639,16 @@ def _modulus(config: PlantConfig, touch: _Touch, inner: Array) -> float:
     return config.stiffness**2 / (4 * math.pi * config.normal_force * float(compliance))
 
 
-def _material(config: PlantConfig, relaxation_time: float) -> ProximityProperties:
+def _material(config: PlantConfig) -> ProximityProperties:
     properties = ProximityProperties()
-    # Drake puts the two stiffnesses in series, and adds up relaxation times.
-    dissipation = config.damping / config.normal_force if config.damping_at == "contact" else 0.0
     AddContactMaterial(
         properties,
-        dissipation=dissipation,
-        point_stiffness=2 * config.stiffness,
+        dissipation=0.0,
+        point_stiffness=2 * config.stiffness,  # Drake puts the two in series
         friction=CoulombFriction(config.friction, config.friction),
     )
-    properties.AddProperty("material", "relaxation_time", float(relaxation_time))
+    properties.AddProperty("material", "relaxation_time", 0.0)
     return properties
-
-
-def _relaxation_time(config: PlantConfig) -> float:
-    """Of the finger, s; c = k tau in the "sap" approximation."""
-    if config.relaxation_time is not None:
-        return config.relaxation_time
-    return config.damping / config.stiffness if config.damping_at == "contact" else 0.0
 
 
 def _solid(name: str, surface: Surface, mass: float, mesh: SurfaceMesh | None) -> SpatialInertia:

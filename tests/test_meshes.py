@@ -187,7 +187,7 @@ def test_pictures_show_the_true_surface_in_two_parts():
 
 
 def test_a_mesh_that_would_be_too_large_is_refused_with_the_remedy():
-    with pytest.raises(cs.SurfaceError, match="more than 200000 triangles; give a smaller strip"):
+    with pytest.raises(cs.SurfaceError, match="more than 200000 triangles; give a longer edge"):
         mesh_of(cs.Sphere(1.0), CIRCLE, 1e-6, strip=0.5)
 
 
