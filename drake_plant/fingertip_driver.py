@@ -205,8 +205,8 @@ class FingertipDriver(LeafSystem):
     - `sliding` (3n): slip to be rejected, as :class:`ContactMonitor` gives it.
     - `push` (3n + 3): forces in the world on the fingers and on the object, N.
 
-    The output is a list of ExternallyAppliedSpatialForce, one a fingertip and one on the object, at
-    their mass centres.
+    The output is a list of ExternallyAppliedSpatialForce, one a fingertip and one on an object that
+    is pushed, at their mass centres.
 
     The discrete state holds 17 numbers a finger: its restarts, the steps since the last one, its
     desired position in the world, planned spin and normal one step ago, and planned accelerations
@@ -302,8 +302,8 @@ class FingertipDriver(LeafSystem):
     def _CalcForces(self, context: Context, output: Value) -> None:
         driven = zip(self.finger_indices, self._law(context))
         applied = [_at_centre(index, row[0:3], row[3:6]) for index, row in driven]
-        pushed = _given(self._push, context)[-3:]
-        applied.append(_at_centre(BodyIndex(self.object_index), np.zeros(3), pushed))
+        if (pushed := _given(self._push, context)[-3:]).any():
+            applied.append(_at_centre(BodyIndex(self.object_index), np.zeros(3), pushed))
         output.set_value(applied)
 
     def _Remember(self, context: Context, state: State) -> None:

@@ -65,6 +65,7 @@ Array = NDArray[np.float64]
 
 STARTED = {"planner": ContactPlanner, "driver": FingertipDriver, "plant": MultibodyPlant}
 PLANNED = ("state", "slip", "contact_point")
+LOGGED = 1e-3  # s, at which simulate logs where steps are shorter
 MEASURED = ("state", "slip", "normal_force", "tangential_force", "contact_point")
 INTEGRATION = SimulatorConfig(
     integration_scheme="runge_kutta5", accuracy=1e-8, max_step_size=1e-2, use_error_control=True
@@ -505,7 +506,7 @@ def _finger_poses(
 
 @dataclass
 class SimulationResult:
-    """What :func:`simulate` saw. m times, n contacts; SI units.
+    """What :func:`simulate` saw, at every step or about every ms. m times, n contacts; SI units.
 
     Attributes
     ----------
@@ -562,12 +563,15 @@ def simulate(
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = _checked(scene, config)
     duration = scene.duration if duration is None else duration
-    period = config.plant.time_step
-    if not finite_number(duration, f"{scene.title}: duration") >= period:
+    step = config.plant.time_step
+    if not finite_number(duration, f"{scene.title}: duration") >= step:
         raise SceneError(
-            f"{scene.title}: a simulation of {duration!r} s with a time_step of {period:g} "
+            f"{scene.title}: a simulation of {duration!r} s with a time_step of {step:g} "
             "s: give a finite time of at least one step"
         )
+    period = step
+    while 2 * period <= min(LOGGED, duration):  # powers of 2, so that logs meet steps to the bit
+        period *= 2
     function_or_none(progress, f"{scene.title}: progress", "a function of a time")
     loggers: dict[str, Any] = {}
     film = None
