@@ -100,7 +100,8 @@ def pole_scene(miss=0.0, profile=(0.1,), duration=2.0):
 
 @pytest.mark.parametrize("scheme", ORDERS)
 def test_every_scheme_converges_at_its_order(scheme):
-    planner = ContactPlanner(cs.load_scene("K3"))  # with a window from 0.1 s to 0.15 s
+    # with a window from 0.1 s to 0.15 s
+    planner = ContactPlanner(cs.load_scene("K3"), tolerance=1.0)
     coarse, fine = (error(planner, run(planner, 0.4, scheme, h)) for h in (4e-3, 2e-3))
     assert np.log2(coarse / fine) > ORDERS[scheme] - 0.2
 
@@ -154,7 +155,7 @@ def test_error_control_that_is_too_lenient_is_told_to_be_less_so():
 @pytest.mark.parametrize("eta", (1e3, 1e6, 1e9))
 @pytest.mark.parametrize("scheme", ("radau3", "implicit_euler"))
 def test_implicit_schemes_take_long_steps_however_stiff_the_gain(scheme, eta):
-    planner = ContactPlanner(stiff("K4", eta), "frame")
+    planner = ContactPlanner(stiff("K4", eta), "frame", tolerance=0.1)
     assert error(planner, run(planner, 1.5, scheme, 0.01)) < 0.02
 
 
@@ -477,7 +478,7 @@ def test_a_scene_that_starts_at_rest_is_watched_once_it_moves():
     planner = ContactPlanner(scene, "frame")
     assert error(planner, run(planner, 2.0, "runge_kutta5")) < 1e-9
     stiff = ContactPlanner(scene.replace(gain=cs.Gain.path(1e7)), "frame")
-    with pytest.raises(cs.SceneError, match=r"contact 0: integrated to t = 0\.0.* it slips at"):
+    with pytest.raises(cs.SceneError, match=r"contact 0: .* off the exact plan"):
         run(stiff, 2.0, "explicit_euler", 0.01)
 
 
