@@ -15,6 +15,7 @@ except ImportError as error:
 
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import DriverConfig, FingertipDriver
+from .plan_source import PlanSource
 from .planner_system import ContactPlanner
 from .plant import AddScenePlant, PlantConfig, ScenePlant
 from .station import (
@@ -43,6 +44,7 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
     "ContactPlanner",
     "DriverConfig",
     "FingertipDriver",
+    "PlanSource",
     "PlantConfig",
     "ScenePlant",
     "SetInitialState",

@@ -25,11 +25,11 @@ TOLERANCE = 1.5e-6
 """How far contact points may be off the exact plan, per metre of path and of the greater body's
 size. In D1 that is 1e-6 m at 0.5 s and 9e-6 m at its end, where runge_kutta3 is off by 5e-6 m at
 the 1 ms of a discrete plant, by 3e-4 m alone with an accuracy of 1e-3, cenic by 30 mm."""
-STEPS = 17
-"""So many short steps are taken between two looks; odd, so that each of two simulations that take
-turns in one thread comes to it."""
-SHORT = 1 / 3200
-"""Of a scene's duration: longer steps are looked at one by one. A look takes 30 us."""
+LOOKS = 50
+"""A scene is compared so often, evenly, and after the first, second, fourth, eighth... step."""
+OTHERS = 257
+"""And every so many steps, as simulations of one system may take turns; odd, so that each of two
+comes to it. A look takes 30 us."""
 
 MANY = 4096
 """So many steps in a row are refused, each shorter than a `MOST`-th of what is left of a scene."""
@@ -41,14 +41,20 @@ class StepWatch:
     """How a simulation comes on: when to look at it, and whether it ever gets to the end."""
 
     def __init__(self, duration: float):
-        self.duration, self.count, self.crept, self.length, self.last = duration, 0, 0, 0.0, 0.0
+        self.duration, self.count, self.crept = duration, 0, 0
+        self.length = self.last = self.looked = 0.0
 
     def step(self, t: float) -> bool:
         """Note a step that ends at t; whether to compare its end with the plan."""
-        self.length, left = t - self.last, self.duration - t
-        self.count, self.last = self.count + 1, t
+        self.length, left, since = t - self.last, self.duration - t, t - self.looked
+        self.count = count = self.count + 1
+        self.last = t
         self.crept = self.crept + 1 if 0.0 < self.length * MOST < left else 0
-        return self.count % STEPS == 0 or not 0.0 < self.length < SHORT * self.duration
+        look = not 0.0 <= since * LOOKS < self.duration or count % OTHERS == 0
+        if look or count & (count - 1) == 0:
+            self.looked = t
+            return True
+        return False
 
     def crawls(self) -> bool:
         """Whether the end will never be reached: error control asks for steps of 1e-9 s."""
@@ -73,18 +79,21 @@ def exact_plan(scene: Scene, start: float, states: bytes, end: float) -> Plan | 
 
 def refuse_drift(scene: Scene, plan: Plan, t: float, points: Array, tolerance: float) -> None:
     """Raise a SceneError where contact points (6 n) are too far from the plan's at time t."""
-    off = np.linalg.norm(points.reshape(-1, 2, 3) - plan.points(t)[0], axis=2)
+    off = np.sqrt(((points.reshape(-1, 2, 3) - plan.points(t)[0]) ** 2).sum(axis=2))
     size = max(scene.object.size, *(contact.finger.size for contact in scene.contacts))
+    worst = off.max()
+    if worst <= tolerance * size:
+        return
     limit = tolerance * (size + float(scene.profile.arc_length(t)))
-    if off.max() <= limit:
+    if worst <= limit:
         return
     i, side = divmod(int(np.argmax(off)), 2)
     raise SceneError(
         f"{scene.title}, contact {i}: integrated to t = {t:.6g} s its point on the "
-        f"{('finger', 'object')[side]} is {off[i, side]:.2g} m off the exact plan, and "
+        f"{('finger', 'object')[side]} is {worst:.2g} m off the exact plan, and "
         f"{limit:.2g} m is allowed: the integrator does not control this planner's error, "
         "or not enough; use error control with a smaller accuracy, such as 1e-8 (not cenic, which "
-        "controls the plant's alone), or smaller steps; or PlanSource(scene), which is exact under "
+        "controls the plant's alone), or smaller steps; or PlanSource(plan(scene)), which is exact under "
         "every scheme; or allow more with ContactPlanner(scene, tolerance=...); or, if the Context "
         "was given another state on the way, call Simulator.Initialize() first"
     )

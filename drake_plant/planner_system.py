@@ -405,6 +405,7 @@ class ContactPlanner(PlannerBase, LeafSystem):
         """From now on contacts are compared with the plan from the state that a Context has."""
         self._Load(context)
         own, system = self._scratches.own, self.system
+        own.steps.count = 0
         starts = (own.t[0], *own.x, *own.held) == (0.0, *system.x0, *system.held0)
         self._Follow(context, None if starts else self._Numbers(context, "state"))
 

@@ -20,7 +20,7 @@ Array = np.ndarray
 
 
 @functools.lru_cache(maxsize=128)
-def _lowered(system: SceneSystem, *outputs: str) -> tuple[Table, list[int]]:
+def lowered(system: SceneSystem, *outputs: str) -> tuple[Table, list[int]]:
     """The table (t, x, w, held | p) -> outputs, and where each of these ends."""
     with making_symbols():
         function = system.function(*outputs)
@@ -43,7 +43,7 @@ class Machine:
     """
 
     def __init__(self, system: SceneSystem, *outputs: str):
-        table, ends = _lowered(system, *outputs)
+        table, ends = lowered(system, *outputs)
         r = np.zeros(table.n_regs)
         r[table.n_in : table.first_lit] = system.parameters
         r[table.first_lit :][: len(table.literals)] = table.literals
