@@ -26,6 +26,7 @@ from .station import (
     rolling_scene,
     simulate,
 )
+from .trajectories import ContactTrajectories, MakeTrajectories
 
 
 def __getattr__(name: str) -> Any:
@@ -42,8 +43,10 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
     "BuildStation",
     "ContactMonitor",
     "ContactPlanner",
+    "ContactTrajectories",
     "DriverConfig",
     "FingertipDriver",
+    "MakeTrajectories",
     "PlanSource",
     "PlantConfig",
     "ScenePlant",

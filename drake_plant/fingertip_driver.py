@@ -46,8 +46,6 @@ from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, check_numbers, require_config, types_known
 
 Array = NDArray[np.float64]
-
-DISCRETE_ONLY = "fingers are driven in a discrete plant only; give a time step, such as 0.001 s"
 SHARE = 0.4
 """Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
 may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4."""
@@ -92,7 +90,8 @@ _OBJECT = ("R_WO", "p_WO", "w_WO", "v_WO", "alpha_WO", "a_WO")
 _PLAN = ("R_OF", "p_OF", "w_OF", "v_OF", "alpha_OF", "a_OF", "normal", "point")
 _FINGER = ("R_WF", "p_WF", "w_WF", "v_WF")
 _BEFORE = ("steps", "position", "spin", "normal_before", "a_before", "a_earlier")
-POINT = dict.fromkeys((*_OBJECT, *_PLAN, *_FINGER, *_BEFORE), 3)
+_NOW = ("normal_rate",)
+POINT = dict.fromkeys((*_OBJECT, *_PLAN, *_FINGER, *_BEFORE, *_NOW), 3)
 POINT |= {"R_WO": 9, "R_OF": 9, "R_WF": 9, "steps": 1}
 _GAINS = ("position_gain", "velocity_gain", "normal_damping", "rotation_gain", "spin_gain")
 CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3, "normal_force": 1}
@@ -128,7 +127,8 @@ def driving_law() -> Table:
 
     normal = x.R_WO @ x.normal
     turned = cross(x.normal_before, x.normal) / h
-    turning = ca.if_else(x.steps > 0, x.R_WO @ turned, 0) + x.w_WO - dot(x.w_WO, normal) * normal
+    turned = ca.if_else(x.steps > 0, turned, cross(x.normal, x.normal_rate))
+    turning = x.R_WO @ turned + x.w_WO - dot(x.w_WO, normal) * normal
 
     error, error_rate = position - x.p_WF, ago - x.v_WF
     # The velocities are those of half a step ago, so the error has to be too.
@@ -160,6 +160,7 @@ class FingertipDriver(LeafSystem):
         - twist
         - acceleration
         - normal
+        - normal_rate
         - contact_point
         - body_poses
         - body_spatial_velocities
@@ -167,24 +168,26 @@ class FingertipDriver(LeafSystem):
         output_ports:
         - spatial_forces
 
-    The first five are :class:`ContactPlanner`'s outputs, the others the plant's. The output is a
+    The first six are :class:`ContactPlanner`'s outputs, the others the plant's. The output is a
     list of ExternallyAppliedSpatialForce, one a fingertip, at its mass centre.
 
-    The discrete state counts the steps and holds the fingers' desired positions in the world,
-    planned spins and normals one step ago, and planned accelerations one and two steps ago.
+    Where the plant is discrete, a discrete state counts the steps and holds the fingers' desired
+    positions in the world, planned spins and normals one step ago, and planned accelerations one
+    and two steps ago.
 
     Parameters
     ----------
     scene_plant : ScenePlant
-        Finalized and discrete, with sampled output ports as Drake's own are; its configuration says
+        Finalized; if it is discrete, with sampled output ports as Drake's own are, and if it is
+        continuous, with an :class:`ObjectAcceleration` for the last port. Its configuration says
         the normal force, its bodies' defaults the masses, whatever a Context says.
     config : DriverConfig
 
     Raises
     ------
     SceneError
-        No ScenePlant, a wrong gain; a plant that is not discrete, without sampled output ports, or
-        whose steps are too long for a finger; a finger that is not free, or whose mass centre is
+        No ScenePlant, a wrong gain; a discrete plant without sampled output ports, or whose steps
+        are too long for a finger; a finger that is not free, or whose mass centre is
         not its origin. In a simulation: more or fewer poses than fingers.
     """
 
@@ -208,6 +211,7 @@ class FingertipDriver(LeafSystem):
         self._twist = self.DeclareVectorInputPort("twist", 6 * n)
         self._acceleration = self.DeclareVectorInputPort("acceleration", 6 * n)
         self._normal = self.DeclareVectorInputPort("normal", 3 * n)
+        self._normal_rate = self.DeclareVectorInputPort("normal_rate", 3 * n)
         self._point = self.DeclareVectorInputPort("contact_point", 6 * n)
         self._poses = self.DeclareAbstractInputPort("body_poses", poses())
         self._velocities = self.DeclareAbstractInputPort("body_spatial_velocities", motions())
@@ -215,19 +219,23 @@ class FingertipDriver(LeafSystem):
             "body_spatial_accelerations", Value[list[SpatialAcceleration]]()
         )
         forces = Value[list[ExternallyAppliedSpatialForce]]
-        needs = (self.all_input_ports_ticket(), self.xd_ticket())
+        step = plant.time_step()
+        needs = (self.all_input_ports_ticket(), self.xd_ticket() if step else self.nothing_ticket())
         law, self._law = array_entry(self._CalcLaw, (n, 9), needs)
         self.DeclareAbstractOutputPort("spatial_forces", forces, weakly(self._CalcForces), {law})
+        if not step:
+            return
         # Steps behind us; of each finger position, spin, normal, acceleration one step ago and two.
         self.DeclareDiscreteState(1 + 15 * n)
         # Unrestricted, because the plant's step is such an update (for its sampled ports), and
         # those come before discrete ones: a discrete update would see the object a step ahead.
-        step = plant.time_step()
         self.DeclarePeriodicUnrestrictedUpdateEvent(step, 0.0, weakly(self._Remember))
 
     def _CalcLaw(self, context: Context) -> Array:
         """Torque, force and desired position of each finger: (n, 9)."""
-        past = context.get_discrete_state_vector().value()
+        past = np.zeros(1 + 15 * len(self.finger_indices))
+        if context.num_discrete_state_groups():
+            past = context.get_discrete_state_vector().value()
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
         A, X_OF = self._accelerations.Eval(context), self._pose.Eval(context)
         twist, acceleration = self._twist.Eval(context), self._acceleration.Eval(context)
@@ -246,7 +254,8 @@ class FingertipDriver(LeafSystem):
         x[:, 48:51], x[:, 51:54] = normal.reshape(-1, 3), point.reshape(-1, 6)[:, :3]
         x[:, 54:66] = [_numbers(X[i]) for i in self.finger_indices]
         x[:, 66:72] = [V[i].get_coeffs() for i in self.finger_indices]
-        x[:, 72], x[:, 73:] = past[0], past[1:].reshape(-1, 15)
+        x[:, 72], x[:, 73:88] = past[0], past[1:].reshape(-1, 15)
+        x[:, 88:91] = self._normal_rate.Eval(context).reshape(-1, 3)
         return run(driving_law(), x.T, self._constants).T
 
     def _CalcForces(self, context: Context, output: Value) -> None:
@@ -284,9 +293,7 @@ def _check(parts: ScenePlant) -> None:
     error.
     """
     scene, config, step = parts.scene, parts.config, parts.plant.time_step()
-    if not step:
-        raise SceneError(f"{scene.title}: time_step = {step!r}: {DISCRETE_ONLY}")
-    if not parts.plant.has_sampled_output_ports():  # Drake would tell of an algebraic loop
+    if step and not parts.plant.has_sampled_output_ports():  # Drake would tell of an algebraic loop
         raise SceneError(
             f"{scene.title}: the plant has no sampled output ports, so that its accelerations "
             "depend on the forces that are made from them; give MultibodyPlantConfig "
@@ -310,7 +317,7 @@ def _check(parts: ScenePlant) -> None:
                 f"{center.tolist()} m in its frame; forces are made for one at the origin, which "
                 "is that of the finger's surface: give the body such an inertia"
             )
-        borne = SHARE * mass / step**2
+        borne = SHARE * mass / step**2 if step else math.inf
         needed = config.normal_force / (contact.finger.size + scene.object.size)
         if borne < needed:
             raise SceneError(
@@ -332,6 +339,6 @@ def _constants(body: RigidBody, parts: ScenePlant, config: DriverConfig) -> list
 
     # of each gain, what it moves and to which power the step divides what is borne
     moved = ((mass, 2), (mass, 1), (mass, 1), (least, 2), (least, 1))
-    borne = [SHARE * inert / h**order for inert, order in moved]
+    borne = [SHARE * inert / h**order if h else math.inf for inert, order in moved]
     gains = [min(getattr(config, name), most) for name, most in zip(_GAINS, borne)]
     return [h, mass, *inertia.ravel(), *gravity, parts.config.normal_force, *gains]

@@ -93,7 +93,7 @@ def refuse_drift(scene: Scene, plan: Plan, t: float, points: Array, tolerance: f
         f"{('finger', 'object')[side]} is {worst:.2g} m off the exact plan, and "
         f"{limit:.2g} m is allowed: the integrator does not control this planner's error, "
         "or not enough; use error control with a smaller accuracy, such as 1e-8 (not cenic, which "
-        "controls the plant's alone), or smaller steps; or PlanSource(plan(scene)), which is exact under "
+        "controls the plant's alone), or smaller steps; or PlanSource(plan(scene)), exact under "
         "every scheme; or allow more with ContactPlanner(scene, tolerance=...); or, if the Context "
         "was given another state on the way, call Simulator.Initialize() first"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,6 @@ from pydrake.systems.framework import Context, LeafSystem
 from contact_system import Plan, SceneError, SceneSystem
 from contact_system.engine.binding import run
 from contact_system.plan import require_plan
-from contact_system.starts import Moment
 from contact_system.theory.development import moving
 
 from .lifetimes import NO_DICTIONARY, array_entry
@@ -112,7 +112,7 @@ class PlanSource(PlannerBase, LeafSystem):
         )
 
 
-def frame_states(system: SceneSystem, t: float, moments: list[Moment]) -> tuple[Array, Array]:
+def frame_states(system: SceneSystem, t: float, moments: Sequence[Any]) -> tuple[Array, Array]:
     """States and held numbers of a system in frame coordinates where a plan is: (n_x,), (n_held,).
 
     The finger's frame is turned so that psi is -theta_1 - theta_2.

@@ -30,6 +30,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventSta
 from pydrake.systems.primitives import LogVectorOutput
 
 from contact_system import ImplicitSurface, Quadric, Scene, SceneError, Surface
+from contact_system import plan as make_plan
 from contact_system.checks import (
     a_path,
     did_you_mean,
@@ -43,9 +44,12 @@ from contact_system.system import COORDINATES
 from contact_system.theory import symbols as ca
 
 from .contact_monitor import ContactMonitor
-from .fingertip_driver import DISCRETE_ONLY, DriverConfig, FingertipDriver
+from .fingertip_driver import DriverConfig, FingertipDriver
 from .meshes import is_round
-from .planner_system import LOOK, ContactPlanner
+from .object_acceleration import ObjectAcceleration
+from .plan_check import TOLERANCE
+from .plan_source import PlanSource
+from .planner_system import LOOK, ContactPlanner, PlannerBase
 from .plant import (
     RADII,
     AddScenePlant,
@@ -62,7 +66,7 @@ from .plant import (
 
 Array = NDArray[np.float64]
 
-STARTED = {"planner": ContactPlanner, "driver": FingertipDriver, "plant": MultibodyPlant}
+STARTED = {"planner": PlannerBase, "driver": FingertipDriver, "plant": MultibodyPlant}
 PLANNED = ("state", "slip", "contact_point")
 MEASURED = ("state", "slip", "normal_force", "tangential_force", "contact_point")
 INTEGRATION = SimulatorConfig(
@@ -79,10 +83,10 @@ class StationConfig:
     Attributes
     ----------
     plant : PlantConfig
-        With a time_step above 0: what drives the fingers is made for a discrete plant.
     driver : DriverConfig
     coordinates : str
-        "chart" or "frame", of the :class:`ContactPlanner`.
+        "chart" or "frame", of the :class:`ContactPlanner`; "plan": a :class:`PlanSource` is the
+        planner, without states, disturbance port and restarts, exact under every scheme.
     disturbance_input : bool
         Whether the planner's `disturbance` port is there, exported.
     restart_period, restart_slip : float or None
@@ -116,14 +120,17 @@ class StationConfig:
             part = getattr(self, key)
             require_config(part, kind, key)
             part.check()
-        check_words(self, {"coordinates": COORDINATES})
+        check_words(self, {"coordinates": (*COORDINATES, "plan")})
         for key in ("disturbance_input", "rolling_radii", "monitor"):
             flag(getattr(self, key), key)
         check_numbers(self, ("restart_period",), "above 0")
         check_numbers(self, ("restart_slip",), "not below 0")
-        if self.plant.time_step == 0:
-            raise SceneError(f"time_step = {self.plant.time_step!r}: {DISCRETE_ONLY}")
-        if self.closed_loop:
+        if self.coordinates == "plan" and (self.closed_loop or self.disturbance_input):
+            raise SceneError(
+                'coordinates = "plan": a plan has no disturbance port and does not restart; give '
+                '"chart" or "frame", or leave disturbance_input and restarts out'
+            )
+        if self.closed_loop and self.plant.time_step:
             self._check_restarts()
 
     def _check_restarts(self) -> None:
@@ -278,6 +285,7 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
         - acceleration
         - contact_point
         - normal
+        - normal_rate
         - pose
         - spatial_forces
         - measured_state
@@ -291,7 +299,7 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
         - contact_results
         - query
 
-    The first seven are the planner's (see :class:`ContactPlanner`), `spatial_forces` the driver's,
+    The first eight are the planner's (see :class:`ContactPlanner`), `spatial_forces` the driver's,
     the next five the monitor's (see :class:`ContactMonitor`; only with ``monitor``), the last five
     the plant's and the scene graph's. The systems are named "planner", "driver", "monitor",
     "plant" and "scene_graph", the Diagram "station"; two of them in one Diagram need names of their
@@ -331,25 +339,27 @@ def _build(
     builder = DiagramBuilder()
     parts = AddScenePlant(builder, scene, config.plant)
     planned = rolling_scene(scene, config.plant) if config.rolling_radii else scene
-    planner = builder.AddNamedSystem(
-        "planner",
-        ContactPlanner(
-            planned,
-            config.coordinates,
-            disturbance_input=config.disturbance_input,
-            restart_period=config.restart_period,
-            restart_slip=config.restart_slip,
-        ),
-    )
+    planner = builder.AddNamedSystem("planner", _planner(planned, config))
     start = _finger_poses(planner, planner.CreateDefaultContext(), scene, config.plant)
     for body, X_OF in zip(parts.finger_bodies, start):
         parts.plant.SetDefaultFloatingBaseBodyPose(body, X_OF)
     driver = builder.AddNamedSystem("driver", FingertipDriver(parts, config.driver))
     plant = parts.plant
-    for name in ("pose", "twist", "acceleration", "normal", "contact_point"):
+    for name in ("pose", "twist", "acceleration", "normal", "normal_rate", "contact_point"):
         builder.Connect(planner.GetOutputPort(name), driver.GetInputPort(name))
-    for name in ("body_poses", "body_spatial_velocities", "body_spatial_accelerations"):
+    for name in ("body_poses", "body_spatial_velocities"):
         builder.Connect(plant.GetOutputPort(name), driver.GetInputPort(name))
+    accelerating: Any = plant
+    if not config.plant.time_step:
+        accelerating = builder.AddNamedSystem("object_acceleration", ObjectAcceleration(parts))
+        forces = plant.get_generalized_contact_forces_output_port(
+            parts.object_body.model_instance()
+        )
+        builder.Connect(forces, accelerating.GetInputPort("generalized_contact_forces"))
+        for name in ("body_poses", "body_spatial_velocities"):
+            builder.Connect(plant.GetOutputPort(name), accelerating.GetInputPort(name))
+    name = "body_spatial_accelerations"
+    builder.Connect(accelerating.GetOutputPort(name), driver.GetInputPort(name))
     applied = plant.get_applied_spatial_force_input_port()
     builder.Connect(driver.GetOutputPort("spatial_forces"), applied)
     for i in range(planner.num_output_ports()):
@@ -378,6 +388,20 @@ def _build(
     station = builder.Build()
     station.set_name("station")
     return station, parts
+
+
+def _planner(scene: Scene, config: StationConfig) -> PlannerBase:
+    if config.coordinates == "plan":
+        return PlanSource(make_plan(scene))
+    return ContactPlanner(
+        scene,
+        config.coordinates,
+        disturbance_input=config.disturbance_input,
+        restart_period=config.restart_period,
+        restart_slip=config.restart_slip,
+        # steps as short as a discrete plant's make every scheme but Euler's better than contact is
+        tolerance=1e-4 if config.plant.time_step else TOLERANCE,
+    )
 
 
 def SetInitialState(station: Diagram, context: Context) -> None:
@@ -434,7 +458,8 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         V_WF = V_WO.ComposeWithMovingFrameVelocity(R_WO @ X_OF.translation(), V_OF_W)
         plant.SetFreeBodyPose(physics, body, X_WO @ X_OF)
         plant.SetFreeBodySpatialVelocity(context=physics, body=body, V_JpJc=V_WF)
-    driver.GetMyMutableContextFromRoot(context).get_mutable_discrete_state_vector().SetZero()
+    if plant.time_step():
+        driver.GetMyMutableContextFromRoot(context).get_mutable_discrete_state_vector().SetZero()
     # The sampled outputs of Drake's plant outlive SetDefaultContext.
     new = plant.CreateDefaultContext()
     sampled = physics.get_mutable_state().get_mutable_abstract_state()
@@ -443,7 +468,7 @@ def SetInitialState(station: Diagram, context: Context) -> None:
 
 
 def _finger_poses(
-    planner: ContactPlanner, context: Context, nominal: Scene, config: PlantConfig
+    planner: PlannerBase, context: Context, nominal: Scene, config: PlantConfig
 ) -> list[RigidTransform]:
     """X_OF as planned, each finger pressed in by the depth on the nominal surfaces."""
     planned, poses = planner.system.scene, planner.GetOutputPort("pose").Eval(context)
