@@ -25,7 +25,7 @@ TOLERANCE = 1.5e-6
 """How far contact points may be off the exact plan, per metre of path and of the greater body's
 size. In D1 that is 1e-6 m at 0.5 s and 9e-6 m at its end, where runge_kutta3 is off by 5e-6 m at
 the 1 ms of a discrete plant, by 3e-4 m alone with an accuracy of 1e-3, cenic by 30 mm."""
-LOOKS = 50
+LOOKS = 20
 """A scene is compared so often, evenly, and after the first, second, fourth, eighth... step."""
 OTHERS = 257
 """And every so many steps, as simulations of one system may take turns; odd, so that each of two
