@@ -73,6 +73,10 @@ INTEGRATION = SimulatorConfig(
     integration_scheme="runge_kutta5", accuracy=1e-8, max_step_size=1e-2, use_error_control=True
 )
 """ Of the planner's continuous states; the plant's are discrete."""
+CONTINUOUS = SimulatorConfig(
+    integration_scheme="runge_kutta3", accuracy=1e-4, max_step_size=1e-3, use_error_control=True
+)
+"""Of a continuous plant: with a larger accuracy the planner is further off than it may be."""
 
 
 @types_known
@@ -543,7 +547,7 @@ def simulate(
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = dataclasses.replace(_checked(scene, config), monitor=True)
     duration = scene.duration if duration is None else duration
-    period = config.plant.time_step
+    period = config.plant.time_step or CONTINUOUS.max_step_size
     if not finite_number(duration, f"{scene.title}: duration") >= period:
         raise SceneError(
             f"{scene.title}: a simulation of {duration!r} s with a time_step of {period:g} "
@@ -578,7 +582,7 @@ def simulate(
     begun = time.perf_counter()
     station, parts = _build(scene, config, extend)
     simulator = Simulator(station)
-    ApplySimulatorConfig(INTEGRATION, simulator)
+    ApplySimulatorConfig(INTEGRATION if config.plant.time_step else CONTINUOUS, simulator)
     context = simulator.get_mutable_context()
     SetInitialState(station, context)
     if progress is not None:
