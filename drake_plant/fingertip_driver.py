@@ -160,7 +160,7 @@ class FingertipDriver(LeafSystem):
         - twist
         - acceleration
         - normal
-        - normal_rate
+        - normal_rate (of a continuous plant)
         - contact_point
         - body_poses
         - body_spatial_velocities
@@ -211,7 +211,6 @@ class FingertipDriver(LeafSystem):
         self._twist = self.DeclareVectorInputPort("twist", 6 * n)
         self._acceleration = self.DeclareVectorInputPort("acceleration", 6 * n)
         self._normal = self.DeclareVectorInputPort("normal", 3 * n)
-        self._normal_rate = self.DeclareVectorInputPort("normal_rate", 3 * n)
         self._point = self.DeclareVectorInputPort("contact_point", 6 * n)
         self._poses = self.DeclareAbstractInputPort("body_poses", poses())
         self._velocities = self.DeclareAbstractInputPort("body_spatial_velocities", motions())
@@ -220,6 +219,9 @@ class FingertipDriver(LeafSystem):
         )
         forces = Value[list[ExternallyAppliedSpatialForce]]
         step = plant.time_step()
+        self._normal_rate: Any = None
+        if not step:  # else differences tell it
+            self._normal_rate = self.DeclareVectorInputPort("normal_rate", 3 * n)
         needs = (self.all_input_ports_ticket(), self.xd_ticket() if step else self.nothing_ticket())
         law, self._law = array_entry(self._CalcLaw, (n, 9), needs)
         self.DeclareAbstractOutputPort("spatial_forces", forces, weakly(self._CalcForces), {law})
@@ -255,7 +257,9 @@ class FingertipDriver(LeafSystem):
         x[:, 54:66] = [_numbers(X[i]) for i in self.finger_indices]
         x[:, 66:72] = [V[i].get_coeffs() for i in self.finger_indices]
         x[:, 72], x[:, 73:88] = past[0], past[1:].reshape(-1, 15)
-        x[:, 88:91] = self._normal_rate.Eval(context).reshape(-1, 3)
+        x[:, 88:91] = 0.0
+        if self._normal_rate is not None:
+            x[:, 88:91] = self._normal_rate.Eval(context).reshape(-1, 3)
         return run(driving_law(), x.T, self._constants).T
 
     def _CalcForces(self, context: Context, output: Value) -> None:

@@ -349,12 +349,13 @@ def _build(
         parts.plant.SetDefaultFloatingBaseBodyPose(body, X_OF)
     driver = builder.AddNamedSystem("driver", FingertipDriver(parts, config.driver))
     plant = parts.plant
-    for name in ("pose", "twist", "acceleration", "normal", "normal_rate", "contact_point"):
+    for name in ("pose", "twist", "acceleration", "normal", "contact_point"):
         builder.Connect(planner.GetOutputPort(name), driver.GetInputPort(name))
     for name in ("body_poses", "body_spatial_velocities"):
         builder.Connect(plant.GetOutputPort(name), driver.GetInputPort(name))
     accelerating: Any = plant
     if not config.plant.time_step:
+        builder.Connect(planner.GetOutputPort("normal_rate"), driver.GetInputPort("normal_rate"))
         accelerating = builder.AddNamedSystem("object_acceleration", ObjectAcceleration(parts))
         forces = plant.get_generalized_contact_forces_output_port(
             parts.object_body.model_instance()
