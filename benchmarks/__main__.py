@@ -21,16 +21,8 @@ from .report import THREADS, Bar, Section, Sections, header, surroundings, write
 
 PARTS = (
     *("bars", "first", "fresh", "many", "work_precision", "accuracy", "stress"),
-    *(
-        "drake_planner",
-        "drake_plant",
-        "drake_station",
-        "fmu",
-        "faults",
-        "reach",
-        "processes",
-        "strangers",
-    ),
+    *("drake_planner", "drake_plant", "drake_physics", "drake_station"),
+    *("fmu", "faults", "reach", "processes", "strangers"),
 )
 """Modules of this package; each has SECTIONS, name -> function of ``full`` that yields bars."""
 BINDING = ("accuracy", "stress", "faults", "processes", "strangers")

@@ -11,11 +11,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem, System
 
 import contact_system as cs
-from drake_plant import ContactPlanner
+from drake_plant import ContactPlanner, PlanSource
 
 from .report import Bar, Sections
 from .timing import Job, interleaved
@@ -28,7 +30,7 @@ TIMED, EVALUATIONS = 0.3, 900
 
 
 def simulator_of(
-    system: LeafSystem, scheme: str, step: float, accuracy: float | None = None
+    system: System, scheme: str, step: float, accuracy: float | None = None
 ) -> Simulator:
     """A Simulator with steps of equal length, or with error control."""
     simulator = Simulator(system)
@@ -94,4 +96,29 @@ def cost(full: bool) -> Iterator[Bar]:
             yield Bar(what, limit, own - empty, "us", note=note)
 
 
-SECTIONS: Sections = {"exact": exact, "cost": cost}
+def cenic(full: bool) -> Iterator[Bar]:
+    """D1 to 0.5 s beside a continuous plant, whose error alone cenic controls."""
+    scene = cs.load_scene("D1")
+    truth = cs.plan(scene, 1e-13).points(0.5)[0]
+    for step in (0.1, 1e-2, 1e-3, 1e-4):
+        for planner in (ContactPlanner(scene), PlanSource(cs.plan(scene))):
+            builder = DiagramBuilder()
+            plant, _ = AddMultibodyPlantSceneGraph(builder, 0.0)
+            plant.AddRigidBody("body", SpatialInertia.SolidSphereWithMass(1.0, 0.1))
+            plant.Finalize()
+            builder.AddSystem(planner)
+            simulator = simulator_of(builder.Build(), "cenic", step, 1e-3)
+            off, note = 0.0, ""
+            try:
+                simulator.AdvanceTo(0.5)
+            except cs.SceneError:
+                note = f"refused at {simulator.get_context().get_time():.2g} s"
+            else:
+                context = planner.GetMyContextFromRoot(simulator.get_context())
+                points = planner.GetOutputPort("contact_point").Eval(context).reshape(-1, 2, 3)
+                off = float(np.linalg.norm(points - truth, axis=-1).max())
+            what = f"D1 at 0.5 s, cenic, steps to {step:g} s, {type(planner).__name__}: off"
+            yield Bar(what, 1e-6, off, "m", note=note)
+
+
+SECTIONS: Sections = {"exact": exact, "cost": cost, "cenic": cenic}

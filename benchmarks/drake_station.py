@@ -11,10 +11,17 @@ import itertools
 import statistics
 from collections.abc import Iterator
 from dataclasses import asdict
+from time import perf_counter
+from typing import Any
 
 import numpy as np
 from pydrake.common import RandomDistribution
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.analysis import (
+    ApplySimulatorConfig,
+    GetIntegrationSchemes,
+    Simulator,
+    SimulatorConfig,
+)
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, MatrixGain, RandomSource
 
@@ -31,6 +38,14 @@ MODELS = ("hydroelastic", "point")
 RECOVERY = {"D1": 0.2, "D2": 0.1, "D3": 1.0}
 PUSHED, AFTER = 0.2, 0.5  # [s] when a push begins, and what is looked at after it
 SPEED_TIME = 0.5  # [s] simulated in a run of the speed comparison
+SCHEMES_TIME = 0.1  # [s] simulated under every scheme
+EULERS = ("explicit_euler", "semi_explicit_euler", "implicit_euler", "radau1", "runge_kutta2")
+STEPS: dict[str, tuple[float, float | None]] = {
+    **dict.fromkeys(EULERS, (1e-4, None)),
+    **dict.fromkeys(("bogacki_shampine3", "runge_kutta3", "runge_kutta5"), (1e-3, 1e-2)),
+    "cenic": (5e-4, 1e-4),
+}
+"""Greatest step, s, and accuracy, None without error control; 1e-3, None for others."""
 
 
 @functools.cache
@@ -169,6 +184,37 @@ def speed(full: bool) -> Iterator[Bar]:
     yield Bar(what + "building the Diagram", 3.0, statistics.median(builds), "s")
 
 
+def schemes(full: bool) -> Iterator[Bar]:
+    """D1 on a continuous plant under all of Drake's schemes, against the discrete plant's."""
+    plant = {"coordinates": "plan", "contact_model": "point"}
+    discrete, _ = _points({**plant, "time_step": 1e-3}, "runge_kutta3", (1e-3, None))
+    for scheme in GetIntegrationSchemes():
+        points, spent = _points(
+            {**plant, "time_step": 0.0}, scheme, STEPS.get(scheme, (1e-3, None))
+        )
+        apart = float(np.linalg.norm(points - discrete, axis=1).max())
+        what = f"D1 to {SCHEMES_TIME} s, continuous, {scheme}: contact points apart"
+        yield Bar(what, 5e-4, apart, "m", note=f"{spent:.1f} s")
+
+
+def _points(
+    changes: dict[str, Any], scheme: str, how: tuple[float, float | None]
+) -> tuple[np.ndarray, float]:
+    """Where the contacts of D1 are on the object at the end, and the time that it took, s."""
+    scene, (step, accuracy) = cs.load_scene("D1"), how
+    station = BuildStation(scene, StationConfig.from_scene(scene, **changes))
+    simulator = Simulator(station)
+    control = {"use_error_control": accuracy is not None, "accuracy": accuracy or 1e-3}
+    config = SimulatorConfig(integration_scheme=scheme, max_step_size=step, **control)
+    ApplySimulatorConfig(config, simulator)
+    SetInitialState(station, simulator.get_mutable_context())
+    begun = perf_counter()
+    simulator.AdvanceTo(SCHEMES_TIME)
+    port = station.GetOutputPort("measured_contact_point")
+    points = port.Eval(simulator.get_context()).reshape(-1, 3)
+    return points, perf_counter() - begun
+
+
 SECTIONS: Sections = {
     "forces": forces,
     "rolling": rolling,
@@ -176,4 +222,5 @@ SECTIONS: Sections = {
     "feedback": feedback,
     "noise": noise,
     "speed": speed,
+    "schemes": schemes,
 }

@@ -71,8 +71,8 @@ PER_CONTACT = (
     "pose",
     "contact_point",
     "normal",
+    "normal_rate",
     "regularity",
-    "stretch",
 )
 """Outputs of :meth:`SceneSystem.function` that every contact has."""
 
@@ -145,10 +145,6 @@ class Body(NamedTuple):
         x, p, q = ca.vertsplit(self.frame(), 3)
         outward = moving(surface, True)("second")(ca.vertcat(x, p), self.numbers)
         return ca.copysign(least, ca.dot(outward, q))
-
-    def stretch(self) -> ca.SX:
-        """|M|, m: of the vectors that the chart's components count."""
-        return ca.norm_fro(ca.vertcat(self.find("vector", 1, 0), self.find("vector", 0, 1)))
 
 
 class Drive(NamedTuple):
@@ -278,20 +274,24 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
         motion = _frame_motion(tip, body, form, x, w, drive, ca.vertcat(held[:2], v))
     rate, state, (tip, body), velocities, turn, sliding, theta = motion
     frames, shapes = (tip.frame(), body.frame()), (tip.find("shape"), body.find("shape"))
+
+    def derivative(value: ca.SX) -> ca.SX:  # disturbances do not change between edges
+        return ca.jtimes(value, x, rate) + ca.jtimes(value, t, ca.SX(1))
+
     twist = ca.vertcat(*relative_twist(frames, shapes, velocities, turn, sliding))
     (x1, _), (x2, tangents) = (ca.vertsplit(frame, [0, 3, 9]) for frame in frames)
+    normal = ca.cross(tangents[:3], tangents[3:])
     outputs = {
         "derivatives": rate,
         "state": state,
         "slip": rotation(theta) @ sliding,
         "twist": twist,
-        # disturbances do not change between edges
-        "acceleration": ca.jtimes(twist, x, rate) + ca.jtimes(twist, t, ca.SX(1)),
+        "acceleration": derivative(twist),
         "pose": ca.vertcat(*map(ca.vec, relative_pose(*frames, turn))),
         "contact_point": ca.vertcat(x1, x2),
-        "normal": ca.cross(tangents[:3], tangents[3:]),
+        "normal": normal,
+        "normal_rate": derivative(normal),
         "regularity": ca.vertcat(tip.regularity(), body.regularity()),
-        "stretch": ca.vertcat(tip.stretch(), body.stretch()),
     }
     inputs = [t, x, w, held, law, *numbers]
     values = ca.cse([outputs[name] for name in ("derivatives", *PER_CONTACT)])
@@ -468,8 +468,6 @@ class SceneSystem:
             function = contact_function(contact.finger, scene.object, form)
             carried = x[self.state_slices[i]], acts, held[self.held_slices[i]]
             values = dict(zip(names, function(t, *carried, law, fingers[i], obj)))
-            pushed = {d.side for d in own if d.accelerates}
-            values["stretch"] *= ca.DM(["finger" in pushed, "object" in pushed])
             for name in names:
                 found[name].append(values[name])
         outputs = {name: ca.vertcat(*values) for name, values in found.items()}
@@ -494,10 +492,9 @@ class SceneSystem:
             v2', in frame coordinates in the chart's principal range; "slip" (2) in E2, m/s;
             "twist" (6), V_OF_O; "acceleration" (6), its time derivative; "pose" (12), the rotation
             from F to O column by column, then the origin of F in O; "contact_point" (6), on the
-            finger in F, on the object in O; "normal" (3), of the object, outward, in O;
-            "regularity" (2), distance of finger and object from their charts' singularities;
-            "stretch" (2), the Frobenius norms of M of finger and object, m, 0 where the scene has
-            no acceleration.
+            finger in F, on the object in O; "normal" (3), of the object, outward, in O, and its
+            time derivative "normal_rate" (3); "regularity" (2), distance of finger and object from
+            their charts' singularities.
 
         Raises
         ------

@@ -15,6 +15,7 @@ except ImportError as error:
 
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import DriverConfig, FingertipDriver
+from .plan_source import PlanSource
 from .planner_system import ContactPlanner
 from .plant import AddScenePlant, PlantConfig, ScenePlant
 from .pushes import Push, PushSource
@@ -26,6 +27,7 @@ from .station import (
     rolling_scene,
     simulate,
 )
+from .trajectories import ContactTrajectories, MakeTrajectories
 
 
 def __getattr__(name: str) -> Any:
@@ -42,8 +44,11 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
     "BuildStation",
     "ContactMonitor",
     "ContactPlanner",
+    "ContactTrajectories",
     "DriverConfig",
     "FingertipDriver",
+    "MakeTrajectories",
+    "PlanSource",
     "PlantConfig",
     "Push",
     "PushSource",

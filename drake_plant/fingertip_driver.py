@@ -26,6 +26,7 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,8 +47,6 @@ from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, check_numbers, require_config, types_known
 
 Array = NDArray[np.float64]
-
-DISCRETE_ONLY = "fingers are driven in a discrete plant only; give a time step, such as 0.001 s"
 SHARE = 0.4
 """Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
 may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4."""
@@ -100,7 +99,8 @@ _OBJECT = ("R_WO", "p_WO", "w_WO", "v_WO", "alpha_WO", "a_WO")
 _PLAN = ("R_OF", "p_OF", "w_OF", "v_OF", "alpha_OF", "a_OF", "normal", "point")
 _FINGER = ("R_WF", "p_WF", "w_WF", "v_WF")
 _BEFORE = ("steps", "position", "spin", "normal_before", "a_before", "a_earlier")
-POINT = dict.fromkeys((*_OBJECT, *_PLAN, *_FINGER, *_BEFORE, "sliding", "push"), 3)
+_NOW = ("sliding", "push", "normal_rate")
+POINT = dict.fromkeys((*_OBJECT, *_PLAN, *_FINGER, *_BEFORE, *_NOW), 3)
 POINT |= {"R_WO": 9, "R_OF": 9, "R_WF": 9, "steps": 1}
 _GAINS = ("position_gain", "velocity_gain", "normal_damping", "rotation_gain", "spin_gain")
 CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3, "normal_force": 1}
@@ -145,7 +145,8 @@ def _desired_motion(x: SimpleNamespace, h: ca.SX) -> SimpleNamespace:
     w = x.w_WO + ca.if_else(begun, 0.5 * (spin + x.R_WO @ x.spin), spin)
     alpha = x.alpha_WO + x.R_WO @ x.alpha_OF + cross(x.w_WO, spin)
     normal = x.R_WO @ x.normal
-    turned = ca.if_else(begun, x.R_WO @ cross(x.normal_before, x.normal) / h, 0)
+    turned = cross(x.normal_before, x.normal) / h
+    turned = x.R_WO @ ca.if_else(begun, turned, cross(x.normal, x.normal_rate))
     turning = turned + x.w_WO - ca.dot(x.w_WO, normal) * normal
     return SimpleNamespace(
         position=position, ago=ago, a=a, w=w, alpha=alpha, normal=normal, turning=turning
@@ -187,6 +188,7 @@ class FingertipDriver(LeafSystem):
         - twist
         - acceleration
         - normal
+        - normal_rate (of a continuous plant)
         - contact_point
         - body_poses
         - body_spatial_velocities
@@ -197,7 +199,7 @@ class FingertipDriver(LeafSystem):
         output_ports:
         - spatial_forces
 
-    The first five are :class:`ContactPlanner`'s outputs, the next three the plant's. What is
+    The first six are :class:`ContactPlanner`'s outputs, the next three the plant's. What is
     optional is zero where nothing is connected:
 
     - `restarts` (n): how often the plan of each finger began anew, as a planner that restarts says
@@ -208,22 +210,23 @@ class FingertipDriver(LeafSystem):
     The output is a list of ExternallyAppliedSpatialForce, one a fingertip and one on an object that
     is pushed, at their mass centres.
 
-    The discrete state holds 17 numbers a finger: its restarts, the steps since the last one, its
-    desired position in the world, planned spin and normal one step ago, and planned accelerations
-    one and two steps ago.
+    Where the plant is discrete, a discrete state holds 17 numbers a finger: its restarts, the steps
+    since the last one, its desired position in the world, planned spin and normal one step ago, and
+    planned accelerations one and two steps ago.
 
     Parameters
     ----------
     scene_plant : ScenePlant
-        Finalized and discrete, with sampled output ports as Drake's own are; its configuration says
+        Finalized; if it is discrete, with sampled output ports as Drake's own are, and if it is
+        continuous, with an :class:`ObjectAcceleration` for the last port. Its configuration says
         the normal force, its bodies' defaults the masses, whatever a Context says.
     config : DriverConfig
 
     Raises
     ------
     SceneError
-        No ScenePlant, a wrong gain; a plant that is not discrete, without sampled output ports, or
-        whose steps are too long for a finger; a finger that is not free, or whose mass centre is
+        No ScenePlant, a wrong gain; a discrete plant without sampled output ports, or whose steps
+        are too long for a finger; a finger that is not free, or whose mass centre is
         not its origin. In a simulation: more or fewer poses than fingers.
     """
 
@@ -257,13 +260,18 @@ class FingertipDriver(LeafSystem):
         self._sliding = self.DeclareVectorInputPort("sliding", 3 * n)
         self._push = self.DeclareVectorInputPort("push", 3 * n + 3)
         forces = Value[list[ExternallyAppliedSpatialForce]]
-        needs = (self.all_input_ports_ticket(), self.xd_ticket())
+        step = plant.time_step()
+        self._normal_rate: Any = None
+        if not step:  # else differences tell it
+            self._normal_rate = self.DeclareVectorInputPort("normal_rate", 3 * n)
+        needs = (self.all_input_ports_ticket(), self.xd_ticket() if step else self.nothing_ticket())
         law, self._law = array_entry(self._CalcLaw, (n, 9), needs)
         self.DeclareAbstractOutputPort("spatial_forces", forces, weakly(self._CalcForces), {law})
+        if not step:
+            return
         self.DeclareDiscreteState(KEPT * n)
         # Unrestricted, because the plant's step is such an update (for its sampled ports), and
         # those come before discrete ones: a discrete update would see the object a step ahead.
-        step = plant.time_step()
         self.DeclarePeriodicUnrestrictedUpdateEvent(step, 0.0, weakly(self._Remember))
 
     def _CalcLaw(self, context: Context) -> Array:
@@ -289,11 +297,16 @@ class FingertipDriver(LeafSystem):
         x[:, 72:88] = self._Before(context)[:, 1:]
         x[:, 88:91] = _given(self._sliding, context).reshape(-1, 3)
         x[:, 91:94] = _given(self._push, context)[:-3].reshape(-1, 3)
+        x[:, 94:97] = 0.0
+        if self._normal_rate is not None:
+            x[:, 94:97] = self._normal_rate.Eval(context).reshape(-1, 3)
         return run(driving_law(), x.T, self._constants).T
 
     def _Before(self, context: Context) -> Array:
         """What is kept, (n, 17), with no steps behind those that have restarted since."""
-        kept = context.get_discrete_state_vector().value().reshape(-1, KEPT).copy()
+        kept = np.zeros((len(self.finger_indices), KEPT))
+        if context.num_discrete_state_groups():
+            kept[:] = context.get_discrete_state_vector().value().reshape(-1, KEPT)
         restarts = _given(self._restarts, context)
         kept[restarts != kept[:, 0], 1] = 0
         kept[:, 0] = restarts
@@ -342,9 +355,7 @@ def _check(parts: ScenePlant) -> None:
     error.
     """
     scene, config, step = parts.scene, parts.config, parts.plant.time_step()
-    if not step:
-        raise SceneError(f"{scene.title}: time_step = {step!r}: {DISCRETE_ONLY}")
-    if not parts.plant.has_sampled_output_ports():  # Drake would tell of an algebraic loop
+    if step and not parts.plant.has_sampled_output_ports():  # Drake would tell of an algebraic loop
         raise SceneError(
             f"{scene.title}: the plant has no sampled output ports, so that its accelerations "
             "depend on the forces that are made from them; give MultibodyPlantConfig "
@@ -368,7 +379,7 @@ def _check(parts: ScenePlant) -> None:
                 f"{center.tolist()} m in its frame; forces are made for one at the origin, which "
                 "is that of the finger's surface: give the body such an inertia"
             )
-        borne = SHARE * mass / step**2
+        borne = SHARE * mass / step**2 if step else math.inf
         needed = config.normal_force / (contact.finger.size + scene.object.size)
         if borne < needed:
             raise SceneError(
@@ -390,7 +401,7 @@ def _constants(body: RigidBody, parts: ScenePlant, config: DriverConfig) -> list
 
     # of each gain, what it moves and to which power the step divides what is borne
     moved = ((mass, 2), (mass, 1), (mass, 1), (least, 2), (least, 1))
-    borne = [SHARE * inert / h**order for inert, order in moved]
+    borne = [SHARE * inert / h**order if h else math.inf for inert, order in moved]
     gains = [min(getattr(config, name), most) for name, most in zip(_GAINS, borne)]
-    gains.append(min(config.slip_gain, SLIP_SHARE / h))
+    gains.append(min(config.slip_gain, SLIP_SHARE / h if h else math.inf))
     return [h, mass, *inertia.ravel(), *gravity, parts.config.normal_force, *gains]

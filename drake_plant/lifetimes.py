@@ -1,7 +1,8 @@
 """Systems written in Python that can be freed again.
 
-A Diagram with a Python LeafSystem in it lives for ever (Drake 1.51, 40 MB for a station), for three
-reasons that the garbage collector does not see through:
+A Diagram with a Python LeafSystem in it lives for ever (Drake 1.51, 40 MB for a station;
+github.com/RobotLocomotion/drake/issues/22515), for three reasons that the garbage collector does
+not see through:
 
 * callbacks: C++ keeps a bound method, and with it the system, which keeps C++. :func:`weakly`
   makes a callback that does not hold its system;

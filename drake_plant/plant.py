@@ -185,7 +185,7 @@ class PlantConfig:
     Attributes
     ----------
     time_step : float
-        s; 0 makes the plant continuous, which a station cannot be.
+        s; 0 makes the plant continuous, for Drake's integrators.
     contact_model : str
         "hydroelastic", or "point" where Drake's point contact is exact: spheres on a sphere or on
         a plane.
@@ -319,7 +319,9 @@ def _least_radius(body: Surface) -> float:
     return min(getattr(body, name) for name in RADII.get(type(body), ("size",)))
 
 
-def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) -> ScenePlant:
+def AddScenePlant(
+    builder: DiagramBuilder, scene: Scene, config: PlantConfig | None = None
+) -> ScenePlant:
     """Add a finalized MultibodyPlant and a SceneGraph with the scene's bodies.
 
     Model instances are "object" and one a contact, by the contact's name, or as ``finger_<i>``
@@ -334,7 +336,8 @@ def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) ->
     builder : DiagramBuilder
     scene : Scene
         It is planned here, to make meshes fine where contacts go.
-    config : PlantConfig
+    config : PlantConfig, optional
+        None: what the scene's ``[drake]`` table says.
 
     Raises
     ------
@@ -343,6 +346,10 @@ def AddScenePlant(builder: DiagramBuilder, scene: Scene, config: PlantConfig) ->
         has a system "plant", "scene_graph" or "turning" already, with the remedy.
     """
     require_scene(scene)
+    if config is None:
+        from .station import StationConfig  # which imports this module
+
+        config = StationConfig.from_scene(scene).plant
     try:
         require_config(builder, DiagramBuilder, "builder")
         require_config(config, PlantConfig)

@@ -14,23 +14,19 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import making_symbols
 
-from .invariants import StepWatch, has_invariants, no_limits, pace_function
+from .plan_check import StepWatch
 
 Array = np.ndarray
 
-# The function that `pace_function` gives, among those that `SceneSystem.function` has names for.
-PACE = "pace"
-
 
 @functools.lru_cache(maxsize=128)
-def _lowered(system: SceneSystem, *outputs: str) -> tuple[Table, list[int]]:
-    """The table (t, x, w, held, limits | p) -> outputs, and where each of these ends."""
+def lowered(system: SceneSystem, *outputs: str) -> tuple[Table, list[int]]:
+    """The table (t, x, w, held | p) -> outputs, and where each of these ends."""
     with making_symbols():
-        pace = outputs == (PACE,)
-        function = pace_function(system) if pace else system.function(*outputs)
+        function = system.function(*outputs)
         given = [ca.SX.sym(f"x{i}", function.size1_in(i)) for i in range(function.n_in())]
         found = function.call(given)
-        *point, p = *given[:4], *given[5:], given[4]
+        *point, p = given
         flat = ca.Function("flat", [ca.vertcat(*point), p], [ca.vertcat(*found)])
     return Table(flat), np.cumsum([value.numel() for value in found]).tolist()
 
@@ -47,7 +43,7 @@ class Machine:
     """
 
     def __init__(self, system: SceneSystem, *outputs: str):
-        table, ends = _lowered(system, *outputs)
+        table, ends = lowered(system, *outputs)
         r = np.zeros(table.n_regs)
         r[table.n_in : table.first_lit] = system.parameters
         r[table.first_lit :][: len(table.literals)] = table.literals
@@ -70,7 +66,6 @@ class Scratch:
     ----------
     t, x, w, held : arguments of `SceneSystem.function`, the first of `given`
     same : between these times w stays as it is
-    limits : what `pace_function` compares with, those of the last simulation looked at
     hot : t, x, run, guard, derivatives of the machine of the derivatives
     """
 
@@ -78,20 +73,14 @@ class Scratch:
         self._system = system
         self.same = (0.0, 0.0)
         self._machines: dict[str, Machine] = {}
-        paced = has_invariants(system)
-        names = (PACE,) if paced else ("derivatives", "guard", "clearance")
-        machine = self._hot_machine = Machine(system, *names)
+        machine = self._machine = Machine(system, "derivatives", "guard", "clearance")
         sizes = (1, len(system.x0), system.n_w, len(system.held0))
-        *given, self.limits = np.split(machine.point, np.cumsum(sizes))
-        self.given = self.t, self.x, self.w, self.held = given
-        self._given = machine.point[: sum(sizes)]
+        self.given = np.split(machine.point, np.cumsum(sizes)[:-1])
+        self.t, self.x, self.w, self.held = self.given
+        self._given = machine.point
         self.x[:], self.held[:] = system.x0, system.held0
-        self.steps = StepWatch(system.scene)
-        if paced:
-            self.limits[:] = no_limits(system)
-            self.run_pace, self.paces = machine.run, machine.results[4:]
-            self.excess = machine.results[3].data
-        rates, guard, clearance = machine.results[:3]
+        self.steps = StepWatch(system.scene.duration)
+        rates, guard, clearance = machine.results
         self.hot = (self.t.data, self.x.data, machine.run, guard.data, rates)
         self.clearance = clearance.data
 

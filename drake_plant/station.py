@@ -30,6 +30,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventSta
 from pydrake.systems.primitives import LogVectorOutput
 
 from contact_system import ImplicitSurface, Quadric, Scene, SceneError, Surface
+from contact_system import plan as make_plan
 from contact_system.checks import (
     a_path,
     did_you_mean,
@@ -43,9 +44,12 @@ from contact_system.system import COORDINATES
 from contact_system.theory import symbols as ca
 
 from .contact_monitor import ContactMonitor
-from .fingertip_driver import DISCRETE_ONLY, DriverConfig, FingertipDriver
+from .fingertip_driver import DriverConfig, FingertipDriver
 from .meshes import is_round
-from .planner_system import LOOK, ContactPlanner
+from .object_acceleration import ObjectAcceleration
+from .plan_check import TOLERANCE
+from .plan_source import PlanSource
+from .planner_system import LOOK, ContactPlanner, PlannerBase
 from .plant import (
     RADII,
     AddScenePlant,
@@ -63,7 +67,7 @@ from .pushes import Push, PushSource, check_pushes, pushes_of
 
 Array = NDArray[np.float64]
 
-STARTED = {"planner": ContactPlanner, "driver": FingertipDriver, "plant": MultibodyPlant}
+STARTED = {"planner": PlannerBase, "driver": FingertipDriver, "plant": MultibodyPlant}
 PLANNED = ("state", "slip", "contact_point")
 LOGGED = 1e-3  # s, at which simulate logs where steps are shorter
 MEASURED = ("state", "slip", "normal_force", "tangential_force", "contact_point")
@@ -71,6 +75,10 @@ INTEGRATION = SimulatorConfig(
     integration_scheme="runge_kutta5", accuracy=1e-8, max_step_size=1e-2, use_error_control=True
 )
 """ Of the planner's continuous states; the plant's are discrete."""
+CONTINUOUS = SimulatorConfig(
+    integration_scheme="runge_kutta3", accuracy=1e-4, max_step_size=1e-3, use_error_control=True
+)
+"""Of a continuous plant: with a larger accuracy the planner is further off than it may be."""
 
 
 @types_known
@@ -81,10 +89,10 @@ class StationConfig:
     Attributes
     ----------
     plant : PlantConfig
-        With a time_step above 0: what drives the fingers is made for a discrete plant.
     driver : DriverConfig
     coordinates : str
-        "chart" or "frame", of the :class:`ContactPlanner`.
+        "chart" or "frame", of the :class:`ContactPlanner`; "plan": a :class:`PlanSource` is the
+        planner, without states, disturbance port and restarts, exact under every scheme.
     disturbance_input : bool
         Whether the planner's `disturbance` port is there, exported.
     restart_period, restart_distance : float or None
@@ -129,14 +137,22 @@ class StationConfig:
             part = getattr(self, key)
             require_config(part, kind, key)
             part.check()
-        check_words(self, {"coordinates": COORDINATES})
+        check_words(self, {"coordinates": (*COORDINATES, "plan")})
         for key in ("disturbance_input", "rolling_radii"):
             flag(getattr(self, key), key)
         check_numbers(self, ("restart_period",), "above 0")
         check_numbers(self, ("restart_distance",), "not below 0")
-        if self.plant.time_step == 0:
-            raise SceneError(f"time_step = {self.plant.time_step!r}: {DISCRETE_ONLY}")
-        if self.restarts:
+        if self.coordinates == "plan" and (self.restarts or self.disturbance_input):
+            raise SceneError(
+                'coordinates = "plan": a plan has no disturbance port and does not restart; give '
+                '"chart" or "frame", or leave disturbance_input and restarts out'
+            )
+        if self.driver.slip_gain and not self.plant.time_step:
+            raise SceneError(
+                f"slip_gain = {self.driver.slip_gain!r}: at time_step = 0 the slip depends "
+                "on the force that it asks for: give a time step, such as 0.001 s, or no slip_gain"
+            )
+        if self.restarts and self.plant.time_step:
             self._check_restarts()
 
     def _check_restarts(self) -> None:
@@ -295,6 +311,7 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
         - acceleration
         - contact_point
         - normal
+        - normal_rate
         - pose
         - restarts (with restart_period or restart_distance)
         - spatial_forces
@@ -350,22 +367,16 @@ def _build(
     builder = DiagramBuilder()
     parts = AddScenePlant(builder, scene, config.plant)
     planned = rolling_scene(scene, config.plant) if config.rolling_radii else scene
-    planner = builder.AddNamedSystem(
-        "planner",
-        ContactPlanner(
-            planned,
-            config.coordinates,
-            disturbance_input=config.disturbance_input,
-            restart_period=config.restart_period,
-            restart_distance=config.restart_distance,
-        ),
-    )
+    planner = builder.AddNamedSystem("planner", _planner(planned, config))
     start = _finger_poses(planner, planner.CreateDefaultContext(), scene, config.plant)
     for body, X_OF in zip(parts.finger_bodies, start):
         parts.plant.SetDefaultFloatingBaseBodyPose(body, X_OF)
     driver = builder.AddNamedSystem("driver", FingertipDriver(parts, config.driver))
     monitor = builder.AddNamedSystem("monitor", ContactMonitor(planned, parts))
-    _connect(builder, config, planner, driver, monitor, parts.plant)
+    accelerating: LeafSystem = parts.plant
+    if not config.plant.time_step:
+        accelerating = _object_acceleration(builder, parts)
+    _connect(builder, config, planner, driver, monitor, parts.plant, accelerating)
     if config.pushes:
         source = builder.AddNamedSystem("push", PushSource(scene, config.pushes))
         builder.Connect(source.get_output_port(), driver.GetInputPort("push"))
@@ -383,14 +394,19 @@ def _build(
 def _connect(
     builder: DiagramBuilder,
     config: StationConfig,
-    planner: ContactPlanner,
+    planner: PlannerBase,
     driver: FingertipDriver,
     monitor: ContactMonitor,
     plant: MultibodyPlant,
+    accelerating: LeafSystem,
 ) -> None:
+    planned = ("pose", "twist", "acceleration", "normal", "contact_point")
+    if not config.plant.time_step:
+        planned += ("normal_rate",)  # type: ignore[assignment]
     wires: list[tuple[LeafSystem, LeafSystem, tuple[str, ...]]] = [
-        (planner, driver, ("pose", "twist", "acceleration", "normal", "contact_point")),
-        (plant, driver, ("body_poses", "body_spatial_velocities", "body_spatial_accelerations")),
+        (planner, driver, planned),
+        (plant, driver, ("body_poses", "body_spatial_velocities")),
+        (accelerating, driver, ("body_spatial_accelerations",)),
         (plant, monitor, ("contact_results", "body_poses", "body_spatial_velocities")),
     ]
     if config.driver.slip_gain:
@@ -405,9 +421,22 @@ def _connect(
     builder.Connect(driver.GetOutputPort("spatial_forces"), applied)
 
 
+def _object_acceleration(builder: DiagramBuilder, parts: ScenePlant) -> ObjectAcceleration:
+    plant, made = (
+        parts.plant,
+        builder.AddNamedSystem("object_acceleration", ObjectAcceleration(parts)),
+    )
+    instance = parts.object_body.model_instance()
+    forces = plant.get_generalized_contact_forces_output_port(instance)
+    builder.Connect(forces, made.GetInputPort("generalized_contact_forces"))
+    for name in ("body_poses", "body_spatial_velocities"):
+        builder.Connect(plant.GetOutputPort(name), made.GetInputPort(name))
+    return made
+
+
 def _export(
     builder: DiagramBuilder,
-    planner: ContactPlanner,
+    planner: PlannerBase,
     driver: FingertipDriver,
     monitor: ContactMonitor,
     parts: ScenePlant,
@@ -423,6 +452,20 @@ def _export(
     for name in ("body_poses", "contact_results"):
         builder.ExportOutput(plant.GetOutputPort(name), name)
     builder.ExportOutput(parts.scene_graph.get_query_output_port(), "query")
+
+
+def _planner(scene: Scene, config: StationConfig) -> PlannerBase:
+    if config.coordinates == "plan":
+        return PlanSource(make_plan(scene))
+    return ContactPlanner(
+        scene,
+        config.coordinates,
+        disturbance_input=config.disturbance_input,
+        restart_period=config.restart_period,
+        restart_distance=config.restart_distance,
+        # steps as short as a discrete plant's make every scheme but Euler's better than contact is
+        tolerance=1e-4 if config.plant.time_step else TOLERANCE,
+    )
 
 
 def SetInitialState(station: Diagram, context: Context) -> None:
@@ -479,7 +522,8 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         V_WF = V_WO.ComposeWithMovingFrameVelocity(R_WO @ X_OF.translation(), V_OF_W)
         plant.SetFreeBodyPose(physics, body, X_WO @ X_OF)
         plant.SetFreeBodySpatialVelocity(context=physics, body=body, V_JpJc=V_WF)
-    driver.GetMyMutableContextFromRoot(context).get_mutable_discrete_state_vector().SetZero()
+    if plant.time_step():
+        driver.GetMyMutableContextFromRoot(context).get_mutable_discrete_state_vector().SetZero()
     # The sampled outputs of Drake's plant outlive SetDefaultContext.
     new = plant.CreateDefaultContext()
     sampled = physics.get_mutable_state().get_mutable_abstract_state()
@@ -488,7 +532,7 @@ def SetInitialState(station: Diagram, context: Context) -> None:
 
 
 def _finger_poses(
-    planner: ContactPlanner, context: Context, nominal: Scene, config: PlantConfig
+    planner: PlannerBase, context: Context, nominal: Scene, config: PlantConfig
 ) -> list[RigidTransform]:
     """X_OF as planned, each finger pressed in by the depth on the nominal surfaces."""
     planned, poses = planner.system.scene, planner.GetOutputPort("pose").Eval(context)
@@ -563,7 +607,7 @@ def simulate(
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = _checked(scene, config)
     duration = scene.duration if duration is None else duration
-    step = config.plant.time_step
+    step = config.plant.time_step or CONTINUOUS.max_step_size
     if not finite_number(duration, f"{scene.title}: duration") >= step:
         raise SceneError(
             f"{scene.title}: a simulation of {duration!r} s with a time_step of {step:g} "
@@ -601,7 +645,7 @@ def simulate(
     begun = time.perf_counter()
     station, parts = _build(scene, config, extend)
     simulator = Simulator(station)
-    ApplySimulatorConfig(INTEGRATION, simulator)
+    ApplySimulatorConfig(INTEGRATION if config.plant.time_step else CONTINUOUS, simulator)
     context = simulator.get_mutable_context()
     SetInitialState(station, context)
     if progress is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
@@ -14,6 +15,8 @@ pytest.importorskip("pydrake")
 
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.common import Parallelism
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import SpatialInertia
 from pydrake.planning import DirectCollocation
 from pydrake.solvers import Solve
 from pydrake.symbolic import Expression, Variable
@@ -23,11 +26,11 @@ from pydrake.systems.analysis import (
     Simulator,
     SimulatorConfig,
 )
-from pydrake.systems.framework import InputPortSelection
+from pydrake.systems.framework import DiagramBuilder, InputPortSelection
 from pydrake.systems.primitives import Linearize
 
 import contact_system as cs
-from drake_plant import BuildStation, ContactPlanner
+from drake_plant import BuildStation, ContactPlanner, MakeTrajectories, PlanSource
 
 COORDINATES = ("chart", "frame")
 ORDERS = {
@@ -99,7 +102,8 @@ def pole_scene(miss=0.0, profile=(0.1,), duration=2.0):
 
 @pytest.mark.parametrize("scheme", ORDERS)
 def test_every_scheme_converges_at_its_order(scheme):
-    planner = ContactPlanner(cs.load_scene("K3"))  # with a window from 0.1 s to 0.15 s
+    # with a window from 0.1 s to 0.15 s
+    planner = ContactPlanner(cs.load_scene("K3"), tolerance=1.0)
     coarse, fine = (error(planner, run(planner, 0.4, scheme, h)) for h in (4e-3, 2e-3))
     assert np.log2(coarse / fine) > ORDERS[scheme] - 0.2
 
@@ -153,7 +157,7 @@ def test_error_control_that_is_too_lenient_is_told_to_be_less_so():
 @pytest.mark.parametrize("eta", (1e3, 1e6, 1e9))
 @pytest.mark.parametrize("scheme", ("radau3", "implicit_euler"))
 def test_implicit_schemes_take_long_steps_however_stiff_the_gain(scheme, eta):
-    planner = ContactPlanner(stiff("K4", eta), "frame")
+    planner = ContactPlanner(stiff("K4", eta), "frame", tolerance=0.1)
     assert error(planner, run(planner, 1.5, scheme, 0.01)) < 0.02
 
 
@@ -192,6 +196,98 @@ def test_a_state_set_on_the_way_needs_another_initialization(coordinates):
     found.Initialize()
     found.AdvanceTo(0.3)
     assert error(planner, found.get_context(), plan.restart(0.2, faster)) < 1e-9
+
+
+def test_cenic_which_does_not_control_a_planners_error_is_refused():
+    scene = cs.load_scene("D1")
+    for step in (0.1, 1e-3, 1e-4):
+        builder = DiagramBuilder()
+        plant, _ = AddMultibodyPlantSceneGraph(builder, 0.0)
+        plant.AddRigidBody("body", SpatialInertia.SolidSphereWithMass(1.0, 0.1))
+        plant.Finalize()
+        builder.AddSystem(ContactPlanner(scene))
+        found = simulator(builder.Build(), "cenic", step, accuracy=1e-3)
+        with pytest.raises(cs.SceneError, match=r"contact 0: .* off the exact plan.*\(not cenic"):
+            found.AdvanceTo(0.5)
+
+
+# --- a planner without states --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ("K4", "D1", "C1", "torus", "chart", "implicit"))
+def test_a_plan_source_says_what_an_integrated_planner_says(name):
+    scene = cs.load_scene(name)
+    planner, source = ContactPlanner(scene, "frame"), PlanSource(cs.plan(scene))
+    until = 1.01 * scene.window_edges[0] if scene.window_edges else 0.3
+    integrated = run(planner, until, "runge_kutta5", 1e-2, 1e-11)
+    asked = run(source, until, step=0.1)
+    for port in (*VALUES[2:], "normal_rate", "slip"):
+        found, wanted = (
+            system.GetOutputPort(port).Eval(context)
+            for system, context in ((source, asked), (planner, integrated))
+        )
+        if port == "slip":  # a triaxial ellipsoid's frames may be turned by half a turn
+            found, wanted = np.abs(found), np.abs(wanted)
+        assert np.abs(found - wanted).max() < 1e-9 * max(1.0, np.abs(wanted).max()), port
+    X, Y = source.GetOutputPort("pose").Eval(asked), cs.plan(scene).pose(until)[0]
+    assert max(np.abs(x.GetAsMatrix4() - y).max() for x, y in zip(X, Y)) < 1e-14
+    state = source.GetOutputPort("state").Eval(asked)
+    assert np.array_equal(state.reshape(-1, 9), cs.plan(scene).states(until)[0])
+
+
+def test_a_plan_source_is_before_an_edge_until_it_has_passed():
+    plan = cs.plan(
+        cs.load_scene("K1").replace(disturbances=[cs.ObjectRateOffset(0, 0.2, 0.4, (1, 0))])
+    )
+    source = PlanSource(plan)
+    context = source.CreateDefaultContext()
+    context.SetTime(0.2)
+    for passed, t in ((0.0, 0.2 - 1e-9), (0.2, 0.2 + 1e-9)):
+        context.SetDiscreteState([passed])
+        slip = source.GetOutputPort("slip").Eval(context).reshape(-1, 2)
+        assert np.allclose(slip, plan.slip(t)[0], atol=1e-7)
+
+
+def test_a_plan_source_wants_a_plan_and_stays_inside_it():
+    scene = cs.load_scene("K1")
+    with pytest.raises(cs.ContactSystemError, match="give a Plan, such as plan"):
+        PlanSource(scene)
+    with pytest.raises(cs.SceneError, match="method = 'chart': give a plan of the default method"):
+        PlanSource(cs.plan(scene, method="chart"))
+    source = PlanSource(cs.plan(scene))
+    with pytest.raises(cs.ContactSystemError, match="outside the plan's horizon"):
+        source.GetOutputPort("slip").Eval(run(source, 1.1))
+
+
+# --- trajectories --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ("K3", "D1", "bowl"))
+def test_trajectories_follow_the_plan_and_can_be_pickled(name):
+    plan = cs.plan(cs.load_scene(name))
+    made = MakeTrajectories(plan, 0, 1e-4)
+    kept = pickle.loads(pickle.dumps(made))
+    t = np.random.default_rng(0).uniform(0.0, plan.end, 50)
+    there = plan.evaluate(t, "pose", "twist", "points")
+    assert (made.pose.start_time(), made.pose.end_time()) == (0.0, plan.end)
+    for k, time in enumerate(t):
+        X = made.pose.GetPose(time).GetAsMatrix4()
+        assert np.abs(X - there["pose"][k, 0]).max() < 1e-4
+        twist, (finger, obj) = there["twist"][k, 0], there["points"][k, 0]
+        assert np.abs(made.twist.value(time).ravel() - twist).max() < 1e-4 * np.abs(twist).max()
+        assert np.abs(made.finger_point.value(time).ravel() - finger).max() < 1e-5
+        assert np.abs(made.object_point.value(time).ravel() - obj).max() < 1e-5
+        for one, other in zip(vars(made).values(), vars(kept).values()):
+            if hasattr(one, "value"):
+                assert np.array_equal(one.value(time), other.value(time))
+
+
+def test_trajectories_of_what_is_not_there_are_refused():
+    plan = cs.plan(cs.load_scene("K1"))
+    with pytest.raises(cs.SceneError, match="contact = 3: give one of 0 to 2"):
+        MakeTrajectories(plan, 3)
+    with pytest.raises(cs.SceneError, match="tolerance = 1e-14 takes more than"):
+        MakeTrajectories(plan, 0, 1e-14)
 
 
 # --- threads -------------------------------------------------------------------------------------
@@ -479,7 +575,7 @@ def test_a_scene_that_starts_at_rest_is_watched_once_it_moves():
     planner = ContactPlanner(scene, "frame")
     assert error(planner, run(planner, 2.0, "runge_kutta5")) < 1e-9
     stiff = ContactPlanner(scene.replace(gain=cs.Gain.path(1e7)), "frame")
-    with pytest.raises(cs.SceneError, match=r"contact 0: integrated to t = 0\.0.* it slips at"):
+    with pytest.raises(cs.SceneError, match=r"contact 0: .* off the exact plan"):
         run(stiff, 2.0, "explicit_euler", 0.01)
 
 

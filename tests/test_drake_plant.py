@@ -210,6 +210,13 @@ def test_point_contact_has_the_stiffness_of_the_scene():
 # --- what the plant is made of -----------------------------------------------------------------
 
 
+def test_a_plant_is_what_the_scenes_table_says_where_nothing_else_is():
+    parts = AddScenePlant(DiagramBuilder(), cs.load_scene("D3"))
+    assert parts.plant.time_step() == 2.5e-4
+    turning = AddScenePlant(DiagramBuilder(), cs.load_scene("C1"))
+    assert turning.plant.HasJointNamed("turning")
+
+
 def test_d1_has_an_object_and_a_model_instance_for_every_finger():
     changes = {"finger_mass": 0.261, "object_mass": 4.18, "gravity": 9.81}
     world = World(cs.load_scene("D1"), object="free", **changes)

@@ -17,7 +17,7 @@ from pydrake.geometry import Sphere as SphereShape
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlantConfig
 from pydrake.multibody.tree import PrismaticJoint, RpyFloatingJoint, SpatialInertia, UnitInertia
-from pydrake.systems.analysis import Simulator
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, MatrixGain, RandomSource
 from scipy.spatial.transform import Rotation
@@ -397,6 +397,46 @@ def test_no_finger_is_so_light_or_step_so_long_that_gains_throw_it_off(changes):
         assert np.abs(result.object_pose - np.eye(4)).max() < 1e-15
 
 
+# --- continuous plants ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ("point", "hydroelastic"))
+def test_a_continuous_plant_does_what_the_discrete_one_does(model):
+    scene, points = cs.load_scene("D1"), []
+    for step in (0.0, 1e-3):
+        found = simulate(scene, config(scene, time_step=step, contact_model=model), duration=0.02)
+        assert np.abs(found.measured["normal_force"][-1] - 1).max() < 0.1
+        points.append(found.measured["contact_point"][-1])
+    assert np.abs(points[0] - points[1]).max() < 2e-5
+
+
+@pytest.mark.parametrize("scheme", ("cenic", "radau3", "runge_kutta2"))
+def test_every_integrator_runs_a_station_whose_planner_has_no_states(scheme):
+    scene = cs.load_scene("D1")
+    station = BuildStation(
+        scene, config(scene, time_step=0.0, contact_model="point", coordinates="plan")
+    )
+    simulator = Simulator(station)
+    step = 1e-4 if scheme == "runge_kutta2" else 1e-3
+    setting = SimulatorConfig(
+        integration_scheme=scheme, max_step_size=step, use_error_control=scheme == "cenic"
+    )
+    ApplySimulatorConfig(setting, simulator)
+    context = simulator.get_mutable_context()
+    SetInitialState(station, context)
+    simulator.AdvanceTo(0.01)
+    planned, measured = (
+        station.GetOutputPort(name).Eval(context).reshape(3, -1)[:, -3:]
+        for name in ("contact_point", "measured_contact_point")
+    )
+    assert np.abs(planned - measured).max() < 1e-4
+
+
+def test_an_object_on_a_joint_needs_a_discrete_plant():
+    with pytest.raises(cs.SceneError, match='object = "turning" needs a discrete plant'):
+        BuildStation(cs.load_scene("C1"), config(cs.load_scene("C1"), time_step=0.0))
+
+
 # --- objects that are not free -------------------------------------------------------------------
 
 
@@ -626,7 +666,6 @@ def test_numbers_of_numpy_are_numbers():
     ("changes", "words"),
     [
         ({"frction": 0.3}, "key 'frction'.*'friction'"),
-        ({"time_step": 0}, "time_step = 0: .* discrete plant only; give"),
         ({"time_step": "1e-3"}, "time_step = '1e-3': give a finite number"),
         ({"friction": True}, "friction = True: give a finite number"),
         ({"velocity_gain": np.nan}, "velocity_gain = nan: give a finite number not below 0"),
@@ -658,7 +697,10 @@ def test_restarts_on_steps_of_the_plant_are_fine():
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (StationConfig(plant=PlantConfig(time_step=0.0)), "time_step = 0.0: .* discrete"),
+        (
+            StationConfig(coordinates="plan", restart_distance=0.1),
+            "coordinates = .plan.: a plan has no",
+        ),
         (StationConfig(driver=DriverConfig(position_gain=None)), "position_gain = None"),
         (StationConfig(plant={"friction": 0.5}), "plant = .*: give a PlantConfig"),
         (PlantConfig(), "config = PlantConfig.*: give a StationConfig"),
@@ -684,7 +726,6 @@ def on_a_slide(plant, finger):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"step": 0.0}, "'C2': time_step = 0.0: fingers are driven in a discrete plant only"),
         ({"step": 0.1}, "'C2', contact 0: time_step = 0.1: a finger of 0.01 kg can be held"),
         ({"off": 1e-3}, "'C2', contact 0: the mass centre of body 'finger' is at .0.001, 0"),
         ({"more": with_a_camera}, "0: body 'finger' is not free, but has the joint 'finger_welds_"),

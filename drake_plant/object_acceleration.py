@@ -1,0 +1,91 @@
+"""How contact accelerates an object, where Drake's own answer would be an algebraic loop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialAcceleration, SpatialVelocity
+from pydrake.systems.framework import Context, LeafSystem
+
+from contact_system import SceneError
+
+from .lifetimes import NO_DICTIONARY, weakly
+from .plant import ScenePlant, require_config
+
+
+class ObjectAcceleration(LeafSystem):
+    """The object's acceleration by its contacts and gravity, for a continuous plant's driver.
+
+    .. pydrake_system::
+
+        name: ObjectAcceleration
+        input_ports:
+        - generalized_contact_forces
+        - body_poses
+        - body_spatial_velocities
+        output_ports:
+        - body_spatial_accelerations
+
+    The inputs are the plant's, forces those of the object's model instance. The plant's own
+    accelerations depend on the forces that the :class:`FingertipDriver` makes of them. Here forces
+    that are applied to the object itself are left out, and other bodies' accelerations are zero.
+
+    Parameters
+    ----------
+    scene_plant : ScenePlant
+        Its object is free, alone in its model instance, or welded to the world.
+
+    Raises
+    ------
+    SceneError
+        No ScenePlant, or an object on joints.
+    """
+
+    __slots__ = NO_DICTIONARY
+
+    def __init__(self, scene_plant: ScenePlant):
+        super().__init__()
+        require_config(scene_plant, ScenePlant, "scene_plant")
+        plant, body = scene_plant.plant, scene_plant.object_body
+        self._free = body.is_floating_base_body()
+        size = plant.num_velocities(body.model_instance())
+        if size != 6 * self._free or not (self._free or plant.IsAnchored(body)):
+            raise SceneError(
+                f"{scene_plant.scene.title}: time_step = 0: the acceleration of an object on a "
+                "joint is not known beforehand; give a time step, such as 0.001 s"
+            )
+        self._index, self._count = int(body.index()), plant.num_bodies()
+        inertia = body.default_spatial_inertia()
+        self._mass, self._center = inertia.get_mass(), inertia.get_com()
+        self._inertia = inertia.Shift(self._center).CalcRotationalInertia().CopyToFullMatrix3()
+        heavy = plant.is_gravity_enabled(body.model_instance())
+        self._gravity = float(heavy) * plant.gravity_field().gravity_vector()
+        self._forces = self.DeclareVectorInputPort("generalized_contact_forces", size)
+        self._poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
+        self._velocities = self.DeclareAbstractInputPort(
+            "body_spatial_velocities", Value[list[SpatialVelocity]]()
+        )
+        kind = Value[list[SpatialAcceleration]]
+        self.DeclareAbstractOutputPort("body_spatial_accelerations", kind, weakly(self._Calc))
+
+    def _Calc(self, context: Context, output: Any) -> None:
+        found = [SpatialAcceleration(np.zeros(3), np.zeros(3)) for _ in range(self._count)]
+        if self._free:
+            found[self._index] = self._Acceleration(context)
+        output.set_value(found)
+
+    def _Acceleration(self, context: Context) -> SpatialAcceleration:
+        X_WO = self._poses.Eval(context)[self._index]
+        w = self._velocities.Eval(context)[self._index].rotational()
+        R_WO = X_WO.rotation().matrix()
+        arm = R_WO @ self._center
+        forces = self._forces.Eval(context)  # torque about the origin, force
+        force = forces[3:] + self._mass * self._gravity
+        torque = forces[:3] - np.cross(arm, forces[3:])
+        inertia = R_WO @ self._inertia @ R_WO.T
+        alpha = np.linalg.solve(inertia, torque - np.cross(w, inertia @ w))
+        a = force / self._mass - np.cross(alpha, arm) - np.cross(w, np.cross(w, arm))
+        return SpatialAcceleration(alpha, a)

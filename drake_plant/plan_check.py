@@ -1,0 +1,149 @@
+"""What is refused while a planner is integrated.
+
+Nobody controls the error of a planner's states under fixed steps, nor under cenic, which looks at
+the plant's alone (github.com/RobotLocomotion/drake/issues/23921): its Euler steps put the contacts
+of D1 3.6 mm off after 0.5 s. What the states should be is known, though: the plan tells it at any
+time, from where a simulation began or last restarted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_system import Plan, Scene, SceneSystem
+from contact_system import plan as make_plan
+from contact_system.errors import ChartSingularity, ContactSystemError, SceneError
+from contact_system.scene import refuse_rest
+
+Array = NDArray[np.float64]
+
+CLEARANCE = 0.01
+"""Distance from a chart's singularity, as a fraction of the body's size, that is refused."""
+
+TOLERANCE = 1.5e-6
+"""How far contact points may be off the exact plan, per metre of path and of the greater body's
+size. In D1 that is 1e-6 m at 0.5 s and 9e-6 m at its end, where runge_kutta3 is off by 5e-6 m at
+the 1 ms of a discrete plant, by 3e-4 m alone with an accuracy of 1e-3, cenic by 30 mm."""
+LOOKS = 20
+"""A scene is compared so often, evenly, and after the first, second, fourth, eighth... step."""
+OTHERS = 257
+"""And every so many steps, as simulations of one system may take turns; odd, so that each of two
+comes to it. A look takes 30 us."""
+
+MANY = 4096
+"""So many steps in a row are refused, each shorter than a `MOST`-th of what is left of a scene."""
+MOST = 2e7
+"""Steps; the whole would take more than a quarter of an hour."""
+
+
+class StepWatch:
+    """How a simulation comes on: when to look at it, and whether it ever gets to the end."""
+
+    def __init__(self, duration: float):
+        self.duration, self.count, self.crept = duration, 0, 0
+        self.length = self.last = self.looked = 0.0
+
+    def step(self, t: float) -> bool:
+        """Note a step that ends at t; whether to compare its end with the plan."""
+        self.length, left, since = t - self.last, self.duration - t, t - self.looked
+        self.count = count = self.count + 1
+        self.last = t
+        self.crept = self.crept + 1 if 0.0 < self.length * MOST < left else 0
+        look = not 0.0 <= since * LOOKS < self.duration or count % OTHERS == 0
+        if look or count & (count - 1) == 0:
+            self.looked = t
+            return True
+        return False
+
+    def crawls(self) -> bool:
+        """Whether the end will never be reached: error control asks for steps of 1e-9 s."""
+        return self.crept >= MANY
+
+
+def exact_plan(scene: Scene, start: float, states: bytes, end: float) -> Plan | None:
+    """The plan from states at a start, or that of the scene where there are none, to an end.
+
+    None where there is no such plan, as from a pole or a rest.
+    """
+    if end > scene.duration:  # simulations may go on until sigma is negative
+        roots = np.polynomial.Polynomial(scene.profile.coefficients).roots()
+        zeros = roots.real[(roots.imag == 0) & (roots.real > scene.duration)]
+        scene = scene.replace(duration=min([2 * end, *(zeros * (1 - 1e-9))]))
+    try:
+        plan = make_plan(scene)
+        return plan.restart(start, np.frombuffer(states).reshape(-1, 9)) if states else plan
+    except ContactSystemError:
+        return None
+
+
+def refuse_drift(scene: Scene, plan: Plan, t: float, points: Array, tolerance: float) -> None:
+    """Raise a SceneError where contact points (6 n) are too far from the plan's at time t."""
+    off = np.sqrt(((points.reshape(-1, 2, 3) - plan.points(t)[0]) ** 2).sum(axis=2))
+    size = max(scene.object.size, *(contact.finger.size for contact in scene.contacts))
+    worst = off.max()
+    if worst <= tolerance * size:
+        return
+    limit = tolerance * (size + float(scene.profile.arc_length(t)))
+    if worst <= limit:
+        return
+    i, side = divmod(int(np.argmax(off)), 2)
+    raise SceneError(
+        f"{scene.title}, contact {i}: integrated to t = {t:.6g} s its point on the "
+        f"{('finger', 'object')[side]} is {worst:.2g} m off the exact plan, and "
+        f"{limit:.2g} m is allowed: the integrator does not control this planner's error, "
+        "or not enough; use error control with a smaller accuracy, such as 1e-8 (not cenic, which "
+        "controls the plant's alone), or smaller steps; or PlanSource(plan(scene)), exact under "
+        "every scheme; or allow more with ContactPlanner(scene, tolerance=...); or, if the Context "
+        "was given another state on the way, call Simulator.Initialize() first"
+    )
+
+
+def refuse_singularity(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> None:
+    """The error of the contact that is nearest to a singular point of its chart."""
+    scene, time = system.scene, float(t[0])
+    values = system.evaluate("regularity", time, x, w, held).reshape(-1, 2)
+    i, side = divmod(int(np.argmin(values)), 2)
+    surface = scene.object if side else scene.contacts[i].finger
+    where = surface.chart.singular_at or "pole"
+    remedy = 'use ContactPlanner(scene, coordinates="frame"), which has no such points'
+    remedy += ", or smaller steps if the motion does not lead there"
+    if system.coordinates == "frame":
+        remedy = "move the contact away from that point, or turn the body's axes"
+    raise ChartSingularity(
+        f"{scene.title}, contact {i}, {('finger', 'object')[side]}: at t = {time:.6g} s the "
+        f"contact is {values[i, side]:.2g} of the body's size from a singular point of the chart "
+        f"of {surface!r} ({where}): less than {CLEARANCE:g}, or beyond it; {remedy}"
+    )
+
+
+def refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> None:
+    """The error of numbers that must not be integrated."""
+    scene, time = system.scene, float(t[0])
+    sigma = scene.profile(time)
+    if sigma < 0:
+        raise SceneError(
+            f"{scene.title}: sigma = {sigma:.6g} m/s at t = {time:.6g} s is negative; the "
+            f"scene runs from 0 to {scene.duration:g} s: simulate no further, or change the profile"
+        )
+    for i, part in enumerate(system.state_slices):
+        for name, value in (("state", x[part]), ("disturbance", w[6 * i : 6 * i + 6])):
+            if not np.isfinite(value).all():
+                raise SceneError(
+                    f"{scene.title}, contact {i}: the {name} at t = {time:.6g} s is "
+                    f"{value.tolist()}; it must be finite. Check what sets it"
+                )
+    for i in range(len(w) // 6):
+        if w[6 * i : 6 * i + 4].any():
+            refuse_rest(scene, i, time, time)
+    if not system.evaluate("clearance", time, x, w, held)[0] > CLEARANCE:
+        refuse_singularity(system, t, x, w, held)
+    rates = system.evaluate("derivatives", time, x, w, held)
+    worst = [float(np.abs(rates[part]).max()) for part in system.state_slices]
+    i = int(np.argmax(worst))  # of NaNs the first
+    raise ChartSingularity(
+        f"{scene.title}, contact {i}: at t = {time:.6g} s (sigma = {sigma:.6g} m/s) "
+        f"derivatives are as large as {worst[i]:.3g}: the contact is at a pole, an acceleration "
+        "acts while sigma = 0, or the steps are too long for the integrator. Move the contact, "
+        "raise sigma, or take smaller steps"
+    )

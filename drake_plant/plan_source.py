@@ -1,0 +1,136 @@
+"""A plan as a LeafSystem without continuous state: exact under every integrator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import Context, LeafSystem
+
+from contact_system import Plan, SceneError, SceneSystem
+from contact_system.engine.binding import run
+from contact_system.plan import require_plan
+from contact_system.theory.development import moving
+
+from .lifetimes import NO_DICTIONARY, array_entry
+from .planner_system import PlannerBase, scene_system
+from .scratch import lowered
+
+Array = np.ndarray
+
+PLANNED = {"state": "states", "contact_point": "points", "slip": "slip", "twist": "twist"}
+"""Ports that are results of a plan by their names there; the pose is one too."""
+RATES = {"acceleration": slice(0, 6), "normal": slice(6, 9), "normal_rate": slice(9, 12)}
+"""Ports that follow from a plan's moving frames, and where they stand among all three."""
+
+
+class PlanSource(PlannerBase, LeafSystem):
+    """What a plan says now, exactly, whatever integrates the rest of a Diagram.
+
+    .. pydrake_system::
+
+        name: PlanSource
+        output_ports:
+        - state
+        - slip
+        - twist
+        - acceleration
+        - contact_point
+        - normal
+        - normal_rate
+        - pose
+
+    Those of :class:`ContactPlanner`, but for coordinates, which are continuous along the path here.
+    There is no continuous state, so that nothing is integrated and nothing converts to other
+    scalars. Where the scene has windows a discrete state (1) says which edge was passed last, and
+    events at edges set it: no integrator steps across one.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of ``method="auto"``; also one that was restarted or continued.
+
+    Raises
+    ------
+    ContactSystemError
+        No such plan. In a simulation: a time outside the plan's horizon, a contact at a pole or an
+        umbilic where the port's numbers do not exist.
+    """
+
+    __slots__ = NO_DICTIONARY
+
+    def __init__(self, plan: Plan):
+        LeafSystem.__init__(self)
+        require_plan(plan)
+        if plan.method != "auto":
+            raise SceneError(
+                f"{plan.scene.title}: method = {plan.method!r}: give a plan of the default method"
+            )
+        self.plan = plan
+        self._Declare(scene_system(plan.scene, "frame"), None, None)
+
+    def _Prerequisites(self, output: str) -> set:
+        time = {self.time_ticket()}
+        if self._window is not None:
+            time.add(self.discrete_state_ticket(self._window))
+        if output not in RATES:
+            return time
+        if not hasattr(self, "_rates"):
+            shape = len(self.plan.scene.contacts), 12
+            self._ticket, self._rates = array_entry(self._CalcRates, shape, time)
+        return {self._ticket}
+
+    def _Time(self, context: Context) -> float:
+        """At an edge that is not passed yet the time just before it: a plan tells what is after."""
+        t = context.get_time()
+        if t in self.system.edges:
+            passed = context.get_discrete_state(self._window).GetAtIndex(0)
+            return t if passed >= t else np.nextafter(t, -np.inf)
+        return t
+
+    def _Evaluate(self, context: Any, output: str) -> Array:
+        if output in RATES:
+            return self._rates(context)[:, RATES[output]].ravel()
+        t = self._Time(context)
+        if output == "pose":
+            X = self.plan.pose(t)[0]
+            columns = X[:, :3, :3].swapaxes(1, 2).reshape(-1, 9)
+            return np.hstack([columns, X[:, :3, 3]]).ravel()
+        name = PLANNED[output]
+        return self.plan.evaluate(t, name)[name].ravel()
+
+    def _CalcRates(self, context: Context) -> Array:
+        system, t = self.system, self._Time(context)
+        x, held = frame_states(system, t, self.plan.moments(t))
+        table, ends = lowered(system, *RATES)
+        point = np.hstack([t, x, system.window_values(t), held])
+        found = run(table, point[:, None], system.parameters)[:, 0]
+        parts = np.split(found, ends[:-1])
+        return np.hstack(
+            [part.reshape(-1, rows.stop - rows.start) for part, rows in zip(parts, RATES.values())]
+        )
+
+
+def frame_states(system: SceneSystem, t: float, moments: Sequence[Any]) -> tuple[Array, Array]:
+    """States and held numbers of a system in frame coordinates where a plan is: (n_x,), (n_held,).
+
+    The finger's frame is turned so that psi is -theta_1 - theta_2.
+    """
+    x, held = [], []
+    for contact, form, now in zip(system.scene.contacts, system.forms, moments):
+        c, s = np.cos(now.angle), np.sin(now.angle)
+        w1 = np.array([[c, -s], [s, c]]) @ now.finger_velocity
+        u, v, theta = now.finger_at
+        finger, obj = [u, v, theta - now.angle], now.object_at
+        if form.ambient[0]:
+            place = np.array(now.finger_frame)
+            numbers = contact.finger.sign, *contact.finger.parameters
+            second = moving(contact.finger, True)("second")(place, numbers).full().ravel()
+            finger = [*place[:3], *(c * place[3:] - s * second)]
+        if form.ambient[1]:
+            obj = now.object_frame
+        carried = [*w1, *now.slip]
+        x += [*finger, *obj, *(carried if form.forced else ())]
+        held += [*carried, t] if form.n_held else []
+    return np.array(x), np.array(held)
