@@ -12,6 +12,8 @@ ziglang package, which pip fetches then. $CONTACT_SYSTEM_CFLAGS adds flags. For 
   other files by itself and defines one symbol that others see, `const engine_t engine_<VARIANT>`.
 - dispatch.c, which holds the tables, is compiled once, as baseline. It learns by -DHAVE_V3 and
   -DHAVE_V4 which variants there are, and chooses among them when the library is used.
+- fmu_export/c/fmi2.c and fmi3.c, which include the rest of that folder, are the functions of FMI: the
+  library is the binary of every FMU too.
 - Only what is marked EXPORT is seen from outside. At run time there are libc and libm alone.
 - Products and sums are contracted where the processor does both at once, in v3 and v4: a sixth
   faster, and rounded once instead of twice. So results differ between variants by rounding.
@@ -39,6 +41,7 @@ from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 
 ENGINE = Path("contact_system", "engine")
+FMI = Path("fmu_export", "c")
 ZIGLANG = "ziglang>=0.13,<1"
 
 # Platform of a wheel -> target of ziglang
@@ -144,9 +147,9 @@ def build_library(library: Path, room: Path) -> None:
     def known(choices: tuple[tuple[str, ...], ...]) -> tuple[str, ...] | None:
         return next((flags for flags in choices if works(*compiler(), *flags, "-c")), None)
 
-    def compiled(source: str, name: str, *flags: str) -> str:
+    def compiled(source: Path, name: str, *flags: str) -> str:
         made = str(room / f"{name}.o")
-        run(*command, *flags, "-c", str(ENGINE / source), "-o", made)
+        run(*command, *flags, f"-I{ENGINE}", "-c", str(source), "-o", made)
         return made
 
     for folder in (room, library.parent):
@@ -155,9 +158,11 @@ def build_library(library: Path, room: Path) -> None:
         wanted = VARIANTS if PLATFORM.endswith(("x86_64", "amd64")) else {"baseline": ((),)}
         found = zip(wanted, pool.map(known, wanted.values()))
         have = {name: flags for name, flags in found if flags is not None}
-        jobs = [("engine.c", f"engine_{k}", f"-DVARIANT={k}", *have[k]) for k in have]
+        engine = ENGINE / "engine.c"
+        jobs = [(engine, f"engine_{k}", f"-DVARIANT={k}", *have[k]) for k in have]
         told = [f"-DHAVE_{name.upper()}" for name in have]
-        jobs.append(("dispatch.c", "dispatch", *told, *have["baseline"]))
+        jobs.append((ENGINE / "dispatch.c", "dispatch", *told, *have["baseline"]))
+        jobs += [(FMI / f"{k}.c", k, "-O2", *have["baseline"]) for k in ("fmi2", "fmi3")]
         objects = list(pool.map(lambda job: compiled(*job), jobs))
     run(*command, *objects, "-o", str(room / library.name), *LINKING)
     shutil.copy(room / library.name, library.with_suffix(".part"))

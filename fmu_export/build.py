@@ -13,11 +13,11 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import fmpy
 
+from contact_system.engine.binding import LIBRARY
 from contact_system.checks import a_path, items_of, make_folder
 from contact_system.errors import ContactSystemError
 from contact_system.writing import writing
@@ -34,7 +34,11 @@ PLATFORMS = {
 }
 
 # Contraction to fused operations would make platforms differ in the last digits.
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fopenmp-simd")
+FLAGS = (
+    *("-std=gnu99", "-O3", "-fvisibility=hidden", "-ffp-contract=off"),
+    *("-fno-math-errno", "-fno-trapping-math", "-fopenmp-simd"),
+)
+ENGINE, C_FOLDER = LIBRARY.parent, Path(__file__).parent / "c"
 LINK_FLAGS = ("-shared", "-s")
 
 
@@ -117,6 +121,7 @@ def cache_folder() -> Path:
 def _cache_room() -> Iterator[Path]:
     """A folder in the cache's, for the time in which a file is made that goes there."""
     folder = make_folder(cache_folder(), _REMEDY)
+    folder.chmod(0o700)
     try:
         with tempfile.TemporaryDirectory(dir=folder) as room:
             yield Path(room)
@@ -131,6 +136,66 @@ def headers(fmi_version: str) -> dict[str, str]:
         "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
     }[fmi_version]
     return {name: (FMI_HEADERS / name).read_text("utf-8") for name in names}
+
+
+def _kept(key: str, make: Callable[[Path], Path]) -> bytes:
+    """A library that was built before under this key, or that is made now in a folder.
+
+    It is kept beside its digest; one that does not fit that, as after a full disk, is made again.
+    """
+    folder, name = cache_folder(), hashlib.sha256(key.encode()).hexdigest()[:24]
+    file, digest = (folder / f"{name}{end}" for end in (".fmulib", ".sha256"))
+    _refuse_open(folder)
+    with contextlib.suppress(OSError):
+        found = file.read_bytes()
+        if hashlib.sha256(found).hexdigest() == digest.read_text():
+            return found
+    with _cache_room() as room:
+        built = make(room)
+        found = built.read_bytes()
+        (room / "digest").write_text(hashlib.sha256(found).hexdigest())
+        os.replace(room / "digest", digest)
+        os.replace(built, file)  # atomic: a second process never sees half a file
+    return found
+
+
+def _refuse_open(folder: Path) -> None:
+    """Refuse a folder in which others may put libraries."""
+    try:
+        found = folder.stat()
+    except OSError:
+        return  # it is made for this user alone
+    if os.name == "posix" and (found.st_mode & 0o022 or found.st_uid != os.getuid()):
+        raise ContactSystemError(
+            f"cache folder '{folder}' can be written to by others, who might put libraries there; "
+            f"`chmod go-w '{folder}'`, or {_REMEDY}"
+        )
+
+
+def engine(target: str) -> bytes:
+    """The engine with its FMI layer for a platform: that of every FMU.
+
+    This machine's was built when the package was installed; others are built by ziglang and kept.
+
+    Raises
+    ------
+    ContactSystemError
+        An unknown platform, no ziglang, or a cache folder that cannot be written to, or by others.
+    """
+    if target == "native":
+        native_platform()
+        return LIBRARY.read_bytes()
+    folders = (ENGINE, ENGINE / "generated", C_FOLDER)
+    texts = [p.read_text("utf-8") for f in folders for p in sorted(f.glob("*.[chi]*")) if p.suffix != ".py"]
+    command = [*_command("contact_engine", target), f"-I{ENGINE}", "-DVARIANT=baseline"]
+    units = [ENGINE / "engine.c", ENGINE / "dispatch.c", C_FOLDER / "fmi2.c", C_FOLDER / "fmi3.c"]
+
+    def make(room: Path) -> Path:
+        built = room / f"contact_engine{_platform(target)[2]}"
+        _run([*command, *map(str, units), "-o", built.name, "-lm"], room)
+        return built
+
+    return _kept("\0".join([*command, *texts]), make)
 
 
 def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
@@ -149,26 +214,20 @@ def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
     ------
     ContactSystemError
         An unknown platform, no compiler, one that refuses, or a cache folder that cannot be
-        written to.
+        written to, or by others.
     """
     command = _command(identifier, target)
-    text = "\0".join([identifier, *command, *(f"{k}\0{sources[k]}" for k in sorted(sources))])
-    kept = cache_folder() / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.fmulib"
-    if os.access(kept, os.R_OK):
-        return kept.read_bytes()
-    with _cache_room() as folder:
+
+    def make(room: Path) -> Path:
         for file, content in sources.items():
-            (folder / file).write_text(content, "utf-8")
+            (room / file).write_text(content, "utf-8")
         # A Windows library carries the name it is linked under, and programs look for that one.
-        built = folder / f"{identifier}{_platform(target)[2]}"
-        names = sorted(file.removesuffix(".c") for file in sources if file.endswith(".c"))
-        compiler = [word for word in command if word not in LINK_FLAGS]
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            jobs = [[*compiler, "-c", f"{name}.c", "-o", f"{name}.o"] for name in names]
-            list(pool.map(lambda job: _run(job, folder), jobs))
-        _run([*command, *(f"{name}.o" for name in names), "-o", built.name, "-lm"], folder)
-        os.replace(built, kept)  # atomic: a second process never sees half a file
-    return kept.read_bytes()
+        built = room / f"{identifier}{_platform(target)[2]}"
+        names = sorted(file for file in sources if file.endswith(".c"))
+        _run([*command, *names, "-o", built.name, "-lm"], room)
+        return built
+
+    return _kept("\0".join([identifier, *command, *(f"{k}\0{sources[k]}" for k in sorted(sources))]), make)
 
 
 def _run(command: Sequence[str], folder: Path) -> None:

@@ -17,8 +17,8 @@ from contact_system.checks import is_device, items_of
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
-from .model import sided
-from .variables import BLOCK, INPUTS, STATES, Table, Unit, Variable, unit_name
+from .model import INPUTS
+from .variables import Table, Unit, Variable, unit_name
 
 VERSIONS = ("2.0", "3.0")
 INTERFACES = ("CoSimulation", "ModelExchange")
@@ -38,10 +38,10 @@ _BOTH = {
 }
 _OWN = {
     ("2.0", "ModelExchange"): "completedIntegratorStepNotNeeded",
-    ("2.0", "CoSimulation"): "canHandleVariableCommunicationStepSize canInterpolateInputs",
+    ("2.0", "CoSimulation"): "canHandleVariableCommunicationStepSize",
     ("3.0", "ModelExchange"): "",
-    ("3.0", "CoSimulation"): "canHandleVariableCommunicationStepSize providesIntermediateUpdate "
-    "mightReturnEarlyFromDoStep canReturnEarlyAfterIntermediateUpdate hasEventMode",
+    ("3.0", "CoSimulation"): "canHandleVariableCommunicationStepSize mightReturnEarlyFromDoStep "
+    "hasEventMode",
 }
 """Flags of an interface that are true, those of both interfaces apart."""
 
@@ -121,7 +121,9 @@ def model_identifier(table: Table) -> str:
 
 def listed(table: Table, fmi_version: str) -> list[Variable]:
     """The variables in the order of the file; FMI 2 has no need of the independent one."""
-    return table.rows if fmi_version == "3.0" else table.scalars()[1:]
+    if fmi_version == "2.0":
+        return table.scalars()[1:]
+    return table.rows if table.arrays else table.scalars()
 
 
 def generation_time() -> time.struct_time:
@@ -222,8 +224,6 @@ def _variable(variable: Variable, fmi_version: str) -> ET.Element:
         element = real = ET.Element("Float64", common | given)
         for size in variable.shape:
             ET.SubElement(element, "Dimension", start=str(size))
-        if variable.causality == "output":  # or no importer may read it between internal steps
-            element.set("intermediateUpdate", "true")
     if variable.derivative is not None:
         real.set("derivative", str(variable.derivative))
     return element
@@ -271,11 +271,8 @@ class _Knowns:
     """
 
     def __init__(self, table: Table, fmi_version: str):
-        states: set[int] = set()
-        inputs: set[int] = set()
-        for block in table.blocks:
-            inputs |= set(range(block, block + INPUTS))
-            states |= set(range(block + INPUTS, block + INPUTS + STATES))
+        states = set(table.states)
+        inputs = {block + k for block in table.blocks for k in range(INPUTS)}
         parameters = set(range(1, table.blocks[0]))
         self.running = inputs | states
         if fmi_version == "3.0":
@@ -290,7 +287,7 @@ class _Knowns:
     def of(self, variable: Variable, allowed: set[int]) -> list[int]:
         """References (they are FMI 2's indices too) of what a variable depends on."""
         known = {reference for element in variable.known for reference in element}
-        if variable.reference in self._states:
+        if variable.reference in self._states and variable.initial == "exact":
             known = set(range(variable.reference, variable.reference + variable.size))
         return sorted({self._owner[r] for r in known & allowed})
 
@@ -321,7 +318,7 @@ def terminals(table: Table) -> str:
         said["description"] = table.scene.contacts[i].name or f"Contact {i + 1}"
         terminal = ET.SubElement(everything, "Terminal", said)
         for v in listed(table, "3.0"):
-            if block <= v.reference < block + BLOCK and v.causality in ("input", "output"):
+            if block <= v.reference < block + table.block_size(i) and v.causality in ("input", "output"):
                 own = v.name.replace(f"contact[{i + 1}].", "")
                 member = {"variableName": v.name, "memberName": own, "variableKind": "signal"}
                 ET.SubElement(terminal, "TerminalMemberVariable", member)
@@ -331,7 +328,7 @@ def terminals(table: Table) -> str:
 def _digest(root: ET.Element, scene: Scene) -> str:
     """Of all that is described, and of what is not: equations of the surfaces and windows."""
     surfaces = [scene.object, *(contact.finger for contact in scene.contacts)]
-    behind = (list(map(sided, surfaces)), scene.gain, tuple(scene.disturbances))
+    behind = ([(s.structure, s.inside) for s in surfaces], scene.gain, tuple(scene.disturbances))
     text = ET.tostring(root) + repr(behind).encode()
     return "{" + hashlib.sha256(text).hexdigest()[:32] + "}"
 

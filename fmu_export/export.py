@@ -6,9 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from fmpy.validation import validate_fmu
-
-from contact_system.checks import function_or_none
+from contact_system.checks import flag, function_or_none
 from contact_system.scene import Scene
 
 from . import build
@@ -22,7 +20,9 @@ from .description import (
     model_identifier,
 )
 from .documentation import companions
-from .sources import c_sources
+from .data import scene_data
+from .sources import UNITS, c_sources
+from .validation import problems_of
 from .variables import variable_table
 
 
@@ -32,6 +32,8 @@ def export_fmu(
     fmi_version: str = "2.0",
     interfaces: Sequence[str] = INTERFACES,
     platforms: Sequence[str] = ("native",),
+    states: str = "auto",
+    arrays: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Path:
     """Write a scene as a Functional Mock-up Unit.
@@ -48,7 +50,11 @@ def export_fmu(
     interfaces : sequence of "CoSimulation" and "ModelExchange"
     platforms : sequence of str
         "native", or of x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin and
-        aarch64-darwin those wanted; all but the host's need the ziglang package.
+        aarch64-darwin those wanted; all but the host's need the ziglang package, once.
+    states : "auto", "chart" or "frame"
+        What the states are: see `variable_table`.
+    arrays : bool
+        FMI 3: vectors and matrices instead of scalars with FMI 2's names.
     progress : callable, optional
         Called with what is begun, once for each platform and for the file itself.
 
@@ -66,22 +72,19 @@ def export_fmu(
     path, moment = build.target(path), generation_time()
     platforms, interfaces = build.chosen(platforms), check_choice(fmi_version, interfaces)
     tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
-    table = variable_table(scene)
-    token = instantiation_token(model_description(table, fmi_version, interfaces))
-    texts = c_sources(table, token, fmi_version)
-    sources = sorted(name for name in texts if name.endswith(".c"))
-    description = model_description(table, fmi_version, interfaces, sources)
-    name = model_identifier(table)
+    table = variable_table(scene, states, flag(arrays, "arrays") and fmi_version == "3.0")
+    description = model_description(table, fmi_version, interfaces, UNITS)
+    name, data = model_identifier(table), scene_data(table, instantiation_token(description))
     # FMI's own headers are the importer's, which may give functions a prefix (FMI 3.0.2, 2.2.2).
+    texts = c_sources(data, name, fmi_version)
     files = {f"sources/{file}": text.encode() for file, text in texts.items()}
-    texts |= build.headers(fmi_version)
-    files["sources/buildDescription.xml"] = build_description(table, sources).encode()
+    files["resources/scene.bin"] = data
+    files["sources/buildDescription.xml"] = build_description(table, UNITS).encode()
     files["modelDescription.xml"] = description.encode()
     files |= companions(table, fmi_version)
     for platform in platforms:
-        tell(f"compiling for {platform}")
-        place = build.library_place(name, platform, fmi_version)
-        files[place] = build.library(texts, name, platform)
+        tell(f"taking the library for {platform}")
+        files[build.library_place(name, platform, fmi_version)] = build.engine(platform)
     tell("packing")
-    build.write_fmu(path, files, moment[:6], validate_fmu)
+    build.write_fmu(path, files, moment[:6], problems_of)
     return path

@@ -1,162 +1,133 @@
-"""What the component computes for one contact, as CasADi functions of the component's variables.
+"""A contact as a system of equations in the variables of an FMU, as one table of instructions.
 
-Nothing of the mathematics is written here: `contact_system.system.contact_function` and the moving
-frames of `contact_system.theory.development` are put into the variables that an importer sees.
-Those of a contact are, in this order,
+Nothing of the mathematics is written here: `contact_system.system.contact_function` is put into the
+variables that an importer sees. The states of a contact are one of
 
-* its state, eleven numbers (theory section 4): u1 v1; theta1, the angle in E1 of a frame that is
-  carried along by parallel transport; the path velocity M1 dq1/ds in that frame, W1; u2 v2 theta2
-  and the object's path velocity likewise; psi. At the start the carried frames are E1 and E2, so
-  the velocities are those of the scene. They stay constant while nothing acts, exist where
-  sigma = 0, and u', v' follow from them. In the frames E1, E2 themselves they would turn all the
-  time, and an importer's solver would let their length drift (measured, K4 by CVode at 1e-10:
-  4e-7 rad off, here 9e-8, with the nominal values of `variables` 3e-8);
-* the derivatives of those eleven, slip (2), twist (6), the pose of the finger in the object's
-  frame (rotation row by row, 9, position, 3), the contact point on finger and object (3 + 3).
+charts, eleven numbers (theory section 4)
+    u1 v1; theta1, the angle in E1 of a frame that is carried along by parallel transport; the path
+    velocity M1 dq1/ds in that frame, W1; u2 v2 theta2 and the object's path velocity likewise; psi.
+    At the start the carried frames are E1 and E2, so the velocities are those of the scene. They
+    stay constant while nothing acts, exist where sigma = 0, and u', v' follow from them. In the
+    frames E1, E2 themselves they would turn all the time, and an importer's solver would let their
+    length drift (measured, K4 by CVode at 1e-10: 4e-7 rad off, here 9e-8, with the nominal values
+    of `variables` 3e-8).
+frames
+    of finger and object the carried frame itself, a point and a tangent in space (6), or u v theta
+    (3) where a body is moved in its chart; W1; V. No pole stands in their way.
+
+Results are the states' derivatives; of frames the nine numbers of charts, u1 v1 u1' v1' u2 v2 u2'
+v2' psi; slip (2), twist (6), the pose of the finger in the object's frame (rotation row by row, 9,
+position, 3), the contact point on finger and object (3 + 3); then what the component alone reads:
+how far both charts are from their poles (2), and the angle of the object's frame.
 """
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import math
-from collections.abc import Hashable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
+from contact_system.engine.binding import address, along
 from contact_system.errors import ContactSystemError, SceneError
 from contact_system.scene import Contact, Scene
 from contact_system.starts import scene_start
 from contact_system.surfaces import Ellipsoid, Quadric, Surface, UserSurface
 from contact_system.system import PER_CONTACT, Form, contact_function, flip, start_function
 from contact_system.theory import symbols as ca
+from contact_system.theory.development import in_space
 from contact_system.theory.geometry import rotation
+from contact_system.theory.lowering import Table
 from contact_system.theory.profile import polynomial
-from contact_system.theory.symbols import per_structure
+from contact_system.theory.symbols import SYMBOLS, per_structure
 
-LAYOUT = {"INPUT": 6, "STATE": 11, "RATE": 11, "SLIP": 2, "TWIST": 6, "POSE": 12, "POINTS": 6}
-"""The block of numbers of a contact: disturbance inputs, state, and results from RATE on."""
-INPUTS, STATES = LAYOUT["INPUT"], LAYOUT["STATE"]
-BLOCK = sum(LAYOUT.values())
-RESULTS = BLOCK - INPUTS - STATES
+INPUTS, CHART_STATES, COORDINATES = 6, 11, 9
+RESULTS = {"slip": 2, "twist": 6, "pose": 12, "points": 6}
 TOLERANCE = 1e-14
-"""Of plans in this process, and of what is cut off a panel in the FMU; with 1e-13 K4 ends 4e-14 of
-its size away."""
-INFINITE = 1e200  # no rate is greater; kernels divide an acceleration by 1e-300 where sigma is 0
+"""Of plans; with 1e-13 K4 ends 4e-14 of its size away."""
 WORK_SIZE = 1.0
 """Stands for a body's size where `contact_function` asks for one and no result depends on it."""
 
 
-class Arguments(NamedTuple):
-    """Symbols of what a contact depends on.
-
-    time (1), state (11), disturbance (6): accelerations of finger and object, object rate offset,
-    chart components; law: gain, then the profile's coefficients; parameters of finger and object.
-    """
-
-    time: ca.SX
-    state: ca.SX
-    disturbance: ca.SX
-    law: ca.SX
-    finger: ca.SX
-    object: ca.SX
-
-
-def sided(surface: Surface) -> Hashable:
-    """What C is made for: the side of a surface is none of its parameters."""
-    return surface.structure, surface.inside
-
-
-def arguments(finger: Surface, obj: Surface, n_profile: int) -> Arguments:
-    """Symbols for a contact of these surfaces under a profile of so many coefficients."""
-    sizes = {"t": 1, "x": STATES, "w": 6, "law": 1 + n_profile}
-    sizes |= {"p1": len(finger.parameters), "p2": len(obj.parameters)}
-    return Arguments(*(ca.SX.sym(name, size) for name, size in sizes.items()))
-
-
-def contact_values(
-    finger: Surface, obj: Surface, forms: tuple[bool, bool], law: str, a: Arguments, state: ca.SX
-) -> dict[str, ca.SX]:
-    """What `contact_function` gives, by its names in `SceneSystem.function`; the pose row by row.
-
-    The state, with W_1 and V, is that of moving frames between which R_0 is diag(1, -1): their
-    angles sum to -psi. One in space (`forms`) is carried as (x, p).
-    """
-    form = Form("frame", True, forms, law, a.law.numel() - 1, ())
-    values = contact_function(finger, obj, form)(
-        a.time, state, a.disturbance, ca.SX(0, 1), a.law, *_sized(a)
-    )
-    found = dict(zip(("derivatives", *PER_CONTACT), values))
-    pose = found["pose"]
-    return found | {"pose": ca.vertcat(ca.vec(ca.reshape(pose[:9], 3, 3).T), pose[9:])}
-
-
-def first_state(finger: Surface, obj: Surface, forms: tuple[bool, bool], a: Arguments) -> ca.SX:
-    """What `contact_values` takes as the state, from the component's."""
-    x = a.state
-    velocities = (rotation(x[2]) @ x[3:5], rotation(x[7]) @ x[8:10])
-    given = ca.vertcat(x[0:2], x[5:7], x[10], *velocities)
-    form = Form("frame", True, forms, "path", a.law.numel() - 1, ())  # no law acts yet
-    return start_function(finger, obj, form)(0, given, ca.SX.zeros(a.law.numel()), *_sized(a))[0]
-
-
-def _sized(a: Arguments) -> tuple[ca.SX, ca.SX]:
-    return ca.vertcat(a.finger, WORK_SIZE), ca.vertcat(a.object, WORK_SIZE)
+def frame_sizes(finger: Surface, obj: Surface) -> tuple[int, int]:
+    """Numbers of the frames among the states: 6 in space, 3 in a chart; inputs may disturb both."""
+    first, second = (6 if in_space(s, True) else 3 for s in (finger, obj))
+    return first, second
 
 
 @per_structure
-def regularity(finger: Surface, obj: Surface) -> ca.Function:
-    """State, numbers of finger and object -> least Lame coefficient of each body's chart, m.
+def equations(finger: Surface, obj: Surface, law: str, n_profile: int, frames: bool) -> Table:
+    """The table (time, states, disturbances | gain, profile, numbers of both) -> results."""
+    with SYMBOLS:
+        forms = (in_space(finger, True), in_space(obj, True)) if frames else (False, False)
+        form = Form("frame", True, forms, law, n_profile, ())
+        size = sum(form.sizes) if frames else CHART_STATES
+        t, x, w = ca.SX.sym("t"), ca.SX.sym("x", size), ca.SX.sym("w", INPUTS)
+        gain, profile = ca.SX.sym("gain"), ca.SX.sym("profile", n_profile)
+        p1, p2 = (ca.SX.sym("p", len(s.parameters)) for s in (finger, obj))
+        # where sigma has ended the path rests: solvers look there from within their last step
+        ended = polynomial(ca.vertsplit(profile), t) < 0
+        own = ca.vertcat(gain, ca.if_else(ended, 0, profile))
+        turn, state = (None, x) if frames else _framed(x)
+        numbers = ca.vertcat(p1, WORK_SIZE), ca.vertcat(p2, WORK_SIZE)
+        values = contact_function(finger, obj, form)(t, state, w, ca.SX(0, 1), own, *numbers)
+        found = dict(zip(("derivatives", *PER_CONTACT), values))
+        pose, rates = found["pose"], found["derivatives"]
+        by_rows = ca.vertcat(ca.vec(ca.reshape(pose[:9], 3, 3).T), pose[9:])
+        results = ca.vertcat(
+            *((rates, found["state"]) if frames else (_chart_rates(rates, turn),)),
+            *(found["slip"], found["twist"], by_rows, found["contact_point"]),
+            *(found["regularity"], _object_theta(obj, forms, state, p2)),
+        )
+        point, constants = ca.vertcat(t, x, w), ca.vertcat(gain, profile, p1, p2)
+        return Table(ca.Function("equations", [point, constants], [ca.densify(ca.cse(results))]))
 
-    0 at a pole or an umbilic, less where the chart's frame points inward.
+
+def _framed(x: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """The states of frames in charts between which R_0 is diag(1, -1), from the eleven.
+
+    The finger's frame is turned by psi + theta1 + theta2, which stays constant.
     """
-    a = arguments(finger, obj, 1)
-    frame = ca.vertcat(a.state[0:2], 0, a.state[5:7], ca.SX(5, 1))
-    found = contact_values(finger, obj, (False, False), "path", a, frame)["regularity"]
-    return ca.Function("regularity", [a.state, a.finger, a.object], [ca.densify(found)])
-
-
-@per_structure
-def contact_results(finger: Surface, obj: Surface, law: str, n_profile: int) -> ca.Function:
-    """The 37 results of a contact from its state (see the module's text); exact at sigma = 0.
-
-    `contact_values` takes the finger's frame turned by psi + theta1 + theta2, which stays constant.
-    """
-    a = arguments(finger, obj, n_profile)
-    u1, theta1, w1, u2, theta2, y, psi = ca.vertsplit(a.state, [0, 2, 3, 5, 7, 8, 10, 11])
+    u1, theta1, w1, u2, theta2, y, psi = ca.vertsplit(x, [0, 2, 3, 5, 7, 8, 10, 11])
     turn = rotation(psi + theta1 + theta2)
     w = turn @ w1
-    state = ca.vertcat(u1, -psi - theta2, u2, theta2, w, flip() @ w - y)
-    # where sigma has ended the path rests: solvers look there from within their last step
-    ended = polynomial(ca.vertsplit(a.law[1:]), a.time) < 0
-    own = a._replace(law=ca.vertcat(a.law[0], ca.if_else(ended, 0, a.law[1:])))
-    found = contact_values(finger, obj, (False, False), law, own, state)
-    finger_rate, theta1_rate, object_rate, theta2_rate, w_rate, v_rate = ca.vertsplit(
-        found["derivatives"], [0, 2, 3, 5, 6, 8, 10]
-    )
-    results = ca.vertcat(
-        *(finger_rate, theta1_rate, turn.T @ w_rate),
-        *(object_rate, theta2_rate, flip() @ w_rate - v_rate),
-        -theta1_rate - theta2_rate,
-        *(found[name] for name in ("slip", "twist", "pose", "contact_point")),
-    )
-    return ca.Function("results", list(a), [ca.densify(ca.cse(results))])
+    return turn, ca.vertcat(u1, -psi - theta2, u2, theta2, w, flip() @ w - y)
 
 
-@per_structure
-def jacobian(function: ca.Function) -> ca.Function:
-    """All arguments, one after the other, -> derivatives: (n_results, n_arguments)."""
-    sizes = [function.nnz_in(i) for i in range(function.n_in())]
-    z = ca.SX.sym("z", sum(sizes))
-    parts = ca.vertsplit(z, np.cumsum([0, *sizes]).tolist())
-    return ca.Function("jacobian_of", [z], [ca.densify(ca.jacobian(function(*parts), z))])
+def _chart_rates(rates: ca.SX, turn: ca.SX) -> ca.SX:
+    """The eleven derivatives from those of the frames."""
+    first, theta1, second, theta2, w, v = ca.vertsplit(rates, [0, 2, 3, 5, 6, 8, 10])
+    finger, obj = (first, theta1, turn.T @ w), (second, theta2, flip() @ w - v)
+    return ca.vertcat(*finger, *obj, -theta1 - theta2)
 
 
-def start_state(contact: Contact) -> np.ndarray:
-    """The eleven numbers of a contact where its scene starts."""
-    start = scene_start(contact)
-    finger = (*start.finger_at, 0.0, *start.finger_velocity)
-    return np.array([*finger, *start.object_at, 0.0, *start.object_velocity, start.angle])
+def _object_theta(obj: Surface, forms: tuple[bool, bool], state: ca.SX, p2: ca.SX) -> ca.SX:
+    from contact_system.theory.development import moving
+
+    if not forms[1]:
+        return state[-5]  # u v theta, W_1, V
+    place = ca.vertcat(state[-10:-4], 0, 0)
+    return moving(obj, True)("coordinates")(place, ca.vertcat(obj.sign, p2))[4]
+
+
+def start_states(scene: Scene, contact: Contact, frames: bool) -> np.ndarray:
+    """The states of a contact where its scene starts."""
+    start, obj = scene_start(contact), scene.object
+    if not frames:
+        finger = (*start.finger_at, 0.0, *start.finger_velocity)
+        return np.array([*finger, *start.object_at, 0.0, *start.object_velocity, start.angle])
+    forms = (in_space(contact.finger, True), in_space(obj, True))
+    profile = scene.profile.coefficients
+    form = Form("frame", True, forms, scene.gain.law, len(profile), ())
+    places = []
+    for surface, at in ((contact.finger, start.finger_at), (obj, start.object_at)):
+        places += [*at] if surface.has_chart else [*surface.point(*at), *surface.frame(*at)[:, 0]]
+    given = [*places, start.angle, *start.finger_velocity, *start.object_velocity]
+    numbers = [[*s.parameters, s.size] for s in (contact.finger, obj)]
+    function = start_function(contact.finger, obj, form)
+    return function(0.0, given, [scene.gain.value, *profile], *numbers)[0].full().ravel()
 
 
 def surface_with(surface: Surface, values: Sequence[float]) -> Surface:
@@ -216,39 +187,17 @@ def kept_order(surface: Surface) -> list[tuple[int, int]]:
     return found
 
 
-def require_charts(scene: Scene) -> None:
-    """Refuse surfaces without coordinates that can be set.
-
-    Raises
-    ------
-    SceneError
-        A surface without an explicit chart (`ImplicitSurface`).
-    """
-    bodies = [("the object", scene.object)]
-    bodies += [(f"contact {i}", c.finger) for i, c in enumerate(scene.contacts)]
-    for place, surface in bodies:
-        if not surface.has_chart:
-            raise SceneError(
-                f"{scene.title}, {place}: {surface!r} has no explicit chart f(u, v), which "
-                "an importer needs to set where the contact starts; give a ParametricSurface"
-            )
-
-
-def dependencies(function: ca.Function, samples: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
-    """Which results depend on which arguments, from exact derivatives at sample points.
-
-    The expression's own structure would name too much: a path velocity of the object passes through
-    V = R_0 W_1 - a_2, and R_0 W_1 - V depends on nothing but a_2 after all.
-
-    Returns
-    -------
-    (n_results, n_arguments) bool
-    """
-    derivatives = jacobian(function)
-    found = np.zeros(derivatives.size_out(0), dtype=bool)
-    for sample in samples:
-        at = np.concatenate([np.ravel(part) for part in sample])
-        values = np.abs(derivatives(at).full() * np.where(at == 0, 1.0, at))
-        largest = np.maximum(values.max(axis=1, keepdims=True), 1e-300)
-        found |= ~(values <= 1e-12 * largest)  # a NaN says that there is a dependence
-    return found
+def jacobian(table: Table, point: Sequence[float], constants: Sequence[float]) -> np.ndarray:
+    """Derivatives of a table's results by its point and constants, in the engine: (n_out, n)."""
+    count, lanes = table.n_in + table.n_const, 16
+    r, found = np.zeros(table.n_regs), []
+    r[table.first_lit :][: len(table.literals)] = table.literals
+    for first in range(0, count, lanes):
+        tangents = np.zeros((table.n_regs, lanes))
+        r[:count] = [*point, *constants]
+        tangents[:count] = np.eye(count, lanes, -first)
+        for words in (table.prologue, table.body):
+            program = (ctypes.c_void_p * 2)(words.ctypes.data, r.ctypes.data)
+            along(ctypes.addressof(program), address(tangents))
+        found.append(tangents[table.first_out :][: table.n_out].copy())
+    return np.hstack(found)[:, :count]

@@ -1,9 +1,9 @@
 """One table of variables for a scene: what an importer sees, and where the component keeps it.
 
 The component's values lie in one array of float64. A variable's value reference is the index of its
-first element there, in FMI 2 and in FMI 3 alike; FMI 2 sees every element as a scalar of its own
-name. The array begins with time and the parameters; a block of `BLOCK` numbers a contact follows
-(`fmu_export.model.LAYOUT`).
+first element there; every element is a scalar of its own name, but for FMI 3 with arrays. The array
+begins with time and the parameters; a block of numbers a contact follows: inputs, states, their
+derivatives and other results (`fmu_export.model`).
 
 Names are structured (FMI 2.0.4, section 2.2.9; FMI 3.0.2, section 2.4.7.5.1) and count from 1.
 """
@@ -24,14 +24,15 @@ from contact_system.surfaces import LEAST_LENGTH, Quadric, Surface, UserSurface
 from contact_system.system import SceneSystem
 
 from .model import (
-    BLOCK,
+    CHART_STATES,
+    COORDINATES,
     INPUTS,
-    STATES,
-    contact_results,
-    dependencies,
+    RESULTS,
+    equations,
+    frame_sizes,
+    jacobian,
     kept_order,
-    require_charts,
-    start_state,
+    start_states,
 )
 
 SMALL = 0.1
@@ -142,15 +143,24 @@ class Table:
         References of ``gain``, ``profile`` and ``object``: where their numbers begin.
     finger_first : list of int
         Reference of the first number of each contact's finger.
+    window_first : int
+        Reference of the first number of the scene's disturbance windows, four each.
     blocks : list of int
         Reference of the first number of each contact.
+    frames : bool
+        Whether the states are moving frames, not charts.
+    arrays : bool
+        Whether FMI 3 sees arrays.
     """
 
     scene: Scene
     rows: list[Variable]
     parameter_first: dict[str, int]
     finger_first: list[int]
+    window_first: int
     blocks: list[int]
+    frames: bool
+    arrays: bool
 
     @kept
     def _by_name(self) -> dict[str, Variable]:
@@ -163,7 +173,33 @@ class Table:
     @property
     def n_values(self) -> int:
         """Length of the component's array of values."""
-        return self.blocks[-1] + BLOCK
+        return self.blocks[-1] + self.block_size(len(self.blocks) - 1)
+
+    def n_states(self, contact: int) -> int:
+        """Number of a contact's states."""
+        if not self.frames:
+            return CHART_STATES
+        return sum(frame_sizes(self.scene.contacts[contact].finger, self.scene.object)) + 4
+
+    def block_size(self, contact: int) -> int:
+        """Number of a contact's values."""
+        coordinates = COORDINATES if self.frames else 0
+        return INPUTS + 2 * self.n_states(contact) + coordinates + sum(RESULTS.values())
+
+    @property
+    def states(self) -> list[int]:
+        """References of the continuous states."""
+        return [
+            block + INPUTS + k
+            for i, block in enumerate(self.blocks)
+            for k in range(self.n_states(i))
+        ]
+
+    @kept
+    def sizes(self) -> list[int]:
+        """How many values each reference has; 0 inside an array."""
+        rows = self.rows if self.arrays else self.scalars()
+        return [size for v in rows for size in (v.size, *[0] * (v.size - 1))]
 
     @kept
     def start_values(self) -> np.ndarray:
@@ -189,51 +225,84 @@ class Table:
     @kept
     def state_nominals(self) -> np.ndarray:
         """Nominal values of the continuous states, contact by contact."""
-        states = {b + INPUTS + k for b in self.blocks for k in range(STATES)}
+        states = set(self.states)
         return np.array([v.nominal for v in self.scalars() if v.reference in states])
 
     def arguments(self, contact: int) -> list[int]:
-        """References of the arguments of `model.contact_results`, in order."""
+        """References of the point and the constants of `model.equations`, in order."""
         first, block = self.parameter_first, self.blocks[contact]
         own = self.scene.contacts[contact].finger
         law = [first["gain"], *_range(first["profile"], len(self.scene.profile.coefficients))]
         finger = _range(self.finger_first[contact], len(own.parameters))
         obj = _range(first["object"], len(self.scene.object.parameters))
-        state, inputs = _range(block + INPUTS, STATES), _range(block, INPUTS)
+        state, inputs = _range(block + INPUTS, self.n_states(contact)), _range(block, INPUTS)
         return [0, *state, *inputs, *law, *finger, *obj]
 
 
-def variable_table(scene: Scene) -> Table:
+STATES = ("auto", "chart", "frame")
+
+
+def variable_table(scene: Scene, states: str = "auto", arrays: bool = False) -> Table:
     """The variables of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    states : "auto", "chart" or "frame"
+        What the states of Model Exchange, and the start values, are: charts, or moving frames, in
+        whose way no pole stands. "auto": charts where all surfaces have one.
+    arrays : bool
+        Whether FMI 3 sees vectors and matrices instead of scalars.
 
     Raises
     ------
     SceneError
-        A scene that no importer can step: a surface without a chart, or sigma = 0 inside the window
-        of an acceleration; or names of a user's parameters that outputs have as well.
+        A scene that no importer can step: sigma = 0 inside the window of an acceleration; names of
+        a user's parameters that outputs have as well; charts where there are none.
     """
     require_scene(scene)
-    require_charts(scene)
-    names = _parameter_names(scene)
+    if states not in STATES:
+        raise SceneError(f"states = {states!r}: use one of {', '.join(STATES)}")
     surfaces = [scene.object, *(c.finger for c in scene.contacts)]
+    frames = states == "frame" or (states == "auto" and not all(s.has_chart for s in surfaces))
+    for surface in surfaces:
+        if not (frames or surface.has_chart):
+            raise SceneError(
+                f"{scene.title}: {surface!r} has no explicit chart f(u, v), in which states could "
+                'be; give states="frame" or a ParametricSurface'
+            )
+    n_profile = len(scene.profile.coefficients)
+    if n_profile > MOST_COEFFICIENTS:
+        raise SceneError(
+            f"{scene.title}: its profile has {n_profile} coefficients, and an FMU holds "
+            f"{MOST_COEFFICIENTS}; give a profile of a lower degree"
+        )
+    names = _parameter_names(scene)
     law = [(x, None) for x in (scene.gain.value, *scene.profile.coefficients)]
+    law.append((1.0, None))
     values = [*law, *((x, surface) for surface in surfaces for x in surface.parameters)]
     rows = [
         Variable("time", 0, "independent", "continuous", None, "Simulation time", (0, 1, 0)),
         *(_parameter(scene, n, 1 + k, *x) for k, (n, x) in enumerate(zip(names, values))),
     ]
-    n_profile = len(scene.profile.coefficients)
-    first = {"gain": 1, "profile": 2, "object": 2 + n_profile}
-    fingers, at = [], 2 + n_profile + len(scene.object.parameters)
+    first = {"gain": 1, "profile": 2, "scale": 2 + n_profile, "object": 3 + n_profile}
+    fingers, at = [], first["object"] + len(scene.object.parameters)
     for contact in scene.contacts:
         fingers.append(at)
         at += len(contact.finger.parameters)
-    blocks = [at + BLOCK * i for i in range(len(scene.contacts))]
-    table = Table(scene, rows, first, fingers, blocks)
+    rows += _window_rows(scene, at)
+    table = Table(scene, rows, first, fingers, at, [], frames, arrays)
+    at += 4 * len(scene.disturbances)
     for i in range(len(scene.contacts)):
-        rows += _contact_rows(scene, i, blocks[i], _known(scene, table, i))
+        table.blocks.append(at)
+        at += table.block_size(i)
+    for i in range(len(scene.contacts)):
+        rows += _contact_rows(table, i, _known(table, i))
     _require_names(table)
     return table
+
+
+MOST_COEFFICIENTS = 48
 
 
 def unit_name(unit: Unit) -> str:
@@ -259,7 +328,7 @@ def chart_units(surface: Surface) -> tuple[Unit | None, Unit | None]:
 def _parameter_names(scene: Scene) -> list[str]:
     """Those of `SceneSystem`, without the sizes of the bodies, which follow their numbers."""
     names = iter(SceneSystem(scene, "frame").parameter_names)
-    kept = [*islice(names, 1 + len(scene.profile.coefficients))]
+    kept = [*islice(names, 1 + len(scene.profile.coefficients)), "disturbances.scale"]
     for surface in (scene.object, *(c.finger for c in scene.contacts)):
         kept += islice(names, len(surface.parameters))
         next(names)
@@ -288,6 +357,8 @@ def _parameter(
     if owner == "gain":
         unit, low = _GAIN_UNITS[scene.gain.law], 0.0
         variability, text = "tunable", f"Gain of the law '{scene.gain.law}'"
+    elif owner == "disturbances":
+        unit, text = NONE, "Factor of the scene's own disturbances; 0 leaves them out"
     elif not owner:
         power = int(last[len("profile[") : -1]) - 1
         unit, text = (1, -1 - power, 0), f"Path profile sigma(t), coefficient of t^{power}"
@@ -297,6 +368,25 @@ def _parameter(
         low, nominal = LEAST_LENGTH, value
     named = (name, reference, "parameter", variability, "exact", text, unit, (value,))
     return Variable(*named, minimum=low, nominal=nominal or None)
+
+
+def _window_rows(scene: Scene, at: int) -> Iterator[Variable]:
+    """Start, stop and components of each of the scene's disturbances."""
+    for k, d in enumerate(scene.disturbances):
+        surface = scene.contacts[d.contact].finger if d.slot == 0 else scene.object
+        units = [_per_second(unit, 2 if d.slot < 2 else 1) for unit in chart_units(surface)]
+        what = f"disturbance of contact {d.contact + 1}, {d.kind}"
+        for j, (name, unit, value) in enumerate(
+            (
+                ("start", (0, 1, 0), d.start),
+                ("stop", (0, 1, 0), d.stop),
+                ("u", units[0], d.value[0]),
+                ("v", units[1], d.value[1]),
+            )
+        ):
+            text = f"{name.capitalize()} of the {what}" if j < 2 else f"Component {name} of the {what}"
+            named = (f"disturbance[{k + 1}].{name}", at + 4 * k + j, "parameter", "fixed", "exact")
+            yield Variable(*named, text, unit, (float(value),), minimum=0.0 if j < 2 else None)
 
 
 def _counted_from_one(name: str) -> str:
@@ -314,23 +404,27 @@ def _counted_from_one(name: str) -> str:
 XY, XYZ = ("x", "y"), ("x", "y", "z")
 
 
-def _contact_rows(
-    scene: Scene, i: int, first: int, known: list[tuple[int, ...]]
-) -> Iterator[Variable]:
-    contact = scene.contacts[i]
-    states = _states(scene, contact)
-    derivatives = list(map(_derivative, states))
-    starts = [*[0.0] * INPUTS, *start_state(contact).tolist()]
-    at = 0
-    for v in (*_inputs(scene, contact), *states, *derivatives, *_outputs(scene, contact)):
-        end, result = at + v.size, at - INPUTS - STATES
+def _contact_rows(table: Table, i: int, known: list[tuple[int, ...]]) -> Iterator[Variable]:
+    scene, contact, first = table.scene, table.scene.contacts[i], table.blocks[i]
+    states = _frame_states(scene, contact) if table.frames else _states(scene, contact)
+    derivatives = [_derivative(v, table.frames) for v in states]
+    starts = [*[0.0] * INPUTS, *start_states(scene, contact, table.frames).tolist()]
+    results = [*(_coordinates(scene, contact) if table.frames else ()), *_outputs(scene, contact)]
+    n_states, at = table.n_states(i), 0
+    for v in (*_inputs(scene, contact), *states, *derivatives, *results):
+        end, result = at + v.size, at - INPUTS - n_states
+        derivative = None
+        if 0 <= result < n_states:
+            derivative = first + at - n_states
+        elif v.name.startswith("der("):
+            derivative = first + at - 2
         yield replace(
             v,
             name=_of_contact(i, v.name),
             reference=first + at,
             start=tuple(starts[at:end]),
             elements=tuple(_of_contact(i, name) for name in v.elements),
-            derivative=first + at - STATES if v.name.startswith("der(") else None,
+            derivative=derivative,
             known=tuple(known[result : result + v.size]) if result >= 0 else (),
         )
         at = end
@@ -386,7 +480,41 @@ def _states(scene: Scene, contact: Contact) -> list[Variable]:
     return [_quantity(*row, kind=("output", "exact")) for row in rows]
 
 
-def _derivative(state: Variable) -> Variable:
+def _frame_states(scene: Scene, contact: Contact) -> list[Variable]:
+    rows: list[tuple[str, tuple[str, ...], Unit | None, str, float]] = []
+    sizes = frame_sizes(contact.finger, scene.object)
+    for side, surface, size in zip(("finger", "object"), (contact.finger, scene.object), sizes):
+        carried = f"frame carried along on the {side}"
+        if size == 6:
+            rows.append((f"{side}.frame.point", XYZ, METRE, f"Origin of the {carried}", surface.size))
+            rows.append((f"{side}.frame.axis", XYZ, NONE, f"First axis of the {carried}", 1.0))
+            continue
+        for axis, unit in zip("uv", chart_units(surface)):
+            nominal = SMALL * surface.size if unit == METRE else SMALL
+            rows.append((f"{side}.frame.{axis}", (), unit, f"Coordinate {axis} of the {carried}", nominal))
+        rows.append((f"{side}.frame.angle", (), RADIAN, f"Angle in the chart of the {carried}", SMALL))
+    text = "Path velocity of the finger's contact point in its carried frame"
+    rows.append(("frame.velocity", XY, NONE, text, SMALL))
+    rows.append(("frame.slip", XY, NONE, "Slip over sigma in the object's carried frame", SMALL))
+    return [_quantity(*row, kind=("output", "exact")) for row in rows]
+
+
+def _coordinates(scene: Scene, contact: Contact) -> list[Variable]:
+    """What charts say of carried frames, in the engine's order."""
+    rows = []
+    for side, surface in (("finger", contact.finger), ("object", scene.object)):
+        units = chart_units(surface)
+        for axis, unit in zip("uv", units):
+            text = f"Coordinate {axis} of the contact point on the {side}"
+            rows.append(_quantity(f"{side}.{axis}", (), unit, text))
+        for axis, unit in zip("uv", units):
+            text = f"Time derivative: Coordinate {axis} of the contact point on the {side}"
+            rows.append(_quantity(f"der({side}.{axis})", (), _per_second(unit, 1), text))
+    text = "Contact angle psi between the contact frames E1 and E2"
+    return [*rows, _quantity("angle", (), RADIAN, text)]
+
+
+def _derivative(state: Variable, local: bool) -> Variable:
     """Rates of coordinates are outputs, the other derivatives are local."""
     return replace(
         state,
@@ -394,7 +522,7 @@ def _derivative(state: Variable) -> Variable:
         elements=tuple(f"der({name})" for name in state.elements),
         description="Time derivative: " + state.description,
         unit=_per_second(state.unit, 1),
-        causality="output" if state.name[-2:] in (".u", ".v") else "local",
+        causality="output" if state.name[-2:] in (".u", ".v") and not local else "local",
         initial="calculated",
         nominal=None,
     )
@@ -421,23 +549,35 @@ def _outputs(scene: Scene, contact: Contact) -> list[Variable]:
 # --- dependencies --------------------------------------------------------------------------------
 
 
-def _known(scene: Scene, table: Table, i: int) -> list[tuple[int, ...]]:
-    """For each result of a contact, references of what it depends on."""
+def _known(table: Table, i: int) -> list[tuple[int, ...]]:
+    """For each result of a contact, references of what it depends on.
+
+    From exact derivatives at sample points: the expression's own structure would name too much. A
+    path velocity of the object passes through V = R_0 W_1 - a_2, and R_0 W_1 - V depends on nothing
+    but a_2 after all.
+    """
+    scene, n_states = table.scene, table.n_states(i)
     finger, obj = scene.contacts[i].finger, scene.object
-    function = contact_results(finger, obj, scene.gain.law, len(scene.profile.coefficients))
+    n_profile = len(scene.profile.coefficients)
+    made = equations(finger, obj, scene.gain.law, n_profile, table.frames)
     random = np.random.default_rng(1)
-    start = start_state(scene.contacts[i])
-    step = 0.02 * np.array([1, 1, 9, 9, 9, 1, 1, 9, 9, 9, 9])
-    samples = []
+    start = start_states(scene, scene.contacts[i], table.frames)
+    step = np.full(n_states, 0.02)
+    if not table.frames:
+        step[[2, 3, 4, 7, 8, 9, 10]] = 0.18
+    constants = [scene.gain.value + 1.0, *scene.profile.coefficients, *finger.parameters]
+    constants += obj.parameters
+    arguments = table.arguments(i)
+    found = np.zeros((made.n_out, len(arguments)), dtype=bool)
     for t in scene.duration * np.array([0.21, 0.52, 0.83]):
         # off the start, where symmetry hides dependencies, and inside any chart it is in
-        state = start + step * random.standard_normal(STATES)
-        law = [scene.gain.value + 1.0, *scene.profile.coefficients]
-        samples.append(
-            [t, state, random.standard_normal(INPUTS), law, finger.parameters, obj.parameters]
-        )
-    found = dependencies(function, samples)
-    references = np.array(table.arguments(i))
+        state = start + step * random.standard_normal(n_states) * np.where(table.frames, start, 1.0)
+        state[-4:] += 0.1 * random.standard_normal(4) if table.frames else 0.0
+        at = np.array([t, *state, *random.standard_normal(INPUTS), *constants])
+        values = np.abs(jacobian(made, at[: made.n_in], at[made.n_in :]) * np.where(at == 0, 1, at))
+        largest = np.maximum(values.max(axis=1, keepdims=True), 1e-300)
+        found |= ~(values <= 1e-12 * largest)  # a NaN says that there is a dependence
+    references = np.array(arguments)
     return [tuple(sorted(set(references[row].tolist()))) for row in found]
 
 

@@ -79,6 +79,8 @@ _CALLS: dict[str, Any] = {
     "run": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, c_int32, c_void_p),
     # it takes a microsecond
     "step": ctypes.PYFUNCTYPE(None, c_void_p),
+    "along": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
+    "look": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
 }
 
 
@@ -88,11 +90,14 @@ class Engine(Structure):
     _fields_ = [("version", c_int32), ("variant", c_char_p), *_CALLS.items()]
 
 
+_SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+LIBRARY = Path(__file__).with_name(f"_engine{_SUFFIX}")
+"""The engine, and the functions of FMI over it."""
+
+
 def _library() -> ctypes.CDLL:
-    suffix = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-    path = Path(__file__).with_name(f"_engine{suffix}")
     try:
-        found = ctypes.CDLL(str(path))
+        found = ctypes.CDLL(str(LIBRARY))
     except OSError as error:
         raise ImportError(
             f"the engine of contact_system cannot be loaded: {error}; install the package again "
@@ -109,7 +114,7 @@ ENGINE: Engine = _LIBRARY.contact_engine().contents
 # to fetch a function from a structure makes it anew
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
-step = ENGINE.step
+step, along = ENGINE.step, ENGINE.along
 _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
 )
@@ -161,14 +166,14 @@ def _surfaces() -> dict[str, SurfaceData]:
     return found
 
 
-_SURFACES = _surfaces()
+SURFACES = _surfaces()
 _BUILTINS: dict[str, Builtins] = {}
 
 
 def builtin(name: str) -> Builtins:
     """The tables of a bundled surface by its ``table_name``."""
     if name not in _BUILTINS:
-        _BUILTINS[name] = Builtins(_SURFACES[name])
+        _BUILTINS[name] = Builtins(SURFACES[name])
     return _BUILTINS[name]
 
 

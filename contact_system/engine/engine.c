@@ -36,6 +36,7 @@ static _Noreturn void fail(work_t *w, int code);
 
 static void drop(plan_t *plan) {
   if (!plan) return;
+  if (plan->kept) end_work(plan->kept), free(plan->kept);
   for (block_t *b = plan->memory, *next; b; b = next) next = b->next, free(b);
   free(plan);
 }
@@ -95,6 +96,21 @@ static int evaluate(const plan_t *plan, int64_t n, const double *t, double *cons
       evaluate_contact(&w, plan->contacts + i, n, t, own);
     }
   end_work(&w);
+  return (int)failure->code;
+}
+
+static int look(plan_t *plan, double t, double *const *out, failure_t *failure) {
+  work_t *w = plan->kept;
+  if (!(t >= plan->begin && t <= plan->end)) return (int)(failure->code = OUTSIDE);
+  if (!w && !(w = plan->kept = calloc(1, sizeof *w))) return (int)(failure->code = NO_MEMORY);
+  memset(failure, 0, sizeof *failure);
+  w->plan = plan, w->failure = failure;
+  if (setjmp(w->jump) == 0)
+    for (int64_t i = 0; i < plan->n_contacts; i++) {
+      double *own[N_OUTPUTS];
+      for (int k = 0; k < N_OUTPUTS; k++) own[k] = out[k] ? out[k] + i * OUTPUT_ROWS[k] : NULL;
+      evaluate_contact(w, plan->contacts + i, 1, &t, own);
+    }
   return (int)failure->code;
 }
 
@@ -174,4 +190,6 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                 .facts = facts,
                                 .bytes = bytes,
                                 .run = run_table,
-                                .step = step};
+                                .step = step,
+                                .along = along,
+                                .look = look};

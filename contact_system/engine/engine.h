@@ -180,6 +180,10 @@ typedef struct {
   int (*run)(const table_t *table, int64_t n, const double *in, const double *constants,
              int constants_vary, double *out);
   void (*step)(const program_t *program);
+  /* the same, and what grows along with it: a derivative for each lane of tangents[register] */
+  void (*along)(const program_t *program, double (*tangents)[L]);
+  /* like `evaluate` at one time, of plans of one thread: room for tables stays with the plan */
+  int (*look)(plan_t *plan, double t, double *const *out, failure_t *failure);
 } engine_t;
 
 #ifdef _WIN32

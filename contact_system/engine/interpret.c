@@ -86,6 +86,58 @@ static void step(const program_t *program) {
   NEXT
   NEXT OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) DO_END :;
 }
+#undef SIMPLE
+#undef SIMPLE2
+#undef CALL1
+#undef CALL2
+
+/* d f = sum of partial derivatives times what their operands grow by; what stands still adds
+   nothing, whatever its derivative */
+static void grow(double (*d)[L], const code_t *k, const double *partial, int n) {
+  const uint16_t from[6] = {k->a, k->b, k->c, n > 3 ? k[1].a : 0, n > 3 ? k[1].b : 0,
+                            n > 3 ? k[1].c : 0};
+  double sum[L] = {0};
+  for (int j = 0; j < n; j++)
+    for (int i = 0; i < L; i++)
+      if (d[from[j]][i] != 0.0) sum[i] += partial[j] * d[from[j]][i];
+  memcpy(d[k->to], sum, sizeof sum);
+}
+
+static void along(const program_t *program, double (*d)[L]) {
+  double *r = program->registers;
+#define PARTIALS(name, ...)                                                                        \
+  case OP_##name: {                                                                                \
+    const double partial[] = {__VA_ARGS__};                                                        \
+    grow(d, k, partial, (int)(sizeof partial / sizeof *partial));                                  \
+    break;                                                                                         \
+  }
+#define SIMPLE(name, value)                                                                        \
+  case OP_##name:                                                                                  \
+    r[k->to] = (value);                                                                            \
+    break;
+#define SIMPLE2(name, value)                                                                       \
+  case OP_##name:                                                                                  \
+    r[k->to] = (value);                                                                            \
+    k++;                                                                                           \
+    break;
+#define CALL1(name, function)                                                                      \
+  case OP_##name:                                                                                  \
+    r[k->to] = function(A);                                                                        \
+    break;
+#define CALL2(name, function)                                                                      \
+  case OP_##name:                                                                                  \
+    r[k->to] = function(A, B);                                                                     \
+    break;
+  for (const code_t *k = program->code; k->op != OP_END; k++) {
+    switch (k->op) { DERIVATIVES(PARTIALS) }
+    switch (k->op) { OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) }
+  }
+}
+#undef PARTIALS
+#undef SIMPLE
+#undef SIMPLE2
+#undef CALL1
+#undef CALL2
 #undef A
 #undef B
 #undef C

@@ -82,6 +82,7 @@ struct plan {
   block_t *memory;
   double bytes;
   int anchored;
+  work_t *kept; /* of `look` */
 };
 
 enum { MAX_STATES = 16, TERMS = L + 1 };

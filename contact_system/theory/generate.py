@@ -35,9 +35,11 @@ def operations() -> str:
     """Return operations.inc: the codes, and what each operation does to the operands A to F."""
     codes = ", ".join(f"OP_{row.name}" for row in OPERATIONS)
     rows = " \\\n".join(f"  {row.kind}({row.name}, {row.c})" for row in OPERATIONS)
+    slopes = " \\\n".join(f"  ROW({row.name}, {', '.join(row.partials)})" for row in OPERATIONS)
     return (
         f"{MARK}enum {{ OP_END, {codes} }};\n\n"
-        f"#define OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) \\\n{rows}\n"
+        f"#define OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) \\\n{rows}\n\n"
+        f"#define DERIVATIVES(ROW) \\\n{slopes}\n"
     )
 
 

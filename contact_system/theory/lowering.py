@@ -37,46 +37,72 @@ class Operation(NamedTuple):
 
     name: str
     """As in CasADi's OP_..., but for `FUSED`."""
-    arity: int
     c: str
     """C expression of the operands A, B, C (and D, E, F), or C's function of so many numbers."""
+    partials: tuple[str, ...]
+    """C expressions of its derivatives by each operand."""
     kind: str = "SIMPLE"
     """"SIMPLE", "SIMPLE2" (with the operands D, E, F in a second row), "CALL1" or "CALL2"."""
 
+    @property
+    def arity(self) -> int:
+        """Number of operands."""
+        return len(self.partials)
+
 
 FUSED = ("FMA", "FMS", "FNMA", "DOT2", "DOT3")
-CALLS = "SIN COS TAN ASIN ACOS ATAN SINH COSH TANH ASINH ACOSH ATANH EXP LOG LOG1P EXPM1 FLOOR CEIL"
+_CALLS = {
+    "SIN": "cos(A)",
+    "COS": "-sin(A)",
+    "TAN": "1.0 / (cos(A) * cos(A))",
+    "ASIN": "1.0 / sqrt(1.0 - A * A)",
+    "ACOS": "-1.0 / sqrt(1.0 - A * A)",
+    "ATAN": "1.0 / (1.0 + A * A)",
+    "SINH": "cosh(A)",
+    "COSH": "sinh(A)",
+    "TANH": "1.0 / (cosh(A) * cosh(A))",
+    "ASINH": "1.0 / sqrt(A * A + 1.0)",
+    "ACOSH": "1.0 / sqrt(A * A - 1.0)",
+    "ATANH": "1.0 / (1.0 - A * A)",
+    "EXP": "exp(A)",
+    "LOG": "1.0 / A",
+    "LOG1P": "1.0 / (1.0 + A)",
+    "EXPM1": "exp(A)",
+    "FLOOR": "0.0",
+    "CEIL": "0.0",
+}
+_STEPS = ("0.0", "0.0")
 OPERATIONS = (
-    Operation("ASSIGN", 1, "A"),
-    Operation("ADD", 2, "A + B"),
-    Operation("SUB", 2, "A - B"),
-    Operation("MUL", 2, "A * B"),
-    Operation("DIV", 2, "A / B"),
-    Operation("FMA", 3, "A * B + C"),
-    Operation("FMS", 3, "A * B - C"),
-    Operation("FNMA", 3, "C - A * B"),
-    Operation("DOT2", 4, "A * B + C * D", "SIMPLE2"),
-    Operation("DOT3", 6, "A * B + C * D + E * F", "SIMPLE2"),
-    Operation("NEG", 1, "-A"),
-    Operation("INV", 1, "1.0 / A"),
-    Operation("SQRT", 1, "sqrt(A)"),
-    Operation("FABS", 1, "fabs(A)"),
-    Operation("FMIN", 2, "B < A ? B : A"),
-    Operation("FMAX", 2, "A < B ? B : A"),
-    Operation("COPYSIGN", 2, "copysign(A, B)"),
-    Operation("SIGN", 1, "A > 0 ? 1.0 : A < 0 ? -1.0 : 0.0"),
-    Operation("LT", 2, "A < B ? 1.0 : 0.0"),
-    Operation("LE", 2, "A <= B ? 1.0 : 0.0"),
-    Operation("EQ", 2, "A == B ? 1.0 : 0.0"),
-    Operation("NE", 2, "A != B ? 1.0 : 0.0"),
-    Operation("NOT", 1, "A == 0 ? 1.0 : 0.0"),
-    Operation("AND", 2, "A != 0 && B != 0 ? 1.0 : 0.0"),
-    Operation("OR", 2, "A != 0 || B != 0 ? 1.0 : 0.0"),
-    Operation("IF_ELSE_ZERO", 2, "A != 0 ? B : 0.0"),
-    Operation("ATAN2", 2, "v_atan2(A, B)"),
-    *(Operation(name, 1, name.lower(), "CALL1") for name in CALLS.split()),
-    Operation("POW", 2, "pow", "CALL2"),
-    Operation("FMOD", 2, "fmod", "CALL2"),
+    Operation("ASSIGN", "A", ("1.0",)),
+    Operation("ADD", "A + B", ("1.0", "1.0")),
+    Operation("SUB", "A - B", ("1.0", "-1.0")),
+    Operation("MUL", "A * B", ("B", "A")),
+    Operation("DIV", "A / B", ("1.0 / B", "-A / (B * B)")),
+    Operation("FMA", "A * B + C", ("B", "A", "1.0")),
+    Operation("FMS", "A * B - C", ("B", "A", "-1.0")),
+    Operation("FNMA", "C - A * B", ("-B", "-A", "1.0")),
+    Operation("DOT2", "A * B + C * D", ("B", "A", "D", "C"), "SIMPLE2"),
+    Operation("DOT3", "A * B + C * D + E * F", ("B", "A", "D", "C", "F", "E"), "SIMPLE2"),
+    Operation("NEG", "-A", ("-1.0",)),
+    Operation("INV", "1.0 / A", ("-1.0 / (A * A)",)),
+    Operation("SQRT", "sqrt(A)", ("0.5 / sqrt(A)",)),
+    Operation("FABS", "fabs(A)", ("A > 0 ? 1.0 : A < 0 ? -1.0 : 0.0",)),
+    Operation("FMIN", "B < A ? B : A", ("B < A ? 0.0 : 1.0", "B < A ? 1.0 : 0.0")),
+    Operation("FMAX", "A < B ? B : A", ("A < B ? 0.0 : 1.0", "A < B ? 1.0 : 0.0")),
+    Operation("COPYSIGN", "copysign(A, B)", ("(A < 0) == (B < 0) ? 1.0 : -1.0", "0.0")),
+    Operation("SIGN", "A > 0 ? 1.0 : A < 0 ? -1.0 : 0.0", ("0.0",)),
+    Operation("LT", "A < B ? 1.0 : 0.0", _STEPS),
+    Operation("LE", "A <= B ? 1.0 : 0.0", _STEPS),
+    Operation("EQ", "A == B ? 1.0 : 0.0", _STEPS),
+    Operation("NE", "A != B ? 1.0 : 0.0", _STEPS),
+    Operation("NOT", "A == 0 ? 1.0 : 0.0", ("0.0",)),
+    Operation("AND", "A != 0 && B != 0 ? 1.0 : 0.0", _STEPS),
+    Operation("OR", "A != 0 || B != 0 ? 1.0 : 0.0", _STEPS),
+    Operation("IF_ELSE_ZERO", "A != 0 ? B : 0.0", ("0.0", "A != 0 ? 1.0 : 0.0")),
+    Operation("ATAN2", "v_atan2(A, B)", ("B / (A * A + B * B)", "-A / (A * A + B * B)")),
+    *(Operation(name, name.lower(), (slope,), "CALL1") for name, slope in _CALLS.items()),
+    Operation("POW", "pow", ("B == 0 ? 0.0 : B * pow(A, B - 1.0)", "pow(A, B) * log(A)"), "CALL2"),
+    Operation("FMOD", "fmod", ("1.0", "-trunc(A / B)"), "CALL2"),
 )
 """In the order of their codes in tables, which begin at 1; 0 ends a program."""
 

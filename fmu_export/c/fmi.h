@@ -1,9 +1,21 @@
 /* What fmi2.c and fmi3.c share: instances, call order, access to values, FMU states. */
 #ifndef CONTACT_FMI
 #define CONTACT_FMI
-#include "component.h"
+#include "component.c"
+/* */
+#include "state.c"
+/* */
+#ifdef SCENE_INSIDE
+#include "scene.c"
+#else
+#include "resource.c"
+#endif
 
-#include <stdlib.h>
+#if defined(_WIN32)
+#define FMI_EXPORT __declspec(dllexport)
+#else
+#define FMI_EXPORT __attribute__((visibility("default")))
+#endif
 
 #define CATEGORIES 4
 
@@ -11,18 +23,19 @@ typedef struct {
   component_t component;
   void (*log)(void); /* the importer's logger, of the type its version of FMI says */
   void *environment;
-  void (*update)(void); /* the importer's intermediate update (FMI 3) */
   int uses_events, early_return, logging[CATEGORIES];
   char name[256];
 } instance_t;
 
 typedef struct {
+  unsigned long long mark; /* not the first word that a model's digest is: importers look at it */
   unsigned long long model; /* whose it is: those of others are of other sizes */
-  memory_t memory;
+  memory_t memory;          /* and what follows it */
 } saved_t;
+#define SAVED_MARK 0x636f6e7461637473ULL
 
-/* where values can be got; after a step that failed those are of the time before it */
-#define RUNNING (INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED | BROKEN)
+/* where values can be got */
+#define RUNNING (INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED)
 #define ANY (INSTANTIATED | CONFIGURATION | RUNNING)
 #define ME_RUNNING (INITIALIZATION | EVENT | CONTINUOUS | TERMINATED)
 
@@ -47,9 +60,9 @@ static inline status_t allowed(component_t *c, const char *function, int phases)
   static const char *const name[] = {
       "instantiated",         "initialization mode", "event mode",
       "continuous-time mode", "step mode",           "terminated",
-      "after a failed step",  "configuration mode",  "intermediate update mode"};
-  const int phase = c->now.phase, never = c->now.stepping ? CONTINUOUS : STEP | BROKEN;
-  const int over = phase & (TERMINATED | BROKEN);
+      "configuration mode"};
+  const int phase = c->now->phase, never = c->now->stepping ? CONTINUOUS : STEP;
+  const int over = phase & TERMINATED;
   const char *own = "", *remedy = over ? "; reset, or set an FMU state" : "";
   char others[192] = "";
   if (phase & phases) return OK;
@@ -71,29 +84,32 @@ static inline status_t allowed(component_t *c, const char *function, int phases)
 /* Functions of one interface only, of Model Exchange or of Co-Simulation */
 #define SYSTEM_ONLY(function, phases)                                                              \
   BEGIN(function, phases);                                                                         \
-  if (c->now.stepping) REFUSE(function ": the instance was made for Co-Simulation")
+  if (c->now->stepping) REFUSE(function ": the instance was made for Co-Simulation")
 #define STEPPING_ONLY(function, phases)                                                            \
   BEGIN(function, phases);                                                                         \
-  if (!c->now.stepping) REFUSE(function ": the instance was made for Model Exchange")
+  if (!c->now->stepping) REFUSE(function ": the instance was made for Model Exchange")
 #define OF_SIZE(function, pointer, count, right)                                                   \
   if (!(pointer) || (count) != (size_t)(right))                                                    \
-  REFUSE(function ": a pointer is missing, or the count is wrong")
+  REFUSE(function ": a pointer is missing, or the count is not %ld", (long)(right))
 
 /* Some categories, or without any all of them. */
 static inline status_t set_logging(instance_t *own, const char *function, int on, size_t count,
                                    const char *const categories[]) {
   for (size_t k = 0; k < count; k++)
     if (!categories || category_index(categories[k]) < 0)
-      return report(&own->component, FAILED, "logStatusError", "%s: unknown category", function);
+      return report(&own->component, FAILED, "logStatusError",
+                    "%s: unknown category '%.80s'; use those of modelDescription.xml", function,
+                    categories && categories[k] ? categories[k] : "");
   for (int k = 0; k < CATEGORIES; k++) own->logging[k] = count ? own->logging[k] : on;
   for (size_t k = 0; k < count; k++) own->logging[category_index(categories[k])] = on;
   return OK;
 }
 
-static inline int settable(const memory_t *now, unsigned reference) {
+static inline int settable(const component_t *c, unsigned reference) {
+  const memory_t *now = c->now;
   const int before = INSTANTIATED | CONFIGURATION | INITIALIZATION;
   const int free = before | EVENT | (now->uses_events ? 0 : STEP);
-  switch (kinds[reference]) {
+  switch (kind_of(c->model, reference)) {
   case FIXED:
     return now->phase & before;
   /* Importers such as CasADi's set continuous states one by one. */
@@ -116,65 +132,75 @@ static inline status_t check_one(component_t *c, unsigned reference, double valu
       [TUNABLE] = "is tunable; set it in event mode",
       [INPUT] = "is an input; set it before the simulation ends, or reset first",
       [EXACT] = "is a start value; set it before initialization ends, or use the inputs"};
-  if (!settable(&c->now, reference))
-    return report(c, FAILED, "logStatusError", "%s = %.9g is refused now: it %s", names[reference],
-                  value, remedy[kinds[reference]]);
+  if (!settable(c, reference))
+    return report(c, FAILED, "logStatusError", "%s = %.9g is refused now: it %s",
+                  c->model->names[reference], value, remedy[kind_of(c->model, reference)]);
   return check_value(c, reference, value);
 }
 
-/* The windows that act while the importer initializes; slopes that are given already begin then. */
+/* The windows that act while the importer initializes. */
 static inline void enter_initialization(component_t *c, double time) {
   set_time(c, time);
-  c->now.slope_begin = time;
   enter_windows(c);
-  c->now.phase = INITIALIZATION;
+  c->now->phase = INITIALIZATION;
 }
 
 /* Values are those after the event from here on, and no update changes them any more: importers
    pass them on between the two (FMI 3.0.2, 2.3.5). */
 static inline void enter_event_mode(component_t *c) {
   enter_windows(c);
-  c->now.phase = EVENT;
+  c->now->phase = EVENT;
+}
+
+static inline saved_t *new_saved(const component_t *c) {
+  saved_t *s = calloc(1, sizeof *s - sizeof s->memory + memory_size(c->model));
+  if (s) s->mark = SAVED_MARK, s->model = model_digest(c->model);
+  return s;
 }
 
 static inline status_t save(component_t *c, void **state) {
-  saved_t *s = *state ? *state : calloc(1, sizeof *s);
+  saved_t *s = *state ? *state : new_saved(c);
   if (!s) return report(c, FAILED, "logStatusError", "no memory for an FMU state");
-  s->model = model_digest();
-  memcpy(&s->memory, &c->now, sizeof s->memory);
+  memcpy(&s->memory, c->now, memory_size(c->model));
+  /* what was calculated is no part of it */
+  double *value = (double *)(&s->memory + 1);
+  for (long r = 0; r < c->model->n_values; r++) {
+    const int kind = kind_of(c->model, (unsigned)r);
+    if (kind == CALCULATED || (kind == EXACT && !SYSTEM(c->now))) value[r] = 0.0;
+  }
   *state = s;
   return OK;
 }
 
 static inline saved_t *saved(component_t *c, void *state) {
   saved_t *s = state;
-  if (s && s->model == model_digest()) return s;
+  if (s && s->mark == SAVED_MARK && s->model == model_digest(c->model)) return s;
   report(c, FAILED, "logStatusError",
-         "this is no FMU state, or another model's; give one "
-         "that this model handed out and that has not been freed");
+         "this is no FMU state, or another model's; give one that this model handed out and that "
+         "has not been freed");
   return NULL;
 }
 
 static inline status_t restore_saved(component_t *c, void *state) {
   const saved_t *s = saved(c, state);
   if (!s) return FAILED;
-  if (s->memory.stepping != c->now.stepping)
+  if (s->memory.stepping != c->now->stepping)
     return report(c, FAILED, "logStatusError", "this FMU state belongs to the other interface, %s",
                   s->memory.stepping ? "Co-Simulation" : "Model Exchange");
-  memcpy(&c->now, &s->memory, sizeof c->now);
-  c->now.uses_events = ((const instance_t *)c->host)->uses_events;
-  if (c->now.phase == EVENT && c->now.stepping && !c->now.uses_events) c->now.phase = STEP;
-  if (c->now.pending && !c->now.uses_events) enter_windows(c);
-  memset(c->now.valid, 0, sizeof c->now.valid);
+  memcpy(c->now, &s->memory, memory_size(c->model));
+  forget(c);
+  c->now->uses_events = ((const instance_t *)c->host)->uses_events;
+  if (c->now->phase == EVENT && c->now->stepping && !c->now->uses_events) c->now->phase = STEP;
+  if (c->now->pending && !c->now->uses_events) enter_windows(c);
   return OK;
 }
 
 static inline status_t read_bytes(component_t *c, const unsigned char *bytes, size_t count,
                                   void **state) {
-  saved_t *s = calloc(1, sizeof *s);
+  saved_t *s = new_saved(c);
   const char *wrong = !s       ? "out of memory"
                       : !bytes ? "a pointer is missing"
-                               : read_state(bytes, count, &s->memory);
+                               : read_state(c->model, bytes, count, &s->memory);
   if (wrong) {
     free(s);
     return report(c, FAILED, "logStatusError",
@@ -182,7 +208,6 @@ static inline status_t read_bytes(component_t *c, const unsigned char *bytes, si
                   "that this FMU wrote, as they are",
                   wrong);
   }
-  s->model = model_digest();
   if (*state) free(*state);
   *state = s;
   return OK;
@@ -204,16 +229,16 @@ static inline status_t check_step(component_t *c, double from, double size) {
                   "a step of %g s from t = %g s is refused; give a "
                   "positive length; to go back, set an FMU state",
                   size, from);
-  if (fabs(from - c->now.time) > room)
+  if (fabs(from - c->now->time) > room)
     return report(c, FAILED, "logStatusError",
                   "the step begins at t = %.17g s, but the instance "
                   "stands at t = %.17g s; give that time, or set an FMU state",
-                  from, c->now.time);
-  if (end > c->now.stop_time + room)
+                  from, c->now->time);
+  if (end > c->now->stop_time + room)
     return report(c, FAILED, "logStatusError",
                   "the step ends at t = %.17g s, after the stop time "
                   "%.17g s; give a later one, or none",
-                  end, c->now.stop_time);
+                  end, c->now->stop_time);
   return OK;
 }
 

@@ -1,7 +1,7 @@
 /* FMI 3.0.2 over component.h. */
 #include "fmi.h"
 
-#include "fmi3Functions.h"
+#include "fmi3_types.h"
 
 #define STATUS fmi3Status
 #define INSTANCE fmi3Instance
@@ -13,7 +13,8 @@
 #define PREFIX "fmi3"
 #define PASTED(name) fmi3##name
 #define FMI(name) PASTED(name)
-#define SIZE(r) ((r) < N_VALUES ? (unsigned)sizes[r] : 0u)
+#define SIZE(c, r)                                                                                 \
+  ((long)(r) < (c)->model->n_values ? (unsigned)section((c)->model, D_SIZES)[r] : 0u)
 #define OTHER_TOKEN "the instantiation token is another model's"
 #include "fmi_both.h"
 
@@ -24,34 +25,33 @@ static void log_text(component_t *c, status_t status, const char *category, cons
                                           text);
 }
 
-const char *fmi3GetVersion(void) { return fmi3Version; }
+FMI_EXPORT const char *fmi3GetVersion(void) { return fmi3Version; }
 
-fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
+FMI_EXPORT fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
                                           fmi3Boolean visible, fmi3Boolean logging,
                                           fmi3InstanceEnvironment environment,
                                           fmi3LogMessageCallback log) {
-  (void)resources, (void)visible;
-  return instantiate(name, token, (void (*)(void))log, environment, logging, 0, NULL);
+  (void)visible;
+  return instantiate(name, token, resources, (void (*)(void))log, environment, logging, 0, NULL);
 }
 
-fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources,
+FMI_EXPORT fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources,
                                          fmi3Boolean visible, fmi3Boolean logging,
                                          fmi3Boolean event_mode, fmi3Boolean early_return,
                                          const fmi3ValueReference required[], size_t n_required,
                                          fmi3InstanceEnvironment environment,
                                          fmi3LogMessageCallback log,
                                          fmi3IntermediateUpdateCallback update) {
-  (void)resources, (void)visible, (void)required, (void)n_required;
+  (void)visible, (void)required, (void)n_required, (void)update;
   instance_t *instance =
-      instantiate(name, token, (void (*)(void))log, environment, logging, 1, NULL);
+      instantiate(name, token, resources, (void (*)(void))log, environment, logging, 1, NULL);
   if (!instance) return NULL;
-  instance->component.now.uses_events = instance->uses_events = event_mode;
-  instance->early_return = early_return, instance->update = (void (*)(void))update;
+  instance->component.now->uses_events = instance->uses_events = event_mode;
+  instance->early_return = early_return;
   return instance;
 }
 
-fmi3Instance
-fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
+FMI_EXPORT fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
                                   fmi3Boolean visible, fmi3Boolean logging,
                                   fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
                                   fmi3ClockUpdateCallback clock, fmi3LockPreemptionCallback lock,
@@ -64,43 +64,43 @@ fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String 
 
 /* --- initialization --------------------------------------------------------------------------- */
 
-fmi3Status fmi3EnterConfigurationMode(fmi3Instance instance) {
+FMI_EXPORT fmi3Status fmi3EnterConfigurationMode(fmi3Instance instance) {
   BEGIN("fmi3EnterConfigurationMode", INSTANTIATED);
-  c->now.phase = CONFIGURATION;
+  c->now->phase = CONFIGURATION;
   return fmi3OK;
 }
 
-fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance) {
+FMI_EXPORT fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance) {
   BEGIN("fmi3ExitConfigurationMode", CONFIGURATION);
-  c->now.phase = INSTANTIATED;
+  c->now->phase = INSTANTIATED;
   return fmi3OK;
 }
 
-fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolerance_defined,
+FMI_EXPORT fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolerance_defined,
                                        fmi3Float64 tolerance, fmi3Float64 start_time,
                                        fmi3Boolean stop_defined, fmi3Float64 stop) {
   BEGIN("fmi3EnterInitializationMode", INSTANTIATED);
   (void)tolerance_defined, (void)tolerance;
   if (check_times(c, start_time, stop_defined, stop)) return fmi3Error;
-  c->now.stop_time = stop_defined ? stop : HUGE_VAL;
+  c->now->stop_time = stop_defined ? stop : HUGE_VAL;
   enter_initialization(c, start_time);
   return fmi3OK;
 }
 
 /* --- values ----------------------------------------------------------------------------------- */
 
-fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,
+FMI_EXPORT fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,
                           fmi3Float64 value[], size_t n) {
-  BEGIN("fmi3GetFloat64", INSTANTIATED | RUNNING | INTERMEDIATE);
+  BEGIN("fmi3GetFloat64", INSTANTIATED | RUNNING);
   VALUES("fmi3GetFloat64", vr, count, value, n);
   for (size_t k = 0; k < count; k++)
-    if (c->now.phase == INSTANTIATED && kinds[vr[k]] == CALCULATED)
+    if (c->now->phase == INSTANTIATED && kind_of(c->model, vr[k]) == CALCULATED)
       REFUSE("fmi3GetFloat64: %s is calculated and has no start value; ask from initialization on",
-             names[vr[k]]);
+             c->model->names[vr[k]]);
   return get_all(c, vr, count, value);
 }
 
-fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,
+FMI_EXPORT fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,
                           const fmi3Float64 value[], size_t n) {
   BEGIN("fmi3SetFloat64", SETTABLE);
   VALUES("fmi3SetFloat64", vr, count, value, n);
@@ -109,14 +109,14 @@ fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], 
 
 /* There are variables of type Float64 only. */
 #define NO_FUNCTION(name, phases, ...)                                                             \
-  fmi3Status fmi3##name(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,        \
+  FMI_EXPORT fmi3Status fmi3##name(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,        \
                         __VA_ARGS__) {                                                             \
     BEGIN("fmi3" #name, phases);                                                                   \
     (void)vr, (void)value;                                                                         \
     if (count) REFUSE("fmi3" #name ": there are no variables of this type");                       \
     return fmi3OK;                                                                                 \
   }
-#define NO_GETTER(name, ...) NO_FUNCTION(Get##name, RUNNING | INTERMEDIATE, __VA_ARGS__)
+#define NO_GETTER(name, ...) NO_FUNCTION(Get##name, RUNNING, __VA_ARGS__)
 #define NO_SETTER(name, ...) NO_FUNCTION(Set##name, SETTABLE, __VA_ARGS__)
 #define NO_VARIABLES(name, type)                                                                   \
   NO_GETTER(name, type value[], size_t n) NO_SETTER(name, const type value[], size_t n)
@@ -149,13 +149,13 @@ NO_SETTER(IntervalFraction, const fmi3UInt64 value[], const fmi3UInt64 resolutio
 NO_SETTER(ShiftDecimal, const fmi3Float64 value[])
 NO_SETTER(ShiftFraction, const fmi3UInt64 value[], const fmi3UInt64 resolutions[])
 
-fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance, fmi3ValueReference vr,
+FMI_EXPORT fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance, fmi3ValueReference vr,
                                                size_t *count) {
   BEGIN("fmi3GetNumberOfVariableDependencies", ANY);
   REFUSE("dependencies are given in the model description only");
 }
 
-fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference dependent,
+FMI_EXPORT fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference dependent,
                                        size_t elements[], fmi3ValueReference independents[],
                                        size_t independent_elements[], fmi3DependencyKind of_kind[],
                                        size_t count) {
@@ -165,40 +165,40 @@ fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference
 
 /* --- derivatives ------------------------------------------------------------------------------ */
 
-fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
+FMI_EXPORT fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
                                         size_t n_unknowns, const fmi3ValueReference knowns[],
                                         size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,
                                         fmi3Float64 value[], size_t n) {
-  BEGIN("fmi3GetDirectionalDerivative", RUNNING | INTERMEDIATE);
+  BEGIN("fmi3GetDirectionalDerivative", RUNNING);
   CHECK_PRODUCTS("fmi3GetDirectionalDerivative", n, n_seed);
-  return products(c, forward, knowns, n_knowns, seed, unknowns, n_unknowns, value);
+  return products(c, 0, knowns, n_knowns, seed, unknowns, n_unknowns, value);
 }
 
-fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
+FMI_EXPORT fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
                                     size_t n_unknowns, const fmi3ValueReference knowns[],
                                     size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,
                                     fmi3Float64 value[], size_t n) {
-  BEGIN("fmi3GetAdjointDerivative", RUNNING | INTERMEDIATE);
+  BEGIN("fmi3GetAdjointDerivative", RUNNING);
   CHECK_PRODUCTS("fmi3GetAdjointDerivative", n_seed, n);
-  return products(c, reverse, unknowns, n_unknowns, seed, knowns, n_knowns, value);
+  return products(c, 1, unknowns, n_unknowns, seed, knowns, n_knowns, value);
 }
 
 /* --- events ----------------------------------------------------------------------------------- */
 
-fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
+FMI_EXPORT fmi3Status fmi3EnterEventMode(fmi3Instance instance) {
   BEGIN("fmi3EnterEventMode", CONTINUOUS | STEP);
-  if (c->now.stepping && !c->now.uses_events)
+  if (c->now->stepping && !c->now->uses_events)
     REFUSE("fmi3EnterEventMode: the instance was made without event mode");
   enter_event_mode(c);
   return fmi3OK;
 }
 
-fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance) {
+FMI_EXPORT fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance) {
   BEGIN("fmi3EvaluateDiscreteStates", INITIALIZATION | EVENT);
   return fmi3OK;
 }
 
-fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *again,
+FMI_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *again,
                                     fmi3Boolean *terminate, fmi3Boolean *nominals,
                                     fmi3Boolean *values, fmi3Boolean *next_defined,
                                     fmi3Float64 *next_time) {
@@ -206,9 +206,11 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *again,
   if (!again || !terminate || !nominals || !values || !next_defined || !next_time)
     REFUSE("fmi3UpdateDiscreteStates: a pointer is missing");
   enter_windows(c);
-  const double next = c->now.stepping ? next_window(&c->now) : next_edge(&c->now);
-  *again = *nominals = *values = fmi3False;
-  *terminate = c->now.ended && !c->now.stepping;
+  const double next = c->now->stepping ? next_window(c) : next_edge(c);
+  *again = *nominals = 0;
+  /* importers restart their solvers on that, and what acts may have jumped */
+  *values = take_jump(c) && !c->now->stepping;
+  *terminate = c->now->ended && !c->now->stepping;
   *next_defined = next < HUGE_VAL;
   *next_time = next < HUGE_VAL ? next : 0.0;
   return fmi3OK;
@@ -216,80 +218,56 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *again,
 
 /* --- Model Exchange --------------------------------------------------------------------------- */
 
-fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *count) {
+FMI_EXPORT fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *count) {
   SYSTEM_ONLY("fmi3GetNumberOfEventIndicators", ANY);
   if (!count) REFUSE("fmi3GetNumberOfEventIndicators: a pointer is missing");
   *count = 0;
   return fmi3OK;
 }
 
-fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *count) {
+FMI_EXPORT fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *count) {
   SYSTEM_ONLY("fmi3GetNumberOfContinuousStates", ANY);
   if (!count) REFUSE("fmi3GetNumberOfContinuousStates: a pointer is missing");
-  *count = SYSTEM_STATES * N_CONTACTS;
+  *count = (size_t)c->model->n_states;
   return fmi3OK;
 }
 
 /* --- Co-Simulation ---------------------------------------------------------------------------- */
 
-fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
+FMI_EXPORT fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
   STEPPING_ONLY("fmi3EnterStepMode", EVENT);
-  c->now.phase = STEP;
+  c->now->phase = STEP;
   return fmi3OK;
 }
 
-fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueReference vr[],
+FMI_EXPORT fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueReference vr[],
                                     size_t count, const fmi3Int32 orders[], fmi3Float64 value[],
                                     size_t n) {
-  STEPPING_ONLY("fmi3GetOutputDerivatives", STEP | TERMINATED | INTERMEDIATE);
+  STEPPING_ONLY("fmi3GetOutputDerivatives", STEP | TERMINATED);
   if (count) REFUSE("fmi3GetOutputDerivatives: derivatives are outputs of their own, der(...)");
   return fmi3OK;
 }
 
-/* Tells the importer of an internal step; returns until when to go on, `target` at most. */
-static double told(component_t *c, double target) {
-  const instance_t *instance = c->host;
-  fmi3Boolean wants = fmi3False;
-  fmi3Float64 when = c->now.time;
-  if (!instance->update) return target;
-  c->now.phase = INTERMEDIATE;
-  ((fmi3IntermediateUpdateCallback)instance->update)(instance->environment, c->now.time, fmi3False,
-                                                     fmi3True, fmi3True, instance->early_return,
-                                                     &wants, &when);
-  c->now.phase = STEP;
-  return instance->early_return && wants && when < target ? fmax(when, c->now.time) : target;
-}
-
-fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 from, fmi3Float64 size,
+FMI_EXPORT fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 from, fmi3Float64 size,
                       fmi3Boolean no_return, fmi3Boolean *event, fmi3Boolean *terminate,
                       fmi3Boolean *early, fmi3Float64 *last_time) {
   BEGIN("fmi3DoStep", STEP);
   const instance_t *own = instance;
   const double target = from + size;
-  double until = target;
-  int edge = 0, back = 0;
+  int edge = 0;
   if (!event || !terminate || !early || !last_time) REFUSE("fmi3DoStep: a pointer is missing");
-  *event = *terminate = *early = fmi3False, *last_time = c->now.time;
+  *event = *terminate = *early = 0, *last_time = c->now->time;
   if (check_step(c, from, size)) return fmi3Error;
-  while (c->now.time < until && !back) {
-    const double before = c->now.time;
-    status_t s = step(c, until, 1, &edge);
-    *last_time = c->now.time;
-    *terminate = c->now.ended;
-    if (s) return (fmi3Status)s;
-    if (edge)
-      report(c, OK, "logEvents", "a disturbance window begins or ends at t = %.17g s", c->now.time);
-    until = told(c, until);
-    back = (edge && c->now.uses_events && (own->early_return || reached(c->now.time, until))) ||
-           c->now.time <= before;
-  }
-  *event = edge && c->now.uses_events;
-  *early = !reached(c->now.time, target);
-  if (edge && !*event) enter_windows(c);
-  return fmi3OK;
+  status_t s = OK;
+  do /* across edges where the importer does not let a step end early */
+    s = step(c, target, own->uses_events, &edge);
+  while (!s && edge && !own->early_return && !reached(c->now->time, target));
+  *last_time = c->now->time, *terminate = c->now->ended;
+  *event = edge && !s, *early = !s && !reached(c->now->time, target);
+  return (fmi3Status)s;
 }
 
-fmi3Status fmi3ActivateModelPartition(fmi3Instance instance, fmi3ValueReference clock,
+FMI_EXPORT fmi3Status fmi3ActivateModelPartition(fmi3Instance instance, fmi3ValueReference clock,
                                       fmi3Float64 time) {
   BEGIN("fmi3ActivateModelPartition", ANY);
   REFUSE("fmi3ActivateModelPartition: this model has no Scheduled Execution");

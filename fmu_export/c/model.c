@@ -1,0 +1,141 @@
+/* Reading a scene's data. */
+#include "model.h"
+
+/* The data of the FMU whose resources are here, to be freed; NULL where there is none. In FMUs of
+   sources scene.c has it, else resource.c. */
+static double *scene_data(const char *resources, size_t *count);
+
+static unsigned long long digest(const void *data, size_t count, unsigned long long hash) {
+  const unsigned char *byte = data;
+  for (size_t k = 0; k < count; k++) hash = (hash ^ byte[k]) * 1099511628211ULL; /* FNV-1a */
+  return hash;
+}
+
+static unsigned adler32(const void *data, size_t count) {
+  const unsigned char *byte = data;
+  unsigned a = 1, b = 0;
+  for (size_t k = 0; k < count; k++) a = (a + byte[k]) % 65521, b = (b + a) % 65521;
+  return b << 16 | a;
+}
+
+static inline const double *section(const model_t *m, int at) { return m->data + (long)m->data[at]; }
+
+static inline const double *contact_of(const model_t *m, long i) {
+  return section(m, D_AT_CONTACTS) + i * P_SIZE;
+}
+
+static inline const double *body_of_contact(const model_t *m, long i, int side) {
+  return side ? m->data + D_OBJECT : contact_of(m, i) + P_FINGER;
+}
+
+static inline const surface_t *surface_of(const model_t *m, long i, int side) {
+  return m->surfaces[(long)body_of_contact(m, i, side)[Q_SURFACE]];
+}
+
+static inline const char *token_of(const model_t *m) { return (const char *)section(m, D_TOKEN); }
+
+static inline int kind_of(const model_t *m, unsigned reference) {
+  return (int)section(m, D_KINDS)[reference];
+}
+
+static void read_table(const model_t *m, const double *row, table_t *out) {
+  *out = (table_t){.n_in = (int32_t)row[T_N_IN],
+                   .n_const = (int32_t)row[T_N_CONST],
+                   .n_out = (int32_t)row[T_N_OUT],
+                   .n_lit = (int32_t)row[T_N_LIT],
+                   .first_lit = (int32_t)row[T_FIRST_LIT],
+                   .first_out = (int32_t)row[T_FIRST_OUT],
+                   .n_regs = (int32_t)row[T_N_REGS],
+                   .twin = -1,
+                   .prologue = (const code_t *)(m->data + (long)row[T_PROLOGUE]),
+                   .body = (const code_t *)(m->data + (long)row[T_BODY]),
+                   .literals = m->data + (long)row[T_LITERALS]};
+}
+
+static void read_surfaces(model_t *m) {
+  table_t *next = m->tables;
+  for (long s = 0; s < (long)m->data[D_N_SURFACES]; s++) {
+    const double *row = section(m, D_SURFACES) + s * F_SIZE;
+    surface_t *own = m->own + s;
+    if (row[F_BUILTIN] >= 0) {
+      m->surfaces[s] = contact_surface((int)row[F_BUILTIN]);
+      continue;
+    }
+    *own = (surface_t){.name = "",
+                       .n_numbers = (int32_t)row[F_N_NUMBERS],
+                       .double_cover = (int32_t)row[F_DOUBLE_COVER],
+                       .closed = (int32_t)row[F_CLOSED],
+                       .flags = (int32_t)row[F_FLAGS],
+                       .period_u = row[F_PERIOD_U],
+                       .period_v = row[F_PERIOD_V]};
+    for (int k = 0; k < N_AMBIENT + N_CHART; k++) {
+      if (row[F_AMBIENT + k] == 0.0) continue;
+      read_table(m, m->data + (long)row[F_AMBIENT + k], next);
+      if (k < N_AMBIENT)
+        own->ambient[k] = next++;
+      else
+        own->chart[k - N_AMBIENT] = next++;
+    }
+    m->surfaces[s] = own;
+  }
+  m->systems = next;
+  for (long i = 0; i < m->n_contacts; i++) {
+    const long k = (long)contact_of(m, i)[P_SYSTEM];
+    read_table(m, section(m, D_SYSTEMS) + k * T_SIZE, next + k);
+  }
+}
+
+static void lay_out(model_t *m) {
+  for (long i = 0; i < m->n_contacts; i++) {
+    const double *row = contact_of(m, i);
+    layout_t *l = m->layout + i;
+    for (int side = 0; side < 2; side++) l->frame[side] = (long)row[P_FRAME_1 + side];
+    l->states = m->frames ? l->frame[0] + l->frame[1] + 4 : CHART_STATES;
+    l->input = (long)row[P_BLOCK], l->state = l->input + DISTURBANCES;
+    l->rate = l->state + l->states, l->coordinates = l->rate + l->states;
+    l->slip = l->coordinates + (m->frames ? 9 : 0), l->twist = l->slip + 2;
+    l->pose = l->twist + 6, l->points = l->pose + 12, l->end = l->points + 6;
+    m->n_states += l->states;
+  }
+  const char *name = (const char *)section(m, D_NAMES);
+  for (long r = 0; r < m->n_values; r++, name += strlen(name) + 1) m->names[r] = name;
+}
+
+static void free_model(model_t *m) {
+  if (!m) return;
+  free(m->data), free(m->surfaces), free(m->own), free(m->tables), free(m->layout), free(m->names);
+  free(m);
+}
+
+/* Returns NULL and says why where there is no scene that fits. */
+static model_t *read_model(const char *resources, const char **wrong) {
+  size_t count = 0;
+  model_t *m = calloc(1, sizeof *m);
+  *wrong = "no memory";
+  if (!m) return NULL;
+  double *d = m->data = scene_data(resources, &count);
+  *wrong = "resources/scene.bin cannot be read: instantiate with the folder that the FMU was "
+           "unpacked to";
+  if (!d) goto refused;
+  *wrong = "resources/scene.bin is damaged, or of another version; export the FMU again";
+  if (count <= D_HEADER || d[D_MAGIC] != DATA_MAGIC || d[D_VERSION] != DATA_VERSION) goto refused;
+  if (d[D_SIZE] != (double)count) goto refused;
+  if (d[D_CHECKSUM] != (double)adler32(d + D_HEADER, 8 * (count - D_HEADER))) goto refused;
+  m->n_contacts = (long)d[D_CONTACTS], m->n_values = (long)d[D_VALUES];
+  m->n_profile = (long)d[D_PROFILE], m->n_windows = (long)d[D_N_WINDOWS];
+  m->frames = d[D_FRAMES] != 0.0;
+  const size_t surfaces = (size_t)d[D_N_SURFACES], each = N_AMBIENT + N_CHART;
+  m->surfaces = calloc(surfaces, sizeof *m->surfaces), m->own = calloc(surfaces, sizeof *m->own);
+  m->tables = calloc(surfaces * each + (size_t)m->n_contacts, sizeof *m->tables);
+  m->layout = calloc((size_t)m->n_contacts, sizeof *m->layout);
+  m->names = calloc((size_t)m->n_values, sizeof *m->names);
+  *wrong = "no memory";
+  if (!m->surfaces || !m->own || !m->tables || !m->layout || !m->names) goto refused;
+  read_surfaces(m);
+  lay_out(m);
+  *wrong = NULL;
+  return m;
+refused:
+  free_model(m);
+  return NULL;
+}

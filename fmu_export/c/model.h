@@ -1,0 +1,110 @@
+/* A scene as data: what the FMU's file resources/scene.bin holds, or in FMUs of sources scene.c.
+
+   Doubles, places as offsets from its beginning in doubles; texts and instructions lie between them
+   as bytes. `fmu_export/data.py` writes it, with the same names; versions are checked. */
+#ifndef CONTACT_MODEL
+#define CONTACT_MODEL
+#include "engine.h"
+
+#include <float.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* An infinite time is one that never comes, and a value that is no number is refused. */
+#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
+#error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
+#endif
+
+#define DATA_MAGIC 20261123.0
+#define DATA_VERSION 1.0
+enum {
+  D_MAGIC,
+  D_VERSION,
+  D_SIZE,     /* doubles in all */
+  D_CHECKSUM, /* of what follows the header, 32 bits */
+  D_CONTACTS,
+  D_VALUES,  /* how many; the first are time, gain, and the profile's coefficients */
+  D_PROFILE, /* how many coefficients */
+  D_POWER,   /* gain law, as in engine.h */
+  D_MAKES_UP,
+  D_HORIZON,   /* s */
+  D_TOLERANCE, /* of plans */
+  D_FRAMES,    /* states are moving frames, not charts */
+  D_SCALE,     /* reference of the factor of the scene's windows */
+  D_TOKEN,     /* text */
+  D_NAMES,     /* texts, one after the other, of all values */
+  D_KINDS,     /* of all values */
+  D_SIZES,     /* how many values a reference of FMI 3 has */
+  D_STARTS,
+  D_LEAST,
+  D_NOMINALS, /* of the states */
+  D_AT_CONTACTS,
+  D_SURFACES, /* the object's first; and how many */
+  D_N_SURFACES,
+  D_SYSTEMS, /* tables of the equations of a contact, one after the other */
+  D_WINDOWS, /* and how many */
+  D_N_WINDOWS,
+  D_ORDERS, /* pairs of references: the first value stays greater than the second; or as it is */
+  D_N_ORDERS,
+  D_OBJECT, /* BODY numbers */
+  D_HEADER = D_OBJECT + 7
+};
+/* a body: reference of its first parameter, how many, its surface, +1 or -1 inside, its scales */
+enum { Q_VALUES, Q_N_VALUES, Q_SURFACE, Q_SIGN, Q_LENGTH, Q_BEND, Q_REACH, Q_SIZE };
+/* a contact: sizes of frames among the states are 6, 3, or in charts 0 */
+enum { P_FINGER, P_BLOCK = P_FINGER + Q_SIZE, P_SYSTEM, P_FRAME_1, P_FRAME_2, P_SIZE };
+/* a window: its contact, its slot, reference of start, stop and two values */
+enum { V_CONTACT, V_SLOT, V_VALUES, V_SIZE };
+/* a surface: which of the engine's, or -1 and what it is, places of its tables or 0 */
+enum {
+  F_BUILTIN,
+  F_N_NUMBERS,
+  F_DOUBLE_COVER,
+  F_CLOSED,
+  F_FLAGS,
+  F_PERIOD_U,
+  F_PERIOD_V,
+  F_AMBIENT,
+  F_CHART = F_AMBIENT + N_AMBIENT,
+  F_SIZE = F_CHART + N_CHART
+};
+/* a table: see engine.h; the last three are places */
+enum {
+  T_N_IN,
+  T_N_CONST,
+  T_N_OUT,
+  T_N_LIT,
+  T_FIRST_LIT,
+  T_FIRST_OUT,
+  T_N_REGS,
+  T_PROLOGUE,
+  T_BODY,
+  T_LITERALS,
+  T_SIZE
+};
+
+enum { TIME_VALUE, GAIN, PROFILE }; /* references */
+enum { CALCULATED, INDEPENDENT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
+enum { DISTURBANCES = 6, CHART_STATES = 11, BODY = 5, FRAME_ANGLE = 2, VELOCITY = 3, ANGLE = 10 };
+
+/* one contact's place among the values, each group from there on to the next */
+typedef struct {
+  long states, input, state, rate, coordinates, slip, twist, pose, points, end;
+  long frame[2]; /* sizes of frames among the states; 0: charts */
+} layout_t;
+
+typedef struct {
+  double *data;
+  const surface_t **surfaces;
+  surface_t *own;
+  table_t *tables; /* of the user's surfaces; then of systems */
+  const table_t *systems;
+  layout_t *layout;
+  const char **names;
+  long n_contacts, n_values, n_profile, n_states, n_windows;
+  int frames;
+} model_t;
+
+#endif

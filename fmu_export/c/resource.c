@@ -1,0 +1,57 @@
+/* The scene's data from a file, where the library is the same for all scenes. */
+
+static int hex(char c) {
+  return c >= '0' && c <= '9' ? c - '0' : (c | 32) >= 'a' && (c | 32) <= 'f' ? (c | 32) - 'a' + 10 : -1;
+}
+
+/* FMI 2 gives a URI, file:///tmp/a%20b or file:/tmp, FMI 3 a path. */
+static void path_of(const char *resources, char *path, size_t room) {
+  static const char name[] = "/scene.bin";
+  const char *from = resources;
+  size_t n = 0;
+  const int uri = !strncmp(from, "file:", 5);
+  if (uri) from += 5;
+  if (uri && !strncmp(from, "//", 2)) {
+    from += 2;
+    while (*from && *from != '/') from++; /* a host, localhost at most */
+  }
+#ifdef _WIN32
+  if (uri && *from == '/' && from[1] && from[2] == ':') from++;
+#endif
+  for (; *from && n + sizeof name < room; from++) {
+    const int high = uri && *from == '%' ? hex(from[1]) : -1, low = high < 0 ? -1 : hex(from[2]);
+    path[n++] = low < 0 ? *from : (char)(16 * high + low);
+    if (low >= 0) from += 2;
+  }
+  while (n && (path[n - 1] == '/' || path[n - 1] == '\\')) n--;
+  memcpy(path + n, name, sizeof name);
+}
+
+#ifdef _WIN32
+#include <windows.h>
+static FILE *open_file(const char *path) { /* UTF-8 */
+  wchar_t wide[4096];
+  return MultiByteToWideChar(CP_UTF8, 0, path, -1, wide, 4096) ? _wfopen(wide, L"rb") : NULL;
+}
+#else
+static FILE *open_file(const char *path) { return fopen(path, "rb"); }
+#endif
+
+static double *scene_data(const char *resources, size_t *count) {
+  char path[4096];
+  double *data = NULL;
+  if (!resources) return NULL;
+  path_of(resources, path, sizeof path);
+  FILE *file = open_file(path);
+  if (!file) return NULL;
+  if (!fseek(file, 0, SEEK_END)) {
+    const long size = ftell(file);
+    if (size > 0 && size % 8 == 0 && size < 1L << 30 && !fseek(file, 0, SEEK_SET)) {
+      data = malloc((size_t)size);
+      *count = (size_t)size / 8;
+      if (data && fread(data, 8, *count, file) != *count) free(data), data = NULL;
+    }
+  }
+  fclose(file);
+  return data;
+}

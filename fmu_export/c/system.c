@@ -1,0 +1,243 @@
+/* A contact as a system of equations: everything from its states, by one table of instructions.
+
+   point: time, states, disturbances (6); constants: gain, profile, numbers of finger and object;
+   results: the values from `rate` on, then the regularity of both charts and the object's theta. */
+
+#define NEAR_POLE 1e-3 /* of the body's size; at 1e-6 fmpy's CVode takes more than its 500 steps */
+
+static const table_t *system_of(const model_t *m, long i) {
+  return m->systems + (long)contact_of(m, i)[P_SYSTEM];
+}
+
+static long n_results(const layout_t *l) { return l->end - l->rate; }
+
+/* Inputs and windows on contact i */
+static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
+  const double scale = c->value[(long)c->model->data[D_SCALE]];
+  memcpy(out, c->value + c->model->layout[i].input, DISTURBANCES * sizeof *out);
+  for (long k = 0; k < c->model->n_windows; k++)
+    for (int a = 0; a < 2 && acts(c, k, i); a++)
+      out[2 * (int)window_of(c, k)[V_SLOT] + a] += scale * window_values(c, k)[2 + a];
+}
+
+/* References of the constants, one after the other; returns how many */
+static long constants_of(const model_t *m, long i, long *out) {
+  long n = 0;
+  for (long j = 0; j <= m->n_profile; j++) out[n++] = GAIN + j;
+  for (int side = 0; side < 2; side++) {
+    const double *q = body_of_contact(m, i, side);
+    for (long j = 0; j < (long)q[Q_N_VALUES]; j++) out[n++] = (long)q[Q_VALUES] + j;
+  }
+  return n;
+}
+
+enum { MAX_CONSTANTS = 256 };
+
+/* Loads the registers with the point; the prologue runs where constants have changed. */
+static void load_system(component_t *c, long i, int again) {
+  const model_t *m = c->model;
+  const layout_t *l = m->layout + i;
+  const table_t *t = system_of(m, i);
+  live_t *k = c->live + i;
+  double *r = k->registers;
+  r[0] = c->now->time;
+  memcpy(r + 1, c->value + l->state, (size_t)l->states * sizeof *r);
+  acting_on(c, i, r + 1 + l->states);
+  if (k->prepared && !again) return;
+  long from[MAX_CONSTANTS];
+  const long n = constants_of(m, i, from);
+  for (long j = 0; j < n; j++) r[t->n_in + j] = c->value[from[j]];
+  if (!again) c->engine->step(&(program_t){t->prologue, r});
+  k->prepared = !again;
+}
+
+/* The results of contact i at its states */
+static const double *run_system(component_t *c, long i) {
+  const table_t *t = system_of(c->model, i);
+  fenv_t traps;
+  feholdexcept(&traps);
+  load_system(c, i, 0);
+  c->engine->step(&(program_t){t->body, c->live[i].registers});
+  fesetenv(&traps);
+  return c->live[i].registers + t->first_out;
+}
+
+/* A log line where a solver gets into trouble. */
+static void warn_of_poles(component_t *c, long i) {
+  live_t *k = c->live + i;
+  for (int side = 0; side < 2; side++) {
+    const double left = k->regularity[side];
+    if (!c->now->stepping && left < NEAR_POLE && !k->warned[side])
+      report(c, OK, "logStatusWarning",
+             "contact[%ld].%s: at t = %.9g s the path is within %.2g of the body's size of a "
+             "singular point of its chart (a pole or an umbilic), where a solver takes tiny steps "
+             "or stops; start elsewhere, run the Co-Simulation, which passes such points, or "
+             "export with states=\"frame\"",
+             i + 1, side ? "object" : "finger", c->now->time, fabs(left));
+    k->warned[side] = left < NEAR_POLE;
+  }
+}
+
+/* Whether the equations mean anything: beyond a pole they would give numbers of a frame that points
+   inward. */
+static int is_defined(const component_t *c, long i) {
+  return !past_end(c) && c->live[i].regularity[0] > 0 && c->live[i].regularity[1] > 0;
+}
+
+static void find_system(component_t *c, long i) {
+  const layout_t *l = c->model->layout + i;
+  live_t *k = c->live + i;
+  const double *found = run_system(c, i), *last = found + n_results(l);
+  memcpy(c->value + l->rate, found, (size_t)n_results(l) * sizeof *found);
+  for (int side = 0; side < 2; side++)
+    k->regularity[side] = last[side] / body_of_contact(c->model, i, side)[Q_LENGTH];
+  k->theta = last[2];
+  warn_of_poles(c, i);
+  for (long j = l->rate; j < l->end && !is_defined(c, i); j++) c->value[j] = NAN;
+}
+
+/* States without slip: the object's path velocity is that of rolling. */
+static void no_slip(const model_t *m, long i, double *x) {
+  const layout_t *l = m->layout + i;
+  if (m->frames) {
+    x[l->states - 2] = x[l->states - 1] = 0.0;
+    return;
+  }
+  const double angle = x[ANGLE] + x[FRAME_ANGLE] + x[BODY + FRAME_ANGLE];
+  const double cs = cos(angle), sn = sin(angle), *w = x + VELOCITY;
+  x[BODY + VELOCITY] = cs * w[0] - sn * w[1], x[BODY + VELOCITY + 1] = -sn * w[0] - cs * w[1];
+}
+
+/* ---- Model Exchange ---- */
+
+static status_t get_values(component_t *c, unsigned reference, long count, double *value);
+static status_t refuse(component_t *c, unsigned reference);
+static long without_value(const component_t *c, unsigned reference, const double *value, long count);
+
+static status_t set_states(component_t *c, const double *state) {
+  for (long i = 0, at = 0; i < c->model->n_contacts; at += c->model->layout[i++].states)
+    for (long j = 0; j < c->model->layout[i].states; j++)
+      if (!(fabs(state[at + j]) <= DBL_MAX))
+        return report(c, DISCARD, "logStatusDiscard",
+                      "%s = %g is refused; give finite continuous states",
+                      c->model->names[c->model->layout[i].state + j], state[at + j]);
+  for (long i = 0; i < c->model->n_contacts; i++) {
+    const layout_t *l = c->model->layout + i;
+    memcpy(c->value + l->state, state, (size_t)l->states * sizeof *state);
+    state += l->states;
+  }
+  forget_values(c);
+  return OK;
+}
+
+static status_t get_states(component_t *c, double *state, int rates) {
+  for (long i = 0; i < c->model->n_contacts; i++) {
+    const layout_t *l = c->model->layout + i;
+    const status_t s = get_values(c, (unsigned)(rates ? l->rate : l->state), l->states, state);
+    if (s) return s;
+    state += l->states;
+  }
+  return OK;
+}
+
+/* ---- derivatives ---- */
+
+/* Runs the equations of contact i along tangents of their point and constants. */
+static double (*run_along(component_t *c, long i))[L] {
+  const table_t *t = system_of(c->model, i);
+  fenv_t traps;
+  feholdexcept(&traps);
+  load_system(c, i, 1);
+  memset(c->tangents[t->first_lit], 0, (size_t)(t->n_regs - t->first_lit) * sizeof *c->tangents);
+  c->engine->along(&(program_t){t->prologue, c->live[i].registers}, c->tangents);
+  c->engine->along(&(program_t){t->body, c->live[i].registers}, c->tangents);
+  fesetenv(&traps);
+  return c->tangents + t->first_out;
+}
+
+/* Part of a disturbance's growth: a reference, and by how much its growth counts */
+typedef struct {
+  long reference;
+  double part;
+} part_t;
+
+/* What disturbance j of contact i is the sum of; returns how many parts */
+static long parts_of(const component_t *c, long i, int j, part_t *out, long room) {
+  const long scale = (long)c->model->data[D_SCALE];
+  long n = 0;
+  out[n++] = (part_t){c->model->layout[i].input + j, 1.0};
+  for (long k = 0; k < c->model->n_windows && n + 2 <= room; k++) {
+    if ((long)window_of(c, k)[V_SLOT] != j / 2 || !acts(c, k, i)) continue;
+    const long at = (long)window_of(c, k)[V_VALUES] + 2 + j % 2;
+    out[n++] = (part_t){at, c->value[scale]}, out[n++] = (part_t){scale, c->value[at]};
+  }
+  return n;
+}
+
+enum { PARTS = 64 };
+
+/* The references behind register r of contact i's point and constants */
+static long behind(const component_t *c, long i, long r, const long *constants, part_t *out) {
+  const layout_t *l = c->model->layout + i;
+  if (r > l->states && r <= l->states + DISTURBANCES)
+    return parts_of(c, i, (int)(r - 1 - l->states), out, PARTS);
+  const long reference = r == 0              ? TIME_VALUE
+                         : r <= l->states    ? l->state + r - 1
+                                             : constants[r - 1 - l->states - DISTURBANCES];
+  out[0] = (part_t){reference, 1.0};
+  return 1;
+}
+
+static status_t check_grown(component_t *c, unsigned reference, long count) {
+  const long wrong = without_value(c, reference, c->grown + reference, count);
+  return wrong == count ? OK : refuse(c, reference + (unsigned)wrong);
+}
+
+/* grown = J seed over all references, or J^T seed */
+static void derive(component_t *c, int transposed) {
+  const model_t *m = c->model;
+  part_t part[PARTS];
+  memcpy(c->grown, c->seed, (size_t)m->n_values * sizeof(double));
+  for (long i = 0; i < m->n_contacts; i++) {
+    const layout_t *l = m->layout + i;
+    const table_t *t = system_of(m, i);
+    const long inputs = t->n_in + t->n_const, results = n_results(l);
+    const double *seed = c->seed + l->rate;
+    long constants[MAX_CONSTANTS], used = 0;
+    while (transposed && used < results && seed[used] == 0.0) used++;
+    if (transposed && used == results) continue;
+    if (!SYSTEM(c->now)) { /* brings the states up to date */
+      double state;
+      get_values(c, (unsigned)l->state, 1, &state);
+    }
+    constants_of(m, i, constants);
+    for (long from = 0; from < (transposed ? inputs : 1); from += L) {
+      memset(c->tangents, 0, (size_t)inputs * sizeof *c->tangents);
+      for (long r = 0; r < inputs; r++) {
+        if (transposed) {
+          if (r >= from && r < from + L) c->tangents[r][r - from] = 1.0;
+          continue;
+        }
+        const long n = behind(c, i, r, constants, part);
+        for (long q = 0; q < n; q++)
+          c->tangents[r][0] += part[q].part * c->seed[part[q].reference];
+      }
+      double (*found)[L] = run_along(c, i);
+      if (!transposed) {
+        for (long j = 0; j < results; j++) c->grown[l->rate + j] = found[j][0];
+        continue;
+      }
+      for (long r = from; r < inputs && r < from + L; r++) {
+        double sum = 0.0;
+        for (long j = 0; j < results; j++)
+          if (seed[j] != 0.0) sum += seed[j] * found[j][r - from];
+        const long n = behind(c, i, r, constants, part);
+        for (long q = 0; q < n; q++) c->grown[part[q].reference] += part[q].part * sum;
+      }
+    }
+    if (SYSTEM(c->now)) find_system(c, i);
+    if (SYSTEM(c->now) && !is_defined(c, i))
+      for (long j = 0; j < m->n_values; j++)
+        if (transposed ? j < l->rate : j >= l->rate && j < l->end) c->grown[j] = NAN;
+  }
+}

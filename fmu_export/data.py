@@ -1,0 +1,139 @@
+"""A scene as data for the FMU's binary: resources/scene.bin, whose layout is that of c/model.h."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from contact_system.engine.binding import SURFACES
+from contact_system.motion import MAY_BE_SINGULAR
+from contact_system.surfaces import Surface
+from contact_system.theory.gain import LAWS
+from contact_system.theory.lowering import Table as Instructions
+
+from .model import TOLERANCE, equations, frame_sizes
+from .variables import Table
+
+MAGIC, VERSION, HEADER = 20261123.0, 1.0, 35
+KINDS = ("calculated", "independent", "fixed", "tunable", "input", "exact")
+
+
+class _Data:
+    """Doubles, with texts and instructions between them; places count doubles."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes] = []
+        self.size = HEADER
+
+    def put(self, data: bytes) -> int:
+        """Add bytes, filled up to whole doubles; returns their place."""
+        at, data = self.size, data + bytes(-len(data) % 8)
+        self.parts.append(data)
+        self.size += len(data) // 8
+        return at
+
+    def numbers(self, values: Any) -> int:
+        """Add numbers; returns their place."""
+        return self.put(np.asarray(values, dtype="<f8").tobytes())
+
+    def texts(self, *values: str) -> int:
+        """Add texts; returns their place."""
+        return self.put(b"".join(text.encode() + b"\0" for text in values))
+
+    def table(self, t: Any) -> list[float]:
+        """Add a table's instructions; returns its row."""
+        sizes = (t.n_in, t.n_const, t.n_out, len(t.literals), t.first_lit, t.first_out, t.n_regs)
+        code = (self.put(words.astype("<u2").tobytes()) for words in (t.prologue, t.body))
+        return [*sizes, *code, self.numbers(t.literals)]
+
+
+def scene_data(table: Table, token: str) -> bytes:
+    """The bytes of scene.bin.
+
+    Parameters
+    ----------
+    table : Table
+    token : str
+        Instantiation token (FMI 3) or GUID (FMI 2).
+    """
+    scene, data = table.scene, _Data()
+    law = LAWS[scene.gain.law]
+    surfaces: list[Surface] = []
+    systems: list[Instructions] = []
+    obj = _body(scene.object, table.parameter_first["object"], surfaces)
+    contacts: list[float] = []
+    for contact, at, block in zip(scene.contacts, table.finger_first, table.blocks):
+        n_profile = len(scene.profile.coefficients)
+        own = equations(contact.finger, scene.object, scene.gain.law, n_profile, table.frames)
+        if not any(own is known for known in systems):
+            systems.append(own)
+        which = next(k for k, known in enumerate(systems) if known is own)
+        sizes = frame_sizes(contact.finger, scene.object) if table.frames else (0, 0)
+        contacts += [*_body(contact.finger, at, surfaces), block, which, *sizes]
+    scalars = table.scalars()
+    least = [-np.inf if v.minimum is None else v.minimum for v in scalars]
+    windows = [
+        (d.contact, d.slot, table.window_first + 4 * k) for k, d in enumerate(scene.disturbances)
+    ]
+    orders = np.ravel(table.orders)
+    rows = [x for surface in surfaces for x in _surface(surface, data)]
+    head = struct.pack(
+        f"<{HEADER - 4}d",
+        *(len(table.blocks), table.n_values, len(scene.profile.coefficients), law.power),
+        *(law.makes_up, scene.duration, TOLERANCE, table.frames, table.parameter_first["scale"]),
+        *(data.texts(token), data.texts(*(v.name for v in scalars))),
+        data.numbers([KINDS.index(v.kind) for v in scalars]),
+        *(data.numbers(table.sizes), data.numbers(table.start_values), data.numbers(least)),
+        *(data.numbers(table.state_nominals), data.numbers(contacts)),
+        *(data.numbers(rows), len(surfaces)),
+        data.numbers([x for system in systems for x in data.table(system)]),
+        *(data.numbers(np.ravel(windows)), len(windows)),
+        *(data.numbers(orders), len(orders) // 2, *obj),
+    )
+    body = b"".join(data.parts)
+    return struct.pack("<4d", MAGIC, VERSION, data.size, zlib.adler32(body)) + head + body
+
+
+def _body(surface: Surface, at: int, surfaces: list[Surface]) -> list[float]:
+    """The row of a body, whose first parameter has reference `at`."""
+    for known, other in enumerate(surfaces):
+        if other is surface:
+            break
+    else:
+        known = len(surfaces)
+        surfaces.append(surface)
+    sizes = (surface.size, surface.bend, surface.reach)
+    return [at, len(surface.parameters), known, surface.sign, *sizes]
+
+
+def _surface(surface: Surface, data: _Data) -> list[float]:
+    """The row of a surface, by its number in the engine or with its tables."""
+    if surface.table_name is not None:
+        return [list(SURFACES).index(surface.table_name), *[0.0] * 20]
+    flags = 0 if surface.has_implicit else MAY_BE_SINGULAR
+    found = [-1, len(surface.numbers), surface.double_cover, 0, flags]
+    found += [period or 0.0 for period in surface.periods()]
+    for table in (*surface.tables.ambient, *surface.tables.chart):
+        found.append(0 if table is None else data.numbers(data.table(table)))
+    return found
+
+
+def as_c(data: bytes) -> str:
+    """The same as C, for FMUs of sources."""
+    words: Sequence[int] = np.frombuffer(data, dtype="<u8").tolist()
+    rows = ",\n  ".join(", ".join(f"{x:#x}" for x in words[k : k + 6]) for k in range(0, len(words), 6))
+    return (
+        "/* The scene: see model.h. Doubles as their bits, in the order of little-endian machines. */\n"
+        f"static const unsigned long long scene_words[] = {{\n  {rows}}};\n\n"
+        "static double *scene_data(const char *resources, size_t *count) {\n"
+        "  double *data = malloc(sizeof scene_words);\n"
+        "  (void)resources;\n"
+        "  *count = sizeof scene_words / sizeof *scene_words;\n"
+        "  if (data) memcpy(data, scene_words, sizeof scene_words);\n"
+        "  return data;\n"
+        "}\n"
+    )
