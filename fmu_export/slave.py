@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,6 +29,7 @@ from contact_system.errors import SceneError
 from contact_system.scene import Scene
 from contact_system.writing import writing
 
+from .build import library_place
 from .data import scene_data
 from .description import check_choice, instantiation_token, model_description, model_identifier
 from .variables import variable_table
@@ -125,13 +127,18 @@ class _Slave:
         self._folder = tempfile.TemporaryDirectory(prefix="contact-system-")
         path = write_description(scene, self._folder.name, self._version, states, arrays)
         identifier = model_identifier(variable_table(scene, states))
+        library = path.parent / library_place(identifier, "native", self._version)
+        library.parent.mkdir(parents=True)  # where fmpy looks for it
+        try:
+            library.symlink_to(LIBRARY)
+        except OSError:  # Windows, where not everybody may
+            shutil.copy(LIBRARY, library)
         # fmpy finds functions by the name of the class; the rest of what it makes is good here too
         plain = self._plain(
             guid=instantiation_token(path.read_text("utf-8")),
             modelIdentifier=identifier,
             unzipDirectory=self._folder.name,
             instanceName=name or identifier,
-            libraryPath=str(LIBRARY),
         )
         self.__dict__ |= plain.__dict__
         self.instantiate(loggingOn=True)

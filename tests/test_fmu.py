@@ -249,35 +249,6 @@ def test_an_input_acts_at_once_on_what_depends_on_it(kind, version):
     assert one.states() - before == pytest.approx(expected, abs=1e-14)
 
 
-@pytest.mark.parametrize("step", [0.05, 0.25])
-def test_an_input_with_a_slope_is_extrapolated(step):
-    from scipy.integrate import solve_ivp
-
-    scene, name = SCENES["K2"], "contact[1].finger.acceleration.u"
-    one = Instance(scene, "FMU", "2.0").begin()
-    for t in np.arange(0.0, 0.5 - 1e-9, step):
-        one.put({name: 0.8 * t})
-        one.own.setRealInputDerivatives([one.reference(name)], [1], [0.8])
-        one.step(step)
-    assert one.get(name)[0] == pytest.approx(0.4, abs=1e-15)
-    system = cs.SceneSystem(scene, "chart", disturbance_input=True)
-    x = system.x0
-    for a, b in ((0.0, 0.1), (0.1, 0.5)):  # K2's windows end at 0.1 s
-
-        def rate(t, x, windows):
-            w = windows.copy()
-            w[0] += 0.8 * t
-            return system.evaluate("derivatives", t, x, w)
-
-        options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
-        x = solve_ivp(rate, (a, b), x, args=(system.window_values(a),), **options).y[:, -1]
-    assert np.allclose(one.states()[0], x[:9], rtol=0, atol=1e-9)
-    early = Instance(scene, "FMU", "2.0")  # FMI 2.0.4, 4.2.4: from the first state on
-    early.own.setRealInputDerivatives([early.reference(name)], [1], [0.8])
-    early.begin(0.2).step(0.5)
-    assert early.get(name)[0] == pytest.approx(0.4, abs=1e-15)
-
-
 # --- start values and parameters
 
 
@@ -491,21 +462,6 @@ def test_event_mode_of_fmpy_gives_the_same_motion(kind):
     assert {1.0, 2.0} <= set(result["time"])
     times = np.minimum(result["time"], 4.0)
     close(simulated_states(result, 3), cs.plan(SCENES["K4"], 1e-14).states(times))
-
-
-def test_a_step_returns_at_the_time_that_the_importer_asks_for():
-    """FMI 3.0.2, 4.2.1.2: earlyReturnTime may lie after the intermediate update."""
-    told = []
-
-    def update(environment, time, sets, gets, finished, may_return, wants, when):
-        told.append(time)
-        wants[0], when[0] = time == 1.0, 1.6
-
-    options = {"earlyReturnAllowed": True, "intermediateUpdate": update}
-    one = Instance(SCENES["K4"], "FMU", "3.0", **options).begin()
-    assert one.step(4.0) == (False, False, True, 1.6)
-    assert told == [1.0, 1.6]
-    close(one.states(), cs.plan(SCENES["K4"]).states(1.6)[0])
 
 
 # --- derivatives

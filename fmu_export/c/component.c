@@ -196,7 +196,7 @@ static plan_t *plan_ahead(component_t *c, long i, segment_t *s, double target) {
     s->end = end_of(c, s->begin, k ? target : fmin(end, target + 0.125 * (end - target)), target);
     if (s->end < end && s->end > s->begin) found = plan_of(c, i, s);
   }
-  if (!found) s->end = end;
+  if (!found) s->end = -end;
   return found;
 }
 
@@ -207,7 +207,7 @@ static int cover(component_t *c, long i, double target) {
   segment_t *s = c->segment + i;
   const double least = s->begin + 8 * DBL_EPSILON * fmax(1.0, s->begin);
   if (!k->plan) {
-    s->end = end_of(c, s->begin, fmax(s->end, least), target);
+    if (s->end < s->begin) s->end = end_of(c, s->begin, fmax(-s->end, least), target);
     k->plan = plan_ahead(c, i, s, fmax(target, least)), k->anchored = 0;
     if (!k->plan) return 1;
   }
@@ -271,8 +271,9 @@ static int settle(component_t *c) {
       if (cover(c, i, at)) return (int)i + 1;
       commit(c, i, 1);
       if (go_on(c, i, c->live[i].plan, fmin(fmax(at, s->begin), s->end), s)) return (int)i + 1;
-      s->end = at + lasted; /* where events follow each other closely, it is no use to plan far */
+      s->end = -(at + lasted); /* where events follow each other closely, it is no use to plan far */
     }
+    s->end = -fabs(s->end);
     s->gain = c->value[GAIN];
     memcpy(s->acting, acting, sizeof acting);
     drop_plans(c, i);
@@ -543,7 +544,7 @@ static const char *place_contact(component_t *c, long i) {
   }
   if (!all_finite(s->row, ROW)) return "the start is not finite";
   const double stop = c->now->stop_time, horizon = m->data[D_HORIZON];
-  s->end = stop < HUGE_VAL ? stop : s->begin < horizon ? horizon : s->begin + horizon;
+  s->end = -(stop < HUGE_VAL ? stop : s->begin < horizon ? horizon : s->begin + horizon);
   return NULL;
 }
 

@@ -32,7 +32,7 @@ enum { ROW = CONTACT_SIZE - K_PLACE_1 };
 
 /* How a contact's motion began, and what acts on it besides windows: it is planned from that. */
 typedef struct {
-  double begin, end; /* s; planned so far; end < begin: not yet */
+  double begin, end; /* s; planned so far; negative: how far it is to be planned */
   double gain, moment, frames, acting[DISTURBANCES];
   double row[ROW]; /* of the engine's contact, from K_PLACE_1 on */
 } segment_t;

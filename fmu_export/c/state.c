@@ -54,7 +54,8 @@ static const char *check_memory(const model_t *m, const memory_t *now) {
     if (!all_finite(&s->gain, 1 + 2 + DISTURBANCES + ROW)) return "a motion in it is not finite";
     if (!(s->gain >= 0.0) || !is_flag((int)s->moment) || !(s->frames >= 0 && s->frames < 4))
       return "a motion in it is of no kind that there is";
-    if (!(s->begin >= 0 && s->begin <= now->time) || !(s->end >= now->acts_at && s->end < 1e300))
+    if (!(s->begin >= 0 && s->begin <= now->time) || !(s->end < 0 || s->end >= now->acts_at) ||
+        !(fabs(s->end) < 1e300))
       return "the times of a motion in it are out of range";
     for (int side = 0; side < 2; side++)
       if ((int)s->frames & (1 << side) && !surface_of(m, i, side)->ambient[A_MOTION])

@@ -80,19 +80,15 @@ class Instance:
     def put(self, values: dict[str, Any]) -> None:
         for name, value in values.items():
             first, numbers = self.reference(name), np.ravel(value).tolist()
-            if self.version == "2.0":
-                self.own.setReal(list(range(first, first + len(numbers))), numbers)
-            else:
-                self.own.setFloat64([first], numbers)
+            put = self.own.setReal if self.version == "2.0" else self.own.setFloat64
+            put(list(range(first, first + len(numbers))), numbers)
 
     def get(self, *names: str) -> np.ndarray:
         found = []
         for name in names:
             first, size = self.reference(name), self.table[name].size
-            if self.version == "2.0":
-                found += self.own.getReal(list(range(first, first + size)))
-            else:
-                found += self.own.getFloat64([first], size)
+            get = self.own.getReal if self.version == "2.0" else self.own.getFloat64
+            found += get(list(range(first, first + size)))
         return np.array(found)
 
     def step(self, *sizes: float) -> Any:
@@ -137,11 +133,12 @@ class Instance:
         return np.array(self.own.getDirectionalDerivative(*references, list(seed), *count))
 
     def product(self, which: str, unknowns: list[str], knowns: list[str], seed: Any) -> np.ndarray:
-        """FMI 3: "Directional" or "Adjoint" derivative of arrays along a seed."""
-        references = [[self.reference(n) for n in names] for names in (unknowns, knowns)]
-        rows, count = (sum(self.table[n].size for n in names) for names in (unknowns, knowns))
-        if self.kind == "slave":
-            return np.array(getattr(self.own, f"get{which}Derivative")(*references, list(seed)))
+        """FMI 3: "Directional" or "Adjoint" derivative along a seed."""
+        references = [
+            [v.reference for n in names for v in self.table[n].scalars()]
+            for names in (unknowns, knowns)
+        ]
+        rows, count = map(len, references)
         u, k = ((ctypes.c_uint32 * len(r))(*r) for r in references)
         out = (ctypes.c_double * (rows if which == "Directional" else count))()
         s = (ctypes.c_double * len(seed))(*seed)
@@ -160,10 +157,8 @@ class Instance:
 
 def simulated(scene: cs.Scene, kind: str, version: str, slave: dict | None = None, **given):
     """What `fmpy.simulate_fmu` gives, all outputs and states."""
-    names = [v.name for v in variable_table(scene).rows if v.causality in ("output", "local")]
-    if version == "2.0":
-        scalars = variable_table(scene).scalars()
-        names = [v.name for v in scalars if v.causality in ("output", "local")]
+    scalars = variable_table(scene).scalars()
+    names = [v.name for v in scalars if v.causality in ("output", "local")]
     given = {"output": names, "relative_tolerance": 1e-10} | given
     if kind == "slave":
         with in_process(scene, version, **(slave or {})) as ready:
