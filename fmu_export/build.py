@@ -172,7 +172,7 @@ def _refuse_open(folder: Path) -> None:
         )
 
 
-def engine(target: str) -> bytes:
+def engine(target: str, name: str) -> bytes:
     """The engine with its FMI layer for a platform: that of every FMU.
 
     This machine's was built when the package was installed; others are built by ziglang and kept.
@@ -184,18 +184,29 @@ def engine(target: str) -> bytes:
     """
     if target == "native":
         native_platform()
-        return LIBRARY.read_bytes()
+        return _named(LIBRARY.read_bytes(), LIBRARY.name, name)
     folders = (ENGINE, ENGINE / "generated", C_FOLDER)
     texts = [p.read_text("utf-8") for f in folders for p in sorted(f.glob("*.[chi]*")) if p.suffix != ".py"]
-    command = [*_command("contact_engine", target), f"-I{ENGINE}", "-DVARIANT=baseline"]
+    command = [*_command(OWN_NAME, target), f"-I{ENGINE}", "-DVARIANT=baseline"]
+    suffix = _platform(target)[2]
     units = [ENGINE / "engine.c", ENGINE / "dispatch.c", C_FOLDER / "fmi2.c", C_FOLDER / "fmi3.c"]
 
     def make(room: Path) -> Path:
-        built = room / f"contact_engine{_platform(target)[2]}"
+        built = room / f"{OWN_NAME}{suffix}"
         _run([*command, *map(str, units), "-o", built.name, "-lm"], room)
         return built
 
-    return _kept("\0".join([*command, *texts]), make)
+    return _named(_kept("\0".join([*command, *texts]), make), OWN_NAME + suffix, name)
+
+
+OWN_NAME = "contact_engine".ljust(110, "_")
+
+
+def _named(library: bytes, own: str, name: str) -> bytes:
+    """A library under another name, which a Windows one carries: programs look for that one."""
+    if not own.endswith(".dll"):
+        return library
+    return library.replace(f"{own}\0".encode(), f"{name}.dll\0".encode().ljust(len(own) + 1, b"\0"))
 
 
 def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:

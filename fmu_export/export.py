@@ -32,9 +32,9 @@ def export_fmu(
     fmi_version: str = "2.0",
     interfaces: Sequence[str] = INTERFACES,
     platforms: Sequence[str] = ("native",),
+    progress: Callable[[str], None] | None = None,
     states: str = "auto",
     arrays: bool = False,
-    progress: Callable[[str], None] | None = None,
 ) -> Path:
     """Write a scene as a Functional Mock-up Unit.
 
@@ -84,7 +84,7 @@ def export_fmu(
     files |= companions(table, fmi_version)
     for platform in platforms:
         tell(f"taking the library for {platform}")
-        files[build.library_place(name, platform, fmi_version)] = build.engine(platform)
+        files[build.library_place(name, platform, fmi_version)] = build.engine(platform, name)
     tell("packing")
     build.write_fmu(path, files, moment[:6], problems_of)
     return path

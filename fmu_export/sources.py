@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import contact_system
@@ -42,4 +43,7 @@ def c_sources(data: bytes, identifier: str, fmi_version: str) -> dict[str, str]:
         "kernel.c": f'#define VARIANT baseline\n{names}#include "engine.c"\n#include "dispatch.c"\n',
         "fmu.c": f'#define SCENE_INSIDE\n{prefix}{names}#include "fmi{layer}.c"\n',
     }
-    return {**files, **own, "scene.c": as_c(data), **units}
+    # importers may compile every .c that they find
+    parts = {**files, **own, "scene.c": as_c(data)}
+    found = {name.removesuffix(".c") + ".inc" * name.endswith(".c"): t for name, t in parts.items()}
+    return {n: re.sub(r'(#include "\w+)\.c"', r'\1.inc"', t) for n, t in (found | units).items()}

@@ -119,6 +119,19 @@ static void put_window(double **next, double slot, double start, double stop, co
   *next += WINDOW_SIZE;
 }
 
+/* Whether sigma is all but zero somewhere between two times */
+static int rests_between(const component_t *c, double from, double to) {
+  const double *sigma = sigma_of(c);
+  const long np = c->model->n_profile;
+  double at[MAX_PROFILE + 2], largest = 0.0;
+  const long n = turns_of(sigma, np, from, to, at + 1);
+  at[0] = from, at[n + 1] = to;
+  for (long k = 0; k < np; k++) largest = fmax(largest, fabs(sigma[k]));
+  for (long k = 0; k < n + 2; k++)
+    if (horner_at(sigma, np, at[k]) <= 1e-9 * largest) return 1;
+  return 0;
+}
+
 /* The engine's plan of contact i under a segment; NULL, with c->failure, where there is none. */
 static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   const model_t *m = c->model;
@@ -146,6 +159,13 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
     if (s->acting[2 * slot] != 0.0 || s->acting[2 * slot + 1] != 0.0)
       put_window(&next, slot, s->begin, s->end, s->acting + 2 * slot, 1.0);
   row[K_WINDOWS_SIZE] = (double)((next - first) / WINDOW_SIZE);
+  for (const double *w = first; w < next; w += WINDOW_SIZE) {
+    const double from = fmax(w[W_START], s->begin), to = fmin(w[W_STOP], s->end);
+    if (w[W_SLOT] > 1 || from >= to || (w[W_VALUE] == 0.0 && w[W_VALUE + 1] == 0.0)) continue;
+    if (!rests_between(c, from, to)) continue;
+    c->failure = (failure_t){.code = STUCK, .pushed = 1}; /* the engine would try for long */
+    return NULL;
+  }
   b[S_AT_CONTACTS] = (double)(next - b);
   memcpy(next, row, sizeof row), next += CONTACT_SIZE;
   feholdexcept(&traps); /* what the engine looks at may be no number; importers may trap that */
@@ -288,7 +308,7 @@ static status_t refuse_motion(component_t *c, long i, const char *what, double t
   const failure_t *f = &c->failure;
   const char *side = f->side ? "object" : "finger";
   char where[160] = "";
-  if (f->code == STUCK && !f->by_length)
+  if (f->code == STUCK && !f->by_length && f->t > 0)
     snprintf(where, sizeof where, ", at t = %.9g s", f->t);
   const char *why =
       f->code == NO_MEMORY                  ? "there is no memory"

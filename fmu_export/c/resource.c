@@ -28,10 +28,12 @@ static void path_of(const char *resources, char *path, size_t room) {
 }
 
 #ifdef _WIN32
-#include <windows.h>
+/* windows.h has names of its own, such as INPUT */
+__declspec(dllimport) int __stdcall MultiByteToWideChar(unsigned, unsigned long, const char *, int,
+                                                        wchar_t *, int);
 static FILE *open_file(const char *path) { /* UTF-8 */
   wchar_t wide[4096];
-  return MultiByteToWideChar(CP_UTF8, 0, path, -1, wide, 4096) ? _wfopen(wide, L"rb") : NULL;
+  return MultiByteToWideChar(65001, 0, path, -1, wide, 4096) ? _wfopen(wide, L"rb") : NULL;
 }
 #else
 static FILE *open_file(const char *path) { return fopen(path, "rb"); }

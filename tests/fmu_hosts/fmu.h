@@ -11,6 +11,14 @@
 /* Called with every log line, complete, its category first. */
 static void heard(int status, const char *category, const char *text);
 
+/* The resources of the FMU, whose folder the environment says; FMI 2 wants a URI. */
+static const char *resources(const char *before) {
+  static char text[4096];
+  const char *folder = getenv("FMU_FOLDER");
+  snprintf(text, sizeof text, "%s%s/resources", before, folder ? folder : "");
+  return text;
+}
+
 #if FMI_VERSION == 2
 #include "fmi2Functions.h"
 typedef fmi2Component fmu_t;
@@ -29,7 +37,7 @@ static void log_line(fmi2ComponentEnvironment environment, fmi2String name, fmi2
 static const fmi2CallbackFunctions callbacks = {log_line, calloc, free, NULL, NULL};
 
 static fmu_t create(const char *token) {
-  return fmi2Instantiate("one", fmi2CoSimulation, token, "", &callbacks, fmi2False, fmi2True);
+  return fmi2Instantiate("one", fmi2CoSimulation, token, resources("file://"), &callbacks, fmi2False, fmi2True);
 }
 
 static int begin(fmu_t fmu) {
@@ -59,7 +67,7 @@ static void log_line(fmi3InstanceEnvironment environment, fmi3Status status, fmi
 }
 
 static fmu_t create(const char *token) {
-  return fmi3InstantiateCoSimulation("one", token, "", fmi3False, fmi3True, fmi3False, fmi3False,
+  return fmi3InstantiateCoSimulation("one", token, resources(""), fmi3False, fmi3True, fmi3False, fmi3False,
                                      NULL, 0, NULL, log_line, NULL);
 }
 

@@ -2,7 +2,7 @@
 
 static fmu_t create_any(int stepping) {
   plain = 1;
-  return fmi2Instantiate("one", stepping ? fmi2CoSimulation : fmi2ModelExchange, model.token, "",
+  return fmi2Instantiate("one", stepping ? fmi2CoSimulation : fmi2ModelExchange, model.token, resources("file://"),
                          &callbacks, fmi2False, fmi2True);
 }
 

@@ -17,12 +17,12 @@ static void updated(fmi3InstanceEnvironment environment, fmi3Float64 time, fmi3B
 
 static fmu_t create_any(int stepping) {
   if (!stepping)
-    return fmi3InstantiateModelExchange("one", model.token, "", fmi3False, fmi3True, NULL,
+    return fmi3InstantiateModelExchange("one", model.token, resources(""), fmi3False, fmi3True, NULL,
                                         log_line);
   const fmi3Boolean events = one_in(2), early = one_in(2);
   plain = !events && !early;
   return inside =
-             fmi3InstantiateCoSimulation("one", model.token, "", fmi3False, fmi3True, events, early,
+             fmi3InstantiateCoSimulation("one", model.token, resources(""), fmi3False, fmi3True, events, early,
                                          NULL, 0, NULL, log_line, one_in(2) ? updated : NULL);
 }
 
@@ -37,7 +37,7 @@ static unsigned char *sizes; /* of variables, by reference; 0: there is none */
 /* Find out what a model description would say: the number of states, the sizes of variables. */
 static void study(fmu_t fmu) {
   fmu_t other =
-      fmi3InstantiateModelExchange("one", model.token, "", fmi3False, fmi3False, NULL, log_line);
+      fmi3InstantiateModelExchange("one", model.token, resources(""), fmi3False, fmi3False, NULL, log_line);
   if (!other || fmi3GetNumberOfContinuousStates(other, &n_states)) fail("no number of states");
   release(other);
   sizes = calloc(greatest + 1, 1);

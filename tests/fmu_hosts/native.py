@@ -203,7 +203,7 @@ class Program:
     def run(self, *arguments: object, timeout: float = 600.0) -> str:
         """What the program prints; AssertionError with its complaint where it fails."""
         command = [*self._runner, str(self._file), *map(str, arguments)]
-        environment = os.environ | self._environment
+        environment = os.environ | self._environment | {"FMU_FOLDER": str(self.fmu.folder)}
         run = subprocess.run(
             command, capture_output=True, text=True, env=environment, timeout=timeout
         )
