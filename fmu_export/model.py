@@ -41,7 +41,7 @@ from contact_system.theory.development import in_space
 from contact_system.theory.geometry import rotation
 from contact_system.theory.lowering import Table
 from contact_system.theory.profile import polynomial
-from contact_system.theory.symbols import SYMBOLS, per_structure
+from contact_system.theory.symbols import making_symbols, per_structure
 
 INPUTS, CHART_STATES, COORDINATES = 6, 11, 9
 RESULTS = {"slip": 2, "twist": 6, "pose": 12, "points": 6}
@@ -60,7 +60,7 @@ def frame_sizes(finger: Surface, obj: Surface) -> tuple[int, int]:
 @per_structure
 def equations(finger: Surface, obj: Surface, law: str, n_profile: int, frames: bool) -> Table:
     """The table (time, states, disturbances | gain, profile, numbers of both) -> results."""
-    with SYMBOLS:
+    with making_symbols():
         forms = (in_space(finger, True), in_space(obj, True)) if frames else (False, False)
         form = Form("frame", True, forms, law, n_profile, ())
         size = sum(form.sizes) if frames else CHART_STATES

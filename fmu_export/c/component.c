@@ -10,6 +10,8 @@
 /* */
 #include "system.c"
 
+#define MOST_PANELS 20000.0 /* of one plan: a second of work, kilometres of path */
+
 /* groups of results, bits of live_t.valid */
 enum { OF_STATE = 1, OF_COORDINATES = 2, OF_RATES = 4, OF_SLIPS = 8, OF_TWISTS = 16, OF_POSES = 32, OF_PLACES = 64 };
 enum { ALL_RESULTS = 127 };
@@ -75,7 +77,7 @@ static const char *make_component(component_t *c, const char *resources) {
   size_t registers = 1;
   c->engine = contact_engine();
   c->now = calloc(1, memory_size(m)), c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
-  c->buffer = malloc((size_t)(S_HEADER + 2 * m->n_profile + m->n_values + CONTACT_SIZE +
+  c->buffer = malloc((size_t)(S_HEADER + LEG_SIZE + 2 * m->n_profile + m->n_values + CONTACT_SIZE +
                               WINDOW_SIZE * (m->n_windows + 3) + 4) * sizeof(double));
   c->seed = calloc(1, values), c->grown = calloc(1, values);
   for (long i = 0; c->live && i < m->n_contacts; i++) {
@@ -137,14 +139,21 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   const model_t *m = c->model;
   double *b = c->buffer, *next = b + S_HEADER, row[CONTACT_SIZE] = {0};
   fenv_t traps;
+  c->failure = (failure_t){.code = STUCK};
+  if (!(s->end > s->begin)) return NULL;
   memset(b, 0, S_HEADER * sizeof *b);
   b[S_VERSION] = SCENE_VERSION, b[S_CONTACTS] = 1, b[S_TOLERANCE] = m->data[D_TOLERANCE];
+  b[S_PANELS] = MOST_PANELS;
   b[S_BEGIN] = s->begin, b[S_END] = s->end;
   b[S_GAIN] = s->gain, b[S_GAIN_POWER] = m->data[D_POWER], b[S_MAKES_UP] = m->data[D_MAKES_UP];
-  b[S_PROFILE] = S_HEADER, b[S_PROFILE_SIZE] = (double)m->n_profile;
+  double *leg = next; /* one, from t = 0 on */
+  next += LEG_SIZE;
+  leg[G_START] = 0.0, leg[G_TURN] = 1.0, leg[G_TURN + 1] = 0.0;
+  leg[G_PROFILE] = (double)(next - b), leg[G_PROFILE_SIZE] = (double)m->n_profile;
   memcpy(next, sigma_of(c), (size_t)m->n_profile * sizeof *next), next += m->n_profile;
   const long turns = turns_of(sigma_of(c), m->n_profile, s->begin, s->end, next);
-  b[S_EXTREMA] = (double)(next - b), b[S_EXTREMA_SIZE] = (double)turns, next += turns;
+  leg[G_EXTREMA] = (double)(next - b), leg[G_EXTREMA_SIZE] = (double)turns, next += turns;
+  row[K_LEGS] = (double)(leg - b), row[K_LEGS_SIZE] = 1.0;
   put_body(c, m->data + D_OBJECT, &next, b + S_OBJECT);
   put_body(c, contact_of(m, i) + P_FINGER, &next, row + K_FINGER);
   row[K_MOMENT] = s->moment, row[K_FRAMES] = s->frames, row[K_WINDOWS] = (double)(next - b);
@@ -233,7 +242,9 @@ static int cover(component_t *c, long i, double target) {
   }
   k->following = *s;
   plan_t *last = k->plan;
-  while (k->following.end < target) {
+  for (int tries = 0; !reached(k->following.end, target); tries++) {
+    c->failure = (failure_t){.code = TOO_MANY_PANELS};
+    if (tries > 60) return 1;
     segment_t next = k->following;
     const double at = next.end;
     if (go_on(c, i, last, at, &next)) return 1;
@@ -314,7 +325,7 @@ static status_t refuse_motion(component_t *c, long i, const char *what, double t
       f->code == NO_MEMORY                  ? "there is no memory"
       : f->code == TOO_LONG                 ? "the path is so long that rounding would leave less "
                                               "than four digits of its position; make shorter steps"
-      : f->code == TOO_MANY_PANELS          ? "the step is too long; make shorter steps"
+      : f->code == TOO_MANY_PANELS          ? "a step is too long, it would take more than 20000 pieces of motion; make shorter steps"
       : f->pushed && f->value <= 1e-5       ? AT_REST
       : "the path reaches a singular point of its chart or its surface, or moves too fast for "
         "double precision; set smaller inputs, end before or start elsewhere";
@@ -601,6 +612,7 @@ static status_t start(component_t *c) {
       refuse_motion(c, i, "motion", now->time);
       return FAILED;
     }
+    if (now->stepping) look(c, i, ALL_RESULTS & ~OF_RATES); /* steps allocate nothing after that */
   }
   now->settled = 0; /* inputs act from here on */
   forget_values(c);
@@ -642,7 +654,7 @@ static status_t step(component_t *c, double target, int stop_at_windows, int *ed
     if ((*edge = reached(target, window))) goal = window;
   }
   for (long i = 0; i < n; i++) {
-    if (c->live[i].plan && c->segment[i].end >= goal) continue;
+    if (c->live[i].plan && reached(c->segment[i].end, goal)) continue;
     if (!cover(c, i, goal)) continue;
     for (long j = 0; j <= i; j++) commit(c, j, 0);
     return refuse_motion(c, i, "step", target);
