@@ -6,11 +6,14 @@ Everything here is text for an importer; what the numbers mean stands in :mod:`.
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import re
 import time
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
+
+import numpy as np
 
 from contact_system import __version__
 from contact_system.checks import is_device, items_of
@@ -72,10 +75,15 @@ def model_description(
     # The schemas want Model Exchange first.
     root.extend(_interface(table, fmi_version, i) for i in sorted(interfaces, reverse=True))
     root.append(_unit_definitions(table))
+    root.append(_type_definitions(table, fmi_version))
     add_log_categories(root, LOG_CATEGORIES)
-    horizon = table.scene.duration
+    scene, horizon = table.scene, table.scene.duration
+    smallest = min(s.size for s in (scene.object, *(c.finger for c in scene.contacts)))
+    fastest = max(scene.profile(t) for t in np.linspace(0.0, horizon, 65))
+    # so that Euler's method moves a contact by less than a tenth of a body's size
+    steps = max(500, math.ceil(10 * fastest * horizon / smallest / 100) * 100)
     experiment = {"startTime": "0", "stopTime": _number(horizon), "tolerance": "1e-10"}
-    ET.SubElement(root, "DefaultExperiment", experiment, stepSize=_number(horizon / 500))
+    ET.SubElement(root, "DefaultExperiment", experiment, stepSize=_number(horizon / steps))
     variables = ET.SubElement(root, "ModelVariables")
     variables.extend(_variable(v, fmi_version) for v in listed(table, fmi_version))
     root.append(_structure(table, fmi_version))
@@ -164,6 +172,9 @@ def _head(table: Table, fmi_version: str) -> dict[str, str]:
         "version": __version__,
         "generationTool": f"contact-system {__version__}",
         "variableNamingConvention": "structured" if plain else "flat",
+        "author": "the contact-system developers",
+        "copyright": "Copyright (c) 2026 the contact-system developers",
+        "license": "MIT",
     }
     if fmi_version == "2.0":
         head["numberOfEventIndicators"] = "0"
@@ -183,11 +194,41 @@ def _unit_definitions(table: Table) -> ET.Element:
     return element
 
 
+QUANTITIES = {
+    (1, 0, 0): "Length",
+    (1, -1, 0): "Velocity",
+    (1, -2, 0): "Acceleration",
+    (0, 0, 1): "Angle",
+    (0, -1, 1): "AngularVelocity",
+    (0, -2, 1): "AngularAcceleration",
+    (0, 1, 0): "Time",
+}
+"""Names of types, and of what is measured, by exponents of m, s, rad."""
+_DEGREE = math.degrees(1.0)
+
+
+def _type_definitions(table: Table, fmi_version: str) -> ET.Element:
+    element = ET.Element("TypeDefinitions")
+    for unit in sorted({v.unit for v in table.rows} & QUANTITIES.keys()):
+        name = QUANTITIES[unit]
+        said = {"quantity": name, "unit": unit_name(unit)}
+        if unit[2]:
+            said["displayUnit"] = unit_name(unit).replace("rad", "deg")
+        if fmi_version == "2.0":
+            ET.SubElement(ET.SubElement(element, "SimpleType", name=name), "Real", said)
+        else:
+            ET.SubElement(element, "Float64Type", said, name=name)
+    return element
+
+
 def add_unit(parent: ET.Element, unit: Unit, namespace: str = "") -> None:
     """What a unit's name stands for, in FMI's words and SSP's."""
     exponents = {k: str(x) for k, x in zip(("m", "s", "rad"), unit) if x}
     own = ET.SubElement(parent, f"{namespace}Unit", name=unit_name(unit))
     ET.SubElement(own, f"{namespace}BaseUnit", exponents)
+    if unit[2] == 1 and not namespace:  # SSP has no display units
+        name = unit_name(unit).replace("rad", "deg")
+        ET.SubElement(own, "DisplayUnit", name=name, factor=_number(_DEGREE))
 
 
 def add_log_categories(parent: ET.Element, names: Iterable[str]) -> None:
@@ -211,6 +252,7 @@ def _variable(variable: Variable, fmi_version: str) -> ET.Element:
     if variable.initial:
         common["initial"] = variable.initial
     numeric = {
+        "declaredType": QUANTITIES.get(variable.unit) if variable.unit else None,
         "unit": None if variable.unit is None else unit_name(variable.unit),
         "min": None if variable.minimum is None else _number(variable.minimum),
         "nominal": None if variable.nominal is None else _number(variable.nominal),
@@ -254,12 +296,14 @@ def _structure(table: Table, fmi_version: str) -> ET.Element:
             name = {"ContinuousStateDerivative": "Derivative"}.get(name, name) + "s"
             parent = ET.SubElement(structure, name)
         for v in unknowns:
-            listed_as = " ".join(map(str, knowns.of(v, allowed)))
+            found = knowns.of(v, allowed)
+            said = {"dependencies": " ".join(map(str, found))}
+            said["dependenciesKind"] = " ".join(["dependent"] * len(found))
             if fmi_version == "2.0":
                 # The index counts from 1, and leaves out time, reference 0: it is the reference.
-                ET.SubElement(parent, "Unknown", index=str(v.reference), dependencies=listed_as)
+                ET.SubElement(parent, "Unknown", said, index=str(v.reference))
             else:
-                ET.SubElement(parent, name, valueReference=str(v.reference), dependencies=listed_as)
+                ET.SubElement(parent, name, said, valueReference=str(v.reference))
     return structure
 
 
@@ -307,21 +351,29 @@ def build_description(table: Table, sources: Sequence[str]) -> str:
 
 
 def terminals(table: Table) -> str:
-    """The text of terminalsAndIcons.xml: a terminal a contact, with its disturbances and results.
+    """The text of terminalsAndIcons.xml: two terminals a contact, its disturbances and its motion.
 
     FMI 3.0.2, section 2.4.9. Members are matched by name, in no order.
     """
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
+    box = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}
+    picture = ET.SubElement(root, "GraphicalRepresentation")
+    ET.SubElement(picture, "CoordinateSystem", box, suggestedScalingFactorTo_mm="0.1")
+    ET.SubElement(picture, "Icon", box)
     everything = ET.SubElement(root, "Terminals")
     for i, block in enumerate(table.blocks):
-        said = {"name": f"contact{i + 1}", "matchingRule": "bus", "terminalKind": "contact"}
-        said["description"] = table.scene.contacts[i].name or f"Contact {i + 1}"
-        terminal = ET.SubElement(everything, "Terminal", said)
-        for v in listed(table, "3.0"):
-            if block <= v.reference < block + table.block_size(i) and v.causality in ("input", "output"):
-                own = v.name.replace(f"contact[{i + 1}].", "")
-                member = {"variableName": v.name, "memberName": own, "variableKind": "signal"}
-                ET.SubElement(terminal, "TerminalMemberVariable", member)
+        for kind, causality in (("disturbance", "input"), ("motion", "output")):
+            said = {"name": f"contact{i + 1}_{kind}", "matchingRule": "bus", "terminalKind": kind}
+            named = table.scene.contacts[i].name or f"Contact {i + 1}"
+            said["description"] = f"{named}: {kind}"
+            terminal = ET.SubElement(everything, "Terminal", said)
+            for v in listed(table, "3.0"):
+                if not block <= v.reference < block + table.block_size(i):
+                    continue
+                if v.causality == causality:
+                    own = v.name.replace(f"contact[{i + 1}].", "")
+                    member = {"variableName": v.name, "memberName": own, "variableKind": "signal"}
+                    ET.SubElement(terminal, "TerminalMemberVariable", member)
     return xml_text(root)
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import struct
 import zlib
 from html import escape
+from importlib import metadata
+from pathlib import Path
 
 import numpy as np
 
@@ -18,9 +21,19 @@ def companions(table: Table, fmi_version: str) -> dict[str, bytes]:
     """File name inside the FMU -> bytes."""
     icon = "model.png" if fmi_version == "2.0" else "terminalsAndIcons/icon.png"
     files = {icon: icon_png(), "documentation/index.html": page(table, fmi_version).encode()}
+    files["documentation/licenses/license.txt"] = license_text().encode()
     if fmi_version == "3.0":
         files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(table).encode()
     return files
+
+
+def license_text() -> str:
+    """This package's licence, from its checkout or from where it is installed."""
+    beside = Path(__file__).parents[1] / "LICENSE"
+    if beside.exists():
+        return beside.read_text("utf-8")
+    installed = metadata.distribution("contact-system")
+    return installed.read_text("licenses/LICENSE") or installed.read_text("LICENSE") or "MIT"
 
 
 def page(table: Table, fmi_version: str) -> str:
@@ -55,6 +68,7 @@ def page(table: Table, fmi_version: str) -> str:
     )
 
 
+@functools.cache
 def icon_png() -> bytes:
     """A small ball on a large one, as a PNG file."""
     side = 96

@@ -27,6 +27,7 @@ import ctypes
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -148,8 +149,12 @@ def surface_with(surface: Surface, values: Sequence[float]) -> Surface:
         )
     other: Surface
     if isinstance(surface, UserSurface):
-        named = dict(zip(surface.formula.names, numbers, strict=True))
-        other = dataclasses.replace(surface, parameters=named)  # type: ignore[call-arg]
+        count = len(surface.formula.names)
+        center, values = numbers[: len(numbers) - count], numbers[len(numbers) - count :]
+        given: dict[str, Any] = {"parameters": dict(zip(surface.formula.names, values))}
+        if center:  # of an ImplicitSurface
+            given["center"] = center
+        other = dataclasses.replace(surface, **given)
     elif isinstance(surface, Ellipsoid):
         axes = {1: (0, 0, 0), 2: (0, 0, 1) if surface.a == surface.b else (0, 1, 1), 3: (0, 1, 2)}
         other = Ellipsoid(*(numbers[k] for k in axes[len(numbers)]), inside=surface.inside)

@@ -68,7 +68,8 @@ def write_description(
     table = variable_table(scene, states, arrays and fmi_version == "3.0")
     text = model_description(table, fmi_version, ("CoSimulation",))
     path = a_path(folder, "folder") / "modelDescription.xml"
-    make_folder(path.parent / "resources", "give another folder")
+    for place in (path.parent, path.parent / "resources"):
+        make_folder(place, "give another folder")
     with writing(path) as file:
         file.write(text.encode())
     with writing(path.parent / "resources" / "scene.bin") as file:

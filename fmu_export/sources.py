@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from pathlib import Path
 
@@ -11,12 +12,29 @@ from .data import as_c
 
 C_FOLDER = Path(__file__).parent / "c"
 ENGINE = Path(contact_system.__file__).parent / "engine"
+_INCLUDE = re.compile(r'(#include "\w+)\.c"')
 UNITS = ("fmu.c", "kernel.c")
 SHARED = (
     *("engine_baseline", "contact_engine", "contact_surface", "contact_table", "contact_layout"),
     *("builtin_surfaces", "n_builtin_surfaces", "contact_tables"),
 )
 """What the engine shows to others; several models may be linked into one program."""
+
+
+@functools.cache
+def _texts(layer: str) -> dict[str, str]:
+    """What FMUs of one version of FMI have in common, under the names that it has there."""
+    folders = [ENGINE, ENGINE / "generated"]
+    files = {p.name: p.read_text("utf-8") for f in folders for p in sorted(f.glob("*.[chi]*"))}
+    others = {f"fmi{other}{end}" for other in "23" if other != layer for end in (".c", "_types.h")}
+    skipped = {*others, "resource.c", "slip_integrator.c"}
+    files |= {p.name: p.read_text("utf-8") for p in C_FOLDER.glob("*.[ch]") if p.name not in skipped}
+    return {_part(n): t.replace('"generated/', '"') for n, t in files.items() if n[-3:] != ".py"}
+
+
+def _part(name: str) -> str:
+    """Importers may compile every .c that they find; what is included is none."""
+    return name.removesuffix(".c") + ".inc" * name.endswith(".c")
 
 
 def c_sources(data: bytes, identifier: str, fmi_version: str) -> dict[str, str]:
@@ -31,19 +49,11 @@ def c_sources(data: bytes, identifier: str, fmi_version: str) -> dict[str, str]:
     fmi_version : "2.0" or "3.0"
     """
     layer = fmi_version[0]
-    folders = [ENGINE, ENGINE / "generated"]
-    files = {p.name: p.read_text("utf-8") for f in folders for p in sorted(f.glob("*.[chi]*"))}
-    others = {f"fmi{other}{end}" for other in "23" if other != layer for end in (".c", "_types.h")}
-    skipped = {*others, "resource.c", "slip_integrator.c"}
-    own = {p.name: p.read_text("utf-8") for p in C_FOLDER.glob("*.[ch]") if p.name not in skipped}
-    files = {n: text.replace('"generated/', '"') for n, text in files.items() if n[-3:] != ".py"}
     names = "".join(f"#define {name} {identifier}_{name}\n" for name in SHARED)
     prefix = f"#define FMI2_FUNCTION_PREFIX {identifier}_\n" if layer == "2" else ""
     units = {
         "kernel.c": f'#define VARIANT baseline\n{names}#include "engine.c"\n#include "dispatch.c"\n',
         "fmu.c": f'#define SCENE_INSIDE\n{prefix}{names}#include "fmi{layer}.c"\n',
     }
-    # importers may compile every .c that they find
-    parts = {**files, **own, "scene.c": as_c(data)}
-    found = {name.removesuffix(".c") + ".inc" * name.endswith(".c"): t for name, t in parts.items()}
-    return {n: re.sub(r'(#include "\w+)\.c"', r'\1.inc"', t) for n, t in (found | units).items()}
+    found = _texts(layer) | {"scene.inc": as_c(data)} | units
+    return {name: _INCLUDE.sub(r"\1.inc\"", text) for name, text in found.items()}

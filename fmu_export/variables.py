@@ -20,7 +20,7 @@ import numpy as np
 from contact_system.errors import SceneError
 from contact_system.kept import kept
 from contact_system.scene import Contact, Scene, require_scene
-from contact_system.surfaces import LEAST_LENGTH, Quadric, Surface, UserSurface
+from contact_system.surfaces import Quadric, Surface, UserSurface
 from contact_system.system import SceneSystem
 
 from .model import (
@@ -212,6 +212,10 @@ class Table:
 
     def scalars(self) -> list[Variable]:
         """Every variable as FMI 2 sees it, by reference."""
+        return self._scalars
+
+    @kept
+    def _scalars(self) -> list[Variable]:
         return [scalar for row in self.rows for scalar in row.scalars()]
 
     @kept
@@ -365,7 +369,7 @@ def _parameter(
     elif isinstance(surface, (UserSurface, Quadric)):
         unit = None
     else:
-        low, nominal = LEAST_LENGTH, value
+        low, nominal = min(1e-6, 1e-3 * value), value  # m
     named = (name, reference, "parameter", variability, "exact", text, unit, (value,))
     return Variable(*named, minimum=low, nominal=nominal or None)
 

@@ -81,8 +81,6 @@ def test_numbers_that_make_another_kind_of_surface_are_refused(kind, version):
         ({"object.c": 0.25}, "object.b = 0.2 is refused: it must be greater than object.c = 0.25"),
     ):
         one = Instance(K3, kind, version)
-        if kind == "slave":
-            words = "a >= b >= c|another kind of surface"
         one.refused(words, lambda one=one, start=start: one.begin(start=start))
     Instance(K3, kind, version).begin(start={"object.a": 0.15, "object.b": 0.12})
 
@@ -166,19 +164,6 @@ def test_calls_out_of_order_are_refused(kind, version):
 
 
 @of_versions
-def test_states_that_were_freed_are_refused_by_a_slave(version):
-    one = Instance(K1, "slave", version).begin()
-    state = one.state()
-    one.free(state)
-    one.free(None)
-    for call in (lambda x: one.restore(x, 0.0), one.free, one.written):
-        for wrong in (state, object()):
-            one.refused("no such state", call, wrong)
-    for wrong in (state, None, 3):
-        one.refused("the state is refused|bytes-like", one.read, wrong)
-
-
-@of_versions
 def test_a_state_of_another_version_is_refused(version):
     one = Instance(K4, "FMU", version).begin()
     one.step(0.3)
@@ -190,11 +175,10 @@ def test_a_state_of_another_version_is_refused(version):
 
 def test_functions_that_there_are_not_are_refused_in_words():
     two, three = (Instance(K1, "slave", version).begin() for version in ("2.0", "3.0"))
-    two.refused("fmi2SetInteger: this slave does not have it", two.own.setInteger, [1], [1])
-    three.refused("fmi3GetInt32: this slave", three.own.getInt32, [1])
-    two.refused("category 'logAll' is unknown", two.own.setDebugLogging, True, ["logAll"])
-    for call in (three.own.updateDiscreteStates, three.own.enterEventMode):
-        three.refused("event_mode=True", call)
+    two.refused("fmi2SetInteger: there are no variables of", two.own.setInteger, [1], [1])
+    three.refused("fmi3GetInt32: there are no variables of", three.own.getInt32, [1])
+    two.refused("unknown category 'logAll'", two.own.setDebugLogging, True, ["logAll"])
+    three.refused("made without event mode", three.own.enterEventMode)
     stepped, solved = (Instance(K1, "FMU", "2.0", x) for x in ("CoSimulation", "ModelExchange"))
     real, integer = (ctypes.c_double * 33)(), (ctypes.c_int * 1)(1)
     reference = (ctypes.c_uint * 1)(stepped.reference(PUSH))
@@ -220,7 +204,7 @@ def test_errors_are_told_though_logging_is_off(kind, version, caplog):
     with caplog.at_level(logging.INFO, "fmu_export"):  # where there is no logger
         slave.begin()
         slave.refused("finite", slave.put, {"gain.eta": math.nan})
-        slave.own.setDebugLogging(True, ["logEvents"])
+        slave.own.setDebugLogging(False, [])
         slave.refused("finite", slave.put, {"gain.eta": math.inf})
         slave.refused("positive", slave.own.doStep, 0.0, -0.1)  # errors are always told
     assert [r.levelname for r in caplog.records] == ["WARNING", "ERROR"]
@@ -349,30 +333,29 @@ def test_beyond_a_pole_there_is_nothing_to_initialize_with(kind, version):
 
 
 @of_blocks
-def test_after_a_failed_step_values_are_those_of_before(kind, version):
-    """FMI 2.0.4, 4.2.4, state error; FMI 3.0.2, 2.3.8: only a state or a reset go on."""
+def test_after_a_step_that_failed_a_shorter_one_may_be_tried(kind, version):
+    """FMI 2.0.4, 4.2.2, fmi2Discard; FMI 3.0.2, 2.2.3: the contacts are as they were."""
     scene = one_contact(profile=(0.3, -0.3))
     one = Instance(scene, kind, version).begin(start={PUSH: 0.1})
-    kept = one.state()
     one.step(0.5)
     before = one.everything()
-    one.refused("sigma (is zero|= 0)", one.step, 0.5)
-    assert np.array_equal(one.everything(), before)
-    one.refused("reset, or set", one.own.doStep, 0.5, 0.1)
-    one.refused("reset, or set", one.own.terminate)
-    one.restore(kept, 0.0).step(0.5, 0.4)
+    for _ in range(2):
+        one.refused("(?s)status 2.*sigma (is zero|= 0)", one.step, 0.5)
+        assert np.array_equal(one.everything(), before)
+    one.step(0.4)
     window = cs.FingerAcceleration(0, 0.0, 0.9, (0.1, 0.0))
     close(one.states(), cs.plan(scene.replace(duration=0.9, disturbances=[window])).states(0.9)[0])
+    one.own.terminate()
     one.own.reset()
     one.begin()
 
 
 @of_versions
 def test_a_step_that_would_take_too_many_pieces_is_refused(version):
-    start = {"profile[1]": 0.1, "profile[2]": 0.0, "profile[3]": 0.0}
-    one = Instance(K1, "FMU", version).begin(start=start | {"contact[2].finger.radius": 1e-6})
-    words = "contact 2: a step of 50 s to t = 50 s is too long, it would take more than 20000"
-    one.refused(words, one.step, 50.0)
+    start = {"object.a": 3e-5, "object.b": 2e-5, "object.c": 1e-5}
+    one = Instance(K4, "FMU", version).begin(start=start | {"profile[2]": 0.0, "profile[3]": 0.0})
+    one.refused("too long", one.step, 50.0)
+    one.step(1e-3)
 
 
 @of_blocks
@@ -392,7 +375,7 @@ def test_an_acceleration_of_a_path_at_rest_is_taken_and_the_step_refused(
     for _ in range(2):
         seen = one.get(*(f"contact[1].{name}" for name in coordinates))
         close(seen, expected.states(at)[0, 0, [0, 1, 4, 5, 8]])
-        one.refused(r"sigma (is zero|= 0)|failed step", one.own.doStep, at, 0.1)
+        one.refused(r"sigma (is zero|= 0)", one.own.doStep, at, 0.1)
     one.restore(one.read(one.written(kept)), at).put({PUSH: 0.0})
     assert one.get(rate) == pytest.approx([0.0], abs=1e-15)
     one.step(0.1)

@@ -579,6 +579,18 @@ static const char *place_contact(component_t *c, long i) {
   return NULL;
 }
 
+/* Looks at the contact in every form that it will have, so that steps allocate nothing. */
+static void warm(component_t *c, long i) {
+  const double at = c->now->acts_at;
+  look(c, i, ALL_RESULTS & ~OF_RATES);
+  for (long k = 0; k < c->model->n_windows; k++)
+    for (int side = 0; side < 2; side++) {
+      c->now->acts_at = window_values(c, k)[side];
+      look(c, i, ALL_RESULTS & ~OF_RATES);
+    }
+  c->now->acts_at = at;
+}
+
 static status_t start(component_t *c) {
   memory_t *now = c->now;
   const model_t *m = c->model;
@@ -612,7 +624,7 @@ static status_t start(component_t *c) {
       refuse_motion(c, i, "motion", now->time);
       return FAILED;
     }
-    if (now->stepping) look(c, i, ALL_RESULTS & ~OF_RATES); /* steps allocate nothing after that */
+    if (now->stepping) warm(c, i);
   }
   now->settled = 0; /* inputs act from here on */
   forget_values(c);

@@ -105,7 +105,7 @@ static void measure_memory(const job_t *job) {
     const long before = allocations;
     run(fmu, job, 1, value);
     inside += allocations - before;
-    if (!k) resident(), process = resident(), heap = (long)mallinfo2().uordblks;
+    if (k == 2) resident(), process = resident(), heap = (long)mallinfo2().uordblks;
   }
   heap = (long)mallinfo2().uordblks - heap;
   process = resident() - process;
