@@ -17,7 +17,9 @@ frames
 
 Results are the states' derivatives; of frames the nine numbers of charts, u1 v1 u1' v1' u2 v2 u2'
 v2' psi; slip (2), twist (6), the pose of the finger in the object's frame (rotation row by row, 9,
-position, 3), the contact point on finger and object (3 + 3); then what the component alone reads:
+position, 3), the contact point on finger and object (3 + 3); sigma, the length of the slip, 1 where
+a disturbance acts, and the time in which slip falls to a hundredth at its present rate, `NEVER`
+where it does not; then what the component alone reads:
 how far both charts are from their poles (2), and the angle of the object's frame.
 """
 
@@ -35,17 +37,19 @@ from contact_system.engine.binding import address, along
 from contact_system.errors import ContactSystemError, SceneError
 from contact_system.scene import Contact, Scene
 from contact_system.starts import scene_start
-from contact_system.surfaces import Ellipsoid, Quadric, Surface, UserSurface
+from contact_system.surfaces import TINY, Ellipsoid, Quadric, Surface, UserSurface
 from contact_system.system import PER_CONTACT, Form, contact_function, flip, start_function
 from contact_system.theory import symbols as ca
 from contact_system.theory.development import in_space
+from contact_system.theory.gain import LAWS
 from contact_system.theory.geometry import rotation
 from contact_system.theory.lowering import Table
 from contact_system.theory.profile import polynomial
 from contact_system.theory.symbols import making_symbols, per_structure
 
 INPUTS, CHART_STATES, COORDINATES = 6, 11, 9
-RESULTS = {"slip": 2, "twist": 6, "pose": 12, "points": 6}
+RESULTS = {"slip": 2, "twist": 6, "pose": 12, "points": 6, "state": 4}
+NEVER = 1e6  # s
 TOLERANCE = 1e-14
 """Of plans; with 1e-13 K4 ends 4e-14 of its size away."""
 WORK_SIZE = 1.0
@@ -80,10 +84,21 @@ def equations(finger: Surface, obj: Surface, law: str, n_profile: int, frames: b
         results = ca.vertcat(
             *((rates, found["state"]) if frames else (_chart_rates(rates, turn),)),
             *(found["slip"], found["twist"], by_rows, found["contact_point"]),
+            *_condition(law, t, own, found["slip"], w),
             *(found["regularity"], _object_theta(obj, forms, state, p2)),
         )
         point, constants = ca.vertcat(t, x, w), ca.vertcat(gain, profile, p1, p2)
         return Table(ca.Function("equations", [point, constants], [ca.densify(ca.cse(results))]))
+
+
+def _condition(law: str, t: ca.SX, own: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca.SX]:
+    """Sigma, |slip|, whether a disturbance acts, expected time of recovery."""
+    profile = ca.vertsplit(own[1:])
+    sigma = polynomial(profile, t)
+    growth = ca.gradient(sigma, t) / ca.fmax(sigma, TINY)
+    rate = LAWS[law].rate(own[0], sigma, ca.fmax(0, growth)) - growth  # of contraction
+    recovery = ca.fmin(math.log(100) / ca.fmax(rate, 1e-9), NEVER)
+    return [sigma, ca.sqrt(ca.sumsqr(slip) + TINY), ca.sumsqr(w) > 0, recovery]
 
 
 def _framed(x: ca.SX) -> tuple[ca.SX, ca.SX]:

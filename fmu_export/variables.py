@@ -537,6 +537,7 @@ def _outputs(scene: Scene, contact: Contact) -> list[Variable]:
     speed = max(float(scene.profile(t)) for t in np.linspace(0.0, scene.duration, 33)) or None
     cells = tuple(f"[{a},{b}]" for a in (1, 2, 3) for b in (1, 2, 3))
     there, turning, moving = "in the object's frame", (0, -1, 1), (1, -1, 0)
+    recovery = "Time in which slip falls to a hundredth at its present rate; at most 1e6 s"
     matrix = "Rotation matrix from the finger's frame to the object's"
     origin = "of the finger's frame " + there
     return [
@@ -547,6 +548,10 @@ def _outputs(scene: Scene, contact: Contact) -> list[Variable]:
         _quantity("pose.position", XYZ, METRE, f"Origin {origin}", max(finger, obj)),
         _quantity("finger.point", XYZ, METRE, "Contact point in the finger's frame", finger),
         _quantity("object.point", XYZ, METRE, f"Contact point {there}", obj),
+        _quantity("path.speed", (), moving, "sigma, the speed of the contact along its path", speed),
+        _quantity("slip.norm", (), moving, "Length of the slip", speed),
+        _quantity("disturbance.active", (), NONE, "1 while an input or a window acts, else 0"),
+        _quantity("recovery_time", (), (0, 1, 0), recovery),
     ]
 
 
@@ -581,8 +586,15 @@ def _known(table: Table, i: int) -> list[tuple[int, ...]]:
         values = np.abs(jacobian(made, at[: made.n_in], at[made.n_in :]) * np.where(at == 0, 1, at))
         largest = np.maximum(values.max(axis=1, keepdims=True), 1e-300)
         found |= ~(values <= 1e-12 * largest)  # a NaN says that there is a dependence
-    references = np.array(arguments)
-    return [tuple(sorted(set(references[row].tolist()))) for row in found]
+    first_input = 1 + n_states
+    inputs = slice(first_input, first_input + INPUTS)
+    found[made.n_out - 3 - 2, inputs] = True  # disturbance.active, which jumps
+    behind = [[reference] for reference in arguments]
+    for k, d in enumerate(scene.disturbances):
+        for axis in range(2 if d.contact == i else 0):
+            own, scale = table.window_first + 4 * k, table.parameter_first["scale"]
+            behind[first_input + 2 * d.slot + axis] += [own, own + 1, own + 2 + axis, scale]
+    return [tuple(sorted({r for j in np.flatnonzero(row) for r in behind[j]})) for row in found]
 
 
 def _range(first: int, count: int) -> list[int]:

@@ -49,7 +49,9 @@ static inline double wound(double value, double reference, double period) {
    change where a path crosses cos v = 0 or sin u = 0, and nowhere else. */
 static inline int is_odd(double whole) { return fabs(whole) < 1e15 && (int64_t)whole & 1; }
 static inline int second_cover(double v) { return is_odd(floor(2.0 * v / TURN + 0.5)); }
-static inline int beyond(double u, double v) { return is_odd(floor(2.0 * u / TURN)) ^ second_cover(v); }
+static inline int beyond(double u, double v) {
+  return is_odd(floor(2.0 * u / TURN)) ^ second_cover(v);
+}
 
 /* y, whose sign says that; it is the same on both covers */
 static inline double side_of(double u, double v) { return sin(u) * cos(v); }

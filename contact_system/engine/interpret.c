@@ -94,8 +94,8 @@ static void step(const program_t *program) {
 /* d f = sum of partial derivatives times what their operands grow by; what stands still adds
    nothing, whatever its derivative */
 static void grow(double (*d)[L], const code_t *k, const double *partial, int n) {
-  const uint16_t from[6] = {k->a, k->b, k->c, n > 3 ? k[1].a : 0, n > 3 ? k[1].b : 0,
-                            n > 3 ? k[1].c : 0};
+  const uint16_t from[6] = {
+      k->a, k->b, k->c, n > 3 ? k[1].a : 0, n > 3 ? k[1].b : 0, n > 3 ? k[1].c : 0};
   double sum[L] = {0};
   for (int j = 0; j < n; j++)
     for (int i = 0; i < L; i++)

@@ -13,8 +13,17 @@
 #define MOST_PANELS 20000.0 /* of one plan: a second of work, kilometres of path */
 
 /* groups of results, bits of live_t.valid */
-enum { OF_STATE = 1, OF_COORDINATES = 2, OF_RATES = 4, OF_SLIPS = 8, OF_TWISTS = 16, OF_POSES = 32, OF_PLACES = 64 };
-enum { ALL_RESULTS = 127 };
+enum {
+  OF_STATE = 1,
+  OF_COORDINATES = 2,
+  OF_RATES = 4,
+  OF_SLIPS = 8,
+  OF_TWISTS = 16,
+  OF_POSES = 32,
+  OF_PLACES = 64,
+  OF_CONDITION = 128,
+  ALL_RESULTS = 255
+};
 
 static status_t report(component_t *c, status_t status, const char *category, const char *format,
                        ...) {
@@ -78,7 +87,8 @@ static const char *make_component(component_t *c, const char *resources) {
   c->engine = contact_engine();
   c->now = calloc(1, memory_size(m)), c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
   c->buffer = malloc((size_t)(S_HEADER + LEG_SIZE + 2 * m->n_profile + m->n_values + CONTACT_SIZE +
-                              WINDOW_SIZE * (m->n_windows + 3) + 4) * sizeof(double));
+                              WINDOW_SIZE * (m->n_windows + 3) + 4) *
+                     sizeof(double));
   c->seed = calloc(1, values), c->grown = calloc(1, values);
   for (long i = 0; c->live && i < m->n_contacts; i++) {
     const table_t *t = system_of(m, i);
@@ -105,7 +115,8 @@ static void put_body(component_t *c, const double *q, double **next, double *row
   row[B_SURFACE] = q[Q_SURFACE], row[B_NUMBERS] = (double)(*next - c->buffer);
   *(*next)++ = q[Q_SIGN];
   for (long j = 0; j < n; j++) {
-    const double ratio = s->name[0] && starts[at + j] != 0.0 ? fabs(given[j] / starts[at + j]) : 1.0;
+    const double ratio =
+        s->name[0] && starts[at + j] != 0.0 ? fabs(given[j] / starts[at + j]) : 1.0;
     larger = j ? fmax(larger, ratio) : ratio, smaller = j ? fmin(smaller, ratio) : ratio;
     *(*next)++ = given[j];
   }
@@ -213,7 +224,8 @@ static double end_of(const component_t *c, double begin, double end, double targ
   const double edge = snapped(c, end);
   for (long k = 0; k < c->model->n_windows; k++)
     for (int side = 0; side < 2; side++)
-      if (window_values(c, k)[side] == edge) return fmin(edge + 0.01 * (edge - begin), c->now->limit);
+      if (window_values(c, k)[side] == edge)
+        return fmin(edge + 0.01 * (edge - begin), c->now->limit);
   return end;
 }
 
@@ -229,8 +241,8 @@ static plan_t *plan_ahead(component_t *c, long i, segment_t *s, double target) {
   return found;
 }
 
-/* Sees to a plan of contact i that reaches the target, in live_t.next where it is another segment's.
-   Returns not 0 where there is none. */
+/* Sees to a plan of contact i that reaches the target, in live_t.next where it is another
+   segment's. Returns not 0 where there is none. */
 static int cover(component_t *c, long i, double target) {
   live_t *k = c->live + i;
   segment_t *s = c->segment + i;
@@ -248,7 +260,8 @@ static int cover(component_t *c, long i, double target) {
     segment_t next = k->following;
     const double at = next.end;
     if (go_on(c, i, last, at, &next)) return 1;
-    next.end = end_of(c, at, at + 2 * (at - k->following.begin), fmin(target, at + 1e3 * c->model->data[D_HORIZON]));
+    next.end = end_of(c, at, at + 2 * (at - k->following.begin),
+                      fmin(target, at + 1e3 * c->model->data[D_HORIZON]));
     plan_t *found = plan_ahead(c, i, &next, fmin(target, next.end));
     if (!found) return 1;
     c->engine->drop(k->next);
@@ -302,7 +315,8 @@ static int settle(component_t *c) {
       if (cover(c, i, at)) return (int)i + 1;
       commit(c, i, 1);
       if (go_on(c, i, c->live[i].plan, fmin(fmax(at, s->begin), s->end), s)) return (int)i + 1;
-      s->end = -(at + lasted); /* where events follow each other closely, it is no use to plan far */
+      s->end =
+          -(at + lasted); /* where events follow each other closely, it is no use to plan far */
     }
     s->end = -fabs(s->end);
     s->gain = c->value[GAIN];
@@ -322,13 +336,15 @@ static status_t refuse_motion(component_t *c, long i, const char *what, double t
   if (f->code == STUCK && !f->by_length && f->t > 0)
     snprintf(where, sizeof where, ", at t = %.9g s", f->t);
   const char *why =
-      f->code == NO_MEMORY                  ? "there is no memory"
-      : f->code == TOO_LONG                 ? "the path is so long that rounding would leave less "
-                                              "than four digits of its position; make shorter steps"
-      : f->code == TOO_MANY_PANELS          ? "a step is too long, it would take more than 20000 pieces of motion; make shorter steps"
-      : f->pushed && f->value <= 1e-5       ? AT_REST
-      : "the path reaches a singular point of its chart or its surface, or moves too fast for "
-        "double precision; set smaller inputs, end before or start elsewhere";
+      f->code == NO_MEMORY  ? "there is no memory"
+      : f->code == TOO_LONG ? "the path is so long that rounding would leave less "
+                              "than four digits of its position; make shorter steps"
+      : f->code == TOO_MANY_PANELS
+          ? "a step is too long, it would take more than 20000 pieces of motion; make shorter steps"
+      : f->pushed && f->value <= 1e-5
+          ? AT_REST
+          : "the path reaches a singular point of its chart or its surface, or moves too fast for "
+            "double precision; set smaller inputs, end before or start elsewhere";
   return report(c, DISCARD, "logStatusDiscard", "contact[%ld].%s: no %s to t = %.17g s%s: %s",
                 i + 1, side, what, target, where, why);
 }
@@ -353,13 +369,15 @@ static int look(component_t *c, long i, unsigned groups) {
   if (groups & OF_TWISTS) out[TWIST] = v + l->twist;
   if (groups & OF_POSES) out[POSE] = pose;
   if (groups & OF_PLACES) out[POINTS] = points;
+  if (groups & OF_CONDITION) out[SLIP_SPEED] = v + l->condition + 1;
   feholdexcept(&traps);
   if (!k->anchored && groups & (OF_STATE | OF_COORDINATES | OF_SLIPS)) {
     wrong = c->engine->anchor(k->plan, &c->failure);
     k->anchored = !wrong;
   }
   if (!wrong) wrong = c->engine->look(k->plan, t, out, &c->failure);
-  if (!wrong && groups & OF_STATE && m->frames) wrong = c->engine->moments(k->plan, t, moment, &c->failure);
+  if (!wrong && groups & OF_STATE && m->frames)
+    wrong = c->engine->moments(k->plan, t, moment, &c->failure);
   fesetenv(&traps);
   if (wrong) return wrong;
   if (groups & OF_STATE && !m->frames) {
@@ -375,7 +393,10 @@ static int look(component_t *c, long i, unsigned groups) {
   if (groups & OF_STATE && m->frames) {
     double *to = v + l->state;
     for (int side = 0; side < 2; to += l->frame[side++])
-      memcpy(to, moment + (l->frame[side] == 6 ? side ? M_FRAME_2 : M_FRAME_1 : side ? M_PLACE_2 : M_PLACE_1),
+      memcpy(to,
+             moment + (l->frame[side] == 6 ? side ? M_FRAME_2 : M_FRAME_1
+                       : side              ? M_PLACE_2
+                                           : M_PLACE_1),
              (size_t)l->frame[side] * sizeof *to);
     memcpy(to, moment + M_W1, 4 * sizeof *to);
   }
@@ -389,16 +410,22 @@ static int look(component_t *c, long i, unsigned groups) {
 
 static void no_values(component_t *c, long i, unsigned groups) {
   const layout_t *l = c->model->layout + i;
-  const long at[] = {l->state, l->coordinates, l->rate, l->slip, l->twist, l->pose, l->points};
-  const long to[] = {l->rate, l->slip, l->coordinates, l->twist, l->pose, l->points, l->end};
-  for (int g = 0; g < 7; g++)
+  const long at[] = {l->state, l->coordinates, l->rate,   l->slip,
+                     l->twist, l->pose,        l->points, l->condition};
+  const long to[] = {l->rate, l->slip,   l->coordinates, l->twist,
+                     l->pose, l->points, l->condition,   l->end};
+  for (int g = 0; g < 8; g++)
     for (long j = at[g]; groups >> g & 1 && j < to[g]; j++) c->value[j] = NAN;
 }
 
-/* The rates that are not those of coordinates, from the equations */
-static void find_rates(component_t *c, long i) {
+/* The rates that are not those of coordinates, from the equations; sigma and what follows from it
+ */
+static void find_rates(component_t *c, long i, unsigned groups) {
   const layout_t *l = c->model->layout + i;
   const double *found = run_system(c, i);
+  for (int j = 0; j < 4 && groups & OF_CONDITION; j++)
+    if (j != 1) c->value[l->condition + j] = found[l->condition - l->rate + j];
+  if (!(groups & OF_RATES)) return;
   for (long j = 0; j < l->states; j++)
     if (c->model->frames || j % BODY > 1 || j == ANGLE) c->value[l->rate + j] = found[j];
 }
@@ -412,17 +439,18 @@ static status_t find(component_t *c, long i, unsigned groups) {
   }
   if (groups & OF_RATES) groups |= OF_STATE;
   k->asked |= groups & ~k->valid;
-  unsigned missing = groups & ~k->valid, more = missing ? (k->before & ~k->valid) | missing : 0;
-  if (missing & ~OF_RATES) {
+  const unsigned missing = groups & ~k->valid, asked = missing & ~OF_RATES;
+  const unsigned more = (k->before & ~k->valid & ~OF_RATES) | asked; /* in one pass */
+  if (asked) {
     if (!k->plan && cover(c, i, c->now->time)) return refuse_motion(c, i, "values", c->now->time);
     commit(c, i, 1);
-    if (more != missing && look(c, i, more & ~OF_RATES)) more = missing;
-    else if (more != missing) k->valid |= more & ~OF_RATES;
-    if (!(k->valid & missing & ~OF_RATES) && more == missing && look(c, i, missing & ~OF_RATES))
+    if (more != asked && !look(c, i, more))
+      k->valid |= more & ~OF_CONDITION;
+    else if (look(c, i, asked))
       no_values(c, i, missing | (missing & OF_STATE ? OF_RATES : 0));
-    k->valid |= missing & ~OF_RATES;
   }
-  if (missing & OF_RATES) find_rates(c, i), k->valid |= OF_RATES;
+  if (missing & (OF_RATES | OF_CONDITION)) find_rates(c, i, missing);
+  k->valid |= missing;
   return OK;
 }
 
@@ -435,11 +463,12 @@ static unsigned group_of(const component_t *c, long i, long reference) {
     const long j = reference - l->rate;
     return !c->model->frames && j % BODY < 2 && j != ANGLE ? OF_STATE : OF_RATES;
   }
-  return reference < l->slip     ? OF_COORDINATES
-         : reference < l->twist  ? OF_SLIPS
-         : reference < l->pose   ? OF_TWISTS
-         : reference < l->points ? OF_POSES
-                                 : OF_PLACES;
+  return reference < l->slip        ? OF_COORDINATES
+         : reference < l->twist     ? OF_SLIPS
+         : reference < l->pose      ? OF_TWISTS
+         : reference < l->points    ? OF_POSES
+         : reference < l->condition ? OF_PLACES
+                                    : OF_CONDITION;
 }
 
 /* The contact whose value this is, or -1 */
@@ -456,7 +485,8 @@ static long without_value(const component_t *c, unsigned reference, const double
   long i = 0;
   for (; i < count; i++) {
     if (fabs(value[i]) <= 1e200) continue; /* tables divide an acceleration by 1e-300 at rest */
-    if (!(fabs(value[i]) <= DBL_MAX) || (kind_of(c->model, reference + i) == CALCULATED && rests(c)))
+    if (!(fabs(value[i]) <= DBL_MAX) ||
+        (kind_of(c->model, reference + i) == CALCULATED && rests(c)))
       break;
   }
   return i;
@@ -468,11 +498,13 @@ static status_t refuse(component_t *c, unsigned reference) {
   const char *what = c->model->names[reference];
   const long i = owner_of(c->model, reference);
   if (past_end(c))
-    return report(c, DISCARD, "logStatusDiscard",
-                  "%s has no value at t = %.17g s: sigma is negative from t = %.9g s on; end there, "
-                  "or change the profile",
-                  what, now->time, now->limit);
-  const int framed = i < 0 || !SYSTEM(now) || (c->live[i].regularity[0] > 0 && c->live[i].regularity[1] > 0);
+    return report(
+        c, DISCARD, "logStatusDiscard",
+        "%s has no value at t = %.17g s: sigma is negative from t = %.9g s on; end there, "
+        "or change the profile",
+        what, now->time, now->limit);
+  const int framed =
+      i < 0 || !SYSTEM(now) || (c->live[i].regularity[0] > 0 && c->live[i].regularity[1] > 0);
   if (rests(c) && framed)
     return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s: " AT_REST, what,
                   now->time);

@@ -28,7 +28,7 @@ typedef struct {
 } instance_t;
 
 typedef struct {
-  unsigned long long mark; /* not the first word that a model's digest is: importers look at it */
+  unsigned long long mark;  /* not the first word that a model's digest is: importers look at it */
   unsigned long long model; /* whose it is: those of others are of other sizes */
   memory_t memory;          /* and what follows it */
 } saved_t;
@@ -57,10 +57,9 @@ static inline int is_told(const instance_t *instance, status_t status, const cha
 }
 
 static inline status_t allowed(component_t *c, const char *function, int phases) {
-  static const char *const name[] = {
-      "instantiated",         "initialization mode", "event mode",
-      "continuous-time mode", "step mode",           "terminated",
-      "configuration mode"};
+  static const char *const name[] = {"instantiated",         "initialization mode", "event mode",
+                                     "continuous-time mode", "step mode",           "terminated",
+                                     "configuration mode"};
   const int phase = c->now->phase, never = c->now->stepping ? CONTINUOUS : STEP;
   const int over = phase & TERMINATED;
   const char *own = "", *remedy = over ? "; reset, or set an FMU state" : "";

@@ -45,21 +45,23 @@ FMI_EXPORT const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 
 FMI_EXPORT const char *fmi2GetVersion(void) { return fmi2Version; }
 
-FMI_EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String location,
-                              const fmi2CallbackFunctions *functions, fmi2Boolean visible,
-                              fmi2Boolean logging) {
+FMI_EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid,
+                                         fmi2String location,
+                                         const fmi2CallbackFunctions *functions,
+                                         fmi2Boolean visible, fmi2Boolean logging) {
   (void)visible;
   if (!functions) return NULL;
-  return instantiate(name, guid, location, (void (*)(void))functions->logger, functions->componentEnvironment,
-                     logging != fmi2False, type == fmi2CoSimulation,
+  return instantiate(name, guid, location, (void (*)(void))functions->logger,
+                     functions->componentEnvironment, logging != fmi2False,
+                     type == fmi2CoSimulation,
                      type != fmi2CoSimulation && type != fmi2ModelExchange ? "unknown type" : NULL);
 }
 
 /* --- initialization --------------------------------------------------------------------------- */
 
 FMI_EXPORT fmi2Status fmi2SetupExperiment(fmi2Component instance, fmi2Boolean tolerance_defined,
-                               fmi2Real tolerance, fmi2Real start_time, fmi2Boolean stop_defined,
-                               fmi2Real stop) {
+                                          fmi2Real tolerance, fmi2Real start_time,
+                                          fmi2Boolean stop_defined, fmi2Real stop) {
   BEGIN("fmi2SetupExperiment", INSTANTIATED);
   (void)tolerance_defined, (void)tolerance;
   if (check_times(c, start_time, stop_defined, stop)) return fmi2Error;
@@ -76,15 +78,15 @@ FMI_EXPORT fmi2Status fmi2EnterInitializationMode(fmi2Component instance) {
 
 /* --- values ----------------------------------------------------------------------------------- */
 
-FMI_EXPORT fmi2Status fmi2GetReal(fmi2Component instance, const fmi2ValueReference vr[], size_t count,
-                       fmi2Real value[]) {
+FMI_EXPORT fmi2Status fmi2GetReal(fmi2Component instance, const fmi2ValueReference vr[],
+                                  size_t count, fmi2Real value[]) {
   BEGIN("fmi2GetReal", RUNNING);
   VALUES("fmi2GetReal", vr, count, value, count);
   return get_all(c, vr, count, value);
 }
 
-FMI_EXPORT fmi2Status fmi2SetReal(fmi2Component instance, const fmi2ValueReference vr[], size_t count,
-                       const fmi2Real value[]) {
+FMI_EXPORT fmi2Status fmi2SetReal(fmi2Component instance, const fmi2ValueReference vr[],
+                                  size_t count, const fmi2Real value[]) {
   BEGIN("fmi2SetReal", SETTABLE);
   VALUES("fmi2SetReal", vr, count, value, count);
   return set_all(c, vr, count, value);
@@ -92,8 +94,8 @@ FMI_EXPORT fmi2Status fmi2SetReal(fmi2Component instance, const fmi2ValueReferen
 
 /* There are variables of type Real only. */
 #define NO_FUNCTION(name, phases, type)                                                            \
-  FMI_EXPORT fmi2Status fmi2##name(fmi2Component instance, const fmi2ValueReference vr[], size_t count,       \
-                        type value[]) {                                                            \
+  FMI_EXPORT fmi2Status fmi2##name(fmi2Component instance, const fmi2ValueReference vr[],          \
+                                   size_t count, type value[]) {                                   \
     BEGIN("fmi2" #name, phases);                                                                   \
     (void)vr, (void)value;                                                                         \
     if (count) REFUSE("fmi2" #name ": there are no variables of this type");                       \
@@ -106,9 +108,9 @@ NO_VARIABLES(Integer, fmi2Integer)
 NO_VARIABLES(Boolean, fmi2Boolean)
 NO_VARIABLES(String, fmi2String)
 
-FMI_EXPORT fmi2Status fmi2GetDirectionalDerivative(fmi2Component instance, const fmi2ValueReference unknowns[],
-                                        size_t n_unknowns, const fmi2ValueReference knowns[],
-                                        size_t n_knowns, const fmi2Real seed[], fmi2Real value[]) {
+FMI_EXPORT fmi2Status fmi2GetDirectionalDerivative(
+    fmi2Component instance, const fmi2ValueReference unknowns[], size_t n_unknowns,
+    const fmi2ValueReference knowns[], size_t n_knowns, const fmi2Real seed[], fmi2Real value[]) {
   BEGIN("fmi2GetDirectionalDerivative", RUNNING);
   CHECK_PRODUCTS("fmi2GetDirectionalDerivative", n_unknowns, n_knowns);
   return products(c, 0, knowns, n_knowns, seed, unknowns, n_unknowns, value);
@@ -138,9 +140,10 @@ FMI_EXPORT fmi2Status fmi2NewDiscreteStates(fmi2Component instance, fmi2EventInf
 
 /* --- Co-Simulation ---------------------------------------------------------------------------- */
 
-FMI_EXPORT fmi2Status fmi2SetRealInputDerivatives(fmi2Component instance, const fmi2ValueReference vr[],
-                                       size_t count, const fmi2Integer order[],
-                                       const fmi2Real value[]) {
+FMI_EXPORT fmi2Status fmi2SetRealInputDerivatives(fmi2Component instance,
+                                                  const fmi2ValueReference vr[], size_t count,
+                                                  const fmi2Integer order[],
+                                                  const fmi2Real value[]) {
   STEPPING_ONLY("fmi2SetRealInputDerivatives", INSTANTIATED | INITIALIZATION | STEP);
   (void)vr, (void)order, (void)value;
   if (count)
@@ -148,15 +151,17 @@ FMI_EXPORT fmi2Status fmi2SetRealInputDerivatives(fmi2Component instance, const 
   return fmi2OK;
 }
 
-FMI_EXPORT fmi2Status fmi2GetRealOutputDerivatives(fmi2Component instance, const fmi2ValueReference vr[],
-                                        size_t count, const fmi2Integer order[], fmi2Real value[]) {
+FMI_EXPORT fmi2Status fmi2GetRealOutputDerivatives(fmi2Component instance,
+                                                   const fmi2ValueReference vr[], size_t count,
+                                                   const fmi2Integer order[], fmi2Real value[]) {
   STEPPING_ONLY("fmi2GetRealOutputDerivatives", STEP | TERMINATED);
   (void)vr, (void)order, (void)value;
   if (count) REFUSE("fmi2GetRealOutputDerivatives: derivatives are outputs of their own, der(...)");
   return fmi2OK;
 }
 
-FMI_EXPORT fmi2Status fmi2DoStep(fmi2Component instance, fmi2Real from, fmi2Real size, fmi2Boolean no_return) {
+FMI_EXPORT fmi2Status fmi2DoStep(fmi2Component instance, fmi2Real from, fmi2Real size,
+                                 fmi2Boolean no_return) {
   BEGIN("fmi2DoStep", STEP);
   (void)no_return;
   int edge;
@@ -171,8 +176,9 @@ FMI_EXPORT fmi2Status fmi2CancelStep(fmi2Component instance) {
 
 /* What is asked of a step that is over; only `known`, if any, has a value. */
 #define STATUS_OF_STEP(name, type, known, found, words)                                            \
-  FMI_EXPORT fmi2Status fmi2##name(fmi2Component instance, const fmi2StatusKind kind, type *value) {          \
-    STEPPING_ONLY("fmi2" #name, STEP | TERMINATED);                                       \
+  FMI_EXPORT fmi2Status fmi2##name(fmi2Component instance, const fmi2StatusKind kind,              \
+                                   type *value) {                                                  \
+    STEPPING_ONLY("fmi2" #name, STEP | TERMINATED);                                                \
     (void)kind;                                                                                    \
     if (!(known) || !value) return (fmi2Status)report(c, DISCARD, "logStatusDiscard", words);      \
     *value = found;                                                                                \

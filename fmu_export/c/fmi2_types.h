@@ -1,5 +1,6 @@
-/* The types of FMI 2.0.4 for the prebuilt library, which is compiled without the standard's headers;
-   FMUs of sources are compiled with the importer's, which tells whether these agree with them. */
+/* The types of FMI 2.0.4 for the prebuilt library, which is compiled without the standard's
+   headers; FMUs of sources are compiled with the importer's, which tells whether these agree with
+   them. */
 #ifdef SCENE_INSIDE
 #include "fmi2Functions.h"
 #else

@@ -27,21 +27,20 @@ static void log_text(component_t *c, status_t status, const char *category, cons
 
 FMI_EXPORT const char *fmi3GetVersion(void) { return fmi3Version; }
 
-FMI_EXPORT fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
-                                          fmi3Boolean visible, fmi3Boolean logging,
-                                          fmi3InstanceEnvironment environment,
-                                          fmi3LogMessageCallback log) {
+FMI_EXPORT fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token,
+                                                     fmi3String resources, fmi3Boolean visible,
+                                                     fmi3Boolean logging,
+                                                     fmi3InstanceEnvironment environment,
+                                                     fmi3LogMessageCallback log) {
   (void)visible;
   return instantiate(name, token, resources, (void (*)(void))log, environment, logging, 0, NULL);
 }
 
-FMI_EXPORT fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources,
-                                         fmi3Boolean visible, fmi3Boolean logging,
-                                         fmi3Boolean event_mode, fmi3Boolean early_return,
-                                         const fmi3ValueReference required[], size_t n_required,
-                                         fmi3InstanceEnvironment environment,
-                                         fmi3LogMessageCallback log,
-                                         fmi3IntermediateUpdateCallback update) {
+FMI_EXPORT fmi3Instance fmi3InstantiateCoSimulation(
+    fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+    fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean early_return,
+    const fmi3ValueReference required[], size_t n_required, fmi3InstanceEnvironment environment,
+    fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update) {
   (void)visible, (void)required, (void)n_required, (void)update;
   instance_t *instance =
       instantiate(name, token, resources, (void (*)(void))log, environment, logging, 1, NULL);
@@ -51,11 +50,11 @@ FMI_EXPORT fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String 
   return instance;
 }
 
-FMI_EXPORT fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
-                                  fmi3Boolean visible, fmi3Boolean logging,
-                                  fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
-                                  fmi3ClockUpdateCallback clock, fmi3LockPreemptionCallback lock,
-                                  fmi3UnlockPreemptionCallback unlock) {
+FMI_EXPORT fmi3Instance fmi3InstantiateScheduledExecution(
+    fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+    fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+    fmi3ClockUpdateCallback clock, fmi3LockPreemptionCallback lock,
+    fmi3UnlockPreemptionCallback unlock) {
   (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)clock, (void)lock,
       (void)unlock;
   if (log) log(environment, fmi3Error, "logStatusError", "this model has no Scheduled Execution");
@@ -76,9 +75,10 @@ FMI_EXPORT fmi3Status fmi3ExitConfigurationMode(fmi3Instance instance) {
   return fmi3OK;
 }
 
-FMI_EXPORT fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolerance_defined,
-                                       fmi3Float64 tolerance, fmi3Float64 start_time,
-                                       fmi3Boolean stop_defined, fmi3Float64 stop) {
+FMI_EXPORT fmi3Status fmi3EnterInitializationMode(fmi3Instance instance,
+                                                  fmi3Boolean tolerance_defined,
+                                                  fmi3Float64 tolerance, fmi3Float64 start_time,
+                                                  fmi3Boolean stop_defined, fmi3Float64 stop) {
   BEGIN("fmi3EnterInitializationMode", INSTANTIATED);
   (void)tolerance_defined, (void)tolerance;
   if (check_times(c, start_time, stop_defined, stop)) return fmi3Error;
@@ -89,8 +89,8 @@ FMI_EXPORT fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boo
 
 /* --- values ----------------------------------------------------------------------------------- */
 
-FMI_EXPORT fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,
-                          fmi3Float64 value[], size_t n) {
+FMI_EXPORT fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference vr[],
+                                     size_t count, fmi3Float64 value[], size_t n) {
   BEGIN("fmi3GetFloat64", INSTANTIATED | RUNNING);
   VALUES("fmi3GetFloat64", vr, count, value, n);
   for (size_t k = 0; k < count; k++)
@@ -100,8 +100,8 @@ FMI_EXPORT fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueRefer
   return get_all(c, vr, count, value);
 }
 
-FMI_EXPORT fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,
-                          const fmi3Float64 value[], size_t n) {
+FMI_EXPORT fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference vr[],
+                                     size_t count, const fmi3Float64 value[], size_t n) {
   BEGIN("fmi3SetFloat64", SETTABLE);
   VALUES("fmi3SetFloat64", vr, count, value, n);
   return set_all(c, vr, count, value);
@@ -109,8 +109,8 @@ FMI_EXPORT fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueRefer
 
 /* There are variables of type Float64 only. */
 #define NO_FUNCTION(name, phases, ...)                                                             \
-  FMI_EXPORT fmi3Status fmi3##name(fmi3Instance instance, const fmi3ValueReference vr[], size_t count,        \
-                        __VA_ARGS__) {                                                             \
+  FMI_EXPORT fmi3Status fmi3##name(fmi3Instance instance, const fmi3ValueReference vr[],           \
+                                   size_t count, __VA_ARGS__) {                                    \
     BEGIN("fmi3" #name, phases);                                                                   \
     (void)vr, (void)value;                                                                         \
     if (count) REFUSE("fmi3" #name ": there are no variables of this type");                       \
@@ -149,35 +149,39 @@ NO_SETTER(IntervalFraction, const fmi3UInt64 value[], const fmi3UInt64 resolutio
 NO_SETTER(ShiftDecimal, const fmi3Float64 value[])
 NO_SETTER(ShiftFraction, const fmi3UInt64 value[], const fmi3UInt64 resolutions[])
 
-FMI_EXPORT fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance, fmi3ValueReference vr,
-                                               size_t *count) {
+FMI_EXPORT fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance instance,
+                                                          fmi3ValueReference vr, size_t *count) {
   BEGIN("fmi3GetNumberOfVariableDependencies", ANY);
   REFUSE("dependencies are given in the model description only");
 }
 
-FMI_EXPORT fmi3Status fmi3GetVariableDependencies(fmi3Instance instance, fmi3ValueReference dependent,
-                                       size_t elements[], fmi3ValueReference independents[],
-                                       size_t independent_elements[], fmi3DependencyKind of_kind[],
-                                       size_t count) {
+FMI_EXPORT fmi3Status fmi3GetVariableDependencies(fmi3Instance instance,
+                                                  fmi3ValueReference dependent, size_t elements[],
+                                                  fmi3ValueReference independents[],
+                                                  size_t independent_elements[],
+                                                  fmi3DependencyKind of_kind[], size_t count) {
   BEGIN("fmi3GetVariableDependencies", ANY);
   REFUSE("dependencies are given in the model description only");
 }
 
 /* --- derivatives ------------------------------------------------------------------------------ */
 
-FMI_EXPORT fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
-                                        size_t n_unknowns, const fmi3ValueReference knowns[],
-                                        size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,
-                                        fmi3Float64 value[], size_t n) {
+FMI_EXPORT fmi3Status fmi3GetDirectionalDerivative(fmi3Instance instance,
+                                                   const fmi3ValueReference unknowns[],
+                                                   size_t n_unknowns,
+                                                   const fmi3ValueReference knowns[],
+                                                   size_t n_knowns, const fmi3Float64 seed[],
+                                                   size_t n_seed, fmi3Float64 value[], size_t n) {
   BEGIN("fmi3GetDirectionalDerivative", RUNNING);
   CHECK_PRODUCTS("fmi3GetDirectionalDerivative", n, n_seed);
   return products(c, 0, knowns, n_knowns, seed, unknowns, n_unknowns, value);
 }
 
-FMI_EXPORT fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance, const fmi3ValueReference unknowns[],
-                                    size_t n_unknowns, const fmi3ValueReference knowns[],
-                                    size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,
-                                    fmi3Float64 value[], size_t n) {
+FMI_EXPORT fmi3Status fmi3GetAdjointDerivative(fmi3Instance instance,
+                                               const fmi3ValueReference unknowns[],
+                                               size_t n_unknowns, const fmi3ValueReference knowns[],
+                                               size_t n_knowns, const fmi3Float64 seed[],
+                                               size_t n_seed, fmi3Float64 value[], size_t n) {
   BEGIN("fmi3GetAdjointDerivative", RUNNING);
   CHECK_PRODUCTS("fmi3GetAdjointDerivative", n_seed, n);
   return products(c, 1, unknowns, n_unknowns, seed, knowns, n_knowns, value);
@@ -199,9 +203,9 @@ FMI_EXPORT fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance instance) {
 }
 
 FMI_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *again,
-                                    fmi3Boolean *terminate, fmi3Boolean *nominals,
-                                    fmi3Boolean *values, fmi3Boolean *next_defined,
-                                    fmi3Float64 *next_time) {
+                                               fmi3Boolean *terminate, fmi3Boolean *nominals,
+                                               fmi3Boolean *values, fmi3Boolean *next_defined,
+                                               fmi3Float64 *next_time) {
   BEGIN("fmi3UpdateDiscreteStates", EVENT);
   if (!again || !terminate || !nominals || !values || !next_defined || !next_time)
     REFUSE("fmi3UpdateDiscreteStates: a pointer is missing");
@@ -241,16 +245,16 @@ FMI_EXPORT fmi3Status fmi3EnterStepMode(fmi3Instance instance) {
 }
 
 FMI_EXPORT fmi3Status fmi3GetOutputDerivatives(fmi3Instance instance, const fmi3ValueReference vr[],
-                                    size_t count, const fmi3Int32 orders[], fmi3Float64 value[],
-                                    size_t n) {
+                                               size_t count, const fmi3Int32 orders[],
+                                               fmi3Float64 value[], size_t n) {
   STEPPING_ONLY("fmi3GetOutputDerivatives", STEP | TERMINATED);
   if (count) REFUSE("fmi3GetOutputDerivatives: derivatives are outputs of their own, der(...)");
   return fmi3OK;
 }
 
 FMI_EXPORT fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 from, fmi3Float64 size,
-                      fmi3Boolean no_return, fmi3Boolean *event, fmi3Boolean *terminate,
-                      fmi3Boolean *early, fmi3Float64 *last_time) {
+                                 fmi3Boolean no_return, fmi3Boolean *event, fmi3Boolean *terminate,
+                                 fmi3Boolean *early, fmi3Float64 *last_time) {
   BEGIN("fmi3DoStep", STEP);
   const instance_t *own = instance;
   const double target = from + size;
@@ -268,7 +272,7 @@ FMI_EXPORT fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 from, fmi3Fl
 }
 
 FMI_EXPORT fmi3Status fmi3ActivateModelPartition(fmi3Instance instance, fmi3ValueReference clock,
-                                      fmi3Float64 time) {
+                                                 fmi3Float64 time) {
   BEGIN("fmi3ActivateModelPartition", ANY);
   REFUSE("fmi3ActivateModelPartition: this model has no Scheduled Execution");
 }

@@ -45,7 +45,7 @@ static instance_t *instantiate(const char *name, const char *token, const char *
 FMI_EXPORT void FMI(FreeInstance)(INSTANCE instance) { free_instance(instance); }
 
 FMI_EXPORT STATUS FMI(SetDebugLogging)(INSTANCE instance, BOOLEAN on, size_t count,
-                            const char *const categories[]) {
+                                       const char *const categories[]) {
   BEGIN(NAME(SetDebugLogging), ANY);
   return (STATUS)set_logging(instance, NAME(SetDebugLogging), on != 0, count, categories);
 }
@@ -125,9 +125,8 @@ static int is_unknown(int kind) { return kind == CALCULATED || kind == EXACT; }
 static int is_known(int kind) { return kind != CALCULATED; }
 
 /* Both directions: seeds go to the references `from`, products come from the references `to`. */
-static STATUS products(component_t *c, int transposed, const REFERENCE from[],
-                       size_t n_from, const REAL seed[], const REFERENCE to[], size_t n_to,
-                       REAL value[]) {
+static STATUS products(component_t *c, int transposed, const REFERENCE from[], size_t n_from,
+                       const REAL seed[], const REFERENCE to[], size_t n_to, REAL value[]) {
   memset(c->seed, 0, (size_t)c->model->n_values * sizeof *c->seed);
   for (size_t k = 0; k < n_from; k++)
     for (unsigned j = 0; j < SIZE(c, from[k]); j++) c->seed[from[k] + j] += *seed++;
@@ -146,12 +145,13 @@ static STATUS products(component_t *c, int transposed, const REFERENCE from[],
   COUNTED(function, unknowns, n_unknowns, n_of_unknowns);                                          \
   COUNTED(function, knowns, n_knowns, n_of_knowns);                                                \
   for (size_t k = 0; k < n_unknowns; k++)                                                          \
-    if (!is_unknown(kind_of(c->model, unknowns[k])))                                                                  \
+    if (!is_unknown(kind_of(c->model, unknowns[k])))                                               \
       REFUSE(function ": %s is not an unknown; give states or calculated variables",               \
-             c->model->names[unknowns[k]]);                                                                  \
+             c->model->names[unknowns[k]]);                                                        \
   for (size_t k = 0; k < n_knowns; k++)                                                            \
-    if (!is_known(kind_of(c->model, knowns[k])))                                                                      \
-  REFUSE(function ": %s is not a known; give inputs, states or parameters", c->model->names[knowns[k]])
+    if (!is_known(kind_of(c->model, knowns[k])))                                                   \
+  REFUSE(function ": %s is not a known; give inputs, states or parameters",                        \
+         c->model->names[knowns[k]])
 
 /* --- FMU states ------------------------------------------------------------------------------- */
 
@@ -183,7 +183,8 @@ FMI_EXPORT STATUS FMI(SerializedFMUStateSize)(INSTANCE instance, FMU_STATE state
   return (STATUS)OK;
 }
 
-FMI_EXPORT STATUS FMI(SerializeFMUState)(INSTANCE instance, FMU_STATE state, BYTE bytes[], size_t size) {
+FMI_EXPORT STATUS FMI(SerializeFMUState)(INSTANCE instance, FMU_STATE state, BYTE bytes[],
+                                         size_t size) {
   BEGIN(NAME(SerializeFMUState), ANY);
   const saved_t *s = saved(c, state);
   if (!s) return (STATUS)FAILED;
@@ -194,7 +195,7 @@ FMI_EXPORT STATUS FMI(SerializeFMUState)(INSTANCE instance, FMU_STATE state, BYT
 }
 
 FMI_EXPORT STATUS FMI(DeserializeFMUState)(INSTANCE instance, const BYTE bytes[], size_t size,
-                                FMU_STATE *state) {
+                                           FMU_STATE *state) {
   BEGIN(NAME(DeserializeFMUState), ANY);
   if (!state) REFUSE(NAME(DeserializeFMUState) ": a pointer is missing");
   return (STATUS)read_bytes(c, (const unsigned char *)bytes, size, state);
@@ -208,8 +209,8 @@ FMI_EXPORT STATUS FMI(EnterContinuousTimeMode)(INSTANCE instance) {
   return (STATUS)OK;
 }
 
-FMI_EXPORT STATUS FMI(CompletedIntegratorStep)(INSTANCE instance, BOOLEAN no_return, BOOLEAN *enter_event_mode,
-                                    BOOLEAN *terminate) {
+FMI_EXPORT STATUS FMI(CompletedIntegratorStep)(INSTANCE instance, BOOLEAN no_return,
+                                               BOOLEAN *enter_event_mode, BOOLEAN *terminate) {
   SYSTEM_ONLY(NAME(CompletedIntegratorStep), CONTINUOUS);
   (void)no_return;
   if (!enter_event_mode || !terminate)
@@ -227,15 +228,16 @@ FMI_EXPORT STATUS FMI(SetTime)(INSTANCE instance, REAL time) {
 
 /* What takes or gives a number for each continuous state */
 #define OF_STATES(name, phases, type, action)                                                      \
-  FMI_EXPORT STATUS FMI(name)(INSTANCE instance, type x[], size_t count) {                                    \
+  FMI_EXPORT STATUS FMI(name)(INSTANCE instance, type x[], size_t count) {                         \
     SYSTEM_ONLY(NAME(name), phases);                                                               \
-    OF_SIZE(NAME(name), x, count, c->model->n_states);                                     \
+    OF_SIZE(NAME(name), x, count, c->model->n_states);                                             \
     return (STATUS)action;                                                                         \
   }
 OF_STATES(SetContinuousStates, EVENT | CONTINUOUS, const REAL, set_states(c, x))
 OF_STATES(GetContinuousStates, ME_RUNNING, REAL, get_states(c, x, 0))
 OF_STATES(GetContinuousStateDerivatives, ME_RUNNING, REAL, get_states(c, x, 1))
-OF_STATES(GetNominalsOfContinuousStates, ANY, REAL, (memcpy(x, section(c->model, D_NOMINALS), count * sizeof *x), OK))
+OF_STATES(GetNominalsOfContinuousStates, ANY, REAL,
+          (memcpy(x, section(c->model, D_NOMINALS), count * sizeof *x), OK))
 
 FMI_EXPORT STATUS FMI(GetEventIndicators)(INSTANCE instance, REAL indicator[], size_t count) {
   SYSTEM_ONLY(NAME(GetEventIndicators), ME_RUNNING);

@@ -18,7 +18,9 @@ static unsigned adler32(const void *data, size_t count) {
   return b << 16 | a;
 }
 
-static inline const double *section(const model_t *m, int at) { return m->data + (long)m->data[at]; }
+static inline const double *section(const model_t *m, int at) {
+  return m->data + (long)m->data[at];
+}
 
 static inline const double *contact_of(const model_t *m, long i) {
   return section(m, D_AT_CONTACTS) + i * P_SIZE;
@@ -94,7 +96,8 @@ static void lay_out(model_t *m) {
     l->input = (long)row[P_BLOCK], l->state = l->input + DISTURBANCES;
     l->rate = l->state + l->states, l->coordinates = l->rate + l->states;
     l->slip = l->coordinates + (m->frames ? 9 : 0), l->twist = l->slip + 2;
-    l->pose = l->twist + 6, l->points = l->pose + 12, l->end = l->points + 6;
+    l->pose = l->twist + 6, l->points = l->pose + 12;
+    l->condition = l->points + 6, l->end = l->condition + 4;
     m->n_states += l->states;
   }
   const char *name = (const char *)section(m, D_NAMES);

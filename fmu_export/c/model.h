@@ -85,13 +85,13 @@ enum {
   T_SIZE
 };
 
-enum { TIME_VALUE, GAIN, PROFILE }; /* references */
+enum { TIME_VALUE, GAIN, PROFILE };                             /* references */
 enum { CALCULATED, INDEPENDENT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
 enum { DISTURBANCES = 6, CHART_STATES = 11, BODY = 5, FRAME_ANGLE = 2, VELOCITY = 3, ANGLE = 10 };
 
 /* one contact's place among the values, each group from there on to the next */
 typedef struct {
-  long states, input, state, rate, coordinates, slip, twist, pose, points, end;
+  long states, input, state, rate, coordinates, slip, twist, pose, points, condition, end;
   long frame[2]; /* sizes of frames among the states; 0: charts */
 } layout_t;
 

@@ -1,7 +1,9 @@
 /* The scene's data from a file, where the library is the same for all scenes. */
 
 static int hex(char c) {
-  return c >= '0' && c <= '9' ? c - '0' : (c | 32) >= 'a' && (c | 32) <= 'f' ? (c | 32) - 'a' + 10 : -1;
+  return c >= '0' && c <= '9'                 ? c - '0'
+         : (c | 32) >= 'a' && (c | 32) <= 'f' ? (c | 32) - 'a' + 10
+                                              : -1;
 }
 
 /* FMI 2 gives a URI, file:///tmp/a%20b or file:/tmp, FMI 3 a path. */

@@ -32,7 +32,8 @@ static int is_flag(int x) { return x == 0 || x == 1; }
 static const char *check_memory(const model_t *m, const memory_t *now) {
   const double *value = (const double *)(now + 1), *least = section(m, D_LEAST);
   const segment_t *s = (const segment_t *)(value + m->n_values);
-  const int phases = INSTANTIATED | CONFIGURATION | INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED;
+  const int phases =
+      INSTANTIATED | CONFIGURATION | INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED;
   const int other = !now->stepping ? STEP : now->uses_events ? CONTINUOUS : CONTINUOUS | EVENT;
   if (now->phase <= 0 || now->phase & (now->phase - 1) || !(now->phase & phases & ~other))
     return "its phase is none that an instance can be in";

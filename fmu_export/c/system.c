@@ -3,7 +3,8 @@
    point: time, states, disturbances (6); constants: gain, profile, numbers of finger and object;
    results: the values from `rate` on, then the regularity of both charts and the object's theta. */
 
-#define NEAR_POLE 1e-3 /* of the body's size; at 1e-6 fmpy's CVode takes more than its 500 steps */
+#define NEAR_POLE 1e-3 /* of the body's size; at 1e-6 fmpy's CVode takes more than its 500 steps   \
+                        */
 
 static const table_t *system_of(const model_t *m, long i) {
   return m->systems + (long)contact_of(m, i)[P_SYSTEM];
@@ -112,7 +113,8 @@ static void no_slip(const model_t *m, long i, double *x) {
 
 static status_t get_values(component_t *c, unsigned reference, long count, double *value);
 static status_t refuse(component_t *c, unsigned reference);
-static long without_value(const component_t *c, unsigned reference, const double *value, long count);
+static long without_value(const component_t *c, unsigned reference, const double *value,
+                          long count);
 
 static status_t set_states(component_t *c, const double *state) {
   for (long i = 0, at = 0; i < c->model->n_contacts; at += c->model->layout[i++].states)
@@ -143,7 +145,7 @@ static status_t get_states(component_t *c, double *state, int rates) {
 /* ---- derivatives ---- */
 
 /* Runs the equations of contact i along tangents of their point and constants. */
-static double (*run_along(component_t *c, long i))[L] {
+static double (*run_along(component_t *c, long i)) [L] {
   const table_t *t = system_of(c->model, i);
   fenv_t traps;
   feholdexcept(&traps);
@@ -181,9 +183,9 @@ static long behind(const component_t *c, long i, long r, const long *constants, 
   const layout_t *l = c->model->layout + i;
   if (r > l->states && r <= l->states + DISTURBANCES)
     return parts_of(c, i, (int)(r - 1 - l->states), out, PARTS);
-  const long reference = r == 0              ? TIME_VALUE
-                         : r <= l->states    ? l->state + r - 1
-                                             : constants[r - 1 - l->states - DISTURBANCES];
+  const long reference = r == 0           ? TIME_VALUE
+                         : r <= l->states ? l->state + r - 1
+                                          : constants[r - 1 - l->states - DISTURBANCES];
   out[0] = (part_t){reference, 1.0};
   return 1;
 }
@@ -219,8 +221,7 @@ static void derive(component_t *c, int transposed) {
           continue;
         }
         const long n = behind(c, i, r, constants, part);
-        for (long q = 0; q < n; q++)
-          c->tangents[r][0] += part[q].part * c->seed[part[q].reference];
+        for (long q = 0; q < n; q++) c->tangents[r][0] += part[q].part * c->seed[part[q].reference];
       }
       double (*found)[L] = run_along(c, i);
       if (!transposed) {
