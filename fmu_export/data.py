@@ -18,7 +18,7 @@ from contact_system.theory.lowering import Table as Instructions
 from .model import TOLERANCE, equations, frame_sizes
 from .variables import Table
 
-MAGIC, VERSION, HEADER = 20261123.0, 1.0, 35
+MAGIC, VERSION, HEADER = 20261123.0, 1.0, 36
 KINDS = ("calculated", "independent", "fixed", "tunable", "input", "exact")
 
 
@@ -84,7 +84,8 @@ def scene_data(table: Table, token: str) -> bytes:
     head = struct.pack(
         f"<{HEADER - 4}d",
         *(len(table.blocks), table.n_values, len(scene.profile.coefficients), law.power),
-        *(law.makes_up, scene.duration, TOLERANCE, table.frames, table.parameter_first["scale"]),
+        *(law.makes_up, scene.duration, TOLERANCE, table.frames),
+        *(table.n_measured, table.parameter_first["scale"]),
         *(data.texts(token), data.texts(*(v.name for v in scalars))),
         data.numbers([KINDS.index(v.kind) for v in scalars]),
         *(data.numbers(table.sizes), data.numbers(table.start_values), data.numbers(least)),

@@ -316,7 +316,8 @@ class _Knowns:
 
     def __init__(self, table: Table, fmi_version: str):
         states = set(table.states)
-        inputs = {block + k for block in table.blocks for k in range(INPUTS)}
+        count = INPUTS + table.n_measured
+        inputs = {block + k for block in table.blocks for k in range(count)}
         parameters = set(range(1, table.blocks[0]))
         self.running = inputs | states
         if fmi_version == "3.0":

@@ -181,16 +181,23 @@ class Table:
             return CHART_STATES
         return sum(frame_sizes(self.scene.contacts[contact].finger, self.scene.object)) + 4
 
+    @property
+    def n_measured(self) -> int:
+        """Number of a contact's inputs of measured states, none where a surface has no chart."""
+        scene = self.scene
+        charts = scene.object.has_chart and all(c.finger.has_chart for c in scene.contacts)
+        return MEASURED if charts else 0
+
     def block_size(self, contact: int) -> int:
         """Number of a contact's values."""
         coordinates = COORDINATES if self.frames else 0
-        return INPUTS + 2 * self.n_states(contact) + coordinates + sum(RESULTS.values())
+        return INPUTS + self.n_measured + 2 * self.n_states(contact) + coordinates + sum(RESULTS.values())
 
     @property
     def states(self) -> list[int]:
         """References of the continuous states."""
         return [
-            block + INPUTS + k
+            block + INPUTS + self.n_measured + k
             for i, block in enumerate(self.blocks)
             for k in range(self.n_states(i))
         ]
@@ -239,7 +246,8 @@ class Table:
         law = [first["gain"], *_range(first["profile"], len(self.scene.profile.coefficients))]
         finger = _range(self.finger_first[contact], len(own.parameters))
         obj = _range(first["object"], len(self.scene.object.parameters))
-        state, inputs = _range(block + INPUTS, self.n_states(contact)), _range(block, INPUTS)
+        first_state = block + INPUTS + self.n_measured
+        state, inputs = _range(first_state, self.n_states(contact)), _range(block, INPUTS)
         return [0, *state, *inputs, *law, *finger, *obj]
 
 
@@ -412,11 +420,13 @@ def _contact_rows(table: Table, i: int, known: list[tuple[int, ...]]) -> Iterato
     scene, contact, first = table.scene, table.scene.contacts[i], table.blocks[i]
     states = _frame_states(scene, contact) if table.frames else _states(scene, contact)
     derivatives = [_derivative(v, table.frames) for v in states]
-    starts = [*[0.0] * INPUTS, *start_states(scene, contact, table.frames).tolist()]
+    measured = _measured(scene, contact) if table.n_measured else []
+    n_inputs = INPUTS + table.n_measured
+    starts = [*[0.0] * INPUTS, *_measured_starts(contact)[: len(measured)], *start_states(scene, contact, table.frames).tolist()]
     results = [*(_coordinates(scene, contact) if table.frames else ()), *_outputs(scene, contact)]
     n_states, at = table.n_states(i), 0
-    for v in (*_inputs(scene, contact), *states, *derivatives, *results):
-        end, result = at + v.size, at - INPUTS - n_states
+    for v in (*_inputs(scene, contact), *measured, *states, *derivatives, *results):
+        end, result = at + v.size, at - n_inputs - n_states
         derivative = None
         if 0 <= result < n_states:
             derivative = first + at - n_states
@@ -466,6 +476,31 @@ def _inputs(scene: Scene, contact: Contact) -> Iterator[Variable]:
             text += ", in addition to the scene's disturbance windows"
             name = f"{side}.{quantity}.{axis}"
             yield _quantity(name, (), _per_second(unit, power), text, kind=("input", None))
+
+
+MEASURED = 10
+
+
+def _measured(scene: Scene, contact: Contact) -> list[Variable]:
+    """Inputs of a contact's measured states, as `Plan.states` has them, and the trigger."""
+    rows = []
+    for side, surface in (("finger", contact.finger), ("object", scene.object)):
+        units = list(zip("uv", chart_units(surface)))
+        for rate in ("", "_rate"):
+            for axis, unit in units:
+                text = f"Measured {'rate of ' * bool(rate)}{axis} of the contact on the {side}"
+                unit = _per_second(unit, 1) if rate else unit
+                name = f"measured.{side}.{axis}{rate}"
+                rows.append(_quantity(name, (), unit, text, kind=("input", None)))
+    text = "Measured contact angle psi"
+    rows.append(_quantity("measured.angle", (), RADIAN, text, kind=("input", None)))
+    text = "Co-Simulation goes on from what is measured when this changes to another number than 0"
+    return [*rows, _quantity("measured.trigger", (), NONE, text, kind=("input", None))]
+
+
+def _measured_starts(contact: Contact) -> list[float]:
+    (u1, v1), (u2, v2) = contact.finger_at, contact.object_at
+    return [u1, v1, 0.0, 0.0, u2, v2, 0.0, 0.0, contact.angle, 0.0]
 
 
 def _states(scene: Scene, contact: Contact) -> list[Variable]:

@@ -160,7 +160,7 @@ def test_a_later_start_time_starts_there(kind, version):
 
 def pushed(one: Instance, *windows: cs.scene.Disturbance) -> None:
     """Set all inputs to the sum of what is given."""
-    given = {v.name: 0.0 for v in one.table.scalars() if v.causality == "input"}
+    given = {v.name: 0.0 for v in one.table.scalars() if v.causality == "input" and "measured" not in v.name}
     for d in windows:
         side, _, kind = d.kind.partition(" ")
         for axis, x in zip("uv", d.value):
@@ -247,6 +247,27 @@ def test_an_input_acts_at_once_on_what_depends_on_it(kind, version):
     pushed(one, cs.ObjectRateOffset(0, 0, 1, (0.25, 0.0)))
     expected = np.array([[0, 0, 0, 0, 0, 0, 0.25, 0, 0]])
     assert one.states() - before == pytest.approx(expected, abs=1e-14)
+
+
+@of_blocks
+@pytest.mark.parametrize("name", ["K1", "K2", "K3", "K4"])
+def test_a_measured_state_is_gone_on_from_by_the_next_step(name, kind, version):
+    scene = cs.load_scene(name)
+    random, plan = np.random.default_rng(7), cs.plan(scene, 1e-14)
+    inputs = [f"{side}.{x}{rate}" for side in ("finger", "object") for rate in ("", "_rate")
+              for x in "uv"]
+    for k in range(4):
+        t = random.uniform(0.15, 0.8) * scene.duration
+        measured = plan.states(t)[0] + 1e-3 * random.standard_normal((3, 9))
+        one = Instance(scene, kind, version).begin()
+        one.step(t)
+        for i, row in enumerate(measured):
+            stem = f"contact[{i + 1}].measured."
+            one.put({f"{stem}{x}": value for x, value in zip([*inputs, "angle"], row)})
+            one.put({f"{stem}trigger": 1.0 + k})
+        close(one.states(), measured, 1e-13)
+        one.step(0.5 * (scene.duration - t), 0.5 * (scene.duration - t))
+        close(one.states(), plan.restart(t, measured).states(scene.duration)[0], 1e-12)
 
 
 # --- start values and parameters
@@ -474,7 +495,8 @@ def test_directional_derivatives_agree_with_differences(t, kind, version):
     if t:
         one.step(t)
     unknowns = [n for n in columns(1) if n.startswith("der(")]
-    knowns = [v.name for v in one.table.rows if v.causality == "input"] + ["gain.eta"]
+    knowns = [v.name for v in one.table.rows if v.causality == "input" and "measured" not in v.name]
+    knowns.append("gain.eta")
     more = [] if version == "3.0" else ["contact[2].slip.x", "contact[2].twist.linear.y"]
     unknowns += more  # in FMI 3 they are arrays
     seed = np.random.default_rng(0).standard_normal(len(knowns))

@@ -298,6 +298,43 @@ static int pushed_at_rest(const component_t *c) {
   return 0;
 }
 
+/* A chart's rates as a velocity in its contact frame, M (u', v'); not finite at poles */
+static void velocity_of(component_t *c, long i, int side, const double *place, const double *rate,
+                        double *out) {
+  const double *q = body_of_contact(c->model, i, side);
+  const surface_t *s = surface_of(c->model, i, side);
+  const long n = (long)q[Q_N_VALUES];
+  double in[8] = {place[0], place[1], 0.0}, *numbers = c->buffer;
+  numbers[0] = q[Q_SIGN];
+  memcpy(numbers + 1, c->value + (long)q[Q_VALUES], (size_t)n * sizeof *numbers);
+  const int ambient = !s->chart[C_VECTOR]; /* (x, p) does not tell the covers of a chart apart */
+  if (ambient) c->engine->run(s->ambient[A_START], 1, in, numbers, 0, in);
+  memcpy(in + (ambient ? 6 : 3), rate, 2 * sizeof *rate);
+  c->engine->run(ambient ? s->ambient[A_VECTOR] : s->chart[C_VECTOR], 1, in, numbers, 0, out);
+}
+
+/* Contact i goes on from what was measured. Returns not 0 where that is no place to start from. */
+static int resynchronize(component_t *c, long i, segment_t *s) {
+  const double *x = c->value + c->model->layout[i].measured, sigma = sigma_now(c);
+  double *to = s->row - K_PLACE_1, acting[DISTURBANCES], w[2], y[2];
+  acting_on(c, i, acting);
+  const double own[2] = {x[DU2] - acting[4], x[DV2] - acting[5]}; /* what drives the feedback */
+  fenv_t traps;
+  feholdexcept(&traps);
+  velocity_of(c, i, 0, x + U1, x + DU1, w);
+  velocity_of(c, i, 1, x + U2, own, y);
+  fesetenv(&traps);
+  c->failure = (failure_t){.code = STUCK};
+  if (!(sigma > 0) || !all_finite(w, 2) || !all_finite(y, 2)) return 1;
+  memset(s->row, 0, sizeof s->row);
+  memcpy(to + K_PLACE_1, x + U1, 2 * sizeof *x);
+  memcpy(to + K_PLACE_2, x + U2, 2 * sizeof *x);
+  to[K_ANGLE] = x[PSI];
+  for (int a = 0; a < 2; a++) to[K_W1 + a] = w[a] / sigma, to[K_Y + a] = y[a] / sigma;
+  s->begin = c->now->acts_at, s->moment = s->frames = 0.0;
+  return 0;
+}
+
 /* Contacts whose inputs or gain are no longer those of their segment begin another. Returns 0, or
    with c->failure which cannot, from 1 on. */
 static int settle(component_t *c) {
@@ -309,9 +346,16 @@ static int settle(component_t *c) {
     double acting[DISTURBANCES];
     for (int j = 0; j < DISTURBANCES; j++)
       acting[j] = rest && j < 4 ? 0.0 : c->value[c->model->layout[i].input + j];
-    if (s->gain == c->value[GAIN] && !memcmp(s->acting, acting, sizeof acting)) continue;
+    const int measures = c->model->data[D_MEASURED] > 0;
+    const double heard = measures ? c->value[c->model->layout[i].measured + TRIGGER] : 0.0;
+    const int again = heard != 0.0 && heard != s->trigger;
+    s->trigger = heard;
+    if (!again && s->gain == c->value[GAIN] && !memcmp(s->acting, acting, sizeof acting)) continue;
     const double at = now->acts_at, lasted = at - s->begin;
-    if (!reached(s->begin, at)) {
+    if (again) {
+      if (resynchronize(c, i, s)) return (int)i + 1;
+      s->end = -fmax(c->model->data[D_HORIZON], at);
+    } else if (!reached(s->begin, at)) {
       if (cover(c, i, at)) return (int)i + 1;
       commit(c, i, 1);
       if (go_on(c, i, c->live[i].plan, fmin(fmax(at, s->begin), s->end), s)) return (int)i + 1;

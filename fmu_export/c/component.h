@@ -34,6 +34,7 @@ enum { ROW = CONTACT_SIZE - K_PLACE_1 };
 typedef struct {
   double begin, end; /* s; planned so far; negative: how far it is to be planned */
   double gain, moment, frames, acting[DISTURBANCES];
+  double trigger;  /* that has last been heard */
   double row[ROW]; /* of the engine's contact, from K_PLACE_1 on */
 } segment_t;
 

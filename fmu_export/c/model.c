@@ -93,7 +93,8 @@ static void lay_out(model_t *m) {
     layout_t *l = m->layout + i;
     for (int side = 0; side < 2; side++) l->frame[side] = (long)row[P_FRAME_1 + side];
     l->states = m->frames ? l->frame[0] + l->frame[1] + 4 : CHART_STATES;
-    l->input = (long)row[P_BLOCK], l->state = l->input + DISTURBANCES;
+    l->input = (long)row[P_BLOCK], l->measured = l->input + DISTURBANCES;
+    l->state = l->measured + (long)m->data[D_MEASURED];
     l->rate = l->state + l->states, l->coordinates = l->rate + l->states;
     l->slip = l->coordinates + (m->frames ? 9 : 0), l->twist = l->slip + 2;
     l->pose = l->twist + 6, l->points = l->pose + 12;

@@ -32,6 +32,7 @@ enum {
   D_HORIZON,   /* s */
   D_TOLERANCE, /* of plans */
   D_FRAMES,    /* states are moving frames, not charts */
+  D_MEASURED,  /* inputs of measured states of each contact: 10, or 0 without charts */
   D_SCALE,     /* reference of the factor of the scene's windows */
   D_TOKEN,     /* text */
   D_NAMES,     /* texts, one after the other, of all values */
@@ -87,11 +88,12 @@ enum {
 
 enum { TIME_VALUE, GAIN, PROFILE };                             /* references */
 enum { CALCULATED, INDEPENDENT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
+enum { U1, V1, DU1, DV1, U2, V2, DU2, DV2, PSI, TRIGGER };      /* of what is measured */
 enum { DISTURBANCES = 6, CHART_STATES = 11, BODY = 5, FRAME_ANGLE = 2, VELOCITY = 3, ANGLE = 10 };
 
 /* one contact's place among the values, each group from there on to the next */
 typedef struct {
-  long states, input, state, rate, coordinates, slip, twist, pose, points, condition, end;
+  long states, input, measured, state, rate, coordinates, slip, twist, pose, points, condition, end;
   long frame[2]; /* sizes of frames among the states; 0: charts */
 } layout_t;
 

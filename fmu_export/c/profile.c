@@ -68,6 +68,10 @@ static void study_profile(component_t *c) {
   c->now->limit = first < 0 ? begin : n ? at[0] : HUGE_VAL;
 }
 
+static double sigma_now(const component_t *c) {
+  return horner_at(sigma_of(c), c->model->n_profile, c->now->acts_at);
+}
+
 /* whether sigma is zero but for rounding */
 static int rests(const component_t *c) {
   const double *sigma = sigma_of(c), t = c->now->time;

@@ -52,7 +52,8 @@ static const char *check_memory(const model_t *m, const memory_t *now) {
       return "a parameter, an input or a state in it is out of range";
   }
   for (long i = 0; i < m->n_contacts && !SYSTEM(now); i++, s++) {
-    if (!all_finite(&s->gain, 1 + 2 + DISTURBANCES + ROW)) return "a motion in it is not finite";
+    if (!all_finite(&s->gain, 1 + 2 + DISTURBANCES + 1 + ROW))
+      return "a motion in it is not finite";
     if (!(s->gain >= 0.0) || !is_flag((int)s->moment) || !(s->frames >= 0 && s->frames < 4))
       return "a motion in it is of no kind that there is";
     if (!(s->begin >= 0 && s->begin <= now->time) || !(s->end < 0 || s->end >= now->acts_at) ||

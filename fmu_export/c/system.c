@@ -3,8 +3,9 @@
    point: time, states, disturbances (6); constants: gain, profile, numbers of finger and object;
    results: the values from `rate` on, then the regularity of both charts and the object's theta. */
 
-#define NEAR_POLE 1e-3 /* of the body's size; at 1e-6 fmpy's CVode takes more than its 500 steps   \
-                        */
+#define NEAR_POLE                                                                                  \
+  1e-3 /* of the body's size; at 1e-6 fmpy's CVode takes more than its 500 steps                   \
+        */
 
 static const table_t *system_of(const model_t *m, long i) {
   return m->systems + (long)contact_of(m, i)[P_SYSTEM];
