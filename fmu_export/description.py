@@ -120,9 +120,9 @@ def instantiation_token(description: str) -> str:
     return found.group(1)
 
 
-def model_identifier(table: Table) -> str:
+def model_identifier(scene: Scene) -> str:
     """The scene's name as a C identifier, which names files too."""
-    name = re.sub(r"\W", "_", table.scene.name[:100], flags=re.ASCII)
+    name = re.sub(r"\W", "_", scene.name[:100], flags=re.ASCII)
     fine = re.match("[A-Za-z]", name) and not is_device(name)
     return name if fine else f"scene_{name}".rstrip("_")
 
@@ -183,7 +183,7 @@ def _head(table: Table, fmi_version: str) -> dict[str, str]:
 
 def _interface(table: Table, fmi_version: str, interface: str) -> ET.Element:
     flags = f"{_BOTH[fmi_version]} {_OWN[fmi_version, interface]}".split()
-    attributes = {"modelIdentifier": model_identifier(table)} | dict.fromkeys(flags, "true")
+    attributes = {"modelIdentifier": model_identifier(table.scene)} | dict.fromkeys(flags, "true")
     return ET.Element(interface, attributes)
 
 
@@ -343,7 +343,7 @@ class _Knowns:
 def build_description(table: Table, sources: Sequence[str]) -> str:
     """The text of sources/buildDescription.xml (FMI 3.0.2, section 2.5.1.6)."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    build = ET.SubElement(root, "BuildConfiguration", modelIdentifier=model_identifier(table))
+    build = ET.SubElement(root, "BuildConfiguration", modelIdentifier=model_identifier(table.scene))
     files = ET.SubElement(build, "SourceFileSet", language="C99")
     for name in sources:
         ET.SubElement(files, "SourceFile", name=name)

@@ -35,6 +35,7 @@ def export_fmu(
     progress: Callable[[str], None] | None = None,
     states: str = "auto",
     arrays: bool = False,
+    measured: bool = False,
 ) -> Path:
     """Write a scene as a Functional Mock-up Unit.
 
@@ -55,6 +56,10 @@ def export_fmu(
         What the states are: see `variable_table`.
     arrays : bool
         FMI 3: vectors and matrices instead of scalars with FMI 2's names.
+    measured : bool
+        Inputs of measured states, ``contact[1].measured.finger.u`` and so on as `Plan.states` has
+        them: when ``contact[1].measured.trigger`` changes to another number than 0, the contact
+        goes on from there. Co-Simulation only.
     progress : callable, optional
         Called with what is begun, once for each platform and for the file itself.
 
@@ -72,9 +77,10 @@ def export_fmu(
     path, moment = build.target(path), generation_time()
     platforms, interfaces = build.chosen(platforms), check_choice(fmi_version, interfaces)
     tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
-    table = variable_table(scene, states, flag(arrays, "arrays") and fmi_version == "3.0")
+    arrays = flag(arrays, "arrays") and fmi_version == "3.0"
+    table = variable_table(scene, states, arrays, flag(measured, "measured"))
     description = model_description(table, fmi_version, interfaces, UNITS)
-    name, data = model_identifier(table), scene_data(table, instantiation_token(description))
+    name, data = model_identifier(scene), scene_data(table, instantiation_token(description))
     # FMI's own headers are the importer's, which may give functions a prefix (FMI 3.0.2, 2.2.2).
     texts = c_sources(data, name, fmi_version)
     files = {f"sources/{file}": text.encode() for file, text in texts.items()}

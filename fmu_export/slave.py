@@ -44,6 +44,7 @@ def write_description(
     fmi_version: str = "2.0",
     states: str = "auto",
     arrays: bool = False,
+    measured: bool = False,
 ) -> Path:
     """Write what an importer wants to see: modelDescription.xml, and resources with the scene.
 
@@ -52,7 +53,7 @@ def write_description(
     scene : Scene
     folder : path
         Made where it is missing.
-    fmi_version, states, arrays
+    fmi_version, states, arrays, measured
         As for `export_fmu`.
 
     Returns
@@ -65,7 +66,7 @@ def write_description(
     ContactSystemError
         A scene that no importer can step, or an unknown version.
     """
-    table = variable_table(scene, states, arrays and fmi_version == "3.0")
+    table = variable_table(scene, states, arrays and fmi_version == "3.0", measured)
     text = model_description(table, fmi_version, ("CoSimulation",))
     path = a_path(folder, "folder") / "modelDescription.xml"
     for place in (path.parent, path.parent / "resources"):
@@ -79,15 +80,14 @@ def write_description(
 
 @contextlib.contextmanager
 def in_process(
-    scene: Scene, fmi_version: str = "2.0", states: str = "auto", arrays: bool = False, **given: Any
+    scene: Scene, fmi_version: str = "2.0", **given: Any
 ) -> Iterator[dict[str, Any]]:
     """What ``fmpy.simulate_fmu`` needs to run a scene in this process, as keyword arguments.
 
     Parameters
     ----------
     scene : Scene
-    fmi_version, states, arrays
-        As for `export_fmu`.
+    fmi_version : "2.0" or "3.0"
     given
         Further arguments of `PlannerSlave2` or `PlannerSlave3`.
 
@@ -98,7 +98,7 @@ def in_process(
     """
     check_choice(fmi_version, ("CoSimulation",))
     kind = PlannerSlave2 if fmi_version == "2.0" else PlannerSlave3
-    slave = kind(scene, states=states, arrays=arrays, **given)
+    slave = kind(scene, **given)
     yield {
         "filename": slave.unzipDirectory,
         "model_description": read_model_description(slave.unzipDirectory, validate=True),
@@ -118,16 +118,15 @@ class _Slave:
         scene: Scene,
         name: str = "",
         logger: Logger | None = None,
-        states: str = "auto",
-        arrays: bool = False,
+        **described: Any,
     ):
         if not isinstance(name, str):
             raise SceneError(f"name = {name!r:.80}: give a text")
         logger = function_or_none(logger, "logger", "a function of a status, a category and a text")
         self.scene, self._logger, self._said = scene, logger or _log, ""
         self._folder = tempfile.TemporaryDirectory(prefix="contact-system-")
-        path = write_description(scene, self._folder.name, self._version, states, arrays)
-        identifier = model_identifier(variable_table(scene, states))
+        path = write_description(scene, self._folder.name, self._version, **described)
+        identifier = model_identifier(scene)
         library = path.parent / library_place(identifier, "native", self._version)
         library.parent.mkdir(parents=True)  # where fmpy looks for it
         try:
@@ -175,8 +174,8 @@ class PlannerSlave2(_Slave, FMU2Slave):
         The instance's name.
     logger : callable, optional
         See `Logger`; by default the logger "fmu_export" of `logging`.
-    states, arrays
-        As for `export_fmu`.
+    described
+        ``states``, ``arrays``, ``measured``, as for `export_fmu`.
 
     Raises
     ------
@@ -199,7 +198,7 @@ class PlannerSlave3(_Slave, FMU3Slave):
 
     Parameters
     ----------
-    scene, name, logger, states, arrays
+    scene, name, logger, described
         As for `PlannerSlave2`.
     event_mode : bool
         The importer handles events: steps tell of the edges of disturbance windows.
@@ -216,11 +215,10 @@ class PlannerSlave3(_Slave, FMU3Slave):
         logger: Logger | None = None,
         event_mode: bool = False,
         early_return: bool = False,
-        states: str = "auto",
-        arrays: bool = False,
+        **described: Any,
     ):
         self._options = flag(event_mode, "event_mode"), flag(early_return, "early_return")
-        super().__init__(scene, name, logger, states, arrays)
+        super().__init__(scene, name, logger, **described)
 
     def instantiate(self, visible: bool = False, loggingOn: bool = False, **_: Any):
         """Begin again, with this slave's logger and options."""

@@ -151,6 +151,8 @@ class Table:
         Whether the states are moving frames, not charts.
     arrays : bool
         Whether FMI 3 sees arrays.
+    measured : bool
+        Whether there are inputs of measured states.
     """
 
     scene: Scene
@@ -161,6 +163,7 @@ class Table:
     blocks: list[int]
     frames: bool
     arrays: bool
+    measured: bool
 
     @kept
     def _by_name(self) -> dict[str, Variable]:
@@ -183,10 +186,8 @@ class Table:
 
     @property
     def n_measured(self) -> int:
-        """Number of a contact's inputs of measured states, none where a surface has no chart."""
-        scene = self.scene
-        charts = scene.object.has_chart and all(c.finger.has_chart for c in scene.contacts)
-        return MEASURED if charts else 0
+        """Number of a contact's inputs of measured states."""
+        return MEASURED if self.measured else 0
 
     def block_size(self, contact: int) -> int:
         """Number of a contact's values."""
@@ -254,7 +255,9 @@ class Table:
 STATES = ("auto", "chart", "frame")
 
 
-def variable_table(scene: Scene, states: str = "auto", arrays: bool = False) -> Table:
+def variable_table(
+    scene: Scene, states: str = "auto", arrays: bool = False, measured: bool = False
+) -> Table:
     """The variables of a scene.
 
     Parameters
@@ -265,6 +268,8 @@ def variable_table(scene: Scene, states: str = "auto", arrays: bool = False) -> 
         whose way no pole stands. "auto": charts where all surfaces have one.
     arrays : bool
         Whether FMI 3 sees vectors and matrices instead of scalars.
+    measured : bool
+        Whether there are inputs of measured states, from which a trigger lets contacts go on.
 
     Raises
     ------
@@ -282,6 +287,11 @@ def variable_table(scene: Scene, states: str = "auto", arrays: bool = False) -> 
             raise SceneError(
                 f"{scene.title}: {surface!r} has no explicit chart f(u, v), in which states could "
                 'be; give states="frame" or a ParametricSurface'
+            )
+        if measured and not surface.has_chart:
+            raise SceneError(
+                f"{scene.title}: {surface!r} has no explicit chart f(u, v), in which states could "
+                "be measured; leave measured out, or give a ParametricSurface"
             )
     n_profile = len(scene.profile.coefficients)
     if n_profile > MOST_COEFFICIENTS:
@@ -303,7 +313,7 @@ def variable_table(scene: Scene, states: str = "auto", arrays: bool = False) -> 
         fingers.append(at)
         at += len(contact.finger.parameters)
     rows += _window_rows(scene, at)
-    table = Table(scene, rows, first, fingers, at, [], frames, arrays)
+    table = Table(scene, rows, first, fingers, at, [], frames, arrays, measured)
     at += 4 * len(scene.disturbances)
     for i in range(len(scene.contacts)):
         table.blocks.append(at)
@@ -584,7 +594,7 @@ def _outputs(scene: Scene, contact: Contact) -> list[Variable]:
         _quantity("finger.point", XYZ, METRE, "Contact point in the finger's frame", finger),
         _quantity("object.point", XYZ, METRE, f"Contact point {there}", obj),
         _quantity("path.speed", (), moving, "sigma, the speed of the contact along its path", speed),
-        _quantity("slip.norm", (), moving, "Length of the slip", speed),
+        _quantity("slip_speed", (), moving, "Length of the slip", speed),
         _quantity("disturbance.active", (), NONE, "1 while an input or a window acts, else 0"),
         _quantity("recovery_time", (), (0, 1, 0), recovery),
     ]

@@ -225,7 +225,7 @@ def test_names_become_identifiers_and_are_escaped_for_xml(written):
         "console": "console",
         "x" * 300: "x" * 100,
     }.items():
-        assert model_identifier(variable_table(C2.replace(name=name))) == identifier
+        assert model_identifier(C2.replace(name=name)) == identifier
     contact = dataclasses.replace(C2.contacts[0], name="\ud800b")
     scene = C2.replace(name="a<b>&\"c'\x01", description="1 < 2 & 3\x00\ufffe", contacts=[contact])
     for version in ("2.0", "3.0"):

@@ -29,10 +29,10 @@ def _folder() -> tempfile.TemporaryDirectory:
 
 
 @functools.cache
-def exported(scene: cs.Scene, version: str) -> Fmu:
+def exported(scene: cs.Scene, version: str, **options: Any) -> Fmu:
     """The scene's FMU, made once."""
     folder = Path(tempfile.mkdtemp(dir=_folder().name))
-    return Fmu.unpacked(export_fmu(scene, folder / "x.fmu", version), folder / "x")
+    return Fmu.unpacked(export_fmu(scene, folder / "x.fmu", version, **options), folder / "x")
 
 
 def columns(i: int) -> list[str]:
@@ -46,19 +46,20 @@ class Instance:
     """An instance of an FMU or a slave, asked by names; ``time`` is where it stands.
 
     Options are those of fmpy (``eventModeUsed``, ``earlyReturnAllowed``) or, for a slave, turned
-    into its own.
+    into its own; and ``states``, ``measured``, which describe the model.
     """
 
     def __init__(self, scene: cs.Scene, kind: str, version: str, interface="CoSimulation", **given):
         self.scene, self.kind, self.version, self.interface = scene, kind, version, interface
-        self.table, self.time = variable_table(scene), 0.0
+        described = {name: given.pop(name) for name in ("states", "measured") if name in given}
+        self.table, self.time = variable_table(scene, **described), 0.0
         self.said: list[tuple[int, str, str]] = []
         if kind == "FMU":
             log = lambda *line: self.said.append(line)  # noqa: E731
-            self.own = exported(scene, version).instance(log, interface, **given)
+            self.own = exported(scene, version, **described).instance(log, interface, **given)
         else:
             names = {"eventModeUsed": "event_mode", "earlyReturnAllowed": "early_return"}
-            options = {names[key]: value for key, value in given.items()}
+            options = {names[key]: value for key, value in given.items()} | described
             slave = {"2.0": PlannerSlave2, "3.0": PlannerSlave3}[version]
             self.own = slave(scene, logger=lambda *line: self.said.append(line), **options)
 
