@@ -36,9 +36,9 @@ def folder() -> Path:
 
 
 @functools.cache
-def fmu_of(scene: cs.Scene, version: str, *platforms: str) -> Fmu:
+def fmu_of(scene: cs.Scene, version: str, *platforms: str, **options: Any) -> Fmu:
     """The exported FMU of a scene, unpacked."""
-    place, given = folder(), {"platforms": platforms or ("native",)}
+    place, given = folder(), {"platforms": platforms or ("native",)} | options
     path = export_fmu(scene, place / f"{scene.name}.fmu", version, **given)
     return Fmu.unpacked(path, place / "unpacked")
 
@@ -99,20 +99,18 @@ class Stepper:
     def read(self) -> dict[str, Array]:
         """Name -> (1, n_contacts, n)."""
         rows = [row for own in self.rows.values() for row in own]
-        values = self.call("getFloat64", *self._references(rows))
+        values = self.call("getFloat64", self._references(rows))
         ends = np.cumsum([sum(row.size for row in own) for own in self.rows.values()])
         shape, parts = (1, len(self.scene.contacts), -1), np.split(np.array(values), ends[:-1])
         return {name: part.reshape(shape) for name, part in zip(self.rows, parts)}
 
     def set(self, name: str, values: Sequence[float]) -> None:
         """Set all elements of a variable."""
-        self.call("setFloat64", self._references([self.table[name]])[0], list(values))
+        self.call("setFloat64", self._references([self.table[name]]), list(values))
 
-    def _references(self, rows: Sequence[Any]) -> tuple[list[int], ...]:
-        """Of rows of the table: all their elements (FMI 2), or their own and how many values."""
-        if self.two:
-            return ([r for row in rows for r in range(row.reference, row.reference + row.size)],)
-        return [row.reference for row in rows], sum(row.size for row in rows)
+    def _references(self, rows: Sequence[Any]) -> list[int]:
+        """Of all elements of rows of the table."""
+        return [r for row in rows for r in range(row.reference, row.reference + row.size)]
 
     def saved(self) -> tuple[bytes, float]:
         """The state as bytes, and its time."""

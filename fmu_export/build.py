@@ -188,7 +188,12 @@ def engine(target: str, name: str) -> bytes:
         native_platform()
         return _named(LIBRARY.read_bytes(), LIBRARY.name, name)
     folders = (ENGINE, ENGINE / "generated", C_FOLDER)
-    texts = [p.read_text("utf-8") for f in folders for p in sorted(f.glob("*.[chi]*")) if p.suffix != ".py"]
+    texts = [
+        p.read_text("utf-8")
+        for f in folders
+        for p in sorted(f.glob("*.[chi]*"))
+        if p.suffix != ".py"
+    ]
     command = [*_command(OWN_NAME, target), f"-I{ENGINE}", "-DVARIANT=baseline"]
     suffix = _platform(target)[2]
     units = [ENGINE / "engine.c", ENGINE / "dispatch.c", C_FOLDER / "fmi2.c", C_FOLDER / "fmi3.c"]
@@ -240,7 +245,9 @@ def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
         _run([*command, *names, "-o", built.name, "-lm"], room)
         return built
 
-    return _kept("\0".join([identifier, *command, *(f"{k}\0{sources[k]}" for k in sorted(sources))]), make)
+    return _kept(
+        "\0".join([identifier, *command, *(f"{k}\0{sources[k]}" for k in sorted(sources))]), make
+    )
 
 
 def _run(command: Sequence[str], folder: Path) -> None:

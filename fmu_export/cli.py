@@ -13,6 +13,7 @@ from contact_system.cli import Progress, file_name, paragraph
 from .build import PLATFORMS
 from .description import INTERFACES, VERSIONS
 from .export import export_fmu
+from .variables import STATES
 
 
 def register(commands: Any) -> None:
@@ -38,6 +39,13 @@ def register(commands: Any) -> None:
         metavar="PLATFORM",
         help=f"native (default), or one or more of {', '.join(PLATFORMS)}, compiled by ziglang",
     )
+    parser.add_argument(
+        "--states", choices=STATES, default="auto", help="charts, or frames that pass poles"
+    )
+    parser.add_argument("--arrays", action="store_true", help="FMI 3: vectors, not scalars")
+    parser.add_argument(
+        "--measured", action="store_true", help="inputs of measured states to go on from"
+    )
     parser.set_defaults(run=run)
 
 
@@ -46,7 +54,9 @@ def run(args: argparse.Namespace) -> int:
     scene, began = load_scene(args.scene), time.monotonic()
     path = args.out or Path(f"{file_name(scene)}.fmu")
     with Progress(1 + len(args.platforms), "writing the sources") as progress:
-        export_fmu(scene, path, args.fmi, args.interfaces, args.platforms, progress.step)
+        described = {name: getattr(args, name) for name in ("states", "arrays", "measured")}
+        chosen = (args.fmi, args.interfaces, args.platforms, progress.step)
+        export_fmu(scene, path, *chosen, **described)
     print(
         paragraph(
             f"wrote {path}: {path.stat().st_size / 1000:.0f} kB, FMI {args.fmi}, "

@@ -126,7 +126,9 @@ def _surface(surface: Surface, data: _Data) -> list[float]:
 def as_c(data: bytes) -> str:
     """The same as C, for FMUs of sources."""
     words: Sequence[int] = np.frombuffer(data, dtype="<u8").tolist()
-    rows = ",\n  ".join(", ".join(f"{x:#x}" for x in words[k : k + 6]) for k in range(0, len(words), 6))
+    rows = ",\n  ".join(
+        ", ".join(f"{x:#x}" for x in words[k : k + 6]) for k in range(0, len(words), 6)
+    )
     return (
         "/* The scene: see model.h. Doubles as their bits, in the order of little-endian machines. */\n"
         f"static const unsigned long long scene_words[] = {{\n  {rows}}};\n\n"

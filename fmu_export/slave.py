@@ -79,9 +79,7 @@ def write_description(
 
 
 @contextlib.contextmanager
-def in_process(
-    scene: Scene, fmi_version: str = "2.0", **given: Any
-) -> Iterator[dict[str, Any]]:
+def in_process(scene: Scene, fmi_version: str = "2.0", **given: Any) -> Iterator[dict[str, Any]]:
     """What ``fmpy.simulate_fmu`` needs to run a scene in this process, as keyword arguments.
 
     Parameters

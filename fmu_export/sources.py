@@ -28,7 +28,9 @@ def _texts(layer: str) -> dict[str, str]:
     files = {p.name: p.read_text("utf-8") for f in folders for p in sorted(f.glob("*.[chi]*"))}
     others = {f"fmi{other}{end}" for other in "23" if other != layer for end in (".c", "_types.h")}
     skipped = {*others, "resource.c", "slip_integrator.c"}
-    files |= {p.name: p.read_text("utf-8") for p in C_FOLDER.glob("*.[ch]") if p.name not in skipped}
+    files |= {
+        p.name: p.read_text("utf-8") for p in C_FOLDER.glob("*.[ch]") if p.name not in skipped
+    }
     return {_part(n): t.replace('"generated/', '"') for n, t in files.items() if n[-3:] != ".py"}
 
 
@@ -56,4 +58,4 @@ def c_sources(data: bytes, identifier: str, fmi_version: str) -> dict[str, str]:
         "fmu.c": f'#define SCENE_INSIDE\n{prefix}{names}#include "fmi{layer}.c"\n',
     }
     found = _texts(layer) | {"scene.inc": as_c(data)} | units
-    return {name: _INCLUDE.sub(r"\1.inc\"", text) for name, text in found.items()}
+    return {name: _INCLUDE.sub(r'\1.inc"', text) for name, text in found.items()}

@@ -192,7 +192,13 @@ class Table:
     def block_size(self, contact: int) -> int:
         """Number of a contact's values."""
         coordinates = COORDINATES if self.frames else 0
-        return INPUTS + self.n_measured + 2 * self.n_states(contact) + coordinates + sum(RESULTS.values())
+        return (
+            INPUTS
+            + self.n_measured
+            + 2 * self.n_states(contact)
+            + coordinates
+            + sum(RESULTS.values())
+        )
 
     @property
     def states(self) -> list[int]:
@@ -406,7 +412,9 @@ def _window_rows(scene: Scene, at: int) -> Iterator[Variable]:
                 ("v", units[1], d.value[1]),
             )
         ):
-            text = f"{name.capitalize()} of the {what}" if j < 2 else f"Component {name} of the {what}"
+            text = (
+                f"{name.capitalize()} of the {what}" if j < 2 else f"Component {name} of the {what}"
+            )
             named = (f"disturbance[{k + 1}].{name}", at + 4 * k + j, "parameter", "fixed", "exact")
             yield Variable(*named, text, unit, (float(value),), minimum=0.0 if j < 2 else None)
 
@@ -432,16 +440,16 @@ def _contact_rows(table: Table, i: int, known: list[tuple[int, ...]]) -> Iterato
     derivatives = [_derivative(v, table.frames) for v in states]
     measured = _measured(scene, contact) if table.n_measured else []
     n_inputs = INPUTS + table.n_measured
-    starts = [*[0.0] * INPUTS, *_measured_starts(contact)[: len(measured)], *start_states(scene, contact, table.frames).tolist()]
+    starts = [
+        *[0.0] * INPUTS,
+        *_measured_starts(contact)[: len(measured)],
+        *start_states(scene, contact, table.frames).tolist(),
+    ]
     results = [*(_coordinates(scene, contact) if table.frames else ()), *_outputs(scene, contact)]
     n_states, at = table.n_states(i), 0
     for v in (*_inputs(scene, contact), *measured, *states, *derivatives, *results):
         end, result = at + v.size, at - n_inputs - n_states
-        derivative = None
-        if 0 <= result < n_states:
-            derivative = first + at - n_states
-        elif v.name.startswith("der("):
-            derivative = first + at - 2
+        derivative = first + at - n_states if 0 <= result < n_states else None
         yield replace(
             v,
             name=_of_contact(i, v.name),
@@ -535,13 +543,19 @@ def _frame_states(scene: Scene, contact: Contact) -> list[Variable]:
     for side, surface, size in zip(("finger", "object"), (contact.finger, scene.object), sizes):
         carried = f"frame carried along on the {side}"
         if size == 6:
-            rows.append((f"{side}.frame.point", XYZ, METRE, f"Origin of the {carried}", surface.size))
+            rows.append(
+                (f"{side}.frame.point", XYZ, METRE, f"Origin of the {carried}", surface.size)
+            )
             rows.append((f"{side}.frame.axis", XYZ, NONE, f"First axis of the {carried}", 1.0))
             continue
         for axis, unit in zip("uv", chart_units(surface)):
             nominal = SMALL * surface.size if unit == METRE else SMALL
-            rows.append((f"{side}.frame.{axis}", (), unit, f"Coordinate {axis} of the {carried}", nominal))
-        rows.append((f"{side}.frame.angle", (), RADIAN, f"Angle in the chart of the {carried}", SMALL))
+            rows.append(
+                (f"{side}.frame.{axis}", (), unit, f"Coordinate {axis} of the {carried}", nominal)
+            )
+        rows.append(
+            (f"{side}.frame.angle", (), RADIAN, f"Angle in the chart of the {carried}", SMALL)
+        )
     text = "Path velocity of the finger's contact point in its carried frame"
     rows.append(("frame.velocity", XY, NONE, text, SMALL))
     rows.append(("frame.slip", XY, NONE, "Slip over sigma in the object's carried frame", SMALL))
@@ -593,7 +607,9 @@ def _outputs(scene: Scene, contact: Contact) -> list[Variable]:
         _quantity("pose.position", XYZ, METRE, f"Origin {origin}", max(finger, obj)),
         _quantity("finger.point", XYZ, METRE, "Contact point in the finger's frame", finger),
         _quantity("object.point", XYZ, METRE, f"Contact point {there}", obj),
-        _quantity("path.speed", (), moving, "sigma, the speed of the contact along its path", speed),
+        _quantity(
+            "path.speed", (), moving, "sigma, the speed of the contact along its path", speed
+        ),
         _quantity("slip_speed", (), moving, "Length of the slip", speed),
         _quantity("disturbance.active", (), NONE, "1 while an input or a window acts, else 0"),
         _quantity("recovery_time", (), (0, 1, 0), recovery),

@@ -268,8 +268,9 @@ def test_an_input_acts_at_once_on_what_depends_on_it(kind, version):
 def test_a_measured_state_is_gone_on_from_by_the_next_step(name, kind, version):
     scene = cs.load_scene(name)
     random, plan = np.random.default_rng(7), cs.plan(scene, 1e-14)
-    inputs = [f"{side}.{x}{rate}" for side in ("finger", "object") for rate in ("", "_rate")
-              for x in "uv"]
+    inputs = [
+        f"{side}.{x}{rate}" for side in ("finger", "object") for rate in ("", "_rate") for x in "uv"
+    ]
     for k in range(4):
         t = random.uniform(0.15, 0.8) * scene.duration
         measured = plan.states(t)[0] + 1e-3 * random.standard_normal((3, 9))

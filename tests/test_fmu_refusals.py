@@ -63,7 +63,7 @@ def test_wrong_values_are_refused_by_name_value_and_remedy_and_the_instance_live
 def test_lengths_that_are_not_positive_are_refused_where_they_are_set(kind, version):
     one = Instance(K1, kind, version)
     for value in (0.0, -1.0):
-        words = rf"object.radius = {value:g}(.0)? is refused; give 1e-150 or more"
+        words = rf"object.radius = {value:g}(.0)? is refused; give 1e-06 or more"
         one.refused(words, one.put, {"object.radius": value})
 
 

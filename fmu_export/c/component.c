@@ -354,7 +354,7 @@ static int settle(component_t *c) {
     const double at = now->acts_at, lasted = at - s->begin;
     if (again) {
       if (resynchronize(c, i, s)) return (int)i + 1;
-      s->end = -fmax(c->model->data[D_HORIZON], at);
+      s->end = -(at + 0.02 * c->model->data[D_HORIZON]); /* more may be measured soon */
     } else if (!reached(s->begin, at)) {
       if (cover(c, i, at)) return (int)i + 1;
       commit(c, i, 1);
