@@ -12,8 +12,8 @@ ziglang package, which pip fetches then. $CONTACT_SYSTEM_CFLAGS adds flags. For 
   other files by itself and defines one symbol that others see, `const engine_t engine_<VARIANT>`.
 - dispatch.c, which holds the tables, is compiled once, as baseline. It learns by -DHAVE_V3 and
   -DHAVE_V4 which variants there are, and chooses among them when the library is used.
-- fmu_export/c/fmi2.c and fmi3.c, which include the rest of that folder, are the functions of FMI: the
-  library is the binary of every FMU too.
+- fmu_export/c/fmi2.c and fmi3.c, which include the rest of that folder, are the functions of FMI:
+  the library is the binary of every FMU too.
 - Only what is marked EXPORT is seen from outside. At run time there are libc and libm alone.
 - Products and sums are contracted where the processor does both at once, in v3 and v4: a sixth
   faster, and rounded once instead of twice. So results differ between variants by rounding.

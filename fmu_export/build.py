@@ -19,8 +19,8 @@ from typing import BinaryIO
 
 import fmpy
 
-from contact_system.engine.binding import LIBRARY
 from contact_system.checks import a_path, items_of, make_folder
+from contact_system.engine.binding import LIBRARY
 from contact_system.errors import ContactSystemError
 from contact_system.writing import writing
 

@@ -101,11 +101,8 @@ def scene_data(table: Table, token: str) -> bytes:
 
 def _body(surface: Surface, at: int, surfaces: list[Surface]) -> list[float]:
     """The row of a body, whose first parameter has reference `at`."""
-    for known, other in enumerate(surfaces):
-        if other is surface:
-            break
-    else:
-        known = len(surfaces)
+    known = next((k for k, other in enumerate(surfaces) if other is surface), len(surfaces))
+    if known == len(surfaces):
         surfaces.append(surface)
     sizes = (surface.size, surface.bend, surface.reach)
     return [at, len(surface.parameters), known, surface.sign, *sizes]
@@ -116,7 +113,7 @@ def _surface(surface: Surface, data: _Data) -> list[float]:
     if surface.table_name is not None:
         return [list(SURFACES).index(surface.table_name), *[0.0] * 20]
     flags = 0 if surface.has_implicit else MAY_BE_SINGULAR
-    found = [-1, len(surface.numbers), surface.double_cover, 0, flags]
+    found: list[float] = [-1, len(surface.numbers), surface.double_cover, 0, flags]
     found += [period or 0.0 for period in surface.periods()]
     for table in (*surface.tables.ambient, *surface.tables.chart):
         found.append(0 if table is None else data.numbers(data.table(table)))
@@ -130,7 +127,7 @@ def as_c(data: bytes) -> str:
         ", ".join(f"{x:#x}" for x in words[k : k + 6]) for k in range(0, len(words), 6)
     )
     return (
-        "/* The scene: see model.h. Doubles as their bits, in the order of little-endian machines. */\n"
+        "/* The scene, see model.h: doubles as their bits on little-endian machines. */\n"
         f"static const unsigned long long scene_words[] = {{\n  {rows}}};\n\n"
         "static double *scene_data(const char *resources, size_t *count) {\n"
         "  double *data = malloc(sizeof scene_words);\n"

@@ -209,7 +209,8 @@ _DEGREE = math.degrees(1.0)
 
 def _type_definitions(table: Table, fmi_version: str) -> ET.Element:
     element = ET.Element("TypeDefinitions")
-    for unit in sorted({v.unit for v in table.rows} & QUANTITIES.keys()):
+    used = {v.unit for v in table.rows}
+    for unit in sorted(unit for unit in QUANTITIES if unit in used):
         name = QUANTITIES[unit]
         said = {"quantity": name, "unit": unit_name(unit)}
         if unit[2]:

@@ -10,6 +10,7 @@ from contact_system.checks import flag, function_or_none
 from contact_system.scene import Scene
 
 from . import build
+from .data import scene_data
 from .description import (
     INTERFACES,
     build_description,
@@ -20,7 +21,6 @@ from .description import (
     model_identifier,
 )
 from .documentation import companions
-from .data import scene_data
 from .sources import UNITS, c_sources
 from .validation import problems_of
 from .variables import variable_table

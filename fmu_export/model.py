@@ -75,7 +75,7 @@ def equations(finger: Surface, obj: Surface, law: str, n_profile: int, frames: b
         # where sigma has ended the path rests: solvers look there from within their last step
         ended = polynomial(ca.vertsplit(profile), t) < 0
         own = ca.vertcat(gain, ca.if_else(ended, 0, profile))
-        turn, state = (None, x) if frames else _framed(x)
+        turn, state = (ca.SX(), x) if frames else _framed(x)
         numbers = ca.vertcat(p1, WORK_SIZE), ca.vertcat(p2, WORK_SIZE)
         values = contact_function(finger, obj, form)(t, state, w, ca.SX(0, 1), own, *numbers)
         found = dict(zip(("derivatives", *PER_CONTACT), values))
@@ -207,7 +207,7 @@ def kept_order(surface: Surface) -> list[tuple[int, int]]:
     return found
 
 
-def jacobian(table: Table, point: Sequence[float], constants: Sequence[float]) -> np.ndarray:
+def jacobian(table: Table, point: Any, constants: Any) -> np.ndarray:
     """Derivatives of a table's results by its point and constants, in the engine: (n_out, n)."""
     count, lanes = table.n_in + table.n_const, 16
     r, found = np.zeros(table.n_regs), []

@@ -110,6 +110,7 @@ class _Slave:
 
     _version: str
     _plain: type
+    instantiate: Callable[..., None]
 
     def __init__(
         self,

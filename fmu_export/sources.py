@@ -53,8 +53,9 @@ def c_sources(data: bytes, identifier: str, fmi_version: str) -> dict[str, str]:
     layer = fmi_version[0]
     names = "".join(f"#define {name} {identifier}_{name}\n" for name in SHARED)
     prefix = f"#define FMI2_FUNCTION_PREFIX {identifier}_\n" if layer == "2" else ""
+    engine = '#include "engine.c"\n#include "dispatch.c"\n'
     units = {
-        "kernel.c": f'#define VARIANT baseline\n{names}#include "engine.c"\n#include "dispatch.c"\n',
+        "kernel.c": f"#define VARIANT baseline\n{names}{engine}",
         "fmu.c": f'#define SCENE_INSIDE\n{prefix}{names}#include "fmi{layer}.c"\n',
     }
     found = _texts(layer) | {"scene.inc": as_c(data)} | units

@@ -401,9 +401,10 @@ def _parameter(
 def _window_rows(scene: Scene, at: int) -> Iterator[Variable]:
     """Start, stop and components of each of the scene's disturbances."""
     for k, d in enumerate(scene.disturbances):
-        surface = scene.contacts[d.contact].finger if d.slot == 0 else scene.object
+        i = int(d.contact)
+        surface = scene.contacts[i].finger if d.slot == 0 else scene.object
         units = [_per_second(unit, 2 if d.slot < 2 else 1) for unit in chart_units(surface)]
-        what = f"disturbance of contact {d.contact + 1}, {d.kind}"
+        what = f"disturbance of contact {i + 1}, {d.kind}"
         for j, (name, unit, value) in enumerate(
             (
                 ("start", (0, 1, 0), d.start),
