@@ -285,6 +285,52 @@ def test_a_measured_state_is_gone_on_from_by_the_next_step(name, kind, version):
         close(one.states(), plan.restart(t, measured).states(scene.duration)[0], 1e-12)
 
 
+@of_blocks
+def test_windows_are_parameters_and_can_be_left_out(kind, version):
+    scene = SCENES["K4"]
+    moved = scene.replace(
+        disturbances=[
+            dataclasses.replace(d, start=0.5, value=(0.1, 0.0)) for d in scene.disturbances
+        ]
+    )
+    start = {}
+    for k in range(3):
+        stem = f"disturbance[{k + 1}]."
+        start |= {f"{stem}start": 0.5, f"{stem}u": 0.1, f"{stem}v": 0.0}
+    none = scene.replace(disturbances=())
+    for given, other in ((start, moved), ({"disturbances.scale": 0.0}, none)):
+        one = Instance(scene, kind, version).begin(start=given)
+        one.step(0.8, 1.7)
+        close(one.states(), cs.plan(other, 1e-14).states(2.5)[0])
+
+
+@of_blocks
+def test_sigma_slip_speed_and_what_acts_are_told(kind, version):
+    scene = SCENES["K4"].replace(gain=cs.Gain.time(20.0))
+    one, plan = Instance(scene, kind, version).begin(), cs.plan(scene)
+    names = [f"contact[2].{n}" for n in ("path.speed", "slip_speed", "disturbance.active")]
+    for t in (0.4, 1.3, 2.2):
+        one.step(t - one.time)
+        expected = [scene.profile(t), plan.slip_speed(t)[0, 1], 1 < t < 2]
+        close(one.get(*names), np.array(expected, dtype=float))
+    rate = 20.0 - scene.profile.rate(2.2) / scene.profile(2.2)
+    assert one.get("contact[2].recovery_time")[0] == pytest.approx(math.log(100) / rate, rel=1e-12)
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_model_exchange_says_that_states_changed_where_a_window_begins(version):
+    one = Instance(SCENES["K4"], "FMU", version, "ModelExchange").begin()
+    update = one.own.newDiscreteStates if version == "2.0" else one.own.updateDiscreteStates
+    told = []
+    for t in (0.0, 0.5, 1.0, 2.0, 3.0):
+        if t:
+            one.own.setTime(t)
+            one.own.enterEventMode()
+        told.append(bool(update()[3]))
+        one.own.enterContinuousTimeMode()
+    assert told == [False, False, True, True, False]
+
+
 # --- start values and parameters
 
 

@@ -24,7 +24,7 @@ from fmpy.validation import validate_fmu  # noqa: E402
 from fmu_hosts.blocks import exported  # noqa: E402
 from fmu_hosts.native import Fmu, Program, Unavailable, difference, find_compiler  # noqa: E402
 
-from fmu_export import cli, export_fmu  # noqa: E402
+from fmu_export import build, cli, export_fmu  # noqa: E402
 from fmu_export.build import FMI_HEADERS, PLATFORMS, write_fmu  # noqa: E402
 
 of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
@@ -191,6 +191,22 @@ def test_another_platform_finds_the_same_trajectory(target, version, tmp_path):
     except Unavailable as error:
         pytest.skip(str(error))
     assert difference(fmu.outputs, found, wanted) < 1e-14
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders have no modes")
+def test_a_cache_that_others_may_write_to_is_refused_and_what_was_damaged_is_built_again(
+    tmp_path, monkeypatch
+):
+    pytest.importorskip("ziglang")
+    monkeypatch.setenv("CONTACT_SYSTEM_CACHE", str(tmp_path / "cache"))
+    good = build.library({"one.c": "int one(void) { return 1; }\n"}, "one", "native")
+    assert (tmp_path / "cache").stat().st_mode & 0o777 == 0o700
+    (kept,) = (tmp_path / "cache").glob("*.fmulib")
+    kept.write_bytes(b"")
+    assert build.library({"one.c": "int one(void) { return 1; }\n"}, "one", "native") == good
+    (tmp_path / "cache").chmod(0o777)
+    with pytest.raises(cs.ContactSystemError, match="can be written to by others"):
+        build.library({"two.c": "int two(void) { return 2; }\n"}, "two", "native")
 
 
 # --- the command
