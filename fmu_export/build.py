@@ -15,7 +15,6 @@ import tempfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO
 
 import fmpy
 
@@ -323,8 +322,11 @@ def write_fmu(
     # zip knows the years 1980 to 2107 only
     stamp = min(max(tuple(moment), (1980, 1, 1, 0, 0, 0)), (2107, 12, 31, 23, 59, 58))
     with writing(path) as file:
-        _write_zip(file, files, stamp)
+        data = _zipped(files, stamp)
+        file.write(data)
         file.flush()
+        if Path(file.name).read_bytes() != data:  # a full disk does not always tell
+            raise ContactSystemError(f"{path}: what was written cannot be read back; write again")
         if problems := check(file.name):
             raise ContactSystemError(f"{path}: fmpy's validation says: " + "; ".join(problems))
 
@@ -336,21 +338,21 @@ def _deflated(data: bytes) -> tuple[int, bytes]:
     return zlib.crc32(data), packer.compress(data) + packer.flush()
 
 
-def _write_zip(file: BinaryIO, files: Mapping[str, bytes], moment: Sequence[int]) -> None:
+def _zipped(files: Mapping[str, bytes], moment: Sequence[int]) -> bytes:
     """A zip file by names: zipfile cannot be given what is compressed already."""
     year, month, day, hour, minute, second = moment
     stamp = (hour << 11 | minute << 5 | second // 2, (year - 1980) << 9 | month << 5 | day)
-    at, entries = 0, []
+    at, parts, entries = 0, [], []
     for name in sorted(files):
         crc, data = _deflated(files[name])
         word = name.encode()
         # version 2.0, names in UTF-8, deflated
         said = struct.pack("<HHHHHIII", 20, 0x800, 8, *stamp, crc, len(data), len(files[name]))
         said += struct.pack("<HH", len(word), 0)
-        file.write(b"PK\3\4" + said + word + data)
+        parts.append(b"PK\3\4" + said + word + data)
         tail = struct.pack("<HHHII", 0, 0, 0, 0o100644 << 16, at)
         entries.append(b"PK\1\2" + struct.pack("<H", 3 << 8 | 20) + said + tail + word)
         at += 30 + len(word) + len(data)
     count, directory = len(entries), b"".join(entries)
     end = struct.pack("<HHHHIIH", 0, 0, count, count, len(directory), at, 0)
-    file.write(directory + b"PK\5\6" + end)
+    return b"".join([*parts, directory, b"PK\5\6", end])

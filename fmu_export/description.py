@@ -88,15 +88,20 @@ def model_description(
     variables.extend(_variable(v, fmi_version) for v in listed(table, fmi_version))
     root.append(_structure(table, fmi_version))
     token = "guid" if fmi_version == "2.0" else "instantiationToken"
-    root.set(token, _digest(root, table.scene))
+    root.set(token, _TOKEN)
     if fmi_version == "2.0" and sources:
         for interface in interfaces:
             element = root.find(interface)
             assert element is not None  # _interface has made it
             files = ET.SubElement(element, "SourceFiles")
             files.extend(ET.Element("File", name=name) for name in sources)
-    root.set("generationDateAndTime", generation_text())
-    return xml_text(root)
+    root.set("generationDateAndTime", _DATE)
+    text = xml_text(root)
+    named = text.replace(_TOKEN, _digest(text, table.scene), 1)
+    return named.replace(_DATE, generation_text(), 1)
+
+
+_TOKEN, _DATE = "{the token}", "{the date}"  # before the text is known; the head comes first
 
 
 def check_choice(fmi_version: str, interfaces: Iterable[str]) -> tuple[str, ...]:
@@ -379,12 +384,11 @@ def terminals(table: Table) -> str:
     return xml_text(root)
 
 
-def _digest(root: ET.Element, scene: Scene) -> str:
+def _digest(text: str, scene: Scene) -> str:
     """Of all that is described, and of what is not: equations of the surfaces and windows."""
     surfaces = [scene.object, *(contact.finger for contact in scene.contacts)]
     behind = ([(s.structure, s.inside) for s in surfaces], scene.gain, tuple(scene.disturbances))
-    text = ET.tostring(root) + repr(behind).encode()
-    return "{" + hashlib.sha256(text).hexdigest()[:32] + "}"
+    return "{" + hashlib.sha256((text + repr(behind)).encode()).hexdigest()[:32] + "}"
 
 
 def xml_text(root: ET.Element) -> str:
