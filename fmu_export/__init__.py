@@ -9,6 +9,7 @@ except ImportError as error:
     ) from error
 
 from .export import export_fmu
+from .reference import check_fmu
 from .slave import PlannerSlave2, PlannerSlave3, in_process, write_description
 from .ssp import export_ssp
 from .variables import Table, Variable, variable_table
@@ -18,6 +19,7 @@ __all__ = [
     "PlannerSlave3",
     "Table",
     "Variable",
+    "check_fmu",
     "export_fmu",
     "export_ssp",
     "in_process",

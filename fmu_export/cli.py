@@ -13,6 +13,7 @@ from contact_system.cli import Progress, file_name, paragraph
 from .build import PLATFORMS
 from .description import INTERFACES, VERSIONS
 from .export import export_fmu
+from .reference import check_fmu
 from .variables import STATES
 
 
@@ -46,6 +47,9 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "--measured", action="store_true", help="inputs of measured states to go on from"
     )
+    parser.add_argument(
+        "--check", action="store_true", help="run the file against the results inside it"
+    )
     parser.set_defaults(run=run)
 
 
@@ -57,6 +61,8 @@ def run(args: argparse.Namespace) -> int:
         described = {name: getattr(args, name) for name in ("states", "arrays", "measured")}
         chosen = (args.fmi, args.interfaces, args.platforms, progress.step)
         export_fmu(scene, path, *chosen, **described)
+    if args.check:
+        print(f"{path} is within {check_fmu(path):.1e} of its reference results")
     print(
         paragraph(
             f"wrote {path}: {path.stat().st_size / 1000:.0f} kB, FMI {args.fmi}, "

@@ -21,6 +21,7 @@ from .description import (
     model_identifier,
 )
 from .documentation import companions
+from .reference import reference_files
 from .sources import UNITS, c_sources
 from .validation import problems_of
 from .variables import variable_table
@@ -87,7 +88,7 @@ def export_fmu(
     files["resources/scene.bin"] = data
     files["sources/buildDescription.xml"] = build_description(table, UNITS).encode()
     files["modelDescription.xml"] = description.encode()
-    files |= companions(table, fmi_version)
+    files |= companions(table, fmi_version) | reference_files(scene)
     for platform in platforms:
         tell(f"taking the library for {platform}")
         files[build.library_place(name, platform, fmi_version)] = build.engine(platform, name)

@@ -24,7 +24,7 @@ from fmpy.validation import validate_fmu  # noqa: E402
 from fmu_hosts.blocks import exported  # noqa: E402
 from fmu_hosts.native import Fmu, Program, Unavailable, difference, find_compiler  # noqa: E402
 
-from fmu_export import build, cli, export_fmu  # noqa: E402
+from fmu_export import build, check_fmu, cli, export_fmu  # noqa: E402
 from fmu_export.build import FMI_HEADERS, PLATFORMS, write_fmu  # noqa: E402
 
 of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
@@ -231,6 +231,20 @@ def test_command_writes_a_valid_fmu_and_says_so(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     command("K1")
     assert (tmp_path / "K1.fmu").exists() and "wrote K1.fmu" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", cs.bundled_scenes())
+def test_every_scene_agrees_with_the_results_that_its_file_holds(name, tmp_path, capsys):
+    path = tmp_path / f"{name}.fmu"
+    assert command(name, "-o", str(path), "--check") == 0
+    assert "of its reference results" in capsys.readouterr().out
+    with zipfile.ZipFile(path) as archive:
+        files = {n: archive.read(n) for n in archive.namelist()}
+    results = next(n for n in files if n.endswith("reference.csv"))
+    files[results] = files[results].replace(b",0.0", b",0.1", 9)
+    write_fmu(path, files, (2026, 1, 1, 0, 0, 0))
+    with pytest.raises(cs.ContactSystemError, match="off its reference results by"):
+        check_fmu(path)
 
 
 def test_the_file_of_any_name_can_be_written_on_any_system(monkeypatch, tmp_path):

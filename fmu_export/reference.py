@@ -1,0 +1,93 @@
+"""Reference results inside an FMU: what the exact plan says, for the file to be run against.
+
+They stand where layered standards put their files (FMI 3.0.2, section 2.5.1.5), under the name that
+the draft of FMI-LS-REF has.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import zipfile
+from typing import Any
+
+import fmpy
+import numpy as np
+
+from contact_system.errors import ContactSystemError
+from contact_system.plan import plan
+from contact_system.scene import Scene
+
+FOLDER = "extra/org.fmi-standard.fmi-ls-ref/"
+ROWS = 51  # times, from the beginning to the end of the scene
+RESULTS = {"points": ("finger.point", "object.point"), "twist": ("twist.angular", "twist.linear")}
+"""Of `Plan.evaluate`, those that exist at poles too, and the variables that they are."""
+MANIFEST = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiLayeredStandardManifest xmlns:fmi-ls="http://fmi-standard.org/fmi-ls-manifest"
+  fmi-ls:fmi-ls-name="org.fmi-standard.fmi-ls-ref" fmi-ls:fmi-ls-version="0.1.0-draft"
+  fmi-ls:fmi-ls-description="Reference results of the default experiment: reference.csv"/>
+"""
+
+
+def reference_files(scene: Scene) -> dict[str, bytes]:
+    """File name inside the FMU -> bytes."""
+    times = np.linspace(0.0, scene.duration, ROWS)
+    found = plan(scene, 1e-14).evaluate(times, *RESULTS)
+    names, columns = ["time"], [times]
+    for i in range(len(scene.contacts)):
+        for result, variables in RESULTS.items():
+            values = found[result][:, i].reshape(ROWS, -1)
+            names += [f"contact[{i + 1}].{v}.{axis}" for v in variables for axis in "xyz"]
+            columns += [*values.T]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(np.transpose(columns).tolist())
+    return {
+        f"{FOLDER}fmi-ls-manifest.xml": MANIFEST.encode(),
+        f"{FOLDER}reference.csv": text.getvalue().encode(),
+    }
+
+
+def check_fmu(path: str | os.PathLike, bar: float = 1e-10) -> float:
+    """Run an FMU's Co-Simulation by fmpy against the reference results inside it.
+
+    Parameters
+    ----------
+    path : path
+    bar : float
+        Of the greatest difference, as a fraction of the greatest value of its variable.
+
+    Returns
+    -------
+    float
+        That difference.
+
+    Raises
+    ------
+    ContactSystemError
+        It is greater than the bar, or there are no reference results.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            text = archive.read(f"{FOLDER}reference.csv").decode()
+    except (OSError, KeyError, zipfile.BadZipFile) as error:
+        raise ContactSystemError(f"{path}: no reference results can be read: {error}") from None
+    names, *rows = csv.reader(io.StringIO(text))
+    wanted = np.array(rows, dtype=float)
+    given: dict[str, Any] = {"stop_time": wanted[-1, 0], "output_interval": wanted[1, 0]}
+    arrays = [v.name for v in fmpy.read_model_description(str(path)).modelVariables if v.dimensions]
+    if arrays:
+        raise ContactSystemError(f"{path}: its variables are arrays; check it without arrays=True")
+    result = fmpy.simulate_fmu(str(path), fmi_type="CoSimulation", output=names[1:], **given)
+    found = np.stack([result[name] for name in names], axis=1)
+    if found.shape != wanted.shape:
+        raise ContactSystemError(f"{path}: {len(found)} rows came out instead of {len(wanted)}")
+    sizes = np.maximum(np.abs(wanted).max(axis=0), 1e-3)
+    worst = float((np.abs(found - wanted) / sizes).max())
+    if not worst <= bar:
+        raise ContactSystemError(
+            f"{path}: off its reference results by {worst:.2g}, more than {bar:g}"
+        )
+    return worst
