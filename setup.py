@@ -81,7 +81,9 @@ def this_platform() -> str:
 PLATFORM = os.environ.get("CONTACT_SYSTEM_PLATFORM") or this_platform()
 LIBRARY = ENGINE / f"_engine{ {'mac': '.dylib', 'win': '.dll'}.get(PLATFORM[:3], '.so') }"
 NAME = f"-Wl,-install_name,@rpath/{LIBRARY.name}" if LIBRARY.suffix == ".dylib" else "-s"
-LINKING = ["-shared", "-lm", *([] if "-g" in EXTRA else [NAME])]
+# Bsymbolic: of two FMUs in one process each uses its own engine, whatever the other exports.
+OWN = ["-Wl,-Bsymbolic"] * (LIBRARY.suffix == ".so")
+LINKING = ["-shared", "-lm", *OWN, *([] if "-g" in EXTRA else [NAME])]
 
 
 def works(*command: str) -> bool:

@@ -261,6 +261,8 @@ def _command(name: str, target: str) -> list[str]:
     _, _, suffix, triple = _platform(target)
     link = LINK_FLAGS[: 1 if suffix == ".dylib" else 2]
     flags = [*FLAGS, *link] + ["-fPIC"] * (suffix != ".dll")
+    if suffix == ".so":
+        flags.append("-Wl,-Bsymbolic")  # its own engine, whatever another FMU exports
     if suffix == ".dylib":
         flags.append(f"-Wl,-install_name,@rpath/{name}{suffix}")
     compiler = find_compiler()
