@@ -22,6 +22,7 @@ from contact_system.kept import kept
 from contact_system.scene import Contact, Scene, require_scene
 from contact_system.surfaces import Quadric, Surface, UserSurface
 from contact_system.system import SceneSystem
+from contact_system.theory.gain import LAWS
 
 from .model import (
     CHART_STATES,
@@ -49,7 +50,6 @@ _PLAIN_CHARTS = {
     "EllipticCylinderChart": (RADIAN, METRE),
     "HyperbolicCylinderChart": (RADIAN, METRE),
 }
-_GAIN_UNITS = {"path": (-2, 1, 0), "time": (0, -1, 0), "guaranteed": (0, -1, 0)}
 
 
 @dataclass(frozen=True)
@@ -383,7 +383,8 @@ def _parameter(
     unit: Unit | None = METRE
     variability, low, nominal, text = "fixed", None, None, f"Surface of {owner}: {last}"
     if owner == "gain":
-        unit, low = _GAIN_UNITS[scene.gain.law], 0.0
+        power = LAWS[scene.gain.law].power  # lam = gain sigma^power, 1/s
+        unit, low = (-power, power - 1, 0), 0.0
         variability, text = "tunable", f"Gain of the law '{scene.gain.law}'"
     elif owner == "disturbances":
         unit, text = NONE, "Factor of the scene's own disturbances; 0 leaves them out"
