@@ -15,8 +15,7 @@ ziglang package, which pip fetches then. $CONTACT_SYSTEM_CFLAGS adds flags. For 
 - fmu_export/c/fmi2.c and fmi3.c, which include the rest of that folder, are the functions of FMI:
   the library is the binary of every FMU too.
 - Only what is marked EXPORT is seen from outside. At run time there are libc and libm alone.
-- Products and sums are contracted where the processor does both at once, in v3 and v4: a sixth
-  faster, and rounded once instead of twice. So results differ between variants by rounding.
+- Products and sums are not contracted, so that a table and its twin give the same bits.
 - ziglang's compiler has a sin, an exp and so on of its own, less exact than libm's. Whatever needs
   its library (__builtin_cpu_supports, divisions of __int128) draws in all of it.
 """
@@ -55,7 +54,7 @@ PLATFORMS = {
 
 FLAGS = shlex.split(
     "-std=gnu99 -O3 -fPIC -fvisibility=hidden -fopenmp-simd "
-    "-ffp-contract=fast -fno-math-errno -fno-trapping-math"
+    "-ffp-contract=off -fno-math-errno -fno-trapping-math"
 )
 EXTRA = shlex.split(os.environ.get("CONTACT_SYSTEM_CFLAGS", ""))
 

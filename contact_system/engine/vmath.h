@@ -1,5 +1,6 @@
-/* Elementary functions on lanes: without branches, so that compilers vectorise them. After Cephes
-   (Moshier, netlib.org/cephes); errors below 2 ulp. */
+/* Elementary functions on lanes: without branches, so that compilers vectorise them, and the same
+   to the last bit on every machine. After Cephes (Moshier, netlib.org/cephes); errors below 2 ulp.
+ */
 #include <math.h>
 #include <string.h>
 

@@ -260,7 +260,7 @@ static void series_at(const double *c, int64_t rows, const double *xi, lanes_t y
     series_some(c, 1, xi, y);
 }
 
-/* In eight sums, which fill a vector of any width */
+/* In eight sums whatever the vectors' width: the same to the last bit on all processors */
 static inline double dot(const double *a, const double *b) {
   double s[8];
   SIMD for (int i = 0; i < 8; i++) s[i] = a[i] * b[i] + a[8 + i] * b[8 + i];

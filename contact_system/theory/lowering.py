@@ -319,7 +319,7 @@ class Table:
         """C text that does to registers r what the body does; None where it is not that simple.
 
         A loop over the lanes in which values live in the processor's registers; every operation is
-        the table's, so that both agree to rounding.
+        the table's, so that both give the same bits.
         """
         literals = range(self.first_lit, self.first_lit + len(self.literals))
         results = range(self.first_out, self.first_out + self.n_out)
