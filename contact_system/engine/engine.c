@@ -100,9 +100,10 @@ static int evaluate(const plan_t *plan, int64_t n, const double *t, double *cons
 }
 
 static int look(plan_t *plan, double t, double *const *out, failure_t *failure) {
-  work_t *w = plan->kept;
   if (!(t >= plan->begin && t <= plan->end)) return (int)(failure->code = OUTSIDE);
-  if (!w && !(w = plan->kept = calloc(1, sizeof *w))) return (int)(failure->code = NO_MEMORY);
+  if (!plan->kept) plan->kept = calloc(1, sizeof *plan->kept);
+  if (!plan->kept) return (int)(failure->code = NO_MEMORY);
+  work_t *const w = plan->kept;
   memset(failure, 0, sizeof *failure);
   w->plan = plan, w->failure = failure;
   if (setjmp(w->jump) == 0)
