@@ -99,7 +99,8 @@ class Buffer:
         for i, (contact, start) in enumerate(zip(scene.contacts, given)):
             own = windows.get(i, ())
             at = self._put([x for d in own for x in (d.slot, d.start, d.stop, *d.value)])
-            legs = ways.get(contact.legs) or ways.setdefault(contact.legs, self._way(scene.way(i)))
+            if contact.legs not in ways:
+                ways[contact.legs] = self._way(contact.way(scene.profile, scene.duration))
             if isinstance(start, Moment):
                 goes_on, frame_1, frame_2 = 1, start.finger_frame[:6], start.object_frame[:6]
                 numbers: Numbers = (*start.finger_at, *start.object_at, start.angle)
@@ -109,7 +110,7 @@ class Buffer:
                 u1, v1, u2, v2, *others = start
                 numbers = (u1, v1, 0.0, u2, v2, 0.0, *others)
             which = bool(frame_1) + 2 * bool(frame_2)
-            state = (goes_on, contact.follows, which, at, len(own), *legs, *numbers)
+            state = (goes_on, contact.follows, which, at, len(own), *ways[contact.legs], *numbers)
             frames = (*(frame_1 or _NO_FRAME), *(frame_2 or _NO_FRAME))
             rows.append(_ROW(*self._body(contact.finger), *state, *frames))
         return rows
@@ -121,7 +122,10 @@ def _windows(scene: Scene, begin: float) -> dict[int, list[Disturbance]]:
     for d in scene.disturbances:
         if d.stop > begin:
             found.setdefault(int(d.contact), []).append(d)
+    moves = not (found and scene.profile.zeros(scene.duration))
     for contact, own in found.items():
+        if moves and not scene.contacts[contact].legs:
+            continue
         for d in own:
             if d.accelerates and any(d.value):
                 refuse_rest(scene, contact, max(d.start, begin), d.stop)

@@ -22,7 +22,6 @@ from .buffer import Buffer
 from .checks import FLOAT, a_path, did_you_mean, flag, naming, real_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .motion import SHAPES, Motion
-from .saved import checked_start, digest, read_plan
 from .scene import Scene, acting, require_scene, scene_from_toml, scene_to_toml
 from .starts import Starts, covers_twice, measured_start, on_branch
 from .writing import writing
@@ -377,6 +376,8 @@ class Plan:
 
     def _write(self, file: BinaryIO, ending: str, t: np.ndarray) -> None:
         if ending == ".npz":
+            from .saved import digest  # archives are slow to import
+
             header = {
                 "tolerance": self.tolerance,
                 "method": self.method,
@@ -524,6 +525,8 @@ def load(path: str | os.PathLike) -> Plan:
         If the file cannot be read, is not such a plan, is damaged, or is beyond a limit of
         `contact_system.limits`.
     """
+    from .saved import checked_start, read_plan  # archives are slow to import
+
     path = a_path(path)
     text, header = read_plan(path)
     scene = scene_from_toml(text, source=str(path))

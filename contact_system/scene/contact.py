@@ -17,7 +17,7 @@ from ..checks import finite_number, finite_numbers, is_plain, within
 from ..errors import SceneError
 from ..surfaces import Surface
 from ..theory.profile import Numbers, Profile
-from .legs import Leg
+from .legs import Leg, Stretch, stretches
 
 Pair = tuple[float, float]
 
@@ -179,6 +179,12 @@ class Contact:
             given = rolled(self.angle, own) if given == ROLLING else (0.0, 0.0)
         (u1, v1), (u2, v2) = self.finger_at, self.object_at
         return u1, v1, u2, v2, self.angle, own[0], own[1], given[0], given[1]
+
+    def way(self, profile: Profile, duration: float) -> tuple[Stretch, ...]:
+        """sigma leg by leg on a horizon [s]; without legs the profile's."""
+        if self.legs:
+            return stretches(self.legs, duration)
+        return (Stretch(0.0, duration, 0.0, profile),)
 
     @property
     def follows(self) -> bool:

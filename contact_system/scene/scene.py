@@ -23,7 +23,7 @@ from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
 from .contact import MANY_TURNS, Contact, Pair, Turning, a_surface, a_text, all_of
 from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
-from .legs import STILL, Leg, Stretch, check_legs, stretches
+from .legs import STILL, Leg, Stretch, check_legs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,9 +148,7 @@ class Scene:
 
     def way(self, contact: int) -> tuple[Stretch, ...]:
         """sigma of a contact, leg by leg; of one without legs the scene's profile."""
-        if legs := self.contacts[contact].legs:
-            return stretches(legs, self.duration)
-        return (Stretch(0.0, self.duration, 0.0, self.profile),)
+        return self.contacts[contact].way(self.profile, self.duration)
 
     def _check_parts(self) -> None:
         """Types, and everything into its plain immutable form."""
