@@ -84,8 +84,8 @@ import contact_system
 def first():
     return answer(globals()[sys.argv[1]](0.2))
 
-print("ready", flush=True)
 try:
+    print("ready", flush=True)
     first()
     time.sleep(5.0)
     sys.exit("Ctrl-C was lost")
