@@ -14,6 +14,7 @@ from scipy.integrate import OdeSolution, solve_ivp
 
 from .checks import naming, within
 from .errors import ContactSystemError, SceneError
+from .machine import Machine
 from .motion import SHAPES, passed
 from .scene import Scene
 from .starts import Start, Starts, scene_start
@@ -46,21 +47,29 @@ class ChartMotion:
                 f"t = {zeros[0]:g} s; use the default method, which does not"
             )
         given = starts or [scene_start(contact) for contact in scene.contacts]
-        spent = itertools.count(1)  # evaluations by all contacts
-        self._contacts = [
-            ChartContact(scene, i, start, begin, tolerance, solver, spent)
-            for i, start in enumerate(given)
-            if isinstance(start, Start)
-        ]
+        self._asked, self._starts = (scene, tolerance, begin, solver), given
+        self._contacts: list[ChartContact] = []
+
+    def solve(self) -> list[ChartContact]:
+        """Integrate all contacts, if that has not been done."""
+        if not self._contacts:
+            spent = itertools.count(1)  # evaluations by all contacts
+            self._contacts = [
+                ChartContact(*self._asked, i, start, spent)
+                for i, start in enumerate(self._starts)
+                if isinstance(start, Start)
+            ]
+        return self._contacts
 
     def evaluate(self, t: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
         """What is asked for at times inside the horizon: (n_times, n_contacts, ...)."""
-        return {name: np.stack([c.result(name, t) for c in self._contacts], 1) for name in names}
+        contacts = self.solve()
+        return {name: np.stack([c.result(name, t) for c in contacts], 1) for name in names}
 
     def lines(self) -> list[str]:
         """How each contact was integrated."""
         lines = []
-        for i, contact in enumerate(self._contacts):
+        for i, contact in enumerate(self.solve()):
             lines.append(f"contact {i}:")
             lines += [f"  {side} {told}" for side in ("finger", "object") for told in contact.told]
         return lines
@@ -72,11 +81,11 @@ class ChartContact:
     def __init__(
         self,
         scene: Scene,
+        tolerance: float,
+        begin: float,
+        solver: str,
         index: int,
         start: Start,
-        begin: float,
-        tolerance: float,
-        solver: str,
         spent: Iterator[int],
     ):
         contact, self._where = scene.contacts[index], f"{scene.title}, contact {index}"
@@ -103,15 +112,21 @@ class ChartContact:
     ) -> OdeSolution:
         """From edge to edge, each with what then acts."""
         what = f"{self._where}: {solver}: evaluations of the plan's chart equations"
-        rate, p = self._system.function("derivatives"), self._system.parameters
+        machine = Machine(self._system, "derivatives")
         state, held = self._system.place(float(self._edges[0]), [start])
+        ends = np.cumsum([1, len(state), self._system.n_w])
+        time, place, pushes, kept = np.split(machine.point, ends)
+        kept[:] = held
         times, steps = [self._edges[0]], []
         tolerances = {"rtol": max(tolerance, 3e-14), "atol": tolerance}
         for a, b, acting in zip(self._edges, self._edges[1:], self._acting):
+            pushes[:] = acting
 
-            def f(t: float, x: np.ndarray, acting: np.ndarray = acting) -> np.ndarray:
+            def f(t: float, x: np.ndarray) -> np.ndarray:
                 within("EVALUATIONS", next(spent), what)
-                return rate(t, x, acting, held, p).full().ravel()
+                time[0], place[:] = t, x
+                machine.run()
+                return machine.results[0].copy()
 
             with np.errstate(under="ignore"):  # of the spacing of doubles at t = 0
                 found = solve_ivp(f, (a, b), state, solver, dense_output=True, **tolerances)

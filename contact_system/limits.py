@@ -19,8 +19,9 @@ WINDOWS = 10_000
 PANELS = 500_000
 """Panels that all contacts of a plan take together, those that were tried and shortened included:
 5 to 20 us and up to 2 kB each."""
-EVALUATIONS = 100_000
-"""Of the chart equations in a plan of ``method="chart"``, some 0.2 ms each."""
+EVALUATIONS = 120_000
+"""Of the chart equations in a plan of ``method="chart"``: 10 us each, and up to 100 us of an
+implicit solver's own."""
 PLAN_BYTES = 5e7
 """What a saved plan's restart data unpack to."""
 ARCHIVE_DIRECTORY = 2e6

@@ -94,6 +94,7 @@ class Plan:
         compiled: bool | None,
         start: float,
         starts: Starts | None,
+        now: bool = True,
     ):
         if method not in METHODS:
             raise SceneError(f"method = {method!r}: use one of {', '.join(METHODS)}")
@@ -108,15 +109,18 @@ class Plan:
         self.scene, self.tolerance, self.method = scene, tolerance, method
         self.solver, self.start, self.starts = solver, start, starts
         self.end = scene.duration
-        self._motion = self._planned()
+        self._motion = self._planned(now)
 
-    def _planned(self) -> Any:
+    def _planned(self, now: bool) -> Any:
         if self.method == "auto":
             buffer = Buffer(self.scene, self.tolerance, self.start, self.starts)
             return Motion(self.scene, buffer)
         from .chart_solution import ChartMotion  # scipy, which only this method needs
 
-        return ChartMotion(self.scene, self.tolerance, self.start, self.starts, self.solver)
+        motion = ChartMotion(self.scene, self.tolerance, self.start, self.starts, self.solver)
+        if now:
+            motion.solve()
+        return motion
 
     def __reduce__(self) -> tuple:
         """What is pickled and copied: what the plan is made from, as in :meth:`save`."""
@@ -517,7 +521,8 @@ def require_plan(given: Any) -> None:
 def load(path: str | os.PathLike) -> Plan:
     """Read a plan saved as .npz and plan it again from the scene inside.
 
-    What it gives is the same to the last bit. ``numpy.load`` alone reads the sampled results.
+    What it gives is the same to the last bit. One of ``method="chart"``, which may take seconds, is
+    planned when it is first asked. ``numpy.load`` alone reads the sampled results.
 
     Raises
     ------
@@ -533,4 +538,5 @@ def load(path: str | os.PathLike) -> Plan:
     with naming(str(path)):
         start, starts = checked_start(header, scene)
         tolerance, method, solver = (header[key] for key in ("tolerance", "method", "solver"))
-        return Plan(scene, tolerance, method, solver, None, start, starts)
+        now = method != "chart"
+        return Plan(scene, tolerance, method, solver, None, start, starts, now)

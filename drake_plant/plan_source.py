@@ -10,12 +10,12 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from contact_system import Plan, SceneError, SceneSystem
 from contact_system.engine.binding import run
+from contact_system.machine import lowered
 from contact_system.plan import require_plan
 from contact_system.theory.development import moving
 
 from .lifetimes import NO_DICTIONARY, array_entry
 from .planner_system import PlannerBase, scene_system
-from .scratch import lowered
 
 Array = np.ndarray
 
