@@ -1,4 +1,4 @@
-"""Processes: a fork while threads plan, and Ctrl-C while a user's formula is read."""
+"""Processes: forks while threads plan, Ctrl-C while a formula is read, odd surroundings."""
 
 from __future__ import annotations
 
@@ -78,3 +78,33 @@ def test_ctrl_c_stops_a_users_endless_function_and_the_next_plan_is_right():
 @pytest.mark.skipif(sys.platform == "win32", reason="os.kill ends a process on Windows")
 def test_ctrl_c_stops_plans_of_new_formulas():
     assert _ends_well(CTRL_C)
+
+
+SAVED = """
+with __import__("tempfile").TemporaryDirectory(dir=".") as folder:
+    made = cs.plan(cs.load_scene("K4"))
+    made.save(f"{folder}/plan.npz", [0.0])
+    again = cs.load(f"{folder}/plan.npz").states([0.0, 1.0])
+sys.exit((again != made.states([0.0, 1.0])).any() or not plan(0.05))
+"""
+
+
+@pytest.mark.parametrize(
+    ("options", "environment"),
+    [
+        ([], {"LC_ALL": "C"}),
+        ([], {"LC_ALL": "C", "HOME": "/nowhere", "TMPDIR": "/nowhere"}),
+        (["-O"], {}),
+        (["-W", "error"], {}),
+    ],
+    ids=["no HOME, no TMPDIR", "wrong ones", "-O", "-W error"],
+)
+def test_plans_are_made_saved_and_read_in_odd_surroundings(tmp_path, options, environment):
+    kept = {name: os.environ[name] for name in ("PATH", "PYTHONPATH") if name in os.environ}
+    if sys.platform == "win32":  # a process without it does not start
+        kept["SYSTEMROOT"] = os.environ["SYSTEMROOT"]
+    command = [sys.executable, *options, "-c", PLAN + SAVED]
+    done = subprocess.run(
+        command, check=False, timeout=60, cwd=tmp_path, env=kept | environment, capture_output=True
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
