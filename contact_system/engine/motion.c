@@ -335,11 +335,13 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
     return 0;
   }
   const double error = close_panel(w, m, half, x, f, out, end);
-  /* an error below 1e-30 says no more than one of 1e-30 */
-  const double ratio = 0.9 * pow(m->tolerance / fmax(error, 1e-30), 1.0 / L);
+  /* an error below 1e-30 says no more than one of 1e-30; where a panel is too long, errors fall
+     faster with its length than at order L */
+  const int fits = error <= m->tolerance;
+  const double ratio = 0.9 * pow(m->tolerance / fmax(error, 1e-30), 1.0 / (fits ? L : 1.5 * L));
   s->span = span, s->before = out;
-  if (!(error <= m->tolerance)) {
-    s->h = span * (ratio > 0.35 ? (ratio < 0.8 ? ratio : 0.8) : 0.35), s->begins = 1;
+  if (!fits) {
+    s->h = span * fmin(fmax(ratio, 0.35), 0.8), s->begins = 1;
     return 0;
   }
   double far = 1e-30; /* sizes that the panel spans */

@@ -27,6 +27,7 @@ from .sphere import PolarChart
 
 CELLS = 32  # in each coordinate, of the grid on which a nearest point is first sought
 NEAR = 1e-9  # of the size: so near are points that are one
+SETTLED = 4 * np.finfo(float).eps  # of a distance: a last step of Newton's method
 TRIES = 4  # so many of its points may lead to it
 
 
@@ -467,20 +468,9 @@ class ImplicitSurface(UserSurface):
         ray = np.stack(
             [np.sin(u) * np.cos(turned), np.sin(u) * np.sin(turned), np.cos(u)], axis=-1
         ).reshape(-1, 3)
-        reach = self._bracket(ray, u.ravel(), v.ravel())
-        low, t, step = np.zeros_like(reach), reach, np.full_like(reach, np.inf)
-        for _ in range(200):
-            level, slope = self._along(ray, t)
-            low, reach = np.where(level < 0, t, low), np.where(level >= 0, t, reach)
-            with np.errstate(all="ignore"):
-                trial = t - level / slope
-            inside = (trial >= low) & (trial <= reach) & np.isfinite(slope)
-            falls = np.abs(trial - t) <= 0.5 * step  # else Newton's method may creep, as on x**1000
-            trial = np.where(inside & falls, trial, (low + reach) / 2)
-            step, t = np.abs(trial - t), trial
-            if np.all(step <= 4 * np.finfo(float).eps * t):
-                break
-        else:
+        with np.errstate(all="ignore"):
+            t, step = self._left(ray, *self._bracket(ray, u.ravel(), v.ravel()))
+        if not np.all(step <= SETTLED * t):
             i = int(np.argmax(step / t))
             raise SurfaceError(
                 f"{self!r}: the point at (u, v) = ({u.ravel()[i]:.9g}, {v.ravel()[i]:.9g}) is not "
@@ -488,8 +478,26 @@ class ImplicitSurface(UserSurface):
             )
         return (np.array(self.center) + t[:, None] * ray).reshape((*u.shape, 3))
 
-    def _bracket(self, ray: Array, u: Array, v: Array) -> Array:
-        """Return for each ray a distance beyond the surface."""
+    def _left(self, ray: Array, reach: Array, level: Array, slope: Array) -> tuple[Array, Array]:
+        """Return where rays leave the body, and the last steps to there, m.
+
+        reach : beyond the surface, where the level function and its slope are these
+        """
+        low, t, step = np.zeros_like(reach), reach, np.full_like(reach, np.inf)
+        for _ in range(200):
+            low, reach = np.where(level < 0, t, low), np.where(level >= 0, t, reach)
+            trial = t - level / slope
+            inside = (trial >= low) & (trial <= reach) & np.isfinite(slope)
+            falls = np.abs(trial - t) <= 0.5 * step  # else Newton's method may creep, as on x**1000
+            trial = np.where(inside & falls, trial, (low + reach) / 2)
+            step, t = np.abs(trial - t), trial
+            if np.all(step <= SETTLED * t):
+                break
+            level, slope = self._along(ray, t)
+        return t, step
+
+    def _bracket(self, ray: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Return for each ray a distance beyond the surface, the level there and its slope."""
         level, _ = self._along(ray, np.zeros(len(ray)))
         if np.any(~(level < 0)):
             raise SurfaceError(
@@ -498,9 +506,10 @@ class ImplicitSurface(UserSurface):
             )
         reach = np.full(len(ray), self.size)
         for _ in range(40):
-            within = ~(self._along(ray, reach)[0] > 0)
+            level, slope = self._along(ray, reach)
+            within = ~(level > 0)
             if not np.any(within):
-                return reach
+                return reach, level, slope
             reach = np.where(within, 2 * reach, reach)
         i = int(np.argmax(within))
         raise SurfaceError(
