@@ -26,7 +26,7 @@ SECTIONS: Sections = {
     f"{part.__name__.split('.')[-1]}: {name}": section
     for part in (first, fresh, many, work_precision, accuracy)
     for name, section in part.SECTIONS.items()
-    if name not in ("page", "skipped")
+    if name != "page"
 }
 SECTIONS |= {f"stress: {name}": section for name, section in stress.SECTIONS.items()}
 SECTIONS["lines"] = lines

@@ -12,8 +12,6 @@ STYLES = {
     "ours": ("crimson", "o"),
     "heyoka": ("tab:blue", "s"),
     "CVODES": ("tab:green", "v"),
-    "scipy": ("tab:gray", "^"),
-    "geographiclib": ("tab:brown", "P"),
 }
 
 

@@ -13,13 +13,12 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from oracles.load import load, scene_of
 
 import contact_system as cs
 
-from .accuracy import reference_error, rolled
+from .accuracy import reference_error
 from .many import OUTPUTS
 from .peers import decades, heyokas
 from .problems import Problem, chart, geodesic_scene, no_slip, sizes_of
@@ -153,59 +152,9 @@ def eta(full: bool) -> Iterator[Bar]:
         yield Bar(name, 1.5, times[most] / times[least], "x", note=note)
 
 
-def as_chart(surface: cs.Surface) -> cs.ParametricSurface:
-    """The surface as a chart of which nothing is known, so without closed forms."""
-
-    def f(u: ca.SX, v: ca.SX, **given: ca.SX) -> ca.SX:
-        return surface.chart_expr(ca.vertcat(*given.values()), u, v)
-
-    parameters = {f"p{i}": value for i, value in enumerate(surface.parameters)}
-    known = dict(zip(("u_period", "v_period"), surface.periods()), size=surface.size)
-    return cs.ParametricSurface(f, parameters=parameters, **known)
-
-
-def full_dress(scene: cs.Scene) -> cs.Scene:
-    """The same motion on charts, every contact disturbed in all ways, too little to be seen.
-
-    Imposed rolling becomes a finger velocity. Windows leave out a hundredth of the horizon at both
-    ends, where sigma may be 0.
-    """
-    contacts = []
-    for contact in scene.contacts:
-        given = contact.finger_velocity
-        if given == "rolling":
-            given = tuple(rolled(contact.angle, np.array(contact.object_velocity)))
-        changes = {"finger": as_chart(contact.finger), "finger_velocity": given}
-        contacts.append(dataclasses.replace(contact, **changes))
-    window = 0.01 * scene.duration, 0.99 * scene.duration, (1e-13, 1e-13)
-    kinds = (cs.FingerAcceleration, cs.ObjectAcceleration, cs.ObjectRateOffset)
-    disturbances = [kind(i, *window) for i in range(len(contacts)) for kind in kinds]
-    disturbances += scene.disturbances
-    surface = as_chart(scene.object)
-    return scene.replace(object=surface, contacts=contacts, disturbances=disturbances)
-
-
-def skipped(full: bool) -> Iterator[Bar]:
-    """What a scene does not have costs nothing: the paper's scenes beside themselves in full dress.
-
-    The library has no switch for what it skips; a scene that needs it asks for it.
-    """
-    for name in ("K1", "K2", "K3", "K4", "D1", "D2", "D3", "C1", "C2"):
-        scene = cs.load_scene(name)
-        dressed, times = full_dress(scene), np.linspace(0.0, scene.duration, POINTS)
-        off = float(np.abs(cs.plan(scene).points(times) - cs.plan(dressed).points(times)).max())
-        call = _asked(times, "points")
-        jobs = {"plain": Job(call, scene.replace), "dressed": Job(call, dressed.replace)}
-        plain, dear = (1e3 * timing.median for timing in interleaved(jobs, 5).values())
-        note = f"{plain:.3g} ms beside {dear:.3g} ms; paths {off:.0e} m apart"
-        what = f"{name}, plan and {POINTS} points, times faster than in full dress"
-        yield Bar(what, 1.0, dear / plain, "x", True, note, off < 1e-10)
-
-
 SECTIONS: Sections = {
     "scenes": scenes,
     "geodesic": geodesic,
     "heyoka": heyoka,
     "eta": eta,
-    "skipped": skipped,
 }

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -32,15 +32,16 @@ class Piece:
     parameters: Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Ode:
-    """An initial value problem for each contact of a problem."""
+    """An initial value problem for each contact of a problem; equal if the right-hand side is."""
 
-    key: str  # the same of those that have the same right-hand side
-    rates: Rates
-    starts: Array  # (n_contacts, n_states)
-    pieces: tuple[Piece, ...]  # each starts where the one before ends
-    points: Callable[[Array], Array]  # (n, n_states) -> contact points (n, n_bodies, 3), m
+    key: str  # of the right-hand side
+    rates: Rates = field(compare=False)
+    starts: Array = field(compare=False)  # (n_contacts, n_states)
+    pieces: tuple[Piece, ...] = field(compare=False)  # each starts where the one before ends
+    # (n, n_states) -> contact points (n, n_bodies, 3), m
+    points: Callable[[Array], Array] = field(compare=False)
 
     def all_points(self, states: Sequence[Array]) -> Array:
         """States (n, n_states) of each contact -> (n, n_contacts, n_bodies, 3), m."""

@@ -16,7 +16,7 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results" / "benchmarks"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-PACKAGES = ("numpy", "scipy", "casadi", "heyoka", "geographiclib")
+PACKAGES = ("numpy", "casadi", "heyoka", "geographiclib")
 WIDTHS = (66, 11, 11)
 
 

@@ -101,14 +101,6 @@ def test_a_scene_made_anew_shares_no_part_and_moves_almost_alike(name):
     assert before == pytest.approx(after, abs=1e-6) and not np.array_equal(before, after)
 
 
-@pytest.mark.parametrize("name", ["K1", "C1", "C2"])
-def test_full_dress_is_the_same_motion(name):
-    scene = cs.load_scene(name)
-    t = np.linspace(0.0, scene.duration, 21)
-    plain, dressed = (cs.plan(s).points(t) for s in (scene, fresh.full_dress(scene)))
-    assert np.abs(plain - dressed).max() < 1e-11
-
-
 @pytest.mark.parametrize("output", ["points", "states"])
 def test_plans_without_slip_are_exact_and_the_peers_begin_where_they_do(output):
     problem = problems.no_slip(output, 5)
