@@ -267,7 +267,7 @@ def _section(limit: float, *names: str, full: int = 1) -> Section:
             raise ImportError(f"{', '.join(missing)} need drake_plant and fmu_export")
         chosen = [(known[n], range(known[n].count * (full if thorough else 1))) for n in names]
         records = []
-        for record in stress.search(chosen, workers=1, home=__name__, limit=limit):
+        for record in stress.search(chosen, __name__, limit):
             records.append(record)
             if record.verdict.outcome in FAILURES:
                 print(f"{record.family} {record.index}: {record.verdict}"[:400], flush=True)

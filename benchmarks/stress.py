@@ -1,8 +1,8 @@
 """Stress: many cases at the edge of what can be computed; each is right, refused or a failure.
 
 A case plans or steps something and judges it by exact laws (`stress_cases`, `stress_blocks`). It
-runs in a process of its own pool of workers under a watchdog, so that a hang or a crash of the
-whole process is counted and not suffered.
+runs in a process of its own under a watchdog, so that a hang or a crash of the whole process is
+counted and not suffered.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 from .report import ROOT, Bar, Sections
@@ -30,8 +30,8 @@ from .verdicts import FAILURES, NAN, OUTCOMES, Family, Verdict, judged
 LIMIT, WALL = 30.0, 120.0
 """s of processor time after which a case hangs; by the clock, for one that uses no processor, and
 for a worker to import what it needs."""
-BATCH, SHOWN = 25, 10
-"""Cases that a worker is given at a time; failures of a family that are printed as they come."""
+SHOWN = 10
+"""Failures of a family that are printed as they come."""
 
 
 @dataclass(frozen=True)
@@ -68,19 +68,17 @@ def rerun(family: str, index: int) -> Verdict:
     return verdict
 
 
-def _work(link: Connection, home: str, limit: float) -> None:
-    """What a worker does: batches of (family, indices) in, verdicts out."""
+def _work(link: Connection, home: str, limit: float, todo: list[tuple[str, int]]) -> None:
+    """What the worker does: verdicts of cases, one after the other."""
     known = importlib.import_module(home).families()
-    while (batch := link.recv()) is not None:
-        name, indices = batch
-        for index in indices:
-            begin = time.process_time()
-            _limit(limit)
-            try:
-                verdict = judged(known[name].make(index))
-            finally:
-                _limit(0.0)
-            link.send((verdict, time.process_time() - begin))
+    for name, index in todo:
+        begin = time.process_time()
+        _limit(limit)
+        try:
+            verdict = judged(known[name].make(index))
+        finally:
+            _limit(0.0)
+        link.send((verdict, time.process_time() - begin))
 
 
 def _limit(seconds: float) -> None:
@@ -89,86 +87,35 @@ def _limit(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_PROF, seconds)
 
 
-class Worker:
-    """A process, the cases that it has still to do, and since when it does the first of them.
-
-    Cases are of the families of the module called `home`, and hang after `limit` s.
-    """
-
-    def __init__(self, home: str, limit: float) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.link, other = context.Pipe()
-        self.limit = limit
-        self.process = context.Process(target=_work, args=(other, home, limit), daemon=True)
-        self.process.start()
-        other.close()
-        self.todo: list[tuple[str, int]] = []
-        self.since, self.ended = time.monotonic(), False
-
-    def give(self, batch: list[tuple[str, int]]) -> None:
-        """Start on cases of one family."""
-        self.todo, self.since = list(batch), time.monotonic()
-        self.link.send((batch[0][0], [index for _, index in batch]))
-
-    @property
-    def late(self) -> bool:
-        """The first case takes too long by the clock."""
-        return time.monotonic() - self.since > WALL
-
-    def take(self) -> Record:
-        """The verdict of the first case, with which the process may have ended."""
-        if not self.late:
-            with contextlib.suppress(EOFError, ConnectionError):
-                told = self.link.recv()
-                self.since = time.monotonic()
-                return Record(*self.todo.pop(0), *told)
-        slow, self.ended = self.late, True
-        self.process.kill() if slow else self.process.join(5)
-        self.process.join(5)
-        self.link.close()
-        code = self.process.exitcode
-        slow |= code == -getattr(signal, "SIGPROF", 27)
-        text = f"over {self.limit:g} s" if slow else f"the process ended with code {code}"
-        verdict = Verdict("hang" if slow else "crash", NAN, NAN, text)
-        return Record(*self.todo.pop(0), verdict, self.limit)
-
-    def stop(self) -> None:
-        """Let the process end."""
-        self.link.send(None)
-        self.process.join(5)
-        self.process.kill()
-
-
 def search(
-    chosen: list[tuple[Family, range]],
-    workers: int = 2,
-    home: str = __name__,
-    limit: float = LIMIT,
+    chosen: list[tuple[Family, range]], home: str = __name__, limit: float = LIMIT
 ) -> Iterator[Record]:
-    """Run cases of families, of ranges of indices; records in the order in which they come."""
-    batches = [
-        [(family.name, i) for i in indices[k : k + BATCH]]
-        for family, indices in chosen
-        for k in range(0, len(indices), BATCH)
-    ]
-    batches.reverse()
-    crew, lost = [Worker(home, limit) for _ in range(workers)], 0
-    while batches or any(worker.todo for worker in crew):
-        for worker in crew:
-            if not worker.todo and batches:
-                worker.give(batches.pop())
-        heard = wait([worker.link for worker in crew], timeout=0.5)
-        for k, worker in enumerate(crew):
-            if not worker.todo or not (worker.link in heard or worker.late):
-                continue
-            yield (record := worker.take())
-            if worker.ended:
-                batches += [worker.todo] if worker.todo else []
-                crew[k], lost = Worker(home, limit), lost + 1
-            if lost > 100:
-                raise RuntimeError(f"100 processes have ended; the last: {record}")
-    for worker in crew:
-        worker.stop()
+    """Run cases of families of the module called `home`, which hang after `limit` s each.
+
+    A worker does them, and after one that ends it or hangs another worker the rest.
+    """
+    todo = deque((family.name, index) for family, indices in chosen for index in indices)
+    context, lost = multiprocessing.get_context("spawn"), 0
+    while todo:
+        link, other = context.Pipe()
+        given = (other, home, limit, list(todo))
+        process = context.Process(target=_work, args=given, daemon=True)
+        process.start()
+        other.close()
+        with contextlib.suppress(EOFError, ConnectionError):
+            while todo and (heard := link.poll(WALL)):
+                told = link.recv()
+                yield Record(*todo.popleft(), *told)
+        process.join(5 if heard else 0)
+        process.kill()
+        process.join()
+        if todo:
+            slow = not heard or process.exitcode == -getattr(signal, "SIGPROF", 27)
+            text = f"over {limit:g} s" if slow else f"the process ended with {process.exitcode}"
+            verdict = Verdict("hang" if slow else "crash", NAN, NAN, text)
+            yield Record(*todo.popleft(), verdict, limit)
+            if (lost := lost + 1) > 100:
+                raise RuntimeError(f"100 processes have ended; the last: {text}")
 
 
 def cases(full: bool) -> Iterator[Bar]:
@@ -240,7 +187,7 @@ def _failure(record: Record) -> str:
 SANITIZERS = "-O1 -g -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all"
 IN_COPY = """
 import json
-from collections import Counter
+from collections import Counter, deque
 from benchmarks import stress, stress_cases
 
 chosen = [(family, range(family.count)) for family in stress_cases.FAMILIES]

@@ -3,7 +3,7 @@
 ========================  =========================================================================
 law                       how it is written here
 ========================  =========================================================================
-on the surface            level functions of `stress_scenes` (`Quadric`, `Tube`, `Cube`, `Waves`)
+on the surface            level functions of `stress_scenes`
 speed                     |M1 q1'| = sigma |W1|,  |M2 q2'| = sigma |W - V exp(-L)|
 slip                      v_rel = sigma exp(-L) V in closed form, length and angle to R_psi M1 q1'
 no slip part              R_psi M1 q1' - M2 q2' = v_rel from states; material points in the twist
@@ -267,8 +267,8 @@ class Judge:
     def _on_surfaces(self, points: Array) -> None:
         for k, body in enumerate(self.bodies):
             x = points[:, k]
-            level = body.shape.level(x)
-            away = level / np.linalg.norm(body.shape.slope(x), axis=1)
+            level, slope, _ = body.shape.derived(x)
+            away = level / np.linalg.norm(slope, axis=1)
             scale = body.size + np.linalg.norm(x, axis=1)
             self.meter.see(f"point {k + 1} on its surface", away, self.e[k] * scale)
 
@@ -330,7 +330,7 @@ class Judge:
         reach = sum(np.linalg.norm(x, axis=1) for x in (x1, x2, origin))
         met = np.einsum("nij,nj->ni", rotation, x1) + origin - x2
         self.meter.see("contact points meet", met, sum(self.e) * reach[:, None])
-        n1, n2 = (b.normal(x)[0] for b, x in zip(self.bodies, sample.x))
+        n1, n2 = (b.normal(x) for b, x in zip(self.bodies, sample.x))
         n1 = np.einsum("nij,nj->ni", rotation, n1)
         loss = [self.loss(sample, k) for k in (0, 1)]
         self.meter.see("normals oppose", n1 + n2, sum(loss)[:, None])
@@ -345,7 +345,7 @@ class Judge:
         omega, v = twist[:, :3], twist[:, 3:]
         # Rates of normals, and how wrong they may be: |x'| kappa / size is a body's own turning;
         # speeds are known to rounding of the greatest one.
-        change = [b.turning(x, r) for b, x, r in zip(self.bodies, sample.x, sample.rate)]
+        change = [b.turning(x, r)[1] for b, x, r in zip(self.bodies, sample.x, sample.rate)]
         fast = sum(
             (np.linalg.norm(r, axis=1) + 1e-3 * self.terms) * b.kappa / b.size
             for b, r in zip(self.bodies, sample.rate)
@@ -407,7 +407,7 @@ class Judge:
                 error = np.linalg.norm(everywhere[:, k] - exact, axis=1)
                 bound = 2 * self.e[k] * (body.size + np.linalg.norm(exact, axis=1))
                 self.meter.see(f"geodesic {k + 1} in closed form", error, bound)
-            elif hasattr(body.shape, "integral") and len(sample.t):
+            elif body.shape.integral and len(sample.t):
                 self._integral(k, body, sample, x, frame[:, :2] @ w)
 
     def _developed(self, times: Array, everywhere: Array) -> None:
@@ -515,8 +515,8 @@ class Judge:
         for k, body in enumerate(self.bodies):
             push = sample.root[k] @ forces[k] + (gain[:, None] * slip if k else 0.0)
             path = sample.space(k, velocity[k]) / sigma[:, None]
-            n, _ = body.normal(sample.x[k])
-            bent = n * np.sum(body.turning(sample.x[k], sample.rate[k]) * path, 1, keepdims=True)
+            n, turned = body.turning(sample.x[k], sample.rate[k])
+            bent = n * np.sum(turned * path, 1, keepdims=True)
             change = sample.space(k, push) / sigma[:, None] - bent
             loss = float(self.loss(sample, k).max())
             moved = weights @ np.linalg.norm(sample.rate[k][1:-1], axis=1)

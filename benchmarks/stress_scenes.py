@@ -7,11 +7,13 @@ tests; a family fixes some of its choices on a grid. Level functions are written
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.polynomial import polynomial as poly
 
@@ -36,103 +38,64 @@ class Draw:
         return float(self.random.uniform(low, high))
 
 
-# F (n,), grad F (n, 3) and (Hess F) y (n, 3) of points x and vectors y (n, 3)
-
-
 @dataclass(frozen=True)
-class Quadric:
-    """x A x / 2 + b . x = c / 2; x (n, 3)."""
+class Shape:
+    """F(x, p) = 0, a level function with its parameters; what it derives is CasADi's."""
 
-    A: Array
-    b: Array
-    c: float
+    F: Callable[[ca.SX, ca.SX], ca.SX]
+    p: tuple[float, ...]
+    integral: Callable[[Array, Array], tuple[Array, Array, Array]] | None = None
+    """Of geodesics: its value at points and directions (n, 3), and how it changes with each."""
 
-    def level(self, x: Array) -> Array:
-        return 0.5 * np.einsum("ni,ij,nj->n", x, self.A, x) + x @ self.b - self.c / 2
+    def derived(self, x: Array, y: Array | None = None) -> tuple[Array, Array, Array]:
+        """F (n,), grad F (n, 3) and (Hess F) y (n, 3) of points x and vectors y (n, 3)."""
+        y = np.zeros_like(x) if y is None else y
+        level, slope, bend = _derivatives(self.F, len(self.p))(x.T, y.T, self.p)
+        return level.full()[0], slope.full().T, bend.full().T
 
-    def slope(self, x: Array) -> Array:
-        return x @ self.A + self.b
 
-    def bend(self, x: Array, y: Array) -> Array:
-        return y @ self.A
+@functools.cache
+def _derivatives(F: Callable[[ca.SX, ca.SX], ca.SX], count: int) -> ca.Function:
+    x, y, p = ca.SX.sym("x", 3), ca.SX.sym("y", 3), ca.SX.sym("p", count)
+    slope = ca.gradient(level := F(x, p), x)
+    return ca.Function(F.__name__, [x, y, p], [level, slope, ca.jtimes(slope, x, y)])
 
-    def integral(self, x: Array, p: Array) -> tuple[Array, Array, Array]:
-        """Joachimsthal's integral and how it changes with x and p, (n,) each."""
-        ax, ap = self.slope(x), p @ self.A
+
+def level_of_quadric(x: ca.SX, p: ca.SX) -> ca.SX:
+    """x A x / 2 + b . x = c / 2."""
+    return x.T @ ca.reshape(p[:9], 3, 3) @ x / 2 + p[9:12].T @ x - p[12] / 2
+
+
+def quadric(A: Array, b: Sequence[float] = (0, 0, 0), c: float = 1.0) -> Shape:
+    """The same, with Joachimsthal's integral."""
+
+    def integral(x: Array, p: Array) -> tuple[Array, Array, Array]:
+        ax, ap = x @ A + b, p @ A
         normal, along = np.sum(ax * ax, 1), np.sum(p * ap, 1)
-        by_x = 2 * np.linalg.norm(ax @ self.A, axis=1) * abs(along)
+        by_x = 2 * np.linalg.norm(ax @ A, axis=1) * abs(along)
         return normal * along, by_x, 2 * normal * np.linalg.norm(ap, axis=1)
 
+    return Shape(level_of_quadric, (*A.ravel(), *b, c), integral)
 
-@dataclass(frozen=True)
-class Tube:
+
+def level_of_tube(x: ca.SX, p: ca.SX) -> ca.SX:
     """Torus about z: ((rho - R)^2 + z^2 - r^2) / 2 = 0."""
-
-    R: float
-    r: float
-
-    def level(self, x: Array) -> Array:
-        rho = np.hypot(x[:, 0], x[:, 1])
-        return ((rho - self.R) ** 2 + x[:, 2] ** 2 - self.r**2) / 2
-
-    def slope(self, x: Array) -> Array:
-        rho = np.hypot(x[:, 0], x[:, 1])
-        return x * np.stack([1 - self.R / rho, 1 - self.R / rho, np.ones(len(x))], 1)
-
-    def bend(self, x: Array, y: Array) -> Array:
-        rho = np.hypot(x[:, 0], x[:, 1])
-        flat = x * [1.0, 1.0, 0.0]
-        along = (self.R * np.sum(flat * y, 1) / rho**3)[:, None] * flat
-        return y * np.stack([1 - self.R / rho, 1 - self.R / rho, np.ones(len(x))], 1) + along
-
-    def integral(self, x: Array, p: Array) -> tuple[Array, Array, Array]:
-        """Clairaut's integral rho^2 phi' and how it changes with x and p, (n,) each."""
-        one = np.ones(len(x))
-        return x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0], one, np.hypot(x[:, 0], x[:, 1])
+    return ((ca.hypot(x[0], x[1]) - p[0]) ** 2 + x[2] ** 2 - p[1] ** 2) / 2
 
 
-@dataclass(frozen=True)
-class Cube:
+def clairaut(x: Array, p: Array) -> tuple[Array, Array, Array]:
+    """rho^2 phi'."""
+    return x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0], np.ones(len(x)), np.hypot(x[:, 0], x[:, 1])
+
+
+def level_of_cube(x: ca.SX, p: ca.SX) -> ca.SX:
     """Rounded cube: sum (x/r)^4 = 1."""
-
-    r: float
-
-    def level(self, x: Array) -> Array:
-        return np.sum((x / self.r) ** 4, 1) - 1
-
-    def slope(self, x: Array) -> Array:
-        return 4 * (x / self.r) ** 3 / self.r
-
-    def bend(self, x: Array, y: Array) -> Array:
-        return 12 * (x / self.r**2) ** 2 * y
+    return ca.sum1((x / p[0]) ** 4) - 1
 
 
-@dataclass(frozen=True)
-class Waves:
+def level_of_waves(x: ca.SX, p: ca.SX) -> ca.SX:
     """z = h cos(k (x - 0.4 y)) cos(k y)."""
-
-    h: float
-    k: float
-
-    def _parts(self, x: Array) -> tuple[Array, ...]:
-        u, v = x[:, 0] - 0.4 * x[:, 1], x[:, 1]
-        return (np.cos(self.k * u), np.sin(self.k * u), np.cos(self.k * v), np.sin(self.k * v))
-
-    def level(self, x: Array) -> Array:
-        cu, _, cv, _ = self._parts(x)
-        return x[:, 2] - self.h * cu * cv
-
-    def slope(self, x: Array) -> Array:
-        cu, su, cv, sv = self._parts(x)
-        by_u, by_v = self.h * self.k * su * cv, self.h * self.k * cu * sv
-        return np.stack([by_u, by_v - 0.4 * by_u, np.ones(len(x))], 1)
-
-    def bend(self, x: Array, y: Array) -> Array:
-        cu, su, cv, sv = self._parts(x)
-        pure, mixed = self.h * self.k**2 * cu * cv, -self.h * self.k**2 * su * sv
-        du, dv = y[:, 0] - 0.4 * y[:, 1], y[:, 1]
-        by_u, by_v = pure * du + mixed * dv, mixed * du + pure * dv
-        return np.stack([by_u, by_v - 0.4 * by_u, 0 * by_u], 1)
+    return x[2] - p[0] * ca.cos(p[1] * (x[0] - 0.4 * x[1])) * ca.cos(p[1] * x[1])
 
 
 @dataclass(frozen=True)
@@ -140,7 +103,7 @@ class Body:
     """A surface, a contact on it, and what is known about it without the package."""
 
     surface: cs.Surface
-    shape: Any  # a level function
+    shape: Shape
     at: tuple[float, float]  # u, v
     size: float  # m; errors are counted in it
     kappa: float = 1.0  # size times the greatest curvature, at least 1
@@ -153,17 +116,16 @@ class Body:
         """-1 for a body on the other side of its surface."""
         return -1.0 if self.surface.inside else 1.0
 
-    def normal(self, x: Array) -> tuple[Array, Array]:
-        """Unit normals out of the body and |grad F|: (n, 3), (n, 1)."""
-        slope = self.side * self.shape.slope(x)
-        length = np.linalg.norm(slope, axis=1, keepdims=True)
-        return slope / length, length
+    def normal(self, x: Array) -> Array:
+        """Unit normals out of the body (n, 3)."""
+        return self.turning(x, x)[0]
 
-    def turning(self, x: Array, y: Array) -> Array:
-        """How the normal changes along y, and -II(y, .) as a vector: (n, 3)."""
-        n, length = self.normal(x)
-        change = self.side * self.shape.bend(x, y) / length
-        return change - n * np.sum(n * change, 1, keepdims=True)
+    def turning(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Unit normals, and how they change along y, which is -II(y, .) as a vector: (n, 3)."""
+        _, slope, bend = self.shape.derived(x, y)
+        length = np.linalg.norm(slope, axis=1, keepdims=True)
+        n, change = self.side * slope / length, self.side * bend / length
+        return n, change - n * np.sum(n * change, 1, keepdims=True)
 
     def geodesic(self, x: Array, p: Array, s: Array) -> Array | None:
         """Closed form of the geodesic from x along p (not unit: s is path), (n, 3), or None."""
@@ -182,13 +144,17 @@ class Body:
         return None
 
 
-def round_body(r: float) -> Quadric:
-    """The level function of a sphere."""
-    return Quadric(np.eye(3) / r / r, np.zeros(3), 1.0)
+def round_body(r: float) -> Shape:
+    """A sphere."""
+    return quadric(np.eye(3) / r / r)
 
 
-def _ellipsoid(a: float, b: float, c: float) -> Quadric:
-    return Quadric(np.diag([a**-2, b**-2, c**-2]), np.zeros(3), 1.0)
+def _ellipsoid(a: float, b: float, c: float) -> Shape:
+    return quadric(np.diag([a**-2, b**-2, c**-2]))
+
+
+def _tube(major: float, minor: float) -> Shape:
+    return Shape(level_of_tube, (major, minor), clairaut)
 
 
 TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.7], [-0.6, 0.2, 1.0]]))[0]
@@ -197,7 +163,7 @@ TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.7], [-0.6, 0.2, 1.0
 def plane(draw: Draw, size: float, inside: bool) -> Body:
     """The plane; ``inside`` puts the body above."""
     at = (size * draw.real(-1, 1), size * draw.real(-1, 1))
-    shape = Quadric(np.zeros((3, 3)), np.array([0.0, 0.0, 1.0]), 0.0)
+    shape = quadric(np.zeros((3, 3)), (0, 0, 1), 0.0)
     return Body(cs.Plane(inside=inside), shape, at, 1.0, line="plane", integrated=False)
 
 
@@ -209,7 +175,7 @@ def sphere(draw: Draw, size: float, inside: bool) -> Body:
 
 def cylinder(draw: Draw, size: float, inside: bool) -> Body:
     """A cylinder or a bore."""
-    shape = Quadric(np.diag([size**-2, size**-2, 0.0]), np.zeros(3), 1.0)
+    shape = quadric(np.diag([size**-2, size**-2, 0.0]))
     at = (draw.real(-3, 3), size * draw.real(-1, 1))
     surface = cs.Cylinder(size, inside=inside)
     return Body(surface, shape, at, size, line="cylinder", integrated=False)
@@ -222,7 +188,7 @@ def torus(draw: Draw, size: float, inside: bool) -> Body:
     r = part * major
     kappa = size * max(1 / r, 1 / (major - r))
     at = (draw.real(-3, 3), draw.real(-3, 3))
-    return Body(cs.Torus(major, r, inside=inside), Tube(major, r), at, major + r, kappa)
+    return Body(cs.Torus(major, r, inside=inside), _tube(major, r), at, major + r, kappa)
 
 
 SHAPES: dict[str, Callable[[float, float, float, float], tuple[float, float]]] = {
@@ -263,7 +229,7 @@ def turned(draw: Draw, size: float, inside: bool) -> Body:
     at = (draw.real(0.3, 1.2), draw.real(0.2, 1.2) * (size if values[2] == 0 else 1.0))
     # Open quadrics are most curved at their waist or vertex, and have size = their longest axis.
     kappa = max(1.0, surface.size * max(map(abs, values)) / size) ** 2
-    return Body(surface, Quadric(matrix, np.zeros(3), 1.0), at, surface.size, kappa)
+    return Body(surface, quadric(matrix), at, surface.size, kappa)
 
 
 def chart_sphere(draw: Draw, size: float, inside: bool) -> Body:
@@ -281,7 +247,7 @@ def chart_torus(draw: Draw, size: float, inside: bool) -> Body:
     f = ("(R + r*cos(v))*cos(u + 0.3*v)", "(R + r*cos(v))*sin(u + 0.3*v)", "r*sin(v)")
     surface = cs.ParametricSurface(f, parameters={"R": major, "r": r}, size=size, inside=inside)
     at = (draw.real(-3, 3), draw.real(-3, 3))
-    return Body(surface, Tube(major, r), at, size, size / r)
+    return Body(surface, _tube(major, r), at, size, size / r)
 
 
 def chart_waves(draw: Draw, size: float, inside: bool) -> Body:
@@ -290,7 +256,7 @@ def chart_waves(draw: Draw, size: float, inside: bool) -> Body:
     f = ("u + 0.4*v", "v", "h*cos(k*u)*cos(k*v)")
     surface = cs.ParametricSurface(f, parameters={"h": h, "k": k}, size=size, inside=inside)
     at = (size * draw.real(-1, 1), size * draw.real(-1, 1))
-    return Body(surface, Waves(h, k), at, size, 2.0)
+    return Body(surface, Shape(level_of_waves, (h, k)), at, size, 2.0)
 
 
 def implicit_ellipsoid(draw: Draw, size: float, inside: bool) -> Body:
@@ -305,7 +271,7 @@ def implicit_cube(draw: Draw, size: float, inside: bool) -> Body:
     """A rounded cube by a user's equation."""
     text = "(x/r)**4 + (y/r)**4 + (z/r)**4 - 1"
     surface = cs.ImplicitSurface(text, parameters={"r": size}, size=size, inside=inside)
-    return Body(surface, Cube(size), _polar(draw), size, 4.0)
+    return Body(surface, Shape(level_of_cube, (size,)), _polar(draw), size, 4.0)
 
 
 MADE = (plane, sphere, cylinder, torus, ellipsoid, turned)
