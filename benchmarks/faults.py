@@ -8,6 +8,7 @@ of the two versions, byte for byte. Needs fork and limits of file sizes: Linux o
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import os
 import random
@@ -238,33 +239,47 @@ with ProcessPoolExecutor(3, get_context(method)) as pool:
 
 def sweeps(full: bool) -> Iterator[Bar]:
     """Sweeps killed and resumed; two of them, and one twice, in one folder at a time."""
-    tries, lost, orphans, kept = 60 if full else 20, 0, 0, 0
-    expected = [cs.sweep(family(k), slowly, chunk=2).table for k in range(2)]
+    tries, lost, orphans, kept, begin = 60 if full else 20, 0, 0, 0.0, time.monotonic
     for k in range(tries):
         with tempfile.TemporaryDirectory() as room:
-            child = _started(room, 0, ("spawn", "fork", "forkserver")[k % 3])
-            time.sleep(random.uniform(0.3, 3.0))
-            child.kill()
-            child.wait()
-            orphans += _outlived(child.pid)
-            found, done = _resumed(Path(room), 0)
-            lost += not np.array_equal(found, expected[0])
-            kept += done
-    note = f"{kept / tries:.3g} of {len(expected[0]) // 2} chunks kept on average"
+            until = begin() + random.uniform(0.3, 3.0)
+            method = ("spawn", "fork", "forkserver")[k % 3]
+            outlived, whole, part = killed(Path(room), method, lambda end=until: begin() > end)
+        orphans, lost, kept = orphans + outlived, lost + (not whole), kept + part
+    note = f"{kept / tries:.0%} of the chunks kept on average"
     yield Bar(f"sweep killed and resumed, {tries} times: tables or chunks lost", 0, lost, note=note)
     yield Bar(f"the same: sweeps whose workers live {ALONE:g} s longer", 0, orphans)
     tries, lost = tries // 4, 0
     for _ in range(tries):
         with tempfile.TemporaryDirectory() as room:
-            children = [_started(room, which, "fork") for which in (0, 1, 0)]
-            lost += sum(child.wait() != 0 for child in children)
-            for which in range(2):
-                found, done = _resumed(Path(room), which)
-                lost += done < len(found) // 2 or not np.array_equal(found, expected[which])
+            lost += together(Path(room))
     yield Bar(f"two sweeps, one of them twice, in one folder, {tries} times: lost", 0, lost)
 
 
-def _started(folder: str, which: int, method: str) -> subprocess.Popen:
+def killed(folder: Path, method: str, ready: Callable[[], bool]) -> tuple[bool, bool, float]:
+    """Kill a sweep when it is ready and resume it.
+
+    Whether its workers live on, whether the table is right, the part of the chunks that was kept.
+    """
+    child = _started(folder, 0, method)
+    while not ready() and child.poll() is None:
+        time.sleep(0.01)
+    child.kill()
+    child.wait()
+    return _outlived(child.pid), *_resumed(folder, 0)
+
+
+def together(folder: Path) -> int:
+    """Two sweeps and one of them once more in a folder at a time: how many went wrong."""
+    children = [_started(folder, which, "fork") for which in (0, 1, 0)]
+    lost = sum(child.wait() != 0 for child in children)
+    for which in range(2):
+        right, kept = _resumed(folder, which)
+        lost += not right or kept < 1
+    return lost
+
+
+def _started(folder: Path, which: int, method: str) -> subprocess.Popen:
     command = [sys.executable, "-c", SWEEP, folder, str(which), method]
     return subprocess.Popen(command, cwd=ROOT, start_new_session=True, stderr=subprocess.DEVNULL)
 
@@ -281,11 +296,17 @@ def _outlived(group: int) -> bool:
     return False
 
 
-def _resumed(folder: Path, which: int) -> tuple[np.ndarray, int]:
-    """The table of a sweep that goes on in a folder, and how many chunks were not done again."""
+def _resumed(folder: Path, which: int) -> tuple[bool, float]:
+    """Whether a sweep that goes on in a folder is right; what was kept over its chunks."""
     before = {file: file.stat().st_mtime_ns for file in folder.glob("*.npz")}
     table = cs.sweep(family(which), slowly, folder=folder, chunk=2).table
-    return table, sum(file.stat().st_mtime_ns == when for file, when in before.items())
+    kept = sum(file.stat().st_mtime_ns == when for file, when in before.items())
+    return np.array_equal(table, _expected(which)), 2 * kept / len(table)
+
+
+@functools.cache
+def _expected(which: int) -> np.ndarray:
+    return cs.sweep(family(which), slowly, chunk=2).table
 
 
 SECTIONS: Sections = {"files": files, "sweeps": sweeps}

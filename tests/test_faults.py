@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import one_contact
 
 import contact_system as cs
+from benchmarks import faults
 from contact_system import plots
 
 resource = pytest.importorskip("resource", reason="needs limits of file sizes, and kill -9")
@@ -71,69 +67,22 @@ def test_a_pipe_is_not_replaced_by_a_file(tmp_path):
     assert (tmp_path / "pipe.csv").is_fifo()
 
 
-def family(which: int) -> list[cs.Scene]:
-    return [one_contact(object_at=(0.9, 0.02 * k + which)) for k in range(20)]
-
-
-def slowly(plan: cs.Plan) -> dict[str, np.ndarray]:
-    time.sleep(0.05)
-    return {"end": plan.states(plan.end)[0]}
-
-
-SWEEP = """
-import sys
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
-import contact_system as cs
-from test_faults import family, slowly
-
-folder, which, method = sys.argv[1:]
-with ProcessPoolExecutor(3, get_context(method)) as pool:
-    cs.sweep(family(int(which)), slowly, pool, folder=folder, chunk=1)
-"""
-
-
-def sweeping(folder: Path, which: int, method: str) -> subprocess.Popen:
-    command = [sys.executable, "-c", SWEEP, folder, str(which), method]
-    return subprocess.Popen(command, cwd=Path(__file__).parent, start_new_session=True)
-
-
 @pytest.mark.parametrize("method", ["spawn", "fork"])
 def test_a_killed_sweep_takes_its_workers_with_it_and_goes_on_where_it_stopped(method, tmp_path):
-    child = sweeping(tmp_path, 0, method)
-    while not (done := list(tmp_path.glob("*.npz"))):
-        assert child.poll() is None
-        time.sleep(0.01)
-    child.send_signal(signal.SIGKILL)
-    child.wait()
-    end = time.monotonic() + 20
-    with pytest.raises(ProcessLookupError):
-        while time.monotonic() < end:
-            os.killpg(child.pid, 0)
-            time.sleep(0.05)
-    when = [file.stat().st_mtime_ns for file in done]
-    table = cs.sweep(family(0), slowly, folder=tmp_path, chunk=1).table
-    assert np.array_equal(table, cs.sweep(family(0), slowly, chunk=1).table)
-    assert [file.stat().st_mtime_ns for file in done] == when
+    outlived, right, kept = faults.killed(tmp_path, method, lambda: any(tmp_path.glob("*.npz")))
+    assert right and kept > 0 and not outlived
 
 
 def test_sweeps_at_work_in_one_folder_leave_each_other_alone(tmp_path):
-    children = [sweeping(tmp_path, which, "fork") for which in (0, 1, 0)]
-    assert [child.wait() for child in children] == [0, 0, 0]
-    before = {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
-    assert len(before) == 40
-    for which in (0, 1):
-        table = cs.sweep(family(which), slowly, folder=tmp_path, chunk=1).table
-        assert np.array_equal(table, cs.sweep(family(which), slowly, chunk=1).table)
-    assert {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()} == before
+    assert faults.together(tmp_path) == 0
 
 
 def test_a_table_that_is_whole_but_another_one_is_made_again(tmp_path):
-    first = cs.sweep(family(0)[:2], folder=tmp_path, chunk=1).table
+    first = cs.sweep(faults.family(0, 2), folder=tmp_path, chunk=1).table
     one, two = sorted(tmp_path.iterdir())
     two.write_bytes(one.read_bytes())
     with np.load(one) as data:
         changed = {name: data[name] for name in data.files}
     changed["table"]["slip_end"] += 1.0
     np.savez(one, **changed)
-    assert np.array_equal(cs.sweep(family(0)[:2], folder=tmp_path, chunk=1).table, first)
+    assert np.array_equal(cs.sweep(faults.family(0, 2), folder=tmp_path, chunk=1).table, first)

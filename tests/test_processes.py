@@ -8,47 +8,11 @@ import sys
 
 import pytest
 
-PLAN = """
-import itertools, os, signal, sys, threading, time
-import contact_system as cs
-
-def plan(number):
-    surface = cs.ImplicitSurface(f"x**2/0.09 + y**2/{number!r} + z**2/0.01 - 1", size=0.3)
-    contact = cs.Contact(cs.Sphere(0.04), (1.2, 0.4), object_velocity="rest")
-    scene = cs.Scene(object=surface, contacts=[contact], duration=1.0, profile=cs.Profile([0.1]),
-                     gain=cs.Gain.path(100.0))
-    return cs.plan(scene).states([0.0, 1.0]).tobytes()
-"""
-
-FORK = """
-def plan_on(first):
-    for k in itertools.count(first, 4):
-        plan(0.04 + 1e-7 * k)
-
-for first in range(4):
-    threading.Thread(target=plan_on, args=(first,), daemon=True).start()
-time.sleep(0.5)
-child = os.fork()
-expected = plan(0.05)
-if child == 0:
-    os._exit(0 if expected else 1)
-sys.exit(os.waitpid(child, 0)[1])
-"""
-
-CTRL_C = """
-def press():
-    time.sleep(0.5)
-    os.kill(os.getpid(), signal.SIGINT)
-
-threading.Thread(target=press, daemon=True).start()
-try:
-    for k in itertools.count():
-        plan(0.04 + 1e-7 * k)
-except KeyboardInterrupt:
-    sys.exit(plan(0.05) != plan(0.05))
-"""
+from benchmarks.processes import CTRL_C, FORK, WORK, ended
 
 ENDLESS = """
+import contact_system as cs
+
 def endless(x):
     while True:
         os.kill(os.getpid(), signal.SIGINT)
@@ -56,36 +20,35 @@ def endless(x):
 try:
     cs.ImplicitSurface(endless)
 except KeyboardInterrupt:
-    sys.exit(plan(0.04) != plan(0.04))
+    print(*all_answers())
 """
 
-
-def _ends_well(program: str) -> bool:
-    command = [sys.executable, "-c", PLAN + program]
-    return subprocess.run(command, check=False, timeout=60).returncode == 0
+windows = pytest.mark.skipif(sys.platform == "win32", reason="a signal ends a process on Windows")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has no forks")
 def test_a_process_may_be_forked_while_threads_plan():
-    assert _ends_well(FORK)
+    assert ended(FORK, "0.5")[0] == "right"
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="os.kill ends a process on Windows")
+@windows
 def test_ctrl_c_stops_a_users_endless_function_and_the_next_plan_is_right():
-    assert _ends_well(ENDLESS)
+    assert ended(ENDLESS) == ended("print(*all_answers())")
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="os.kill ends a process on Windows")
-def test_ctrl_c_stops_plans_of_new_formulas():
-    assert _ends_well(CTRL_C)
+@windows
+@pytest.mark.parametrize("seconds", [0.005, 0.05])
+def test_ctrl_c_stops_the_first_plan_of_a_formula_and_the_next_is_right(seconds):
+    assert ended(CTRL_C, "user", interrupt=seconds) == ended("print(answer(user(0.2)))")
 
 
 SAVED = """
+import contact_system as cs
 with __import__("tempfile").TemporaryDirectory(dir=".") as folder:
-    made = cs.plan(cs.load_scene("K4"))
+    made = cs.plan(bundled(0.2))
     made.save(f"{folder}/plan.npz", [0.0])
     again = cs.load(f"{folder}/plan.npz").states([0.0, 1.0])
-sys.exit((again != made.states([0.0, 1.0])).any() or not plan(0.05))
+sys.exit((again != made.states([0.0, 1.0])).any() or not all_answers())
 """
 
 
@@ -103,7 +66,7 @@ def test_plans_are_made_saved_and_read_in_odd_surroundings(tmp_path, options, en
     kept = {name: os.environ[name] for name in ("PATH", "PYTHONPATH") if name in os.environ}
     if sys.platform == "win32":  # a process without it does not start
         kept["SYSTEMROOT"] = os.environ["SYSTEMROOT"]
-    command = [sys.executable, *options, "-c", PLAN + SAVED]
+    command = [sys.executable, *options, "-c", WORK + SAVED]
     done = subprocess.run(
         command, check=False, timeout=60, cwd=tmp_path, env=kept | environment, capture_output=True
     )
