@@ -11,13 +11,15 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+import mpmath as mp
 import numpy as np
+from oracles.closed import arc_length, great_circle, helix
 from oracles.load import load, scene_of
 
 import contact_system as cs
 
 from . import stress_scenes as drawn
-from .problems import arc_length, geodesic_scene, great_circle
+from .problems import geodesic_scene
 from .report import Bar
 
 Array = np.ndarray
@@ -115,8 +117,6 @@ REVOLUTIONS = 1000
 
 def revolutions(full: bool) -> Iterator[Bar]:
     """Geodesics of spheres and cylinders over 1000 revolutions against mpmath."""
-    import mpmath
-
     random = np.random.default_rng(1000)
     for kind, truth in ((cs.Sphere, great_circle), (cs.Cylinder, helix)):
         errors, spacings = [], []
@@ -127,9 +127,9 @@ def revolutions(full: bool) -> Iterator[Bar]:
             scene = _long_scene(kind(radius), at, w, random)
             t = np.append(np.sort(random.uniform(0.0, scene.duration, 30)), scene.duration)
             found = cs.plan(scene).points(t)[:, 0, 1]
-            with mpmath.workdps(40):
-                lengths = [arc_length(mpmath, scene.profile, time) for time in t]
-                exact = np.array([truth(mpmath, radius, at, w, s) for s in lengths])
+            with mp.workdps(40):
+                lengths = [arc_length(scene.profile.coefficients, time) for time in t]
+                exact = np.array([truth(radius, at, w, s) for s in lengths])
             errors.append(np.linalg.norm((found - exact).astype(float), axis=1).max() / radius)
             spacings.append(np.spacing(np.abs(found).max()) / radius)
         note = f"float64 spacing of the coordinates: {max(spacings):.1e} of the radius"
@@ -146,13 +146,6 @@ def _long_scene(surface: cs.Surface, at: Any, w: Any, random: np.random.Generato
     ways = {"finger_velocity": (w[0], -w[1]), "object_velocity": w}
     contact = cs.Contact(cs.Plane(), at, (0.0, 0.0), **ways)
     return cs.Scene(object=surface, contacts=[contact], profile=profile, duration=duration)
-
-
-def helix(mp: Any, radius: float, at: Any, w: Any, s: Any) -> list[Any]:
-    """Point of a cylinder at arc length s, from chart coordinates ``at`` along path velocity w."""
-    (u, v), r = map(mp.mpf, at), mp.mpf(radius)
-    turned = u + w[0] * s / r
-    return [r * mp.cos(turned), r * mp.sin(turned), v + w[1] * s]
 
 
 def triaxial(full: bool) -> Iterator[Bar]:
@@ -235,7 +228,7 @@ def spheroid_point(f: float, latitude: float, longitude: float) -> Array:
 
 
 def round_trip(full: bool) -> Iterator[Bar]:
-    """(u, v) -> x -> (u, v) -> x, in x, at random points, on seams, 1e-9 from singular points."""
+    """(u, v) -> x -> (u, v) -> x, in x, at random points, on seams, 1e-12 from singular points."""
     random = np.random.default_rng(4)
     detail = {}
     for name, (surface, at) in surfaces().items():
@@ -254,16 +247,16 @@ def _trip_coordinates(
     """Random coordinates of a surface, and its difficult ones."""
     half, n = math.pi / 2, 2000
     turn, other = random.uniform(-math.pi, math.pi, (2, n))
-    around = np.repeat([0.0, 1.0, half, math.pi, -half, -2.5], 4)
-    poles = np.tile([1e-9, 1e-5, math.pi - 1e-9, math.pi - 1e-5], 6)  # the polar angle there
+    around = np.repeat([0.0, 1.0, half, math.pi, -half, -2.5], 6)
+    poles = np.tile([*(near := [1e-12, 1e-9, 1e-5]), *(math.pi - x for x in near)], 6)
     if name in ("sphere", "bowl", "ellipsoid, prolate", "implicit_ellipsoid", "implicit_cube"):
         return np.append(random.uniform(0, math.pi, n), poles), np.append(turn, around)
     latitude = random.uniform(-half, half, n)
     if name == "ellipsoid, oblate":
         return np.append(turn, around), np.append(latitude, half - poles)
     if name == "ellipsoid, plain":
-        seam, near = np.where(random.random(n) < 0.5, half, -half), [0, 1e-9, -1e-9, 1e-5, -1e-5]
-        umbilics = itertools.product((0.0, math.pi), (half, -half), near, near)
+        seam, off = np.where(random.random(n) < 0.5, half, -half), [0, *near, *(-x for x in near)]
+        umbilics = itertools.product((0.0, math.pi), (half, -half), off, off)
         us, vs = zip(*((u + d, v + e) for u, v, d, e in umbilics))
         return np.concatenate([turn, other, us]), np.concatenate([latitude, seam, vs])
     if name == "torus":

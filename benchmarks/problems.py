@@ -14,7 +14,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+import mpmath as mp
 import numpy as np
+from oracles.closed import arc_length, great_circle
 from oracles.load import load, scene_of, surface_of
 
 import contact_system as cs
@@ -299,26 +301,7 @@ def _of_space(states: Array) -> Array:
 
 def _great_circles(profile: cs.Profile, bodies: Any, times: Array) -> Array:
     """Contact points in closed form, (n, 2, 3), m."""
-    import mpmath as mp
-
     with mp.workdps(40):
-        lengths = [arc_length(mp, profile, t) for t in times]
-        rows = [[great_circle(mp, b.radius, at, w, s) for b, at, w in bodies] for s in lengths]
+        lengths = [arc_length(profile.coefficients, t) for t in times]
+        rows = [[great_circle(b.radius, at, w, s) for b, at, w in bodies] for s in lengths]
         return np.array(rows, dtype=float)
-
-
-def arc_length(mp: Any, profile: cs.Profile, t: float) -> Any:
-    """s(t) in mpmath, m."""
-    powers = enumerate(profile.coefficients)
-    return mp.fsum(mp.mpf(c) * mp.mpf(t) ** (k + 1) / (k + 1) for k, c in powers)
-
-
-def great_circle(mp: Any, radius: float, at: Any, w: Any, s: Any) -> list[Any]:
-    """Point of a sphere at arc length s, from chart coordinates ``at`` along path velocity w."""
-    (u, v), r, pace = map(mp.mpf, at), mp.mpf(radius), mp.hypot(*map(mp.mpf, w))
-    normal = [mp.sin(u) * mp.cos(v), mp.sin(u) * mp.sin(v), mp.cos(u)]
-    x_axis = [mp.cos(u) * mp.cos(v), mp.cos(u) * mp.sin(v), -mp.sin(u)]
-    y_axis = [-mp.sin(v), mp.cos(v), mp.mpf(0)]
-    phase = pace * s / r
-    along = [(w[0] * a + w[1] * b) / pace for a, b in zip(x_axis, y_axis, strict=True)]
-    return [r * (mp.cos(phase) * n + mp.sin(phase) * e) for n, e in zip(normal, along, strict=True)]

@@ -31,6 +31,7 @@ from typing import Any
 
 import heyoka as hy
 import mpmath as mp
+from closed import arc_length, great_circle, helix
 
 DIGITS = 25
 mp.mp.prec = 240
@@ -387,23 +388,13 @@ def slip_law_error(case: Case, times: Sequence[float], states: Sequence[Any]) ->
 
 def great_circle_error(case: Case, times: Sequence[float], states: Sequence[Any]) -> mp.mpf:
     """Greatest distance of an unforced spherical finger from its great circle, m."""
-    e = case.exact
-    if any(w.kind == "finger" for w in case.windows):
-        return mp.mpf(0)
-    u, v = e.finger_at
-    x = [mp.cos(u) * mp.cos(v), mp.cos(u) * mp.sin(v), -mp.sin(u)]
-    y = [-mp.sin(v), mp.cos(v), mp.mpf(0)]
-    w = [e.finger_velocity[0] * a + e.finger_velocity[1] * b for a, b in zip(x, y)]
-    n = sphere_chart([mp.mpf(1)], u, v, MPMATH)
     worst = mp.mpf(0)
+    if any(w.kind == "finger" for w in case.windows):
+        return worst
     for t, state in zip(times, states):
-        s = mp.fsum(c * mp.mpf(t) ** (k + 1) / (k + 1) for k, c in enumerate(e.profile))
-        angle = s * mp.norm(w) / e.finger
-        truth = [
-            e.finger * (mp.cos(angle) * a + mp.sin(angle) * b / mp.norm(w)) for a, b in zip(n, w)
-        ]
-        found = contact_points(case, state)[0]
-        worst = max(worst, mp.norm([a - b for a, b in zip(found, truth)]))
+        s = arc_length(case.profile, t)
+        truth = great_circle(case.finger, case.finger_at, case.finger_velocity, s)
+        worst = max(worst, mp.norm([a - b for a, b in zip(contact_points(case, state)[0], truth)]))
     return worst
 
 
@@ -749,25 +740,6 @@ def geodesic_starts() -> list[tuple[float, float, float]]:
     return starts
 
 
-def umbilic_distance(state: Sequence[mp.mpf]) -> float:
-    """Least distance (m) of the geodesic from an umbilic, to about 1e-9 m.
-
-    The path is sampled in double precision; at the nearest sample the distance is taken from
-    the straight line along the tangent.
-    """
-    a2, b2, c2 = (r * r for r in AXES)
-    x, z = AXES[0] * math.sqrt((a2 - b2) / (a2 - c2)), AXES[2] * math.sqrt((b2 - c2) / (a2 - c2))
-    ta = hy.taylor_adaptive(ellipsoid_equations(), [float(c) for c in state], pars=list(AXES))
-    path = ta.propagate_grid([k * LENGTH / 30000 for k in range(30001)])[5]
-    best = math.inf
-    for corner in ((x, 0.0, z), (x, 0.0, -z), (-x, 0.0, z), (-x, 0.0, -z)):
-        gaps = path[:, :3] - corner
-        k = (gaps**2).sum(axis=1).argmin()
-        across = gaps[k] - (gaps[k] @ path[k, 3:]) * path[k, 3:]
-        best = min(best, float((across @ across) ** 0.5))
-    return best
-
-
 def geodesic_record(start: tuple[float, float, float]) -> dict[str, Any]:
     """One geodesic, computed twice and checked."""
     state = geodesic_start(*start)
@@ -776,17 +748,12 @@ def geodesic_record(start: tuple[float, float, float]) -> dict[str, Any]:
     difference = max(abs(a - b) for x, y in zip(found, other) for a, b in zip(x, y))
     integral = jacobi_integral(state)
     drift = max(abs(jacobi_integral(x) - integral) for x in found)
-    tilt = mp.mpf("1e-15")
-    aside = geodesic(geodesic_start(start[0], start[1], start[2] + tilt), points, PASSES[1])[1]
-    growth = mp.norm([a - b for a, b in zip(aside[:3], found[1][:3])]) / tilt
     return {
         "start": start,
         "middle": [text(x) for x in found[0][:3]],
         "end": [text(x) for x in found[1][:3]],
         "end_direction": [text(x) for x in found[1][3:]],
         "jacobi": text(integral),
-        "growth": short(growth),
-        "umbilic_distance": float(f"{umbilic_distance(state):.2g}"),
         "checks": [agreed(f"geodesic {start}", x) for x in (difference, drift)],
     }
 
@@ -796,8 +763,7 @@ def make_ellipsoid_geodesics() -> None:
     about = (
         "Made by tests/oracles/make_references.py, integrating x'' = -(x'.Ax')/|Ax|^2 Ax. start: "
         "u, v, angle of the direction from f_u towards f_v; middle, end: points at s = 1.5 and 3; "
-        "jacobi: (b^2-c^2) cos^2 v sin^2 a - (a^2-b^2) sin^2 u cos^2 a, a from the v-line, m^2; "
-        "growth: |d end/d angle|, m/rad; umbilic_distance: least distance from an umbilic, m. "
+        "jacobi: (b^2-c^2) cos^2 v sin^2 a - (a^2-b^2) sin^2 u cos^2 a, a from the v-line, m^2. "
         "The last 10 are aimed at an umbilic but for an offset. checks: greatest difference of "
         "two passes, greatest drift of Jacobi's integral."
     )
@@ -805,7 +771,7 @@ def make_ellipsoid_geodesics() -> None:
     columns = {key: [r[key] for r in records] for key in records[0] if key != "checks"}
     checks = [max(r["checks"][k] for r in records) for k in range(2)]
     named = dict(zip(("two_pass_difference", "jacobi_drift"), checks))
-    print(f"  {named}, growth up to {max(columns['growth'])}")
+    print(f"  {named}")
     head = {"about": about, "axes": AXES, "length": LENGTH, "checks": named}
     save("ellipsoid_geodesics", head | columns)
 
@@ -844,25 +810,6 @@ def torus_geodesic(
         agreed("Clairaut's integral on the torus", abs(drift))
         points.append(torus_chart(p, now[0], now[1], MPMATH))
     return points
-
-
-def great_circle(r: Any, at: Any, w: Any, t: Any) -> list[mp.mpf]:
-    """Point of a sphere after the time t at velocity w along its chart's axes."""
-    (u, v), r, w = map(mp.mpf, at), mp.mpf(r), [mp.mpf(x) for x in w]
-    x = [mp.cos(u) * mp.cos(v), mp.cos(u) * mp.sin(v), -mp.sin(u)]
-    y = [-mp.sin(v), mp.cos(v), mp.mpf(0)]
-    pace = mp.norm(w)
-    along = [(w[0] * a + w[1] * b) / pace for a, b in zip(x, y)]
-    phase = pace * mp.mpf(t) / r
-    normal = sphere_chart([mp.mpf(1)], u, v, MPMATH)
-    return [r * (mp.cos(phase) * n + mp.sin(phase) * e) for n, e in zip(normal, along)]
-
-
-def helix(r: Any, at: Any, w: Any, t: Any) -> list[mp.mpf]:
-    """The same on the cylinder (r cos u, r sin u, v)."""
-    u = mp.mpf(at[0]) + mp.mpf(w[0]) * mp.mpf(t) / mp.mpf(r)
-    z = mp.mpf(at[1]) + mp.mpf(w[1]) * mp.mpf(t)
-    return [mp.mpf(r) * mp.cos(u), mp.mpf(r) * mp.sin(u), z]
 
 
 def geodesic_points(
