@@ -111,7 +111,7 @@ def test_tolerances_are_kept_where_slip_settles_within_a_panel(name):
     # Sweeps once stopped as if all had settled with slip, 110 tolerances off. Few panels: a tenth.
     scene = PUSHED_UNDER_STRONG_GAIN[name]
     t = np.linspace(0.0, scene.duration, 30)
-    truth = cs.plan(scene, 1e-13, method="chart", solver="Radau").points(t)[:, 0]
+    truth = cs.plan(scene, 1e-11, method="chart", solver="Radau").points(t)[:, 0]
     sizes = np.array([scene.contacts[0].finger.size, scene.object.size])
     for tolerance in (1e-6, 1e-8, 1e-9):
         gap = cs.plan(scene, tolerance).points(t)[:, 0] - truth
@@ -195,7 +195,7 @@ def test_rates_begin_as_the_scene_says_however_short_slip_lasts(obj, eta, tolera
 
 
 @pytest.mark.parametrize(("eta", "tolerance"), [(1e6, 1e-3), (1e8, 1e-5)])
-@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "oblate"])
+@pytest.mark.parametrize("obj", ["sphere", "cylinder", "ellipsoid", "oblate"])
 def test_slip_that_moves_nothing_shows_in_the_rates_at_many_times(obj, eta, tolerance):
     scene = one_contact(obj, "sphere", gain=cs.Gain.time(eta))
     plan, layer = cs.plan(scene, tolerance=tolerance), np.linspace(0.0, 40.0, 21) / eta

@@ -77,6 +77,8 @@ TWO = {
         lambda x, y: x**2 + y**-3 + 1 / x + ca.fabs(y) ** 1.7,
         lambda x, y: x**2 + y**-3.0 + 1 / x + np.abs(y) ** 1.7,
     ),
+    "sums of products": (lambda x, y: x * y + x * x - 3 * y + (y - x * y) * (x * y - 2),) * 2,
+    "inverses": (lambda x, y: x / y + 2 / y + 1 / (1 + x * x) - x * (1 / (y * y + 2)),) * 2,
     "less": (lambda x, y: x < y, lambda x, y: 1.0 * (x < y)),
     "less or equal": (lambda x, y: x <= y, lambda x, y: 1.0 * (x <= y)),
     "equal": (lambda x, y: ca.eq(ca.sign(x), ca.sign(y)), lambda x, y: 1.0 * (x * y > 0)),
