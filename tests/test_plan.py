@@ -1,11 +1,9 @@
-"""A plan as an object: what may be asked, of many contacts, by threads, and what it says."""
+"""A plan as an object: what may be asked, of many contacts, and what it says."""
 
 from __future__ import annotations
 
 import dataclasses
-from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
-from threading import Barrier
 
 import numpy as np
 import pytest
@@ -170,27 +168,6 @@ def test_contacts_together_move_as_each_alone():
             assert getattr(together, ask)(t)[:, i] == pytest.approx(expected, abs=bar), (ask, i)
 
 
-def test_contacts_of_a_crowd_are_planned_as_if_they_were_alone():
-    # two windows: the second is given in components of the branch that the first has come to
-    windows = [
-        cs.FingerAcceleration("all", 1.2, 1.3, (0.1, 0.1)),
-        cs.ObjectAcceleration("all", 1.5, 1.8, (0.5, 0.3)),
-    ]
-    alone = cs.Scene(
-        object=cs.Ellipsoid(0.3, 0.2, 0.1),
-        contacts=[cs.Contact(cs.Sphere(0.04), (1.0, 1.2), finger_velocity=(0.2, -1.0))],
-        profile=cs.Profile([0.1]),
-        duration=2.0,
-        gain=cs.Gain.time(5.0),
-        disturbances=windows,
-    )
-    crowd = alone.replace(contacts=alone.contacts * 60, disturbances=windows)
-    t = np.linspace(0.0, 2.0, 41)
-    for output in ("points", "states"):
-        one, many = (getattr(cs.plan(s), output)(t) for s in (alone, crowd))
-        assert np.abs(many - one).max() < 1e-12, output
-
-
 def test_undisturbed_contact_is_not_integrated_because_another_is_disturbed():
     scene = cs.load_scene("D1")
     disturbed, calm = cs.plan(scene), cs.plan(scene.replace(disturbances=()))
@@ -203,18 +180,6 @@ def test_undisturbed_contact_is_not_integrated_because_another_is_disturbed():
     assert "panels" not in others
 
 
-@pytest.mark.parametrize("pushed", [[0], [2], [1, 3]], ids=str)
-def test_contacts_that_move_alike_may_have_others_between_them(pushed):
-    scene, t = cs.load_scene("K2"), np.linspace(0, 1, 31)
-    contacts = [*scene.contacts, dataclasses.replace(scene.contacts[0], object_at=(1.0, 2.0))]
-    push = [cs.FingerAcceleration(i, 0.4, 0.6, (0.2, 0.1)) for i in pushed]
-    found = cs.plan(scene.replace(contacts=contacts, disturbances=push)).states(t)
-    for i, contact in enumerate(contacts):
-        own = [dataclasses.replace(d, contact=0) for d in push if d.contact == i]
-        expected = cs.plan(scene.replace(contacts=[contact], disturbances=own)).states(t)[:, 0]
-        assert np.abs(found[:, i] - expected).max() < 1e-12 * np.abs(expected).max()
-
-
 def test_fingers_of_every_surface_roll_alike_on_the_object():
     # Whatever the finger, the object's curve develops from the same straight line.
     contacts = [cs.Contact(f, object_at=(0.7, 0.4), finger_at=at) for f, at in SURFACES.values()]
@@ -222,45 +187,6 @@ def test_fingers_of_every_surface_roll_alike_on_the_object():
     scene = cs.Scene(object=body, contacts=contacts, profile=profile, duration=1)
     x = cs.plan(scene).points([0.0, 1.0])[:, :, 1]
     assert x == pytest.approx(np.broadcast_to(x[:, :1], x.shape), abs=1e-14)
-
-
-# --- threads
-
-
-def test_disturbed_scenes_are_planned_in_many_threads():
-    rng, t = np.random.default_rng(7), np.linspace(0, 1, 31)
-    scenes = []
-    for angle, heading in rng.uniform(-3, 3, (48, 2)):
-        scenes.append(busy(angle=angle, finger_velocity=(np.cos(heading), np.sin(heading))))
-
-    def answer(scene: cs.Scene) -> bytes:
-        plan = cs.plan(scene, 1e-9)
-        return plan.states(t).tobytes() + plan.points(t).tobytes()
-
-    with ThreadPoolExecutor(8) as pool:
-        together = list(pool.map(answer, scenes))
-    assert together == [answer(scene.replace()) for scene in scenes]
-
-
-def test_threads_may_ask_one_plan():
-    contacts = [
-        cs.Contact(cs.Ellipsoid(0.06, 0.05, 0.04), (0.3 + 0.2 * k, 1.2), (1.0, 0.5))
-        for k in range(3)
-    ]
-    window = [cs.FingerAcceleration("all", 0.3, 0.5, (3.0, 1.0))]
-    scene = one_contact("ellipsoid", profile=(0.3,)).replace(contacts=contacts, disturbances=window)
-    t = np.linspace(0.0, 0.95, 23)
-    expected = cs.plan(scene, 1e-9).states(t)
-    with ThreadPoolExecutor(6) as pool:
-        for _ in range(20):
-            plan, gate = cs.plan(scene.replace(), 1e-9), Barrier(6)
-
-            def ask(plan=plan, gate=gate) -> np.ndarray:
-                gate.wait()
-                return plan.states(t)
-
-            for found in [pool.submit(ask) for _ in range(6)]:
-                assert np.array_equal(found.result(), expected)
 
 
 # --- which way is taken

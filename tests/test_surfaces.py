@@ -313,16 +313,6 @@ def test_poles_and_umbilics_are_refused_with_surface_place_and_remedy(surface, a
     assert type(surface).__name__ in text and "(u, v) = (" in text and "Move the contact" in text
 
 
-@pytest.mark.parametrize("name", ALL)
-def test_one_point_is_taken_as_among_many(name):
-    many = np.random.default_rng(9).uniform(-9, 9, (2, 100))
-    many[:, :4] = [[1.0, 2.0, pi / 2, -pi / 2], [pi, -pi, 1.0, 2.0]]
-    single = [ALL[name].canonical(*at) for at in many.T]  # numpy's floats
-    assert single == [ALL[name].canonical(*map(float, at)) for at in many.T]
-    assert single == list(zip(*ALL[name].canonical(*many)))
-    assert all(type(w) is float for at in single for w in at)
-
-
 def nearly_singular(rng) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates, half of them within 1e-16 to 0.1 of multiples of pi/2."""
     w = rng.uniform(-3.2, 3.2, (2, 400))
@@ -333,7 +323,7 @@ def nearly_singular(rng) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", EXPLICIT)
-def test_one_point_is_refused_exactly_where_an_array_of_it_is(name):
+def test_one_point_is_taken_or_refused_as_an_array_of_it_is(name):
     surface = EXPLICIT[name]
     for at in zip(*nearly_singular(np.random.default_rng(11))):
         u, v = map(float, at)
@@ -344,7 +334,8 @@ def test_one_point_is_refused_exactly_where_an_array_of_it_is(name):
                 surface.canonical(u, v)
             assert str(caught.value) == str(error)
         else:
-            assert surface.canonical(u, v) == expected
+            assert surface.canonical(u, v) == surface.canonical(*at) == expected
+            assert all(type(w) is float for w in surface.canonical(*at))  # of numpy's floats
 
 
 @pytest.mark.parametrize(
