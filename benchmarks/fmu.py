@@ -18,12 +18,13 @@ import fmpy
 import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmu_hosts import EVERYTHING, native
+from fmu_hosts.blocks import Instance
 from fmu_hosts.native import Fmu, Program, Unavailable
 
 import contact_system as cs
 from fmu_export import variable_table
 
-from .blocks import PARTS, VERSIONS, Stepper, fmu_of, folder, joined, planned
+from .blocks import PARTS, VERSIONS, fmu_of, folder, joined, outputs, planned
 from .fmu_peer import build_peer
 from .report import Bar, Sections
 from .timing import Job, in_new_process, interleaved
@@ -82,13 +83,12 @@ def simulated(name: str, version: str, **options: Any) -> float:
 
 def stepped(name: str, version: str) -> float:
     """How far an FMU is off the plan after steps of 1e-5 s to half a second."""
-    stepper, end = Stepper(scene_of(name), version), scene_of(name).duration
+    block, end = Instance(scene_of(name), "FMU", version).begin(), scene_of(name).duration
     times = np.cumsum(10 ** np.random.default_rng(4).uniform(-5, -0.3, 400))
-    stepper.begin()
     seen = []
     for t in (times := np.append(times[times < end], end)):
-        stepper.step(t - stepper.time)
-        seen.append(stepper.read())
+        block.step(t - block.time)
+        seen.append(outputs(block))
     return off_plan(name, times, joined(seen))
 
 

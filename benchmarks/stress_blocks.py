@@ -16,6 +16,7 @@ points (it looks at every twentieth of a scene); slip within a thousandth of the
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import dataclasses
 import functools
 import math
@@ -23,11 +24,13 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from fmpy.fmi1 import FMICallException as Refused
+from fmu_hosts.blocks import Instance
 from numpy.polynomial import polynomial
 
 import contact_system as cs
 
-from .blocks import VERSIONS, Refused, Stepper, finite, joined, planned
+from .blocks import VERSIONS, finite, joined, outputs, planned
 from .stress_laws import Meter
 from .stress_scenes import DISTURBANCES, EPS, Array
 from .verdicts import NAN, VALUE, Case, Family, Verdict, refusal
@@ -96,15 +99,25 @@ BLOCKS = ("FMU 2.0", "FMU 3.0", "slave 2.0", "slave 3.0")
 
 
 @functools.cache
-def instance(name: str, block: str) -> Stepper:
+def instance(name: str, kind: str, version: str, interface: str) -> Instance:
     """The one instance of a block in this process, made when it is first needed."""
-    kind, version = block.split()
-    return Stepper(scene_of(name), version, kind)
+    return Instance(scene_of(name), kind, version, interface)
 
 
-def told(error: Refused) -> Verdict:
+def begun(name: str, block: str, stop: float | None = None) -> Instance:
+    """A block at its start, whatever happened before."""
+    kind, version, *interface = block.split()
+    found = instance(name, kind, version, *interface or ["CoSimulation"])
+    found.own.reset()
+    found.said.clear()
+    return found.begin(stop=stop)
+
+
+def told(block: Instance) -> Verdict:
     """The verdict of a refusal: its line names a value and a remedy; the instance is the scene."""
-    return refusal(str(error), place=VALUE)
+    lines = [text for *_, text in block.said[-1:]] or ["refused without a line"]
+    block.said.clear()
+    return refusal(lines[0], place=VALUE)
 
 
 def silent(text: str) -> Verdict:
@@ -126,18 +139,17 @@ class Walk:
     """A block's steps from its start, and what it says after some of them."""
 
     def __init__(self, name: str, block: str, stop: float | None = None):
-        self.stepper, self.times, self.seen = instance(name, block), [], []
-        self.stepper.begin(stop)
+        self.block, self.times, self.seen = begun(name, block, stop), [], []
 
     def to(self, t: float, look: bool = True) -> None:
         """One step to a time."""
-        self.stepper.step(t - self.stepper.time)
+        self.block.step(t - self.block.time)
         self.look() if look else None
 
     def look(self) -> None:
         """Note what the block says now."""
-        self.times.append(self.stepper.time)
-        self.seen.append(self.stepper.read())
+        self.times.append(self.block.time)
+        self.seen.append(outputs(self.block))
 
     def verdict(self, plan: cs.Plan) -> Verdict:
         """Against a plan, at the latest at its end.
@@ -165,12 +177,13 @@ def _stepping(name: str, block: str, lengths: Sequence[float]) -> Verdict:
     walk = Walk(name, block)
     try:
         for h in lengths:
-            walk.stepper.step(h)
+            walk.block.step(h)
             walk.look()
-    except Refused as error:
-        if walk.stepper.time + h <= horizon(name) and h > 1e-15:
-            return Verdict("crash", NAN, NAN, f"a step of {h:g} s was refused: {error}")
-        return told(error)
+    except Refused:
+        verdict = told(walk.block)
+        if walk.block.time + h <= horizon(name) and h > 1e-15:
+            return Verdict("crash", NAN, NAN, f"a step of {h:g} s was refused: {verdict.message}")
+        return verdict
     return walk.verdict(long_plan(name))
 
 
@@ -197,17 +210,15 @@ def steps(name: str, block: str, index: int) -> Verdict:
 
 def beyond(name: str, block: str, index: int) -> Verdict:
     """Past the end of sigma, or past a stop time that was announced."""
-    stepper, random = instance(name, block), drawn(8, index, name)
     stop = None if horizon(name) < HORIZON else scene_of(name).duration
-    stepper.begin(stop)
+    own, random = begun(name, block, stop), drawn(8, index, name)
     end = horizon(name) if stop is None else stop
     try:
-        stepper.step(end * random.uniform(0.1, 0.99))
-        stepper.step(end * random.uniform(1.0, 3.0))
-        stepper.read()
-    except Refused as error:
-        return told(error)
-    return silent(f"stepped to {stepper.time} s, where nothing is")
+        own.step(end * random.uniform(0.1, 0.99), end * random.uniform(1.0, 3.0))
+        outputs(own)
+    except Refused:
+        return told(own)
+    return silent(f"stepped to {own.time} s, where nothing is")
 
 
 def _pushes(name: str, random: np.random.Generator, most: float) -> list[Any]:
@@ -225,9 +236,9 @@ def _pushes(name: str, random: np.random.Generator, most: float) -> list[Any]:
 INPUTS = ("finger.acceleration", "object.acceleration", "object.rate_offset")
 
 
-def _set_input(stepper: Stepper, kind: int, contact: int, values: Sequence[float]) -> None:
-    for axis, value in zip("uv", values):
-        stepper.set(f"contact[{contact + 1}].{INPUTS[kind]}.{axis}", [value])
+def _set_input(own: Instance, kind: int, contact: int, values: Sequence[float]) -> None:
+    name = f"contact[{contact + 1}].{INPUTS[kind]}."
+    own.put({name + axis: value for axis, value in zip("uv", values)})
 
 
 def with_inputs(name: str, block: str, index: int) -> Verdict:
@@ -239,23 +250,26 @@ def with_inputs(name: str, block: str, index: int) -> Verdict:
         plan.states(scene.duration)
     except cs.ContactSystemError as error:
         plan, why = None, str(error)
+    own = walk.block
     try:
         for push in pushes:
-            kind, stepper = DISTURBANCES.index(type(push)), walk.stepper
-            if push.start > stepper.time:
+            kind = DISTURBANCES.index(type(push))
+            if push.start > own.time:
                 walk.to(push.start, look=False)
-            stepper.time = push.start  # what a difference of times adds up to is rounded
-            _set_input(stepper, kind, push.contact, push.value)
+            own.time = push.start  # what a difference of times adds up to is rounded
+            _set_input(own, kind, push.contact, push.value)
             for part in (0.4, 0.8):  # not at the end, where the input still acts and is no window
                 walk.to((1 - part) * push.start + part * push.stop)
             walk.to(push.stop, look=False)
-            stepper.time = push.stop
-            _set_input(stepper, kind, push.contact, (0.0, 0.0))
+            own.time = push.stop
+            _set_input(own, kind, push.contact, (0.0, 0.0))
         walk.to(scene.duration)
-    except Refused as error:
+    except Refused:
+        verdict = told(own)
         if plan is not None:
-            return Verdict("crash", NAN, NAN, f"what plan() does is refused: {error}")
-        return told(error)
+            text = f"what plan() does is refused: {verdict.message}"
+            return Verdict("crash", NAN, NAN, text)
+        return verdict
     if plan is None:
         return refusal(why) if finite(joined(walk.seen)) else silent("NaN handed out")
     return walk.verdict(plan)
@@ -266,20 +280,18 @@ WILD = (NAN, math.inf, -math.inf, 1e308, -1e308, 1e200, 1e30, 5e-324)
 
 def wild_values(name: str, block: str, index: int) -> Verdict:
     """Values as inputs that nobody can follow; afterwards the block goes on as ever."""
-    scene, stepper = scene_of(name), instance(name, block)
+    scene, own, refused = scene_of(name), begun(name, block), None
     index, w = divmod(index, len(WILD))
-    stepper.begin()
-    stepper.step(0.1 * scene.duration)
-    refused = None
+    own.step(0.1 * scene.duration)
     try:
-        _set_input(stepper, index % 3, index % len(scene.contacts), (0.0, WILD[w]))
-        stepper.step(0.3 * scene.duration)
-        if not finite(stepper.read()):
+        _set_input(own, index % 3, index % len(scene.contacts), (0.0, WILD[w]))
+        own.step(0.3 * scene.duration)
+        if not finite(outputs(own)):
             return silent(f"a value that is not finite was handed out after {WILD[w]:g}")
         if not abs(WILD[w]) < 1e-300:
             return silent(f"{WILD[w]:g} acts, and nobody says anything")
-    except Refused as error:
-        refused = told(error)
+    except Refused:
+        refused = told(own)
     after = _stepping(name, block, [0.5 * scene.duration, 0.5 * scene.duration])
     return refused if refused and after.outcome == "right" else after
 
@@ -302,33 +314,35 @@ def _spoiled(data: bytes, random: np.random.Generator) -> bytes:
 def blobs(name: str, block: str, index: int) -> Verdict:
     """Spoiled bytes are refused, and the true ones go on from where they were saved."""
     random, end, walk = drawn(10, index, name), scene_of(name).duration, Walk(name, block)
-    walk.stepper.step(end * random.uniform(0.05, 0.5))
-    blob, time = walk.stepper.saved()
-    walk.stepper.step(end * random.uniform(0.05, 0.3))
+    own = walk.block
+    own.step(end * random.uniform(0.05, 0.5))
+    blob, time = own.written(), own.time
+    own.step(end * random.uniform(0.05, 0.3))
     try:
-        walk.stepper.restore(_spoiled(blob, random), time)
+        own.read(_spoiled(blob, random))
         return silent("spoiled bytes were taken for a state")
-    except Refused as error:
-        refused = Verdict("refused", NAN, NAN, str(error))
-    walk.stepper.restore(blob, time)
+    except Refused:
+        refused = Verdict("refused", NAN, NAN, told(own).message)
+    own.restore(own.read(blob), time)
     for t in np.linspace(time, end, 4)[1:]:
         walk.to(t)
     after = walk.verdict(long_plan(name))
     return refused if after.outcome == "right" else after
 
 
-def _continuous(stepper: Stepper, what: str, array: Array) -> Array:
-    """Get or set an array of continuous states or derivatives."""
-    from ctypes import c_double
+DERIVATIVES = {"2.0": "getDerivatives", "3.0": "getContinuousStateDerivatives"}
 
-    values = (c_double * len(array))(*array)
-    stepper.call(what, values, len(array))
+
+def _continuous(own: Instance, method: str, array: Array) -> Array:
+    """Get or set an array of continuous states or derivatives."""
+    values = (ctypes.c_double * len(array))(*array)
+    getattr(own.own, method)(values, len(array))
     return np.array(values)
 
 
-def _wild_states(stepper: Stepper, random: np.random.Generator) -> Array:
+def _wild_states(own: Instance, random: np.random.Generator) -> Array:
     """The start, some of its numbers replaced: (11 n)."""
-    x = _continuous(stepper, "getContinuousStates", np.zeros(11 * len(stepper.scene.contacts)))
+    x = _continuous(own, "getContinuousStates", np.zeros(11 * len(own.scene.contacts)))
     if random.integers(4):
         x += random.normal(size=len(x)) * 10 ** random.uniform(-3, 2)
     odd = (0.0, math.pi, math.pi / 2, 1e-15, 1e-300, 1e8, -1e16, 1e155, 1e300, NAN, math.inf)
@@ -363,23 +377,22 @@ def _laws_of_frames(meter: Meter, scene: cs.Scene, t: float, x: Array, rate: Arr
 
 def exchange(name: str, block: str, index: int) -> Verdict:
     """Derivatives at a wild state, by the laws of moving frames."""
-    stepper, random = instance(name, block), np.random.default_rng((11, index))
-    stepper.begin()
-    stepper.call("enterContinuousTimeMode")
-    x, meter = _wild_states(stepper, random), Meter()
-    t = float(random.choice([0.0, 0.37, 1.0, 3.0])) * stepper.scene.duration
+    own, random = begun(name, block), np.random.default_rng((11, index))
+    own.own.enterContinuousTimeMode()
+    x, meter = _wild_states(own, random), Meter()
+    t = float(random.choice([0.0, 0.37, 1.0, 3.0])) * own.scene.duration
     try:
-        stepper.call("setTime", t)
-        _continuous(stepper, "setContinuousStates", x)
-        rate = _continuous(stepper, "getContinuousStateDerivatives", np.zeros(len(x)))
-    except Refused as error:
-        return told(error)
+        own.own.setTime(t)
+        _continuous(own, "setContinuousStates", x)
+        rate = _continuous(own, DERIVATIVES[own.version], np.zeros(len(x)))
+    except Refused:
+        return told(own)
     if not np.isfinite(rate).all():
         return silent("derivatives that are not finite, and status OK")
     with np.errstate(all="ignore"):
-        _laws_of_frames(meter, stepper.scene, t, x, rate)
+        _laws_of_frames(meter, own.scene, t, x, rate)
     with contextlib.suppress(Refused):
-        if not finite(stepper.read()):
+        if not finite(outputs(own)):
             return silent("outputs that are not finite, and status OK")
     return meter.verdict()
 
@@ -484,7 +497,7 @@ def _family(
     return Family(what, count * len(blocks) * len(STEPPED), make, endless)
 
 
-EXCHANGE = [f"ModelExchange {version}" for version in VERSIONS]
+EXCHANGE = [f"FMU {version} ModelExchange" for version in VERSIONS]
 FAMILIES = [
     _family("steps of FMU and slave", len(LENGTHS) + len(NEAR) + 3, steps),
     _family("FMU and slave beyond the end", 2, beyond),
