@@ -49,13 +49,12 @@ def families() -> dict[str, Family]:
     from . import stress_cases
 
     found = list(stress_cases.FAMILIES)
-    try:
-        from . import stress_blocks
-
-        found += stress_blocks.FAMILIES
-    except ImportError as error:
-        if multiprocessing.parent_process() is None:
-            print(f"stress of FMU and Drake: left out, {error}")
+    for what in ("blocks", "drake"):
+        try:
+            found += importlib.import_module(f".stress_{what}", __package__).FAMILIES
+        except ImportError as error:
+            if multiprocessing.parent_process() is None:
+                print(f"stress of {what}: left out, {error}")
     return {family.name: family for family in found}
 
 

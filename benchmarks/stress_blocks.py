@@ -1,4 +1,4 @@
-"""Stress cases of what steps a plan: FMUs, slaves in this process, ContactPlanner in Drake.
+"""Stress cases of what steps a plan: FMUs, and slaves in this process.
 
 Stepped blocks are judged against `plan` of the same scene (which `stress_laws` judges by exact
 laws), with the inputs that they were given as windows; derivatives of Model Exchange by the laws
@@ -9,31 +9,30 @@ Bounds of stepped blocks: 1e-12 of the greatest value of the quantity, and 16 ep
 that the contact turns about the smallest body, or would at its last speed from the start: arc
 length and time carry that many digits less. Normals, so rotation and twist, lose the curvature,
 counted in sizes of the body (`_bend`).
-What Drake's schemes end with is refused or within twice what ContactPlanner promises of contact
-points (it looks at every twentieth of a scene); slip within a thousandth of the greatest speed.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
-import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from fmpy.fmi1 import FMICallException as Refused
+from fmu_hosts import EVERYTHING
 from fmu_hosts.blocks import Instance
 from numpy.polynomial import polynomial
 
 import contact_system as cs
 
 from .blocks import VERSIONS, finite, joined, outputs, planned
+from .stress_cases import grid
 from .stress_laws import Meter
-from .stress_scenes import DISTURBANCES, EPS, Array
-from .verdicts import NAN, VALUE, Case, Family, Verdict, refusal
+from .stress_scenes import DISTURBANCES, EPS, Array, Draw
+from .verdicts import NAN, VALUE, Verdict, refusal
 
 # A path that starts at rest, a gain of 1e9, every kind of disturbance, one inside another.
 HARD = cs.Scene(
@@ -52,24 +51,15 @@ HARD = cs.Scene(
     gain=cs.Gain.path(1e9),
     duration=1.0,
 )
-# A marble in a bowl; the guaranteed law while sigma grows and falls; no window.
-BOWL = cs.Scene(
-    name="bowl",
-    object=cs.Sphere(0.1, inside=True),
-    contacts=[cs.Contact(cs.Sphere(0.02), (1.9, 0.4), (0.9, 0.2), object_velocity=(0.1, 0.0))],
-    profile=cs.Profile([0.01, 0.5, -0.4]),
-    gain=cs.Gain.guaranteed(30.0),
-    duration=1.0,
-)
-OWN = {"hard": HARD, "bowl": BOWL}
-STEPPED = ("K2", "K3", "K4", "D1", "hard", "bowl")
+OWN = {"hard": HARD, "everything": EVERYTHING}
+STEPPED = ("K2", "K4", "D1", "bowl", "hard", "everything")
 HORIZON = 12.0
 """s; how far beyond their end scenes are stepped, where sigma lets them."""
 
 
 @functools.cache
 def scene_of(name: str) -> cs.Scene:
-    """A bundled scene, or one of this module."""
+    """A bundled scene, or one of `OWN`."""
     return OWN.get(name) or cs.load_scene(name)
 
 
@@ -123,11 +113,6 @@ def told(block: Instance) -> Verdict:
 def silent(text: str) -> Verdict:
     """What ought to have been refused."""
     return Verdict("silent", NAN, NAN, text)
-
-
-def drawn(family: int, index: int, name: str) -> np.random.Generator:
-    """What is drawn for a case."""
-    return np.random.default_rng((family, index, STEPPED.index(name)))
 
 
 LENGTHS = (1e-300, 1e-17, 1e-12, *(10.0**k for k in range(-9, 2)), 0.3, 3.0)
@@ -187,34 +172,32 @@ def _stepping(name: str, block: str, lengths: Sequence[float]) -> Verdict:
     return walk.verdict(long_plan(name))
 
 
-def steps(name: str, block: str, index: int) -> Verdict:
+def steps(draw: Draw, how: tuple[str, float], name: str, block: str) -> Verdict:
     """Equal steps of one length, steps to near windows' edges, or random ones."""
-    scene, random, end = scene_of(name), drawn(7, index, name), horizon(name)
-    if index < len(LENGTHS):  # a step to anywhere, equal ones, one to the end or beyond it
-        length = LENGTHS[index]
-        lengths = [] if length >= 0.1 else [scene.duration * random.uniform(0, 0.8)]
-        lengths += [length] * FEW
+    scene, random, end = scene_of(name), draw.random, horizon(name)
+    kind, x = how
+    if kind == "equal":  # a step to anywhere, equal ones, one to the end or beyond it
+        lengths = [] if x >= 0.1 else [scene.duration * random.uniform(0, 0.8)]
+        lengths += [x] * FEW
         while sum(lengths) > end:
             lengths.pop()
         last = min(max(scene.duration, sum(lengths) * 1.1 + 1e-3), 0.999 * end)
         lengths += [last - sum(lengths)] if last > sum(lengths) else []
-    elif index < len(LENGTHS) + len(NEAR):  # from near an edge of a window to near the next
-        off = NEAR[index - len(LENGTHS)]
-        times = [e + off * max(1.0, e) for e in scene.edges if e > 0]
+    elif kind == "near":  # from near an edge of a window to near the next
+        times = [e + x * max(1.0, e) for e in scene.edges if e > 0]
         lengths = np.diff([0.0, *times, times[-1] + 1e-3]).tolist()
     else:
-        drawn_steps = 10 ** random.uniform(-9, 1, 3 * FEW)
-        lengths = drawn_steps[np.cumsum(drawn_steps) < 0.999 * end].tolist() or [0.999 * end]
+        sizes = 10 ** random.uniform(-9, 1, 3 * FEW)
+        lengths = sizes[np.cumsum(sizes) < 0.999 * end].tolist() or [0.999 * end]
     return _stepping(name, block, lengths)
 
 
-def beyond(name: str, block: str, index: int) -> Verdict:
+def beyond(draw: Draw, name: str, block: str) -> Verdict:
     """Past the end of sigma, or past a stop time that was announced."""
     stop = None if horizon(name) < HORIZON else scene_of(name).duration
-    own, random = begun(name, block, stop), drawn(8, index, name)
-    end = horizon(name) if stop is None else stop
+    own, end = begun(name, block, stop), horizon(name) if stop is None else stop
     try:
-        own.step(end * random.uniform(0.1, 0.99), end * random.uniform(1.0, 3.0))
+        own.step(end * draw.real(0.1, 0.99), end * draw.real(1.0, 3.0))
         outputs(own)
     except Refused:
         return told(own)
@@ -241,10 +224,10 @@ def _set_input(own: Instance, kind: int, contact: int, values: Sequence[float]) 
     own.put({name + axis: value for axis, value in zip("uv", values)})
 
 
-def with_inputs(name: str, block: str, index: int) -> Verdict:
+def with_inputs(draw: Draw, most: float, name: str, block: str) -> Verdict:
     """Against the plan of a scene that has the inputs as windows."""
     scene, walk = scene_of(name), Walk(name, block)
-    pushes = _pushes(name, drawn(9, index, name), (1.0, 3.0, 30.0)[index % 3])
+    pushes = _pushes(name, draw.random, most)
     try:
         plan = cs.plan(scene.replace(disturbances=[*scene.disturbances, *pushes]), 1e-14)
         plan.states(scene.duration)
@@ -278,18 +261,17 @@ def with_inputs(name: str, block: str, index: int) -> Verdict:
 WILD = (NAN, math.inf, -math.inf, 1e308, -1e308, 1e200, 1e30, 5e-324)
 
 
-def wild_values(name: str, block: str, index: int) -> Verdict:
+def wild_values(draw: Draw, kind: int, value: float, name: str, block: str) -> Verdict:
     """Values as inputs that nobody can follow; afterwards the block goes on as ever."""
     scene, own, refused = scene_of(name), begun(name, block), None
-    index, w = divmod(index, len(WILD))
     own.step(0.1 * scene.duration)
     try:
-        _set_input(own, index % 3, index % len(scene.contacts), (0.0, WILD[w]))
+        _set_input(own, kind, kind % len(scene.contacts), (0.0, value))
         own.step(0.3 * scene.duration)
         if not finite(outputs(own)):
-            return silent(f"a value that is not finite was handed out after {WILD[w]:g}")
-        if not abs(WILD[w]) < 1e-300:
-            return silent(f"{WILD[w]:g} acts, and nobody says anything")
+            return silent(f"a value that is not finite was handed out after {value:g}")
+        if not abs(value) < 1e-300:
+            return silent(f"{value:g} acts, and nobody says anything")
     except Refused:
         refused = told(own)
     after = _stepping(name, block, [0.5 * scene.duration, 0.5 * scene.duration])
@@ -311,9 +293,9 @@ def _spoiled(data: bytes, random: np.random.Generator) -> bytes:
     return found if found != data else data[:-1]
 
 
-def blobs(name: str, block: str, index: int) -> Verdict:
+def blobs(draw: Draw, name: str, block: str) -> Verdict:
     """Spoiled bytes are refused, and the true ones go on from where they were saved."""
-    random, end, walk = drawn(10, index, name), scene_of(name).duration, Walk(name, block)
+    random, end, walk = draw.random, scene_of(name).duration, Walk(name, block)
     own = walk.block
     own.step(end * random.uniform(0.05, 0.5))
     blob, time = own.written(), own.time
@@ -375,9 +357,9 @@ def _laws_of_frames(meter: Meter, scene: cs.Scene, t: float, x: Array, rate: Arr
             meter.see("|M q'|", abs(moved - wanted), bound + 1e-290)
 
 
-def exchange(name: str, block: str, index: int) -> Verdict:
+def exchange(draw: Draw, name: str, block: str) -> Verdict:
     """Derivatives at a wild state, by the laws of moving frames."""
-    own, random = begun(name, block), np.random.default_rng((11, index))
+    own, random = begun(name, block), draw.random
     own.own.enterContinuousTimeMode()
     x, meter = _wild_states(own, random), Meter()
     t = float(random.choice([0.0, 0.37, 1.0, 3.0])) * own.scene.duration
@@ -397,113 +379,15 @@ def exchange(name: str, block: str, index: int) -> Verdict:
     return meter.verdict()
 
 
-IMPLICIT = ("implicit_euler", "radau1", "velocity_implicit_euler", "radau3")
-ESTIMATING = ("bogacki_shampine3", "runge_kutta3", "runge_kutta5")
-"""Explicit schemes that estimate their error; to the others Drake gives steps of equal length."""
-SCHEMES = ("explicit_euler", "semi_explicit_euler", "runge_kutta2", *IMPLICIT, *ESTIMATING)
-STEP_LENGTHS = (1e-3, 1e-2, 3e-2, 0.1)
-ACCURACIES = (1e-2, 1e-4, 1e-6)
-SIMULATED = 0.4
-"""s that is simulated."""
-
-
-def _driven_scenes() -> Iterator[tuple[str, cs.Scene]]:
-    """K1 to K4, with their windows soon after the start; K1 and K4 also with stiff gains."""
-    for name in ("K1", "K2", "K3", "K4"):
-        scene = cs.load_scene(name)
-        early = {"start": 0.1, "stop": 0.2} if name == "K4" else {}
-        windows = [dataclasses.replace(d, **early) for d in scene.disturbances]
-        yield name, (scene := scene.replace(duration=SIMULATED, disturbances=windows))
-        for eta in (1e3, 1e9) if name in ("K1", "K4") else ():
-            yield f"{name} with eta {eta:g}", scene.replace(gain=cs.Gain.time(eta))
-
-
-DRIVEN = dict(_driven_scenes())
-
-
-@functools.cache
-def _driven(name: str, coordinates: str) -> tuple[Any, cs.Plan]:
-    """A planner for Drake, and the plan of its scene."""
-    from drake_plant import ContactPlanner
-
-    return ContactPlanner(DRIVEN[name], coordinates), cs.plan(DRIVEN[name], 1e-13)
-
-
-def _drive(
-    name: str, coordinates: str, scheme: str, step: float, accuracy: float | None
-) -> Verdict:
-    from drake_plant.plan_check import TOLERANCE
-
-    from .drake_planner import simulator_of
-
-    (planner, plan), meter, scene = _driven(name, coordinates), Meter(), DRIVEN[name]
-    simulator = simulator_of(planner, scheme, step, accuracy)
-    simulator.AdvanceTo(SIMULATED)
-    context, port = simulator.get_context(), planner.GetOutputPort
-    points = port("contact_point").Eval(context).reshape(-1, 2, 3)
-    slip = np.linalg.norm(port("slip").Eval(context).reshape(-1, 2), axis=-1)
-    size = max(scene.object.size, *(c.finger.size for c in scene.contacts))
-    promised = TOLERANCE * (size + float(scene.profile.arc_length(SIMULATED)))
-    away = np.linalg.norm(points - plan.points(SIMULATED)[0], axis=-1)
-    meter.see("points", away, 2 * promised)
-    most = float(scene.profile(np.linspace(0, SIMULATED, 41)).max())
-    meter.see("slip", slip - plan.slip_speed(SIMULATED)[0], 1e-3 * most)
-    return meter.verdict()
-
-
-@functools.cache
-def _runs() -> list[tuple[str, str, str, float, float | None]]:
-    """Scene, coordinates, scheme, step and accuracy of every run, the longest steps first.
-
-    Left out are schemes that do not estimate their error, under error control; and what takes steps
-    of 1 / lam by its nature, up to 4e8 of them: explicit schemes under error control where a gain
-    of 1e6 or more is integrated.
-    """
-    lengths: list[tuple[float, float | None]] = [(0.1, a) for a in ACCURACIES]
-    lengths += [(h, None) for h in sorted(STEP_LENGTHS, reverse=True)]
-    return [
-        (name, coordinates, scheme, step, accuracy)
-        for step, accuracy in lengths
-        for scheme in SCHEMES
-        for name in DRIVEN
-        for coordinates in ("chart", "frame")
-        if not accuracy
-        or scheme in IMPLICIT
-        or (scheme in ESTIMATING and not name.endswith("e+09"))
-    ]
-
-
-def _case_of_drake(index: int) -> Case:
-    name, coordinates, scheme, step, accuracy = run = _runs()[index]
-    what = f"error control at {accuracy:g}" if accuracy else f"steps of {step:g} s"
-    return Case(f"{name}, {coordinates}: {scheme}, {what}", lambda: _drive(*run))
-
-
-def _family(
-    what: str,
-    count: int,
-    judge: Callable[[str, str, int], Verdict],
-    blocks: Sequence[str] = BLOCKS,
-    endless: bool = True,
-) -> Family:
-    """So many cases of each scene and each block."""
-
-    def make(number: int) -> Case:
-        index, b = divmod(number, len(blocks))
-        index, s = divmod(index, len(STEPPED))
-        name, block = STEPPED[s], blocks[b]
-        return Case(f"{what}: {block} of {name}, {index}", lambda: judge(name, block, index))
-
-    return Family(what, count * len(blocks) * len(STEPPED), make, endless)
-
-
-EXCHANGE = [f"FMU {version} ModelExchange" for version in VERSIONS]
+EACH = {"name": STEPPED, "block": BLOCKS}
+HOW = [*(("equal", x) for x in LENGTHS), *(("near", x) for x in NEAR), *[("random", None)] * 3]
+OUT = {"kind": range(3), "value": WILD}
+FRAMES = {"name": STEPPED, "block": [f"FMU {version} ModelExchange" for version in VERSIONS]}
 FAMILIES = [
-    _family("steps of FMU and slave", len(LENGTHS) + len(NEAR) + 3, steps),
-    _family("FMU and slave beyond the end", 2, beyond),
-    _family("inputs of FMU and slave", 6, with_inputs),
-    _family("values from outside", 3 * len(WILD), wild_values, endless=False),
-    _family("states of FMU and slave", 10, blobs),
-    _family("Model Exchange", 120, exchange, EXCHANGE),
-    Family("Drake", len(_runs()), _case_of_drake),
+    grid("steps of FMU and slave", 1, steps, how=HOW, **EACH),
+    grid("FMU and slave beyond the end", 2, beyond, **EACH),
+    grid("inputs of FMU and slave", 2, with_inputs, most=(1.0, 3.0, 30.0), **EACH),
+    grid("values from outside", 1, wild_values, **OUT, **EACH),
+    grid("states of FMU and slave", 10, blobs, **EACH),
+    grid("Model Exchange", 120, exchange, **FRAMES),
 ]

@@ -44,6 +44,7 @@ judged_plan = on_trials(run)
 
 def grid(
     name: str,
+    /,
     repeats: int,
     judge: Callable[..., Verdict] = judged_plan,
     cases: Sequence[dict[str, Any]] = ({},),

@@ -67,7 +67,7 @@ PLACE = re.compile(
 VALUE = re.compile(r"\d| = |nan|inf")
 REMEDY = re.compile(
     r"\b(use|give|move|turn|start|end|restart|shorten|lengthen|lower|raise|make|ask|write|choose|"
-    r"must|leave|change|scale|split|keep|set|plan|add|exchange|continue|check|announce|run|pass)\b",
+    r"must|leave|change|scale|split|keep|set|plan|add|exchange|continue|check|announce|run|pass|accelerate)\b",
     re.IGNORECASE,
 )
 

@@ -7,10 +7,11 @@ import pytest
 pytest.importorskip("fmpy")
 pytest.importorskip("pydrake")
 
-from benchmarks import stress_blocks, stress_laws
+from benchmarks import stress_blocks, stress_drake, stress_laws
 from benchmarks.verdicts import judged
 
-FAMILIES = {family.name: family for family in stress_blocks.FAMILIES}
+BENCHES = (stress_blocks, stress_drake)
+FAMILIES = {family.name: family for bench in BENCHES for family in bench.FAMILIES}
 # Slaves in this process come third and fourth of BLOCKS; FMUs would have to be exported first.
 SLAVES = [k for k, block in enumerate(stress_blocks.BLOCKS) if block.startswith("slave")]
 OF_SLAVES = [family.name for family in stress_blocks.FAMILIES[:5]]
@@ -48,16 +49,14 @@ def test_an_fmu_is_right_after_steps_of_all_lengths_and_after_what_it_refuses():
 
 def test_a_chart_that_runs_backwards_after_one_long_step_is_refused():
     # sigma grows five-fold in the step, so implicit Euler changes its sign; it is not too fast.
-    case = FAMILIES["Drake"].make(
-        stress_blocks._runs().index(("K2", "chart", "implicit_euler", 0.1, None))
-    )
-    verdict = judged(case)
+    run = ("K2", "chart", "implicit_euler", 0.1, None)
+    verdict = judged(FAMILIES["Drake"].make(stress_drake.RUNS.index(run)))
     assert verdict.outcome == "refused" and "smaller steps" in verdict.message
 
 
 def test_error_control_that_would_take_steps_of_a_nanosecond_to_the_end_is_refused():
     run = ("K4 with eta 1e+09", "chart", "radau1", 0.1, 1e-6)
-    verdict = judged(FAMILIES["Drake"].make(stress_blocks._runs().index(run)))
+    verdict = judged(FAMILIES["Drake"].make(stress_drake.RUNS.index(run)))
     assert verdict.outcome == "refused" and "smaller eta" in verdict.message
 
 
