@@ -19,7 +19,7 @@ from conftest import (
     several,
     slip_of_states,
 )
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import quad
 
 import contact_system as cs
 
@@ -50,27 +50,9 @@ def test_contact_points_are_right_to_the_tolerance(name):
     t = np.linspace(0, 1, 101)
     truth = cs.plan(scene, tolerance=1e-15).points(t)
     sizes = np.array([[c.finger.size, scene.object.size] for c in scene.contacts])
-    for tolerance in (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12):
+    for tolerance in (1e-1, 1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12):
         gap = np.abs(cs.plan(scene, tolerance=tolerance).points(t) - truth).max((0, 3))
         assert (gap / sizes).max() <= tolerance
-
-
-def test_coarse_tolerances_are_kept_on_a_torus():
-    major, minor, at, w = 0.25, 0.125, (0.42, -2.44), np.array([-0.765, -0.716])
-    torus, t = cs.Torus(major, minor), np.linspace(0, 2, 41)
-
-    def geodesic(_, y):  # by Clairaut's and the chart's equations of second order
-        _, v, du, dv = y
-        rho, slope = major + minor * np.cos(v), -minor * np.sin(v)
-        return [du, dv, -2 * slope / rho * du * dv, rho * slope / minor**2 * du**2]
-
-    rates = w / (major + minor * np.cos(at[1]), minor)
-    truth = solve_ivp(geodesic, (0, 2), [*at, *rates], "DOP853", t, rtol=1e-11, atol=1e-11).y
-    scene = on_a_plane(torus, at, tuple(w), (1.0,), duration=2.0)
-    for tolerance in (1e-1, 1e-2, 1e-4):
-        points = cs.plan(scene, tolerance).points(t)[:, 0, 0]
-        gap = np.linalg.norm(points - torus.point(*truth[:2]), axis=1)
-        assert gap.max() <= tolerance * torus.size
 
 
 PUSHED_UNDER_STRONG_GAIN = {
@@ -139,16 +121,6 @@ def test_axes_are_right_where_panels_are_short_against_the_body(axes, at, along,
         found = cs.plan(scene, tolerance=float(tolerance)).pose(TIMES)
         # the tolerance bounds points; on blades so thin axes swing by ten times as much
         assert np.abs(found - expected)[..., :3, :3].max() < 10 * tolerance, tolerance
-
-
-@pytest.mark.parametrize("obj", ["torus", "ellipsoid", "oblate"])
-def test_speed_along_a_geodesic_is_kept_to_the_tolerance(obj):
-    scene = one_contact(obj, "sphere", object_velocity="rolling", profile=(3.0,))
-    for tolerance in (1e-2, 1e-5, 1e-9, 1e-13):
-        states = cs.plan(scene, tolerance=tolerance).states(TIMES)[:, 0]
-        roots = scene.object.metric_root(*states[:, 4:6].T)
-        speeds = np.linalg.norm(np.einsum("nij,nj->ni", roots, states[:, 6:8]), axis=1) / 3.0
-        assert np.ptp(speeds) < 30 * tolerance
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-3, 1e-6, 1e-9])

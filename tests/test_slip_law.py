@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, pi, remainder, sin, sqrt
+from math import pi, remainder, sqrt
 
 import mpmath as mp
 import numpy as np
@@ -184,14 +184,6 @@ def test_slip_treatment_ends_once_slip_is_below_tolerance(obj):
     assert_slip_follows_the_exact_law(scene, T)
 
 
-@pytest.mark.parametrize("obj", ["sphere", "ellipsoid", "bumps"])
-def test_end_of_slip_treatment_does_not_show_in_the_contact_point(obj):
-    # A lower tolerance ends it later; the curves agree to the higher tolerance.
-    scene = one_contact(obj, gain=cs.Gain.time(60.0), profile=(0.2,))
-    coarse, fine = (cs.plan(scene, tolerance=x).points(T)[:, 0, 1] for x in (1e-8, 1e-14))
-    assert coarse == pytest.approx(fine, abs=1e-8 * scene.object.size)
-
-
 def test_the_least_slip_is_slip():
     rolled = reflection(0.3) @ (0.6, 0.8)
     for off in (1e-9, 1e-12):
@@ -215,37 +207,7 @@ def test_geodesic_on_the_object_gives_a_geodesic_on_the_finger(obj, finger):
     assert not dragged.slip(T).any()
 
 
-# --- geodesics
-
-
-def geodesic(surface: cs.Surface, at, direction, length: float) -> cs.Plan:
-    """A contact that rolls along a geodesic of the object at 1 m/s."""
-    start = {"finger_at": (0.0, 0.0), "finger_velocity": tuple(reflection(0.0) @ direction)}
-    start |= {"object_at": at, "object_velocity": "rolling", "angle": 0.0}
-    return cs.plan(one_contact(surface, cs.Plane(), profile=(1.0,), duration=length, **start))
-
-
-# Each turns about z: the distance from the axis, and which chart coordinate is the azimuth.
-OF_REVOLUTION = {
-    "torus": (cs.Torus(0.1, 0.03), lambda u, v: 0.1 + 0.03 * np.cos(v), 0),
-    "oblate": (cs.Ellipsoid(0.3, 0.3, 0.1), lambda u, v: 0.3 * np.cos(v), 0),
-    "one sheet": (cs.Quadric(np.diag([100.0, 100.0, -50.0])), lambda u, v: 0.1 * np.cosh(v), 0),
-    "sphere": (cs.Sphere(0.3), lambda u, v: 0.3 * np.sin(u), 1),
-}
-
-
-@pytest.mark.parametrize("angle", [0.2, 0.9, 1.4, 2.7])
-@pytest.mark.parametrize("name", OF_REVOLUTION)
-def test_clairauts_integral_is_constant(name, angle):
-    surface, radius, azimuth = OF_REVOLUTION[name]
-    w = np.array([cos(angle), sin(angle)])
-    plan = geodesic(surface, (0.8, 0.7), w, 2.0)
-    states = plan.states(np.linspace(0, 2, 81))
-    a2 = path_velocities(plan.scene, states)[1][:, 0]
-    distance = radius(*states[:, 0, 4:6].T)
-    clairaut = radius(0.8, 0.7) * w[azimuth]
-    assert distance * a2[:, azimuth] == pytest.approx(clairaut, abs=1e-13 * distance.max())
-    assert np.ptp(distance) > 5e-3
+# --- holonomy
 
 
 def test_octant_of_a_sphere_has_a_holonomy_of_ninety_degrees():
