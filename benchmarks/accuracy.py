@@ -13,7 +13,7 @@ from typing import Any
 
 import mpmath as mp
 import numpy as np
-from oracles.closed import arc_length, great_circle, helix
+from oracles.formulas import arc_length, great_circle, helix
 from oracles.load import load, scene_of
 
 import contact_system as cs

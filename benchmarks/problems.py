@@ -16,7 +16,7 @@ from typing import Any
 
 import mpmath as mp
 import numpy as np
-from oracles.closed import arc_length, great_circle
+from oracles.formulas import arc_length, geodesic_rates, great_circle
 from oracles.load import load, scene_of, surface_of
 
 import contact_system as cs
@@ -218,7 +218,8 @@ def geodesic_scene(
 
 
 def _geodesic(name: str, record: dict[str, Any]) -> Problem:
-    surface, velocity = surface_of(record["object"]), tuple(record["velocity"])
+    body, velocity = record["object"], tuple(record["velocity"])
+    surface = surface_of(body)
     at, times = tuple(record["at"]), record["times"]
     pieces = (Piece(times, np.zeros(0)),)
 
@@ -227,9 +228,7 @@ def _geodesic(name: str, record: dict[str, Any]) -> Problem:
         return [x[2], x[3], bend[0] + 0.0 * x[2], bend[1] + 0.0 * x[3]]
 
     def in_space(m: Any, t: Any, x: Sequence[Any], p: Sequence[Any]) -> list[Any]:
-        slope, bend = _implicit(surface, m, x[:3], x[3:])
-        factor = -bend / sum(g * g for g in slope)
-        return [*x[3:], *(factor * g for g in slope)]
+        return geodesic_rates(body["surface"], body["radii"].tolist(), m, x)
 
     def of_chart(states: Array) -> Array:
         return surface.point(states[:, 0], states[:, 1])[:, None]
@@ -244,23 +243,6 @@ def _geodesic(name: str, record: dict[str, Any]) -> Problem:
     make = partial(geodesic_scene, surface, at, velocity, record["duration"], (1.5, 0.2))
     truth, sizes = record["points"][:, None, None], np.array([surface.size])
     return Problem(f"geodesic {name}", make, times, truth, sizes, forms)
-
-
-def _implicit(surface: cs.Surface, m: Any, x: Any, p: Any) -> tuple[list[Any], Any]:
-    """grad F and p^T (Hess F) p, both up to one factor."""
-    if isinstance(surface, cs.Torus):  # F = (rho - R)^2 + z^2 - r^2 over 2
-        square = x[0] * x[0] + x[1] * x[1]
-        rho = m.sqrt(square)
-        pull, along = surface.major / rho, x[0] * p[0] + x[1] * p[1]
-        slope = [(1.0 - pull) * x[0], (1.0 - pull) * x[1], x[2]]
-        flat = (1.0 - pull) * (p[0] * p[0] + p[1] * p[1]) + p[2] * p[2]
-        return slope, flat + pull * along * along / square
-    if isinstance(surface, cs.Ellipsoid):
-        diagonal = [1.0 / r**2 for r in (surface.a, surface.b, surface.c)]
-    else:
-        diagonal = [1.0, 1.0, 1.0 if isinstance(surface, cs.Sphere) else 0.0]
-    slope = [d * c for d, c in zip(diagonal, x)]
-    return slope, sum(d * c * c for d, c in zip(diagonal, p))
 
 
 def no_slip(output: str, count: int) -> Problem:

@@ -31,7 +31,7 @@ from typing import Any
 
 import heyoka as hy
 import mpmath as mp
-from closed import arc_length, great_circle, helix
+from formulas import arc_length, geodesic_rates, great_circle, helix
 
 DIGITS = 25
 mp.mp.prec = 240
@@ -279,8 +279,7 @@ def integrator(equations: str, arguments: tuple[Any, ...], tolerance: str, bits:
     builders = (
         paper_equations,
         development_equations,
-        ellipsoid_equations,
-        torus_geodesic_equations,
+        geodesic_equations,
     )
     system = {f.__name__: f for f in builders}[equations](*arguments)
     return hy.taylor_adaptive(
@@ -660,29 +659,21 @@ AXES = (0.3, 0.2, 0.1)
 LENGTH = 3.0
 
 
-def ellipsoid_equations() -> list[tuple[Any, Any]]:
-    """x'' = -(x'^T A x')/|A x|^2 A x in arc length; parameters a, b, c."""
-    names = hy.make_vars("x", "y", "z", "dx", "dy", "dz")
-    x, p = names[:3], names[3:]
-    A = [1 / hy.par[i] ** 2 for i in range(3)]
-    Ax = [a * c for a, c in zip(A, x)]
-    bend = sum(a * c * c for a, c in zip(A, p)) / sum(c * c for c in Ax)
-    return [*zip(x, p), *zip(p, (-bend * c for c in Ax))]
+def geodesic_equations(surface: str, radii: int) -> list[tuple[Any, Any]]:
+    """x and x' in arc length; parameters are the radii."""
+    state = hy.make_vars("x", "y", "z", "dx", "dy", "dz")
+    shape = [hy.par[i] for i in range(radii)]
+    return list(zip(state, geodesic_rates(surface, shape, HEYOKA, state)))
 
 
-def geodesic_start(u: Any, v: Any, angle: Any) -> list[mp.mpf]:
-    """Point and unit direction cos(angle) f_u/|f_u| + sin(angle) f_v/|f_v|."""
-    return ellipsoid_start(AXES, u, v, (mp.cos(angle), mp.sin(angle)))
-
-
-def ellipsoid_start(axes: Sequence[Any], u: Any, v: Any, w: Sequence[Any]) -> list[mp.mpf]:
+def start_in_space(surface: str, radii: Sequence[Any], at: Any, w: Sequence[Any]) -> list[mp.mpf]:
     """Point and velocity w[0] f_u/|f_u| + w[1] f_v/|f_v|."""
-    p, u, v = [mp.mpf(r) for r in axes], mp.mpf(u), mp.mpf(v)
-    g = ellipsoid_metric(p, u, v, MPMATH)
-    cu, cv = w[0] / mp.sqrt(g.E), w[1] / mp.sqrt(g.G)
+    p, (u, v), (chart, metric) = [mp.mpf(r) for r in radii], map(mp.mpf, at), CHARTS[surface]
+    g = metric(p, u, v, MPMATH)
+    cu, cv = mp.mpf(w[0]) / mp.sqrt(g.E), mp.mpf(w[1]) / mp.sqrt(g.G)
 
     def along(t: mp.mpf) -> list[mp.mpf]:
-        return ellipsoid_chart(p, u + cu * t, v + cv * t, MPMATH)
+        return chart(p, u + cu * t, v + cv * t, MPMATH)
 
     return along(mp.mpf(0)) + [mp.diff(lambda t, k=k: along(t)[k], 0) for k in range(3)]
 
@@ -691,14 +682,15 @@ def geodesic(
     state: Sequence[Any],
     lengths: Sequence[float],
     passed: tuple[str, int],
-    axes: Sequence[float] = AXES,
+    surface: str = "ellipsoid",
+    radii: Sequence[float] = AXES,
 ) -> list[Any]:
     """Point and direction after each arc length, shape (len(lengths), 6)."""
     bits = passed[1]
-    ta = integrator("ellipsoid_equations", (), *passed)
+    ta = integrator("geodesic_equations", (surface, len(radii)), *passed)
     ta.time = real(0, bits)
     ta.state[:] = [real(x, bits) for x in state]
-    ta.pars[:] = [real(x, bits) for x in axes]
+    ta.pars[:] = [real(x, bits) for x in radii[: len(ta.pars)]]  # a torus needs the major one
     found = []
     for s in lengths:
         ta.propagate_until(real(s, bits))
@@ -742,7 +734,8 @@ def geodesic_starts() -> list[tuple[float, float, float]]:
 
 def geodesic_record(start: tuple[float, float, float]) -> dict[str, Any]:
     """One geodesic, computed twice and checked."""
-    state = geodesic_start(*start)
+    u, v, angle = start
+    state = start_in_space("ellipsoid", AXES, (u, v), (mp.cos(angle), mp.sin(angle)))
     points = (LENGTH / 2, LENGTH)
     found, other = (geodesic(state, points, passed) for passed in PASSES)
     difference = max(abs(a - b) for x, y in zip(found, other) for a, b in zip(x, y))
@@ -779,39 +772,6 @@ def make_ellipsoid_geodesics() -> None:
 # Geodesics of one start on several surfaces, for run time against error.
 
 
-def torus_geodesic_equations() -> list[tuple[Any, Any]]:
-    """Eq. `timegeodesic` at constant sigma; parameters R, r."""
-    u, v, du, dv = hy.make_vars("u", "v", "du", "dv")
-    bend = geodesic_acceleration(torus_metric([hy.par[0], hy.par[1]], u, v, HEYOKA), (du, dv), 0.0)
-    return [(u, du), (v, dv), (du, bend[0]), (dv, bend[1])]
-
-
-def torus_geodesic(
-    radii: Sequence[float], at: Any, w: Any, times: Sequence[float], passed: tuple[str, int]
-) -> list[list[mp.mpf]]:
-    """Points at the times, shape (len(times), 3).
-
-    Raises
-    ------
-    ArithmeticError
-        Clairaut's integral h_u^2 u' drifts.
-    """
-    p, bits = [mp.mpf(r) for r in radii], passed[1]
-    (u, v), ta = map(mp.mpf, at), integrator("torus_geodesic_equations", (), *passed)
-    g = torus_metric(p, u, v, MPMATH)
-    rates = [mp.mpf(w[0]) / mp.sqrt(g.E), mp.mpf(w[1]) / mp.sqrt(g.G)]
-    ta.time, ta.state[:] = real(0, bits), [real(x, bits) for x in (u, v, *rates)]
-    ta.pars[:] = [real(x, bits) for x in p]
-    points = []
-    for t in times:
-        ta.propagate_until(real(t, bits))
-        now = [from_real(x) for x in ta.state]
-        drift = torus_metric(p, now[0], now[1], MPMATH).E * now[2] - g.E * rates[0]
-        agreed("Clairaut's integral on the torus", abs(drift))
-        points.append(torus_chart(p, now[0], now[1], MPMATH))
-    return points
-
-
 def geodesic_points(
     surface: str, radii: Sequence[float], at: Any, w: Any, times: Sequence[float], passed: Any
 ) -> list[list[mp.mpf]]:
@@ -819,10 +779,8 @@ def geodesic_points(
     if surface in ("sphere", "cylinder"):
         closed = great_circle if surface == "sphere" else helix
         return [closed(radii[0], at, w, t) for t in times]
-    if surface == "torus":
-        return torus_geodesic(radii, at, w, times, passed)
-    start = ellipsoid_start(radii, *at, [mp.mpf(x) for x in w])
-    return [row[:3] for row in geodesic(start, times, passed, radii)]
+    start = start_in_space(surface, radii, at, w)
+    return [row[:3] for row in geodesic(start, times, passed, surface, radii)]
 
 
 #: Ten times the body's size at about 1 m/s.

@@ -1,4 +1,7 @@
-"""Closed forms in mpmath, to its working precision; inputs are doubles, SI units and radians."""
+"""What references and benches share: closed forms by mpmath, geodesics in space.
+
+SI units and radians; mpmath works to its own precision.
+"""
 
 from __future__ import annotations
 
@@ -31,3 +34,21 @@ def helix(radius: Any, at: Any, w: Any, s: Any) -> list[Any]:
     r = mp.mpf(radius)
     u = mp.mpf(at[0]) + mp.mpf(w[0]) * mp.mpf(s) / r
     return [r * mp.cos(u), r * mp.sin(u), mp.mpf(at[1]) + mp.mpf(w[1]) * mp.mpf(s)]
+
+
+def geodesic_rates(surface: str, radii: Sequence[Any], m: Any, state: Sequence[Any]) -> list[Any]:
+    """(x, x')' = (x', -(x'^T Hess F x')/|grad F|^2 grad F), over a module m with sqrt."""
+    x, p = state[:3], state[3:]
+    if surface == "torus":  # F = (rho - R)^2 + z^2 - r^2 over 2
+        square = x[0] * x[0] + x[1] * x[1]
+        pull, along = radii[0] / m.sqrt(square), x[0] * p[0] + x[1] * p[1]
+        slope = [(1.0 - pull) * x[0], (1.0 - pull) * x[1], x[2]]
+        bend = (1.0 - pull) * (p[0] * p[0] + p[1] * p[1]) + p[2] * p[2]
+        bend = bend + pull * along * along / square
+    else:
+        weights = {"sphere": [1.0, 1.0, 1.0], "cylinder": [1.0, 1.0, 0.0]}.get(surface)
+        weights = weights or [1.0 / (r * r) for r in radii]
+        slope = [a * c for a, c in zip(weights, x)]
+        bend = sum(a * c * c for a, c in zip(weights, p))
+    factor = -bend / sum(g * g for g in slope)
+    return [*p, *(factor * g for g in slope)]
