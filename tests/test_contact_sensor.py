@@ -91,21 +91,6 @@ def test_rates_hold_the_slip_measured_at_the_objects_surface():
     assert np.abs(found.slip).max() > 1e-3
 
 
-@pytest.mark.parametrize("gap", [-1e-3, 1e-3, 0.1])
-def test_nearest_points_of_sphere_and_ellipsoid_lie_on_one_normal(gap):
-    scene = one_contact("ellipsoid", "sphere")
-    u, v = 0.7, 0.4
-    normal, x2 = scene.object.normal(u, v), scene.object.point(u, v)
-    pose = np.eye(4)[None].copy()
-    pose[0, :3, 3] = x2 + (0.1 + gap) * normal
-    sensor = ContactSensor(scene)
-    flat = pose[:, :3].reshape(1, 12)
-    found = sensor.measure(flat, np.zeros((1, 6)), sensor.approach(flat, [0]))
-    sensor.check(found)
-    assert found.points[0] == pytest.approx(np.array([-0.1 * normal, x2]), abs=1e-12)
-    assert found.gap == pytest.approx(gap, abs=1e-12)
-
-
 def test_a_contact_at_a_pole_leaves_the_others_as_precise_as_ever():
     contacts = [cs.Contact(cs.Ellipsoid(0.05, 0.04, 0.03), (1.0, 0.3))] * 2
     profile = cs.Profile([0.1])
@@ -120,7 +105,7 @@ def test_a_contact_at_a_pole_leaves_the_others_as_precise_as_ever():
 
 
 @pytest.mark.parametrize("gap", [-1e-4, 1e-3, 1e-2])
-@pytest.mark.parametrize("obj", ["sphere", "bowl", "plane", "torus", "oblate", "bumps"])
+@pytest.mark.parametrize("obj", ["sphere", "bowl", "plane", "torus", "ellipsoid", "bumps"])
 @pytest.mark.parametrize(
     ("finger", "at"),
     [
@@ -175,7 +160,12 @@ FLAT = cs.Quadric(np.diag([4.0, 0.0, 0.0]))
 
 @pytest.mark.parametrize(
     ("obj", "finger"),
-    [(cs.Sphere(0.1, inside=True), cs.Sphere(0.1)), (cs.Plane(), cs.Plane()), (FLAT, cs.Plane())],
+    [
+        (cs.Sphere(0.1, inside=True), cs.Sphere(0.1)),
+        (cs.Cylinder(0.1, inside=True), cs.Cylinder(0.1)),  # in one direction only
+        (cs.Plane(), cs.Plane()),
+        (FLAT, cs.Plane()),
+    ],
 )
 def test_conforming_surfaces_are_refused_at_a_pose_that_is_rounded(obj, finger):
     contact = cs.Contact(finger=finger, object_at=(1, 1))

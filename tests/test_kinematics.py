@@ -128,12 +128,6 @@ def test_whether_bodies_conform_does_not_depend_on_the_unit_of_length(unit):
             assert np.abs(measured(ball, bowl)).max() < 1e-9
 
 
-def test_ball_along_the_line_of_a_cylinder_of_its_own_radius_is_a_conformal_contact():
-    # conforming in one direction only: the relative curvature has rank one
-    with pytest.raises(ConformalContact, match="contact 0: .*change a radius"):
-        measured(cs.Cylinder(0.1), cs.Cylinder(0.1, inside=True))
-
-
 # --- relative acceleration
 
 
