@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import sys
 
@@ -57,20 +56,6 @@ def test_a_hollow_is_seen_from_its_open_side():
     assert not hidden.any()
 
 
-def test_a_curve_has_the_number_that_the_legend_has():
-    scene = cs.load_scene("bowl")
-    for name, number in (("", "0"), ("finger 12", "12"), ("thumb", "0")):
-        contact = dataclasses.replace(scene.contacts[0], name=name)
-        plan = cs.plan(scene.replace(contacts=[contact], disturbances=()))
-        assert plots._curves(plan, [0], 1)[0].label == number
-
-
-def test_curves_that_coincide_are_labelled_together():
-    curves = plots._curves(cs.plan(cs.load_scene("K1")), [0, 1, 2], 0)
-    assert [c.label for c in plots._distinct(curves, 1e-6)] == ["1,2,3"]
-    assert plots._listed([str(k) for k in (1, 2, 3, 5, 6, 7, 8, 9)]) == "1,2,3,5-9"
-
-
 SURFACES = {
     "plane": (cs.Plane(), (0.0, 0.0)),
     "ellipsoid of revolution": (cs.Ellipsoid(0.3, 0.1, 0.1), (1.0, 0.0)),
@@ -108,6 +93,16 @@ def test_names_are_drawn_as_they_are(tmp_path):
         plots.plot(cs.plan(scene), tmp_path / "odd.svg")
     drawn = (tmp_path / "odd.svg").read_text()
     assert [f">{word}<" in drawn for word in words] == [True] * 3
+
+
+def test_curves_have_the_numbers_of_the_legend_and_share_them_where_they_coincide(tmp_path):
+    matplotlib = pytest.importorskip("matplotlib")
+    named = [cs.Contact(finger=FINGER, object_at=(1.0, 0.2), name="finger 12")]
+    cases = {"1,2,3": cs.load_scene("K1"), "12": _scene(cs.Sphere(0.1)).replace(contacts=named)}
+    for number, scene in cases.items():
+        with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text
+            plots.plot_curves(cs.plan(scene), tmp_path / "x.svg")
+        assert f">{number}<" in (tmp_path / "x.svg").read_text()
 
 
 def test_a_picture_that_cannot_be_written_is_refused(tmp_path):
