@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import contact_system as cs
 
-sys.path.append(str(Path(__file__).parents[1]))  # benchmarks run from a checkout
 pytest.importorskip("mpmath")
 
 from benchmarks import bars, fresh, peers, problems, work_precision  # noqa: E402
