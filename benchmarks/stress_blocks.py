@@ -30,9 +30,8 @@ import contact_system as cs
 
 from .blocks import VERSIONS, finite, joined, outputs, planned
 from .stress_cases import grid
-from .stress_laws import Meter
 from .stress_scenes import DISTURBANCES, EPS, Array, Draw
-from .verdicts import NAN, VALUE, Verdict, refusal
+from .verdicts import NAN, VALUE, Meter, Verdict, refusal
 
 # A path that starts at rest, a gain of 1e9, every kind of disturbance, one inside another.
 HARD = cs.Scene(
@@ -123,13 +122,14 @@ FEW = 12
 class Walk:
     """A block's steps from its start, and what it says after some of them."""
 
-    def __init__(self, name: str, block: str, stop: float | None = None):
-        self.block, self.times, self.seen = begun(name, block, stop), [], []
+    def __init__(self, name: str, block: str):
+        self.block, self.times, self.seen = begun(name, block), [], []
 
     def to(self, t: float, look: bool = True) -> None:
         """One step to a time."""
         self.block.step(t - self.block.time)
-        self.look() if look else None
+        if look:
+            self.look()
 
     def look(self) -> None:
         """Note what the block says now."""

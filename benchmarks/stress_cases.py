@@ -14,7 +14,7 @@ from numpy.polynomial import polynomial as poly
 
 import contact_system as cs
 
-from .stress_laws import Judge, Meter, left_over, run
+from .stress_laws import Judge, left_over, run
 from .stress_scenes import (
     DISTURBANCES,
     EPS,
@@ -31,7 +31,7 @@ from .stress_scenes import (
     round_body,
     stretched,
 )
-from .verdicts import Case, Family, Verdict, refusal
+from .verdicts import Case, Family, Meter, Verdict, refusal
 
 
 def on_trials(judge: Callable[[Trial], Verdict]) -> Callable[..., Verdict]:

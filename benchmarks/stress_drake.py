@@ -19,9 +19,8 @@ from drake_plant.plan_check import TOLERANCE
 
 from .drake_planner import simulator_of
 from .stress_cases import grid
-from .stress_laws import Meter
 from .stress_scenes import Draw
-from .verdicts import Verdict
+from .verdicts import Meter, Verdict
 
 Run = tuple[str, str, str, float, float | None]
 IMPLICIT = ("implicit_euler", "radau1", "velocity_implicit_euler", "radau3")

@@ -31,7 +31,6 @@ import functools
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import polynomial as poly
@@ -40,37 +39,9 @@ from numpy.polynomial.legendre import leggauss
 import contact_system as cs
 
 from .stress_scenes import DISTURBANCES, EPS, TURNS, Array, Body, Trial
-from .verdicts import NAN, Verdict, refusal
+from .verdicts import NAN, Meter, Verdict, refusal
 
 NODES, WEIGHTS = leggauss(10)
-
-
-@dataclass
-class Meter:
-    """Errors against their bounds; keeps the one that is worst by that measure."""
-
-    law: str = "nothing compared"
-    error: float = 0.0
-    bound: float = math.inf
-    compared: int = 0
-
-    def see(self, law: str, error: Any, bound: Any) -> None:
-        """Take note of errors (any shape) and their bounds (of a shape that broadcasts)."""
-        error, bound = np.broadcast_arrays(np.abs(error), np.asarray(bound, dtype=float))
-        if not error.size:
-            return
-        self.compared += 1
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = error / np.maximum(bound, 1e-300)
-        k = int(np.argmax(np.where(np.isnan(ratio), np.inf, ratio)))
-        if not ratio.flat[k] <= self.error / self.bound:
-            self.law, self.error = law, float(error.flat[k])
-            self.bound = max(float(bound.flat[k]), 1e-300)
-
-    def verdict(self) -> Verdict:
-        """Right if everything was within its bound."""
-        right = self.compared > 0 and self.error <= self.bound
-        return Verdict("right" if right else "silent", self.error, self.bound, self.law)
 
 
 def run(trial: Trial) -> Verdict:

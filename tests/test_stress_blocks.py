@@ -7,8 +7,8 @@ import pytest
 pytest.importorskip("fmpy")
 pytest.importorskip("pydrake")
 
-from benchmarks import stress_blocks, stress_drake, stress_laws
-from benchmarks.verdicts import judged
+from benchmarks import stress_blocks, stress_drake
+from benchmarks.verdicts import Meter, judged
 
 BENCHES = (stress_blocks, stress_drake)
 FAMILIES = {family.name: family for bench in BENCHES for family in bench.FAMILIES}
@@ -68,7 +68,7 @@ def test_derivatives_of_model_exchange_obey_the_laws_of_frames(index):
 
 
 def test_a_judge_takes_what_is_no_number_for_wrong():
-    meter = stress_laws.Meter()
+    meter = Meter()
     meter.see("slip", 0.5, 1.0)
     assert meter.verdict().outcome == "right"
     meter.see("twist", float("nan"), 1.0)
