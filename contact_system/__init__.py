@@ -13,7 +13,6 @@ from .errors import (
 )
 from .measures import Rejection, great_circle_distance, rejections
 from .plan import Plan, load, plan
-from .reach import Goal, Route, reach
 from .scene import (
     Contact,
     FingerAcceleration,
@@ -26,6 +25,7 @@ from .scene import (
     load_scene,
     save_scene,
 )
+from .steering import Goal, Route, reach
 from .surfaces import (
     Cylinder,
     Ellipsoid,

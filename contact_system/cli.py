@@ -38,8 +38,8 @@ from .measures import (
     rejections,
 )
 from .plan import METHODS, Plan, plan
-from .reach import Goal, reach
 from .scene import STILL, Scene, bundled_scenes, load_scene, save_scene
+from .steering import Goal, reach
 from .theory.gain import LAWS, Gain
 
 PROGRAM = "contact-system"

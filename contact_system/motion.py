@@ -29,7 +29,10 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "carried": (2, 3),
 }
 """What can be asked for, in the engine's order, and its shape for one contact at one time."""
-_TIMES_FIRST = {name: (len(shape) + 1, *range(len(shape) + 1)) for name, shape in SHAPES.items()}
+FRAMES = "frames"
+"""What steering asks for besides: of each body x, p, q, and its curvature form K_pp, K_pq, K_qq."""
+_ALL = {**SHAPES, FRAMES: (2, 12)}
+_TIMES_FIRST = {name: (len(shape) + 1, *range(len(shape) + 1)) for name, shape in _ALL.items()}
 IN_CONTACT_FRAMES = {"states", "slip", "acceleration", "carried"}
 """What needs to know the branch of the charts."""
 
@@ -84,10 +87,10 @@ class Motion:
             self._anchor()
         t = np.ascontiguousarray(t)
         count, n = self._count, len(t)
-        found = {name: np.empty((count, *SHAPES[name], n)) for name in names}
+        found = {name: np.empty((count, *_ALL[name], n)) for name in names}
         if n:
-            wanted = (ctypes.c_void_p * len(SHAPES))(
-                *[address(found[name]) if name in found else None for name in SHAPES]
+            wanted = (ctypes.c_void_p * len(_ALL))(
+                *[address(found[name]) if name in found else None for name in _ALL]
             )
             failure = binding.Failure()
             at = address(t), ctypes.addressof(wanted)

@@ -115,7 +115,8 @@ enum {
 
 /* ---- what can be asked for ---- */
 
-enum { STATES, POINTS, SLIP, SLIP_SPEED, TWIST, POSE, ACCELERATION, CARRIED, N_OUTPUTS };
+/* FRAMES: of each body x p q, and the curvature form along p and q: K_pp K_pq K_qq */
+enum { STATES, POINTS, SLIP, SLIP_SPEED, TWIST, POSE, ACCELERATION, CARRIED, FRAMES, N_OUTPUTS };
 
 /* why something failed */
 enum {

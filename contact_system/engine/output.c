@@ -216,7 +216,7 @@ static void fill_pair(unit_t *u, const sample_t *m) {
 
 static const int OUTPUT_ROWS[N_OUTPUTS] = {[STATES] = 9, [POINTS] = 6, [SLIP] = 2,
                                            [SLIP_SPEED] = 1, [TWIST] = 6, [POSE] = 16,
-                                           [ACCELERATION] = 2, [CARRIED] = 6};
+                                           [ACCELERATION] = 2, [CARRIED] = 6, [FRAMES] = 24};
 
 /* where the results of a block go: out[row][n_times], `count` of them from `first` on */
 typedef struct {
@@ -247,6 +247,13 @@ static void put_carried(const target_t *to, const contact_t *c, const sample_t *
     for (int i = 0; i < L; i++)
       own[i] = r[2 * a] * m->w1[0][i] + r[2 * a + 1] * m->w1[1][i] - m->v[a][i];
     put(to, CARRIED, 4 + a, own);
+  }
+}
+
+static void put_frames(const target_t *to, const sample_t *m) {
+  for (int s = 0; s < 2; s++) {
+    for (int j = 0; j < 9; j++) put(to, FRAMES, 12 * s + j, m->side[s].frame[j]);
+    for (int j = 0; j < 3; j++) put(to, FRAMES, 12 * s + 9 + j, m->side[s].shape[j]);
   }
 }
 
@@ -289,6 +296,7 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const double *
     for (int s = 0; s < 2; s++)
       for (int j = 0; j < 3; j++) put(to, POINTS, 3 * s + j, m->side[s].frame[j]);
   if (out[STATES]) put_states(to, c, m);
+  if (out[FRAMES]) put_frames(to, m);
   if (out[POSE]) put_pose(w, to, c, m);
   if (!(out[SLIP] || out[SLIP_SPEED] || out[TWIST] || out[ACCELERATION] || out[CARRIED])) return;
   sample_slip(m, t);
@@ -347,6 +355,7 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
   if (out[POINTS]) needs |= NEED_POINT;
   if (out[POSE] || out[TWIST]) needs |= NEED_FRAME;
   if (out[TWIST]) needs |= NEED_SHAPE | NEED_VELOCITY;
+  if (out[FRAMES]) needs |= NEED_FRAME | NEED_SHAPE;
   sample_t m;
   memset(&m, 0, sizeof m);
   int64_t which[2] = {0, 0}, record = 0;

@@ -77,7 +77,11 @@ def rest_to_rest(length: float, duration: float) -> Profile:
     """The profile of least jerk from rest to rest, of a length [m] in a time [s]."""
     speed = length / duration
     rates = [30 * speed * c / duration**k for k, c in ((2, 1), (3, -2), (4, 1))]
-    return Profile([0.0, 0.0, *rates]) if length > 0 else STILL
+    if not length > 0:
+        return STILL
+    found = Profile([0.0, 0.0, *rates])
+    object.__setattr__(found, "peak", 0.5 * duration)
+    return found
 
 
 class Stretch(NamedTuple):

@@ -13,7 +13,7 @@ from fractions import Fraction
 from functools import lru_cache, reduce
 from itertools import zip_longest
 from operator import mul
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -144,6 +144,9 @@ class Profile:
 
     coefficients: Coefficients
 
+    peak: ClassVar[float | None] = None
+    """The one extremum, s, where it is known beforehand, as of a leg from rest to rest."""
+
     if TYPE_CHECKING:  # the fields say what is kept, this what may be given
 
         def __init__(self, coefficients: Numbers) -> None: ...
@@ -181,6 +184,8 @@ class Profile:
         """Times inside (t0, t1) at which sigma' changes sign, ascending [s]."""
         if t0 == 0 and min(self.coefficients[1:], default=0.0) >= 0:
             return ()  # no term turns, the commonest profile
+        if self.peak is not None:
+            return (self.peak,) if t0 < self.peak < t1 else ()
         span = finite_number(t0, "t0"), finite_number(t1, "t1")
         return tuple(sign_changes(self.slope, *span))
 

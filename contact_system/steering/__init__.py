@@ -1,0 +1,6 @@
+"""Steering: legs that take contacts from a start to a goal (theory section 11)."""
+
+from .goal import Goal, Route
+from .reach import reach
+
+__all__ = ["Goal", "Route", "reach"]

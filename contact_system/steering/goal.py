@@ -1,0 +1,116 @@
+"""Where a contact is to arrive, and the route that takes it there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..checks import finite_number, finite_numbers, real_array
+from ..errors import SceneError
+from ..scene import Leg, Scene
+from ..scene.contact import pair
+
+KEYS = ("object_at", "finger_at", "angle", "pose", "object_within", "finger_within")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Goal:
+    """Where a contact is to arrive; what is left out may come out as it likes.
+
+    Parameters
+    ----------
+    object_at, finger_at : (float, float), optional
+        Chart coordinates (u, v) of the contact on the object and on the finger.
+    angle : float, optional
+        psi between the frames there [rad]; with both places.
+    pose : (4, 4), optional
+        In the place of all these: the finger's frame in the object's, a homogeneous matrix, m.
+    object_within, finger_within : (float, float, float), optional
+        u, v, radius: on the whole way the contact stays within this distance, m, straight through
+        space, of the point (u, v) of the object or the finger. Such as a fingertip's pad.
+
+    Raises
+    ------
+    SceneError
+        Naming the key, the value and the remedy.
+    """
+
+    object_at: tuple[float, float] | None = None
+    finger_at: tuple[float, float] | None = None
+    angle: float | None = None
+    pose: Any = None
+    object_within: tuple[float, float, float] | None = None
+    finger_within: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        for key in ("object_at", "finger_at"):
+            if getattr(self, key) is not None:
+                put(self, key, pair(getattr(self, key), key))
+        for key in ("object_within", "finger_within"):
+            if getattr(self, key) is not None:
+                put(self, key, _region(getattr(self, key), key))
+        if self.angle is not None:
+            put(self, "angle", finite_number(self.angle, "angle"))
+        places = self.object_at is not None, self.finger_at is not None
+        if self.pose is not None:
+            if any(places) or self.angle is not None:
+                raise SceneError("pose: give a pose or places and an angle, not both")
+            put(self, "pose", _pose(self.pose))
+        elif not any(places):
+            raise SceneError("a goal needs a place on a body: object_at, finger_at or a pose")
+        elif self.angle is not None and not all(places):
+            raise SceneError("angle: it is that between two frames; give both places with it")
+
+
+def _region(given: Any, key: str) -> tuple[float, ...]:
+    remedy = f"{key} = {given!r:.80}: give u, v and a radius above 0, m"
+    try:
+        found = finite_numbers(given, key)
+    except (SceneError, TypeError):
+        raise SceneError(remedy) from None
+    if len(found) != 3 or not found[2] > 0:
+        raise SceneError(remedy)
+    return found
+
+
+def _pose(given: Any) -> np.ndarray:
+    try:
+        found = real_array(given)
+    except (TypeError, ValueError, OverflowError):
+        found = np.empty(0)
+    if found.shape != (4, 4) or not np.isfinite(found).all():
+        raise SceneError(f"pose = {given!r:.80}: give a homogeneous matrix, shape (4, 4)")
+    turn = found[:3, :3]
+    if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0:
+        raise SceneError("pose: its first three rows and columns are no rotation")
+    if np.abs(found[3] - [0, 0, 0, 1]).max() > 1e-12:
+        raise SceneError(f"pose: its last row is {found[3].tolist()}; give 0, 0, 0, 1")
+    return found
+
+
+@dataclass(frozen=True)
+class Route:
+    """Legs that reach a goal.
+
+    Attributes
+    ----------
+    scene : Scene
+        The scene with these legs, for :func:`plan`.
+    legs : tuple of tuple of Leg
+        Of each contact.
+    length : float
+        Of all legs of all contacts, along s, m.
+    residual : float
+        How far off the goals the contacts arrive: places in sizes of the bodies, angles in rad.
+    tried : str
+        With how many legs, from how many starts.
+    """
+
+    scene: Scene
+    legs: tuple[tuple[Leg, ...], ...]
+    length: float
+    residual: float
+    tried: str

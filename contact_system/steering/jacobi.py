@@ -1,0 +1,90 @@
+"""How a path's end moves with its legs: Jacobi fields (theory section 11).
+
+Along a geodesic of length s on a surface of Gaussian curvature K
+
+    J'' = -K J, J(0) = 0, J'(0) = 1        M'' = -K M, M(0) = 1, M'(0) = 0
+
+A turn by dphi at its start moves the end sideways by J dphi, a shift sideways by dy moves it by
+M dy, and the carried frame at the end turns by (J' - 1) dphi, or M' dy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+Array = np.ndarray
+
+NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+NODES = (1.0 + NODES) / 2.0
+"""Gauss points of a leg, as parts of its length."""
+
+
+Field = tuple[float, float, float, float]
+"""J, J', M, M' at one place of a leg, m, 1, 1, 1/m; with a negative length it runs backwards."""
+
+
+Shift = tuple[float, float, float]
+"""How the end of a path moves along p and q of its carried frame, and how that frame turns."""
+
+
+def constant_field(curvature: float, s: float) -> Field:
+    """On a sphere of this Gaussian curvature, or a plane or a cylinder, where it is 0."""
+    if curvature == 0.0:
+        return s, 1.0, 1.0, 0.0
+    root = math.sqrt(curvature)
+    sine, cosine = math.sin(root * s), math.cos(root * s)
+    return sine / root, cosine, cosine, -root * sine
+
+
+def _collocation() -> tuple[Array, Array]:
+    """Integrals from 0 to the nodes of the Lagrange polynomials on them, and of those to 1."""
+    legendre = np.polynomial.legendre
+    values = np.linalg.inv(legendre.legvander(2 * NODES - 1, 15)).T
+    rises = [legendre.legint(c, lbnd=-1) for c in values]
+    to_nodes = np.array([legendre.legval(2 * NODES - 1, c) for c in rises]).T / 2
+    return to_nodes, _WEIGHTS / 2
+
+
+_TO_NODES, _TO_END = _collocation()
+_TWICE = _TO_NODES @ _TO_NODES
+
+
+def fields(curvature: Array, s: Array) -> Array:
+    """The fields at the nodes and the end of legs, by collocation.
+
+    curvature (..., 16) at the nodes, s (...): returns (..., 17, 4), in the order of `Field`.
+    """
+    s = s[..., None]
+    k = -curvature * s**2
+    start = np.stack([s * NODES, np.ones_like(k)], axis=-1)  # J and M if K were 0
+    rates = np.linalg.solve(np.eye(16) - k[..., None] * _TWICE, k[..., None] * start)
+    found = np.empty((*k.shape[:-1], 17, 4))
+    found[..., :16, ::2] = start + _TWICE @ rates
+    found[..., 16, ::2] = start[..., 0, :] + _TO_END @ (_TO_NODES @ rates)
+    found[..., 16, 0] += (s * (1 - NODES[0]))[..., 0]
+    slope = np.concatenate([_TO_NODES @ rates, (_TO_END @ rates)[..., None, :]], axis=-2)
+    found[..., 1], found[..., 3] = 1.0 + slope[..., 0] / s, slope[..., 1] / s
+    return found
+
+
+def shifts(directions: Sequence[float], along: Sequence[Field]) -> list[Shift]:
+    """What the end of a path does for a turn of each leg, 1/rad, then for each metre of its length.
+
+    The last field may be that of a place on the last leg: the path then ends there.
+    """
+    turned: list[Shift] = []
+    stretched: list[Shift] = []
+    for phi, (j, dj, m, dm) in zip(directions, along):
+        cos, sin = math.cos(phi), math.sin(phi)
+        for found in turned, stretched:
+            for i, (x, y, turn) in enumerate(found):
+                ahead, aside = cos * x + sin * y, cos * y - sin * x
+                moved = m * aside + j * turn
+                x, y = cos * ahead - sin * moved, sin * ahead + cos * moved
+                found[i] = x, y, dj * turn + dm * aside
+        turned.append((-sin * j, cos * j, dj - 1.0))
+        stretched.append((cos, sin, 0.0))
+    return turned + stretched

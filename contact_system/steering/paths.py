@@ -1,0 +1,341 @@
+"""Paths of several legs from a contact's start: where they end, and how the ends move with them.
+
+A path is z = (phi_1, ..., phi_n, s_1, ..., s_n), directions from ``finger_velocity`` on and lengths
+along s; a negative length runs backwards. Both kinds of paths give, for a goal, how far a path ends
+from it (rows: places in sizes, angles in rad) and the exact derivatives of that.
+"""
+
+from __future__ import annotations
+
+import cmath
+import dataclasses
+import math
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..buffer import AT_CONTACTS, LEG, LEGS, W1, Buffer, Y
+from ..motion import FRAMES, Motion
+from ..scene import ROLLING, Contact, Leg, Scene
+from ..scene.contact import rolled, turned
+from ..surfaces import Surface
+from .jacobi import NODES, Array, Field, Shift, constant_field, fields, shifts
+
+TOLERANCE = 1e-14
+"""Of the size, to which paths are rolled."""
+
+
+class Region(NamedTuple):
+    """Places of a body, 0 or 1, around a point: paths aim to stay within the radius, m, and must
+    within the widest."""
+
+    side: int
+    centre: Array
+    radius: float
+    widest: float
+
+
+@dataclass
+class Aim:
+    """A contact's goal in numbers.
+
+    Attributes
+    ----------
+    contact : Contact
+        Where it starts.
+    bodies : (Surface, Surface)
+        Finger and object.
+    sides : tuple of int
+        The bodies on which a place is wanted, 0 and 1.
+    start, goal : ((3,), (3, 3)) for each body
+        Point and contact frame.
+    angles : (float, float)
+        psi at the start and at the goal.
+    pose : (4, 4) or None
+        That of the finger at the goal, where its rotation matters.
+    is_pose : bool
+        Whether it was given, and its place matters too.
+    regions : list of Region
+        Where it is to stay.
+    """
+
+    contact: Contact
+    bodies: tuple[Surface, Surface]
+    sides: tuple[int, ...]
+    start: list[tuple[Array, Array]]
+    goal: list[tuple[Array, Array]]
+    angles: tuple[float, float]
+    pose: Array | None
+    is_pose: bool
+    regions: list[Region]
+
+    def __post_init__(self) -> None:
+        w: Any = self.contact.finger_velocity
+        self.pace, self.lean = math.hypot(*w), math.atan2(w[1], w[0])
+        self.sizes = [body.size for body in self.bodies]
+        self.turned = self.pose is not None and not self.is_pose
+
+    @property
+    def in_closed_form(self) -> bool:
+        """Whether `ClosedPaths` will do."""
+        return (
+            self.contact.object_velocity == ROLLING
+            and not self.is_pose
+            and not self.regions
+            and all(
+                body.great_circles or (body.developable and body.periods() == (None, None))
+                for body in self.bodies
+            )
+        )
+
+    def directions(self, phi: Any) -> tuple[list[float], list[float]]:
+        """Of legs in the frames that are carried along, on finger and object: W_2 = R_psi W_1."""
+        own = [x + self.lean for x in phi]
+        return own, [-x - self.angles[0] for x in own]
+
+    def moves(self, phi: Sequence[float], along: Sequence[Sequence[Field]]) -> list[list[Shift]]:
+        """`shifts` of both bodies for a path z, of its directions and then of its lengths."""
+        n, pace, found = len(phi), self.pace, []
+        for ways, own, sign in zip(self.directions(phi), along, (1.0, -1.0)):
+            moves = shifts(ways, own)  # the object's directions turn the other way
+            found.append(
+                [(sign * x, sign * y, sign * w) for x, y, w in moves[:n]]
+                + [(pace * x, pace * y, pace * w) for x, y, w in moves[n:]]
+            )
+        return found
+
+
+# --- spheres and planes ------------------------------------------------------------------------
+
+
+Motion2 = tuple[complex, complex]
+
+
+class ClosedPaths:
+    """Rolling on spheres and planes, in closed form.
+
+    A motion of the surface is a pair (a, b) of complex numbers, |a|^2 + K |b|^2 = 1: half a
+    quaternion each on a sphere, a turn by 2 arg a and a move by 2 a b on the plane.
+    """
+
+    def __init__(self, aim: Aim, n: int):
+        self.aim, self.n = aim, n
+        self.curvatures = [1.0 / r**2 if b.great_circles else 0.0 for b, r in self._bodies()]
+        self.back = [self._from_goal(side) for side in (0, 1)]
+        self.wanted = cmath.rect(1.0, aim.angles[1] - aim.angles[0])
+
+    def _bodies(self) -> Any:
+        return zip(self.aim.bodies, self.aim.sizes)
+
+    def _from_goal(self, side: int) -> tuple[complex, complex]:
+        """The motion from the goal's frame back to the start's."""
+        aim = self.aim
+        (x0, frame0), (x1, frame1) = aim.start[side], aim.goal[side]
+        if not self.curvatures[side]:
+            turn = frame0.T @ frame1
+            a = cmath.sqrt(complex(turn[0, 0], turn[1, 0]))
+            x, y, _ = (frame0.T @ (x1 - x0)).tolist()
+            return a.conjugate(), -complex(x, y) / (2 * a)
+        inward = -1.0 if aim.bodies[side].sign < 0 else 1.0  # p, q and x are left-handed in a bowl
+        mirror = np.array([1.0, 1.0, inward])
+        w, x, y, z = _quaternion((frame0 * mirror).T @ (frame1 * mirror))
+        return complex(w, -z), -complex(y, -x) * aim.sizes[side]
+
+    def off(self, z: Array) -> tuple[Array, Array]:
+        """How far a path ends from the goal (rows), and the derivatives of that (rows, 2 n)."""
+        aim, n = self.aim, self.n
+        numbers = z.tolist()
+        phi, lengths = numbers[:n], [s * aim.pace for s in numbers[n:]]
+        ends, along = [], []
+        for side, ways in enumerate(aim.directions(phi)):
+            k, (a, b) = self.curvatures[side], self.back[side]
+            passed: list[Field] = []
+            for way, s in zip(ways, lengths):
+                rise, half, *_ = constant_field(k, 0.5 * s)
+                step = cmath.rect(rise, way)
+                a, b = a * half - k * b * step.conjugate(), a * step + b * half
+                j, slope = 2.0 * rise * half, 1.0 - 2.0 * k * rise**2
+                passed.append((j, slope, slope, -k * j))
+            ends.append((a, b))
+            along.append(passed)
+        moves = aim.moves(phi, along)
+        found = [self._place_off(side, ends[side], moves[side]) for side in aim.sides]
+        if aim.turned:
+            found.append(self._turn_off(ends, moves))
+        rows = [part for off, _ in found for part in (off.real, off.imag)]
+        slopes = [[getattr(x, part) for x in own] for _, own in found for part in ("real", "imag")]
+        return np.array(rows), np.array(slopes)
+
+    def _place_off(self, side: int, end: Motion2, moves: list[Shift]) -> tuple[complex, Any]:
+        """The contact's distance from the goal on one body, along two axes there, in sizes."""
+        unit = 1.0 / self.aim.sizes[side]
+        a, b = end[0] * unit, end[1] * unit
+        return 2.0 * b, [a * complex(x, y) - 1j * b * w for x, y, w in moves]
+
+    def _turn_off(self, ends: list[Motion2], moves: list[list[Shift]]) -> tuple[complex, Any]:
+        """psi's distance from the goal's, as that of two numbers of modulus 1."""
+        (k1, k2), (a1, b1), (a2, b2) = self.curvatures, *ends
+        both = a1 * a2 * self.wanted
+        of1, of2, b1, b2 = both * a2, both * a1, k1 * b1, k2 * b2
+        slope = [
+            of1 * (1j * w1 * a1 - b1 * complex(x1, -y1))
+            + of2 * (1j * w2 * a2 - b2 * complex(x2, -y2))
+            for (x1, y1, w1), (x2, y2, w2) in zip(*moves)
+        ]
+        return both * a1 * a2 - 1.0, slope
+
+
+def _quaternion(turn: Array) -> list[float]:
+    """w, x, y, z of a rotation, from the greatest of them."""
+    (a, d, e), (f, b, g), (h, i, c) = turn.tolist()
+    rows = (
+        (1 + a + b + c, i - g, e - h, f - d),
+        (i - g, 1 + a - b - c, d + f, e + h),
+        (e - h, d + f, 1 - a + b - c, g + i),
+        (f - d, e + h, g + i, 1 - a - b + c),
+    )
+    row = max(range(4), key=lambda k: rows[k][k])
+    norm = math.hypot(*rows[row])
+    return [x / norm for x in rows[row]]
+
+
+# --- every surface -----------------------------------------------------------------------------
+
+
+def _parts_of_time() -> Array:
+    """When a contact passes the nodes of a leg from rest to rest, in parts of the leg's time."""
+    low, high = np.zeros(16), np.ones(16)
+    for _ in range(60):
+        x = (low + high) / 2
+        beyond = x**3 * (10 + x * (6 * x - 15)) > NODES
+        low, high = np.where(beyond, low, x), np.where(beyond, x, high)
+    return low
+
+
+_PARTS = np.append(_parts_of_time(), 1.0)
+_PLACES = np.append(NODES, 1.0)
+
+
+class RolledPaths:
+    """Rolling by the engine: any surface, slip, goals that are poses, regions to stay within.
+
+    The derivatives are exact but where a contact slips: they leave out how slip bends a path.
+    """
+
+    def __init__(self, aim: Aim, n: int, scene: Scene):
+        self.aim, self.n = aim, n
+        legs = [Leg(0.0, 1.0, scene.duration / n) for _ in range(n)]
+        moving = dataclasses.replace(aim.contact, legs=legs)
+        self.scene = scene.replace(contacts=[moving], disturbances=[], turning=None)
+        self.buffer = Buffer(self.scene, TOLERANCE, 0.0, None)
+        self.numbers = array("d", self.buffer.numbers)
+        self.row = int(self.numbers[AT_CONTACTS])
+        self.legs = int(self.numbers[self.row + LEGS])
+        first, count = (int(x) for x in self.numbers[self.legs + 1 : self.legs + 3])
+        self.sigma = self.numbers[first : first + count]
+        self.times = np.add.outer(np.arange(n), _PARTS).ravel() * (scene.duration / n)
+        self.times[-1] = scene.duration
+        c, s = math.cos(aim.angles[0]), math.sin(aim.angles[0])
+        self.joint = np.array([[c, -s, 0.0], [-s, -c, 0.0], [0.0, 0.0, -1.0]])
+
+    def off(self, z: Array) -> tuple[Array, Array]:
+        """How far a path ends from the goal (rows), and the derivatives of that (rows, 2 n)."""
+        aim, n = self.aim, self.n
+        self._write(z[:n].tolist(), z[n:].tolist())
+        found: Any = Motion(self.scene, self.buffer).evaluate(self.times, (FRAMES,))
+        frames = found[FRAMES].reshape(n, 17, 2, 12).transpose(2, 0, 1, 3)  # side, leg, place
+        form = frames[:, :, :16, 9:]
+        curvature = form[..., 0] * form[..., 2] - form[..., 1] ** 2
+        passed = fields(curvature, np.broadcast_to(z[n:] * aim.pace, (2, n)))
+        ends = [[tuple(f) for f in side] for side in passed[:, :, 16].tolist()]
+        moves = np.array(aim.moves(z[:n].tolist(), ends))
+        parts = [
+            ((frames[side, -1, 16, :3] - aim.goal[side][0]) / aim.sizes[side],
+             _in_space(frames[side, -1, 16], moves[side]) / aim.sizes[side])
+            for side in aim.sides
+        ]  # fmt: off
+        if aim.pose is not None:
+            parts.append(self._pose_off(frames[:, -1, 16], moves))
+        parts += [self._outside(z, frames, passed, region) for region in aim.regions]
+        offs, slopes = zip(*parts)
+        return np.concatenate(offs), np.concatenate(slopes)
+
+    def _write(self, phi: list[float], lengths: list[float]) -> None:
+        """A path into the buffer."""
+        numbers, aim, last = self.numbers, self.aim, 0.0
+        for k, (way, s) in enumerate(zip(phi, lengths)):
+            way, s = (way + math.pi, -s) if s < 0 else (way, s)
+            leg = self.legs + k * LEG
+            at = int(numbers[leg + 1])
+            numbers[at : at + len(self.sigma)] = array("d", [c * s for c in self.sigma])
+            turn = way - last if k else 0.0
+            numbers[leg + 5], numbers[leg + 6] = math.cos(turn), math.sin(turn)
+            if not k:
+                given: Any = aim.contact.finger_velocity
+                own = turned(math.cos(way), math.sin(way), given)
+                numbers[self.row + W1], numbers[self.row + W1 + 1] = own
+                if aim.contact.object_velocity == ROLLING:
+                    other = rolled(aim.contact.angle, own)
+                    numbers[self.row + Y], numbers[self.row + Y + 1] = other
+            last = way
+        self.buffer.numbers = numbers.tobytes()
+
+    def _pose_off(self, ends: Array, moves: Array) -> tuple[Array, Array]:
+        """The finger's rotation against the goal's and, of a pose, its origin in sizes."""
+        goal = self.aim.pose
+        axes = [_axes(*end[3:9].tolist()) for end in ends]
+        turns = [_turns(end[9:], move) for end, move in zip(ends, moves)]
+        rotation = axes[1] @ self.joint @ axes[0].T
+        inner = turns[1] @ self.joint - self.joint @ turns[0]
+        slope = axes[1] @ inner @ axes[0].T  # (2 n, 3, 3)
+        off, slopes = (rotation - goal[:3, :3]).ravel(), slope.reshape(-1, 9).T
+        if not self.aim.is_pose:
+            return off, slopes
+        size = max(self.aim.sizes)
+        origin = ends[1, :3] - rotation @ ends[0, :3] - goal[:3, 3]
+        shift = _in_space(ends[1], moves[1]) - rotation @ _in_space(ends[0], moves[0])
+        shift -= (slope @ ends[0, :3]).T
+        return np.concatenate([off, origin / size]), np.concatenate([slopes, shift / size])
+
+    def _outside(
+        self, z: Array, frames: Array, passed: Array, region: Region
+    ) -> tuple[Array, Array]:
+        """How far each leg leaves a region, where it does so most, in radii."""
+        n, (side, centre, radius, _) = self.n, region
+        aside = frames[side, :, :, :3] - centre
+        away = np.linalg.norm(aside, axis=-1)
+        worst = away.argmax(axis=1)
+        off, slopes = np.zeros(n), np.zeros((n, 2 * n))
+        for k in np.flatnonzero(away.max(axis=1) > radius).tolist():
+            i = int(worst[k])
+            along = [
+                [*map(tuple, own[:k, 16].tolist()), tuple(own[k, i].tolist())] for own in passed
+            ]
+            move = np.array(self.aim.moves(z[: k + 1].tolist(), along)[side])
+            move[k + 1 + k] *= _PLACES[i]  # the place lies at this part of the last leg
+            slope = (aside[k, i] / away[k, i]) @ _in_space(frames[side, k, i], move)
+            off[k] = away[k, i] / radius - 1.0
+            slopes[k, : k + 1], slopes[k, n : n + k + 1] = np.split(slope / radius, 2)
+        return off, slopes
+
+
+def _in_space(frame: Array, move: Array) -> Array:
+    """Moves along p and q of a frame, (m, 3), as vectors in space: (3, m)."""
+    return np.outer(frame[3:6], move[:, 0]) + np.outer(frame[6:9], move[:, 1])
+
+
+def _axes(a: float, b: float, c: float, d: float, e: float, f: float) -> Array:
+    """p, q and their normal as columns."""
+    return np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
+
+
+def _turns(form: Array, move: Array) -> Array:
+    """How p, q and n turn in their own frame for each move, (m, 3, 3): by K the normal."""
+    found = np.zeros((len(move), 3, 3))
+    tilt = move[:, :2] @ np.array([[form[0], form[1]], [form[1], form[2]]])
+    found[:, 1, 0], found[:, 0, 1] = move[:, 2], -move[:, 2]
+    found[:, :2, 2], found[:, 2, :2] = tilt, -tilt
+    return found
