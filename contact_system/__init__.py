@@ -25,7 +25,7 @@ from .scene import (
     load_scene,
     save_scene,
 )
-from .steering import Goal, Route, reach
+from .steering import Goal, Loop, Route, loop, reach
 from .surfaces import (
     Cylinder,
     Ellipsoid,
@@ -58,6 +58,7 @@ __all__ = [
     "Goal",
     "ImplicitSurface",
     "Leg",
+    "Loop",
     "ObjectAcceleration",
     "ObjectRateOffset",
     "ParametricSurface",
@@ -80,6 +81,7 @@ __all__ = [
     "great_circle_distance",
     "load",
     "load_scene",
+    "loop",
     "measured_states",
     "plan",
     "reach",

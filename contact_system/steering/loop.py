@@ -1,0 +1,114 @@
+"""Closed paths that turn a finger: holonomy (theory section 11)."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..buffer import Buffer
+from ..checks import finite_number
+from ..errors import SceneError
+from ..motion import FRAMES, Motion
+from ..scene import Scene, require_scene
+from .goal import Goal, Route
+from .paths import TOLERANCE
+from .reach import reach
+
+
+def _gauss(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes and weights of [0, 1], and what takes values at the nodes to derivatives there."""
+    legendre = np.polynomial.legendre
+    x, weights = legendre.leggauss(n)
+    series = np.linalg.inv(legendre.legvander(x, n - 1))
+    slopes = [legendre.legval(x, legendre.legder(c)) for c in np.eye(n)]
+    return (1 + x) / 2, weights / 2, 2 * np.transpose(slopes) @ series
+
+
+_NODES, _WEIGHTS, _SLOPES = _gauss(40)
+
+
+@dataclass(frozen=True)
+class Loop(Route):
+    """A route that comes back to where it starts.
+
+    Attributes
+    ----------
+    angle : float
+        By which psi has grown, rad, in (-pi, pi].
+    enclosed : (float, float)
+        Integral of the Gaussian curvature over what the curves on finger and object enclose, rad,
+        positive where they run counterclockwise about the normal: the area that the normals
+        enclose on the unit sphere, a multiple of 4 pi left out.
+    gauss_bonnet : float
+        How far psi's growth is from minus the sum of these, rad. By Gauss and Bonnet it is 0.
+    """
+
+    angle: float
+    enclosed: tuple[float, float]
+    gauss_bonnet: float
+
+
+def loop(scene: Scene, angle: float, *, contact: int = 0, seconds: float = 0.0) -> Loop:
+    """Find a closed path that turns a finger in place, by rolling alone.
+
+    Parameters
+    ----------
+    scene : Scene
+        Where the contact starts, and comes back to, on both bodies. Other contacts rest.
+    angle : float
+        By which psi is to grow, rad.
+    contact : int
+        Which one.
+    seconds : float
+        So long an optimiser looks for a shorter one.
+
+    Raises
+    ------
+    SceneError
+        What cannot be reached, and why.
+    """
+    require_scene(scene)
+    scene.contact_name(contact)  # refuses other indices
+    angle, own = finite_number(angle, "angle"), scene.contacts[contact]
+    if not abs(math.remainder(angle, 2 * math.pi)) > 1e-9:
+        raise SceneError(f"angle = {angle!r}: that is no turn; give another one, in rad")
+    wanted = math.remainder(own.angle + angle, 2 * math.pi)
+    goal = Goal(object_at=own.object_at, finger_at=own.finger_at, angle=wanted)
+    goals = [goal if i == contact else None for i in range(len(scene.contacts))]
+    found = reach(scene, goals, seconds=seconds)
+    turned, enclosed = _turns(found.scene, contact)
+    off = abs(math.remainder(turned + sum(enclosed), 2 * math.pi))
+    made = {f.name: getattr(found, f.name) for f in dataclasses.fields(found)}
+    return Loop(**made, angle=turned, enclosed=enclosed, gauss_bonnet=off)
+
+
+def _turns(scene: Scene, contact: int) -> tuple[float, tuple[float, float]]:
+    """psi's growth, and the areas that the normals along the curves on both bodies enclose."""
+    edges = np.array(scene.edges)
+    edges = np.interp(np.arange(4 * len(edges) - 3) / 4, np.arange(len(edges)), edges)
+    inner = (edges[:-1, None] + np.diff(edges)[:, None] * _NODES).ravel()
+    motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
+    found: Any = motion.evaluate(np.append(inner, edges[[0, -1]]), ("pose", FRAMES))
+    first, last = found["pose"][-2:, contact, :3, :3]
+    p, q = found[FRAMES][-2, contact, 1, 3:9].reshape(2, 3)
+    turned = last @ first.T @ p  # the finger turns by -psi about the object's normal
+    frames = found[FRAMES][:-2, contact].reshape(len(edges) - 1, -1, 2, 12)
+    normals = np.cross(frames[..., 3:6], frames[..., 6:9])
+    one, other = (_area(normals[:, :, side]) for side in (0, 1))
+    return -math.atan2(turned @ q, turned @ p), (one, other)
+
+
+def _area(n: np.ndarray) -> float:
+    """What a closed curve of unit vectors, (legs, 40, 3), encloses, seen from opposite to where it
+    comes least near: the integral of z . (n x dn) / (1 + z . n) (as of Dirac's potential)."""
+    k = np.arange(60)
+    across, around = 1 - (2 * k + 1) / 60, k * math.pi * (3 - math.sqrt(5))
+    level = np.sqrt(1 - across**2)
+    ways = np.stack([level * np.cos(around), level * np.sin(around), across], axis=1)
+    z = ways[np.argmax((n.reshape(-1, 3) @ ways.T).min(axis=0))]
+    swept = np.cross(n, _SLOPES @ n) @ z / (1 + n @ z)
+    return math.remainder(float(_WEIGHTS @ swept.sum(axis=0)), 4 * math.pi)
