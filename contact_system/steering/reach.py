@@ -151,7 +151,8 @@ class _Search:
         self.aim = _aim(scene, scene.contacts[index], goal, self.name)
         wanted = 5 if self.aim.pose is not None else 2 * len(self.aim.sides)
         self.fewest = (wanted + 1) // 2
-        self.unit = min(self.aim.sizes) / self.aim.pace
+        bounds = [region.widest for region in self.aim.regions]
+        self.unit = min(self.aim.sizes + bounds) / self.aim.pace
         self.far = max((self._apart(side) for side in self.aim.sides), default=0.0) / self.aim.pace
 
     def _apart(self, side: int) -> float:
