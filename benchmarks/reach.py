@@ -1,9 +1,11 @@
-"""Goals of a place on both bodies and the angle: whether they are reached, how fast, how far."""
+"""Routes to goals: whether they arrive, how fast, how long they are, and what is refused."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -37,34 +39,202 @@ def _drawn(rng: np.random.Generator, finger: cs.Surface, obj: cs.Surface) -> dic
     return {**places, "angle": float(rng.uniform(-3.0, 3.0))}
 
 
+def _scene(finger: cs.Surface, obj: cs.Surface, **contact) -> cs.Scene:
+    at = {"object_at": (1.0, 0.2), "finger_at": (1.1, 0.4), "angle": 0.3, **contact}
+    gain = cs.Gain.time(2 * math.log(1e9) / 3.0)  # slip falls by 1e9 half-way
+    made = {"contacts": [cs.Contact(finger, **at)], "duration": 3.0, "gain": gain}
+    return cs.Scene(object=obj, profile=cs.Profile([0.1]), **made)
+
+
 def goals(full: bool) -> Iterator[Bar]:
-    """Random starts and goals on every pair."""
-    count = 1000 if full else 100
+    """Random starts and goals on every pair; with slip at the start too."""
     for name, (finger, obj, limit) in PAIRS.items():
-        rng, spent, off, legs, missed = np.random.default_rng(1), [], 0.0, 0, 0
-        for _ in range(count):
-            contact = cs.Contact(finger, **_drawn(rng, finger, obj))
-            scene = cs.Scene(
-                object=obj, contacts=[contact], profile=cs.Profile([0.1]), duration=3.0
-            )
-            goal = cs.Goal(**_drawn(rng, finger, obj))
-            begin = time.perf_counter()
-            try:
-                route = cs.reach(scene, goal)
-            except cs.SceneError:
-                missed += 1
-                continue
-            finally:
-                spent.append(1e3 * (time.perf_counter() - begin))
-            end = cs.plan(route.scene, 1e-15).points(3.0)[0, 0]
-            wanted = finger.point(*goal.finger_at), obj.point(*goal.object_at)
-            sizes = finger.size, obj.size
-            away = [np.linalg.norm(x - y) / z for x, y, z in zip(end, wanted, sizes)]
-            off, legs = max(off, *away, route.residual), max(legs, len(route.legs[0]))
-        yield Bar(f"{name}, {count} goals, not reached", 0, missed, note=f"{legs} legs at most")
-        yield Bar(f"{name}, greatest distance from the goal, sizes", LIMIT, off)
-        yield Bar(f"{name}, median time", limit, float(np.median(spent)), "ms")
-        yield Bar(f"{name}, 99 %", 10 * limit, float(np.quantile(spent, 0.99)), "ms")
+        yield from _goals(name, finger, obj, 1000 if full else 100, limit)
+    for name, (finger, obj, _) in PAIRS.items():
+        yield from _goals(f"{name}, slipping", finger, obj, 100 if full else 20, None)
 
 
-SECTIONS: Sections = {"goals": goals}
+def _goals(
+    name: str, finger: cs.Surface, obj: cs.Surface, count: int, limit: float | None
+) -> Iterator[Bar]:
+    rng, spent, off, legs, missed = np.random.default_rng(1), [], 0.0, 0, 0
+    for _ in range(count):
+        slips = {} if limit else {"object_velocity": tuple(rng.uniform(-1.0, 1.0, 2))}
+        scene = _scene(finger, obj, **_drawn(rng, finger, obj), **slips)
+        goal = cs.Goal(**_drawn(rng, finger, obj))
+        begin = time.perf_counter()
+        try:
+            route = cs.reach(scene, goal)
+        except cs.SceneError:
+            missed += 1
+            continue
+        finally:
+            spent.append(1e3 * (time.perf_counter() - begin))
+        end = cs.plan(route.scene, 1e-15).points(3.0)[0, 0]
+        wanted = finger.point(*goal.finger_at), obj.point(*goal.object_at)
+        away = [np.linalg.norm(x - y) / b.size for x, y, b in zip(end, wanted, (finger, obj))]
+        off, legs = max(off, *away, route.residual), max(legs, len(route.legs[0]))
+    yield Bar(f"{name}, {count} goals, not reached", 0, missed, note=f"{legs} legs at most")
+    yield Bar(f"{name}, greatest distance from the goal, sizes", LIMIT, off)
+    median, most = np.quantile(spent, [0.5, 0.99]).tolist()
+    yield Bar(f"{name}, median time", limit, median, "ms")
+    yield Bar(f"{name}, 99 %", 10 * limit if limit else None, most, "ms")
+
+
+# --- lengths -----------------------------------------------------------------------------------
+
+
+def lengths(full: bool) -> Iterator[Bar]:
+    """A sphere on a plane beside Hammersley's four rolls; routes after the optimiser."""
+    finger, obj, _ = PAIRS["sphere on plane"]
+    rng, ratios = np.random.default_rng(2), []
+    for _ in range(1000 if full else 200):
+        scene, given = _scene(finger, obj, **_drawn(rng, finger, obj)), _drawn(rng, finger, obj)
+        route = cs.reach(scene, cs.Goal(**given))
+        ratios.append(route.length / _four_rolls(scene, given, finger.radius))
+    note = f"median {np.median(ratios):.2f}"
+    yield Bar("sphere on plane, length over that of four rolls", 1.0, max(ratios), note=note)
+    for name, (finger, obj, _) in PAIRS.items():
+        rng, parts = np.random.default_rng(3), []
+        for _ in range(20 if full else 5):
+            scene, goal = _scene(finger, obj, **_drawn(rng, finger, obj)), _drawn(rng, finger, obj)
+            first = cs.reach(scene, cs.Goal(**goal))
+            best = cs.reach(scene, cs.Goal(**goal), seconds=0.2)
+            parts.append(best.length / first.length)
+        note = f"{min(parts):.2f} to {max(parts):.2f}, in 0.2 s"
+        yield Bar(f"{name}, length after over before", 1.0, float(np.median(parts)), note=note)
+
+
+def _four_rolls(scene: cs.Scene, goal: dict, r: float) -> float:
+    """Two rolls that turn the sphere as wanted, two whole revolutions that move it (1983), m."""
+    contact = scene.contacts[0]
+    after = dataclasses.replace(contact, **goal)
+    first, last = (cs.plan(scene.replace(contacts=[c])).pose(0.0)[0, 0] for c in (contact, after))
+    move, turn = (last - first)[:2, 3], last[:3, :3] @ first[:3, :3].T
+    angle = math.acos(min(1.0, max(-1.0, (np.trace(turn) - 1) / 2)))
+    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    axis *= math.sin(angle / 2) / (2 * math.sin(angle))
+    (x, y, z), w = axis, math.cos(angle / 2)
+    best = math.inf
+    for h in np.linspace(0.0, math.pi, 720, endpoint=False):
+        c, s = math.cos(h), math.sin(h)
+        half = math.atan2(z, x * s - y * c)  # the rest of the turn has a level axis, too
+        half = math.remainder(half, math.pi)
+        p, q = math.cos(half), math.sin(half)
+        rest = (
+            w * p + q * (x * c + y * s),
+            x * p - w * q * c + z * q * s,
+            y * p - w * q * s - z * q * c,
+        )
+        sign = -1.0 if rest[0] < 0 else 1.0
+        other = 2 * math.atan2(math.hypot(*rest[1:]), sign * rest[0])
+        level = sign * np.array(rest[1:]) / max(math.hypot(*rest[1:]), 1e-300)
+        rolled = 2 * half * np.array([s, -c]) + other * np.array([level[1], -level[0]])
+        times = max(1, math.ceil(np.linalg.norm(move - r * rolled) / (4 * math.pi * r)))
+        best = min(best, r * (abs(2 * half) + other) + 4 * math.pi * r * times)
+    return best
+
+
+def loops(full: bool) -> Iterator[Bar]:
+    """Closed paths that turn the finger, and Gauss and Bonnet's law on them."""
+    for name, (finger, obj, _) in PAIRS.items():
+        worst, off = 0.0, 0.0
+        for angle in np.linspace(-3.0, 3.0, 20 if full else 6):
+            found = cs.loop(_scene(finger, obj), float(angle))
+            worst, off = max(worst, found.gauss_bonnet), max(off, found.residual)
+        yield Bar(f"{name}, loops, distance from where they begin", LIMIT, off)
+        yield Bar(f"{name}, loops, psi against the curvature enclosed", 1e-9, worst, "rad")
+
+
+# --- refusals ----------------------------------------------------------------------------------
+
+
+def _try(goal: dict, finger=SMALL, obj=ROUND, contact=None, **options) -> Callable[[], object]:
+    return lambda: cs.reach(_scene(finger, obj, **(contact or {})), cs.Goal(**goal), **options)
+
+
+def _pose(x: float = 0.0, row: tuple[float, ...] = (0, 0, 0, 1)) -> np.ndarray:
+    pose = np.eye(4)
+    pose[0, 3], pose[3] = x, row
+    return pose
+
+
+PLACE = {"object_at": (2.0, 1.0)}
+WHOLE = {**PLACE, "finger_at": (1.0, 0.5), "angle": 1.0}
+TWO_PLACES = {**PLACE, "finger_at": (1.0, 0.5)}
+BEYOND = {**PLACE, "object_within": (1.0, 0.2, 0.01)}
+FAR, NEAR = (2.0, -1.0, 0.01), (1.0, 0.2, 0.01)
+TWIN = cs.Ellipsoid(0.3, 0.2, 0.1)
+MIRRORED = {"object_at": (1.0, 0.4), "finger_at": (1.0, -0.4), "angle": 0.0}
+PUSH = cs.FingerAcceleration(contact=0, start=0.1, stop=0.2, value=(0.1, 0.0))
+PUSHED = _scene(SMALL, ROUND).replace(disturbances=[PUSH])
+ROLLS = {"finger_velocity": "rolling", "object_velocity": (1.0, 0.0)}
+FOLLOWING = _scene(SMALL, ROUND, **ROLLS)
+TWO = _scene(SMALL, ROUND)
+TWO = TWO.replace(contacts=TWO.contacts * 2)
+REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
+    "no place": ("needs a place", lambda: cs.Goal()),
+    "an angle without places": ("give both places", lambda: cs.Goal(angle=1.0, **PLACE)),
+    "a pose and a place": ("not both", lambda: cs.Goal(pose=np.eye(4), **PLACE)),
+    "a pose of 3 by 3": ("shape", lambda: cs.Goal(pose=np.eye(3))),
+    "a pose with NaN": ("shape", lambda: cs.Goal(pose=np.full((4, 4), math.nan))),
+    "a pose in words": ("shape", lambda: cs.Goal(pose="there")),
+    "a pose that shears": ("no rotation", lambda: cs.Goal(pose=np.ones((4, 4)))),
+    "a pose that mirrors": ("no rotation", lambda: cs.Goal(pose=np.diag([1, 1, -1, 1]))),
+    "a pose with another last row": ("last row", lambda: cs.Goal(pose=_pose(row=(0, 0, 1, 1)))),
+    "a place of three numbers": ("object_at", lambda: cs.Goal(object_at=(1, 2, 3))),
+    "a place in words": ("object_at", lambda: cs.Goal(object_at="here")),
+    "a place that is NaN": ("object_at", lambda: cs.Goal(object_at=(math.nan, 1))),
+    "an endless angle": ("angle", lambda: cs.Goal(**{**WHOLE, "angle": math.inf})),
+    "a region of two numbers": ("radius", lambda: cs.Goal(**PLACE, finger_within=(1, 2))),
+    "a region without size": ("radius", lambda: cs.Goal(**PLACE, finger_within=(1, 2, 0))),
+    "no goal": ("0 goals for 1", lambda: cs.reach(_scene(SMALL, ROUND), [])),
+    "a table for a goal": ("give a Goal", lambda: cs.reach(_scene(SMALL, ROUND), WHOLE)),
+    "a text for a goal": ("give a Goal", lambda: cs.reach(_scene(SMALL, ROUND), ["there"])),
+    "rests alone": ("every goal is None", lambda: cs.reach(_scene(SMALL, ROUND), [None])),
+    "no legs": ("1 to 4", _try(WHOLE, legs=0)),
+    "five legs": ("1 to 4", _try(WHOLE, legs=5)),
+    "legs of no length": ("above 0", _try(WHOLE, longest=0.0)),
+    "time before now": ("not below 0", _try(WHOLE, seconds=-1.0)),
+    "a pole": ("pole", _try({"finger_at": (0.0, 0.0)})),
+    "an umbilic": ("umbilic", _try({"object_at": (0.0, math.pi / 2)})),
+    "equal spheres": ("same curvature", _try(WHOLE, obj=cs.Sphere(0.04))),
+    "a sphere in its own bowl": ("same curvature", _try(WHOLE, obj=cs.Sphere(0.04, inside=True))),
+    "a plane on a cylinder": ("same curvature", _try(WHOLE, cs.Plane(), cs.Cylinder(0.1))),
+    "mirror images": ("no path", _try(TWO_PLACES, TWIN, TWIN, MIRRORED)),
+    "a start outside its region": ("the start lies", _try({**PLACE, "finger_within": FAR})),
+    "a goal outside its region": ("the goal lies", _try({**PLACE, "object_within": NEAR})),
+    "a region about a pole": ("pole", _try({**PLACE, "finger_within": (0.0, 0.0, 0.02)})),
+    "a pad too small": ("widen", _try({**WHOLE, "finger_within": (1.1, 0.45, 0.007)})),
+    "legs too short": ("widen", _try(WHOLE, longest=0.01)),
+    "one leg for five numbers": ("at least", _try(WHOLE, legs=1)),
+    "bodies that do not touch": ("touch", _try({"pose": _pose(0.5)}, legs=3)),
+    "bodies in each other": ("touch", _try({"pose": np.eye(4)}, legs=3)),
+    "rolling that is imposed": ("two numbers", lambda: cs.reach(FOLLOWING, cs.Goal(**PLACE))),
+    "no direction": ("direction", _try(WHOLE, contact={"finger_velocity": (0.0, 0.0)})),
+    "disturbances": ("off its way", lambda: cs.reach(PUSHED, cs.Goal(**WHOLE))),
+    "one of two fingers": ("contact 1", lambda: cs.reach(TWO, [None, cs.Goal(**BEYOND)])),
+    "a loop of no turn": ("no turn", lambda: cs.loop(_scene(SMALL, ROUND), 2 * math.pi)),
+    "a loop on its equal": ("same curv", lambda: cs.loop(_scene(SMALL, SMALL), 1.0)),
+    "a loop of a third finger": ("0 to 1", lambda: cs.loop(TWO, 1.0, contact=2)),
+}
+"""What is asked for, a part of the answer, and how it is asked."""
+
+
+def refusals(full: bool) -> Iterator[Bar]:
+    """Goals that cannot be: each is refused, with the reason."""
+    wrong, begin = [], time.perf_counter()
+    for name, (part, ask) in REFUSED.items():
+        try:
+            wrong.append(f"{name}: {ask()!r:.60}")
+        except cs.ContactSystemError as error:
+            if part not in str(error):
+                wrong.append(f"{name}: {error}")
+    spent = time.perf_counter() - begin
+    note = f"{spent:.1f} s together" if not wrong else "; ".join(wrong)
+    yield Bar(
+        f"of {len(REFUSED)} goals that cannot be, not refused or unclear", 0, len(wrong), note=note
+    )
+
+
+SECTIONS: Sections = {"goals": goals, "lengths": lengths, "loops": loops, "refusals": refusals}

@@ -58,6 +58,7 @@ STYLE = {
 TITLE = {"loc": "left", "weight": "bold"}
 DOTS: Any = {"linestyle": "none", "marker": "o", "markersize": 4.5}
 DOTS |= {"markerfacecolor": "white", "markeredgecolor": INK}
+NUMBER: Any = {"linestyle": "none", "marker": "$1$", "markersize": 7, "color": COLOURS[0]}
 
 
 class MissingMatplotlib(ContactSystemError):
@@ -234,6 +235,9 @@ def _draw_key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = Tru
         entries.append(_entry("disturbance", color=DISTURBED, linewidth=2.4))
     if bodies:
         entries.append(_entry("behind the body", color=INK, linewidth=1.3, alpha=0.35))
+        if any(contact.legs for contact in plan.scene.contacts):
+            entries.append(_entry("number of a leg", **NUMBER))
+            entries.append(_entry("the finger's frame", color=INK, linewidth=1.3))
     ax.set_axis_off()
     ax.legend(handles=entries, loc="center left", frameon=False, handlelength=2.2)
 
@@ -317,12 +321,18 @@ def _draw_rolling(ax: Any, plan: Plan) -> None:
 
 @dataclass
 class _Curve:
-    """A contact curve: points (n, 3) [m], whether disturbed there (n,), its colour and number."""
+    """A contact curve: points (n, 3) [m], whether disturbed there (n,), its colour and number.
+
+    Of one with legs also the middle of each (n, 3), and the frames at the start and the goal as
+    corners: their origins, and the tips of unit x and y axes, (2, 3, 3).
+    """
 
     points: np.ndarray
     disturbed: np.ndarray
     colour: str
     label: str
+    legs: Sequence[np.ndarray] = ()
+    frames: Sequence[np.ndarray] = ()
 
 
 def _draw_object(ax: Any, plan: Plan) -> None:
@@ -346,7 +356,27 @@ def _draw_finger(ax: Any, plan: Plan) -> None:
 def _curves(plan: Plan, contacts: Sequence[int], side: int) -> list[_Curve]:
     t = plan.sample_times(1601)
     points = plan.points(t)
-    return [curve_of(plan, i, t, points[:, i, side]) for i in contacts]
+    curves = [curve_of(plan, i, t, points[:, i, side]) for i in contacts]
+    for i, curve in zip(contacts, curves):
+        if plan.scene.contacts[i].legs:
+            _add_legs(curve, plan, i, side)
+    return curves
+
+
+def _add_legs(curve: _Curve, plan: Plan, contact: int, side: int) -> None:
+    """Where the legs are, and how the finger's frame lies at the start and the goal."""
+    way = [leg for leg in plan.scene.way(contact) if leg.profile != STILL]
+    curve.legs = plan.points([(leg.start + leg.stop) / 2 for leg in way])[:, contact, side]
+    ends = [plan.start, plan.end]
+    if len(regular_times(plan, np.array(ends))) < 2:
+        return
+    found = plan.evaluate(ends, "points", "states", "pose")
+    finger, states = plan.scene.contacts[contact].finger, found["states"][:, contact]
+    axes = finger.frame(states[:, 0], states[:, 1])[..., :2]
+    if side:  # as it lies on the object
+        axes = found["pose"][:, contact, :3, :3] @ axes
+    at = found["points"][:, contact, side]
+    curve.frames = np.stack([at, at + axes[..., 0], at + axes[..., 1]], axis=1)
 
 
 def curve_of(plan: Plan, contact: int, t: np.ndarray, points: np.ndarray) -> _Curve:
@@ -474,6 +504,10 @@ def draw_body(ax: Any, mesh: _Mesh | None, curves: Sequence[_Curve]) -> None:
     for k, curve in enumerate(curves):
         before = np.linalg.norm(starts[:k] - starts[k], axis=1) < room
         _mark_start(ax, starts[k], curve, hidden[k][0], int(before.sum()))
+    for curve, behind in zip(curves, hidden):
+        _draw_legs(ax, mesh, view, curve, room)
+        for frame, dim in zip(curve.frames, (behind[0], behind[-1])):
+            _draw_frame(ax, view(frame)[:, :2], 3.0 * room, 0.4 if dim else 1.0)
     ax.set_aspect("equal")
     ax.margins(0.06)
     ax.set_axis_off()
@@ -625,6 +659,27 @@ def _mark_start(ax: Any, start: np.ndarray, curve: _Curve, behind: bool, below: 
     box["boxstyle"] = "circle,pad=0.25" if len(curve.label) < 2 else "round,pad=0.25"
     place = (0, -17 * below)
     ax.annotate(curve.label, start, place, textcoords="offset points", bbox=box, **style)
+
+
+def _draw_legs(ax: Any, mesh: _Mesh | None, view: _View, curve: _Curve, room: float) -> None:
+    """The number of each leg of a curve beside its middle."""
+    for k, middle in enumerate(curve.legs):
+        dim = is_hidden(mesh, view, middle[None])[0]
+        style: dict[str, Any] = {"size": 9, "ha": "center", "va": "center", "zorder": 7}
+        style |= {"color": curve.colour, "alpha": 0.6 if dim else 1.0}
+        style["bbox"] = {"boxstyle": "round,pad=0.15", "facecolor": "white", "linewidth": 0}
+        style["bbox"]["alpha"] = 0.8
+        ax.text(*view(middle)[:2], str(k + 1), **style)
+
+
+def _draw_frame(ax: Any, seen: np.ndarray, length: float, alpha: float) -> None:
+    """Two axes of a frame from its origin, as they are seen: (3, 2)."""
+    for tip, name in zip(seen[1:], "xy"):
+        end = seen[0] + length * (tip - seen[0])
+        arrow = {"arrowstyle": "->", "linewidth": 1.3, "color": INK, "alpha": alpha, "shrinkA": 0}
+        ax.annotate("", end, seen[0], zorder=7, annotation_clip=False, arrowprops=arrow)
+        place = seen[0] + 1.25 * length * (tip - seen[0])
+        ax.text(*place, name, size=8, ha="center", va="center", color=INK, alpha=alpha, zorder=7)
 
 
 def _scale_bar(ax: Any) -> None:

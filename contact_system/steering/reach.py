@@ -302,6 +302,8 @@ class _Search:
             )
         elif self.aim.is_pose:
             why += "; do the bodies touch in that pose, from outside?"
+        elif tried[0][0] < str(self.fewest):
+            why += f": this goal mostly takes {self.fewest} legs at least"
         limits = [f"within {side} {r:g} m" for side, r in self._limits()]
         if self.longest is not None:
             limits.append(f"with no leg above {self.longest:g} m")
