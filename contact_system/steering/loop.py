@@ -89,7 +89,7 @@ def loop(scene: Scene, angle: float, *, contact: int = 0, seconds: float = 0.0) 
 def _turns(scene: Scene, contact: int) -> tuple[float, tuple[float, float]]:
     """psi's growth, and the areas that the normals along the curves on both bodies enclose."""
     edges = np.array(scene.edges)
-    edges = np.interp(np.arange(4 * len(edges) - 3) / 4, np.arange(len(edges)), edges)
+    edges = np.interp(np.arange(8 * len(edges) - 7) / 8, np.arange(len(edges)), edges)
     inner = (edges[:-1, None] + np.diff(edges)[:, None] * _NODES).ravel()
     motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
     found: Any = motion.evaluate(np.append(inner, edges[[0, -1]]), ("pose", FRAMES))
