@@ -66,6 +66,18 @@ class Fact(Structure):
     ]
 
 
+class Steer(Structure):
+    """``steer_t``: a goal on spheres and planes, and where paths to it start."""
+
+    _fields_ = [
+        *((name, c_double * 2) for name in ("curvature", "size")),
+        ("back", c_double * 4 * 2),
+        *((name, c_double) for name in ("psi", "turn", "lean", "pace")),
+        ("wanted", c_int64 * 2),
+        ("turns", c_int64),
+    ]
+
+
 # Addresses are passed as integers: to make a pointer object of each costs more than the call.
 _CALLS: dict[str, Any] = {
     "plan": ctypes.CFUNCTYPE(c_void_p, c_void_p, c_int64, c_void_p, POINTER(Failure)),
@@ -81,6 +93,8 @@ _CALLS: dict[str, Any] = {
     "step": ctypes.PYFUNCTYPE(None, c_void_p),
     "along": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
     "look": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
+    "shifts": ctypes.PYFUNCTYPE(None, c_int64, c_void_p, c_void_p, c_void_p),
+    "steer": ctypes.PYFUNCTYPE(c_int64, c_void_p, c_int64, c_void_p, c_void_p, c_void_p),
 }
 
 
@@ -114,7 +128,7 @@ ENGINE: Engine = _LIBRARY.contact_engine().contents
 # to fetch a function from a structure makes it anew
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
-step, along = ENGINE.step, ENGINE.along
+step, along, shifts, steer = ENGINE.step, ENGINE.along, ENGINE.shifts, ENGINE.steer
 _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
 )

@@ -31,6 +31,8 @@ static _Noreturn void fail(work_t *w, int code);
 #include "segments.c"
 /* */
 #include "output.c"
+/* */
+#include "steer.c"
 
 /* ---- what others call ---- */
 
@@ -193,4 +195,6 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                 .run = run_table,
                                 .step = step,
                                 .along = along,
-                                .look = look};
+                                .look = look,
+                                .shifts = shifts,
+                                .steer = steered};

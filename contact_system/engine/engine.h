@@ -162,6 +162,15 @@ typedef struct {
   double *registers;
 } program_t;
 
+/* a goal on spheres and planes, and where paths to it start */
+typedef struct {
+  double curvature[2], size[2]; /* of finger and object */
+  double back[2][4];            /* from the goal's frame to the start's: a and b, see steer.c */
+  double psi, turn;             /* at the start, and by how much it is to grow */
+  double lean, pace;        /* angle and length of the path velocity that directions count from */
+  int64_t wanted[2], turns; /* whether a place is wanted on a body, and psi */
+} steer_t;
+
 typedef struct {
   int32_t version;
   const char *variant;
@@ -185,6 +194,9 @@ typedef struct {
   void (*along)(const program_t *program, double (*tangents)[L]);
   /* like `evaluate` at one time, of plans of one thread: room for tables stays with the plan */
   int (*look)(plan_t *plan, double t, double *const *out, failure_t *failure);
+  /* how ends of paths move with their legs, and how far they are from goals: see steer.c */
+  void (*shifts)(int64_t n, const double *ways, const double *fields, double *out);
+  int64_t (*steer)(const steer_t *aim, int64_t n, const double *z, double *off, double *slopes);
 } engine_t;
 
 #ifdef _WIN32

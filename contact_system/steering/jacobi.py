@@ -10,33 +10,16 @@ M dy, and the carried frame at the end turns by (J' - 1) dphi, or M' dy.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-
 import numpy as np
+
+from ..engine import binding
+from ..engine.binding import address
 
 Array = np.ndarray
 
 NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 NODES = (1.0 + NODES) / 2.0
 """Gauss points of a leg, as parts of its length."""
-
-
-Field = tuple[float, float, float, float]
-"""J, J', M, M' at one place of a leg, m, 1, 1, 1/m; with a negative length it runs backwards."""
-
-
-Shift = tuple[float, float, float]
-"""How the end of a path moves along p and q of its carried frame, and how that frame turns."""
-
-
-def constant_field(curvature: float, s: float) -> Field:
-    """On a sphere of this Gaussian curvature, or a plane or a cylinder, where it is 0."""
-    if curvature == 0.0:
-        return s, 1.0, 1.0, 0.0
-    root = math.sqrt(curvature)
-    sine, cosine = math.sin(root * s), math.cos(root * s)
-    return sine / root, cosine, cosine, -root * sine
 
 
 def _collocation() -> tuple[Array, Array]:
@@ -55,7 +38,8 @@ _TWICE = _TO_NODES @ _TO_NODES
 def fields(curvature: Array, s: Array) -> Array:
     """The fields at the nodes and the end of legs, by collocation.
 
-    curvature (..., 16) at the nodes, s (...): returns (..., 17, 4), in the order of `Field`.
+    curvature (..., 16) at the nodes, s (...), negative where a path runs backwards: returns
+    (..., 17, 4), of each place J, J', M, M', m, 1, 1, 1/m.
     """
     s = s[..., None]
     k = -curvature * s**2
@@ -70,21 +54,15 @@ def fields(curvature: Array, s: Array) -> Array:
     return found
 
 
-def shifts(directions: Sequence[float], along: Sequence[Field]) -> list[Shift]:
-    """What the end of a path does for a turn of each leg, 1/rad, then for each metre of its length.
+def shifts(directions: Array, along: Array) -> Array:
+    """How the end of a path moves with each of its legs.
 
-    The last field may be that of a place on the last leg: the path then ends there.
+    directions (n,) rad, along (n, 4): J, J', M, M' along each leg; where the path ends on its last
+    leg, at that place. Returns (2 n, 3): for a turn of each leg, 1/rad, then for each metre of its
+    length, the move along p and q of the carried frame at the end and the turn of that frame.
     """
-    turned: list[Shift] = []
-    stretched: list[Shift] = []
-    for phi, (j, dj, m, dm) in zip(directions, along):
-        cos, sin = math.cos(phi), math.sin(phi)
-        for found in turned, stretched:
-            for i, (x, y, turn) in enumerate(found):
-                ahead, aside = cos * x + sin * y, cos * y - sin * x
-                moved = m * aside + j * turn
-                x, y = cos * ahead - sin * moved, sin * ahead + cos * moved
-                found[i] = x, y, dj * turn + dm * aside
-        turned.append((-sin * j, cos * j, dj - 1.0))
-        stretched.append((cos, sin, 0.0))
-    return turned + stretched
+    n = len(directions)
+    ways, fields_along = np.ascontiguousarray(directions), np.ascontiguousarray(along)
+    found = np.empty((2 * n, 3))
+    binding.shifts(n, address(ways), address(fields_along), address(found))
+    return found

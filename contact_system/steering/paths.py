@@ -8,21 +8,23 @@ from it (rows: places in sizes, angles in rad) and the exact derivatives of that
 from __future__ import annotations
 
 import cmath
+import ctypes
 import dataclasses
 import math
 from array import array
-from collections.abc import Sequence
+from ctypes import c_double
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..buffer import AT_CONTACTS, LEG, LEGS, W1, Buffer, Y
+from ..engine.binding import Steer, address, steer
 from ..motion import FRAMES, Motion
 from ..scene import ROLLING, Contact, Leg, Scene
 from ..scene.contact import rolled, turned
 from ..surfaces import Surface
-from .jacobi import NODES, Array, Field, Shift, constant_field, fields, shifts
+from .jacobi import NODES, Array, fields, shifts
 
 TOLERANCE = 1e-14
 """Of the size, to which paths are rolled."""
@@ -91,101 +93,56 @@ class Aim:
             )
         )
 
-    def directions(self, phi: Any) -> tuple[list[float], list[float]]:
-        """Of legs in the frames that are carried along, on finger and object: W_2 = R_psi W_1."""
-        own = [x + self.lean for x in phi]
-        return own, [-x - self.angles[0] for x in own]
-
-    def moves(self, phi: Sequence[float], along: Sequence[Sequence[Field]]) -> list[list[Shift]]:
-        """`shifts` of both bodies for a path z, of its directions and then of its lengths."""
-        n, pace, found = len(phi), self.pace, []
-        for ways, own, sign in zip(self.directions(phi), along, (1.0, -1.0)):
-            moves = shifts(ways, own)  # the object's directions turn the other way
-            found.append(
-                [(sign * x, sign * y, sign * w) for x, y, w in moves[:n]]
-                + [(pace * x, pace * y, pace * w) for x, y, w in moves[n:]]
-            )
+    def moves(self, phi: Array, along: Array) -> Array:
+        """`shifts` of both bodies for directions and lengths of a path, along (2, n, 4)."""
+        own, n = phi + self.lean, len(phi)
+        other = -own - self.angles[0]  # W_2 = R_psi W_1
+        found = np.stack([shifts(own, along[0]), shifts(other, along[1])])
+        found[1, :n] *= -1.0
+        found[:, n:] *= self.pace
         return found
 
 
 # --- spheres and planes ------------------------------------------------------------------------
 
 
-Motion2 = tuple[complex, complex]
-
-
 class ClosedPaths:
-    """Rolling on spheres and planes, in closed form.
-
-    A motion of the surface is a pair (a, b) of complex numbers, |a|^2 + K |b|^2 = 1: half a
-    quaternion each on a sphere, a turn by 2 arg a and a move by 2 a b on the plane.
-    """
+    """Rolling on spheres and planes, in closed form."""
 
     def __init__(self, aim: Aim, n: int):
-        self.aim, self.n = aim, n
-        self.curvatures = [1.0 / r**2 if b.great_circles else 0.0 for b, r in self._bodies()]
-        self.back = [self._from_goal(side) for side in (0, 1)]
-        self.wanted = cmath.rect(1.0, aim.angles[1] - aim.angles[0])
+        self.aim, self.n, sides = aim, n, (0, 1)
+        self.curvatures = [b.size**-2 if b.great_circles else 0.0 for b in aim.bodies]
+        self.data = Steer(
+            tuple(self.curvatures),
+            tuple(aim.sizes),
+            tuple((c_double * 4)(*self._from_goal(side)) for side in sides),
+            *(aim.angles[0], aim.angles[1] - aim.angles[0], aim.lean, aim.pace),
+            tuple(side in aim.sides for side in sides),
+            aim.turned,
+        )
+        rows = 2 * len(aim.sides) + 2 * aim.turned
+        self._off, self._slopes = np.empty(rows), np.empty((rows, 2 * n))
 
-    def _bodies(self) -> Any:
-        return zip(self.aim.bodies, self.aim.sizes)
+    def off(self, z: Array) -> tuple[Array, Array]:
+        """How far a path ends from the goal (rows), and the derivatives of that (rows, 2 n)."""
+        off, slopes = self._off.copy(), self._slopes.copy()
+        steer(ctypes.addressof(self.data), self.n, address(z), address(off), address(slopes))
+        return off, slopes
 
-    def _from_goal(self, side: int) -> tuple[complex, complex]:
-        """The motion from the goal's frame back to the start's."""
+    def _from_goal(self, side: int) -> list[float]:
+        """The motion from the goal's frame back to the start's, as real and imaginary parts."""
         aim = self.aim
         (x0, frame0), (x1, frame1) = aim.start[side], aim.goal[side]
         if not self.curvatures[side]:
             turn = frame0.T @ frame1
             a = cmath.sqrt(complex(turn[0, 0], turn[1, 0]))
             x, y, _ = (frame0.T @ (x1 - x0)).tolist()
-            return a.conjugate(), -complex(x, y) / (2 * a)
-        inward = -1.0 if aim.bodies[side].sign < 0 else 1.0  # p, q and x are left-handed in a bowl
-        mirror = np.array([1.0, 1.0, inward])
+            b = complex(x, y) / (2 * a)
+            return [a.real, -a.imag, -b.real, -b.imag]
+        mirror = np.array([1.0, 1.0, aim.bodies[side].sign])  # p, q and x: left-handed in a bowl
         w, x, y, z = _quaternion((frame0 * mirror).T @ (frame1 * mirror))
-        return complex(w, -z), -complex(y, -x) * aim.sizes[side]
-
-    def off(self, z: Array) -> tuple[Array, Array]:
-        """How far a path ends from the goal (rows), and the derivatives of that (rows, 2 n)."""
-        aim, n = self.aim, self.n
-        numbers = z.tolist()
-        phi, lengths = numbers[:n], [s * aim.pace for s in numbers[n:]]
-        ends, along = [], []
-        for side, ways in enumerate(aim.directions(phi)):
-            k, (a, b) = self.curvatures[side], self.back[side]
-            passed: list[Field] = []
-            for way, s in zip(ways, lengths):
-                rise, half, *_ = constant_field(k, 0.5 * s)
-                step = cmath.rect(rise, way)
-                a, b = a * half - k * b * step.conjugate(), a * step + b * half
-                j, slope = 2.0 * rise * half, 1.0 - 2.0 * k * rise**2
-                passed.append((j, slope, slope, -k * j))
-            ends.append((a, b))
-            along.append(passed)
-        moves = aim.moves(phi, along)
-        found = [self._place_off(side, ends[side], moves[side]) for side in aim.sides]
-        if aim.turned:
-            found.append(self._turn_off(ends, moves))
-        rows = [part for off, _ in found for part in (off.real, off.imag)]
-        slopes = [[getattr(x, part) for x in own] for _, own in found for part in ("real", "imag")]
-        return np.array(rows), np.array(slopes)
-
-    def _place_off(self, side: int, end: Motion2, moves: list[Shift]) -> tuple[complex, Any]:
-        """The contact's distance from the goal on one body, along two axes there, in sizes."""
-        unit = 1.0 / self.aim.sizes[side]
-        a, b = end[0] * unit, end[1] * unit
-        return 2.0 * b, [a * complex(x, y) - 1j * b * w for x, y, w in moves]
-
-    def _turn_off(self, ends: list[Motion2], moves: list[list[Shift]]) -> tuple[complex, Any]:
-        """psi's distance from the goal's, as that of two numbers of modulus 1."""
-        (k1, k2), (a1, b1), (a2, b2) = self.curvatures, *ends
-        both = a1 * a2 * self.wanted
-        of1, of2, b1, b2 = both * a2, both * a1, k1 * b1, k2 * b2
-        slope = [
-            of1 * (1j * w1 * a1 - b1 * complex(x1, -y1))
-            + of2 * (1j * w2 * a2 - b2 * complex(x2, -y2))
-            for (x1, y1, w1), (x2, y2, w2) in zip(*moves)
-        ]
-        return both * a1 * a2 - 1.0, slope
+        r = aim.sizes[side]
+        return [w, -z, -y * r, x * r]
 
 
 def _quaternion(turn: Array) -> list[float]:
@@ -250,8 +207,7 @@ class RolledPaths:
         form = frames[:, :, :16, 9:]
         curvature = form[..., 0] * form[..., 2] - form[..., 1] ** 2
         passed = fields(curvature, np.broadcast_to(z[n:] * aim.pace, (2, n)))
-        ends = [[tuple(f) for f in side] for side in passed[:, :, 16].tolist()]
-        moves = np.array(aim.moves(z[:n].tolist(), ends))
+        moves = aim.moves(z[:n], passed[:, :, 16])
         parts = [
             ((frames[side, -1, 16, :3] - aim.goal[side][0]) / aim.sizes[side],
              _in_space(frames[side, -1, 16], moves[side]) / aim.sizes[side])
@@ -311,10 +267,8 @@ class RolledPaths:
         off, slopes = np.zeros(n), np.zeros((n, 2 * n))
         for k in np.flatnonzero(away.max(axis=1) > radius).tolist():
             i = int(worst[k])
-            along = [
-                [*map(tuple, own[:k, 16].tolist()), tuple(own[k, i].tolist())] for own in passed
-            ]
-            move = np.array(self.aim.moves(z[: k + 1].tolist(), along)[side])
+            along = np.concatenate([passed[:, :k, 16], passed[:, k : k + 1, i]], axis=1)
+            move = self.aim.moves(z[: k + 1], along)[side]
             move[k + 1 + k] *= _PLACES[i]  # the place lies at this part of the last leg
             slope = (aside[k, i] / away[k, i]) @ _in_space(frames[side, k, i], move)
             off[k] = away[k, i] / radius - 1.0
