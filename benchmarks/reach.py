@@ -116,7 +116,7 @@ def _four_rolls(scene: cs.Scene, goal: dict, r: float) -> float:
     axis *= math.sin(angle / 2) / (2 * math.sin(angle))
     (x, y, z), w = axis, math.cos(angle / 2)
     best = math.inf
-    for h in np.linspace(0.0, math.pi, 720, endpoint=False):
+    for h in np.linspace(0.0, math.pi, 360, endpoint=False):
         c, s = math.cos(h), math.sin(h)
         half = math.atan2(z, x * s - y * c)  # the rest of the turn has a level axis, too
         half = math.remainder(half, math.pi)

@@ -112,10 +112,11 @@ class ClosedPaths:
     def __init__(self, aim: Aim, n: int):
         self.aim, self.n, sides = aim, n, (0, 1)
         self.curvatures = [b.size**-2 if b.great_circles else 0.0 for b in aim.bodies]
+        self.back = [self._from_goal(side) for side in sides]
         self.data = Steer(
             tuple(self.curvatures),
             tuple(aim.sizes),
-            tuple((c_double * 4)(*self._from_goal(side)) for side in sides),
+            tuple((c_double * 4)(*back) for back in self.back),
             *(aim.angles[0], aim.angles[1] - aim.angles[0], aim.lean, aim.pace),
             tuple(side in aim.sides for side in sides),
             aim.turned,

@@ -23,6 +23,7 @@ from ..errors import ContactSystemError, SceneError
 from ..motion import SIDES, Motion
 from ..plan import plan
 from ..scene import STILL, Contact, Leg, Scene, require_scene
+from .four_rolls import four_rolls
 from .goal import Goal, Route
 from .jacobi import Array
 from .paths import TOLERANCE, Aim, ClosedPaths, Region, RolledPaths
@@ -179,13 +180,25 @@ class _Search:
         """The first route with the least number of legs; then the shortest found in the time."""
         begin, tried, nearest = time.perf_counter(), [], math.inf
         for n in range(self.fewest, MOST_LEGS + 1) if legs is None else (legs,):
-            for k, way in enumerate(self._ways(n, range(STARTS))):
+            for k, way in enumerate(self._ways(n, range(STARTS)), 1):
                 nearest = min(nearest, way.residual)
                 if way.residual <= REACHED and self._stays(way):
-                    told = f"{n} legs, start {k + 1}"
-                    return self._shorter(way, legs, begin + seconds), told
+                    way = way if legs else self._not_long(way)
+                    return self._shorter(way, legs, begin + seconds), f"{n} legs, start {k}"
             tried.append(f"{n} legs from {STARTS} starts")
         raise SceneError(self._refusal(tried, nearest))
+
+    def _not_long(self, way: _Way) -> _Way:
+        """Of a sphere on a plane no route is longer than Hammersley's four rolls."""
+        if not self.aim.in_closed_form or way.length <= max(4 * math.pi * self.unit, self.far):
+            return way
+        z = four_rolls(self.aim)
+        if z is None:
+            return way
+        other = self._newton(self._paths(4), z)
+        if other.residual <= REACHED and other.length < way.length:
+            way = self._slid(other, math.inf, 0.99 * other.length)
+        return way
 
     def _ways(self, n: int, starts: range) -> Iterator[_Way]:
         """What Newton's method makes of random starts with n legs."""
@@ -240,7 +253,7 @@ class _Search:
             damped = square.copy()
             damped[diagonal] += damping
             step = np.linalg.solve(damped, pull)
-            tried = z - unit * step * min(1.0, 1.0 / max(np.abs(step).max(), 1e-300))
+            tried = z - unit * (step / max(1.0, *map(abs, step.tolist())))
         return _Way(z, math.sqrt(best))
 
     # --- shorter ones ---------------------------------------------------------------------------
@@ -260,11 +273,11 @@ class _Search:
                 best = way if self._stays(way) else best
         return best
 
-    def _slid(self, way: _Way, until: float) -> _Way:
+    def _slid(self, way: _Way, until: float, enough: float = 0.0) -> _Way:
         """The route moved along the routes beside it to where it is no longer than they are."""
         n = len(way.z) // 2
         paths, unit, step = self._paths(n), np.repeat([1.0, self.unit], n), 0.1
-        while step > 1e-4 and time.perf_counter() < until:
+        while step > 1e-4 and way.length > enough and time.perf_counter() < until:
             off, slopes = self._residual(paths, way.z)
             left, values, right = np.linalg.svd(slopes * unit, full_matrices=True)
             free = right[int((values > 1e-9 * values[0]).sum()) :]

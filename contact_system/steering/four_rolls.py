@@ -1,0 +1,55 @@
+"""A sphere on a plane in four rolls: two turn it, two whole revolutions move it.
+
+After Hammersley, "Oxford commemoration ball" (1983), with the two that turn chosen so that all are
+short. It bounds the length of a route.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+
+from .jacobi import Array
+from .paths import Aim, ClosedPaths
+
+
+def four_rolls(aim: Aim) -> Array | None:
+    """The path of four legs, z, to a place on both bodies and an angle; None for other goals."""
+    paths = ClosedPaths(aim, 4)
+    flat = [k == 0.0 for k in paths.curvatures]
+    if flat[0] == flat[1] or not aim.turned:
+        return None
+    ball, plane = flat.index(False), flat.index(True)
+    back = paths.back
+    r, psi = aim.sizes[ball], aim.angles[0]
+    # psi's growth, as the plane's frame is not turned by rolling
+    (a, b), (turned, moved) = (_inverse(*back[side]) for side in (ball, plane))
+    half = cmath.rect(1.0, 0.5 * (psi - aim.angles[1])) * turned
+    a, b, wanted = a * half, b * half.conjugate() / r, 2 * turned * moved
+
+    first = np.linspace(0.0, math.pi, 360, endpoint=False)
+    way = np.exp(1j * first)
+    s1 = np.arctan2(-a.imag, (way * b.conjugate()).imag)
+    s1 -= math.pi * np.round(s1 / math.pi)
+    real = (np.cos(s1) * a + np.sin(s1) * way * b.conjugate()).real
+    rest = (np.cos(s1) * b - np.sin(s1) * way * a.conjugate()) * np.where(real < 0, -1.0, 1.0)
+    s2 = np.arctan2(np.abs(rest), np.abs(real))
+    left = wanted - 2 * r * cmath.rect(1.0, -psi) * (s1 / way + s2 * np.exp(-1j * np.angle(rest)))
+    times = np.ceil(np.abs(left) / (4 * math.pi * r))
+    k = int(np.argmin(np.abs(s1) + s2 + 2 * math.pi * times))
+
+    whole = 2 * math.pi * r * float(times[k])
+    open_by = math.acos(min(1.0, abs(left[k]) / (2 * whole))) if whole else 0.0
+    ahead = cmath.phase(left[k])
+    turns = [first[k], cmath.phase(rest[k])]
+    moves = [-psi - (ahead + open_by), -psi - (ahead - open_by)]
+    ways = np.array([*turns, *moves])
+    lengths = np.array([2 * r * s1[k], 2 * r * s2[k], whole, whole])
+    own = ways if ball == 0 else -psi - ways
+    return np.concatenate([own - aim.lean, lengths / aim.pace])
+
+
+def _inverse(re_a: float, im_a: float, re_b: float, im_b: float) -> tuple[complex, complex]:
+    return complex(re_a, -im_a), -complex(re_b, im_b)
