@@ -206,7 +206,7 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
     "a goal outside its region": ("the goal lies", _try({**PLACE, "object_within": NEAR})),
     "a region about a pole": ("pole", _try({**PLACE, "finger_within": (0.0, 0.0, 0.02)})),
     "a pad too small": ("widen", _try({**WHOLE, "finger_within": (1.1, 0.45, 0.007)})),
-    "legs too short": ("widen", _try(WHOLE, longest=0.01)),
+    "legs too short": ("longer ones", _try(WHOLE, longest=0.01)),
     "one leg for five numbers": ("at least", _try(WHOLE, legs=1)),
     "bodies that do not touch": ("touch", _try({"pose": _pose(0.5)}, legs=3)),
     "bodies in each other": ("touch", _try({"pose": np.eye(4)}, legs=3)),

@@ -40,6 +40,7 @@ from .measures import (
 from .plan import METHODS, Plan, plan
 from .scene import STILL, Scene, bundled_scenes, load_scene, save_scene
 from .steering import Goal, reach
+from .steering.goal import KEYS
 from .theory.gain import LAWS, Gain
 
 PROGRAM = "contact-system"
@@ -208,7 +209,7 @@ def _goal(text: str) -> Goal | None:
         given = tomllib.loads(f"goal = {{ {text} }}")["goal"]
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f'--to "{text}": {error}; write it like "object_at = [2, 1]"') from None
-    known_keys(given, ("object_at", "finger_at", "angle", "pose"), f'--to "{text}": ')
+    known_keys(given, KEYS, f'--to "{text}": ')
     return Goal(**given) if given else None
 
 

@@ -331,8 +331,8 @@ class _Curve:
     disturbed: np.ndarray
     colour: str
     label: str
-    legs: Sequence[np.ndarray] = ()
-    frames: Sequence[np.ndarray] = ()
+    legs: np.ndarray | tuple[()] = ()
+    frames: np.ndarray | tuple[()] = ()
 
 
 def _draw_object(ax: Any, plan: Plan) -> None:

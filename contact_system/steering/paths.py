@@ -242,7 +242,7 @@ class RolledPaths:
 
     def _pose_off(self, ends: Array, moves: Array) -> tuple[Array, Array]:
         """The finger's rotation against the goal's and, of a pose, its origin in sizes."""
-        goal = self.aim.pose
+        goal: Any = self.aim.pose
         axes = [_axes(*end[3:9].tolist()) for end in ends]
         turns = [_turns(end[9:], move) for end, move in zip(ends, moves)]
         rotation = axes[1] @ self.joint @ axes[0].T

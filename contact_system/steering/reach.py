@@ -100,6 +100,7 @@ def reach(
 
 def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
     """One a contact, checked."""
+    goals: list[Goal | None]
     if isinstance(goal, Goal):
         goals = [goal]
     elif isinstance(goal, Sequence) and not isinstance(goal, str):
@@ -155,6 +156,11 @@ class _Search:
         bounds = [region.widest for region in self.aim.regions]
         self.unit = min(self.aim.sizes + bounds) / self.aim.pace
         self.far = max((self._apart(side) for side in self.aim.sides), default=0.0) / self.aim.pace
+        if longest is not None and MOST_LEGS * longest < self.far:
+            raise SceneError(
+                f"{self.name}: longest = {longest:g} m: the goal is {self.far:.6g} m away, and "
+                f"there are {MOST_LEGS} legs at most; allow longer ones"
+            )
 
     def _apart(self, side: int) -> float:
         return float(np.linalg.norm(self.aim.goal[side][0] - self.aim.start[side][0]))
