@@ -22,7 +22,7 @@ from .theory.gain import LAWS
 
 VERSION = 4
 HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT = 15, 5, 5, 7, 35, 23  # so many numbers each
-COUNT, AT_CONTACTS = 1, 9  # places in the header
+TOLERATED, AT_CONTACTS = 2, 9  # places in the header
 LEGS, W1, Y = 10, 19, 21  # places in a contact's row
 if LAYOUT != (VERSION, HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT):
     raise ImportError(

@@ -93,7 +93,8 @@ _CALLS: dict[str, Any] = {
     "step": ctypes.PYFUNCTYPE(None, c_void_p),
     "along": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
     "look": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
-    "shifts": ctypes.PYFUNCTYPE(None, c_int64, c_void_p, c_void_p, c_void_p),
+    "fields": ctypes.PYFUNCTYPE(None, c_int64, c_void_p, c_void_p, c_void_p),
+    "shifts": ctypes.PYFUNCTYPE(None, c_int64, c_int64, c_void_p, c_void_p, c_void_p),
     "steer": ctypes.PYFUNCTYPE(c_int64, c_void_p, c_int64, c_void_p, c_void_p, c_void_p),
 }
 
@@ -128,7 +129,8 @@ ENGINE: Engine = _LIBRARY.contact_engine().contents
 # to fetch a function from a structure makes it anew
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
-step, along, shifts, steer = ENGINE.step, ENGINE.along, ENGINE.shifts, ENGINE.steer
+step, along = ENGINE.step, ENGINE.along
+fields, shifts, steer = ENGINE.fields, ENGINE.shifts, ENGINE.steer
 _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
 )

@@ -196,5 +196,6 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                 .step = step,
                                 .along = along,
                                 .look = look,
+                                .fields = fields,
                                 .shifts = shifts,
                                 .steer = steered};

@@ -195,7 +195,8 @@ typedef struct {
   /* like `evaluate` at one time, of plans of one thread: room for tables stays with the plan */
   int (*look)(plan_t *plan, double t, double *const *out, failure_t *failure);
   /* how ends of paths move with their legs, and how far they are from goals: see steer.c */
-  void (*shifts)(int64_t n, const double *ways, const double *fields, double *out);
+  void (*fields)(int64_t n, const double *curvature, const double *s, double *out);
+  void (*shifts)(int64_t m, int64_t n, const double *ways, const double *along, double *out);
   int64_t (*steer)(const steer_t *aim, int64_t n, const double *z, double *off, double *slopes);
 } engine_t;
 

@@ -292,7 +292,7 @@ static double close_panel(work_t *w, motion_t *m, double half, lanes_t x, lanes_
     reached[r] = r >= m->n - m->n_stiff ? dot(gauss_last, x[r])
                                         : m->state[r] + half * dot(gauss_weight, f[r]);
   }
-  memcpy(end, reached, sizeof reached);
+  memcpy(end, reached, (size_t)m->n * sizeof *reached);
   if (m->restore) m->restore(w, m, end);
   /* what must be put back tells of the panel's error too */
   double back = 0.0, none = 0.0; /* fmax drops a NaN */

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..buffer import AT_CONTACTS, LEG, LEGS, W1, Buffer, Y
+from ..buffer import AT_CONTACTS, LEG, LEGS, TOLERATED, W1, Buffer, Y
 from ..engine.binding import Steer, address, steer
 from ..motion import FRAMES, Motion
 from ..scene import ROLLING, Contact, Leg, Scene
@@ -26,8 +26,8 @@ from ..scene.contact import rolled, turned
 from ..surfaces import Surface
 from .jacobi import NODES, Array, fields, shifts
 
-TOLERANCE = 1e-14
-"""Of the size, to which paths are rolled."""
+TOLERANCE, COARSE, NEAR = 1e-14, 1e-7, 1e-3
+"""Of the size, to which paths are rolled; the second where they end farther off than the third."""
 
 
 class Region(NamedTuple):
@@ -96,8 +96,7 @@ class Aim:
     def moves(self, phi: Array, along: Array) -> Array:
         """`shifts` of both bodies for directions and lengths of a path, along (2, n, 4)."""
         own, n = phi + self.lean, len(phi)
-        other = -own - self.angles[0]  # W_2 = R_psi W_1
-        found = np.stack([shifts(own, along[0]), shifts(other, along[1])])
+        found = shifts(np.array([own, -own - self.angles[0]]), along)  # W_2 = R_psi W_1
         found[1, :n] *= -1.0
         found[:, n:] *= self.pace
         return found
@@ -201,23 +200,37 @@ class RolledPaths:
 
     def off(self, z: Array) -> tuple[Array, Array]:
         """How far a path ends from the goal (rows), and the derivatives of that (rows, 2 n)."""
+        self._write(z[: self.n].tolist(), z[self.n :].tolist())
+        off, slopes = self._rolled(z)
+        near = float(off @ off) < NEAR**2
+        if near and self.numbers[TOLERATED] > TOLERANCE:
+            self._tolerate(TOLERANCE)
+            off, slopes = self._rolled(z)
+        elif not near:
+            self._tolerate(COARSE)
+        return off, slopes
+
+    def _tolerate(self, tolerance: float) -> None:
+        self.numbers[TOLERATED] = tolerance
+        self.buffer.numbers = self.numbers.tobytes()
+
+    def _rolled(self, z: Array) -> tuple[Array, Array]:
         aim, n = self.aim, self.n
-        self._write(z[:n].tolist(), z[n:].tolist())
         found: Any = Motion(self.scene, self.buffer).evaluate(self.times, (FRAMES,))
         frames = found[FRAMES].reshape(n, 17, 2, 12).transpose(2, 0, 1, 3)  # side, leg, place
         form = frames[:, :, :16, 9:]
         curvature = form[..., 0] * form[..., 2] - form[..., 1] ** 2
-        passed = fields(curvature, np.broadcast_to(z[n:] * aim.pace, (2, n)))
-        moves = aim.moves(z[:n], passed[:, :, 16])
-        parts = [
-            ((frames[side, -1, 16, :3] - aim.goal[side][0]) / aim.sizes[side],
-             _in_space(frames[side, -1, 16], moves[side]) / aim.sizes[side])
-            for side in aim.sides
-        ]  # fmt: off
+        passed = fields(curvature, np.array([z[n:], z[n:]]) * aim.pace)
+        moves, ends = aim.moves(z[:n], passed[:, :, 16]), frames[:, -1, 16]
+        space = (moves[:, :, :2] @ ends[:, 3:9].reshape(2, 2, 3)).transpose(0, 2, 1)
+        offs, slopes = [], []
+        for side in aim.sides:
+            offs.append((ends[side, :3] - aim.goal[side][0]) / aim.sizes[side])
+            slopes.append(space[side] / aim.sizes[side])
         if aim.pose is not None:
-            parts.append(self._pose_off(frames[:, -1, 16], moves))
-        parts += [self._outside(z, frames, passed, region) for region in aim.regions]
-        offs, slopes = zip(*parts)
+            self._add_pose(ends, moves, space, offs, slopes)
+        for region in aim.regions:
+            self._add_outside(z, frames, passed, region, offs, slopes)
         return np.concatenate(offs), np.concatenate(slopes)
 
     def _write(self, phi: list[float], lengths: list[float]) -> None:
@@ -240,46 +253,47 @@ class RolledPaths:
             last = way
         self.buffer.numbers = numbers.tobytes()
 
-    def _pose_off(self, ends: Array, moves: Array) -> tuple[Array, Array]:
+    def _add_pose(
+        self, ends: Array, moves: Array, space: Array, offs: list[Array], slopes: list[Array]
+    ) -> None:
         """The finger's rotation against the goal's and, of a pose, its origin in sizes."""
         goal: Any = self.aim.pose
         axes = [_axes(*end[3:9].tolist()) for end in ends]
         turns = [_turns(end[9:], move) for end, move in zip(ends, moves)]
         rotation = axes[1] @ self.joint @ axes[0].T
-        inner = turns[1] @ self.joint - self.joint @ turns[0]
-        slope = axes[1] @ inner @ axes[0].T  # (2 n, 3, 3)
-        off, slopes = (rotation - goal[:3, :3]).ravel(), slope.reshape(-1, 9).T
-        if not self.aim.is_pose:
-            return off, slopes
-        size = max(self.aim.sizes)
-        origin = ends[1, :3] - rotation @ ends[0, :3] - goal[:3, 3]
-        shift = _in_space(ends[1], moves[1]) - rotation @ _in_space(ends[0], moves[0])
-        shift -= (slope @ ends[0, :3]).T
-        return np.concatenate([off, origin / size]), np.concatenate([slopes, shift / size])
+        slope = axes[1] @ (turns[1] @ self.joint - self.joint @ turns[0]) @ axes[0].T  # (2 n, 3, 3)
+        offs.append((rotation - goal[:3, :3]).ravel())
+        slopes.append(slope.reshape(-1, 9).T)
+        if self.aim.is_pose:
+            size = max(self.aim.sizes)
+            offs.append((ends[1, :3] - rotation @ ends[0, :3] - goal[:3, 3]) / size)
+            slopes.append((space[1] - rotation @ space[0] - (slope @ ends[0, :3]).T) / size)
 
-    def _outside(
-        self, z: Array, frames: Array, passed: Array, region: Region
-    ) -> tuple[Array, Array]:
+    def _add_outside(
+        self,
+        z: Array,
+        frames: Array,
+        passed: Array,
+        region: Region,
+        offs: list[Array],
+        slopes: list[Array],
+    ) -> None:
         """How far each leg leaves a region, where it does so most, in radii."""
         n, (side, centre, radius, _) = self.n, region
         aside = frames[side, :, :, :3] - centre
         away = np.linalg.norm(aside, axis=-1)
         worst = away.argmax(axis=1)
-        off, slopes = np.zeros(n), np.zeros((n, 2 * n))
+        off, slope = np.zeros(n), np.zeros((n, 2 * n))
         for k in np.flatnonzero(away.max(axis=1) > radius).tolist():
             i = int(worst[k])
             along = np.concatenate([passed[:, :k, 16], passed[:, k : k + 1, i]], axis=1)
             move = self.aim.moves(z[: k + 1], along)[side]
             move[k + 1 + k] *= _PLACES[i]  # the place lies at this part of the last leg
-            slope = (aside[k, i] / away[k, i]) @ _in_space(frames[side, k, i], move)
+            outward = frames[side, k, i, 3:9].reshape(2, 3) @ (aside[k, i] / away[k, i] / radius)
             off[k] = away[k, i] / radius - 1.0
-            slopes[k, : k + 1], slopes[k, n : n + k + 1] = np.split(slope / radius, 2)
-        return off, slopes
-
-
-def _in_space(frame: Array, move: Array) -> Array:
-    """Moves along p and q of a frame, (m, 3), as vectors in space: (3, m)."""
-    return np.outer(frame[3:6], move[:, 0]) + np.outer(frame[6:9], move[:, 1])
+            slope[k, : k + 1], slope[k, n : n + k + 1] = np.split(move[:, :2] @ outward, 2)
+        offs.append(off)
+        slopes.append(slope)
 
 
 def _axes(a: float, b: float, c: float, d: float, e: float, f: float) -> Array:
