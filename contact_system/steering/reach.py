@@ -198,13 +198,9 @@ class _Search:
         """Of a sphere on a plane no route is longer than Hammersley's four rolls."""
         if not self.aim.in_closed_form or way.length <= max(4 * math.pi * self.unit, self.far):
             return way
-        z = four_rolls(self.aim)
-        if z is None:
-            return way
-        other = self._newton(self._paths(4), z)
-        if other.residual <= REACHED and other.length < way.length:
-            way = self._slid(other, math.inf, 0.99 * other.length)
-        return way
+        z = four_rolls(self.aim, way.length)
+        other = way if z is None else self._newton(self._paths(4), z)
+        return other if other.residual <= REACHED and other.length < way.length else way
 
     def _ways(self, n: int, starts: range) -> Iterator[_Way]:
         """What Newton's method makes of random starts with n legs."""
@@ -279,11 +275,11 @@ class _Search:
                 best = way if self._stays(way) else best
         return best
 
-    def _slid(self, way: _Way, until: float, enough: float = 0.0) -> _Way:
+    def _slid(self, way: _Way, until: float) -> _Way:
         """The route moved along the routes beside it to where it is no longer than they are."""
         n = len(way.z) // 2
         paths, unit, step = self._paths(n), np.repeat([1.0, self.unit], n), 0.1
-        while step > 1e-4 and way.length > enough and time.perf_counter() < until:
+        while step > 1e-4 and time.perf_counter() < until:
             off, slopes = self._residual(paths, way.z)
             left, values, right = np.linalg.svd(slopes * unit, full_matrices=True)
             free = right[int((values > 1e-9 * values[0]).sum()) :]
