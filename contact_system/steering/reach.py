@@ -234,7 +234,7 @@ class _Search:
         diagonal, tried = np.diag_indices(n), z
         for k in range(steps):
             if k % 6 == 5:  # starts that only creep are given up
-                if best > 0.25 * mark:
+                if best > 0.5 * mark:
                     break
                 mark = best
             try:
