@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 N_AMBIENT, N_CHART, N_OTHER = 7, 7, 4
+GEODESIC = 3  # of the other tables
 
 
 class TableData(Structure):
@@ -44,6 +45,15 @@ class Program(Structure):
     """``program_t``: what ``step`` runs, on registers of one double each."""
 
     _fields_ = [("code", c_void_p), ("registers", c_void_p)]
+
+
+class Followed(Structure):
+    """``geodesic_t``: how geodesics of a surface are followed."""
+
+    _fields_ = [
+        *((name, c_void_p) for name in ("rates", "restore", "frame", "lame", "numbers")),
+        *((name, c_double) for name in ("size", "first", "longest")),
+    ]
 
 
 class Failure(Structure):
@@ -92,6 +102,7 @@ _CALLS: dict[str, Any] = {
     # it takes a microsecond
     "step": ctypes.PYFUNCTYPE(None, c_void_p),
     "along": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
+    "geodesics": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, *[c_void_p] * 4, c_int64, c_void_p),
     "look": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
     "fields": ctypes.PYFUNCTYPE(None, c_int64, c_void_p, c_void_p, c_void_p),
     "shifts": ctypes.PYFUNCTYPE(None, c_int64, c_int64, c_void_p, c_void_p, c_void_p),
@@ -129,7 +140,7 @@ ENGINE: Engine = _LIBRARY.contact_engine().contents
 # to fetch a function from a structure makes it anew
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
-step, along = ENGINE.step, ENGINE.along
+step, along, geodesics = ENGINE.step, ENGINE.along, ENGINE.geodesics
 fields, shifts, steer = ENGINE.fields, ENGINE.shifts, ENGINE.steer
 _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
@@ -161,6 +172,13 @@ class Builtins:
 
     def __init__(self, data: SurfaceData):
         self.address, self._data = ctypes.addressof(data), data
+
+    @property
+    def geodesic(self) -> Builtin:
+        """A geodesic with its Jacobi fields."""
+        found = self.other[GEODESIC]
+        assert found is not None
+        return found
 
     def __getattr__(self, group: str) -> tuple[Builtin | None, ...]:
         addresses = getattr(self._data, group)

@@ -8,6 +8,8 @@
 /* */
 #include "twofold.h"
 
+enum { STAGES = 12 };
+#include "generated/dop853.inc"
 #include "generated/gauss.inc"
 #include "generated/operations.inc"
 
@@ -33,6 +35,8 @@ static _Noreturn void fail(work_t *w, int code);
 #include "output.c"
 /* */
 #include "steer.c"
+/* */
+#include "geodesic.c"
 
 /* ---- what others call ---- */
 
@@ -195,7 +199,8 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                 .run = run_table,
                                 .step = step,
                                 .along = along,
-                                .look = look,
-                                .fields = fields,
-                                .shifts = shifts,
-                                .steer = steered};
+                                 .geodesics = geodesics,
+                                 .look = look,
+                                 .fields = fields,
+                                 .shifts = shifts,
+                                 .steer = steered};
