@@ -257,6 +257,11 @@ class Ellipsoid(OfLengths, SecondDegree):
     def bend(self) -> float:
         return max(self.c**2 / self.a, self.c / 3)
 
+    @property
+    def injectivity(self) -> float:
+        # pi over the root of the greatest of Gauss' curvatures, by a theorem of Klingenberg
+        return math.pi * self.b * self.c / self.a
+
     def _matrix(self, p: ca.SX) -> ca.SX:
         axes = (p[self.parameters.index(axis)] for axis in (self.a, self.b, self.c))
         return ca.diag(ca.vertcat(*(1 / axis**2 for axis in axes)))

@@ -65,6 +65,10 @@ class Sphere(OfLengths):
     examples: ClassVar = ((1.0,),)
     radius: float
 
+    @property
+    def injectivity(self) -> float:
+        return math.pi * self.radius
+
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
         return (ca.dot(x, x) - p[0] ** 2) / 2
 
