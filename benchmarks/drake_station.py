@@ -100,11 +100,11 @@ def _pushed(size: float, time: float, across: bool, model: str, closed: bool) ->
     pushes = [Push(name, PUSHED, stop, force.tolist())]
     config = StationConfig.from_scene(scene, contact_model=model, pushes=pushes)
     result = simulate(scene, config if closed else config.opened(), duration=stop + AFTER)
-    since, step = result.t > PUSHED, config.plant.time_step
+    since, step = result.t > PUSHED, config.time_step
     slip = np.linalg.norm(result.measured["slip"][since, finger], axis=1)
     normal = result.measured["normal_force"][since, finger]
     friction = np.linalg.norm(result.measured["tangential_force"][since, finger], axis=1)
-    touches, limit = normal > 0, SATURATED * config.plant.friction * normal
+    touches, limit = normal > 0, SATURATED * config.friction * normal
     apart = result.measured["contact_point"][-1] - result.planned["contact_point"][-1]
     return {
         "slip": step * float(slip[touches].sum()),

@@ -94,7 +94,7 @@ def _film() -> Save:
     from drake_plant.recording import Recording
 
     builder, known, film = DiagramBuilder(), cs.load_scene("C1"), Recording()
-    quick = StationConfig.from_scene(known, contact_model="point").plant
+    quick = StationConfig.from_scene(known, contact_model="point")
     film.Add(builder, AddScenePlant(builder, known, quick))
     builder.Build()
     return lambda folder, k: film.Save(folder / "film.html")

@@ -13,17 +13,17 @@ except ImportError as error:
         'drake_plant needs Drake: pip install "contact-system[drake]" (Linux and macOS)'
     ) from error
 
+from .config import Push, StationConfig
 from .contact_monitor import ContactMonitor
-from .fingertip_driver import DriverConfig, FingertipDriver
+from .fingertip_driver import FingertipDriver
 from .plan_source import PlanSource
 from .planner_system import ContactPlanner
-from .plant import AddScenePlant, PlantConfig, ScenePlant
-from .pushes import Push, PushSource
+from .plant import AddScenePlant, ScenePlant
+from .pushes import PushSource
 from .station import (
     BuildStation,
     SetInitialState,
     SimulationResult,
-    StationConfig,
     rolling_scene,
     simulate,
 )
@@ -45,11 +45,9 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
     "ContactMonitor",
     "ContactPlanner",
     "ContactTrajectories",
-    "DriverConfig",
     "FingertipDriver",
     "MakeTrajectories",
     "PlanSource",
-    "PlantConfig",
     "Push",
     "PushSource",
     "ScenePlant",

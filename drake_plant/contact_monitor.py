@@ -53,8 +53,9 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
+from .config import require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant, require_config
+from .plant import ScenePlant
 
 Array = NDArray[np.float64]
 

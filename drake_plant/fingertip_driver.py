@@ -22,9 +22,7 @@ centripetal force beside the 1 N of contact, and those of D3 150 N:
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -43,8 +41,9 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
+from .config import GAINS, require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant, check_numbers, require_config, types_known
+from .plant import ScenePlant
 
 Array = NDArray[np.float64]
 SHARE = 0.4
@@ -58,41 +57,6 @@ OFF = 1e-4
 """Of a finger's size, how far its mass centre may be from its origin."""
 
 
-@types_known
-@dataclass
-class DriverConfig:
-    """Gains of a :class:`FingertipDriver`.
-
-    Explicit forces bear only so much: with a step of h at most 0.4 m/h is used of what damps and
-    0.4 m/h^2 of what is a stiffness; of rotations with the least moment of inertia instead of m.
-
-    Attributes
-    ----------
-    position_gain, velocity_gain : float
-        N/m and N s/m, in the tangent plane.
-    slip_gain : float
-        lam of the slip that is measured, 1/s; 0 leaves the loop open. At most 0.5/h is used, which
-        takes away half of the slip in a step.
-    normal_damping : float
-        N s/m, along the normal. The sap solver lifts a sliding contact by h mu |slip|; much damping
-        would turn changes of that into normal force (100 N s/m: 2.4 % in D1, 30: 0.8 %).
-    rotation_gain, spin_gain : float
-        N m and N m s. With a rotation_gain of 0 the finger may roll on the radius that the
-        penetration leaves it, and no friction comes from that; spheres have no orientation to keep.
-    """
-
-    position_gain: float = 400.0
-    velocity_gain: float = 60.0
-    normal_damping: float = 30.0
-    rotation_gain: float = 0.0
-    spin_gain: float = 0.04
-    slip_gain: float = 0.0
-
-    def check(self) -> None:
-        """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
-        check_numbers(self, [f.name for f in dataclasses.fields(self)], "not below 0")
-
-
 # Rows of the table's inputs: what the object, the plan, the finger, the steps before and sensors
 # give.
 _OBJECT = ("R_WO", "p_WO", "w_WO", "v_WO", "alpha_WO", "a_WO")
@@ -102,9 +66,8 @@ _BEFORE = ("steps", "position", "spin", "normal_before", "a_before", "a_earlier"
 _NOW = ("sliding", "push", "normal_rate")
 POINT = dict.fromkeys((*_OBJECT, *_PLAN, *_FINGER, *_BEFORE, *_NOW), 3)
 POINT |= {"R_WO": 9, "R_OF": 9, "R_WF": 9, "steps": 1}
-_GAINS = ("position_gain", "velocity_gain", "normal_damping", "rotation_gain", "spin_gain")
 CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3, "normal_force": 1}
-CONSTANT |= dict.fromkeys((*_GAINS, "slip_gain"), 1)
+CONSTANT |= dict.fromkeys((*GAINS, "slip_gain"), 1)
 KEPT = 17
 """Numbers a finger that its driver keeps from step to step."""
 
@@ -219,31 +182,28 @@ class FingertipDriver(LeafSystem):
     scene_plant : ScenePlant
         Finalized; if it is discrete, with sampled output ports as Drake's own are, and if it is
         continuous, with an :class:`ObjectAcceleration` for the last port. Its configuration says
-        the normal force, its bodies' defaults the masses, whatever a Context says.
-    config : DriverConfig
+        the normal force and the gains, its bodies' defaults the masses, whatever a Context says.
 
     Raises
     ------
     SceneError
-        No ScenePlant, a wrong gain; a discrete plant without sampled output ports, or whose steps
+        No ScenePlant; a discrete plant without sampled output ports, or whose steps
         are too long for a finger; a finger that is not free, or whose mass centre is
         not its origin. In a simulation: more or fewer poses than fingers.
     """
 
     __slots__ = NO_DICTIONARY
 
-    def __init__(self, scene_plant: ScenePlant, config: DriverConfig):
+    def __init__(self, scene_plant: ScenePlant):
         super().__init__()
         require_config(scene_plant, ScenePlant, "scene_plant")
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
         # What the plant is made from; the plant itself would keep this system for ever.
-        self.scene, self.plant_config = scene_plant.scene, scene_plant.config
+        self.scene, self.config = scene_plant.scene, scene_plant.config
         self.object_index = int(scene_plant.object_body.index())
         self.finger_indices = [body.index() for body in fingers]
-        require_config(config, DriverConfig)
-        config.check()
         _check(scene_plant)
-        self._constants = np.transpose([_constants(body, scene_plant, config) for body in fingers])
+        self._constants = np.transpose([_constants(body, scene_plant) for body in fingers])
         n = len(fingers)
         poses, motions = Value[list[RigidTransform]], Value[list[SpatialVelocity]]
         self._pose = self.DeclareAbstractInputPort("pose", poses())
@@ -390,8 +350,9 @@ def _check(parts: ScenePlant) -> None:
             )
 
 
-def _constants(body: RigidBody, parts: ScenePlant, config: DriverConfig) -> list[float]:
+def _constants(body: RigidBody, parts: ScenePlant) -> list[float]:
     """`CONSTANT` of a finger."""
+    config = parts.config
     h, mass = parts.plant.time_step(), body.default_mass()
     inertia = body.default_spatial_inertia().CalcRotationalInertia().CopyToFullMatrix3()
     # A model's gravity may be switched off.
@@ -402,6 +363,6 @@ def _constants(body: RigidBody, parts: ScenePlant, config: DriverConfig) -> list
     # of each gain, what it moves and to which power the step divides what is borne
     moved = ((mass, 2), (mass, 1), (mass, 1), (least, 2), (least, 1))
     borne = [SHARE * inert / h**order if h else math.inf for inert, order in moved]
-    gains = [min(getattr(config, name), most) for name, most in zip(_GAINS, borne)]
+    gains = [min(getattr(config, name), most) for name, most in zip(GAINS, borne)]
     gains.append(min(config.slip_gain, SLIP_SHARE / h if h else math.inf))
-    return [h, mass, *inertia.ravel(), *gravity, parts.config.normal_force, *gains]
+    return [h, mass, *inertia.ravel(), *gravity, config.normal_force, *gains]

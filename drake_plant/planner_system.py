@@ -28,6 +28,7 @@ from contact_system.errors import SceneError
 from contact_system.scene import DISTURBANCE_KINDS
 from contact_system.starts import on_branch
 
+from .config import LOOK
 from .lifetimes import NO_DICTIONARY, weakly
 from .plan_check import (
     CLEARANCE,
@@ -43,8 +44,6 @@ from .scratch import Scratch, Scratches
 
 NEARBY = 10 * CLEARANCE
 """Where the distance from a chart's singularity is watched more closely."""
-LOOK = 0.01
-"""How often the distance from the plan is looked at where no period is given, s."""
 EARLY = 1e-9
 """How much before its time a restart happens, s."""
 ONCE = 1e9

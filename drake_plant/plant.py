@@ -19,9 +19,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -73,10 +72,11 @@ from contact_system import (
     Turning,
 )
 from contact_system import plan as make_plan
-from contact_system.checks import finite_number, naming
+from contact_system.checks import naming
 from contact_system.errors import ContactSystemError
 from contact_system.scene import require_scene
 
+from .config import EDGES, StationConfig, require_config
 from .meshes import (
     Domain,
     SurfaceMesh,
@@ -90,7 +90,6 @@ from .meshes import (
 )
 
 Array = NDArray[np.float64]
-Config = TypeVar("Config", bound=type)
 
 # Gap that opens along an edge, in depths. What a facet stands off the surface ripples with the
 # period of the mesh, and a patch of radius a averages the ripple with the weight J1(q a)/(q a),
@@ -115,14 +114,6 @@ SPACING = 0.0025  # m, of points along the plan that show where contacts go
 LINE = 1e-6  # of the greatest relative curvature: less is a line, straight but for rounding
 TURNING_GAIN = 1e8  # N m/rad
 AGES = 1e9  # s
-CHOICES = {
-    "contact_model": ("hydroelastic", "point"),
-    "discrete_contact_approximation": ("sap", "lagged", "similar"),
-    "object": ("free", "welded", "turning"),
-}
-NOT_NEGATIVE = ("time_step", "friction")
-EDGES = ("finger_edge", "object_edge")
-POSITIVE = ("object_mass", "finger_mass", "stiffness", "normal_force", *EDGES)
 TAKEN = ("", "object", "WorldModelInstance", "DefaultModelInstance")  # the last two by Drake
 # Of kinds of surfaces what is less where they give way by a depth.
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
@@ -135,99 +126,6 @@ FINGER_COLORS = (
 )
 
 
-def require_config(config: Any, kind: type, name: str = "config") -> None:
-    """Raise a SceneError where something else is given, such as a part of a configuration."""
-    if not isinstance(config, kind):
-        raise SceneError(f"{name} = {config!r}: give a {kind.__name__}")
-
-
-def check_words(config: Any, choices: Mapping[str, Sequence[str]]) -> None:
-    """Raise a SceneError for the first field of a configuration that is none of its words."""
-    for key, words in choices.items():
-        value = getattr(config, key)
-        if not isinstance(value, str) or value not in words:
-            raise SceneError(f"{key} = {value!r}: use one of {', '.join(words)}")
-
-
-def check_numbers(config: Any, keys: Sequence[str], bound: str = "") -> None:
-    """Raise a SceneError for the first field that is not a finite number within the bound.
-
-    None is fine where it is the default.
-
-    bound : "above 0", "not below 0" or none
-    """
-    for key in keys:
-        value = getattr(config, key)
-        if value is not None or getattr(type(config), key) is not None:
-            finite_number(value, key, bound)
-
-
-def types_known(config: Config) -> Config:
-    """A dataclass whose fields hold their types instead of the words for them.
-
-    Drake's yaml_load_typed and yaml_dump_typed read them there.
-    """
-    types = get_type_hints(config)
-    for field in dataclasses.fields(config):
-        field.type = types[field.name]
-    return config
-
-
-@types_known
-@dataclass
-class PlantConfig:
-    """What a scene's plant is made of.
-
-    Contact itself is elastic: the damper between the bodies is the FingertipDriver's. Material
-    enters a fast rolling patch on one side and leaves on the other, so that a damping which is
-    strong for the bodies would destroy contact.
-
-    Attributes
-    ----------
-    time_step : float
-        s; 0 makes the plant continuous, for Drake's integrators.
-    contact_model : str
-        "hydroelastic", or "point" where Drake's point contact is exact: spheres on a sphere or on
-        a plane.
-    discrete_contact_approximation : str
-        "sap", "lagged" or "similar".
-    object : str
-        "free"; "welded" to the world; "turning" as the scene prescribes it.
-    object_mass, finger_mass : float
-        kg, spread evenly, with the mass centre at the body's origin.
-    stiffness : float
-        N/m, of a contact that carries ``normal_force``.
-    friction : float
-        Coulomb's coefficient, static and dynamic.
-    normal_force : float
-        N, along the planned normal, with which every finger presses.
-    gravity : float
-        m/s^2, towards -z of the world.
-    finger_edge, object_edge : float or None
-        m, edges of the meshes at the planned contacts; None: chosen by the size of the patch.
-    """
-
-    time_step: float = 1e-3
-    contact_model: str = "hydroelastic"
-    discrete_contact_approximation: str = "sap"
-    object: str = "free"
-    object_mass: float = 1.0
-    finger_mass: float = 0.1
-    stiffness: float = 1e4
-    friction: float = 0.5
-    normal_force: float = 1.0
-    gravity: float = 0.0
-    finger_edge: float | None = None
-    object_edge: float | None = None
-
-    def check(self) -> None:
-        """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
-        check_words(self, CHOICES)
-        check_numbers(self, ("gravity",))
-        check_numbers(self, POSITIVE, "above 0")
-        check_numbers(self, NOT_NEGATIVE, "not below 0")
-
-
 @dataclass(frozen=True)
 class ScenePlant:
     """A scene's plant in a DiagramBuilder: that of :func:`AddScenePlant`, or one of your own.
@@ -237,9 +135,9 @@ class ScenePlant:
     Attributes
     ----------
     scene : Scene
-    config : PlantConfig
-        What it is made from; of one of your own the driver takes the normal force, and
-        SetInitialState how deep that presses.
+    config : StationConfig
+        What it is made from; of one of your own the driver takes the normal force and the gains,
+        the monitor friction, and SetInitialState how deep the force presses.
     plant : MultibodyPlant
         Finalized.
     scene_graph : SceneGraph
@@ -255,7 +153,7 @@ class ScenePlant:
     """
 
     scene: Scene
-    config: PlantConfig
+    config: StationConfig
     plant: MultibodyPlant
     scene_graph: SceneGraph
     object_body: RigidBody
@@ -264,7 +162,7 @@ class ScenePlant:
     def __post_init__(self) -> None:
         require_scene(self.scene)
         with naming(f"{self.scene.title}, scene_plant"):
-            require_config(self.config, PlantConfig)
+            require_config(self.config, StationConfig)
             require_config(self.plant, MultibodyPlant, "plant")
             require_config(self.scene_graph, SceneGraph, "scene_graph")
             if not self.plant.is_finalized():
@@ -290,7 +188,7 @@ class ScenePlant:
             taken[index] = name
 
 
-def contact_depth(config: PlantConfig) -> float:
+def contact_depth(config: StationConfig) -> float:
     """Depth at which a contact carries ``normal_force``, m.
 
     Force grows with the square of the depth in hydroelastic contact, linearly in point contact.
@@ -299,7 +197,7 @@ def contact_depth(config: PlantConfig) -> float:
     return power * config.normal_force / config.stiffness
 
 
-def check_depth(scene: Scene, config: PlantConfig) -> None:
+def check_depth(scene: Scene, config: StationConfig) -> None:
     """Raise a SceneError where a contact would be as deep as half a body's least radius."""
     depth = contact_depth(config)
     for i, contact in enumerate(scene.contacts):
@@ -320,7 +218,7 @@ def _least_radius(body: Surface) -> float:
 
 
 def AddScenePlant(
-    builder: DiagramBuilder, scene: Scene, config: PlantConfig | None = None
+    builder: DiagramBuilder, scene: Scene, config: StationConfig | None = None
 ) -> ScenePlant:
     """Add a finalized MultibodyPlant and a SceneGraph with the scene's bodies.
 
@@ -336,7 +234,7 @@ def AddScenePlant(
     builder : DiagramBuilder
     scene : Scene
         It is planned here, to make meshes fine where contacts go.
-    config : PlantConfig, optional
+    config : StationConfig, optional
         None: what the scene's ``[drake]`` table says.
 
     Raises
@@ -347,13 +245,11 @@ def AddScenePlant(
     """
     require_scene(scene)
     if config is None:
-        from .station import StationConfig  # which imports this module
-
-        config = StationConfig.from_scene(scene).plant
+        config = StationConfig.from_scene(scene)
     try:
         require_config(builder, DiagramBuilder, "builder")
-        require_config(config, PlantConfig)
-        config.check()
+        require_config(config, StationConfig)
+        config.check(scene)
         _check_names(builder, config)
         config = dataclasses.replace(config)  # the caller may change what is his
         _check_surfaces(scene, config)
@@ -365,7 +261,7 @@ def AddScenePlant(
 
 
 def _add(
-    builder: DiagramBuilder, scene: Scene, config: PlantConfig, touches: Sequence[_Touch]
+    builder: DiagramBuilder, scene: Scene, config: StationConfig, touches: Sequence[_Touch]
 ) -> ScenePlant:
     plant, scene_graph = AddMultibodyPlant(
         MultibodyPlantConfig(
@@ -398,7 +294,7 @@ def _add(
     return ScenePlant(scene, config, plant, scene_graph, object_body, fingers)
 
 
-def _check_names(builder: DiagramBuilder, config: PlantConfig) -> None:
+def _check_names(builder: DiagramBuilder, config: StationConfig) -> None:
     """Refuse names that are taken: Drake would end the process when it builds the Diagram."""
     for name in ("plant", "scene_graph", *["turning"] * (config.object == "turning")):
         if builder.HasSubsystemNamed(name):
@@ -507,7 +403,7 @@ def _inner_radius(finger: Surface) -> float:
     return _least_radius(finger) if isinstance(finger, (Sphere, Ellipsoid, Quadric)) else 0.0
 
 
-def _check_surfaces(scene: Scene, config: PlantConfig) -> None:
+def _check_surfaces(scene: Scene, config: StationConfig) -> None:
     """Refuse what Drake's contact cannot do, with the reason."""
     if config.object == "turning" and scene.turning is None:
         raise SceneError(
@@ -536,7 +432,7 @@ def _check_surfaces(scene: Scene, config: PlantConfig) -> None:
             )
 
 
-def _check_edges(config: PlantConfig, touches: Sequence[_Touch]) -> None:
+def _check_edges(config: StationConfig, touches: Sequence[_Touch]) -> None:
     """Refuse meshes so coarse that bodies which roll on them lose contact."""
     for key in EDGES:
         edge, depth = getattr(config, key), contact_depth(config)
@@ -556,7 +452,7 @@ def _check_edges(config: PlantConfig, touches: Sequence[_Touch]) -> None:
 
 
 def _add_object(
-    plant: MultibodyPlant, scene: Scene, config: PlantConfig, touches: Sequence[_Touch]
+    plant: MultibodyPlant, scene: Scene, config: StationConfig, touches: Sequence[_Touch]
 ) -> RigidBody:
     surface = scene.object
     curve = np.vstack([touch.object_points for touch in touches])
@@ -579,7 +475,7 @@ def _add_object(
 
 
 def _add_finger(
-    plant: MultibodyPlant, name: str, surface: Surface, config: PlantConfig, touch: _Touch, paint
+    plant: MultibodyPlant, name: str, surface: Surface, config: StationConfig, touch: _Touch, paint
 ) -> RigidBody:
     curvatures = (touch.finger_curvature, touch.object_curvature)
     lengths = (FINGER_GAP, config.finger_edge)
@@ -599,7 +495,7 @@ def _mesh(
     surface: Surface,
     curve: Array,
     curvatures: tuple[float, float],
-    config: PlantConfig,
+    config: StationConfig,
     lengths: tuple[float, float | None],
 ) -> tuple[Domain, SurfaceMesh | None]:
     """A surface's domain, and its mesh where contact needs one.
@@ -638,7 +534,7 @@ def _add_body(
     return body
 
 
-def _modulus(config: PlantConfig, touch: _Touch, inner: Array) -> float:
+def _modulus(config: StationConfig, touch: _Touch, inner: Array) -> float:
     """Hydroelastic modulus, Pa, for the stiffness at the normal force, mean over the curve."""
     below = inner[cKDTree(inner).query(touch.finger_points)[1]]
     height = np.sum(touch.finger_normals * (touch.finger_points - below), axis=1)
@@ -646,7 +542,7 @@ def _modulus(config: PlantConfig, touch: _Touch, inner: Array) -> float:
     return config.stiffness**2 / (4 * math.pi * config.normal_force * float(compliance))
 
 
-def _material(config: PlantConfig) -> ProximityProperties:
+def _material(config: StationConfig) -> ProximityProperties:
     properties = ProximityProperties()
     AddContactMaterial(
         properties,

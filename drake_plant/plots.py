@@ -100,7 +100,7 @@ def _draw_slip(ax: Any, result: SimulationResult, closed: bool = True) -> None:
 def _draw_normal(ax: Any, result: SimulationResult) -> None:
     for i in range(len(result.scene.contacts)):
         _ripple(ax, result.t, result.measured["normal_force"][:, i], colour_of(i))
-    wanted = result.config.plant.normal_force
+    wanted = result.config.normal_force
     ax.axhline(wanted, color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, 2 * wanted)
     ax.set_title(f"Normal force ({BOLD}; dotted: asked for)", loc="left", weight="bold")
@@ -111,7 +111,7 @@ def _draw_friction(ax: Any, result: SimulationResult) -> None:
     for i in range(len(result.scene.contacts)):
         force = np.linalg.norm(result.measured["tangential_force"][:, i], axis=1)
         _ripple(ax, result.t, force, colour_of(i))
-    limit = result.config.plant.friction * result.config.plant.normal_force
+    limit = result.config.friction * result.config.normal_force
     ax.axhline(limit, color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, 1.3 * limit or None)
     ax.set_title(rf"Tangential force ({BOLD}; dotted: $\mu N$)", loc="left", weight="bold")

@@ -17,8 +17,9 @@ from contact_system import SceneError
 from contact_system.checks import a_path, finite_number
 from contact_system.writing import writing
 
+from .config import require_config
 from .lifetimes import NO_DICTIONARY, weakly
-from .plant import ScenePlant, require_config
+from .plant import ScenePlant
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import dataclasses
 import gc
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,39 +31,27 @@ from pydrake.systems.primitives import LogVectorOutput
 
 from contact_system import ImplicitSurface, Quadric, Scene, SceneError, Surface
 from contact_system import plan as make_plan
-from contact_system.checks import (
-    a_path,
-    did_you_mean,
-    finite_number,
-    flag,
-    function_or_none,
-    naming,
-)
+from contact_system.checks import a_path, finite_number, function_or_none, naming
 from contact_system.scene import require_scene
-from contact_system.system import COORDINATES
 from contact_system.theory import symbols as ca
 
+from .config import StationConfig, require_config
 from .contact_monitor import ContactMonitor
-from .fingertip_driver import DriverConfig, FingertipDriver
+from .fingertip_driver import FingertipDriver
 from .meshes import is_round
 from .object_acceleration import ObjectAcceleration
 from .plan_check import TOLERANCE
 from .plan_source import PlanSource
-from .planner_system import LOOK, ContactPlanner, PlannerBase
+from .planner_system import ContactPlanner, PlannerBase
 from .plant import (
     RADII,
     AddScenePlant,
-    PlantConfig,
     ScenePlant,
     check_depth,
-    check_numbers,
-    check_words,
     contact_depth,
-    require_config,
     turning_angle,
-    types_known,
 )
-from .pushes import Push, PushSource, check_pushes, pushes_of
+from .pushes import PushSource
 
 Array = NDArray[np.float64]
 
@@ -81,137 +69,7 @@ CONTINUOUS = SimulatorConfig(
 """Of a continuous plant: with a larger accuracy the planner is further off than it may be."""
 
 
-@types_known
-@dataclass
-class StationConfig:
-    """What a station is made of.
-
-    Attributes
-    ----------
-    plant : PlantConfig
-    driver : DriverConfig
-    coordinates : str
-        "chart" or "frame", of the :class:`ContactPlanner`; "plan": a :class:`PlanSource` is the
-        planner, without states, disturbance port and restarts, exact under every scheme.
-    disturbance_input : bool
-        Whether the planner's `disturbance` port is there, exported.
-    restart_period, restart_distance : float or None
-        The planner restarts from the measured state every so many seconds; with both, only
-        contacts that are so many m from the planned point; with the distance alone, looked at every
-        0.01 s. None: it does not. Restarts have to fall on steps of the plant. Slip is rejected by
-        the driver's ``slip_gain``; a restart serves where the way back to the curve is too long.
-    rolling_radii : bool
-        Plan on the radii that bodies roll on once they are pressed together (see
-        :func:`rolling_scene`), else on the nominal ones.
-    pushes : list of Push
-        Where there are any, they are what the port `push` would give.
-    """
-
-    plant: PlantConfig = field(default_factory=PlantConfig)
-    driver: DriverConfig = field(default_factory=DriverConfig)
-    coordinates: str = "chart"
-    disturbance_input: bool = False
-    restart_period: float | None = None
-    restart_distance: float | None = None
-    rolling_radii: bool = True
-    pushes: list[Push] = field(default_factory=list)
-
-    @property
-    def restarts(self) -> bool:
-        """Whether the planner restarts from measured states."""
-        return self.restart_period is not None or self.restart_distance is not None
-
-    @property
-    def closed_loop(self) -> bool:
-        """Whether anything that is measured acts on the fingers."""
-        return self.restarts or self.driver.slip_gain > 0
-
-    def opened(self) -> StationConfig:
-        """The same with the loop open."""
-        driver = dataclasses.replace(self.driver, slip_gain=0.0)
-        return dataclasses.replace(self, driver=driver, restart_period=None, restart_distance=None)
-
-    def check(self) -> None:
-        """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
-        for key, kind in (("plant", PlantConfig), ("driver", DriverConfig)):
-            part = getattr(self, key)
-            require_config(part, kind, key)
-            part.check()
-        check_words(self, {"coordinates": (*COORDINATES, "plan")})
-        for key in ("disturbance_input", "rolling_radii"):
-            flag(getattr(self, key), key)
-        check_numbers(self, ("restart_period",), "above 0")
-        check_numbers(self, ("restart_distance",), "not below 0")
-        if self.coordinates == "plan" and (self.restarts or self.disturbance_input):
-            raise SceneError(
-                'coordinates = "plan": a plan has no disturbance port and does not restart; give '
-                '"chart" or "frame", or leave disturbance_input and restarts out'
-            )
-        if self.driver.slip_gain and not self.plant.time_step:
-            raise SceneError(
-                f"slip_gain = {self.driver.slip_gain!r}: at time_step = 0 the slip depends "
-                "on the force that it asks for: give a time step, such as 0.001 s, or no slip_gain"
-            )
-        if self.restarts and self.plant.time_step:
-            self._check_restarts()
-
-    def _check_restarts(self) -> None:
-        """Between two steps a discrete plant is at the end of the step already: a planner that
-        restarts there is ahead of its time, by another part of a step each time."""
-        step, period = self.plant.time_step, self.restart_period
-        steps = max((LOOK if period is None else period) / step, 1e-9)
-        whole = round(steps) if steps > 0.75 else 1 / round(1 / steps)
-        # A little early does no harm; a little late is a whole step ahead (but see EARLY).
-        if not -1e-6 < steps / whole - 1 < 1e-9:
-            every = f" (None: {LOOK:g} s)" if period is None else ""
-            raise SceneError(
-                f"restart_period = {period!r}{every}: restarts have to fall on steps of the plant, "
-                f"time_step = {step!r}; give restart_period = {max(1, round(steps)) * step:.9g}, "
-                "or another multiple of it"
-            )
-
-    @classmethod
-    def from_scene(cls, scene: Scene, **changes: Any) -> StationConfig:
-        """The scene's ``[drake]`` table, one flat table of all fields, and changes to it.
-
-        The object of a scene with a ``[turning]`` is "turning" unless they say otherwise.
-
-        Raises
-        ------
-        SceneError
-            An unknown key, with the nearest known one, or a value that is wrong.
-        """
-        require_scene(scene)
-        table = {**({"object": "turning"} if scene.turning else {}), **scene.drake, **changes}
-        own = [f for f in dataclasses.fields(cls) if f.name not in ("plant", "driver")]
-        known = {
-            "plant": dataclasses.fields(PlantConfig),
-            "driver": dataclasses.fields(DriverConfig),
-        }
-        names = {f.name for fields in (own, *known.values()) for f in fields}
-        for key in table:
-            if key not in names:
-                raise SceneError(
-                    f"{scene.title}, [drake]: key {key!r} is unknown"
-                    f"{did_you_mean(key, names)}; the keys here are {', '.join(sorted(names))}"
-                )
-
-        def take(fields: Any) -> dict[str, Any]:
-            return {f.name: table[f.name] for f in fields if f.name in table}
-
-        config = cls(
-            plant=PlantConfig(**take(known["plant"])),
-            driver=DriverConfig(**take(known["driver"])),
-            **take(own),
-        )
-        with naming(f"{scene.title}, [drake]"):
-            config.pushes = pushes_of(config.pushes)
-            config.check()
-            check_pushes(scene, config.pushes)
-        return config
-
-
-def rolling_scene(scene: Scene, config: PlantConfig) -> Scene:
+def rolling_scene(scene: Scene, config: StationConfig) -> Scene:
     """The scene with bodies as large as they roll once pressed together.
 
     A compliant finger gives way to a rigid object, so it rolls on a surface by the depth inside its
@@ -223,17 +81,17 @@ def rolling_scene(scene: Scene, config: PlantConfig) -> Scene:
     Parameters
     ----------
     scene : Scene
-    config : PlantConfig
+    config : StationConfig
         Its normal force and stiffness say the depth.
 
     Raises
     ------
     SceneError
-        No scene, no PlantConfig, or a depth of half a body's least radius or more.
+        No scene, no StationConfig, or a depth of half a body's least radius or more.
     """
     require_scene(scene)
     with naming(scene.title):
-        require_config(config, PlantConfig)
+        require_config(config, StationConfig)
         check_depth(scene, config)
     depth, point = contact_depth(config), config.contact_model == "point"
     of_finger, of_object = (0.5 * depth, 0.5 * depth) if point else (depth, 0.0)
@@ -354,8 +212,7 @@ def _checked(scene: Scene, config: StationConfig | None) -> StationConfig:
     require_scene(scene)
     with naming(f"{scene.title}, station"):
         require_config(config, StationConfig)
-        config.check()
-        check_pushes(scene, config.pushes)
+        config.check(scene)
     return config
 
 
@@ -365,16 +222,16 @@ def _build(
     extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None,
 ) -> tuple[Diagram, ScenePlant]:
     builder = DiagramBuilder()
-    parts = AddScenePlant(builder, scene, config.plant)
-    planned = rolling_scene(scene, config.plant) if config.rolling_radii else scene
+    parts = AddScenePlant(builder, scene, config)
+    planned = rolling_scene(scene, config) if config.rolling_radii else scene
     planner = builder.AddNamedSystem("planner", _planner(planned, config))
-    start = _finger_poses(planner, planner.CreateDefaultContext(), scene, config.plant)
+    start = _finger_poses(planner, planner.CreateDefaultContext(), scene, config)
     for body, X_OF in zip(parts.finger_bodies, start):
         parts.plant.SetDefaultFloatingBaseBodyPose(body, X_OF)
-    driver = builder.AddNamedSystem("driver", FingertipDriver(parts, config.driver))
+    driver = builder.AddNamedSystem("driver", FingertipDriver(parts))
     monitor = builder.AddNamedSystem("monitor", ContactMonitor(planned, parts))
     accelerating: LeafSystem = parts.plant
-    if not config.plant.time_step:
+    if not config.time_step:
         accelerating = _object_acceleration(builder, parts)
     _connect(builder, config, planner, driver, monitor, parts.plant, accelerating)
     if config.pushes:
@@ -401,7 +258,7 @@ def _connect(
     accelerating: LeafSystem,
 ) -> None:
     planned = ("pose", "twist", "acceleration", "normal", "contact_point")
-    if not config.plant.time_step:
+    if not config.time_step:
         planned += ("normal_rate",)  # type: ignore[assignment]
     wires: list[tuple[LeafSystem, LeafSystem, tuple[str, ...]]] = [
         (planner, driver, planned),
@@ -409,7 +266,7 @@ def _connect(
         (accelerating, driver, ("body_spatial_accelerations",)),
         (plant, monitor, ("contact_results", "body_poses", "body_spatial_velocities")),
     ]
-    if config.driver.slip_gain:
+    if config.slip_gain:
         wires.append((monitor, driver, ("sliding",)))
     if config.restarts:
         wires.append((planner, driver, ("restarts",)))
@@ -464,7 +321,7 @@ def _planner(scene: Scene, config: StationConfig) -> PlannerBase:
         restart_period=config.restart_period,
         restart_distance=config.restart_distance,
         # steps as short as a discrete plant's make every scheme but Euler's better than contact is
-        tolerance=1e-4 if config.plant.time_step else TOLERANCE,
+        tolerance=1e-4 if config.time_step else TOLERANCE,
     )
 
 
@@ -502,7 +359,7 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     require_config(context, Context, "context")
     planner, driver, plant = map(station.GetSubsystemByName, STARTED)
     now, physics = planner.GetMyContextFromRoot(context), plant.GetMyMutableContextFromRoot(context)
-    scene, config, t = driver.scene, driver.plant_config, context.get_time()
+    scene, config, t = driver.scene, driver.config, context.get_time()
     # A velocity of a discrete plant is the one that brought it here: that of half a step ago.
     ago = 0.5 * plant.time_step()
     # A plant of somebody's own may turn its object in another way.
@@ -532,7 +389,7 @@ def SetInitialState(station: Diagram, context: Context) -> None:
 
 
 def _finger_poses(
-    planner: PlannerBase, context: Context, nominal: Scene, config: PlantConfig
+    planner: PlannerBase, context: Context, nominal: Scene, config: StationConfig
 ) -> list[RigidTransform]:
     """X_OF as planned, each finger pressed in by the depth on the nominal surfaces."""
     planned, poses = planner.system.scene, planner.GetOutputPort("pose").Eval(context)
@@ -607,7 +464,7 @@ def simulate(
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = _checked(scene, config)
     duration = scene.duration if duration is None else duration
-    step = config.plant.time_step or CONTINUOUS.max_step_size
+    step = config.time_step or CONTINUOUS.max_step_size
     if not finite_number(duration, f"{scene.title}: duration") >= step:
         raise SceneError(
             f"{scene.title}: a simulation of {duration!r} s with a time_step of {step:g} "
@@ -645,7 +502,7 @@ def simulate(
     begun = time.perf_counter()
     station, parts = _build(scene, config, extend)
     simulator = Simulator(station)
-    ApplySimulatorConfig(INTEGRATION if config.plant.time_step else CONTINUOUS, simulator)
+    ApplySimulatorConfig(INTEGRATION if config.time_step else CONTINUOUS, simulator)
     context = simulator.get_mutable_context()
     SetInitialState(station, context)
     if progress is not None:
