@@ -190,8 +190,7 @@ class StationConfig:
 
     def opened(self) -> "StationConfig":
         """The same with the loop open."""
-        opened = {"slip_gain": 0.0, "restart_period": None, "restart_distance": None}
-        return dataclasses.replace(self, **opened)
+        return dataclasses.replace(self, slip_gain=0.0, restart_period=None, restart_distance=None)
 
     def check(self, scene: Scene) -> None:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
