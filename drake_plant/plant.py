@@ -33,6 +33,7 @@ from pydrake.geometry import (
     GeometrySet,
     HalfSpace,
     ProximityProperties,
+    Rgba,
     SceneGraph,
     Shape,
     SurfaceTriangle,
@@ -74,20 +75,13 @@ from contact_system import (
 from contact_system import plan as make_plan
 from contact_system.checks import naming
 from contact_system.errors import ContactSystemError
+from contact_system.plots import BODY, colour_of
 from contact_system.scene import require_scene
 
 from .config import EDGES, StationConfig, require_config
-from .meshes import (
-    Domain,
-    SurfaceMesh,
-    compliant_mesh,
-    contact_mesh,
-    domain_of,
-    inner_points,
-    is_round,
-    painted_meshes,
-    rigid_mesh,
-)
+from .domains import Domain, domain_of
+from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
+from .meshes import SurfaceMesh, contact_mesh
 
 Array = NDArray[np.float64]
 
@@ -117,13 +111,7 @@ AGES = 1e9  # s
 TAKEN = ("", "object", "WorldModelInstance", "DefaultModelInstance")  # the last two by Drake
 # Of kinds of surfaces what is less where they give way by a depth.
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
-OBJECT_COLORS = ((0.80, 0.80, 0.78), (0.52, 0.55, 0.58))
-FINGER_COLORS = (
-    ((0.95, 0.62, 0.45), (0.75, 0.25, 0.10)),
-    ((0.55, 0.75, 0.95), (0.12, 0.35, 0.70)),
-    ((0.60, 0.85, 0.60), (0.13, 0.50, 0.20)),
-    ((0.90, 0.80, 0.45), (0.65, 0.50, 0.05)),
-)
+OPACITY = 0.6  # of what contact is seen through: fingers, and objects from the inside
 
 
 @dataclass(frozen=True)
@@ -212,7 +200,7 @@ def check_depth(scene: Scene, config: StationConfig) -> None:
 
 
 def _least_radius(body: Surface) -> float:
-    if isinstance(body, Quadric) and is_round(body):
+    if isinstance(body, Quadric) and body.chart.central:
         return float(np.linalg.eigvalsh(body.A)[-1] ** -0.5)
     return min(getattr(body, name) for name in RADII.get(type(body), ("size",)))
 
@@ -275,10 +263,10 @@ def _add(
     )
     plant.mutable_gravity_field().set_gravity_vector([0, 0, -config.gravity])
     object_body = _add_object(plant, scene, config, touches)
-    names, fingers = _finger_names([contact.name for contact in scene.contacts]), []
+    names, fingers = model_names(scene), []
     for i, (contact, touch) in enumerate(zip(scene.contacts, touches)):
-        colors = FINGER_COLORS[i % len(FINGER_COLORS)]
-        fingers.append(_add_finger(plant, names[i], contact.finger, config, touch, colors))
+        colour = rgba(colour_of(i), OPACITY)
+        fingers.append(_add_finger(plant, names[i], contact.finger, config, touch, colour))
     geometries = [g for body in fingers for g in plant.GetCollisionGeometriesForBody(body)]
     scene_graph.collision_filter_manager().Apply(
         CollisionFilterDeclaration().ExcludeWithin(GeometrySet(geometries))
@@ -305,9 +293,10 @@ def _check_names(builder: DiagramBuilder, config: StationConfig) -> None:
             )
 
 
-def _finger_names(given: Sequence[str]) -> list[str]:
-    """Names of model instances: those given, numbered where they are not or are taken."""
-    names: list[str] = []
+def model_names(scene: Scene) -> list[str]:
+    """Names of the fingers' model instances: those given, numbered where they have none of their
+    own."""
+    given, names = [contact.name for contact in scene.contacts], list[str]()
     for i, name in enumerate(given):
         if name in TAKEN or name in names:
             name = f"finger_{i}"
@@ -425,7 +414,7 @@ def _check_surfaces(scene: Scene, config: StationConfig) -> None:
                     f"a plane, not for {finger!r} on {scene.object!r}: Drake's normal between an "
                     'ellipsoid and a sphere is wrong by up to 16 degrees; use "hydroelastic"'
                 )
-        elif finger.inside or not (is_round(finger) or isinstance(finger, (Cylinder, Torus))):
+        elif finger.inside or not (finger.chart.central or isinstance(finger, (Cylinder, Torus))):
             raise SceneError(
                 f"contact {i}: a fingertip is a compliant solid, which {finger!r} does not bound; "
                 "use a sphere, an ellipsoid, a cylinder, a torus or an ImplicitSurface"
@@ -471,11 +460,24 @@ def _add_object(
     inertia = SpatialInertia.SolidSphereWithMass(config.object_mass, surface.size)
     if config.object == "free":
         inertia = _solid("object", surface, config.object_mass, mesh)
-    return _add_body(plant, "object", inertia, shape, properties, domain, OBJECT_COLORS)
+    return _add_body(
+        plant,
+        "object",
+        inertia,
+        shape,
+        properties,
+        domain,
+        rgba(BODY[1], OPACITY if surface.inside else 1.0),
+    )
 
 
 def _add_finger(
-    plant: MultibodyPlant, name: str, surface: Surface, config: StationConfig, touch: _Touch, paint
+    plant: MultibodyPlant,
+    name: str,
+    surface: Surface,
+    config: StationConfig,
+    touch: _Touch,
+    colour: Rgba,
 ) -> RigidBody:
     curvatures = (touch.finger_curvature, touch.object_curvature)
     lengths = (FINGER_GAP, config.finger_edge)
@@ -488,7 +490,7 @@ def _add_finger(
         hint = surface.size  # Drake asks for one, and ignores it for meshes
         AddCompliantHydroelasticProperties(hint, _modulus(config, touch, inner), properties)
     inertia = _solid(name, surface, config.finger_mass, mesh)
-    return _add_body(plant, name, inertia, shape, properties, domain, paint)
+    return _add_body(plant, name, inertia, shape, properties, domain, colour)
 
 
 def _mesh(
@@ -521,16 +523,16 @@ def _add_body(
     shape: Shape,
     properties: ProximityProperties,
     domain: Domain | None,
-    paint: Sequence[Sequence[float]],
+    colour: Rgba,
 ) -> RigidBody:
     """A body with its contact geometry, painted in two colours so that rolling can be seen."""
     body, at = plant.AddRigidBody(name, plant.AddModelInstance(name), inertia), RigidTransform()
     plant.RegisterCollisionGeometry(body, at, shape, name, properties)
     if domain is None:
-        plant.RegisterVisualGeometry(body, at, shape, name, [*paint[0], 1.0])
+        plant.RegisterVisualGeometry(body, at, shape, name, colour.rgba)
         return body
-    for k, (mesh, color) in enumerate(zip(painted_meshes(domain, name), paint)):
-        plant.RegisterVisualGeometry(body, at, mesh, f"{name}_{k}", [*color, 1.0])
+    for k, (mesh, shade) in enumerate(painted(domain, name, colour)):
+        plant.RegisterVisualGeometry(body, at, mesh, f"{name}_{k}", shade.rgba)
     return body
 
 

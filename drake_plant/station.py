@@ -38,7 +38,6 @@ from contact_system.theory import symbols as ca
 from .config import StationConfig, require_config
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
-from .meshes import is_round
 from .object_acceleration import ObjectAcceleration
 from .plan_check import TOLERANCE
 from .plan_source import PlanSource
@@ -108,7 +107,7 @@ def _smaller(surface: Surface, by: float) -> Surface:
     if names:
         values = {name: getattr(surface, name) - less for name in names}
         return dataclasses.replace(surface, **values)
-    if isinstance(surface, Quadric) and is_round(surface) and less:
+    if isinstance(surface, Quadric) and surface.chart.central and less:
         return _smaller_quadric(surface, less)
     if isinstance(surface, ImplicitSurface) and less:
         return _smaller_implicit(surface, less)
@@ -511,8 +510,6 @@ def simulate(
     built = time.perf_counter()
     simulator.AdvanceTo(duration)
     finished = time.perf_counter()
-    if film is not None and recording is not None:
-        film.Save(recording)
 
     logs = {name: sink.FindLog(context) for name, sink in loggers.items()}
     t = logs["object"].sample_times()
@@ -525,9 +522,12 @@ def simulate(
     planned["contact_point"] = planned["contact_point"][:, :, 3:]
     measured["normal_force"] = measured["normal_force"][:, :, 0]
     poses = _object_poses(parts, logs["object"].data().T)
-    return SimulationResult(
+    result = SimulationResult(
         scene, config, t, planned, measured, poses, built - begun, finished - built
     )
+    if film is not None and recording is not None:
+        film.Save(recording, result)
+    return result
 
 
 def _object_poses(parts: ScenePlant, states: Array) -> Array:

@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("pydrake")
 
 import contact_system as cs
-from drake_plant import StationConfig, cli, recording, simulate
+from drake_plant import StationConfig, cli, simulate
 from drake_plant.measures import contact_speed, contact_table
 
 T = np.linspace(0.0, 4.0, 4001)
@@ -238,18 +238,6 @@ def test_pushes_are_told_with_the_loop_closed_and_open(tmp_path, capsys):
     closed, opened = map(float, line[5:7])
     assert 0 < closed < 0.5 * opened
     assert (tmp_path / "D4-drake.png").exists()
-
-
-# --- camera --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_camera_faces_every_finger_that_can_be_faced_together(seed):
-    fingers = np.random.default_rng(seed).normal(size=(2, 3))
-    fingers[:, 2] = np.abs(fingers[:, 2])  # two fingers on the upper half are always seen at once
-    toward = recording.best_direction(0.14 * fingers)
-    assert np.linalg.norm(toward) == pytest.approx(1.0)
-    assert (fingers @ toward > 0).all()
 
 
 # --- the command ---------------------------------------------------------------------------------

@@ -51,6 +51,7 @@ class JacobiChart(Chart):
     """
 
     orthogonal = True
+    central = True
     periods = (TURN, TURN)
     double_cover = True
     singular_at = "an umbilic (v = +-pi/2 with u = 0 or pi)"
@@ -131,6 +132,7 @@ class OblateChart(Chart):
 
     orthogonal = True
     turning = 0
+    central = True
     periods = (TURN, None)
     singular_at = "a pole (v = +-pi/2)"
     ranges = "-pi < u <= pi, -pi/2 < v < pi/2"

@@ -17,6 +17,7 @@ class PolarChart(Chart):
 
     orthogonal = True
     turning = 1
+    central = True
     periods = (None, TURN)
     great_circles = True
     singular_at = "a pole (u = 0 or pi)"
