@@ -43,8 +43,7 @@ class PlanSource(PlannerBase, LeafSystem):
 
     Those of :class:`ContactPlanner`, but for coordinates, which are continuous along the path here.
     There is no continuous state, so that nothing is integrated and nothing converts to other
-    scalars. Where the scene has windows a discrete state (1) says which edge was passed last, and
-    events at edges set it: no integrator steps across one.
+    scalars. No integrator steps across an edge of the scene's windows.
 
     Parameters
     ----------
@@ -72,8 +71,6 @@ class PlanSource(PlannerBase, LeafSystem):
 
     def _Prerequisites(self, output: str) -> set:
         time = {self.time_ticket()}
-        if self._window is not None:
-            time.add(self.discrete_state_ticket(self._window))
         if output not in RATES:
             return time
         if not hasattr(self, "_rates"):
@@ -81,18 +78,10 @@ class PlanSource(PlannerBase, LeafSystem):
             self._ticket, self._rates = array_entry(self._CalcRates, shape, time)
         return {self._ticket}
 
-    def _Time(self, context: Context) -> float:
-        """At an edge that is not passed yet the time just before it: a plan tells what is after."""
-        t = context.get_time()
-        if t in self.system.edges:
-            passed = context.get_discrete_state(self._window).GetAtIndex(0)
-            return t if passed >= t else np.nextafter(t, -np.inf)
-        return t
-
     def _Evaluate(self, context: Any, output: str) -> Array:
         if output in RATES:
             return self._rates(context)[:, RATES[output]].ravel()
-        t = self._Time(context)
+        t = context.get_time()
         if output == "pose":
             X = self.plan.pose(t)[0]
             columns = X[:, :3, :3].swapaxes(1, 2).reshape(-1, 9)
@@ -101,7 +90,7 @@ class PlanSource(PlannerBase, LeafSystem):
         return self.plan.evaluate(t, name)[name].ravel()
 
     def _CalcRates(self, context: Context) -> Array:
-        system, t = self.system, self._Time(context)
+        system, t = self.system, context.get_time()
         x, held = frame_states(system, t, self.plan.moments(t))
         table, ends = lowered(system, *RATES)
         point = np.hstack([t, x, system.window_values(t), held])

@@ -23,7 +23,7 @@ from pydrake.systems.framework import (
 )
 
 from contact_system import Scene, SceneSystem
-from contact_system.checks import finite_number, flag
+from contact_system.checks import finite_number
 from contact_system.errors import SceneError
 from contact_system.scene import DISTURBANCE_KINDS
 from contact_system.starts import on_branch
@@ -106,8 +106,7 @@ class PlannerBase(_System):
     __slots__ = NO_DICTIONARY
 
     T: type = float
-    _window: Any = None  # states and ports that not all have
-    _held: Any = None
+    _held: Any = None  # states and ports that not all have
     _disturbance: Any = None
     _measured: Any = None
     _restarts: Any = None
@@ -118,11 +117,9 @@ class PlannerBase(_System):
         n = len(system.scene.contacts)
         if x0 is not None:
             self.DeclareContinuousState(_vector(x0, self.T))
-        if system.edges:
-            self._window = self.DeclareDiscreteState(_vector(np.zeros(1), self.T))
-            self.DeclareInitializationUnrestrictedUpdateEvent(weakly(self._SetWindow))
-            for edge in system.edges:
-                self.DeclarePeriodicUnrestrictedUpdateEvent(ONCE, edge, weakly(self._SetWindow))
+        for edge in system.edges:  # a step ends before it, and the next one begins at it
+            for time in (max(0.0, math.nextafter(edge, -math.inf)), edge):
+                self.DeclarePeriodicPublishEvent(ONCE, time, weakly(self._Stop))
         if system.disturbance_input:
             self._disturbance = self.DeclareVectorInputPort("disturbance", 6 * n)
         if period is not None:
@@ -157,8 +154,8 @@ class PlannerBase(_System):
     def _Restart(self, context: Any, state: Any) -> None:
         raise TypeError("ContactPlanner restarts with T = float only; simulate that one")
 
-    def _SetWindow(self, context: Any, state: Any) -> None:
-        state.get_mutable_discrete_state(self._window).SetAtIndex(0, context.get_time())
+    def _Stop(self, context: Any) -> None:
+        """Nothing happens, but no integrator steps across it."""
 
     # --- conversion, as TemplateSystem does it for classes without a signature of their own ---
 
@@ -180,9 +177,8 @@ class PlannerBase(_System):
             self._fed_through.add(output)
         tickets = {"t": self.time_ticket(), "x": self.xc_ticket(), "w": self.time_ticket()}
         found = {ticket for name, ticket in tickets.items() if name in inputs}
-        for name, group in (("w", self._window), ("held", self._held)):
-            if name in inputs and group is not None:
-                found.add(self.discrete_state_ticket(group))
+        if "held" in inputs and self._held is not None:
+            found.add(self.discrete_state_ticket(self._held))
         if "w" in inputs and self._disturbance is not None:
             found.add(self.input_port_ticket(self._disturbance.get_index()))
         return found or {self.nothing_ticket()}
@@ -190,23 +186,10 @@ class PlannerBase(_System):
     # --- what disturbs, for every scalar ---------------------------------------------------
 
     def _Windows(self, context: Any) -> Array:
-        """What the windows add: (n_w,).
-
-        At an edge itself the discrete state says whether it has been passed: a step that ends
-        there is still under what acted before.
-        """
-        w = _scalars(np.zeros(self.system.n_w), self.T)
-        if self._window is None:
-            return w
-        t = context.get_time()
-        passed = context.get_discrete_state(self._window).GetAtIndex(0)
-
-        def is_past(edge: float) -> Any:
-            decided = select(passed >= edge, 1.0, 0.0)
-            return select(t > edge, 1.0, select(t == edge, decided, 0.0))
-
+        """What the windows add: (n_w,)."""
+        w, t = _scalars(np.zeros(self.system.n_w), self.T), context.get_time()
         for d, rows in self.system.windows:
-            acts = is_past(d.start) - is_past(d.stop)
+            acts = select(t >= d.start, 1.0, 0.0) - select(t >= d.stop, 1.0, 0.0)
             for k, value in enumerate(d.value, rows.start):
                 w[k] += acts * value
         return w
@@ -273,11 +256,10 @@ class ContactPlanner(PlannerBase, LeafSystem):
     The continuous state is that of :class:`contact_system.SceneSystem`: u1 v1 u1' v1' u2 v2 u2'
     v2' psi a contact for ``coordinates="chart"``; moving frames without poles and, but for
     accelerated contacts, without the stiffness of lam for ``coordinates="frame"``. It starts as
-    the scene says. What the scene's windows add follows from the time; where there are any, a
-    discrete state (1) holds when an edge was last passed, so that at an edge itself it is known
-    which side acts; events at the edges set it, and no integrator steps across one. Where the
-    planner restarts and coordinates are frames, another one holds W_1, V and its time. The last
-    one of a planner that restarts counts the restarts.
+    the scene says. What the scene's windows add follows from the time, at an edge what acts after
+    it; events just before the edges and at them keep integrators from stepping across one. Where
+    the planner restarts and coordinates are frames, a discrete state holds W_1, V and its time. The
+    last one of a planner that restarts counts the restarts.
 
     States of :meth:`contact_system.SceneSystem.from_states` can be started from in chart
     coordinates. In frame coordinates W_1 and V of contacts that nothing accelerates are no
@@ -292,8 +274,8 @@ class ContactPlanner(PlannerBase, LeafSystem):
     A planner may be shared by threads that have a Context each.
 
     AutoDiffXd and Expression are supported. ``Linearize`` and ``DiscreteTimeApproximation``
-    need a planner without discrete state: of a scene without windows,
-    ``scene.replace(disturbances=[])``, and without restarts; for others Drake ends the process.
+    need a planner without restarts, whose states are continuous alone; for others Drake ends the
+    process.
     ``DirectCollocation`` evaluates systems at one time, and so is right only where sigma is
     constant. In frame coordinates Drake takes hours to evaluate the symbolic acceleration,
     whose tree has 1e10 nodes; derivatives and the rest take up to seconds.
@@ -312,8 +294,6 @@ class ContactPlanner(PlannerBase, LeafSystem):
         In a simulation contact points may be so far off the exact plan, per metre of path and of
         the greater body's size. No plan is known, and nothing compared, where the disturbance
         port is connected, or a simulation begins at a rest or a pole other than the scene's start.
-    compiled : bool, optional
-        Accepted and ignored: nothing is compiled when it runs.
 
     Raises
     ------
@@ -337,10 +317,8 @@ class ContactPlanner(PlannerBase, LeafSystem):
         restart_period: float | None = None,
         restart_distance: float | None = None,
         tolerance: float = TOLERANCE,
-        compiled: bool | None = None,
     ):
         LeafSystem.__init__(self, converter=_converter())
-        flag(compiled, "compiled", none=True)
         system = scene_system(scene, coordinates, disturbance_input)
         _check_restart(scene, restart_period, restart_distance)
         what = f"{scene.title}: tolerance"
