@@ -318,9 +318,9 @@ def test_ports_are_exported_only_where_they_have_a_use():
 
 
 def test_a_disturbance_from_outside_moves_the_contact_like_a_scheduled_one():
-    scheduled = early("D1", 0.0, 0.05, 0.05)
+    scheduled = early("D1", 0.0, 0.06, 0.06)
     free = dataclasses.replace(scheduled, disturbances=[])
-    planned = simulate(scheduled, config(scheduled)).planned["slip"][-1, 0]
+    planned = simulate(scheduled, config(scheduled), 0.05).planned["slip"][-1, 0]
     station = BuildStation(free, config(free, disturbance_input=True))
     simulator = Simulator(station)
     context = simulator.get_mutable_context()
