@@ -26,9 +26,15 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, MatrixGain, RandomSource
 
 import contact_system as cs
-from drake_plant import BuildStation, Push, SetInitialState, StationConfig, simulate
+from drake_plant import (
+    BuildStation,
+    Push,
+    SetInitialState,
+    StationConfig,
+    contact_table,
+    simulate,
+)
 from drake_plant.contact_monitor import SATURATED
-from drake_plant.measures import contact_table
 from drake_plant.station import INTEGRATION
 
 from .report import Bar, Sections

@@ -16,10 +16,13 @@ except ImportError as error:
 from .config import Push, StationConfig
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
+from .measures import contact_table, object_report, push_table
 from .plan_source import PlanSource
 from .planner_system import ContactPlanner
 from .plant import AddScenePlant, ScenePlant
+from .plots import plot
 from .pushes import PushSource
+from .recording import Recording
 from .station import (
     BuildStation,
     SetInitialState,
@@ -50,10 +53,15 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
     "PlanSource",
     "Push",
     "PushSource",
+    "Recording",
     "ScenePlant",
     "SetInitialState",
     "SimulationResult",
     "StationConfig",
+    "contact_table",
+    "object_report",
+    "plot",
+    "push_table",
     "rolling_scene",
     "simulate",
 ]

@@ -17,8 +17,8 @@ import pytest
 pytest.importorskip("pydrake")
 
 import contact_system as cs
-from drake_plant import StationConfig, cli, simulate
-from drake_plant.measures import contact_speed, contact_table
+from drake_plant import StationConfig, cli, contact_table, simulate
+from drake_plant.measures import contact_speed
 
 T = np.linspace(0.0, 4.0, 4001)
 START, STOP = 2.0, 2.5  # of D1's disturbance

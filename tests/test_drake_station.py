@@ -30,13 +30,13 @@ from drake_plant import (
     ContactPlanner,
     FingertipDriver,
     Push,
+    Recording,
     ScenePlant,
     SetInitialState,
     StationConfig,
     rolling_scene,
     simulate,
 )
-from drake_plant.recording import Recording
 
 
 def config(scene, **changes):
