@@ -9,9 +9,12 @@ from __future__ import annotations
 import functools
 import itertools
 import statistics
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
-from time import perf_counter
+from functools import partial
+from pathlib import Path
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
@@ -23,10 +26,12 @@ from pydrake.systems.analysis import (
     SimulatorConfig,
 )
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput, MatrixGain, RandomSource
+from pydrake.systems.primitives import LogVectorOutput, MatrixGain, RandomSource, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
 
 import contact_system as cs
 from drake_plant import (
+    AddScenePlant,
     BuildStation,
     Push,
     SetInitialState,
@@ -106,16 +111,17 @@ def _pushed(size: float, time: float, across: bool, model: str, closed: bool) ->
     pushes = [Push(name, PUSHED, stop, force.tolist())]
     config = StationConfig.from_scene(scene, contact_model=model, pushes=pushes)
     result = simulate(scene, config if closed else config.opened(), duration=stop + AFTER)
-    since, step = result.t > PUSHED, config.time_step
+    since = result.t > PUSHED
+    steps = np.diff(result.t, prepend=0.0)[since]
     slip = np.linalg.norm(result.measured["slip"][since, finger], axis=1)
     normal = result.measured["normal_force"][since, finger]
     friction = np.linalg.norm(result.measured["tangential_force"][since, finger], axis=1)
     touches, limit = normal > 0, SATURATED * config.friction * normal
     apart = result.measured["contact_point"][-1] - result.planned["contact_point"][-1]
     return {
-        "slip": step * float(slip[touches].sum()),
+        "slip": float(steps[touches] @ slip[touches]),
         "slides": bool((friction >= limit)[touches].any()),
-        "off": step * float((~touches).sum()),
+        "off": float(steps @ ~touches),
         "distance": float(np.linalg.norm(apart[finger])),
     }
 
@@ -178,16 +184,65 @@ def noise(full: bool) -> Iterator[Bar]:
 
 
 def speed(full: bool) -> Iterator[Bar]:
-    """Simulated over wall time, and what building takes."""
-    scene, config = cs.load_scene("D1"), StationConfig.from_scene(cs.load_scene("D1"))
-    runs = [simulate(scene, config, duration=SPEED_TIME) for _ in range(5 if full else 3)]
-    rates = [SPEED_TIME / result.wall_time for result in runs]
-    builds = [result.build_time for result in runs]
-    what, rate = "D1 hydroelastic: ", statistics.median(rates)
-    detail = {"rates": rates}
-    name = what + "simulated over wall time"
-    yield Bar(name, 1.0, rate, "x", True, "an aim", detail=detail)
-    yield Bar(what + "building the Diagram", 3.0, statistics.median(builds), "s")
+    """D1 as the command line runs it, with its film, in time of the processor, as others may use it
+    too: simulated over it, and what planner, driver, monitor and logs take of a step; building."""
+    scene, builds = cs.load_scene("D1"), []
+    for model, limit in zip(MODELS, (0.4, 1.2)):
+        config, spent, bare = StationConfig.from_scene(scene, contact_model=model), [], []
+        alone = _plant_alone(scene, config)
+        with tempfile.TemporaryDirectory() as folder:
+            for _ in range(5 if full else 3):
+                film = Path(folder) / "film.html"
+                marks = []
+                clock = partial(_mark, marks)
+                builds.append(simulate(scene, config, SPEED_TIME, clock, film).build_time)
+                spent.append(marks[-1] - marks[0])
+                simulator = alone()
+                begun = process_time()
+                simulator.AdvanceTo(SPEED_TIME)
+                bare.append(process_time() - begun)
+        what, detail = f"D1 {model}: ", {"station": spent, "plant": bare}
+        rate = SPEED_TIME / statistics.median(spent)
+        yield Bar(what + "simulated over time spent", limit, rate, "x", True, detail=detail)
+        step = config.plant.time_step * 1e3 / SPEED_TIME
+        rest = statistics.median(a - b for a, b in zip(spent, bare))
+        note = f"the plant alone {step * statistics.median(bare):.2f} ms"
+        yield Bar(what + "a step but for the plant", 0.5, step * rest, "ms", note=note)
+    yield Bar("D1: building the Diagram", 3.0, statistics.median(builds), "s")
+
+
+def _mark(marks: list[float], t: float) -> None:
+    marks.append(process_time())
+
+
+def _plant_alone(scene: cs.Scene, config: StationConfig) -> Callable[[], Simulator]:
+    """Simulators of the plant under the forces that a station's driver gave, none of it Python."""
+    station, step = BuildStation(scene, config), config.plant.time_step
+    simulator = Simulator(station)
+    ApplySimulatorConfig(INTEGRATION, simulator)
+    root, plant = simulator.get_mutable_context(), station.GetSubsystemByName("plant")
+    SetInitialState(station, root)
+    start = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root))
+    forces = np.zeros((plant.num_velocities(), round(SPEED_TIME / step) + 1))
+    for k in range(forces.shape[1]):
+        simulator.AdvanceTo(k * step)
+        for applied in station.GetOutputPort("spatial_forces").Eval(root):
+            first = plant.get_body(applied.body_index).floating_velocities_start_in_v()
+            forces[first : first + 6, k] = applied.F_Bq_W.get_coeffs()
+    held = PiecewisePolynomial.ZeroOrderHold((np.arange(forces.shape[1]) - 0.01) * step, forces)
+
+    def make() -> Simulator:
+        builder = DiagramBuilder()
+        parts = AddScenePlant(builder, scene, config.plant)
+        source = builder.AddSystem(TrajectorySource(held)).get_output_port()
+        builder.Connect(source, parts.plant.get_applied_generalized_force_input_port())
+        simulator = Simulator(builder.Build())
+        own = parts.plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+        parts.plant.SetPositionsAndVelocities(own, start)
+        simulator.Initialize()
+        return simulator
+
+    return make
 
 
 def schemes(full: bool) -> Iterator[Bar]:

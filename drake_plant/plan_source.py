@@ -32,18 +32,11 @@ class PlanSource(PlannerBase, LeafSystem):
 
         name: PlanSource
         output_ports:
-        - state
-        - slip
-        - twist
-        - acceleration
-        - contact_point
-        - normal
-        - normal_rate
-        - pose
+        - those of a ContactPlanner
 
-    Those of :class:`ContactPlanner`, but for coordinates, which are continuous along the path here.
-    There is no continuous state, so that nothing is integrated and nothing converts to other
-    scalars. No integrator steps across an edge of the scene's windows.
+    Coordinates are continuous along the path here. There is no continuous state, so that nothing is
+    integrated and nothing converts to other scalars. No integrator steps across an edge of the
+    scene's windows.
 
     Parameters
     ----------
@@ -69,16 +62,18 @@ class PlanSource(PlannerBase, LeafSystem):
         self.plan = plan
         self._Declare(scene_system(plan.scene, "frame"), None, None)
 
-    def _Prerequisites(self, output: str) -> set:
+    def _Prerequisites(self, *outputs: str) -> set:
         time = {self.time_ticket()}
-        if output not in RATES:
+        if not RATES.keys() & set(outputs):
             return time
         if not hasattr(self, "_rates"):
             shape = len(self.plan.scene.contacts), 12
             self._ticket, self._rates = array_entry(self._CalcRates, shape, time)
-        return {self._ticket}
+        return time | {self._ticket}
 
-    def _Evaluate(self, context: Any, output: str) -> Array:
+    def Evaluate(self, context: Any, output: str) -> Array:
+        if output == "motion":
+            return self._Joined(context)
         if output in RATES:
             return self._rates(context)[:, RATES[output]].ravel()
         t = context.get_time()

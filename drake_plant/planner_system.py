@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 import functools
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -29,7 +30,7 @@ from contact_system.scene import DISTURBANCE_KINDS
 from contact_system.starts import on_branch
 
 from .config import LOOK
-from .lifetimes import NO_DICTIONARY, weakly
+from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plan_check import (
     CLEARANCE,
     MOST,
@@ -40,7 +41,7 @@ from .plan_check import (
     refuse_singularity,
 )
 from .scalars import evaluate_scalars, select
-from .scratch import Scratch, Scratches
+from .scratch import PerThread, Scratch
 
 NEARBY = 10 * CLEARANCE
 """Where the distance from a chart's singularity is watched more closely."""
@@ -57,6 +58,8 @@ PORTS = {
     "normal": 3,
     "normal_rate": 3,
 }
+MOTION = {name: PORTS.get(name, 12) for name in ("pose", *PORTS) if name not in ("state", "slip")}
+"""What a FingertipDriver takes of each contact, one after the other, on one port."""
 
 Array = np.ndarray
 
@@ -134,21 +137,29 @@ class PlannerBase(_System):
         for name, size in PORTS.items():
             calc = weakly(self._CalcVector, name)
             self.DeclareVectorOutputPort(name, size * n, calc, self._Prerequisites(name))
+        calc, size = weakly(self._CalcVector, "motion"), sum(MOTION.values())
+        self.DeclareVectorOutputPort("motion", size * n, calc, self._Prerequisites(*MOTION))
         kind, calc = Value[list[RigidTransform_[self.T]]], weakly(self._CalcPose)
         self.DeclareAbstractOutputPort("pose", kind, calc, self._Prerequisites("pose"))
         if self._restarts is not None:
             self.DeclareStateOutputPort("restarts", self._restarts)
 
-    def _Evaluate(self, context: Any, output: str) -> Array:
-        """An output of the system."""
+    def Evaluate(self, context: Any, output: str) -> Array:
+        """What the output port of this name says, of "pose" its numbers; not to be kept."""
         raise NotImplementedError
 
+    def _Joined(self, context: Any) -> Array:
+        """The motion of each contact after the other."""
+        n = len(self.system.scene.contacts)
+        parts = [self.Evaluate(context, name).reshape(n, -1) for name in MOTION]
+        return np.hstack(parts).ravel()
+
     def _CalcVector(self, output: str, context: Any, vector: Any) -> None:
-        vector.SetFromVector(self._Evaluate(context, output))
+        vector.SetFromVector(self.Evaluate(context, output))
 
     def _CalcPose(self, context: Any, value: Any) -> None:
         Transform, Rotation = RigidTransform_[self.T], RotationMatrix_[self.T]
-        rows = self._Evaluate(context, "pose").reshape(-1, 12)
+        rows = self.Evaluate(context, "pose").reshape(-1, 12)
         value.set_value([Transform(Rotation(r[:9].reshape(3, 3).T), r[9:]) for r in rows])
 
     def _Restart(self, context: Any, state: Any) -> None:
@@ -170,11 +181,11 @@ class PlannerBase(_System):
         made._HandlePostConstructionScalarConversion[self.T](self)
         return made
 
-    def _Prerequisites(self, output: str) -> set:
-        """What an output depends on, from the sparsity of its function."""
-        inputs = self.system.depends(output)
-        if "w" in inputs:
-            self._fed_through.add(output)
+    def _Prerequisites(self, *outputs: str) -> set:
+        """What outputs depend on, from the sparsity of their functions."""
+        needs = {output: self.system.depends(output) for output in outputs}
+        self._fed_through |= {output for output in outputs if "w" in needs[output]}
+        inputs = set().union(*needs.values())
         tickets = {"t": self.time_ticket(), "x": self.xc_ticket(), "w": self.time_ticket()}
         found = {ticket for name, ticket in tickets.items() if name in inputs}
         if "held" in inputs and self._held is not None:
@@ -194,13 +205,13 @@ class PlannerBase(_System):
                 w[k] += acts * value
         return w
 
-    def _Disturbance(self, context: Any, output: str) -> Array | None:
+    def _Disturbance(self, context: Any, *outputs: str) -> Array | None:
         """What the disturbance port adds, (n_w,), or None.
 
-        An output without feedthrough does not ask the port, which may depend on it.
+        Outputs without feedthrough do not ask the port, which may depend on them.
         """
         port = self._disturbance
-        if port is None or output not in self._fed_through or not port.HasValue(context):
+        if port is None or self._fed_through.isdisjoint(outputs) or not port.HasValue(context):
             return None
         return port.Eval(context).ravel()
 
@@ -225,6 +236,7 @@ class ContactPlanner(PlannerBase, LeafSystem):
         - contact_point
         - normal
         - normal_rate
+        - motion
         - pose
         - restarts (with restart_period or restart_distance)
 
@@ -251,6 +263,9 @@ class ContactPlanner(PlannerBase, LeafSystem):
     - `normal` (3n): the object's outward unit normal at the contact, in O; `normal_rate` (3n) is
       its time derivative.
     - `pose`: list of RigidTransform X_OF.
+    - `motion` (36n): all that a :class:`FingertipDriver` takes, contact by contact: X_OF, the
+      rotation by columns (9) and the position (3), then twist, acceleration, contact points, normal
+      and its rate.
     - `restarts` (n): how often each contact's plan began anew.
 
     The continuous state is that of :class:`contact_system.SceneSystem`: u1 v1 u1' v1' u2 v2 u2'
@@ -332,9 +347,42 @@ class ContactPlanner(PlannerBase, LeafSystem):
             tolerance=tolerance,
         )
         self._Declare(system, system.x0, _period(restart_period, restart_distance))
-        self._scratches = Scratches(system, {})
+        self._scratches = PerThread(partial(Scratch, system), {})
+        self._DeclareOutputs()
         self._exact = functools.lru_cache(maxsize=16)(partial(exact_plan, scene))
         self._DeclareWatch()
+
+    def _DeclareOutputs(self) -> None:
+        """All outputs come from one call into the engine; what depends on the disturbance port from
+        another, as the port may depend on what does not."""
+        self._outputs: dict[str, tuple[Callable, Any]] = {}
+        sizes, n = {**MOTION, **PORTS}, len(self.system.scene.contacts)
+        groups = [tuple(sizes)]
+        if self._disturbance is not None:
+            groups.append(tuple(name for name in sizes if name not in self._fed_through))
+        for group in groups:
+            ends = np.cumsum([0, *(n * sizes[name] for name in group)]).tolist()
+            needs = self._Prerequisites(*group)
+            _, entry = array_entry(self._CalcOutputs, (ends[-1] + 1,), needs, group)
+            rows = list(map(slice, ends, ends[1:]))
+            self._outputs |= {name: (entry, own) for name, own in zip(group, rows)}
+            if group is groups[0]:
+                every = [np.arange(ends[-1])[own].reshape(n, -1) for own in rows[: len(MOTION)]]
+                self._outputs["motion"] = entry, np.hstack(every).ravel()
+
+    def _CalcOutputs(self, outputs: tuple[str, ...], context: Any) -> Array:
+        """One after the other, and at the end whether a number among them is not finite."""
+        self._Load(context, *outputs)
+        values = self._scratches.own.evaluate(*outputs)
+        return np.append(values, not math.isfinite(values.sum()))
+
+    def Evaluate(self, context: Any, output: str) -> Array:
+        entry, rows = self._outputs[output]
+        values = entry(context)
+        if values[-1] and not np.isfinite(values[rows]).all():
+            self._Load(context, output)
+            refuse(self.system, *self._scratches.own.given)
+        return values[rows]
 
     # --- what is refused at the end of a step -----------------------------------------------------
 
@@ -388,7 +436,7 @@ class ContactPlanner(PlannerBase, LeafSystem):
 
     def _Begin(self, context: Any) -> None:
         """From now on contacts are compared with the plan from the state that a Context has."""
-        self._Load(context)
+        self._Load(context, "derivatives")
         own, system = self._scratches.own, self.system
         own.steps.count = 0
         starts = (own.t[0], *own.x, *own.held) == (0.0, *system.x0, *system.held0)
@@ -411,22 +459,22 @@ class ContactPlanner(PlannerBase, LeafSystem):
         state = begun[2:].tobytes() if begun[0] == 2.0 else b""
         plan = self._exact(float(begun[1]), state, max(t, scene.duration))
         if plan is not None and plan.start <= t <= plan.end:
-            points = self._Finite(context, "contact_point")
+            points = self.Evaluate(context, "contact_point")
             refuse_drift(scene, plan, t, points, self._tolerance)
 
     # --- what Drake calls ----------------------------------------------------------------------
 
-    def _Load(self, context: Any, output: str = "derivatives") -> None:
+    def _Load(self, context: Any, *outputs: str) -> None:
         own = self._scratches.own
         own.t[0] = t = context.get_time()
         own.x[:] = context.get_continuous_state().CopyToVector()
         after, before = own.same
         if not after < t < before:
-            self._LoadRest(context, own, t, output)
+            self._LoadRest(context, own, t, *outputs)
 
-    def _LoadRest(self, context: Any, own: Scratch, t: float, output: str) -> None:
+    def _LoadRest(self, context: Any, own: Scratch, t: float, *outputs: str) -> None:
         """What the windows and the disturbance port add at t, and held numbers."""
-        added = self._Disturbance(context, output)
+        added = self._Disturbance(context, *outputs)
         own.w[:] = self._Windows(context)
         if added is not None:
             own.w += added
@@ -453,14 +501,6 @@ class ContactPlanner(PlannerBase, LeafSystem):
         if not guard[0] > 0.0:
             refuse(self.system, *own.given)
         derivatives.SetFromVector(rate)
-
-    def _Finite(self, context: Any, output: str) -> Array:
-        values = self._Numbers(context, output)
-        if not math.isfinite(values.sum()):
-            refuse(self.system, *self._scratches.own.given)
-        return values
-
-    _Evaluate = _Finite
 
     def _Restart(self, context: Any, state: Any) -> None:
         """Take over the measured state of the contacts that ask for it."""
@@ -506,9 +546,11 @@ def _scalar_planner(T: type) -> type:
             self._Declare(other.system, other.system.x0, period)
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-            derivatives.SetFromVector(self._Evaluate(context, "derivatives"))
+            derivatives.SetFromVector(self.Evaluate(context, "derivatives"))
 
-        def _Evaluate(self, context: Any, output: str) -> Array:
+        def Evaluate(self, context: Any, output: str) -> Array:
+            if output == "motion":
+                return self._Joined(context)
             system, w, held = self.system, self._Windows(context), self.system.held0
             added = self._Disturbance(context, output)
             if added is not None:

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import dataclasses
 import gc
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,6 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
-from pydrake.systems.primitives import LogVectorOutput
 
 from contact_system import ImplicitSurface, Quadric, Scene, SceneError, Surface
 from contact_system import plan as make_plan
@@ -56,12 +56,13 @@ Array = NDArray[np.float64]
 
 STARTED = {"planner": PlannerBase, "driver": FingertipDriver, "plant": MultibodyPlant}
 PLANNED = ("state", "slip", "contact_point")
-LOGGED = 1e-3  # s, at which simulate logs where steps are shorter
 MEASURED = ("state", "slip", "normal_force", "tangential_force", "contact_point")
+NEAR = 1e-6  # of a period, by which a step may end before it
+LOGGED = 2e-3  # s, at which simulate logs where steps are shorter
 INTEGRATION = SimulatorConfig(
-    integration_scheme="runge_kutta5", accuracy=1e-8, max_step_size=1e-2, use_error_control=True
+    integration_scheme="runge_kutta3", accuracy=1e-3, max_step_size=1e-3, use_error_control=True
 )
-""" Of the planner's continuous states; the plant's are discrete."""
+"""Of the planner's states beside a discrete plant: within 5e-6 m of the plan over all of D1."""
 CONTINUOUS = SimulatorConfig(
     integration_scheme="runge_kutta3", accuracy=1e-4, max_step_size=1e-3, use_error_control=True
 )
@@ -256,11 +257,8 @@ def _connect(
     plant: MultibodyPlant,
     accelerating: LeafSystem,
 ) -> None:
-    planned = ("pose", "twist", "acceleration", "normal", "contact_point")
-    if not config.time_step:
-        planned += ("normal_rate",)  # type: ignore[assignment]
     wires: list[tuple[LeafSystem, LeafSystem, tuple[str, ...]]] = [
-        (planner, driver, planned),
+        (planner, driver, ("motion",)),
         (plant, driver, ("body_poses", "body_spatial_velocities")),
         (accelerating, driver, ("body_spatial_accelerations",)),
         (plant, monitor, ("contact_results", "body_poses", "body_spatial_velocities")),
@@ -406,7 +404,8 @@ def _finger_poses(
 
 @dataclass
 class SimulationResult:
-    """What :func:`simulate` saw, at every step or about every ms. m times, n contacts; SI units.
+    """What :func:`simulate` saw, about every 2 ms and at the end of every step in which a finger is
+    off the object. m times, n contacts; SI units.
 
     Attributes
     ----------
@@ -473,7 +472,6 @@ def simulate(
     while 2 * period <= min(LOGGED, duration):  # powers of 2, so that logs meet steps to the bit
         period *= 2
     function_or_none(progress, f"{scene.title}: progress", "a function of a time")
-    loggers: dict[str, Any] = {}
     film = None
     if recording is not None:
         recording = a_path(recording, f"{scene.title}: recording")
@@ -486,42 +484,28 @@ def simulate(
 
         film = Recording()
 
-    def extend(builder: DiagramBuilder, parts: ScenePlant) -> None:
-        systems = {s.get_name(): s for s in builder.GetMutableSystems()}
-        for system, names in (("planner", PLANNED), ("monitor", MEASURED)):
-            for name in names:
-                port = systems[system].GetOutputPort(name)
-                loggers[f"{system}.{name}"] = LogVectorOutput(port, builder, period)
-        instance = parts.object_body.model_instance()
-        port = parts.plant.get_state_output_port(instance)
-        loggers["object"] = LogVectorOutput(port, builder, period)
-        if film is not None:
-            film.Add(builder, parts)
-
     begun = time.perf_counter()
-    station, parts = _build(scene, config, extend)
+    station, parts = _build(scene, config, None if film is None else film.Add)
     simulator = Simulator(station)
     ApplySimulatorConfig(INTEGRATION if config.time_step else CONTINUOUS, simulator)
     context = simulator.get_mutable_context()
     SetInitialState(station, context)
-    if progress is not None:
-        simulator.set_monitor(lambda root: progress(root.get_time()) or EventStatus.DidNothing())
+    log = _Log(station, context, parts, period)
+
+    def note(root: Context) -> EventStatus:
+        log.note(root)
+        if progress is not None:
+            progress(root.get_time())
+        return EventStatus.DidNothing()
+
+    simulator.set_monitor(note)
     simulator.Initialize()
     built = time.perf_counter()
     simulator.AdvanceTo(duration)
     finished = time.perf_counter()
+    log.note(context, last=True)
 
-    logs = {name: sink.FindLog(context) for name, sink in loggers.items()}
-    t = logs["object"].sample_times()
-
-    def rows(system: str, names: tuple[str, ...]) -> dict[str, Array]:
-        n = len(scene.contacts)
-        return {name: logs[f"{system}.{name}"].data().T.reshape(len(t), n, -1) for name in names}
-
-    planned, measured = rows("planner", PLANNED), rows("monitor", MEASURED)
-    planned["contact_point"] = planned["contact_point"][:, :, 3:]
-    measured["normal_force"] = measured["normal_force"][:, :, 0]
-    poses = _object_poses(parts, logs["object"].data().T)
+    t, planned, measured, poses = log.read()
     result = SimulationResult(
         scene, config, t, planned, measured, poses, built - begun, finished - built
     )
@@ -530,11 +514,43 @@ def simulate(
     return result
 
 
-def _object_poses(parts: ScenePlant, states: Array) -> Array:
-    """X_WO of states of the object's model instance, be it free, turning or welded: (m, 4, 4)."""
-    plant, body = parts.plant, parts.object_body
-    context, poses = plant.CreateDefaultContext(), np.empty((len(states), 4, 4))
-    for k, state in enumerate(states):
-        plant.SetPositionsAndVelocities(context, body.model_instance(), state)
-        poses[k] = body.EvalPoseInWorld(context).GetAsMatrix4()
-    return poses
+class _Log:
+    """What planner and monitor say and where the object is, at ends of steps: about a period apart,
+    and of every step in which a finger is off the object."""
+
+    def __init__(self, station: Diagram, root: Context, parts: ScenePlant, period: float):
+        self._asked = []
+        for system, names in (("planner", PLANNED), ("monitor", MEASURED)):
+            asked = station.GetSubsystemByName(system)
+            context = asked.GetMyContextFromRoot(root)
+            self._asked += [partial(asked.Evaluate, context, name) for name in names]
+        physics = parts.plant.GetMyContextFromRoot(root)
+        self._pose = partial(parts.object_body.EvalPoseInWorld, physics)
+        ports = parts.plant.get_generalized_contact_forces_output_port
+        instances = [body.model_instance() for body in parts.finger_bodies]
+        self._pressing = [partial(ports(instance).Eval, physics) for instance in instances]
+        self._shape, self._period, self._next = (len(parts.finger_bodies), -1), period, 0.0
+        self._t: list[float] = []
+        self._rows: list[list[Array]] = []
+
+    def note(self, root: Context, last: bool = False) -> None:
+        t = root.get_time()
+        if (
+            t < self._next
+            and not (last and t > self._t[-1])
+            and all(force().any() for force in self._pressing)
+        ):
+            return
+        whole = math.floor(t / self._period + 0.5 * NEAR)
+        self._next = (whole + 1 - NEAR) * self._period
+        self._t.append(t)
+        self._rows.append([ask().copy() for ask in self._asked] + [self._pose().GetAsMatrix4()])
+
+    def read(self) -> tuple[Array, dict[str, Array], dict[str, Array], Array]:
+        """Times, planned and measured as in a SimulationResult, poses of the object."""
+        *columns, poses = map(np.array, zip(*self._rows))
+        every = [values.reshape(len(self._t), *self._shape) for values in columns]
+        planned, measured = dict(zip(PLANNED, every)), dict(zip(MEASURED, every[len(PLANNED) :]))
+        planned["contact_point"] = planned["contact_point"][:, :, 3:]
+        measured["normal_force"] = measured["normal_force"][:, :, 0]
+        return np.array(self._t), planned, measured, poses

@@ -6,6 +6,7 @@ Knows tables, numbers and addresses; no scene, no surface by its equations.
 from __future__ import annotations
 
 import ctypes
+import functools
 import sys
 from collections.abc import Sequence
 from ctypes import POINTER, Structure, c_char_p, c_double, c_int32, c_int64, c_void_p
@@ -291,3 +292,35 @@ def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:
     if code:
         raise MemoryError
     return out
+
+
+class Machine:
+    """A table on registers of its own, for who evaluates it again and again; one thread at a time.
+
+    Parameters
+    ----------
+    table : lowering.Table
+    constants : (n_const,)
+
+    Attributes
+    ----------
+    point : (n_in,)
+        What it reads.
+    results : (n_out,)
+        What it writes.
+    run : callable
+        Evaluates.
+    """
+
+    def __init__(self, table: Any, constants: Sequence[float] | np.ndarray = ()):
+        r = np.zeros(table.n_regs)
+        r[table.n_in : table.first_lit] = constants
+        r[table.first_lit :][: len(table.literals)] = table.literals
+        code, prologue = (
+            Program(words.ctypes.data, r.ctypes.data) for words in (table.body, table.prologue)
+        )
+        step(ctypes.addressof(prologue))
+        # an address made beforehand saves half of the time of a call
+        self.run: Any = functools.partial(step, c_void_p(ctypes.addressof(code)))
+        self.run.kept = table, code, r  # which C knows by their addresses alone
+        self.point, self.results = r[: table.n_in], r[table.first_out :][: table.n_out]
