@@ -40,7 +40,7 @@ from drake_plant import (
     simulate,
 )
 from drake_plant.contact_monitor import SATURATED
-from drake_plant.station import INTEGRATION
+from drake_plant.simulation import INTEGRATION
 
 from .report import Bar, Sections
 

@@ -21,15 +21,11 @@ from .plan_source import PlanSource
 from .planner_system import ContactPlanner
 from .plant import AddScenePlant, ScenePlant
 from .plots import plot
+from .pressing import rolling_scene
 from .pushes import PushSource
 from .recording import Recording
-from .station import (
-    BuildStation,
-    SetInitialState,
-    SimulationResult,
-    rolling_scene,
-    simulate,
-)
+from .simulation import SimulationResult, simulate
+from .station import BuildStation, SetInitialState
 from .trajectories import ContactTrajectories, MakeTrajectories
 
 

@@ -23,7 +23,7 @@ from contact_system.writing import writing
 from . import plots
 from .config import StationConfig
 from .measures import EDGE, SATURATED, ContactReport, contact_table, object_report, push_table
-from .station import SimulationResult, simulate
+from .simulation import SimulationResult, simulate
 
 TICKS = 1000  # of the progress bar
 

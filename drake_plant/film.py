@@ -26,7 +26,7 @@ from .drake_meshes import rgba
 from .plant import model_names
 
 if TYPE_CHECKING:
-    from .station import SimulationResult
+    from .simulation import SimulationResult
 
 Array = NDArray[np.float64]
 Acting = tuple[int | None, float, float]

@@ -16,7 +16,7 @@ from .contact_monitor import SATURATED
 
 if TYPE_CHECKING:
     from .config import Push
-    from .station import SimulationResult
+    from .simulation import SimulationResult
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,6 @@ is 0.2 % less. SI units, radians.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -64,7 +63,6 @@ from contact_system import (
     Cylinder,
     Ellipsoid,
     Plane,
-    Quadric,
     Scene,
     SceneError,
     Sphere,
@@ -72,7 +70,6 @@ from contact_system import (
     Torus,
     Turning,
 )
-from contact_system import plan as make_plan
 from contact_system.checks import naming
 from contact_system.errors import ContactSystemError
 from contact_system.plots import BODY, colour_of
@@ -82,6 +79,8 @@ from .config import EDGES, StationConfig, require_config
 from .domains import Domain, domain_of
 from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
 from .meshes import SurfaceMesh, contact_mesh
+from .pressing import check_depth, contact_depth
+from .touches import Touch, touches_of
 
 Array = NDArray[np.float64]
 
@@ -104,13 +103,9 @@ WIDEST_GAP = 10.0
 
 REACH = 0.02  # m, that meshes of unbounded surfaces reach beyond the planned patches
 STRIP = 0.01  # m, that a mesh of too many triangles is fine beyond the planned patches
-SPACING = 0.0025  # m, of points along the plan that show where contacts go
-LINE = 1e-6  # of the greatest relative curvature: less is a line, straight but for rounding
 TURNING_GAIN = 1e8  # N m/rad
 AGES = 1e9  # s
 TAKEN = ("", "object", "WorldModelInstance", "DefaultModelInstance")  # the last two by Drake
-# Of kinds of surfaces what is less where they give way by a depth.
-RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
 OPACITY = 0.6  # of what contact is seen through: fingers, and objects from the inside
 
 
@@ -176,35 +171,6 @@ class ScenePlant:
             taken[index] = name
 
 
-def contact_depth(config: StationConfig) -> float:
-    """Depth at which a contact carries ``normal_force``, m.
-
-    Force grows with the square of the depth in hydroelastic contact, linearly in point contact.
-    """
-    power = 2 if config.contact_model == "hydroelastic" else 1
-    return power * config.normal_force / config.stiffness
-
-
-def check_depth(scene: Scene, config: StationConfig) -> None:
-    """Raise a SceneError where a contact would be as deep as half a body's least radius."""
-    depth = contact_depth(config)
-    for i, contact in enumerate(scene.contacts):
-        for body in (contact.finger, scene.object):
-            thin = _least_radius(body)
-            if not depth < thin / 2:
-                raise SceneError(
-                    f"stiffness = {config.stiffness!r}: contact {i} would be {depth:.3g} m deep at "
-                    f"normal_force = {config.normal_force!r}, which is too much for {body!r}; give "
-                    f"a stiffness far above {config.stiffness * depth / (thin / 2):.3g} N/m"
-                )
-
-
-def _least_radius(body: Surface) -> float:
-    if isinstance(body, Quadric) and body.chart.central:
-        return float(np.linalg.eigvalsh(body.A)[-1] ** -0.5)
-    return min(getattr(body, name) for name in RADII.get(type(body), ("size",)))
-
-
 def AddScenePlant(
     builder: DiagramBuilder, scene: Scene, config: StationConfig | None = None
 ) -> ScenePlant:
@@ -241,7 +207,7 @@ def AddScenePlant(
         _check_names(builder, config)
         config = dataclasses.replace(config)  # the caller may change what is his
         _check_surfaces(scene, config)
-        touches = _touches(scene)
+        touches = touches_of(scene)
         _check_edges(config, touches)
         return _add(builder, scene, config, touches)
     except ContactSystemError as error:
@@ -249,7 +215,7 @@ def AddScenePlant(
 
 
 def _add(
-    builder: DiagramBuilder, scene: Scene, config: StationConfig, touches: Sequence[_Touch]
+    builder: DiagramBuilder, scene: Scene, config: StationConfig, touches: Sequence[Touch]
 ) -> ScenePlant:
     plant, scene_graph = AddMultibodyPlant(
         MultibodyPlantConfig(
@@ -306,92 +272,6 @@ def model_names(scene: Scene) -> list[str]:
     return names
 
 
-# --- what the plan says about contacts ---------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Touch:
-    """Where two bodies are planned to touch, and how they curve there.
-
-    finger_points, object_points : (m, 3), each in its body's frame, m
-    finger_normals : (m, 3), out of the finger; NaN where its chart has no frame
-    finger_curvature, object_curvature : mean curvatures, mean over the curve, 1/m
-    openness : (m,), sqrt(det(K_1 + R K_2 R)), 1/m; NaN where a chart has no frame
-    """
-
-    finger_points: Array
-    object_points: Array
-    finger_normals: Array
-    finger_curvature: float
-    object_curvature: float
-    openness: Array
-
-
-def _touches(scene: Scene) -> list[_Touch]:
-    """How the plan lets each finger touch the object.
-
-    Raises
-    ------
-    SceneError
-        The surfaces do not part around a planned contact, or two fingers are to be in one place.
-    """
-    plan, length = make_plan(scene), float(scene.profile.arc_length(scene.duration))
-    times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
-    points, poses = plan.points(times), plan.pose(times)
-    _check_apart(scene, times, poses[..., :3, 3])
-    turns, touches = poses[..., :3, :3], []
-    for i, contact in enumerate(scene.contacts):
-        forms, frames = [], []
-        for surface, x in zip((contact.finger, scene.object), points[:, i].swapaxes(0, 1)):
-            at = surface.coordinates(x)
-            forms.append(surface.curvature_form(*at))
-            frames.append(surface.frame(*at))
-        turn = frames[1][..., :2].swapaxes(-1, -2) @ turns[:, i] @ frames[0][..., :2]
-        relative = forms[1] + turn @ forms[0] @ turn.swapaxes(-1, -2)
-        # A chart has no frame at its poles; the curve is known beside them.
-        known = np.all(np.isfinite(relative), axis=(1, 2))
-        curvatures = np.linalg.eigvalsh(relative[known])
-        least, line = curvatures[:, 0].min(), LINE * curvatures[:, 1].max()
-        if not least > line:
-            what, remedy = "overlap", "make the finger smaller, or plan contact where the object is"
-            remedy += " less concave"
-            if least >= -line:
-                what, remedy = "touch along a line", "turn the finger, or take another one"
-            raise SceneError(
-                f"contact {i}: finger and object {what} where they are planned to touch (the "
-                f"least relative curvature is {least:.3g} 1/m); {remedy}"
-            )
-        mean = [float(np.trace(k[known], axis1=1, axis2=2).mean() / 2) for k in forms]
-        openness = np.sqrt(np.linalg.det(relative))
-        finger_points, object_points = points[:, i].swapaxes(0, 1)
-        touches.append(
-            _Touch(finger_points, object_points, frames[0][..., 2], mean[0], mean[1], openness)
-        )
-    return touches
-
-
-def _check_apart(scene: Scene, times: Array, places: Array) -> None:
-    """Refuse fingers that would overlap, as they do not collide here; places (m, n, 3).
-
-    A finger is taken as the ball about its origin that fits into it, a sphere as what it is.
-    """
-    radii = [_inner_radius(contact.finger) for contact in scene.contacts]
-    for i, j in itertools.combinations(range(len(radii)), 2):
-        apart = np.linalg.norm(places[:, i] - places[:, j], axis=1) - (radii[i] + radii[j])
-        k = int(np.argmin(apart))
-        if apart[k] < 0 and min(radii[i], radii[j]) > 0:
-            raise SceneError(
-                f"{scene.contact_name(i)} and {scene.contact_name(j)} are planned to overlap by "
-                f"{-apart[k]:.3g} m at t = {times[k]:.3g} s; move one of them, shorten the scene "
-                "or make them smaller"
-            )
-
-
-def _inner_radius(finger: Surface) -> float:
-    """Of the ball about the origin that fits into a finger, 0 where it is not known, m."""
-    return _least_radius(finger) if isinstance(finger, (Sphere, Ellipsoid, Quadric)) else 0.0
-
-
 def _check_surfaces(scene: Scene, config: StationConfig) -> None:
     """Refuse what Drake's contact cannot do, with the reason."""
     if config.object == "turning" and scene.turning is None:
@@ -421,7 +301,7 @@ def _check_surfaces(scene: Scene, config: StationConfig) -> None:
             )
 
 
-def _check_edges(config: StationConfig, touches: Sequence[_Touch]) -> None:
+def _check_edges(config: StationConfig, touches: Sequence[Touch]) -> None:
     """Refuse meshes so coarse that bodies which roll on them lose contact."""
     for key in EDGES:
         edge, depth = getattr(config, key), contact_depth(config)
@@ -441,7 +321,7 @@ def _check_edges(config: StationConfig, touches: Sequence[_Touch]) -> None:
 
 
 def _add_object(
-    plant: MultibodyPlant, scene: Scene, config: StationConfig, touches: Sequence[_Touch]
+    plant: MultibodyPlant, scene: Scene, config: StationConfig, touches: Sequence[Touch]
 ) -> RigidBody:
     surface = scene.object
     curve = np.vstack([touch.object_points for touch in touches])
@@ -476,7 +356,7 @@ def _add_finger(
     name: str,
     surface: Surface,
     config: StationConfig,
-    touch: _Touch,
+    touch: Touch,
     colour: Rgba,
 ) -> RigidBody:
     curvatures = (touch.finger_curvature, touch.object_curvature)
@@ -536,7 +416,7 @@ def _add_body(
     return body
 
 
-def _modulus(config: StationConfig, touch: _Touch, inner: Array) -> float:
+def _modulus(config: StationConfig, touch: Touch, inner: Array) -> float:
     """Hydroelastic modulus, Pa, for the stiffness at the normal force, mean over the curve."""
     below = inner[cKDTree(inner).query(touch.finger_points)[1]]
     height = np.sum(touch.finger_normals * (touch.finger_points - below), axis=1)

@@ -30,7 +30,7 @@ from contact_system.plots import (
 )
 
 if TYPE_CHECKING:
-    from .station import SimulationResult
+    from .simulation import SimulationResult
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from .film import BODIES, FORCES, draw, look_at, with_texts
 from .plant import ScenePlant
 
 if TYPE_CHECKING:
-    from .station import SimulationResult
+    from .simulation import SimulationResult
 
 ARROW = 2.5  # length of the arrow of the normal force, in sizes of the largest finger
 

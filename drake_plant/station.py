@@ -1,7 +1,6 @@
 """A scene wired up: planner, plant, fingertip driver and contact monitor in one Diagram.
 
-``BuildStation`` gives the Diagram, ``SetInitialState`` puts its bodies where the plan starts, and
-``simulate`` does both, runs and logs::
+``BuildStation`` gives the Diagram, ``SetInitialState`` puts its bodies where the plan starts::
 
     station = BuildStation(scene)                      # systems "planner", "plant", "driver", ...
     simulator = Simulator(station)
@@ -11,14 +10,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-import gc
-import math
-import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +18,12 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
-from contact_system import ImplicitSurface, Quadric, Scene, SceneError, Surface
+from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
-from contact_system.checks import a_path, finite_number, function_or_none, naming
+from contact_system.checks import naming
 from contact_system.scene import require_scene
-from contact_system.theory import symbols as ca
 
 from .config import StationConfig, require_config
 from .contact_monitor import ContactMonitor
@@ -42,114 +32,13 @@ from .object_acceleration import ObjectAcceleration
 from .plan_check import TOLERANCE
 from .plan_source import PlanSource
 from .planner_system import ContactPlanner, PlannerBase
-from .plant import (
-    RADII,
-    AddScenePlant,
-    ScenePlant,
-    check_depth,
-    contact_depth,
-    turning_angle,
-)
+from .plant import AddScenePlant, ScenePlant, turning_angle
+from .pressing import contact_depth, depth_between, rolling_scene
 from .pushes import PushSource
 
 Array = NDArray[np.float64]
 
 STARTED = {"planner": PlannerBase, "driver": FingertipDriver, "plant": MultibodyPlant}
-PLANNED = ("state", "slip", "contact_point")
-MEASURED = ("state", "slip", "normal_force", "tangential_force", "contact_point")
-NEAR = 1e-6  # of a period, by which a step may end before it
-LOGGED = 2e-3  # s, at which simulate logs where steps are shorter
-INTEGRATION = SimulatorConfig(
-    integration_scheme="runge_kutta3", accuracy=1e-3, max_step_size=1e-3, use_error_control=True
-)
-"""Of the planner's states beside a discrete plant: within 5e-6 m of the plan over all of D1."""
-CONTINUOUS = SimulatorConfig(
-    integration_scheme="runge_kutta3", accuracy=1e-4, max_step_size=1e-3, use_error_control=True
-)
-"""Of a continuous plant: with a larger accuracy the planner is further off than it may be."""
-
-
-def rolling_scene(scene: Scene, config: StationConfig) -> Scene:
-    """The scene with bodies as large as they roll once pressed together.
-
-    A compliant finger gives way to a rigid object, so it rolls on a surface by the depth inside its
-    own; two equal point contacts share the depth. (That the patch is curved does not matter: what
-    the object's surface drops towards the rim the tilt of friction there makes up for, see
-    `contact_monitor`.) Of spheres, cylinders and tori that surface is another of their kind, and so
-    it is nearly of ellipsoids; of others it is their equation, shifted along the normal.
-
-    Parameters
-    ----------
-    scene : Scene
-    config : StationConfig
-        Its normal force and stiffness say the depth.
-
-    Raises
-    ------
-    SceneError
-        No scene, no StationConfig, or a depth of half a body's least radius or more.
-    """
-    require_scene(scene)
-    with naming(scene.title):
-        require_config(config, StationConfig)
-        check_depth(scene, config)
-    depth, point = contact_depth(config), config.contact_model == "point"
-    of_finger, of_object = (0.5 * depth, 0.5 * depth) if point else (depth, 0.0)
-    contacts = [
-        dataclasses.replace(contact, finger=_smaller(contact.finger, of_finger))
-        for contact in scene.contacts
-    ]
-    return dataclasses.replace(scene, object=_smaller(scene.object, of_object), contacts=contacts)
-
-
-def _smaller(surface: Surface, by: float) -> Surface:
-    """The surface so much further inside the body: of all that can be fingertips, and planes."""
-    names, less = RADII.get(type(surface)), -by if surface.inside else by
-    if names:
-        values = {name: getattr(surface, name) - less for name in names}
-        return dataclasses.replace(surface, **values)
-    if isinstance(surface, Quadric) and surface.chart.central and less:
-        return _smaller_quadric(surface, less)
-    if isinstance(surface, ImplicitSurface) and less:
-        return _smaller_implicit(surface, less)
-    return surface
-
-
-def _smaller_quadric(surface: Quadric, by: float) -> Quadric:
-    """An ellipsoid with smaller axes; as it is where coordinates would be laid another way."""
-    values, axes = np.linalg.eigh(surface.A)
-    matrix = axes @ np.diag((values**-0.5 - by) ** -2) @ axes.T
-    smaller = dataclasses.replace(surface, A=(matrix + matrix.T) / 2)
-    moved = np.linalg.norm(smaller.point(1.0, 0.5) - surface.point(1.0, 0.5))
-    return smaller if moved < 2 * abs(by) else surface
-
-
-def _smaller_implicit(surface: ImplicitSurface, by: float) -> ImplicitSurface:
-    """The points from which the surface is so far along the gradient of its equation."""
-    formula = surface.formula
-    depth = max("depth", *formula.names, key=len) + "_"  # a name that is free
-
-    def shifted(x: ca.SX, **numbers: ca.SX) -> ca.SX:
-        by = numbers.pop(depth)
-        level = formula(ca.vertcat(*(numbers[name] for name in formula.names)), x)
-        gradient = ca.gradient(level, x)
-        normal = gradient / ca.sqrt(ca.sumsqr(gradient) + np.finfo(float).tiny)  # 0 at the centre
-        return ca.substitute(level, x, x + by * normal)
-
-    return ImplicitSurface(
-        shifted,
-        center=surface.center,
-        parameters={**surface.named_parameters, depth: by},
-        size=surface.size - by,
-        inside=surface.inside,
-    )
-
-
-def _depth_between(nominal: Surface, planned: Surface) -> float:
-    """By how much `_smaller` made a surface smaller, m."""
-    name, *_ = RADII.get(type(nominal), ("size",))
-    less = getattr(nominal, name) - getattr(planned, name)
-    return -less if nominal.inside else less
 
 
 def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
@@ -203,10 +92,10 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
         A value of the configuration, or what :func:`AddScenePlant` and :class:`ContactPlanner`
         cannot do, with the remedy.
     """
-    return _build(scene, _checked(scene, config))[0]
+    return build(scene, checked(scene, config))[0]
 
 
-def _checked(scene: Scene, config: StationConfig | None) -> StationConfig:
+def checked(scene: Scene, config: StationConfig | None) -> StationConfig:
     if config is None:
         return StationConfig.from_scene(scene)
     require_scene(scene)
@@ -216,7 +105,7 @@ def _checked(scene: Scene, config: StationConfig | None) -> StationConfig:
     return config
 
 
-def _build(
+def build(
     scene: Scene,
     config: StationConfig,
     extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None,
@@ -391,166 +280,11 @@ def _finger_poses(
     """X_OF as planned, each finger pressed in by the depth on the nominal surfaces."""
     planned, poses = planner.system.scene, planner.GetOutputPort("pose").Eval(context)
     normals = planner.GetOutputPort("normal").Eval(context).reshape(-1, 3)
-    left = contact_depth(config) - _depth_between(nominal.object, planned.object)
+    left = contact_depth(config) - depth_between(nominal.object, planned.object)
     sunk = [
-        left - _depth_between(a.finger, b.finger)
-        for a, b in zip(nominal.contacts, planned.contacts)
+        left - depth_between(a.finger, b.finger) for a, b in zip(nominal.contacts, planned.contacts)
     ]
     return [
         RigidTransform(X.rotation(), X.translation() - d * n)
         for X, n, d in zip(poses, normals, sunk)
     ]
-
-
-@dataclass
-class SimulationResult:
-    """What :func:`simulate` saw, about every 2 ms and at the end of every step in which a finger is
-    off the object. m times, n contacts; SI units.
-
-    Attributes
-    ----------
-    scene, config
-    t : (m,)
-    planned : dict
-        state (m, n, 9), slip (m, n, 2), contact_point (m, n, 3), the latter on the object, in O.
-    measured : dict
-        slip (m, n, 2), normal_force (m, n), tangential_force (m, n, 2), contact_point (m, n, 3),
-        state (m, n, 9): those of the step that ended at t.
-    object_pose : (m, 4, 4)
-        X_WO.
-    build_time, wall_time : float
-        s, of making the Diagram and of simulating it.
-    """
-
-    scene: Scene
-    config: StationConfig
-    t: Array
-    planned: Mapping[str, Array]
-    measured: Mapping[str, Array]
-    object_pose: Array
-    build_time: float
-    wall_time: float
-
-
-def simulate(
-    scene: Scene,
-    config: StationConfig | None = None,
-    duration: float | None = None,
-    progress: Callable[[float], None] | None = None,
-    recording: str | Path | None = None,
-) -> SimulationResult:
-    """Build the station of a scene, simulate it, and return what was planned and measured.
-
-    Parameters
-    ----------
-    scene : Scene
-    config : StationConfig, optional
-        None: ``StationConfig.from_scene(scene)``.
-    duration : float, optional
-        s; None: the scene's.
-    progress : callable, optional
-        Called now and then with the simulated time, s.
-    recording : path, optional
-        Write a single-file Meshcat recording there.
-
-    Raises
-    ------
-    SceneError
-        A duration shorter than a time step, or not finite; a recording in a folder that does not
-        exist; what :func:`BuildStation` raises.
-    """
-    gc.collect()  # Diagrams are cycles: free those of runs before this one
-    config = _checked(scene, config)
-    duration = scene.duration if duration is None else duration
-    step = config.time_step or CONTINUOUS.max_step_size
-    if not finite_number(duration, f"{scene.title}: duration") >= step:
-        raise SceneError(
-            f"{scene.title}: a simulation of {duration!r} s with a time_step of {step:g} "
-            "s: give a finite time of at least one step"
-        )
-    period = step
-    while 2 * period <= min(LOGGED, duration):  # powers of 2, so that logs meet steps to the bit
-        period *= 2
-    function_or_none(progress, f"{scene.title}: progress", "a function of a time")
-    film = None
-    if recording is not None:
-        recording = a_path(recording, f"{scene.title}: recording")
-        if not recording.parent.is_dir() or recording.is_dir():
-            raise SceneError(
-                f"{scene.title}: recording = {str(recording)!r}: no file can be written "
-                "there; give a path in a folder that exists, such as 'film.html'"
-            )
-        from .recording import Recording
-
-        film = Recording()
-
-    begun = time.perf_counter()
-    station, parts = _build(scene, config, None if film is None else film.Add)
-    simulator = Simulator(station)
-    ApplySimulatorConfig(INTEGRATION if config.time_step else CONTINUOUS, simulator)
-    context = simulator.get_mutable_context()
-    SetInitialState(station, context)
-    log = _Log(station, context, parts, period)
-
-    def note(root: Context) -> EventStatus:
-        log.note(root)
-        if progress is not None:
-            progress(root.get_time())
-        return EventStatus.DidNothing()
-
-    simulator.set_monitor(note)
-    simulator.Initialize()
-    built = time.perf_counter()
-    simulator.AdvanceTo(duration)
-    finished = time.perf_counter()
-    log.note(context, last=True)
-
-    t, planned, measured, poses = log.read()
-    result = SimulationResult(
-        scene, config, t, planned, measured, poses, built - begun, finished - built
-    )
-    if film is not None and recording is not None:
-        film.Save(recording, result)
-    return result
-
-
-class _Log:
-    """What planner and monitor say and where the object is, at ends of steps: about a period apart,
-    and of every step in which a finger is off the object."""
-
-    def __init__(self, station: Diagram, root: Context, parts: ScenePlant, period: float):
-        self._asked = []
-        for system, names in (("planner", PLANNED), ("monitor", MEASURED)):
-            asked = station.GetSubsystemByName(system)
-            context = asked.GetMyContextFromRoot(root)
-            self._asked += [partial(asked.Evaluate, context, name) for name in names]
-        physics = parts.plant.GetMyContextFromRoot(root)
-        self._pose = partial(parts.object_body.EvalPoseInWorld, physics)
-        ports = parts.plant.get_generalized_contact_forces_output_port
-        instances = [body.model_instance() for body in parts.finger_bodies]
-        self._pressing = [partial(ports(instance).Eval, physics) for instance in instances]
-        self._shape, self._period, self._next = (len(parts.finger_bodies), -1), period, 0.0
-        self._t: list[float] = []
-        self._rows: list[list[Array]] = []
-
-    def note(self, root: Context, last: bool = False) -> None:
-        t = root.get_time()
-        if (
-            t < self._next
-            and not (last and t > self._t[-1])
-            and all(force().any() for force in self._pressing)
-        ):
-            return
-        whole = math.floor(t / self._period + 0.5 * NEAR)
-        self._next = (whole + 1 - NEAR) * self._period
-        self._t.append(t)
-        self._rows.append([ask().copy() for ask in self._asked] + [self._pose().GetAsMatrix4()])
-
-    def read(self) -> tuple[Array, dict[str, Array], dict[str, Array], Array]:
-        """Times, planned and measured as in a SimulationResult, poses of the object."""
-        *columns, poses = map(np.array, zip(*self._rows))
-        every = [values.reshape(len(self._t), *self._shape) for values in columns]
-        planned, measured = dict(zip(PLANNED, every)), dict(zip(MEASURED, every[len(PLANNED) :]))
-        planned["contact_point"] = planned["contact_point"][:, :, 3:]
-        measured["normal_force"] = measured["normal_force"][:, :, 0]
-        return np.array(self._t), planned, measured, poses

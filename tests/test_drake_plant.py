@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 import contact_system as cs
 from drake_plant import AddScenePlant, StationConfig
-from drake_plant.plant import contact_depth
+from drake_plant.pressing import contact_depth
 
 SPHERE = cs.Sphere(0.04)
 DEPTH = 2e-4  # [m], where 10 kN/m carry 1 N
