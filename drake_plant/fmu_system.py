@@ -14,7 +14,7 @@ import tempfile
 import threading
 import weakref
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from ctypes import byref, c_void_p
+from ctypes import c_void_p
 from pathlib import Path
 from typing import Any
 
@@ -34,17 +34,7 @@ except ImportError as error:
     raise ImportError('FmuSystem needs fmpy: pip install "contact-system[fmu]"') from error
 
 from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import (
-    FMU2Slave,
-    fmi2CallbackAllocateMemoryTYPE,
-    fmi2CallbackFreeMemoryTYPE,
-    fmi2CallbackFunctions,
-    fmi2CallbackLoggerTYPE,
-    fmi2Discard,
-    fmi2LastSuccessfulTime,
-    fmi2Terminated,
-)
-from fmpy.fmi3 import FMU3Slave
+from fmpy.fmi2 import fmi2Discard, fmi2LastSuccessfulTime, fmi2Terminated
 from fmpy.simulation import settable_in_initialization_mode, settable_in_instantiated
 
 Array = np.ndarray
@@ -518,19 +508,18 @@ class Instance:
                 return
             except FMICallException:  # many tools leave it out
                 self._free()
-        kind = FMU2Slave if self.version == 2 else FMU3Slave
         with (
             self._doing(f"loading {self._path}", time),
             contextlib.chdir(os.getcwd()),
         ):  # fmpy may leave it
-            fmu = kind(
-                guid=self.description.guid,
-                unzipDirectory=str(self._folder),
-                modelIdentifier=self.description.coSimulation.modelIdentifier,
-                instanceName=self.name,
-                libraryPath=str(self._library),
+            fmu = fmpy.instantiate_fmu(
+                str(self._folder),
+                self.description,
+                "CoSimulation",
+                debug_logging=True,
+                logger=self._note,
+                library_path=str(self._library),
             )
-            fmu.instantiate(loggingOn=True, **self._logger())
         self._fmu = fmu
         categories = [category.name for category in self.description.logCategories]
         status = [name for name in categories if name.startswith("logStatus")]
@@ -538,26 +527,10 @@ class Instance:
             with contextlib.suppress(FMICallException):
                 fmu.setDebugLogging(True, status)
 
-    def _logger(self) -> dict[str, Any]:
-        """Arguments of fmpy's `instantiate` that collect what the FMU says."""
-        log = self._log
-
-        def write(status: int, message: bytes | None) -> None:
-            log.append((status, (message or b"").decode(errors="replace").strip()))
-
-        if self.version == 3:
-            return {"logMessage": lambda _, status, category, message: write(status, message)}
-        callbacks = fmi2CallbackFunctions()
-        callbacks.logger = fmi2CallbackLoggerTYPE(
-            lambda _, name, status, category, message: write(status, message)
-        )
-        callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
-        callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(fmpy.free)
-        with contextlib.suppress(ImportError, OSError):  # not there on every platform
-            from fmpy.logging import addLoggerProxy  # puts numbers in the place of %d
-
-            addLoggerProxy(byref(callbacks))
-        return {"callbacks": callbacks}
+    def _note(self, *said: Any) -> None:
+        """What the FMU says; FMI 2 has an instance's name before the status."""
+        status, _, message = said[-3:]
+        self._log.append((status, (message or b"").decode(errors="replace").strip()))
 
     @contextlib.contextmanager
     def _doing(self, what: str, time: float) -> Iterator[None]:
