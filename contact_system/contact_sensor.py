@@ -12,7 +12,7 @@ The rates are then the forward map of the measured twist.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -232,14 +232,14 @@ class Probe:
         self._surfaces = finger, obj
         self._in_space = not any(isinstance(s, ParametricSurface) for s in self._surfaces)
 
-    def find(
-        self, point: Sequence[float] | np.ndarray, of_finger: Sequence[float] | None = None
-    ) -> np.ndarray:
+    def find(self, point: Any, of_finger: Any = None) -> np.ndarray:
         """Newton's method from a point near the contact, until steps are small; gives `found`.
 
         point, of_finger : (3,), in the object's frame, and in the finger's if it is known
         """
-        x, ahead, step, run, small = self._x, self._ahead, self._step, self._run, self._small
+        step, run, small = self._step, self._run, self._small
+        x: Any = self._x
+        ahead = self._ahead
         if of_finger is None:
             of_finger = (point - self._pose[:, 3]) @ self._pose[:, :3]
         if self._in_space:

@@ -133,7 +133,7 @@ class ContactGauge:
         else:
             probe.find(probe.approach())
         given[:24], given[24:45] = found[16:40], moved[21:42]
-        given[45] = self._bends
+        self._splitting.point[45] = self._bends
         if not math.isfinite(sum(found[37:40])):  # at a pole it is not known where the contact goes
             self._splitting.point[21:24] = 0.0
         self._splitting.run()

@@ -43,7 +43,7 @@ from contact_system.theory.symbols import per_structure
 
 from .config import GAINS, require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .planner_system import MOTION
+from .planner_base import MOTION
 from .plant import ScenePlant
 from .scratch import PerThread
 

@@ -15,7 +15,7 @@ from contact_system.plan import require_plan
 from contact_system.theory.development import moving
 
 from .lifetimes import NO_DICTIONARY, array_entry
-from .planner_system import PlannerBase, scene_system
+from .planner_base import PlannerBase, scene_system
 
 Array = np.ndarray
 

@@ -31,7 +31,8 @@ from .fingertip_driver import FingertipDriver
 from .object_acceleration import ObjectAcceleration
 from .plan_check import TOLERANCE
 from .plan_source import PlanSource
-from .planner_system import ContactPlanner, PlannerBase
+from .planner_base import PlannerBase
+from .planner_system import ContactPlanner
 from .plant import AddScenePlant, ScenePlant, turning_angle
 from .pressing import contact_depth, depth_between, rolling_scene
 from .pushes import PushSource
@@ -52,33 +53,21 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
         - noise
         - disturbance (with disturbance_input)
         output_ports:
-        - state
-        - slip
-        - twist
-        - acceleration
-        - contact_point
-        - normal
-        - normal_rate
-        - pose
-        - restarts (with restart_period or restart_distance)
+        - those of the planner, such as pose
         - spatial_forces
-        - measured_slip
-        - normal_force
-        - tangential_force
-        - measured_contact_point
-        - measured_state
-        - sliding
+        - those of the monitor, such as normal_force; measured_state, measured_slip
+          and measured_contact_point, as the planner has ports of these names
         - plant_state
         - object_state
         - body_poses
         - contact_results
         - query
 
-    The first eight are the planner's (see :class:`ContactPlanner`), `spatial_forces` the driver's,
-    the next six the monitor's (see :class:`ContactMonitor`), the last five the plant's and the
-    scene graph's; `push` is the driver's (see :class:`FingertipDriver`), `noise` the monitor's. The
-    systems are named "planner", "driver", "monitor", "plant" and "scene_graph", with pushes "push"
-    too. Threads may share a station, with a Context each.
+    `push` and `spatial_forces` are the driver's (see :class:`FingertipDriver`), `noise` the
+    monitor's (:class:`ContactMonitor`), `disturbance` the planner's (:class:`ContactPlanner`), the
+    last five the plant's and the scene graph's. The systems are named "planner", "driver",
+    "monitor", "plant" and "scene_graph", with pushes "push" too. Threads may share a station, with
+    a Context each.
 
     Parameters
     ----------

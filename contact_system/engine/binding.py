@@ -321,6 +321,6 @@ class Machine:
         )
         step(ctypes.addressof(prologue))
         # an address made beforehand saves half of the time of a call
-        self.run: Any = functools.partial(step, c_void_p(ctypes.addressof(code)))
-        self.run.kept = table, code, r  # which C knows by their addresses alone
+        self.run = functools.partial(step, c_void_p(ctypes.addressof(code)))
+        vars(self.run)["kept"] = table, code, r  # which C knows by their addresses alone
         self.point, self.results = r[: table.n_in], r[table.first_out :][: table.n_out]
