@@ -134,8 +134,8 @@ class StationConfig:
         N m and N m s. With a rotation_gain of 0 the finger may roll on the radius that the
         penetration leaves it, and no friction comes from that; spheres have no orientation to keep.
     slip_gain : float
-        lam of the slip that is measured, 1/s; 0 leaves the loop open. At most 0.5/h is used, which
-        takes away half of the slip in a step.
+        lam of the slip that is measured, 1/s; 0 leaves the loop open. At most 0.8/h is used, which
+        takes away so much of the slip in a step.
     coordinates : str
         "chart" or "frame", of the :class:`ContactPlanner`; "plan": a :class:`PlanSource` is the
         planner, without states, disturbance port and restarts, exact under every scheme.

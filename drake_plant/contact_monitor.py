@@ -35,6 +35,8 @@ NOISY = ("state", "sliding")
 TOLERANCE = 1e-7
 SATURATED = 0.95
 """Friction counts as saturated from this part of mu N on: facets let N itself ripple."""
+SLIDES = 0.85
+"""Slip is fed back from this part on: sooner than it is sure that friction is saturated."""
 
 
 class ContactMonitor(LeafSystem):
@@ -70,7 +72,7 @@ class ContactMonitor(LeafSystem):
     * `tangential_force` (2n) acts on the finger, in E2;
     * `contact_point` (3n) is where the line normal to both surfaces meets the object's, in O;
     * `sliding` (3n) is v_rel of `state` as a vector in O where the contact slides, which shows in
-      its friction: at 95 % of mu N or more. Zero elsewhere, so that noise moves no finger that
+      its friction: at 85 % of mu N or more. Zero elsewhere, so that noise moves no finger that
       rolls. mu is that of the plant's configuration.
 
     Where a finger touches the object with several patches or pairs of points, forces are those of
@@ -146,7 +148,7 @@ class ContactMonitor(LeafSystem):
         normal = measured[:, COLUMNS["normal_force"]][:, 0]
         friction = np.hypot(*measured[:, COLUMNS["tangential_force"]].T)
         found, scene = np.zeros((len(measured), 3)), self._scene
-        slides = (friction >= SATURATED * self._friction * normal) & (normal > 0)
+        slides = (friction >= SLIDES * self._friction * normal) & (normal > 0)
         for i in np.flatnonzero(slides).tolist():
             found[i] = _slip(scene.contacts[i].finger, scene.object, states[i])
         return np.nan_to_num(found)  # no feedback at a pole

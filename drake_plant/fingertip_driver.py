@@ -52,7 +52,7 @@ SHARE = 0.4
 """Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
 may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4."""
 
-SLIP_SHARE = 0.5
+SLIP_SHARE = 0.8
 """Of slip what may be taken away in a step: more would turn it over where friction helps."""
 
 OFF = 1e-4

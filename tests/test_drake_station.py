@@ -227,7 +227,7 @@ def slipped(result):
 def test_fed_back_slip_of_a_pushed_finger_is_less_than_half_and_it_comes_back(model):
     closed, opened = pushed(model=model), pushed(model=model, slip_gain=0.0)
     assert slipped(opened) > 5e-4
-    assert slipped(closed) < 0.5 * slipped(opened)
+    assert slipped(closed) < 0.4 * slipped(opened)
     for result in (closed, opened):
         miss = result.measured["contact_point"][-1] - result.planned["contact_point"][-1]
         assert np.linalg.norm(miss, axis=1).max() < 1e-4
@@ -637,7 +637,7 @@ def test_fingers_move_as_planned_whether_gravity_pulls_them_or_not(heavy):
 def test_yaml_and_the_drake_table_have_the_same_keys():
     scene = cs.load_scene("D4")
     given = StationConfig.from_scene(scene)
-    assert (given.slip_gain, given.object_mass, given.spin_gain) == (500.0, 4.18, 0.04)
+    assert (given.slip_gain, given.object_mass, given.spin_gain) == (800.0, 4.18, 0.04)
     text = "{time_step: 2e-3, finger_edge: 0.001, spin_gain: 0.1, coordinates: frame}"
     read = yaml_load_typed(schema=StationConfig, data=text, defaults=given)
     changes = {"time_step": 2e-3, "finger_edge": 1e-3, "spin_gain": 0.1, "coordinates": "frame"}
