@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 import statistics
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
@@ -188,36 +188,46 @@ def speed(full: bool) -> Iterator[Bar]:
     too: simulated over it, and what planner, driver, monitor and logs take of a step; building."""
     scene, builds = cs.load_scene("D1"), []
     for model, limit in zip(MODELS, (0.4, 1.2)):
-        config, spent, bare = StationConfig.from_scene(scene, contact_model=model), [], []
-        alone = _plant_alone(scene, config)
+        config, rates = StationConfig.from_scene(scene, contact_model=model), []
         with tempfile.TemporaryDirectory() as folder:
             for _ in range(5 if full else 3):
-                film = Path(folder) / "film.html"
-                marks = []
-                clock = partial(_mark, marks)
-                builds.append(simulate(scene, config, SPEED_TIME, clock, film).build_time)
-                spent.append(marks[-1] - marks[0])
-                simulator = alone()
-                begun = process_time()
-                simulator.AdvanceTo(SPEED_TIME)
-                bare.append(process_time() - begun)
-        what, detail = f"D1 {model}: ", {"station": spent, "plant": bare}
-        rate = SPEED_TIME / statistics.median(spent)
-        yield Bar(what + "simulated over time spent", limit, rate, "x", True, detail=detail)
-        step = config.plant.time_step * 1e3 / SPEED_TIME
-        rest = statistics.median(a - b for a, b in zip(spent, bare))
-        note = f"the plant alone {step * statistics.median(bare):.2f} ms"
-        yield Bar(what + "a step but for the plant", 0.5, step * rest, "ms", note=note)
+                run, film = _Race(), Path(folder) / "film.html"
+                builds.append(simulate(scene, config, SPEED_TIME, run, film).build_time)
+                rates.append(SPEED_TIME / sum(run.station))
+        what, rate = f"D1 {model}: ", statistics.median(rates)
+        name = what + "simulated over time spent"
+        yield Bar(name, limit, rate, "x", True, detail={"rates": rates})
+        race = _Race(_plant_alone(scene, config))
+        simulate(scene, config, SPEED_TIME, race)
+        rest, plant = (
+            1e3 * config.time_step / SPEED_TIME * value
+            for value in (sum(race.station) - sum(race.plant), sum(race.plant))
+        )
+        note = f"the plant alone {plant:.2f} ms"
+        yield Bar(what + "a step but for the plant", 0.5, rest, "ms", note=note)
     yield Bar("D1: building the Diagram", 3.0, statistics.median(builds), "s")
 
 
-def _mark(marks: list[float], t: float) -> None:
-    marks.append(process_time())
+class _Race:
+    """What every step of a station takes, and of a plant alone beside it, in turns."""
+
+    def __init__(self, alone: Simulator | None = None):
+        self.station, self.plant = list[float](), list[float]()
+        self._alone, self._since = alone, math.nan
+
+    def __call__(self, t: float) -> None:
+        now = process_time()
+        if not math.isnan(self._since):
+            self.station.append(now - self._since)
+        if self._alone is not None:
+            self._alone.AdvanceTo(t)
+            self.plant.append(process_time() - now)
+        self._since = process_time()
 
 
-def _plant_alone(scene: cs.Scene, config: StationConfig) -> Callable[[], Simulator]:
-    """Simulators of the plant under the forces that a station's driver gave, none of it Python."""
-    station, step = BuildStation(scene, config), config.plant.time_step
+def _plant_alone(scene: cs.Scene, config: StationConfig) -> Simulator:
+    """Of the plant under the forces that a station's driver gave, none of it Python."""
+    station, step = BuildStation(scene, config), config.time_step
     simulator = Simulator(station)
     ApplySimulatorConfig(INTEGRATION, simulator)
     root, plant = simulator.get_mutable_context(), station.GetSubsystemByName("plant")
@@ -231,18 +241,15 @@ def _plant_alone(scene: cs.Scene, config: StationConfig) -> Callable[[], Simulat
             forces[first : first + 6, k] = applied.F_Bq_W.get_coeffs()
     held = PiecewisePolynomial.ZeroOrderHold((np.arange(forces.shape[1]) - 0.01) * step, forces)
 
-    def make() -> Simulator:
-        builder = DiagramBuilder()
-        parts = AddScenePlant(builder, scene, config.plant)
-        source = builder.AddSystem(TrajectorySource(held)).get_output_port()
-        builder.Connect(source, parts.plant.get_applied_generalized_force_input_port())
-        simulator = Simulator(builder.Build())
-        own = parts.plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-        parts.plant.SetPositionsAndVelocities(own, start)
-        simulator.Initialize()
-        return simulator
-
-    return make
+    builder = DiagramBuilder()
+    parts = AddScenePlant(builder, scene, config)
+    source = builder.AddSystem(TrajectorySource(held)).get_output_port()
+    builder.Connect(source, parts.plant.get_applied_generalized_force_input_port())
+    simulator = Simulator(builder.Build())
+    own = parts.plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    parts.plant.SetPositionsAndVelocities(own, start)
+    simulator.Initialize()
+    return simulator
 
 
 def schemes(full: bool) -> Iterator[Bar]:
