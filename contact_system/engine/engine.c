@@ -10,6 +10,8 @@
 
 enum { STAGES = 12 };
 #include "generated/dop853.inc"
+#include "polynomial.h"
+
 #include "generated/gauss.inc"
 #include "generated/operations.inc"
 
@@ -203,4 +205,5 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                  .look = look,
                                  .fields = fields,
                                  .shifts = shifts,
-                                 .steer = steered};
+                                 .steer = steered,
+                                 .sign_changes = sign_changes};

@@ -79,9 +79,7 @@ def rest_to_rest(length: float, duration: float) -> Profile:
     rates = [30 * speed * c / duration**k for k, c in ((2, 1), (3, -2), (4, 1))]
     if not length > 0:
         return STILL
-    found = Profile([0.0, 0.0, *rates])
-    object.__setattr__(found, "peak", 0.5 * duration)
-    return found
+    return Profile([0.0, 0.0, *rates])
 
 
 class Stretch(NamedTuple):
