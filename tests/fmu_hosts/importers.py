@@ -1,50 +1,62 @@
-"""Importers other than fmpy: ecos, libcosim (both run co-simulations) and CasADi (derivatives).
+"""Importers of FMUs: each steps a file, or integrates it, and says what its variables were.
 
-Each function takes an unpacked FMU and skips nothing: a tool that is missing raises `Unavailable`.
+A function takes an unpacked FMU, names of variables, a step and how many, and gives the values at
+the points 1 to count, (count, n_names). A tool that is missing raises `Unavailable`.
 """
 
 from __future__ import annotations
 
-import shutil
-import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+import importlib
+import tempfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import fmpy
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from .native import Fmu, Unavailable
 
 NANOSECOND = 1e-9
+Names = Sequence[str]
 
 
-def with_fmpy(fmu: Fmu, names: Sequence[str], step: float, count: int) -> np.ndarray:
-    """Scalar variables at communication points 1 to count, by fmpy: (count, n_names)."""
-    result = fmpy.simulate_fmu(
-        str(fmu.folder),
-        model_description=fmu.description,
-        fmi_type="CoSimulation",
-        output=list(names),
-        step_size=step,
-        output_interval=step,
-        stop_time=count * step,
-    )
+def _needed(module: str, package: str) -> Any:
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise Unavailable(f"{package} is not installed") from None
+    except OSError as error:
+        raise Unavailable(f"{package} does not load: {error}") from None
+
+
+def _references(fmu: Fmu, names: Names) -> list[int]:
+    found = {v.name: v.valueReference for v in fmu.description.modelVariables}
+    return [found[name] for name in names]
+
+
+def _by_fmpy(file: Path, names: Names, step: float, count: int, **options: Any) -> np.ndarray:
+    given = {"output": list(names), "output_interval": step, "stop_time": count * step} | options
+    result = fmpy.simulate_fmu(str(file), **given)
     return np.stack([result[name] for name in names], axis=1)[1:]
 
 
-def with_ecos(fmu: Fmu, names: Sequence[str], step: float, count: int) -> np.ndarray:
-    """The same by ecos (FMI 2 and 3; of FMI 3 it reads scalars only)."""
-    try:
-        from ecospy.EcosSimulation import EcosSimulation
-        from ecospy.EcosSimulationStructure import EcosSimulationStructure
-    except ImportError:
-        raise Unavailable("ecospy is not installed") from None
-    except OSError as error:
-        raise Unavailable(f"ecospy does not load, on Debian it needs libtbb12: {error}") from None
-    with EcosSimulationStructure() as structure:
-        structure.add_model("planner", fmu.path)
-        with EcosSimulation(structure=structure, step_size=step) as simulation:
+# --- Co-Simulation -------------------------------------------------------------------------------
+
+
+def fmpy_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
+    return _by_fmpy(fmu.path, names, step, count, fmi_type="CoSimulation", step_size=step)
+
+
+def ecos_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
+    """On Debian ecos needs libtbb12."""
+    run = _needed("ecospy.EcosSimulation", "ecospy").EcosSimulation
+    structure = _needed("ecospy.EcosSimulationStructure", "ecospy").EcosSimulationStructure
+    with structure() as system:
+        system.add_model("planner", fmu.path)
+        with run(structure=system, step_size=step) as simulation:
             simulation.init()
             rows = []
             for _ in range(count):
@@ -54,65 +66,121 @@ def with_ecos(fmu: Fmu, names: Sequence[str], step: float, count: int) -> np.nda
     return np.array(rows)
 
 
-def with_libcosim(fmu: Fmu, names: Sequence[str], step: float, count: int) -> np.ndarray:
-    """The same by libcosim (FMI 2; version 0.0.6 of its Python package crashes on any FMI 3)."""
-    try:
-        from libcosimpy.CosimExecution import CosimExecution
-        from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
-        from libcosimpy.CosimObserver import CosimObserver
-        from libcosimpy.CosimSlave import CosimLocalSlave
-    except ImportError:
-        raise Unavailable("libcosimpy is not installed") from None
-    log_output_level(CosimLogLevel.ERROR)
-    by_name = {v.name: v.valueReference for v in fmu.description.modelVariables}
-    references = [by_name[name] for name in names]
-    execution = CosimExecution.from_step_size(round(step / NANOSECOND))
-    slave = CosimLocalSlave(str(fmu.path), "planner")
-    index = execution.add_local_slave(slave)
-    observer = CosimObserver.create_last_value()
+def libcosim_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
+    """FMI 2; version 0.0.6 of its Python package crashes on any file of FMI 3."""
+    part = lambda name: _needed(f"libcosimpy.{name}", "libcosimpy")  # noqa: E731
+    part("CosimLogging").log_output_level(part("CosimLogging").CosimLogLevel.ERROR)
+    execution = part("CosimExecution").CosimExecution.from_step_size(round(step / NANOSECOND))
+    index = execution.add_local_slave(part("CosimSlave").CosimLocalSlave(str(fmu.path), "planner"))
+    observer = part("CosimObserver").CosimObserver.create_last_value()
     execution.add_observer(observer)
-    rows = []
+    rows, references = [], _references(fmu, names)
     for _ in range(count):
         assert execution.step()
         rows.append(observer.last_real_values(index, references))
     return np.array(rows)
 
 
-# --- CasADi --------------------------------------------------------------------------------------
+def container_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
+    """In a container of fmu-manipulation-toolbox, of the same version, stepped by fmpy."""
+    assembly = _needed("fmu_manipulation_toolbox.assembly", "fmu-manipulation-toolbox")
+    node = assembly.AssemblyNode("container.fmu", step_size=step, auto_output=False)
+    node.add_fmu(fmu.path.name)
+    for name in names:
+        node.add_output(fmu.path.name, name, name)
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / fmu.path.name).write_bytes(fmu.path.read_bytes())
+        node.make_fmu(Path(folder), fmi_version=int(fmu.version[0]))
+        return fmpy_steps(
+            Fmu.unpacked(Path(folder) / node.name, Path(folder) / "x"), names, step, count
+        )
 
 
-def casadi_function(
-    fmu: Fmu, result: str, folder: Path
-) -> tuple[ca.Function, list[str], list[str]]:
-    """CasADi's import of an FMU for Model Exchange, in a new folder.
-
-    The function of states and inputs, names of (states then inputs), names of results: "ode",
-    derivatives, or "y", outputs; CasADi wants no variable twice, and some are both. It (3.8) knows
-    no arrays of FMI 3, and is shown a model description without them.
-    """
-    shown = fmu.folder
-    if fmu.version == "3.0":
-        shown = shutil.copytree(fmu.folder, folder / "without_arrays", dirs_exist_ok=True)
-        _leave_out_arrays(shown / "modelDescription.xml")
-    builder = ca.DaeBuilder("fmu", str(shown), {"debug": False})
-    states, inputs = builder.x(), builder.u()
-    results = [f"der({name})" for name in states] if result == "ode" else builder.y()
-    return builder.create("f", ["x", "u"], [result]), [*states, *inputs], results
+def fmuloader_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
+    one, read = _loaded(fmu, "CoSimulation")
+    rows, references = [], _references(fmu, names)
+    for k in range(count):
+        one.do_step(k * step, step)
+        rows.append(read(references))
+    return np.array(rows)
 
 
-def _leave_out_arrays(path: Path) -> None:
-    tree = ET.parse(path)
-    root = tree.getroot()
-    variables, structure = root.find("ModelVariables"), root.find("ModelStructure")
-    assert variables is not None and structure is not None
-    arrays = [v for v in variables if v.find("Dimension") is not None]
-    left_out = {v.attrib["valueReference"] for v in arrays}
-    for v in arrays:
-        variables.remove(v)
-    for unknown in list(structure):
-        if unknown.attrib["valueReference"] in left_out:
-            structure.remove(unknown)
-            continue
-        known = unknown.attrib["dependencies"].split()
-        unknown.set("dependencies", " ".join(r for r in known if r not in left_out))
-    tree.write(path)
+def _loaded(fmu: Fmu, interface: str) -> tuple[Any, Callable]:
+    """An instance in fmuloader, initialized, and its getter."""
+    version, name = fmu.version[0], fmu.description.coSimulation.modelIdentifier
+    library = _needed(f"fmuloader.fmi{version}", "fmuloader")
+    one = getattr(library, f"Fmi{version}Slave")(fmu.folder, model_identifier=name)
+    if version == "2":
+        kind = {"CoSimulation": "CO_SIMULATION", "ModelExchange": "MODEL_EXCHANGE"}[interface]
+        one.instantiate("planner", library.Fmi2Type[kind], guid=fmu.token)
+        one.setup_experiment()
+    else:
+        kind = {"CoSimulation": "co_simulation", "ModelExchange": "model_exchange"}[interface]
+        getattr(one, f"instantiate_{kind}")("planner", instantiation_token=fmu.token)
+    one.enter_initialization_mode()
+    one.exit_initialization_mode()
+    return one, one.get_real if version == "2" else one.get_float64
+
+
+# --- Model Exchange, at 1e-10 --------------------------------------------------------------------
+
+
+def fmpy_integrates(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
+    given = {"fmi_type": "ModelExchange", "solver": "CVode", "relative_tolerance": 1e-10}
+    return _by_fmpy(fmu.path, names, step, count, record_events=False, **given)
+
+
+def fmuloader_integrates(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
+    """By scipy, from each time event to the next."""
+    one, read = _loaded(fmu, "ModelExchange")
+    n, rows, references = len(fmu.description.derivatives), [], _references(fmu, names)
+    rates = one.get_derivatives if fmu.version == "2.0" else one.get_continuous_state_derivatives
+
+    def update() -> float:
+        """When the next event is."""
+        if fmu.version == "2.0":
+            found = one.new_discrete_states()
+            one.enter_continuous_time_mode()
+            return found.nextEventTime if found.nextEventTimeDefined else np.inf
+        found = one.update_discrete_states()
+        one.enter_continuous_time_mode()
+        return found.next_event_time if found.next_event_time_defined else np.inf
+
+    def moved(t: float, x: np.ndarray) -> np.ndarray:
+        one.set_time(t)
+        one.set_continuous_states(list(x))
+        return np.array(rates(n))
+
+    event, t = update(), 0.0
+    x = np.array(one.get_continuous_states(n))
+    for k in range(count):
+        while t < (k + 1) * step:
+            stop = min(event, (k + 1) * step)
+            x = solve_ivp(moved, (t, stop), x, "DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
+            moved(t := stop, x)
+            if t == event:
+                one.enter_event_mode()
+                event = update()
+        rows.append(read(references))
+    return np.array(rows)
+
+
+def casadi_function(fmu: Fmu, arguments: Names, result: str) -> tuple[ca.Function, ca.DaeBuilder]:
+    """CasADi's function of a model's "t", "x" and "u", of which the arguments are some."""
+    builder = ca.DaeBuilder("fmu", str(fmu.folder), {"debug": False})
+    return builder.create("f", [*arguments], [result]), builder
+
+
+def casadi_integrates(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
+    """By CasADi's CVODES. It knows no events, so this is for models without windows."""
+    rates, builder = casadi_function(fmu, ["t", "x", "u"], "ode")
+    results, _ = casadi_function(fmu, ["t", "x", "u"], "y")
+    t, x, u = ca.MX.sym("t"), ca.MX.sym("x", rates.size1_in(1)), np.zeros(rates.size1_in(2))
+    grid = step * np.arange(1, count + 1)
+    options = {"reltol": 1e-10, "abstol": 1e-12, "max_num_steps": 100_000}
+    system = {"t": t, "x": x, "ode": rates(t, x, u)}
+    start = builder.start(builder.x())
+    found = ca.integrator("sim", "cvodes", system, 0.0, grid, options)(x0=start)["xf"].full()
+    columns = [builder.y().index(name) for name in names]
+    rows = [results(t, x, u).full().ravel()[columns] for t, x in zip(grid, found.T)]
+    return np.array(rows)
