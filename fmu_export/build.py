@@ -1,46 +1,66 @@
-"""C sources to shared libraries, and everything into one .fmu file."""
+"""The libraries of FMUs: the engine with FMI around it, for each platform."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
 import hashlib
+import importlib.util
 import os
 import platform
-import shutil
-import struct
 import subprocess
 import sys
 import tempfile
-import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
-import fmpy
-
-from contact_system.checks import a_path, items_of, make_folder
+from contact_system.checks import items_of, make_folder
 from contact_system.engine.binding import LIBRARY
 from contact_system.errors import ContactSystemError
-from contact_system.writing import writing
 
-FMI_HEADERS = Path(fmpy.__file__).parent / "c-code"
 
-# name -> (folder in FMI 2, folder in FMI 3, suffix, target of ziglang)
+class Platform(NamedTuple):
+    """Folders in FMI 2 and FMI 3, a library's suffix, ziglang's name of the target, its flags."""
+
+    folder_2: str
+    folder_3: str
+    suffix: str
+    target: str
+    flags: tuple[str, ...]
+
+
+_LINUX = (
+    "-shared",
+    "-s",
+    "-fPIC",
+    "-Wl,-Bsymbolic",
+)  # its own engine, whatever another FMU exports
+_WINDOWS = ("-shared", "-s")
+_MAC = ("-shared", "-fPIC", "-Wl,-install_name,@rpath/contact_engine.dylib")
+_WASM = (
+    *("-mexec-model=reactor", "-s", "-msimd128", "-Wl,--export-dynamic"),
+    *("-Wl,--export=malloc", "-Wl,--export=free"),
+    # longjmp, by exceptions as WebAssembly has them now
+    *("-mexception-handling", "-mllvm", "-wasm-enable-sjlj"),
+    *("-mllvm", "-wasm-use-legacy-eh=false"),
+)
 PLATFORMS = {
-    "x86_64-linux": ("linux64", "x86_64-linux", ".so", "x86_64-linux-gnu.2.17"),
-    "aarch64-linux": ("aarch64-linux", "aarch64-linux", ".so", "aarch64-linux-gnu.2.17"),
-    "x86_64-windows": ("win64", "x86_64-windows", ".dll", "x86_64-windows-gnu"),
-    "x86_64-darwin": ("darwin64", "x86_64-darwin", ".dylib", "x86_64-macos.11.0"),
-    "aarch64-darwin": ("aarch64-darwin", "aarch64-darwin", ".dylib", "aarch64-macos.11.0"),
+    "x86_64-linux": Platform("linux64", "x86_64-linux", ".so", "x86_64-linux-gnu.2.17", _LINUX),
+    "aarch64-linux": Platform(*("aarch64-linux",) * 2, ".so", "aarch64-linux-gnu.2.17", _LINUX),
+    "x86_64-windows": Platform("win64", "x86_64-windows", ".dll", "x86_64-windows-gnu", _WINDOWS),
+    "x86_64-darwin": Platform("darwin64", "x86_64-darwin", ".dylib", "x86_64-macos.11.0", _MAC),
+    "aarch64-darwin": Platform(*("aarch64-darwin",) * 2, ".dylib", "aarch64-macos.11.0", _MAC),
+    "wasm32": Platform(*("wasm32-wasi",) * 2, ".wasm", "wasm32-wasi", _WASM),
 }
 
 # Contraction to fused operations would make platforms differ in the last digits.
 FLAGS = (
-    *("-std=gnu99", "-O3", "-fvisibility=hidden", "-ffp-contract=off"),
-    *("-fno-math-errno", "-fno-trapping-math", "-fopenmp-simd"),
+    *("-std=gnu99", "-O3", "-fvisibility=hidden", "-ffp-contract=off", "-DVARIANT=baseline"),
+    *("-fno-math-errno", "-fno-trapping-math", "-fopenmp-simd", "-Wno-pass-failed"),
 )
 ENGINE, C_FOLDER = LIBRARY.parent, Path(__file__).parent / "c"
-LINK_FLAGS = ("-shared", "-s")
+UNITS = (ENGINE / "engine.c", ENGINE / "dispatch.c", C_FOLDER / "fmi2.c", C_FOLDER / "fmi3.c")
 
 
 def native_platform() -> str:
@@ -56,7 +76,7 @@ def native_platform() -> str:
     return found
 
 
-def _platform(target: str) -> tuple[str, str, str, str]:
+def _platform(target: str) -> Platform:
     """The row of `PLATFORMS`."""
     if target != "native" and target not in PLATFORMS:
         known = ", ".join(["native", *PLATFORMS])
@@ -74,23 +94,64 @@ def chosen(platforms: Iterable[str]) -> tuple[str, ...]:
     return found
 
 
-# --- compiler and cache --------------------------------------------------------------------------
+def library_place(name: str, target: str, fmi_version: str) -> str:
+    """Where a platform's library lies inside the FMU."""
+    row = _platform(target)
+    return f"binaries/{row.folder_2 if fmi_version == '2.0' else row.folder_3}/{name}{row.suffix}"
+
+
+def library(target: str, name: str) -> bytes:
+    """The engine with its FMI layer for a platform, under a model's name.
+
+    This machine's was built when the package was installed; others are built by ziglang and kept.
+
+    Raises
+    ------
+    ContactSystemError
+        An unknown platform, no ziglang, or a cache folder that cannot be written to, or by others.
+    """
+    row = _platform(target)
+    if target == "native":
+        return LIBRARY.read_bytes()
+    if not importlib.util.find_spec("ziglang"):
+        raise ContactSystemError(
+            f"no compiler for {target}: `pip install ziglang`, which compiles for all platforms"
+        )
+    compiler = [sys.executable, "-m", "ziglang", "cc", "-target", row.target]
+    command = [*compiler, *FLAGS, *row.flags, f"-I{ENGINE}", *map(str, UNITS)]
+
+    def make(room: Path) -> Path:
+        built = room / f"{LONG_NAME}{row.suffix}"
+        run = subprocess.run(
+            [*command, "-o", built.name, "-lm"],
+            cwd=room,
+            capture_output=True,
+            text=True,
+            errors="replace",
+        )
+        if run.returncode:
+            raise ContactSystemError(f"{' '.join(command)} failed:\n{run.stderr[-2000:]}")
+        return built
+
+    found = _kept("\0".join([*command, *texts().values()]), make)
+    # A Windows library carries its name, and programs that are linked with it look for that one.
+    own, given = (f"{stem}.dll".encode() for stem in (LONG_NAME, name))
+    return found.replace(own, given.ljust(len(own), b"\0")) if row.suffix == ".dll" else found
+
+
+LONG_NAME = "contact_engine".ljust(110, "_")
+"""Longer than a model's."""
 
 
 @functools.cache
-def find_compiler() -> tuple[str, ...] | None:
-    """The command of a C compiler: ``$CC``, cc, gcc, clang, or the ziglang package; else None."""
-    named = os.environ.get("CC", "").split()
-    for name, *options in [*([named] if named else []), ["cc"], ["gcc"], ["clang"]]:
-        path = shutil.which(name)
-        if path:
-            return (path, *options)
-    try:
-        import ziglang  # noqa: F401
-    except ImportError:
-        return None
-    return (sys.executable, "-m", "ziglang", "cc")
+def texts() -> dict[Path, str]:
+    """The C of the engine and its FMI layer, by file."""
+    folders = (ENGINE, ENGINE / "generated", C_FOLDER)
+    files = [file for folder in folders for file in sorted(folder.glob("*.[chi]*"))]
+    return {file: file.read_text("utf-8") for file in files}
 
+
+# --- the cache -----------------------------------------------------------------------------------
 
 # Where users' caches are: the variable that names the folder, and what it is below their homes.
 _CACHES = {"win32": ("LOCALAPPDATA", "AppData", "Local"), "darwin": ("", "Library", "Caches")}
@@ -130,15 +191,6 @@ def _cache_room() -> Iterator[Path]:
         raise ContactSystemError(f"cache folder '{folder}': {error}; {_REMEDY}") from None
 
 
-def headers(fmi_version: str) -> dict[str, str]:
-    """Name -> text of FMI's own headers, which fmpy brings."""
-    names = {
-        "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
-        "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
-    }[fmi_version]
-    return {name: (FMI_HEADERS / name).read_text("utf-8") for name in names}
-
-
 def _kept(key: str, make: Callable[[Path], Path]) -> bytes:
     """A library that was built before under this key, or that is made now in a folder.
 
@@ -171,190 +223,3 @@ def _refuse_open(folder: Path) -> None:
             f"cache folder '{folder}' can be written to by others, who might put libraries there; "
             f"`chmod go-w '{folder}'`, or {_REMEDY}"
         )
-
-
-def engine(target: str, name: str) -> bytes:
-    """The engine with its FMI layer for a platform: that of every FMU.
-
-    This machine's was built when the package was installed; others are built by ziglang and kept.
-
-    Raises
-    ------
-    ContactSystemError
-        An unknown platform, no ziglang, or a cache folder that cannot be written to, or by others.
-    """
-    if target == "native":
-        native_platform()
-        return _named(LIBRARY.read_bytes(), LIBRARY.name, name)
-    folders = (ENGINE, ENGINE / "generated", C_FOLDER)
-    texts = [
-        p.read_text("utf-8")
-        for f in folders
-        for p in sorted(f.glob("*.[chi]*"))
-        if p.suffix != ".py"
-    ]
-    command = [*_command(OWN_NAME, target), f"-I{ENGINE}", "-DVARIANT=baseline"]
-    suffix = _platform(target)[2]
-    units = [ENGINE / "engine.c", ENGINE / "dispatch.c", C_FOLDER / "fmi2.c", C_FOLDER / "fmi3.c"]
-
-    def make(room: Path) -> Path:
-        built = room / f"{OWN_NAME}{suffix}"
-        _run([*command, *map(str, units), "-o", built.name, "-lm"], room)
-        return built
-
-    return _named(_kept("\0".join([*command, *texts]), make), OWN_NAME + suffix, name)
-
-
-OWN_NAME = "contact_engine".ljust(110, "_")
-
-
-def _named(library: bytes, own: str, name: str) -> bytes:
-    """A library under another name, which a Windows one carries: programs look for that one."""
-    if not own.endswith(".dll"):
-        return library
-    return library.replace(f"{own}\0".encode(), f"{name}.dll\0".encode().ljust(len(own) + 1, b"\0"))
-
-
-def library(sources: Mapping[str, str], identifier: str, target: str) -> bytes:
-    """The shared library of some sources for one platform; built once, kept in the cache.
-
-    Parameters
-    ----------
-    sources : mapping
-        File name -> text, headers included.
-    identifier : str
-        Model identifier.
-    target : str
-        A key of `PLATFORMS`, or "native".
-
-    Raises
-    ------
-    ContactSystemError
-        An unknown platform, no compiler, one that refuses, or a cache folder that cannot be
-        written to, or by others.
-    """
-    command = _command(identifier, target)
-
-    def make(room: Path) -> Path:
-        for file, content in sources.items():
-            (room / file).write_text(content, "utf-8")
-        # A Windows library carries the name it is linked under, and programs look for that one.
-        built = room / f"{identifier}{_platform(target)[2]}"
-        names = sorted(file for file in sources if file.endswith(".c"))
-        _run([*command, *names, "-o", built.name, "-lm"], room)
-        return built
-
-    return _kept(
-        "\0".join([identifier, *command, *(f"{k}\0{sources[k]}" for k in sorted(sources))]), make
-    )
-
-
-def _run(command: Sequence[str], folder: Path) -> None:
-    run = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace")
-    if run.returncode:
-        raise ContactSystemError(f"{' '.join(command)} failed:\n{run.stderr[-2000:]}")
-
-
-def _command(name: str, target: str) -> list[str]:
-    """The compiler and its flags for a platform."""
-    host = native_platform() if target == "native" else None
-    _, _, suffix, triple = _platform(target)
-    link = LINK_FLAGS[: 1 if suffix == ".dylib" else 2]
-    flags = [*FLAGS, *link] + ["-fPIC"] * (suffix != ".dll")
-    if suffix == ".so":
-        flags.append("-Wl,-Bsymbolic")  # its own engine, whatever another FMU exports
-    if suffix == ".dylib":
-        flags.append(f"-Wl,-install_name,@rpath/{name}{suffix}")
-    compiler = find_compiler()
-    if host and compiler is not None:
-        return [*compiler, *flags]
-    try:
-        import ziglang  # noqa: F401
-    except ImportError:
-        raise ContactSystemError(
-            f"no compiler for {host or target}: `pip install ziglang`, which compiles for all "
-            "platforms; for this machine alone any C compiler will do (cc, gcc, clang, or set CC)"
-        ) from None
-    return [sys.executable, "-m", "ziglang", "cc", "-target", triple, *flags]
-
-
-def library_place(name: str, target: str, fmi_version: str) -> str:
-    """Where a platform's library lies inside the FMU."""
-    folder2, folder3, suffix, _ = _platform(target)
-    return f"binaries/{folder2 if fmi_version == '2.0' else folder3}/{name}{suffix}"
-
-
-def target(path: str | os.PathLike) -> Path:
-    """The path of a file to write.
-
-    Raises
-    ------
-    ContactSystemError
-        It is none, or a folder, a device or a pipe, or lies in something that is no folder.
-    """
-    path = a_path(path)
-    try:
-        if path.is_dir():
-            raise ContactSystemError(f"'{path}' is a folder; name the file to write in it")
-        if path.exists() and not path.is_file():
-            raise ContactSystemError(
-                f"'{path}' is a device or a pipe, which a file would replace; name a file"
-            )
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ContactSystemError(f"no file can be written to '{path}': {error}") from None
-    return path
-
-
-def write_fmu(
-    path: Path,
-    files: Mapping[str, bytes],
-    moment: Sequence[int],
-    check: Callable[[str], Sequence[str]] = lambda half: (),
-) -> None:
-    """Write a zip file whose bytes depend on the files and the moment (y, m, d, h, min, s) only.
-
-    ``check`` says what is wrong with the file; one that is wrong replaces nothing.
-
-    Raises
-    ------
-    ContactSystemError
-        What ``check`` says, or why the file cannot be written.
-    """
-    # zip knows the years 1980 to 2107 only
-    stamp = min(max(tuple(moment), (1980, 1, 1, 0, 0, 0)), (2107, 12, 31, 23, 59, 58))
-    with writing(path) as file:
-        data = _zipped(files, stamp)
-        file.write(data)
-        file.flush()
-        if Path(file.name).read_bytes() != data:  # a full disk does not always tell
-            raise ContactSystemError(f"{path}: what was written cannot be read back; write again")
-        if problems := check(file.name):
-            raise ContactSystemError(f"{path}: fmpy's validation says: " + "; ".join(problems))
-
-
-@functools.lru_cache(maxsize=64)
-def _deflated(data: bytes) -> tuple[int, bytes]:
-    """Checksum and compressed bytes; most of an FMU is the same in all."""
-    packer = zlib.compressobj(6, zlib.DEFLATED, -15)
-    return zlib.crc32(data), packer.compress(data) + packer.flush()
-
-
-def _zipped(files: Mapping[str, bytes], moment: Sequence[int]) -> bytes:
-    """A zip file by names: zipfile cannot be given what is compressed already."""
-    year, month, day, hour, minute, second = moment
-    stamp = (hour << 11 | minute << 5 | second // 2, (year - 1980) << 9 | month << 5 | day)
-    at, parts, entries = 0, [], []
-    for name in sorted(files):
-        crc, data = _deflated(files[name])
-        word = name.encode()
-        # version 2.0, names in UTF-8, deflated
-        said = struct.pack("<HHHHHIII", 20, 0x800, 8, *stamp, crc, len(data), len(files[name]))
-        said += struct.pack("<HH", len(word), 0)
-        parts.append(b"PK\3\4" + said + word + data)
-        tail = struct.pack("<HHHII", 0, 0, 0, 0o100644 << 16, at)
-        entries.append(b"PK\1\2" + struct.pack("<H", 3 << 8 | 20) + said + tail + word)
-        at += 30 + len(word) + len(data)
-    count, directory = len(entries), b"".join(entries)
-    end = struct.pack("<HHHHIIH", 0, 0, count, count, len(directory), at, 0)
-    return b"".join([*parts, directory, b"PK\5\6", end])

@@ -38,7 +38,7 @@ def register(commands: Any) -> None:
         nargs="+",
         default=["native"],
         metavar="PLATFORM",
-        help=f"native (default), or one or more of {', '.join(PLATFORMS)}, compiled by ziglang",
+        help=f"native (default), or one or more of {', '.join(PLATFORMS)}, built by ziglang",
     )
     parser.add_argument(
         "--states", choices=STATES, default="auto", help="charts, or frames that pass poles"

@@ -10,6 +10,7 @@ from contact_system.checks import flag, function_or_none
 from contact_system.scene import Scene
 
 from . import build
+from .archive import problems_of, target, write_fmu
 from .data import scene_data
 from .description import (
     INTERFACES,
@@ -23,7 +24,6 @@ from .description import (
 from .documentation import companions
 from .reference import reference_files
 from .sources import UNITS, c_sources
-from .validation import problems_of
 from .variables import variable_table
 
 
@@ -51,8 +51,8 @@ def export_fmu(
     fmi_version : "2.0" or "3.0"
     interfaces : sequence of "CoSimulation" and "ModelExchange"
     platforms : sequence of str
-        "native", or of x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin and
-        aarch64-darwin those wanted; all but the host's need the ziglang package, once.
+        "native", or of x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin
+        and (experimental) wasm32 those wanted, for which ziglang is needed, once.
     states : "auto", "chart" or "frame"
         What the states are: see `variable_table`.
     arrays : bool
@@ -72,10 +72,10 @@ def export_fmu(
     Raises
     ------
     ContactSystemError
-        A scene that no importer can step, a path that cannot be written to, no compiler, or an
-        FMU that fmpy's validation refuses.
+        A scene that no importer can step, a path that cannot be written to, no ziglang, or an FMU
+        that fmpy's validation refuses.
     """
-    path, moment = build.target(path), generation_time()
+    path, moment = target(path), generation_time()
     platforms, interfaces = build.chosen(platforms), check_choice(fmi_version, interfaces)
     tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
     arrays = flag(arrays, "arrays") and fmi_version == "3.0"
@@ -91,7 +91,7 @@ def export_fmu(
     files |= companions(table, fmi_version) | reference_files(scene)
     for platform in platforms:
         tell(f"taking the library for {platform}")
-        files[build.library_place(name, platform, fmi_version)] = build.engine(platform, name)
+        files[build.library_place(name, platform, fmi_version)] = build.library(platform, name)
     tell("packing")
-    build.write_fmu(path, files, moment[:6], problems_of)
+    write_fmu(path, files, moment[:6], problems_of)
     return path

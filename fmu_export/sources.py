@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import functools
 import re
-from pathlib import Path
 
-import contact_system
-
+from .build import texts
 from .data import as_c
 
-C_FOLDER = Path(__file__).parent / "c"
-ENGINE = Path(contact_system.__file__).parent / "engine"
 _INCLUDE = re.compile(r'(#include "\w+)\.c"')
 UNITS = ("fmu.c", "kernel.c")
 SHARED = (
@@ -24,14 +20,10 @@ SHARED = (
 @functools.cache
 def _texts(layer: str) -> dict[str, str]:
     """What FMUs of one version of FMI have in common, under the names that it has there."""
-    folders = [ENGINE, ENGINE / "generated"]
-    files = {p.name: p.read_text("utf-8") for f in folders for p in sorted(f.glob("*.[chi]*"))}
-    others = {f"fmi{other}{end}" for other in "23" if other != layer for end in (".c", "_types.h")}
-    skipped = {*others, "resource.c", "slip_integrator.c"}
-    files |= {
-        p.name: p.read_text("utf-8") for p in C_FOLDER.glob("*.[ch]") if p.name not in skipped
-    }
-    return {_part(n): t.replace('"generated/', '"') for n, t in files.items() if n[-3:] != ".py"}
+    other = {"2": "3", "3": "2"}[layer]
+    skipped = ("resource.c", f"fmi{other}.c", f"fmi{other}_types.h")
+    files = {file.name: text for file, text in texts().items() if file.name not in skipped}
+    return {_part(name): text.replace('"generated/', '"') for name, text in files.items()}
 
 
 def _part(name: str) -> str:

@@ -16,6 +16,7 @@ from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
 from . import build
+from .archive import target, write_fmu
 from .description import generation_time, xml_text
 from .export import export_fmu
 
@@ -59,7 +60,7 @@ def export_ssp(
         raise ContactSystemError(
             f'models = {models!r:.80}: give Scenes or paths of FMUs by name: {{"left": scene}}'
         )
-    path, moment, platforms = build.target(path), generation_time(), build.chosen(platforms)
+    path, moment, platforms = target(path), generation_time(), build.chosen(platforms)
     files, found = {}, {}
     with tempfile.TemporaryDirectory(prefix="contact-system-") as folder:
         for (name, model), stem in zip(models.items(), _file_stems(models)):
@@ -70,7 +71,7 @@ def export_ssp(
             found[name] = source, _read(name, model)
             files[source] = Path(model).read_bytes()
     files["SystemStructure.ssd"] = _structure(found, connections).encode()
-    build.write_fmu(path, files, moment[:6])
+    write_fmu(path, files, moment[:6])
     return path
 
 
@@ -120,7 +121,7 @@ def _structure(
         types = [kind for _, _, kind in places if kind]
         if not types:
             raise ContactSystemError(f"connections: {pair!r}: neither is a variable of a model")
-        attributes = {}
+        attributes: dict[str, str] = {}
         for (model, variable, _), kind in zip(places, _SIDES):
             side = _SIDES[kind]
             # what goes into the system is an input of it and goes out to its models
@@ -136,8 +137,8 @@ def _structure(
             attributes |= {f"{side}Element": model} if model else {}
             attributes[f"{side}Connector"] = variable
         _add(lines, "Connection", **attributes)
-    ends = [d.defaultExperiment for _, d in models.values() if d.defaultExperiment]
-    stop = max((float(e.stopTime) for e in ends if e.stopTime), default=1.0)
+    stops = [getattr(d.defaultExperiment, "stopTime", None) for _, d in models.values()]
+    stop = max((float(t) for t in stops if t), default=1.0)
     _add(root, "DefaultExperiment", startTime="0", stopTime=repr(stop))
     return xml_text(root)
 

@@ -22,7 +22,7 @@ STEP = 2.0**-5  # ecos adds steps up; sums of this one are exact
 STEPPING = ("fmpy", "ecos", "libcosim", "container", "fmuloader")
 
 
-def off_plan(scene: cs.Scene, run, version: str, count: int) -> float:
+def off_plan(scene: cs.Scene, run, version: str, count: int, **options) -> float:
     """Greatest difference of points and slip, of their size."""
     contacts, plan = range(len(scene.contacts)), cs.plan(scene, 1e-14)
     t, worst = STEP * np.arange(1, count + 1), 0.0
@@ -33,7 +33,7 @@ def off_plan(scene: cs.Scene, run, version: str, count: int) -> float:
         for q, x in wanted.items()
     }
     try:
-        found = run(exported(scene, version), sum(names.values(), []), STEP, count)
+        found = run(exported(scene, version, **options), sum(names.values(), []), STEP, count)
     except Unavailable as error:
         pytest.skip(str(error))
     for quantity, values in wanted.items():
@@ -49,6 +49,14 @@ def test_importers_step_an_fmu_along_the_plan(importer, version):
     if (importer, version) == ("libcosim", "3.0"):
         pytest.skip("libcosimpy 0.0.6 crashes on files of FMI 3")
     assert off_plan(K4, getattr(importers, f"{importer}_steps"), version, 96) < 1e-12
+
+
+@pytest.mark.slow  # ziglang builds a C library when it is used first
+def test_wasmtime_steps_an_fmu_along_the_plan():
+    pytest.importorskip("ziglang")
+    off = off_plan(K4, importers.wasm_steps, "3.0", 96, platforms=("wasm32",))
+    print(f"wasm32: {off:.1e} off plan()")
+    assert off < 1e-13
 
 
 @pytest.mark.parametrize("version", VERSIONS)

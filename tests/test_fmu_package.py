@@ -22,10 +22,18 @@ fmpy = pytest.importorskip("fmpy")
 
 from fmpy.validation import validate_fmu  # noqa: E402
 from fmu_hosts.blocks import exported  # noqa: E402
-from fmu_hosts.native import Fmu, Program, Unavailable, difference, find_compiler  # noqa: E402
+from fmu_hosts.native import (  # noqa: E402
+    FMI_HEADERS,
+    Fmu,
+    Program,
+    Unavailable,
+    difference,
+    find_compiler,
+)
 
 from fmu_export import build, check_fmu, cli, export_fmu  # noqa: E402
-from fmu_export.build import FMI_HEADERS, PLATFORMS, write_fmu  # noqa: E402
+from fmu_export.archive import write_fmu  # noqa: E402
+from fmu_export.build import PLATFORMS  # noqa: E402
 
 of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
@@ -166,7 +174,7 @@ def test_every_platform_is_in_one_file_if_asked_for(tmp_path):
     path = export_fmu(cs.load_scene("C1"), tmp_path / "C1.fmu", "3.0", platforms=sorted(PLATFORMS))
     names = zipfile.ZipFile(path).namelist()
     for platform in PLATFORMS.values():
-        assert any(n.startswith(f"binaries/{platform[1]}/") for n in names)
+        assert any(n.startswith(f"binaries/{platform.folder_3}/") for n in names)
     fmu = Fmu.unpacked(path, tmp_path / "C1")
     assert b"\0C1.dll\0" in fmu.library("x86_64-windows").read_bytes()
 
@@ -199,14 +207,16 @@ def test_a_cache_that_others_may_write_to_is_refused_and_what_was_damaged_is_bui
 ):
     pytest.importorskip("ziglang")
     monkeypatch.setenv("CONTACT_SYSTEM_CACHE", str(tmp_path / "cache"))
-    good = build.library({"one.c": "int one(void) { return 1; }\n"}, "one", "native")
+    monkeypatch.setattr(build, "UNITS", (one := tmp_path / "one.c",))
+    one.write_text("int one(void) { return 1; }\n")
+    good = build.library("x86_64-linux", "one")
     assert (tmp_path / "cache").stat().st_mode & 0o777 == 0o700
     (kept,) = (tmp_path / "cache").glob("*.fmulib")
     kept.write_bytes(b"")
-    assert build.library({"one.c": "int one(void) { return 1; }\n"}, "one", "native") == good
+    assert build.library("x86_64-linux", "one") == good
     (tmp_path / "cache").chmod(0o777)
     with pytest.raises(cs.ContactSystemError, match="can be written to by others"):
-        build.library({"two.c": "int two(void) { return 2; }\n"}, "two", "native")
+        build.library("x86_64-linux", "two")
 
 
 # --- the command

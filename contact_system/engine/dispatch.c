@@ -13,6 +13,11 @@
 
 extern const engine_t engine_baseline;
 
+#ifdef __wasm__
+/* What longjmp throws, which ziglang's C library leaves out */
+__asm__(".weak __c_longjmp\n.tagtype __c_longjmp i32\n__c_longjmp:\n");
+#endif
+
 #if defined HAVE_V3 || defined HAVE_V4
 #include <cpuid.h>
 

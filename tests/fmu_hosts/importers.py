@@ -122,6 +122,52 @@ def _loaded(fmu: Fmu, interface: str) -> tuple[Any, Callable]:
     return one, one.get_real if version == "2" else one.get_float64
 
 
+class _Wasm:
+    """The library for wasm32 in wasmtime; it finds the FMU's folder at its root."""
+
+    def __init__(self, fmu: Fmu):
+        w = _needed("wasmtime", "wasmtime")
+        config = w.Config()
+        config.wasm_exceptions = True
+        engine = w.Engine(config)
+        linker, self.store, wasi = w.Linker(engine), w.Store(engine), w.WasiConfig()
+        linker.define_wasi()
+        wasi.preopen_dir(str(fmu.folder), "/")
+        self.store.set_wasi(wasi)
+        module = w.Module.from_file(engine, str(fmu.library("wasm32")))
+        self.found = linker.instantiate(self.store, module).exports(self.store)
+        self.call("_initialize")
+
+    def call(self, name: str, *arguments: float) -> Any:
+        return self.found[name](self.store, *arguments)
+
+    def put(self, data: bytes) -> int:
+        """Its address."""
+        at = self.call("malloc", len(data))
+        self.found["memory"].write(self.store, data, at)
+        return at
+
+    def numbers(self, at: int, count: int) -> np.ndarray:
+        return np.frombuffer(self.found["memory"].read(self.store, at, at + 8 * count))
+
+
+def wasm_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
+    """By wasmtime, files of FMI 3 that hold a library for wasm32."""
+    host, n, rows = _Wasm(fmu), len(names), []
+    texts = (host.put(text.encode() + b"\0") for text in ("planner", fmu.token, "/resources/"))
+    one = host.call("fmi3InstantiateCoSimulation", *texts, *(0,) * 9)
+    assert host.call("fmi3EnterInitializationMode", one, 0, 0.0, 0.0, 0, 0.0) == 0
+    assert host.call("fmi3ExitInitializationMode", one) == 0
+    references = host.put(np.array(_references(fmu, names), "<u4").tobytes())
+    told, values = host.put(bytes(32)), host.put(bytes(8 * n))
+    flags = (told, told + 4, told + 8, told + 16)
+    for k in range(count):
+        assert host.call("fmi3DoStep", one, k * step, step, 1, *flags) == 0
+        assert host.call("fmi3GetFloat64", one, references, n, values, n) == 0
+        rows.append(host.numbers(values, n))
+    return np.array(rows)
+
+
 # --- Model Exchange, at 1e-10 --------------------------------------------------------------------
 
 

@@ -28,9 +28,9 @@ from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackL
 from fmpy.fmi3 import FMU3Model, FMU3Slave, fmi3LogMessageCallback
 from fmpy.model_description import ModelDescription, ModelVariable
 
-from fmu_export.build import FMI_HEADERS, PLATFORMS, library_place, native_platform
+from fmu_export.build import PLATFORMS, library_place, native_platform
 
-HERE = Path(__file__).parent
+HERE, FMI_HEADERS = Path(__file__).parent, Path(fmpy.__file__).parent / "c-code"
 FLAGS = ("-std=gnu11", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wno-unused-function")
 SANITIZERS = (
     "-fsanitize=address,undefined",
@@ -177,7 +177,7 @@ class Program:
             raise Unavailable("allocations are counted with glibc only")
         self._runner, self._environment = _runner(self.target)
         flags = [*FLAGS, f"-DFMI_VERSION={fmu.version[0]}", f"-I{HERE}", f"-I{FMI_HEADERS}"]
-        windows = PLATFORMS[self.target][2] == ".dll"
+        windows = PLATFORMS[self.target].suffix == ".dll"
         self._file = self.folder / (f"{name}.exe" if windows else name)
         sources, link = [HERE / f"{name}.c"], ["-lm", *([] if windows else ["-lpthread"])]
         if sanitized:
@@ -223,7 +223,7 @@ def _compiler(target: str) -> tuple[str, ...]:
         return compiler
     if not importlib.util.find_spec("ziglang"):
         raise Unavailable("no compiler for other platforms: ziglang is not installed")
-    return (sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[target][3])
+    return (sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[target].target)
 
 
 def _runner(target: str) -> tuple[list[str], dict[str, str]]:

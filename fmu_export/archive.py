@@ -1,0 +1,118 @@
+"""Everything into one .fmu or .ssp file, which is checked once it is written."""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from fmpy.model_description import ValidationError, read_model_description
+
+from contact_system.checks import a_path
+from contact_system.errors import ContactSystemError
+from contact_system.writing import writing
+
+
+def target(path: str | os.PathLike) -> Path:
+    """The path of a file to write.
+
+    Raises
+    ------
+    ContactSystemError
+        It is none, or a folder, a device or a pipe, or lies in something that is no folder.
+    """
+    path = a_path(path)
+    try:
+        if path.is_dir():
+            raise ContactSystemError(f"'{path}' is a folder; name the file to write in it")
+        if path.exists() and not path.is_file():
+            raise ContactSystemError(
+                f"'{path}' is a device or a pipe, which a file would replace; name a file"
+            )
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ContactSystemError(f"no file can be written to '{path}': {error}") from None
+    return path
+
+
+def write_fmu(
+    path: Path,
+    files: Mapping[str, bytes],
+    moment: Sequence[int],
+    check: Callable[[str], Sequence[str]] = lambda half: (),
+) -> None:
+    """Write a zip file whose bytes depend on the files and the moment (y, m, d, h, min, s) only.
+
+    ``check`` says what is wrong with the file; one that is wrong replaces nothing.
+
+    Raises
+    ------
+    ContactSystemError
+        What ``check`` says, or why the file cannot be written.
+    """
+    # zip knows the years 1980 to 2107 only
+    stamp = min(max(tuple(moment), (1980, 1, 1, 0, 0, 0)), (2107, 12, 31, 23, 59, 58))
+    with writing(path) as file:
+        data = _zipped(files, stamp)
+        file.write(data)
+        file.flush()
+        if Path(file.name).read_bytes() != data:  # a full disk does not always tell
+            raise ContactSystemError(f"{path}: what was written cannot be read back; write again")
+        if problems := check(file.name):
+            raise ContactSystemError(f"{path}: fmpy's validation says: " + "; ".join(problems))
+
+
+@functools.lru_cache(maxsize=64)
+def _deflated(data: bytes) -> tuple[int, bytes]:
+    """Checksum and compressed bytes; most of an FMU is the same in all."""
+    packer = zlib.compressobj(6, zlib.DEFLATED, -15)
+    return zlib.crc32(data), packer.compress(data) + packer.flush()
+
+
+def _zipped(files: Mapping[str, bytes], moment: Sequence[int]) -> bytes:
+    """A zip file by names: zipfile cannot be given what is compressed already."""
+    year, month, day, hour, minute, second = moment
+    stamp = (hour << 11 | minute << 5 | second // 2, (year - 1980) << 9 | month << 5 | day)
+    at, parts, entries = 0, [], []
+    for name in sorted(files):
+        crc, data = _deflated(files[name])
+        word = name.encode()
+        # version 2.0, names in UTF-8, deflated
+        said = struct.pack("<HHHHHIII", 20, 0x800, 8, *stamp, crc, len(data), len(files[name]))
+        said += struct.pack("<HH", len(word), 0)
+        parts.append(b"PK\3\4" + said + word + data)
+        tail = struct.pack("<HHHII", 0, 0, 0, 0o100644 << 16, at)
+        entries.append(b"PK\1\2" + struct.pack("<H", 3 << 8 | 20) + said + tail + word)
+        at += 30 + len(word) + len(data)
+    count, directory = len(entries), b"".join(entries)
+    end = struct.pack("<HHHHIIH", 0, 0, count, count, len(directory), at, 0)
+    return b"".join([*parts, directory, b"PK\5\6", end])
+
+
+# --- what fmpy's validation says, in a thousandth of its time -------------------------------------
+
+_WORD = r"[A-Za-z_]\w*(\[\d+(,\d+)*\])?"
+_NAME = re.compile(rf"(der\({_WORD}(\.{_WORD})*\)|{_WORD}(\.{_WORD})*)\Z", re.ASCII)
+"""Structured names (FMI 2.0.4, section 2.2.9; FMI 3.0.2, section 2.4.7.5.1), as far as they are
+used here. fmpy spends nearly all its time on a grammar of them."""
+
+
+def problems_of(filename: str) -> list[str]:
+    """What is wrong with an FMU: modelDescription.xml, an empty library."""
+    with zipfile.ZipFile(filename) as archive:
+        empty = [f"{f.filename} is empty" for f in archive.filelist if not f.file_size]
+    if empty:
+        return empty
+    try:
+        found = read_model_description(filename, validate=True, validate_model_structure=True)
+    except ValidationError as error:
+        return list(error.problems)
+    names = [v.name for v in found.modelVariables]
+    if found.variableNamingConvention != "structured":
+        return []
+    return [f"'{name}' is no structured name" for name in names if not _NAME.match(name)]
