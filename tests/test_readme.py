@@ -48,10 +48,14 @@ def test_the_drake_example_holds_about_one_newton():
     assert forces == pytest.approx([1.0, 1.0, 1.0], abs=0.15)
 
 
-def test_the_examples_of_the_page_on_drake_run(tmp_path):
-    pytest.importorskip("pydrake")
-    for example in blocks("python", README.parent / "docs" / "drake.md"):
-        run(example, tmp_path)
+@pytest.mark.parametrize(("page", "package"), [("drake", "pydrake"), ("fmu", "pythonfmu")])
+def test_the_examples_of_a_page_run(page, package, tmp_path):
+    pytest.importorskip(package)
+    examples = blocks("python", README.parent / "docs" / f"{page}.md")
+    said = [run(example, tmp_path) for example in examples]
+    if page == "fmu":
+        (off,) = re.findall(r"^(.*) m/s$", said[-1], re.M)
+        assert float(off) < 1e-15 and (tmp_path / "slip.png").exists()
 
 
 def test_the_python_example_has_ten_lines():
