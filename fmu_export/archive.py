@@ -13,30 +13,15 @@ from pathlib import Path
 
 from fmpy.model_description import ValidationError, read_model_description
 
-from contact_system.checks import a_path
+from contact_system.checks import a_path, make_folder
 from contact_system.errors import ContactSystemError
 from contact_system.writing import writing
 
 
 def target(path: str | os.PathLike) -> Path:
-    """The path of a file to write.
-
-    Raises
-    ------
-    ContactSystemError
-        It is none, or a folder, a device or a pipe, or lies in something that is no folder.
-    """
+    """The path of a file to write, in a folder that is there."""
     path = a_path(path)
-    try:
-        if path.is_dir():
-            raise ContactSystemError(f"'{path}' is a folder; name the file to write in it")
-        if path.exists() and not path.is_file():
-            raise ContactSystemError(
-                f"'{path}' is a device or a pipe, which a file would replace; name a file"
-            )
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ContactSystemError(f"no file can be written to '{path}': {error}") from None
+    make_folder(path.parent, "name a file in a folder that you may write to")
     return path
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -122,13 +121,11 @@ def _surface(surface: Surface, data: _Data) -> list[float]:
 
 def as_c(data: bytes) -> str:
     """The same as C, for FMUs of sources."""
-    words: Sequence[int] = np.frombuffer(data, dtype="<u8").tolist()
-    rows = ",\n  ".join(
-        ", ".join(f"{x:#x}" for x in words[k : k + 6]) for k in range(0, len(words), 6)
-    )
+    words = np.frombuffer(data, dtype="<u8").tolist()
+    rows = ("%#x, " * 6 + "\n  ") * (len(words) // 6) + "%#x, " * (len(words) % 6)
     return (
         "/* The scene, see model.h: doubles as their bits on little-endian machines. */\n"
-        f"static const unsigned long long scene_words[] = {{\n  {rows}}};\n\n"
+        f"static const unsigned long long scene_words[] = {{\n  {rows % tuple(words)}}};\n\n"
         "static double *scene_data(const char *resources, size_t *count) {\n"
         "  double *data = malloc(sizeof scene_words);\n"
         "  (void)resources;\n"
