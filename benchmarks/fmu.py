@@ -7,6 +7,7 @@ is missing leaves its bars unmeasured, and the note says what to install.
 from __future__ import annotations
 
 import ctypes
+import dataclasses
 import itertools
 import subprocess
 import time
@@ -17,7 +18,7 @@ from typing import Any
 import fmpy
 import numpy as np
 from fmpy.fmi1 import FMICallException
-from fmu_hosts import EVERYTHING, native
+from fmu_hosts import EVERYTHING, importers, native
 from fmu_hosts.blocks import Instance
 from fmu_hosts.native import Fmu, Program, Unavailable
 
@@ -210,6 +211,32 @@ def resynchronizing(full: bool) -> Iterator[Bar]:
     yield Bar("resynchronising, a contact", 10.0, float(np.median(spent)), "us", note=note)
 
 
+def other_importers(full: bool) -> Iterator[Bar]:
+    """K4 stepped and integrated by all importers; CasADi, which knows no windows, without them."""
+    for version in VERSIONS:
+        kinds = {"steps": (importers.STEPPING, 1e-12), "integrates": (importers.INTEGRATING, 1e-7)}
+        for kind, (names, bar) in kinds.items():
+            for name in names:
+                yield _imported(f"{name}_{kind}", version, bar)
+    yield _imported("wasm_steps", "3.0", 1e-13, "wasm32")
+
+
+def _imported(run: str, version: str, bar: float, *platforms: str) -> Bar:
+    scene, what = scene_of("K4"), f"FMI {version}, {run.replace('_', ' ')}: off plan()"
+    if run.startswith("casadi"):
+        scene = scene.replace(disturbances=[], contacts=[_at_rest(c) for c in scene.contacts])
+    try:
+        fmu = fmu_of(scene, version, *platforms)
+        return Bar(what, bar, importers.off_plan(getattr(importers, run), fmu, scene, 96))
+    except Unavailable as error:
+        return Bar(what, bar, None, note=str(error))
+
+
+def _at_rest(contact: cs.Contact) -> cs.Contact:
+    """The same, so that it slips at the start."""
+    return dataclasses.replace(contact, object_velocity="rest")
+
+
 def platforms(full: bool) -> Iterator[Bar]:
     """The same FMU under wine and qemu, against this machine."""
     for target, version in itertools.product(TARGETS, VERSIONS):
@@ -371,6 +398,7 @@ SECTIONS: Sections = {
     "model_exchange": model_exchange,
     "euler": euler,
     "resynchronizing": resynchronizing,
+    "importers": other_importers,
     "platforms": platforms,
     "speed": speed,
     "pythonfmu": pythonfmu,

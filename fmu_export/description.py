@@ -76,7 +76,9 @@ def model_description(
     root.extend(_interface(table, fmi_version, i) for i in sorted(interfaces, reverse=True))
     root.append(_unit_definitions(table))
     root.append(_type_definitions(table, fmi_version))
-    add_log_categories(root, LOG_CATEGORIES)
+    categories = ET.SubElement(root, "LogCategories")
+    for name, words in LOG_CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=words)
     scene, horizon = table.scene, table.scene.duration
     smallest = min(s.size for s in (scene.object, *(c.finger for c in scene.contacts)))
     fastest = max(scene.profile(t) for t in np.linspace(0.0, horizon, 65))
@@ -195,7 +197,7 @@ def _interface(table: Table, fmi_version: str, interface: str) -> ET.Element:
 def _unit_definitions(table: Table) -> ET.Element:
     element = ET.Element("UnitDefinitions")
     for unit in sorted({row.unit for row in table.rows if row.unit is not None}):
-        add_unit(element, unit)
+        _add_unit(element, unit)
     return element
 
 
@@ -227,21 +229,14 @@ def _type_definitions(table: Table, fmi_version: str) -> ET.Element:
     return element
 
 
-def add_unit(parent: ET.Element, unit: Unit, namespace: str = "") -> None:
-    """What a unit's name stands for, in FMI's words and SSP's."""
+def _add_unit(parent: ET.Element, unit: Unit) -> None:
+    """What a unit's name stands for."""
     exponents = {k: str(x) for k, x in zip(("m", "s", "rad"), unit) if x}
-    own = ET.SubElement(parent, f"{namespace}Unit", name=unit_name(unit))
-    ET.SubElement(own, f"{namespace}BaseUnit", exponents)
-    if unit[2] == 1 and not namespace:  # SSP has no display units
+    own = ET.SubElement(parent, "Unit", name=unit_name(unit))
+    ET.SubElement(own, "BaseUnit", exponents)
+    if unit[2] == 1:
         name = unit_name(unit).replace("rad", "deg")
         ET.SubElement(own, "DisplayUnit", name=name, factor=_number(_DEGREE))
-
-
-def add_log_categories(parent: ET.Element, names: Iterable[str]) -> None:
-    """Some of `LOG_CATEGORIES`."""
-    categories = ET.SubElement(parent, "LogCategories")
-    for name in names:
-        ET.SubElement(categories, "Category", name=name, description=LOG_CATEGORIES[name])
 
 
 # --- variables -----------------------------------------------------------------------------------

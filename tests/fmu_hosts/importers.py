@@ -17,8 +17,15 @@ import fmpy
 import numpy as np
 from scipy.integrate import solve_ivp
 
+import contact_system as cs
+
 from .native import Fmu, Unavailable
 
+STEPPING, INTEGRATING = (
+    ("fmpy", "ecos", "libcosim", "container", "fmuloader"),
+    ("fmpy", "fmuloader", "casadi"),
+)
+STEP = 2.0**-5  # ecos adds steps up; sums of this one are exact
 NANOSECOND = 1e-9
 Names = Sequence[str]
 
@@ -41,6 +48,24 @@ def _by_fmpy(file: Path, names: Names, step: float, count: int, **options: Any) 
     given = {"output": list(names), "output_interval": step, "stop_time": count * step} | options
     result = fmpy.simulate_fmu(str(file), **given)
     return np.stack([result[name] for name in names], axis=1)[1:]
+
+
+def off_plan(run: Callable[..., np.ndarray], fmu: Fmu, scene: cs.Scene, count: int) -> float:
+    """Greatest difference of points and slip from the plan's, of their size."""
+    contacts, plan = range(len(scene.contacts)), cs.plan(scene, 1e-14)
+    t, worst = STEP * np.arange(1, count + 1), 0.0
+    wanted = {"slip": plan.slip(t)}
+    wanted |= {f"{s}.point": plan.points(t)[:, :, k] for k, s in enumerate(("finger", "object"))}
+    names = {
+        q: [f"contact[{i + 1}].{q}.{axis}" for i in contacts for axis in "xyz"[: x.shape[2]]]
+        for q, x in wanted.items()
+    }
+    found = run(fmu, sum(names.values(), []), STEP, count)
+    for quantity, values in wanted.items():
+        own, found = np.split(found, [len(names[quantity])], axis=1)
+        off = np.abs(own - values.reshape(count, -1)).max()
+        worst = max(worst, off / np.abs(values).max())
+    return worst
 
 
 # --- Co-Simulation -------------------------------------------------------------------------------
@@ -67,7 +92,8 @@ def ecos_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
 
 
 def libcosim_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
-    """FMI 2; version 0.0.6 of its Python package crashes on any file of FMI 3."""
+    if fmu.version == "3.0":
+        raise Unavailable("libcosimpy 0.0.6 crashes on any file of FMI 3")
     part = lambda name: _needed(f"libcosimpy.{name}", "libcosimpy")  # noqa: E731
     part("CosimLogging").log_output_level(part("CosimLogging").CosimLogLevel.ERROR)
     execution = part("CosimExecution").CosimExecution.from_step_size(round(step / NANOSECOND))
@@ -84,10 +110,8 @@ def libcosim_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarra
 def container_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
     """In a container of fmu-manipulation-toolbox, of the same version, stepped by fmpy."""
     assembly = _needed("fmu_manipulation_toolbox.assembly", "fmu-manipulation-toolbox")
-    node = assembly.AssemblyNode("container.fmu", step_size=step, auto_output=False)
+    node = assembly.AssemblyNode("container.fmu", step_size=step)
     node.add_fmu(fmu.path.name)
-    for name in names:
-        node.add_output(fmu.path.name, name, name)
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / fmu.path.name).write_bytes(fmu.path.read_bytes())
         node.make_fmu(Path(folder), fmi_version=int(fmu.version[0]))
