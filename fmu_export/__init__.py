@@ -10,7 +10,7 @@ except ImportError as error:
 
 from .export import export_fmu
 from .reference import check_fmu
-from .slave import PlannerSlave2, PlannerSlave3, in_process, write_description
+from .slave import PlannerSlave2, PlannerSlave3, in_process
 from .ssp import export_ssp
 from .variables import Table, Variable, variable_table
 
@@ -24,5 +24,4 @@ __all__ = [
     "export_ssp",
     "in_process",
     "variable_table",
-    "write_description",
 ]

@@ -23,11 +23,10 @@ from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import read_model_description
 
-from contact_system.checks import a_path, flag, function_or_none, make_folder
+from contact_system.checks import flag, function_or_none
 from contact_system.engine.binding import LIBRARY
 from contact_system.errors import SceneError
 from contact_system.scene import Scene
-from contact_system.writing import writing
 
 from .build import library_place
 from .data import scene_data
@@ -36,46 +35,6 @@ from .variables import variable_table
 
 Logger = Callable[[int, str, str], None]
 """Takes a status, a category of `LOG_CATEGORIES` and a text."""
-
-
-def write_description(
-    scene: Scene,
-    folder: Path | str,
-    fmi_version: str = "2.0",
-    states: str = "auto",
-    arrays: bool = False,
-    measured: bool = False,
-) -> Path:
-    """Write what an importer wants to see: modelDescription.xml, and resources with the scene.
-
-    Parameters
-    ----------
-    scene : Scene
-    folder : path
-        Made where it is missing.
-    fmi_version, states, arrays, measured
-        As for `export_fmu`.
-
-    Returns
-    -------
-    Path
-        modelDescription.xml
-
-    Raises
-    ------
-    ContactSystemError
-        A scene that no importer can step, or an unknown version.
-    """
-    table = variable_table(scene, states, arrays and fmi_version == "3.0", measured)
-    text = model_description(table, fmi_version, ("CoSimulation",))
-    path = a_path(folder, "folder") / "modelDescription.xml"
-    for place in (path.parent, path.parent / "resources"):
-        make_folder(place, "give another folder")
-    with writing(path) as file:
-        file.write(text.encode())
-    with writing(path.parent / "resources" / "scene.bin") as file:
-        file.write(scene_data(table, instantiation_token(text)))
-    return path
 
 
 @contextlib.contextmanager
@@ -124,9 +83,15 @@ class _Slave:
         logger = function_or_none(logger, "logger", "a function of a status, a category and a text")
         self.scene, self._logger, self._said = scene, logger or _log, ""
         self._folder = tempfile.TemporaryDirectory(prefix="contact-system-")
-        path = write_description(scene, self._folder.name, self._version, **described)
-        identifier = model_identifier(scene)
-        library = path.parent / library_place(identifier, "native", self._version)
+        folder, identifier = Path(self._folder.name), model_identifier(scene)
+        arrays = described.pop("arrays", False) and self._version == "3.0"
+        table = variable_table(scene, arrays=arrays, **described)
+        text = model_description(table, self._version, ("CoSimulation",))
+        token = instantiation_token(text)
+        (folder / "modelDescription.xml").write_text(text, "utf-8")
+        (folder / "resources").mkdir()
+        (folder / "resources" / "scene.bin").write_bytes(scene_data(table, token))
+        library = folder / library_place(identifier, "native", self._version)
         library.parent.mkdir(parents=True)  # where fmpy looks for it
         try:
             library.symlink_to(LIBRARY)
@@ -134,7 +99,7 @@ class _Slave:
             shutil.copy(LIBRARY, library)
         # fmpy finds functions by the name of the class; the rest of what it makes is good here too
         plain = self._plain(
-            guid=instantiation_token(path.read_text("utf-8")),
+            guid=token,
             modelIdentifier=identifier,
             unzipDirectory=self._folder.name,
             instanceName=name or identifier,

@@ -17,7 +17,7 @@ from fmpy.model_description import read_model_description  # noqa: E402
 from fmpy.validation import validate_fmu  # noqa: E402
 from fmu_hosts.blocks import Instance  # noqa: E402
 
-from fmu_export import variable_table, write_description  # noqa: E402
+from fmu_export import in_process, variable_table  # noqa: E402
 from fmu_export.description import (  # noqa: E402
     model_description,
     model_identifier,
@@ -78,9 +78,8 @@ def test_names_and_start_values_are_those_that_were_promised():
 
 
 @of_versions
-def test_units_follow_the_chart_and_are_made_of_base_units(version, tmp_path):
-    folder = write_description(C2, tmp_path, version).parent
-    read = read_model_description(folder)
+def test_units_follow_the_chart_and_are_made_of_base_units(version, written):
+    read = read_model_description(written(C2, version))
     units = {u.name: u.baseUnit for u in read.unitDefinitions}
     assert (units["rad/s2"].rad, units["rad/s2"].s) == (1, -2)
     assert (units["m/s2"].m, units["m/s2"].s) == (1, -2)
@@ -252,19 +251,14 @@ def test_what_there_is_not_is_refused(options):
 
 
 @of_versions
-def test_description_is_a_slaves_only_file_and_says_what_it_can_do(tmp_path, version):
-    path = write_description(K1, tmp_path / "new", version)
-    names = {str(p.relative_to(path.parent)) for p in path.parent.rglob("*.*")}
-    assert names == {"modelDescription.xml", str(Path("resources", "scene.bin"))}
-    read = read_model_description(str(path.parent), validate=True)
-    can = read.coSimulation
+def test_a_slave_says_what_it_can_do(version):
+    with in_process(K1, version) as planner:
+        read = planner["model_description"]
+        assert (
+            "ntermediateUpdate" not in Path(planner["filename"], "modelDescription.xml").read_text()
+        )
     assert read.modelExchange is None
-    assert can.canHandleVariableCommunicationStepSize and not can.canInterpolateInputs
-    assert "ntermediateUpdate" not in path.read_text()
+    assert read.coSimulation.canHandleVariableCommunicationStepSize
+    assert not read.coSimulation.canInterpolateInputs
     with pytest.raises(cs.ContactSystemError, match="fmi_version = '1.0': use one of 2.0, 3.0"):
-        write_description(K1, tmp_path, "1.0")
-    with pytest.raises(cs.ContactSystemError, match="folder = 3: give a path"):
-        write_description(K1, 3)
-    (tmp_path / "file").touch()
-    with pytest.raises(cs.ContactSystemError, match="no folder '.*file': .*another"):
-        write_description(K1, tmp_path / "file")
+        in_process(K1, "1.0").__enter__()
