@@ -52,8 +52,8 @@ def test_importers_integrate_an_fmu_along_the_plan(importer, version):
 def imported(request):
     """CasADi's function of a scene, a point off anything special, its Jacobian there."""
     version, result = request.param
-    table = variable_table(K4)
-    function, builder = casadi_function(exported(K4, version), ["x", "u"], result)
+    table = variable_table(K4, "chart")
+    function, builder = casadi_function(exported(K4, version, states="chart"), ["x", "u"], result)
     columns = [table[n].reference for n in [*builder.x(), *builder.u()]]
     x = table.start_values[columns] + 0.1 * np.random.default_rng(1).standard_normal(len(columns))
     parts = function.jacobian()(*split(function, x), function(*split(function, x)))
