@@ -146,6 +146,8 @@ class ContactSensor:
 
     Attributes
     ----------
+    small, settled : float
+        Length of the steps at which Newton's method ends; of those that can be rounding, m.
     probes : list of Probe
         One a contact.
     """
@@ -153,10 +155,10 @@ class ContactSensor:
     def __init__(self, scene: Scene, tolerance: float = 1e-13):
         self.scene, obj = scene, scene.object
         sizes = [obj.size, *(contact.finger.size for contact in scene.contacts)]
-        small = tolerance * min(sizes)
+        self.small = tolerance * min(sizes)
         # steps shrink as their squares do: what stays above is rounding, as of a far larger body
-        self._settled = max(SETTLED * small, 1e-15 * max(sizes))
-        self.probes = [Probe(contact.finger, obj, small) for contact in scene.contacts]
+        self.settled = max(SETTLED * self.small, 1e-15 * max(sizes))
+        self.probes = [Probe(contact.finger, obj, self.small) for contact in scene.contacts]
 
     def measure(
         self,
@@ -200,7 +202,7 @@ class ContactSensor:
                     f"{at[1]} m on the object); measure nearby, turn the body's axes so that the "
                     "pole lies elsewhere, or choose another center"
                 )
-            if not found.step[i] <= self._settled:
+            if not found.step[i] <= self.settled:
                 raise ContactSystemError(
                     f"{what}: no common normal of the surfaces is found, the next step is "
                     f"{found.step[i]:.3g} m; give a point nearer to the contact"

@@ -14,7 +14,7 @@ from .build import PLATFORMS
 from .description import INTERFACES, VERSIONS
 from .export import export_fmu
 from .reference import check_fmu
-from .variables import STATES
+from .variables import MEASUREMENTS, STATES
 
 
 def register(commands: Any) -> None:
@@ -45,7 +45,10 @@ def register(commands: Any) -> None:
     )
     parser.add_argument("--arrays", action="store_true", help="FMI 3: vectors, not scalars")
     parser.add_argument(
-        "--measured", action="store_true", help="inputs of measured states to go on from"
+        "--measured",
+        choices=MEASUREMENTS,
+        default="nothing",
+        help="inputs of measured states, or of pose and twist, to go on from",
     )
     parser.add_argument(
         "--check", action="store_true", help="run the file against the results inside it"

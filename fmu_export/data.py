@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor, measurement
 from contact_system.engine.binding import SURFACES
 from contact_system.motion import MAY_BE_SINGULAR
 from contact_system.surfaces import Surface
@@ -17,7 +18,7 @@ from contact_system.theory.lowering import Table as Instructions
 from .model import TOLERANCE, equations, frame_sizes
 from .variables import Table
 
-MAGIC, VERSION, HEADER = 20261123.0, 1.0, 36
+MAGIC, VERSION, HEADER = 20261123.0, 2.0, 37
 KINDS = ("calculated", "independent", "fixed", "tunable", "input", "exact")
 
 
@@ -68,11 +69,13 @@ def scene_data(table: Table, token: str) -> bytes:
     for contact, at, block in zip(scene.contacts, table.finger_first, table.blocks):
         n_profile = len(scene.profile.coefficients)
         own = equations(contact.finger, scene.object, scene.gain.law, n_profile, table.frames)
-        if not any(own is known for known in systems):
-            systems.append(own)
-        which = next(k for k, known in enumerate(systems) if known is own)
         sizes = frame_sizes(contact.finger, scene.object) if table.frames else (0, 0)
-        contacts += [*_body(contact.finger, at, surfaces), block, which, *sizes]
+        contacts += [*_body(contact.finger, at, surfaces), block, _place(own, systems), *sizes]
+        sensor = measurement(contact.finger, scene.object) if table.measured == "pose" else own
+        unknowns = (3 if s.has_implicit else 2 for s in (contact.finger, scene.object))
+        contacts += [_place(sensor, systems), *unknowns]
+    sensed = ContactSensor(scene) if table.measured == "pose" else None
+    limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else ()
     scalars = table.scalars()
     least = [-np.inf if v.minimum is None else v.minimum for v in scalars]
     windows = [
@@ -91,11 +94,18 @@ def scene_data(table: Table, token: str) -> bytes:
         *(data.numbers(table.state_nominals), data.numbers(contacts)),
         *(data.numbers(rows), len(surfaces)),
         data.numbers([x for system in systems for x in data.table(system)]),
-        *(data.numbers(np.ravel(windows)), len(windows)),
+        *(data.numbers(np.ravel(windows)), len(windows), data.numbers(limits)),
         *(data.numbers(orders), len(orders) // 2, *obj),
     )
     body = b"".join(data.parts)
     return struct.pack("<4d", MAGIC, VERSION, data.size, zlib.adler32(body)) + head + body
+
+
+def _place(own: Instructions, systems: list[Instructions]) -> int:
+    """Of a table among all, to which it is added where it is new."""
+    known = next((k for k, other in enumerate(systems) if other is own), len(systems))
+    systems += [own] * (known == len(systems))
+    return known
 
 
 def _body(surface: Surface, at: int, surfaces: list[Surface]) -> list[float]:

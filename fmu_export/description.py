@@ -21,7 +21,8 @@ from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
 from .model import INPUTS
-from .variables import Table, Unit, Variable, unit_name
+from .quantities import Unit, Variable, unit_name
+from .variables import Table
 
 VERSIONS = ("2.0", "3.0")
 INTERFACES = ("CoSimulation", "ModelExchange")
@@ -175,7 +176,7 @@ def _head(table: Table, fmi_version: str) -> dict[str, str]:
     head = {
         "fmiVersion": fmi_version,
         "modelName": scene.name or "scene",
-        "description": scene.description or "Rolling contact curves",
+        "description": f"{scene.description or 'Rolling contact curves'} ({states_of(table)})",
         "version": __version__,
         "generationTool": f"contact-system {__version__}",
         "variableNamingConvention": "structured" if plain else "flat",
@@ -186,6 +187,11 @@ def _head(table: Table, fmi_version: str) -> dict[str, str]:
     if fmi_version == "2.0":
         head["numberOfEventIndicators"] = "0"
     return head
+
+
+def states_of(table: Table) -> str:
+    """What the continuous states are."""
+    return f"states: {'moving frames' if table.frames else 'coordinates of charts'}"
 
 
 def _interface(table: Table, fmi_version: str, interface: str) -> ET.Element:
@@ -353,9 +359,10 @@ def build_description(table: Table, sources: Sequence[str]) -> str:
 
 
 def terminals(table: Table) -> str:
-    """The text of terminalsAndIcons.xml: two terminals a contact, its disturbances and its motion.
+    """The text of terminalsAndIcons.xml: terminals of each contact's disturbances and motion.
 
-    FMI 3.0.2, section 2.4.9. Members are matched by name, in no order.
+    FMI 3.0.2, section 2.4.9. Members are matched by name, in no order: those of what is measured
+    are called as those of a motion, so that another FMU's motion can be connected to it.
     """
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     box = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}
@@ -364,18 +371,21 @@ def terminals(table: Table) -> str:
     ET.SubElement(picture, "Icon", box)
     everything = ET.SubElement(root, "Terminals")
     for i, block in enumerate(table.blocks):
-        for kind, causality in (("disturbance", "input"), ("motion", "output")):
+        own = range(block, block + table.block_size(i))
+        members: dict[str, dict[str, str]] = {}
+        for v in listed(table, "3.0"):
+            if v.reference in own and v.causality in ("input", "output"):
+                name = v.name.replace(f"contact[{i + 1}].", "")
+                kind = "disturbance" if v.causality == "input" else "motion"
+                kind = "measured" if name.startswith("measured.") else kind
+                members.setdefault(kind, {})[v.name] = name.removeprefix("measured.")
+        for kind, names in members.items():
             said = {"name": f"contact{i + 1}_{kind}", "matchingRule": "bus", "terminalKind": kind}
             named = table.scene.contacts[i].name or f"Contact {i + 1}"
-            said["description"] = f"{named}: {kind}"
-            terminal = ET.SubElement(everything, "Terminal", said)
-            for v in listed(table, "3.0"):
-                if not block <= v.reference < block + table.block_size(i):
-                    continue
-                if v.causality == causality:
-                    own = v.name.replace(f"contact[{i + 1}].", "")
-                    member = {"variableName": v.name, "memberName": own, "variableKind": "signal"}
-                    ET.SubElement(terminal, "TerminalMemberVariable", member)
+            terminal = ET.SubElement(everything, "Terminal", said, description=f"{named}: {kind}")
+            for name, member in names.items():
+                said = {"variableName": name, "memberName": member, "variableKind": "signal"}
+                ET.SubElement(terminal, "TerminalMemberVariable", said)
     return xml_text(root)
 
 

@@ -36,7 +36,7 @@ def export_fmu(
     progress: Callable[[str], None] | None = None,
     states: str = "auto",
     arrays: bool = False,
-    measured: bool = False,
+    measured: str = "nothing",
 ) -> Path:
     """Write a scene as a Functional Mock-up Unit.
 
@@ -57,10 +57,11 @@ def export_fmu(
         What the states are: see `variable_table`.
     arrays : bool
         FMI 3: vectors and matrices instead of scalars with FMI 2's names.
-    measured : bool
-        Inputs of measured states, ``contact[1].measured.finger.u`` and so on as `Plan.states` has
-        them: when ``contact[1].measured.trigger`` changes to another number than 0, the contact
-        goes on from there. Co-Simulation only.
+    measured : "nothing", "states" or "pose"
+        Of what there are inputs: states, ``contact[1].measured.finger.u`` and so on as
+        `Plan.states` has them, or the finger's pose and twist relative to the object, of the
+        outputs' names. When ``contact[1].measured.trigger`` changes to another number than 0, the
+        contact goes on from there. Co-Simulation only.
     progress : callable, optional
         Called with what is begun, once for each platform and for the file itself.
 
@@ -79,7 +80,7 @@ def export_fmu(
     platforms, interfaces = build.chosen(platforms), check_choice(fmi_version, interfaces)
     tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
     arrays = flag(arrays, "arrays") and fmi_version == "3.0"
-    table = variable_table(scene, states, arrays, flag(measured, "measured"))
+    table = variable_table(scene, states, arrays, measured)
     description = model_description(table, fmi_version, interfaces, UNITS)
     name, data = model_identifier(scene), scene_data(table, instantiation_token(description))
     # FMI's own headers are the importer's, which may give functions a prefix (FMI 3.0.2, 2.2.2).

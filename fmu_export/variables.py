@@ -12,18 +12,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
 
 from contact_system.errors import SceneError
 from contact_system.kept import kept
-from contact_system.scene import Contact, Scene, require_scene
+from contact_system.scene import Scene, require_scene
 from contact_system.surfaces import Quadric, Surface, UserSurface
 from contact_system.system import SceneSystem
 from contact_system.theory.gain import LAWS
 
+from .contact_variables import contact_rows
 from .model import (
     CHART_STATES,
     COORDINATES,
@@ -35,99 +36,7 @@ from .model import (
     kept_order,
     start_states,
 )
-
-SMALL = 0.1
-"""Nominal value of angles and path velocities: solvers take their absolute tolerances from it."""
-
-Unit = tuple[int, int, int]
-"""Exponents of metre, second and radian."""
-
-METRE, RADIAN, NONE = (1, 0, 0), (0, 0, 1), (0, 0, 0)
-_PLAIN_CHARTS = {
-    "FlatChart": (METRE, METRE),
-    "OffsetPlaneChart": (METRE, METRE),
-    "RoundCylinderChart": (RADIAN, METRE),
-    "EllipticCylinderChart": (RADIAN, METRE),
-    "HyperbolicCylinderChart": (RADIAN, METRE),
-}
-
-
-@dataclass(frozen=True)
-class Variable:
-    """One row of the table.
-
-    Attributes
-    ----------
-    name : str
-        In FMI 3, and in FMI 2 if it is a scalar.
-    reference : int
-        Value reference: index of the first element in the component's values.
-    causality, variability : str
-    initial : str or None
-        None for inputs and time, as the standard wants.
-    description : str
-    unit : (int, int, int) or None
-        Exponents of m, s, rad; None where a user's chart does not say.
-    start : tuple of float
-        One value an element; empty where the value is calculated.
-    elements : tuple of str
-        Names of the elements in FMI 2, row by row; empty for a scalar.
-    shape : tuple of int
-        () for a scalar.
-    minimum, nominal : float or None
-    derivative : int or None
-        Reference of the variable whose time derivative this is.
-    known : tuple of tuple of int
-        For each element, references of the elements that it depends on, itself left out: inputs,
-        states, parameters, time. Empty where the value is not a result.
-    """
-
-    name: str
-    reference: int
-    causality: str
-    variability: str
-    initial: str | None
-    description: str
-    unit: Unit | None = NONE
-    start: tuple[float, ...] = ()
-    elements: tuple[str, ...] = ()
-    shape: tuple[int, ...] = ()
-    minimum: float | None = None
-    nominal: float | None = None
-    derivative: int | None = None
-    known: tuple[tuple[int, ...], ...] = ()
-
-    @property
-    def size(self) -> int:
-        """Number of elements."""
-        return len(self.elements) or 1
-
-    @property
-    def kind(self) -> str:
-        """When it is set, if ever: "fixed", "tunable", "input", "independent", "exact" (a start
-        value) or "calculated"."""
-        if self.causality == "parameter":
-            return self.variability
-        if self.causality in ("input", "independent"):
-            return self.causality
-        return self.initial or "calculated"
-
-    def scalars(self) -> Iterator[Variable]:
-        """The variables of FMI 2 in this row."""
-        if not self.shape:
-            yield self
-            return
-        for i, name in enumerate(self.elements):
-            yield replace(
-                self,
-                name=name,
-                reference=self.reference + i,
-                start=self.start[i : i + 1],
-                elements=(),
-                shape=(),
-                derivative=None if self.derivative is None else self.derivative + i,
-                known=self.known[i : i + 1],
-            )
+from .quantities import METRE, NONE, SECOND, Unit, Variable, chart_units, per_second
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +60,8 @@ class Table:
         Whether the states are moving frames, not charts.
     arrays : bool
         Whether FMI 3 sees arrays.
-    measured : bool
-        Whether there are inputs of measured states.
+    measured : str
+        Of `MEASUREMENTS`.
     """
 
     scene: Scene
@@ -163,7 +72,7 @@ class Table:
     blocks: list[int]
     frames: bool
     arrays: bool
-    measured: bool
+    measured: str
 
     @kept
     def _by_name(self) -> dict[str, Variable]:
@@ -186,8 +95,8 @@ class Table:
 
     @property
     def n_measured(self) -> int:
-        """Number of a contact's inputs of measured states."""
-        return MEASURED if self.measured else 0
+        """Number of a contact's inputs of what is measured."""
+        return MEASUREMENTS[self.measured]
 
     def block_size(self, contact: int) -> int:
         """Number of a contact's values."""
@@ -259,10 +168,15 @@ class Table:
 
 
 STATES = ("auto", "chart", "frame")
+MEASUREMENTS = {"nothing": 0, "states": 10, "pose": 19}
+"""What can be measured of a contact, and how many inputs that is, the trigger among them."""
 
 
 def variable_table(
-    scene: Scene, states: str = "auto", arrays: bool = False, measured: bool = False
+    scene: Scene,
+    states: str = "auto",
+    arrays: bool = False,
+    measured: str = "nothing",
 ) -> Table:
     """The variables of a scene.
 
@@ -271,11 +185,12 @@ def variable_table(
     scene : Scene
     states : "auto", "chart" or "frame"
         What the states of Model Exchange, and the start values, are: charts, or moving frames, in
-        whose way no pole stands. "auto": charts where all surfaces have one.
+        whose way no pole stands. "auto": frames where a surface has no chart.
     arrays : bool
         Whether FMI 3 sees vectors and matrices instead of scalars.
-    measured : bool
-        Whether there are inputs of measured states, from which a trigger lets contacts go on.
+    measured : "nothing", "states" or "pose"
+        Of what there are inputs, from which a trigger lets contacts go on: states, or the finger's
+        pose and twist relative to the object.
 
     Raises
     ------
@@ -286,15 +201,19 @@ def variable_table(
     require_scene(scene)
     if states not in STATES:
         raise SceneError(f"states = {states!r}: use one of {', '.join(STATES)}")
+    if measured not in tuple(MEASUREMENTS):
+        raise SceneError(f"measured = {measured!r}: use one of {', '.join(MEASUREMENTS)}")
     surfaces = [scene.object, *(c.finger for c in scene.contacts)]
-    frames = states == "frame" or (states == "auto" and not all(s.has_chart for s in surfaces))
+    frames = states == "frame"
+    if states == "auto":
+        frames = not all(s.has_chart for s in surfaces)
     for surface in surfaces:
         if not (frames or surface.has_chart):
             raise SceneError(
                 f"{scene.title}: {surface!r} has no explicit chart f(u, v), in which states could "
                 'be; give states="frame" or a ParametricSurface'
             )
-        if measured and not surface.has_chart:
+        if MEASUREMENTS[measured] and not surface.has_chart:
             raise SceneError(
                 f"{scene.title}: {surface!r} has no explicit chart f(u, v), in which states could "
                 "be measured; leave measured out, or give a ParametricSurface"
@@ -310,7 +229,7 @@ def variable_table(
     law.append((1.0, None))
     values = [*law, *((x, surface) for surface in surfaces for x in surface.parameters)]
     rows = [
-        Variable("time", 0, "independent", "continuous", None, "Simulation time", (0, 1, 0)),
+        Variable("time", 0, "independent", "continuous", None, "Simulation time", SECOND),
         *(_parameter(scene, n, 1 + k, *x) for k, (n, x) in enumerate(zip(names, values))),
     ]
     first = {"gain": 1, "profile": 2, "scale": 2 + n_profile, "object": 3 + n_profile}
@@ -325,30 +244,12 @@ def variable_table(
         table.blocks.append(at)
         at += table.block_size(i)
     for i in range(len(scene.contacts)):
-        rows += _contact_rows(table, i, _known(table, i))
+        rows += contact_rows(table, i, _known(table, i))
     _require_names(table)
     return table
 
 
 MOST_COEFFICIENTS = 48
-
-
-def unit_name(unit: Unit) -> str:
-    """Such as "rad/s2"; "1" where nothing is left."""
-    over, under = "", ""
-    for symbol, exponent in zip(("m", "rad", "s"), (unit[0], unit[2], unit[1])):
-        text = symbol + (str(abs(exponent)) if abs(exponent) > 1 else "")
-        over, under = (over + text * (exponent > 0), under + text * (exponent < 0))
-    return (over or "1") + ("/" + under if under else "")
-
-
-def chart_units(surface: Surface) -> tuple[Unit | None, Unit | None]:
-    """Units of u and v; None where a user's chart does not say."""
-    if isinstance(surface, UserSurface):
-        u, v = (RADIAN if period else None for period in surface.periods())
-        return u, v
-    return _PLAIN_CHARTS.get(surface.chart.__name__, (RADIAN, RADIAN))
-
 
 # --- parameters ----------------------------------------------------------------------------------
 
@@ -404,12 +305,12 @@ def _window_rows(scene: Scene, at: int) -> Iterator[Variable]:
     for k, d in enumerate(scene.disturbances):
         i = int(d.contact)
         surface = scene.contacts[i].finger if d.slot == 0 else scene.object
-        units = [_per_second(unit, 2 if d.slot < 2 else 1) for unit in chart_units(surface)]
+        units = [per_second(unit, 2 if d.slot < 2 else 1) for unit in chart_units(surface)]
         what = f"disturbance of contact {i + 1}, {d.kind}"
         for j, (name, unit, value) in enumerate(
             (
-                ("start", (0, 1, 0), d.start),
-                ("stop", (0, 1, 0), d.stop),
+                ("start", SECOND, d.start),
+                ("stop", SECOND, d.stop),
                 ("u", units[0], d.value[0]),
                 ("v", units[1], d.value[1]),
             )
@@ -428,194 +329,6 @@ def _counted_from_one(name: str) -> str:
         index, rest = part.split("]", 1)
         head += f"[{int(index) + 1}]{rest}"
     return head
-
-
-# --- contacts ------------------------------------------------------------------------------------
-
-
-XY, XYZ = ("x", "y"), ("x", "y", "z")
-
-
-def _contact_rows(table: Table, i: int, known: list[tuple[int, ...]]) -> Iterator[Variable]:
-    scene, contact, first = table.scene, table.scene.contacts[i], table.blocks[i]
-    states = _frame_states(scene, contact) if table.frames else _states(scene, contact)
-    derivatives = [_derivative(v, table.frames) for v in states]
-    measured = _measured(scene, contact) if table.n_measured else []
-    n_inputs = INPUTS + table.n_measured
-    starts = [
-        *[0.0] * INPUTS,
-        *_measured_starts(contact)[: len(measured)],
-        *start_states(scene, contact, table.frames).tolist(),
-    ]
-    results = [*(_coordinates(scene, contact) if table.frames else ()), *_outputs(scene, contact)]
-    n_states, at = table.n_states(i), 0
-    for v in (*_inputs(scene, contact), *measured, *states, *derivatives, *results):
-        end, result = at + v.size, at - n_inputs - n_states
-        derivative = first + at - n_states if 0 <= result < n_states else None
-        yield replace(
-            v,
-            name=_of_contact(i, v.name),
-            reference=first + at,
-            start=tuple(starts[at:end]),
-            elements=tuple(_of_contact(i, name) for name in v.elements),
-            derivative=derivative,
-            known=tuple(known[result : result + v.size]) if result >= 0 else (),
-        )
-        at = end
-
-
-def _of_contact(i: int, name: str) -> str:
-    head, inner = ("der(", name[4:]) if name.startswith("der(") else ("", name)
-    return f"{head}contact[{i + 1}].{inner}"
-
-
-def _quantity(
-    name: str,
-    axes: tuple[str, ...],
-    unit: Unit | None,
-    text: str,
-    nominal: float | None = None,
-    shape: tuple[int, ...] = (),
-    kind: tuple[str, str | None] = ("output", "calculated"),
-) -> Variable:
-    """A row before it has a place, its names without ``contact[i].``."""
-    elements = tuple(name + (axis if axis.startswith("[") else f".{axis}") for axis in axes)
-    shape = shape or ((len(axes),) if axes else ())
-    said = (name, 0, kind[0], "continuous", kind[1], text, unit, (), elements, shape)
-    return Variable(*said, nominal=nominal)
-
-
-def _inputs(scene: Scene, contact: Contact) -> Iterator[Variable]:
-    for side, surface, quantity, power, to in (
-        ("finger", contact.finger, "acceleration", 2, "second derivative"),
-        ("object", scene.object, "acceleration", 2, "second derivative"),
-        ("object", scene.object, "rate_offset", 1, "rate, not to the feedback,"),
-    ):
-        for axis, unit in zip("uv", chart_units(surface)):
-            text = f"Added to the {to} of {axis} of the {side}"
-            text += ", in addition to the scene's disturbance windows"
-            name = f"{side}.{quantity}.{axis}"
-            yield _quantity(name, (), _per_second(unit, power), text, kind=("input", None))
-
-
-MEASURED = 10
-
-
-def _measured(scene: Scene, contact: Contact) -> list[Variable]:
-    """Inputs of a contact's measured states, as `Plan.states` has them, and the trigger."""
-    rows = []
-    for side, surface in (("finger", contact.finger), ("object", scene.object)):
-        units = list(zip("uv", chart_units(surface)))
-        for rate in ("", "_rate"):
-            for axis, unit in units:
-                text = f"Measured {'rate of ' * bool(rate)}{axis} of the contact on the {side}"
-                unit = _per_second(unit, 1) if rate else unit
-                name = f"measured.{side}.{axis}{rate}"
-                rows.append(_quantity(name, (), unit, text, kind=("input", None)))
-    text = "Measured contact angle psi"
-    rows.append(_quantity("measured.angle", (), RADIAN, text, kind=("input", None)))
-    text = "Co-Simulation goes on from what is measured when this changes to another number than 0"
-    return [*rows, _quantity("measured.trigger", (), NONE, text, kind=("input", None))]
-
-
-def _measured_starts(contact: Contact) -> list[float]:
-    (u1, v1), (u2, v2) = contact.finger_at, contact.object_at
-    return [u1, v1, 0.0, 0.0, u2, v2, 0.0, 0.0, contact.angle, 0.0]
-
-
-def _states(scene: Scene, contact: Contact) -> list[Variable]:
-    rows: list[tuple[str, tuple[str, ...], Unit | None, str, float]] = []
-    for side, body, surface in (("finger", 1, contact.finger), ("object", 2, scene.object)):
-        for axis, unit in zip("uv", chart_units(surface)):
-            nominal = SMALL * surface.size if unit == METRE else SMALL
-            text = f"Coordinate {axis} of the contact point on the {side}"
-            rows.append((f"{side}.{axis}", (), unit, text, nominal))
-        text = f"Angle in E{body} of a frame carried along the path by parallel transport"
-        rows.append((f"{side}.frame_angle", (), RADIAN, text, SMALL))
-        text = f"Path velocity of the {side}'s contact point, M{body} dq{body}/ds, in that frame"
-        rows.append((f"{side}.velocity", XY, NONE, text, SMALL))
-    text = "Contact angle psi between the contact frames E1 and E2"
-    rows.append(("angle", (), RADIAN, text, SMALL))
-    return [_quantity(*row, kind=("output", "exact")) for row in rows]
-
-
-def _frame_states(scene: Scene, contact: Contact) -> list[Variable]:
-    rows: list[tuple[str, tuple[str, ...], Unit | None, str, float]] = []
-    sizes = frame_sizes(contact.finger, scene.object)
-    for side, surface, size in zip(("finger", "object"), (contact.finger, scene.object), sizes):
-        carried = f"frame carried along on the {side}"
-        if size == 6:
-            rows.append(
-                (f"{side}.frame.point", XYZ, METRE, f"Origin of the {carried}", surface.size)
-            )
-            rows.append((f"{side}.frame.axis", XYZ, NONE, f"First axis of the {carried}", 1.0))
-            continue
-        for axis, unit in zip("uv", chart_units(surface)):
-            nominal = SMALL * surface.size if unit == METRE else SMALL
-            rows.append(
-                (f"{side}.frame.{axis}", (), unit, f"Coordinate {axis} of the {carried}", nominal)
-            )
-        rows.append(
-            (f"{side}.frame.angle", (), RADIAN, f"Angle in the chart of the {carried}", SMALL)
-        )
-    text = "Path velocity of the finger's contact point in its carried frame"
-    rows.append(("frame.velocity", XY, NONE, text, SMALL))
-    rows.append(("frame.slip", XY, NONE, "Slip over sigma in the object's carried frame", SMALL))
-    return [_quantity(*row, kind=("output", "exact")) for row in rows]
-
-
-def _coordinates(scene: Scene, contact: Contact) -> list[Variable]:
-    """What charts say of carried frames, in the engine's order."""
-    rows = []
-    for side, surface in (("finger", contact.finger), ("object", scene.object)):
-        units = chart_units(surface)
-        for axis, unit in zip("uv", units):
-            text = f"Coordinate {axis} of the contact point on the {side}"
-            rows.append(_quantity(f"{side}.{axis}", (), unit, text))
-        for axis, unit in zip("uv", units):
-            text = f"Time derivative: Coordinate {axis} of the contact point on the {side}"
-            rows.append(_quantity(f"der({side}.{axis})", (), _per_second(unit, 1), text))
-    text = "Contact angle psi between the contact frames E1 and E2"
-    return [*rows, _quantity("angle", (), RADIAN, text)]
-
-
-def _derivative(state: Variable, local: bool) -> Variable:
-    """Rates of coordinates are outputs, the other derivatives are local."""
-    return replace(
-        state,
-        name=f"der({state.name})",
-        elements=tuple(f"der({name})" for name in state.elements),
-        description="Time derivative: " + state.description,
-        unit=_per_second(state.unit, 1),
-        causality="output" if state.name[-2:] in (".u", ".v") and not local else "local",
-        initial="calculated",
-        nominal=None,
-    )
-
-
-def _outputs(scene: Scene, contact: Contact) -> list[Variable]:
-    finger, obj = contact.finger.size, scene.object.size
-    speed = max(float(scene.profile(t)) for t in np.linspace(0.0, scene.duration, 33)) or None
-    cells = tuple(f"[{a},{b}]" for a in (1, 2, 3) for b in (1, 2, 3))
-    there, turning, moving = "in the object's frame", (0, -1, 1), (1, -1, 0)
-    recovery = "Time in which slip falls to a hundredth at its present rate; at most 1e6 s"
-    matrix = "Rotation matrix from the finger's frame to the object's"
-    origin = "of the finger's frame " + there
-    return [
-        _quantity("slip", XY, moving, "Slip v_rel in E2", speed),
-        _quantity("twist.angular", XYZ, turning, f"Angular velocity of the finger {there}"),
-        _quantity("twist.linear", XYZ, moving, f"Velocity of the origin {origin}", speed),
-        _quantity("pose.rotation", cells, NONE, matrix, shape=(3, 3)),
-        _quantity("pose.position", XYZ, METRE, f"Origin {origin}", max(finger, obj)),
-        _quantity("finger.point", XYZ, METRE, "Contact point in the finger's frame", finger),
-        _quantity("object.point", XYZ, METRE, f"Contact point {there}", obj),
-        _quantity(
-            "path.speed", (), moving, "sigma, the speed of the contact along its path", speed
-        ),
-        _quantity("slip_speed", (), moving, "Length of the slip", speed),
-        _quantity("disturbance.active", (), NONE, "1 while an input or a window acts, else 0"),
-        _quantity("recovery_time", (), (0, 1, 0), recovery),
-    ]
 
 
 # --- dependencies --------------------------------------------------------------------------------
@@ -637,13 +350,17 @@ def _known(table: Table, i: int) -> list[tuple[int, ...]]:
     step = np.full(n_states, 0.02)
     if not table.frames:
         step[[2, 3, 4, 7, 8, 9, 10]] = 0.18
+    scale = np.ones(n_states)
+    if table.frames:
+        clear = np.abs(start) > 1e-6
+        scale = np.where(clear, start, np.abs(start[clear]).min())
     constants = [scene.gain.value + 1.0, *scene.profile.coefficients, *finger.parameters]
     constants += obj.parameters
     arguments = table.arguments(i)
     found = np.zeros((made.n_out, len(arguments)), dtype=bool)
     for t in scene.duration * np.array([0.21, 0.52, 0.83]):
         # off the start, where symmetry hides dependencies, and inside any chart it is in
-        state = start + step * random.standard_normal(n_states) * np.where(table.frames, start, 1.0)
+        state = start + step * random.standard_normal(n_states) * scale
         state[-4:] += 0.1 * random.standard_normal(4) if table.frames else 0.0
         at = np.array([t, *state, *random.standard_normal(INPUTS), *constants])
         values = np.abs(jacobian(made, at[: made.n_in], at[made.n_in :]) * np.where(at == 0, 1, at))
@@ -655,14 +372,10 @@ def _known(table: Table, i: int) -> list[tuple[int, ...]]:
     behind = [[reference] for reference in arguments]
     for k, d in enumerate(scene.disturbances):
         for axis in range(2 if d.contact == i else 0):
-            own, scale = table.window_first + 4 * k, table.parameter_first["scale"]
-            behind[first_input + 2 * d.slot + axis] += [own, own + 1, own + 2 + axis, scale]
+            own, factor = table.window_first + 4 * k, table.parameter_first["scale"]
+            behind[first_input + 2 * d.slot + axis] += [own, own + 1, own + 2 + axis, factor]
     return [tuple(sorted({r for j in np.flatnonzero(row) for r in behind[j]})) for row in found]
 
 
 def _range(first: int, count: int) -> list[int]:
     return list(range(first, first + count))
-
-
-def _per_second(unit: Unit | None, times: int) -> Unit | None:
-    return None if unit is None else (unit[0], unit[1] - times, unit[2])

@@ -109,10 +109,23 @@ def test_a_start_without_a_contact_frame_is_refused(kind, version):
 @of_blocks
 def test_whole_turns_of_a_start_do_not_matter(kind, version):
     turned = {"contact[1].finger.u": K4.contacts[0].finger_at[0] + 2 * math.pi}
-    found, expected = (Instance(K4, kind, version).begin(start=x) for x in (turned, {}))
+    charts = {"states": "chart"}
+    found, expected = (Instance(K4, kind, version, **charts).begin(start=x) for x in (turned, {}))
     for one in (found, expected):
         one.step(1.5)
     close(found.states(), expected.states(), 1e-13)
+
+
+@of_blocks
+def test_a_measured_pose_without_a_contact_is_discarded(kind, version):
+    one, other = (Instance(K4, kind, version, measured="pose").begin() for _ in range(2))
+    for block in (one, other):
+        block.step(0.5)
+    one.put({"contact[2].measured.trigger": 1.0})  # the pose is still that of the start values
+    one.refused(r"contact\[2\].*no step.*measure", one.step, 0.1)
+    for block in (one, other):
+        block.step(0.1)
+    assert one.states().tolist() == other.states().tolist()
 
 
 @of_kinds
@@ -298,7 +311,8 @@ def test_model_exchange_tells_of_a_pole_and_refuses_what_lies_beyond(version):
     start = {"object_at": (0.3, 0.5), "finger_at": (1.2, 0.3), "angle": 0.0}
     start |= {"finger_velocity": (-1.0, 0.0), "object_velocity": "rolling", "profile": (0.1,)}
     scene = one_contact("sphere", cs.Sphere(0.04), cs.Gain.path(100.0), duration=0.5, **start)
-    one, u = Instance(scene, "FMU", version, "ModelExchange").begin(), "contact[1].object.u"
+    one = Instance(scene, "FMU", version, "ModelExchange", states="chart").begin()
+    u = "contact[1].object.u"
     if version == "3.0":
         one.own.updateDiscreteStates()
     rate, offset = f"der({u})", "contact[1].object.rate_offset.u"

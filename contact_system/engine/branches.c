@@ -88,6 +88,14 @@ static void wind(const surface_t *s, const double *ref, lanes_t z, int i) {
   wind_to(s, turned, ref, z, i);
 }
 
+/* u v u' v' theta of one place to the branch of a reference u v theta */
+static void wind_place(const surface_t *s, const double *ref, double *place) {
+  double z[N_COORDINATES][L];
+  for (int r = 0; r < N_COORDINATES; r++) z[r][0] = place[r];
+  wind(s, ref, z, 0);
+  for (int r = 0; r < N_COORDINATES; r++) place[r] = z[r][0];
+}
+
 /* Whether a path crosses cos v = 0, not sin u = 0, between two places x where sin u cos v = y has
    different signs, negative is the first: told where it crosses, by regula falsi (Illinois), so
    that it is right beside umbilics. */

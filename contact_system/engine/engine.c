@@ -206,4 +206,5 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                  .fields = fields,
                                  .shifts = shifts,
                                  .steer = steered,
-                                 .sign_changes = sign_changes};
+                                 .sign_changes = sign_changes,
+                                 .wind = wind_place};

@@ -214,6 +214,9 @@ typedef struct {
   /* of a polynomial: see polynomial.h */
   int64_t (*sign_changes)(const double *c, int64_t n, int64_t order, double a, double b,
                           double *found);
+  /* u v u' v' theta in principal values to the branch of its chart that a reference u v theta is on
+   */
+  void (*wind)(const surface_t *surface, const double *reference, double *place);
 } engine_t;
 
 #ifdef _WIN32

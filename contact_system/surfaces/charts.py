@@ -62,9 +62,9 @@ class Chart:
     or None, `double_cover` ((-u, pi - v) is the same point as (u, v), with both frame axes turned
     by pi), `developable` (T = 0 and constant Lame coefficients), `great_circles` (geodesics are
     great circles), `central` (every ray from a centre meets the surface once), `turning` (0 or 1:
-    the coordinate that only turns the surface about its axis; such a chart has `lame`),
-    `singular_at` (where the frame is lost, for messages; "" nowhere, None not known), `ranges` of
-    the principal branch.
+    the coordinate that only turns the surface about its axis; such a chart has `lame`), `lengths`
+    (whether u and v are lengths, m), `singular_at` (where the frame is lost, for messages; ""
+    nowhere, None not known), `ranges` of the principal branch.
     """
 
     orthogonal: ClassVar[bool] = False
@@ -74,6 +74,7 @@ class Chart:
     great_circles: ClassVar[bool] = False
     central: ClassVar[bool] = False
     turning: ClassVar[int | None] = None
+    lengths: ClassVar[tuple[bool, bool]] = (False, False)
     singular_at: ClassVar[str | None] = None
     ranges: ClassVar[str] = "u and v any real number"
 

@@ -16,6 +16,7 @@ class RoundCylinderChart(Chart):
     orthogonal = True
     turning: ClassVar[int | None] = 0
     periods = (TURN, None)
+    lengths = (False, True)
     developable = True
     singular_at = ""
     ranges = "-pi < u <= pi, v any"

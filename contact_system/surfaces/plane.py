@@ -15,6 +15,7 @@ class FlatChart(Chart):
 
     orthogonal = True
     developable = True
+    lengths = (True, True)
     singular_at = ""
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:

@@ -83,6 +83,7 @@ class HyperbolicCylinderChart(Chart):
     """(a sqrt(1 + u^2), b u, v), p = (a, b)."""
 
     orthogonal = True
+    lengths = (False, True)
     singular_at = ""
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:

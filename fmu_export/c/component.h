@@ -71,6 +71,9 @@ typedef struct component {
   double *buffer;       /* a contact's scene for the engine */
   double *seed, *grown; /* of all values */
   double (*tangents)[L];
+  double *registers;      /* of the tables by which contacts are measured, */
+  long room;              /* so many */
+  const char *unmeasured; /* why what was measured is no place to go on from */
   failure_t failure;
   int jumped; /* a window has begun or ended, and the importer does not know */
   void (*report)(struct component *, status_t, const char *category, const char *text);

@@ -82,8 +82,9 @@ static void read_surfaces(model_t *m) {
   }
   m->systems = next;
   for (long i = 0; i < m->n_contacts; i++) {
-    const long k = (long)contact_of(m, i)[P_SYSTEM];
-    read_table(m, section(m, D_SYSTEMS) + k * T_SIZE, next + k);
+    const double *row = contact_of(m, i), used[2] = {row[P_SYSTEM], row[P_SENSOR]};
+    for (int q = 0; q < 2; q++)
+      read_table(m, section(m, D_SYSTEMS) + (long)used[q] * T_SIZE, next + (long)used[q]);
   }
 }
 
@@ -93,12 +94,18 @@ static void lay_out(model_t *m) {
     layout_t *l = m->layout + i;
     for (int side = 0; side < 2; side++) l->frame[side] = (long)row[P_FRAME_1 + side];
     l->states = m->frames ? l->frame[0] + l->frame[1] + 4 : CHART_STATES;
-    l->input = (long)row[P_BLOCK], l->measured = l->input + DISTURBANCES;
-    l->state = l->measured + (long)m->data[D_MEASURED];
-    l->rate = l->state + l->states, l->coordinates = l->rate + l->states;
-    l->slip = l->coordinates + (m->frames ? 9 : 0), l->twist = l->slip + 2;
-    l->pose = l->twist + 6, l->points = l->pose + 12;
-    l->condition = l->points + 6, l->end = l->condition + 4;
+    const long sizes[GROUPS] = {[OF_INPUTS] = DISTURBANCES,
+                                [OF_MEASURED] = (long)m->data[D_MEASURED],
+                                [OF_STATES] = l->states,
+                                [OF_RATES] = l->states,
+                                [OF_COORDINATES] = m->frames ? 9 : 0,
+                                [OF_SLIP] = 2,
+                                [OF_TWIST] = 6,
+                                [OF_POSE] = 12,
+                                [OF_POINTS] = 6,
+                                [OF_CONDITION] = 4};
+    l->at[0] = (long)row[P_BLOCK];
+    for (int g = 0; g < GROUPS; g++) l->at[g + 1] = l->at[g] + sizes[g];
     m->n_states += l->states;
   }
   const char *name = (const char *)section(m, D_NAMES);
@@ -130,7 +137,7 @@ static model_t *read_model(const char *resources, const char **wrong) {
   m->frames = d[D_FRAMES] != 0.0;
   const size_t surfaces = (size_t)d[D_N_SURFACES], each = N_AMBIENT + N_CHART;
   m->surfaces = calloc(surfaces, sizeof *m->surfaces), m->own = calloc(surfaces, sizeof *m->own);
-  m->tables = calloc(surfaces * each + (size_t)m->n_contacts, sizeof *m->tables);
+  m->tables = calloc(surfaces * each + 2 * (size_t)m->n_contacts, sizeof *m->tables);
   m->layout = calloc((size_t)m->n_contacts, sizeof *m->layout);
   m->names = calloc((size_t)m->n_values, sizeof *m->names);
   *wrong = "no memory";

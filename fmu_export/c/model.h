@@ -18,7 +18,7 @@
 #endif
 
 #define DATA_MAGIC 20261123.0
-#define DATA_VERSION 1.0
+#define DATA_VERSION 2.0
 enum {
   D_MAGIC,
   D_VERSION,
@@ -32,7 +32,7 @@ enum {
   D_HORIZON,   /* s */
   D_TOLERANCE, /* of plans */
   D_FRAMES,    /* states are moving frames, not charts */
-  D_MEASURED,  /* inputs of measured states of each contact: 10, or 0 without charts */
+  D_MEASURED,  /* inputs of what is measured of each contact; 0: nothing */
   D_SCALE,     /* reference of the factor of the scene's windows */
   D_TOKEN,     /* text */
   D_NAMES,     /* texts, one after the other, of all values */
@@ -47,6 +47,7 @@ enum {
   D_SYSTEMS, /* tables of the equations of a contact, one after the other */
   D_WINDOWS, /* and how many */
   D_N_WINDOWS,
+  D_SENSOR, /* SENSOR_SIZE numbers */
   D_ORDERS, /* pairs of references: the first value stays greater than the second; or as it is */
   D_N_ORDERS,
   D_OBJECT, /* BODY numbers */
@@ -55,7 +56,20 @@ enum {
 /* a body: reference of its first parameter, how many, its surface, +1 or -1 inside, its scales */
 enum { Q_VALUES, Q_N_VALUES, Q_SURFACE, Q_SIGN, Q_LENGTH, Q_BEND, Q_REACH, Q_SIZE };
 /* a contact: sizes of frames among the states are 6, 3, or in charts 0 */
-enum { P_FINGER, P_BLOCK = P_FINGER + Q_SIZE, P_SYSTEM, P_FRAME_1, P_FRAME_2, P_SIZE };
+enum {
+  P_FINGER,
+  P_BLOCK = P_FINGER + Q_SIZE,
+  P_SYSTEM,
+  P_FRAME_1,
+  P_FRAME_2,
+  P_SENSOR, /* where it is measured by pose and twist: the table of a step towards the contact, */
+  P_UNKNOWN_1, /* and how many unknowns each body has there: 3, a point, or 2, coordinates */
+  P_UNKNOWN_2,
+  P_SIZE
+};
+/* what contact_sensor.py finds a contact by: steps so short end it, or so many; steps so short are
+   rounding; bodies with so little relative curvature conform */
+enum { N_SMALL, N_MOST_STEPS, N_SETTLED, N_CONFORMAL, SENSOR_SIZE };
 /* a window: its contact, its slot, reference of start, stop and two values */
 enum { V_CONTACT, V_SLOT, V_VALUES, V_SIZE };
 /* a surface: which of the engine's, or -1 and what it is, places of its tables or 0 */
@@ -88,12 +102,27 @@ enum {
 
 enum { TIME_VALUE, GAIN, PROFILE };                             /* references */
 enum { CALCULATED, INDEPENDENT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
-enum { U1, V1, DU1, DV1, U2, V2, DU2, DV2, PSI, TRIGGER };      /* of what is measured */
 enum { DISTURBANCES = 6, CHART_STATES = 11, BODY = 5, FRAME_ANGLE = 2, VELOCITY = 3, ANGLE = 10 };
 
-/* one contact's place among the values, each group from there on to the next */
+/* groups of a contact's values; results are those from the states on */
+enum {
+  OF_INPUTS,
+  OF_MEASURED,
+  OF_STATES,
+  OF_RATES,
+  OF_COORDINATES,
+  OF_SLIP,
+  OF_TWIST,
+  OF_POSE,
+  OF_POINTS,
+  OF_CONDITION,
+  GROUPS
+};
+
+/* one contact's place among the values */
 typedef struct {
-  long states, input, measured, state, rate, coordinates, slip, twist, pose, points, condition, end;
+  long at[GROUPS + 1]; /* references: each group from there on to the next */
+  long states;
   long frame[2]; /* sizes of frames among the states; 0: charts */
 } layout_t;
 

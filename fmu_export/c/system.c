@@ -11,12 +11,12 @@ static const table_t *system_of(const model_t *m, long i) {
   return m->systems + (long)contact_of(m, i)[P_SYSTEM];
 }
 
-static long n_results(const layout_t *l) { return l->end - l->rate; }
+static long n_results(const layout_t *l) { return l->at[GROUPS] - l->at[OF_RATES]; }
 
 /* Inputs and windows on contact i */
 static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
   const double scale = c->value[(long)c->model->data[D_SCALE]];
-  memcpy(out, c->value + c->model->layout[i].input, DISTURBANCES * sizeof *out);
+  memcpy(out, c->value + c->model->layout[i].at[OF_INPUTS], DISTURBANCES * sizeof *out);
   for (long k = 0; k < c->model->n_windows; k++)
     for (int a = 0; a < 2 && acts(c, k, i); a++)
       out[2 * (int)window_of(c, k)[V_SLOT] + a] += scale * window_values(c, k)[2 + a];
@@ -43,7 +43,7 @@ static void load_system(component_t *c, long i, int again) {
   live_t *k = c->live + i;
   double *r = k->registers;
   r[0] = c->now->time;
-  memcpy(r + 1, c->value + l->state, (size_t)l->states * sizeof *r);
+  memcpy(r + 1, c->value + l->at[OF_STATES], (size_t)l->states * sizeof *r);
   acting_on(c, i, r + 1 + l->states);
   if (k->prepared && !again) return;
   long from[MAX_CONSTANTS];
@@ -90,12 +90,12 @@ static void find_system(component_t *c, long i) {
   const layout_t *l = c->model->layout + i;
   live_t *k = c->live + i;
   const double *found = run_system(c, i), *last = found + n_results(l);
-  memcpy(c->value + l->rate, found, (size_t)n_results(l) * sizeof *found);
+  memcpy(c->value + l->at[OF_RATES], found, (size_t)n_results(l) * sizeof *found);
   for (int side = 0; side < 2; side++)
     k->regularity[side] = last[side] / body_of_contact(c->model, i, side)[Q_LENGTH];
   k->theta = last[2];
   warn_of_poles(c, i);
-  for (long j = l->rate; j < l->end && !is_defined(c, i); j++) c->value[j] = NAN;
+  for (long j = l->at[OF_RATES]; j < l->at[GROUPS] && !is_defined(c, i); j++) c->value[j] = NAN;
 }
 
 /* States without slip: the object's path velocity is that of rolling. */
@@ -123,10 +123,10 @@ static status_t set_states(component_t *c, const double *state) {
       if (!(fabs(state[at + j]) <= DBL_MAX))
         return report(c, DISCARD, "logStatusDiscard",
                       "%s = %g is refused; give finite continuous states",
-                      c->model->names[c->model->layout[i].state + j], state[at + j]);
+                      c->model->names[c->model->layout[i].at[OF_STATES] + j], state[at + j]);
   for (long i = 0; i < c->model->n_contacts; i++) {
     const layout_t *l = c->model->layout + i;
-    memcpy(c->value + l->state, state, (size_t)l->states * sizeof *state);
+    memcpy(c->value + l->at[OF_STATES], state, (size_t)l->states * sizeof *state);
     state += l->states;
   }
   forget_values(c);
@@ -136,7 +136,8 @@ static status_t set_states(component_t *c, const double *state) {
 static status_t get_states(component_t *c, double *state, int rates) {
   for (long i = 0; i < c->model->n_contacts; i++) {
     const layout_t *l = c->model->layout + i;
-    const status_t s = get_values(c, (unsigned)(rates ? l->rate : l->state), l->states, state);
+    const status_t s =
+        get_values(c, (unsigned)(rates ? l->at[OF_RATES] : l->at[OF_STATES]), l->states, state);
     if (s) return s;
     state += l->states;
   }
@@ -168,7 +169,7 @@ typedef struct {
 static long parts_of(const component_t *c, long i, int j, part_t *out, long room) {
   const long scale = (long)c->model->data[D_SCALE];
   long n = 0;
-  out[n++] = (part_t){c->model->layout[i].input + j, 1.0};
+  out[n++] = (part_t){c->model->layout[i].at[OF_INPUTS] + j, 1.0};
   for (long k = 0; k < c->model->n_windows && n + 2 <= room; k++) {
     if ((long)window_of(c, k)[V_SLOT] != j / 2 || !acts(c, k, i)) continue;
     const long at = (long)window_of(c, k)[V_VALUES] + 2 + j % 2;
@@ -185,7 +186,7 @@ static long behind(const component_t *c, long i, long r, const long *constants, 
   if (r > l->states && r <= l->states + DISTURBANCES)
     return parts_of(c, i, (int)(r - 1 - l->states), out, PARTS);
   const long reference = r == 0           ? TIME_VALUE
-                         : r <= l->states ? l->state + r - 1
+                         : r <= l->states ? l->at[OF_STATES] + r - 1
                                           : constants[r - 1 - l->states - DISTURBANCES];
   out[0] = (part_t){reference, 1.0};
   return 1;
@@ -205,13 +206,13 @@ static void derive(component_t *c, int transposed) {
     const layout_t *l = m->layout + i;
     const table_t *t = system_of(m, i);
     const long inputs = t->n_in + t->n_const, results = n_results(l);
-    const double *seed = c->seed + l->rate;
+    const double *seed = c->seed + l->at[OF_RATES];
     long constants[MAX_CONSTANTS], used = 0;
     while (transposed && used < results && seed[used] == 0.0) used++;
     if (transposed && used == results) continue;
     if (!SYSTEM(c->now)) { /* brings the states up to date */
       double state;
-      get_values(c, (unsigned)l->state, 1, &state);
+      get_values(c, (unsigned)l->at[OF_STATES], 1, &state);
     }
     constants_of(m, i, constants);
     for (long from = 0; from < (transposed ? inputs : 1); from += L) {
@@ -226,7 +227,7 @@ static void derive(component_t *c, int transposed) {
       }
       double (*found)[L] = run_along(c, i);
       if (!transposed) {
-        for (long j = 0; j < results; j++) c->grown[l->rate + j] = found[j][0];
+        for (long j = 0; j < results; j++) c->grown[l->at[OF_RATES] + j] = found[j][0];
         continue;
       }
       for (long r = from; r < inputs && r < from + L; r++) {
@@ -240,6 +241,7 @@ static void derive(component_t *c, int transposed) {
     if (SYSTEM(c->now)) find_system(c, i);
     if (SYSTEM(c->now) && !is_defined(c, i))
       for (long j = 0; j < m->n_values; j++)
-        if (transposed ? j < l->rate : j >= l->rate && j < l->end) c->grown[j] = NAN;
+        if (transposed ? j < l->at[OF_RATES] : j >= l->at[OF_RATES] && j < l->at[GROUPS])
+          c->grown[j] = NAN;
   }
 }

@@ -1,0 +1,225 @@
+/* The engine's plans of contacts, each from where its segment begins. */
+
+#define MOST_PANELS 20000.0 /* of one plan: a second of work, kilometres of path */
+
+/* The body's row of the engine's buffer; its numbers go to *next. Scales follow its lengths. */
+static void put_body(component_t *c, const double *q, double **next, double *row) {
+  const long n = (long)q[Q_N_VALUES], at = (long)q[Q_VALUES];
+  const double *starts = section(c->model, D_STARTS), *given = c->value + at;
+  const surface_t *s = c->model->surfaces[(long)q[Q_SURFACE]];
+  double larger = 1.0, smaller = 1.0;
+  row[B_SURFACE] = q[Q_SURFACE], row[B_NUMBERS] = (double)(*next - c->buffer);
+  *(*next)++ = q[Q_SIGN];
+  for (long j = 0; j < n; j++) {
+    const double ratio =
+        s->name[0] && starts[at + j] != 0.0 ? fabs(given[j] / starts[at + j]) : 1.0;
+    larger = j ? fmax(larger, ratio) : ratio, smaller = j ? fmin(smaller, ratio) : ratio;
+    *(*next)++ = given[j];
+  }
+  row[B_LENGTH] = q[Q_LENGTH] * larger, row[B_BEND] = q[Q_BEND] * smaller;
+  row[B_REACH] = q[Q_REACH];
+}
+
+static void put_window(double **next, double slot, double start, double stop, const double *value,
+                       double scale) {
+  double *row = *next;
+  row[W_SLOT] = slot, row[W_START] = start, row[W_STOP] = stop;
+  row[W_VALUE] = scale * value[0], row[W_VALUE + 1] = scale * value[1];
+  *next += WINDOW_SIZE;
+}
+
+/* Whether sigma is all but zero somewhere between two times */
+static int rests_between(const component_t *c, double from, double to) {
+  const double *sigma = sigma_of(c);
+  const long np = c->model->n_profile;
+  double at[2 * MAX_PROFILE + 2], largest = 0.0;
+  const long n = (long)sign_changes(sigma, np, 1, from, to, at + 1);
+  at[0] = from, at[n + 1] = to;
+  for (long k = 0; k < np; k++) largest = fmax(largest, fabs(sigma[k]));
+  for (long k = 0; k < n + 2; k++)
+    if (horner(sigma, np, at[k]) <= 1e-9 * largest) return 1;
+  return 0;
+}
+
+/* The engine's plan of contact i under a segment; NULL, with c->failure, where there is none. */
+static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
+  const model_t *m = c->model;
+  double *b = c->buffer, *next = b + S_HEADER, row[CONTACT_SIZE] = {0};
+  fenv_t traps;
+  c->failure = (failure_t){.code = STUCK};
+  if (!(s->end > s->begin)) return NULL;
+  memset(b, 0, S_HEADER * sizeof *b);
+  b[S_VERSION] = SCENE_VERSION, b[S_CONTACTS] = 1, b[S_TOLERANCE] = m->data[D_TOLERANCE];
+  b[S_PANELS] = MOST_PANELS;
+  b[S_BEGIN] = s->begin, b[S_END] = s->end;
+  b[S_GAIN] = s->gain, b[S_GAIN_POWER] = m->data[D_POWER], b[S_MAKES_UP] = m->data[D_MAKES_UP];
+  double *leg = next; /* one, from t = 0 on */
+  next += LEG_SIZE;
+  leg[G_START] = 0.0, leg[G_TURN] = 1.0, leg[G_TURN + 1] = 0.0;
+  leg[G_PROFILE] = (double)(next - b), leg[G_PROFILE_SIZE] = (double)m->n_profile;
+  memcpy(next, sigma_of(c), (size_t)m->n_profile * sizeof *next), next += m->n_profile;
+  row[K_LEGS] = (double)(leg - b), row[K_LEGS_SIZE] = 1.0;
+  put_body(c, m->data + D_OBJECT, &next, b + S_OBJECT);
+  put_body(c, contact_of(m, i) + P_FINGER, &next, row + K_FINGER);
+  row[K_MOMENT] = s->moment, row[K_FRAMES] = s->frames, row[K_WINDOWS] = (double)(next - b);
+  memcpy(row + K_PLACE_1, s->row, sizeof s->row);
+  double *const first = next;
+  for (long k = 0; k < m->n_windows; k++) {
+    const double *w = window_of(c, k), *v = window_values(c, k);
+    if ((long)w[V_CONTACT] == i && v[1] > s->begin)
+      put_window(&next, w[V_SLOT], v[0], v[1], v + 2, c->value[(long)m->data[D_SCALE]]);
+  }
+  for (int slot = 0; slot < 3; slot++)
+    if (s->acting[2 * slot] != 0.0 || s->acting[2 * slot + 1] != 0.0)
+      put_window(&next, slot, s->begin, s->end, s->acting + 2 * slot, 1.0);
+  row[K_WINDOWS_SIZE] = (double)((next - first) / WINDOW_SIZE);
+  for (const double *w = first; w < next; w += WINDOW_SIZE) {
+    const double from = fmax(w[W_START], s->begin), to = fmin(w[W_STOP], s->end);
+    if (w[W_SLOT] > 1 || from >= to || (w[W_VALUE] == 0.0 && w[W_VALUE + 1] == 0.0)) continue;
+    if (!rests_between(c, from, to)) continue;
+    c->failure = (failure_t){.code = STUCK, .pushed = 1}; /* the engine would try for long */
+    return NULL;
+  }
+  b[S_AT_CONTACTS] = (double)(next - b);
+  memcpy(next, row, sizeof row), next += CONTACT_SIZE;
+  feholdexcept(&traps); /* what the engine looks at may be no number; importers may trap that */
+  plan_t *found = c->engine->plan(b, next - b, m->surfaces, &c->failure);
+  fesetenv(&traps);
+  return found;
+}
+
+/* Where contact i has come to by a plan; returns not 0 where that cannot be told. */
+static int moment_at(component_t *c, plan_t *plan, double t, double *out) {
+  fenv_t traps;
+  feholdexcept(&traps);
+  const int wrong = c->engine->moments(plan, t, out, &c->failure);
+  fesetenv(&traps);
+  return wrong;
+}
+
+/* The time that values of contact i are of, on its segment */
+static double time_on(const component_t *c, long i) {
+  return fmin(fmax(c->now->acts_at, c->segment[i].begin), c->segment[i].end);
+}
+
+/* The plan of contact i at that time; returns not 0 where it has no such values there. */
+static int look_at(component_t *c, long i, double *const out[N_OUTPUTS]) {
+  live_t *k = c->live + i;
+  int wrong = 0;
+  fenv_t traps;
+  feholdexcept(&traps);
+  if (!k->anchored && (out[STATES] || out[CARRIED] || out[SLIP])) {
+    wrong = c->engine->anchor(k->plan, &c->failure);
+    k->anchored = !wrong;
+  }
+  if (!wrong) wrong = c->engine->look(k->plan, time_on(c, i), out, &c->failure);
+  fesetenv(&traps);
+  return wrong;
+}
+
+/* A segment goes on at time t from where a plan of it has come to. */
+static int go_on(component_t *c, long i, plan_t *plan, double t, segment_t *s) {
+  double m[MOMENT_SIZE];
+  if (moment_at(c, plan, t, m)) return 1;
+  double *to = s->row - K_PLACE_1; /* indices of the engine's contact */
+  s->begin = t, s->moment = 1.0, s->frames = 0.0;
+  for (int side = 0; side < 2; side++)
+    if (surface_of(c->model, i, side)->ambient[A_MOTION]) s->frames += 1 << side;
+  memcpy(to + K_PLACE_1, m + M_PLACE_1, 6 * sizeof *m);
+  to[K_ANGLE] = m[M_ANGLE];
+  memcpy(to + K_W1, m + M_W1, 4 * sizeof *m);
+  memcpy(to + K_FRAME_1, m + M_FRAME_1, 12 * sizeof *m);
+  return 0;
+}
+
+/* A segment's end, at a window's edge a bit later: values there are those after it. */
+static double end_of(const component_t *c, double begin, double end, double target) {
+  end = fmin(fmax(end, target), c->now->limit);
+  const double edge = snapped(c, end);
+  for (long k = 0; k < c->model->n_windows; k++)
+    for (int side = 0; side < 2; side++)
+      if (window_values(c, k)[side] == edge)
+        return fmin(edge + 0.01 * (edge - begin), c->now->limit);
+  return end;
+}
+
+/* Plans a segment to its end; to the target at least, where something stands in the way behind. */
+static plan_t *plan_ahead(component_t *c, long i, segment_t *s, double target) {
+  const double end = s->end;
+  plan_t *found = plan_of(c, i, s);
+  for (int k = 0; k < 2 && !found; k++) {
+    s->end = end_of(c, s->begin, k ? target : fmin(end, target + 0.125 * (end - target)), target);
+    if (s->end < end && s->end > s->begin) found = plan_of(c, i, s);
+  }
+  if (!found) s->end = -end;
+  return found;
+}
+
+/* Sees to a plan of contact i that reaches the target, in live_t.next where it is another
+   segment's. Returns not 0 where there is none. */
+static int cover(component_t *c, long i, double target) {
+  live_t *k = c->live + i;
+  segment_t *s = c->segment + i;
+  const double least = s->begin + 8 * DBL_EPSILON * fmax(1.0, s->begin);
+  if (!k->plan) {
+    if (s->end < s->begin) s->end = end_of(c, s->begin, fmax(-s->end, least), target);
+    k->plan = plan_ahead(c, i, s, fmax(target, least)), k->anchored = 0;
+    if (!k->plan) return 1;
+  }
+  k->following = *s;
+  plan_t *last = k->plan;
+  for (int tries = 0; !reached(k->following.end, target); tries++) {
+    c->failure = (failure_t){.code = TOO_MANY_PANELS};
+    if (tries > 60) return 1;
+    segment_t next = k->following;
+    const double at = next.end;
+    if (go_on(c, i, last, at, &next)) return 1;
+    next.end = end_of(c, at, at + 2 * (at - k->following.begin),
+                      fmin(target, at + 1e3 * c->model->data[D_HORIZON]));
+    plan_t *found = plan_ahead(c, i, &next, fmin(target, next.end));
+    if (!found) return 1;
+    c->engine->drop(k->next);
+    k->next = last = found, k->next_anchored = 0, k->following = next;
+  }
+  return 0;
+}
+
+static void commit(component_t *c, long i, int taken) {
+  live_t *k = c->live + i;
+  if (!k->next) return;
+  if (taken) {
+    c->engine->drop(k->plan);
+    k->plan = k->next, k->anchored = 0;
+    c->segment[i] = k->following;
+  } else {
+    c->engine->drop(k->next);
+  }
+  k->next = NULL;
+}
+
+#define AT_REST                                                                                    \
+  "sigma is zero, and an acceleration cannot act on a path that rests; accelerate "                \
+  "while sigma > 0, or disturb the object's rates"
+
+/* Why the engine has no plan, as a line in the log. */
+static status_t refuse_motion(component_t *c, long i, const char *what, double target) {
+  const failure_t *f = &c->failure;
+  const char *side = f->side ? "object" : "finger";
+  char where[160] = "";
+  if (f->code == STUCK && !f->by_length && f->t > 0)
+    snprintf(where, sizeof where, ", at t = %.9g s", f->t);
+  const char *why =
+      c->unmeasured          ? c->unmeasured
+      : f->code == NO_MEMORY ? "there is no memory"
+      : f->code == TOO_LONG  ? "the path is so long that rounding would leave less "
+                               "than four digits of its position; make shorter steps"
+      : f->code == TOO_MANY_PANELS
+          ? "a step is too long, it would take more than 20000 pieces of motion; make shorter steps"
+      : f->pushed && f->value <= 1e-5
+          ? AT_REST
+          : "the path reaches a singular point of its chart or its surface, or moves too fast for "
+            "double precision; set smaller inputs, end before or start elsewhere";
+  c->unmeasured = NULL;
+  return report(c, DISCARD, "logStatusDiscard", "contact[%ld].%s: no %s to t = %.17g s%s: %s",
+                i + 1, side, what, target, where, why);
+}

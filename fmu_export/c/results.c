@@ -1,0 +1,174 @@
+/* Results, each group where it is asked for: of plans, or of the equations at the states. */
+
+#define BIT(group) (1u << (group))
+#define ALL_RESULTS (BIT(GROUPS) - BIT(OF_STATES))
+
+/* States that are charts, and rates of coordinates */
+static void put_charts(const layout_t *l, const double *states, const double *carried, double *v) {
+  for (int side = 0; side < 2; side++) {
+    double *state = v + l->at[OF_STATES] + BODY * side, *rate = v + l->at[OF_RATES] + BODY * side;
+    memcpy(state, states + 4 * side, 2 * sizeof *state);
+    memcpy(rate, states + 4 * side + 2, 2 * sizeof *rate);
+    memcpy(state + FRAME_ANGLE, carried + 3 * side, 3 * sizeof *state);
+  }
+  v[l->at[OF_STATES] + ANGLE] = states[8];
+}
+
+/* States that are frames */
+static void put_frames(const layout_t *l, const double *moment, double *to) {
+  for (int side = 0; side < 2; to += l->frame[side++])
+    memcpy(to,
+           moment + (l->frame[side] == 6 ? side ? M_FRAME_2 : M_FRAME_1
+                     : side              ? M_PLACE_2
+                                         : M_PLACE_1),
+           (size_t)l->frame[side] * sizeof *to);
+  memcpy(to, moment + M_W1, 4 * sizeof *to);
+}
+
+/* Evaluates groups of contact i at the present time into its values; returns not 0 where a group
+   has none. */
+static int look(component_t *c, long i, unsigned groups) {
+  const model_t *m = c->model;
+  const layout_t *l = m->layout + i;
+  double states[9], pose[16], carried[6], moment[MOMENT_SIZE], *v = c->value;
+  double *out[N_OUTPUTS] = {0};
+  const int charts = !m->frames && groups & BIT(OF_STATES);
+  if (charts) out[CARRIED] = carried;
+  if (charts || groups & BIT(OF_COORDINATES)) out[STATES] = states;
+  if (groups & BIT(OF_SLIP)) out[SLIP] = v + l->at[OF_SLIP];
+  if (groups & BIT(OF_TWIST)) out[TWIST] = v + l->at[OF_TWIST];
+  if (groups & BIT(OF_POSE)) out[POSE] = pose;
+  if (groups & BIT(OF_POINTS)) out[POINTS] = v + l->at[OF_POINTS];
+  if (groups & BIT(OF_CONDITION)) out[SLIP_SPEED] = v + l->at[OF_CONDITION] + 1;
+  const int frames = m->frames && groups & BIT(OF_STATES);
+  if (look_at(c, i, out) || (frames && moment_at(c, c->live[i].plan, time_on(c, i), moment)))
+    return 1;
+  if (charts) put_charts(l, states, carried, v);
+  if (frames) put_frames(l, moment, v + l->at[OF_STATES]);
+  if (m->frames && out[STATES]) memcpy(v + l->at[OF_COORDINATES], states, sizeof states);
+  for (int r = 0; r < 3 && out[POSE]; r++) {
+    memcpy(v + l->at[OF_POSE] + 3 * r, pose + 4 * r, 3 * sizeof *v);
+    v[l->at[OF_POSE] + 9 + r] = pose[4 * r + 3];
+  }
+  return 0;
+}
+
+static void no_values(component_t *c, long i, unsigned groups) {
+  const long *at = c->model->layout[i].at;
+  for (int g = OF_STATES; g < GROUPS; g++)
+    for (long j = at[g]; groups & BIT(g) && j < at[g + 1]; j++) c->value[j] = NAN;
+}
+
+/* Whether a rate is that of a coordinate, which comes with the states that are charts */
+static int comes_with_state(const model_t *m, long j) {
+  return !m->frames && j % BODY < 2 && j != ANGLE;
+}
+
+/* The other rates, from the equations; sigma and what follows from it */
+static void find_rates(component_t *c, long i, unsigned groups) {
+  const layout_t *l = c->model->layout + i;
+  const double *found = run_system(c, i),
+               *condition = found + l->at[OF_CONDITION] - l->at[OF_RATES];
+  for (int j = 0; j < 4 && groups & BIT(OF_CONDITION); j++)
+    if (j != 1) c->value[l->at[OF_CONDITION] + j] = condition[j];
+  for (long j = 0; j < l->states && groups & BIT(OF_RATES); j++)
+    if (!comes_with_state(c->model, j)) c->value[l->at[OF_RATES] + j] = found[j];
+}
+
+/* Brings groups of contact i up to date; with them goes what was asked for at the time before. */
+static status_t find(component_t *c, long i, unsigned groups) {
+  live_t *k = c->live + i;
+  if (SYSTEM(c->now)) {
+    if (!k->valid && groups) find_system(c, i), k->valid = ALL_RESULTS;
+    return OK;
+  }
+  const unsigned rates = BIT(OF_RATES), states = BIT(OF_STATES);
+  if (groups & rates) groups |= states;
+  k->asked |= groups & ~k->valid;
+  const unsigned missing = groups & ~k->valid, asked = missing & ~rates;
+  const unsigned more = (k->before & ~k->valid & ~rates) | asked; /* in one pass */
+  if (asked) {
+    if (!k->plan && cover(c, i, c->now->time)) return refuse_motion(c, i, "values", c->now->time);
+    commit(c, i, 1);
+    if (more != asked && !look(c, i, more))
+      k->valid |= more & ~BIT(OF_CONDITION);
+    else if (look(c, i, asked))
+      no_values(c, i, missing | (missing & states ? rates : 0));
+  }
+  if (missing & (rates | BIT(OF_CONDITION))) find_rates(c, i, missing);
+  k->valid |= missing;
+  return OK;
+}
+
+/* The group to be found for a value, as a bit; 0 where it is given */
+static unsigned group_of(const component_t *c, long i, long reference) {
+  const long *at = c->model->layout[i].at;
+  int g = OF_INPUTS;
+  while (reference >= at[g + 1]) g++;
+  if (SYSTEM(c->now)) return g < OF_RATES ? 0 : ALL_RESULTS;
+  if (g == OF_RATES && comes_with_state(c->model, reference - at[g])) g = OF_STATES;
+  return BIT(g) & ALL_RESULTS;
+}
+
+/* The contact whose value this is, or -1 */
+static long owner_of(const model_t *m, long reference) {
+  if (reference < m->layout[0].at[0]) return -1;
+  long i = 0;
+  while (reference >= m->layout[i].at[GROUPS]) i++;
+  return i;
+}
+
+/* The first of these values that there is not; count where there are all */
+static long without_value(const component_t *c, unsigned reference, const double *value,
+                          long count) {
+  long i = 0;
+  for (; i < count; i++) {
+    if (fabs(value[i]) <= 1e200) continue; /* tables divide an acceleration by 1e-300 at rest */
+    if (!(fabs(value[i]) <= DBL_MAX) ||
+        (kind_of(c->model, reference + i) == CALCULATED && rests(c)))
+      break;
+  }
+  return i;
+}
+
+/* Says why there is no value. */
+static status_t refuse(component_t *c, unsigned reference) {
+  const memory_t *now = c->now;
+  const char *what = c->model->names[reference];
+  const long i = owner_of(c->model, reference);
+  if (past_end(c))
+    return report(
+        c, DISCARD, "logStatusDiscard",
+        "%s has no value at t = %.17g s: sigma is negative from t = %.9g s on; end there, "
+        "or change the profile",
+        what, now->time, now->limit);
+  const int framed =
+      i < 0 || !SYSTEM(now) || (c->live[i].regularity[0] > 0 && c->live[i].regularity[1] > 0);
+  if (rests(c) && framed)
+    return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s: " AT_REST, what,
+                  now->time);
+  const char *where =
+      SYSTEM(now) ? "or beyond a singular point of a chart (a pole or an umbilic); start "
+                    "elsewhere, run the Co-Simulation, which passes such points, or export with "
+                    "states=\"frame\""
+                  : "a singular point of a chart (a pole or an umbilic); ask a moment later";
+  return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s, at %s", what,
+                now->time, where);
+}
+
+static status_t get_values(component_t *c, unsigned reference, long count, double *value) {
+  const long i = owner_of(c->model, reference);
+  if (i >= 0) {
+    const unsigned group = group_of(c, i, reference);
+    const int stuck = group && !SYSTEM(c->now) ? settle(c) : 0;
+    if (stuck) return refuse_motion(c, stuck - 1, "values", c->now->time);
+    if (group & ~c->live[i].valid) {
+      const status_t s = find(c, i, group);
+      if (s) return s;
+    }
+    c->live[i].asked |= group;
+  }
+  memcpy(value, c->value + reference, (size_t)count * sizeof *value);
+  const long wrong = without_value(c, reference, value, count);
+  return wrong == count ? OK : refuse(c, reference + (unsigned)wrong);
+}

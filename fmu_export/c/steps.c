@@ -1,0 +1,143 @@
+/* Starting, and stepping. */
+
+/* Where contact i starts, from its states. Returns what is wrong, or NULL. */
+static const char *place_contact(component_t *c, long i) {
+  const model_t *m = c->model;
+  const layout_t *l = m->layout + i;
+  segment_t *s = c->segment + i;
+  double *x = c->value + l->at[OF_STATES], *to = s->row - K_PLACE_1;
+  find_system(c, i);
+  for (int side = 0; side < 2; side++)
+    if (!(c->live[i].regularity[side] > 1e-12))
+      return side ? "the object has no outward contact frame at (u, v)"
+                  : "the finger has no outward contact frame at (u, v)";
+  memset(s, 0, sizeof *s);
+  s->begin = c->now->time, s->gain = c->value[GAIN];
+  if (leaves_slip_behind(c)) no_slip(m, i, x);
+  if (!m->frames) {
+    for (int side = 0; side < 2; side++) {
+      const double *own = x + BODY * side;
+      memcpy(to + (side ? K_PLACE_2 : K_PLACE_1), own, 3 * sizeof *own);
+      memcpy(to + (side ? K_Y : K_W1), own + VELOCITY, 2 * sizeof *own);
+    }
+    to[K_ANGLE] = x[ANGLE] + x[FRAME_ANGLE] + x[BODY + FRAME_ANGLE];
+  } else {
+    const double *coordinates = c->value + l->at[OF_COORDINATES];
+    s->moment = 1.0; /* psi = -theta_1 - theta_2, R_0 = diag(1, -1) */
+    for (int side = 0; side < 2; x += l->frame[side++]) {
+      double *place = to + (side ? K_PLACE_2 : K_PLACE_1);
+      if (l->frame[side] == 3) {
+        memcpy(place, x, 3 * sizeof *x);
+        continue;
+      }
+      s->frames += 1 << side;
+      memcpy(to + (side ? K_FRAME_2 : K_FRAME_1), x, 6 * sizeof *x);
+      place[0] = coordinates[4 * side], place[1] = coordinates[4 * side + 1];
+      place[2] = side ? c->live[i].theta : -coordinates[8] - c->live[i].theta;
+    }
+    memcpy(to + K_W1, x, 4 * sizeof *x);
+  }
+  if (!all_finite(s->row, ROW)) return "the start is not finite";
+  const double stop = c->now->stop_time, horizon = m->data[D_HORIZON];
+  s->end = -(stop < HUGE_VAL ? stop : s->begin < horizon ? horizon : s->begin + horizon);
+  return NULL;
+}
+
+/* Looks at the contact in every form that it will have, so that steps allocate nothing. */
+static void warm(component_t *c, long i) {
+  const double at = c->now->acts_at;
+  look(c, i, ALL_RESULTS);
+  for (long k = 0; k < c->model->n_windows; k++)
+    for (int side = 0; side < 2; side++) {
+      c->now->acts_at = window_values(c, k)[side];
+      look(c, i, ALL_RESULTS);
+    }
+  c->now->acts_at = at;
+}
+
+static status_t start(component_t *c) {
+  memory_t *now = c->now;
+  const model_t *m = c->model;
+  const double *order = section(m, D_ORDERS), *starts = section(m, D_STARTS);
+  study_profile(c);
+  if (now->limit <= now->time)
+    return report(c, FAILED, "logStatusError",
+                  "sigma is negative from t = %.9g s on; change the profile", now->time);
+  for (long k = 0; k < (long)m->data[D_N_ORDERS]; k++, order += 2) {
+    const long greater = (long)order[0], less = (long)order[1];
+    if (less == greater && c->value[less] != starts[less])
+      return report(c, FAILED, "logStatusError",
+                    "%s = %.9g is refused: the parameters of this surface depend on each other and "
+                    "cannot be set individually; export a scene with another surface",
+                    m->names[less], c->value[less]);
+    if (less != greater && !(c->value[greater] > c->value[less]))
+      return report(c, FAILED, "logStatusError",
+                    "%s = %.9g is refused: it must be greater than %s = %.9g, or the surface is of "
+                    "another kind; export a scene that has it",
+                    m->names[greater], c->value[greater], m->names[less], c->value[less]);
+  }
+  enter_windows(c);
+  for (long i = 0; i < m->n_contacts; i++) {
+    const char *wrong = place_contact(c, i);
+    if (wrong)
+      return report(c, FAILED, "logStatusError",
+                    "contact %ld cannot start: %s; change its coordinates or the parameters of the "
+                    "surface",
+                    i + 1, wrong);
+    if (now->stepping && cover(c, i, now->time)) {
+      refuse_motion(c, i, "motion", now->time);
+      return FAILED;
+    }
+    if (now->stepping) warm(c, i);
+  }
+  now->settled = 0; /* inputs act from here on */
+  forget_values(c);
+  return OK;
+}
+
+/* ---- steps ---- */
+
+static void tell_edges(component_t *c, double from) {
+  for (long k = 0; k < c->model->n_windows; k++)
+    for (int side = 0; side < 2; side++) {
+      const double edge = window_values(c, k)[side];
+      if (!reached(from, edge) && reached(c->now->time, edge))
+        report(c, OK, "logEvents", "the disturbance of contact %g %s at t = %.17g s",
+               window_of(c, k)[V_CONTACT] + 1, side ? "ends" : "begins", edge);
+    }
+}
+
+/* All contacts to a time, or none. */
+static status_t step(component_t *c, double target, int stop_at_windows, int *edge) {
+  memory_t *now = c->now;
+  const double began = now->time;
+  const long n = c->model->n_contacts;
+  *edge = 0;
+  now->ended = target > now->limit && !reached(now->limit, target);
+  if (now->ended)
+    return report(c, DISCARD, "logStatusDiscard",
+                  "no step to t = %.9g s: sigma is negative from t = %.9g s on; end there, or "
+                  "change the profile",
+                  target, now->limit);
+  if (now->pending) enter_windows(c);
+  if (pushed_at_rest(c))
+    return report(c, DISCARD, "logStatusDiscard", "no step to t = %.9g s: " AT_REST, target);
+  const int stuck = settle(c);
+  if (stuck) return refuse_motion(c, stuck - 1, "step", target);
+  double goal = fmin(target, now->limit);
+  if (stop_at_windows) {
+    const double window = next_window(c);
+    if ((*edge = reached(target, window))) goal = window;
+  }
+  for (long i = 0; i < n; i++) {
+    if (c->live[i].plan && reached(c->segment[i].end, goal)) continue;
+    if (!cover(c, i, goal)) continue;
+    for (long j = 0; j <= i; j++) commit(c, j, 0);
+    return refuse_motion(c, i, "step", target);
+  }
+  for (long i = 0; i < n; i++) commit(c, i, 1);
+  set_time(c, goal);
+  if (*edge) now->pending = 1, now->acts_at = nextafter(now->acts_at, -HUGE_VAL);
+  if (c->model->n_windows) tell_edges(c, began);
+  return OK;
+}
