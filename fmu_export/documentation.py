@@ -13,8 +13,9 @@ import numpy as np
 
 from contact_system import __version__
 
-from .description import listed, printable, terminals
-from .variables import Table, unit_name
+from .description import listed, printable, states_of, terminals
+from .quantities import unit_name
+from .variables import Table
 
 
 def companions(table: Table, fmi_version: str) -> dict[str, bytes]:
@@ -60,10 +61,11 @@ def page(table: Table, fmi_version: str) -> str:
         "slip, twist and pose. Kumar &amp; Mukherjee, <i>A note on synthesizing geodesic based "
         "contact curves</i>.</p>\n"
         "<p>Communication steps may have any size and may vary; results do not depend on them. "
-        "Initial coordinates, path velocities and angles, and all parameters, can be set before "
-        f"initialization ends. The scene's own disturbances:</p><ul>{windows or '<li>none</li>'}"
-        f"</ul>\n<table>\n<tr><th>name</th><th>causality</th><th>unit</th><th>start</th>"
-        f"<th>meaning</th></tr>\n{rows}</table>\n<p>contact-system {__version__}</p>"
+        f"The continuous {states_of(table)}. Their start values, and all parameters, can be set "
+        f"before initialization ends. The scene's own disturbances:</p><ul>"
+        f"{windows or '<li>none</li>'}</ul>\n<table>\n<tr><th>name</th>"
+        f"<th>causality</th><th>unit</th><th>start</th><th>meaning</th></tr>\n{rows}</table>\n"
+        f"<p>contact-system {__version__}</p>"
         "</body></html>\n"
     )
 

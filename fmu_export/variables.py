@@ -17,8 +17,9 @@ from itertools import islice
 
 import numpy as np
 
-from contact_system.errors import SceneError
+from contact_system.errors import ChartSingularity, SceneError
 from contact_system.kept import kept
+from contact_system.plan import plan
 from contact_system.scene import Scene, require_scene
 from contact_system.surfaces import Quadric, Surface, UserSurface
 from contact_system.system import SceneSystem
@@ -185,7 +186,8 @@ def variable_table(
     scene : Scene
     states : "auto", "chart" or "frame"
         What the states of Model Exchange, and the start values, are: charts, or moving frames, in
-        whose way no pole stands. "auto": frames where a surface has no chart.
+        whose way no pole stands. "auto": frames where a surface has no chart, or where a path comes
+        near a pole of one.
     arrays : bool
         Whether FMI 3 sees vectors and matrices instead of scalars.
     measured : "nothing", "states" or "pose"
@@ -206,7 +208,7 @@ def variable_table(
     surfaces = [scene.object, *(c.finger for c in scene.contacts)]
     frames = states == "frame"
     if states == "auto":
-        frames = not all(s.has_chart for s in surfaces)
+        frames = not all(s.has_chart for s in surfaces) or _comes_near_pole(scene)
     for surface in surfaces:
         if not (frames or surface.has_chart):
             raise SceneError(
@@ -250,6 +252,25 @@ def variable_table(
 
 
 MOST_COEFFICIENTS = 48
+NEAR = 0.3
+"""Sine of the angle from a pole, or a Lame coefficient over a body's size. Euler's method, with the
+step that the file says, is lost in charts on D2, which comes as near as 0.268, and gets through on
+K1 and K2, 0.309."""
+
+
+def _comes_near_pole(scene: Scene) -> bool:
+    """Whether a path comes near a pole or an umbilic of a chart."""
+    try:
+        states = plan(scene).states(np.linspace(0.0, scene.duration, 401))
+    except ChartSingularity:
+        return True
+    for i, contact in enumerate(scene.contacts):
+        for surface, k in ((contact.finger, 0), (scene.object, 4)):
+            least = np.min(surface.lame(*states[:, i, k : k + 2].T))
+            if surface.chart.singular_at != "" and least < NEAR * surface.size:
+                return True
+    return False
+
 
 # --- parameters ----------------------------------------------------------------------------------
 
