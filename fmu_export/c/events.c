@@ -20,7 +20,7 @@ static double *load_table(component_t *c, const table_t *t, const double *consta
   if (!r) return NULL;
   memset(r, 0, (size_t)t->n_in * sizeof *r);
   memcpy(r + t->n_in, constants, (size_t)t->n_const * sizeof *r);
-  memcpy(r + t->first_lit, t->literals, (size_t)t->n_lit * sizeof *r);
+  if (t->n_lit) memcpy(r + t->first_lit, t->literals, (size_t)t->n_lit * sizeof *r);
   c->engine->step(&(program_t){t->prologue, r});
   return r;
 }
