@@ -165,15 +165,15 @@ static int settle(component_t *c) {
     s->trigger = heard;
     if (!again && s->gain == c->value[GAIN] && !memcmp(s->acting, acting, sizeof acting)) continue;
     const double at = now->acts_at, lasted = at - s->begin;
-    if (again) {
-      if (resynchronize(c, i, s)) return (int)i + 1;
-      s->end = -(at + 0.005 * c->model->data[D_HORIZON]); /* more may be measured soon */
-    } else if (!reached(s->begin, at)) {
-      if (cover(c, i, at)) return (int)i + 1;
-      commit(c, i, 1);
-      if (go_on(c, i, c->live[i].plan, fmin(fmax(at, s->begin), s->end), s)) return (int)i + 1;
-      s->end =
-          -(at + lasted); /* where events follow each other closely, it is no use to plan far */
+    if (again || !reached(s->begin, at)) {
+      if (again) {
+        if (resynchronize(c, i, s)) return (int)i + 1;
+      } else {
+        if (cover(c, i, at)) return (int)i + 1;
+        commit(c, i, 1);
+        if (go_on(c, i, c->live[i].plan, time_on(c, i), s)) return (int)i + 1;
+      }
+      s->end = at + lasted; /* where events follow each other closely, it is no use to plan far */
     }
     s->end = -fabs(s->end);
     s->gain = c->value[GAIN];
