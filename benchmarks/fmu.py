@@ -53,7 +53,7 @@ def off_plan(name: str, t: Array, found: dict[str, Array]) -> float:
     wanted["angle"] = states[:, :, 8:]
     sizes = {quantity: max(np.abs(wanted[quantity]).max(), 1e-3) for quantity in found}
     off = {q: found[q] - wanted[q] for q in found}
-    for q in (*AXES, "angle"):  # of frames they are principal values
+    for q in off.keys() & {*AXES, "angle"}:  # of frames they are principal values
         off[q] -= 2 * np.pi * np.rint(off[q] / (2 * np.pi))
     return max(np.abs(off[q]).max() / size for q, size in sizes.items())
 

@@ -124,12 +124,14 @@ static int look(plan_t *plan, double t, double *const *out, failure_t *failure) 
 }
 
 static int moments(const plan_t *plan, double t, double *out, failure_t *failure) {
-  work_t w;
-  begin_work(&w, (plan_t *)plan, failure);
-  if (setjmp(w.jump) == 0)
+  work_t own, *const w = plan->kept ? plan->kept : &own; /* kept by `look`: of one thread */
+  if (w == &own) begin_work(&own, (plan_t *)plan, failure);
+  memset(failure, 0, sizeof *failure);
+  w->plan = (plan_t *)plan, w->failure = failure;
+  if (setjmp(w->jump) == 0)
     for (int64_t i = 0; i < plan->n_contacts; i++)
-      moment_of(&w, plan->contacts + i, t, out + i * MOMENT_SIZE);
-  end_work(&w);
+      moment_of(w, plan->contacts + i, t, out + i * MOMENT_SIZE);
+  if (w == &own) end_work(&own);
   return (int)failure->code;
 }
 
