@@ -1,6 +1,6 @@
 """A contact as a system of equations in the variables of an FMU, as one table of instructions.
 
-Nothing of the mathematics is written here: `contact_system.system.contact_function` is put into the
+Nothing of the mathematics is written here: `contact_system.contact_equations` is put into the
 variables that an importer sees. The states of a contact are one of
 
 charts, eleven numbers (theory section 4)
@@ -33,14 +33,15 @@ from typing import Any
 
 import numpy as np
 
+from contact_system.contact_equations import PER_CONTACT, Form, contact_function, start_function
 from contact_system.engine.binding import address, along
 from contact_system.errors import ContactSystemError, SceneError
 from contact_system.scene import Contact, Scene
 from contact_system.starts import scene_start
 from contact_system.surfaces import TINY, Ellipsoid, Quadric, Surface, UserSurface
-from contact_system.system import PER_CONTACT, Form, contact_function, flip, start_function
 from contact_system.theory import symbols as ca
-from contact_system.theory.development import in_space
+from contact_system.theory.development import in_space, moving
+from contact_system.theory.equations import flip
 from contact_system.theory.gain import LAWS
 from contact_system.theory.geometry import rotation
 from contact_system.theory.lowering import Table
@@ -120,8 +121,6 @@ def _chart_rates(rates: ca.SX, turn: ca.SX) -> ca.SX:
 
 
 def _object_theta(obj: Surface, forms: tuple[bool, bool], state: ca.SX, p2: ca.SX) -> ca.SX:
-    from contact_system.theory.development import moving
-
     if not forms[1]:
         return state[-5]  # u v theta, W_1, V
     place = ca.vertcat(state[-10:-4], 0, 0)
