@@ -40,6 +40,7 @@ PER_CONTACT = (
     "contact_point",
     "normal",
     "normal_rate",
+    "carried",
     "regularity",
 )
 """Outputs of :meth:`SceneSystem.function` that every contact has."""
@@ -128,6 +129,7 @@ class ContactMotion(NamedTuple):
     turn: ca.SX  # (2, 2), takes components along (p_1, q_1) to (p_2, q_2)
     sliding: ca.SX  # slip along (p_2, q_2)
     theta: ca.SX  # the angle of (p_2, q_2) in E2
+    carried: ca.SX  # W_1 and V, of frames
 
 
 def _decay(form: Form, value: ca.SX, profile: list[ca.SX], since: ca.SX, t: ca.SX) -> ca.SX:
@@ -172,6 +174,7 @@ def _chart_motion(tip: Body, body: Body, x: ca.SX, w: ca.SX, drive: Drive) -> Co
         turn=turn,
         sliding=relative_velocity(turn, *velocities),
         theta=ca.SX(0),
+        carried=ca.SX(0, 1),
     )
 
 
@@ -207,6 +210,7 @@ def _frame_motion(
         turn=flip(),
         sliding=drive.sigma * v - offset,
         theta=second[4],
+        carried=ca.vertcat(w1, v),
     )
 
 
@@ -232,7 +236,7 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     else:
         v = held[2:4] * _decay(form, law[0], profile, held[4], t)
         motion = _frame_motion(tip, body, form, x, w, drive, ca.vertcat(held[:2], v))
-    rate, state, (tip, body), velocities, turn, sliding, theta = motion
+    rate, state, (tip, body), velocities, turn, sliding, theta, carried = motion
     frames, shapes = (tip.frame(), body.frame()), (tip.find("shape"), body.find("shape"))
 
     def derivative(value: ca.SX) -> ca.SX:  # disturbances do not change between edges
@@ -251,6 +255,7 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
         "contact_point": ca.vertcat(x1, x2),
         "normal": normal,
         "normal_rate": derivative(normal),
+        "carried": carried,
         "regularity": ca.vertcat(tip.regularity(), body.regularity()),
     }
     inputs = [t, x, w, held, law, *numbers]

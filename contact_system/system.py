@@ -8,19 +8,22 @@ t      time, s
 x      continuous states, contact by contact
 w      disturbances acting now, 6 a contact: accelerations of finger and object (chart components),
        object rate offset; empty where the scene has no windows and no input asks for them
-held   numbers that only a restart changes, 5 a contact: W_1, V and the time at which V held;
-       contacts that are accelerated have none, nor has any in chart coordinates
+held   numbers that only restarts and corners change, 5 a contact: W_1, V and the time at which V
+       held, from where its leg begins; contacts that are accelerated have none, nor has any in
+       chart coordinates. Contacts with legs have those of the present one besides: when it began,
+       and the coefficients of its profile
 p      parameters: gain, profile coefficients, the surfaces' numbers and sizes
 ====== =========================================================================================
 
 Two choices of coordinates describe the same motion:
 
 * "chart", the paper's equations (theory section 2): u1 v1 u1' v1' u2 v2 u2' v2' psi a contact;
-  singular at poles and where sigma = 0, stiff in lam;
+  singular at poles and where sigma = 0, as at corners; stiff in lam;
 * "frame", moving frames (theory sections 4, 5): a point and a tangent (x, p) in space, or
   (u, v, theta) where a surface has only a chart or its chart decides the sign of a disturbance.
   Slip costs no state, V e^{-L} being in closed form. Only a contact that is accelerated carries
-  W_1 and V, and with V the rate lam. Frames are chosen so that psi = -theta_1 - theta_2: the map
+  W_1 and V, and with V the rate lam; so does one with legs under a law that makes up for growth,
+  where corners take its slip away. Frames are chosen so that psi = -theta_1 - theta_2: the map
   between them is diag(1, -1).
 
 The equations themselves stand in `theory`; here they are put together. CasADi is loaded when the
@@ -30,6 +33,7 @@ first system is made.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -39,7 +43,8 @@ from .checks import did_you_mean, flag, real_array
 from .contact_equations import PER_CONTACT, Form, contact_function, start_function
 from .errors import SceneError
 from .kept import kept
-from .scene import SLOTS, Disturbance, Scene, acting, refuse_rest, require_scene
+from .scene import SLOTS, Disturbance, Scene, Stretch, acting, refuse_rest, require_scene
+from .scene.legs import endless
 from .starts import Start, measured_start, scene_start
 from .surfaces import TINY, Ellipsoid, Surface, UserSurface
 from .theory import symbols as ca
@@ -59,8 +64,9 @@ class SceneSystem:
     Parameters
     ----------
     scene : Scene
-    coordinates : "chart" or "frame"
-        ``help(contact_system.system)`` explains both, and t, x, w, held and p.
+    coordinates : "chart" or "frame", optional
+        ``help(contact_system.system)`` explains both, and t, x, w, held and p. By default charts,
+        or frames where the scene has legs, sigma = 0 or a surface without a chart.
     disturbance_input : bool
         Whether w may hold more than the scene's windows, on every contact.
 
@@ -73,30 +79,41 @@ class SceneSystem:
     n_w : int
         6 a contact, or 0 where w is empty.
     edges : tuple of float
-        Times at which :meth:`window_values` changes, ascending, s.
+        Times at which :meth:`window_values` changes or a leg begins, ascending, s.
+    corners : frozenset of float
+        Those of legs: there :meth:`turned` says how to go on.
     state_slices, held_slices : list of slice
         The parts of x and held that belong to each contact.
 
     Raises
     ------
     SceneError
-        A scene that cannot be written in these coordinates: sigma = 0 (chart), no explicit chart
+        A scene that cannot be written in these coordinates: legs, sigma = 0 or no explicit chart
         (chart), sigma = 0 while a contact is accelerated.
     """
 
-    def __init__(self, scene: Scene, coordinates: str = "chart", disturbance_input: bool = False):
+    def __init__(
+        self, scene: Scene, coordinates: str | None = None, disturbance_input: bool = False
+    ):
+        require_scene(scene)
+        if coordinates is None:
+            coordinates = "frame" if _without_chart(scene) else "chart"
         if not isinstance(coordinates, str) or coordinates not in COORDINATES:
             raise SceneError(f"coordinates = {coordinates!r}: use one of {', '.join(COORDINATES)}")
-        require_scene(scene)
         self.scene, self.coordinates = scene, coordinates
         self.disturbance_input = flag(disturbance_input, "disturbance_input")
         self._refuse()
         n = len(scene.contacts)
         self.n_w = 6 * n if scene.disturbances or disturbance_input else 0
-        self.edges = scene.window_edges
+        self._ways = [endless(scene.way(i)) if c.legs else () for i, c in enumerate(scene.contacts)]
+        self.corners = frozenset(stretch.start for way in self._ways for stretch in way[1:])
+        self.edges = tuple(sorted({*scene.window_edges, *self.corners}))
         self.forms = self._forms()
         self.state_slices = _consecutive(sum(form.sizes) for form in self.forms)
-        self.held_slices = _consecutive(form.n_held for form in self.forms)
+        self.held_slices = _consecutive(
+            form.n_held + bool(way) * (1 + form.n_profile)
+            for form, way in zip(self.forms, self._ways)
+        )
         bodies = [scene.object, *(contact.finger for contact in scene.contacts)]
         law = (scene.gain.value, *scene.profile.coefficients)
         self._number_slices = _consecutive([len(law), *(len(b.parameters) + 1 for b in bodies)])
@@ -111,25 +128,9 @@ class SceneSystem:
     def _refuse(self) -> None:
         """Raise what the class says of scenes that cannot be written."""
         scene = self.scene
-        for i, contact in enumerate(scene.contacts):
-            if contact.legs:
-                raise SceneError(
-                    f"{scene.title}, contact {i}: legs = {len(contact.legs)}: the equations of a "
-                    "system turn no corners; ask plan(), which does, or leave the legs out"
-                )
-        zeros = scene.profile.zeros(scene.duration)
-        if self.coordinates == "chart" and zeros:
-            raise SceneError(
-                f"{scene.title}: the chart equations divide by sigma, which is zero at "
-                f't = {zeros[0]:g} s; use coordinates="frame", which start and rest at zero'
-            )
-        for i, contact in enumerate(scene.contacts):
-            for surface in (contact.finger, scene.object):
-                if self.coordinates == "chart" and not surface.has_chart:
-                    raise SceneError(
-                        f"{scene.title}, contact {i}: {surface!r} has no explicit "
-                        'chart for the chart equations; use coordinates="frame"'
-                    )
+        reason = _without_chart(scene) if self.coordinates == "chart" else ""
+        if reason:
+            raise SceneError(f'{scene.title}{reason}; use coordinates="frame"')
         for d in scene.disturbances:
             if d.accelerates:
                 refuse_rest(scene, int(d.contact), d.start, d.stop)
@@ -137,17 +138,21 @@ class SceneSystem:
     def _forms(self) -> list[Form]:
         scene, chart = self.scene, self.coordinates == "chart"
         growths: tuple[tuple[float, float], ...] = ()
-        if scene.gain.row.makes_up:  # for growth far beyond the horizon too
+        law, makes_up = scene.gain.law, scene.gain.row.makes_up
+        if makes_up:  # for growth far beyond the horizon too
             growths = tuple(scene.profile.growths(0.0, 1e3 * scene.duration))
-        law, n_profile = scene.gain.law, len(scene.profile.coefficients)
         forms = []
         for i, contact in enumerate(scene.contacts):
             slots = {d.slot for d in scene.disturbances if d.contact == i}
             d1, d2, offset = (self.disturbance_input or slot in slots for slot in range(len(SLOTS)))
             tip = not chart and in_space(contact.finger, d1)
             body = not chart and in_space(scene.object, d2 or offset)
-            forced = not chart and (d1 or d2)
-            forms.append(Form(self.coordinates, forced, (tip, body), law, n_profile, growths))
+            way = self._ways[i]
+            forced = not chart and (d1 or d2 or (makes_up and bool(way)))
+            profiles = [stretch.profile for stretch in way] or [scene.profile]
+            n_profile = max(len(profile.coefficients) for profile in profiles)
+            grown = () if way else growths
+            forms.append(Form(self.coordinates, forced, (tip, body), law, n_profile, grown))
         return forms
 
     @kept
@@ -176,23 +181,26 @@ class SceneSystem:
         law, obj, *fingers = (p[s] for s in self._number_slices)
         scene, names = self.scene, ("derivatives", *PER_CONTACT)
         found: dict[str, list[ca.SX]] = {name: [] for name in names}
+        guards = []
         for i, (contact, form) in enumerate(zip(scene.contacts, self.forms)):
             own = [d for d in scene.disturbances if d.contact == i]
             acts = w[6 * i : 6 * i + 6] if self.disturbance_input or own else ca.SX.zeros(6)
             function = contact_function(contact.finger, scene.object, form)
-            carried = x[self.state_slices[i]], acts, held[self.held_slices[i]]
-            values = dict(zip(names, function(t, *carried, law, fingers[i], obj)))
+            own_t, own_held, own_law = t, held[self.held_slices[i]], law
+            if contact.legs:
+                own_held, began, profile = ca.vertsplit(
+                    own_held, [0, form.n_held, form.n_held + 1, own_held.numel()]
+                )
+                own_t, own_law = t - began, ca.vertcat(law[0], profile)
+            carried = x[self.state_slices[i]], acts, own_held
+            values = dict(zip(names, function(own_t, *carried, own_law, fingers[i], obj)))
             for name in names:
                 found[name].append(values[name])
+            guards.append(_guard(values["derivatives"], own_t, ca.vertsplit(own_law[1:])))
         outputs = {name: ca.vertcat(*values) for name, values in found.items()}
-        outputs["guard"] = self._guard(outputs["derivatives"], t, ca.vertsplit(law[1:]))
+        outputs["guard"] = ca.mmin(ca.vertcat(*guards))
         outputs["clearance"] = ca.mmin(outputs["regularity"])
         return outputs
-
-    def _guard(self, rate: ca.SX, t: ca.SX, profile: list[ca.SX]) -> ca.SX:
-        """1; -1 where sigma < 0; -inf or NaN where a derivative is not finite."""
-        rounding = 1e-14 * polynomial([ca.fabs(c) for c in profile], ca.fabs(t))
-        return ca.copysign(1, polynomial(profile, t) + rounding) - TINY * ca.sumsqr(rate)
 
     def function(self, *outputs: str) -> ca.Function:
         """The CasADi function (t, x, w, held, p) -> outputs, one vector each.
@@ -207,7 +215,7 @@ class SceneSystem:
             "twist" (6), V_OF_O; "acceleration" (6), its time derivative; "pose" (12), the rotation
             from F to O column by column, then the origin of F in O; "contact_point" (6), on the
             finger in F, on the object in O; "normal" (3), of the object, outward, in O, and its
-            time derivative "normal_rate" (3); "regularity" (2), distance of finger and object from
+            time derivative "normal_rate" (3); "carried" (4), W_1 and V, of frames; "regularity" (2), distance of finger and object from
             their charts' singularities.
 
         Raises
@@ -293,15 +301,56 @@ class SceneSystem:
         """States and held numbers of contacts that start at time t: (n_x,), (n_held,)."""
         obj = self.scene.object
         law, obj_numbers, *numbers = (self.parameters[s] for s in self._number_slices)
-        parts = []
-        for contact, form, start, own in zip(self.scene.contacts, self.forms, starts, numbers):
+        x, held = [], []
+        for i, (contact, form, start) in enumerate(zip(self.scene.contacts, self.forms, starts)):
             at = [_place(contact.finger, start.finger_at), _place(obj, start.object_at)]
             given = np.hstack([*at, start.angle, start.finger_velocity, start.object_velocity])
+            leg, own_law, began = self.leg_numbers(i, t), law, 0.0
+            if len(leg):
+                began, own_law = leg[0], np.array([law[0], *leg[1:]])
             function = start_function(contact.finger, obj, form)
-            values = function(t, given, law, own, obj_numbers)
-            parts.append([value.full().ravel() for value in values])
-        x, held = zip(*parts)
+            values = function(t - began, given, own_law, numbers[i], obj_numbers)
+            own_x, own_held = (value.full().ravel() for value in values)
+            x.append(own_x)
+            held += [own_held, leg]
         return np.concatenate(x), np.concatenate(held)
+
+    def leg_numbers(self, contact: int, t: float) -> Array:
+        """What is held of the leg that a contact is on from time t on: its start, its profile."""
+        way = [stretch for stretch in self._ways[contact] if stretch.start <= t]
+        return self._held_of(contact, way[-1]) if way else np.zeros(0)
+
+    def _held_of(self, contact: int, stretch: Stretch) -> Array:
+        c = stretch.profile.coefficients
+        return np.array([stretch.start, *c, *[0.0] * (self.forms[contact].n_profile - len(c))])
+
+    def turned(self, t: float, x: Array, held: Array, carried: Array) -> tuple[Array, Array]:
+        """States and held numbers behind the corners at time t: (n_x,), (n_held,).
+
+        Parameters
+        ----------
+        t : float
+            One of `corners`.
+        x, held : (n_x,), (n_held,)
+            Those on the legs that end there; of numbers of any kind, such as AutoDiffXd.
+        carried : (4 n_contacts,)
+            The output of that name there.
+        """
+        x, held = np.array(x), np.array(held)
+        for i, (way, form) in enumerate(zip(self._ways, self.forms)):
+            for before, now in zip(way, way[1:]):
+                if now.start != t:
+                    continue
+                turn = now.direction - before.direction
+                c, s, (w, u, *v) = math.cos(turn), math.sin(turn), carried[4 * i : 4 * i + 4]
+                if self.scene.gain.row.makes_up and not now.profile.coefficients[0]:
+                    v = [0.0, 0.0]  # no slip leaves a rest
+                own = [c * w - s * u, s * w + c * u, *v]
+                if form.forced:
+                    x[self.state_slices[i]][-4:] = own
+                since = [] if form.forced else [*own, 0.0]
+                held[self.held_slices[i]] = [*since, *self._held_of(i, now)]
+        return x, held
 
     def from_states(
         self, t: float, state: ArrayLike, w: ArrayLike | None = None
@@ -332,6 +381,32 @@ class SceneSystem:
         measured = zip(rows.reshape(n, 9), offsets)
         starts = [measured_start(self.scene, i, t, *given) for i, given in enumerate(measured)]
         return self.place(t, starts)
+
+
+def _without_chart(scene: Scene) -> str:
+    """Why a scene cannot be written in charts, behind its title; nothing where it can."""
+    for i, contact in enumerate(scene.contacts):
+        if contact.legs:
+            return (
+                f", contact {i}: legs = {len(contact.legs)}: the chart equations tell a path's "
+                "direction by its speed, which is zero at a corner"
+            )
+        for surface in (contact.finger, scene.object):
+            if not surface.has_chart:
+                return f", contact {i}: {surface!r} has no explicit chart for the chart equations"
+    zeros = scene.profile.zeros(scene.duration)
+    if zeros:
+        return (
+            f": the chart equations divide by sigma, which is zero at t = {zeros[0]:g} s, and "
+            "frames start and rest at zero"
+        )
+    return ""
+
+
+def _guard(rate: ca.SX, t: ca.SX, profile: list[ca.SX]) -> ca.SX:
+    """1; -1 where sigma < 0; -inf or NaN where a derivative is not finite."""
+    rounding = 1e-14 * polynomial([ca.fabs(c) for c in profile], ca.fabs(t))
+    return ca.copysign(1, polynomial(profile, t) + rounding) - TINY * ca.sumsqr(rate)
 
 
 def _consecutive(sizes: Iterable[int]) -> list[slice]:

@@ -108,6 +108,14 @@ def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
     return tuple(found)
 
 
+def endless(way: tuple[Stretch, ...]) -> tuple[Stretch, ...]:
+    """A way, and where it comes to a rest at its end, that rest."""
+    last = way[-1]
+    if last.profile == STILL or _ends(last)[1]:
+        return way
+    return (*way, Stretch(last.stop, math.inf, last.direction, STILL))
+
+
 def speed(way: Sequence[Stretch], t: np.ndarray) -> np.ndarray:
     """sigma at times [s], m/s."""
     t = np.asarray(t, dtype=float)
