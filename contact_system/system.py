@@ -215,8 +215,8 @@ class SceneSystem:
             "twist" (6), V_OF_O; "acceleration" (6), its time derivative; "pose" (12), the rotation
             from F to O column by column, then the origin of F in O; "contact_point" (6), on the
             finger in F, on the object in O; "normal" (3), of the object, outward, in O, and its
-            time derivative "normal_rate" (3); "carried" (4), W_1 and V, of frames; "regularity" (2), distance of finger and object from
-            their charts' singularities.
+            time derivative "normal_rate" (3); "carried" (4), W_1 and V, of frames alone;
+            "regularity" (2), distance of finger and object from their charts' singularities.
 
         Raises
         ------
@@ -330,7 +330,7 @@ class SceneSystem:
         Parameters
         ----------
         t : float
-            One of `corners`.
+            One of `corners`. Contacts that have passed it already are left.
         x, held : (n_x,), (n_held,)
             Those on the legs that end there; of numbers of any kind, such as AutoDiffXd.
         carried : (4 n_contacts,)
@@ -339,7 +339,8 @@ class SceneSystem:
         x, held = np.array(x), np.array(held)
         for i, (way, form) in enumerate(zip(self._ways, self.forms)):
             for before, now in zip(way, way[1:]):
-                if now.start != t:
+                part = self.held_slices[i]
+                if now.start != t or held[part][form.n_held] == t:
                     continue
                 turn = now.direction - before.direction
                 c, s, (w, u, *v) = math.cos(turn), math.sin(turn), carried[4 * i : 4 * i + 4]
@@ -349,11 +350,15 @@ class SceneSystem:
                 if form.forced:
                     x[self.state_slices[i]][-4:] = own
                 since = [] if form.forced else [*own, 0.0]
-                held[self.held_slices[i]] = [*since, *self._held_of(i, now)]
+                held[part] = [*since, *self._held_of(i, now)]
         return x, held
 
     def from_states(
-        self, t: float, state: ArrayLike, w: ArrayLike | None = None
+        self,
+        t: float,
+        state: ArrayLike,
+        w: ArrayLike | None = None,
+        chosen: Sequence[bool] | None = None,
     ) -> tuple[Array, Array]:
         """States and held numbers from measured chart states: (n_x,), (n_held,).
 
@@ -365,6 +370,8 @@ class SceneSystem:
             u1 v1 u1' v1' u2 v2 u2' v2' psi, object rate offsets included in u2' v2'.
         w : (n_w,), optional
             The disturbances that act; by default the scene's windows.
+        chosen : (n_contacts,), optional
+            Which contacts are measured, by default all; the others stand where the scene starts.
 
         Raises
         ------
@@ -378,8 +385,12 @@ class SceneSystem:
         t = float(self._numbers("t", t))
         w = self._numbers("w", self.window_values(t) if w is None else w, self.n_w)
         offsets = w.reshape(-1, 6)[:, 4:] if self.n_w else np.zeros((n, 2))
-        measured = zip(rows.reshape(n, 9), offsets)
-        starts = [measured_start(self.scene, i, t, *given) for i, given in enumerate(measured)]
+        starts = [
+            measured_start(self.scene, i, t, row, offset)
+            if chosen is None or chosen[i]
+            else scene_start(self.scene.contacts[i])
+            for i, (row, offset) in enumerate(zip(rows.reshape(n, 9), offsets))
+        ]
         return self.place(t, starts)
 
 

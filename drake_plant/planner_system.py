@@ -47,6 +47,8 @@ LOOK = 0.01
 """How often the distance from the plan is looked at where no period is given, s."""
 EARLY = 1e-9
 """How much before its time a restart happens, s."""
+RESTING = 1e-3
+"""Of the greatest sigma."""
 ONCE = 1e9
 """Period of an event that happens once, s."""
 PORTS = {
@@ -122,14 +124,16 @@ class PlannerBase(_System):
         if system.edges:
             self._window = self.DeclareDiscreteState(_vector(np.zeros(1), self.T))
             self.DeclareInitializationUnrestrictedUpdateEvent(weakly(self._SetWindow))
-            for edge in system.edges:
-                self.DeclarePeriodicUnrestrictedUpdateEvent(ONCE, edge, weakly(self._SetWindow))
+        turns = system.corners if x0 is not None else ()
+        if len(system.held0) and x0 is not None and (turns or period is not None):
+            self._held = self.DeclareDiscreteState(_vector(system.held0, self.T))
+        for edge in system.edges:
+            passes = weakly(self._Turn, edge) if edge in turns else weakly(self._SetWindow)
+            self.DeclarePeriodicUnrestrictedUpdateEvent(ONCE, edge, passes)
         if system.disturbance_input:
             self._disturbance = self.DeclareVectorInputPort("disturbance", 6 * n)
         if period is not None:
             self._measured = self.DeclareVectorInputPort("measured_state", 9 * n)
-            if len(system.held0):
-                self._held = self.DeclareDiscreteState(_vector(system.held0, self.T))
             self._restarts = self.DeclareDiscreteState(_vector(np.zeros(n), self.T))
             # A little early: 3 * 0.1 s comes after 300 * 1 ms in floating point, and a discrete
             # plant that has stepped already would be measured a step ahead of the planner.
@@ -160,6 +164,15 @@ class PlannerBase(_System):
 
     def _SetWindow(self, context: Any, state: Any) -> None:
         state.get_mutable_discrete_state(self._window).SetAtIndex(0, context.get_time())
+
+    def _Turn(self, edge: float, context: Any, state: Any) -> None:
+        """Contacts go on along their next legs."""
+        self._SetWindow(context, state)
+        x = state.get_continuous_state().get_vector().CopyToVector().ravel()
+        held = state.get_discrete_state(self._held).CopyToVector().ravel()
+        x, held = self.system.turned(edge, x, held, self._Evaluate(context, "carried"))
+        state.get_mutable_continuous_state().SetFromVector(x)
+        state.get_mutable_discrete_state(self._held).SetFromVector(held)
 
     # --- conversion, as TemplateSystem does it for classes without a signature of their own ---
 
@@ -274,11 +287,12 @@ class ContactPlanner(PlannerBase, LeafSystem):
     The continuous state is that of :class:`contact_system.SceneSystem`: u1 v1 u1' v1' u2 v2 u2'
     v2' psi a contact for ``coordinates="chart"``; moving frames without poles and, but for
     accelerated contacts, without the stiffness of lam for ``coordinates="frame"``. It starts as
-    the scene says. What the scene's windows add follows from the time; where there are any, a
-    discrete state (1) holds when an edge was last passed, so that at an edge itself it is known
-    which side acts; events at the edges set it, and no integrator steps across one. Where the
-    planner restarts and coordinates are frames, another one holds W_1, V and its time. The last
-    one of a planner that restarts counts the restarts.
+    the scene says. What the scene's windows add follows from the time; where there are any, or
+    legs, a discrete state (1) holds when an edge was last passed, so that at an edge itself it is
+    known which side acts; events at the edges set it, and no integrator steps across one. In frame
+    coordinates another one holds W_1, V and its time where the planner restarts or contacts have
+    legs, and of those the leg; events at corners turn W_1. The last one of a planner that restarts
+    counts the restarts.
 
     States of :meth:`contact_system.SceneSystem.from_states` can be started from in chart
     coordinates. In frame coordinates W_1 and V of contacts that nothing accelerates are no
@@ -287,8 +301,9 @@ class ContactPlanner(PlannerBase, LeafSystem):
 
     The planner takes the measured state as its own every `restart_period` seconds; with a
     `restart_distance` that of contacts which are further from the planned point on the object,
-    looked at every `restart_period` or 0.01 s. Contacts whose measured state is not finite keep
-    their plan. `restarts` tells what follows the plan to take no difference across a restart.
+    looked at every `restart_period` or 0.01 s. Contacts whose measured state is not finite, and
+    those that all but rest, where rates tell no direction, keep their plan. `restarts` tells what
+    follows the plan to take no difference across a restart.
 
     A planner may be shared by threads that have a Context each.
 
@@ -302,7 +317,8 @@ class ContactPlanner(PlannerBase, LeafSystem):
     Parameters
     ----------
     scene : Scene
-    coordinates : "chart" or "frame"
+    coordinates : "chart" or "frame", optional
+        By default charts, or frames where the scene has legs, sigma = 0 or a surface without one.
     disturbance_input : bool
     restart_period : float, optional
         s, at least 5e-8 of the scene's duration and 1e-9 s. A discrete plant's state between
@@ -332,7 +348,7 @@ class ContactPlanner(PlannerBase, LeafSystem):
     def __init__(
         self,
         scene: Scene,
-        coordinates: str = "chart",
+        coordinates: str | None = None,
         *,
         disturbance_input: bool = False,
         restart_period: float | None = None,
@@ -347,8 +363,9 @@ class ContactPlanner(PlannerBase, LeafSystem):
         what = f"{scene.title}: tolerance"
         self._tolerance = finite_number(tolerance, what, "above 0")
         self._distance = restart_distance
+        self._fastest = scene.speeds(np.linspace(0.0, scene.duration, 101)).max(axis=0)
         self._options = dict(
-            coordinates=coordinates,
+            coordinates=system.coordinates,
             disturbance_input=disturbance_input,
             restart_period=restart_period,
             restart_distance=restart_distance,
@@ -485,16 +502,20 @@ class ContactPlanner(PlannerBase, LeafSystem):
 
     _Evaluate = _Finite
 
+    def _Moves(self, t: float) -> Array:
+        """Which contacts do not all but rest: (n_contacts,)."""
+        return self.system.scene.speeds(t) > RESTING * self._fastest
+
     def _Restart(self, context: Any, state: Any) -> None:
         """Take over the measured state of the contacts that ask for it."""
         system, limit = self.system, self._distance
         rows = self._measured.Eval(context).reshape(-1, 9)
-        chosen = np.isfinite(rows).all(axis=1)
+        chosen = np.isfinite(rows).all(axis=1) & self._Moves(context.get_time())
         if not chosen.any():
             return
         planned, own = self._Numbers(context, "state").reshape(-1, 9), self._scratches.own
         rows = on_branch(system.scene, np.where(chosen[:, None], rows, planned), planned)
-        x, held = system.from_states(context.get_time(), rows, own.w)
+        x, held = system.from_states(context.get_time(), rows, own.w, chosen)
         if limit is not None:
             now = context.get_time(), x, own.w, held
             there = system.evaluate("contact_point", *now)

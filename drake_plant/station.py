@@ -90,9 +90,9 @@ class StationConfig:
     ----------
     plant : PlantConfig
     driver : DriverConfig
-    coordinates : str
-        "chart" or "frame", of the :class:`ContactPlanner`; "plan": a :class:`PlanSource` is the
-        planner, without states, disturbance port and restarts, exact under every scheme.
+    coordinates : str or None
+        "chart" or "frame", of the :class:`ContactPlanner`, who chooses where it is None; "plan": a
+        :class:`PlanSource` is the planner, without states, disturbance port and restarts, exact under every scheme.
     disturbance_input : bool
         Whether the planner's `disturbance` port is there, exported.
     restart_period, restart_distance : float or None
@@ -109,7 +109,7 @@ class StationConfig:
 
     plant: PlantConfig = field(default_factory=PlantConfig)
     driver: DriverConfig = field(default_factory=DriverConfig)
-    coordinates: str = "chart"
+    coordinates: str | None = None
     disturbance_input: bool = False
     restart_period: float | None = None
     restart_distance: float | None = None
@@ -137,7 +137,8 @@ class StationConfig:
             part = getattr(self, key)
             require_config(part, kind, key)
             part.check()
-        check_words(self, {"coordinates": (*COORDINATES, "plan")})
+        if self.coordinates is not None:
+            check_words(self, {"coordinates": (*COORDINATES, "plan")})
         for key in ("disturbance_input", "rolling_radii"):
             flag(getattr(self, key), key)
         check_numbers(self, ("restart_period",), "above 0")

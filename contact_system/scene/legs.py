@@ -125,6 +125,13 @@ def speed(way: Sequence[Stretch], t: np.ndarray) -> np.ndarray:
     return found
 
 
+def length(way: Sequence[Stretch], t: float) -> float:
+    """How far the path has come at time t [s], m; the last stretch goes on for ever."""
+    ends = [*(stretch.stop for stretch in way[:-1]), math.inf]
+    spans = [(s.profile, min(t, end) - s.start) for s, end in zip(way, ends) if s.start < t]
+    return math.fsum(float(profile.arc_length(span)) for profile, span in spans)
+
+
 def check_legs(legs: Sequence[Leg], duration: float) -> None:
     """Check that legs fit a horizon, and that the contact rests wherever its path turns.
 
