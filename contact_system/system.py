@@ -181,7 +181,7 @@ class SceneSystem:
         law, obj, *fingers = (p[s] for s in self._number_slices)
         scene, names = self.scene, ("derivatives", *PER_CONTACT)
         found: dict[str, list[ca.SX]] = {name: [] for name in names}
-        guards = []
+        signs = []
         for i, (contact, form) in enumerate(zip(scene.contacts, self.forms)):
             own = [d for d in scene.disturbances if d.contact == i]
             acts = w[6 * i : 6 * i + 6] if self.disturbance_input or own else ca.SX.zeros(6)
@@ -196,9 +196,10 @@ class SceneSystem:
             values = dict(zip(names, function(own_t, *carried, own_law, fingers[i], obj)))
             for name in names:
                 found[name].append(values[name])
-            guards.append(_guard(values["derivatives"], own_t, ca.vertsplit(own_law[1:])))
+            signs.append(_sign(ca.vertsplit(own_law[1:]), own_t))
         outputs = {name: ca.vertcat(*values) for name, values in found.items()}
-        outputs["guard"] = ca.mmin(ca.vertcat(*guards))
+        rate = outputs["derivatives"]  # added, as a least number would hide NaN
+        outputs["guard"] = ca.mmin(ca.vertcat(*signs)) - TINY * ca.sumsqr(rate)
         outputs["clearance"] = ca.mmin(outputs["regularity"])
         return outputs
 
@@ -414,10 +415,10 @@ def _without_chart(scene: Scene) -> str:
     return ""
 
 
-def _guard(rate: ca.SX, t: ca.SX, profile: list[ca.SX]) -> ca.SX:
-    """1; -1 where sigma < 0; -inf or NaN where a derivative is not finite."""
+def _sign(profile: list[ca.SX], t: ca.SX) -> ca.SX:
+    """1, or -1 where sigma < 0."""
     rounding = 1e-14 * polynomial([ca.fabs(c) for c in profile], ca.fabs(t))
-    return ca.copysign(1, polynomial(profile, t) + rounding) - TINY * ca.sumsqr(rate)
+    return ca.copysign(1, polynomial(profile, t) + rounding)
 
 
 def _consecutive(sizes: Iterable[int]) -> list[slice]:
