@@ -168,8 +168,8 @@ class PlannerBase(_System):
     def _Turn(self, edge: float, context: Any, state: Any) -> None:
         """Contacts go on along their next legs."""
         self._SetWindow(context, state)
-        x = state.get_continuous_state().get_vector().CopyToVector().ravel()
-        held = state.get_discrete_state(self._held).CopyToVector().ravel()
+        x = context.get_continuous_state_vector().CopyToVector().ravel()
+        held = context.get_discrete_state(self._held).CopyToVector().ravel()
         x, held = self.system.turned(edge, x, held, self._Evaluate(context, "carried"))
         state.get_mutable_continuous_state().SetFromVector(x)
         state.get_mutable_discrete_state(self._held).SetFromVector(held)
