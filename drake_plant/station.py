@@ -92,7 +92,8 @@ class StationConfig:
     driver : DriverConfig
     coordinates : str or None
         "chart" or "frame", of the :class:`ContactPlanner`, who chooses where it is None; "plan": a
-        :class:`PlanSource` is the planner, without states, disturbance port and restarts, exact under every scheme.
+        :class:`PlanSource` is the planner, without states, disturbance port and restarts, exact
+        under every scheme.
     disturbance_input : bool
         Whether the planner's `disturbance` port is there, exported.
     restart_period, restart_distance : float or None
