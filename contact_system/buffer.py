@@ -20,8 +20,8 @@ from .starts import Moment, Starts
 from .surfaces import Surface
 from .theory.gain import LAWS
 
-VERSION = 4
-HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT = 15, 5, 5, 7, 35, 23  # so many numbers each
+VERSION = 5
+HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT = 15, 5, 5, 5, 35, 23  # so many numbers each
 TOLERATED, AT_CONTACTS = 2, 9  # places in the header
 LEGS, W1, Y = 10, 19, 21  # places in a contact's row
 if LAYOUT != (VERSION, HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT):
@@ -79,10 +79,9 @@ class Buffer:
     def _way(self, way: Sequence[Stretch]) -> tuple[int, int]:
         """Add legs; returns where they stand, and how many."""
         numbers, direction = [], way[0].direction
-        for start, stop, along, profile in way:
-            extrema = profile.extrema(0.0, stop - start)
-            at = self._put(profile.coefficients), self._put(extrema)
-            numbers += [start, at[0], len(profile.coefficients), at[1], len(extrema)]
+        for start, _, along, profile in way:
+            at = self._put(profile.coefficients)
+            numbers += [start, at, len(profile.coefficients)]
             numbers += [math.cos(along - direction), math.sin(along - direction)]
             direction = along
         return self._put(numbers), len(way)

@@ -96,6 +96,9 @@ _CALLS: dict[str, Any] = {
     "fields": ctypes.PYFUNCTYPE(None, c_int64, c_void_p, c_void_p, c_void_p),
     "shifts": ctypes.PYFUNCTYPE(None, c_int64, c_int64, c_void_p, c_void_p, c_void_p),
     "steer": ctypes.PYFUNCTYPE(c_int64, c_void_p, c_int64, c_void_p, c_void_p, c_void_p),
+    "sign_changes": ctypes.PYFUNCTYPE(
+        c_int64, POINTER(c_double), c_int64, c_int64, c_double, c_double, POINTER(c_double)
+    ),
 }
 
 
@@ -129,7 +132,7 @@ ENGINE: Engine = _LIBRARY.contact_engine().contents
 # to fetch a function from a structure makes it anew
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
-step, along = ENGINE.step, ENGINE.along
+step, along, _sign_changes = ENGINE.step, ENGINE.along, ENGINE.sign_changes
 fields, shifts, steer = ENGINE.fields, ENGINE.shifts, ENGINE.steer
 _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
@@ -244,6 +247,18 @@ def surface_data(
         for k, table in enumerate(getattr(tables, group)):
             getattr(made, group)[k] = None if table is None else table_address(table)
     return made
+
+
+def sign_changes(
+    coefficients: Sequence[float], start: float, stop: float, order: int = 0
+) -> list[float]:
+    """Times inside (start, stop) at which a polynomial's derivative changes sign, ascending.
+
+    Roots that only touch zero, rounded or not, are no sign changes. Lowest power first.
+    """
+    n = len(coefficients)
+    found = (c_double * (2 * n))()
+    return found[: _sign_changes((c_double * n)(*coefficients), n, order, start, stop, found)]
 
 
 def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:

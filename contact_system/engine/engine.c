@@ -8,6 +8,8 @@
 /* */
 #include "twofold.h"
 
+#include "polynomial.h"
+
 #include "generated/gauss.inc"
 #include "generated/operations.inc"
 
@@ -198,4 +200,5 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                 .look = look,
                                 .fields = fields,
                                 .shifts = shifts,
-                                .steer = steered};
+                                .steer = steered,
+                                .sign_changes = sign_changes};

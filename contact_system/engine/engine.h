@@ -49,7 +49,7 @@ extern const table_t contact_tables[];
 
 /* ---- the scene's buffer: doubles, places as offsets from its beginning ---- */
 
-enum { SCENE_VERSION = 4 };
+enum { SCENE_VERSION = 5 };
 
 /* the header */
 enum {
@@ -77,9 +77,7 @@ enum {
   G_PROFILE, /* where the coefficients of sigma stand, lowest power first, t from G_START, and how
               */
   G_PROFILE_SIZE, /* many */
-  G_EXTREMA,      /* where the times of its extrema stand, ascending, from G_START, and how many */
-  G_EXTREMA_SIZE,
-  G_TURN, /* cosine and sine of the angle by which the path turns where the leg begins */
+  G_TURN,         /* cosine and sine of the angle by which the path turns where the leg begins */
   LEG_SIZE = G_TURN + 2
 };
 /* a contact */
@@ -198,6 +196,9 @@ typedef struct {
   void (*fields)(int64_t n, const double *curvature, const double *s, double *out);
   void (*shifts)(int64_t m, int64_t n, const double *ways, const double *along, double *out);
   int64_t (*steer)(const steer_t *aim, int64_t n, const double *z, double *off, double *slopes);
+  /* of a polynomial: see polynomial.h */
+  int64_t (*sign_changes)(const double *c, int64_t n, int64_t order, double a, double b,
+                          double *found);
 } engine_t;
 
 #ifdef _WIN32

@@ -20,13 +20,6 @@ static void shift(const double *c, int64_t n, double start, twofold_t *out) {
     for (int64_t j = n - 2; j >= i; j--) out[j] = plus(out[j], times(twofold(start), out[j + 1]));
 }
 
-/* sigma(start), or 0 where it cannot be told from rounding */
-static double clear_value(const double *c, int64_t n, double start, double value) {
-  double size = 0.0;
-  for (int64_t k = n - 1; k >= 0; k--) size = size * fabs(start) + fabs(c[k]);
-  return start == 0 || fabs(value) > 4e-16 * (double)n * size ? value : 0.0;
-}
-
 /* Coefficients of int value sigma^power; returns how many */
 static int64_t exponent_of(work_t *w, const twofold_t *sigma, int64_t n, double value,
                            int64_t power, const double **out) {
@@ -72,12 +65,12 @@ static const drive_t *drive_on(work_t *w, const double *leg, double start, doubl
 
   const double span = stop - start, ends[2] = {sigma[0], sigma_at(d, span)};
   double least = fmin(ends[0], ends[1]), greatest = fmax(ends[0], ends[1]);
-  const double *turns = scene + (int64_t)leg[G_EXTREMA];
-  for (int64_t k = 0; k < (int64_t)leg[G_EXTREMA_SIZE]; k++)
-    if (turns[k] > from && turns[k] < to) {
-      const double value = sigma_at(d, turns[k] - from);
-      least = fmin(least, value), greatest = fmax(greatest, value);
-    }
+  double *turns = keep(w, (size_t)(2 * n));
+  const int64_t n_turns = sign_changes(c, n, 1, from, to, turns);
+  for (int64_t k = 0; k < n_turns; k++) {
+    const double value = sigma_at(d, turns[k] - from);
+    least = fmin(least, value), greatest = fmax(greatest, value);
+  }
   d->least = least;
   /* slip V still moves the contact by |V| over this at most: lam/sigma, or the path's length */
   const double base = power > 1 ? least : fmax(greatest, 1e-300);
@@ -104,16 +97,20 @@ static int64_t knots_of(work_t *w, const double *row, double **out) {
   const int64_t n = (int64_t)row[K_WINDOWS_SIZE], n_legs = (int64_t)row[K_LEGS_SIZE];
   const int cut = scene[S_MAKES_UP] > 0; /* the law changes its form at extrema of sigma */
   int64_t room = 2 + 2 * n + n_legs, count = 0;
-  for (int64_t k = 0; k < n_legs && cut; k++) room += (int64_t)legs[k * LEG_SIZE + G_EXTREMA_SIZE];
+  for (int64_t k = 0; k < n_legs && cut; k++)
+    room += 2 * (int64_t)legs[k * LEG_SIZE + G_PROFILE_SIZE];
   double *knots = *out = keep(w, (size_t)room);
   knots[count++] = begin, knots[count++] = end;
   for (int64_t k = 0; k < n; k++)
     for (int j = 0; j < 2; j++) knots[count++] = windows[k * WINDOW_SIZE + W_START + j];
   for (int64_t k = 0; k < n_legs; k++) {
-    const double *leg = legs + k * LEG_SIZE, *turns = scene + (int64_t)leg[G_EXTREMA];
-    knots[count++] = leg[G_START];
-    for (int64_t j = 0; j < (int64_t)leg[G_EXTREMA_SIZE] && cut; j++)
-      knots[count++] = leg[G_START] + turns[j];
+    const double *leg = legs + k * LEG_SIZE, start = leg[G_START];
+    const double stop = k + 1 < n_legs ? leg[LEG_SIZE + G_START] : end;
+    const double *c = scene + (int64_t)leg[G_PROFILE];
+    double *turns = knots + ++count;
+    turns[-1] = start;
+    if (cut) count += sign_changes(c, (int64_t)leg[G_PROFILE_SIZE], 1, 0.0, stop - start, turns);
+    while (turns < knots + count) *turns++ += start;
   }
   int64_t inside = 0;
   for (int64_t k = 0; k < count; k++)

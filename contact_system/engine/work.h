@@ -142,13 +142,7 @@ static void *keep_items(work_t *w, int64_t n, size_t size) {
 
 /* ---- polynomials ---- */
 
-static inline double horner(const double *c, int64_t n, double x) {
-  double y = c[n - 1];
-  for (int64_t k = n - 2; k >= 0; k--) y = y * x + c[k];
-  return y;
-}
-
-/* dy/dx of the same */
+/* dy/dx of `horner` */
 static inline double slope_of(const double *c, int64_t n, double x) {
   double y = 0.0;
   for (int64_t k = n - 1; k >= 1; k--) y = y * x + (double)k * c[k];

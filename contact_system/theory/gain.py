@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import finite_number
+from ..engine.binding import sign_changes
 from ..errors import SceneError
 from .profile import (
     Coefficients,
@@ -30,7 +31,6 @@ from .profile import (
     polynomial,
     rounded,
     rounded_product,
-    sign_changes,
 )
 
 

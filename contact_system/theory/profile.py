@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from ..checks import LARGEST, finite_number, finite_numbers, real_array, within
+from ..engine.binding import sign_changes
 from ..errors import SceneError
 from ..kept import kept
 
@@ -31,7 +32,6 @@ Numbers = Sequence[float] | np.ndarray
 """What users may give for a few numbers, all of which are kept as tuples of floats."""
 
 CANCELLED = 1e5  # times as large as sigma may its terms be: 11 digits are left of it, 6 of int lam
-_BISECTIONS = 200  # down to neighbouring floats, also for a root very close to 0
 
 
 # --- polynomials -------------------------------------------------------------------------------
@@ -88,38 +88,6 @@ def rounded(*terms: Exact) -> Coefficients:
 def rounded_product(*factors: Coefficients) -> Coefficients:
     """Product of polynomials, each coefficient rounded once."""
     return rounded(exact_product(*factors))
-
-
-def sign_changes(coefficients: Sequence[float], start: float, stop: float) -> list[float]:
-    """Times inside (start, stop) at which the polynomial changes sign, ascending.
-
-    Between the sign changes of its derivative a polynomial is monotone, so bisection finds every
-    one. Roots that only touch zero, rounded or not, are no sign changes.
-    """
-    if not any(coefficients[1:]):
-        return []
-    turns = sign_changes(derivative(coefficients), start, stop)
-    signed = [(t, clear_value(coefficients, t)) for t in (start, *turns, stop)]
-    signed = [(t, value) for t, value in signed if value != 0]
-    return [
-        _bisect(coefficients, a, b, at_a)
-        for (a, at_a), (b, at_b) in zip(signed, signed[1:])
-        if at_a * at_b < 0
-    ]
-
-
-def _bisect(coefficients: Sequence[float], a: float, b: float, value_at_a: float) -> float:
-    if len(coefficients) == 2:  # a line: its root, kept between the ends
-        return min(max(a, -coefficients[0] / coefficients[1]), b)
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (a + b)
-        if not a < middle < b:
-            break
-        if polynomial(coefficients, middle) * value_at_a > 0:
-            a = middle
-        else:
-            b = middle
-    return b
 
 
 # --- the path profile --------------------------------------------------------------------------
@@ -182,12 +150,10 @@ class Profile:
 
     def extrema(self, t0: float, t1: float) -> tuple[float, ...]:
         """Times inside (t0, t1) at which sigma' changes sign, ascending [s]."""
-        if t0 == 0 and min(self.coefficients[1:], default=0.0) >= 0:
-            return ()  # no term turns, the commonest profile
         if self.peak is not None:
             return (self.peak,) if t0 < self.peak < t1 else ()
         span = finite_number(t0, "t0"), finite_number(t1, "t1")
-        return tuple(sign_changes(self.slope, *span))
+        return tuple(sign_changes(self.coefficients, *span, order=1))
 
     def knots(self, t0: float, t1: float) -> tuple[float, ...]:
         """t0, the extrema between, t1: sigma is monotonic from each to the next [s]."""

@@ -86,7 +86,7 @@ static const char *make_component(component_t *c, const char *resources) {
   size_t registers = 1;
   c->engine = contact_engine();
   c->now = calloc(1, memory_size(m)), c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
-  c->buffer = malloc((size_t)(S_HEADER + LEG_SIZE + 2 * m->n_profile + m->n_values + CONTACT_SIZE +
+  c->buffer = malloc((size_t)(S_HEADER + LEG_SIZE + m->n_profile + m->n_values + CONTACT_SIZE +
                               WINDOW_SIZE * (m->n_windows + 3) + 4) *
                      sizeof(double));
   c->seed = calloc(1, values), c->grown = calloc(1, values);
@@ -136,12 +136,12 @@ static void put_window(double **next, double slot, double start, double stop, co
 static int rests_between(const component_t *c, double from, double to) {
   const double *sigma = sigma_of(c);
   const long np = c->model->n_profile;
-  double at[MAX_PROFILE + 2], largest = 0.0;
-  const long n = turns_of(sigma, np, from, to, at + 1);
+  double at[2 * MAX_PROFILE + 2], largest = 0.0;
+  const long n = (long)sign_changes(sigma, np, 1, from, to, at + 1);
   at[0] = from, at[n + 1] = to;
   for (long k = 0; k < np; k++) largest = fmax(largest, fabs(sigma[k]));
   for (long k = 0; k < n + 2; k++)
-    if (horner_at(sigma, np, at[k]) <= 1e-9 * largest) return 1;
+    if (horner(sigma, np, at[k]) <= 1e-9 * largest) return 1;
   return 0;
 }
 
@@ -162,8 +162,6 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   leg[G_START] = 0.0, leg[G_TURN] = 1.0, leg[G_TURN + 1] = 0.0;
   leg[G_PROFILE] = (double)(next - b), leg[G_PROFILE_SIZE] = (double)m->n_profile;
   memcpy(next, sigma_of(c), (size_t)m->n_profile * sizeof *next), next += m->n_profile;
-  const long turns = turns_of(sigma_of(c), m->n_profile, s->begin, s->end, next);
-  leg[G_EXTREMA] = (double)(next - b), leg[G_EXTREMA_SIZE] = (double)turns, next += turns;
   row[K_LEGS] = (double)(leg - b), row[K_LEGS_SIZE] = 1.0;
   put_body(c, m->data + D_OBJECT, &next, b + S_OBJECT);
   put_body(c, contact_of(m, i) + P_FINGER, &next, row + K_FINGER);
