@@ -33,7 +33,6 @@ first system is made.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -44,7 +43,7 @@ from .contact_equations import PER_CONTACT, Form, contact_function, start_functi
 from .errors import SceneError
 from .kept import kept
 from .scene import SLOTS, Disturbance, Scene, Stretch, acting, refuse_rest, require_scene
-from .scene.legs import endless
+from .scene.legs import turns
 from .starts import Start, measured_start, scene_start
 from .surfaces import TINY, Ellipsoid, Surface, UserSurface
 from .theory import symbols as ca
@@ -105,7 +104,9 @@ class SceneSystem:
         self._refuse()
         n = len(scene.contacts)
         self.n_w = 6 * n if scene.disturbances or disturbance_input else 0
-        self._ways = [endless(scene.way(i)) if c.legs else () for i, c in enumerate(scene.contacts)]
+        self._ways = [
+            c.whole_way(scene.profile, scene.duration) if c.legs else () for c in scene.contacts
+        ]
         self.corners = frozenset(stretch.start for way in self._ways for stretch in way[1:])
         self.edges = tuple(sorted({*scene.window_edges, *self.corners}))
         self.forms = self._forms()
@@ -339,12 +340,11 @@ class SceneSystem:
         """
         x, held = np.array(x), np.array(held)
         for i, (way, form) in enumerate(zip(self._ways, self.forms)):
-            for before, now in zip(way, way[1:]):
+            for now, (c, s) in zip(way[1:], turns(way)[1:] if way else ()):
                 part = self.held_slices[i]
                 if now.start != t or held[part][form.n_held] == t:
                     continue
-                turn = now.direction - before.direction
-                c, s, (w, u, *v) = math.cos(turn), math.sin(turn), carried[4 * i : 4 * i + 4]
+                w, u, *v = carried[4 * i : 4 * i + 4]
                 if self.scene.gain.row.makes_up and not now.profile.coefficients[0]:
                     v = [0.0, 0.0]  # no slip leaves a rest
                 own = [c * w - s * u, s * w + c * u, *v]

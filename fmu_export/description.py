@@ -79,7 +79,7 @@ def model_description(
     add_log_categories(root, LOG_CATEGORIES)
     scene, horizon = table.scene, table.scene.duration
     smallest = min(s.size for s in (scene.object, *(c.finger for c in scene.contacts)))
-    fastest = max(scene.profile(t) for t in np.linspace(0.0, horizon, 65))
+    fastest = scene.speeds(np.linspace(0.0, horizon, 65)).max()
     # so that Euler's method moves a contact by less than a tenth of a body's size
     steps = max(500, math.ceil(10 * fastest * horizon / smallest / 100) * 100)
     experiment = {"startTime": "0", "stopTime": _number(horizon), "tolerance": "1e-10"}

@@ -108,6 +108,12 @@ def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
     return tuple(found)
 
 
+def turns(way: Sequence[Stretch]) -> list[tuple[float, float]]:
+    """Cosine and sine of the angle by which the path turns where each stretch begins."""
+    angles = [now.direction - before.direction for before, now in zip((way[0], *way), way)]
+    return [(math.cos(angle), math.sin(angle)) for angle in angles]
+
+
 def endless(way: tuple[Stretch, ...]) -> tuple[Stretch, ...]:
     """A way, and where it comes to a rest at its end, that rest."""
     last = way[-1]

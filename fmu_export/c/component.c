@@ -83,11 +83,15 @@ static const char *make_component(component_t *c, const char *resources) {
   if (!(c->model = read_model(resources, &wrong))) return wrong;
   const model_t *m = c->model;
   const size_t values = (size_t)m->n_values * sizeof(double);
-  size_t registers = 1;
+  size_t registers = 1, legs = 0;
+  for (long i = 0; i < m->n_contacts; i++) {
+    const double *row = contact_of(m, i), size = m->data[(long)row[P_LEGS] + G_PROFILE_SIZE];
+    legs = (size_t)fmax((double)legs, row[P_N_LEGS] * (LEG_SIZE + size));
+  }
   c->engine = contact_engine();
   c->now = calloc(1, memory_size(m)), c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
-  c->buffer = malloc((size_t)(S_HEADER + LEG_SIZE + m->n_profile + m->n_values + CONTACT_SIZE +
-                              WINDOW_SIZE * (m->n_windows + 3) + 4) *
+  c->buffer = malloc((legs + (size_t)(S_HEADER + m->n_values + CONTACT_SIZE +
+                                      WINDOW_SIZE * (m->n_windows + 3) + 4)) *
                      sizeof(double));
   c->seed = calloc(1, values), c->grown = calloc(1, values);
   for (long i = 0; c->live && i < m->n_contacts; i++) {
@@ -132,16 +136,21 @@ static void put_window(double **next, double slot, double start, double stop, co
   *next += WINDOW_SIZE;
 }
 
-/* Whether sigma is all but zero somewhere between two times */
-static int rests_between(const component_t *c, double from, double to) {
-  const double *sigma = sigma_of(c);
-  const long np = c->model->n_profile;
-  double at[2 * MAX_PROFILE + 2], largest = 0.0;
-  const long n = (long)sign_changes(sigma, np, 1, from, to, at + 1);
-  at[0] = from, at[n + 1] = to;
-  for (long k = 0; k < np; k++) largest = fmax(largest, fabs(sigma[k]));
-  for (long k = 0; k < n + 2; k++)
-    if (horner(sigma, np, at[k]) <= 1e-9 * largest) return 1;
+/* Whether sigma of contact i is all but zero somewhere between two times */
+static int rests_between(const component_t *c, long i, double from, double to) {
+  double at[2 * MAX_PROFILE + 2];
+  for (long k = 0, count = n_legs(c->model, i); k < count; k++) {
+    const leg_t leg = leg_of(c, i, k);
+    const double first = fmax(from, leg.start);
+    const double last = k + 1 < count ? fmin(to, leg_of(c, i, k + 1).start) : to;
+    double largest = 0.0;
+    if (!(first < last)) continue;
+    const long n = signs_of(&leg, 1, first, last, at + 1);
+    at[0] = first, at[n + 1] = last;
+    for (long j = 0; j < leg.n; j++) largest = fmax(largest, fabs(leg.sigma[j]));
+    for (long j = 0; j < n + 2; j++)
+      if (horner(leg.sigma, leg.n, at[j] - leg.start) <= 1e-9 * largest) return 1;
+  }
   return 0;
 }
 
@@ -157,12 +166,15 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   b[S_PANELS] = MOST_PANELS;
   b[S_BEGIN] = s->begin, b[S_END] = s->end;
   b[S_GAIN] = s->gain, b[S_GAIN_POWER] = m->data[D_POWER], b[S_MAKES_UP] = m->data[D_MAKES_UP];
-  double *leg = next; /* one, from t = 0 on */
-  next += LEG_SIZE;
-  leg[G_START] = 0.0, leg[G_TURN] = 1.0, leg[G_TURN + 1] = 0.0;
-  leg[G_PROFILE] = (double)(next - b), leg[G_PROFILE_SIZE] = (double)m->n_profile;
-  memcpy(next, sigma_of(c), (size_t)m->n_profile * sizeof *next), next += m->n_profile;
-  row[K_LEGS] = (double)(leg - b), row[K_LEGS_SIZE] = 1.0;
+  row[K_LEGS] = (double)(next - b), row[K_LEGS_SIZE] = (double)n_legs(m, i);
+  next += n_legs(m, i) * LEG_SIZE;
+  for (long k = 0; k < n_legs(m, i); k++) {
+    const leg_t leg = leg_of(c, i, k);
+    double *to = b + (long)row[K_LEGS] + k * LEG_SIZE;
+    to[G_START] = leg.start, to[G_TURN] = leg.turn[0], to[G_TURN + 1] = leg.turn[1];
+    to[G_PROFILE] = (double)(next - b), to[G_PROFILE_SIZE] = (double)leg.n;
+    memcpy(next, leg.sigma, (size_t)leg.n * sizeof *next), next += leg.n;
+  }
   put_body(c, m->data + D_OBJECT, &next, b + S_OBJECT);
   put_body(c, contact_of(m, i) + P_FINGER, &next, row + K_FINGER);
   row[K_MOMENT] = s->moment, row[K_FRAMES] = s->frames, row[K_WINDOWS] = (double)(next - b);
@@ -180,7 +192,7 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   for (const double *w = first; w < next; w += WINDOW_SIZE) {
     const double from = fmax(w[W_START], s->begin), to = fmin(w[W_STOP], s->end);
     if (w[W_SLOT] > 1 || from >= to || (w[W_VALUE] == 0.0 && w[W_VALUE + 1] == 0.0)) continue;
-    if (!rests_between(c, from, to)) continue;
+    if (!rests_between(c, i, from, to)) continue;
     c->failure = (failure_t){.code = STUCK, .pushed = 1}; /* the engine would try for long */
     return NULL;
   }
@@ -216,14 +228,12 @@ static int go_on(component_t *c, long i, plan_t *plan, double t, segment_t *s) {
   return 0;
 }
 
-/* A segment's end, at a window's edge a bit later: values there are those after it. */
+/* A segment's end, at an edge a bit later: values there are those after it. */
 static double end_of(const component_t *c, double begin, double end, double target) {
   end = fmin(fmax(end, target), c->now->limit);
   const double edge = snapped(c, end);
-  for (long k = 0; k < c->model->n_windows; k++)
-    for (int side = 0; side < 2; side++)
-      if (window_values(c, k)[side] == edge)
-        return fmin(edge + 0.01 * (edge - begin), c->now->limit);
+  for (long k = 0; k < n_edges(c->model); k++)
+    if (edge_of(c, k) == edge) return fmin(edge + 0.01 * (edge - begin), c->now->limit);
   return end;
 }
 
@@ -288,11 +298,9 @@ static void commit(component_t *c, long i, int taken) {
   "while sigma > 0, or disturb the object's rates"
 
 /* Whether an input accelerates a path that rests; it has no rates, and can be looked at without. */
-static int pushed_at_rest(const component_t *c) {
-  if (!rests(c)) return 0;
-  for (long i = 0; i < c->model->n_contacts; i++)
-    for (int j = 0; j < 4; j++)
-      if (c->value[c->model->layout[i].input + j] != 0.0) return 1;
+static int pushed_at_rest(const component_t *c, long i) {
+  for (int j = 0; j < 4; j++)
+    if (c->value[c->model->layout[i].input + j] != 0.0) return rests(c, i);
   return 0;
 }
 
@@ -313,7 +321,7 @@ static void velocity_of(component_t *c, long i, int side, const double *place, c
 
 /* Contact i goes on from what was measured. Returns not 0 where that is no place to start from. */
 static int resynchronize(component_t *c, long i, segment_t *s) {
-  const double *x = c->value + c->model->layout[i].measured, sigma = sigma_now(c);
+  const double *x = c->value + c->model->layout[i].measured, sigma = sigma_now(c, i);
   double *to = s->row - K_PLACE_1, acting[DISTURBANCES], w[2], y[2];
   acting_on(c, i, acting);
   const double own[2] = {x[DU2] - acting[4], x[DV2] - acting[5]}; /* what drives the feedback */
@@ -338,12 +346,14 @@ static int resynchronize(component_t *c, long i, segment_t *s) {
 static int settle(component_t *c) {
   memory_t *now = c->now;
   if (now->settled) return 0;
-  const int rest = pushed_at_rest(c);
+  int rest = 0;
   for (long i = 0; i < c->model->n_contacts; i++) {
     segment_t *s = c->segment + i;
+    const int pushed = pushed_at_rest(c, i);
+    rest |= pushed;
     double acting[DISTURBANCES];
     for (int j = 0; j < DISTURBANCES; j++)
-      acting[j] = rest && j < 4 ? 0.0 : c->value[c->model->layout[i].input + j];
+      acting[j] = pushed && j < 4 ? 0.0 : c->value[c->model->layout[i].input + j];
     const int measures = c->model->data[D_MEASURED] > 0;
     const double heard = measures ? c->value[c->model->layout[i].measured + TRIGGER] : 0.0;
     const int again = heard != 0.0 && heard != s->trigger;
@@ -524,11 +534,12 @@ static long owner_of(const model_t *m, long reference) {
 /* The first of these values that there is not; count where there are all */
 static long without_value(const component_t *c, unsigned reference, const double *value,
                           long count) {
+  const long owner = owner_of(c->model, reference);
   long i = 0;
   for (; i < count; i++) {
     if (fabs(value[i]) <= 1e200) continue; /* tables divide an acceleration by 1e-300 at rest */
     if (!(fabs(value[i]) <= DBL_MAX) ||
-        (kind_of(c->model, reference + i) == CALCULATED && rests(c)))
+        (kind_of(c->model, reference + i) == CALCULATED && rests(c, owner)))
       break;
   }
   return i;
@@ -547,7 +558,7 @@ static status_t refuse(component_t *c, unsigned reference) {
         what, now->time, now->limit);
   const int framed =
       i < 0 || !SYSTEM(now) || (c->live[i].regularity[0] > 0 && c->live[i].regularity[1] > 0);
-  if (rests(c) && framed)
+  if (i >= 0 && rests(c, i) && framed)
     return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s: " AT_REST, what,
                   now->time);
   const char *where =
@@ -623,7 +634,7 @@ static const char *place_contact(component_t *c, long i) {
                   : "the finger has no outward contact frame at (u, v)";
   memset(s, 0, sizeof *s);
   s->begin = c->now->time, s->gain = c->value[GAIN];
-  if (leaves_slip_behind(c)) no_slip(m, i, x);
+  if (leaves_slip_behind(c, i)) no_slip(m, i, x);
   if (!m->frames) {
     for (int side = 0; side < 2; side++) {
       const double *own = x + BODY * side;
@@ -657,11 +668,10 @@ static const char *place_contact(component_t *c, long i) {
 static void warm(component_t *c, long i) {
   const double at = c->now->acts_at;
   look(c, i, ALL_RESULTS & ~OF_RATES);
-  for (long k = 0; k < c->model->n_windows; k++)
-    for (int side = 0; side < 2; side++) {
-      c->now->acts_at = window_values(c, k)[side];
-      look(c, i, ALL_RESULTS & ~OF_RATES);
-    }
+  for (long k = 0; k < n_edges(c->model); k++) {
+    c->now->acts_at = edge_of(c, k);
+    look(c, i, ALL_RESULTS & ~OF_RATES);
+  }
   c->now->acts_at = at;
 }
 
@@ -669,7 +679,7 @@ static status_t start(component_t *c) {
   memory_t *now = c->now;
   const model_t *m = c->model;
   const double *order = section(m, D_ORDERS), *starts = section(m, D_STARTS);
-  study_profile(c);
+  study_profiles(c);
   if (now->limit <= now->time)
     return report(c, FAILED, "logStatusError",
                   "sigma is negative from t = %.9g s on; change the profile", now->time);
@@ -708,13 +718,15 @@ static status_t start(component_t *c) {
 /* ---- steps ---- */
 
 static void tell_edges(component_t *c, double from) {
-  for (long k = 0; k < c->model->n_windows; k++)
-    for (int side = 0; side < 2; side++) {
-      const double edge = window_values(c, k)[side];
-      if (!reached(from, edge) && reached(c->now->time, edge))
-        report(c, OK, "logEvents", "the disturbance of contact %g %s at t = %.17g s",
-               window_of(c, k)[V_CONTACT] + 1, side ? "ends" : "begins", edge);
-    }
+  for (long k = 0; k < n_edges(c->model); k++) {
+    const double edge = edge_of(c, k);
+    if (reached(from, edge) || !reached(c->now->time, edge)) continue;
+    if (k < 2 * c->model->n_windows)
+      report(c, OK, "logEvents", "the disturbance of contact %g %s at t = %.17g s",
+             window_of(c, k / 2)[V_CONTACT] + 1, k % 2 ? "ends" : "begins", edge);
+    else
+      report(c, OK, "logEvents", "a leg begins at t = %.17g s", edge);
+  }
 }
 
 /* All contacts to a time, or none. */
@@ -730,8 +742,9 @@ static status_t step(component_t *c, double target, int stop_at_windows, int *ed
                   "change the profile",
                   target, now->limit);
   if (now->pending) enter_windows(c);
-  if (pushed_at_rest(c))
-    return report(c, DISCARD, "logStatusDiscard", "no step to t = %.9g s: " AT_REST, target);
+  for (long i = 0; i < n; i++)
+    if (pushed_at_rest(c, i))
+      return report(c, DISCARD, "logStatusDiscard", "no step to t = %.9g s: " AT_REST, target);
   const int stuck = settle(c);
   if (stuck) return refuse_motion(c, stuck - 1, "step", target);
   double goal = fmin(target, now->limit);
@@ -748,6 +761,6 @@ static status_t step(component_t *c, double target, int stop_at_windows, int *ed
   for (long i = 0; i < n; i++) commit(c, i, 1);
   set_time(c, goal);
   if (*edge) now->pending = 1, now->acts_at = nextafter(now->acts_at, -HUGE_VAL);
-  if (c->model->n_windows) tell_edges(c, began);
+  if (n_edges(c->model)) tell_edges(c, began);
   return OK;
 }

@@ -18,7 +18,7 @@
 #endif
 
 #define DATA_MAGIC 20261123.0
-#define DATA_VERSION 1.0
+#define DATA_VERSION 2.0
 enum {
   D_MAGIC,
   D_VERSION,
@@ -47,6 +47,8 @@ enum {
   D_SYSTEMS, /* tables of the equations of a contact, one after the other */
   D_WINDOWS, /* and how many */
   D_N_WINDOWS,
+  D_CORNERS, /* where legs of any contact begin, ascending, and how many */
+  D_N_CORNERS,
   D_ORDERS, /* pairs of references: the first value stays greater than the second; or as it is */
   D_N_ORDERS,
   D_OBJECT, /* BODY numbers */
@@ -54,8 +56,18 @@ enum {
 };
 /* a body: reference of its first parameter, how many, its surface, +1 or -1 inside, its scales */
 enum { Q_VALUES, Q_N_VALUES, Q_SURFACE, Q_SIGN, Q_LENGTH, Q_BEND, Q_REACH, Q_SIZE };
-/* a contact: sizes of frames among the states are 6, 3, or in charts 0 */
-enum { P_FINGER, P_BLOCK = P_FINGER + Q_SIZE, P_SYSTEM, P_FRAME_1, P_FRAME_2, P_SIZE };
+/* a contact: sizes of frames among the states are 6, 3, or in charts 0; its legs are the engine's,
+   with profiles of one size, at least one; place 0 stands for the scene's profile */
+enum {
+  P_FINGER,
+  P_BLOCK = P_FINGER + Q_SIZE,
+  P_SYSTEM,
+  P_FRAME_1,
+  P_FRAME_2,
+  P_LEGS,
+  P_N_LEGS,
+  P_SIZE
+};
 /* a window: its contact, its slot, reference of start, stop and two values */
 enum { V_CONTACT, V_SLOT, V_VALUES, V_SIZE };
 /* a surface: which of the engine's, or -1 and what it is, places of its tables or 0 */
