@@ -20,4 +20,4 @@ EVERYTHING = cs.Scene(
     ],
     name="everything",
 )
-"""A double cover, sigma that dips and later ends, a gain with pieces, windows that overlap, legs."""
+"""A double cover, sigma that dips and later ends, gain in pieces, windows that overlap, legs."""
