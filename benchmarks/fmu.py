@@ -129,10 +129,9 @@ def reach(full: bool) -> Iterator[Bar]:
     for version in VERSIONS:
         off = 0.0
         for scene, goal in zip(scenes, goals):
-            stepper = Stepper(scene, version)
-            stepper.begin()
-            stepper.step(scene.duration)
-            found = stepper.read()
+            block = Instance(scene, "FMU", version).begin()
+            block.step(scene.duration)
+            found = outputs(block)
             for side, surface in (("finger", contact.finger), ("object", scene.object)):
                 wanted = surface.point(*goal[f"{side}_at"])
                 away = np.linalg.norm(found[f"{side}.point"].ravel() - wanted)
