@@ -22,7 +22,7 @@ from .report import THREADS, Bar, Section, Sections, header, surroundings, write
 PARTS = (
     *("bars", "first", "fresh", "many", "work_precision", "accuracy", "stress"),
     *("drake_planner", "drake_physics", "drake_station"),
-    *("fmu", "faults", "reach", "processes", "strangers"),
+    *("fmu", "faults", "reach", "geodesic", "processes", "strangers"),
 )
 """Modules of this package; each has SECTIONS, name -> function of ``full`` that yields bars."""
 BINDING = ("accuracy", "stress", "faults", "processes", "strangers")

@@ -34,7 +34,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 
 import contact_system as cs
-from drake_plant import AddScenePlant, PlantConfig
+from drake_plant import AddScenePlant, StationConfig
 
 from .report import Bar, Sections
 
@@ -71,7 +71,7 @@ def roll(
         turning=cs.Turning((0.0, 0.0, 1.0), [0.0, table]),
     )
     pressed = MASS * GRAVITY * math.cos(slope)
-    config = PlantConfig(
+    config = StationConfig(
         time_step=step,
         contact_model=model,
         object="turning" if table else "welded",

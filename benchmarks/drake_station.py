@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 import statistics
+import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, replace
-from time import perf_counter
+from pathlib import Path
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
@@ -23,20 +26,22 @@ from pydrake.systems.analysis import (
     SimulatorConfig,
 )
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput, MatrixGain, RandomSource
+from pydrake.systems.primitives import LogVectorOutput, MatrixGain, RandomSource, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
 
 import contact_system as cs
 from drake_plant import (
+    AddScenePlant,
     BuildStation,
     Push,
     SetInitialState,
     StationConfig,
+    contact_table,
     rolling_scene,
     simulate,
 )
 from drake_plant.contact_monitor import SATURATED
-from drake_plant.measures import contact_table
-from drake_plant.station import INTEGRATION
+from drake_plant.simulation import INTEGRATION
 
 from .report import Bar, Sections
 
@@ -107,16 +112,17 @@ def _pushed(size: float, time: float, across: bool, model: str, closed: bool) ->
     pushes = [Push(name, PUSHED, stop, force.tolist())]
     config = StationConfig.from_scene(scene, contact_model=model, pushes=pushes)
     result = simulate(scene, config if closed else config.opened(), duration=stop + AFTER)
-    since, step = result.t > PUSHED, config.plant.time_step
+    since = result.t > PUSHED
+    steps = np.diff(result.t, prepend=0.0)[since]
     slip = np.linalg.norm(result.measured["slip"][since, finger], axis=1)
     normal = result.measured["normal_force"][since, finger]
     friction = np.linalg.norm(result.measured["tangential_force"][since, finger], axis=1)
-    touches, limit = normal > 0, SATURATED * config.plant.friction * normal
+    touches, limit = normal > 0, SATURATED * config.friction * normal
     apart = result.measured["contact_point"][-1] - result.planned["contact_point"][-1]
     return {
-        "slip": step * float(slip[touches].sum()),
+        "slip": float(steps[touches] @ slip[touches]),
         "slides": bool((friction >= limit)[touches].any()),
-        "off": step * float((~touches).sum()),
+        "off": float(steps @ ~touches),
         "distance": float(np.linalg.norm(apart[finger])),
     }
 
@@ -187,7 +193,7 @@ def _arrived(obj: cs.Surface, model: str, start: dict, goal: dict) -> tuple[floa
     contact = replace(r1.contacts[0], legs=(), **start)
     scene = r1.replace(object=obj, contacts=[contact], profile=cs.Profile([0.1]))
     config = StationConfig.from_scene(scene, contact_model=model)
-    route = cs.reach(rolling_scene(scene, config.plant), cs.Goal(**goal), legs=4)
+    route = cs.reach(rolling_scene(scene, config), cs.Goal(**goal), legs=4)
     contact = replace(contact, legs=route.legs[0])
     result = simulate(scene.replace(contacts=[contact]), config)
     end = result.measured["state"][-1, 0]
@@ -212,16 +218,72 @@ def reach(full: bool) -> Iterator[Bar]:
 
 
 def speed(full: bool) -> Iterator[Bar]:
-    """Simulated over wall time, and what building takes."""
-    scene, config = cs.load_scene("D1"), StationConfig.from_scene(cs.load_scene("D1"))
-    runs = [simulate(scene, config, duration=SPEED_TIME) for _ in range(5 if full else 3)]
-    rates = [SPEED_TIME / result.wall_time for result in runs]
-    builds = [result.build_time for result in runs]
-    what, rate = "D1 hydroelastic: ", statistics.median(rates)
-    detail = {"rates": rates}
-    name = what + "simulated over wall time"
-    yield Bar(name, 1.0, rate, "x", True, "an aim", detail=detail)
-    yield Bar(what + "building the Diagram", 3.0, statistics.median(builds), "s")
+    """D1 as the command line runs it, with its film, in time of the processor, as others may use it
+    too: simulated over it, and what planner, driver, monitor and logs take of a step; building."""
+    scene, builds = cs.load_scene("D1"), []
+    for model, limit in zip(MODELS, (0.4, 1.2)):
+        config, rates = StationConfig.from_scene(scene, contact_model=model), []
+        with tempfile.TemporaryDirectory() as folder:
+            for _ in range(5 if full else 3):
+                run, film = _Race(), Path(folder) / "film.html"
+                builds.append(simulate(scene, config, SPEED_TIME, run, film).build_time)
+                rates.append(SPEED_TIME / sum(run.station))
+        what, rate = f"D1 {model}: ", statistics.median(rates)
+        name = what + "simulated over time spent"
+        yield Bar(name, limit, rate, "x", True, detail={"rates": rates})
+        race = _Race(_plant_alone(scene, config))
+        simulate(scene, config, SPEED_TIME, race)
+        rest, plant = (
+            1e3 * config.time_step / SPEED_TIME * value
+            for value in (sum(race.station) - sum(race.plant), sum(race.plant))
+        )
+        note = f"the plant alone {plant:.2f} ms"
+        yield Bar(what + "a step but for the plant", 0.5, rest, "ms", note=note)
+    yield Bar("D1: building the Diagram", 3.0, statistics.median(builds), "s")
+
+
+class _Race:
+    """What every step of a station takes, and of a plant alone beside it, in turns."""
+
+    def __init__(self, alone: Simulator | None = None):
+        self.station, self.plant = list[float](), list[float]()
+        self._alone, self._since = alone, math.nan
+
+    def __call__(self, t: float) -> None:
+        now = process_time()
+        if not math.isnan(self._since):
+            self.station.append(now - self._since)
+        if self._alone is not None:
+            self._alone.AdvanceTo(t)
+            self.plant.append(process_time() - now)
+        self._since = process_time()
+
+
+def _plant_alone(scene: cs.Scene, config: StationConfig) -> Simulator:
+    """Of the plant under the forces that a station's driver gave, none of it Python."""
+    station, step = BuildStation(scene, config), config.time_step
+    simulator = Simulator(station)
+    ApplySimulatorConfig(INTEGRATION, simulator)
+    root, plant = simulator.get_mutable_context(), station.GetSubsystemByName("plant")
+    SetInitialState(station, root)
+    start = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root))
+    forces = np.zeros((plant.num_velocities(), round(SPEED_TIME / step) + 1))
+    for k in range(forces.shape[1]):
+        simulator.AdvanceTo(k * step)
+        for applied in station.GetOutputPort("spatial_forces").Eval(root):
+            first = plant.get_body(applied.body_index).floating_velocities_start_in_v()
+            forces[first : first + 6, k] = applied.F_Bq_W.get_coeffs()
+    held = PiecewisePolynomial.ZeroOrderHold((np.arange(forces.shape[1]) - 0.01) * step, forces)
+
+    builder = DiagramBuilder()
+    parts = AddScenePlant(builder, scene, config)
+    source = builder.AddSystem(TrajectorySource(held)).get_output_port()
+    builder.Connect(source, parts.plant.get_applied_generalized_force_input_port())
+    simulator = Simulator(builder.Build())
+    own = parts.plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    parts.plant.SetPositionsAndVelocities(own, start)
+    simulator.Initialize()
+    return simulator
 
 
 def schemes(full: bool) -> Iterator[Bar]:

@@ -90,11 +90,10 @@ def _fmu() -> Save:
 def _film() -> Save:
     from pydrake.systems.framework import DiagramBuilder
 
-    from drake_plant import AddScenePlant, StationConfig
-    from drake_plant.recording import Recording
+    from drake_plant import AddScenePlant, Recording, StationConfig
 
     builder, known, film = DiagramBuilder(), cs.load_scene("C1"), Recording()
-    quick = StationConfig.from_scene(known, contact_model="point").plant
+    quick = StationConfig.from_scene(known, contact_model="point")
     film.Add(builder, AddScenePlant(builder, known, quick))
     builder.Build()
     return lambda folder, k: film.Save(folder / "film.html")

@@ -11,6 +11,7 @@ from .errors import (
     SceneError,
     SurfaceError,
 )
+from .geodesic import Geodesic, geodesic, geodesics
 from .measures import Rejection, great_circle_distance, rejections
 from .plan import Plan, load, plan
 from .scene import (
@@ -55,6 +56,7 @@ __all__ = [
     "Failure",
     "FingerAcceleration",
     "Gain",
+    "Geodesic",
     "Goal",
     "ImplicitSurface",
     "Leg",
@@ -78,6 +80,8 @@ __all__ = [
     "Torus",
     "Turning",
     "bundled_scenes",
+    "geodesic",
+    "geodesics",
     "great_circle_distance",
     "load",
     "load_scene",

@@ -14,7 +14,7 @@ from scipy.integrate import OdeSolution, solve_ivp
 
 from .checks import naming, within
 from .errors import ContactSystemError, SceneError
-from .machine import Machine
+from .machine import SystemMachine
 from .motion import SHAPES, passed
 from .scene import Scene
 from .starts import Start, Starts, scene_start
@@ -112,7 +112,7 @@ class ChartContact:
     ) -> OdeSolution:
         """From edge to edge, each with what then acts."""
         what = f"{self._where}: {solver}: evaluations of the plan's chart equations"
-        machine = Machine(self._system, "derivatives")
+        machine = SystemMachine(self._system, "derivatives")
         state, held = self._system.place(float(self._edges[0]), [start])
         ends = np.cumsum([1, len(state), self._system.n_w])
         time, place, pushes, kept = np.split(machine.point, ends)
@@ -126,7 +126,7 @@ class ChartContact:
                 within("EVALUATIONS", next(spent), what)
                 time[0], place[:] = t, x
                 machine.run()
-                return machine.results[0].copy()
+                return machine.results.copy()
 
             with np.errstate(under="ignore"):  # of the spacing of doubles at t = 0
                 found = solve_ivp(f, (a, b), state, solver, dense_output=True, **tolerances)

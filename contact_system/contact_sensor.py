@@ -12,13 +12,13 @@ The rates are then the forward map of the measured twist.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import real_array
-from .engine.binding import run
+from .engine.binding import Machine, run
 from .errors import ChartSingularity, ConformalContact, ContactSystemError
 from .scene import Scene, require_scene
 from .surfaces import SINGULAR, TINY, ParametricSurface, Surface
@@ -34,7 +34,7 @@ SETTLED = 1e3  # steps at which rounding may hold Newton's method up, in those a
 NO_ROTATION = 1e-2  # what is measured may miss a rotation by its noise
 GRID = 25  # points in each coordinate of a finger, of which the nearest to the object is sought
 LONGEST_STEP = 0.5  # of the body's size, where bodies are far apart
-ROWS = 40  # of a Measurement
+SEEN = 22  # numbers that a Probe is given
 
 
 class Measurement:
@@ -135,7 +135,7 @@ def _check_rigid(scene: Scene, pose: np.ndarray) -> None:
 
 
 class ContactSensor:
-    """Measures the contacts of one scene, again and again.
+    """Measures the contacts of one scene, again and again; one thread at a time.
 
     Parameters
     ----------
@@ -143,26 +143,26 @@ class ContactSensor:
     tolerance : float
         Of the places of the contacts, as a fraction of the smallest body's size. From points that
         contact physics reports Newton's steps shrink as 2e-3, 4e-6, 2e-11.
+
+    Attributes
+    ----------
+    probes : list of Probe
+        One a contact.
     """
 
     def __init__(self, scene: Scene, tolerance: float = 1e-13):
         self.scene, obj = scene, scene.object
         sizes = [obj.size, *(contact.finger.size for contact in scene.contacts)]
-        self._small = tolerance * min(sizes)
+        small = tolerance * min(sizes)
         # steps shrink as their squares do: what stays above is rounding, as of a far larger body
-        self._settled = max(SETTLED * self._small, 1e-15 * max(sizes))
-        alike: dict[Hashable, list[int]] = {}  # contacts whose fingers have one table
-        for i, contact in enumerate(scene.contacts):
-            alike.setdefault(contact.finger.structure, []).append(i)
-        self._groups = [_Group(scene, contacts) for contacts in alike.values()]
+        self._settled = max(SETTLED * small, 1e-15 * max(sizes))
+        self.probes = [Probe(contact.finger, obj, small) for contact in scene.contacts]
 
     def measure(
         self,
         pose: np.ndarray,
         twist: np.ndarray,
         points: np.ndarray,
-        share: np.ndarray | float = 0,
-        slip: np.ndarray | None = None,
     ) -> Measurement:
         """Measure all contacts; see :func:`measured_states`, whose checks are left out here.
 
@@ -172,31 +172,16 @@ class ContactSensor:
             The upper three rows of X_OF, row by row.
         twist : (n, 6)
         points : (n, 3)
-        share : (n,) or float
-            Where slip is taken: 0 at the object's surface, 1 at the finger's, between them where
-            they overlap.
-        slip : (n, 2), optional
-            Known v_rel in E2, m/s, to be used instead of what the twist says.
 
         Returns
         -------
         Measurement
         """
-        n = len(pose)
-        known = np.zeros((n, 3))  # whether slip is, and the slip
-        if slip is not None:
-            known[:, 0], known[:, 1:] = 1, slip
-        seen = np.column_stack([pose, twist, np.broadcast_to(share, n), known])
-        found = np.empty((n, ROWS))
-        for group in self._groups:
-            own = group.contacts
-            found[own] = group.find(seen[own], points[own], self._small)
-        return Measurement(found)
-
-    def approach(self, pose: np.ndarray, away: Iterable[int]) -> np.ndarray:
-        """Points near which those that are away would touch: (n, 12) -> (len(away), 3), m."""
-        obj, fingers = self.scene.object, [contact.finger for contact in self.scene.contacts]
-        return np.array([_ahead(fingers[i], obj, pose[i].reshape(3, 4)) for i in away])
+        found = []
+        for probe, *seen, point in zip(self.probes, pose, twist, points):
+            probe.seen[:] = *np.concatenate(seen), 0, 0, 0, 0
+            found.append(probe.find(point).copy())
+        return Measurement(np.array(found))
 
     def check(self, found: Measurement) -> None:
         """Raise what is wrong with a measurement; see :func:`measured_states`."""
@@ -222,37 +207,61 @@ class ContactSensor:
                 )
 
 
-class _Group:
-    """Contacts whose fingers are of one structure, which share a table."""
+class Probe:
+    """Measures one contact, again and again; one thread at a time.
 
-    def __init__(self, scene: Scene, contacts: list[int]):
-        self.contacts, self.object = contacts, scene.object
-        self.fingers = [scene.contacts[i].finger for i in contacts]
-        self.table = measurement(self.fingers[0], scene.object)
-        obj = (*scene.object.numbers, scene.object.size)
-        self.numbers = np.array([(*f.numbers, f.size, *obj) for f in self.fingers]).T
+    Attributes
+    ----------
+    seen : (22,)
+        To be written to: the upper three rows of X_OF, row by row; V_OF_O; where slip is taken, 0
+        at the object's surface, 1 at the finger's, between them where they overlap; whether slip
+        is known, and then v_rel in E2, m/s, to be used instead of what the twist says.
+    found : (40,)
+        A row of a Measurement.
+    """
 
-    def find(self, seen: np.ndarray, points: np.ndarray, small: float) -> np.ndarray:
-        """Newton's method from points near the contacts, until steps are small: (n, 40)."""
-        pose = seen[:, :12].reshape(-1, 3, 4)
-        of_finger = ((points - pose[:, :, 3])[:, None] @ pose[:, :, :3])[:, 0]
-        sides = zip(self.fingers, of_finger, points)
-        x = np.array([(*_sought(f, p), *_sought(self.object, q)) for f, p, q in sides])
-        n, y = x.shape[1], self._measured(x, seen)
-        first = y[:, n + 1].copy()
+    def __init__(self, finger: Surface, obj: Surface, small: float):
+        numbers = *finger.numbers, finger.size, *obj.numbers, obj.size
+        machine = Machine(measurement(finger, obj), numbers)
+        n = len(machine.point) - SEEN
+        self.seen, self.found = machine.point[n:], machine.results[n:]
+        self._pose = self.seen[:12].reshape(3, 4)
+        self._x, self._ahead = machine.point[:n].data, machine.results[:n].data
+        self._step, self._relative = self.found[:1].data, self.found[1:2].data
+        self._run, self._small = machine.run, small
+        self._surfaces = finger, obj
+        self._in_space = not any(isinstance(s, ParametricSurface) for s in self._surfaces)
+
+    def find(self, point: Any, of_finger: Any = None) -> np.ndarray:
+        """Newton's method from a point near the contact, until steps are small; gives `found`.
+
+        point, of_finger : (3,), in the object's frame, and in the finger's if it is known
+        """
+        step, run, small = self._step, self._run, self._small
+        x: Any = self._x
+        ahead = self._ahead
+        if of_finger is None:
+            of_finger = (point - self._pose[:, 3]) @ self._pose[:, :3]
+        if self._in_space:
+            x[:3], x[3:] = of_finger, point
+        else:
+            near = zip(self._surfaces, (of_finger, point))
+            x[:] = np.concatenate([_sought(surface, np.array(p)) for surface, p in near])
+        run()
+        first = self._relative[0]
         for _ in range(MOST_STEPS):
-            step = y[:, n]
-            if not (step > small).any():
+            if not step[0] > small:  # nor where there is no frame
                 break
-            x = np.where(np.isnan(step)[:, None], x, y[:, :n])  # stay where there is no frame
-            y = self._measured(x, seen)
+            x[:] = ahead
+            run()
         # steps along bodies that conform lead anywhere, and there bodies may not
-        conform = (np.abs(first) <= CONFORMAL) & ~(y[:, n] <= small)
-        y[conform, n + 1] = first[conform]
-        return y[:, n:]
+        if abs(first) <= CONFORMAL and not step[0] <= small:
+            self._relative[0] = first
+        return self.found
 
-    def _measured(self, x: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        return run(self.table, np.hstack([x, seen]).T, self.numbers).T
+    def approach(self) -> np.ndarray:
+        """A point near which bodies that are away from each other would touch, in O: (3,), m."""
+        return _ahead(*self._surfaces, self._pose)
 
 
 def _sought(surface: Surface, x: np.ndarray) -> np.ndarray:

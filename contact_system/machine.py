@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
 import functools
 
 import numpy as np
 
-from .engine.binding import step
+from .engine.binding import Machine
 from .system import SceneSystem
 from .theory import symbols as ca
 from .theory.lowering import Table
@@ -26,29 +25,16 @@ def lowered(system: SceneSystem, *outputs: str) -> tuple[Table, list[int]]:
     return Table(flat), np.cumsum([value.numel() for value in found]).tolist()
 
 
-class Machine:
-    """A table on registers of one number each, which are written to and read from.
+class SystemMachine(Machine):
+    """A machine of a scene's system: its `point` is t, x, w and held.
 
     Attributes
     ----------
-    point : (n_in,)
-        What `run` reads.
-    results : list of arrays
-        What it writes.
+    parts : list of arrays
+        Of its `results`, one an output.
     """
 
     def __init__(self, system: SceneSystem, *outputs: str):
         table, ends = lowered(system, *outputs)
-        r = np.zeros(table.n_regs)
-        r[table.n_in : table.first_lit] = system.parameters
-        r[table.first_lit :][: len(table.literals)] = table.literals
-        code, prologue = (
-            (ctypes.c_void_p * 2)(words.ctypes.data, r.ctypes.data)
-            for words in (table.body, table.prologue)
-        )
-        step(ctypes.addressof(prologue))
-        # an address made beforehand saves half of the time of a call
-        self.run = functools.partial(step, ctypes.c_void_p(ctypes.addressof(code)))
-        self._kept = table, code  # which C knows by their addresses alone
-        self.point = r[: table.n_in]
-        self.results = np.split(r[table.first_out :][: table.n_out], ends[:-1])
+        super().__init__(table, system.parameters)
+        self.parts = np.split(self.results, ends[:-1])

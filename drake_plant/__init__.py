@@ -13,20 +13,19 @@ except ImportError as error:
         'drake_plant needs Drake: pip install "contact-system[drake]" (Linux and macOS)'
     ) from error
 
+from .config import Push, StationConfig
 from .contact_monitor import ContactMonitor
-from .fingertip_driver import DriverConfig, FingertipDriver
+from .fingertip_driver import FingertipDriver
+from .measures import contact_table, object_report, push_table
 from .plan_source import PlanSource
 from .planner_system import ContactPlanner
-from .plant import AddScenePlant, PlantConfig, ScenePlant
-from .pushes import Push, PushSource
-from .station import (
-    BuildStation,
-    SetInitialState,
-    SimulationResult,
-    StationConfig,
-    rolling_scene,
-    simulate,
-)
+from .plant import AddScenePlant, ScenePlant
+from .plots import plot
+from .pressing import rolling_scene
+from .pushes import PushSource
+from .recording import Recording
+from .simulation import SimulationResult, simulate
+from .station import BuildStation, SetInitialState
 from .trajectories import ContactTrajectories, MakeTrajectories
 
 
@@ -45,17 +44,20 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
     "ContactMonitor",
     "ContactPlanner",
     "ContactTrajectories",
-    "DriverConfig",
     "FingertipDriver",
     "MakeTrajectories",
     "PlanSource",
-    "PlantConfig",
     "Push",
     "PushSource",
+    "Recording",
     "ScenePlant",
     "SetInitialState",
     "SimulationResult",
     "StationConfig",
+    "contact_table",
+    "object_report",
+    "plot",
+    "push_table",
     "rolling_scene",
     "simulate",
 ]

@@ -18,13 +18,12 @@ from contact_system.cli import Progress, file_name, paragraph, results_folder, t
 from contact_system.measures import REJECTED
 from contact_system.plots import MissingMatplotlib
 from contact_system.scene import scene_to_toml
-from contact_system.system import COORDINATES
 from contact_system.writing import writing
 
 from . import plots
+from .config import StationConfig
 from .measures import EDGE, SATURATED, ContactReport, contact_table, object_report, push_table
-from .plant import CHOICES
-from .station import SimulationResult, StationConfig, simulate
+from .simulation import SimulationResult, simulate
 
 TICKS = 1000  # of the progress bar
 
@@ -37,13 +36,6 @@ def register(commands: Any) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help=out)
     until = "stop after so many seconds instead of the scene's duration"
     parser.add_argument("--until", type=float, metavar="T", help=until)
-    contact = "contact model instead of the scene's"
-    parser.add_argument("--contact", choices=CHOICES["contact_model"], help=contact)
-    moves = "how the object moves, instead of as the scene says"
-    parser.add_argument("--object", choices=CHOICES["object"], help=moves)
-    parser.add_argument("--time-step", type=float, metavar="H", help="of the plant, s")
-    planner = "what the planner integrates: the paper's chart equations, or moving frames"
-    parser.add_argument("--coordinates", choices=COORDINATES, help=planner)
     change = "any key of the scene's [drake] table for this run, such as drake.friction=0.3"
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=change)
     parser.add_argument("--no-recording", action="store_true", help="write no Meshcat recording")
@@ -53,11 +45,7 @@ def register(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate, tell, write; returns the exit code."""
     scene = load_scene(args.scene)
-    asked = {"contact_model": "contact"}  # a field's name where it is another than the option's
-    fields = ("contact_model", "object", "time_step", "coordinates")
-    wished = {name: getattr(args, asked.get(name, name)) for name in fields}
-    wished = {k: v for k, v in wished.items() if v is not None}
-    config = StationConfig.from_scene(scene, **wished | dict(map(_setting, args.set)))
+    config = StationConfig.from_scene(scene, **dict(map(_setting, args.set)))
     stem = results_folder(args, scene) / f"{file_name(scene)}-drake"
     recording = None if args.no_recording else stem.with_suffix(".html")
     duration = scene.duration if args.until is None else args.until
@@ -147,10 +135,10 @@ def save_csv(result: SimulationResult, path: Path) -> None:
 
 
 def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable[str]:
-    scene, plant, reports = result.scene, result.config.plant, contact_table(result)
+    scene, config, reports = result.scene, result.config, contact_table(result)
     yield f"{scene.name or 'scene'}: {scene.description}".rstrip(": ")
     yield (
-        f"{plant.contact_model} contact, step {plant.time_step:g} s: "
+        f"{config.contact_model} contact, step {config.time_step:g} s: "
         f"{result.t[-1] - result.t[0]:g} s simulated in {result.wall_time:.1f} s, "
         f"{(result.t[-1] - result.t[0]) / result.wall_time:.2f} times real time; "
         f"built in {result.build_time:.1f} s"

@@ -22,11 +22,9 @@ centripetal force beside the 1 N of contact, and those of D3 150 N:
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from functools import partial
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,114 +36,102 @@ from pydrake.multibody.tree import BodyIndex, RigidBody, world_index
 from pydrake.systems.framework import Context, InputPort, LeafSystem, State
 
 from contact_system import SceneError
-from contact_system.engine.binding import run
+from contact_system.engine.binding import Machine
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
+from .config import GAINS, require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant, check_numbers, require_config, types_known
+from .planner_base import MOTION
+from .plant import ScenePlant
+from .scratch import PerThread
 
 Array = NDArray[np.float64]
 SHARE = 0.4
 """Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
 may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4."""
 
-SLIP_SHARE = 0.5
+SLIP_SHARE = 0.8
 """Of slip what may be taken away in a step: more would turn it over where friction helps."""
 
 OFF = 1e-4
 """Of a finger's size, how far its mass centre may be from its origin."""
 
 
-@types_known
-@dataclass
-class DriverConfig:
-    """Gains of a :class:`FingertipDriver`.
-
-    Explicit forces bear only so much: with a step of h at most 0.4 m/h is used of what damps and
-    0.4 m/h^2 of what is a stiffness; of rotations with the least moment of inertia instead of m.
-
-    Attributes
-    ----------
-    position_gain, velocity_gain : float
-        N/m and N s/m, in the tangent plane.
-    slip_gain : float
-        lam of the slip that is measured, 1/s; 0 leaves the loop open. At most 0.5/h is used, which
-        takes away half of the slip in a step.
-    normal_damping : float
-        N s/m, along the normal. The sap solver lifts a sliding contact by h mu |slip|; much damping
-        would turn changes of that into normal force (100 N s/m: 2.4 % in D1, 30: 0.8 %).
-    rotation_gain, spin_gain : float
-        N m and N m s. With a rotation_gain of 0 the finger may roll on the radius that the
-        penetration leaves it, and no friction comes from that; spheres have no orientation to keep.
-    """
-
-    position_gain: float = 400.0
-    velocity_gain: float = 60.0
-    normal_damping: float = 30.0
-    rotation_gain: float = 0.0
-    spin_gain: float = 0.04
-    slip_gain: float = 0.0
-
-    def check(self) -> None:
-        """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
-        check_numbers(self, [f.name for f in dataclasses.fields(self)], "not below 0")
-
-
-# Rows of the table's inputs: what the object, the plan, the finger, the steps before and sensors
-# give.
-_OBJECT = ("R_WO", "p_WO", "w_WO", "v_WO", "alpha_WO", "a_WO")
-_PLAN = ("R_OF", "p_OF", "w_OF", "v_OF", "alpha_OF", "a_OF", "normal", "point")
-_FINGER = ("R_WF", "p_WF", "w_WF", "v_WF")
-_BEFORE = ("steps", "position", "spin", "normal_before", "a_before", "a_earlier")
-_NOW = ("sliding", "push", "normal_rate")
-POINT = dict.fromkeys((*_OBJECT, *_PLAN, *_FINGER, *_BEFORE, *_NOW), 3)
-POINT |= {"R_WO": 9, "R_OF": 9, "R_WF": 9, "steps": 1}
-_GAINS = ("position_gain", "velocity_gain", "normal_damping", "rotation_gain", "spin_gain")
+KEPT = {"restarts": 1, "steps": 1, "position": 3, "spin": 3, "normal": 3, "a": 3, "a_earlier": 3}
+"""What a driver keeps of a finger from step to step."""
+STATE = sum(KEPT.values())
+POINT = {"X_WO": 12, "V_WO": 6, "A_WO": 6, "X_WF": 12, "V_WF": 6, "motion": sum(MOTION.values())}
+POINT |= {"kept": STATE, "restarts": 1, "sliding": 3, "push": 3}
+"""What the law takes of a step: poses row by row, velocities and accelerations with the angular
+part first."""
 CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3, "normal_force": 1}
-CONSTANT |= dict.fromkeys((*_GAINS, "slip_gain"), 1)
-KEPT = 17
-"""Numbers a finger that its driver keeps from step to step."""
+CONSTANT |= dict.fromkeys((*GAINS, "slip_gain"), 1)
 
 
 @per_structure
 def driving_law() -> Table:
-    """Table of one finger: `POINT`, `CONSTANT` -> torque (3), force (3), desired position (3).
-
-    All in the world. Rotations are given row by row.
-    """
-
-    def symbols(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
-        every = {name: ca.SX.sym(name, n) for name, n in sizes.items()}
-        shaped = {k: ca.reshape(v, 3, 3).T if v.numel() == 9 else v for k, v in every.items()}
-        return ca.vertcat(*every.values()), SimpleNamespace(**shaped)
-
-    point, x = symbols(POINT)
-    constant, c = symbols(CONSTANT)
-    wanted = _desired_motion(x, c.h)
+    """Table of one finger: `POINT`, `CONSTANT` -> torque (3), force (3), in the world, `KEPT`."""
+    point, x = _named(POINT)
+    constant, c = _named(CONSTANT)
+    plan, before = (_split(x.motion, MOTION), SimpleNamespace(**_split(x.kept, KEPT)))
+    x.R_OF, x.p_OF = ca.reshape(plan["pose"][:9], 3, 3), plan["pose"][9:]
+    (x.w_OF, x.v_OF), (x.alpha_OF, x.a_OF) = _halves(plan["twist"]), _halves(plan["acceleration"])
+    x.normal, x.normal_rate, x.point = (
+        plan["normal"],
+        plan["normal_rate"],
+        plan["contact_point"][:3],
+    )
+    # no difference is taken across a restart
+    before.steps = ca.if_else(before.restarts == x.restarts, before.steps, 0)
+    wanted = _desired_motion(x, c.h, before)
     force, torque = _force(x, c, wanted), _torque(x, c, wanted)
-    found = ca.densify(ca.vertcat(torque, force, wanted.position))
+    kept = [x.restarts, before.steps + 1, wanted.position, x.w_OF, x.normal, x.a_OF, before.a]
+    found = ca.densify(ca.vertcat(torque, force, *kept))
     return Table(ca.Function("driving", [point, constant], [found]))
 
 
-def _desired_motion(x: SimpleNamespace, h: ca.SX) -> SimpleNamespace:
+def _split(numbers: ca.SX, sizes: dict[str, int]) -> dict[str, ca.SX]:
+    return dict(zip(sizes, ca.vertsplit(numbers, np.cumsum([0, *sizes.values()]).tolist())))
+
+
+def _halves(motion: ca.SX) -> tuple[ca.SX, ca.SX]:
+    return motion[:3], motion[3:]
+
+
+def _named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
+    """Symbols by their names; of a pose X R and p, of a velocity V w and v, of A alpha and a."""
+    every = ca.SX.sym("x", sum(sizes.values()))
+    found = _split(every, sizes)
+    for name, value in list(found.items()):
+        if name[0] == "X":
+            rows = ca.reshape(value, 4, 3).T
+            found |= {f"R{name[1:]}": rows[:, :3], f"p{name[1:]}": rows[:, 3]}
+        elif name[0] in "VA":
+            names = ("w", "v") if name[0] == "V" else ("alpha", "a")
+            found |= {f"{own}{name[1:]}": half for own, half in zip(names, _halves(value))}
+    return every, SimpleNamespace(**found)
+
+
+def _desired_motion(x: SimpleNamespace, h: ca.SX, before: SimpleNamespace) -> SimpleNamespace:
     """The plan carried by the object, in the world, as a discrete plant needs it.
 
     position and acceleration ``a`` of now; velocity ``ago``, which brought the finger here; ``w``
     and ``alpha``; the contact's normal and how fast it turns.
     """
-    cross, begun = ca.cross, x.steps > 0
+    cross, begun = ca.cross, before.steps > 0
     arm, v, spin = x.R_WO @ x.p_OF, x.R_WO @ x.v_OF, x.R_WO @ x.w_OF
     position, swept = x.p_WO + arm, cross(x.w_WO, arm)
-    second = (x.a_OF - 2 * x.a_before + x.a_earlier) / 12  # h^2/12 A''
+    second = (x.a_OF - 2 * before.a + before.a_earlier) / 12  # h^2/12 A''
     a = x.a_WO + cross(x.alpha_WO, arm) + cross(x.w_WO, swept + 2 * v)
-    a += x.R_WO @ (x.a_OF + ca.if_else(x.steps > 1, second, 0))
-    ago = ca.if_else(begun, (position - x.position) / h, x.v_WO + swept + v - 0.5 * h * a)
-    w = x.w_WO + ca.if_else(begun, 0.5 * (spin + x.R_WO @ x.spin), spin)
+    a += x.R_WO @ (x.a_OF + ca.if_else(before.steps > 1, second, 0))
+    now = x.v_WO + swept + v - 0.5 * h * a
+    ago = ca.if_else(begun, (position - before.position) / h, now)
+    w = x.w_WO + ca.if_else(begun, 0.5 * (spin + x.R_WO @ before.spin), spin)
     alpha = x.alpha_WO + x.R_WO @ x.alpha_OF + cross(x.w_WO, spin)
     normal = x.R_WO @ x.normal
-    turned = cross(x.normal_before, x.normal) / h
+    turned = cross(before.normal, x.normal) / h
     turned = x.R_WO @ ca.if_else(begun, turned, cross(x.normal, x.normal_rate))
     turning = turned + x.w_WO - ca.dot(x.w_WO, normal) * normal
     return SimpleNamespace(
@@ -169,7 +155,7 @@ def _force(x: SimpleNamespace, c: SimpleNamespace, wanted: SimpleNamespace) -> c
 
 def _torque(x: SimpleNamespace, c: SimpleNamespace, wanted: SimpleNamespace) -> ca.SX:
     """Feed-forward, the normal force through the contact point, damping of spin."""
-    inertia, w = x.R_WF @ c.inertia @ x.R_WF.T, wanted.w
+    inertia, w = x.R_WF @ ca.reshape(c.inertia, 3, 3) @ x.R_WF.T, wanted.w
     off = x.R_WO @ x.R_OF @ x.R_WF.T
     axis = 0.5 * ca.vertcat(off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1])
     torque = inertia @ wanted.alpha + ca.cross(w, inertia @ w)
@@ -184,12 +170,7 @@ class FingertipDriver(LeafSystem):
 
         name: FingertipDriver
         input_ports:
-        - pose
-        - twist
-        - acceleration
-        - normal
-        - normal_rate (of a continuous plant)
-        - contact_point
+        - motion
         - body_poses
         - body_spatial_velocities
         - body_spatial_accelerations
@@ -199,8 +180,8 @@ class FingertipDriver(LeafSystem):
         output_ports:
         - spatial_forces
 
-    The first six are :class:`ContactPlanner`'s outputs, the next three the plant's. What is
-    optional is zero where nothing is connected:
+    The first is :class:`ContactPlanner`'s output, the next three are the plant's. What is optional
+    is zero where nothing is connected:
 
     - `restarts` (n): how often the plan of each finger began anew, as a planner that restarts says
       it. No difference is taken across that.
@@ -219,38 +200,32 @@ class FingertipDriver(LeafSystem):
     scene_plant : ScenePlant
         Finalized; if it is discrete, with sampled output ports as Drake's own are, and if it is
         continuous, with an :class:`ObjectAcceleration` for the last port. Its configuration says
-        the normal force, its bodies' defaults the masses, whatever a Context says.
-    config : DriverConfig
+        the normal force and the gains, its bodies' defaults the masses, whatever a Context says.
 
     Raises
     ------
     SceneError
-        No ScenePlant, a wrong gain; a discrete plant without sampled output ports, or whose steps
+        No ScenePlant; a discrete plant without sampled output ports, or whose steps
         are too long for a finger; a finger that is not free, or whose mass centre is
-        not its origin. In a simulation: more or fewer poses than fingers.
+        not its origin.
     """
 
     __slots__ = NO_DICTIONARY
 
-    def __init__(self, scene_plant: ScenePlant, config: DriverConfig):
+    def __init__(self, scene_plant: ScenePlant):
         super().__init__()
         require_config(scene_plant, ScenePlant, "scene_plant")
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
         # What the plant is made from; the plant itself would keep this system for ever.
-        self.scene, self.plant_config = scene_plant.scene, scene_plant.config
+        self.scene, self.config = scene_plant.scene, scene_plant.config
         self.object_index = int(scene_plant.object_body.index())
         self.finger_indices = [body.index() for body in fingers]
-        require_config(config, DriverConfig)
-        config.check()
         _check(scene_plant)
-        self._constants = np.transpose([_constants(body, scene_plant, config) for body in fingers])
+        constants = [_constants(body, scene_plant) for body in fingers]
+        self._drives = PerThread(partial(_drives, self.finger_indices, constants), {})
         n = len(fingers)
         poses, motions = Value[list[RigidTransform]], Value[list[SpatialVelocity]]
-        self._pose = self.DeclareAbstractInputPort("pose", poses())
-        self._twist = self.DeclareVectorInputPort("twist", 6 * n)
-        self._acceleration = self.DeclareVectorInputPort("acceleration", 6 * n)
-        self._normal = self.DeclareVectorInputPort("normal", 3 * n)
-        self._point = self.DeclareVectorInputPort("contact_point", 6 * n)
+        self._motion = self.DeclareVectorInputPort("motion", sum(MOTION.values()) * n)
         self._poses = self.DeclareAbstractInputPort("body_poses", poses())
         self._velocities = self.DeclareAbstractInputPort("body_spatial_velocities", motions())
         self._accelerations = self.DeclareAbstractInputPort(
@@ -261,90 +236,78 @@ class FingertipDriver(LeafSystem):
         self._push = self.DeclareVectorInputPort("push", 3 * n + 3)
         forces = Value[list[ExternallyAppliedSpatialForce]]
         step = plant.time_step()
-        self._normal_rate: Any = None
-        if not step:  # else differences tell it
-            self._normal_rate = self.DeclareVectorInputPort("normal_rate", 3 * n)
         needs = (self.all_input_ports_ticket(), self.xd_ticket() if step else self.nothing_ticket())
-        law, self._law = array_entry(self._CalcLaw, (n, 9), needs)
+        law, self._law = array_entry(self._CalcLaw, (n, 6 + STATE), needs)
         self.DeclareAbstractOutputPort("spatial_forces", forces, weakly(self._CalcForces), {law})
         if not step:
             return
-        self.DeclareDiscreteState(KEPT * n)
+        self.DeclareDiscreteState(STATE * n)
         # Unrestricted, because the plant's step is such an update (for its sampled ports), and
         # those come before discrete ones: a discrete update would see the object a step ahead.
         self.DeclarePeriodicUnrestrictedUpdateEvent(step, 0.0, weakly(self._Remember))
 
     def _CalcLaw(self, context: Context) -> Array:
-        """Torque, force and desired position of each finger: (n, 9)."""
+        """Torque, force and what is to be kept of each finger: (n, 23)."""
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
-        A, X_OF = self._accelerations.Eval(context), self._pose.Eval(context)
-        twist, acceleration = self._twist.Eval(context), self._acceleration.Eval(context)
-        normal, point = self._normal.Eval(context), self._point.Eval(context)
-        fingers = len(self.finger_indices)
-        if len(X_OF) != fingers:  # Drake compares sizes of vectors only
-            raise SceneError(
-                f"{self.scene.title}: {len(X_OF)} poses on the driver's input port 'pose' "
-                f"for {fingers} fingers; connect the planner of this scene"
-            )
-        x, o = np.empty((fingers, sum(POINT.values()))), self.object_index
-        x[:, 0:12] = _numbers(X[o])
-        x[:, 12:18], x[:, 18:24] = V[o].get_coeffs(), A[o].get_coeffs()
-        x[:, 24:36] = [_numbers(pose) for pose in X_OF]
-        x[:, 36:42], x[:, 42:48] = twist.reshape(-1, 6), acceleration.reshape(-1, 6)
-        x[:, 48:51], x[:, 51:54] = normal.reshape(-1, 3), point.reshape(-1, 6)[:, :3]
-        x[:, 54:66] = [_numbers(X[i]) for i in self.finger_indices]
-        x[:, 66:72] = [V[i].get_coeffs() for i in self.finger_indices]
-        x[:, 72:88] = self._Before(context)[:, 1:]
-        x[:, 88:91] = _given(self._sliding, context).reshape(-1, 3)
-        x[:, 91:94] = _given(self._push, context)[:-3].reshape(-1, 3)
-        x[:, 94:97] = 0.0
-        if self._normal_rate is not None:
-            x[:, 94:97] = self._normal_rate.Eval(context).reshape(-1, 3)
-        return run(driving_law(), x.T, self._constants).T
-
-    def _Before(self, context: Context) -> Array:
-        """What is kept, (n, 17), with no steps behind those that have restarted since."""
-        kept = np.zeros((len(self.finger_indices), KEPT))
+        A, o, drives = self._accelerations.Eval(context), self.object_index, self._drives.own
+        obj = X[o].GetAsMatrix34(), V[o].get_coeffs(), A[o].get_coeffs()
+        given = {
+            "motion": self._motion.Eval(context),
+            "restarts": _given(self._restarts, context),
+            "sliding": _given(self._sliding, context),
+            "push": _given(self._push, context)[:-3],
+        }
         if context.num_discrete_state_groups():
-            kept[:] = context.get_discrete_state_vector().value().reshape(-1, KEPT)
-        restarts = _given(self._restarts, context)
-        kept[restarts != kept[:, 0], 1] = 0
-        kept[:, 0] = restarts
-        return kept
+            given["kept"] = context.get_discrete_state_vector().value()
+        rows = {name: values.reshape(len(drives), -1) for name, values in given.items()}
+        for i, drive in enumerate(drives):
+            x, body = drive.point, drive.body
+            x["X_WO"][:], x["V_WO"][:], x["A_WO"][:] = obj
+            x["X_WF"][:], x["V_WF"][:] = X[body].GetAsMatrix34(), V[body].get_coeffs()
+            for name, values in rows.items():
+                x[name][:] = values[i]
+            drive.run()
+        return np.array([drive.results for drive in drives])
 
     def _CalcForces(self, context: Context, output: Value) -> None:
-        driven = zip(self.finger_indices, self._law(context))
-        applied = [_at_centre(index, row[0:3], row[3:6]) for index, row in driven]
+        drives = self._drives.own
+        for drive, row in zip(drives, self._law(context)):
+            drive.applied.F_Bq_W = SpatialForce(row[:6])
+        applied = [drive.applied for drive in drives]
         if (pushed := _given(self._push, context)[-3:]).any():
-            applied.append(_at_centre(BodyIndex(self.object_index), np.zeros(3), pushed))
+            applied.append(_at_centre(BodyIndex(self.object_index)))
+            applied[-1].F_Bq_W = SpatialForce(np.zeros(3), pushed)
         output.set_value(applied)
 
     def _Remember(self, context: Context, state: State) -> None:
-        position, before = self._law(context)[:, 6:], self._Before(context)
         now = state.get_mutable_discrete_state().get_mutable_value()
-        spin = self._twist.Eval(context).reshape(-1, 6)[:, :3]
-        normal = self._normal.Eval(context).reshape(-1, 3)
-        a = self._acceleration.Eval(context).reshape(-1, 6)[:, 3:]
-        steps = before[:, :2] + [0, 1]
-        now[:] = np.hstack([steps, position, spin, normal, a, before[:, 11:14]]).ravel()
+        now[:] = self._law(context)[:, 6:].ravel()
 
 
-def _at_centre(body: BodyIndex, torque: Array, force: Array) -> ExternallyAppliedSpatialForce:
+class _Drive:
+    """The law of one finger, for one thread: what it takes by name, poses (3, 4), and its force."""
+
+    def __init__(self, body: BodyIndex, constants: list[float]):
+        machine = Machine(driving_law(), constants)
+        named = zip(POINT, np.split(machine.point, np.cumsum([*POINT.values()])[:-1]))
+        self.point = {k: v.reshape(3, 4) if k[0] == "X" else v for k, v in named}
+        self.body, self.run, self.results = int(body), machine.run, machine.results
+        self.applied = _at_centre(body)
+
+
+def _drives(bodies: list[BodyIndex], constants: list[list[float]]) -> list[_Drive]:
+    return list(map(_Drive, bodies, constants))
+
+
+def _at_centre(body: BodyIndex) -> ExternallyAppliedSpatialForce:
     applied = ExternallyAppliedSpatialForce()
     applied.body_index, applied.p_BoBq_B = body, np.zeros(3)
-    applied.F_Bq_W = SpatialForce(torque, force)
     return applied
 
 
 def _given(port: InputPort, context: Context) -> Array:
     """What a port has, zeros where nothing is connected to it."""
     return port.Eval(context) if port.HasValue(context) else np.zeros(port.size())
-
-
-def _numbers(X: RigidTransform) -> Array:
-    """Rotation row by row, then translation: (12,)."""
-    matrix = X.GetAsMatrix34()
-    return np.concatenate([matrix[:, :3], matrix[:, 3]], axis=None)
 
 
 def _check(parts: ScenePlant) -> None:
@@ -390,8 +353,9 @@ def _check(parts: ScenePlant) -> None:
             )
 
 
-def _constants(body: RigidBody, parts: ScenePlant, config: DriverConfig) -> list[float]:
+def _constants(body: RigidBody, parts: ScenePlant) -> list[float]:
     """`CONSTANT` of a finger."""
+    config = parts.config
     h, mass = parts.plant.time_step(), body.default_mass()
     inertia = body.default_spatial_inertia().CalcRotationalInertia().CopyToFullMatrix3()
     # A model's gravity may be switched off.
@@ -402,6 +366,6 @@ def _constants(body: RigidBody, parts: ScenePlant, config: DriverConfig) -> list
     # of each gain, what it moves and to which power the step divides what is borne
     moved = ((mass, 2), (mass, 1), (mass, 1), (least, 2), (least, 1))
     borne = [SHARE * inert / h**order if h else math.inf for inert, order in moved]
-    gains = [min(getattr(config, name), most) for name, most in zip(_GAINS, borne)]
+    gains = [min(getattr(config, name), most) for name, most in zip(GAINS, borne)]
     gains.append(min(config.slip_gain, SLIP_SHARE / h if h else math.inf))
-    return [h, mass, *inertia.ravel(), *gravity, parts.config.normal_force, *gains]
+    return [h, mass, *inertia.ravel(), *gravity, config.normal_force, *gains]

@@ -43,7 +43,10 @@ def weakly(method: Callable, *first: Any) -> Callable:
 
 
 def array_entry(
-    calc: Callable[[Context], Array], shape: tuple[int, ...], needs: Iterable[DependencyTicket]
+    calc: Callable[..., Array],
+    shape: tuple[int, ...],
+    needs: Iterable[DependencyTicket],
+    *first: Any,
 ) -> tuple[DependencyTicket, Callable[[Context], Array]]:
     """Declare a cache entry that holds what a system's method makes of a Context, an array.
 
@@ -55,6 +58,8 @@ def array_entry(
     calc : bound method
     shape : tuple of int
     needs : iterable of DependencyTicket
+    first
+        Arguments of the method before the Context.
 
     Returns
     -------
@@ -62,7 +67,7 @@ def array_entry(
     callable
         Context -> the array, not to be written to.
     """
-    made, zeros = weakly(calc), BasicVector(np.zeros(math.prod(shape)))
+    made, zeros = weakly(calc, *first), BasicVector(np.zeros(math.prod(shape)))
     system: Any = calc.__self__  # type: ignore[attr-defined]
 
     def fill(context: Context, value: Any) -> None:

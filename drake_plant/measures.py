@@ -15,8 +15,8 @@ from contact_system.measures import REJECTED, windows
 from .contact_monitor import SATURATED
 
 if TYPE_CHECKING:
-    from .pushes import Push
-    from .station import SimulationResult
+    from .config import Push
+    from .simulation import SimulationResult
 
 Array = NDArray[np.float64]
 
@@ -176,9 +176,9 @@ def object_report(result: SimulationResult) -> ObjectReport:
     path = poses[:, :3, 3] - poses[0, :3, 3]
     traces = np.einsum("mij,ij->m", poses[:, :3, :3], poses[0, :3, :3])
     angle = np.arccos(np.clip((traces - 1) / 2, -1, 1))
-    plant, carried = result.config.plant, math.nan
-    if plant.gravity and plant.object == "free":
-        carried = 1 + 2 * path[-1, 2] / (plant.gravity * time**2)
+    config, carried = result.config, math.nan
+    if config.gravity and config.object == "free":
+        carried = 1 + 2 * path[-1, 2] / (config.gravity * time**2)
     farthest = np.linalg.norm(path, axis=1).max()
     return ObjectReport(float(farthest), float(angle.max()), float(carried))
 
@@ -297,7 +297,7 @@ def _rolling(
     """Forces of one contact, and where it is while nothing has been disturbed yet."""
     normal, friction = _forces(result, i)
     apart = _misses(result)[:, i]
-    limit = result.config.plant.friction * normal
+    limit = result.config.friction * normal
     pressed = (normal > 0.5 * _mean(normal[steady])) & (limit > 0)
     return {
         "name": result.scene.contact_name(i),
@@ -331,7 +331,7 @@ def _rejection(
     level = REJECTED * _mean(slip[during])
     normal, friction = _forces(result, i)
     # A finger that is off the object, or that nothing holds, has no friction to saturate.
-    limit = result.config.plant.friction * normal
+    limit = result.config.friction * normal
     at_limit = (friction >= SATURATED * limit) & (normal > 0)
     slid = bool(at_limit[during].any())
     undisturbed = np.fmax(level, _greatest(slip[before]))

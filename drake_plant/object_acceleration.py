@@ -12,8 +12,9 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from contact_system import SceneError
 
+from .config import require_config
 from .lifetimes import NO_DICTIONARY, weakly
-from .plant import ScenePlant, require_config
+from .plant import ScenePlant
 
 
 class ObjectAcceleration(LeafSystem):

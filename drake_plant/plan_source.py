@@ -15,7 +15,7 @@ from contact_system.plan import require_plan
 from contact_system.theory.development import moving
 
 from .lifetimes import NO_DICTIONARY, array_entry
-from .planner_system import PlannerBase, scene_system
+from .planner_base import PlannerBase, scene_system
 
 Array = np.ndarray
 
@@ -32,19 +32,11 @@ class PlanSource(PlannerBase, LeafSystem):
 
         name: PlanSource
         output_ports:
-        - state
-        - slip
-        - twist
-        - acceleration
-        - contact_point
-        - normal
-        - normal_rate
-        - pose
+        - those of a ContactPlanner
 
-    Those of :class:`ContactPlanner`, but for coordinates, which are continuous along the path here.
-    There is no continuous state, so that nothing is integrated and nothing converts to other
-    scalars. Where the scene has windows or legs a discrete state (1) says which edge was passed
-    last, and events at edges set it: no integrator steps across one.
+    Coordinates are continuous along the path here. There is no continuous state, so that nothing is
+    integrated and nothing converts to other scalars. No integrator steps across an edge of the
+    scene's windows or a corner of legs.
 
     Parameters
     ----------
@@ -70,29 +62,21 @@ class PlanSource(PlannerBase, LeafSystem):
         self.plan = plan
         self._Declare(scene_system(plan.scene, "frame"), None, None)
 
-    def _Prerequisites(self, output: str) -> set:
+    def _Prerequisites(self, *outputs: str) -> set:
         time = {self.time_ticket()}
-        if self._window is not None:
-            time.add(self.discrete_state_ticket(self._window))
-        if output not in RATES:
+        if not RATES.keys() & set(outputs):
             return time
         if not hasattr(self, "_rates"):
             shape = len(self.plan.scene.contacts), 12
             self._ticket, self._rates = array_entry(self._CalcRates, shape, time)
-        return {self._ticket}
+        return time | {self._ticket}
 
-    def _Time(self, context: Context) -> float:
-        """At an edge that is not passed yet the time just before it: a plan tells what is after."""
-        t = context.get_time()
-        if t in self.system.edges:
-            passed = context.get_discrete_state(self._window).GetAtIndex(0)
-            return t if passed >= t else np.nextafter(t, -np.inf)
-        return t
-
-    def _Evaluate(self, context: Any, output: str) -> Array:
+    def Evaluate(self, context: Any, output: str) -> Array:
+        if output == "motion":
+            return self._Joined(context)
         if output in RATES:
             return self._rates(context)[:, RATES[output]].ravel()
-        t = self._Time(context)
+        t = context.get_time()
         if output == "pose":
             X = self.plan.pose(t)[0]
             columns = X[:, :3, :3].swapaxes(1, 2).reshape(-1, 9)
@@ -101,7 +85,7 @@ class PlanSource(PlannerBase, LeafSystem):
         return self.plan.evaluate(t, name)[name].ravel()
 
     def _CalcRates(self, context: Context) -> Array:
-        system, t = self.system, self._Time(context)
+        system, t = self.system, context.get_time()
         x, held = frame_states(system, t, self.plan.moments(t))
         table, ends = lowered(system, *RATES)
         point = np.hstack([t, x, system.window_values(t), held])

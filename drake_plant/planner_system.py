@@ -5,30 +5,30 @@ from __future__ import annotations
 import bisect
 import functools
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
-from pydrake.common.value import AbstractValue, Value
-from pydrake.math import RigidTransform_, RotationMatrix_
+from pydrake.common.value import AbstractValue
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import (
     BasicVector,
-    BasicVector_,
     LeafSystem,
     LeafSystem_,
     SystemScalarConverter,
     ValueProducer,
 )
 
-from contact_system import Scene, SceneSystem
-from contact_system.checks import finite_number, flag
+from contact_system import Scene
+from contact_system.checks import finite_number
 from contact_system.errors import SceneError
 from contact_system.scene import DISTURBANCE_KINDS
 from contact_system.starts import on_branch
 
-from .lifetimes import NO_DICTIONARY, weakly
+from .config import LOOK
+from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plan_check import (
     CLEARANCE,
     MOST,
@@ -38,42 +38,15 @@ from .plan_check import (
     refuse_drift,
     refuse_singularity,
 )
-from .scalars import evaluate_scalars, select
-from .scratch import Scratch, Scratches
+from .planner_base import EARLY, MOTION, PORTS, PlannerBase, scene_system
+from .scalars import evaluate_scalars
+from .scratch import PerThread, Scratch
 
 NEARBY = 10 * CLEARANCE
 """Where the distance from a chart's singularity is watched more closely."""
-LOOK = 0.01
-"""How often the distance from the plan is looked at where no period is given, s."""
-EARLY = 1e-9
-"""How much before its time a restart happens, s."""
 RESTING = 1e-3
 """Of the greatest sigma."""
-ONCE = 1e9
-"""Period of an event that happens once, s."""
-PORTS = {
-    "state": 9,
-    "slip": 2,
-    "twist": 6,
-    "acceleration": 6,
-    "contact_point": 6,
-    "normal": 3,
-    "normal_rate": 3,
-}
-
 Array = np.ndarray
-
-# What is derived from a scene is large: planners of the same one share it.
-_shared_system = functools.lru_cache(maxsize=16)(SceneSystem)
-
-
-def scene_system(*options: Any) -> SceneSystem:
-    """The SceneSystem of a scene, coordinates and disturbance_input."""
-    try:
-        hash(options)
-    except TypeError:  # a list in the place of a scene or a word: it says which
-        return SceneSystem(*options)
-    return _shared_system(*options)
 
 
 def _period(restart_period: float | None, restart_distance: float | None) -> float | None:
@@ -92,89 +65,11 @@ def _check_restart(scene: Scene, period: Any, distance: Any) -> None:
         finite_number(distance, f"{what}distance", "not below 0")
 
 
-# --- what planners of every scalar share ----------------------------------------------------------
-
-
-_System: Any = object  # LeafSystem_[T] comes behind it in each class
-
-
-class PlannerBase(_System):
-    """Ports, windows and outputs of a system that tells how contacts move, of any scalar.
-
-    Attributes
-    ----------
-    system : SceneSystem
-    """
+class _Convertible(PlannerBase):
+    """A planner with other scalars, as TemplateSystem has it for classes without a signature of
+    their own."""
 
     __slots__ = NO_DICTIONARY
-
-    T: type = float
-    _window: Any = None  # states and ports that not all have
-    _held: Any = None
-    _disturbance: Any = None
-    _measured: Any = None
-    _restarts: Any = None
-
-    def _Declare(self, system: SceneSystem, x0: Array | None, period: float | None) -> None:
-        """States, ports and events; period: of restarts, s."""
-        self.system, self._fed_through = system, {"derivatives"}
-        n = len(system.scene.contacts)
-        if x0 is not None:
-            self.DeclareContinuousState(_vector(x0, self.T))
-        if system.edges:
-            self._window = self.DeclareDiscreteState(_vector(np.zeros(1), self.T))
-            self.DeclareInitializationUnrestrictedUpdateEvent(weakly(self._SetWindow))
-        turns = system.corners if x0 is not None else ()
-        if len(system.held0) and x0 is not None and (turns or period is not None):
-            self._held = self.DeclareDiscreteState(_vector(system.held0, self.T))
-        for edge in system.edges:
-            passes = weakly(self._Turn, edge) if edge in turns else weakly(self._SetWindow)
-            self.DeclarePeriodicUnrestrictedUpdateEvent(ONCE, edge, passes)
-        if system.disturbance_input:
-            self._disturbance = self.DeclareVectorInputPort("disturbance", 6 * n)
-        if period is not None:
-            self._measured = self.DeclareVectorInputPort("measured_state", 9 * n)
-            self._restarts = self.DeclareDiscreteState(_vector(np.zeros(n), self.T))
-            # A little early: 3 * 0.1 s comes after 300 * 1 ms in floating point, and a discrete
-            # plant that has stepped already would be measured a step ahead of the planner.
-            first, restart = period - EARLY, weakly(self._Restart)
-            self.DeclarePeriodicUnrestrictedUpdateEvent(period, first, restart)
-        for name, size in PORTS.items():
-            calc = weakly(self._CalcVector, name)
-            self.DeclareVectorOutputPort(name, size * n, calc, self._Prerequisites(name))
-        kind, calc = Value[list[RigidTransform_[self.T]]], weakly(self._CalcPose)
-        self.DeclareAbstractOutputPort("pose", kind, calc, self._Prerequisites("pose"))
-        if self._restarts is not None:
-            self.DeclareStateOutputPort("restarts", self._restarts)
-
-    def _Evaluate(self, context: Any, output: str) -> Array:
-        """An output of the system."""
-        raise NotImplementedError
-
-    def _CalcVector(self, output: str, context: Any, vector: Any) -> None:
-        vector.SetFromVector(self._Evaluate(context, output))
-
-    def _CalcPose(self, context: Any, value: Any) -> None:
-        Transform, Rotation = RigidTransform_[self.T], RotationMatrix_[self.T]
-        rows = self._Evaluate(context, "pose").reshape(-1, 12)
-        value.set_value([Transform(Rotation(r[:9].reshape(3, 3).T), r[9:]) for r in rows])
-
-    def _Restart(self, context: Any, state: Any) -> None:
-        raise TypeError("ContactPlanner restarts with T = float only; simulate that one")
-
-    def _SetWindow(self, context: Any, state: Any) -> None:
-        state.get_mutable_discrete_state(self._window).SetAtIndex(0, context.get_time())
-
-    def _Turn(self, edge: float, context: Any, state: Any) -> None:
-        """Contacts go on along their next legs."""
-        self._SetWindow(context, state)
-        x = context.get_continuous_state_vector().CopyToVector().ravel()
-        held = context.get_discrete_state(self._held).CopyToVector().ravel()
-        x, held = self.system.turned(edge, x, held, self._Evaluate(context, "carried"))
-        state.get_mutable_continuous_state().SetFromVector(x)
-        state.get_mutable_discrete_state(self._held).SetFromVector(held)
-
-    # --- conversion, as TemplateSystem does it for classes without a signature of their own ---
 
     def ToAutoDiffXd(self) -> Any:
         return self._Converted(AutoDiffXd)
@@ -187,59 +82,11 @@ class PlannerBase(_System):
         made._HandlePostConstructionScalarConversion[self.T](self)
         return made
 
-    def _Prerequisites(self, output: str) -> set:
-        """What an output depends on, from the sparsity of its function."""
-        inputs = self.system.depends(output)
-        if "w" in inputs:
-            self._fed_through.add(output)
-        tickets = {"t": self.time_ticket(), "x": self.xc_ticket(), "w": self.time_ticket()}
-        found = {ticket for name, ticket in tickets.items() if name in inputs}
-        for name, group in (("w", self._window), ("held", self._held)):
-            if name in inputs and group is not None:
-                found.add(self.discrete_state_ticket(group))
-        if "w" in inputs and self._disturbance is not None:
-            found.add(self.input_port_ticket(self._disturbance.get_index()))
-        return found or {self.nothing_ticket()}
-
-    # --- what disturbs, for every scalar ---------------------------------------------------
-
-    def _Windows(self, context: Any) -> Array:
-        """What the windows add: (n_w,).
-
-        At an edge itself the discrete state says whether it has been passed: a step that ends
-        there is still under what acted before.
-        """
-        w = _scalars(np.zeros(self.system.n_w), self.T)
-        if self._window is None:
-            return w
-        t = context.get_time()
-        passed = context.get_discrete_state(self._window).GetAtIndex(0)
-
-        def is_past(edge: float) -> Any:
-            decided = select(passed >= edge, 1.0, 0.0)
-            return select(t > edge, 1.0, select(t == edge, decided, 0.0))
-
-        for d, rows in self.system.windows:
-            acts = is_past(d.start) - is_past(d.stop)
-            for k, value in enumerate(d.value, rows.start):
-                w[k] += acts * value
-        return w
-
-    def _Disturbance(self, context: Any, output: str) -> Array | None:
-        """What the disturbance port adds, (n_w,), or None.
-
-        An output without feedthrough does not ask the port, which may depend on it.
-        """
-        port = self._disturbance
-        if port is None or output not in self._fed_through or not port.HasValue(context):
-            return None
-        return port.Eval(context).ravel()
-
 
 # --- floats ---------------------------------------------------------------------------------------
 
 
-class ContactPlanner(PlannerBase, LeafSystem):
+class ContactPlanner(_Convertible, LeafSystem):
     """Plans how contacts of a scene move, by the equations of contact_system.
 
     .. pydrake_system::
@@ -256,6 +103,7 @@ class ContactPlanner(PlannerBase, LeafSystem):
         - contact_point
         - normal
         - normal_rate
+        - motion
         - pose
         - restarts (with restart_period or restart_distance)
 
@@ -282,17 +130,19 @@ class ContactPlanner(PlannerBase, LeafSystem):
     - `normal` (3n): the object's outward unit normal at the contact, in O; `normal_rate` (3n) is
       its time derivative.
     - `pose`: list of RigidTransform X_OF.
+    - `motion` (36n): all that a :class:`FingertipDriver` takes, contact by contact: X_OF, the
+      rotation by columns (9) and the position (3), then twist, acceleration, contact points, normal
+      and its rate.
     - `restarts` (n): how often each contact's plan began anew.
 
     The continuous state is that of :class:`contact_system.SceneSystem`: u1 v1 u1' v1' u2 v2 u2'
     v2' psi a contact for ``coordinates="chart"``; moving frames without poles and, but for
     accelerated contacts, without the stiffness of lam for ``coordinates="frame"``. It starts as
-    the scene says. What the scene's windows add follows from the time; where there are any, or
-    legs, a discrete state (1) holds when an edge was last passed, so that at an edge itself it is
-    known which side acts; events at the edges set it, and no integrator steps across one. In frame
-    coordinates another one holds W_1, V and its time where the planner restarts or contacts have
-    legs, and of those the leg; events at corners turn W_1. The last one of a planner that restarts
-    counts the restarts.
+    the scene says. What the scene's windows add follows from the time, at an edge what acts after
+    it; events just before the edges and at them keep integrators from stepping across one. In
+    frame coordinates a discrete state holds W_1, V and its time where the planner restarts or
+    contacts have legs, and of those the leg; events at corners turn W_1. The last one of a planner
+    that restarts counts the restarts.
 
     States of :meth:`contact_system.SceneSystem.from_states` can be started from in chart
     coordinates. In frame coordinates W_1 and V of contacts that nothing accelerates are no
@@ -308,8 +158,8 @@ class ContactPlanner(PlannerBase, LeafSystem):
     A planner may be shared by threads that have a Context each.
 
     AutoDiffXd and Expression are supported. ``Linearize`` and ``DiscreteTimeApproximation``
-    need a planner without discrete state: of a scene without windows,
-    ``scene.replace(disturbances=[])``, and without restarts; for others Drake ends the process.
+    need a planner without restarts, whose states are continuous alone; for others Drake ends the
+    process.
     ``DirectCollocation`` evaluates systems at one time, and so is right only where sigma is
     constant. In frame coordinates Drake takes hours to evaluate the symbolic acceleration,
     whose tree has 1e10 nodes; derivatives and the rest take up to seconds.
@@ -329,8 +179,6 @@ class ContactPlanner(PlannerBase, LeafSystem):
         In a simulation contact points may be so far off the exact plan, per metre of path and of
         the greater body's size. No plan is known, and nothing compared, where the disturbance
         port is connected, or a simulation begins at a rest or a pole other than the scene's start.
-    compiled : bool, optional
-        Accepted and ignored: nothing is compiled when it runs.
 
     Raises
     ------
@@ -354,10 +202,8 @@ class ContactPlanner(PlannerBase, LeafSystem):
         restart_period: float | None = None,
         restart_distance: float | None = None,
         tolerance: float = TOLERANCE,
-        compiled: bool | None = None,
     ):
         LeafSystem.__init__(self, converter=_converter())
-        flag(compiled, "compiled", none=True)
         system = scene_system(scene, coordinates, disturbance_input)
         _check_restart(scene, restart_period, restart_distance)
         what = f"{scene.title}: tolerance"
@@ -372,9 +218,42 @@ class ContactPlanner(PlannerBase, LeafSystem):
             tolerance=tolerance,
         )
         self._Declare(system, system.x0, _period(restart_period, restart_distance))
-        self._scratches = Scratches(system, {})
+        self._scratches = PerThread(partial(Scratch, system), {})
+        self._DeclareOutputs()
         self._exact = functools.lru_cache(maxsize=16)(partial(exact_plan, scene))
         self._DeclareWatch()
+
+    def _DeclareOutputs(self) -> None:
+        """All outputs come from one call into the engine; what depends on the disturbance port from
+        another, as the port may depend on what does not."""
+        self._outputs: dict[str, tuple[Callable, Any]] = {}
+        sizes, n = {**MOTION, **PORTS}, len(self.system.scene.contacts)
+        groups = [tuple(sizes)]
+        if self._disturbance is not None:
+            groups.append(tuple(name for name in sizes if name not in self._fed_through))
+        for group in groups:
+            ends = np.cumsum([0, *(n * sizes[name] for name in group)]).tolist()
+            needs = self._Prerequisites(*group)
+            _, entry = array_entry(self._CalcOutputs, (ends[-1] + 1,), needs, group)
+            rows = list(map(slice, ends, ends[1:]))
+            self._outputs |= {name: (entry, own) for name, own in zip(group, rows)}
+            if group is groups[0]:
+                every = [np.arange(ends[-1])[own].reshape(n, -1) for own in rows[: len(MOTION)]]
+                self._outputs["motion"] = entry, np.hstack(every).ravel()
+
+    def _CalcOutputs(self, outputs: tuple[str, ...], context: Any) -> Array:
+        """One after the other, and at the end whether a number among them is not finite."""
+        self._Load(context, *outputs)
+        values = self._scratches.own.evaluate(*outputs)
+        return np.append(values, not math.isfinite(values.sum()))
+
+    def Evaluate(self, context: Any, output: str) -> Array:
+        entry, rows = self._outputs[output]
+        values = entry(context)
+        if values[-1] and not np.isfinite(values[rows]).all():
+            self._Load(context, output)
+            refuse(self.system, *self._scratches.own.given)
+        return values[rows]
 
     # --- what is refused at the end of a step -----------------------------------------------------
 
@@ -428,7 +307,7 @@ class ContactPlanner(PlannerBase, LeafSystem):
 
     def _Begin(self, context: Any) -> None:
         """From now on contacts are compared with the plan from the state that a Context has."""
-        self._Load(context)
+        self._Load(context, "derivatives")
         own, system = self._scratches.own, self.system
         own.steps.count = 0
         starts = (own.t[0], *own.x, *own.held) == (0.0, *system.x0, *system.held0)
@@ -451,22 +330,22 @@ class ContactPlanner(PlannerBase, LeafSystem):
         state = begun[2:].tobytes() if begun[0] == 2.0 else b""
         plan = self._exact(float(begun[1]), state, max(t, scene.duration))
         if plan is not None and plan.start <= t <= plan.end:
-            points = self._Finite(context, "contact_point")
+            points = self.Evaluate(context, "contact_point")
             refuse_drift(scene, plan, t, points, self._tolerance)
 
     # --- what Drake calls ----------------------------------------------------------------------
 
-    def _Load(self, context: Any, output: str = "derivatives") -> None:
+    def _Load(self, context: Any, *outputs: str) -> None:
         own = self._scratches.own
         own.t[0] = t = context.get_time()
         own.x[:] = context.get_continuous_state().CopyToVector()
         after, before = own.same
         if not after < t < before:
-            self._LoadRest(context, own, t, output)
+            self._LoadRest(context, own, t, *outputs)
 
-    def _LoadRest(self, context: Any, own: Scratch, t: float, output: str) -> None:
+    def _LoadRest(self, context: Any, own: Scratch, t: float, *outputs: str) -> None:
         """What the windows and the disturbance port add at t, and held numbers."""
-        added = self._Disturbance(context, output)
+        added = self._Disturbance(context, *outputs)
         own.w[:] = self._Windows(context)
         if added is not None:
             own.w += added
@@ -481,6 +360,9 @@ class ContactPlanner(PlannerBase, LeafSystem):
         self._Load(context, output)
         return self._scratches.own.evaluate(output)
 
+    def _Carried(self, context: Any) -> Array:
+        return self._Numbers(context, "carried")
+
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
         own = self._scratches.own
         time, x, run, guard, rate = own.hot  # the lines of _Load: a call takes 0.2 us
@@ -493,14 +375,6 @@ class ContactPlanner(PlannerBase, LeafSystem):
         if not guard[0] > 0.0:
             refuse(self.system, *own.given)
         derivatives.SetFromVector(rate)
-
-    def _Finite(self, context: Any, output: str) -> Array:
-        values = self._Numbers(context, output)
-        if not math.isfinite(values.sum()):
-            refuse(self.system, *self._scratches.own.given)
-        return values
-
-    _Evaluate = _Finite
 
     def _Moves(self, t: float) -> Array:
         """Which contacts do not all but rest: (n_contacts,)."""
@@ -540,7 +414,7 @@ def _scalar_planner(T: type) -> type:
     """The class of planners whose numbers are AutoDiffXd or Expression."""
     Base: Any = LeafSystem_[T]
 
-    class ScalarPlanner(PlannerBase, Base):
+    class ScalarPlanner(_Convertible, Base):
         __slots__ = NO_DICTIONARY
 
         def __init__(self, other: PlannerBase):
@@ -550,9 +424,11 @@ def _scalar_planner(T: type) -> type:
             self._Declare(other.system, other.system.x0, period)
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-            derivatives.SetFromVector(self._Evaluate(context, "derivatives"))
+            derivatives.SetFromVector(self.Evaluate(context, "derivatives"))
 
-        def _Evaluate(self, context: Any, output: str) -> Array:
+        def Evaluate(self, context: Any, output: str) -> Array:
+            if output == "motion":
+                return self._Joined(context)
             system, w, held = self.system, self._Windows(context), self.system.held0
             added = self._Disturbance(context, output)
             if added is not None:
@@ -582,11 +458,3 @@ def _converter() -> SystemScalarConverter:
     for T, U in SystemScalarConverter.SupportedConversionPairs:
         converter._AddConstructor[T, U](partial(_convert, T))
     return converter
-
-
-def _scalars(values: Array, T: type) -> Array:
-    return values if T is float else np.array([T(v) for v in values], dtype=object)
-
-
-def _vector(values: Array, T: type) -> Any:
-    return BasicVector_[T](_scalars(values, T))

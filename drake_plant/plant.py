@@ -17,11 +17,9 @@ is 0.2 % less. SI units, radians.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -34,6 +32,7 @@ from pydrake.geometry import (
     GeometrySet,
     HalfSpace,
     ProximityProperties,
+    Rgba,
     SceneGraph,
     Shape,
     SurfaceTriangle,
@@ -64,7 +63,6 @@ from contact_system import (
     Cylinder,
     Ellipsoid,
     Plane,
-    Quadric,
     Scene,
     SceneError,
     Sphere,
@@ -72,25 +70,19 @@ from contact_system import (
     Torus,
     Turning,
 )
-from contact_system import plan as make_plan
-from contact_system.checks import finite_number, naming
+from contact_system.checks import naming
 from contact_system.errors import ContactSystemError
+from contact_system.plots import BODY, colour_of
 from contact_system.scene import require_scene
 
-from .meshes import (
-    Domain,
-    SurfaceMesh,
-    compliant_mesh,
-    contact_mesh,
-    domain_of,
-    inner_points,
-    is_round,
-    painted_meshes,
-    rigid_mesh,
-)
+from .config import EDGES, StationConfig, require_config
+from .domains import Domain, domain_of
+from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
+from .meshes import SurfaceMesh, contact_mesh
+from .pressing import check_depth, contact_depth
+from .touches import Touch, touches_of
 
 Array = NDArray[np.float64]
-Config = TypeVar("Config", bound=type)
 
 # Gap that opens along an edge, in depths. What a facet stands off the surface ripples with the
 # period of the mesh, and a patch of radius a averages the ripple with the weight J1(q a)/(q a),
@@ -111,121 +103,10 @@ WIDEST_GAP = 10.0
 
 REACH = 0.02  # m, that meshes of unbounded surfaces reach beyond the planned patches
 STRIP = 0.01  # m, that a mesh of too many triangles is fine beyond the planned patches
-SPACING = 0.0025  # m, of points along the plan that show where contacts go
-LINE = 1e-6  # of the greatest relative curvature: less is a line, straight but for rounding
 TURNING_GAIN = 1e8  # N m/rad
 AGES = 1e9  # s
-CHOICES = {
-    "contact_model": ("hydroelastic", "point"),
-    "discrete_contact_approximation": ("sap", "lagged", "similar"),
-    "object": ("free", "welded", "turning"),
-}
-NOT_NEGATIVE = ("time_step", "friction")
-EDGES = ("finger_edge", "object_edge")
-POSITIVE = ("object_mass", "finger_mass", "stiffness", "normal_force", *EDGES)
 TAKEN = ("", "object", "WorldModelInstance", "DefaultModelInstance")  # the last two by Drake
-# Of kinds of surfaces what is less where they give way by a depth.
-RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
-OBJECT_COLORS = ((0.80, 0.80, 0.78), (0.52, 0.55, 0.58))
-FINGER_COLORS = (
-    ((0.95, 0.62, 0.45), (0.75, 0.25, 0.10)),
-    ((0.55, 0.75, 0.95), (0.12, 0.35, 0.70)),
-    ((0.60, 0.85, 0.60), (0.13, 0.50, 0.20)),
-    ((0.90, 0.80, 0.45), (0.65, 0.50, 0.05)),
-)
-
-
-def require_config(config: Any, kind: type, name: str = "config") -> None:
-    """Raise a SceneError where something else is given, such as a part of a configuration."""
-    if not isinstance(config, kind):
-        raise SceneError(f"{name} = {config!r}: give a {kind.__name__}")
-
-
-def check_words(config: Any, choices: Mapping[str, Sequence[str]]) -> None:
-    """Raise a SceneError for the first field of a configuration that is none of its words."""
-    for key, words in choices.items():
-        value = getattr(config, key)
-        if not isinstance(value, str) or value not in words:
-            raise SceneError(f"{key} = {value!r}: use one of {', '.join(words)}")
-
-
-def check_numbers(config: Any, keys: Sequence[str], bound: str = "") -> None:
-    """Raise a SceneError for the first field that is not a finite number within the bound.
-
-    None is fine where it is the default.
-
-    bound : "above 0", "not below 0" or none
-    """
-    for key in keys:
-        value = getattr(config, key)
-        if value is not None or getattr(type(config), key) is not None:
-            finite_number(value, key, bound)
-
-
-def types_known(config: Config) -> Config:
-    """A dataclass whose fields hold their types instead of the words for them.
-
-    Drake's yaml_load_typed and yaml_dump_typed read them there.
-    """
-    types = get_type_hints(config)
-    for field in dataclasses.fields(config):
-        field.type = types[field.name]
-    return config
-
-
-@types_known
-@dataclass
-class PlantConfig:
-    """What a scene's plant is made of.
-
-    Contact itself is elastic: the damper between the bodies is the FingertipDriver's. Material
-    enters a fast rolling patch on one side and leaves on the other, so that a damping which is
-    strong for the bodies would destroy contact.
-
-    Attributes
-    ----------
-    time_step : float
-        s; 0 makes the plant continuous, for Drake's integrators.
-    contact_model : str
-        "hydroelastic", or "point" where Drake's point contact is exact: spheres on a sphere or on
-        a plane.
-    discrete_contact_approximation : str
-        "sap", "lagged" or "similar".
-    object : str
-        "free"; "welded" to the world; "turning" as the scene prescribes it.
-    object_mass, finger_mass : float
-        kg, spread evenly, with the mass centre at the body's origin.
-    stiffness : float
-        N/m, of a contact that carries ``normal_force``.
-    friction : float
-        Coulomb's coefficient, static and dynamic.
-    normal_force : float
-        N, along the planned normal, with which every finger presses.
-    gravity : float
-        m/s^2, towards -z of the world.
-    finger_edge, object_edge : float or None
-        m, edges of the meshes at the planned contacts; None: chosen by the size of the patch.
-    """
-
-    time_step: float = 1e-3
-    contact_model: str = "hydroelastic"
-    discrete_contact_approximation: str = "sap"
-    object: str = "free"
-    object_mass: float = 1.0
-    finger_mass: float = 0.1
-    stiffness: float = 1e4
-    friction: float = 0.5
-    normal_force: float = 1.0
-    gravity: float = 0.0
-    finger_edge: float | None = None
-    object_edge: float | None = None
-
-    def check(self) -> None:
-        """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
-        check_words(self, CHOICES)
-        check_numbers(self, ("gravity",))
-        check_numbers(self, POSITIVE, "above 0")
-        check_numbers(self, NOT_NEGATIVE, "not below 0")
+OPACITY = 0.6  # of what contact is seen through: fingers, and objects from the inside
 
 
 @dataclass(frozen=True)
@@ -237,9 +118,9 @@ class ScenePlant:
     Attributes
     ----------
     scene : Scene
-    config : PlantConfig
-        What it is made from; of one of your own the driver takes the normal force, and
-        SetInitialState how deep that presses.
+    config : StationConfig
+        What it is made from; of one of your own the driver takes the normal force and the gains,
+        the monitor friction, and SetInitialState how deep the force presses.
     plant : MultibodyPlant
         Finalized.
     scene_graph : SceneGraph
@@ -255,7 +136,7 @@ class ScenePlant:
     """
 
     scene: Scene
-    config: PlantConfig
+    config: StationConfig
     plant: MultibodyPlant
     scene_graph: SceneGraph
     object_body: RigidBody
@@ -264,7 +145,7 @@ class ScenePlant:
     def __post_init__(self) -> None:
         require_scene(self.scene)
         with naming(f"{self.scene.title}, scene_plant"):
-            require_config(self.config, PlantConfig)
+            require_config(self.config, StationConfig)
             require_config(self.plant, MultibodyPlant, "plant")
             require_config(self.scene_graph, SceneGraph, "scene_graph")
             if not self.plant.is_finalized():
@@ -290,37 +171,8 @@ class ScenePlant:
             taken[index] = name
 
 
-def contact_depth(config: PlantConfig) -> float:
-    """Depth at which a contact carries ``normal_force``, m.
-
-    Force grows with the square of the depth in hydroelastic contact, linearly in point contact.
-    """
-    power = 2 if config.contact_model == "hydroelastic" else 1
-    return power * config.normal_force / config.stiffness
-
-
-def check_depth(scene: Scene, config: PlantConfig) -> None:
-    """Raise a SceneError where a contact would be as deep as half a body's least radius."""
-    depth = contact_depth(config)
-    for i, contact in enumerate(scene.contacts):
-        for body in (contact.finger, scene.object):
-            thin = _least_radius(body)
-            if not depth < thin / 2:
-                raise SceneError(
-                    f"stiffness = {config.stiffness!r}: contact {i} would be {depth:.3g} m deep at "
-                    f"normal_force = {config.normal_force!r}, which is too much for {body!r}; give "
-                    f"a stiffness far above {config.stiffness * depth / (thin / 2):.3g} N/m"
-                )
-
-
-def _least_radius(body: Surface) -> float:
-    if isinstance(body, Quadric) and is_round(body):
-        return float(np.linalg.eigvalsh(body.A)[-1] ** -0.5)
-    return min(getattr(body, name) for name in RADII.get(type(body), ("size",)))
-
-
 def AddScenePlant(
-    builder: DiagramBuilder, scene: Scene, config: PlantConfig | None = None
+    builder: DiagramBuilder, scene: Scene, config: StationConfig | None = None
 ) -> ScenePlant:
     """Add a finalized MultibodyPlant and a SceneGraph with the scene's bodies.
 
@@ -336,7 +188,7 @@ def AddScenePlant(
     builder : DiagramBuilder
     scene : Scene
         It is planned here, to make meshes fine where contacts go.
-    config : PlantConfig, optional
+    config : StationConfig, optional
         None: what the scene's ``[drake]`` table says.
 
     Raises
@@ -347,17 +199,15 @@ def AddScenePlant(
     """
     require_scene(scene)
     if config is None:
-        from .station import StationConfig  # which imports this module
-
-        config = StationConfig.from_scene(scene).plant
+        config = StationConfig.from_scene(scene)
     try:
         require_config(builder, DiagramBuilder, "builder")
-        require_config(config, PlantConfig)
-        config.check()
+        require_config(config, StationConfig)
+        config.check(scene)
         _check_names(builder, config)
         config = dataclasses.replace(config)  # the caller may change what is his
         _check_surfaces(scene, config)
-        touches = _touches(scene)
+        touches = touches_of(scene)
         _check_edges(config, touches)
         return _add(builder, scene, config, touches)
     except ContactSystemError as error:
@@ -365,7 +215,7 @@ def AddScenePlant(
 
 
 def _add(
-    builder: DiagramBuilder, scene: Scene, config: PlantConfig, touches: Sequence[_Touch]
+    builder: DiagramBuilder, scene: Scene, config: StationConfig, touches: Sequence[Touch]
 ) -> ScenePlant:
     plant, scene_graph = AddMultibodyPlant(
         MultibodyPlantConfig(
@@ -379,10 +229,10 @@ def _add(
     )
     plant.mutable_gravity_field().set_gravity_vector([0, 0, -config.gravity])
     object_body = _add_object(plant, scene, config, touches)
-    names, fingers = _finger_names([contact.name for contact in scene.contacts]), []
+    names, fingers = model_names(scene), []
     for i, (contact, touch) in enumerate(zip(scene.contacts, touches)):
-        colors = FINGER_COLORS[i % len(FINGER_COLORS)]
-        fingers.append(_add_finger(plant, names[i], contact.finger, config, touch, colors))
+        colour = rgba(colour_of(i), OPACITY)
+        fingers.append(_add_finger(plant, names[i], contact.finger, config, touch, colour))
     geometries = [g for body in fingers for g in plant.GetCollisionGeometriesForBody(body)]
     scene_graph.collision_filter_manager().Apply(
         CollisionFilterDeclaration().ExcludeWithin(GeometrySet(geometries))
@@ -398,7 +248,7 @@ def _add(
     return ScenePlant(scene, config, plant, scene_graph, object_body, fingers)
 
 
-def _check_names(builder: DiagramBuilder, config: PlantConfig) -> None:
+def _check_names(builder: DiagramBuilder, config: StationConfig) -> None:
     """Refuse names that are taken: Drake would end the process when it builds the Diagram."""
     for name in ("plant", "scene_graph", *["turning"] * (config.object == "turning")):
         if builder.HasSubsystemNamed(name):
@@ -409,9 +259,10 @@ def _check_names(builder: DiagramBuilder, config: PlantConfig) -> None:
             )
 
 
-def _finger_names(given: Sequence[str]) -> list[str]:
-    """Names of model instances: those given, numbered where they are not or are taken."""
-    names: list[str] = []
+def model_names(scene: Scene) -> list[str]:
+    """Names of the fingers' model instances: those given, numbered where they have none of their
+    own."""
+    given, names = [contact.name for contact in scene.contacts], list[str]()
     for i, name in enumerate(given):
         if name in TAKEN or name in names:
             name = f"finger_{i}"
@@ -421,93 +272,7 @@ def _finger_names(given: Sequence[str]) -> list[str]:
     return names
 
 
-# --- what the plan says about contacts ---------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Touch:
-    """Where two bodies are planned to touch, and how they curve there.
-
-    finger_points, object_points : (m, 3), each in its body's frame, m
-    finger_normals : (m, 3), out of the finger; NaN where its chart has no frame
-    finger_curvature, object_curvature : mean curvatures, mean over the curve, 1/m
-    openness : (m,), sqrt(det(K_1 + R K_2 R)), 1/m; NaN where a chart has no frame
-    """
-
-    finger_points: Array
-    object_points: Array
-    finger_normals: Array
-    finger_curvature: float
-    object_curvature: float
-    openness: Array
-
-
-def _touches(scene: Scene) -> list[_Touch]:
-    """How the plan lets each finger touch the object.
-
-    Raises
-    ------
-    SceneError
-        The surfaces do not part around a planned contact, or two fingers are to be in one place.
-    """
-    plan, length = make_plan(scene), scene.path_length(scene.duration)
-    times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
-    points, poses = plan.points(times), plan.pose(times)
-    _check_apart(scene, times, poses[..., :3, 3])
-    turns, touches = poses[..., :3, :3], []
-    for i, contact in enumerate(scene.contacts):
-        forms, frames = [], []
-        for surface, x in zip((contact.finger, scene.object), points[:, i].swapaxes(0, 1)):
-            at = surface.coordinates(x)
-            forms.append(surface.curvature_form(*at))
-            frames.append(surface.frame(*at))
-        turn = frames[1][..., :2].swapaxes(-1, -2) @ turns[:, i] @ frames[0][..., :2]
-        relative = forms[1] + turn @ forms[0] @ turn.swapaxes(-1, -2)
-        # A chart has no frame at its poles; the curve is known beside them.
-        known = np.all(np.isfinite(relative), axis=(1, 2))
-        curvatures = np.linalg.eigvalsh(relative[known])
-        least, line = curvatures[:, 0].min(), LINE * curvatures[:, 1].max()
-        if not least > line:
-            what, remedy = "overlap", "make the finger smaller, or plan contact where the object is"
-            remedy += " less concave"
-            if least >= -line:
-                what, remedy = "touch along a line", "turn the finger, or take another one"
-            raise SceneError(
-                f"contact {i}: finger and object {what} where they are planned to touch (the "
-                f"least relative curvature is {least:.3g} 1/m); {remedy}"
-            )
-        mean = [float(np.trace(k[known], axis1=1, axis2=2).mean() / 2) for k in forms]
-        openness = np.sqrt(np.linalg.det(relative))
-        finger_points, object_points = points[:, i].swapaxes(0, 1)
-        touches.append(
-            _Touch(finger_points, object_points, frames[0][..., 2], mean[0], mean[1], openness)
-        )
-    return touches
-
-
-def _check_apart(scene: Scene, times: Array, places: Array) -> None:
-    """Refuse fingers that would overlap, as they do not collide here; places (m, n, 3).
-
-    A finger is taken as the ball about its origin that fits into it, a sphere as what it is.
-    """
-    radii = [_inner_radius(contact.finger) for contact in scene.contacts]
-    for i, j in itertools.combinations(range(len(radii)), 2):
-        apart = np.linalg.norm(places[:, i] - places[:, j], axis=1) - (radii[i] + radii[j])
-        k = int(np.argmin(apart))
-        if apart[k] < 0 and min(radii[i], radii[j]) > 0:
-            raise SceneError(
-                f"{scene.contact_name(i)} and {scene.contact_name(j)} are planned to overlap by "
-                f"{-apart[k]:.3g} m at t = {times[k]:.3g} s; move one of them, shorten the scene "
-                "or make them smaller"
-            )
-
-
-def _inner_radius(finger: Surface) -> float:
-    """Of the ball about the origin that fits into a finger, 0 where it is not known, m."""
-    return _least_radius(finger) if isinstance(finger, (Sphere, Ellipsoid, Quadric)) else 0.0
-
-
-def _check_surfaces(scene: Scene, config: PlantConfig) -> None:
+def _check_surfaces(scene: Scene, config: StationConfig) -> None:
     """Refuse what Drake's contact cannot do, with the reason."""
     if config.object == "turning" and scene.turning is None:
         raise SceneError(
@@ -529,14 +294,14 @@ def _check_surfaces(scene: Scene, config: PlantConfig) -> None:
                     f"a plane, not for {finger!r} on {scene.object!r}: Drake's normal between an "
                     'ellipsoid and a sphere is wrong by up to 16 degrees; use "hydroelastic"'
                 )
-        elif finger.inside or not (is_round(finger) or isinstance(finger, (Cylinder, Torus))):
+        elif finger.inside or not (finger.chart.central or isinstance(finger, (Cylinder, Torus))):
             raise SceneError(
                 f"contact {i}: a fingertip is a compliant solid, which {finger!r} does not bound; "
                 "use a sphere, an ellipsoid, a cylinder, a torus or an ImplicitSurface"
             )
 
 
-def _check_edges(config: PlantConfig, touches: Sequence[_Touch]) -> None:
+def _check_edges(config: StationConfig, touches: Sequence[Touch]) -> None:
     """Refuse meshes so coarse that bodies which roll on them lose contact."""
     for key in EDGES:
         edge, depth = getattr(config, key), contact_depth(config)
@@ -556,7 +321,7 @@ def _check_edges(config: PlantConfig, touches: Sequence[_Touch]) -> None:
 
 
 def _add_object(
-    plant: MultibodyPlant, scene: Scene, config: PlantConfig, touches: Sequence[_Touch]
+    plant: MultibodyPlant, scene: Scene, config: StationConfig, touches: Sequence[Touch]
 ) -> RigidBody:
     surface = scene.object
     curve = np.vstack([touch.object_points for touch in touches])
@@ -575,11 +340,24 @@ def _add_object(
     inertia = SpatialInertia.SolidSphereWithMass(config.object_mass, surface.size)
     if config.object == "free":
         inertia = _solid("object", surface, config.object_mass, mesh)
-    return _add_body(plant, "object", inertia, shape, properties, domain, OBJECT_COLORS)
+    return _add_body(
+        plant,
+        "object",
+        inertia,
+        shape,
+        properties,
+        domain,
+        rgba(BODY[1], OPACITY if surface.inside else 1.0),
+    )
 
 
 def _add_finger(
-    plant: MultibodyPlant, name: str, surface: Surface, config: PlantConfig, touch: _Touch, paint
+    plant: MultibodyPlant,
+    name: str,
+    surface: Surface,
+    config: StationConfig,
+    touch: Touch,
+    colour: Rgba,
 ) -> RigidBody:
     curvatures = (touch.finger_curvature, touch.object_curvature)
     lengths = (FINGER_GAP, config.finger_edge)
@@ -592,14 +370,14 @@ def _add_finger(
         hint = surface.size  # Drake asks for one, and ignores it for meshes
         AddCompliantHydroelasticProperties(hint, _modulus(config, touch, inner), properties)
     inertia = _solid(name, surface, config.finger_mass, mesh)
-    return _add_body(plant, name, inertia, shape, properties, domain, paint)
+    return _add_body(plant, name, inertia, shape, properties, domain, colour)
 
 
 def _mesh(
     surface: Surface,
     curve: Array,
     curvatures: tuple[float, float],
-    config: PlantConfig,
+    config: StationConfig,
     lengths: tuple[float, float | None],
 ) -> tuple[Domain, SurfaceMesh | None]:
     """A surface's domain, and its mesh where contact needs one.
@@ -625,20 +403,20 @@ def _add_body(
     shape: Shape,
     properties: ProximityProperties,
     domain: Domain | None,
-    paint: Sequence[Sequence[float]],
+    colour: Rgba,
 ) -> RigidBody:
     """A body with its contact geometry, painted in two colours so that rolling can be seen."""
     body, at = plant.AddRigidBody(name, plant.AddModelInstance(name), inertia), RigidTransform()
     plant.RegisterCollisionGeometry(body, at, shape, name, properties)
     if domain is None:
-        plant.RegisterVisualGeometry(body, at, shape, name, [*paint[0], 1.0])
+        plant.RegisterVisualGeometry(body, at, shape, name, colour.rgba)
         return body
-    for k, (mesh, color) in enumerate(zip(painted_meshes(domain, name), paint)):
-        plant.RegisterVisualGeometry(body, at, mesh, f"{name}_{k}", [*color, 1.0])
+    for k, (mesh, shade) in enumerate(painted(domain, name, colour)):
+        plant.RegisterVisualGeometry(body, at, mesh, f"{name}_{k}", shade.rgba)
     return body
 
 
-def _modulus(config: PlantConfig, touch: _Touch, inner: Array) -> float:
+def _modulus(config: StationConfig, touch: Touch, inner: Array) -> float:
     """Hydroelastic modulus, Pa, for the stiffness at the normal force, mean over the curve."""
     below = inner[cKDTree(inner).query(touch.finger_points)[1]]
     height = np.sum(touch.finger_normals * (touch.finger_points - below), axis=1)
@@ -646,7 +424,7 @@ def _modulus(config: PlantConfig, touch: _Touch, inner: Array) -> float:
     return config.stiffness**2 / (4 * math.pi * config.normal_force * float(compliance))
 
 
-def _material(config: PlantConfig) -> ProximityProperties:
+def _material(config: StationConfig) -> ProximityProperties:
     properties = ProximityProperties()
     AddContactMaterial(
         properties,

@@ -30,7 +30,7 @@ from contact_system.plots import (
 )
 
 if TYPE_CHECKING:
-    from .station import SimulationResult
+    from .simulation import SimulationResult
 
 Array = NDArray[np.float64]
 
@@ -98,23 +98,23 @@ def _draw_slip(ax: Any, result: SimulationResult, closed: bool = True) -> None:
 
 
 def _draw_normal(ax: Any, result: SimulationResult) -> None:
-    for i in range(len(result.scene.contacts)):
-        _ripple(ax, result.t, result.measured["normal_force"][:, i], colour_of(i))
-    wanted = result.config.plant.normal_force
-    ax.axhline(wanted, color=INK, linewidth=0.9, linestyle=":")
-    ax.set_ylim(0.0, 2 * wanted)
+    wanted = result.config.normal_force
+    _draw_force(ax, result.t, result.measured["normal_force"], wanted, 2 * wanted)
     ax.set_title(f"Normal force ({BOLD}; dotted: asked for)", loc="left", weight="bold")
-    ax.set_ylabel("force [N]")
 
 
 def _draw_friction(ax: Any, result: SimulationResult) -> None:
-    for i in range(len(result.scene.contacts)):
-        force = np.linalg.norm(result.measured["tangential_force"][:, i], axis=1)
-        _ripple(ax, result.t, force, colour_of(i))
-    limit = result.config.plant.friction * result.config.plant.normal_force
-    ax.axhline(limit, color=INK, linewidth=0.9, linestyle=":")
-    ax.set_ylim(0.0, 1.3 * limit or None)
+    friction = np.linalg.norm(result.measured["tangential_force"], axis=2)
+    limit = result.config.friction * result.config.normal_force
+    _draw_force(ax, result.t, friction, limit, 1.3 * limit)
     ax.set_title(rf"Tangential force ({BOLD}; dotted: $\mu N$)", loc="left", weight="bold")
+
+
+def _draw_force(ax: Any, t: Array, forces: Array, level: float, top: float) -> None:
+    for i, force in enumerate(forces.T):
+        _ripple(ax, t, force, colour_of(i))
+    ax.axhline(level, color=INK, linewidth=0.9, linestyle=":")
+    ax.set_ylim(0.0, top or None)
     ax.set_ylabel("force [N]")
 
 

@@ -23,8 +23,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 import contact_system as cs
+from drake_plant import ScenePlant, StationConfig
 from drake_plant.contact_monitor import ContactMonitor
-from drake_plant.plant import PlantConfig, ScenePlant
 
 R1, R2, MASS, STEP, FRICTION = 0.04, 0.1, 0.3, 1e-3, 0.5
 STIFFNESS = 1e4
@@ -69,7 +69,7 @@ class Setup:
         self.plant.Finalize()
         self.object, *self.fingers = self.bodies = [bodies[name] for name in names]
         parts = ScenePlant(
-            self.scene, PlantConfig(), self.plant, scene_graph, self.object, self.fingers
+            self.scene, StationConfig(), self.plant, scene_graph, self.object, self.fingers
         )
         self.monitor = builder.AddSystem(ContactMonitor(self.scene, parts))
         for port in ("contact_results", "body_poses", "body_spatial_velocities"):

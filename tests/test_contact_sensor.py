@@ -91,6 +91,16 @@ def test_rates_hold_the_slip_measured_at_the_objects_surface():
     assert np.abs(found.slip).max() > 1e-3
 
 
+def near(scene, pose):
+    """What is measured from the grid point that is nearest to the object."""
+    sensor, flat = ContactSensor(scene), pose[:3].ravel()
+    probe = sensor.probes[0]
+    probe.seen[:12] = flat
+    found = sensor.measure(flat[None], np.zeros((1, 6)), probe.approach()[None])
+    sensor.check(found)
+    return found
+
+
 def test_a_contact_at_a_pole_leaves_the_others_as_precise_as_ever():
     contacts = [cs.Contact(cs.Ellipsoid(0.05, 0.04, 0.03), (1.0, 0.3))] * 2
     profile = cs.Profile([0.1])
@@ -128,9 +138,7 @@ def test_nearest_points_are_found_whatever_the_fingers_shape_and_the_size_it_is_
     )
     pose = cs.plan(scene).pose(0.0)[0, 0].copy()
     pose[:3, 3] += gap * surface.normal(u, v)
-    sensor, flat = ContactSensor(scene), pose[:3].reshape(1, 12)
-    found = sensor.measure(flat, np.zeros((1, 6)), sensor.approach(flat, [0]))
-    sensor.check(found)
+    found = near(scene, pose)
     assert found.points[0] == pytest.approx(
         np.array([finger.point(*at), surface.point(u, v)]), abs=1e-9
     )

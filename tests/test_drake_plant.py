@@ -18,7 +18,8 @@ from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
 import contact_system as cs
-from drake_plant.plant import AddScenePlant, PlantConfig, contact_depth
+from drake_plant import AddScenePlant, StationConfig
+from drake_plant.pressing import contact_depth
 
 SPHERE = cs.Sphere(0.04)
 DEPTH = 2e-4  # [m], where 10 kN/m carry 1 N
@@ -29,7 +30,7 @@ class World:
 
     def __init__(self, scene, **changes):
         self.scene = scene
-        self.config = PlantConfig(**{"object": "welded", "time_step": 0.0, **changes})
+        self.config = StationConfig(**{"object": "welded", "time_step": 0.0, **changes})
         builder = DiagramBuilder()
         self.parts = AddScenePlant(builder, scene, self.config)
         self.plant, self.diagram = self.parts.plant, builder.Build()
@@ -182,7 +183,7 @@ def test_another_stiffness_and_force_set_the_depth():
     assert depth == pytest.approx(8e-4)
     forces = np.linalg.norm(world.pressed(depth, count=15)[0], axis=-1)
     assert forces.mean() == pytest.approx(2, rel=0.02)
-    point = PlantConfig(contact_model="point", **changes)
+    point = StationConfig(contact_model="point", **changes)
     assert contact_depth(point) == pytest.approx(4e-4)
 
 
@@ -344,7 +345,7 @@ def test_what_cannot_be_simulated_is_refused_with_reason_and_remedy(scene, chang
 def test_names_that_are_taken_in_a_diagram_are_refused_and_may_be_changed(name):
     """Drake itself ends the process."""
     scene, builder = cs.load_scene("C1"), DiagramBuilder()
-    config = PlantConfig(contact_model="point", object="turning")
+    config = StationConfig(contact_model="point", object="turning")
     taken = builder.AddNamedSystem(name, ConstantVectorSource([0.0]))
     with pytest.raises(cs.SceneError, match=f"'C1', plant: the builder has a system named '{name}"):
         AddScenePlant(builder, scene, config)

@@ -28,17 +28,15 @@ from drake_plant import (
     BuildStation,
     ContactMonitor,
     ContactPlanner,
-    DriverConfig,
     FingertipDriver,
-    PlantConfig,
     Push,
+    Recording,
     ScenePlant,
     SetInitialState,
     StationConfig,
     rolling_scene,
     simulate,
 )
-from drake_plant.recording import Recording
 
 
 def config(scene, **changes):
@@ -118,17 +116,17 @@ def test_coordinates_do_not_matter_and_rolling_radii_spare_friction():
         for changes in ({}, {"coordinates": "frame"}, {"rolling_radii": False})
     )
     miss = chart.measured["contact_point"] - frame.measured["contact_point"]
-    assert np.abs(miss[:51]).max() < 1e-7
-    spent = [lengths(run, "tangential_force")[100:].mean() for run in (chart, nominal)]
+    assert np.abs(miss[chart.t <= 0.05]).max() < 1e-7
+    spent = [lengths(run, "tangential_force")[run.t >= 0.1].mean() for run in (chart, nominal)]
     assert spent[0] < 0.3 * spent[1]
 
 
 def test_rolling_radii_share_the_depth_in_point_contact_and_take_it_off_compliant_fingers():
     scene = cs.load_scene("D1")
-    planned = rolling_scene(scene, PlantConfig(contact_model="point", stiffness=1e4))
+    planned = rolling_scene(scene, StationConfig(contact_model="point", stiffness=1e4))
     assert planned.object.radius == pytest.approx(0.1 - 0.5e-4, abs=1e-12)
     assert planned.contacts[0].finger.radius == pytest.approx(0.04 - 0.5e-4, abs=1e-12)
-    soft = rolling_scene(scene, PlantConfig(contact_model="hydroelastic", stiffness=1e4))
+    soft = rolling_scene(scene, StationConfig(contact_model="hydroelastic", stiffness=1e4))
     assert soft.object == scene.object
     assert soft.contacts[0].finger.radius == pytest.approx(0.04 - 2e-4, abs=1e-12)
     assert soft.contacts[0].object_at == scene.contacts[0].object_at
@@ -164,7 +162,7 @@ def on_a_sphere(finger):
     ids=["quadric", "turned", "implicit ellipsoid", "rounded cube"],
 )
 def test_a_fingertip_of_any_kind_rolls_on_the_surface_at_its_depth(finger):
-    inner = rolling_scene(on_a_sphere(finger), PlantConfig(stiffness=1e4)).contacts[0].finger
+    inner = rolling_scene(on_a_sphere(finger), StationConfig(stiffness=1e4)).contacts[0].finger
     u, v = (grid.ravel() for grid in np.meshgrid([0.4, 1.1, 2.2], [-2.0, -0.3, 0.8]))
     outside = inner.point(u, v) + 2e-4 * inner.frame(u, v)[..., 2]  # 1 N is so deep
     on_finger = finger.point(*finger.coordinates(outside))
@@ -193,8 +191,9 @@ def test_fingertips_that_are_no_spheres_press_with_one_newton_and_roll(name):
 
 
 def test_a_rounded_cube_as_fingertip_rolls_without_friction():
-    config = StationConfig(PlantConfig(object="welded"), coordinates="frame")
-    friction = lengths(simulate(on_a_sphere(CUBE), config), "tangential_force")[100:]
+    config = StationConfig(object="welded", coordinates="frame")
+    result = simulate(on_a_sphere(CUBE), config)
+    friction = lengths(result, "tangential_force")[result.t >= 0.1]
     assert friction.mean() < 0.01  # N; 0.015 on the nominal surface
 
 
@@ -204,7 +203,7 @@ def test_a_finger_that_legs_steer_arrives_in_contact_physics():
     scene = r1.replace(contacts=[start], profile=cs.Profile([0.1]), duration=1.6)
     goal = cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5), angle=1.0)
     made = config(scene, contact_model="hydroelastic")
-    route = cs.reach(rolling_scene(scene, made.plant), goal, legs=4)
+    route = cs.reach(rolling_scene(scene, made), goal, legs=4)
     steered = dataclasses.replace(start, legs=route.legs[0])
     result = simulate(scene.replace(contacts=[steered]), made)
     u1, v1, _, _, u2, v2, _, _, angle = result.measured["state"][-1, 0]
@@ -244,7 +243,7 @@ def slipped(result):
 def test_fed_back_slip_of_a_pushed_finger_is_less_than_half_and_it_comes_back(model):
     closed, opened = pushed(model=model), pushed(model=model, slip_gain=0.0)
     assert slipped(opened) > 5e-4
-    assert slipped(closed) < 0.5 * slipped(opened)
+    assert slipped(closed) < 0.4 * slipped(opened)
     for result in (closed, opened):
         miss = result.measured["contact_point"][-1] - result.planned["contact_point"][-1]
         assert np.linalg.norm(miss, axis=1).max() < 1e-4
@@ -252,20 +251,19 @@ def test_fed_back_slip_of_a_pushed_finger_is_less_than_half_and_it_comes_back(mo
 
 def test_restarts_under_a_push_are_no_kick():
     """The plan jumps to where the finger is; as a velocity that would be 0.1 m/s and more."""
-    damped = 4.0 / DriverConfig().velocity_gain  # m/s, which a push of 4 N comes to by itself
+    damped = 4.0 / StationConfig().velocity_gain  # m/s, which a push of 4 N comes to by itself
     often = pushed(slip_gain=0.0, restart_period=0.01)
-    assert lengths(often, "slip")[50:].max() < damped
-    assert lengths(often, "slip")[250:].max() < 1e-4
+    assert lengths(often, "slip")[often.t >= 0.05].max() < damped
+    assert lengths(often, "slip")[often.t >= 0.25].max() < 1e-4
     far, opened = pushed(restart_distance=5e-4), pushed(slip_gain=0.0)
     assert slipped(far) < 0.7 * slipped(opened)
 
 
 def test_a_push_on_the_object_moves_it_by_its_mass():
-    result = pushed(Push("object", 0.1, 0.15, [0.0, 0.0, 10.0]))
+    runs = [pushed(Push("object", 0.1, 0.15, [0.0, 0.0, force])) for force in (10.0, 0.0)]
     speed = 10.0 * 0.05 / (4.18 + 3 * 0.261)  # the fingers go with it
-    moved = result.object_pose[-1, :3, 3] - result.object_pose[150, :3, 3]
-    still = pushed(Push("object", 0.1, 0.15, [0.0, 0.0, 0.0]))
-    moved -= still.object_pose[-1, :3, 3] - still.object_pose[150, :3, 3]
+    pushed_so, still = (r.object_pose[[np.searchsorted(r.t, 0.15), -1], :3, 3] for r in runs)
+    moved = np.diff(pushed_so - still, axis=0)[0]
     assert moved == pytest.approx([0.0, 0.0, speed * 0.25], abs=0.2 * speed * 0.25)
 
 
@@ -336,9 +334,9 @@ def test_ports_are_exported_only_where_they_have_a_use():
 
 
 def test_a_disturbance_from_outside_moves_the_contact_like_a_scheduled_one():
-    scheduled = early("D1", 0.0, 0.05, 0.05)
+    scheduled = early("D1", 0.0, 0.06, 0.06)
     free = dataclasses.replace(scheduled, disturbances=[])
-    planned = simulate(scheduled, config(scheduled)).planned["slip"][-1, 0]
+    planned = simulate(scheduled, config(scheduled), 0.05).planned["slip"][-1, 0]
     station = BuildStation(free, config(free, disturbance_input=True))
     simulator = Simulator(station)
     context = simulator.get_mutable_context()
@@ -360,7 +358,7 @@ def test_fingers_start_in_contact_and_moving_as_planned():
     for body in (plant.GetBodyByName(name) for name in ("finger 1", "finger 2", "finger 3")):
         gap = np.linalg.norm(body.EvalPoseInWorld(physics).translation()) - 0.14
         assert gap == pytest.approx(-1e-4, abs=1e-9)
-    planned = cs.plan(rolling_scene(scene, StationConfig.from_scene(scene).plant)).twist([0.0])[0]
+    planned = cs.plan(rolling_scene(scene, StationConfig.from_scene(scene))).twist([0.0])[0]
     moving = plant.GetBodyByName("finger 1").EvalSpatialVelocityInWorld(physics)
     assert moving.get_coeffs() == pytest.approx(planned[0], rel=0.01, abs=0.01)
 
@@ -547,9 +545,9 @@ def test_two_stations_without_names_stand_in_one_diagram():
 def test_a_diagram_of_ones_own_starts_by_the_names_of_its_systems():
     """And is refused where systems of these names are others."""
     scene, builder = cs.load_scene("D1"), DiagramBuilder()
-    parts = AddScenePlant(builder, scene, config(scene).plant)
+    parts = AddScenePlant(builder, scene, config(scene))
     planner = builder.AddNamedSystem("planner", ContactPlanner(scene))
-    driver = builder.AddNamedSystem("driver", FingertipDriver(parts, DriverConfig()))
+    driver = builder.AddNamedSystem("driver", FingertipDriver(parts))
     diagram = builder.Build()
     SetInitialState(diagram, root := diagram.CreateDefaultContext())
     X_WF = parts.finger_bodies[0].EvalPoseInWorld(parts.plant.GetMyContextFromRoot(root))
@@ -616,7 +614,7 @@ def own_parts(step=1e-3, off=0.0, finalized=True, more=None, sampled=True, build
         more(plant, fingers[0])
     if finalized:
         plant.Finalize()
-    given = {"scene": scene, "config": PlantConfig(), "plant": plant, "scene_graph": scene_graph}
+    given = {"scene": scene, "config": StationConfig(), "plant": plant, "scene_graph": scene_graph}
     given |= {"object_body": object_body, "finger_bodies": fingers}
     return ScenePlant(**given | changes)
 
@@ -629,10 +627,10 @@ def test_fingers_move_as_planned_whether_gravity_pulls_them_or_not(heavy):
     def pulled(plant, finger):
         plant.set_gravity_enabled(finger.model_instance(), heavy)
 
-    parts = own_parts(builder=builder, more=pulled, config=PlantConfig(normal_force=1e-9))
+    parts = own_parts(builder=builder, more=pulled, config=StationConfig(normal_force=1e-9))
     planner = builder.AddNamedSystem("planner", ContactPlanner(parts.scene))
-    driver = builder.AddNamedSystem("driver", FingertipDriver(parts, DriverConfig()))
-    for port in map(driver.get_input_port, range(8)):
+    driver = builder.AddNamedSystem("driver", FingertipDriver(parts))
+    for port in map(driver.get_input_port, range(4)):
         source = planner if planner.HasOutputPort(port.get_name()) else parts.plant
         builder.Connect(source.GetOutputPort(port.get_name()), port)
     applied = parts.plant.get_applied_spatial_force_input_port()
@@ -652,21 +650,14 @@ def test_fingers_move_as_planned_whether_gravity_pulls_them_or_not(heavy):
 # --- configuration, and what is refused
 
 
-def test_the_drake_table_fills_plant_and_driver():
-    built = StationConfig.from_scene(cs.load_scene("D3"))
-    assert (built.plant.time_step, built.plant.object_edge) == (2.5e-4, 0.0038)
-    assert (built.plant.stiffness, built.plant.normal_force) == (1e4, 1.0)
-    assert built.driver == DriverConfig()
-
-
-def test_drakes_yaml_functions_read_and_write_configurations():
-    text = "plant: {time_step: 2e-3, finger_edge: 0.001}\ndriver: {spin_gain: 0.1}\n"
-    text += "coordinates: frame\nrestart_period: 0.1\n"
-    read = yaml_load_typed(schema=StationConfig, data=text, defaults=StationConfig())
-    plant = PlantConfig(time_step=2e-3, finger_edge=1e-3)
-    assert read == StationConfig(
-        plant, DriverConfig(spin_gain=0.1), coordinates="frame", restart_period=0.1
-    )
+def test_yaml_and_the_drake_table_have_the_same_keys():
+    scene = cs.load_scene("D4")
+    given = StationConfig.from_scene(scene)
+    assert (given.slip_gain, given.object_mass, given.spin_gain) == (800.0, 4.18, 0.04)
+    text = "{time_step: 2e-3, finger_edge: 0.001, spin_gain: 0.1, coordinates: frame}"
+    read = yaml_load_typed(schema=StationConfig, data=text, defaults=given)
+    changes = {"time_step": 2e-3, "finger_edge": 1e-3, "spin_gain": 0.1, "coordinates": "frame"}
+    assert read == StationConfig.from_scene(scene, **changes)
     assert yaml_load_typed(schema=StationConfig, data=yaml_dump_typed(read)) == read
 
 
@@ -717,9 +708,7 @@ def test_restarts_on_steps_of_the_plant_are_fine():
             StationConfig(coordinates="plan", restart_distance=0.1),
             "coordinates = .plan.: a plan has no",
         ),
-        (StationConfig(driver=DriverConfig(position_gain=None)), "position_gain = None"),
-        (StationConfig(plant={"friction": 0.5}), "plant = .*: give a PlantConfig"),
-        (PlantConfig(), "config = PlantConfig.*: give a StationConfig"),
+        (StationConfig(position_gain=None), "position_gain = None"),
         ({"friction": 0.5}, "config = {'friction': 0.5}: give a StationConfig"),
     ],
 )
@@ -751,14 +740,14 @@ def on_a_slide(plant, finger):
     ],
 )
 def test_fingers_that_cannot_be_driven_alone_are_refused(changes, message):
-    """Whatever the PlantConfig says; a floating joint of one's own is fine."""
+    """Whatever the configuration says; a floating joint of one's own is fine."""
     with pytest.raises(cs.SceneError, match=message):
-        FingertipDriver(own_parts(**changes), DriverConfig())
+        FingertipDriver(own_parts(**changes))
     world = lambda plant: (plant.world_frame(),)  # noqa: E731
     floating = lambda plant, finger: plant.AddJoint(  # noqa: E731
         RpyFloatingJoint("free", *world(plant), finger.body_frame())
     )
-    FingertipDriver(own_parts(more=floating), DriverConfig())
+    FingertipDriver(own_parts(more=floating))
 
 
 OTHER = own_parts()
@@ -770,7 +759,7 @@ OTHER = own_parts()
         ({"finalized": False}, "the plant is not finalized: call plant.Finalize.. first"),
         ({"plant": None}, "plant = None: give a MultibodyPlant"),
         ({"scene_graph": None}, "scene_graph = None: give a SceneGraph"),
-        ({"config": StationConfig()}, "config = StationConfig.*: give a PlantConfig"),
+        ({"config": {}}, "config = {}: give a StationConfig"),
         ({"object_body": "object"}, "object_body = 'object': give a RigidBody"),
         ({"object_body": OTHER.object_body}, "object_body = .* is a body of another plant"),
         ({"finger_bodies": ["finger"]}, r"finger_bodies\[0\] = 'finger': give a RigidBody"),
@@ -786,13 +775,13 @@ def test_wrong_parts_of_a_plant_of_ones_own_are_named(changes, words):
 
 def test_arguments_of_another_kind_are_refused_by_name(tmp_path):
     scene, builder, film = cs.load_scene("D1"), DiagramBuilder(), Recording()
-    plant, given = config(scene).plant, config(scene)
-    parts = AddScenePlant(builder, scene, plant)
+    given = config(scene)
+    parts = AddScenePlant(builder, scene, given)
     refused = [
-        (lambda: rolling_scene(scene, None), "^scene 'D1': config = .*: give a PlantConfig"),
-        (lambda: AddScenePlant(builder, scene, given), "'D1', plant: config = .* a PlantConfig"),
-        (lambda: AddScenePlant(None, scene, plant), "builder = None: give a DiagramBuilder"),
-        (lambda: FingertipDriver(parts.plant, DriverConfig()), "scene_plant = .*: give a ScenePl"),
+        (lambda: rolling_scene(scene, None), "^scene 'D1': config = .*: give a StationConfig"),
+        (lambda: AddScenePlant(builder, scene, {}), "'D1', plant: config = {}: give a Station"),
+        (lambda: AddScenePlant(None, scene, given), "builder = None: give a DiagramBuilder"),
+        (lambda: FingertipDriver(parts.plant), "scene_plant = .*: give a ScenePl"),
         (lambda: ContactMonitor(scene, parts.plant), "scene_plant = .*: give a ScenePlant"),
         (lambda: ContactMonitor(parts, scene), "scene = .*: give a Scene"),
         (lambda: ContactMonitor(cs.load_scene("C1"), parts), "'C1' has 1 .* 'D1', 3: give"),

@@ -6,6 +6,7 @@ Knows tables, numbers and addresses; no scene, no surface by its equations.
 from __future__ import annotations
 
 import ctypes
+import functools
 import sys
 from collections.abc import Sequence
 from ctypes import POINTER, Structure, c_char_p, c_double, c_int32, c_int64, c_void_p
@@ -15,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 N_AMBIENT, N_CHART, N_OTHER = 7, 7, 4
+GEODESIC = 3  # of the other tables
 
 
 class TableData(Structure):
@@ -44,6 +46,15 @@ class Program(Structure):
     """``program_t``: what ``step`` runs, on registers of one double each."""
 
     _fields_ = [("code", c_void_p), ("registers", c_void_p)]
+
+
+class Followed(Structure):
+    """``geodesic_t``: how geodesics of a surface are followed."""
+
+    _fields_ = [
+        *((name, c_void_p) for name in ("rates", "restore", "frame", "lame", "numbers")),
+        *((name, c_double) for name in ("size", "first", "longest")),
+    ]
 
 
 class Failure(Structure):
@@ -92,6 +103,7 @@ _CALLS: dict[str, Any] = {
     # it takes a microsecond
     "step": ctypes.PYFUNCTYPE(None, c_void_p),
     "along": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
+    "geodesics": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, *[c_void_p] * 4, c_int64, c_void_p),
     "look": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
     "fields": ctypes.PYFUNCTYPE(None, c_int64, c_void_p, c_void_p, c_void_p),
     "shifts": ctypes.PYFUNCTYPE(None, c_int64, c_int64, c_void_p, c_void_p, c_void_p),
@@ -132,7 +144,12 @@ ENGINE: Engine = _LIBRARY.contact_engine().contents
 # to fetch a function from a structure makes it anew
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
-step, along, _sign_changes = ENGINE.step, ENGINE.along, ENGINE.sign_changes
+step, along, geodesics, _sign_changes = (
+    ENGINE.step,
+    ENGINE.along,
+    ENGINE.geodesics,
+    ENGINE.sign_changes,
+)
 fields, shifts, steer = ENGINE.fields, ENGINE.shifts, ENGINE.steer
 _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
@@ -164,6 +181,13 @@ class Builtins:
 
     def __init__(self, data: SurfaceData):
         self.address, self._data = ctypes.addressof(data), data
+
+    @property
+    def geodesic(self) -> Builtin:
+        """A geodesic with its Jacobi fields."""
+        found = self.other[GEODESIC]
+        assert found is not None
+        return found
 
     def __getattr__(self, group: str) -> tuple[Builtin | None, ...]:
         addresses = getattr(self._data, group)
@@ -288,3 +312,35 @@ def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:
     if code:
         raise MemoryError
     return out
+
+
+class Machine:
+    """A table on registers of its own, for who evaluates it again and again; one thread at a time.
+
+    Parameters
+    ----------
+    table : lowering.Table
+    constants : (n_const,)
+
+    Attributes
+    ----------
+    point : (n_in,)
+        What it reads.
+    results : (n_out,)
+        What it writes.
+    run : callable
+        Evaluates.
+    """
+
+    def __init__(self, table: Any, constants: Sequence[float] | np.ndarray = ()):
+        r = np.zeros(table.n_regs)
+        r[table.n_in : table.first_lit] = constants
+        r[table.first_lit :][: len(table.literals)] = table.literals
+        code, prologue = (
+            Program(words.ctypes.data, r.ctypes.data) for words in (table.body, table.prologue)
+        )
+        step(ctypes.addressof(prologue))
+        # an address made beforehand saves half of the time of a call
+        self.run = functools.partial(step, c_void_p(ctypes.addressof(code)))
+        vars(self.run)["kept"] = table, code, r  # which C knows by their addresses alone
+        self.point, self.results = r[: table.n_in], r[table.first_out :][: table.n_out]

@@ -10,6 +10,8 @@
 
 #include "polynomial.h"
 
+enum { STAGES = 12 };
+#include "generated/dop853.inc"
 #include "generated/gauss.inc"
 #include "generated/operations.inc"
 
@@ -35,6 +37,8 @@ static _Noreturn void fail(work_t *w, int code);
 #include "output.c"
 /* */
 #include "steer.c"
+/* */
+#include "geodesic.c"
 
 /* ---- what others call ---- */
 
@@ -197,8 +201,9 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                 .run = run_table,
                                 .step = step,
                                 .along = along,
-                                .look = look,
-                                .fields = fields,
-                                .shifts = shifts,
-                                .steer = steered,
+                                 .geodesics = geodesics,
+                                 .look = look,
+                                 .fields = fields,
+                                 .shifts = shifts,
+                                 .steer = steered,
                                 .sign_changes = sign_changes};

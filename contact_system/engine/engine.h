@@ -29,7 +29,7 @@ enum { A_MOTION, A_RESTORE, A_COORDINATES, A_VECTOR, A_SECOND, A_SHAPE, A_START,
 /* the tables of a body moved in its chart, state u v theta */
 enum { C_MOTION, C_COORDINATES, C_VECTOR, C_FRAME, C_SHAPE, C_POINT, C_LAME, N_CHART };
 /* the tables that only Python asks for */
-enum { GEOMETRY, INVERSE, RAY, N_OTHER = 4 };
+enum { GEOMETRY, INVERSE, RAY, GEODESIC, N_OTHER };
 /* the tables of a contact, which no surface enters */
 enum { T_START, T_POSE, T_TWIST, T_TURNED, T_ACCELERATION, T_PUSHED, N_CONTACT_TABLES };
 
@@ -116,6 +116,16 @@ enum {
 /* FRAMES: of each body x p q, and the curvature form along p and q: K_pp K_pq K_qq */
 enum { STATES, POINTS, SLIP, SLIP_SPEED, TWIST, POSE, ACCELERATION, CARRIED, FRAMES, N_OUTPUTS };
 
+/* geodesics, many at once: their tables, and how they are followed */
+typedef struct {
+  const table_t *rates;   /* GEODESIC */
+  const table_t *restore; /* of a body moved in space; NULL: it is moved in its chart */
+  const table_t *frame;   /* A_SECOND; or C_FRAME */
+  const table_t *lame;    /* C_LAME; NULL in space */
+  const double *numbers;
+  double size, first, longest; /* m; the first step and the longest, m */
+} geodesic_t;
+
 /* why something failed */
 enum {
   NO_FAILURE,
@@ -190,6 +200,11 @@ typedef struct {
   void (*step)(const program_t *program);
   /* the same, and what grows along with it: a derivative for each lane of tangents[register] */
   void (*along)(const program_t *program, double (*tangents)[L]);
+  /* n geodesics from start[6 or 3][n], x p or u v theta, along p over length[n], errors below
+     tolerance[n] of the size: x p q J J' M M' where they end, end[13][n], NaN for those that cannot
+     be followed; and unless it is NULL, x J at m equal parts, path[m][4][n], to some digits */
+  int (*geodesics)(const geodesic_t *how, int64_t n, const double *start, const double *length,
+                   const double *tolerance, double *end, int64_t m, double *path);
   /* like `evaluate` at one time, of plans of one thread: room for tables stays with the plan */
   int (*look)(plan_t *plan, double t, double *const *out, failure_t *failure);
   /* how ends of paths move with their legs, and how far they are from goals: see steer.c */

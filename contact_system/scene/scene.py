@@ -60,8 +60,7 @@ class Scene:
     chosen : sequence of str
         Keys whose values the paper leaves out, such as "contacts.finger_at".
     drake : mapping
-        Contact physics: fields of `drake_plant`'s StationConfig, PlantConfig and DriverConfig, by
-        whom they are checked.
+        Contact physics: fields of `drake_plant`'s StationConfig, which checks them.
 
     Raises
     ------

@@ -134,6 +134,11 @@ class Surface:
         return self.size
 
     @property
+    def injectivity(self) -> float:
+        """A geodesic that is not longer is the shortest between its ends, m; 0: not known."""
+        return 0.0
+
+    @property
     def developable(self) -> bool:
         """T = 0 exactly and constant Lame coefficients: a straight line stays one, unrolled."""
         return self.chart.developable

@@ -61,9 +61,10 @@ class Chart:
     Class attributes: `orthogonal` (``f_u . f_v = 0`` identically), `periods` of u and v in radians
     or None, `double_cover` ((-u, pi - v) is the same point as (u, v), with both frame axes turned
     by pi), `developable` (T = 0 and constant Lame coefficients), `great_circles` (geodesics are
-    great circles), `turning` (0 or 1: the coordinate that only turns the surface about its axis;
-    such a chart has `lame`), `singular_at` (where the frame is lost, for messages; "" nowhere,
-    None not known), `ranges` of the principal branch.
+    great circles), `central` (every ray from a centre meets the surface once), `turning` (0 or 1:
+    the coordinate that only turns the surface about its axis; such a chart has `lame`),
+    `singular_at` (where the frame is lost, for messages; "" nowhere, None not known), `ranges` of
+    the principal branch.
     """
 
     orthogonal: ClassVar[bool] = False
@@ -71,6 +72,7 @@ class Chart:
     double_cover: ClassVar[bool] = False
     developable: ClassVar[bool] = False
     great_circles: ClassVar[bool] = False
+    central: ClassVar[bool] = False
     turning: ClassVar[int | None] = None
     singular_at: ClassVar[str | None] = None
     ranges: ClassVar[str] = "u and v any real number"

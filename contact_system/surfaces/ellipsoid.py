@@ -51,6 +51,7 @@ class JacobiChart(Chart):
     """
 
     orthogonal = True
+    central = True
     periods = (TURN, TURN)
     double_cover = True
     singular_at = "an umbilic (v = +-pi/2 with u = 0 or pi)"
@@ -131,6 +132,7 @@ class OblateChart(Chart):
 
     orthogonal = True
     turning = 0
+    central = True
     periods = (TURN, None)
     singular_at = "a pole (v = +-pi/2)"
     ranges = "-pi < u <= pi, -pi/2 < v < pi/2"
@@ -256,6 +258,11 @@ class Ellipsoid(OfLengths, SecondDegree):
     @property
     def bend(self) -> float:
         return max(self.c**2 / self.a, self.c / 3)
+
+    @property
+    def injectivity(self) -> float:
+        # pi over the root of the greatest of Gauss' curvatures, by a theorem of Klingenberg
+        return math.pi * self.b * self.c / self.a
 
     def _matrix(self, p: ca.SX) -> ca.SX:
         axes = (p[self.parameters.index(axis)] for axis in (self.a, self.b, self.c))

@@ -17,6 +17,7 @@ class PolarChart(Chart):
 
     orthogonal = True
     turning = 1
+    central = True
     periods = (None, TURN)
     great_circles = True
     singular_at = "a pole (u = 0 or pi)"
@@ -64,6 +65,10 @@ class Sphere(OfLengths):
     ambient: ClassVar[bool] = True
     examples: ClassVar = ((1.0,),)
     radius: float
+
+    @property
+    def injectivity(self) -> float:
+        return math.pi * self.radius
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
         return (ca.dot(x, x) - p[0] ** 2) / 2

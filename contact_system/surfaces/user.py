@@ -40,6 +40,7 @@ class FreeChart(Chart):
 class CentralChart(Chart):
     """Polar angle u from +z and azimuth v of the ray from a centre; p starts with the centre."""
 
+    central = True
     periods = (None, TURN)
     singular_at = "a pole (u = 0 or pi), or out of the centre's sight"
     ranges = PolarChart.ranges

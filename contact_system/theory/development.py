@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 IN_SPACE = ("motion", "restore", "coordinates", "vector", "second", "shape", "start")
 IN_CHART = ("motion", "coordinates", "vector", "frame", "shape", "point", "lame")
-DRIVEN = ("motion", "coordinates", "vector")
-"""Functions whose point is a state and a vector of the plane (2)."""
+BESIDES = {"motion": 2, "coordinates": 2, "vector": 2, "geodesic": 4}
+"""What follows the state in a function's point: a vector of the plane, or Jacobi fields."""
 
 
 def prefers_space(surface: Surface) -> bool:
@@ -73,14 +73,28 @@ class Moving:
         return self._functions[name]
 
     def _function(self, name: str) -> ca.Function:
-        drive = [ca.SX.sym("c", 2)] if name in DRIVEN else []
-        point, result = ca.vertcat(self.state, *drive), getattr(self, name)(*drive)
+        besides = [ca.SX.sym("c", BESIDES[name])] if name in BESIDES else []
+        point, result = ca.vertcat(self.state, *besides), getattr(self, name)(*besides)
         return numbers_function(name, point, self.sign, self.p, result)
 
     def coordinates(self, c: ca.SX) -> ca.SX:
         """u, v, u', v', theta, where c is the velocity in the parallel frame, m/s."""
         rates = upper_inverse(self.metric_root) @ (self.turn @ c)
         return ca.vertcat(*self.place, rates, self.theta)
+
+    def geodesic(self, fields: ca.SX) -> ca.SX:
+        """Rates by length along p of the state and of J, J', M, M' (section 11)."""
+        j, j_rate, m, m_rate = ca.vertsplit(fields)
+        bend = -self.gauss()
+        return ca.vertcat(self.motion(ca.SX([1, 0])), j_rate, bend * j, m_rate, bend * m)
+
+    def motion(self, c: ca.SX) -> ca.SX:
+        """Rates of the state where the point's velocity is c."""
+        raise NotImplementedError
+
+    def gauss(self) -> ca.SX:
+        """Gauss' curvature, 1/m^2."""
+        raise NotImplementedError
 
     def vector(self, components: ca.SX) -> ca.SX:
         """The vector a f_u + b f_v in the parallel frame: Rot(theta)^T M (a, b)."""
@@ -114,6 +128,13 @@ class InSpace(Moving):
         # n and II both have the sign of the side
         bend = ca.dot(self.level.hessian @ self.first, velocity) * self.level.steepness
         return ca.vertcat(velocity, -bend * self.level.gradient)
+
+    def gauss(self) -> ca.SX:
+        """g . adj(H) g / |g|^4, of g = grad F and H = Hess F."""
+        a, b, c = ca.horzsplit(self.level.hessian)
+        adjoint = ca.horzcat(ca.cross(b, c), ca.cross(c, a), ca.cross(a, b))
+        gradient = self.level.gradient
+        return ca.dot(gradient, adjoint @ gradient) * self.level.steepness**2
 
     def shape(self) -> ca.SX:
         """K in the parallel frame, (K_pp, K_pq, K_qq)."""
@@ -160,6 +181,9 @@ class InChart(Moving):
         velocity = self.turn @ c
         rates = upper_inverse(self.metric_root) @ velocity
         return ca.vertcat(rates, -self.geometry.torsion_form @ velocity)
+
+    def gauss(self) -> ca.SX:
+        return ca.det(self.geometry.curvature_form)
 
     def frame(self) -> ca.SX:
         """x, p, q, (9)."""

@@ -8,6 +8,8 @@ twins.inc
     Those that most of the time goes to, as C that compilers turn into SIMD code.
 gauss.inc
     See `gauss`.
+dop853.inc
+    Coefficients of the method of `engine/geodesic.c`, scipy's.
 """
 
 from __future__ import annotations
@@ -81,7 +83,8 @@ class Writer:
 
         made = lowered(surface)
         hot = [[pointer(table, True) for table in group] for group in (made.ambient, made.chart)]
-        groups = [*hot, [pointer(table, False) for table in made.other]]
+        other = [pointer(table, False) for table in made.other[:-1]]
+        groups = [*hot, [*other, pointer(made.geodesic, True)]]
         return [f'"{surface.table_name}"', *sizes, *(p or 0.0 for p in surface.periods()), *groups]
 
     def tables(self) -> str:
@@ -117,6 +120,20 @@ def _column(rows: list[Any]) -> str:
     return "{\n  " + ",\n  ".join(map(initialiser, rows)) + "\n}"
 
 
+def dop853_include() -> str:
+    """Return dop853.inc: stages, result, and estimates of its error of two orders."""
+    from scipy.integrate._ivp import dop853_coefficients as given
+
+    n = given.N_STAGES
+    arrays = {"stage[STAGES][STAGES]": given.A[:n, :n], "result[STAGES]": given.B}
+    arrays |= {"error_5[STAGES]": given.E5[:n], "error_3[STAGES]": given.E3[:n]}
+    rows = [
+        f"static const double dop853_{name} = {initialiser(value.tolist())};\n"
+        for name, value in arrays.items()
+    ]
+    return MARK + "".join(rows)
+
+
 def generated() -> dict[str, str]:
     """Return the text of every generated file by its name."""
     writer = Writer()
@@ -125,6 +142,7 @@ def generated() -> dict[str, str]:
         "tables.inc": writer.tables(),
         "twins.inc": writer.twin_functions(),
         "gauss.inc": gauss_include(),
+        "dop853.inc": dop853_include(),
     }
 
 

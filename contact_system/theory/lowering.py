@@ -399,6 +399,11 @@ class SurfaceTables:
         return tuple(None if name in missing else Table(body(name)) for name in names)
 
     @kept
+    def geodesic(self) -> Table:
+        """A geodesic with its Jacobi fields, in space or in the chart as bodies are moved."""
+        return Table(moving(self.surface, prefers_space(self.surface))("geodesic"))
+
+    @kept
     def other(self) -> tuple[Table | None, ...]:
         """Geometry, inverse chart, and of surfaces without a chart the level along a ray."""
         surface = self.surface

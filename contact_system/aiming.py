@@ -1,0 +1,313 @@
+"""Aiming geodesics at points: Newton's method, from the chord or from a fan of directions."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .engine import binding
+from .errors import SurfaceError
+from .surfaces import Surface
+from .theory.development import IN_CHART, IN_SPACE, prefers_space
+
+if TYPE_CHECKING:
+    from .geodesic import Pairs
+
+Array = np.ndarray
+Ways = tuple[Array, Array, Array]
+"""Of geodesics: pair of points, direction, length."""
+
+MET = 1e-13  # of the size: so near to b a geodesic ends
+SHARP = 5e-15  # of the size: what a step of a geodesic that counts may be off
+FINE = 1e-9  # of one that may still be another
+ROUGH = 1e-4  # of one of a fan
+RAYS = 64
+CHUNK = 16  # pairs whose fans are laid at once
+SPLITS = 18
+STRIPS = 1024  # and so many strips of them
+FARTHEST = 30.0  # sizes, and distances of the points, up to which geodesics are looked for
+
+
+class Follower:
+    """Follows geodesics of a surface from states (6 or 3, n): see ``geodesics`` in engine.h.
+
+    Attributes
+    ----------
+    tables : list of tables
+        In space ``restore`` and ``second``, in a chart ``frame`` and ``lame``.
+    detail : float
+        Length over which the surface is nearly flat, m.
+    """
+
+    def __init__(self, surface: Surface):
+        tables, at, self.space = surface.tables, binding.table_address, prefers_space(surface)
+        names = ("restore", "second") if self.space else ("frame", "lame")
+        group, order = (tables.ambient, IN_SPACE) if self.space else (tables.chart, IN_CHART)
+        self.tables = [group[order.index(name)] for name in names]
+        self.detail = 0.3 * min(surface.bend, 0.5 * surface.size)
+        first, second = map(at, self.tables)
+        self._how = binding.Followed(
+            at(tables.geodesic),
+            *((first, second, None) if self.space else (None, first, second)),
+            binding.address(surface.numbers),
+            surface.size,
+            self.detail,
+            surface.reach * surface.size / 8,
+        )
+        self._surface = surface  # whose numbers these are
+
+    def __call__(self, start: Array, length: Array, tolerance: Any, samples: int = 0) -> Array:
+        """The ends: x, p, q, J, J', M, M' (13, n); or x and J at equal parts (samples, 4, n)."""
+        n, address = len(length), binding.address
+        start, length = np.ascontiguousarray(start), np.ascontiguousarray(length)
+        tolerance = np.full(n, tolerance) if np.ndim(tolerance) == 0 else tolerance
+        end, path = np.empty((13, n)), np.empty((samples, 4, n))
+        given = address(start), address(length), address(tolerance), address(end)
+        at_path = address(path) if samples else None
+        if binding.geodesics(ctypes.addressof(self._how), n, *given, samples, at_path):
+            raise MemoryError
+        return path if samples else end
+
+
+class Search:
+    """Looks for geodesics between pairs of points."""
+
+    def __init__(self, pairs: Pairs):
+        self.pairs, self.follow, self.surface = pairs, pairs.follow, pairs.surface
+
+    def shortest(self) -> tuple[Array, Array]:
+        """Directions and lengths of the shortest geodesic of each pair."""
+        phi, s = self.chords()
+        sure = self.surface.injectivity * (1 + 1e-12)
+        finest = np.where(s <= sure, SHARP, FINE)
+        phi, s, met, _ = self.aim(np.arange(len(s)), phi, s, finest, steps=12)
+        unsure = np.flatnonzero(~(met & (s <= sure) & (finest == SHARP)))
+        reach = np.where(met, s * (1 + 1e-6), 2 * self.pairs.chord)[unsure]
+        order = np.argsort(reach)  # fans of like size
+        for i in range(0, len(unsure), CHUNK):
+            which, far = (w[order[i : i + CHUNK]] for w in (unsure, reach))
+            first = which[met[which]]
+            known = first, phi[first], s[first]
+            s[which] = math.inf
+            while len(which):
+                self.require_near(which, far)
+                for k, direction, length in zip(*self.nearest(which, far, known)):
+                    if length < s[k]:
+                        phi[k], s[k] = direction, length
+                missing = ~np.isfinite(s[which])
+                which, far = which[missing], 2 * far[missing]
+        return phi, s
+
+    def nearest(self, which: Array, reach: Array, known: Ways) -> Ways:
+        """The shortest geodesics, and those that are hardly longer."""
+        pair, phi, s, limit = self.fan(which, reach)
+        phi, s, met, _ = self.aim(pair, phi, s, FINE)
+        met &= s <= limit
+        ways = pair[met], phi[met], s[met]
+        pair, phi, s = (np.concatenate(w) for w in zip(ways, known))
+        least = np.full(len(self.pairs.x), math.inf)
+        np.minimum.at(least, pair, s)
+        close = s <= least[pair] * (1 + 1e-6)
+        pair, phi, s = pair[close], phi[close], s[close]
+        phi, s, met, _ = self.aim(pair, phi, s, SHARP, SHARP)
+        return pair[met], phi[met], s[met]
+
+    def several(self, most: int, longest: float | None) -> tuple[Array, Array]:
+        """Directions and lengths of the shortest few of the only pair, in order."""
+        only, size = np.zeros(1, dtype=int), self.surface.size
+        reach = 2 * self.pairs.chord
+        while True:
+            pair, phi, s, limit = self.fan(only, reach)
+            phi, s, met, j = self.aim(pair, phi, s, SHARP)
+            met &= s <= limit
+            phi, s, j = phi[met], s[met], j[met]
+            kept: list[int] = []
+            for i in np.argsort(s):
+                # the same one is met from several aims
+                turns = np.remainder(phi[i] - phi[kept] + math.pi, 2 * math.pi) - math.pi
+                if not (np.hypot(s[i] - s[kept], turns * j[i]) <= 1e-6 * size).any():
+                    kept.append(int(i))
+            if len(kept) and longest is None:
+                longest = s[kept[0]] + 4 * math.pi * size
+            if len(kept) >= most or (longest is not None and reach[0] >= longest):
+                return phi[kept], s[kept]
+            reach = np.minimum(1.5 * reach, math.inf if longest is None else longest)
+            if longest is None:
+                self.require_near(only, reach)
+
+    def require_near(self, which: Array, reach: Array) -> None:
+        """Refuse pairs that are joined by no geodesic of a length."""
+        far = reach > FARTHEST * (self.surface.size + self.pairs.chord[which])
+        if far.any():
+            k = which[far][0]
+            raise SurfaceError(
+                f"{self.surface!r}: no geodesic of less than {reach[far][0]:.3g} m leads from "
+                f"{self.pairs.x[k].tolist()} to {self.pairs.b[k].tolist()}; are both on one piece "
+                "of it, and does it go on in between?"
+            )
+
+    # -- aiming
+
+    def chords(self) -> tuple[Array, Array]:
+        """Directions and lengths of circles that start along the surface and end at b."""
+        pairs = self.pairs
+        ahead, aside = (np.einsum("ij,ij->i", w, pairs.b - pairs.x) for w in (pairs.p, pairs.q))
+        rise = np.sqrt(np.maximum(pairs.chord**2 - ahead**2 - aside**2, 0))
+        angle = np.arctan2(rise, np.hypot(ahead, aside))
+        return np.arctan2(aside, ahead), pairs.chord / np.sinc(angle / math.pi)
+
+    def aim(
+        self, which: Array, phi: Array, s: Array, finest: Any, first: float = ROUGH, steps: int = 40
+    ) -> tuple[Array, Array, Array, Array]:
+        """Newton's method from directions and lengths: these, whether they meet b, and J.
+
+        The first geodesics are followed to the tolerance ``first``, the last to ``finest``.
+        """
+        size, detail = self.surface.size, self.follow.detail
+        phi, s, n = phi.copy(), s.copy(), len(phi)
+        finest = np.broadcast_to(finest, n)
+        # what a step from here leaves is a square of this
+        near = np.where(finest == SHARP, 3e-8, 1e-5)
+        off, mark, field = np.full(n, math.inf), np.full(n, math.inf), np.zeros(n)
+        active = np.argsort(s)  # those that share their steps are of like length
+        tolerance = np.full(n, first)
+        for step in range(steps):
+            k = which[active]
+            end = self.follow(self.pairs.start(k, phi[active]), s[active], tolerance)
+            r, j = self.pairs.b[k].T - end[:3], end[9]
+            away = np.sqrt(np.einsum("ij,ij->j", r, r))
+            along, aside = (np.einsum("ij,ij->j", r, w) for w in (end[3:6], end[6:9]))
+            turn = aside * j / (j**2 + (1e-12 * size) ** 2)
+            turn = np.maximum(np.minimum(turn, 0.5), -0.5)
+            half, grown = 0.5 * s[active], self.growth(j)
+            phi[active] += turn
+            s[active] += np.maximum(np.minimum(along, half), -half)
+            close = (away <= near[active] * detail) & (np.abs(turn) * grown <= near[active])
+            target = np.maximum(finest[active] / grown, SHARP)
+            sharp = tolerance <= target
+            off[active] = np.where(
+                sharp & close | np.isnan(away), np.where(close, 0.0, math.inf), away
+            )
+            field[active] = j
+            done = sharp & (off[active] <= 0.02 * MET * size * grown)
+            goes_on = (off[active] < math.inf) & ~done
+            if step % 4 == 3:  # what only creeps is given up
+                goes_on &= away <= 0.5 * mark[active]
+                mark[active] = away
+            # a step squares the error
+            left = away * grown / size
+            tolerance = np.where(left <= 3e-5, target, np.maximum(FINE / grown, SHARP))
+            tolerance = np.where(left <= 0.02, tolerance, ROUGH)[goes_on]
+            active = active[goes_on]
+            if not len(active):
+                break
+        met = off <= np.where(finest == SHARP, MET, FINE) * size * self.growth(field)
+        return phi, s, met, field
+
+    def growth(self, field: Array) -> Array:
+        """By how much errors grow along geodesics of which J is ``field`` at the end."""
+        return np.maximum(np.abs(field) / self.surface.size, 1.0)
+
+    # -- a fan of directions
+
+    def fan(self, which: Array, reach: Array) -> tuple[Array, ...]:
+        """All that may meet b within the reach: pair, direction, length, reach."""
+        count = int(min(max(math.ceil(reach.max() / self.follow.detail), 8), 400))
+        # away from axes of symmetry, where rays meet poles of charts
+        angles = 2 * math.pi * (np.arange(RAYS) + 0.137) / RAYS
+        pair, limit = np.repeat(which, RAYS), np.repeat(reach, RAYS)
+        phi, width = np.tile(angles, len(which)), np.full(len(pair), 2 * math.pi / RAYS)
+        rays = self.rays(pair, phi, limit, count)
+        right = np.arange(len(phi)) + 1
+        right[RAYS - 1 :: RAYS] -= RAYS
+        # strips of which neither side comes near b need no closer look
+        b = self.pairs.b[pair].T
+        away = np.sqrt(sum((rays[:, i] - b[i]) ** 2 for i in range(3)))
+        wide = 2 * width * np.abs(rays[:, 3])
+        near, coarse = self.passing(away, wide + limit / count, limit)
+        near = near.any(axis=0) | coarse
+        some = np.flatnonzero(near | near[right])
+        strips = pair[some], limit[some], phi[some], width[some]
+        todo: list[tuple[Any, ...]] = [(0, *strips, rays[:, :, some], rays[:, :, right[some]])]
+        aims = []
+        while todo:
+            depth, *group = todo.pop()
+            if len(group[0]) > 2 * STRIPS:  # one after the other: all at once may take much memory
+                todo += [(depth, *(w[..., i::2] for w in group)) for i in range(2)]
+                continue
+            aim, halves = self.sift(group, depth)
+            aims.append(aim)
+            if halves:
+                todo.append((depth + 1, *halves))
+        return tuple(np.concatenate(w) for w in zip(*aims))
+
+    def sift(self, strips: list[Array], depth: int) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """What to aim at in strips between neighbouring geodesics, and halves of the wide ones.
+
+        A strip is a pair of points, the reach, the direction of one side, the angle to the other,
+        and what `rays` gives of both.
+        """
+        pair, limit, phi, width, one, other = strips
+        count = len(one)
+        across = other[:, :3] - one[:, :3]
+        wide = np.sqrt(np.einsum("kij,kij->kj", across, across))
+        wide = np.maximum(wide, width * np.maximum(np.abs(one[:, 3]), np.abs(other[:, 3])))
+        middle = 0.5 * (one[:, :3] + other[:, :3])
+        r = self.pairs.b[pair].T - middle
+        away = np.sqrt(np.einsum("kij,kij->kj", r, r))
+        near, coarse = self.passing(away, wide, limit)
+        coarse &= depth < SPLITS
+        k, strip, share, ahead = self.closest(near & ~coarse, away, across, r, middle)
+        s = limit[strip] / count * np.maximum(k + 1 + ahead * count / limit[strip], 0.25)
+        aim = pair[strip], phi[strip] + width[strip] * share, s, limit[strip]
+        if not coarse.any():
+            return aim, ()
+        pair, limit, phi, half = pair[coarse], limit[coarse], phi[coarse], 0.5 * width[coarse]
+        exact = np.minimum(0.02 * half, ROUGH)
+        between = self.rays(pair, phi + half, limit, count, exact)
+        one, other = one[:, :, coarse], other[:, :, coarse]
+        if depth > 3:  # where errors grow that much
+            one = self.rays(pair, phi, limit, count, exact)
+            other = self.rays(pair, phi + 2 * half, limit, count, exact)
+        one = np.concatenate([one, between], axis=2)
+        other = np.concatenate([between, other], axis=2)
+        pair, limit, width = np.tile(pair, 2), np.tile(limit, 2), np.tile(half, 2)
+        return aim, (pair, limit, np.concatenate([phi, phi + half]), width, one, other)
+
+    def rays(
+        self, which: Array, phi: Array, reach: Array, count: int, tolerance: Any = ROUGH
+    ) -> Array:
+        """x and J along geodesics at equal parts of the reach, (count, 4, n)."""
+        return self.follow(self.pairs.start(which, phi), reach, tolerance, count)
+
+    def passing(self, away: Array, wide: Array, reach: Array) -> tuple[Array, Array]:
+        """Where strips pass b while they are narrow, and which must be split for what follows.
+
+        Where a strip has become wide its sides tell no more where it goes, only how far.
+        """
+        parts, strips = wide.shape
+        torn = np.maximum.accumulate(wide > 2 * self.follow.detail, axis=0)
+        near = ~torn & (away <= 0.75 * (wide + reach / parts))
+        first = np.argmax(torn, axis=0), np.arange(strips)
+        left = reach * (1 - (first[0] + 1) / parts) + wide[first]
+        return near, torn[-1] & (away[first] <= left)
+
+    def closest(
+        self, near: Array, away: Array, across: Array, r: Array, middle: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Where strips pass b most closely: part, strip, share of its width, length beyond."""
+        padded = np.pad(away, ((1, 1), (0, 0)), constant_values=math.inf)
+        k, strip = np.nonzero(near & (away <= padded[:-2]) & (away <= padded[2:]))
+        a, r = across[k, :, strip], r[k, :, strip]
+        wide = np.maximum(np.sqrt(np.einsum("ij,ij->i", a, a)), 1e-300)
+        aside = np.einsum("ij,ij->i", a, r) / wide
+        # else a neighbour has it
+        own = np.abs(aside) <= 0.75 * wide + 0.2 * self.follow.detail
+        k, strip, r, share = k[own], strip[own], r[own], 0.5 + (aside / wide)[own]
+        low = np.minimum(np.maximum(k - 1, 0), len(middle) - 2)
+        way = middle[low + 1, :, strip] - middle[low, :, strip]
+        pace = np.maximum(np.linalg.norm(way, axis=1), 1e-300)
+        return k, strip, np.clip(share, 0, 1), np.einsum("ij,ij->i", way, r) / pace

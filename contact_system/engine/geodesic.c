@@ -1,0 +1,189 @@
+/* Geodesics with the Jacobi fields along them, a lane each.
+
+   The explicit method of order 8 of Dormand and Prince, with its estimate of errors (Hairer,
+   Norsett, Wanner, Solving Ordinary Differential Equations I, II.5). Lengths run from 0 to 1, so
+   that geodesics of any lengths share their steps. */
+
+enum { FIELDS = 4, MOST_ROWS = 6 + FIELDS, SHOWN = 9 + FIELDS, SAMPLED = 4 };
+static const double LEAST_STEP = 1e-9; /* of the length; what needs less cannot be followed */
+enum { MOST_STEPS = 20000 };
+
+typedef struct {
+  const geodesic_t *how;
+  unit_t rates, restore, frame, lame;
+  int state, rows; /* numbers of a state, without and with Jacobi fields */
+  double length[L], tolerance, longest;
+  double y[MOST_ROWS][L], next[MOST_ROWS][L], k[STAGES][MOST_ROWS][L], unit[MOST_ROWS][L];
+  double before[SHOWN][L], shown[SHOWN][L];
+} lines_t;
+
+static void rates_of(lines_t *g, lanes_t y, lanes_t out) {
+  memcpy(g->rates.r, y, (size_t)g->rows * sizeof *y);
+  lanes_t found = run(&g->rates);
+  for (int r = 0; r < g->rows; r++) SIMD for (int i = 0; i < L; i++) out[r][i] = g->length[i] * found[r][i];
+}
+
+/* y + h sum of a_j k_j, or that sum alone; of some rows together, as processors add several numbers
+   in the time that one takes */
+enum { TOGETHER = PARTS > 2 ? 2 : 5 };
+static void combine_stages(const lines_t *g, const double *a, int n, double h, int added, lanes_t out) {
+  for (int r = 0; r < g->rows; r += TOGETHER) {
+    wide_t sum[TOGETHER][PARTS];
+    UNROLL for (int q = 0; q < TOGETHER; q++) UNROLL for (int p = 0; p < PARTS; p++) sum[q][p] = (wide_t){0};
+    for (int j = 0; j < n; j++) {
+      if (a[j] == 0.0) continue;
+      UNROLL for (int q = 0; q < TOGETHER; q++) UNROLL for (int p = 0; p < PARTS; p++) sum[q][p] +=
+          a[j] * *(const wide_t *)(g->k[j][r + q] + p * WIDE);
+    }
+    UNROLL for (int q = 0; q < TOGETHER; q++) UNROLL for (int p = 0; p < PARTS; p++) {
+      const wide_t y = *(const wide_t *)(g->y[r + q] + p * WIDE);
+      *(wide_t *)(out[r + q] + p * WIDE) = added ? y + h * sum[q][p] : h * sum[q][p];
+    }
+  }
+}
+
+/* Lengths of which the tolerance is a fraction */
+static void find_units(lines_t *g) {
+  const double size = g->how->size;
+  const double fields[FIELDS] = {size, 1.0, 1.0, 1.0 / size};
+  if (g->how->restore)
+    for (int r = 0; r < 6; r++) fill_lanes(g->unit[r], r < 3 ? size : 1.0);
+  else {
+    memcpy(g->lame.r, g->y, (size_t)g->state * sizeof *g->y);
+    lanes_t found = run(&g->lame);
+    for (int r = 0; r < 2; r++)
+      for (int i = 0; i < L; i++) g->unit[r][i] = size / fmax(found[r][i], 1e-2 * size);
+    fill_lanes(g->unit[2], 1.0);
+  }
+  for (int r = 0; r < FIELDS; r++)
+    for (int i = 0; i < L; i++) g->unit[g->state + r][i] = fields[r] + fabs(g->y[g->state + r][i]);
+}
+
+/* A step from g->y, k[0] known, to g->next; the error of each lane in tolerances */
+static void try_step(lines_t *g, double h, double *error) {
+  double fifth[MOST_ROWS][L], third[MOST_ROWS][L], a[L] = {0}, b[L] = {0};
+  for (int s = 1; s < STAGES; s++) {
+    combine_stages(g, dop853_stage[s], s, h, 1, g->next);
+    rates_of(g, g->next, g->k[s]);
+  }
+  combine_stages(g, dop853_result, STAGES, h, 1, g->next);
+  combine_stages(g, dop853_error_5, STAGES, h, 0, fifth);
+  combine_stages(g, dop853_error_3, STAGES, h, 0, third);
+  for (int r = 0; r < g->rows; r++)
+    SIMD for (int i = 0; i < L; i++) {
+      const double per = 1.0 / (g->unit[r][i] * g->tolerance), x = fifth[r][i] * per,
+                   z = third[r][i] * per;
+      a[i] += x * x, b[i] += z * z;
+    }
+  for (int i = 0; i < L; i++)
+    error[i] = a[i] == 0.0 ? 0.0 : a[i] / sqrt((a[i] + 0.01 * b[i]) * g->rows);
+}
+
+/* x p q J J' M M' of g->y */
+static void show(lines_t *g) {
+  const int known = g->how->restore ? 6 : 0;
+  if (known) memcpy(g->shown, g->y, 6 * sizeof *g->y);
+  memcpy(g->frame.r, g->y, (size_t)g->state * sizeof *g->y);
+  memcpy(g->shown + known, run(&g->frame), (size_t)(9 - known) * sizeof *g->y);
+  memcpy(g->shown + 9, g->y + g->state, sizeof g->y[0] * FIELDS);
+}
+
+/* x and J at the parts of the length within a step, by Hermite's cubics */
+static void sample(const lines_t *g, double tau, double h, int64_t m, int64_t n, int count,
+                   double *path) {
+  for (int64_t k = (int64_t)floor(tau * (double)m) + 1; k <= m; k++) {
+    const double x = ((double)k / (double)m - tau) / h;
+    if (x > 1.0 + 1e-9) return;
+    const double up = x * x * (3.0 - 2.0 * x), left = x * (1.0 - x) * (1.0 - x),
+                 right = x * x * (x - 1.0);
+    for (int r = 0; r < SAMPLED; r++) {
+      const int at = r < 3 ? r : 9, slope = r < 3 ? 3 + r : 10;
+      for (int i = 0; i < count; i++)
+        path[((k - 1) * SAMPLED + r) * n + i] =
+            (1.0 - up) * g->before[at][i] + up * g->shown[at][i] +
+            h * g->length[i] * (left * g->before[slope][i] + right * g->shown[slope][i]);
+    }
+  }
+}
+
+/* Gives up lanes that cannot be followed: they stand still from here on. */
+static void give_up(lines_t *g, const double *error, int *lost) {
+  for (int i = 0; i < L; i++) {
+    if (error && error[i] <= 1.0) continue;
+    g->length[i] = 0.0, lost[i] = 1;
+    for (int r = 0; r < g->rows; r++)
+      if (!isfinite(g->y[r][i])) g->y[r][i] = 0.0;
+  }
+}
+
+static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path, int *lost) {
+  double longest = 0.0, error[L];
+  for (int i = 0; i < L; i++) longest = fmax(longest, fabs(g->length[i]));
+  const double most = g->how->longest / longest;
+  double tau = 0.0, h = fmin(g->how->first / longest, 1.0);
+  int fresh = 1;
+  show(g);
+  for (int64_t tries = 0; tau < 1.0; tries++) {
+    h = fmin(h, most);
+    const int last = tau + 1.001 * h >= 1.0;
+    if (last) h = 1.0 - tau;
+    if (fresh) rates_of(g, g->y, g->k[0]), find_units(g);
+    try_step(g, h, error);
+    double worst = 0.0;
+    for (int i = 0; i < L; i++)
+      if (!lost[i]) worst = error[i] <= worst ? worst : error[i]; /* NaN stays */
+    fresh = worst <= 1.0;
+    const double ratio = 0.9 * pow(fmax(worst, 1e-30), -1.0 / 8);
+    if (!fresh) {
+      h *= ratio > 0.2 ? ratio : 0.2;
+      if (h > LEAST_STEP && tries < MOST_STEPS) continue;
+      give_up(g, tries < MOST_STEPS ? error : NULL, lost);
+      h = fmin(g->how->first / longest, 1.0), fresh = 1;
+      continue;
+    }
+    memcpy(g->y, g->next, sizeof g->y);
+    if (g->how->restore) {
+      memcpy(g->restore.r, g->y, 6 * sizeof *g->y);
+      memcpy(g->y, run(&g->restore), 6 * sizeof *g->y);
+    }
+    memcpy(g->before, g->shown, sizeof g->shown);
+    show(g);
+    if (path) sample(g, tau, h, m, n, count, path);
+    tau = last ? 1.0 : tau + h;
+    h *= fmin(ratio, 6.0);
+  }
+}
+
+static int geodesics(const geodesic_t *how, int64_t n, const double *start, const double *length,
+                     const double *tolerance, double *end, int64_t m, double *path) {
+  work_t w;
+  failure_t failure;
+  begin_work(&w, NULL, &failure);
+  lines_t *g = calloc(1, sizeof *g);
+  if (!g) return NO_MEMORY;
+  g->how = how, g->state = how->rates->n_in - FIELDS, g->rows = how->rates->n_in;
+  if (setjmp(w.jump) == 0) {
+    load(&w, &g->rates, how->rates, how->numbers);
+    load(&w, &g->frame, how->frame, how->numbers);
+    if (how->restore) load(&w, &g->restore, how->restore, how->numbers);
+    if (how->lame) load(&w, &g->lame, how->lame, how->numbers);
+    for (int64_t i = 0; i < n; i += L) {
+      const int count = (int)(n - i < L ? n - i : L);
+      int lost[L] = {0};
+      g->tolerance = tolerance[i];
+      for (int q = 0; q < L; q++) {
+        const int64_t from = i + (q < count ? q : count - 1);
+        for (int r = 0; r < g->state; r++) g->y[r][q] = start[r * n + from];
+        g->length[q] = length[from];
+        g->tolerance = fmin(g->tolerance, tolerance[from]);
+      }
+      for (int r = 0; r < FIELDS; r++) fill_lanes(g->y[g->state + r], r == 1 || r == 2);
+      follow(g, m, n, count, path ? path + i : NULL, lost);
+      for (int r = 0; r < SHOWN; r++)
+        for (int q = 0; q < count; q++) end[r * n + i + q] = lost[q] ? NAN : g->shown[r][q];
+    }
+  }
+  free(g->rates.r), free(g->frame.r), free(g->restore.r), free(g->lame.r), free(g);
+  end_work(&w);
+  return (int)failure.code;
+}

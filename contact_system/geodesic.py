@@ -1,0 +1,284 @@
+"""The shortest geodesic between two points of a surface, and others (theory section 11).
+
+Newton's method aims a geodesic, its derivative being the Jacobi field. The first aim is the chord.
+Where the geodesic that it leads to is not short enough to be surely the shortest, a fan of
+directions is laid over all that is not farther, and everything that may meet the goal is aimed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .aiming import MET, SHARP, Array, Follower, Search
+from .checks import finite_number, real_array
+from .engine import binding
+from .errors import SurfaceError
+from .kept import kept
+from .surfaces import SINGULAR, Surface
+
+ON_SURFACE = 1e-9  # of the size: points that are so near to it lie on it
+
+
+@dataclass(frozen=True, eq=False)
+class Geodesic:
+    """The geodesic from a to b, or many of them, as arrays of the shape (...) of the pairs.
+
+    Attributes
+    ----------
+    surface : Surface
+    length : float or array (...)
+        m.
+    direction : float or array (...)
+        At a, from the x axis of the contact frame towards its y axis, rad; NaN where the chart
+        has no frame.
+    tangent : array (..., 3)
+        The same in space, a unit vector.
+    """
+
+    surface: Surface
+    length: Any
+    direction: Any
+    tangent: Array
+    _start: Array = field(repr=False)
+
+    @property
+    def m12(self) -> Any:
+        """Reduced length, m: a turn at a by dphi moves the end sideways by m12 dphi."""
+        return self._fields[0]
+
+    @property
+    def M12(self) -> Any:
+        """Geodesic scale: a shift of a sideways by dy moves the end by M12 dy."""
+        return self._fields[2]
+
+    @property
+    def M21(self) -> Any:
+        """Geodesic scale of the way back, from b to a."""
+        return self._fields[1]
+
+    @kept
+    def _fields(self) -> list[Any]:
+        rows = self._ends(self._start, np.ravel(self.length))[9:]
+        return [_shaped(row, np.shape(self.length)) for row in rows]
+
+    def points(self, s: ArrayLike) -> Array:
+        """Points at lengths s from a, m, shape (*s.shape, ..., 3), m."""
+        try:
+            asked = real_array(s)
+        except (TypeError, ValueError, OverflowError):
+            asked = np.array(math.nan)
+        if not np.isfinite(asked).all():
+            raise SurfaceError(f"{self.surface!r}: s = {s!r:.80}: give lengths in m")
+        lengths = np.repeat(asked.ravel(), self._start.shape[1])
+        found = self._ends(np.tile(self._start, (1, asked.size)), lengths)[:3]
+        return found.T.reshape(*asked.shape, *np.shape(self.length), 3)
+
+    def _ends(self, start: Array, lengths: Array) -> Array:
+        found = Follower(self.surface)(start, lengths, SHARP)
+        if not np.isfinite(found).all():
+            raise SurfaceError(
+                f"{self.surface!r}: the geodesic leads over a point where the chart has no frame, "
+                "such as a pole; move an end a little, or write the surface as an ImplicitSurface"
+            )
+        return found
+
+
+def geodesic(surface: Surface, a: ArrayLike, b: ArrayLike) -> Geodesic:
+    """Find the shortest geodesic from a to b.
+
+    Parameters
+    ----------
+    surface : Surface
+    a, b : array-like (..., 2) or (..., 3)
+        Chart coordinates (u, v), or points in space, m. Many pairs at once take less time each.
+
+    Returns
+    -------
+    Geodesic
+        Of equally short ones any one.
+
+    Raises
+    ------
+    SurfaceError
+        Points that are not on the surface, or that are the same; none that leads there.
+    """
+    pairs = Pairs(surface, a, b)
+    if surface.developable:
+        phi, s = (w[:, 0] for w in pairs.unrolled())
+    else:
+        phi, s = Search(pairs).shortest()
+    return pairs.found(phi, s, pairs.shape)
+
+
+def geodesics(
+    surface: Surface, a: ArrayLike, b: ArrayLike, most: int, *, longest: float | None = None
+) -> list[Geodesic]:
+    """Find the shortest geodesics from a to b, of which some may turn round a body several times.
+
+    Parameters
+    ----------
+    surface, a, b
+        As for `geodesic`, of one pair.
+    most : int
+        So many; fewer where there are no more. Of a continuum of them, as between the poles of a
+        sphere, there is one.
+    longest : float, optional
+        None that is longer, m; by default the shortest and twice round a sphere of the size.
+
+    Returns
+    -------
+    list of Geodesic
+        The shortest first.
+
+    Raises
+    ------
+    SurfaceError
+        As for `geodesic`.
+    """
+    pairs = Pairs(surface, a, b)
+    if pairs.shape:
+        raise SurfaceError(f"{surface!r}: give one pair of points; `geodesic` takes many")
+    if isinstance(most, bool) or not isinstance(most, int) or most < 1:
+        raise SurfaceError(f"most = {most!r}: give a whole number from 1 on")
+    if longest is not None:
+        longest = finite_number(longest, "longest", "above 0", SurfaceError)
+    if surface.developable:
+        phi, s = (w[0] for w in pairs.unrolled(most))
+    else:
+        phi, s = Search(pairs).several(most, longest)
+    keep = s <= (math.inf if longest is None else longest)
+    found = list(zip(phi[keep][:most], s[keep][:most]))
+    return [pairs.found(np.array([one]), np.array([other]), ()) for one, other in found]
+
+
+# --- pairs of points ------------------------------------------------------------------------------
+
+
+class Pairs:
+    """Pairs of points, and states from which geodesics start at the first ones."""
+
+    def __init__(self, surface: Surface, a: ArrayLike, b: ArrayLike):
+        if not isinstance(surface, Surface):
+            raise SurfaceError(f"surface = {surface!r:.80}: give a Surface")
+        self.surface, self.follow = surface, Follower(surface)
+        places = [self._placed(name, w) for name, w in (("a", a), ("b", b))]
+        try:
+            self.shape = np.broadcast_shapes(*(x.shape[:-1] for _, x in places))
+        except ValueError:
+            shapes = " and ".join(str(x.shape[:-1]) for _, x in places)
+            raise SurfaceError(f"{surface!r}: a and b are points of shapes {shapes}") from None
+        (self.uv, self.x), (self.uv_b, self.b) = (
+            tuple(
+                np.broadcast_to(w, (*self.shape, w.shape[-1])).reshape(-1, w.shape[-1]) for w in p
+            )
+            for p in places
+        )
+        self.chord = np.linalg.norm(self.b - self.x, axis=1)
+        same = np.flatnonzero(self.chord <= MET * surface.size)
+        if len(same):
+            raise SurfaceError(
+                f"{surface!r}: a and b are the same point, {self.x[same[0]].tolist()}; a geodesic "
+                "needs two"
+            )
+        frame, self.lost = self._frames(self.uv)
+        if not self.follow.space and (self.lost | self._frames(self.uv_b)[1]).any():
+            raise SurfaceError(
+                f"{surface!r}: the chart has no frame at a or b, such as at a pole; move the point "
+                "a little, or write the surface as an ImplicitSurface"
+            )
+        if self.lost.any():
+            frame[self.lost] = self._some_frame(self.x[self.lost])
+        self.p, self.q = frame[..., 0], frame[..., 1]
+
+    def start(self, which: Array, phi: Array) -> Array:
+        """States of geodesics from a of the pairs ``which`` in directions phi."""
+        if not self.follow.space:
+            return np.vstack([self.uv[which].T, phi])
+        first = np.cos(phi) * self.p[which].T + np.sin(phi) * self.q[which].T
+        return np.vstack([self.x[which].T, first])
+
+    def found(self, phi: Array, s: Array, shape: tuple[int, ...]) -> Geodesic:
+        """The result."""
+        tangent = np.cos(phi)[:, None] * self.p + np.sin(phi)[:, None] * self.q
+        direction = np.where(
+            self.lost, math.nan, np.remainder(phi + math.pi, 2 * math.pi) - math.pi
+        )
+        start = self.start(np.arange(len(phi)), phi)
+        numbers = _shaped(s, shape), _shaped(direction, shape)
+        return Geodesic(self.surface, *numbers, tangent.reshape(*shape, 3), start)
+
+    def unrolled(self, most: int = 1) -> tuple[Array, Array]:
+        """Directions and lengths of the straight lines of a surface that unrolls, (pairs, ways)."""
+        period, lame = self.surface.periods()[0], self.surface.lame(*self.uv.T)
+        way = (self.uv_b - self.uv)[:, None, :]
+        if period is not None:
+            turns = np.arange(-most, most + 1) - np.rint(way[..., 0] / period)
+            way = np.stack([way[..., 0] + period * turns, way[..., 1] + 0 * turns], axis=-1)
+        way = lame[:, None, :] * way
+        phi, s = np.arctan2(way[..., 1], way[..., 0]), np.hypot(way[..., 0], way[..., 1])
+        order = np.argsort(s, axis=1, kind="stable")
+        return np.take_along_axis(phi, order, axis=1), np.take_along_axis(s, order, axis=1)
+
+    # -- points
+
+    def _placed(self, name: str, given: ArrayLike) -> tuple[Array, Array]:
+        """(u, v) and the point in space, of points on the surface given as either."""
+        surface = self.surface
+        try:
+            points = real_array(given)
+        except (TypeError, ValueError, OverflowError):
+            points = np.empty(0)
+        if points.ndim == 0 or points.shape[-1] not in (2, 3) or not np.isfinite(points).all():
+            raise SurfaceError(
+                f"{surface!r}: {name} = {given!r:.80}: give finite (u, v), or points x, y, z in m"
+            )
+        if points.shape[-1] == 2:
+            there = surface.point(points[..., 0], points[..., 1])
+            missing, uv = ~np.isfinite(there).all(axis=-1), points
+        else:
+            uv = np.stack(surface.coordinates(points), axis=-1)
+            if self.follow.space:
+                there = self._restored(points.reshape(-1, 3), np.ones(3))[0].reshape(points.shape)
+            else:
+                there = surface.point(uv[..., 0], uv[..., 1])
+            off = np.linalg.norm(there - points, axis=-1)
+            missing = ~(off <= ON_SURFACE * surface.size)
+        if missing.any():
+            wrong = points[missing][0].tolist()
+            raise SurfaceError(
+                f"{surface!r}: {name} = {wrong} is not on the surface; give other "
+                "coordinates (u, v), or a point that is projected on it"
+            )
+        return uv, there
+
+    def _frames(self, uv: Array) -> tuple[Array, Array]:
+        """Contact frames (n, 3, 3), and where the chart has none."""
+        frame, m = self.surface._evaluate(*uv.T, "frame", "metric_root")
+        least = np.minimum(m[:, 0, 0], m[:, 1, 1])
+        return frame, ~(least > SINGULAR * self.surface.size)
+
+    def _restored(self, x: Array, p: Array) -> tuple[Array, Array]:
+        """Points (n, 3) back on the surface, and a vector as a unit tangent there."""
+        state = np.vstack([x.T, np.broadcast_to(p, x.shape).T])
+        found = binding.run(self.follow.tables[0], state, self.surface.numbers).T
+        return found[:, :3], found[:, 3:]
+
+    def _some_frame(self, x: Array) -> Array:
+        """Frames (n, 3, 3), of which p and q are any, at points without one of the chart."""
+        tries = np.stack([self._restored(x, axis)[1] for axis in np.eye(3)], axis=1)
+        best = np.nanargmax(np.einsum("nii->ni", tries), axis=1)  # farthest from the normal
+        p = tries[np.arange(len(x)), best]
+        q = binding.run(self.follow.tables[1], np.vstack([x.T, p.T]), self.surface.numbers).T
+        return np.stack([p, q, np.cross(p, q)], axis=-1)
+
+
+# --- helpers --------------------------------------------------------------------------------------
+
+
+def _shaped(numbers: Array, shape: tuple[int, ...]) -> Any:
+    return numbers.reshape(shape) if shape else float(numbers[0])

@@ -1,0 +1,276 @@
+"""Settings of a station: one table, the same in Python, YAML, a scene file and ``--set``."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from contact_system import Scene, SceneError
+from contact_system.checks import did_you_mean, finite_number, flag, known_keys, naming
+from contact_system.scene import require_scene
+from contact_system.system import COORDINATES
+
+LOOK = 0.01
+"""How often a planner looks at the distance from the plan where no period is given, s."""
+
+CHOICES = {
+    "contact_model": ("hydroelastic", "point"),
+    "discrete_contact_approximation": ("sap", "lagged", "similar"),
+    "object": ("free", "welded", "turning"),
+    "coordinates": (*COORDINATES, "plan"),
+}
+EDGES = ("finger_edge", "object_edge")
+GAINS = ("position_gain", "velocity_gain", "normal_damping", "rotation_gain", "spin_gain")
+NUMBERS = {
+    "": ("gravity",),
+    "above 0": ("object_mass", "finger_mass", "stiffness", "normal_force", *EDGES),
+    "not below 0": ("time_step", "friction", *GAINS, "slip_gain"),
+}
+RESTARTS = {"restart_period": "above 0", "restart_distance": "not below 0"}
+OPTIONAL = (*EDGES, *RESTARTS)
+
+
+def require_config(config: Any, kind: type, name: str = "config") -> None:
+    """Raise a SceneError where something of another kind is given."""
+    if not isinstance(config, kind):
+        raise SceneError(f"{name} = {config!r}: give a {kind.__name__}")
+
+
+@dataclass
+class Push:
+    """A force on one body for some time.
+
+    Attributes
+    ----------
+    on : str
+        The contact's name, such as "finger 1", or "object".
+    start, stop : float
+        s
+    force : list of float
+        Three numbers, N, in the world, at the mass centre.
+    """
+
+    on: str = ""
+    start: float = 0.0
+    stop: float = 0.0
+    force: list[float] = field(default_factory=list)
+
+    def check(self, scene: Scene) -> None:
+        """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
+        if self.on not in (names := body_names(scene)):
+            raise SceneError(
+                f"on = {self.on!r}{did_you_mean(str(self.on), names)}: give one of "
+                f"{', '.join(names)}"
+            )
+        for key in ("start", "stop"):
+            finite_number(getattr(self, key), key, "not below 0")
+        if not self.start < self.stop:
+            raise SceneError(f"stop = {self.stop!r}: give a time after start = {self.start!r}")
+        if not isinstance(self.force, (list, tuple, np.ndarray)) or len(self.force) != 3:
+            raise SceneError(f"force = {self.force!r}: give three numbers, N, in the world")
+        for value in self.force:
+            finite_number(value, "force")
+
+
+def body_names(scene: Scene) -> list[str]:
+    """What can be pushed: the contacts by their names, and the object."""
+    return [*(scene.contact_name(i) for i in range(len(scene.contacts))), "object"]
+
+
+def check_pushes(scene: Scene, pushes: Sequence[Push]) -> None:
+    """Raise a SceneError for the first push that a scene cannot have."""
+    for k, push in enumerate(pushes):
+        with naming(f"pushes[{k}]"):
+            require_config(push, Push, "push")
+            push.check(scene)
+
+
+@dataclass
+class StationConfig:
+    """What a station, its plant and its driver are made of.
+
+    Drake's ``yaml_load_typed`` and ``yaml_dump_typed`` read and write it; a scene's ``[drake]``
+    table and ``contact-system drake --set drake.KEY=VALUE`` have the same keys.
+
+    Contact itself is elastic: the damper between the bodies is the FingertipDriver's. Material
+    enters a fast rolling patch on one side and leaves on the other, so that a damping which is
+    strong for the bodies would destroy contact.
+
+    Of the driver's gains, explicit forces bear only so much: with a step of h at most 0.4 m/h is
+    used of what damps and 0.4 m/h^2 of what is a stiffness; of rotations with the least moment of
+    inertia instead of m.
+
+    Attributes
+    ----------
+    time_step : float
+        Of the plant, s; 0 makes it continuous, for Drake's integrators.
+    contact_model : str
+        "hydroelastic", or "point" where Drake's point contact is exact: spheres on a sphere or on
+        a plane.
+    discrete_contact_approximation : str
+        "sap", "lagged" or "similar".
+    object : str
+        "free"; "welded" to the world; "turning" as the scene prescribes it.
+    object_mass, finger_mass : float
+        kg, spread evenly, with the mass centre at the body's origin.
+    stiffness : float
+        N/m, of a contact that carries ``normal_force``.
+    friction : float
+        Coulomb's coefficient, static and dynamic.
+    normal_force : float
+        N, along the planned normal, with which every finger presses.
+    gravity : float
+        m/s^2, towards -z of the world.
+    finger_edge, object_edge : float or None
+        m, edges of the meshes at the planned contacts; None: chosen by the size of the patch.
+    position_gain, velocity_gain : float
+        Of the driver, N/m and N s/m, in the tangent plane.
+    normal_damping : float
+        N s/m, along the normal. The sap solver lifts a sliding contact by h mu |slip|; much damping
+        would turn changes of that into normal force (100 N s/m: 2.4 % in D1, 30: 0.8 %).
+    rotation_gain, spin_gain : float
+        N m and N m s. With a rotation_gain of 0 the finger may roll on the radius that the
+        penetration leaves it, and no friction comes from that; spheres have no orientation to keep.
+    slip_gain : float
+        lam of the slip that is measured, 1/s; 0 leaves the loop open. At most 0.8/h is used, which
+        takes away so much of the slip in a step.
+    coordinates : str or None
+        "chart" or "frame", of the :class:`ContactPlanner`, who chooses where it is None; "plan": a
+        :class:`PlanSource` is the planner, without states, disturbance port and restarts, exact
+        under every scheme.
+    disturbance_input : bool
+        Whether the planner's `disturbance` port is there, exported.
+    restart_period, restart_distance : float or None
+        The planner restarts from the measured state every so many seconds; with both, only
+        contacts that are so many m from the planned point; with the distance alone, looked at every
+        0.01 s. None: it does not. Restarts have to fall on steps of the plant. Slip is rejected by
+        the driver's ``slip_gain``; a restart serves where the way back to the curve is too long.
+    rolling_radii : bool
+        Plan on the radii that bodies roll on once they are pressed together (see
+        :func:`rolling_scene`), else on the nominal ones.
+    pushes : list of Push
+        Where there are any, they are what the port `push` would give.
+    """
+
+    time_step: float = 1e-3
+    contact_model: str = "hydroelastic"
+    discrete_contact_approximation: str = "sap"
+    object: str = "free"
+    object_mass: float = 1.0
+    finger_mass: float = 0.1
+    stiffness: float = 1e4
+    friction: float = 0.5
+    normal_force: float = 1.0
+    gravity: float = 0.0
+    finger_edge: float | None = None
+    object_edge: float | None = None
+    position_gain: float = 400.0
+    velocity_gain: float = 60.0
+    normal_damping: float = 30.0
+    rotation_gain: float = 0.0
+    spin_gain: float = 0.04
+    slip_gain: float = 0.0
+    coordinates: str | None = None
+    disturbance_input: bool = False
+    restart_period: float | None = None
+    restart_distance: float | None = None
+    rolling_radii: bool = True
+    pushes: list[Push] = field(default_factory=list)
+
+    @property
+    def restarts(self) -> bool:
+        """Whether the planner restarts from measured states."""
+        return self.restart_period is not None or self.restart_distance is not None
+
+    @property
+    def closed_loop(self) -> bool:
+        """Whether anything that is measured acts on the fingers."""
+        return self.restarts or self.slip_gain > 0
+
+    def opened(self) -> "StationConfig":
+        """The same with the loop open."""
+        return dataclasses.replace(self, slip_gain=0.0, restart_period=None, restart_distance=None)
+
+    def check(self, scene: Scene) -> None:
+        """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
+        for key, words in CHOICES.items():
+            value = getattr(self, key)
+            if value is None and key == "coordinates":
+                continue
+            if not isinstance(value, str) or value not in words:
+                raise SceneError(f"{key} = {value!r}: use one of {', '.join(words)}")
+        for bound, keys in NUMBERS.items():
+            for key in keys:
+                self._check_number(key, bound)
+        for key in ("disturbance_input", "rolling_radii"):
+            flag(getattr(self, key), key)
+        for key, bound in RESTARTS.items():
+            self._check_number(key, bound)
+        if self.coordinates == "plan" and (self.restarts or self.disturbance_input):
+            raise SceneError(
+                'coordinates = "plan": a plan has no disturbance port and does not restart; give '
+                '"chart" or "frame", or leave disturbance_input and restarts out'
+            )
+        if self.slip_gain and not self.time_step:
+            raise SceneError(
+                f"slip_gain = {self.slip_gain!r}: at time_step = 0 the slip depends "
+                "on the force that it asks for: give a time step, such as 0.001 s, or no slip_gain"
+            )
+        if self.restarts and self.time_step:
+            self._check_restarts()
+        check_pushes(scene, self.pushes)
+
+    def _check_number(self, key: str, bound: str) -> None:
+        value = getattr(self, key)
+        if value is not None or key not in OPTIONAL:
+            finite_number(value, key, bound)
+
+    def _check_restarts(self) -> None:
+        """Between two steps a discrete plant is at the end of the step already: a planner that
+        restarts there is ahead of its time, by another part of a step each time."""
+        step, period = self.time_step, self.restart_period
+        steps = max((LOOK if period is None else period) / step, 1e-9)
+        whole = round(steps) if steps > 0.75 else 1 / round(1 / steps)
+        # A little early does no harm; a little late is a whole step ahead (but see EARLY).
+        if not -1e-6 < steps / whole - 1 < 1e-9:
+            every = f" (None: {LOOK:g} s)" if period is None else ""
+            raise SceneError(
+                f"restart_period = {period!r}{every}: restarts have to fall on steps of the plant, "
+                f"time_step = {step!r}; give restart_period = {max(1, round(steps)) * step:.9g}, "
+                "or another multiple of it"
+            )
+
+    @classmethod
+    def from_scene(cls, scene: Scene, **changes: Any) -> "StationConfig":
+        """The scene's ``[drake]`` table, and changes to it.
+
+        The object of a scene with a ``[turning]`` is "turning" unless they say otherwise.
+
+        Raises
+        ------
+        SceneError
+            An unknown key, with the nearest known one, or a value that is wrong.
+        """
+        require_scene(scene)
+        table = {**({"object": "turning"} if scene.turning else {}), **scene.drake, **changes}
+        with naming(f"{scene.title}, [drake]"):
+            known_keys(table, sorted(f.name for f in dataclasses.fields(cls)))
+            config = cls(**table)
+            config.pushes = _pushes(config.pushes)
+            config.check(scene)
+        return config
+
+
+def _pushes(tables: Any) -> list[Push]:
+    """Pushes from the list of tables that a scene file has."""
+    if not isinstance(tables, Sequence) or isinstance(tables, str):
+        raise SceneError(f"pushes = {tables!r}: give a list of tables")
+    keys = [f.name for f in dataclasses.fields(Push)]
+    for k, push in enumerate(tables):
+        if not isinstance(push, (dict, Push)):
+            raise SceneError(f"pushes[{k}] = {push!r}: give a table with {', '.join(keys)}")
+        if isinstance(push, dict):
+            known_keys(push, keys, f"pushes[{k}]: ")
+    return [push if isinstance(push, Push) else Push(**push) for push in tables]

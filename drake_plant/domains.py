@@ -1,0 +1,236 @@
+"""Coordinates of a mesh's vertices on a surface, and the base meshes that subdivision starts from.
+
+Surfaces that close around a centre start from an icosahedron, others from rows of triangles in
+their chart. SI units, radians.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contact_system.engine.binding import run
+from contact_system.errors import SurfaceError
+from contact_system.surfaces import (
+    Cylinder,
+    Ellipsoid,
+    ImplicitSurface,
+    ParametricSurface,
+    Quadric,
+    Surface,
+)
+from contact_system.surfaces.base import RAY
+
+Array = NDArray[np.float64]
+Triangles = NDArray[np.int64]
+
+
+class Domain(Protocol):
+    """Coordinates of vertices, in which midpoints stay on the surface.
+
+    ``coarsest`` is the size of the base mesh that subdivision may start from, ``patches`` of that
+    whose triangles are painted in different shades.
+    """
+
+    surface: Surface
+    coarsest: float
+    patches: float
+
+    def place(self, q: Array) -> tuple[Array, Array]:
+        """Points on the surface and unit normals out of the body, each (n, 3)."""
+        ...
+
+    def midpoints(self, a: Array, b: Array) -> Array:
+        """Coordinates half way between coordinates."""
+        ...
+
+    def moved(self, q: Array, points: Array, step: Array) -> Array:
+        """Coordinates of their points after a displacement (n, 3) along the surface, m."""
+        ...
+
+    def base(self, size: float) -> tuple[Array, Triangles]:
+        """Coordinates and triangles of a mesh of ``size`` parts a side."""
+        ...
+
+
+class RoundDomain:
+    """A surface around a centre; coordinates are unit vectors, mapped by ``shape`` and a ray.
+
+    Mapping an ellipsoid's from the unit sphere linearly makes II(e, e) the same in all directions.
+    """
+
+    def __init__(self, surface: Surface):
+        self.surface = surface
+        self.coarsest, self.patches = 6.0, 2.0  # parts of an icosahedron's edge
+        self.centre, self.shape = np.zeros(3), np.eye(3)
+        if isinstance(surface, ImplicitSurface):
+            self.centre = np.array(surface.center)
+        elif isinstance(surface, Quadric):
+            values, vectors = np.linalg.eigh(np.array(surface.A))
+            self.shape = vectors / np.sqrt(values) @ vectors.T
+        elif isinstance(surface, Ellipsoid):
+            self.shape = np.diag([surface.a, surface.b, surface.c])
+        else:
+            self.shape *= surface.size
+        self._back = np.linalg.inv(self.shape)
+
+    def place(self, q: Array) -> tuple[Array, Array]:
+        points, surface = self.centre + q @ self.shape, self.surface
+        if isinstance(surface, ImplicitSurface):
+            points = surface.point(*surface.coordinates(points))
+            gradient = _gradient(surface, points)
+        else:  # that of |points @ back|^2
+            gradient = points @ self._back @ self._back.T
+        return points, surface.sign * _unit(gradient)
+
+    def midpoints(self, a: Array, b: Array) -> Array:
+        return _unit(a + b)
+
+    def moved(self, q: Array, points: Array, step: Array) -> Array:
+        return _unit((points + step - self.centre) @ self._back)
+
+    def base(self, size: float) -> tuple[Array, Triangles]:
+        return icosphere(max(1, round(size)))
+
+
+class ChartDomain:
+    """A rectangle of a chart; coordinates (u, v), closed where the chart is periodic.
+
+    Parameters
+    ----------
+    surface : Surface
+    curve : (m, 3)
+        Points that the rectangle has to contain, m.
+    margin : float
+        How far it reaches beyond them, m.
+    opposing : float
+        Mean curvature of the other body, 1/m; triangles are made equilateral in the gap.
+    """
+
+    def __init__(self, surface: Surface, curve: Array, margin: float, opposing: float):
+        self.surface, self.periods = surface, surface.periods()
+        u, v, _ = surface.unwind(*surface.coordinates(curve))
+        metric = surface.metric_root(u, v)
+        form = surface.curvature_form(u, v) + opposing * np.eye(2)
+        gap = np.abs(np.nanmean(metric.swapaxes(-1, -2) @ form @ metric, axis=0))
+        self._scale = np.sqrt([gap[0, 0], gap[1, 1]])
+        lame = np.nanmean(surface.lame(u, v), axis=0)
+        spans = []
+        for w, h, period in zip((u, v), lame, self.periods):
+            lo, hi = np.nanmin(w) - margin / h, np.nanmax(w) + margin / h
+            spans.append((lo, hi) if period is None else (0.0, period))
+        if isinstance(surface, Cylinder):  # so that its mass centre is the body's origin
+            spans[1] = (-max(map(abs, spans[1])), max(map(abs, spans[1])))
+        self._spans = np.array(spans)
+        length = self._length()
+        self.coarsest = self.patches = 6.0 * max(length) / min(length)  # six to the shorter side
+
+    def _length(self) -> Array:
+        """Square root of the gap that opens along each side, sqrt(m)."""
+        return (self._spans[:, 1] - self._spans[:, 0]) * self._scale
+
+    def place(self, q: Array) -> tuple[Array, Array]:
+        points, normals = self.surface.point(*q.T), self.surface.normal(*q.T)
+        lost = ~np.all(np.isfinite(normals), axis=1)
+        if np.any(lost):
+            raise no_normal(self.surface, points[lost][0])
+        return points, normals
+
+    def midpoints(self, a: Array, b: Array) -> Array:
+        return a + self._short(b - a) / 2
+
+    def _short(self, step: Array) -> Array:
+        """Differences of coordinates, the short way round."""
+        step = step.copy()
+        for k, period in enumerate(self.periods):
+            if period is not None:
+                step[:, k] -= period * np.round(step[:, k] / period)
+        return step
+
+    def moved(self, q: Array, points: Array, step: Array) -> Array:
+        axes = self.surface.frame(*q.T)[..., :2]
+        along = np.einsum("nik,ni->nk", axes, step)
+        return q + np.linalg.solve(self.surface.metric_root(*q.T), along[..., None])[..., 0]
+
+    def base(self, size: float) -> tuple[Array, Triangles]:
+        """Rows of triangles, ``size`` to the longer side; every other row is shifted by half."""
+        length = self._length()
+        step = max(length) / size
+        nu, nv = (max(3, round(w)) for w in length / step / (1, math.sqrt(3) / 2))
+        nv += nv % 2 if self.periods[1] is not None else 0
+        around, along = (period is not None for period in self.periods)
+        row, column = np.mgrid[0 : nv + (not along), 0 : nu + (not around)]
+        q = np.stack([(column + (row % 2) / 2) / nu, row / nv], axis=-1).reshape(-1, 2)
+        width, height = row.shape[1], row.shape[0]
+        i, j = (w.ravel() for w in np.meshgrid(np.arange(nu), np.arange(nv)))
+
+        def at(column: Array, row: Array) -> Triangles:
+            return (row % height) * width + column % width
+
+        # two triangles a square; rows are halved by one diagonal and by the other in turn
+        a, b, c, d = at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)
+        halves = [np.stack(corners, axis=1) for corners in ((a, b, d, b, c, d), (a, b, c, a, c, d))]
+        triangles = np.where((j % 2)[:, None], halves[1], halves[0]).reshape(-1, 3)
+        return self._spans[:, 0] + q * (self._spans[:, 1] - self._spans[:, 0]), triangles
+
+
+def domain_of(surface: Surface, curve: Array, margin: float, opposing: float) -> Domain:
+    """The coordinates that suit a surface; see `ChartDomain` for the parameters."""
+    if surface.chart.central:
+        return RoundDomain(surface)
+    return ChartDomain(surface, curve, margin, opposing)
+
+
+def _unit(x: Array) -> Array:
+    return x / np.linalg.norm(x, axis=-1, keepdims=True)
+
+
+def _gradient(surface: ImplicitSurface, points: Array) -> Array:
+    """Gradient of the level function as it is written: its slopes along the axes, (n, 3)."""
+    n = len(points)
+    given = np.vstack([np.tile(points.T, 3), np.repeat(np.eye(3), n, axis=1)])
+    return run(surface.tables.other[RAY], given, surface.numbers)[1].reshape(3, n).T
+
+
+def icosphere(parts: int) -> tuple[Array, Triangles]:
+    """Points (10 parts^2 + 2, 3) on the unit sphere and triangles (20 parts^2, 3)."""
+    golden = (1 + math.sqrt(5)) / 2
+    signs = np.array([(-1, 1), (1, 1), (-1, -1), (1, -1)])
+    corner = np.zeros((12, 3))
+    for k in range(3):  # cyclic permutations of (+-1, +-golden, 0)
+        corner[4 * k : 4 * k + 4, [k, (k + 1) % 3]] = signs * (1, golden)
+    near = np.linalg.norm(corner[:, None] - corner, axis=2) < 2.1
+    triples = [(i, j, k) for i in range(12) for j in range(i) for k in range(j)]
+    faces = np.array([(i, j, k) for i, j, k in triples if near[i, j] and near[j, k] and near[k, i]])
+    share, local = _subdivided(parts)
+    points = _unit(np.einsum("pk,fki->fpi", share, corner[faces]).reshape(-1, 3))
+    triangles = (len(share) * np.arange(20)[:, None, None] + local).reshape(-1, 3)
+    _, first, merged = np.unique(
+        np.round(points, 9), axis=0, return_index=True, return_inverse=True
+    )
+    return points[first], merged.ravel()[triangles]
+
+
+def _subdivided(parts: int) -> tuple[Array, Triangles]:
+    """A triangle in parts^2: barycentric coordinates (n, 3) and triangles (parts^2, 3)."""
+    steps = [(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]
+    at = {w: n for n, w in enumerate(steps)}
+    upright = [(at[i, j], at[i + 1, j], at[i, j + 1]) for i, j in steps if i + j < parts]
+    inner = [(i, j) for i, j in steps if i + j < parts - 1]
+    between = [(at[i + 1, j], at[i + 1, j + 1], at[i, j + 1]) for i, j in inner]
+    share = np.array([(parts - i - j, i, j) for i, j in steps]) / parts
+    return share, np.array(upright + between)
+
+
+def no_normal(surface: Surface, at: Array) -> SurfaceError:
+    remedy = "plan contacts away from it, or write the surface as an ImplicitSurface"
+    if isinstance(surface, ParametricSurface):
+        remedy += "; if (u, v) in u_range and v_range cover places twice, give ranges that do not"
+    return SurfaceError(
+        f"{surface!r}: the normal is lost or turns too fast for a mesh about the point "
+        f"{at.round(6).tolist()}, a pole of its chart or an edge; contact needs a mesh there: "
+        f"{remedy}"
+    )

@@ -1,0 +1,156 @@
+"""Meshes and surfaces as shapes of Drake, made in memory: for contact, and to be looked at."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydrake.common import MemoryFile
+from pydrake.geometry import InMemoryMesh, Mesh, Rgba
+from scipy.spatial import cKDTree
+
+from contact_system.errors import SurfaceError
+from contact_system.surfaces import ImplicitSurface, Surface, Torus
+
+from .domains import Array, Domain, Triangles
+from .meshes import SurfaceMesh, edges_of, outward, refined
+
+FINER = 2  # halvings of the triangles that are painted in one of two shades
+SHADE = 0.65  # brightness of the darker one
+
+
+def rigid_mesh(mesh: SurfaceMesh, name: str) -> Mesh:
+    """The corrected triangles as a Drake Mesh in memory, for rigid hydroelastic contact."""
+    lines = _rows("v %.9g %.9g %.9g", mesh.corrected())
+    lines += _rows("f %d %d %d", mesh.triangles + 1)
+    return _in_memory(lines, ".obj", name)
+
+
+def inner_points(surface: Surface) -> Array:
+    """Where depth below a fingertip's surface is measured to: its centre, or a ring, (k, 3), m."""
+    if isinstance(surface, Torus):
+        around = np.linspace(0, 2 * math.pi, 64, endpoint=False)
+        circle = np.stack([np.cos(around), np.sin(around), 0 * around], axis=1)
+        return surface.major * circle
+    return np.array([surface.center if isinstance(surface, ImplicitSurface) else (0.0, 0.0, 0.0)])
+
+
+def compliant_mesh(mesh: SurfaceMesh, inner: Array, name: str) -> Mesh:
+    """The solid under the corrected triangles as a Drake Mesh, for compliant hydroelastic contact.
+
+    Every triangle is the base of one tetrahedron, whose apex is the nearest inner point. Drake
+    makes pressure linear from 0 on the surface to the modulus at the inner points: it is then
+    proportional to the depth below the triangle.
+
+    Parameters
+    ----------
+    mesh : SurfaceMesh
+        Closed, or a cylinder's side about the z axis, which is closed by flat ends.
+    inner : (k, 3)
+        One point, or points around a ring in order, m.
+    name : str
+
+    Raises
+    ------
+    SurfaceError
+        A triangle faces away from its inner point.
+    """
+    points, triangles = _with_ends(mesh)
+    cells = _tetrahedra(points, triangles, inner, name)
+    points = np.vstack([points, inner])
+    lines = ["# vtk DataFile Version 3.0", "fingertip", "ASCII", "DATASET UNSTRUCTURED_GRID"]
+    lines += [f"POINTS {len(points)} double"]
+    lines += _rows("%.9g %.9g %.9g", points)
+    lines += [f"CELLS {len(cells)} {5 * len(cells)}"]
+    lines += _rows("4 %d %d %d %d", cells)
+    lines += [f"CELL_TYPES {len(cells)}", *["10"] * len(cells)]
+    return _in_memory(lines, ".vtk", name)
+
+
+def _with_ends(mesh: SurfaceMesh) -> tuple[Array, Triangles]:
+    """Corrected points and triangles, with a fan over each end of a cylinder's side."""
+    points, triangles = mesh.corrected(), mesh.triangles
+    pairs = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    edges, of = edges_of(triangles)
+    rim = pairs[np.bincount(of.ravel())[of.ravel()] == 1]
+    for side in (-1, 1):
+        end = rim[np.sign(points[rim[:, 0], 2]) == side]
+        if len(end):
+            middle = np.full(len(end), len(points))
+            points = np.vstack([points, [0, 0, points[end[0, 0], 2]]])
+            triangles = np.vstack([triangles, np.column_stack([end[:, ::-1], middle])])
+    return points, triangles
+
+
+def _tetrahedra(points: Array, triangles: Triangles, inner: Array, name: str) -> Triangles:
+    """A tetrahedron under each triangle, and what fills the wedges between different apexes."""
+    count, apex = len(inner), _apexes(points, triangles, inner)
+    cells = [np.column_stack([triangles, len(points) + apex])]
+    if count > 1:
+        edges, of = edges_of(triangles)
+        order = np.argsort(of.ravel(), kind="stable")
+        first, second = np.repeat(apex, 3)[order].reshape(-1, 2).T
+        ahead = (second - first + count // 2) % count - count // 2  # steps around the ring
+        for k in range(np.abs(ahead).max()):
+            wedge = np.abs(ahead) > k
+            a = first[wedge] + k * np.sign(ahead[wedge])
+            b = a + np.sign(ahead[wedge])
+            ring = len(points) + np.column_stack([a, b]) % count
+            cells.append(np.column_stack([edges[wedge], ring]))
+    cell = np.vstack(cells)
+    corner = np.vstack([points, inner])[cell]
+    volume = np.linalg.det(corner[:, 1:] - corner[:, :1])
+    if np.any(volume[: len(triangles)] >= 0):
+        raise SurfaceError(
+            f"{name}: a triangle of its mesh faces away from the inner point below it, so that no "
+            "solid can be built; put the surface's centre where it sees the whole surface"
+        )
+    return np.where((volume < 0)[:, None], cell[:, [0, 2, 1, 3]], cell)
+
+
+def _apexes(points: Array, triangles: Triangles, inner: Array) -> Triangles:
+    """The inner point below each triangle: nearest to the edge that runs along the ring most.
+
+    Both triangles of such an edge get the same. Were they different, the wedge between them would
+    be flat: the edge is parallel to the ring.
+    """
+    corner, near = points[triangles], cKDTree(inner)
+    edge = np.roll(corner, -1, axis=1) - corner
+    below = near.query(corner.mean(axis=1))[1]
+    along = np.roll(inner, -1, axis=0)[below] - np.roll(inner, 1, axis=0)[below]
+    longest = np.argmax(np.abs(np.einsum("tki,ti->tk", edge, along)), axis=1)
+    middle = corner + edge / 2
+    return near.query(middle[np.arange(len(triangles)), longest])[1]
+
+
+def rgba(colour: str, alpha: float = 1.0) -> Rgba:
+    """A colour of the pictures, "#rrggbb"."""
+    return Rgba(*(int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)), alpha)
+
+
+def painted(domain: Domain, name: str, colour: Rgba) -> list[tuple[Mesh, Rgba]]:
+    """The true surface in two sets of patches of two shades: rolling shows."""
+    q, triangles = domain.base(domain.patches)
+    dark = np.arange(len(triangles)) % 2 == 1
+    for _ in range(FINER):
+        q, triangles = refined(domain, q, triangles, np.full(len(triangles), True))
+        dark = np.tile(dark, 4)
+    points, normals = domain.place(q)
+    lines = _rows("v %.5g %.5g %.5g", points)
+    lines += _rows("vn %.3f %.3f %.3f", normals)
+    facing = np.repeat(outward(points, normals, triangles) + 1, 2, axis=1)
+    shaded = Rgba(*(SHADE * c for c in (colour.r(), colour.g(), colour.b())), colour.a())
+    return [
+        (_in_memory(lines + _rows("f %d//%d %d//%d %d//%d", facing[part]), ".obj", name), shade)
+        for part, shade in ((~dark, colour), (dark, shaded))
+    ]
+
+
+def _rows(form: str, table: Array | Triangles) -> list[str]:
+    return [form % tuple(row) for row in table.tolist()]
+
+
+def _in_memory(lines: list[str], extension: str, name: str) -> Mesh:
+    content = "\n".join(lines) + "\n"
+    hint = " ".join(name.split())  # Drake stops the process where it has two lines
+    return Mesh(InMemoryMesh(mesh_file=MemoryFile(content, extension, hint)))

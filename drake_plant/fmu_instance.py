@@ -1,0 +1,390 @@
+"""One FMU in this process, FMI 2.0 or 3.0: its life and its states."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import itertools
+import os
+import shutil
+import tempfile
+import threading
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from ctypes import c_void_p
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import fmi2Discard, fmi2LastSuccessfulTime, fmi2Terminated
+from fmpy.simulation import settable_in_initialization_mode, settable_in_instantiated
+
+from contact_system.archives import opened, unpack
+from contact_system.checks import did_you_mean
+from contact_system.errors import ContactSystemError
+
+from .fmu_files import library_of, read_description
+from .fmu_variables import KINDS, PortVariables, carried, fmi_kind
+
+Array = np.ndarray
+Names = str | Sequence[str]
+Given = Iterable[tuple[PortVariables, Array]]
+
+SLACK = 1e-6
+"""By how much of a step the Context's time and the FMU's may differ."""
+WARNING, FATAL = 1, 4  # statuses, the same in FMI 2 and 3
+TEXTS = {"String": str, "Binary": bytes}  # what start values may be besides
+
+
+class Moment:
+    """What the Context holds of an FMU: when it is, its outputs, and how to go back there.
+
+    It never changes, so clones of a Context share it; the FMU's copy of its state is given back
+    with the last of them.
+    """
+
+    __slots__ = ("_instance", "time", "stepped", "values", "key")
+
+    def __init__(
+        self, instance: Instance, time: float, stepped: bool, values: list[Array], key: int | None
+    ):
+        self._instance, self.time, self.stepped = instance, time, stepped
+        self.values, self.key = values, key
+
+    def __deepcopy__(self, memo: Any) -> Moment:
+        return self
+
+    def __del__(self) -> None:
+        self._instance.forget(self.key)
+
+
+class Instance:
+    """One FMU in this process: unpacked, loaded, initialized, stepped, freed.
+
+    Parameters
+    ----------
+    fmu : path
+        An .fmu file, or a folder that one was unpacked to.
+    name : str or None
+        By default the model's.
+
+    Raises
+    ------
+    ContactSystemError
+        No FMU of FMI 2 or 3 with co-simulation for this platform.
+    """
+
+    def __init__(self, fmu: str | os.PathLike, name: str | None):
+        self._fmu: Any = None
+        self._at: Moment | None = None  # where the FMU is
+        self._running = False
+        self._turn = threading.RLock()  # FMI allows no calls of one FMU at the same time
+        self._states: dict[int, c_void_p] = {}  # the FMU's own copies of its state
+        self._keys = itertools.count()
+        self._log: collections.deque[tuple[int, str]] = collections.deque(maxlen=20)
+        self._start_values: list[tuple[Any, list[Any]]] = []  # variables of fmpy's, elements
+        self._outputs: list[PortVariables] = []
+        self._made_folder: str | None = None
+        if not isinstance(fmu, (str, os.PathLike)):
+            raise ContactSystemError(f"fmu = {fmu!r:.80}: give the path of an FMU or its folder")
+        if name is not None and not isinstance(name, str):
+            raise ContactSystemError(f"instance_name = {name!r}: give a text, or None")
+        self._path = path = Path(fmu)
+        with contextlib.ExitStack() as undo:
+            undo.callback(self.close)
+            self._folder = self._unpacked(path)
+            self.description = read_description(path, self._folder)
+            self.version = int(self.description.fmiVersion[0])
+            self._library = library_of(path, self._folder, self.description)
+            self.name = name or self.description.modelName
+            undo.pop_all()
+
+    def _unpacked(self, path: Path) -> Path:
+        if path.is_dir():
+            return path.resolve()
+        if not path.exists():
+            raise ContactSystemError(f"there is no {path}: give an FMU or its folder")
+        self._made_folder = tempfile.mkdtemp(prefix="fmu-")
+        with opened(path, "an FMU") as archive:
+            unpack(archive, Path(self._made_folder), "FMU_BYTES")
+        return Path(self._made_folder)
+
+    @property
+    def keeps_states(self) -> bool:
+        """Whether the FMU can go back to where it was."""
+        return self.description.coSimulation.canGetAndSetFMUstate
+
+    # --- variables
+
+    def select(self, names: Names | None, causality: str) -> PortVariables:
+        """The variables of a port.
+
+        Parameters
+        ----------
+        names : str, sequence of str or None
+            Of variables, or of structures, which stand for all their variables of the causality.
+            None: all of it.
+        causality : "input" or "output"
+        """
+        every = self.description.modelVariables
+        pool = [v for v in every if v.causality == causality and carried(v)]
+        if names is None:
+            return PortVariables(pool, self.version)
+        listed = [names] if isinstance(names, str) else names
+        if not isinstance(listed, Iterable):
+            raise ContactSystemError(
+                f"{self.name}: {causality}s = {names!r}: give names of variables, or a mapping of "
+                "port names to those"
+            )
+        by_name = {v.name: v for v in every}
+        found: list[Any] = []
+        for name in map(str, listed):
+            inside = [v for v in pool if v.name.startswith((f"{name}.", f"{name}["))]
+            if name not in by_name and not inside:
+                known = by_name if causality == "output" else [v.name for v in pool]
+                self._refuse_name(name, known, f"{causality} ")
+            found.extend([by_name[name]] if name in by_name else inside)
+        for v in found:
+            if not carried(v) or (causality == "input" and v.causality != "input"):
+                raise ContactSystemError(
+                    f"{self.name}: {v.name}, {v.causality} of type {v.type}, cannot be on an "
+                    f"{causality} port: leave it out"
+                )
+        return PortVariables(found, self.version)
+
+    def _refuse_name(self, name: str, known: Iterable[str], what: str = "") -> None:
+        hint = did_you_mean(name, known) or "; see modelDescription.xml"
+        raise ContactSystemError(f"{self.name} has no {what}variable {name!r}{hint}")
+
+    def prepare(self, start_values: Mapping[str, Any], outputs: list[PortVariables]) -> None:
+        """Say what initialization sets, and what is read after it and each step."""
+        if not isinstance(start_values, Mapping):
+            raise ContactSystemError(
+                f"{self.name}: start_values = {start_values!r}: give a mapping of names to values"
+            )
+        variables = {v.name: v for v in self.description.modelVariables}
+        for name, value in start_values.items():
+            if name not in variables:
+                self._refuse_name(name, variables)
+            self._start_values.append((variables[name], self._start_value(variables[name], value)))
+        self._outputs = outputs
+
+    def _start_value(self, variable: Any, value: Any) -> list[Any]:
+        """As fmpy's setters take it."""
+        block, kind = PortVariables([variable], self.version), fmi_kind(variable, self.version)
+        problem: str | None = f"{variable.name} = {value!r} is not of type {variable.type}"
+        try:
+            array = np.array(value, dtype=object)
+        except ValueError:  # arrays of several shapes
+            raise ContactSystemError(f"{self.name}: start value: {problem}") from None
+        given, shape = array.ravel().tolist(), tuple(variable.shape or ())
+        if array.ndim > 1 and array.shape != shape:  # such as a transposed matrix
+            problem = f"{variable.name} has shape {shape}, not {array.shape}"
+        elif len(given) != len(block.names):
+            problem = f"{variable.name} has {len(block.names)} elements, not {len(given)}"
+        elif kind in TEXTS:
+            problem = None if all(isinstance(v, TEXTS[kind]) for v in given) else problem
+        elif not carried(variable):
+            return given
+        elif issubclass(KINDS[kind], np.integer):  # no floats, which have 53 bits
+            with contextlib.suppress(TypeError, ValueError, OverflowError):
+                whole, info = [int(v) for v in given], np.iinfo(KINDS[kind])
+                if whole == given and all(info.min <= v <= info.max for v in whole):
+                    return whole
+        else:
+            with contextlib.suppress(TypeError, ValueError, OverflowError):
+                values = np.array([0 + v for v in given], dtype=float)  # no texts
+                problem = block.check(values)
+                if not problem:
+                    return values.astype(KINDS[kind]).tolist()
+        if problem:
+            raise ContactSystemError(f"{self.name}: start value: {problem}")
+        return given
+
+    # --- life
+
+    def begin(self, time: float, given: Given = ()) -> Moment:
+        """Initialize.
+
+        Parameters
+        ----------
+        time : float
+            s.
+        given : pairs of a PortVariables and values
+            Inputs at that time.
+        """
+        later = [v for v in self._start_values if not settable_in_instantiated(v[0])]
+        wrong = [v.name for v, _ in later if not settable_in_initialization_mode(v)]
+        wrong += [v.name for v, _ in self._start_values if v.causality == "structuralParameter"]
+        if wrong:
+            raise ContactSystemError(
+                f"{self.name}: {', '.join(wrong)} cannot be set at the start; only inputs, "
+                "parameters and variables with initial='exact' or 'approx' can"
+            )
+        with self._turn, self._doing("initialization", time):
+            self._renew(time)
+            fmu = self._fmu
+            if self.version == 2:
+                fmu.setupExperiment(startTime=time)
+            self._set([v for v in self._start_values if v not in later])
+            fmu.enterInitializationMode(**{} if self.version == 2 else {"startTime": time})
+            self._set(later)
+            for block, values in given:
+                block.write(fmu, values)
+            fmu.exitInitializationMode()
+            self._running = True
+            return self._here(time, stepped=False)
+
+    def _set(self, start_values: Iterable[tuple[Any, list[Any]]]) -> None:
+        for variable, values in start_values:
+            kind = fmi_kind(variable, self.version)
+            getattr(self._fmu, f"set{kind}")([variable.valueReference], values)
+
+    def step(self, moment: Moment, given: Given, step: float) -> tuple[Moment, bool]:
+        """From a moment to the next; also whether the FMU wants to end the simulation.
+
+        Parameters
+        ----------
+        moment : Moment
+        given : pairs of a PortVariables and values
+            Inputs during the step.
+        step : float
+            s.
+        """
+        time, ends = moment.time, False
+        with self._turn, self._doing(f"a step of {step:.6g} s", time):
+            self._go_to(moment)
+            for block, values in given:
+                block.write(self._fmu, values)
+            self._at = None  # until the step has succeeded
+            try:
+                done = self._fmu.doStep(time, step, not self.keeps_states)
+            except FMICallException as error:
+                ends = self._asks_to_end(error, time)
+                if not ends:
+                    raise
+            else:
+                if self.version == 3:
+                    _, ends, early, last = done
+                    if early and not ends and last < time + (1 - SLACK) * step:
+                        raise FMICallException("fmi3DoStep, early return,", 2)
+            # As Drake counts its samples: without a sum of rounding errors.
+            return self._here(round(time / step + 1) * step, stepped=True), ends
+
+    def _asks_to_end(self, error: FMICallException, time: float) -> bool:
+        """Whether an FMU of FMI 2 has discarded what is left of a step from `time` on to end the
+        simulation; one that cannot even begin the step has a reason to be told."""
+        if self.version != 2 or error.status != fmi2Discard:
+            return False
+        ends = False
+        with contextlib.suppress(FMICallException):
+            ends = self._fmu.getBooleanStatus(fmi2Terminated)
+            return ends and self._fmu.getRealStatus(fmi2LastSuccessfulTime) > time
+        return ends
+
+    def _here(self, time: float, stepped: bool) -> Moment:
+        """The moment at which the FMU is."""
+        values = [block.read(self._fmu) for block in self._outputs]
+        key = None
+        if self.keeps_states:
+            key = next(self._keys)
+            self._states[key] = self._fmu.getFMUState()
+        self._at = moment = Moment(self, time, stepped, values, key)
+        return moment
+
+    def _go_to(self, moment: Moment) -> None:
+        """Bring the FMU back to a moment, if it is not there."""
+        if self._at is moment:
+            return
+        state = None if moment.key is None else self._states.get(moment.key)
+        if state is None:
+            why = "it has been reloaded since"
+            if not self.keeps_states:
+                now = "has failed" if self._at is None else f"is at t = {self._at.time:.6g} s"
+                why = f"it {now}, and has no way back (canGetAndSetFMUstate is not true)"
+            raise ContactSystemError(
+                f"{self.name}: the FMU cannot go to this Context's t = {moment.time:.6g} s: {why}. "
+                "Step one Context at a time, only forward, and begin again with a default Context "
+                "and Simulator.Initialize(); or make an FmuSystem for each Context"
+            )
+        with self._doing("return to an earlier state", moment.time):
+            self._fmu.setFMUState(state)
+        self._at, self._running = moment, True
+
+    def forget(self, key: int | None) -> None:
+        """Give back the FMU's copy of its state."""
+        with self._turn:
+            state = None if key is None else self._states.pop(key, None)
+            if state is not None:
+                with contextlib.suppress(FMICallException):
+                    self._fmu.freeFMUState(state)
+
+    def _renew(self, time: float) -> None:
+        """An instance that nothing was done to."""
+        self._at, self._running = None, False
+        if self._fmu is not None:
+            try:
+                self._fmu.reset()
+                return
+            except FMICallException:  # many tools leave it out
+                self._free()
+        with (
+            self._doing(f"loading {self._path}", time),
+            contextlib.chdir(os.getcwd()),
+        ):  # fmpy may leave it
+            fmu = fmpy.instantiate_fmu(
+                str(self._folder),
+                self.description,
+                "CoSimulation",
+                debug_logging=True,
+                logger=self._note,
+                library_path=str(self._library),
+            )
+        self._fmu = fmu
+        categories = [category.name for category in self.description.logCategories]
+        status = [name for name in categories if name.startswith("logStatus")]
+        if status:  # and not what it says about each step
+            with contextlib.suppress(FMICallException):
+                fmu.setDebugLogging(True, status)
+
+    def _note(self, *said: Any) -> None:
+        """What the FMU says; FMI 2 has an instance's name before the status."""
+        status, _, message = said[-3:]
+        self._log.append((status, (message or b"").decode(errors="replace").strip()))
+
+    @contextlib.contextmanager
+    def _doing(self, what: str, time: float) -> Iterator[None]:
+        """Errors of FMI calls inside, in words."""
+        self._log.clear()
+        try:
+            yield
+        except ContactSystemError:
+            raise
+        except Exception as error:  # fmpy raises bare ones when it loads
+            self._at, self._running = None, False
+            if getattr(error, "status", None) == FATAL:  # FMI allows no further call
+                self._fmu, self._states = None, {}
+            said = [text for status, text in self._log if status >= WARNING]
+            said = (said or [text for _, text in self._log])[-1:]
+            raise ContactSystemError(
+                f"{self.name}: {what} failed at t = {time:.6g} s: {error}"
+                + "".join(f" It says: {text}" for text in said)
+            ) from error
+
+    def _free(self) -> None:
+        for key in list(self._states):
+            self.forget(key)
+        fmu, self._fmu, self._at = self._fmu, None, None
+        if fmu is not None:
+            if self._running:
+                with contextlib.suppress(FMICallException):
+                    fmu.terminate()
+            fmu.freeInstance()
+        self._running = False
+
+    def close(self) -> None:
+        """Terminate, free, unload, remove what was unpacked."""
+        self._free()
+        if self._made_folder is not None:
+            shutil.rmtree(self._made_folder, ignore_errors=True)

@@ -1,0 +1,178 @@
+"""What planners of every scalar share: ports, windows, and what follows from a system's outputs."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform_, RotationMatrix_
+from pydrake.systems.framework import BasicVector_
+
+from contact_system import SceneSystem
+
+from .lifetimes import NO_DICTIONARY, weakly
+from .scalars import select
+
+EARLY = 1e-9
+"""How much before its time a restart happens, s."""
+ONCE = 1e9
+"""Period of an event that happens once, s."""
+PORTS = {
+    "state": 9,
+    "slip": 2,
+    "twist": 6,
+    "acceleration": 6,
+    "contact_point": 6,
+    "normal": 3,
+    "normal_rate": 3,
+}
+MOTION = {name: PORTS.get(name, 12) for name in ("pose", *PORTS) if name not in ("state", "slip")}
+"""What a FingertipDriver takes of each contact, one after the other, on one port."""
+
+Array = np.ndarray
+
+# What is derived from a scene is large: planners of the same one share it.
+_shared_system = functools.lru_cache(maxsize=16)(SceneSystem)
+
+
+def scene_system(*options: Any) -> SceneSystem:
+    """The SceneSystem of a scene, coordinates and disturbance_input."""
+    try:
+        hash(options)
+    except TypeError:  # a list in the place of a scene or a word: it says which
+        return SceneSystem(*options)
+    return _shared_system(*options)
+
+
+_System: Any = object  # LeafSystem_[T] comes behind it in each class
+
+
+class PlannerBase(_System):
+    """Ports, windows and outputs of a system that tells how contacts move, of any scalar.
+
+    Attributes
+    ----------
+    system : SceneSystem
+    """
+
+    __slots__ = NO_DICTIONARY
+
+    T: type = float
+    _held: Any = None  # states and ports that not all have
+    _disturbance: Any = None
+    _measured: Any = None
+    _restarts: Any = None
+
+    def _Declare(self, system: SceneSystem, x0: Array | None, period: float | None) -> None:
+        """States, ports and events; period: of restarts, s."""
+        self.system, self._fed_through = system, {"derivatives"}
+        n = len(system.scene.contacts)
+        if x0 is not None:
+            self.DeclareContinuousState(_vector(x0, self.T))
+        for edge in system.edges:  # a step ends before it, and the next one begins at it
+            for time in (max(0.0, math.nextafter(edge, -math.inf)), edge):
+                self.DeclarePeriodicPublishEvent(ONCE, time, weakly(self._Stop))
+        turns = system.corners if x0 is not None else ()
+        if len(system.held0) and x0 is not None and (turns or period is not None):
+            self._held = self.DeclareDiscreteState(_vector(system.held0, self.T))
+        for edge in turns:
+            self.DeclarePeriodicUnrestrictedUpdateEvent(ONCE, edge, weakly(self._Turn, edge))
+        if system.disturbance_input:
+            self._disturbance = self.DeclareVectorInputPort("disturbance", 6 * n)
+        if period is not None:
+            self._measured = self.DeclareVectorInputPort("measured_state", 9 * n)
+            self._restarts = self.DeclareDiscreteState(_vector(np.zeros(n), self.T))
+            # A little early: 3 * 0.1 s comes after 300 * 1 ms in floating point, and a discrete
+            # plant that has stepped already would be measured a step ahead of the planner.
+            first, restart = period - EARLY, weakly(self._Restart)
+            self.DeclarePeriodicUnrestrictedUpdateEvent(period, first, restart)
+        for name, size in PORTS.items():
+            calc = weakly(self._CalcVector, name)
+            self.DeclareVectorOutputPort(name, size * n, calc, self._Prerequisites(name))
+        calc, size = weakly(self._CalcVector, "motion"), sum(MOTION.values())
+        self.DeclareVectorOutputPort("motion", size * n, calc, self._Prerequisites(*MOTION))
+        kind, calc = Value[list[RigidTransform_[self.T]]], weakly(self._CalcPose)
+        self.DeclareAbstractOutputPort("pose", kind, calc, self._Prerequisites("pose"))
+        if self._restarts is not None:
+            self.DeclareStateOutputPort("restarts", self._restarts)
+
+    def Evaluate(self, context: Any, output: str) -> Array:
+        """What the output port of this name says, of "pose" its numbers; not to be kept."""
+        raise NotImplementedError
+
+    def _Joined(self, context: Any) -> Array:
+        """The motion of each contact after the other."""
+        n = len(self.system.scene.contacts)
+        parts = [self.Evaluate(context, name).reshape(n, -1) for name in MOTION]
+        return np.hstack(parts).ravel()
+
+    def _CalcVector(self, output: str, context: Any, vector: Any) -> None:
+        vector.SetFromVector(self.Evaluate(context, output))
+
+    def _CalcPose(self, context: Any, value: Any) -> None:
+        Transform, Rotation = RigidTransform_[self.T], RotationMatrix_[self.T]
+        rows = self.Evaluate(context, "pose").reshape(-1, 12)
+        value.set_value([Transform(Rotation(r[:9].reshape(3, 3).T), r[9:]) for r in rows])
+
+    def _Restart(self, context: Any, state: Any) -> None:
+        raise TypeError("ContactPlanner restarts with T = float only; simulate that one")
+
+    def _Stop(self, context: Any) -> None:
+        """Nothing happens, but no integrator steps across it."""
+
+    def _Carried(self, context: Any) -> Array:
+        """W_1 and V of each contact."""
+        return self.Evaluate(context, "carried")
+
+    def _Turn(self, edge: float, context: Any, state: Any) -> None:
+        """Contacts go on along their next legs."""
+        x = context.get_continuous_state_vector().CopyToVector().ravel()
+        held = context.get_discrete_state(self._held).CopyToVector().ravel()
+        x, held = self.system.turned(edge, x, held, self._Carried(context))
+        state.get_mutable_continuous_state().SetFromVector(x)
+        state.get_mutable_discrete_state(self._held).SetFromVector(held)
+
+    def _Prerequisites(self, *outputs: str) -> set:
+        """What outputs depend on, from the sparsity of their functions."""
+        needs = {output: self.system.depends(output) for output in outputs}
+        self._fed_through |= {output for output in outputs if "w" in needs[output]}
+        inputs = set().union(*needs.values())
+        tickets = {"t": self.time_ticket(), "x": self.xc_ticket(), "w": self.time_ticket()}
+        found = {ticket for name, ticket in tickets.items() if name in inputs}
+        if "held" in inputs and self._held is not None:
+            found.add(self.discrete_state_ticket(self._held))
+        if "w" in inputs and self._disturbance is not None:
+            found.add(self.input_port_ticket(self._disturbance.get_index()))
+        return found or {self.nothing_ticket()}
+
+    # --- what disturbs, for every scalar ---------------------------------------------------
+
+    def _Windows(self, context: Any) -> Array:
+        """What the windows add: (n_w,)."""
+        w, t = scalars_of(np.zeros(self.system.n_w), self.T), context.get_time()
+        for d, rows in self.system.windows:
+            acts = select(t >= d.start, 1.0, 0.0) - select(t >= d.stop, 1.0, 0.0)
+            for k, value in enumerate(d.value, rows.start):
+                w[k] += acts * value
+        return w
+
+    def _Disturbance(self, context: Any, *outputs: str) -> Array | None:
+        """What the disturbance port adds, (n_w,), or None.
+
+        Outputs without feedthrough do not ask the port, which may depend on them.
+        """
+        port = self._disturbance
+        if port is None or self._fed_through.isdisjoint(outputs) or not port.HasValue(context):
+            return None
+        return port.Eval(context).ravel()
+
+
+def scalars_of(values: Array, T: type) -> Array:
+    return values if T is float else np.array([T(v) for v in values], dtype=object)
+
+
+def _vector(values: Array, T: type) -> Any:
+    return BasicVector_[T](scalars_of(values, T))

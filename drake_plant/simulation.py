@@ -1,0 +1,192 @@
+"""A station simulated from its start, with what planner and monitor say along the way."""
+
+from __future__ import annotations
+
+import gc
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import Context, Diagram, EventStatus
+
+from contact_system import Scene, SceneError
+from contact_system.checks import a_path, finite_number, function_or_none
+
+from .config import StationConfig
+from .plant import ScenePlant
+from .station import SetInitialState, build, checked
+
+Array = NDArray[np.float64]
+
+PLANNED = ("state", "slip", "contact_point")
+MEASURED = ("state", "slip", "normal_force", "tangential_force", "contact_point")
+NEAR = 1e-6  # of a period, by which a step may end before it
+LOGGED = 2e-3  # s, at which simulate logs where steps are shorter
+INTEGRATION = SimulatorConfig(
+    integration_scheme="runge_kutta3", accuracy=1e-3, max_step_size=1e-3, use_error_control=True
+)
+"""Of the planner's states beside a discrete plant: within 5e-6 m of the plan over all of D1."""
+CONTINUOUS = SimulatorConfig(
+    integration_scheme="runge_kutta3", accuracy=1e-4, max_step_size=1e-3, use_error_control=True
+)
+"""Of a continuous plant: with a larger accuracy the planner is further off than it may be."""
+
+
+@dataclass
+class SimulationResult:
+    """What :func:`simulate` saw, about every 2 ms and at the end of every step in which a finger is
+    off the object. m times, n contacts; SI units.
+
+    Attributes
+    ----------
+    scene, config
+    t : (m,)
+    planned : dict
+        state (m, n, 9), slip (m, n, 2), contact_point (m, n, 3), the latter on the object, in O.
+    measured : dict
+        slip (m, n, 2), normal_force (m, n), tangential_force (m, n, 2), contact_point (m, n, 3),
+        state (m, n, 9): those of the step that ended at t.
+    object_pose : (m, 4, 4)
+        X_WO.
+    build_time, wall_time : float
+        s, of making the Diagram and of simulating it.
+    """
+
+    scene: Scene
+    config: StationConfig
+    t: Array
+    planned: Mapping[str, Array]
+    measured: Mapping[str, Array]
+    object_pose: Array
+    build_time: float
+    wall_time: float
+
+
+def simulate(
+    scene: Scene,
+    config: StationConfig | None = None,
+    duration: float | None = None,
+    progress: Callable[[float], None] | None = None,
+    recording: str | Path | None = None,
+) -> SimulationResult:
+    """Build the station of a scene, simulate it, and return what was planned and measured.
+
+    Parameters
+    ----------
+    scene : Scene
+    config : StationConfig, optional
+        None: ``StationConfig.from_scene(scene)``.
+    duration : float, optional
+        s; None: the scene's.
+    progress : callable, optional
+        Called now and then with the simulated time, s.
+    recording : path, optional
+        Write a single-file Meshcat recording there.
+
+    Raises
+    ------
+    SceneError
+        A duration shorter than a time step, or not finite; a recording in a folder that does not
+        exist; what :func:`BuildStation` raises.
+    """
+    gc.collect()  # Diagrams are cycles: free those of runs before this one
+    config = checked(scene, config)
+    duration = scene.duration if duration is None else duration
+    step = config.time_step or CONTINUOUS.max_step_size
+    if not finite_number(duration, f"{scene.title}: duration") >= step:
+        raise SceneError(
+            f"{scene.title}: a simulation of {duration!r} s with a time_step of {step:g} "
+            "s: give a finite time of at least one step"
+        )
+    period = step
+    while 2 * period <= min(LOGGED, duration):  # powers of 2, so that logs meet steps to the bit
+        period *= 2
+    function_or_none(progress, f"{scene.title}: progress", "a function of a time")
+    film = None
+    if recording is not None:
+        recording = a_path(recording, f"{scene.title}: recording")
+        if not recording.parent.is_dir() or recording.is_dir():
+            raise SceneError(
+                f"{scene.title}: recording = {str(recording)!r}: no file can be written "
+                "there; give a path in a folder that exists, such as 'film.html'"
+            )
+        from .recording import Recording
+
+        film = Recording()
+
+    begun = time.perf_counter()
+    station, parts = build(scene, config, None if film is None else film.Add)
+    simulator = Simulator(station)
+    ApplySimulatorConfig(INTEGRATION if config.time_step else CONTINUOUS, simulator)
+    context = simulator.get_mutable_context()
+    SetInitialState(station, context)
+    log = _Log(station, context, parts, period)
+
+    def note(root: Context) -> EventStatus:
+        log.note(root)
+        if progress is not None:
+            progress(root.get_time())
+        return EventStatus.DidNothing()
+
+    simulator.set_monitor(note)
+    simulator.Initialize()
+    built = time.perf_counter()
+    simulator.AdvanceTo(duration)
+    finished = time.perf_counter()
+    log.note(context, last=True)
+
+    t, planned, measured, poses = log.read()
+    result = SimulationResult(
+        scene, config, t, planned, measured, poses, built - begun, finished - built
+    )
+    if film is not None and recording is not None:
+        film.Save(recording, result)
+    return result
+
+
+class _Log:
+    """What planner and monitor say and where the object is, at ends of steps: about a period apart,
+    and of every step in which a finger is off the object."""
+
+    def __init__(self, station: Diagram, root: Context, parts: ScenePlant, period: float):
+        self._asked = []
+        for system, names in (("planner", PLANNED), ("monitor", MEASURED)):
+            asked = station.GetSubsystemByName(system)
+            context = asked.GetMyContextFromRoot(root)
+            self._asked += [partial(asked.Evaluate, context, name) for name in names]
+        physics = parts.plant.GetMyContextFromRoot(root)
+        self._pose = partial(parts.object_body.EvalPoseInWorld, physics)
+        ports = parts.plant.get_generalized_contact_forces_output_port
+        instances = [body.model_instance() for body in parts.finger_bodies]
+        self._pressing = [partial(ports(instance).Eval, physics) for instance in instances]
+        self._shape, self._period, self._next = (len(parts.finger_bodies), -1), period, 0.0
+        self._t: list[float] = []
+        self._rows: list[list[Array]] = []
+
+    def note(self, root: Context, last: bool = False) -> None:
+        t = root.get_time()
+        if (
+            t < self._next
+            and not (last and t > self._t[-1])
+            and all(force().any() for force in self._pressing)
+        ):
+            return
+        whole = math.floor(t / self._period + 0.5 * NEAR)
+        self._next = (whole + 1 - NEAR) * self._period
+        self._t.append(t)
+        self._rows.append([ask().copy() for ask in self._asked] + [self._pose().GetAsMatrix4()])
+
+    def read(self) -> tuple[Array, dict[str, Array], dict[str, Array], Array]:
+        """Times, planned and measured as in a SimulationResult, poses of the object."""
+        *columns, poses = map(np.array, zip(*self._rows))
+        every = [values.reshape(len(self._t), *self._shape) for values in columns]
+        planned, measured = dict(zip(PLANNED, every)), dict(zip(MEASURED, every[len(PLANNED) :]))
+        planned["contact_point"] = planned["contact_point"][:, :, 3:]
+        measured["normal_force"] = measured["normal_force"][:, :, 0]
+        return np.array(self._t), planned, measured, poses

@@ -1,0 +1,109 @@
+"""The film of a simulation in a real browser: a screenshot has all that must be in it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pydrake")
+pytest.importorskip("matplotlib")
+
+from matplotlib.image import imread
+
+import contact_system as cs
+from contact_system.plots import COLOURS, DISTURBED
+from drake_plant import StationConfig, simulate
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
+WIDTH, HEIGHT = 320, 280
+EARLY, WHILE, AFTER = 0.05, 0.25, 0.35  # a disturbance acts from 0.1 to 0.3 s
+BODIES = "drake/film/bodies"
+FINGERS = [f"{BODIES}/finger {k}/finger {k}" for k in (1, 2, 3)]
+THINGS = {
+    "curves on the object": [f"{BODIES}/object/object/curve {i}" for i in range(3)],
+    "curves on the fingers": [f"{finger}/curve" for finger in FINGERS],
+    "planned curves": [f"{BODIES}/object/object/planned {i}" for i in range(3)],
+    "contact points": [f"{BODIES}/object/object/point {i}" for i in range(3)],
+    "contact forces": ["drake/film/forces"],
+    "names": [f"{finger}/name" for finger in FINGERS],
+    "the disturbance": [f"{FINGERS[0]}/disturbed"],
+}
+SHOOT = """<script>
+setTimeout(() => {
+  const pictures = [];
+  const shoot = (time, hidden) => {
+    viewer.animator.pause();
+    viewer.animator.seek(time);
+    for (const path of hidden) viewer.set_property(path.split("/"), "visible", false);
+    pictures.push(`<img src="${viewer.capture_image(%d, %d)}">`);
+    for (const path of hidden) viewer.set_property(path.split("/"), "visible", true);
+  };
+  for (const [time, hidden] of %s) shoot(time, hidden);
+  document.body.innerHTML = pictures.join("");
+  document.body.style = "margin: 0; overflow: hidden; display: flex";
+}, 4000);
+</script></body>"""
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    """D1, its disturbance early."""
+    scene, path = cs.load_scene("D1"), tmp_path_factory.mktemp("film") / "film.html"
+    early = dataclasses.replace(scene.disturbances[0], start=0.1, stop=0.3)
+    scene = scene.replace(disturbances=[early], duration=0.4)
+    simulate(scene, StationConfig.from_scene(scene, contact_model="point"), recording=path)
+    return path
+
+
+def shots(film, wanted):
+    """Pictures (HEIGHT, WIDTH, 3) at times, with branches of the tree hidden, by the browser."""
+    page, picture = film.with_name("shoot.html"), film.with_suffix(".png")
+    script = SHOOT % (WIDTH, HEIGHT, json.dumps(wanted))
+    page.write_text(film.read_text().replace("</body>", script))
+    words = ["--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    words += ["--virtual-time-budget=20000", f"--window-size={WIDTH * len(wanted)},{HEIGHT}"]
+    command = [BROWSER, *words, f"--screenshot={picture}", page.as_uri()]
+    subprocess.run(command, check=True, capture_output=True, timeout=300)
+    return np.split(imread(picture)[..., :3], len(wanted), axis=1)
+
+
+def differ(picture, other):
+    """How many pixels differ."""
+    return np.count_nonzero(np.abs(picture - other).max(axis=-1) > 0.1)
+
+
+def coloured(picture, colour):
+    """How many pixels have a hue, however light or dark."""
+    wanted = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    tints, tint = (w - w.mean(axis=-1, keepdims=True) for w in (picture, wanted))
+    strength = np.linalg.norm(tints, axis=-1)
+    alike = tints @ tint > 0.95 * strength * np.linalg.norm(tint)
+    return np.count_nonzero(alike & (strength > 0.15))
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium to look with: apt-get install chromium")
+def test_a_picture_of_the_film_has_all_that_must_be_seen(film):
+    curves = THINGS["curves on the object"]
+    wanted = [(WHILE, []), *((WHILE, paths) for paths in THINGS.values())]
+    whole, *without, after, early, bare = shots(
+        film, [*wanted, (AFTER, []), (EARLY, []), (EARLY, curves)]
+    )
+    seen = {thing: differ(whole, other) for thing, other in zip(THINGS, without)}
+    assert min(seen.values()) > 30, seen
+    assert 0 < differ(early, bare) < 0.5 * seen["curves on the object"]  # they grow
+    for colour in COLOURS[:3]:
+        assert min(coloured(whole, colour), coloured(after, colour)) > 200, colour
+    assert coloured(whole, DISTURBED) > 1000 > 100 > coloured(after, DISTURBED)
+
+
+def test_the_page_tells_what_its_colours_mean(film):
+    text = film.read_text()
+    for words in ("finger 1: contact as measured", "planned", "contact point, force", "disturbed"):
+        assert words in text
+    assert "D1: Dynamic: three spheres" in text

@@ -1,0 +1,165 @@
+"""Geodesics between two points: they end there, they are the shortest, and what is refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from oracles.load import load, surface_of
+from scipy.special import ellipe
+
+import contact_system as cs
+
+ELLIPSOID, TORUS = cs.Ellipsoid(0.3, 0.2, 0.1), cs.Torus(0.3, 0.1)
+HILLS = cs.ParametricSurface(
+    ("u", "v", "h*sin(5*u)*cos(4*v)"), parameters={"h": 0.1}, size=0.2, u_range=(-1, 1)
+)
+UMBILIC, OPPOSITE = (0.0, math.pi / 2), (math.pi, -math.pi / 2)
+
+
+def pairs(surface: cs.Surface, n: int) -> np.ndarray:
+    """Random (u, v), shape (2, n, 2)."""
+    reach = (0.8, 0.8) if surface is HILLS else (math.pi, 1.5)
+    return np.random.default_rng(5).uniform(-1, 1, (2, n, 2)) * reach
+
+
+def off(surface: cs.Surface, line: cs.Geodesic, b: np.ndarray) -> float:
+    """How far from b a line ends, of the size."""
+    return np.linalg.norm(line.points(line.length) - b, axis=-1).max() / surface.size
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [ELLIPSOID, TORUS, HILLS, cs.Torus(0.3, 0.03), cs.Ellipsoid(1.0, 0.5, 0.15)],
+    ids=["ellipsoid", "torus", "chart", "slim torus", "flat ellipsoid"],
+)
+def test_random_pairs_are_met_and_both_ways_are_equally_long(surface):
+    a, b = pairs(surface, 20)
+    there, back = cs.geodesic(surface, a, b), cs.geodesic(surface, b, a)
+    # of the size, times what a length of many radii of curvature adds
+    assert there.length == pytest.approx(back.length, rel=1e-12, abs=1e-12 * surface.size)
+    for x, y, length in zip(a, b, there.length):
+        line = cs.geodesic(surface, x, y)
+        assert line.length == pytest.approx(length, rel=1e-12)
+        assert off(surface, line, surface.point(*y)) <= 1e-12
+
+
+@pytest.mark.parametrize("name, steps", [("ellipsoid", 2), ("torus", 1), ("spheroid", 8)])
+def test_lengths_agree_with_references_of_30_digits(name, steps):
+    given = load("geodesics")["geodesics"][name]
+    x, t = given["points"], given["times"]
+    line = cs.geodesic(surface_of(given["object"]), x[:-steps], x[steps:])
+    assert line.length == pytest.approx(t[steps:] - t[:-steps], rel=1e-12)
+
+
+@pytest.mark.parametrize("f", [1 / 298.257223563, 0.01, -0.01])
+def test_ellipsoids_of_revolution_agree_with_geographiclib(f):
+    geographiclib = pytest.importorskip("geographiclib.geodesic")
+    b, rng = 1 - f, np.random.default_rng(1)
+    lat, lon = np.arcsin(rng.uniform(-1, 1, (2, 200))), rng.uniform(-math.pi, math.pi, (2, 200))
+    lat[1, :20] = -lat[0, :20]  # nearly antipodes
+    lon[1, :20] = lon[0, :20] + math.pi * (1 - abs(f) * rng.uniform(0, 2, 20))
+    lat[0, 20:22], lat[1, 20:22] = 0.5 * math.pi, -0.5 * math.pi
+    beta = np.arctan(b * np.tan(lat))
+    points = [np.cos(beta) * np.cos(lon), np.cos(beta) * np.sin(lon), b * np.sin(beta)]
+    turned = np.stack(points if f > 0 else points[2:] + points[:2], axis=-1)
+    line = cs.geodesic(cs.Ellipsoid(*((1, 1, b) if f > 0 else (b, 1, 1))), *turned)
+    inverse = geographiclib.Geodesic(1.0, f).Inverse
+    degrees = np.degrees([lat[0], lon[0], lat[1], lon[1]]).T.tolist()
+    known = [inverse(*place, geographiclib.Geodesic.ALL) for place in degrees]
+    assert line.length == pytest.approx([w["s12"] for w in known], abs=1e-12)
+    for name in ("m12", "M12", "M21"):  # of two that are equally long it takes any one
+        given = np.array([w[name] for w in known])[22:]
+        assert getattr(line, name)[22:] == pytest.approx(given, abs=1e-11)
+
+
+def test_closed_forms():
+    a, b = pairs(ELLIPSOID, 30)
+    ball = cs.Sphere(0.1)
+    line = cs.geodesic(ball, *(np.abs(w) for w in (a, b)))
+    x, y = (ball.point(*np.abs(w).T) for w in (a, b))
+    angle = np.arctan2(np.linalg.norm(np.cross(x, y), axis=1), np.einsum("ij,ij->i", x, y))
+    assert line.length == pytest.approx(0.1 * angle, abs=1e-13)
+    assert line.m12 == pytest.approx(0.1 * np.sin(angle), abs=1e-13)
+    assert line.M12 == pytest.approx(np.cos(angle), abs=1e-12)
+    assert line.M21 == pytest.approx(np.cos(angle), abs=1e-12)
+    plane = cs.geodesic(cs.Plane(), a, b)
+    assert plane.length == pytest.approx(np.hypot(*(b - a).T), rel=1e-15)
+    assert plane.direction == pytest.approx(np.arctan2(*(b - a).T[::-1]), rel=1e-15)
+    ways = cs.geodesics(cs.Cylinder(0.1), (3.0, 0.0), (-3.0, 0.2), 3)
+    turns = 2 * math.pi - 6.0, -6.0, 4 * math.pi - 6.0
+    assert [w.length for w in ways] == pytest.approx([math.hypot(0.1 * t, 0.2) for t in turns])
+    assert [w.m12 for w in ways] == pytest.approx([w.length for w in ways])
+
+
+def test_poles_umbilics_and_antipodes():
+    line = cs.geodesic(ELLIPSOID, UMBILIC, OPPOSITE)
+    half = 0.6 * ellipe(1 - (0.1 / 0.3) ** 2)  # of the ellipse through all umbilics
+    assert line.length == pytest.approx(half, rel=1e-12)
+    assert math.isnan(line.direction) and abs(line.m12) <= 1e-12
+    ball = cs.Sphere(0.1)
+    line = cs.geodesic(ball, (0, 0, 0.1), (0, 0, -0.1))
+    assert line.length == pytest.approx(0.1 * math.pi, abs=1e-13)
+    assert off(ball, line, np.array([0, 0, -0.1])) <= 1e-12
+    assert abs(line.tangent @ line.tangent - 1) <= 1e-14
+    seam = cs.geodesic(ELLIPSOID, (1.0, math.pi / 2 - 0.1), (-1.0, math.pi / 2 - 0.1))
+    assert seam.length < 0.2
+    ways = cs.geodesics(TORUS, (0.0, 0.0), (math.pi, 0.0), 6)
+    assert len(ways) == 6 and all(x.length <= y.length + 1e-12 for x, y in zip(ways, ways[1:]))
+    for way in ways:
+        assert off(TORUS, way, TORUS.point(math.pi, 0.0)) <= 1e-12
+
+
+def test_a_leg_in_the_direction_of_a_geodesic_ends_where_it_does():
+    a, b = (1.0, 0.2), (2.0, 1.0)
+    line = cs.geodesic(ELLIPSOID, a, b)
+    leg = cs.Leg(-line.direction, line.length, 1.0)  # y axes of the bodies point opposite ways
+    contact = cs.Contact(cs.Sphere(0.04), object_at=a, finger_velocity=(1, 0), legs=[leg])
+    scene = cs.Scene(object=ELLIPSOID, contacts=[contact], duration=1.0, profile=cs.Profile([0.1]))
+    end = cs.plan(scene, 1e-14).points(1.0)[0, 0, 1]
+    assert end == pytest.approx(ELLIPSOID.point(*b), abs=1e-12 * ELLIPSOID.size)
+
+
+def test_shapes():
+    a, b = np.array([[[1.0, 0.2]], [[0.5, 0.3]]]), np.array([(2.0, 1.0), (1.5, 0.9), (2.5, 0.1)])
+    lines = cs.geodesic(ELLIPSOID, a, b)
+    assert lines.length.shape == lines.direction.shape == lines.m12.shape == (2, 3)
+    assert lines.tangent.shape == (2, 3, 3)
+    points = lines.points([[0.0, 0.1]])
+    assert points.shape == (1, 2, 2, 3, 3)
+    assert points[0, 0, 1, 2] == pytest.approx(ELLIPSOID.point(0.5, 0.3), abs=1e-15)
+    assert cs.geodesic(ELLIPSOID, a[0, 0], b[0]).points(0.1) == pytest.approx(points[0, 1, 0, 0])
+
+
+BALL = cs.ParametricSurface(("sin(u)*cos(v)", "sin(u)*sin(v)", "cos(u)"), v_period=2 * math.pi)
+SHEETS = cs.Quadric(np.diag([1.0, -1.0, -1.0]))
+
+
+@pytest.mark.parametrize(
+    "surface, a, b, says",
+    [
+        (ELLIPSOID, (1.0, 0.3), (1.0, 0.3), "the same point"),
+        (ELLIPSOID, (math.nan, 0.3), (1.0, 0.3), "a = .* finite"),
+        (ELLIPSOID, (1.0, 0.3), (0.2, 0.2, 0.2), "b = .* is not on the surface"),
+        (ELLIPSOID, "ab", (1.0, 0.3), "a = 'ab'"),
+        (ELLIPSOID, np.ones((2, 2)), np.zeros((3, 2)), r"shapes \(2,\) and \(3,\)"),
+        (3, (1.0, 0.3), (1.0, 0.3), "give a Surface"),
+        (SHEETS, (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), "no geodesic of less than"),
+        (BALL, (0.0, 0.0), (1.0, 0.0), "no frame at a or b"),
+    ],
+)
+def test_refusals(surface, a, b, says):
+    with pytest.raises(cs.SurfaceError, match=says):
+        cs.geodesic(surface, a, b)
+
+
+def test_refusals_of_what_else_is_asked():
+    with pytest.raises(cs.SurfaceError, match="most = 0"):
+        cs.geodesics(ELLIPSOID, (1, 1), (2, 1), 0)
+    with pytest.raises(cs.SurfaceError, match="one pair"):
+        cs.geodesics(ELLIPSOID, [(1, 1), (1, 2)], (2, 1), 2)
+    with pytest.raises(cs.SurfaceError, match="lengths in m"):
+        cs.geodesic(ELLIPSOID, (1, 1), (2, 1)).points("far")
+    with pytest.raises(cs.SurfaceError, match="leads over a point"):
+        cs.geodesic(BALL, (0.3, 0.0), (0.4, math.pi)).points(0.7)
