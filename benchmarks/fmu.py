@@ -12,6 +12,7 @@ import itertools
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
@@ -117,6 +118,30 @@ def model_exchange(full: bool) -> Iterator[Bar]:
         worst = {name: simulated(name, version, **given) for name in KINEMATIC}
         what = f"FMI {version}, Model Exchange, CVode at the file's tolerance: off plan()"
         yield Bar(what, 1e-7, max(worst.values()), detail=worst)
+
+
+def reach(full: bool) -> Iterator[Bar]:
+    """A finger that `reach` steers to goals on an ellipsoid: where its FMU is at the end."""
+    rng, r1 = np.random.default_rng(3), scene_of("R1")
+    contact = replace(r1.contacts[0], legs=(), object_velocity=(0.3, -0.4))
+    start = r1.replace(contacts=[contact], profile=cs.Profile([0.1]))
+    goals = [
+        {"object_at": tuple(rng.uniform((0.3, -1.4), (2.8, 1.4))), "finger_at": tuple(at)}
+        for at in rng.uniform((0.3, -1.4), (2.8, 1.4), (20 if full else 3, 2))
+    ]
+    scenes = [cs.reach(start, cs.Goal(**goal, angle=1.0)).scene for goal in goals]
+    for version in VERSIONS:
+        off = 0.0
+        for scene, goal in zip(scenes, goals):
+            block = Instance(scene, "FMU", version).begin()
+            block.step(scene.duration)
+            found = outputs(block)
+            for side, surface in (("finger", contact.finger), ("object", scene.object)):
+                wanted = surface.point(*goal[f"{side}_at"])
+                away = np.linalg.norm(found[f"{side}.point"].ravel() - wanted)
+                off = max(off, float(away) / surface.size)
+        what = f"FMI {version}, {len(goals)} goals of reach: distance at the end, sizes"
+        yield Bar(what, 1e-12, off)
 
 
 def euler(full: bool) -> Iterator[Bar]:
@@ -411,6 +436,7 @@ def fuzz(full: bool) -> Iterator[Bar]:
 SECTIONS: Sections = {
     "cosimulation": cosimulation,
     "model_exchange": model_exchange,
+    "reach": reach,
     "euler": euler,
     "resynchronizing": resynchronizing,
     "importers": other_importers,

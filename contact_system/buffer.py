@@ -6,7 +6,6 @@ checked when the library is loaded.
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Sequence
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 from . import limits
 from .engine.binding import LAYOUT
 from .scene import Disturbance, Leg, Scene, Stretch, refuse_rest
+from .scene.legs import turns
 from .starts import Moment, Starts
 from .surfaces import Surface
 from .theory.gain import LAWS
@@ -78,12 +78,10 @@ class Buffer:
 
     def _way(self, way: Sequence[Stretch]) -> tuple[int, int]:
         """Add legs; returns where they stand, and how many."""
-        numbers, direction = [], way[0].direction
-        for start, _, along, profile in way:
+        numbers = []
+        for (start, _, _, profile), turn in zip(way, turns(way)):
             at = self._put(profile.coefficients)
-            numbers += [start, at, len(profile.coefficients)]
-            numbers += [math.cos(along - direction), math.sin(along - direction)]
-            direction = along
+            numbers += [start, at, len(profile.coefficients), *turn]
         return self._put(numbers), len(way)
 
     def _rows(self, scene: Scene, begin: float, starts: Starts | None) -> list[bytes]:

@@ -8,19 +8,22 @@ t      time, s
 x      continuous states, contact by contact
 w      disturbances acting now, 6 a contact: accelerations of finger and object (chart components),
        object rate offset; empty where the scene has no windows and no input asks for them
-held   numbers that only a restart changes, 5 a contact: W_1, V and the time at which V held;
-       contacts that are accelerated have none, nor has any in chart coordinates
+held   numbers that only restarts and corners change, 5 a contact: W_1, V and the time at which V
+       held, from where its leg begins; contacts that are accelerated have none, nor has any in
+       chart coordinates. Contacts with legs have those of the present one besides: when it began,
+       and the coefficients of its profile
 p      parameters: gain, profile coefficients, the surfaces' numbers and sizes
 ====== =========================================================================================
 
 Two choices of coordinates describe the same motion:
 
 * "chart", the paper's equations (theory section 2): u1 v1 u1' v1' u2 v2 u2' v2' psi a contact;
-  singular at poles and where sigma = 0, stiff in lam;
+  singular at poles and where sigma = 0, as at corners; stiff in lam;
 * "frame", moving frames (theory sections 4, 5): a point and a tangent (x, p) in space, or
   (u, v, theta) where a surface has only a chart or its chart decides the sign of a disturbance.
   Slip costs no state, V e^{-L} being in closed form. Only a contact that is accelerated carries
-  W_1 and V, and with V the rate lam. Frames are chosen so that psi = -theta_1 - theta_2: the map
+  W_1 and V, and with V the rate lam; so does one with legs under a law that makes up for growth,
+  where corners take its slip away. Frames are chosen so that psi = -theta_1 - theta_2: the map
   between them is diag(1, -1).
 
 The equations themselves stand in `theory`; here they are put together. CasADi is loaded when the
@@ -30,313 +33,28 @@ first system is made.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import did_you_mean, flag, real_array
+from .contact_equations import PER_CONTACT, Form, contact_function, start_function
 from .errors import SceneError
 from .kept import kept
-from .scene import SLOTS, Disturbance, Scene, acting, refuse_rest, require_scene
+from .scene import SLOTS, Disturbance, Scene, Stretch, acting, refuse_rest, require_scene
+from .scene.legs import turns
 from .starts import Start, measured_start, scene_start
-from .surfaces import TINY, TURN, Ellipsoid, Surface, UserSurface
+from .surfaces import TINY, Ellipsoid, Surface, UserSurface
 from .theory import symbols as ca
-from .theory.development import InChart, InSpace, in_space, moving
-from .theory.equations import (
-    chart_equations,
-    pushed_paths,
-    reflection,
-    relative_pose,
-    relative_twist,
-    relative_velocity,
-    starting_slip,
-)
-from .theory.gain import LAWS
-from .theory.geometry import rotation
-from .theory.profile import integral, polynomial, product
-from .theory.symbols import making_symbols, per_structure
+from .theory.development import in_space
+from .theory.profile import polynomial
+from .theory.symbols import making_symbols
 
 Array = np.ndarray
 
 COORDINATES = ("chart", "frame")
 INPUTS = ("t", "x", "w", "held", "p")
-PER_CONTACT = (
-    "state",
-    "slip",
-    "twist",
-    "acceleration",
-    "pose",
-    "contact_point",
-    "normal",
-    "normal_rate",
-    "regularity",
-)
-"""Outputs of :meth:`SceneSystem.function` that every contact has."""
-
-
-class Form(NamedTuple):
-    """How the motion of one contact is written; with the surfaces' structures it names a function.
-
-    ambient: whether finger and object are moved in space. growths: where sigma grows, for the laws
-    that make up for it.
-    """
-
-    coordinates: str
-    forced: bool
-    ambient: tuple[bool, bool]
-    law: str
-    n_profile: int
-    growths: tuple[tuple[float, float], ...]
-
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """Numbers of states, of finger and object first."""
-        if self.coordinates == "chart":
-            return 4, 4, 1
-        finger, obj = ((InSpace if ambient else InChart).size for ambient in self.ambient)
-        return (finger, obj, 2, 2) if self.forced else (finger, obj)
-
-    @property
-    def n_held(self) -> int:
-        return 0 if self.coordinates == "chart" or self.forced else 5
-
-
-# --- one contact ---------------------------------------------------------------------------------
-
-
-class Body(NamedTuple):
-    """One side of a contact: numbers (sign and parameters), size and place are symbols."""
-
-    surface: Surface
-    ambient: bool
-    numbers: ca.SX
-    size: ca.SX
-    place: ca.SX  # of its moving frame
-
-    def at(self, *place: ca.SX | float) -> Body:
-        return self._replace(place=ca.vertcat(*place))
-
-    def find(self, name: str, *drive: ca.SX | float) -> ca.SX:
-        """What a function of the moving frame gives (`theory.development`)."""
-        function = moving(self.surface, self.ambient)(name)
-        return function(ca.vertcat(self.place, *drive), self.numbers)
-
-    def frame(self) -> ca.SX:
-        """x, p, q, (9)."""
-        if self.ambient:
-            return ca.vertcat(self.place, self.find("second"))
-        return self.find("frame")
-
-    def regularity(self) -> ca.SX:
-        """The lesser Lame coefficient over the size: 0 where the chart is singular.
-
-        Negative where f_u x f_v points into the body (beyond a sphere's pole); 1 for charts that
-        are regular everywhere.
-        """
-        surface = self.surface
-        if self.ambient or not (surface.chart.singular_at or isinstance(surface, UserSurface)):
-            return ca.SX(1)
-        least = self.find("lame")[2] / self.size
-        if not surface.has_implicit:
-            return least
-        x, p, q = ca.vertsplit(self.frame(), 3)
-        outward = moving(surface, True)("second")(ca.vertcat(x, p), self.numbers)
-        return ca.copysign(least, ca.dot(outward, q))
-
-
-class Drive(NamedTuple):
-    sigma: ca.SX
-    slope: ca.SX  # sigma'
-    lam: ca.SX
-
-
-class ContactMotion(NamedTuple):
-    """What every output of a contact is read off; (p_i, q_i) are the bodies' moving frames."""
-
-    rate: ca.SX  # x'
-    state: ca.SX  # u1 v1 u1' v1' u2 v2 u2' v2' psi
-    bodies: tuple[Body, Body]
-    velocities: tuple[ca.SX, ca.SX]  # of the contact point along (p_i, q_i)
-    turn: ca.SX  # (2, 2), takes components along (p_1, q_1) to (p_2, q_2)
-    sliding: ca.SX  # slip along (p_2, q_2)
-    theta: ca.SX  # the angle of (p_2, q_2) in E2
-
-
-def flip() -> ca.SX:
-    """R_0 between the moving frames of finger and object."""
-    return reflection(ca.SX(1), ca.SX(0))
-
-
-def _decay(form: Form, value: ca.SX, profile: list[ca.SX], since: ca.SX, t: ca.SX) -> ca.SX:
-    """exp(-(L(t) - L(since))), as `Gain.exponent` gives L."""
-    powers: Sequence[ca.SX] = [ca.SX(1)]
-    for _ in range(LAWS[form.law].power):
-        powers = product(powers, profile)
-    lost = integral(powers)
-    decay = ca.exp(-value * (polynomial(lost, t) - polynomial(lost, since)))
-    for start, stop in form.growths:
-        first, last = (
-            ca.fmax(polynomial(profile, ca.fmin(ca.fmax(time, start), stop)), TINY)
-            for time in (since, t)
-        )
-        decay *= first / last
-    return decay
-
-
-def _bodies(finger: Surface, obj: Surface, form: Form) -> tuple[Body, Body, list[ca.SX]]:
-    """Finger and object, and the symbols of their numbers, each followed by the body's size."""
-    symbols = [ca.SX.sym(name, len(s.parameters) + 1) for name, s in (("p1", finger), ("p2", obj))]
-    tip, body = (
-        Body(s, ambient, ca.vertcat(s.sign, p)[:-1], p[-1], ca.SX())
-        for s, ambient, p in zip((finger, obj), form.ambient, symbols)
-    )
-    return tip, body, symbols
-
-
-def _chart_motion(tip: Body, body: Body, x: ca.SX, w: ca.SX, drive: Drive) -> ContactMotion:
-    """In the contact frames themselves: theta = 0."""
-    q1, rate_1, q2, rate_2, psi = ca.vertsplit(x, [0, 2, 4, 6, 8, 9])
-    tip, body, moved = tip.at(q1, 0), body.at(q2, 0), rate_2 + w[4:6]
-    equations = chart_equations(tip.surface, body.surface)
-    point = ca.vertcat(x, drive.slope / drive.sigma, drive.lam, w)
-    velocities = tip.find("vector", rate_1), body.find("vector", moved)
-    turn = reflection(ca.cos(psi), ca.sin(psi))
-    return ContactMotion(
-        rate=equations(point, ca.vertcat(tip.numbers, body.numbers)),
-        state=ca.vertcat(x[:6], moved, psi),
-        bodies=(tip, body),
-        velocities=velocities,
-        turn=turn,
-        sliding=relative_velocity(turn, *velocities),
-        theta=ca.SX(0),
-    )
-
-
-def _frame_motion(
-    tip: Body, body: Body, form: Form, x: ca.SX, w: ca.SX, drive: Drive, held: ca.SX
-) -> ContactMotion:
-    """In frames carried along by parallel transport; held: W_1 and V."""
-    w1, v = ca.vertsplit(held, 2)
-    own = ca.vertsplit(x, np.cumsum([0, *form.sizes]).tolist())
-    # in space, the state on the surface again
-    tip, body = (
-        b.at(b.at(f).find("restore") if b.ambient else f) for b, f in zip((tip, body), own)
-    )
-    offset = body.find("vector", w[4:6])
-    velocities = drive.sigma * w1, drive.sigma * (flip() @ w1 - v) + offset
-    rates = []
-    for b, f, velocity in zip((tip, body), own, velocities):
-        rates.append(b.find("motion", velocity))
-        if b.ambient:  # drift off the surface dies out along a path of the body's size
-            rates[-1] += drive.sigma / b.size * (b.place - f)
-    if form.forced:
-        pushed = tip.find("vector", w[:2]), body.find("vector", w[2:4])
-        w1_rate, v_rate = pushed_paths(ca.fmax(drive.sigma, TINY), flip(), *pushed)
-        rates += [w1_rate, v_rate - drive.lam * v]
-    first, second = (b.find("coordinates", c) for b, c in zip((tip, body), velocities))
-    psi = -first[4] - second[4]
-    psi -= TURN * ca.floor((psi + math.pi) / TURN)
-    return ContactMotion(
-        rate=ca.vertcat(*rates),
-        state=ca.vertcat(first[:4], second[:4], psi),
-        bodies=(tip, body),
-        velocities=velocities,
-        turn=flip(),
-        sliding=drive.sigma * v - offset,
-        theta=second[4],
-    )
-
-
-@per_structure
-def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
-    """Derivatives, then the outputs of `PER_CONTACT`, of one contact.
-
-    Inputs: t, x, w (6), held, law (gain, profile coefficients), numbers and size of the finger and
-    of the object. The twist's rate follows by the chain rule along the motion.
-    """
-    tip, body, numbers = _bodies(finger, obj, form)
-    t, x, w = ca.SX.sym("t"), ca.SX.sym("x", sum(form.sizes)), ca.SX.sym("w", 6)
-    held, law = ca.SX.sym("held", form.n_held), ca.SX.sym("law", 1 + form.n_profile)
-    profile = ca.vertsplit(law[1:])
-    sigma = polynomial(profile, t)
-    slope = ca.gradient(sigma, t)
-    growth = ca.fmax(0, slope / ca.fmax(sigma, TINY))
-    drive = Drive(sigma, slope, LAWS[form.law].rate(law[0], sigma, growth))
-    if form.coordinates == "chart":
-        motion = _chart_motion(tip, body, x, w, drive)
-    elif form.forced:
-        motion = _frame_motion(tip, body, form, x, w, drive, x[-4:])
-    else:
-        v = held[2:4] * _decay(form, law[0], profile, held[4], t)
-        motion = _frame_motion(tip, body, form, x, w, drive, ca.vertcat(held[:2], v))
-    rate, state, (tip, body), velocities, turn, sliding, theta = motion
-    frames, shapes = (tip.frame(), body.frame()), (tip.find("shape"), body.find("shape"))
-
-    def derivative(value: ca.SX) -> ca.SX:  # disturbances do not change between edges
-        return ca.jtimes(value, x, rate) + ca.jtimes(value, t, ca.SX(1))
-
-    twist = ca.vertcat(*relative_twist(frames, shapes, velocities, turn, sliding))
-    (x1, _), (x2, tangents) = (ca.vertsplit(frame, [0, 3, 9]) for frame in frames)
-    normal = ca.cross(tangents[:3], tangents[3:])
-    outputs = {
-        "derivatives": rate,
-        "state": state,
-        "slip": rotation(theta) @ sliding,
-        "twist": twist,
-        "acceleration": derivative(twist),
-        "pose": ca.vertcat(*map(ca.vec, relative_pose(*frames, turn))),
-        "contact_point": ca.vertcat(x1, x2),
-        "normal": normal,
-        "normal_rate": derivative(normal),
-        "regularity": ca.vertcat(tip.regularity(), body.regularity()),
-    }
-    inputs = [t, x, w, held, law, *numbers]
-    values = ca.cse([outputs[name] for name in ("derivatives", *PER_CONTACT)])
-    return ca.Function("contact", inputs, [ca.densify(value) for value in values])
-
-
-@per_structure
-def start_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
-    """States and held numbers of one contact from where it starts.
-
-    Inputs: t; the finger's place, the object's place, psi, W_1 in E1, the object's path velocity
-    in E2; law; numbers and size of the finger and of the object. A place is (u, v), or where there
-    is no chart the point and the contact frame's first axis (6).
-    """
-    tip, body, numbers = _bodies(finger, obj, form)
-    t, law = ca.SX.sym("t"), ca.SX.sym("law", 1 + form.n_profile)
-    at = [ca.SX.sym("at", 2 if s.has_chart else 6) for s in (finger, obj)]
-    psi, w1, y = ca.SX.sym("psi"), ca.SX.sym("W1", 2), ca.SX.sym("Y", 2)
-    sigma = polynomial(ca.vertsplit(law[1:]), t)
-    if form.coordinates == "chart":
-        first = tip.at(at[0], 0).find("coordinates", sigma * w1)
-        second = body.at(at[1], 0).find("coordinates", sigma * y)
-        x, held = ca.vertcat(first[:4], second[:4], psi), ca.SX(0, 1)
-    else:
-        frames = ca.vertcat(_first_frame(tip, at[0], -psi), _first_frame(body, at[1], ca.SX(0)))
-        w1_parallel = rotation(psi) @ w1
-        v = starting_slip(w1_parallel, flip() @ w1_parallel, y)
-        if LAWS[form.law].makes_up:  # which lets no slip leave a rest
-            v = ca.if_else(sigma > 0, v, 0)
-        x, held = frames, ca.vertcat(w1_parallel, v, t)
-        if form.forced:
-            x, held = ca.vertcat(frames, w1_parallel, v), ca.SX(0, 1)
-    inputs = [t, ca.vertcat(*at, psi, w1, y), law, *numbers]
-    return ca.Function("start", inputs, [ca.densify(x), ca.densify(held)])
-
-
-def _first_frame(body: Body, place: ca.SX, theta: ca.SX) -> ca.SX:
-    """The state of a moving frame at a place, turned by theta from the contact frame."""
-    if body.surface.has_chart:
-        return body.at(place, theta).find("start") if body.ambient else ca.vertcat(place, theta)
-    x, first = ca.vertsplit(place, 3)
-    return ca.vertcat(x, ca.cos(theta) * first + ca.sin(theta) * body.at(place).find("second"))
-
-
-# --- the scene -----------------------------------------------------------------------------------
 
 
 class SceneSystem:
@@ -345,8 +63,9 @@ class SceneSystem:
     Parameters
     ----------
     scene : Scene
-    coordinates : "chart" or "frame"
-        ``help(contact_system.system)`` explains both, and t, x, w, held and p.
+    coordinates : "chart" or "frame", optional
+        ``help(contact_system.system)`` explains both, and t, x, w, held and p. By default charts,
+        or frames where the scene has legs, sigma = 0 or a surface without a chart.
     disturbance_input : bool
         Whether w may hold more than the scene's windows, on every contact.
 
@@ -359,30 +78,43 @@ class SceneSystem:
     n_w : int
         6 a contact, or 0 where w is empty.
     edges : tuple of float
-        Times at which :meth:`window_values` changes, ascending, s.
+        Times at which :meth:`window_values` changes or a leg begins, ascending, s.
+    corners : frozenset of float
+        Those of legs: there :meth:`turned` says how to go on.
     state_slices, held_slices : list of slice
         The parts of x and held that belong to each contact.
 
     Raises
     ------
     SceneError
-        A scene that cannot be written in these coordinates: sigma = 0 (chart), no explicit chart
+        A scene that cannot be written in these coordinates: legs, sigma = 0 or no explicit chart
         (chart), sigma = 0 while a contact is accelerated.
     """
 
-    def __init__(self, scene: Scene, coordinates: str = "chart", disturbance_input: bool = False):
+    def __init__(
+        self, scene: Scene, coordinates: str | None = None, disturbance_input: bool = False
+    ):
+        require_scene(scene)
+        if coordinates is None:
+            coordinates = "frame" if _without_chart(scene) else "chart"
         if not isinstance(coordinates, str) or coordinates not in COORDINATES:
             raise SceneError(f"coordinates = {coordinates!r}: use one of {', '.join(COORDINATES)}")
-        require_scene(scene)
         self.scene, self.coordinates = scene, coordinates
         self.disturbance_input = flag(disturbance_input, "disturbance_input")
         self._refuse()
         n = len(scene.contacts)
         self.n_w = 6 * n if scene.disturbances or disturbance_input else 0
-        self.edges = scene.window_edges
+        self._ways = [
+            c.whole_way(scene.profile, scene.duration) if c.legs else () for c in scene.contacts
+        ]
+        self.corners = frozenset(stretch.start for way in self._ways for stretch in way[1:])
+        self.edges = tuple(sorted({*scene.window_edges, *self.corners}))
         self.forms = self._forms()
         self.state_slices = _consecutive(sum(form.sizes) for form in self.forms)
-        self.held_slices = _consecutive(form.n_held for form in self.forms)
+        self.held_slices = _consecutive(
+            form.n_held + bool(way) * (1 + form.n_profile)
+            for form, way in zip(self.forms, self._ways)
+        )
         bodies = [scene.object, *(contact.finger for contact in scene.contacts)]
         law = (scene.gain.value, *scene.profile.coefficients)
         self._number_slices = _consecutive([len(law), *(len(b.parameters) + 1 for b in bodies)])
@@ -397,25 +129,9 @@ class SceneSystem:
     def _refuse(self) -> None:
         """Raise what the class says of scenes that cannot be written."""
         scene = self.scene
-        for i, contact in enumerate(scene.contacts):
-            if contact.legs:
-                raise SceneError(
-                    f"{scene.title}, contact {i}: legs = {len(contact.legs)}: the equations of a "
-                    "system turn no corners; ask plan(), which does, or leave the legs out"
-                )
-        zeros = scene.profile.zeros(scene.duration)
-        if self.coordinates == "chart" and zeros:
-            raise SceneError(
-                f"{scene.title}: the chart equations divide by sigma, which is zero at "
-                f't = {zeros[0]:g} s; use coordinates="frame", which start and rest at zero'
-            )
-        for i, contact in enumerate(scene.contacts):
-            for surface in (contact.finger, scene.object):
-                if self.coordinates == "chart" and not surface.has_chart:
-                    raise SceneError(
-                        f"{scene.title}, contact {i}: {surface!r} has no explicit "
-                        'chart for the chart equations; use coordinates="frame"'
-                    )
+        reason = _without_chart(scene) if self.coordinates == "chart" else ""
+        if reason:
+            raise SceneError(f'{scene.title}{reason}; use coordinates="frame"')
         for d in scene.disturbances:
             if d.accelerates:
                 refuse_rest(scene, int(d.contact), d.start, d.stop)
@@ -423,17 +139,21 @@ class SceneSystem:
     def _forms(self) -> list[Form]:
         scene, chart = self.scene, self.coordinates == "chart"
         growths: tuple[tuple[float, float], ...] = ()
-        if scene.gain.row.makes_up:  # for growth far beyond the horizon too
+        law, makes_up = scene.gain.law, scene.gain.row.makes_up
+        if makes_up:  # for growth far beyond the horizon too
             growths = tuple(scene.profile.growths(0.0, 1e3 * scene.duration))
-        law, n_profile = scene.gain.law, len(scene.profile.coefficients)
         forms = []
         for i, contact in enumerate(scene.contacts):
             slots = {d.slot for d in scene.disturbances if d.contact == i}
             d1, d2, offset = (self.disturbance_input or slot in slots for slot in range(len(SLOTS)))
             tip = not chart and in_space(contact.finger, d1)
             body = not chart and in_space(scene.object, d2 or offset)
-            forced = not chart and (d1 or d2)
-            forms.append(Form(self.coordinates, forced, (tip, body), law, n_profile, growths))
+            way = self._ways[i]
+            forced = not chart and (d1 or d2 or (makes_up and bool(way)))
+            profiles = [stretch.profile for stretch in way] or [scene.profile]
+            n_profile = max(len(profile.coefficients) for profile in profiles)
+            grown = () if way else growths
+            forms.append(Form(self.coordinates, forced, (tip, body), law, n_profile, grown))
         return forms
 
     @kept
@@ -462,23 +182,27 @@ class SceneSystem:
         law, obj, *fingers = (p[s] for s in self._number_slices)
         scene, names = self.scene, ("derivatives", *PER_CONTACT)
         found: dict[str, list[ca.SX]] = {name: [] for name in names}
+        signs = []
         for i, (contact, form) in enumerate(zip(scene.contacts, self.forms)):
             own = [d for d in scene.disturbances if d.contact == i]
             acts = w[6 * i : 6 * i + 6] if self.disturbance_input or own else ca.SX.zeros(6)
             function = contact_function(contact.finger, scene.object, form)
-            carried = x[self.state_slices[i]], acts, held[self.held_slices[i]]
-            values = dict(zip(names, function(t, *carried, law, fingers[i], obj)))
+            own_t, own_held, own_law = t, held[self.held_slices[i]], law
+            if contact.legs:
+                own_held, began, profile = ca.vertsplit(
+                    own_held, [0, form.n_held, form.n_held + 1, own_held.numel()]
+                )
+                own_t, own_law = t - began, ca.vertcat(law[0], profile)
+            carried = x[self.state_slices[i]], acts, own_held
+            values = dict(zip(names, function(own_t, *carried, own_law, fingers[i], obj)))
             for name in names:
                 found[name].append(values[name])
+            signs.append(_sign(ca.vertsplit(own_law[1:]), own_t))
         outputs = {name: ca.vertcat(*values) for name, values in found.items()}
-        outputs["guard"] = self._guard(outputs["derivatives"], t, ca.vertsplit(law[1:]))
+        rate = outputs["derivatives"]  # added, as a least number would hide NaN
+        outputs["guard"] = ca.mmin(ca.vertcat(*signs)) - TINY * ca.sumsqr(rate)
         outputs["clearance"] = ca.mmin(outputs["regularity"])
         return outputs
-
-    def _guard(self, rate: ca.SX, t: ca.SX, profile: list[ca.SX]) -> ca.SX:
-        """1; -1 where sigma < 0; -inf or NaN where a derivative is not finite."""
-        rounding = 1e-14 * polynomial([ca.fabs(c) for c in profile], ca.fabs(t))
-        return ca.copysign(1, polynomial(profile, t) + rounding) - TINY * ca.sumsqr(rate)
 
     def function(self, *outputs: str) -> ca.Function:
         """The CasADi function (t, x, w, held, p) -> outputs, one vector each.
@@ -493,8 +217,8 @@ class SceneSystem:
             "twist" (6), V_OF_O; "acceleration" (6), its time derivative; "pose" (12), the rotation
             from F to O column by column, then the origin of F in O; "contact_point" (6), on the
             finger in F, on the object in O; "normal" (3), of the object, outward, in O, and its
-            time derivative "normal_rate" (3); "regularity" (2), distance of finger and object from
-            their charts' singularities.
+            time derivative "normal_rate" (3); "carried" (4), W_1 and V, of frames alone;
+            "regularity" (2), distance of finger and object from their charts' singularities.
 
         Raises
         ------
@@ -579,18 +303,63 @@ class SceneSystem:
         """States and held numbers of contacts that start at time t: (n_x,), (n_held,)."""
         obj = self.scene.object
         law, obj_numbers, *numbers = (self.parameters[s] for s in self._number_slices)
-        parts = []
-        for contact, form, start, own in zip(self.scene.contacts, self.forms, starts, numbers):
+        x, held = [], []
+        for i, (contact, form, start) in enumerate(zip(self.scene.contacts, self.forms, starts)):
             at = [_place(contact.finger, start.finger_at), _place(obj, start.object_at)]
             given = np.hstack([*at, start.angle, start.finger_velocity, start.object_velocity])
+            leg, own_law, began = self.leg_numbers(i, t), law, 0.0
+            if len(leg):
+                began, own_law = leg[0], np.array([law[0], *leg[1:]])
             function = start_function(contact.finger, obj, form)
-            values = function(t, given, law, own, obj_numbers)
-            parts.append([value.full().ravel() for value in values])
-        x, held = zip(*parts)
+            values = function(t - began, given, own_law, numbers[i], obj_numbers)
+            own_x, own_held = (value.full().ravel() for value in values)
+            x.append(own_x)
+            held += [own_held, leg]
         return np.concatenate(x), np.concatenate(held)
 
+    def leg_numbers(self, contact: int, t: float) -> Array:
+        """What is held of the leg that a contact is on from time t on: its start, its profile."""
+        way = [stretch for stretch in self._ways[contact] if stretch.start <= t]
+        return self._held_of(contact, way[-1]) if way else np.zeros(0)
+
+    def _held_of(self, contact: int, stretch: Stretch) -> Array:
+        c = stretch.profile.coefficients
+        return np.array([stretch.start, *c, *[0.0] * (self.forms[contact].n_profile - len(c))])
+
+    def turned(self, t: float, x: Array, held: Array, carried: Array) -> tuple[Array, Array]:
+        """States and held numbers behind the corners at time t: (n_x,), (n_held,).
+
+        Parameters
+        ----------
+        t : float
+            One of `corners`. Contacts that have passed it already are left.
+        x, held : (n_x,), (n_held,)
+            Those on the legs that end there; of numbers of any kind, such as AutoDiffXd.
+        carried : (4 n_contacts,)
+            The output of that name there.
+        """
+        x, held = np.array(x), np.array(held)
+        for i, (way, form) in enumerate(zip(self._ways, self.forms)):
+            for now, (c, s) in zip(way[1:], turns(way)[1:] if way else ()):
+                part = self.held_slices[i]
+                if now.start != t or held[part][form.n_held] == t:
+                    continue
+                w, u, *v = carried[4 * i : 4 * i + 4]
+                if self.scene.gain.row.makes_up and not now.profile.coefficients[0]:
+                    v = [0.0, 0.0]  # no slip leaves a rest
+                own = [c * w - s * u, s * w + c * u, *v]
+                if form.forced:
+                    x[self.state_slices[i]][-4:] = own
+                since = [] if form.forced else [*own, 0.0]
+                held[part] = [*since, *self._held_of(i, now)]
+        return x, held
+
     def from_states(
-        self, t: float, state: ArrayLike, w: ArrayLike | None = None
+        self,
+        t: float,
+        state: ArrayLike,
+        w: ArrayLike | None = None,
+        chosen: Sequence[bool] | None = None,
     ) -> tuple[Array, Array]:
         """States and held numbers from measured chart states: (n_x,), (n_held,).
 
@@ -602,6 +371,8 @@ class SceneSystem:
             u1 v1 u1' v1' u2 v2 u2' v2' psi, object rate offsets included in u2' v2'.
         w : (n_w,), optional
             The disturbances that act; by default the scene's windows.
+        chosen : (n_contacts,), optional
+            Which contacts are measured, by default all; the others stand where the scene starts.
 
         Raises
         ------
@@ -615,9 +386,39 @@ class SceneSystem:
         t = float(self._numbers("t", t))
         w = self._numbers("w", self.window_values(t) if w is None else w, self.n_w)
         offsets = w.reshape(-1, 6)[:, 4:] if self.n_w else np.zeros((n, 2))
-        measured = zip(rows.reshape(n, 9), offsets)
-        starts = [measured_start(self.scene, i, t, *given) for i, given in enumerate(measured)]
+        starts = [
+            measured_start(self.scene, i, t, row, offset)
+            if chosen is None or chosen[i]
+            else scene_start(self.scene.contacts[i])
+            for i, (row, offset) in enumerate(zip(rows.reshape(n, 9), offsets))
+        ]
         return self.place(t, starts)
+
+
+def _without_chart(scene: Scene) -> str:
+    """Why a scene cannot be written in charts, behind its title; nothing where it can."""
+    for i, contact in enumerate(scene.contacts):
+        if contact.legs:
+            return (
+                f", contact {i}: legs = {len(contact.legs)}: the chart equations tell a path's "
+                "direction by its speed, which is zero at a corner"
+            )
+        for surface in (contact.finger, scene.object):
+            if not surface.has_chart:
+                return f", contact {i}: {surface!r} has no explicit chart for the chart equations"
+    zeros = scene.profile.zeros(scene.duration)
+    if zeros:
+        return (
+            f": the chart equations divide by sigma, which is zero at t = {zeros[0]:g} s, and "
+            "frames start and rest at zero"
+        )
+    return ""
+
+
+def _sign(profile: list[ca.SX], t: ca.SX) -> ca.SX:
+    """1, or -1 where sigma < 0."""
+    rounding = 1e-14 * polynomial([ca.fabs(c) for c in profile], ca.fabs(t))
+    return ca.copysign(1, polynomial(profile, t) + rounding)
 
 
 def _consecutive(sizes: Iterable[int]) -> list[slice]:

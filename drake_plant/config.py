@@ -136,9 +136,10 @@ class StationConfig:
     slip_gain : float
         lam of the slip that is measured, 1/s; 0 leaves the loop open. At most 0.8/h is used, which
         takes away so much of the slip in a step.
-    coordinates : str
-        "chart" or "frame", of the :class:`ContactPlanner`; "plan": a :class:`PlanSource` is the
-        planner, without states, disturbance port and restarts, exact under every scheme.
+    coordinates : str or None
+        "chart" or "frame", of the :class:`ContactPlanner`, who chooses where it is None; "plan": a
+        :class:`PlanSource` is the planner, without states, disturbance port and restarts, exact
+        under every scheme.
     disturbance_input : bool
         Whether the planner's `disturbance` port is there, exported.
     restart_period, restart_distance : float or None
@@ -171,7 +172,7 @@ class StationConfig:
     rotation_gain: float = 0.0
     spin_gain: float = 0.04
     slip_gain: float = 0.0
-    coordinates: str = "chart"
+    coordinates: str | None = None
     disturbance_input: bool = False
     restart_period: float | None = None
     restart_distance: float | None = None
@@ -196,6 +197,8 @@ class StationConfig:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
         for key, words in CHOICES.items():
             value = getattr(self, key)
+            if value is None and key == "coordinates":
+                continue
             if not isinstance(value, str) or value not in words:
                 raise SceneError(f"{key} = {value!r}: use one of {', '.join(words)}")
         for bound, keys in NUMBERS.items():

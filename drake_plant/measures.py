@@ -222,7 +222,7 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     steady = (t >= EDGE) & (np.abs(t[:, None] - edges) > EDGE).all(1)
     slip = np.linalg.norm(result.measured["slip"], axis=2)
     of_plan = np.linalg.norm(result.planned["slip"], axis=2)
-    rolls = of_plan <= ROLLS * result.scene.profile(t)[:, None]
+    rolls = of_plan <= ROLLS * result.scene.speeds(t)
     speed = contact_speed(result.scene, result.planned["state"])
     moving = rolls & (speed > STANDING * speed.max(axis=0))  # a path may start or end at rest
     ratio = np.divide(slip, speed, out=np.full_like(slip, math.nan), where=moving)

@@ -66,11 +66,11 @@ def exact_plan(scene: Scene, start: float, states: bytes, end: float) -> Plan | 
 
     None where there is no such plan, as from a pole or a rest.
     """
-    if end > scene.duration:  # simulations may go on until sigma is negative
-        roots = np.polynomial.Polynomial(scene.profile.coefficients).roots()
-        zeros = roots.real[(roots.imag == 0) & (roots.real > scene.duration)]
-        scene = scene.replace(duration=min([2 * end, *(zeros * (1 - 1e-9))]))
     try:
+        if end > scene.duration:  # simulations may go on until sigma is negative
+            roots = np.polynomial.Polynomial(scene.profile.coefficients).roots()
+            zeros = roots.real[(roots.imag == 0) & (roots.real > scene.duration)]
+            scene = scene.replace(duration=min([2 * end, *(zeros * (1 - 1e-9))]))
         plan = make_plan(scene)
         return plan.restart(start, np.frombuffer(states).reshape(-1, 9)) if states else plan
     except ContactSystemError:
@@ -84,7 +84,7 @@ def refuse_drift(scene: Scene, plan: Plan, t: float, points: Array, tolerance: f
     worst = off.max()
     if worst <= tolerance * size:
         return
-    limit = tolerance * (size + float(scene.profile.arc_length(t)))
+    limit = tolerance * (size + scene.path_length(t))
     if worst <= limit:
         return
     i, side = divmod(int(np.argmax(off)), 2)
@@ -120,7 +120,7 @@ def refuse_singularity(system: SceneSystem, t: Array, x: Array, w: Array, held: 
 def refuse(system: SceneSystem, t: Array, x: Array, w: Array, held: Array) -> None:
     """The error of numbers that must not be integrated."""
     scene, time = system.scene, float(t[0])
-    sigma = scene.profile(time)
+    sigma = float(scene.speeds(time).min())
     if sigma < 0:
         raise SceneError(
             f"{scene.title}: sigma = {sigma:.6g} m/s at t = {time:.6g} s is negative; the "

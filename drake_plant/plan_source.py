@@ -36,7 +36,7 @@ class PlanSource(PlannerBase, LeafSystem):
 
     Coordinates are continuous along the path here. There is no continuous state, so that nothing is
     integrated and nothing converts to other scalars. No integrator steps across an edge of the
-    scene's windows.
+    scene's windows or a corner of legs.
 
     Parameters
     ----------
@@ -102,7 +102,8 @@ def frame_states(system: SceneSystem, t: float, moments: Sequence[Any]) -> tuple
     The finger's frame is turned so that psi is -theta_1 - theta_2.
     """
     x, held = [], []
-    for contact, form, now in zip(system.scene.contacts, system.forms, moments):
+    for i, (form, now) in enumerate(zip(system.forms, moments)):
+        contact, leg = system.scene.contacts[i], system.leg_numbers(i, t)
         c, s = np.cos(now.angle), np.sin(now.angle)
         w1 = np.array([[c, -s], [s, c]]) @ now.finger_velocity
         u, v, theta = now.finger_at
@@ -116,5 +117,6 @@ def frame_states(system: SceneSystem, t: float, moments: Sequence[Any]) -> tuple
             obj = now.object_frame
         carried = [*w1, *now.slip]
         x += [*finger, *obj, *(carried if form.forced else ())]
-        held += [*carried, t] if form.n_held else []
+        held += [*carried, t - leg[0] if len(leg) else t] if form.n_held else []
+        held += [*leg]
     return np.array(x), np.array(held)

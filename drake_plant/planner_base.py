@@ -75,12 +75,15 @@ class PlannerBase(_System):
         for edge in system.edges:  # a step ends before it, and the next one begins at it
             for time in (max(0.0, math.nextafter(edge, -math.inf)), edge):
                 self.DeclarePeriodicPublishEvent(ONCE, time, weakly(self._Stop))
+        turns = system.corners if x0 is not None else ()
+        if len(system.held0) and x0 is not None and (turns or period is not None):
+            self._held = self.DeclareDiscreteState(_vector(system.held0, self.T))
+        for edge in turns:
+            self.DeclarePeriodicUnrestrictedUpdateEvent(ONCE, edge, weakly(self._Turn, edge))
         if system.disturbance_input:
             self._disturbance = self.DeclareVectorInputPort("disturbance", 6 * n)
         if period is not None:
             self._measured = self.DeclareVectorInputPort("measured_state", 9 * n)
-            if len(system.held0):
-                self._held = self.DeclareDiscreteState(_vector(system.held0, self.T))
             self._restarts = self.DeclareDiscreteState(_vector(np.zeros(n), self.T))
             # A little early: 3 * 0.1 s comes after 300 * 1 ms in floating point, and a discrete
             # plant that has stepped already would be measured a step ahead of the planner.
@@ -119,6 +122,18 @@ class PlannerBase(_System):
 
     def _Stop(self, context: Any) -> None:
         """Nothing happens, but no integrator steps across it."""
+
+    def _Carried(self, context: Any) -> Array:
+        """W_1 and V of each contact."""
+        return self.Evaluate(context, "carried")
+
+    def _Turn(self, edge: float, context: Any, state: Any) -> None:
+        """Contacts go on along their next legs."""
+        x = context.get_continuous_state_vector().CopyToVector().ravel()
+        held = context.get_discrete_state(self._held).CopyToVector().ravel()
+        x, held = self.system.turned(edge, x, held, self._Carried(context))
+        state.get_mutable_continuous_state().SetFromVector(x)
+        state.get_mutable_discrete_state(self._held).SetFromVector(held)
 
     def _Prerequisites(self, *outputs: str) -> set:
         """What outputs depend on, from the sparsity of their functions."""

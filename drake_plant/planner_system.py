@@ -44,6 +44,8 @@ from .scratch import PerThread, Scratch
 
 NEARBY = 10 * CLEARANCE
 """Where the distance from a chart's singularity is watched more closely."""
+RESTING = 1e-3
+"""Of the greatest sigma."""
 Array = np.ndarray
 
 
@@ -137,9 +139,10 @@ class ContactPlanner(_Convertible, LeafSystem):
     v2' psi a contact for ``coordinates="chart"``; moving frames without poles and, but for
     accelerated contacts, without the stiffness of lam for ``coordinates="frame"``. It starts as
     the scene says. What the scene's windows add follows from the time, at an edge what acts after
-    it; events just before the edges and at them keep integrators from stepping across one. Where
-    the planner restarts and coordinates are frames, a discrete state holds W_1, V and its time. The
-    last one of a planner that restarts counts the restarts.
+    it; events just before the edges and at them keep integrators from stepping across one. In
+    frame coordinates a discrete state holds W_1, V and its time where the planner restarts or
+    contacts have legs, and of those the leg; events at corners turn W_1. The last one of a planner
+    that restarts counts the restarts.
 
     States of :meth:`contact_system.SceneSystem.from_states` can be started from in chart
     coordinates. In frame coordinates W_1 and V of contacts that nothing accelerates are no
@@ -148,8 +151,9 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     The planner takes the measured state as its own every `restart_period` seconds; with a
     `restart_distance` that of contacts which are further from the planned point on the object,
-    looked at every `restart_period` or 0.01 s. Contacts whose measured state is not finite keep
-    their plan. `restarts` tells what follows the plan to take no difference across a restart.
+    looked at every `restart_period` or 0.01 s. Contacts whose measured state is not finite, and
+    those that all but rest, where rates tell no direction, keep their plan. `restarts` tells what
+    follows the plan to take no difference across a restart.
 
     A planner may be shared by threads that have a Context each.
 
@@ -163,7 +167,8 @@ class ContactPlanner(_Convertible, LeafSystem):
     Parameters
     ----------
     scene : Scene
-    coordinates : "chart" or "frame"
+    coordinates : "chart" or "frame", optional
+        By default charts, or frames where the scene has legs, sigma = 0 or a surface without one.
     disturbance_input : bool
     restart_period : float, optional
         s, at least 5e-8 of the scene's duration and 1e-9 s. A discrete plant's state between
@@ -191,7 +196,7 @@ class ContactPlanner(_Convertible, LeafSystem):
     def __init__(
         self,
         scene: Scene,
-        coordinates: str = "chart",
+        coordinates: str | None = None,
         *,
         disturbance_input: bool = False,
         restart_period: float | None = None,
@@ -204,8 +209,9 @@ class ContactPlanner(_Convertible, LeafSystem):
         what = f"{scene.title}: tolerance"
         self._tolerance = finite_number(tolerance, what, "above 0")
         self._distance = restart_distance
+        self._fastest = scene.speeds(np.linspace(0.0, scene.duration, 101)).max(axis=0)
         self._options = dict(
-            coordinates=coordinates,
+            coordinates=system.coordinates,
             disturbance_input=disturbance_input,
             restart_period=restart_period,
             restart_distance=restart_distance,
@@ -354,6 +360,9 @@ class ContactPlanner(_Convertible, LeafSystem):
         self._Load(context, output)
         return self._scratches.own.evaluate(output)
 
+    def _Carried(self, context: Any) -> Array:
+        return self._Numbers(context, "carried")
+
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
         own = self._scratches.own
         time, x, run, guard, rate = own.hot  # the lines of _Load: a call takes 0.2 us
@@ -367,16 +376,20 @@ class ContactPlanner(_Convertible, LeafSystem):
             refuse(self.system, *own.given)
         derivatives.SetFromVector(rate)
 
+    def _Moves(self, t: float) -> Array:
+        """Which contacts do not all but rest: (n_contacts,)."""
+        return self.system.scene.speeds(t) > RESTING * self._fastest
+
     def _Restart(self, context: Any, state: Any) -> None:
         """Take over the measured state of the contacts that ask for it."""
         system, limit = self.system, self._distance
         rows = self._measured.Eval(context).reshape(-1, 9)
-        chosen = np.isfinite(rows).all(axis=1)
+        chosen = np.isfinite(rows).all(axis=1) & self._Moves(context.get_time())
         if not chosen.any():
             return
         planned, own = self._Numbers(context, "state").reshape(-1, 9), self._scratches.own
         rows = on_branch(system.scene, np.where(chosen[:, None], rows, planned), planned)
-        x, held = system.from_states(context.get_time(), rows, own.w)
+        x, held = system.from_states(context.get_time(), rows, own.w, chosen)
         if limit is not None:
             now = context.get_time(), x, own.w, held
             there = system.evaluate("contact_point", *now)

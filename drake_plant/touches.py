@@ -46,7 +46,7 @@ def touches_of(scene: Scene) -> list[Touch]:
     SceneError
         The surfaces do not part around a planned contact, or two fingers are to be in one place.
     """
-    plan, length = make_plan(scene), float(scene.profile.arc_length(scene.duration))
+    plan, length = make_plan(scene), scene.path_length(scene.duration)
     times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
     points, poses = plan.points(times), plan.pose(times)
     _check_apart(scene, times, poses[..., :3, 3])

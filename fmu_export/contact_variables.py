@@ -188,7 +188,7 @@ def _motion(scene: Scene, contact: Contact) -> list[Variable]:
 
 
 def _speed(scene: Scene) -> float | None:
-    return max(float(scene.profile(t)) for t in np.linspace(0.0, scene.duration, 33)) or None
+    return scene.speeds(np.linspace(0.0, scene.duration, 33)).max() or None
 
 
 def _outputs(scene: Scene, contact: Contact) -> list[Variable]:

@@ -11,14 +11,15 @@ import numpy as np
 from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor, measurement
 from contact_system.engine.binding import SURFACES
 from contact_system.motion import MAY_BE_SINGULAR
+from contact_system.scene.legs import turns
 from contact_system.surfaces import Surface
 from contact_system.theory.gain import LAWS
 from contact_system.theory.lowering import Table as Instructions
 
-from .model import TOLERANCE, equations, frame_sizes
+from .model import TOLERANCE, equations, frame_sizes, way_of
 from .variables import Table
 
-MAGIC, VERSION, HEADER = 20261123.0, 2.0, 37
+MAGIC, VERSION, HEADER = 20261123.0, 3.0, 39
 KINDS = ("calculated", "independent", "fixed", "tunable", "input", "exact")
 
 
@@ -66,14 +67,21 @@ def scene_data(table: Table, token: str) -> bytes:
     systems: list[Instructions] = []
     obj = _body(scene.object, table.parameter_first["object"], surfaces)
     contacts: list[float] = []
+    corners: set[float] = set()
     for contact, at, block in zip(scene.contacts, table.finger_first, table.blocks):
-        n_profile = len(scene.profile.coefficients)
+        way = way_of(scene, contact)
+        corners |= {stretch.start for stretch in way[1:]}
+        n_profile = len(way[0].profile.coefficients)
         own = equations(contact.finger, scene.object, scene.gain.law, n_profile, table.frames)
         sizes = frame_sizes(contact.finger, scene.object) if table.frames else (0, 0)
         contacts += [*_body(contact.finger, at, surfaces), block, _place(own, systems), *sizes]
         sensor = measurement(contact.finger, scene.object) if table.measured == "pose" else own
         unknowns = (3 if s.has_implicit else 2 for s in (contact.finger, scene.object))
-        contacts += [_place(sensor, systems), *unknowns]
+        legs = []
+        for stretch, turn in zip(way, turns(way)):
+            place = data.numbers(stretch.profile.coefficients) if contact.legs else 0
+            legs += [stretch.start, place, n_profile, *turn]
+        contacts += [_place(sensor, systems), *unknowns, data.numbers(legs), len(way)]
     sensed = ContactSensor(scene) if table.measured == "pose" else None
     limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else ()
     scalars = table.scalars()
@@ -94,7 +102,8 @@ def scene_data(table: Table, token: str) -> bytes:
         *(data.numbers(table.state_nominals), data.numbers(contacts)),
         *(data.numbers(rows), len(surfaces)),
         data.numbers([x for system in systems for x in data.table(system)]),
-        *(data.numbers(np.ravel(windows)), len(windows), data.numbers(limits)),
+        *(data.numbers(np.ravel(windows)), len(windows)),
+        *(data.numbers(sorted(corners)), len(corners), data.numbers(limits)),
         *(data.numbers(orders), len(orders) // 2, *obj),
     )
     body = b"".join(data.parts)

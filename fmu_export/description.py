@@ -82,7 +82,7 @@ def model_description(
         ET.SubElement(categories, "Category", name=name, description=words)
     scene, horizon = table.scene, table.scene.duration
     smallest = min(s.size for s in (scene.object, *(c.finger for c in scene.contacts)))
-    fastest = max(scene.profile(t) for t in np.linspace(0.0, horizon, 65))
+    fastest = scene.speeds(np.linspace(0.0, horizon, 65)).max()
     # so that Euler's method moves a contact by less than a tenth of a body's size
     steps = max(500, math.ceil(10 * fastest * horizon / smallest / 100) * 100)
     # Fingers' frames turn again and again: K4 by CVode is 4e-7 off at 1e-10, 6e-8 at 1e-11.

@@ -1,6 +1,6 @@
 """A contact as a system of equations in the variables of an FMU, as one table of instructions.
 
-Nothing of the mathematics is written here: `contact_system.system.contact_function` is put into the
+Nothing of the mathematics is written here: `contact_system.contact_equations` is put into the
 variables that an importer sees. The states of a contact are one of
 
 charts, eleven numbers (theory section 4)
@@ -33,18 +33,19 @@ from typing import Any
 
 import numpy as np
 
+from contact_system.contact_equations import PER_CONTACT, Form, contact_function, start_function
 from contact_system.engine.binding import address, along
 from contact_system.errors import ContactSystemError, SceneError
-from contact_system.scene import Contact, Scene
+from contact_system.scene import Contact, Scene, Stretch
 from contact_system.starts import scene_start
 from contact_system.surfaces import TINY, Ellipsoid, Quadric, Surface, UserSurface
-from contact_system.system import PER_CONTACT, Form, contact_function, flip, start_function
 from contact_system.theory import symbols as ca
-from contact_system.theory.development import in_space
+from contact_system.theory.development import in_space, moving
+from contact_system.theory.equations import flip
 from contact_system.theory.gain import LAWS
 from contact_system.theory.geometry import rotation
 from contact_system.theory.lowering import Table
-from contact_system.theory.profile import polynomial
+from contact_system.theory.profile import Profile, polynomial
 from contact_system.theory.symbols import making_symbols, per_structure
 
 INPUTS, CHART_STATES, COORDINATES = 6, 11, 9
@@ -120,12 +121,21 @@ def _chart_rates(rates: ca.SX, turn: ca.SX) -> ca.SX:
 
 
 def _object_theta(obj: Surface, forms: tuple[bool, bool], state: ca.SX, p2: ca.SX) -> ca.SX:
-    from contact_system.theory.development import moving
-
     if not forms[1]:
         return state[-5]  # u v theta, W_1, V
     place = ca.vertcat(state[-10:-4], 0, 0)
     return moving(obj, True)("coordinates")(place, ca.vertcat(obj.sign, p2))[4]
+
+
+def way_of(scene: Scene, contact: Contact) -> list[Stretch]:
+    """A contact's legs, the rest behind them included, with profiles of one length."""
+    way = contact.whole_way(scene.profile, scene.duration)
+    size = max(len(stretch.profile.coefficients) for stretch in way)
+    return [
+        stretch._replace(profile=Profile([*c, *[0.0] * (size - len(c))]))
+        for stretch in way
+        for c in [stretch.profile.coefficients]
+    ]
 
 
 def start_states(scene: Scene, contact: Contact, frames: bool) -> np.ndarray:
@@ -135,7 +145,7 @@ def start_states(scene: Scene, contact: Contact, frames: bool) -> np.ndarray:
         finger = (*start.finger_at, 0.0, *start.finger_velocity)
         return np.array([*finger, *start.object_at, 0.0, *start.object_velocity, start.angle])
     forms = (in_space(contact.finger, True), in_space(obj, True))
-    profile = scene.profile.coefficients
+    profile = contact.way(scene.profile, scene.duration)[0].profile.coefficients
     form = Form("frame", True, forms, scene.gain.law, len(profile), ())
     places = []
     for surface, at in ((contact.finger, start.finger_at), (obj, start.object_at)):

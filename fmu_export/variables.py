@@ -10,6 +10,7 @@ Names are structured (FMI 2.0.4, section 2.2.9; FMI 3.0.2, section 2.4.7.5.1) an
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ from .model import (
     jacobian,
     kept_order,
     start_states,
+    way_of,
 )
 from .quantities import METRE, NONE, SECOND, Unit, Variable, chart_units, per_second
 
@@ -157,10 +159,14 @@ class Table:
         return np.array([v.nominal for v in self.scalars() if v.reference in states])
 
     def arguments(self, contact: int) -> list[int]:
-        """References of the point and the constants of `model.equations`, in order."""
+        """References of the point and the constants of `model.equations`, in order; -1: none."""
         first, block = self.parameter_first, self.blocks[contact]
         own = self.scene.contacts[contact].finger
         law = [first["gain"], *_range(first["profile"], len(self.scene.profile.coefficients))]
+        if self.scene.contacts[contact].legs:  # whose profiles are no variables
+            law[1:] = [-1] * len(
+                way_of(self.scene, self.scene.contacts[contact])[0].profile.coefficients
+            )
         finger = _range(self.finger_first[contact], len(own.parameters))
         obj = _range(first["object"], len(self.scene.object.parameters))
         first_state = block + INPUTS + self.n_measured
@@ -221,9 +227,11 @@ def variable_table(
                 "be measured; leave measured out, or give a ParametricSurface"
             )
     n_profile = len(scene.profile.coefficients)
-    if n_profile > MOST_COEFFICIENTS:
+    ways = (way_of(scene, contact) for contact in scene.contacts)
+    most = max(n_profile, *(len(way[0].profile.coefficients) for way in ways))
+    if most > MOST_COEFFICIENTS:
         raise SceneError(
-            f"{scene.title}: its profile has {n_profile} coefficients, and an FMU holds "
+            f"{scene.title}: a profile has {most} coefficients, and an FMU holds "
             f"{MOST_COEFFICIENTS}; give a profile of a lower degree"
         )
     names = _parameter_names(scene)
@@ -364,8 +372,10 @@ def _known(table: Table, i: int) -> list[tuple[int, ...]]:
     """
     scene, n_states = table.scene, table.n_states(i)
     finger, obj = scene.contacts[i].finger, scene.object
-    n_profile = len(scene.profile.coefficients)
-    made = equations(finger, obj, scene.gain.law, n_profile, table.frames)
+    way = [s for s in way_of(scene, scene.contacts[i]) if s.stop < math.inf]
+    longest = max(way, key=lambda s: s.profile.arc_length(s.stop - s.start))
+    profile = longest.profile.coefficients
+    made = equations(finger, obj, scene.gain.law, len(profile), table.frames)
     random = np.random.default_rng(1)
     start = start_states(scene, scene.contacts[i], table.frames)
     step = np.full(n_states, 0.02)
@@ -375,11 +385,11 @@ def _known(table: Table, i: int) -> list[tuple[int, ...]]:
     if table.frames:
         clear = np.abs(start) > 1e-6
         scale = np.where(clear, start, np.abs(start[clear]).min())
-    constants = [scene.gain.value + 1.0, *scene.profile.coefficients, *finger.parameters]
+    constants = [scene.gain.value + 1.0, *profile, *finger.parameters]
     constants += obj.parameters
     arguments = table.arguments(i)
     found = np.zeros((made.n_out, len(arguments)), dtype=bool)
-    for t in scene.duration * np.array([0.21, 0.52, 0.83]):
+    for t in (longest.stop - longest.start) * np.array([0.21, 0.52, 0.83]):
         # off the start, where symmetry hides dependencies, and inside any chart it is in
         state = start + step * random.standard_normal(n_states) * scale
         state[-4:] += 0.1 * random.standard_normal(4) if table.frames else 0.0
@@ -390,7 +400,7 @@ def _known(table: Table, i: int) -> list[tuple[int, ...]]:
     first_input = 1 + n_states
     inputs = slice(first_input, first_input + INPUTS)
     found[made.n_out - 3 - 2, inputs] = True  # disturbance.active, which jumps
-    behind = [[reference] for reference in arguments]
+    behind = [[reference] * (reference >= 0) for reference in arguments]
     for k, d in enumerate(scene.disturbances):
         for axis in range(2 if d.contact == i else 0):
             own, factor = table.window_first + 4 * k, table.parameter_first["scale"]

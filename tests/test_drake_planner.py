@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import pickle
 import sys
@@ -13,7 +14,7 @@ import pytest
 
 pytest.importorskip("pydrake")
 
-from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.common import Parallelism
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import SpatialInertia
@@ -24,6 +25,7 @@ from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     BatchEvalTimeDerivatives,
     Simulator,
+    Simulator_,
     SimulatorConfig,
 )
 from pydrake.systems.framework import DiagramBuilder, InputPortSelection
@@ -214,11 +216,11 @@ def test_cenic_which_does_not_control_a_planners_error_is_refused():
 # --- a planner without states --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ("K4", "D1", "C1", "torus", "chart", "implicit"))
+@pytest.mark.parametrize("name", ("K4", "D1", "C1", "torus", "chart", "implicit", "R1"))
 def test_a_plan_source_says_what_an_integrated_planner_says(name):
     scene = cs.load_scene(name)
     planner, source = ContactPlanner(scene, "frame"), PlanSource(cs.plan(scene))
-    until = 1.01 * scene.window_edges[0] if scene.window_edges else 0.3
+    until = 1.01 * planner.system.edges[0] if planner.system.edges else 0.3
     integrated = run(planner, until, "runge_kutta5", 1e-2, 1e-11)
     asked = run(source, until, step=0.1)
     for port in (*VALUES[2:], "normal_rate", "slip"):
@@ -413,6 +415,54 @@ def test_only_contacts_that_are_off_the_plan_restart_and_it_is_told_which(coordi
     points, restarts = restarted(measured, coordinates, restart_period=0.2, restart_distance=1e-3)
     assert np.abs(points - plan.restart(0.2, expected).points(0.35)[0]).max() < 1e-9
     assert restarts.tolist() == [0, 0, 1]
+
+
+# --- legs ----------------------------------------------------------------------------------------
+
+
+def steered(**changes):
+    """R1, slipping at the start."""
+    scene = cs.load_scene("R1")
+    contact = dataclasses.replace(scene.contacts[0], object_velocity=(0.3, -0.4))
+    return scene.replace(**{"contacts": [contact], "gain": cs.Gain.time(1.0)} | changes)
+
+
+@pytest.mark.parametrize("gain", (cs.Gain.time(1.0), cs.Gain.guaranteed(1.0)))
+@pytest.mark.parametrize("until", (1.0, 2.5, 4.3))
+def test_corners_are_turned_as_planned_and_at_the_end_the_contact_rests(until, gain):
+    planner = ContactPlanner(steered(gain=gain))
+    plan = cs.plan(steered(gain=gain, duration=5.0), 1e-13)
+    assert error(planner, run(planner, until, "runge_kutta5", 1e-2, 1e-11), plan) < 1e-9
+
+
+def test_a_disturbance_and_a_restart_act_on_contacts_with_legs():
+    window = cs.FingerAcceleration(0, 1.3, 1.6, (2.0, -1.0))
+    scene = steered(disturbances=[window])
+    measured = cs.plan(scene).states(1.8)[0]
+    measured[:, [0, 4, 8]] += 0.05
+    for period, count in ((1.8, 1), (1.0, 0)):  # at corners contacts rest, and keep their plan
+        planner = ContactPlanner(scene, restart_period=period)
+        found = simulator(planner, "runge_kutta5", 1e-2, 1e-11)
+        port = planner.GetInputPort("measured_state")
+        port.FixValue(found.get_mutable_context(), measured.ravel())
+        found.AdvanceTo(2.7)
+        assert planner.GetOutputPort("restarts").Eval(found.get_context()) == [count]
+        plan = cs.plan(scene, 1e-13)
+        plan = plan.restart(1.8, measured) if count else plan
+        assert error(planner, found.get_context(), plan) < 2e-8  # of a restart 1e-9 s early
+
+
+def test_autodiff_turns_corners_too():
+    planner = ContactPlanner(steered(), tolerance=1.0)
+    other = planner.ToAutoDiffXd()
+    found = Simulator_[AutoDiffXd](other)
+    context = found.get_mutable_context()
+    for name, value in (("maximum_step_size", 0.05), ("fixed_step_mode", True)):
+        getattr(found.get_mutable_integrator(), f"set_{name}")(value)
+    found.AdvanceTo(1.1)
+    wanted = run(planner, 1.1, step=0.05)
+    x = context.get_continuous_state_vector().CopyToVector().ravel()
+    assert np.allclose([plain(v) for v in x], wanted.get_continuous_state_vector().CopyToVector())
 
 
 # --- other scalars -------------------------------------------------------------------------------

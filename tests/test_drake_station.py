@@ -197,6 +197,22 @@ def test_a_rounded_cube_as_fingertip_rolls_without_friction():
     assert friction.mean() < 0.01  # N; 0.015 on the nominal surface
 
 
+def test_a_finger_that_legs_steer_arrives_in_contact_physics():
+    r1 = cs.load_scene("R1")
+    start = dataclasses.replace(r1.contacts[0], legs=())
+    scene = r1.replace(contacts=[start], profile=cs.Profile([0.1]), duration=1.6)
+    goal = cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5), angle=1.0)
+    made = config(scene, contact_model="hydroelastic")
+    route = cs.reach(rolling_scene(scene, made), goal, legs=4)
+    steered = dataclasses.replace(start, legs=route.legs[0])
+    result = simulate(scene.replace(contacts=[steered]), made)
+    u1, v1, _, _, u2, v2, _, _, angle = result.measured["state"][-1, 0]
+    off = start.finger.point(u1, v1) - start.finger.point(*goal.finger_at)
+    assert np.linalg.norm(off) < 1e-3
+    assert np.linalg.norm(scene.object.point(u2, v2) - scene.object.point(*goal.object_at)) < 1e-3
+    assert abs(math.remainder(angle - goal.angle, 2 * math.pi)) < math.radians(1)
+
+
 def test_a_closed_loop_restarts_the_planner_from_the_measured_state():
     """The object is pushed on a little; with the loop closed the plan learns of it."""
     scene = cs.load_scene("D1")

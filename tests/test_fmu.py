@@ -27,7 +27,22 @@ of_kinds = pytest.mark.parametrize("kind", ["FMU", "slave"])
 of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
 K1 = cs.load_scene("K1")
 SCENES = {name: cs.load_scene(name) for name in ("K2", "K3", "K4", "D1", "C1", "C2", "chart")}
+R1 = cs.load_scene("R1")
+SLIPPING = dataclasses.replace(R1.contacts[0], object_velocity=(0.3, -0.4))
+STRAIGHT = dataclasses.replace(SLIPPING, legs=(), finger_velocity=(1.0, 0.0))
 SCENES |= {
+    "R1": R1,
+    "legs": R1.replace(
+        contacts=[SLIPPING, STRAIGHT],
+        profile=cs.Profile([0.05]),
+        gain=cs.Gain.time(1.0),
+        duration=4.5,
+        disturbances=[cs.FingerAcceleration(0, 1.3, 1.6, (2.0, -1.0))],
+    ),
+    "short legs": one_contact(
+        "ellipsoid", legs=[cs.Leg(0.3, 0.03, 0.4), cs.Leg(2.0, 0.03, 0.3), cs.Leg(-1.0, 0.02, 0.2)]
+    ),
+    "guaranteed legs": R1.replace(contacts=[SLIPPING], gain=cs.Gain.guaranteed(1.0)),
     "dip": K1.replace(profile=cs.Profile([0.3, -0.84, 2.0, -4 / 3]), gain=cs.Gain.guaranteed(8.0)),
     "rest": K1.replace(profile=cs.Profile([0.0, 0.3, -0.1]), gain=cs.Gain.time(20.0)),
     "function": one_contact(
@@ -77,6 +92,18 @@ def test_steps_of_any_size_follow_the_plan(name, version, kind):
 
 
 @of_blocks
+def test_a_finger_that_legs_steer_arrives(kind, version):
+    one = Instance(R1, kind, version).begin()
+    one.step(*[0.5] * 8)
+    for side, at in (("finger", (1.0, 0.5)), ("object", (2.0, 1.0))):
+        surface = R1.object if side == "object" else R1.contacts[0].finger
+        close(one.get(f"contact[1].{side}.point"), surface.point(*at), 1e-12 * surface.size)
+    assert math.remainder(one.get("contact[1].angle")[0] - 1.0, 2 * math.pi) == pytest.approx(
+        0.0, abs=1e-12
+    )
+
+
+@of_blocks
 def test_times_past_the_scenes_duration_are_planned_too(kind, version):
     one = Instance(K1, kind, version).begin()
     one.step(0.7, 1.3)
@@ -116,7 +143,11 @@ def test_simulate_fmu_gives_the_plan(name, kind, version):
 
 
 @pytest.mark.parametrize(
-    ("name", "version"), [("K2", "2.0"), ("K4", "3.0"), ("C1", "2.0"), ("rest", "2.0")]
+    ("name", "version"),
+    [
+        *(("K2", "2.0"), ("K4", "3.0"), ("C1", "2.0"), ("rest", "2.0")),
+        *(("short legs", "2.0"), ("short legs", "3.0")),
+    ],
 )
 def test_model_exchange_with_cvode_follows_the_plan(name, version):
     scene = SCENES[name]
@@ -126,6 +157,19 @@ def test_model_exchange_with_cvode_follows_the_plan(name, version):
     wanted = cs.plan(scene).states(np.minimum(result["time"], scene.duration))
     turns = np.rint((found - wanted) / math.tau)  # of frames coordinates are principal values
     close(found - math.tau * turns, wanted, 1e-7)
+
+
+@of_versions
+@pytest.mark.parametrize("name", ["legs", "guaranteed legs"])
+def test_corners_turn_states_that_are_frames(name, version):
+    scene = SCENES[name]
+    options = {"fmi_type": "ModelExchange", "solver": "CVode", "states": "frame"}
+    result = simulated(scene, "FMU", version, output_interval=0.5, step_size=0.05, **options)
+    points = cs.plan(scene).points(np.minimum(result["time"], scene.duration))
+    for i, side in np.ndindex(points.shape[1:3]):
+        name = f"contact[{i + 1}].{('finger', 'object')[side]}.point"
+        found = np.stack([result[f"{name}.{axis}"] for axis in "xyz"], axis=1)
+        close(found, points[:, i, side], 1e-7)
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
@@ -255,6 +299,30 @@ def test_a_step_under_changing_inputs_that_ends_at_an_edge_has_passed_it(steps, 
             met.append(one.states()[0])
     plan = cs.plan(scene.replace(disturbances=windows), 1e-14)
     close(np.array(met), plan.states([0.4, 0.6])[:, 0])
+
+
+@of_blocks
+def test_inputs_and_measured_states_act_on_contacts_with_legs(kind, version):
+    scene = SCENES["legs"]
+    window = cs.ObjectRateOffset(0, 0.7, 1.2, (0.2, 0.1))
+    plan = cs.plan(scene.replace(disturbances=[*scene.disturbances, window]), 1e-14)
+    one = Instance(scene, kind, version, measured="states").begin()
+    one.step(0.7)
+    pushed(one, window)
+    one.step(0.5)
+    pushed(one)
+    one.step(0.6)
+    close(one.states(), plan.states(1.8)[0])
+    measured = plan.states(1.8)[0] + 1e-3
+    inputs = [
+        f"{side}.{x}{rate}" for side in ("finger", "object") for rate in ("", "_rate") for x in "uv"
+    ]
+    for i, row in enumerate(measured):
+        stem = f"contact[{i + 1}].measured."
+        one.put({f"{stem}{x}": value for x, value in zip([*inputs, "angle"], row)})
+        one.put({f"{stem}trigger": 1.0})
+    one.step(1.0)
+    close(one.states(), plan.restart(1.8, measured).states(2.8)[0])
 
 
 @of_blocks
@@ -487,9 +555,9 @@ def test_state_bytes_that_do_not_fit_are_refused(kind, version):
 
 
 @of_kinds
-@pytest.mark.parametrize("name", ["K4", "everything"])
+@pytest.mark.parametrize("name", ["K4", "everything", "legs"])
 def test_steps_return_early_at_window_edges_where_that_is_allowed(name, kind):
-    scene = {"K4": SCENES["K4"], "everything": EVERYTHING}[name]
+    scene = EVERYTHING if name == "everything" else SCENES[name]
     edges = [t for t in scene.edges if 0.0 < t < scene.duration]  # and where sigma turns, none
     one = Instance(scene, kind, "3.0", eventModeUsed=True, earlyReturnAllowed=True).begin()
     stops, told = [], []

@@ -106,7 +106,6 @@ REFUSED = {
     r"sigma jumps from 0\.1 to 0 m/s": lambda: scene(
         cs.Plane(), [cs.Leg(0.0, None, 1.0, cs.Profile([0.1]))], duration=2.0
     ),
-    "turn no corners": lambda: cs.SceneSystem(scene(cs.Plane())),
     "acceleration acts": lambda: cs.plan(
         scene(cs.Plane(), disturbances=[cs.FingerAcceleration(0, 0.5, 1.2, (0.1, 0.1))])
     ),

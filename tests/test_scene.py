@@ -37,7 +37,7 @@ from contact_system import (
 
 pi = math.pi
 PAPER = ("C1", "C2", "D1", "D2", "D3", "K1", "K2", "K3", "K4")
-OWN = ("bowl", "chart", "implicit", "torus")
+OWN = ("R1", "bowl", "chart", "implicit", "torus")
 FINGER = Sphere(0.04)
 
 

@@ -39,12 +39,14 @@ def integrate(system, t, begin=0.0, x=None, held=None):
     for a, b in zip(knots, knots[1:]):
         w = system.window_values(a)
 
-        def rate(time, y, w=w):
+        def rate(time, y, w=w, held=held):
             return function(time, y, w, held, system.parameters).full().ravel()
 
         run = solve_ivp(rate, (a, b), x, method="DOP853", rtol=1e-11, atol=1e-12, dense_output=True)
         found += [(time, run.sol(time), w, held) for time in t if a <= time < b]
         x = run.y[:, -1]
+        if b in system.corners:
+            x, held = system.turned(b, x, held, system.evaluate("carried", b, x, w, held))
     return [*found, (t[-1], x, w, held)]
 
 
@@ -99,6 +101,29 @@ def test_frames_start_where_sigma_is_zero(gain, profile, windows):
     scene = one_contact("bowl", profile=profile, gain=gain, disturbances=windows)
     t = np.linspace(0, 1, 5)
     assert error(SceneSystem(scene, "frame"), t) < 1e-9
+
+
+LEGS = (cs.Leg(0.3, 0.1, 0.3), cs.Leg(2.0, 0.15, 0.4), cs.Leg(-1.0, 0.05, 0.2))
+SPEED = cs.Profile([0.1, 0.1])
+JOINED = (cs.Leg(0.3, None, 0.5, SPEED), cs.Leg(0.3, None, 0.5, cs.Profile([0.15, 0, -0.6])))
+
+
+@pytest.mark.parametrize("gain", (cs.Gain.path(50.0), cs.Gain.time(4.0), cs.Gain.guaranteed(4.0)))
+@pytest.mark.parametrize("kind", (None, "finger", "offset"))
+@pytest.mark.parametrize("obj", ("ellipsoid", "plane", "rounded cube"))
+def test_contacts_turn_at_corners_as_planned(obj, kind, gain):
+    scene = one_contact(obj, gain=gain)
+    window = () if kind is None else (dataclasses.replace(DISTURBANCES[kind], start=0.4, stop=0.6),)
+    first, straight = dataclasses.replace(scene.contacts[0], legs=LEGS), scene.contacts[0]
+    scene = scene.replace(contacts=[first, straight], disturbances=window)
+    assert error(SceneSystem(scene), np.linspace(0, 1, 9)) < 1e-8
+
+
+@pytest.mark.parametrize("gain", (cs.Gain.path(50.0), cs.Gain.guaranteed(4.0)))
+def test_legs_that_meet_at_a_speed_go_on_as_planned(gain):
+    scene = one_contact(gain=gain)
+    joined = dataclasses.replace(scene.contacts[0], legs=JOINED)
+    assert error(SceneSystem(scene.replace(contacts=[joined])), np.linspace(0, 1, 7)) < 1e-8
 
 
 @pytest.mark.parametrize("name", ("C1", "C2"))
@@ -238,6 +263,7 @@ def test_a_system_that_was_asked_is_pickled_and_copied(copied):
     ("scene", "coordinates", "message"),
     [
         (one_contact(profile=(0.0, 0.3)), "chart", 'sigma, which is zero at t = 0 .*"frame"'),
+        (one_contact(legs=LEGS), "chart", 'contact 0: legs = 3: .* corner; use .*"frame"'),
         (one_contact("rounded cube"), "chart", 'contact 0: .* no explicit chart .*"frame"'),
         (one_contact(), "polar", "use one of chart, frame"),
         (

@@ -8,10 +8,10 @@
 /* */
 #include "twofold.h"
 
-enum { STAGES = 12 };
-#include "generated/dop853.inc"
 #include "polynomial.h"
 
+enum { STAGES = 12 };
+#include "generated/dop853.inc"
 #include "generated/gauss.inc"
 #include "generated/operations.inc"
 
@@ -203,10 +203,10 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                 .run = run_table,
                                 .step = step,
                                 .along = along,
-                                 .geodesics = geodesics,
-                                 .look = look,
-                                 .fields = fields,
-                                 .shifts = shifts,
-                                 .steer = steered,
-                                 .sign_changes = sign_changes,
-                                 .wind = wind_place};
+                                .geodesics = geodesics,
+                                .look = look,
+                                .fields = fields,
+                                .shifts = shifts,
+                                .steer = steered,
+                                .sign_changes = sign_changes,
+                                .wind = wind_place};

@@ -17,7 +17,7 @@ from ..checks import finite_number, finite_numbers, is_plain, within
 from ..errors import SceneError
 from ..surfaces import Surface
 from ..theory.profile import Numbers, Profile
-from .legs import Leg, Stretch, stretches
+from .legs import Leg, Stretch, endless, stretches
 
 Pair = tuple[float, float]
 
@@ -185,6 +185,11 @@ class Contact:
         if self.legs:
             return stretches(self.legs, duration)
         return (Stretch(0.0, duration, 0.0, profile),)
+
+    def whole_way(self, profile: Profile, duration: float) -> tuple[Stretch, ...]:
+        """The same for ever: after legs that come to a rest there is that."""
+        way = self.way(profile, duration)
+        return endless(way) if self.legs else way
 
     @property
     def follows(self) -> bool:

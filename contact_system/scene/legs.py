@@ -106,6 +106,20 @@ def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
     return tuple(found)
 
 
+def turns(way: Sequence[Stretch]) -> list[tuple[float, float]]:
+    """Cosine and sine of the angle by which the path turns where each stretch begins."""
+    angles = [now.direction - before.direction for before, now in zip((way[0], *way), way)]
+    return [(math.cos(angle), math.sin(angle)) for angle in angles]
+
+
+def endless(way: tuple[Stretch, ...]) -> tuple[Stretch, ...]:
+    """A way, and where it comes to a rest at its end, that rest."""
+    last = way[-1]
+    if last.profile == STILL or _ends(last)[1]:
+        return way
+    return (*way, Stretch(last.stop, math.inf, last.direction, STILL))
+
+
 def speed(way: Sequence[Stretch], t: np.ndarray) -> np.ndarray:
     """sigma at times [s], m/s."""
     t = np.asarray(t, dtype=float)
@@ -113,6 +127,13 @@ def speed(way: Sequence[Stretch], t: np.ndarray) -> np.ndarray:
     for stretch in way[1:]:
         found = np.where(t >= stretch.start, stretch.profile(t - stretch.start), found)
     return found
+
+
+def length(way: Sequence[Stretch], t: float) -> float:
+    """How far the path has come at time t [s], m; the last stretch goes on for ever."""
+    ends = [*(stretch.stop for stretch in way[:-1]), math.inf]
+    spans = [(s.profile, min(t, end) - s.start) for s, end in zip(way, ends) if s.start < t]
+    return math.fsum(float(profile.arc_length(span)) for profile, span in spans)
 
 
 def check_legs(legs: Sequence[Leg], duration: float) -> None:

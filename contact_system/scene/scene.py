@@ -23,7 +23,7 @@ from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
 from .contact import MANY_TURNS, Contact, Pair, Turning, a_surface, a_text, all_of
 from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
-from .legs import STILL, Leg, Stretch, check_legs
+from .legs import STILL, Leg, Stretch, check_legs, length, speed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,6 +148,16 @@ class Scene:
     def way(self, contact: int) -> tuple[Stretch, ...]:
         """sigma of a contact, leg by leg; of one without legs the scene's profile."""
         return self.contacts[contact].way(self.profile, self.duration)
+
+    def speeds(self, t) -> np.ndarray:
+        """sigma of every contact at times t [s]: t.shape + (n_contacts,), m/s."""
+        ways = (contact.whole_way(self.profile, self.duration) for contact in self.contacts)
+        return np.stack([speed(way, t) for way in ways], axis=-1)
+
+    def path_length(self, t: float) -> float:
+        """How far a contact has come at time t [s] at most, m."""
+        ways = (contact.whole_way(self.profile, self.duration) for contact in self.contacts)
+        return max(length(way, t) for way in ways)
 
     def _check_parts(self) -> None:
         """Types, and everything into its plain immutable form."""

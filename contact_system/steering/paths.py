@@ -242,7 +242,7 @@ class RolledPaths:
             at = int(numbers[leg + 1])
             numbers[at : at + len(self.sigma)] = array("d", [c * s for c in self.sigma])
             turn = way - last if k else 0.0
-            numbers[leg + LEG - 2 : leg + LEG] = array("d", [math.cos(turn), math.sin(turn)])
+            numbers[leg + LEG - 2], numbers[leg + LEG - 1] = math.cos(turn), math.sin(turn)
             if not k:
                 given: Any = aim.contact.finger_velocity
                 own = turned(math.cos(way), math.sin(way), given)

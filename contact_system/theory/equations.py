@@ -44,6 +44,11 @@ def reflection(cos_psi: ca.SX, sin_psi: ca.SX) -> ca.SX:
     return ca.vertcat(ca.horzcat(cos_psi, -sin_psi), ca.horzcat(-sin_psi, -cos_psi))
 
 
+def flip() -> ca.SX:
+    """R_0 between the moving frames of finger and object."""
+    return reflection(ca.SX(1), ca.SX(0))
+
+
 def relative_velocity(r: ca.SX, a1: ca.SX, a2: ca.SX) -> ca.SX:
     """v_rel of eq. ``netrelvel`` from the contact velocities a_i = M_i q_i', m/s, (2)."""
     return r @ a1 - a2

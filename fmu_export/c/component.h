@@ -56,7 +56,8 @@ typedef struct {
   int anchored, next_anchored;
   unsigned valid, asked, before; /* groups that belong to time and inputs; that were asked for */
   double *registers;             /* of its equations */
-  int prepared;                  /* their prologue has run */
+  int prepared;                  /* their prologue has run, */
+  long leg;                      /* on this leg */
   double regularity[2], theta;   /* of the charts at its states; of the object */
   int warned[2];                 /* the path is near a pole, and the log says so */
 } live_t;

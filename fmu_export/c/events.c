@@ -1,11 +1,9 @@
 /* What lets a contact go on otherwise than planned: inputs, the gain, what was measured of it. */
 
 /* Whether an input accelerates a path that rests; it has no rates, and can be looked at without. */
-static int pushed_at_rest(const component_t *c) {
-  if (!rests(c)) return 0;
-  for (long i = 0; i < c->model->n_contacts; i++)
-    for (int j = 0; j < 4; j++)
-      if (c->value[c->model->layout[i].at[OF_INPUTS] + j] != 0.0) return 1;
+static int pushed_at_rest(const component_t *c, long i) {
+  for (int j = 0; j < 4; j++)
+    if (c->value[c->model->layout[i].at[OF_INPUTS] + j] != 0.0) return rests(c, i);
   return 0;
 }
 
@@ -121,7 +119,7 @@ static const char *read_measured(component_t *c, long i, double states[N_STATES]
 /* Contact i goes on from what was measured. Returns not 0, with c->unmeasured, where that is no
    place to start from. */
 static int resynchronize(component_t *c, long i, segment_t *s) {
-  const double sigma = sigma_now(c);
+  const double sigma = sigma_now(c, i);
   double *to = s->row - K_PLACE_1, acting[DISTURBANCES], x[N_STATES] = {0}, w[2], y[2];
   fenv_t traps;
   feholdexcept(&traps);
@@ -152,13 +150,15 @@ static int resynchronize(component_t *c, long i, segment_t *s) {
 static int settle(component_t *c) {
   memory_t *now = c->now;
   if (now->settled) return 0;
-  const int rest = pushed_at_rest(c);
+  int rest = 0;
   for (long i = 0; i < c->model->n_contacts; i++) {
     segment_t *s = c->segment + i;
+    const int pushed = pushed_at_rest(c, i);
+    rest |= pushed;
     const layout_t *l = c->model->layout + i;
     double acting[DISTURBANCES];
     for (int j = 0; j < DISTURBANCES; j++)
-      acting[j] = rest && j < 4 ? 0.0 : c->value[l->at[OF_INPUTS] + j];
+      acting[j] = pushed && j < 4 ? 0.0 : c->value[l->at[OF_INPUTS] + j];
     const int measures = l->at[OF_MEASURED] < l->at[OF_STATES];
     const double heard = measures ? c->value[l->at[OF_MEASURED] + TRIGGER] : 0.0;
     const int again = heard != 0.0 && heard != s->trigger;

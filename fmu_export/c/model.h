@@ -18,7 +18,7 @@
 #endif
 
 #define DATA_MAGIC 20261123.0
-#define DATA_VERSION 2.0
+#define DATA_VERSION 3.0
 enum {
   D_MAGIC,
   D_VERSION,
@@ -47,6 +47,8 @@ enum {
   D_SYSTEMS, /* tables of the equations of a contact, one after the other */
   D_WINDOWS, /* and how many */
   D_N_WINDOWS,
+  D_CORNERS, /* where legs of any contact begin, ascending, and how many */
+  D_N_CORNERS,
   D_SENSOR, /* SENSOR_SIZE numbers */
   D_ORDERS, /* pairs of references: the first value stays greater than the second; or as it is */
   D_N_ORDERS,
@@ -55,7 +57,8 @@ enum {
 };
 /* a body: reference of its first parameter, how many, its surface, +1 or -1 inside, its scales */
 enum { Q_VALUES, Q_N_VALUES, Q_SURFACE, Q_SIGN, Q_LENGTH, Q_BEND, Q_REACH, Q_SIZE };
-/* a contact: sizes of frames among the states are 6, 3, or in charts 0 */
+/* a contact: sizes of frames among the states are 6, 3, or in charts 0; its legs are the engine's,
+   with profiles of one size, at least one; place 0 stands for the scene's profile */
 enum {
   P_FINGER,
   P_BLOCK = P_FINGER + Q_SIZE,
@@ -65,6 +68,8 @@ enum {
   P_SENSOR, /* where it is measured by pose and twist: the table of a step towards the contact, */
   P_UNKNOWN_1, /* and how many unknowns each body has there: 3, a point, or 2, coordinates */
   P_UNKNOWN_2,
+  P_LEGS,
+  P_N_LEGS,
   P_SIZE
 };
 /* what contact_sensor.py finds a contact by: steps so short end it, or so many; steps so short are

@@ -28,16 +28,21 @@ static void put_window(double **next, double slot, double start, double stop, co
   *next += WINDOW_SIZE;
 }
 
-/* Whether sigma is all but zero somewhere between two times */
-static int rests_between(const component_t *c, double from, double to) {
-  const double *sigma = sigma_of(c);
-  const long np = c->model->n_profile;
-  double at[2 * MAX_PROFILE + 2], largest = 0.0;
-  const long n = (long)sign_changes(sigma, np, 1, from, to, at + 1);
-  at[0] = from, at[n + 1] = to;
-  for (long k = 0; k < np; k++) largest = fmax(largest, fabs(sigma[k]));
-  for (long k = 0; k < n + 2; k++)
-    if (horner(sigma, np, at[k]) <= 1e-9 * largest) return 1;
+/* Whether sigma of contact i is all but zero somewhere between two times */
+static int rests_between(const component_t *c, long i, double from, double to) {
+  double at[2 * MAX_PROFILE + 2];
+  for (long k = 0, count = n_legs(c->model, i); k < count; k++) {
+    const leg_t leg = leg_of(c, i, k);
+    const double first = fmax(from, leg.start);
+    const double last = k + 1 < count ? fmin(to, leg_of(c, i, k + 1).start) : to;
+    double largest = 0.0;
+    if (!(first < last)) continue;
+    const long n = signs_of(&leg, 1, first, last, at + 1);
+    at[0] = first, at[n + 1] = last;
+    for (long j = 0; j < leg.n; j++) largest = fmax(largest, fabs(leg.sigma[j]));
+    for (long j = 0; j < n + 2; j++)
+      if (horner(leg.sigma, leg.n, at[j] - leg.start) <= 1e-9 * largest) return 1;
+  }
   return 0;
 }
 
@@ -53,12 +58,15 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   b[S_PANELS] = MOST_PANELS;
   b[S_BEGIN] = s->begin, b[S_END] = s->end;
   b[S_GAIN] = s->gain, b[S_GAIN_POWER] = m->data[D_POWER], b[S_MAKES_UP] = m->data[D_MAKES_UP];
-  double *leg = next; /* one, from t = 0 on */
-  next += LEG_SIZE;
-  leg[G_START] = 0.0, leg[G_TURN] = 1.0, leg[G_TURN + 1] = 0.0;
-  leg[G_PROFILE] = (double)(next - b), leg[G_PROFILE_SIZE] = (double)m->n_profile;
-  memcpy(next, sigma_of(c), (size_t)m->n_profile * sizeof *next), next += m->n_profile;
-  row[K_LEGS] = (double)(leg - b), row[K_LEGS_SIZE] = 1.0;
+  row[K_LEGS] = (double)(next - b), row[K_LEGS_SIZE] = (double)n_legs(m, i);
+  next += n_legs(m, i) * LEG_SIZE;
+  for (long k = 0; k < n_legs(m, i); k++) {
+    const leg_t leg = leg_of(c, i, k);
+    double *to = b + (long)row[K_LEGS] + k * LEG_SIZE;
+    to[G_START] = leg.start, to[G_TURN] = leg.turn[0], to[G_TURN + 1] = leg.turn[1];
+    to[G_PROFILE] = (double)(next - b), to[G_PROFILE_SIZE] = (double)leg.n;
+    memcpy(next, leg.sigma, (size_t)leg.n * sizeof *next), next += leg.n;
+  }
   put_body(c, m->data + D_OBJECT, &next, b + S_OBJECT);
   put_body(c, contact_of(m, i) + P_FINGER, &next, row + K_FINGER);
   row[K_MOMENT] = s->moment, row[K_FRAMES] = s->frames, row[K_WINDOWS] = (double)(next - b);
@@ -76,7 +84,7 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   for (const double *w = first; w < next; w += WINDOW_SIZE) {
     const double from = fmax(w[W_START], s->begin), to = fmin(w[W_STOP], s->end);
     if (w[W_SLOT] > 1 || from >= to || (w[W_VALUE] == 0.0 && w[W_VALUE + 1] == 0.0)) continue;
-    if (!rests_between(c, from, to)) continue;
+    if (!rests_between(c, i, from, to)) continue;
     c->failure = (failure_t){.code = STUCK, .pushed = 1}; /* the engine would try for long */
     return NULL;
   }
@@ -132,14 +140,12 @@ static int go_on(component_t *c, long i, plan_t *plan, double t, segment_t *s) {
   return 0;
 }
 
-/* A segment's end, at a window's edge a bit later: values there are those after it. */
+/* A segment's end, at an edge a bit later: values there are those after it. */
 static double end_of(const component_t *c, double begin, double end, double target) {
   end = fmin(fmax(end, target), c->now->limit);
   const double edge = snapped(c, end);
-  for (long k = 0; k < c->model->n_windows; k++)
-    for (int side = 0; side < 2; side++)
-      if (window_values(c, k)[side] == edge)
-        return fmin(edge + 0.01 * (edge - begin), c->now->limit);
+  for (long k = 0; k < n_edges(c->model); k++)
+    if (edge_of(c, k) == edge) return fmin(edge + 0.01 * (edge - begin), c->now->limit);
   return end;
 }
 

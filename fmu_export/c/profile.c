@@ -1,42 +1,77 @@
-/* What changes with time alone: sigma, where it turns and ends, and windows. */
+/* What changes with time alone: sigma, where it turns and ends, legs and windows. */
 
 #include "polynomial.h"
 
 enum { MAX_PROFILE = 64 };
 #define LOOK_AHEAD 1.05 /* a solver may look this far beyond sigma's end, within its last step */
 
-static const double *sigma_of(const component_t *c) { return c->value + PROFILE; }
+/* ---- legs ---- */
 
-static double sigma_at_time(const component_t *c, double t) {
-  return horner(sigma_of(c), c->model->n_profile, t);
+/* A leg of a contact's path: sigma in time from its start on, which is the time when the path turns
+   by an angle of this cosine and sine */
+typedef struct {
+  double start;
+  const double *sigma, *turn;
+  long n;
+} leg_t;
+
+static long n_legs(const model_t *m, long i) { return (long)contact_of(m, i)[P_N_LEGS]; }
+
+/* Where it has no legs, a contact is on one that has the scene's profile. */
+static leg_t leg_of(const component_t *c, long i, long k) {
+  const double *data = c->model->data;
+  const double *row = data + (long)contact_of(c->model, i)[P_LEGS] + k * LEG_SIZE;
+  const long at = (long)row[G_PROFILE];
+  return (leg_t){row[G_START], at ? data + at : c->value + PROFILE, row + G_TURN,
+                 (long)row[G_PROFILE_SIZE]};
 }
 
-static double sigma_now(const component_t *c) { return sigma_at_time(c, c->now->acts_at); }
-
-/* the same, or 0 where its sign cannot be told from rounding */
-static double clear_sigma(const component_t *c, double t) {
-  return clear_value(sigma_of(c), c->model->n_profile, t, sigma_at_time(c, t));
+/* Which leg contact i is on at the time that values are of */
+static long leg_now(const component_t *c, long i) {
+  long k = 0;
+  while (k + 1 < n_legs(c->model, i) && leg_of(c, i, k + 1).start <= c->now->acts_at) k++;
+  return k;
 }
 
-/* where sigma, or its rate for order 1, changes its sign from now to some time, ascending */
-static long signs_of(const component_t *c, int order, double to, double found[2 * MAX_PROFILE]) {
-  const long n = c->model->n_profile;
-  return (long)sign_changes(sigma_of(c), n, order, c->now->time, to, found);
+static double sigma_now(const component_t *c, long i) {
+  const leg_t leg = leg_of(c, i, leg_now(c, i));
+  return horner(leg.sigma, leg.n, c->now->acts_at - leg.start);
 }
 
-static void study_profile(component_t *c) {
-  const double begin = c->now->time, far = begin + 1e3 * c->model->data[D_HORIZON];
-  double at[2 * MAX_PROFILE];
-  const long n = signs_of(c, 0, far, at);
-  const double first = clear_sigma(c, 0.5 * (begin + (n ? at[0] : far)));
-  c->now->limit = first < 0 ? begin : n ? at[0] : HUGE_VAL;
+/* where the leg's sigma, or its rate for order 1, changes its sign between two times, ascending */
+static long signs_of(const leg_t *leg, int order, double from, double to,
+                     double found[2 * MAX_PROFILE]) {
+  const double start = leg->start;
+  const long n = (long)sign_changes(leg->sigma, leg->n, order, from - start, to - start, found);
+  for (long k = 0; k < n; k++) found[k] += start;
+  return n;
 }
 
-static int rests(const component_t *c) { return clear_sigma(c, c->now->time) <= 0; }
+/* Only the last leg's sigma may turn negative. */
+static void study_profiles(component_t *c) {
+  c->now->limit = HUGE_VAL;
+  for (long i = 0; i < c->model->n_contacts; i++) {
+    const leg_t leg = leg_of(c, i, n_legs(c->model, i) - 1);
+    const double begin = fmax(c->now->time, leg.start);
+    const double far = begin + 1e3 * c->model->data[D_HORIZON];
+    double at[2 * MAX_PROFILE];
+    const long n = signs_of(&leg, 0, begin, far, at);
+    const double middle = 0.5 * (begin + (n ? at[0] : far)) - leg.start;
+    const int ends = clear_value(leg.sigma, leg.n, middle, horner(leg.sigma, leg.n, middle)) < 0;
+    if (ends || n) c->now->limit = fmin(c->now->limit, ends ? begin : at[0]);
+  }
+}
+
+/* whether sigma is zero but for rounding */
+static int rests(const component_t *c, long i) {
+  const leg_t leg = leg_of(c, i, leg_now(c, i));
+  const double t = c->now->time - leg.start;
+  return clear_value(leg.sigma, leg.n, t, horner(leg.sigma, leg.n, t)) <= 0;
+}
 
 /* Whether the path leaves a rest under a law that makes up for growth, which no slip does. */
-static int leaves_slip_behind(const component_t *c) {
-  return c->model->data[D_MAKES_UP] > 0 && rests(c);
+static int leaves_slip_behind(const component_t *c, long i) {
+  return c->model->data[D_MAKES_UP] > 0 && rests(c, i);
 }
 
 /* Times this near are one time: steps of 0.1 s do not add up to 1 s. The edge may be infinite; a
@@ -62,13 +97,20 @@ static const double *window_values(const component_t *c, long k) {
   return c->value + (long)window_of(c, k)[V_VALUES];
 }
 
+/* The edges of windows, then the corners of legs */
+static long n_edges(const model_t *m) { return 2 * m->n_windows + (long)m->data[D_N_CORNERS]; }
+
+static double edge_of(const component_t *c, long k) {
+  const long corner = k - 2 * c->model->n_windows;
+  return corner < 0 ? window_values(c, k / 2)[k % 2] : section(c->model, D_CORNERS)[corner];
+}
+
 static double next_window(const component_t *c) {
   double next = HUGE_VAL;
-  for (long k = 0; k < c->model->n_windows; k++)
-    for (int side = 0; side < 2; side++) {
-      const double edge = window_values(c, k)[side];
-      if (!reached(c->now->time, edge) && edge < next) next = edge;
-    }
+  for (long k = 0; k < n_edges(c->model); k++) {
+    const double edge = edge_of(c, k);
+    if (!reached(c->now->time, edge) && edge < next) next = edge;
+  }
   return next;
 }
 
@@ -78,22 +120,22 @@ static double next_edge(const component_t *c) {
   double next = next_window(c), turn[2 * MAX_PROFILE];
   if (now->stepping) return next;
   if (!reached(now->time, now->limit)) next = fmin(next, now->limit);
-  if (c->model->data[D_MAKES_UP] > 0) {
+  for (long i = 0; i < c->model->n_contacts && c->model->data[D_MAKES_UP] > 0; i++) {
+    const leg_t leg = leg_of(c, i, leg_now(c, i));
     const double far = fmin(now->limit, now->time + 1e3 * c->model->data[D_HORIZON]);
-    const long n = signs_of(c, 1, far, turn);
+    const long n = signs_of(&leg, 1, now->time, far, turn);
     for (long k = 0; k < n; k++)
       if (!reached(now->time, turn[k]) && turn[k] < next) next = turn[k];
   }
   return next;
 }
 
-/* The time, or the edge of a window that it is but for rounding */
+/* The time, or the edge that it is but for rounding */
 static double snapped(const component_t *c, double time) {
-  for (long k = 0; k < c->model->n_windows; k++)
-    for (int side = 0; side < 2; side++) {
-      const double edge = window_values(c, k)[side];
-      if (reached(time, edge) && reached(edge, time)) return edge;
-    }
+  for (long k = 0; k < n_edges(c->model); k++) {
+    const double edge = edge_of(c, k);
+    if (reached(time, edge) && reached(edge, time)) return edge;
+  }
   return time;
 }
 
@@ -103,6 +145,8 @@ static int acts(const component_t *c, long k, long i) {
   return (long)window_of(c, k)[V_CONTACT] == i && edge[0] <= at && at < edge[1];
 }
 
+static void turn_path(component_t *c, long i, const leg_t *leg);
+
 static void enter_windows(component_t *c) {
   memory_t *now = c->now;
   const double before = now->acts_at;
@@ -110,10 +154,13 @@ static void enter_windows(component_t *c) {
   forget_values(c);
   now->pending = 0;
   if (!now->stepping) now->ended = reached(now->time, now->limit);
-  for (long k = 0; k < c->model->n_windows; k++)
-    for (int side = 0; side < 2; side++) {
-      const double edge = window_values(c, k)[side];
-      c->jumped |= before < edge && edge <= now->acts_at;
+  for (long k = 0; k < n_edges(c->model); k++)
+    c->jumped |= before < edge_of(c, k) && edge_of(c, k) <= now->acts_at;
+  if (now->stepping || !(now->phase & (EVENT | CONTINUOUS))) return;
+  for (long i = 0; i < c->model->n_contacts; i++)
+    for (long k = 1; k < n_legs(c->model, i); k++) {
+      const leg_t leg = leg_of(c, i, k);
+      if (before < leg.start && leg.start <= now->acts_at) turn_path(c, i, &leg);
     }
 }
 

@@ -121,11 +121,12 @@ static long owner_of(const model_t *m, long reference) {
 /* The first of these values that there is not; count where there are all */
 static long without_value(const component_t *c, unsigned reference, const double *value,
                           long count) {
+  const long owner = owner_of(c->model, reference);
   long i = 0;
   for (; i < count; i++) {
     if (fabs(value[i]) <= 1e200) continue; /* tables divide an acceleration by 1e-300 at rest */
     if (!(fabs(value[i]) <= DBL_MAX) ||
-        (kind_of(c->model, reference + i) == CALCULATED && rests(c)))
+        (kind_of(c->model, reference + i) == CALCULATED && rests(c, owner)))
       break;
   }
   return i;
@@ -144,7 +145,7 @@ static status_t refuse(component_t *c, unsigned reference) {
         what, now->time, now->limit);
   const int framed =
       i < 0 || !SYSTEM(now) || (c->live[i].regularity[0] > 0 && c->live[i].regularity[1] > 0);
-  if (rests(c) && framed)
+  if (i >= 0 && rests(c, i) && framed)
     return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s: " AT_REST, what,
                   now->time);
   const char *where =

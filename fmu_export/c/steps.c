@@ -13,7 +13,7 @@ static const char *place_contact(component_t *c, long i) {
                   : "the finger has no outward contact frame at (u, v)";
   memset(s, 0, sizeof *s);
   s->begin = c->now->time, s->gain = c->value[GAIN];
-  if (leaves_slip_behind(c)) no_slip(m, i, x);
+  if (leaves_slip_behind(c, i)) no_slip(m, i, x);
   if (!m->frames) {
     for (int side = 0; side < 2; side++) {
       const double *own = x + BODY * side;
@@ -47,11 +47,10 @@ static const char *place_contact(component_t *c, long i) {
 static void warm(component_t *c, long i) {
   const double at = c->now->acts_at;
   look(c, i, ALL_RESULTS);
-  for (long k = 0; k < c->model->n_windows; k++)
-    for (int side = 0; side < 2; side++) {
-      c->now->acts_at = window_values(c, k)[side];
-      look(c, i, ALL_RESULTS);
-    }
+  for (long k = 0; k < n_edges(c->model); k++) {
+    c->now->acts_at = edge_of(c, k);
+    look(c, i, ALL_RESULTS);
+  }
   c->now->acts_at = at;
 }
 
@@ -59,7 +58,7 @@ static status_t start(component_t *c) {
   memory_t *now = c->now;
   const model_t *m = c->model;
   const double *order = section(m, D_ORDERS), *starts = section(m, D_STARTS);
-  study_profile(c);
+  study_profiles(c);
   if (now->limit <= now->time)
     return report(c, FAILED, "logStatusError",
                   "sigma is negative from t = %.9g s on; change the profile", now->time);
@@ -98,13 +97,15 @@ static status_t start(component_t *c) {
 /* ---- steps ---- */
 
 static void tell_edges(component_t *c, double from) {
-  for (long k = 0; k < c->model->n_windows; k++)
-    for (int side = 0; side < 2; side++) {
-      const double edge = window_values(c, k)[side];
-      if (!reached(from, edge) && reached(c->now->time, edge))
-        report(c, OK, "logEvents", "the disturbance of contact %g %s at t = %.17g s",
-               window_of(c, k)[V_CONTACT] + 1, side ? "ends" : "begins", edge);
-    }
+  for (long k = 0; k < n_edges(c->model); k++) {
+    const double edge = edge_of(c, k);
+    if (reached(from, edge) || !reached(c->now->time, edge)) continue;
+    if (k < 2 * c->model->n_windows)
+      report(c, OK, "logEvents", "the disturbance of contact %g %s at t = %.17g s",
+             window_of(c, k / 2)[V_CONTACT] + 1, k % 2 ? "ends" : "begins", edge);
+    else
+      report(c, OK, "logEvents", "a leg begins at t = %.17g s", edge);
+  }
 }
 
 /* All contacts to a time, or none. */
@@ -120,8 +121,9 @@ static status_t step(component_t *c, double target, int stop_at_windows, int *ed
                   "change the profile",
                   target, now->limit);
   if (now->pending) enter_windows(c);
-  if (pushed_at_rest(c))
-    return report(c, DISCARD, "logStatusDiscard", "no step to t = %.9g s: " AT_REST, target);
+  for (long i = 0; i < n; i++)
+    if (pushed_at_rest(c, i))
+      return report(c, DISCARD, "logStatusDiscard", "no step to t = %.9g s: " AT_REST, target);
   const int stuck = settle(c);
   if (stuck) return refuse_motion(c, stuck - 1, "step", target);
   double goal = fmin(target, now->limit);
@@ -138,6 +140,6 @@ static status_t step(component_t *c, double target, int stop_at_windows, int *ed
   for (long i = 0; i < n; i++) commit(c, i, 1);
   set_time(c, goal);
   if (*edge) now->pending = 1, now->acts_at = nextafter(now->acts_at, -HUGE_VAL);
-  if (c->model->n_windows) tell_edges(c, began);
+  if (n_edges(c->model)) tell_edges(c, began);
   return OK;
 }

@@ -22,10 +22,14 @@ static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
       out[2 * (int)window_of(c, k)[V_SLOT] + a] += scale * window_values(c, k)[2 + a];
 }
 
-/* References of the constants, one after the other; returns how many */
-static long constants_of(const model_t *m, long i, long *out) {
+/* References of the constants, one after the other, 0 for a leg's own; returns how many */
+static long constants_of(const component_t *c, long i, long *out) {
+  const model_t *m = c->model;
+  const leg_t leg = leg_of(c, i, 0);
+  const int own = leg.sigma != c->value + PROFILE;
   long n = 0;
-  for (long j = 0; j <= m->n_profile; j++) out[n++] = GAIN + j;
+  out[n++] = GAIN;
+  for (long j = 0; j < leg.n; j++) out[n++] = own ? 0 : PROFILE + j;
   for (int side = 0; side < 2; side++) {
     const double *q = body_of_contact(m, i, side);
     for (long j = 0; j < (long)q[Q_N_VALUES]; j++) out[n++] = (long)q[Q_VALUES] + j;
@@ -42,13 +46,16 @@ static void load_system(component_t *c, long i, int again) {
   const table_t *t = system_of(m, i);
   live_t *k = c->live + i;
   double *r = k->registers;
-  r[0] = c->now->time;
+  const long which = leg_now(c, i);
+  const leg_t leg = leg_of(c, i, which);
+  r[0] = c->now->time - leg.start;
   memcpy(r + 1, c->value + l->at[OF_STATES], (size_t)l->states * sizeof *r);
   acting_on(c, i, r + 1 + l->states);
-  if (k->prepared && !again) return;
+  if (k->prepared && k->leg == which && !again) return;
   long from[MAX_CONSTANTS];
-  const long n = constants_of(m, i, from);
-  for (long j = 0; j < n; j++) r[t->n_in + j] = c->value[from[j]];
+  const long n = constants_of(c, i, from);
+  for (long j = 0; j < n; j++) r[t->n_in + j] = from[j] ? c->value[from[j]] : leg.sigma[j - 1];
+  k->leg = which;
   if (!again) c->engine->step(&(program_t){t->prologue, r});
   k->prepared = !again;
 }
@@ -98,6 +105,14 @@ static void find_system(component_t *c, long i) {
   for (long j = l->at[OF_RATES]; j < l->at[GROUPS] && !is_defined(c, i); j++) c->value[j] = NAN;
 }
 
+/* What a path velocity of the finger is to the object that it rolls on, in carried frames */
+static void rolled(const double *x, const double *w, double *out) {
+  const double angle = x[ANGLE] + x[FRAME_ANGLE] + x[BODY + FRAME_ANGLE];
+  const double cs = cos(angle), sn = sin(angle),
+               found[] = {cs * w[0] - sn * w[1], -sn * w[0] - cs * w[1]};
+  memcpy(out, found, sizeof found);
+}
+
 /* States without slip: the object's path velocity is that of rolling. */
 static void no_slip(const model_t *m, long i, double *x) {
   const layout_t *l = m->layout + i;
@@ -105,9 +120,23 @@ static void no_slip(const model_t *m, long i, double *x) {
     x[l->states - 2] = x[l->states - 1] = 0.0;
     return;
   }
-  const double angle = x[ANGLE] + x[FRAME_ANGLE] + x[BODY + FRAME_ANGLE];
-  const double cs = cos(angle), sn = sin(angle), *w = x + VELOCITY;
-  x[BODY + VELOCITY] = cs * w[0] - sn * w[1], x[BODY + VELOCITY + 1] = -sn * w[0] - cs * w[1];
+  rolled(x, x + VELOCITY, x + BODY + VELOCITY);
+}
+
+/* The path turns where a leg begins. What slips goes on slipping, but behind a rest under a law
+   that makes up for growth. */
+static void turn_path(component_t *c, long i, const leg_t *leg) {
+  const model_t *m = c->model;
+  const double cs = leg->turn[0], sn = leg->turn[1];
+  double *x = c->value + m->layout[i].at[OF_STATES], more[2];
+  double *w = m->frames ? x + m->layout[i].states - 4 : x + VELOCITY;
+  const double grown[2] = {cs * w[0] - sn * w[1] - w[0], sn * w[0] + cs * w[1] - w[1]};
+  rolled(x, grown, more);
+  for (int a = 0; a < 2; a++) {
+    w[a] += grown[a];
+    if (!m->frames) x[BODY + VELOCITY + a] += more[a];
+  }
+  if (m->data[D_MAKES_UP] > 0 && leg->sigma[0] == 0.0) no_slip(m, i, x);
 }
 
 /* ---- Model Exchange ---- */
@@ -185,6 +214,7 @@ static long behind(const component_t *c, long i, long r, const long *constants, 
   const layout_t *l = c->model->layout + i;
   if (r > l->states && r <= l->states + DISTURBANCES)
     return parts_of(c, i, (int)(r - 1 - l->states), out, PARTS);
+  if (r > l->states + DISTURBANCES && !constants[r - 1 - l->states - DISTURBANCES]) return 0;
   const long reference = r == 0           ? TIME_VALUE
                          : r <= l->states ? l->at[OF_STATES] + r - 1
                                           : constants[r - 1 - l->states - DISTURBANCES];
@@ -214,7 +244,7 @@ static void derive(component_t *c, int transposed) {
       double state;
       get_values(c, (unsigned)l->at[OF_STATES], 1, &state);
     }
-    constants_of(m, i, constants);
+    constants_of(c, i, constants);
     for (long from = 0; from < (transposed ? inputs : 1); from += L) {
       memset(c->tangents, 0, (size_t)inputs * sizeof *c->tangents);
       for (long r = 0; r < inputs; r++) {

@@ -4,7 +4,12 @@ import contact_system as cs
 
 EVERYTHING = cs.Scene(
     object=cs.Ellipsoid(0.3, 0.2, 0.1),
-    contacts=[cs.Contact(cs.Sphere(0.04), object_at=(2.0, 0.7), object_velocity="rest")],
+    contacts=[
+        cs.Contact(cs.Sphere(0.04), object_at=(2.0, 0.7), object_velocity="rest"),
+        cs.Contact(
+            cs.Sphere(0.04), (1.0, 0.3), legs=[cs.Leg(0.3, 0.03, 0.35), cs.Leg(2.0, 0.02, 0.35)]
+        ),
+    ],
     profile=cs.Profile([0.3, -0.5, 0.6, -0.2]),
     gain=cs.Gain.guaranteed(8.0),
     duration=1.0,
@@ -15,4 +20,4 @@ EVERYTHING = cs.Scene(
     ],
     name="everything",
 )
-"""A double cover, sigma that dips and later ends, a gain with pieces, windows that overlap."""
+"""A double cover, sigma that dips and later ends, gain in pieces, windows that overlap, legs."""

@@ -159,15 +159,22 @@ class Instance:
             raise AssertionError("not refused")
 
 
-def simulated(scene: cs.Scene, kind: str, version: str, slave: dict | None = None, **given):
+def simulated(
+    scene: cs.Scene,
+    kind: str,
+    version: str,
+    slave: dict | None = None,
+    states: str = "auto",
+    **given,
+):
     """What `fmpy.simulate_fmu` gives, all outputs and states."""
-    scalars = variable_table(scene).scalars()
+    scalars = variable_table(scene, states).scalars()
     names = [v.name for v in scalars if v.causality in ("output", "local")]
     given = {"output": names, "relative_tolerance": 1e-10} | given
     if kind == "slave":
         with in_process(scene, version, **(slave or {})) as ready:
             return fmpy.simulate_fmu(**ready, **given)
-    fmu = exported(scene, version)
+    fmu = exported(scene, version, states=states)
     given = {"fmi_type": "CoSimulation", "stop_time": scene.duration} | given
     return fmpy.simulate_fmu(str(fmu.folder), model_description=fmu.description, **given)
 

@@ -1,0 +1,301 @@
+r"""One contact as CasADi functions: its derivatives and outputs, and where it starts.
+
+What the coordinates "chart" and "frame" are, and the functions' arguments, is said in
+`contact_system.system`, which puts the contacts of a scene together; the equations stand in
+`theory`. CasADi is loaded when the first function is made.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .surfaces import TINY, TURN, Surface, UserSurface
+from .theory import symbols as ca
+from .theory.development import InChart, InSpace, moving
+from .theory.equations import (
+    chart_equations,
+    flip,
+    pushed_paths,
+    reflection,
+    relative_pose,
+    relative_twist,
+    relative_velocity,
+    starting_slip,
+)
+from .theory.gain import LAWS
+from .theory.geometry import rotation
+from .theory.profile import integral, polynomial, product
+from .theory.symbols import per_structure
+
+PER_CONTACT = (
+    "state",
+    "slip",
+    "twist",
+    "acceleration",
+    "pose",
+    "contact_point",
+    "normal",
+    "normal_rate",
+    "carried",
+    "regularity",
+)
+"""Outputs of :meth:`SceneSystem.function` that every contact has."""
+
+
+class Form(NamedTuple):
+    """How the motion of one contact is written; with the surfaces' structures it names a function.
+
+    ambient: whether finger and object are moved in space. growths: where sigma grows, for the laws
+    that make up for it.
+    """
+
+    coordinates: str
+    forced: bool
+    ambient: tuple[bool, bool]
+    law: str
+    n_profile: int
+    growths: tuple[tuple[float, float], ...]
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers of states, of finger and object first."""
+        if self.coordinates == "chart":
+            return 4, 4, 1
+        finger, obj = ((InSpace if ambient else InChart).size for ambient in self.ambient)
+        return (finger, obj, 2, 2) if self.forced else (finger, obj)
+
+    @property
+    def n_held(self) -> int:
+        return 0 if self.coordinates == "chart" or self.forced else 5
+
+
+class Body(NamedTuple):
+    """One side of a contact: numbers (sign and parameters), size and place are symbols."""
+
+    surface: Surface
+    ambient: bool
+    numbers: ca.SX
+    size: ca.SX
+    place: ca.SX  # of its moving frame
+
+    def at(self, *place: ca.SX | float) -> Body:
+        return self._replace(place=ca.vertcat(*place))
+
+    def find(self, name: str, *drive: ca.SX | float) -> ca.SX:
+        """What a function of the moving frame gives (`theory.development`)."""
+        function = moving(self.surface, self.ambient)(name)
+        return function(ca.vertcat(self.place, *drive), self.numbers)
+
+    def frame(self) -> ca.SX:
+        """x, p, q, (9)."""
+        if self.ambient:
+            return ca.vertcat(self.place, self.find("second"))
+        return self.find("frame")
+
+    def regularity(self) -> ca.SX:
+        """The lesser Lame coefficient over the size: 0 where the chart is singular.
+
+        Negative where f_u x f_v points into the body (beyond a sphere's pole); 1 for charts that
+        are regular everywhere.
+        """
+        surface = self.surface
+        if self.ambient or not (surface.chart.singular_at or isinstance(surface, UserSurface)):
+            return ca.SX(1)
+        least = self.find("lame")[2] / self.size
+        if not surface.has_implicit:
+            return least
+        x, p, q = ca.vertsplit(self.frame(), 3)
+        outward = moving(surface, True)("second")(ca.vertcat(x, p), self.numbers)
+        return ca.copysign(least, ca.dot(outward, q))
+
+
+class Drive(NamedTuple):
+    sigma: ca.SX
+    slope: ca.SX  # sigma'
+    lam: ca.SX
+
+
+class ContactMotion(NamedTuple):
+    """What every output of a contact is read off; (p_i, q_i) are the bodies' moving frames."""
+
+    rate: ca.SX  # x'
+    state: ca.SX  # u1 v1 u1' v1' u2 v2 u2' v2' psi
+    bodies: tuple[Body, Body]
+    velocities: tuple[ca.SX, ca.SX]  # of the contact point along (p_i, q_i)
+    turn: ca.SX  # (2, 2), takes components along (p_1, q_1) to (p_2, q_2)
+    sliding: ca.SX  # slip along (p_2, q_2)
+    theta: ca.SX  # the angle of (p_2, q_2) in E2
+    carried: ca.SX  # W_1 and V, of frames
+
+
+def _decay(form: Form, value: ca.SX, profile: list[ca.SX], since: ca.SX, t: ca.SX) -> ca.SX:
+    """exp(-(L(t) - L(since))), as `Gain.exponent` gives L."""
+    powers: Sequence[ca.SX] = [ca.SX(1)]
+    for _ in range(LAWS[form.law].power):
+        powers = product(powers, profile)
+    lost = integral(powers)
+    decay = ca.exp(-value * (polynomial(lost, t) - polynomial(lost, since)))
+    for start, stop in form.growths:
+        first, last = (
+            ca.fmax(polynomial(profile, ca.fmin(ca.fmax(time, start), stop)), TINY)
+            for time in (since, t)
+        )
+        decay *= first / last
+    return decay
+
+
+def _bodies(finger: Surface, obj: Surface, form: Form) -> tuple[Body, Body, list[ca.SX]]:
+    """Finger and object, and the symbols of their numbers, each followed by the body's size."""
+    symbols = [ca.SX.sym(name, len(s.parameters) + 1) for name, s in (("p1", finger), ("p2", obj))]
+    tip, body = (
+        Body(s, ambient, ca.vertcat(s.sign, p)[:-1], p[-1], ca.SX())
+        for s, ambient, p in zip((finger, obj), form.ambient, symbols)
+    )
+    return tip, body, symbols
+
+
+def _chart_motion(tip: Body, body: Body, x: ca.SX, w: ca.SX, drive: Drive) -> ContactMotion:
+    """In the contact frames themselves: theta = 0."""
+    q1, rate_1, q2, rate_2, psi = ca.vertsplit(x, [0, 2, 4, 6, 8, 9])
+    tip, body, moved = tip.at(q1, 0), body.at(q2, 0), rate_2 + w[4:6]
+    equations = chart_equations(tip.surface, body.surface)
+    point = ca.vertcat(x, drive.slope / drive.sigma, drive.lam, w)
+    velocities = tip.find("vector", rate_1), body.find("vector", moved)
+    turn = reflection(ca.cos(psi), ca.sin(psi))
+    return ContactMotion(
+        rate=equations(point, ca.vertcat(tip.numbers, body.numbers)),
+        state=ca.vertcat(x[:6], moved, psi),
+        bodies=(tip, body),
+        velocities=velocities,
+        turn=turn,
+        sliding=relative_velocity(turn, *velocities),
+        theta=ca.SX(0),
+        carried=ca.SX(0, 1),
+    )
+
+
+def _frame_motion(
+    tip: Body, body: Body, form: Form, x: ca.SX, w: ca.SX, drive: Drive, held: ca.SX
+) -> ContactMotion:
+    """In frames carried along by parallel transport; held: W_1 and V."""
+    w1, v = ca.vertsplit(held, 2)
+    own = ca.vertsplit(x, np.cumsum([0, *form.sizes]).tolist())
+    # in space, the state on the surface again
+    tip, body = (
+        b.at(b.at(f).find("restore") if b.ambient else f) for b, f in zip((tip, body), own)
+    )
+    offset = body.find("vector", w[4:6])
+    velocities = drive.sigma * w1, drive.sigma * (flip() @ w1 - v) + offset
+    rates = []
+    for b, f, velocity in zip((tip, body), own, velocities):
+        rates.append(b.find("motion", velocity))
+        if b.ambient:  # drift off the surface dies out along a path of the body's size
+            rates[-1] += drive.sigma / b.size * (b.place - f)
+    if form.forced:
+        pushed = tip.find("vector", w[:2]), body.find("vector", w[2:4])
+        w1_rate, v_rate = pushed_paths(ca.fmax(drive.sigma, TINY), flip(), *pushed)
+        rates += [w1_rate, v_rate - drive.lam * v]
+    first, second = (b.find("coordinates", c) for b, c in zip((tip, body), velocities))
+    psi = -first[4] - second[4]
+    psi -= TURN * ca.floor((psi + math.pi) / TURN)
+    return ContactMotion(
+        rate=ca.vertcat(*rates),
+        state=ca.vertcat(first[:4], second[:4], psi),
+        bodies=(tip, body),
+        velocities=velocities,
+        turn=flip(),
+        sliding=drive.sigma * v - offset,
+        theta=second[4],
+        carried=ca.vertcat(w1, v),
+    )
+
+
+@per_structure
+def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
+    """Derivatives, then the outputs of `PER_CONTACT`, of one contact.
+
+    Inputs: t, x, w (6), held, law (gain, profile coefficients), numbers and size of the finger and
+    of the object. The twist's rate follows by the chain rule along the motion.
+    """
+    tip, body, numbers = _bodies(finger, obj, form)
+    t, x, w = ca.SX.sym("t"), ca.SX.sym("x", sum(form.sizes)), ca.SX.sym("w", 6)
+    held, law = ca.SX.sym("held", form.n_held), ca.SX.sym("law", 1 + form.n_profile)
+    profile = ca.vertsplit(law[1:])
+    sigma = polynomial(profile, t)
+    slope = ca.gradient(sigma, t)
+    growth = ca.fmax(0, slope / ca.fmax(sigma, TINY))
+    drive = Drive(sigma, slope, LAWS[form.law].rate(law[0], sigma, growth))
+    if form.coordinates == "chart":
+        motion = _chart_motion(tip, body, x, w, drive)
+    elif form.forced:
+        motion = _frame_motion(tip, body, form, x, w, drive, x[-4:])
+    else:
+        v = held[2:4] * _decay(form, law[0], profile, held[4], t)
+        motion = _frame_motion(tip, body, form, x, w, drive, ca.vertcat(held[:2], v))
+    rate, state, (tip, body), velocities, turn, sliding, theta, carried = motion
+    frames, shapes = (tip.frame(), body.frame()), (tip.find("shape"), body.find("shape"))
+
+    def derivative(value: ca.SX) -> ca.SX:  # disturbances do not change between edges
+        return ca.jtimes(value, x, rate) + ca.jtimes(value, t, ca.SX(1))
+
+    twist = ca.vertcat(*relative_twist(frames, shapes, velocities, turn, sliding))
+    (x1, _), (x2, tangents) = (ca.vertsplit(frame, [0, 3, 9]) for frame in frames)
+    normal = ca.cross(tangents[:3], tangents[3:])
+    outputs = {
+        "derivatives": rate,
+        "state": state,
+        "slip": rotation(theta) @ sliding,
+        "twist": twist,
+        "acceleration": derivative(twist),
+        "pose": ca.vertcat(*map(ca.vec, relative_pose(*frames, turn))),
+        "contact_point": ca.vertcat(x1, x2),
+        "normal": normal,
+        "normal_rate": derivative(normal),
+        "carried": carried,
+        "regularity": ca.vertcat(tip.regularity(), body.regularity()),
+    }
+    inputs = [t, x, w, held, law, *numbers]
+    values = ca.cse([outputs[name] for name in ("derivatives", *PER_CONTACT)])
+    return ca.Function("contact", inputs, [ca.densify(value) for value in values])
+
+
+@per_structure
+def start_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
+    """States and held numbers of one contact from where it starts.
+
+    Inputs: t; the finger's place, the object's place, psi, W_1 in E1, the object's path velocity
+    in E2; law; numbers and size of the finger and of the object. A place is (u, v), or where there
+    is no chart the point and the contact frame's first axis (6).
+    """
+    tip, body, numbers = _bodies(finger, obj, form)
+    t, law = ca.SX.sym("t"), ca.SX.sym("law", 1 + form.n_profile)
+    at = [ca.SX.sym("at", 2 if s.has_chart else 6) for s in (finger, obj)]
+    psi, w1, y = ca.SX.sym("psi"), ca.SX.sym("W1", 2), ca.SX.sym("Y", 2)
+    sigma = polynomial(ca.vertsplit(law[1:]), t)
+    if form.coordinates == "chart":
+        first = tip.at(at[0], 0).find("coordinates", sigma * w1)
+        second = body.at(at[1], 0).find("coordinates", sigma * y)
+        x, held = ca.vertcat(first[:4], second[:4], psi), ca.SX(0, 1)
+    else:
+        frames = ca.vertcat(_first_frame(tip, at[0], -psi), _first_frame(body, at[1], ca.SX(0)))
+        w1_parallel = rotation(psi) @ w1
+        v = starting_slip(w1_parallel, flip() @ w1_parallel, y)
+        if LAWS[form.law].makes_up:  # which lets no slip leave a rest
+            v = ca.if_else(sigma > 0, v, 0)
+        x, held = frames, ca.vertcat(w1_parallel, v, t)
+        if form.forced:
+            x, held = ca.vertcat(frames, w1_parallel, v), ca.SX(0, 1)
+    inputs = [t, ca.vertcat(*at, psi, w1, y), law, *numbers]
+    return ca.Function("start", inputs, [ca.densify(x), ca.densify(held)])
+
+
+def _first_frame(body: Body, place: ca.SX, theta: ca.SX) -> ca.SX:
+    """The state of a moving frame at a place, turned by theta from the contact frame."""
+    if body.surface.has_chart:
+        return body.at(place, theta).find("start") if body.ambient else ca.vertcat(place, theta)
+    x, first = ca.vertsplit(place, 3)
+    return ca.vertcat(x, ca.cos(theta) * first + ca.sin(theta) * body.at(place).find("second"))
