@@ -16,7 +16,7 @@ from typing import Any
 
 import fmpy
 import numpy as np
-from fmpy.fmi1 import FMICallException
+from fmpy.fmi1 import FMICallException, printLogMessage
 from fmpy.fmi2 import fmi2Discard, fmi2LastSuccessfulTime, fmi2Terminated
 from fmpy.simulation import settable_in_initialization_mode, settable_in_instantiated
 
@@ -35,6 +35,29 @@ SLACK = 1e-6
 """By how much of a step the Context's time and the FMU's may differ."""
 WARNING, FATAL = 1, 4  # statuses, the same in FMI 2 and 3
 TEXTS = {"String": str, "Binary": bytes}  # what start values may be besides
+
+
+class _Listening(threading.local):
+    """Where a thread's messages go while an instance is called.
+
+    Of FMI 2 fmpy hands all messages of a process to the logger that it was given last, also those of
+    other FMUs after that logger's instance is gone; so it is one function, and its callbacks stay.
+    """
+
+    log: collections.deque[tuple[int, str]] | None = None
+
+
+_LISTENING = _Listening()
+_CALLBACKS: list[Any] = []
+
+
+def _note(*said: Any) -> None:
+    """What an FMU says; FMI 2 has an instance's name before the status."""
+    status, _, message = said[-3:]
+    if _LISTENING.log is not None:
+        _LISTENING.log.append((status, (message or b"").decode(errors="replace").strip()))
+    elif len(said) == 5:  # of another FMU, as fmpy does by itself
+        printLogMessage(*said)
 
 
 class Moment:
@@ -338,25 +361,23 @@ class Instance:
                 self.description,
                 "CoSimulation",
                 debug_logging=True,
-                logger=self._note,
+                logger=_note,
                 library_path=str(self._library),
             )
         self._fmu = fmu
+        if self.version == 2:
+            _CALLBACKS[:] = [fmu.callbacks]
         categories = [category.name for category in self.description.logCategories]
         status = [name for name in categories if name.startswith("logStatus")]
         if status:  # and not what it says about each step
             with contextlib.suppress(FMICallException):
                 fmu.setDebugLogging(True, status)
 
-    def _note(self, *said: Any) -> None:
-        """What the FMU says; FMI 2 has an instance's name before the status."""
-        status, _, message = said[-3:]
-        self._log.append((status, (message or b"").decode(errors="replace").strip()))
-
     @contextlib.contextmanager
     def _doing(self, what: str, time: float) -> Iterator[None]:
         """Errors of FMI calls inside, in words."""
         self._log.clear()
+        outside, _LISTENING.log = _LISTENING.log, self._log
         try:
             yield
         except ContactSystemError:
@@ -371,6 +392,8 @@ class Instance:
                 f"{self.name}: {what} failed at t = {time:.6g} s: {error}"
                 + "".join(f" It says: {text}" for text in said)
             ) from error
+        finally:
+            _LISTENING.log = outside
 
     def _free(self) -> None:
         for key in list(self._states):

@@ -590,6 +590,15 @@ def test_inputs_that_a_variable_cannot_take_are_refused(build, version):
             simulator.Initialize()
 
 
+def test_fmpy_hears_what_other_fmus_say_when_a_system_is_gone(tmp_path, capfd):
+    file = export_fmu(cs.load_scene("K2"), tmp_path / "K2.fmu", fmi_version="2.0")
+    FmuSystem(file, step=0.1)
+    gc.collect()
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        fmpy.simulate_fmu(str(file), start_values={"object.radius": -1.0}, debug_logging=True)
+    assert "object.radius = -1 is refused" in capfd.readouterr().out
+
+
 # --- the planner ---------------------------------------------------------------------------------
 
 
