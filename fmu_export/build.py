@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import hashlib
 import importlib.util
+import os
 import platform
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from contact_system.checks import items_of
+from contact_system.checks import items_of, make_folder
 from contact_system.engine.binding import LIBRARY
 from contact_system.errors import ContactSystemError
 
@@ -100,20 +103,39 @@ def library_place(name: str, target: str, fmi_version: str) -> str:
 def library(target: str, name: str) -> bytes:
     """The engine with its FMI layer for a platform, under a model's name.
 
-    This machine's was built when the package was installed; others are built by ziglang, which
-    keeps what it has built.
+    This machine's was built when the package was installed; others are built by ziglang and kept.
 
     Raises
     ------
     ContactSystemError
-        An unknown platform, no ziglang, or what ziglang says is wrong.
+        An unknown platform, no ziglang, or a cache folder that cannot be written to, or by others.
     """
     row = _platform(target)
     if target == "native":
         return LIBRARY.read_bytes()
+    if not importlib.util.find_spec("ziglang"):
+        raise ContactSystemError(
+            f"no compiler for {target}: `pip install ziglang`, which compiles for all platforms"
+        )
+    compiler = [sys.executable, "-m", "ziglang", "cc", "-target", row.target]
+    command = [*compiler, *FLAGS, *row.flags, f"-I{ENGINE}", *map(str, UNITS)]
+
+    def make(room: Path) -> Path:
+        built = room / f"{LONG_NAME}{row.suffix}"
+        run = subprocess.run(
+            [*command, "-o", built.name, "-lm"],
+            cwd=room,
+            capture_output=True,
+            text=True,
+            errors="replace",
+        )
+        if run.returncode:
+            raise ContactSystemError(f"{' '.join(command)} failed:\n{run.stderr[-2000:]}")
+        return built
+
+    found = _kept("\0".join([*command, *texts().values()]), make)
     # A Windows library carries its name, and programs that are linked with it look for that one.
     own, given = (f"{stem}.dll".encode() for stem in (LONG_NAME, name))
-    found = _built(row)
     return found.replace(own, given.ljust(len(own), b"\0")) if row.suffix == ".dll" else found
 
 
@@ -122,23 +144,82 @@ LONG_NAME = "contact_engine".ljust(110, "_")
 
 
 @functools.cache
-def _built(row: Platform) -> bytes:
-    if not importlib.util.find_spec("ziglang"):
-        raise ContactSystemError(
-            f"no compiler for {row.target}: `pip install ziglang`, which compiles for all platforms"
-        )
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", row.target, *FLAGS, *row.flags]
-    command += [f"-I{ENGINE}", *map(str, UNITS), "-o", f"{LONG_NAME}{row.suffix}", "-lm"]
-    with tempfile.TemporaryDirectory(prefix="contact-system-") as room:
-        run = subprocess.run(command, cwd=room, capture_output=True, text=True, errors="replace")
-        if run.returncode:
-            raise ContactSystemError(f"{' '.join(command)} failed:\n{run.stderr[-2000:]}")
-        return (Path(room) / command[-2]).read_bytes()
-
-
-@functools.cache
 def texts() -> dict[Path, str]:
     """The C of the engine and its FMI layer, by file."""
     folders = (ENGINE, ENGINE / "generated", C_FOLDER)
     files = [file for folder in folders for file in sorted(folder.glob("*.[chi]*"))]
     return {file: file.read_text("utf-8") for file in files}
+
+
+# --- the cache -----------------------------------------------------------------------------------
+
+# Where users' caches are: the variable that names the folder, and what it is below their homes.
+_CACHES = {"win32": ("LOCALAPPDATA", "AppData", "Local"), "darwin": ("", "Library", "Caches")}
+_REMEDY = "set CONTACT_SYSTEM_CACHE to a folder that can be written to"
+
+
+def cache_folder() -> Path:
+    """Where built libraries are kept: ``$CONTACT_SYSTEM_CACHE`` or the user's cache folder.
+
+    Raises
+    ------
+    ContactSystemError
+        The user has no home folder, as some users of containers.
+    """
+    chosen = os.environ.get("CONTACT_SYSTEM_CACHE")
+    if chosen:
+        return Path(chosen).absolute()  # a bare file name would be sought among the system's
+    variable, *below = _CACHES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
+    base = Path(os.environ.get(variable, ""))
+    if not base.is_absolute():  # XDG has it ignored then
+        try:
+            base = Path.home().joinpath(*below)
+        except RuntimeError:
+            raise ContactSystemError(f"this user has no home folder; {_REMEDY}") from None
+    return base / "contact_system"
+
+
+@contextlib.contextmanager
+def _cache_room() -> Iterator[Path]:
+    """A folder in the cache's, for the time in which a file is made that goes there."""
+    folder = make_folder(cache_folder(), _REMEDY)
+    folder.chmod(0o700)
+    try:
+        with tempfile.TemporaryDirectory(dir=folder) as room:
+            yield Path(room)
+    except OSError as error:
+        raise ContactSystemError(f"cache folder '{folder}': {error}; {_REMEDY}") from None
+
+
+def _kept(key: str, make: Callable[[Path], Path]) -> bytes:
+    """A library that was built before under this key, or that is made now in a folder.
+
+    It is kept beside its digest; one that does not fit that, as after a full disk, is made again.
+    """
+    folder, name = cache_folder(), hashlib.sha256(key.encode()).hexdigest()[:24]
+    file, digest = (folder / f"{name}{end}" for end in (".fmulib", ".sha256"))
+    _refuse_open(folder)
+    with contextlib.suppress(OSError):
+        found = file.read_bytes()
+        if hashlib.sha256(found).hexdigest() == digest.read_text():
+            return found
+    with _cache_room() as room:
+        built = make(room)
+        found = built.read_bytes()
+        (room / "digest").write_text(hashlib.sha256(found).hexdigest())
+        os.replace(room / "digest", digest)
+        os.replace(built, file)  # atomic: a second process never sees half a file
+    return found
+
+
+def _refuse_open(folder: Path) -> None:
+    """Refuse a folder in which others may put libraries."""
+    try:
+        found = folder.stat()
+    except OSError:
+        return  # it is made for this user alone
+    if os.name == "posix" and (found.st_mode & 0o022 or found.st_uid != os.getuid()):
+        raise ContactSystemError(
+            f"cache folder '{folder}' can be written to by others, who might put libraries there; "
+            f"`chmod go-w '{folder}'`, or {_REMEDY}"
+        )

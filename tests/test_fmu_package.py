@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import ctypes
+import os
 import re
 import shutil
 import subprocess
@@ -30,7 +31,7 @@ from fmu_hosts.native import (  # noqa: E402
     find_compiler,
 )
 
-from fmu_export import check_fmu, cli, export_fmu  # noqa: E402
+from fmu_export import build, check_fmu, cli, export_fmu  # noqa: E402
 from fmu_export.archive import write_fmu  # noqa: E402
 from fmu_export.build import PLATFORMS  # noqa: E402
 
@@ -193,6 +194,24 @@ def test_another_platform_finds_the_same_trajectory(target, version, tmp_path):
     except Unavailable as error:
         pytest.skip(str(error))
     assert difference(fmu.outputs, found, wanted) < 1e-14
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders have no modes")
+def test_a_cache_that_others_may_write_to_is_refused_and_what_was_damaged_is_built_again(
+    tmp_path, monkeypatch
+):
+    pytest.importorskip("ziglang")
+    monkeypatch.setenv("CONTACT_SYSTEM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(build, "UNITS", (one := tmp_path / "one.c",))
+    one.write_text("int one(void) { return 1; }\n")
+    good = build.library("x86_64-linux", "one")
+    assert (tmp_path / "cache").stat().st_mode & 0o777 == 0o700
+    (kept,) = (tmp_path / "cache").glob("*.fmulib")
+    kept.write_bytes(b"")
+    assert build.library("x86_64-linux", "one") == good
+    (tmp_path / "cache").chmod(0o777)
+    with pytest.raises(cs.ContactSystemError, match="can be written to by others"):
+        build.library("x86_64-linux", "two")
 
 
 # --- the command
