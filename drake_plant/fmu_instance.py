@@ -40,8 +40,8 @@ TEXTS = {"String": str, "Binary": bytes}  # what start values may be besides
 class _Listening(threading.local):
     """Where a thread's messages go while an instance is called.
 
-    Of FMI 2 fmpy hands all messages of a process to the logger that it was given last, also those of
-    other FMUs after that logger's instance is gone; so it is one function, and its callbacks stay.
+    Of FMI 2 fmpy hands all messages of a process to the logger that it was given last, also those
+    of other FMUs after that logger's instance is gone; so it is one function, and stays.
     """
 
     log: collections.deque[tuple[int, str]] | None = None
