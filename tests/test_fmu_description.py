@@ -93,7 +93,7 @@ def test_units_follow_the_chart_and_are_made_of_base_units(version, written):
 
 def test_states_are_frames_where_a_path_comes_near_a_pole():
     frames = {name for name in cs.bundled_scenes() if variable_table(cs.load_scene(name)).frames}
-    assert frames == {"D1", "D2", "D3", "D4", "K4", "implicit"}
+    assert frames == {"D1", "D2", "D3", "D4", "K4", "R1", "implicit"}
     assert not variable_table(cs.load_scene("K4"), "chart").frames
 
 
