@@ -14,8 +14,8 @@ import numpy as np
 from oracles.load import load, surface_of
 
 import contact_system as cs
-from contact_system.aiming import FINE, Search
-from contact_system.geodesic import Pairs
+from contact_system.steering.aiming import FINE, Search
+from contact_system.steering.two_points import Pairs
 
 from .report import Bar, Sections
 

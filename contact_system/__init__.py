@@ -3,6 +3,9 @@
 Kumar & Mukherjee, "A note on synthesizing geodesic based contact curves".
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from .contact_sensor import measured_states
 from .errors import (
     ChartSingularity,
@@ -11,7 +14,6 @@ from .errors import (
     SceneError,
     SurfaceError,
 )
-from .geodesic import Geodesic, geodesic, geodesics
 from .measures import Rejection, great_circle_distance, rejections
 from .plan import Plan, load, plan
 from .scene import (
@@ -26,7 +28,6 @@ from .scene import (
     load_scene,
     save_scene,
 )
-from .steering import Goal, Loop, Route, loop, reach
 from .surfaces import (
     Cylinder,
     Ellipsoid,
@@ -42,6 +43,12 @@ from .sweep import Failure, Sweep, summary, sweep
 from .system import SceneSystem
 from .theory.gain import Contraction, Gain
 from .theory.profile import Profile
+
+if TYPE_CHECKING:
+    from .steering.goal import Goal, Route
+    from .steering.loop import Loop, loop
+    from .steering.reach import reach
+    from .steering.two_points import Geodesic, geodesic, geodesics
 
 __version__ = "0.1.0"
 
@@ -94,3 +101,10 @@ __all__ = [
     "summary",
     "sweep",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    steering = import_module(f"{__name__}.steering")  # a plan needs none of it
+    if name not in steering.__all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(steering, name)

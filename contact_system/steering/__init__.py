@@ -1,7 +1,8 @@
-"""Steering: legs that take contacts from a start to a goal (theory section 11)."""
+"""Steering: from a start to a goal, on legs or on one geodesic (theory section 11)."""
 
 from .goal import Goal, Route
 from .loop import Loop, loop
 from .reach import reach
+from .two_points import Geodesic, geodesic, geodesics
 
-__all__ = ["Goal", "Loop", "Route", "loop", "reach"]
+__all__ = ["Geodesic", "Goal", "Loop", "Route", "geodesic", "geodesics", "loop", "reach"]

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .engine import binding
-from .errors import SurfaceError
-from .surfaces import Surface
-from .theory.development import IN_CHART, IN_SPACE, prefers_space
+from ..engine import binding
+from ..errors import SurfaceError
+from ..surfaces import Surface
+from ..theory.development import IN_CHART, IN_SPACE, prefers_space
 
 if TYPE_CHECKING:
-    from .geodesic import Pairs
+    from .two_points import Pairs
 
 Array = np.ndarray
 Ways = tuple[Array, Array, Array]

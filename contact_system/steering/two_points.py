@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..checks import finite_number, real_array
+from ..engine import binding
+from ..errors import SurfaceError
+from ..kept import kept
+from ..surfaces import SINGULAR, Surface
 from .aiming import MET, SHARP, Array, Follower, Search
-from .checks import finite_number, real_array
-from .engine import binding
-from .errors import SurfaceError
-from .kept import kept
-from .surfaces import SINGULAR, Surface
 
 ON_SURFACE = 1e-9  # of the size: points that are so near to it lie on it
 
