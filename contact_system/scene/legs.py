@@ -14,6 +14,7 @@ from ..errors import SceneError
 from ..theory.profile import Profile, clear_value
 
 STILL = Profile([0.0])
+_LONGEST = 1e15  # s
 _JUMP = 1e-9  # of the greatest sigma: what speeds beside a joint may differ by, from rounding
 
 
@@ -53,6 +54,10 @@ class Leg:
         put = object.__setattr__
         put(self, "direction", finite_number(self.direction, "direction"))
         put(self, "duration", finite_number(self.duration, "duration", "above 0"))
+        if not 1 / _LONGEST <= self.duration <= _LONGEST:  # its fifth power is a number, too
+            raise SceneError(
+                f"duration = {self.duration!r} s: give {1 / _LONGEST:g} to {_LONGEST:g} s"
+            )
         if self.length is not None:
             put(self, "length", finite_number(self.length, "length", "not below 0"))
         if self.profile is None:
@@ -168,6 +173,6 @@ def check_legs(legs: Sequence[Leg], duration: float) -> None:
 def _ends(stretch: Stretch) -> tuple[float, float]:
     """sigma where the stretch begins and ends, 0 where it cannot be told from rounding."""
     span, c = stretch.stop - stretch.start, stretch.profile.coefficients
-    size = float(np.dot(np.abs(c), [span**k for k in range(len(c))]))
+    size = float(np.polynomial.polynomial.polyval(span, np.abs(c)))
     first, last = (clear_value(c, t) for t in (0.0, span))
     return (first, last) if abs(last) > _JUMP * size else (first, 0.0)
