@@ -39,7 +39,6 @@ from .surfaces import (
     Surface,
     Torus,
 )
-from .sweep import Failure, Sweep, summary, sweep
 from .system import SceneSystem
 from .theory.gain import Contraction, Gain
 from .theory.profile import Profile
@@ -49,6 +48,7 @@ if TYPE_CHECKING:
     from .steering.loop import Loop, loop
     from .steering.reach import reach
     from .steering.two_points import Geodesic, geodesic, geodesics
+    from .sweeping import Failure, Sweep, summary, sweep
 
 __version__ = "0.1.0"
 
@@ -103,8 +103,15 @@ __all__ = [
 ]
 
 
+_LATER = {
+    "steering": ("Geodesic", "Goal", "Loop", "Route", "geodesic", "geodesics", "loop", "reach"),
+    "sweeping": ("Failure", "Sweep", "summary", "sweep"),
+}
+"""What a plan needs none of is imported when it is first asked for."""
+
+
 def __getattr__(name: str) -> Any:
-    steering = import_module(f"{__name__}.steering")  # a plan needs none of it
-    if name not in steering.__all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(steering, name)
+    for room, names in _LATER.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{room}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,208 @@
+"""Scenes that one worker takes: planned together where they can be, evaluated, told as a table.
+
+Contacts do not act on each other, so contacts of many scenes that share object, profile, gain,
+duration and windows are planned as one scene of many contacts. One by one the time would go into
+Python's calls: of scenes of one contact each, slip would take 3 times as long, `summary` 8 times.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import functools
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import ContactSystemError
+from ..plan import Plan, plan
+from ..scene import Contact, Disturbance, Scene, load_scene, scene_to_toml
+from .watch import end_with
+
+Item = Scene | str | os.PathLike | Callable[[], Scene]
+"""A scene, the name or file of one, or a function that makes one (called where it is planned)."""
+
+Evaluate = Callable[[Plan], Mapping[str, ArrayLike]]
+
+TOGETHER = 1000  # contacts a plan; more save nothing, and their samples would leave the cache
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A scene that was not planned or evaluated.
+
+    Attributes
+    ----------
+    scene : int
+        Its place among the scenes given, from 0.
+    name : str
+    error : str
+        Kind and text of the error.
+    text : str
+        The scene as a scene file; its repr where a file cannot hold it.
+    """
+
+    scene: int
+    name: str
+    error: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """What became of one chunk of scenes: a table as in :class:`Sweep`, and the failures."""
+
+    table: np.ndarray
+    failures: list[Failure]
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Scenes that one worker takes, the place of the first among all, the file of the results."""
+
+    first: int
+    items: tuple[Item, ...]
+    file: Path | None
+
+
+Batch = list[tuple[int, Scene]]
+"""Scenes that can be planned as one, of equally many contacts, and their places among all."""
+
+Run = functools.partial[Part]
+"""What workers do with a chunk: `run_chunk` with its first three arguments."""
+
+
+def run_chunk(evaluate: Evaluate, tolerance: float, sweeper: int, chunk: Chunk) -> Part:
+    """Plan and evaluate the scenes of a chunk; what goes wrong is part of the result.
+
+    ``sweeper`` is the process of the sweep, which that of this chunk does not outlive.
+    """
+    end_with(sweeper)
+
+    def tables_of(batch: Batch) -> list[np.ndarray]:
+        try:
+            outputs = evaluate(plan(_together(batch), tolerance=tolerance))
+        except Exception as error:  # whatever a user's function raises
+            if len(batch) > 1:  # in halves, to find what fails
+                half = len(batch) // 2
+                return tables_of(batch[:half]) + tables_of(batch[half:])
+            failures.append(a_failure(*batch[0], error))
+            return []
+        return [_table(batch, outputs)]
+
+    failures: list[Failure] = []
+    alike: dict[Any, Batch] = {}
+    for place, item in enumerate(chunk.items, chunk.first):
+        try:
+            scene = _scene(item)
+            # the first one alone: an axis of times that is as long as the contacts are many must
+            # not pass for rows of contacts
+            alike.setdefault((not alike, *_shared(scene)), []).append((place, scene))
+        except Exception as error:  # whatever a user's function raises
+            failures.append(a_failure(place, item, error))
+    tables = []
+    for batch in alike.values():
+        size = max(1, TOGETHER // len(batch[0][1].contacts))
+        for k in range(0, len(batch), size):
+            tables += tables_of(batch[k : k + size])
+    table = joined(tables)
+    failures.sort(key=lambda failure: failure.scene)
+    return Part(table[np.argsort(table["scene"], kind="stable")], failures)
+
+
+def _scene(item: Item) -> Scene:
+    scene = item() if callable(item) else item
+    if isinstance(scene, Scene):
+        return scene
+    if isinstance(item, (str, os.PathLike)):
+        return load_scene(item)
+    raise ContactSystemError(
+        f"{scene!r:.80} is no scene; give a Scene, the name or file of one, or a function that "
+        "makes one"
+    )
+
+
+def _shared(scene: Scene) -> tuple:
+    """Scenes that agree in this can be planned as one."""
+    windows = frozenset((type(d), d.start, d.stop) for d in scene.disturbances)
+    given = scene.object, scene.profile, scene.gain, scene.duration, scene.turning
+    return *given, windows, repr(scene.paper), len(scene.contacts)
+
+
+def _together(batch: Batch) -> Scene:
+    """The contacts of a batch, in order, as one scene.
+
+    Its parts were checked in their own scenes, and are not again: with that a sweep of disturbed
+    scenes would take a seventh longer.
+    """
+    contacts: list[Contact] = []
+    disturbances: list[Disturbance] = []
+    for _, scene in batch:
+        for d in scene.disturbances:
+            moved = copy.copy(d)
+            vars(moved)["contact"] = int(d.contact) + len(contacts)
+            disturbances.append(moved)
+        contacts += scene.contacts
+    one = copy.copy(batch[0][1])
+    vars(one).update(contacts=tuple(contacts), disturbances=tuple(disturbances))
+    return one
+
+
+def _table(batch: Batch, outputs: Mapping[str, ArrayLike]) -> np.ndarray:
+    """One row a contact of the batch, from what `evaluate` returned."""
+    contacts = len(batch[0][1].contacts)
+    count = contacts * len(batch)
+    columns = {
+        "scene": np.repeat([place for place, _ in batch], contacts),
+        "contact": np.tile(np.arange(contacts), len(batch)),
+        "name": np.repeat([scene.name for _, scene in batch], contacts),
+    }
+    if not isinstance(outputs, Mapping):
+        raise ContactSystemError(
+            f"evaluate returned {type(outputs).__name__}; return a dict of arrays"
+        )
+    for key, value in outputs.items():
+        if not isinstance(key, str):
+            raise ContactSystemError(f"evaluate returned the key {key!r}; give names as text")
+        try:
+            array = np.asarray(value)
+        except ValueError:  # rows of different shapes
+            array = np.array(None)
+        if key in columns or array.shape[:1] != (count,) or array.dtype.hasobject:
+            raise ContactSystemError(
+                f"evaluate returned '{key}' of shape {array.shape} and type {array.dtype}; give it "
+                f"one row of numbers or texts a contact of the plan, ({count}, ...), and a name "
+                "other than scene, contact, name"
+            )
+        columns[key] = array
+    table = np.empty(count, [(key, array.dtype, array.shape[1:]) for key, array in columns.items()])
+    for key, array in columns.items():
+        table[key] = array
+    return table
+
+
+NOTHING = np.empty(0, dtype=[("scene", np.int64), ("contact", np.int64), ("name", "U1")])
+
+
+def joined(tables: list[np.ndarray]) -> np.ndarray:
+    tables = [table for table in tables if len(table)]
+    try:
+        return np.concatenate(tables) if tables else NOTHING
+    except TypeError as error:
+        raise ContactSystemError(
+            f"evaluate returned other outputs for other scenes ({error}); return the same names "
+            "and shapes for all"
+        ) from None
+
+
+def a_failure(place: int, item: Item, error: BaseException) -> Failure:
+    text, name = repr(item), getattr(item, "name", "")
+    if isinstance(item, Scene):
+        with contextlib.suppress(ContactSystemError):  # a surface that a file cannot hold
+            text = scene_to_toml(item)
+    return Failure(place, str(name), f"{type(error).__name__}: {error}", text)

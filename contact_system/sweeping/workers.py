@@ -1,0 +1,119 @@
+"""The executor that works on a sweep's chunks, whatever becomes of its workers."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import pickle
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent import futures
+from concurrent.futures import Executor, Future
+from typing import Any
+
+from ..errors import ContactSystemError
+from .chunk import NOTHING, Chunk, Part, Run, a_failure
+from .watch import end_with
+
+LOSSES = 2  # workers that a chunk may lose while it is the only one at work
+
+
+def spread(
+    chunks: Iterator[Chunk], run: Run, executor: Executor, ahead: int
+) -> Generator[tuple[Chunk, Part]]:
+    """Run chunks on an executor, at most ``ahead`` at a time.
+
+    Chunks lost with a worker go again in the end, one at a time, so that one which kills its worker
+    shows: its scenes become failures after ``LOSSES`` more workers.
+    """
+    lost = []
+    with contextlib.closing(_Crew(executor, run)) as crew:
+        for chunk, part in crew.work(chunks, ahead):
+            if isinstance(part, Part):
+                yield chunk, part
+            else:
+                lost.append(chunk)
+        for chunk in lost:
+            for _ in range(LOSSES):
+                ((_, part),) = crew.work([chunk], 1)
+                if isinstance(part, Part):
+                    break
+            else:
+                places = enumerate(chunk.items, chunk.first)
+                part = Part(NOTHING, [a_failure(*placed, part) for placed in places])
+            yield chunk, part
+
+
+class _Crew:
+    """The workers of an executor, and of the one in its place after it broke."""
+
+    def __init__(self, executor: Executor, run: Run):
+        self.executor, self.given, self.run = executor, executor, run
+        # a worker that was given no chunk yet must end with the sweep, too
+        if isinstance(executor, futures.ProcessPoolExecutor):
+            pool: Any = executor
+            if pool._initializer is not _begin:
+                pool._initargs = (os.getpid(), pool._initializer, pool._initargs)
+                pool._initializer = _begin
+
+    def work(self, chunks: Iterable[Chunk], ahead: int) -> Generator[tuple[Chunk, Any]]:
+        """Chunks as they are done, each with its part or with the error that took its worker."""
+        working: dict[Future, Chunk] = {}
+        waiting = iter(chunks)
+        try:
+            while True:
+                for chunk in itertools.islice(waiting, ahead - len(working)):
+                    working[self._submit(chunk)] = chunk
+                if not working:
+                    return
+                for future in futures.wait(working, return_when=futures.FIRST_COMPLETED).done:
+                    yield working.pop(future), _outcome(future)
+        finally:
+            for future in working:
+                future.cancel()
+
+    def _submit(self, chunk: Chunk) -> Future:
+        executor = self.executor
+        try:
+            return executor.submit(self.run, chunk)
+        except RuntimeError as error:
+            broke = isinstance(error, futures.BrokenExecutor)
+            if not broke or not isinstance(executor, futures.ProcessPoolExecutor):
+                raise ContactSystemError(
+                    f"the executor {executor!r} takes no work ({error}); give one that is not "
+                    "shut down, and where it starts processes, sweep below if __name__ == "
+                    "'__main__'; with a folder, what is finished is not done again"
+                ) from error
+        self.close()
+        names = ("_max_workers", "_mp_context", "_initializer", "_initargs")
+        self.executor = futures.ProcessPoolExecutor(*(getattr(executor, name) for name in names))
+        return self.executor.submit(self.run, chunk)
+
+    def close(self) -> None:
+        """Shut down what was not given."""
+        if self.executor is not self.given:
+            self.executor.shutdown()
+
+
+def _begin(sweeper: int, initializer: Callable | None, arguments: tuple) -> None:
+    """Begin a worker: watch the sweep, then do what the executor was given."""
+    end_with(sweeper)
+    if initializer is not None:
+        initializer(*arguments)
+
+
+def _outcome(future: Future) -> Part | Exception:
+    """The part, or the error that says that the worker is gone; any other error is raised."""
+    try:
+        return future.result()
+    except (futures.BrokenExecutor, futures.CancelledError) as error:
+        return error
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ContactSystemError(
+            f"a chunk cannot be sent to the executor's processes ({error}); give functions of a "
+            "module, or functools.partial of one, or an executor of threads"
+        ) from error
+    except Exception as error:
+        if type(error).__name__ == "KilledWorker":  # of Dask, whose workers died again and again
+            return error
+        raise
