@@ -15,7 +15,6 @@ import numpy as np
 from . import limits
 from .engine.binding import LAYOUT
 from .scene import Disturbance, Leg, Scene, Stretch, refuse_rest
-from .scene.legs import turns
 from .starts import Moment, Starts
 from .surfaces import Surface
 from .theory.gain import LAWS
@@ -79,9 +78,9 @@ class Buffer:
     def _way(self, way: Sequence[Stretch]) -> tuple[int, int]:
         """Add legs; returns where they stand, and how many."""
         numbers = []
-        for (start, _, _, profile), turn in zip(way, turns(way)):
-            at = self._put(profile.coefficients)
-            numbers += [start, at, len(profile.coefficients), *turn]
+        for leg in way:
+            at = self._put(leg.profile.coefficients)
+            numbers += [leg.start, at, len(leg.profile.coefficients), *leg.turn]
         return self._put(numbers), len(way)
 
     def _rows(self, scene: Scene, begin: float, starts: Starts | None) -> list[bytes]:

@@ -61,7 +61,7 @@ def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, n
     grid = np.union1d(np.linspace(plan.start, plan.end, count), knots)
     times, values = [np.empty(0)], [np.empty(0)]
     ways = itertools.product(plan.scene.way(contact), zip(knots[::2], knots[1::2]))
-    for (begin, end, _, profile), (start, stop) in ways:
+    for (begin, end, _, profile, _), (start, stop) in ways:
         tau = grid[(grid >= max(start, begin)) & (grid <= min(stop, end))] - begin
         tau = tau[profile(tau) > 0]
         if stop <= start or not len(tau):
@@ -159,7 +159,7 @@ def rejections(plan: Plan) -> list[Rejection]:
 def _turns(scene: Scene) -> np.ndarray:
     """Times between which every slip that nothing disturbs only grows or only shrinks, s."""
     found = set()
-    for start, stop, _, profile in {s for i in range(len(scene.contacts)) for s in scene.way(i)}:
+    for start, stop, _, profile, _ in {s for i in range(len(scene.contacts)) for s in scene.way(i)}:
         found |= {start, stop}
         if profile != STILL:
             intervals = contraction(profile, scene.gain, stop - start).intervals

@@ -43,7 +43,6 @@ from .contact_equations import PER_CONTACT, Form, contact_function, start_functi
 from .errors import SceneError
 from .kept import kept
 from .scene import SLOTS, Disturbance, Scene, Stretch, acting, refuse_rest, require_scene
-from .scene.legs import turns
 from .starts import Start, measured_start, scene_start
 from .surfaces import TINY, Ellipsoid, Surface, UserSurface
 from .theory import symbols as ca
@@ -340,8 +339,8 @@ class SceneSystem:
         """
         x, held = np.array(x), np.array(held)
         for i, (way, form) in enumerate(zip(self._ways, self.forms)):
-            for now, (c, s) in zip(way[1:], turns(way)[1:] if way else ()):
-                part = self.held_slices[i]
+            for now in way[1:]:
+                part, (c, s) = self.held_slices[i], now.turn
                 if now.start != t or held[part][form.n_held] == t:
                     continue
                 w, u, *v = carried[4 * i : 4 * i + 4]

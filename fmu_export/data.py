@@ -11,7 +11,6 @@ import numpy as np
 from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor, measurement
 from contact_system.engine.binding import SURFACES
 from contact_system.motion import MAY_BE_SINGULAR
-from contact_system.scene.legs import turns
 from contact_system.surfaces import Surface
 from contact_system.theory.gain import LAWS
 from contact_system.theory.lowering import Table as Instructions
@@ -78,9 +77,9 @@ def scene_data(table: Table, token: str) -> bytes:
         sensor = measurement(contact.finger, scene.object) if table.measured == "pose" else own
         unknowns = (3 if s.has_implicit else 2 for s in (contact.finger, scene.object))
         legs = []
-        for stretch, turn in zip(way, turns(way)):
+        for stretch in way:
             place = data.numbers(stretch.profile.coefficients) if contact.legs else 0
-            legs += [stretch.start, place, n_profile, *turn]
+            legs += [stretch.start, place, n_profile, *stretch.turn]
         contacts += [_place(sensor, systems), *unknowns, data.numbers(legs), len(way)]
     sensed = ContactSensor(scene) if table.measured == "pose" else None
     limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else ()

@@ -88,33 +88,38 @@ def rest_to_rest(length: float, duration: float) -> Profile:
 
 
 class Stretch(NamedTuple):
-    """A leg on the horizon: where it begins and ends [s], its direction [rad], its sigma."""
+    """A leg on the horizon.
+
+    Attributes
+    ----------
+    start, stop : float, s
+    direction : float, rad
+    profile : Profile
+    turn : cosine and sine of the angle by which the path turns where it begins
+    """
 
     start: float
     stop: float
     direction: float
     profile: Profile
+    turn: tuple[float, float] = (1.0, 0.0)
 
 
 def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
     """Legs one after the other on a horizon [s], and the rest until its end."""
-    found, start = [], 0.0
+    found, start, before = [], 0.0, legs[0].direction
     for leg in legs:
         assert leg.profile is not None
         stop = start + leg.duration
         if not stop < duration * (1 - 1e-14):
             stop = duration
-        found.append(Stretch(start, stop, leg.direction, leg.profile))
-        start = stop
+        angle = leg.direction - before
+        turn = math.cos(angle), math.sin(angle)
+        found.append(Stretch(start, stop, leg.direction, leg.profile, turn))
+        start, before = stop, leg.direction
     if start < duration:
         found.append(Stretch(start, duration, legs[-1].direction, STILL))
     return tuple(found)
-
-
-def turns(way: Sequence[Stretch]) -> list[tuple[float, float]]:
-    """Cosine and sine of the angle by which the path turns where each stretch begins."""
-    angles = [now.direction - before.direction for before, now in zip((way[0], *way), way)]
-    return [(math.cos(angle), math.sin(angle)) for angle in angles]
 
 
 def endless(way: tuple[Stretch, ...]) -> tuple[Stretch, ...]:
