@@ -1,0 +1,165 @@
+"""Contact simulators against balls whose exact motion is known: error against run time.
+
+`truth_exact` says what the balls do and proves it, `truth_drake` and `truth_mujoco` let them go.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import truth_drake, truth_mujoco
+from .report import ROOT, Bar, Sections, markdown_table, surroundings
+from .timing import Job, interleaved
+from .truth_exact import INERTIA, MASS, Ended, Setup, proof, setups
+
+STEPS = (4e-3, 1e-3, 2.5e-4)
+ACCURACIES = (1e-2, 1e-4, 1e-6)
+LIMITS = {False: 1.5, True: 60.0}
+"""s of processor time that a run may take, quick and full."""
+LOST = 10.0
+"""In radii: what is further off counts as this."""
+Runs = dict[str, list[Ended]]
+FOUND: dict[str, Runs] = {}
+"""What this process ran: of each set-up each method's runs, from coarse to fine."""
+EXACT: dict[str, tuple[float, float]] = {}
+"""Of each set-up how far off the exact side is, and the time it takes, s."""
+
+
+def methods(full: bool) -> Iterator[tuple[str, Any, Any, tuple[float, ...]]]:
+    """Name, module, method, and steps in s or accuracies; quick ones leave out what is slow."""
+    for method in truth_drake.METHODS:
+        if full or method.name in truth_drake.QUICK:
+            knobs = ACCURACIES if method.scheme else STEPS
+            knobs = knobs if full or method.model == "point" else knobs[:2]
+            yield f"Drake {method.name}", truth_drake, method, knobs
+    for method in truth_mujoco.METHODS:
+        yield f"MuJoCo {method.name}", truth_mujoco, method, STEPS
+
+
+def exact(full: bool) -> Iterator[Bar]:
+    """The exact side: off from Newton's and Euler's equations, integrated anew, in radii."""
+    for name, setup in setups().items():
+        end = np.array([setup.end])
+        spent = interleaved({name: Job(lambda _, motion=setup.motion, t=end: motion(t))}, 5)[name]
+        EXACT[name] = proof(setup), spent.median
+        yield Bar(f"exact, {name}", 1e-12, EXACT[name][0], "radii", note=f"in {spent} ")
+
+
+def simulated(name: str, full: bool) -> Iterator[Bar]:
+    """One set-up by all methods."""
+    runs = FOUND.setdefault(name, {})
+    for what, module, method, knobs in methods(full):
+        if not module.takes(setups()[name], method):
+            continue
+        # what a ball that goes with the wrench is told each step costs some us in both simulators
+        found = [module.run(name, method, knob, LIMITS[full]) for knob in knobs]
+        runs[what] = [run for run in found if run.whole]
+        said = [f"{_error(run):.1e} in {run.seconds:.3f} s" for run in runs[what]]
+        said += [f"given up after {LIMITS[full]:g} s"] * (len(found) - len(said))
+        best = min(map(_error, runs[what]), default=math.nan)
+        yield Bar(f"{name}, {what}", None, best, "radii", note=", ".join(said))
+
+
+def _error(run: Ended) -> float:
+    return float(np.nan_to_num(min(run.error, LOST), nan=LOST))
+
+
+def weltner(full: bool) -> Iterator[Bar]:
+    """The period of the ball on the turntable over the table's, on the radius that it rolls on."""
+    for model, step in (("point", 1e-3), ("hydroelastic", 2.5e-4)):
+        method = truth_drake.Method(model, model)
+        run = truth_drake.run("turntable", method, step)
+        law = 1 + MASS * run.setup.radius**2 / INERTIA
+        yield Bar(
+            f"Weltner, {model}, {1e3 * step:g} ms: period off by",
+            2e-3,
+            run.late,
+            note=f"law {law:.4f} periods of the table",
+        )
+
+
+# --- page and figure ------------------------------------------------------------------------------
+
+
+def page(full: bool) -> Iterator[Bar]:
+    """The table in ``docs/truth.md``, and its figure, after a run of all set-ups."""
+    known = setups()
+    if len(FOUND) == len(known):
+        file = ROOT / "docs" / "truth.md"
+        head, _, rest = file.read_text("utf-8").partition(BEGIN)
+        _, _, tail = rest.partition(END)
+        file.write_text(f"{head}{BEGIN}\n{tables()}{END}{tail}", "utf-8")
+        figure(ROOT / "docs" / "truth.png")
+    yield Bar("set-ups of this run, for the page in docs", len(known), len(FOUND), least=True)
+
+
+BEGIN, END = "<!-- written by python -m benchmarks truth -->", "<!-- end -->"
+
+
+def tables() -> str:
+    """Errors at a step of 1 ms or an accuracy of 1e-4, and processor time per simulated second."""
+    names = list(dict.fromkeys(what for runs in FOUND.values() for what in runs))
+    rows = [
+        [what, *(_cell(runs.get(what), setups()[name]) for name, runs in FOUND.items())]
+        for what in names
+    ]
+    about = surroundings()
+    said = f"{truth_drake.VERSION}, {truth_mujoco.VERSION}, {about['date'][:10]}, "
+    said += f"{about['processor']}, one thread."
+    return f"{markdown_table(['', *FOUND], rows)}\n{said}\n"
+
+
+def _cell(runs: list[Ended] | None, setup: Setup) -> str:
+    if runs is None:
+        return ""
+    if len(runs) < 2:
+        return "slow"
+    return f"{_error(runs[1]):.0e}, {1e3 * runs[1].seconds / setup.end:.0f} ms"
+
+
+def figure(file: Path) -> None:
+    """Error against processor time per simulated second, a panel a set-up."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    columns = 5
+    rows = math.ceil(len(FOUND) / columns)
+    drawn, grid = pyplot.subplots(
+        rows, columns, figsize=(3 * columns, 2.7 * rows + 1.2), layout="constrained", sharey=True
+    )
+    named: dict[str, Any] = {}
+    names = list(dict.fromkeys(what for runs in FOUND.values() for what in runs))
+    for axes, (name, runs) in zip(grid.flat, FOUND.items()):
+        setup = setups()[name]
+        for what, found in runs.items():
+            mark = "^" if what.startswith("MuJoCo") else "s" if "hydro" in what else "o"
+            style = {"color": f"C{names.index(what) % 10}", "marker": mark, "markersize": 3.5}
+            x, y = [_error(r) for r in found], [r.seconds / setup.end for r in found]
+            axes.loglog(x, y, linewidth=0.9, label=what, **style)
+        error, spent = EXACT[name]
+        star = {"color": "crimson", "markersize": 11, "label": "exact: closed form or plan"}
+        axes.loglog([max(error, 1e-16)], [spent / setup.end], "*", **star)
+        axes.set_title(name, fontsize="small")
+        axes.grid(alpha=0.3)
+        axes.invert_xaxis()
+        named |= dict(zip(*axes.get_legend_handles_labels()[::-1]))
+    drawn.supxlabel("how far off the ball ends, in its radii")
+    drawn.supylabel("processor time a simulated second [s]")
+    drawn.legend(
+        named.values(), named.keys(), loc="outside upper center", ncols=4, fontsize="small"
+    )
+    drawn.savefig(file, dpi=100)
+    pyplot.close(drawn)
+
+
+SECTIONS: Sections = {"exact": exact}
+SECTIONS |= {name: partial(simulated, name) for name in setups()}
+SECTIONS |= {"weltner": weltner, "page": page}

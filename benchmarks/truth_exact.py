@@ -1,0 +1,418 @@
+"""Balls whose exact motion is known, and the wrench under which a free ball moves so.
+
+A set-up is a ball on a surface. Its motion is a closed form or a plan of contact_system; a free
+ball follows it under gravity, or under the wrench that `Drive` gives at each step. Simulators let
+bodies sink into each other, so the exact ball and surface are those they roll on: ``less`` smaller.
+`integrated` solves Newton's and Euler's equations anew, with rolling imposed or Coulomb's friction,
+to judge the exact side.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import contact_system as cs
+
+Array = NDArray[np.float64]
+RADIUS, MASS, GRAVITY = 0.04, 0.1, 9.81
+INERTIA, PRESSED = 0.4 * MASS * RADIUS**2, MASS * GRAVITY
+TABLE = 15.0
+"""rad/s, of the turntable."""
+SPEED = 0.3
+"""m/s, of the contact along a plan."""
+UP = np.array([0.0, 0.0, 1.0])
+NODES, AFTER = 100, 0.05
+"""Chebyshev nodes of a drive, and how far it goes on beyond the end, s."""
+GUIDE = {"position": (100.0, 4.0), "rotation": (0.25, 0.008)}
+"""Stiffness and damping of what holds a ball to its path in the tangent plane, N/m and N s/m, or
+upright, N m and N m s: soft, and within what a step of 4 ms bears."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Of the ball's centre, at n times: x, v, w (angular velocity) and surface's normal (n, 3), m,
+    m/s, rad/s; orientation."""
+
+    x: Array
+    v: Array
+    w: Array
+    normal: Array
+    turned: Rotation
+
+    def off(self, x: Array, turned: Rotation) -> float:
+        """How far a ball is from the first of these, in its radii: its centre's way and angle."""
+        angle = (turned.inv() * self.turned[0]).magnitude()
+        return float(np.linalg.norm(x - self.x[0]) / RADIUS + angle)
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What became of a ball, and the processor time that it took, s; ``whole``: in time."""
+
+    setup: Setup
+    t: float
+    x: Array
+    v: Array
+    turned: Rotation
+    seconds: float
+    whole: bool = True
+
+    @property
+    def exact(self) -> Motion:
+        return self.setup.motion(np.array([self.t]))
+
+    @property
+    def error(self) -> float:
+        """How far off it is, in radii: its centre's distance and the angle."""
+        return self.exact.off(self.x, self.turned)
+
+    @property
+    def late(self) -> float:
+        """How far the direction of its velocity is off, of a turn."""
+        (vx, vy, _), (ex, ey, _) = self.v, self.exact.v[0]
+        return abs(math.atan2(vx * ey - vy * ex, vx * ex + vy * ey)) / (2 * math.pi)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A ball on a surface and what it does: exactly ``motion(t)``."""
+
+    name: str
+    scene: cs.Scene  # where the ball goes, of nominal size
+    surface: cs.Surface  # as it is rolled on
+    radius: float  # that the ball rolls on, m
+    motion: Callable[[Array], Motion]
+    end: float  # s
+    friction: float = 0.5
+    slope: float = 0.0  # of the gravity that presses, rad; with a guide the wrench presses
+    table: float = 0.0  # angular velocity of the surface about z, rad/s
+    guide: str = ""  # "position" or "rotation": a wrench drives the ball, and holds this softly
+    until: float = 0.0  # it slides until then, s
+
+    @property
+    def gravity(self) -> Array:
+        """m/s^2; none where a wrench presses."""
+        if self.guide:
+            return np.zeros(3)
+        return GRAVITY * np.array([math.sin(self.slope), 0.0, -math.cos(self.slope)])
+
+    def slip(self, m: Motion) -> Array:
+        """Velocity of the ball's lowest point over the surface, (n, 3), m/s."""
+        below = self.radius * m.normal
+        return m.v - np.cross(m.w, below) - self.table * np.cross(UP, m.x - below)
+
+
+def motion_of_plan(scene: cs.Scene, t: Array) -> Motion:
+    """Of the first finger, a sphere, on an object at rest."""
+    found = cs.plan(scene).evaluate(np.asarray(t), "pose", "twist", "points")
+    pose, twist = found["pose"][:, 0], found["twist"][:, 0]
+    normal = pose[:, :3, 3] - found["points"][:, 0, 1]
+    normal /= scene.contacts[0].finger.radius
+    turned = Rotation.from_matrix(pose[:, :3, :3])
+    return Motion(pose[:, :3, 3], twist[:, 3:], twist[:, :3], normal, turned)
+
+
+def _lowered(motion: Callable[[Array], Motion], below: float, t: Array) -> Motion:
+    """The same with the surface so much lower."""
+    found = motion(np.asarray(t))
+    return replace(found, x=found.x - below * UP)
+
+
+def _level(radius: float, velocity: float, until: float, final: float, t: Array) -> Motion:
+    """On a level plane along x: ``velocity`` falls evenly to ``final`` at ``until``, where a ball
+    that did not turn has begun to roll; from the beginning where until is 0."""
+    t = np.asarray(t)
+    early = np.minimum(t, until)
+    part = early / until if until else 0.0 * t
+    mean = velocity + (final - velocity) * part / 2
+    way, angle = mean * early + final * (t - early), final * (part * early / 2 + t - early)
+    v = velocity + (final - velocity) * part if until else final + 0.0 * t
+    w = final / radius * (part if until else 1.0 + part)
+    zero, up = 0.0 * t, np.tile(UP, (len(t), 1))
+    turned = Rotation.from_rotvec(np.stack([zero, angle / radius, zero], axis=1))
+    x = np.stack([way, zero, radius + zero], axis=1)
+    rates = np.stack([v, zero, zero], axis=1), np.stack([zero, w, zero], axis=1)
+    return Motion(x, *rates, up, turned)
+
+
+def _circle(radius: float, t: Array) -> Motion:
+    """Weltner's: on a turning table, around its axis; in the frame that goes round with the ball
+    nothing changes."""
+    beta = INERTIA / (MASS * radius**2)
+    rate, v0 = TABLE * beta / (1 + beta), np.array([0.0, SPEED, 0.0])
+    x0 = np.cross(v0, UP) / rate
+    w0 = np.cross(UP, v0 - TABLE * np.cross(UP, x0)) / radius + TABLE * UP  # no drilling
+    round_ = Rotation.from_rotvec(np.outer(t, rate * UP))
+    turned = round_ * Rotation.from_rotvec(np.outer(t, w0 - rate * UP))
+    x = round_.apply(x0) + radius * UP
+    return Motion(x, round_.apply(v0), round_.apply(w0), np.tile(UP, (len(t), 1)), turned)
+
+
+def _down(radius: float, slope: float, friction: float, v0: float, t: Array) -> Motion:
+    """Down a slope, not turning at first: rolling from rest, or sliding where friction is weak."""
+    t, beta = np.asarray(t), INERTIA / (MASS * radius**2)
+    along, most = GRAVITY * math.sin(slope), friction * GRAVITY * math.cos(slope)
+    f = min(most, along * beta / (1 + beta))  # friction over mass
+    a, alpha = along - f, f / (beta * radius)
+    zero, up = 0.0 * t, np.tile(UP, (len(t), 1))
+    x = np.stack([(v0 + a * t / 2) * t, zero, radius + zero], axis=1)
+    v, w = np.stack([v0 + a * t, zero, zero], axis=1), np.stack([zero, alpha * t, zero], axis=1)
+    turned = Rotation.from_rotvec(np.stack([zero, alpha * t**2 / 2, zero], axis=1))
+    return Motion(x, v, w, up, turned)
+
+
+# --- set-ups --------------------------------------------------------------------------------------
+
+PLANNED = {
+    "sphere": (cs.Sphere(0.1), (0.6, 0.8, 0.0), (0.3, 0.4, 1.0)),
+    "principal ellipse": (cs.Ellipsoid(0.3, 0.2, 0.1), (0.0, 0.6, 0.8), (0.0, 1.0, 0.0)),
+    "triaxial geodesic": (cs.Ellipsoid(0.3, 0.2, 0.1), (0.64, 0.48, 0.6), (0.2, -1.0, 0.5)),
+}
+"""Surface, where the contact starts over the axes, and where it goes."""
+
+
+def setups(ball: float = 0.0, below: float = 0.0) -> dict[str, Setup]:
+    """All of them, where the ball rolls on so much less than its radius and so do surfaces."""
+    r = RADIUS - ball
+    beta = INERTIA / (MASS * r**2)
+    table = cs.Turning(tuple(UP), [0.0, TABLE])
+    plane = functools.partial(Setup, scene=_on_plane(), surface=cs.Plane(), radius=r)
+    turntable = functools.partial(_circle, r)
+    orbit = 2 * math.pi / (TABLE * beta / (1 + beta))
+    slow, until = 1 / (1 + beta), beta / (1 + beta) / (0.2 * GRAVITY)
+    # it slides at 1 m/s under mu = 0.2 until it rolls at 5/7 of that (rigid)
+    every: dict[str, Setup] = {}
+    found = [
+        plane("plane", motion=functools.partial(_level, r, 0.5, 0.0, 0.5), end=1.0),
+        plane("turntable", motion=turntable, end=orbit, table=TABLE, scene=_on_plane(table)),
+        plane(
+            "slope, rolling", motion=functools.partial(_down, r, 0.2, 0.5, 0.0), end=0.5, slope=0.2
+        ),
+        plane(
+            "slope, sliding",
+            motion=functools.partial(_down, r, 0.6, 0.1, 0.1),
+            end=0.5,
+            slope=0.6,
+            friction=0.1,
+            until=0.5,
+        ),
+        plane(
+            "slip that dies",
+            motion=functools.partial(_level, r, 1.0, until, slow),
+            end=0.5,
+            friction=0.2,
+            until=until,
+        ),
+        plane(
+            "creep", motion=functools.partial(_level, r, 0.0, 0.0, 0.0), end=1.0, guide="rotation"
+        ),
+    ]
+    for name, (surface, start, way) in PLANNED.items():
+        scene = _geodesic(surface, RADIUS, start, way)
+        less = {
+            key: getattr(surface, key) - below
+            for key in ("radius", "a", "b", "c")
+            if hasattr(surface, key)
+        }
+        smaller = replace(surface, **less)
+        rolled = functools.partial(motion_of_plan, _geodesic(smaller, r, start, way))
+        found.append(Setup(name, scene, smaller, r, rolled, 1.0, guide="position"))
+    rolled = functools.partial(motion_of_plan, _slipping(r))
+    found.append(
+        plane(
+            "slip law",
+            scene=_slipping(RADIUS),
+            motion=rolled,
+            end=1.0,
+            guide="position",
+            friction=0.2,
+            until=1.0,
+        )
+    )
+    for setup in found:
+        if isinstance(setup.surface, cs.Plane):
+            lowered = functools.partial(_lowered, setup.motion, below)
+            setup = replace(setup, motion=lowered)
+        every[setup.name] = setup
+    return every
+
+
+def _on_plane(turning: cs.Turning | None = None) -> cs.Scene:
+    contact = cs.Contact(cs.Sphere(RADIUS), object_at=(0.0, 0.0))
+    return cs.Scene(
+        object=cs.Plane(),
+        contacts=[contact],
+        profile=cs.Profile([0.1]),
+        duration=1.0,
+        turning=turning or cs.Turning(tuple(UP), [0.0]),
+    )
+
+
+def _geodesic(surface: cs.Surface, radius: float, start: Array, way: Array) -> cs.Scene:
+    """Rolling from a point over the surface's axes, along what ``way`` leaves in its plane."""
+    axes = [getattr(surface, k, getattr(surface, "radius", None)) for k in "abc"]
+    at = surface.coordinates(np.array(start) * axes)
+    frame = surface.frame(*at)[:, :2]
+    along = frame.T @ np.array(way)
+    along /= np.hypot(*along)
+    velocity = (float(along[0]), float(-along[1]))  # R_psi at psi = 0
+    contact = cs.Contact(
+        cs.Sphere(radius), object_at=tuple(map(float, at)), finger_velocity=velocity
+    )
+    return cs.Scene(
+        object=surface, contacts=[contact], profile=cs.Profile([SPEED]), duration=1.0 + 2 * AFTER
+    )
+
+
+def _slipping(radius: float) -> cs.Scene:
+    """The contact on the plane starts at rest, so that the ball slides; slip dies as exp(-5 t)."""
+    contact = cs.Contact(
+        cs.Sphere(radius), object_at=(0.0, 0.0), finger_velocity=(1.0, 0.0), object_velocity="rest"
+    )
+    return cs.Scene(
+        object=cs.Plane(),
+        contacts=[contact],
+        profile=cs.Profile([SPEED]),
+        gain=cs.Gain.time(5.0),
+        duration=1.0 + 2 * AFTER,
+    )
+
+
+# --- the wrench -----------------------------------------------------------------------------------
+
+
+class Drive:
+    """The wrench on a ball, torque and force, under which it moves exactly as a set-up says.
+
+    What its acceleration needs, less the surface's normal force and its friction; and a soft guide,
+    which gives nothing on the exact path: across the normal, so that how the ball presses stays as
+    it is.
+    """
+
+    def __init__(self, setup: Setup, step: float = 0.0):
+        """step : s, of what holds a force over a step; it gets that of the middle."""
+        self._ahead, self._guide = step / 2, setup.guide
+        self._half = (setup.end + AFTER) / 2
+        nodes = self._half * (1 + chebyshev.chebpts2(NODES))
+        m = setup.motion(nodes)
+        fit = functools.partial(chebyshev.chebfit, self._scaled(nodes), deg=NODES - 1)
+        a, alpha = (chebyshev.chebder(fit(y)) / self._half for y in (m.v, m.w))
+        force = MASS * chebyshev.chebval(self._scaled(nodes), a).T - PRESSED * m.normal
+        torque = INERTIA * chebyshev.chebval(self._scaled(nodes), alpha).T
+        if setup.until or setup.guide == "rotation":
+            slip = setup.slip(m)
+            friction = np.tile([-0.6 * setup.friction * PRESSED, 0.0, 0.0], (NODES, 1))
+            if setup.until:
+                lengths = np.linalg.norm(slip, axis=1, keepdims=True)
+                friction = -setup.friction * PRESSED * slip / lengths
+            force -= friction
+            torque -= np.cross(-setup.radius * m.normal, friction)
+        self._table = fit(np.hstack([torque, force, m.x, m.v, m.normal]))
+
+    def _scaled(self, t: Array) -> Array:
+        return t / self._half - 1
+
+    def _at(self, t: float) -> Array:
+        angle = math.acos(min(1.0, max(-1.0, t / self._half - 1)))
+        return np.cos(angle * np.arange(NODES)) @ self._table
+
+    def __call__(self, t: float, x: Array, v: Array, turned: Array, w: Array) -> Array:
+        """Torque and force (6,) at a time, from centre, velocity, rotation matrix, and w."""
+        wrench = self._at(t + self._ahead)[:6]
+        stiffness, damping = GUIDE[self._guide]
+        if self._guide == "rotation":
+            tilt = 0.5 * np.array(
+                [
+                    turned[2, 1] - turned[1, 2],
+                    turned[0, 2] - turned[2, 0],
+                    turned[1, 0] - turned[0, 1],
+                ]
+            )
+            wrench[:3] -= stiffness * tilt + damping * w
+        else:
+            now = self._at(t)
+            pull = stiffness * (now[6:9] - x) + damping * (now[9:12] - v)
+            normal = now[12:15]
+            wrench[3:] += pull - normal * (normal @ pull)
+        return wrench
+
+
+# --- the exact side, judged -----------------------------------------------------------------------
+
+
+def proof(setup: Setup) -> float:
+    """How far the exact motion's end is from one integrated anew, in radii of the ball."""
+    start = setup.motion(np.zeros(1))
+    p = start.x[0] - setup.radius * start.normal[0]
+    state = np.hstack([p, start.v[0], start.w[0], start.turned[0].as_quat()])
+    drive = Drive(setup) if setup.guide else None
+    if setup.until:
+        state = _solved(setup, drive, state, 0.0, setup.until, rolling=False)
+    if setup.until < setup.end:
+        state = _solved(setup, drive, state, setup.until, setup.end, rolling=True)
+    normal, _ = _normal(setup.surface, state[:3])
+    end = setup.motion(np.array([setup.end]))
+    return end.off(state[:3] + setup.radius * normal, Rotation.from_quat(state[9:]))
+
+
+def _solved(
+    setup: Setup, drive: Drive | None, state: Array, start: float, stop: float, rolling: bool
+) -> Array:
+    slip = setup.slip(setup.motion(np.array([start])))[0]
+    ahead = slip / (np.linalg.norm(slip) or 1.0)
+    rates = functools.partial(_rates, setup, drive, rolling, ahead)
+    options = {"method": "DOP853", "rtol": 3e-14, "atol": 1e-16}
+    return solve_ivp(rates, (start, stop), state, **options).y[:, -1]
+
+
+def _rates(
+    setup: Setup, drive: Drive | None, rolling: bool, ahead: Array, t: float, state: Array
+) -> Array:
+    """Of p (contact point), v, w and a quaternion, by Newton and Euler.
+
+    Rolling imposes v = w x r n + V of the surface; else Coulomb's friction acts, against the slip
+    that is there first: what slides here slides straight on.
+    """
+    r, m, inertia = setup.radius, MASS, INERTIA
+    p, v, w, quaternion = np.split(state, [3, 6, 9])
+    normal, bend = _normal(setup.surface, p)
+    spin = setup.table * UP
+    turned = Rotation.from_quat(quaternion)
+    torque, force = np.zeros(3), m * setup.gravity
+    if drive is not None:
+        torque, force = np.split(drive(t, p + r * normal, v, turned.as_matrix(), w), 2)
+    dp = np.linalg.solve(np.eye(3) + r * bend, v)
+    dn = bend @ dp
+    if rolling:
+        known = r * np.cross(w, dn) + np.cross(spin, dp)
+        b = torque + r * np.cross(normal, force - m * known)
+        dw = (b + m * r**2 / inertia * normal * (normal @ b)) / (inertia + m * r**2)
+        dv = r * np.cross(dw, normal) + known
+    else:
+        friction = -setup.friction * PRESSED * math.cos(setup.slope) * ahead
+        dw = (torque - r * np.cross(normal, friction)) / inertia
+        dv = (force + friction) / m
+        dv -= normal * (normal @ dv) + normal * (v @ dn)
+    x, y, z, s = quaternion
+    rate = s * w + np.cross(w, [x, y, z])
+    return np.hstack([dp, dv, dw, 0.5 * rate, -0.5 * (w @ [x, y, z])])
+
+
+def _normal(surface: cs.Surface, p: Array) -> tuple[Array, Array]:
+    """Outward normal, and what a shift of the point makes of it (3, 3)."""
+    if isinstance(surface, cs.Plane):
+        return UP, np.zeros((3, 3))
+    axes = np.array([getattr(surface, k, getattr(surface, "radius", None)) for k in "abc"])
+    gradient = p / axes**2
+    size = np.linalg.norm(gradient)
+    normal = gradient / size
+    return normal, (np.eye(3) - np.outer(normal, normal)) @ np.diag(axes**-2) / size

@@ -1,0 +1,61 @@
+"""Balls in simulators do what others know of them; the exact side of the truth bench is exact."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[1]))  # benchmarks run from a checkout
+
+from benchmarks import truth_exact  # noqa: E402
+
+SETUPS = truth_exact.setups()
+
+
+@pytest.mark.parametrize("name", SETUPS)
+def test_the_exact_motion_solves_newtons_and_eulers_equations(name):
+    assert truth_exact.proof(SETUPS[name]) < 1e-12
+
+
+def drake(name: str, model: str, step: float) -> truth_exact.Ended:
+    pytest.importorskip("pydrake")
+    from benchmarks import truth_drake
+
+    return truth_drake.run(name, truth_drake.Method(model, model), step)
+
+
+@pytest.mark.parametrize(("model", "step"), [("point", 1e-3), ("hydroelastic", 2.5e-4)])
+def test_a_ball_circles_on_a_turntable_in_seven_halves_of_its_period(model, step):
+    run = drake("turntable", model, step)
+    assert run.late < 2e-3
+    assert run.setup.end == pytest.approx(3.5 * 2 * np.pi / truth_exact.TABLE, rel=1e-2)
+
+
+@pytest.mark.parametrize("name", ["slope, rolling", "slope, sliding", "slip that dies"])
+def test_a_ball_has_the_speed_that_friction_leaves_it(name):
+    run = drake(name, "point", 1e-3)
+    assert run.v[0] == pytest.approx(run.exact.v[0, 0], rel=1e-3)
+
+
+def test_hydroelastic_patches_resist_rolling_in_proportion_to_the_step():
+    """Drake's own doing, and why a ball on a level plane comes to rest; points do not resist."""
+    lost = [1 - drake("plane", "hydroelastic", h).v[0] / 0.5 for h in (1e-3, 5e-4)]
+    assert lost[0] / lost[1] == pytest.approx(2.0, rel=0.1)
+    assert drake("plane", "point", 1e-3).v[0] == pytest.approx(0.5, rel=1e-9)
+
+
+def test_balls_in_mujoco_follow_geodesics_and_hold_in_the_friction_cone():
+    pytest.importorskip("mujoco")
+    from benchmarks import truth_mujoco
+
+    every = {method.name: method for method in truth_mujoco.METHODS}
+    for name in ("sphere", "triaxial geodesic"):
+        coarse, fine = (
+            truth_mujoco.run(name, every["elliptic, Newton"], h).error for h in (2e-3, 1e-3)
+        )
+        assert fine < 3e-3 and 1.5 < coarse / fine < 4.5
+    still = truth_mujoco.run("creep", every["elliptic, Newton, noslip 3"], 1e-3)
+    assert still.error < 1e-9
