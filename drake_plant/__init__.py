@@ -16,7 +16,7 @@ except ImportError as error:
 from .config import Push, StationConfig
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
-from .measures import contact_table, object_report, push_table
+from .measures import contact_table, object_report, outcome, push_table
 from .plan_source import PlanSource
 from .planner_system import ContactPlanner
 from .plant import AddScenePlant, ScenePlant
@@ -56,6 +56,7 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
     "StationConfig",
     "contact_table",
     "object_report",
+    "outcome",
     "plot",
     "push_table",
     "rolling_scene",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,10 +13,10 @@ from contact_system import Scene, plan
 from contact_system.measures import REJECTED, windows
 
 from .contact_monitor import SATURATED
+from .simulation import SimulationResult, simulate
 
 if TYPE_CHECKING:
     from .config import Push
-    from .simulation import SimulationResult
 
 Array = NDArray[np.float64]
 
@@ -120,6 +120,24 @@ class ContactReport:
         return self.recovery <= self.reported if self.slid else None
 
     @property
+    def verdict(self) -> str:
+        """In a word or two.
+
+        "lost" (off the object), or "not kept" where another contact was or the object falls; else
+        "undisturbed"; "held", by friction alone; "as reported" or "not as reported"; where nothing
+        is reported "rejected" or "not rejected".
+        """
+        if not self.kept:
+            return "lost" if self.off else "not kept"
+        if not self.disturbed:
+            return "undisturbed"
+        if not self.slid:
+            return "held"
+        if self.as_reported is None:
+            return "rejected" if math.isfinite(self.recovery) else "not rejected"
+        return "as reported" if self.as_reported else "not as reported"
+
+    @property
     def saturates(self) -> bool | None:
         """Whether friction is saturated during the disturbance at all; None where there is none."""
         return None if math.isnan(self.saturated) else self.saturated > 0
@@ -168,6 +186,34 @@ class PushReport:
     off: float
     farthest: float
     left: float
+
+
+def outcome(scene: Scene) -> dict[str, Array]:
+    """Simulate a scene as its ``[drake]`` table says, and tell what became of each contact.
+
+    For sweeps: ``cs.sweep(scenes, drake_plant.outcome, executor, each=True, folder="runs")``.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    dict
+        ``verdict`` and all numbers of its :class:`ContactReport`, (n_contacts,); ``object_moved``,
+        m, and ``object_turned``, rad, the same for all.
+
+    Raises
+    ------
+    SceneError
+        What :func:`simulate` raises.
+    """
+    result = simulate(scene)
+    reports, body = contact_table(result), object_report(result)
+    names = ["verdict", *(f.name for f in fields(ContactReport) if f.name != "name")]
+    found = {name: np.array([getattr(report, name) for report in reports]) for name in names}
+    whole = {"object_moved": body.moved, "object_turned": body.turned}
+    return found | {name: np.full(len(reports), value) for name, value in whole.items()}
 
 
 def object_report(result: SimulationResult) -> ObjectReport:

@@ -18,7 +18,7 @@ from ..checks import a_path, flag, make_folder
 from ..errors import ContactSystemError
 from ..plan import checked_tolerance
 from ..scene import Scene
-from .chunk import Chunk, Evaluate, Failure, Item, Part, Run, joined, run_chunk
+from .chunk import Chunk, Evaluate, Failure, Item, Part, Run, joined, run_chunk, run_each
 from .files import digest, keep, read
 from .summaries import summary
 from .workers import spread
@@ -71,8 +71,9 @@ def sweep(
     evaluate: Evaluate = summary,
     executor: Executor | None = None,
     *,
+    each: bool = False,
     folder: str | os.PathLike[str] | None = None,
-    chunk: int = 500,
+    chunk: int | None = None,
     ahead: int | None = None,
     tolerance: float = 1e-12,
     compiled: bool | None = None,
@@ -90,6 +91,9 @@ def sweep(
         (n_contacts, ...). Contacts of scenes that differ in nothing but contacts and values of
         disturbances are planned together, so the plan may hold those of many scenes; treat each
         contact on its own. What it raises is a failure of the scene.
+    each : bool
+        ``evaluate`` takes a Scene instead, each by itself, and nothing is planned here: for
+        ``drake_plant.outcome``, and whatever else takes long. Rows are the scene's contacts.
     executor : concurrent.futures.Executor, optional
         Threads, processes, a Dask cluster's ``client.get_executor()``; None: here. What is lost
         with a worker is done again; a pool of processes that broke is replaced by one like it.
@@ -100,8 +104,9 @@ def sweep(
         function made it) have not changed are not done again; a lambda has no name of its own.
         Files are named and checked by digests: sweeps may share a folder, also at the same time,
         and what is damaged is done again. Results of scenes that have changed stay there.
-    chunk : int
-        Scenes that a worker takes at a time, and that are planned together at most.
+    chunk : int, optional
+        Scenes that a worker takes at a time, and that are planned together at most; by default 500,
+        of ``each`` 1.
     ahead : int, optional
         Chunks at work or waiting for a worker; by default twice this machine's cores. Give at least
         twice the workers of a cluster.
@@ -126,19 +131,25 @@ def sweep(
     if isinstance(scenes, (Scene, str, os.PathLike)) or not isinstance(scenes, Iterable):
         raise ContactSystemError(f"scenes = {scenes!r:.80}: give a list of scenes; of one, [scene]")
     ahead = 2 * (os.cpu_count() or 1) if ahead is None else ahead
+    if flag(each, "each") and chunk is None:
+        chunk = 1
+    chunk = 500 if chunk is None else chunk
     for name, value in (("chunk", chunk), ("ahead", ahead)):
         whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
         if not whole or value < 1:
             raise ContactSystemError(f"{name} = {value!r}: give a whole number, at least 1")
     if not callable(evaluate):
-        raise ContactSystemError(f"evaluate = {evaluate!r:.80}: give a function of a plan")
+        raise ContactSystemError(
+            f"evaluate = {evaluate!r:.80}: give a function of a plan, or of a scene with each=True"
+        )
     if executor is not None and not isinstance(executor, Executor):
         raise ContactSystemError(
             f"executor = {executor!r:.80}: give an executor, such as ProcessPoolExecutor(4) or a "
             "Dask client's get_executor()"
         )
     flag(compiled, "compiled", none=True)
-    run = functools.partial(run_chunk, evaluate, checked_tolerance(tolerance), os.getpid())
+    work = run_each if each else run_chunk
+    run = functools.partial(work, evaluate, checked_tolerance(tolerance), os.getpid())
     if folder is not None:  # absolute: results may be read from another current folder
         folder = make_folder(a_path(folder, "folder"), "give another folder").absolute()
     parts: dict[int, Part | Path] = {}

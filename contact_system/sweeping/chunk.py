@@ -20,14 +20,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ContactSystemError
-from ..plan import Plan, plan
+from ..plan import plan
 from ..scene import Contact, Disturbance, Scene, load_scene, scene_to_toml
 from .watch import end_with
 
 Item = Scene | str | os.PathLike | Callable[[], Scene]
 """A scene, the name or file of one, or a function that makes one (called where it is planned)."""
 
-Evaluate = Callable[[Plan], Mapping[str, ArrayLike]]
+Evaluate = Callable[[Any], Mapping[str, ArrayLike]]
+"""Of a Plan, or of a Scene where each is taken by itself."""
 
 TOGETHER = 1000  # contacts a plan; more save nothing, and their samples would leave the cache
 
@@ -74,7 +75,7 @@ Batch = list[tuple[int, Scene]]
 """Scenes that can be planned as one, of equally many contacts, and their places among all."""
 
 Run = functools.partial[Part]
-"""What workers do with a chunk: `run_chunk` with its first three arguments."""
+"""What workers do with a chunk: `run_chunk` or `run_each` with the first three arguments."""
 
 
 def run_chunk(evaluate: Evaluate, tolerance: float, sweeper: int, chunk: Chunk) -> Part:
@@ -113,6 +114,19 @@ def run_chunk(evaluate: Evaluate, tolerance: float, sweeper: int, chunk: Chunk) 
     table = joined(tables)
     failures.sort(key=lambda failure: failure.scene)
     return Part(table[np.argsort(table["scene"], kind="stable")], failures)
+
+
+def run_each(evaluate: Evaluate, tolerance: float, sweeper: int, chunk: Chunk) -> Part:
+    """As `run_chunk`, with each scene given to ``evaluate`` by itself, and nothing planned."""
+    end_with(sweeper)
+    tables, failures = [], []
+    for place, item in enumerate(chunk.items, chunk.first):
+        try:
+            scene = _scene(item)
+            tables.append(_table([(place, scene)], evaluate(scene)))
+        except Exception as error:  # whatever a user's function raises
+            failures.append(a_failure(place, item, error))
+    return Part(joined(tables), failures)
 
 
 def _scene(item: Item) -> Scene:
