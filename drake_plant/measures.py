@@ -123,12 +123,12 @@ class ContactReport:
     def verdict(self) -> str:
         """In a word or two.
 
-        "lost" (off the object), or "not kept" where another contact was or the object falls; else
+        "came off" the object, or "not kept" where another contact was or the object falls; else
         "undisturbed"; "held", by friction alone; "as reported" or "not as reported"; where nothing
         is reported "rejected" or "not rejected".
         """
         if not self.kept:
-            return "lost" if self.off else "not kept"
+            return "came off" if self.off else "not kept"
         if not self.disturbed:
             return "undisturbed"
         if not self.slid:

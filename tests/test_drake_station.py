@@ -1,9 +1,14 @@
 """The station: fingers driven as planned, contact physics, closed loop, configuration."""
 
 import dataclasses
+import functools
 import math
+import os
+import signal
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -34,6 +39,7 @@ from drake_plant import (
     ScenePlant,
     SetInitialState,
     StationConfig,
+    outcome,
     rolling_scene,
     simulate,
 )
@@ -257,6 +263,35 @@ def test_restarts_under_a_push_are_no_kick():
     assert lengths(often, "slip")[often.t >= 0.25].max() < 1e-4
     far, opened = pushed(restart_distance=5e-4), pushed(slip_gain=0.0)
     assert slipped(far) < 0.7 * slipped(opened)
+
+
+def shortly(friction):
+    """D1 with an early window."""
+    drake = cs.load_scene("D1").drake | {"contact_model": "point", "friction": friction}
+    return early("D1", 0.12, 0.22, 0.3).replace(drake=drake)
+
+
+def outcome_where_no_worker_dies(mark, scene):
+    if scene.drake["friction"] == 0.3 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return outcome(scene)
+
+
+def test_a_sweep_of_simulations_loses_nothing_with_a_worker_and_goes_on_from_its_folder(tmp_path):
+    scenes = [shortly(mu) for mu in (0.2, 0.3, 20.0)]
+    evaluate = functools.partial(outcome_where_no_worker_dies, tmp_path / "killed")
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        cs.sweep(scenes[:2], evaluate, pool, each=True, folder=tmp_path / "runs")
+    kept = {file: file.stat().st_mtime_ns for file in (tmp_path / "runs").iterdir()}
+    found = cs.sweep(scenes, evaluate, each=True, folder=tmp_path / "runs")
+    assert len(kept) == 2 and all(file.stat().st_mtime_ns == t for file, t in kept.items())
+    assert (tmp_path / "killed").exists() and not found.failures
+    rows = found.table[found.table["contact"] == 0]
+    assert rows["verdict"].tolist() == ["as reported", "as reported", "held"]
+    here = cs.sweep(scenes[:1], outcome, each=True).table
+    assert np.array_equal(here["friction_peak"], found.table["friction_peak"][:3])
+    assert set(found.table["verdict"][found.table["contact"] > 0]) == {"undisturbed"}
 
 
 def test_a_push_on_the_object_moves_it_by_its_mass():

@@ -139,6 +139,23 @@ def test_outputs_that_no_file_holds_are_refused_by_name(outputs, said):
         cs.sweep(family(3), lambda plan: outputs(len(plan.scene.contacts)))
 
 
+def own(scene: cs.Scene) -> dict[str, np.ndarray]:
+    """What needs no plan."""
+    if scene.name == "K1":
+        raise ValueError("not this one")
+    return {"angle": np.array([contact.angle for contact in scene.contacts])}
+
+
+def test_scenes_are_taken_by_themselves_where_that_is_asked_for(tmp_path):
+    scenes = [rolling_towards(0, angle=0.5), "K1", rolling_towards(1), "D1"]
+    for _ in range(2):
+        found = cs.sweep(scenes, own, each=True, folder=tmp_path)
+        assert found.table["scene"].tolist() == [0, 2, 3, 3, 3]
+        assert found.table["angle"].tolist() == [0.5, 0.3, 0, 0, 0]
+        assert [(f.scene, f.error) for f in found.failures] == [(1, "ValueError: not this one")]
+    assert len(list(tmp_path.iterdir())) == 4  # one at a time
+
+
 def test_outputs_that_differ_between_scenes_are_refused():
     def names(plan):
         return {plan.scene.name: np.zeros(len(plan.scene.contacts))}
@@ -277,6 +294,7 @@ def test_sweeps_share_a_folder_and_say_what_was_removed_from_it(tmp_path, monkey
         ("evaluate", "summary", "give a function of a plan"),
         ("executor", 4, "give an executor"),
         ("folder", 3, "give a path"),
+        ("each", 1, "give True or False"),
         ("tolerance", 5, "give a number from 1e-15"),
         *(
             (name, x, "give a whole number")
