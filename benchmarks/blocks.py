@@ -1,4 +1,4 @@
-"""FMUs and slaves in this process, as the tests step them, and what a plan says of them."""
+"""FMUs in this process, as the tests step them, and what a plan says of them."""
 
 from __future__ import annotations
 
@@ -57,8 +57,3 @@ def outputs(block: Instance) -> dict[str, Array]:
 def joined(seen: Sequence[dict[str, Array]]) -> dict[str, Array]:
     """What was read at several times, one after the other."""
     return {name: np.concatenate([values[name] for values in seen]) for name in PARTS}
-
-
-def finite(found: dict[str, Array]) -> bool:
-    """Whether all that was read is finite."""
-    return all(np.isfinite(values).all() for values in found.values())

@@ -1,8 +1,10 @@
-"""Pictures of the work-precision diagrams."""
+"""Pictures of the work-precision diagrams and of stress."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -66,3 +68,37 @@ def _draw(axes: Any, outcome: Outcome) -> None:
     axes.invert_xaxis()
     axes.grid(alpha=0.3)
     axes.set_title(outcome.name, fontsize="small")
+
+
+def outcomes(records: Sequence[Any], file: Path) -> None:
+    """Write how cases of stress ended, by family, and how near right ones came to their bounds."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    families = list(dict.fromkeys(record.family for record in records))[::-1]
+    figure, (left, right) = pyplot.subplots(
+        1, 2, figsize=(10, 4.2), layout="constrained", width_ratios=[3, 2]
+    )
+    ends = dict(zip(("right", "refused", "silent", "crash", "hang"), ENDS))
+    before = [0] * len(families)
+    for outcome, colour in ends.items():
+        count = Counter(r.family for r in records if r.verdict.outcome == outcome)
+        lengths = [count[family] for family in families]
+        label = f"{outcome}: {count.total()}"
+        left.barh(families, lengths, left=before, color=colour, label=label)
+        before = [a + b for a, b in zip(before, lengths)]
+    left.set_xlabel("cases")
+    left.legend(fontsize="small")
+    verdicts = [r.verdict for r in records if r.verdict.outcome == "right"]
+    part = [math.log10(max(v.error / v.bound, 1e-6)) for v in verdicts]
+    right.hist(part, bins=60, color=ENDS[0])
+    right.set_xlabel("error of right cases over its bound, log10")
+    right.axvline(0, color="black", linewidth=0.8)
+    figure.savefig(file, dpi=100)
+    pyplot.close(figure)
+
+
+ENDS = ("tab:green", "tab:gray", "crimson", "tab:orange", "tab:purple")
+"""Colours of right, refused, silently wrong, crash and hang."""

@@ -1,8 +1,7 @@
 """Stress: many cases at the edge of what can be computed; each is right, refused or a failure.
 
-A case plans or steps something and judges it by exact laws (`stress_cases`, `stress_blocks`). It
-runs in a process of its own under a watchdog, so that a hang or a crash of the whole process is
-counted and not suffered.
+A case plans something and judges it by exact laws (`stress_cases`). It runs in a process of its
+own under a watchdog, so that a hang or a crash of the whole process is counted and not suffered.
 """
 
 from __future__ import annotations
@@ -18,11 +17,12 @@ import sys
 import tempfile
 import time
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from . import stress_cases
 from .report import ROOT, Bar, Sections
 from .timing import in_new_process
 from .verdicts import FAILURES, NAN, OUTCOMES, Family, Verdict, judged
@@ -45,17 +45,8 @@ class Record:
 
 
 def families() -> dict[str, Family]:
-    """All families by name; those whose packages are not installed are left out."""
-    from . import stress_cases
-
-    found = list(stress_cases.FAMILIES)
-    for what in ("blocks", "drake"):
-        try:
-            found += importlib.import_module(f".stress_{what}", __package__).FAMILIES
-        except ImportError as error:
-            if multiprocessing.parent_process() is None:
-                print(f"stress of {what}: left out, {error}")
-    return {family.name: family for family in found}
+    """All families by name."""
+    return {family.name: family for family in stress_cases.FAMILIES}
 
 
 def rerun(family: str, index: int) -> Verdict:
@@ -125,7 +116,10 @@ def cases(full: bool) -> Iterator[Bar]:
         if full and family.endless:
             first, count = 1000 * int(time.time()), 10 * count
         chosen.append((family, range(first, first + count)))
-    yield from _bars(chosen, 20_000)
+    records = yield from _bars(chosen, 20_000)
+    from .figures import outcomes  # which needs matplotlib
+
+    outcomes(records, ROOT / "docs" / "stress.png")
 
 
 def sample(full: bool) -> Iterator[Bar]:
@@ -133,8 +127,8 @@ def sample(full: bool) -> Iterator[Bar]:
     yield from _bars([(family, range(0, family.count, 11)) for family in families().values()], 1900)
 
 
-def _bars(chosen: list[tuple[Family, range]], least: int) -> Iterator[Bar]:
-    """Run cases; a table of outcomes; failures with the line that repeats them."""
+def _bars(chosen: list[tuple[Family, range]], least: int) -> Generator[Bar, None, list[Record]]:
+    """Run cases; a table of outcomes; failures with the line that repeats them; the records."""
     begin = time.perf_counter()
     records: list[Record] = []
     shown: Counter = Counter()
@@ -158,6 +152,7 @@ def _bars(chosen: list[tuple[Family, range]], least: int) -> Iterator[Bar]:
     right = [r.verdict for r in records if r.verdict.outcome == "right"]
     worst = max((v.error / v.bound for v in right), default=NAN)
     yield Bar("stress: greatest error over its bound, right cases", 1.0, worst)
+    return records
 
 
 def table(records: list[Record]) -> str:

@@ -131,3 +131,11 @@ def test_a_refusal_must_name_place_value_and_remedy():
     assert verdicts.refusal(text).outcome == "refused"
     for part in ("array must not contain infs", "scene 'x': no", "failed, use another"):
         assert verdicts.refusal(part).outcome == "crash"
+
+
+def test_a_judge_takes_what_is_no_number_for_wrong():
+    meter = verdicts.Meter()
+    meter.see("slip", 0.5, 1.0)
+    assert meter.verdict().outcome == "right"
+    meter.see("twist", float("nan"), 1.0)
+    assert meter.verdict().outcome == "silent" and meter.verdict().message == "twist"
