@@ -315,5 +315,5 @@ FAMILIES = [
     grid("contacts among others", 8, on_trials(among_others), finger=BESIDE, **EVERY),
     grid("surfaces of users", 4, object=USERS, finger=USERS, slip=[0, 1]),
     Family("wrong input", 5000, _wrong_case, endless=True),
-    grid("everything", 4000),
+    grid("everything", 5000),
 ]
