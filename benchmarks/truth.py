@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,7 @@ LIMITS = {False: 1.5, True: 60.0}
 """s of processor time that a run may take, quick and full."""
 LOST = 10.0
 """In radii: what is further off counts as this."""
+BEGIN = time.perf_counter()
 Runs = dict[str, list[Ended]]
 FOUND: dict[str, Runs] = {}
 """What this process ran: of each set-up each method's runs, from coarse to fine."""
@@ -92,14 +94,15 @@ def page(full: bool) -> Iterator[Bar]:
     known = setups()
     if len(FOUND) == len(known):
         file = ROOT / "docs" / "truth.md"
-        head, _, rest = file.read_text("utf-8").partition(BEGIN)
-        _, _, tail = rest.partition(END)
-        file.write_text(f"{head}{BEGIN}\n{tables()}{END}{tail}", "utf-8")
+        head, _, rest = file.read_text("utf-8").partition(HEAD)
+        _, _, tail = rest.partition(TAIL)
+        file.write_text(f"{head}{HEAD}\n{tables()}{TAIL}{tail}", "utf-8")
         figure(ROOT / "docs" / "truth.png")
     yield Bar("set-ups of this run, for the page in docs", len(known), len(FOUND), least=True)
+    yield Bar("this run", None if full else 300.0, time.perf_counter() - BEGIN, "s")
 
 
-BEGIN, END = "<!-- written by python -m benchmarks truth -->", "<!-- end -->"
+HEAD, TAIL = "<!-- written by python -m benchmarks truth -->", "<!-- end -->"
 
 
 def tables() -> str:

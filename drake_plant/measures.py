@@ -188,7 +188,7 @@ class PushReport:
     left: float
 
 
-def outcome(scene: Scene) -> dict[str, Array]:
+def outcome(scene: Scene, duration: float | None = None) -> dict[str, Array]:
     """Simulate a scene as its ``[drake]`` table says, and tell what became of each contact.
 
     For sweeps: ``cs.sweep(scenes, drake_plant.outcome, executor, each=True, folder="runs")``.
@@ -196,6 +196,8 @@ def outcome(scene: Scene) -> dict[str, Array]:
     Parameters
     ----------
     scene : Scene
+    duration : float, optional
+        s; None: the scene's.
 
     Returns
     -------
@@ -208,7 +210,7 @@ def outcome(scene: Scene) -> dict[str, Array]:
     SceneError
         What :func:`simulate` raises.
     """
-    result = simulate(scene)
+    result = simulate(scene, duration=duration)
     reports, body = contact_table(result), object_report(result)
     names = ["verdict", *(f.name for f in fields(ContactReport) if f.name != "name")]
     found = {name: np.array([getattr(report, name) for report in reports]) for name in names}
