@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 import contact_system as cs
 from drake_plant import AddScenePlant, StationConfig
 
-from .truth_exact import MASS, PRESSED, Drive, Ended, Setup, setups
+from .truth_exact import MASS, Drive, Ended, Setup, setups
 
 VERSION = f"Drake {metadata.version('drake')}"
 STIFFNESS = 1e4
@@ -65,10 +65,9 @@ def takes(setup: Setup, method: Method) -> bool:
 
 def run(name: str, method: Method, step: float, limit: float = math.inf) -> Ended:
     """A set-up by a method with a step, or an accuracy; it is given up after ``limit`` s."""
-    pressed = PRESSED * math.cos(setups()[name].slope)
-    depth = pressed / STIFFNESS * (1 if method.model == "point" else 2)
+    depth = setups()[name].pressed / STIFFNESS * (1 if method.model == "point" else 2)
     setup = setups(*((depth / 2, depth / 2) if method.model == "point" else (depth, 0.0)))[name]
-    simulator, plant = _built(setup, method, step, pressed)
+    simulator, plant = _built(setup, method, step)
     end = setup.end if method.scheme else round(setup.end / step) * step
     begin = time.thread_time()
 
@@ -93,9 +92,7 @@ def _state(plant: MultibodyPlant) -> OutputPort:
     return plant.get_state_output_port(plant.GetModelInstanceByName(BALL))
 
 
-def _built(
-    setup: Setup, method: Method, step: float, pressed: float
-) -> tuple[Simulator, MultibodyPlant]:
+def _built(setup: Setup, method: Method, step: float) -> tuple[Simulator, MultibodyPlant]:
     """As the set-up begins, at the depth where the ball stands."""
     config = StationConfig(
         time_step=0.0 if method.scheme else step,
@@ -103,7 +100,7 @@ def _built(
         discrete_contact_approximation=method.approximation,
         object="turning" if setup.table else "welded",
         finger_mass=MASS,
-        normal_force=pressed,
+        normal_force=setup.pressed,
         stiffness=STIFFNESS,
         friction=setup.friction,
     )

@@ -13,6 +13,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -99,6 +100,11 @@ class Setup:
     until: float = 0.0  # it slides until then, s
 
     @property
+    def pressed(self) -> float:
+        """Normal force, N."""
+        return PRESSED * math.cos(self.slope)
+
+    @property
     def gravity(self) -> Array:
         """m/s^2; none where a wrench presses."""
         if self.guide:
@@ -121,27 +127,24 @@ def motion_of_plan(scene: cs.Scene, t: Array) -> Motion:
     return Motion(pose[:, :3, 3], twist[:, 3:], twist[:, :3], normal, turned)
 
 
-def _lowered(motion: Callable[[Array], Motion], below: float, t: Array) -> Motion:
-    """The same with the surface so much lower."""
+def _at_height(height: float, motion: Callable[[Array], Motion], t: Array) -> Motion:
+    """The same with the ball's centre so high."""
     found = motion(np.asarray(t))
-    return replace(found, x=found.x - below * UP)
+    return replace(found, x=found.x * [1.0, 1.0, 0.0] + height * UP)
 
 
-def _level(radius: float, velocity: float, until: float, final: float, t: Array) -> Motion:
-    """On a level plane along x: ``velocity`` falls evenly to ``final`` at ``until``, where a ball
-    that did not turn has begun to roll; from the beginning where until is 0."""
-    t = np.asarray(t)
-    early = np.minimum(t, until)
-    part = early / until if until else 0.0 * t
-    mean = velocity + (final - velocity) * part / 2
-    way, angle = mean * early + final * (t - early), final * (part * early / 2 + t - early)
-    v = velocity + (final - velocity) * part if until else final + 0.0 * t
-    w = final / radius * (part if until else 1.0 + part)
-    zero, up = 0.0 * t, np.tile(UP, (len(t), 1))
-    turned = Rotation.from_rotvec(np.stack([zero, angle / radius, zero], axis=1))
-    x = np.stack([way, zero, radius + zero], axis=1)
-    rates = np.stack([v, zero, zero], axis=1), np.stack([zero, w, zero], axis=1)
-    return Motion(x, *rates, up, turned)
+def _straight(v: float, w: float, a: float, alpha: float, until: float, t: Array) -> Motion:
+    """Along x on a plane: accelerated until a time, then at constant speeds."""
+    early, zero, up = np.minimum(t, until), np.zeros(len(t)), np.tile(UP, (len(t), 1))
+
+    def along(rate: float, change: float) -> tuple[Array, Array]:
+        now = rate + change * early
+        return rate * early + change * early**2 / 2 + now * (t - early), now
+
+    (way, speed), (angle, turning) = along(v, a), along(w, alpha)
+    x, rates = np.stack([way, zero, zero], axis=1), np.stack([speed, zero, zero], axis=1)
+    turned = Rotation.from_rotvec(np.stack([zero, angle, zero], axis=1))
+    return Motion(x, rates, np.stack([zero, turning, zero], axis=1), up, turned)
 
 
 def _circle(radius: float, t: Array) -> Motion:
@@ -153,21 +156,9 @@ def _circle(radius: float, t: Array) -> Motion:
     w0 = np.cross(UP, v0 - TABLE * np.cross(UP, x0)) / radius + TABLE * UP  # no drilling
     round_ = Rotation.from_rotvec(np.outer(t, rate * UP))
     turned = round_ * Rotation.from_rotvec(np.outer(t, w0 - rate * UP))
-    x = round_.apply(x0) + radius * UP
-    return Motion(x, round_.apply(v0), round_.apply(w0), np.tile(UP, (len(t), 1)), turned)
-
-
-def _down(radius: float, slope: float, friction: float, v0: float, t: Array) -> Motion:
-    """Down a slope, not turning at first: rolling from rest, or sliding where friction is weak."""
-    t, beta = np.asarray(t), INERTIA / (MASS * radius**2)
-    along, most = GRAVITY * math.sin(slope), friction * GRAVITY * math.cos(slope)
-    f = min(most, along * beta / (1 + beta))  # friction over mass
-    a, alpha = along - f, f / (beta * radius)
-    zero, up = 0.0 * t, np.tile(UP, (len(t), 1))
-    x = np.stack([(v0 + a * t / 2) * t, zero, radius + zero], axis=1)
-    v, w = np.stack([v0 + a * t, zero, zero], axis=1), np.stack([zero, alpha * t, zero], axis=1)
-    turned = Rotation.from_rotvec(np.stack([zero, alpha * t**2 / 2, zero], axis=1))
-    return Motion(x, v, w, up, turned)
+    return Motion(
+        round_.apply(x0), round_.apply(v0), round_.apply(w0), np.tile(UP, (len(t), 1)), turned
+    )
 
 
 # --- set-ups --------------------------------------------------------------------------------------
@@ -183,67 +174,49 @@ PLANNED = {
 def setups(ball: float = 0.0, below: float = 0.0) -> dict[str, Setup]:
     """All of them, where the ball rolls on so much less than its radius and so do surfaces."""
     r = RADIUS - ball
-    beta = INERTIA / (MASS * r**2)
-    table = cs.Turning(tuple(UP), [0.0, TABLE])
-    plane = functools.partial(Setup, scene=_on_plane(), surface=cs.Plane(), radius=r)
-    turntable = functools.partial(_circle, r)
-    orbit = 2 * math.pi / (TABLE * beta / (1 + beta))
-    slow, until = 1 / (1 + beta), beta / (1 + beta) / (0.2 * GRAVITY)
-    # it slides at 1 m/s under mu = 0.2 until it rolls at 5/7 of that (rigid)
-    every: dict[str, Setup] = {}
-    found = [
-        plane("plane", motion=functools.partial(_level, r, 0.5, 0.0, 0.5), end=1.0),
-        plane("turntable", motion=turntable, end=orbit, table=TABLE, scene=_on_plane(table)),
-        plane(
-            "slope, rolling", motion=functools.partial(_down, r, 0.2, 0.5, 0.0), end=0.5, slope=0.2
-        ),
-        plane(
-            "slope, sliding",
-            motion=functools.partial(_down, r, 0.6, 0.1, 0.1),
-            end=0.5,
-            slope=0.6,
-            friction=0.1,
-            until=0.5,
-        ),
-        plane(
-            "slip that dies",
-            motion=functools.partial(_level, r, 1.0, until, slow),
-            end=0.5,
-            friction=0.2,
-            until=until,
-        ),
-        plane(
-            "creep", motion=functools.partial(_level, r, 0.0, 0.0, 0.0), end=1.0, guide="rotation"
-        ),
-    ]
+    found = _on_planes(r, r - below)
     for name, (surface, start, way) in PLANNED.items():
-        scene = _geodesic(surface, RADIUS, start, way)
-        less = {
-            key: getattr(surface, key) - below
-            for key in ("radius", "a", "b", "c")
-            if hasattr(surface, key)
-        }
-        smaller = replace(surface, **less)
+        scene, less = _geodesic(surface, RADIUS, start, way), axes_of(surface) - below
+        round_ = isinstance(surface, cs.Sphere)
+        smaller = cs.Sphere(less[0]) if round_ else cs.Ellipsoid(*less.tolist())
         rolled = functools.partial(motion_of_plan, _geodesic(smaller, r, start, way))
         found.append(Setup(name, scene, smaller, r, rolled, 1.0, guide="position"))
-    rolled = functools.partial(motion_of_plan, _slipping(r))
-    found.append(
-        plane(
-            "slip law",
-            scene=_slipping(RADIUS),
-            motion=rolled,
-            end=1.0,
-            guide="position",
-            friction=0.2,
-            until=1.0,
-        )
-    )
-    for setup in found:
-        if isinstance(setup.surface, cs.Plane):
-            lowered = functools.partial(_lowered, setup.motion, below)
-            setup = replace(setup, motion=lowered)
-        every[setup.name] = setup
-    return every
+    return {setup.name: setup for setup in found}
+
+
+def _on_planes(r: float, height: float) -> list[Setup]:
+    """Those on planes, of balls whose centres are so high over the nominal plane, m."""
+    beta = INERTIA / (MASS * r**2)
+    rolls = GRAVITY * math.sin(0.2) / (1 + beta)
+    slides, grips = GRAVITY * math.sin(0.6), 0.1 * GRAVITY * math.cos(0.6)
+    brakes = 0.2 * GRAVITY  # from 1 m/s until it rolls, at 5/7 of that if it is rigid
+    until = beta / (1 + beta) / brakes
+
+    def plane(name: str, motion: Callable, *numbers: Any, end: float = 0.5, **more: Any) -> Setup:
+        moves = functools.partial(_at_height, height, functools.partial(motion, *numbers))
+        given = {"scene": _on_plane(), "end": end} | more
+        return Setup(name, surface=cs.Plane(), radius=r, motion=moves, **given)
+
+    turning = {"table": TABLE, "scene": _on_plane(cs.Turning(tuple(UP), [0.0, TABLE]))}
+    orbit = 2 * math.pi * (1 + beta) / (TABLE * beta)
+    sliding = {"slope": 0.6, "friction": 0.1, "until": 0.5}
+    dying = {"friction": 0.2, "until": until}
+    law = {"scene": _slipping(RADIUS), "guide": "position", "friction": 0.2, "until": 1.0}
+    spun = grips / (beta * r)
+    return [
+        plane("plane", _straight, 0.5, 0.5 / r, 0.0, 0.0, 1.0, end=1.0),
+        plane("turntable", _circle, r, end=orbit, **turning),
+        plane("slope, rolling", _straight, 0.0, 0.0, rolls, rolls / r, 1.0, slope=0.2),
+        plane("slope, sliding", _straight, 0.1, 0.0, slides - grips, spun, 1.0, **sliding),
+        plane("slip that dies", _straight, 1.0, 0.0, -brakes, brakes / (beta * r), until, **dying),
+        plane("creep", _straight, 0.0, 0.0, 0.0, 0.0, 0.0, end=1.0, guide="rotation"),
+        plane("slip law", motion_of_plan, _slipping(r), end=1.0, **law),
+    ]
+
+
+def axes_of(surface: cs.Surface) -> Array:
+    """Of an ellipsoid or a sphere, (3,), m."""
+    return np.array([getattr(surface, k, surface.size) for k in "abc"])
 
 
 def _on_plane(turning: cs.Turning | None = None) -> cs.Scene:
@@ -259,8 +232,7 @@ def _on_plane(turning: cs.Turning | None = None) -> cs.Scene:
 
 def _geodesic(surface: cs.Surface, radius: float, start: Array, way: Array) -> cs.Scene:
     """Rolling from a point over the surface's axes, along what ``way`` leaves in its plane."""
-    axes = [getattr(surface, k, getattr(surface, "radius", None)) for k in "abc"]
-    at = surface.coordinates(np.array(start) * axes)
+    at = surface.coordinates(np.array(start) * axes_of(surface))
     frame = surface.frame(*at)[:, :2]
     along = frame.T @ np.array(way)
     along /= np.hypot(*along)
@@ -398,7 +370,7 @@ def _rates(
         dw = (b + m * r**2 / inertia * normal * (normal @ b)) / (inertia + m * r**2)
         dv = r * np.cross(dw, normal) + known
     else:
-        friction = -setup.friction * PRESSED * math.cos(setup.slope) * ahead
+        friction = -setup.friction * setup.pressed * ahead
         dw = (torque - r * np.cross(normal, friction)) / inertia
         dv = (force + friction) / m
         dv -= normal * (normal @ dv) + normal * (v @ dn)
@@ -411,7 +383,7 @@ def _normal(surface: cs.Surface, p: Array) -> tuple[Array, Array]:
     """Outward normal, and what a shift of the point makes of it (3, 3)."""
     if isinstance(surface, cs.Plane):
         return UP, np.zeros((3, 3))
-    axes = np.array([getattr(surface, k, getattr(surface, "radius", None)) for k in "abc"])
+    axes = axes_of(surface)
     gradient = p / axes**2
     size = np.linalg.norm(gradient)
     normal = gradient / size

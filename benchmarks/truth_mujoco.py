@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import contact_system as cs
 
-from .truth_exact import INERTIA, MASS, PRESSED, RADIUS, Drive, Ended, Setup, setups
+from .truth_exact import INERTIA, MASS, RADIUS, Drive, Ended, Setup, setups
 
 VERSION = f"MuJoCo {mujoco.__version__}"
 SETTLING = 0.5
@@ -85,7 +85,7 @@ def _depth(setup: Setup, method: Method, step: float) -> float:
     model, data = _start(setup, method, step, still=True)
     normal = setup.motion(np.zeros(1)).normal[0]
     at = data.qpos[-7:-4].copy()
-    data.xfrc_applied[-1, :3] = -PRESSED * normal
+    data.xfrc_applied[-1, :3] = -setup.pressed * normal
     model.opt.gravity[:] = 0.0
     mujoco.mj_step(model, data, round(SETTLING / step))
     return float((at - data.qpos[-7:-4]) @ normal)

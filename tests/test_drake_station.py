@@ -1,5 +1,6 @@
 """The station: fingers driven as planned, contact physics, closed loop, configuration."""
 
+import contextlib
 import dataclasses
 import functools
 import math
@@ -278,10 +279,20 @@ def outcome_where_no_worker_dies(mark, scene):
     return outcome(scene)
 
 
-def test_a_sweep_of_simulations_loses_nothing_with_a_worker_and_goes_on_from_its_folder(tmp_path):
+@contextlib.contextmanager
+def dask():
+    """Two workers that Dask keeps."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster:
+        with distributed.Client(cluster) as client:
+            yield client.get_executor()
+
+
+@pytest.mark.parametrize("start", [lambda: ProcessPoolExecutor(2, get_context("spawn")), dask])
+def test_a_sweep_of_simulations_loses_nothing_with_a_worker_and_goes_on(start, tmp_path):
     scenes = [shortly(mu) for mu in (0.2, 0.3, 20.0)]
     evaluate = functools.partial(outcome_where_no_worker_dies, tmp_path / "killed")
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+    with start() as pool:
         cs.sweep(scenes[:2], evaluate, pool, each=True, folder=tmp_path / "runs")
     kept = {file: file.stat().st_mtime_ns for file in (tmp_path / "runs").iterdir()}
     found = cs.sweep(scenes, evaluate, each=True, folder=tmp_path / "runs")
