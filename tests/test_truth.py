@@ -40,6 +40,42 @@ def test_a_ball_has_the_speed_that_friction_leaves_it(name):
     assert run.v[0] == pytest.approx(run.exact.v[0, 0], rel=1e-3)
 
 
+@pytest.mark.parametrize("model", ["point", "hydroelastic"])
+def test_a_ball_between_plates_goes_half_as_fast(model):
+    """One plate is fixed, and one so heavy that nothing stops it slides over the ball."""
+    pytest.importorskip("pydrake")
+    from pydrake import geometry as shapes
+    from pydrake.math import RigidTransform
+    from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlantConfig
+    from pydrake.multibody.tree import PrismaticJoint, SpatialInertia
+    from pydrake.systems.analysis import Simulator
+    from pydrake.systems.framework import DiagramBuilder
+
+    builder, soft, rigid = (DiagramBuilder(), *(shapes.ProximityProperties() for _ in range(2)))
+    plant, _ = AddMultibodyPlant(MultibodyPlantConfig(contact_model=model), builder)
+    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
+    for made in (soft, rigid):
+        grip = CoulombFriction(0.5, 0.5)
+        shapes.AddContactMaterial(point_stiffness=2e4, friction=grip, properties=made)
+    shapes.AddCompliantHydroelasticProperties(2e-3, 1e7, soft)
+    shapes.AddRigidHydroelasticProperties(1.0, rigid)
+    ball = plant.AddRigidBody("ball", SpatialInertia.SolidSphereWithMass(0.1, 0.04))
+    plate = plant.AddRigidBody("plate", SpatialInertia.SolidSphereWithMass(1e5, 1.0))
+    frames = plant.world_frame(), plate.body_frame()
+    joint = plant.AddJoint(PrismaticJoint("slide", *frames, [1.0, 0.0, 0.0]))
+    plant.RegisterCollisionGeometry(ball, RigidTransform(), shapes.Sphere(0.04), "ball", soft)
+    for body, z in ((plant.world_body(), -0.0898), (plate, 0.0898)):
+        box, pose = shapes.Box(2.0, 2.0, 0.1), RigidTransform(np.array([0.0, 0.0, z]))
+        plant.RegisterCollisionGeometry(body, pose, box, "plate", rigid)
+    plant.Finalize()
+    simulator = Simulator(builder.Build())
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    joint.set_translation_rate(context, 0.1)
+    simulator.AdvanceTo(0.1)
+    speed = ball.EvalSpatialVelocityInWorld(context).translational()[0]
+    assert speed == pytest.approx(0.05, abs=1e-5)
+
+
 def test_hydroelastic_patches_resist_rolling_in_proportion_to_the_step():
     """Drake's own doing, and why a ball on a level plane comes to rest; points do not resist."""
     lost = [1 - drake("plane", "hydroelastic", h).v[0] / 0.5 for h in (1e-3, 5e-4)]
