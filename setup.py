@@ -53,7 +53,7 @@ PLATFORMS = {
 }
 
 FLAGS = shlex.split(
-    "-std=gnu99 -O3 -fPIC -fvisibility=hidden -fopenmp-simd "
+    "-std=gnu99 -O2 -fPIC -fvisibility=hidden -fopenmp-simd "
     "-ffp-contract=off -fno-math-errno -fno-trapping-math"
 )
 EXTRA = shlex.split(os.environ.get("CONTACT_SYSTEM_CFLAGS", ""))
