@@ -1,0 +1,33 @@
+"""The planner as an FMU, pushed by its importer
+
+A scene becomes a file that any simulator of FMI 2.0 or 3.0 steps. fmpy runs it here with an input,
+an acceleration of finger 1 that the scene knows nothing of.
+"""
+
+import fmpy
+import matplotlib.pyplot as plt
+import numpy as np
+
+import contact_system as cs
+from fmu_export import export_fmu
+
+scene = cs.load_scene("K1").replace(gain=cs.Gain.time(15.0))
+export_fmu(scene, "k1.fmu")
+push, slip = "contact[1].finger.acceleration.u", "contact[{}].slip_speed"
+signals = np.array([(0.0, 0.0), (0.4, 2.0), (0.5, 0.0)], [("time", float), (push, float)])
+result = fmpy.simulate_fmu(
+    "k1.fmu",
+    fmi_type="CoSimulation",
+    stop_time=1.0,
+    step_size=1e-3,
+    input=signals,
+    output=[slip.format(i) for i in (1, 2, 3)],
+)
+figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
+for i in (1, 2, 3):
+    axes.semilogy(result["time"], result[slip.format(i)], label=f"contact {i}")
+axes.set(
+    xlabel="t [s]", ylabel="slip [m/s]", ylim=(1e-7, 1.0), title="K1 as an FMU, finger 1 pushed"
+)
+axes.legend()
+figure.savefig("as_fmu.png", dpi=100)
