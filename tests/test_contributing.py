@@ -1,4 +1,4 @@
-"""What docs/contributing.md shows works as it is printed."""
+"""What CONTRIBUTING.md shows works as it is printed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import contact_system as cs
 from contact_system.scene import DISTURBANCE_KINDS
 from contact_system.theory.gain import LAWS
 
-PAGE = Path(__file__).parent.parent / "docs" / "contributing.md"
+PAGE = Path(__file__).parent.parent / "CONTRIBUTING.md"
 T = np.linspace(0.0, 1.0, 21)
 
 
