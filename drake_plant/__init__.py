@@ -4,6 +4,7 @@
 Python.
 """
 
+import warnings
 from typing import Any
 
 try:
@@ -30,11 +31,14 @@ from .trajectories import ContactTrajectories, MakeTrajectories
 
 
 def __getattr__(name: str) -> Any:
-    """FmuSystem needs fmpy, and nothing else here does: it is imported when it is asked for."""
+    """FmuSystem, imported when it is asked for, as nothing else needs fmpy; and former names."""
     if name == "FmuSystem":
         from .fmu_system import FmuSystem
 
         return FmuSystem
+    if name in ("PlantConfig", "DriverConfig"):
+        warnings.warn(f"{name} is StationConfig now", DeprecationWarning, stacklevel=2)
+        return StationConfig
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -26,13 +26,13 @@ TOLERANCE = 1.5e-6
 size. In D1 that is 1e-6 m at 0.5 s and 9e-6 m at its end, where runge_kutta3 is off by 5e-6 m at
 the 1 ms of a discrete plant, by 3e-4 m alone with an accuracy of 1e-3, cenic by 30 mm."""
 LOOKS = 20
-"""A scene is compared so often, evenly, and after the first, second, fourth, eighth... step."""
-OTHERS = 257
+"""A scene is compared so often, evenly, and whenever the time since the start has doubled."""
+STEPS = 257
 """And every so many steps, as simulations of one system may take turns; odd, so that each of two
 comes to it. A look takes 30 us."""
 
-MANY = 4096
-"""So many steps in a row are refused, each shorter than a `MOST`-th of what is left of a scene."""
+SLOW = 16
+"""So often in a row `STEPS` steps are each shorter than a `MOST`-th of what is left of a scene."""
 MOST = 2e7
 """Steps; the whole would take more than a quarter of an hour."""
 
@@ -41,24 +41,28 @@ class StepWatch:
     """How a simulation comes on: when to look at it, and whether it ever gets to the end."""
 
     def __init__(self, duration: float):
-        self.duration, self.count, self.crept = duration, 0, 0
-        self.length = self.last = self.looked = 0.0
+        self._duration, self.length = duration, 0.0
+        self.begin(0.0)
 
-    def step(self, t: float) -> bool:
-        """Note a step that ends at t; whether to compare its end with the plan."""
-        self.length, left, since = t - self.last, self.duration - t, t - self.looked
-        self.count = count = self.count + 1
-        self.last = t
-        self.crept = self.crept + 1 if 0.0 < self.length * MOST < left else 0
-        look = not 0.0 <= since * LOOKS < self.duration or count % OTHERS == 0
-        if look or count & (count - 1) == 0:
-            self.looked = t
-            return True
-        return False
+    def begin(self, t: float) -> None:
+        self._start = self._since = self.next = t
+        self.left, self._slow = STEPS, 0
 
+    def due(self, t: float) -> bool:
+        """Whether to compare the end of a step with the plan."""
+        if self.left and t < self.next:
+            return False
+        if not self.left:
+            self.length, self._since = (t - self._since) / STEPS, t
+            slow = 0.0 < self.length * MOST < self._duration - t
+            self.left, self._slow = STEPS, self._slow + 1 if slow else 0
+        self.next = t + min(abs(t - self._start), self._duration / LOOKS)
+        return True
+
+    @property
     def crawls(self) -> bool:
         """Whether the end will never be reached: error control asks for steps of 1e-9 s."""
-        return self.crept >= MANY
+        return self._slow >= SLOW
 
 
 def exact_plan(scene: Scene, start: float, states: bytes, end: float) -> Plan | None:

@@ -263,8 +263,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         The last derivatives of a step tell whether its end is near a singular point.
         """
         clears, scratches = "x" in self.system.depends("clearance"), self._scratches
-        look, crawls = weakly(self._CheckClearance), weakly(self._RefuseCrawl)
-        check = weakly(self._CheckDrift)
+        look = weakly(self._Look)
         # Numbers, 0 until they are set: Drake copies Contexts without Python's lock when it
         # evaluates batches, and a Python object in one would end the process.
         begun = BasicVector(np.zeros(2 + 9 * len(self.system.scene.contacts)))
@@ -275,18 +274,21 @@ class ContactPlanner(_Convertible, LeafSystem):
 
         def watch(context: Any) -> None:
             own = scratches.own
-            if clears and not own.clearance[0] > NEARBY:
-                look(context)
-            if own.steps.step(context.get_time()):
-                check(context)
-            if own.steps.crawls():
-                crawls(context)
+            own.steps.left -= 1
+            near = clears and not own.clearance[0] > NEARBY
+            if near or not own.steps.left or context.get_time() >= own.steps.next:
+                look(context, near)
 
         self.DeclarePerStepPublishEvent(watch)
 
-    def _CheckClearance(self, context: Any) -> None:
-        if not self._Numbers(context, "clearance")[0] > CLEARANCE:
+    def _Look(self, context: Any, near: bool) -> None:
+        if near and not self._Numbers(context, "clearance")[0] > CLEARANCE:
             refuse_singularity(self.system, *self._scratches.own.given)
+        steps = self._scratches.own.steps
+        if steps.due(context.get_time()):
+            self._CheckDrift(context)
+            if steps.crawls:
+                self._RefuseCrawl(context)
 
     def _RefuseCrawl(self, context: Any) -> None:
         system, steps = self.system, self._scratches.own.steps
@@ -301,15 +303,15 @@ class ContactPlanner(_Convertible, LeafSystem):
                 f"{k // 6}, {DISTURBANCE_KINDS[k % 6 // 2].kind}) is {added[k]:.6g}"
             )
         raise SceneError(
-            f"{system.scene.title}: at t = {steps.last:.6g} s the integrator takes steps of "
-            f"{steps.length:.2g} s, and the scene ends at {system.scene.duration:g} s; {remedy}"
+            f"{system.scene.title}: at t = {context.get_time():.6g} s the integrator takes steps "
+            f"of {steps.length:.2g} s, and the scene ends at {system.scene.duration:g} s; {remedy}"
         )
 
     def _Begin(self, context: Any) -> None:
         """From now on contacts are compared with the plan from the state that a Context has."""
         self._Load(context, "derivatives")
         own, system = self._scratches.own, self.system
-        own.steps.count = 0
+        own.steps.begin(own.t[0])
         starts = (own.t[0], *own.x, *own.held) == (0.0, *system.x0, *system.held0)
         self._Follow(context, None if starts else self._Numbers(context, "state"))
 
