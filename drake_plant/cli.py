@@ -157,8 +157,8 @@ def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable
         yield from _explained(
             "Recovery: time from the disturbance's end until slip stays below "
             f"{REJECTED:.0%} of its mean while disturbed, or below its greatest before, where that "
-            "is more; to rolling: or below what undisturbed contacts have at the same speed. "
-            f"Saturated: part of the disturbance with friction above {SATURATED:.0%} of mu N."
+            "is more. Saturated: part of the disturbance with friction above "
+            f"{SATURATED:.0%} of mu N."
         )
         yield from (*map(paragraph, _verdict(result, reports)), "")
     if result.config.pushes:
@@ -209,7 +209,6 @@ def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
         ("greatest before", "m/s", lambda r: _number(r.slip_before, ".2e")),
         ("saturated", "", lambda r: f"{r.saturated:.0%}"),
         ("recovery", "s", lambda r: _taken(r.recovery)),
-        ("to rolling", "s", lambda r: _taken(r.settling)),
         ("paper", "s", lambda r: _number(r.reported, "g")),
         ("as reported", "", _outcome),
     )
@@ -274,7 +273,9 @@ def _verdict(result: SimulationResult, reports: Sequence[ContactReport]) -> Iter
         what = f"contact was lost at {', '.join(lost)}" if lost else "the object falls"
         yield f"This is not what the paper reports on: {what}."
     elif slid:
-        yield from _rejected(slid)
+        timed = not math.isnan(slid[0].reported)
+        recovered = all(r.as_reported if timed else math.isfinite(r.recovery) for r in slid)
+        yield f"Here slip {'is' if recovered else 'is not'} rejected{' within that time' * timed}."
     if "lateral_force" in paper:
         names = ", ".join(r.name for r in disturbed if r.saturates)
         happens = f"saturates at {names}" if names else "does not saturate"
@@ -282,15 +283,4 @@ def _verdict(result: SimulationResult, reports: Sequence[ContactReport]) -> Iter
         yield (
             f"Tangential force {happens}; its peak is {peak:.3f} N, the paper's limit "
             f"{paper['lateral_force']:g} N."
-        )
-
-
-def _rejected(slid: Sequence[ContactReport]) -> Iterable[str]:
-    timed = not math.isnan(slid[0].reported)
-    recovered = all(r.as_reported if timed else math.isfinite(r.recovery) for r in slid)
-    yield f"Here slip {'is' if recovered else 'is not'} rejected{' within that time' * timed}."
-    if not recovered and all(r.settling <= r.reported for r in slid):
-        yield (
-            "It is down to what undisturbed contacts have at the same speed after "
-            f"{max(r.settling for r in slid):.3f} s."
         )

@@ -71,10 +71,6 @@ class ContactReport:
     recovery : float
         Time from the disturbance's end until slip stays below 5 % of `disturbed_slip`, or below
         `slip_before` where that is greater [s]; inf if it is above at the end.
-    settling : float
-        The same until it stays below what undisturbed rolling has at that speed, where that is
-        more than 5 % of `disturbed_slip` [s]: the greatest slip over contact speed of this contact
-        before any disturbance, and of contacts that are never disturbed at any time.
     reported : float
         Within how long the paper reports it [s].
     distance : float
@@ -98,7 +94,6 @@ class ContactReport:
     slid: bool
     slip_before: float
     recovery: float
-    settling: float
     reported: float
     distance: float
 
@@ -266,34 +261,21 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     disturbed = [windows(planned, i) for i in range(len(result.scene.contacts))]
     pushes = [(push.start, push.stop) for push in result.config.pushes]
     edges = np.ravel([w for of_contact in (*disturbed, pushes) for w in of_contact])
-    before = (t >= EDGE) & (t < min(edges, default=math.inf))
+    early = t < min(edges, default=math.inf)
     steady = (t >= EDGE) & (np.abs(t[:, None] - edges) > EDGE).all(1)
-    slip = np.linalg.norm(result.measured["slip"], axis=2)
-    of_plan = np.linalg.norm(result.planned["slip"], axis=2)
-    rolls = of_plan <= ROLLS * result.scene.speeds(t)
     speed = contact_speed(result.scene, result.planned["state"])
-    moving = rolls & (speed > STANDING * speed.max(axis=0))  # a path may start or end at rest
-    ratio = np.divide(slip, speed, out=np.full_like(slip, math.nan), where=moving)
-    untouched = ratio[t >= EDGE][:, [not w and not pushes for w in disturbed]]
-    off, early = _off(result), t < min(edges, default=math.inf)
+    off = _off(result)
     kept = not off.any() and not object_report(result).falls
-    reports = []
-    for i, acting in enumerate(disturbed):
-        usual = np.append(untouched, ratio[before, i])
-        allowed = _greatest(usual[np.isfinite(usual)]) * speed[:, i]
-        reports.append(
-            ContactReport(
-                **_rolling(result, i, before, steady, rolls[:, i]),
-                off=float(off[i]),
-                kept=kept,
-                planned_slip=_greatest(of_plan[early, i]),
-                plan_slips=float((early & ~rolls[:, i]) @ np.diff(t, prepend=t[0])),
-                rolling_slip=_mean(ratio[before & moving[:, i], i]),
-                slip_before=_greatest(slip[before, i]),
-                **_rejection(result, i, acting, slip[:, i], before, allowed),
-            )
+    return [
+        ContactReport(
+            name=result.scene.contact_name(i),
+            off=float(off[i]),
+            kept=kept,
+            **_rolling(result, i, early, steady, speed[:, i]),
+            **_rejection(result, i, acting, early),
         )
-    return reports
+        for i, acting in enumerate(disturbed)
+    ]
 
 
 def _off(result: SimulationResult) -> Array:
@@ -313,22 +295,11 @@ def contact_speed(scene: Scene, states: Array) -> Array:
     return np.linalg.norm(np.einsum("...ij,...j->...i", root, states[..., 6:8]), axis=-1)
 
 
-def recovery_time(t: Array, slip: Array, since: float, level: Array | float) -> float:
-    """How long after a time a signal last lies at a level or above, s.
-
-    Parameters
-    ----------
-    t, slip : (m,)
-    since : float
-    level : (m,) or float
-
-    Returns
-    -------
-    float
-        0 if it never does from then on, inf if it does at the end.
-    """
+def recovery_time(t: Array, slip: Array, since: float, level: float) -> float:
+    """How long after a time a signal last lies at a level or above, s: 0 if it never does, inf if
+    it does at the end."""
     after = t >= since
-    above = np.flatnonzero((slip >= level)[after])
+    above = np.flatnonzero(slip[after] >= level)
     if not len(above):
         return 0.0
     later = t[after][above[-1] + 1 :]
@@ -338,23 +309,31 @@ def recovery_time(t: Array, slip: Array, since: float, level: Array | float) -> 
 def _rolling(
     result: SimulationResult,
     i: int,
-    before: NDArray[np.bool_],
+    early: NDArray[np.bool_],
     steady: NDArray[np.bool_],
-    rolls: NDArray[np.bool_],
-) -> dict[str, Any]:
-    """Forces of one contact, and where it is while nothing has been disturbed yet."""
+    speed: Array,
+) -> dict[str, float]:
+    """Forces of one contact; slip and where it is while nothing has been disturbed yet."""
+    t, before = result.t, early & (result.t >= EDGE)
     normal, friction = _forces(result, i)
-    apart = _misses(result)[:, i]
     limit = result.config.friction * normal
     pressed = (normal > 0.5 * _mean(normal[steady])) & (limit > 0)
+    slip, of_plan = (
+        np.linalg.norm(said["slip"][:, i], axis=1) for said in (result.measured, result.planned)
+    )
+    slips = of_plan > ROLLS * result.scene.speeds(t)[:, i]
+    moves = before & ~slips & (speed > STANDING * speed.max())  # a path may start or end at rest
     return {
-        "name": result.scene.contact_name(i),
         "normal_mean": _mean(normal[steady]),
         "normal_deviation": float(normal[steady].std()) if steady.any() else math.nan,
         "friction_peak": float(friction.max()),
         "friction_ratio": _greatest(friction[pressed] / limit[pressed]),
-        "rolling_friction": _mean(friction[before & rolls]),
-        "distance": _greatest(np.linalg.norm(apart[before], axis=1)),
+        "planned_slip": _greatest(of_plan[early]),
+        "plan_slips": float((early & slips) @ np.diff(t, prepend=t[0])),
+        "rolling_friction": _mean(friction[before & ~slips]),
+        "rolling_slip": _mean(slip[moves] / speed[moves]),
+        "slip_before": _greatest(slip[before]),
+        "distance": _greatest(np.linalg.norm(_misses(result)[before, i], axis=1)),
     }
 
 
@@ -362,33 +341,27 @@ def _rejection(
     result: SimulationResult,
     i: int,
     disturbed: list[tuple[float, float]],
-    slip: Array,
-    before: NDArray[np.bool_],
-    allowed: Array,
+    early: NDArray[np.bool_],
 ) -> dict[str, Any]:
-    """What the last disturbance did, if it was seen and is over.
-
-    allowed : (m,), the slip of rolling
-    """
-    t = result.t
+    """What the last disturbance did, if it was seen and is over."""
+    t, slip = result.t, np.linalg.norm(result.measured["slip"][:, i], axis=1)
     start, stop = disturbed[-1] if disturbed else (math.inf, math.inf)
     during = (t >= start) & (t < stop)
     if not during.any() or not (t > stop).any():
-        nothing = ("disturbed_slip", "saturated", "recovery", "settling", "reported")
+        nothing = ("disturbed_slip", "saturated", "recovery", "reported")
         return dict.fromkeys(nothing, math.nan) | {"slid": False}
-    level = REJECTED * _mean(slip[during])
     normal, friction = _forces(result, i)
     # A finger that is off the object, or that nothing holds, has no friction to saturate.
     limit = result.config.friction * normal
     at_limit = (friction >= SATURATED * limit) & (normal > 0)
     slid = bool(at_limit[during].any())
-    undisturbed = np.fmax(level, _greatest(slip[before]))
+    mean = _mean(slip[during])
+    level = np.fmax(REJECTED * mean, _greatest(slip[early & (t >= EDGE)]))
     return {
-        "disturbed_slip": _mean(slip[during]),
+        "disturbed_slip": mean,
         "saturated": float((at_limit & (friction > 0))[during].mean()),
         "slid": slid,
-        "recovery": recovery_time(t, slip, stop, undisturbed) if slid else math.nan,
-        "settling": recovery_time(t, slip, stop, np.fmax(level, allowed)) if slid else math.nan,
+        "recovery": recovery_time(t, slip, stop, level) if slid else math.nan,
         "reported": result.scene.paper.get("recovery_time", math.nan),
     }
 

@@ -90,18 +90,6 @@ def test_slip_need_not_fall_below_what_it_was_before():
     assert finger.recovery == pytest.approx(math.log(5) / 10, abs=1.1e-3)
 
 
-def test_slip_has_settled_when_undisturbed_contacts_slip_as_much_at_that_speed():
-    result = made_up(decaying(40.0), LIMIT)
-    sigma = result.scene.profile(T)
-    result.measured["slip"][:, 0, 0] += 3e-3 * (T >= STOP)  # what rolling has by now
-    result.measured["slip"][:, 1, 0] = 2.5e-3 * sigma
-    result.measured["slip"][:, 2, 0] = 0.0
-    finger = contact_table(result)[0]
-    assert finger.recovery == math.inf
-    allowed = 2.5e-3 * result.scene.profile(STOP + finger.settling) - 3e-3
-    assert finger.settling == pytest.approx(-math.log(allowed / 0.05) / 40, abs=1.1e-3)
-
-
 def test_a_disturbance_between_two_samples_is_nothing_to_recover_from():
     result = made_up(decaying(40.0), np.zeros(len(T)))
     short = dataclasses.replace(result.scene.disturbances[0], start=0.1002, stop=0.1007)
