@@ -150,30 +150,23 @@ class Instance:
             None: all of it.
         causality : "input" or "output"
         """
-        every = self.description.modelVariables
-        pool = [v for v in every if v.causality == causality and carried(v)]
+        pool = [v for v in self.description.modelVariables if carried(v)]
+        known = {v.name: v for v in pool if causality == "output" or v.causality == causality}
+        usual = [v for v in pool if v.causality == causality]
         if names is None:
-            return PortVariables(pool, self.version)
+            return PortVariables(usual, self.version)
         listed = [names] if isinstance(names, str) else names
         if not isinstance(listed, Iterable):
             raise ContactSystemError(
                 f"{self.name}: {causality}s = {names!r}: give names of variables, or a mapping of "
                 "port names to those"
             )
-        by_name = {v.name: v for v in every}
         found: list[Any] = []
         for name in map(str, listed):
-            inside = [v for v in pool if v.name.startswith((f"{name}.", f"{name}["))]
-            if name not in by_name and not inside:
-                known = by_name if causality == "output" else [v.name for v in pool]
-                self._refuse_name(name, known, f"{causality} ")
-            found.extend([by_name[name]] if name in by_name else inside)
-        for v in found:
-            if not carried(v) or (causality == "input" and v.causality != "input"):
-                raise ContactSystemError(
-                    f"{self.name}: {v.name}, {v.causality} of type {v.type}, cannot be on an "
-                    f"{causality} port: leave it out"
-                )
+            inside = [v for v in usual if v.name.startswith((f"{name}.", f"{name}["))]
+            if name not in known and not inside:
+                self._refuse_name(name, known, f"numeric {causality} ")
+            found.extend([known[name]] if name in known else inside)
         return PortVariables(found, self.version)
 
     def _refuse_name(self, name: str, known: Iterable[str], what: str = "") -> None:
@@ -196,34 +189,20 @@ class Instance:
     def _start_value(self, variable: Any, value: Any) -> list[Any]:
         """As fmpy's setters take it."""
         block, kind = PortVariables([variable], self.version), fmi_kind(variable, self.version)
+        given = np.array(value, dtype=object).ravel().tolist()
         problem: str | None = f"{variable.name} = {value!r} is not of type {variable.type}"
-        try:
-            array = np.array(value, dtype=object)
-        except ValueError:  # arrays of several shapes
-            raise ContactSystemError(f"{self.name}: start value: {problem}") from None
-        given, shape = array.ravel().tolist(), tuple(variable.shape or ())
-        if array.ndim > 1 and array.shape != shape:  # such as a transposed matrix
-            problem = f"{variable.name} has shape {shape}, not {array.shape}"
-        elif len(given) != len(block.names):
+        if len(given) != len(block.names):
             problem = f"{variable.name} has {len(block.names)} elements, not {len(given)}"
-        elif kind in TEXTS:
-            problem = None if all(isinstance(v, TEXTS[kind]) for v in given) else problem
         elif not carried(variable):
-            return given
-        elif issubclass(KINDS[kind], np.integer):  # no floats, which have 53 bits
-            with contextlib.suppress(TypeError, ValueError, OverflowError):
-                whole, info = [int(v) for v in given], np.iinfo(KINDS[kind])
-                if whole == given and all(info.min <= v <= info.max for v in whole):
-                    return whole
+            if all(isinstance(v, TEXTS.get(kind, object)) for v in given):
+                return given
         else:
             with contextlib.suppress(TypeError, ValueError, OverflowError):
                 values = np.array([0 + v for v in given], dtype=float)  # no texts
                 problem = block.check(values)
                 if not problem:
                     return values.astype(KINDS[kind]).tolist()
-        if problem:
-            raise ContactSystemError(f"{self.name}: start value: {problem}")
-        return given
+        raise ContactSystemError(f"{self.name}: start value: {problem}")
 
     # --- life
 

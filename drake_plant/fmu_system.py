@@ -187,18 +187,9 @@ def _blocks(
 ) -> dict[str, PortVariables]:
     """Port name -> its variables; a port without variables is left out."""
     ports = chosen if isinstance(chosen, Mapping) else {usual: chosen}
-    for port in ports:
-        if not isinstance(port, str) or not port:  # Drake ends the process for the latter
-            raise ContactSystemError(
-                f"{instance.name}: {port!r}, a key of {causality}s, is no port name: give a text"
-            )
-    found = {port: instance.select(names, causality) for port, names in ports.items()}
-    given: dict[str, str] = {}
-    for port, name in ((k, n) for k in found for n in found[k].names if causality == "input"):
-        if name in given:  # the last one would be what the FMU sees
-            raise ContactSystemError(
-                f"{instance.name}: input variable '{name}' would be set twice, by the input port "
-                f"'{given[name]}' and by '{port}': name it once"
-            )
-        given[name] = port
+    if "" in ports:  # Drake ends the process for it
+        raise ContactSystemError(
+            f"{instance.name}: '' in {causality}s is no port name: give a text"
+        )
+    found = {str(port): instance.select(names, causality) for port, names in ports.items()}
     return {port: block for port, block in found.items() if block.names}
