@@ -231,15 +231,15 @@ class StationConfig:
         """Between two steps a discrete plant is at the end of the step already: a planner that
         restarts there is ahead of its time, by another part of a step each time."""
         step, period = self.time_step, self.restart_period
-        steps = max((LOOK if period is None else period) / step, 1e-9)
-        whole = round(steps) if steps > 0.75 else 1 / round(1 / steps)
+        steps = (LOOK if period is None else period) / step
+        whole = max(1, round(steps))
         # A little early does no harm; a little late is a whole step ahead (but see EARLY).
         if not -1e-6 < steps / whole - 1 < 1e-9:
             every = f" (None: {LOOK:g} s)" if period is None else ""
             raise SceneError(
                 f"restart_period = {period!r}{every}: restarts have to fall on steps of the plant, "
-                f"time_step = {step!r}; give restart_period = {max(1, round(steps)) * step:.9g}, "
-                "or another multiple of it"
+                f"time_step = {step!r}; give restart_period = {whole * step:.9g}, or another "
+                "multiple of it"
             )
 
     @classmethod

@@ -1,13 +1,15 @@
 """Coordinates of a mesh's vertices on a surface, and the base meshes that subdivision starts from.
 
-Surfaces that close around a centre start from an icosahedron, others from rows of triangles in
-their chart. SI units, radians.
+Surfaces that close around a centre start from an icosahedron, others from squares of their chart. A
+domain has points and unit normals out of the body of coordinates (``place``), coordinates half way
+between others (``midpoints``), and coordinates and triangles of a mesh of so many parts a side
+(``base``), of which ``coarsest`` are the fewest and ``patches`` those painted in two shades. SI
+units, radians.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,30 +29,6 @@ from contact_system.surfaces.base import RAY
 
 Array = NDArray[np.float64]
 Triangles = NDArray[np.int64]
-
-
-class Domain(Protocol):
-    """Coordinates of vertices, in which midpoints stay on the surface.
-
-    ``coarsest`` is the size of the base mesh that subdivision may start from, ``patches`` of that
-    whose triangles are painted in different shades.
-    """
-
-    surface: Surface
-    coarsest: float
-    patches: float
-
-    def place(self, q: Array) -> tuple[Array, Array]:
-        """Points on the surface and unit normals out of the body, each (n, 3)."""
-        ...
-
-    def midpoints(self, a: Array, b: Array) -> Array:
-        """Coordinates half way between coordinates."""
-        ...
-
-    def base(self, size: float) -> tuple[Array, Triangles]:
-        """Coordinates and triangles of a mesh of ``size`` parts a side."""
-        ...
 
 
 class RoundDomain:
@@ -159,6 +137,9 @@ class ChartDomain:
         )
         triangles = np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
         return self._spans[:, 0] + q * (self._spans[:, 1] - self._spans[:, 0]), triangles
+
+
+Domain = RoundDomain | ChartDomain
 
 
 def domain_of(surface: Surface, curve: Array, margin: float, opposing: float) -> Domain:

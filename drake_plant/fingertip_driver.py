@@ -6,18 +6,11 @@ along the normal there is only a damper, so that the contact itself decides how 
 in. Slip that is really there is rejected by the paper's own term, an acceleration of -lam times it,
 with the planned curve held: to plan anew from where a pushed finger is adds slip.
 
-Two things decide how steady the normal force is, because the fingers of D1 need up to 8 N of
-centripetal force beside the 1 N of contact, and those of D3 150 N:
-
-* What a discrete plant needs (semi-implicit Euler, step h). Its velocity at t_k moved the body from
-  t_{k-1} to t_k, so the velocity to track is the backward difference of desired positions. Its
-  acceleration leads to the next backward difference, so the one to feed forward is the second
-  difference, ``A + h^2/12 A''``. With the values at t_k instead, the force of D1 is wrong by 5 %.
-* The error lives in a frame that turns with the contact normal at Omega = n x n', of which the
-  normals of two steps, ``n_before x n = h Omega``, tell the plan's part. A finger that is
-  off by a constant e there goes round with the plan and needs ``Omega x (Omega x e)`` less. Without
-  this term e is driven away with a stiffness of -m Omega^2, 1000 N/m in D3; without the Coriolis
-  term friction that drags the finger sideways shows in its normal force.
+In a discrete plant (semi-implicit Euler, step h) a velocity at t_k moved the body from t_{k-1} to
+t_k, so the velocity to track is the backward difference of desired positions, and the acceleration
+to feed forward the second, ``A + h^2/12 A''``. The error lives in a frame that turns with the
+contact normal at Omega = n x n', of which the normals of two steps, ``n_before x n = h Omega``,
+tell the plan's part. docs/drake.md says what each term is worth.
 """
 
 from __future__ import annotations
@@ -78,11 +71,8 @@ def driving_law() -> Table:
     plan, before = (_split(x.motion, MOTION), SimpleNamespace(**_split(x.kept, KEPT)))
     x.R_OF, x.p_OF = ca.reshape(plan["pose"][:9], 3, 3), plan["pose"][9:]
     (x.w_OF, x.v_OF), (x.alpha_OF, x.a_OF) = _halves(plan["twist"]), _halves(plan["acceleration"])
-    x.normal, x.normal_rate, x.point = (
-        plan["normal"],
-        plan["normal_rate"],
-        plan["contact_point"][:3],
-    )
+    x.normal, x.normal_rate = plan["normal"], plan["normal_rate"]
+    x.point = plan["contact_point"][:3]
     # no difference is taken across a restart
     before.steps = ca.if_else(before.restarts == x.restarts, before.steps, 0)
     wanted = _desired_motion(x, c.h, before)

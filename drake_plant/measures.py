@@ -312,7 +312,7 @@ def _rolling(
     early: NDArray[np.bool_],
     steady: NDArray[np.bool_],
     speed: Array,
-) -> dict[str, float]:
+) -> dict[str, Any]:
     """Forces of one contact; slip and where it is while nothing has been disturbed yet."""
     t, before = result.t, early & (result.t >= EDGE)
     normal, friction = _forces(result, i)

@@ -131,8 +131,8 @@ class ScenePlant:
     Raises
     ------
     SceneError
-        Something else in one of these places, a plant that is not finalized, bodies of another
-        plant, one body in two places, or more or fewer fingers than contacts.
+        Something else in one of these places, a plant that is not finalized, or more or fewer
+        fingers than contacts.
     """
 
     scene: Scene
@@ -150,25 +150,13 @@ class ScenePlant:
             require_config(self.scene_graph, SceneGraph, "scene_graph")
             if not self.plant.is_finalized():
                 raise SceneError("the plant is not finalized: call plant.Finalize() first")
-            self._check_bodies()
-
-    def _check_bodies(self) -> None:
-        fingers, wanted = self.finger_bodies, len(self.scene.contacts)
-        if not isinstance(fingers, Sequence) or len(fingers) != wanted:
-            raise SceneError(
-                f"finger_bodies = {fingers!r}: give a list of {wanted}, one for each contact"
-            )
-        bodies = {"object_body": self.object_body}
-        bodies |= {f"finger_bodies[{i}]": body for i, body in enumerate(fingers)}
-        taken: dict[int, str] = {}
-        for name, body in bodies.items():
-            require_config(body, RigidBody, name)
-            index = int(body.index())
-            if index >= self.plant.num_bodies() or self.plant.get_body(body.index()) is not body:
-                raise SceneError(f"{name} = {body!r} is a body of another plant")
-            if index in taken:
-                raise SceneError(f"{name} = {body!r} is {taken[index]} already: give another body")
-            taken[index] = name
+            fingers, wanted = self.finger_bodies, len(self.scene.contacts)
+            if not isinstance(fingers, Sequence) or len(fingers) != wanted:
+                raise SceneError(
+                    f"finger_bodies = {fingers!r}: give a list of {wanted}, one for each contact"
+                )
+            for body in (self.object_body, *fingers):
+                require_config(body, RigidBody, "a body")
 
 
 def AddScenePlant(

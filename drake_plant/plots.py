@@ -36,7 +36,6 @@ Array = NDArray[np.float64]
 
 SMOOTH = 0.02  # s over which the bold line of a rippling signal is averaged
 BOLD = f"bold: mean of {1e3 * SMOOTH:g} ms"
-LINES = 2400  # samples that a line is drawn with
 DOTS, APART = 200, 0.02  # most marks on a planned curve, and how far apart, of the picture's size
 
 
@@ -84,11 +83,11 @@ def _draw_slip(ax: Any, result: SimulationResult, closed: bool = True) -> None:
     planned = np.linalg.norm(result.planned["slip"], axis=2)
     for i in range(slip.shape[1]):
         line = {"color": colour_of(i), "linewidth": 0.9, "linestyle": "-" if closed else ":"}
-        ax.plot(*_thinned(result.t, slip[:, i]), **line)
+        ax.plot(result.t, slip[:, i], **line)
         shown = np.where(planned[:, i] > 0, planned[:, i], np.nan)
         if closed:
             line |= {"linewidth": 1.6, "dashes": (2.2, 1.1)}
-            ax.plot(*_thinned(result.t, shown), **line)
+            ax.plot(result.t, shown, **line)
     ax.set_yscale("log")
     if (peak := max(slip.max(), planned.max())) > 0:
         ax.set_ylim(1e-5 * peak, 3 * peak)
@@ -122,7 +121,7 @@ def _draw_distance(ax: Any, result: SimulationResult, closed: bool = True) -> No
     apart = result.measured["contact_point"] - result.planned["contact_point"]
     for i, distance in enumerate(1e3 * np.linalg.norm(apart, axis=2).T):
         line = {"linewidth": 1.2, "linestyle": "-" if closed else ":"}
-        ax.plot(*_thinned(result.t, distance), color=colour_of(i), **line)
+        ax.plot(result.t, distance, color=colour_of(i), **line)
     ax.set_title("Measured contact point from the planned one", loc="left", weight="bold")
     ax.set_ylabel("distance [mm]")
     ax.relim()
@@ -132,23 +131,11 @@ def _draw_distance(ax: Any, result: SimulationResult, closed: bool = True) -> No
 def _ripple(ax: Any, t: Array, values: Array, colour: str) -> None:
     """A signal, pale, and its running mean, from the first step on: before it there is none."""
     t, values = t[1:], values[1:]
-    ax.plot(*_thinned(t, values), color=colour, linewidth=0.5, alpha=0.35)
+    ax.plot(t, values, color=colour, linewidth=0.5, alpha=0.35)
     width = max(1, round(SMOOTH / (t[1] - t[0]))) if len(t) > 1 else 1
     ends = width // 2, (width - 1) // 2
     mean = np.convolve(np.pad(values, ends, mode="edge"), np.full(width, 1 / width), "valid")
-    ax.plot(*_thinned(t, mean), color=colour, linewidth=1.5)
-
-
-def _thinned(t: Array, values: Array) -> tuple[Array, Array]:
-    """Least and greatest of each run of samples, so that no spike is lost."""
-    run = 2 * len(t) // LINES
-    if run < 2:
-        return t, values
-    groups = np.pad(values, (0, -len(t) % run), mode="edge").reshape(-1, run)
-    first = np.arange(len(groups)) * run
-    ends = np.stack([groups.argmin(1), groups.argmax(1)], axis=1)
-    index = np.sort(first[:, None] + ends, axis=1).ravel()
-    return t[index], values[index]
+    ax.plot(t, mean, color=colour, linewidth=1.5)
 
 
 def _finish(ax: Any, result: SimulationResult, planned: Plan, last: bool) -> None:
@@ -170,10 +157,8 @@ def _finish(ax: Any, result: SimulationResult, planned: Plan, last: bool) -> Non
 
 def _draw_curves(ax: Any, result: SimulationResult, planned: Plan) -> None:
     """Measured contact curves, with dots where the plan has them."""
-    every = slice(None, None, max(1, len(result.t) // 1600))
-    t, contacts = result.t[every], range(len(result.scene.contacts))
-    points = result.measured["contact_point"][every]
-    curves = [curve_of(planned, i, t, points[:, i]) for i in contacts]
+    contacts, points = range(len(result.scene.contacts)), result.measured["contact_point"]
+    curves = [curve_of(planned, i, result.t, points[:, i]) for i in contacts]
     mesh = mesh_of(planned, result.scene.object, 1, contacts)
     draw_body(ax, mesh, curves)
     view = best_view(mesh, curves)
