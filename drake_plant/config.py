@@ -110,7 +110,9 @@ class StationConfig:
         "hydroelastic", or "point" where Drake's point contact is exact: spheres on a sphere or on
         a plane.
     discrete_contact_approximation : str
-        "sap", "lagged" or "similar".
+        "sap", "lagged" or "similar". "lagged" is quicker and as true while fingers roll, but where
+        one slides in fast rolling it makes too little friction: in D1 0.88 mu N at steps of 1 ms,
+        0.74 at 1.5 ms.
     object : str
         "free"; "welded" to the world; "turning" as the scene prescribes it.
     object_mass, finger_mass : float

@@ -201,24 +201,23 @@ class _Bodies:
         for k in range(results.num_hydroelastic_contacts()):
             info = results.hydroelastic_contact_info(k)
             patch, F_Ac_W = info.contact_surface(), info.F_Ac_W().get_coeffs()
+            # body A has geometry M
             M, N = patch.id_M().get_value(), patch.id_N().get_value()
-            if M in self.contact_of_geometry and N in self.object_geometries:
-                # body A has geometry M
-                i, share = self.contact_of_geometry[M], 1.0 - _share_of_M(patch)
-                gauges[i].touch(share, share, patch.centroid(), F_Ac_W[3:], F_Ac_W[:3])
-            elif N in self.contact_of_geometry and M in self.object_geometries:
-                i, share = self.contact_of_geometry[N], _share_of_M(patch)
-                gauges[i].touch(share, share, patch.centroid(), -F_Ac_W[3:], -F_Ac_W[:3])
+            for sign, tip, body in ((1.0, M, N), (-1.0, N, M)):
+                if tip in self.contact_of_geometry and body in self.object_geometries:
+                    of_M = _share_of_M(patch)
+                    share, force = of_M if body == M else 1.0 - of_M, sign * F_Ac_W
+                    gauge = gauges[self.contact_of_geometry[tip]]
+                    gauge.touch(share, share, patch.centroid(), force[3:], force[:3])
         for k in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(k)
             A, B = int(info.bodyA_index()), int(info.bodyB_index())
             f_Bc_W, p_WC, pair = info.contact_force(), info.contact_point(), info.point_pair()
-            if B in self.contact_of_body and A == self.object:
-                i = self.contact_of_body[B]
-                gauges[i].touch(self.share(i, pair, pair.p_WCa, p_WC), 0.0, p_WC, f_Bc_W, 0.0)
-            elif A in self.contact_of_body and B == self.object:
-                i = self.contact_of_body[A]
-                gauges[i].touch(self.share(i, pair, pair.p_WCb, p_WC), 0.0, p_WC, -f_Bc_W, 0.0)
+            for sign, tip, body, p_WO in ((1.0, B, A, pair.p_WCa), (-1.0, A, B, pair.p_WCb)):
+                if tip in self.contact_of_body and body == self.object:
+                    i = self.contact_of_body[tip]
+                    share = self.share(i, pair, p_WO, p_WC)
+                    gauges[i].touch(share, 0.0, p_WC, sign * f_Bc_W, 0.0)
 
     def share(self, i: int, pair: PenetrationAsPointPair, p_WO: Array, p_WC: Array) -> float:
         """Where Drake's point contact acts, between the surfaces; p_WO is on the object's.

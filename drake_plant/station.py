@@ -108,10 +108,25 @@ def build(
         parts.plant.SetDefaultFloatingBaseBodyPose(body, X_OF)
     driver = builder.AddNamedSystem("driver", FingertipDriver(parts))
     monitor = builder.AddNamedSystem("monitor", ContactMonitor(planned, parts))
-    accelerating: LeafSystem = parts.plant
+    plant, motions = parts.plant, ("body_poses", "body_spatial_velocities")
+    accelerating: LeafSystem = plant
     if not config.time_step:
-        accelerating = _object_acceleration(builder, parts)
-    _connect(builder, config, planner, driver, monitor, parts.plant, accelerating)
+        accelerating = builder.AddNamedSystem("object_acceleration", ObjectAcceleration(parts))
+        instance = parts.object_body.model_instance()
+        forces = plant.get_generalized_contact_forces_output_port(instance)
+        builder.Connect(forces, accelerating.GetInputPort("generalized_contact_forces"))
+        _wire(builder, plant, accelerating, *motions)
+    _wire(builder, planner, driver, "motion")
+    _wire(builder, plant, driver, *motions)
+    _wire(builder, accelerating, driver, "body_spatial_accelerations")
+    _wire(builder, plant, monitor, "contact_results", *motions)
+    if config.slip_gain:
+        _wire(builder, monitor, driver, "sliding")
+    if config.restarts:
+        _wire(builder, planner, driver, "restarts")
+        builder.Connect(monitor.GetOutputPort("state"), planner.GetInputPort("measured_state"))
+    applied = plant.get_applied_spatial_force_input_port()
+    builder.Connect(driver.GetOutputPort("spatial_forces"), applied)
     if config.pushes:
         source = builder.AddNamedSystem("push", PushSource(scene, config.pushes))
         builder.Connect(source.get_output_port(), driver.GetInputPort("push"))
@@ -126,44 +141,9 @@ def build(
     return builder.Build(), parts
 
 
-def _connect(
-    builder: DiagramBuilder,
-    config: StationConfig,
-    planner: PlannerBase,
-    driver: FingertipDriver,
-    monitor: ContactMonitor,
-    plant: MultibodyPlant,
-    accelerating: LeafSystem,
-) -> None:
-    wires: list[tuple[LeafSystem, LeafSystem, tuple[str, ...]]] = [
-        (planner, driver, ("motion",)),
-        (plant, driver, ("body_poses", "body_spatial_velocities")),
-        (accelerating, driver, ("body_spatial_accelerations",)),
-        (plant, monitor, ("contact_results", "body_poses", "body_spatial_velocities")),
-    ]
-    if config.slip_gain:
-        wires.append((monitor, driver, ("sliding",)))
-    if config.restarts:
-        wires.append((planner, driver, ("restarts",)))
-        builder.Connect(monitor.GetOutputPort("state"), planner.GetInputPort("measured_state"))
-    for source, target, names in wires:
-        for name in names:
-            builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
-    applied = plant.get_applied_spatial_force_input_port()
-    builder.Connect(driver.GetOutputPort("spatial_forces"), applied)
-
-
-def _object_acceleration(builder: DiagramBuilder, parts: ScenePlant) -> ObjectAcceleration:
-    plant, made = (
-        parts.plant,
-        builder.AddNamedSystem("object_acceleration", ObjectAcceleration(parts)),
-    )
-    instance = parts.object_body.model_instance()
-    forces = plant.get_generalized_contact_forces_output_port(instance)
-    builder.Connect(forces, made.GetInputPort("generalized_contact_forces"))
-    for name in ("body_poses", "body_spatial_velocities"):
-        builder.Connect(plant.GetOutputPort(name), made.GetInputPort(name))
-    return made
+def _wire(builder: DiagramBuilder, source: LeafSystem, target: LeafSystem, *names: str) -> None:
+    for name in names:
+        builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
 
 
 def _export(
