@@ -188,23 +188,22 @@ def _happened(result: SimulationResult, reports: Sequence[ContactReport]) -> Ite
 
 
 def _forces(reports: Sequence[ContactReport]) -> Iterable[str]:
-    columns: tuple[tuple[str, str, str, Callable[[ContactReport], float]], ...] = (
-        ("normal force", "N", ".4f", lambda r: r.normal_mean),
-        ("deviation", "N", ".4f", lambda r: r.normal_deviation),
-        ("off object", "s", ".3f", lambda r: r.off),
-        ("peak friction", "N", ".3f", lambda r: r.friction_peak),
-        ("over mu N", "", ".3f", lambda r: r.friction_ratio),
-        ("in rolling", "N", ".3f", lambda r: r.rolling_friction),
-        ("slip/speed", "", ".1e", lambda r: r.rolling_slip),
-        ("distance", "mm", ".3f", lambda r: 1e3 * r.distance),
+    return _table(
+        reports,
+        ("normal force", "N", lambda r: _number(r.normal_mean, ".4f")),
+        ("deviation", "N", lambda r: _number(r.normal_deviation, ".4f")),
+        ("off object", "s", lambda r: _number(r.off, ".3f")),
+        ("peak friction", "N", lambda r: _number(r.friction_peak, ".3f")),
+        ("over mu N", "", lambda r: _number(r.friction_ratio, ".3f")),
+        ("in rolling", "N", lambda r: _number(r.rolling_friction, ".3f")),
+        ("slip/speed", "", lambda r: _number(r.rolling_slip, ".1e")),
+        ("distance", "mm", lambda r: _number(1e3 * r.distance, ".3f")),
     )
-    head = (("contact", ""), *((name, unit) for name, unit, _, _ in columns))
-    rows = [(r.name, *(_number(value(r), form) for _, _, form, value in columns)) for r in reports]
-    return (*table(head, rows, 1), "")
 
 
 def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
-    columns: tuple[tuple[str, str, Callable[[ContactReport], str]], ...] = (
+    return _table(
+        [r for r in reports if r.disturbed],
         ("slip disturbed", "m/s", lambda r: f"{r.disturbed_slip:.2e}"),
         ("greatest before", "m/s", lambda r: _number(r.slip_before, ".2e")),
         ("saturated", "", lambda r: f"{r.saturated:.0%}"),
@@ -212,8 +211,13 @@ def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
         ("paper", "s", lambda r: _number(r.reported, "g")),
         ("as reported", "", _outcome),
     )
+
+
+def _table(
+    reports: Sequence[ContactReport], *columns: tuple[str, str, Callable[[ContactReport], str]]
+) -> Iterable[str]:
     head = (("contact", ""), *((name, unit) for name, unit, _ in columns))
-    rows = [(r.name, *(text(r) for _, _, text in columns)) for r in reports if r.disturbed]
+    rows = [(r.name, *(text(r) for _, _, text in columns)) for r in reports]
     return (*table(head, rows, 1), "")
 
 

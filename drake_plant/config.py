@@ -149,9 +149,6 @@ class StationConfig:
         contacts that are so many m from the planned point; with the distance alone, looked at every
         0.01 s. None: it does not. Restarts have to fall on steps of the plant. Slip is rejected by
         the driver's ``slip_gain``; a restart serves where the way back to the curve is too long.
-    rolling_radii : bool
-        Plan on the radii that bodies roll on once they are pressed together (see
-        :func:`rolling_scene`), else on the nominal ones.
     pushes : list of Push
         Where there are any, they are what the port `push` would give.
     """
@@ -178,7 +175,6 @@ class StationConfig:
     disturbance_input: bool = False
     restart_period: float | None = None
     restart_distance: float | None = None
-    rolling_radii: bool = True
     pushes: list[Push] = field(default_factory=list)
 
     @property
@@ -206,8 +202,7 @@ class StationConfig:
         for bound, keys in NUMBERS.items():
             for key in keys:
                 self._check_number(key, bound)
-        for key in ("disturbance_input", "rolling_radii"):
-            flag(getattr(self, key), key)
+        flag(self.disturbance_input, "disturbance_input")
         for key, bound in RESTARTS.items():
             self._check_number(key, bound)
         if self.coordinates == "plan" and (self.restarts or self.disturbance_input):

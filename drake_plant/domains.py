@@ -71,15 +71,9 @@ class RoundDomain:
 class ChartDomain:
     """A rectangle of a chart; coordinates (u, v), closed where the chart is periodic.
 
-    Parameters
-    ----------
-    surface : Surface
-    curve : (m, 3)
-        Points that the rectangle has to contain, m.
-    margin : float
-        How far it reaches beyond them, m.
-    opposing : float
-        Mean curvature of the other body, 1/m; triangles are made equilateral in the gap.
+    curve : (m, 3), points that the rectangle has to contain, m
+    margin : how far it reaches beyond them, m
+    opposing : mean curvature of the other body, 1/m; the sides of squares open the same gap
     """
 
     def __init__(self, surface: Surface, curve: Array, margin: float, opposing: float):

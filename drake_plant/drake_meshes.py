@@ -42,18 +42,8 @@ def compliant_mesh(mesh: SurfaceMesh, inner: Array, name: str) -> Mesh:
     makes pressure linear from 0 on the surface to the modulus at the inner points: it is then
     proportional to the depth below the triangle.
 
-    Parameters
-    ----------
-    mesh : SurfaceMesh
-        Closed, or a cylinder's side about the z axis, which is closed by flat ends.
-    inner : (k, 3)
-        One point, or points around a ring in order, m.
-    name : str
-
-    Raises
-    ------
-    SurfaceError
-        A triangle faces away from its inner point.
+    mesh : closed, or a cylinder's side about the z axis, which is closed by flat ends
+    inner : (k, 3), one point, or points around a ring in order, m
     """
     points, triangles = _with_ends(mesh)
     cells = _tetrahedra(points, triangles, inner, name)

@@ -83,20 +83,7 @@ class Moment:
 
 
 class Instance:
-    """One FMU in this process: unpacked, loaded, initialized, stepped, freed.
-
-    Parameters
-    ----------
-    fmu : path
-        An .fmu file, or a folder that one was unpacked to.
-    name : str or None
-        By default the model's.
-
-    Raises
-    ------
-    ContactSystemError
-        No FMU of FMI 2 or 3 with co-simulation for this platform.
-    """
+    """One FMU in this process, from a file or folder, until it is freed."""
 
     def __init__(self, fmu: str | os.PathLike, name: str | None):
         self._fmu: Any = None
@@ -141,15 +128,8 @@ class Instance:
     # --- variables
 
     def select(self, names: Names | None, causality: str) -> PortVariables:
-        """The variables of a port.
-
-        Parameters
-        ----------
-        names : str, sequence of str or None
-            Of variables, or of structures, which stand for all their variables of the causality.
-            None: all of it.
-        causality : "input" or "output"
-        """
+        """The variables of a port, by names of variables or of structures, which stand for all
+        their variables of the causality, "input" or "output"; None stands for all there are."""
         pool = [v for v in self.description.modelVariables if carried(v)]
         known = {v.name: v for v in pool if causality == "output" or v.causality == causality}
         usual = [v for v in pool if v.causality == causality]
@@ -207,15 +187,7 @@ class Instance:
     # --- life
 
     def begin(self, time: float, given: Given = ()) -> Moment:
-        """Initialize.
-
-        Parameters
-        ----------
-        time : float
-            s.
-        given : pairs of a PortVariables and values
-            Inputs at that time.
-        """
+        """Initialize at a time, with the inputs then."""
         later = [v for v in self._start_values if not settable_in_instantiated(v[0])]
         wrong = [v.name for v, _ in later if not settable_in_initialization_mode(v)]
         wrong += [v.name for v, _ in self._start_values if v.causality == "structuralParameter"]
@@ -244,16 +216,8 @@ class Instance:
             getattr(self._fmu, f"set{kind}")([variable.valueReference], values)
 
     def step(self, moment: Moment, given: Given, step: float) -> tuple[Moment, bool]:
-        """From a moment to the next; also whether the FMU wants to end the simulation.
-
-        Parameters
-        ----------
-        moment : Moment
-        given : pairs of a PortVariables and values
-            Inputs during the step.
-        step : float
-            s.
-        """
+        """From a moment to the next, with the inputs during it; also whether the FMU wants to end
+        the simulation."""
         time, ends = moment.time, False
         with self._turn, self._doing(f"a step of {step:.6g} s", time):
             self._go_to(moment)

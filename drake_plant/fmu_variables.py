@@ -19,18 +19,8 @@ KINDS |= {"UInt8": np.uint8, "UInt16": np.uint16, "UInt32": np.uint32, "UInt64":
 
 
 class PortVariables:
-    """The variables of one port, read or written by one call for each FMI type.
-
-    Parameters
-    ----------
-    variables : list of fmpy's ModelVariable
-    version : 2 or 3
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the elements, ``x[2]`` for an element of an array.
-    """
+    """The variables of one port, read or written by one call for each FMI type; ``names`` are those
+    of the elements, ``x[2]`` for an element of an array."""
 
     def __init__(self, variables: Sequence[Any], version: int):
         self.names = tuple(itertools.chain.from_iterable(map(element_names, variables)))

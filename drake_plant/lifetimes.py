@@ -48,24 +48,11 @@ def array_entry(
     needs: Iterable[DependencyTicket],
     *first: Any,
 ) -> tuple[DependencyTicket, Callable[[Context], Array]]:
-    """Declare a cache entry that holds what a system's method makes of a Context, an array.
+    """Declare a cache entry that holds what a system's method makes of ``first`` and a Context, an
+    array; returns its ticket, and a callable that gives the array of a Context, not to be written.
 
     A vector holds it: Drake copies Contexts without Python's lock when it evaluates batches, and a
     Python object in one would end the process.
-
-    Parameters
-    ----------
-    calc : bound method
-    shape : tuple of int
-    needs : iterable of DependencyTicket
-    first
-        Arguments of the method before the Context.
-
-    Returns
-    -------
-    DependencyTicket
-    callable
-        Context -> the array, not to be written to.
     """
     made, zeros = weakly(calc, *first), BasicVector(np.zeros(math.prod(shape)))
     system: Any = calc.__self__  # type: ignore[attr-defined]

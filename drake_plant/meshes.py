@@ -40,17 +40,8 @@ MEAN_SAGITTA = 1 / 24  # of the sum of II(e, e) over a triangle's edges
 
 @dataclass(frozen=True)
 class SurfaceMesh:
-    """Triangles with their vertices on a surface.
-
-    Attributes
-    ----------
-    points : (n, 3)
-        Vertices on the surface, m.
-    normals : (n, 3)
-        Unit normals of the surface there, out of the body.
-    triangles : (m, 3)
-        Vertex indices, counterclockwise seen from outside.
-    """
+    """Triangles (m, 3), counterclockwise seen from outside, with their vertices (n, 3), m, on a
+    surface, and its unit normals (n, 3) there, out of the body."""
 
     points: Array
     normals: Array
@@ -88,26 +79,12 @@ class SurfaceMesh:
 def contact_mesh(
     domain: Domain, curve: Array, opposing: float, gap: float, strip: float
 ) -> SurfaceMesh:
-    """A mesh of a surface for contact along a curve.
+    """A mesh of a surface for contact along a curve (m, 3).
 
-    Parameters
-    ----------
-    domain : RoundDomain or ChartDomain
-        See `domain_of`.
-    curve : (m, 3)
-        Where contact is planned, m.
-    opposing : float
-        Mean curvature there of the body that touches it, 1/m.
-    gap : float
-        The gap that shall open along an edge, m.
-    strip : float
-        Where more than 10 000 triangles would be needed, they are fine only within this distance
-        of the curve, m.
-
-    Raises
-    ------
-    SurfaceError
-        It takes more than 200 000 triangles, or the chart is singular where it is needed.
+    opposing : mean curvature there of the body that touches it, 1/m
+    gap : that shall open along an edge, m
+    strip : distance from the curve within which it is fine, where it would have more than 10 000
+        triangles otherwise, m
     """
     size = _parts(domain, curve, opposing, gap)
     levels = max(0, math.floor(math.log2(size / domain.coarsest)))

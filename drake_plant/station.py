@@ -45,6 +45,9 @@ STARTED = {"planner": PlannerBase, "driver": FingertipDriver, "plant": Multibody
 def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
     """Planner, plant, driver and monitor of a scene, wired.
 
+    The planner plans on the radii that bodies roll on once they are pressed together: that is of
+    :func:`rolling_scene`.
+
     .. pydrake_system::
 
         name: Station
@@ -101,7 +104,7 @@ def build(
 ) -> tuple[Diagram, ScenePlant]:
     builder = DiagramBuilder()
     parts = AddScenePlant(builder, scene, config)
-    planned = rolling_scene(scene, config) if config.rolling_radii else scene
+    planned = rolling_scene(scene, config)
     planner = builder.AddNamedSystem("planner", _planner(planned, config))
     start = _finger_poses(planner, planner.CreateDefaultContext(), scene, config)
     for body, X_OF in zip(parts.finger_bodies, start):
