@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 
 SMOOTH = 0.02  # s over which the bold line of a rippling signal is averaged
 BOLD = f"bold: mean of {1e3 * SMOOTH:g} ms"
+INTEGRATED = 2e-4  # of the greatest slip: what the plan has less is its integration's error
 DOTS, APART = 200, 0.02  # most marks on a planned curve, and how far apart, of the picture's size
 
 
@@ -81,15 +82,16 @@ def _draw_slip(ax: Any, result: SimulationResult, closed: bool = True) -> None:
     """Measured slip and, dashed, the planner's; of an open loop beside it slip alone, dotted."""
     slip = np.linalg.norm(result.measured["slip"], axis=2)
     planned = np.linalg.norm(result.planned["slip"], axis=2)
+    peak = max(slip.max(), planned.max())
     for i in range(slip.shape[1]):
         line = {"color": colour_of(i), "linewidth": 0.9, "linestyle": "-" if closed else ":"}
         ax.plot(result.t, slip[:, i], **line)
-        shown = np.where(planned[:, i] > 0, planned[:, i], np.nan)
+        shown = np.where(planned[:, i] > INTEGRATED * peak, planned[:, i], np.nan)
         if closed:
             line |= {"linewidth": 1.6, "dashes": (2.2, 1.1)}
             ax.plot(result.t, shown, **line)
     ax.set_yscale("log")
-    if (peak := max(slip.max(), planned.max())) > 0:
+    if peak > 0:
         ax.set_ylim(1e-5 * peak, 3 * peak)
     title = "Slip, measured (dashed: of the plan)" if closed else "Slip (dotted: loop open)"
     ax.set_title(title, loc="left", weight="bold")
