@@ -104,9 +104,7 @@ def simulate(
             f"{scene.title}: a simulation of {duration!r} s with a time_step of {step:g} "
             "s: give a finite time of at least one step"
         )
-    period = step
-    while 2 * period <= min(LOGGED, duration):  # powers of 2, so that logs meet steps to the bit
-        period *= 2
+    period = step * max(1, math.floor(min(LOGGED, duration) / step + NEAR))
     function_or_none(progress, f"{scene.title}: progress", "a function of a time")
     film = None
     if recording is not None:
