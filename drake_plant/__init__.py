@@ -14,9 +14,11 @@ except ImportError as error:
         'drake_plant needs Drake: pip install "contact-system[drake]" (Linux and macOS)'
     ) from error
 
+from .balance import balancing_forces
 from .config import Push, StationConfig
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
+from .force_balancer import ForceBalancer
 from .measures import contact_table, object_report, outcome, push_table
 from .plan_source import PlanSource
 from .planner_system import ContactPlanner
@@ -49,6 +51,7 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
     "ContactPlanner",
     "ContactTrajectories",
     "FingertipDriver",
+    "ForceBalancer",
     "MakeTrajectories",
     "PlanSource",
     "Push",
@@ -58,6 +61,7 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
     "SetInitialState",
     "SimulationResult",
     "StationConfig",
+    "balancing_forces",
     "contact_table",
     "object_report",
     "outcome",

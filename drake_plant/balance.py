@@ -14,8 +14,11 @@ of Drake's MathematicalProgram, which Clarabel solves: 100 times of three contac
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydrake.multibody.tree import SpatialInertia
 from pydrake.solvers import (
     ClarabelSolver,
     LinearEqualityConstraint,
@@ -24,13 +27,18 @@ from pydrake.solvers import (
 )
 from scipy.sparse import block_diag, hstack, identity
 
-from contact_system import SceneError
-from contact_system.plan import Plan
+from contact_system import Plan, Scene, SceneError
+from contact_system import plan as make_plan
+from contact_system.checks import naming
+
+from .config import StationConfig
 
 Array = NDArray[np.float64]
 
 MARGIN = 0.8
 """Of a friction cone, so that facets and feedback leave what is measured below 90 %."""
+KNOTS = 51
+"""Times at which a plan is balanced before it is simulated."""
 LEFT = 1e-3
 """Part of a wrench that counts as not balanced, where something has to be left."""
 DEAR = 1e6
@@ -126,21 +134,19 @@ def friction_used(forces: ArrayLike, normals: ArrayLike, friction: ArrayLike) ->
 
 
 def needed_wrench(
-    mass: float,
-    inertia: ArrayLike,
+    inertia: SpatialInertia,
     gravity: ArrayLike,
     R_WO: Array,
     w_WO: ArrayLike,
     alpha_WO: ArrayLike,
     a_WO: ArrayLike,
 ) -> tuple[Array, Array]:
-    """Force and torque, in O, that move an object as planned against gravity.
+    """Force and torque, in O about its origin, that move an object as planned against gravity.
 
     Parameters
     ----------
-    mass : float
-    inertia : (3, 3)
-        In O, about O's origin, which is the mass centre, kg m^2.
+    inertia : SpatialInertia
+        Of the object, in O about its origin.
     gravity : (3,)
         In the world, m/s^2.
     R_WO : (m, 3, 3)
@@ -150,13 +156,16 @@ def needed_wrench(
     Returns
     -------
     (m, 3), (m, 3)
-        N, and N m about O's origin.
+        N and N m.
     """
     w, alpha, a = (
         np.einsum("mji,...mj->...mi", R_WO, np.broadcast_to(x, (len(R_WO), 3)))
         for x in (w_WO, alpha_WO, np.subtract(a_WO, gravity))
     )
-    return mass * a, alpha @ inertia + np.cross(w, w @ inertia)
+    mass, center = inertia.get_mass(), inertia.get_com()
+    rotational = inertia.CalcRotationalInertia().CopyToFullMatrix3()
+    force = mass * (a + np.cross(alpha, center) + np.cross(w, np.cross(w, center)))
+    return force, alpha @ rotational + np.cross(w, w @ rotational) + np.cross(center, mass * a)
 
 
 def planned_grasp(plan: Plan, t: ArrayLike) -> tuple[Array, Array]:
@@ -165,6 +174,42 @@ def planned_grasp(plan: Plan, t: ArrayLike) -> tuple[Array, Array]:
     found = plan.evaluate(t, "points", "states")
     states = found["states"]
     return found["points"][:, :, 1], -plan.scene.object.normal(states[..., 4], states[..., 5])
+
+
+def planned_forces(plan: Plan, config: StationConfig, t: ArrayLike) -> tuple[Array, Array]:
+    """Forces by which a plan's contacts hold the object still at the world's origin, and normals.
+
+    Returns
+    -------
+    (m, n, 3), (m, n, 3)
+        Forces on the object, N, and unit normals into it, in O.
+    """
+    points, normals = planned_grasp(plan, t)
+    weight = config.object_mass * config.gravity
+    force, torque = np.tile([0.0, 0.0, weight], (len(points), 1)), np.zeros((len(points), 3))
+    forces = balancing_forces(
+        *(points, normals, config.friction, force, torque),
+        margin=config.friction_share,
+        least=config.normal_force,
+        t=t,
+    )
+    return forces, normals
+
+
+def pressed_config(scene: Scene, config: StationConfig) -> StationConfig:
+    """The configuration with the normal force that its balance of the scene needs in the mean.
+
+    Raises
+    ------
+    SceneError
+        Nothing balances gravity, with the time and the wrench that is left.
+    """
+    if not config.balances:
+        return config
+    with naming(scene.title):
+        t = np.linspace(0.0, scene.duration, KNOTS)
+        forces, normals = planned_forces(make_plan(scene), config, t)
+    return dataclasses.replace(config, normal_force=float(np.sum(forces * normals, axis=-1).mean()))
 
 
 def contact_frames(normals: Array) -> Array:

@@ -20,12 +20,16 @@ CHOICES = {
     "discrete_contact_approximation": ("sap", "lagged", "similar"),
     "object": ("free", "welded", "turning"),
     "coordinates": (*COORDINATES, "plan"),
+    "forces": ("constant", "balance"),
 }
 EDGES = ("finger_edge", "object_edge")
 GAINS = ("position_gain", "velocity_gain", "normal_damping", "rotation_gain", "spin_gain")
 NUMBERS = {
     "": ("gravity",),
-    "above 0": ("object_mass", "finger_mass", "stiffness", "normal_force", *EDGES),
+    "above 0": (
+        *("object_mass", "finger_mass", "stiffness", "normal_force"),
+        *("friction_share", "object_rate", *EDGES),
+    ),
     "not below 0": ("time_step", "friction", *GAINS, "slip_gain"),
 }
 RESTARTS = {"restart_period": "above 0", "restart_distance": "not below 0"}
@@ -122,9 +126,18 @@ class StationConfig:
     friction : float
         Coulomb's coefficient, static and dynamic.
     normal_force : float
-        N, along the planned normal, with which every finger presses.
+        N, along the planned normal, with which every finger presses; with ``forces = "balance"`` at
+        least, and ``stiffness`` is that at the mean force of the plan.
     gravity : float
         m/s^2, towards -z of the world.
+    forces : str or None
+        "constant": each finger presses with ``normal_force``. "balance": a :class:`ForceBalancer`
+        chooses normal and tangential forces that hold the object, which is free, against gravity.
+        None: "balance" where the object is free and there is gravity, else "constant".
+    friction_share : float
+        Of a balance, the part of each friction cone that it uses at most, 1 or less.
+    object_rate : float
+        Of a balance, how fast it leads the object back to its path, 1/s.
     finger_edge, object_edge : float or None
         m, edges of the meshes at the planned contacts; None: chosen by the size of the patch.
     position_gain, velocity_gain : float
@@ -163,6 +176,9 @@ class StationConfig:
     friction: float = 0.5
     normal_force: float = 1.0
     gravity: float = 0.0
+    forces: str | None = None
+    friction_share: float = 0.8
+    object_rate: float = 30.0
     finger_edge: float | None = None
     object_edge: float | None = None
     position_gain: float = 400.0
@@ -176,6 +192,13 @@ class StationConfig:
     restart_period: float | None = None
     restart_distance: float | None = None
     pushes: list[Push] = field(default_factory=list)
+
+    @property
+    def balances(self) -> bool:
+        """Whether contact forces are those that hold the object."""
+        if self.forces is None:
+            return self.object == "free" and self.gravity != 0
+        return self.forces == "balance"
 
     @property
     def restarts(self) -> bool:
@@ -195,7 +218,7 @@ class StationConfig:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
         for key, words in CHOICES.items():
             value = getattr(self, key)
-            if value is None and key == "coordinates":
+            if value is None and key in ("coordinates", "forces"):
                 continue
             if not isinstance(value, str) or value not in words:
                 raise SceneError(f"{key} = {value!r}: use one of {', '.join(words)}")
@@ -205,6 +228,13 @@ class StationConfig:
         flag(self.disturbance_input, "disturbance_input")
         for key, bound in RESTARTS.items():
             self._check_number(key, bound)
+        if self.friction_share > 1:
+            raise SceneError(f"friction_share = {self.friction_share!r}: give a part, at most 1")
+        if self.balances and self.object != "free":
+            raise SceneError(
+                f'forces = "balance": the object is {self.object}, so that nothing moves it; give '
+                '"constant", or object = "free"'
+            )
         if self.coordinates == "plan" and (self.restarts or self.disturbance_input):
             raise SceneError(
                 'coordinates = "plan": a plan has no disturbance port and does not restart; give '

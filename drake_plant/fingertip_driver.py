@@ -57,9 +57,10 @@ KEPT = {"restarts": 1, "steps": 1, "position": 3, "spin": 3, "normal": 3, "a": 3
 STATE = sum(KEPT.values())
 POINT = {"X_WO": 12, "V_WO": 6, "A_WO": 6, "X_WF": 12, "V_WF": 6, "motion": sum(MOTION.values())}
 POINT |= {"kept": STATE, "restarts": 1, "sliding": 3, "push": 3}
+POINT |= {"contact_force": 3, "normal_force": 1}
 """What the law takes of a step: poses row by row, velocities and accelerations with the angular
 part first."""
-CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3, "normal_force": 1}
+CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3}
 CONSTANT |= dict.fromkeys((*GAINS, "slip_gain"), 1)
 
 
@@ -76,6 +77,7 @@ def driving_law() -> Table:
     # no difference is taken across a restart
     before.steps = ca.if_else(before.restarts == x.restarts, before.steps, 0)
     wanted = _desired_motion(x, c.h, before)
+    x.contact_force -= x.normal_force * wanted.normal
     force, torque = _force(x, c, wanted), _torque(x, c, wanted)
     kept = [x.restarts, before.steps + 1, wanted.position, x.w_OF, x.normal, x.a_OF, before.a]
     found = ca.densify(ca.vertcat(torque, force, *kept))
@@ -130,7 +132,7 @@ def _desired_motion(x: SimpleNamespace, h: ca.SX, before: SimpleNamespace) -> Si
 
 
 def _force(x: SimpleNamespace, c: SimpleNamespace, wanted: SimpleNamespace) -> ca.SX:
-    """Feed-forward, pressing, tracking in the frame that turns with the contact, slip, a push."""
+    """Feed-forward, contact, tracking in the frame that turns with the contact, slip, a push."""
     cross, normal, turning = ca.cross, wanted.normal, wanted.turning
     error, error_rate = wanted.position - x.p_WF, wanted.ago - x.v_WF
     # The velocities are those of half a step ago, so the error has to be too.
@@ -138,19 +140,19 @@ def _force(x: SimpleNamespace, c: SimpleNamespace, wanted: SimpleNamespace) -> c
     a = wanted.a - 2 * cross(turning, error_rate) - cross(turning, cross(turning, error))
     a += c.slip_gain * (x.R_WO @ x.sliding)  # v_rel: minus the finger's velocity on the object
     approach = ca.dot(error_rate, normal)
-    force = c.mass * (a - c.gravity) + (c.normal_damping * approach - c.normal_force) * normal
+    force = c.mass * (a - c.gravity) + x.contact_force + c.normal_damping * approach * normal
     force += c.position_gain * (error - ca.dot(error, normal) * normal)
     return force + c.velocity_gain * (error_rate - approach * normal) + x.push
 
 
 def _torque(x: SimpleNamespace, c: SimpleNamespace, wanted: SimpleNamespace) -> ca.SX:
-    """Feed-forward, the normal force through the contact point, damping of spin."""
+    """Feed-forward, the contact force through the contact point, damping of spin."""
     inertia, w = x.R_WF @ ca.reshape(c.inertia, 3, 3) @ x.R_WF.T, wanted.w
     off = x.R_WO @ x.R_OF @ x.R_WF.T
     axis = 0.5 * ca.vertcat(off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1])
     torque = inertia @ wanted.alpha + ca.cross(w, inertia @ w)
     torque += c.spin_gain * (w - x.w_WF) + c.rotation_gain * axis
-    return torque - c.normal_force * ca.cross(x.R_WO @ x.R_OF @ x.point, wanted.normal)
+    return torque + ca.cross(x.R_WO @ x.R_OF @ x.point, x.contact_force)
 
 
 class FingertipDriver(LeafSystem):
@@ -164,6 +166,7 @@ class FingertipDriver(LeafSystem):
         - body_poses
         - body_spatial_velocities
         - body_spatial_accelerations
+        - contact_forces (optional)
         - restarts (optional)
         - sliding (optional)
         - push (optional)
@@ -173,6 +176,9 @@ class FingertipDriver(LeafSystem):
     The first is :class:`ContactPlanner`'s output, the next three are the plant's. What is optional
     is zero where nothing is connected:
 
+    - `contact_forces` (3n): forces of the fingers on the object in the world, N, as a
+      :class:`ForceBalancer` gives them; where nothing is connected, the configuration's
+      ``normal_force`` along each planned normal.
     - `restarts` (n): how often the plan of each finger began anew, as a planner that restarts says
       it. No difference is taken across that.
     - `sliding` (3n): slip to be rejected, as :class:`ContactMonitor` gives it.
@@ -221,6 +227,7 @@ class FingertipDriver(LeafSystem):
         self._accelerations = self.DeclareAbstractInputPort(
             "body_spatial_accelerations", Value[list[SpatialAcceleration]]()
         )
+        self._contact_forces = self.DeclareVectorInputPort("contact_forces", 3 * n)
         self._restarts = self.DeclareVectorInputPort("restarts", n)
         self._sliding = self.DeclareVectorInputPort("sliding", 3 * n)
         self._push = self.DeclareVectorInputPort("push", 3 * n + 3)
@@ -241,7 +248,10 @@ class FingertipDriver(LeafSystem):
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
         A, o, drives = self._accelerations.Eval(context), self.object_index, self._drives.own
         obj = X[o].GetAsMatrix34(), V[o].get_coeffs(), A[o].get_coeffs()
+        constant = 0.0 if self._contact_forces.HasValue(context) else self.config.normal_force
         given = {
+            "contact_force": _given(self._contact_forces, context),
+            "normal_force": np.full(len(drives), constant),
             "motion": self._motion.Eval(context),
             "restarts": _given(self._restarts, context),
             "sliding": _given(self._sliding, context),
@@ -358,4 +368,4 @@ def _constants(body: RigidBody, parts: ScenePlant) -> list[float]:
     borne = [SHARE * inert / h**order if h else math.inf for inert, order in moved]
     gains = [min(getattr(config, name), most) for name, most in zip(GAINS, borne)]
     gains.append(min(config.slip_gain, SLIP_SHARE / h if h else math.inf))
-    return [h, mass, *inertia.ravel(), *gravity, config.normal_force, *gains]
+    return [h, mass, *inertia.ravel(), *gravity, *gains]

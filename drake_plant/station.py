@@ -25,9 +25,11 @@ from contact_system import plan as make_plan
 from contact_system.checks import naming
 from contact_system.scene import require_scene
 
+from .balance import pressed_config
 from .config import StationConfig, require_config
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
+from .force_balancer import COLUMNS, ForceBalancer
 from .object_acceleration import ObjectAcceleration
 from .plan_check import TOLERANCE
 from .plan_source import PlanSource
@@ -60,6 +62,7 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
         - spatial_forces
         - those of the monitor, such as normal_force; measured_state, measured_slip
           and measured_contact_point, as the planner has ports of these names
+        - planned_contact_forces, planned_normal_force, planned_friction_used (with a balance)
         - plant_state
         - object_state
         - body_poses
@@ -68,8 +71,9 @@ def BuildStation(scene: Scene, config: StationConfig | None = None) -> Diagram:
 
     `push` and `spatial_forces` are the driver's (see :class:`FingertipDriver`), `noise` the
     monitor's (:class:`ContactMonitor`), `disturbance` the planner's (:class:`ContactPlanner`), the
-    last five the plant's and the scene graph's. The systems are named "planner", "driver",
-    "monitor", "plant" and "scene_graph", with pushes "push" too. Threads may share a station, with
+    last five the plant's and the scene graph's, those that are planned a :class:`ForceBalancer`'s.
+    The systems are named "planner", "driver", "monitor", "plant" and "scene_graph", with pushes
+    "push" too, and "balancer" where forces balance gravity. Threads may share a station, with
     a Context each.
 
     Parameters
@@ -102,7 +106,8 @@ def build(
     config: StationConfig,
     extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None,
 ) -> tuple[Diagram, ScenePlant]:
-    builder = DiagramBuilder()
+    builder, least = DiagramBuilder(), config.normal_force
+    config = pressed_config(scene, config)
     parts = AddScenePlant(builder, scene, config)
     planned = rolling_scene(scene, config)
     planner = builder.AddNamedSystem("planner", _planner(planned, config))
@@ -130,6 +135,13 @@ def build(
         builder.Connect(monitor.GetOutputPort("state"), planner.GetInputPort("measured_state"))
     applied = plant.get_applied_spatial_force_input_port()
     builder.Connect(driver.GetOutputPort("spatial_forces"), applied)
+    if config.balances:
+        balancer = builder.AddNamedSystem("balancer", ForceBalancer(parts, least))
+        _wire(builder, planner, balancer, "contact_point", "normal")
+        _wire(builder, plant, balancer, *motions)
+        _wire(builder, balancer, driver, "contact_forces")
+        for name in COLUMNS:
+            builder.ExportOutput(balancer.GetOutputPort(name), f"planned_{name}")
     if config.pushes:
         source = builder.AddNamedSystem("push", PushSource(scene, config.pushes))
         builder.Connect(source.get_output_port(), driver.GetInputPort("push"))
@@ -226,6 +238,10 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         joint.set_angle(physics, angle(t))
         joint.set_angular_rate(physics, angle.deriv()(t - ago))
     obj = plant.get_body(BodyIndex(driver.object_index))
+    if station.HasSubsystemNamed("balancer"):
+        balancer = station.GetSubsystemByName("balancer")
+        held = balancer.GetMyMutableContextFromRoot(context).get_mutable_abstract_parameter(0)
+        held.set_value(obj.EvalPoseInWorld(physics))
     X_WO, V_WO = obj.EvalPoseInWorld(physics), obj.EvalSpatialVelocityInWorld(physics)
     R_WO = X_WO.rotation()
     twist, change = (planner.GetOutputPort(name).Eval(now) for name in ("twist", "acceleration"))

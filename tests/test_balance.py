@@ -7,6 +7,8 @@ import contact_system as cs
 
 pytest.importorskip("pydrake", reason="Drake is an extra: pip install .[drake]")
 
+from pydrake.multibody.tree import SpatialInertia, UnitInertia
+
 from drake_plant.balance import balancing_forces, friction_used, needed_wrench
 
 WEIGHT = 0.2 * 9.81
@@ -70,9 +72,9 @@ def test_no_grasp_is_refused_with_what_is_left_unbalanced(angles, friction, torq
 
 def test_needed_wrench_is_that_of_newton_and_euler():
     turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])[None]  # O's x is the world's y
-    inertia = np.diag([1.0, 2.0, 3.0])
+    inertia = SpatialInertia(2.0, np.zeros(3), UnitInertia(0.5, 0.75, 1.0))
     force, torque = needed_wrench(
-        2.0, inertia, [0, 0, -9.81], turned, [0.0, 2, 3], [0.5, 0, 0], [0, 1.0, 0]
+        inertia, [0, 0, -9.81], turned, [0.0, 2, 3], [0.5, 0, 0], [0, 1.0, 0]
     )
     np.testing.assert_allclose(force, [[2.0, 0, 2 * 9.81]], atol=1e-7)
     # in O: w = (2, 0, 3), alpha = (0, -0.5, 0), w x I w = (0, 3 2 - 2 9, 0)

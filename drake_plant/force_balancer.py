@@ -1,0 +1,119 @@
+"""What fingers shall exert so that the object stays on its path: balance, solved at every step."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialVelocity
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.trajectories import PiecewisePose
+
+from .balance import balancing_forces, friction_used, needed_wrench
+from .config import StationConfig, require_config
+from .lifetimes import NO_DICTIONARY, array_entry, weakly
+from .plant import ScenePlant
+
+Array = NDArray[np.float64]
+
+COLUMNS = {"contact_forces": slice(0, 3), "normal_force": slice(3, 4), "friction_used": slice(4, 5)}
+
+
+class ForceBalancer(LeafSystem):
+    """Contact forces that keep an object on its path against gravity, inside the friction cones.
+
+    .. pydrake_system::
+
+        name: ForceBalancer
+        input_ports:
+        - contact_point
+        - normal
+        - body_poses
+        - body_spatial_velocities
+        output_ports:
+        - contact_forces
+        - normal_force
+        - friction_used
+
+    The first two inputs are a planner's, so that a planner that restarts from measured states moves
+    them with the contacts; the others are the plant's. `contact_forces` (3n) are forces on the
+    object in the world, N, by :func:`balancing_forces`: of what moves the object as planned and
+    leads it back to its path, critically damped at the configuration's ``object_rate``. Where the
+    cones cannot hold that, as in a push, they are those that leave the least of it. `normal_force`
+    (n) and `friction_used` (n) are their normal parts, N, and the parts of the cones they use.
+
+    Parameters
+    ----------
+    scene_plant : ScenePlant
+        Its object is free; its configuration says friction, which part of it is used and the rate.
+    least : float
+        Least normal force, N.
+    path : PiecewisePose, optional
+        X_WO over time. None: the object is kept where the Context's only parameter, a
+        RigidTransform, has it, by default where it is by default.
+    """
+
+    __slots__ = NO_DICTIONARY
+
+    def __init__(
+        self, scene_plant: ScenePlant, least: float = 0.0, path: PiecewisePose | None = None
+    ):
+        super().__init__()
+        require_config(scene_plant, ScenePlant, "scene_plant")
+        plant, body, config = scene_plant.plant, scene_plant.object_body, scene_plant.config
+        n = len(scene_plant.finger_bodies)
+        self._least, self._path, self._index = least, path, int(body.index())
+        self._config: StationConfig = config
+        self._inertia = body.default_spatial_inertia()
+        heavy = plant.is_gravity_enabled(body.model_instance())
+        self._gravity = float(heavy) * plant.gravity_field().gravity_vector()
+        self.DeclareAbstractParameter(Value(plant.GetDefaultFloatingBaseBodyPose(body)))
+        self._points = self.DeclareVectorInputPort("contact_point", 6 * n)
+        self._normals = self.DeclareVectorInputPort("normal", 3 * n)
+        self._poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
+        self._velocities = self.DeclareAbstractInputPort(
+            "body_spatial_velocities", Value[list[SpatialVelocity]]()
+        )
+        needs = {self.all_input_ports_ticket(), self.all_parameters_ticket(), self.time_ticket()}
+        ticket, self._found = array_entry(self._CalcFound, (n, 5), needs)
+        for name, rows in COLUMNS.items():
+            size, calc = n * (rows.stop - rows.start), weakly(self._CalcVector, rows)
+            self.DeclareVectorOutputPort(name, size, calc, {ticket})
+
+    def _CalcVector(self, rows: slice, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._found(context)[:, rows].ravel())
+
+    def _CalcFound(self, context: Context) -> Array:
+        X_WO = self._poses.Eval(context)[self._index]
+        V_WO = self._velocities.Eval(context)[self._index].get_coeffs()
+        alpha, a = np.split(self._Acceleration(context, X_WO, V_WO), 2)
+        R_WO, config = X_WO.rotation().matrix(), self._config
+        force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], V_WO[:3], alpha, a)
+        points = self._points.Eval(context).reshape(1, -1, 6)[..., 3:]
+        normals = -self._normals.Eval(context).reshape(1, -1, 3)
+        forces = balancing_forces(
+            *(points, normals, config.friction, force, torque),
+            margin=config.friction_share,
+            least=self._least,
+            strict=False,
+        )
+        pressing = np.sum(forces * normals, axis=-1)
+        used = friction_used(forces, normals, config.friction)
+        return np.hstack([forces[0] @ R_WO.T, pressing.T, used.T])
+
+    def _Acceleration(self, context: Context, X_WO: RigidTransform, V_WO: Array) -> Array:
+        """Angular and linear, of the path and back to it: (6,)."""
+        X_WP, V_WP, A_WP = self._Planned(context)
+        turn = (X_WP.rotation() @ X_WO.rotation().inverse()).ToAngleAxis()
+        error = np.append(turn.angle() * turn.axis(), X_WP.translation() - X_WO.translation())
+        rate = self._config.object_rate
+        return A_WP + rate * (2 * (V_WP - V_WO) + rate * error)
+
+    def _Planned(self, context: Context) -> tuple[RigidTransform, Array, Array]:
+        path, t = self._path, context.get_time()
+        if path is None:
+            return context.get_abstract_parameter(0).get_value(), np.zeros(6), np.zeros(6)
+        return path.GetPose(t), *(
+            np.ravel(of(t)) for of in (path.GetVelocity, path.GetAcceleration)
+        )
