@@ -18,7 +18,6 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.multibody.tree import SpatialInertia
 from pydrake.solvers import (
     ClarabelSolver,
     LinearEqualityConstraint,
@@ -29,7 +28,6 @@ from scipy.sparse import block_diag, hstack, identity
 
 from contact_system import Plan, Scene, SceneError
 from contact_system import plan as make_plan
-from contact_system.checks import naming
 
 from .config import StationConfig
 
@@ -134,19 +132,21 @@ def friction_used(forces: ArrayLike, normals: ArrayLike, friction: ArrayLike) ->
 
 
 def needed_wrench(
-    inertia: SpatialInertia,
+    mass: float,
+    inertia: ArrayLike,
     gravity: ArrayLike,
     R_WO: Array,
     w_WO: ArrayLike,
     alpha_WO: ArrayLike,
     a_WO: ArrayLike,
 ) -> tuple[Array, Array]:
-    """Force and torque, in O about its origin, that move an object as planned against gravity.
+    """Force and torque, in O, that move an object as planned against gravity.
 
     Parameters
     ----------
-    inertia : SpatialInertia
-        Of the object, in O about its origin.
+    mass : float
+    inertia : (3, 3)
+        In O, about O's origin, which is the mass centre, kg m^2.
     gravity : (3,)
         In the world, m/s^2.
     R_WO : (m, 3, 3)
@@ -156,16 +156,13 @@ def needed_wrench(
     Returns
     -------
     (m, 3), (m, 3)
-        N and N m.
+        N, and N m about O's origin.
     """
     w, alpha, a = (
         np.einsum("mji,...mj->...mi", R_WO, np.broadcast_to(x, (len(R_WO), 3)))
         for x in (w_WO, alpha_WO, np.subtract(a_WO, gravity))
     )
-    mass, center = inertia.get_mass(), inertia.get_com()
-    rotational = inertia.CalcRotationalInertia().CopyToFullMatrix3()
-    force = mass * (a + np.cross(alpha, center) + np.cross(w, np.cross(w, center)))
-    return force, alpha @ rotational + np.cross(w, w @ rotational) + np.cross(center, mass * a)
+    return mass * a, alpha @ inertia + np.cross(w, w @ inertia)
 
 
 def planned_grasp(plan: Plan, t: ArrayLike) -> tuple[Array, Array]:
@@ -206,9 +203,12 @@ def pressed_config(scene: Scene, config: StationConfig) -> StationConfig:
     """
     if not config.balances:
         return config
-    with naming(scene.title):
-        t = np.linspace(0.0, scene.duration, KNOTS)
+    t = np.linspace(0.0, scene.duration, KNOTS)
+    try:
         forces, normals = planned_forces(make_plan(scene), config, t)
+    except SceneError as error:
+        remedy = 'forces = "constant" presses without a balance'
+        raise SceneError(f"{scene.title}: {error}; or {remedy}") from None
     return dataclasses.replace(config, normal_force=float(np.sum(forces * normals, axis=-1).mean()))
 
 

@@ -175,9 +175,15 @@ def _happened(result: SimulationResult, reports: Sequence[ContactReport]) -> Ite
     yield f"The object moved by {found.moved:.3g} m and turned by {math.degrees(found.turned):.3g}"
     yield "degrees."
     if found.falls:
-        yield f"It falls: {max(found.carried, 0.0):.0%} of its weight is carried."
+        yield f"It falls: {max(found.carried, 0.0):.0%} of its weight is carried"
+        yield "though forces balance it." if result.config.balances else "and nothing balances it."
     elif not math.isnan(found.carried):
-        yield "Its weight is carried."
+        yield "Its weight is carried by the fingers."
+    if result.config.balances:
+        planned, used = (part["friction_used"] for part in (result.planned, result.measured))
+        most = np.nanmax(used[result.t >= EDGE], initial=0.0)
+        yield f"Balancing forces use at most {planned.max():.0%} of the friction cones as planned,"
+        yield f"{most:.0%} as measured after {EDGE:g} s."
     for r in reports:
         if r.off:
             yield f"{r.name} was off the object for {r.off:.3g} s."

@@ -46,7 +46,8 @@ class ForceBalancer(LeafSystem):
     Parameters
     ----------
     scene_plant : ScenePlant
-        Its object is free; its configuration says friction, which part of it is used and the rate.
+        Its object is free, with the mass centre at its origin; its configuration says friction,
+        which part of it is used, and the rate.
     least : float
         Least normal force, N.
     path : PiecewisePose, optional
@@ -65,7 +66,8 @@ class ForceBalancer(LeafSystem):
         n = len(scene_plant.finger_bodies)
         self._least, self._path, self._index = least, path, int(body.index())
         self._config: StationConfig = config
-        self._inertia = body.default_spatial_inertia()
+        inertia = body.default_spatial_inertia()
+        self._body = inertia.get_mass(), inertia.CalcRotationalInertia().CopyToFullMatrix3()
         heavy = plant.is_gravity_enabled(body.model_instance())
         self._gravity = float(heavy) * plant.gravity_field().gravity_vector()
         self.DeclareAbstractParameter(Value(plant.GetDefaultFloatingBaseBodyPose(body)))
@@ -78,18 +80,22 @@ class ForceBalancer(LeafSystem):
         needs = {self.all_input_ports_ticket(), self.all_parameters_ticket(), self.time_ticket()}
         ticket, self._found = array_entry(self._CalcFound, (n, 5), needs)
         for name, rows in COLUMNS.items():
-            size, calc = n * (rows.stop - rows.start), weakly(self._CalcVector, rows)
+            size, calc = n * (rows.stop - rows.start), weakly(self._CalcVector, name)
             self.DeclareVectorOutputPort(name, size, calc, {ticket})
 
-    def _CalcVector(self, rows: slice, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._found(context)[:, rows].ravel())
+    def Evaluate(self, context: Context, name: str) -> Array:
+        """What the output port of this name says, a row for each contact; not to be kept."""
+        return self._found(context)[:, COLUMNS[name]]
+
+    def _CalcVector(self, name: str, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self.Evaluate(context, name).ravel())
 
     def _CalcFound(self, context: Context) -> Array:
         X_WO = self._poses.Eval(context)[self._index]
         V_WO = self._velocities.Eval(context)[self._index].get_coeffs()
         alpha, a = np.split(self._Acceleration(context, X_WO, V_WO), 2)
         R_WO, config = X_WO.rotation().matrix(), self._config
-        force, torque = needed_wrench(self._inertia, self._gravity, R_WO[None], V_WO[:3], alpha, a)
+        force, torque = needed_wrench(*self._body, self._gravity, R_WO[None], V_WO[:3], alpha, a)
         points = self._points.Eval(context).reshape(1, -1, 6)[..., 3:]
         normals = -self._normals.Eval(context).reshape(1, -1, 3)
         forces = balancing_forces(

@@ -99,22 +99,33 @@ def _draw_slip(ax: Any, result: SimulationResult, closed: bool = True) -> None:
 
 
 def _draw_normal(ax: Any, result: SimulationResult) -> None:
-    wanted = result.config.normal_force
-    _draw_force(ax, result.t, result.measured["normal_force"], wanted, 2 * wanted)
+    wanted = result.planned["normal_force"]
+    _draw_force(ax, result.t, result.measured["normal_force"], wanted, 2 * wanted.max())
     ax.set_title(f"Normal force ({BOLD}; dotted: asked for)", loc="left", weight="bold")
 
 
 def _draw_friction(ax: Any, result: SimulationResult) -> None:
+    """Of a balance the part of the cones that is used, else the tangential force."""
+    if result.config.balances:
+        used = np.nan_to_num(result.measured["friction_used"])
+        _draw_force(ax, result.t, used, result.planned["friction_used"], 1.3)
+        ax.axhline(1.0, color=INK, linewidth=0.9)
+        ax.set_title(
+            "Friction used (line: all of the cone; dotted: planned)", loc="left", weight="bold"
+        )
+        ax.set_ylabel("part of the cone")
+        return
     friction = np.linalg.norm(result.measured["tangential_force"], axis=2)
-    limit = result.config.friction * result.config.normal_force
-    _draw_force(ax, result.t, friction, limit, 1.3 * limit)
+    limit = result.config.friction * result.planned["normal_force"]
+    _draw_force(ax, result.t, friction, limit, 1.3 * limit.max())
     ax.set_title(rf"Tangential force ({BOLD}; dotted: $\mu N$)", loc="left", weight="bold")
 
 
-def _draw_force(ax: Any, t: Array, forces: Array, level: float, top: float) -> None:
+def _draw_force(ax: Any, t: Array, forces: Array, wanted: Array, top: float) -> None:
     for i, force in enumerate(forces.T):
         _ripple(ax, t, force, colour_of(i))
-    ax.axhline(level, color=INK, linewidth=0.9, linestyle=":")
+    for level in wanted.T:
+        ax.plot(*_thinned(t, level), color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, top or None)
     ax.set_ylabel("force [N]")
 

@@ -25,6 +25,7 @@ from .station import SetInitialState, build, checked
 Array = NDArray[np.float64]
 
 PLANNED = ("state", "slip", "contact_point")
+BALANCED = ("normal_force", "friction_used")
 MEASURED = ("state", "slip", "normal_force", "tangential_force", "contact_point")
 NEAR = 1e-6  # of a period, by which a step may end before it
 LOGGED = 2e-3  # s, at which simulate logs where steps are shorter
@@ -48,10 +49,12 @@ class SimulationResult:
     scene, config
     t : (m,)
     planned : dict
-        state (m, n, 9), slip (m, n, 2), contact_point (m, n, 3), the latter on the object, in O.
+        state (m, n, 9), slip (m, n, 2), contact_point (m, n, 3), the latter on the object, in O;
+        normal_force (m, n) and friction_used (m, n), the part of each cone, of what is asked for.
     measured : dict
         slip (m, n, 2), normal_force (m, n), tangential_force (m, n, 2), contact_point (m, n, 3),
-        state (m, n, 9): those of the step that ended at t.
+        state (m, n, 9), friction_used (m, n): those of the step that ended at t. The latter is NaN
+        without contact or friction.
     object_pose : (m, 4, 4)
         X_WO.
     build_time, wall_time : float
@@ -154,7 +157,10 @@ class _Log:
 
     def __init__(self, station: Diagram, root: Context, parts: ScenePlant, period: float):
         self._asked = []
-        for system, names in (("planner", PLANNED), ("monitor", MEASURED)):
+        self._config = parts.config
+        for system, names in (("planner", PLANNED), ("monitor", MEASURED), ("balancer", BALANCED)):
+            if not station.HasSubsystemNamed(system):
+                continue
             asked = station.GetSubsystemByName(system)
             context = asked.GetMyContextFromRoot(root)
             self._asked += [partial(asked.Evaluate, context, name) for name in names]
@@ -186,5 +192,14 @@ class _Log:
         every = [values.reshape(len(self._t), *self._shape) for values in columns]
         planned, measured = dict(zip(PLANNED, every)), dict(zip(MEASURED, every[len(PLANNED) :]))
         planned["contact_point"] = planned["contact_point"][:, :, 3:]
-        measured["normal_force"] = measured["normal_force"][:, :, 0]
+        normal = measured["normal_force"] = measured["normal_force"][:, :, 0]
+        balanced = every[len(PLANNED) + len(MEASURED) :] or (
+            np.full((*normal.shape, 1), self._config.normal_force),
+            np.zeros((*normal.shape, 1)),
+        )
+        planned |= {name: values[:, :, 0] for name, values in zip(BALANCED, balanced)}
+        friction = np.linalg.norm(measured["tangential_force"], axis=2)
+        limit = self._config.friction * normal
+        nothing = np.full_like(limit, math.nan)
+        measured["friction_used"] = np.divide(friction, limit, out=nothing, where=limit > 0)
         return np.array(self._t), planned, measured, poses

@@ -7,9 +7,9 @@ import contact_system as cs
 
 pytest.importorskip("pydrake", reason="Drake is an extra: pip install .[drake]")
 
-from pydrake.multibody.tree import SpatialInertia, UnitInertia
-
+from drake_plant import BuildStation, StationConfig, object_report, simulate
 from drake_plant.balance import balancing_forces, friction_used, needed_wrench
+from drake_plant.cli import _told
 
 WEIGHT = 0.2 * 9.81
 
@@ -72,10 +72,74 @@ def test_no_grasp_is_refused_with_what_is_left_unbalanced(angles, friction, torq
 
 def test_needed_wrench_is_that_of_newton_and_euler():
     turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])[None]  # O's x is the world's y
-    inertia = SpatialInertia(2.0, np.zeros(3), UnitInertia(0.5, 0.75, 1.0))
+    inertia = np.diag([1.0, 2.0, 3.0])
     force, torque = needed_wrench(
-        inertia, [0, 0, -9.81], turned, [0.0, 2, 3], [0.5, 0, 0], [0, 1.0, 0]
+        2.0, inertia, [0, 0, -9.81], turned, [0.0, 2, 3], [0.5, 0, 0], [0, 1.0, 0]
     )
     np.testing.assert_allclose(force, [[2.0, 0, 2 * 9.81]], atol=1e-7)
     # in O: w = (2, 0, 3), alpha = (0, -0.5, 0), w x I w = (0, 3 2 - 2 9, 0)
     np.testing.assert_allclose(torque, [[0, 2 * -0.5 + 6 - 18, 0]], atol=1e-7)
+
+
+def held(friction=0.5, **changes):
+    """Three free fingertips around the equator of a ball of 0.2 kg, contacts all but at rest."""
+    contacts = [
+        cs.Contact(
+            finger=cs.Sphere(0.02),
+            object_at=(np.pi / 2, 2 * np.pi * i / 3),
+            finger_at=(np.pi / 2, 0),
+            object_velocity="rolling",
+        )
+        for i in range(3)
+    ]
+    drake = {"object_mass": 0.2, "finger_mass": 0.05, "gravity": 9.81, "friction": friction}
+    return cs.Scene(
+        object=cs.Sphere(0.05),
+        contacts=contacts,
+        profile=cs.Profile([1e-6]),
+        duration=1.0,
+        name="held",
+        drake=drake | changes,
+    )
+
+
+@pytest.mark.parametrize("model", ["point", "hydroelastic"])
+def test_a_ball_is_held_where_gravity_is_on(model):
+    result = simulate(held(contact_model=model), duration=0.25)
+    found = object_report(result)
+    assert found.moved < 1e-4 and found.turned < np.radians(0.1) and not found.falls
+    assert (result.measured["normal_force"][1:] > 0).all()
+    np.testing.assert_allclose(result.planned["friction_used"], 0.8, atol=0.01)
+    assert result.measured["friction_used"][result.t > 0.1].max() < 0.85
+    told = " ".join(_told(result, None))
+    assert (
+        "Its weight is carried by the fingers" in told
+        and "80% of the friction cones as planned" in told
+    )
+
+
+def test_a_ball_pushed_while_it_is_held_comes_back():
+    push = {"on": "object", "start": 0.05, "stop": 0.1, "force": [0.0, 0.0, -0.5]}
+    result = simulate(held(contact_model="point", pushes=[push]), duration=0.5)
+    path = np.linalg.norm(result.object_pose[:, :3, 3], axis=1)
+    assert path.max() > 2e-4 and path[-1] < 1e-4
+
+
+def test_what_nothing_balances_is_refused_before_it_is_simulated():
+    scene = held(friction=0.5, object_mass=0.2)
+    scene = scene.replace(contacts=scene.contacts[:1])
+    with pytest.raises(cs.SceneError, match="^scene 'held': t = 0 s: no contact forces within 80%"):
+        BuildStation(scene)
+
+
+def test_constant_forces_stay_as_they_are_and_let_the_object_fall():
+    result = simulate(held(contact_model="point", forces="constant"), duration=0.1)
+    assert object_report(result).falls
+    assert (result.planned["normal_force"] == 1.0).all()
+    assert "nothing balances it" in " ".join(_told(result, None))
+
+
+def test_only_a_free_object_is_balanced():
+    with pytest.raises(cs.SceneError, match='forces = "balance": the object is welded'):
+        StationConfig.from_scene(held(), object="welded", forces="balance")
+    assert not StationConfig.from_scene(held(), object="welded").balances
