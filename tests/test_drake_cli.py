@@ -42,9 +42,7 @@ def made_up(slip: np.ndarray, friction: np.ndarray, normal: np.ndarray | float =
         "tangential_force": friction[:, None, None] * along,
         "contact_point": points + [0.0, 3e-4, 0.0],
     }
-    given = {"friction": 0.5, "contact_model": "point", "time_step": 1e-3, "normal_force": 1.0}
-    given |= {"gravity": 0.0, "object": "free"}
-    config = SimpleNamespace(**given, pushes=[], closed_loop=False)
+    config = StationConfig(contact_model="point")
     told = {"scene": scene, "config": config, "t": T}
     told |= {"planned": planned, "measured": measured, "build_time": 0.1, "wall_time": 8.0}
     return SimpleNamespace(**told, object_pose=np.tile(np.eye(4), (len(T), 1, 1)))
