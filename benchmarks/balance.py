@@ -1,4 +1,4 @@
-"""Forces that balance gravity: the programme's time and accuracy, and a ball that three tips hold."""
+"""Forces that balance gravity: their programme, and a ball that three free tips hold."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def test_the_python_example_prints_what_the_readme_shows():
 
 
 PAGES_WITH_CODE = sorted(p for p in (README.parent / "docs").glob("*.md") if blocks("python", p))
-NEEDS = {"drake": "pydrake", "fmu": "fmpy"}
+NEEDS = {"drake": "pydrake", "hands": "pydrake", "fmu": "fmpy"}
 
 
 @pytest.mark.parametrize("page", PAGES_WITH_CODE, ids=lambda page: page.stem)
