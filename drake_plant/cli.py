@@ -181,9 +181,9 @@ def _happened(result: SimulationResult, reports: Sequence[ContactReport]) -> Ite
         yield "Its weight is carried by the fingers."
     if result.config.balances:
         planned, used = (part["friction_used"] for part in (result.planned, result.measured))
-        most = np.nanmax(used[result.t >= EDGE], initial=0.0)
+        most = np.nanmax(used, initial=0.0)
         yield f"Balancing forces use at most {planned.max():.0%} of the friction cones as planned,"
-        yield f"{most:.0%} as measured after {EDGE:g} s."
+        yield f"{most:.0%} as measured."
     for r in reports:
         if r.off:
             yield f"{r.name} was off the object for {r.off:.3g} s."

@@ -27,13 +27,14 @@ from .config import StationConfig, require_config
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
 
 
-def contact_depth(config: StationConfig) -> float:
-    """Depth at which a contact carries ``normal_force``, m.
+def contact_depth(config: StationConfig, force: float | None = None) -> float:
+    """Depth at which a contact carries a force, or ``normal_force``, m.
 
     Force grows with the square of the depth in hydroelastic contact, linearly in point contact.
     """
     power = 2 if config.contact_model == "hydroelastic" else 1
-    return power * config.normal_force / config.stiffness
+    part = 1.0 if force is None else force / config.normal_force
+    return power * config.normal_force / config.stiffness * part ** (1 / power)
 
 
 def check_depth(scene: Scene, config: StationConfig) -> None:

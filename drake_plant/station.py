@@ -238,15 +238,17 @@ def SetInitialState(station: Diagram, context: Context) -> None:
         joint.set_angle(physics, angle(t))
         joint.set_angular_rate(physics, angle.deriv()(t - ago))
     obj = plant.get_body(BodyIndex(driver.object_index))
+    X_WO, V_WO = obj.EvalPoseInWorld(physics), obj.EvalSpatialVelocityInWorld(physics)
+    forces = None
     if station.HasSubsystemNamed("balancer"):
         balancer = station.GetSubsystemByName("balancer")
-        held = balancer.GetMyMutableContextFromRoot(context).get_mutable_abstract_parameter(0)
-        held.set_value(obj.EvalPoseInWorld(physics))
-    X_WO, V_WO = obj.EvalPoseInWorld(physics), obj.EvalSpatialVelocityInWorld(physics)
+        own = balancer.GetMyMutableContextFromRoot(context)
+        own.get_mutable_abstract_parameter(0).set_value(X_WO)
+        forces = balancer.Evaluate(own, "normal_force").ravel()
     R_WO = X_WO.rotation()
     twist, change = (planner.GetOutputPort(name).Eval(now) for name in ("twist", "acceleration"))
     twists = (twist - ago * change).reshape(-1, 6)
-    poses = _finger_poses(planner, now, scene, config)
+    poses = _finger_poses(planner, now, scene, config, forces)
     for index, X_OF, twist in zip(driver.finger_indices, poses, twists):
         body = plant.get_body(index)
         V_OF_W = SpatialVelocity(twist[:3], twist[3:]).Rotate(R_WO)
@@ -263,14 +265,21 @@ def SetInitialState(station: Diagram, context: Context) -> None:
 
 
 def _finger_poses(
-    planner: PlannerBase, context: Context, nominal: Scene, config: StationConfig
+    planner: PlannerBase,
+    context: Context,
+    nominal: Scene,
+    config: StationConfig,
+    forces: Array | None = None,
 ) -> list[RigidTransform]:
-    """X_OF as planned, each finger pressed in by the depth on the nominal surfaces."""
+    """X_OF as planned, each finger pressed in by the depth of its force on the nominal surfaces."""
     planned, poses = planner.system.scene, planner.GetOutputPort("pose").Eval(context)
     normals = planner.GetOutputPort("normal").Eval(context).reshape(-1, 3)
-    left = contact_depth(config) - depth_between(nominal.object, planned.object)
+    of_object = depth_between(nominal.object, planned.object)
     sunk = [
-        left - depth_between(a.finger, b.finger) for a, b in zip(nominal.contacts, planned.contacts)
+        contact_depth(config, None if forces is None else forces[i])
+        - of_object
+        - depth_between(contact.finger, planned.contacts[i].finger)
+        for i, contact in enumerate(nominal.contacts)
     ]
     return [
         RigidTransform(X.rotation(), X.translation() - d * n)
