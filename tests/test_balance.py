@@ -1,0 +1,79 @@
+"""Contact forces that hold an object: closed forms, and grasps that are none."""
+
+import numpy as np
+import pytest
+
+import contact_system as cs
+
+pytest.importorskip("pydrake", reason="Drake is an extra: pip install .[drake]")
+
+from drake_plant.balance import balancing_forces, friction_used, needed_wrench
+
+WEIGHT = 0.2 * 9.81
+
+
+def ring(angles, radius=0.1):
+    """Contact points around the equator of a ball, and normals into it."""
+    normals = -np.stack([np.cos(angles), np.sin(angles), 0 * np.array(angles)], axis=-1)[None]
+    return -radius * normals, normals
+
+
+def around(n):
+    return ring(2 * np.pi * np.arange(n) / n)
+
+
+@pytest.mark.parametrize("n", [2, 3, 5])
+@pytest.mark.parametrize("friction", [0.1, 0.5])
+def test_fingers_around_the_equator_squeeze_as_little_as_carries_the_weight(n, friction):
+    points, normals = around(n)
+    forces = balancing_forces(points, normals, friction, [[0, 0, WEIGHT]], [[0, 0, 0]])
+    least = WEIGHT / (n * 0.8 * friction)
+    np.testing.assert_allclose(np.sum(forces * normals, axis=-1), least, rtol=1e-7)
+    np.testing.assert_allclose(forces.sum(axis=1), [[0, 0, WEIGHT]], atol=1e-12)
+    np.testing.assert_allclose(friction_used(forces, normals, friction), 0.8, rtol=1e-7)
+
+
+def test_forces_exert_the_wrench_that_is_asked_for_at_every_time():
+    rng = np.random.default_rng(3)
+    angles = 2 * np.pi * np.arange(3) / 3 + 0.3 * rng.normal(size=(20, 3))
+    points, normals = ring(angles)[0][0], ring(angles)[1][0]
+    force = [0, 0, WEIGHT] + 0.1 * rng.normal(size=(20, 3))
+    torque = 0.01 * rng.normal(size=(20, 3))
+    forces = balancing_forces(points, normals, [0.4, 0.5, 0.6], force, torque, least=0.5)
+    np.testing.assert_allclose(forces.sum(axis=1), force, atol=1e-10)
+    np.testing.assert_allclose(np.cross(points, forces).sum(axis=1), torque, atol=1e-11)
+    assert friction_used(forces, normals, [0.4, 0.5, 0.6]).max() < 0.8 + 1e-6
+    assert np.sum(forces * normals, axis=-1).min() > 0.5 - 1e-9
+
+
+@pytest.mark.parametrize(
+    ("angles", "friction", "torque", "left"),
+    [
+        ([0.0], 0.5, (0, 0, 0), "a force of"),
+        ([0, np.pi / 2], 0.5, (0, 0, 0), "a force of"),
+        ([0, np.pi], 0.0, (0, 0, 0), r"a force of \(0, 0, -1.96\) N and a torque of \(0, 0, 0\)"),
+        (
+            [0, np.pi],
+            0.5,
+            (0.01, 0, 0),
+            r"a force of \(0, 0, 0\) N and a torque of \(-0.01, 0, 0\)",
+        ),
+    ],
+    ids=["one finger", "not opposite", "no friction", "torque about the line of two contacts"],
+)
+def test_no_grasp_is_refused_with_what_is_left_unbalanced(angles, friction, torque, left):
+    points, normals = (np.tile(x, (2, 1, 1)) for x in ring(np.array(angles)))
+    force, torque = [[0, 0, 0], [0, 0, WEIGHT]], [[0, 0, 0], torque]
+    with pytest.raises(cs.SceneError, match=rf"^t = 0.3 s: .*{left}"):
+        balancing_forces(points, normals, friction, force, torque, t=[0.2, 0.3])
+
+
+def test_needed_wrench_is_that_of_newton_and_euler():
+    turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])[None]  # O's x is the world's y
+    inertia = np.diag([1.0, 2.0, 3.0])
+    force, torque = needed_wrench(
+        2.0, inertia, [0, 0, -9.81], turned, [0.0, 2, 3], [0.5, 0, 0], [0, 1.0, 0]
+    )
+    np.testing.assert_allclose(force, [[2.0, 0, 2 * 9.81]], atol=1e-12)
+    # in O: w = (2, 0, 3), alpha = (0, -0.5, 0), w x I w = (0, 3 2 - 2 9, 0)
+    np.testing.assert_allclose(torque, [[0, 2 * -0.5 + 6 - 18, 0]], atol=1e-12)
