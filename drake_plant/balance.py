@@ -1,16 +1,15 @@
 r"""Contact forces that balance what acts on an object, inside the friction cones and small.
 
-With point contacts at p_i, the grasp map gives the wrench that forces f_i on the object exert
-together. Of all forces that exert the one that is wanted, those with the least sum of squares are
-taken,
+With point contacts at p_i, forces f_i on the object exert a wrench together. Of all forces that
+exert the one that is wanted, those with the least sum of squares are taken,
 
 .. math:: \min \sum_i |f_i|^2, \quad \sum_i (f_i,\; p_i \times f_i) = (F, T), \quad
           |f_i - (f_i \cdot n_i) n_i| \le c\, \mu_i\, f_i \cdot n_i, \quad f_i \cdot n_i \ge N_i,
 
 n_i the normal into the object and c the part of a cone that is used. The cost is strictly convex,
 so forces do not jump where contacts move without one. All times are one second-order-cone programme
-of Drake's MathematicalProgram, which Clarabel solves: 100 times of three contacts in 20 ms, one in
-0.6 ms; the wrench is met to 1e-11 of its size, the cone to 1e-8. SI units.
+of Drake's MathematicalProgram, which Clarabel solves: 100 times of three contacts in 25 ms, one in
+0.7 ms, the wrench to 1e-11 of its size, the cones to 1e-7. SI units.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ Array = NDArray[np.float64]
 
 MARGIN = 0.8
 """Of a friction cone, so that facets and feedback leave what is measured below 90 %."""
-REMAINS = 1e-4
-"""Part of a wrench that counts as not balanced."""
+LEFT = 1e-3
+"""Part of a wrench that counts as not balanced, where something has to be left."""
 DEAR = 1e6
-"""How much dearer than forces what remains unbalanced is, where something has to."""
+"""How much dearer than forces that is, squared and in sizes of about 1."""
 
 
 def balancing_forces(
@@ -48,6 +47,7 @@ def balancing_forces(
     margin: float = MARGIN,
     least: ArrayLike = 0.0,
     t: ArrayLike | None = None,
+    strict: bool = True,
 ) -> Array:
     """Forces of n contacts on the object at m times, all in one frame.
 
@@ -66,6 +66,8 @@ def balancing_forces(
         Least normal forces, N.
     t : (m,), optional
         Times, s, that an error names.
+    strict : bool
+        False: where there are no such forces, those that leave the least of the wrench.
 
     Returns
     -------
@@ -75,49 +77,43 @@ def balancing_forces(
     Raises
     ------
     SceneError
-        No such forces exist, with the time and what remains unbalanced at least.
+        No such forces exist, with the first time and the wrench that is left there.
     """
     points, normals = np.asarray(points, float), np.asarray(normals, float)
-    wanted = np.hstack([force, torque]).astype(float)
-    # Sizes of about 1: about the contacts' middle, over their distance from it and over the wrench.
+    wanted, count = np.hstack([force, torque]).astype(float), points.shape[1]
+    # Sizes of about 1: about the contacts' middle, over their distance from it and over the forces.
     middle = points.mean(axis=1)
     wanted[:, 3:] -= np.cross(middle, wanted[:, :3])
     arms = points - middle[:, None]
     length = max(map(_farthest, (arms, points)), key=bool) or 1.0
     wanted[:, 3:] /= length
-    size = np.abs(wanted).max() or 1.0
+    floor = np.broadcast_to(least, count)
+    size = max(np.abs(wanted).max(), np.max(floor)) or 1.0
     frames = contact_frames(normals)
-    grasp, count = grasp_map(arms / length, frames), points.shape[1]
     cones = margin * np.broadcast_to(friction, count).astype(float)
-    floor = np.broadcast_to(least, count) / size
-    found = _solve(grasp, wanted / size, cones, floor)
-    if found is None:
-        rest = -_solve(grasp, wanted / size, cones, floor, remains=True)
-        k = _first_unbalanced(rest)
-        left = rest[k]
-        left[3:] += np.cross(middle[k] / length, left[:3])  # about O
-        left = size * np.repeat([1.0, length], 3) * np.round(left, 4)
+    problem = grasp_map(arms / length, frames), wanted / size, cones, floor / size
+    forces, left = _solve(*problem)
+    if left is not None and strict:
+        most = np.abs(left).max(axis=1)
+        k = int(np.argmax(most >= min(LEFT, most.max())))
+        acts = -left[k]
+        acts[3:] += np.cross(middle[k] / length, acts[:3])  # about the origin
+        acts = size * np.repeat([1.0, length], 3) * np.round(acts, 4)
         when = "" if t is None else f"t = {np.ravel(t)[k]:.6g} s: "
-        raise SceneError(when + _no_grasp(left, margin, friction))
-    return size * np.einsum("mnij,mnj->mni", frames, found)
+        raise SceneError(when + _no_grasp(acts, margin, friction))
+    return size * np.einsum("mnij,mnj->mni", frames, forces)
 
 
 def _farthest(points: Array) -> float:
     return float(np.linalg.norm(points, axis=-1).max())
 
 
-def _first_unbalanced(rest: Array) -> int:
-    """The first time at which much remains of a wrench, or that at which most does."""
-    most = np.abs(rest).max(axis=1)
-    return int(np.argmax(most > REMAINS) if (most > REMAINS).any() else most.argmax())
-
-
-def _no_grasp(left: Array, margin: float, friction: ArrayLike) -> str:
-    force, torque = (", ".join(f"{x:.3g}" for x in part + 0.0) for part in (left[:3], left[3:]))
+def _no_grasp(acts: Array, margin: float, friction: ArrayLike) -> str:
+    force, torque = (", ".join(f"{x:.3g}" for x in part + 0.0) for part in (acts[:3], acts[3:]))
     return (
         f"no contact forces within {margin:.0%} of the friction cones balance what acts on the "
-        f"object: at least a force of ({force}) N and a torque of ({torque}) N m about O are left; "
-        f"give more friction than {friction!r}, or contacts that hold the object, such as three "
+        f"object: at least a force of ({force}) N and a torque of ({torque}) N m about its origin "
+        f"are left; give more friction than {friction!r}, or contacts that hold it, such as three "
         "around its mass centre"
     )
 
@@ -133,7 +129,7 @@ def needed_wrench(
     mass: float,
     inertia: ArrayLike,
     gravity: ArrayLike,
-    R_WO: ArrayLike,
+    R_WO: Array,
     w_WO: ArrayLike,
     alpha_WO: ArrayLike,
     a_WO: ArrayLike,
@@ -187,18 +183,17 @@ def grasp_map(points: Array, frames: Array) -> Array:
 
 
 def _solve(
-    grasp: Array, wanted: Array, cones: Array, floor: Array, remains: bool = False
-) -> Array | None:
-    """Forces in contact frames (m, n, 3), None where there are none; or what remains of the wrench
-    at least, (m, 6)."""
+    grasp: Array, wanted: Array, cones: Array, floor: Array, leaving: bool = False
+) -> tuple[Array, Array | None]:
+    """Forces in contact frames, (m, n, 3), and what of the wrench they have to leave, (m, 6)."""
     m, n = len(grasp), len(cones)
     program = MathematicalProgram()
     x = program.NewContinuousVariables(3 * m * n)
     forces, matrix, variables = x.reshape(m, n, 3), block_diag(grasp, format="csc"), x
-    if remains:
-        rest = program.NewContinuousVariables(6 * m)
-        matrix, variables = hstack([matrix, identity(6 * m)], format="csc"), np.append(x, rest)
-        _add_squares(program, rest.reshape(m, 6), DEAR)
+    if leaving:
+        left = program.NewContinuousVariables(6 * m)
+        matrix, variables = hstack([matrix, identity(6 * m)], format="csc"), np.append(x, left)
+        _add_squares(program, left.reshape(m, 6), DEAR)
     program.AddConstraint(LinearEqualityConstraint(matrix, wanted.ravel()), variables)
     for i, cone in enumerate(cones):
         inside = LorentzConeConstraint(np.roll(np.diag([1.0, 1.0, cone]), 1, axis=0), np.zeros(3))
@@ -209,9 +204,12 @@ def _solve(
         program.AddBoundingBoxConstraint(np.tile(floor, m), above, forces[..., 2].ravel())
     _add_squares(program, x.reshape(m, -1))
     result = ClarabelSolver().Solve(program)
-    if remains:
-        return result.GetSolution(rest).reshape(m, 6)
-    return result.GetSolution(x).reshape(m, n, 3) if result.is_success() else None
+    if not leaving and not result.is_success():
+        return _solve(grasp, wanted, cones, floor, leaving=True)
+    return (
+        result.GetSolution(x).reshape(m, n, 3),
+        result.GetSolution(left).reshape(m, 6) if leaving else None,
+    )
 
 
 def _add_squares(program: MathematicalProgram, rows: NDArray, weight: float = 1.0) -> None:

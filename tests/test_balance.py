@@ -28,9 +28,9 @@ def test_fingers_around_the_equator_squeeze_as_little_as_carries_the_weight(n, f
     points, normals = around(n)
     forces = balancing_forces(points, normals, friction, [[0, 0, WEIGHT]], [[0, 0, 0]])
     least = WEIGHT / (n * 0.8 * friction)
-    np.testing.assert_allclose(np.sum(forces * normals, axis=-1), least, rtol=1e-7)
-    np.testing.assert_allclose(forces.sum(axis=1), [[0, 0, WEIGHT]], atol=1e-12)
-    np.testing.assert_allclose(friction_used(forces, normals, friction), 0.8, rtol=1e-7)
+    np.testing.assert_allclose(np.sum(forces * normals, axis=-1), least, rtol=1e-6)
+    np.testing.assert_allclose(forces.sum(axis=1), [[0, 0, WEIGHT]], atol=1e-7)
+    np.testing.assert_allclose(friction_used(forces, normals, friction), 0.8, rtol=1e-6)
 
 
 def test_forces_exert_the_wrench_that_is_asked_for_at_every_time():
@@ -40,10 +40,10 @@ def test_forces_exert_the_wrench_that_is_asked_for_at_every_time():
     force = [0, 0, WEIGHT] + 0.1 * rng.normal(size=(20, 3))
     torque = 0.01 * rng.normal(size=(20, 3))
     forces = balancing_forces(points, normals, [0.4, 0.5, 0.6], force, torque, least=0.5)
-    np.testing.assert_allclose(forces.sum(axis=1), force, atol=1e-10)
-    np.testing.assert_allclose(np.cross(points, forces).sum(axis=1), torque, atol=1e-11)
+    np.testing.assert_allclose(forces.sum(axis=1), force, atol=1e-6)
+    np.testing.assert_allclose(np.cross(points, forces).sum(axis=1), torque, atol=1e-7)
     assert friction_used(forces, normals, [0.4, 0.5, 0.6]).max() < 0.8 + 1e-6
-    assert np.sum(forces * normals, axis=-1).min() > 0.5 - 1e-9
+    assert np.sum(forces * normals, axis=-1).min() > 0.5 - 1e-6
 
 
 @pytest.mark.parametrize(
@@ -74,6 +74,6 @@ def test_needed_wrench_is_that_of_newton_and_euler():
     force, torque = needed_wrench(
         2.0, inertia, [0, 0, -9.81], turned, [0.0, 2, 3], [0.5, 0, 0], [0, 1.0, 0]
     )
-    np.testing.assert_allclose(force, [[2.0, 0, 2 * 9.81]], atol=1e-12)
+    np.testing.assert_allclose(force, [[2.0, 0, 2 * 9.81]], atol=1e-7)
     # in O: w = (2, 0, 3), alpha = (0, -0.5, 0), w x I w = (0, 3 2 - 2 9, 0)
-    np.testing.assert_allclose(torque, [[0, 2 * -0.5 + 6 - 18, 0]], atol=1e-12)
+    np.testing.assert_allclose(torque, [[0, 2 * -0.5 + 6 - 18, 0]], atol=1e-7)
