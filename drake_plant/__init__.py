@@ -17,6 +17,10 @@ except ImportError as error:
 from .config import Push, StationConfig
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
+from .hand import Hand
+from .hand_driver import HandDriver
+from .hand_report import HandReport, hand_report
+from .hand_station import BuildHandStation, HandResult, simulate_hand
 from .measures import contact_table, object_report, outcome, push_table
 from .plan_source import PlanSource
 from .planner_system import ContactPlanner
@@ -25,6 +29,7 @@ from .plots import plot
 from .pressing import rolling_scene
 from .pushes import PushSource
 from .recording import Recording
+from .reorientation import Reorientation, plan_reorientation
 from .simulation import SimulationResult, simulate
 from .station import BuildStation, SetInitialState
 from .trajectories import ContactTrajectories, MakeTrajectories
@@ -44,25 +49,34 @@ def __getattr__(name: str) -> Any:
 
 __all__ = [  # what a star imports: FmuSystem needs fmpy
     "AddScenePlant",
+    "BuildHandStation",
     "BuildStation",
     "ContactMonitor",
     "ContactPlanner",
     "ContactTrajectories",
     "FingertipDriver",
+    "Hand",
+    "HandDriver",
+    "HandReport",
+    "HandResult",
     "MakeTrajectories",
     "PlanSource",
     "Push",
     "PushSource",
     "Recording",
+    "Reorientation",
     "ScenePlant",
     "SetInitialState",
     "SimulationResult",
     "StationConfig",
     "contact_table",
+    "hand_report",
     "object_report",
     "outcome",
+    "plan_reorientation",
     "plot",
     "push_table",
     "rolling_scene",
     "simulate",
+    "simulate_hand",
 ]

@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 
 from contact_system import Scene, SceneError
-from contact_system.checks import did_you_mean, finite_number, finite_numbers, flag, known_keys, naming
+from contact_system.checks import (
+    did_you_mean,
+    finite_number,
+    finite_numbers,
+    flag,
+    known_keys,
+    naming,
+)
 from contact_system.scene import require_scene
 from contact_system.system import COORDINATES
 

@@ -77,7 +77,9 @@ def own_hand(azimuths: Sequence[float]) -> str:
         parent, placed, lengths = "palm", (*root, azimuth), (0.0, *LINKS)
         for k, length in enumerate(lengths):
             name, mass = f"finger_{i}_link_{k}", MASSES[k - 1] if k else 0.01
-            parts.append(_link(name, (parent, *placed), (0.0, 0.0, length / 2), mass, (0.008, length)))
+            parts.append(
+                _link(name, (parent, *placed), (0.0, 0.0, length / 2), mass, (0.008, length))
+            )
             axis = "1 0 0" if k == 0 else "0 -1 0"
             parts.append(_joint(f"finger_{i}_joint_{k}", parent, name, axis, LOWER[k], UPPER[k]))
             parent, placed = name, (0.0, 0.0, length, 0.0)

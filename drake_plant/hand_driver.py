@@ -24,7 +24,7 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
 from scipy.interpolate import CubicHermiteSpline
 
 from .config import require_config
-from .hand_kinematics import Chains
+from .hand_kinematics import Chains, cross
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant
 from .reorientation import Reorientation
@@ -109,10 +109,10 @@ class HandDriver(LeafSystem):
         for i, force in enumerate(want["forces"]):
             X, J = chains.pose(i), chains.jacobian(i)
             p = want["tips"][i]
-            p = p + shift + np.cross(turn, p - want["place"])
+            p = p + shift + cross(turn, p - want["place"])
             arm = want["arms"][i]
             pull = force + K * (p - X.translation()) + D * (want["tip_rates"][i] - J[3:] @ v)
-            torque += J[3:].T @ pull + J[:3].T @ np.cross(arm, force)
+            torque += J[3:].T @ pull + J[:3].T @ cross(arm, force)
         return np.clip(torque, -chains.effort, chains.effort)
 
     def _CalcTorque(self, context: Context, output: BasicVector) -> None:
@@ -169,7 +169,11 @@ class _Table:
         t, nq = self.t, self.nq
         inside = min(max(time, t[0]), t[-1])
         moves = float(t[0] < time < t[-1])
-        x, v, a = self.motion(inside), moves * self.velocity(inside), moves * self.acceleration(inside)
+        x, v, a = (
+            self.motion(inside),
+            moves * self.velocity(inside),
+            moves * self.acceleration(inside),
+        )
         k = min(max(int(np.searchsorted(t, inside)) - 1, 0), len(t) - 2)
         part = (inside - t[k]) / (t[k + 1] - t[k])
         found = {name: (1 - part) * y[k] + part * y[k + 1] for name, y in self.rest.items()}

@@ -52,7 +52,9 @@ def add_model(plant: MultibodyPlant, hand: Hand, scene: Scene) -> ModelInstanceI
             raise SceneError(f"hand: model = {hand.model!r}: {error}") from None
     else:
         at = [scene.object.point(*contact.object_at) for contact in scene.contacts]
-        instances = parser.AddModelsFromString(own_hand([np.arctan2(x[1], x[0]) for x in at]), "sdf")
+        instances = parser.AddModelsFromString(
+            own_hand([np.arctan2(x[1], x[0]) for x in at]), "sdf"
+        )
     if len(instances) != 1:
         raise SceneError(f"hand: model = {hand.model!r}: give a file with one model")
     carried = {plant.get_joint(j).child_body().index() for j in plant.GetJointIndices()}
@@ -63,9 +65,7 @@ def add_model(plant: MultibodyPlant, hand: Hand, scene: Scene) -> ModelInstanceI
     return instances[0]
 
 
-def add_hand(
-    plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBody]
-) -> GeometrySet:
+def add_hand(plant: MultibodyPlant, hand: Hand, scene: Scene, tips: list[RigidBody]) -> GeometrySet:
     """Add a hand that carries fingertips; returns what of the model would collide, but must not."""
     instance = add_model(plant, hand, scene)
     weld_tips(plant, hand, instance, tips)
@@ -116,12 +116,15 @@ class Chains:
         self.context = plant.CreateDefaultContext()
         self._find_joints()
         self._sensor = ContactSensor(scene)
+        self._pads = [c.finger.normal(*c.finger_at) for c in scene.contacts]
 
     def _find_joints(self) -> None:
         plant, size = self.plant, self.plant.num_positions()
         moving = [j for j in map(plant.get_joint, plant.GetJointIndices()) if j.num_velocities()]
         if plant.num_velocities() != size or any(j.num_velocities() != 1 for j in moving):
-            raise SceneError("hand: a joint has more than one degree of freedom; give revolute ones")
+            raise SceneError(
+                "hand: a joint has more than one degree of freedom; give revolute ones"
+            )
         moving.sort(key=lambda joint: joint.position_start())
         self.names = [joint.name() for joint in moving]
         limits = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
@@ -180,9 +183,7 @@ class Chains:
         the pad. normal : out of the object, in the world."""
         own = self.joints[i]
         middle, half = (self.lower + self.upper)[own] / 2, (self.upper - self.lower)[own] / 2
-        contact = self.scene.contacts[i]
-        pad = self.pose(i).rotation() @ contact.finger.normal(*contact.finger_at)
-        turn = np.cross(pad, -normal)
+        turn = cross(normal, self.pose(i).rotation() @ self._pads[i])
         return POSTURE * (middle - q[own]) / half**2 + ON_PAD * self.jacobian(i)[:3, own].T @ turn
 
     # --- where to begin, and how to go on ------------------------------------------------------
@@ -204,10 +205,10 @@ class Chains:
             steps = np.zeros_like(q)
             for i, own in enumerate(self.joints):
                 missed = centres[i] - self.pose(i).translation()
-                steps[own] = _least(
-                    self.jacobian(i)[3:, own], missed, self.away(i, q, normals[i])
-                )
+                steps[own] = _least(self.jacobian(i)[3:, own], missed, self.away(i, q, normals[i]))
             q = np.clip(q + np.clip(steps, -0.3, 0.3), lower, upper)
+            if np.abs(steps).max() < REACHED:
+                break
         self.put(q)
         for i, own in enumerate(self.joints):
             left = np.linalg.norm(centres[i] - self.pose(i).translation())
@@ -251,11 +252,15 @@ class Chains:
         for i, own in enumerate(self.joints):
             at = self.touch(i, X_WO)
             x_F, arm, normal = at[13:16], rotation @ at[16:19], rotation @ at[25:28]
-            v = V_WO[3:] + np.cross(w, arm)
-            found[own] = _least(
-                self.jacobian(i, x_F)[3:, own], v, pace * self.away(i, q, normal)
-            )
+            v = V_WO[3:] + cross(w, arm)
+            found[own] = _least(self.jacobian(i, x_F)[3:, own], v, pace * self.away(i, q, normal))
         return found
+
+
+def cross(a: Array, b: Array) -> Array:
+    """a x b of two vectors, a tenth of numpy's time."""
+    (x, y, z), (u, v, w) = a, b
+    return np.array((y * w - z * v, z * u - x * w, x * v - y * u))
 
 
 def _least(J: Array, v: Array, free: Array) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder, EventStatus
 
@@ -84,10 +82,10 @@ def simulate_hand(
     plan: Reorientation,
     duration: float | None = None,
     progress: Callable[[float], None] | None = None,
+    film: Recording | None = None,
     recording: Path | None = None,
 ) -> HandResult:
-    """Simulate a plan from its start; parameters as of :func:`simulate`."""
-    film = None if recording is None else Recording()
+    """Simulate a plan from its start: see :func:`simulate`; film, which is written to recording."""
     begun = time.perf_counter()
     station, parts = BuildHandStation(plan, film and film.Add)
     simulator = Simulator(station)
@@ -123,7 +121,7 @@ def simulate_hand(
     t = np.array(times)
     wanted = np.array([plan.path.GetPose(x).GetAsMatrix4() for x in t])
     result = HandResult(
-        dataclasses.replace(plan.rolling) if False else plan.rolling,
+        plan.rolling,
         plan.config,
         t,
         _planned(plan, t),

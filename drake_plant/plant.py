@@ -226,13 +226,9 @@ def _add(
     if config.hand is not None:
         links = add_hand(plant, config.hand, scene, fingers)
         carried.ExcludeWithin(links)
-        carried.ExcludeBetween(
-            links, GeometrySet(plant.GetCollisionGeometriesForBody(object_body))
-        )
+        carried.ExcludeBetween(links, GeometrySet(plant.GetCollisionGeometriesForBody(object_body)))
     geometries = [g for body in fingers for g in plant.GetCollisionGeometriesForBody(body)]
-    scene_graph.collision_filter_manager().Apply(
-        carried.ExcludeWithin(GeometrySet(geometries))
-    )
+    scene_graph.collision_filter_manager().Apply(carried.ExcludeWithin(GeometrySet(geometries)))
     if config.object == "welded":
         plant.WeldFrames(plant.world_frame(), object_body.body_frame())
     turning = scene.turning if config.object == "turning" else None

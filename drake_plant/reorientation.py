@@ -25,7 +25,7 @@ from .pressing import rolling_scene
 
 Array = NDArray[np.float64]
 
-NODES = 25  # times of a plan, evenly from the start of the motion to its end
+NODES = 17  # times of a plan, evenly from the start of the motion to its end
 BEGIN, END = 0.1, 0.75  # of the duration, when the object begins to move, and rests
 
 
@@ -210,7 +210,9 @@ def _completed(
 ) -> Reorientation:
     scene, X = chains.scene, [path.GetPose(time) for time in t]
     R = np.array([pose.rotation().matrix() for pose in X])
-    V, A = (np.array([np.ravel(get(x)) for x in t]) for get in (path.GetVelocity, path.GetAcceleration))
+    V, A = (
+        np.array([np.ravel(get(x)) for x in t]) for get in (path.GetVelocity, path.GetAcceleration)
+    )
     found = _contacts(chains, X, V, q, v)
     points, states = found[..., 13:19].reshape(*found.shape[:2], 2, 3), found[..., 2:11]
     _refuse_pads(scene, hand, t, points[:, :, 0])
@@ -263,9 +265,7 @@ def _completed(
     )
 
 
-def _contacts(
-    chains: Chains, X: list[RigidTransform], V: Array, q: Array, v: Array
-) -> Array:
+def _contacts(chains: Chains, X: list[RigidTransform], V: Array, q: Array, v: Array) -> Array:
     """What probes find of every contact, and its spin: (m, n, 41)."""
     rows = np.empty((len(q), len(chains.joints), 41))
     for k, (X_WO, V_WO) in enumerate(zip(X, V)):
@@ -301,9 +301,7 @@ def object_inertia(scene: Scene, mass: float) -> Array:
     return inertia.CalcRotationalInertia().CopyToFullMatrix3()
 
 
-def _torques(
-    chains: Chains, q: Array, v: Array, a: Array, points: Array, forces: Array
-) -> Array:
+def _torques(chains: Chains, q: Array, v: Array, a: Array, points: Array, forces: Array) -> Array:
     """That move the joints against gravity and press by the forces, (m, nq)."""
     none, found = MultibodyForces(chains.plant), np.empty_like(q)
     for k in range(len(q)):
