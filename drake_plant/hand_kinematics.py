@@ -36,6 +36,7 @@ from .hand import Hand, own_hand
 Array = NDArray[np.float64]
 
 POSTURE, ON_PAD = 0.3, 1.0  # how strongly free joints go to the middles of ranges and pads
+NEAR = 0.02  # of what grows towards limits, where it ends
 INSIDE = 0.02  # of a joint's range, that is kept free at its limits
 REACHED = 1e-9  # m
 TRIES = 60
@@ -183,8 +184,10 @@ class Chains:
         the pad. normal : out of the object, in the world."""
         own = self.joints[i]
         middle, half = (self.lower + self.upper)[own] / 2, (self.upper - self.lower)[own] / 2
+        part = (middle - q[own]) / half
+        back = POSTURE * part / (half * np.maximum(1 - part**2, NEAR))  # harder near limits
         turn = cross(normal, self.pose(i).rotation() @ self._pads[i])
-        return POSTURE * (middle - q[own]) / half**2 + ON_PAD * self.jacobian(i)[:3, own].T @ turn
+        return back + ON_PAD * self.jacobian(i)[:3, own].T @ turn
 
     # --- where to begin, and how to go on ------------------------------------------------------
 

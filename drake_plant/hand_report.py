@@ -100,11 +100,12 @@ def hand_lines(result: HandResult) -> Iterable[str]:
         for i in range(len(normal))
     ]
     yield from (*table(head, rows, 1), "")
-    goal = Rotation.from_matrix(result.wanted_pose[-1, :3, :3]).magnitude()
+    first, last = Rotation.from_matrix(plan.object_pose[[0, -1], :3, :3])
+    goal = (last * first.inv()).magnitude()
     yield paragraph(
-        f"The object is to turn by {math.degrees(goal):.3g} degrees. It ends "
-        f"{1e3 * told.off[-1]:.3g} mm and {math.degrees(told.turned_off[-1]):.3g} degrees from its "
-        f"goal; on the way it was off its path by {1e3 * told.off.max():.3g} mm and "
+        f"The object is to turn by {math.degrees(goal):.3g} degrees. At the end it is "
+        f"{1e3 * told.off[-1]:.3g} mm and {math.degrees(told.turned_off[-1]):.3g} degrees from "
+        f"where it is to be then; on the way it was off its path by {1e3 * told.off.max():.3g} mm and "
         f"{math.degrees(told.turned_off.max()):.3g} degrees at most."
     )
     k, j = int(np.argmax(told.torque_share)), int(np.argmin(told.room))
