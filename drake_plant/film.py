@@ -41,7 +41,7 @@ VIEW = np.array([math.sqrt(0.75), 0.0, 0.5])
 """From what is seen to the camera, whose right is y."""
 ASIDE = np.array([0.4, 0.7, 0.6]) / math.hypot(0.4, 0.7, 0.6)
 """Where the finger that is followed is held: beside the line of sight, so that contact is seen."""
-HAND_VIEW = [0.24, 0.14, 0.06]
+HAND_VIEW = [0.19, 0.11, 0.05]
 """Where the camera is that sees a hand, m."""
 SEES = math.radians(75.0)  # the angle of Meshcat's camera
 AROUND = 2.2  # what is seen beyond the object or the contacts, in sizes of the largest finger

@@ -79,7 +79,6 @@ class HandDriver(LeafSystem):
         self._at_v = [joint.velocity_start() for joint in joints]
         self._free = scene_plant.object_body.floating_velocities_start_in_v()
         self._gains = config.position_gain, config.velocity_gain
-        self._times = plan.t
         self._table = _Table(plan)
         made = partial(Chains, plan.hand, plan.rolling, config.finger_mass, config.gravity)
         self._chains = PerThread(made, {})
@@ -107,12 +106,10 @@ class HandDriver(LeafSystem):
         torque = torque - chains.plant.CalcGravityGeneralizedForces(chains.context)
         torque += POSTURE * (want["q"] - q) + POSTURE_DAMPING * (want["v"] - v)
         for i, force in enumerate(want["forces"]):
-            X, J = chains.pose(i), chains.jacobian(i)
-            p = want["tips"][i]
-            p = p + shift + cross(turn, p - want["place"])
-            arm = want["arms"][i]
-            pull = force + K * (p - X.translation()) + D * (want["tip_rates"][i] - J[3:] @ v)
-            torque += J[3:].T @ pull + J[:3].T @ cross(arm, force)
+            J, p = chains.jacobian(i), want["tips"][i]
+            off = p + shift + cross(turn, p - want["place"]) - chains.pose(i).translation()
+            pull = force + K * off + D * (want["tip_rates"][i] - J[3:] @ v)
+            torque += J[3:].T @ pull + J[:3].T @ cross(want["arms"][i], force)
         return np.clip(torque, -chains.effort, chains.effort)
 
     def _CalcTorque(self, context: Context, output: BasicVector) -> None:
@@ -137,7 +134,7 @@ class HandDriver(LeafSystem):
         now = state.get_mutable_discrete_state().get_mutable_value()
         now += CORRECTION * self._step * off
         for part, most in ((now[:3], MOST[1]), (now[3:], MOST[0])):
-            part *= min(1.0, most / max(np.linalg.norm(part), 1e-9))
+            part *= min(1.0, most / max(float(np.linalg.norm(part)), 1e-9))
 
 
 class _Table:

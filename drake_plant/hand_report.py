@@ -83,7 +83,7 @@ def cones_used(result: HandResult) -> Array:
 def hand_lines(result: HandResult) -> Iterable[str]:
     """What the command line tells of a hand."""
     told, plan = hand_report(result), result.plan
-    head = (("finger", ""), ("normal force", "N"), ("cone planned", ""), ("cone measured", ""))
+    head = [("finger", ""), ("normal force", "N"), ("cone planned", ""), ("cone measured", "")]
     head += (("slip", "mm"), ("off object", "s"), ("spin", "degrees"))
     normal = result.measured["normal_force"][1:].mean(axis=0)
     spin = np.abs(np.trapezoid(plan.spin, plan.t, axis=0))
@@ -105,7 +105,8 @@ def hand_lines(result: HandResult) -> Iterable[str]:
     yield paragraph(
         f"The object is to turn by {math.degrees(goal):.3g} degrees. At the end it is "
         f"{1e3 * told.off[-1]:.3g} mm and {math.degrees(told.turned_off[-1]):.3g} degrees from "
-        f"where it is to be then; on the way it was off its path by {1e3 * told.off.max():.3g} mm and "
+        "where it is to be then; on the way it was off its path by "
+        f"{1e3 * told.off.max():.3g} mm and "
         f"{math.degrees(told.turned_off.max()):.3g} degrees at most."
     )
     k, j = int(np.argmax(told.torque_share)), int(np.argmin(told.room))
@@ -127,9 +128,9 @@ def hand_lines(result: HandResult) -> Iterable[str]:
 
 def draw_errors(ax: Any, result: HandResult) -> None:
     told = hand_report(result)
-    ax.plot(result.t, 1e3 * told.off, color=INK, linewidth=1.2, label="place [mm]")
+    ax.plot(result.t, 1e3 * told.off, color=INK, linewidth=1.2)
     angle = np.degrees(told.turned_off)
-    ax.plot(result.t, angle, color=INK, linewidth=1.2, linestyle=":", label="angle [degrees]")
+    ax.plot(result.t, angle, color=INK, linewidth=1.2, linestyle=":")
     ax.set_title("Object off its path (dotted: angle, degrees)", loc="left", weight="bold")
     ax.set_ylabel("distance [mm]")
     ax.set_ylim(bottom=0.0)

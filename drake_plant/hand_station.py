@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram, DiagramBuilder, EventStatus
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
 
 from .contact_monitor import ContactMonitor
 from .hand_driver import HandDriver
@@ -87,7 +87,7 @@ def simulate_hand(
 ) -> HandResult:
     """Simulate a plan from its start: see :func:`simulate`; film, which is written to recording."""
     begun = time.perf_counter()
-    station, parts = BuildHandStation(plan, film and film.Add)
+    station, parts = BuildHandStation(plan, None if film is None else film.Add)
     simulator = Simulator(station)
     root = simulator.get_mutable_context()
     monitor, driver = map(station.GetSubsystemByName, ("monitor", "driver"))
@@ -97,7 +97,7 @@ def simulate_hand(
     rows: list[list[Array]] = []
     times: list[float] = []
 
-    def note(context) -> EventStatus:
+    def note(context: Context) -> EventStatus:
         now = context.get_time()
         if times and now < times[-1] + 0.999 * LOGGED:
             return EventStatus.DidNothing()

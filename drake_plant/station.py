@@ -102,6 +102,11 @@ def build(
     config: StationConfig,
     extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None,
 ) -> tuple[Diagram, ScenePlant]:
+    if config.hand is not None:
+        raise SceneError(
+            f"{scene.title}: a hand holds its fingertips: give plan_reorientation(hand, scene) to "
+            "BuildHandStation"
+        )
     builder = DiagramBuilder()
     parts = AddScenePlant(builder, scene, config)
     planned = rolling_scene(scene, config)
