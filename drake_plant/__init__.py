@@ -19,6 +19,10 @@ from .config import Push, StationConfig
 from .contact_monitor import ContactMonitor
 from .fingertip_driver import FingertipDriver
 from .force_balancer import ForceBalancer
+from .hand import Hand
+from .hand_driver import HandDriver
+from .hand_report import HandReport, hand_report
+from .hand_station import BuildHandStation, HandResult, simulate_hand
 from .measures import contact_table, object_report, outcome, push_table
 from .plan_source import PlanSource
 from .planner_system import ContactPlanner
@@ -27,6 +31,7 @@ from .plots import plot
 from .pressing import rolling_scene
 from .pushes import PushSource
 from .recording import Recording
+from .reorientation import Reorientation, plan_reorientation
 from .simulation import SimulationResult, simulate
 from .station import BuildStation, SetInitialState
 from .trajectories import ContactTrajectories, MakeTrajectories
@@ -46,27 +51,36 @@ def __getattr__(name: str) -> Any:
 
 __all__ = [  # what a star imports: FmuSystem needs fmpy
     "AddScenePlant",
+    "BuildHandStation",
     "BuildStation",
     "ContactMonitor",
     "ContactPlanner",
     "ContactTrajectories",
     "FingertipDriver",
     "ForceBalancer",
+    "Hand",
+    "HandDriver",
+    "HandReport",
+    "HandResult",
     "MakeTrajectories",
     "PlanSource",
     "Push",
     "PushSource",
     "Recording",
+    "Reorientation",
     "ScenePlant",
     "SetInitialState",
     "SimulationResult",
     "StationConfig",
     "balancing_forces",
     "contact_table",
+    "hand_report",
     "object_report",
     "outcome",
+    "plan_reorientation",
     "plot",
     "push_table",
     "rolling_scene",
     "simulate",
+    "simulate_hand",
 ]

@@ -22,6 +22,8 @@ from contact_system.writing import writing
 
 from . import plots
 from .config import StationConfig
+from .hand_report import HAND_PANELS, hand_lines
+from .hand_station import HandResult
 from .measures import EDGE, SATURATED, ContactReport, contact_table, object_report, push_table
 from .simulation import SimulationResult, simulate
 
@@ -89,7 +91,8 @@ def _written(
         yield f"wrote {stem.with_suffix(suffix)}"
         progress.step("drawing" if suffix == ".csv" else "writing")
     try:
-        plots.plot(result, stem.with_suffix(".png"), opened=opened)
+        panels = HAND_PANELS if isinstance(result, HandResult) else ()
+        plots.plot(result, stem.with_suffix(".png"), opened=opened, panels=panels)
         yield f"wrote {stem.with_suffix('.png')}"
     except MissingMatplotlib as error:
         yield f"no picture: {error}"
@@ -144,6 +147,9 @@ def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable
         f"built in {result.build_time:.1f} s"
     )
     yield ""
+    if isinstance(result, HandResult):
+        yield from hand_lines(result)
+        return
     yield from _forces(reports)
     yield from _explained(
         f"Normal force: excluding {EDGE:g} s after the start and around a disturbance's edges. "

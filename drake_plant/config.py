@@ -8,9 +8,18 @@ from typing import Any
 import numpy as np
 
 from contact_system import Scene, SceneError
-from contact_system.checks import did_you_mean, finite_number, flag, known_keys, naming
+from contact_system.checks import (
+    did_you_mean,
+    finite_number,
+    finite_numbers,
+    flag,
+    known_keys,
+    naming,
+)
 from contact_system.scene import require_scene
 from contact_system.system import COORDINATES
+
+from .hand import Hand
 
 LOOK = 0.01
 """How often a planner looks at the distance from the plan where no period is given, s."""
@@ -164,6 +173,13 @@ class StationConfig:
         the driver's ``slip_gain``; a restart serves where the way back to the curve is too long.
     pushes : list of Push
         Where there are any, they are what the port `push` would give.
+    hand : Hand or None
+        Fingertips are on its joints, and not free (see :func:`plan_reorientation`).
+    turn : list of list of float
+        Rotation vectors in the world, degrees, by which a hand turns the object one after another;
+        the object takes the shortest way to where they lead.
+    move : list of float
+        By how much it moves the object's middle, m.
     """
 
     time_step: float = 1e-3
@@ -192,6 +208,9 @@ class StationConfig:
     restart_period: float | None = None
     restart_distance: float | None = None
     pushes: list[Push] = field(default_factory=list)
+    hand: Hand | None = None
+    turn: list[list[float]] = field(default_factory=list)
+    move: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
 
     @property
     def balances(self) -> bool:
@@ -248,6 +267,19 @@ class StationConfig:
         if self.restarts and self.time_step:
             self._check_restarts()
         check_pushes(scene, self.pushes)
+        if self.hand is not None:
+            self._check_hand(scene)
+
+    def _check_hand(self, scene: Scene) -> None:
+        require_config(self.hand, Hand, "hand")
+        assert self.hand is not None
+        self.hand.check(len(scene.contacts))
+        vectors = {"move": self.move} | {f"turn[{k}]": turn for k, turn in enumerate(self.turn)}
+        for name, vector in vectors.items():
+            if len(finite_numbers(vector, name)) != 3:
+                raise SceneError(f"{name} = {vector!r}: give three numbers")
+        if self.object != "free" or not self.time_step:
+            raise SceneError('hand: it needs object = "free" and a time_step above 0')
 
     def _check_number(self, key: str, bound: str) -> None:
         value = getattr(self, key)
@@ -285,6 +317,9 @@ class StationConfig:
         with naming(f"{scene.title}, [drake]"):
             known_keys(table, sorted(f.name for f in dataclasses.fields(cls)))
             config = cls(**table)
+            if isinstance(config.hand, dict):
+                known_keys(config.hand, [f.name for f in dataclasses.fields(Hand)], "hand: ")
+                config.hand = Hand(**config.hand)
             config.pushes = _pushes(config.pushes)
             config.check(scene)
         return config

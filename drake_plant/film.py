@@ -41,6 +41,8 @@ VIEW = np.array([math.sqrt(0.75), 0.0, 0.5])
 """From what is seen to the camera, whose right is y."""
 ASIDE = np.array([0.4, 0.7, 0.6]) / math.hypot(0.4, 0.7, 0.6)
 """Where the finger that is followed is held: beside the line of sight, so that contact is seen."""
+HAND_VIEW = [0.19, 0.11, 0.05]
+"""Where the camera is that sees a hand, m."""
 SEES = math.radians(75.0)  # the angle of Meshcat's camera
 AROUND = 2.2  # what is seen beyond the object or the contacts, in sizes of the largest finger
 TURN = 0.4  # most of a turn a frame, rad: going over to another finger is seen, not a cut
@@ -98,6 +100,9 @@ def draw(meshcat: Meshcat, result: SimulationResult) -> None:
         for _, start, stop in sorted(event for event in acting if event[0] == on):
             recording.SetProperty(recording.frame(start), path, "visible", True)
             recording.SetProperty(recording.frame(stop), path, "visible", False)
+    if result.config.hand is not None:  # up is up
+        meshcat.SetCameraPose(HAND_VIEW, [0.0, 0.0, -0.6 * scene.object.size])
+        return
     middle = look_at(meshcat, scene, result.measured["contact_point"])
     for frame, X in enumerate(_views(result, acting, middle, times, frames)):
         recording.SetTransform(frame, FILM, X)

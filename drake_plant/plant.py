@@ -78,6 +78,7 @@ from contact_system.scene import require_scene
 from .config import EDGES, StationConfig, require_config
 from .domains import Domain, domain_of
 from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
+from .hand_kinematics import add_hand
 from .meshes import SurfaceMesh, contact_mesh
 from .pressing import check_depth, contact_depth
 from .touches import Touch, touches_of
@@ -221,10 +222,13 @@ def _add(
     for i, (contact, touch) in enumerate(zip(scene.contacts, touches)):
         colour = rgba(colour_of(i), OPACITY)
         fingers.append(_add_finger(plant, names[i], contact.finger, config, touch, colour))
+    carried = CollisionFilterDeclaration()
+    if config.hand is not None:
+        links = add_hand(plant, config.hand, scene, fingers)
+        carried.ExcludeWithin(links)
+        carried.ExcludeBetween(links, GeometrySet(plant.GetCollisionGeometriesForBody(object_body)))
     geometries = [g for body in fingers for g in plant.GetCollisionGeometriesForBody(body)]
-    scene_graph.collision_filter_manager().Apply(
-        CollisionFilterDeclaration().ExcludeWithin(GeometrySet(geometries))
-    )
+    scene_graph.collision_filter_manager().Apply(carried.ExcludeWithin(GeometrySet(geometries)))
     if config.object == "welded":
         plant.WeldFrames(plant.world_frame(), object_body.body_frame())
     turning = scene.turning if config.object == "turning" else None

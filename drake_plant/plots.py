@@ -7,6 +7,7 @@ matplotlib is imported only when a picture is asked for.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,6 +46,7 @@ def plot(
     path: str | os.PathLike,
     dpi: int = 160,
     opened: SimulationResult | None = None,
+    panels: Sequence[Callable[..., None]] = (),
 ) -> None:
     """One picture: contact curves on the object; slip, forces and distances over time.
 
@@ -57,6 +59,8 @@ def plot(
         Dots an inch, 10 to 2400; the picture is 13 by 9 inches.
     opened : SimulationResult, optional
         The same with the loop open, to be drawn beside it.
+    panels : sequence of callable, optional
+        Four that draw a result on axes, in the place of the usual ones.
 
     Raises
     ------
@@ -69,7 +73,7 @@ def plot(
         draw_title(left, planned)
         _draw_curves(left.add_axes((0.02, 0.18, 0.96, 0.68)), result, planned)
         _key(left.add_axes((0.05, 0.02, 0.9, 0.15)), result)
-        panels = (_draw_slip, _draw_normal, _draw_friction, _draw_distance)
+        panels = panels or (_draw_slip, _draw_normal, _draw_friction, _draw_distance)
         for k, draw in enumerate(panels):
             axes = right.add_axes((0.12, 0.785 - 0.24 * k, 0.84, 0.175))
             draw(axes, result)

@@ -20,6 +20,7 @@ from contact_system.checks import a_path, finite_number, function_or_none
 
 from .config import StationConfig
 from .plant import ScenePlant
+from .reorientation import plan_reorientation
 from .station import SetInitialState, build, checked
 
 Array = NDArray[np.float64]
@@ -120,6 +121,12 @@ def simulate(
         from .recording import Recording
 
         film = Recording()
+
+    if config.hand is not None:
+        from .hand_station import simulate_hand
+
+        planned_hand = plan_reorientation(config.hand, scene, config=config)
+        return simulate_hand(planned_hand, duration, progress, film, recording)
 
     begun = time.perf_counter()
     station, parts = build(scene, config, None if film is None else film.Add)

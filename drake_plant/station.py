@@ -106,6 +106,11 @@ def build(
     config: StationConfig,
     extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None,
 ) -> tuple[Diagram, ScenePlant]:
+    if config.hand is not None:
+        raise SceneError(
+            f"{scene.title}: a hand holds its fingertips: give plan_reorientation(hand, scene) to "
+            "BuildHandStation"
+        )
     builder, least = DiagramBuilder(), config.normal_force
     config = pressed_config(scene, config)
     parts = AddScenePlant(builder, scene, config)

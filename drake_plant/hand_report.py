@@ -1,0 +1,168 @@
+"""What a hand did with its object, told and drawn: errors, friction, torques, limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from contact_system.cli import paragraph, table
+from contact_system.plots import INK, colour_of
+
+from .hand_station import HandResult
+from .measures import EDGE
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HandReport:
+    """Measures of a simulated hand. SI units, angles in rad; n fingers.
+
+    Attributes
+    ----------
+    off, turned_off : (m,)
+        Distance of the object's origin from its path, and angle of its orientation.
+    slipped, lost : (n,)
+        Slip summed while touching, m, and time off the object, s.
+    cones_planned, cones : (n,)
+        The greatest part of a friction cone that is used; measured outside pushes and 0.1 s after.
+    torque_share : (nq,)
+        Greatest torque over its limit, in plan and run.
+    room : (nq,)
+        How near a joint comes to a limit, negative beyond it, in plan and run.
+    """
+
+    off: Array
+    turned_off: Array
+    slipped: Array
+    lost: Array
+    cones_planned: Array
+    cones: Array
+    torque_share: Array
+    room: Array
+
+
+def hand_report(result: HandResult) -> HandReport:
+    """Measure what a hand did."""
+    plan, chains, t = result.plan, result.plan.chains, result.t
+    X, wanted = result.object_pose, result.wanted_pose
+    apart = Rotation.from_matrix(X[:, :3, :3]) * Rotation.from_matrix(wanted[:, :3, :3]).inv()
+    touches, steps = result.measured["normal_force"] > 0, np.diff(t, prepend=t[0])
+    slip = np.linalg.norm(result.measured["slip"], axis=2)
+    pushed = np.zeros(len(t), bool)
+    for push in result.config.pushes:
+        pushed |= (t >= push.start) & (t < push.stop + EDGE)
+    torques, q = np.vstack([plan.torques, result.torque]), np.vstack([plan.q, result.q])
+    room = np.minimum(q - chains.lower, chains.upper - q).min(axis=0)
+    return HandReport(
+        off=np.linalg.norm(X[:, :3, 3] - wanted[:, :3, 3], axis=1),
+        turned_off=apart.magnitude(),
+        slipped=steps @ (slip * touches),
+        lost=steps[1:] @ ~touches[1:],
+        cones_planned=plan.cones.max(axis=0),
+        cones=cones_used(result)[~pushed].max(axis=0),
+        torque_share=(np.abs(torques) / chains.effort).max(axis=0),
+        room=room,
+    )
+
+
+def cones_used(result: HandResult) -> Array:
+    """Part of each friction cone that is used, (m, n); 0 off the object."""
+    normal = result.measured["normal_force"]
+    friction = np.linalg.norm(result.measured["tangential_force"], axis=2)
+    limit = result.config.friction * normal
+    return np.divide(friction, limit, out=np.zeros_like(normal), where=normal > 0)
+
+
+def hand_lines(result: HandResult) -> Iterable[str]:
+    """What the command line tells of a hand."""
+    told, plan = hand_report(result), result.plan
+    head = [("finger", ""), ("normal force", "N"), ("cone planned", ""), ("cone measured", "")]
+    head += (("slip", "mm"), ("off object", "s"), ("spin", "degrees"))
+    normal = result.measured["normal_force"][1:].mean(axis=0)
+    spin = np.abs(np.trapezoid(plan.spin, plan.t, axis=0))
+    rows = [
+        (
+            result.scene.contact_name(i),
+            f"{normal[i]:.3f}",
+            f"{told.cones_planned[i]:.1%}",
+            f"{told.cones[i]:.1%}",
+            f"{1e3 * told.slipped[i]:.3f}",
+            f"{told.lost[i]:.3f}",
+            f"{math.degrees(spin[i]):.1f}",
+        )
+        for i in range(len(normal))
+    ]
+    yield from (*table(head, rows, 1), "")
+    first, last = Rotation.from_matrix(plan.object_pose[[0, -1], :3, :3])
+    goal = (last * first.inv()).magnitude()
+    yield paragraph(
+        f"The object is to turn by {math.degrees(goal):.3g} degrees. At the end it is "
+        f"{1e3 * told.off[-1]:.3g} mm and {math.degrees(told.turned_off[-1]):.3g} degrees from "
+        "where it is to be then; on the way it was off its path by "
+        f"{1e3 * told.off.max():.3g} mm and "
+        f"{math.degrees(told.turned_off.max()):.3g} degrees at most."
+    )
+    k, j = int(np.argmax(told.torque_share)), int(np.argmin(told.room))
+    yield paragraph(
+        f"Torques: {told.torque_share[k]:.0%} of the limit at most, at {plan.joints[k]}. Joints: "
+        f"{plan.joints[j]} comes to {math.degrees(told.room[j]):.3g} degrees from a limit."
+    )
+    yield ""
+    yield paragraph(
+        "Cone: part of the friction cone that is used, measured outside pushes and 0.1 s after. "
+        "Slip: summed. Spin: how far the plan turns the finger about the normal, which point "
+        "contact does not resist."
+    )
+    yield ""
+
+
+# --- panels of its picture ---------------------------------------------------------------------
+
+
+def draw_errors(ax: Any, result: HandResult) -> None:
+    told = hand_report(result)
+    ax.plot(result.t, 1e3 * told.off, color=INK, linewidth=1.2)
+    angle = np.degrees(told.turned_off)
+    ax.plot(result.t, angle, color=INK, linewidth=1.2, linestyle=":")
+    ax.set_title("Object off its path (dotted: angle, degrees)", loc="left", weight="bold")
+    ax.set_ylabel("distance [mm]")
+    ax.set_ylim(bottom=0.0)
+
+
+def draw_cones(ax: Any, result: HandResult) -> None:
+    for i, used in enumerate(cones_used(result).T):
+        ax.plot(result.t, used, color=colour_of(i), linewidth=1.2)
+        ax.plot(result.plan.t, result.plan.cones[:, i], color=colour_of(i), linestyle="--")
+    ax.axhline(0.9, color=INK, linewidth=0.9, linestyle=":")
+    ax.set_title("Part of the friction cone (dashed: planned)", loc="left", weight="bold")
+    ax.set_ylabel(r"$f_t / \mu N$")
+    ax.set_ylim(0.0, 1.0)
+
+
+def draw_torques(ax: Any, result: HandResult) -> None:
+    for i, own in enumerate(result.plan.chains.joints):
+        share = np.abs(result.torque[:, own]) / result.plan.chains.effort[own]
+        ax.plot(result.t, share, color=colour_of(i), linewidth=0.9)
+    ax.set_title("Torques over their limits, each joint", loc="left", weight="bold")
+    ax.set_ylabel("part")
+    ax.set_ylim(0.0, 1.0)
+
+
+def draw_slip(ax: Any, result: HandResult) -> None:
+    steps = np.diff(result.t, prepend=result.t[0])[:, None]
+    summed = np.cumsum(steps * np.linalg.norm(result.measured["slip"], axis=2), axis=0)
+    for i, slipped in enumerate(1e3 * summed.T):
+        ax.plot(result.t, slipped, color=colour_of(i), linewidth=1.2)
+    ax.set_title("Slip, summed", loc="left", weight="bold")
+    ax.set_ylabel("slip [mm]")
+    ax.set_ylim(bottom=0.0)
+
+
+HAND_PANELS = (draw_errors, draw_slip, draw_cones, draw_torques)

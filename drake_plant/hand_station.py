@@ -1,0 +1,156 @@
+"""A hand, its object, driver and monitor in one Diagram, simulated from the start of a plan."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
+
+from .contact_monitor import ContactMonitor
+from .hand_driver import HandDriver
+from .plant import AddScenePlant, ScenePlant
+from .pushes import PushSource
+from .recording import Recording
+from .reorientation import Reorientation
+from .simulation import LOGGED, MEASURED, SimulationResult
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class HandResult(SimulationResult):
+    """A :class:`SimulationResult` of a hand, and besides, m times:
+
+    Attributes
+    ----------
+    plan : Reorientation
+    wanted_pose : (m, 4, 4)
+        X_WO as planned.
+    q, torque : (m, nq)
+    """
+
+    plan: Reorientation
+    wanted_pose: Array
+    q: Array
+    torque: Array
+
+
+def BuildHandStation(
+    plan: Reorientation, extend: Callable[[DiagramBuilder, ScenePlant], None] | None = None
+) -> tuple[Diagram, ScenePlant]:
+    """Plant, :class:`HandDriver` and :class:`ContactMonitor` of a plan, wired.
+
+    The systems are named "plant", "scene_graph", "driver", "monitor", and "push" where there are
+    pushes; else the driver's port is exported as `push`. The plant's default state is the start.
+    """
+    builder = DiagramBuilder()
+    parts = AddScenePlant(builder, plan.scene, plan.config)
+    plant = parts.plant
+    driver = builder.AddNamedSystem("driver", HandDriver(plan, parts))
+    monitor = builder.AddNamedSystem("monitor", ContactMonitor(plan.rolling, parts))
+    for source, target, name in (
+        (plant, driver, "state"),
+        (plant, driver, "body_poses"),
+        (plant, monitor, "contact_results"),
+        (plant, monitor, "body_poses"),
+        (plant, monitor, "body_spatial_velocities"),
+    ):
+        builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
+    builder.Connect(
+        driver.GetOutputPort("generalized_force"), plant.get_applied_generalized_force_input_port()
+    )
+    if plan.config.pushes:
+        source = builder.AddNamedSystem("push", PushSource(plan.scene, plan.config.pushes))
+        builder.Connect(source.get_output_port(), driver.GetInputPort("push"))
+    else:
+        builder.ExportInput(driver.GetInputPort("push"), "push")
+    plant.SetDefaultFloatingBaseBodyPose(parts.object_body, plan.path.GetPose(0.0))
+    for name, angle in zip(plan.joints, plan.q[0]):
+        plant.GetJointByName(name).set_default_positions([angle])
+    if extend is not None:
+        extend(builder, parts)
+    return builder.Build(), parts
+
+
+def simulate_hand(
+    plan: Reorientation,
+    duration: float | None = None,
+    progress: Callable[[float], None] | None = None,
+    film: Recording | None = None,
+    recording: Path | None = None,
+) -> HandResult:
+    """Simulate a plan from its start: see :func:`simulate`; film, which is written to recording."""
+    begun = time.perf_counter()
+    station, parts = BuildHandStation(plan, None if film is None else film.Add)
+    simulator = Simulator(station)
+    root = simulator.get_mutable_context()
+    monitor, driver = map(station.GetSubsystemByName, ("monitor", "driver"))
+    seen, physics = monitor.GetMyContextFromRoot(root), parts.plant.GetMyContextFromRoot(root)
+    torques, own = driver.GetOutputPort("torque"), driver.GetMyContextFromRoot(root)
+    joints = [parts.plant.GetJointByName(name).position_start() for name in plan.joints]
+    rows: list[list[Array]] = []
+    times: list[float] = []
+
+    def note(context: Context) -> EventStatus:
+        now = context.get_time()
+        if times and now < times[-1] + 0.999 * LOGGED:
+            return EventStatus.DidNothing()
+        times.append(now)
+        row = [monitor.Evaluate(seen, name).copy() for name in MEASURED]
+        pose = parts.object_body.EvalPoseInWorld(physics).GetAsMatrix4()
+        q = parts.plant.GetPositions(physics)[joints]
+        rows.append([*row, pose, q, torques.Eval(own).copy()])
+        if progress is not None:
+            progress(now)
+        return EventStatus.DidNothing()
+
+    simulator.set_monitor(note)
+    simulator.Initialize()
+    built = time.perf_counter()
+    simulator.AdvanceTo(plan.scene.duration if duration is None else duration)
+    finished = time.perf_counter()
+    *columns, poses, q, torque = map(np.array, zip(*rows))
+    measured = dict(zip(MEASURED, columns))
+    measured["normal_force"] = measured["normal_force"][:, :, 0]
+    t = np.array(times)
+    wanted = np.array([plan.path.GetPose(x).GetAsMatrix4() for x in t])
+    result = HandResult(
+        plan.rolling,
+        plan.config,
+        t,
+        _planned(plan, t),
+        measured,
+        poses,
+        built - begun,
+        finished - built,
+        plan,
+        wanted,
+        q,
+        torque,
+    )
+    if film is not None and recording is not None:
+        film.Save(recording, result)
+    return result
+
+
+def _planned(plan: Reorientation, t: Array) -> dict[str, Array]:
+    """Planned states, slip and contact points on the object, as a SimulationResult has them."""
+    m = len(plan.t)
+
+    def at(values: Array) -> Array:
+        rows = values.reshape(m, -1)
+        found = np.column_stack([np.interp(t, plan.t, column) for column in rows.T])
+        return found.reshape(len(t), *values.shape[1:])
+
+    states = at(np.unwrap(plan.states, axis=0))
+    return {
+        "state": states,
+        "slip": np.zeros((*states.shape[:2], 2)),
+        "contact_point": at(plan.points[:, :, 1]),
+    }

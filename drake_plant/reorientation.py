@@ -1,0 +1,313 @@
+"""Turn an object in the fingers: its path, joints that roll along, forces, and why not."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.eigen_geometry import AngleAxis
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.tree import MultibodyForces, SpatialInertia
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation
+
+from contact_system import Ellipsoid, Scene, SceneError
+from contact_system.checks import naming
+
+from .balance import balancing_forces, friction_used, needed_wrench
+from .config import StationConfig
+from .hand import Hand
+from .hand_kinematics import Chains
+from .pressing import rolling_scene
+
+Array = NDArray[np.float64]
+
+NODES = 17  # times of a plan, evenly from the start of the motion to its end
+BEGIN, END = 0.1, 0.75  # of the duration, when the object begins to move, and rests
+
+
+class ShortestPath:
+    """From one pose to another about one axis and along one line, from rest to rest.
+
+    It answers as Drake's PiecewisePose does, which may be given in its place.
+    """
+
+    def __init__(self, X_WO: RigidTransform, X_WO_goal: RigidTransform, start: float, stop: float):
+        turn = (X_WO_goal.rotation() @ X_WO.rotation().inverse()).ToAngleAxis()
+        self._from, self._axis, self._angle = X_WO, turn.axis(), turn.angle()
+        self._way = X_WO_goal.translation() - X_WO.translation()
+        self._start, self._time = start, stop - start
+
+    def _along(self, t: float) -> tuple[float, float, float]:
+        """Part of the way, and its first and second derivative."""
+        x, T = min(max((t - self._start) / self._time, 0.0), 1.0), self._time
+        return (
+            x**3 * (10 + x * (6 * x - 15)),
+            30 * x**2 * (1 - x) ** 2 / T,
+            60 * x * (1 - x) * (1 - 2 * x) / T**2,
+        )
+
+    def GetPose(self, t: float) -> RigidTransform:
+        s, _, _ = self._along(t)
+        turn = RotationMatrix(AngleAxis(s * self._angle, self._axis))
+        place = self._from.translation() + s * self._way
+        return RigidTransform(turn @ self._from.rotation(), place)
+
+    def GetVelocity(self, t: float) -> Array:
+        return self._along(t)[1] * np.append(self._angle * self._axis, self._way)
+
+    def GetAcceleration(self, t: float) -> Array:
+        return self._along(t)[2] * np.append(self._angle * self._axis, self._way)
+
+
+@dataclass(frozen=True)
+class Reorientation:
+    """How a hand turns an object: of :func:`plan_reorientation`. m times, n fingers; SI units.
+
+    Attributes
+    ----------
+    hand, scene, config
+        As given.
+    rolling : Scene
+        Its contacts are where the fingers begin, on the radii that bodies roll on.
+    path : PiecewisePose, or what answers as it does
+        X_WO.
+    t : (m,)
+    object_pose : (m, 4, 4)
+        X_WO.
+    q, v, a : (m, nq)
+        Of the joints, in the order of `joints`.
+    points : (m, n, 2, 3)
+        Contact points on finger and object, each in its body's frame.
+    normals, forces : (m, n, 3)
+        Normals into the object and forces on it, in the world.
+    states : (m, n, 9)
+        As :meth:`contact_system.Plan.states` has them.
+    slip, spin : (m, n)
+        Speed at the contact, m/s, and of turning about the normal, rad/s.
+    cones : (m, n)
+        Part of each friction cone that is used.
+    torques : (m, nq)
+    joints : list of str
+    """
+
+    hand: Hand
+    scene: Scene
+    config: StationConfig
+    rolling: Scene
+    path: Any
+    t: Array
+    object_pose: Array
+    q: Array
+    v: Array
+    a: Array
+    points: Array
+    normals: Array
+    forces: Array
+    states: Array
+    slip: Array
+    spin: Array
+    cones: Array
+    torques: Array
+    joints: list[str]
+    chains: Chains = field(repr=False, compare=False)
+
+
+def goal_of(config: StationConfig) -> RigidTransform:
+    """X_WO to which the `turn` and `move` of a scene's table lead."""
+    R = Rotation.identity()
+    for turn in config.turn:
+        R = Rotation.from_rotvec(turn, degrees=True) * R
+    return RigidTransform(RotationMatrix(R.as_matrix()), config.move)
+
+
+def plan_reorientation(
+    hand: Hand,
+    scene: Scene,
+    X_WO_goal: RigidTransform | None = None,
+    path: Any = None,
+    config: StationConfig | None = None,
+) -> Reorientation:
+    """Plan how a hand brings an object from the world's origin to a pose, rolling on it.
+
+    Every finger keeps its contact and rolls without slip: of a finger with four joints the curves
+    on both bodies follow from the object's path, but for one freedom, which keeps pads and joints
+    near their middles. Forces balance weight and acceleration in 80 % of the friction cones, with
+    at least the scene's ``normal_force``.
+
+    Parameters
+    ----------
+    hand : Hand
+    scene : Scene
+        Its contacts are where fingers touch at the start; of a ``finger_at`` only the place counts,
+        as the middle of the pad. Its ``[drake]`` table tells masses, friction and gravity.
+    X_WO_goal : RigidTransform, optional
+        None: where the table's `turn` and `move` lead.
+    path : PiecewisePose, optional
+        X_WO from 0 to the scene's duration; None: the shortest path, from rest to rest.
+    config : StationConfig, optional
+        None: what the table says.
+
+    Raises
+    ------
+    SceneError
+        A finger that does not reach, with the joint and its limit; a contact that leaves its pad;
+        forces that nothing balances, with the wrench that is left; a torque beyond its limit.
+    """
+    if config is None:
+        config = StationConfig.from_scene(scene)
+    with naming(scene.title):
+        hand.check(len(scene.contacts))
+        rolling = rolling_scene(scene, config)
+        chains = Chains(hand, rolling, config.finger_mass, config.gravity)
+        t = np.linspace(BEGIN * scene.duration, END * scene.duration, NODES)
+        if path is None:
+            goal = goal_of(config) if X_WO_goal is None else X_WO_goal
+            path = ShortestPath(RigidTransform(), goal, t[0], t[-1])
+        else:
+            t = np.linspace(0, scene.duration, 2 * NODES)
+        q, v = _rolled(chains, path, t)
+        chains.refuse_limits(t, q)
+        return _completed(hand, scene, config, path, chains, t, q, v)
+
+
+def _rolled(chains: Chains, path: Any, t: Array) -> tuple[Array, Array]:
+    """Joints that roll along, and their velocities, (m, nq): Runge and Kutta's method."""
+    scene = chains.scene
+    at = np.array([[scene.object.point(*c.object_at)] for c in scene.contacts])[:, 0]
+    normals = np.array([scene.object.normal(*c.object_at) for c in scene.contacts])
+    X = path.GetPose(t[0])
+    R = X.rotation().matrix()
+    q = chains.reach(at @ R.T + X.translation(), normals @ R.T)
+
+    def rates(time: float, q: Array) -> Array:
+        return chains.rolling(q, path.GetPose(time), np.ravel(path.GetVelocity(time)))
+
+    every, velocities = [q], [rates(t[0], q)]
+    for a, b in zip(t, t[1:]):
+        h, k1 = b - a, velocities[-1]
+        k2 = rates(a + h / 2, q + h / 2 * k1)
+        k3 = rates(a + h / 2, q + h / 2 * k2)
+        k4 = rates(b, q + h * k3)
+        q = q + h / 6 * (k1 + 2 * (k2 + k3) + k4)
+        every.append(q)
+        velocities.append(rates(b, q))
+    return np.array(every), np.array(velocities)
+
+
+def _completed(
+    hand: Hand,
+    given: Scene,
+    config: StationConfig,
+    path: Any,
+    chains: Chains,
+    t: Array,
+    q: Array,
+    v: Array,
+) -> Reorientation:
+    scene, X = chains.scene, [path.GetPose(time) for time in t]
+    R = np.array([pose.rotation().matrix() for pose in X])
+    V, A = (
+        np.array([np.ravel(get(x)) for x in t]) for get in (path.GetVelocity, path.GetAcceleration)
+    )
+    found = _contacts(chains, X, V, q, v)
+    points, states = found[..., 13:19].reshape(*found.shape[:2], 2, 3), found[..., 2:11]
+    _refuse_pads(scene, hand, t, points[:, :, 0])
+    normals, arms = (
+        np.einsum("mij,mnj->mni", R, part) for part in (-found[..., 25:28], points[:, :, 1])
+    )
+    inertia = object_inertia(scene, config.object_mass)
+    down = np.array([0, 0, -config.gravity])
+    wrench = needed_wrench(config.object_mass, inertia, down, R, V[:, :3], A[:, :3], A[:, 3:])
+    wanted = [np.einsum("mij,mj->mi", R, part) for part in wrench]
+    forces = balancing_forces(
+        arms, normals, config.friction, *wanted, least=config.normal_force, t=t
+    )
+    a = CubicHermiteSpline(t, q, v).derivative(2)(t)
+    torques = _torques(chains, q, v, a, points[:, :, 0], forces)
+    over = np.abs(torques) > chains.effort
+    if over.any():
+        k, joint = np.argwhere(over)[0]
+        raise SceneError(
+            f"joint {chains.names[joint]} needs {torques[k, joint]:.3g} N m at t = {t[k]:.3g} s, "
+            f"its limit is {chains.effort[joint]:.3g}; press less, or give a stronger hand"
+        )
+    start = [
+        dataclasses.replace(
+            contact, finger_at=row[:2], object_at=row[4:6], angle=row[8], finger_velocity=(0, 0)
+        )
+        for contact, row in zip(scene.contacts, states[0])
+    ]
+    return Reorientation(
+        hand=hand,
+        scene=given,
+        config=config,
+        rolling=scene.replace(contacts=start),
+        path=path,
+        t=t,
+        object_pose=np.array([pose.GetAsMatrix4() for pose in X]),
+        q=q,
+        v=v,
+        a=a,
+        points=points,
+        normals=normals,
+        forces=forces,
+        states=states,
+        slip=np.linalg.norm(found[..., 11:13], axis=-1),
+        spin=found[..., 40],
+        cones=friction_used(forces, normals, config.friction),
+        torques=torques,
+        joints=chains.names,
+        chains=chains,
+    )
+
+
+def _contacts(chains: Chains, X: list[RigidTransform], V: Array, q: Array, v: Array) -> Array:
+    """What probes find of every contact, and its spin: (m, n, 41)."""
+    rows = np.empty((len(q), len(chains.joints), 41))
+    for k, (X_WO, V_WO) in enumerate(zip(X, V)):
+        chains.put(q[k])
+        R = X_WO.rotation().matrix()
+        for i in range(rows.shape[1]):
+            w, rate = np.split(chains.jacobian(i) @ v[k], 2)
+            arm = chains.pose(i).translation() - X_WO.translation()
+            w_OF = R.T @ (w - V_WO[:3])
+            twist = np.append(w_OF, R.T @ (rate - V_WO[3:] - np.cross(V_WO[:3], arm)))
+            rows[k, i, :40] = at = chains.touch(i, X_WO, twist)
+            rows[k, i, 40] = at[25:28] @ w_OF
+    return rows
+
+
+def _refuse_pads(scene: Scene, hand: Hand, t: Array, points: Array) -> None:
+    """Raise a SceneError where a contact leaves its pad; points (m, n, 3) on the fingers."""
+    for i, contact in enumerate(scene.contacts):
+        away = np.linalg.norm(points[:, i] - contact.finger.point(*contact.finger_at), axis=1)
+        if away.max() > hand.pad:
+            k = int(np.argmax(away > hand.pad))
+            raise SceneError(
+                f"{scene.contact_name(i)} rolls off its pad: at t = {t[k]:.3g} s it touches "
+                f"{away[k]:.2g} m from the pad's middle, pad = {hand.pad:g} m"
+            )
+
+
+def object_inertia(scene: Scene, mass: float) -> Array:
+    """About the origin of a homogeneous solid, (3, 3), kg m^2."""
+    obj = scene.object
+    axes = (obj.a, obj.b, obj.c) if isinstance(obj, Ellipsoid) else 3 * (obj.size,)
+    inertia = SpatialInertia.SolidEllipsoidWithMass(mass, *axes)
+    return inertia.CalcRotationalInertia().CopyToFullMatrix3()
+
+
+def _torques(chains: Chains, q: Array, v: Array, a: Array, points: Array, forces: Array) -> Array:
+    """That move the joints against gravity and press by the forces, (m, nq)."""
+    none, found = MultibodyForces(chains.plant), np.empty_like(q)
+    for k in range(len(q)):
+        chains.put(q[k], v[k])
+        found[k] = chains.plant.CalcInverseDynamics(chains.context, a[k], none)
+        found[k] -= chains.plant.CalcGravityGeneralizedForces(chains.context)
+        for i, (x, force) in enumerate(zip(points[k], forces[k])):
+            found[k] += chains.jacobian(i, x)[3:].T @ force
+    return found

@@ -1,0 +1,97 @@
+"""Hands that hold and turn objects: plans that keep their word, refusals, short simulations."""
+
+import argparse
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pydrake", reason="Drake is an extra: pip install .[drake]")
+
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.trajectories import PiecewisePose
+
+import contact_system as cs
+from drake_plant import Hand, StationConfig, cli, hand_report, plan_reorientation, simulate
+from drake_plant.hand import own_hand
+
+H2 = cs.load_scene("H2")
+
+
+def made(**changes):
+    """H2's plan, with changes to its [drake] table."""
+    scene = H2.replace(drake={**H2.drake, **changes})
+    config = StationConfig.from_scene(scene)
+    return plan_reorientation(config.hand, scene)
+
+
+@pytest.mark.parametrize("name", ["H2", "H3"])
+def test_fingers_of_a_plan_roll_and_press_as_the_object_needs(name):
+    scene = cs.load_scene(name)
+    plan = plan_reorientation(StationConfig.from_scene(scene).hand, scene)
+    assert plan.slip.max() < 1e-8  # by contact_system's own sensor
+    turned = RotationMatrix(plan.object_pose[-1, :3, :3]).ToAngleAxis().angle()
+    assert turned == pytest.approx(math.radians(35.9), abs=1e-2)
+    weight = plan.config.object_mass * plan.config.gravity
+    np.testing.assert_allclose(plan.forces.sum(axis=1), [[0, 0, weight]] * len(plan.t), atol=1e-6)
+    assert plan.cones.max() <= 0.8 + 1e-6
+    assert (plan.q >= plan.chains.lower).all() and (plan.q <= plan.chains.upper).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"hand": {"base": [0, 0, -0.3]}}, ["finger 1 does not reach", "joint", "limit|rad"]),
+        ({"hand": {"pad": 0.011}}, ["finger 3 rolls off its pad", "pad = 0.011"]),
+        (
+            {"turn": [[0, -60, 0]]},
+            ["finger 1 does not get as far", "joint finger_0_joint_", "rad"],
+        ),
+        ({"friction": 0.01, "gravity": -9.81}, ["no contact forces", "N m about its origin"]),
+        ({"normal_force": 15.0, "stiffness": 1e5}, ["finger_0_joint", "its limit is 0.7"]),
+        ({"hand": {"tips": ["a"]}}, ["tips = .'a'.", "0 names"]),
+        ({"hand": {"model": "none.sdf", "tips": ["a", "b", "c"]}}, ["model = 'none.sdf'"]),
+        ({"turn": [[0, 30]]}, [r"turn\[0\] = \[0, 30\]"]),
+    ],
+)
+def test_what_a_hand_cannot_do_is_refused_with_the_reason(changes, words):
+    with pytest.raises(cs.SceneError, match=".*".join(words)):
+        made(**changes)
+
+
+def test_a_model_by_file_moves_as_the_own_hand(tmp_path):
+    file = tmp_path / "mine.sdf"
+    file.write_text(own_hand([0, 2 * math.pi / 3, -2 * math.pi / 3]).replace("tip_", "my_tip_"))
+    hand = {"model": str(file), "tips": [f"my_tip_{i}" for i in range(3)]}
+    np.testing.assert_allclose(made(hand=hand).q, made().q, atol=1e-6)
+    with pytest.raises(cs.SceneError, match=r"tips\[2\] = 'thumb'"):
+        made(hand={**hand, "tips": ["my_tip_0", "my_tip_1", "thumb"]})
+
+
+def test_a_path_of_drake_is_followed():
+    goal = RigidTransform(RotationMatrix.MakeXRotation(0.2), [0.0, 0.005, 0.0])
+    path = PiecewisePose.MakeLinear([0.0, 4.0], [RigidTransform(), goal])
+    plan = plan_reorientation(Hand(), H2, path=path)
+    np.testing.assert_allclose(plan.object_pose[-1], goal.GetAsMatrix4(), atol=1e-12)
+    assert plan.slip.max() < 1e-8
+
+
+@pytest.mark.parametrize("model", ["point", "hydroelastic"])
+def test_a_ball_ends_where_it_should(model):
+    scene = H2.replace(duration=0.5, drake={**H2.drake, "turn": [[3, 0, 4]]})
+    told = hand_report(simulate(scene, StationConfig.from_scene(scene, contact_model=model)))
+    assert told.off[-1] < 1e-4 and told.turned_off[-1] < math.radians(0.1)
+    assert told.cones.max() < 0.9 and not told.lost.any() and told.slipped.max() < 1e-4
+    assert told.torque_share.max() < 1 and told.room.min() > 0
+
+
+def test_the_command_line_tells_of_a_hand(tmp_path, capsys):
+    parser = argparse.ArgumentParser()
+    cli.register(parser.add_subparsers())
+    words = ["drake", "H4", "--until", "0.1", "--no-recording", "--out", str(tmp_path)]
+    arguments = parser.parse_args([*words, "--set", "drake.contact_model=point"])
+    assert arguments.run(arguments) == 0
+    printed = capsys.readouterr().out
+    for words in ("H4: Hand", "cone planned", "degrees from a limit", "35.9 degrees"):
+        assert words in printed
+    assert (tmp_path / "H4-drake.png").exists()
