@@ -129,7 +129,7 @@ def _draw_force(ax: Any, t: Array, forces: Array, wanted: Array, top: float) -> 
     for i, force in enumerate(forces.T):
         _ripple(ax, t, force, colour_of(i))
     for level in wanted.T:
-        ax.plot(*_thinned(t, level), color=INK, linewidth=0.9, linestyle=":")
+        ax.plot(t, level, color=INK, linewidth=0.9, linestyle=":")
     ax.set_ylim(0.0, top or None)
     ax.set_ylabel("force [N]")
 

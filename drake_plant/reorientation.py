@@ -224,7 +224,13 @@ def _completed(
     wrench = needed_wrench(config.object_mass, inertia, down, R, V[:, :3], A[:, :3], A[:, 3:])
     wanted = [np.einsum("mij,mj->mi", R, part) for part in wrench]
     forces = balancing_forces(
-        arms, normals, config.friction, *wanted, least=config.normal_force, t=t
+        arms,
+        normals,
+        config.friction,
+        *wanted,
+        margin=config.friction_share,
+        least=config.normal_force,
+        t=t,
     )
     a = CubicHermiteSpline(t, q, v).derivative(2)(t)
     torques = _torques(chains, q, v, a, points[:, :, 0], forces)
