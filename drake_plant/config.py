@@ -254,6 +254,11 @@ class StationConfig:
                 f'forces = "balance": the object is {self.object}, so that nothing moves it; give '
                 '"constant", or object = "free"'
             )
+        if self.balances and not self.time_step:
+            raise SceneError(
+                'forces = "balance": at time_step = 0 integrators take hours, as forces change in '
+                'every trial step; give a time step, such as 0.001 s, or "constant"'
+            )
         if self.coordinates == "plan" and (self.restarts or self.disturbance_input):
             raise SceneError(
                 'coordinates = "plan": a plan has no disturbance port and does not restart; give '

@@ -143,3 +143,5 @@ def test_only_a_free_object_is_balanced():
     with pytest.raises(cs.SceneError, match='forces = "balance": the object is welded'):
         StationConfig.from_scene(held(), object="welded", forces="balance")
     assert not StationConfig.from_scene(held(), object="welded").balances
+    with pytest.raises(cs.SceneError, match="at time_step = 0 integrators take hours"):
+        StationConfig.from_scene(held(), time_step=0.0)
