@@ -21,7 +21,7 @@ from .fingertip_driver import FingertipDriver
 from .force_balancer import ForceBalancer
 from .hand import Hand
 from .hand_driver import HandDriver
-from .hand_report import HandReport, hand_report
+from .hand_outcome import HandReport, hand_report
 from .hand_station import BuildHandStation, HandResult, simulate_hand
 from .measures import contact_table, object_report, outcome, push_table
 from .plan_source import PlanSource

@@ -22,7 +22,7 @@ from contact_system.writing import writing
 
 from . import plots
 from .config import StationConfig
-from .hand_report import HAND_PANELS, hand_lines
+from .hand_outcome import HAND_PANELS, hand_lines
 from .hand_station import HandResult
 from .measures import EDGE, SATURATED, ContactReport, contact_table, object_report, push_table
 from .simulation import SimulationResult, simulate
