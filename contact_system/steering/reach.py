@@ -1,15 +1,15 @@
 """From a start to a goal: legs that take a contact there (theory section 11).
 
 Rolling has two inputs and five coordinates, a point on each body and psi. Legs are found by the
-method of Gauss and Newton with damping, from many starts, with exact derivatives.
+method of Gauss and Newton with damping, from many starts at once, with exact derivatives.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,24 +18,30 @@ from typing import Any
 import numpy as np
 
 from ..buffer import Buffer
-from ..checks import finite_number, naming
+from ..checks import finite_number
 from ..errors import ContactSystemError, SceneError
 from ..motion import SIDES, Motion
 from ..plan import plan
-from ..scene import STILL, Contact, Leg, Scene, require_scene
+from ..scene import STILL, Leg, Scene, require_scene
+from .aim import LANES, MOST_LEGS, Aim, Paths
+from .aiming import Array
 from .four_rolls import four_rolls
 from .goal import Goal, Route
-from .jacobi import Array
-from .paths import TOLERANCE, Aim, ClosedPaths, Region, RolledPaths
 
 REACHED = 1e-12
 """A goal is reached where nothing is farther off: places in sizes of the bodies, angles in rad."""
-MOST_LEGS = 4
-STARTS = 60
+SHARP, TOLERANCE = 5e-15, 1e-14
+"""Of the size: what steps of a path may be off, and a plan of it."""
+COARSE, NEAR = 1e-8, 1e-6
+"""The same of a path that may still be another, and how far from the goal it may end."""
+STARTS = 64
 """So many starts are tried with each number of legs."""
+FEW = 4
+"""Starts at once on spheres and planes."""
+CORRECTIONS = 12
+"""What slip does to a path is put right so often."""
 LOOKS = 201
 """Times at which a route is seen to stay within its regions."""
-_STEPS = 40
 
 
 def reach(
@@ -80,22 +86,20 @@ def reach(
         longest = finite_number(longest, "longest", "above 0")
     seconds = finite_number(seconds, "seconds", "not below 0")
     found: list[tuple[Leg, ...]] = []
-    told = []
-    searches: dict[int, _Search] = {}
+    told, residual = [], 0.0
     for i, own in enumerate(goals):
         if own is None:
             found.append((Leg(0.0, 0.0, scene.duration),))
             continue
-        search = searches[i] = _Search(scene, i, own, longest)
-        share = seconds / sum(goal is not None for goal in goals)
-        way, tried = search.shortest(legs, share)
-        found.append(search.legs(way))
+        search = _Search(scene, i, own, longest)
+        way, tried = search.shortest(legs, seconds / sum(goal is not None for goal in goals))
+        found.append(search.legs(way.z))
         told.append(f"contact {i}: {tried}")
+        residual = max(residual, way.residual)
     contacts = [dataclasses.replace(c, legs=own) for c, own in zip(scene.contacts, found)]
     legged = scene.replace(contacts=contacts, profile=STILL)
     whole = sum(leg.length or 0.0 for own in found for leg in own)
-    off = _arrival(legged, searches)
-    return Route(legged, tuple(found), whole, off, "; ".join(told))
+    return Route(legged, tuple(found), whole, residual, "; ".join(told))
 
 
 def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
@@ -120,143 +124,127 @@ def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
     return goals
 
 
-def _arrival(scene: Scene, searches: dict[int, _Search]) -> float:
-    """How far off their goals the contacts arrive, planned by the engine as the scene is."""
-    motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
-    found: Any = motion.evaluate(np.array([scene.duration]), ("points", "pose"))
-    return max(
-        search.off(found["points"][0, i], found["pose"][0, i]) for i, search in searches.items()
-    )
-
-
 # --- one contact -------------------------------------------------------------------------------
 
 
 @dataclass
 class _Way:
-    """A path z, and how far off it ends."""
+    """A path z, how far off it ends, and the squares of the slopes of that."""
 
     z: Array
     residual: float
+    squares: Array
 
     @property
     def length(self) -> float:
-        return float(np.abs(self.z[len(self.z) // 2 :]).sum())
+        return _length(self.z)
+
+
+def _length(z: Array) -> float:
+    return float(np.abs(z[len(z) // 2 :]).sum())
+
+
+@functools.cache
+def _starts(n: int, count: int, batch: int) -> Array:
+    """Directions of n legs, and lengths, 0.5 to 3; of some paths, (2 n, count)."""
+    rng = np.random.default_rng((n, count, batch))
+    ways = rng.uniform(-math.pi, math.pi, (n, count))
+    return np.concatenate([ways, rng.uniform(0.5, 3.0, (n, count))])
 
 
 class _Search:
     """The legs that take one contact to its goal."""
 
     def __init__(self, scene: Scene, index: int, goal: Goal, longest: float | None):
-        self.scene, self.goal, self.longest = scene, goal, longest
-        self.name = f"{scene.title}, contact {index}"
-        self.aim = _aim(scene, scene.contacts[index], goal, self.name)
-        wanted = 5 if self.aim.pose is not None else 2 * len(self.aim.sides)
-        self.fewest = (wanted + 1) // 2
-        bounds = [region.widest for region in self.aim.regions]
-        self.unit = min(self.aim.sizes + bounds) / self.aim.pace
-        self.far = max((self._apart(side) for side in self.aim.sides), default=0.0) / self.aim.pace
-        if longest is not None and MOST_LEGS * longest < self.far:
+        self.aim = aim = Aim(scene, index, goal, longest)
+        self.scene, self.longest = scene, longest
+        self.nearest = math.inf
+        if longest is not None and MOST_LEGS * longest < aim.far:
             raise SceneError(
-                f"{self.name}: longest = {longest:g} m: the goal is {self.far:.6g} m away, and "
+                f"{aim.name}: longest = {longest:g} m: the goal is {aim.far:.6g} m away, and "
                 f"there are {MOST_LEGS} legs at most; allow longer ones"
             )
 
-    def _apart(self, side: int) -> float:
-        return float(np.linalg.norm(self.aim.goal[side][0] - self.aim.start[side][0]))
-
-    def off(self, points: Array, pose: Array) -> float:
-        """How far from the goal a contact is with these contact points and this pose."""
-        aim = self.aim
-        parts = [(points[side] - aim.goal[side][0]) / aim.sizes[side] for side in aim.sides]
-        if aim.pose is not None:
-            parts.append((pose[:3, :3] - aim.pose[:3, :3]).ravel())
-            if aim.is_pose:
-                parts.append((pose[:3, 3] - aim.pose[:3, 3]) / max(aim.sizes))
-        return float(np.linalg.norm(np.concatenate(parts)))
-
-    def legs(self, way: _Way) -> tuple[Leg, ...]:
-        n = len(way.z) // 2
+    def legs(self, z: Array) -> tuple[Leg, ...]:
+        n = len(z) // 2
         span = self.scene.duration / n
-        turned = np.where(way.z[n:] < 0, math.pi, 0.0)
-        directions = np.remainder(way.z[:n] + turned, 2 * math.pi).tolist()
-        return tuple(Leg(a, s, span) for a, s in zip(directions, np.abs(way.z[n:]).tolist()))
+        turned = np.where(z[n:] < 0, math.pi, 0.0)
+        directions = np.remainder(z[:n] + turned, 2 * math.pi).tolist()
+        return tuple(Leg(a, s, span) for a, s in zip(directions, np.abs(z[n:]).tolist()))
 
     def shortest(self, legs: int | None, seconds: float) -> tuple[_Way, str]:
         """The first route with the least number of legs; then the shortest found in the time."""
-        begin, tried, nearest = time.perf_counter(), [], math.inf
-        for n in range(self.fewest, MOST_LEGS + 1) if legs is None else (legs,):
-            for k, way in enumerate(self._ways(n, range(STARTS)), 1):
-                nearest = min(nearest, way.residual)
-                if way.residual <= REACHED and self._stays(way):
-                    way = way if legs else self._not_long(way)
-                    return self._shorter(way, legs, begin + seconds), f"{n} legs, start {k}"
+        begin, tried = time.perf_counter(), []
+        for n in range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,):
+            for batch in range(STARTS // self._at_once):
+                for way in self._ways(n, batch):
+                    if self._stays(way):
+                        way = way if legs else self._not_long(way)
+                        told = f"{n} legs, {(batch + 1) * self._at_once} starts"
+                        return self._shorter(way, legs, begin + seconds), told
             tried.append(f"{n} legs from {STARTS} starts")
-        raise SceneError(self._refusal(tried, nearest))
+        raise SceneError(self._refusal(tried))
+
+    @property
+    def _at_once(self) -> int:
+        return FEW if self.aim.in_closed_form else LANES
 
     def _not_long(self, way: _Way) -> _Way:
         """Of a sphere on a plane no route is longer than Hammersley's four rolls."""
-        if not self.aim.in_closed_form or way.length <= max(4 * math.pi * self.unit, self.far):
+        aim = self.aim
+        if not aim.in_closed_form or way.length <= max(4 * math.pi * aim.unit, aim.far):
             return way
-        z = four_rolls(self.aim, way.length)
-        other = way if z is None else self._newton(self._paths(4), z)
-        return other if other.residual <= REACHED and other.length < way.length else way
+        z = four_rolls(aim, way.length)
+        other = None if z is None else self._met(z)
+        return way if other is None or other.length > way.length else other
 
-    def _ways(self, n: int, starts: range) -> Iterator[_Way]:
-        """What Newton's method makes of random starts with n legs."""
-        paths = self._paths(n)
-        for k in starts:
-            rng = np.random.default_rng((n, k))
-            phi = rng.uniform(-math.pi, math.pi, n)
-            z = np.concatenate([phi, self.unit * rng.uniform(0.5, 3.0, n) + self.far / n])
-            yield self._newton(paths, z)
+    def _ways(self, n: int, batch: int) -> Iterator[_Way]:
+        """Routes of n legs from some random starts, the shortest of them first."""
+        aim = self.aim
+        z = _starts(n, self._at_once, batch).copy()
+        z[n:] = aim.unit * z[n:] + aim.far / n
+        found = aim.search(z, COARSE, NEAR)
+        self.nearest = min(self.nearest, float(found.off.min()))
+        for k in sorted(np.flatnonzero(found.off < NEAR), key=lambda k: _length(found.z[:, k])):
+            way = self._met(found.z[:, k])
+            if way is not None:
+                yield way
 
-    def _paths(self, n: int) -> ClosedPaths | RolledPaths:
-        if self.aim.in_closed_form:
-            return ClosedPaths(self.aim, n)
-        return RolledPaths(self.aim, n, self.scene)
+    def _met(self, z: Array, steps: int = 10) -> _Way | None:
+        """The route near a path; None where Newton's method finds none.
 
-    def _residual(self, paths: ClosedPaths | RolledPaths, z: Array) -> tuple[Array, Array]:
-        off, slopes = paths.off(z)
-        if self.longest is None:
-            return off, slopes
-        n = paths.n
-        beyond = np.abs(z[n:]) > self.longest
-        over = np.where(beyond, np.abs(z[n:]) / self.longest - 1.0, 0.0)
-        slope = np.diag(np.where(beyond, np.sign(z[n:]) / self.longest, 0.0))
-        return np.concatenate([off, over]), np.vstack([slopes, np.hstack([0 * slope, slope])])
-
-    def _newton(self, paths: ClosedPaths | RolledPaths, z: Array, steps: int = _STEPS) -> _Way:
-        """Gauss and Newton's method with Levenberg's damping."""
-        n = len(z)
-        unit = np.repeat([1.0, self.unit], n // 2)
-        damping, best, mark = 1e-2, math.inf, math.inf
-        diagonal, tried = np.diag_indices(n), z
-        for k in range(steps):
-            if k % 6 == 5:  # starts that only creep are given up
-                if best > 0.5 * mark:
-                    break
-                mark = best
+        It is met as the engine plans it: where slip takes the path elsewhere than geodesics lead,
+        that is added to their ends, until nothing changes any more.
+        """
+        tail = None
+        for _ in range(CORRECTIONS):
+            found = self.aim.search(z[:, None], SHARP, 0.1 * REACHED, steps=steps, tail=tail)
+            z, squares = found.z[:, 0], found.squares[:, :, 0]
+            if not found.off[0] < NEAR:
+                return None
             try:
-                off, slopes = self._residual(paths, tried)
-                size = float(off @ off)
-            except ContactSystemError:  # a path that cannot be rolled, as through a pole
-                size = math.inf
-            if size < best:
-                z, best, damping = tried, size, max(0.3 * damping, 1e-11)
-                slopes = slopes * unit
-                square, pull = slopes.T @ slopes, slopes.T @ off
-                if best < (0.1 * REACHED) ** 2:
-                    break
-            elif best < math.inf:
-                damping *= 10.0
-            else:
-                break
-            damped = square.copy()
-            damped[diagonal] += damping
-            step = np.linalg.solve(damped, pull)
-            tried = z - unit * (step / max(1.0, *map(abs, step.tolist())))
-        return _Way(z, math.sqrt(best))
+                off, end = self._planned(z, found)
+            except ContactSystemError:  # such as one through a pole
+                return None
+            if off <= REACHED:
+                return _Way(z, off, squares)
+            end = end if tail is None else _frame(tail) @ end
+            tail = np.ascontiguousarray(end[:3, [3, 0, 1]].T)
+        return None
+
+    def _planned(self, z: Array, found: Paths) -> tuple[float, Array]:
+        """How far from the goal the engine's plan of a path ends, and where that is in the frame in
+        which the search saw the object's path end."""
+        moving = dataclasses.replace(self.aim.contact, legs=self.legs(z))
+        alone = self.scene.replace(contacts=[moving], disturbances=[], turning=None, profile=STILL)
+        motion = Motion(alone, Buffer(alone, TOLERANCE, 0.0, None))
+        asked: Any = motion.evaluate(np.array([alone.duration]), ("points", "pose"))
+        points, pose = asked["points"][0, 0], asked["pose"][0, 0]
+        finger, seen = map(_frame, found.ends[:, 0].reshape(2, 3, 3))
+        there = np.eye(4)  # on the object, p along p of the finger, q and n against its own
+        there[:3, :3] = pose[:3, :3] @ finger[:3, :3] * [1.0, -1.0, -1.0]
+        there[:3, 3] = points[1]
+        return self.aim.off(points, pose), np.linalg.inv(seen) @ there
 
     # --- shorter ones ---------------------------------------------------------------------------
 
@@ -265,30 +253,28 @@ class _Search:
         if time.perf_counter() >= until:
             return way
         best = self._slid(way, until)
-        counts = range(self.fewest, MOST_LEGS + 1) if legs is None else (legs,)
-        others = [self._ways(n, range(STARTS, sys.maxsize)) for n in counts]
-        for ways in itertools.cycle(others):
-            if time.perf_counter() >= until:
-                break
-            way = next(ways)
-            if way.residual <= REACHED and (way := self._slid(way, until)).length < best.length:
-                best = way if self._stays(way) else best
-        return best
+        counts = range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,)
+        for batch in itertools.count(STARTS // self._at_once):
+            for way in itertools.chain(*(self._ways(n, batch) for n in counts)):
+                if time.perf_counter() >= until:
+                    return best
+                way = self._slid(way, until)
+                if way.length < best.length and self._stays(way):
+                    best = way
+        raise AssertionError
 
     def _slid(self, way: _Way, until: float) -> _Way:
         """The route moved along the routes beside it to where it is no longer than they are."""
         n = len(way.z) // 2
-        paths, unit, step = self._paths(n), np.repeat([1.0, self.unit], n), 0.1
+        unit, step = np.repeat([1.0, self.aim.unit], n), 0.1
         while step > 1e-4 and time.perf_counter() < until:
-            off, slopes = self._residual(paths, way.z)
-            left, values, right = np.linalg.svd(slopes * unit, full_matrices=True)
-            free = right[int((values > 1e-9 * values[0]).sum()) :]
+            values, vectors = np.linalg.eigh(way.squares)
+            free = vectors[:, values <= 1e-14 * values[-1]].T
             fall = free.T @ (free @ np.concatenate([np.zeros(n), np.sign(way.z[n:])]))
             if np.linalg.norm(fall) < 1e-6:
                 break
-            tried = way.z - step * unit * fall / np.linalg.norm(fall)
-            other = self._newton(paths, tried, steps=8)
-            if other.residual <= REACHED and other.length < way.length and self._stays(other):
+            other = self._met(way.z - step * unit * fall / np.linalg.norm(fall), steps=8)
+            if other is not None and other.length < way.length and self._stays(other):
                 way, step = other, 2.0 * step
             else:
                 step *= 0.3
@@ -300,15 +286,15 @@ class _Search:
         """Whether a route stays within its regions."""
         if not self.aim.regions:
             return True
-        moving = dataclasses.replace(self.aim.contact, legs=self.legs(way))
-        alone = self.scene.replace(contacts=[moving], turning=None)
+        moving = dataclasses.replace(self.aim.contact, legs=self.legs(way.z))
+        alone = self.scene.replace(contacts=[moving], disturbances=[], turning=None, profile=STILL)
         points = plan(alone).points(np.linspace(0.0, alone.duration, LOOKS))[:, 0]
         return all(
             np.linalg.norm(points[:, side] - centre, axis=1).max() <= widest * (1 + 1e-9)
             for side, centre, _, widest in self.aim.regions
         )
 
-    def _refusal(self, tried: Sequence[str], nearest: float) -> str:
+    def _refusal(self, tried: Sequence[str]) -> str:
         why = "no path was found that arrives there"
         if self._alike():
             why = (
@@ -317,16 +303,16 @@ class _Search:
             )
         elif self.aim.is_pose:
             why += "; do the bodies touch in that pose, from outside?"
-        elif tried[0][0] < str(self.fewest):
-            why += f": this goal mostly takes {self.fewest} legs at least"
+        elif tried[0][0] < str(self.aim.fewest):
+            why += f": this goal mostly takes {self.aim.fewest} legs at least"
         limits = [f"within {side} {r:g} m" for side, r in self._limits()]
         if self.longest is not None:
             limits.append(f"with no leg above {self.longest:g} m")
         if limits:
             why += f" {' and '.join(limits)}; widen that, or leave parts of the goal out"
         return (
-            f"{self.name}: {why}; tried {', '.join(tried)}, of which the nearest ends "
-            f"{nearest:.2g} (in sizes, rad) off"
+            f"{self.aim.name}: {why}; tried {', '.join(tried)}, of which the nearest ends "
+            f"{self.nearest:.2g} (in sizes, rad) off"
         )
 
     def _limits(self) -> list[tuple[str, float]]:
@@ -339,67 +325,9 @@ class _Search:
         return (balls and one.size == other.size) or (one.developable and other.developable)
 
 
-# --- a goal in numbers ---------------------------------------------------------------------------
-
-
-def _aim(scene: Scene, contact: Contact, goal: Goal, name: str) -> Aim:
-    """What the search needs to know; refuses what is no goal of this contact."""
-    if contact.follows:
-        raise SceneError(f'{name}: finger_velocity = "rolling" has no legs; give it as two numbers')
-    if not any(contact.finger_velocity):
-        raise SceneError(f"{name}: finger_velocity = (0, 0) gives legs no direction; give it one")
-    index = scene.contacts.index(contact)
-    if any(d.contact == index for d in scene.disturbances):
-        raise SceneError(
-            f"{name}: disturbances would take it off its way; leave them out of the scene, and "
-            "add them to that of the route"
-        )
-    bodies = contact.finger, scene.object
-    start, there, sides = [], [], []
-    for side, body in enumerate(bodies):
-        at = getattr(contact, f"{SIDES[side]}_at")
-        wanted = getattr(goal, f"{SIDES[side]}_at")
-        if wanted is not None:
-            sides.append(side)
-            with naming(f"{name}: goal: {SIDES[side]}_at"):
-                regular = body.canonical(*wanted)
-            # another cover has another frame, and psi is that of the frame
-            wanted = wanted if body.double_cover else regular
-        points, frames = body.point_and_frame(*np.transpose([at, at if wanted is None else wanted]))
-        start.append((points[0], frames[0]))
-        there.append((points[1], frames[1]))
-    pose = goal.pose
-    if goal.angle is not None:
-        c, s = math.cos(goal.angle), math.sin(goal.angle)
-        joint = np.array([[c, -s, 0.0], [-s, -c, 0.0], [0.0, 0.0, -1.0]])
-        pose = np.eye(4)
-        pose[:3, :3] = there[1][1] @ joint @ there[0][1].T
-    angles = contact.angle, goal.angle or 0.0
-    aim = Aim(contact, bodies, tuple(sides), start, there, angles, pose, goal.pose is not None, [])
-    aim.regions += _regions(aim, goal, name)
-    return aim
-
-
-def _regions(aim: Aim, goal: Goal, name: str) -> Iterator[Region]:
-    """Regions to stay within; refuses those that the start or the goal lies outside of."""
-    for side, body in enumerate(aim.bodies):
-        key = f"{SIDES[side]}_within"
-        given = getattr(goal, key)
-        if given is None:
-            continue
-        *at, widest = given
-        with naming(f"{name}: goal: {key}"):
-            centre = body.point(*body.canonical(*at))
-        places = [("start", aim.start[side][0])]
-        if side in aim.sides:
-            places.append(("goal", aim.goal[side][0]))
-        radius = 0.99 * widest
-        for what, place in places:
-            away = float(np.linalg.norm(place - centre))
-            if away > widest * (1 + 1e-12):
-                raise SceneError(
-                    f"{name}: {key} = {given}: the {what} lies {away:.6g} m from that point; move "
-                    "it, or widen the region"
-                )
-            radius = max(radius, away)
-        yield Region(side, centre, radius, widest)
+def _frame(rows: Array) -> Array:
+    """A frame, (4, 4), of its origin and its first two axes, (3, 3)."""
+    frame = np.eye(4)
+    frame[:3, [3, 0, 1]] = rows.T
+    frame[:3, 2] = np.cross(rows[1], rows[2])
+    return frame
