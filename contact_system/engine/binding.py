@@ -99,10 +99,8 @@ class Steer(Structure):
         *((name, c_double) for name in ("psi", "lean", "pace", "unit")),
         ("turn", c_double * 9),
         ("origin", c_double * 3),
-        *((name, c_double) for name in ("size", "longest")),
-        ("tail", c_double * 9),
-        *((name, c_double) for name in ("tolerance", "reached")),
-        *((name, c_int64) for name in ("turns", "is_pose", "slips", "parts", "steps")),
+        *((name, c_double) for name in ("size", "longest", "tolerance", "reached")),
+        *((name, c_int64) for name in ("turns", "is_pose", "parts", "steps")),
     ]
 
 

@@ -189,10 +189,9 @@ typedef struct {
   double unit;       /* length that a step may change a leg's by, along s */
   double turn[9], origin[3], size; /* the finger's pose at the goal */
   double longest;                  /* of a leg, along s; 0: any */
-  double tail[9]; /* x p q in the frame where geodesics end: where slip has taken the end */
-  double tolerance, reached;     /* of the steps, of the goal, in sizes */
-  int64_t turns, is_pose, slips; /* whether rotation, origin and tail count */
-  int64_t parts, steps;          /* of a leg, looked at for `within`; trials */
+  double tolerance, reached;       /* of the steps, of the goal, in sizes */
+  int64_t turns, is_pose;          /* whether rotation and origin count */
+  int64_t parts, steps;            /* of a leg, looked at for `within`; trials */
 } steer_t;
 
 typedef struct {

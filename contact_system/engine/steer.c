@@ -163,22 +163,6 @@ static void roll(search_t *w, int side) {
 
 /* ---- how far it ends from the goal ---- */
 
-/* The path of a contact that slips ends where this takes the frame, from where geodesics end. */
-static void shift_end(double (*at)[L], const double *tail) {
-  for (int l = 0; l < L; l++) {
-    double x[3], frame[3][3], *p = frame[0], *q = frame[1], *n = frame[2];
-    for (int i = 0; i < 3; i++) x[i] = at[i][l], p[i] = at[3 + i][l], q[i] = at[6 + i][l];
-    n[0] = p[1] * q[2] - p[2] * q[1], n[1] = p[2] * q[0] - p[0] * q[2];
-    n[2] = p[0] * q[1] - p[1] * q[0];
-    for (int row = 0; row < 3; row++)
-      for (int i = 0; i < 3; i++) {
-        double sum = row ? 0.0 : x[i];
-        for (int j = 0; j < 3; j++) sum += tail[3 * row + j] * frame[j][i];
-        at[3 * row + i][l] = sum;
-      }
-  }
-}
-
 static void arrive_at_place(search_t *w, int side) {
   const rolled_t *r = w->rolled + side;
   const steered_t *body = r->body;
@@ -297,7 +281,6 @@ static void keep_short(search_t *w) {
 static void try_paths(search_t *w) {
   memset(&w->now, 0, sizeof w->now);
   for (int side = 0; side < 2; side++) roll(w, side);
-  if (w->aim->slips) shift_end(w->rolled[1].at, w->aim->tail);
   for (int side = 0; side < 2; side++)
     if (w->aim->body[side].wanted) arrive_at_place(w, side);
   if (w->aim->turns) arrive_in_pose(w);
@@ -307,6 +290,8 @@ static void try_paths(search_t *w) {
 }
 
 /* ---- Newton's method, with Levenberg's damping ---- */
+
+static const double NO_DAMPING = 1e-12; /* but of what no row sees */
 
 /* The step of a lane, by Cholesky's method */
 static void solve(const equations_t *e, int n, int l, double damping, double *x) {
@@ -357,27 +342,27 @@ static void search(search_t *w, int64_t count, double (*z)[L], double (*ends)[L]
       } else
         damping[l] *= 10.0;
       const double off = w->best.size[l];
-      int done = off < aim->reached * aim->reached;
-      w->met += done;
+      const int met = off < aim->reached * aim->reached;
+      int stop = met || off == HUGE_VAL;
       if (step % PATIENCE == PATIENCE - 1) { /* what only creeps is given up */
-        done |= off > 0.25 * mark[l] * mark[l];
+        stop |= off > 0.25 * mark[l] * mark[l];
         mark[l] = sqrt(off);
       }
-      if (done || off == HUGE_VAL) {
-        w->active[l] = 0, going--;
-        continue;
-      }
+      w->met += met, w->active[l] = !stop, going -= stop;
+      if (stop && !met) continue;
       double x[UNKNOWNS], most = 1.0;
-      solve(&w->best, n, l, damping[l], x);
+      solve(&w->best, n, l, met ? NO_DAMPING : damping[l], x);
       for (int i = 0; i < n; i++) most = fmax(most, fabs(x[i]));
-      for (int i = 0; i < n; i++)
+      for (int i = 0; i < n; i++) {
         w->tried[i][l] = z[i][l] - (i < w->legs ? 1.0 : aim->unit) * x[i] / most;
+        if (met) z[i][l] = w->tried[i][l];
+      }
     }
   }
 }
 
-/* From directions and lengths z[2 n][L] of `count` trials to those that end at the goal or near
-   it: how far off they end, their ends, x p q on finger and object, [18][L], and the squares of the
+/* From directions and lengths z[2 n][L] of `count` trials to those that end at the goal, a last step
+   after they were as near as is asked for. Before that step: how far off they end, their ends, x p q on finger and object, [18][L], and the squares of the
    equations' slopes, [2 n][2 n][L]. Returns how many arrive, or -1 without memory. */
 static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
                      double (*ends)[L], double *squares) {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-from ctypes import c_double
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +15,8 @@ from ..errors import SceneError
 from ..motion import SIDES
 from ..scene import Contact, Scene
 from ..surfaces import Surface
-from .aiming import Array, Follower
+from ..theory.development import prefers_space
+from .aiming import SHARP, Array, Follower
 from .goal import Goal
 
 MOST_LEGS = 4
@@ -101,6 +101,7 @@ class Aim:
         self.far = max(away, default=0.0) / self.pace
         self._followers: list[Follower] = []  # the engine points into them
         self._data = self._numbers(longest)
+        self.begin()
 
     @property
     def fewest(self) -> int:
@@ -112,33 +113,56 @@ class Aim:
         """Whether both bodies are spheres or planes."""
         return not self._followers
 
-    def search(
-        self,
-        z: Array,
-        tolerance: float,
-        reached: float,
-        *,
-        steps: int = 40,
-        tail: Array | None = None,
-    ) -> Paths:
+    def search(self, z: Array, tolerance: float, reached: float, steps: int = 40) -> Paths:
         """Newton's method from some paths z, (2 n, m), until the first ends at the goal.
 
-        Steps of the engine are off by the tolerance, of the size. tail (3, 3): x, p and q, in the
-        frame where geodesics end on the object, of the frame where slip takes the path.
+        Steps of the engine are off by the tolerance, of the size.
         """
         rows, count = z.shape
         data, tried = self._data, np.empty((rows, LANES))
         tried[:, :count] = z
         data.tolerance, data.reached, data.steps = tolerance, reached, steps
-        data.slips = tail is not None
-        if tail is not None:
-            data.tail[:] = tail.ravel().tolist()
         off, ends = np.full(LANES, math.inf), np.empty((18, LANES))
         squares = np.empty((rows, rows, LANES))
         out = address(tried), address(off), address(ends), address(squares)
         if binding.steer(ctypes.addressof(data), rows // 2, count, *out) < 0:
             raise MemoryError
         return Paths(tried, off, ends, squares)
+
+    def begin(self) -> None:
+        """Let paths begin where the contact does."""
+        for side in (0, 1):
+            self._begin(side, *self.start[side])
+
+    def lead_to(self, z: Array, points: Array, pose: Array) -> None:
+        """Let paths on the object begin where z leads to its real end; slip is in between."""
+        n = len(z) // 2
+        finger = self._ends(z)[0][1]
+        # p along that of the finger, q and n against them
+        frame = pose[:3, :3] @ finger * [1.0, -1.0, -1.0]
+        self._begin(1, points[1], frame @ self._carried(z[n - 1]))
+        back = np.concatenate([z[:n][::-1], -z[n:][::-1]])
+        x, frame = self._ends(back)[1]
+        self._begin(1, x, frame @ self._carried(back[n - 1]))
+
+    def _ends(self, z: Array) -> list[tuple[Array, Array]]:
+        """Where geodesics end on both bodies: the point, and p along the path, q and n."""
+        ends = self.search(z[:, None], SHARP, math.inf, steps=1).ends[:, 0].reshape(2, 3, 3)
+        return [(x, np.transpose([p, q, np.cross(p, q)])) for x, p, q in ends]
+
+    def _carried(self, direction: float) -> Array:
+        """The frame that is carried on the object, in that of a leg."""
+        way = -direction - self.lean - self.angles[0]
+        c, s = math.cos(way), math.sin(way)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+
+    def _begin(self, side: int, x: Array, frame: Array) -> None:
+        data, body = self._data.body[side], self.bodies[side]
+        data.start[:] = [*x.tolist(), *frame[:, :2].T.ravel().tolist()]
+        if data.how and not prefers_space(body):
+            place = np.ravel(body.coordinates(x))
+            own = body.point_and_frame(*place[:, None])[1][0]
+            data.place[:] = [*place.tolist(), math.atan2(*(frame[:, 0] @ own[:, [1, 0]]))]
 
     def off(self, points: Array, pose: Array) -> float:
         """How far from the goal a contact is with these contact points and this pose."""
@@ -217,9 +241,8 @@ class Aim:
         return data
 
     def _body(self, side: int) -> Steered:
-        body, (x, frame) = self.bodies[side], self.start[side]
+        body = self.bodies[side]
         data = Steered(size=body.size, wanted=side in self.sides)
-        data.start[:] = [*x.tolist(), *frame[:, :2].T.ravel().tolist()]
         data.goal[:] = self.goal[side][0].tolist()
         if body.great_circles:
             data.gauss, data.bend = body.size**-2, body.sign / body.size
@@ -227,7 +250,6 @@ class Aim:
             follower = Follower(body)
             self._followers.append(follower)
             data.how, data.shape = ctypes.addressof(follower.how), follower.shape
-            data.place = (c_double * 3)(*getattr(self.contact, f"{SIDES[side]}_at"), 0.0)
         return data
 
 

@@ -23,21 +23,21 @@ from ..errors import ContactSystemError, SceneError
 from ..motion import SIDES, Motion
 from ..plan import plan
 from ..scene import STILL, Leg, Scene, require_scene
-from .aim import LANES, MOST_LEGS, Aim, Paths
-from .aiming import Array
+from .aim import LANES, MOST_LEGS, Aim
+from .aiming import SHARP, Array
 from .four_rolls import four_rolls
 from .goal import Goal, Route
 
 REACHED = 1e-12
 """A goal is reached where nothing is farther off: places in sizes of the bodies, angles in rad."""
-SHARP, TOLERANCE = 5e-15, 1e-14
-"""Of the size: what steps of a path may be off, and a plan of it."""
-COARSE, NEAR = 1e-8, 1e-6
-"""The same of a path that may still be another, and how far from the goal it may end."""
+TOLERANCE = 1e-14
+"""Of the size: what the plan of a path may be off."""
+COARSE = 1e-8
+"""Of the size: what the steps of one of many paths may be off."""
+NEAR, NEARER = 1e-4, 1e-7
+"""How far off one of many, and the one, may end before a last step, which leaves a square of it."""
 STARTS = 64
 """So many starts are tried with each number of legs."""
-FEW = 4
-"""Starts at once on spheres and planes."""
 CORRECTIONS = 12
 """What slip does to a path is put right so often."""
 LOOKS = 201
@@ -85,21 +85,25 @@ def reach(
     if longest is not None:
         longest = finite_number(longest, "longest", "above 0")
     seconds = finite_number(seconds, "seconds", "not below 0")
-    found: list[tuple[Leg, ...]] = []
-    told, residual = [], 0.0
+    ways: list[_Way | None] = []
+    told, share = [], seconds / sum(own is not None for own in goals)
     for i, own in enumerate(goals):
         if own is None:
-            found.append((Leg(0.0, 0.0, scene.duration),))
+            ways.append(None)
             continue
-        search = _Search(scene, i, own, longest)
-        way, tried = search.shortest(legs, seconds / sum(goal is not None for goal in goals))
-        found.append(search.legs(way.z))
+        way, tried = _Search(scene, i, own, longest).shortest(legs, share)
+        ways.append(way)
         told.append(f"contact {i}: {tried}")
-        residual = max(residual, way.residual)
-    contacts = [dataclasses.replace(c, legs=own) for c, own in zip(scene.contacts, found)]
-    legged = scene.replace(contacts=contacts, profile=STILL)
+    rest = (Leg(0.0, 0.0, scene.duration),)
+    found = tuple(rest if way is None else way.legs for way in ways)
+    residual = max(way.residual for way in ways if way is not None)
+    if len(ways) == 1 and ways[0] is not None:
+        legged = ways[0].scene
+    else:
+        contacts = [dataclasses.replace(c, legs=own) for c, own in zip(scene.contacts, found)]
+        legged = scene.replace(contacts=contacts, profile=STILL)
     whole = sum(leg.length or 0.0 for own in found for leg in own)
-    return Route(legged, tuple(found), whole, residual, "; ".join(told))
+    return Route(legged, found, whole, residual, "; ".join(told))
 
 
 def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
@@ -129,9 +133,11 @@ def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
 
 @dataclass
 class _Way:
-    """A path z, how far off it ends, and the squares of the slopes of that."""
+    """A path z, its legs in a scene of this contact alone, and how far off it ends; the squares
+    of the slopes of that."""
 
     z: Array
+    scene: Scene
     residual: float
     squares: Array
 
@@ -139,17 +145,21 @@ class _Way:
     def length(self) -> float:
         return _length(self.z)
 
+    @property
+    def legs(self) -> tuple[Leg, ...]:
+        return tuple(self.scene.contacts[0].legs)
+
 
 def _length(z: Array) -> float:
     return float(np.abs(z[len(z) // 2 :]).sum())
 
 
 @functools.cache
-def _starts(n: int, count: int, batch: int) -> Array:
-    """Directions of n legs, and lengths, 0.5 to 3; of some paths, (2 n, count)."""
-    rng = np.random.default_rng((n, count, batch))
-    ways = rng.uniform(-math.pi, math.pi, (n, count))
-    return np.concatenate([ways, rng.uniform(0.5, 3.0, (n, count))])
+def _starts(n: int, batch: int) -> Array:
+    """Directions of n legs, and lengths, 0.5 to 3; of some paths, (2 n, 16)."""
+    rng = np.random.default_rng((n, batch))
+    ways = rng.uniform(-math.pi, math.pi, (n, LANES))
+    return np.concatenate([ways, rng.uniform(0.5, 3.0, (n, LANES))])
 
 
 class _Search:
@@ -165,29 +175,27 @@ class _Search:
                 f"there are {MOST_LEGS} legs at most; allow longer ones"
             )
 
-    def legs(self, z: Array) -> tuple[Leg, ...]:
-        n = len(z) // 2
-        span = self.scene.duration / n
-        turned = np.where(z[n:] < 0, math.pi, 0.0)
-        directions = np.remainder(z[:n] + turned, 2 * math.pi).tolist()
-        return tuple(Leg(a, s, span) for a, s in zip(directions, np.abs(z[n:]).tolist()))
+    def alone(self, z: Array) -> Scene:
+        """The contact alone, on the legs of a path."""
+        n, legs = len(z) // 2, []
+        for way, length in zip(z[:n].tolist(), z[n:].tolist()):
+            way = (way + math.pi if length < 0 else way) % (2 * math.pi)
+            legs.append(Leg(way, abs(length), self.scene.duration / n))
+        moving = dataclasses.replace(self.aim.contact, legs=legs)
+        return self.scene.replace(contacts=[moving], disturbances=[], profile=STILL)
 
     def shortest(self, legs: int | None, seconds: float) -> tuple[_Way, str]:
         """The first route with the least number of legs; then the shortest found in the time."""
         begin, tried = time.perf_counter(), []
         for n in range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,):
-            for batch in range(STARTS // self._at_once):
+            for batch in range(STARTS // LANES):
                 for way in self._ways(n, batch):
                     if self._stays(way):
                         way = way if legs else self._not_long(way)
-                        told = f"{n} legs, {(batch + 1) * self._at_once} starts"
+                        told = f"{n} legs, {(batch + 1) * LANES} starts"
                         return self._shorter(way, legs, begin + seconds), told
             tried.append(f"{n} legs from {STARTS} starts")
         raise SceneError(self._refusal(tried))
-
-    @property
-    def _at_once(self) -> int:
-        return FEW if self.aim.in_closed_form else LANES
 
     def _not_long(self, way: _Way) -> _Way:
         """Of a sphere on a plane no route is longer than Hammersley's four rolls."""
@@ -201,7 +209,7 @@ class _Search:
     def _ways(self, n: int, batch: int) -> Iterator[_Way]:
         """Routes of n legs from some random starts, the shortest of them first."""
         aim = self.aim
-        z = _starts(n, self._at_once, batch).copy()
+        z = _starts(n, batch).copy()
         z[n:] = aim.unit * z[n:] + aim.far / n
         found = aim.search(z, COARSE, NEAR)
         self.nearest = min(self.nearest, float(found.off.min()))
@@ -210,41 +218,30 @@ class _Search:
             if way is not None:
                 yield way
 
-    def _met(self, z: Array, steps: int = 10) -> _Way | None:
+    def _met(self, z: Array, steps: int = 20) -> _Way | None:
         """The route near a path; None where Newton's method finds none.
 
-        It is met as the engine plans it: where slip takes the path elsewhere than geodesics lead,
-        that is added to their ends, until nothing changes any more.
+        It is met as the engine plans it: where slip takes the object's path elsewhere than
+        geodesics lead, these begin where they lead there, until nothing changes any more.
         """
-        tail = None
-        for _ in range(CORRECTIONS):
-            found = self.aim.search(z[:, None], SHARP, 0.1 * REACHED, steps=steps, tail=tail)
-            z, squares = found.z[:, 0], found.squares[:, :, 0]
-            if not found.off[0] < NEAR:
-                return None
-            try:
-                off, end = self._planned(z, found)
-            except ContactSystemError:  # such as one through a pole
-                return None
-            if off <= REACHED:
-                return _Way(z, off, squares)
-            end = end if tail is None else _frame(tail) @ end
-            tail = np.ascontiguousarray(end[:3, [3, 0, 1]].T)
+        aim = self.aim
+        try:
+            for left in reversed(range(CORRECTIONS)):
+                found = aim.search(z[:, None], SHARP, NEARER, steps=steps)
+                z, squares = found.z[:, 0], found.squares[:, :, 0]
+                if not found.off[0] < NEAR:
+                    return None
+                alone = self.alone(z)
+                points, pose = _arrival(alone)
+                off = aim.off(points, pose)
+                if off <= (0.3 if left else 1.0) * REACHED:
+                    return _Way(z, alone, off, squares)
+                aim.lead_to(z, points, pose)
+        except ContactSystemError:  # such as a path through a pole
+            pass
+        finally:
+            aim.begin()
         return None
-
-    def _planned(self, z: Array, found: Paths) -> tuple[float, Array]:
-        """How far from the goal the engine's plan of a path ends, and where that is in the frame in
-        which the search saw the object's path end."""
-        moving = dataclasses.replace(self.aim.contact, legs=self.legs(z))
-        alone = self.scene.replace(contacts=[moving], disturbances=[], turning=None, profile=STILL)
-        motion = Motion(alone, Buffer(alone, TOLERANCE, 0.0, None))
-        asked: Any = motion.evaluate(np.array([alone.duration]), ("points", "pose"))
-        points, pose = asked["points"][0, 0], asked["pose"][0, 0]
-        finger, seen = map(_frame, found.ends[:, 0].reshape(2, 3, 3))
-        there = np.eye(4)  # on the object, p along p of the finger, q and n against its own
-        there[:3, :3] = pose[:3, :3] @ finger[:3, :3] * [1.0, -1.0, -1.0]
-        there[:3, 3] = points[1]
-        return self.aim.off(points, pose), np.linalg.inv(seen) @ there
 
     # --- shorter ones ---------------------------------------------------------------------------
 
@@ -254,7 +251,7 @@ class _Search:
             return way
         best = self._slid(way, until)
         counts = range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,)
-        for batch in itertools.count(STARTS // self._at_once):
+        for batch in itertools.count(STARTS // LANES):
             for way in itertools.chain(*(self._ways(n, batch) for n in counts)):
                 if time.perf_counter() >= until:
                     return best
@@ -286,9 +283,7 @@ class _Search:
         """Whether a route stays within its regions."""
         if not self.aim.regions:
             return True
-        moving = dataclasses.replace(self.aim.contact, legs=self.legs(way.z))
-        alone = self.scene.replace(contacts=[moving], disturbances=[], turning=None, profile=STILL)
-        points = plan(alone).points(np.linspace(0.0, alone.duration, LOOKS))[:, 0]
+        points = plan(way.scene).points(np.linspace(0.0, self.scene.duration, LOOKS))[:, 0]
         return all(
             np.linalg.norm(points[:, side] - centre, axis=1).max() <= widest * (1 + 1e-9)
             for side, centre, _, widest in self.aim.regions
@@ -325,9 +320,8 @@ class _Search:
         return (balls and one.size == other.size) or (one.developable and other.developable)
 
 
-def _frame(rows: Array) -> Array:
-    """A frame, (4, 4), of its origin and its first two axes, (3, 3)."""
-    frame = np.eye(4)
-    frame[:3, [3, 0, 1]] = rows.T
-    frame[:3, 2] = np.cross(rows[1], rows[2])
-    return frame
+def _arrival(scene: Scene) -> tuple[Array, Array]:
+    """Points of the first contact and pose of its finger at the end of a scene."""
+    motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
+    found: Any = motion.evaluate(np.array([scene.duration]), ("points", "pose"))
+    return found["points"][0, 0], found["pose"][0, 0]
