@@ -36,7 +36,7 @@ COARSE = 1e-8
 """Of the size: what the steps of one of many paths may be off."""
 NEAR, NEARER = 1e-4, 1e-7
 """How far off one of many, and the one, may end before a last step, which leaves a square of it."""
-STARTS = 64
+STARTS = 128
 """So many starts are tried with each number of legs."""
 CORRECTIONS = 12
 """What slip does to a path is put right so often."""
@@ -210,7 +210,7 @@ class _Search:
         """Routes of n legs from some random starts, the shortest of them first."""
         aim = self.aim
         z = _starts(n, batch).copy()
-        z[n:] = aim.unit * z[n:] + aim.far / n
+        z[n:] = 0.5 ** (batch % 4) * aim.unit * z[n:] + aim.far / n
         found = aim.search(z, COARSE, NEAR)
         self.nearest = min(self.nearest, float(found.off.min()))
         for k in sorted(np.flatnonzero(found.off < NEAR), key=lambda k: _length(found.z[:, k])):
