@@ -4,7 +4,8 @@
    the same direction in space, and q and n are opposite ones. Jacobi fields say how the frame at
    the end moves with each unknown: directions and lengths of the legs. */
 
-enum { MOST_LEGS = 4, UNKNOWNS = 2 * MOST_LEGS, PATIENCE = 6 };
+enum { MOST_LEGS = 4, UNKNOWNS = 2 * MOST_LEGS };
+enum { PATIENCE = 6, ENOUGH = 2 }; /* trials until one that creeps is given up; routes */
 
 /* slopes, or moves, by each unknown */
 typedef double by_unknown_t[UNKNOWNS][L];
@@ -329,7 +330,7 @@ static void search(search_t *w, int64_t count, double (*z)[L], double (*ends)[L]
     w->active[l] = l < count, w->best.size[l] = mark[l] = HUGE_VAL, damping[l] = 1e-2;
     for (int i = 0; i < n; i++) w->tried[i][l] = z[i][l < count ? l : 0];
   }
-  for (int64_t step = 0; step < aim->steps && going > 0 && !w->met; step++) {
+  for (int64_t step = 0; step < aim->steps && going > 0 && w->met < ENOUGH; step++) {
     try_paths(w);
     for (int l = 0; l < count; l++) {
       if (!w->active[l]) continue;
@@ -361,9 +362,10 @@ static void search(search_t *w, int64_t count, double (*z)[L], double (*ends)[L]
   }
 }
 
-/* From directions and lengths z[2 n][L] of `count` trials to those that end at the goal, a last step
-   after they were as near as is asked for. Before that step: how far off they end, their ends, x p q on finger and object, [18][L], and the squares of the
-   equations' slopes, [2 n][2 n][L]. Returns how many arrive, or -1 without memory. */
+/* Improves directions and lengths z[2 n][L] of `count` trials until some end at the goal, as near as
+   is asked for; these take a last step then. Before that step: how far off they end; their ends,
+   x p q on finger and object, [18][L]; the squares of the equations' slopes, [2 n][2 n][L].
+   Returns how many arrive, or -1 without memory. */
 static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
                      double (*ends)[L], double *squares) {
   work_t work;

@@ -114,7 +114,7 @@ class Aim:
         return not self._followers
 
     def search(self, z: Array, tolerance: float, reached: float, steps: int = 40) -> Paths:
-        """Newton's method from some paths z, (2 n, m), until the first ends at the goal.
+        """Newton's method from some paths z, (2 n, m), until two end at the goal.
 
         Steps of the engine are off by the tolerance, of the size.
         """
