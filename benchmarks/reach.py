@@ -1,4 +1,7 @@
-"""Routes to goals: whether they arrive, how fast, how long they are, and what is refused."""
+"""Routes to goals: whether they arrive, how fast, how long they are, and what is refused.
+
+Times are those of the processor.
+"""
 
 from __future__ import annotations
 
@@ -62,14 +65,14 @@ def _goals(
         slips = {} if limit else {"object_velocity": tuple(rng.uniform(-1.0, 1.0, 2))}
         scene = _scene(finger, obj, **_drawn(rng, finger, obj), **slips)
         goal = cs.Goal(**_drawn(rng, finger, obj))
-        begin = time.perf_counter()
+        begin = time.process_time()
         try:
             route = cs.reach(scene, goal)
         except cs.SceneError:
             missed += 1
             continue
         finally:
-            spent.append(1e3 * (time.perf_counter() - begin))
+            spent.append(1e3 * (time.process_time() - begin))
         end = cs.plan(route.scene, 1e-15).points(3.0)[0, 0]
         wanted = finger.point(*goal.finger_at), obj.point(*goal.object_at)
         away = [np.linalg.norm(x - y) / b.size for x, y, b in zip(end, wanted, (finger, obj))]
@@ -223,14 +226,14 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
 
 def refusals(full: bool) -> Iterator[Bar]:
     """Goals that cannot be: each is refused, with the reason."""
-    wrong, begin = [], time.perf_counter()
+    wrong, begin = [], time.process_time()
     for name, (part, ask) in REFUSED.items():
         try:
             wrong.append(f"{name}: {ask()!r:.60}")
         except cs.ContactSystemError as error:
             if part not in str(error):
                 wrong.append(f"{name}: {error}")
-    spent = time.perf_counter() - begin
+    spent = time.process_time() - begin
     note = f"{spent:.1f} s together" if not wrong else "; ".join(wrong)
     yield Bar(
         f"of {len(REFUSED)} goals that cannot be, not refused or unclear", 0, len(wrong), note=note

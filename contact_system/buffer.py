@@ -21,8 +21,6 @@ from .theory.gain import LAWS
 
 VERSION = 5
 HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT = 15, 5, 5, 5, 35, 23  # so many numbers each
-TOLERATED, AT_CONTACTS = 2, 9  # places in the header
-LEGS, W1, Y = 10, 19, 21  # places in a contact's row
 if LAYOUT != (VERSION, HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT):
     raise ImportError(
         f"the engine of contact_system has another layout of scenes, {LAYOUT}, than this Python; "

@@ -74,6 +74,14 @@ def test_ellipsoids_of_revolution_agree_with_geographiclib(f):
         assert getattr(line, name)[22:] == pytest.approx(given, abs=1e-11)
 
 
+def test_a_quadric_has_the_geodesics_of_its_ellipsoid():
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    quadric = cs.Quadric(turn @ np.diag([0.3**-2, 0.2**-2, 0.1**-2]) @ turn.T)
+    a, b = (ELLIPSOID.point(*w.T) for w in pairs(ELLIPSOID, 30))
+    known = cs.geodesic(ELLIPSOID, a, b).length
+    assert cs.geodesic(quadric, a @ turn.T, b @ turn.T).length == pytest.approx(known, rel=1e-12)
+
+
 def test_closed_forms():
     a, b = pairs(ELLIPSOID, 30)
     ball = cs.Sphere(0.1)

@@ -77,15 +77,30 @@ class Fact(Structure):
     ]
 
 
-class Steer(Structure):
-    """``steer_t``: a goal on spheres and planes, and where paths to it start."""
+class Steered(Structure):
+    """``steered_t``: one body of a contact that is steered."""
 
     _fields_ = [
-        *((name, c_double * 2) for name in ("curvature", "size")),
-        ("back", c_double * 4 * 2),
-        *((name, c_double) for name in ("psi", "turn", "lean", "pace")),
-        ("wanted", c_int64 * 2),
-        ("turns", c_int64),
+        *((name, c_void_p) for name in ("how", "shape")),
+        *((name, c_double) for name in ("gauss", "bend")),
+        ("start", c_double * 9),
+        *((name, c_double * 3) for name in ("place", "goal")),
+        ("size", c_double),
+        ("within", c_double * 4),
+        ("wanted", c_int64),
+    ]
+
+
+class Steer(Structure):
+    """``steer_t``: where a contact is to go, and from where."""
+
+    _fields_ = [
+        ("body", Steered * 2),
+        *((name, c_double) for name in ("psi", "lean", "pace", "unit")),
+        ("turn", c_double * 9),
+        ("origin", c_double * 3),
+        *((name, c_double) for name in ("size", "longest", "tolerance", "reached")),
+        *((name, c_int64) for name in ("turns", "is_pose", "parts", "steps")),
     ]
 
 
@@ -105,9 +120,7 @@ _CALLS: dict[str, Any] = {
     "along": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
     "geodesics": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, *[c_void_p] * 4, c_int64, c_void_p),
     "look": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
-    "fields": ctypes.PYFUNCTYPE(None, c_int64, c_void_p, c_void_p, c_void_p),
-    "shifts": ctypes.PYFUNCTYPE(None, c_int64, c_int64, c_void_p, c_void_p, c_void_p),
-    "steer": ctypes.PYFUNCTYPE(c_int64, c_void_p, c_int64, c_void_p, c_void_p, c_void_p),
+    "steer": ctypes.CFUNCTYPE(c_int64, c_void_p, c_int64, c_int64, *[c_void_p] * 4),
     "sign_changes": ctypes.PYFUNCTYPE(
         c_int64, POINTER(c_double), c_int64, c_int64, c_double, c_double, POINTER(c_double)
     ),
@@ -146,7 +159,7 @@ plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
 step, along, geodesics = ENGINE.step, ENGINE.along, ENGINE.geodesics
 _sign_changes = ENGINE.sign_changes
-fields, shifts, steer = ENGINE.fields, ENGINE.shifts, ENGINE.steer
+steer = ENGINE.steer
 _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
 )

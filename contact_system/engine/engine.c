@@ -36,9 +36,9 @@ static _Noreturn void fail(work_t *w, int code);
 /* */
 #include "output.c"
 /* */
-#include "steer.c"
-/* */
 #include "geodesic.c"
+/* */
+#include "steer.c"
 
 /* ---- what others call ---- */
 
@@ -205,8 +205,6 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                 .along = along,
                                 .geodesics = geodesics,
                                 .look = look,
-                                .fields = fields,
-                                .shifts = shifts,
-                                .steer = steered,
+                                .steer = steer,
                                 .sign_changes = sign_changes,
                                 .wind = wind_place};

@@ -170,13 +170,28 @@ typedef struct {
   double *registers;
 } program_t;
 
-/* a goal on spheres and planes, and where paths to it start */
+/* one body of a contact that is steered to a goal */
 typedef struct {
-  double curvature[2], size[2]; /* of finger and object */
-  double back[2][4];            /* from the goal's frame to the start's: a and b, see steer.c */
-  double psi, turn;             /* at the start, and by how much it is to grow */
-  double lean, pace;        /* angle and length of the path velocity that directions count from */
-  int64_t wanted[2], turns; /* whether a place is wanted on a body, and psi */
+  const geodesic_t *how;     /* NULL: a sphere about the origin, or a plane */
+  const table_t *shape;      /* A_SHAPE or C_SHAPE; */
+  double gauss, bend;        /* else Gauss' curvature, 1/m^2, and that along each line, 1/m */
+  double start[9], place[3]; /* x p q, the contact frame; u v theta */
+  double goal[3], size;
+  double within[4]; /* a point and the radius that the path is to stay within; 0: none */
+  int64_t wanted;   /* whether `goal` is */
+} steered_t;
+
+/* where a contact is to go, and from where: see steer.c */
+typedef struct {
+  steered_t body[2]; /* finger and object */
+  double psi;        /* at the start */
+  double lean, pace; /* angle and length of the path velocity that directions count from */
+  double unit;       /* length that a step may change a leg's by, along s */
+  double turn[9], origin[3], size; /* the finger's pose at the goal */
+  double longest;                  /* of a leg, along s; 0: any */
+  double tolerance, reached;       /* of the steps, of the goal, in sizes */
+  int64_t turns, is_pose;          /* whether rotation and origin count */
+  int64_t parts, steps;            /* of a leg, looked at for `within`; trials */
 } steer_t;
 
 typedef struct {
@@ -207,10 +222,9 @@ typedef struct {
                    const double *tolerance, double *end, int64_t m, double *path);
   /* like `evaluate` at one time, of plans of one thread: room for tables stays with the plan */
   int (*look)(plan_t *plan, double t, double *const *out, failure_t *failure);
-  /* how ends of paths move with their legs, and how far they are from goals: see steer.c */
-  void (*fields)(int64_t n, const double *curvature, const double *s, double *out);
-  void (*shifts)(int64_t m, int64_t n, const double *ways, const double *along, double *out);
-  int64_t (*steer)(const steer_t *aim, int64_t n, const double *z, double *off, double *slopes);
+  /* paths of n legs to a goal: see steer.c */
+  int64_t (*steer)(const steer_t *aim, int64_t n, int64_t count, double (*z)[L], double *off,
+                   double (*ends)[L], double *squares);
   /* of a polynomial: see polynomial.h */
   int64_t (*sign_changes)(const double *c, int64_t n, int64_t order, double a, double b,
                           double *found);

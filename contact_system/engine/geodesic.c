@@ -154,6 +154,18 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path, in
   }
 }
 
+static void load_lines(work_t *w, lines_t *g, const geodesic_t *how) {
+  g->how = how, g->state = how->rates->n_in - FIELDS, g->rows = how->rates->n_in;
+  load(w, &g->rates, how->rates, how->numbers);
+  load(w, &g->frame, how->frame, how->numbers);
+  if (how->restore) load(w, &g->restore, how->restore, how->numbers);
+  if (how->lame) load(w, &g->lame, how->lame, how->numbers);
+}
+
+static void drop_lines(lines_t *g) {
+  free(g->rates.r), free(g->frame.r), free(g->restore.r), free(g->lame.r);
+}
+
 static int geodesics(const geodesic_t *how, int64_t n, const double *start, const double *length,
                      const double *tolerance, double *end, int64_t m, double *path) {
   work_t w;
@@ -161,12 +173,8 @@ static int geodesics(const geodesic_t *how, int64_t n, const double *start, cons
   begin_work(&w, NULL, &failure);
   lines_t *g = calloc(1, sizeof *g);
   if (!g) return NO_MEMORY;
-  g->how = how, g->state = how->rates->n_in - FIELDS, g->rows = how->rates->n_in;
   if (setjmp(w.jump) == 0) {
-    load(&w, &g->rates, how->rates, how->numbers);
-    load(&w, &g->frame, how->frame, how->numbers);
-    if (how->restore) load(&w, &g->restore, how->restore, how->numbers);
-    if (how->lame) load(&w, &g->lame, how->lame, how->numbers);
+    load_lines(&w, g, how);
     for (int64_t i = 0; i < n; i += L) {
       const int count = (int)(n - i < L ? n - i : L);
       int lost[L] = {0};
@@ -183,7 +191,7 @@ static int geodesics(const geodesic_t *how, int64_t n, const double *start, cons
         for (int q = 0; q < count; q++) end[r * n + i + q] = lost[q] ? NAN : g->shown[r][q];
     }
   }
-  free(g->rates.r), free(g->frame.r), free(g->restore.r), free(g->lame.r), free(g);
+  drop_lines(g), free(g);
   end_work(&w);
   return (int)failure.code;
 }

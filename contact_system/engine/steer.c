@@ -1,133 +1,400 @@
-/* Where paths of legs end on spheres and planes, and how ends move with legs: theory section 11. */
+/* Paths of legs that end at a goal, a trial a lane: Newton's method (theory section 11).
 
-enum { MOST_LEGS = 8 };
+   All is told in the frame of the path: p the direction of travel, q = n x p. On both bodies p is
+   the same direction in space, and q and n are opposite ones. Jacobi fields say how the frame at
+   the end moves with each unknown: directions and lengths of the legs. */
 
-/* Jacobi fields along legs of lengths s from the Gaussian curvature at their Gauss points, [n][L]:
-   J J' M M' at these and at the end, [n][L + 1][4]. Volterra's equation, by iteration: its error
-   falls like x^2k/(2k)!, x = sqrt K s. */
-static void fields(int64_t n, const double *curvature, const double *s, double *out) {
-  for (int64_t leg = 0; leg < n; leg++, curvature += L, out += 4 * (L + 1))
-    for (int which = 0; which < 2; which++) { /* y = J/s, then M, of x from 0 to 1 */
-      double y[L], rate[L], slope[L], rise[L], change = 1.0;
-      for (int i = 0; i < L; i++) y[i] = which ? 1.0 : 0.5 * (1.0 + gauss_node[i]);
-      for (int sweep = 0; sweep < 200 && change > 1e-15; sweep++) {
-        change = 0.0;
-        for (int i = 0; i < L; i++) rate[i] = -curvature[i] * s[leg] * s[leg] * y[i];
-        combine(gauss_integral, L, 1, rate, L, NULL, 0.5, slope, L);
-        combine(gauss_integral, L, 1, slope, L, NULL, 0.5, rise, L);
-        for (int i = 0; i < L; i++) {
-          const double now = rise[i] + (which ? 1.0 : 0.5 * (1.0 + gauss_node[i]));
-          change = fmax(change, fabs(now - y[i])), y[i] = now;
-        }
-      }
-      const double unit = which ? 1.0 : s[leg], each = s[leg] != 0 ? 1.0 / s[leg] : 0.0;
-      for (int i = 0; i <= L; i++) {
-        const double steep = i < L ? slope[i] : 0.5 * dot(gauss_weight, rate);
-        const double value = i < L ? y[i] : 1.0 + 0.5 * dot(gauss_weight, slope);
-        out[4 * i + 2 * which] = unit * value;
-        out[4 * i + 2 * which + 1] = which ? steep * each : 1.0 + steep;
-      }
-    }
-}
+enum { MOST_LEGS = 4, UNKNOWNS = 2 * MOST_LEGS };
+enum { PATIENCE = 6, ENOUGH = 2 }; /* trials until one that creeps is given up; routes */
 
-/* How the end of a path moves along p and q of its carried frame, and how that frame turns: for a
-   turn of each leg, then for each metre of its length. along: J J' M M' of each leg. */
-static void shift_end(int64_t n, const double *ways, const double *along, double *out) {
-  for (int64_t k = 0; k < n; k++) {
-    const double cosine = cos(ways[k]), sine = sin(ways[k]), *f = along + 4 * k;
-    for (int64_t i = 0; i < 2 * n; i++) {
-      if (i % n >= k) continue;
-      double *m = out + 3 * i;
-      const double ahead = cosine * m[0] + sine * m[1], aside = cosine * m[1] - sine * m[0];
-      const double moved = f[2] * aside + f[0] * m[2];
-      m[0] = cosine * ahead - sine * moved, m[1] = sine * ahead + cosine * moved;
-      m[2] = f[1] * m[2] + f[3] * aside;
-    }
-    double *turned = out + 3 * k, *longer = out + 3 * (n + k);
-    turned[0] = -sine * f[0], turned[1] = cosine * f[0], turned[2] = f[1] - 1.0;
-    longer[0] = cosine, longer[1] = sine, longer[2] = 0.0;
-  }
-}
+/* slopes, or moves, by each unknown */
+typedef double by_unknown_t[UNKNOWNS][L];
 
-static void shifts(int64_t m, int64_t n, const double *ways, const double *along, double *out) {
-  for (int64_t i = 0; i < m; i++) shift_end(n, ways + i * n, along + 4 * i * n, out + 6 * i * n);
-}
+/* the path on one body */
+typedef struct {
+  const steered_t *body;
+  lines_t lines;
+  unit_t shape;
+  double at[SHOWN][L];              /* x p q, and J J' M M' of the last part */
+  by_unknown_t ahead, aside, turns; /* how the frame moves along p and q, and turns */
+  int lost[L];
+} rolled_t;
 
 typedef struct {
-  double re, im;
-} complex_t;
+  double size[L], pull[UNKNOWNS][L], square[UNKNOWNS][UNKNOWNS][L];
+} equations_t;
 
-static complex_t product(complex_t x, complex_t y) {
-  return (complex_t){x.re * y.re - x.im * y.im, x.re * y.im + x.im * y.re};
-}
-
-/* A motion of a surface of curvature K: |a|^2 + K |b|^2 = 1, half a quaternion each on a sphere; on
-   the plane a turn by 2 arg a and a move by 2 a b */
 typedef struct {
-  complex_t a, b;
-} motion2_t;
+  const steer_t *aim;
+  int legs, unknowns;
+  int64_t met; /* trials that arrive */
+  rolled_t rolled[2];
+  double tried[UNKNOWNS][L];
+  int active[L];
+  equations_t now, best;
+} search_t;
 
-/* One body's path from the goal's frame on; its shifts to out[2 n][3], lengths along s */
-static motion2_t rolled(const steer_t *aim, int side, int64_t n, const double *z, double *out) {
-  const double k = aim->curvature[side], root = sqrt(k), sign = side ? -1.0 : 1.0;
-  double ways[MOST_LEGS], along[4 * MOST_LEGS];
-  const double *back = aim->back[side];
-  motion2_t at = {{back[0], back[1]}, {back[2], back[3]}};
-  for (int64_t i = 0; i < n; i++) {
-    const double s = z[n + i] * aim->pace, way = sign * (z[i] + aim->lean) - side * aim->psi;
-    const double rise = k > 0 ? sin(0.5 * root * s) / root : 0.5 * s;
-    const double half = k > 0 ? cos(0.5 * root * s) : 1.0, slope = 1.0 - 2.0 * k * rise * rise;
-    double *f = along + 4 * i;
-    f[0] = 2.0 * rise * half, f[1] = f[2] = slope, f[3] = -k * f[0], ways[i] = way;
-    const complex_t step = {rise * cos(way), rise * sin(way)}, against = {step.re, -step.im};
-    const complex_t turned = product(at.b, against), moved = product(at.a, step);
-    at = (motion2_t){{at.a.re * half - k * turned.re, at.a.im * half - k * turned.im},
-                     {moved.re + at.b.re * half, moved.im + at.b.im * half}};
+static void add_row(equations_t *e, int n, double (*slope)[L], const double *off) {
+  for (int i = 0; i < n; i++) {
+  SIMD for (int l = 0; l < L; l++) e->pull[i][l] += slope[i][l] * off[l];
+    for (int j = 0; j <= i; j++) SIMD for (int l = 0; l < L; l++) e->square[i][j][l] += slope[i][l] * slope[j][l];
   }
-  shift_end(n, ways, along, out);
-  for (int64_t i = 0; i < 6 * n; i++) out[i] *= i < 3 * n ? sign : aim->pace;
-  return at;
 }
 
-/* How far a path z, n directions and n lengths, ends from the goal: two rows for each body on which
-   a place is wanted, in sizes, and two for psi; slopes[rows][2 n]. Returns how many rows. */
-static int64_t steered(const steer_t *aim, int64_t n, const double *z, double *off,
-                       double *slopes) {
-  double moves[2][6 * MOST_LEGS];
-  motion2_t end[2];
-  int64_t rows = 0;
-  for (int side = 0; side < 2; side++) {
-    end[side] = rolled(aim, side, n, z, moves[side]);
-    if (!aim->wanted[side]) continue;
-    const double unit = 1.0 / aim->size[side];
-    const complex_t a = end[side].a, b = end[side].b;
-    off[rows] = 2.0 * unit * b.re, off[rows + 1] = 2.0 * unit * b.im;
-    for (int64_t i = 0; i < 2 * n; i++) {
-      const double *m = moves[side] + 3 * i;
-      const complex_t moved = product(a, (complex_t){m[0], m[1]});
-      slopes[rows * 2 * n + i] = unit * (moved.re + b.im * m[2]);
-      slopes[(rows + 1) * 2 * n + i] = unit * (moved.im - b.re * m[2]);
+static void add_size(equations_t *e, const double *off) {
+  SIMD for (int l = 0; l < L; l++) e->size[l] += off[l] * off[l];
+}
+
+/* ---- a path ---- */
+
+static void turn_rows(double (*x)[L], double (*y)[L], int n, const double *c, const double *s) {
+  for (int i = 0; i < n; i++)
+    SIMD for (int l = 0; l < L; l++) {
+      const double ahead = c[l] * x[i][l] + s[l] * y[i][l];
+      y[i][l] = c[l] * y[i][l] - s[l] * x[i][l], x[i][l] = ahead;
     }
-    rows += 2;
+}
+
+/* The frame turns: the path's direction changes. */
+static void turn_path(rolled_t *r, int n, const double *turn) {
+  double s[L], c[L];
+  lanes_sincos(turn, s, c);
+  turn_rows(r->at + 3, r->at + 6, 3, c, s);
+  turn_rows(r->ahead, r->aside, n, c, s);
+  const geodesic_t *how = r->body->how;
+  if (how && how->restore) memcpy(r->lines.y + 3, r->at + 3, 3 * sizeof *r->at);
+  if (how && !how->restore) for (int l = 0; l < L; l++) r->lines.y[2][l] += turn[l];
+}
+
+/* Along p, a part of a leg */
+static void advance(rolled_t *r, const double *length) {
+  const steered_t *body = r->body;
+  if (body->how) {
+    lines_t *g = &r->lines;
+    memcpy(g->length, length, sizeof g->length);
+    for (int l = 0; l < L; l++)
+      if (r->lost[l]) g->length[l] = 0.0;
+    for (int f = 0; f < FIELDS; f++) fill_lanes(g->y[g->state + f], f == 1 || f == 2);
+    follow(g, 0, 0, L, NULL, r->lost);
+    memcpy(r->at, g->shown, sizeof r->at);
+    return;
   }
-  if (!aim->turns) return rows;
-  /* (a_1 a_2)^2 has the phase by which both frames turn, and psi is what they turn less */
-  const complex_t whole = product(end[0].a, end[1].a);
-  const complex_t half = product(whole, (complex_t){cos(aim->turn), sin(aim->turn)});
-  const complex_t off_turn = product(half, whole);
-  off[rows] = off_turn.re - 1.0, off[rows + 1] = off_turn.im;
-  double *first = slopes + rows * 2 * n, *second = first + 2 * n;
-  for (int64_t i = 0; i < 2 * n; i++) first[i] = second[i] = 0.0;
-  for (int side = 0; side < 2; side++) {
-    const complex_t a = end[side].a, b = end[side].b, other = product(half, end[1 - side].a);
-    const double k = aim->curvature[side];
-    for (int64_t i = 0; i < 2 * n; i++) {
-      const double *m = moves[side] + 3 * i;
-      const complex_t moved = product(b, (complex_t){m[0], -m[1]});
-      const complex_t grown = {-m[2] * a.im - k * moved.re, m[2] * a.re - k * moved.im};
-      const complex_t slope = product(other, grown);
-      first[i] += slope.re, second[i] += slope.im;
+  const double k = body->gauss, root = sqrt(k);
+  double half[L], s[L], c[L];
+  SIMD for (int l = 0; l < L; l++) half[l] = 0.5 * root * length[l];
+  lanes_sincos(half, s, c);
+  double(*f)[L] = r->at + 9;
+  SIMD for (int l = 0; l < L; l++) {
+    const double rise = k > 0 ? s[l] / root : 0.5 * length[l], drop = 2.0 * rise * rise;
+    const double j = k > 0 ? 2.0 * rise * c[l] : length[l];
+    for (int i = 0; i < 3; i++) {
+      const double x = r->at[i][l], p = r->at[3 + i][l];
+      r->at[i][l] = x + j * p - k * drop * x;
+      r->at[3 + i][l] = p - k * (drop * p + j * x);
+    }
+    f[0][l] = j, f[1][l] = f[2][l] = 1.0 - k * drop, f[3][l] = -k * j;
+  }
+}
+
+/* A part of a leg carries the moves before it along. */
+static void carry(rolled_t *r, int n) {
+  double(*f)[L] = r->at + 9;
+  for (int i = 0; i < n; i++)
+    SIMD for (int l = 0; l < L; l++) {
+      const double aside = r->aside[i][l], turn = r->turns[i][l];
+      r->aside[i][l] = f[2][l] * aside + f[0][l] * turn;
+      r->turns[i][l] = f[3][l] * aside + f[1][l] * turn;
+    }
+}
+
+static void stay_within(const rolled_t *r, equations_t *e, int n) {
+  const double *centre = r->body->within, radius = r->body->within[3];
+  double off[L], ahead[L], aside[L];
+  by_unknown_t slope;
+  SIMD for (int l = 0; l < L; l++) {
+    double away = 0.0, along = 0.0, across = 0.0;
+    for (int i = 0; i < 3; i++) {
+      const double d = r->at[i][l] - centre[i];
+      away += d * d, along += d * r->at[3 + i][l], across += d * r->at[6 + i][l];
+    }
+    away = sqrt(away);
+    const double part = away > radius ? 1.0 / (away * radius) : 0.0;
+    off[l] = away > radius ? away / radius - 1.0 : 0.0;
+    ahead[l] = part * along, aside[l] = part * across;
+  }
+  for (int i = 0; i < n; i++) SIMD for (int l = 0; l < L; l++) slope[i][l] = ahead[l] * r->ahead[i][l] + aside[l] * r->aside[i][l];
+  add_row(e, n, slope, off), add_size(e, off);
+}
+
+static void start_path(rolled_t *r) {
+  const geodesic_t *how = r->body->how;
+  for (int i = 0; i < 9; i++) fill_lanes(r->at[i], r->body->start[i]);
+  memset(r->lost, 0, sizeof r->lost);
+  memset(r->ahead, 0, sizeof r->ahead), memset(r->aside, 0, sizeof r->aside);
+  memset(r->turns, 0, sizeof r->turns);
+  if (how && how->restore) memcpy(r->lines.y, r->at, 6 * sizeof *r->at);
+  if (how && !how->restore)
+    for (int i = 0; i < 3; i++) fill_lanes(r->lines.y[i], r->body->place[i]);
+}
+
+static void roll(search_t *w, int side) {
+  const steer_t *aim = w->aim;
+  rolled_t *r = w->rolled + side;
+  const double sign = side ? -1.0 : 1.0, part = aim->pace / (double)aim->parts;
+  const int n = w->legs, all = w->unknowns;
+  double turn[L], length[L];
+  start_path(r);
+  for (int k = 0; k < n; k++) {
+    for (int l = 0; l < L; l++) {
+      const double first = sign * aim->lean - (double)side * aim->psi;
+      turn[l] = k ? sign * (w->tried[k][l] - w->tried[k - 1][l]) : first + sign * w->tried[0][l];
+      length[l] = w->active[l] ? part * w->tried[n + k][l] : 0.0;
+    }
+    turn_path(r, all, turn);
+    fill_lanes(r->turns[k], sign);
+    for (int64_t p = 0; p < aim->parts; p++) {
+      advance(r, length), carry(r, all);
+      for (int l = 0; l < L; l++) r->ahead[n + k][l] += part * aim->unit;
+      if (r->body->within[3] > 0) stay_within(r, &w->now, all);
+    }
+    if (k + 1 < n) /* what is carried has not turned with the path */
+      for (int l = 0; l < L; l++) r->turns[k][l] -= sign;
+  }
+}
+
+/* ---- how far it ends from the goal ---- */
+
+static void arrive_at_place(search_t *w, int side) {
+  const rolled_t *r = w->rolled + side;
+  const steered_t *body = r->body;
+  const double unit = 1.0 / body->size;
+  by_unknown_t slope;
+  double off[3][L];
+  SIMD for (int l = 0; l < L; l++) {
+    double d[3], n2 = 0.0, y[2] = {0.0, 0.0};
+    for (int i = 0; i < 3; i++) {
+      d[i] = unit * (r->at[i][l] - body->goal[i]), n2 += d[i] * d[i];
+      y[0] += d[i] * r->at[3 + i][l], y[1] += d[i] * r->at[6 + i][l];
+    }
+    off[0][l] = y[0], off[1][l] = y[1], w->now.size[l] += n2;
+  }
+  for (int row = 0; row < 2; row++) {
+    const double(*moves)[L] = row ? r->aside : r->ahead;
+    for (int i = 0; i < w->unknowns; i++) SIMD for (int l = 0; l < L; l++) slope[i][l] = unit * moves[i][l];
+    add_row(&w->now, w->unknowns, slope, off[row]);
+  }
+}
+
+/* How the normal tilts along p and q with each unknown */
+static void tilt(rolled_t *r, int n, double (*ahead)[L], double (*aside)[L]) {
+  double flat[3][L];
+  double(*form)[L] = flat;
+  if (r->body->how) {
+    memcpy(r->shape.r, r->lines.y, (size_t)r->lines.state * sizeof *r->lines.y);
+    form = run(&r->shape);
+  } else
+    for (int i = 0; i < 3; i++) fill_lanes(flat[i], i == 1 ? 0.0 : r->body->bend);
+  for (int i = 0; i < n; i++)
+    SIMD for (int l = 0; l < L; l++) {
+      ahead[i][l] = form[0][l] * r->ahead[i][l] + form[1][l] * r->aside[i][l];
+      aside[i][l] = form[1][l] * r->ahead[i][l] + form[2][l] * r->aside[i][l];
+    }
+}
+
+/* The finger's rotation is F_2 diag(1, -1, -1) F_1^T, of the frames F = [p q n] at the end: the
+   rows are it and the goal's, told in these frames. Of a pose its origin is wanted too. */
+static void arrive_in_pose(search_t *w) {
+  const steer_t *aim = w->aim;
+  rolled_t *one = w->rolled, *other = w->rolled + 1;
+  const int n = w->unknowns;
+  equations_t *e = &w->now;
+  by_unknown_t ahead[2], aside[2], slope;
+  double off[6][L], from[3][L];
+  for (int s = 0; s < 2; s++) tilt(w->rolled + s, n, ahead[s], aside[s]);
+  const double unit = aim->is_pose ? 1.0 / aim->size : 0.0;
+  SIMD for (int l = 0; l < L; l++) {
+    double f[2][3][3], c[3][3], n2 = 0.0;
+    for (int s = 0; s < 2; s++) {
+      for (int i = 0; i < 3; i++)
+        f[s][0][i] = w->rolled[s].at[3 + i][l], f[s][1][i] = w->rolled[s].at[6 + i][l];
+      const double *p = f[s][0], *q = f[s][1];
+      f[s][2][0] = p[1] * q[2] - p[2] * q[1], f[s][2][1] = p[2] * q[0] - p[0] * q[2];
+      f[s][2][2] = p[0] * q[1] - p[1] * q[0];
+    }
+    for (int i = 0; i < 3; i++)
+      for (int j = 0; j < 3; j++) {
+        double sum = 0.0;
+        for (int a = 0; a < 3; a++)
+          for (int b = 0; b < 3; b++) sum += f[1][i][a] * aim->turn[3 * a + b] * f[0][j][b];
+        c[i][j] = (i != j ? 0.0 : i ? -1.0 : 1.0) - sum, n2 += c[i][j] * c[i][j];
+      }
+    off[0][l] = c[0][1] + c[1][0], off[1][l] = -c[0][2] - c[2][0], off[2][l] = c[2][1] - c[1][2];
+    for (int i = 0; i < 3; i++) {
+      double x = 0.0, y = 0.0;
+      for (int j = 0; j < 3; j++) {
+        x += f[0][i][j] * one->at[j][l];
+        y += f[1][i][j] * (other->at[j][l] - aim->origin[j]);
+      }
+      from[i][l] = unit * x, off[3 + i][l] = unit * (i ? y + x : y - x);
+      n2 += off[3 + i][l] * off[3 + i][l];
+    }
+    e->size[l] += n2;
+  }
+  by_unknown_t spin[3]; /* of the finger about the frame's axes, against what is carried */
+  for (int i = 0; i < n; i++)
+    SIMD for (int l = 0; l < L; l++) {
+      spin[0][i][l] = one->turns[i][l] + other->turns[i][l];
+      spin[1][i][l] = ahead[0][i][l] + ahead[1][i][l];
+      spin[2][i][l] = aside[1][i][l] - aside[0][i][l];
+    }
+  for (int row = 0; row < 3; row++) { /* each stands in two of the nine entries */
+    add_row(e, n, spin[row], off[row]);
+    const double none[L] = {0};
+    add_row(e, n, spin[row], none);
+  }
+  for (int row = 0; row < 3 && aim->is_pose; row++) {
+    for (int i = 0; i < n; i++)
+      SIMD for (int l = 0; l < L; l++) {
+        const double mu = spin[0][i][l], e0 = spin[1][i][l], e1 = spin[2][i][l];
+        const double turned = row == 0   ? mu * from[1][l] - e0 * from[2][l]
+                              : row == 1 ? mu * from[0][l] - e1 * from[2][l]
+                                         : e1 * from[1][l] - e0 * from[0][l];
+        const double moved = row == 0   ? other->ahead[i][l] - one->ahead[i][l]
+                             : row == 1 ? other->aside[i][l] + one->aside[i][l]
+                                        : 0.0;
+        slope[i][l] = unit * moved - turned;
+      }
+    add_row(e, n, slope, off[3 + row]);
+  }
+}
+
+static void keep_short(search_t *w) {
+  const double longest = w->aim->longest, slope = w->aim->unit / longest;
+  for (int i = w->legs; i < w->unknowns && longest > 0; i++)
+    for (int l = 0; l < L; l++) {
+      const double s = w->tried[i][l], over = fabs(s) / longest - 1.0;
+      if (over <= 0) continue;
+      w->now.size[l] += over * over, w->now.square[i][i][l] += slope * slope;
+      w->now.pull[i][l] += copysign(slope, s) * over;
+    }
+}
+
+static void try_paths(search_t *w) {
+  memset(&w->now, 0, sizeof w->now);
+  for (int side = 0; side < 2; side++) roll(w, side);
+  for (int side = 0; side < 2; side++)
+    if (w->aim->body[side].wanted) arrive_at_place(w, side);
+  if (w->aim->turns) arrive_in_pose(w);
+  keep_short(w);
+  for (int l = 0; l < L; l++)
+    if (w->rolled[0].lost[l] || w->rolled[1].lost[l]) w->now.size[l] = HUGE_VAL;
+}
+
+/* ---- Newton's method, with Levenberg's damping ---- */
+
+static const double NO_DAMPING = 1e-12; /* but of what no row sees */
+
+/* The step of a lane, by Cholesky's method */
+static void solve(const equations_t *e, int n, int l, double damping, double *x) {
+  double a[UNKNOWNS][UNKNOWNS];
+  for (int i = 0; i < n; i++) {
+    x[i] = e->pull[i][l];
+    for (int j = 0; j <= i; j++) {
+      double sum = e->square[i][j][l] + (i == j ? damping : 0.0);
+      for (int k = 0; k < j; k++) sum -= a[i][k] * a[j][k];
+      a[i][j] = i == j ? sqrt(sum > damping ? sum : damping) : sum / a[j][j];
+    }
+    for (int k = 0; k < i; k++) x[i] -= a[i][k] * x[k];
+    x[i] /= a[i][i];
+  }
+  for (int i = n - 1; i >= 0; i--) {
+    for (int k = i + 1; k < n; k++) x[i] -= a[k][i] * x[k];
+    x[i] /= a[i][i];
+  }
+}
+
+static void copy_lane(equations_t *to, const equations_t *from, int n, int l) {
+  to->size[l] = from->size[l];
+  for (int i = 0; i < n; i++) {
+    to->pull[i][l] = from->pull[i][l];
+    for (int j = 0; j <= i; j++) to->square[i][j][l] = from->square[i][j][l];
+  }
+}
+
+static void search(search_t *w, int64_t count, double (*z)[L], double (*ends)[L]) {
+  const steer_t *aim = w->aim;
+  const int n = w->unknowns;
+  double damping[L], mark[L];
+  int64_t going = count;
+  for (int l = 0; l < L; l++) {
+    w->active[l] = l < count, w->best.size[l] = mark[l] = HUGE_VAL, damping[l] = 1e-2;
+    for (int i = 0; i < n; i++) w->tried[i][l] = z[i][l < count ? l : 0];
+  }
+  for (int64_t step = 0; step < aim->steps && going > 0 && w->met < ENOUGH; step++) {
+    try_paths(w);
+    for (int l = 0; l < count; l++) {
+      if (!w->active[l]) continue;
+      const double before = w->best.size[l];
+      if (w->now.size[l] < before) {
+        copy_lane(&w->best, &w->now, n, l);
+        damping[l] = fmax(0.3 * damping[l], 1e-11);
+        for (int i = 0; i < n; i++) z[i][l] = w->tried[i][l];
+        for (int i = 0; i < 18; i++) ends[i][l] = w->rolled[i / 9].at[i % 9][l];
+      } else
+        damping[l] *= 10.0;
+      const double off = w->best.size[l];
+      const int met = off < aim->reached * aim->reached;
+      int stop = met || off == HUGE_VAL;
+      if (step % PATIENCE == PATIENCE - 1) { /* what only creeps is given up */
+        stop |= off > 0.25 * mark[l] * mark[l];
+        mark[l] = sqrt(off);
+      }
+      w->met += met, w->active[l] = !stop, going -= stop;
+      if (stop && !met) continue;
+      double x[UNKNOWNS], most = 1.0;
+      solve(&w->best, n, l, met ? NO_DAMPING : damping[l], x);
+      for (int i = 0; i < n; i++) most = fmax(most, fabs(x[i]));
+      for (int i = 0; i < n; i++) {
+        w->tried[i][l] = z[i][l] - (i < w->legs ? 1.0 : aim->unit) * x[i] / most;
+        if (met) z[i][l] = w->tried[i][l];
+      }
     }
   }
-  return rows + 2;
+}
+
+/* Improves directions and lengths z[2 n][L] of `count` trials until some end at the goal, as near as
+   is asked for; these take a last step then. Before that step: how far off they end; their ends,
+   x p q on finger and object, [18][L]; the squares of the equations' slopes, [2 n][2 n][L].
+   Returns how many arrive, or -1 without memory. */
+static int64_t steer(const steer_t *aim, int64_t legs, int64_t count, double (*z)[L], double *off,
+                     double (*ends)[L], double *squares) {
+  work_t work;
+  failure_t failure;
+  begin_work(&work, NULL, &failure);
+  search_t *w = calloc(1, sizeof *w);
+  if (!w) return -1;
+  w->aim = aim, w->legs = (int)legs, w->unknowns = 2 * (int)legs;
+  if (setjmp(work.jump) == 0) {
+    for (int side = 0; side < 2; side++) {
+      rolled_t *r = w->rolled + side;
+      const geodesic_t *how = aim->body[side].how;
+      r->body = aim->body + side;
+      if (!how) continue;
+      load_lines(&work, &r->lines, how);
+      r->lines.tolerance = aim->tolerance;
+      load(&work, &r->shape, aim->body[side].shape, how->numbers);
+    }
+    search(w, count, z, ends);
+    const int n = w->unknowns;
+    for (int l = 0; l < count; l++) off[l] = sqrt(w->best.size[l]);
+    for (int i = 0; i < n; i++)
+      for (int j = 0; j < n; j++)
+        memcpy(squares + (i * n + j) * L, w->best.square[i > j ? i : j][i > j ? j : i], L * sizeof(double));
+  }
+  for (int side = 0; side < 2; side++)
+    if (aim->body[side].how) drop_lines(&w->rolled[side].lines), free(w->rolled[side].shape.r);
+  const int64_t met = failure.code ? -1 : w->met;
+  free(w);
+  end_work(&work);
+  return met;
 }

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..checks import finite_number, naming
 from ..errors import SceneError
-from ..theory.profile import Profile, clear_value
+from ..theory.profile import Profile, clear_value, polynomial
 
 STILL = Profile([0.0])
 _LONGEST = 1e15  # s
@@ -178,6 +178,7 @@ def check_legs(legs: Sequence[Leg], duration: float) -> None:
 def _ends(stretch: Stretch) -> tuple[float, float]:
     """sigma where the stretch begins and ends, 0 where it cannot be told from rounding."""
     span, c = stretch.stop - stretch.start, stretch.profile.coefficients
-    size = float(np.polynomial.polynomial.polyval(span, np.abs(c)))
-    first, last = (clear_value(c, t) for t in (0.0, span))
-    return (first, last) if abs(last) > _JUMP * size else (first, 0.0)
+    first, last = clear_value(c, 0.0), clear_value(c, span)
+    if last and not abs(last) > _JUMP * polynomial([*map(abs, c)], span):
+        last = 0.0
+    return first, last

@@ -40,6 +40,8 @@ class Follower:
         In space ``restore`` and ``second``, in a chart ``frame`` and ``lame``.
     detail : float
         Length over which the surface is nearly flat, m.
+    how, shape
+        For the engine: how they are followed, and the address of the table of curvatures.
     """
 
     def __init__(self, surface: Surface):
@@ -49,7 +51,7 @@ class Follower:
         self.tables = [group[order.index(name)] for name in names]
         self.detail = 0.3 * min(surface.bend, 0.5 * surface.size)
         first, second = map(at, self.tables)
-        self._how = binding.Followed(
+        self.how = binding.Followed(
             at(tables.geodesic),
             *((first, second, None) if self.space else (None, first, second)),
             binding.address(surface.numbers),
@@ -57,6 +59,7 @@ class Follower:
             self.detail,
             surface.reach * surface.size / 8,
         )
+        self.shape = at(group[order.index("shape")])
         self._surface = surface  # whose numbers these are
 
     def __call__(self, start: Array, length: Array, tolerance: Any, samples: int = 0) -> Array:
@@ -67,7 +70,7 @@ class Follower:
         end, path = np.empty((13, n)), np.empty((samples, 4, n))
         given = address(start), address(length), address(tolerance), address(end)
         at_path = address(path) if samples else None
-        if binding.geodesics(ctypes.addressof(self._how), n, *given, samples, at_path):
+        if binding.geodesics(ctypes.addressof(self.how), n, *given, samples, at_path):
             raise MemoryError
         return path if samples else end
 

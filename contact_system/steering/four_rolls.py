@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from .jacobi import Array
-from .paths import Aim, ClosedPaths
+from .aim import Aim, is_plane
+from .aiming import Array
 
 
 def four_rolls(aim: Aim, below: float) -> Array | None:
@@ -20,15 +20,13 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
 
     None for other goals, and where it is clearly not shorter, m along s, than what is given.
     """
-    paths = ClosedPaths(aim, 4)
-    flat = [k == 0.0 for k in paths.curvatures]
-    if flat[0] == flat[1] or not aim.turned:
+    flat = [is_plane(body) for body in aim.bodies]
+    if flat[0] == flat[1] or not aim.in_closed_form or aim.pose is None or aim.is_pose:
         return None
     ball, plane = flat.index(False), flat.index(True)
-    back = paths.back
     r, psi = aim.sizes[ball], aim.angles[0]
     # psi's growth, as the plane's frame is not turned by rolling
-    (a, b), (turned, moved) = (_inverse(*back[side]) for side in (ball, plane))
+    (a, b), (turned, moved) = _turn_of_ball(aim, ball), _move_on_plane(aim, plane)
     half = cmath.rect(1.0, 0.5 * (psi - aim.angles[1])) * turned
     a, b, wanted = a * half, b * half.conjugate() / r, 2 * turned * moved
     if below * aim.pace <= r * (2 * math.acos(min(1.0, abs(a.real))) + 4 * math.pi):
@@ -57,5 +55,32 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
     return np.concatenate([own - aim.lean, lengths / aim.pace])
 
 
-def _inverse(re_a: float, im_a: float, re_b: float, im_b: float) -> tuple[complex, complex]:
-    return complex(re_a, -im_a), -complex(re_b, im_b)
+def _move_on_plane(aim: Aim, side: int) -> tuple[complex, complex]:
+    """The motion from the start's frame to the goal's: a turn by 2 arg a, and a move by 2 a b."""
+    (x0, frame0), (x1, frame1) = aim.start[side], aim.goal[side]
+    turn = frame0.T @ frame1
+    a = cmath.sqrt(complex(turn[0, 0], turn[1, 0]))
+    x, y, _ = (frame0.T @ (x1 - x0)).tolist()
+    return a, complex(x, y) / (2 * a)
+
+
+def _turn_of_ball(aim: Aim, side: int) -> tuple[complex, complex]:
+    """The same as halves of a quaternion, the second in radii."""
+    (_, frame0), (_, frame1) = aim.start[side], aim.goal[side]
+    mirror = np.array([1.0, 1.0, aim.bodies[side].sign])  # p, q and x: left-handed in a bowl
+    w, x, y, z = _quaternion((frame0 * mirror).T @ (frame1 * mirror))
+    return complex(w, z), aim.sizes[side] * complex(y, -x)
+
+
+def _quaternion(turn: Array) -> list[float]:
+    """w, x, y, z of a rotation, from the greatest of them."""
+    (a, d, e), (f, b, g), (h, i, c) = turn.tolist()
+    rows = (
+        (1 + a + b + c, i - g, e - h, f - d),
+        (i - g, 1 + a - b - c, d + f, e + h),
+        (e - h, d + f, 1 - a + b - c, g + i),
+        (f - d, e + h, g + i, 1 - a - b + c),
+    )
+    row = max(range(4), key=lambda k: rows[k][k])
+    norm = math.hypot(*rows[row])
+    return [x / norm for x in rows[row]]

@@ -15,8 +15,7 @@ from ..errors import SceneError
 from ..motion import FRAMES, Motion
 from ..scene import Scene, require_scene
 from .goal import Goal, Route
-from .paths import TOLERANCE
-from .reach import reach
+from .reach import TOLERANCE, reach
 
 
 def _gauss(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

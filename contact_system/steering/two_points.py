@@ -185,6 +185,8 @@ class Pairs:
                 f"{surface!r}: a and b are the same point, {self.x[same[0]].tolist()}; a geodesic "
                 "needs two"
             )
+        if self.uv.shape[-1] == 3:
+            self.uv = np.stack(surface.coordinates(self.uv), axis=-1)
         frame, self.lost = self._frames(self.uv)
         if not self.follow.space and (self.lost | self._frames(self.uv_b)[1]).any():
             raise SurfaceError(
@@ -227,7 +229,7 @@ class Pairs:
     # -- points
 
     def _placed(self, name: str, given: ArrayLike) -> tuple[Array, Array]:
-        """(u, v) and the point in space, of points on the surface given as either."""
+        """(u, v), or what was given where lines are followed in space, and the point in space."""
         surface = self.surface
         try:
             points = real_array(given)
@@ -241,10 +243,11 @@ class Pairs:
             there = surface.point(points[..., 0], points[..., 1])
             missing, uv = ~np.isfinite(there).all(axis=-1), points
         else:
-            uv = np.stack(surface.coordinates(points), axis=-1)
             if self.follow.space:
                 there = self._restored(points.reshape(-1, 3), np.ones(3))[0].reshape(points.shape)
+                uv = points  # that of b is not asked for
             else:
+                uv = np.stack(surface.coordinates(points), axis=-1)
                 there = surface.point(uv[..., 0], uv[..., 1])
             off = np.linalg.norm(there - points, axis=-1)
             missing = ~(off <= ON_SURFACE * surface.size)

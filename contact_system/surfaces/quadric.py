@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any, ClassVar
@@ -194,6 +195,14 @@ class Quadric(SecondDegree):
     @property
     def bend(self) -> float:
         return min(self._principal[1])
+
+    @property
+    def injectivity(self) -> float:
+        values = np.linalg.eigvalsh(self.A)
+        if not values[0] > 0:
+            return 0.0
+        a, b, c = (1 / np.sqrt(values)).tolist()
+        return math.pi * b * c / a  # as of `Ellipsoid`
 
     def _axes(self, p: ca.SX) -> ca.SX:
         return ca.reshape(p[3:12], 3, 3).T

@@ -1,0 +1,273 @@
+"""A contact's goal in numbers, for the engine's search of paths to it (theory section 11)."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..checks import naming
+from ..engine import binding
+from ..engine.binding import Steer, Steered, address
+from ..errors import SceneError
+from ..motion import SIDES
+from ..scene import Contact, Scene
+from ..surfaces import Surface
+from ..theory.development import prefers_space
+from .aiming import SHARP, Array, Follower
+from .goal import Goal
+
+MOST_LEGS = 4
+LANES = 16
+"""Paths that the engine tries at once."""
+PARTS = 8
+"""Places of a leg that are kept within a region."""
+
+
+class Paths(NamedTuple):
+    """What the search makes of some paths.
+
+    A path is z = (phi_1, ..., phi_n, s_1, ..., s_n), directions from ``finger_velocity`` on and
+    lengths along s, m; a negative length runs backwards.
+    """
+
+    z: Array
+    """(2 n, 16)"""
+    off: Array
+    """How far from the goal they end, in sizes, rad, (16)."""
+    ends: Array
+    """x, p, q of finger and object, p the direction of the path, (18, 16)."""
+    squares: Array
+    """Of the slopes of `off` by z, lengths in units, (2 n, 2 n, 16)."""
+
+
+class Region(NamedTuple):
+    """Places of a body, 0 or 1, around a point: paths aim to stay within the radius, m, and must
+    within the widest."""
+
+    side: int
+    centre: Array
+    radius: float
+    widest: float
+
+
+class Aim:
+    """A contact's goal in numbers; refuses what is no goal of it.
+
+    Attributes
+    ----------
+    name, contact, bodies
+        Of the scene; finger and object.
+    sides : tuple of int
+        The bodies on which a place is wanted, 0 and 1.
+    start, goal : ((3,), (3, 3)) for each body
+        Point and contact frame.
+    angles : (float, float)
+        psi at the start and at the goal.
+    pose : (4, 4) or None
+        That of the finger at the goal, where its rotation matters.
+    is_pose : bool
+        Whether it was given, and its place matters too.
+    regions : list of Region
+        Where it is to stay.
+    pace, lean : float
+        Length and angle of ``finger_velocity``.
+    sizes : list of float
+        Of the bodies, m.
+    unit, far : float
+        A length of the bodies; how far away the goal lies: along s, m.
+    """
+
+    def __init__(self, scene: Scene, index: int, goal: Goal, longest: float | None):
+        self.name = f"{scene.title}, contact {index}"
+        self.contact = _steerable(scene, index, self.name)
+        self.bodies = self.contact.finger, scene.object
+        self.angles = self.contact.angle, goal.angle or 0.0
+        self._place(goal)
+        self.pose, self.is_pose = goal.pose, goal.pose is not None
+        if goal.angle is not None:
+            c, s = math.cos(goal.angle), math.sin(goal.angle)
+            joint = np.array([[c, -s, 0.0], [-s, -c, 0.0], [0.0, 0.0, -1.0]])
+            self.pose = np.eye(4)
+            self.pose[:3, :3] = self.goal[1][1] @ joint @ self.goal[0][1].T
+        self.regions = self._regions(goal)
+        w: Any = self.contact.finger_velocity
+        self.pace, self.lean = math.hypot(*w), math.atan2(w[1], w[0])
+        self.sizes = [body.size for body in self.bodies]
+        self.unit = min(self.sizes + [region.widest for region in self.regions]) / self.pace
+        away = [math.dist(self.start[side][0], self.goal[side][0]) for side in self.sides]
+        self.far = max(away, default=0.0) / self.pace
+        self._followers: list[Follower] = []  # the engine points into them
+        self._data = self._numbers(longest)
+        self.begin()
+
+    @property
+    def fewest(self) -> int:
+        """Legs with as many numbers as are wanted."""
+        return (1 + (5 if self.pose is not None else 2 * len(self.sides))) // 2
+
+    @property
+    def in_closed_form(self) -> bool:
+        """Whether both bodies are spheres or planes."""
+        return not self._followers
+
+    def search(self, z: Array, tolerance: float, reached: float, steps: int = 40) -> Paths:
+        """Newton's method from some paths z, (2 n, m), until two end at the goal.
+
+        Steps of the engine are off by the tolerance, of the size.
+        """
+        rows, count = z.shape
+        data, tried = self._data, np.empty((rows, LANES))
+        tried[:, :count] = z
+        data.tolerance, data.reached, data.steps = tolerance, reached, steps
+        off, ends = np.full(LANES, math.inf), np.empty((18, LANES))
+        squares = np.empty((rows, rows, LANES))
+        out = address(tried), address(off), address(ends), address(squares)
+        if binding.steer(ctypes.addressof(data), rows // 2, count, *out) < 0:
+            raise MemoryError
+        return Paths(tried, off, ends, squares)
+
+    def begin(self) -> None:
+        """Let paths begin where the contact does."""
+        for side in (0, 1):
+            self._begin(side, *self.start[side])
+
+    def lead_to(self, z: Array, points: Array, pose: Array) -> None:
+        """Let paths on the object begin where z leads to its real end; slip is in between."""
+        n = len(z) // 2
+        finger = self._ends(z)[0][1]
+        # p along that of the finger, q and n against them
+        frame = pose[:3, :3] @ finger * [1.0, -1.0, -1.0]
+        self._begin(1, points[1], frame @ self._carried(z[n - 1]))
+        back = np.concatenate([z[:n][::-1], -z[n:][::-1]])
+        x, frame = self._ends(back)[1]
+        self._begin(1, x, frame @ self._carried(back[n - 1]))
+
+    def _ends(self, z: Array) -> list[tuple[Array, Array]]:
+        """Where geodesics end on both bodies: the point, and p along the path, q and n."""
+        ends = self.search(z[:, None], SHARP, math.inf, steps=1).ends[:, 0].reshape(2, 3, 3)
+        return [(x, np.transpose([p, q, np.cross(p, q)])) for x, p, q in ends]
+
+    def _carried(self, direction: float) -> Array:
+        """The frame that is carried on the object, in that of a leg."""
+        way = -direction - self.lean - self.angles[0]
+        c, s = math.cos(way), math.sin(way)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+
+    def _begin(self, side: int, x: Array, frame: Array) -> None:
+        data, body = self._data.body[side], self.bodies[side]
+        data.start[:] = [*x.tolist(), *frame[:, :2].T.ravel().tolist()]
+        if data.how and not prefers_space(body):
+            place = np.ravel(body.coordinates(x))
+            own = body.point_and_frame(*place[:, None])[1][0]
+            data.place[:] = [*place.tolist(), math.atan2(*(frame[:, 0] @ own[:, [1, 0]]))]
+
+    def off(self, points: Array, pose: Array) -> float:
+        """How far from the goal a contact is with these contact points and this pose."""
+        parts = [(points[side] - self.goal[side][0]) / self.sizes[side] for side in self.sides]
+        if self.pose is not None:
+            parts.append((pose[:3, :3] - self.pose[:3, :3]).ravel())
+            if self.is_pose:
+                parts.append((pose[:3, 3] - self.pose[:3, 3]) / max(self.sizes))
+        return float(np.linalg.norm(np.concatenate(parts)))
+
+    # --- helpers --------------------------------------------------------------------------------
+
+    def _place(self, goal: Goal) -> None:
+        """Start and goal on both bodies."""
+        sides, self.start, self.goal = [], [], []
+        for side, body in enumerate(self.bodies):
+            at = getattr(self.contact, f"{SIDES[side]}_at")
+            wanted = getattr(goal, f"{SIDES[side]}_at")
+            if wanted is not None:
+                sides.append(side)
+                with naming(f"{self.name}: goal: {SIDES[side]}_at"):
+                    regular = body.canonical(*wanted)
+                # another cover has another frame, and psi is that of the frame
+                wanted = wanted if body.double_cover else regular
+            both = np.transpose([at, at if wanted is None else wanted])
+            points, frames = body.point_and_frame(*both)
+            self.start.append((points[0], frames[0]))
+            self.goal.append((points[1], frames[1]))
+        self.sides = tuple(sides)
+
+    def _regions(self, goal: Goal) -> list[Region]:
+        """Regions to stay within; refuses those that the start or the goal lies outside of."""
+        found = []
+        for side, body in enumerate(self.bodies):
+            key = f"{SIDES[side]}_within"
+            given = getattr(goal, key)
+            if given is None:
+                continue
+            *at, widest = given
+            with naming(f"{self.name}: goal: {key}"):
+                centre = body.point(*body.canonical(*at))
+            places = [("start", self.start[side][0])]
+            if side in self.sides:
+                places.append(("goal", self.goal[side][0]))
+            radius = 0.99 * widest
+            for what, place in places:
+                away = math.dist(place, centre)
+                if away > widest * (1 + 1e-12):
+                    raise SceneError(
+                        f"{self.name}: {key} = {given}: the {what} lies {away:.6g} m from that "
+                        "point; move it, or widen the region"
+                    )
+                radius = max(radius, away)
+            found.append(Region(side, centre, radius, widest))
+        return found
+
+    def _numbers(self, longest: float | None) -> Steer:
+        data = Steer(
+            psi=self.angles[0],
+            lean=self.lean,
+            pace=self.pace,
+            unit=self.unit,
+            size=max(self.sizes),
+            longest=longest or 0.0,
+            turns=self.pose is not None,
+            is_pose=self.is_pose,
+            parts=PARTS if self.regions else 1,
+        )
+        if self.pose is not None:
+            data.turn[:] = self.pose[:3, :3].ravel().tolist()
+            data.origin[:] = self.pose[:3, 3].tolist()
+        for side in (0, 1):
+            data.body[side] = self._body(side)
+        for region in self.regions:
+            data.body[region.side].within[:] = [*region.centre.tolist(), region.radius]
+        return data
+
+    def _body(self, side: int) -> Steered:
+        body = self.bodies[side]
+        data = Steered(size=body.size, wanted=side in self.sides)
+        data.goal[:] = self.goal[side][0].tolist()
+        if body.great_circles:
+            data.gauss, data.bend = body.size**-2, body.sign / body.size
+        elif not is_plane(body):
+            follower = Follower(body)
+            self._followers.append(follower)
+            data.how, data.shape = ctypes.addressof(follower.how), follower.shape
+        return data
+
+
+def is_plane(body: Surface) -> bool:
+    """Whether a body is flat and goes on for ever."""
+    return body.developable and body.periods() == (None, None)
+
+
+def _steerable(scene: Scene, index: int, name: str) -> Contact:
+    """A contact that legs can be given to."""
+    contact = scene.contacts[index]
+    if contact.follows:
+        raise SceneError(f'{name}: finger_velocity = "rolling" has no legs; give it as two numbers')
+    if not any(contact.finger_velocity):
+        raise SceneError(f"{name}: finger_velocity = (0, 0) gives legs no direction; give it one")
+    if any(d.contact == index for d in scene.disturbances):
+        raise SceneError(
+            f"{name}: disturbances would take it off its way; leave them out of the scene, and "
+            "add them to that of the route"
+        )
+    return contact
