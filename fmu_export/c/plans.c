@@ -226,6 +226,6 @@ static status_t refuse_motion(component_t *c, long i, const char *what, double t
           : "the path reaches a singular point of its chart or its surface, or moves too fast for "
             "double precision; set smaller inputs, end before or start elsewhere";
   c->unmeasured = NULL;
-  return report(c, DISCARD, "logStatusDiscard", "contact[%ld].%s: no %s to t = %.17g s%s: %s",
-                i + 1, side, what, target, where, why);
+  return report(c, DISCARD, "contact[%ld].%s: no %s to t = %.17g s%s: %s", i + 1, side, what,
+                target, where, why);
 }

@@ -77,7 +77,7 @@ static void warn_of_poles(component_t *c, long i) {
   for (int side = 0; side < 2; side++) {
     const double left = k->regularity[side];
     if (!c->now->stepping && left < NEAR_POLE && !k->warned[side])
-      report(c, OK, "logStatusWarning",
+      report(c, WARNING,
              "contact[%ld].%s: at t = %.9g s the path is within %.2g of the body's size of a "
              "singular point of its chart (a pole or an umbilic), where a solver takes tiny steps "
              "or stops; start elsewhere, run the Co-Simulation, which passes such points, or "
@@ -150,8 +150,7 @@ static status_t set_states(component_t *c, const double *state) {
   for (long i = 0, at = 0; i < c->model->n_contacts; at += c->model->layout[i++].states)
     for (long j = 0; j < c->model->layout[i].states; j++)
       if (!(fabs(state[at + j]) <= DBL_MAX))
-        return report(c, DISCARD, "logStatusDiscard",
-                      "%s = %g is refused; give finite continuous states",
+        return report(c, DISCARD, "%s = %g is refused; give finite continuous states",
                       c->model->names[c->model->layout[i].at[OF_STATES] + j], state[at + j]);
   for (long i = 0; i < c->model->n_contacts; i++) {
     const layout_t *l = c->model->layout + i;
