@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor, measurement
+from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor
 from contact_system.engine.binding import SURFACES
 from contact_system.motion import MAY_BE_SINGULAR
 from contact_system.surfaces import Surface
 from contact_system.theory.gain import LAWS
 from contact_system.theory.lowering import Table as Instructions
 
-from .model import TOLERANCE, equations, frame_sizes, way_of
+from .model import TOLERANCE, equations, frame_sizes, measured, way_of
 from .variables import Table
 
 MAGIC, VERSION, HEADER = 20261123.0, 3.0, 39
@@ -74,7 +74,9 @@ def scene_data(table: Table, token: str) -> bytes:
         own = equations(contact.finger, scene.object, scene.gain.law, n_profile, table.frames)
         sizes = frame_sizes(contact.finger, scene.object) if table.frames else (0, 0)
         contacts += [*_body(contact.finger, at, surfaces), block, _place(own, systems), *sizes]
-        sensor = measurement(contact.finger, scene.object) if table.measured == "pose" else own
+        sensor = own
+        if table.measured != "nothing":
+            sensor = measured(contact.finger, scene.object, table.measured)
         unknowns = (3 if s.has_implicit else 2 for s in (contact.finger, scene.object))
         legs = []
         for stretch in way:

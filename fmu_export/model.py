@@ -34,6 +34,7 @@ from typing import Any
 import numpy as np
 
 from contact_system.contact_equations import PER_CONTACT, Form, contact_function, start_function
+from contact_system.contact_sensor import measured_contact
 from contact_system.engine.binding import address, along
 from contact_system.errors import ContactSystemError, SceneError
 from contact_system.scene import Contact, Scene, Stretch
@@ -125,6 +126,33 @@ def _object_theta(obj: Surface, forms: tuple[bool, bool], state: ca.SX, p2: ca.S
         return state[-5]  # u v theta, W_1, V
     place = ca.vertcat(state[-10:-4], 0, 0)
     return moving(obj, True)("coordinates")(place, ca.vertcat(obj.sign, p2))[4]
+
+
+@per_structure
+def measured(finger: Surface, obj: Surface, what: str) -> Table:
+    """The table by which a contact goes on from what is measured of it.
+
+    point: "states", u1 v1 u2 v2; "pose", unknowns of finger and object, X_OF (12, row by row),
+    V_OF_O (6). constants: sign, parameters and size of the finger, and of the object.
+    result: of "pose" the next unknowns, length of the step, det of the relative curvature over its
+    square, states (9); for both the metric roots (4 + 4).
+    """
+    if what == "states":
+        places, constants, roots = [], [], []
+        for s in (finger, obj):
+            place, own = ca.SX.sym("place", 2), ca.SX.sym("own", len(s.parameters) + 2)
+            sign, p, _ = ca.vertsplit(own, [0, 1, own.numel() - 1, own.numel()])
+            roots.append(ca.vec(s.geometry_expr(p, place[0], place[1], sign).metric_root))
+            places.append(place)
+            constants.append(own)
+        point, given, result = (ca.vertcat(*parts) for parts in (places, constants, roots))
+    else:
+        point, given, ahead, step, relative, states, *_, roots = measured_contact(finger, obj)
+        result = ca.vertcat(ahead, step, relative, states, roots)
+        n = point.numel() - 4  # no share, no known slip
+        result = ca.substitute(result, point[n:], 0)
+        point = point[:n]
+    return Table(ca.Function("measured", [point, given], [ca.densify(ca.cse(result))]))
 
 
 def way_of(scene: Scene, contact: Contact) -> list[Stretch]:

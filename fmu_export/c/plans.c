@@ -130,7 +130,7 @@ static int go_on(component_t *c, long i, plan_t *plan, double t, segment_t *s) {
   double m[MOMENT_SIZE];
   if (moment_at(c, plan, t, m)) return 1;
   double *to = s->row - K_PLACE_1; /* indices of the engine's contact */
-  s->begin = t, s->moment = 1.0, s->frames = 0.0;
+  s->begin = t, s->moment = 1.0, s->frames = s->measured = 0.0;
   for (int side = 0; side < 2; side++)
     if (surface_of(c->model, i, side)->ambient[A_MOTION]) s->frames += 1 << side;
   memcpy(to + K_PLACE_1, m + M_PLACE_1, 6 * sizeof *m);

@@ -50,7 +50,7 @@ static const char *check_memory(const model_t *m, const memory_t *now) {
       return "a parameter, an input or a state in it is out of range";
   }
   for (long i = 0; i < m->n_contacts && !SYSTEM(now); i++, s++) {
-    if (!all_finite(&s->gain, 1 + 2 + DISTURBANCES + 1 + ROW))
+    if (!all_finite(&s->gain, 1 + 2 + DISTURBANCES + 2 + N_STATES + ROW))
       return "a motion in it is not finite";
     if (!(s->gain >= 0.0) || !is_flag((int)s->moment) || !(s->frames >= 0 && s->frames < 4))
       return "a motion in it is of no kind that there is";
