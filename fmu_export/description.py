@@ -20,7 +20,6 @@ from contact_system.checks import is_device, items_of
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
-from .model import INPUTS
 from .quantities import Unit, Variable, unit_name
 from .variables import Table
 
@@ -325,10 +324,8 @@ class _Knowns:
 
     def __init__(self, table: Table, fmi_version: str):
         states = set(table.states)
-        count = INPUTS + table.n_measured
-        inputs = {block + k for block in table.blocks for k in range(count)}
-        parameters = set(range(1, table.blocks[0]))
-        self.running = inputs | states
+        parameters = set(range(1, table.groups[0][0]))
+        self.running = states.union(table.inputs)
         if fmi_version == "3.0":
             self.running |= {0} | parameters
         self.initial = self.running | parameters
@@ -372,8 +369,8 @@ def terminals(table: Table) -> str:
     ET.SubElement(picture, "CoordinateSystem", box, suggestedScalingFactorTo_mm="0.1")
     ET.SubElement(picture, "Icon", box)
     everything = ET.SubElement(root, "Terminals")
-    for i, block in enumerate(table.blocks):
-        own = range(block, block + table.block_size(i))
+    for i, group in enumerate(table.groups):
+        own = range(group[0], group[-1])
         members: dict[str, dict[str, str]] = {}
         for v in listed(table, "3.0"):
             if v.reference in own and v.causality in ("input", "output"):
