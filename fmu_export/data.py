@@ -72,11 +72,10 @@ def scene_data(table: Table, token: str) -> bytes:
         way = way_of(scene, contact)
         corners |= {stretch.start for stretch in way[1:]}
         n_profile = len(way[0].profile.coefficients)
-        law_of = scene.gain.law, n_profile, table.frames
-        own, _ = equations(contact.finger, scene.object, *law_of)
+        own, _ = equations(*table.structure(i))
         frames = frame_sizes(contact.finger, scene.object) if table.frames else (0, 0)
         contacts += [*_body(contact.finger, table.first[i], surfaces), *group]
-        contacts += [_place(own, systems), *frames]
+        contacts += [data.numbers(table.columns(i)), _place(own, systems), *frames]
         sensor = own
         if table.measured != "nothing":
             sensor = measured(contact.finger, scene.object, table.measured)

@@ -88,6 +88,24 @@ class Table:
         """The values before initialization: starts, and 0 for what is calculated, (n_values,)."""
         return np.array([x for row in self.rows for x in row.start or (0.0,) * row.size])
 
+    def structure(self, i: int) -> tuple[Surface, Surface, str, int, bool]:
+        """What `model.equations` of a contact are made for."""
+        scene, contact = self.scene, self.scene.contacts[i]
+        n_profile = len(way_of(scene, contact)[0].profile.coefficients)
+        return contact.finger, scene.object, scene.gain.law, n_profile, self.frames
+
+    def columns(self, i: int) -> list[int]:
+        """References of the point and constants of those equations; -1 for profiles of legs."""
+        first, group, (finger, obj, _, n_profile, _) = self.first, self.groups[i], self.structure(i)
+        states, inputs = range(group[STATE_GROUP], group[DERIVATIVES]), range(group[0], group[1])
+        own = self.scene.contacts[i].legs
+        profile = [-1 if own else first["profile"] + k for k in range(n_profile)]
+        tip, body = (
+            [first[key] + k for k in range(len(s.parameters))]
+            for key, s in ((i, finger), ("object", obj))
+        )
+        return [0, *states, *inputs, first["gain"], *profile, *tip, *body]
+
     def scalars(self) -> list[Variable]:
         """Every variable as FMI 2 sees it, by reference."""
         return self._scalars
@@ -283,19 +301,10 @@ def _counted_from_one(name: str) -> str:
 
 def _tell_dependencies(table: Table, i: int) -> None:
     """Put into a contact's derivatives and results what they depend on by their equations."""
-    scene, first, group = table.scene, table.first, table.groups[i]
-    contact = scene.contacts[i]
-    n_profile = len(way_of(scene, contact)[0].profile.coefficients)
-    law = scene.gain.law, n_profile, table.frames
-    _, found = equations(contact.finger, scene.object, *law)
-    # references behind each column: of the table's point and its constants
-    behind = [[0], *([r] for r in range(group[STATE_GROUP], group[DERIVATIVES]))]
-    inputs = len(behind)
-    behind += [[r] for r in (*range(group[0], group[1]), first["gain"])]
-    # profiles of legs are no variables
-    behind += [[] if contact.legs else [first["profile"] + k] for k in range(n_profile)]
-    for key, surface in ((i, contact.finger), ("object", scene.object)):
-        behind += [[first[key] + k] for k in range(len(surface.parameters))]
+    scene, first, group, columns = table.scene, table.first, table.groups[i], table.columns(i)
+    _, found = equations(*table.structure(i))
+    behind = [[r] if r >= 0 else [] for r in columns]
+    inputs = columns.index(group[0])
     for k, d in enumerate(scene.disturbances):
         for axis in range(2 if d.contact == i else 0):
             own = first["windows"] + 4 * k

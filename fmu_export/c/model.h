@@ -77,7 +77,9 @@ enum {
 enum {
   P_FINGER,
   P_GROUPS = P_FINGER + Q_SIZE,
-  P_SYSTEM = P_GROUPS + GROUPS + 1,
+  P_COLUMNS = P_GROUPS + GROUPS +
+      1, /* references of its point and constants; -1: of the leg's profile */
+  P_SYSTEM,
   P_FRAME_1,
   P_FRAME_2,
   P_SENSOR, /* where it is measured by pose and twist: the table of a step towards the contact, */
