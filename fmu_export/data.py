@@ -61,7 +61,6 @@ def scene_data(table: Table, token: str) -> bytes:
         Instantiation token (FMI 3) or GUID (FMI 2).
     """
     scene, data = table.scene, _Data()
-    bodies = [("object", scene.object), *enumerate(c.finger for c in scene.contacts)]
     law = LAWS[scene.gain.law]
     surfaces: list[Surface] = []
     systems: list[Instructions] = []
@@ -74,7 +73,7 @@ def scene_data(table: Table, token: str) -> bytes:
         n_profile = len(way[0].profile.coefficients)
         own, _ = equations(*table.structure(i))
         frames = frame_sizes(contact.finger, scene.object) if table.frames else (0, 0)
-        contacts += [*_body(contact.finger, table.first[i], surfaces), *group]
+        contacts += [*_body(contact.finger, table.first[f"finger {i}"], surfaces), *group]
         contacts += [data.numbers(table.columns(i)), _place(own, systems), *frames]
         sensor = own
         if table.measured != "nothing":
@@ -96,7 +95,9 @@ def scene_data(table: Table, token: str) -> bytes:
         (d.contact, d.slot, table.first["windows"] + 4 * k)
         for k, d in enumerate(scene.disturbances)
     ]
-    orders = [x for key, s in bodies for x in _orders(s, table.first[key])]
+    orders = [*_orders(scene.object, table.first["object"])]
+    for i, contact in enumerate(scene.contacts):
+        orders += _orders(contact.finger, table.first[f"finger {i}"])
     rows = [x for surface in surfaces for x in _surface(surface, data)]
     head = struct.pack(
         f"<{HEADER - 4}d",

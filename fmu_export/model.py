@@ -136,20 +136,17 @@ def measured(finger: Surface, obj: Surface, what: str) -> Table:
     square, states (9); for both the metric roots (4 + 4).
     """
     if what == "states":
-        places, constants, roots = [], [], []
-        for s in (finger, obj):
-            place, own = ca.SX.sym("place", 2), ca.SX.sym("own", len(s.parameters) + 2)
-            sign, p, _ = ca.vertsplit(own, [0, 1, own.numel() - 1, own.numel()])
-            roots.append(ca.vec(s.geometry_expr(p, place[0], place[1], sign).metric_root))
-            places.append(place)
-            constants.append(own)
+        places, constants, roots = [ca.SX.sym("place", 2) for _ in range(2)], [], []
+        for s, (u, v) in zip((finger, obj), map(ca.vertsplit, places)):
+            sign, p, size = ca.SX.sym("sign"), ca.SX.sym("p", len(s.parameters)), ca.SX.sym("size")
+            constants += [sign, p, size]
+            roots.append(ca.vec(s.geometry_expr(p, u, v, sign).metric_root))
         point, given, result = (ca.vertcat(*parts) for parts in (places, constants, roots))
     else:
-        point, given, ahead, step, relative, states, *_, roots = measured_contact(finger, obj)
-        result = ca.vertcat(ahead, step, relative, states, roots)
-        n = point.numel() - 4  # no share, no known slip
-        result = ca.substitute(result, point[n:], 0)
-        point = point[:n]
+        point, given, *results = measured_contact(finger, obj)
+        point, others = ca.vertsplit(point, [0, point.numel() - 4, point.numel()])
+        # no share, no known slip
+        result = ca.substitute(ca.vertcat(*results[:4], results[-1]), others, 0)
     return Table(ca.Function("measured", [point, given], [ca.densify(ca.cse(result))]))
 
 

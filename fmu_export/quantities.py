@@ -13,7 +13,7 @@ Unit = tuple[int, int, int]
 METRE, RADIAN, SECOND, NONE = (1, 0, 0), (0, 0, 1), (0, 1, 0), (0, 0, 0)
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Variable:
     """One row of the table.
 

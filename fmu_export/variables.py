@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -40,8 +40,8 @@ class Table:
     rows : list of Variable
         By reference, ascending.
     first : dict
-        References of ``gain``, ``profile``, ``scale``, ``object``, of each contact's finger by its
-        number, and of ``windows``, four each: where their numbers begin.
+        References of ``gain``, ``profile``, ``scale``, ``object``, ``finger 0`` and so on, and of
+        ``windows``, four each: where their numbers begin.
     groups : list of list of int
         Of each contact, where its groups of numbers begin, and where the last one ends.
     frames : bool
@@ -54,7 +54,7 @@ class Table:
 
     scene: Scene
     rows: list[Variable]
-    first: dict[str | int, int]
+    first: dict[str, int]
     groups: list[list[int]]
     frames: bool
     arrays: bool
@@ -102,7 +102,7 @@ class Table:
         profile = [-1 if own else first["profile"] + k for k in range(n_profile)]
         tip, body = (
             [first[key] + k for k in range(len(s.parameters))]
-            for key, s in ((i, finger), ("object", obj))
+            for key, s in ((f"finger {i}", finger), ("object", obj))
         )
         return [0, *states, *inputs, first["gain"], *profile, *tip, *body]
 
@@ -151,10 +151,56 @@ def variable_table(
         raise SceneError(f"states = {states!r}: use one of {', '.join(STATES)}")
     if measured not in MEASUREMENTS:
         raise SceneError(f"measured = {measured!r}: use one of {', '.join(MEASUREMENTS)}")
-    surfaces = [scene.object, *(c.finger for c in scene.contacts)]
+    bodies = {"object": scene.object} | {
+        f"finger {i}": c.finger for i, c in enumerate(scene.contacts)
+    }
     frames = states == "frame"
     if states == "auto":
-        frames = not all(s.has_chart for s in surfaces) or _comes_near_pole(scene)
+        frames = not all(s.has_chart for s in bodies.values()) or _comes_near_pole(scene)
+    _refuse(scene, bodies.values(), frames, measured)
+    rows = [Variable("time", 0, "independent", "continuous", None, "Simulation time", SECOND)]
+
+    def end() -> int:
+        return rows[-1].reference + rows[-1].size
+
+    def add(more: Iterable[Variable]) -> int:
+        """Add rows; returns the reference of the first one."""
+        at = end()
+        for v in more:
+            v.reference = end()
+            rows.append(v)
+        return at
+
+    system = SceneSystem(scene, "frame", True)
+    names = map(_counted_from_one, system.parameter_names)
+    law = (scene.gain.value, *scene.profile.coefficients)
+    gain, *profile = (_parameter(scene, next(names), x) for x in law)
+    first = {"gain": add([gain]), "profile": add(profile)}
+    first["scale"] = add([_parameter(scene, "disturbances.scale", 1.0)])
+    for key, surface in bodies.items():
+        own = zip(islice(names, len(surface.parameters)), surface.parameters)
+        first[key] = add([_parameter(scene, name, x, surface) for name, x in own])
+        next(names)  # its size, which follows its numbers
+    first["windows"] = add(_window_rows(scene))
+    groups = []
+    for i, contact in enumerate(scene.contacts):
+        n = scene_start(contact)
+        starts = system.x0[system.state_slices[i]].tolist()
+        if not frames:
+            starts = [*n.finger_at, 0.0, *n.finger_velocity]
+            starts += [*n.object_at, 0.0, *n.object_velocity, n.angle]
+        described = contact_groups(scene, contact, starts, frames, measured)
+        bounds = [add(v.of_contact(i) for v in group) for group in described]
+        groups.append([*bounds, end()])
+    table = Table(scene, rows, first, groups, frames, arrays, measured)
+    for i in range(len(groups)):
+        _tell_dependencies(table, i)
+    _require_names(table)
+    return table
+
+
+def _refuse(scene: Scene, surfaces: Iterable[Surface], frames: bool, measured: str) -> None:
+    """Raise what `variable_table` says of scenes that there is no table for."""
     for surface in surfaces:
         if not (frames or surface.has_chart):
             raise SceneError(
@@ -173,45 +219,6 @@ def variable_table(
             f"{scene.title}: a profile has {most} coefficients, and an FMU holds "
             f"{MOST_COEFFICIENTS}; give a profile of a lower degree"
         )
-    time = Variable("time", 0, "independent", "continuous", None, "Simulation time", SECOND)
-    rows, first = [time], {}
-
-    def add(key: str | int, more: Iterable[Variable]) -> None:
-        first[key] = rows[-1].reference + rows[-1].size
-        for v in more:
-            rows.append(replace(v, reference=rows[-1].reference + rows[-1].size))
-
-    system = SceneSystem(scene, "frame", True)
-    names = map(_counted_from_one, system.parameter_names)
-    law = [
-        _parameter(scene, next(names), x) for x in (scene.gain.value, *scene.profile.coefficients)
-    ]
-    add("gain", law[:1])
-    add("profile", law[1:])
-    add("scale", [_parameter(scene, "disturbances.scale", 1.0)])
-    for key, surface in zip(("object", *range(len(scene.contacts))), surfaces):
-        named = zip(islice(names, len(surface.parameters)), surface.parameters)
-        add(key, [_parameter(scene, name, x, surface) for name, x in named])
-        next(names)  # its size, which follows its numbers
-    add("windows", _window_rows(scene))
-    groups = []
-    for i, contact in enumerate(scene.contacts):
-        n = scene_start(contact)
-        starts = system.x0[system.state_slices[i]].tolist()
-        if not frames:
-            starts = [*n.finger_at, 0.0, *n.finger_velocity]
-            starts += [*n.object_at, 0.0, *n.object_velocity, n.angle]
-        own, bounds = contact_groups(scene, contact, starts, frames, measured), []
-        for k, group in enumerate(own):
-            add(f"{i} {k}", (v.of_contact(i) for v in group))
-            bounds.append(first.pop(f"{i} {k}"))
-        bounds.append(rows[-1].reference + rows[-1].size)
-        groups.append(bounds)
-    table = Table(scene, rows, first, groups, frames, arrays, measured)
-    for i in range(len(groups)):
-        _tell_dependencies(table, i)
-    _require_names(table)
-    return table
 
 
 MOST_COEFFICIENTS = 48
@@ -310,8 +317,9 @@ def _tell_dependencies(table: Table, i: int) -> None:
             own = first["windows"] + 4 * k
             behind[inputs + 2 * d.slot + axis] += [own, own + 1, own + 2 + axis, first["scale"]]
     known = [tuple(sorted({r for j in np.flatnonzero(row) for r in behind[j]})) for row in found]
-    for k, v in enumerate(table.rows):
+    for v in table.rows:
         at = v.reference - group[DERIVATIVES]
         if at >= 0 and v.reference < group[-1]:
-            state = at + group[STATE_GROUP] if v.reference < group[DERIVATIVES + 1] else None
-            table.rows[k] = replace(v, known=tuple(known[at : at + v.size]), derivative=state)
+            v.known = tuple(known[at : at + v.size])
+            if v.reference < group[DERIVATIVES + 1]:
+                v.derivative = at + group[STATE_GROUP]
