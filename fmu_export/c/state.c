@@ -25,7 +25,7 @@ static saved_t *new_saved(const model_t *m) {
   return s;
 }
 
-static int is_flag(int x) { return x == 0 || x == 1; }
+static int is_flag(double x) { return x == 0.0 || x == 1.0; }
 
 static const char *check_memory(const model_t *m, const memory_t *now) {
   const double *value = (const double *)(now + 1), *least = section(m, D_LEAST);
@@ -52,7 +52,8 @@ static const char *check_memory(const model_t *m, const memory_t *now) {
   for (long i = 0; i < m->n_contacts && !SYSTEM(now); i++, s++) {
     if (!all_finite(&s->gain, 1 + 2 + DISTURBANCES + 2 + N_STATES + ROW))
       return "a motion in it is not finite";
-    if (!(s->gain >= 0.0) || !is_flag((int)s->moment) || !(s->frames >= 0 && s->frames < 4))
+    if (!(s->gain >= 0.0) || !is_flag(s->moment) || !is_flag(s->measured) ||
+        !(s->frames >= 0 && s->frames < 4))
       return "a motion in it is of no kind that there is";
     if (!(s->begin >= 0 && s->begin <= now->time) || !(s->end < 0 || s->end >= now->acts_at) ||
         !(fabs(s->end) < 1e300))
