@@ -25,6 +25,7 @@ from __future__ import annotations
 import functools
 import os
 import platform
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -43,19 +44,9 @@ ENGINE = Path("contact_system", "engine")
 FMI = Path("fmu_export", "c")
 ZIGLANG = "ziglang>=0.13,<1"
 
-# Platform of a wheel -> target of ziglang
-PLATFORMS = {
-    "manylinux_2_17_x86_64": "x86_64-linux-gnu.2.17",
-    "manylinux_2_17_aarch64": "aarch64-linux-gnu.2.17",
-    "win_amd64": "x86_64-windows-gnu",
-    "macosx_11_0_x86_64": "x86_64-macos.11.0",
-    "macosx_11_0_arm64": "aarch64-macos.11.0",
-}
-
-FLAGS = shlex.split(
-    "-std=gnu99 -O2 -fPIC -fvisibility=hidden -fopenmp-simd "
-    "-ffp-contract=off -fno-math-errno -fno-trapping-math"
-)
+SAID = runpy.run_path(str(ENGINE / "platforms.py"))
+PLATFORMS = {p.wheel: p.target for p in SAID["PLATFORMS"].values() if p.wheel}
+FLAGS = (*SAID["FLAGS"], "-fPIC")
 EXTRA = shlex.split(os.environ.get("CONTACT_SYSTEM_CFLAGS", ""))
 
 # Variant -> flags, of which the first that the compiler knows are taken: those of gcc and clang,
@@ -79,10 +70,10 @@ def this_platform() -> str:
 
 PLATFORM = os.environ.get("CONTACT_SYSTEM_PLATFORM") or this_platform()
 LIBRARY = ENGINE / f"_engine{ {'mac': '.dylib', 'win': '.dll'}.get(PLATFORM[:3], '.so') }"
-NAME = f"-Wl,-install_name,@rpath/{LIBRARY.name}" if LIBRARY.suffix == ".dylib" else "-s"
-# Bsymbolic: of two FMUs in one process each uses its own engine, whatever the other exports.
-OWN = ["-Wl,-Bsymbolic"] * (LIBRARY.suffix == ".so")
-LINKING = ["-shared", "-lm", *OWN, *([] if "-g" in EXTRA else [NAME])]
+LINKING = [
+    "-lm",
+    *(flag for flag in SAID["shared"](LIBRARY.suffix) if "-g" not in EXTRA or flag != "-s"),
+]
 
 
 def works(*command: str) -> bool:
@@ -163,7 +154,7 @@ def build_library(library: Path, room: Path) -> None:
         jobs = [(engine, f"engine_{k}", f"-DVARIANT={k}", *have[k]) for k in have]
         told = [f"-DHAVE_{name.upper()}" for name in have]
         jobs.append((ENGINE / "dispatch.c", "dispatch", *told, *have["baseline"]))
-        jobs += [(FMI / f"{k}.c", k, "-O2", *have["baseline"]) for k in ("fmi2", "fmi3")]
+        jobs += [(FMI / f"{k}.c", k, *have["baseline"]) for k in ("fmi2", "fmi3")]
         objects = list(pool.map(lambda job: compiled(*job), jobs))
     run(*command, *objects, "-o", str(room / library.name), *LINKING)
     shutil.copy(room / library.name, library.with_suffix(".part"))

@@ -413,13 +413,14 @@ def package(full: bool) -> Iterator[Bar]:
 def fuzz(full: bool) -> Iterator[Bar]:
     """Random calls, damaged and forged state bytes under sanitizers: 10 000 of each.
 
-    full: of each in every FMU. A forged state has the right checksum and wrong numbers.
+    full: of each in every FMU. A forged state has the right checksum and wrong numbers. What is
+    measured is among the inputs.
     """
     scenes = (scene_of("K2"), scene_of("K4"), EVERYTHING)
     count = 10_000 if full else -(-10_000 // (len(scenes) * len(VERSIONS)))
     for seed, (scene, version) in enumerate(itertools.product(scenes, VERSIONS)):
         what = f"{scene.name}, FMI {version}: {count} sequences, damaged, forged states: findings"
-        fmu = fmu_of(scene, version)
+        fmu = fmu_of(scene, version, measured=("states", "pose")[seed % 3 > 0])
         try:
             program = Program("fuzz", fmu, sanitized=True)
             said = program.run(count, count, seed, *fmu.model_arguments(), timeout=3600.0)
@@ -431,6 +432,21 @@ def fuzz(full: bool) -> Iterator[Bar]:
             made, granted, slowest, call, taken = said.split()
             note = f"{made} calls, {granted} legal; slowest {slowest} s, {call}; {taken} taken"
             yield Bar(what, 0, 0, note=note)
+
+
+def endurance(full: bool) -> Iterator[Bar]:
+    """A million steps, with all values read: allocations in steps, growth of heap and process."""
+    for version in VERSIONS:
+        fmu = fmu_of(EVERYTHING, version)
+        what = f"FMI {version}, a million steps: calls of the allocator in steps"
+        try:
+            program = Program("endurance", fmu)
+        except Unavailable as error:
+            yield Bar(what, 0, None, note=str(error))
+            continue
+        found = program.table("memory", STEP, COUNT, 1000, *fmu.model_arguments())
+        inside, heap, process = found[0]
+        yield Bar(what, 0, inside, note=f"heap and process grow by {heap:g} and {process:g} bytes")
 
 
 SECTIONS: Sections = {
@@ -445,4 +461,5 @@ SECTIONS: Sections = {
     "pythonfmu": pythonfmu,
     "package": package,
     "fuzz": fuzz,
+    "endurance": endurance,
 }

@@ -326,13 +326,20 @@ class _Side:
 
 @per_structure
 def measurement(finger: Surface, obj: Surface) -> Table:
-    """The table of one contact: a Newton step towards it, and all that is measured.
+    """The table of `measured_contact`, without the metric roots."""
+    point, constants, *results = measured_contact(finger, obj)
+    result = ca.densify(ca.vertcat(*results[:-1]))
+    return Table(ca.Function("measured", [point, constants], [result]))
+
+
+def measured_contact(finger: Surface, obj: Surface) -> list[ca.SX]:
+    """Point, constants and results of one contact: a Newton step towards it, what is measured.
 
     point: unknowns of finger and object, X_OF (12, row by row), V_OF_O (6), share, whether slip is
     known, known slip (2).
     constant: sign, parameters and size of the finger, and of the object.
     result: next unknowns, length of the step, det of the relative curvature over its square,
-    states (9), slip (2), x_1, x_2 (6), E2 (9), K_2, K_1 in E2 (8), gap, velocity (3).
+    states (9), slip (2), x_1, x_2 (6), E2 (9), K_2, K_1 in E2 (8), gap, velocity (3); M_1, M_2 (8).
     """
     pose, twist, share = ca.SX.sym("pose", 12), ca.SX.sym("twist", 6), ca.SX.sym("share")
     is_known, known = ca.SX.sym("is_known"), ca.SX.sym("known", 2)
@@ -354,25 +361,22 @@ def measurement(finger: Surface, obj: Surface) -> Table:
     relative = ca.det(relative_curvature(body.curvature, tip.curvature, map_21))
     size = ca.norm_fro(tip.curvature) + ca.norm_fro(body.curvature)
     states = ca.vertcat(tip.coordinates, tip.rates(a1), body.coordinates, body.rates(a2), psi)
-    result = ca.vertcat(
-        tip.moved(step_1),
-        body.moved(step_2),
+    point = ca.vertcat(tip.unknowns, body.unknowns, pose, twist, share, is_known, known)
+    return [
+        point,
+        ca.vertcat(tip.constants, body.constants),
+        ca.vertcat(tip.moved(step_1), body.moved(step_2)),
         ca.norm_2(ca.vertcat(step_1, step_2, tip.missed, body.missed)),
         relative / ca.fmax(size**2, TINY),  # planes, of no curvature, conform too
         ca.if_else(ca.logic_and(tip.framed(), body.framed()), states, np.nan),
         slip,
-        tip.x,
-        body.x,
-        ca.vec(body.tangents),
-        body.normal,
-        ca.vec(body.curvature),
-        ca.vec(map_21 @ tip.curvature @ map_21),
+        ca.vertcat(tip.x, body.x),
+        ca.vertcat(ca.vec(body.tangents), body.normal),
+        ca.vertcat(ca.vec(body.curvature), ca.vec(map_21 @ tip.curvature @ map_21)),
         ca.dot(body.normal, between),
         body.tangents @ a2,
-    )
-    point = ca.vertcat(tip.unknowns, body.unknowns, pose, twist, share, is_known, known)
-    constants = ca.vertcat(tip.constants, body.constants)
-    return Table(ca.Function("measured", [point, constants], [ca.densify(result)]))
+        ca.vertcat(ca.vec(tip.metric_root), ca.vec(body.metric_root)),
+    ]
 
 
 def _newton_step(

@@ -9,6 +9,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from fmpy.model_description import ValidationError, read_model_description
@@ -55,7 +56,7 @@ def write_fmu(
 @functools.lru_cache(maxsize=64)
 def _deflated(data: bytes) -> tuple[int, bytes]:
     """Checksum and compressed bytes; most of an FMU is the same in all."""
-    packer = zlib.compressobj(6, zlib.DEFLATED, -15)
+    packer = zlib.compressobj(5, zlib.DEFLATED, -15)  # 6 takes twice as long for 2 % less
     return zlib.crc32(data), packer.compress(data) + packer.flush()
 
 
@@ -63,9 +64,10 @@ def _zipped(files: Mapping[str, bytes], moment: Sequence[int]) -> bytes:
     """A zip file by names: zipfile cannot be given what is compressed already."""
     year, month, day, hour, minute, second = moment
     stamp = (hour << 11 | minute << 5 | second // 2, (year - 1980) << 9 | month << 5 | day)
-    at, parts, entries = 0, [], []
-    for name in sorted(files):
-        crc, data = _deflated(files[name])
+    at, parts, entries, names = 0, [], [], sorted(files)
+    with ThreadPoolExecutor() as pool:  # zlib lets others run
+        deflated = list(pool.map(_deflated, map(files.__getitem__, names)))
+    for name, (crc, data) in zip(names, deflated):
         word = name.encode()
         # version 2.0, names in UTF-8, deflated
         said = struct.pack("<HHHHHIII", 20, 0x800, 8, *stamp, crc, len(data), len(files[name]))

@@ -13,51 +13,18 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 from contact_system.checks import items_of, make_folder
 from contact_system.engine.binding import LIBRARY
+from contact_system.engine.platforms import FLAGS, PLATFORMS, Platform, shared
 from contact_system.errors import ContactSystemError
 
-
-class Platform(NamedTuple):
-    """Folders in FMI 2 and FMI 3, a library's suffix, ziglang's name of the target, its flags."""
-
-    folder_2: str
-    folder_3: str
-    suffix: str
-    target: str
-    flags: tuple[str, ...]
-
-
-_LINUX = (
-    "-shared",
-    "-s",
-    "-fPIC",
-    "-Wl,-Bsymbolic",
-)  # its own engine, whatever another FMU exports
-_WINDOWS = ("-shared", "-s")
-_MAC = ("-shared", "-fPIC", "-Wl,-install_name,@rpath/contact_engine.dylib")
 _WASM = (
     *("-mexec-model=reactor", "-s", "-msimd128", "-Wl,--export-dynamic"),
     *("-Wl,--export=malloc", "-Wl,--export=free"),
     # longjmp, by exceptions as WebAssembly has them now
     *("-mexception-handling", "-mllvm", "-wasm-enable-sjlj"),
     *("-mllvm", "-wasm-use-legacy-eh=false"),
-)
-PLATFORMS = {
-    "x86_64-linux": Platform("linux64", "x86_64-linux", ".so", "x86_64-linux-gnu.2.17", _LINUX),
-    "aarch64-linux": Platform(*("aarch64-linux",) * 2, ".so", "aarch64-linux-gnu.2.17", _LINUX),
-    "x86_64-windows": Platform("win64", "x86_64-windows", ".dll", "x86_64-windows-gnu", _WINDOWS),
-    "x86_64-darwin": Platform("darwin64", "x86_64-darwin", ".dylib", "x86_64-macos.11.0", _MAC),
-    "aarch64-darwin": Platform(*("aarch64-darwin",) * 2, ".dylib", "aarch64-macos.11.0", _MAC),
-    "wasm32": Platform(*("wasm32-wasi",) * 2, ".wasm", "wasm32-wasi", _WASM),
-}
-
-# Contraction to fused operations would make platforms differ in the last digits.
-FLAGS = (
-    *("-std=gnu99", "-O3", "-fvisibility=hidden", "-ffp-contract=off", "-DVARIANT=baseline"),
-    *("-fno-math-errno", "-fno-trapping-math", "-fopenmp-simd", "-Wno-pass-failed"),
 )
 ENGINE, C_FOLDER = LIBRARY.parent, Path(__file__).parent / "c"
 UNITS = (ENGINE / "engine.c", ENGINE / "dispatch.c", C_FOLDER / "fmi2.c", C_FOLDER / "fmi3.c")
@@ -118,7 +85,9 @@ def library(target: str, name: str) -> bytes:
             f"no compiler for {target}: `pip install ziglang`, which compiles for all platforms"
         )
     compiler = [sys.executable, "-m", "ziglang", "cc", "-target", row.target]
-    command = [*compiler, *FLAGS, *row.flags, f"-I{ENGINE}", *map(str, UNITS)]
+    linked = _WASM if row.suffix == ".wasm" else shared(row.suffix)
+    command = [*compiler, *FLAGS, "-DVARIANT=baseline", "-Wno-pass-failed", *linked]
+    command += [f"-I{ENGINE}", *map(str, UNITS)]
 
     def make(room: Path) -> Path:
         built = room / f"{LONG_NAME}{row.suffix}"

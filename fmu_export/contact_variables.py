@@ -3,56 +3,43 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from contact_system.scene import Contact, Scene
 
-from .model import INPUTS, frame_sizes, start_states
+from .model import frame_sizes
 from .quantities import METRE, NONE, RADIAN, SECOND, Unit, Variable, chart_units, per_second
-
-if TYPE_CHECKING:
-    from .variables import Table
 
 SMALL = 0.1
 """Nominal value of angles and path velocities: solvers take their absolute tolerances from it."""
 XY, XYZ = ("x", "y"), ("x", "y", "z")
 
 
-def contact_rows(table: Table, i: int, known: list[tuple[int, ...]]) -> Iterator[Variable]:
-    scene, contact, first = table.scene, table.scene.contacts[i], table.blocks[i]
-    states = _frame_states(scene, contact) if table.frames else _states(scene, contact)
-    derivatives = [_derivative(v, table.frames) for v in states]
-    measured = _measured(table, contact)
-    n_inputs = INPUTS + table.n_measured
-    starts = [
-        *[0.0] * INPUTS,
-        *_measured_starts(table, contact),
-        *start_states(scene, contact, table.frames).tolist(),
-    ]
-    results = [*(_coordinates(scene, contact) if table.frames else ()), *_outputs(scene, contact)]
-    n_states, at = table.n_states(i), 0
-    for v in (*_inputs(scene, contact), *measured, *states, *derivatives, *results):
-        end, result = at + v.size, at - n_inputs - n_states
-        derivative = first + at - n_states if 0 <= result < n_states else None
-        yield replace(
-            v,
-            name=_of_contact(i, v.name),
-            reference=first + at,
-            start=tuple(starts[at:end]),
-            elements=tuple(_of_contact(i, name) for name in v.elements),
-            derivative=derivative,
-            known=tuple(known[result : result + v.size]) if result >= 0 else (),
-        )
-        at = end
+INPUT_GROUPS, STATE_GROUP, DERIVATIVES = 2, 2, 3
+"""Of the groups of a contact's numbers: how many are inputs; which are states, derivatives."""
 
 
-def _of_contact(i: int, name: str) -> str:
-    head, inner = ("der(", name[4:]) if name.startswith("der(") else ("", name)
-    return f"{head}contact[{i + 1}].{inner}"
+def contact_groups(
+    scene: Scene, contact: Contact, starts: Sequence[float], frames: bool, measured: str
+) -> list[list[Variable]]:
+    """A contact's variables in the groups of c/model.h, their names without ``contact[i].``.
+
+    starts: values of the states.
+    """
+    states = _frame_states(scene, contact) if frames else _states(scene, contact)
+    derivatives = [_derivative(v, frames) for v in states]
+    coordinates = _coordinates(scene, contact) if frames else []
+    inputs = [replace(v, start=(0.0,)) for v in _inputs(scene, contact)]
+    groups = [inputs, [], states, derivatives, coordinates, *_outputs(scene, contact)]
+    if measured != "nothing":
+        groups[1] = _measured(scene, contact, measured)
+    at = 0
+    for k, v in enumerate(states):
+        states[k], at = replace(v, start=tuple(starts[at : at + v.size])), at + v.size
+    return groups
 
 
 def _quantity(
@@ -84,28 +71,28 @@ def _inputs(scene: Scene, contact: Contact) -> Iterator[Variable]:
             yield _quantity(name, (), per_second(unit, power), text, kind=("input", None))
 
 
-def _measured(table: Table, contact: Contact) -> Iterator[Variable]:
+def _measured(scene: Scene, contact: Contact, what: str) -> list[Variable]:
     """The trigger; then states as `Plan.states` has them, or twist and pose."""
-    if table.measured == "nothing":
-        return
     text = "Co-Simulation goes on from what is measured when this changes to another number than 0"
-    yield _quantity("measured.trigger", (), NONE, text, kind=("input", None))
-    posed = table.measured == "pose"
-    for v in (_motion if posed else _coordinates)(table.scene, contact):
+    rows = [_quantity("trigger", (), NONE, text)]
+    start = [0.0, *np.zeros(6), *np.eye(3).ravel(), *np.zeros(3)]
+    if what == "pose":
+        rows += [v for group in _motion(scene, contact) for v in group]
+    else:
+        rows += _coordinates(scene, contact)
+        (u1, v1), (u2, v2) = contact.finger_at, contact.object_at
+        start = [0.0, u1, v1, 0.0, 0.0, u2, v2, 0.0, 0.0, contact.angle]
+    found, at = [], 0
+    for v in rows:
         name, *elements = (
             "measured." + re.sub(r"der\((.*)\)", r"\1_rate", n) for n in (v.name, *v.elements)
         )
-        v = replace(
-            v, name=name, elements=tuple(elements), description=f"Measured: {v.description}"
-        )
-        yield replace(v, causality="input", initial=None)
-
-
-def _measured_starts(table: Table, contact: Contact) -> list[float]:
-    (u1, v1), (u2, v2) = contact.finger_at, contact.object_at
-    states = [u1, v1, 0.0, 0.0, u2, v2, 0.0, 0.0, contact.angle]
-    motion = [*np.zeros(6), *np.eye(3).ravel(), *np.zeros(3)]
-    return {"nothing": [], "states": [0.0, *states], "pose": [0.0, *motion]}[table.measured]
+        said = f"Measured: {v.description}" if at else v.description
+        v = replace(v, name=name, elements=tuple(elements), description=said)
+        given = tuple(map(float, start[at : at + v.size]))
+        found.append(replace(v, causality="input", initial=None, start=given))
+        at += v.size
+    return found
 
 
 def _states(scene: Scene, contact: Contact) -> list[Variable]:
@@ -173,7 +160,7 @@ def _derivative(state: Variable, local: bool) -> Variable:
     )
 
 
-def _motion(scene: Scene, contact: Contact) -> list[Variable]:
+def _motion(scene: Scene, contact: Contact) -> tuple[list[Variable], list[Variable]]:
     """Twist and pose of the finger relative to the object."""
     cells = tuple(f"[{a},{b}]" for a in (1, 2, 3) for b in (1, 2, 3))
     matrix = "Rotation matrix from the finger's frame to the object's"
@@ -182,6 +169,7 @@ def _motion(scene: Scene, contact: Contact) -> list[Variable]:
     return [
         _quantity("twist.angular", XYZ, (0, -1, 1), f"Angular velocity of the finger {there}"),
         _quantity("twist.linear", XYZ, (1, -1, 0), f"Velocity of the origin {origin}", speed),
+    ], [
         _quantity("pose.rotation", cells, NONE, matrix, shape=(3, 3)),
         _quantity("pose.position", XYZ, METRE, f"Origin {origin}", size),
     ]
@@ -191,18 +179,21 @@ def _speed(scene: Scene) -> float | None:
     return scene.speeds(np.linspace(0.0, scene.duration, 33)).max() or None
 
 
-def _outputs(scene: Scene, contact: Contact) -> list[Variable]:
+def _outputs(scene: Scene, contact: Contact) -> list[list[Variable]]:
+    """Groups of results: slip, twist, pose, points, condition."""
     speed, moving = _speed(scene), (1, -1, 0)
     recovery = "Time in which slip falls to a hundredth at its present rate; at most 1e6 s"
     path = "sigma, the speed of the contact along its path"
     finger, obj = contact.finger.size, scene.object.size
-    return [
-        _quantity("slip", XY, moving, "Slip v_rel in E2", speed),
-        *_motion(scene, contact),
+    points = [
         _quantity("finger.point", XYZ, METRE, "Contact point in the finger's frame", finger),
         _quantity("object.point", XYZ, METRE, "Contact point in the object's frame", obj),
+    ]
+    condition = [
         _quantity("path.speed", (), moving, path, speed),
         _quantity("slip_speed", (), moving, "Length of the slip", speed),
         _quantity("disturbance.active", (), NONE, "1 while an input or a window acts, else 0"),
         _quantity("recovery_time", (), SECOND, recovery),
     ]
+    slip = _quantity("slip", XY, moving, "Slip v_rel in E2", speed)
+    return [[slip], *_motion(scene, contact), points, condition]

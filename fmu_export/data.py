@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor, measurement
+from contact_system.contact_sensor import CONFORMAL, MOST_STEPS, ContactSensor
 from contact_system.engine.binding import SURFACES
 from contact_system.motion import MAY_BE_SINGULAR
-from contact_system.surfaces import Surface
+from contact_system.surfaces import Ellipsoid, Quadric, Surface, Torus
 from contact_system.theory.gain import LAWS
 from contact_system.theory.lowering import Table as Instructions
 
-from .model import TOLERANCE, equations, frame_sizes, way_of
+from .model import TOLERANCE, equations, frame_sizes, measured, way_of
 from .variables import Table
 
-MAGIC, VERSION, HEADER = 20261123.0, 3.0, 39
+MAGIC, VERSION, HEADER = 20261124.0, 4.0, 38
 KINDS = ("calculated", "independent", "fixed", "tunable", "input", "exact")
 
 
@@ -64,17 +64,20 @@ def scene_data(table: Table, token: str) -> bytes:
     law = LAWS[scene.gain.law]
     surfaces: list[Surface] = []
     systems: list[Instructions] = []
-    obj = _body(scene.object, table.parameter_first["object"], surfaces)
+    obj = _body(scene.object, table.first["object"], surfaces)
     contacts: list[float] = []
     corners: set[float] = set()
-    for contact, at, block in zip(scene.contacts, table.finger_first, table.blocks):
+    for i, (contact, group) in enumerate(zip(scene.contacts, table.groups)):
         way = way_of(scene, contact)
         corners |= {stretch.start for stretch in way[1:]}
         n_profile = len(way[0].profile.coefficients)
-        own = equations(contact.finger, scene.object, scene.gain.law, n_profile, table.frames)
-        sizes = frame_sizes(contact.finger, scene.object) if table.frames else (0, 0)
-        contacts += [*_body(contact.finger, at, surfaces), block, _place(own, systems), *sizes]
-        sensor = measurement(contact.finger, scene.object) if table.measured == "pose" else own
+        own, _ = equations(*table.structure(i))
+        frames = frame_sizes(contact.finger, scene.object) if table.frames else (0, 0)
+        contacts += [*_body(contact.finger, table.first[f"finger {i}"], surfaces), *group]
+        contacts += [data.numbers(table.columns(i)), _place(own, systems), *frames]
+        sensor = own
+        if table.measured != "nothing":
+            sensor = measured(contact.finger, scene.object, table.measured)
         unknowns = (3 if s.has_implicit else 2 for s in (contact.finger, scene.object))
         legs = []
         for stretch in way:
@@ -85,20 +88,26 @@ def scene_data(table: Table, token: str) -> bytes:
     limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else ()
     scalars = table.scalars()
     least = [-np.inf if v.minimum is None else v.minimum for v in scalars]
+    nominals = [scalars[r].nominal for r in table.states]
+    shown = table.rows if table.arrays else scalars
+    sizes = [size for v in shown for size in (v.size, *[0] * (v.size - 1))]
     windows = [
-        (d.contact, d.slot, table.window_first + 4 * k) for k, d in enumerate(scene.disturbances)
+        (d.contact, d.slot, table.first["windows"] + 4 * k)
+        for k, d in enumerate(scene.disturbances)
     ]
-    orders = np.ravel(table.orders)
+    orders = [*_orders(scene.object, table.first["object"])]
+    for i, contact in enumerate(scene.contacts):
+        orders += _orders(contact.finger, table.first[f"finger {i}"])
     rows = [x for surface in surfaces for x in _surface(surface, data)]
     head = struct.pack(
         f"<{HEADER - 4}d",
-        *(len(table.blocks), table.n_values, len(scene.profile.coefficients), law.power),
+        *(len(table.groups), table.n_values, len(scene.profile.coefficients), law.power),
         *(law.makes_up, scene.duration, TOLERANCE, table.frames),
-        *(table.n_measured, table.parameter_first["scale"]),
+        table.first["scale"],
         *(data.texts(token), data.texts(*(v.name for v in scalars))),
         data.numbers([KINDS.index(v.kind) for v in scalars]),
-        *(data.numbers(table.sizes), data.numbers(table.start_values), data.numbers(least)),
-        *(data.numbers(table.state_nominals), data.numbers(contacts)),
+        *(data.numbers(sizes), data.numbers(table.start_values), data.numbers(least)),
+        *(data.numbers(nominals), data.numbers(contacts)),
         *(data.numbers(rows), len(surfaces)),
         data.numbers([x for system in systems for x in data.table(system)]),
         *(data.numbers(np.ravel(windows)), len(windows)),
@@ -123,6 +132,17 @@ def _body(surface: Surface, at: int, surfaces: list[Surface]) -> list[float]:
         surfaces.append(surface)
     sizes = (surface.size, surface.bend, surface.reach)
     return [at, len(surface.parameters), known, surface.sign, *sizes]
+
+
+def _orders(surface: Surface, at: int) -> list[int]:
+    """Pairs of references by which it stays of its kind: the first number stays the greater one; or
+    of one twice, it stays what it is."""
+    count, numbers = range(len(surface.parameters)), surface.parameters
+    if isinstance(surface, Quadric):  # whose numbers depend on each other
+        return [at + i for i in count for _ in range(2)]
+    if not isinstance(surface, (Ellipsoid, Torus)):
+        return []
+    return [at + k for i in count for j in count if numbers[i] > numbers[j] for k in (i, j)]
 
 
 def _surface(surface: Surface, data: _Data) -> list[float]:

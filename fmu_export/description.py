@@ -20,7 +20,6 @@ from contact_system.checks import is_device, items_of
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
-from .model import INPUTS
 from .quantities import Unit, Variable, unit_name
 from .variables import Table
 
@@ -288,24 +287,36 @@ def _number(value: float) -> str:
 
 
 def _structure(table: Table, fmi_version: str) -> ET.Element:
-    """Outputs, derivatives and initial unknowns, each with what it depends on."""
-    knowns = _Knowns(table, fmi_version)
+    """Outputs, derivatives and initial unknowns, each with what it depends on.
+
+    On continuous states in Co-Simulation too, since it gives directional derivatives. After
+    initialization FMI 2 counts no parameters, FMI 3 counts all of them (FMI 2.0.4, 2.2.8; FMI
+    3.0.2, 2.4.8).
+    """
+    states, parameters = set(table.states), set(range(1, table.groups[0][0]))
+    running = states.union(table.inputs, () if fmi_version == "2.0" else {0, *parameters})
     variables = listed(table, fmi_version)
-    outputs = [v for v in variables if v.causality == "output"]
-    derivatives = [v for v in variables if v.derivative is not None]
-    initial = [v for v in variables if v.initial == "calculated"]
+    # an FMI 3 array is known by the reference of its first element
+    owner = {v.reference + i: v.reference for v in variables for i in range(v.size)}
     structure = ET.Element("ModelStructure")
     for name, unknowns, allowed in (
-        ("Output", outputs, knowns.running),
-        ("ContinuousStateDerivative", derivatives, knowns.running),
-        ("InitialUnknown", initial, knowns.initial),
+        ("Output", [v for v in variables if v.causality == "output"], running),
+        ("ContinuousStateDerivative", [v for v in variables if v.derivative is not None], running),
+        (
+            "InitialUnknown",
+            [v for v in variables if v.initial == "calculated"],
+            running | parameters,
+        ),
     ):
         parent = structure
         if fmi_version == "2.0":
             name = {"ContinuousStateDerivative": "Derivative"}.get(name, name) + "s"
             parent = ET.SubElement(structure, name)
         for v in unknowns:
-            found = knowns.of(v, allowed)
+            known = {reference for element in v.known for reference in element}
+            if v.initial == "exact":  # a state, which is its own
+                known = set(range(v.reference, v.reference + v.size))
+            found = sorted({owner[r] for r in known & allowed})
             said = {"dependencies": " ".join(map(str, found))}
             said["dependenciesKind"] = " ".join(["dependent"] * len(found))
             if fmi_version == "2.0":
@@ -314,36 +325,6 @@ def _structure(table: Table, fmi_version: str) -> ET.Element:
             else:
                 ET.SubElement(parent, name, said, valueReference=str(v.reference))
     return structure
-
-
-class _Knowns:
-    """What unknowns may depend on (FMI 2.0.4, 2.2.8; FMI 3.0.2, 2.4.8).
-
-    Continuous states in Co-Simulation too, since it gives directional derivatives. After
-    initialization FMI 2 counts no parameters, FMI 3 counts all of them.
-    """
-
-    def __init__(self, table: Table, fmi_version: str):
-        states = set(table.states)
-        count = INPUTS + table.n_measured
-        inputs = {block + k for block in table.blocks for k in range(count)}
-        parameters = set(range(1, table.blocks[0]))
-        self.running = inputs | states
-        if fmi_version == "3.0":
-            self.running |= {0} | parameters
-        self.initial = self.running | parameters
-        self._states = states
-        # An FMI 3 array is known by the reference of its first element.
-        self._owner = {
-            v.reference + i: v.reference for v in listed(table, fmi_version) for i in range(v.size)
-        }
-
-    def of(self, variable: Variable, allowed: set[int]) -> list[int]:
-        """References (they are FMI 2's indices too) of what a variable depends on."""
-        known = {reference for element in variable.known for reference in element}
-        if variable.reference in self._states and variable.initial == "exact":
-            known = set(range(variable.reference, variable.reference + variable.size))
-        return sorted({self._owner[r] for r in known & allowed})
 
 
 # --- companions ----------------------------------------------------------------------------------
@@ -372,8 +353,8 @@ def terminals(table: Table) -> str:
     ET.SubElement(picture, "CoordinateSystem", box, suggestedScalingFactorTo_mm="0.1")
     ET.SubElement(picture, "Icon", box)
     everything = ET.SubElement(root, "Terminals")
-    for i, block in enumerate(table.blocks):
-        own = range(block, block + table.block_size(i))
+    for i, group in enumerate(table.groups):
+        own = range(group[0], group[-1])
         members: dict[str, dict[str, str]] = {}
         for v in listed(table, "3.0"):
             if v.reference in own and v.causality in ("input", "output"):

@@ -25,20 +25,14 @@ how far both charts are from their poles (2), and the angle of the object's fram
 
 from __future__ import annotations
 
-import ctypes
-import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from contact_system.contact_equations import PER_CONTACT, Form, contact_function, start_function
-from contact_system.engine.binding import address, along
-from contact_system.errors import ContactSystemError, SceneError
+from contact_system.contact_equations import PER_CONTACT, Form, contact_function
+from contact_system.contact_sensor import measured_contact
 from contact_system.scene import Contact, Scene, Stretch
-from contact_system.starts import scene_start
-from contact_system.surfaces import TINY, Ellipsoid, Quadric, Surface, UserSurface
+from contact_system.surfaces import TINY, Surface
 from contact_system.theory import symbols as ca
 from contact_system.theory.development import in_space, moving
 from contact_system.theory.equations import flip
@@ -64,8 +58,11 @@ def frame_sizes(finger: Surface, obj: Surface) -> tuple[int, int]:
 
 
 @per_structure
-def equations(finger: Surface, obj: Surface, law: str, n_profile: int, frames: bool) -> Table:
-    """The table (time, states, disturbances | gain, profile, numbers of both) -> results."""
+def equations(
+    finger: Surface, obj: Surface, law: str, n_profile: int, frames: bool
+) -> tuple[Table, np.ndarray]:
+    """The table (time, states, disturbances | gain, profile, numbers of both) -> results; and which
+    of these each result depends on, but the last three."""
     with making_symbols():
         forms = (in_space(finger, True), in_space(obj, True)) if frames else (False, False)
         form = Form("frame", True, forms, law, n_profile, ())
@@ -89,7 +86,9 @@ def equations(finger: Surface, obj: Surface, law: str, n_profile: int, frames: b
             *(found["regularity"], _object_theta(obj, forms, state, p2)),
         )
         point, constants = ca.vertcat(t, x, w), ca.vertcat(gain, profile, p1, p2)
-        return Table(ca.Function("equations", [point, constants], [ca.densify(ca.cse(results))]))
+        made = ca.Function("equations", [point, constants], [ca.densify(ca.cse(results))])
+        parts = [ca.DM(made.jac_sparsity(0, k), 1).full() for k in range(2)]
+        return Table(made), np.hstack(parts)[:-3] != 0
 
 
 def _condition(law: str, t: ca.SX, own: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca.SX]:
@@ -127,6 +126,30 @@ def _object_theta(obj: Surface, forms: tuple[bool, bool], state: ca.SX, p2: ca.S
     return moving(obj, True)("coordinates")(place, ca.vertcat(obj.sign, p2))[4]
 
 
+@per_structure
+def measured(finger: Surface, obj: Surface, what: str) -> Table:
+    """The table by which a contact goes on from what is measured of it.
+
+    point: "states", u1 v1 u2 v2; "pose", unknowns of finger and object, X_OF (12, row by row),
+    V_OF_O (6). constants: sign, parameters and size of the finger, and of the object.
+    result: of "pose" the next unknowns, length of the step, det of the relative curvature over its
+    square, states (9); for both the metric roots (4 + 4).
+    """
+    if what == "states":
+        places, constants, roots = [ca.SX.sym("place", 2) for _ in range(2)], [], []
+        for s, (u, v) in zip((finger, obj), map(ca.vertsplit, places)):
+            sign, p, size = ca.SX.sym("sign"), ca.SX.sym("p", len(s.parameters)), ca.SX.sym("size")
+            constants += [sign, p, size]
+            roots.append(ca.vec(s.geometry_expr(p, u, v, sign).metric_root))
+        point, given, result = (ca.vertcat(*parts) for parts in (places, constants, roots))
+    else:
+        point, given, *results = measured_contact(finger, obj)
+        point, others = ca.vertsplit(point, [0, point.numel() - 4, point.numel()])
+        # no share, no known slip
+        result = ca.substitute(ca.vertcat(*results[:4], results[-1]), others, 0)
+    return Table(ca.Function("measured", [point, given], [ca.densify(ca.cse(result))]))
+
+
 def way_of(scene: Scene, contact: Contact) -> list[Stretch]:
     """A contact's legs, the rest behind them included, with profiles of one length."""
     way = contact.whole_way(scene.profile, scene.duration)
@@ -136,98 +159,3 @@ def way_of(scene: Scene, contact: Contact) -> list[Stretch]:
         for stretch in way
         for c in [stretch.profile.coefficients]
     ]
-
-
-def start_states(scene: Scene, contact: Contact, frames: bool) -> np.ndarray:
-    """The states of a contact where its scene starts."""
-    start, obj = scene_start(contact), scene.object
-    if not frames:
-        finger = (*start.finger_at, 0.0, *start.finger_velocity)
-        return np.array([*finger, *start.object_at, 0.0, *start.object_velocity, start.angle])
-    forms = (in_space(contact.finger, True), in_space(obj, True))
-    profile = contact.way(scene.profile, scene.duration)[0].profile.coefficients
-    form = Form("frame", True, forms, scene.gain.law, len(profile), ())
-    places = []
-    for surface, at in ((contact.finger, start.finger_at), (obj, start.object_at)):
-        places += [*at] if surface.has_chart else [*surface.point(*at), *surface.frame(*at)[:, 0]]
-    given = [*places, start.angle, *start.finger_velocity, *start.object_velocity]
-    numbers = [[*s.parameters, s.size] for s in (contact.finger, obj)]
-    function = start_function(contact.finger, obj, form)
-    return function(0.0, given, [scene.gain.value, *profile], *numbers)[0].full().ravel()
-
-
-def surface_with(surface: Surface, values: Sequence[float]) -> Surface:
-    """The same kind of surface with other numbers.
-
-    Raises
-    ------
-    SceneError
-        Numbers that make another kind of surface, or that depend on each other.
-    """
-    numbers = tuple(values[: len(surface.parameters)])
-    if numbers == surface.parameters:
-        return surface
-    if isinstance(surface, Quadric):
-        raise SceneError(
-            f"{surface!r}: its parameters depend on each other and cannot be set individually; "
-            "step a scene with another matrix A"
-        )
-    other: Surface
-    if isinstance(surface, UserSurface):
-        count = len(surface.formula.names)
-        center, values = numbers[: len(numbers) - count], numbers[len(numbers) - count :]
-        given: dict[str, Any] = {"parameters": dict(zip(surface.formula.names, values))}
-        if center:  # of an ImplicitSurface
-            given["center"] = center
-        other = dataclasses.replace(surface, **given)
-    elif isinstance(surface, Ellipsoid):
-        axes = {1: (0, 0, 0), 2: (0, 0, 1) if surface.a == surface.b else (0, 1, 1), 3: (0, 1, 2)}
-        other = Ellipsoid(*(numbers[k] for k in axes[len(numbers)]), inside=surface.inside)
-    else:
-        other = type(surface)(*numbers, inside=surface.inside)
-    if other.structure != surface.structure:
-        raise SceneError(
-            f"{other!r} is another kind of surface than {surface!r}; step a scene that has it"
-        )
-    return other
-
-
-def kept_order(surface: Surface) -> list[tuple[int, int]]:
-    """What `surface_with` wants of a surface's numbers, found by asking it.
-
-    Returns
-    -------
-    list of (i, j)
-        Number i is to stay greater than number j; (i, i): number i is to stay what it is.
-    """
-    numbers, found = surface.parameters, []
-
-    def refused(i: int, value: float) -> bool:
-        try:
-            surface_with(surface, (*numbers[:i], value, *numbers[i + 1 :]))
-        except ContactSystemError:
-            return True
-        return False
-
-    for i, x in enumerate(numbers):
-        if refused(i, math.nextafter(x, math.inf)) and refused(i, math.nextafter(x, -math.inf)):
-            found.append((i, i))
-        else:
-            found += [(i, j) for j, y in enumerate(numbers) if x > y and refused(i, y)]
-    return found
-
-
-def jacobian(table: Table, point: Any, constants: Any) -> np.ndarray:
-    """Derivatives of a table's results by its point and constants, in the engine: (n_out, n)."""
-    count, lanes = table.n_in + table.n_const, 16
-    r, found = np.zeros(table.n_regs), []
-    r[table.first_lit :][: len(table.literals)] = table.literals
-    for first in range(0, count, lanes):
-        tangents = np.zeros((table.n_regs, lanes))
-        r[:count] = [*point, *constants]
-        tangents[:count] = np.eye(count, lanes, -first)
-        for words in (table.prologue, table.body):
-            program = (ctypes.c_void_p * 2)(words.ctypes.data, r.ctypes.data)
-            along(ctypes.addressof(program), address(tangents))
-        found.append(tangents[table.first_out :][: table.n_out].copy())
-    return np.hstack(found)[:, :count]

@@ -13,7 +13,7 @@ Unit = tuple[int, int, int]
 METRE, RADIAN, SECOND, NONE = (1, 0, 0), (0, 0, 1), (0, 1, 0), (0, 0, 0)
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Variable:
     """One row of the table.
 
@@ -72,6 +72,15 @@ class Variable:
         if self.causality in ("input", "independent"):
             return self.causality
         return self.initial or "calculated"
+
+    def of_contact(self, i: int) -> Variable:
+        """The same, named as of a contact."""
+
+        def named(name: str) -> str:
+            head, inner = ("der(", name[4:]) if name.startswith("der(") else ("", name)
+            return f"{head}contact[{i + 1}].{inner}"
+
+        return replace(self, name=named(self.name), elements=tuple(map(named, self.elements)))
 
     def scalars(self) -> Iterator[Variable]:
         """The variables of FMI 2 in this row."""

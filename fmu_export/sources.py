@@ -21,7 +21,7 @@ SHARED = (
 def _texts(layer: str) -> dict[str, str]:
     """What FMUs of one version of FMI have in common, under the names that it has there."""
     other = {"2": "3", "3": "2"}[layer]
-    skipped = ("resource.c", f"fmi{other}.c", f"fmi{other}_types.h")
+    skipped = ("resource.c", f"fmi{other}.c")
     files = {file.name: text for file, text in texts().items() if file.name not in skipped}
     return {_part(name): text.replace('"generated/', '"') for name, text in files.items()}
 

@@ -2,17 +2,15 @@
 
 The component's values lie in one array of float64. A variable's value reference is the index of its
 first element there; every element is a scalar of its own name, but for FMI 3 with arrays. The array
-begins with time and the parameters; a block of numbers a contact follows: inputs, states, their
-derivatives and other results (`fmu_export.model`).
+begins with time and the parameters; groups of numbers of each contact follow.
 
 Names are structured (FMI 2.0.4, section 2.2.9; FMI 3.0.2, section 2.4.7.5.1) and count from 1.
 """
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 
@@ -22,23 +20,13 @@ from contact_system.errors import ChartSingularity, SceneError
 from contact_system.kept import kept
 from contact_system.plan import plan
 from contact_system.scene import Scene, require_scene
+from contact_system.starts import scene_start
 from contact_system.surfaces import Quadric, Surface, UserSurface
 from contact_system.system import SceneSystem
 from contact_system.theory.gain import LAWS
 
-from .contact_variables import contact_rows
-from .model import (
-    CHART_STATES,
-    COORDINATES,
-    INPUTS,
-    RESULTS,
-    equations,
-    frame_sizes,
-    jacobian,
-    kept_order,
-    start_states,
-    way_of,
-)
+from .contact_variables import DERIVATIVES, INPUT_GROUPS, STATE_GROUP, contact_groups
+from .model import equations, way_of
 from .quantities import METRE, NONE, SECOND, Unit, Variable, chart_units, per_second
 
 
@@ -51,14 +39,11 @@ class Table:
     scene : Scene
     rows : list of Variable
         By reference, ascending.
-    parameter_first : dict
-        References of ``gain``, ``profile`` and ``object``: where their numbers begin.
-    finger_first : list of int
-        Reference of the first number of each contact's finger.
-    window_first : int
-        Reference of the first number of the scene's disturbance windows, four each.
-    blocks : list of int
-        Reference of the first number of each contact.
+    first : dict
+        References of ``gain``, ``profile``, ``scale``, ``object``, ``finger 0`` and so on, and of
+        ``windows``, four each: where their numbers begin.
+    groups : list of list of int
+        Of each contact, where its groups of numbers begin, and where the last one ends.
     frames : bool
         Whether the states are moving frames, not charts.
     arrays : bool
@@ -69,10 +54,8 @@ class Table:
 
     scene: Scene
     rows: list[Variable]
-    parameter_first: dict[str, int]
-    finger_first: list[int]
-    window_first: int
-    blocks: list[int]
+    first: dict[str, int]
+    groups: list[list[int]]
     frames: bool
     arrays: bool
     measured: str
@@ -88,53 +71,40 @@ class Table:
     @property
     def n_values(self) -> int:
         """Length of the component's array of values."""
-        return self.blocks[-1] + self.block_size(len(self.blocks) - 1)
-
-    def n_states(self, contact: int) -> int:
-        """Number of a contact's states."""
-        if not self.frames:
-            return CHART_STATES
-        return sum(frame_sizes(self.scene.contacts[contact].finger, self.scene.object)) + 4
-
-    @property
-    def n_measured(self) -> int:
-        """Number of a contact's inputs of what is measured."""
-        return MEASUREMENTS[self.measured]
-
-    def block_size(self, contact: int) -> int:
-        """Number of a contact's values."""
-        coordinates = COORDINATES if self.frames else 0
-        return (
-            INPUTS
-            + self.n_measured
-            + 2 * self.n_states(contact)
-            + coordinates
-            + sum(RESULTS.values())
-        )
-
-    @property
-    def states(self) -> list[int]:
-        """References of the continuous states."""
-        return [
-            block + INPUTS + self.n_measured + k
-            for i, block in enumerate(self.blocks)
-            for k in range(self.n_states(i))
-        ]
+        return self.groups[-1][-1]
 
     @kept
-    def sizes(self) -> list[int]:
-        """How many values each reference has; 0 inside an array."""
-        rows = self.rows if self.arrays else self.scalars()
-        return [size for v in rows for size in (v.size, *[0] * (v.size - 1))]
+    def states(self) -> list[int]:
+        """References of the continuous states."""
+        return [r for g in self.groups for r in range(g[STATE_GROUP], g[DERIVATIVES])]
+
+    @kept
+    def inputs(self) -> list[int]:
+        """References of the inputs."""
+        return [r for g in self.groups for r in range(g[0], g[INPUT_GROUPS])]
 
     @kept
     def start_values(self) -> np.ndarray:
         """The values before initialization: starts, and 0 for what is calculated, (n_values,)."""
-        values = np.zeros(self.n_values)
-        for row in self.rows:
-            if row.start:
-                values[row.reference : row.reference + row.size] = row.start
-        return values
+        return np.array([x for row in self.rows for x in row.start or (0.0,) * row.size])
+
+    def structure(self, i: int) -> tuple[Surface, Surface, str, int, bool]:
+        """What `model.equations` of a contact are made for."""
+        scene, contact = self.scene, self.scene.contacts[i]
+        n_profile = len(way_of(scene, contact)[0].profile.coefficients)
+        return contact.finger, scene.object, scene.gain.law, n_profile, self.frames
+
+    def columns(self, i: int) -> list[int]:
+        """References of the point and constants of those equations; -1 for profiles of legs."""
+        first, group, (finger, obj, _, n_profile, _) = self.first, self.groups[i], self.structure(i)
+        states, inputs = range(group[STATE_GROUP], group[DERIVATIVES]), range(group[0], group[1])
+        own = self.scene.contacts[i].legs
+        profile = [-1 if own else first["profile"] + k for k in range(n_profile)]
+        tip, body = (
+            [first[key] + k for k in range(len(s.parameters))]
+            for key, s in ((f"finger {i}", finger), ("object", obj))
+        )
+        return [0, *states, *inputs, first["gain"], *profile, *tip, *body]
 
     def scalars(self) -> list[Variable]:
         """Every variable as FMI 2 sees it, by reference."""
@@ -144,39 +114,9 @@ class Table:
     def _scalars(self) -> list[Variable]:
         return [scalar for row in self.rows for scalar in row.scalars()]
 
-    @kept
-    def orders(self) -> list[tuple[int, int]]:
-        """References of pairs of a surface's numbers, as `model.kept_order` has them."""
-        scene, first = self.scene, self.parameter_first["object"]
-        surfaces = [(first, scene.object)]
-        surfaces += [(at, c.finger) for at, c in zip(self.finger_first, scene.contacts)]
-        return [(at + i, at + j) for at, surface in surfaces for i, j in kept_order(surface)]
-
-    @kept
-    def state_nominals(self) -> np.ndarray:
-        """Nominal values of the continuous states, contact by contact."""
-        states = set(self.states)
-        return np.array([v.nominal for v in self.scalars() if v.reference in states])
-
-    def arguments(self, contact: int) -> list[int]:
-        """References of the point and the constants of `model.equations`, in order; -1: none."""
-        first, block = self.parameter_first, self.blocks[contact]
-        own = self.scene.contacts[contact].finger
-        law = [first["gain"], *_range(first["profile"], len(self.scene.profile.coefficients))]
-        if self.scene.contacts[contact].legs:  # whose profiles are no variables
-            law[1:] = [-1] * len(
-                way_of(self.scene, self.scene.contacts[contact])[0].profile.coefficients
-            )
-        finger = _range(self.finger_first[contact], len(own.parameters))
-        obj = _range(first["object"], len(self.scene.object.parameters))
-        first_state = block + INPUTS + self.n_measured
-        state, inputs = _range(first_state, self.n_states(contact)), _range(block, INPUTS)
-        return [0, *state, *inputs, *law, *finger, *obj]
-
 
 STATES = ("auto", "chart", "frame")
-MEASUREMENTS = {"nothing": 0, "states": 10, "pose": 19}
-"""What can be measured of a contact, and how many inputs that is, the trigger among them."""
+MEASUREMENTS = ("nothing", "states", "pose")
 
 
 def variable_table(
@@ -209,54 +149,76 @@ def variable_table(
     require_scene(scene)
     if states not in STATES:
         raise SceneError(f"states = {states!r}: use one of {', '.join(STATES)}")
-    if measured not in tuple(MEASUREMENTS):
+    if measured not in MEASUREMENTS:
         raise SceneError(f"measured = {measured!r}: use one of {', '.join(MEASUREMENTS)}")
-    surfaces = [scene.object, *(c.finger for c in scene.contacts)]
+    bodies = {"object": scene.object} | {
+        f"finger {i}": c.finger for i, c in enumerate(scene.contacts)
+    }
     frames = states == "frame"
     if states == "auto":
-        frames = not all(s.has_chart for s in surfaces) or _comes_near_pole(scene)
+        frames = not all(s.has_chart for s in bodies.values()) or _comes_near_pole(scene)
+    _refuse(scene, bodies.values(), frames, measured)
+    rows = [Variable("time", 0, "independent", "continuous", None, "Simulation time", SECOND)]
+
+    def end() -> int:
+        return rows[-1].reference + rows[-1].size
+
+    def add(more: Iterable[Variable]) -> int:
+        """Add rows; returns the reference of the first one."""
+        at = end()
+        for v in more:
+            v.reference = end()
+            rows.append(v)
+        return at
+
+    system = SceneSystem(scene, "frame", True)
+    names = map(_counted_from_one, system.parameter_names)
+    law = (scene.gain.value, *scene.profile.coefficients)
+    gain, *profile = (_parameter(scene, next(names), x) for x in law)
+    first = {"gain": add([gain]), "profile": add(profile)}
+    first["scale"] = add([_parameter(scene, "disturbances.scale", 1.0)])
+    for key, surface in bodies.items():
+        own = zip(islice(names, len(surface.parameters)), surface.parameters)
+        first[key] = add([_parameter(scene, name, x, surface) for name, x in own])
+        next(names)  # its size, which follows its numbers
+    first["windows"] = add(_window_rows(scene))
+    groups = []
+    for i, contact in enumerate(scene.contacts):
+        n = scene_start(contact)
+        starts = system.x0[system.state_slices[i]].tolist()
+        if not frames:
+            starts = [*n.finger_at, 0.0, *n.finger_velocity]
+            starts += [*n.object_at, 0.0, *n.object_velocity, n.angle]
+        described = contact_groups(scene, contact, starts, frames, measured)
+        bounds = [add(v.of_contact(i) for v in group) for group in described]
+        groups.append([*bounds, end()])
+    table = Table(scene, rows, first, groups, frames, arrays, measured)
+    for i in range(len(groups)):
+        _tell_dependencies(table, i)
+    _require_names(table)
+    return table
+
+
+def _refuse(scene: Scene, surfaces: Iterable[Surface], frames: bool, measured: str) -> None:
+    """Raise what `variable_table` says of scenes that there is no table for."""
     for surface in surfaces:
         if not (frames or surface.has_chart):
             raise SceneError(
                 f"{scene.title}: {surface!r} has no explicit chart f(u, v), in which states could "
                 'be; give states="frame" or a ParametricSurface'
             )
-        if MEASUREMENTS[measured] and not surface.has_chart:
+        if measured != "nothing" and not surface.has_chart:
             raise SceneError(
                 f"{scene.title}: {surface!r} has no explicit chart f(u, v), in which states could "
                 "be measured; leave measured out, or give a ParametricSurface"
             )
-    n_profile = len(scene.profile.coefficients)
-    ways = (way_of(scene, contact) for contact in scene.contacts)
-    most = max(n_profile, *(len(way[0].profile.coefficients) for way in ways))
+    ways = [way_of(scene, contact) for contact in scene.contacts]
+    most = max(len(p.coefficients) for p in (scene.profile, *(way[0].profile for way in ways)))
     if most > MOST_COEFFICIENTS:
         raise SceneError(
             f"{scene.title}: a profile has {most} coefficients, and an FMU holds "
             f"{MOST_COEFFICIENTS}; give a profile of a lower degree"
         )
-    names = _parameter_names(scene)
-    law = [(x, None) for x in (scene.gain.value, *scene.profile.coefficients)]
-    law.append((1.0, None))
-    values = [*law, *((x, surface) for surface in surfaces for x in surface.parameters)]
-    rows = [
-        Variable("time", 0, "independent", "continuous", None, "Simulation time", SECOND),
-        *(_parameter(scene, n, 1 + k, *x) for k, (n, x) in enumerate(zip(names, values))),
-    ]
-    first = {"gain": 1, "profile": 2, "scale": 2 + n_profile, "object": 3 + n_profile}
-    fingers, at = [], first["object"] + len(scene.object.parameters)
-    for contact in scene.contacts:
-        fingers.append(at)
-        at += len(contact.finger.parameters)
-    rows += _window_rows(scene, at)
-    table = Table(scene, rows, first, fingers, at, [], frames, arrays, measured)
-    at += 4 * len(scene.disturbances)
-    for i in range(len(scene.contacts)):
-        table.blocks.append(at)
-        at += table.block_size(i)
-    for i in range(len(scene.contacts)):
-        rows += contact_rows(table, i, _known(table, i))
-    _require_names(table)
-    return table
 
 
 MOST_COEFFICIENTS = 48
@@ -283,16 +245,6 @@ def _comes_near_pole(scene: Scene) -> bool:
 # --- parameters ----------------------------------------------------------------------------------
 
 
-def _parameter_names(scene: Scene) -> list[str]:
-    """Those of `SceneSystem`, without the sizes of the bodies, which follow their numbers."""
-    names = iter(SceneSystem(scene, "frame").parameter_names)
-    kept = [*islice(names, 1 + len(scene.profile.coefficients)), "disturbances.scale"]
-    for surface in (scene.object, *(c.finger for c in scene.contacts)):
-        kept += islice(names, len(surface.parameters))
-        next(names)
-    return kept
-
-
 def _require_names(table: Table) -> None:
     """Refuse two variables of one name, in FMI 3 or in FMI 2."""
     for names in ([row.name for row in table.rows], [v.name for v in table.scalars()]):
@@ -304,11 +256,8 @@ def _require_names(table: Table) -> None:
             )
 
 
-def _parameter(
-    scene: Scene, name: str, reference: int, value: float, surface: Surface | None
-) -> Variable:
-    """A row for one of `SceneSystem.parameter_names`; indices count from 1 here."""
-    name = _counted_from_one(name)
+def _parameter(scene: Scene, name: str, value: float, surface: Surface | None = None) -> Variable:
+    """A row for one of the names of `SceneSystem.parameter_names`."""
     owner, _, last = name.rpartition(".")
     unit: Unit | None = METRE
     variability, low, nominal, text = "fixed", None, None, f"Surface of {owner}: {last}"
@@ -324,31 +273,25 @@ def _parameter(
     elif isinstance(surface, (UserSurface, Quadric)):
         unit = None
     else:
-        low, nominal = min(1e-6, 1e-3 * value), value  # m
-    named = (name, reference, "parameter", variability, "exact", text, unit, (value,))
-    return Variable(*named, minimum=low, nominal=nominal or None)
+        low, nominal = min(1e-6, 1e-3 * value), value or None  # m
+    named = (name, 0, "parameter", variability, "exact", text, unit, (value,))
+    return Variable(*named, minimum=low, nominal=nominal)
 
 
-def _window_rows(scene: Scene, at: int) -> Iterator[Variable]:
+def _window_rows(scene: Scene) -> Iterator[Variable]:
     """Start, stop and components of each of the scene's disturbances."""
     for k, d in enumerate(scene.disturbances):
-        i = int(d.contact)
-        surface = scene.contacts[i].finger if d.slot == 0 else scene.object
+        surface = scene.contacts[int(d.contact)].finger if d.slot == 0 else scene.object
         units = [per_second(unit, 2 if d.slot < 2 else 1) for unit in chart_units(surface)]
-        what = f"disturbance of contact {i + 1}, {d.kind}"
-        for j, (name, unit, value) in enumerate(
-            (
-                ("start", SECOND, d.start),
-                ("stop", SECOND, d.stop),
-                ("u", units[0], d.value[0]),
-                ("v", units[1], d.value[1]),
-            )
+        what = f"disturbance of contact {int(d.contact) + 1}, {d.kind}"
+        for name, text, unit, value, low in (
+            ("start", "Start", SECOND, d.start, 0.0),
+            ("stop", "Stop", SECOND, d.stop, 0.0),
+            ("u", "Component u", units[0], d.value[0], None),
+            ("v", "Component v", units[1], d.value[1], None),
         ):
-            text = (
-                f"{name.capitalize()} of the {what}" if j < 2 else f"Component {name} of the {what}"
-            )
-            named = (f"disturbance[{k + 1}].{name}", at + 4 * k + j, "parameter", "fixed", "exact")
-            yield Variable(*named, text, unit, (float(value),), minimum=0.0 if j < 2 else None)
+            named = (f"disturbance[{k + 1}].{name}", 0, "parameter", "fixed", "exact")
+            yield Variable(*named, f"{text} of the {what}", unit, (float(value),), minimum=low)
 
 
 def _counted_from_one(name: str) -> str:
@@ -363,50 +306,20 @@ def _counted_from_one(name: str) -> str:
 # --- dependencies --------------------------------------------------------------------------------
 
 
-def _known(table: Table, i: int) -> list[tuple[int, ...]]:
-    """For each result of a contact, references of what it depends on.
-
-    From exact derivatives at sample points: the expression's own structure would name too much. A
-    path velocity of the object passes through V = R_0 W_1 - a_2, and R_0 W_1 - V depends on nothing
-    but a_2 after all.
-    """
-    scene, n_states = table.scene, table.n_states(i)
-    finger, obj = scene.contacts[i].finger, scene.object
-    way = [s for s in way_of(scene, scene.contacts[i]) if s.stop < math.inf]
-    longest = max(way, key=lambda s: s.profile.arc_length(s.stop - s.start))
-    profile = longest.profile.coefficients
-    made = equations(finger, obj, scene.gain.law, len(profile), table.frames)
-    random = np.random.default_rng(1)
-    start = start_states(scene, scene.contacts[i], table.frames)
-    step = np.full(n_states, 0.02)
-    if not table.frames:
-        step[[2, 3, 4, 7, 8, 9, 10]] = 0.18
-    scale = np.ones(n_states)
-    if table.frames:
-        clear = np.abs(start) > 1e-6
-        scale = np.where(clear, start, np.abs(start[clear]).min())
-    constants = [scene.gain.value + 1.0, *profile, *finger.parameters]
-    constants += obj.parameters
-    arguments = table.arguments(i)
-    found = np.zeros((made.n_out, len(arguments)), dtype=bool)
-    for t in (longest.stop - longest.start) * np.array([0.21, 0.52, 0.83]):
-        # off the start, where symmetry hides dependencies, and inside any chart it is in
-        state = start + step * random.standard_normal(n_states) * scale
-        state[-4:] += 0.1 * random.standard_normal(4) if table.frames else 0.0
-        at = np.array([t, *state, *random.standard_normal(INPUTS), *constants])
-        values = np.abs(jacobian(made, at[: made.n_in], at[made.n_in :]) * np.where(at == 0, 1, at))
-        largest = np.maximum(values.max(axis=1, keepdims=True), 1e-300)
-        found |= ~(values <= 1e-12 * largest)  # a NaN says that there is a dependence
-    first_input = 1 + n_states
-    inputs = slice(first_input, first_input + INPUTS)
-    found[made.n_out - 3 - 2, inputs] = True  # disturbance.active, which jumps
-    behind = [[reference] * (reference >= 0) for reference in arguments]
+def _tell_dependencies(table: Table, i: int) -> None:
+    """Put into a contact's derivatives and results what they depend on by their equations."""
+    scene, first, group, columns = table.scene, table.first, table.groups[i], table.columns(i)
+    _, found = equations(*table.structure(i))
+    behind = [[r] if r >= 0 else [] for r in columns]
+    inputs = columns.index(group[0])
     for k, d in enumerate(scene.disturbances):
         for axis in range(2 if d.contact == i else 0):
-            own, factor = table.window_first + 4 * k, table.parameter_first["scale"]
-            behind[first_input + 2 * d.slot + axis] += [own, own + 1, own + 2 + axis, factor]
-    return [tuple(sorted({r for j in np.flatnonzero(row) for r in behind[j]})) for row in found]
-
-
-def _range(first: int, count: int) -> list[int]:
-    return list(range(first, first + count))
+            own = first["windows"] + 4 * k
+            behind[inputs + 2 * d.slot + axis] += [own, own + 1, own + 2 + axis, first["scale"]]
+    known = [tuple(sorted({r for j in np.flatnonzero(row) for r in behind[j]})) for row in found]
+    for v in table.rows:
+        at = v.reference - group[DERIVATIVES]
+        if at >= 0 and v.reference < group[-1]:
+            v.known = tuple(known[at : at + v.size])
+            if v.reference < group[DERIVATIVES + 1]:
+                v.derivative = at + group[STATE_GROUP]

@@ -1,4 +1,7 @@
-"""An FMU under misuse, for a long time, in many threads, in programs that are not Python."""
+"""An FMU under misuse, for a long time, in many threads, in programs that are not Python.
+
+`python -m benchmarks fmu --only fuzz`, or `endurance`, does the same at length.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from fmu_export import export_fmu
 @pytest.fixture(scope="module", params=["2.0", "3.0"])
 def fmu(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("robust")
-    path = export_fmu(EVERYTHING, folder / "everything.fmu", request.param)
+    path = export_fmu(EVERYTHING, folder / "everything.fmu", request.param, measured="pose")
     return Fmu.unpacked(path, folder / "everything")
 
 
@@ -29,11 +32,11 @@ def program(name, fmu, **options):
 
 def test_random_calls_and_damaged_or_forged_state_bytes_do_no_harm(fmu):
     made, granted, slowest, _, taken = (
-        program("fuzz", fmu, sanitized=True).run(300, 300, 1, *fmu.model_arguments()).split()
+        program("fuzz", fmu, sanitized=True).run(100, 100, 1, *fmu.model_arguments()).split()
     )
-    assert int(made) > 6_000
+    assert int(made) > 2_000
     assert int(granted) > 0.2 * int(made), "hardly anything that was called was legal"
-    assert 30 < int(taken) < 270, "forged states are told from good ones by what they hold"
+    assert 10 < int(taken) < 90, "forged states are told from good ones by what they hold"
 
 
 def test_states_hold_the_motion_and_nothing_that_lay_on_the_stack(fmu):
@@ -46,8 +49,8 @@ def test_steps_do_nothing_that_a_program_may_trap(fmu):
     assert len(found) == 91 and np.isfinite(found).all()
 
 
-def test_a_million_steps_take_no_memory(fmu):
-    found = program("endurance", fmu).table("memory", 1e-3, 1000, 1000, *fmu.model_arguments())
+def test_steps_take_no_memory(fmu):
+    found = program("endurance", fmu).table("memory", 1e-3, 1000, 100, *fmu.model_arguments())
     inside, heap, process = found[0]  # allocations in steps; growth of heap and of process
     assert inside == 0 and heap < 1000 and process < 64_000, (
         "less than a byte a run, a page at most"

@@ -9,24 +9,21 @@
 #include "profile.c"
 /* */
 #include "system.c"
+/* */
+#include "state.c"
 
-static status_t report(component_t *c, status_t status, const char *category, const char *format,
-                       ...) {
-  char text[512];
+static status_t report(component_t *c, status_t status, const char *format, ...) {
+  char text[640];
+  const int n = status == FAILED ? snprintf(text, 64, "%s: ", c->called) : 0;
   va_list arguments;
   va_start(arguments, format);
-  vsnprintf(text, sizeof text, format, arguments);
+  vsnprintf(text + n, sizeof text - (size_t)n, format, arguments);
   va_end(arguments);
-  c->report(c, status, category, text);
+  c->report(c, status, text);
   return status;
 }
 
 /* ---- memory ---- */
-
-static size_t memory_size(const model_t *m) {
-  return sizeof(memory_t) + (size_t)m->n_values * sizeof(double) +
-         (size_t)m->n_contacts * sizeof(segment_t);
-}
 
 static void drop_plans(component_t *c, long i) {
   live_t *k = c->live + i;
@@ -39,7 +36,7 @@ static void free_component(component_t *c) {
     drop_plans(c, i);
     free(c->live[i].registers);
   }
-  free(c->now), free(c->live), free(c->buffer), free(c->seed), free(c->grown), free(c->tangents),
+  free(c->own), free(c->live), free(c->buffer), free(c->seed), free(c->grown), free(c->tangents),
       free(c->registers);
   free_model(c->model);
 }
@@ -75,7 +72,7 @@ static const char *make_component(component_t *c, const char *resources) {
     legs = (size_t)fmax((double)legs, row[P_N_LEGS] * (LEG_SIZE + size));
   }
   c->engine = contact_engine();
-  c->now = calloc(1, memory_size(m)), c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
+  c->own = new_saved(m), c->live = calloc((size_t)m->n_contacts, sizeof *c->live);
   c->buffer = malloc((legs + (size_t)(S_HEADER + m->n_values + CONTACT_SIZE +
                                       WINDOW_SIZE * (m->n_windows + 3) + 4)) *
                      sizeof(double));
@@ -88,8 +85,9 @@ static const char *make_component(component_t *c, const char *resources) {
     memcpy(c->live[i].registers + t->first_lit, t->literals, (size_t)t->n_lit * sizeof(double));
   }
   c->tangents = malloc(registers * sizeof *c->tangents);
-  if (!c->now || !c->live || !c->buffer || !c->seed || !c->grown || !c->tangents)
+  if (!c->own || !c->live || !c->buffer || !c->seed || !c->grown || !c->tangents)
     return "no memory";
+  c->now = &c->own->memory;
   c->value = (double *)(c->now + 1), c->segment = (segment_t *)(c->value + m->n_values);
   return NULL;
 }
@@ -106,11 +104,11 @@ static const char *make_component(component_t *c, const char *resources) {
 static status_t check_value(component_t *c, unsigned reference, double value) {
   const double least = section(c->model, D_LEAST)[reference];
   if (!(fabs(value) <= DBL_MAX))
-    return report(c, DISCARD, "logStatusDiscard", "%s = %g is refused; give a finite number",
+    return report(c, DISCARD, "%s = %g is refused; give a finite number",
                   c->model->names[reference], value);
   if (value < least)
-    return report(c, DISCARD, "logStatusDiscard", "%s = %.9g is refused; give %g or more",
-                  c->model->names[reference], value, least);
+    return report(c, DISCARD, "%s = %.9g is refused; give %g or more", c->model->names[reference],
+                  value, least);
   return OK;
 }
 

@@ -7,6 +7,8 @@
    (Model Exchange, and initialization in both) everything is a function of the states, by a table
    of instructions that the engine runs.
 
+   The FMI layer says what status_t is: OK, WARNING, DISCARD and FAILED, from 0 on.
+
    Everything is static: fmi2.c and fmi3.c each include all of it, so that no names meet. */
 #ifndef CONTACT_COMPONENT
 #define CONTACT_COMPONENT
@@ -15,8 +17,6 @@
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wunused-function"
 #endif
-
-typedef enum { OK, WARNING, DISCARD, FAILED } status_t; /* numbered as in FMI 2 and 3 */
 
 typedef enum {
   INSTANTIATED = 1,
@@ -29,12 +29,15 @@ typedef enum {
 } phase_t;
 
 enum { ROW = CONTACT_SIZE - K_PLACE_1 };
+enum { U1, V1, DU1, DV1, U2, V2, DU2, DV2, PSI, N_STATES };
 
 /* How a contact's motion began, and what acts on it besides windows: it is planned from that. */
 typedef struct {
   double begin, end; /* s; planned so far; negative: how far it is to be planned */
   double gain, moment, frames, acting[DISTURBANCES];
   double trigger;  /* that has last been heard */
+  double measured; /* 1: it began where it was measured, at these states */
+  double states[N_STATES];
   double row[ROW]; /* of the engine's contact, from K_PLACE_1 on */
 } segment_t;
 
@@ -48,6 +51,12 @@ typedef struct {
   double acts_at; /* of this time are the windows: the edge that time is at, or before it */
   double limit;   /* where sigma turns negative */
 } memory_t;
+
+/* An FMU state, and the bytes of one */
+typedef struct {
+  unsigned long long mark, version, length, model, checksum;
+  memory_t memory; /* and what follows it */
+} saved_t;
 
 /* What is known of a contact, and made again where it is not */
 typedef struct {
@@ -65,7 +74,8 @@ typedef struct {
 typedef struct component {
   model_t *model;
   const engine_t *engine;
-  memory_t *now;
+  saved_t *own;
+  memory_t *now;      /* in *own */
   double *value;      /* in *now */
   segment_t *segment; /* in *now */
   live_t *live;
@@ -76,8 +86,9 @@ typedef struct component {
   long room;              /* so many */
   const char *unmeasured; /* why what was measured is no place to go on from */
   failure_t failure;
-  int jumped; /* a window has begun or ended, and the importer does not know */
-  void (*report)(struct component *, status_t, const char *category, const char *text);
+  int jumped;         /* a window has begun or ended, and the importer does not know */
+  const char *called; /* the function of FMI that the importer has called */
+  void (*report)(struct component *, status_t, const char *text);
   void *host; /* of the FMI layer */
 } component_t;
 
@@ -95,10 +106,11 @@ static inline int all_finite(const double *x, long n) {
   return 1;
 }
 
-/* Logs and returns the status; the text may hold anything. */
-static status_t report(component_t *, status_t, const char *category, const char *format, ...)
+/* Logs and returns the status, in a category of its own; OK: an event. The text may hold anything.
+ */
+static status_t report(component_t *, status_t, const char *format, ...)
 #if defined(__GNUC__)
-    __attribute__((format(printf, 4, 5)))
+    __attribute__((format(printf, 3, 4)))
 #endif
     ;
 

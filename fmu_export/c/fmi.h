@@ -1,9 +1,13 @@
-/* What fmi2.c and fmi3.c share: instances, call order, access to values, FMU states. */
-#ifndef CONTACT_FMI
-#define CONTACT_FMI
+/* What FMI 2 and FMI 3 have alike: instances, call order, access to values, FMU states. fmi2.c and
+   fmi3.c say first what differs:
+
+   FMI(name)     a function's name
+   SIZE(c, r)    how many values a reference has, 0: there is no such reference
+   status_t      OK, WARNING, DISCARD, FAILED;  BOOLEAN, BYTE  types; the others are the same
+   ROOM(n)       the parameter behind an array of values: how many they are; ROOM_OF(count, n)
+   INSTANTIATE   how instances are made, OTHER_TOKEN  what is wrong with a token
+ */
 #include "component.c"
-/* */
-#include "state.c"
 /* */
 #ifdef SCENE_INSIDE
 #include "scene.c"
@@ -16,8 +20,12 @@
 #else
 #define FMI_EXPORT __attribute__((visibility("default")))
 #endif
+#define PASTED(prefix, name) PASTED_AS_IS(prefix, name)
+#define PASTED_AS_IS(prefix, name) prefix##name
 
-#define CATEGORIES 4
+enum { CATEGORIES = FAILED + 1 };
+static const char *const category_of[CATEGORIES] = {"logEvents", "logStatusWarning",
+                                                    "logStatusDiscard", "logStatusError"};
 
 typedef struct {
   component_t component;
@@ -27,36 +35,20 @@ typedef struct {
   char name[256];
 } instance_t;
 
-typedef struct {
-  unsigned long long mark;  /* not the first word that a model's digest is: importers look at it */
-  unsigned long long model; /* whose it is: those of others are of other sizes */
-  memory_t memory;          /* and what follows it */
-} saved_t;
-#define SAVED_MARK 0x636f6e7461637473ULL
-
-/* where values can be got */
+/* where values can be got, and where some of them may be set */
 #define RUNNING (INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED)
 #define ANY (INSTANTIATED | CONFIGURATION | RUNNING)
 #define ME_RUNNING (INITIALIZATION | EVENT | CONTINUOUS | TERMINATED)
-
-/* position of a category in LogCategories, or -1 */
-static inline int category_index(const char *category) {
-  static const char *const known[CATEGORIES] = {"logStatusWarning", "logStatusDiscard",
-                                                "logStatusError", "logEvents"};
-  for (int k = 0; k < CATEGORIES; k++)
-    if (category && !strcmp(category, known[k])) return k;
-  return -1;
-}
+#define SETTABLE (ANY & ~TERMINATED)
 
 /* Whether the importer is told. Errors it always is, as FMI 2.0.5 expects (section 2.1.3): FMI
    3.0.2 silences them with loggingOn = false, but its successor takes that back, and the
    Reference FMUs never did. */
-static inline int is_told(const instance_t *instance, status_t status, const char *category) {
-  const int k = category_index(category);
-  return instance->log && (status == FAILED || (k >= 0 && instance->logging[k]));
+static int is_told(const instance_t *instance, status_t status) {
+  return instance->log && (status == FAILED || instance->logging[status]);
 }
 
-static inline status_t allowed(component_t *c, const char *function, int phases) {
+static status_t allowed(component_t *c, int phases) {
   static const char *const name[] = {"instantiated",         "initialization mode", "event mode",
                                      "continuous-time mode", "step mode",           "terminated",
                                      "configuration mode"};
@@ -69,42 +61,133 @@ static inline status_t allowed(component_t *c, const char *function, int phases)
     if (phase >> k & 1) own = name[k];
     if ((phases & ~never) >> k & 1) strcat(strcat(others, *others ? ", " : ""), name[k]);
   }
-  return report(c, FAILED, "logStatusError", "%s is not allowed in the state '%s', only in: %s%s",
-                function, own, *others ? others : "the other interface", remedy);
+  return report(c, FAILED, "not allowed in the state '%s', only in: %s%s", own,
+                *others ? others : "the other interface", remedy);
 }
 
-#define BEGIN(function, phases)                                                                    \
-  if (!instance) return (STATUS)FAILED;                                                            \
+#define BEGIN(phases)                                                                              \
+  if (!instance) return FAILED;                                                                    \
   component_t *c = &((instance_t *)instance)->component;                                           \
-  if (allowed(c, function, phases)) return (STATUS)FAILED
-
-#define NO_SUCH "there is no variable with value reference %u; see modelDescription.xml"
-#define REFUSE(...) return (STATUS)report(c, FAILED, "logStatusError", __VA_ARGS__)
+  c->called = __func__;                                                                            \
+  if (allowed(c, phases)) return FAILED
+#define REFUSE(...) return report(c, FAILED, __VA_ARGS__)
+#define NEEDS(pointers)                                                                            \
+  if (!(pointers)) REFUSE("a pointer is missing")
 /* Functions of one interface only, of Model Exchange or of Co-Simulation */
-#define SYSTEM_ONLY(function, phases)                                                              \
-  BEGIN(function, phases);                                                                         \
-  if (c->now->stepping) REFUSE(function ": the instance was made for Co-Simulation")
-#define STEPPING_ONLY(function, phases)                                                            \
-  BEGIN(function, phases);                                                                         \
-  if (!c->now->stepping) REFUSE(function ": the instance was made for Model Exchange")
-#define OF_SIZE(function, pointer, count, right)                                                   \
-  if (!(pointer) || (count) != (size_t)(right))                                                    \
-  REFUSE(function ": a pointer is missing, or the count is not %ld", (long)(right))
+#define SYSTEM_ONLY(phases)                                                                        \
+  BEGIN(phases);                                                                                   \
+  if (c->now->stepping) REFUSE("the instance was made for Co-Simulation")
+#define STEPPING_ONLY(phases)                                                                      \
+  BEGIN(phases);                                                                                   \
+  if (!c->now->stepping) REFUSE("the instance was made for Model Exchange")
 
-/* Some categories, or without any all of them. */
-static inline status_t set_logging(instance_t *own, const char *function, int on, size_t count,
-                                   const char *const categories[]) {
-  for (size_t k = 0; k < count; k++)
-    if (!categories || category_index(categories[k]) < 0)
-      return report(&own->component, FAILED, "logStatusError",
-                    "%s: unknown category '%.80s'; use those of modelDescription.xml", function,
-                    categories && categories[k] ? categories[k] : "");
-  for (int k = 0; k < CATEGORIES; k++) own->logging[k] = count ? own->logging[k] : on;
-  for (size_t k = 0; k < count; k++) own->logging[category_index(categories[k])] = on;
+static void log_text(component_t *, status_t, const char *text);
+
+static void free_instance(instance_t *instance) {
+  if (!instance) return;
+  free_component(&instance->component);
+  free(instance);
+}
+
+/* wrong: what else is, or NULL */
+static instance_t *instantiate(const char *name, const char *token, const char *resources,
+                               void (*log)(void), void *environment, int logging, int stepping,
+                               const char *wrong) {
+  instance_t *instance = calloc(1, sizeof *instance);
+  if (!instance) return NULL;
+  component_t *c = &instance->component;
+  c->report = log_text, c->host = instance, c->called = INSTANTIATE;
+  instance->log = log, instance->environment = environment;
+  if (name) strncpy(instance->name, name, sizeof instance->name - 1);
+  if (!name || !*name) wrong = "the instance has no name";
+  if (!wrong) wrong = make_component(c, resources);
+  if (!wrong && (!token || strcmp(token, token_of(c->model)))) wrong = OTHER_TOKEN;
+  if (wrong) {
+    report(c, FAILED, "%s", wrong);
+    free_instance(instance);
+    return NULL;
+  }
+  for (int k = 0; k < CATEGORIES; k++) instance->logging[k] = logging;
+  reset(c, stepping);
+  return instance;
+}
+
+FMI_EXPORT void FMI(FreeInstance)(void *instance) { free_instance(instance); }
+
+/* Some categories, or without any all of them */
+FMI_EXPORT status_t FMI(SetDebugLogging)(void *instance, BOOLEAN on, size_t count,
+                                         const char *const categories[]) {
+  BEGIN(ANY);
+  instance_t *own = instance;
+  int chosen[CATEGORIES] = {0};
+  for (size_t k = 0; k < count; k++) {
+    const char *given = categories && categories[k] ? categories[k] : "";
+    int known = CATEGORIES;
+    while (known && strcmp(given, category_of[known - 1])) known--;
+    if (!known) REFUSE("unknown category '%.80s'; use those of modelDescription.xml", given);
+    chosen[known - 1] = 1;
+  }
+  for (int k = 0; k < CATEGORIES; k++)
+    if (chosen[k] || !count) own->logging[k] = on != 0;
   return OK;
 }
 
-static inline int settable(const component_t *c, unsigned reference) {
+/* FMI leaves the sign of the start open; a scene's profile and windows count from t = 0. */
+static status_t set_times(component_t *c, double start, int stop_defined, double stop) {
+  if (!stop_defined) stop = HUGE_VAL;
+  if (!(start >= 0 && start < 1e300 && stop >= start))
+    REFUSE("start %g s and stop %g s are refused; give 0 <= start <= stop, the profile counts from "
+           "t = 0",
+           start, stop);
+  set_time(c, start);
+  c->now->stop_time = stop;
+  return OK;
+}
+
+/* The windows that act while the importer initializes */
+static status_t enter_initialization(component_t *c) {
+  enter_windows(c);
+  c->now->phase = INITIALIZATION;
+  return OK;
+}
+
+FMI_EXPORT status_t FMI(ExitInitializationMode)(void *instance) {
+  BEGIN(INITIALIZATION);
+  if (start(c)) return FAILED;
+  c->now->phase = c->now->stepping && !c->now->uses_events ? STEP : EVENT;
+  return OK;
+}
+
+FMI_EXPORT status_t FMI(Terminate)(void *instance) {
+  BEGIN(EVENT | CONTINUOUS | STEP);
+  c->now->phase = TERMINATED;
+  return OK;
+}
+
+FMI_EXPORT status_t FMI(Reset)(void *instance) {
+  BEGIN(ANY);
+  reset(c, c->now->stepping);
+  c->now->uses_events = ((instance_t *)instance)->uses_events;
+  return OK;
+}
+
+/* --- values ----------------------------------------------------------------------------------- */
+
+/* Refuses missing pointers, unknown references and another number of values than theirs. */
+static status_t check_values(component_t *c, const unsigned vr[], size_t count, const double *value,
+                             size_t room) {
+  size_t all = 0;
+  NEEDS(!count || (vr && value));
+  for (size_t k = 0; k < count; all += SIZE(c, vr[k]), k++)
+    if (!SIZE(c, vr[k]))
+      REFUSE("there is no variable with value reference %u; see modelDescription.xml", vr[k]);
+  if (all != room)
+    REFUSE("room for %lu values, but the variables have %lu", (unsigned long)room,
+           (unsigned long)all);
+  return OK;
+}
+
+static int settable(const component_t *c, unsigned reference) {
   const memory_t *now = c->now;
   const int before = INSTANTIATED | CONFIGURATION | INITIALIZATION;
   const int free = before | EVENT | (now->uses_events ? 0 : STEP);
@@ -123,7 +206,7 @@ static inline int settable(const component_t *c, unsigned reference) {
   }
 }
 
-static inline status_t check_one(component_t *c, unsigned reference, double value) {
+static status_t check_one(component_t *c, unsigned reference, double value) {
   static const char *const remedy[] = {
       [CALCULATED] = "is calculated; disturb the motion by the inputs, or where coordinates are to "
                      "be start values, export with states=\"chart\"",
@@ -133,113 +216,220 @@ static inline status_t check_one(component_t *c, unsigned reference, double valu
       [INPUT] = "is an input; set it before the simulation ends, or reset first",
       [EXACT] = "is a start value; set it before initialization ends, or use the inputs"};
   if (!settable(c, reference))
-    return report(c, FAILED, "logStatusError", "%s = %.9g is refused now: it %s",
-                  c->model->names[reference], value, remedy[kind_of(c->model, reference)]);
+    REFUSE("%s = %.9g is refused now: it %s", c->model->names[reference], value,
+           remedy[kind_of(c->model, reference)]);
   return check_value(c, reference, value);
 }
 
-/* The windows that act while the importer initializes. */
-static inline void enter_initialization(component_t *c, double time) {
-  set_time(c, time);
-  enter_windows(c);
-  c->now->phase = INITIALIZATION;
-}
-
-/* Values are those after the event from here on, and no update changes them any more: importers
-   pass them on between the two (FMI 3.0.2, 2.3.5). */
-static inline void enter_event_mode(component_t *c) {
-  enter_windows(c);
-  c->now->phase = EVENT;
-}
-
-static inline saved_t *new_saved(const component_t *c) {
-  saved_t *s = calloc(1, sizeof *s - sizeof s->memory + memory_size(c->model));
-  if (s) s->mark = SAVED_MARK, s->model = model_digest(c->model);
-  return s;
-}
-
-static inline status_t save(component_t *c, void **state) {
-  saved_t *s = *state ? *state : new_saved(c);
-  if (!s) return report(c, FAILED, "logStatusError", "no memory for an FMU state");
-  memcpy(&s->memory, c->now, memory_size(c->model));
-  /* what was calculated is no part of it */
-  double *value = (double *)(&s->memory + 1);
-  for (long r = 0; r < c->model->n_values; r++) {
-    const int kind = kind_of(c->model, (unsigned)r);
-    if (kind == CALCULATED || (kind == EXACT && !SYSTEM(c->now))) value[r] = 0.0;
+FMI_EXPORT status_t FMI(GetReal)(void *instance, const unsigned vr[], size_t count,
+                                 double value[] ROOM(n)) {
+  BEGIN(GETTABLE);
+  if (check_values(c, vr, count, value, ROOM_OF(count, n))) return FAILED;
+  status_t worst = OK;
+  for (size_t k = 0; k < count; value += SIZE(c, vr[k]), k++) {
+    if (c->now->phase == INSTANTIATED && kind_of(c->model, vr[k]) == CALCULATED)
+      REFUSE("%s is calculated and has no start value; ask from initialization on",
+             c->model->names[vr[k]]);
+    const status_t s = get_values(c, vr[k], SIZE(c, vr[k]), value);
+    worst = s > worst ? s : worst;
   }
-  *state = s;
+  return worst;
+}
+
+/* All are set, or none. */
+FMI_EXPORT status_t FMI(SetReal)(void *instance, const unsigned vr[], size_t count,
+                                 const double value[] ROOM(n)) {
+  BEGIN(SETTABLE);
+  if (check_values(c, vr, count, value, ROOM_OF(count, n))) return FAILED;
+  for (int sets = 0; sets < 2; sets++) {
+    const double *next = value;
+    for (size_t k = 0; k < count; k++)
+      for (unsigned j = 0; j < SIZE(c, vr[k]); j++, next++) {
+        const status_t wrong = sets ? OK : check_one(c, vr[k] + j, *next);
+        if (wrong) return wrong;
+        if (sets) set_value(c, vr[k] + j, *next);
+      }
+  }
   return OK;
 }
 
-static inline saved_t *saved(component_t *c, void *state) {
-  saved_t *s = state;
-  if (s && s->mark == SAVED_MARK && s->model == model_digest(c->model)) return s;
-  report(c, FAILED, "logStatusError",
-         "this is no FMU state, or another model's; give one that this model handed out and that "
-         "has not been freed");
-  return NULL;
+/* Both directions: seeds go to the references `from`, products come from the references `to`. */
+static status_t products(component_t *c, int transposed, const unsigned from[], size_t n_from,
+                         const double seed[], size_t n_seed, const unsigned to[], size_t n_to,
+                         double value[], size_t n) {
+  if (check_values(c, from, n_from, seed, n_seed) || check_values(c, to, n_to, value, n))
+    return FAILED;
+  for (int side = 0; side < 2; side++)
+    for (size_t k = 0; k < (side ? n_to : n_from); k++) {
+      const unsigned reference = side ? to[k] : from[k];
+      const int kind = kind_of(c->model, reference);
+      if (side != transposed && kind != CALCULATED && kind != EXACT)
+        REFUSE("%s is not an unknown; give states or calculated variables",
+               c->model->names[reference]);
+      if (side == transposed && kind == CALCULATED)
+        REFUSE("%s is not a known; give inputs, states or parameters", c->model->names[reference]);
+    }
+  memset(c->seed, 0, (size_t)c->model->n_values * sizeof *c->seed);
+  for (size_t k = 0; k < n_from; k++)
+    for (unsigned j = 0; j < SIZE(c, from[k]); j++) c->seed[from[k] + j] += *seed++;
+  derive(c, transposed);
+  for (size_t k = 0; k < n_to; value += SIZE(c, to[k]), k++) {
+    const status_t s = check_grown(c, to[k], SIZE(c, to[k]));
+    if (s) return s;
+    memcpy(value, c->grown + to[k], SIZE(c, to[k]) * sizeof *value);
+  }
+  return OK;
 }
 
-static inline status_t restore_saved(component_t *c, void *state) {
+FMI_EXPORT status_t FMI(GetDirectionalDerivative)(void *instance, const unsigned unknowns[],
+                                                  size_t n_unknowns, const unsigned knowns[],
+                                                  size_t n_knowns, const double seed[] ROOM(n_seed),
+                                                  double value[] ROOM(n)) {
+  BEGIN(RUNNING);
+  return products(c, 0, knowns, n_knowns, seed, ROOM_OF(n_knowns, n_seed), unknowns, n_unknowns,
+                  value, ROOM_OF(n_unknowns, n));
+}
+
+/* --- FMU states ------------------------------------------------------------------------------- */
+
+FMI_EXPORT status_t FMI(GetFMUState)(void *instance, void **state) {
+  BEGIN(ANY);
+  NEEDS(state);
+  return save(c, state);
+}
+
+FMI_EXPORT status_t FMI(SetFMUState)(void *instance, void *state) {
+  BEGIN(ANY);
   const saved_t *s = saved(c, state);
   if (!s) return FAILED;
   if (s->memory.stepping != c->now->stepping)
-    return report(c, FAILED, "logStatusError", "this FMU state belongs to the other interface, %s",
-                  s->memory.stepping ? "Co-Simulation" : "Model Exchange");
-  memcpy(c->now, &s->memory, memory_size(c->model));
+    REFUSE("this FMU state belongs to the other interface, %s",
+           s->memory.stepping ? "Co-Simulation" : "Model Exchange");
+  memcpy(c->own, s, s->length);
   forget(c);
-  c->now->uses_events = ((const instance_t *)c->host)->uses_events;
+  c->now->uses_events = ((const instance_t *)instance)->uses_events;
   if (c->now->phase == EVENT && c->now->stepping && !c->now->uses_events) c->now->phase = STEP;
   if (c->now->pending && !c->now->uses_events) enter_windows(c);
   return OK;
 }
 
-static inline status_t read_bytes(component_t *c, const unsigned char *bytes, size_t count,
-                                  void **state) {
-  saved_t *s = new_saved(c);
-  const char *wrong = !s       ? "out of memory"
-                      : !bytes ? "a pointer is missing"
-                               : read_state(c->model, bytes, count, &s->memory);
-  if (wrong) {
-    free(s);
-    return report(c, FAILED, "logStatusError",
-                  "serialized FMU state refused: %s; use the bytes "
-                  "that this FMU wrote, as they are",
-                  wrong);
-  }
-  if (*state) free(*state);
-  *state = s;
+FMI_EXPORT status_t FMI(FreeFMUState)(void *instance, void **state) {
+  BEGIN(ANY);
+  if (!state || !*state) return OK;
+  if (!saved(c, *state)) return FAILED;
+  free(*state);
+  *state = NULL;
   return OK;
 }
 
-/* FMI leaves the sign of the start open; a scene's profile and windows count from t = 0. */
-static inline status_t check_times(component_t *c, double start, int stop_defined, double stop) {
-  if (start >= 0 && start < 1e300 && (!stop_defined || stop >= start)) return OK;
-  return report(c, FAILED, "logStatusError",
-                "start %g s and stop %g s are refused; give "
-                "0 <= start <= stop, the profile counts from t = 0",
-                start, stop_defined ? stop : HUGE_VAL);
+FMI_EXPORT status_t FMI(SerializedFMUStateSize)(void *instance, void *state, size_t *size) {
+  BEGIN(ANY);
+  NEEDS(size);
+  if (!saved(c, state)) return FAILED;
+  *size = state_bytes(c->model);
+  return OK;
 }
 
-static inline status_t check_step(component_t *c, double from, double size) {
+FMI_EXPORT status_t FMI(SerializeFMUState)(void *instance, void *state, BYTE bytes[], size_t size) {
+  BEGIN(ANY);
+  saved_t *s = saved(c, state);
+  if (!s) return FAILED;
+  if (!bytes || size < s->length) REFUSE("the buffer is missing or too small");
+  write_bytes(c->model, s, bytes);
+  return OK;
+}
+
+FMI_EXPORT status_t FMI(DeserializeFMUState)(void *instance, const BYTE bytes[], size_t size,
+                                             void **state) {
+  BEGIN(ANY);
+  NEEDS(state);
+  return read_state(c, bytes, size, state);
+}
+
+/* --- Model Exchange --------------------------------------------------------------------------- */
+
+FMI_EXPORT status_t FMI(EnterContinuousTimeMode)(void *instance) {
+  SYSTEM_ONLY(EVENT);
+  c->now->phase = CONTINUOUS;
+  return OK;
+}
+
+FMI_EXPORT status_t FMI(CompletedIntegratorStep)(void *instance, BOOLEAN no_return,
+                                                 BOOLEAN *enter_event_mode, BOOLEAN *terminate) {
+  SYSTEM_ONLY(CONTINUOUS);
+  (void)no_return;
+  NEEDS(enter_event_mode && terminate);
+  *enter_event_mode = *terminate = 0;
+  return OK;
+}
+
+FMI_EXPORT status_t FMI(SetTime)(void *instance, double time) {
+  SYSTEM_ONLY(EVENT | CONTINUOUS);
+  if (!(fabs(time) < 1e300)) REFUSE("t = %g s is refused", time);
+  set_time(c, time);
+  return OK;
+}
+
+/* What takes or gives a number for each continuous state */
+#define OF_STATES(name, phases, type, action)                                                      \
+  FMI_EXPORT status_t FMI(name)(void *instance, type x[], size_t count) {                          \
+    SYSTEM_ONLY(phases);                                                                           \
+    if (!x || count != (size_t)c->model->n_states)                                                 \
+      REFUSE("a pointer is missing, or the count is not %ld", c->model->n_states);                 \
+    return action;                                                                                 \
+  }
+OF_STATES(SetContinuousStates, EVENT | CONTINUOUS, const double, set_states(c, x))
+OF_STATES(GetContinuousStates, ME_RUNNING, double, get_states(c, x, 0))
+OF_STATES(GetContinuousStateDerivatives, ME_RUNNING, double, get_states(c, x, 1))
+OF_STATES(GetNominalsOfContinuousStates, ANY, double,
+          (memcpy(x, section(c->model, D_NOMINALS), count * sizeof *x), OK))
+
+FMI_EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size_t count) {
+  SYSTEM_ONLY(ME_RUNNING);
+  (void)indicator;
+  if (count) REFUSE("there are none");
+  return OK;
+}
+
+/* --- events and steps ------------------------------------------------------------------------- */
+
+/* Values are those after the event from here on, and no update changes them any more: importers
+   pass them on between the two (FMI 3.0.2, 2.3.5). */
+static status_t enter_event_mode(component_t *c) {
+  enter_windows(c);
+  c->now->phase = EVENT;
+  return OK;
+}
+
+/* What an update says, in the order of both versions but for the states' nominal values, which
+   never change; importers restart their solvers where values have, and what acts may have jumped */
+typedef struct {
+  int terminate, values, next_defined;
+  double next_time;
+} update_t;
+
+static update_t update(component_t *c) {
+  enter_windows(c);
+  const int stepping = c->now->stepping, jumped = take_jump(c);
+  const double next = stepping ? next_window(c) : next_edge(c);
+  return (update_t){.terminate = c->now->ended && !stepping,
+                    .values = jumped && !stepping,
+                    .next_defined = next < HUGE_VAL,
+                    .next_time = next < HUGE_VAL ? next : 0.0};
+}
+
+static status_t check_step(component_t *c, double from, double size) {
   const double end = from + size, room = 1e-9 * fmax(1.0, fabs(end));
   if (!(size > 0) || !(fabs(end) < 1e300)) /* FMI 2 and 3 alike: h must be greater than 0 */
-    return report(c, FAILED, "logStatusError",
-                  "a step of %g s from t = %g s is refused; give a "
-                  "positive length; to go back, set an FMU state",
-                  size, from);
+    REFUSE("a step of %g s from t = %g s is refused; give a positive length; to go back, set an "
+           "FMU state",
+           size, from);
   if (fabs(from - c->now->time) > room)
-    return report(c, FAILED, "logStatusError",
-                  "the step begins at t = %.17g s, but the instance "
-                  "stands at t = %.17g s; give that time, or set an FMU state",
-                  from, c->now->time);
+    REFUSE("the step begins at t = %.17g s, but the instance stands at t = %.17g s; give that "
+           "time, or set an FMU state",
+           from, c->now->time);
   if (end > c->now->stop_time + room)
-    return report(c, FAILED, "logStatusError",
-                  "the step ends at t = %.17g s, after the stop time "
-                  "%.17g s; give a later one, or none",
-                  end, c->now->stop_time);
+    REFUSE("the step ends at t = %.17g s, after the stop time %.17g s; give a later one, or none",
+           end, c->now->stop_time);
   return OK;
 }
-
-#endif

@@ -93,19 +93,8 @@ static void lay_out(model_t *m) {
     const double *row = contact_of(m, i);
     layout_t *l = m->layout + i;
     for (int side = 0; side < 2; side++) l->frame[side] = (long)row[P_FRAME_1 + side];
-    l->states = m->frames ? l->frame[0] + l->frame[1] + 4 : CHART_STATES;
-    const long sizes[GROUPS] = {[OF_INPUTS] = DISTURBANCES,
-                                [OF_MEASURED] = (long)m->data[D_MEASURED],
-                                [OF_STATES] = l->states,
-                                [OF_RATES] = l->states,
-                                [OF_COORDINATES] = m->frames ? 9 : 0,
-                                [OF_SLIP] = 2,
-                                [OF_TWIST] = 6,
-                                [OF_POSE] = 12,
-                                [OF_POINTS] = 6,
-                                [OF_CONDITION] = 4};
-    l->at[0] = (long)row[P_BLOCK];
-    for (int g = 0; g < GROUPS; g++) l->at[g + 1] = l->at[g] + sizes[g];
+    for (int g = 0; g <= GROUPS; g++) l->at[g] = (long)row[P_GROUPS + g];
+    l->states = l->at[OF_RATES] - l->at[OF_STATES];
     m->n_states += l->states;
   }
   const char *name = (const char *)section(m, D_NAMES);

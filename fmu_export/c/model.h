@@ -17,8 +17,8 @@
 #error "this model needs infinities and NaN: compile without -ffast-math or -Ofast"
 #endif
 
-#define DATA_MAGIC 20261123.0
-#define DATA_VERSION 3.0
+#define DATA_MAGIC 20261124.0
+#define DATA_VERSION 4.0
 enum {
   D_MAGIC,
   D_VERSION,
@@ -32,7 +32,6 @@ enum {
   D_HORIZON,   /* s */
   D_TOLERANCE, /* of plans */
   D_FRAMES,    /* states are moving frames, not charts */
-  D_MEASURED,  /* inputs of what is measured of each contact; 0: nothing */
   D_SCALE,     /* reference of the factor of the scene's windows */
   D_TOKEN,     /* text */
   D_NAMES,     /* texts, one after the other, of all values */
@@ -57,11 +56,29 @@ enum {
 };
 /* a body: reference of its first parameter, how many, its surface, +1 or -1 inside, its scales */
 enum { Q_VALUES, Q_N_VALUES, Q_SURFACE, Q_SIGN, Q_LENGTH, Q_BEND, Q_REACH, Q_SIZE };
-/* a contact: sizes of frames among the states are 6, 3, or in charts 0; its legs are the engine's,
-   with profiles of one size, at least one; place 0 stands for the scene's profile */
+/* groups of a contact's values; results are those from the states on */
+enum {
+  OF_INPUTS,
+  OF_MEASURED,
+  OF_STATES,
+  OF_RATES,
+  OF_COORDINATES,
+  OF_SLIP,
+  OF_TWIST,
+  OF_POSE,
+  OF_POINTS,
+  OF_CONDITION,
+  GROUPS
+};
+
+/* a contact: references of its groups; sizes of frames among the states are 6, 3, or in charts 0;
+   its legs are the engine's, with profiles of one size, at least one; place 0 stands for the
+   scene's profile */
 enum {
   P_FINGER,
-  P_BLOCK = P_FINGER + Q_SIZE,
+  P_GROUPS = P_FINGER + Q_SIZE,
+  P_COLUMNS = P_GROUPS + GROUPS +
+      1, /* references of its point and constants; -1: of the leg's profile */
   P_SYSTEM,
   P_FRAME_1,
   P_FRAME_2,
@@ -107,22 +124,7 @@ enum {
 
 enum { TIME_VALUE, GAIN, PROFILE };                             /* references */
 enum { CALCULATED, INDEPENDENT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
-enum { DISTURBANCES = 6, CHART_STATES = 11, BODY = 5, FRAME_ANGLE = 2, VELOCITY = 3, ANGLE = 10 };
-
-/* groups of a contact's values; results are those from the states on */
-enum {
-  OF_INPUTS,
-  OF_MEASURED,
-  OF_STATES,
-  OF_RATES,
-  OF_COORDINATES,
-  OF_SLIP,
-  OF_TWIST,
-  OF_POSE,
-  OF_POINTS,
-  OF_CONDITION,
-  GROUPS
-};
+enum { DISTURBANCES = 6, BODY = 5, FRAME_ANGLE = 2, VELOCITY = 3, ANGLE = 10 };
 
 /* one contact's place among the values */
 typedef struct {

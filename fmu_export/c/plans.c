@@ -130,7 +130,7 @@ static int go_on(component_t *c, long i, plan_t *plan, double t, segment_t *s) {
   double m[MOMENT_SIZE];
   if (moment_at(c, plan, t, m)) return 1;
   double *to = s->row - K_PLACE_1; /* indices of the engine's contact */
-  s->begin = t, s->moment = 1.0, s->frames = 0.0;
+  s->begin = t, s->moment = 1.0, s->frames = s->measured = 0.0;
   for (int side = 0; side < 2; side++)
     if (surface_of(c->model, i, side)->ambient[A_MOTION]) s->frames += 1 << side;
   memcpy(to + K_PLACE_1, m + M_PLACE_1, 6 * sizeof *m);
@@ -226,6 +226,6 @@ static status_t refuse_motion(component_t *c, long i, const char *what, double t
           : "the path reaches a singular point of its chart or its surface, or moves too fast for "
             "double precision; set smaller inputs, end before or start elsewhere";
   c->unmeasured = NULL;
-  return report(c, DISCARD, "logStatusDiscard", "contact[%ld].%s: no %s to t = %.17g s%s: %s",
-                i + 1, side, what, target, where, why);
+  return report(c, DISCARD, "contact[%ld].%s: no %s to t = %.17g s%s: %s", i + 1, side, what,
+                target, where, why);
 }

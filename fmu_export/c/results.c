@@ -139,22 +139,20 @@ static status_t refuse(component_t *c, unsigned reference) {
   const long i = owner_of(c->model, reference);
   if (past_end(c))
     return report(
-        c, DISCARD, "logStatusDiscard",
+        c, DISCARD,
         "%s has no value at t = %.17g s: sigma is negative from t = %.9g s on; end there, "
         "or change the profile",
         what, now->time, now->limit);
   const int framed =
       i < 0 || !SYSTEM(now) || (c->live[i].regularity[0] > 0 && c->live[i].regularity[1] > 0);
   if (i >= 0 && rests(c, i) && framed)
-    return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s: " AT_REST, what,
-                  now->time);
+    return report(c, DISCARD, "%s has no value at t = %.17g s: " AT_REST, what, now->time);
   const char *where =
       SYSTEM(now) ? "or beyond a singular point of a chart (a pole or an umbilic); start "
                     "elsewhere, run the Co-Simulation, which passes such points, or export with "
                     "states=\"frame\""
                   : "a singular point of a chart (a pole or an umbilic); ask a moment later";
-  return report(c, DISCARD, "logStatusDiscard", "%s has no value at t = %.17g s, at %s", what,
-                now->time, where);
+  return report(c, DISCARD, "%s has no value at t = %.17g s, at %s", what, now->time, where);
 }
 
 static status_t get_values(component_t *c, unsigned reference, long count, double *value) {

@@ -1,33 +1,31 @@
-/* The bytes of an FMU state, and what in foreign ones cannot be. */
+/* FMU states: what an importer holds, which is also the bytes that it may keep. */
 
-typedef struct {
-  char magic[8];
-  unsigned long long version, length, model, checksum;
-} header_t;
-
+#define SAVED_MARK                                                                                 \
+  0x53544341544e4f43ULL    /* CONTACTS; not 0, as importers look at the first word                 \
+                            */
 #define STATE_VERSION 4ULL /* 3 held panels */
 
-static size_t state_bytes(const model_t *m) { return sizeof(header_t) + memory_size(m); }
-
-/* Tells models apart. */
-static unsigned long long model_digest(const model_t *m) {
-  return digest(token_of(m), strlen(token_of(m)), 14695981039346656037ULL);
+static size_t memory_size(const model_t *m) {
+  return sizeof(memory_t) + (size_t)m->n_values * sizeof(double) +
+         (size_t)m->n_contacts * sizeof(segment_t);
 }
 
-static header_t header_for(const model_t *m, const memory_t *memory) {
-  header_t h = {{'C', 'O', 'N', 'T', 'A', 'C', 'T', 'S'}, STATE_VERSION, state_bytes(m), 0, 0};
-  h.model = model_digest(m);
-  h.checksum = digest(memory, memory_size(m), h.model);
-  return h;
+static size_t state_bytes(const model_t *m) { return offsetof(saved_t, memory) + memory_size(m); }
+
+static unsigned long long checksum_of(const model_t *m, const saved_t *s) {
+  return digest(&s->memory, memory_size(m), s->model);
 }
 
-static void write_state(const model_t *m, const memory_t *memory, unsigned char *bytes) {
-  const header_t h = header_for(m, memory);
-  memcpy(bytes, &h, sizeof h);
-  memcpy(bytes + sizeof h, memory, memory_size(m));
+static saved_t *new_saved(const model_t *m) {
+  saved_t *s = calloc(1, state_bytes(m));
+  const char *token = token_of(m);
+  if (!s) return NULL;
+  s->mark = SAVED_MARK, s->version = STATE_VERSION, s->length = state_bytes(m);
+  s->model = digest(token, strlen(token), 14695981039346656037ULL);
+  return s;
 }
 
-static int is_flag(int x) { return x == 0 || x == 1; }
+static int is_flag(double x) { return x == 0.0 || x == 1.0; }
 
 static const char *check_memory(const model_t *m, const memory_t *now) {
   const double *value = (const double *)(now + 1), *least = section(m, D_LEAST);
@@ -52,9 +50,10 @@ static const char *check_memory(const model_t *m, const memory_t *now) {
       return "a parameter, an input or a state in it is out of range";
   }
   for (long i = 0; i < m->n_contacts && !SYSTEM(now); i++, s++) {
-    if (!all_finite(&s->gain, 1 + 2 + DISTURBANCES + 1 + ROW))
+    if (!all_finite(&s->gain, 1 + 2 + DISTURBANCES + 2 + N_STATES + ROW))
       return "a motion in it is not finite";
-    if (!(s->gain >= 0.0) || !is_flag((int)s->moment) || !(s->frames >= 0 && s->frames < 4))
+    if (!(s->gain >= 0.0) || !is_flag(s->moment) || !is_flag(s->measured) ||
+        !(s->frames >= 0 && s->frames < 4))
       return "a motion in it is of no kind that there is";
     if (!(s->begin >= 0 && s->begin <= now->time) || !(s->end < 0 || s->end >= now->acts_at) ||
         !(fabs(s->end) < 1e300))
@@ -66,21 +65,62 @@ static const char *check_memory(const model_t *m, const memory_t *now) {
   return NULL;
 }
 
-/* Returns NULL, or what does not fit. Bytes with the right checksum may have been made by anybody:
-   every number that chooses, counts or points is held to what it may be, and those that the motion
-   is computed from are finite. */
-static const char *read_state(const model_t *m, const unsigned char *bytes,
-                              unsigned long long count, memory_t *memory) {
-  header_t found;
-  if (count != state_bytes(m)) return "its length is not that of this model's states";
-  memcpy(&found, bytes, sizeof found);
-  memcpy(memory, bytes + sizeof found, memory_size(m));
-  const header_t right = header_for(m, memory);
-  if (memcmp(found.magic, right.magic, sizeof found.magic))
-    return "it is not a state of a contact model";
-  if (found.version != right.version) return "it was written by another version";
-  if (found.length != right.length) return "its header gives another length";
-  if (found.model != right.model) return "it belongs to another model";
-  if (found.checksum != right.checksum) return "its checksum does not match; it has been changed";
-  return check_memory(m, memory);
+/* The state that a handle stands for, or NULL with a log line */
+static saved_t *saved(component_t *c, void *state) {
+  saved_t *s = state, *own = c->own;
+  if (s && s->mark == own->mark && s->model == own->model) return s;
+  report(c, FAILED,
+         "this is no FMU state, or another model's; give one that this model handed out and that "
+         "has not been freed");
+  return NULL;
+}
+
+/* What was calculated is no part of a state. */
+static status_t save(component_t *c, void **state) {
+  const model_t *m = c->model;
+  saved_t *s = *state ? saved(c, *state) : new_saved(m);
+  if (!s) return *state ? FAILED : report(c, FAILED, "no memory for an FMU state");
+  memcpy(s, c->own, state_bytes(m));
+  double *value = (double *)(&s->memory + 1);
+  for (long r = 0; r < m->n_values; r++) {
+    const int kind = kind_of(m, (unsigned)r);
+    if (kind == CALCULATED || (kind == EXACT && !SYSTEM(c->now))) value[r] = 0.0;
+  }
+  *state = s;
+  return OK;
+}
+
+static void write_bytes(const model_t *m, saved_t *s, void *bytes) {
+  s->checksum = checksum_of(m, s);
+  memcpy(bytes, s, state_bytes(m));
+}
+
+/* What does not fit, or NULL. Bytes with the right checksum may have been made by anybody: every
+   number that chooses, counts or points is held to what it may be, and those that the motion is
+   computed from are finite. */
+static const char *read_bytes(const component_t *c, const void *bytes, size_t count, saved_t *s) {
+  const saved_t *own = c->own;
+  if (!bytes || count != own->length) return "its length is not that of this model's states";
+  memcpy(s, bytes, count);
+  if (s->mark != own->mark) return "it is not a state of a contact model";
+  if (s->version != own->version) return "it was written by another version";
+  if (s->length != own->length) return "its header gives another length";
+  if (s->model != own->model) return "it belongs to another model";
+  if (s->checksum != checksum_of(c->model, s))
+    return "its checksum does not match; it has been changed";
+  return check_memory(c->model, &s->memory);
+}
+
+static status_t read_state(component_t *c, const void *bytes, size_t count, void **state) {
+  saved_t *s = new_saved(c->model);
+  const char *wrong = s ? read_bytes(c, bytes, count, s) : "there is no memory";
+  if (wrong) {
+    free(s);
+    return report(
+        c, FAILED,
+        "serialized FMU state refused: %s; use the bytes that this FMU wrote, as they are", wrong);
+  }
+  free(*state);
+  *state = s;
+  return OK;
 }

@@ -60,17 +60,16 @@ static status_t start(component_t *c) {
   const double *order = section(m, D_ORDERS), *starts = section(m, D_STARTS);
   study_profiles(c);
   if (now->limit <= now->time)
-    return report(c, FAILED, "logStatusError",
-                  "sigma is negative from t = %.9g s on; change the profile", now->time);
+    return report(c, FAILED, "sigma is negative from t = %.9g s on; change the profile", now->time);
   for (long k = 0; k < (long)m->data[D_N_ORDERS]; k++, order += 2) {
     const long greater = (long)order[0], less = (long)order[1];
     if (less == greater && c->value[less] != starts[less])
-      return report(c, FAILED, "logStatusError",
+      return report(c, FAILED,
                     "%s = %.9g is refused: the parameters of this surface depend on each other and "
                     "cannot be set individually; export a scene with another surface",
                     m->names[less], c->value[less]);
     if (less != greater && !(c->value[greater] > c->value[less]))
-      return report(c, FAILED, "logStatusError",
+      return report(c, FAILED,
                     "%s = %.9g is refused: it must be greater than %s = %.9g, or the surface is of "
                     "another kind; export a scene that has it",
                     m->names[greater], c->value[greater], m->names[less], c->value[less]);
@@ -79,7 +78,7 @@ static status_t start(component_t *c) {
   for (long i = 0; i < m->n_contacts; i++) {
     const char *wrong = place_contact(c, i);
     if (wrong)
-      return report(c, FAILED, "logStatusError",
+      return report(c, FAILED,
                     "contact %ld cannot start: %s; change its coordinates or the parameters of the "
                     "surface",
                     i + 1, wrong);
@@ -101,10 +100,10 @@ static void tell_edges(component_t *c, double from) {
     const double edge = edge_of(c, k);
     if (reached(from, edge) || !reached(c->now->time, edge)) continue;
     if (k < 2 * c->model->n_windows)
-      report(c, OK, "logEvents", "the disturbance of contact %g %s at t = %.17g s",
+      report(c, OK, "the disturbance of contact %g %s at t = %.17g s",
              window_of(c, k / 2)[V_CONTACT] + 1, k % 2 ? "ends" : "begins", edge);
     else
-      report(c, OK, "logEvents", "a leg begins at t = %.17g s", edge);
+      report(c, OK, "a leg begins at t = %.17g s", edge);
   }
 }
 
@@ -116,14 +115,13 @@ static status_t step(component_t *c, double target, int stop_at_windows, int *ed
   *edge = 0;
   now->ended = target > now->limit && !reached(now->limit, target);
   if (now->ended)
-    return report(c, DISCARD, "logStatusDiscard",
+    return report(c, DISCARD,
                   "no step to t = %.9g s: sigma is negative from t = %.9g s on; end there, or "
                   "change the profile",
                   target, now->limit);
   if (now->pending) enter_windows(c);
   for (long i = 0; i < n; i++)
-    if (pushed_at_rest(c, i))
-      return report(c, DISCARD, "logStatusDiscard", "no step to t = %.9g s: " AT_REST, target);
+    if (pushed_at_rest(c, i)) return report(c, DISCARD, "no step to t = %.9g s: " AT_REST, target);
   const int stuck = settle(c);
   if (stuck) return refuse_motion(c, stuck - 1, "step", target);
   double goal = fmin(target, now->limit);

@@ -22,23 +22,6 @@ static void acting_on(const component_t *c, long i, double out[DISTURBANCES]) {
       out[2 * (int)window_of(c, k)[V_SLOT] + a] += scale * window_values(c, k)[2 + a];
 }
 
-/* References of the constants, one after the other, 0 for a leg's own; returns how many */
-static long constants_of(const component_t *c, long i, long *out) {
-  const model_t *m = c->model;
-  const leg_t leg = leg_of(c, i, 0);
-  const int own = leg.sigma != c->value + PROFILE;
-  long n = 0;
-  out[n++] = GAIN;
-  for (long j = 0; j < leg.n; j++) out[n++] = own ? 0 : PROFILE + j;
-  for (int side = 0; side < 2; side++) {
-    const double *q = body_of_contact(m, i, side);
-    for (long j = 0; j < (long)q[Q_N_VALUES]; j++) out[n++] = (long)q[Q_VALUES] + j;
-  }
-  return n;
-}
-
-enum { MAX_CONSTANTS = 256 };
-
 /* Loads the registers with the point; the prologue runs where constants have changed. */
 static void load_system(component_t *c, long i, int again) {
   const model_t *m = c->model;
@@ -52,9 +35,9 @@ static void load_system(component_t *c, long i, int again) {
   memcpy(r + 1, c->value + l->at[OF_STATES], (size_t)l->states * sizeof *r);
   acting_on(c, i, r + 1 + l->states);
   if (k->prepared && k->leg == which && !again) return;
-  long from[MAX_CONSTANTS];
-  const long n = constants_of(c, i, from);
-  for (long j = 0; j < n; j++) r[t->n_in + j] = from[j] ? c->value[from[j]] : leg.sigma[j - 1];
+  const double *column = m->data + (long)contact_of(m, i)[P_COLUMNS];
+  for (long j = t->n_in, own = 0; j < t->n_in + t->n_const; j++)
+    r[j] = column[j] >= 0 ? c->value[(long)column[j]] : leg.sigma[own++];
   k->leg = which;
   if (!again) c->engine->step(&(program_t){t->prologue, r});
   k->prepared = !again;
@@ -77,7 +60,7 @@ static void warn_of_poles(component_t *c, long i) {
   for (int side = 0; side < 2; side++) {
     const double left = k->regularity[side];
     if (!c->now->stepping && left < NEAR_POLE && !k->warned[side])
-      report(c, OK, "logStatusWarning",
+      report(c, WARNING,
              "contact[%ld].%s: at t = %.9g s the path is within %.2g of the body's size of a "
              "singular point of its chart (a pole or an umbilic), where a solver takes tiny steps "
              "or stops; start elsewhere, run the Co-Simulation, which passes such points, or "
@@ -150,8 +133,7 @@ static status_t set_states(component_t *c, const double *state) {
   for (long i = 0, at = 0; i < c->model->n_contacts; at += c->model->layout[i++].states)
     for (long j = 0; j < c->model->layout[i].states; j++)
       if (!(fabs(state[at + j]) <= DBL_MAX))
-        return report(c, DISCARD, "logStatusDiscard",
-                      "%s = %g is refused; give finite continuous states",
+        return report(c, DISCARD, "%s = %g is refused; give finite continuous states",
                       c->model->names[c->model->layout[i].at[OF_STATES] + j], state[at + j]);
   for (long i = 0; i < c->model->n_contacts; i++) {
     const layout_t *l = c->model->layout + i;
@@ -194,32 +176,21 @@ typedef struct {
   double part;
 } part_t;
 
-/* What disturbance j of contact i is the sum of; returns how many parts */
-static long parts_of(const component_t *c, long i, int j, part_t *out, long room) {
-  const long scale = (long)c->model->data[D_SCALE];
+enum { MOST_PARTS = 64 };
+
+/* What column r of contact i's point and constants is the sum of; returns how many parts */
+static long parts_of(const component_t *c, long i, long r, part_t out[MOST_PARTS]) {
+  const layout_t *l = c->model->layout + i;
+  const long scale = (long)c->model->data[D_SCALE], slot = r - 1 - l->states;
+  const long own = (long)(c->model->data + (long)contact_of(c->model, i)[P_COLUMNS])[r];
   long n = 0;
-  out[n++] = (part_t){c->model->layout[i].at[OF_INPUTS] + j, 1.0};
-  for (long k = 0; k < c->model->n_windows && n + 2 <= room; k++) {
-    if ((long)window_of(c, k)[V_SLOT] != j / 2 || !acts(c, k, i)) continue;
-    const long at = (long)window_of(c, k)[V_VALUES] + 2 + j % 2;
+  if (own >= 0) out[n++] = (part_t){own, 1.0}; /* else a leg's own number */
+  for (long k = 0; slot >= 0 && slot < DISTURBANCES && k < c->model->n_windows; k++) {
+    if ((long)window_of(c, k)[V_SLOT] != slot / 2 || !acts(c, k, i) || n + 2 > MOST_PARTS) continue;
+    const long at = (long)window_of(c, k)[V_VALUES] + 2 + slot % 2;
     out[n++] = (part_t){at, c->value[scale]}, out[n++] = (part_t){scale, c->value[at]};
   }
   return n;
-}
-
-enum { PARTS = 64 };
-
-/* The references behind register r of contact i's point and constants */
-static long behind(const component_t *c, long i, long r, const long *constants, part_t *out) {
-  const layout_t *l = c->model->layout + i;
-  if (r > l->states && r <= l->states + DISTURBANCES)
-    return parts_of(c, i, (int)(r - 1 - l->states), out, PARTS);
-  if (r > l->states + DISTURBANCES && !constants[r - 1 - l->states - DISTURBANCES]) return 0;
-  const long reference = r == 0           ? TIME_VALUE
-                         : r <= l->states ? l->at[OF_STATES] + r - 1
-                                          : constants[r - 1 - l->states - DISTURBANCES];
-  out[0] = (part_t){reference, 1.0};
-  return 1;
 }
 
 static status_t check_grown(component_t *c, unsigned reference, long count) {
@@ -230,42 +201,37 @@ static status_t check_grown(component_t *c, unsigned reference, long count) {
 /* grown = J seed over all references, or J^T seed */
 static void derive(component_t *c, int transposed) {
   const model_t *m = c->model;
-  part_t part[PARTS];
+  part_t part[MOST_PARTS];
   memcpy(c->grown, c->seed, (size_t)m->n_values * sizeof(double));
   for (long i = 0; i < m->n_contacts; i++) {
     const layout_t *l = m->layout + i;
     const table_t *t = system_of(m, i);
     const long inputs = t->n_in + t->n_const, results = n_results(l);
     const double *seed = c->seed + l->at[OF_RATES];
-    long constants[MAX_CONSTANTS], used = 0;
+    double *grown = c->grown + l->at[OF_RATES];
+    long used = 0;
     while (transposed && used < results && seed[used] == 0.0) used++;
-    if (transposed && used == results) continue;
+    if (used == results) continue;
     if (!SYSTEM(c->now)) { /* brings the states up to date */
       double state;
       get_values(c, (unsigned)l->at[OF_STATES], 1, &state);
     }
-    constants_of(c, i, constants);
-    for (long from = 0; from < (transposed ? inputs : 1); from += L) {
+    if (!transposed) memset(grown, 0, (size_t)results * sizeof *grown);
+    for (long from = 0; from < inputs; from += L) {
       memset(c->tangents, 0, (size_t)inputs * sizeof *c->tangents);
-      for (long r = 0; r < inputs; r++) {
-        if (transposed) {
-          if (r >= from && r < from + L) c->tangents[r][r - from] = 1.0;
-          continue;
-        }
-        const long n = behind(c, i, r, constants, part);
-        for (long q = 0; q < n; q++) c->tangents[r][0] += part[q].part * c->seed[part[q].reference];
-      }
+      for (long r = from; r < inputs && r < from + L; r++) c->tangents[r][r - from] = 1.0;
       double (*found)[L] = run_along(c, i);
-      if (!transposed) {
-        for (long j = 0; j < results; j++) c->grown[l->at[OF_RATES] + j] = found[j][0];
-        continue;
-      }
       for (long r = from; r < inputs && r < from + L; r++) {
+        const long n = parts_of(c, i, r, part);
         double sum = 0.0;
-        for (long j = 0; j < results; j++)
-          if (seed[j] != 0.0) sum += seed[j] * found[j][r - from];
-        const long n = behind(c, i, r, constants, part);
-        for (long q = 0; q < n; q++) c->grown[part[q].reference] += part[q].part * sum;
+        for (long q = 0; q < n && !transposed; q++)
+          sum += part[q].part * c->seed[part[q].reference];
+        for (long j = 0; j < results; j++) {
+          if (!transposed && sum != 0.0) grown[j] += found[j][r - from] * sum;
+          if (transposed && seed[j] != 0.0) sum += seed[j] * found[j][r - from];
+        }
+        for (long q = 0; q < n && transposed; q++)
+          c->grown[part[q].reference] += part[q].part * sum;
       }
     }
     if (SYSTEM(c->now)) find_system(c, i);
