@@ -1,0 +1,318 @@
+"""Pictures of a plan: contact curves on the bodies in 3-D, slip on a log axis.
+
+matplotlib is imported only when a picture is asked for, and never needs a display.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from ..checks import a_path, finite_number
+from ..errors import ContactSystemError
+from ..measures import exact_slip, great_circle_distance, windows
+from ..plan import Plan, require_plan
+from ..scene import STILL, Scene, speed
+from ..theory.gain import Gain
+from ..theory.profile import Profile
+from ..writing import writing
+from .bodies import best_view, draw_body, is_hidden
+from .curves import curve_of, curves_of, distinct
+from .meshes import mesh_of
+from .style import (
+    BODY,
+    COLOURS,
+    DISTURBED,
+    DOTS,
+    GREY,
+    INK,
+    NUMBER,
+    RECOVERY,
+    STYLE,
+    TITLE,
+    colour_of,
+    number_of,
+    shortened,
+)
+
+__all__ = [
+    "BODY",
+    "COLOURS",
+    "DISTURBED",
+    "INK",
+    "RECOVERY",
+    "MissingMatplotlib",
+    "Picture",
+    "best_view",
+    "colour_of",
+    "contact_keys",
+    "curve_of",
+    "draw_body",
+    "draw_title",
+    "gain_text",
+    "is_hidden",
+    "mesh_of",
+    "plot",
+    "plot_curves",
+    "plot_slip",
+    "shade_windows",
+]
+
+FEWEST, MOST = 10, 2400  # dots an inch: with fewer there are no letters
+DECADES = 10  # of slip below its peak that a picture shows
+
+
+class MissingMatplotlib(ContactSystemError):
+    """Pictures are asked for and matplotlib is not installed."""
+
+
+# --- pictures ----------------------------------------------------------------------------------
+
+
+def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: int = 160) -> None:
+    """One picture: contact curves on the object and on a finger, slip beside its exact law.
+
+    Parameters
+    ----------
+    plan : Plan
+    path : path
+        Its ending chooses the format (.png, .pdf, .svg).
+    other : Plan, optional
+        The same scene under another gain law; its slip is drawn beside this one's.
+    dpi : int
+        Dots an inch, 10 to 2400; the picture is 12 by 6 inches.
+
+    Raises
+    ------
+    MissingMatplotlib
+        If it is not installed.
+    ContactSystemError
+        No plan, no path, another ending, or a file that cannot be written.
+    """
+    laws = _plans(plan, other)
+    slips = plan.slip_speed(plan.sample_times()).any()
+    with Picture(path, (12, 6), dpi) as figure:
+        left, right = figure.subfigures(1, 2, width_ratios=(1, 0.95))
+        draw_title(left, plan)
+        _draw_object(left.add_axes((0.02, 0.04, 0.94, 0.80)), plan)
+        _draw_slip(right.add_axes((0.15, 0.52, 0.79, 0.42)), laws)
+        _draw_finger(right.add_axes((0.04, 0.02, 0.42, 0.37)), plan)
+        _draw_key(right.add_axes((0.53, 0.01, 0.45, 0.39)), plan, laws if slips else ())
+
+
+def plot_curves(plan: Plan, path: str | os.PathLike, dpi: int = 160) -> None:
+    """Contact curves in 3-D, on the object and on a finger; see :func:`plot`."""
+    require_plan(plan)
+    with Picture(path, (12, 6), dpi) as figure:
+        draw_title(figure, plan)
+        _draw_object(figure.add_axes((0.02, 0.04, 0.58, 0.80)), plan)
+        _draw_finger(figure.add_axes((0.63, 0.38, 0.34, 0.46)), plan)
+        _draw_key(figure.add_axes((0.68, 0.03, 0.30, 0.30)), plan)
+
+
+def plot_slip(
+    plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: int = 160
+) -> None:
+    """Slip magnitude of each contact on a log axis beside its exact law; see :func:`plot`."""
+    laws = _plans(plan, other)
+    with Picture(path, (11, 5), dpi) as figure:
+        _draw_slip(figure.add_axes((0.09, 0.13, 0.62, 0.77)), laws)
+        _draw_key(figure.add_axes((0.73, 0.13, 0.26, 0.77)), plan, laws, bodies=False)
+
+
+def _plans(plan: Plan, other: Plan | None) -> list[Plan]:
+    laws = [plan] if other is None else [plan, other]
+    for given in laws:
+        require_plan(given)
+    return laws
+
+
+@contextmanager
+def Picture(path: str | os.PathLike, size: tuple[float, float], dpi: int) -> Iterator[Any]:
+    """A figure in our style, written to its path at the end."""
+    path, dots = a_path(path), finite_number(dpi, "dpi")
+    if not FEWEST <= dots <= MOST:
+        raise ContactSystemError(f"dpi = {dpi!r}: give a number from {FEWEST} to {MOST}")
+    try:
+        import matplotlib
+        from matplotlib.backend_bases import FigureCanvasBase
+        from matplotlib.figure import Figure
+    except ImportError:
+        remedy = 'pictures need matplotlib: pip install "contact-system[plot]"'
+        raise MissingMatplotlib(remedy) from None
+    ending = path.suffix[1:].lower()
+    if ending not in FigureCanvasBase.get_supported_filetypes():
+        raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .png, .pdf or .svg")
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=size, facecolor="white")
+        yield figure
+        with writing(path) as file:
+            figure.savefig(file, format=ending, dpi=dots)
+
+
+# --- words -------------------------------------------------------------------------------------
+
+
+def draw_title(figure: Any, plan: Plan) -> None:
+    """Name, profile, gain and description of a scene at the top of a figure."""
+    scene = plan.scene
+    still = scene.profile == STILL
+    sigma = "of legs" if still else f"= {_polynomial(scene.profile)} m/s"
+    facts = rf"$\sigma$ {sigma},   gain {gain_text(scene.gain)}"
+    name = figure.text(0.035, 0.955, shortened(scene.name, 30), size=18, weight="bold")
+    told = figure.text(0.965, 0.955, facts, size=10, ha="right", color=GREY)
+    if told.get_window_extent().x0 < name.get_window_extent().x1 + 10:  # no room beside the name
+        told.set(x=0.035, y=0.865, ha="left")
+    figure.text(0.035, 0.905, shortened(scene.description, 84), size=11)
+
+
+def gain_text(gain: Gain) -> str:
+    """Short name of a gain law, such as 'path, eta = 100'."""
+    return f"{gain.law}, {gain.parameter} = {gain.value:g}"
+
+
+def _polynomial(profile: Profile) -> str:
+    terms: list[str] = []
+    for k, c in enumerate(profile.coefficients):
+        if c:
+            power = "" if k == 0 else r"$\,t$" if k == 1 else rf"$\,t^{{{k}}}$"
+            sign = ("- " if c < 0 else "+ ") if terms else "-" * (c < 0)
+            terms.append(f"{sign}{abs(c):.4g}{power}")
+    return " ".join([*terms[:4], "+ …"] if len(terms) > 5 else terms)
+
+
+def contact_keys(scene: Scene) -> list[Any]:
+    """Legend entries of the contacts: one a colour, with the numbers of all that have it."""
+    entries, count = [], len(scene.contacts)
+    for i in range(min(count, len(COLOURS))):
+        others = (number_of(scene, k) for k in range(i + len(COLOURS), count, len(COLOURS)))
+        names = shortened(", ".join([scene.contact_name(i), *others]), 26)
+        entries.append(_entry(names, color=colour_of(i), linewidth=2.4))
+    return entries
+
+
+def _entry(label: str, **style: Any) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=label, **style)
+
+
+def _draw_key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) -> None:
+    """What the colours and signs mean: of the slip of some laws, of the bodies, or of both."""
+    from matplotlib.patches import Patch
+
+    entries = []
+    for k, law in enumerate(laws):
+        text = f"gain {gain_text(law.scene.gain)}"
+        entries.append(_entry(text, color=INK, linewidth=2.2, linestyle="--" if k else "-"))
+    contacts = range(len(plan.scene.contacts))
+    if laws and any(len(exact_slip(plan, i)[0]) for i in contacts):
+        entries.append(_entry("exact law", **DOTS))
+    if laws and "recovery_time" in plan.scene.paper:
+        entries.append(Patch(color=RECOVERY, alpha=0.2, label="recovery time in the paper"))
+    entries += contact_keys(plan.scene)
+    if plan.scene.disturbances:
+        entries.append(_entry("disturbance", color=DISTURBED, linewidth=2.4))
+    if bodies:
+        entries.append(_entry("behind the body", color=INK, linewidth=1.3, alpha=0.35))
+        if any(contact.legs for contact in plan.scene.contacts):
+            entries.append(_entry("number of a leg", **NUMBER))
+            entries.append(_entry("the finger's frame", color=INK, linewidth=1.3))
+    ax.set_axis_off()
+    ax.legend(handles=entries, loc="center left", frameon=False, handlelength=2.2)
+
+
+# --- slip --------------------------------------------------------------------------------------
+
+
+def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
+    plan = laws[0]
+    slip = np.concatenate([_slip_lines(ax, law, dashed=k > 0) for k, law in enumerate(laws)])
+    ax.set_xlim(plan.start, plan.end)
+    ax.set_xlabel("time [s]")
+    ax.ticklabel_format(axis="x", scilimits=(-2, 4))  # longer numbers run into each other
+    if not slip.any():
+        _draw_rolling(ax, plan)
+        return
+    ax.set_yscale("log")
+    # slip may leave the picture long before it ends, and need not fill it
+    peak, least = slip.max(), slip[slip > 0].min()
+    ax.set_ylim(max(peak * 10.0**-DECADES, min(least / 5, peak / 1e3)), peak * 10)
+    ax.set_ylabel("slip [m/s]")
+    ax.grid(axis="y", color="#e4e7eb", linewidth=0.8)
+    ax.set_axisbelow(True)
+    shade_windows(ax, plan)
+    ax.set_title("Slip at the contacts", **TITLE)
+
+
+def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
+    """Draw one law; returns the slip drawn, (n, n_contacts), m/s."""
+    t = plan.sample_times(1201)
+    # an offset's slip ends at once: the last time before the edge belongs to the line as well
+    t = np.unique(np.append(t, np.nextafter(t[np.isin(t, plan.scene.edges) & (t > plan.start)], 0)))
+    slip = plan.slip_speed(t)
+    style: dict[str, Any] = {"dashes": (2.2, 1.1)} if dashed else {}
+    for i in np.flatnonzero(slip.any(axis=0)).tolist():
+        # lines that lie on each other: the lower the wider, so that each is seen
+        above = np.isclose(slip[:, i + 1 :], slip[:, i : i + 1], rtol=0.02).all(0).sum()
+        style |= {"color": colour_of(i), "linewidth": 1.8 + 1.7 * min(above, 3)}
+        line = np.where(slip[:, i] > 0, slip[:, i], np.nan)
+        ax.plot(t, line, solid_capstyle="butt", **style)
+        ax.plot(*exact_slip(plan, i), markeredgewidth=0.9, zorder=5, **DOTS)
+    return slip
+
+
+def shade_windows(ax: Any, plan: Plan) -> None:
+    """Shade when contacts are disturbed, and the time in which the paper says slip is rejected."""
+    shaded = {w for i in range(len(plan.scene.contacts)) for w in windows(plan, i)}
+    for start, stop in shaded:
+        ax.axvspan(start, stop, color=DISTURBED, alpha=0.10, linewidth=0)
+    wanted = plan.scene.paper.get("recovery_time")
+    if wanted:
+        end = max((stop for _, stop in shaded), default=0.0)
+        ax.axvspan(end, end + wanted, color=RECOVERY, alpha=0.16, linewidth=0)
+
+
+def _draw_rolling(ax: Any, plan: Plan) -> None:
+    """No slip at all: the finger's distance from its great circle where it has one."""
+    t, contacts = plan.sample_times(), plan.scene.contacts
+    followers = [i for i, c in enumerate(contacts) if c.follows and c.finger.great_circles]
+    if not followers:
+        for way in {plan.scene.way(i) for i in range(len(contacts))}:
+            ax.plot(t, speed(way, t), color=INK, linewidth=1.8)
+        ax.set_ylim(bottom=0.0)
+        ax.set_ylabel(r"path speed $\sigma$ [m/s]")
+        ax.set_title("No slip: the contacts roll", **TITLE)
+        return
+    for i in followers:
+        points = plan.points(t)[:, i, 0]
+        distance = np.abs(great_circle_distance(points)) / contacts[i].finger.size
+        ax.plot(t, np.maximum(distance, 1e-17), color=colour_of(i), linewidth=1.2)
+    ax.axhline(np.finfo(float).eps, color="#9aa3ad", linewidth=1, linestyle=":")
+    ax.text(t[0], 3e-18, " dotted: relative spacing of doubles, 2.2e-16", size=9, color=GREY)
+    ax.set_yscale("log")
+    ax.set_ylim(1e-18, 1e-13)
+    ax.set_ylabel("distance / radius")
+    ax.set_title("Finger's curve from a great circle", **TITLE)
+
+
+def _draw_object(ax: Any, plan: Plan) -> None:
+    contacts = range(len(plan.scene.contacts))
+    draw_body(ax, mesh_of(plan, plan.scene.object, 1, contacts), curves_of(plan, contacts, 1))
+
+
+def _draw_finger(ax: Any, plan: Plan) -> None:
+    """The first finger, with the curves of all contacts that have the same one."""
+    contacts = plan.scene.contacts
+    finger = contacts[0].finger
+    same = [i for i, c in enumerate(contacts) if c.finger == finger]
+    curves = distinct(curves_of(plan, same, 0), 1e-3 * finger.size)
+    draw_body(ax, mesh_of(plan, finger, 0, same), curves)
+    text = "On the fingers" if len(contacts) > 1 else "On the finger"
+    if len(same) < len(contacts):
+        text = shortened(f"Finger ({', '.join(map(plan.scene.contact_name, same))})", 40)
+    ax.set_title(text, pad=4, **TITLE)

@@ -1,0 +1,56 @@
+"""Colours, signs and words that all pictures share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..scene import Scene
+
+COLOURS = ("#1f5fa8", "#12876f", "#e08e0b", "#7a4fa3", "#3aa0d8", "#8a6a3b", "#5b7083")
+DISTURBED = "#d1274b"
+RECOVERY = "#12876f"
+INK = "#2b2f36"
+GREY = "#5a6370"
+# Lists, since a tuple of two is a colour and its opacity to matplotlib 3.8.
+BODY = ["#8f9aa6", "#f3f5f7"]  # a surface turned away from the light, and towards it
+HOLLOW = ["#6d7884", "#b9c2cb"]  # the back of a surface with an edge
+
+STYLE = {
+    "font.size": 11,
+    "axes.titlesize": 12,
+    "axes.labelsize": 11,
+    "legend.fontsize": 10,
+    "axes.edgecolor": INK,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "mathtext.fontset": "dejavusans",
+}
+TITLE = {"loc": "left", "weight": "bold"}
+DOTS: Any = {"linestyle": "none", "marker": "o", "markersize": 4.5}
+DOTS |= {"markerfacecolor": "white", "markeredgecolor": INK}
+NUMBER: Any = {"linestyle": "none", "marker": "$1$", "markersize": 7, "color": COLOURS[0]}
+
+
+def shortened(text: str, width: int) -> str:
+    """The text for a picture, or its beginning and an ellipsis where it has more characters.
+
+    Dollar signs in it are those of a name, and begin no mathematics.
+    """
+    text = text if len(text) <= width else text[: width - 1].rstrip() + "…"
+    return text.replace("$", r"\$")
+
+
+def colour_of(contact: int) -> str:
+    """The colour of a contact in all pictures."""
+    return COLOURS[contact % len(COLOURS)]
+
+
+def number_of(scene: Scene, contact: int) -> str:
+    """The number at the end of its name, such as that of "finger 1", or its index."""
+    name = scene.contact_name(contact)
+    number = name[len(name.rstrip("0123456789")) :]
+    return number if 0 < len(number) < 10 else str(contact)
