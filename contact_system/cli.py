@@ -1,4 +1,4 @@
-"""Command line: ``contact-system scenes | run | explain``, and what other packages add.
+"""Command line: ``contact-system scenes | run | ...``, and what other packages add.
 
 A package adds commands through an entry point of the group ``contact_system.commands``, named like
 its command, that loads to a function ``register(subparsers)``. It adds an argparse parser and sets
@@ -103,6 +103,14 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     steer.add_argument("--no-plots", action="store_true", help="draw no pictures")
     steer.set_defaults(run=_reach)
 
+    show = commands.add_parser("explore", help="a scene in the browser, with sliders")
+    show.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
+    text = "port of the page; 0: any that is free; default %(default)d"
+    show.add_argument("--port", type=_port, default=8080, metavar="N", help=text)
+    text = "folder for scenes that are saved; default results/NAME"
+    show.add_argument("--out", type=Path, metavar="DIR", help=text)
+    show.set_defaults(run=_explore)
+
     if not words or words[0] not in commands.choices:
         _add_foreign(commands, words)
     return parser
@@ -201,6 +209,21 @@ def _reach(args: argparse.Namespace) -> int:
         written = list(_write(args, [planned], folder / file_name(scene), progress))
     print(f"wrote {path}", *written, sep="\n")
     return 0
+
+
+def _explore(args: argparse.Namespace) -> int:
+    scene = load_scene(args.scene)
+    from .explorer.page import explore  # needs viser
+
+    folder = args.out or Path("results") / file_name(scene)
+    explore(scene, folder / f"{file_name(scene)}-explored.toml", args.port)
+    return 0
+
+
+def _port(text: str) -> int:
+    if not (text.isdecimal() and int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"'{text}': give a number from 0 to 65535")
+    return int(text)
 
 
 def _goal(text: str) -> Goal | None:

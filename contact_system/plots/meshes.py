@@ -25,6 +25,7 @@ class Mesh:
     points: np.ndarray
     normals: np.ndarray
     inside: bool
+    whole: bool  # the surface, which closes on itself; else a part that depends on the curves
 
     @property
     def grid(self) -> np.ndarray:
@@ -43,18 +44,33 @@ class Mesh:
         return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
 
 
-def mesh_of(plan: Plan, surface: Surface, side: int, contacts: Sequence[int]) -> Mesh | None:
+def mesh_of(
+    plan: Plan, surface: Surface, side: int, contacts: Sequence[int], cells: int = CELLS
+) -> Mesh | None:
     """The whole surface if it closes on itself, else what lies around the curves."""
     for whole in (True, False):
         spans = [_span(plan, surface, side, contacts, k, whole) for k in (0, 1)]
         try:
-            u, v = np.meshgrid(*(np.linspace(*span, CELLS + 1) for span in spans), indexing="ij")
-            points, normals = surface.point(u, v), surface.normal(u, v)
+            u, v = np.meshgrid(*(np.linspace(*span, cells + 1) for span in spans), indexing="ij")
+            points, frames = surface.point_and_frame(u, v)
         except ContactSystemError:  # an implicit surface that the rays of its chart do not all meet
             continue
-        mesh = Mesh(u.shape, points.reshape(-1, 3), normals.reshape(-1, 3), surface.inside)
+        normals = frames[..., 2].reshape(-1, 3)
+        mesh = Mesh(u.shape, points.reshape(-1, 3), normals, surface.inside, whole)
         if not whole or mesh.size <= UNBOUNDED * surface.size:
             return mesh
+    return None
+
+
+def closed_span(surface: Surface, k: int) -> tuple[float, float] | None:
+    """Range of u or v on which the surface closes on itself; None where it does not."""
+    period = surface.periods()[k]
+    if surface.double_cover:
+        return ((-math.pi, math.pi), (-math.pi / 2, math.pi / 2))[k]
+    if period is not None:
+        return -period / 2, period / 2
+    if surface.chart.singular_at:  # only charts with poles close without a period
+        return ((0.0, math.pi), (-math.pi / 2, math.pi / 2))[k]
     return None
 
 
@@ -62,13 +78,9 @@ def _span(
     plan: Plan, surface: Surface, side: int, contacts: Sequence[int], k: int, whole: bool
 ) -> tuple[float, float]:
     """Range of u or v to draw, a hair less: charts end at poles, where there is no frame."""
-    period = surface.periods()[k]
-    if surface.double_cover:
-        start, stop = ((-math.pi, math.pi), (-math.pi / 2, math.pi / 2))[k]
-    elif whole and period is not None:
-        start, stop = -period / 2, period / 2
-    elif whole and surface.chart.singular_at:  # only charts with poles close without a period
-        start, stop = ((0.0, math.pi), (-math.pi / 2, math.pi / 2))[k]
+    closed = closed_span(surface, k) if whole or surface.double_cover else None
+    if closed is not None:
+        start, stop = closed
     else:
         t = regular_times(plan, plan.sample_times())
         found = plan.evaluate(t, "states", "points")

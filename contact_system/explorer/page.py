@@ -1,0 +1,459 @@
+"""The page: bodies, fingers that roll, curves that grow, sliders, the plot of slip.
+
+What the page shows is one state, which all windows share. Callbacks of viser only write down what
+was asked for; the thread that called :meth:`Explorer.run` plans and draws, the latest wish first.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..checks import make_folder
+from ..errors import ContactSystemError
+from ..measures import regular_times
+from ..plan import Plan, plan
+from ..plots.bodies import best_view
+from ..plots.curves import curve_of
+from ..plots.meshes import Mesh, mesh_of
+from ..plots.style import BODY, DISTURBED, INK, colour_of
+from ..scene import Scene, save_scene
+from ..steering import Goal, reach
+from ..surfaces import Surface
+from ..theory.gain import LAWS, Gain
+from .sliders import Slider, adjusted, gain_slider, sliders_of
+
+try:
+    import viser
+except ImportError:
+    raise ContactSystemError(
+        'the explorer needs viser: pip install "contact-system[explore]"'
+    ) from None
+
+HOST = "127.0.0.1"  # others must not write files here
+SAMPLES = 401
+CELLS, FINGER_CELLS = 64, 32  # of meshes in each coordinate
+LINES = 8  # every so many lines of a mesh are drawn
+FRAME = 1 / 30  # s, between pictures of a film
+DECADES = 10  # of slip below its peak
+
+
+@dataclass
+class Sampled:
+    """A plan at times (n,): points (n, contacts, 2, 3), poses (n, contacts, 4, 4), slip."""
+
+    plan: Plan
+    t: np.ndarray
+    points: np.ndarray
+    pose: np.ndarray
+    slip: np.ndarray
+
+    @classmethod
+    def of(cls, planned: Plan) -> Sampled:
+        t = regular_times(planned, np.linspace(planned.start, planned.end, SAMPLES))
+        found = planned.evaluate(t, "points", "pose", "slip_speed")
+        return cls(planned, t, found["points"], found["pose"], found["slip_speed"])
+
+
+class Explorer:
+    """A scene in the browser.
+
+    Parameters
+    ----------
+    scene : Scene
+    file : Path
+        Where the button writes the scene that is shown.
+    port : int
+        0: any that is free.
+
+    Raises
+    ------
+    ContactSystemError
+        A scene that cannot be planned, or a port that is in use.
+    """
+
+    def __init__(self, scene: Scene, file: Path, port: int = 8080):
+        self.base, self.file = scene, file
+        self.moved: dict[tuple, Any] = {}
+        self.goals: dict[int, Goal] = {}
+        self.meshes: dict[Surface, Mesh | None] = {}
+        self.wake, self.stale, self.playing = threading.Event(), False, False
+        self.clicked: tuple[np.ndarray, np.ndarray] | None = None
+        self.now = scene.duration
+        self.shown = Sampled.of(plan(scene))
+        contacts = range(len(scene.contacts))
+        mesh = self._mesh(self.shown.plan, scene.object, 1, list(contacts), CELLS)
+        self.unit = 1.0 / (scene.object.size if mesh is None else mesh.size)
+        _require_free(port)
+        with contextlib.redirect_stdout(io.StringIO()):  # viser's own greeting
+            self.server = viser.ViserServer(HOST, port, scene.name or "contact_system", False)
+        self.address = f"http://{HOST}:{self.server.get_port()}"
+        self._add_controls()
+        self._add_bodies()
+        self._look(mesh)
+        self._draw()
+
+    def run(self) -> None:
+        """Serve until the process is interrupted."""
+        last = time.monotonic()
+        while True:
+            self.wake.wait(FRAME if self.playing else 0.5)
+            self.wake.clear()
+            elapsed, last = time.monotonic() - last, time.monotonic()
+            self.step(elapsed)
+
+    def step(self, elapsed: float) -> None:
+        """Draw what was asked for since the last step, and `elapsed` seconds of the film."""
+        if self.clicked is not None:
+            self._click(*self.clicked)
+        elif self.stale:
+            self._plan_again()
+        if self.playing:
+            span = self.shown.plan.end - self.shown.plan.start
+            self.now = (self.now + elapsed) % span
+            self.clock.value = round(self.now, 4)  # type: ignore[misc]
+        if self.drawn != self.now:
+            self._draw()
+
+    def close(self) -> None:
+        """Stop serving."""
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
+
+    # --- controls ------------------------------------------------------------------------------
+
+    def _add_controls(self) -> None:
+        gui, scene = self.server.gui, self.base
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        self.said = gui.add_markdown(scene.description)
+        self.slip = gui.add_uplot(
+            self._slip_data(),
+            tuple(self._slip_series()),
+            scales={"x": {"time": False}, "y": {"distr": 3, "log": 10}},
+            axes=({"label": "time [s]"}, {"label": "slip [m/s]", "size": 60}),
+            legend={"show": False},
+            aspect=1.6,
+        )
+        self.play = gui.add_button("Play")
+        self.clock = gui.add_slider("time [s]", 0.0, scene.duration, 1e-3, scene.duration)
+        self.finger = gui.add_dropdown(
+            "a click sends", [f"{i}: {scene.contact_name(i)}" for i in range(len(scene.contacts))]
+        )
+        self.forget = gui.add_button("Forget goals", disabled=True)
+        self.save = gui.add_button("Save scene")
+        self.law = gui.add_dropdown("gain law", tuple(LAWS), initial_value=scene.gain.law)
+        self.gain = self._slider(gain_slider(scene.gain), self._parameter())
+        folders: dict[str, Any] = {}
+        for slider in sliders_of(scene):
+            if slider.folder not in folders:
+                first = slider.folder in ("profile", "shapes")
+                folders[slider.folder] = gui.add_folder(slider.folder, expand_by_default=first)
+            with folders[slider.folder]:
+                self._slider(slider, slider.label)
+
+        @self.law.on_update
+        async def _(_: Any) -> None:
+            self.gain.label = self._parameter()
+            self._set_gain(self.gain.value)
+
+        @self.play.on_click
+        async def _(_: Any) -> None:
+            self.playing = not self.playing
+            self.play.label = "Pause" if self.playing else "Play"
+            self.wake.set()
+
+        @self.clock.on_update
+        async def _(event: Any) -> None:
+            if event.client is not None:
+                self.now = self.clock.value
+                self.wake.set()
+
+        @self.forget.on_click
+        async def _(_: Any) -> None:
+            self.goals.clear()
+            self._ask()
+
+        @self.save.on_click
+        def _(_: Any) -> None:
+            self._save()
+
+    def _slider(self, slider: Slider, label: str) -> Any:
+        """A slider in the page; only one that was moved changes the scene."""
+        span = slider.high - slider.low
+        step = 10.0 ** np.floor(np.log10(span / 200))
+        low, high = (round(x / step) * step for x in (slider.low, slider.high))
+        value = float(np.clip(round(slider.value / step) * step, low, high))
+        low, high, value, step = (float(f"{x:.9g}") for x in (low, high, value, step))
+        handle = self.server.gui.add_slider(label, low, high, step, value)
+
+        @handle.on_update
+        async def _(_: Any) -> None:
+            if slider.paths == (("gain",),):
+                self._set_gain(handle.value)
+                return
+            self.moved |= {path: slider.made(handle.value) for path in slider.paths}
+            self._ask()
+
+        return handle
+
+    def _parameter(self) -> str:
+        law = self.law.value
+        return f"{LAWS[law].parameter} [{'s/m^2' if LAWS[law].power == 2 else '1/s'}]"
+
+    def _set_gain(self, value: float) -> None:
+        self.moved["gain",] = Gain(self.law.value, value)
+        self._ask()
+
+    def _ask(self) -> None:
+        self.stale = True
+        self.wake.set()
+
+    # --- what is asked for ---------------------------------------------------------------------
+
+    def _asked(self) -> tuple[Scene, str]:
+        """The scene that the sliders and goals tell, and what to say of it."""
+        scene = adjusted(self.base, dict(self.moved))
+        if not self.goals:
+            return scene, scene.description
+        left = " Disturbances are left out." if scene.disturbances else ""
+        goals = [self.goals.get(i) for i in range(len(scene.contacts))]
+        route = reach(scene.replace(disturbances=()), goals)
+        legs = sum(map(len, route.legs))
+        text = f"{legs} leg{'s' * (legs > 1)}, {route.length:.3g} m in all, to the goal."
+        return route.scene, f"{text} Fingers without one rest.{left}"
+
+    def _plan_again(self) -> bool:
+        """Plan and draw what is asked for; where that is refused, say why and keep the picture."""
+        self.stale = False
+        try:
+            scene, text = self._asked()
+            shown = Sampled.of(plan(scene))
+        except ContactSystemError as error:
+            self.said.content = f"**Refused, so the picture stays:** {error}"
+            self.server.flush()
+            return False
+        self.shown = shown
+        with self.server.atomic():
+            self.said.content, self.forget.disabled = text, not self.goals
+            self._draw_shapes()
+        self._draw()
+        return True
+
+    def _click(self, origin: np.ndarray, direction: np.ndarray) -> None:
+        """Send the chosen finger to where a ray meets the object."""
+        self.clicked = None
+        scene = self.shown.plan.scene
+        contacts = list(range(len(scene.contacts)))
+        mesh = self._mesh(self.shown.plan, scene.object, 1, contacts, CELLS)
+        hit = None if mesh is None else _first_hit(mesh, origin / self.unit, direction)
+        if hit is None:
+            return
+        before, i = dict(self.goals), int(self.finger.value.partition(":")[0])
+        try:
+            u, v = scene.object.coordinates(hit)
+            self.goals[i] = Goal(object_at=(float(u), float(v)))
+        except ContactSystemError as error:
+            self.said.content = f"**Refused, so the picture stays:** {error}"
+            return
+        if not self._plan_again():
+            self.goals = before
+
+    def _save(self) -> None:
+        try:
+            make_folder(self.file.parent, "name another one with --out")
+            save_scene(self.shown.plan.scene, self.file)
+        except ContactSystemError as error:
+            self.said.content = f"**Not saved:** {error}"
+        else:
+            self.said.content = f"Wrote `{self.file}`"
+
+    # --- picture -------------------------------------------------------------------------------
+
+    def _add_bodies(self) -> None:
+        """Everything in the scene, once; later only what differs is sent."""
+        tree, contacts = self.server.scene, self.base.contacts
+        none, flat = np.zeros((1, 2, 3)), np.zeros((3, 3))
+        style: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
+        thin: dict[str, Any] = {"thickness": 0.002}
+        face = np.array([[0, 1, 2]])
+        names = ["/object", *(f"/finger {i}" for i in range(len(contacts)))]
+        surfaces = [self.base.object, *(c.finger for c in contacts)]
+        self.frames = [tree.add_frame(name, show_axes=False) for name in names]
+        self.bodies: list[Any] = []
+        self.lines: list[Any] = []
+        for k, (name, surface) in enumerate(zip(names, surfaces)):
+            colour = BODY[0] if k == 0 else colour_of(k - 1)
+            style |= {"color": _rgb(colour), "opacity": 0.4 if k else None}
+            style["side"] = "front" if surface.inside else "double"
+            self.bodies.append(tree.add_mesh_simple(f"{name}/body", flat, face, **style))
+            lines = tree.add_line_segments(
+                f"{name}/lines", none, np.array(_rgb(BODY[1] if k == 0 else colour)), **thin
+            )
+            self.lines.append(lines)
+        self.curves = [
+            [
+                tree.add_line_segments(
+                    f"{name}/curve {i}", none, none.astype(np.uint8), thickness=w
+                )
+                for name, w in (("/object", 0.012), (f"/finger {i}", 0.009))
+            ]
+            for i in range(len(contacts))
+        ]
+        self.marks = [
+            tree.add_icosphere(f"/goal {i}", 0.02, color=_rgb(colour_of(i)), visible=False)
+            for i in range(len(contacts))
+        ]
+        self._draw_shapes()
+
+        @self.bodies[0].on_click
+        async def _(event: Any) -> None:
+            self.clicked = np.array(event.ray_origin), np.array(event.ray_direction)
+            self.wake.set()
+
+    def _draw_shapes(self) -> None:
+        """What does not depend on the time: bodies, colours, goals, the plot of slip."""
+        shown, scene = self.shown, self.shown.plan.scene
+        for k, (body, lines) in enumerate(zip(self.bodies, self.lines)):
+            surface = scene.contacts[k - 1].finger if k else scene.object
+            which = [k - 1] if k else list(range(len(scene.contacts)))
+            cells = FINGER_CELLS if k else CELLS
+            mesh = self._mesh(shown.plan, surface, int(not k), which, cells)
+            body.visible = lines.visible = mesh is not None
+            if mesh is not None:
+                body.vertices, body.faces = mesh.points * self.unit, mesh.triangles()
+                grid = mesh.points.reshape(*mesh.shape, 3) * self.unit
+                lines.points = np.concatenate(
+                    [
+                        np.stack([x[:, :-1], x[:, 1:]], axis=2).reshape(-1, 2, 3)
+                        for x in (grid[::LINES], grid.swapaxes(0, 1)[::LINES])
+                    ]
+                )
+        for i, pair in enumerate(self.curves):
+            curve = curve_of(shown.plan, i, shown.t, shown.points[:, i, 1])
+            colours = np.array([_rgb(curve.colour), _rgb(DISTURBED)])[curve.disturbed.astype(int)]
+            for node in pair:
+                node.colors = np.repeat(colours[:-1, None], 2, axis=1).astype(np.uint8)
+            goal = self.goals.get(i)
+            self.marks[i].visible = goal is not None
+            if goal is not None and goal.object_at is not None:
+                self.marks[i].position = scene.object.point(*goal.object_at) * self.unit
+
+    def _draw(self) -> None:
+        """What depends on the time: curves so far, fingers where they are, the mark on slip."""
+        shown, self.drawn = self.shown, self.now
+        k = min(int(np.searchsorted(shown.t, self.now + 1e-9, "right")), len(shown.t)) - 1
+        so_far = np.minimum(np.arange(len(shown.t)), max(k, 0))
+        points = shown.points[so_far] * self.unit
+        segments = np.stack([points[:-1], points[1:]], axis=1)  # n - 1, 2, contacts, sides, 3
+        with self.server.atomic():
+            for i, (on_object, on_finger) in enumerate(self.curves):
+                on_object.points, on_finger.points = segments[:, :, i, 1], segments[:, :, i, 0]
+                pose = shown.pose[k, i]
+                self.frames[1 + i].wxyz = _quaternion(pose[:3, :3])
+                self.frames[1 + i].position = pose[:3, 3] * self.unit
+            self.slip.data = self._slip_data(k)
+        self.server.flush()
+
+    def _mesh(
+        self, planned: Plan, surface: Surface, side: int, contacts: list[int], cells: int
+    ) -> Mesh | None:
+        """The mesh of a surface, kept where it depends on that alone."""
+        if surface not in self.meshes:
+            mesh = mesh_of(planned, surface, side, contacts, cells)
+            if mesh is None or not mesh.whole:
+                return mesh
+            if len(self.meshes) > 2 * len(planned.scene.contacts) + 2:
+                self.meshes.clear()
+            self.meshes[surface] = mesh
+        return self.meshes[surface]
+
+    def _slip_data(self, k: int = -1) -> tuple[np.ndarray, ...]:
+        """Times, slip of each contact, and that at one time; NaN where there is none."""
+        slip = self.shown.slip
+        peak = slip.max()
+        seen = np.where(slip > peak * 10.0**-DECADES, slip, np.nan)
+        now = np.full(len(slip), np.nan)
+        now[k] = np.nanmax(seen[k]) if np.isfinite(seen[k]).any() else np.nan
+        if not peak:  # a scale needs something
+            now[k] = 1e-16
+        return self.shown.t, *seen.T, now
+
+    def _slip_series(self) -> Iterator[Any]:
+        yield {"label": "time"}
+        for i in range(len(self.base.contacts)):
+            points = {"show": False}
+            yield {"label": str(i), "stroke": colour_of(i), "width": 2, "points": points}
+        yield {"label": "now", "stroke": INK, "points": {"show": True, "size": 8, "fill": INK}}
+
+    def _look(self, mesh: Mesh | None) -> None:
+        """The camera where the curves are seen best."""
+        contacts = range(len(self.base.contacts))
+        points = self.shown.points
+        curves = [curve_of(self.shown.plan, i, self.shown.t, points[:, i, 1]) for i in contacts]
+        ends = mesh.points if mesh is not None else points[:, :, 1].reshape(-1, 3)
+        middle = (ends.min(axis=0) + ends.max(axis=0)) / 2 * self.unit
+        camera = self.server.initial_camera
+        camera.look_at, camera.up = middle, (0.0, 0.0, 1.0)
+        away = np.multiply(1.4, best_view(mesh, curves).axes[2])
+        camera.position = tuple(np.add(middle, away).tolist())
+        camera.near, camera.far = 0.01, 100.0
+
+
+def explore(scene: Scene, file: Path, port: int = 8080) -> None:
+    """Serve a scene's page, and tell where, until the process is interrupted; see `Explorer`."""
+    explorer = Explorer(scene, file, port)
+    try:
+        print(f"{scene.title} at {explorer.address}; Ctrl-C ends it", flush=True)
+        explorer.run()
+    finally:
+        explorer.close()
+
+
+def _require_free(port: int) -> None:
+    try:
+        socket.create_server((HOST, port)).close()
+    except OSError as error:
+        raise ContactSystemError(
+            f"port {port}: {error.strerror}; give another one with --port, or 0 for any"
+        ) from None
+
+
+def _rgb(colour: str) -> tuple[int, int, int]:
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    """w, x, y, z of a rotation matrix (3, 3)."""
+    return viser.transforms.SO3.from_matrix(rotation).wxyz
+
+
+def _first_hit(mesh: Mesh, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
+    """Where a ray first meets a mesh: (3,); of a hollow where it meets the side that is seen."""
+    triangles = mesh.triangles()
+    a, b, c = (mesh.points[triangles[:, k]] for k in range(3))
+    if mesh.inside:
+        facing = mesh.normals[triangles[:, 0]] @ direction < 0
+        a, b, c = a[facing], b[facing], c[facing]
+    one, other = b - a, c - a
+    across = np.cross(direction, other)
+    area = np.einsum("ij,ij->i", one, across)
+    away = origin - a
+    with np.errstate(divide="ignore", invalid="ignore"):  # triangles seen from the side
+        x = np.einsum("ij,ij->i", away, across) / area
+        turned = np.cross(away, one)
+        y = turned @ direction / area
+        t = np.einsum("ij,ij->i", other, turned) / area
+        hits = (x >= 0) & (y >= 0) & (x + y <= 1) & (t > 0)
+    if not hits.any():
+        return None
+    return origin + t[hits].min() * direction

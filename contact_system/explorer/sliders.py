@@ -1,0 +1,143 @@
+"""What of a scene sliders change: where it stands in the scene, from where to where."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..plots.meshes import closed_span
+from ..scene import STILL, Scene
+from ..surfaces import Surface
+from ..theory.gain import Gain
+
+Path = tuple[str | int, ...]
+"""Names of fields and indices, from the scene down to a number."""
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A number that can be changed, in one place of the scene or in several at once."""
+
+    folder: str
+    label: str
+    low: float
+    high: float
+    value: float
+    paths: tuple[Path, ...]
+    made: Callable[[float], Any] = float
+    """What stands in those places, from the slider's number."""
+
+
+def adjusted(part: Any, values: Mapping[Path, Any]) -> Any:
+    """A scene, or a part of one, with other values in some places; checked once, as a whole."""
+    if () in values:
+        return values[()]
+    below: dict[Any, dict[Path, Any]] = {}
+    for (head, *rest), value in values.items():
+        below.setdefault(head, {})[tuple(rest)] = value
+    if not below:
+        return part
+    if isinstance(part, tuple):
+        return tuple(adjusted(x, below.get(k, {})) for k, x in enumerate(part))
+    if isinstance(part, Mapping):
+        return {key: adjusted(x, below.get(key, {})) for key, x in part.items()}
+    changes = {head: adjusted(_field(part, head), found) for head, found in below.items()}
+    return (
+        part.replace(**changes) if isinstance(part, Scene) else dataclasses.replace(part, **changes)
+    )
+
+
+def _field(part: Any, name: str) -> Any:
+    return getattr(part, "named_parameters" if name == "parameters" else name)
+
+
+def gain_slider(gain: Gain) -> Slider:
+    """Of the gain's number under any law."""
+    return Slider("", "", 0.0, 4 * gain.value or 100.0, gain.value, (("gain",),))
+
+
+def sliders_of(scene: Scene) -> list[Slider]:
+    """All but that of the gain."""
+    profile = () if scene.profile == STILL else _of_profile(scene)
+    return [*profile, *_of_radii(scene), *_of_disturbances(scene), *_of_starts(scene)]
+
+
+def _of_profile(scene: Scene) -> Iterator[Slider]:
+    c = scene.profile.coefficients
+    for k, value in enumerate(c):
+        span = 2 * abs(value) or max(map(abs, c)) / scene.duration**k
+        low = value - span if k else 0.0
+        label, path = f"t^{k} [m/s{f'^{k + 1}' * (k > 0)}]", ("profile", "coefficients", k)
+        yield Slider("profile", label, low, value + span, value, (path,))
+
+
+def _of_radii(scene: Scene) -> Iterator[Slider]:
+    bodies: list[tuple[str, Surface, list[Path]]] = [("object", scene.object, [("object",)])]
+    for i, contact in enumerate(scene.contacts):
+        same = next((b for b in bodies[1:] if b[1] == contact.finger), None)
+        if same is None:
+            same = (f"finger of {scene.contact_name(i)}", contact.finger, [])
+            bodies.append(same)
+        same[2].append(("contacts", i, "finger"))
+    for name, surface, places in bodies:
+        for label, value, tail in _numbers_of(surface):
+            name = "fingers" if name != "object" and len(bodies) == 2 else name
+            low, high = sorted((0.25 * value, 2.5 * value))
+            paths = tuple((*place, *tail) for place in places)
+            yield Slider("shapes", f"{name}: {label}", low, high, value, paths)
+
+
+def _numbers_of(surface: Surface) -> Iterator[tuple[str, float, Path]]:
+    named = getattr(surface, "named_parameters", None)
+    if named is not None:
+        yield from ((key, x, ("parameters", key)) for key, x in named.items() if x)
+        return
+    for key in surface.__match_args__:
+        if isinstance(value := getattr(surface, key), float):
+            yield f"{key} [m]", value, (key,)
+
+
+def _of_disturbances(scene: Scene) -> Iterator[Slider]:
+    alike: dict[Any, list[int]] = {}
+    for k, d in enumerate(scene.disturbances):
+        alike.setdefault((d.kind, d.start, d.stop, d.value), []).append(k)
+    for (kind, start, stop, pair), which in alike.items():
+        numbers: Iterable[tuple[str, float, float, float, Path]] = [
+            ("start [s]", 0.0, scene.duration, start, ("start",)),
+            ("stop [s]", 0.0, scene.duration, stop, ("stop",)),
+        ]
+        most = 3 * max(map(abs, pair)) or 1.0
+        numbers = [*numbers, *((f"d{'uv'[j]}", -most, most, pair[j], ("value", j)) for j in (0, 1))]
+        for label, low, high, value, tail in numbers:
+            paths = tuple(("disturbances", k, *tail) for k in which)
+            yield Slider(kind, label, low, high, value, paths)
+
+
+def _of_starts(scene: Scene) -> Iterator[Slider]:
+    for i, contact in enumerate(scene.contacts):
+        folder, place = f"start of {scene.contact_name(i)}", ("contacts", i)
+        for k, value in enumerate(contact.object_at):
+            span = closed_span(scene.object, k)
+            if span is None:
+                reach = 2 * scene.object.size / float(scene.object.lame(*contact.object_at)[k])
+                span = value - reach, value + reach
+            yield Slider(
+                folder, f"{'uv'[k]} on the object", *span, value, ((*place, "object_at", k),)
+            )
+        turn = -math.pi, math.pi
+        yield Slider(folder, "angle psi [rad]", *turn, contact.angle, ((*place, "angle"),))
+        if not isinstance(contact.finger_velocity, str):
+            yield _direction(folder, contact.finger_velocity, (*place, "finger_velocity"))
+
+
+def _direction(folder: str, velocity: tuple[float, float], path: Path) -> Slider:
+    """Of the angle of a velocity, whose length stays."""
+    length, angle = math.hypot(*velocity), math.atan2(velocity[1], velocity[0])
+
+    def turned(a: float) -> tuple[float, float]:
+        return length * math.cos(a), length * math.sin(a)
+
+    return Slider(folder, "direction [rad]", -math.pi, math.pi, angle, (path,), turned)
