@@ -22,7 +22,7 @@ from .report import THREADS, Bar, Section, Sections, header, surroundings, write
 PARTS = (
     *("bars", "first", "fresh", "many", "work_precision", "accuracy", "stress"),
     *("drake_planner", "drake_station", "balance", "hands", "physics", "truth"),
-    *("fmu", "faults", "reach", "geodesic", "processes", "strangers"),
+    *("fmu", "faults", "reach", "geodesic", "processes", "strangers", "explorer"),
 )
 """Modules of this package; each has SECTIONS, name -> function of ``full`` that yields bars."""
 BINDING = ("accuracy", "stress", "faults", "processes", "strangers")

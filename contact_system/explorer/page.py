@@ -11,7 +11,7 @@ import io
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from ..scene import Scene, save_scene
 from ..steering import Goal, reach
 from ..surfaces import Surface
 from ..theory.gain import LAWS, Gain
-from .sliders import Slider, adjusted, gain_slider, sliders_of
+from .sliders import Place, Slider, adjusted, gain_slider, sliders_of
 
 try:
     import viser
@@ -83,7 +83,7 @@ class Explorer:
 
     def __init__(self, scene: Scene, file: Path, port: int = 8080):
         self.base, self.file = scene, file
-        self.moved: dict[tuple, Any] = {}
+        self.moved: dict[Place, Any] = {}
         self.goals: dict[int, Goal] = {}
         self.meshes: dict[Surface, Mesh | None] = {}
         self.wake, self.stale, self.playing = threading.Event(), False, False
@@ -110,6 +110,12 @@ class Explorer:
             self.wake.clear()
             elapsed, last = time.monotonic() - last, time.monotonic()
             self.step(elapsed)
+
+    def ask(self, values: Mapping[Place, Any]) -> None:
+        """Let the next step draw the scene with these values in these places of it."""
+        self.moved |= values
+        self.stale = True
+        self.wake.set()
 
     def step(self, elapsed: float) -> None:
         """Draw what was asked for since the last step, and `elapsed` seconds of the film."""
@@ -138,8 +144,8 @@ class Explorer:
         self.slip = gui.add_uplot(
             self._slip_data(),
             tuple(self._slip_series()),
-            scales={"x": {"time": False}, "y": {"distr": 3, "log": 10}},
-            axes=({"label": "time [s]"}, {"label": "slip [m/s]", "size": 60}),
+            scales={"x": {"time": False}},
+            axes=({"label": "time [s]"}, {"label": "log10 of slip in m/s", "size": 40}),
             legend={"show": False},
             aspect=1.6,
         )
@@ -180,7 +186,7 @@ class Explorer:
         @self.forget.on_click
         async def _(_: Any) -> None:
             self.goals.clear()
-            self._ask()
+            self.ask({})
 
         @self.save.on_click
         def _(_: Any) -> None:
@@ -197,11 +203,10 @@ class Explorer:
 
         @handle.on_update
         async def _(_: Any) -> None:
-            if slider.paths == (("gain",),):
+            if slider.places == (("gain",),):
                 self._set_gain(handle.value)
                 return
-            self.moved |= {path: slider.made(handle.value) for path in slider.paths}
-            self._ask()
+            self.ask({place: slider.made(handle.value) for place in slider.places})
 
         return handle
 
@@ -210,12 +215,7 @@ class Explorer:
         return f"{LAWS[law].parameter} [{'s/m^2' if LAWS[law].power == 2 else '1/s'}]"
 
     def _set_gain(self, value: float) -> None:
-        self.moved["gain",] = Gain(self.law.value, value)
-        self._ask()
-
-    def _ask(self) -> None:
-        self.stale = True
-        self.wake.set()
+        self.ask({("gain",): Gain(self.law.value, value)})
 
     # --- what is asked for ---------------------------------------------------------------------
 
@@ -281,13 +281,15 @@ class Explorer:
     def _add_bodies(self) -> None:
         """Everything in the scene, once; later only what differs is sent."""
         tree, contacts = self.server.scene, self.base.contacts
+        tree.configure_default_lights(cast_shadow=False)
+        tree.configure_environment_map(None)  # reflections cost half of a frame without a GPU
         none, flat = np.zeros((1, 2, 3)), np.zeros((3, 3))
         style: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
-        thin: dict[str, Any] = {"thickness": 0.002}
+        pixels: dict[str, Any] = {"thickness_units": "screen"}
         face = np.array([[0, 1, 2]])
         names = ["/object", *(f"/finger {i}" for i in range(len(contacts)))]
         surfaces = [self.base.object, *(c.finger for c in contacts)]
-        self.frames = [tree.add_frame(name, show_axes=False) for name in names]
+        self.frames: list[Any] = [tree.add_frame(name, show_axes=False) for name in names]
         self.bodies: list[Any] = []
         self.lines: list[Any] = []
         for k, (name, surface) in enumerate(zip(names, surfaces)):
@@ -296,15 +298,19 @@ class Explorer:
             style["side"] = "front" if surface.inside else "double"
             self.bodies.append(tree.add_mesh_simple(f"{name}/body", flat, face, **style))
             lines = tree.add_line_segments(
-                f"{name}/lines", none, np.array(_rgb(BODY[1] if k == 0 else colour)), **thin
+                f"{name}/lines",
+                none,
+                np.array(_rgb(BODY[1] if k == 0 else colour)),
+                **pixels,
+                thickness=1,
             )
             self.lines.append(lines)
-        self.curves = [
+        self.curves: list[list[Any]] = [
             [
                 tree.add_line_segments(
-                    f"{name}/curve {i}", none, none.astype(np.uint8), thickness=w
+                    f"{name}/curve {i}", none, none.astype(np.uint8), thickness=w, **pixels
                 )
-                for name, w in (("/object", 0.012), (f"/finger {i}", 0.009))
+                for name, w in (("/object", 4), (f"/finger {i}", 3))
             ]
             for i in range(len(contacts))
         ]
@@ -339,9 +345,11 @@ class Explorer:
                 )
         for i, pair in enumerate(self.curves):
             curve = curve_of(shown.plan, i, shown.t, shown.points[:, i, 1])
-            colours = np.array([_rgb(curve.colour), _rgb(DISTURBED)])[curve.disturbed.astype(int)]
+            colours = np.array([_linear(curve.colour), _linear(DISTURBED)])[
+                curve.disturbed.astype(int)
+            ]
             for node in pair:
-                node.colors = np.repeat(colours[:-1, None], 2, axis=1).astype(np.uint8)
+                node.colors = np.repeat(colours[:-1, None], 2, axis=1)
             goal = self.goals.get(i)
             self.marks[i].visible = goal is not None
             if goal is not None and goal.object_at is not None:
@@ -377,22 +385,20 @@ class Explorer:
         return self.meshes[surface]
 
     def _slip_data(self, k: int = -1) -> tuple[np.ndarray, ...]:
-        """Times, slip of each contact, and that at one time; NaN where there is none."""
+        """Times, log10 of each contact's slip, and a needle that stands at one time."""
         slip = self.shown.slip
-        peak = slip.max()
-        seen = np.where(slip > peak * 10.0**-DECADES, slip, np.nan)
-        now = np.full(len(slip), np.nan)
-        now[k] = np.nanmax(seen[k]) if np.isfinite(seen[k]).any() else np.nan
-        if not peak:  # a scale needs something
-            now[k] = 1e-16
-        return self.shown.t, *seen.T, now
+        peak = slip.max() or 1e-6
+        floor = peak * 10.0**-DECADES
+        needle = np.full(len(slip), floor)
+        needle[k] = peak
+        return self.shown.t, *np.log10(np.maximum(slip, floor)).T, np.log10(needle)
 
     def _slip_series(self) -> Iterator[Any]:
         yield {"label": "time"}
         for i in range(len(self.base.contacts)):
             points = {"show": False}
             yield {"label": str(i), "stroke": colour_of(i), "width": 2, "points": points}
-        yield {"label": "now", "stroke": INK, "points": {"show": True, "size": 8, "fill": INK}}
+        yield {"label": "now", "stroke": INK, "points": {"show": False}}
 
     def _look(self, mesh: Mesh | None) -> None:
         """The camera where the curves are seen best."""
@@ -401,10 +407,9 @@ class Explorer:
         curves = [curve_of(self.shown.plan, i, self.shown.t, points[:, i, 1]) for i in contacts]
         ends = mesh.points if mesh is not None else points[:, :, 1].reshape(-1, 3)
         middle = (ends.min(axis=0) + ends.max(axis=0)) / 2 * self.unit
-        camera = self.server.initial_camera
+        camera: Any = self.server.initial_camera
         camera.look_at, camera.up = middle, (0.0, 0.0, 1.0)
-        away = np.multiply(1.4, best_view(mesh, curves).axes[2])
-        camera.position = tuple(np.add(middle, away).tolist())
+        camera.position = middle + best_view(mesh, curves).axes[2]
         camera.near, camera.far = 0.01, 100.0
 
 
@@ -430,6 +435,11 @@ def _require_free(port: int) -> None:
 def _rgb(colour: str) -> tuple[int, int, int]:
     red, green, blue = bytes.fromhex(colour[1:])
     return red, green, blue
+
+
+def _linear(colour: str) -> np.ndarray:
+    """As viser takes colours of points: in proportion to light, (3,)."""
+    return np.rint(255 * (np.array(_rgb(colour)) / 255) ** 2.2).astype(np.uint8)
 
 
 def _quaternion(rotation: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from ..scene import STILL, Scene
 from ..surfaces import Surface
 from ..theory.gain import Gain
 
-Path = tuple[str | int, ...]
+Place = tuple[str | int, ...]
 """Names of fields and indices, from the scene down to a number."""
 
 
@@ -26,16 +26,16 @@ class Slider:
     low: float
     high: float
     value: float
-    paths: tuple[Path, ...]
+    places: tuple[Place, ...]
     made: Callable[[float], Any] = float
     """What stands in those places, from the slider's number."""
 
 
-def adjusted(part: Any, values: Mapping[Path, Any]) -> Any:
+def adjusted(part: Any, values: Mapping[Place, Any]) -> Any:
     """A scene, or a part of one, with other values in some places; checked once, as a whole."""
     if () in values:
         return values[()]
-    below: dict[Any, dict[Path, Any]] = {}
+    below: dict[Any, dict[Place, Any]] = {}
     for (head, *rest), value in values.items():
         below.setdefault(head, {})[tuple(rest)] = value
     if not below:
@@ -70,27 +70,27 @@ def _of_profile(scene: Scene) -> Iterator[Slider]:
     for k, value in enumerate(c):
         span = 2 * abs(value) or max(map(abs, c)) / scene.duration**k
         low = value - span if k else 0.0
-        label, path = f"t^{k} [m/s{f'^{k + 1}' * (k > 0)}]", ("profile", "coefficients", k)
-        yield Slider("profile", label, low, value + span, value, (path,))
+        label, place = f"t^{k} [m/s{f'^{k + 1}' * (k > 0)}]", ("profile", "coefficients", k)
+        yield Slider("profile", label, low, value + span, value, (place,))
 
 
 def _of_radii(scene: Scene) -> Iterator[Slider]:
-    bodies: list[tuple[str, Surface, list[Path]]] = [("object", scene.object, [("object",)])]
+    bodies: list[tuple[str, Surface, list[Place]]] = [("object", scene.object, [("object",)])]
     for i, contact in enumerate(scene.contacts):
         same = next((b for b in bodies[1:] if b[1] == contact.finger), None)
         if same is None:
             same = (f"finger of {scene.contact_name(i)}", contact.finger, [])
             bodies.append(same)
         same[2].append(("contacts", i, "finger"))
-    for name, surface, places in bodies:
+    for name, surface, whole in bodies:
         for label, value, tail in _numbers_of(surface):
             name = "fingers" if name != "object" and len(bodies) == 2 else name
             low, high = sorted((0.25 * value, 2.5 * value))
-            paths = tuple((*place, *tail) for place in places)
-            yield Slider("shapes", f"{name}: {label}", low, high, value, paths)
+            places = tuple((*place, *tail) for place in whole)
+            yield Slider("shapes", f"{name}: {label}", low, high, value, places)
 
 
-def _numbers_of(surface: Surface) -> Iterator[tuple[str, float, Path]]:
+def _numbers_of(surface: Surface) -> Iterator[tuple[str, float, Place]]:
     named = getattr(surface, "named_parameters", None)
     if named is not None:
         yield from ((key, x, ("parameters", key)) for key, x in named.items() if x)
@@ -105,15 +105,15 @@ def _of_disturbances(scene: Scene) -> Iterator[Slider]:
     for k, d in enumerate(scene.disturbances):
         alike.setdefault((d.kind, d.start, d.stop, d.value), []).append(k)
     for (kind, start, stop, pair), which in alike.items():
-        numbers: Iterable[tuple[str, float, float, float, Path]] = [
+        numbers: Iterable[tuple[str, float, float, float, Place]] = [
             ("start [s]", 0.0, scene.duration, start, ("start",)),
             ("stop [s]", 0.0, scene.duration, stop, ("stop",)),
         ]
         most = 3 * max(map(abs, pair)) or 1.0
         numbers = [*numbers, *((f"d{'uv'[j]}", -most, most, pair[j], ("value", j)) for j in (0, 1))]
         for label, low, high, value, tail in numbers:
-            paths = tuple(("disturbances", k, *tail) for k in which)
-            yield Slider(kind, label, low, high, value, paths)
+            places = tuple(("disturbances", k, *tail) for k in which)
+            yield Slider(kind, label, low, high, value, places)
 
 
 def _of_starts(scene: Scene) -> Iterator[Slider]:
@@ -133,11 +133,11 @@ def _of_starts(scene: Scene) -> Iterator[Slider]:
             yield _direction(folder, contact.finger_velocity, (*place, "finger_velocity"))
 
 
-def _direction(folder: str, velocity: tuple[float, float], path: Path) -> Slider:
+def _direction(folder: str, velocity: tuple[float, float], place: Place) -> Slider:
     """Of the angle of a velocity, whose length stays."""
     length, angle = math.hypot(*velocity), math.atan2(velocity[1], velocity[0])
 
     def turned(a: float) -> tuple[float, float]:
         return length * math.cos(a), length * math.sin(a)
 
-    return Slider(folder, "direction [rad]", -math.pi, math.pi, angle, (path,), turned)
+    return Slider(folder, "direction [rad]", -math.pi, math.pi, angle, (place,), turned)

@@ -1,0 +1,118 @@
+"""The explorer: from a slider to a new picture, from import to the page that is served."""
+
+from __future__ import annotations
+
+import json
+import statistics
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import contact_system as cs
+
+from .chromium import PROGRAM, Chromium
+from .report import Bar, Sections
+from .timing import in_new_processes
+
+SERVED = """
+import json, time
+begin = time.perf_counter()
+from pathlib import Path
+from urllib.request import urlopen
+import contact_system as cs
+from contact_system.explorer.page import Explorer
+explorer = Explorer(cs.load_scene("K4"), Path("unused"), port=0)
+urlopen(explorer.address).read()
+print(json.dumps({"s": time.perf_counter() - begin}))
+explorer.close()
+"""
+
+SLIDERS: dict[str, tuple[float, dict[str, Any]]] = {
+    "K4": (
+        50.0,
+        {"eta": ("gain",), "a": ("object", "a"), "radius": ("contacts", 0, "finger", "radius")},
+    ),
+    "implicit": (100.0, {"eta": ("gain",), "r": ("object", "parameters", "r")}),
+}
+"""Limits in ms, and places in the scene that sliders change."""
+
+PRESS = """(async () => {
+  const now = () => new Promise(done => setTimeout(done, 0));
+  const {uplots, rendererInfo} = window.__viserTestpoints;
+  const chart = Object.values(uplots)[0].chart, before = chart.data;
+  const thumb = document.querySelectorAll("[role=slider]")[1];
+  const key = {key: "ArrowRight", code: "ArrowRight", bubbles: true};
+  const begin = performance.now();
+  thumb.dispatchEvent(new KeyboardEvent("keydown", key));
+  while (chart.data === before) await now();
+  const told = performance.now(), frame = rendererInfo.render.frame;
+  while (rendererInfo.render.frame === frame) await now();
+  return {told: told - begin, drawn: performance.now() - begin};
+})()"""
+"""Press a key on the slider of the gain; ms until the plot has new data, and the next frame."""
+
+
+def served(full: bool) -> Iterator[Bar]:
+    """A new process that has the packages' files in the system's cache."""
+    found = in_new_processes(7 if full else 3, SERVED)
+    yield Bar("import to page served, K4", 2.0, found["s"].median, "s", note=f"{found['s']}")
+
+
+def server(full: bool) -> Iterator[Bar]:
+    """From a slider's event to the last message of the new picture."""
+    from contact_system.explorer.page import Explorer
+
+    for name, (limit, sliders) in SLIDERS.items():
+        scene = cs.load_scene(name)
+        explorer = Explorer(scene, Path("unused"), port=0)
+        for label, place in sliders.items():
+            times = []
+            for k in range(1, 41 if full else 16):
+                value = _value(scene, place) * (1 + 1e-3 * k)
+                begin = time.perf_counter()
+                explorer.ask({place: cs.Gain(scene.gain.law, value) if label == "eta" else value})
+                explorer.step(0.0)
+                times.append(1e3 * (time.perf_counter() - begin))
+            what = f"slider to last message, {name}: {label}"
+            note = f"{min(times):.3g} to {max(times):.3g}"
+            yield Bar(what, limit, statistics.median(times), "ms", note=note)
+        explorer.close()
+
+
+def _value(scene: cs.Scene, place: tuple[Any, ...]) -> float:
+    if place == ("gain",):
+        return scene.gain.value
+    part: Any = scene
+    for head in place:
+        named = getattr(part, "named_parameters", None) if head == "parameters" else None
+        part = named or (part[head] if isinstance(part, (tuple, dict)) else getattr(part, head))
+    return part
+
+
+def browser(full: bool) -> Iterator[Bar]:
+    """From a key on the gain's slider to the frame, in headless Chromium with software WebGL."""
+    from contact_system.explorer.page import Explorer
+
+    if PROGRAM is None:
+        yield Bar("slider to new picture", None, None, note="left out: no Chromium")
+        return
+    for name, (limit, _) in SLIDERS.items():
+        explorer = Explorer(cs.load_scene(name), Path("unused"), port=0)
+        threading.Thread(target=explorer.run, daemon=True).start()
+        with Chromium(explorer.address) as page:
+            page.wait("Object.keys(window.__viserTestpoints?.uplots ?? {}).length")
+            time.sleep(5)  # until the first pictures are there
+            found = []
+            for _ in range(40 if full else 15):
+                found.append(page.run(PRESS))
+                time.sleep(0.3)
+        explorer.close()
+        told, drawn = (statistics.median(x[key] for x in found) for key in ("told", "drawn"))
+        note = f"software WebGL; plot has data after {told:.3g} ms"
+        detail = {"found": json.dumps(found)}
+        yield Bar(f"slider to new picture, {name}", limit, drawn, "ms", note=note, detail=detail)
+
+
+SECTIONS: Sections = {"served": served, "server": server, "browser": browser}
