@@ -219,7 +219,7 @@ def test_a_plant_is_what_the_scenes_table_says_where_nothing_else_is():
 
 
 def test_d1_has_an_object_and_a_model_instance_for_every_finger():
-    changes = {"finger_mass": 0.261, "object_mass": 4.18, "gravity": 9.81}
+    changes = {"finger_mass": 0.261, "object_mass": 4.18, "gravity": 9.81, "forces": "constant"}
     world = World(cs.load_scene("D1"), object="free", **changes)
     plant = world.plant
     assert plant.gravity_field().gravity_vector() == pytest.approx([0, 0, -9.81])

@@ -25,7 +25,7 @@ from ..plan import Plan, plan
 from ..plots.bodies import best_view
 from ..plots.curves import curve_of
 from ..plots.meshes import Mesh, mesh_of
-from ..plots.style import BODY, DISTURBED, INK, colour_of
+from ..plots.style import BODY, DISTURBED, colour_of
 from ..scene import Scene, save_scene
 from ..steering import Goal, reach
 from ..surfaces import Surface
@@ -145,9 +145,9 @@ class Explorer:
             self._slip_data(),
             tuple(self._slip_series()),
             scales={"x": {"time": False}},
-            axes=({"label": "time [s]"}, {"label": "log10 of slip in m/s", "size": 40}),
             legend={"show": False},
-            aspect=1.6,
+            title="log10 of slip [m/s] over time [s]",
+            aspect=1.8,
         )
         self.play = gui.add_button("Play")
         self.clock = gui.add_slider("time [s]", 0.0, scene.duration, 1e-3, scene.duration)
@@ -328,6 +328,7 @@ class Explorer:
     def _draw_shapes(self) -> None:
         """What does not depend on the time: bodies, colours, goals, the plot of slip."""
         shown, scene = self.shown, self.shown.plan.scene
+        self.slip.data = self._slip_data()
         for k, (body, lines) in enumerate(zip(self.bodies, self.lines)):
             surface = scene.contacts[k - 1].finger if k else scene.object
             which = [k - 1] if k else list(range(len(scene.contacts)))
@@ -356,7 +357,7 @@ class Explorer:
                 self.marks[i].position = scene.object.point(*goal.object_at) * self.unit
 
     def _draw(self) -> None:
-        """What depends on the time: curves so far, fingers where they are, the mark on slip."""
+        """What depends on the time: curves so far, fingers where they are."""
         shown, self.drawn = self.shown, self.now
         k = min(int(np.searchsorted(shown.t, self.now + 1e-9, "right")), len(shown.t)) - 1
         so_far = np.minimum(np.arange(len(shown.t)), max(k, 0))
@@ -368,7 +369,6 @@ class Explorer:
                 pose = shown.pose[k, i]
                 self.frames[1 + i].wxyz = _quaternion(pose[:3, :3])
                 self.frames[1 + i].position = pose[:3, 3] * self.unit
-            self.slip.data = self._slip_data(k)
         self.server.flush()
 
     def _mesh(
@@ -384,21 +384,17 @@ class Explorer:
             self.meshes[surface] = mesh
         return self.meshes[surface]
 
-    def _slip_data(self, k: int = -1) -> tuple[np.ndarray, ...]:
-        """Times, log10 of each contact's slip, and a needle that stands at one time."""
+    def _slip_data(self) -> tuple[np.ndarray, ...]:
+        """Times, and log10 of each contact's slip."""
         slip = self.shown.slip
-        peak = slip.max() or 1e-6
-        floor = peak * 10.0**-DECADES
-        needle = np.full(len(slip), floor)
-        needle[k] = peak
-        return self.shown.t, *np.log10(np.maximum(slip, floor)).T, np.log10(needle)
+        least = max(slip.max() * 10.0**-DECADES, 1e-16)
+        return self.shown.t, *np.log10(np.maximum(slip, least)).T
 
     def _slip_series(self) -> Iterator[Any]:
         yield {"label": "time"}
         for i in range(len(self.base.contacts)):
-            points = {"show": False}
-            yield {"label": str(i), "stroke": colour_of(i), "width": 2, "points": points}
-        yield {"label": "now", "stroke": INK, "points": {"show": False}}
+            style = {"stroke": colour_of(i), "width": 2, "points": {"show": False}}
+            yield {"label": str(i), **style}
 
     def _look(self, mesh: Mesh | None) -> None:
         """The camera where the curves are seen best."""
