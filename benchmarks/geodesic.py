@@ -14,7 +14,7 @@ import numpy as np
 from oracles.load import load, surface_of
 
 import contact_system as cs
-from contact_system.steering.aiming import FINE, Search
+from contact_system.steering.shooting import FINE, Search
 from contact_system.steering.two_points import Pairs
 
 from .report import Bar, Sections

@@ -16,8 +16,8 @@ from ..motion import SIDES
 from ..scene import Contact, Scene
 from ..surfaces import Surface
 from ..theory.development import prefers_space
-from .aiming import SHARP, Array, Follower
 from .goal import Goal
+from .shooting import SHARP, Array, Follower
 
 MOST_LEGS = 4
 LANES = 16

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from .aim import Aim, is_plane
-from .aiming import Array
+from .shooting import Array
 
 
 def four_rolls(aim: Aim, below: float) -> Array | None:

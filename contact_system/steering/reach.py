@@ -24,9 +24,9 @@ from ..motion import SIDES, Motion
 from ..plan import plan
 from ..scene import STILL, Leg, Scene, require_scene
 from .aim import LANES, MOST_LEGS, Aim
-from .aiming import SHARP, Array
 from .four_rolls import four_rolls
 from .goal import Goal, Route
+from .shooting import SHARP, Array
 
 REACHED = 1e-12
 """A goal is reached where nothing is farther off: places in sizes of the bodies, angles in rad."""

@@ -19,7 +19,7 @@ from ..engine import binding
 from ..errors import SurfaceError
 from ..kept import kept
 from ..surfaces import SINGULAR, Surface
-from .aiming import MET, SHARP, Array, Follower, Search
+from .shooting import MET, SHARP, Array, Follower, Search
 
 ON_SURFACE = 1e-9  # of the size: points that are so near to it lie on it
 

@@ -1,4 +1,4 @@
-"""Aiming geodesics at points: Newton's method, from the chord or from a fan of directions."""
+"""Shooting: geodesics aimed at points by Newton's method, from the chord or a fan of directions."""
 
 from __future__ import annotations
 
