@@ -43,11 +43,33 @@ class Mesh:
         a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
         return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
 
+    def strips(self, every: int, width: float) -> tuple[np.ndarray, np.ndarray]:
+        """Some lines of the grid as strips of this width, m: points (m, 3), triangles (k, 3)."""
+        grid = self.points.reshape(*self.shape, 3)
+        points, triangles, count = [], [], 0
+        for axis in (0, 1):
+            lines, across = (
+                x.swapaxes(0, axis)[::every] for x in (grid, np.gradient(grid, axis=axis))
+            )
+            across = across * (width / 2 / np.linalg.norm(across, axis=-1, keepdims=True))
+            points.append(np.stack([lines - across, lines + across], axis=2).reshape(-1, 3))
+            corners = count + np.arange(len(points[-1])).reshape(*lines.shape[:2], 2)
+            a, b, c, d = (
+                corners[:, :-1, 0],
+                corners[:, 1:, 0],
+                corners[:, 1:, 1],
+                corners[:, :-1, 1],
+            )
+            triangles += [np.stack(x, -1).reshape(-1, 3) for x in ((a, b, c), (a, c, d))]
+            count += len(points[-1])
+        return np.concatenate(points), np.concatenate(triangles)
+
 
 def mesh_of(
     plan: Plan, surface: Surface, side: int, contacts: Sequence[int], cells: int = CELLS
 ) -> Mesh | None:
     """The whole surface if it closes on itself, else what lies around the curves."""
+    closed = closed_span(surface, 0) is not None and closed_span(surface, 1) is not None
     for whole in (True, False):
         spans = [_span(plan, surface, side, contacts, k, whole) for k in (0, 1)]
         try:
@@ -56,7 +78,7 @@ def mesh_of(
         except ContactSystemError:  # an implicit surface that the rays of its chart do not all meet
             continue
         normals = frames[..., 2].reshape(-1, 3)
-        mesh = Mesh(u.shape, points.reshape(-1, 3), normals, surface.inside, whole)
+        mesh = Mesh(u.shape, points.reshape(-1, 3), normals, surface.inside, whole and closed)
         if not whole or mesh.size <= UNBOUNDED * surface.size:
             return mesh
     return None
