@@ -43,7 +43,7 @@ HOST = "127.0.0.1"  # others must not write files here
 SAMPLES = 401
 CELLS, FINGER_CELLS = 48, 24  # of meshes in each coordinate
 LINES = 6  # every so many lines of a mesh are drawn
-WIDTH, HAIR, BEND = 2e-3, 3e-3, 5e-4  # of lines, below them, off curves; of the object's size
+WIDTH, HAIR, BEND = 2e-3, 3e-3, 1e-3  # of lines, below them, off curves; of the object's size
 FRAME = 1 / 30  # s, between pictures of a film
 DECADES = 10  # of slip below its peak
 

@@ -39,30 +39,25 @@ class Mesh:
 
     def triangles(self, every: int = 1) -> np.ndarray:
         """Between some lines of the grid: (m, 3)."""
-        grid = self.grid[::every, ::every]
-        a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-        return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
+        return _triangles(self.grid[::every, ::every])
 
     def strips(self, every: int, width: float) -> tuple[np.ndarray, np.ndarray]:
         """Some lines of the grid as strips of this width, m: points (m, 3), triangles (k, 3)."""
         grid = self.points.reshape(*self.shape, 3)
-        points, triangles, count = [], [], 0
-        for axis in (0, 1):
-            lines, across = (
-                x.swapaxes(0, axis)[::every] for x in (grid, np.gradient(grid, axis=axis))
-            )
-            across = across * (width / 2 / np.linalg.norm(across, axis=-1, keepdims=True))
-            points.append(np.stack([lines - across, lines + across], axis=2).reshape(-1, 3))
-            corners = count + np.arange(len(points[-1])).reshape(*lines.shape[:2], 2)
-            a, b, c, d = (
-                corners[:, :-1, 0],
-                corners[:, 1:, 0],
-                corners[:, 1:, 1],
-                corners[:, :-1, 1],
-            )
-            triangles += [np.stack(x, -1).reshape(-1, 3) for x in ((a, b, c), (a, c, d))]
-            count += len(points[-1])
-        return np.concatenate(points), np.concatenate(triangles)
+        both = grid, grid.swapaxes(0, 1)
+        across = np.concatenate([np.gradient(x, axis=0)[::every] for x in both])
+        across *= width / 2 / np.linalg.norm(across, axis=-1, keepdims=True)
+        lines = np.concatenate([x[::every] for x in both])
+        points = np.stack([lines - across, lines + across], axis=2)
+        numbers = np.arange(points.size // 3).reshape(points.shape[:3])
+        return points.reshape(-1, 3), _triangles(numbers)
+
+
+def _triangles(grid: np.ndarray) -> np.ndarray:
+    """Between the lines of grids of points' numbers (..., n, m): (k, 3)."""
+    a, b = grid[..., :-1, :-1], grid[..., 1:, :-1]
+    c, d = grid[..., 1:, 1:], grid[..., :-1, 1:]
+    return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
 
 
 def mesh_of(
