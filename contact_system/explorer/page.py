@@ -12,7 +12,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,8 @@ HOST = "127.0.0.1"  # others must not write files here
 SAMPLES = 401
 CELLS, FINGER_CELLS = 48, 24  # of meshes in each coordinate
 LINES = 6  # every so many lines of a mesh are drawn
-WIDTH, HAIR, BEND = 2e-3, 3e-3, 1e-3  # of lines, below them, off curves; of the object's size
+WIDTH, BEND = 2e-3, 1e-3  # of lines, and of curves between lines, of the object's size
+HAIR = 1.5e-3  # of it too: that far lines lie below curves, and bodies below lines
 FRAME = 1 / 30  # s, between pictures of a film
 DECADES = 10  # of slip below its peak
 
@@ -131,6 +132,7 @@ class Explorer:
             self.clock.value = round(self.now, 4)  # type: ignore[misc]
         if self.drawn != self.now:
             self._draw()
+        self.server.flush()
 
     def close(self) -> None:
         """Stop serving."""
@@ -241,14 +243,12 @@ class Explorer:
             shown = Sampled.of(plan(scene))
         except ContactSystemError as error:
             self.said.content = f"**Refused, so the picture stays:** {error}"
-            self.server.flush()
             return False
         self.shown = shown
-        with self.server.atomic():
+        with self.server.atomic():  # else the browser may draw a picture more
             self.said.content, self.forget.disabled = text, not self.goals
             self._draw_shapes()
             self._draw()
-        self.server.flush()
         return True
 
     def _click(self, origin: np.ndarray, direction: np.ndarray) -> None:
@@ -287,10 +287,9 @@ class Explorer:
         tree.configure_default_lights(cast_shadow=False)
         tree.configure_environment_map(None)  # reflections cost half of a frame without a GPU
         tree.add_light_ambient("/light")
-        none, flat = np.zeros((1, 2, 3)), np.zeros((3, 3))
+        none, flat = np.zeros((1, 2, 3)), (np.zeros((3, 3)), np.array([[0, 1, 2]]))
         style: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
         pixels: dict[str, Any] = {"thickness_units": "screen"}
-        face = np.array([[0, 1, 2]])
         names = ["/object", *(f"/finger {i}" for i in range(len(contacts)))]
         self.frames: list[Any] = [tree.add_frame(name, show_axes=False) for name in names]
         self.bodies: list[Any] = []
@@ -298,9 +297,9 @@ class Explorer:
         for k, name in enumerate(names):
             colour = BODY[0] if k == 0 else colour_of(k - 1)
             style |= {"color": _rgb(colour), "opacity": 0.6 if k else None}
-            self.bodies.append(tree.add_mesh_simple(f"{name}/body", flat, face, **style))
-            style |= {"color": _rgb(colour if k else BODY[1]), "opacity": None, "side": "double"}
-            self.lines.append(tree.add_mesh_simple(f"{name}/lines", flat, face, **style))
+            self.bodies.append(tree.add_mesh_simple(f"{name}/body", *flat, **style))
+            style |= {"color": _rgb(colour if k else BODY[1]), "opacity": None}
+            self.lines.append(tree.add_mesh_simple(f"{name}/lines", *flat, **style))
         self.curves: list[list[Any]] = [
             [
                 tree.add_line_segments(
@@ -333,15 +332,13 @@ class Explorer:
             body.visible = lines.visible = mesh is not None
             if mesh is not None:
                 body.side = "front" if mesh.whole or mesh.inside else "double"
-                points = mesh.points * self.unit
+                lines.side = "double" if k or mesh.inside else body.side
+                points = mesh.points * self.unit - HAIR * mesh.normals
                 body.vertices, body.faces = points - HAIR * mesh.normals, mesh.triangles()
-                strips, lines.faces = mesh.strips(LINES, WIDTH / self.unit)
-                lines.vertices = strips * self.unit
+                lines.vertices, lines.faces = replace(mesh, points=points).strips(LINES, WIDTH)
         for i, pair in enumerate(self.curves):
             curve = curve_of(shown.plan, i, shown.t, shown.points[:, i, 1])
-            colours = np.array([_linear(curve.colour), _linear(DISTURBED)])[
-                curve.disturbed.astype(int)
-            ]
+            colours = np.where(curve.disturbed[:, None], _linear(DISTURBED), _linear(curve.colour))
             for side, node in enumerate(pair):
                 self.knots[i, side] = _knots(shown.points[:, i, side] * self.unit, curve.disturbed)
                 node.colors = np.repeat(colours[self.knots[i, side][:-1], None], 2, axis=1)
@@ -353,17 +350,16 @@ class Explorer:
     def _draw(self) -> None:
         """What depends on the time: curves so far, fingers where they are."""
         shown, self.drawn = self.shown, self.now
-        k = min(int(np.searchsorted(shown.t, self.now + 1e-9, "right")), len(shown.t)) - 1
+        k = max(int(np.searchsorted(shown.t, self.now + 1e-9, "right")) - 1, 0)
         with self.server.atomic():
             for i, pair in enumerate(self.curves):
                 for side, node in enumerate(pair):
-                    so_far = np.minimum(self.knots[i, side], max(k, 0))
+                    so_far = np.minimum(self.knots[i, side], k)
                     points = shown.points[so_far, i, side] * self.unit
                     node.points = np.stack([points[:-1], points[1:]], axis=1)
                 pose = shown.pose[k, i]
                 self.frames[1 + i].wxyz = _quaternion(pose[:3, :3])
                 self.frames[1 + i].position = pose[:3, 3] * self.unit
-        self.server.flush()
 
     def _mesh(
         self, planned: Plan, surface: Surface, side: int, contacts: list[int], cells: int
@@ -438,10 +434,7 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
 
 
 def _knots(points: np.ndarray, disturbed: np.ndarray) -> np.ndarray:
-    """Samples of a curve (n, 3) that straight lines may join: (m,), changes of colour among them.
-
-    Each line costs a browser without a GPU some 0.02 ms.
-    """
+    """Few samples (m,) of a curve (n, 3): each line from one to the next is a draw call."""
     bent = np.linalg.norm(np.diff(points, 2, axis=0), axis=1)
     lines = np.floor(np.cumsum(np.sqrt(bent / (8 * BEND))))
     inner = np.diff(lines, prepend=0.0) + np.diff(disturbed)[:-1]

@@ -44,7 +44,7 @@ class Mesh:
     def strips(self, every: int, width: float) -> tuple[np.ndarray, np.ndarray]:
         """Some lines of the grid as strips of this width, m: points (m, 3), triangles (k, 3)."""
         grid = self.points.reshape(*self.shape, 3)
-        both = grid, grid.swapaxes(0, 1)
+        both = grid[::-1], grid.swapaxes(0, 1)  # one reversed, so that strips face outwards
         across = np.concatenate([np.gradient(x, axis=0)[::every] for x in both])
         across *= width / 2 / np.linalg.norm(across, axis=-1, keepdims=True)
         lines = np.concatenate([x[::every] for x in both])
