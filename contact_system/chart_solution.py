@@ -12,14 +12,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.integrate import OdeSolution, solve_ivp
 
-from .checks import naming, within
+from .checks import within
 from .errors import ContactSystemError, SceneError
 from .machine import SystemMachine
 from .motion import SHAPES, passed
 from .scene import Scene
 from .starts import Start, Starts, scene_start
-from .system import SceneSystem
-from .theory.equations import chart_equations
+from .system import SceneSystem, without_chart
 
 PARTS = 16  # of a solver's step, between which singular points are looked for
 LOST = 1e-12  # of the body's size: a Lame coefficient below it is none
@@ -40,12 +39,8 @@ class ChartMotion:
     def __init__(
         self, scene: Scene, tolerance: float, begin: float, starts: Starts | None, solver: str
     ):
-        zeros = scene.profile.zeros(scene.duration)
-        if zeros:
-            raise SceneError(
-                f"{scene.title}: the chart equations divide by sigma, which is zero at "
-                f"t = {zeros[0]:g} s; use the default method, which does not"
-            )
+        if reason := without_chart(scene):
+            raise SceneError(f"{scene.title}{reason}; use the default method")
         given = starts or [scene_start(contact) for contact in scene.contacts]
         self._asked, self._starts = (scene, tolerance, begin, solver), given
         self._contacts: list[ChartContact] = []
@@ -93,8 +88,6 @@ class ChartContact:
             raise SceneError(
                 f"{self._where}: imposed rolling has no chart method; use the default method"
             )
-        with naming(self._where):
-            chart_equations(contact.finger, scene.object)  # refuses surfaces without a chart
         own = [replace(d, contact=0) for d in scene.disturbances if d.contact == index]
         alone = scene.replace(contacts=[contact], disturbances=own)
         self._system = SceneSystem(alone, "chart", disturbance_input=True)

@@ -17,7 +17,7 @@ from .surfaces import TINY, TURN, Surface, UserSurface
 from .theory import symbols as ca
 from .theory.development import InChart, InSpace, moving
 from .theory.equations import (
-    chart_equations,
+    chart_rates,
     flip,
     pushed_paths,
     reflection,
@@ -161,13 +161,15 @@ def _bodies(finger: Surface, obj: Surface, form: Form) -> tuple[Body, Body, list
 def _chart_motion(tip: Body, body: Body, x: ca.SX, w: ca.SX, drive: Drive) -> ContactMotion:
     """In the contact frames themselves: theta = 0."""
     q1, rate_1, q2, rate_2, psi = ca.vertsplit(x, [0, 2, 4, 6, 8, 9])
+    shapes = [
+        b.surface.geometry_expr(b.numbers[1:], q[0], q[1], b.numbers[0])
+        for b, q in ((tip, q1), (body, q2))
+    ]
     tip, body, moved = tip.at(q1, 0), body.at(q2, 0), rate_2 + w[4:6]
-    equations = chart_equations(tip.surface, body.surface)
-    point = ca.vertcat(x, drive.slope / drive.sigma, drive.lam, w)
     velocities = tip.find("vector", rate_1), body.find("vector", moved)
     turn = reflection(ca.cos(psi), ca.sin(psi))
     return ContactMotion(
-        rate=equations(point, ca.vertcat(tip.numbers, body.numbers)),
+        rate=chart_rates(shapes, x, drive.slope / drive.sigma, drive.lam, w),
         state=ca.vertcat(x[:6], moved, psi),
         bodies=(tip, body),
         velocities=velocities,

@@ -24,7 +24,7 @@ from .scene import Scene, require_scene
 from .surfaces import SINGULAR, TINY, ParametricSurface, Surface
 from .theory import symbols as ca
 from .theory.equations import contact_velocities, reflection, relative_curvature, solve_plane
-from .theory.geometry import implicit_geometry, number_symbols, numbers_function, upper_inverse
+from .theory.geometry import number_symbols, numbers_function, upper_inverse
 from .theory.lowering import Table
 from .theory.symbols import per_structure
 
@@ -295,7 +295,7 @@ class _Side:
             self.coordinates, self.missed = z, ca.SX(0)
             return
         level = surface.implicit_expr(p, z, sign)
-        gradient, hessian = implicit_geometry(level, z)
+        hessian, gradient = ca.hessian(level, z)
         x_axis, y_axis, metric_root = surface.frame_expr(p, z, sign)
         tangents = ca.horzcat(x_axis, y_axis)
         curvature = tangents.T @ hessian @ tangents / ca.norm_2(gradient)

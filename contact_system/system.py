@@ -95,7 +95,7 @@ class SceneSystem:
     ):
         require_scene(scene)
         if coordinates is None:
-            coordinates = "frame" if _without_chart(scene) else "chart"
+            coordinates = "frame" if without_chart(scene) else "chart"
         if not isinstance(coordinates, str) or coordinates not in COORDINATES:
             raise SceneError(f"coordinates = {coordinates!r}: use one of {', '.join(COORDINATES)}")
         self.scene, self.coordinates = scene, coordinates
@@ -128,7 +128,7 @@ class SceneSystem:
     def _refuse(self) -> None:
         """Raise what the class says of scenes that cannot be written."""
         scene = self.scene
-        reason = _without_chart(scene) if self.coordinates == "chart" else ""
+        reason = without_chart(scene) if self.coordinates == "chart" else ""
         if reason:
             raise SceneError(f'{scene.title}{reason}; use coordinates="frame"')
         for d in scene.disturbances:
@@ -394,7 +394,7 @@ class SceneSystem:
         return self.place(t, starts)
 
 
-def _without_chart(scene: Scene) -> str:
+def without_chart(scene: Scene) -> str:
     """Why a scene cannot be written in charts, behind its title; nothing where it can."""
     for i, contact in enumerate(scene.contacts):
         if contact.legs:

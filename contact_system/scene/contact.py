@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import finite_number, finite_numbers, is_plain, within
+from ..checks import did_you_mean, finite_number, finite_numbers, is_plain, within
 from ..errors import SceneError
 from ..surfaces import Surface
 from ..theory.profile import Numbers, Profile
@@ -28,14 +28,12 @@ REST = "rest"
 def pair(value: Any, what: str, words: Sequence[str] = ()) -> Pair:
     if is_plain(value) and len(value) == 2:
         return value
-    choice = "".join(f' or "{word}"' for word in words)
-    remedy = f"{what} = {value!r}: give two numbers{choice}"
-    if isinstance(value, str) or not isinstance(value, Iterable):
-        raise SceneError(remedy)
-    found = finite_numbers(value, what)
-    if len(found) != 2:
-        raise SceneError(remedy)
-    return found
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        found = finite_numbers(value, what)
+        if len(found) == 2:
+            return found
+    choice = "".join(f' or "{word}"' for word in words) + did_you_mean(value, words)
+    raise SceneError(f"{what} = {value!r}: give two numbers{choice}")
 
 
 def a_surface(value: Any, what: str) -> Surface:

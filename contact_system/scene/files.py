@@ -13,7 +13,7 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ from ..surfaces import Surface
 from ..theory.gain import LAWS, Gain
 from ..theory.profile import Profile
 from ..writing import writing
-from .contact import REST, ROLLING, Contact, Turning
+from .contact import Contact, Turning
 from .disturbances import DISTURBANCE_KINDS, Disturbance
 from .legs import STILL, Leg
 from .scene import (
@@ -119,14 +119,29 @@ def _scene(text: str, source: str) -> Scene:
     all_legs = isinstance(contacts, list) and all("legs" in c for c in contacts if type(c) is dict)
     moved = () if all_legs else ("duration", "profile")
     table = _table(given, SCENE_KEYS, (*moved, "object", "contacts"))
-    table = {"name": Path(source).stem, **table, "source": source}
-    return Scene(**{key: _read(key, value) for key, value in table.items()})
+    return Scene(**_fields({"name": Path(source).stem, **table}), source=source)
 
 
-def _read(key: str, value: Any) -> Any:
-    """The field of a scene from its value in a file."""
-    if key == "duration":
-        return _numbers(value, key)
+def _fields(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a scene, or of one of its parts, by their keys in a file."""
+    return {key: _value(key, value) for key, value in table.items()}
+
+
+def _value(key: str, value: Any) -> Any:
+    """What a key stands for, which is the same in every table; numbers where nothing else is."""
+    if key in _TEXTS or (key.endswith("velocity") and isinstance(value, str)):
+        return value
+    if key in _PARTS:
+        with naming(key):
+            return _PARTS[key](value)
+    if key in _LISTS:
+        if not isinstance(value, list):
+            raise SceneError(f"{key} = {value!r}: write each one as a table under [[{key}]]")
+        found = []
+        for i, item in enumerate(value):
+            with naming(f"{key}[{i}]"):
+                found.append(_LISTS[key](item))
+        return found
     if key == "profile":
         if not isinstance(value, list):
             raise SceneError(
@@ -134,64 +149,28 @@ def _read(key: str, value: Any) -> Any:
                 "on, such as [0.1, 0.2] for 0.1 + 0.2 t"
             )
         return Profile(_numbers(value, key))
-    if key in ("contacts", "disturbances"):
-        if not isinstance(value, list):
-            raise SceneError(f"{key} = {value!r}: write each one as a table under [[{key}]]")
-        return [_read_part(key, f"{key}[{i}]", item) for i, item in enumerate(value)]
-    return _read_part(key, key, value)
+    return _numbers(value, key)
 
 
-def _read_part(key: str, place: str, value: Any) -> Any:
-    with naming(place):
-        if key in ("object", "finger"):
-            return _read_surface(value)
-        if key == "gain":
-            return _read_gain(value)
-        if key == "contacts":
-            return _read_contact(_table(value, CONTACT_KEYS, ("finger", "object_at")))
-        if key == "disturbances":
-            return _read_disturbance(_table(value, DISTURBANCE_KEYS, DISTURBANCE_KEYS))
-        if key == "legs":
-            numbers = _with_numbers(_table(value, LEG_KEYS, ("direction", "duration")))
-            given = {"length": None, **numbers}
-            if "profile" in given:
-                given["profile"] = Profile(given["profile"])
-            return Leg(**given)
-        if key == "turning":
-            return Turning(**_with_numbers(_table(value, TURNING_KEYS, TURNING_KEYS)))
-        if key == "paper":
-            return _with_numbers(_table(value), PAPER_NUMBERS)
-    return value
+def _contact(value: Any) -> Contact:
+    return Contact(**_fields(_table(value, CONTACT_KEYS, ("finger", "object_at"))))
 
 
-def _read_contact(table: dict) -> Contact:
-    fields, words = dict(table), (ROLLING, REST)
-    for key, value in table.items():
-        if key == "finger":
-            fields[key] = _read_part(key, key, value)
-        elif key == "legs":
-            if not isinstance(value, list):
-                raise SceneError(f"legs = {value!r}: give a list of tables")
-            fields[key] = [_read_part(key, f"legs[{k}]", leg) for k, leg in enumerate(value)]
-        elif isinstance(value, str) and key.endswith("velocity"):
-            if value not in words:
-                raise SceneError(
-                    f"{key} = '{value}': give two numbers or one of {', '.join(words)}"
-                    f"{did_you_mean(value, words)}"
-                )
-        elif key != "name":
-            fields[key] = _numbers(value, key)
-    return Contact(**fields)
+def _leg(value: Any) -> Leg:
+    return Leg(**{"length": None, **_fields(_table(value, LEG_KEYS, ("direction", "duration")))})
 
 
-def _read_disturbance(table: dict) -> Disturbance:
+def _disturbance(value: Any) -> Disturbance:
+    fields = _fields(_table(value, DISTURBANCE_KEYS, DISTURBANCE_KEYS))
     kinds = {kind.kind: kind for kind in DISTURBANCE_KINDS}
-    kind = kinds[_one_of(table["kind"], kinds, "kind")]
-    fields = _with_numbers(table, ("start", "stop", "value"))
-    return kind(**{key: x for key, x in fields.items() if key != "kind"})
+    return kinds[_one_of(fields.pop("kind"), kinds, "kind")](**fields)
 
 
-def _read_gain(value: Any) -> Gain:
+def _turning(value: Any) -> Turning:
+    return Turning(**_fields(_table(value, TURNING_KEYS, TURNING_KEYS)))
+
+
+def _gain(value: Any) -> Gain:
     table = _table(value, required=("law",), example='law = "time", eta = 100')
     law = _one_of(table["law"], LAWS, "law")
     parameter = LAWS[law].parameter
@@ -199,7 +178,7 @@ def _read_gain(value: Any) -> Gain:
     return Gain(law, _numbers(table[parameter], parameter))
 
 
-def _read_surface(value: Any) -> Surface:
+def _surface(value: Any) -> Surface:
     table = _table(value, required=("surface",), example='surface = "sphere", radius = 0.04')
     name = _one_of(table["surface"], surfaces.KINDS, "surface")
     keys = _surface_keys(name)
@@ -215,6 +194,21 @@ def _read_surface(value: Any) -> Surface:
     given = _with_numbers(given, given.keys() - {*_FORMULAS, "parameters"})
     with naming(name):
         return surfaces.KINDS[name](**given, inside=inside)
+
+
+_TEXTS = ("name", "description", "chosen", "kind", "contact", "drake")
+_PARTS: dict[str, Callable[[Any], Any]] = {
+    "object": _surface,
+    "finger": _surface,
+    "gain": _gain,
+    "turning": _turning,
+    "paper": lambda value: _with_numbers(_table(value), PAPER_NUMBERS),
+}
+_LISTS: dict[str, Callable[[Any], Any]] = {
+    "contacts": _contact,
+    "legs": _leg,
+    "disturbances": _disturbance,
+}
 
 
 def _table(

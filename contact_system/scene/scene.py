@@ -262,24 +262,11 @@ def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Cont
                 f"contacts[{i}]: {key}: {name} = {value!r}: beyond {MANY_TURNS:g} rad a "
                 "double resolves an angle within its turn too poorly; subtract whole turns"
             )
-    half_turn = surface.double_cover and _on_other_cover(at, given)
+    half_turn = bool(surface.align(*at, *given)[2])
     moved: dict[str, Any] = {key: at}
     if half_turn:
         moved |= _half_turn(contact, f"{body}_velocity")
     return dataclasses.replace(contact, **moved), half_turn
-
-
-def _on_other_cover(at: Pair, given: Pair) -> bool:
-    """Of the same point twice: true if given is (-u, pi - v) of `at`, but for whole turns.
-
-    What `Surface.align` says, of floats: crowds would wait for its arrays.
-    """
-    (u, v), (u_given, v_given), turn = at, given, 2 * math.pi
-    same = math.hypot(math.remainder(u - u_given, turn), math.remainder(v - v_given, turn))
-    other = math.hypot(
-        math.remainder(u + u_given, turn), math.remainder(v + v_given - math.pi, turn)
-    )
-    return other < same
 
 
 def _turned(disturbance: Disturbance, turned: set[tuple[str, int]]) -> Disturbance:
@@ -304,20 +291,7 @@ def _half_turn(contact: Contact, velocity: str) -> dict[str, Any]:
 PAPER_KEYS = ("figure", "reports", "recovery_time", "lateral_force")
 PAPER_NUMBERS = PAPER_KEYS[2:]
 
-SCENE_KEYS = (
-    "name",
-    "description",
-    "duration",
-    "profile",
-    "gain",
-    "chosen",
-    "turning",
-    "object",
-    "contacts",
-    "disturbances",
-    "paper",
-    "drake",
-)
+SCENE_KEYS = tuple(f.name for f in dataclasses.fields(Scene) if f.name != "source")
 CONTACT_KEYS = tuple(f.name for f in dataclasses.fields(Contact))
 LEG_KEYS = tuple(f.name for f in dataclasses.fields(Leg))
 TURNING_KEYS = tuple(f.name for f in dataclasses.fields(Turning))

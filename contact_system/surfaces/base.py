@@ -30,7 +30,6 @@ from ..theory.geometry import (
     ChartGeometry,
     Level,
     chart_geometry,
-    implicit_geometry,
     revolved_geometry,
 )
 from ..theory.lowering import lowered
@@ -63,13 +62,12 @@ class Surface:
     inside: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
-        if isinstance(self.inside, np.bool_):
-            store(self, inside=bool(self.inside))
-        if not isinstance(self.inside, bool):
+        if not isinstance(self.inside, (bool, np.bool_)):
             raise SurfaceError(
                 f"{self._kind}: inside = {self.inside!r} must be True or False; True puts the "
                 "body on the other side, as for a bowl"
             )
+        store(self, inside=bool(self.inside))
 
     # -- what a surface is
 
@@ -222,7 +220,7 @@ class Surface:
     def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
         """Return the level function, its derivatives, of the chart's own side; see `Level`."""
         level = self._level(p, x)
-        gradient, hessian = implicit_geometry(level, x)
+        hessian, gradient = ca.hessian(level, x)
         return Level(level, gradient, hessian, 1 / ca.dot(gradient, gradient))
 
     def _side(self, sign: Sign) -> Any:
@@ -366,8 +364,11 @@ class Surface:
             step = self.align(u[1:], v[1:], u[:-1], v[:-1])[2]
             half_turn[1:] = np.logical_xor.accumulate(step, axis=0)
             u, v = np.where(half_turn, -u, u), np.where(half_turn, math.pi - v, v)
-        period_u, period_v = self.periods()
-        return _unwrap(u, period_u), _unwrap(v, period_v), half_turn
+        u, v = (
+            w if period is None or not w.ndim else np.unwrap(w, period=period, axis=0)
+            for w, period in zip((u, v), self.periods())
+        )
+        return u, v, half_turn
 
     def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
         return self.chart.wrap(u, v)
@@ -450,13 +451,6 @@ def _nearest(angle: Array, reference: Array, period: float | None) -> Array:
     if period is None:
         return angle
     return angle + period * np.round((reference - angle) / period)
-
-
-def _unwrap(angle: Array, period: float | None) -> Array:
-    if period is None or not angle.ndim or len(angle) < 2:
-        return angle
-    turns = np.cumsum(np.round(np.diff(angle, axis=0) / period), axis=0)
-    return np.concatenate([angle[:1], angle[1:] - period * turns])
 
 
 def store(surface: Surface, **values: Any) -> None:

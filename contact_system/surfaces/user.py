@@ -205,21 +205,6 @@ class ParametricSurface(UserSurface):
     def chart_expr(self, p: ca.SX, u: ca.SX, v: ca.SX, sign: Sign = None) -> ca.SX:
         return self.formula(p, u, self._side(sign) * v)
 
-    def implicit_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> ca.SX:
-        raise self._known_by_chart_only("equation F(x) = 0")
-
-    def coordinates_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Pair:
-        raise self._known_by_chart_only("expression for (u, v) of a point")
-
-    def frame_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Frame:
-        raise self._known_by_chart_only("expression for the frame at a point")
-
-    def _known_by_chart_only(self, wanted: str) -> SurfaceError:
-        return SurfaceError(
-            f"{self!r} has no {wanted}, which was asked for; use its chart f(u, v), or write it "
-            "as an ImplicitSurface"
-        )
-
     def _require_regular(self, u: Array, v: Array) -> None:
         super()._require_regular(u, v)
         with np.errstate(all="ignore"):  # where a formula ends its derivatives may go on: log(u)
@@ -411,12 +396,6 @@ class ImplicitSurface(UserSurface):
     def parameters(self) -> tuple[float, ...]:
         """The centre, then the formula's numbers in order of their names."""
         return (*self.center, *self.formula.values)
-
-    def chart_expr(self, p: ca.SX, u: ca.SX, v: ca.SX, sign: Sign = None) -> ca.SX:
-        raise SurfaceError(
-            f"{self!r} has no explicit chart f(u, v), which was asked for; plan it in ambient form "
-            "(the default), or write it as a ParametricSurface"
-        )
 
     def frame_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Frame:
         return contact_frame(*self._tangents(p, x, sign))

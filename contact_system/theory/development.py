@@ -208,22 +208,3 @@ class InChart(Moving):
 def moving(surface: Surface, ambient: bool) -> Moving:
     """The moving frames of surfaces of one structure, in space or in their chart."""
     return (InSpace if ambient else InChart)(surface)
-
-
-def body_motion(
-    surface: Surface,
-    ambient: bool,
-    numbers: ca.SX,
-    state: ca.SX,
-    c: ca.SX,
-    offset: ca.SX | None = None,
-) -> ca.SX:
-    """Rate of a body's moving frame whose contact point is driven by c (2), m/s, in that frame.
-
-    ``ambient`` is the form of the state, ``numbers`` are sign and parameters of the surface;
-    ``offset`` (2) are chart rates added to the motion of the point (theory section 7).
-    """
-    body = moving(surface, ambient)
-    if offset is not None:
-        c = c + body("vector")(ca.vertcat(state, offset), numbers)
-    return body("motion")(ca.vertcat(state, c), numbers)

@@ -28,15 +28,11 @@ the actual motion, ``-Gamma^k_ij (q2' + d)^i q2'^j``, so that the slip law stays
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
-from ..errors import SurfaceError
 from . import symbols as ca
-from .geometry import ChartGeometry, number_symbols, rotation, symmetric, upper_inverse
-from .symbols import making_symbols, per_structure
-
-if TYPE_CHECKING:
-    from ..surfaces.base import Surface
+from .geometry import ChartGeometry, rotation, symmetric, upper_inverse
+from .symbols import making_symbols
 
 
 def reflection(cos_psi: ca.SX, sin_psi: ca.SX) -> ca.SX:
@@ -57,43 +53,29 @@ def relative_velocity(r: ca.SX, a1: ca.SX, a2: ca.SX) -> ca.SX:
 # --- chart coordinates ---------------------------------------------------------------------------
 
 
-def transport(shape: ChartGeometry, along: ca.SX, vector: ca.SX) -> ca.SX:
-    """-Gamma^k_ij along^i vector^j: what keeps a chart vector parallel on the way."""
-    return -ca.vertcat(*(ca.bilin(gamma, along, vector) for gamma in shape.christoffel))
+def chart_rates(
+    shapes: Sequence[ChartGeometry], state: ca.SX, growth: ca.SX, lam: ca.SX, w: ca.SX
+) -> ca.SX:
+    """state' (9) of a contact in charts, of the geometry of finger and object where it stands.
 
-
-@per_structure
-def chart_equations(finger: Surface, obj: Surface) -> ca.Function:
-    """One contact's equations of motion in chart coordinates.
-
-    Inputs: state (9), sigma'/sigma, lam, d1 (2), d2 (2), object rate offset (2), one column; the
-    numbers of finger and object, each with its sign first. Output: state' (9). A surface without
-    an explicit chart (ImplicitSurface) is refused.
+    growth: sigma'/sigma; w: d1, d2 and the object rate offset, (6).
     """
-    for surface in (finger, obj):
-        if not surface.has_chart:
-            raise SurfaceError(
-                f"{surface!r} has no explicit chart, so the chart equations cannot be written for "
-                "it; use the default method, which works in space, or give a ParametricSurface"
-            )
-    point = ca.SX.sym("point", 17)
-    state, growth, lam, d1, d2, offset = ca.vertsplit(point, [0, 9, 10, 11, 13, 15, 17])
-    q1, rate_1, q2, rate_2, psi = ca.vertsplit(state, [0, 2, 4, 6, 8, 9])
-    shapes, numbers = [], []
-    for surface, q in ((finger, q1), (obj, q2)):
-        sign, p = number_symbols(surface)
-        numbers += [sign, p]
-        shapes.append(surface.geometry_expr(p, q[0], q[1], sign))
+    _, rate_1, _, rate_2, psi = ca.vertsplit(state, [0, 2, 4, 6, 8, 9])
+    d1, d2, offset = ca.vertsplit(w, 2)
     tip, body = shapes
     moved = rate_2 + offset
     a1 = tip.metric_root @ rate_1
     rolled = reflection(ca.cos(psi), ca.sin(psi)) @ a1
-    accel_1 = growth * rate_1 + transport(tip, rate_1, rate_1) + d1
-    accel_2 = growth * rate_2 + transport(body, moved, rate_2) + d2
+    accel_1 = growth * rate_1 + _transport(tip, rate_1, rate_1) + d1
+    accel_2 = growth * rate_2 + _transport(body, moved, rate_2) + d2
     accel_2 += lam * (upper_inverse(body.metric_root) @ rolled - rate_2)
     spin = tip.torsion_form @ a1 + body.torsion_form @ (body.metric_root @ moved)
-    result = ca.vertcat(rate_1, accel_1, moved, accel_2, spin)
-    return ca.Function("chart_equations", [point, ca.vertcat(*numbers)], [ca.cse(result)])
+    return ca.vertcat(rate_1, accel_1, moved, accel_2, spin)
+
+
+def _transport(shape: ChartGeometry, along: ca.SX, vector: ca.SX) -> ca.SX:
+    """-Gamma^k_ij along^i vector^j: what keeps a chart vector parallel on the way."""
+    return -ca.vertcat(*(ca.bilin(gamma, along, vector) for gamma in shape.christoffel))
 
 
 # --- in parallel frames ----------------------------------------------------------------------

@@ -173,16 +173,6 @@ def upper_inverse(m: ca.SX) -> ca.SX:
     return ca.vertcat(ca.horzcat(1 / m[0, 0], corner), ca.horzcat(0, 1 / m[1, 1]))
 
 
-def implicit_geometry(level: ca.SX, x: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return gradient (3, 1) and Hessian (3, 3) of the level function ``F(x)``.
-
-    With F negative inside the body, ``n = grad/|grad|`` points out of it, and the curvature
-    form in tangent axes [x y] is ``[x y]^T Hess [x y]/|grad|``.
-    """
-    hessian, gradient = ca.hessian(level, x)
-    return gradient, hessian
-
-
 class Level(NamedTuple):
     """A level function F at a point of the surface F = 0; its gradient points out of the body.
 
