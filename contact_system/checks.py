@@ -146,6 +146,38 @@ def real_array(values: Any) -> np.ndarray:
     return given.astype(float, copy=False)
 
 
+def shaped_array(
+    values: Any,
+    what: str,
+    shape: tuple[int, ...] | None = None,
+    error: type[ContactSystemError] = SceneError,
+    remedy: str = "numbers",
+) -> np.ndarray:
+    """The values as an array of floats, of a shape if one is asked; raises the error."""
+    try:
+        found = real_array(values)
+    except (TypeError, ValueError, OverflowError):
+        remedy += f", shape {shape}" if shape else ""
+        raise error(f"{what} = {values!r:.80}: give {remedy}") from None
+    if shape is not None and found.shape != shape:
+        raise error(f"{what} has shape {found.shape}; give {shape}")
+    return found
+
+
+def rigid_motion(
+    pose: np.ndarray, what: str, noise: float, error: type[ContactSystemError] = SceneError
+) -> np.ndarray:
+    """A homogeneous matrix (4, 4); raises the error where it is none, such as a transposed one."""
+    turn = pose[:3, :3]
+    missed = max(np.abs(turn @ turn.T - np.eye(3)).max(), np.abs(pose[3] - [0, 0, 0, 1]).max())
+    if not (missed <= noise and np.linalg.det(turn) > 0):
+        raise error(
+            f"{what} = {pose.tolist()} is no rotation and translation over the last row 0, 0, 0, "
+            "1; give X_OF, the finger's frame in the object's"
+        )
+    return pose
+
+
 def flag(value: Any, what: str, none: bool = False) -> Any:
     """The value as a bool, or None where that has a meaning; raises a SceneError for any other."""
     if none and value is None:

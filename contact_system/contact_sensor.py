@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import real_array
+from .checks import rigid_motion, shaped_array
 from .engine.binding import Machine, run
 from .errors import ChartSingularity, ConformalContact, ContactSystemError
 from .scene import Scene, require_scene
@@ -31,7 +31,7 @@ from .theory.symbols import per_structure
 CONFORMAL = 1e-12  # det of the relative curvature over its square, below which bodies conform
 MOST_STEPS = 30
 SETTLED = 1e3  # steps at which rounding may hold Newton's method up, in those asked for
-NO_ROTATION = 1e-2  # what is measured may miss a rotation by its noise
+NOISE = 1e-2  # by which what is measured may miss a rotation
 GRID = 25  # points in each coordinate of a finger, of which the nearest to the object is sought
 LONGEST_STEP = 0.5  # of the body's size, where bodies are far apart
 SEEN = 22  # numbers that a Probe is given
@@ -98,7 +98,8 @@ def measured_states(
     """
     require_scene(scene)
     poses = _given(scene, "pose", pose, (4, 4))
-    _check_rigid(scene, poses)
+    for i, one in enumerate(poses):
+        rigid_motion(one, f"{scene.title}, contact {i}: pose", NOISE, ContactSystemError)
     others = _given(scene, "twist", twist, (6,)), _given(scene, "points", points, (3,))
     sensor = ContactSensor(scene)
     found = sensor.measure(poses[:, :3].reshape(-1, 12), *others)
@@ -109,29 +110,10 @@ def measured_states(
 def _given(scene: Scene, name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """A measurement of every contact, finite."""
     shape = (len(scene.contacts), *shape)
-    try:
-        found = real_array(value)
-    except (TypeError, ValueError, OverflowError):
-        raise ContactSystemError(
-            f"{scene.title}: {name} = {value!r:.80}; give numbers, shape {shape}"
-        ) from None
-    if found.shape != shape:
-        raise ContactSystemError(f"{scene.title}: {name} has shape {found.shape}; give {shape}")
+    found = shaped_array(value, f"{scene.title}: {name}", shape, ContactSystemError)
     if not np.isfinite(found).all():
         raise ContactSystemError(f"{scene.title}: {name} has a NaN or infinity")
     return found
-
-
-def _check_rigid(scene: Scene, pose: np.ndarray) -> None:
-    """Refuse poses (n, 4, 4) that are no rigid motion, such as transposed ones."""
-    turn = pose[:, :3, :3]
-    missed = np.abs(turn @ turn.swapaxes(1, 2) - np.eye(3)).max((1, 2))
-    missed = np.fmax(missed, np.abs(pose[:, 3] - [0, 0, 0, 1]).max(1))
-    for i in np.flatnonzero((missed > NO_ROTATION) | (np.linalg.det(turn) < 0)):
-        raise ContactSystemError(
-            f"{scene.title}, contact {i}: pose = {pose[i].tolist()} is no rotation and "
-            "translation over the row 0, 0, 0, 1; give X_OF, the finger's frame in the object's"
-        )
 
 
 class ContactSensor:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import real_array
+from .checks import shaped_array
 from .errors import ChartSingularity, ContactSystemError
 from .plan import Plan, require_plan
 from .scene import STILL, Scene
@@ -218,13 +218,8 @@ def great_circle_distance(points: ArrayLike) -> np.ndarray:
     ContactSystemError
         Another shape, or a point that is not finite.
     """
-    try:
-        points = real_array(points)
-    except (TypeError, ValueError, OverflowError):
-        points = np.empty(0)
+    remedy = "finite points of one curve, shape (n, 3), such as plan.points(t)[:, 0, 0]"
+    points = shaped_array(points, "points", error=ContactSystemError, remedy=remedy)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise ContactSystemError(
-            f"points of shape {points.shape}: give finite points of one curve, shape (n, 3), such "
-            "as plan.points(t)[:, 0, 0]"
-        )
+        raise ContactSystemError(f"points of shape {points.shape}: give {remedy}")
     return points @ np.linalg.svd(points, full_matrices=len(points) < 3)[2][2]

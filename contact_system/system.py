@@ -38,7 +38,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import did_you_mean, flag, real_array
+from .checks import did_you_mean, flag, shaped_array
 from .contact_equations import PER_CONTACT, Form, contact_function, start_function
 from .errors import SceneError
 from .kept import kept
@@ -275,16 +275,10 @@ class SceneSystem:
 
     def _numbers(self, name: str, value: ArrayLike, count: int | None = None) -> Array:
         """The value as an array of floats, so many where they are counted; t without an axis."""
-        try:
-            found = real_array(value)
-            if name == "t" and found.ndim:
-                raise TypeError
-        except (TypeError, ValueError, OverflowError):
-            remedy = "a time in seconds" if name == "t" else "numbers"
-            raise SceneError(f"{self.scene.title}: {name} = {value!r:.80}; give {remedy}") from None
-        if count is not None and found.shape != (count,):
-            raise SceneError(f"{self.scene.title}: {name} has shape {found.shape}; give ({count},)")
-        return found
+        what = f"{self.scene.title}: {name}"
+        if name == "t":
+            return shaped_array(value, what, (), remedy="a time in seconds")
+        return shaped_array(value, what, None if count is None else (count,))
 
     # --- windows and starts ----------------------------------------------------------------------
 

@@ -238,7 +238,7 @@ def test_what_is_no_number_is_refused_by_name(wrong):
     for ask, name in (
         (lambda: system.evaluate("state", wrong, system.x0), "t"),
         (lambda: system.evaluate("state", [0.1], system.x0), "t"),
-        (lambda: system.evaluate("state", None, system.x0), "t = None; give a time"),
+        (lambda: system.evaluate("state", None, system.x0), "t = None: give a time"),
         (lambda: system.evaluate("state", 0.1, wrong), "x"),
         (lambda: system.from_states(wrong, state), "t"),
         (lambda: system.from_states(0.5, wrong), "state"),

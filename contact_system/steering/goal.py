@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from ..checks import finite_number, finite_numbers, real_array
+from ..checks import finite_number, finite_numbers, rigid_motion, shaped_array
 from ..errors import SceneError
 from ..scene import Leg, Scene
 from ..scene.contact import pair
@@ -58,7 +56,8 @@ class Goal:
         if self.pose is not None:
             if any(places) or self.angle is not None:
                 raise SceneError("pose: give a pose or places and an angle, not both")
-            put(self, "pose", _pose(self.pose))
+            found = shaped_array(self.pose, "pose", (4, 4))
+            put(self, "pose", rigid_motion(found, "pose", 1e-9))
         elif not any(places):
             raise SceneError("a goal needs a place on a body: object_at, finger_at or a pose")
         elif self.angle is not None and not all(places):
@@ -73,21 +72,6 @@ def _region(given: Any, key: str) -> tuple[float, ...]:
         raise SceneError(remedy) from None
     if len(found) != 3 or not found[2] > 0:
         raise SceneError(remedy)
-    return found
-
-
-def _pose(given: Any) -> np.ndarray:
-    try:
-        found = real_array(given)
-    except (TypeError, ValueError, OverflowError):
-        found = np.empty(0)
-    if found.shape != (4, 4) or not np.isfinite(found).all():
-        raise SceneError(f"pose = {given!r:.80}: give a homogeneous matrix, shape (4, 4)")
-    turn = found[:3, :3]
-    if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0:
-        raise SceneError("pose: its first three rows and columns are no rotation")
-    if np.abs(found[3] - [0, 0, 0, 1]).max() > 1e-12:
-        raise SceneError(f"pose: its last row is {found[3].tolist()}; give 0, 0, 0, 1")
     return found
 
 

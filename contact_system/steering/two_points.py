@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import finite_number, real_array
+from ..checks import finite_number, shaped_array
 from ..engine import binding
 from ..errors import SurfaceError
 from ..kept import kept
@@ -68,12 +68,10 @@ class Geodesic:
 
     def points(self, s: ArrayLike) -> Array:
         """Points at lengths s from a, m, shape (*s.shape, ..., 3), m."""
-        try:
-            asked = real_array(s)
-        except (TypeError, ValueError, OverflowError):
-            asked = np.array(math.nan)
+        what = f"{self.surface!r}: s"
+        asked = shaped_array(s, what, error=SurfaceError, remedy="lengths in m")
         if not np.isfinite(asked).all():
-            raise SurfaceError(f"{self.surface!r}: s = {s!r:.80}: give lengths in m")
+            raise SurfaceError(f"{what} = {s!r:.80}: give lengths in m")
         lengths = np.repeat(asked.ravel(), self._start.shape[1])
         found = self._ends(np.tile(self._start, (1, asked.size)), lengths)[:3]
         return found.T.reshape(*asked.shape, *np.shape(self.length), 3)
@@ -231,10 +229,7 @@ class Pairs:
     def _placed(self, name: str, given: ArrayLike) -> tuple[Array, Array]:
         """(u, v), or what was given where lines are followed in space, and the point in space."""
         surface = self.surface
-        try:
-            points = real_array(given)
-        except (TypeError, ValueError, OverflowError):
-            points = np.empty(0)
+        points = shaped_array(given, f"{surface!r}: {name}", error=SurfaceError)
         if points.ndim == 0 or points.shape[-1] not in (2, 3) or not np.isfinite(points).all():
             raise SurfaceError(
                 f"{surface!r}: {name} = {given!r:.80}: give finite (u, v), or points x, y, z in m"

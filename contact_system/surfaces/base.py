@@ -19,7 +19,7 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite_number, real_array
+from ..checks import finite_number, real_array, shaped_array
 from ..engine.binding import builtin, run
 from ..errors import ChartSingularity, SurfaceError
 from ..kept import kept
@@ -407,10 +407,7 @@ class Surface:
         return u, v
 
     def _points(self, x: ArrayLike) -> Array:
-        try:
-            points = real_array(x)
-        except (TypeError, ValueError, OverflowError):
-            raise SurfaceError(f"{self!r}: points = {x!r:.80} must be numbers") from None
+        points = shaped_array(x, f"{self!r}: points", error=SurfaceError)
         if points.ndim == 0 or points.shape[-1] != 3:
             raise SurfaceError(
                 f"{self!r}: points have shape {points.shape}; the last axis must hold x, y, z"

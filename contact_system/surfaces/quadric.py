@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..checks import real_array
+from ..checks import shaped_array
 from ..errors import SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
@@ -213,12 +213,8 @@ class Quadric(SecondDegree):
 
 
 def _symmetric(given: Any) -> Array:
-    try:
-        matrix = real_array(given)
-    except (TypeError, ValueError, OverflowError):
-        raise SurfaceError(f"Quadric: A = {given!r} must be a 3 by 3 matrix of numbers") from None
-    if matrix.shape != (3, 3):
-        raise SurfaceError(f"Quadric: A has shape {matrix.shape}; it must be 3 by 3")
+    remedy = "a 3 by 3 matrix of numbers"
+    matrix = shaped_array(given, "Quadric: A", (3, 3), SurfaceError, remedy)
     if not np.all(np.isfinite(matrix)):
         raise SurfaceError(f"Quadric: A = {matrix.tolist()} must be finite")
     if np.max(np.abs(matrix - matrix.T)) > 1e-15 * np.max(np.abs(matrix)):

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..checks import LARGEST, finite_number, finite_numbers, real_array, within
+from ..checks import LARGEST, finite_number, finite_numbers, shaped_array, within
 from ..engine.binding import sign_changes
 from ..errors import SceneError
 from ..kept import kept
@@ -225,7 +225,5 @@ class Profile:
 def as_time(t):
     if isinstance(t, float):
         return float(t)
-    try:
-        return real_array(t) if np.ndim(t) else float(real_array(t))
-    except (TypeError, ValueError, OverflowError):
-        raise SceneError(f"profile at t = {t!r}: give times in seconds") from None
+    found = shaped_array(t, "profile at t", remedy="times in seconds")
+    return found if found.ndim else float(found)
