@@ -67,7 +67,7 @@ def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, n
         if stop <= start or not len(tau):
             continue
         first = plan.slip_speed(begin + tau[:1])[0, contact]
-        decay = plan.scene.gain.decay(profile, tau)
+        decay = np.exp(-plan.scene.gain.exponent(profile, tau, tau[0]))
         times.append(begin + tau)
         values.append(first * profile(tau) / profile(tau[0]) * decay)
     t, slip = np.concatenate(times), np.concatenate(values)

@@ -12,6 +12,7 @@ from ..plots.meshes import closed_span
 from ..scene import STILL, Scene
 from ..surfaces import Surface
 from ..theory.gain import Gain
+from ..theory.profile import Numbers
 
 Place = tuple[str | int, ...]
 """Names of fields and indices, from the scene down to a number."""
@@ -133,7 +134,7 @@ def _of_starts(scene: Scene) -> Iterator[Slider]:
             yield _direction(folder, contact.finger_velocity, (*place, "finger_velocity"))
 
 
-def _direction(folder: str, velocity: tuple[float, float], place: Place) -> Slider:
+def _direction(folder: str, velocity: Numbers, place: Place) -> Slider:
     """Of the angle of a velocity, whose length stays."""
     length, angle = math.hypot(*velocity), math.atan2(velocity[1], velocity[0])
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -113,27 +113,13 @@ class Contact:
     """
 
     finger: Surface
-    object_at: Pair
-    finger_at: Pair = (math.pi / 2, 0.0)
+    object_at: Numbers
+    finger_at: Numbers = (math.pi / 2, 0.0)
     angle: float = 0.0
-    finger_velocity: Pair | str = (2**-0.5, 2**-0.5)
-    object_velocity: Pair | str = ROLLING
+    finger_velocity: Numbers | str = (2**-0.5, 2**-0.5)
+    object_velocity: Numbers | str = ROLLING
     name: str = ""
     legs: Sequence[Leg] = ()
-
-    if TYPE_CHECKING:  # the fields say what is kept, this what may be given
-
-        def __init__(
-            self,
-            finger: Surface,
-            object_at: Numbers,
-            finger_at: Numbers = ...,
-            angle: float = ...,
-            finger_velocity: Numbers | str = ...,
-            object_velocity: Numbers | str = ...,
-            name: str = ...,
-            legs: Sequence[Leg] = ...,
-        ) -> None: ...
 
     def __post_init__(self) -> None:
         a_text(self.name, "name")
@@ -213,12 +199,8 @@ class Turning:
         Naming the key, the value and the remedy.
     """
 
-    axis: tuple[float, float, float]
-    angle: tuple[float, ...]
-
-    if TYPE_CHECKING:  # the fields say what is kept, this what may be given
-
-        def __init__(self, axis: Numbers, angle: Numbers) -> None: ...
+    axis: Numbers
+    angle: Numbers
 
     def __post_init__(self) -> None:
         axis = finite_numbers(self.axis, "axis")

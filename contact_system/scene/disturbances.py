@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numbers
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from ..checks import finite_number
 from ..errors import SceneError
 from ..theory.profile import Numbers
-from .contact import Pair, pair
+from .contact import pair
 
 ALL = "all"
 SLOTS = ("acceleration of the finger", "acceleration of the object", "rate offset of the object")
@@ -52,13 +52,7 @@ class Disturbance:
     contact: int | str
     start: float
     stop: float
-    value: Pair
-
-    if TYPE_CHECKING:  # the fields say what is kept, this what may be given
-
-        def __init__(
-            self, contact: int | str, start: float, stop: float, value: Numbers
-        ) -> None: ...
+    value: Numbers
 
     def __post_init__(self) -> None:
         put, contact = object.__setattr__, self.contact

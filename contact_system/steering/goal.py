@@ -9,6 +9,7 @@ from ..checks import finite_number, finite_numbers, rigid_motion, shaped_array
 from ..errors import SceneError
 from ..scene import Leg, Scene
 from ..scene.contact import pair
+from ..theory.profile import Numbers
 
 KEYS = ("object_at", "finger_at", "angle", "pose", "object_within", "finger_within")
 
@@ -35,12 +36,12 @@ class Goal:
         Naming the key, the value and the remedy.
     """
 
-    object_at: tuple[float, float] | None = None
-    finger_at: tuple[float, float] | None = None
+    object_at: Numbers | None = None
+    finger_at: Numbers | None = None
     angle: float | None = None
     pose: Any = None
-    object_within: tuple[float, float, float] | None = None
-    finger_within: tuple[float, float, float] | None = None
+    object_within: Numbers | None = None
+    finger_within: Numbers | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__

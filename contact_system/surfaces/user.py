@@ -58,19 +58,20 @@ class UserSurface(Surface):
     formula: Formula
     size: float = field(default=1.0, kw_only=True)
 
-    def _write(self, letters: str, given: Any, parameters: Any, size: Any, inside: Any) -> None:
+    def _write(
+        self, letters: str, own: Any, formula: Any, parameters: Any, size: Any, inside: Any
+    ) -> None:
         """Check and store what both kinds are given; in ``letters``, u and v or x, y and z."""
         store(self, inside=inside)
         self.__post_init__()
-        (name, own), (_, formula) = given.items()
         if own is not None and formula is not None:
-            raise SurfaceError(f"{self._kind}: {name} and formula are both given; give one of them")
+            raise SurfaceError(f"{self._kind}: f or F and formula are both given; give one of them")
         try:
             with making_symbols():
-                form = make_formula(own if formula is None else formula, parameters, letters)
+                formula = make_formula(own if formula is None else formula, parameters, letters)
         except ContactSystemError as error:
             raise SurfaceError(f"{self._kind}: {error}") from error.__cause__
-        store(self, formula=form, size=positive_length(self, "size", size))
+        store(self, formula=formula, size=positive_length(self, "size", size))
 
     @property
     def named_parameters(self) -> dict[str, float]:
@@ -152,7 +153,7 @@ class ParametricSurface(UserSurface):
         inside: bool = False,
         formula: Formula | None = None,
     ) -> None:
-        self._write("uv", {"f": f, "formula": formula}, parameters, size, inside)
+        self._write("uv", f, formula, parameters, size, inside)
         for name, given, period in (("u", u_range, u_period), ("v", v_range, v_period)):
             if period is not None:
                 what = f"{self._kind}: {name}_period"
@@ -216,10 +217,7 @@ class ParametricSurface(UserSurface):
             )
 
     def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
-        return (
-            _into(u, self.u_range, self.u_period),
-            _into(v, self.v_range, self.v_period),
-        )
+        return _into(u, self.u_range, self.u_period), _into(v, self.v_range, self.v_period)
 
     def coordinates(
         self, x: ArrayLike, guess: tuple[ArrayLike, ArrayLike] | None = None
@@ -384,7 +382,7 @@ class ImplicitSurface(UserSurface):
         inside: bool = False,
         formula: Formula | None = None,
     ) -> None:
-        self._write("xyz", {"F": F, "formula": formula}, parameters, size, inside)
+        self._write("xyz", F, formula, parameters, size, inside)
         store(self, center=_numbers(self._kind, "center", center, 3))
 
     @property

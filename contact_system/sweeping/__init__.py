@@ -18,7 +18,7 @@ from ..checks import a_path, flag, make_folder
 from ..errors import ContactSystemError
 from ..plan import checked_tolerance
 from ..scene import Scene
-from .chunk import Chunk, Evaluate, Failure, Item, Part, Run, joined, run_chunk, run_each
+from .chunk import Chunk, Evaluate, Failure, Item, Part, Run, joined, run_chunk
 from .files import digest, keep, read
 from .summaries import summary
 from .workers import spread
@@ -148,8 +148,8 @@ def sweep(
             "Dask client's get_executor()"
         )
     flag(compiled, "compiled", none=True)
-    work = run_each if each else run_chunk
-    run = functools.partial(work, evaluate, checked_tolerance(tolerance), os.getpid())
+    tolerance = checked_tolerance(tolerance)
+    run = functools.partial(run_chunk, evaluate, None if each else tolerance, os.getpid())
     if folder is not None:  # absolute: results may be read from another current folder
         folder = make_folder(a_path(folder, "folder"), "give another folder").absolute()
     parts: dict[int, Part | Path] = {}

@@ -75,19 +75,21 @@ Batch = list[tuple[int, Scene]]
 """Scenes that can be planned as one, of equally many contacts, and their places among all."""
 
 Run = functools.partial[Part]
-"""What workers do with a chunk: `run_chunk` or `run_each` with the first three arguments."""
+"""What workers do with a chunk: `run_chunk` with the first three arguments."""
 
 
-def run_chunk(evaluate: Evaluate, tolerance: float, sweeper: int, chunk: Chunk) -> Part:
+def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: Chunk) -> Part:
     """Plan and evaluate the scenes of a chunk; what goes wrong is part of the result.
 
-    ``sweeper`` is the process of the sweep, which that of this chunk does not outlive.
+    Without a tolerance nothing is planned, and each scene is evaluated by itself. ``sweeper`` is
+    the process of the sweep, which that of this chunk does not outlive.
     """
     end_with(sweeper)
 
     def tables_of(batch: Batch) -> list[np.ndarray]:
         try:
-            outputs = evaluate(plan(_together(batch), tolerance=tolerance))
+            scene = _together(batch)
+            outputs = evaluate(scene if tolerance is None else plan(scene, tolerance))
         except Exception as error:  # whatever a user's function raises
             if len(batch) > 1:  # in halves, to find what fails
                 half = len(batch) // 2
@@ -103,7 +105,8 @@ def run_chunk(evaluate: Evaluate, tolerance: float, sweeper: int, chunk: Chunk) 
             scene = _scene(item)
             # the first one alone: an axis of times that is as long as the contacts are many must
             # not pass for rows of contacts
-            alike.setdefault((not alike, *_shared(scene)), []).append((place, scene))
+            same = (not alike, *_shared(scene)) if tolerance is not None else place
+            alike.setdefault(same, []).append((place, scene))
         except Exception as error:  # whatever a user's function raises
             failures.append(a_failure(place, item, error))
     tables = []
@@ -114,19 +117,6 @@ def run_chunk(evaluate: Evaluate, tolerance: float, sweeper: int, chunk: Chunk) 
     table = joined(tables)
     failures.sort(key=lambda failure: failure.scene)
     return Part(table[np.argsort(table["scene"], kind="stable")], failures)
-
-
-def run_each(evaluate: Evaluate, tolerance: float, sweeper: int, chunk: Chunk) -> Part:
-    """As `run_chunk`, with each scene given to ``evaluate`` by itself, and nothing planned."""
-    end_with(sweeper)
-    tables, failures = [], []
-    for place, item in enumerate(chunk.items, chunk.first):
-        try:
-            scene = _scene(item)
-            tables.append(_table([(place, scene)], evaluate(scene)))
-        except Exception as error:  # whatever a user's function raises
-            failures.append(a_failure(place, item, error))
-    return Part(joined(tables), failures)
 
 
 def _scene(item: Item) -> Scene:

@@ -145,46 +145,23 @@ class Gain:
             growth = np.where(np.asarray(sigma) > 0, growth, np.inf)[()]
         return self.row.rate(self.value, sigma, growth)
 
-    def exponent(self, profile: Profile, t):
-        """L(t) = int_0^t lam, closed form; t >= 0 [s] of any shape.
+    def exponent(self, profile: Profile, t, since: float = 0.0):
+        """L(t) - L(since) = int lam, closed form; t >= since [s] of any shape.
 
         Growth of the guaranteed law is log(sigma/sigma(start of the growth)), which is +inf after
-        a start at sigma = 0.
+        a start at sigma = 0. All is local to `since`: a large gain loses nothing to cancellation.
         """
         t = as_time(t)
-        total = polynomial(integral(self.row.integrand(self.value, profile.coefficients)), t)
+        sigma = profile.shifted(since) if since else profile.coefficients
+        total = polynomial(integral(self.row.integrand(self.value, sigma)), t - since)
         if self.row.makes_up:
-            last = float(np.max(t, initial=0.0))
-            for start, stop in profile.growths(0.0, last):
+            last = float(np.max(t, initial=since))
+            for start, stop in profile.growths(since, last):
                 with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                     first = clear_value(profile.coefficients, start)
                     ratio = np.divide(profile(np.clip(t, start, stop)), first)
                 total = total + np.where(t > start, np.log(np.maximum(ratio, 1.0)), 0.0)
         return total
-
-    def decay(self, profile: Profile, t: np.ndarray) -> np.ndarray:
-        """exp(-(L(t) - L(t[0]))) at ascending times [s] at which sigma > 0.
-
-        From extremum to extremum of sigma, so that there is one closed form at a time; everything
-        is local to a piece, so that a large gain loses nothing to cancellation.
-        """
-        left, found = 1.0, np.ones(len(t))
-        knots = profile.knots(t[0], t[-1]) if self.row.makes_up else (t[0], t[-1])
-        for start, stop in zip(knots, knots[1:]):
-            inside = (t >= start) & (t <= stop)
-            tau = np.append(t[inside], stop) - start
-            sigma = profile.shifted(start)
-            # where sigma touches zero its rounded first coefficient must not set the ratio
-            first = clear_value(profile.coefficients, start)
-            if self.row.makes_up:
-                sigma = (first, *sigma[1:])
-            # slip may end below what a double holds, and sigma be 0 where a piece begins
-            with np.errstate(under="ignore", divide="ignore", invalid="ignore"):
-                decay = np.exp(-polynomial(integral(self.row.integrand(self.value, sigma)), tau))
-                if self.row.makes_up and profile.rate(0.5 * (start + stop)) > 0:
-                    decay *= np.where(tau > 0, first / polynomial(sigma, tau), 1.0)
-            *found[inside], left = left * decay
-        return found
 
 
 # --- what a gain law guarantees ----------------------------------------------------------------
