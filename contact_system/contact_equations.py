@@ -161,10 +161,7 @@ def _bodies(finger: Surface, obj: Surface, form: Form) -> tuple[Body, Body, list
 def _chart_motion(tip: Body, body: Body, x: ca.SX, w: ca.SX, drive: Drive) -> ContactMotion:
     """In the contact frames themselves: theta = 0."""
     q1, rate_1, q2, rate_2, psi = ca.vertsplit(x, [0, 2, 4, 6, 8, 9])
-    shapes = [
-        b.surface.geometry_expr(b.numbers[1:], q[0], q[1], b.numbers[0])
-        for b, q in ((tip, q1), (body, q2))
-    ]
+    shapes = [b.surface.geometry_expr(b.numbers, q[0], q[1]) for b, q in ((tip, q1), (body, q2))]
     tip, body, moved = tip.at(q1, 0), body.at(q2, 0), rate_2 + w[4:6]
     velocities = tip.find("vector", rate_1), body.find("vector", moved)
     turn = reflection(ca.cos(psi), ca.sin(psi))

@@ -265,23 +265,22 @@ class _Side:
     """
 
     def __init__(self, surface: Surface):
-        n = len(surface.parameters)
-        self.constants = ca.SX.sym("constants", n + 2)
-        sign, p, self.size = ca.vertsplit(self.constants, [0, 1, n + 1, n + 2])
+        self.size, numbers = ca.SX.sym("size"), number_symbols(surface)
+        self.constants = ca.vertcat(numbers, self.size)
         self.in_space = surface.has_implicit
         self.unknowns = z = ca.SX.sym("z", 3 if self.in_space else 2)
         if not self.in_space:
-            at = surface.geometry_expr(p, z[0], z[1], sign)
+            at = surface.geometry_expr(numbers, z[0], z[1])
             self.x, self.tangents, self.normal = at.point, at.frame[:, :2], at.frame[:, 2]
             self.metric_root, self.curvature = at.metric_root, at.curvature_form
             self.coordinates, self.missed = z, ca.SX(0)
             return
-        level = surface.implicit_expr(p, z, sign)
+        level = surface.implicit_expr(numbers, z)
         hessian, gradient = ca.hessian(level, z)
-        x_axis, y_axis, metric_root = surface.frame_expr(p, z, sign)
+        x_axis, y_axis, metric_root = surface.frame_expr(numbers, z)
         tangents = ca.horzcat(x_axis, y_axis)
         curvature = tangents.T @ hessian @ tangents / ca.norm_2(gradient)
-        coordinates = ca.vertcat(*surface.coordinates_expr(p, z, sign))
+        coordinates = ca.vertcat(*surface.coordinates_expr(numbers, z))
         # all of it one Newton step nearer to the surface: what is left is the distance's square
         self.x = z - level * gradient / ca.dot(gradient, gradient)
         there = [tangents, metric_root, curvature, coordinates]
@@ -410,9 +409,9 @@ def _height(surface: Surface, origin: np.ndarray, points: np.ndarray) -> np.ndar
 
 @per_structure
 def _heights(surface: Surface) -> Table:
-    x, (sign, p) = ca.SX.sym("x", 3), number_symbols(surface)
-    level = surface.implicit_expr(p, x, sign)
+    x, numbers = ca.SX.sym("x", 3), number_symbols(surface)
+    level = surface.implicit_expr(numbers, x)
     gradient = ca.gradient(level, x)
     size = ca.norm_2(gradient) + TINY  # 0 at the centre
     height = ca.vertcat(level, level * gradient / size) / size
-    return Table(numbers_function("heights", x, sign, p, height))
+    return Table(numbers_function("heights", x, numbers, height))

@@ -37,7 +37,7 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.development import in_space, moving
 from contact_system.theory.equations import flip
 from contact_system.theory.gain import LAWS
-from contact_system.theory.geometry import rotation
+from contact_system.theory.geometry import number_symbols, rotation
 from contact_system.theory.lowering import Table
 from contact_system.theory.profile import Profile, polynomial
 from contact_system.theory.symbols import making_symbols, per_structure
@@ -138,9 +138,9 @@ def measured(finger: Surface, obj: Surface, what: str) -> Table:
     if what == "states":
         places, constants, roots = [ca.SX.sym("place", 2) for _ in range(2)], [], []
         for s, (u, v) in zip((finger, obj), map(ca.vertsplit, places)):
-            sign, p, size = ca.SX.sym("sign"), ca.SX.sym("p", len(s.parameters)), ca.SX.sym("size")
-            constants += [sign, p, size]
-            roots.append(ca.vec(s.geometry_expr(p, u, v, sign).metric_root))
+            numbers = number_symbols(s)
+            constants += [numbers, ca.SX.sym("size")]
+            roots.append(ca.vec(s.geometry_expr(numbers, u, v).metric_root))
         point, given, result = (ca.vertcat(*parts) for parts in (places, constants, roots))
     else:
         point, given, *results = measured_contact(finger, obj)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,8 +35,6 @@ from ..theory.geometry import (
 from ..theory.lowering import lowered
 from .charts import Array, Chart, Frame, Pair, Periods
 
-Sign: TypeAlias = "ca.SX | float | None"
-
 # A contact frame whose axes shrink below this fraction of the surface's size is taken as lost.
 # A pole typed with 16 digits gives 1e-16, a point 1e-9 rad from one still gives 1e-9.
 SINGULAR = 1e-12
@@ -49,8 +47,8 @@ class Surface:
     """A smooth surface that bounds a body. Immutable; equal where structure and numbers are equal.
 
     Subclasses say `chart`, `size`, `_level`, and `parameters` where they are not the fields.
-    ``p`` stands for an SX vector of as many symbols as `parameters` has numbers, ``sign`` for one
-    of the side, -1 inside; by default it is that of this surface.
+    ``numbers`` stands for an SX vector, symbols of the sign of the side, -1 inside, and of as many
+    numbers as `parameters` has, which alone are ``p``.
 
     Parameters
     ----------
@@ -178,53 +176,51 @@ class Surface:
         """What tells surfaces apart."""
         return (self.structure, self.inside, self.parameters, self.size, self.periods())
 
-    # -- symbolic; what a kind of surface lacks (`has_chart`, `has_implicit`) is refused
+    # -- symbolic; not all kinds have all of it: `has_chart`, `has_implicit`
 
-    def chart_expr(self, p: ca.SX, u: ca.SX, v: ca.SX, sign: Sign = None) -> ca.SX:
+    def chart_expr(self, numbers: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
         """Return the chart f(u, v), (3, 1), m."""
-        return self._axes(p) @ self.chart(p).point(u, self._side(sign) * v)
+        side, p = numbers[0], numbers[1:]
+        return self._axes(p) @ self.chart(p).point(u, side * v)
 
-    def implicit_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> ca.SX:
+    def implicit_expr(self, numbers: ca.SX, x: ca.SX) -> ca.SX:
         """Return F(x), zero on the surface, gradient out of the body."""
-        return self._side(sign) * self._level(p, x)
+        return numbers[0] * self._level(numbers[1:], x)
 
-    def coordinates_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Pair:
+    def coordinates_expr(self, numbers: ca.SX, x: ca.SX) -> Pair:
         """Return (u, v) of a point of the surface, in the ranges that its chart documents."""
+        side, p = numbers[0], numbers[1:]
         u, v = self.chart(p).coordinates(self._axes(p).T @ x)
-        return u, self._side(sign) * v
+        return u, side * v
 
-    def frame_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Frame:
+    def frame_expr(self, numbers: ca.SX, x: ca.SX) -> Frame:
         """Return (x axis, y axis, M) of the contact frame as expressions of the point x."""
-        axes, side = self._axes(p), self._side(sign)
+        side, p = numbers[0], numbers[1:]
+        axes = self._axes(p)
         x_axis, y_axis, m = self.chart(p).frame(axes.T @ x)
         # v turns, hence f_v and the normal do; y = n x x turns with the normal.
         if not self.chart.orthogonal:
             m = ca.vertcat(ca.horzcat(m[0, 0], side * m[0, 1]), m[1, :])
         return axes @ x_axis, side * (axes @ y_axis), m
 
-    def geometry_expr(self, p: ca.SX, u: ca.SX, v: ca.SX, sign: Sign = None) -> ChartGeometry:
+    def geometry_expr(self, numbers: ca.SX, u: ca.SX, v: ca.SX) -> ChartGeometry:
         """Return every metric quantity at (u, v), symbols; see `ChartGeometry`."""
-        shape = chart_geometry(self.chart_expr(p, u, v, sign), u, v, self.chart.orthogonal)
+        shape = chart_geometry(self.chart_expr(numbers, u, v), u, v, self.chart.orthogonal)
         if self.chart.turning is None:
             return shape
-        lame, poles = self.chart(p).lame(u, v), bool(self.chart.singular_at)
+        lame, poles = self.chart(numbers[1:]).lame(u, v), bool(self.chart.singular_at)
         return revolved_geometry(shape, u, v, self.chart.turning, lame, poles)
 
-    def geometry_symbols(
-        self, p: ca.SX, sign: Sign = None
-    ) -> tuple[tuple[ca.SX, ...], ChartGeometry]:
+    def geometry_symbols(self, numbers: ca.SX) -> tuple[ca.SX, ChartGeometry]:
         """Return symbols of where the surface is asked, (u, v) or x, and the geometry there."""
-        u, v = ca.SX.sym("u"), ca.SX.sym("v")
-        return (u, v), self.geometry_expr(p, u, v, sign)
+        place = ca.SX.sym("place", 2)
+        return place, self.geometry_expr(numbers, place[0], place[1])
 
     def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
         """Return the level function, its derivatives, of the chart's own side; see `Level`."""
         level = self._level(p, x)
         hessian, gradient = ca.hessian(level, x)
         return Level(level, gradient, hessian, 1 / ca.dot(gradient, gradient))
-
-    def _side(self, sign: Sign) -> Any:
-        return self.sign if sign is None else sign
 
     def _axes(self, p: ca.SX) -> ca.SX:
         """Return the rotation from the chart's axes to the body's, (3, 3)."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..theory import symbols as ca
+from ..theory.geometry import contact_frame
 
 Array = NDArray[np.float64]
 Pair: TypeAlias = "tuple[ca.SX, ca.SX]"
@@ -97,8 +98,16 @@ class Chart:
         raise NotImplementedError
 
     def frame(self, x: ca.SX) -> Frame:
-        """Return (x axis, y axis, M) at a point x on the surface."""
-        raise NotImplementedError
+        """Return (x axis, y axis, M) at a point x on the surface.
+
+        By default that of the chart at the point's coordinates; charts of which this takes
+        functions of angles say it without them.
+        """
+        q = ca.SX.sym("q", 2)
+        f_u, f_v = ca.horzsplit(ca.jacobian(self.point(q[0], q[1]), q))
+        frame = list(contact_frame(f_u, f_v, self.orthogonal))
+        x_axis, y_axis, m = ca.substitute(frame, [q], [ca.vertcat(*self.coordinates(x))])
+        return x_axis, y_axis, m
 
     @staticmethod
     def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from ..theory import symbols as ca
 from .base import Surface
-from .charts import Chart, Frame, Pair
+from .charts import Chart, Pair
 
 
 class FlatChart(Chart):
@@ -23,9 +23,6 @@ class FlatChart(Chart):
 
     def coordinates(self, x: ca.SX) -> Pair:
         return x[0], x[1]
-
-    def frame(self, x: ca.SX) -> Frame:
-        return ca.SX([1, 0, 0]), ca.SX([0, 1, 0]), ca.SX.eye(2)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

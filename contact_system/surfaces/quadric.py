@@ -55,12 +55,6 @@ class TwoSheetChart(Chart):
     def coordinates(self, x: ca.SX) -> Pair:
         return x[1] / self.p[1], x[2] / self.p[2]
 
-    def frame(self, x: ca.SX) -> Frame:
-        a, b, c = self.p[0], self.p[1], self.p[2]
-        u, v = self.coordinates(x)
-        swell = ca.sqrt(1 + u**2 + v**2)
-        return contact_frame(ca.vertcat(a * u / swell, b, 0), ca.vertcat(a * v / swell, 0, c))
-
 
 class EllipticCylinderChart(RoundCylinderChart):
     """(a cos u, b sin u, v), p = (a, b)."""
@@ -93,11 +87,6 @@ class HyperbolicCylinderChart(Chart):
     def coordinates(self, x: ca.SX) -> Pair:
         return x[1] / self.p[1], x[2]
 
-    def frame(self, x: ca.SX) -> Frame:
-        u = x[1] / self.p[1]
-        f_u = ca.vertcat(self.p[0] * u / hypot(1, u), self.p[1], 0)
-        return contact_frame(f_u, ca.SX([0, 0, 1]), self.orthogonal)
-
 
 class OffsetPlaneChart(FlatChart):
     """(a, u, v): the plane at distance a from the origin, p = (a,)."""
@@ -107,9 +96,6 @@ class OffsetPlaneChart(FlatChart):
 
     def coordinates(self, x: ca.SX) -> Pair:
         return x[1], x[2]
-
-    def frame(self, x: ca.SX) -> Frame:
-        return ca.SX([0, 1, 0]), ca.SX([0, 0, 1]), ca.SX.eye(2)
 
 
 CHARTS: dict[str, type[Chart]] = {

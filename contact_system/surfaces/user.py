@@ -20,7 +20,7 @@ from ..kept import kept
 from ..theory import symbols as ca
 from ..theory.geometry import ChartGeometry, contact_frame, tangent_geometry
 from ..theory.symbols import making_symbols
-from .base import RAY, Sign, Surface, positive_length, store
+from .base import RAY, Surface, positive_length, store
 from .charts import TURN, Array, Chart, Frame, Pair, Periods, hypot
 from .formula import Formula, make_formula
 from .sphere import PolarChart
@@ -203,8 +203,8 @@ class ParametricSurface(UserSurface):
     def identity(self) -> Hashable:
         return (super().identity, self.u_range, self.v_range)
 
-    def chart_expr(self, p: ca.SX, u: ca.SX, v: ca.SX, sign: Sign = None) -> ca.SX:
-        return self.formula(p, u, self._side(sign) * v)
+    def chart_expr(self, numbers: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
+        return self.formula(numbers[1:], u, numbers[0] * v)
 
     def _require_regular(self, u: Array, v: Array) -> None:
         super()._require_regular(u, v)
@@ -395,11 +395,12 @@ class ImplicitSurface(UserSurface):
         """The centre, then the formula's numbers in order of their names."""
         return (*self.center, *self.formula.values)
 
-    def frame_expr(self, p: ca.SX, x: ca.SX, sign: Sign = None) -> Frame:
-        return contact_frame(*self._tangents(p, x, sign))
+    def frame_expr(self, numbers: ca.SX, x: ca.SX) -> Frame:
+        return contact_frame(*self._tangents(numbers, x))
 
-    def _tangents(self, p: ca.SX, x: ca.SX, sign: Sign) -> Pair:
+    def _tangents(self, numbers: ca.SX, x: ca.SX) -> Pair:
         """Return (f_u, f_v) of the central projection as fields of the point x."""
+        side, p = numbers[0], numbers[1:]
         ray = x - p[:3]
         rho, s = ca.norm_2(ray), hypot(ray[0], ray[1])
         direction = ray / rho
@@ -413,19 +414,17 @@ class ImplicitSurface(UserSurface):
             """rho d turned, plus what keeps the point on the surface: grad F . f_u = 0."""
             return rho * (turned - ca.dot(gradient, turned) / along * direction)
 
-        return tangent(d_u), tangent(self._side(sign) * d_v)
+        return tangent(d_u), tangent(side * d_v)
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
         return self.formula(p[3:], x)
 
-    def geometry_symbols(
-        self, p: ca.SX, sign: Sign = None
-    ) -> tuple[tuple[ca.SX, ...], ChartGeometry]:
+    def geometry_symbols(self, numbers: ca.SX) -> tuple[ca.SX, ChartGeometry]:
         x = ca.SX.sym("x", 3)
-        f_u, f_v = self._tangents(p, x, sign)
+        f_u, f_v = self._tangents(numbers, x)
         along_u = ca.jacobian(f_u, x)
         second = along_u @ f_u, along_u @ f_v, ca.jacobian(f_v, x) @ f_v
-        return (x,), tangent_geometry(x, f_u, f_v, second)
+        return x, tangent_geometry(x, f_u, f_v, second)
 
     def _asked(self, u: Array, v: Array) -> Array:
         return self.point(u, v).T

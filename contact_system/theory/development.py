@@ -61,7 +61,7 @@ class Moving:
 
     def __init__(self, surface: Surface):
         self.surface = surface
-        self.sign, self.p = number_symbols(surface)
+        self.numbers = number_symbols(surface)
         self.state = ca.SX.sym("state", self.size)
         self._functions: dict[str, ca.Function] = {}
 
@@ -75,7 +75,7 @@ class Moving:
     def _function(self, name: str) -> ca.Function:
         besides = [ca.SX.sym("c", BESIDES[name])] if name in BESIDES else []
         point, result = ca.vertcat(self.state, *besides), getattr(self, name)(*besides)
-        return numbers_function(name, point, self.sign, self.p, result)
+        return numbers_function(name, point, self.numbers, result)
 
     def coordinates(self, c: ca.SX) -> ca.SX:
         """u, v, u', v', theta, where c is the velocity in the parallel frame, m/s."""
@@ -109,12 +109,12 @@ class InSpace(Moving):
     def __init__(self, surface: Surface):
         super().__init__(surface)
         self.x, self.first = ca.vertsplit(self.state, [0, 3, 6])
-        self.level = surface.level_geometry(self.p, self.x)
+        self.level = surface.level_geometry(self.numbers[1:], self.x)
         # grad F x p, and the number that makes it q = n x p
         self._across = ca.cross(self.level.gradient, self.first)
-        self._scale = self.sign * ca.sqrt(self.level.steepness)
-        self.place = surface.coordinates_expr(self.p, self.x, self.sign)
-        x_axis, y_axis, self.metric_root = surface.frame_expr(self.p, self.x, self.sign)
+        self._scale = self.numbers[0] * ca.sqrt(self.level.steepness)
+        self.place = surface.coordinates_expr(self.numbers, self.x)
+        x_axis, y_axis, self.metric_root = surface.frame_expr(self.numbers, self.x)
         self.turn = plane_turn(ca.dot(self.first, x_axis), ca.dot(self.first, y_axis))
         self.theta = ca.atan2(self.turn[1, 0], self.turn[0, 0])
 
@@ -158,10 +158,10 @@ class InSpace(Moving):
         if name != "start":
             return super()._function(name)
         # u, v, theta -> x, p, on the surface to rounding
-        place, numbers = ca.SX.sym("place", 3), ca.vertcat(self.sign, self.p)
-        frame = moving(self.surface, False)("frame")(place, numbers)
-        back = self("restore")(frame[:6], numbers)
-        return numbers_function(name, place, self.sign, self.p, back)
+        place = ca.SX.sym("place", 3)
+        frame = moving(self.surface, False)("frame")(place, self.numbers)
+        back = self("restore")(frame[:6], self.numbers)
+        return numbers_function(name, place, self.numbers, back)
 
 
 class InChart(Moving):
@@ -173,7 +173,7 @@ class InChart(Moving):
         super().__init__(surface)
         u, v, self.theta = ca.vertsplit(self.state)
         self.place, self.turn = (u, v), rotation(self.theta)
-        self.geometry = surface.geometry_expr(self.p, u, v, self.sign)
+        self.geometry = surface.geometry_expr(self.numbers, u, v)
         self.metric_root = self.geometry.metric_root
 
     def motion(self, c: ca.SX) -> ca.SX:

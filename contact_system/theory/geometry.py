@@ -192,33 +192,33 @@ class Level(NamedTuple):
 @per_structure
 def geometry_function(surface: Surface) -> ca.Function:
     """(u, v), of an implicit surface x -> :meth:`ChartGeometry.column`."""
-    sign, p = number_symbols(surface)
-    arguments, shape = surface.geometry_symbols(p, sign)
-    return numbers_function("geometry", ca.vertcat(*arguments), sign, p, shape.column())
+    numbers = number_symbols(surface)
+    place, shape = surface.geometry_symbols(numbers)
+    return numbers_function("geometry", place, numbers, shape.column())
 
 
 @per_structure
 def inverse_function(surface: Surface) -> ca.Function:
     """x -> u, v."""
-    (sign, p), x = number_symbols(surface), ca.SX.sym("x", 3)
-    found = ca.vertcat(*surface.coordinates_expr(p, x, sign))
-    return numbers_function("inverse", x, sign, p, found)
+    numbers, x = number_symbols(surface), ca.SX.sym("x", 3)
+    found = ca.vertcat(*surface.coordinates_expr(numbers, x))
+    return numbers_function("inverse", x, numbers, found)
 
 
 @per_structure
 def ray_function(surface: Surface) -> ca.Function:
     """x, d -> F and its slope along d, of the level function as it is written."""
-    (sign, p), x, ray = number_symbols(surface), ca.SX.sym("x", 3), ca.SX.sym("d", 3)
-    level = surface.implicit_expr(p, x, 1.0)
+    numbers, x, ray = number_symbols(surface), ca.SX.sym("x", 3), ca.SX.sym("d", 3)
+    level = surface._level(numbers[1:], x)
     slope = ca.dot(ca.gradient(level, x), ray)
-    return numbers_function("ray", ca.vertcat(x, ray), sign, p, ca.vertcat(level, slope))
+    return numbers_function("ray", ca.vertcat(x, ray), numbers, ca.vertcat(level, slope))
 
 
-def number_symbols(surface: Surface) -> tuple[ca.SX, ca.SX]:
-    """Return symbols for a surface's sign and its parameters."""
-    return ca.SX.sym("sign"), ca.SX.sym("p", len(surface.parameters))
+def number_symbols(surface: Surface) -> ca.SX:
+    """Return symbols for a surface's sign and its parameters, one column."""
+    return ca.SX.sym("numbers", 1 + len(surface.parameters))
 
 
-def numbers_function(name: str, point: ca.SX, sign: ca.SX, p: ca.SX, result: ca.SX) -> ca.Function:
+def numbers_function(name: str, point: ca.SX, numbers: ca.SX, result: ca.SX) -> ca.Function:
     """Return the function (point, numbers) -> result, one column each."""
-    return ca.Function(name, [point, ca.vertcat(sign, p)], [ca.densify(ca.vec(result))])
+    return ca.Function(name, [point, numbers], [ca.densify(ca.vec(result))])
