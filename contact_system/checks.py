@@ -80,8 +80,10 @@ def is_plain(values: Any) -> TypeGuard[tuple[float, ...]]:
     return True
 
 
-def finite_numbers(values: Iterable[Any], what: str) -> tuple[float, ...]:
-    """The values as a tuple of floats; raises a SceneError for none and for what is not finite."""
+def finite_numbers(
+    values: Any, what: str, error: type[ContactSystemError] = SceneError
+) -> tuple[float, ...]:
+    """The values as a tuple of floats; raises the error for none and for what is not finite."""
     if is_plain(values):
         return values
     try:
@@ -90,12 +92,12 @@ def finite_numbers(values: Iterable[Any], what: str) -> tuple[float, ...]:
             raise TypeError
         found = tuple(map(_as_float, values))
     except (TypeError, ValueError):
-        raise SceneError(f"{what} = {values!r}: give a list of numbers") from None
+        raise error(f"{what} = {values!r}: give a list of numbers") from None
     if not found:
-        raise SceneError(f"{what} = {values!r}: give at least one number")
+        raise error(f"{what} = {values!r}: give at least one number")
     for k, x in enumerate(found):
         if not abs(x) < LARGEST:
-            raise SceneError(f"{what}[{k}] = {x!r}: give a finite number (below 1e100)")
+            raise error(f"{what}[{k}] = {x!r}: give a finite number (below 1e100)")
     return found
 
 

@@ -18,7 +18,6 @@ from .errors import ContactSystemError
 from .theory import symbols as ca
 
 MOST_POWER = 1e6  # edges sharper than double precision resolves, say x**(1e17), are no surface's
-NO_ARITHMETIC = "only arithmetic and known functions are allowed in a formula"
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
 Value: TypeAlias = "ca.SX | float"
@@ -109,7 +108,6 @@ class _Reader:
     text: str
     lead: int
     names: Mapping[str, ca.SX]
-    depth: int = 0
 
     def fail(self, node: ast.expr, problem: str) -> ContactSystemError:
         # Python counts columns in UTF-8 bytes, people count characters.
@@ -117,33 +115,23 @@ class _Reader:
         column = self.lead + len(before.decode(errors="replace")) + 1
         return ContactSystemError(f"formula {self.text!r}, column {column}: {problem}")
 
-    def read(self, node: ast.expr) -> Value:
+    def read(self, node: ast.expr, depth: int = 0) -> Value:
+        """The value of a node that stands inside so many operations."""
+        within("FORMULA_NESTING", depth, f"formula {self.text:.40}...: nesting")
         match node:
             case ast.Constant():
                 return self.number(node)
             case ast.Name():
                 return self.name(node)
-            case ast.UnaryOp() | ast.BinOp() | ast.Call():
-                return self.deeper(node)
-        raise self.fail(node, NO_ARITHMETIC)
-
-    def deeper(self, node: ast.UnaryOp | ast.BinOp | ast.Call) -> Value:
-        """What is made of other values, one level down."""
-        self.depth += 1
-        within("FORMULA_NESTING", self.depth, f"formula {self.text:.40}...: nesting")
-        match node:
             case ast.BinOp():
-                found = self.operation(node)
+                return self.operation(node, depth + 1)
             case ast.Call():
-                found = self.call(node)
+                return self.call(node, depth + 1)
             case ast.UnaryOp(op=ast.USub()):
-                found = -self.read(node.operand)
+                return -self.read(node.operand, depth + 1)
             case ast.UnaryOp(op=ast.UAdd()):
-                found = self.read(node.operand)
-            case _:
-                raise self.fail(node, NO_ARITHMETIC)
-        self.depth -= 1
-        return found
+                return self.read(node.operand, depth + 1)
+        raise self.fail(node, "only arithmetic and known functions are allowed in a formula")
 
     def number(self, node: ast.Constant) -> float:
         if isinstance(node.value, bool) or not isinstance(node.value, (int, float)):
@@ -165,23 +153,20 @@ class _Reader:
             raise self.fail(node, f"{node.id} is a function; write {node.id}(...)")
         raise self.unknown(node, node.id, [*self.names, *CONSTANTS])
 
-    def operation(self, node: ast.BinOp) -> Value:
+    def operation(self, node: ast.BinOp, depth: int) -> Value:
         if isinstance(node.op, ast.BitXor):
             raise self.fail(node, "^ is not a power here; write **")
         meaning = _BINARY.get(type(node.op))
         if meaning is None:
             raise self.fail(node, "only + - * / ** combine two values in a formula")
-        left, right = self.read(node.left), self.read(node.right)
-        steep = (
-            isinstance(node.op, ast.Pow) and isinstance(right, float) and abs(right) > MOST_POWER
-        )
-        if steep and not isinstance(left, float):
-            raise self.fail(
-                node, f"the power {right:g} is beyond {MOST_POWER:g}; write a lower one"
-            )
+        left, right = self.read(node.left, depth), self.read(node.right, depth)
+        is_power = isinstance(node.op, ast.Pow) and not isinstance(left, float)
+        if is_power and isinstance(right, float) and abs(right) > MOST_POWER:
+            problem = f"the power {right:g} is beyond {MOST_POWER:g}; write a lower one"
+            raise self.fail(node, problem)
         return self.apply(node, meaning, left, right)
 
-    def call(self, node: ast.Call) -> Value:
+    def call(self, node: ast.Call, depth: int) -> Value:
         if not isinstance(node.func, ast.Name) or node.keywords:
             raise self.fail(node, "call functions by their plain name, as in atan2(y, x)")
         name = node.func.id
@@ -190,7 +175,7 @@ class _Reader:
         count, *meaning = FUNCTIONS[name]
         if len(node.args) != count:
             raise self.fail(node, f"{name} takes {count} argument(s), not {len(node.args)}")
-        return self.apply(node, meaning, *map(self.read, node.args))
+        return self.apply(node, meaning, *(self.read(given, depth) for given in node.args))
 
     def apply(self, node: ast.expr, meaning: Meaning, *values: Value) -> Value:
         of_numbers, of_symbols = meaning

@@ -48,15 +48,15 @@ def a_text(value: Any, what: str) -> str:
     return value
 
 
-def all_of(kind: type, values: Any, what: str, names: str = "") -> tuple:
-    """The values as a tuple, each of which must be of the kind."""
+def all_of(kind: type | tuple[type, ...], values: Any, what: str, names: str) -> tuple:
+    """The values as a tuple, each of which must be of the kind, which errors call by the names."""
     # the usual kinds first: what an abstract class takes in costs more to find out
     if isinstance(values, (kind, str)) or not isinstance(values, (list, tuple, Iterable)):
         raise SceneError(f"{what} = {values!r}: give a list")
     values = tuple(values)
     for k, value in enumerate(values):
         if not isinstance(value, kind):
-            raise SceneError(f"{what}[{k}] = {value!r}: give a {names or kind.__name__}")
+            raise SceneError(f"{what}[{k}] = {value!r}: give a {names}")
     return values
 
 
@@ -144,7 +144,7 @@ class Contact:
                 "give object_velocity as two numbers"
             )
         if self.legs != ():
-            put(self, "legs", all_of(Leg, self.legs, "legs"))
+            put(self, "legs", all_of(Leg, self.legs, "legs", "Leg"))
         if self.legs and self.follows:
             raise SceneError(
                 'finger_velocity = "rolling" has one geodesic of the object to follow, and no '

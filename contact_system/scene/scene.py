@@ -163,7 +163,7 @@ class Scene:
         """Types, and everything into its plain immutable form."""
         put = object.__setattr__
         a_surface(self.object, "object")
-        put(self, "contacts", all_of(Contact, self.contacts, "contacts"))
+        put(self, "contacts", all_of(Contact, self.contacts, "contacts", "Contact"))
         if not self.contacts:
             raise SceneError("contacts = []: a scene needs at least one contact")
         kinds = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
@@ -237,8 +237,13 @@ class Scene:
                     turned.add((body, i))
         object.__setattr__(self, "contacts", tuple(contacts))
         if turned:
-            moved = tuple(_turned(d, turned) for d in self.disturbances)
-            object.__setattr__(self, "disturbances", moved)
+            disturbances = [
+                dataclasses.replace(d, value=(-d.value[0], -d.value[1]))
+                if (d.side, d.contact) in turned
+                else d
+                for d in self.disturbances
+            ]
+            object.__setattr__(self, "disturbances", tuple(disturbances))
 
 
 def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Contact, bool]:
@@ -265,25 +270,11 @@ def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Cont
     half_turn = bool(surface.align(*at, *given)[2])
     moved: dict[str, Any] = {key: at}
     if half_turn:
-        moved |= _half_turn(contact, f"{body}_velocity")
+        moved["angle"] = math.remainder(contact.angle + math.pi, 2 * math.pi)
+        velocity = getattr(contact, f"{body}_velocity")
+        if not isinstance(velocity, str):
+            moved[f"{body}_velocity"] = (-velocity[0], -velocity[1])
     return dataclasses.replace(contact, **moved), half_turn
-
-
-def _turned(disturbance: Disturbance, turned: set[tuple[str, int]]) -> Disturbance:
-    """The disturbance with its chart components in the frame its contact has now."""
-    if (disturbance.side, disturbance.contact) not in turned:
-        return disturbance
-    u, v = disturbance.value
-    return dataclasses.replace(disturbance, value=(-u, -v))
-
-
-def _half_turn(contact: Contact, velocity: str) -> dict[str, Any]:
-    """What changes of a contact that is seen from a frame turned by pi about the normal."""
-    value = getattr(contact, velocity)
-    turned: dict[str, Any] = {"angle": math.remainder(contact.angle + math.pi, 2 * math.pi)}
-    if not isinstance(value, str):
-        turned[velocity] = (-value[0], -value[1])
-    return turned
 
 
 # --- keys of scene files -----------------------------------------------------------------------
@@ -323,7 +314,7 @@ def _plain(value: Any, what: str) -> Any:
 
 def _check_chosen(scene: Scene) -> None:
     """Every entry of `chosen` names a key that a scene file has."""
-    object.__setattr__(scene, "chosen", all_of(str, scene.chosen, "chosen"))
+    object.__setattr__(scene, "chosen", all_of(str, scene.chosen, "chosen", "text"))
     if not scene.chosen:
         return
     below: dict[str, Iterable[str]] = {

@@ -23,6 +23,7 @@ from ..errors import ContactSystemError, SceneError
 from ..motion import SIDES, Motion
 from ..plan import plan
 from ..scene import STILL, Leg, Scene, require_scene
+from ..scene.contact import all_of
 from .aim import LANES, MOST_LEGS, Aim
 from .four_rolls import four_rolls
 from .goal import Goal, Route
@@ -108,16 +109,9 @@ def reach(
 
 def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
     """One a contact, checked."""
-    goals: list[Goal | None]
-    if isinstance(goal, Goal):
-        goals = [goal]
-    elif isinstance(goal, Sequence) and not isinstance(goal, str):
-        goals = list(goal)
-    else:
-        raise SceneError(f"goal = {goal!r:.80}: give a Goal, or a list of one for each contact")
-    for own in goals:
-        if not (own is None or isinstance(own, Goal)):
-            raise SceneError(f"goal = {own!r:.80}: give a Goal, or None where a contact rests")
+    given = [goal] if isinstance(goal, Goal) else goal
+    names = "Goal, or None where a contact rests"
+    goals = list(all_of((Goal, type(None)), given, "goal", names))
     if len(goals) != len(scene.contacts):
         raise SceneError(
             f"{scene.title}: {len(goals)} goals for {len(scene.contacts)} contacts; give one each, "

@@ -456,17 +456,12 @@ def positive_length(surface: Surface, name: str, value: Any) -> float:
     """Return a length in m as a float; raise a SurfaceError where it is not above 0."""
     what = f"{type(surface).__name__}: {name}"
     number = finite_number(value, what, error=SurfaceError)
-    if number <= 0:
-        raise SurfaceError(
-            f"{what} = {value!r} must be a positive length in metres; for a concave "
-            "surface give the length positive and inside=True"
-        )
-    if number < LEAST_LENGTH:
-        raise SurfaceError(
-            f"{what} = {value!r} m is below {LEAST_LENGTH:g} m, and its square is no "
-            "number any more; use a smaller unit of length"
-        )
-    return number
+    if number >= LEAST_LENGTH:
+        return number
+    remedy = "for a concave surface give the length positive and inside=True"
+    if number > 0:  # its square is no number any more
+        remedy = "use a smaller unit of length"
+    raise SurfaceError(f"{what} = {value!r} m must be above {LEAST_LENGTH:g} m; {remedy}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import finite_number, real_array
+from ..checks import finite_number, finite_numbers, real_array
 from ..engine.binding import run
 from ..errors import ContactSystemError, SurfaceError
 from ..kept import kept
@@ -159,7 +159,9 @@ class ParametricSurface(UserSurface):
                 what = f"{self._kind}: {name}_period"
                 period = finite_number(period, what, "above 0", SurfaceError)
             reach = math.pi if period is None else period / 2
-            span = _range(self._kind, f"{name}_range", (-reach, reach) if given is None else given)
+            span = _range(
+                f"{self._kind}: {name}_range", (-reach, reach) if given is None else given
+            )
             store(self, **{f"{name}_range": span, f"{name}_period": period})
         self._require_periods()
 
@@ -383,7 +385,7 @@ class ImplicitSurface(UserSurface):
         formula: Formula | None = None,
     ) -> None:
         self._write("xyz", F, formula, parameters, size, inside)
-        store(self, center=_numbers(self._kind, "center", center, 3))
+        store(self, center=_numbers(f"{self._kind}: center", center, 3))
 
     @property
     def F(self) -> str | None:
@@ -510,21 +512,15 @@ def _into(w: Any, span: tuple[float, float], period: float | None) -> Any:
     return w - period * np.floor((w - span[0]) / period) * ((w < span[0]) | (w > span[1]))
 
 
-def _numbers(kind: str, name: str, given: Any, count: int) -> tuple[Any, ...]:
-    try:
-        values = tuple(given)
-    except TypeError:
-        values = ()
-    if len(values) != count or isinstance(given, str):
-        raise SurfaceError(f"{kind}: {name} = {given!r} must be {count} numbers")
-    return tuple(
-        finite_number(value, f"{kind}: {name}[{i}]", error=SurfaceError)
-        for i, value in enumerate(values)
-    )
+def _numbers(what: str, given: Any, count: int) -> tuple[float, ...]:
+    found = finite_numbers(given, what, SurfaceError)
+    if len(found) != count:
+        raise SurfaceError(f"{what} = {given!r}: give {count} numbers")
+    return found
 
 
-def _range(kind: str, name: str, given: Any) -> tuple[float, float]:
-    low, high = _numbers(kind, name, given, 2)
+def _range(what: str, given: Any) -> tuple[float, ...]:
+    low, high = found = _numbers(what, given, 2)
     if not low < high:
-        raise SurfaceError(f"{kind}: {name} = {given!r} must run from a lesser to a greater number")
-    return low, high
+        raise SurfaceError(f"{what} = {given!r} must run from a lesser to a greater number")
+    return found
