@@ -1,4 +1,4 @@
-r"""One contact as CasADi functions: its derivatives and outputs, and where it starts.
+r"""One contact as a CasADi function: its derivatives and outputs.
 
 What the coordinates "chart" and "frame" are, and the functions' arguments, is said in
 `contact_system.system`, which puts the contacts of a scene together; the equations stand in
@@ -24,26 +24,11 @@ from .theory.equations import (
     relative_pose,
     relative_twist,
     relative_velocity,
-    starting_slip,
 )
 from .theory.gain import LAWS
 from .theory.geometry import rotation
 from .theory.profile import integral, polynomial, product
 from .theory.symbols import per_structure
-
-PER_CONTACT = (
-    "state",
-    "slip",
-    "twist",
-    "acceleration",
-    "pose",
-    "contact_point",
-    "normal",
-    "normal_rate",
-    "carried",
-    "regularity",
-)
-"""Outputs of :meth:`SceneSystem.function` that every contact has."""
 
 
 class Form(NamedTuple):
@@ -215,7 +200,7 @@ def _frame_motion(
 
 @per_structure
 def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
-    """Derivatives, then the outputs of `PER_CONTACT`, of one contact.
+    """Derivatives of one contact, and what `SceneSystem.function` gives of every contact.
 
     Inputs: t, x, w (6), held, law (gain, profile coefficients), numbers and size of the finger and
     of the object. The twist's rate follows by the chain rule along the motion.
@@ -257,44 +242,6 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
         "carried": carried,
         "regularity": ca.vertcat(tip.regularity(), body.regularity()),
     }
-    inputs = [t, x, w, held, law, *numbers]
-    values = ca.cse([outputs[name] for name in ("derivatives", *PER_CONTACT)])
-    return ca.Function("contact", inputs, [ca.densify(value) for value in values])
-
-
-@per_structure
-def start_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
-    """States and held numbers of one contact from where it starts.
-
-    Inputs: t; the finger's place, the object's place, psi, W_1 in E1, the object's path velocity
-    in E2; law; numbers and size of the finger and of the object. A place is (u, v), or where there
-    is no chart the point and the contact frame's first axis (6).
-    """
-    tip, body, numbers = _bodies(finger, obj, form)
-    t, law = ca.SX.sym("t"), ca.SX.sym("law", 1 + form.n_profile)
-    at = [ca.SX.sym("at", 2 if s.has_chart else 6) for s in (finger, obj)]
-    psi, w1, y = ca.SX.sym("psi"), ca.SX.sym("W1", 2), ca.SX.sym("Y", 2)
-    sigma = polynomial(ca.vertsplit(law[1:]), t)
-    if form.coordinates == "chart":
-        first = tip.at(at[0], 0).find("coordinates", sigma * w1)
-        second = body.at(at[1], 0).find("coordinates", sigma * y)
-        x, held = ca.vertcat(first[:4], second[:4], psi), ca.SX(0, 1)
-    else:
-        frames = ca.vertcat(_first_frame(tip, at[0], -psi), _first_frame(body, at[1], ca.SX(0)))
-        w1_parallel = rotation(psi) @ w1
-        v = starting_slip(w1_parallel, flip() @ w1_parallel, y)
-        if LAWS[form.law].makes_up:  # which lets no slip leave a rest
-            v = ca.if_else(sigma > 0, v, 0)
-        x, held = frames, ca.vertcat(w1_parallel, v, t)
-        if form.forced:
-            x, held = ca.vertcat(frames, w1_parallel, v), ca.SX(0, 1)
-    inputs = [t, ca.vertcat(*at, psi, w1, y), law, *numbers]
-    return ca.Function("start", inputs, [ca.densify(x), ca.densify(held)])
-
-
-def _first_frame(body: Body, place: ca.SX, theta: ca.SX) -> ca.SX:
-    """The state of a moving frame at a place, turned by theta from the contact frame."""
-    if body.surface.has_chart:
-        return body.at(place, theta).find("start") if body.ambient else ca.vertcat(place, theta)
-    x, first = ca.vertsplit(place, 3)
-    return ca.vertcat(x, ca.cos(theta) * first + ca.sin(theta) * body.at(place).find("second"))
+    inputs = {"t": t, "x": x, "w": w, "held": held, "law": law, "p1": numbers[0], "p2": numbers[1]}
+    values = [ca.densify(value) for value in ca.cse(list(outputs.values()))]
+    return ca.Function("contact", [*inputs.values()], values, [*inputs], [*outputs])

@@ -33,20 +33,22 @@ first system is made.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import did_you_mean, flag, shaped_array
-from .contact_equations import PER_CONTACT, Form, contact_function, start_function
+from .contact_equations import Form, contact_function
+from .engine.binding import contact_table, run
 from .errors import SceneError
 from .kept import kept
 from .scene import SLOTS, Disturbance, Scene, Stretch, acting, refuse_rest, require_scene
 from .starts import Start, measured_start, scene_start
 from .surfaces import TINY, Ellipsoid, Surface, UserSurface
 from .theory import symbols as ca
-from .theory.development import in_space
+from .theory.development import IN_SPACE, in_space
 from .theory.profile import polynomial
 from .theory.symbols import making_symbols
 
@@ -179,9 +181,8 @@ class SceneSystem:
         """Every output as an expression of the symbols."""
         t, x, w, held, p = self._symbols.values()
         law, obj, *fingers = (p[s] for s in self._number_slices)
-        scene, names = self.scene, ("derivatives", *PER_CONTACT)
-        found: dict[str, list[ca.SX]] = {name: [] for name in names}
-        signs = []
+        scene, signs = self.scene, []
+        found: dict[str, list[ca.SX]] = {}
         for i, (contact, form) in enumerate(zip(scene.contacts, self.forms)):
             own = [d for d in scene.disturbances if d.contact == i]
             acts = w[6 * i : 6 * i + 6] if self.disturbance_input or own else ca.SX.zeros(6)
@@ -193,9 +194,9 @@ class SceneSystem:
                 )
                 own_t, own_law = t - began, ca.vertcat(law[0], profile)
             carried = x[self.state_slices[i]], acts, own_held
-            values = dict(zip(names, function(own_t, *carried, own_law, fingers[i], obj)))
-            for name in names:
-                found[name].append(values[name])
+            values = function(own_t, *carried, own_law, fingers[i], obj)
+            for name, value in zip(function.name_out(), values):
+                found.setdefault(name, []).append(value)
             signs.append(_sign(ca.vertsplit(own_law[1:]), own_t))
         outputs = {name: ca.vertcat(*values) for name, values in found.items()}
         rate = outputs["derivatives"]  # added, as a least number would hide NaN
@@ -294,21 +295,28 @@ class SceneSystem:
 
     def place(self, t: float, starts: Sequence[Start]) -> tuple[Array, Array]:
         """States and held numbers of contacts that start at time t: (n_x,), (n_held,)."""
-        obj = self.scene.object
-        law, obj_numbers, *numbers = (self.parameters[s] for s in self._number_slices)
-        x, held = [], []
+        x, held = list[float](), list[float]()
         for i, (contact, form, start) in enumerate(zip(self.scene.contacts, self.forms, starts)):
-            at = [_place(contact.finger, start.finger_at), _place(obj, start.object_at)]
-            given = np.hstack([*at, start.angle, start.finger_velocity, start.object_velocity])
-            leg, own_law, began = self.leg_numbers(i, t), law, 0.0
-            if len(leg):
-                began, own_law = leg[0], np.array([law[0], *leg[1:]])
-            function = start_function(contact.finger, obj, form)
-            values = function(t - began, given, own_law, numbers[i], obj_numbers)
-            own_x, own_held = (value.full().ravel() for value in values)
-            x.append(own_x)
-            held += [own_held, leg]
-        return np.concatenate(x), np.concatenate(held)
+            leg = self.leg_numbers(i, t)
+            began, *profile = leg if len(leg) else (0.0, *self.scene.profile.coefficients)
+            bodies, sigma = (contact.finger, self.scene.object), polynomial(profile, t - began)
+            places = start.finger_at, start.object_at
+            if form.coordinates == "chart":
+                velocities = start.finger_velocity, start.object_velocity
+                for body, at, w in zip(bodies, places, velocities):
+                    x += [*at, *np.linalg.solve(body.metric_root(*at), sigma * np.array(w))]
+                x.append(start.angle)
+                continue
+            (a, b), c, s = start.finger_velocity, math.cos(start.angle), math.sin(start.angle)
+            w1 = c * a - s * b, s * a + c * b
+            v = run(contact_table(0), np.array([[0, *w1, *start.object_velocity]]).T, ())[-2:, 0]
+            if self.scene.gain.row.makes_up and not sigma > 0:  # which lets no slip leave a rest
+                v = np.zeros(2)
+            for body, at, theta, ambient in zip(bodies, places, (-start.angle, 0.0), form.ambient):
+                x += _first_frame(body, at, theta) if ambient else [*at, theta]
+            x += [*w1, *v] if form.forced else []
+            held += [*([] if form.forced else [*w1, *v, t - began]), *leg]
+        return np.array(x), np.array(held)
 
     def leg_numbers(self, contact: int, t: float) -> Array:
         """What is held of the leg that a contact is on from time t on: its start, its profile."""
@@ -419,11 +427,13 @@ def _consecutive(sizes: Iterable[int]) -> list[slice]:
     return [slice(a, b) for a, b in zip(ends, ends[1:])]
 
 
-def _place(surface: Surface, at: tuple[float, float]) -> Array:
-    """What `start_function` takes for a body at (u, v)."""
+def _first_frame(surface: Surface, at: tuple[float, float], theta: float) -> list[float]:
+    """x, p of a moving frame at (u, v), turned by theta from the contact frame."""
     if surface.has_chart:
-        return np.array(at)
-    return np.hstack([surface.point(*at), surface.frame(*at)[:, 0]])
+        table = surface.tables.ambient[IN_SPACE.index("start")]
+        return run(table, np.array([[*at, theta]]).T, surface.numbers)[:, 0].tolist()
+    point, frame = surface.point_and_frame(*at)
+    return [*point, *(frame[:, :2] @ [math.cos(theta), math.sin(theta)])]
 
 
 def _number_names(surface: Surface) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ import math
 
 import numpy as np
 
-from contact_system.contact_equations import PER_CONTACT, Form, contact_function
+from contact_system.contact_equations import Form, contact_function
 from contact_system.contact_sensor import measured_contact
 from contact_system.scene import Contact, Scene, Stretch
 from contact_system.surfaces import TINY, Surface
@@ -75,8 +75,9 @@ def equations(
         own = ca.vertcat(gain, ca.if_else(ended, 0, profile))
         turn, state = (ca.SX(), x) if frames else _framed(x)
         numbers = ca.vertcat(p1, WORK_SIZE), ca.vertcat(p2, WORK_SIZE)
-        values = contact_function(finger, obj, form)(t, state, w, ca.SX(0, 1), own, *numbers)
-        found = dict(zip(("derivatives", *PER_CONTACT), values))
+        function = contact_function(finger, obj, form)
+        values = function(t, state, w, ca.SX(0, 1), own, *numbers)
+        found = dict(zip(function.name_out(), values))
         pose, rates = found["pose"], found["derivatives"]
         by_rows = ca.vertcat(ca.vec(ca.reshape(pose[:9], 3, 3).T), pose[9:])
         results = ca.vertcat(
