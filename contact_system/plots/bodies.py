@@ -212,11 +212,7 @@ def _scale_bar(ax: Any) -> None:
     length = max(k * decade for k in (1, 2, 5) if k * decade <= wanted)
     y, middle = bottom - 0.02 * height, left + length / 2
     ax.plot([left, left + length], [y, y], color=INK, linewidth=2.5, solid_capstyle="butt")
-    ax.text(middle, y - 0.015 * height, _length_text(length), ha="center", va="top", size=9)
-    ax.set_ylim(y - 0.09 * height, top)
-
-
-def _length_text(length: float) -> str:
-    """A round length [m] in the unit that people read it in."""
     unit, name = next((unit for unit in UNITS if length > 0.09 * unit[0]), UNITS[0])
-    return f"{length / unit:g} {name}"
+    told = f"{length / unit:g} {name}"
+    ax.text(middle, y - 0.015 * height, told, ha="center", va="top", size=9)
+    ax.set_ylim(y - 0.09 * height, top)

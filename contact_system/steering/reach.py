@@ -294,7 +294,7 @@ class _Search:
             why += "; do the bodies touch in that pose, from outside?"
         elif tried[0][0] < str(self.aim.fewest):
             why += f": this goal mostly takes {self.aim.fewest} legs at least"
-        limits = [f"within {side} {r:g} m" for side, r in self._limits()]
+        limits = [f"within {SIDES[r.side]}_within {r.widest:g} m" for r in self.aim.regions]
         if self.longest is not None:
             limits.append(f"with no leg above {self.longest:g} m")
         if limits:
@@ -303,9 +303,6 @@ class _Search:
             f"{self.aim.name}: {why}; tried {', '.join(tried)}, of which the nearest ends "
             f"{self.nearest:.2g} (in sizes, rad) off"
         )
-
-    def _limits(self) -> list[tuple[str, float]]:
-        return [(f"{SIDES[side]}_within", widest) for side, _, _, widest in self.aim.regions]
 
     def _alike(self) -> bool:
         """Whether rolling keeps a relation between the places: K_1 = K_2 (theory section 11)."""

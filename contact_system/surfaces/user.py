@@ -31,12 +31,6 @@ SETTLED = 4 * np.finfo(float).eps  # of a distance: a last step of Newton's meth
 TRIES = 4  # so many of its points may lead to it
 
 
-class FreeChart(Chart):
-    """A chart written by the user; nothing is known about it in advance."""
-
-    ranges = "as given by u_range and v_range"
-
-
 class CentralChart(Chart):
     """Polar angle u from +z and azimuth v of the ray from a centre; p starts with the centre."""
 
@@ -133,7 +127,7 @@ class ParametricSurface(UserSurface):
     [0.5 0.  0.5] [0.5 0.  0.5]
     """
 
-    chart = FreeChart
+    chart = Chart  # of which nothing is known in advance
     has_implicit: ClassVar[bool] = False
     u_range: tuple[float, float]
     v_range: tuple[float, float]
