@@ -337,13 +337,7 @@ class Surface:
         other_u = _nearest(-u, u_ref, period_u)
         other_v = _nearest(math.pi - v, v_ref, period_v)
         far = np.hypot(near_u - u_ref, near_v - v_ref)
-        nearer = np.hypot(other_u - u_ref, other_v - v_ref) < far
-        (second, side, seam), (second_ref, side_ref, seam_ref) = (
-            _covers(u, v),
-            _covers(u_ref, v_ref),
-        )
-        told = (side == side_ref) & ~seam & ~seam_ref
-        half_turn = np.where(told, second != second_ref, nearer)
+        half_turn = np.hypot(other_u - u_ref, other_v - v_ref) < far
         u_near, v_near = np.where(half_turn, [other_u, other_v], [near_u, near_v])
         return u_near, v_near, half_turn
 
@@ -427,17 +421,6 @@ class Surface:
 
 
 # --- helpers --------------------------------------------------------------------------------------
-
-
-def _covers(u: Array, v: Array) -> tuple[NDArray[np.bool_], ...]:
-    """Of a double cover: where cos(v) < 0, where sin(u) cos(v) < 0, and where these tell nothing.
-
-    They change where a path crosses sin(u) = 0 or cos(v) = 0 and nowhere else; there, but for
-    rounding, they tell nothing.
-    """
-    second, turns = np.cos(v) < 0, np.array([u, v - 0.5 * math.pi]) / math.pi
-    on_seam = (np.abs(turns - np.rint(turns)) < 1e-12).any(axis=0)
-    return second, (np.sin(u) < 0) != second, np.asarray(on_seam)
 
 
 def _nearest(angle: Array, reference: Array, period: float | None) -> Array:
