@@ -50,14 +50,6 @@ def opened(path: str | os.PathLike[str], what: str) -> Iterator[zipfile.ZipFile]
         raise ContactSystemError(f"{path}: not {what}, or damaged: {told}; give another") from error
 
 
-def member(archive: zipfile.ZipFile, name: str, limit: str) -> bytes:
-    """One member, unpacked."""
-    within(
-        limit, archive.getinfo(name).file_size, f"{name}: bytes when unpacked", ContactSystemError
-    )
-    return archive.read(name)
-
-
 def unpack(archive: zipfile.ZipFile, folder: Path, limit: str) -> None:
     """All members into a folder that is empty, and nowhere else."""
     members = archive.infolist()

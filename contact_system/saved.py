@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .archives import member, opened
-from .checks import finite_number, finite_numbers, known_keys, naming
+from .archives import opened
+from .checks import finite_number, finite_numbers, known_keys, naming, within
 from .engine.binding import run
 from .errors import ContactSystemError, SceneError
 from .motion import moves_in_space
@@ -46,7 +46,10 @@ def read_plan(path: Path) -> tuple[str, dict[str, Any]]:
         names = ("scene", "plan", "digest")[: 2 + ("digest.npy" in archive.namelist())]
         texts = []
         for name in names:
-            data = io.BytesIO(member(archive, f"{name}.npy", "PLAN_BYTES"))
+            info = archive.getinfo(f"{name}.npy")
+            what = f"{info.filename}: bytes when unpacked"
+            within("PLAN_BYTES", info.file_size, what, ContactSystemError)
+            data = io.BytesIO(archive.read(info))
             texts.append(str(np.lib.format.read_array(data, allow_pickle=False)[()]))
         scene, plan, *known = texts  # plans of older versions have no digest
         if known not in ([], [digest([scene, plan])]):

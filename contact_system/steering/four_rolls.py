@@ -66,21 +66,10 @@ def _move_on_plane(aim: Aim, side: int) -> tuple[complex, complex]:
 
 def _turn_of_ball(aim: Aim, side: int) -> tuple[complex, complex]:
     """The same as halves of a quaternion, the second in radii."""
+    from scipy.spatial.transform import Rotation  # slow to import, and seldom needed
+
     (_, frame0), (_, frame1) = aim.start[side], aim.goal[side]
     mirror = np.array([1.0, 1.0, aim.bodies[side].sign])  # p, q and x: left-handed in a bowl
-    w, x, y, z = _quaternion((frame0 * mirror).T @ (frame1 * mirror))
+    turn = (frame0 * mirror).T @ (frame1 * mirror)
+    x, y, z, w = Rotation.from_matrix(turn).as_quat().tolist()
     return complex(w, z), aim.sizes[side] * complex(y, -x)
-
-
-def _quaternion(turn: Array) -> list[float]:
-    """w, x, y, z of a rotation, from the greatest of them."""
-    (a, d, e), (f, b, g), (h, i, c) = turn.tolist()
-    rows = (
-        (1 + a + b + c, i - g, e - h, f - d),
-        (i - g, 1 + a - b - c, d + f, e + h),
-        (e - h, d + f, 1 - a + b - c, g + i),
-        (f - d, e + h, g + i, 1 - a - b + c),
-    )
-    row = max(range(4), key=lambda k: rows[k][k])
-    norm = math.hypot(*rows[row])
-    return [x / norm for x in rows[row]]

@@ -66,13 +66,9 @@ class Goal:
 
 
 def _region(given: Any, key: str) -> tuple[float, ...]:
-    remedy = f"{key} = {given!r:.80}: give u, v and a radius above 0, m"
-    try:
-        found = finite_numbers(given, key)
-    except (SceneError, TypeError):
-        raise SceneError(remedy) from None
+    found = finite_numbers(given, key)
     if len(found) != 3 or not found[2] > 0:
-        raise SceneError(remedy)
+        raise SceneError(f"{key} = {given!r:.80}: give u, v and a radius above 0, m")
     return found
 
 
