@@ -15,10 +15,10 @@ from .archives import opened
 from .checks import finite_number, finite_numbers, known_keys, naming, within
 from .engine.binding import run
 from .errors import ContactSystemError, SceneError
-from .motion import moves_in_space
 from .scene import Scene
 from .starts import Moment, Start, Starts, require_place
 from .surfaces import Surface
+from .theory.development import prefers_space
 
 KEYS = ("tolerance", "method", "solver", "start", "starts")
 A_RESTORE = 1  # of a surface's tables, as in engine.h
@@ -105,7 +105,7 @@ def _start(scene: Scene, index: int, given: Any, moments: bool) -> Start | Momen
         if name == "angle":
             read[name] = finite_number(value, what)
             continue
-        if name.endswith("frame") and not moves_in_space(bodies[name[:6]]):
+        if name.endswith("frame") and not prefers_space(bodies[name[:6]]):
             size = 0
         if not isinstance(value, list) or len(value) != size:
             raise SceneError(f"{what} = {value!r}: give a list of {size} numbers")

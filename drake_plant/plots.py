@@ -181,7 +181,7 @@ def _draw_curves(ax: Any, result: SimulationResult, planned: Plan) -> None:
     view = best_view(mesh, curves)
     apart = APART * max(ax.dataLim.width, ax.dataLim.height)
     dots = np.concatenate([_dots(x, apart) for x in result.planned["contact_point"].swapaxes(0, 1)])
-    seen = view(dots[~is_hidden(mesh, view, dots)])
+    seen = dots[~is_hidden(mesh, view, dots)] @ view
     ax.plot(*seen.T[:2], linestyle="none", marker="o", markersize=1.7, color="white", zorder=7)
 
 

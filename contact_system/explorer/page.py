@@ -395,7 +395,7 @@ class Explorer:
         middle = (ends.min(axis=0) + ends.max(axis=0)) / 2 * self.unit
         camera: Any = self.server.initial_camera
         camera.look_at, camera.up = middle, (0.0, 0.0, 1.0)
-        camera.position = middle + best_view(mesh, curves).axes[2]
+        camera.position = middle + best_view(mesh, curves)[:, 2]
         camera.near, camera.far = 0.01, 100.0
 
 

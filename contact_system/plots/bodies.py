@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,17 +20,6 @@ OCCLUDER = 3  # every third mesh line tells what is hidden: flat faces miss a sp
 UNITS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm"))  # of a scale, from 0.1 of each on
 
 
-@dataclass
-class View:
-    """Orthographic camera: rows right, up, towards the camera."""
-
-    axes: np.ndarray
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Right, up and depth (greater is nearer) of points (..., 3), m."""
-        return x @ self.axes.T
-
-
 def draw_body(ax: Any, mesh: Mesh | None, curves: Sequence[Curve]) -> None:
     """A body from where its curves are seen best, with those curves and a scale."""
     view = best_view(mesh, curves)
@@ -39,8 +27,8 @@ def draw_body(ax: Any, mesh: Mesh | None, curves: Sequence[Curve]) -> None:
         _draw_surface(ax, mesh, view)
     hidden = [is_hidden(mesh, view, curve.points) for curve in curves]
     for curve, behind in zip(curves, hidden):
-        _draw_curve(ax, view(curve.points), curve, behind)
-    starts = np.array([view(curve.points[0])[:2] for curve in curves])
+        _draw_curve(ax, curve.points @ view, curve, behind)
+    starts = np.array([(curve.points[0] @ view)[:2] for curve in curves])
     room = 0.04 * max(ax.dataLim.width, ax.dataLim.height)  # of a label
     for k, curve in enumerate(curves):
         before = np.linalg.norm(starts[:k] - starts[k], axis=1) < room
@@ -48,15 +36,18 @@ def draw_body(ax: Any, mesh: Mesh | None, curves: Sequence[Curve]) -> None:
     for curve, behind in zip(curves, hidden):
         _draw_legs(ax, mesh, view, curve, room)
         for frame, dim in zip(curve.frames, (behind[0], behind[-1])):
-            _draw_frame(ax, view(frame)[:, :2], 3.0 * room, 0.4 if dim else 1.0)
+            _draw_frame(ax, (frame @ view)[:, :2], 3.0 * room, 0.4 if dim else 1.0)
     ax.set_aspect("equal")
     ax.margins(0.06)
     ax.set_axis_off()
     _scale_bar(ax)
 
 
-def best_view(mesh: Mesh | None, curves: Sequence[Curve]) -> View:
-    """Of a ring of cameras the one that the curves face most."""
+def best_view(mesh: Mesh | None, curves: Sequence[Curve]) -> np.ndarray:
+    """Of a ring of orthographic cameras the one that the curves face most.
+
+    (3, 3): x @ view is right, up and depth, m, the greater the nearer.
+    """
     points = np.concatenate([c.points[::20] for c in curves])
     starts = np.array([c.points[0] for c in curves])
     elevation, azimuth = np.meshgrid([28, 40, 60, -28], range(0, 360, 15), indexing="ij")
@@ -67,7 +58,7 @@ def best_view(mesh: Mesh | None, curves: Sequence[Curve]) -> View:
     normals = _normals_at(mesh, points), _normals_at(mesh, starts)
     facing, first = (np.clip(n @ toward.T, -0.2, 0.6).mean(0) for n in normals)
     best = np.argmax(facing + 0.5 * first - penalty)
-    return View(np.stack([right, np.cross(toward, right), toward], 1)[best])
+    return np.stack([right, np.cross(toward, right), toward], 2)[best]
 
 
 def _normals_at(mesh: Mesh | None, points: np.ndarray) -> np.ndarray:
@@ -77,20 +68,20 @@ def _normals_at(mesh: Mesh | None, points: np.ndarray) -> np.ndarray:
     return mesh.normals[[((mesh.points - x) ** 2).sum(1).argmin() for x in points]]
 
 
-def is_hidden(mesh: Mesh | None, view: View, points: np.ndarray) -> np.ndarray:
+def is_hidden(mesh: Mesh | None, view: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Whether the surface lies between each point and the camera: (n,) bool."""
     hidden = np.zeros(len(points), bool)
     if mesh is None:
         return hidden
     triangles, slack = mesh.triangles(OCCLUDER), 0.02 * mesh.size
     if mesh.inside:  # a hollow is open towards the camera
-        triangles = triangles[(mesh.normals @ view.axes[2])[triangles].mean(1) > 0]
-    corners = view(mesh.points)[triangles]
+        triangles = triangles[(mesh.normals @ view[:, 2])[triangles].mean(1) > 0]
+    corners = (mesh.points @ view)[triangles]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
     area[np.abs(area) <= 1e-12 * slack**2] = np.nan  # seen from the side: hides nothing
     for first in range(0, len(points), 64):
-        p = view(points[first : first + 64])[:, None] - a
+        p = (points[first : first + 64] @ view)[:, None] - a
         beta = (p[..., 0] * c[:, 1] - p[..., 1] * c[:, 0]) / area
         gamma = (b[:, 0] * p[..., 1] - b[:, 1] * p[..., 0]) / area
         nearer = beta * b[:, 2] + gamma * c[:, 2] - p[..., 2] > slack
@@ -99,13 +90,13 @@ def is_hidden(mesh: Mesh | None, view: View, points: np.ndarray) -> np.ndarray:
     return hidden
 
 
-def _draw_surface(ax: Any, mesh: Mesh, view: View) -> None:
+def _draw_surface(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
     from matplotlib.colors import LinearSegmentedColormap
 
-    (x, y, depth), triangles = view(mesh.points).T, mesh.triangles()
+    (x, y, depth), triangles = (mesh.points @ view).T, mesh.triangles()
     triangles = triangles[np.argsort(depth[triangles].mean(1))]
-    facing = (mesh.normals @ view.axes[2])[triangles].mean(1)
-    light = view.axes.T @ np.array([-0.45, 0.6, 0.75])
+    facing = (mesh.normals @ view[:, 2])[triangles].mean(1)
+    light = view @ np.array([-0.45, 0.6, 0.75])
     shade = 0.5 + 0.5 * mesh.normals @ (light / np.linalg.norm(light))
     layers = [(facing <= 0, HOLLOW, 1 - shade), (facing > 0, BODY, shade)]
     style = {"shading": "gouraud", "vmin": 0, "vmax": 1, "zorder": 1, "rasterized": True}
@@ -118,27 +109,27 @@ def _draw_surface(ax: Any, mesh: Mesh, view: View) -> None:
     _draw_outline(ax, mesh, view)
 
 
-def _draw_chart_lines(ax: Any, mesh: Mesh, view: View) -> None:
+def _draw_chart_lines(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
     step = CELLS // 12
     for line in (*mesh.grid[::step], *mesh.grid.T[::step]):
-        x, shown = mesh.points[line], mesh.normals[line] @ view.axes[2] > 0
+        x, shown = mesh.points[line], mesh.normals[line] @ view[:, 2] > 0
         shown[shown] = ~is_hidden(mesh, view, x[shown])
         for run in _runs(shown):
-            ax.plot(*view(x[run]).T[:2], color="white", linewidth=0.7, alpha=0.75, zorder=2)
+            ax.plot(*(x[run] @ view).T[:2], color="white", linewidth=0.7, alpha=0.75, zorder=2)
 
 
-def _draw_outline(ax: Any, mesh: Mesh, view: View) -> None:
+def _draw_outline(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
     """Where the surface turns away from the camera, and its edges: n . d = 0 in each triangle."""
     from matplotlib.collections import LineCollection
 
-    facing, triangles = mesh.normals @ view.axes[2], mesh.triangles()
+    facing, triangles = mesh.normals @ view[:, 2], mesh.triangles()
     following = triangles[:, [1, 2, 0]]
     crosses = (facing[triangles] > 0) != (facing[following] > 0)  # on two sides, or none
     a, b = triangles[crosses], following[crosses]
     part = (facing[a] / (facing[a] - facing[b]))[:, None]
     turns = mesh.points[a] + part * (mesh.points[b] - mesh.points[a])
     pairs = np.concatenate([turns.reshape(-1, 2, 3), edges(mesh)])
-    pairs = view(pairs[~is_hidden(mesh, view, pairs.mean(1))])[:, :, :2]
+    pairs = (pairs[~is_hidden(mesh, view, pairs.mean(1))] @ view)[:, :, :2]
     style = {"colors": "#6b7580", "linewidths": 0.9, "zorder": 2, "capstyle": "round"}
     ax.add_collection(LineCollection(pairs, **style))
 
@@ -184,7 +175,7 @@ def _mark_start(ax: Any, start: np.ndarray, curve: Curve, behind: bool, below: i
     ax.annotate(curve.label, start, place, textcoords="offset points", bbox=box, **style)
 
 
-def _draw_legs(ax: Any, mesh: Mesh | None, view: View, curve: Curve, room: float) -> None:
+def _draw_legs(ax: Any, mesh: Mesh | None, view: np.ndarray, curve: Curve, room: float) -> None:
     """The number of each leg of a curve beside its middle."""
     for k, middle in enumerate(curve.legs):
         dim = is_hidden(mesh, view, middle[None])[0]
@@ -192,7 +183,7 @@ def _draw_legs(ax: Any, mesh: Mesh | None, view: View, curve: Curve, room: float
         style |= {"color": curve.colour, "alpha": 0.6 if dim else 1.0}
         style["bbox"] = {"boxstyle": "round,pad=0.15", "facecolor": "white", "linewidth": 0}
         style["bbox"]["alpha"] = 0.8
-        ax.text(*view(middle)[:2], str(k + 1), **style)
+        ax.text(*(middle @ view)[:2], str(k + 1), **style)
 
 
 def _draw_frame(ax: Any, seen: np.ndarray, length: float, alpha: float) -> None:

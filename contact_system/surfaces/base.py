@@ -71,7 +71,6 @@ class Surface:
 
     has_chart: ClassVar[bool] = True
     has_implicit: ClassVar[bool] = True
-    ambient: ClassVar[bool] = False
     reach: ClassVar[float] = math.inf  # sizes that a panel grows to: it sees nothing between nodes
     __match_args__: ClassVar[tuple[str, ...]]  # by dataclasses: names of what is given by position
     examples: ClassVar[tuple[tuple[Any, ...], ...]] = ()

@@ -201,8 +201,6 @@ class ProlateChart(PolarChart):
 class SecondDegree(Surface):
     """The surface x^T A x = 1, of which everything but the chart follows from A."""
 
-    ambient: ClassVar[bool] = True
-
     def _matrix(self, p: ca.SX) -> ca.SX:
         """Return A, (3, 3), 1/m^2."""
         raise NotImplementedError

@@ -62,7 +62,6 @@ class Sphere(OfLengths):
     """
 
     chart = PolarChart
-    ambient: ClassVar[bool] = True
     examples: ClassVar = ((1.0,),)
     radius: float
 

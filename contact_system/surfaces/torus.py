@@ -56,7 +56,6 @@ class Torus(OfLengths):
     """
 
     chart = TorusChart
-    ambient: ClassVar[bool] = True
     examples: ClassVar = ((1.0, 0.6),)
     major: float
     minor: float

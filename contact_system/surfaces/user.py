@@ -365,7 +365,6 @@ class ImplicitSurface(UserSurface):
 
     chart = CentralChart
     has_chart: ClassVar[bool] = False
-    ambient: ClassVar[bool] = True
     center: tuple[float, float, float]
 
     def __init__(

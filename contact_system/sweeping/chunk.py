@@ -89,7 +89,9 @@ def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: 
     def tables_of(batch: Batch) -> list[np.ndarray]:
         try:
             scene = _together(batch)
-            outputs = evaluate(scene if tolerance is None else plan(scene, tolerance))
+            if tolerance is None:
+                return [_table(batch, evaluate(scene))]
+            outputs = evaluate(plan(scene, tolerance))
         except Exception as error:  # whatever a user's function raises
             if len(batch) > 1:  # in halves, to find what fails
                 half = len(batch) // 2

@@ -35,7 +35,7 @@ BESIDES = {"motion": 2, "coordinates": 2, "vector": 2, "geodesic": 4}
 
 def prefers_space(surface: Surface) -> bool:
     """Whether bodies of this surface are moved as (x, p) in space, else as (u, v, theta)."""
-    return surface.ambient and not surface.developable
+    return surface.has_implicit and not surface.developable
 
 
 def in_space(surface: Surface, disturbed: bool) -> bool:
