@@ -56,6 +56,7 @@ Array = np.ndarray
 
 COORDINATES = ("chart", "frame")
 INPUTS = ("t", "x", "w", "held", "p")
+START = 0  # of the engine's tables of contacts, as in engine.h
 
 
 class SceneSystem:
@@ -309,7 +310,8 @@ class SceneSystem:
                 continue
             (a, b), c, s = start.finger_velocity, math.cos(start.angle), math.sin(start.angle)
             w1 = c * a - s * b, s * a + c * b
-            v = run(contact_table(0), np.array([[0, *w1, *start.object_velocity]]).T, ())[-2:, 0]
+            given = np.array([[0, *w1, *start.object_velocity]]).T  # psi is 0 between these frames
+            v = run(contact_table(START), given, ())[-2:, 0]
             if self.scene.gain.row.makes_up and not sigma > 0:  # which lets no slip leave a rest
                 v = np.zeros(2)
             for body, at, theta, ambient in zip(bodies, places, (-start.angle, 0.0), form.ambient):

@@ -129,7 +129,7 @@ def _fields(table: Mapping[str, Any]) -> dict[str, Any]:
 
 def _value(key: str, value: Any) -> Any:
     """What a key stands for, which is the same in every table; numbers where nothing else is."""
-    if key in _TEXTS or (key.endswith("velocity") and isinstance(value, str)):
+    if key in _AS_GIVEN or (key.endswith("velocity") and isinstance(value, str)):
         return value
     if key in _PARTS:
         with naming(key):
@@ -196,7 +196,7 @@ def _surface(value: Any) -> Surface:
         return surfaces.KINDS[name](**given, inside=inside)
 
 
-_TEXTS = ("name", "description", "chosen", "kind", "contact", "drake")
+_AS_GIVEN = ("name", "description", "chosen", "kind", "contact", "drake")
 _PARTS: dict[str, Callable[[Any], Any]] = {
     "object": _surface,
     "finger": _surface,
