@@ -98,12 +98,6 @@ class Body(NamedTuple):
         return ca.copysign(least, ca.dot(outward, q))
 
 
-class Drive(NamedTuple):
-    sigma: ca.SX
-    slope: ca.SX  # sigma'
-    lam: ca.SX
-
-
 class ContactMotion(NamedTuple):
     """What every output of a contact is read off; (p_i, q_i) are the bodies' moving frames."""
 
@@ -143,15 +137,17 @@ def _bodies(finger: Surface, obj: Surface, form: Form) -> tuple[Body, Body, list
     return tip, body, symbols
 
 
-def _chart_motion(tip: Body, body: Body, x: ca.SX, w: ca.SX, drive: Drive) -> ContactMotion:
-    """In the contact frames themselves: theta = 0."""
+def _chart_motion(
+    tip: Body, body: Body, x: ca.SX, w: ca.SX, growth: ca.SX, lam: ca.SX
+) -> ContactMotion:
+    """In the contact frames themselves: theta = 0; growth: sigma'/sigma."""
     q1, rate_1, q2, rate_2, psi = ca.vertsplit(x, [0, 2, 4, 6, 8, 9])
     shapes = [b.surface.geometry_expr(b.numbers, q[0], q[1]) for b, q in ((tip, q1), (body, q2))]
     tip, body, moved = tip.at(q1, 0), body.at(q2, 0), rate_2 + w[4:6]
     velocities = tip.find("vector", rate_1), body.find("vector", moved)
     turn = reflection(ca.cos(psi), ca.sin(psi))
     return ContactMotion(
-        rate=chart_rates(shapes, x, drive.slope / drive.sigma, drive.lam, w),
+        rate=chart_rates(shapes, x, growth, lam, w),
         state=ca.vertcat(x[:6], moved, psi),
         bodies=(tip, body),
         velocities=velocities,
@@ -163,7 +159,7 @@ def _chart_motion(tip: Body, body: Body, x: ca.SX, w: ca.SX, drive: Drive) -> Co
 
 
 def _frame_motion(
-    tip: Body, body: Body, form: Form, x: ca.SX, w: ca.SX, drive: Drive, held: ca.SX
+    tip: Body, body: Body, form: Form, x: ca.SX, w: ca.SX, sigma: ca.SX, lam: ca.SX, held: ca.SX
 ) -> ContactMotion:
     """In frames carried along by parallel transport; held: W_1 and V."""
     w1, v = ca.vertsplit(held, 2)
@@ -173,16 +169,16 @@ def _frame_motion(
         b.at(b.at(f).find("restore") if b.ambient else f) for b, f in zip((tip, body), own)
     )
     offset = body.find("vector", w[4:6])
-    velocities = drive.sigma * w1, drive.sigma * (flip() @ w1 - v) + offset
+    velocities = sigma * w1, sigma * (flip() @ w1 - v) + offset
     rates = []
     for b, f, velocity in zip((tip, body), own, velocities):
         rates.append(b.find("motion", velocity))
         if b.ambient:  # drift off the surface dies out along a path of the body's size
-            rates[-1] += drive.sigma / b.size * (b.place - f)
+            rates[-1] += sigma / b.size * (b.place - f)
     if form.forced:
         pushed = tip.find("vector", w[:2]), body.find("vector", w[2:4])
-        w1_rate, v_rate = pushed_paths(ca.fmax(drive.sigma, TINY), flip(), *pushed)
-        rates += [w1_rate, v_rate - drive.lam * v]
+        w1_rate, v_rate = pushed_paths(ca.fmax(sigma, TINY), flip(), *pushed)
+        rates += [w1_rate, v_rate - lam * v]
     first, second = (b.find("coordinates", c) for b, c in zip((tip, body), velocities))
     psi = -first[4] - second[4]
     psi -= TURN * ca.floor((psi + math.pi) / TURN)
@@ -192,7 +188,7 @@ def _frame_motion(
         bodies=(tip, body),
         velocities=velocities,
         turn=flip(),
-        sliding=drive.sigma * v - offset,
+        sliding=sigma * v - offset,
         theta=second[4],
         carried=ca.vertcat(w1, v),
     )
@@ -212,14 +208,15 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     sigma = polynomial(profile, t)
     slope = ca.gradient(sigma, t)
     growth = ca.fmax(0, slope / ca.fmax(sigma, TINY))
-    drive = Drive(sigma, slope, LAWS[form.law].rate(law[0], sigma, growth))
+    lam = LAWS[form.law].rate(law[0], sigma, growth)
     if form.coordinates == "chart":
-        motion = _chart_motion(tip, body, x, w, drive)
-    elif form.forced:
-        motion = _frame_motion(tip, body, form, x, w, drive, x[-4:])
+        motion = _chart_motion(tip, body, x, w, slope / sigma, lam)
     else:
-        v = held[2:4] * _decay(form, law[0], profile, held[4], t)
-        motion = _frame_motion(tip, body, form, x, w, drive, ca.vertcat(held[:2], v))
+        carried = x[-4:]
+        if not form.forced:
+            decay = _decay(form, law[0], profile, held[4], t)
+            carried = ca.vertcat(held[:2], held[2:4] * decay)
+        motion = _frame_motion(tip, body, form, x, w, sigma, lam, carried)
     rate, state, (tip, body), velocities, turn, sliding, theta, carried = motion
     frames, shapes = (tip.frame(), body.frame()), (tip.find("shape"), body.find("shape"))
 
