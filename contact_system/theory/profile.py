@@ -132,10 +132,6 @@ class Profile:
         """s(t) = int_0^t sigma [m]; t [s] of any shape."""
         return polynomial(integral(self.coefficients), as_time(t))
 
-    def energy(self, t):
-        """int_0^t sigma^2 [m^2/s]; t [s] of any shape."""
-        return polynomial(integral(self.square), as_time(t))
-
     def shifted(self, t0: float) -> Coefficients:
         """Coefficients of tau -> sigma(t0 + tau), each rounded once."""
         c, start = exact_product(self.coefficients), Fraction(finite_number(t0, "t0"))
@@ -210,11 +206,6 @@ class Profile:
             return () if self.coefficients[0] else (0.0,)
         knots = self.knots(0.0, finite_number(duration, "duration"))
         return tuple(t for t in knots if clear_value(self.coefficients, t) <= 0)
-
-    @kept
-    def square(self) -> Coefficients:
-        """Coefficients of sigma^2."""
-        return rounded_product(self.coefficients, self.coefficients)
 
     @kept
     def slope(self) -> Coefficients:
