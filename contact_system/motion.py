@@ -118,7 +118,7 @@ class Motion:
 
     def _moment(self, index: int, row: list[float]) -> Moment:
         frames = [
-            tuple(row[at : at + 6]) if moves_in_space(surface) else ()
+            tuple(row[at : at + 6]) if surface.tables.ambient[0] is not None else ()
             for surface, at in zip(self._bodies(index), (11, 17))
         ]
         places = tuple(row[5:8]), tuple(row[8:11])
@@ -204,11 +204,6 @@ class Motion:
         return ContactSystemError(
             f"{name}: there is not enough memory; shorten the scene, or plan fewer contacts at once"
         )
-
-
-def moves_in_space(surface: Surface) -> bool:
-    """Whether bodies of this surface are moved as (x, p) in space, else as (u, v, theta)."""
-    return surface.tables.ambient[0] is not None
 
 
 MAY_BE_SINGULAR = 1  # surface_t.flags: nobody knows where the chart is regular

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .buffer import Buffer
-from .checks import FLOAT, a_path, did_you_mean, flag, naming, real_array
+from .checks import FLOAT, a_path, did_you_mean, flag, naming, shaped_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
 from .motion import SHAPES, Motion
 from .scene import Scene, acting, require_scene, scene_from_toml, scene_to_toml
@@ -322,13 +322,7 @@ class Plan:
             plan, or contacts whose rolling is imposed.
         """
         where, shape = f"{self.scene.title}, restart", (len(self.scene.contacts), 9)
-        t = self._time(t)
-        try:
-            measured = real_array(state)
-        except (TypeError, ValueError, OverflowError):
-            raise SceneError(f"{where}: state = {state!r}; give numbers, shape {shape}") from None
-        if measured.shape != shape:
-            raise SceneError(f"{where}: state has shape {measured.shape}; give {shape}")
+        t, measured = self._time(t), shaped_array(state, f"{where}: state", shape)
         if not t < self.end:
             raise SceneError(
                 f"{where} at t = {t:g} s: nothing is left to plan, the scene ends at "
@@ -497,19 +491,13 @@ def checked_tolerance(given: Any) -> float:
 
 
 def _one_axis(t: ArrayLike) -> np.ndarray:
-    try:
-        times = np.asarray(t)
-        if times.dtype is not FLOAT:
-            times = real_array(times)
-    except (TypeError, ValueError, OverflowError):
-        raise ContactSystemError(
-            f"t = {t!r}: give a time in seconds, or one axis of times"
-        ) from None
-    if times.ndim == 1:
-        return times
-    if times.ndim == 0:
-        return times[None]
-    raise ContactSystemError(f"times have shape {times.shape}; give one axis of times")
+    if not (isinstance(t, np.ndarray) and t.dtype is FLOAT):
+        t = shaped_array(
+            t, "t", None, ContactSystemError, "a time in seconds, or one axis of times"
+        )
+    if t.ndim > 1:
+        raise ContactSystemError(f"times have shape {t.shape}; give one axis of times")
+    return np.atleast_1d(t)
 
 
 def require_plan(given: Any) -> None:

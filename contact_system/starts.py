@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -52,15 +51,6 @@ class Moment:
 
 Starts = Sequence[Start | Moment]
 """Either all Start or all Moment."""
-
-
-def starts_from_plain(plain: Sequence[Mapping[str, Any]]) -> Starts:
-    """From what ``vars`` gave of each, tuples being lists by now."""
-    kind: Any = Moment if "slip" in plain[0] else Start
-    return [
-        kind(**{k: float(v) if k == "angle" else tuple(map(float, v)) for k, v in one.items()})
-        for one in plain
-    ]
 
 
 def require_place(surface: Surface, u: float, v: float, place: str) -> None:

@@ -72,20 +72,15 @@ static inline void wind_to(const surface_t *s, int turned, const double *ref, la
   z[THETA][i] = wound(z[THETA][i] + half, ref[2], TURN);
 }
 
-/* One point in principal coordinates to its reference's branch: known where sin u cos v has the
-   same sign, else taken as the nearest */
+/* One point in principal coordinates to the nearer branch, which is the one where sin u cos v has
+   its reference's sign */
 static void wind(const surface_t *s, const double *ref, lanes_t z, int i) {
   const double u = z[U][i], v = z[V][i];
-  int turned = s->double_cover && second_cover(ref[1]);
-  if (s->double_cover &&
-      (beyond(u, 0.0) != beyond(ref[0], ref[1]) || on_seam(u, v) || on_seam(ref[0], ref[1]))) {
-    const double du = wound(u, ref[0], s->period_u) - ref[0];
-    const double dv = wound(v, ref[1], s->period_v) - ref[1];
-    const double du2 = wound(-u, ref[0], s->period_u) - ref[0];
-    const double dv2 = wound(0.5 * TURN - v, ref[1], s->period_v) - ref[1];
-    turned = du2 * du2 + dv2 * dv2 < du * du + dv * dv;
-  }
-  wind_to(s, turned, ref, z, i);
+  const double du = wound(u, ref[0], s->period_u) - ref[0];
+  const double dv = wound(v, ref[1], s->period_v) - ref[1];
+  const double du2 = wound(-u, ref[0], s->period_u) - ref[0];
+  const double dv2 = wound(0.5 * TURN - v, ref[1], s->period_v) - ref[1];
+  wind_to(s, s->double_cover && du2 * du2 + dv2 * dv2 < du * du + dv * dv, ref, z, i);
 }
 
 /* u v u' v' theta of one place to the branch of a reference u v theta */
