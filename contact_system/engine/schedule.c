@@ -25,8 +25,9 @@ static int64_t exponent_of(work_t *w, const twofold_t *sigma, int64_t n, double 
                            int64_t power, const double **out) {
   const int64_t size = power * (n - 1) + 1;
   double *found = keep(w, (size_t)size + 1);
-  twofold_t *rate = malloc(2 * (size_t)size * sizeof *rate), *next = rate + size;
+  twofold_t *rate = malloc(2 * (size_t)size * sizeof *rate);
   if (!rate) fail(w, NO_MEMORY);
+  twofold_t *next = rate + size;
   rate[0] = twofold(value);
   int64_t terms = 1;
   for (int64_t p = 0; p < power; p++, terms += n - 1) {
