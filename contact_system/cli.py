@@ -132,8 +132,12 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_foreign(commands: Any, words: Sequence[str]) -> None:
-    """Let other packages register; one that cannot be imported says so, in one line."""
-    for point in entry_points(group=GROUP):
+    """Let other packages register, of all or of the command that is asked for.
+
+    One that cannot be imported says so, in one line.
+    """
+    points = entry_points(group=GROUP)
+    for point in [p for p in points if words and p.name == words[0]] or points:
         try:
             point.load()(commands)
         except Exception as error:  # whatever goes wrong while a stranger is imported

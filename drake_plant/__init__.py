@@ -5,7 +5,8 @@ Python.
 """
 
 import warnings
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 try:
     import pydrake  # noqa: F401
@@ -14,40 +15,29 @@ except ImportError as error:
         'drake_plant needs Drake: pip install "contact-system[drake]" (Linux and macOS)'
     ) from error
 
-from .balance import balancing_forces
-from .config import Push, StationConfig
-from .contact_monitor import ContactMonitor
-from .fingertip_driver import FingertipDriver
-from .force_balancer import ForceBalancer
-from .hand import Hand
-from .hand_driver import HandDriver
-from .hand_outcome import HandReport, hand_report
-from .hand_station import BuildHandStation, HandResult, simulate_hand
-from .measures import contact_table, object_report, outcome, push_table
-from .plan_source import PlanSource
-from .planner_system import ContactPlanner
-from .plant import AddScenePlant, ScenePlant
-from .plots import plot
-from .pressing import rolling_scene
-from .pushes import PushSource
-from .recording import Recording
-from .reorientation import Reorientation, plan_reorientation
-from .simulation import SimulationResult, simulate
-from .station import BuildStation, SetInitialState
-from .trajectories import ContactTrajectories, MakeTrajectories
-
-
-def __getattr__(name: str) -> Any:
-    """FmuSystem, imported when it is asked for, as nothing else needs fmpy; and former names."""
-    if name == "FmuSystem":
-        from .fmu_system import FmuSystem
-
-        return FmuSystem
-    if name in ("PlantConfig", "DriverConfig"):
-        warnings.warn(f"{name} is StationConfig now", DeprecationWarning, stacklevel=2)
-        return StationConfig
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
+if TYPE_CHECKING:
+    from .balance import balancing_forces
+    from .config import Push, StationConfig
+    from .contact_monitor import ContactMonitor
+    from .fingertip_driver import FingertipDriver
+    from .fmu_system import FmuSystem  # noqa: F401
+    from .force_balancer import ForceBalancer
+    from .hand import Hand
+    from .hand_driver import HandDriver
+    from .hand_outcome import HandReport, hand_report
+    from .hand_station import BuildHandStation, HandResult, simulate_hand
+    from .measures import contact_table, object_report, outcome, push_table
+    from .plan_source import PlanSource
+    from .planner_system import ContactPlanner
+    from .plant import AddScenePlant, ScenePlant
+    from .plots import plot
+    from .pressing import rolling_scene
+    from .pushes import PushSource
+    from .recording import Recording
+    from .reorientation import Reorientation, plan_reorientation
+    from .simulation import SimulationResult, simulate
+    from .station import BuildStation, SetInitialState
+    from .trajectories import ContactTrajectories, MakeTrajectories
 
 __all__ = [  # what a star imports: FmuSystem needs fmpy
     "AddScenePlant",
@@ -84,3 +74,39 @@ __all__ = [  # what a star imports: FmuSystem needs fmpy
     "simulate",
     "simulate_hand",
 ]
+
+_LATER = {
+    "balance": ("balancing_forces",),
+    "config": ("Push", "StationConfig"),
+    "contact_monitor": ("ContactMonitor",),
+    "fingertip_driver": ("FingertipDriver",),
+    "fmu_system": ("FmuSystem",),
+    "force_balancer": ("ForceBalancer",),
+    "hand": ("Hand",),
+    "hand_driver": ("HandDriver",),
+    "hand_outcome": ("HandReport", "hand_report"),
+    "hand_station": ("BuildHandStation", "HandResult", "simulate_hand"),
+    "measures": ("contact_table", "object_report", "outcome", "push_table"),
+    "plan_source": ("PlanSource",),
+    "planner_system": ("ContactPlanner",),
+    "plant": ("AddScenePlant", "ScenePlant"),
+    "plots": ("plot",),
+    "pressing": ("rolling_scene",),
+    "pushes": ("PushSource",),
+    "recording": ("Recording",),
+    "reorientation": ("Reorientation", "plan_reorientation"),
+    "simulation": ("SimulationResult", "simulate"),
+    "station": ("BuildStation", "SetInitialState"),
+    "trajectories": ("ContactTrajectories", "MakeTrajectories"),
+}
+"""What is not asked for is not imported: all of it together takes three times as long as Drake."""
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("PlantConfig", "DriverConfig"):
+        warnings.warn(f"{name} is StationConfig now", DeprecationWarning, stacklevel=2)
+        name = "StationConfig"
+    for room, names in _LATER.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{room}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
