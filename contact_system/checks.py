@@ -124,8 +124,7 @@ def _as_float(x: Any) -> float:
     """x as a float, inf beyond all floats; TypeError or ValueError where it is no number."""
     if type(x) is float:
         return x
-    # float() would take all of these, numpy's complex numbers for their real parts
-    if isinstance(x, (str, bytes, bool, np.bool_)) or np.iscomplexobj(x):
+    if isinstance(x, (str, bytes, bool, np.bool_, np.complexfloating)):  # float() takes these too
         raise TypeError
     try:
         return float(x)

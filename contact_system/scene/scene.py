@@ -7,6 +7,7 @@ count from 0, in Python as in scene files (`files`).
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 import numbers
@@ -19,10 +20,11 @@ import numpy as np
 from ..checks import did_you_mean, finite_number, known_keys, naming, within
 from ..errors import ContactSystemError, SceneError
 from ..surfaces import Surface
+from ..surfaces.charts import fold_latitude
 from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
 from .contact import MANY_TURNS, Contact, Pair, Turning, a_surface, a_text, all_of
-from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
+from .disturbances import ALL, SLOTS, Disturbance
 from .legs import STILL, Leg, Stretch, check_legs, length, speed
 
 
@@ -166,8 +168,8 @@ class Scene:
         put(self, "contacts", all_of(Contact, self.contacts, "contacts", "Contact"))
         if not self.contacts:
             raise SceneError("contacts = []: a scene needs at least one contact")
-        kinds = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
-        put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", kinds))
+        names = "FingerAcceleration, ObjectAcceleration or ObjectRateOffset"
+        put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", names))
         for key, kind in (("profile", Profile), ("gain", Gain), ("turning", Turning)):
             value = getattr(self, key)
             if not isinstance(value, kind) and not (key == "turning" and value is None):
@@ -267,14 +269,16 @@ def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Cont
                 f"contacts[{i}]: {key}: {name} = {value!r}: beyond {MANY_TURNS:g} rad a "
                 "double resolves an angle within its turn too poorly; subtract whole turns"
             )
-    half_turn = bool(surface.align(*at, *given)[2])
-    moved: dict[str, Any] = {key: at}
+    half_turn = surface.double_cover and fold_latitude(given[1])[1]
+    changes: dict[str, Any] = {key: at}
     if half_turn:
-        moved["angle"] = math.remainder(contact.angle + math.pi, 2 * math.pi)
+        changes["angle"] = math.remainder(contact.angle + math.pi, 2 * math.pi)
         velocity = getattr(contact, f"{body}_velocity")
         if not isinstance(velocity, str):
-            moved[f"{body}_velocity"] = (-velocity[0], -velocity[1])
-    return dataclasses.replace(contact, **moved), half_turn
+            changes[f"{body}_velocity"] = (-velocity[0], -velocity[1])
+    moved = copy.copy(contact)
+    vars(moved).update(changes)  # a new Contact would check everything again
+    return moved, half_turn
 
 
 # --- keys of scene files -----------------------------------------------------------------------
