@@ -14,8 +14,9 @@ from scipy.integrate import OdeSolution, solve_ivp
 
 from .checks import within
 from .errors import ContactSystemError, SceneError
+from .explanation import passed
 from .machine import SystemMachine
-from .motion import SHAPES, passed
+from .motion import SHAPES
 from .scene import Scene
 from .starts import Start, Starts, scene_start
 from .system import SceneSystem, without_chart

@@ -18,10 +18,9 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .buffer import Buffer
 from .checks import FLOAT, a_path, did_you_mean, flag, naming, shaped_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
-from .motion import SHAPES, Motion
+from .motion import SHAPES, Buffer, Motion
 from .scene import Scene, acting, require_scene, scene_from_toml, scene_to_toml
 from .starts import Starts, covers_twice, measured_start, on_branch
 from .writing import writing

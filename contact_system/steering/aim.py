@@ -12,7 +12,7 @@ from ..checks import naming
 from ..engine import binding
 from ..engine.binding import Steer, Steered, address
 from ..errors import SceneError
-from ..motion import SIDES
+from ..explanation import SIDES
 from ..scene import Contact, Scene
 from ..surfaces import Surface
 from ..theory.development import prefers_space

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ..buffer import Buffer
 from ..checks import finite_number
 from ..errors import SceneError
-from ..motion import FRAMES, Motion
+from ..motion import FRAMES, Buffer, Motion
 from ..scene import Scene, require_scene
 from .goal import Goal, Route
 from .reach import TOLERANCE, reach

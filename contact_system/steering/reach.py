@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from ..buffer import Buffer
 from ..checks import finite_number
 from ..errors import ContactSystemError, SceneError
-from ..motion import SIDES, Motion
+from ..explanation import SIDES
+from ..motion import Buffer, Motion
 from ..plan import plan
 from ..scene import STILL, Leg, Scene, require_scene
 from ..scene.contact import all_of
