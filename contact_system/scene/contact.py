@@ -69,7 +69,7 @@ def rolled(angle: float, w: Any) -> Any:
     return c * w[0] - s * w[1], -s * w[0] - c * w[1]
 
 
-def turned(cosine: Any, sine: Any, w: Pair) -> Any:
+def rotated(cosine: Any, sine: Any, w: Pair) -> Any:
     """A path velocity turned by an angle."""
     return cosine * w[0] - sine * w[1], sine * w[0] + cosine * w[1]
 
@@ -156,7 +156,7 @@ class Contact:
         own: Any = self.finger_velocity
         given: Any = self.object_velocity
         if self.legs:
-            own = turned(math.cos(self.legs[0].direction), math.sin(self.legs[0].direction), own)
+            own = rotated(math.cos(self.legs[0].direction), math.sin(self.legs[0].direction), own)
         if isinstance(own, str):  # imposed: the other is a pair
             own = rolled(self.angle, given)
         elif isinstance(given, str):
