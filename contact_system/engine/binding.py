@@ -164,8 +164,8 @@ _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
 )
 drop = _method(ENGINE.drop)
-"""The ``__del__`` of objects with a plan's address as ``_as_parameter_``; in Python code there Ctrl-C
-would be lost."""
+"""The ``__del__`` of objects with a plan's address as ``_as_parameter_``. Python code there would
+lose Ctrl-C."""
 LAYOUT = tuple((c_int32 * 7).in_dll(_LIBRARY, "contact_layout"))
 """Version of the scene's buffer; sizes of its header, a body, window, leg, contact and moment."""
 
