@@ -45,7 +45,7 @@ class Scene:
     gain : Gain
         The gain law; the default is `Gain.time(100)`.
     duration : float
-        The horizon is [0, duration] [s]; default: as long as the legs take.
+        The horizon is 0 to duration [s]; default: as long as the legs take.
     disturbances : sequence of Disturbance
         Overlapping windows add.
     turning : Turning, optional
