@@ -215,7 +215,7 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
     "bodies in each other": ("touch", _try({"pose": np.eye(4)}, legs=3)),
     "rolling that is imposed": ("two numbers", lambda: cs.reach(FOLLOWING, cs.Goal(**PLACE))),
     "no direction": ("direction", _try(WHOLE, contact={"finger_velocity": (0.0, 0.0)})),
-    "disturbances": ("off its way", lambda: cs.reach(PUSHED, cs.Goal(**WHOLE))),
+    "disturbances": ("change its path", lambda: cs.reach(PUSHED, cs.Goal(**WHOLE))),
     "one of two fingers": ("contact 1", lambda: cs.reach(TWO, [None, cs.Goal(**BEYOND)])),
     "a loop of no turn": ("no turn", lambda: cs.loop(_scene(SMALL, ROUND), 2 * math.pi)),
     "a loop on its equal": ("same curv", lambda: cs.loop(_scene(SMALL, SMALL), 1.0)),

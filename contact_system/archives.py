@@ -1,4 +1,4 @@
-"""Zip archives from strangers: what unpacks to more than a limit, or is damaged, is named."""
+"""Zip archives from anywhere, read safely: errors name damaged, hostile and too large ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .errors import ContactSystemError
 
 
 class _Guarded(io.BufferedReader):
-    """A file whose table of contents, which zipfile reads at once, has a limit."""
+    """A file that limits the size of the table of contents, which zipfile reads at once."""
 
     opening = True
 
@@ -26,13 +26,12 @@ class _Guarded(io.BufferedReader):
 
 @contextmanager
 def opened(path: str | os.PathLike[str], what: str) -> Iterator[zipfile.ZipFile]:
-    """The archive, for reading.
+    """The archive, for reading; `what` says in errors which file is expected.
 
     Raises
     ------
     ContactSystemError
-        Here and inside: no regular file, no archive, a damaged or an encrypted one; `what` says
-        which file would do.
+        No regular file, or no archive; also for what is found damaged or encrypted while reading.
     """
     try:
         require_regular(path)
@@ -43,19 +42,19 @@ def opened(path: str | os.PathLike[str], what: str) -> Iterator[zipfile.ZipFile]
         text = str(error)
         raise ContactSystemError(text if str(path) in text else f"{path}: {text}") from None
     except OSError as error:
-        told = error.strerror or error
-        raise ContactSystemError(f"{path} cannot be read: {told}; give {what}") from error
+        why = error.strerror or error
+        raise ContactSystemError(f"{path} cannot be read: {why}; give {what}") from error
     except Exception as error:  # zipfile, zlib and codecs raise a dozen kinds
-        told = str(error) or type(error).__name__
-        raise ContactSystemError(f"{path}: not {what}, or damaged: {told}; give another") from error
+        why = str(error) or type(error).__name__
+        raise ContactSystemError(f"{path}: not {what}, or damaged: {why}; give another") from error
 
 
 def unpack(archive: zipfile.ZipFile, folder: Path, limit: str) -> None:
-    """All members into a folder that is empty, and nowhere else."""
+    """Unpack all members into an empty folder; refuse names that lead outside."""
     members = archive.infolist()
     total = sum(m.file_size for m in members)
     within(limit, total, "bytes when unpacked", ContactSystemError)
-    names = [m.orig_filename for m in members]  # others are cut at a NUL
+    names = [m.orig_filename for m in members]  # filename is cut at a NUL
     files = {name for name in names if not name.endswith("/")}
     for m, name in zip(members, names):
         parts = name.removesuffix("/").split("/")

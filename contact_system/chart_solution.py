@@ -1,6 +1,6 @@
 """``method="chart"``: the paper's equations, errata corrected, integrated by a scipy solver.
 
-For comparison, and for whoever asks for it: stiff in lam, singular at poles and where sigma = 0.
+For comparison: they are stiff in lam, and singular at poles and where sigma = 0.
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from scipy.integrate import OdeSolution, solve_ivp
 
 from .checks import within
 from .errors import ContactSystemError, SceneError
-from .machine import SystemMachine
-from .motion import SHAPES, passed
+from .explanation import SIDES, passed
+from .motion import SHAPES
 from .scene import Scene
 from .starts import Start, Starts, scene_start
-from .system import SceneSystem, without_chart
+from .system import SceneSystem, SystemMachine, without_chart
 
-PARTS = 16  # of a solver's step, between which singular points are looked for
-LOST = 1e-12  # of the body's size: a Lame coefficient below it is none
+PARTS = 16  # parts of a solver's step that are searched for singular points
+LOST = 1e-12  # of the body's size: a Lame coefficient below it counts as zero
 OUTPUTS = {"states": "state", "points": "contact_point", "slip_speed": "slip"}
-"""What `SceneSystem` calls results, where it has other names."""
+"""The outputs of `SceneSystem` for results with other names."""
 
 
 class ChartMotion:
-    """All contacts by the chart equations; asked as :class:`.motion.Motion`.
+    """All contacts by the chart equations; with the methods of :class:`.motion.Motion`.
 
     Raises
     ------
     ContactSystemError
         sigma = 0 inside the horizon, imposed rolling, a surface without a chart, a path into a
-        singular point, or a solver that gives up.
+        singular point, or a solver that fails.
     """
 
     def __init__(
@@ -41,23 +41,23 @@ class ChartMotion:
     ):
         if reason := without_chart(scene):
             raise SceneError(f"{scene.title}{reason}; use the default method")
-        given = starts or [scene_start(contact) for contact in scene.contacts]
-        self._asked, self._starts = (scene, tolerance, begin, solver), given
+        self._arguments = scene, tolerance, begin, solver
+        self._starts = starts or [scene_start(contact) for contact in scene.contacts]
         self._contacts: list[ChartContact] = []
 
     def solve(self) -> list[ChartContact]:
-        """Integrate all contacts, if that has not been done."""
+        """Integrate all contacts at the first call."""
         if not self._contacts:
-            spent = itertools.count(1)  # evaluations by all contacts
+            spent = itertools.count(1)  # evaluations, of all contacts
             self._contacts = [
-                ChartContact(*self._asked, i, start, spent)
+                ChartContact(*self._arguments, i, start, spent)
                 for i, start in enumerate(self._starts)
                 if isinstance(start, Start)
             ]
         return self._contacts
 
     def evaluate(self, t: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """What is asked for at times inside the horizon: (n_times, n_contacts, ...)."""
+        """Results at times inside the horizon: (n_times, n_contacts, ...)."""
         contacts = self.solve()
         return {name: np.stack([c.result(name, t) for c in contacts], 1) for name in names}
 
@@ -66,7 +66,7 @@ class ChartMotion:
         lines = []
         for i, contact in enumerate(self.solve()):
             lines.append(f"contact {i}:")
-            lines += [f"  {side} {told}" for side in ("finger", "object") for told in contact.told]
+            lines += [f"  {side} {line}" for side in SIDES for line in contact.lines]
         return lines
 
 
@@ -92,18 +92,18 @@ class ChartContact:
         alone = scene.replace(contacts=[contact], disturbances=own)
         self._system = SceneSystem(alone, "chart", disturbance_input=True)
         makes_up, ends = scene.gain.row.makes_up, (begin, scene.duration)
-        knots = scene.profile.knots(*ends) if makes_up else ends  # of the gain
+        knots = scene.profile.knots(*ends) if makes_up else ends  # where the gain has a kink
         windows = [t for t in self._system.edges if t > begin]
         self._edges = np.array(sorted({*windows, *knots}))
         self._acting = np.array([self._system.window_values(t) for t in self._edges[:-1]])
-        self.told: list[str] = []
+        self.lines: list[str] = []
         self._solution = self._integrated(start, tolerance, solver, spent)
         self._require_regular()
 
     def _integrated(
         self, start: Start, tolerance: float, solver: str, spent: Iterator[int]
     ) -> OdeSolution:
-        """From edge to edge, each with what then acts."""
+        """Integrate from edge to edge, with the disturbances that act there."""
         what = f"{self._where}: {solver}: evaluations of the plan's chart equations"
         machine = SystemMachine(self._system, "derivatives")
         state, held = self._system.place(float(self._edges[0]), [start])
@@ -121,26 +121,26 @@ class ChartContact:
                 machine.run()
                 return machine.results.copy()
 
-            with np.errstate(under="ignore"):  # of the spacing of doubles at t = 0
-                found = solve_ivp(f, (a, b), state, solver, dense_output=True, **tolerances)
-            if not found.success or not np.isfinite(found.y).all():
+            with np.errstate(under="ignore"):  # the spacing of doubles at t = 0 underflows
+                result = solve_ivp(f, (a, b), state, solver, dense_output=True, **tolerances)
+            if not result.success or not np.isfinite(result.y).all():
                 raise ContactSystemError(
                     f"{self._where}: {solver} on the chart equations stopped at "
-                    f"t = {found.t[-1]:.6g} s ({found.message}); the path may reach a pole, or "
+                    f"t = {result.t[-1]:.6g} s ({result.message}); the path may reach a pole, or "
                     "lam is too stiff; use the default method"
                 )
-            state = found.y[:, -1]
-            times += found.sol.ts[1:].tolist()
-            steps += found.sol.interpolants
-            way = f"chart equations by {solver}, {found.nfev} evaluations"
-            self.told.append(f"[{a:.6g}, {b:.6g}] s  {way}  (asked for)")
+            state = result.y[:, -1]
+            times += result.sol.ts[1:].tolist()
+            steps += result.sol.interpolants
+            way = f"chart equations by {solver}, {result.nfev} evaluations"
+            self.lines.append(f"[{a:.6g}, {b:.6g}] s  {way}  (asked for)")
         return OdeSolution(times, steps)
 
     def _require_regular(self) -> None:
         """Refuse a path through a singular point of a chart.
 
-        Solvers step across one that a path heads for along a meridian: the equations are smooth
-        there, and the contact frame turns over.
+        A solver does not notice a pole that a path crosses along a meridian: the equations are
+        smooth there, although the contact frame turns over.
         """
         ends, parts = self._solution.ts, np.arange(PARTS) / PARTS
         t = np.append(ends[:-1, None] + np.diff(ends)[:, None] * parts, ends[-1])
@@ -156,7 +156,7 @@ class ChartContact:
                 raise passed(self._where, surface, (u, v))
 
     def _at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States (9, n_times) and what acts on them (6, n_times)."""
+        """States (9, n_times) and disturbances (6, n_times)."""
         interval = np.searchsorted(self._edges[1:-1], t, side="right")
         return self._solution(t), self._acting[interval].T
 
@@ -166,7 +166,7 @@ class ChartContact:
         return system.function(name)(t[None], x, w, system.held0, system.parameters).full().T
 
     def result(self, name: str, t: np.ndarray) -> np.ndarray:
-        """As a plan gives it, of this contact: (n_times, ...)."""
+        """A result of a plan for this contact: (n_times, ...)."""
         if not len(t):
             return np.empty((0, *SHAPES[name]))
         x, w = self._at(t)
@@ -192,9 +192,9 @@ class ChartContact:
 
 
 def _zero(y: Callable[[np.ndarray], np.ndarray], t: np.ndarray) -> float | None:
-    """A time at which y, values like |x|, falls below LOST; None where there is no such time.
+    """A time at which y, values like |x|, falls below LOST; None if there is none.
 
-    Around the least of the values at times t it is looked closer and closer.
+    The search narrows around each local minimum of the values at times t.
     """
     values = y(t)
     before, after = _neighbours(values)
@@ -210,13 +210,13 @@ def _zero(y: Callable[[np.ndarray], np.ndarray], t: np.ndarray) -> float | None:
         before, after = _neighbours(values)
         k, each = values.argmin(axis=0), np.arange(len(low))
         low, high = tried[np.fmax(k - 1, 0), each], tried[np.fmin(k + 1, 8), each]
-        # of equidistant places the nearest to a zero has a quarter of its neighbours' sum at most
+        # at equidistant places, |x| nearest to a zero is at most a quarter of its neighbours' sum
         falls = 3 * values[k, each] <= before[k, each] + after[k, each]
         low, high = low[falls], high[falls]
     return None
 
 
 def _neighbours(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values before and after, along the first axis; inf beyond the ends."""
+    """The preceding and the following values along the first axis; inf beyond the ends."""
     beyond = np.full_like(values[:1], np.inf)
     return np.concatenate([beyond, values[:-1]]), np.concatenate([values[1:], beyond])

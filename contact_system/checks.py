@@ -1,4 +1,4 @@
-"""Checks of what users write, and messages that name the place, the value and the remedy."""
+"""Checks of arguments; error messages name the place, the value and the remedy."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from . import limits
 from .errors import ContactSystemError, SceneError
 
 FLOAT = np.dtype(float)
-LARGEST = 1e100  # beyond this sigma^3 overflows; it is no path speed anyway
+LARGEST = 1e100  # beyond this sigma^3 overflows
 
 
 @contextmanager
 def naming(place: str) -> Iterator[None]:
-    """Put the place in front of every error of the package raised inside."""
+    """Put the place in front of the text of every error of the package raised inside."""
     try:
         yield
     except ContactSystemError as error:
@@ -33,7 +33,7 @@ def naming(place: str) -> Iterator[None]:
 def within(
     limit: str, count: float, what: str, error: type[ContactSystemError] = SceneError
 ) -> None:
-    """Raise the error where a count is above one of `limits`; `what` says of what."""
+    """Raise the error if a count is above one of `limits`; `what` names what is counted."""
     most = getattr(limits, limit)
     if count > most:
         raise error(
@@ -45,7 +45,7 @@ def within(
 def require_regular(path: str | os.PathLike[str]) -> None:
     """Raise a SceneError for a folder, a device or a pipe, which may never end.
 
-    And an OSError where there is nothing, or a ValueError for no path.
+    Raises an OSError if there is no file, a ValueError if the path is none.
     """
     if not stat.S_ISREG(os.stat(path).st_mode):
         raise SceneError(
@@ -54,14 +54,14 @@ def require_regular(path: str | os.PathLike[str]) -> None:
 
 
 def did_you_mean(word: object, known: Iterable[str]) -> str:
-    """ " (did you mean '...'?)" with the nearest known word, or nothing."""
+    """ " (did you mean '...'?)" with the nearest known word; empty if none is near."""
     by_lower = {k.lower(): k for k in known}
     close = difflib.get_close_matches(str(word).lower(), by_lower, n=1, cutoff=0.5)
     return f" (did you mean '{by_lower[close[0]]}'?)" if close else ""
 
 
 def known_keys(table: Mapping, known: Iterable[str], place: str = "") -> None:
-    """Raise a SceneError for the first key that is not known, with the nearest that is."""
+    """Raise a SceneError for the first unknown key, with the nearest known one."""
     for key in table:
         if key not in known:
             raise SceneError(
@@ -71,7 +71,7 @@ def known_keys(table: Mapping, known: Iterable[str], place: str = "") -> None:
 
 
 def is_plain(values: Any) -> TypeGuard[tuple[float, ...]]:
-    """True for a tuple of finite floats, as kept: nothing to convert and nothing to refuse."""
+    """True for a non-empty tuple of finite floats: nothing to convert or refuse."""
     if type(values) is not tuple or not values:
         return False
     for x in values:
@@ -83,11 +83,11 @@ def is_plain(values: Any) -> TypeGuard[tuple[float, ...]]:
 def finite_numbers(
     values: Any, what: str, error: type[ContactSystemError] = SceneError
 ) -> tuple[float, ...]:
-    """The values as a tuple of floats; raises the error for none and for what is not finite."""
+    """The values as a tuple of floats; raises the error if there are none or one is not finite."""
     if is_plain(values):
         return values
     try:
-        # the numbers of a set have no order, a table gives its keys and bytes their codes
+        # a set has no order; a table would give its keys, bytes their codes
         if isinstance(values, (str, bytes, set, frozenset, Mapping)):
             raise TypeError
         found = tuple(map(_as_float, values))
@@ -104,9 +104,9 @@ def finite_numbers(
 def finite_number(
     value: Any, what: str, bound: str = "", error: type[ContactSystemError] = SceneError
 ) -> float:
-    """The value as a float; raises the error if it is no finite number within the bound.
+    """The value as a float; raises the error if it is not finite or not within the bound.
 
-    That is "above 0" or "not below 0".
+    The bound is "above 0", "not below 0" or "".
     """
     try:
         number = _as_float(value)
@@ -114,18 +114,17 @@ def finite_number(
         number = math.nan
     within = number > 0 or not bound or (number == 0 and bound != "above 0")
     if not (within and abs(number) < LARGEST):
-        shown = number if math.isinf(number) else value  # an integer may be too long to be shown
+        shown = number if math.isinf(number) else value  # an integer may be too long to show
         limit = "(below 1e100)" if abs(number) >= LARGEST else bound
         raise error(f"{what} = {shown!r}: give a finite number {limit}".rstrip())
     return number
 
 
 def _as_float(x: Any) -> float:
-    """x as a float, inf beyond all floats; TypeError or ValueError where it is no number."""
+    """x as a float, inf if it overflows; TypeError or ValueError if it is no number."""
     if type(x) is float:
         return x
-    # float() would take all of these, numpy's complex numbers for their real parts
-    if isinstance(x, (str, bytes, bool, np.bool_)) or np.iscomplexobj(x):
+    if isinstance(x, (str, bytes, bool, np.bool_, np.complexfloating)):  # float() takes these too
         raise TypeError
     try:
         return float(x)
@@ -134,18 +133,18 @@ def _as_float(x: Any) -> float:
 
 
 def real_array(values: Any) -> np.ndarray:
-    """The values as an array of floats, itself where it is one.
+    """The values as an array of floats; an array of floats is not copied.
 
-    Raises a TypeError, a ValueError or an OverflowError for what are no numbers, and for texts,
-    truth values, complex numbers and None, which numpy would take.
+    Raises a TypeError, a ValueError or an OverflowError for anything but real numbers, including
+    texts, booleans, complex numbers and None, which numpy would convert.
     """
-    given = np.asarray(values)
-    if given.dtype is FLOAT:  # what most are costs no more
-        return given
-    kind = given.dtype.kind
-    if kind not in "iufO" or (kind == "O" and any(x is None for x in given.flat)):
+    array = np.asarray(values)
+    if array.dtype is FLOAT:
+        return array
+    kind = array.dtype.kind
+    if kind not in "iufO" or (kind == "O" and any(x is None for x in array.flat)):
         raise TypeError
-    return given.astype(float, copy=False)
+    return array.astype(float, copy=False)
 
 
 def shaped_array(
@@ -155,24 +154,24 @@ def shaped_array(
     error: type[ContactSystemError] = SceneError,
     remedy: str = "numbers",
 ) -> np.ndarray:
-    """The values as an array of floats, of a shape if one is asked; raises the error."""
+    """The values as an array of floats; raises the error for others, or for another shape."""
     try:
-        found = real_array(values)
+        array = real_array(values)
     except (TypeError, ValueError, OverflowError):
         remedy += f", shape {shape}" if shape else ""
         raise error(f"{what} = {values!r:.80}: give {remedy}") from None
-    if shape is not None and found.shape != shape:
-        raise error(f"{what} has shape {found.shape}; give {shape}")
-    return found
+    if shape is not None and array.shape != shape:
+        raise error(f"{what} has shape {array.shape}; give {shape}")
+    return array
 
 
 def rigid_motion(
     pose: np.ndarray, what: str, noise: float, error: type[ContactSystemError] = SceneError
 ) -> np.ndarray:
-    """A homogeneous matrix (4, 4); raises the error where it is none, such as a transposed one."""
-    turn = pose[:3, :3]
-    missed = max(np.abs(turn @ turn.T - np.eye(3)).max(), np.abs(pose[3] - [0, 0, 0, 1]).max())
-    if not (missed <= noise and np.linalg.det(turn) > 0):
+    """The pose (4, 4); raises the error if it is no rigid motion, such as a transposed matrix."""
+    rotation, last = pose[:3, :3], pose[3] - [0, 0, 0, 1]
+    off = max(np.abs(rotation @ rotation.T - np.eye(3)).max(), np.abs(last).max())
+    if not (off <= noise and np.linalg.det(rotation) > 0):
         raise error(
             f"{what} = {pose.tolist()} is no rotation and translation over the last row 0, 0, 0, "
             "1; give X_OF, the finger's frame in the object's"
@@ -181,7 +180,7 @@ def rigid_motion(
 
 
 def flag(value: Any, what: str, none: bool = False) -> Any:
-    """The value as a bool, or None where that has a meaning; raises a SceneError for any other."""
+    """The value as a bool, or None if that is allowed; raises a SceneError for any other."""
     if none and value is None:
         return None
     if not isinstance(value, (bool, np.bool_)):  # "no" would count as true
@@ -190,7 +189,7 @@ def flag(value: Any, what: str, none: bool = False) -> Any:
 
 
 def a_path(value: Any, what: str = "path") -> Path:
-    """The path, from all that names files in Python; raises a SceneError for anything else."""
+    """The value as a Path; raises a SceneError if it does not name a file."""
     try:
         found = os.fsdecode(value)
         if "\0" in found:
@@ -201,19 +200,19 @@ def a_path(value: Any, what: str = "path") -> Path:
 
 
 def items_of(values: Any) -> tuple:
-    """What is in a list, or in an iterator, gone through once; nothing of a text or of another."""
+    """The items of an iterable, read once; none for a text or anything else."""
     return tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else ()
 
 
 def function_or_none(value: Any, what: str, remedy: str) -> Any:
-    """The value, a function or None; raises a SceneError, whose remedy says what it is of."""
+    """The value, a function or None; raises a SceneError with the remedy for any other."""
     if value is not None and not callable(value):
         raise SceneError(f"{what} = {value!r:.80}: give {remedy}, or None")
     return value
 
 
 def make_folder(path: Path, remedy: str) -> Path:
-    """The folder, made if it is not there; raises a ContactSystemError with the remedy."""
+    """The folder, made if it is missing; raises a ContactSystemError with the remedy."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,11 +1,11 @@
-"""Command line: ``contact-system scenes | run | ...``, and what other packages add.
+"""Command line: ``contact-system scenes | run | ...``, and commands of other packages.
 
-A package adds commands through an entry point of the group ``contact_system.commands``, named like
-its command, that loads to a function ``register(subparsers)``. It adds an argparse parser and sets
-its default ``run`` to a function of the parsed arguments that returns the exit code. Such packages
-are imported only when their command or the help is asked for.
+A package adds a command by an entry point in the group ``contact_system.commands``, named like the
+command. It loads to a function ``register(subparsers)``, which adds an argparse parser whose
+default ``run`` is a function of the parsed arguments that returns the exit code. Such packages are
+imported only for their command or for the help.
 
-Exit codes: 0; 2 after a user's error, told in one line on stderr; 130 where Ctrl-C ended it.
+Exit codes: 0; 2 after a user's error, with one line on stderr; 130 after Ctrl-C.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ PROGRAM = "contact-system"
 GROUP = "contact_system.commands"
 
 Laws = dict[Plan, list[Rejection]]
-"""Plans of a scene under some gain laws, and what became of the slip of their contacts."""
+"""Plans of a scene under some gain laws, each with the rejections of its contacts' slip."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -58,13 +58,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         args = _parser(words).parse_args(words)
         code = args.run(args)
-        if sys.stdout is not None:  # a program that has none prints nothing
+        if sys.stdout is not None:  # None without a console
             sys.stdout.flush()
         return code
     except KeyboardInterrupt:
         print(f"{PROGRAM}: interrupted", file=sys.stderr)
-        return 130  # as shells have it
-    except BrokenPipeError:  # whoever reads the output, such as head, has read enough
+        return 130  # the shells' convention
+    except BrokenPipeError:  # the reader of the output, such as head, has stopped reading
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (ContactSystemError, OSError) as error:
@@ -117,7 +117,7 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _add_scene(parser: argparse.ArgumentParser) -> None:
-    """The scene, and how it is planned."""
+    """Arguments for the scene, and how it is planned."""
     parser.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
     parser.add_argument("--gain", choices=tuple(LAWS), help="gain law instead of the scene's")
     number = parser.add_mutually_exclusive_group()
@@ -132,7 +132,7 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_foreign(commands: Any, words: Sequence[str]) -> None:
-    """Let other packages register, of all or of the command that is asked for.
+    """Add the command of another package that is asked for, or for the help all of them.
 
     One that cannot be imported says so, in one line.
     """
@@ -140,7 +140,7 @@ def _add_foreign(commands: Any, words: Sequence[str]) -> None:
     for point in [p for p in points if words and p.name == words[0]] or points:
         try:
             point.load()(commands)
-        except Exception as error:  # whatever goes wrong while a stranger is imported
+        except Exception as error:  # importing another package may raise anything
             reason = str(error).partition("\n")[0] or type(error).__name__
             remedy = f'; pip install "contact-system[{point.name}]"'
             hint = f"unavailable: {reason}{'' if 'pip install' in reason else remedy}"
@@ -162,7 +162,7 @@ def _scenes(args: argparse.Namespace) -> int:
 
 
 def _contraction(scene: Scene) -> list[str]:
-    """Where slip shrinks under the scene's profile, after an empty line; legs have their own."""
+    """An empty line and where slip shrinks under the scene's profile; nothing for legs alone."""
     return [] if scene.profile == STILL else ["", paragraph(str(scene.contraction()))]
 
 
@@ -180,7 +180,7 @@ def _run(args: argparse.Namespace) -> int:
         planned = plan(scene, args.tolerance, args.method)
         laws = {planned: rejections(planned)}
         progress.step("planning under another gain law")
-        # the law as printed does not give the times as printed: show beside it the one that may
+        # the paper's gain law does not give its reported times: show the law that may beside it
         if scene.gain.law == "path" and any(r.as_reported is False for r in laws[planned]):
             scene = scene.replace(gain=Gain.time(scene.gain.value))
             other = plan(scene, args.tolerance, args.method)
@@ -256,13 +256,13 @@ def _asked_scene(args: argparse.Namespace) -> Scene:
 
 
 def results_folder(args: argparse.Namespace, scene: Scene) -> Path:
-    """The folder that was asked for, or results/NAME; made where it is missing."""
+    """The folder of --out, or results/NAME; made if it is missing."""
     folder = args.out or Path("results") / file_name(scene)
     return make_folder(folder, "name another one with --out")
 
 
 def file_name(scene: Scene) -> str:
-    """The scene's name as that of files and folders, short enough for any file system."""
+    """The scene's name as a name of files and folders, short enough for any file system."""
     name = "".join(c if c.isalnum() or c in "-_." else "-" for c in scene.name)
     name = name.encode()[:100].decode(errors="ignore").strip(".-")
     return f"scene-{name}" if is_device(name) else name or "scene"
@@ -271,17 +271,17 @@ def file_name(scene: Scene) -> str:
 def _write(
     args: argparse.Namespace, plans: Sequence[Plan], stem: Path, progress: Progress
 ) -> Iterable[str]:
-    """Write the results; yields a line for each file, and for what is left out."""
+    """Write the results; yields a line for each file, and one for times that are left out."""
     times = plans[0].sample_times()
-    kept = regular_times(plans[0], times)
-    left = np.setdiff1d(times, kept).tolist()
-    if left:
-        which = f"{len(left)} sample times from t = {left[0]!r} to {left[-1]!r} s"
-        which = which if len(left) > 1 else f"t = {left[0]!r} s"
+    regular = regular_times(plans[0], times)
+    singular = np.setdiff1d(times, regular).tolist()
+    if singular:
+        which = f"{len(singular)} sample times from t = {singular[0]!r} to {singular[-1]!r} s"
+        which = which if len(singular) > 1 else f"t = {singular[0]!r} s"
         yield f"left out of the files: {which}; at a pole or an umbilic there are no states"
     for suffix, following in ((".npz", "writing"), (".csv", "drawing")):
         path = stem.with_name(stem.name + suffix)
-        plans[0].save(path, kept)
+        plans[0].save(path, regular)
         yield f"wrote {path}"
         progress.step(following)
     if not args.no_plots:
@@ -293,7 +293,7 @@ def _write(
             yield f"no picture: {error}"
 
 
-# --- telling -----------------------------------------------------------------------------------
+# --- report ------------------------------------------------------------------------------------
 
 
 def _report(laws: Laws) -> Iterable[str]:
@@ -323,7 +323,7 @@ def paragraph(text: str) -> str:
 def table(
     head: Sequence[tuple[str, str]], rows: Sequence[tuple[str, ...]], texts: int
 ) -> Iterable[str]:
-    """Lines of a table under names and units; the first columns, so many texts, are flush left."""
+    """Lines of a table under names and units; the first ``texts`` columns are flush left."""
     names, units = zip(*head)
     widths = [max(map(len, column)) for column in zip(names, units, *rows)]
     for row in (names, units, ["-" * w for w in widths], *rows):
@@ -354,14 +354,14 @@ def _slip_table(laws: Laws) -> Iterable[str]:
 
 
 def _verdict(laws: Laws, scene: Scene) -> Iterable[str]:
-    """What the paper reports, and whether the laws give it."""
+    """What the paper reports, and whether the gain laws reproduce it."""
     if "reports" not in scene.paper:
         return
     yield f"The paper reports: {scene.paper['reports']}."
     if is_dynamic(scene):
         yield (
             "That is a dynamic simulation. A plan has no contact physics: slip by an object rate "
-            "offset ends with it at once, so that there is no time to compare."
+            "offset ends together with the offset, so there is no time to compare."
         )
         return
     for law, found in laws.items():
@@ -378,7 +378,7 @@ def _verdict(laws: Laws, scene: Scene) -> Iterable[str]:
 
 
 def _great_circles(plan: Plan) -> Iterable[str]:
-    """How far fingers that follow a rolling object stay from their great circles."""
+    """Distance of the curves of fingers with imposed rolling from their great circles."""
     for i, contact in enumerate(plan.scene.contacts):
         if contact.follows and contact.finger.great_circles:
             points = plan.points(plan.sample_times())[:, i, 0]
@@ -390,7 +390,7 @@ def _great_circles(plan: Plan) -> Iterable[str]:
 
 
 class Progress:
-    """A bar of named steps on stderr, or another stream: only on a terminal, after a second."""
+    """A progress bar of named steps on stderr or another stream: on terminals, after a second."""
 
     DELAY, WIDTH = 1.0, 24
 
@@ -400,7 +400,7 @@ class Progress:
         self.began, self.finished = time.monotonic(), threading.Event()
 
     def step(self, name: str) -> None:
-        """One step is done; the next has a name."""
+        """One step is done; name the next one."""
         self.done, self.name = self.done + 1, name
 
     def __enter__(self) -> Progress:

@@ -1,8 +1,7 @@
 r"""One contact as a CasADi function: its derivatives and outputs.
 
-What the coordinates "chart" and "frame" are, and the functions' arguments, is said in
-`contact_system.system`, which puts the contacts of a scene together; the equations stand in
-`theory`. CasADi is loaded when the first function is made.
+`contact_system.system` explains the coordinates "chart" and "frame" and the functions' arguments,
+and makes a system of all contacts of a scene. The equations are those of `theory`.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ from .theory.symbols import per_structure
 
 
 class Form(NamedTuple):
-    """How the motion of one contact is written; with the surfaces' structures it names a function.
+    """How the motion of one contact is written; with the surfaces' structures, key of a function.
 
-    ambient: whether finger and object are moved in space. growths: where sigma grows, for the laws
-    that make up for it.
+    ambient: whether finger and object are moved in space. growths: intervals on which sigma grows,
+    for gain laws that make up for it.
     """
 
     coordinates: str
@@ -47,7 +46,7 @@ class Form(NamedTuple):
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Numbers of states, of finger and object first."""
+        """Numbers of states of its parts; finger and object come first."""
         if self.coordinates == "chart":
             return 4, 4, 1
         finger, obj = ((InSpace if ambient else InChart).size for ambient in self.ambient)
@@ -59,38 +58,38 @@ class Form(NamedTuple):
 
 
 class Body(NamedTuple):
-    """One side of a contact: numbers (sign and parameters), size and place are symbols."""
+    """One body of a contact: numbers (sign and parameters), size and place are symbols."""
 
     surface: Surface
     ambient: bool
     numbers: ca.SX
     size: ca.SX
-    place: ca.SX  # of its moving frame
+    place: ca.SX  # state of its moving frame
 
     def at(self, *place: ca.SX | float) -> Body:
         return self._replace(place=ca.vertcat(*place))
 
-    def find(self, name: str, *drive: ca.SX | float) -> ca.SX:
-        """What a function of the moving frame gives (`theory.development`)."""
+    def call(self, name: str, *arguments: ca.SX | float) -> ca.SX:
+        """The value of a function of the moving frame (`theory.development`)."""
         function = moving(self.surface, self.ambient)(name)
-        return function(ca.vertcat(self.place, *drive), self.numbers)
+        return function(ca.vertcat(self.place, *arguments), self.numbers)
 
     def frame(self) -> ca.SX:
         """x, p, q, (9)."""
         if self.ambient:
-            return ca.vertcat(self.place, self.find("second"))
-        return self.find("frame")
+            return ca.vertcat(self.place, self.call("second"))
+        return self.call("frame")
 
     def regularity(self) -> ca.SX:
         """The lesser Lame coefficient over the size: 0 where the chart is singular.
 
-        Negative where f_u x f_v points into the body (beyond a sphere's pole); 1 for charts that
+        Negative where f_u x f_v points into the body, as beyond a sphere's pole; 1 for charts that
         are regular everywhere.
         """
         surface = self.surface
         if self.ambient or not (surface.chart.singular_at or isinstance(surface, UserSurface)):
             return ca.SX(1)
-        least = self.find("lame")[2] / self.size
+        least = self.call("lame")[2] / self.size
         if not surface.has_implicit:
             return least
         x, p, q = ca.vertsplit(self.frame(), 3)
@@ -99,20 +98,20 @@ class Body(NamedTuple):
 
 
 class ContactMotion(NamedTuple):
-    """What every output of a contact is read off; (p_i, q_i) are the bodies' moving frames."""
+    """What the outputs of a contact are computed from; (p_i, q_i) are the moving frames."""
 
     rate: ca.SX  # x'
     state: ca.SX  # u1 v1 u1' v1' u2 v2 u2' v2' psi
     bodies: tuple[Body, Body]
     velocities: tuple[ca.SX, ca.SX]  # of the contact point along (p_i, q_i)
-    turn: ca.SX  # (2, 2), takes components along (p_1, q_1) to (p_2, q_2)
+    turn: ca.SX  # (2, 2), maps components along (p_1, q_1) to those along (p_2, q_2)
     sliding: ca.SX  # slip along (p_2, q_2)
     theta: ca.SX  # the angle of (p_2, q_2) in E2
-    carried: ca.SX  # W_1 and V, of frames
+    carried: ca.SX  # W_1 and V, in frame coordinates
 
 
 def _decay(form: Form, value: ca.SX, profile: list[ca.SX], since: ca.SX, t: ca.SX) -> ca.SX:
-    """exp(-(L(t) - L(since))), as `Gain.exponent` gives L."""
+    """exp(-(L(t) - L(since))) with L as in `Gain.exponent`."""
     powers: Sequence[ca.SX] = [ca.SX(1)]
     for _ in range(LAWS[form.law].power):
         powers = product(powers, profile)
@@ -140,11 +139,11 @@ def _bodies(finger: Surface, obj: Surface, form: Form) -> tuple[Body, Body, list
 def _chart_motion(
     tip: Body, body: Body, x: ca.SX, w: ca.SX, growth: ca.SX, lam: ca.SX
 ) -> ContactMotion:
-    """In the contact frames themselves: theta = 0; growth: sigma'/sigma."""
+    """Motion in chart coordinates, where theta = 0; growth: sigma'/sigma."""
     q1, rate_1, q2, rate_2, psi = ca.vertsplit(x, [0, 2, 4, 6, 8, 9])
     shapes = [b.surface.geometry_expr(b.numbers, q[0], q[1]) for b, q in ((tip, q1), (body, q2))]
     tip, body, moved = tip.at(q1, 0), body.at(q2, 0), rate_2 + w[4:6]
-    velocities = tip.find("vector", rate_1), body.find("vector", moved)
+    velocities = tip.call("vector", rate_1), body.call("vector", moved)
     turn = reflection(ca.cos(psi), ca.sin(psi))
     return ContactMotion(
         rate=chart_rates(shapes, x, growth, lam, w),
@@ -161,25 +160,25 @@ def _chart_motion(
 def _frame_motion(
     tip: Body, body: Body, form: Form, x: ca.SX, w: ca.SX, sigma: ca.SX, lam: ca.SX, held: ca.SX
 ) -> ContactMotion:
-    """In frames carried along by parallel transport; held: W_1 and V."""
+    """Motion in parallel-transported frames; held: W_1 and V."""
     w1, v = ca.vertsplit(held, 2)
-    own = ca.vertsplit(x, np.cumsum([0, *form.sizes]).tolist())
-    # in space, the state on the surface again
+    states = ca.vertsplit(x, np.cumsum([0, *form.sizes]).tolist())
+    # states in space are put back on the surface
     tip, body = (
-        b.at(b.at(f).find("restore") if b.ambient else f) for b, f in zip((tip, body), own)
+        b.at(b.at(f).call("restore") if b.ambient else f) for b, f in zip((tip, body), states)
     )
-    offset = body.find("vector", w[4:6])
+    offset = body.call("vector", w[4:6])
     velocities = sigma * w1, sigma * (flip() @ w1 - v) + offset
     rates = []
-    for b, f, velocity in zip((tip, body), own, velocities):
-        rates.append(b.find("motion", velocity))
+    for b, f, velocity in zip((tip, body), states, velocities):
+        rates.append(b.call("motion", velocity))
         if b.ambient:  # drift off the surface dies out along a path of the body's size
             rates[-1] += sigma / b.size * (b.place - f)
     if form.forced:
-        pushed = tip.find("vector", w[:2]), body.find("vector", w[2:4])
+        pushed = tip.call("vector", w[:2]), body.call("vector", w[2:4])
         w1_rate, v_rate = pushed_paths(ca.fmax(sigma, TINY), flip(), *pushed)
         rates += [w1_rate, v_rate - lam * v]
-    first, second = (b.find("coordinates", c) for b, c in zip((tip, body), velocities))
+    first, second = (b.call("coordinates", c) for b, c in zip((tip, body), velocities))
     psi = -first[4] - second[4]
     psi -= TURN * ca.floor((psi + math.pi) / TURN)
     return ContactMotion(
@@ -196,10 +195,10 @@ def _frame_motion(
 
 @per_structure
 def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
-    """Derivatives of one contact, and what `SceneSystem.function` gives of every contact.
+    """Derivatives and outputs of one contact; see `SceneSystem.function`.
 
     Inputs: t, x, w (6), held, law (gain, profile coefficients), numbers and size of the finger and
-    of the object. The twist's rate follows by the chain rule along the motion.
+    of the object.
     """
     tip, body, numbers = _bodies(finger, obj, form)
     t, x, w = ca.SX.sym("t"), ca.SX.sym("x", sum(form.sizes)), ca.SX.sym("w", 6)
@@ -218,9 +217,10 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
             carried = ca.vertcat(held[:2], held[2:4] * decay)
         motion = _frame_motion(tip, body, form, x, w, sigma, lam, carried)
     rate, state, (tip, body), velocities, turn, sliding, theta, carried = motion
-    frames, shapes = (tip.frame(), body.frame()), (tip.find("shape"), body.find("shape"))
+    frames, shapes = (tip.frame(), body.frame()), (tip.call("shape"), body.call("shape"))
 
-    def derivative(value: ca.SX) -> ca.SX:  # disturbances do not change between edges
+    def derivative(value: ca.SX) -> ca.SX:
+        """Along the motion; disturbances are constant between edges."""
         return ca.jtimes(value, x, rate) + ca.jtimes(value, t, ca.SX(1))
 
     twist = ca.vertcat(*relative_twist(frames, shapes, velocities, turn, sliding))

@@ -1,13 +1,12 @@
-r"""Contact states from a measured relative motion of the bodies: nothing of a plan is needed.
+r"""Contact states from the measured relative motion of the bodies, without a plan.
 
-Where two bodies touch, or would touch next, follows from their relative pose alone: the points
-x_1, x_2 at which the line that joins them is normal to both surfaces. Newton's method finds them,
-and its step is Montana's forward map (:func:`.theory.equations.contact_velocities`): how
-far contact points have to move so that normals turn by what they miss, and so that the line stands
-on both surfaces. A gap g between the bodies is met by moving the object's surface out to the
-finger, which makes its curvature form ``(I + g K_2)^{-1} K_2``.
+The relative pose determines the points x_1, x_2 at which the bodies touch, or would touch next:
+the line that joins them is normal to both surfaces. Newton's method finds them. Its step is
+Montana's forward map (:func:`.theory.equations.contact_velocities`), which moves the contact points
+until the normals oppose each other and the line is normal to both surfaces. For a gap g between the
+bodies the object's surface is offset by g, so that its curvature form is ``(I + g K_2)^{-1} K_2``.
 
-The rates are then the forward map of the measured twist.
+The rates are the forward map of the measured twist.
 """
 
 from __future__ import annotations
@@ -30,23 +29,23 @@ from .theory.symbols import per_structure
 
 CONFORMAL = 1e-12  # det of the relative curvature over its square, below which bodies conform
 MOST_STEPS = 30
-SETTLED = 1e3  # steps at which rounding may hold Newton's method up, in those asked for
-NOISE = 1e-2  # by which what is measured may miss a rotation
-NEARBY = 0.02  # sizes by which a contact may move between two measurements
-GRID = 25  # points in each coordinate of a finger, of which the nearest to the object is sought
+SETTLED = 1e3  # times the wanted step: a longer last step may still be rounding
+NOISE = 1e-2  # by which a measured rotation matrix may differ from a rotation
+NEARBY = 0.02  # of the body's size: a contact moves less between two measurements
+GRID = 25  # points in each coordinate of a finger, among which the nearest to the object is sought
 LONGEST_STEP = 0.5  # of the body's size, where bodies are far apart
-SEEN = 22  # numbers that a Probe is given
+SEEN = 22  # numbers of a measurement
 
 
 class Measurement:
-    """What a relative pose and twist say about n contacts.
+    """What follows from relative poses and twists at n contacts.
 
     Not finite where there is no contact frame.
 
     Attributes
     ----------
-    step : (n,), length of the step that Newton's method would take next, m
-    relative : (n,), det of the relative curvature over its square: 0 where bodies conform
+    step : (n,), length of the next step of Newton's method, m
+    relative : (n,), det of the relative curvature over its square; 0 where bodies conform
     states : (n, 9), u1 v1 u1' v1' u2 v2 u2' v2' psi, principal values
     slip : (n, 2), v_rel in E2, m/s
     points : (n, 2, 3), x_1 on the finger and x_2 on the object, each in its body's frame, m
@@ -71,21 +70,21 @@ def measured_states(
     Parameters
     ----------
     scene : Scene
-        Its surfaces and the order of its contacts; its motion does not matter.
+        Only its surfaces and the order of its contacts matter.
     pose : (n, 4, 4)
         X_OF, the finger's body frame in the object's.
     twist : (n, 6)
         V_OF_O, rad/s then m/s, as :meth:`Plan.twist` gives it.
     points : (n, 3)
-        Points near the contacts, such as contact physics reports, in the object's frame, m.
-        They choose among the places where bodies could touch and do not enter the result.
+        Points near the contacts, in the object's frame, m, such as contact physics reports. They
+        select one of the places where the bodies may touch, and have no other effect.
 
     Returns
     -------
     (n, 9)
         u1 v1 u1' v1' u2 v2 u2' v2' psi, as :meth:`Plan.states` gives them, in principal values.
-        Bodies are taken as touching: the rates fulfil ``R_psi M1 q1' - M2 q2' = v_rel`` with the
-        slip measured at the object's surface.
+        The rates satisfy ``R_psi M1 q1' - M2 q2' = v_rel``, as for touching bodies, with the slip
+        at the object's surface.
 
     Raises
     ------
@@ -93,9 +92,9 @@ def measured_states(
         A wrong shape, NaN, a pose that is no rigid motion, or points from which no contact is
         found.
     ChartSingularity
-        A contact is at a pole or an umbilic, or out of sight of an implicit surface's center.
+        A contact is at a pole or an umbilic, or not visible from an implicit surface's center.
     ConformalContact
-        The twist does not determine where the bodies touch.
+        The twist does not determine the rates.
     """
     require_scene(scene)
     poses = _given(scene, "pose", pose, (4, 4))
@@ -109,7 +108,7 @@ def measured_states(
 
 
 def _given(scene: Scene, name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    """A measurement of every contact, finite."""
+    """A finite measurement of every contact."""
     shape = (len(scene.contacts), *shape)
     found = shaped_array(value, f"{scene.title}: {name}", shape, ContactSystemError)
     if not np.isfinite(found).all():
@@ -124,22 +123,22 @@ class ContactSensor:
     ----------
     scene : Scene
     tolerance : float
-        Of the places of the contacts, as a fraction of the smallest body's size. From points that
-        contact physics reports Newton's steps shrink as 2e-3, 4e-6, 2e-11.
+        Error of the contact points, as a fraction of the smallest body's size. From points that
+        contact physics reports, Newton's steps shrink as 2e-3, 4e-6, 2e-11.
 
     Attributes
     ----------
     small, settled : float
-        Length of the steps at which Newton's method ends; of those that can be rounding, m.
+        Length of a step at which Newton's method ends, and of the longest accepted last step, m.
     probes : list of Probe
-        One a contact.
+        One for each contact.
     """
 
     def __init__(self, scene: Scene, tolerance: float = 1e-13):
         self.scene, obj = scene, scene.object
         sizes = [obj.size, *(contact.finger.size for contact in scene.contacts)]
         self.small = tolerance * min(sizes)
-        # steps shrink as their squares do: what stays above is rounding, as of a far larger body
+        # steps shrink quadratically: a step that stays above is rounding, as of a far larger body
         self.settled = max(SETTLED * self.small, 1e-15 * max(sizes))
         self.probes = [Probe(contact.finger, obj, self.small) for contact in scene.contacts]
 
@@ -149,7 +148,7 @@ class ContactSensor:
         twist: np.ndarray,
         points: np.ndarray,
     ) -> Measurement:
-        """Measure all contacts; see :func:`measured_states`, whose checks are left out here.
+        """Measure all contacts, without the checks of :func:`measured_states`.
 
         Parameters
         ----------
@@ -169,7 +168,7 @@ class ContactSensor:
         return Measurement(np.array(found))
 
     def check(self, found: Measurement) -> None:
-        """Raise what is wrong with a measurement; see :func:`measured_states`."""
+        """Raise the errors of :func:`measured_states` for a measurement."""
         for i in range(len(self.scene.contacts)):
             what = f"{self.scene.title}, contact {i}"
             if abs(found.relative[i]) <= CONFORMAL:
@@ -187,7 +186,7 @@ class ContactSensor:
                 )
             if not found.step[i] <= self.settled:
                 raise ContactSystemError(
-                    f"{what}: no common normal of the surfaces is found, the next step is "
+                    f"{what}: no common normal of the surfaces was found, the next step is "
                     f"{found.step[i]:.3g} m; give a point nearer to the contact"
                 )
 
@@ -198,9 +197,9 @@ class Probe:
     Attributes
     ----------
     seen : (22,)
-        To be written to: the upper three rows of X_OF, row by row; V_OF_O; where slip is taken, 0
-        at the object's surface, 1 at the finger's, between them where they overlap; whether slip
-        is known, and then v_rel in E2, m/s, to be used instead of what the twist says.
+        Inputs, written by the caller: the upper three rows of X_OF, row by row; V_OF_O; the place
+        of slip, from 0 at the object's surface to 1 at the finger's; whether slip is known, and
+        then v_rel in E2, m/s, which replaces the slip of the twist.
     found : (40,)
         A row of a Measurement.
     """
@@ -218,9 +217,9 @@ class Probe:
         self._in_space = not any(isinstance(s, ParametricSurface) for s in self._surfaces)
 
     def find(self, point: Any, of_finger: Any = None) -> np.ndarray:
-        """Newton's method from a point near the contact, until steps are small; gives `found`.
+        """Newton's method from a point near the contact, until steps are small; returns `found`.
 
-        point, of_finger : (3,), in the object's frame, and in the finger's if it is known
+        point, of_finger : (3,), in the object's frame and, if known, in the finger's
         """
         step, run, small = self._step, self._run, self._small
         x: Any = self._x
@@ -232,29 +231,29 @@ class Probe:
         else:
             n = 2 if isinstance(self._surfaces[0], ParametricSurface) else 3
             near = zip(self._surfaces, (of_finger, point), np.split(np.array(x), [n]))
-            x[:] = np.concatenate([_sought(surface, np.array(p), at) for surface, p, at in near])
+            x[:] = np.concatenate([_unknowns(surface, np.array(p), q) for surface, p, q in near])
         run()
         first = self._relative[0]
         for _ in range(MOST_STEPS):
-            if not step[0] > small:  # nor where there is no frame
+            if not step[0] > small:  # small, or NaN without a contact frame
                 break
             x[:] = ahead
             run()
-        # steps along bodies that conform lead anywhere, and there bodies may not
+        # where bodies conform, steps may lead to places where they do not
         if abs(first) <= CONFORMAL and not step[0] <= small:
             self._relative[0] = first
         return self.found
 
     def approach(self) -> np.ndarray:
-        """A point near which bodies that are away from each other would touch, in O: (3,), m."""
-        return _ahead(*self._surfaces, self._pose)
+        """A point near which bodies that are apart would touch, in O: (3,), m."""
+        return _nearest(*self._surfaces, self._pose)
 
 
-def _sought(surface: Surface, x: np.ndarray, last: np.ndarray | None = None) -> np.ndarray:
-    """The unknowns beside a point: it, or coordinates where there is no level function.
+def _unknowns(surface: Surface, x: np.ndarray, last: np.ndarray | None = None) -> np.ndarray:
+    """Newton's unknowns for a point near the surface: the point, or (u, v) on a chart surface.
 
-    last : those of the last contact, which serve where it is as near as contacts move in a step:
-        a search over the whole surface takes a hundred times as long
+    ``last`` are those of the last measurement. If the contact has hardly moved they are taken: a
+    search over the whole chart takes a hundred times as long.
     """
     if not isinstance(surface, ParametricSurface):
         return x
@@ -267,9 +266,9 @@ def _sought(surface: Surface, x: np.ndarray, last: np.ndarray | None = None) -> 
 
 
 class _Side:
-    """A body at its unknowns, a point near it or coordinates, in symbols.
+    """A body in symbols, at its unknowns: a point near it, or (u, v).
 
-    constants: sign, parameters and size. missed: how far off the surface the unknowns are, m.
+    constants: sign, parameters and size. missed: distance of the point from the surface, m.
     """
 
     def __init__(self, surface: Surface):
@@ -289,11 +288,11 @@ class _Side:
         tangents = ca.horzcat(x_axis, y_axis)
         curvature = tangents.T @ hessian @ tangents / ca.norm_2(gradient)
         coordinates = ca.vertcat(*surface.coordinates_expr(numbers, z))
-        # all of it one Newton step nearer to the surface: what is left is the distance's square
+        # one Newton step onto the surface squares the distance from it
         self.x = z - level * gradient / ca.dot(gradient, gradient)
-        there = [tangents, metric_root, curvature, coordinates]
+        quantities = [tangents, metric_root, curvature, coordinates]
         self.tangents, self.metric_root, self.curvature, self.coordinates = ca.substitute(
-            there, [z], [self.x]
+            quantities, [z], [self.x]
         )
         self.normal = ca.cross(self.tangents[:, 0], self.tangents[:, 1])
         self.missed = ca.norm_2(self.x - z)
@@ -302,7 +301,7 @@ class _Side:
         return upper_inverse(self.metric_root) @ velocity
 
     def framed(self) -> ca.SX:
-        """Whether there is a contact frame, as `Surface.canonical` has it."""
+        """Whether there is a contact frame, by the criterion of `Surface.canonical`."""
         return ca.fmin(self.metric_root[0, 0], self.metric_root[1, 1]) > SINGULAR * self.size
 
     def shortened(self, step: ca.SX) -> ca.SX:
@@ -315,19 +314,19 @@ class _Side:
 
 @per_structure
 def measurement(finger: Surface, obj: Surface) -> Table:
-    """The table of `measured_contact`, without the metric roots."""
+    """The table of `measured_contact`, without M_1 and M_2."""
     point, constants, *results = measured_contact(finger, obj)
     result = ca.densify(ca.vertcat(*results[:-1]))
     return Table(ca.Function("measured", [point, constants], [result]))
 
 
 def measured_contact(finger: Surface, obj: Surface) -> list[ca.SX]:
-    """Point, constants and results of one contact: a Newton step towards it, what is measured.
+    """Point, constants and results of one contact: a step of Newton's method, and the measurement.
 
-    point: unknowns of finger and object, X_OF (12, row by row), V_OF_O (6), share, whether slip is
-    known, known slip (2).
-    constant: sign, parameters and size of the finger, and of the object.
-    result: next unknowns, length of the step, det of the relative curvature over its square,
+    point: unknowns of finger and object, X_OF (12, row by row), V_OF_O (6), place of slip, whether
+    slip is known, known slip (2).
+    constants: sign, parameters and size of the finger, and of the object.
+    results: next unknowns, length of the step, det of the relative curvature over its square,
     states (9), slip (2), x_1, x_2 (6), E2 (9), K_2, K_1 in E2 (8), gap, velocity (3); M_1, M_2 (8).
     """
     pose, twist, share = ca.SX.sym("pose", 12), ca.SX.sym("twist", 6), ca.SX.sym("share")
@@ -336,11 +335,11 @@ def measured_contact(finger: Surface, obj: Surface) -> list[ca.SX]:
     rows = ca.reshape(pose, 4, 3).T
     turn, origin = rows[:, :3], rows[:, 3]
     between = turn @ tip.x + origin - body.x
-    alike = body.tangents.T @ turn @ tip.tangents
-    psi = ca.atan2(-(alike[0, 1] + alike[1, 0]), alike[0, 0] - alike[1, 1])
+    axes = body.tangents.T @ turn @ tip.tangents
+    psi = ca.atan2(-(axes[0, 1] + axes[1, 0]), axes[0, 0] - axes[1, 1])
     map_21 = reflection(ca.cos(psi), ca.sin(psi))
     step_1, step_2 = _newton_step(tip, body, turn, between, map_21)
-    # what the twist says, of bodies taken as touching
+    # rates from the twist, as of touching bodies
     at = body.x + share * between
     seen = -body.tangents.T @ (twist[3:] + ca.cross(twist[:3], at - origin))
     slip = ca.if_else(is_known, known, seen)
@@ -371,7 +370,7 @@ def measured_contact(finger: Surface, obj: Surface) -> list[ca.SX]:
 def _newton_step(
     tip: _Side, body: _Side, turn: ca.SX, between: ca.SX, map_21: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
-    """As velocities that turn the normals and move the points by what they miss."""
+    """The forward map of the errors: of the normals, and of the points across the normal."""
     missed = map_21 @ (body.tangents.T @ (-turn @ tip.normal - body.normal))
     lifted = ca.SX.eye(2) + ca.dot(body.normal, between) * body.curvature
     outside = solve_plane(lifted, body.curvature)
@@ -383,8 +382,8 @@ def _newton_step(
 # --- where to begin ----------------------------------------------------------------------------
 
 
-def _ahead(finger: Surface, obj: Surface, pose: np.ndarray) -> np.ndarray:
-    """Of a grid of points on a finger the one that is nearest to the object, in its frame, (3,)."""
+def _nearest(finger: Surface, obj: Surface, pose: np.ndarray) -> np.ndarray:
+    """The nearest point to the object of a grid on the finger, in the object's frame: (3,)."""
     turn, origin = pose[:, :3], pose[:, 3]
     up = _height(obj, origin, origin[None])[0, 1:]
     points = _grid(finger, -up @ turn, obj.size) @ turn.T + origin
@@ -392,8 +391,8 @@ def _ahead(finger: Surface, obj: Surface, pose: np.ndarray) -> np.ndarray:
 
 
 def _grid(finger: Surface, foot: np.ndarray, reach: float) -> np.ndarray:
-    """Points around a finger, and where it has no end as far as another body reaches: (n, 3)."""
-    at = finger.coordinates(foot) if finger.has_implicit else _sought(finger, foot)
+    """Points of a finger, on an unbounded one as far as the other body reaches: (n, 3)."""
+    at = finger.coordinates(foot) if finger.has_implicit else _unknowns(finger, foot)
     at, part, rows = np.nan_to_num(at), np.linspace(-1, 1, GRID), []
     for w, lame, period in zip(at, finger.lame(*at), finger.periods()):
         half = (reach + 2 * finger.size) / lame if period is None else period / 2
@@ -403,13 +402,13 @@ def _grid(finger: Surface, foot: np.ndarray, reach: float) -> np.ndarray:
 
 
 def _height(surface: Surface, origin: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Of points (n, 3) their height over a body, to first order, and the way up to there: (n, 4).
+    """Height of points (n, 3) over a body, to first order, and the vector from it: (n, 4).
 
-    Of a body known by its chart only the plane is taken that touches it below the origin.
+    A body given by its chart is replaced by its tangent plane below the origin.
     """
     if surface.has_implicit:
         return run(_heights(surface), points.T, surface.numbers).T
-    below = _sought(surface, origin)
+    below = _unknowns(surface, origin)
     normal = surface.normal(*below)
     heights = (points - surface.point(*below)) @ normal
     return np.column_stack([heights, np.outer(heights, normal)])

@@ -1,13 +1,13 @@
-"""What can be wrong with a scene, a surface or a contact, each under its own name."""
+"""Errors of the package."""
 
 from . import limits
 
 
 class ContactSystemError(ValueError):
-    """Base of every error this package raises on purpose; the text says what to change.
+    """Base class of the package's errors; the text says what to change.
 
-    What it echoes may come from a stranger's file: control characters are shown as escapes, and of
-    more than `limits.MESSAGE` characters the middle is left out.
+    The text may quote a file from anywhere, so control characters are escaped, and the middle of a
+    text longer than `limits.MESSAGE` is left out.
     """
 
     def __init__(self, text: object = ""):
@@ -29,7 +29,7 @@ class SceneError(ContactSystemError):
 
 
 class SurfaceError(ContactSystemError):
-    """A surface is given wrongly, or is asked for something it does not have."""
+    """A surface has wrong arguments, or lacks what it is asked for."""
 
 
 class ChartSingularity(ContactSystemError):
@@ -37,4 +37,4 @@ class ChartSingularity(ContactSystemError):
 
 
 class ConformalContact(ContactSystemError):
-    """Two surfaces share their curvature at the contact: the twist leaves its motion open."""
+    """The surfaces have the same curvature at the contact: the twist does not fix its motion."""

@@ -1,7 +1,7 @@
-"""Formulas written as text, read safely: arithmetic and known functions, nothing else.
+"""Formulas written as text, read safely: arithmetic and known functions only.
 
-A scene file may hold ``"2*pi/3"`` or the chart of a surface, ``"(R + r*cos(v))*cos(u)"``. The
-text is parsed by Python's own grammar and only arithmetic is given a meaning; no code is run.
+A scene file may hold ``"2*pi/3"`` or the chart of a surface, ``"(R + r*cos(v))*cos(u)"``. Python
+parses the text; only arithmetic is then evaluated, and no code is run.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from .checks import did_you_mean, within
 from .errors import ContactSystemError
 from .theory import symbols as ca
 
-MOST_POWER = 1e6  # edges sharper than double precision resolves, say x**(1e17), are no surface's
+MOST_POWER = 1e6  # higher ones, such as x**(1e17), make edges that doubles cannot resolve
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
 Value: TypeAlias = "ca.SX | float"
 Meaning: TypeAlias = Sequence[Any]
-"""What is done with numbers, and what where a symbol is among them."""
+"""An operation on numbers, and the one on symbols."""
 
 
 def _sign(x: float) -> float:
@@ -30,11 +30,11 @@ def _sign(x: float) -> float:
 
 
 def _alike(names: str, count: int) -> dict[str, tuple[int, Any, str]]:
-    """Functions that Python's math and CasADi have under one name."""
+    """Functions with the same name in Python's math and in CasADi."""
     return {name: (count, getattr(math, name), name) for name in names.split()}
 
 
-# name: (number of arguments, of numbers, of symbols or the name of CasADi's)
+# name: (number of arguments, function of numbers, function of symbols or its name in CasADi)
 FUNCTIONS: dict[str, tuple[int, Any, Any]] = {
     **_alike("sqrt sin cos tan asin acos atan exp log sinh cosh tanh", 1),
     **_alike("atan2 copysign", 2),
@@ -57,10 +57,9 @@ _BINARY: dict[type[ast.operator], Meaning] = {
 
 
 def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
-    """Return what a formula stands for: a number, or an SX expression of the names in it.
+    """Return the value of a formula: a float, or a scalar SX expression if it uses the names.
 
-    A float, by Python's arithmetic, where none of the names occurs; else a scalar expression, which
-    is made inside of `theory.symbols.making_symbols`.
+    Call it inside `theory.symbols.making_symbols` if there are names.
 
     Parameters
     ----------
@@ -68,19 +67,19 @@ def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
         Arithmetic (``+ - * / **``, parentheses), numbers, ``pi``, ``e`` and the functions of
         `FUNCTIONS`.
     names : mapping of str to SX
-        Symbols the formula may use; they take precedence over ``pi`` and ``e``.
+        Symbols that the formula may use; they take precedence over ``pi`` and ``e``.
 
     Raises
     ------
     ContactSystemError
-        Anything else in the text, or numbers without a result (``1/0``); names the text, the column
-        (from 1) and the nearest known name.
+        Anything else in the text, or no result (``1/0``); names the text, the column (from 1) and
+        the nearest known name.
     """
     if not isinstance(text, str):
         raise ContactSystemError(f"formula {text!r} must be a text such as '2*pi/3'")
     within("FORMULA_LENGTH", len(text), f"formula {text:.40}...: characters", ContactSystemError)
     stripped = text.strip()
-    if "#" not in text:  # over several lines, as TOML's long texts are; a remark ends with its line
+    if "#" not in text:  # join lines; a comment ends with its line
         stripped = stripped.replace("\r", " ").replace("\n", " ")
     lead = len(text) - len(text.lstrip())
     try:
@@ -103,7 +102,7 @@ def parse(text: str, names: Mapping[str, ca.SX]) -> Value:
 
 @dataclass
 class _Reader:
-    """Walks one formula's syntax tree; carries what error messages need."""
+    """Evaluates the syntax tree of one formula."""
 
     text: str
     lead: int
@@ -116,7 +115,7 @@ class _Reader:
         return ContactSystemError(f"formula {self.text!r}, column {column}: {problem}")
 
     def read(self, node: ast.expr, depth: int = 0) -> Value:
-        """The value of a node that stands inside so many operations."""
+        """The value of a node, ``depth`` operations deep."""
         within("FORMULA_NESTING", depth, f"formula {self.text:.40}...: nesting")
         match node:
             case ast.Constant():

@@ -1,4 +1,4 @@
-"""Attributes that are worked out when they are first asked for."""
+"""Attributes computed at their first access."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ T = TypeVar("T")
 
 
 class kept(Generic[T]):
-    """An attribute computed when it is first asked for; two threads may both compute it.
+    """An attribute computed at its first access; two threads may both compute it.
 
-    ``functools.cached_property`` without its lock, which until Python 3.12 costs 0.6 us and is one
-    for all instances: a thread that holds it and waits for another lock may wait forever.
+    This is ``functools.cached_property`` without its lock. Until Python 3.12 that lock is shared by
+    all instances, so a thread that holds it and waits for another lock may deadlock.
     """
 
     def __init__(self, find: Callable[[Any], T]):

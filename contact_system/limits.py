@@ -1,35 +1,34 @@
-"""What one file or plan may ask of a machine; each error that comes of a limit names it.
+"""Limits on what one file or plan may take of the machine. The error at a limit names it.
 
-Set one where you trust what you load or know what you plan:
-``contact_system.limits.PANELS = 5e6``.
+Raise a limit if you trust a file or know what you plan: ``contact_system.limits.PANELS = 5e6``.
 """
 
 SCENE_BYTES = 1e6
-"""Of a scene's TOML text."""
+"""Size of a scene's TOML text."""
 NESTING = 32
-"""Lists and tables inside each other in a scene file, and parts of a dotted key."""
+"""Depth of nested lists and tables in a scene file, plus parts of a dotted key."""
 FORMULA_LENGTH = 10_000
 """Characters of a formula."""
 FORMULA_NESTING = 200
-"""Operations inside each other in a formula; a sum of n terms has n - 1."""
+"""Depth of nested operations in a formula; a sum of n terms counts n - 1."""
 COEFFICIENTS = 64
-"""Of a polynomial of time, such as a profile."""
+"""Coefficients of a polynomial of time, such as a profile."""
 WINDOWS = 10_000
-"""Disturbances of a scene, one that acts on all contacts counted once each."""
+"""Disturbances of a scene; one on all contacts counts once for each of them."""
 PANELS = 500_000
-"""Panels that all contacts of a plan take together, those that were tried and shortened included:
-5 to 20 us and up to 2 kB each."""
+"""Panels of all contacts of a plan together, rejected ones included; each takes 5 to 20 us, and up
+to 2 kB."""
 EVALUATIONS = 120_000
-"""Of the chart equations in a plan of ``method="chart"``: 10 us each, and up to 100 us of an
-implicit solver's own."""
+"""Evaluations of the chart equations in a plan of ``method="chart"``: 10 us each, up to 100 us more
+with an implicit solver."""
 PLAN_BYTES = 5e7
-"""What a saved plan's restart data unpack to."""
+"""Unpacked size of a saved plan's restart data."""
 ARCHIVE_DIRECTORY = 2e6
-"""Bytes of an archive's table of contents, some 100 for each file."""
+"""Bytes of an archive's table of contents, about 100 for each file."""
 FMU_BYTES = 2e9
-"""What an FMU unpacks to."""
+"""Unpacked size of an FMU."""
 DESCRIPTION_BYTES = 5e7
-"""Of an FMU's modelDescription.xml."""
+"""Size of an FMU's modelDescription.xml."""
 FMU_ELEMENTS = 1_000_000
 """Elements of all variables that an FMU declares, arrays included."""
 MESSAGE = 1000

@@ -1,4 +1,4 @@
-"""What a plan achieved: slip and its exact law, how slip is rejected, how far curves stray."""
+"""Measures of a plan: slip by its exact law, rejection of slip, distance from a great circle."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from .scene import STILL, Scene
 from .theory.gain import contraction
 
 REJECTED = 0.05
-"""Slip counts as rejected below this fraction of what the disturbance left."""
+"""Slip counts as rejected below this fraction of its value at the end of the disturbance."""
 
 
 # --- slip --------------------------------------------------------------------------------------
 
 
 def windows(plan: Plan, contact: int) -> list[tuple[float, float]]:
-    """Windows (start, stop) in which one contact is disturbed, overlapping ones joined, s.
+    """Windows (start, stop), s, in which a contact is disturbed, ascending.
 
-    Ascending; what has ended before the plan starts is left out.
+    Overlapping windows are joined, and those that end before the plan starts left out.
     """
     joined: list[tuple[float, float]] = []
     acting = [d for d in plan.scene.disturbances if d.contact == contact and d.stop > plan.start]
@@ -37,9 +37,9 @@ def windows(plan: Plan, contact: int) -> list[tuple[float, float]]:
 
 
 def regular_times(plan: Plan, t: np.ndarray) -> np.ndarray:
-    """Those of the times (n,) at which :meth:`Plan.states` exist: (m,), s.
+    """The times, s, without those at which a contact is at a pole or an umbilic: (m,).
 
-    The others are those at which a contact is at a pole or an umbilic.
+    At those :meth:`Plan.states` does not exist.
     """
     try:
         plan.states(t)
@@ -54,8 +54,8 @@ def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, n
     """Times (n,), s, and slip (n,), m/s, by the exact law where nothing disturbs the contact.
 
     |v_rel|(t) = |v_rel|(t0) sigma(t)/sigma(t0) exp(-(L(t) - L(t0))) (eq. `contracaccel`), with t0
-    the start of each undisturbed interval: from one number of the plan, without its integration.
-    Of so many times over the horizon, and the windows' edges, those at which there is slip.
+    the start of each undisturbed interval. Only the slip at t0 is taken from the plan.
+    The times are ``count`` equally spaced ones and the edges of windows, where there is slip.
     """
     knots = [plan.start, *np.ravel(windows(plan, contact)), plan.end]
     grid = np.union1d(np.linspace(plan.start, plan.end, count), knots)
@@ -79,24 +79,24 @@ def exact_slip(plan: Plan, contact: int, count: int = 25) -> tuple[np.ndarray, n
 
 @dataclass(frozen=True)
 class Rejection:
-    """What became of one contact's slip.
+    """How one contact's slip evolves and is rejected.
 
     Attributes
     ----------
     contact : int
     start, peak, end : float
-        Slip at the start, at its greatest and at the end [m/s].
+        Slip at the start, its maximum, and slip at the end [m/s].
     peak_time : float
-        When it is greatest [s].
+        Time of the maximum [s].
     since : float
-        End of the contact's last disturbance, or the start where there is none [s].
+        End of the contact's last disturbance, or start of the plan if there is none [s].
     time : float
-        How long after `since` slip last crosses 5 % of its value there (of its peak from there on
-        where a path starts from rest) [s]; inf if it is above at the end of the horizon, nan if
-        there is no slip to reject.
+        Time from `since` until slip falls below 5 % of its value there for good [s]; of its peak
+        afterwards, where a path starts from rest. inf if it is above at the end, nan if there is
+        no slip.
     reported : float
-        Within how long the paper reports it rejected [s]; nan if it gives no time, or if that is
-        the time of a dynamic simulation, whose contact physics a plan does not have.
+        Rejection time that the paper reports [s]; nan if it reports none, or if it comes from a
+        dynamic simulation, as a plan has no contact physics.
     """
 
     contact: int
@@ -110,7 +110,7 @@ class Rejection:
 
     @property
     def as_reported(self) -> bool | None:
-        """Whether slip is rejected within the time reported; None where nothing is to compare."""
+        """Whether slip is rejected within the reported time; None without slip or reported time."""
         if math.isnan(self.time) or math.isnan(self.reported):
             return None
         return self.time <= self.reported
@@ -119,23 +119,22 @@ class Rejection:
 def rejections(plan: Plan) -> list[Rejection]:
     """How each contact's slip is rejected, after its last disturbance or after the start.
 
-    The crossing of `REJECTED` is found by bisection between the times at which the exact law
-    (eq. `contracaccel`) turns from growth to decay, to the last bit.
+    Rejection times are found by bisection to the last bit, between the times at which the exact
+    law (eq. `contracaccel`) changes from growth to decay.
 
     Returns
     -------
     list of Rejection
-        One a contact, in the scene's order.
+        One for each contact, in the scene's order.
 
     Raises
     ------
     ContactSystemError
-        If it is no plan.
+        If it is not a plan.
     """
     require_plan(plan)
-    # slip that nothing disturbs only grows or only shrinks between two of these
-    turns = _turns(plan.scene)
-    knots = np.unique([plan.start, *turns[turns > plan.start], plan.end])
+    changes = _monotonic(plan.scene)
+    knots = np.unique([plan.start, *changes[changes > plan.start], plan.end])
     edges = np.array([e for e in plan.scene.edges if e > plan.start])
     times = np.unique([*plan.sample_times(1001), *knots, *np.nextafter(edges, plan.start)])
     slip = plan.slip_speed(times)
@@ -146,7 +145,7 @@ def rejections(plan: Plan) -> list[Rejection]:
     for i in range(len(plan.scene.contacts)):
         acting = windows(plan, i)
         since = acting[-1][1] if acting else plan.start
-        # an object rate offset ends at once: its slip is the one just before
+        # slip by an object rate offset ends with it: take the slip just before
         left = _slip_at(plan, i, math.nextafter(since, plan.start) if acting else since)
         level = REJECTED * (left or slip[times >= since, i].max())
         greatest = int(slip[:, i].argmax())
@@ -156,8 +155,8 @@ def rejections(plan: Plan) -> list[Rejection]:
     return found
 
 
-def _turns(scene: Scene) -> np.ndarray:
-    """Times between which every slip that nothing disturbs only grows or only shrinks, s."""
+def _monotonic(scene: Scene) -> np.ndarray:
+    """Times, s, between which undisturbed slip only grows or only shrinks."""
     found = set()
     for start, stop, _, profile, _ in {s for i in range(len(scene.contacts)) for s in scene.way(i)}:
         found |= {start, stop}
@@ -168,7 +167,7 @@ def _turns(scene: Scene) -> np.ndarray:
 
 
 def is_dynamic(scene: Scene) -> bool:
-    """Whether the paper shows a dynamic simulation of the scene."""
+    """Whether the paper's results of the scene are a dynamic simulation."""
     return "lateral_force" in scene.paper
 
 
@@ -179,7 +178,7 @@ def _slip_at(plan: Plan, contact: int, t: float) -> float:
 def _rejection_time(
     plan: Plan, contact: int, since: float, level: float, knots: np.ndarray
 ) -> float:
-    """Time after `since` of the last crossing of a level of slip, by bisection."""
+    """Time from `since` to the last crossing of a level of slip, by bisection."""
     if level == 0:
         return math.nan
     steps = np.array([since, *knots[knots > since]])
@@ -206,17 +205,17 @@ def great_circle_distance(points: ArrayLike) -> np.ndarray:
     Parameters
     ----------
     points : (n, 3)
-        Points of the curve from the sphere's centre, m; through one or two there always is one.
+        Points of the curve, from the sphere's centre, m.
 
     Returns
     -------
     (n,)
-        Signed distance from the plane through the centre that fits best (least squares), m.
+        Signed distance from the plane through the centre that fits them best (least squares), m.
 
     Raises
     ------
     ContactSystemError
-        Another shape, or a point that is not finite.
+        A wrong shape, or a point that is not finite.
     """
     remedy = "finite points of one curve, shape (n, 3), such as plan.points(t)[:, 0, 0]"
     points = shaped_array(points, "points", error=ContactSystemError, remedy=remedy)

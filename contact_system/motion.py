@@ -1,8 +1,13 @@
-"""The motion of a scene's contacts, as the engine plans and evaluates it."""
+"""The motion of a scene's contacts: given to the engine as numbers, planned and evaluated there.
+
+The layout of those numbers is that of engine/engine.h, which uses the same names. Its version and
+sizes are compared when the library is loaded.
+"""
 
 from __future__ import annotations
 
 import ctypes
+import struct
 from collections.abc import Sequence
 from ctypes import byref
 from typing import Any
@@ -10,13 +15,26 @@ from typing import Any
 import numpy as np
 
 from . import limits
-from .buffer import MOMENT, Buffer
 from .engine import binding
-from .engine.binding import address
-from .errors import ChartSingularity, ContactSystemError, SceneError
-from .scene import DISTURBANCE_KINDS, Scene
-from .starts import Moment
+from .engine.binding import LAYOUT, address
+from .explanation import failed, lines
+from .scene import Disturbance, Leg, Scene, Stretch, refuse_rest
+from .starts import Moment, Starts
 from .surfaces import Surface
+from .theory.gain import LAWS
+
+VERSION = 5
+HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT = 15, 5, 5, 5, 35, 23  # numbers in each
+if LAYOUT != (VERSION, HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT):
+    raise ImportError(
+        f"the engine of contact_system has another layout of scenes, {LAYOUT}, than this Python; "
+        "install the package again, or in a checkout: pip install -e ."
+    )
+_HEAD, _ROW = struct.Struct(f"{HEADER}d").pack, struct.Struct(f"{CONTACT}d").pack
+_NO_FRAME = (0.0,) * 6
+_OUTSIDE = 7  # failure_t.code of a time outside the horizon
+
+Numbers = tuple[float, ...]
 
 SHAPES: dict[str, tuple[int, ...]] = {
     "states": (9,),
@@ -28,189 +46,140 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "acceleration": (2,),
     "carried": (2, 3),
 }
-"""What can be asked for, in the engine's order, and its shape for one contact at one time."""
+"""The results of a plan, in the engine's order, with their shapes for one contact at one time."""
 FRAMES = "frames"
-"""What steering asks for besides: of each body x, p, q, and its curvature form K_pp, K_pq, K_qq."""
+"""A result for steering only: of each body x, p, q, and its curvature form K_pp, K_pq, K_qq."""
 _ALL = {**SHAPES, FRAMES: (2, 12)}
 _TIMES_FIRST = {name: (len(shape) + 1, *range(len(shape) + 1)) for name, shape in _ALL.items()}
 IN_CONTACT_FRAMES = {"states", "slip", "acceleration", "carried"}
-"""What needs to know the branch of the charts."""
-
-SIDES = ("finger", "object")
-ENDLESS = 1e11
-ALMOST_RESTS = 1e-5  # of the greatest coefficient of sigma: what is said of an acceleration there
-
-# failure_t.code and the kinds and reasons of fact_t, as in engine.h
-_, NO_MEMORY, STUCK, TOO_MANY_PANELS, TOO_LONG, SINGULAR_CHART, SINGULAR_TIME, OUTSIDE = range(8)
-CIRCLE, LINE, PANELS = range(3)
-UNPUSHED, NO_SLIP, SLIP_LEFT, SLIPS, OFFSET, OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE, FOLLOWING = range(
-    9
-)
+"""Results that depend on the branch of the charts."""
 
 
-class Motion:
-    """Contacts planned by the engine: finger and object, interval by interval.
+# --- the scene as numbers ------------------------------------------------------------------------
 
-    Parameters
+
+class Buffer:
+    """The numbers of a scene for the engine.
+
+    Attributes
     ----------
-    scene : Scene
-    buffer : Buffer
-        Its numbers.
-
-    Raises
-    ------
-    ContactSystemError
-        What stands in the way.
+    numbers : bytes
+        Doubles.
+    count : int
+        Number of contacts.
+    surfaces : list of Surface
+        The surfaces that the buffer refers to by their index.
     """
 
-    _as_parameter_: int | None = None  # the plan's address, by which the engine takes this object
-
-    def __init__(self, scene: Scene, buffer: Buffer):
-        self.scene, self._count = scene, buffer.count
-        self._surfaces = buffer.surfaces  # the engine points into their tables
-        addresses = (ctypes.c_void_p * len(self._surfaces))(*map(_address, self._surfaces))
-        self._addresses, self._anchored = addresses, False
-        failure = binding.Failure()
-        size = len(buffer.numbers) // 8
-        at = binding.plan(buffer.numbers, size, ctypes.addressof(addresses), byref(failure))
-        self._as_parameter_ = at
-        if not at:
-            raise self._error(failure)
-
-    __del__ = binding.drop
-
-    # --- results -------------------------------------------------------------------------------
-
-    def evaluate(self, t: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray] | None:
-        """What is asked for, in one pass: (n_times, n_contacts, ...); None outside the horizon."""
-        if not self._anchored and not IN_CONTACT_FRAMES.isdisjoint(names):
-            self._anchor()
-        t = np.ascontiguousarray(t)
-        count, n = self._count, len(t)
-        found = {name: np.empty((count, *_ALL[name], n)) for name in names}
-        if n:
-            wanted = (ctypes.c_void_p * len(_ALL))(
-                *[address(found[name]) if name in found else None for name in _ALL]
-            )
-            failure = binding.Failure()
-            at = address(t), ctypes.addressof(wanted)
-            if binding.evaluate(self, n, *at, byref(failure)):
-                if failure.code == OUTSIDE:
-                    return None
-                raise self._error(failure)
-        return {name: values.transpose(_TIMES_FIRST[name]) for name, values in found.items()}
-
-    def _anchor(self) -> None:
-        """Find the branches of charts; a second time it changes nothing."""
-        failure = binding.Failure()
-        if binding.anchor(self, byref(failure)):
-            raise self._error(failure)
-        self._anchored = True
-
-    def moments(self, t: float) -> list[Moment]:
-        """Where every contact has come to at time t."""
-        self._anchor()
-        found = np.empty((len(self.scene.contacts), MOMENT))
-        failure = binding.Failure()
-        if binding.moments(self, t, address(found), byref(failure)):
-            raise self._error(failure)
-        return [self._moment(i, row) for i, row in enumerate(found.tolist())]
-
-    def _moment(self, index: int, row: list[float]) -> Moment:
-        frames = [
-            tuple(row[at : at + 6]) if surface.tables.ambient[0] is not None else ()
-            for surface, at in zip(self._bodies(index), (11, 17))
-        ]
-        places = tuple(row[5:8]), tuple(row[8:11])
-        return Moment(row[0], tuple(row[1:3]), tuple(row[3:5]), *places, *frames)
-
-    def _bodies(self, index: int) -> tuple[Surface, Surface]:
-        return self.scene.contacts[index].finger, self.scene.object
-
-    # --- telling -------------------------------------------------------------------------------
-
-    def lines(self) -> list[str]:
-        """Which way was taken for each contact and interval, why, and what was skipped."""
-        told: dict[tuple[str, ...], list[int]] = {}
-        for i in range(len(self.scene.contacts)):
-            told.setdefault(tuple(self._told(i)), []).append(i)
-        lines = []
-        for text, contacts in told.items():
-            names = ", ".join(map(str, contacts))
-            lines += [f"contact{'s' * (len(contacts) > 1)} {names}:", *text]
-        return lines
-
-    def facts(self, index: int) -> list[binding.Fact]:
-        """What became of a contact's bodies, interval by interval, the finger first."""
-        count = binding.facts(self, index, 0, None)
-        found = (binding.Fact * count)()
-        binding.facts(self, index, count, found)
-        return list(found)
-
-    def _told(self, index: int) -> list[str]:
-        facts = self.facts(index)
-        lines = [
-            f"  {SIDES[f.side]:6s} [{f.start:.6g}, {f.stop:.6g}] s  {_method(f)}"
-            f"  ({self._reason(index, f)})"
-            for f in facts
-        ]
-        return lines + [f"  skipped: {text}" for text in _skipped(facts)]
-
-    def _reason(self, index: int, f: binding.Fact) -> str:
-        if f.kind == LINE and f.panels:
-            return "T = 0: the developed curve is the curve"
-        if f.kind == LINE and f.reason == SLIPS:
-            return "slip negligible"
-        if f.reason == PUSHED:
-            return self._pushes(index, f)
-        why = _REASONS[f.reason].format(f)
-        if f.kind == PANELS and f.by_length:
-            why += "; no closed form on this surface"
-        elif f.released == f.released:
-            why += f", below tolerance from t = {f.released:.6g} s on"
-        return why
-
-    def _pushes(self, index: int, f: binding.Fact) -> str:
-        """What acts, in the order of the kinds; on a finger only what accelerates it."""
-        acting = {
-            type(d)
-            for d in self.scene.disturbances
-            if d.contact == index and d.start <= f.start < d.stop and any(d.value)
-        }
-        if SIDES[f.side] == "finger":
-            acting = {kind for kind in acting if kind.side == "finger"}
-        return " and ".join(kind.kind for kind in DISTURBANCE_KINDS if kind in acting)
-
-    # --- errors --------------------------------------------------------------------------------
-
-    def _error(self, failure: binding.Failure) -> Exception:
-        """What to raise for a failure of the engine."""
-        name = f"{self.scene.title}, contact {failure.contact}"
-        surface = self._bodies(failure.contact)[failure.side]
-        if failure.code == STUCK:
-            return _stuck(self.scene, name, failure)
-        if failure.code == TOO_MANY_PANELS:
-            return _endless(self.scene, name, failure)
-        if failure.code == TOO_LONG:
-            return SceneError(
-                f"{name}: its path is {failure.value:.3g} times as long as {surface!r} is large, "
-                "and rounding would leave less than four digits of its position (limit "
-                f"{ENDLESS:g}); lower its velocity, sigma or the duration"
-            )
-        if failure.code == SINGULAR_CHART:
-            return passed(name, surface, (failure.u, failure.v))
-        if failure.code == SINGULAR_TIME:
-            return singular(name, surface, failure.t)
-        return ContactSystemError(
-            f"{name}: there is not enough memory; shorten the scene, or plan fewer contacts at once"
+    def __init__(self, scene: Scene, tolerance: float, begin: float, starts: Starts | None):
+        self.count = len(scene.contacts)
+        self.surfaces: list[Surface] = []
+        self._tail: list[float] = []  # what follows the header
+        self._bodies: dict[int, Numbers] = {}
+        law, obj = LAWS[scene.gain.law], self._body(scene.object)
+        rows = self._rows(scene, begin, starts)
+        head = _HEAD(
+            *(VERSION, len(scene.contacts), tolerance, limits.PANELS, begin, scene.duration),
+            *(scene.gain.value, law.power, law.makes_up, HEADER + len(self._tail), *obj),
         )
+        self.numbers = b"".join([head, struct.pack(f"{len(self._tail)}d", *self._tail), *rows])
+
+    def _put(self, numbers: Sequence[float]) -> int:
+        """Add numbers; returns their index."""
+        index = HEADER + len(self._tail)
+        self._tail += numbers
+        return index
+
+    def _body(self, surface: Surface) -> Numbers:
+        body = self._bodies.get(id(surface))
+        if body is None:
+            self.surfaces.append(surface)
+            index = self._put(surface.numbers.tolist())
+            body = (len(self.surfaces) - 1, index, surface.size, surface.bend, surface.reach)
+            self._bodies[id(surface)] = body
+        return body
+
+    def _legs(self, way: Sequence[Stretch]) -> tuple[int, int]:
+        """Add legs; returns their index and their number."""
+        numbers = []
+        for leg in way:
+            index = self._put(leg.profile.coefficients)
+            numbers += [leg.start, index, len(leg.profile.coefficients), *leg.turn]
+        return self._put(numbers), len(way)
+
+    def _rows(self, scene: Scene, begin: float, starts: Starts | None) -> list[bytes]:
+        """One row a contact: its finger, start, disturbances and legs."""
+        windows, rows = _windows(scene, begin), []
+        legs: dict[Sequence[Leg], tuple[int, int]] = {}
+        begins = [
+            start if isinstance(start, Moment) else start.start_numbers()
+            for start in (scene.contacts if starts is None else starts)
+        ]
+        frames = _solved_frames(scene, begins)
+        for i, (contact, start) in enumerate(zip(scene.contacts, begins)):
+            own = windows.get(i, ())
+            index = self._put([x for d in own for x in (d.slot, d.start, d.stop, *d.value)])
+            if contact.legs not in legs:
+                legs[contact.legs] = self._legs(contact.way(scene.profile, scene.duration))
+            if isinstance(start, Moment):
+                goes_on, frame_1, frame_2 = 1, start.finger_frame[:6], start.object_frame[:6]
+                numbers: Numbers = (*start.finger_at, *start.object_at, start.angle)
+                numbers += (*start.finger_velocity, *start.slip)
+            else:
+                goes_on, frame_1, frame_2 = 0, frames.get((i, 0), ()), frames.get((i, 1), ())
+                u1, v1, u2, v2, *others = start
+                numbers = (u1, v1, 0.0, u2, v2, 0.0, *others)
+            which = bool(frame_1) + 2 * bool(frame_2)
+            flags = (goes_on, contact.follows, which)
+            both = (*(frame_1 or _NO_FRAME), *(frame_2 or _NO_FRAME))
+            finger = self._body(contact.finger)
+            rows.append(
+                _ROW(*finger, *flags, index, len(own), *legs[contact.legs], *numbers, *both)
+            )
+        return rows
+
+
+def _windows(scene: Scene, begin: float) -> dict[int, list[Disturbance]]:
+    """Disturbances of each contact that end after the plan begins."""
+    windows: dict[int, list[Disturbance]] = {}
+    for d in scene.disturbances:
+        if d.stop > begin:
+            windows.setdefault(int(d.contact), []).append(d)
+    never_rests = not (windows and scene.profile.zeros(scene.duration))
+    for contact, own in windows.items():
+        if never_rests and not scene.contacts[contact].legs:
+            continue
+        for d in own:
+            if d.accelerates and any(d.value):
+                refuse_rest(scene, contact, max(d.start, begin), d.stop)
+    return windows
+
+
+def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[tuple[int, int], Numbers]:
+    """(x, p) by contact and side on surfaces without a chart, whose points are solved for.
+
+    All points of one surface are solved for at once.
+    """
+    places: dict[int, list[tuple[int, int]]] = {}
+    surfaces: dict[int, Surface] = {}
+    for i, contact in enumerate(scene.contacts):
+        for side, surface in enumerate((contact.finger, scene.object)):
+            if not surface.has_chart and not isinstance(begins[i], Moment):
+                places.setdefault(id(surface), []).append((i, side))
+                surfaces[id(surface)] = surface
+    frames: dict[tuple[int, int], Numbers] = {}
+    for key, where in places.items():
+        uv = np.array([begins[i][2 * side : 2 * side + 2] for i, side in where])
+        point, frame = surfaces[key].point_and_frame(*uv.T)
+        frames |= zip(where, map(tuple, np.hstack([point, frame[..., 0]]).tolist()))
+    return frames
 
 
 MAY_BE_SINGULAR = 1  # surface_t.flags: nobody knows where the chart is regular
 
 
-def _address(surface: Surface) -> int:
-    """Of the engine's ``surface_t``; that of a user's surface is made once and kept with it."""
+def _surface_address(surface: Surface) -> int:
+    """Address of the engine's ``surface_t``; a user's surface keeps the one made for it."""
     if surface.table_name is not None:
         return surface.tables.address
     data = surface.__dict__.get("_engine_data")
@@ -227,103 +196,91 @@ def _address(surface: Surface) -> int:
     return ctypes.addressof(data)
 
 
-def singular(name: str, surface: Surface, t: float) -> ChartSingularity:
-    """The error of a contact at a pole or an umbilic at time t."""
-    return ChartSingularity(
-        f"{name}: {surface!r}: at t = {t:.17g} s the contact is at a singular point of the chart "
-        f"({surface.chart.singular_at or 'pole'}), where u', v' and psi do not exist. Ask for "
-        "points, pose and twist there (they do), or for a time nearby"
-    )
+# --- the motion ----------------------------------------------------------------------------------
 
 
-def passed(name: str, surface: Surface, place: tuple[float, float]) -> ContactSystemError:
-    """The error of a path through a singular point of its chart."""
-    other = "use the default method" if surface.has_implicit else "give an ImplicitSurface"
-    return ContactSystemError(
-        f"{name}: the path goes through a singular point of its chart, {surface!r} at (u, v) = "
-        f"({place[0]:.9g}, {place[1]:.9g}), where the contact frame turns over; start elsewhere, "
-        f"change the direction, end the scene before, or {other}, which needs no chart"
-    )
+class Motion:
+    """Contacts planned by the engine: finger and object, interval by interval.
 
+    Parameters
+    ----------
+    scene : Scene
+    buffer : Buffer
+        Its numbers.
 
-def _pushed_at_rest(scene: Scene, failure: binding.Failure) -> str:
-    """What to do about an acceleration where the path all but rests; empty elsewhere."""
-    sigma, way = failure.value, scene.way(failure.contact)
-    greatest = max(abs(c) for stretch in way for c in stretch.profile.coefficients)
-    if not failure.pushed or sigma > ALMOST_RESTS * greatest:
-        return ""
-    return (
-        f"an acceleration acts where the path almost rests, sigma = {sigma:.3g} m/s; add a "
-        "constant to the profile, or accelerate before or after"
-    )
+    Raises
+    ------
+    ContactSystemError
+        Why the scene cannot be planned.
+    """
 
+    _as_parameter_: int | None = None  # the plan's address: ctypes passes it for this object
 
-def _stuck(scene: Scene, name: str, failure: binding.Failure) -> ContactSystemError:
-    why = _pushed_at_rest(scene, failure) or (
-        "the path reaches a singular point of its chart or its surface, or moves too fast for "
-        "double precision; start elsewhere, change the direction or end the scene before"
-    )
-    variable = "arc length" if failure.by_length else "local time"
-    return ContactSystemError(
-        f"{name}: the motion cannot be continued past {variable} {failure.t:.9g}: {why}"
-    )
+    def __init__(self, scene: Scene, buffer: Buffer):
+        self.scene, self._count = scene, buffer.count
+        self._surfaces = buffer.surfaces  # kept: the engine points into their tables
+        addresses = map(_surface_address, self._surfaces)
+        self._addresses = (ctypes.c_void_p * len(self._surfaces))(*addresses)
+        self._anchored = False
+        failure, size = binding.Failure(), len(buffer.numbers) // 8
+        plan = binding.plan(buffer.numbers, size, ctypes.addressof(self._addresses), byref(failure))
+        self._as_parameter_ = plan
+        if not plan:
+            raise failed(scene, failure)
 
+    __del__ = binding.drop
 
-def _endless(scene: Scene, name: str, failure: binding.Failure) -> ContactSystemError:
-    why = _pushed_at_rest(scene, failure) or (
-        "shorten the scene, lower the speed, the acceleration or the surface's curvature, or give "
-        "a surface of your own a greater size; where a disturbance drives the contact into a pole "
-        "of its chart, end its window before"
-    )
-    variable = "arc length" if failure.by_length else "local time"
-    return ContactSystemError(
-        f"{name}: {failure.panels} panels reach {variable} {failure.t:.9g} of {failure.end:.9g} "
-        f"only, and what is left of the plan's limit will not do: it has tried {failure.spent}, "
-        f"contact {failure.greediest} most, {failure.most}, and the limit is {limits.PANELS:.15g}; "
-        f"{why}, or set contact_system.limits.PANELS higher"
-    )
+    def evaluate(self, t: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray] | None:
+        """Results, (n_times, n_contacts, ...), in one pass; None if a time is outside the plan."""
+        if not self._anchored and not IN_CONTACT_FRAMES.isdisjoint(names):
+            self._anchor()
+        t = np.ascontiguousarray(t)
+        count, n = self._count, len(t)
+        results = {name: np.empty((count, *_ALL[name], n)) for name in names}
+        if n:
+            outputs = (ctypes.c_void_p * len(_ALL))(
+                *[address(results[name]) if name in results else None for name in _ALL]
+            )
+            failure = binding.Failure()
+            where = address(t), ctypes.addressof(outputs)
+            if binding.evaluate(self, n, *where, byref(failure)):
+                if failure.code == _OUTSIDE:
+                    return None
+                raise failed(self.scene, failure)
+        return {name: values.transpose(_TIMES_FIRST[name]) for name, values in results.items()}
 
+    def _anchor(self) -> None:
+        """Find the branches of the charts; doing it twice changes nothing."""
+        failure = binding.Failure()
+        if binding.anchor(self, byref(failure)):
+            raise failed(self.scene, failure)
+        self._anchored = True
 
-_REASONS = {
-    UNPUSHED: "nothing accelerates it",
-    NO_SLIP: "no slip",
-    SLIP_LEFT: "slip has fallen below tolerance at t = {0.start:.6g} s",
-    SLIPS: "slip",
-    OFFSET: "object rate offset",
-    OFFSET_AND_SLIP: "object rate offset, slip",
-    NEGLIGIBLE: "slip negligible",
-    FOLLOWING: "rolling is imposed",
-}
+    def moments(self, t: float) -> list[Moment]:
+        """Every contact as it is at time t."""
+        self._anchor()
+        rows = np.empty((self._count, MOMENT))
+        failure = binding.Failure()
+        if binding.moments(self, t, address(rows), byref(failure)):
+            raise failed(self.scene, failure)
+        return [self._moment(i, row) for i, row in enumerate(rows.tolist())]
 
+    def _moment(self, contact: int, row: list[float]) -> Moment:
+        bodies = self.scene.contacts[contact].finger, self.scene.object
+        frames = [
+            tuple(row[first : first + 6]) if surface.tables.ambient[0] is not None else ()
+            for surface, first in zip(bodies, (11, 17))
+        ]
+        places = tuple(row[5:8]), tuple(row[8:11])
+        return Moment(row[0], tuple(row[1:3]), tuple(row[3:5]), *places, *frames)
 
-def _method(f: binding.Fact) -> str:
-    place = "space" if f.ambient else "its chart"
-    if f.kind == CIRCLE:
-        return "closed form: great circle"
-    if f.kind == LINE and f.panels:
-        return f"quadrature of slip, {f.panels} panels"
-    if f.kind == LINE:
-        return "closed form: straight line on the developed surface"
-    if f.forced:
-        return f"forced development, {f.panels} panels"
-    if f.by_length:
-        return f"geodesic in arc length, in {place}, {f.panels} panels"
-    return f"development in {place}, {f.panels} panels"
+    def lines(self) -> list[str]:
+        """How each contact and interval was planned, why, and what was skipped."""
+        return lines(self.scene, [self._facts(i) for i in range(self._count)])
 
-
-def _skipped(facts: Sequence[binding.Fact]) -> list[str]:
-    def closed(f: binding.Fact) -> bool:
-        return f.kind == CIRCLE or (f.kind == LINE and not f.panels)
-
-    notes = []
-    if all(map(closed, facts)):
-        notes.append("all integration")
-    elif all(closed(f) for f in facts if SIDES[f.side] == "finger"):
-        notes.append("integration of the finger")
-    objects: list[Any] = [f for f in facts if SIDES[f.side] == "object"]
-    if not any(f.slips or f.forced or f.reason in (SLIP_LEFT, NEGLIGIBLE) for f in objects):
-        if any(f.reason == OFFSET for f in objects):
-            notes.append("gain (slip is that of rate offsets, which ends with them)")
-        else:
-            notes.append("slip and gain (there is none to reject)")
-    return notes
+    def _facts(self, contact: int) -> list[binding.Fact]:
+        """What the engine tells of the intervals of a contact's bodies, the finger first."""
+        count = binding.facts(self, contact, 0, None)
+        facts = (binding.Fact * count)()
+        binding.facts(self, contact, count, facts)
+        return list(facts)

@@ -1,7 +1,6 @@
-"""The result of planning: ask for states, slip, twist, pose, points at any times.
+"""Plans: contact curves computed once, evaluated at any times, written to files and read back.
 
-A plan is like a geodesic line object: computed once, evaluated where asked, and nothing is
-evaluated that was not asked for.
+A plan computes only the results that are asked for.
 """
 
 from __future__ import annotations
@@ -18,10 +17,9 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .buffer import Buffer
 from .checks import FLOAT, a_path, did_you_mean, flag, naming, shaped_array
 from .errors import ChartSingularity, ContactSystemError, SceneError
-from .motion import SHAPES, Motion
+from .motion import SHAPES, Buffer, Motion
 from .scene import Scene, acting, require_scene, scene_from_toml, scene_to_toml
 from .starts import Starts, covers_twice, measured_start, on_branch
 from .writing import writing
@@ -43,13 +41,13 @@ def plan(
     ----------
     scene : Scene
     tolerance : float
-        Bound of the error of contact points, as a fraction of the body's ``size``, 1e-15 to 1e-1.
-        It holds for paths of a few sizes. Errors made on the way grow with the path, by as much as
-        the surfaces draw neighbouring paths apart: over hundreds of sizes, and where accelerations
-        drive a contact many times around, to tens or hundreds of tolerances. Below 1e-12, and for
-        places many sizes from the origin, rounding may count for more.
+        Bound on the error of contact points, as a fraction of the body's ``size``, 1e-15 to 1e-1.
+        It holds for paths a few sizes long. On longer paths errors grow as neighbouring paths
+        diverge: to tens or hundreds of tolerances over hundreds of sizes, or where accelerations
+        drive a contact around many times. Below 1e-12, and many sizes away from the origin,
+        rounding may dominate.
     method : str
-        "auto": per contact and interval the cheapest exact way (theory sections 4 to 7).
+        "auto": the cheapest exact method for each contact and interval (theory sections 4 to 7).
         "chart": the paper's equations (eqs. `timegeodesic`, `contrac`), errata corrected, by a
         scipy solver; for comparison.
     solver : str
@@ -60,7 +58,7 @@ def plan(
     Raises
     ------
     ContactSystemError
-        What is wrong with the scene, the contact, the value, and the remedy.
+        Naming the scene, the contact, the value and the remedy.
     """
     return Plan(scene, tolerance, method, solver, compiled, 0.0, None)
 
@@ -68,11 +66,10 @@ def plan(
 class Plan:
     """Contact curves of a scene, evaluated on demand. Made by :func:`plan`.
 
-    Times are in seconds inside [:attr:`start`, :attr:`end`], one or an axis of them, in any order;
-    results have the times along their first axis, of length 1 for one time, and the contacts along
-    the second. At a window's edge they are those after it; at the end of the horizon, those before
-    it. A time outside raises a ContactSystemError. Several threads may ask one plan, and plan
-    scenes, at the same time.
+    Methods take one time or a 1-D array of times in [:attr:`start`, :attr:`end`], s, in any order.
+    The first axis of a result is time (of length 1 for a single time), the second the contact. At
+    the edge of a disturbance's window, results are those just after it. A time outside raises a
+    ContactSystemError. Plans may be made and evaluated by several threads at once.
 
     Attributes
     ----------
@@ -80,9 +77,9 @@ class Plan:
     tolerance : float
     method, solver : str
     start : float
-        Where the plan begins, s: 0, or the time of :meth:`restart` or :meth:`continued`.
+        When the plan begins, s: 0, or the time of :meth:`restart` or :meth:`continued`.
     end : float
-        Where it ends, s: ``scene.duration``.
+        When it ends, s: ``scene.duration``.
     """
 
     def __init__(
@@ -123,32 +120,32 @@ class Plan:
         return motion
 
     def __reduce__(self) -> tuple:
-        """What is pickled and copied: what the plan is made from, as in :meth:`save`."""
+        """Pickle and copy the plan's inputs, as :meth:`save` does; it is planned again."""
         made_from = (self.scene, self.tolerance, self.method, self.solver, None)
         return Plan, (*made_from, self.start, self.starts)
 
     # --- results -------------------------------------------------------------------------------
 
     def evaluate(self, t: ArrayLike, *names: str) -> dict[str, np.ndarray]:
-        """Several results at once, from one reading of the motion.
+        """Several results at once, in one pass over the motion.
 
         Parameters
         ----------
         t : (n,) or a number
             s.
         names : str
-            Of the methods below: "states", "points", "slip", "slip_speed", "twist", "pose",
+            Names of the methods below: "states", "points", "slip", "slip_speed", "twist", "pose",
             "acceleration", "carried".
 
         Returns
         -------
         dict
-            The arrays that the methods give, by their names. Nothing else is computed.
+            By name, the arrays that these methods return.
 
         Raises
         ------
         ContactSystemError
-            Another name, a time outside the horizon, or what the methods raise.
+            An unknown name, a time outside the horizon, or an error of one of the methods.
         """
         for name in names:
             if not isinstance(name, str) or name not in SHAPES:
@@ -159,8 +156,8 @@ class Plan:
         if "carried" in names:
             self._require_frames("carried")
         times = _one_axis(t)
-        found = self._motion.evaluate(times, names)
-        return self._refuse(times) if found is None else found
+        results = self._motion.evaluate(times, names)
+        return self._refuse(times) if results is None else results
 
     def states(self, t: ArrayLike) -> np.ndarray:
         """u1 v1 u1' v1' u2 v2 u2' v2' psi: (len(t), n_contacts, 9); rad, or m where charts have it.
@@ -182,18 +179,18 @@ class Plan:
     def slip(self, t: ArrayLike) -> np.ndarray:
         """Slip v_rel in E2 (eq. `netrelvel`): (len(t), n_contacts, 2), m/s.
 
-        By the exact law, |v_rel| = |V| sigma exp(-L), not as a difference of velocities; while an
-        object rate offset d acts, less M2 d.
+        Computed from the exact law, |v_rel| = |V| sigma exp(-L), not as a difference of velocities.
+        While an object rate offset d acts, M2 d is subtracted.
 
         Raises
         ------
         ChartSingularity
-            At a time when a contact that slips passes through a pole or an umbilic of the object.
+            At a time when a slipping contact passes through a pole or an umbilic of the object.
         """
         return self.evaluate(t, "slip")["slip"]
 
     def slip_speed(self, t: ArrayLike) -> np.ndarray:
-        """Length of :meth:`slip`: (len(t), n_contacts), m/s. It exists at a pole too."""
+        """Magnitude of :meth:`slip`: (len(t), n_contacts), m/s. Defined at poles too."""
         return self.evaluate(t, "slip_speed")["slip_speed"]
 
     def acceleration(self, t: ArrayLike) -> np.ndarray:
@@ -220,27 +217,27 @@ class Plan:
         return self.evaluate(t, "twist")["twist"]
 
     def carried(self, t: ArrayLike) -> np.ndarray:
-        """The frames carried along by parallel transport (theory section 4), finger and object.
+        """Parallel-transported frames of finger and object (theory section 4).
 
         (len(t), n_contacts, 2, 3): theta, rad, the frame's angle in E_i, continuous; and the path
-        velocity in that frame, W_1 or W - V exp(-L), no unit, without object rate offsets. What
-        u', v' are made of; it exists where sigma = 0 and is constant while nothing acts.
+        velocity in that frame, W_1 or W - V exp(-L), dimensionless, without object rate offsets.
+        Unlike u' and v' it exists where sigma = 0; W_1 and V are constant while nothing acts.
 
         Raises
         ------
         ChartSingularity
             At a time when a contact passes through a pole or an umbilic.
         SceneError
-            ``method="chart"``, which carries no frames.
+            ``method="chart"``, which has no such frames.
         """
         return self.evaluate(t, "carried")["carried"]
 
-    # --- telling, saving -----------------------------------------------------------------------
+    # --- explaining, continuing, saving --------------------------------------------------------
 
     def explain(self) -> str:
-        """Which way was taken for each contact and interval, why, and what was skipped.
+        """A text: how each contact and interval was computed, why, and what was skipped.
 
-        A text; its panels are steps of Gauss collocation.
+        Its panels are steps of Gauss collocation.
         """
         head = f"{self.scene.title}: tolerance {self.tolerance:g}, method {self.method}"
         return "\n".join([head, *self._motion.lines()])
@@ -248,21 +245,21 @@ class Plan:
     def continued(self, t: float, scene: Scene | None = None) -> Plan:
         """The plan from time t on, under other disturbances, gain, profile or duration.
 
-        It goes on from the moving frames as they are, so that nothing is lost: what changes
-        nothing reproduces this plan, also from a pole or where sigma = 0.
+        It starts from the exact state of the moving frames: with an unchanged scene it reproduces
+        this plan, even from a pole or where sigma = 0.
 
         Parameters
         ----------
         t : float
-            s, inside this plan's horizon and before the end of the other scene.
+            s, inside this plan's horizon and before the end of the new scene.
         scene : Scene, optional
-            The scene that holds from t on, with the same contacts' surfaces; by default this one.
+            The scene from t on, with the same surfaces and contacts; by default this plan's.
 
         Raises
         ------
         SceneError
-            Other surfaces or contacts, nothing left to plan, contacts whose rolling is imposed
-            (in either scene), or ``method="chart"``.
+            Other surfaces, another number of contacts, no time left to plan, contacts with imposed
+            rolling (in either scene), or ``method="chart"``.
         """
         after = self.scene if scene is None else scene
         require_scene(after)
@@ -288,19 +285,19 @@ class Plan:
             for i, contact in enumerate(s.contacts):
                 if contact.follows:
                     raise SceneError(
-                        f"continued at t = {t:g} s: {s.title}, contact {i}: rolling that is "
-                        "imposed has one plan; give finger_velocity as numbers"
+                        f"continued at t = {t:g} s: {s.title}, contact {i}: imposed rolling "
+                        "cannot be continued; give finger_velocity as numbers"
                     )
         return Plan(after, self.tolerance, self.method, self.solver, None, t, self.moments(t))
 
     def moments(self, t: float) -> Starts:
-        """Where every contact has come to at time t, as :meth:`continued` goes on from."""
+        """Every contact as it is at time t, from which :meth:`continued` starts."""
         return self._motion.moments(t)
 
     def _require_frames(self, asked: str) -> None:
         if self.method == "chart":
             raise SceneError(
-                f"{asked}: method 'chart' carries no frames along; use the default method"
+                f"{asked}: method 'chart' has no parallel frames; use the default method"
             )
 
     def restart(self, t: float, state: ArrayLike) -> Plan:
@@ -309,17 +306,17 @@ class Plan:
         Parameters
         ----------
         t : float
-            s, with sigma(t) > 0. The path goes on along rates / sigma: beside a rest the rates'
-            rounding alone may turn it. :meth:`continued` takes no rates and is exact there.
+            s, with sigma(t) > 0. The path velocity is rates / sigma, so close to rest rounding of
+            the rates may turn the path; :meth:`continued` needs no rates and is exact there.
         state : (n_contacts, 9)
             Measured u1 v1 u1' v1' u2 v2 u2' v2' psi, as :meth:`states` gives them or in principal
-            values: where a chart covers its surface twice, they are turned to the plan's side.
+            values. Where a chart covers its surface twice, they are moved to the plan's branch.
 
         Raises
         ------
         SceneError
-            A wrong shape, NaN, a contact at a pole or an umbilic, sigma(t) = 0, nothing left to
-            plan, or contacts whose rolling is imposed.
+            A wrong shape, NaN, a contact at a pole or an umbilic, sigma(t) = 0, no time left to
+            plan, or contacts with imposed rolling.
         """
         where, shape = f"{self.scene.title}, restart", (len(self.scene.contacts), 9)
         t, measured = self._time(t), shaped_array(state, f"{where}: state", shape)
@@ -333,17 +330,14 @@ class Plan:
         for i, contact in enumerate(self.scene.contacts):
             if contact.follows:
                 raise SceneError(
-                    f"{where}: contact {i} has its rolling imposed; give finger_velocity as numbers"
+                    f"{where}: contact {i} has imposed rolling; give finger_velocity as numbers"
                 )
             starts.append(measured_start(self.scene, i, t, measured[i], offsets[i]))
         return Plan(self.scene, self.tolerance, self.method, self.solver, None, t, starts)
 
     def _on_branch(self, t: float, measured: np.ndarray) -> np.ndarray:
-        """Rows on the plan's side of charts that cover their surface twice.
-
-        Disturbances are chart components: on the other side they would act the other way.
-        """
-        with contextlib.suppress(ChartSingularity):  # the plan is at an umbilic: no side
+        """Measured states on the plan's branch of charts that cover their surface twice."""
+        with contextlib.suppress(ChartSingularity):  # at an umbilic the plan has no branch
             if covers_twice(self.scene):
                 return on_branch(self.scene, measured, self.states(t)[0])
         return measured
@@ -358,12 +352,12 @@ class Plan:
         ----------
         path : path ending in .npz or .csv
         times : (n,), optional
-            Default: 401 equally spaced times and the window edges.
+            Default: :meth:`sample_times`.
 
         Raises
         ------
         ContactSystemError
-            No path, another ending, or a file that cannot be written.
+            An unknown ending, or a file that cannot be written.
         """
         path = a_path(path)
         t = self.sample_times() if times is None else self._times(times)
@@ -402,12 +396,12 @@ class Plan:
     def sample_times(self, count: int = 401) -> np.ndarray:
         """Equally spaced times over the plan, and the scene's edges: (n,), ascending, s.
 
-        None stands there twice but for rounding.
+        An equally spaced time that differs from an edge by rounding alone is left out.
 
         Parameters
         ----------
         count : int
-            Of the equally spaced ones, at least 1.
+            Number of equally spaced times, at least 1.
         """
         if not isinstance(count, numbers.Integral) or isinstance(count, bool) or count < 1:
             raise ContactSystemError(f"count = {count!r}: give a whole number, at least 1")
@@ -419,24 +413,8 @@ class Plan:
     def _csv(self, t: np.ndarray) -> str:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(
-            [
-                "t [s]",
-                "contact",
-                "u1",
-                "v1",
-                "du1",
-                "dv1",
-                "u2",
-                "v2",
-                "du2",
-                "dv2",
-                "psi [rad]",
-                "slip x [m/s]",
-                "slip y [m/s]",
-                "slip [m/s]",
-            ]
-        )
+        names = ["t [s]", "contact", *"u1 v1 du1 dv1 u2 v2 du2 dv2".split(), "psi [rad]"]
+        writer.writerow([*names, "slip x [m/s]", "slip y [m/s]", "slip [m/s]"])
         states, slip = self.states(t), self.slip(t)
         for k, time in enumerate(t):
             for i in range(len(self.scene.contacts)):
@@ -474,13 +452,7 @@ class Plan:
 
 
 def checked_tolerance(given: Any) -> float:
-    """The tolerance as a float.
-
-    Raises
-    ------
-    SceneError
-        If it is no number from 1e-15 to 1e-1.
-    """
+    """The tolerance as a float; raises a SceneError if it is no number from 1e-15 to 1e-1."""
     try:
         number = float(given) if isinstance(given, numbers.Real) else math.nan
     except OverflowError:
@@ -509,13 +481,13 @@ def require_plan(given: Any) -> None:
 def load(path: str | os.PathLike) -> Plan:
     """Read a plan saved as .npz and plan it again from the scene inside.
 
-    What it gives is the same to the last bit. One of ``method="chart"``, which may take seconds, is
-    planned when it is first asked. ``numpy.load`` alone reads the sampled results.
+    Its results are the same to the last bit. A plan of ``method="chart"``, which may take seconds,
+    is computed at its first evaluation. ``numpy.load`` reads the sampled results without planning.
 
     Raises
     ------
     ContactSystemError
-        If the file cannot be read, is not such a plan, is damaged, or is beyond a limit of
+        The file cannot be read, is not such a plan, is damaged, or exceeds a limit of
         `contact_system.limits`.
     """
     from .saved import checked_start, read_plan  # archives are slow to import

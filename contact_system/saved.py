@@ -1,4 +1,4 @@
-"""Saved plans read back: nothing of the file is believed before it is checked."""
+"""Saved plans read back: everything in the file is checked before it is used."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ KEYS = ("tolerance", "method", "solver", "start", "starts")
 A_RESTORE = 1  # of a surface's tables, as in engine.h
 PLAN_FILE = "a plan written by Plan.save"
 SIZES = {"angle": (), "finger_at": 3, "object_at": 3, "finger_frame": 6, "object_frame": 6}
-"""Numbers of a Moment's fields; the others, and those of a Start, have two."""
+"""Sizes of a Moment's fields; all other fields, and those of a Start, hold two numbers."""
 
 
 def digest(texts: Iterable[str]) -> str:
-    """What tells whether the texts are those that were written."""
+    """Digest of the texts, by which changes of the file are noticed."""
     import hashlib  # slow to import
 
     return hashlib.sha256("\0".join(texts).encode()).hexdigest()
@@ -54,7 +54,7 @@ def read_plan(path: Path) -> tuple[str, dict[str, Any]]:
         scene, plan, *known = texts  # plans of older versions have no digest
         if known not in ([], [digest([scene, plan])]):
             raise ContactSystemError(
-                f"{path}: not {PLAN_FILE}, but changed since: its digest is that of another; take "
+                f"{path}: not {PLAN_FILE}, but changed since: its digest does not match; take "
                 "the file as it was written"
             )
         header = json.loads(plan)
@@ -69,12 +69,12 @@ def read_plan(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def checked_start(header: dict[str, Any], scene: Scene) -> tuple[float, Starts | None]:
-    """When a saved plan begins, s, and where its contacts start.
+    """The time at which a saved plan begins, s, and the starts of its contacts.
 
     Raises
     ------
     SceneError
-        What is no time, no place on its surface, or no direction there.
+        A time outside the horizon, a point off its surface, or a wrong direction there.
     """
     start = finite_number(header["start"], "start", "not below 0")
     if not start < scene.duration:
@@ -97,7 +97,7 @@ def _start(scene: Scene, index: int, given: Any, moments: bool) -> Start | Momen
     if not isinstance(given, dict) or sorted(given) != sorted(names):
         raise SceneError(f"{place} = {given!r}: give a table of {', '.join(names)}")
     if contact.follows:
-        raise SceneError(f"{place}: rolling that is imposed has one plan; leave starts out")
+        raise SceneError(f"{place}: imposed rolling has no other starts; leave starts out")
     bodies = {"finger": contact.finger, "object": scene.object}
     read: dict[str, Any] = {}
     for name, value in given.items():
@@ -120,7 +120,7 @@ def _start(scene: Scene, index: int, given: Any, moments: bool) -> Start | Momen
 
 
 def _require_on(surface: Surface, frame: tuple[float, ...], what: str) -> None:
-    """A point of the surface and a unit vector along it, but for what planning puts back."""
+    """Refuse a frame unless it is a point of the surface and a unit tangent, up to rounding."""
     given = np.array(frame)[:, None]
     moved = run(surface.tables.ambient[A_RESTORE], given, surface.numbers) - given
     moved[:3] /= surface.size

@@ -1,4 +1,4 @@
-"""Where contacts start: as a scene says, as was measured, or in the middle of a plan."""
+"""How contacts start: as a scene says, from measured states, or in the middle of a plan."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .surfaces import Surface
 
 @dataclass
 class Start:
-    """Where one contact starts, in its contact frames at the start time."""
+    """Start of one contact, in its contact frames at the start time."""
 
     finger_at: tuple[float, float]  # u, v
     object_at: tuple[float, float]
@@ -38,14 +38,14 @@ def scene_start(contact: Contact) -> Start:
 
 @dataclass(frozen=True)
 class Moment:
-    """One contact on its way, in its moving frames: all that a plan needs to go on exactly."""
+    """One contact at one time, in its moving frames: all that a plan needs to go on exactly."""
 
     angle: float  # psi where both frame angles are zero
     finger_velocity: tuple[float, ...]  # W_1 in the parallel frame (theory section 4)
-    slip: tuple[float, ...]  # V, likewise
-    finger_at: tuple[float, ...]  # u, v, theta, continued along the path
+    slip: tuple[float, ...]  # V in the parallel frame
+    finger_at: tuple[float, ...]  # u, v, theta, continuous along the path
     object_at: tuple[float, ...]
-    finger_frame: tuple[float, ...]  # x, p; empty where the body is moved in its chart
+    finger_frame: tuple[float, ...]  # x, p; empty if the body is planned in its chart
     object_frame: tuple[float, ...]
 
 
@@ -54,7 +54,7 @@ Starts = Sequence[Start | Moment]
 
 
 def require_place(surface: Surface, u: float, v: float, place: str) -> None:
-    """Refuse coordinates outside the chart's regular range, whichever turn they are in."""
+    """Refuse coordinates outside the chart's regular range; whole turns do not matter."""
     with naming(place):
         at = surface.canonical(u, v)
     near = surface.align(*at, u, v)
@@ -71,8 +71,7 @@ def measured_start(
 ) -> Start:
     """The start of a contact from its measured state at time t.
 
-    row (9): u1 v1 u1' v1' u2 v2 u2' v2' psi; offset (2): that of the object's rates at t, which
-    they include.
+    row (9): u1 v1 u1' v1' u2 v2 u2' v2' psi, object rates including the rate offset (2).
 
     Raises
     ------
@@ -109,10 +108,9 @@ def covers_twice(scene: Scene) -> bool:
 
 
 def on_branch(scene: Scene, measured: np.ndarray, planned: np.ndarray) -> np.ndarray:
-    """Measured states on the planned ones' side of charts that cover their surface twice.
+    """Measured states (n_contacts, 9) on the planned branch of charts that cover surfaces twice.
 
-    Disturbances are chart components: on the other side they would act the other way. States are
-    (n_contacts, 9): u1 v1 u1' v1' u2 v2 u2' v2' psi.
+    Disturbances are chart components: on the other branch they would act the opposite way.
     """
     rows = measured.copy()
     for row, own, contact in zip(rows, planned, scene.contacts):

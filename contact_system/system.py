@@ -1,18 +1,16 @@
 r"""The whole scene as one system of ordinary differential equations, as CasADi functions.
 
-For whoever integrates a scene in his own way: a Drake LeafSystem, an FMU. Everything is a pure
-function of
+For other integrators, such as that of a Drake LeafSystem. Everything is a pure function of
 
 ====== =========================================================================================
 t      time, s
 x      continuous states, contact by contact
-w      disturbances acting now, 6 a contact: accelerations of finger and object (chart components),
-       object rate offset; empty where the scene has no windows and no input asks for them
-held   numbers that only restarts and corners change, 5 a contact: W_1, V and the time at which V
-       held, from where its leg begins; contacts that are accelerated have none, nor has any in
-       chart coordinates. Contacts with legs have those of the present one besides: when it began,
-       and the coefficients of its profile
-p      parameters: gain, profile coefficients, the surfaces' numbers and sizes
+w      disturbances acting now, 6 for each contact: accelerations of finger and object (chart
+       components), object rate offset; empty without disturbances and ``disturbance_input``
+held   numbers that change only at restarts and corners. In frame coordinates 5 for each contact
+       that is not accelerated: W_1, V and the time of that V, counted from the start of its leg.
+       For each contact with legs, also the start and the profile coefficients of its present leg
+p      parameters: gain, profile coefficients, parameters and sizes of the surfaces
 ====== =========================================================================================
 
 Two choices of coordinates describe the same motion:
@@ -20,19 +18,19 @@ Two choices of coordinates describe the same motion:
 * "chart", the paper's equations (theory section 2): u1 v1 u1' v1' u2 v2 u2' v2' psi a contact;
   singular at poles and where sigma = 0, as at corners; stiff in lam;
 * "frame", moving frames (theory sections 4, 5): a point and a tangent (x, p) in space, or
-  (u, v, theta) where a surface has only a chart or its chart decides the sign of a disturbance.
-  Slip costs no state, V e^{-L} being in closed form. Only a contact that is accelerated carries
-  W_1 and V, and with V the rate lam; so does one with legs under a law that makes up for growth,
-  where corners take its slip away. Frames are chosen so that psi = -theta_1 - theta_2: the map
+  (u, v, theta) on a surface that has only a chart or whose chart decides the sign of a disturbance.
+  Slip needs no state, as V e^{-L} is in closed form. W_1 and V are states only of a contact that
+  is accelerated, and of one with legs under a law that makes up for growth of sigma, which
+  removes slip at corners. The frames are chosen so that psi = -theta_1 - theta_2 and the map
   between them is diag(1, -1).
 
-The equations themselves stand in `theory`; here they are put together. CasADi is loaded when the
-first system is made.
+The equations are those of `theory`. CasADi is loaded when the first system is made.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Iterable, Sequence
 
@@ -41,14 +39,16 @@ from numpy.typing import ArrayLike
 
 from .checks import did_you_mean, flag, shaped_array
 from .contact_equations import Form, contact_function
-from .engine.binding import contact_table, run
+from .engine.binding import Machine, contact_table, run
 from .errors import SceneError
 from .kept import kept
 from .scene import SLOTS, Disturbance, Scene, Stretch, acting, refuse_rest, require_scene
+from .scene.contact import rotated
 from .starts import Start, measured_start, scene_start
 from .surfaces import TINY, Ellipsoid, Surface, UserSurface
 from .theory import symbols as ca
 from .theory.development import IN_SPACE, in_space
+from .theory.lowering import Table
 from .theory.profile import polynomial
 from .theory.symbols import making_symbols
 
@@ -66,31 +66,31 @@ class SceneSystem:
     ----------
     scene : Scene
     coordinates : "chart" or "frame", optional
-        ``help(contact_system.system)`` explains both, and t, x, w, held and p. By default charts,
-        or frames where the scene has legs, sigma = 0 or a surface without a chart.
+        ``help(contact_system.system)`` explains both, and t, x, w, held and p. Default: "frame" if
+        the scene has legs, sigma = 0 or a surface without a chart, else "chart".
     disturbance_input : bool
-        Whether w may hold more than the scene's windows, on every contact.
+        Whether w may hold other disturbances than the scene's, on every contact.
 
     Attributes
     ----------
     x0, held0 : (n_x,), (n_held,)
-        Where the scene starts, at t = 0.
+        Initial values, at t = 0.
     parameters : (n_p,)
         Values of p; their names are ``parameter_names``.
     n_w : int
-        6 a contact, or 0 where w is empty.
+        6 for each contact, or 0 if w is empty.
     edges : tuple of float
         Times at which :meth:`window_values` changes or a leg begins, ascending, s.
     corners : frozenset of float
-        Those of legs: there :meth:`turned` says how to go on.
+        Times at which a later leg begins: :meth:`turned` gives x and held after it.
     state_slices, held_slices : list of slice
         The parts of x and held that belong to each contact.
 
     Raises
     ------
     SceneError
-        A scene that cannot be written in these coordinates: legs, sigma = 0 or no explicit chart
-        (chart), sigma = 0 while a contact is accelerated.
+        A scene that cannot be written in these coordinates: in charts, one with legs, sigma = 0 or
+        a surface without an explicit chart; in both, sigma = 0 while a contact is accelerated.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class SceneSystem:
             raise SceneError(f"coordinates = {coordinates!r}: use one of {', '.join(COORDINATES)}")
         self.scene, self.coordinates = scene, coordinates
         self.disturbance_input = flag(disturbance_input, "disturbance_input")
-        self._refuse()
+        self._require_possible()
         n = len(scene.contacts)
         self.n_w = 6 * n if scene.disturbances or disturbance_input else 0
         self._ways = [
@@ -125,11 +125,11 @@ class SceneSystem:
         self._functions: dict[tuple[str, ...], ca.Function] = {}
 
     def __reduce__(self) -> tuple:
-        """What is pickled and copied: what it is made from."""
+        """Pickle and copy the arguments; the system is made again."""
         return SceneSystem, (self.scene, self.coordinates, self.disturbance_input)
 
-    def _refuse(self) -> None:
-        """Raise what the class says of scenes that cannot be written."""
+    def _require_possible(self) -> None:
+        """Raise a SceneError if the scene cannot be written in these coordinates."""
         scene = self.scene
         reason = without_chart(scene) if self.coordinates == "chart" else ""
         if reason:
@@ -142,7 +142,7 @@ class SceneSystem:
         scene, chart = self.scene, self.coordinates == "chart"
         growths: tuple[tuple[float, float], ...] = ()
         law, makes_up = scene.gain.law, scene.gain.row.makes_up
-        if makes_up:  # for growth far beyond the horizon too
+        if makes_up:  # integrators may go far beyond the horizon
             growths = tuple(scene.profile.growths(0.0, 1e3 * scene.duration))
         forms = []
         for i, contact in enumerate(scene.contacts):
@@ -200,7 +200,7 @@ class SceneSystem:
                 found.setdefault(name, []).append(value)
             signs.append(_sign(ca.vertsplit(own_law[1:]), own_t))
         outputs = {name: ca.vertcat(*values) for name, values in found.items()}
-        rate = outputs["derivatives"]  # added, as a least number would hide NaN
+        rate = outputs["derivatives"]  # added, since a minimum would hide a NaN
         outputs["guard"] = ca.mmin(ca.vertcat(*signs)) - TINY * ca.sumsqr(rate)
         outputs["clearance"] = ca.mmin(outputs["regularity"])
         return outputs
@@ -211,20 +211,20 @@ class SceneSystem:
         Parameters
         ----------
         outputs : str
-            "derivatives" (n_x); "guard" (1): negative or NaN where they must not be used, because
-            sigma < 0 or one of them is not finite; "clearance" (1), the least regularity; per
-            contact "state" (9), u1 v1 u1' v1' u2 v2 u2' v2' psi with object rate offsets in u2'
-            v2', in frame coordinates in the chart's principal range; "slip" (2) in E2, m/s;
+            "derivatives" (n_x); "guard" (1), negative or NaN where the derivatives must not be used
+            because sigma < 0 or one of them is not finite; "clearance" (1), the least regularity.
+            For each contact: "state" (9), u1 v1 u1' v1' u2 v2 u2' v2' psi with object rate offsets
+            in u2' v2', in frame coordinates in the chart's principal range; "slip" (2) in E2, m/s;
             "twist" (6), V_OF_O; "acceleration" (6), its time derivative; "pose" (12), the rotation
             from F to O column by column, then the origin of F in O; "contact_point" (6), on the
             finger in F, on the object in O; "normal" (3), of the object, outward, in O, and its
-            time derivative "normal_rate" (3); "carried" (4), W_1 and V, of frames alone;
+            time derivative "normal_rate" (3); "carried" (4), W_1 and V, in frame coordinates only;
             "regularity" (2), distance of finger and object from their charts' singularities.
 
         Raises
         ------
         SceneError
-            Another output.
+            An unknown output.
         """
         with making_symbols():
             values = [self._expression(name) for name in outputs]
@@ -260,12 +260,12 @@ class SceneSystem:
     ) -> Array:
         """One output of :meth:`function` as numbers, at time t [s]: (n,).
 
-        By default with the windows that act, and as held from the start.
+        Defaults: w of the scene's disturbances at t, and ``held0``.
 
         Raises
         ------
         SceneError
-            Another output, or arrays of other lengths than (n_x,), (n_w,), (n_held,).
+            An unknown output, or arrays of other lengths than (n_x,), (n_w,), (n_held,).
         """
         t, function = float(self._numbers("t", t)), self.function(output)
         arrays = (
@@ -276,7 +276,7 @@ class SceneSystem:
         return function(t, *arrays, self.parameters).full().ravel()
 
     def _numbers(self, name: str, value: ArrayLike, count: int | None = None) -> Array:
-        """The value as an array of floats, so many where they are counted; t without an axis."""
+        """The value as an array of floats, (count,) if a count is given; t must be one number."""
         what = f"{self.scene.title}: {name}"
         if name == "t":
             return shaped_array(value, what, (), remedy="a time in seconds")
@@ -286,16 +286,16 @@ class SceneSystem:
 
     @property
     def windows(self) -> list[tuple[Disturbance, slice]]:
-        """The scene's disturbances and where each stands in w."""
+        """The scene's disturbances and their places in w."""
         first = [6 * int(d.contact) + 2 * d.slot for d in self.scene.disturbances]
         return [(d, slice(k, k + 2)) for d, k in zip(self.scene.disturbances, first)]
 
     def window_values(self, t: float) -> Array:
-        """What the scene's windows add on the interval that begins at t: (n_w,)."""
+        """w of the scene's disturbances on the interval that begins at t: (n_w,)."""
         return acting(self.scene, t).ravel()[: self.n_w]
 
     def place(self, t: float, starts: Sequence[Start]) -> tuple[Array, Array]:
-        """States and held numbers of contacts that start at time t: (n_x,), (n_held,)."""
+        """x and held of contacts that start at time t: (n_x,), (n_held,)."""
         x, held = list[float](), list[float]()
         for i, (contact, form, start) in enumerate(zip(self.scene.contacts, self.forms, starts)):
             leg = self.leg_numbers(i, t)
@@ -308,11 +308,10 @@ class SceneSystem:
                     x += [*at, *np.linalg.solve(body.metric_root(*at), sigma * np.array(w))]
                 x.append(start.angle)
                 continue
-            (a, b), c, s = start.finger_velocity, math.cos(start.angle), math.sin(start.angle)
-            w1 = c * a - s * b, s * a + c * b
-            given = np.array([[0, *w1, *start.object_velocity]]).T  # psi is 0 between these frames
-            v = run(contact_table(START), given, ())[-2:, 0]
-            if self.scene.gain.row.makes_up and not sigma > 0:  # which lets no slip leave a rest
+            w1 = rotated(math.cos(start.angle), math.sin(start.angle), start.finger_velocity)
+            point = np.array([[0, *w1, *start.object_velocity]]).T  # psi is 0 between these frames
+            v = run(contact_table(START), point, ())[-2:, 0]
+            if self.scene.gain.row.makes_up and not sigma > 0:  # lam is infinite: no slip is left
                 v = np.zeros(2)
             for body, at, theta, ambient in zip(bodies, places, (-start.angle, 0.0), form.ambient):
                 x += _first_frame(body, at, theta) if ambient else [*at, theta]
@@ -321,7 +320,7 @@ class SceneSystem:
         return np.array(x), np.array(held)
 
     def leg_numbers(self, contact: int, t: float) -> Array:
-        """What is held of the leg that a contact is on from time t on: its start, its profile."""
+        """The held numbers of the leg of a contact from time t on: its start and profile."""
         way = [stretch for stretch in self._ways[contact] if stretch.start <= t]
         return self._held_of(contact, way[-1]) if way else np.zeros(0)
 
@@ -330,16 +329,16 @@ class SceneSystem:
         return np.array([stretch.start, *c, *[0.0] * (self.forms[contact].n_profile - len(c))])
 
     def turned(self, t: float, x: Array, held: Array, carried: Array) -> tuple[Array, Array]:
-        """States and held numbers behind the corners at time t: (n_x,), (n_held,).
+        """x and held after the corners at time t: (n_x,), (n_held,).
 
         Parameters
         ----------
         t : float
-            One of `corners`. Contacts that have passed it already are left.
+            One of `corners`. Contacts that have passed it already do not change.
         x, held : (n_x,), (n_held,)
-            Those on the legs that end there; of numbers of any kind, such as AutoDiffXd.
+            Their values before the corners; arrays of any number type, such as AutoDiffXd.
         carried : (4 n_contacts,)
-            The output of that name there.
+            The output "carried" there.
         """
         x, held = np.array(x), np.array(held)
         for i, (way, form) in enumerate(zip(self._ways, self.forms)):
@@ -349,11 +348,11 @@ class SceneSystem:
                     continue
                 w, u, *v = carried[4 * i : 4 * i + 4]
                 if self.scene.gain.row.makes_up and not now.profile.coefficients[0]:
-                    v = [0.0, 0.0]  # no slip leaves a rest
-                own = [c * w - s * u, s * w + c * u, *v]
+                    v = [0.0, 0.0]  # as in `place`
+                after = [*rotated(c, s, (w, u)), *v]
                 if form.forced:
-                    x[self.state_slices[i]][-4:] = own
-                since = [] if form.forced else [*own, 0.0]
+                    x[self.state_slices[i]][-4:] = after
+                since = [] if form.forced else [*after, 0.0]
                 held[part] = [*since, *self._held_of(i, now)]
         return x, held
 
@@ -364,7 +363,7 @@ class SceneSystem:
         w: ArrayLike | None = None,
         chosen: Sequence[bool] | None = None,
     ) -> tuple[Array, Array]:
-        """States and held numbers from measured chart states: (n_x,), (n_held,).
+        """x and held from measured chart states: (n_x,), (n_held,).
 
         Parameters
         ----------
@@ -373,14 +372,14 @@ class SceneSystem:
         state : (n_contacts, 9) or (9 n_contacts,)
             u1 v1 u1' v1' u2 v2 u2' v2' psi, object rate offsets included in u2' v2'.
         w : (n_w,), optional
-            The disturbances that act; by default the scene's windows.
+            The disturbances that act; default: the scene's.
         chosen : (n_contacts,), optional
-            Which contacts are measured, by default all; the others stand where the scene starts.
+            Which contacts are measured, default all; the others get the scene's start.
 
         Raises
         ------
         SceneError
-            A wrong shape, NaN, sigma(t) <= 0, or a point that is not in its chart.
+            A wrong shape, NaN, sigma(t) <= 0, or a point outside its chart.
         """
         n, rows = len(self.scene.contacts), self._numbers("state", state)
         if rows.size != 9 * n:
@@ -399,7 +398,7 @@ class SceneSystem:
 
 
 def without_chart(scene: Scene) -> str:
-    """Why a scene cannot be written in charts, behind its title; nothing where it can."""
+    """Why a scene cannot be written in charts, to follow its title; empty if it can."""
     for i, contact in enumerate(scene.contacts):
         if contact.legs:
             return (
@@ -419,7 +418,7 @@ def without_chart(scene: Scene) -> str:
 
 
 def _sign(profile: list[ca.SX], t: ca.SX) -> ca.SX:
-    """1, or -1 where sigma < 0."""
+    """1, or -1 where sigma < 0 beyond rounding."""
     rounding = 1e-14 * polynomial([ca.fabs(c) for c in profile], ca.fabs(t))
     return ca.copysign(1, polynomial(profile, t) + rounding)
 
@@ -439,7 +438,7 @@ def _first_frame(surface: Surface, at: tuple[float, float], theta: float) -> lis
 
 
 def _number_names(surface: Surface) -> tuple[str, ...]:
-    """Names of a surface's parameters where it has names for them, else their indices."""
+    """Names of a surface's parameters, or their indices if they have none."""
     count = len(surface.parameters)
     names = tuple(f.name for f in dataclasses.fields(surface) if not f.kw_only)
     if isinstance(surface, UserSurface):
@@ -447,3 +446,33 @@ def _number_names(surface: Surface) -> tuple[str, ...]:
     if isinstance(surface, Ellipsoid):
         names = {1: ("a",), 2: ("a", "b" if surface.b == surface.c else "c")}.get(count, names)
     return names if len(names) == count else tuple(f"parameters[{k}]" for k in range(count))
+
+
+# --- on the engine -------------------------------------------------------------------------------
+
+
+@functools.lru_cache(maxsize=128)
+def system_table(system: SceneSystem, *outputs: str) -> tuple[Table, list[int]]:
+    """The engine's table (t, x, w, held | p) -> outputs, and the index at which each one ends."""
+    with making_symbols():
+        function = system.function(*outputs)
+        inputs = [ca.SX.sym(name, function.size1_in(name)) for name in INPUTS]
+        values = function.call(inputs)
+        *point, p = inputs
+        flat = ca.Function("flat", [ca.vertcat(*point), p], [ca.vertcat(*values)])
+    return Table(flat), np.cumsum([value.numel() for value in values]).tolist()
+
+
+class SystemMachine(Machine):
+    """A scene's system for integrators that evaluate it often; its `point` is t, x, w and held.
+
+    Attributes
+    ----------
+    parts : list of arrays
+        Its `results`, split into one array for each output.
+    """
+
+    def __init__(self, system: SceneSystem, *outputs: str):
+        table, ends = system_table(system, *outputs)
+        super().__init__(table, system.parameters)
+        self.parts = np.split(self.results, ends[:-1])

@@ -1,4 +1,4 @@
-"""The one way in which the three packages write files: whole, or not at all."""
+"""Files are written whole or not at all."""
 
 from __future__ import annotations
 
@@ -13,23 +13,22 @@ from .errors import SceneError
 
 @contextmanager
 def writing(path: Path, place: str = "") -> Iterator[BinaryIO]:
-    """A file to write to, which takes the place of the one at ``path`` if all goes well.
+    """A file to write to; it replaces the one at ``path`` if no error occurs.
 
-    Until then it stands beside that one, under a name that ends in ``.part``; where the process is
-    killed, it stays there, and whoever finds it may remove it. It is on the disk before the old one
-    goes. A symbolic link stays one, and what it leads to is replaced. Permissions are those of a
-    new file, by the umask, and not the old one's.
+    Until then its name ends in ``.part``, in the same folder; if the process is killed it stays
+    there and may be removed. It is flushed to the disk before it replaces the old file. Of a
+    symbolic link the target is replaced. Permissions are those of a new file, by the umask.
 
     Parameters
     ----------
     path : Path
     place : str
-        What the error begins with.
+        Start of the error's text.
 
     Raises
     ------
     SceneError
-        Why the file cannot be written; what was there stays, as it does after any other error.
+        Why the file cannot be written; the old file stays, as it does after any other error.
     """
     own = Path(os.path.realpath(path))
     part = own.with_name(f"{own.name[:40]}.{os.urandom(4).hex()}.part")  # two may write one file
@@ -41,7 +40,7 @@ def writing(path: Path, place: str = "") -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         os.replace(part, own)
-        with suppress(OSError):  # of a folder only some systems know how
+        with suppress(OSError):  # not all systems can flush a folder
             _flush_folder(own.parent)
     except OSError as error:
         raise SceneError(

@@ -10,8 +10,8 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from contact_system import Plan, SceneError, SceneSystem
 from contact_system.engine.binding import run
-from contact_system.machine import lowered
 from contact_system.plan import require_plan
+from contact_system.system import system_table
 from contact_system.theory.development import moving
 
 from .lifetimes import NO_DICTIONARY, array_entry
@@ -87,7 +87,7 @@ class PlanSource(PlannerBase, LeafSystem):
     def _CalcRates(self, context: Context) -> Array:
         system, t = self.system, context.get_time()
         x, held = frame_states(system, t, self.plan.moments(t))
-        table, ends = lowered(system, *RATES)
+        table, ends = system_table(system, *RATES)
         point = np.hstack([t, x, system.window_values(t), held])
         found = run(table, point[:, None], system.parameters)[:, 0]
         parts = np.split(found, ends[:-1])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from contact_system import SceneSystem
-from contact_system.machine import SystemMachine
+from contact_system.system import SystemMachine
 
 from .plan_check import StepWatch
 

@@ -1,7 +1,7 @@
 """The planner as an FMU, pushed by its importer
 
-A scene becomes a file that any simulator of FMI 2.0 or 3.0 steps. fmpy runs it here with an input,
-an acceleration of finger 1 that the scene knows nothing of.
+A scene becomes a file for any simulator with FMI 2.0 or 3.0. Here fmpy runs it with an input: an
+acceleration of finger 1 that is not part of the scene.
 """
 
 import fmpy

@@ -1,7 +1,7 @@
 """Turning in place by rolling
 
-A closed path brings the finger back to where it was on both bodies, turned: by minus the Gaussian
-curvature that its curves enclose there. Here it turns by 40 degrees, with no spin at any time.
+A closed path brings the finger back to the same points of both bodies, but turned: by minus the
+Gaussian curvature that its curves enclose. Here it turns by 40 degrees, without spin at any time.
 """
 
 from math import degrees, radians

@@ -1,7 +1,7 @@
 """Gain laws, and one of your own
 
-How fast slip dies is the choice of a law lam(t). The law as the paper prints it waits until the
-path is fast; `guaranteed` makes up for a growing sigma; a law of your own is one row of a table.
+The gain law lam(t) determines how fast slip decays. The paper's law acts only when the path is
+fast; `guaranteed` makes up for a growing sigma; a law of your own is one row of a table.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """A surface of your own, by its equation
 
-Any F(x, y, z) = 0 that can be seen from its centre becomes an object or a finger. It has no poles,
-and the fingertip rolls over all of it.
+Any surface F(x, y, z) = 0 that is visible as a whole from its centre can be an object or a finger.
+Fingertips roll all over it, as there are no poles.
 """
 
 import numpy as np

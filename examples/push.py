@@ -1,8 +1,8 @@
-"""A push, and what the plan makes of it
+"""Slip after a push
 
-A fingertip rolls on a torus. From 0.5 to 0.8 s something accelerates it across its path; the
-contact slips, and after the push its slip dies at the rate of the gain. `continued` plans what
-happens without the second push, from the states at 1.5 s.
+A fingertip rolls on a torus. From 0.5 to 0.8 s it is accelerated across its path, and the contact
+slips; after the push, slip decays at the rate of the gain. `continued` plans the motion from 1.5 s
+on without the second push.
 """
 
 import contact_system as cs

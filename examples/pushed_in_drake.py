@@ -1,7 +1,7 @@
 """Contact physics in Drake, and a push
 
-Three fingers hold a free sphere by friction and roll on it as planned, in Drake's contact physics.
-2 N push finger 1 for 50 ms; the slip that is measured is fed back, and the finger rolls on.
+In Drake's contact physics, three fingers hold a free sphere by friction and roll on it as planned.
+A force of 2 N pushes finger 1 for 50 ms; the measured slip is fed back, and the finger rolls on.
 """
 
 import contact_system as cs

@@ -1,7 +1,7 @@
 """A route to a goal on both bodies
 
-A finger cannot spin and must not slide, and yet three rolls take it from anywhere to anywhere: to
-a place on the object, with a given place of its own, turned by a given angle.
+Without spin and without sliding, three rolls take a finger from anywhere to anywhere: to a given
+point of the object, with a given point of the finger and a given angle.
 """
 
 import contact_system as cs

@@ -1,7 +1,7 @@
 """Shortest lines between two points
 
-`cs.geodesic` finds the shortest geodesic between any two points of any surface, many pairs in one
-call; `cs.geodesics` the shortest few, such as the ways round the hole of a torus.
+`cs.geodesic` finds the shortest geodesic between two points of any surface, for many pairs in one
+call. `cs.geodesics` finds several, such as those around the hole of a torus.
 """
 
 import matplotlib.pyplot as plt
@@ -13,7 +13,7 @@ figure = plt.figure(figsize=(10, 4))
 
 
 def show(number, surface, extent, lines, title):
-    """Draw lines over a net of the surface's chart."""
+    """Draw lines over the coordinate lines of the surface."""
     axes = figure.add_subplot(1, 2, number, projection="3d", computed_zorder=False)
     u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 61), np.linspace(0, 2 * np.pi, 61))
     axes.plot_wireframe(*surface.point(u, v).T, rstride=3, cstride=3, color="0.85", linewidth=0.6)

@@ -1,7 +1,7 @@
-"""Slip dies out on a triaxial ellipsoid
+"""Decay of slip on a triaxial ellipsoid
 
-Three fingertips start on an ellipsoid that does not move along with them yet. Under the law lam =
-eta slip falls as sigma(t)/sigma(0) exp(-eta t), whatever the surface: the dots are that law.
+Three fingertips start to move while their contact points on the ellipsoid are at rest. With the
+gain law lam = eta slip decays as sigma(t)/sigma(0) exp(-eta t) on any surface; the dots show it.
 """
 
 import contact_system as cs

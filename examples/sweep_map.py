@@ -1,7 +1,7 @@
 """A map of four thousand scenes
 
-`cs.sweep` plans many scenes, here in the threads of a pool. Each point of the map is a scene of
-its own: where a disturbance of that length, under that gain, leaves how much slip after 0.1 s.
+`cs.sweep` plans many scenes, here on a pool of threads. Each point of the map is a scene; the
+colour is the slip 0.1 s after a disturbance of that length, under that gain.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -18,7 +18,7 @@ scene = cs.Scene(object=cs.Sphere(0.1), contacts=[contact], profile=cs.Profile([
 
 
 def scenes():
-    """One scene for each point of the map; the sweep takes no more than it works on."""
+    """One scene for each point of the map, made when the sweep needs it."""
     for eta in gains:
         for length in lengths:
             push = cs.FingerAcceleration(0, 0.0, length, (0.0, 3.0))
@@ -26,7 +26,7 @@ def scenes():
 
 
 def slip_left(plan):
-    """Slip 0.1 s after each contact's push, over the greatest, m/s."""
+    """Slip 0.1 s after each contact's push, m/s."""
     stops = {push.contact: push.stop for push in plan.scene.disturbances}
     stops = np.array([stops[i] for i in range(len(plan.scene.contacts))])
     here = np.arange(len(stops))

@@ -1,8 +1,8 @@
 """An FMU beside another model
 
-K2 is disturbed by a wind that pythonfmu makes and that drops when the finger slips: the two FMUs
-in one system (SSP), and, dashed, in a container of fmu-manipulation-toolbox. fmpy passes on what
-was said one step before.
+K2 is disturbed by a wind, an FMU of pythonfmu, which stops when the finger slips. The two FMUs run
+in one system (SSP), and, dashed, in a container of fmu-manipulation-toolbox. In the SSP, fmpy
+passes on the outputs of the previous step.
 """
 
 from pathlib import Path
@@ -46,7 +46,7 @@ windy.add_link("planner.fmu", slip, "Wind.fmu", "slip")
 windy.add_output("planner.fmu", slip, "slip")
 windy.make_fmu(Path("."))
 contained = fmpy.simulate_fmu("windy.fmu", stop_time=1.0, output_interval=1e-3)
-off = coupled["slip"][:-1] - contained["slip"][1:-1]  # a row of the SSP tells its step's end
+off = coupled["slip"][:-1] - contained["slip"][1:-1]  # rows of the SSP are ends of steps
 print(abs(off).max(), "m/s apart")
 
 figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")

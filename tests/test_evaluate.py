@@ -69,7 +69,7 @@ def test_evaluate_of_the_chart_equations_is_that_of_their_methods():
     plan, t = cs.plan(busy(), 1e-9, "chart"), np.linspace(0.0, 1.0, 9)
     for output, values in plan.evaluate(t, *OUTPUTS[:-1]).items():
         assert np.array_equal(values, getattr(plan, output)(t)), output
-    with pytest.raises(cs.SceneError, match="'chart' carries no frames along"):
+    with pytest.raises(cs.SceneError, match="'chart' has no parallel frames"):
         plan.evaluate(t, "points", "carried")
 
 

@@ -154,7 +154,7 @@ SHEETS = cs.Quadric(np.diag([1.0, -1.0, -1.0]))
         (ELLIPSOID, np.ones((2, 2)), np.zeros((3, 2)), r"shapes \(2,\) and \(3,\)"),
         (3, (1.0, 0.3), (1.0, 0.3), "give a Surface"),
         (SHEETS, (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), "no geodesic of less than"),
-        (BALL, (0.0, 0.0), (1.0, 0.0), "no frame at a or b"),
+        (BALL, (0.0, 0.0), (1.0, 0.0), "no contact frame at a or b"),
     ],
 )
 def test_refusals(surface, a, b, says):
@@ -169,5 +169,5 @@ def test_refusals_of_what_else_is_asked():
         cs.geodesics(ELLIPSOID, [(1, 1), (1, 2)], (2, 1), 2)
     with pytest.raises(cs.SurfaceError, match="lengths in m"):
         cs.geodesic(ELLIPSOID, (1, 1), (2, 1)).points("far")
-    with pytest.raises(cs.SurfaceError, match="leads over a point"):
+    with pytest.raises(cs.SurfaceError, match="passes a point"):
         cs.geodesic(BALL, (0.3, 0.0), (0.4, math.pi)).points(0.7)

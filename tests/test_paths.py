@@ -622,7 +622,7 @@ def test_paths_of_which_rounding_leaves_too_few_digits_are_refused():
         if not refused:
             cs.plan(scene)
             continue
-        with pytest.raises(cs.SceneError, match="contact 0.*leave less than four digits of its"):
+        with pytest.raises(cs.SceneError, match="contact 0.*leaves less than four digits of its"):
             cs.plan(scene)
 
 

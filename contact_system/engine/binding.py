@@ -1,6 +1,6 @@
-"""The engine's library for Python: structures as in engine.h, and few calls.
+"""The binding of the engine's library: structures as in engine.h, and functions.
 
-Knows tables, numbers and addresses; no scene, no surface by its equations.
+It handles tables, numbers and addresses, not scenes or surfaces.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Failure(Structure):
 
 
 class Fact(Structure):
-    """``fact_t``: what became of one body on one interval."""
+    """``fact_t``: how one body was planned on one interval."""
 
     _fields_ = [
         *((name, c_double) for name in ("start", "stop", "released")),
@@ -92,7 +92,7 @@ class Steered(Structure):
 
 
 class Steer(Structure):
-    """``steer_t``: where a contact is to go, and from where."""
+    """``steer_t``: start and goal of a contact."""
 
     _fields_ = [
         ("body", Steered * 2),
@@ -104,18 +104,18 @@ class Steer(Structure):
     ]
 
 
-# Addresses are passed as integers: to make a pointer object of each costs more than the call.
+# Addresses are passed as integers: making pointer objects takes longer than the call.
 _CALLS: dict[str, Any] = {
     "plan": ctypes.CFUNCTYPE(c_void_p, c_void_p, c_int64, c_void_p, POINTER(Failure)),
     "drop": ctypes.CFUNCTYPE(None, c_void_p),
-    # it changes the plan, which other threads may ask meanwhile: Python's lock is kept
+    # PYFUNCTYPE keeps Python's lock, as this changes the plan, which other threads may evaluate
     "anchor": ctypes.PYFUNCTYPE(c_int32, c_void_p, POINTER(Failure)),
     "evaluate": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, POINTER(Failure)),
     "moments": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
     "facts": ctypes.CFUNCTYPE(c_int64, c_void_p, c_int64, c_int64, POINTER(Fact)),
     "bytes": ctypes.CFUNCTYPE(c_double, c_void_p),
     "run": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, c_int32, c_void_p),
-    # it takes a microsecond
+    # these take a microsecond
     "step": ctypes.PYFUNCTYPE(None, c_void_p),
     "along": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p),
     "geodesics": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, *[c_void_p] * 4, c_int64, c_void_p),
@@ -128,7 +128,7 @@ _CALLS: dict[str, Any] = {
 
 
 class Engine(Structure):
-    """``engine_t``: what the library does, in the widest vectors that this processor has."""
+    """``engine_t``: the library's functions, for the widest vectors of this processor."""
 
     _fields_ = [("version", c_int32), ("variant", c_char_p), *_CALLS.items()]
 
@@ -154,7 +154,7 @@ def _library() -> ctypes.CDLL:
 
 _LIBRARY = _library()
 ENGINE: Engine = _LIBRARY.contact_engine().contents
-# to fetch a function from a structure makes it anew
+# reading a field of a structure makes a new function object every time
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
 step, along, geodesics = ENGINE.step, ENGINE.along, ENGINE.geodesics
@@ -164,8 +164,8 @@ _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
 )
 drop = _method(ENGINE.drop)
-"""A ``__del__`` of objects with a plan's address as ``_as_parameter_``, and not in Python: there
-Ctrl-C would be lost."""
+"""The ``__del__`` of objects with a plan's address as ``_as_parameter_``. Python code there would
+lose Ctrl-C."""
 LAYOUT = tuple((c_int32 * 7).in_dll(_LIBRARY, "contact_layout"))
 """Version of the scene's buffer; sizes of its header, a body, window, leg, contact and moment."""
 
@@ -179,12 +179,12 @@ class Builtin(NamedTuple):
 
 
 class Builtins:
-    """The tables of a bundled surface, under the names that `lowering.SurfaceTables` has too.
+    """The tables of a bundled surface, with the attributes of `lowering.SurfaceTables`.
 
     Attributes
     ----------
     address : int
-        Of the ``surface_t``.
+        Address of the ``surface_t``.
     ambient, chart, other : tuples of Builtin or None
     """
 
@@ -230,12 +230,12 @@ def builtin(name: str) -> Builtins:
 
 
 def contact_table(index: int) -> Builtin:
-    """One of the tables of contacts, by its place in engine.h."""
+    """One of the tables of contacts, by its index in engine.h."""
     return _builtin_table(_LIBRARY.contact_table(index))
 
 
 def _data_of(table: Any) -> TableData:
-    """The ``table_t`` of a `lowering.Table`, kept with it: it points into its arrays."""
+    """The ``table_t`` of a `lowering.Table`, stored in it, as it points into its arrays."""
     data = table.__dict__.get("_data")
     if data is None:
         data = table.__dict__["_data"] = TableData(
@@ -260,7 +260,7 @@ def address(array: np.ndarray) -> int:
 
 
 def table_address(table: Any) -> int:
-    """Where the ``table_t`` of a table is."""
+    """Address of the ``table_t`` of a table."""
     return table.address if isinstance(table, Builtin) else ctypes.addressof(_data_of(table))
 
 
@@ -272,7 +272,7 @@ def surface_data(
     flags: int,
     periods: Sequence[float | None],
 ) -> SurfaceData:
-    """The ``surface_t`` of tables that were lowered for a user's surface; it points to them."""
+    """The ``surface_t`` of a user's surface; it points to the tables."""
     made = SurfaceData(
         b"", n_numbers, double_cover, closed, flags, *(period or 0.0 for period in periods)
     )
@@ -287,7 +287,7 @@ def sign_changes(
 ) -> list[float]:
     """Times inside (start, stop) at which a polynomial's derivative changes sign, ascending.
 
-    Roots that only touch zero, rounded or not, are no sign changes. Lowest power first.
+    Double roots, also rounded ones, are no sign changes. Coefficients have the lowest power first.
     """
     n = len(coefficients)
     found = (c_double * (2 * n))()
@@ -324,7 +324,7 @@ def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:
 
 
 class Machine:
-    """A table on registers of its own, for who evaluates it again and again; one thread at a time.
+    """A table with registers of its own, for frequent evaluation by one thread at a time.
 
     Parameters
     ----------
@@ -334,11 +334,11 @@ class Machine:
     Attributes
     ----------
     point : (n_in,)
-        What it reads.
+        Input.
     results : (n_out,)
-        What it writes.
+        Output.
     run : callable
-        Evaluates.
+        Evaluates the table.
     """
 
     def __init__(self, table: Any, constants: Sequence[float] | np.ndarray = ()):
@@ -349,7 +349,7 @@ class Machine:
             Program(words.ctypes.data, r.ctypes.data) for words in (table.body, table.prologue)
         )
         step(ctypes.addressof(prologue))
-        # an address made beforehand saves half of the time of a call
+        # making the address beforehand saves half of the time of a call
         self.run = functools.partial(step, c_void_p(ctypes.addressof(code)))
-        vars(self.run)["kept"] = table, code, r  # which C knows by their addresses alone
+        vars(self.run)["kept"] = table, code, r  # kept alive: C has only their addresses
         self.point, self.results = r[: table.n_in], r[table.first_out :][: table.n_out]

@@ -1,4 +1,4 @@
-"""What the C is compiled for, and with. setup.py reads this too: it imports nothing of ours."""
+"""Platforms and flags of the C compiler. It imports nothing, as setup.py reads it too."""
 
 from typing import NamedTuple
 
@@ -33,6 +33,6 @@ FLAGS = (
 
 
 def shared(suffix: str) -> tuple[str, ...]:
-    """Flags of a shared library; its engine is its own, whatever another FMU exports."""
+    """Flags of a shared library, whose symbols are its own even beside those of other FMUs."""
     name = "-Wl,-install_name,@rpath/contact_engine.dylib" if suffix == ".dylib" else "-s"
     return ("-fPIC", "-shared", *["-Wl,-Bsymbolic"] * (suffix == ".so"), name)

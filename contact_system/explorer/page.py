@@ -1,7 +1,7 @@
-"""The page: bodies, fingers that roll, curves that grow, sliders, the plot of slip.
+"""The page: bodies, rolling fingers, growing curves, sliders, the plot of slip.
 
-What the page shows is one state, which all windows share. Callbacks of viser only write down what
-was asked for; the thread that called :meth:`Explorer.run` plans and draws, the latest wish first.
+All windows of the browser share one state. Callbacks of viser only store requests; the thread that
+called :meth:`Explorer.run` plans and draws the latest one.
 """
 
 from __future__ import annotations
@@ -39,13 +39,14 @@ except ImportError:
         'the explorer needs viser: pip install "contact-system[explore]"'
     ) from None
 
-HOST = "127.0.0.1"  # others must not write files here
+HOST = "127.0.0.1"  # this machine only, as the page can write files
 SAMPLES = 401
 CELLS, FINGER_CELLS = 48, 24  # of meshes in each coordinate
-LINES = 6  # every so many lines of a mesh are drawn
-WIDTH, BEND = 2e-3, 1e-3  # of lines, and of curves between lines, of the object's size
-HAIR = 1.5e-3  # of it too: that far lines lie below curves, and bodies below lines
-FRAME = 1 / 30  # s, between pictures of a film
+LINES = 6  # every sixth line of a mesh is drawn
+# of the object's size: width of lines, error of curves, depth of lines below curves, and of bodies
+# below lines
+WIDTH, BEND, DEPTH = 2e-3, 1e-3, 1.5e-3
+FRAME = 1 / 30  # s, between frames of an animation
 DECADES = 10  # of slip below its peak
 
 
@@ -73,9 +74,9 @@ class Explorer:
     ----------
     scene : Scene
     file : Path
-        Where the button writes the scene that is shown.
+        Where the button *Save scene* writes.
     port : int
-        0: any that is free.
+        0: any free one.
 
     Raises
     ------
@@ -106,7 +107,7 @@ class Explorer:
         self._draw()
 
     def run(self) -> None:
-        """Serve until the process is interrupted."""
+        """Serve until Ctrl-C."""
         last = time.monotonic()
         while True:
             self.wake.wait(FRAME if self.playing else 0.5)
@@ -115,13 +116,13 @@ class Explorer:
             self.step(elapsed)
 
     def ask(self, values: Mapping[Place, Any]) -> None:
-        """Let the next step draw the scene with these values in these places of it."""
+        """Request the scene with these values in these places; the next step draws it."""
         self.moved |= values
         self.stale = True
         self.wake.set()
 
     def step(self, elapsed: float) -> None:
-        """Draw what was asked for since the last step, and `elapsed` seconds of the film."""
+        """Handle requests, and advance a running animation by `elapsed` seconds."""
         if self.clicked is not None:
             self._click(*self.clicked)
         elif self.stale:
@@ -197,7 +198,7 @@ class Explorer:
             self._save()
 
     def _slider(self, slider: Slider, label: str) -> Any:
-        """A slider in the page; only one that was moved changes the scene."""
+        """A slider in the page; it changes the scene only when it is moved."""
         span = slider.high - slider.low
         step = 10.0 ** np.floor(np.log10(span / 200))
         low, high = (round(x / step) * step for x in (slider.low, slider.high))
@@ -221,10 +222,10 @@ class Explorer:
     def _set_gain(self, value: float) -> None:
         self.ask({("gain",): Gain(self.law.value, value)})
 
-    # --- what is asked for ---------------------------------------------------------------------
+    # --- requests ------------------------------------------------------------------------------
 
-    def _asked(self) -> tuple[Scene, str]:
-        """The scene that the sliders and goals tell, and what to say of it."""
+    def _requested(self) -> tuple[Scene, str]:
+        """The scene with the values of the sliders and the legs to the goals, and a text on it."""
         scene = adjusted(self.base, dict(self.moved))
         if not self.goals:
             return scene, scene.description
@@ -236,23 +237,23 @@ class Explorer:
         return route.scene, f"{text} Fingers without one rest.{left}"
 
     def _plan_again(self) -> bool:
-        """Plan and draw what is asked for; where that is refused, say why and keep the picture."""
+        """Plan and draw the requested scene; if it is refused, say why and keep the picture."""
         self.stale = False
         try:
-            scene, text = self._asked()
+            scene, text = self._requested()
             shown = Sampled.of(plan(scene))
         except ContactSystemError as error:
             self.said.content = f"**Refused, so the picture stays:** {error}"
             return False
         self.shown = shown
-        with self.server.atomic():  # else the browser may draw a picture more
+        with self.server.atomic():  # otherwise the browser may draw twice
             self.said.content, self.forget.disabled = text, not self.goals
             self._draw_shapes()
             self._draw()
         return True
 
     def _click(self, origin: np.ndarray, direction: np.ndarray) -> None:
-        """Send the chosen finger to where a ray meets the object."""
+        """Make the point where a ray meets the object the goal of the chosen finger."""
         self.clicked = None
         scene = self.shown.plan.scene
         contacts = list(range(len(scene.contacts)))
@@ -282,10 +283,10 @@ class Explorer:
     # --- picture -------------------------------------------------------------------------------
 
     def _add_bodies(self) -> None:
-        """Everything in the scene, once; later only what differs is sent."""
+        """Add all nodes of the picture; later only their properties change."""
         tree, contacts = self.server.scene, self.base.contacts
         tree.configure_default_lights(cast_shadow=False)
-        tree.configure_environment_map(None)  # reflections cost half of a frame without a GPU
+        tree.configure_environment_map(None)  # reflections take half of the time without a GPU
         tree.add_light_ambient("/light")
         none, flat = np.zeros((1, 2, 3)), (np.zeros((3, 3)), np.array([[0, 1, 2]]))
         style: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
@@ -321,7 +322,7 @@ class Explorer:
             self.wake.set()
 
     def _draw_shapes(self) -> None:
-        """What does not depend on the time: bodies, colours, goals, the plot of slip."""
+        """Draw what does not depend on time: bodies, colours, goals, the plot of slip."""
         shown, scene = self.shown, self.shown.plan.scene
         self.slip.data = self._slip_data()
         for k, (body, lines) in enumerate(zip(self.bodies, self.lines)):
@@ -333,8 +334,8 @@ class Explorer:
             if mesh is not None:
                 body.side = "front" if mesh.whole or mesh.inside else "double"
                 lines.side = "double" if k or mesh.inside else body.side
-                points = mesh.points * self.unit - HAIR * mesh.normals
-                body.vertices, body.faces = points - HAIR * mesh.normals, mesh.triangles()
+                points = mesh.points * self.unit - DEPTH * mesh.normals
+                body.vertices, body.faces = points - DEPTH * mesh.normals, mesh.triangles()
                 lines.vertices, lines.faces = replace(mesh, points=points).strips(LINES, WIDTH)
         for i, pair in enumerate(self.curves):
             curve = curve_of(shown.plan, i, shown.t, shown.points[:, i, 1])
@@ -348,7 +349,7 @@ class Explorer:
                 self.marks[i].position = scene.object.point(*goal.object_at) * self.unit
 
     def _draw(self) -> None:
-        """What depends on the time: curves so far, fingers where they are."""
+        """Draw what depends on time: the curves so far, and the fingers' poses."""
         shown, self.drawn = self.shown, self.now
         k = max(int(np.searchsorted(shown.t, self.now + 1e-9, "right")) - 1, 0)
         with self.server.atomic():
@@ -364,7 +365,7 @@ class Explorer:
     def _mesh(
         self, planned: Plan, surface: Surface, side: int, contacts: list[int], cells: int
     ) -> Mesh | None:
-        """The mesh of a surface, kept where it depends on that alone."""
+        """The mesh of a surface, cached if it does not depend on the curves."""
         if surface not in self.meshes:
             mesh = mesh_of(planned, surface, side, contacts, cells)
             if mesh is None or not mesh.whole:
@@ -387,7 +388,7 @@ class Explorer:
             yield {"label": str(i), **style}
 
     def _look(self, mesh: Mesh | None) -> None:
-        """The camera where the curves are seen best."""
+        """Place the camera at the best view of the curves."""
         contacts = range(len(self.base.contacts))
         points = self.shown.points
         curves = [curve_of(self.shown.plan, i, self.shown.t, points[:, i, 1]) for i in contacts]
@@ -400,7 +401,7 @@ class Explorer:
 
 
 def explore(scene: Scene, file: Path, port: int = 8080) -> None:
-    """Serve a scene's page, and tell where, until the process is interrupted; see `Explorer`."""
+    """Serve a scene's page until Ctrl-C, and print its address; see `Explorer`."""
     explorer = Explorer(scene, file, port)
     try:
         print(f"{scene.title} at {explorer.address}; Ctrl-C ends it", flush=True)
@@ -424,7 +425,7 @@ def _rgb(colour: str) -> tuple[int, int, int]:
 
 
 def _linear(colour: str) -> np.ndarray:
-    """As viser takes colours of points: in proportion to light, (3,)."""
+    """The colour in linear light, as viser takes colours of points: (3,)."""
     return np.rint(255 * (np.array(_rgb(colour)) / 255) ** 2.2).astype(np.uint8)
 
 
@@ -434,7 +435,7 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
 
 
 def _knots(points: np.ndarray, disturbed: np.ndarray) -> np.ndarray:
-    """Few samples (m,) of a curve (n, 3): each line from one to the next is a draw call."""
+    """Indices (m,) of few points that approximate a curve (n, 3): each segment is a draw call."""
     bent = np.linalg.norm(np.diff(points, 2, axis=0), axis=1)
     lines = np.floor(np.cumsum(np.sqrt(bent / (8 * BEND))))
     inner = np.diff(lines, prepend=0.0) + np.diff(disturbed)[:-1]
@@ -442,7 +443,7 @@ def _knots(points: np.ndarray, disturbed: np.ndarray) -> np.ndarray:
 
 
 def _first_hit(mesh: Mesh, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
-    """Where a ray first meets a mesh: (3,); of a hollow where it meets the side that is seen."""
+    """The first point of a ray on a mesh, (3,); on a hollow, on its visible side."""
     triangles = mesh.triangles()
     a, b, c = (mesh.points[triangles[:, k]] for k in range(3))
     if mesh.inside:
@@ -452,7 +453,7 @@ def _first_hit(mesh: Mesh, origin: np.ndarray, direction: np.ndarray) -> np.ndar
     across = np.cross(direction, other)
     area = np.einsum("ij,ij->i", one, across)
     away = origin - a
-    with np.errstate(divide="ignore", invalid="ignore"):  # triangles seen from the side
+    with np.errstate(divide="ignore", invalid="ignore"):  # triangles seen edge-on
         x = np.einsum("ij,ij->i", away, across) / area
         turned = np.cross(away, one)
         y = turned @ direction / area

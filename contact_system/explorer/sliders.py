@@ -1,4 +1,4 @@
-"""What of a scene sliders change: where it stands in the scene, from where to where."""
+"""The sliders of a scene: the numbers they change, and their ranges."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ..theory.gain import Gain
 from ..theory.profile import Numbers
 
 Place = tuple[str | int, ...]
-"""Names of fields and indices, from the scene down to a number."""
+"""Path to a number of a scene: names of fields and indices."""
 
 
 @dataclass(frozen=True)
 class Slider:
-    """A number that can be changed, in one place of the scene or in several at once."""
+    """A number that can be changed, in one place of the scene or several."""
 
     folder: str
     label: str
@@ -29,11 +29,11 @@ class Slider:
     value: float
     places: tuple[Place, ...]
     made: Callable[[float], Any] = float
-    """What stands in those places, from the slider's number."""
+    """Converts the slider's number to the value at those places."""
 
 
 def adjusted(part: Any, values: Mapping[Place, Any]) -> Any:
-    """A scene, or a part of one, with other values in some places; checked once, as a whole."""
+    """A scene or a part of one, with new values at some places; checked once, as a whole."""
     if () in values:
         return values[()]
     below: dict[Any, dict[Place, Any]] = {}
@@ -56,12 +56,12 @@ def _field(part: Any, name: str) -> Any:
 
 
 def gain_slider(gain: Gain) -> Slider:
-    """Of the gain's number under any law."""
+    """The slider of the gain's value under any law."""
     return Slider("", "", 0.0, 4 * gain.value or 100.0, gain.value, (("gain",),))
 
 
 def sliders_of(scene: Scene) -> list[Slider]:
-    """All but that of the gain."""
+    """All sliders except that of the gain."""
     profile = () if scene.profile == STILL else _of_profile(scene)
     return [*profile, *_of_radii(scene), *_of_disturbances(scene), *_of_starts(scene)]
 
@@ -135,7 +135,7 @@ def _of_starts(scene: Scene) -> Iterator[Slider]:
 
 
 def _direction(folder: str, velocity: Numbers, place: Place) -> Slider:
-    """Of the angle of a velocity, whose length stays."""
+    """A slider of the direction of a velocity; its length does not change."""
     length, angle = math.hypot(*velocity), math.atan2(velocity[1], velocity[0])
 
     def turned(a: float) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 """Pictures of a plan: contact curves on the bodies in 3-D, slip on a log axis.
 
-matplotlib is imported only when a picture is asked for, and never needs a display.
+matplotlib is imported when the first picture is drawn; no display is needed.
 """
 
 from __future__ import annotations
@@ -62,12 +62,12 @@ __all__ = [
     "shade_windows",
 ]
 
-FEWEST, MOST = 10, 2400  # dots an inch: with fewer there are no letters
-DECADES = 10  # of slip below its peak that a picture shows
+FEWEST, MOST = 10, 2400  # dots per inch; below, text cannot be drawn
+DECADES = 10  # of slip shown below its peak
 
 
 class MissingMatplotlib(ContactSystemError):
-    """Pictures are asked for and matplotlib is not installed."""
+    """A picture needs matplotlib, which is not installed."""
 
 
 # --- pictures ----------------------------------------------------------------------------------
@@ -80,18 +80,18 @@ def plot(plan: Plan, path: str | os.PathLike, other: Plan | None = None, dpi: in
     ----------
     plan : Plan
     path : path
-        Its ending chooses the format (.png, .pdf, .svg).
+        The ending selects the format (.png, .pdf, .svg).
     other : Plan, optional
         The same scene under another gain law; its slip is drawn beside this one's.
     dpi : int
-        Dots an inch, 10 to 2400; the picture is 12 by 6 inches.
+        Dots per inch, 10 to 2400; the picture is 12 by 6 inches.
 
     Raises
     ------
     MissingMatplotlib
-        If it is not installed.
+        matplotlib is not installed.
     ContactSystemError
-        No plan, no path, another ending, or a file that cannot be written.
+        A wrong argument, an unknown ending, or a file that cannot be written.
     """
     laws = _plans(plan, other)
     slips = plan.slip_speed(plan.sample_times()).any()
@@ -133,7 +133,7 @@ def _plans(plan: Plan, other: Plan | None) -> list[Plan]:
 
 @contextmanager
 def Picture(path: str | os.PathLike, size: tuple[float, float], dpi: int) -> Iterator[Any]:
-    """A figure in our style, written to its path at the end."""
+    """A figure in the common style, written to its path at the end."""
     path, dots = a_path(path), finite_number(dpi, "dpi")
     if not FEWEST <= dots <= MOST:
         raise ContactSystemError(f"dpi = {dpi!r}: give a number from {FEWEST} to {MOST}")
@@ -154,7 +154,7 @@ def Picture(path: str | os.PathLike, size: tuple[float, float], dpi: int) -> Ite
             figure.savefig(file, format=ending, dpi=dots)
 
 
-# --- words -------------------------------------------------------------------------------------
+# --- titles and legends ------------------------------------------------------------------------
 
 
 def draw_title(figure: Any, plan: Plan) -> None:
@@ -164,9 +164,9 @@ def draw_title(figure: Any, plan: Plan) -> None:
     sigma = "of legs" if still else f"= {_polynomial(scene.profile)} m/s"
     facts = rf"$\sigma$ {sigma},   gain {gain_text(scene.gain)}"
     name = figure.text(0.035, 0.955, shortened(scene.name, 30), size=18, weight="bold")
-    told = figure.text(0.965, 0.955, facts, size=10, ha="right", color=GREY)
-    if told.get_window_extent().x0 < name.get_window_extent().x1 + 10:  # no room beside the name
-        told.set(x=0.035, y=0.865, ha="left")
+    right = figure.text(0.965, 0.955, facts, size=10, ha="right", color=GREY)
+    if right.get_window_extent().x0 < name.get_window_extent().x1 + 10:  # no room beside the name
+        right.set(x=0.035, y=0.865, ha="left")
     figure.text(0.035, 0.905, shortened(scene.description, 84), size=11)
 
 
@@ -186,7 +186,7 @@ def _polynomial(profile: Profile) -> str:
 
 
 def contact_keys(scene: Scene) -> list[Any]:
-    """Legend entries of the contacts: one a colour, with the numbers of all that have it."""
+    """Legend entries of the contacts: one for each colour, with the numbers of its contacts."""
     entries, count = [], len(scene.contacts)
     for i in range(min(count, len(COLOURS))):
         others = (number_of(scene, k) for k in range(i + len(COLOURS), count, len(COLOURS)))
@@ -202,7 +202,7 @@ def _entry(label: str, **style: Any) -> Any:
 
 
 def _draw_key(ax: Any, plan: Plan, laws: Sequence[Plan] = (), bodies: bool = True) -> None:
-    """What the colours and signs mean: of the slip of some laws, of the bodies, or of both."""
+    """The legend: of slip under some gain laws, of the bodies, or of both."""
     from matplotlib.patches import Patch
 
     entries = []
@@ -239,7 +239,7 @@ def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
         _draw_rolling(ax, plan)
         return
     ax.set_yscale("log")
-    # slip may leave the picture long before it ends, and need not fill it
+    # show at least 3 decades, and at most DECADES, below the peak
     peak, least = slip.max(), slip[slip > 0].min()
     ax.set_ylim(max(peak * 10.0**-DECADES, min(least / 5, peak / 1e3)), peak * 10)
     ax.set_ylabel("slip [m/s]")
@@ -252,12 +252,12 @@ def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
 def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
     """Draw one law; returns the slip drawn, (n, n_contacts), m/s."""
     t = plan.sample_times(1201)
-    # an offset's slip ends at once: the last time before the edge belongs to the line as well
+    # slip by a rate offset jumps at an edge: draw the time just before it, too
     t = np.unique(np.append(t, np.nextafter(t[np.isin(t, plan.scene.edges) & (t > plan.start)], 0)))
     slip = plan.slip_speed(t)
     style: dict[str, Any] = {"dashes": (2.2, 1.1)} if dashed else {}
     for i in np.flatnonzero(slip.any(axis=0)).tolist():
-        # lines that lie on each other: the lower the wider, so that each is seen
+        # of coincident lines the lower are wider, so that each is visible
         above = np.isclose(slip[:, i + 1 :], slip[:, i : i + 1], rtol=0.02).all(0).sum()
         style |= {"color": colour_of(i), "linewidth": 1.8 + 1.7 * min(above, 3)}
         line = np.where(slip[:, i] > 0, slip[:, i], np.nan)
@@ -267,7 +267,7 @@ def _slip_lines(ax: Any, plan: Plan, dashed: bool) -> np.ndarray:
 
 
 def shade_windows(ax: Any, plan: Plan) -> None:
-    """Shade when contacts are disturbed, and the time in which the paper says slip is rejected."""
+    """Shade the windows of disturbances, and the paper's recovery time after them."""
     shaded = {w for i in range(len(plan.scene.contacts)) for w in windows(plan, i)}
     for start, stop in shaded:
         ax.axvspan(start, stop, color=DISTURBED, alpha=0.10, linewidth=0)
@@ -278,7 +278,7 @@ def shade_windows(ax: Any, plan: Plan) -> None:
 
 
 def _draw_rolling(ax: Any, plan: Plan) -> None:
-    """No slip at all: the finger's distance from its great circle where it has one."""
+    """Without slip: sigma, or with imposed rolling the distance of curves from great circles."""
     t, contacts = plan.sample_times(), plan.scene.contacts
     followers = [i for i, c in enumerate(contacts) if c.follows and c.finger.great_circles]
     if not followers:
@@ -306,7 +306,7 @@ def _draw_object(ax: Any, plan: Plan) -> None:
 
 
 def _draw_finger(ax: Any, plan: Plan) -> None:
-    """The first finger, with the curves of all contacts that have the same one."""
+    """The first finger, with the curves of all contacts with an equal finger."""
     contacts = plan.scene.contacts
     finger = contacts[0].finger
     same = [i for i, c in enumerate(contacts) if c.finger == finger]

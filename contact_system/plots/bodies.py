@@ -1,7 +1,7 @@
-"""Bodies and their curves by an orthographic projection of our own onto plain 2-D axes.
+"""Bodies and their curves, projected orthographically onto plain 2-D axes.
 
-mplot3d sorts whole artists by depth, so that a curve there is either in front of a surface
-everywhere or behind it everywhere.
+mplot3d is not used because it sorts whole artists by depth: a curve would be entirely in front of a
+surface or entirely behind it.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from .curves import Curve
 from .meshes import CELLS, Mesh, edges
 from .style import BODY, DISTURBED, HOLLOW, INK
 
-OCCLUDER = 3  # every third mesh line tells what is hidden: flat faces miss a sphere by 0.005 r
-UNITS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm"))  # of a scale, from 0.1 of each on
+OCCLUDER = 3  # every third mesh line is used for hiding; the error on a sphere is 0.005 r
+UNITS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm"))  # of the scale bar
 
 
 def draw_body(ax: Any, mesh: Mesh | None, curves: Sequence[Curve]) -> None:
-    """A body from where its curves are seen best, with those curves and a scale."""
+    """A body, its curves and a scale bar, from the best view of the curves."""
     view = best_view(mesh, curves)
     if mesh is not None:
         _draw_surface(ax, mesh, view)
@@ -29,7 +29,7 @@ def draw_body(ax: Any, mesh: Mesh | None, curves: Sequence[Curve]) -> None:
     for curve, behind in zip(curves, hidden):
         _draw_curve(ax, curve.points @ view, curve, behind)
     starts = np.array([(curve.points[0] @ view)[:2] for curve in curves])
-    room = 0.04 * max(ax.dataLim.width, ax.dataLim.height)  # of a label
+    room = 0.04 * max(ax.dataLim.width, ax.dataLim.height)  # size of a label
     for k, curve in enumerate(curves):
         before = np.linalg.norm(starts[:k] - starts[k], axis=1) < room
         _mark_start(ax, starts[k], curve, hidden[k][0], int(before.sum()))
@@ -44,9 +44,9 @@ def draw_body(ax: Any, mesh: Mesh | None, curves: Sequence[Curve]) -> None:
 
 
 def best_view(mesh: Mesh | None, curves: Sequence[Curve]) -> np.ndarray:
-    """Of a ring of orthographic cameras the one that the curves face most.
+    """The view, of a ring of orthographic cameras, that the curves face most.
 
-    (3, 3): x @ view is right, up and depth, m, the greater the nearer.
+    (3, 3): x @ view is right, up and depth, m; nearer points have a greater depth.
     """
     points = np.concatenate([c.points[::20] for c in curves])
     starts = np.array([c.points[0] for c in curves])
@@ -79,7 +79,7 @@ def is_hidden(mesh: Mesh | None, view: np.ndarray, points: np.ndarray) -> np.nda
     corners = (mesh.points @ view)[triangles]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
-    area[np.abs(area) <= 1e-12 * slack**2] = np.nan  # seen from the side: hides nothing
+    area[np.abs(area) <= 1e-12 * slack**2] = np.nan  # seen edge-on: hides nothing
     for first in range(0, len(points), 64):
         p = (points[first : first + 64] @ view)[:, None] - a
         beta = (p[..., 0] * c[:, 1] - p[..., 1] * c[:, 0]) / area
@@ -100,7 +100,7 @@ def _draw_surface(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
     shade = 0.5 + 0.5 * mesh.normals @ (light / np.linalg.norm(light))
     layers = [(facing <= 0, HOLLOW, 1 - shade), (facing > 0, BODY, shade)]
     style = {"shading": "gouraud", "vmin": 0, "vmax": 1, "zorder": 1, "rasterized": True}
-    # of a hollow only the far side is seen, as in a bowl cut open
+    # of a hollow only the far side is drawn, as in a bowl cut open
     for chosen, colours, values in layers[mesh.inside :]:
         if chosen.any():
             colours = LinearSegmentedColormap.from_list("body", colours)
@@ -119,7 +119,7 @@ def _draw_chart_lines(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
 
 
 def _draw_outline(ax: Any, mesh: Mesh, view: np.ndarray) -> None:
-    """Where the surface turns away from the camera, and its edges: n . d = 0 in each triangle."""
+    """The silhouette, where n . d = 0 in a triangle, and the edges."""
     from matplotlib.collections import LineCollection
 
     facing, triangles = mesh.normals @ view[:, 2], mesh.triangles()
@@ -141,7 +141,7 @@ def _runs(chosen: np.ndarray) -> list[slice]:
 
 
 def _draw_curve(ax: Any, seen: np.ndarray, curve: Curve, hidden: np.ndarray) -> None:
-    """A curve as it is seen, (n, 3), with an arrowhead at its end."""
+    """A projected curve, (n, 3), with an arrowhead at its end."""
     for disturbed in (False, True):
         colour = DISTURBED if disturbed else curve.colour
         for behind in (True, False):
@@ -165,7 +165,7 @@ def _draw_curve(ax: Any, seen: np.ndarray, curve: Curve, hidden: np.ndarray) -> 
 
 
 def _mark_start(ax: Any, start: np.ndarray, curve: Curve, behind: bool, below: int) -> None:
-    """A curve's number where it begins, or below so many others that stand there."""
+    """A curve's number at its start, below ``below`` others there."""
     style: dict[str, Any] = {"size": 9, "weight": "bold", "ha": "center", "va": "center"}
     style |= {"color": "white", "alpha": 0.75 if behind else 1.0, "zorder": 8}
     box = {"facecolor": curve.colour, "edgecolor": "white", "linewidth": 1.1}
@@ -187,7 +187,7 @@ def _draw_legs(ax: Any, mesh: Mesh | None, view: np.ndarray, curve: Curve, room:
 
 
 def _draw_frame(ax: Any, seen: np.ndarray, length: float, alpha: float) -> None:
-    """Two axes of a frame from its origin, as they are seen: (3, 2)."""
+    """Two axes of a projected frame: origin and tips, (3, 2)."""
     for tip, name in zip(seen[1:], "xy"):
         end = seen[0] + length * (tip - seen[0])
         arrow = {"arrowstyle": "->", "linewidth": 1.3, "color": INK, "alpha": alpha, "shrinkA": 0}
@@ -204,6 +204,5 @@ def _scale_bar(ax: Any) -> None:
     y, middle = bottom - 0.02 * height, left + length / 2
     ax.plot([left, left + length], [y, y], color=INK, linewidth=2.5, solid_capstyle="butt")
     unit, name = next((unit for unit in UNITS if length > 0.09 * unit[0]), UNITS[0])
-    told = f"{length / unit:g} {name}"
-    ax.text(middle, y - 0.015 * height, told, ha="center", va="top", size=9)
+    ax.text(middle, y - 0.015 * height, f"{length / unit:g} {name}", ha="center", va="top", size=9)
     ax.set_ylim(y - 0.09 * height, top)

@@ -1,4 +1,4 @@
-"""Contact curves as pictures and the explorer draw them."""
+"""Contact curves for pictures and the explorer."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from .style import colour_of, number_of, shortened
 class Curve:
     """A contact curve: points (n, 3) [m], whether disturbed there (n,), its colour and number.
 
-    Of one with legs also the middle of each (n, 3), and the frames at the start and the goal as
-    corners: their origins, and the tips of unit x and y axes, (2, 3, 3).
+    With legs also the middle of each leg (n, 3), and the finger's frames at start and end: origin
+    and tips of unit x and y axes, (2, 3, 3).
     """
 
     points: np.ndarray
@@ -40,7 +40,7 @@ def curves_of(plan: Plan, contacts: Sequence[int], side: int) -> list[Curve]:
 
 
 def _add_legs(curve: Curve, plan: Plan, contact: int, side: int) -> None:
-    """Where the legs are, and how the finger's frame lies at the start and the goal."""
+    """Add the middles of the legs, and the finger's frames at the start and the end."""
     way = [leg for leg in plan.scene.way(contact) if leg.profile != STILL]
     curve.legs = plan.points([(leg.start + leg.stop) / 2 for leg in way])[:, contact, side]
     ends = [plan.start, plan.end]
@@ -49,14 +49,14 @@ def _add_legs(curve: Curve, plan: Plan, contact: int, side: int) -> None:
     found = plan.evaluate(ends, "points", "states", "pose")
     finger, states = plan.scene.contacts[contact].finger, found["states"][:, contact]
     axes = finger.frame(states[:, 0], states[:, 1])[..., :2]
-    if side:  # as it lies on the object
+    if side:  # in the object's frame
         axes = found["pose"][:, contact, :3, :3] @ axes
     at = found["points"][:, contact, side]
     curve.frames = np.stack([at, at + axes[..., 0], at + axes[..., 1]], axis=1)
 
 
 def curve_of(plan: Plan, contact: int, t: np.ndarray, points: np.ndarray) -> Curve:
-    """The curve of a contact through points (n, 3) at times t (n,), and where it is disturbed."""
+    """The curve of a contact through points (n, 3) at times t (n,)."""
     disturbed = np.zeros(len(t), bool)
     for start, stop in windows(plan, contact):
         disturbed |= (t >= start) & (t < stop)
@@ -64,7 +64,7 @@ def curve_of(plan: Plan, contact: int, t: np.ndarray, points: np.ndarray) -> Cur
 
 
 def distinct(curves: Sequence[Curve], distance: float) -> list[Curve]:
-    """Curves that coincide are one curve with all their numbers."""
+    """The curves, coincident ones merged into one curve with all their numbers."""
     groups: list[list[Curve]] = []
     for curve in curves:
         for group in groups:
@@ -80,7 +80,7 @@ def distinct(curves: Sequence[Curve], distance: float) -> list[Curve]:
 
 
 def _listed(numbers: Sequence[str]) -> str:
-    """Numbers in short, such as 1,2,5-12: four or more that follow on each other are a range."""
+    """Numbers in short, such as 1,2,5-12: four or more consecutive ones make a range."""
     runs: list[list[str]] = []
     for number in numbers:
         if runs and int(number) == int(runs[-1][-1]) + 1:

@@ -1,4 +1,4 @@
-"""Surfaces of bodies as grids of points, as pictures and the explorer draw them."""
+"""Surfaces as grids of points for pictures and the explorer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..plan import Plan
 from ..surfaces import Surface
 
 CELLS = 96  # of a surface's mesh in each coordinate
-UNBOUNDED = 50  # times its size: an implicit surface that large does not close
+UNBOUNDED = 50  # sizes; a larger implicit surface is not closed
 
 
 @dataclass
@@ -25,24 +25,24 @@ class Mesh:
     points: np.ndarray
     normals: np.ndarray
     inside: bool
-    whole: bool  # the surface, which closes on itself; else a part that depends on the curves
+    whole: bool  # a whole closed surface; else a part of it around the curves
 
     @property
     def grid(self) -> np.ndarray:
-        """Numbers of the points."""
+        """Indices of the points."""
         return np.arange(len(self.points)).reshape(self.shape)
 
     @property
     def size(self) -> float:
-        """Of its bounding box, m."""
+        """Greatest side of its bounding box, m."""
         return np.ptp(self.points, axis=0).max()
 
     def triangles(self, every: int = 1) -> np.ndarray:
-        """Between some lines of the grid: (m, 3)."""
+        """Triangles between every n-th line of the grid: (m, 3)."""
         return _triangles(self.grid[::every, ::every])
 
     def strips(self, every: int, width: float) -> tuple[np.ndarray, np.ndarray]:
-        """Some lines of the grid as strips of this width, m: points (m, 3), triangles (k, 3)."""
+        """Points (m, 3) and triangles (k, 3) of strips along every n-th line; width in m."""
         grid = self.points.reshape(*self.shape, 3)
         both = grid[::-1], grid.swapaxes(0, 1)  # one reversed, so that strips face outwards
         across = np.concatenate([np.gradient(x, axis=0)[::every] for x in both])
@@ -54,7 +54,7 @@ class Mesh:
 
 
 def _triangles(grid: np.ndarray) -> np.ndarray:
-    """Between the lines of grids of points' numbers (..., n, m): (k, 3)."""
+    """Triangles of grids of points' indices (..., n, m): (k, 3)."""
     a, b = grid[..., :-1, :-1], grid[..., 1:, :-1]
     c, d = grid[..., 1:, 1:], grid[..., :-1, 1:]
     return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
@@ -63,14 +63,14 @@ def _triangles(grid: np.ndarray) -> np.ndarray:
 def mesh_of(
     plan: Plan, surface: Surface, side: int, contacts: Sequence[int], cells: int = CELLS
 ) -> Mesh | None:
-    """The whole surface if it closes on itself, else what lies around the curves."""
+    """The whole surface if it is closed, else the part around the curves."""
     closed = closed_span(surface, 0) is not None and closed_span(surface, 1) is not None
     for whole in (True, False):
         spans = [_span(plan, surface, side, contacts, k, whole) for k in (0, 1)]
         try:
             u, v = np.meshgrid(*(np.linspace(*span, cells + 1) for span in spans), indexing="ij")
             points, frames = surface.point_and_frame(u, v)
-        except ContactSystemError:  # an implicit surface that the rays of its chart do not all meet
+        except ContactSystemError:  # an implicit surface that some rays of its chart do not meet
             continue
         normals = frames[..., 2].reshape(-1, 3)
         mesh = Mesh(u.shape, points.reshape(-1, 3), normals, surface.inside, whole and closed)
@@ -80,13 +80,13 @@ def mesh_of(
 
 
 def closed_span(surface: Surface, k: int) -> tuple[float, float] | None:
-    """Range of u or v on which the surface closes on itself; None where it does not."""
+    """Range of u or v that covers a closed surface; None if it is not closed along it."""
     period = surface.periods()[k]
     if surface.double_cover:
         return ((-math.pi, math.pi), (-math.pi / 2, math.pi / 2))[k]
     if period is not None:
         return -period / 2, period / 2
-    if surface.chart.singular_at:  # only charts with poles close without a period
+    if surface.chart.singular_at:  # closed without a period: the range ends at poles
         return ((0.0, math.pi), (-math.pi / 2, math.pi / 2))[k]
     return None
 
@@ -94,7 +94,7 @@ def closed_span(surface: Surface, k: int) -> tuple[float, float] | None:
 def _span(
     plan: Plan, surface: Surface, side: int, contacts: Sequence[int], k: int, whole: bool
 ) -> tuple[float, float]:
-    """Range of u or v to draw, a hair less: charts end at poles, where there is no frame."""
+    """Range of u or v to draw, slightly shortened, as there is no frame at poles."""
     closed = closed_span(surface, k) if whole or surface.double_cover else None
     if closed is not None:
         start, stop = closed
@@ -110,7 +110,7 @@ def _span(
 
 
 def edges(mesh: Mesh) -> np.ndarray:
-    """Segments (n, 2, 3) of the grid's border that do not close on another one."""
+    """Segments (n, 2, 3) of the grid's border that are edges of the surface."""
 
     def meet(first: np.ndarray, last: np.ndarray) -> bool:
         return np.linalg.norm(first - last, axis=1).max() < 1e-3 * mesh.size
@@ -119,6 +119,6 @@ def edges(mesh: Mesh) -> np.ndarray:
     pairs = [np.empty((0, 2, 3))]
     for first, last in ((grid[0], grid[-1]), (grid[:, 0], grid[:, -1])):
         for line in () if meet(first, last) else (first, last):
-            if not meet(line, line[::-1]):  # a pole, or a seam folded on itself, is no edge
+            if not meet(line, line[::-1]):  # a pole, or a seam closed on itself, is no edge
                 pairs.append(np.stack([line[:-1], line[1:]], 1))
     return np.concatenate(pairs)

@@ -1,4 +1,4 @@
-"""Colours, signs and words that all pictures share."""
+"""Colours, markers and labels common to all pictures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ DISTURBED = "#d1274b"
 RECOVERY = "#12876f"
 INK = "#2b2f36"
 GREY = "#5a6370"
-# Lists, since a tuple of two is a colour and its opacity to matplotlib 3.8.
+# Lists, as matplotlib 3.8 takes a tuple of two as a colour and its opacity.
 BODY = ["#8f9aa6", "#f3f5f7"]  # a surface turned away from the light, and towards it
 HOLLOW = ["#6d7884", "#b9c2cb"]  # the back of a surface with an edge
 
@@ -36,10 +36,7 @@ NUMBER: Any = {"linestyle": "none", "marker": "$1$", "markersize": 7, "color": C
 
 
 def shortened(text: str, width: int) -> str:
-    """The text for a picture, or its beginning and an ellipsis where it has more characters.
-
-    Dollar signs in it are those of a name, and begin no mathematics.
-    """
+    """The text, cut to the width with an ellipsis; dollar signs are escaped."""
     text = text if len(text) <= width else text[: width - 1].rstrip() + "…"
     return text.replace("$", r"\$")
 
@@ -50,7 +47,7 @@ def colour_of(contact: int) -> str:
 
 
 def number_of(scene: Scene, contact: int) -> str:
-    """The number at the end of its name, such as that of "finger 1", or its index."""
+    """The number at the end of a contact's name, such as "finger 1", or its index."""
     name = scene.contact_name(contact)
     number = name[len(name.rstrip("0123456789")) :]
     return number if 0 < len(number) < 10 else str(contact)

@@ -1,4 +1,4 @@
-"""What a user writes: contacts, disturbances, scenes, and scene files."""
+"""Scenes: contacts, legs, disturbances, and scene files."""
 
 # ruff: noqa: F401
 

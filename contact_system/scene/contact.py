@@ -1,8 +1,4 @@
-"""The parts of a scene: contacts, and how the object turns.
-
-Everything a user can get wrong is checked where it is given; messages name the key, the value and
-the remedy.
-"""
+"""Contacts, and how the object turns. Arguments are checked when an object is made."""
 
 from __future__ import annotations
 
@@ -49,8 +45,8 @@ def a_text(value: Any, what: str) -> str:
 
 
 def all_of(kind: type | tuple[type, ...], values: Any, what: str, names: str) -> tuple:
-    """The values as a tuple, each of which must be of the kind, which errors call by the names."""
-    # the usual kinds first: what an abstract class takes in costs more to find out
+    """The values as a tuple, each of the kind; errors call the kind by the names."""
+    # list and tuple first: a check against an abstract class takes longer
     if isinstance(values, (kind, str)) or not isinstance(values, (list, tuple, Iterable)):
         raise SceneError(f"{what} = {values!r}: give a list")
     values = tuple(values)
@@ -60,23 +56,23 @@ def all_of(kind: type | tuple[type, ...], values: Any, what: str, names: str) ->
     return values
 
 
-MANY_TURNS = 1e3  # [rad]: psi keeps 13 digits of a turn
+MANY_TURNS = 1e3  # [rad]: an angle below it keeps 13 digits within its turn
 
 
 def rolled(angle: float, w: Any) -> Any:
-    """R_psi w, before V is worked out from it and rounding told from slip."""
+    """R_psi w."""
     c, s = math.cos(angle), math.sin(angle)
     return c * w[0] - s * w[1], -s * w[0] - c * w[1]
 
 
-def turned(cosine: Any, sine: Any, w: Pair) -> Any:
-    """A path velocity turned by an angle."""
+def rotated(cosine: Any, sine: Any, w: Pair) -> Any:
+    """A vector of the plane, rotated by an angle with this cosine and sine."""
     return cosine * w[0] - sine * w[1], sine * w[0] + cosine * w[1]
 
 
 @dataclass(frozen=True)
 class Contact:
-    """One finger on the object, and how their contact starts to move.
+    """One finger on the object, and the initial state of their contact.
 
     Velocities are path velocities (per metre of s), so sigma may start at zero.
 
@@ -86,25 +82,25 @@ class Contact:
         The finger (body 1).
     object_at, finger_at : (float, float)
         Chart coordinates (u, v) of the contact on the object and on the finger (rad, or the
-        chart's own units). A scene brings them into the chart's regular range: a point with an
-        inward frame, such as (-1.57, 2.44) on a sphere, becomes the same point with the frame the
-        equations assume, and the velocities are read in that frame. A triaxial ellipsoid's chart
-        covers it twice: there velocities, angle and disturbances are turned with the frame.
+        chart's own units). A scene brings them into the chart's regular range: (-1.57, 2.44) on a
+        sphere, where f_u x f_v points inward, becomes the same point with an outward normal, and
+        velocities are taken in the frame there. The chart of a triaxial ellipsoid covers it twice:
+        on it velocities, angle and disturbances are turned together with the frame.
     angle : float
         psi at t = 0, the contact angle between the two frames [rad].
     finger_velocity : (float, float) or "rolling"
-        M1 dq1/ds in the finger's frame E1, no unit: its length times sigma is the speed of the
-        contact point on the finger, m/s. "rolling": the finger's curve is not planned
-        but follows from rolling imposed on the object's (eq. `corollary`).
+        M1 dq1/ds in the finger's frame E1, dimensionless: its length times sigma is the speed of
+        the contact point on the finger, m/s. "rolling": rolling is imposed, and the finger's curve
+        follows from the object's (eq. `corollary`).
     object_velocity : (float, float), "rolling" or "rest"
-        M2 dq2/ds in the object's frame E2, no unit. "rolling": no slip at the start;
+        M2 dq2/ds in the object's frame E2, dimensionless. "rolling": no slip at the start;
         "rest": the contact point on the object starts at rest, so the finger slides.
     name : str
         For messages and pictures.
     legs : sequence of Leg
-        The path turns at corners: each leg has its own direction, length, time and sigma, and the
-        scene's profile is not this contact's. After the last one the contact rests. With one,
-        ``finger_velocity`` is where the directions count from, and "rolling" is no choice for it.
+        A path with corners. Each leg has its own direction, length, duration and sigma, in place of
+        the scene's profile; after the last leg the contact rests. Directions are measured from
+        ``finger_velocity``, which then must be two numbers.
 
     Raises
     ------
@@ -139,39 +135,41 @@ class Contact:
                 put(self, key, pair(value, key, words))
         if self.follows and isinstance(self.object_velocity, str):
             raise SceneError(
-                f'finger_velocity = "rolling" lets the finger follow the object\'s curve, which '
-                f'object_velocity = "{self.object_velocity}" does not give; '
+                'finger_velocity = "rolling" makes the finger follow the object\'s curve, which '
+                f'object_velocity = "{self.object_velocity}" does not determine; '
                 "give object_velocity as two numbers"
             )
         if self.legs != ():
             put(self, "legs", all_of(Leg, self.legs, "legs", "Leg"))
         if self.legs and self.follows:
             raise SceneError(
-                'finger_velocity = "rolling" has one geodesic of the object to follow, and no '
+                'finger_velocity = "rolling" follows one geodesic of the object and takes no '
                 "legs; give finger_velocity as two numbers, or leave the legs out"
             )
 
     def start_numbers(self) -> tuple[float, ...]:
-        """The 9 numbers of a :class:`.starts.Start` in their order; words become numbers here."""
-        own: Any = self.finger_velocity
-        given: Any = self.object_velocity
+        """The 9 numbers of a :class:`.starts.Start` in their order, words replaced by numbers."""
+        w1: Any = self.finger_velocity
+        w2: Any = self.object_velocity
         if self.legs:
-            own = turned(math.cos(self.legs[0].direction), math.sin(self.legs[0].direction), own)
-        if isinstance(own, str):  # imposed: the other is a pair
-            own = rolled(self.angle, given)
-        elif isinstance(given, str):
-            given = rolled(self.angle, own) if given == ROLLING else (0.0, 0.0)
+            w1 = rotated(math.cos(self.legs[0].direction), math.sin(self.legs[0].direction), w1)
+        if w1 == ROLLING:
+            w1 = rolled(self.angle, w2)
+        elif w2 == ROLLING:
+            w2 = rolled(self.angle, w1)
+        elif w2 == REST:
+            w2 = (0.0, 0.0)
         (u1, v1), (u2, v2) = self.finger_at, self.object_at
-        return u1, v1, u2, v2, self.angle, own[0], own[1], given[0], given[1]
+        return u1, v1, u2, v2, self.angle, w1[0], w1[1], w2[0], w2[1]
 
     def way(self, profile: Profile, duration: float) -> tuple[Stretch, ...]:
-        """sigma leg by leg on a horizon [s]; without legs the profile's."""
+        """The legs on a horizon [s]; without legs, one stretch with the scene's profile."""
         if self.legs:
             return stretches(self.legs, duration)
         return (Stretch(0.0, duration, 0.0, profile),)
 
     def whole_way(self, profile: Profile, duration: float) -> tuple[Stretch, ...]:
-        """The same for ever: after legs that come to a rest there is that."""
+        """The same without end: after the last leg the contact rests."""
         way = self.way(profile, duration)
         return endless(way) if self.legs else way
 
@@ -183,13 +181,13 @@ class Contact:
 
 @dataclass(frozen=True)
 class Turning:
-    """Turning of the object in the world: rotation vector p(t) * axis.
+    """Rotation of the object in the world: rotation vector p(t) * axis.
 
     Parameters
     ----------
     axis : (float, float, float)
-        The axis, used as given: its length scales the angle. (1, 1, 1) turns with angular
-        velocity p'(t) (1, 1, 1).
+        Not normalised: its length scales the angle. (1, 1, 1) has the angular velocity
+        p'(t) (1, 1, 1).
     angle : sequence of float
         Coefficients of the polynomial p(t) [rad], lowest power first.
 

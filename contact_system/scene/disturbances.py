@@ -1,7 +1,7 @@
-"""What disturbs contacts: one class a kind, named here and where the package exports it.
+"""Disturbances of contacts: one class for each kind.
 
-A kind says which body it acts on, whether it accelerates it, and which of the numbers it feeds that
-act on a contact (`SLOTS` of them, two chart components each; engine/motion.c reads them).
+A kind says which body it acts on, whether it accelerates it, and to which of the inputs of a
+contact it adds (`SLOTS`, two chart components each; engine/motion.c reads them).
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from .contact import pair
 
 ALL = "all"
 SLOTS = ("acceleration of the finger", "acceleration of the object", "rate offset of the object")
-"""What can act on a contact, in the order in which systems and blocks take it as inputs."""
+"""The inputs by which disturbances act on a contact, in the order of systems and FMUs."""
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Something added to one contact's motion on the window [start, stop].
+    """A disturbance of one contact in the window [start, stop].
 
-    Windows may overlap, also of one kind on one contact: their values add.
+    Values of overlapping windows add.
 
     Parameters
     ----------
     contact : int or "all"
-        Index of the contact, from 0; a scene expands "all" to one disturbance a contact.
+        Index of the contact, from 0; a scene expands "all" to one disturbance for each contact.
     start, stop : float
         The window [s], inside the scene's horizon.
     value : (float, float)
-        Chart components of what is added.
+        Chart components.
 
     Raises
     ------
@@ -44,10 +44,10 @@ class Disturbance:
     kind: ClassVar[str]
     """The name in scene files."""
     side: ClassVar[str]
-    """ "finger" or "object": in whose chart the components are."""
+    """ "finger" or "object": the body in whose chart the components are."""
     accelerates: ClassVar[bool]
     slot: ClassVar[int]
-    """Which of `SLOTS` it feeds."""
+    """Index in `SLOTS`."""
 
     contact: int | str
     start: float
@@ -101,8 +101,8 @@ class ObjectRateOffset(Disturbance):
     """Adds `value` = (du, dv) to the object's (u2', v2') [rad/s, or the chart's units].
 
     `contact` is its index from 0, or "all"; `start` and `stop` [s] lie inside the horizon.
-    It moves the contact point and counts in the twist, but is kept out of the feedback
-    (the paper's dynamic examples).
+    It moves the contact point and is part of the twist, but not of the feedback (the paper's
+    dynamic examples).
     """
 
     kind: ClassVar[str] = "object rate offset"
@@ -116,4 +116,4 @@ DISTURBANCE_KINDS: list[type[Disturbance]] = [
     ObjectAcceleration,
     ObjectRateOffset,
 ]
-"""All kinds, that of each slot first."""
+"""All kinds; the first three in the order of `SLOTS`."""

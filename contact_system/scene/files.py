@@ -1,8 +1,7 @@
-"""Scenes as TOML: reading, writing, and the scenes that come with the package.
+"""Scenes as TOML: reading, writing, and the bundled scenes.
 
-The messages name the file, the contact, the key, the value and the remedy. See the bundled
-`scenes/*.toml`. Every number may be written as arithmetic text, such as "2*pi/3", but for those of
-`[drake]`, which may hold words too.
+Errors name the file, the contact, the key, the value and the remedy. Every number outside `[drake]`
+may be written as arithmetic text, such as "2*pi/3".
 """
 
 from __future__ import annotations
@@ -47,11 +46,11 @@ from .scene import (
     require_scene,
 )
 
-_FORMULAS = ("f", "F")  # not needed in Python, where they may be those of another surface
+_FORMULAS = ("f", "F")  # required in files; in Python ``formula`` may replace them
 
 
 def _surface_keys(name: str) -> dict[str, bool]:
-    """What a file says of a surface, as its class does, and whether it must."""
+    """Keys of a surface in files, which are its class's arguments, and whether one is required."""
     given = inspect.signature(surfaces.KINDS[name]).parameters
     return {
         key: parameter.default is parameter.empty or key in _FORMULAS
@@ -64,13 +63,12 @@ def _surface_keys(name: str) -> dict[str, bool]:
 
 
 def scene_from_toml(text: str, source: str = "") -> Scene:
-    """The scene that a TOML text describes; the bundled scenes are the reference for its keys.
+    """The scene that a TOML text describes; without a name it gets the source's.
 
     Raises
     ------
     SceneError
-        Naming the source, the contact, the key, the value and the remedy. A nameless scene is
-        called after the source.
+        Naming the source, the contact, the key, the value and the remedy.
     """
     with naming(source or "TOML text"):
         try:
@@ -79,7 +77,7 @@ def scene_from_toml(text: str, source: str = "") -> Scene:
             raise SceneError("lists or tables are nested too deeply; nest them less") from None
 
 
-_TOKENS = re.compile(  # possessive, so that no text makes it go back and forth
+_TOKENS = re.compile(  # possessive quantifiers: no backtracking, whatever the text
     r'"""(?:[^"\\]|\\.|"(?!""))*+"{3,5}|"(?:[^"\\\n]|\\.)*+"|'
     r"'''(?:[^']|'(?!''))*+'{3,5}|'[^'\n]*+'|#[^\n]*+|[\[\]{}.]|[\n=,]",
     re.DOTALL,
@@ -87,7 +85,7 @@ _TOKENS = re.compile(  # possessive, so that no text makes it go back and forth
 
 
 def _require_shallow(text: str) -> None:
-    """Refuse what is nested too deeply before it is read, which would take the square of it."""
+    """Refuse deep nesting before parsing, whose time grows with the square of the depth."""
     depth = dots = 0
     for token in _TOKENS.finditer(text):
         mark = token[0]
@@ -128,7 +126,7 @@ def _fields(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _value(key: str, value: Any) -> Any:
-    """What a key stands for, which is the same in every table; numbers where nothing else is."""
+    """The value of a key, which has the same meaning in every table; by default numbers."""
     if key in _AS_GIVEN or (key.endswith("velocity") and isinstance(value, str)):
         return value
     if key in _PARTS:
@@ -218,7 +216,7 @@ def _table(
     place: str = "",
     example: str = "key = value",
 ) -> dict:
-    """The value, a table without unknown keys that has the required ones."""
+    """The value, checked to be a table with the required keys and no unknown ones."""
     if not isinstance(value, dict):
         raise SceneError(f"{value!r} is not a table; write it like {{ {example} }}")
     if known is not None:
@@ -239,13 +237,13 @@ def _one_of(word: Any, known: Iterable[str], what: str) -> str:
 
 
 def _with_numbers(table: dict, keys: Iterable[str] | None = None) -> dict:
-    """The table with the numbers of these keys, or of all, read."""
+    """The table with the values of these keys, or of all, converted to numbers."""
     chosen = table if keys is None else keys
     return {key: _numbers(x, key) if key in chosen else x for key, x in table.items()}
 
 
 def _numbers(value: Any, what: str) -> Any:
-    """Numbers of a file: one, or a list of them; arithmetic texts evaluated."""
+    """A number or a list of numbers of a file; arithmetic texts are evaluated."""
     if isinstance(value, list):
         within("COEFFICIENTS", len(value), f"{what}: numbers")
         return tuple(_numbers(x, f"{what}[{k}]") for k, x in enumerate(value))
@@ -266,8 +264,7 @@ def scene_to_toml(scene: Scene) -> str:
     Raises
     ------
     SceneError
-        If a surface was given as a Python function or is of a kind of your own, which a file
-        cannot hold.
+        A surface was given as a Python function or is of your own class: files cannot hold it.
     """
     with naming(scene.title):
         table = {key: getattr(scene, key) for key in ("name", "description", "duration")}
@@ -303,7 +300,7 @@ def _lines(table: Mapping[str, Any]) -> list[str]:
 def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
-    if isinstance(value, str):  # JSON's escapes are TOML's, but for DEL
+    if isinstance(value, str):  # JSON's escapes are valid TOML, except for DEL
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, (int, float)):
         return repr(value)
@@ -313,7 +310,7 @@ def _toml(value: Any) -> str:
 
 
 def _leg_table(leg: Leg) -> dict[str, Any]:
-    """The table of a leg: its length, or its own profile."""
+    """The table of a leg: with its length, or with its own profile."""
     table = {"direction": leg.direction, "duration": leg.duration}
     if leg == Leg(leg.direction, leg.length, leg.duration):
         return table | {"length": leg.length}
@@ -365,13 +362,13 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
     Raises
     ------
     SceneError
-        If there is neither, or the file is wrong.
+        There is neither, or the file is wrong.
     """
     return scene_from_toml(*scene_text(name_or_path))
 
 
 def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
-    """The TOML text that `load_scene` reads, and where it comes from."""
+    """The TOML text that `load_scene` reads, and its file's name."""
     try:
         given = os.fsdecode(name_or_path)
     except TypeError:
@@ -383,7 +380,7 @@ def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
         require_regular(given)
         with naming(given):
             within("SCENE_BYTES", os.path.getsize(given), "bytes")
-        return Path(given).read_text("utf-8-sig"), given  # editors on Windows begin with a mark
+        return Path(given).read_text("utf-8-sig"), given  # editors on Windows may write a BOM
     except ContactSystemError:
         raise
     except FileNotFoundError:
@@ -392,7 +389,7 @@ def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
             f"'{given}' is neither a bundled scene nor a file{did_you_mean(near, bundled)}; "
             f"bundled are {', '.join(bundled)}"
         ) from None
-    except (OSError, ValueError) as error:  # no text, or no name that a file may have
+    except (OSError, ValueError) as error:  # unreadable, no text, or an impossible name
         raise SceneError(f"'{given}' cannot be read: {error}; give a TOML text file") from None
 
 
@@ -402,7 +399,7 @@ def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     Raises
     ------
     SceneError
-        If it is no scene, a file cannot hold it, or cannot be written.
+        It is no scene, a file cannot hold it, or the file cannot be written.
     """
     require_scene(scene)
     path, text = a_path(path), scene_to_toml(scene)

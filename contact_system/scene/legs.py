@@ -15,28 +15,28 @@ from ..theory.profile import Profile, clear_value, polynomial
 
 STILL = Profile([0.0])
 _LONGEST = 1e15  # s
-_JUMP = 1e-9  # of the greatest sigma: what speeds beside a joint may differ by, from rounding
+_JUMP = 1e-9  # of the greatest sigma: rounding difference allowed between legs that meet
 
 
 @dataclass(frozen=True)
 class Leg:
     """One leg of a contact's path: a geodesic on both bodies while nothing disturbs it.
 
-    Legs follow each other from t = 0 on. The frames that are carried along, psi and slip go on
-    from one to the next; only the path's direction turns. So the contact must rest at a corner.
+    Legs follow each other from t = 0 on. At a corner only the path's direction changes; parallel
+    frames, psi and slip are continuous. So the contact must be at rest there.
 
     Parameters
     ----------
     direction : float
-        Angle of the path from the contact's ``finger_velocity``, in the finger's frame that is
-        carried along (theory section 4), rad. The same angle is no turn, however the path bends.
+        Angle of the path from the contact's ``finger_velocity``, in the finger's parallel frame
+        (theory section 4), rad. Two legs with the same direction meet without a corner.
     length : float or None
-        Length of the path s, m: on the finger, times the length of ``finger_velocity``. 0: a rest.
-        None: that of the profile.
+        Length of the path s, m; on the finger it is multiplied by the length of
+        ``finger_velocity``. 0: the contact rests. None: follows from the profile.
     duration : float
         s.
     profile : Profile, optional
-        sigma over the leg's own time, from 0 on; by default from rest to rest,
+        sigma over the time since the leg's start; by default from rest to rest,
         s = length (10 x^3 - 15 x^4 + 6 x^5) with x = t/duration.
 
     Raises
@@ -54,7 +54,7 @@ class Leg:
         put = object.__setattr__
         put(self, "direction", finite_number(self.direction, "direction"))
         put(self, "duration", finite_number(self.duration, "duration", "above 0"))
-        if not 1 / _LONGEST <= self.duration <= _LONGEST:  # its fifth power is a number, too
+        if not 1 / _LONGEST <= self.duration <= _LONGEST:  # so that its fifth power is a double
             raise SceneError(
                 f"duration = {self.duration!r} s: give {1 / _LONGEST:g} to {_LONGEST:g} s"
             )
@@ -72,14 +72,14 @@ class Leg:
         own = float(self.profile.arc_length(self.duration))
         if self.length is not None and not math.isclose(own, self.length, rel_tol=_JUMP):
             raise SceneError(
-                f"length = {self.length!r}: the profile takes the path {own!r} m far in "
+                f"length = {self.length!r}: the profile has the length {own!r} m in "
                 f"{self.duration:g} s; leave one of the two out"
             )
         put(self, "length", own)
 
 
 def rest_to_rest(length: float, duration: float) -> Profile:
-    """The profile of least jerk from rest to rest, of a length [m] in a time [s]."""
+    """The minimum-jerk profile from rest to rest, over a length [m] in a time [s]."""
     speed = length / duration
     rates = [30 * speed * c / duration**k for k, c in ((2, 1), (3, -2), (4, 1))]
     if not length > 0:
@@ -88,14 +88,16 @@ def rest_to_rest(length: float, duration: float) -> Profile:
 
 
 class Stretch(NamedTuple):
-    """A leg on the horizon.
+    """A leg, or the rest after the last one, at its place in the horizon.
 
     Attributes
     ----------
     start, stop : float, s
     direction : float, rad
     profile : Profile
-    turn : cosine and sine of the angle by which the path turns where it begins
+        sigma over the time since ``start``.
+    turn : (float, float)
+        Cosine and sine of the path's turn at ``start``.
     """
 
     start: float
@@ -106,7 +108,7 @@ class Stretch(NamedTuple):
 
 
 def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
-    """Legs one after the other on a horizon [s], and the rest until its end."""
+    """Legs one after the other on a horizon [s], then rest until its end."""
     found, start, before = [], 0.0, legs[0].direction
     for leg in legs:
         assert leg.profile is not None
@@ -123,7 +125,7 @@ def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
 
 
 def endless(way: tuple[Stretch, ...]) -> tuple[Stretch, ...]:
-    """A way, and where it comes to a rest at its end, that rest."""
+    """The stretches, followed by an endless rest if they end at rest."""
     last = way[-1]
     if last.profile == STILL or _ends(last)[1]:
         return way
@@ -140,7 +142,7 @@ def speed(way: Sequence[Stretch], t: np.ndarray) -> np.ndarray:
 
 
 def length(way: Sequence[Stretch], t: float) -> float:
-    """How far the path has come at time t [s], m; the last stretch goes on for ever."""
+    """Length of the path until time t [s], m; the last stretch continues without end."""
     ends = [*(stretch.stop for stretch in way[:-1]), math.inf]
     spans = [(s.profile, min(t, end) - s.start) for s, end in zip(way, ends) if s.start < t]
     return math.fsum(float(profile.arc_length(span)) for profile, span in spans)
@@ -176,7 +178,7 @@ def check_legs(legs: Sequence[Leg], duration: float) -> None:
 
 
 def _ends(stretch: Stretch) -> tuple[float, float]:
-    """sigma where the stretch begins and ends, 0 where it cannot be told from rounding."""
+    """sigma at the start and the end of the stretch; 0 if it may be rounding."""
     span, c = stretch.stop - stretch.start, stretch.profile.coefficients
     first, last = clear_value(c, 0.0), clear_value(c, span)
     if last and not abs(last) > _JUMP * polynomial([*map(abs, c)], span):

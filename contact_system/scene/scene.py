@@ -1,12 +1,12 @@
 """A scene: which bodies touch where, how the contacts move, what disturbs them.
 
-Everything a user can get wrong is checked here, once, when the object is built. The messages name
-the scene, the contact, the key, the value and the remedy. Contacts, disturbances and `contacts[0]`
-count from 0, in Python as in scene files (`files`).
+Arguments are checked when a scene is made; errors name the scene, the contact, the key, the value
+and the remedy. Indices count from 0, in Python and in scene files.
 """
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 import numbers
@@ -19,10 +19,11 @@ import numpy as np
 from ..checks import did_you_mean, finite_number, known_keys, naming, within
 from ..errors import ContactSystemError, SceneError
 from ..surfaces import Surface
+from ..surfaces.charts import fold_latitude
 from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
 from .contact import MANY_TURNS, Contact, Pair, Turning, a_surface, a_text, all_of
-from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
+from .disturbances import ALL, SLOTS, Disturbance
 from .legs import STILL, Leg, Stretch, check_legs, length, speed
 
 
@@ -30,8 +31,8 @@ from .legs import STILL, Leg, Stretch, check_legs, length, speed
 class Scene:
     """Bodies, contacts, path profile, gain law and disturbances over one horizon.
 
-    Nothing looks at whether bodies meet elsewhere too, as fingers side by side may, or a finger
-    that is wider than its bowl.
+    Collisions away from the contacts are not checked, such as those of two fingers side by side, or
+    of a finger that is wider than its bowl.
 
     Parameters
     ----------
@@ -40,25 +41,25 @@ class Scene:
     contacts : sequence of Contact
         At least one.
     profile : Profile
-        sigma(t) [m/s] of contacts without legs, who must be given one; not negative on the horizon.
+        sigma(t) [m/s] of contacts without legs, not negative on the horizon.
     gain : Gain
         The gain law; the default is `Gain.time(100)`.
     duration : float
-        The horizon, from 0 on [s]; by default as long as the legs take.
+        The horizon is 0 to duration [s]; default: as long as the legs take.
     disturbances : sequence of Disturbance
         Overlapping windows add.
     turning : Turning, optional
-        How the object turns in the world. The contacts move relative to the object and do not
+        How the object turns in the world; contact curves are relative to the object and do not
         depend on it.
     name, description : str
         For messages and pictures.
     source : str
-        Where the scene was read from; not compared.
+        File the scene was read from; not compared.
     paper : mapping
-        What the paper reports: ``figure`` and ``reports``, texts; ``recovery_time``, within which
-        slip is rejected [s]; ``lateral_force``, at which a contact saturates [N].
+        What the paper reports: ``figure`` and ``reports``, texts; ``recovery_time`` of slip [s];
+        ``lateral_force`` at which a contact saturates [N].
     chosen : sequence of str
-        Keys whose values the paper leaves out, such as "contacts.finger_at".
+        Keys whose values are not in the paper and were chosen, such as "contacts.finger_at".
     drake : mapping
         Contact physics: fields of `drake_plant`'s StationConfig, which checks them.
 
@@ -92,23 +93,23 @@ class Scene:
             raise SceneError(f"{self.title}: {error}") from None
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is pickled: the fields, not what a planner has worked out and keeps with them."""
+        """Pickle the fields only."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
 
     def contraction(self) -> Contraction:
-        """Where slip shrinks under the gain law, and the least eta that shrinks it throughout."""
+        """Intervals on which slip shrinks, and the least eta for which it shrinks throughout."""
         return contraction(self.profile, self.gain, self.duration)
 
     def replace(self, **changes: Any) -> Scene:
         """A copy with some fields changed, checked like any scene.
 
-        Disturbances that are kept beside new contacts stay as this scene holds them: components at
-        coordinates in the chart's regular range, whichever coordinates the contacts are given in.
+        With new contacts, disturbances that are not replaced keep their components, which refer to
+        coordinates in the chart's regular range.
 
         Raises
         ------
         SceneError
-            If there is no such field, or the new scene is wrong.
+            An unknown field, or a wrong value.
         """
         known = [f.name for f in dataclasses.fields(self)]
         for key in changes:
@@ -120,7 +121,7 @@ class Scene:
         return made
 
     def contact_name(self, index: int) -> str:
-        """What tables and pictures call a contact: its name, or its index from 0."""
+        """The contact's name for tables and pictures, or "contact" and its index."""
         if not isinstance(index, numbers.Integral) or not 0 <= index < len(self.contacts):
             raise SceneError(
                 f"{self.title}: contact = {index!r}: give an index from 0 to "
@@ -130,23 +131,23 @@ class Scene:
 
     @property
     def title(self) -> str:
-        """What messages call it."""
+        """The scene's name for messages."""
         return f"scene '{self.name}'" if self.name else "scene"
 
     @property
     def window_edges(self) -> tuple[float, ...]:
-        """Where windows of disturbances begin or end, ascending [s]."""
+        """Start and stop times of the disturbances, ascending [s]."""
         return tuple(sorted({t for d in self.disturbances for t in (d.start, d.stop)}))
 
     @property
     def edges(self) -> tuple[float, ...]:
-        """Where legs and windows begin or end, 0 and the duration, ascending [s]."""
+        """Start and stop times of legs and disturbances, 0 and the duration, ascending [s]."""
         ways = (self.way(i) for i, contact in enumerate(self.contacts) if contact.legs)
         corners = {stretch.start for way in ways for stretch in way}
         return tuple(sorted({0.0, self.duration, *self.window_edges, *corners}))
 
     def way(self, contact: int) -> tuple[Stretch, ...]:
-        """sigma of a contact, leg by leg; of one without legs the scene's profile."""
+        """The legs of a contact; without legs, one stretch with the scene's profile."""
         return self.contacts[contact].way(self.profile, self.duration)
 
     def speeds(self, t) -> np.ndarray:
@@ -155,19 +156,19 @@ class Scene:
         return np.stack([speed(way, t) for way in ways], axis=-1)
 
     def path_length(self, t: float) -> float:
-        """How far a contact has come at time t [s] at most, m."""
+        """The longest path of a contact until time t [s], m."""
         ways = (contact.whole_way(self.profile, self.duration) for contact in self.contacts)
         return max(length(way, t) for way in ways)
 
     def _check_parts(self) -> None:
-        """Types, and everything into its plain immutable form."""
+        """Check types, and convert values to immutable ones."""
         put = object.__setattr__
         a_surface(self.object, "object")
         put(self, "contacts", all_of(Contact, self.contacts, "contacts", "Contact"))
         if not self.contacts:
             raise SceneError("contacts = []: a scene needs at least one contact")
-        kinds = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
-        put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", kinds))
+        names = "FingerAcceleration, ObjectAcceleration or ObjectRateOffset"
+        put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", names))
         for key, kind in (("profile", Profile), ("gain", Gain), ("turning", Turning)):
             value = getattr(self, key)
             if not isinstance(value, kind) and not (key == "turning" and value is None):
@@ -181,7 +182,7 @@ class Scene:
             (finite_number if key in PAPER_NUMBERS else a_text)(value, f"paper: {key}")
 
     def _check_motion(self) -> None:
-        """The horizon, sigma on it, and every window inside it."""
+        """Check the horizon, sigma on it, and that windows lie inside it."""
         put = object.__setattr__
         with_legs = [(i, c.legs) for i, c in enumerate(self.contacts) if c.legs]
         longest = max((sum(x.duration for x in legs) for _, legs in with_legs), default=0.0)
@@ -204,7 +205,7 @@ class Scene:
         put(self, "disturbances", tuple(expanded))
 
     def _on_contacts(self, disturbance: Disturbance) -> list[Disturbance]:
-        """The disturbance, checked against the scene, once a contact that it acts on."""
+        """The disturbance, checked against the scene, once for each contact it acts on."""
         count, d = len(self.contacts), disturbance
         if d.start < 0 or d.stop > self.duration:
             raise SceneError(
@@ -221,12 +222,13 @@ class Scene:
             if self.contacts[i].follows:
                 raise SceneError(
                     f'contact = {i}: its finger_velocity = "rolling" imposes rolling, which '
-                    "nothing can disturb; plan its finger_velocity or leave the disturbance out"
+                    "cannot be disturbed; give finger_velocity as two numbers, or leave the "
+                    "disturbance out"
                 )
         return [d if d.contact == i else dataclasses.replace(d, contact=i) for i in indices]
 
     def _place_contacts(self) -> None:
-        """Every contact's coordinates into the charts' regular range."""
+        """Bring every contact's coordinates into the charts' regular range."""
         contacts = list(self.contacts)
         turned: set[tuple[str, int]] = set()
         for i in range(len(contacts)):
@@ -249,8 +251,8 @@ class Scene:
 def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Contact, bool]:
     """The contact with its coordinates on one body in the regular range of that body's chart.
 
-    Also whether both frame axes turned by pi on the way: the triaxial ellipsoid's chart covers it
-    twice, (u, v) ~ (-u, pi - v), the second time with turned axes.
+    Also returns whether both frame axes turn by pi: a double cover has the same point at (u, v) and
+    (-u, pi - v), with opposite axes.
     """
     key = f"{body}_at"
     given: Pair = getattr(contact, key)
@@ -267,14 +269,16 @@ def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Cont
                 f"contacts[{i}]: {key}: {name} = {value!r}: beyond {MANY_TURNS:g} rad a "
                 "double resolves an angle within its turn too poorly; subtract whole turns"
             )
-    half_turn = bool(surface.align(*at, *given)[2])
-    moved: dict[str, Any] = {key: at}
+    half_turn = surface.double_cover and fold_latitude(given[1])[1]
+    changes: dict[str, Any] = {key: at}
     if half_turn:
-        moved["angle"] = math.remainder(contact.angle + math.pi, 2 * math.pi)
+        changes["angle"] = math.remainder(contact.angle + math.pi, 2 * math.pi)
         velocity = getattr(contact, f"{body}_velocity")
         if not isinstance(velocity, str):
-            moved[f"{body}_velocity"] = (-velocity[0], -velocity[1])
-    return dataclasses.replace(contact, **moved), half_turn
+            changes[f"{body}_velocity"] = (-velocity[0], -velocity[1])
+    moved = copy.copy(contact)
+    vars(moved).update(changes)  # a new Contact would check everything again
+    return moved, half_turn
 
 
 # --- keys of scene files -----------------------------------------------------------------------
@@ -290,7 +294,7 @@ DISTURBANCE_KEYS = ("kind", *(f.name for f in dataclasses.fields(Disturbance)))
 
 
 def _plain_table(table: Any, what: str) -> dict[str, Any]:
-    """A copy of a table in TOML's own types, with only finite numbers."""
+    """A copy of a table in TOML's types, with finite numbers."""
     if not isinstance(table, (dict, Mapping)):
         raise SceneError(f"{what} = {table!r}: give a table")
     for key in table:
@@ -313,7 +317,7 @@ def _plain(value: Any, what: str) -> Any:
 
 
 def _check_chosen(scene: Scene) -> None:
-    """Every entry of `chosen` names a key that a scene file has."""
+    """Check that every entry of `chosen` is a key of scene files."""
     object.__setattr__(scene, "chosen", all_of(str, scene.chosen, "chosen", "text"))
     if not scene.chosen:
         return
@@ -337,7 +341,7 @@ def _check_chosen(scene: Scene) -> None:
 
 
 def acting(scene: Scene, t: float) -> np.ndarray:
-    """What the windows add on the interval that begins at t: (n_contacts, 6), chart components.
+    """Disturbances that act on the interval that begins at t: (n_contacts, 6), chart components.
 
     Two numbers each, in the order of `SLOTS`.
     """
@@ -349,7 +353,7 @@ def acting(scene: Scene, t: float) -> np.ndarray:
 
 
 def refuse_rest(scene: Scene, contact: int, start: float, stop: float) -> None:
-    """Raise a SceneError where sigma = 0 under an acceleration: dq/ds would have to be infinite."""
+    """Raise a SceneError if sigma = 0 in a window of an acceleration: dq/ds would be infinite."""
     inside = [
         max(stretch.start + t, start)
         for stretch in scene.way(contact)
@@ -365,6 +369,6 @@ def refuse_rest(scene: Scene, contact: int, start: float, stop: float) -> None:
 
 
 def require_scene(scene: Any) -> None:
-    """Raise a SceneError where something else is given, such as a scene's name."""
+    """Raise a SceneError for anything but a Scene, such as a scene's name."""
     if not isinstance(scene, Scene):
         raise SceneError(f'scene = {scene!r:.80}: give a Scene, such as load_scene("K4")')

@@ -1,4 +1,4 @@
-"""Steering: from a start to a goal, on legs or on one geodesic (theory section 11)."""
+"""Steering: legs from a start to a goal, and geodesics between two points (theory section 11)."""
 
 from .goal import Goal, Route
 from .loop import Loop, loop

@@ -1,4 +1,4 @@
-"""A contact's goal in numbers, for the engine's search of paths to it (theory section 11)."""
+"""A contact's goal as numbers for the engine, which searches paths to it (theory section 11)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..checks import naming
 from ..engine import binding
 from ..engine.binding import Steer, Steered, address
 from ..errors import SceneError
-from ..motion import SIDES
+from ..explanation import SIDES
 from ..scene import Contact, Scene
 from ..surfaces import Surface
 from ..theory.development import prefers_space
@@ -21,31 +21,30 @@ from .shooting import SHARP, Array, Follower
 
 MOST_LEGS = 4
 LANES = 16
-"""Paths that the engine tries at once."""
+"""Paths that the engine searches at once."""
 PARTS = 8
-"""Places of a leg that are kept within a region."""
+"""Points of a leg at which regions are enforced."""
 
 
 class Paths(NamedTuple):
-    """What the search makes of some paths.
+    """Results of a search.
 
-    A path is z = (phi_1, ..., phi_n, s_1, ..., s_n), directions from ``finger_velocity`` on and
-    lengths along s, m; a negative length runs backwards.
+    A path is z = (phi_1, ..., phi_n, s_1, ..., s_n): directions measured from ``finger_velocity``,
+    and lengths along s, m; a path of negative length runs backwards.
     """
 
     z: Array
     """(2 n, 16)"""
     off: Array
-    """How far from the goal they end, in sizes, rad, (16)."""
+    """Distance of their ends from the goal, in sizes and rad, (16)."""
     ends: Array
-    """x, p, q of finger and object, p the direction of the path, (18, 16)."""
+    """x, p, q of finger and object at the ends, p along the path, (18, 16)."""
     squares: Array
-    """Of the slopes of `off` by z, lengths in units, (2 n, 2 n, 16)."""
+    """J^T J of the Gauss-Newton method, lengths in multiples of `Aim.unit`, (2 n, 2 n, 16)."""
 
 
 class Region(NamedTuple):
-    """Places of a body, 0 or 1, around a point: paths aim to stay within the radius, m, and must
-    within the widest."""
+    """A ball about a point of body 0 or 1: the search uses the radius, m; the widest is allowed."""
 
     side: int
     centre: Array
@@ -54,30 +53,30 @@ class Region(NamedTuple):
 
 
 class Aim:
-    """A contact's goal in numbers; refuses what is no goal of it.
+    """A contact's goal as numbers; raises a SceneError for an impossible one.
 
     Attributes
     ----------
     name, contact, bodies
-        Of the scene; finger and object.
+        The contact's name in messages, the contact, finger and object.
     sides : tuple of int
-        The bodies on which a place is wanted, 0 and 1.
+        The bodies with a wanted place: 0 the finger, 1 the object.
     start, goal : ((3,), (3, 3)) for each body
         Point and contact frame.
     angles : (float, float)
         psi at the start and at the goal.
     pose : (4, 4) or None
-        That of the finger at the goal, where its rotation matters.
+        The finger's pose at the goal, if its rotation is wanted.
     is_pose : bool
-        Whether it was given, and its place matters too.
+        Whether the goal was given as a pose, so that its translation is wanted too.
     regions : list of Region
-        Where it is to stay.
+        Where the contact must stay.
     pace, lean : float
         Length and angle of ``finger_velocity``.
     sizes : list of float
-        Of the bodies, m.
+        Sizes of the bodies, m.
     unit, far : float
-        A length of the bodies; how far away the goal lies: along s, m.
+        A typical length; straight distance of the goal: along s, m.
     """
 
     def __init__(self, scene: Scene, index: int, goal: Goal, longest: float | None):
@@ -105,7 +104,7 @@ class Aim:
 
     @property
     def fewest(self) -> int:
-        """Legs with as many numbers as are wanted."""
+        """Least number of legs with as many unknowns as equations."""
         return (1 + (5 if self.pose is not None else 2 * len(self.sides))) // 2
 
     @property
@@ -114,9 +113,9 @@ class Aim:
         return not self._followers
 
     def search(self, z: Array, tolerance: float, reached: float, steps: int = 40) -> Paths:
-        """Newton's method from some paths z, (2 n, m), until two end at the goal.
+        """Newton's method from paths z, (2 n, m), until two of them are ``reached`` off the goal.
 
-        Steps of the engine are off by the tolerance, of the size.
+        tolerance: error of a step of a geodesic, as a fraction of the size.
         """
         rows, count = z.shape
         data, tried = self._data, np.empty((rows, LANES))
@@ -130,12 +129,12 @@ class Aim:
         return Paths(tried, off, ends, squares)
 
     def begin(self) -> None:
-        """Let paths begin where the contact does."""
+        """Start paths at the contact's start."""
         for side in (0, 1):
             self._begin(side, *self.start[side])
 
     def lead_to(self, z: Array, points: Array, pose: Array) -> None:
-        """Let paths on the object begin where z leads to its real end; slip is in between."""
+        """Start geodesics on the object where path z ends at its planned end, slip included."""
         n = len(z) // 2
         finger = self._ends(z)[0][1]
         # p along that of the finger, q and n against them
@@ -146,14 +145,14 @@ class Aim:
         self._begin(1, x, frame @ self._carried(back[n - 1]))
 
     def _ends(self, z: Array) -> list[tuple[Array, Array]]:
-        """Where geodesics end on both bodies: the point, and p along the path, q and n."""
+        """Ends of the geodesics on both bodies: the point, and p along the path, q and n."""
         ends = self.search(z[:, None], SHARP, math.inf, steps=1).ends[:, 0].reshape(2, 3, 3)
         return [(x, np.transpose([p, q, np.cross(p, q)])) for x, p, q in ends]
 
     def _carried(self, direction: float) -> Array:
-        """The frame that is carried on the object, in that of a leg."""
-        way = -direction - self.lean - self.angles[0]
-        c, s = math.cos(way), math.sin(way)
+        """The object's parallel frame in the frame of a leg."""
+        angle = -direction - self.lean - self.angles[0]
+        c, s = math.cos(angle), math.sin(angle)
         return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
 
     def _begin(self, side: int, x: Array, frame: Array) -> None:
@@ -165,7 +164,7 @@ class Aim:
             data.place[:] = [*place.tolist(), math.atan2(*(frame[:, 0] @ own[:, [1, 0]]))]
 
     def off(self, points: Array, pose: Array) -> float:
-        """How far from the goal a contact is with these contact points and this pose."""
+        """Distance of contact points and pose from the goal."""
         parts = [(points[side] - self.goal[side][0]) / self.sizes[side] for side in self.sides]
         if self.pose is not None:
             parts.append((pose[:3, :3] - self.pose[:3, :3]).ravel())
@@ -185,7 +184,7 @@ class Aim:
                 sides.append(side)
                 with naming(f"{self.name}: goal: {SIDES[side]}_at"):
                     regular = body.canonical(*wanted)
-                # another cover has another frame, and psi is that of the frame
+                # on a double cover psi depends on the branch
                 wanted = wanted if body.double_cover else regular
             both = np.transpose([at, at if wanted is None else wanted])
             points, frames = body.point_and_frame(*both)
@@ -194,7 +193,7 @@ class Aim:
         self.sides = tuple(sides)
 
     def _regions(self, goal: Goal) -> list[Region]:
-        """Regions to stay within; refuses those that the start or the goal lies outside of."""
+        """The goal's regions; raises a SceneError if the start or the goal lies outside."""
         found = []
         for side, body in enumerate(self.bodies):
             key = f"{SIDES[side]}_within"
@@ -254,12 +253,12 @@ class Aim:
 
 
 def is_plane(body: Surface) -> bool:
-    """Whether a body is flat and goes on for ever."""
+    """Whether a body is flat and unbounded."""
     return body.developable and body.periods() == (None, None)
 
 
 def _steerable(scene: Scene, index: int, name: str) -> Contact:
-    """A contact that legs can be given to."""
+    """The contact; raises a SceneError if it cannot have legs."""
     contact = scene.contacts[index]
     if contact.follows:
         raise SceneError(f'{name}: finger_velocity = "rolling" has no legs; give it as two numbers')
@@ -267,7 +266,7 @@ def _steerable(scene: Scene, index: int, name: str) -> Contact:
         raise SceneError(f"{name}: finger_velocity = (0, 0) gives legs no direction; give it one")
     if any(d.contact == index for d in scene.disturbances):
         raise SceneError(
-            f"{name}: disturbances would take it off its way; leave them out of the scene, and "
+            f"{name}: disturbances would change its path; leave them out of the scene, and "
             "add them to that of the route"
         )
     return contact

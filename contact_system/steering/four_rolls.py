@@ -1,7 +1,7 @@
-"""A sphere on a plane in four rolls: two turn it, two whole revolutions move it.
+"""A sphere on a plane in four rolls: two turn it, two of whole revolutions move it.
 
-After Hammersley, "Oxford commemoration ball" (1983), with the two that turn chosen so that all are
-short. It bounds the length of a route.
+After Hammersley, "Oxford commemoration ball" (1983); the two turning rolls are chosen to make the
+path short. Its length bounds that of a route.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from .shooting import Array
 
 
 def four_rolls(aim: Aim, below: float) -> Array | None:
-    """The path of four legs, z, to a place on both bodies and an angle.
+    """The path z of four legs to places on both bodies and an angle.
 
-    None for other goals, and where it is clearly not shorter, m along s, than what is given.
+    None for other goals, and if it cannot be shorter than ``below``, m along s.
     """
     flat = [is_plane(body) for body in aim.bodies]
     if flat[0] == flat[1] or not aim.in_closed_form or aim.pose is None or aim.is_pose:
         return None
     ball, plane = flat.index(False), flat.index(True)
     r, psi = aim.sizes[ball], aim.angles[0]
-    # psi's growth, as the plane's frame is not turned by rolling
+    # the ball's turn includes the change of psi, as rolling does not turn the plane's frame
     (a, b), (turned, moved) = _turn_of_ball(aim, ball), _move_on_plane(aim, plane)
     half = cmath.rect(1.0, 0.5 * (psi - aim.angles[1])) * turned
     a, b, wanted = a * half, b * half.conjugate() / r, 2 * turned * moved
@@ -56,7 +56,7 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
 
 
 def _move_on_plane(aim: Aim, side: int) -> tuple[complex, complex]:
-    """The motion from the start's frame to the goal's: a turn by 2 arg a, and a move by 2 a b."""
+    """The motion (a, b) from start to goal: a turn by 2 arg a, and a shift by 2 a b."""
     (x0, frame0), (x1, frame1) = aim.start[side], aim.goal[side]
     turn = frame0.T @ frame1
     a = cmath.sqrt(complex(turn[0, 0], turn[1, 0]))
@@ -65,7 +65,7 @@ def _move_on_plane(aim: Aim, side: int) -> tuple[complex, complex]:
 
 
 def _turn_of_ball(aim: Aim, side: int) -> tuple[complex, complex]:
-    """The same as halves of a quaternion, the second in radii."""
+    """The rotation from start to goal: the halves of a quaternion, one times the radius."""
     (_, frame0), (_, frame1) = aim.start[side], aim.goal[side]
     mirror = np.array([1.0, 1.0, aim.bodies[side].sign])  # p, q and x: left-handed in a bowl
     turn = (frame0 * mirror).T @ (frame1 * mirror)

@@ -1,4 +1,4 @@
-"""Where a contact is to arrive, and the route that takes it there."""
+"""Goals of contacts, and routes to them."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ KEYS = ("object_at", "finger_at", "angle", "pose", "object_within", "finger_with
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """Where a contact is to arrive; what is left out may come out as it likes.
+    """The goal of a contact; what is left out is free.
 
     Parameters
     ----------
     object_at, finger_at : (float, float), optional
         Chart coordinates (u, v) of the contact on the object and on the finger.
     angle : float, optional
-        psi between the frames there [rad]; with both places.
+        psi at the goal [rad]; only with both places.
     pose : (4, 4), optional
-        In the place of all these: the finger's frame in the object's, a homogeneous matrix, m.
+        Instead of places and angle: the finger's frame in the object's, a homogeneous matrix, m.
     object_within, finger_within : (float, float, float), optional
-        u, v, radius: on the whole way the contact stays within this distance, m, straight through
-        space, of the point (u, v) of the object or the finger. Such as a fingertip's pad.
+        u, v, radius: a region, such as a fingertip's pad. On the whole path the contact stays
+        within this (straight-line) distance, m, of the point (u, v) of the object or the finger.
 
     Raises
     ------
@@ -62,7 +62,7 @@ class Goal:
         elif not any(places):
             raise SceneError("a goal needs a place on a body: object_at, finger_at or a pose")
         elif self.angle is not None and not all(places):
-            raise SceneError("angle: it is that between two frames; give both places with it")
+            raise SceneError("angle: it is the angle between two frames; give both places with it")
 
 
 def _region(given: Any, key: str) -> tuple[float, ...]:
@@ -81,13 +81,13 @@ class Route:
     scene : Scene
         The scene with these legs, for :func:`plan`.
     legs : tuple of tuple of Leg
-        Of each contact.
+        The legs of each contact.
     length : float
-        Of all legs of all contacts, along s, m.
+        Sum of the lengths of all legs, along s, m.
     residual : float
-        How far off the goals the contacts arrive: places in sizes of the bodies, angles in rad.
+        Greatest error at the goals: places in sizes of the bodies, angles in rad.
     tried : str
-        With how many legs, from how many starts.
+        The number of legs and of starts of the search.
     """
 
     scene: Scene

@@ -1,4 +1,4 @@
-"""Closed paths that turn a finger: holonomy (theory section 11)."""
+"""Closed paths that turn a finger, by holonomy (theory section 11)."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from ..buffer import Buffer
 from ..checks import finite_number
 from ..errors import SceneError
-from ..motion import FRAMES, Motion
+from ..motion import FRAMES, Buffer, Motion
 from ..scene import Scene, require_scene
 from .goal import Goal, Route
 from .reach import TOLERANCE, reach
 
 
 def _gauss(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes and weights of [0, 1], and what takes values at the nodes to derivatives there."""
+    """Gauss nodes and weights on [0, 1], and the matrix from values to derivatives at the nodes."""
     legendre = np.polynomial.legendre
     x, weights = legendre.leggauss(n)
     series = np.linalg.inv(legendre.legvander(x, n - 1))
@@ -32,18 +31,18 @@ _NODES, _WEIGHTS, _SLOPES = _gauss(40)
 
 @dataclass(frozen=True)
 class Loop(Route):
-    """A route that comes back to where it starts.
+    """A route that returns to its start on both bodies.
 
     Attributes
     ----------
     angle : float
-        By which psi has grown, rad, in (-pi, pi].
+        Change of psi, rad, in (-pi, pi].
     enclosed : (float, float)
-        Integral of the Gaussian curvature over what the curves on finger and object enclose, rad,
-        positive where they run counterclockwise about the normal: the area that the normals
-        enclose on the unit sphere, a multiple of 4 pi left out.
+        Integrals of the Gaussian curvature over the areas that the curves enclose on finger and
+        object, rad, positive for curves counterclockwise about the normal. They equal the areas
+        that the normals enclose on the unit sphere, up to multiples of 4 pi.
     gauss_bonnet : float
-        How far psi's growth is from minus the sum of these, rad. By Gauss and Bonnet it is 0.
+        Difference between the change of psi and minus the sum of these, rad: 0 by Gauss and Bonnet.
     """
 
     angle: float
@@ -57,21 +56,21 @@ def loop(scene: Scene, angle: float, *, contact: int = 0, seconds: float = 0.0) 
     Parameters
     ----------
     scene : Scene
-        Where the contact starts, and comes back to, on both bodies. Other contacts rest.
+        Where the contact starts, and returns to, on both bodies. Other contacts rest.
     angle : float
-        By which psi is to grow, rad.
+        Wanted change of psi, rad.
     contact : int
-        Which one.
+        Index of the contact.
     seconds : float
-        So long an optimiser looks for a shorter one.
+        Time for an optimiser to look for a shorter path, s.
 
     Raises
     ------
     SceneError
-        What cannot be reached, and why.
+        No path is found, and why.
     """
     require_scene(scene)
-    scene.contact_name(contact)  # refuses other indices
+    scene.contact_name(contact)  # raises for a wrong index
     angle, own = finite_number(angle, "angle"), scene.contacts[contact]
     if not abs(math.remainder(angle, 2 * math.pi)) > 1e-9:
         raise SceneError(f"angle = {angle!r}: that is no turn; give another one, in rad")
@@ -86,7 +85,7 @@ def loop(scene: Scene, angle: float, *, contact: int = 0, seconds: float = 0.0) 
 
 
 def _turns(scene: Scene, contact: int) -> tuple[float, tuple[float, float]]:
-    """psi's growth, and the areas that the normals along the curves on both bodies enclose."""
+    """The change of psi, and the areas that the normals along both curves enclose."""
     edges = np.array(scene.edges)
     edges = np.interp(np.arange(8 * len(edges) - 7) / 8, np.arange(len(edges)), edges)
     inner = (edges[:-1, None] + np.diff(edges)[:, None] * _NODES).ravel()
@@ -102,8 +101,10 @@ def _turns(scene: Scene, contact: int) -> tuple[float, tuple[float, float]]:
 
 
 def _area(n: np.ndarray) -> float:
-    """What a closed curve of unit vectors, (legs, 40, 3), encloses, seen from opposite to where it
-    comes least near: the integral of z . (n x dn) / (1 + z . n) (as of Dirac's potential)."""
+    """Area enclosed by a closed curve n of unit vectors, (intervals, 40, 3).
+
+    The integral of z . (n x dn) / (1 + z . n), with a direction z whose opposite is far from n.
+    """
     k = np.arange(60)
     across, around = 1 - (2 * k + 1) / 60, k * math.pi * (3 - math.sqrt(5))
     level = np.sqrt(1 - across**2)

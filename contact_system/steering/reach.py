@@ -1,7 +1,7 @@
-"""From a start to a goal: legs that take a contact there (theory section 11).
+"""Legs that take contacts from a start to a goal (theory section 11).
 
-Rolling has two inputs and five coordinates, a point on each body and psi. Legs are found by the
-method of Gauss and Newton with damping, from many starts at once, with exact derivatives.
+Rolling has two inputs and five coordinates: a point on each body and psi. Legs are found by a
+damped Gauss-Newton method with exact derivatives, from many starts at once.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from ..buffer import Buffer
 from ..checks import finite_number
 from ..errors import ContactSystemError, SceneError
-from ..motion import SIDES, Motion
+from ..explanation import SIDES
+from ..motion import Buffer, Motion
 from ..plan import plan
 from ..scene import STILL, Leg, Scene, require_scene
 from ..scene.contact import all_of
@@ -30,19 +30,19 @@ from .goal import Goal, Route
 from .shooting import SHARP, Array
 
 REACHED = 1e-12
-"""A goal is reached where nothing is farther off: places in sizes of the bodies, angles in rad."""
+"""Error at which a goal is reached: places in sizes of the bodies, angles in rad."""
 TOLERANCE = 1e-14
-"""Of the size: what the plan of a path may be off."""
+"""Error of the plan of a path, as a fraction of the size."""
 COARSE = 1e-8
-"""Of the size: what the steps of one of many paths may be off."""
+"""Error of a step, as a fraction of the size, in a search of many paths."""
 NEAR, NEARER = 1e-4, 1e-7
-"""How far off one of many, and the one, may end before a last step, which leaves a square of it."""
+"""Errors before the last, quadratically convergent step in a search of many paths, and of one."""
 STARTS = 128
-"""So many starts are tried with each number of legs."""
+"""Starts for each number of legs."""
 CORRECTIONS = 12
-"""What slip does to a path is put right so often."""
-LOOKS = 201
-"""Times at which a route is seen to stay within its regions."""
+"""Most corrections of a path for slip."""
+SAMPLES = 201
+"""Times at which a route is checked against its regions."""
 
 
 def reach(
@@ -58,22 +58,21 @@ def reach(
     Parameters
     ----------
     scene : Scene
-        Where the contacts start; slip that is there dies on the way. The legs share its duration
-        in equal parts.
+        The contacts' starts, with or without slip. Legs divide its duration equally.
     goal : Goal, or a sequence of Goal or None
-        One a contact; None: it rests where it is.
+        One for each contact; None: it stays at rest.
     legs : int, optional
-        So many, 1 to 4; by default the least number with which the goal is reached.
+        Number of legs, 1 to 4; default: the least number that reaches the goal.
     longest : float, optional
         Greatest length of a leg, m.
     seconds : float
-        So long an optimiser looks for the shortest route, also with more legs where ``legs`` is
-        left out; 0: the first that is found.
+        Time for an optimiser to look for a shorter route, s, with more legs too if ``legs`` is not
+        given. 0: return the first route found.
 
     Raises
     ------
     SceneError
-        What cannot be reached, and why.
+        No route is found, and why.
 
     Notes
     -----
@@ -108,14 +107,14 @@ def reach(
 
 
 def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
-    """One a contact, checked."""
+    """One goal for each contact, checked."""
     given = [goal] if isinstance(goal, Goal) else goal
-    names = "Goal, or None where a contact rests"
+    names = "Goal, or None for a contact at rest"
     goals = list(all_of((Goal, type(None)), given, "goal", names))
     if len(goals) != len(scene.contacts):
         raise SceneError(
             f"{scene.title}: {len(goals)} goals for {len(scene.contacts)} contacts; give one each, "
-            "None where a contact rests"
+            "None for a contact at rest"
         )
     if not any(goals):
         raise SceneError(f"{scene.title}: every goal is None; give one for a contact at least")
@@ -127,8 +126,7 @@ def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
 
 @dataclass
 class _Way:
-    """A path z, its legs in a scene of this contact alone, and how far off it ends; the squares
-    of the slopes of that."""
+    """A path z, a scene of this contact alone with its legs, and the error; J^T J there."""
 
     z: Array
     scene: Scene
@@ -150,14 +148,14 @@ def _length(z: Array) -> float:
 
 @functools.cache
 def _starts(n: int, batch: int) -> Array:
-    """Directions of n legs, and lengths, 0.5 to 3; of some paths, (2 n, 16)."""
+    """Random directions of n legs, and lengths from 0.5 to 3, of 16 paths: (2 n, 16)."""
     rng = np.random.default_rng((n, batch))
-    ways = rng.uniform(-math.pi, math.pi, (n, LANES))
-    return np.concatenate([ways, rng.uniform(0.5, 3.0, (n, LANES))])
+    directions = rng.uniform(-math.pi, math.pi, (n, LANES))
+    return np.concatenate([directions, rng.uniform(0.5, 3.0, (n, LANES))])
 
 
 class _Search:
-    """The legs that take one contact to its goal."""
+    """The search for the legs of one contact."""
 
     def __init__(self, scene: Scene, index: int, goal: Goal, longest: float | None):
         self.aim = aim = Aim(scene, index, goal, longest)
@@ -170,7 +168,7 @@ class _Search:
             )
 
     def alone(self, z: Array) -> Scene:
-        """The contact alone, on the legs of a path."""
+        """A scene of this contact alone, on the legs of a path."""
         n, legs = len(z) // 2, []
         for way, length in zip(z[:n].tolist(), z[n:].tolist()):
             way = (way + math.pi if length < 0 else way) % (2 * math.pi)
@@ -179,7 +177,7 @@ class _Search:
         return self.scene.replace(contacts=[moving], disturbances=[], profile=STILL)
 
     def shortest(self, legs: int | None, seconds: float) -> tuple[_Way, str]:
-        """The first route with the least number of legs; then the shortest found in the time."""
+        """The first route with the least number of legs, or the shortest one found in the time."""
         begin, tried = time.perf_counter(), []
         for n in range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,):
             for batch in range(STARTS // LANES):
@@ -192,7 +190,7 @@ class _Search:
         raise SceneError(self._refusal(tried))
 
     def _not_long(self, way: _Way) -> _Way:
-        """Of a sphere on a plane no route is longer than Hammersley's four rolls."""
+        """The route, or for a sphere on a plane Hammersley's four rolls if these are shorter."""
         aim = self.aim
         if not aim.in_closed_form or way.length <= max(4 * math.pi * aim.unit, aim.far):
             return way
@@ -201,7 +199,7 @@ class _Search:
         return way if other is None or other.length > way.length else other
 
     def _ways(self, n: int, batch: int) -> Iterator[_Way]:
-        """Routes of n legs from some random starts, the shortest of them first."""
+        """Routes of n legs from 16 random starts, the shortest first."""
         aim = self.aim
         z = _starts(n, batch).copy()
         z[n:] = 0.5 ** (batch % 4) * aim.unit * z[n:] + aim.far / n
@@ -213,10 +211,10 @@ class _Search:
                 yield way
 
     def _met(self, z: Array, steps: int = 20) -> _Way | None:
-        """The route near a path; None where Newton's method finds none.
+        """The route near a path; None if Newton's method finds none.
 
-        It is met as the engine plans it: where slip takes the object's path elsewhere than
-        geodesics lead, these begin where they lead there, until nothing changes any more.
+        The error is that of the planned path. If slip moves the object's path off the geodesics,
+        their starts are corrected until they end where the planned path does.
         """
         aim = self.aim
         try:
@@ -240,7 +238,7 @@ class _Search:
     # --- shorter ones ---------------------------------------------------------------------------
 
     def _shorter(self, way: _Way, legs: int | None, until: float) -> _Way:
-        """The shortest route found until a time: other starts, each slid down to a least length."""
+        """The shortest route found until a time: routes from more starts, each one shortened."""
         if time.perf_counter() >= until:
             return way
         best = self._slid(way, until)
@@ -255,7 +253,7 @@ class _Search:
         raise AssertionError
 
     def _slid(self, way: _Way, until: float) -> _Way:
-        """The route moved along the routes beside it to where it is no longer than they are."""
+        """The route shortened by steps in the null space of J, until its length is a minimum."""
         n = len(way.z) // 2
         unit, step = np.repeat([1.0, self.aim.unit], n), 0.1
         while step > 1e-4 and time.perf_counter() < until:
@@ -277,7 +275,7 @@ class _Search:
         """Whether a route stays within its regions."""
         if not self.aim.regions:
             return True
-        points = plan(way.scene).points(np.linspace(0.0, self.scene.duration, LOOKS))[:, 0]
+        points = plan(way.scene).points(np.linspace(0.0, self.scene.duration, SAMPLES))[:, 0]
         return all(
             np.linalg.norm(points[:, side] - centre, axis=1).max() <= widest * (1 + 1e-9)
             for side, centre, _, widest in self.aim.regions
@@ -288,7 +286,7 @@ class _Search:
         if self._alike():
             why = (
                 "the finger and the object have the same curvature everywhere, so that a place on "
-                "one body sets the place on the other, and the angle"
+                "one body determines the place on the other, and the angle"
             )
         elif self.aim.is_pose:
             why += "; do the bodies touch in that pose, from outside?"
@@ -305,14 +303,14 @@ class _Search:
         )
 
     def _alike(self) -> bool:
-        """Whether rolling keeps a relation between the places: K_1 = K_2 (theory section 11)."""
+        """Whether K_1 = K_2 everywhere: rolling cannot reach all goals (theory section 11)."""
         one, other = self.aim.bodies
         balls = one.great_circles and other.great_circles
         return (balls and one.size == other.size) or (one.developable and other.developable)
 
 
 def _arrival(scene: Scene) -> tuple[Array, Array]:
-    """Points of the first contact and pose of its finger at the end of a scene."""
+    """Contact points and pose of the first contact at the end of a scene."""
     motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
     found: Any = motion.evaluate(np.array([scene.duration]), ("points", "pose"))
     return found["points"][0, 0], found["pose"][0, 0]

@@ -18,17 +18,16 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 Ways = tuple[Array, Array, Array]
-"""Of geodesics: pair of points, direction, length."""
+"""Pair of points, direction and length of geodesics."""
 
-MET = 1e-13  # of the size: so near to b a geodesic ends
-SHARP = 5e-15  # of the size: what a step of a geodesic that counts may be off
-FINE = 1e-9  # of one that may still be another
-ROUGH = 1e-4  # of one of a fan
-RAYS = 64
-CHUNK = 16  # pairs whose fans are laid at once
-SPLITS = 18
-STRIPS = 1024  # and so many strips of them
-FARTHEST = 30.0  # sizes, and distances of the points, up to which geodesics are looked for
+MET = 1e-13  # of the size: distance from b at which a geodesic has met it
+# error of a step, of the size: of a result, of a candidate, and of a ray of a fan
+SHARP, FINE, ROUGH = 5e-15, 1e-9, 1e-4
+RAYS = 64  # of a fan
+CHUNK = 16  # pairs whose fans are searched at once
+SPLITS = 18  # most halvings of a strip between two rays
+STRIPS = 1024  # strips that are sifted at once, about
+FARTHEST = 30.0  # longest geodesics searched, in sizes plus distances of the points
 
 
 class Follower:
@@ -41,7 +40,7 @@ class Follower:
     detail : float
         Length over which the surface is nearly flat, m.
     how, shape
-        For the engine: how they are followed, and the address of the table of curvatures.
+        For the engine: its geodesic_t, and the address of the table of the curvature form.
     """
 
     def __init__(self, surface: Surface):
@@ -60,10 +59,10 @@ class Follower:
             surface.reach * surface.size / 8,
         )
         self.shape = at(group[order.index("shape")])
-        self._surface = surface  # whose numbers these are
+        self._surface = surface  # kept alive with its numbers
 
     def __call__(self, start: Array, length: Array, tolerance: Any, samples: int = 0) -> Array:
-        """The ends: x, p, q, J, J', M, M' (13, n); or x and J at equal parts (samples, 4, n)."""
+        """The ends: x, p, q, J, J', M, M' (13, n); or x and J at equal steps, (samples, 4, n)."""
         n, address = len(length), binding.address
         start, length = np.ascontiguousarray(start), np.ascontiguousarray(length)
         tolerance = np.full(n, tolerance) if np.ndim(tolerance) == 0 else tolerance
@@ -76,7 +75,7 @@ class Follower:
 
 
 class Search:
-    """Looks for geodesics between pairs of points."""
+    """The search for geodesics between pairs of points."""
 
     def __init__(self, pairs: Pairs):
         self.pairs, self.follow, self.surface = pairs, pairs.follow, pairs.surface
@@ -89,7 +88,7 @@ class Search:
         phi, s, met, _ = self.aim(np.arange(len(s)), phi, s, finest, steps=12)
         unsure = np.flatnonzero(~(met & (s <= sure) & (finest == SHARP)))
         reach = np.where(met, s * (1 + 1e-6), 2 * self.pairs.chord)[unsure]
-        order = np.argsort(reach)  # fans of like size
+        order = np.argsort(reach)  # fans of similar size together
         for i in range(0, len(unsure), CHUNK):
             which, far = (w[order[i : i + CHUNK]] for w in (unsure, reach))
             first = which[met[which]]
@@ -105,7 +104,7 @@ class Search:
         return phi, s
 
     def nearest(self, which: Array, reach: Array, known: Ways) -> Ways:
-        """The shortest geodesics, and those that are hardly longer."""
+        """The shortest geodesics, and those of almost the same length."""
         pair, phi, s, limit = self.fan(which, reach)
         phi, s, met, _ = self.aim(pair, phi, s, FINE)
         met &= s <= limit
@@ -119,7 +118,7 @@ class Search:
         return pair[met], phi[met], s[met]
 
     def several(self, most: int, longest: float | None) -> tuple[Array, Array]:
-        """Directions and lengths of the shortest few of the only pair, in order."""
+        """Directions and lengths of the shortest few geodesics of a single pair, in order."""
         only, size = np.zeros(1, dtype=int), self.surface.size
         reach = 2 * self.pairs.chord
         while True:
@@ -129,7 +128,7 @@ class Search:
             phi, s, j = phi[met], s[met], j[met]
             kept: list[int] = []
             for i in np.argsort(s):
-                # the same one is met from several aims
+                # several aims may find the same geodesic
                 turns = np.remainder(phi[i] - phi[kept] + math.pi, 2 * math.pi) - math.pi
                 if not (np.hypot(s[i] - s[kept], turns * j[i]) <= 1e-6 * size).any():
                     kept.append(int(i))
@@ -142,20 +141,20 @@ class Search:
                 self.require_near(only, reach)
 
     def require_near(self, which: Array, reach: Array) -> None:
-        """Refuse pairs that are joined by no geodesic of a length."""
+        """Raise a SurfaceError for pairs that no geodesic below the limit of length joins."""
         far = reach > FARTHEST * (self.surface.size + self.pairs.chord[which])
         if far.any():
             k = which[far][0]
             raise SurfaceError(
                 f"{self.surface!r}: no geodesic of less than {reach[far][0]:.3g} m leads from "
-                f"{self.pairs.x[k].tolist()} to {self.pairs.b[k].tolist()}; are both on one piece "
-                "of it, and does it go on in between?"
+                f"{self.pairs.x[k].tolist()} to {self.pairs.b[k].tolist()}; are both on one "
+                "connected piece of it?"
             )
 
     # -- aiming
 
     def chords(self) -> tuple[Array, Array]:
-        """Directions and lengths of circles that start along the surface and end at b."""
+        """Directions and lengths of the circles tangent to the surface at a that pass b."""
         pairs = self.pairs
         ahead, aside = (np.einsum("ij,ij->i", w, pairs.b - pairs.x) for w in (pairs.p, pairs.q))
         rise = np.sqrt(np.maximum(pairs.chord**2 - ahead**2 - aside**2, 0))
@@ -165,17 +164,17 @@ class Search:
     def aim(
         self, which: Array, phi: Array, s: Array, finest: Any, first: float = ROUGH, steps: int = 40
     ) -> tuple[Array, Array, Array, Array]:
-        """Newton's method from directions and lengths: these, whether they meet b, and J.
+        """Newton's method: the directions and lengths found, whether they meet b, and J.
 
-        The first geodesics are followed to the tolerance ``first``, the last to ``finest``.
+        The tolerance goes from ``first`` at the first step to ``finest`` at the last.
         """
         size, detail = self.surface.size, self.follow.detail
         phi, s, n = phi.copy(), s.copy(), len(phi)
         finest = np.broadcast_to(finest, n)
-        # what a step from here leaves is a square of this
+        # the error after a step is the square of this
         near = np.where(finest == SHARP, 3e-8, 1e-5)
         off, mark, field = np.full(n, math.inf), np.full(n, math.inf), np.zeros(n)
-        active = np.argsort(s)  # those that share their steps are of like length
+        active = np.argsort(s)  # geodesics that share steps should have similar lengths
         tolerance = np.full(n, first)
         for step in range(steps):
             k = which[active]
@@ -197,7 +196,7 @@ class Search:
             field[active] = j
             done = sharp & (off[active] <= 0.02 * MET * size * grown)
             goes_on = (off[active] < math.inf) & ~done
-            if step % 4 == 3:  # what only creeps is given up
+            if step % 4 == 3:  # give up slow ones
                 goes_on &= away <= 0.5 * mark[active]
                 mark[active] = away
             # a step squares the error
@@ -211,22 +210,22 @@ class Search:
         return phi, s, met, field
 
     def growth(self, field: Array) -> Array:
-        """By how much errors grow along geodesics of which J is ``field`` at the end."""
+        """Growth of errors along geodesics with J = ``field`` at the end."""
         return np.maximum(np.abs(field) / self.surface.size, 1.0)
 
     # -- a fan of directions
 
     def fan(self, which: Array, reach: Array) -> tuple[Array, ...]:
-        """All that may meet b within the reach: pair, direction, length, reach."""
+        """All candidates to meet b within the reach: pair, direction, length, reach."""
         count = int(min(max(math.ceil(reach.max() / self.follow.detail), 8), 400))
-        # away from axes of symmetry, where rays meet poles of charts
+        # off the axes of symmetry, where rays would meet poles of charts
         angles = 2 * math.pi * (np.arange(RAYS) + 0.137) / RAYS
         pair, limit = np.repeat(which, RAYS), np.repeat(reach, RAYS)
         phi, width = np.tile(angles, len(which)), np.full(len(pair), 2 * math.pi / RAYS)
         rays = self.rays(pair, phi, limit, count)
         right = np.arange(len(phi)) + 1
         right[RAYS - 1 :: RAYS] -= RAYS
-        # strips of which neither side comes near b need no closer look
+        # drop strips neither side of which comes near b
         b = self.pairs.b[pair].T
         away = np.sqrt(sum((rays[:, i] - b[i]) ** 2 for i in range(3)))
         wide = 2 * width * np.abs(rays[:, 3])
@@ -238,7 +237,7 @@ class Search:
         aims = []
         while todo:
             depth, *group = todo.pop()
-            if len(group[0]) > 2 * STRIPS:  # one after the other: all at once may take much memory
+            if len(group[0]) > 2 * STRIPS:  # divide, to limit memory
                 todo += [(depth, *(w[..., i::2] for w in group)) for i in range(2)]
                 continue
             aim, halves = self.sift(group, depth)
@@ -248,10 +247,10 @@ class Search:
         return tuple(np.concatenate(w) for w in zip(*aims))
 
     def sift(self, strips: list[Array], depth: int) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """What to aim at in strips between neighbouring geodesics, and halves of the wide ones.
+        """Candidates in strips between neighbouring rays, and the halves of wide strips.
 
         A strip is a pair of points, the reach, the direction of one side, the angle to the other,
-        and what `rays` gives of both.
+        and the `rays` of both sides.
         """
         pair, limit, phi, width, one, other = strips
         count = len(one)
@@ -272,7 +271,7 @@ class Search:
         exact = np.minimum(0.02 * half, ROUGH)
         between = self.rays(pair, phi + half, limit, count, exact)
         one, other = one[:, :, coarse], other[:, :, coarse]
-        if depth > 3:  # where errors grow that much
+        if depth > 3:  # the sides are too inexact for narrow strips
             one = self.rays(pair, phi, limit, count, exact)
             other = self.rays(pair, phi + 2 * half, limit, count, exact)
         one = np.concatenate([one, between], axis=2)
@@ -283,13 +282,13 @@ class Search:
     def rays(
         self, which: Array, phi: Array, reach: Array, count: int, tolerance: Any = ROUGH
     ) -> Array:
-        """x and J along geodesics at equal parts of the reach, (count, 4, n)."""
+        """x and J along geodesics at equal steps of the reach, (count, 4, n)."""
         return self.follow(self.pairs.start(which, phi), reach, tolerance, count)
 
     def passing(self, away: Array, wide: Array, reach: Array) -> tuple[Array, Array]:
-        """Where strips pass b while they are narrow, and which must be split for what follows.
+        """Where strips pass b while they are narrow, and which strips must be split.
 
-        Where a strip has become wide its sides tell no more where it goes, only how far.
+        Where a strip has become wide, its sides do not tell where it goes, only how far.
         """
         parts, strips = wide.shape
         torn = np.maximum.accumulate(wide > 2 * self.follow.detail, axis=0)
@@ -301,13 +300,13 @@ class Search:
     def closest(
         self, near: Array, away: Array, across: Array, r: Array, middle: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Where strips pass b most closely: part, strip, share of its width, length beyond."""
+        """Closest passages of strips to b: step, strip, fraction of its width, length beyond."""
         padded = np.pad(away, ((1, 1), (0, 0)), constant_values=math.inf)
         k, strip = np.nonzero(near & (away <= padded[:-2]) & (away <= padded[2:]))
         a, r = across[k, :, strip], r[k, :, strip]
         wide = np.maximum(np.sqrt(np.einsum("ij,ij->i", a, a)), 1e-300)
         aside = np.einsum("ij,ij->i", a, r) / wide
-        # else a neighbour has it
+        # else b belongs to a neighbouring strip
         own = np.abs(aside) <= 0.75 * wide + 0.2 * self.follow.detail
         k, strip, r, share = k[own], strip[own], r[own], 0.5 + (aside / wide)[own]
         low = np.minimum(np.maximum(k - 1, 0), len(middle) - 2)

@@ -1,8 +1,8 @@
 """The shortest geodesic between two points of a surface, and others (theory section 11).
 
-Newton's method aims a geodesic, its derivative being the Jacobi field. The first aim is the chord.
-Where the geodesic that it leads to is not short enough to be surely the shortest, a fan of
-directions is laid over all that is not farther, and everything that may meet the goal is aimed.
+Newton's method aims a geodesic at a point; the Jacobi field is its derivative. It starts from the
+chord. If the geodesic found is not short enough to be surely the shortest, a fan of directions
+covers all points that are not farther, and every candidate in it is aimed.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from ..kept import kept
 from ..surfaces import SINGULAR, Surface
 from .shooting import MET, SHARP, Array, Follower, Search
 
-ON_SURFACE = 1e-9  # of the size: points that are so near to it lie on it
+ON_SURFACE = 1e-9  # of the size: greatest distance from the surface of points on it
 
 
 @dataclass(frozen=True, eq=False)
 class Geodesic:
-    """The geodesic from a to b, or many of them, as arrays of the shape (...) of the pairs.
+    """The geodesic from a to b, or many of them, with arrays of the pairs' shape (...).
 
     Attributes
     ----------
@@ -34,10 +34,10 @@ class Geodesic:
     length : float or array (...)
         m.
     direction : float or array (...)
-        At a, from the x axis of the contact frame towards its y axis, rad; NaN where the chart
-        has no frame.
+        Angle at a, from the x axis of the contact frame towards its y axis, rad; NaN where there
+        is no contact frame.
     tangent : array (..., 3)
-        The same in space, a unit vector.
+        Unit tangent at a, in space.
     """
 
     surface: Surface
@@ -48,12 +48,12 @@ class Geodesic:
 
     @property
     def m12(self) -> Any:
-        """Reduced length, m: a turn at a by dphi moves the end sideways by m12 dphi."""
+        """Reduced length, m: a turn by dphi at a moves the end sideways by m12 dphi."""
         return self._fields[0]
 
     @property
     def M12(self) -> Any:
-        """Geodesic scale: a shift of a sideways by dy moves the end by M12 dy."""
+        """Geodesic scale: a sideways shift of a by dy moves the end by M12 dy."""
         return self._fields[2]
 
     @property
@@ -80,8 +80,8 @@ class Geodesic:
         found = Follower(self.surface)(start, lengths, SHARP)
         if not np.isfinite(found).all():
             raise SurfaceError(
-                f"{self.surface!r}: the geodesic leads over a point where the chart has no frame, "
-                "such as a pole; move an end a little, or write the surface as an ImplicitSurface"
+                f"{self.surface!r}: the geodesic passes a point without a contact frame, such as a "
+                "pole; move an end a little, or write the surface as an ImplicitSurface"
             )
         return found
 
@@ -98,35 +98,35 @@ def geodesic(surface: Surface, a: ArrayLike, b: ArrayLike) -> Geodesic:
     Returns
     -------
     Geodesic
-        Of equally short ones any one.
+        If several are equally short, any one of them.
 
     Raises
     ------
     SurfaceError
-        Points that are not on the surface, or that are the same; none that leads there.
+        Points not on the surface, equal points, or no geodesic between them.
     """
     pairs = Pairs(surface, a, b)
     if surface.developable:
         phi, s = (w[:, 0] for w in pairs.unrolled())
     else:
         phi, s = Search(pairs).shortest()
-    return pairs.found(phi, s, pairs.shape)
+    return pairs.geodesic(phi, s, pairs.shape)
 
 
 def geodesics(
     surface: Surface, a: ArrayLike, b: ArrayLike, most: int, *, longest: float | None = None
 ) -> list[Geodesic]:
-    """Find the shortest geodesics from a to b, of which some may turn round a body several times.
+    """Find the shortest geodesics from a to b, including those that wind around the body.
 
     Parameters
     ----------
     surface, a, b
         As for `geodesic`, of one pair.
     most : int
-        So many; fewer where there are no more. Of a continuum of them, as between the poles of a
-        sphere, there is one.
+        Greatest number of geodesics. A continuum of them, as between the poles of a sphere, counts
+        as one.
     longest : float, optional
-        None that is longer, m; by default the shortest and twice round a sphere of the size.
+        Greatest length, m; default: the shortest plus twice round a sphere of the size.
 
     Returns
     -------
@@ -151,7 +151,7 @@ def geodesics(
         phi, s = Search(pairs).several(most, longest)
     keep = s <= (math.inf if longest is None else longest)
     found = list(zip(phi[keep][:most], s[keep][:most]))
-    return [pairs.found(np.array([one]), np.array([other]), ()) for one, other in found]
+    return [pairs.geodesic(np.array([phi]), np.array([s]), ()) for phi, s in found]
 
 
 # --- pairs of points ------------------------------------------------------------------------------
@@ -188,22 +188,22 @@ class Pairs:
         frame, self.lost = self._frames(self.uv)
         if not self.follow.space and (self.lost | self._frames(self.uv_b)[1]).any():
             raise SurfaceError(
-                f"{surface!r}: the chart has no frame at a or b, such as at a pole; move the point "
-                "a little, or write the surface as an ImplicitSurface"
+                f"{surface!r}: there is no contact frame at a or b, such as at a pole; move the "
+                "point a little, or write the surface as an ImplicitSurface"
             )
         if self.lost.any():
             frame[self.lost] = self._some_frame(self.x[self.lost])
         self.p, self.q = frame[..., 0], frame[..., 1]
 
     def start(self, which: Array, phi: Array) -> Array:
-        """States of geodesics from a of the pairs ``which`` in directions phi."""
+        """States at a of geodesics of the pairs ``which`` in directions phi."""
         if not self.follow.space:
             return np.vstack([self.uv[which].T, phi])
         first = np.cos(phi) * self.p[which].T + np.sin(phi) * self.q[which].T
         return np.vstack([self.x[which].T, first])
 
-    def found(self, phi: Array, s: Array, shape: tuple[int, ...]) -> Geodesic:
-        """The result."""
+    def geodesic(self, phi: Array, s: Array, shape: tuple[int, ...]) -> Geodesic:
+        """The result, from directions and lengths."""
         tangent = np.cos(phi)[:, None] * self.p + np.sin(phi)[:, None] * self.q
         direction = np.where(
             self.lost, math.nan, np.remainder(phi + math.pi, 2 * math.pi) - math.pi
@@ -213,7 +213,7 @@ class Pairs:
         return Geodesic(self.surface, *numbers, tangent.reshape(*shape, 3), start)
 
     def unrolled(self, most: int = 1) -> tuple[Array, Array]:
-        """Directions and lengths of the straight lines of a surface that unrolls, (pairs, ways)."""
+        """Directions and lengths of straight lines on the unrolled surface, (pairs, lines)."""
         period, lame = self.surface.periods()[0], self.surface.lame(*self.uv.T)
         way = (self.uv_b - self.uv)[:, None, :]
         if period is not None:
@@ -227,7 +227,7 @@ class Pairs:
     # -- points
 
     def _placed(self, name: str, given: ArrayLike) -> tuple[Array, Array]:
-        """(u, v), or what was given where lines are followed in space, and the point in space."""
+        """(u, v), or the given point if geodesics are followed in space, and the point in space."""
         surface = self.surface
         points = shaped_array(given, f"{surface!r}: {name}", error=SurfaceError)
         if points.ndim == 0 or points.shape[-1] not in (2, 3) or not np.isfinite(points).all():
@@ -240,7 +240,7 @@ class Pairs:
         else:
             if self.follow.space:
                 there = self._restored(points.reshape(-1, 3), np.ones(3))[0].reshape(points.shape)
-                uv = points  # that of b is not asked for
+                uv = points  # (u, v) of b is not needed
             else:
                 uv = np.stack(surface.coordinates(points), axis=-1)
                 there = surface.point(uv[..., 0], uv[..., 1])
@@ -250,24 +250,24 @@ class Pairs:
             wrong = points[missing][0].tolist()
             raise SurfaceError(
                 f"{surface!r}: {name} = {wrong} is not on the surface; give other "
-                "coordinates (u, v), or a point that is projected on it"
+                "coordinates (u, v), or a point projected onto it"
             )
         return uv, there
 
     def _frames(self, uv: Array) -> tuple[Array, Array]:
-        """Contact frames (n, 3, 3), and where the chart has none."""
+        """Contact frames (n, 3, 3), and where there is none."""
         frame, m = self.surface._evaluate(*uv.T, "frame", "metric_root")
         least = np.minimum(m[:, 0, 0], m[:, 1, 1])
         return frame, ~(least > SINGULAR * self.surface.size)
 
     def _restored(self, x: Array, p: Array) -> tuple[Array, Array]:
-        """Points (n, 3) back on the surface, and a vector as a unit tangent there."""
+        """Points (n, 3) put back on the surface, and vectors made unit tangents there."""
         state = np.vstack([x.T, np.broadcast_to(p, x.shape).T])
         found = binding.run(self.follow.tables[0], state, self.surface.numbers).T
         return found[:, :3], found[:, 3:]
 
     def _some_frame(self, x: Array) -> Array:
-        """Frames (n, 3, 3), of which p and q are any, at points without one of the chart."""
+        """Frames (n, 3, 3) with arbitrary p and q, at points without a contact frame."""
         tries = np.stack([self._restored(x, axis)[1] for axis in np.eye(3)], axis=1)
         best = np.nanargmax(np.einsum("nii->ni", tries), axis=1)  # farthest from the normal
         p = tries[np.arange(len(x)), best]

@@ -1,4 +1,4 @@
-"""Surfaces that bound bodies: one class a file, with its chart. A new one has a line here."""
+"""Surfaces of bodies: one file for each class, with its chart. A new one has a line here."""
 
 # ruff: noqa: F401
 
@@ -18,6 +18,6 @@ KINDS: dict[str, type[Surface]] = {
     if isinstance(found, type) and issubclass(found, Surface)
     if found not in (Surface, UserSurface)
 }
-"""The kinds of surfaces by their words in scene files, such as "sphere"."""
+"""The classes by their names in scene files, such as "sphere"."""
 
 __all__ = ["Surface", *(kind.__name__ for kind in KINDS.values())]

@@ -1,10 +1,10 @@
-r"""What surfaces of bodies share: chart, inverse chart, level function, and all that is metric.
+r"""The base class of surfaces: chart, inverse chart, level function and metric quantities.
 
-A surface is said once, in symbols (``*_expr`` methods, over CasADi SX symbols for its parameters);
-its numbers come from tables that are lowered from them, vectorised over leading axes. A surface
-joins a `Chart` to numbers. ``inside=True`` puts the body on the other side: the chart becomes
-``f(u, -v)`` and the level function changes sign, so that ``f_u x f_v`` still points out of the
-body. In symbols the side is a sign, -1 inside, which is a number as the parameters are.
+A surface is defined in symbols (``*_expr`` methods, CasADi SX), from which its tables are lowered;
+numerical methods run these tables and are vectorised over leading axes. A surface has a `Chart` and
+numbers for it. ``inside=True`` puts the body on the other side: the chart becomes ``f(u, -v)`` and
+the level function changes sign, so that ``f_u x f_v`` still points out of the body. In symbols the
+side is a sign, -1 inside, and the first of the surface's numbers.
 
 SI units, radians.
 """
@@ -35,26 +35,26 @@ from ..theory.geometry import (
 from ..theory.lowering import lowered
 from .charts import Array, Chart, Frame, Pair, Periods
 
-# A contact frame whose axes shrink below this fraction of the surface's size is taken as lost.
-# A pole typed with 16 digits gives 1e-16, a point 1e-9 rad from one still gives 1e-9.
+# There is no contact frame where a diagonal entry of the metric root is below this fraction of the
+# surface's size. A pole given with 16 digits has 1e-16, a point 1e-9 rad away from it 1e-9.
 SINGULAR = 1e-12
-GEOMETRY, INVERSE, RAY = range(3)  # of the tables that are no motion's
-LEAST_LENGTH = 1e-150  # m; squares of less, and what is divided by them, are no numbers any more
+GEOMETRY, INVERSE, RAY = range(3)  # indices in the group ``other`` of the tables
+LEAST_LENGTH = 1e-150  # m; the square of less underflows
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Surface:
-    """A smooth surface that bounds a body. Immutable; equal where structure and numbers are equal.
+    """A smooth surface that bounds a body. Immutable; compared by structure and numbers.
 
-    Subclasses say `chart`, `size`, `_level`, and `parameters` where they are not the fields.
-    ``numbers`` stands for an SX vector, symbols of the sign of the side, -1 inside, and of as many
-    numbers as `parameters` has, which alone are ``p``.
+    Subclasses define `chart`, `size`, `_level`, and `parameters` if these are not the fields. In
+    symbolic methods, ``numbers`` is an SX vector of the sign of the side, -1 inside, followed by
+    ``p``, the symbols of `parameters`.
 
     Parameters
     ----------
     inside : bool
         True: the body is on the other side of the surface. (u, v) is then the point f(u, -v) of
-        the chart that the class tells: the frame stays right-handed with n out of the body.
+        the chart, so that the frame is right-handed with n out of the body.
     """
 
     inside: bool = field(default=False, kw_only=True)
@@ -71,10 +71,10 @@ class Surface:
 
     has_chart: ClassVar[bool] = True
     has_implicit: ClassVar[bool] = True
-    reach: ClassVar[float] = math.inf  # sizes that a panel grows to: it sees nothing between nodes
-    __match_args__: ClassVar[tuple[str, ...]]  # by dataclasses: names of what is given by position
+    reach: ClassVar[float] = math.inf  # longest panel, in sizes; bumps between nodes are not seen
+    __match_args__: ClassVar[tuple[str, ...]]  # by dataclasses: the positional arguments
     examples: ClassVar[tuple[tuple[Any, ...], ...]] = ()
-    """Of a class whose tables the engine has: arguments of a surface of each structure."""
+    """For classes whose tables are built into the engine: arguments for each structure."""
 
     @property
     def _kind(self) -> str:
@@ -82,22 +82,22 @@ class Surface:
 
     @property
     def chart(self) -> type[Chart]:
-        """The chart of the surface."""
+        """The chart's class."""
         raise NotImplementedError
 
     @kept
     def parameters(self) -> tuple[float, ...]:
-        """Run-time numbers, such as radii in m; the values behind the symbols ``p``."""
+        """Numbers of the surface, such as radii in m; the values of the symbols ``p``."""
         return tuple([getattr(self, name) for name in self.__match_args__])
 
     @property
     def structure(self) -> tuple[str, ...]:
-        """What tables are made for: surfaces of one structure differ in `numbers` alone."""
+        """Key of the tables: surfaces of one structure differ only in `numbers`."""
         return (type(self).__name__, self.chart.__name__)
 
     @property
     def table_name(self) -> str | None:
-        """Of this structure's tables in the engine; None: they are made when they are asked for."""
+        """Name of this structure's tables in the engine; None if they are made at first use."""
         own = type(self)
         return f"{own.__name__}_{self.chart.__name__}" if "examples" in vars(own) else None
 
@@ -108,7 +108,7 @@ class Surface:
 
     @kept
     def numbers(self) -> Array:
-        """Constants of the tables: the sign, then `parameters`."""
+        """Constants of the tables: the sign of the side, then `parameters`."""
         return np.array([self.sign, *self.parameters])
 
     @kept
@@ -119,28 +119,28 @@ class Surface:
 
     @property
     def size(self) -> float:
-        """Length, m, of which tolerances are fractions: the greatest radius; of a plane 1 m."""
+        """Reference length for tolerances, m: the greatest radius; 1 m for a plane."""
         raise NotImplementedError
 
     @property
     def bend(self) -> float:
-        """Least radius of curvature, m, as far as it is known and where many paths come; else the
-        size. At a tip or on an inner rim, which few paths meet, it may be far less."""
+        """Typical least radius of curvature, m; the size if it is not known. At a tip or an inner
+        rim, which few paths meet, it may be far less."""
         return self.size
 
     @property
     def injectivity(self) -> float:
-        """A geodesic that is not longer is the shortest between its ends, m; 0: not known."""
+        """Length, m, up to which every geodesic is the shortest between its ends; 0: unknown."""
         return 0.0
 
     @property
     def developable(self) -> bool:
-        """T = 0 exactly and constant Lame coefficients: a straight line stays one, unrolled."""
+        """T = 0 and constant Lame coefficients: geodesics are straight lines when unrolled."""
         return self.chart.developable
 
     @property
     def great_circles(self) -> bool:
-        """The surface is a sphere about the origin of its frame."""
+        """The surface is a sphere about the origin of its frame, so geodesics are great circles."""
         return self.chart.great_circles
 
     @property
@@ -158,24 +158,24 @@ class Surface:
         return self.identity == other.identity
 
     def __hash__(self) -> int:
-        return hash((self.structure, self.parameters))  # the rest seldom tells any apart
+        return hash((self.structure, self.parameters))
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is pickled: what was given, without what was worked out from it."""
+        """Pickle the fields, without cached values."""
         return {w.name: getattr(self, w.name) for w in fields(self)}
 
     def __repr__(self) -> str:
-        said = [f"{getattr(self, name)!r}" for name in self.__match_args__]
+        arguments = [f"{getattr(self, name)!r}" for name in self.__match_args__]
         named = [w for w in fields(self) if w.kw_only and getattr(self, w.name) != w.default]
-        said += [f"{w.name}={getattr(self, w.name)!r}" for w in named]
-        return f"{self._kind}({', '.join(said)})"
+        arguments += [f"{w.name}={getattr(self, w.name)!r}" for w in named]
+        return f"{self._kind}({', '.join(arguments)})"
 
     @kept
     def identity(self) -> Hashable:
-        """What tells surfaces apart."""
+        """What surfaces are compared by."""
         return (self.structure, self.inside, self.parameters, self.size, self.periods())
 
-    # -- symbolic; not all kinds have all of it: `has_chart`, `has_implicit`
+    # -- symbolic; see `has_chart` and `has_implicit`
 
     def chart_expr(self, numbers: ca.SX, u: ca.SX, v: ca.SX) -> ca.SX:
         """Return the chart f(u, v), (3, 1), m."""
@@ -187,7 +187,7 @@ class Surface:
         return numbers[0] * self._level(numbers[1:], x)
 
     def coordinates_expr(self, numbers: ca.SX, x: ca.SX) -> Pair:
-        """Return (u, v) of a point of the surface, in the ranges that its chart documents."""
+        """Return (u, v) of a point of the surface, in the principal ranges of its chart."""
         side, p = numbers[0], numbers[1:]
         u, v = self.chart(p).coordinates(self._axes(p).T @ x)
         return u, side * v
@@ -197,7 +197,7 @@ class Surface:
         side, p = numbers[0], numbers[1:]
         axes = self._axes(p)
         x_axis, y_axis, m = self.chart(p).frame(axes.T @ x)
-        # v turns, hence f_v and the normal do; y = n x x turns with the normal.
+        # inside, v changes its sign, hence f_v and the normal; y = n x x changes with the normal
         if not self.chart.orthogonal:
             m = ca.vertcat(ca.horzcat(m[0, 0], side * m[0, 1]), m[1, :])
         return axes @ x_axis, side * (axes @ y_axis), m
@@ -211,12 +211,12 @@ class Surface:
         return revolved_geometry(shape, u, v, self.chart.turning, lame, poles)
 
     def geometry_symbols(self, numbers: ca.SX) -> tuple[ca.SX, ChartGeometry]:
-        """Return symbols of where the surface is asked, (u, v) or x, and the geometry there."""
+        """Return symbols of a place, (u, v) or x, and the geometry there."""
         place = ca.SX.sym("place", 2)
         return place, self.geometry_expr(numbers, place[0], place[1])
 
     def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
-        """Return the level function, its derivatives, of the chart's own side; see `Level`."""
+        """Return the level function and its derivatives, without the sign of the side."""
         level = self._level(p, x)
         hessian, gradient = ca.hessian(level, x)
         return Level(level, gradient, hessian, 1 / ca.dot(gradient, gradient))
@@ -242,7 +242,7 @@ class Surface:
         return self._evaluate(u, v, "frame")[0]
 
     def point_and_frame(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
-        """Return `point` and `frame` together, at the price of one where points must be found."""
+        """Return `point` and `frame`; an implicit surface solves for the points only once."""
         point, frame = self._evaluate(u, v, "point", "frame")
         return point, frame
 
@@ -251,13 +251,13 @@ class Surface:
         return self.frame(u, v)[..., 2]
 
     def lame(self, u: ArrayLike, v: ArrayLike) -> Array:
-        """Return the Lame coefficients (h_u, h_v), shape (..., 2), m/rad (or m a unit of u, v)."""
+        """Return the Lame coefficients (h_u, h_v), shape (..., 2), m/rad (or m/unit)."""
         return self._evaluate(u, v, "lame")[0]
 
     def metric_root(self, u: ArrayLike, v: ArrayLike) -> Array:
-        """Return M, shape (..., 2, 2): coordinate rates to velocity in the contact frame.
+        """Return M, shape (..., 2, 2): from coordinate rates to velocity in the contact frame.
 
-        Units as of `lame`; diagonal where the chart is orthogonal (eq. ``finetune``).
+        Units as of `lame`; diagonal if the chart is orthogonal (eq. ``finetune``).
         """
         return self._evaluate(u, v, "metric_root")[0]
 
@@ -276,12 +276,12 @@ class Surface:
     def coordinates(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return (u, v), each of shape (...), of points (..., 3) on the surface.
 
-        The principal branch; its range is `chart`.ranges, with the sign of v turned inside.
+        They are in the principal range, `chart`.ranges, with the opposite sign of v inside.
 
         Raises
         ------
         SurfaceError
-            Points of another shape, or not finite.
+            A wrong shape, or points that are not finite.
         """
         points = self._points(x)
         uv = run(self.tables.other[INVERSE], points.reshape(-1, 3).T, self.numbers)
@@ -295,18 +295,17 @@ class Surface:
     def canonical(self, u: ArrayLike, v: ArrayLike) -> tuple[Any, Any]:
         """Return the same points in the chart's principal range, checked to be regular.
 
-        Points in range stay as they are, bit for bit. Components given along the frame axes refer
-        to the frame at the returned coordinates. Floats in, floats out.
+        Coordinates in range are not changed. Floats in, floats out.
 
         Raises
         ------
         SurfaceError
             A coordinate is NaN or infinite.
         ChartSingularity
-            The frame is lost there (pole, umbilic): the metric root is below 1e-12 of the size.
+            There is no contact frame (pole, umbilic): the metric root is below 1e-12 of the size.
         """
         if isinstance(u, float) and isinstance(v, float) and math.isfinite(u + v):
-            # one point without arrays, and without a table's run wherever it is clearly regular
+            # one point: without arrays, and without a table if it is clearly regular
             us, vs = self._wrap(u, v)
             if not self.chart(self.parameters).floor(us, vs) > 2 * SINGULAR * self.size:
                 self._require_regular(np.asarray(us), np.asarray(vs))
@@ -318,15 +317,13 @@ class Surface:
     def align(
         self, u: ArrayLike, v: ArrayLike, u_ref: ArrayLike, v_ref: ArrayLike
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return the coordinates of the same points that continue reference coordinates.
-
-        Nearest to them; of a `double_cover` on the same one, if sin(u) cos(v) has the same sign.
+        """Return the coordinates of the same points that are nearest to reference coordinates.
 
         Returns
         -------
         u, v : arrays of the broadcast shape
         half_turn : bool array
-            Where both frame axes are turned by pi against the coordinates given.
+            Where both frame axes are turned by pi from those at the coordinates given.
         """
         u, v, u_ref, v_ref = self._numbers(u, v, u_ref, v_ref)
         period_u, period_v = self.periods()
@@ -343,13 +340,13 @@ class Surface:
     def unwind(self, u: ArrayLike, v: ArrayLike) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return coordinates made continuous along axis 0, starting from the first as given.
 
-        The same as `align` of each sample to the one before, for a whole path at once. Samples
-        must lie close enough that the nearest representative is the right one. Returns as `align`.
+        Equal to `align` of each sample to the one before it. Samples must be so close that the
+        nearest representative is the right one. Returns as `align`.
         """
         u, v = self._numbers(u, v)
         half_turn = np.zeros(u.shape, dtype=bool)
         if self.double_cover and u.ndim:
-            # Turning both neighbours leaves their distance: turns against the neighbour add up.
+            # half turns relative to the neighbour add up
             step = self.align(u[1:], v[1:], u[:-1], v[:-1])[2]
             half_turn[1:] = np.logical_xor.accumulate(step, axis=0)
             u, v = np.where(half_turn, -u, u), np.where(half_turn, math.pi - v, v)
@@ -407,15 +404,16 @@ class Surface:
 
     def _evaluate(self, u: ArrayLike, v: ArrayLike, *names: str) -> list[Array]:
         u, v = self._numbers(u, v)
-        found = run(self.tables.other[GEOMETRY], self._asked(u.ravel(), v.ravel()), self.numbers)
+        places = self._places(u.ravel(), v.ravel())
+        table = run(self.tables.other[GEOMETRY], places, self.numbers)
         results = []
-        for name in names:  # a column a point, first index fastest
-            entries = found[ROWS[name]].reshape((*QUANTITIES[name], u.size), order="F")
+        for name in names:  # one column for each point, first index fastest
+            entries = table[ROWS[name]].reshape((*QUANTITIES[name], u.size), order="F")
             results.append(np.moveaxis(entries, -1, 0).reshape(u.shape + QUANTITIES[name]))
         return results
 
-    def _asked(self, u: Array, v: Array) -> Array:
-        """Return where the table of the geometry is asked, one column a point."""
+    def _places(self, u: Array, v: Array) -> Array:
+        """Return the places for the table of the geometry, one column for each point."""
         return np.stack([u, v])
 
 
@@ -429,26 +427,26 @@ def _nearest(angle: Array, reference: Array, period: float | None) -> Array:
 
 
 def store(surface: Surface, **values: Any) -> None:
-    """Store checked values in a frozen dataclass that is still being made."""
+    """Store checked values in a frozen dataclass while it is made."""
     for name, value in values.items():
         object.__setattr__(surface, name, value)
 
 
 def positive_length(surface: Surface, name: str, value: Any) -> float:
-    """Return a length in m as a float; raise a SurfaceError where it is not above 0."""
+    """Return a length in m as a float; raise a SurfaceError if it is not above 0."""
     what = f"{type(surface).__name__}: {name}"
     number = finite_number(value, what, error=SurfaceError)
     if number >= LEAST_LENGTH:
         return number
     remedy = "for a concave surface give the length positive and inside=True"
-    if number > 0:  # its square is no number any more
+    if number > 0:  # its square underflows
         remedy = "use a smaller unit of length"
     raise SurfaceError(f"{what} = {value!r} m must be above {LEAST_LENGTH:g} m; {remedy}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OfLengths(Surface):
-    """A surface of radii or semi-axes: all that is given are lengths, m."""
+    """A surface whose positional arguments are lengths, m, such as radii or semi-axes."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

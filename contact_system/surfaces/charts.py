@@ -1,7 +1,7 @@
-"""Charts: coordinates (u, v) on the families of surfaces that bodies have.
+"""Charts: coordinates (u, v) on families of surfaces, in symbols.
 
-Surfaces join charts to numbers; a new surface of a known family needs no chart of its own. Every
-chart is right-handed, ``f_u x f_v`` along the normal out of the body. SI units, radians.
+A surface has a chart and numbers for it; several surfaces may share a chart. Every chart is
+right-handed: ``f_u x f_v`` points out of the body. SI units, radians.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ Periods = tuple[float | None, float | None]
 Angle = Any  # a float or an array of them
 
 TURN = 2.0 * math.pi
-# Keeps 1/0 and 0/0 out of what is not used or has a zero above; far below any real length ratio.
-TINY = 1e-300
+TINY = 1e-300  # replaces a zero denominator where the quotient is not used
 
 
 def hypot(a: ca.SX | float, b: ca.SX | float) -> ca.SX:
@@ -37,35 +36,35 @@ def diagonal(a: ca.SX | float, b: ca.SX | float) -> ca.SX:
 
 
 def choose(condition: Any, a: Any, b: Any) -> Any:
-    """Return a where the condition holds, else b; of one number as of arrays."""
+    """Return a where the condition holds, else b, for numbers and arrays."""
     return np.where(condition, a, b) if isinstance(condition, np.ndarray) else a if condition else b
 
 
 def wrap_angle(angle: Angle) -> Angle:
-    """Return the angle in (-pi, pi], untouched where it is there already."""
+    """Return the angle in (-pi, pi]; one in that range is not changed."""
     in_range = (angle > -math.pi) & (angle <= math.pi)  # a bool or an array of them
-    if in_range is True:  # one number, as contacts mostly have
+    if in_range is True:
         return angle
     return choose(in_range, angle, angle - TURN * np.ceil((angle - math.pi) / TURN))
 
 
 def fold_latitude(v: Angle) -> tuple[Angle, Any]:
-    """Return v in [-pi/2, pi/2], the angle with the same sine, and where it had to be folded."""
+    """Return the angle in [-pi/2, pi/2] with the sine of v, and where it differs from v."""
     v = wrap_angle(v)
     beyond = abs(v) > math.pi / 2
     return choose(beyond, choose(v > 0, math.pi, -math.pi) - v, v), beyond
 
 
 class Chart:
-    """One way to lay coordinates on a family of surfaces; ``p`` are the numbers of one.
+    """Coordinates on a family of surfaces; ``p`` are the numbers of one surface.
 
-    Class attributes: `orthogonal` (``f_u . f_v = 0`` identically), `periods` of u and v in radians
+    Class attributes: `orthogonal` (``f_u . f_v = 0`` everywhere), `periods` of u and v in radians
     or None, `double_cover` ((-u, pi - v) is the same point as (u, v), with both frame axes turned
     by pi), `developable` (T = 0 and constant Lame coefficients), `great_circles` (geodesics are
     great circles), `central` (every ray from a centre meets the surface once), `turning` (0 or 1:
-    the coordinate that only turns the surface about its axis; such a chart has `lame`), `lengths`
-    (whether u and v are lengths, m), `singular_at` (where the frame is lost, for messages; ""
-    nowhere, None not known), `ranges` of the principal branch.
+    the index of the angle about the axis of a surface of revolution; such a chart has `lame`),
+    `lengths` (whether u and v are lengths, m), `singular_at` (where there is no contact frame, for
+    messages; "" nowhere, None unknown), `ranges` of the principal branch.
     """
 
     orthogonal: ClassVar[bool] = False
@@ -87,9 +86,9 @@ class Chart:
         raise NotImplementedError
 
     def lame(self, u: ca.SX, v: ca.SX) -> Pair:
-        """Return |f_u|, |f_v|, m, of a chart that is `turning`, without that angle.
+        """Return |f_u|, |f_v|, m, of a surface of revolution, free of the angle about its axis.
 
-        Beyond a pole the one that vanishes there is negative.
+        The one that vanishes at a pole is negative beyond it.
         """
         raise NotImplementedError
 
@@ -100,8 +99,8 @@ class Chart:
     def frame(self, x: ca.SX) -> Frame:
         """Return (x axis, y axis, M) at a point x on the surface.
 
-        By default that of the chart at the point's coordinates; charts of which this takes
-        functions of angles say it without them.
+        Default: that of the chart at the point's coordinates. Charts override it to avoid
+        trigonometric functions.
         """
         q = ca.SX.sym("q", 2)
         f_u, f_v = ca.horzsplit(ca.jacobian(self.point(q[0], q[1]), q))
@@ -111,12 +110,12 @@ class Chart:
 
     @staticmethod
     def wrap(u: Angle, v: Angle) -> tuple[Angle, Angle]:
-        """Return the same point in the principal range; what is in range stays bit for bit."""
+        """Return the same point in the principal range; coordinates in range are not changed."""
         return u, v
 
     def floor(self, u: float, v: float) -> float:
-        """Return what no diagonal entry of the metric root is below, m; 0 where none is known.
+        """Return a lower bound of the diagonal of the metric root, m; 0 if none is known.
 
-        It costs a sine, the entries a table: so most points are told regular.
+        It is cheaper than the metric root, and shows that most points are regular.
         """
         return 0.0

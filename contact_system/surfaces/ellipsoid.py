@@ -31,10 +31,9 @@ from .charts import (
 from .sphere import PolarChart
 
 THINNEST = 1e-6
-"""Least axis over the greatest. The rim or a tip has a radius of curvature of c^2/a: here 1e-12 a,
-by which the default tolerance lets points be wrong. Few paths turn over the rim of a body thinner
-than 1e-4, the others are refused; at 1e-12 rounding of x, 1e-16 a, tells in (z/c)^2, and does so
-unseen."""
+"""Least allowed c/a. The rim has the radius of curvature c^2/a, here 1e-12 a, which is the default
+tolerance. Below c/a = 1e-4 most paths over the rim are refused; at 1e-12, rounding of x would make
+results wrong without notice."""
 
 
 class JacobiChart(Chart):
@@ -45,9 +44,10 @@ class JacobiChart(Chart):
     .. math:: f = (a \cos u \sqrt{k'^2 + k^2\cos^2 v},\; b \sin u \cos v,\;
                    c \sin v \sqrt{k^2 + k'^2 \sin^2 u}),
 
-    which is the paper's chart with its differences of squares factored, so that nothing cancels
-    for nearly equal axes. Lines of curvature; four umbilics at v = +-pi/2, u in {0, pi}. The seam
-    v = +-pi/2 is regular: (u, v) and (-u, pi - v) are one point.
+    which is the paper's chart with its differences of squares factored, to avoid cancellation for
+    nearly equal axes. Coordinate lines are lines of curvature. The four umbilics are at
+    v = +-pi/2, u = 0 and pi; elsewhere v = +-pi/2 is regular. (u, v) and (-u, pi - v) are the same
+    point.
     """
 
     orthogonal = True
@@ -90,7 +90,7 @@ class JacobiChart(Chart):
         half_product = k * l1 * ca.fabs(ys)
         total = hypot(difference, 2 * half_product)
         greater = ca.sqrt((ca.fabs(difference) + total) / 2)
-        # At an umbilic both vanish; where their squares underflow the quotient alone would not.
+        # At an umbilic both vanish; the bound covers squares that underflow.
         smaller = ca.fmin(half_product / ca.fmax(greater, TINY), greater)
         alpha_leads = difference >= 0
         root_alpha = ca.if_else(alpha_leads, greater, smaller)
@@ -199,7 +199,7 @@ class ProlateChart(PolarChart):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SecondDegree(Surface):
-    """The surface x^T A x = 1, of which everything but the chart follows from A."""
+    """The surface x^T A x = 1; subclasses define its chart."""
 
     def _matrix(self, p: ca.SX) -> ca.SX:
         """Return A, (3, 3), 1/m^2."""
@@ -218,8 +218,8 @@ class SecondDegree(Surface):
 class Ellipsoid(OfLengths, SecondDegree):
     """Ellipsoid with semi-axes a >= b >= c along x, y, z; Jacobi's chart, eq. ``ellipsoid``.
 
-    Equal axes take the regular limit of that chart: `OblateChart` (a = b), `ProlateChart` (b = c),
-    and for a = b = c the sphere's `PolarChart`; ``help(surface.chart)`` shows its formula.
+    With equal axes the chart is the regular limit of Jacobi's: `OblateChart` (a = b),
+    `ProlateChart` (b = c), or the sphere's `PolarChart`. ``help(surface.chart)`` shows its formula.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ class Ellipsoid(OfLengths, SecondDegree):
 
     @property
     def injectivity(self) -> float:
-        # pi over the root of the greatest of Gauss' curvatures, by a theorem of Klingenberg
+        # pi over the root of the greatest Gaussian curvature (Klingenberg)
         return math.pi * self.b * self.c / self.a
 
     def _matrix(self, p: ca.SX) -> ca.SX:
@@ -268,16 +268,15 @@ class Ellipsoid(OfLengths, SecondDegree):
 
 
 def require_thick(kind: str, a: float, c: float) -> None:
-    """Refuse an ellipsoid that is too flat, or too thin, to be resolved."""
+    """Raise a SurfaceError for an ellipsoid that is too flat or too thin to be resolved."""
     if c < THINNEST * a:
         raise SurfaceError(
             f"{kind}: the least semi-axis, {c!r} m, is less than {THINNEST:g} of the greatest, "
-            f"{a!r} m, and its edge too sharp to be followed; make it thicker, or give a Plane or "
-            "a Cylinder"
+            f"{a!r} m, and its edge is too sharp; make it thicker, or give a Plane or a Cylinder"
         )
 
 
 def ellipsoid_chart(a: float, b: float, c: float) -> tuple[type[Chart], tuple[float, ...]]:
-    """Return the chart that is regular for a >= b >= c, and its numbers: equal axes are one."""
+    """Return the regular chart for a >= b >= c, and its numbers, which are the distinct axes."""
     charts = (JacobiChart, OblateChart), (ProlateChart, PolarChart)
     return charts[b == c][a == b], tuple(dict.fromkeys((a, b, c)))

@@ -1,7 +1,7 @@
-"""What users write of a surface, a function of symbols or text, as data.
+"""A user's formula of a surface, a function or text, converted to data.
 
-A function is called once, on symbols; what a user wrote is never called again. Named parameters
-stay symbols, so that changing one needs no new tables.
+A function is called only once, on symbols. Named parameters stay symbols, so that changing one
+needs no new tables.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ..theory.symbols import MOST_KEPT, hearing_ctrl_c
 
 @dataclass(frozen=True)
 class Formula:
-    """A user's function of symbols, kept as data so that surfaces compare, hash and pickle."""
+    """A user's formula as data, so that surfaces can be compared, hashed and pickled."""
 
     code: str = field(repr=False)
     """Serialised CasADi function of (named parameters, *variables)."""
@@ -37,20 +37,20 @@ class Formula:
 
     @property
     def named(self) -> dict[str, float]:
-        """The numbers by their names."""
+        """The values by name."""
         return dict(zip(self.names, self.values))
 
     def __call__(self, p: ca.SX, *variables: ca.SX) -> ca.SX:
         return _restore(self.code)(p, *variables)
 
     def describe(self) -> str:
-        """Return the arguments that make this formula; other ones for another formula."""
-        said = repr(self.text)
+        """Return the formula and its parameters for messages; a function by its digest."""
+        text = repr(self.text)
         if self.text is None:
             import hashlib  # slow to import
 
-            said = f"<function {hashlib.sha256(self.code.encode()).hexdigest()[:12]}>"
-        return f"{said}, parameters={self.named}" if self.names else said
+            text = f"<function {hashlib.sha256(self.code.encode()).hexdigest()[:12]}>"
+        return f"{text}, parameters={self.named}" if self.names else text
 
 
 @lru_cache(maxsize=MOST_KEPT)
@@ -66,7 +66,7 @@ def make_formula(given: Any, parameters: Any, letters: str) -> Formula:
     given : callable, text, sequence of texts or Formula
     parameters : mapping of str to float, or None
     letters : {"uv", "xyz"}
-        Coordinates in texts: of a chart with three components, or of a level function.
+        Coordinates in texts: "uv" of a chart with three components, "xyz" of a level function.
     """
     numbers = _named(parameters, letters)
     if letters == "uv":
@@ -89,10 +89,10 @@ def make_formula(given: Any, parameters: Any, letters: str) -> Formula:
         known = dict(zip(letters, ca.vertsplit(ca.vertcat(*arguments)))) | symbols
         value = ca.vertcat(*(ca.SX(parse(line, known)) for line in text))
     inputs = ca.vertcat(p, *arguments)
-    strange = [symbol.name() for symbol in ca.symvar(value) if not ca.depends_on(inputs, symbol)]
-    if strange:
+    unknown = [symbol.name() for symbol in ca.symvar(value) if not ca.depends_on(inputs, symbol)]
+    if unknown:
         raise SurfaceError(
-            f"the formula uses symbols of its own ({', '.join(strange)}); give them "
+            f"the formula uses symbols of its own ({', '.join(unknown)}); give them "
             "numbers in parameters and take them as arguments by name"
         )
     for argument in arguments:
@@ -115,7 +115,7 @@ def make_formula(given: Any, parameters: Any, letters: str) -> Formula:
 
 
 def _named(given: Any, letters: str) -> dict[str, float]:
-    """Return named parameters in order of their names."""
+    """Return the named parameters, sorted by name."""
     if given is None:
         return {}
     if not isinstance(given, Mapping):
@@ -133,7 +133,7 @@ def _named(given: Any, letters: str) -> dict[str, float]:
 def _renumbered(
     formula: Formula, numbers: dict[str, float], letters: str, arguments: list[ca.SX], count: int
 ) -> Formula:
-    """Return the formula with other numbers; raise where it is not one of this kind."""
+    """Return the formula with other values; raise if it is one of another kind of surface."""
     function = _restore(formula.code)
     if (function.n_in(), function.numel_out(0)) != (1 + len(arguments), count):
         raise SurfaceError(
@@ -154,16 +154,16 @@ def _trace(
     """Call a user's function on symbols and return its components as one column."""
     try:
         with warnings.catch_warnings(), hearing_ctrl_c():
-            # CasADi announces a coming change of what numpy functions of symbols return.
+            # CasADi warns of a future change of numpy functions of symbols
             warnings.simplefilter("ignore", FutureWarning)
             value = function(*arguments, **symbols)
             column = ca.vertcat(*(ca.vec(ca.SX(part)) for part in _parts(value)))
     except Exception as error:  # whatever a user's function may raise
         given = "x, one column of three coordinates" if len(arguments) == 1 else "u, v"
         raise SurfaceError(
-            f"the function fails on symbols ({type(error).__name__}: {error}); it is given "
-            f"{given}, and the parameters {list(symbols)} by name: take them so, use numpy or "
-            "casadi functions, no if and no conversion to float"
+            f"the function fails on symbols ({type(error).__name__}: {error}); it is called with "
+            f"{given}, and with the parameters {list(symbols)} by name: use these arguments, numpy "
+            "or casadi functions, no if and no conversion to float"
         ) from error
     if column.shape != (count, 1):
         raise SurfaceError(

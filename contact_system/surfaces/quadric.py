@@ -105,27 +105,26 @@ CHARTS: dict[str, type[Chart]] = {
     "+-0": HyperbolicCylinderChart,
     "+00": OffsetPlaneChart,
 }
-"""By the signs of the eigenvalues; of an ellipsoid and of equal axes there are others."""
+"""By the signs of the eigenvalues; ellipsoids and equal axes have other charts."""
 IN_TWO = (TwoSheetChart, HyperbolicCylinderChart, OffsetPlaneChart)
-"""Charts of one of two pieces of their surfaces."""
+"""Charts of surfaces in two pieces; each covers one of them."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Quadric(SecondDegree):
     """x^T A x = 1 for a symmetric A of any signature that gives a smooth surface.
 
-    Coordinates are laid along the principal axes: an ellipsoid in any orientation (charts of
-    `Ellipsoid`), hyperboloids of one and two sheets, elliptic and hyperbolic cylinders, a pair of
-    planes; ``help(surface.chart)`` shows the chart. The normal is along A x, so the body is where
-    x^T A x < 1; ``inside`` turns it.
+    An ellipsoid in any orientation (charts of `Ellipsoid`), hyperboloids of one and two sheets,
+    elliptic and hyperbolic cylinders, a pair of planes. The chart uses the principal axes;
+    ``help(surface.chart)`` shows it. The body is where x^T A x < 1.
 
     Parameters
     ----------
     A : array-like (3, 3)
         Symmetric, 1/m^2; at least one positive eigenvalue.
     sheet : {1, -1}
-        Which of two sheets: the one on the positive or the negative side of the first principal
-        axis. Only for the two-sheeted hyperboloid, the hyperbolic cylinder and the planes.
+        The sheet on the positive or the negative side of the first principal axis, of a two-sheeted
+        hyperboloid, a hyperbolic cylinder or two planes.
     inside : bool
         Body on the side x^T A x > 1; (u, v) is then the chart's f(u, -v).
     """
@@ -159,7 +158,7 @@ class Quadric(SecondDegree):
         """Chart, its numbers, and the rotation from chart axes to the body's, (3, 3)."""
         chart, numbers, rotation = _principal_chart(np.array(self.A))
         if self.sheet == -1:
-            # Half a turn about the third axis carries one sheet, chart and normal, to the other.
+            # half a turn about the third axis maps one sheet to the other
             rotation = rotation * np.array([-1.0, -1.0, 1.0])
         return chart, numbers, rotation
 
@@ -169,7 +168,7 @@ class Quadric(SecondDegree):
 
     @kept
     def parameters(self) -> tuple[float, ...]:
-        """Three chart numbers (padded), nine of the rotation row by row, six of A."""
+        """Three numbers of the chart (padded), nine of the rotation, row by row, six of A."""
         _, numbers, rotation = self._principal
         upper = np.array(self.A)[np.triu_indices(3)]
         return (*(*numbers, 1.0, 1.0)[:3], *rotation.ravel().tolist(), *upper.tolist())
@@ -215,7 +214,7 @@ def _principal_chart(matrix: Array) -> tuple[type[Chart], tuple[float, ...], Arr
     """Return chart, its numbers and a proper rotation, columns the chart's axes in the body."""
     values, vectors = _eigen(matrix)
     scale = np.max(np.abs(values))
-    # eigh is good to a few units in the last place of the greatest eigenvalue.
+    # eigh has an error of a few units in the last place of the greatest eigenvalue
     values = np.where(np.abs(values) <= 8 * np.finfo(float).eps * scale, 0.0, values)
     signs = "".join("-0+"[int(np.sign(w)) + 1] for w in values)
     if "+" not in signs:
@@ -240,7 +239,7 @@ def _principal_chart(matrix: Array) -> tuple[type[Chart], tuple[float, ...], Arr
         chart, lengths = RoundCylinderChart, lengths[:1]
     else:
         chart = CHARTS[case]
-    if chart.great_circles:  # what eigh finds of a rounded sphere says nothing
+    if chart.great_circles:  # eigenvectors of a sphere are arbitrary
         rotation = np.eye(3)
     return chart, lengths, rotation
 
@@ -253,7 +252,7 @@ def _eigen(matrix: Array) -> tuple[Array, Array]:
 
 
 def _merge_equal(axes: Array, case: str) -> Array:
-    """Make axes of one sign equal where they differ by rounding alone."""
+    """Make axes of one sign equal if they differ by rounding alone."""
     merged = axes.copy()
     for i in (1, 2):
         if case[i] == case[i - 1] and merged[i - 1] - merged[i] <= 4e-15 * merged[i - 1]:

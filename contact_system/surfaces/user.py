@@ -1,6 +1,6 @@
-"""Surfaces that users write: by a chart f(u, v) or by a level function F(x), in Python or as text.
+"""Surfaces given by a chart f(u, v) or a level function F(x), in Python or as text.
 
-Their tables are made from the formula when they are first asked for. SI units, radians.
+Their tables are made from the formula at first use. SI units, radians.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from .charts import TURN, Array, Chart, Frame, Pair, Periods, hypot
 from .formula import Formula, make_formula
 from .sphere import PolarChart
 
-CELLS = 32  # in each coordinate, of the grid on which a nearest point is first sought
-NEAR = 1e-9  # of the size: so near are points that are one
-SETTLED = 4 * np.finfo(float).eps  # of a distance: a last step of Newton's method
-TRIES = 4  # so many of its points may lead to it
+CELLS = 32  # in each coordinate, of the grid on which the search for a nearest point starts
+TRIES = 4  # points of that grid from which the search may start
+NEAR = 1e-9  # of the size: distance within which points are the same
+SETTLED = 4 * np.finfo(float).eps  # relative size of the last step of Newton's method
 
 
 class CentralChart(Chart):
@@ -46,16 +46,16 @@ class CentralChart(Chart):
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class UserSurface(Surface):
-    """What surfaces written by the user share: a formula and a length scale."""
+    """Base class of surfaces given by a formula."""
 
-    reach: ClassVar[float] = 2.0  # a bump may lie anywhere, and even ground tells nothing of it
+    reach: ClassVar[float] = 2.0  # the surface may have bumps anywhere
     formula: Formula
     size: float = field(default=1.0, kw_only=True)
 
     def _write(
         self, letters: str, own: Any, formula: Any, parameters: Any, size: Any, inside: Any
     ) -> None:
-        """Check and store what both kinds are given; in ``letters``, u and v or x, y and z."""
+        """Check and store the arguments that both kinds share; ``letters``: "uv" or "xyz"."""
         store(self, inside=inside)
         self.__post_init__()
         if own is not None and formula is not None:
@@ -69,7 +69,7 @@ class UserSurface(Surface):
 
     @property
     def named_parameters(self) -> dict[str, float]:
-        """The numbers of the formula by name."""
+        """The parameters of the formula by name."""
         return self.formula.named
 
     @property
@@ -78,15 +78,16 @@ class UserSurface(Surface):
 
     def __repr__(self) -> str:
         others = {w.name: getattr(self, w.name) for w in fields(self) if w.name != "formula"}
-        said = [f"{k}={x!r}" for k, x in others.items() if x is not None and x is not False]
-        return f"{self._kind}({', '.join([self.formula.describe(), *said])})"
+        texts = [f"{k}={x!r}" for k, x in others.items() if x is not None and x is not False]
+        return f"{self._kind}({', '.join([self.formula.describe(), *texts])})"
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class ParametricSurface(UserSurface):
     """A surface given by its chart f(u, v), orthogonal or not.
 
-    A path through a point where f_u or f_v vanishes or they align, such as a pole, is refused.
+    A path through a point where f_u or f_v vanishes or they are parallel, such as a pole, is
+    refused.
 
     Parameters
     ----------
@@ -98,17 +99,17 @@ class ParametricSurface(UserSurface):
         Named numbers of the formula; changing them needs no new tables.
     size : float
         Length scale of the surface, m, about its greatest radius; tolerances are fractions of it.
-        Details beside even ground that are narrower than a tenth of it may be overlooked; give the
-        scale of the details there.
+        Details narrower than a tenth of it, on otherwise flat ground, may be overlooked: then give
+        the scale of the details.
     u_range, v_range : pairs of float, optional
-        Where the inverse chart looks first; one period about 0, or (-pi, pi).
+        Where the inverse chart starts to search; default: one period about 0, or (-pi, pi).
     u_period, v_period : float, optional
-        Period of a coordinate that closes on itself.
+        Period of a periodic coordinate.
     inside : bool
         The body is on the other side; (u, v) is then the point f(u, -v).
     formula : Formula, optional
-        In the place of the function or text: that of another surface, of which ``parameters``
-        changes what it names. `dataclasses.replace` gives it.
+        In place of f, the formula of another surface; ``parameters`` then changes some of its
+        parameters. `dataclasses.replace` uses it.
 
     Raises
     ------
@@ -127,7 +128,7 @@ class ParametricSurface(UserSurface):
     [0.5 0.  0.5] [0.5 0.  0.5]
     """
 
-    chart = Chart  # of which nothing is known in advance
+    chart = Chart
     has_implicit: ClassVar[bool] = False
     u_range: tuple[float, float]
     v_range: tuple[float, float]
@@ -160,7 +161,7 @@ class ParametricSurface(UserSurface):
         self._require_periods()
 
     def _require_periods(self) -> None:
-        """Raise where a period does not lead back to the same point: contacts would be moved."""
+        """Raise if points one period apart differ: contacts would be moved."""
         places = np.array([0.1, 0.4, 0.8])
         u, v = (low + (high - low) * places for low, high in (self.u_range, self.v_range))
         for name, period in (("u", self.u_period), ("v", self.v_period)):
@@ -180,7 +181,7 @@ class ParametricSurface(UserSurface):
                 )
 
     def _scale(self, points: Array) -> Array:
-        """Lengths of which `NEAR` is a fraction at points (..., 3): their coordinates round."""
+        """Reference lengths for `NEAR` at points (..., 3), whose coordinates are rounded."""
         return np.fmax(self.size, np.linalg.norm(points, axis=-1))
 
     @property
@@ -204,7 +205,7 @@ class ParametricSurface(UserSurface):
 
     def _require_regular(self, u: Array, v: Array) -> None:
         super()._require_regular(u, v)
-        with np.errstate(all="ignore"):  # where a formula ends its derivatives may go on: log(u)
+        with np.errstate(all="ignore"):  # the derivatives may exist where f does not: log(u)
             missing = ~np.isfinite(self.point(u, v)).all(axis=-1)
         if np.any(missing):
             raise SurfaceError(
@@ -225,16 +226,16 @@ class ParametricSurface(UserSurface):
         x : array-like (..., 3)
             Points on the surface, m.
         guess : pair of array-likes (...), optional
-            Where to start; otherwise the nearest of a grid over u_range and v_range.
+            Where to start; default: the nearest points of a grid over u_range and v_range.
 
         Raises
         ------
         SurfaceError
-            No point of the surface is found within 1e-9 of the size.
+            No point of the surface is found within 1e-9 of its size.
         """
         points = self._points(x)
         u, v, miss = self.nearest(points, guess)
-        # ~(a <= b) rather than a > b: a descent that ends in NaN has missed as well.
+        # ~(a <= b) rather than a > b: a NaN is a miss too
         missed = np.flatnonzero(~(miss <= NEAR * self._scale(points)))
         if len(missed):
             i = int(missed[0])
@@ -248,19 +249,19 @@ class ParametricSurface(UserSurface):
     def nearest(
         self, x: ArrayLike, guess: tuple[ArrayLike, ArrayLike] | None = None
     ) -> tuple[Array, Array, Array]:
-        """Return (u, v) of the points of the surface nearest to points (..., 3), and how near.
+        """Return (u, v) of the surface's points nearest to points (..., 3), and the distances.
 
         Parameters
         ----------
         x : array-like (..., 3)
             m.
         guess : pair of array-likes (...), optional
-            As for `coordinates`; without it a near point of the surface may be overlooked.
+            As for `coordinates`; without it a nearer point of the surface may be overlooked.
 
         Returns
         -------
         u, v, distance : arrays (...)
-            The distance is infinite or NaN where nothing is found.
+            The distance is infinite or NaN if no point is found.
         """
         points = self._points(x)
         flat = points.reshape(-1, 3)
@@ -288,13 +289,13 @@ class ParametricSurface(UserSurface):
 
     def _grid_starts(self, flat: Array) -> list[tuple[Any, ...]]:
         """Return the nearest few grid points to each of (n, 3) points, nearest first."""
-        # Centres of cells, because the rim of a range is where charts have their poles.
+        # centres of cells, as charts have their poles at the edges of the range
         fraction = (np.arange(CELLS) + 0.5) / CELLS
         axes = [lo + (hi - lo) * fraction for lo, hi in (self.u_range, self.v_range)]
         grid_u, grid_v = (w.ravel() for w in np.meshgrid(*axes, indexing="ij"))
         grid_v = self.sign * grid_v
         grid = self.point(grid_u, grid_v)
-        # NaN, where the formula has no point, comes last
+        # NaN, where the formula has no point, is sorted last
         nearest = [np.argsort(np.sum((grid - x) ** 2, axis=1))[:TRIES] for x in flat]
         return [(grid_u[k], grid_v[k]) for k in np.reshape(nearest, (-1, TRIES)).astype(int).T]
 
@@ -329,9 +330,8 @@ class ImplicitSurface(UserSurface):
     """The surface F(x) = 0 of a body F < 0 that is star-shaped about a centre.
 
     Coordinates are the polar angle u from the z direction and the azimuth v of the ray from the
-    centre: the inverse chart is explicit, the chart itself is solved along the ray. Equations
-    that need an explicit chart are refused (`has_chart` is False); motion is planned in ambient
-    form.
+    centre. The inverse chart is explicit; the chart is found by solving along the ray. Motion is
+    planned in space, and methods that need an explicit chart refuse it (`has_chart` is False).
 
     Parameters
     ----------
@@ -339,8 +339,8 @@ class ImplicitSurface(UserSurface):
         ``F(x)`` or ``F(x, **parameters)`` of a symbolic 3-vector, or a text in x, y, z such as
         ``"x**2/a**2 + y**2 + z**4 - 1"``. Negative inside the body.
     center : three floats
-        A point inside (with ``inside=True``, inside the hollow) that sees the whole surface, m.
-        Where rays from it enter the body again, chart components of a path are refused.
+        A point inside the body (with ``inside=True``, in the hollow) from which the whole surface
+        is visible, m. Where it is not visible, chart components are refused.
     parameters, size, formula
         As for `ParametricSurface`.
     inside : bool
@@ -402,12 +402,12 @@ class ImplicitSurface(UserSurface):
         d_u = ca.vertcat(ray[0] * ray[2] / s, ray[1] * ray[2] / s, -s) / rho
         d_v = ca.vertcat(-ray[1], ray[0], 0) / rho
         gradient = ca.gradient(self._level(p, x), x)
-        # no frame where the centre does not see the point: f_u x f_v would point into the body
+        # no frame where the point is not visible from the centre: f_u x f_v would point inward
         along = ca.fmax(ca.dot(gradient, direction), 0)
 
-        def tangent(turned: ca.SX) -> ca.SX:
-            """rho d turned, plus what keeps the point on the surface: grad F . f_u = 0."""
-            return rho * (turned - ca.dot(gradient, turned) / along * direction)
+        def tangent(d: ca.SX) -> ca.SX:
+            """f_u from the ray's d_u: rho d_u, and along the ray what makes grad F . f_u = 0."""
+            return rho * (d - ca.dot(gradient, d) / along * direction)
 
         return tangent(d_u), tangent(side * d_v)
 
@@ -421,14 +421,14 @@ class ImplicitSurface(UserSurface):
         second = along_u @ f_u, along_u @ f_v, ca.jacobian(f_v, x) @ f_v
         return x, tangent_geometry(x, f_u, f_v, second)
 
-    def _asked(self, u: Array, v: Array) -> Array:
+    def _places(self, u: Array, v: Array) -> Array:
         return self.point(u, v).T
 
     def point(self, u: ArrayLike, v: ArrayLike) -> Array:
         """Return the point where the ray (u, v) leaves the body, shape (..., 3), m.
 
-        Newton's method along the ray, kept inside a bracket by bisection. A ray that leaves the
-        body more than once, from a badly chosen centre, ends at any one of these points.
+        Newton's method along the ray, safeguarded by bisection. If a ray leaves the body more than
+        once, because of a badly chosen centre, any one of these points is returned.
 
         Raises
         ------
@@ -441,26 +441,26 @@ class ImplicitSurface(UserSurface):
             [np.sin(u) * np.cos(turned), np.sin(u) * np.sin(turned), np.cos(u)], axis=-1
         ).reshape(-1, 3)
         with np.errstate(all="ignore"):
-            t, step = self._left(ray, *self._bracket(ray, u.ravel(), v.ravel()))
+            t, step = self._solve(ray, *self._bracket(ray, u.ravel(), v.ravel()))
         if not np.all(step <= SETTLED * t):
             i = int(np.argmax(step / t))
             raise SurfaceError(
                 f"{self!r}: the point at (u, v) = ({u.ravel()[i]:.9g}, {v.ravel()[i]:.9g}) is not "
-                "found, F is too steep or no number there; write F with lower powers"
+                "found, F is too steep there or not a number; write F with lower powers"
             )
         return (np.array(self.center) + t[:, None] * ray).reshape((*u.shape, 3))
 
-    def _left(self, ray: Array, reach: Array, level: Array, slope: Array) -> tuple[Array, Array]:
-        """Return where rays leave the body, and the last steps to there, m.
+    def _solve(self, ray: Array, reach: Array, level: Array, slope: Array) -> tuple[Array, Array]:
+        """Return the distances at which rays leave the body, and the last steps, m.
 
-        reach : beyond the surface, where the level function and its slope are these
+        reach : distances beyond the surface; level, slope : of F there
         """
         low, t, step = np.zeros_like(reach), reach, np.full_like(reach, np.inf)
         for _ in range(200):
             low, reach = np.where(level < 0, t, low), np.where(level >= 0, t, reach)
             trial = t - level / slope
             inside = (trial >= low) & (trial <= reach) & np.isfinite(slope)
-            falls = np.abs(trial - t) <= 0.5 * step  # else Newton's method may creep, as on x**1000
+            falls = np.abs(trial - t) <= 0.5 * step  # Newton's method is slow on x**1000
             trial = np.where(inside & falls, trial, (low + reach) / 2)
             step, t = np.abs(trial - t), trial
             if np.all(step <= SETTLED * t):
@@ -469,7 +469,7 @@ class ImplicitSurface(UserSurface):
         return t, step
 
     def _bracket(self, ray: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Return for each ray a distance beyond the surface, the level there and its slope."""
+        """Return for each ray a distance beyond the surface, and F and its slope there."""
         level, _ = self._along(ray, np.zeros(len(ray)))
         if np.any(~(level < 0)):
             raise SurfaceError(
@@ -499,7 +499,7 @@ class ImplicitSurface(UserSurface):
 
 
 def _into(w: Any, span: tuple[float, float], period: float | None) -> Any:
-    """Return a periodic coordinate within one period of its range's start, where it is out."""
+    """Return a coordinate; a periodic one outside its range is moved by whole periods into it."""
     if period is None:
         return w
     return w - period * np.floor((w - span[0]) / period) * ((w < span[0]) | (w > span[1]))

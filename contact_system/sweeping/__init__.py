@@ -1,4 +1,4 @@
-"""Many scenes: planned over any executor, results as one table, failures kept beside them."""
+"""Sweeps: many scenes planned on any executor; results as one table, and failures."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ __all__ = ["Failure", "Sweep", "summary", "sweep"]
 
 
 class Sweep:
-    """Results of :func:`sweep`; iterating gives them one chunk's table at a time, in order.
+    """Results of :func:`sweep`; iterating yields the table of each chunk, in order.
 
-    Those of a sweep with a folder stay there and are read when they are asked for; a
-    ContactSystemError says where they were removed or damaged since.
+    With a folder, results are read from its files at each access; a ContactSystemError names a file
+    that was removed or damaged since.
     """
 
     def __init__(self, parts: Mapping[int, Part | Path]):
@@ -45,8 +45,8 @@ class Sweep:
                 yield found
             else:
                 raise ContactSystemError(
-                    f"'{part}' holds results of this sweep no more: since then it was removed or "
-                    "damaged; call sweep again"
+                    f"'{part}' no longer holds results of this sweep: it was removed or damaged; "
+                    "call sweep again"
                 )
 
     def __iter__(self) -> Iterator[np.ndarray]:
@@ -54,15 +54,15 @@ class Sweep:
 
     @property
     def table(self) -> np.ndarray:
-        """Structured array, one row a contact: scene, contact, name, and a field an output.
+        """Structured array, one row for each contact: scene, contact, name, and the outputs.
 
-        Scenes count from 0 in the order given; those in :attr:`failures` have no rows.
+        ``scene`` is the index in the order given; scenes in :attr:`failures` have no rows.
         """
         return joined(list(self))
 
     @property
     def failures(self) -> list[Failure]:
-        """What failed, in the order of the scenes."""
+        """The failures, in the order of the scenes."""
         return [failure for part in self.parts() for failure in part.failures]
 
 
@@ -83,33 +83,33 @@ def sweep(
     Parameters
     ----------
     scenes : iterable of Scene
-        Also a generator, of which no more is taken than is at work. An item may be the name or file
-        of a scene, or a function without arguments that makes one: it is called by the worker, and
-        what it raises is a failure of that scene.
+        It may be a generator; only the scenes being worked on are taken from it. An item may also
+        be the name or file of a scene, or a function without arguments that makes one: the worker
+        calls it, and an error it raises is a failure of that scene.
     evaluate : callable
-        Takes a Plan and returns a dict of arrays with one row a contact of the plan,
-        (n_contacts, ...). Contacts of scenes that differ in nothing but contacts and values of
-        disturbances are planned together, so the plan may hold those of many scenes; treat each
-        contact on its own. What it raises is a failure of the scene.
+        Takes a Plan and returns a dict of arrays with one row for each contact of the plan,
+        (n_contacts, ...). The plan may hold the contacts of many scenes, as those that differ only
+        in contacts and values of disturbances are planned together; treat each contact on its own.
+        An error it raises is a failure of the scene.
     each : bool
-        ``evaluate`` takes a Scene instead, each by itself, and nothing is planned here: for
-        ``drake_plant.outcome``, and whatever else takes long. Rows are the scene's contacts.
+        True: ``evaluate`` takes each Scene by itself, and nothing is planned. For slow functions
+        such as ``drake_plant.outcome``. Rows are the scene's contacts.
     executor : concurrent.futures.Executor, optional
-        Threads, processes, a Dask cluster's ``client.get_executor()``; None: here. What is lost
-        with a worker is done again; a pool of processes that broke is replaced by one like it.
+        Threads, processes, or a Dask cluster's ``client.get_executor()``; default: this thread.
+        Chunks lost with a worker are done again, and a broken process pool is replaced.
     folder : path, optional
-        Keep the results of each chunk in a file there, not in memory. The same call continues where
-        an interrupted one stopped: chunks whose scenes (or what is in their files), tolerance and
-        name of ``evaluate`` (and the numbers, texts, tuples and arrays that it encloses, where a
-        function made it) have not changed are not done again; a lambda has no name of its own.
-        Files are named and checked by digests: sweeps may share a folder, also at the same time,
-        and what is damaged is done again. Results of scenes that have changed stay there.
+        Keep the results of each chunk in a file there, not in memory. The same call continues an
+        interrupted sweep: chunks are skipped if their scenes (or the contents of their files), the
+        tolerance and the name of ``evaluate`` are unchanged, and for a function made by another one
+        also the numbers, texts, tuples and arrays it encloses. A lambda has no name. Files are
+        named and checked by digests: sweeps may share a folder, even at the same time, and damaged
+        chunks are done again. Results of scenes that have changed stay there.
     chunk : int, optional
-        Scenes that a worker takes at a time, and that are planned together at most; by default 500,
-        of ``each`` 1.
+        Number of scenes that a worker takes at a time, and at most plans together; default 500, or
+        1 with ``each``.
     ahead : int, optional
-        Chunks at work or waiting for a worker; by default twice this machine's cores. Give at least
-        twice the workers of a cluster.
+        Number of chunks at work or waiting for a worker; default: twice this machine's cores. For a
+        cluster, give at least twice its workers.
     tolerance, compiled
         As in :func:`plan`.
 
@@ -121,15 +121,15 @@ def sweep(
     Raises
     ------
     ContactSystemError
-        ``scenes`` that are no list of them; ``chunk`` or ``ahead`` that is no whole number from 1;
-        another argument of the wrong kind; outputs without a row of numbers or texts a contact, or
-        that differ from scene to scene; a folder that cannot be made or written to; functions that
-        cannot be sent to another process; an executor that broke and cannot be replaced.
+        An argument of the wrong type or value; outputs that do not have one row of numbers or texts
+        for each contact, or that differ from scene to scene; a folder that cannot be made or
+        written to; functions that cannot be sent to another process; a broken executor that cannot
+        be replaced.
     """
     from ..cli import Progress  # not on the planner's path
 
     if isinstance(scenes, (Scene, str, os.PathLike)) or not isinstance(scenes, Iterable):
-        raise ContactSystemError(f"scenes = {scenes!r:.80}: give a list of scenes; of one, [scene]")
+        raise ContactSystemError(f"scenes = {scenes!r:.80}: give a list of scenes, such as [scene]")
     ahead = 2 * (os.cpu_count() or 1) if ahead is None else ahead
     if flag(each, "each") and chunk is None:
         chunk = 1
@@ -150,7 +150,7 @@ def sweep(
     flag(compiled, "compiled", none=True)
     tolerance = checked_tolerance(tolerance)
     run = functools.partial(run_chunk, evaluate, None if each else tolerance, os.getpid())
-    if folder is not None:  # absolute: results may be read from another current folder
+    if folder is not None:  # absolute, as the current folder may change before results are read
         folder = make_folder(a_path(folder, "folder"), "give another folder").absolute()
     parts: dict[int, Part | Path] = {}
     chunks = _unfinished(scenes, chunk, run, folder, parts)
@@ -158,7 +158,7 @@ def sweep(
         finished = ((done, run(done)) for done in chunks)
     else:
         finished = spread(chunks, run, executor, ahead)
-    # how many a generator has is not known: its bar stays empty, the count beside it runs
+    # a generator has no known length: only the count beside the progress bar changes
     steps = -(-len(scenes) // chunk) if isinstance(scenes, Sized) else sys.maxsize
     with Progress(max(steps, 1), "0 scenes") as progress, contextlib.closing(finished):
         count = 0
@@ -172,7 +172,7 @@ def sweep(
 def _unfinished(
     scenes: Iterable[Item], size: int, run: Run, folder: Path | None, parts: dict[int, Part | Path]
 ) -> Iterator[Chunk]:
-    """Chunks of the scenes, but for those with results in a file, which joins the parts."""
+    """Chunks of the scenes without those that have results in a file, which go to ``parts``."""
     items, first, file = iter(scenes), 0, None
     while own := tuple(itertools.islice(items, size)):
         if folder is not None:

@@ -1,8 +1,8 @@
-"""Scenes that one worker takes: planned together where they can be, evaluated, told as a table.
+"""Chunks: the scenes that one worker plans, together where possible, evaluates and tabulates.
 
 Contacts do not act on each other, so contacts of many scenes that share object, profile, gain,
-duration and windows are planned as one scene of many contacts. One by one the time would go into
-Python's calls: of scenes of one contact each, slip would take 3 times as long, `summary` 8 times.
+duration and windows are planned as one scene of many contacts. For scenes of one contact this makes
+slip 3 times and `summary` 8 times as fast, because fewer Python calls are needed.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ Item = Scene | str | os.PathLike | Callable[[], Scene]
 """A scene, the name or file of one, or a function that makes one (called where it is planned)."""
 
 Evaluate = Callable[[Any], Mapping[str, ArrayLike]]
-"""Of a Plan, or of a Scene where each is taken by itself."""
+"""A function of a Plan, or with ``each=True`` of a Scene."""
 
-TOGETHER = 1000  # contacts a plan; more save nothing, and their samples would leave the cache
+TOGETHER = 1000  # contacts in a plan; more are not faster, and their samples exceed the cache
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Failure:
     Attributes
     ----------
     scene : int
-        Its place among the scenes given, from 0.
+        Its index among the scenes given, from 0.
     name : str
     error : str
         Kind and text of the error.
@@ -56,7 +56,7 @@ class Failure:
 
 @dataclass(frozen=True)
 class Part:
-    """What became of one chunk of scenes: a table as in :class:`Sweep`, and the failures."""
+    """Results of one chunk of scenes: a table as in :class:`Sweep`, and the failures."""
 
     table: np.ndarray
     failures: list[Failure]
@@ -64,7 +64,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Chunk:
-    """Scenes that one worker takes, the place of the first among all, the file of the results."""
+    """The scenes of one worker, the index of the first one, and the file for the results."""
 
     first: int
     items: tuple[Item, ...]
@@ -72,17 +72,17 @@ class Chunk:
 
 
 Batch = list[tuple[int, Scene]]
-"""Scenes that can be planned as one, of equally many contacts, and their places among all."""
+"""Scenes of equally many contacts that can be planned as one, with their indices."""
 
 Run = functools.partial[Part]
-"""What workers do with a chunk: `run_chunk` with the first three arguments."""
+"""The workers' function of a chunk: `run_chunk` with its first three arguments."""
 
 
 def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: Chunk) -> Part:
-    """Plan and evaluate the scenes of a chunk; what goes wrong is part of the result.
+    """Plan and evaluate the scenes of a chunk; errors become failures in the result.
 
     Without a tolerance nothing is planned, and each scene is evaluated by itself. ``sweeper`` is
-    the process of the sweep, which that of this chunk does not outlive.
+    the process of the sweep; this process ends with it.
     """
     end_with(sweeper)
 
@@ -92,8 +92,8 @@ def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: 
             if tolerance is None:
                 return [_table(batch, evaluate(scene))]
             outputs = evaluate(plan(scene, tolerance))
-        except Exception as error:  # whatever a user's function raises
-            if len(batch) > 1:  # in halves, to find what fails
+        except Exception as error:  # a user's function may raise anything
+            if len(batch) > 1:  # bisect, to find the scene that fails
                 half = len(batch) // 2
                 return tables_of(batch[:half]) + tables_of(batch[half:])
             failures.append(a_failure(*batch[0], error))
@@ -105,11 +105,11 @@ def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: 
     for place, item in enumerate(chunk.items, chunk.first):
         try:
             scene = _scene(item)
-            # the first one alone: an axis of times that is as long as the contacts are many must
-            # not pass for rows of contacts
+            # the first scene is planned alone: in a batch, an axis of times as long as the number
+            # of contacts could be mistaken for rows of contacts
             same = (not alike, *_shared(scene)) if tolerance is not None else place
             alike.setdefault(same, []).append((place, scene))
-        except Exception as error:  # whatever a user's function raises
+        except Exception as error:  # a user's function may raise anything
             failures.append(a_failure(place, item, error))
     tables = []
     for batch in alike.values():
@@ -134,7 +134,7 @@ def _scene(item: Item) -> Scene:
 
 
 def _shared(scene: Scene) -> tuple:
-    """Scenes that agree in this can be planned as one."""
+    """Key of the scenes that can be planned as one."""
     windows = frozenset((type(d), d.start, d.stop) for d in scene.disturbances)
     given = scene.object, scene.profile, scene.gain, scene.duration, scene.turning
     return *given, windows, repr(scene.paper), len(scene.contacts)
@@ -143,8 +143,8 @@ def _shared(scene: Scene) -> tuple:
 def _together(batch: Batch) -> Scene:
     """The contacts of a batch, in order, as one scene.
 
-    Its parts were checked in their own scenes, and are not again: with that a sweep of disturbed
-    scenes would take a seventh longer.
+    Its parts were checked in their own scenes. Checking them again would slow down a sweep of
+    disturbed scenes by a seventh.
     """
     contacts: list[Contact] = []
     disturbances: list[Disturbance] = []
@@ -160,7 +160,7 @@ def _together(batch: Batch) -> Scene:
 
 
 def _table(batch: Batch, outputs: Mapping[str, ArrayLike]) -> np.ndarray:
-    """One row a contact of the batch, from what `evaluate` returned."""
+    """One row for each contact of the batch, from the outputs of `evaluate`."""
     contacts = len(batch[0][1].contacts)
     count = contacts * len(batch)
     columns = {
@@ -181,9 +181,9 @@ def _table(batch: Batch, outputs: Mapping[str, ArrayLike]) -> np.ndarray:
             array = np.array(None)
         if key in columns or array.shape[:1] != (count,) or array.dtype.hasobject:
             raise ContactSystemError(
-                f"evaluate returned '{key}' of shape {array.shape} and type {array.dtype}; give it "
-                f"one row of numbers or texts a contact of the plan, ({count}, ...), and a name "
-                "other than scene, contact, name"
+                f"evaluate returned '{key}' of shape {array.shape} and type {array.dtype}; give "
+                f"one row of numbers or texts for each contact of the plan, ({count}, ...), and a "
+                "name other than scene, contact, name"
             )
         columns[key] = array
     table = np.empty(count, [(key, array.dtype, array.shape[1:]) for key, array in columns.items()])
@@ -201,8 +201,8 @@ def joined(tables: list[np.ndarray]) -> np.ndarray:
         return np.concatenate(tables) if tables else NOTHING
     except TypeError as error:
         raise ContactSystemError(
-            f"evaluate returned other outputs for other scenes ({error}); return the same names "
-            "and shapes for all"
+            f"evaluate returned different outputs for different scenes ({error}); return the same "
+            "names and shapes for all"
         ) from None
 
 

@@ -1,4 +1,4 @@
-"""What `sweep` tells of each contact by default."""
+"""The default outputs of `sweep`."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 from ..measures import REJECTED
 from ..plan import Plan, require_plan
 
-SAMPLES = 100  # times at which a plan is looked at
+SAMPLES = 100  # times at which slip is evaluated
 
 
 def summary(plan: Plan) -> dict[str, np.ndarray]:
-    """Slip, its rejection and the final state of each contact: what `sweep` tells by default.
+    """Slip, its rejection and the final state of each contact: the default outputs of `sweep`.
 
     Parameters
     ----------
@@ -21,21 +21,21 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
     -------
     dict
         ``slip_start``, ``slip_peak``, ``slip_end`` : (n_contacts,), m/s; the peak is the greatest
-        at 100 equally spaced times. ``recovery`` : (n_contacts,), s, the time after the contact's
-        last disturbance (or the start) until slip stays below 5 % of its value there, interpolated
-        between those times; inf if it stays above, nan if there is no slip.
+        of 100 equally spaced times. ``recovery`` : (n_contacts,), s, the time from the end of the
+        contact's last disturbance (or the start) until slip stays below 5 % of its value there,
+        interpolated between those times; inf if it stays above, nan if there is no slip.
         ``state_end`` : (n_contacts, 9), as :meth:`Plan.states`.
 
     Raises
     ------
     ContactSystemError
-        If it is no plan.
+        If it is not a plan.
     """
     require_plan(plan)
     since = np.full(len(plan.scene.contacts), plan.start)
     for d in plan.scene.disturbances:
         since[d.contact] = max(since[d.contact], d.stop)
-    # a rate offset's slip ends with its window: what was there is seen just before
+    # slip by a rate offset ends with its window: take the slip just before
     before = np.where(since > plan.start, np.nextafter(since, plan.start), since)
     grid = np.linspace(plan.start, plan.end, SAMPLES)
     t = np.unique(np.concatenate([grid, since, before]))

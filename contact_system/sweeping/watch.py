@@ -1,4 +1,4 @@
-"""Workers that end with the sweep which gave them work."""
+"""Worker processes end when the process of their sweep ends."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ WATCH = "contact_system-sweep"  # the thread that does it
 
 
 def end_with(sweeper: int) -> None:
-    """See that this process, if it is a worker of the sweep in another one, ends with that one.
+    """If this process is a worker of a sweep in another process, let it end together with that one.
 
-    It would wait for work forever, as it holds the other end of its queue itself.
+    Otherwise it would wait for work forever, as it holds the other end of its queue itself.
     """
     if os.getpid() == sweeper or any(thread.name == WATCH for thread in threading.enumerate()):
         return
@@ -21,8 +21,8 @@ def end_with(sweeper: int) -> None:
     if parent is not None and parent.pid == sweeper:
 
         def watch() -> None:
-            # of forked processes later ones may keep alive what tells that the parent is gone, and
-            # one of a fork server is no child of it
+            # workers forked later may keep the parent's sentinel alive, hence the check of getppid;
+            # a worker of a fork server is no child of the sweep, hence is_alive
             while parent.is_alive() and os.getppid() == born:
                 parent.join(1.0)
             os._exit(1)

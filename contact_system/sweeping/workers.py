@@ -1,4 +1,4 @@
-"""The executor that works on a sweep's chunks, whatever becomes of its workers."""
+"""Runs a sweep's chunks on an executor, also when workers are lost."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..errors import ContactSystemError
 from .chunk import NOTHING, Chunk, Part, Run, a_failure
 from .watch import end_with
 
-LOSSES = 2  # workers that a chunk may lose while it is the only one at work
+LOSSES = 2  # workers that a chunk may lose while it runs alone
 
 
 def spread(
@@ -23,8 +23,8 @@ def spread(
 ) -> Generator[tuple[Chunk, Part]]:
     """Run chunks on an executor, at most ``ahead`` at a time.
 
-    Chunks lost with a worker go again in the end, one at a time, so that one which kills its worker
-    shows: its scenes become failures after ``LOSSES`` more workers.
+    Chunks lost with a worker are run again at the end, one at a time. The scenes of a chunk that
+    then kills ``LOSSES`` more workers become failures.
     """
     lost = []
     with contextlib.closing(_Crew(executor, run)) as crew:
@@ -45,11 +45,11 @@ def spread(
 
 
 class _Crew:
-    """The workers of an executor, and of the one in its place after it broke."""
+    """The workers of an executor, and of its replacement if it breaks."""
 
     def __init__(self, executor: Executor, run: Run):
         self.executor, self.given, self.run = executor, executor, run
-        # a worker that was given no chunk yet must end with the sweep, too
+        # a worker without a chunk must end with the sweep, too
         if isinstance(executor, futures.ProcessPoolExecutor):
             pool: Any = executor
             if pool._initializer is not _begin:
@@ -57,7 +57,7 @@ class _Crew:
                 pool._initializer = _begin
 
     def work(self, chunks: Iterable[Chunk], ahead: int) -> Generator[tuple[Chunk, Any]]:
-        """Chunks as they are done, each with its part or with the error that took its worker."""
+        """Chunks as they finish, each with its part or with the error that ended its worker."""
         working: dict[Future, Chunk] = {}
         waiting = iter(chunks)
         try:
@@ -81,8 +81,8 @@ class _Crew:
             if not broke or not isinstance(executor, futures.ProcessPoolExecutor):
                 raise ContactSystemError(
                     f"the executor {executor!r} takes no work ({error}); give one that is not "
-                    "shut down, and where it starts processes, sweep below if __name__ == "
-                    "'__main__'; with a folder, what is finished is not done again"
+                    "shut down, and if it starts processes, sweep below if __name__ == "
+                    "'__main__'; with a folder, finished chunks are not done again"
                 ) from error
         self.close()
         names = ("_max_workers", "_mp_context", "_initializer", "_initargs")
@@ -90,13 +90,13 @@ class _Crew:
         return self.executor.submit(self.run, chunk)
 
     def close(self) -> None:
-        """Shut down what was not given."""
+        """Shut down the replacement of the given executor."""
         if self.executor is not self.given:
             self.executor.shutdown()
 
 
 def _begin(sweeper: int, initializer: Callable | None, arguments: tuple) -> None:
-    """Begin a worker: watch the sweep, then do what the executor was given."""
+    """Initialise a worker: watch the sweep, then call the executor's own initializer."""
     end_with(sweeper)
     if initializer is not None:
         initializer(*arguments)
@@ -114,6 +114,6 @@ def _outcome(future: Future) -> Part | Exception:
             "module, or functools.partial of one, or an executor of threads"
         ) from error
     except Exception as error:
-        if type(error).__name__ == "KilledWorker":  # of Dask, whose workers died again and again
+        if type(error).__name__ == "KilledWorker":  # Dask, after several workers died
             return error
         raise

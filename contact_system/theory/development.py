@@ -11,9 +11,9 @@ No sigma'/sigma, no stiffness, and no coupling between the bodies. Two forms of 
 * in the chart, (u, v, theta), for surfaces given by a chart: [p q] is the contact frame turned by
   theta.
 
-Each form says where the frame stands (`place`, `turn`, `theta`) and how it moves; what follows from
-these is said once, for both. Every function takes (point, numbers), numbers being the surface's
-sign and parameters.
+Each form defines the frame (`place`, `turn`, `theta`) and its motion; the base class has what
+follows for both. Every function takes (point, numbers), numbers being the surface's sign and
+parameters.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ if TYPE_CHECKING:
 
 IN_SPACE = ("motion", "restore", "coordinates", "vector", "second", "shape", "start")
 IN_CHART = ("motion", "coordinates", "vector", "frame", "shape", "point", "lame")
-BESIDES = {"motion": 2, "coordinates": 2, "vector": 2, "geodesic": 4}
-"""What follows the state in a function's point: a vector of the plane, or Jacobi fields."""
+INPUTS = {"motion": 2, "coordinates": 2, "vector": 2, "geodesic": 4}
+"""Sizes of further inputs after the state: a vector of the plane, or Jacobi fields."""
 
 
 def prefers_space(surface: Surface) -> bool:
-    """Whether bodies of this surface are moved as (x, p) in space, else as (u, v, theta)."""
+    """Whether bodies with this surface are planned in space, (x, p); else as (u, v, theta)."""
     return surface.has_implicit and not surface.developable
 
 
 def in_space(surface: Surface, disturbed: bool) -> bool:
-    """Whether a body is moved in space, by whether a disturbance acts on it.
+    """Whether a body that may be disturbed is planned in space.
 
-    A disturbance is given in chart components. Where the chart is a double cover (triaxial
-    ellipsoid) their sign belongs to the branch the path is on, which only the chart form knows.
+    A disturbance has chart components. On a double cover (triaxial ellipsoid) their sign depends on
+    the path's branch, which only the form in the chart knows.
     """
     return prefers_space(surface) and not (disturbed and surface.double_cover)
 
@@ -56,7 +56,7 @@ class Moving:
     """u, v"""
     theta: ca.SX
     turn: ca.SX
-    """Rot(theta), (2, 2): [p q] is the contact frame turned by it."""
+    """Rot(theta), (2, 2): rotates the contact frame into [p q]."""
     metric_root: ca.SX
 
     def __init__(self, surface: Surface):
@@ -73,27 +73,27 @@ class Moving:
         return self._functions[name]
 
     def _function(self, name: str) -> ca.Function:
-        besides = [ca.SX.sym("c", BESIDES[name])] if name in BESIDES else []
-        point, result = ca.vertcat(self.state, *besides), getattr(self, name)(*besides)
+        inputs = [ca.SX.sym("c", INPUTS[name])] if name in INPUTS else []
+        point, result = ca.vertcat(self.state, *inputs), getattr(self, name)(*inputs)
         return numbers_function(name, point, self.numbers, result)
 
     def coordinates(self, c: ca.SX) -> ca.SX:
-        """u, v, u', v', theta, where c is the velocity in the parallel frame, m/s."""
+        """u, v, u', v', theta for the velocity c in the parallel frame, m/s."""
         rates = upper_inverse(self.metric_root) @ (self.turn @ c)
         return ca.vertcat(*self.place, rates, self.theta)
 
     def geodesic(self, fields: ca.SX) -> ca.SX:
-        """Rates by length along p of the state and of J, J', M, M' (section 11)."""
+        """Derivatives by arc length along p of the state and of J, J', M, M' (section 11)."""
         j, j_rate, m, m_rate = ca.vertsplit(fields)
         bend = -self.gauss()
         return ca.vertcat(self.motion(ca.SX([1, 0])), j_rate, bend * j, m_rate, bend * m)
 
     def motion(self, c: ca.SX) -> ca.SX:
-        """Rates of the state where the point's velocity is c."""
+        """Rates of the state for the velocity c of the point."""
         raise NotImplementedError
 
     def gauss(self) -> ca.SX:
-        """Gauss' curvature, 1/m^2."""
+        """Gaussian curvature, 1/m^2."""
         raise NotImplementedError
 
     def vector(self, components: ca.SX) -> ca.SX:
@@ -110,7 +110,7 @@ class InSpace(Moving):
         super().__init__(surface)
         self.x, self.first = ca.vertsplit(self.state, [0, 3, 6])
         self.level = surface.level_geometry(self.numbers[1:], self.x)
-        # grad F x p, and the number that makes it q = n x p
+        # grad F x p, and the factor that makes it q = n x p
         self._across = ca.cross(self.level.gradient, self.first)
         self._scale = self.numbers[0] * ca.sqrt(self.level.steepness)
         self.place = surface.coordinates_expr(self.numbers, self.x)
@@ -123,14 +123,14 @@ class InSpace(Moving):
         return self._scale * self._across
 
     def motion(self, c: ca.SX) -> ca.SX:
-        """x' = c1 p + c2 q, p' = -II(p, x') n; that of q follows."""
+        """x' = c1 p + c2 q, p' = -II(p, x') n."""
         velocity = c[0] * self.first + (c[1] * self._scale) * self._across
-        # n and II both have the sign of the side
+        # the signs of n and II cancel
         bend = ca.dot(self.level.hessian @ self.first, velocity) * self.level.steepness
         return ca.vertcat(velocity, -bend * self.level.gradient)
 
     def gauss(self) -> ca.SX:
-        """g . adj(H) g / |g|^4, of g = grad F and H = Hess F."""
+        """g . adj(H) g / |g|^4 with g = grad F and H = Hess F."""
         a, b, c = ca.horzsplit(self.level.hessian)
         adjoint = ca.horzcat(ca.cross(b, c), ca.cross(c, a), ca.cross(a, b))
         gradient = self.level.gradient
@@ -143,9 +143,9 @@ class InSpace(Moving):
         return ca.vertcat(k[0, 0], k[0, 1], k[1, 1])
 
     def restore(self) -> ca.SX:
-        """The state with x back on the surface and p a unit tangent.
+        """The state with x put back on the surface and p made a unit tangent.
 
-        One Newton step along the gradient: what is left is the square of the defect.
+        One Newton step along the gradient squares the distance from the surface.
         """
         level = self.level
         moved = self.x - level.value * level.steepness * level.gradient
@@ -199,12 +199,12 @@ class InChart(Moving):
         return self.geometry.point
 
     def lame(self) -> ca.SX:
-        """h_u, h_v and the lesser of M's diagonal, m: 0 where the chart is singular."""
+        """h_u, h_v and the least diagonal entry of M, m, which is 0 where the chart is singular."""
         m = self.metric_root
         return ca.vertcat(self.geometry.lame, ca.fmin(m[0, 0], m[1, 1]))
 
 
 @per_structure
 def moving(surface: Surface, ambient: bool) -> Moving:
-    """The moving frames of surfaces of one structure, in space or in their chart."""
+    """The moving frame of surfaces of one structure, in space or in their chart."""
     return (InSpace if ambient else InChart)(surface)

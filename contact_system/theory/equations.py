@@ -1,7 +1,7 @@
 r"""The paper's equations of two bodies in contact, corrected (theory sections 2, 3, 8).
 
-Body 1 is the finger, body 2 the object. In contact frames E_i, or in any frames carried along with
-R the map between their tangent components,
+Body 1 is the finger, body 2 the object. In contact frames E_i, or in parallel frames with R_0 in
+place of R_psi,
 
 .. math::
     R_\psi = \begin{bmatrix}\cos\psi & -\sin\psi\\ -\sin\psi & -\cos\psi\end{bmatrix}, \qquad
@@ -22,8 +22,8 @@ the gain,
 Unlike in the paper the first Christoffel term of v" multiplies u'^2 (eqs. `timegeodesic` and
 `contrac` print v'^2), and psi obeys the last line, which the paper uses and does not print.
 
-An object rate offset d moves the contact point (u2' + d) but not the feedback: q2' is carried along
-the actual motion, ``-Gamma^k_ij (q2' + d)^i q2'^j``, so that the slip law stays exact.
+An object rate offset d moves the contact point (u2' + d) but does not enter the feedback. q2' is
+transported along the actual motion, ``-Gamma^k_ij (q2' + d)^i q2'^j``, to keep the slip law exact.
 """
 
 from __future__ import annotations
@@ -56,9 +56,10 @@ def relative_velocity(r: ca.SX, a1: ca.SX, a2: ca.SX) -> ca.SX:
 def chart_rates(
     shapes: Sequence[ChartGeometry], state: ca.SX, growth: ca.SX, lam: ca.SX, w: ca.SX
 ) -> ca.SX:
-    """state' (9) of a contact in charts, of the geometry of finger and object where it stands.
+    """state' (9) of a contact in charts.
 
-    growth: sigma'/sigma; w: d1, d2 and the object rate offset, (6).
+    shapes: geometry of finger and object at the contact; growth: sigma'/sigma; w: d1, d2 and the
+    object rate offset, (6).
     """
     _, rate_1, _, rate_2, psi = ca.vertsplit(state, [0, 2, 4, 6, 8, 9])
     d1, d2, offset = ca.vertsplit(w, 2)
@@ -74,7 +75,7 @@ def chart_rates(
 
 
 def _transport(shape: ChartGeometry, along: ca.SX, vector: ca.SX) -> ca.SX:
-    """-Gamma^k_ij along^i vector^j: what keeps a chart vector parallel on the way."""
+    """-Gamma^k_ij along^i vector^j: the rate of a chart vector in parallel transport."""
     return -ca.vertcat(*(ca.bilin(gamma, along, vector) for gamma in shape.christoffel))
 
 
@@ -82,13 +83,13 @@ def _transport(shape: ChartGeometry, along: ca.SX, vector: ca.SX) -> ca.SX:
 
 
 def starting_slip(w1: ca.SX, w2: ca.SX, given: ca.SX) -> ca.SX:
-    """V = W_2 less the path velocity given; of a rolling start, which is rounded twice, none."""
+    """V = W_2 minus the object's path velocity; exactly 0 if the difference is rounding."""
     v, rounding = w2 - given, 1e-15 * ca.fmax(ca.fmax(ca.fabs(w1[0]), ca.fabs(w1[1])), 1e-300)
     return ca.if_else(ca.fabs(v) <= rounding, 0, v)
 
 
 def pushed_paths(sigma: ca.SX, r0: ca.SX, pushed_1: ca.SX, pushed_2: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Rates of W_1 and of V, but for -lam V, under accelerations (theory section 7), (2) each.
+    """Rates of W_1 and V by accelerations, without -lam V (theory section 7), (2) each.
 
     pushed_i: Rot(theta)^T M d, the accelerations in the parallel frames, m/s^2.
     """
@@ -102,8 +103,8 @@ def pushed_paths(sigma: ca.SX, r0: ca.SX, pushed_1: ca.SX, pushed_2: ca.SX) -> t
 def relative_pose(frame_1: ca.SX, frame_2: ca.SX, r0: ca.SX) -> tuple[ca.SX, ca.SX]:
     """R_21 (3, 3) and the origin (3), m, of the finger's body frame in the object's (section 8).
 
-    frame_i (9): contact point x and tangent axes p, q of a body, in its own frame. r0 (2, 2): map
-    from tangent components along (p_1, q_1) to those along (p_2, q_2).
+    frame_i (9): contact point x and tangent axes p, q in the frame of body i. r0 (2, 2): map from
+    tangent components along (p_1, q_1) to those along (p_2, q_2).
     """
     (x1, p1, q1), (x2, p2, q2) = (ca.vertsplit(f, [0, 3, 6, 9]) for f in (frame_1, frame_2))
     # [p2 q2 n2] diag(R_0, -1) [p1 q1 n1]^T
@@ -121,7 +122,7 @@ def relative_twist(
 ) -> tuple[ca.SX, ca.SX]:
     """Twist of the finger's frame in the object's frame (theory section 8).
 
-    That is omega (3), rad/s, and the velocity of the frame's origin (3), m/s.
+    Returns omega (3), rad/s, and the velocity of the frame's origin (3), m/s.
 
     Parameters
     ----------
@@ -136,8 +137,8 @@ def relative_twist(
     """
     x2, p2, q2 = ca.vertsplit(frames[1], [0, 3, 6, 9])
     k1, k2 = (symmetric(*ca.vertsplit(k)) for k in shapes)
-    # Montana's inverse map, with nothing to invert, (-omega_y, omega_x) in the frame of K_2:
-    # Montana, Int. J. Robotics Research 7(3), 1988.
+    # Montana's inverse map, (-omega_y, omega_x) in the frame of K_2: Montana, Int. J. Robotics
+    # Research 7(3), 1988
     bend = k2 @ velocities[1] + r0 @ (k1 @ velocities[0])
     omega = bend[0] * q2 - bend[1] * p2
     sliding = v_rel[0] * p2 + v_rel[1] * q2
@@ -168,13 +169,13 @@ def solve_plane(a: ca.SX, b: ca.SX) -> ca.SX:
     return adjugate @ b / (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
 
 
-# --- what the engine runs of a contact -----------------------------------------------------------
+# --- functions of a contact for the engine -------------------------------------------------------
 
 
 def contact_functions() -> dict[str, ca.Function]:
-    """The functions (point, constants) that no surface enters, in the engine's order.
+    """The functions (point, constants) that do not depend on surfaces, in the engine's order.
 
-    R0, by rows, is a constant of all that need it.
+    R0, row by row, is the constant of those that need it.
     """
     sym = ca.SX.sym
     with making_symbols():

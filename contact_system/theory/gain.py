@@ -1,7 +1,7 @@
-r"""Gain laws lam(t), and what a law does to slip. A law is one row of `LAWS`.
+r"""Gain laws lam(t), and their effect on slip. Each law is one row of `LAWS`.
 
-Slip obeys an exact scalar law on every surface (eq. `contracaccel`, with any gain lam in the place
-of eta sigma^2)::
+Slip obeys an exact scalar law on every surface (eq. `contracaccel`, with any gain lam in place of
+eta sigma^2)::
 
     |v_rel|(t) = |v_rel|(0) sigma(t)/sigma(0) exp(-L(t)),        L(t) = int_0^t lam
 """
@@ -36,26 +36,26 @@ from .profile import (
 
 @dataclass(frozen=True)
 class Law:
-    """A gain law: lam = value sigma^power, and with `makes_up` max(0, sigma'/sigma) besides.
+    """A gain law: lam = value sigma^power, plus max(0, sigma'/sigma) if it `makes_up` for growth.
 
-    Its integral is a polynomial, and a logarithm where sigma grows. It shrinks slip while
-    sigma'/sigma - lam < 0; without `makes_up` that is throughout for every value above the
-    greatest sigma'/sigma^(power + 1), with it for every positive one.
+    The integral of lam is a polynomial, plus a logarithm where sigma grows. Slip shrinks while
+    sigma'/sigma - lam < 0. Without `makes_up` this holds throughout for every value above the
+    greatest sigma'/sigma^(power + 1), with it for every positive value.
     """
 
     parameter: str
-    """What the value is called."""
+    """Name of the value."""
     formula: str
     power: int
     makes_up: bool = False
 
     def rate(self, value: Any, sigma: Any, growth: Any) -> Any:
-        """lam, of numbers or symbols; growth is max(0, sigma'/sigma)."""
+        """lam for numbers or symbols; growth is max(0, sigma'/sigma)."""
         lam = value * sigma**self.power
         return lam + growth if self.makes_up else lam
 
     def integrand(self, value: float, sigma: Coefficients) -> Coefficients:
-        """Coefficients of value sigma^power from those of sigma, rounded once."""
+        """Coefficients of value sigma^power from those of sigma, each rounded once."""
         return rounded_product((value,), *[sigma] * self.power)
 
 
@@ -64,12 +64,12 @@ LAWS = {
     "time": Law("eta", "lam = eta", 0),
     "guaranteed": Law("rho", "lam = max(0, sigma'/sigma) + rho", 0, makes_up=True),
 }
-"""The gain laws by their names: as the paper prints it, as its times are, and safe."""
+"""The gain laws by name: the paper's, the one of its reported times, and one for any sigma."""
 
 
 @dataclass(frozen=True)
 class Gain:
-    """Gain law lam(t) [1/s]: how hard the object's curve is pulled towards rolling.
+    """Gain law lam(t) [1/s], which steers the object's curve towards rolling.
 
     Use the constructors `Gain.path`, `Gain.time`, `Gain.guaranteed`. The paper prints the first
     (eq. `contrac`); its reported recovery times are those of the second.
@@ -99,7 +99,7 @@ class Gain:
         value = finite_number(self.value, f"gain: {self.parameter}")
         if value < 0:
             raise SceneError(
-                f"gain: {self.parameter} = {value!r} is negative and would feed slip; use 0 or more"
+                f"gain: {self.parameter} = {value!r} is negative, so slip would grow; use 0 or more"
             )
         object.__setattr__(self, "value", value)
 
@@ -117,7 +117,7 @@ class Gain:
     def guaranteed(cls, rho: float) -> Gain:
         """lam = max(0, sigma'/sigma) + rho: slip decays at least as fast as exp(-rho t) [1/s].
 
-        It is below 5 % after 3/rho, whatever sigma does.
+        Slip is below 5 % after 3/rho, for any sigma.
         """
         return cls("guaranteed", rho)
 
@@ -134,7 +134,7 @@ class Gain:
     def rate(self, profile: Profile, t):
         """lam(t) [1/s]; t [s] of any shape.
 
-        The guaranteed law is +inf where sigma = 0: it removes slip at once as a path starts.
+        The guaranteed law is +inf where sigma = 0: it removes slip at once when a path starts.
         """
         t = as_time(t)
         sigma: Any = profile(t)
@@ -148,8 +148,9 @@ class Gain:
     def exponent(self, profile: Profile, t, since: float = 0.0):
         """L(t) - L(since) = int lam, closed form; t >= since [s] of any shape.
 
-        Growth of the guaranteed law is log(sigma/sigma(start of the growth)), which is +inf after
-        a start at sigma = 0. All is local to `since`: a large gain loses nothing to cancellation.
+        For the guaranteed law each growth of sigma adds log(sigma/sigma(start of the growth)),
+        which is +inf after sigma = 0. Polynomials are expanded about `since`, so that large gains
+        cause no cancellation.
         """
         t = as_time(t)
         sigma = profile.shifted(since) if since else profile.coefficients
@@ -164,29 +165,29 @@ class Gain:
         return total
 
 
-# --- what a gain law guarantees ----------------------------------------------------------------
+# --- contraction of slip -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Contraction:
-    """What a gain law does to slip over a horizon (eq. `contracaccel`).
+    """Effect of a gain law on slip over a horizon (eq. `contracaccel`).
 
     Attributes
     ----------
     gain : Gain
-        The law examined.
+        The law.
     duration : float
         The horizon [s].
     intervals : tuple of (float, float)
-        The times between which slip shrinks: sigma'/sigma - lam < 0 [s].
+        Intervals in which slip shrinks: sigma'/sigma - lam < 0 [s].
     throughout : bool
         True if slip shrinks over the whole horizon.
     least_eta : float
-        The law shrinks slip over the whole horizon for every gain above this one, in the unit of
-        `Gain.value`; inf if none does (sigma leaves zero), 0 if every positive one does.
+        Slip shrinks over the whole horizon for every gain above this one, in the unit of
+        `Gain.value`; inf if for none (sigma grows from zero), 0 if for every positive one.
     growth : tuple of (float, float)
-        When slip is greatest [s], and how many times its value at t = 0 it then is. (0, nan) if
-        sigma(0) = 0, because slip itself then starts at zero.
+        Time at which slip is greatest [s], and its value there as a multiple of that at t = 0.
+        (0, nan) if sigma(0) = 0, as slip then starts at zero.
     left : float
         Slip at the end as a multiple of its value at t = 0; nan if sigma(0) = 0.
     """
@@ -208,8 +209,8 @@ class Contraction:
         text += f" horizon of {self.duration:g} s."
         if self.growth[1] > 1:
             text += (
-                f" Slip that is there at t = 0 is greatest at t = {self.growth[0]:.3g} s, "
-                f"{self.growth[1]:.3g} times its first value."
+                f" Slip at t = 0 grows up to t = {self.growth[0]:.3g} s, to {self.growth[1]:.3g} "
+                "times its value."
             )
         if not math.isnan(self.left):
             text += f" At the end slip is {self.left:.2g} times its value at t = 0."
@@ -222,16 +223,16 @@ class Contraction:
             leaves = "starts from zero" if math.isnan(self.left) else "touches zero on the way"
             return (
                 f" No finite eta shrinks it throughout: sigma {leaves}, where sigma'/sigma "
-                "is unbounded (slip in units of the path speed shrinks all the same). The law "
-                "'guaranteed' does."
+                "is unbounded (slip divided by sigma shrinks all the same). The law 'guaranteed' "
+                "does."
             )
         return f" This law shrinks it throughout for every eta above {self.least_eta:.3g}."
 
 
 def contraction(profile: Profile, gain: Gain, duration: float) -> Contraction:
-    """Where slip shrinks under a gain law, and the least gain that shrinks it throughout.
+    """Intervals on which slip shrinks under a gain law, and the least gain for all the horizon.
 
-    The profile passes `Profile.check`; the duration is the horizon [s].
+    The profile must pass `Profile.check` on the horizon [0, duration] [s].
     """
     supremum = _least_gain(profile, gain.row, duration)
     throughout = gain.value > supremum
@@ -250,7 +251,7 @@ def _least_gain(profile: Profile, law: Law, duration: float) -> float:
     # d/dt (sigma' sigma^-n) = 0  <=>  sigma'' sigma - n sigma'^2 = 0
     stationary = rounded(exact_product(derivative(slope), c), exact_product((-n,), slope, slope))
     times = {0.0, duration, *sign_changes(stationary, 0.0, duration)} - set(zeros)
-    # divided step by step: a power of a tiny sigma is 0
+    # divided step by step, as a power of a tiny sigma underflows
     steepest = (reduce(truediv, [profile(t)] * n, profile.rate(t)) for t in times)
     supremum = max(steepest, default=math.inf)
     return min(0.0, supremum) if law.makes_up else supremum
@@ -261,10 +262,10 @@ def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[flo
     found: list[tuple[float, float]] = []
     knots = profile.knots(0.0, duration)
     for start, stop in zip(knots, knots[1:]):
-        # around its middle, where terms of powers of sigma cancel least
+        # expanded about its middle, where cancellation is least
         middle = 0.5 * (start + stop)
         c, law = profile.shifted(middle), gain.row
-        # rho = 0: the law only makes up for growth
+        # with rho = 0 the law only makes up for growth
         lost = () if law.makes_up else exact_product((-gain.value,), *[c] * (law.power + 1))
         rate = rounded(exact_product(derivative(c)), lost)
         ends = start - middle, stop - middle

@@ -7,8 +7,8 @@ With nodes x_i of [-1, 1], Lagrange polynomials l_j and Chebyshev polynomials T_
 * ``gauss_top[j]``, that of T_16,
 * ``gauss_weight[j]`` = int_-1^1 l_j, ``gauss_last[j]`` = l_j(1).
 
-Dense output is a Chebyshev series because its recurrence takes one operation where Legendre's
-takes three. Rounded once, from 60 digits.
+Dense output is a Chebyshev series because its recurrence takes one operation, Legendre's three.
+Numbers are rounded once, from 60 digits.
 """
 
 from __future__ import annotations

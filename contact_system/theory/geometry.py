@@ -1,4 +1,4 @@
-r"""Everything metric about a surface, stated once, symbolically, for any chart.
+r"""Metric quantities of a surface in symbols, for any chart.
 
 A chart ``f(u, v)`` need not be orthogonal. Its contact frame is ``E = [x y n]`` with
 
@@ -7,8 +7,8 @@ A chart ``f(u, v)`` need not be orthogonal. Its contact frame is ``E = [x y n]``
 and ``M`` (the metric root, ``M^T M`` is the metric) turns coordinate rates into velocity
 components along ``x`` and ``y``. For an orthogonal chart ``y = f_v/|f_v|`` and
 ``M = diag(h_u, h_v)``, and the frame, M and the Christoffel symbols are those printed in the paper
-(eqs. ``rotationmat``, ``finetune``, ``christoffel``). ``orthogonal`` promises that ``f_u . f_v``
-vanishes identically and shortens every expression.
+(eqs. ``rotationmat``, ``finetune``, ``christoffel``). ``orthogonal`` says that ``f_u . f_v`` is
+zero everywhere, which shortens every expression.
 
 Lengths in metres, angles in radians. All results are CasADi SX expressions.
 """
@@ -48,7 +48,7 @@ class ChartGeometry:
     """T, (1, 2): ``y . x' = T M q'``. 1/m."""
 
     def column(self) -> ca.SX:
-        """Return all of it as one column, in the order of `QUANTITIES`, first indices fastest."""
+        """Return all quantities as one column, as in `QUANTITIES`, the first index fastest."""
         first, second = (ca.vec(gamma) for gamma in self.christoffel)
         given = {**vars(self), "christoffel": ca.horzcat(first, second).T}  # (k, i, j), k fastest
         return ca.vertcat(*(ca.vec(given[name]) for name in QUANTITIES))
@@ -63,11 +63,11 @@ QUANTITIES: dict[str, tuple[int, ...]] = {
     "curvature_form": (2, 2),
     "torsion_form": (2,),
 }
-"""Shapes of the quantities as numbers."""
+"""Shapes of the quantities."""
 
 _ENDS = [*accumulate(map(math.prod, QUANTITIES.values()), initial=0)]
 ROWS = dict(zip(QUANTITIES, map(slice, _ENDS, _ENDS[1:])))
-"""Where each stands in `ChartGeometry.column`."""
+"""Rows of each in `ChartGeometry.column`."""
 
 
 def contact_frame(f_u: ca.SX, f_v: ca.SX, orthogonal: bool = False) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -95,9 +95,9 @@ def chart_geometry(f: ca.SX, u: ca.SX, v: ca.SX, orthogonal: bool = False) -> Ch
 def tangent_geometry(
     point: ca.SX, f_u: ca.SX, f_v: ca.SX, second: Sequence[ca.SX], orthogonal: bool = False
 ) -> ChartGeometry:
-    """Return every metric quantity from a chart's value and derivatives, however they were found.
+    """Return every metric quantity from a chart's value and derivatives, (3, 1) each.
 
-    All are (3, 1); the second ones are f_uu, f_uv, f_vv.
+    second: f_uu, f_uv, f_vv.
     """
     x, y, m = contact_frame(f_u, f_v, orthogonal)
     n = ca.cross(x, y)
@@ -127,11 +127,11 @@ def tangent_geometry(
 def revolved_geometry(
     shape: ChartGeometry, u: ca.SX, v: ca.SX, turning: int, lame: tuple[ca.SX, ca.SX], poles: bool
 ) -> ChartGeometry:
-    """Say the metric quantities of a surface of revolution without the angle about its axis.
+    """Simplify the metric quantities of a surface of revolution: free of the angle about its axis.
 
-    That angle is u or v by ``turning``, 0 or 1. ``lame``: |f_u|, |f_v| of an orthogonal chart in
-    closed form, as CasADi does not know that sin^2 + cos^2 = 1; but for their signs, of which the
-    connection is free and one changes where there are poles. The rest follows (do Carmo,
+    That angle is u or v for ``turning`` 0 or 1. ``lame``: |f_u|, |f_v| of an orthogonal chart in
+    closed form, as CasADi does not simplify sin^2 + cos^2; one of them changes its sign at poles,
+    if there are any, which does not affect the connection. The rest follows (do Carmo,
     Differential Geometry, 4-3): Gamma^k_ij, y.x_u = -h_u,v/h_v, y.x_v = h_v,u/h_u.
     """
     h_u, h_v = ca.SX(lame[0]), ca.SX(lame[1])
@@ -158,7 +158,7 @@ def symmetric(a: ca.SX, b: ca.SX, c: ca.SX) -> ca.SX:
 
 
 def plane_turn(cos: ca.SX, sin: ca.SX) -> ca.SX:
-    """Return the rotation of the plane by an angle of this cosine and sine, 2x2."""
+    """Return the rotation of the plane by an angle with this cosine and sine, 2x2."""
     return ca.vertcat(ca.horzcat(cos, -sin), ca.horzcat(sin, cos))
 
 
@@ -174,24 +174,24 @@ def upper_inverse(m: ca.SX) -> ca.SX:
 
 
 class Level(NamedTuple):
-    """A level function F at a point of the surface F = 0; its gradient points out of the body.
+    """A level function F and its derivatives at a point of the surface F = 0.
 
-    That of the other side of the surface is -F: what depends on the side takes its sign besides.
+    The sign of the side is not applied: the gradient points into a body that is ``inside``.
     """
 
     value: ca.SX
     gradient: ca.SX
     hessian: ca.SX
     steepness: ca.SX
-    """1 / |gradient|^2, right on the surface alone."""
+    """1 / |gradient|^2, valid only on the surface."""
 
 
-# --- functions of (point, numbers of a surface): its sign and its parameters --------------------
+# --- functions of (point, numbers of a surface) --------------------------------------------------
 
 
 @per_structure
 def geometry_function(surface: Surface) -> ca.Function:
-    """(u, v), of an implicit surface x -> :meth:`ChartGeometry.column`."""
+    """(u, v), or x on an implicit surface -> :meth:`ChartGeometry.column`."""
     numbers = number_symbols(surface)
     place, shape = surface.geometry_symbols(numbers)
     return numbers_function("geometry", place, numbers, shape.column())
@@ -207,7 +207,7 @@ def inverse_function(surface: Surface) -> ca.Function:
 
 @per_structure
 def ray_function(surface: Surface) -> ca.Function:
-    """x, d -> F and its slope along d, of the level function as it is written."""
+    """x, d -> the level function F and its slope along d."""
     numbers, x, ray = number_symbols(surface), ca.SX.sym("x", 3), ca.SX.sym("d", 3)
     level = surface._level(numbers[1:], x)
     slope = ca.dot(ca.gradient(level, x), ray)

@@ -1,13 +1,13 @@
-"""From symbols to tables of instructions, which the engine runs, and to their twins in C.
+"""Lowering of symbols to tables of instructions for the engine, and to their twins in C.
 
 A table is a straight-line program on registers of 16 lanes, made from a CasADi SX function
-(point, constants) -> result. Its registers, in this order: point, constants, literals, what the
-prologue finds, results, temporaries. The prologue computes what depends on constants alone, once a
-body; the body of the table does the rest, at every point.
+(point, constants) -> result. Its registers are, in this order: point, constants, literals, results
+of the prologue, results, temporaries. The prologue computes what depends on constants alone, once
+for each surface; the body computes the rest, at every point.
 
-On the way equal values are computed once, a product that is used once goes into its sum, and what
-divides by a constant, or by one number several times, is multiplied by the inverse: processors
-multiply many times faster than they divide.
+Equal values are computed once. A product that is used once is fused into its sum. A division by a
+constant, or one of several by the same number, becomes a multiplication by the inverse, which is
+much faster.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class Operation(NamedTuple):
     """One row of the table of operations."""
 
     name: str
-    """As in CasADi's OP_..., but for `FUSED`."""
+    """As in CasADi's OP_..., except for `FUSED`."""
     c: str
-    """C expression of the operands A, B, C (and D, E, F), or C's function of so many numbers."""
+    """C expression of the operands A, B, C (and D, E, F), or the name of a C function."""
     partials: tuple[str, ...]
-    """C expressions of its derivatives by each operand."""
+    """C expressions of the derivatives by each operand."""
     kind: str = "SIMPLE"
     """"SIMPLE", "SIMPLE2" (with the operands D, E, F in a second row), "CALL1" or "CALL2"."""
 
@@ -109,7 +109,7 @@ OPERATIONS = (
 CODES = {row.name: code for code, row in enumerate(OPERATIONS, start=1)}
 
 Value = tuple[Any, ...]
-"""An operation's name and its operands, numbers of earlier values; or one of `LEAVES`."""
+"""An operation and its operands, indices of earlier values; or one of `LEAVES`."""
 Step = tuple[str, int, list[int]]
 """An instruction: operation, register of the result, registers of the operands."""
 LEAVES = ("IN", "CONSTANT", "LITERAL")
@@ -122,10 +122,10 @@ def replay(
     apply: Callable[[int, list[Any]], Any],
     constant: Callable[[float], Any] = lambda value: value,
 ) -> list[list[Any]]:
-    """Replay the instructions of an SX function, dense throughout, on scalars of any type.
+    """Replay the instructions of a dense SX function on scalars of any type.
 
-    The only place that reads CasADi's instructions. It works for mpmath numbers, Drake expressions
-    and numbers of instructions alike.
+    Scalars may be mpmath numbers, Drake expressions, or indices of instructions. Only this function
+    reads CasADi's instructions.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def replay(
 
 
 def no_operation(op: int, form: str) -> ContactSystemError:
-    """The error of an operation of CasADi that cannot be written in a form, such as C."""
+    """The error of a CasADi operation without a counterpart in a form, such as C."""
     import casadi
 
     known = vars(casadi)
@@ -170,19 +170,19 @@ def no_operation(op: int, form: str) -> ContactSystemError:
 
 @cache
 def _names() -> dict[int, str]:
-    """CasADi's codes of operations -> names here, or of what they are made of in `_Values`."""
+    """CasADi's operation codes -> names of `OPERATIONS`, or of those that `_Values` replaces."""
     names = [row.name for row in OPERATIONS if row.name not in FUSED]
     found = {getattr(ca, f"OP_{name}"): name for name in (*names, "SQ", "TWICE", "HYPOT")}
     return found | {ca.OP_CONSTPOW: "POW"}
 
 
 class _Values:
-    """A program as values in the order of their computation, each once."""
+    """A program as distinct values in the order of their computation."""
 
     def __init__(self, function: ca.Function):
         self.rows: list[Value] = []
         self.uniform: list[bool] = []
-        """Whether a value depends on constants and literals alone."""
+        """Whether each value depends on constants and literals alone."""
         self._numbers: dict[Value, int] = {}
         self.inputs = [self.put("IN", i) for i in range(function.numel_in(0))]
         self.constants = [self.put("CONSTANT", i) for i in range(function.numel_in(1))]
@@ -191,12 +191,12 @@ class _Values:
         uses = Counter(j for row in self.rows if row[0] not in LEAVES for j in row[1:])
         uses.update(self.results)
         self.once = [uses[k] == 1 and not uniform for k, uniform in enumerate(self.uniform)]
-        """Whether a value at every point is used once."""
+        """Whether each value is used once and is not uniform."""
         self._divide()
         self._fuse()
 
     def put(self, name: str, *operands: Any) -> int:
-        """The number of a value, a new one or one that is there."""
+        """The index of a value, which is added if it is new."""
         a, b = operands[0], operands[-1]
         value = (name, b, a) if name in COMMUTE and a > b else (name, *operands)
         number = self._numbers.setdefault(value, len(self.rows))
@@ -207,7 +207,7 @@ class _Values:
         return number
 
     def apply(self, op: int, operands: list[int]) -> int:
-        """The value of an operation of CasADi."""
+        """The index of the value of a CasADi operation."""
         name = _names().get(op)
         a, b = operands[0], operands[-1]
         match name:
@@ -227,7 +227,7 @@ class _Values:
         return self.put(name, *operands)
 
     def _divide(self) -> None:
-        """Divide again by what nothing else is divided by: that is rounded once less."""
+        """Undo inverses that are used once: a division rounds once less."""
         rows = self.rows
         for k, (name, *operands) in enumerate(rows):
             if name != "MUL":
@@ -257,7 +257,7 @@ class _Values:
                 break
 
     def live(self) -> list[int]:
-        """What the results need, in the order of computation."""
+        """Indices of the values that the results need, ascending."""
         needed = set(self.results)
         for k in range(len(self.rows) - 1, -1, -1):
             if k in needed and self.rows[k][0] not in LEAVES:
@@ -271,12 +271,12 @@ class Table:
     Attributes
     ----------
     n_in, n_const, n_out, n_regs : int
-        Numbers of a point, of constants, of results; registers in all.
+        Sizes of point, constants and results; number of registers.
     first_lit, first_out : int
-        Registers where literals and results begin.
+        First registers of the literals and of the results.
     literals : (n_lit,) float64
     prologue, body : (n, 5) uint16
-        Rows of op, to, a, b, c, the last all 0; operations of kind "SIMPLE2" take two rows, with
+        Rows of op, to, a, b, c; the last is all 0. Operations of kind "SIMPLE2" take two rows, with
         d, e, f in the second.
     """
 
@@ -316,10 +316,10 @@ class Table:
         self.prologue, self.body = _words(prologue), _words(body + copies)
 
     def twin(self) -> str | None:
-        """C text that does to registers r what the body does; None where it is not that simple.
+        """C text that does the same to registers r as the body; None if it calls functions.
 
-        A loop over the lanes in which values live in the processor's registers; every operation is
-        the table's, so that both give the same bits.
+        It is a loop over the lanes that keeps values in the processor's registers. The operations
+        are those of the table, so that both give the same bits.
         """
         literals = range(self.first_lit, self.first_lit + len(self.literals))
         results = range(self.first_out, self.first_out + self.n_out)
@@ -356,7 +356,7 @@ def _words(steps: list[Step]) -> np.ndarray:
 
 
 def instructions(words: np.ndarray) -> Iterator[tuple[int, int, list[int]]]:
-    """Yield the code, the result's register and the operands' of every instruction."""
+    """Yield the code, the result's register and the operands' registers of every instruction."""
     rows = iter(words.tolist())
     for op, to, *registers in rows:
         if not op:
@@ -376,7 +376,7 @@ def c_number(value: float) -> str:
 
 
 class SurfaceTables:
-    """The tables of the surfaces of one structure, in groups, made when a group is asked for."""
+    """The tables of the surfaces of one structure, in groups, each made at its first use."""
 
     def __init__(self, surface: Surface):
         self.surface = surface
@@ -388,7 +388,7 @@ class SurfaceTables:
 
     @kept
     def chart(self) -> tuple[Table | None, ...]:
-        """State u, v, theta: `development.IN_CHART`, of bodies that may be moved so."""
+        """State u, v, theta: `development.IN_CHART`, for surfaces that may be planned so."""
         wanted = self.surface.double_cover or not prefers_space(self.surface)
         return self._moving(wanted, False, IN_CHART)
 
@@ -400,12 +400,12 @@ class SurfaceTables:
 
     @kept
     def geodesic(self) -> Table:
-        """A geodesic with its Jacobi fields, in space or in the chart as bodies are moved."""
+        """A geodesic with its Jacobi fields, in space or in the chart as `prefers_space` says."""
         return Table(moving(self.surface, prefers_space(self.surface))("geodesic"))
 
     @kept
     def other(self) -> tuple[Table | None, ...]:
-        """Geometry, inverse chart, and of surfaces without a chart the level along a ray."""
+        """Geometry, inverse chart, and for surfaces without a chart the level along a ray."""
         surface = self.surface
         return (
             Table(geometry_function(surface)),
@@ -417,5 +417,5 @@ class SurfaceTables:
 
 @per_structure
 def lowered(surface: Surface) -> SurfaceTables:
-    """The tables of a surface that the engine does not know, such as a user's."""
-    return SurfaceTables(copy.copy(surface))  # one that does not hold the tables in its turn
+    """The tables of a surface that has none in the engine, such as a user's."""
+    return SurfaceTables(copy.copy(surface))  # a copy, as the surface itself holds the tables

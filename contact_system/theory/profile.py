@@ -1,7 +1,6 @@
 r"""Polynomials with exact integrals, and the path profile sigma(t).
 
-Products and shifts of polynomials are formed exactly, in fractions, and rounded once. So nothing
-about sigma or its integrals is integrated numerically.
+Products and shifts of polynomials are computed exactly, in fractions, and rounded once.
 """
 
 from __future__ import annotations
@@ -29,16 +28,16 @@ Exact = tuple[Fraction, ...]
 """The same in rational numbers."""
 
 Numbers = Sequence[float] | np.ndarray
-"""What users may give for a few numbers, all of which are kept as tuples of floats."""
+"""A few numbers as users give them; they are stored as a tuple of floats."""
 
-CANCELLED = 1e5  # times as large as sigma may its terms be: 11 digits are left of it, 6 of int lam
+CANCELLED = 1e5  # allowed ratio of sigma's terms to sigma: it keeps 11 digits, int lam 6
 
 
 # --- polynomials -------------------------------------------------------------------------------
 
 
 def polynomial(coefficients: Sequence, t):
-    """The value at t, numbers or symbols, of a polynomial; coefficients from the lowest power."""
+    """The value of a polynomial at t, numbers or symbols; coefficients from the lowest power."""
     if len(coefficients) < 2:
         return sum(coefficients, 0.0 * t)
     result = coefficients[-1] * t
@@ -49,7 +48,7 @@ def polynomial(coefficients: Sequence, t):
 
 
 def clear_value(coefficients: Sequence[float], t: float) -> float:
-    """The value at t, or 0 where its sign cannot be told from rounding, of coefficients too."""
+    """The value at t, or 0 if it may be rounding, of the coefficients included."""
     value = polynomial(coefficients, t)
     terms = polynomial([*map(abs, coefficients)], abs(t)) if t else 0.0
     return value if abs(value) > 4e-16 * len(coefficients) * terms else 0.0
@@ -60,12 +59,12 @@ def derivative(coefficients: Sequence[float]) -> Coefficients:
 
 
 def integral(coefficients: Sequence) -> tuple:
-    """Coefficients of the integral from 0, numbers or symbols."""
+    """Coefficients, numbers or symbols, of the integral from 0."""
     return (0.0, *(c / (k + 1) for k, c in enumerate(coefficients)))
 
 
 def product(a: Sequence, b: Sequence) -> tuple:
-    """Coefficients of the product of two polynomials, numbers or symbols."""
+    """Coefficients, numbers or symbols, of the product of two polynomials."""
     result = [0 * a[0]] * (len(a) + len(b) - 1)
     for i, x in enumerate(a):
         for j, y in enumerate(b):
@@ -101,8 +100,8 @@ class Profile:
     ----------
     coefficients : sequence of float
         c_0, c_1, ... [m/s, m/s^2, ...], lowest power first. Where terms of both signs are larger
-        than sigma, rounding takes as many digits of sigma and twice as many of int sigma^2:
-        2 and 4 for the minimum-jerk profile.
+        than sigma, cancellation costs digits of sigma, and twice as many of int sigma^2: 2 and 4
+        for the minimum-jerk profile.
 
     Raises
     ------
@@ -112,7 +111,7 @@ class Profile:
 
     coefficients: Coefficients
 
-    if TYPE_CHECKING:  # the fields say what is kept, this what may be given
+    if TYPE_CHECKING:  # arguments may have other types than the fields
 
         def __init__(self, coefficients: Numbers) -> None: ...
 
@@ -158,7 +157,7 @@ class Profile:
     def check(self, duration: float) -> None:
         """Check that sigma is a path speed on [0, duration]: finite, not negative, not all zero.
 
-        Touching zero is allowed; so is starting or ending there.
+        It may start, end or touch zero.
 
         Raises
         ------
@@ -194,7 +193,7 @@ class Profile:
         if crossings and self(0.5 * crossings[0]) > 0:
             remedy = f"end the scene before t = {crossings[0]:.6g} s, where sigma changes sign"
         else:
-            remedy = "start with sigma >= 0 (to run a path backwards turn its path velocities)"
+            remedy = "start with sigma >= 0 (to run a path backwards, reverse its path velocities)"
         raise SceneError(
             f"profile = {list(c)}: sigma = {self(t):.6g} m/s at t = {t:.6g} s is negative, "
             f"and sigma is a speed along the path; {remedy}"

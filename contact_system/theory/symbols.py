@@ -1,7 +1,7 @@
-"""CasADi, loaded when the first symbol is made, and what makers of symbols share.
+"""CasADi, loaded when the first symbol is made; its locks and caches.
 
-Write ``from ..theory import symbols as ca`` and use it as CasADi itself. Planning and asking a
-scene of bundled surfaces makes no symbols, and so never loads it.
+Write ``from ..theory import symbols as ca`` and use it like CasADi. Plans of bundled surfaces make
+no symbols and never load it.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from casadi import *  # noqa: F403
 
-_LOCK = threading.RLock()  # CasADi keeps constants in a table that two threads may not change
-atexit.register(_LOCK.acquire)  # then the table goes: daemon threads wait for ever
-if hasattr(os, "register_at_fork"):  # a child finds the table whole; Windows has no forks
+_LOCK = threading.RLock()  # CasADi's table of constants is not thread-safe
+atexit.register(_LOCK.acquire)  # the table is destroyed at exit: daemon threads must wait
+if hasattr(os, "register_at_fork"):  # so that a child's table is consistent; not on Windows
     os.register_at_fork(
         before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_LOCK.release
     )
 
 
 class _CtrlC:
-    """Handler of SIGINT that keeps it for later: CasADi may lose what is raised below it."""
+    """Handler that defers SIGINT: CasADi may lose an exception raised inside it."""
 
     def __init__(self, usual: Callable[..., Any]):
         self.usual, self.came, self.heard = usual, False, False
@@ -43,9 +43,9 @@ class _CtrlC:
 
 @contextmanager
 def making_symbols() -> Iterator[None]:
-    """Held while CasADi is loaded, or expressions of symbols are made or dropped.
+    """Hold this while CasADi is loaded, or expressions of symbols are made or deleted.
 
-    By one thread at a time; a fork of the process waits for its end, and so does Ctrl-C.
+    One thread at a time can hold it; forks of the process and Ctrl-C wait for its end.
     """
     with _LOCK:
         here = threading.current_thread() is threading.main_thread()
@@ -65,7 +65,7 @@ def making_symbols() -> Iterator[None]:
 
 @contextmanager
 def hearing_ctrl_c() -> Iterator[None]:
-    """Held inside of `making_symbols` while a user's function runs, which may be an endless one."""
+    """Inside `making_symbols`, let Ctrl-C stop a user's function, which may never end."""
     kept = signal.getsignal(signal.SIGINT)
     if not isinstance(kept, _CtrlC):
         yield
@@ -77,7 +77,7 @@ def hearing_ctrl_c() -> Iterator[None]:
         kept.heard = False
 
 
-MOST_KEPT = 64  # results of each builder
+MOST_KEPT = 64  # cached results of each function
 
 
 def __getattr__(name: str) -> Any:
@@ -92,14 +92,14 @@ def __getattr__(name: str) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class _Alike:
-    """A surface in the place of all of its structure and side, which differ in numbers alone."""
+    """A surface as a cache key: equal for all surfaces of the same structure and side."""
 
     key: tuple[Any, ...]
     surface: Any = dataclasses.field(compare=False)
 
 
 def per_structure(build: Callable[..., Any]) -> Callable[..., Any]:
-    """Keep the latest results of a maker of symbols, by structure and side of surfaces it takes."""
+    """Cache a function of surfaces that makes symbols, by the surfaces' structures and sides."""
 
     @functools.lru_cache(maxsize=MOST_KEPT)
     def made(*given: Any) -> Any:

@@ -1,0 +1,201 @@
+"""What the engine did, in words: the lines of ``Plan.explain()``, and why it failed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from . import limits
+from .engine.binding import Fact, Failure
+from .errors import ChartSingularity, ContactSystemError, SceneError
+from .scene import DISTURBANCE_KINDS, Scene
+from .surfaces import Surface
+
+SIDES = ("finger", "object")
+LONGEST_PATH = 1e11  # sizes of the body
+ALMOST_RESTS = 1e-5  # of the greatest coefficient of sigma
+
+# failure_t.code, and kind and reason of fact_t, as in engine.h
+STUCK, TOO_MANY_PANELS, TOO_LONG, SINGULAR_CHART, SINGULAR_TIME = range(2, 7)
+CIRCLE, LINE, PANELS = range(3)
+UNPUSHED, NO_SLIP, SLIP_LEFT, SLIPS, OFFSET, OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE, FOLLOWING = range(
+    9
+)
+
+
+# --- how a plan was made -------------------------------------------------------------------------
+
+
+def lines(scene: Scene, facts: Sequence[Sequence[Fact]]) -> list[str]:
+    """How each contact and interval was planned, why, and what was skipped; facts by contact."""
+    alike: dict[tuple[str, ...], list[int]] = {}
+    for i, own in enumerate(facts):
+        alike.setdefault(tuple(_of_contact(scene, i, own)), []).append(i)
+    found = []
+    for text, contacts in alike.items():
+        names = ", ".join(map(str, contacts))
+        found += [f"contact{'s' * (len(contacts) > 1)} {names}:", *text]
+    return found
+
+
+def _of_contact(scene: Scene, contact: int, facts: Sequence[Fact]) -> list[str]:
+    found = [
+        f"  {SIDES[f.side]:6s} [{f.start:.6g}, {f.stop:.6g}] s  {_method(f)}"
+        f"  ({_reason(scene, contact, f)})"
+        for f in facts
+    ]
+    return found + [f"  skipped: {text}" for text in _skipped(facts)]
+
+
+def _method(f: Fact) -> str:
+    place = "space" if f.ambient else "its chart"
+    if f.kind == CIRCLE:
+        return "closed form: great circle"
+    if f.kind == LINE and f.panels:
+        return f"quadrature of slip, {f.panels} panels"
+    if f.kind == LINE:
+        return "closed form: straight line on the developed surface"
+    if f.forced:
+        return f"forced development, {f.panels} panels"
+    if f.by_length:
+        return f"geodesic in arc length, in {place}, {f.panels} panels"
+    return f"development in {place}, {f.panels} panels"
+
+
+_REASONS = {
+    UNPUSHED: "nothing accelerates it",
+    NO_SLIP: "no slip",
+    SLIP_LEFT: "slip has fallen below tolerance at t = {0.start:.6g} s",
+    SLIPS: "slip",
+    OFFSET: "object rate offset",
+    OFFSET_AND_SLIP: "object rate offset, slip",
+    NEGLIGIBLE: "slip negligible",
+    FOLLOWING: "rolling is imposed",
+}
+
+
+def _reason(scene: Scene, contact: int, f: Fact) -> str:
+    if f.kind == LINE and f.panels:
+        return "T = 0: the developed curve is the curve"
+    if f.kind == LINE and f.reason == SLIPS:
+        return "slip negligible"
+    if f.reason == PUSHED:
+        return _disturbances(scene, contact, f)
+    why = _REASONS[f.reason].format(f)
+    if f.kind == PANELS and f.by_length:
+        why += "; no closed form on this surface"
+    elif f.released == f.released:
+        why += f", below tolerance from t = {f.released:.6g} s on"
+    return why
+
+
+def _disturbances(scene: Scene, contact: int, f: Fact) -> str:
+    """The kinds that act on a body, in the order of `DISTURBANCE_KINDS`.
+
+    An object is disturbed by what acts on the finger too.
+    """
+    acting = {
+        type(d)
+        for d in scene.disturbances
+        if d.contact == contact and d.start <= f.start < d.stop and any(d.value)
+    }
+    if SIDES[f.side] == "finger":
+        acting = {kind for kind in acting if kind.side == "finger"}
+    return " and ".join(kind.kind for kind in DISTURBANCE_KINDS if kind in acting)
+
+
+def _skipped(facts: Sequence[Fact]) -> list[str]:
+    def in_closed_form(f: Fact) -> bool:
+        return f.kind == CIRCLE or (f.kind == LINE and not f.panels)
+
+    fingers, objects = ([f for f in facts if SIDES[f.side] == side] for side in SIDES)
+    notes = []
+    if all(map(in_closed_form, facts)):
+        notes.append("all integration")
+    elif all(map(in_closed_form, fingers)):
+        notes.append("integration of the finger")
+    if not any(f.slips or f.forced or f.reason in (SLIP_LEFT, NEGLIGIBLE) for f in objects):
+        if any(f.reason == OFFSET for f in objects):
+            notes.append("gain (slip comes from rate offsets alone, and ends with them)")
+        else:
+            notes.append("slip and gain (there is no slip)")
+    return notes
+
+
+# --- why it failed -------------------------------------------------------------------------------
+
+
+def failed(scene: Scene, failure: Failure) -> Exception:
+    """The error of a failed call of the engine."""
+    name, contact = f"{scene.title}, contact {failure.contact}", scene.contacts[failure.contact]
+    surface = (contact.finger, scene.object)[failure.side]
+    if failure.code == STUCK:
+        return _stuck(scene, name, failure)
+    if failure.code == TOO_MANY_PANELS:
+        return _too_many_panels(scene, name, failure)
+    if failure.code == TOO_LONG:
+        return SceneError(
+            f"{name}: its path is {failure.value:.3g} times as long as {surface!r} is large; "
+            f"above {LONGEST_PATH:g} rounding leaves less than four digits of its position; lower "
+            "its velocity, sigma or the duration"
+        )
+    if failure.code == SINGULAR_CHART:
+        return passed(name, surface, (failure.u, failure.v))
+    if failure.code == SINGULAR_TIME:
+        return ChartSingularity(
+            f"{name}: {surface!r}: at t = {failure.t:.17g} s the contact is at a singular point of "
+            f"the chart ({surface.chart.singular_at or 'pole'}), where u', v' and psi do not "
+            "exist. Ask for points, pose and twist there (they do), or for a time nearby"
+        )
+    return ContactSystemError(
+        f"{name}: there is not enough memory; shorten the scene, or plan fewer contacts at once"
+    )
+
+
+def passed(name: str, surface: Surface, place: tuple[float, float]) -> ContactSystemError:
+    """The error of a path through a singular point of its chart."""
+    other = "use the default method" if surface.has_implicit else "give an ImplicitSurface"
+    return ContactSystemError(
+        f"{name}: the path goes through a singular point of its chart, {surface!r} at (u, v) = "
+        f"({place[0]:.9g}, {place[1]:.9g}), where the contact frame turns over; start elsewhere, "
+        f"change the direction, end the scene before, or {other}, which needs no chart"
+    )
+
+
+def _stuck(scene: Scene, name: str, failure: Failure) -> ContactSystemError:
+    why = _accelerated_at_rest(scene, failure) or (
+        "the path reaches a singular point of its chart or its surface, or moves too fast for "
+        "double precision; start elsewhere, change the direction or end the scene before"
+    )
+    return ContactSystemError(
+        f"{name}: the motion cannot be continued past {_variable(failure)} {failure.t:.9g}: {why}"
+    )
+
+
+def _too_many_panels(scene: Scene, name: str, failure: Failure) -> ContactSystemError:
+    why = _accelerated_at_rest(scene, failure) or (
+        "shorten the scene, lower the speed, the acceleration or the surface's curvature, or give "
+        "a surface of your own a greater size; where a disturbance drives the contact into a pole "
+        "of its chart, end its window before"
+    )
+    return ContactSystemError(
+        f"{name}: {failure.panels} panels reach {_variable(failure)} {failure.t:.9g} of "
+        f"{failure.end:.9g} only, and the plan has tried {failure.spent} of at most "
+        f"{limits.PANELS:.15g}, {failure.most} of them for contact {failure.greediest}; {why}, or "
+        "set contact_system.limits.PANELS higher"
+    )
+
+
+def _variable(failure: Failure) -> str:
+    return "arc length" if failure.by_length else "local time"
+
+
+def _accelerated_at_rest(scene: Scene, failure: Failure) -> str:
+    """What to do about an acceleration where the path almost rests; empty elsewhere."""
+    sigma, way = failure.value, scene.way(failure.contact)
+    greatest = max(abs(c) for leg in way for c in leg.profile.coefficients)
+    if not failure.pushed or sigma > ALMOST_RESTS * greatest:
+        return ""
+    return (
+        f"an acceleration acts where the path almost rests, sigma = {sigma:.3g} m/s; add a "
+        "constant to the profile, or accelerate before or after"
+    )
