@@ -23,16 +23,18 @@ def spread(
 ) -> Generator[tuple[Chunk, Part]]:
     """Run chunks on an executor, at most ``ahead`` at a time.
 
-    Chunks lost with a worker go again in the end, one at a time, so that one which kills its worker
-    shows: its scenes become failures after ``LOSSES`` more workers.
+    Chunks lost with a worker go again in the end; those lost once more then go one at a time, so
+    that one which kills its worker shows: its scenes become failures after ``LOSSES`` more workers.
     """
-    lost = []
+    lost: Iterable[Chunk] = chunks
     with contextlib.closing(_Crew(executor, run)) as crew:
-        for chunk, part in crew.work(chunks, ahead):
-            if isinstance(part, Part):
-                yield chunk, part
-            else:
-                lost.append(chunk)
+        for _ in range(2):
+            again, lost = lost, list[Chunk]()
+            for chunk, part in crew.work(again, ahead):
+                if isinstance(part, Part):
+                    yield chunk, part
+                else:
+                    lost.append(chunk)
         for chunk in lost:
             for _ in range(LOSSES):
                 ((_, part),) = crew.work([chunk], 1)
