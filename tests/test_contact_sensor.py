@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from conftest import SURFACES, one_contact, reflection, slip_of_states
+from conftest import SURFACES, one_contact
+from oracles.formulas import reflection, slip_of_states
 
 import contact_system as cs
 from contact_system.contact_sensor import ContactSensor

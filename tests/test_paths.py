@@ -10,15 +10,8 @@ from math import pi
 
 import numpy as np
 import pytest
-from conftest import (
-    PAST_UMBILICS,
-    SURFACES,
-    assert_same,
-    busy,
-    one_contact,
-    several,
-    slip_of_states,
-)
+from conftest import PAST_UMBILICS, SURFACES, assert_same, busy, one_contact, several
+from oracles.formulas import slip_of_states
 from scipy.integrate import quad
 
 import contact_system as cs

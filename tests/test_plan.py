@@ -7,16 +7,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from conftest import (
-    ASK,
-    SURFACES,
-    assert_same,
-    busy,
-    one_contact,
-    reflection,
-    several,
-    slip_of_states,
-)
+from conftest import ASK, SURFACES, assert_same, busy, one_contact, several
+from oracles.formulas import reflection, slip_of_states
 
 import contact_system as cs
 

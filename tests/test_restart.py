@@ -14,17 +14,9 @@ from math import pi
 
 import numpy as np
 import pytest
-from conftest import (
-    ASK,
-    WINDOWS,
-    assert_same,
-    busy,
-    one_contact,
-    path_velocities,
-    several,
-    slip_of_states,
-)
+from conftest import ASK, WINDOWS, assert_same, busy, one_contact, several
 from numpy.polynomial import polynomial
+from oracles.formulas import path_velocities, slip_of_states
 
 import contact_system as cs
 
