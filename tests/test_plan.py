@@ -36,15 +36,6 @@ def test_times_come_in_any_order(scene):
         assert getattr(plan, ask)(t) == pytest.approx(one_by_one, abs=bar), ask
 
 
-def test_what_was_asked_before_does_not_change_an_answer():
-    t = np.linspace(0, 1, 31)
-    fresh, used = cs.plan(busy()), cs.plan(busy())
-    for ask in reversed(ASK):
-        getattr(used, ask)(t[::7])
-    for ask in ASK:
-        assert np.array_equal(getattr(fresh, ask)(t), getattr(used, ask)(t)), ask
-
-
 def test_times_are_read_from_any_memory(tmp_path):
     times, plan = np.linspace(0.0, 1.0, 61), cs.plan(busy())
     fixed, mapped = times.copy(), np.memmap(tmp_path / "times", float, "w+", shape=times.shape)
