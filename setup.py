@@ -51,13 +51,14 @@ EXTRA = shlex.split(os.environ.get("CONTACT_SYSTEM_CFLAGS", ""))
 
 # Variant -> flags, of which the first that the compiler knows are taken: those of gcc and clang,
 # ziglang's, those of compilers that know no levels of x86-64. Without any there is no such variant.
+# That for processors older than 2013 is compiled in half the time, and up to 1.8 times as slow.
 _AVX2 = ("-mavx2", "-mfma", "-mbmi", "-mbmi2", "-mlzcnt")
 _AVX512 = ("-mavx512f", "-mavx512bw", "-mavx512cd", "-mavx512dq", "-mavx512vl")
 _WIDE = "-mprefer-vector-width=512"
 VARIANTS = {
     "v4": (("-march=x86-64-v4", _WIDE), ("-march=x86_64_v4", _WIDE), (*_AVX2, *_AVX512, _WIDE)),
     "v3": (("-march=x86-64-v3",), ("-march=x86_64_v3",), _AVX2),
-    "baseline": (("-march=x86-64",), ("-march=x86_64",), ()),
+    "baseline": (("-march=x86-64", "-O1"), ("-march=x86_64", "-O1"), ("-O1",)),
 }
 
 

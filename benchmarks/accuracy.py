@@ -13,7 +13,7 @@ from typing import Any
 
 import mpmath as mp
 import numpy as np
-from oracles.formulas import arc_length, great_circle, helix
+from oracles.formulas import arc_length, great_circle, helix, reflection, slip_of_states
 from oracles.load import load, scene_of
 
 import contact_system as cs
@@ -23,26 +23,6 @@ from .problems import geodesic_scene
 from .report import Bar
 
 Array = np.ndarray
-
-
-def rolled(psi: Any, a: Array) -> Array:
-    """R_psi a, (..., 2): components along the finger's frame in the object's."""
-    cos, sin, x, y = np.cos(psi), np.sin(psi), a[..., 0], a[..., 1]
-    return np.stack([cos * x - sin * y, -sin * x - cos * y], axis=-1)
-
-
-def slip_of_states(scene: cs.Scene, states: Array) -> Array:
-    """v_rel = R_psi M1 q1' - M2 q2' in E2 (eq. `netrelvel`), m/s.
-
-    (n, n_contacts, 9) -> (n, n_contacts, 2).
-    """
-    columns = []
-    for i, contact in enumerate(scene.contacts):
-        s = states[:, i]
-        a1 = (contact.finger.metric_root(s[:, 0], s[:, 1]) @ s[:, 2:4, None])[:, :, 0]
-        a2 = (scene.object.metric_root(s[:, 4], s[:, 5]) @ s[:, 6:8, None])[:, :, 0]
-        columns.append(rolled(s[:, 8], a1) - a2)
-    return np.stack(columns, axis=1)
 
 
 def reference_error(scene: cs.Scene, record: dict[str, Any], tolerance: float = 1e-12) -> float:
@@ -106,7 +86,7 @@ def _slip_law_error(scene: cs.Scene) -> float:
     t = np.linspace(0.0, scene.duration, 101)
     plan, profile, contact = cs.plan(scene), scene.profile, scene.contacts[0]
     rates, told = slip_of_states(scene, plan.states(t))[:, 0], plan.slip(t)[:, 0]
-    start = rolled(contact.angle, np.array(contact.finger_velocity)) - contact.object_velocity
+    start = reflection(contact.angle) @ contact.finger_velocity - contact.object_velocity
     law = np.hypot(*start) * profile(t) * np.exp(-scene.gain.exponent(profile, t))
     differences = [np.hypot(*rates.T) - law, np.hypot(*told.T) - law, *(rates - told).T]
     return float(max(np.abs(d).max() for d in differences) / law.max())

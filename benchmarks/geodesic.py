@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from oracles.load import load, surface_of
 
 import contact_system as cs
 from contact_system.steering.shooting import FINE, Search
@@ -125,16 +124,4 @@ def revolution(full: bool) -> Iterator[Bar]:
         yield Bar(f"{name}, times as fast, one pair a call", None, single)
 
 
-def references(full: bool) -> Iterator[Bar]:
-    """Pieces of reference geodesics of 30 digits, and closed forms."""
-    steps = {"sphere": 12, "cylinder": 12, "torus": 1, "ellipsoid": 2, "spheroid": 8}
-    for name, n in steps.items():
-        given = load("geodesics")["geodesics"][name]
-        surface, x, t = surface_of(given["object"]), given["points"], given["times"]
-        line = cs.geodesic(surface, x[:-n], x[n:])
-        off = np.abs(line.length - (t[n:] - t[:-n])).max() / surface.size
-        note = f"{len(t) - n} pieces of {t[n] / surface.size:.3g} sizes"
-        yield Bar(f"{name}, length against 30 digits, sizes", 1e-12, off, note=note)
-
-
-SECTIONS: Sections = {"shortest": shortest, "revolution": revolution, "references": references}
+SECTIONS: Sections = {"shortest": shortest, "revolution": revolution}

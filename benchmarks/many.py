@@ -15,10 +15,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from oracles.formulas import slip_of_states
 
 import contact_system as cs
 
-from .accuracy import slip_of_states
 from .report import Bar, Sections
 from .timing import Job, in_new_process, interleaved
 

@@ -1,4 +1,4 @@
-"""Many simulations: `cs.sweep` over `drake_plant.outcome`, on two processes and on one core."""
+"""Many simulations as in docs/drake.md, on two processes and on one core."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 import contact_system as cs
@@ -40,10 +39,7 @@ def sweep(full: bool) -> Iterator[Bar]:
         part = RUNS / len(range(first, RUNS, 20))
         return part * (time.perf_counter() - begin), part * (time.process_time() - busy)
 
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        ProcessPoolExecutor(2, get_context("spawn")) as pool,
-    ):
+    with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
         killer = threading.Thread(target=_kill_one, args=(pool, Path(folder), RUNS // 2))
         one = [alone(3)]
         killer.start()

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.polynomial import polynomial
 
 import contact_system as cs
 
@@ -137,46 +136,6 @@ def assert_same(found: cs.Plan, expected: cs.Plan, t, bar: float, *asked: str) -
         truth = getattr(expected, ask)(t)
         allowed = bar * max(1.0, np.abs(truth).max())
         assert getattr(found, ask)(t) == pytest.approx(truth, abs=allowed), ask
-
-
-def reflection(psi: np.ndarray) -> np.ndarray:
-    """R_psi as printed in eq. `rotation`: (...) -> (..., 2, 2)."""
-    c, s = np.cos(psi), np.sin(psi)
-    return np.moveaxis(np.array([[c, -s], [-s, -c]]), (0, 1), (-2, -1))
-
-
-def path_velocities(scene: cs.Scene, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """M1 q1' in E1 and M2 q2' in E2 of (n, contacts, 9) states: two (n, contacts, 2), m/s."""
-    out = np.empty((2, *states.shape[:2], 2))
-    for i, contact in enumerate(scene.contacts):
-        for k, surface in enumerate((contact.finger, scene.object)):
-            u, v, *rates = states[:, i, 4 * k : 4 * k + 4].T
-            out[k, :, i] = np.einsum("nij,jn->ni", surface.metric_root(u, v), rates)
-    return out[0], out[1]
-
-
-def slip_of_states(scene: cs.Scene, states: np.ndarray) -> np.ndarray:
-    """v_rel = R_psi M1 q1' - M2 q2' (eq. `netrelvel`) of (n, contacts, 9) states, m/s."""
-    a1, a2 = path_velocities(scene, states)
-    return np.einsum("...ij,...j->...i", reflection(states[..., 8]), a1) - a2
-
-
-def exponent(gain: cs.Gain, profile: tuple[float, ...], t: np.ndarray) -> np.ndarray:
-    """L(t) = int_0^t lam, from the definition of the gain laws (theory section 2)."""
-    if gain.law == "time":
-        return gain.value * t
-    if gain.law == "path":
-        squared = polynomial.polymul(profile, profile)
-        return gain.value * polynomial.polyval(t, polynomial.polyint(squared))
-    # max(0, sigma'/sigma): log sigma where sigma grows, summed over a fine grid with the extrema
-    roots = polynomial.polyroots(polynomial.polyder(profile)) if len(profile) > 2 else np.array([])
-    extrema = roots[np.isreal(roots)].real
-    total = []
-    for end in t:
-        knots = [0.0, *sorted(x for x in extrema if 0 < x < end), end]
-        logs = np.log(polynomial.polyval(np.array(knots), profile))
-        total.append(np.maximum(0.0, np.diff(logs)).sum())
-    return np.array(total) + gain.value * t
 
 
 def derivative(f, t: np.ndarray, h: float = 4e-3) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import slip_of_states
+from oracles.formulas import slip_of_states
 
 pytest.importorskip("pydrake")
 

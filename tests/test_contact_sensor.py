@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from conftest import SURFACES, one_contact, reflection, slip_of_states
+from conftest import SURFACES, one_contact
+from oracles.formulas import reflection, slip_of_states
 
 import contact_system as cs
 from contact_system.contact_sensor import ContactSensor
@@ -205,11 +206,3 @@ def test_what_is_no_measurement_is_refused(which, given, words):
         cs.measured_states(scene, *arguments)
     with pytest.raises(cs.SceneError, match="'D1': give a Scene"):
         cs.measured_states("D1", *arguments)  # type: ignore[arg-type]
-
-
-def test_a_plan_restarts_from_measured_states():
-    scene = cs.load_scene("D1")
-    plan = cs.plan(scene)
-    again = plan.restart(1.0, cs.measured_states(scene, *at(plan, 1.0)))
-    t = np.linspace(1.0, 1.9, 5)
-    assert again.points(t) == pytest.approx(plan.points(t), abs=1e-11)

@@ -44,35 +44,6 @@ def test_evaluate_gives_what_the_single_methods_give(name):
         assert list(alone) == [output] and np.array_equal(alone[output], values), output
 
 
-def test_evaluate_keeps_the_order_and_the_kinds_of_times():
-    plan, t = cs.plan(busy()), np.linspace(0.0, 1.0, 21)
-    order = np.random.default_rng(2).permutation(len(t))
-    inside = plan.evaluate(t, "points", "twist")
-    mixed = plan.evaluate(t[order], "twist", "points")
-    assert list(mixed) == ["twist", "points"]
-    for output in mixed:
-        assert mixed[output] == pytest.approx(inside[output][order], abs=1e-14), output
-    for moment, count in ((0.5, 1), ([], 0), ([1, 0], 2)):
-        found = plan.evaluate(moment, *OUTPUTS)
-        for output, values in found.items():
-            assert values.shape == (count, *getattr(plan, output)(0.5).shape[1:]), output
-
-
-def test_evaluate_of_a_plan_that_goes_on_is_that_of_its_methods():
-    plan, t = cs.plan(busy()), np.linspace(0.45, 1.0, 12)
-    for later in (plan.restart(0.45, plan.states(0.45)[0]), plan.continued(0.45)):
-        for output, values in later.evaluate(t, *OUTPUTS).items():
-            assert np.array_equal(values, getattr(later, output)(t)), output
-
-
-def test_evaluate_of_the_chart_equations_is_that_of_their_methods():
-    plan, t = cs.plan(busy(), 1e-9, "chart"), np.linspace(0.0, 1.0, 9)
-    for output, values in plan.evaluate(t, *OUTPUTS[:-1]).items():
-        assert np.array_equal(values, getattr(plan, output)(t)), output
-    with pytest.raises(cs.SceneError, match="'chart' has no parallel frames"):
-        plan.evaluate(t, "points", "carried")
-
-
 @pytest.mark.parametrize(
     ("outputs", "words"),
     [
@@ -86,16 +57,6 @@ def test_evaluate_of_the_chart_equations_is_that_of_their_methods():
 def test_unknown_outputs_are_refused_with_the_nearest_name(outputs, words):
     with pytest.raises(cs.ContactSystemError, match=words):
         cs.plan(one_contact()).evaluate(0.5, *outputs)
-
-
-@pytest.mark.parametrize("t", [1.5, [-0.1, 0.5], "0.5", [[0.1, 0.2]], np.nan])
-def test_evaluate_refuses_times_as_the_methods_do(t):
-    plan = cs.plan(one_contact())
-    with pytest.raises(cs.ContactSystemError) as expected:
-        plan.points(t)
-    with pytest.raises(cs.ContactSystemError) as found:
-        plan.evaluate(t, "points", "twist")
-    assert str(found.value) == str(expected.value)
 
 
 def test_what_needs_no_chart_is_evaluated_at_a_pole():

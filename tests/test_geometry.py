@@ -169,13 +169,3 @@ def test_metric_quantities_follow_their_definitions(name):
                 assert value.shape == truth.shape, quantity
                 error = np.max(np.abs(value - truth)) / max(1.0, np.max(np.abs(truth)))
                 assert error < 2e-14, (quantity, u, v, error)
-
-
-def test_sphere_symbols_are_the_printed_ones():
-    """Eq. ``symbols``."""
-    u = 0.8
-    gamma = Sphere(0.1).christoffel(u, 0.3)
-    expected = np.zeros((2, 2, 2))
-    expected[0, 1, 1] = -np.sin(u) * np.cos(u)
-    expected[1, 0, 1] = expected[1, 1, 0] = 1 / np.tan(u)
-    assert np.allclose(gamma, expected, atol=1e-15)

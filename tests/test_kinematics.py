@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import SURFACES, derivative, one_contact, path_velocities, reflection, slip_of_states
+from conftest import SURFACES, derivative, one_contact
+from oracles.formulas import path_velocities, reflection, slip_of_states
 
 import contact_system as cs
 from contact_system import ConformalContact

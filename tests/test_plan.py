@@ -7,16 +7,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from conftest import (
-    ASK,
-    SURFACES,
-    assert_same,
-    busy,
-    one_contact,
-    reflection,
-    several,
-    slip_of_states,
-)
+from conftest import ASK, SURFACES, assert_same, busy, one_contact, several
+from oracles.formulas import reflection, slip_of_states
 
 import contact_system as cs
 
@@ -42,15 +34,6 @@ def test_times_come_in_any_order(scene):
         one_by_one = np.concatenate([getattr(plan, ask)(x) for x in t])
         bar = 1e-14 * np.abs(one_by_one).max()
         assert getattr(plan, ask)(t) == pytest.approx(one_by_one, abs=bar), ask
-
-
-def test_what_was_asked_before_does_not_change_an_answer():
-    t = np.linspace(0, 1, 31)
-    fresh, used = cs.plan(busy()), cs.plan(busy())
-    for ask in reversed(ASK):
-        getattr(used, ask)(t[::7])
-    for ask in ASK:
-        assert np.array_equal(getattr(fresh, ask)(t), getattr(used, ask)(t)), ask
 
 
 def test_times_are_read_from_any_memory(tmp_path):

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 import contact_system as cs
-from benchmarks.reach import PAIRS, REFUSED
+from benchmarks.reach import PAIRS, ROUND, SMALL
 from contact_system.cli import main
 
-ELLIPSOID = PAIRS["sphere on ellipsoid"][:2]
+ELLIPSOID = SMALL, ROUND
 
 
 def place(rng: np.random.Generator, surface: cs.Surface) -> tuple[float, float]:
@@ -155,6 +156,78 @@ def test_a_loop_turns_the_finger_in_place_by_the_curvature_enclosed(name):
     if isinstance(obj, cs.Plane):  # all of it on the sphere
         assert found.enclosed[1] == 0.0
         assert math.remainder(sum(found.enclosed) + 0.7, 2 * math.pi) == pytest.approx(0, abs=1e-9)
+
+
+def _try(goal: dict, finger=SMALL, obj=ROUND, contact=None, **options) -> Callable[[], object]:
+    return lambda: cs.reach(scene(finger, obj, **(contact or {})), cs.Goal(**goal), **options)
+
+
+def _pose(x: float = 0.0, row: tuple[float, ...] = (0, 0, 0, 1)) -> np.ndarray:
+    pose = np.eye(4)
+    pose[0, 3], pose[3] = x, row
+    return pose
+
+
+PLACE = {"object_at": (2.0, 1.0)}
+WHOLE = {**PLACE, "finger_at": (1.0, 0.5), "angle": 1.0}
+TWO_PLACES = {**PLACE, "finger_at": (1.0, 0.5)}
+BEYOND = {**PLACE, "object_within": (1.0, 0.2, 0.01)}
+FAR, NEAR = (2.0, -1.0, 0.01), (1.0, 0.2, 0.01)
+TWIN = cs.Ellipsoid(0.3, 0.2, 0.1)
+MIRRORED = {"object_at": (1.0, 0.4), "finger_at": (1.0, -0.4), "angle": 0.0}
+PUSH = cs.FingerAcceleration(contact=0, start=0.1, stop=0.2, value=(0.1, 0.0))
+PUSHED = scene(SMALL, ROUND).replace(disturbances=[PUSH])
+ROLLS = {"finger_velocity": "rolling", "object_velocity": (1.0, 0.0)}
+FOLLOWING = scene(SMALL, ROUND, **ROLLS)
+TWO = scene(SMALL, ROUND)
+TWO = TWO.replace(contacts=TWO.contacts * 2)
+REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
+    "no place": ("needs a place", lambda: cs.Goal()),
+    "an angle without places": ("give both places", lambda: cs.Goal(angle=1.0, **PLACE)),
+    "a pose and a place": ("not both", lambda: cs.Goal(pose=np.eye(4), **PLACE)),
+    "a pose of 3 by 3": ("shape", lambda: cs.Goal(pose=np.eye(3))),
+    "a pose with NaN": ("no rotation", lambda: cs.Goal(pose=np.full((4, 4), math.nan))),
+    "a pose in words": ("shape", lambda: cs.Goal(pose="there")),
+    "a pose that shears": ("no rotation", lambda: cs.Goal(pose=np.ones((4, 4)))),
+    "a pose that mirrors": ("no rotation", lambda: cs.Goal(pose=np.diag([1, 1, -1, 1]))),
+    "a pose with another last row": ("last row", lambda: cs.Goal(pose=_pose(row=(0, 0, 1, 1)))),
+    "a place of three numbers": ("object_at", lambda: cs.Goal(object_at=(1, 2, 3))),
+    "a place in words": ("object_at", lambda: cs.Goal(object_at="here")),
+    "a place that is NaN": ("object_at", lambda: cs.Goal(object_at=(math.nan, 1))),
+    "an endless angle": ("angle", lambda: cs.Goal(**{**WHOLE, "angle": math.inf})),
+    "a region of two numbers": ("radius", lambda: cs.Goal(**PLACE, finger_within=(1, 2))),
+    "a region without size": ("radius", lambda: cs.Goal(**PLACE, finger_within=(1, 2, 0))),
+    "no goal": ("0 goals for 1", lambda: cs.reach(scene(SMALL, ROUND), [])),
+    "a table for a goal": ("give a Goal", lambda: cs.reach(scene(SMALL, ROUND), WHOLE)),
+    "a text for a goal": ("give a Goal", lambda: cs.reach(scene(SMALL, ROUND), ["there"])),
+    "rests alone": ("every goal is None", lambda: cs.reach(scene(SMALL, ROUND), [None])),
+    "no legs": ("1 to 4", _try(WHOLE, legs=0)),
+    "five legs": ("1 to 4", _try(WHOLE, legs=5)),
+    "legs of no length": ("above 0", _try(WHOLE, longest=0.0)),
+    "time before now": ("not below 0", _try(WHOLE, seconds=-1.0)),
+    "a pole": ("pole", _try({"finger_at": (0.0, 0.0)})),
+    "an umbilic": ("umbilic", _try({"object_at": (0.0, math.pi / 2)})),
+    "equal spheres": ("same curvature", _try(WHOLE, obj=cs.Sphere(0.04))),
+    "a sphere in its own bowl": ("same curvature", _try(WHOLE, obj=cs.Sphere(0.04, inside=True))),
+    "a plane on a cylinder": ("same curvature", _try(WHOLE, cs.Plane(), cs.Cylinder(0.1))),
+    "mirror images": ("no path", _try(TWO_PLACES, TWIN, TWIN, MIRRORED)),
+    "a start outside its region": ("the start lies", _try({**PLACE, "finger_within": FAR})),
+    "a goal outside its region": ("the goal lies", _try({**PLACE, "object_within": NEAR})),
+    "a region about a pole": ("pole", _try({**PLACE, "finger_within": (0.0, 0.0, 0.02)})),
+    "a pad too small": ("widen", _try({**WHOLE, "finger_within": (1.1, 0.45, 0.007)})),
+    "legs too short": ("longer ones", _try(WHOLE, longest=0.01)),
+    "one leg for five numbers": ("at least", _try(WHOLE, legs=1)),
+    "bodies that do not touch": ("touch", _try({"pose": _pose(0.5)}, legs=3)),
+    "bodies in each other": ("touch", _try({"pose": np.eye(4)}, legs=3)),
+    "rolling that is imposed": ("two numbers", lambda: cs.reach(FOLLOWING, cs.Goal(**PLACE))),
+    "no direction": ("direction", _try(WHOLE, contact={"finger_velocity": (0.0, 0.0)})),
+    "disturbances": ("change its path", lambda: cs.reach(PUSHED, cs.Goal(**WHOLE))),
+    "one of two fingers": ("contact 1", lambda: cs.reach(TWO, [None, cs.Goal(**BEYOND)])),
+    "a loop of no turn": ("no turn", lambda: cs.loop(scene(SMALL, ROUND), 2 * math.pi)),
+    "a loop on its equal": ("same curv", lambda: cs.loop(scene(SMALL, SMALL), 1.0)),
+    "a loop of a third finger": ("0 to 1", lambda: cs.loop(TWO, 1.0, contact=2)),
+}
+"""What is asked for, a part of the answer, and how it is asked."""
 
 
 @pytest.mark.parametrize("name", sorted(REFUSED))

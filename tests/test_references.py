@@ -9,7 +9,7 @@ import functools
 
 import numpy as np
 import pytest
-from conftest import reflection
+from oracles.formulas import reflection
 from oracles.load import load, load_residual, scene_of
 
 import contact_system as cs

@@ -6,7 +6,8 @@ from math import pi
 
 import numpy as np
 import pytest
-from conftest import SURFACES, derivative, one_contact, reflection
+from conftest import SURFACES, derivative, one_contact
+from oracles.formulas import reflection
 
 import contact_system as cs
 

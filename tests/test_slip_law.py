@@ -7,18 +7,12 @@ from math import pi, remainder, sqrt
 import mpmath as mp
 import numpy as np
 import pytest
-from conftest import (
-    SURFACES,
-    derivative,
-    exponent,
-    one_contact,
-    path_velocities,
-    reflection,
-    slip_of_states,
-)
+from conftest import SURFACES, derivative, one_contact
 from numpy.polynomial import legendre, polynomial
+from oracles.formulas import path_velocities, reflection, slip_of_states
 
 import contact_system as cs
+from benchmarks.stress_laws import left_over
 
 T = np.linspace(0.0, 1.0, 41)
 PROFILE = (0.05, 0.2, -0.1)
@@ -31,9 +25,8 @@ GAINS = {
 
 def exact_slip(scene: cs.Scene, first: np.ndarray, t: np.ndarray) -> np.ndarray:
     """|v_rel|(t) of one contact from slip ``first`` at t = 0 (theory section 3)."""
-    c = scene.profile.coefficients
-    shrink = np.exp(-exponent(scene.gain, c, t)) * polynomial.polyval(t, c) / c[0]
-    return np.linalg.norm(first) * shrink
+    sigma = np.array(scene.profile.coefficients)
+    return np.linalg.norm(first) * left_over(sigma, scene.gain, t) / sigma[0]
 
 
 def assert_slip_follows_the_exact_law(scene: cs.Scene, t: np.ndarray) -> None:
@@ -156,7 +149,7 @@ def test_path_may_start_from_rest(obj, gain):
     plan = cs.plan(scene)
     slip = plan.slip(T)[:, 0]
     v = np.linalg.norm(reflection(0.3) @ [0.6, 0.8] - [0.2, -0.5])
-    law = v * polynomial.polyval(T, c) * np.exp(-exponent(gain, c, T))
+    law = v * left_over(np.array(c), gain, T)
     assert np.linalg.norm(slip, axis=1) == pytest.approx(law, abs=1e-12 * law.max())
     assert slip == pytest.approx(slip_of_states(scene, plan.states(T))[:, 0], abs=1e-12 * law.max())
     assert not plan.states(0.0)[0, 0, [2, 3, 6, 7]].any()

@@ -340,13 +340,6 @@ def test_results_that_cannot_be_kept_are_refused_by_their_file(tmp_path):
         cs.sweep(["C1"], folder=tmp_path)
 
 
-def test_failures_are_kept_in_the_folder(tmp_path):
-    scenes = [rolling_towards(0), "K0"]
-    first = cs.sweep(scenes, middle, folder=tmp_path)
-    assert cs.sweep(scenes, middle, folder=tmp_path).failures == first.failures
-    assert first.failures[0].scene == 1
-
-
 def end_at(t: float | np.ndarray):
     def end(plan: cs.Plan) -> dict[str, np.ndarray]:
         return {"end": plan.states(np.reshape(t, 1))[0]}

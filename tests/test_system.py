@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import pickle
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -276,15 +275,3 @@ def test_a_system_that_was_asked_is_pickled_and_copied(copied):
 def test_what_cannot_be_written_is_refused_with_the_remedy(scene, coordinates, message):
     with pytest.raises(cs.SceneError, match=message):
         SceneSystem(scene, coordinates)
-
-
-def test_threads_ask_systems_of_their_own_at_once():
-    scenes = [one_contact(profile=(0.1, *[0.01] * k)) for k in range(8)]
-    expected = [SceneSystem(scene).evaluate("slip", 0.0, SceneSystem(scene).x0) for scene in scenes]
-
-    def ask(scene):
-        system = SceneSystem(scene.replace())
-        return system.evaluate("slip", 0.0, system.x0)
-
-    with ThreadPoolExecutor(8) as pool:
-        assert np.array_equal(list(pool.map(ask, scenes)), expected)

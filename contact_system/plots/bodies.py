@@ -79,14 +79,18 @@ def is_hidden(mesh: Mesh | None, view: np.ndarray, points: np.ndarray) -> np.nda
     corners = (mesh.points @ view)[triangles]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
-    area[np.abs(area) <= 1e-12 * slack**2] = np.nan  # seen edge-on: hides nothing
-    for first in range(0, len(points), 64):
-        p = (points[first : first + 64] @ view)[:, None] - a
-        beta = (p[..., 0] * c[:, 1] - p[..., 1] * c[:, 0]) / area
-        gamma = (b[:, 0] * p[..., 1] - b[:, 1] * p[..., 0]) / area
-        nearer = beta * b[:, 2] + gamma * c[:, 2] - p[..., 2] > slack
-        covers = (beta >= 0) & (gamma >= 0) & (beta + gamma <= 1) & nearer
-        hidden[first : first + 64] = covers.any(1)
+    across = np.abs(area) > 1e-9 * slack**2  # triangles seen edge-on hide nothing
+    a, b, c, area = a[across], b[across], c[across], area[across]
+    zero, one = np.zeros_like(area), np.ones_like(area)
+    # linear in the point: its coordinates in a triangle, and how far the triangle is nearer
+    beta = np.stack([c[:, 1], -c[:, 0], zero]) / area
+    gamma = np.stack([-b[:, 1], b[:, 0], zero]) / area
+    nearer = beta * b[:, 2] + gamma * c[:, 2] - np.stack([zero, zero, one])
+    slopes = np.stack([beta, gamma, -beta - gamma, nearer])
+    offsets = np.stack([zero, zero, one, -slack * one]) - np.einsum("kim,mi->km", slopes, a)
+    for first in range(0, len(points), 16):  # so few that all stays in the processor's cache
+        covers = points[first : first + 16] @ view @ slopes + offsets[:, None] >= 0
+        hidden[first : first + 16] = covers.all(0).any(1)
     return hidden
 
 

@@ -23,16 +23,19 @@ def spread(
 ) -> Generator[tuple[Chunk, Part]]:
     """Run chunks on an executor, at most ``ahead`` at a time.
 
-    Chunks lost with a worker are run again at the end, one at a time. The scenes of a chunk that
-    then kills ``LOSSES`` more workers become failures.
+    Chunks lost with a worker run again at the end, together. Those that are lost again then run one
+    at a time, to show which chunk kills its worker: after ``LOSSES`` more workers its scenes become
+    failures.
     """
-    lost = []
+    lost: Iterable[Chunk] = chunks
     with contextlib.closing(_Crew(executor, run)) as crew:
-        for chunk, part in crew.work(chunks, ahead):
-            if isinstance(part, Part):
-                yield chunk, part
-            else:
-                lost.append(chunk)
+        for _ in range(2):
+            again, lost = lost, list[Chunk]()
+            for chunk, part in crew.work(again, ahead):
+                if isinstance(part, Part):
+                    yield chunk, part
+                else:
+                    lost.append(chunk)
         for chunk in lost:
             for _ in range(LOSSES):
                 ((_, part),) = crew.work([chunk], 1)

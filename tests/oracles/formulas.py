@@ -1,4 +1,4 @@
-"""What references and benches share: closed forms by mpmath, geodesics in space.
+"""What tests, references and benches share: closed forms by mpmath, geodesics, slip of states.
 
 SI units and radians; mpmath works to its own precision.
 """
@@ -6,9 +6,13 @@ SI units and radians; mpmath works to its own precision.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mpmath as mp
+import numpy as np
+
+if TYPE_CHECKING:
+    import contact_system as cs
 
 
 def arc_length(coefficients: Sequence[float], t: Any) -> Any:
@@ -52,3 +56,25 @@ def geodesic_rates(surface: str, radii: Sequence[Any], m: Any, state: Sequence[A
         bend = sum(a * c * c for a, c in zip(weights, p))
     factor = -bend / sum(g * g for g in slope)
     return [*p, *(factor * g for g in slope)]
+
+
+def reflection(psi: np.ndarray) -> np.ndarray:
+    """R_psi as printed in eq. `rotation`: (...) -> (..., 2, 2)."""
+    c, s = np.cos(psi), np.sin(psi)
+    return np.moveaxis(np.array([[c, -s], [-s, -c]]), (0, 1), (-2, -1))
+
+
+def path_velocities(scene: cs.Scene, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """M1 q1' in E1 and M2 q2' in E2 of (n, contacts, 9) states: two (n, contacts, 2), m/s."""
+    out = np.empty((2, *states.shape[:2], 2))
+    for i, contact in enumerate(scene.contacts):
+        for k, surface in enumerate((contact.finger, scene.object)):
+            u, v, *rates = states[:, i, 4 * k : 4 * k + 4].T
+            out[k, :, i] = np.einsum("nij,jn->ni", surface.metric_root(u, v), rates)
+    return out[0], out[1]
+
+
+def slip_of_states(scene: cs.Scene, states: np.ndarray) -> np.ndarray:
+    """v_rel = R_psi M1 q1' - M2 q2' (eq. `netrelvel`) of (n, contacts, 9) states, m/s."""
+    a1, a2 = path_velocities(scene, states)
+    return np.einsum("...ij,...j->...i", reflection(states[..., 8]), a1) - a2
