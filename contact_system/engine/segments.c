@@ -55,13 +55,10 @@ static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, 
 /* ---- states of bodies ---- */
 
 /* u v theta to (x, p) */
-static void to_space(work_t *w, int side, const body_t *b, const double *place, double *state) {
+static void to_space(work_t *w, const body_t *b, const double *place, double *state) {
+  const table_t *start = b->surface->ambient[A_START]; /* or it is known by its frame alone */
   double found[9];
-  if (b->surface->ambient[A_START]) {
-    run_one(table_of(w, side, 1, A_START, b), place, found);
-  } else { /* known by its frame alone */
-    run_one(table_of(w, side, 0, C_FRAME, b), place, found);
-  }
+  run_one(w, start ? start : b->surface->chart[C_FRAME], b->numbers, place, found);
   memcpy(state, found, 6 * sizeof *state);
 }
 
@@ -76,10 +73,10 @@ static void go_on(course_t *c, int side) {
   double state[6];
   track_state(c->w, side, b, k, k->stop, state);
   if (c->ambient[side] && !k->ambient)
-    to_space(c->w, side, b, state, c->state[side]);
+    to_space(c->w, b, state, c->state[side]);
   else
     memcpy(c->state[side], state, sizeof state);
-  if (c->ambient[side]) restore_body(c->w, side, b, c->state[side]);
+  if (c->ambient[side]) restore_body(c->w, b, c->state[side]);
 }
 
 /* The state in the form that an interval needs */
@@ -108,9 +105,9 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
   /* that rolling follows the object's curve as a geodesic is to come out, not to be put in */
   const int closed = c->follows && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
   if (closed == GREAT_CIRCLES) {
-    lay_circle(c->w, side, b, c->state[side], k);
+    lay_circle(c->w, b, c->state[side], k);
   } else if (closed == DEVELOPABLE) {
-    lay_line(c->w, side, b, c->state[side], k);
+    lay_line(c->w, b, c->state[side], k);
   } else {
     motion_t m = {.n = state_size(k->ambient), .rates = driven_rates, .restore = restore_driven};
     /* where sigma touches zero at a window's edge an interval may be rounding long */
@@ -119,7 +116,7 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
     m.first = speed > 0 ? fmin(FIRST * b->bend / speed, 4.0 * length) : 4.0 * length;
     m.reach = b->reach, m.body[side] = b, m.ambient[side] = k->ambient;
     memcpy(m.w, k->w, sizeof m.w), memcpy(m.state, c->state[side], sizeof c->state[side]);
-    scales(c->w, side, k->ambient, b, m.state, m.scale);
+    scales(c->w, k->ambient, b, m.state, m.scale);
     fail_on(c, side);
     integrate(c->w, &m, c->w->plan->tolerance);
     k->kind = PANELS, k->by_length = 1, k->panels = kept_panels(c->w, &m);
@@ -170,7 +167,7 @@ static void line(course_t *c, const drive_t *d, const double *offset, int matter
   k->slips = any(c->v), k->offsets = any(offset);
   if (matters)
     k->panels = slip_length(c, d); /* else what is left of slip shows in the rates alone */
-  lay_line(c->w, 1, &c->c->body[1], c->state[1], k);
+  lay_line(c->w, &c->c->body[1], c->state[1], k);
   go_on(c, 1);
 }
 
@@ -190,7 +187,7 @@ static double driven(course_t *c, const drive_t *d, const double *offset, double
   m.finish = m.offsets ? 0.0 : finish;
   m.slip = norm(c->v) > m.finish ? norm(c->v) : 0.0;
   m.first = first_panel(d, span, b->bend), m.reach = b->reach;
-  scales(c->w, 1, m.ambient[1], b, m.state, m.scale);
+  scales(c->w, m.ambient[1], b, m.state, m.scale);
   fail_on(c, 1);
   integrate(c->w, &m, tolerance);
   const int reason = m.offsets ? (any(c->v) ? OFFSET_AND_SLIP : OFFSET) : SLIPS;
@@ -263,14 +260,14 @@ static void forced(course_t *c, const segment_t *segment) {
   const double slip = fmin(fmax(norm(c->v), grown), 1.0);
   if (m.pushed) {
     in_form(c, 0, m.ambient[0], m.state);
-    scales(c->w, 0, m.ambient[0], tip, m.state, m.scale);
+    scales(c->w, m.ambient[0], tip, m.state, m.scale);
     memcpy(m.state + n1, c->w1, sizeof c->w1);
     m.scale[n1] = m.scale[n1 + 1] = 1.0;
   }
   double own[6];
   in_form(c, 1, m.ambient[1], own);
   memcpy(m.state + m.object_row, own, (size_t)n2 * sizeof *own);
-  scales(c->w, 1, m.ambient[1], obj, own, m.scale + m.object_row);
+  scales(c->w, m.ambient[1], obj, own, m.scale + m.object_row);
   memcpy(m.state + m.n - 2, c->v, sizeof c->v);
   m.scale[m.n - 2] = m.scale[m.n - 1] = 1.0 / slip;
   m.first = first_panel(d, span, fmin(tip->bend, obj->bend));
@@ -335,7 +332,7 @@ static body_t body_of(const plan_t *plan, const double *row) {
 static void begin(course_t *c) {
   const double *row = c->row;
   double found[8], in[5] = {row[K_ANGLE], row[K_W1], row[K_W1 + 1], row[K_Y], row[K_Y + 1]};
-  run_one(pair_table(c->w, T_START, NULL), in, found);
+  run_one(c->w, contact_tables + T_START, NULL, in, found);
   memcpy(c->c->r0, found, sizeof c->c->r0);
   memcpy(c->w1, row + K_W1, sizeof c->w1), memcpy(c->w2, found + 4, sizeof c->w2);
   memcpy(c->v, row[K_MOMENT] > 0 ? row + K_Y : found + 6, sizeof c->v);
@@ -349,9 +346,9 @@ static void begin(course_t *c) {
       memcpy(c->state[side], c->c->place[side], sizeof c->c->place[side]);
     } else if ((int64_t)row[K_FRAMES] & (1 << side)) {
       memcpy(c->state[side], row + (side ? K_FRAME_2 : K_FRAME_1), sizeof c->state[side]);
-      restore_body(c->w, side, b, c->state[side]);
+      restore_body(c->w, b, c->state[side]);
     } else {
-      to_space(c->w, side, b, c->c->place[side], c->state[side]);
+      to_space(c->w, b, c->c->place[side], c->state[side]);
     }
   }
 }
