@@ -27,7 +27,8 @@ typedef struct {
   const segment_t *segments;
   int64_t n;
   double state[2][6], w1[2], w2[2], v[2];
-  int ambient[2]; /* the form that each body is kept in */
+  int64_t n_passed[2]; /* tracks at whose end that state is */
+  int ambient[2];      /* the form that each body is kept in */
   int follows;
 } course_t;
 
@@ -66,10 +67,13 @@ static void track_state(work_t *w, int side, const body_t *b, const track_t *k, 
                         double *state);
 static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t, double *place);
 
-/* The body where its last track ends, in the form that it is kept in */
-static void go_on(course_t *c, int side) {
+/* The body where its last track ends, in the form that it is kept in. The end of a contact's last
+   track nobody asks for. */
+static const double *state_of(course_t *c, int side) {
+  const int64_t n = c->c->n_tracks[side];
+  if (c->n_passed[side] == n) return c->state[side];
   const body_t *b = &c->c->body[side];
-  const track_t *k = &c->c->tracks[side][c->c->n_tracks[side] - 1];
+  const track_t *k = &c->c->tracks[side][n - 1];
   double state[6];
   track_state(c->w, side, b, k, k->stop, state);
   if (c->ambient[side] && !k->ambient)
@@ -77,12 +81,14 @@ static void go_on(course_t *c, int side) {
   else
     memcpy(c->state[side], state, sizeof state);
   if (c->ambient[side]) restore_body(c->w, b, c->state[side]);
+  c->n_passed[side] = n;
+  return c->state[side];
 }
 
 /* The state in the form that an interval needs */
 static void in_form(course_t *c, int side, int ambient, double *state) {
   if (c->ambient[side] == ambient)
-    memcpy(state, c->state[side], sizeof c->state[side]);
+    memcpy(state, state_of(c, side), sizeof c->state[side]);
   else if (c->c->n_tracks[side] == 0)
     memcpy(state, c->c->place[side], sizeof c->c->place[side]);
   else
@@ -100,14 +106,15 @@ static void require_regular(course_t *c, int side, const track_t *k);
 
 static void geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
   const body_t *b = &c->c->body[side];
+  const double *state = state_of(c, side);
   track_t *k = add_track(c, side, drive, stop, reason);
   memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   /* that rolling follows the object's curve as a geodesic is to come out, not to be put in */
   const int closed = c->follows && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
   if (closed == GREAT_CIRCLES) {
-    lay_circle(c->w, b, c->state[side], k);
+    lay_circle(c->w, b, state, k);
   } else if (closed == DEVELOPABLE) {
-    lay_line(c->w, b, c->state[side], k);
+    lay_line(c->w, b, state, k);
   } else {
     motion_t m = {.n = state_size(k->ambient), .rates = driven_rates, .restore = restore_driven};
     /* where sigma touches zero at a window's edge an interval may be rounding long */
@@ -115,14 +122,13 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
     m.drive = k->drive, m.by_length = 1, m.length = length;
     m.first = speed > 0 ? fmin(FIRST * b->bend / speed, 4.0 * length) : 4.0 * length;
     m.reach = b->reach, m.body[side] = b, m.ambient[side] = k->ambient;
-    memcpy(m.w, k->w, sizeof m.w), memcpy(m.state, c->state[side], sizeof c->state[side]);
+    memcpy(m.w, k->w, sizeof m.w), memcpy(m.state, state, sizeof c->state[side]);
     scales(c->w, k->ambient, b, m.state, m.scale);
     fail_on(c, side);
     integrate(c->w, &m, c->w->plan->tolerance);
     k->kind = PANELS, k->by_length = 1, k->panels = kept_panels(c->w, &m);
     require_regular(c, side, k);
   }
-  go_on(c, side);
 }
 
 /* ---- slip and rate offsets ---- */
@@ -161,14 +167,14 @@ static panels_t slip_length(course_t *c, const drive_t *d) {
 }
 
 static void line(course_t *c, const drive_t *d, const double *offset, int matters, int reason) {
+  const double *state = state_of(c, 1);
   track_t *k = add_track(c, 1, d, d->stop, reason);
   memcpy(k->w, c->w2, sizeof k->w), memcpy(k->v, c->v, sizeof k->v);
   memcpy(k->offset, offset, sizeof k->offset);
   k->slips = any(c->v), k->offsets = any(offset);
   if (matters)
     k->panels = slip_length(c, d); /* else what is left of slip shows in the rates alone */
-  lay_line(c->w, &c->c->body[1], c->state[1], k);
-  go_on(c, 1);
+  lay_line(c->w, &c->c->body[1], state, k);
 }
 
 /* Develops the object while slip or a rate offset lasts; returns the time reached. Slip that moves
@@ -199,7 +205,6 @@ static double driven(course_t *c, const drive_t *d, const double *offset, double
   k->slips = any(c->v), k->offsets = m.offsets;
   if (m.released >= 0) k->released = d->start + m.released;
   require_regular(c, 1, k);
-  go_on(c, 1);
   return stop;
 }
 
@@ -288,7 +293,6 @@ static void forced(course_t *c, const segment_t *segment) {
     memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
     if (side) memcpy(k->offset, act + 4, sizeof k->offset), k->offsets = m.offsets;
     require_regular(c, side, k);
-    go_on(c, side);
   }
   if (m.pushed) go_along(c, m.state + n1);
   memcpy(c->v, m.state + m.n - 2, sizeof c->v);
