@@ -16,9 +16,9 @@ static twofold_t twofold_length(const drive_t *d, double tau) {
 /* ---- great circles ---- */
 
 /* The circle through x with frame p, q, along w */
-static void lay_circle(work_t *w, int side, const body_t *b, const double *state, track_t *k) {
+static void lay_circle(work_t *w, const body_t *b, const double *state, track_t *k) {
   double q[3];
-  run_one(table_of(w, side, 1, A_SECOND, b), state, q);
+  run_one(w, b->surface->ambient[A_SECOND], b->numbers, state, q);
   const double pace = hypot(k->w[0], k->w[1]);
   /* a contact point at rest has no direction; p will do */
   k->lean[0] = pace > 0 ? k->w[0] / pace : 1.0, k->lean[1] = pace > 0 ? k->w[1] / pace : 0.0;
@@ -64,14 +64,13 @@ static void phases(const track_t *k, const body_t *b, const double *tau, double 
 
 /* ---- lines on developable surfaces ---- */
 
-static void lay_line(work_t *w, int side, const body_t *b, const double *state, track_t *k) {
+static void lay_line(work_t *w, const body_t *b, const double *state, track_t *k) {
   double lame[3], turned[2];
   memcpy(k->begin, state, sizeof k->begin);
-  run_one(table_of(w, side, 0, C_LAME, b), state, lame);
-  unit_t *u = pair_table(w, T_TURNED, NULL);
+  run_one(w, b->surface->chart[C_LAME], b->numbers, state, lame);
   for (int which = 0; which < 2; which++) {
     const double *y = which ? k->v : k->w, in[3] = {state[2], y[0], y[1]};
-    run_one(u, in, turned);
+    run_one(w, contact_tables + T_TURNED, NULL, in, turned);
     for (int a = 0; a < 2; a++) (which ? k->aside : k->slope)[a] = turned[a] / lame[a];
   }
   k->kind = LINE;

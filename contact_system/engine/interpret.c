@@ -54,7 +54,7 @@ static void interpret(const code_t *restrict k, lanes_t r) {
 #undef E
 #undef F
 
-/* The same of one point, a register being one double: for who asks for a derivative at a time */
+/* The same of one point, with the same bits, a register being one double */
 #define A r[k->a]
 #define B r[k->b]
 #define C r[k->c]
@@ -77,11 +77,11 @@ static void step(const program_t *program) {
   k += 2;                                                                                          \
   NEXT
 #define CALL1(name, function)                                                                      \
-  DO_##name : r[k->to] = function(A);                                                              \
+  DO_##name : r[k->to] = one_##function(A);                                                        \
   k++;                                                                                             \
   NEXT
 #define CALL2(name, function)                                                                      \
-  DO_##name : r[k->to] = function(A, B);                                                           \
+  DO_##name : r[k->to] = one_##function(A, B);                                                     \
   k++;                                                                                             \
   NEXT
   NEXT OPERATIONS(SIMPLE, SIMPLE2, CALL1, CALL2) DO_END :;
@@ -122,11 +122,11 @@ static void along(const program_t *program, double (*d)[L]) {
     break;
 #define CALL1(name, function)                                                                      \
   case OP_##name:                                                                                  \
-    r[k->to] = function(A);                                                                        \
+    r[k->to] = one_##function(A);                                                                  \
     break;
 #define CALL2(name, function)                                                                      \
   case OP_##name:                                                                                  \
-    r[k->to] = function(A, B);                                                                     \
+    r[k->to] = one_##function(A, B);                                                               \
     break;
   for (const code_t *k = program->code; k->op != OP_END; k++) {
     switch (k->op) { DERIVATIVES(PARTIALS) }
@@ -182,11 +182,4 @@ static inline lanes_t run(const unit_t *u) {
   else
     interpret(u->table->body, u->r);
   return u->r + u->table->first_out;
-}
-
-/* The same of one point in all lanes */
-static void run_one(const unit_t *u, const double *in, double *out) {
-  for (int j = 0; j < u->table->n_in; j++) fill_lanes(u->r[j], in[j]);
-  lanes_t found = run(u);
-  for (int j = 0; j < u->table->n_out; j++) out[j] = found[j][0];
 }

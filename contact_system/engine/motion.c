@@ -46,6 +46,23 @@ static unit_t *pair_table(work_t *w, int table, const double *constants) {
   return u;
 }
 
+/* A table at one point */
+static void run_one(work_t *w, const table_t *t, const double *constants, const double *in,
+                    double *out) {
+  if (w->n_one < t->n_regs) {
+    free(w->one), w->n_one = 0;
+    if (!(w->one = malloc((size_t)t->n_regs * sizeof *w->one))) fail(w, NO_MEMORY);
+    w->n_one = t->n_regs;
+  }
+  double *r = w->one;
+  memcpy(r, in, (size_t)t->n_in * sizeof *r);
+  if (t->n_const) memcpy(r + t->n_in, constants, (size_t)t->n_const * sizeof *r);
+  if (t->n_lit) memcpy(r + t->first_lit, t->literals, (size_t)t->n_lit * sizeof *r);
+  step(&(program_t){t->prologue, r});
+  step(&(program_t){t->body, r});
+  memcpy(out, r + t->first_out, (size_t)t->n_out * sizeof *out);
+}
+
 static int state_size(int ambient) { return ambient ? 6 : 3; }
 
 /* ---- right-hand sides ---- */
@@ -130,31 +147,31 @@ static void quadrature_rates(work_t *w, motion_t *m, lanes_t x, const double *si
   SIMD for (int i = 0; i < L; i++) f[0][i] = sigma[i] * decay[i];
 }
 
-static void restore_body(work_t *w, int side, const body_t *b, double *state) {
+static void restore_body(work_t *w, const body_t *b, double *state) {
   double found[6];
-  run_one(table_of(w, side, 1, A_RESTORE, b), state, found);
+  run_one(w, b->surface->ambient[A_RESTORE], b->numbers, state, found);
   memcpy(state, found, sizeof found);
 }
 
 static void restore_driven(work_t *w, motion_t *m, double *state) {
   const int side = m->body[1] != NULL;
-  if (m->ambient[side]) restore_body(w, side, m->body[side], state);
+  if (m->ambient[side]) restore_body(w, m->body[side], state);
 }
 
 static void restore_forced(work_t *w, motion_t *m, double *state) {
-  if (m->pushed && m->ambient[0]) restore_body(w, 0, m->body[0], state);
-  if (m->ambient[1]) restore_body(w, 1, m->body[1], state + m->object_row);
+  if (m->pushed && m->ambient[0]) restore_body(w, m->body[0], state);
+  if (m->ambient[1]) restore_body(w, m->body[1], state + m->object_row);
 }
 
 /* 1/(size of each state): positions count by the body's size, angles and directions by 1. */
-static void scales(work_t *w, int side, int ambient, const body_t *b, const double *state,
+static void scales(work_t *w, int ambient, const body_t *b, const double *state,
                    double *scale) {
   if (ambient) {
     for (int j = 0; j < 6; j++) scale[j] = j < 3 ? 1.0 / b->size : 1.0;
     return;
   }
   double lame[3];
-  run_one(table_of(w, side, 0, C_LAME, b), state, lame);
+  run_one(w, b->surface->chart[C_LAME], b->numbers, state, lame);
   for (int j = 0; j < 2; j++) scale[j] = fmax(lame[j] / b->size, 1e-2);
   scale[2] = 1.0;
 }

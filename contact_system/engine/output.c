@@ -452,8 +452,8 @@ static void moment_of(work_t *w, contact_t *c, double t, double *out) {
     if (k->ambient)
       memcpy(frame, state, sizeof state);
     else
-      to_space(w, side, b, state, frame);
-    restore_body(w, side, b, frame);
+      to_space(w, b, state, frame);
+    restore_body(w, b, frame);
   }
 }
 

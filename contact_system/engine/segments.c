@@ -27,7 +27,8 @@ typedef struct {
   const segment_t *segments;
   int64_t n;
   double state[2][6], w1[2], w2[2], v[2];
-  int ambient[2]; /* the form that each body is kept in */
+  int64_t n_passed[2]; /* tracks at whose end that state is */
+  int ambient[2];      /* the form that each body is kept in */
   int follows;
 } course_t;
 
@@ -55,13 +56,10 @@ static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, 
 /* ---- states of bodies ---- */
 
 /* u v theta to (x, p) */
-static void to_space(work_t *w, int side, const body_t *b, const double *place, double *state) {
+static void to_space(work_t *w, const body_t *b, const double *place, double *state) {
+  const table_t *start = b->surface->ambient[A_START]; /* or it is known by its frame alone */
   double found[9];
-  if (b->surface->ambient[A_START]) {
-    run_one(table_of(w, side, 1, A_START, b), place, found);
-  } else { /* known by its frame alone */
-    run_one(table_of(w, side, 0, C_FRAME, b), place, found);
-  }
+  run_one(w, start ? start : b->surface->chart[C_FRAME], b->numbers, place, found);
   memcpy(state, found, 6 * sizeof *state);
 }
 
@@ -69,23 +67,28 @@ static void track_state(work_t *w, int side, const body_t *b, const track_t *k, 
                         double *state);
 static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t, double *place);
 
-/* The body where its last track ends, in the form that it is kept in */
-static void go_on(course_t *c, int side) {
+/* The body where its last track ends, in the form that it is kept in. The end of a contact's last
+   track nobody asks for. */
+static const double *state_of(course_t *c, int side) {
+  const int64_t n = c->c->n_tracks[side];
+  if (c->n_passed[side] == n) return c->state[side];
   const body_t *b = &c->c->body[side];
-  const track_t *k = &c->c->tracks[side][c->c->n_tracks[side] - 1];
+  const track_t *k = &c->c->tracks[side][n - 1];
   double state[6];
   track_state(c->w, side, b, k, k->stop, state);
   if (c->ambient[side] && !k->ambient)
-    to_space(c->w, side, b, state, c->state[side]);
+    to_space(c->w, b, state, c->state[side]);
   else
     memcpy(c->state[side], state, sizeof state);
-  if (c->ambient[side]) restore_body(c->w, side, b, c->state[side]);
+  if (c->ambient[side]) restore_body(c->w, b, c->state[side]);
+  c->n_passed[side] = n;
+  return c->state[side];
 }
 
 /* The state in the form that an interval needs */
 static void in_form(course_t *c, int side, int ambient, double *state) {
   if (c->ambient[side] == ambient)
-    memcpy(state, c->state[side], sizeof c->state[side]);
+    memcpy(state, state_of(c, side), sizeof c->state[side]);
   else if (c->c->n_tracks[side] == 0)
     memcpy(state, c->c->place[side], sizeof c->c->place[side]);
   else
@@ -103,14 +106,15 @@ static void require_regular(course_t *c, int side, const track_t *k);
 
 static void geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
   const body_t *b = &c->c->body[side];
+  const double *state = state_of(c, side);
   track_t *k = add_track(c, side, drive, stop, reason);
   memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   /* that rolling follows the object's curve as a geodesic is to come out, not to be put in */
   const int closed = c->follows && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
   if (closed == GREAT_CIRCLES) {
-    lay_circle(c->w, side, b, c->state[side], k);
+    lay_circle(c->w, b, state, k);
   } else if (closed == DEVELOPABLE) {
-    lay_line(c->w, side, b, c->state[side], k);
+    lay_line(c->w, b, state, k);
   } else {
     motion_t m = {.n = state_size(k->ambient), .rates = driven_rates, .restore = restore_driven};
     /* where sigma touches zero at a window's edge an interval may be rounding long */
@@ -118,14 +122,13 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
     m.drive = k->drive, m.by_length = 1, m.length = length;
     m.first = speed > 0 ? fmin(FIRST * b->bend / speed, 4.0 * length) : 4.0 * length;
     m.reach = b->reach, m.body[side] = b, m.ambient[side] = k->ambient;
-    memcpy(m.w, k->w, sizeof m.w), memcpy(m.state, c->state[side], sizeof c->state[side]);
-    scales(c->w, side, k->ambient, b, m.state, m.scale);
+    memcpy(m.w, k->w, sizeof m.w), memcpy(m.state, state, sizeof c->state[side]);
+    scales(c->w, k->ambient, b, m.state, m.scale);
     fail_on(c, side);
     integrate(c->w, &m, c->w->plan->tolerance);
     k->kind = PANELS, k->by_length = 1, k->panels = kept_panels(c->w, &m);
     require_regular(c, side, k);
   }
-  go_on(c, side);
 }
 
 /* ---- slip and rate offsets ---- */
@@ -164,14 +167,14 @@ static panels_t slip_length(course_t *c, const drive_t *d) {
 }
 
 static void line(course_t *c, const drive_t *d, const double *offset, int matters, int reason) {
+  const double *state = state_of(c, 1);
   track_t *k = add_track(c, 1, d, d->stop, reason);
   memcpy(k->w, c->w2, sizeof k->w), memcpy(k->v, c->v, sizeof k->v);
   memcpy(k->offset, offset, sizeof k->offset);
   k->slips = any(c->v), k->offsets = any(offset);
   if (matters)
     k->panels = slip_length(c, d); /* else what is left of slip shows in the rates alone */
-  lay_line(c->w, 1, &c->c->body[1], c->state[1], k);
-  go_on(c, 1);
+  lay_line(c->w, &c->c->body[1], state, k);
 }
 
 /* Develops the object while slip or a rate offset lasts; returns the time reached. Slip that moves
@@ -190,7 +193,7 @@ static double driven(course_t *c, const drive_t *d, const double *offset, double
   m.finish = m.offsets ? 0.0 : finish;
   m.slip = norm(c->v) > m.finish ? norm(c->v) : 0.0;
   m.first = first_panel(d, span, b->bend), m.reach = b->reach;
-  scales(c->w, 1, m.ambient[1], b, m.state, m.scale);
+  scales(c->w, m.ambient[1], b, m.state, m.scale);
   fail_on(c, 1);
   integrate(c->w, &m, tolerance);
   const int reason = m.offsets ? (any(c->v) ? OFFSET_AND_SLIP : OFFSET) : SLIPS;
@@ -202,7 +205,6 @@ static double driven(course_t *c, const drive_t *d, const double *offset, double
   k->slips = any(c->v), k->offsets = m.offsets;
   if (m.released >= 0) k->released = d->start + m.released;
   require_regular(c, 1, k);
-  go_on(c, 1);
   return stop;
 }
 
@@ -263,14 +265,14 @@ static void forced(course_t *c, const segment_t *segment) {
   const double slip = fmin(fmax(norm(c->v), grown), 1.0);
   if (m.pushed) {
     in_form(c, 0, m.ambient[0], m.state);
-    scales(c->w, 0, m.ambient[0], tip, m.state, m.scale);
+    scales(c->w, m.ambient[0], tip, m.state, m.scale);
     memcpy(m.state + n1, c->w1, sizeof c->w1);
     m.scale[n1] = m.scale[n1 + 1] = 1.0;
   }
   double own[6];
   in_form(c, 1, m.ambient[1], own);
   memcpy(m.state + m.object_row, own, (size_t)n2 * sizeof *own);
-  scales(c->w, 1, m.ambient[1], obj, own, m.scale + m.object_row);
+  scales(c->w, m.ambient[1], obj, own, m.scale + m.object_row);
   memcpy(m.state + m.n - 2, c->v, sizeof c->v);
   m.scale[m.n - 2] = m.scale[m.n - 1] = 1.0 / slip;
   m.first = first_panel(d, span, fmin(tip->bend, obj->bend));
@@ -291,7 +293,6 @@ static void forced(course_t *c, const segment_t *segment) {
     memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
     if (side) memcpy(k->offset, act + 4, sizeof k->offset), k->offsets = m.offsets;
     require_regular(c, side, k);
-    go_on(c, side);
   }
   if (m.pushed) go_along(c, m.state + n1);
   memcpy(c->v, m.state + m.n - 2, sizeof c->v);
@@ -335,7 +336,7 @@ static body_t body_of(const plan_t *plan, const double *row) {
 static void begin(course_t *c) {
   const double *row = c->row;
   double found[8], in[5] = {row[K_ANGLE], row[K_W1], row[K_W1 + 1], row[K_Y], row[K_Y + 1]};
-  run_one(pair_table(c->w, T_START, NULL), in, found);
+  run_one(c->w, contact_tables + T_START, NULL, in, found);
   memcpy(c->c->r0, found, sizeof c->c->r0);
   memcpy(c->w1, row + K_W1, sizeof c->w1), memcpy(c->w2, found + 4, sizeof c->w2);
   memcpy(c->v, row[K_MOMENT] > 0 ? row + K_Y : found + 6, sizeof c->v);
@@ -349,9 +350,9 @@ static void begin(course_t *c) {
       memcpy(c->state[side], c->c->place[side], sizeof c->c->place[side]);
     } else if ((int64_t)row[K_FRAMES] & (1 << side)) {
       memcpy(c->state[side], row + (side ? K_FRAME_2 : K_FRAME_1), sizeof c->state[side]);
-      restore_body(c->w, side, b, c->state[side]);
+      restore_body(c->w, b, c->state[side]);
     } else {
-      to_space(c->w, side, b, c->c->place[side], c->state[side]);
+      to_space(c->w, b, c->c->place[side], c->state[side]);
     }
   }
 }

@@ -123,11 +123,30 @@ static void lanes_exp(double *to, const double *a) {
   for (int i = 0; i < L; i++) to[i] = v_exp(a[i]);
 }
 
+/* The same of one number */
+static inline double one_sin(double a) {
+  double s, c;
+  if (!(fabs(a) < LARGE_ANGLE)) return sin(a);
+  v_sincos(a, &s, &c);
+  return s;
+}
+
+static inline double one_cos(double a) {
+  double s, c;
+  if (!(fabs(a) < LARGE_ANGLE)) return cos(a);
+  v_sincos(a, &s, &c);
+  return c;
+}
+
+static inline double one_exp(double a) { return v_exp(a); }
+
 #define LANES_OF_ONE(name, f)                                                                      \
-  __attribute__((unused)) static void lanes_##name(double *to, const double *a) {                 \
+  static inline double one_##name(double a) { return f(a); }                                       \
+  __attribute__((unused)) static void lanes_##name(double *to, const double *a) {                  \
     for (int i = 0; i < L; i++) to[i] = f(a[i]);                                                   \
   }
 #define LANES_OF_TWO(name, f)                                                                      \
+  static inline double one_##name(double a, double b) { return f(a, b); }                          \
   __attribute__((unused)) static void lanes_##name(double *to, const double *a, const double *b) { \
     for (int i = 0; i < L; i++) to[i] = f(a[i], b[i]);                                             \
   }

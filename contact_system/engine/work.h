@@ -94,6 +94,8 @@ struct work {
   const contact_t *contact;
   unit_t body[2][2][N_CHART]; /* side, ambient or not, table */
   unit_t pair[N_CONTACT_TABLES];
+  double *one; /* registers of tables that run at one point; so many */
+  int64_t n_one;
   double *edges, *series;  /* of the motion that is being integrated */
   int64_t room;            /* for so many rows of series */
   int64_t spent, begun;    /* panels tried so far, and before this contact */
@@ -116,7 +118,7 @@ static void end_work(work_t *w) {
     for (int a = 0; a < 2; a++)
       for (int t = 0; t < N_CHART; t++) free(w->body[s][a][t].r);
   for (int t = 0; t < N_CONTACT_TABLES; t++) free(w->pair[t].r);
-  free(w->edges), free(w->series);
+  free(w->one), free(w->edges), free(w->series);
 }
 
 /* Room for n doubles in the plan */

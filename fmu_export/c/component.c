@@ -1,7 +1,6 @@
 /* Values and steps over the engine's plans: see component.h. */
 #include "component.h"
 
-#include <fenv.h>
 #include <stdarg.h>
 
 #include "model.c"

@@ -14,6 +14,8 @@
 #define CONTACT_COMPONENT
 #include "model.h"
 
+#include <fenv.h>
+
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wunused-function"
 #endif
@@ -95,6 +97,15 @@ typedef struct component {
 /* whether states are given and results follow from them, else plans are */
 #define SYSTEM(now)                                                                                \
   (!(now)->stepping || ((now)->phase & (INSTANTIATED | CONFIGURATION | INITIALIZATION)))
+
+/* What the engine and tables look at may be no number; importers may trap that. */
+#define UNTRAPPED(...)                                                                             \
+  do {                                                                                             \
+    fenv_t traps;                                                                                  \
+    feholdexcept(&traps);                                                                          \
+    __VA_ARGS__;                                                                                   \
+    fesetenv(&traps);                                                                              \
+  } while (0)
 
 static void forget_values(component_t *c) {
   for (long i = 0; i < c->model->n_contacts; i++) c->live[i].valid = 0;

@@ -145,10 +145,7 @@ static const char *begin_measured(component_t *c, long i, segment_t *s) {
 
 /* The same; returns not 0, with c->unmeasured, where that is no place to start from. */
 static int resynchronize(component_t *c, long i, segment_t *s) {
-  fenv_t traps;
-  feholdexcept(&traps);
-  c->unmeasured = begin_measured(c, i, s);
-  fesetenv(&traps);
+  UNTRAPPED(c->unmeasured = begin_measured(c, i, s));
   c->failure = (failure_t){.code = STUCK};
   return c->unmeasured != NULL;
 }

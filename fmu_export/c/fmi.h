@@ -5,7 +5,7 @@
    SIZE(c, r)    how many values a reference has, 0: there is no such reference
    status_t      OK, WARNING, DISCARD, FAILED;  BOOLEAN, BYTE  types; the others are the same
    ROOM(n)       the parameter behind an array of values: how many they are; ROOM_OF(count, n)
-   INSTANTIATE   how instances are made, OTHER_TOKEN  what is wrong with a token
+   TOKEN         what it calls the token
  */
 #include "component.c"
 /* */
@@ -19,6 +19,9 @@
 #define FMI_EXPORT __declspec(dllexport)
 #else
 #define FMI_EXPORT __attribute__((visibility("default")))
+#endif
+#if defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wunused-parameter" /* the standard's signatures, from here on */
 #endif
 #define PASTED(prefix, name) PASTED_AS_IS(prefix, name)
 #define PASTED_AS_IS(prefix, name) prefix##name
@@ -80,6 +83,28 @@ static status_t allowed(component_t *c, int phases) {
 #define STEPPING_ONLY(phases)                                                                      \
   BEGIN(phases);                                                                                   \
   if (!c->now->stepping) REFUSE("the instance was made for Model Exchange")
+/* What only leads from some states to another; what there is not; what is asked of no variable */
+#define LEADS_TO(phase_after, name, begin)                                                         \
+  FMI_EXPORT status_t FMI(name)(void *instance) {                                                  \
+    begin;                                                                                         \
+    c->now->phase = phase_after;                                                                   \
+    return OK;                                                                                     \
+  }
+#define NOT_THERE(name, words, ...)                                                                \
+  FMI_EXPORT status_t FMI(name)(__VA_ARGS__) {                                                     \
+    BEGIN(ANY);                                                                                    \
+    REFUSE(words);                                                                                 \
+  }
+#define OF_NOTHING(name, begin, words, ...)                                                        \
+  FMI_EXPORT status_t FMI(name)(void *instance, const unsigned vr[], size_t count, __VA_ARGS__) {  \
+    begin;                                                                                         \
+    if (count) REFUSE(words);                                                                      \
+    return OK;                                                                                     \
+  }
+#define NO_GETTER(name, ...)                                                                       \
+  OF_NOTHING(Get##name, BEGIN(RUNNING), "there are no variables of this type", __VA_ARGS__)
+#define NO_SETTER(name, ...)                                                                       \
+  OF_NOTHING(Set##name, BEGIN(SETTABLE), "there are no variables of this type", __VA_ARGS__)
 
 static void log_text(component_t *, status_t, const char *text);
 
@@ -90,18 +115,19 @@ static void free_instance(instance_t *instance) {
 }
 
 /* wrong: what else is, or NULL */
-static instance_t *instantiate(const char *name, const char *token, const char *resources,
-                               void (*log)(void), void *environment, int logging, int stepping,
-                               const char *wrong) {
+static instance_t *instantiate(const char *called, const char *name, const char *token,
+                               const char *resources, void (*log)(void), void *environment,
+                               int logging, int stepping, const char *wrong) {
   instance_t *instance = calloc(1, sizeof *instance);
   if (!instance) return NULL;
   component_t *c = &instance->component;
-  c->report = log_text, c->host = instance, c->called = INSTANTIATE;
+  c->report = log_text, c->host = instance, c->called = called;
   instance->log = log, instance->environment = environment;
   if (name) strncpy(instance->name, name, sizeof instance->name - 1);
   if (!name || !*name) wrong = "the instance has no name";
   if (!wrong) wrong = make_component(c, resources);
-  if (!wrong && (!token || strcmp(token, token_of(c->model)))) wrong = OTHER_TOKEN;
+  if (!wrong && (!token || strcmp(token, token_of(c->model))))
+    wrong = "the " TOKEN " is another model's";
   if (wrong) {
     report(c, FAILED, "%s", wrong);
     free_instance(instance);
@@ -158,11 +184,7 @@ FMI_EXPORT status_t FMI(ExitInitializationMode)(void *instance) {
   return OK;
 }
 
-FMI_EXPORT status_t FMI(Terminate)(void *instance) {
-  BEGIN(EVENT | CONTINUOUS | STEP);
-  c->now->phase = TERMINATED;
-  return OK;
-}
+LEADS_TO(TERMINATED, Terminate, BEGIN(EVENT | CONTINUOUS | STEP))
 
 FMI_EXPORT status_t FMI(Reset)(void *instance) {
   BEGIN(ANY);
@@ -348,16 +370,11 @@ FMI_EXPORT status_t FMI(DeserializeFMUState)(void *instance, const BYTE bytes[],
 
 /* --- Model Exchange --------------------------------------------------------------------------- */
 
-FMI_EXPORT status_t FMI(EnterContinuousTimeMode)(void *instance) {
-  SYSTEM_ONLY(EVENT);
-  c->now->phase = CONTINUOUS;
-  return OK;
-}
+LEADS_TO(CONTINUOUS, EnterContinuousTimeMode, SYSTEM_ONLY(EVENT))
 
 FMI_EXPORT status_t FMI(CompletedIntegratorStep)(void *instance, BOOLEAN no_return,
                                                  BOOLEAN *enter_event_mode, BOOLEAN *terminate) {
   SYSTEM_ONLY(CONTINUOUS);
-  (void)no_return;
   NEEDS(enter_event_mode && terminate);
   *enter_event_mode = *terminate = 0;
   return OK;
@@ -386,7 +403,6 @@ OF_STATES(GetNominalsOfContinuousStates, ANY, double,
 
 FMI_EXPORT status_t FMI(GetEventIndicators)(void *instance, double indicator[], size_t count) {
   SYSTEM_ONLY(ME_RUNNING);
-  (void)indicator;
   if (count) REFUSE("there are none");
   return OK;
 }

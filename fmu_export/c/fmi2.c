@@ -40,8 +40,7 @@ typedef struct {
 #define ROOM(n)
 #define ROOM_OF(count, n) (count)
 #define GETTABLE RUNNING
-#define INSTANTIATE "fmi2Instantiate"
-#define OTHER_TOKEN "the GUID is another model's"
+#define TOKEN "GUID"
 /* names that FMI 3 writes otherwise */
 #define GetFMUState GetFMUstate
 #define SetFMUState SetFMUstate
@@ -74,9 +73,8 @@ FMI_EXPORT const char *FMI(GetVersion)(void) { return "2.0"; }
 FMI_EXPORT void *FMI(Instantiate)(const char *name, fmi2Type type, const char *guid,
                                   const char *location, const fmi2CallbackFunctions *functions,
                                   int visible, int logging) {
-  (void)visible;
   if (!functions) return NULL;
-  return instantiate(name, guid, location, (void (*)(void))functions->logger,
+  return instantiate(__func__, name, guid, location, (void (*)(void))functions->logger,
                      functions->componentEnvironment, logging != 0, type == fmi2CoSimulation,
                      type != fmi2CoSimulation && type != fmi2ModelExchange ? "unknown type" : NULL);
 }
@@ -84,7 +82,6 @@ FMI_EXPORT void *FMI(Instantiate)(const char *name, fmi2Type type, const char *g
 FMI_EXPORT status_t FMI(SetupExperiment)(void *instance, int tolerance_defined, double tolerance,
                                          double start_time, int stop_defined, double stop) {
   BEGIN(INSTANTIATED);
-  (void)tolerance_defined, (void)tolerance;
   return set_times(c, start_time, stop_defined, stop);
 }
 
@@ -94,16 +91,7 @@ FMI_EXPORT status_t FMI(EnterInitializationMode)(void *instance) {
 }
 
 /* There are variables of type Real only. */
-#define NO_FUNCTION(name, phases, type)                                                            \
-  FMI_EXPORT status_t FMI(name)(void *instance, const unsigned vr[], size_t count, type value[]) { \
-    BEGIN(phases);                                                                                 \
-    (void)vr, (void)value;                                                                         \
-    if (count) REFUSE("there are no variables of this type");                                      \
-    return OK;                                                                                     \
-  }
-#define NO_VARIABLES(name, type)                                                                   \
-  NO_FUNCTION(Get##name, RUNNING, type) NO_FUNCTION(Set##name, SETTABLE, type const)
-
+#define NO_VARIABLES(name, type) NO_GETTER(name, type value[]) NO_SETTER(name, type const value[])
 NO_VARIABLES(Integer, int)
 NO_VARIABLES(Boolean, int)
 NO_VARIABLES(String, const char *)
@@ -125,37 +113,25 @@ FMI_EXPORT status_t FMI(NewDiscreteStates)(void *instance, fmi2EventInfo *info) 
 
 /* --- Co-Simulation ---------------------------------------------------------------------------- */
 
-#define NO_DERIVATIVES(name, phases, type, words)                                                  \
-  FMI_EXPORT status_t FMI(name)(void *instance, const unsigned vr[], size_t count,                 \
-                                const int order[], type value[]) {                                 \
-    STEPPING_ONLY(phases);                                                                         \
-    (void)vr, (void)order, (void)value;                                                            \
-    if (count) REFUSE(words);                                                                      \
-    return OK;                                                                                     \
-  }
-NO_DERIVATIVES(SetRealInputDerivatives, INSTANTIATED | INITIALIZATION | STEP, const double,
-               "inputs are held during a step; make shorter steps")
-NO_DERIVATIVES(GetRealOutputDerivatives, STEP | TERMINATED, double,
-               "derivatives are outputs of their own, der(...)")
+OF_NOTHING(SetRealInputDerivatives, STEPPING_ONLY(INSTANTIATED | INITIALIZATION | STEP),
+           "inputs are held during a step; make shorter steps", const int order[],
+           const double value[])
+OF_NOTHING(GetRealOutputDerivatives, STEPPING_ONLY(STEP | TERMINATED),
+           "derivatives are outputs of their own, der(...)", const int order[], double value[])
 
 FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, int no_return) {
   BEGIN(STEP);
-  (void)no_return;
   int edge;
   if (check_step(c, from, size)) return FAILED;
   return step(c, from + size, 0, &edge);
 }
 
-FMI_EXPORT status_t FMI(CancelStep)(void *instance) {
-  BEGIN(ANY);
-  REFUSE("no step is under way");
-}
+NOT_THERE(CancelStep, "no step is under way", void *instance)
 
 /* What is asked of a step that is over; only `known`, if any, has a value. */
 #define STATUS_OF_STEP(name, type, known, found, words)                                            \
   FMI_EXPORT status_t FMI(name)(void *instance, const fmi2StatusKind kind, type *value) {          \
     STEPPING_ONLY(STEP | TERMINATED);                                                              \
-    (void)kind;                                                                                    \
     if (!(known) || !value) return report(c, DISCARD, words);                                      \
     *value = found;                                                                                \
     return OK;                                                                                     \

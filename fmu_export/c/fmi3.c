@@ -22,15 +22,10 @@ typedef void (*fmi3IntermediateUpdateCallback)(void), (*fmi3ClockUpdateCallback)
 #define ROOM(n) , size_t n
 #define ROOM_OF(count, n) (n)
 #define GETTABLE (INSTANTIATED | RUNNING)
-#define INSTANTIATE "fmi3Instantiate"
-#define OTHER_TOKEN "the instantiation token is another model's"
+#define TOKEN "instantiation token"
 #define GetReal GetFloat64 /* as FMI 2 calls it */
 #define SetReal SetFloat64
 #include "fmi.h"
-
-#if defined(__GNUC__)
-#pragma GCC diagnostic ignored "-Wunused-parameter" /* the standard's signatures, from here on */
-#endif
 
 static void log_text(component_t *c, status_t status, const char *text) {
   const instance_t *instance = c->host;
@@ -44,7 +39,8 @@ FMI_EXPORT const char *FMI(GetVersion)(void) { return "3.0"; }
 FMI_EXPORT void *FMI(InstantiateModelExchange)(const char *name, const char *token,
                                                const char *resources, _Bool visible, _Bool logging,
                                                void *environment, fmi3LogMessageCallback log) {
-  return instantiate(name, token, resources, (void (*)(void))log, environment, logging, 0, NULL);
+  return instantiate(__func__, name, token, resources, (void (*)(void))log, environment, logging, 0,
+                     NULL);
 }
 
 FMI_EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *token,
@@ -53,8 +49,8 @@ FMI_EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *toke
                                               const unsigned required[], size_t n_required,
                                               void *environment, fmi3LogMessageCallback log,
                                               fmi3IntermediateUpdateCallback update) {
-  instance_t *instance =
-      instantiate(name, token, resources, (void (*)(void))log, environment, logging, 1, NULL);
+  instance_t *instance = instantiate(__func__, name, token, resources, (void (*)(void))log,
+                                     environment, logging, 1, NULL);
   if (!instance) return NULL;
   instance->component.now->uses_events = instance->uses_events = event_mode;
   instance->early_return = early_return;
@@ -71,17 +67,8 @@ FMI_EXPORT void *FMI(InstantiateScheduledExecution)(
 
 /* --- initialization --------------------------------------------------------------------------- */
 
-FMI_EXPORT status_t FMI(EnterConfigurationMode)(void *instance) {
-  BEGIN(INSTANTIATED);
-  c->now->phase = CONFIGURATION;
-  return OK;
-}
-
-FMI_EXPORT status_t FMI(ExitConfigurationMode)(void *instance) {
-  BEGIN(CONFIGURATION);
-  c->now->phase = INSTANTIATED;
-  return OK;
-}
+LEADS_TO(CONFIGURATION, EnterConfigurationMode, BEGIN(INSTANTIATED))
+LEADS_TO(INSTANTIATED, ExitConfigurationMode, BEGIN(CONFIGURATION))
 
 FMI_EXPORT status_t FMI(EnterInitializationMode)(void *instance, _Bool tolerance_defined,
                                                  double tolerance, double start_time,
@@ -94,14 +81,6 @@ FMI_EXPORT status_t FMI(EnterInitializationMode)(void *instance, _Bool tolerance
 /* --- values ----------------------------------------------------------------------------------- */
 
 /* There are variables of type Float64 only. */
-#define NO_FUNCTION(name, phases, ...)                                                             \
-  FMI_EXPORT status_t FMI(name)(void *instance, const unsigned vr[], size_t count, __VA_ARGS__) {  \
-    BEGIN(phases);                                                                                 \
-    if (count) REFUSE("there are no variables of this type");                                      \
-    return OK;                                                                                     \
-  }
-#define NO_GETTER(name, ...) NO_FUNCTION(Get##name, RUNNING, __VA_ARGS__)
-#define NO_SETTER(name, ...) NO_FUNCTION(Set##name, SETTABLE, __VA_ARGS__)
 #define NO_VARIABLES(name, type)                                                                   \
   NO_GETTER(name, type value[], size_t n) NO_SETTER(name, type const value[], size_t n)
 
@@ -130,19 +109,11 @@ NO_SETTER(IntervalFraction, const uint64_t counter[], const uint64_t resolutions
 NO_SETTER(ShiftDecimal, const double shift[])
 NO_SETTER(ShiftFraction, const uint64_t counter[], const uint64_t resolutions[])
 
-FMI_EXPORT status_t FMI(GetNumberOfVariableDependencies)(void *instance, unsigned vr,
-                                                         size_t *count) {
-  BEGIN(ANY);
-  REFUSE("dependencies are given in the model description only");
-}
-
-FMI_EXPORT status_t FMI(GetVariableDependencies)(void *instance, unsigned dependent,
-                                                 size_t elements[], unsigned independents[],
-                                                 size_t independent_elements[],
-                                                 fmi3DependencyKind of_kind[], size_t count) {
-  BEGIN(ANY);
-  REFUSE("dependencies are given in the model description only");
-}
+NOT_THERE(GetNumberOfVariableDependencies, "dependencies are given in the model description only",
+          void *instance, unsigned vr, size_t *count)
+NOT_THERE(GetVariableDependencies, "dependencies are given in the model description only",
+          void *instance, unsigned dependent, size_t elements[], unsigned independents[],
+          size_t independent_elements[], fmi3DependencyKind of_kind[], size_t count)
 
 FMI_EXPORT status_t FMI(GetAdjointDerivative)(void *instance, const unsigned unknowns[],
                                               size_t n_unknowns, const unsigned knowns[],
@@ -190,18 +161,10 @@ COUNT_OF(GetNumberOfContinuousStates, (size_t)c->model->n_states)
 
 /* --- Co-Simulation ---------------------------------------------------------------------------- */
 
-FMI_EXPORT status_t FMI(EnterStepMode)(void *instance) {
-  STEPPING_ONLY(EVENT);
-  c->now->phase = STEP;
-  return OK;
-}
-
-FMI_EXPORT status_t FMI(GetOutputDerivatives)(void *instance, const unsigned vr[], size_t count,
-                                              const int32_t orders[], double value[], size_t n) {
-  STEPPING_ONLY(STEP | TERMINATED);
-  if (count) REFUSE("derivatives are outputs of their own, der(...)");
-  return OK;
-}
+LEADS_TO(STEP, EnterStepMode, STEPPING_ONLY(EVENT))
+OF_NOTHING(GetOutputDerivatives, STEPPING_ONLY(STEP | TERMINATED),
+           "derivatives are outputs of their own, der(...)", const int32_t orders[], double value[],
+           size_t n)
 
 FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool no_return,
                                 _Bool *event, _Bool *terminate, _Bool *early, double *last_time) {
@@ -221,7 +184,5 @@ FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool 
   return s;
 }
 
-FMI_EXPORT status_t FMI(ActivateModelPartition)(void *instance, unsigned clock, double time) {
-  BEGIN(ANY);
-  REFUSE("this model has no Scheduled Execution");
-}
+NOT_THERE(ActivateModelPartition, "this model has no Scheduled Execution", void *instance,
+          unsigned clock, double time)

@@ -5,12 +5,6 @@
    sources scene.c has it, else resource.c. */
 static double *scene_data(const char *resources, size_t *count);
 
-static unsigned long long digest(const void *data, size_t count, unsigned long long hash) {
-  const unsigned char *byte = data;
-  for (size_t k = 0; k < count; k++) hash = (hash ^ byte[k]) * 1099511628211ULL; /* FNV-1a */
-  return hash;
-}
-
 static unsigned adler32(const void *data, size_t count) {
   const unsigned char *byte = data;
   unsigned a = 1, b = 0;

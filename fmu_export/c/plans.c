@@ -50,7 +50,7 @@ static int rests_between(const component_t *c, long i, double from, double to) {
 static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   const model_t *m = c->model;
   double *b = c->buffer, *next = b + S_HEADER, row[CONTACT_SIZE] = {0};
-  fenv_t traps;
+  plan_t *found;
   c->failure = (failure_t){.code = STUCK};
   if (!(s->end > s->begin)) return NULL;
   memset(b, 0, S_HEADER * sizeof *b);
@@ -90,18 +90,14 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   }
   b[S_AT_CONTACTS] = (double)(next - b);
   memcpy(next, row, sizeof row), next += CONTACT_SIZE;
-  feholdexcept(&traps); /* what the engine looks at may be no number; importers may trap that */
-  plan_t *found = c->engine->plan(b, next - b, m->surfaces, &c->failure);
-  fesetenv(&traps);
+  UNTRAPPED(found = c->engine->plan(b, next - b, m->surfaces, &c->failure));
   return found;
 }
 
 /* Where contact i has come to by a plan; returns not 0 where that cannot be told. */
 static int moment_at(component_t *c, plan_t *plan, double t, double *out) {
-  fenv_t traps;
-  feholdexcept(&traps);
-  const int wrong = c->engine->moments(plan, t, out, &c->failure);
-  fesetenv(&traps);
+  int wrong;
+  UNTRAPPED(wrong = c->engine->moments(plan, t, out, &c->failure));
   return wrong;
 }
 
@@ -114,14 +110,11 @@ static double time_on(const component_t *c, long i) {
 static int look_at(component_t *c, long i, double *const out[N_OUTPUTS]) {
   live_t *k = c->live + i;
   int wrong = 0;
-  fenv_t traps;
-  feholdexcept(&traps);
   if (!k->anchored && (out[STATES] || out[CARRIED] || out[SLIP])) {
-    wrong = c->engine->anchor(k->plan, &c->failure);
+    UNTRAPPED(wrong = c->engine->anchor(k->plan, &c->failure));
     k->anchored = !wrong;
   }
-  if (!wrong) wrong = c->engine->look(k->plan, time_on(c, i), out, &c->failure);
-  fesetenv(&traps);
+  if (!wrong) UNTRAPPED(wrong = c->engine->look(k->plan, time_on(c, i), out, &c->failure));
   return wrong;
 }
 

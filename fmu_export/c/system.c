@@ -46,11 +46,7 @@ static void load_system(component_t *c, long i, int again) {
 /* The results of contact i at its states */
 static const double *run_system(component_t *c, long i) {
   const table_t *t = system_of(c->model, i);
-  fenv_t traps;
-  feholdexcept(&traps);
-  load_system(c, i, 0);
-  c->engine->step(&(program_t){t->body, c->live[i].registers});
-  fesetenv(&traps);
+  UNTRAPPED(load_system(c, i, 0); c->engine->step(&(program_t){t->body, c->live[i].registers}));
   return c->live[i].registers + t->first_out;
 }
 
@@ -160,13 +156,12 @@ static status_t get_states(component_t *c, double *state, int rates) {
 /* Runs the equations of contact i along tangents of their point and constants. */
 static double (*run_along(component_t *c, long i)) [L] {
   const table_t *t = system_of(c->model, i);
-  fenv_t traps;
-  feholdexcept(&traps);
-  load_system(c, i, 1);
   memset(c->tangents[t->first_lit], 0, (size_t)(t->n_regs - t->first_lit) * sizeof *c->tangents);
-  c->engine->along(&(program_t){t->prologue, c->live[i].registers}, c->tangents);
-  c->engine->along(&(program_t){t->body, c->live[i].registers}, c->tangents);
-  fesetenv(&traps);
+  UNTRAPPED({
+    load_system(c, i, 1);
+    c->engine->along(&(program_t){t->prologue, c->live[i].registers}, c->tangents);
+    c->engine->along(&(program_t){t->body, c->live[i].registers}, c->tangents);
+  });
   return c->tangents + t->first_out;
 }
 

@@ -11,7 +11,8 @@ double forge(unsigned char *bytes, unsigned (*below)(unsigned), double (*number)
    time that the state says. */
 double forge(unsigned char *bytes, unsigned (*below)(unsigned), double (*number)(void)) {
   static const int odd[] = {-1, 0, 1, 2, 3, 4, 8, 16, 64, 512, 0x7fffffff, -0x7fffffff - 1};
-  uint64_t length, hash;
+  uint64_t length, checksum;
+  uint32_t a = 1, b = 0;
   double time;
   memcpy(&length, bytes + 16, sizeof length);
   for (unsigned count = 1 + below(3); count; count--) {
@@ -25,9 +26,9 @@ double forge(unsigned char *bytes, unsigned (*below)(unsigned), double (*number)
     memcpy(&time, bytes + TIME, sizeof time);
     if (below(4) == 0) memcpy(bytes + FIRST, &time, sizeof time); /* so that more are taken */
   }
-  memcpy(&hash, bytes + 24, sizeof hash);
-  for (uint64_t k = HEADER; k < length; k++) hash = (hash ^ bytes[k]) * 1099511628211ULL;
-  memcpy(bytes + 32, &hash, sizeof hash);
+  for (uint64_t k = HEADER; k < length; k++) a = (a + bytes[k]) % 65521, b = (b + a) % 65521;
+  checksum = b << 16 | a; /* Adler's */
+  memcpy(bytes + 32, &checksum, sizeof checksum);
   memcpy(&time, bytes + TIME, sizeof time);
   return time;
 }

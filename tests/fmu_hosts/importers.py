@@ -93,7 +93,8 @@ def ecos_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
 
 def libcosim_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
     if fmu.version == "3.0":
-        raise Unavailable("libcosimpy 0.0.6 crashes on any file of FMI 3")
+        # it says "Unsupported FMI version", and libcosimpy goes on with a null pointer
+        raise Unavailable("libcosim knows FMI 1 and FMI 2 alone")
     part = lambda name: _needed(f"libcosimpy.{name}", "libcosimpy")  # noqa: E731
     part("CosimLogging").log_output_level(part("CosimLogging").CosimLogLevel.ERROR)
     execution = part("CosimExecution").CosimExecution.from_step_size(round(step / NANOSECOND))
