@@ -26,10 +26,9 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialAcceleration, SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.multibody.tree import BodyIndex, RigidBody, world_index
-from pydrake.systems.framework import Context, InputPort, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem, State
 
 from contact_system import SceneError
-from contact_system.engine.binding import Machine
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
@@ -38,7 +37,7 @@ from .config import GAINS, require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .planner_base import MOTION
 from .plant import ScenePlant
-from .scratch import PerThread
+from .scratch import Machines, PerThread
 
 Array = NDArray[np.float64]
 SHARE = 0.4
@@ -218,7 +217,7 @@ class FingertipDriver(LeafSystem):
         self.finger_indices = [body.index() for body in fingers]
         _check(scene_plant)
         constants = [_constants(body, scene_plant) for body in fingers]
-        self._drives = PerThread(partial(_drives, self.finger_indices, constants), {})
+        self._laws = PerThread(partial(_Law, self.finger_indices, constants), {})
         n = len(fingers)
         poses, motions = Value[list[RigidTransform]], Value[list[SpatialVelocity]]
         self._motion = self.DeclareVectorInputPort("motion", sum(MOTION.values()) * n)
@@ -227,14 +226,16 @@ class FingertipDriver(LeafSystem):
         self._accelerations = self.DeclareAbstractInputPort(
             "body_spatial_accelerations", Value[list[SpatialAcceleration]]()
         )
-        self._contact_forces = self.DeclareVectorInputPort("contact_forces", 3 * n)
-        self._restarts = self.DeclareVectorInputPort("restarts", n)
-        self._sliding = self.DeclareVectorInputPort("sliding", 3 * n)
-        self._push = self.DeclareVectorInputPort("push", 3 * n + 3)
+        self._optional = {
+            "contact_force": self.DeclareVectorInputPort("contact_forces", 3 * n),
+            "restarts": self.DeclareVectorInputPort("restarts", n),
+            "sliding": self.DeclareVectorInputPort("sliding", 3 * n),
+            "push": self.DeclareVectorInputPort("push", 3 * n + 3),
+        }
         forces = Value[list[ExternallyAppliedSpatialForce]]
         step = plant.time_step()
         needs = (self.all_input_ports_ticket(), self.xd_ticket() if step else self.nothing_ticket())
-        law, self._law = array_entry(self._CalcLaw, (n, 6 + STATE), needs)
+        law, self._found = array_entry(self._CalcLaw, (n, 6 + STATE), needs)
         self.DeclareAbstractOutputPort("spatial_forces", forces, weakly(self._CalcForces), {law})
         if not step:
             return
@@ -246,68 +247,58 @@ class FingertipDriver(LeafSystem):
     def _CalcLaw(self, context: Context) -> Array:
         """Torque, force and what is to be kept of each finger: (n, 23)."""
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
-        A, o, drives = self._accelerations.Eval(context), self.object_index, self._drives.own
-        obj = X[o].GetAsMatrix34(), V[o].get_coeffs(), A[o].get_coeffs()
-        constant = 0.0 if self._contact_forces.HasValue(context) else self.config.normal_force
-        given = {
-            "contact_force": _given(self._contact_forces, context),
-            "normal_force": np.full(len(drives), constant),
-            "motion": self._motion.Eval(context),
-            "restarts": _given(self._restarts, context),
-            "sliding": _given(self._sliding, context),
-            "push": _given(self._push, context)[:-3],
-        }
+        A, o, law = self._accelerations.Eval(context), self.object_index, self._laws.own
+        x, n = law.x, len(law.bodies)
+        x["X_WO"][:], x["V_WO"][:] = X[o].GetAsMatrix34(), V[o].get_coeffs()
+        x["A_WO"][:] = A[o].get_coeffs()
+        for body, pose, velocity in zip(law.bodies, x["X_WF"], x["V_WF"]):
+            pose[:], velocity[:] = X[body].GetAsMatrix34(), V[body].get_coeffs()
+        x["motion"][:] = self._motion.Eval(context).reshape(n, -1)
+        x["normal_force"][:] = self.config.normal_force
+        for name, port in self._optional.items():
+            x[name][:] = 0.0
+            if port.HasValue(context):
+                x[name][:] = port.Eval(context)[: x[name].size].reshape(n, -1)
+        if self._optional["contact_force"].HasValue(context):
+            x["normal_force"][:] = 0.0
         if context.num_discrete_state_groups():
-            given["kept"] = context.get_discrete_state_vector().value()
-        rows = {name: values.reshape(len(drives), -1) for name, values in given.items()}
-        for i, drive in enumerate(drives):
-            x, body = drive.point, drive.body
-            x["X_WO"][:], x["V_WO"][:], x["A_WO"][:] = obj
-            x["X_WF"][:], x["V_WF"][:] = X[body].GetAsMatrix34(), V[body].get_coeffs()
-            for name, values in rows.items():
-                x[name][:] = values[i]
-            drive.run()
-        return np.array([drive.results for drive in drives])
+            x["kept"][:] = context.get_discrete_state_vector().value().reshape(n, -1)
+        law.run()
+        return law.results
 
     def _CalcForces(self, context: Context, output: Value) -> None:
-        drives = self._drives.own
-        for drive, row in zip(drives, self._law(context)):
-            drive.applied.F_Bq_W = SpatialForce(row[:6])
-        applied = [drive.applied for drive in drives]
-        if (pushed := _given(self._push, context)[-3:]).any():
-            applied.append(_at_centre(BodyIndex(self.object_index)))
-            applied[-1].F_Bq_W = SpatialForce(np.zeros(3), pushed)
-        output.set_value(applied)
+        law, push = self._laws.own, self._optional["push"]
+        for applied, row in zip(law.applied, self._found(context)):
+            applied.F_Bq_W = SpatialForce(row[:6])
+        every = law.applied
+        if push.HasValue(context) and (pushed := push.Eval(context)[-3:]).any():
+            every = [*every, _at_centre(BodyIndex(self.object_index))]
+            every[-1].F_Bq_W = SpatialForce(np.zeros(3), pushed)
+        output.set_value(every)
 
     def _Remember(self, context: Context, state: State) -> None:
         now = state.get_mutable_discrete_state().get_mutable_value()
-        now[:] = self._law(context)[:, 6:].ravel()
+        now[:] = self._found(context)[:, 6:].ravel()
 
 
-class _Drive:
-    """The law of one finger, for one thread: what it takes by name, poses (3, 4), and its force."""
+class _Law(Machines):
+    """The law of all fingers, for one thread: ``x`` is what it takes by name, a row a finger, poses
+    (3, 4); ``applied`` are their forces."""
 
-    def __init__(self, body: BodyIndex, constants: list[float]):
-        machine = Machine(driving_law(), constants)
-        named = zip(POINT, np.split(machine.point, np.cumsum([*POINT.values()])[:-1]))
-        self.point = {k: v.reshape(3, 4) if k[0] == "X" else v for k, v in named}
-        self.body, self.run, self.results = int(body), machine.run, machine.results
-        self.applied = _at_centre(body)
-
-
-def _drives(bodies: list[BodyIndex], constants: list[list[float]]) -> list[_Drive]:
-    return list(map(_Drive, bodies, constants))
+    def __init__(self, bodies: list[BodyIndex], constants: list[list[float]]):
+        super().__init__(driving_law(), constants)
+        columns = np.split(self.points, np.cumsum([*POINT.values()])[:-1], axis=1)
+        self.x = {
+            name: column.reshape(-1, 3, 4) if name[0] == "X" else column
+            for name, column in zip(POINT, columns)
+        }
+        self.bodies, self.applied = list(map(int, bodies)), list(map(_at_centre, bodies))
 
 
 def _at_centre(body: BodyIndex) -> ExternallyAppliedSpatialForce:
     applied = ExternallyAppliedSpatialForce()
     applied.body_index, applied.p_BoBq_B = body, np.zeros(3)
     return applied
-
-
-def _given(port: InputPort, context: Context) -> Array:
-    """What a port has, zeros where nothing is connected to it."""
-    return port.Eval(context) if port.HasValue(context) else np.zeros(port.size())
 
 
 def _check(parts: ScenePlant) -> None:
