@@ -41,6 +41,7 @@ from drake_plant import (
     simulate,
 )
 from drake_plant.contact_monitor import SATURATED
+from drake_plant.measures import time_off
 from drake_plant.simulation import INTEGRATION
 
 from .report import Bar, Sections
@@ -120,7 +121,7 @@ def _pushed(size: float, time: float, across: bool, model: str, closed: bool) ->
     return {
         "slip": float(steps[touches] @ slip[touches]),
         "slides": bool((friction >= limit)[touches].any()),
-        "off": float(steps @ ~touches),
+        "off": float(time_off(result)[since, finger].sum()),
         "distance": float(np.linalg.norm(apart[finger])),
     }
 
