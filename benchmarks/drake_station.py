@@ -11,7 +11,7 @@ import itertools
 import math
 import statistics
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from time import perf_counter, process_time
@@ -41,6 +41,7 @@ from drake_plant import (
     simulate,
 )
 from drake_plant.contact_monitor import SATURATED
+from drake_plant.measures import time_off
 from drake_plant.simulation import INTEGRATION
 
 from .report import Bar, Sections
@@ -120,7 +121,7 @@ def _pushed(size: float, time: float, across: bool, model: str, closed: bool) ->
     return {
         "slip": float(steps[touches] @ slip[touches]),
         "slides": bool((friction >= limit)[touches].any()),
-        "off": float(steps @ ~touches),
+        "off": float(time_off(result)[since, finger].sum()),
         "distance": float(np.linalg.norm(apart[finger])),
     }
 
@@ -243,31 +244,32 @@ def speed(full: bool) -> Iterator[Bar]:
 class _Race:
     """What every step of a station takes, and of a plant alone beside it, in turns."""
 
-    def __init__(self, alone: Simulator | None = None):
+    def __init__(self, step_alone: Callable[[float], float] | None = None):
         self.station, self.plant = list[float](), list[float]()
-        self._alone, self._since = alone, math.nan
+        self._step_alone, self._since = step_alone, math.nan
 
     def __call__(self, t: float) -> None:
-        now = process_time()
         if not math.isnan(self._since):
-            self.station.append(now - self._since)
-        if self._alone is not None:
-            self._alone.AdvanceTo(t)
-            self.plant.append(process_time() - now)
+            self.station.append(process_time() - self._since)
+        if self._step_alone is not None:
+            self.plant.append(self._step_alone(t))
         self._since = process_time()
 
 
-def _plant_alone(scene: cs.Scene, config: StationConfig) -> Simulator:
-    """Of the plant under the forces that a station's driver gave, none of it Python."""
+def _plant_alone(scene: cs.Scene, config: StationConfig) -> Callable[[float], float]:
+    """Of the plant under the forces that a station's driver gave, none of it Python: what it spends
+    until a time, s. It begins each step where the station does, or it would lose contact.
+    """
     station, step = BuildStation(scene, config), config.time_step
     simulator = Simulator(station)
     ApplySimulatorConfig(INTEGRATION, simulator)
     root, plant = simulator.get_mutable_context(), station.GetSubsystemByName("plant")
     SetInitialState(station, root)
-    start = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root))
     forces = np.zeros((plant.num_velocities(), round(SPEED_TIME / step) + 1))
+    states = []
     for k in range(forces.shape[1]):
         simulator.AdvanceTo(k * step)
+        states.append(plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root)))
         for applied in station.GetOutputPort("spatial_forces").Eval(root):
             first = plant.get_body(applied.body_index).floating_velocities_start_in_v()
             forces[first : first + 6, k] = applied.F_Bq_W.get_coeffs()
@@ -277,11 +279,18 @@ def _plant_alone(scene: cs.Scene, config: StationConfig) -> Simulator:
     parts = AddScenePlant(builder, scene, config)
     source = builder.AddSystem(TrajectorySource(held)).get_output_port()
     builder.Connect(source, parts.plant.get_applied_generalized_force_input_port())
-    simulator = Simulator(builder.Build())
-    own = parts.plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    parts.plant.SetPositionsAndVelocities(own, start)
-    simulator.Initialize()
-    return simulator
+    alone = Simulator(builder.Build())
+    alone.Initialize()
+    own = parts.plant.GetMyMutableContextFromRoot(alone.get_mutable_context())
+
+    def spent(t: float) -> float:
+        now = alone.get_context().get_time()
+        parts.plant.SetPositionsAndVelocities(own, states[round(now / step)])
+        since = process_time()
+        alone.AdvanceTo(t)
+        return process_time() - since
+
+    return spent
 
 
 def schemes(full: bool) -> Iterator[Bar]:

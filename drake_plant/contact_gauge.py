@@ -34,12 +34,10 @@ that turns, where Drake's own point contact has 1e-4 mm/s.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.math import RigidTransform
-from pydrake.multibody.math import SpatialVelocity
 
 from contact_system.contact_sensor import Probe
 from contact_system.engine.binding import Machine
@@ -59,6 +57,7 @@ COLUMNS = {
 }
 """Of what a gauge measures; the first three where the step that ended now began."""
 NUMBERS = 17
+NOTHING = np.zeros(3).data
 
 
 class ContactGauge:
@@ -77,21 +76,21 @@ class ContactGauge:
     """
 
     def __init__(self, probe: Probe, step: float):
-        self._probe, self._step = probe, step
+        self._probe = probe
         self._moving, self._splitting = Machine(_motion(), [step]), Machine(_forces(), [step])
         row = self._moving.point
-        self._poses = row[:12].reshape(3, 4), row[18:30].reshape(3, 4)
-        self._velocities = row[12:18], row[30:36]
+        self._places = row[:12].reshape(3, 4), row[12:18], row[18:30].reshape(3, 4), row[30:36]
         self._contact, self._at = row[36:45], (row[36:39], row[39:42], row[42:45])
         self._result = np.zeros(NUMBERS)
+        tables = self._moving.results, self._splitting.point, self._splitting.results
+        every = [probe.seen, probe.found, *tables, self._result]
+        self._numbers: list[Any] = [numbers.data for numbers in every]
         self.pressing = self._share = self._bends = 0.0
 
-    def look(
-        self, X_W: Sequence[RigidTransform], V_W: Sequence[SpatialVelocity], *bodies: int
-    ) -> None:
-        """Note where object and finger are and how they move; nothing touches."""
-        for body, pose, velocity in zip(bodies, self._poses, self._velocities):
-            pose[:], velocity[:] = X_W[body].GetAsMatrix34(), V_W[body].get_coeffs()
+    def look(self, X_WO: Array, V_WO: Array, X_WF: Array, V_WF: Array) -> None:
+        """Note where object and finger are, (3, 4), and how they move, (6,); nothing touches."""
+        for place, seen in zip(self._places, (X_WO, V_WO, X_WF, V_WF)):
+            place[:] = seen
         self._contact[:] = 0.0
         self.pressing = self._share = self._bends = 0.0
 
@@ -105,7 +104,7 @@ class ContactGauge:
         force, torque : on the finger, about C, in the world
         """
         at, total, turning = self._at
-        size = math.hypot(*force) + TINY  # two that do not press count alike
+        size = math.hypot(*force.tolist()) + TINY  # two that do not press count alike
         part = size / (self.pressing + size)
         if part == 1.0:
             at[:], total[:], turning[:] = p_WC, force, torque
@@ -121,29 +120,24 @@ class ContactGauge:
 
     def measure(self) -> Array:
         """Slip, normal force, tangential force in E2, state, contact point in O: (17,)."""
-        probe, result = self._probe, self._result.data
+        probe = self._probe
+        seen, found, moved, given, forces, result = self._numbers
         self._moving.run()
-        seen, found, moved = probe.seen.data, probe.found.data, self._moving.results.data
-        given, forces = self._splitting.point.data, self._splitting.results.data
         # slip and forces, where the step that ended now began
         seen[:18] = moved[:18]
-        probe.seen[18:] = self._share, 0.0, 0.0, 0.0
+        seen[18], seen[19] = self._share, 0.0
         if self.pressing:
             probe.find(moved[21:24], moved[18:21])
         else:
             probe.find(probe.approach())
-        given[:24], given[24:45] = found[16:40], moved[21:42]
-        self._splitting.point[45] = self._bends
+        given[:24], given[24:45], given[45] = found[16:40], moved[21:42], self._bends
         if not math.isfinite(sum(found[37:40])):  # at a pole it is not known where the contact goes
-            self._splitting.point[21:24] = 0.0
+            given[21:24] = NOTHING
         self._splitting.run()
-        self._result[2:5] = 0.0  # with no frame either
-        result[:2] = found[11:13]
-        if self.pressing:
-            result[2:5] = forces[:3]
+        result[:2], result[2:5] = found[11:13], forces[:3] if self.pressing else NOTHING
         # where the contact is now, with the slip of the step
         seen[:18] = moved[30:48]
-        probe.seen[18:] = 0.0, 1.0, *result[:2]
+        seen[18], seen[19], seen[20:] = 0.0, 1.0, result[:2]
         probe.find(forces[3:6], forces[6:9])
         result[5:14], result[14:17] = found[2:11], found[16:19]
         return self._result

@@ -19,7 +19,7 @@ from contact_system.contact_sensor import ContactSensor
 from contact_system.scene import require_scene
 
 from .config import require_config
-from .contact_gauge import COLUMNS, TINY, ContactGauge
+from .contact_gauge import COLUMNS, NUMBERS, TINY, ContactGauge
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant
 from .scratch import PerThread
@@ -122,9 +122,7 @@ class ContactMonitor(LeafSystem):
         )
         self._noise = self.DeclareVectorInputPort("noise", 9 * n)
         inputs = [port.ticket() for port in (self._results, self._poses, self._velocities)]
-        measured, self._measured = array_entry(
-            self._CalcMeasured, (n, COLUMNS["contact_point"].stop), inputs
-        )
+        measured, self.Measured = array_entry(self._CalcMeasured, (n, NUMBERS), inputs)
         for name, size in SIZES.items():
             needs = {measured, self._noise.ticket()} if name in NOISY else {measured}
             calc = weakly(self._CalcVector, name)
@@ -135,7 +133,7 @@ class ContactMonitor(LeafSystem):
 
     def Evaluate(self, context: Context, name: str) -> Array:
         """What the output port of this name says, a row for each contact; not to be kept."""
-        measured = self._measured(context)
+        measured = self.Measured(context)
         if name not in NOISY:
             return measured[:, COLUMNS[name]]
         states = measured[:, COLUMNS["state"]]
@@ -156,8 +154,9 @@ class ContactMonitor(LeafSystem):
     def _CalcMeasured(self, context: Context) -> Array:
         X_W, V_W = self._poses.Eval(context), self._velocities.Eval(context)
         gauges, bodies = self._gauges.own, self._bodies
+        obj = X_W[bodies.object].GetAsMatrix34(), V_W[bodies.object].get_coeffs()
         for gauge, finger in zip(gauges, bodies.fingers):
-            gauge.look(X_W, V_W, bodies.object, finger)
+            gauge.look(*obj, X_W[finger].GetAsMatrix34(), V_W[finger].get_coeffs())
         bodies.touch(gauges, self._results.Eval(context))
         return np.array([gauge.measure() for gauge in gauges])
 
@@ -201,23 +200,22 @@ class _Bodies:
         for k in range(results.num_hydroelastic_contacts()):
             info = results.hydroelastic_contact_info(k)
             patch, F_Ac_W = info.contact_surface(), info.F_Ac_W().get_coeffs()
-            # body A has geometry M
             M, N = patch.id_M().get_value(), patch.id_N().get_value()
-            for sign, tip, body in ((1.0, M, N), (-1.0, N, M)):
-                if tip in self.contact_of_geometry and body in self.object_geometries:
-                    of_M = _share_of_M(patch)
-                    share, force = of_M if body == M else 1.0 - of_M, sign * F_Ac_W
-                    gauge = gauges[self.contact_of_geometry[tip]]
-                    gauge.touch(share, share, patch.centroid(), force[3:], force[:3])
+            first = M in self.object_geometries
+            tip = self.contact_of_geometry.get(N if first else M)
+            if tip is not None and (first or N in self.object_geometries):
+                share = _share_of_M(patch) if first else 1.0 - _share_of_M(patch)
+                force = -F_Ac_W if first else F_Ac_W  # body A has geometry M
+                gauges[tip].touch(share, share, patch.centroid(), force[3:], force[:3])
         for k in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(k)
             A, B = int(info.bodyA_index()), int(info.bodyB_index())
-            f_Bc_W, p_WC, pair = info.contact_force(), info.contact_point(), info.point_pair()
-            for sign, tip, body, p_WO in ((1.0, B, A, pair.p_WCa), (-1.0, A, B, pair.p_WCb)):
-                if tip in self.contact_of_body and body == self.object:
-                    i = self.contact_of_body[tip]
-                    share = self.share(i, pair, p_WO, p_WC)
-                    gauges[i].touch(share, 0.0, p_WC, sign * f_Bc_W, 0.0)
+            first = A == self.object
+            tip = self.contact_of_body.get(B if first else A)
+            if tip is not None and (first or B == self.object):
+                p_WC, pair, force = info.contact_point(), info.point_pair(), info.contact_force()
+                share = self.share(tip, pair, pair.p_WCa if first else pair.p_WCb, p_WC)
+                gauges[tip].touch(share, 0.0, p_WC, force if first else -force, 0.0)
 
     def share(self, i: int, pair: PenetrationAsPointPair, p_WO: Array, p_WC: Array) -> float:
         """Where Drake's point contact acts, between the surfaces; p_WO is on the object's.

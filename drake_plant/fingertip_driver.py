@@ -1,10 +1,8 @@
 r"""Forces that move free fingertips as planned relative to a moving object.
 
-A fingertip is a free body. Its force is what the planned motion needs (feed-forward), the normal
-force along the planned normal through the planned contact point, and tracking in the tangent plane;
-along the normal there is only a damper, so that the contact itself decides how far the finger sinks
-in. Slip that is really there is rejected by the paper's own term, an acceleration of -lam times it,
-with the planned curve held: to plan anew from where a pushed finger is adds slip.
+A fingertip is a free body, whose wrench is the law of `tip_law`. Along the normal that has only a
+damper here, so that the contact itself decides how far the finger sinks in. Slip is rejected with
+the planned curve held: to plan anew from where a pushed finger is adds slip.
 
 In a discrete plant (semi-implicit Euler, step h) a velocity at t_k moved the body from t_{k-1} to
 t_k, so the velocity to track is the backward difference of desired positions, and the acceleration
@@ -25,29 +23,32 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialAcceleration, SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
-from pydrake.multibody.tree import BodyIndex, RigidBody, world_index
-from pydrake.systems.framework import Context, InputPort, LeafSystem, State
+from pydrake.multibody.tree import BodyIndex, world_index
+from pydrake.systems.framework import Context, LeafSystem, State
 
 from contact_system import SceneError
-from contact_system.engine.binding import Machine
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
-from .config import GAINS, require_config
+from .config import require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .planner_base import MOTION
 from .plant import ScenePlant
-from .scratch import PerThread
+from .scratch import Machines, PerThread
+from .tip_law import (
+    CONSTANT,
+    SHARE,
+    TIP,
+    by_name,
+    halves,
+    named,
+    split,
+    tip_constants,
+    tip_wrench,
+)
 
 Array = NDArray[np.float64]
-SHARE = 0.4
-"""Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
-may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4."""
-
-SLIP_SHARE = 0.8
-"""Of slip what may be taken away in a step: more would turn it over where friction helps."""
-
 OFF = 1e-4
 """Of a finger's size, how far its mass centre may be from its origin."""
 
@@ -55,104 +56,52 @@ OFF = 1e-4
 KEPT = {"restarts": 1, "steps": 1, "position": 3, "spin": 3, "normal": 3, "a": 3, "a_earlier": 3}
 """What a driver keeps of a finger from step to step."""
 STATE = sum(KEPT.values())
-POINT = {"X_WO": 12, "V_WO": 6, "A_WO": 6, "X_WF": 12, "V_WF": 6, "motion": sum(MOTION.values())}
-POINT |= {"kept": STATE, "restarts": 1, "sliding": 3, "push": 3}
-POINT |= {"contact_force": 3, "normal_force": 1}
-"""What the law takes of a step: poses row by row, velocities and accelerations with the angular
-part first."""
-CONSTANT = {"h": 1, "mass": 1, "inertia": 9, "gravity": 3}
-CONSTANT |= dict.fromkeys((*GAINS, "slip_gain"), 1)
+POINT = {"X_WO": 12, "V_WO": 6, "A_WO": 6, **TIP, "motion": sum(MOTION.values()), "kept": STATE}
+POINT |= {"restarts": 1, "sliding": 3, "push": 3, "normal_force": 1}
+"""What a step's law is made of."""
 
 
 @per_structure
 def driving_law() -> Table:
     """Table of one finger: `POINT`, `CONSTANT` -> torque (3), force (3), in the world, `KEPT`."""
-    point, x = _named(POINT)
-    constant, c = _named(CONSTANT)
-    plan, before = (_split(x.motion, MOTION), SimpleNamespace(**_split(x.kept, KEPT)))
+    point, x = named(POINT)
+    constant, c = named(CONSTANT)
+    plan, before = (split(x.motion, MOTION), SimpleNamespace(**split(x.kept, KEPT)))
     x.R_OF, x.p_OF = ca.reshape(plan["pose"][:9], 3, 3), plan["pose"][9:]
-    (x.w_OF, x.v_OF), (x.alpha_OF, x.a_OF) = _halves(plan["twist"]), _halves(plan["acceleration"])
+    (x.w_OF, x.v_OF), (x.alpha_OF, x.a_OF) = halves(plan["twist"]), halves(plan["acceleration"])
     x.normal, x.normal_rate = plan["normal"], plan["normal_rate"]
-    x.point = plan["contact_point"][:3]
+    x.point, x.slip = plan["contact_point"][:3], x.R_WO @ x.sliding
     # no difference is taken across a restart
     before.steps = ca.if_else(before.restarts == x.restarts, before.steps, 0)
     wanted = _desired_motion(x, c.h, before)
     x.contact_force -= x.normal_force * wanted.normal
-    force, torque = _force(x, c, wanted), _torque(x, c, wanted)
-    kept = [x.restarts, before.steps + 1, wanted.position, x.w_OF, x.normal, x.a_OF, before.a]
-    found = ca.densify(ca.vertcat(torque, force, *kept))
+    wrench = tip_wrench(x, wanted, c) + ca.vertcat(0, 0, 0, x.push)
+    kept = [x.restarts, before.steps + 1, wanted.p_WT, x.w_OF, x.normal, x.a_OF, before.a]
+    found = ca.densify(ca.vertcat(wrench, *kept))
     return Table(ca.Function("driving", [point, constant], [found]))
 
 
-def _split(numbers: ca.SX, sizes: dict[str, int]) -> dict[str, ca.SX]:
-    return dict(zip(sizes, ca.vertsplit(numbers, np.cumsum([0, *sizes.values()]).tolist())))
-
-
-def _halves(motion: ca.SX) -> tuple[ca.SX, ca.SX]:
-    return motion[:3], motion[3:]
-
-
-def _named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
-    """Symbols by their names; of a pose X R and p, of a velocity V w and v, of A alpha and a."""
-    every = ca.SX.sym("x", sum(sizes.values()))
-    found = _split(every, sizes)
-    for name, value in list(found.items()):
-        if name[0] == "X":
-            rows = ca.reshape(value, 4, 3).T
-            found |= {f"R{name[1:]}": rows[:, :3], f"p{name[1:]}": rows[:, 3]}
-        elif name[0] in "VA":
-            names = ("w", "v") if name[0] == "V" else ("alpha", "a")
-            found |= {f"{own}{name[1:]}": half for own, half in zip(names, _halves(value))}
-    return every, SimpleNamespace(**found)
-
-
 def _desired_motion(x: SimpleNamespace, h: ca.SX, before: SimpleNamespace) -> SimpleNamespace:
-    """The plan carried by the object, in the world, as a discrete plant needs it.
+    """The plan carried by the object, in the world, as a discrete plant needs it: `WANTED`.
 
-    position and acceleration ``a`` of now; velocity ``ago``, which brought the finger here; ``w``
-    and ``alpha``; the contact's normal and how fast it turns.
+    Place and acceleration are those of now; the velocity is that which brought the finger here.
     """
     cross, begun = ca.cross, before.steps > 0
-    arm, v, spin = x.R_WO @ x.p_OF, x.R_WO @ x.v_OF, x.R_WO @ x.w_OF
-    position, swept = x.p_WO + arm, cross(x.w_WO, arm)
+    off, v, spin = x.R_WO @ x.p_OF, x.R_WO @ x.v_OF, x.R_WO @ x.w_OF
+    p, R, swept = x.p_WO + off, x.R_WO @ x.R_OF, cross(x.w_WO, off)
     second = (x.a_OF - 2 * before.a + before.a_earlier) / 12  # h^2/12 A''
-    a = x.a_WO + cross(x.alpha_WO, arm) + cross(x.w_WO, swept + 2 * v)
+    a = x.a_WO + cross(x.alpha_WO, off) + cross(x.w_WO, swept + 2 * v)
     a += x.R_WO @ (x.a_OF + ca.if_else(before.steps > 1, second, 0))
     now = x.v_WO + swept + v - 0.5 * h * a
-    ago = ca.if_else(begun, (position - before.position) / h, now)
+    ago = ca.if_else(begun, (p - before.position) / h, now)
     w = x.w_WO + ca.if_else(begun, 0.5 * (spin + x.R_WO @ before.spin), spin)
     alpha = x.alpha_WO + x.R_WO @ x.alpha_OF + cross(x.w_WO, spin)
-    normal = x.R_WO @ x.normal
+    normal, arm = x.R_WO @ x.normal, R @ x.point
     turned = cross(before.normal, x.normal) / h
     turned = x.R_WO @ ca.if_else(begun, turned, cross(x.normal, x.normal_rate))
     turning = turned + x.w_WO - ca.dot(x.w_WO, normal) * normal
-    return SimpleNamespace(
-        position=position, ago=ago, a=a, w=w, alpha=alpha, normal=normal, turning=turning
-    )
-
-
-def _force(x: SimpleNamespace, c: SimpleNamespace, wanted: SimpleNamespace) -> ca.SX:
-    """Feed-forward, contact, tracking in the frame that turns with the contact, slip, a push."""
-    cross, normal, turning = ca.cross, wanted.normal, wanted.turning
-    error, error_rate = wanted.position - x.p_WF, wanted.ago - x.v_WF
-    # The velocities are those of half a step ago, so the error has to be too.
-    error_rate -= cross(turning, error - 0.5 * c.h * error_rate)
-    a = wanted.a - 2 * cross(turning, error_rate) - cross(turning, cross(turning, error))
-    a += c.slip_gain * (x.R_WO @ x.sliding)  # v_rel: minus the finger's velocity on the object
-    approach = ca.dot(error_rate, normal)
-    force = c.mass * (a - c.gravity) + x.contact_force + c.normal_damping * approach * normal
-    force += c.position_gain * (error - ca.dot(error, normal) * normal)
-    return force + c.velocity_gain * (error_rate - approach * normal) + x.push
-
-
-def _torque(x: SimpleNamespace, c: SimpleNamespace, wanted: SimpleNamespace) -> ca.SX:
-    """Feed-forward, the contact force through the contact point, damping of spin."""
-    inertia, w = x.R_WF @ ca.reshape(c.inertia, 3, 3) @ x.R_WF.T, wanted.w
-    off = x.R_WO @ x.R_OF @ x.R_WF.T
-    axis = 0.5 * ca.vertcat(off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1])
-    torque = inertia @ wanted.alpha + ca.cross(w, inertia @ w)
-    torque += c.spin_gain * (w - x.w_WF) + c.rotation_gain * axis
-    return torque + ca.cross(x.R_WO @ x.R_OF @ x.point, x.contact_force)
+    motion = {"p_WT": p, "R_WT": R, "w_WT": w, "v_WT": ago, "alpha_WT": alpha, "a_WT": a}
+    return SimpleNamespace(**motion, normal=normal, turning=turning, arm=arm)
 
 
 class FingertipDriver(LeafSystem):
@@ -217,8 +166,8 @@ class FingertipDriver(LeafSystem):
         self.object_index = int(scene_plant.object_body.index())
         self.finger_indices = [body.index() for body in fingers]
         _check(scene_plant)
-        constants = [_constants(body, scene_plant) for body in fingers]
-        self._drives = PerThread(partial(_drives, self.finger_indices, constants), {})
+        constants = [tip_constants(body, scene_plant, hold=0.0) for body in fingers]
+        self._laws = PerThread(partial(_Law, self.finger_indices, constants), {})
         n = len(fingers)
         poses, motions = Value[list[RigidTransform]], Value[list[SpatialVelocity]]
         self._motion = self.DeclareVectorInputPort("motion", sum(MOTION.values()) * n)
@@ -227,14 +176,16 @@ class FingertipDriver(LeafSystem):
         self._accelerations = self.DeclareAbstractInputPort(
             "body_spatial_accelerations", Value[list[SpatialAcceleration]]()
         )
-        self._contact_forces = self.DeclareVectorInputPort("contact_forces", 3 * n)
-        self._restarts = self.DeclareVectorInputPort("restarts", n)
-        self._sliding = self.DeclareVectorInputPort("sliding", 3 * n)
-        self._push = self.DeclareVectorInputPort("push", 3 * n + 3)
+        self._optional = {
+            "contact_force": self.DeclareVectorInputPort("contact_forces", 3 * n),
+            "restarts": self.DeclareVectorInputPort("restarts", n),
+            "sliding": self.DeclareVectorInputPort("sliding", 3 * n),
+            "push": self.DeclareVectorInputPort("push", 3 * n + 3),
+        }
         forces = Value[list[ExternallyAppliedSpatialForce]]
         step = plant.time_step()
         needs = (self.all_input_ports_ticket(), self.xd_ticket() if step else self.nothing_ticket())
-        law, self._law = array_entry(self._CalcLaw, (n, 6 + STATE), needs)
+        law, self._found = array_entry(self._CalcLaw, (n, 6 + STATE), needs)
         self.DeclareAbstractOutputPort("spatial_forces", forces, weakly(self._CalcForces), {law})
         if not step:
             return
@@ -246,68 +197,54 @@ class FingertipDriver(LeafSystem):
     def _CalcLaw(self, context: Context) -> Array:
         """Torque, force and what is to be kept of each finger: (n, 23)."""
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
-        A, o, drives = self._accelerations.Eval(context), self.object_index, self._drives.own
-        obj = X[o].GetAsMatrix34(), V[o].get_coeffs(), A[o].get_coeffs()
-        constant = 0.0 if self._contact_forces.HasValue(context) else self.config.normal_force
-        given = {
-            "contact_force": _given(self._contact_forces, context),
-            "normal_force": np.full(len(drives), constant),
-            "motion": self._motion.Eval(context),
-            "restarts": _given(self._restarts, context),
-            "sliding": _given(self._sliding, context),
-            "push": _given(self._push, context)[:-3],
-        }
+        A, o, law = self._accelerations.Eval(context), self.object_index, self._laws.own
+        x, n = law.x, len(law.bodies)
+        x["X_WO"][:], x["V_WO"][:] = X[o].GetAsMatrix34(), V[o].get_coeffs()
+        x["A_WO"][:] = A[o].get_coeffs()
+        for body, pose, velocity in zip(law.bodies, x["X_WF"], x["V_WF"]):
+            pose[:], velocity[:] = X[body].GetAsMatrix34(), V[body].get_coeffs()
+        x["motion"][:] = self._motion.Eval(context).reshape(n, -1)
+        x["normal_force"][:] = self.config.normal_force
+        for name, port in self._optional.items():
+            x[name][:] = 0.0
+            if port.HasValue(context):
+                x[name][:] = port.Eval(context)[: x[name].size].reshape(n, -1)
+        if self._optional["contact_force"].HasValue(context):
+            x["normal_force"][:] = 0.0
         if context.num_discrete_state_groups():
-            given["kept"] = context.get_discrete_state_vector().value()
-        rows = {name: values.reshape(len(drives), -1) for name, values in given.items()}
-        for i, drive in enumerate(drives):
-            x, body = drive.point, drive.body
-            x["X_WO"][:], x["V_WO"][:], x["A_WO"][:] = obj
-            x["X_WF"][:], x["V_WF"][:] = X[body].GetAsMatrix34(), V[body].get_coeffs()
-            for name, values in rows.items():
-                x[name][:] = values[i]
-            drive.run()
-        return np.array([drive.results for drive in drives])
+            x["kept"][:] = context.get_discrete_state_vector().value().reshape(n, -1)
+        law.run()
+        return law.results
 
     def _CalcForces(self, context: Context, output: Value) -> None:
-        drives = self._drives.own
-        for drive, row in zip(drives, self._law(context)):
-            drive.applied.F_Bq_W = SpatialForce(row[:6])
-        applied = [drive.applied for drive in drives]
-        if (pushed := _given(self._push, context)[-3:]).any():
-            applied.append(_at_centre(BodyIndex(self.object_index)))
-            applied[-1].F_Bq_W = SpatialForce(np.zeros(3), pushed)
-        output.set_value(applied)
+        law, push = self._laws.own, self._optional["push"]
+        for applied, row in zip(law.applied, self._found(context)):
+            applied.F_Bq_W = SpatialForce(row[:6])
+        every = law.applied
+        if push.HasValue(context) and (pushed := push.Eval(context)[-3:]).any():
+            every = [*every, _at_centre(BodyIndex(self.object_index))]
+            every[-1].F_Bq_W = SpatialForce(np.zeros(3), pushed)
+        output.set_value(every)
 
     def _Remember(self, context: Context, state: State) -> None:
         now = state.get_mutable_discrete_state().get_mutable_value()
-        now[:] = self._law(context)[:, 6:].ravel()
+        now[:] = self._found(context)[:, 6:].ravel()
 
 
-class _Drive:
-    """The law of one finger, for one thread: what it takes by name, poses (3, 4), and its force."""
+class _Law(Machines):
+    """The law of all fingers, for one thread: ``x`` is what it takes by name, a row a finger, poses
+    (3, 4); ``applied`` are their forces."""
 
-    def __init__(self, body: BodyIndex, constants: list[float]):
-        machine = Machine(driving_law(), constants)
-        named = zip(POINT, np.split(machine.point, np.cumsum([*POINT.values()])[:-1]))
-        self.point = {k: v.reshape(3, 4) if k[0] == "X" else v for k, v in named}
-        self.body, self.run, self.results = int(body), machine.run, machine.results
-        self.applied = _at_centre(body)
-
-
-def _drives(bodies: list[BodyIndex], constants: list[list[float]]) -> list[_Drive]:
-    return list(map(_Drive, bodies, constants))
+    def __init__(self, bodies: list[BodyIndex], constants: list[list[float]]):
+        super().__init__(driving_law(), constants)
+        self.x = by_name(self.points, POINT)
+        self.bodies, self.applied = list(map(int, bodies)), list(map(_at_centre, bodies))
 
 
 def _at_centre(body: BodyIndex) -> ExternallyAppliedSpatialForce:
     applied = ExternallyAppliedSpatialForce()
     applied.body_index, applied.p_BoBq_B = body, np.zeros(3)
     return applied
-
-
-def _given(port: InputPort, context: Context) -> Array:
-    """What a port has, zeros where nothing is connected to it."""
-    return port.Eval(context) if port.HasValue(context) else np.zeros(port.size())
 
 
 def _check(parts: ScenePlant) -> None:
@@ -351,21 +288,3 @@ def _check(parts: ScenePlant) -> None:
                 f"{config.normal_force:g} N needs {needed:.3g} N/m; give at most "
                 f"{math.sqrt(SHARE * mass / needed):.2g} s, or a heavier finger"
             )
-
-
-def _constants(body: RigidBody, parts: ScenePlant) -> list[float]:
-    """`CONSTANT` of a finger."""
-    config = parts.config
-    h, mass = parts.plant.time_step(), body.default_mass()
-    inertia = body.default_spatial_inertia().CalcRotationalInertia().CopyToFullMatrix3()
-    # A model's gravity may be switched off.
-    heavy = parts.plant.is_gravity_enabled(body.model_instance())
-    gravity = float(heavy) * parts.plant.gravity_field().gravity_vector()
-    least = float(np.linalg.eigvalsh(inertia)[0])
-
-    # of each gain, what it moves and to which power the step divides what is borne
-    moved = ((mass, 2), (mass, 1), (mass, 1), (least, 2), (least, 1))
-    borne = [SHARE * inert / h**order if h else math.inf for inert, order in moved]
-    gains = [min(getattr(config, name), most) for name, most in zip(GAINS, borne)]
-    gains.append(min(config.slip_gain, SLIP_SHARE / h if h else math.inf))
-    return [h, mass, *inertia.ravel(), *gravity, *gains]

@@ -24,6 +24,7 @@ from pydrake.multibody.tree import (
     JacobianWrtVariable,
     JointActuatorIndex,
     ModelInstanceIndex,
+    MultibodyForces,
     RigidBody,
     SpatialInertia,
 )
@@ -109,7 +110,9 @@ class Chains:
                     f"{scene.contact_name(i)}: finger = {contact.finger!r}: a fingertip on joints "
                     "is a sphere"
                 )
-            inertia = SpatialInertia.SolidSphereWithMass(tip_mass, contact.finger.size)
+            inertia = SpatialInertia.Zero()
+            if tip_mass:
+                inertia = SpatialInertia.SolidSphereWithMass(tip_mass, contact.finger.size)
             self.tips.append(plant.AddRigidBody(f"tip {i}", instance, inertia))
         weld_tips(plant, hand, instance, self.tips)
         plant.mutable_gravity_field().set_gravity_vector([0, 0, -gravity])
@@ -166,6 +169,23 @@ class Chains:
         return self.plant.CalcJacobianSpatialVelocity(
             self.context, JacobianWrtVariable.kV, self.tips[i].body_frame(), p_F, world, world
         )
+
+    def motions(self, a: Array) -> list[tuple[Array, Array, Array]]:
+        """X_WF, V_WF and A_WF of the tips, (3, 4), (6,), (6,), at accelerations of the joints."""
+        found = self.plant.CalcSpatialAccelerationsFromVdot(self.context, a)
+        return [
+            (
+                tip.EvalPoseInWorld(self.context).GetAsMatrix34(),
+                tip.EvalSpatialVelocityInWorld(self.context).get_coeffs(),
+                found[tip.index()].get_coeffs(),
+            )
+            for tip in self.tips
+        ]
+
+    def carrying(self, a: Array) -> Array:
+        """Torques (nq,) that accelerate the joints so, against gravity."""
+        needed = self.plant.CalcInverseDynamics(self.context, a, MultibodyForces(self.plant))
+        return needed - self.plant.CalcGravityGeneralizedForces(self.context)
 
     def touch(self, i: int, X_WO: RigidTransform, twist: Any = 0.0) -> Array:
         """What a probe finds of a tip and the object (see :class:`Probe`), (40,), not to be kept.

@@ -62,6 +62,8 @@ def BuildHandStation(
         (plant, monitor, "body_spatial_velocities"),
     ):
         builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
+    if plan.config.slip_gain:
+        builder.Connect(monitor.GetOutputPort("sliding"), driver.GetInputPort("sliding"))
     builder.Connect(
         driver.GetOutputPort("generalized_force"), plant.get_applied_generalized_force_input_port()
     )

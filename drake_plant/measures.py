@@ -13,7 +13,7 @@ from contact_system import Scene, plan
 from contact_system.measures import REJECTED, windows
 
 from .contact_monitor import SATURATED
-from .simulation import SimulationResult, simulate
+from .simulation import CONTINUOUS, SimulationResult, simulate
 
 if TYPE_CHECKING:
     from .config import Push
@@ -232,14 +232,14 @@ def push_table(result: SimulationResult) -> list[PushReport]:
     names = [result.scene.contact_name(i) for i in range(len(result.scene.contacts))]
     slip = np.linalg.norm(result.measured["slip"], axis=2)
     apart = np.linalg.norm(_misses(result), axis=2)
-    touches = result.measured["normal_force"] > 0
+    touches, away = result.measured["normal_force"] > 0, time_off(result)
     steps, reports = np.diff(result.t, prepend=result.t[0])[:, None], []
     for push, stop in zip(pushes, [*(push.start for push in pushes[1:]), math.inf]):
         seen = (result.t > push.start) & (result.t <= stop)
         if seen.any():
             of = slice(None) if push.on == "object" else [names.index(push.on)]
             slid = (steps * slip * touches)[seen][:, of].sum(0)
-            off, miss = (steps * ~touches)[seen][:, of].sum(0), apart[seen][:, of]
+            off, miss = away[seen][:, of].sum(0), apart[seen][:, of]
             found = (slid.max(), off.max(), miss.max(), miss[-1].max())
             reports.append(PushReport(push, *map(float, found)))
     return reports
@@ -264,7 +264,7 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     early = t < min(edges, default=math.inf)
     steady = (t >= EDGE) & (np.abs(t[:, None] - edges) > EDGE).all(1)
     speed = contact_speed(result.scene, result.planned["state"])
-    off = _off(result)
+    off = time_off(result).sum(0)
     kept = not off.any() and not object_report(result).falls
     return [
         ContactReport(
@@ -278,10 +278,14 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
     ]
 
 
-def _off(result: SimulationResult) -> Array:
-    """Time off the object of each contact, (n,), s; at the start no step has been taken yet."""
-    away = result.measured["normal_force"][1:] <= 0
-    return np.diff(result.t) @ away
+def time_off(result: SimulationResult) -> Array:
+    """Time off the object of each contact in the step that ended then, (m, n), s.
+
+    Every such step is logged; before it there may be others that are not.
+    """
+    away = result.measured["normal_force"] <= 0
+    longest = result.config.time_step or CONTINUOUS.max_step_size
+    return np.minimum(np.diff(result.t, prepend=result.t[0]), longest)[:, None] * away
 
 
 def _misses(result: SimulationResult) -> Array:

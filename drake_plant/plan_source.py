@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import LeafSystem
 
 from contact_system import Plan, SceneError, SceneSystem
 from contact_system.engine.binding import run
@@ -14,15 +14,16 @@ from contact_system.plan import require_plan
 from contact_system.system import system_table
 from contact_system.theory.development import moving
 
-from .lifetimes import NO_DICTIONARY, array_entry
+from .lifetimes import NO_DICTIONARY
 from .planner_base import PlannerBase, scene_system
 
 Array = np.ndarray
 
-PLANNED = {"state": "states", "contact_point": "points", "slip": "slip", "twist": "twist"}
-"""Ports that are results of a plan by their names there; the pose is one too."""
-RATES = {"acceleration": slice(0, 6), "normal": slice(6, 9), "normal_rate": slice(9, 12)}
-"""Ports that follow from a plan's moving frames, and where they stand among all three."""
+PLANNED = {name: name for name in ("slip", "twist", "pose")}
+PLANNED |= {"state": "states", "contact_point": "points"}
+"""Ports that are results of a plan, by their names there."""
+RATES = ("acceleration", "normal", "normal_rate")
+"""Ports that follow from a plan's moving frames."""
 
 
 class PlanSource(PlannerBase, LeafSystem):
@@ -63,37 +64,26 @@ class PlanSource(PlannerBase, LeafSystem):
         self._Declare(scene_system(plan.scene, "frame"), None, None)
 
     def _Prerequisites(self, *outputs: str) -> set:
-        time = {self.time_ticket()}
-        if not RATES.keys() & set(outputs):
-            return time
-        if not hasattr(self, "_rates"):
-            shape = len(self.plan.scene.contacts), 12
-            self._ticket, self._rates = array_entry(self._CalcRates, shape, time)
-        return time | {self._ticket}
+        return {self.time_ticket()}
 
-    def Evaluate(self, context: Any, output: str) -> Array:
-        if output == "motion":
-            return self._Joined(context)
-        if output in RATES:
-            return self._rates(context)[:, RATES[output]].ravel()
-        t = context.get_time()
-        if output == "pose":
-            X = self.plan.pose(t)[0]
-            columns = X[:, :3, :3].swapaxes(1, 2).reshape(-1, 9)
-            return np.hstack([columns, X[:, :3, 3]]).ravel()
-        name = PLANNED[output]
-        return self.plan.evaluate(t, name)[name].ravel()
+    def Evaluate(self, context: Any, *outputs: str) -> Array:
+        t, n = context.get_time(), len(self.plan.scene.contacts)
+        names = [name for name in outputs if name in PLANNED]
+        said = self.plan.evaluate(t, *(PLANNED[name] for name in names))
+        found = {name: said[PLANNED[name]] for name in names}
+        if "pose" in found:  # by columns
+            found["pose"] = found["pose"][0, :, :3].swapaxes(1, 2)
+        if len(names) < len(outputs):
+            found |= self._Rates(t)
+        return np.hstack([found[name].reshape(n, -1) for name in outputs])
 
-    def _CalcRates(self, context: Context) -> Array:
-        system, t = self.system, context.get_time()
+    def _Rates(self, t: float) -> dict[str, Array]:
+        system = self.system
         x, held = frame_states(system, t, self.plan.moments(t))
         table, ends = system_table(system, *RATES)
         point = np.hstack([t, x, system.window_values(t), held])
         found = run(table, point[:, None], system.parameters)[:, 0]
-        parts = np.split(found, ends[:-1])
-        return np.hstack(
-            [part.reshape(-1, rows.stop - rows.start) for part, rows in zip(parts, RATES.values())]
-        )
+        return dict(zip(RATES, np.split(found, ends[:-1])))
 
 
 def frame_states(system: SceneSystem, t: float, moments: Sequence[Any]) -> tuple[Array, Array]:

@@ -29,7 +29,8 @@ PORTS = {
     "normal": 3,
     "normal_rate": 3,
 }
-MOTION = {name: PORTS.get(name, 12) for name in ("pose", *PORTS) if name not in ("state", "slip")}
+"""Ports of vectors, and what they hold of each contact."""
+MOTION = {"pose": 12} | {name: PORTS[name] for name in PORTS if name not in ("state", "slip")}
 """What a FingertipDriver takes of each contact, one after the other, on one port."""
 
 Array = np.ndarray
@@ -89,32 +90,30 @@ class PlannerBase(_System):
             # plant that has stepped already would be measured a step ahead of the planner.
             first, restart = period - EARLY, weakly(self._Restart)
             self.DeclarePeriodicUnrestrictedUpdateEvent(period, first, restart)
-        for name, size in PORTS.items():
-            calc = weakly(self._CalcVector, name)
-            self.DeclareVectorOutputPort(name, size * n, calc, self._Prerequisites(name))
-        calc, size = weakly(self._CalcVector, "motion"), sum(MOTION.values())
-        self.DeclareVectorOutputPort("motion", size * n, calc, self._Prerequisites(*MOTION))
+        for name, size in (PORTS | {"motion": sum(MOTION.values())}).items():
+            outputs = tuple(MOTION) if name == "motion" else (name,)
+            calc = weakly(self._CalcVector, outputs)
+            self.DeclareVectorOutputPort(name, size * n, calc, self._Prerequisites(*outputs))
         kind, calc = Value[list[RigidTransform_[self.T]]], weakly(self._CalcPose)
         self.DeclareAbstractOutputPort("pose", kind, calc, self._Prerequisites("pose"))
         if self._restarts is not None:
             self.DeclareStateOutputPort("restarts", self._restarts)
 
-    def Evaluate(self, context: Any, output: str) -> Array:
-        """What the output port of this name says, of "pose" its numbers; not to be kept."""
+    def Evaluate(self, context: Any, *outputs: str) -> Array:
+        """What the ports of these names say now, a row a contact; of "pose" its numbers."""
+        n = len(self.system.scene.contacts)
+        return np.hstack([self._Numbers(context, name).reshape(n, -1) for name in outputs])
+
+    def _Numbers(self, context: Any, output: str) -> Array:
+        """An output of the system, contact after contact."""
         raise NotImplementedError
 
-    def _Joined(self, context: Any) -> Array:
-        """The motion of each contact after the other."""
-        n = len(self.system.scene.contacts)
-        parts = [self.Evaluate(context, name).reshape(n, -1) for name in MOTION]
-        return np.hstack(parts).ravel()
-
-    def _CalcVector(self, output: str, context: Any, vector: Any) -> None:
-        vector.SetFromVector(self.Evaluate(context, output))
+    def _CalcVector(self, outputs: tuple[str, ...], context: Any, vector: Any) -> None:
+        vector.SetFromVector(self.Evaluate(context, *outputs).ravel())
 
     def _CalcPose(self, context: Any, value: Any) -> None:
         Transform, Rotation = RigidTransform_[self.T], RotationMatrix_[self.T]
-        rows = self.Evaluate(context, "pose").reshape(-1, 12)
+        rows = self.Evaluate(context, "pose")
         value.set_value([Transform(Rotation(r[:9].reshape(3, 3).T), r[9:]) for r in rows])
 
     def _Restart(self, context: Any, state: Any) -> None:
@@ -123,15 +122,11 @@ class PlannerBase(_System):
     def _Stop(self, context: Any) -> None:
         """Nothing happens, but no integrator steps across it."""
 
-    def _Carried(self, context: Any) -> Array:
-        """W_1 and V of each contact."""
-        return self.Evaluate(context, "carried")
-
     def _Turn(self, edge: float, context: Any, state: Any) -> None:
         """Contacts go on along their next legs."""
         x = context.get_continuous_state_vector().CopyToVector().ravel()
         held = context.get_discrete_state(self._held).CopyToVector().ravel()
-        x, held = self.system.turned(edge, x, held, self._Carried(context))
+        x, held = self.system.turned(edge, x, held, self._Numbers(context, "carried"))
         state.get_mutable_continuous_state().SetFromVector(x)
         state.get_mutable_discrete_state(self._held).SetFromVector(held)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import bisect
 import functools
 import math
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -28,7 +27,7 @@ from contact_system.scene import DISTURBANCE_KINDS
 from contact_system.starts import on_branch
 
 from .config import LOOK
-from .lifetimes import NO_DICTIONARY, array_entry, weakly
+from .lifetimes import NO_DICTIONARY, weakly
 from .plan_check import (
     CLEARANCE,
     MOST,
@@ -219,41 +218,15 @@ class ContactPlanner(_Convertible, LeafSystem):
         )
         self._Declare(system, system.x0, _period(restart_period, restart_distance))
         self._scratches = PerThread(partial(Scratch, system), {})
-        self._DeclareOutputs()
         self._exact = functools.lru_cache(maxsize=16)(partial(exact_plan, scene))
         self._DeclareWatch()
 
-    def _DeclareOutputs(self) -> None:
-        """All outputs come from one call into the engine; what depends on the disturbance port from
-        another, as the port may depend on what does not."""
-        self._outputs: dict[str, tuple[Callable, Any]] = {}
-        sizes, n = {**MOTION, **PORTS}, len(self.system.scene.contacts)
-        groups = [tuple(sizes)]
-        if self._disturbance is not None:
-            groups.append(tuple(name for name in sizes if name not in self._fed_through))
-        for group in groups:
-            ends = np.cumsum([0, *(n * sizes[name] for name in group)]).tolist()
-            needs = self._Prerequisites(*group)
-            _, entry = array_entry(self._CalcOutputs, (ends[-1] + 1,), needs, group)
-            rows = list(map(slice, ends, ends[1:]))
-            self._outputs |= {name: (entry, own) for name, own in zip(group, rows)}
-            if group is groups[0]:
-                every = [np.arange(ends[-1])[own].reshape(n, -1) for own in rows[: len(MOTION)]]
-                self._outputs["motion"] = entry, np.hstack(every).ravel()
-
-    def _CalcOutputs(self, outputs: tuple[str, ...], context: Any) -> Array:
-        """One after the other, and at the end whether a number among them is not finite."""
-        self._Load(context, *outputs)
-        values = self._scratches.own.evaluate(*outputs)
-        return np.append(values, not math.isfinite(values.sum()))
-
-    def Evaluate(self, context: Any, output: str) -> Array:
-        entry, rows = self._outputs[output]
-        values = entry(context)
-        if values[-1] and not np.isfinite(values[rows]).all():
-            self._Load(context, output)
+    def Evaluate(self, context: Any, *outputs: str) -> Array:
+        values = self._Numbers(context, *outputs)
+        # the product is quick to say that all is well
+        if not math.isfinite(values.dot(values)) and not np.isfinite(values).all():
             refuse(self.system, *self._scratches.own.given)
-        return values[rows]
+        return values[_rows(len(self.system.scene.contacts), outputs)]
 
     # --- what is refused at the end of a step -----------------------------------------------------
 
@@ -332,7 +305,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         state = begun[2:].tobytes() if begun[0] == 2.0 else b""
         plan = self._exact(float(begun[1]), state, max(t, scene.duration))
         if plan is not None and plan.start <= t <= plan.end:
-            points = self.Evaluate(context, "contact_point")
+            points = self._Numbers(context, "contact_point")
             refuse_drift(scene, plan, t, points, self._tolerance)
 
     # --- what Drake calls ----------------------------------------------------------------------
@@ -340,7 +313,7 @@ class ContactPlanner(_Convertible, LeafSystem):
     def _Load(self, context: Any, *outputs: str) -> None:
         own = self._scratches.own
         own.t[0] = t = context.get_time()
-        own.x[:] = context.get_continuous_state().CopyToVector()
+        own.x[:] = context.get_continuous_state_vector().CopyToVector()
         after, before = own.same
         if not after < t < before:
             self._LoadRest(context, own, t, *outputs)
@@ -358,18 +331,15 @@ class ContactPlanner(_Convertible, LeafSystem):
             k = bisect.bisect_left(edges, t)
             own.same = (t, t) if t in edges else (edges[k - 1], edges[k])
 
-    def _Numbers(self, context: Any, output: str) -> Array:
-        self._Load(context, output)
-        return self._scratches.own.evaluate(output)
-
-    def _Carried(self, context: Any) -> Array:
-        return self._Numbers(context, "carried")
+    def _Numbers(self, context: Any, *outputs: str) -> Array:
+        self._Load(context, *outputs)
+        return self._scratches.own.evaluate(*outputs)
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
         own = self._scratches.own
         time, x, run, guard, rate = own.hot  # the lines of _Load: a call takes 0.2 us
         time[0] = t = context.get_time()
-        x[:] = context.get_continuous_state().CopyToVector()
+        x[:] = context.get_continuous_state_vector().CopyToVector()
         after, before = own.same
         if not after < t < before:
             self._LoadRest(context, own, t, "derivatives")
@@ -408,6 +378,14 @@ class ContactPlanner(_Convertible, LeafSystem):
             state.get_mutable_discrete_state(self._held).SetFromVector(own.held)
 
 
+@functools.cache
+def _rows(n: int, outputs: tuple[str, ...]) -> Array:
+    """Where numbers of n contacts stand that a table gives output by output, a row a contact."""
+    ends = n * np.cumsum([(MOTION | PORTS)[output] for output in outputs])
+    parts = np.split(np.arange(ends[-1]), ends[:-1])
+    return np.hstack([part.reshape(n, -1) for part in parts])
+
+
 # --- other scalars --------------------------------------------------------------------------------
 
 
@@ -426,11 +404,9 @@ def _scalar_planner(T: type) -> type:
             self._Declare(other.system, other.system.x0, period)
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-            derivatives.SetFromVector(self.Evaluate(context, "derivatives"))
+            derivatives.SetFromVector(self._Numbers(context, "derivatives"))
 
-        def Evaluate(self, context: Any, output: str) -> Array:
-            if output == "motion":
-                return self._Joined(context)
+        def _Numbers(self, context: Any, output: str) -> Array:
             system, w, held = self.system, self._Windows(context), self.system.held0
             added = self._Disturbance(context, output)
             if added is not None:

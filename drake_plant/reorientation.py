@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.tree import MultibodyForces, SpatialInertia
+from pydrake.multibody.tree import SpatialInertia
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
@@ -309,11 +309,10 @@ def object_inertia(scene: Scene, mass: float) -> Array:
 
 def _torques(chains: Chains, q: Array, v: Array, a: Array, points: Array, forces: Array) -> Array:
     """That move the joints against gravity and press by the forces, (m, nq)."""
-    none, found = MultibodyForces(chains.plant), np.empty_like(q)
+    found = np.empty_like(q)
     for k in range(len(q)):
         chains.put(q[k], v[k])
-        found[k] = chains.plant.CalcInverseDynamics(chains.context, a[k], none)
-        found[k] -= chains.plant.CalcGravityGeneralizedForces(chains.context)
+        found[k] = chains.carrying(a[k])
         for i, (x, force) in enumerate(zip(points[k], forces[k])):
             found[k] += chains.jacobian(i, x)[3:].T @ force
     return found

@@ -19,6 +19,8 @@ from contact_system import Scene, SceneError
 from contact_system.checks import a_path, finite_number, function_or_none
 
 from .config import StationConfig
+from .contact_gauge import COLUMNS
+from .planner_base import PORTS
 from .plant import ScenePlant
 from .reorientation import plan_reorientation
 from .station import SetInitialState, build, checked
@@ -163,50 +165,49 @@ class _Log:
     and of every step in which a finger is off the object."""
 
     def __init__(self, station: Diagram, root: Context, parts: ScenePlant, period: float):
-        self._asked = []
-        self._config = parts.config
-        for system, names in (("planner", PLANNED), ("monitor", MEASURED), ("balancer", BALANCED)):
-            if not station.HasSubsystemNamed(system):
-                continue
-            asked = station.GetSubsystemByName(system)
-            context = asked.GetMyContextFromRoot(root)
-            self._asked += [partial(asked.Evaluate, context, name) for name in names]
-        physics = parts.plant.GetMyContextFromRoot(root)
-        self._pose = partial(parts.object_body.EvalPoseInWorld, physics)
+        self._config, physics = parts.config, parts.plant.GetMyContextFromRoot(root)
+        monitor = station.GetSubsystemByName("monitor")
+        self._asked: dict[str, Callable[[], Array]] = {
+            "pose": lambda: parts.object_body.EvalPoseInWorld(physics).GetAsMatrix4(),
+            "measured": partial(monitor.Measured, monitor.GetMyContextFromRoot(root)),
+        }
+        planner = station.GetSubsystemByName("planner")
+        own = planner.GetMyContextFromRoot(root)
+        self._asked["planned"] = partial(planner.Evaluate, own, *PLANNED)
+        if station.HasSubsystemNamed("balancer"):
+            balancer = station.GetSubsystemByName("balancer")
+            own = balancer.GetMyContextFromRoot(root)
+            self._asked |= {name: partial(balancer.Evaluate, own, name) for name in BALANCED}
         ports = parts.plant.get_generalized_contact_forces_output_port
         instances = [body.model_instance() for body in parts.finger_bodies]
         self._pressing = [partial(ports(instance).Eval, physics) for instance in instances]
-        self._shape, self._period, self._next = (len(parts.finger_bodies), -1), period, 0.0
+        self._period, self._next = period, 0.0
         self._t: list[float] = []
         self._rows: list[list[Array]] = []
 
     def note(self, root: Context, last: bool = False) -> None:
         t = root.get_time()
-        if (
-            t < self._next
-            and not (last and t > self._t[-1])
-            and all(force().any() for force in self._pressing)
-        ):
+        due = t >= self._next or (last and t > self._t[-1])
+        if not due and all(force().any() for force in self._pressing):
             return
         whole = math.floor(t / self._period + 0.5 * NEAR)
         self._next = (whole + 1 - NEAR) * self._period
         self._t.append(t)
-        self._rows.append([ask().copy() for ask in self._asked] + [self._pose().GetAsMatrix4()])
+        self._rows.append([ask().copy() for ask in self._asked.values()])
 
     def read(self) -> tuple[Array, dict[str, Array], dict[str, Array], Array]:
         """Times, planned and measured as in a SimulationResult, poses of the object."""
-        *columns, poses = map(np.array, zip(*self._rows))
-        every = [values.reshape(len(self._t), *self._shape) for values in columns]
-        planned, measured = dict(zip(PLANNED, every)), dict(zip(MEASURED, every[len(PLANNED) :]))
+        said = {name: np.array(values) for name, values in zip(self._asked, zip(*self._rows))}
+        ends = np.cumsum([PORTS[name] for name in PLANNED])[:-1]
+        planned = dict(zip(PLANNED, np.split(said["planned"], ends, axis=2)))
         planned["contact_point"] = planned["contact_point"][:, :, 3:]
+        measured = {name: said["measured"][:, :, COLUMNS[name]] for name in MEASURED}
         normal = measured["normal_force"] = measured["normal_force"][:, :, 0]
-        balanced = every[len(PLANNED) + len(MEASURED) :] or (
-            np.full((*normal.shape, 1), self._config.normal_force),
-            np.zeros((*normal.shape, 1)),
-        )
-        planned |= {name: values[:, :, 0] for name, values in zip(BALANCED, balanced)}
+        for name, constant in zip(BALANCED, (self._config.normal_force, 0.0)):
+            value = said[name][:, :, 0] if name in said else constant
+            planned[name] = np.full_like(normal, value)
         friction = np.linalg.norm(measured["tangential_force"], axis=2)
         limit = self._config.friction * normal
         nothing = np.full_like(limit, math.nan)
         measured["friction_used"] = np.divide(friction, limit, out=nothing, where=limit > 0)
-        return np.array(self._t), planned, measured, poses
+        return np.array(self._t), planned, measured, said["pose"]

@@ -330,6 +330,8 @@ class Machine:
     ----------
     table : lowering.Table
     constants : (n_const,)
+    registers : (n_regs,), optional
+        To run on, zeros.
 
     Attributes
     ----------
@@ -341,8 +343,13 @@ class Machine:
         Evaluates the table.
     """
 
-    def __init__(self, table: Any, constants: Sequence[float] | np.ndarray = ()):
-        r = np.zeros(table.n_regs)
+    def __init__(
+        self,
+        table: Any,
+        constants: Sequence[float] | np.ndarray = (),
+        registers: np.ndarray | None = None,
+    ):
+        r = np.zeros(table.n_regs) if registers is None else registers
         r[table.n_in : table.first_lit] = constants
         r[table.first_lit :][: len(table.literals)] = table.literals
         code, prologue = (
