@@ -163,7 +163,7 @@ def _contraction(scene: Scene) -> list[str]:
 
 
 def _explain(args: argparse.Namespace) -> int:
-    scene = _asked_scene(args)
+    scene = _scene_of(args)
     with Progress(1, "planning"):
         planned = plan(scene, args.tolerance, args.method)
     print(planned.explain(), *_contraction(scene), sep="\n")
@@ -171,7 +171,7 @@ def _explain(args: argparse.Namespace) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    scene = _asked_scene(args)
+    scene = _scene_of(args)
     with Progress(2, "planning") as progress:
         planned = plan(scene, args.tolerance, args.method)
         laws = {planned: rejections(planned)}
@@ -191,7 +191,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _reach(args: argparse.Namespace) -> int:
-    scene = _asked_scene(args)
+    scene = _scene_of(args)
     goals = [_goal(text) for text in args.to]
     with Progress(2, "looking for legs") as progress:
         route = reach(scene, goals, seconds=args.seconds)
@@ -229,25 +229,25 @@ def _port(text: str) -> int:
 def _goal(text: str) -> Goal | None:
     """A goal from the text of an inline table of TOML."""
     try:
-        given = tomllib.loads(f"goal = {{ {text} }}")["goal"]
+        table = tomllib.loads(f"goal = {{ {text} }}")["goal"]
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f'--to "{text}": {error}; write it like "object_at = [2, 1]"') from None
-    known_keys(given, KEYS, f'--to "{text}": ')
-    return Goal(**given) if given else None
+    known_keys(table, KEYS, f'--to "{text}": ')
+    return Goal(**table) if table else None
 
 
-def _asked_scene(args: argparse.Namespace) -> Scene:
+def _scene_of(args: argparse.Namespace) -> Scene:
     scene = load_scene(args.scene)
     law = args.gain or scene.gain.law
     taken, value = LAWS[law].parameter, scene.gain.value
     for name in ("eta", "rho"):
-        given = getattr(args, name)
-        if given is not None and name != taken:
+        number = getattr(args, name)
+        if number is not None and name != taken:
             raise SceneError(
-                f"{scene.title}: --{name} {given:g}: the gain law '{law}' takes {taken}; "
+                f"{scene.title}: --{name} {number:g}: the gain law '{law}' takes {taken}; "
                 f"give --{taken}, or another law with --gain"
             )
-        value = value if given is None else given
+        value = value if number is None else number
     return scene.replace(gain=Gain(law, value))
 
 

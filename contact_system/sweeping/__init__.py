@@ -41,8 +41,8 @@ class Sweep:
         for part in self._parts:
             if isinstance(part, Part):
                 yield part
-            elif (found := read(part)) is not None:
-                yield found
+            elif (stored := read(part)) is not None:
+                yield stored
             else:
                 raise ContactSystemError(
                     f"'{part}' no longer holds results of this sweep: it was removed or damaged; "
@@ -174,11 +174,11 @@ def _unfinished(
 ) -> Iterator[Chunk]:
     """Chunks of the scenes without those that have results in a file, which go to ``parts``."""
     items, first, file = iter(scenes), 0, None
-    while own := tuple(itertools.islice(items, size)):
+    while batch := tuple(itertools.islice(items, size)):
         if folder is not None:
-            file = folder / f"chunk-{first:08d}-{digest(run, first, own)}.npz"
+            file = folder / f"chunk-{first:08d}-{digest(run, first, batch)}.npz"
         if file is not None and read(file) is not None:
             parts[first] = file
         else:
-            yield Chunk(first, own, file)
+            yield Chunk(first, batch, file)
         first += size
