@@ -18,6 +18,7 @@ from ..checks import a_path, flag, make_folder
 from ..errors import ContactSystemError
 from ..plan import checked_tolerance
 from ..scene import Scene
+from ..terminal import Progress
 from .chunk import Chunk, Evaluate, Failure, Item, Part, Run, joined, run_chunk
 from .files import digest, keep, read
 from .summaries import summary
@@ -126,8 +127,6 @@ def sweep(
         written to; functions that cannot be sent to another process; a broken executor that cannot
         be replaced.
     """
-    from ..cli import Progress  # not on the planner's path
-
     if isinstance(scenes, (Scene, str, os.PathLike)) or not isinstance(scenes, Iterable):
         raise ContactSystemError(f"scenes = {scenes!r:.80}: give a list of scenes, such as [scene]")
     ahead = 2 * (os.cpu_count() or 1) if ahead is None else ahead
