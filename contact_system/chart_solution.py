@@ -88,8 +88,8 @@ class ChartContact:
             raise SceneError(
                 f"{self._where}: imposed rolling has no chart method; use the default method"
             )
-        own = [replace(d, contact=0) for d in scene.disturbances if d.contact == index]
-        alone = scene.replace(contacts=[contact], disturbances=own)
+        disturbances = [replace(d, contact=0) for d in scene.disturbances if d.contact == index]
+        alone = scene.replace(contacts=[contact], disturbances=disturbances)
         self._system = SceneSystem(alone, "chart", disturbance_input=True)
         makes_up, ends = scene.gain.row.makes_up, (begin, scene.duration)
         knots = scene.profile.knots(*ends) if makes_up else ends  # where the gain has a kink
@@ -172,14 +172,14 @@ class ChartContact:
         x, w = self._at(t)
         if name == "acceleration":
             return self._acceleration(t, x, w)
-        found = self._output(OUTPUTS.get(name, name), t, x, w)
+        values = self._output(OUTPUTS.get(name, name), t, x, w)
         if name == "slip_speed":
-            return np.hypot(*found.T)
+            return np.hypot(*values.T)
         if name == "pose":
             pose = np.tile(np.eye(4), (len(t), 1, 1))
-            pose[:, :3, :] = found.reshape(-1, 4, 3).swapaxes(1, 2)
+            pose[:, :3, :] = values.reshape(-1, 4, 3).swapaxes(1, 2)
             return pose
-        return found.reshape(-1, *SHAPES[name])
+        return values.reshape(-1, *SHAPES[name])
 
     def _acceleration(self, t: np.ndarray, x: np.ndarray, w: np.ndarray) -> np.ndarray:
         """(sigma'/sigma - lam) v_rel + R_psi M1 d1 - M2 d2, rate offsets left out: (n_times, 2)."""

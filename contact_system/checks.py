@@ -90,15 +90,15 @@ def finite_numbers(
         # a set has no order; a table would give its keys, bytes their codes
         if isinstance(values, (str, bytes, set, frozenset, Mapping)):
             raise TypeError
-        found = tuple(map(_as_float, values))
+        numbers = tuple(map(_as_float, values))
     except (TypeError, ValueError):
         raise error(f"{what} = {values!r}: give a list of numbers") from None
-    if not found:
+    if not numbers:
         raise error(f"{what} = {values!r}: give at least one number")
-    for k, x in enumerate(found):
+    for k, x in enumerate(numbers):
         if not abs(x) < LARGEST:
             raise error(f"{what}[{k}] = {x!r}: give a finite number (below 1e100)")
-    return found
+    return numbers
 
 
 def finite_number(
@@ -191,12 +191,12 @@ def flag(value: Any, what: str, none: bool = False) -> Any:
 def a_path(value: Any, what: str = "path") -> Path:
     """The value as a Path; raises a SceneError if it does not name a file."""
     try:
-        found = os.fsdecode(value)
-        if "\0" in found:
+        path = os.fsdecode(value)
+        if "\0" in path:
             raise TypeError
     except TypeError:
         raise SceneError(f"{what} = {value!r:.80}: give a path") from None
-    return Path(found)
+    return Path(path)
 
 
 def items_of(values: Any) -> tuple:

@@ -15,14 +15,11 @@ import io
 import math
 import os
 import sys
-import textwrap
-import threading
-import time
 import tomllib
 from collections.abc import Iterable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +38,7 @@ from .plan import METHODS, Plan, plan
 from .scene import STILL, Scene, bundled_scenes, load_scene, save_scene
 from .steering import Goal, reach
 from .steering.goal import KEYS
+from .terminal import Progress, paragraph, table
 from .theory.gain import LAWS, Gain
 
 PROGRAM = "contact-system"
@@ -167,7 +165,7 @@ def _contraction(scene: Scene) -> list[str]:
 
 
 def _explain(args: argparse.Namespace) -> int:
-    scene = _asked_scene(args)
+    scene = _scene_of(args)
     with Progress(1, "planning"):
         planned = plan(scene, args.tolerance, args.method)
     print(planned.explain(), *_contraction(scene), sep="\n")
@@ -175,7 +173,7 @@ def _explain(args: argparse.Namespace) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    scene = _asked_scene(args)
+    scene = _scene_of(args)
     with Progress(2, "planning") as progress:
         planned = plan(scene, args.tolerance, args.method)
         laws = {planned: rejections(planned)}
@@ -195,7 +193,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _reach(args: argparse.Namespace) -> int:
-    scene = _asked_scene(args)
+    scene = _scene_of(args)
     goals = [_goal(text) for text in args.to]
     with Progress(2, "looking for legs") as progress:
         route = reach(scene, goals, seconds=args.seconds)
@@ -233,25 +231,25 @@ def _port(text: str) -> int:
 def _goal(text: str) -> Goal | None:
     """A goal from the text of an inline table of TOML."""
     try:
-        given = tomllib.loads(f"goal = {{ {text} }}")["goal"]
+        table = tomllib.loads(f"goal = {{ {text} }}")["goal"]
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f'--to "{text}": {error}; write it like "object_at = [2, 1]"') from None
-    known_keys(given, KEYS, f'--to "{text}": ')
-    return Goal(**given) if given else None
+    known_keys(table, KEYS, f'--to "{text}": ')
+    return Goal(**table) if table else None
 
 
-def _asked_scene(args: argparse.Namespace) -> Scene:
+def _scene_of(args: argparse.Namespace) -> Scene:
     scene = load_scene(args.scene)
     law = args.gain or scene.gain.law
     taken, value = LAWS[law].parameter, scene.gain.value
     for name in ("eta", "rho"):
-        given = getattr(args, name)
-        if given is not None and name != taken:
+        number = getattr(args, name)
+        if number is not None and name != taken:
             raise SceneError(
-                f"{scene.title}: --{name} {given:g}: the gain law '{law}' takes {taken}; "
+                f"{scene.title}: --{name} {number:g}: the gain law '{law}' takes {taken}; "
                 f"give --{taken}, or another law with --gain"
             )
-        value = value if given is None else given
+        value = value if number is None else number
     return scene.replace(gain=Gain(law, value))
 
 
@@ -315,24 +313,6 @@ def _report(laws: Laws) -> Iterable[str]:
     yield from (*_great_circles(planned), "")
 
 
-def paragraph(text: str) -> str:
-    """The text in lines of 100 characters."""
-    return textwrap.fill(text, 100, break_on_hyphens=False)
-
-
-def table(
-    head: Sequence[tuple[str, str]], rows: Sequence[tuple[str, ...]], texts: int
-) -> Iterable[str]:
-    """Lines of a table under names and units; the first ``texts`` columns are flush left."""
-    names, units = zip(*head)
-    widths = [max(map(len, column)) for column in zip(names, units, *rows)]
-    for row in (names, units, ["-" * w for w in widths], *rows):
-        cells = [
-            f"{c:<{w}}" if k < texts else f"{c:>{w}}" for k, (c, w) in enumerate(zip(row, widths))
-        ]
-        yield "  ".join(cells).rstrip()
-
-
 def _slip_table(laws: Laws) -> Iterable[str]:
     """Slip of every contact under every law."""
     head = [("gain", ""), ("contact", "")]
@@ -387,45 +367,6 @@ def _great_circles(plan: Plan) -> Iterable[str]:
                 f"{plan.scene.contact_name(i)}: its curve stays within {distance:.1e} m of a great "
                 f"circle's plane, {distance / contact.finger.size:.1e} of the radius."
             )
-
-
-class Progress:
-    """A progress bar of named steps on stderr or another stream: on terminals, after a second."""
-
-    DELAY, WIDTH = 1.0, 24
-
-    def __init__(self, steps: int, name: str, stream: TextIO | None = None):
-        self.steps, self.done, self.name = steps, 0, name
-        self.stream = sys.stderr if stream is None else stream
-        self.began, self.finished = time.monotonic(), threading.Event()
-
-    def step(self, name: str) -> None:
-        """One step is done; name the next one."""
-        self.done, self.name = self.done + 1, name
-
-    def __enter__(self) -> Progress:
-        self.thread = threading.Thread(target=self._draw, daemon=True)
-        if self.stream.isatty():
-            self.thread.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.finished.set()
-        if self.thread.ident is not None:
-            self.thread.join()
-
-    def _draw(self) -> None:
-        wait, drawn = self.DELAY, False
-        while not self.finished.wait(wait):
-            wait, drawn = 0.1, True
-            full = self.WIDTH * self.done // self.steps
-            bar = "#" * full + "." * (self.WIDTH - full)
-            elapsed = time.monotonic() - self.began
-            self.stream.write(f"\r\x1b[K[{bar}] {self.name}, {elapsed:.0f} s")
-            self.stream.flush()
-        if drawn:
-            self.stream.write("\r\x1b[K")
-            self.stream.flush()
 
 
 if __name__ == "__main__":

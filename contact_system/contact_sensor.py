@@ -102,18 +102,18 @@ def measured_states(
         rigid_motion(one, f"{scene.title}, contact {i}: pose", NOISE, ContactSystemError)
     others = _given(scene, "twist", twist, (6,)), _given(scene, "points", points, (3,))
     sensor = ContactSensor(scene)
-    found = sensor.measure(poses[:, :3].reshape(-1, 12), *others)
-    sensor.check(found)
-    return found.states
+    measurement = sensor.measure(poses[:, :3].reshape(-1, 12), *others)
+    sensor.check(measurement)
+    return measurement.states
 
 
 def _given(scene: Scene, name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """A finite measurement of every contact."""
     shape = (len(scene.contacts), *shape)
-    found = shaped_array(value, f"{scene.title}: {name}", shape, ContactSystemError)
-    if not np.isfinite(found).all():
+    array = shaped_array(value, f"{scene.title}: {name}", shape, ContactSystemError)
+    if not np.isfinite(array).all():
         raise ContactSystemError(f"{scene.title}: {name} has a NaN or infinity")
-    return found
+    return array
 
 
 class ContactSensor:
@@ -161,33 +161,33 @@ class ContactSensor:
         -------
         Measurement
         """
-        found = []
+        rows = []
         for probe, *seen, point in zip(self.probes, pose, twist, points):
             probe.seen[:] = *np.concatenate(seen), 0, 0, 0, 0
-            found.append(probe.find(point).copy())
-        return Measurement(np.array(found))
+            rows.append(probe.find(point).copy())
+        return Measurement(np.array(rows))
 
-    def check(self, found: Measurement) -> None:
+    def check(self, measurement: Measurement) -> None:
         """Raise the errors of :func:`measured_states` for a measurement."""
         for i in range(len(self.scene.contacts)):
             what = f"{self.scene.title}, contact {i}"
-            if abs(found.relative[i]) <= CONFORMAL:
+            if abs(measurement.relative[i]) <= CONFORMAL:
                 raise ConformalContact(
                     f"{what}: the surfaces conform to each other at the contact, so a twist does "
                     "not determine where they touch; change a radius or a surface"
                 )
-            if not np.isfinite(found.states[i]).all():
-                at = found.points[i].tolist()
+            if not np.isfinite(measurement.states[i]).all():
+                at = measurement.points[i].tolist()
                 raise ChartSingularity(
                     f"{what}: measured at a pole, an umbilic or out of sight of an implicit "
                     f"surface's center, where there is no contact frame ({at[0]} m on the finger, "
                     f"{at[1]} m on the object); measure nearby, turn the body's axes so that the "
                     "pole lies elsewhere, or choose another center"
                 )
-            if not found.step[i] <= self.settled:
+            if not measurement.step[i] <= self.settled:
                 raise ContactSystemError(
                     f"{what}: no common normal of the surfaces was found, the next step is "
-                    f"{found.step[i]:.3g} m; give a point nearer to the contact"
+                    f"{measurement.step[i]:.3g} m; give a point nearer to the contact"
                 )
 
 

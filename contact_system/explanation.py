@@ -28,22 +28,22 @@ UNPUSHED, NO_SLIP, SLIP_LEFT, SLIPS, OFFSET, OFFSET_AND_SLIP, PUSHED, NEGLIGIBLE
 def lines(scene: Scene, facts: Sequence[Sequence[Fact]]) -> list[str]:
     """How each contact and interval was planned, why, and what was skipped; facts by contact."""
     alike: dict[tuple[str, ...], list[int]] = {}
-    for i, own in enumerate(facts):
-        alike.setdefault(tuple(_of_contact(scene, i, own)), []).append(i)
-    found = []
+    for i, of_contact in enumerate(facts):
+        alike.setdefault(tuple(_of_contact(scene, i, of_contact)), []).append(i)
+    result = []
     for text, contacts in alike.items():
         names = ", ".join(map(str, contacts))
-        found += [f"contact{'s' * (len(contacts) > 1)} {names}:", *text]
-    return found
+        result += [f"contact{'s' * (len(contacts) > 1)} {names}:", *text]
+    return result
 
 
 def _of_contact(scene: Scene, contact: int, facts: Sequence[Fact]) -> list[str]:
-    found = [
+    result = [
         f"  {SIDES[f.side]:6s} [{f.start:.6g}, {f.stop:.6g}] s  {_method(f)}"
         f"  ({_reason(scene, contact, f)})"
         for f in facts
     ]
-    return found + [f"  skipped: {text}" for text in _skipped(facts)]
+    return result + [f"  skipped: {text}" for text in _skipped(facts)]
 
 
 def _method(f: Fact) -> str:

@@ -181,12 +181,12 @@ class _Reader:
         if not all(isinstance(value, float) for value in values):
             return (getattr(ca, of_symbols) if isinstance(of_symbols, str) else of_symbols)(*values)
         try:
-            found = of_numbers(*values)
+            result = of_numbers(*values)
         except (ArithmeticError, ValueError) as error:
             raise self.fail(node, f"the result is not a real number ({error})") from None
-        if not math.isfinite(found):
+        if not math.isfinite(result):
             raise self.fail(node, "the number is too large")
-        return found
+        return result
 
     def unknown(self, node: ast.expr, name: str, known: Iterable[str]) -> ContactSystemError:
         hint = did_you_mean(name, known) or f"; known are {', '.join(sorted(known))}"

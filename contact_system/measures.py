@@ -141,7 +141,7 @@ def rejections(plan: Plan) -> list[Rejection]:
     reported = math.nan
     if not is_dynamic(plan.scene):
         reported = plan.scene.paper.get("recovery_time", reported)
-    found = []
+    result = []
     for i in range(len(plan.scene.contacts)):
         acting = windows(plan, i)
         since = acting[-1][1] if acting else plan.start
@@ -151,19 +151,21 @@ def rejections(plan: Plan) -> list[Rejection]:
         greatest = int(slip[:, i].argmax())
         first, peak, end = slip[[0, greatest, -1], i].tolist()
         taken = _rejection_time(plan, i, since, level, knots)
-        found.append(Rejection(i, first, peak, float(times[greatest]), end, since, taken, reported))
-    return found
+        result.append(
+            Rejection(i, first, peak, float(times[greatest]), end, since, taken, reported)
+        )
+    return result
 
 
 def _monotonic(scene: Scene) -> np.ndarray:
     """Times, s, between which undisturbed slip only grows or only shrinks."""
-    found = set()
+    times = set()
     for start, stop, _, profile, _ in {s for i in range(len(scene.contacts)) for s in scene.way(i)}:
-        found |= {start, stop}
+        times |= {start, stop}
         if profile != STILL:
             intervals = contraction(profile, scene.gain, stop - start).intervals
-            found |= {start + t for interval in intervals for t in interval}
-    return np.array(sorted(found))
+            times |= {start + t for interval in intervals for t in interval}
+    return np.array(sorted(times))
 
 
 def is_dynamic(scene: Scene) -> bool:

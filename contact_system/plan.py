@@ -294,10 +294,10 @@ class Plan:
         """Every contact as it is at time t, from which :meth:`continued` starts."""
         return self._motion.moments(t)
 
-    def _require_frames(self, asked: str) -> None:
+    def _require_frames(self, name: str) -> None:
         if self.method == "chart":
             raise SceneError(
-                f"{asked}: method 'chart' has no parallel frames; use the default method"
+                f"{name}: method 'chart' has no parallel frames; use the default method"
             )
 
     def restart(self, t: float, state: ArrayLike) -> Plan:
@@ -451,14 +451,14 @@ class Plan:
         )
 
 
-def checked_tolerance(given: Any) -> float:
+def checked_tolerance(value: Any) -> float:
     """The tolerance as a float; raises a SceneError if it is no number from 1e-15 to 1e-1."""
     try:
-        number = float(given) if isinstance(given, numbers.Real) else math.nan
+        number = float(value) if isinstance(value, numbers.Real) else math.nan
     except OverflowError:
         number = math.inf
     if not 1e-15 <= number <= 0.1:
-        raise SceneError(f"tolerance = {given!r}: give a number from 1e-15 to 1e-1")
+        raise SceneError(f"tolerance = {value!r}: give a number from 1e-15 to 1e-1")
     return number
 
 
@@ -472,10 +472,10 @@ def _one_axis(t: ArrayLike) -> np.ndarray:
     return np.atleast_1d(t)
 
 
-def require_plan(given: Any) -> None:
+def require_plan(value: Any) -> None:
     """Raise a ContactSystemError where something else is given, such as a scene."""
-    if not isinstance(given, Plan):
-        raise ContactSystemError(f"plan = {given!r:.80}: give a Plan, such as plan(scene)")
+    if not isinstance(value, Plan):
+        raise ContactSystemError(f"plan = {value!r:.80}: give a Plan, such as plan(scene)")
 
 
 def load(path: str | os.PathLike) -> Plan:

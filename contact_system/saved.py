@@ -79,28 +79,28 @@ def checked_start(header: dict[str, Any], scene: Scene) -> tuple[float, Starts |
     start = finite_number(header["start"], "start", "not below 0")
     if not start < scene.duration:
         raise SceneError(f"start = {start:g} s: give a time before the end, {scene.duration:g} s")
-    given = header["starts"]
-    if given is None:
+    starts = header["starts"]
+    if starts is None:
         if start > 0:
             raise SceneError(f"starts = None: a plan that starts at {start:g} s needs its contacts")
         return start, None
     count = len(scene.contacts)
-    if not isinstance(given, list) or len(given) != count:
-        raise SceneError(f"starts = {given!r}: give a list, one for each of {count} contacts")
-    moments = isinstance(given[0], dict) and "slip" in given[0]
-    return start, [_start(scene, i, one, moments) for i, one in enumerate(given)]
+    if not isinstance(starts, list) or len(starts) != count:
+        raise SceneError(f"starts = {starts!r}: give a list, one for each of {count} contacts")
+    moments = isinstance(starts[0], dict) and "slip" in starts[0]
+    return start, [_start(scene, i, one, moments) for i, one in enumerate(starts)]
 
 
-def _start(scene: Scene, index: int, given: Any, moments: bool) -> Start | Moment:
+def _start(scene: Scene, index: int, table: Any, moments: bool) -> Start | Moment:
     kind, contact, place = Moment if moments else Start, scene.contacts[index], f"starts[{index}]"
     names = [f.name for f in fields(kind)]
-    if not isinstance(given, dict) or sorted(given) != sorted(names):
-        raise SceneError(f"{place} = {given!r}: give a table of {', '.join(names)}")
+    if not isinstance(table, dict) or sorted(table) != sorted(names):
+        raise SceneError(f"{place} = {table!r}: give a table of {', '.join(names)}")
     if contact.follows:
         raise SceneError(f"{place}: imposed rolling has no other starts; leave starts out")
     bodies = {"finger": contact.finger, "object": scene.object}
     read: dict[str, Any] = {}
-    for name, value in given.items():
+    for name, value in table.items():
         what, size = f"{place}.{name}", SIZES.get(name, 2) if moments else 2
         if name == "angle":
             read[name] = finite_number(value, what)
@@ -121,8 +121,8 @@ def _start(scene: Scene, index: int, given: Any, moments: bool) -> Start | Momen
 
 def _require_on(surface: Surface, frame: tuple[float, ...], what: str) -> None:
     """Refuse a frame unless it is a point of the surface and a unit tangent, up to rounding."""
-    given = np.array(frame)[:, None]
-    moved = run(surface.tables.ambient[A_RESTORE], given, surface.numbers) - given
+    state = np.array(frame)[:, None]
+    moved = run(surface.tables.ambient[A_RESTORE], state, surface.numbers) - state
     moved[:3] /= surface.size
     if not np.abs(moved).max() < 1e-6:
         raise SceneError(

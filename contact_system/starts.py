@@ -113,12 +113,12 @@ def on_branch(scene: Scene, measured: np.ndarray, planned: np.ndarray) -> np.nda
     Disturbances are chart components: on the other branch they would act the opposite way.
     """
     rows = measured.copy()
-    for row, own, contact in zip(rows, planned, scene.contacts):
+    for row, plan_row, contact in zip(rows, planned, scene.contacts):
         for surface, k in ((contact.finger, 0), (scene.object, 4)):
             if not surface.double_cover:
                 continue
-            *row[k : k + 2], turned = surface.align(*row[k : k + 2], *own[k : k + 2])
+            *row[k : k + 2], turned = surface.align(*row[k : k + 2], *plan_row[k : k + 2])
             if turned:
                 row[k + 2 : k + 4] *= -1
-                row[8] = own[8] + math.remainder(row[8] + math.pi - own[8], 2 * math.pi)
+                row[8] = plan_row[8] + math.remainder(row[8] + math.pi - plan_row[8], 2 * math.pi)
     return rows

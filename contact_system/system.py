@@ -183,10 +183,10 @@ class SceneSystem:
         t, x, w, held, p = self._symbols.values()
         law, obj, *fingers = (p[s] for s in self._number_slices)
         scene, signs = self.scene, []
-        found: dict[str, list[ca.SX]] = {}
+        by_name: dict[str, list[ca.SX]] = {}
         for i, (contact, form) in enumerate(zip(scene.contacts, self.forms)):
-            own = [d for d in scene.disturbances if d.contact == i]
-            acts = w[6 * i : 6 * i + 6] if self.disturbance_input or own else ca.SX.zeros(6)
+            disturbed = [d for d in scene.disturbances if d.contact == i]
+            acts = w[6 * i : 6 * i + 6] if self.disturbance_input or disturbed else ca.SX.zeros(6)
             function = contact_function(contact.finger, scene.object, form)
             own_t, own_held, own_law = t, held[self.held_slices[i]], law
             if contact.legs:
@@ -197,9 +197,9 @@ class SceneSystem:
             carried = x[self.state_slices[i]], acts, own_held
             values = function(own_t, *carried, own_law, fingers[i], obj)
             for name, value in zip(function.name_out(), values):
-                found.setdefault(name, []).append(value)
+                by_name.setdefault(name, []).append(value)
             signs.append(_sign(ca.vertsplit(own_law[1:]), own_t))
-        outputs = {name: ca.vertcat(*values) for name, values in found.items()}
+        outputs = {name: ca.vertcat(*values) for name, values in by_name.items()}
         rate = outputs["derivatives"]  # added, since a minimum would hide a NaN
         outputs["guard"] = ca.mmin(ca.vertcat(*signs)) - TINY * ca.sumsqr(rate)
         outputs["clearance"] = ca.mmin(outputs["regularity"])

@@ -30,18 +30,20 @@ def writing(path: Path, place: str = "") -> Iterator[BinaryIO]:
     SceneError
         Why the file cannot be written; the old file stays, as it does after any other error.
     """
-    own = Path(os.path.realpath(path))
-    part = own.with_name(f"{own.name[:40]}.{os.urandom(4).hex()}.part")  # two may write one file
+    target = Path(os.path.realpath(path))
+    part = target.with_name(
+        f"{target.name[:40]}.{os.urandom(4).hex()}.part"
+    )  # two may write one file
     try:
-        if own.exists() and not own.is_file():  # /dev/null, which root can replace
+        if target.exists() and not target.is_file():  # /dev/null, which root can replace
             raise OSError("it is a folder, a device or a pipe")
         with part.open("xb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        os.replace(part, own)
+        os.replace(part, target)
         with suppress(OSError):  # not all systems can flush a folder
-            _flush_folder(own.parent)
+            _flush_folder(target.parent)
     except OSError as error:
         raise SceneError(
             f"{place}'{path}' cannot be written: {error.strerror or error}; give a path in a "

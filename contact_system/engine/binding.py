@@ -140,16 +140,16 @@ LIBRARY = Path(__file__).with_name(f"_engine{_SUFFIX}")
 
 def _library() -> ctypes.CDLL:
     try:
-        found = ctypes.CDLL(str(LIBRARY))
+        library = ctypes.CDLL(str(LIBRARY))
     except OSError as error:
         raise ImportError(
             f"the engine of contact_system cannot be loaded: {error}; install the package again "
             "(pip install .), or in a checkout: pip install -e ."
         ) from None
-    found.contact_engine.restype = POINTER(Engine)
-    found.contact_surface.restype = POINTER(SurfaceData)
-    found.contact_table.restype = c_void_p
-    return found
+    library.contact_engine.restype = POINTER(Engine)
+    library.contact_surface.restype = POINTER(SurfaceData)
+    library.contact_table.restype = c_void_p
+    return library
 
 
 _LIBRARY = _library()
@@ -194,15 +194,15 @@ class Builtins:
     @property
     def geodesic(self) -> Builtin:
         """A geodesic with its Jacobi fields."""
-        found = self.other[GEODESIC]
-        assert found is not None
-        return found
+        table = self.other[GEODESIC]
+        assert table is not None
+        return table
 
     def __getattr__(self, group: str) -> tuple[Builtin | None, ...]:
         addresses = getattr(self._data, group)
-        found = tuple(None if at is None else _builtin_table(at) for at in addresses)
-        self.__dict__[group] = found
-        return found
+        tables = tuple(None if at is None else _builtin_table(at) for at in addresses)
+        self.__dict__[group] = tables
+        return tables
 
 
 def _builtin_table(address: int) -> Builtin:
@@ -211,11 +211,11 @@ def _builtin_table(address: int) -> Builtin:
 
 
 def _surfaces() -> dict[str, SurfaceData]:
-    found, index = {}, 0
+    surfaces, index = {}, 0
     while pointer := _LIBRARY.contact_surface(index):
-        found[pointer.contents.name.decode()] = pointer.contents
+        surfaces[pointer.contents.name.decode()] = pointer.contents
         index += 1
-    return found
+    return surfaces
 
 
 SURFACES = _surfaces()
@@ -290,8 +290,8 @@ def sign_changes(
     Double roots, also rounded ones, are no sign changes. Coefficients have the lowest power first.
     """
     n = len(coefficients)
-    found = (c_double * (2 * n))()
-    return found[: _sign_changes((c_double * n)(*coefficients), n, order, start, stop, found)]
+    times = (c_double * (2 * n))()
+    return times[: _sign_changes((c_double * n)(*coefficients), n, order, start, stop, times)]
 
 
 def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:

@@ -63,8 +63,8 @@ class Sampled:
     @classmethod
     def of(cls, planned: Plan) -> Sampled:
         t = regular_times(planned, np.linspace(planned.start, planned.end, SAMPLES))
-        found = planned.evaluate(t, "points", "pose", "slip_speed")
-        return cls(planned, t, found["points"], found["pose"], found["slip_speed"])
+        results = planned.evaluate(t, "points", "pose", "slip_speed")
+        return cls(planned, t, results["points"], results["pose"], results["slip_speed"])
 
 
 class Explorer:

@@ -45,7 +45,7 @@ def adjusted(part: Any, values: Mapping[Place, Any]) -> Any:
         return tuple(adjusted(x, below.get(k, {})) for k, x in enumerate(part))
     if isinstance(part, Mapping):
         return {key: adjusted(x, below.get(key, {})) for key, x in part.items()}
-    changes = {head: adjusted(_field(part, head), found) for head, found in below.items()}
+    changes = {head: adjusted(_field(part, head), changed) for head, changed in below.items()}
     return (
         part.replace(**changes) if isinstance(part, Scene) else dataclasses.replace(part, **changes)
     )

@@ -126,8 +126,8 @@ def plot_slip(
 
 def _plans(plan: Plan, other: Plan | None) -> list[Plan]:
     laws = [plan] if other is None else [plan, other]
-    for given in laws:
-        require_plan(given)
+    for law in laws:
+        require_plan(law)
     return laws
 
 

@@ -46,12 +46,12 @@ def _add_legs(curve: Curve, plan: Plan, contact: int, side: int) -> None:
     ends = [plan.start, plan.end]
     if len(regular_times(plan, np.array(ends))) < 2:
         return
-    found = plan.evaluate(ends, "points", "states", "pose")
-    finger, states = plan.scene.contacts[contact].finger, found["states"][:, contact]
+    results = plan.evaluate(ends, "points", "states", "pose")
+    finger, states = plan.scene.contacts[contact].finger, results["states"][:, contact]
     axes = finger.frame(states[:, 0], states[:, 1])[..., :2]
     if side:  # in the object's frame
-        axes = found["pose"][:, contact, :3, :3] @ axes
-    at = found["points"][:, contact, side]
+        axes = results["pose"][:, contact, :3, :3] @ axes
+    at = results["points"][:, contact, side]
     curve.frames = np.stack([at, at + axes[..., 0], at + axes[..., 1]], axis=1)
 
 

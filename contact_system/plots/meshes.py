@@ -100,9 +100,9 @@ def _span(
         start, stop = closed
     else:
         t = regular_times(plan, plan.sample_times())
-        found = plan.evaluate(t, "states", "points")
-        q = found["states"][:, contacts, 4 * side : 4 * side + 2].reshape(-1, 2)
-        reach = np.ptp(found["points"][:, contacts, side].reshape(-1, 3), axis=0).max()
+        results = plan.evaluate(t, "states", "points")
+        q = results["states"][:, contacts, 4 * side : 4 * side + 2].reshape(-1, 2)
+        reach = np.ptp(results["points"][:, contacts, side].reshape(-1, 3), axis=0).max()
         margin = 0.35 * reach / surface.lame(*q[len(q) // 2])[k]
         start, stop = q[:, k].min() - margin, q[:, k].max() + margin
     hair = 1e-6 * (stop - start)

@@ -25,9 +25,9 @@ def pair(value: Any, what: str, words: Sequence[str] = ()) -> Pair:
     if is_plain(value) and len(value) == 2:
         return value
     if isinstance(value, Iterable) and not isinstance(value, str):
-        found = finite_numbers(value, what)
-        if len(found) == 2:
-            return found
+        numbers = finite_numbers(value, what)
+        if len(numbers) == 2:
+            return numbers
     choice = "".join(f' or "{word}"' for word in words) + did_you_mean(value, words)
     raise SceneError(f"{what} = {value!r}: give two numbers{choice}")
 

@@ -51,10 +51,10 @@ _FORMULAS = ("f", "F")  # required in files; in Python ``formula`` may replace t
 
 def _surface_keys(name: str) -> dict[str, bool]:
     """Keys of a surface in files, which are its class's arguments, and whether one is required."""
-    given = inspect.signature(surfaces.KINDS[name]).parameters
+    arguments = inspect.signature(surfaces.KINDS[name]).parameters
     return {
         key: parameter.default is parameter.empty or key in _FORMULAS
-        for key, parameter in given.items()
+        for key, parameter in arguments.items()
         if key not in ("inside", "formula")
     }
 
@@ -108,15 +108,15 @@ def _scene(text: str, source: str) -> Scene:
     within("SCENE_BYTES", len(text), "characters")
     _require_shallow(text)
     try:
-        given = tomllib.loads(text)
+        document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"is not valid TOML: {error}; correct that line") from None
     except ValueError as error:  # int() reads no more than 4300 digits
         raise SceneError(f"holds a number that is too long: {error}; shorten it") from None
-    contacts = given.get("contacts")
+    contacts = document.get("contacts")
     all_legs = isinstance(contacts, list) and all("legs" in c for c in contacts if type(c) is dict)
     moved = () if all_legs else ("duration", "profile")
-    table = _table(given, SCENE_KEYS, (*moved, "object", "contacts"))
+    table = _table(document, SCENE_KEYS, (*moved, "object", "contacts"))
     return Scene(**_fields({"name": Path(source).stem, **table}), source=source)
 
 
@@ -135,11 +135,11 @@ def _value(key: str, value: Any) -> Any:
     if key in _LISTS:
         if not isinstance(value, list):
             raise SceneError(f"{key} = {value!r}: write each one as a table under [[{key}]]")
-        found = []
+        items = []
         for i, item in enumerate(value):
             with naming(f"{key}[{i}]"):
-                found.append(_LISTS[key](item))
-        return found
+                items.append(_LISTS[key](item))
+        return items
     if key == "profile":
         if not isinstance(value, list):
             raise SceneError(
@@ -185,13 +185,13 @@ def _surface(value: Any) -> Surface:
     inside = table.get("inside", False)
     if not isinstance(inside, bool):
         raise SceneError(f"inside = {inside!r}: write true or false")
-    given = {key: table[key] for key in keys if key in table}
-    if "parameters" in given:
+    arguments = {key: table[key] for key in keys if key in table}
+    if "parameters" in arguments:
         with naming("parameters"):
-            given["parameters"] = _with_numbers(_table(given["parameters"]))
-    given = _with_numbers(given, given.keys() - {*_FORMULAS, "parameters"})
+            arguments["parameters"] = _with_numbers(_table(arguments["parameters"]))
+    arguments = _with_numbers(arguments, arguments.keys() - {*_FORMULAS, "parameters"})
     with naming(name):
-        return surfaces.KINDS[name](**given, inside=inside)
+        return surfaces.KINDS[name](**arguments, inside=inside)
 
 
 _AS_GIVEN = ("name", "description", "chosen", "kind", "contact", "drake")
@@ -370,27 +370,27 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
 def scene_text(name_or_path: str | os.PathLike[str]) -> tuple[str, str]:
     """The TOML text that `load_scene` reads, and its file's name."""
     try:
-        given = os.fsdecode(name_or_path)
+        name = os.fsdecode(name_or_path)
     except TypeError:
         raise SceneError(f"scene = {name_or_path!r:.80}: give a name or a path") from None
     bundled = _bundled()
-    if given in bundled:
-        return bundled[given].read_text("utf-8"), bundled[given].name
+    if name in bundled:
+        return bundled[name].read_text("utf-8"), bundled[name].name
     try:
-        require_regular(given)
-        with naming(given):
-            within("SCENE_BYTES", os.path.getsize(given), "bytes")
-        return Path(given).read_text("utf-8-sig"), given  # editors on Windows may write a BOM
+        require_regular(name)
+        with naming(name):
+            within("SCENE_BYTES", os.path.getsize(name), "bytes")
+        return Path(name).read_text("utf-8-sig"), name  # editors on Windows may write a BOM
     except ContactSystemError:
         raise
     except FileNotFoundError:
-        near = Path(given).name.removesuffix(".toml")
+        near = Path(name).name.removesuffix(".toml")
         raise SceneError(
-            f"'{given}' is neither a bundled scene nor a file{did_you_mean(near, bundled)}; "
+            f"'{name}' is neither a bundled scene nor a file{did_you_mean(near, bundled)}; "
             f"bundled are {', '.join(bundled)}"
         ) from None
     except (OSError, ValueError) as error:  # unreadable, no text, or an impossible name
-        raise SceneError(f"'{given}' cannot be read: {error}; give a TOML text file") from None
+        raise SceneError(f"'{name}' cannot be read: {error}; give a TOML text file") from None
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:

@@ -109,7 +109,7 @@ class Stretch(NamedTuple):
 
 def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
     """Legs one after the other on a horizon [s], then rest until its end."""
-    found, start, before = [], 0.0, legs[0].direction
+    result, start, before = [], 0.0, legs[0].direction
     for leg in legs:
         assert leg.profile is not None
         stop = start + leg.duration
@@ -117,11 +117,11 @@ def stretches(legs: Sequence[Leg], duration: float) -> tuple[Stretch, ...]:
             stop = duration
         angle = leg.direction - before
         turn = math.cos(angle), math.sin(angle)
-        found.append(Stretch(start, stop, leg.direction, leg.profile, turn))
+        result.append(Stretch(start, stop, leg.direction, leg.profile, turn))
         start, before = stop, leg.direction
     if start < duration:
-        found.append(Stretch(start, duration, legs[-1].direction, STILL))
-    return tuple(found)
+        result.append(Stretch(start, duration, legs[-1].direction, STILL))
+    return tuple(result)
 
 
 def endless(way: tuple[Stretch, ...]) -> tuple[Stretch, ...]:
@@ -135,10 +135,10 @@ def endless(way: tuple[Stretch, ...]) -> tuple[Stretch, ...]:
 def speed(way: Sequence[Stretch], t: np.ndarray) -> np.ndarray:
     """sigma at times [s], m/s."""
     t = np.asarray(t, dtype=float)
-    found = way[0].profile(t)
+    sigma = way[0].profile(t)
     for stretch in way[1:]:
-        found = np.where(t >= stretch.start, stretch.profile(t - stretch.start), found)
-    return found
+        sigma = np.where(t >= stretch.start, stretch.profile(t - stretch.start), sigma)
+    return sigma
 
 
 def length(way: Sequence[Stretch], t: float) -> float:

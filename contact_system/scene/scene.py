@@ -345,11 +345,11 @@ def acting(scene: Scene, t: float) -> np.ndarray:
 
     Two numbers each, in the order of `SLOTS`.
     """
-    found = np.zeros((len(scene.contacts), 2 * len(SLOTS)))
+    values = np.zeros((len(scene.contacts), 2 * len(SLOTS)))
     for d in scene.disturbances:
         if d.start <= t < d.stop:
-            found[int(d.contact), 2 * d.slot : 2 * d.slot + 2] += d.value
-    return found
+            values[int(d.contact), 2 * d.slot : 2 * d.slot + 2] += d.value
+    return values
 
 
 def refuse_rest(scene: Scene, contact: int, start: float, stop: float) -> None:

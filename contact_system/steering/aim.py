@@ -160,8 +160,8 @@ class Aim:
         data.start[:] = [*x.tolist(), *frame[:, :2].T.ravel().tolist()]
         if data.how and not prefers_space(body):
             place = np.ravel(body.coordinates(x))
-            own = body.point_and_frame(*place[:, None])[1][0]
-            data.place[:] = [*place.tolist(), math.atan2(*(frame[:, 0] @ own[:, [1, 0]]))]
+            chart_frame = body.point_and_frame(*place[:, None])[1][0]
+            data.place[:] = [*place.tolist(), math.atan2(*(frame[:, 0] @ chart_frame[:, [1, 0]]))]
 
     def off(self, points: Array, pose: Array) -> float:
         """Distance of contact points and pose from the goal."""
@@ -194,13 +194,13 @@ class Aim:
 
     def _regions(self, goal: Goal) -> list[Region]:
         """The goal's regions; raises a SceneError if the start or the goal lies outside."""
-        found = []
+        regions = []
         for side, body in enumerate(self.bodies):
             key = f"{SIDES[side]}_within"
-            given = getattr(goal, key)
-            if given is None:
+            region = getattr(goal, key)
+            if region is None:
                 continue
-            *at, widest = given
+            *at, widest = region
             with naming(f"{self.name}: goal: {key}"):
                 centre = body.point(*body.canonical(*at))
             places = [("start", self.start[side][0])]
@@ -211,12 +211,12 @@ class Aim:
                 away = math.dist(place, centre)
                 if away > widest * (1 + 1e-12):
                     raise SceneError(
-                        f"{self.name}: {key} = {given}: the {what} lies {away:.6g} m from that "
+                        f"{self.name}: {key} = {region}: the {what} lies {away:.6g} m from that "
                         "point; move it, or widen the region"
                     )
                 radius = max(radius, away)
-            found.append(Region(side, centre, radius, widest))
-        return found
+            regions.append(Region(side, centre, radius, widest))
+        return regions
 
     def _numbers(self, longest: float | None) -> Steer:
         data = Steer(

@@ -51,8 +51,8 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
     ahead = -psi - cmath.phase(left[k])
     ways = np.array([best, second[k], ahead - open_by, ahead + open_by])
     lengths = np.array([2 * r * s1[k], 2 * r * s2[k], whole, whole])
-    own = ways if ball == 0 else -psi - ways
-    return np.concatenate([own - aim.lean, lengths / aim.pace])
+    directions = ways if ball == 0 else -psi - ways
+    return np.concatenate([directions - aim.lean, lengths / aim.pace])
 
 
 def _move_on_plane(aim: Aim, side: int) -> tuple[complex, complex]:

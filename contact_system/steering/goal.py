@@ -57,8 +57,8 @@ class Goal:
         if self.pose is not None:
             if any(places) or self.angle is not None:
                 raise SceneError("pose: give a pose or places and an angle, not both")
-            found = shaped_array(self.pose, "pose", (4, 4))
-            put(self, "pose", rigid_motion(found, "pose", 1e-9))
+            pose = shaped_array(self.pose, "pose", (4, 4))
+            put(self, "pose", rigid_motion(pose, "pose", 1e-9))
         elif not any(places):
             raise SceneError("a goal needs a place on a body: object_at, finger_at or a pose")
         elif self.angle is not None and not all(places):
@@ -66,10 +66,10 @@ class Goal:
 
 
 def _region(given: Any, key: str) -> tuple[float, ...]:
-    found = finite_numbers(given, key)
-    if len(found) != 3 or not found[2] > 0:
+    region = finite_numbers(given, key)
+    if len(region) != 3 or not region[2] > 0:
         raise SceneError(f"{key} = {given!r:.80}: give u, v and a radius above 0, m")
-    return found
+    return region
 
 
 @dataclass(frozen=True)

@@ -71,17 +71,17 @@ def loop(scene: Scene, angle: float, *, contact: int = 0, seconds: float = 0.0) 
     """
     require_scene(scene)
     scene.contact_name(contact)  # raises for a wrong index
-    angle, own = finite_number(angle, "angle"), scene.contacts[contact]
+    angle, start = finite_number(angle, "angle"), scene.contacts[contact]
     if not abs(math.remainder(angle, 2 * math.pi)) > 1e-9:
         raise SceneError(f"angle = {angle!r}: that is no turn; give another one, in rad")
-    wanted = math.remainder(own.angle + angle, 2 * math.pi)
-    goal = Goal(object_at=own.object_at, finger_at=own.finger_at, angle=wanted)
+    wanted = math.remainder(start.angle + angle, 2 * math.pi)
+    goal = Goal(object_at=start.object_at, finger_at=start.finger_at, angle=wanted)
     goals = [goal if i == contact else None for i in range(len(scene.contacts))]
-    found = reach(scene, goals, seconds=seconds)
-    turned, enclosed = _turns(found.scene, contact)
+    route = reach(scene, goals, seconds=seconds)
+    turned, enclosed = _turns(route.scene, contact)
     off = abs(math.remainder(turned + sum(enclosed), 2 * math.pi))
-    made = {f.name: getattr(found, f.name) for f in dataclasses.fields(found)}
-    return Loop(**made, angle=turned, enclosed=enclosed, gauss_bonnet=off)
+    fields = {f.name: getattr(route, f.name) for f in dataclasses.fields(route)}
+    return Loop(**fields, angle=turned, enclosed=enclosed, gauss_bonnet=off)
 
 
 def _turns(scene: Scene, contact: int) -> tuple[float, tuple[float, float]]:
@@ -90,11 +90,11 @@ def _turns(scene: Scene, contact: int) -> tuple[float, tuple[float, float]]:
     edges = np.interp(np.arange(8 * len(edges) - 7) / 8, np.arange(len(edges)), edges)
     inner = (edges[:-1, None] + np.diff(edges)[:, None] * _NODES).ravel()
     motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
-    found: Any = motion.evaluate(np.append(inner, edges[[0, -1]]), ("pose", FRAMES))
-    first, last = found["pose"][-2:, contact, :3, :3]
-    p, q = found[FRAMES][-2, contact, 1, 3:9].reshape(2, 3)
+    results: Any = motion.evaluate(np.append(inner, edges[[0, -1]]), ("pose", FRAMES))
+    first, last = results["pose"][-2:, contact, :3, :3]
+    p, q = results[FRAMES][-2, contact, 1, 3:9].reshape(2, 3)
     turned = last @ first.T @ p  # the finger turns by -psi about the object's normal
-    frames = found[FRAMES][:-2, contact].reshape(len(edges) - 1, -1, 2, 12)
+    frames = results[FRAMES][:-2, contact].reshape(len(edges) - 1, -1, 2, 12)
     normals = np.cross(frames[..., 3:6], frames[..., 6:9])
     one, other = (_area(normals[:, :, side]) for side in (0, 1))
     return -math.atan2(turned @ q, turned @ p), (one, other)

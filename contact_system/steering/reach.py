@@ -86,31 +86,31 @@ def reach(
         longest = finite_number(longest, "longest", "above 0")
     seconds = finite_number(seconds, "seconds", "not below 0")
     ways: list[_Way | None] = []
-    told, share = [], seconds / sum(own is not None for own in goals)
+    texts, share = [], seconds / sum(own is not None for own in goals)
     for i, own in enumerate(goals):
         if own is None:
             ways.append(None)
             continue
         way, tried = _Search(scene, i, own, longest).shortest(legs, share)
         ways.append(way)
-        told.append(f"contact {i}: {tried}")
+        texts.append(f"contact {i}: {tried}")
     rest = (Leg(0.0, 0.0, scene.duration),)
-    found = tuple(rest if way is None else way.legs for way in ways)
+    routes = tuple(rest if way is None else way.legs for way in ways)
     residual = max(way.residual for way in ways if way is not None)
     if len(ways) == 1 and ways[0] is not None:
         legged = ways[0].scene
     else:
-        contacts = [dataclasses.replace(c, legs=own) for c, own in zip(scene.contacts, found)]
+        contacts = [dataclasses.replace(c, legs=own) for c, own in zip(scene.contacts, routes)]
         legged = scene.replace(contacts=contacts, profile=STILL)
-    whole = sum(leg.length or 0.0 for own in found for leg in own)
-    return Route(legged, found, whole, residual, "; ".join(told))
+    whole = sum(leg.length or 0.0 for own in routes for leg in own)
+    return Route(legged, routes, whole, residual, "; ".join(texts))
 
 
 def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
     """One goal for each contact, checked."""
-    given = [goal] if isinstance(goal, Goal) else goal
+    listed = [goal] if isinstance(goal, Goal) else goal
     names = "Goal, or None for a contact at rest"
-    goals = list(all_of((Goal, type(None)), given, "goal", names))
+    goals = list(all_of((Goal, type(None)), listed, "goal", names))
     if len(goals) != len(scene.contacts):
         raise SceneError(
             f"{scene.title}: {len(goals)} goals for {len(scene.contacts)} contacts; give one each, "
@@ -184,8 +184,8 @@ class _Search:
                 for way in self._ways(n, batch):
                     if self._stays(way):
                         way = way if legs else self._not_long(way)
-                        told = f"{n} legs, {(batch + 1) * LANES} starts"
-                        return self._shorter(way, legs, begin + seconds), told
+                        how = f"{n} legs, {(batch + 1) * LANES} starts"
+                        return self._shorter(way, legs, begin + seconds), how
             tried.append(f"{n} legs from {STARTS} starts")
         raise SceneError(self._refusal(tried))
 
@@ -203,10 +203,10 @@ class _Search:
         aim = self.aim
         z = _starts(n, batch).copy()
         z[n:] = 0.5 ** (batch % 4) * aim.unit * z[n:] + aim.far / n
-        found = aim.search(z, COARSE, NEAR)
-        self.nearest = min(self.nearest, float(found.off.min()))
-        for k in sorted(np.flatnonzero(found.off < NEAR), key=lambda k: _length(found.z[:, k])):
-            way = self._met(found.z[:, k])
+        paths = aim.search(z, COARSE, NEAR)
+        self.nearest = min(self.nearest, float(paths.off.min()))
+        for k in sorted(np.flatnonzero(paths.off < NEAR), key=lambda k: _length(paths.z[:, k])):
+            way = self._met(paths.z[:, k])
             if way is not None:
                 yield way
 
@@ -219,9 +219,9 @@ class _Search:
         aim = self.aim
         try:
             for left in reversed(range(CORRECTIONS)):
-                found = aim.search(z[:, None], SHARP, NEARER, steps=steps)
-                z, squares = found.z[:, 0], found.squares[:, :, 0]
-                if not found.off[0] < NEAR:
+                path = aim.search(z[:, None], SHARP, NEARER, steps=steps)
+                z, squares = path.z[:, 0], path.squares[:, :, 0]
+                if not path.off[0] < NEAR:
                     return None
                 alone = self.alone(z)
                 points, pose = _arrival(alone)
@@ -312,5 +312,5 @@ class _Search:
 def _arrival(scene: Scene) -> tuple[Array, Array]:
     """Contact points and pose of the first contact at the end of a scene."""
     motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
-    found: Any = motion.evaluate(np.array([scene.duration]), ("points", "pose"))
-    return found["points"][0, 0], found["pose"][0, 0]
+    results: Any = motion.evaluate(np.array([scene.duration]), ("points", "pose"))
+    return results["points"][0, 0], results["pose"][0, 0]

@@ -67,9 +67,9 @@ class Follower:
         start, length = np.ascontiguousarray(start), np.ascontiguousarray(length)
         tolerance = np.full(n, tolerance) if np.ndim(tolerance) == 0 else tolerance
         end, path = np.empty((13, n)), np.empty((samples, 4, n))
-        given = address(start), address(length), address(tolerance), address(end)
+        arguments = address(start), address(length), address(tolerance), address(end)
         at_path = address(path) if samples else None
-        if binding.geodesics(ctypes.addressof(self.how), n, *given, samples, at_path):
+        if binding.geodesics(ctypes.addressof(self.how), n, *arguments, samples, at_path):
             raise MemoryError
         return path if samples else end
 
@@ -307,8 +307,8 @@ class Search:
         wide = np.maximum(np.sqrt(np.einsum("ij,ij->i", a, a)), 1e-300)
         aside = np.einsum("ij,ij->i", a, r) / wide
         # else b belongs to a neighbouring strip
-        own = np.abs(aside) <= 0.75 * wide + 0.2 * self.follow.detail
-        k, strip, r, share = k[own], strip[own], r[own], 0.5 + (aside / wide)[own]
+        inside = np.abs(aside) <= 0.75 * wide + 0.2 * self.follow.detail
+        k, strip, r, share = k[inside], strip[inside], r[inside], 0.5 + (aside / wide)[inside]
         low = np.minimum(np.maximum(k - 1, 0), len(middle) - 2)
         way = middle[low + 1, :, strip] - middle[low, :, strip]
         pace = np.maximum(np.linalg.norm(way, axis=1), 1e-300)

@@ -69,21 +69,21 @@ class Geodesic:
     def points(self, s: ArrayLike) -> Array:
         """Points at lengths s from a, m, shape (*s.shape, ..., 3), m."""
         what = f"{self.surface!r}: s"
-        asked = shaped_array(s, what, error=SurfaceError, remedy="lengths in m")
-        if not np.isfinite(asked).all():
+        distances = shaped_array(s, what, error=SurfaceError, remedy="lengths in m")
+        if not np.isfinite(distances).all():
             raise SurfaceError(f"{what} = {s!r:.80}: give lengths in m")
-        lengths = np.repeat(asked.ravel(), self._start.shape[1])
-        found = self._ends(np.tile(self._start, (1, asked.size)), lengths)[:3]
-        return found.T.reshape(*asked.shape, *np.shape(self.length), 3)
+        lengths = np.repeat(distances.ravel(), self._start.shape[1])
+        ends = self._ends(np.tile(self._start, (1, distances.size)), lengths)[:3]
+        return ends.T.reshape(*distances.shape, *np.shape(self.length), 3)
 
     def _ends(self, start: Array, lengths: Array) -> Array:
-        found = Follower(self.surface)(start, lengths, SHARP)
-        if not np.isfinite(found).all():
+        ends = Follower(self.surface)(start, lengths, SHARP)
+        if not np.isfinite(ends).all():
             raise SurfaceError(
                 f"{self.surface!r}: the geodesic passes a point without a contact frame, such as a "
                 "pole; move an end a little, or write the surface as an ImplicitSurface"
             )
-        return found
+        return ends
 
 
 def geodesic(surface: Surface, a: ArrayLike, b: ArrayLike) -> Geodesic:
@@ -150,8 +150,8 @@ def geodesics(
     else:
         phi, s = Search(pairs).several(most, longest)
     keep = s <= (math.inf if longest is None else longest)
-    found = list(zip(phi[keep][:most], s[keep][:most]))
-    return [pairs.geodesic(np.array([phi]), np.array([s]), ()) for phi, s in found]
+    shortest = list(zip(phi[keep][:most], s[keep][:most]))
+    return [pairs.geodesic(np.array([phi]), np.array([s]), ()) for phi, s in shortest]
 
 
 # --- pairs of points ------------------------------------------------------------------------------
@@ -263,8 +263,8 @@ class Pairs:
     def _restored(self, x: Array, p: Array) -> tuple[Array, Array]:
         """Points (n, 3) put back on the surface, and vectors made unit tangents there."""
         state = np.vstack([x.T, np.broadcast_to(p, x.shape).T])
-        found = binding.run(self.follow.tables[0], state, self.surface.numbers).T
-        return found[:, :3], found[:, 3:]
+        restored = binding.run(self.follow.tables[0], state, self.surface.numbers).T
+        return restored[:, :3], restored[:, 3:]
 
     def _some_frame(self, x: Array) -> Array:
         """Frames (n, 3, 3) with arbitrary p and q, at points without a contact frame."""

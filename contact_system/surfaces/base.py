@@ -98,8 +98,8 @@ class Surface:
     @property
     def table_name(self) -> str | None:
         """Name of this structure's tables in the engine; None if they are made at first use."""
-        own = type(self)
-        return f"{own.__name__}_{self.chart.__name__}" if "examples" in vars(own) else None
+        cls = type(self)
+        return f"{cls.__name__}_{self.chart.__name__}" if "examples" in vars(cls) else None
 
     @property
     def sign(self) -> float:

@@ -238,9 +238,11 @@ class Ellipsoid(OfLengths, SecondDegree):
         super().__post_init__()
         axes = (self.a, self.b, self.c)
         if not axes[0] >= axes[1] >= axes[2]:
-            given, sorted_ = (", ".join(map(repr, w)) for w in (axes, sorted(axes, reverse=True)))
+            axes_text, sorted_ = (
+                ", ".join(map(repr, w)) for w in (axes, sorted(axes, reverse=True))
+            )
             raise SurfaceError(
-                f"Ellipsoid: semi-axes ({given}) must satisfy a >= b >= c; write "
+                f"Ellipsoid: semi-axes ({axes_text}) must satisfy a >= b >= c; write "
                 f"Ellipsoid({sorted_}), or Quadric for axes along other directions"
             )
         require_thick("Ellipsoid", self.a, self.c)

@@ -58,12 +58,12 @@ def _restore(code: str) -> ca.Function:
     return ca.Function.deserialize(code)
 
 
-def make_formula(given: Any, parameters: Any, letters: str) -> Formula:
+def make_formula(formula: Any, parameters: Any, letters: str) -> Formula:
     """Turn what a user wrote into a checked `Formula`.
 
     Parameters
     ----------
-    given : callable, text, sequence of texts or Formula
+    formula : callable, text, sequence of texts or Formula
     parameters : mapping of str to float, or None
     letters : {"uv", "xyz"}
         Coordinates in texts: "uv" of a chart with three components, "xyz" of a level function.
@@ -73,17 +73,17 @@ def make_formula(given: Any, parameters: Any, letters: str) -> Formula:
         arguments, count = [ca.SX.sym("u"), ca.SX.sym("v")], 3
     else:
         arguments, count = [ca.SX.sym("x", 3)], 1
-    if isinstance(given, Formula):
-        return _renumbered(given, numbers, letters, arguments, count)
+    if isinstance(formula, Formula):
+        return _renumbered(formula, numbers, letters, arguments, count)
     p = ca.SX.sym("p", len(numbers))
     symbols, text = dict(zip(numbers, ca.vertsplit(p))), None
-    if callable(given):
-        value = _trace(given, arguments, symbols, count)
+    if callable(formula):
+        value = _trace(formula, arguments, symbols, count)
     else:
-        text = (given,) if isinstance(given, str) else given
+        text = (formula,) if isinstance(formula, str) else formula
         if not isinstance(text, Sequence) or len(text) != count:
             raise SurfaceError(
-                f"{given!r} must be a function of symbols, or {count} text(s), one for each "
+                f"{formula!r} must be a function of symbols, or {count} text(s), one for each "
                 "component"
             )
         known = dict(zip(letters, ca.vertsplit(ca.vertcat(*arguments)))) | symbols
@@ -114,20 +114,23 @@ def make_formula(given: Any, parameters: Any, letters: str) -> Formula:
     )
 
 
-def _named(given: Any, letters: str) -> dict[str, float]:
+def _named(parameters: Any, letters: str) -> dict[str, float]:
     """Return the named parameters, sorted by name."""
-    if given is None:
+    if parameters is None:
         return {}
-    if not isinstance(given, Mapping):
-        raise SurfaceError(f'parameters = {given!r} must be a table such as {{"R": 0.1}}')
-    for name in given:
+    if not isinstance(parameters, Mapping):
+        raise SurfaceError(f'parameters = {parameters!r} must be a table such as {{"R": 0.1}}')
+    for name in parameters:
         if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
             raise SurfaceError(f"parameter name {name!r} must be a plain word")
         if name in (*letters, *FUNCTIONS):
             raise SurfaceError(
                 f"parameter name {name!r} already has a meaning in formulas; use another"
             )
-    return {name: finite_number(given[name], f"parameters[{name!r}]") for name in sorted(given)}
+    return {
+        name: finite_number(parameters[name], f"parameters[{name!r}]")
+        for name in sorted(parameters)
+    }
 
 
 def _renumbered(
@@ -159,10 +162,10 @@ def _trace(
             value = function(*arguments, **symbols)
             column = ca.vertcat(*(ca.vec(ca.SX(part)) for part in _parts(value)))
     except Exception as error:  # whatever a user's function may raise
-        given = "x, one column of three coordinates" if len(arguments) == 1 else "u, v"
+        names = "x, one column of three coordinates" if len(arguments) == 1 else "u, v"
         raise SurfaceError(
             f"the function fails on symbols ({type(error).__name__}: {error}); it is called with "
-            f"{given}, and with the parameters {list(symbols)} by name: use these arguments, numpy "
+            f"{names}, and with the parameters {list(symbols)} by name: use these arguments, numpy "
             "or casadi functions, no if and no conversion to float"
         ) from error
     if column.shape != (count, 1):

@@ -143,10 +143,10 @@ class Quadric(SecondDegree):
     def __post_init__(self) -> None:
         super().__post_init__()
         store(self, A=tuple(map(tuple, _symmetric(self.A).tolist())))
-        given = self.sheet
-        if not isinstance(given, Real) or isinstance(given, bool) or given not in (1, -1):
-            raise SurfaceError(f"Quadric: sheet = {given!r} must be 1 or -1")
-        store(self, sheet=int(given))
+        sheet = self.sheet
+        if not isinstance(sheet, Real) or isinstance(sheet, bool) or sheet not in (1, -1):
+            raise SurfaceError(f"Quadric: sheet = {sheet!r} must be 1 or -1")
+        store(self, sheet=int(sheet))
         if self.chart not in IN_TWO and self.sheet == -1:
             raise SurfaceError(
                 "Quadric: sheet = -1, but this surface is in one piece "
@@ -197,9 +197,9 @@ class Quadric(SecondDegree):
         return ca.reshape(ca.vertcat(xx, xy, xz, xy, yy, yz, xz, yz, zz), 3, 3)
 
 
-def _symmetric(given: Any) -> Array:
+def _symmetric(value: Any) -> Array:
     remedy = "a 3 by 3 matrix of numbers"
-    matrix = shaped_array(given, "Quadric: A", (3, 3), SurfaceError, remedy)
+    matrix = shaped_array(value, "Quadric: A", (3, 3), SurfaceError, remedy)
     if not np.all(np.isfinite(matrix)):
         raise SurfaceError(f"Quadric: A = {matrix.tolist()} must be finite")
     if np.max(np.abs(matrix - matrix.T)) > 1e-15 * np.max(np.abs(matrix)):

@@ -53,16 +53,18 @@ class UserSurface(Surface):
     size: float = field(default=1.0, kw_only=True)
 
     def _write(
-        self, letters: str, own: Any, formula: Any, parameters: Any, size: Any, inside: Any
+        self, letters: str, definition: Any, formula: Any, parameters: Any, size: Any, inside: Any
     ) -> None:
         """Check and store the arguments that both kinds share; ``letters``: "uv" or "xyz"."""
         store(self, inside=inside)
         self.__post_init__()
-        if own is not None and formula is not None:
+        if definition is not None and formula is not None:
             raise SurfaceError(f"{self._kind}: f or F and formula are both given; give one of them")
         try:
             with making_symbols():
-                formula = make_formula(own if formula is None else formula, parameters, letters)
+                formula = make_formula(
+                    definition if formula is None else formula, parameters, letters
+                )
         except ContactSystemError as error:
             raise SurfaceError(f"{self._kind}: {error}") from error.__cause__
         store(self, formula=formula, size=positive_length(self, "size", size))
@@ -270,21 +272,21 @@ class ParametricSurface(UserSurface):
         else:
             try:
                 guess_u, guess_v = map(real_array, guess)
-                given = [np.broadcast_to(w, points.shape[:-1]) for w in (guess_u, guess_v)]
+                guesses = [np.broadcast_to(w, points.shape[:-1]) for w in (guess_u, guess_v)]
             except (TypeError, ValueError, OverflowError):
                 raise SurfaceError(
                     f"{self!r}: guess = {guess!r:.80} must be a pair (u, v), for each point or all"
                 ) from None
-            starts = [tuple(w.ravel() for w in given)]
-        found = np.array([*starts[0], np.full(len(flat), np.inf)])
+            starts = [tuple(w.ravel() for w in guesses)]
+        best = np.array([*starts[0], np.full(len(flat), np.inf)])
         missed = np.arange(len(flat))
         for start_u, start_v in starts:
             tried = np.array(self._descend(flat[missed], start_u[missed], start_v[missed]))
-            found[:, missed] = np.where(~(tried[2] >= found[2, missed]), tried, found[:, missed])
-            missed = np.flatnonzero(~(found[2] <= NEAR * self.size))
+            best[:, missed] = np.where(~(tried[2] >= best[2, missed]), tried, best[:, missed])
+            missed = np.flatnonzero(~(best[2] <= NEAR * self.size))
             if not len(missed):
                 break
-        u, v, miss = (w.reshape(points.shape[:-1]) for w in found)
+        u, v, miss = (w.reshape(points.shape[:-1]) for w in best)
         return u, v, miss
 
     def _grid_starts(self, flat: Array) -> list[tuple[Any, ...]]:
@@ -505,15 +507,15 @@ def _into(w: Any, span: tuple[float, float], period: float | None) -> Any:
     return w - period * np.floor((w - span[0]) / period) * ((w < span[0]) | (w > span[1]))
 
 
-def _numbers(what: str, given: Any, count: int) -> tuple[float, ...]:
-    found = finite_numbers(given, what, SurfaceError)
-    if len(found) != count:
-        raise SurfaceError(f"{what} = {given!r}: give {count} numbers")
-    return found
+def _numbers(what: str, value: Any, count: int) -> tuple[float, ...]:
+    numbers = finite_numbers(value, what, SurfaceError)
+    if len(numbers) != count:
+        raise SurfaceError(f"{what} = {value!r}: give {count} numbers")
+    return numbers
 
 
-def _range(what: str, given: Any) -> tuple[float, ...]:
-    low, high = found = _numbers(what, given, 2)
+def _range(what: str, value: Any) -> tuple[float, ...]:
+    low, high = span = _numbers(what, value, 2)
     if not low < high:
-        raise SurfaceError(f"{what} = {given!r} must run from a lesser to a greater number")
-    return found
+        raise SurfaceError(f"{what} = {value!r} must run from a lesser to a greater number")
+    return span

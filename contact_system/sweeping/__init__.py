@@ -18,6 +18,7 @@ from ..checks import a_path, flag, make_folder
 from ..errors import ContactSystemError
 from ..plan import checked_tolerance
 from ..scene import Scene
+from ..terminal import Progress
 from .chunk import Chunk, Evaluate, Failure, Item, Part, Run, joined, run_chunk
 from .files import digest, keep, read
 from .summaries import summary
@@ -41,8 +42,8 @@ class Sweep:
         for part in self._parts:
             if isinstance(part, Part):
                 yield part
-            elif (found := read(part)) is not None:
-                yield found
+            elif (stored := read(part)) is not None:
+                yield stored
             else:
                 raise ContactSystemError(
                     f"'{part}' no longer holds results of this sweep: it was removed or damaged; "
@@ -126,8 +127,6 @@ def sweep(
         written to; functions that cannot be sent to another process; a broken executor that cannot
         be replaced.
     """
-    from ..cli import Progress  # not on the planner's path
-
     if isinstance(scenes, (Scene, str, os.PathLike)) or not isinstance(scenes, Iterable):
         raise ContactSystemError(f"scenes = {scenes!r:.80}: give a list of scenes, such as [scene]")
     ahead = 2 * (os.cpu_count() or 1) if ahead is None else ahead
@@ -174,11 +173,11 @@ def _unfinished(
 ) -> Iterator[Chunk]:
     """Chunks of the scenes without those that have results in a file, which go to ``parts``."""
     items, first, file = iter(scenes), 0, None
-    while own := tuple(itertools.islice(items, size)):
+    while batch := tuple(itertools.islice(items, size)):
         if folder is not None:
-            file = folder / f"chunk-{first:08d}-{digest(run, first, own)}.npz"
+            file = folder / f"chunk-{first:08d}-{digest(run, first, batch)}.npz"
         if file is not None and read(file) is not None:
             parts[first] = file
         else:
-            yield Chunk(first, own, file)
+            yield Chunk(first, batch, file)
         first += size

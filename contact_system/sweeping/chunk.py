@@ -136,8 +136,8 @@ def _scene(item: Item) -> Scene:
 def _shared(scene: Scene) -> tuple:
     """Key of the scenes that can be planned as one."""
     windows = frozenset((type(d), d.start, d.stop) for d in scene.disturbances)
-    given = scene.object, scene.profile, scene.gain, scene.duration, scene.turning
-    return *given, windows, repr(scene.paper), len(scene.contacts)
+    common = scene.object, scene.profile, scene.gain, scene.duration, scene.turning
+    return *common, windows, repr(scene.paper), len(scene.contacts)
 
 
 def _together(batch: Batch) -> Scene:

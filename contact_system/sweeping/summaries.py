@@ -51,13 +51,13 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
 
 def _recovery(t: np.ndarray, slip: np.ndarray, since: np.ndarray, before: np.ndarray) -> np.ndarray:
     """See `summary`; slip is (n_times, n_contacts)."""
-    own, after = np.arange(slip.shape[1]), t[:, None] >= since
-    left = slip[np.searchsorted(t, before), own]
+    each, after = np.arange(slip.shape[1]), t[:, None] >= since
+    left = slip[np.searchsorted(t, before), each]
     level = REJECTED * np.where(left > 0, left, np.where(after, slip, 0.0).max(axis=0))
     above = after & (slip >= level)
     last = len(t) - 1 - np.argmax(above[::-1], axis=0)
     following = np.minimum(last + 1, len(t) - 1)
-    high, low = slip[last, own], slip[following, own]
+    high, low = slip[last, each], slip[following, each]
     with np.errstate(all="ignore"):  # slip decays exponentially, or is gone at once
         part = np.where(low > 0, np.log(high / level) / np.log(high / low), 1.0)
         time = t[last] + part * (t[following] - t[last]) - since

@@ -82,9 +82,9 @@ def _transport(shape: ChartGeometry, along: ca.SX, vector: ca.SX) -> ca.SX:
 # --- in parallel frames ----------------------------------------------------------------------
 
 
-def starting_slip(w1: ca.SX, w2: ca.SX, given: ca.SX) -> ca.SX:
-    """V = W_2 minus the object's path velocity; exactly 0 if the difference is rounding."""
-    v, rounding = w2 - given, 1e-15 * ca.fmax(ca.fmax(ca.fabs(w1[0]), ca.fabs(w1[1])), 1e-300)
+def starting_slip(w1: ca.SX, w2: ca.SX, velocity: ca.SX) -> ca.SX:
+    """V = W_2 minus the path velocity of the object; exactly 0 if that is rounding."""
+    v, rounding = w2 - velocity, 1e-15 * ca.fmax(ca.fmax(ca.fabs(w1[0]), ca.fabs(w1[1])), 1e-300)
     return ca.if_else(ca.fabs(v) <= rounding, 0, v)
 
 
@@ -181,7 +181,7 @@ def contact_functions() -> dict[str, ca.Function]:
     with making_symbols():
         rows, none = sym("R0", 4), ca.SX(0, 1)
         r0 = ca.reshape(rows, 2, 2).T
-        psi, w1, given, y = sym("psi"), sym("W1", 2), sym("given", 2), sym("y", 2)
+        psi, w1, velocity, y = sym("psi"), sym("W1", 2), sym("velocity", 2), sym("y", 2)
         theta, sigma, slope, lam = (sym(name) for name in ("theta", "sigma", "slope", "lam"))
         frames, shapes = (sym("frame1", 9), sym("frame2", 9)), (sym("K1", 3), sym("K2", 3))
         velocities, slip, v = (sym("a1", 2), sym("a2", 2)), sym("v_rel", 2), sym("V", 2)
@@ -194,9 +194,9 @@ def contact_functions() -> dict[str, ca.Function]:
         acceleration = v * (slope - lam * sigma) + r0 @ pushed[0] - pushed[1]
         made: dict[str, tuple[list[ca.SX], ca.SX, list[ca.SX]]] = {
             "start": (
-                [psi, w1, given],
+                [psi, w1, velocity],
                 none,
-                [ca.vec(start_r.T), w2, starting_slip(w1, w2, given)],
+                [ca.vec(start_r.T), w2, starting_slip(w1, w2, velocity)],
             ),
             "pose": ([*frames], rows, [ca.vec(turn.T), origin]),
             "twist": ([*frames, *shapes, *velocities, slip], rows, [*twist]),

@@ -259,7 +259,7 @@ def _least_gain(profile: Profile, law: Law, duration: float) -> float:
 
 def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[float, float], ...]:
     """Intervals on which sigma' - lam sigma < 0."""
-    found: list[tuple[float, float]] = []
+    intervals: list[tuple[float, float]] = []
     knots = profile.knots(0.0, duration)
     for start, stop in zip(knots, knots[1:]):
         # expanded about its middle, where cancellation is least
@@ -272,10 +272,10 @@ def _shrinking(profile: Profile, gain: Gain, duration: float) -> tuple[tuple[flo
         turns = [middle + tau for tau in sign_changes(rate, *ends)]
         for a, b in zip([start, *turns], [*turns, stop]):
             if clear_value(rate, 0.5 * (a + b) - middle) < 0:
-                if found and found[-1][1] == a:
-                    a = found.pop()[0]
-                found.append((a, b))
-    return tuple(found)
+                if intervals and intervals[-1][1] == a:
+                    a = intervals.pop()[0]
+                intervals.append((a, b))
+    return tuple(intervals)
 
 
 def _slip_factors(

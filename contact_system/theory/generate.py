@@ -122,11 +122,11 @@ def _column(rows: list[Any]) -> str:
 
 def dop853_include() -> str:
     """Return dop853.inc: stages, result, and two estimates of its error."""
-    from scipy.integrate._ivp import dop853_coefficients as given
+    from scipy.integrate._ivp import dop853_coefficients as dop853
 
-    n = given.N_STAGES
-    arrays = {"stage[STAGES][STAGES]": given.A[:n, :n], "result[STAGES]": given.B}
-    arrays |= {"error_5[STAGES]": given.E5[:n], "error_3[STAGES]": given.E3[:n]}
+    n = dop853.N_STAGES
+    arrays = {"stage[STAGES][STAGES]": dop853.A[:n, :n], "result[STAGES]": dop853.B}
+    arrays |= {"error_5[STAGES]": dop853.E5[:n], "error_3[STAGES]": dop853.E3[:n]}
     rows = [
         f"static const double dop853_{name} = {initialiser(value.tolist())};\n"
         for name, value in arrays.items()

@@ -50,8 +50,11 @@ class ChartGeometry:
     def column(self) -> ca.SX:
         """Return all quantities as one column, as in `QUANTITIES`, the first index fastest."""
         first, second = (ca.vec(gamma) for gamma in self.christoffel)
-        given = {**vars(self), "christoffel": ca.horzcat(first, second).T}  # (k, i, j), k fastest
-        return ca.vertcat(*(ca.vec(given[name]) for name in QUANTITIES))
+        quantities = {
+            **vars(self),
+            "christoffel": ca.horzcat(first, second).T,
+        }  # (k, i, j), k fastest
+        return ca.vertcat(*(ca.vec(quantities[name]) for name in QUANTITIES))
 
 
 QUANTITIES: dict[str, tuple[int, ...]] = {
@@ -201,8 +204,8 @@ def geometry_function(surface: Surface) -> ca.Function:
 def inverse_function(surface: Surface) -> ca.Function:
     """x -> u, v."""
     numbers, x = number_symbols(surface), ca.SX.sym("x", 3)
-    found = ca.vertcat(*surface.coordinates_expr(numbers, x))
-    return numbers_function("inverse", x, numbers, found)
+    uv = ca.vertcat(*surface.coordinates_expr(numbers, x))
+    return numbers_function("inverse", x, numbers, uv)
 
 
 @per_structure

@@ -141,15 +141,15 @@ def replay(
     results: list[list[Any]] = [
         [constant(0.0)] * function.nnz_out(i) for i in range(function.n_out())
     ]
-    taken, given, literal = ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST
+    op_input, op_output, op_const = ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST
     for k in range(function.n_instructions()):
         op = function.instruction_id(k)
         out, inp = function.instruction_output(k), function.instruction_input(k)
-        if op == taken:
+        if op == op_input:
             work[out[0]] = arguments[inp[0]][inp[1]]
-        elif op == given:
+        elif op == op_output:
             results[out[0]][out[1]] = work[inp[0]]
-        elif op == literal:
+        elif op == op_const:
             work[out[0]] = constant(function.instruction_constant(k))
         else:
             work[out[0]] = apply(op, [work[i] for i in inp])
@@ -172,8 +172,8 @@ def no_operation(op: int, form: str) -> ContactSystemError:
 def _names() -> dict[int, str]:
     """CasADi's operation codes -> names of `OPERATIONS`, or of those that `_Values` replaces."""
     names = [row.name for row in OPERATIONS if row.name not in FUSED]
-    found = {getattr(ca, f"OP_{name}"): name for name in (*names, "SQ", "TWICE", "HYPOT")}
-    return found | {ca.OP_CONSTPOW: "POW"}
+    codes = {getattr(ca, f"OP_{name}"): name for name in (*names, "SQ", "TWICE", "HYPOT")}
+    return codes | {ca.OP_CONSTPOW: "POW"}
 
 
 class _Values:
@@ -186,8 +186,8 @@ class _Values:
         self._numbers: dict[Value, int] = {}
         self.inputs = [self.put("IN", i) for i in range(function.numel_in(0))]
         self.constants = [self.put("CONSTANT", i) for i in range(function.numel_in(1))]
-        given, literal = (self.inputs, self.constants), partial(self.put, "LITERAL")
-        self.results = replay(function, given, self.apply, literal)[0]
+        arguments, literal = (self.inputs, self.constants), partial(self.put, "LITERAL")
+        self.results = replay(function, arguments, self.apply, literal)[0]
         uses = Counter(j for row in self.rows if row[0] not in LEAVES for j in row[1:])
         uses.update(self.results)
         self.once = [uses[k] == 1 and not uniform for k, uniform in enumerate(self.uniform)]
@@ -335,8 +335,8 @@ class Table:
             row = OPERATIONS[op - 1]
             if not row.kind.startswith("SIMPLE"):
                 return None
-            given = dict(zip("ABCDEF", map(operand, registers)))
-            value = re.sub(r"\b[A-F]\b", lambda found: given[found[0]], row.c)  # noqa: B023
+            values = dict(zip("ABCDEF", map(operand, registers)))
+            value = re.sub(r"\b[A-F]\b", lambda match: values[match[0]], row.c)  # noqa: B023
             lines.append(f"const double t{len(lines)} = {value};")
             held[to] = f"t{len(lines) - 1}"
         lines += [f"r[{to}][i] = {held[to]};" for to in results]

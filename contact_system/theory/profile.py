@@ -215,5 +215,5 @@ class Profile:
 def as_time(t):
     if isinstance(t, float):
         return float(t)
-    found = shaped_array(t, "profile at t", remedy="times in seconds")
-    return found if found.ndim else float(found)
+    array = shaped_array(t, "profile at t", remedy="times in seconds")
+    return array if array.ndim else float(array)

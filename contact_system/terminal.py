@@ -1,0 +1,67 @@
+"""Text for terminals: paragraphs, tables and a progress bar."""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from typing import TextIO
+
+
+def paragraph(text: str) -> str:
+    """The text in lines of 100 characters."""
+    return textwrap.fill(text, 100, break_on_hyphens=False)
+
+
+def table(
+    head: Sequence[tuple[str, str]], rows: Sequence[tuple[str, ...]], texts: int
+) -> Iterable[str]:
+    """Lines of a table under names and units; the first ``texts`` columns are flush left."""
+    names, units = zip(*head)
+    widths = [max(map(len, column)) for column in zip(names, units, *rows)]
+    for row in (names, units, ["-" * w for w in widths], *rows):
+        cells = [
+            f"{c:<{w}}" if k < texts else f"{c:>{w}}" for k, (c, w) in enumerate(zip(row, widths))
+        ]
+        yield "  ".join(cells).rstrip()
+
+
+class Progress:
+    """A progress bar of named steps on stderr or another stream: on terminals, after a second."""
+
+    DELAY, WIDTH = 1.0, 24
+
+    def __init__(self, steps: int, name: str, stream: TextIO | None = None):
+        self.steps, self.done, self.name = steps, 0, name
+        self.stream = sys.stderr if stream is None else stream
+        self.began, self.finished = time.monotonic(), threading.Event()
+
+    def step(self, name: str) -> None:
+        """One step is done; name the next one."""
+        self.done, self.name = self.done + 1, name
+
+    def __enter__(self) -> Progress:
+        self.thread = threading.Thread(target=self._draw, daemon=True)
+        if self.stream.isatty():
+            self.thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.finished.set()
+        if self.thread.ident is not None:
+            self.thread.join()
+
+    def _draw(self) -> None:
+        wait, drawn = self.DELAY, False
+        while not self.finished.wait(wait):
+            wait, drawn = 0.1, True
+            full = self.WIDTH * self.done // self.steps
+            bar = "#" * full + "." * (self.WIDTH - full)
+            elapsed = time.monotonic() - self.began
+            self.stream.write(f"\r\x1b[K[{bar}] {self.name}, {elapsed:.0f} s")
+            self.stream.flush()
+        if drawn:
+            self.stream.write("\r\x1b[K")
+            self.stream.flush()
