@@ -1,4 +1,4 @@
-"""Pictures of the work-precision diagrams and of stress."""
+"""Pictures: time over error in panels, and how cases of stress end."""
 
 from __future__ import annotations
 
@@ -8,66 +8,50 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .work_precision import Outcome, Run, best
-
-STYLES = {
-    "ours": ("crimson", "o"),
-    "heyoka": ("tab:blue", "s"),
-    "CVODES": ("tab:green", "v"),
-}
+Curve = tuple[Sequence[float], Sequence[float], Any]
+"""Errors, times, and how far times spread below and above: (2, n) or None."""
+SHARED = {"marker": "o", "markersize": 3.5, "linewidth": 0.9}
 
 
-def overview(outcomes: list[Outcome], file: Path) -> None:
-    """Write one picture of some problems: our plans and the best of each library."""
+def overview(
+    panels: dict[str, dict[str, Curve]],
+    styles: dict[str, dict[str, Any]],
+    file: Path,
+    across: str,
+    up: str,
+    columns: int,
+) -> None:
+    """Write a picture with a panel for each title: curves by name, time over error."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
     from PIL import Image  # matplotlib needs it
 
-    columns = 4
-    rows = math.ceil(len(outcomes) / columns)
-    size = (3.2 * columns, 2.6 * rows)
-    figure, grid = pyplot.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+    rows = math.ceil(len(panels) / columns)
+    given: dict[str, Any] = {"figsize": (3.1 * columns, 2.65 * rows + 0.8), "sharey": True}
+    figure, grid = pyplot.subplots(rows, columns, layout="constrained", squeeze=False, **given)
     named: dict[str, Any] = {}
-    for axes, outcome in zip(grid.flat, outcomes):
-        _draw(axes, outcome)
+    for axes, (title, curves) in zip(grid.flat, panels.items()):
+        for name, (errors, times, spread) in curves.items():
+            axes.errorbar(errors, times, spread, label=name, **SHARED | styles[name])
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.invert_xaxis()
+        axes.grid(alpha=0.3)
+        axes.set_title(title, fontsize="small")
         named |= dict(zip(*axes.get_legend_handles_labels()[::-1]))
-    for axes in grid.flat[len(outcomes) :]:
+    for axes in grid.flat[len(panels) :]:
         axes.set_visible(False)
-    figure.supxlabel("greatest distance of a contact point, of the body's size")
-    figure.supylabel("run time [s]")
-    place = {"loc": "outside upper center", "ncols": min(6, 2 * columns)}
+    figure.supxlabel(across)
+    figure.supylabel(up)
+    place = {"loc": "outside upper center", "ncols": 4, "fontsize": "small"}
     figure.legend(named.values(), named.keys(), **place)
     figure.savefig(file, dpi=110)
     pyplot.close(figure)
     with Image.open(file) as picture:  # to 64 colours: a quarter of the size
         few = picture.convert("RGB").quantize(64)
     few.save(file, optimize=True)
-
-
-def _best(outcome: Outcome) -> dict[str, list[Run]]:
-    """The best runs of each library."""
-    curves: dict[str, list[Run]] = {}
-    for name, runs in outcome.curves.items():
-        curves.setdefault(name.split()[0].rstrip(","), []).extend(runs)
-    return {name: best(curves[name]) for name in STYLES if name in curves}
-
-
-def _draw(axes: Any, outcome: Outcome) -> None:
-    for name, runs in _best(outcome).items():
-        errors = [max(run.error, 1e-17) for run in runs]
-        times = [run.time.median for run in runs]
-        below = [run.time.median - run.time.low for run in runs]
-        above = [run.time.high - run.time.median for run in runs]
-        (colour, mark), width = STYLES[name], 1.8 if name == "ours" else 0.9
-        style = {"color": colour, "marker": mark, "markersize": 3.5, "linewidth": width}
-        axes.errorbar(errors, times, [below, above], label=name, **style)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.invert_xaxis()
-    axes.grid(alpha=0.3)
-    axes.set_title(outcome.name, fontsize="small")
 
 
 def outcomes(records: Sequence[Any], file: Path) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from . import truth_drake, truth_mujoco
+from .figures import Curve, overview
 from .report import ROOT, Bar, Sections, markdown_table, surroundings
 from .timing import Job, interleaved
 from .truth_exact import Ended, Setup, proof, setups
@@ -114,39 +115,23 @@ def _cell(runs: list[Ended] | None, setup: Setup) -> str:
 
 def figure(file: Path) -> None:
     """Error against processor time per simulated second, a panel a set-up."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    columns = 5
-    rows = math.ceil(len(FOUND) / columns)
-    drawn, grid = pyplot.subplots(
-        rows, columns, figsize=(3 * columns, 2.7 * rows + 1.2), layout="constrained", sharey=True
-    )
-    named: dict[str, Any] = {}
     names = list(dict.fromkeys(what for runs in FOUND.values() for what in runs))
-    for axes, (name, runs) in zip(grid.flat, FOUND.items()):
-        setup = setups()[name]
-        for what, found in runs.items():
-            mark = "^" if what.startswith("MuJoCo") else "s" if "hydro" in what else "o"
-            style = {"color": f"C{names.index(what) % 10}", "marker": mark, "markersize": 3.5}
-            x, y = [_error(r) for r in found], [r.seconds / setup.end for r in found]
-            axes.loglog(x, y, linewidth=0.9, label=what, **style)
-        error, spent = EXACT[name]
-        star = {"color": "crimson", "markersize": 11, "label": "exact: closed form or plan"}
-        axes.loglog([max(error, 1e-16)], [spent / setup.end], "*", **star)
-        axes.set_title(name, fontsize="small")
-        axes.grid(alpha=0.3)
-        axes.invert_xaxis()
-        named |= dict(zip(*axes.get_legend_handles_labels()[::-1]))
-    drawn.supxlabel("how far off the ball ends, in its radii")
-    drawn.supylabel("processor time a simulated second [s]")
-    drawn.legend(
-        named.values(), named.keys(), loc="outside upper center", ncols=4, fontsize="small"
-    )
-    drawn.savefig(file, dpi=100)
-    pyplot.close(drawn)
+    styles: dict[str, dict[str, Any]] = {}
+    for k, what in enumerate(names):
+        mark = "^" if what.startswith("MuJoCo") else "s" if "hydro" in what else "o"
+        styles[what] = {"color": f"C{k % 10}", "marker": mark}
+    ours = "exact: closed form or plan"
+    styles[ours] = {"color": "crimson", "marker": "*", "markersize": 11, "linestyle": "none"}
+    panels: dict[str, dict[str, Curve]] = {}
+    for name, runs in FOUND.items():
+        end, (error, spent) = setups()[name].end, EXACT[name]
+        panels[name] = {
+            what: (list(map(_error, found)), [r.seconds / end for r in found], None)
+            for what, found in runs.items()
+        }
+        panels[name][ours] = [max(error, 1e-16)], [spent / end], None
+    named = "how far off the ball ends, in its radii", "processor time a simulated second [s]"
+    overview(panels, styles, file, *named, columns=5)
 
 
 SECTIONS: Sections = {"exact": exact}

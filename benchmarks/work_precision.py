@@ -18,6 +18,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from .figures import Curve, overview
 from .peers import Peer, decades, missing, peers
 from .problems import Problem, problems
 from .report import ROOT, Bar, Sections, markdown_table, surroundings
@@ -215,14 +216,36 @@ Geometric mean {mean:.2g}. {date}, {processor}, one thread.
 
 def page(full: bool) -> Iterator[Bar]:
     """Write ``docs/work-precision.md`` and its pictures, after a run of all problems."""
-    from .figures import overview
-
     outcomes, count = list(OUTCOMES.values()), len(list(problems()))
     if len(outcomes) == count:
         text = page_text(outcomes, surroundings())
         (ROOT / "docs" / "work-precision.md").write_text(text, "utf-8")
-        overview(outcomes, ROOT / "docs" / "work-precision.png")
+        panels = {outcome.name: _best(outcome) for outcome in outcomes}
+        named = "greatest distance of a contact point, of the body's size", "run time [s]"
+        overview(panels, STYLES, ROOT / "docs" / "work-precision.png", *named, columns=4)
     yield Bar("problems of this run, for the page in docs", count, len(outcomes), least=True)
+
+
+STYLES = {
+    OURS: {"color": "crimson", "linewidth": 1.8},
+    "heyoka": {"color": "tab:blue", "marker": "s"},
+    "CVODES": {"color": "tab:green", "marker": "v"},
+}
+
+
+def _best(outcome: Outcome) -> dict[str, Curve]:
+    """The best runs of each library, and how far their times spread."""
+    found: dict[str, list[Run]] = {}
+    for name, runs in outcome.curves.items():
+        found.setdefault(name.split()[0].rstrip(","), []).extend(runs)
+    curves: dict[str, Curve] = {}
+    for name in (name for name in STYLES if name in found):
+        runs = best(found[name])
+        times = [run.time for run in runs]
+        spread = [[x.median - x.low for x in times], [x.high - x.median for x in times]]
+        errors = [max(run.error, 1e-17) for run in runs]
+        curves[name] = errors, [x.median for x in times], spread
+    return curves
 
 
 def page_text(outcomes: Iterable[Outcome], about: dict[str, Any]) -> str:
