@@ -7,30 +7,30 @@ is missing leaves its bars unmeasured, and the note says what to install.
 from __future__ import annotations
 
 import ctypes
-import dataclasses
 import itertools
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
-import fmpy
 import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmu_hosts import EVERYTHING, importers, native
-from fmu_hosts.blocks import Instance
+from fmu_hosts.blocks import Instance, columns, exported
 from fmu_hosts.native import Fmu, Program, Unavailable
 
 import contact_system as cs
 from fmu_export import variable_table
 
-from .blocks import PARTS, VERSIONS, fmu_of, folder, joined, outputs, planned
 from .fmu_peer import build_peer
 from .report import Bar, Sections
 from .timing import Job, in_new_process, interleaved
 
+VERSIONS = ("2.0", "3.0")
 KINEMATIC = ("K1", "K2", "K3", "K4")
 SCENES = cs.bundled_scenes()
 STEPS = (1e-4, 1e-2, 0.3)
@@ -42,80 +42,53 @@ scene_of = cache(cs.load_scene)
 plan_of = cache(lambda name: cs.plan(scene_of(name)))
 
 
-def off_plan(name: str, t: Array, found: dict[str, Array]) -> float:
-    """Greatest difference from the plan, (n_times, n_contacts, n) each, of the quantity's size."""
-    plan = plan_of(name)
-    t = np.minimum(t, plan.scene.duration)
-    states, wanted = plan.states(t), planned(plan, t)
-    for k, side in enumerate(("finger", "object")):
-        for j, axis in enumerate("uv"):
-            wanted[f"{side}.{axis}"] = states[:, :, [4 * k + j]]
-            wanted[f"der({side}.{axis})"] = states[:, :, [4 * k + 2 + j]]
-    wanted["angle"] = states[:, :, 8:]
-    sizes = {quantity: max(np.abs(wanted[quantity]).max(), 1e-3) for quantity in found}
-    off = {q: found[q] - wanted[q] for q in found}
-    for q in off.keys() & {*AXES, "angle"}:  # of frames they are principal values
-        off[q] -= 2 * np.pi * np.rint(off[q] / (2 * np.pi))
-    return max(np.abs(off[q]).max() / size for q, size in sizes.items())
+def fmu_of(scene: cs.Scene, version: str, *platforms: str, **options: Any) -> Fmu:
+    """The exported FMU of a scene, unpacked."""
+    return exported(scene, version, **({"platforms": platforms} if platforms else {}), **options)
 
 
-def _named(quantity: str, i: int) -> str:
-    """Name of a quantity's variable of a contact."""
-    stem = f"contact[{i + 1}]."
-    return f"der({stem}{quantity[4:]}" if quantity.startswith("der(") else stem + quantity
+def _off_plan(run: Callable[..., Array], version: str, step: float) -> dict[str, float]:
+    """How far K1 to K4 are off their plans."""
+    return {
+        name: importers.off_plan(
+            *(run, fmu_of(scene_of(name), version), scene_of(name)),
+            int(scene_of(name).duration / step),
+            step,
+        )
+        for name in KINEMATIC
+    }
 
 
-AXES = [f"{side}.{axis}" for side in ("finger", "object") for axis in "uv"]
-STATES = [*AXES, *(f"der({name})" for name in AXES), "angle"]
-
-
-def simulated(name: str, version: str, **options: Any) -> float:
-    """How far ``fmpy.simulate_fmu`` is off the plan."""
-    scene, fmu = scene_of(name), fmu_of(scene_of(name), version)
-    given = {"filename": str(fmu.folder), "model_description": fmu.description}
-    result = fmpy.simulate_fmu(**given, stop_time=scene.duration, **options)
-    table, t = variable_table(scene), result["time"]
-    found = {}
-    for quantity in (*PARTS, *STATES):
-        columns = []
-        for i in range(len(scene.contacts)):
-            variable = _named(quantity, i)
-            names = table[variable].elements
-            columns.append(np.stack([result[n] for n in names or (variable,)], axis=1))
-        found[quantity] = np.stack(columns, axis=1)
-    return off_plan(name, t, found)
-
-
-def stepped(name: str, version: str) -> float:
-    """How far an FMU is off the plan after steps of 1e-5 s to half a second."""
-    block, end = Instance(scene_of(name), "FMU", version).begin(), scene_of(name).duration
-    times = np.cumsum(10 ** np.random.default_rng(4).uniform(-5, -0.3, 400))
-    seen = []
-    for t in (times := np.append(times[times < end], end)):
-        block.step(t - block.time)
-        seen.append(outputs(block))
-    return off_plan(name, times, joined(seen))
+def _cut(fmu: Fmu, names: Sequence[str], step: float, count: int) -> Array:
+    """Each step cut at random."""
+    slave, random, rows, t = _begun(fmu), np.random.default_rng(4), [], 0.0
+    get = slave.getReal if fmu.version == "2.0" else slave.getFloat64
+    for k in range(count):
+        cuts = random.uniform(k * step, (k + 1) * step, random.integers(9))
+        for stop in [*np.sort(cuts), (k + 1) * step]:
+            slave.doStep(t, stop - t)
+            t = stop
+        rows.append(get(importers.references_of(fmu, names)))
+    slave.freeInstance()
+    return np.array(rows)
 
 
 def cosimulation(full: bool) -> Iterator[Bar]:
     """K1 to K4 stepped by fmpy with steps of all sizes, against the plan."""
     for version in VERSIONS:
         for step in STEPS:
-            given = {"fmi_type": "CoSimulation", "step_size": step, "output_interval": step}
-            worst = {name: simulated(name, version, **given) for name in KINEMATIC}
+            worst = _off_plan(importers.fmpy_steps, version, step)
             what = f"FMI {version}, steps of {step:g} s: off plan()"
             yield Bar(what, 1e-12, max(worst.values()), detail=worst)
-        worst = {name: stepped(name, version) for name in KINEMATIC}
+        worst = _off_plan(_cut, version, 0.05)
         what = f"FMI {version}, random steps: off plan()"
         yield Bar(what, 1e-12, max(worst.values()), detail=worst)
 
 
 def model_exchange(full: bool) -> Iterator[Bar]:
     """K1 to K4 integrated by fmpy's CVode at the file's tolerance, against the plan."""
-    given = {"fmi_type": "ModelExchange", "solver": "CVode"}
-    given |= {"step_size": 0.02, "output_interval": 0.02, "record_events": False}
     for version in VERSIONS:
-        worst = {name: simulated(name, version, **given) for name in KINEMATIC}
+        worst = _off_plan(importers.fmpy_integrates, version, 0.02)
         what = f"FMI {version}, Model Exchange, CVode at the file's tolerance: off plan()"
         yield Bar(what, 1e-7, max(worst.values()), detail=worst)
 
@@ -135,10 +108,9 @@ def reach(full: bool) -> Iterator[Bar]:
         for scene, goal in zip(scenes, goals):
             block = Instance(scene, "FMU", version).begin()
             block.step(scene.duration)
-            found = outputs(block)
             for side, surface in (("finger", contact.finger), ("object", scene.object)):
                 wanted = surface.point(*goal[f"{side}_at"])
-                away = np.linalg.norm(found[f"{side}.point"].ravel() - wanted)
+                away = np.linalg.norm(block.get(f"contact[1].{side}.point") - wanted)
                 off = max(off, float(away) / surface.size)
         what = f"FMI {version}, {len(goals)} goals of reach: distance at the end, sizes"
         yield Bar(what, 1e-12, off)
@@ -223,11 +195,7 @@ def _resynchronized(scene: cs.Scene, measured: str) -> Iterator[tuple[float, flo
     rows = [v for v in table.scalars() if ".measured." in v.name]
     references = (ctypes.c_uint * len(rows))(*(v.reference for v in rows))
     random, slave = np.random.default_rng(3), _begun(fmu)
-    asked = [
-        table[n].reference
-        for i in range(3)
-        for n in ([f"contact[{i + 1}].{s}" for s in AXES] + [f"contact[{i + 1}].angle"])
-    ]
+    asked = [table[n].reference for i in range(3) for n in columns(i) if not n.startswith("der(")]
     kept = slave.getFMUstate()
     for _ in range(10):
         start = random.uniform(0.15, 0.8) * scene.duration
@@ -274,7 +242,7 @@ def _imported(run: str, version: str, bar: float, *platforms: str) -> Bar:
 
 def _at_rest(contact: cs.Contact) -> cs.Contact:
     """The same, so that it slips at the start."""
-    return dataclasses.replace(contact, object_velocity="rest")
+    return replace(contact, object_velocity="rest")
 
 
 def platforms(full: bool) -> Iterator[Bar]:
@@ -296,8 +264,8 @@ def _off_host(name: str, version: str, target: str) -> float:
 
 
 def _states(fmu: Fmu) -> list[Any]:
-    """The variables of K1's three contacts that are chart states."""
-    names = {_named(quantity, i) for quantity in STATES for i in range(3)}
+    """The variables of K1's three contacts that `Plan.states` has."""
+    names = {name for i in range(3) for name in columns(i)}
     return [v for v in fmu.outputs if v.name in names]
 
 
@@ -352,7 +320,8 @@ def pythonfmu(full: bool) -> Iterator[Bar]:
 
     Most of the latter is fmpy's own time: it makes two C arrays and a list for every call.
     """
-    place, scene = folder(), scene_of("K1")
+    kept, scene = tempfile.TemporaryDirectory(prefix="benchmarks-"), scene_of("K1")
+    place = Path(kept.name)
     fmus = {f"FMI {version}": fmu_of(scene, version) for version in VERSIONS}
     path = build_peer(scene, plan_of("K1").states(0.0)[0], place)
     fmus["pythonfmu"] = peer = Fmu.unpacked(path, place / "unpacked")
@@ -399,7 +368,8 @@ def package(full: bool) -> Iterator[Bar]:
     made = {f"{n} {v}": fmu_of(scene_of(n), v) for n in SCENES for v in VERSIONS}
     sizes = {name: fmu.path.stat().st_size / 1e3 for name, fmu in made.items()}
     yield Bar("greatest FMU for one platform", 600.0, max(sizes.values()), "kB", detail=sizes)
-    path, times = str(folder() / "timed.fmu"), {}
+    kept, times = tempfile.TemporaryDirectory(prefix="benchmarks-"), {}
+    path = str(Path(kept.name) / "timed.fmu")
     for name, version in (("K1", "2.0"), ("K4", "3.0"), ("D1", "3.0")):
         spent = [in_new_process(EXPORT, name, path, version) for _ in range(3)]
         times[f"{name} {version}"] = np.median(spent, axis=0).tolist()

@@ -35,11 +35,6 @@ def write_fmu(
     """Write a zip file whose bytes depend on the files and the moment (y, m, d, h, min, s) only.
 
     ``check`` says what is wrong with the file; one that is wrong replaces nothing.
-
-    Raises
-    ------
-    ContactSystemError
-        What ``check`` says, or why the file cannot be written.
     """
     # zip knows the years 1980 to 2107 only
     stamp = min(max(tuple(moment), (1980, 1, 1, 0, 0, 0)), (2107, 12, 31, 23, 59, 58))

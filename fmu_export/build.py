@@ -11,7 +11,7 @@ import platform
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from contact_system.checks import items_of, make_folder
@@ -71,11 +71,6 @@ def library(target: str, name: str) -> bytes:
     """The engine with its FMI layer for a platform, under a model's name.
 
     This machine's was built when the package was installed; others are built by ziglang and kept.
-
-    Raises
-    ------
-    ContactSystemError
-        An unknown platform, no ziglang, or a cache folder that cannot be written to, or by others.
     """
     row = _platform(target)
     if target == "native":
@@ -122,62 +117,38 @@ def texts() -> dict[Path, str]:
 
 # --- the cache -----------------------------------------------------------------------------------
 
-# Where users' caches are: the variable that names the folder, and what it is below their homes.
-_CACHES = {"win32": ("LOCALAPPDATA", "AppData", "Local"), "darwin": ("", "Library", "Caches")}
 _REMEDY = "set CONTACT_SYSTEM_CACHE to a folder that can be written to"
 
 
 def cache_folder() -> Path:
-    """Where built libraries are kept: ``$CONTACT_SYSTEM_CACHE`` or the user's cache folder.
-
-    Raises
-    ------
-    ContactSystemError
-        The user has no home folder, as some users of containers.
-    """
+    """``$CONTACT_SYSTEM_CACHE``, or ``~/.cache/contact_system``."""
     chosen = os.environ.get("CONTACT_SYSTEM_CACHE")
-    if chosen:
-        return Path(chosen).absolute()  # a bare file name would be sought among the system's
-    variable, *below = _CACHES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
-    base = Path(os.environ.get(variable, ""))
-    if not base.is_absolute():  # XDG has it ignored then
-        try:
-            base = Path.home().joinpath(*below)
-        except RuntimeError:
-            raise ContactSystemError(f"this user has no home folder; {_REMEDY}") from None
-    return base / "contact_system"
-
-
-@contextlib.contextmanager
-def _cache_room() -> Iterator[Path]:
-    """A folder in the cache's, for the time in which a file is made that goes there."""
-    folder = make_folder(cache_folder(), _REMEDY)
-    folder.chmod(0o700)
     try:
-        with tempfile.TemporaryDirectory(dir=folder) as room:
-            yield Path(room)
-    except OSError as error:
-        raise ContactSystemError(f"cache folder '{folder}': {error}; {_REMEDY}") from None
+        return Path(chosen).absolute() if chosen else Path.home() / ".cache" / "contact_system"
+    except RuntimeError:  # as some users of containers
+        raise ContactSystemError(f"this user has no home folder; {_REMEDY}") from None
 
 
 def _kept(key: str, make: Callable[[Path], Path]) -> bytes:
     """A library that was built before under this key, or that is made now in a folder.
 
-    It is kept beside its digest; one that does not fit that, as after a full disk, is made again.
+    It is kept behind its digest; one that does not fit that, as after a full disk, is made again.
     """
-    folder, name = cache_folder(), hashlib.sha256(key.encode()).hexdigest()[:24]
-    file, digest = (folder / f"{name}{end}" for end in (".fmulib", ".sha256"))
+    folder = cache_folder()
+    file = folder / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.fmulib"
     _refuse_open(folder)
     with contextlib.suppress(OSError):
-        found = file.read_bytes()
-        if hashlib.sha256(found).hexdigest() == digest.read_text():
+        digest, found = (kept := file.read_bytes())[:32], kept[32:]
+        if hashlib.sha256(found).digest() == digest:
             return found
-    with _cache_room() as room:
-        built = make(room)
-        found = built.read_bytes()
-        (room / "digest").write_text(hashlib.sha256(found).hexdigest())
-        os.replace(room / "digest", digest)
-        os.replace(built, file)  # atomic: a second process never sees half a file
+    make_folder(folder, _REMEDY).chmod(0o700)
+    try:
+        with tempfile.TemporaryDirectory(dir=folder) as room:
+            found = make(Path(room)).read_bytes()
+            (part := Path(room, "part")).write_bytes(hashlib.sha256(found).digest() + found)
+            os.replace(part, file)  # atomic: a second process never sees half a file
+    except OSError as error:
+        raise ContactSystemError(f"cache folder '{folder}': {error}; {_REMEDY}") from None
     return found
 
 

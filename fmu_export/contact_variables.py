@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from contact_system.scene import Contact, Scene
+from contact_system.surfaces import Surface
 
 from .model import frame_sizes
 from .quantities import METRE, NONE, RADIAN, SECOND, Unit, Variable, chart_units, per_second
@@ -16,7 +17,8 @@ from .quantities import METRE, NONE, RADIAN, SECOND, Unit, Variable, chart_units
 SMALL = 0.1
 """Nominal value of angles and path velocities: solvers take their absolute tolerances from it."""
 XY, XYZ = ("x", "y"), ("x", "y", "z")
-
+STATE = ("output", "exact")
+PSI = "Contact angle psi between the contact frames E1 and E2"
 
 INPUT_GROUPS, STATE_GROUP, DERIVATIVES = 2, 2, 3
 """Of the groups of a contact's numbers: how many are inputs; which are states, derivatives."""
@@ -95,55 +97,63 @@ def _measured(scene: Scene, contact: Contact, what: str) -> list[Variable]:
     return found
 
 
+def _bodies(scene: Scene, contact: Contact) -> tuple[tuple[str, Surface], ...]:
+    return ("finger", contact.finger), ("object", scene.object)
+
+
+def _coordinates_of(stem: str, surface: Surface, what: str) -> list[Variable]:
+    """Coordinates u and v as states."""
+    units = chart_units(surface)
+    nominals = [SMALL * surface.size if unit == METRE else SMALL for unit in units]
+    return [
+        _quantity(f"{stem}.{axis}", (), unit, f"Coordinate {axis} of the {what}", size, kind=STATE)
+        for axis, unit, size in zip("uv", units, nominals)
+    ]
+
+
 def _states(scene: Scene, contact: Contact) -> list[Variable]:
-    rows: list[tuple[str, tuple[str, ...], Unit | None, str, float]] = []
-    for side, body, surface in (("finger", 1, contact.finger), ("object", 2, scene.object)):
-        for axis, unit in zip("uv", chart_units(surface)):
-            nominal = SMALL * surface.size if unit == METRE else SMALL
-            text = f"Coordinate {axis} of the contact point on the {side}"
-            rows.append((f"{side}.{axis}", (), unit, text, nominal))
+    rows = []
+    for body, (side, surface) in enumerate(_bodies(scene, contact), 1):
+        rows += _coordinates_of(side, surface, f"contact point on the {side}")
         text = f"Angle in E{body} of a frame carried along the path by parallel transport"
-        rows.append((f"{side}.frame_angle", (), RADIAN, text, SMALL))
+        rows.append(_quantity(f"{side}.frame_angle", (), RADIAN, text, SMALL, kind=STATE))
         text = f"Path velocity of the {side}'s contact point, M{body} dq{body}/ds, in that frame"
-        rows.append((f"{side}.velocity", XY, NONE, text, SMALL))
-    text = "Contact angle psi between the contact frames E1 and E2"
-    rows.append(("angle", (), RADIAN, text, SMALL))
-    return [_quantity(*row, kind=("output", "exact")) for row in rows]
+        rows.append(_quantity(f"{side}.velocity", XY, NONE, text, SMALL, kind=STATE))
+    return [*rows, _quantity("angle", (), RADIAN, PSI, SMALL, kind=STATE)]
 
 
 def _frame_states(scene: Scene, contact: Contact) -> list[Variable]:
-    rows: list[tuple[str, tuple[str, ...], Unit | None, str, float]] = []
+    rows = []
     sizes = frame_sizes(contact.finger, scene.object)
-    for side, surface, size in zip(("finger", "object"), (contact.finger, scene.object), sizes):
+    for (side, surface), size in zip(_bodies(scene, contact), sizes):
         stem, carried = f"{side}.frame", f"frame carried along on the {side}"
-        length = SMALL * surface.size
-        if size == 6:
-            rows.append((f"{stem}.point", XYZ, METRE, f"Origin of the {carried}", length))
-            rows.append((f"{stem}.axis", XYZ, NONE, f"First axis of the {carried}", SMALL))
+        if size == 3:
+            rows += _coordinates_of(stem, surface, carried)
+            text = f"Angle in the chart of the {carried}"
+            rows.append(_quantity(f"{stem}.angle", (), RADIAN, text, SMALL, kind=STATE))
             continue
-        for axis, unit in zip("uv", chart_units(surface)):
-            text = f"Coordinate {axis} of the {carried}"
-            rows.append((f"{stem}.{axis}", (), unit, text, length if unit == METRE else SMALL))
-        rows.append((f"{stem}.angle", (), RADIAN, f"Angle in the chart of the {carried}", SMALL))
-    text = "Path velocity of the finger's contact point in its carried frame"
-    rows.append(("frame.velocity", XY, NONE, text, SMALL))
-    rows.append(("frame.slip", XY, NONE, "Slip over sigma in the object's carried frame", SMALL))
-    return [_quantity(*row, kind=("output", "exact")) for row in rows]
+        for name, unit, text, nominal in (
+            ("point", METRE, "Origin", SMALL * surface.size),
+            ("axis", NONE, "First axis", SMALL),
+        ):
+            text = f"{text} of the {carried}"
+            rows.append(_quantity(f"{stem}.{name}", XYZ, unit, text, nominal, kind=STATE))
+    for name, text in (
+        ("velocity", "Path velocity of the finger's contact point in its carried frame"),
+        ("slip", "Slip over sigma in the object's carried frame"),
+    ):
+        rows.append(_quantity(f"frame.{name}", XY, NONE, text, SMALL, kind=STATE))
+    return rows
 
 
 def _coordinates(scene: Scene, contact: Contact) -> list[Variable]:
     """What charts say of carried frames, in the engine's order."""
-    rows = []
-    for side, surface in (("finger", contact.finger), ("object", scene.object)):
-        units = chart_units(surface)
-        for axis, unit in zip("uv", units):
-            text = f"Coordinate {axis} of the contact point on the {side}"
-            rows.append(_quantity(f"{side}.{axis}", (), unit, text))
-        for axis, unit in zip("uv", units):
-            text = f"Time derivative: Coordinate {axis} of the contact point on the {side}"
-            rows.append(_quantity(f"der({side}.{axis})", (), per_second(unit, 1), text))
-    text = "Contact angle psi between the contact frames E1 and E2"
-    return [*rows, _quantity("angle", (), RADIAN, text)]
+    rows: list[Variable] = []
+    for side, surface in _bodies(scene, contact):
+        places = _coordinates_of(side, surface, f"contact point on the {side}")
+        rates = [_derivative(v, False) for v in places]
+        rows += [replace(v, initial="calculated", nominal=None) for v in (*places, *rates)]
+    return [*rows, _quantity("angle", (), RADIAN, PSI)]
 
 
 def _derivative(state: Variable, local: bool) -> Variable:

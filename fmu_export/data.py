@@ -18,7 +18,7 @@ from contact_system.theory.lowering import Table as Instructions
 from .model import TOLERANCE, equations, frame_sizes, measured, way_of
 from .variables import Table
 
-MAGIC, VERSION, HEADER = 20261124.0, 4.0, 38
+MAGIC, VERSION, HEADER = 20261124.0, 5.0, 38
 KINDS = ("calculated", "independent", "fixed", "tunable", "input", "exact")
 
 
@@ -52,14 +52,7 @@ class _Data:
 
 
 def scene_data(table: Table, token: str) -> bytes:
-    """The bytes of scene.bin.
-
-    Parameters
-    ----------
-    table : Table
-    token : str
-        Instantiation token (FMI 3) or GUID (FMI 2).
-    """
+    """The bytes of scene.bin; token: instantiation token (FMI 3) or GUID (FMI 2)."""
     scene, data = table.scene, _Data()
     law = LAWS[scene.gain.law]
     surfaces: list[Surface] = []
@@ -74,7 +67,7 @@ def scene_data(table: Table, token: str) -> bytes:
         own, _ = equations(*table.structure(i))
         frames = frame_sizes(contact.finger, scene.object) if table.frames else (0, 0)
         contacts += [*_body(contact.finger, table.first[f"finger {i}"], surfaces), *group]
-        contacts += [data.numbers(table.columns(i)), _place(own, systems), *frames]
+        contacts += [data.numbers(table.columns(i)), _index(systems, own), *frames]
         sensor = own
         if table.measured != "nothing":
             sensor = measured(contact.finger, scene.object, table.measured)
@@ -83,7 +76,7 @@ def scene_data(table: Table, token: str) -> bytes:
         for stretch in way:
             place = data.numbers(stretch.profile.coefficients) if contact.legs else 0
             legs += [stretch.start, place, n_profile, *stretch.turn]
-        contacts += [_place(sensor, systems), *unknowns, data.numbers(legs), len(way)]
+        contacts += [_index(systems, sensor), *unknowns, data.numbers(legs), len(way)]
     sensed = ContactSensor(scene) if table.measured == "pose" else None
     limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else ()
     scalars = table.scalars()
@@ -118,20 +111,17 @@ def scene_data(table: Table, token: str) -> bytes:
     return struct.pack("<4d", MAGIC, VERSION, data.size, zlib.adler32(body)) + head + body
 
 
-def _place(own: Instructions, systems: list[Instructions]) -> int:
-    """Of a table among all, to which it is added where it is new."""
-    known = next((k for k, other in enumerate(systems) if other is own), len(systems))
-    systems += [own] * (known == len(systems))
+def _index(items: list[Any], item: Any) -> int:
+    """Where it stands among them, to which it is added where it is new."""
+    known = next((k for k, other in enumerate(items) if other is item), len(items))
+    items += [item] * (known == len(items))
     return known
 
 
 def _body(surface: Surface, at: int, surfaces: list[Surface]) -> list[float]:
     """The row of a body, whose first parameter has reference `at`."""
-    known = next((k for k, other in enumerate(surfaces) if other is surface), len(surfaces))
-    if known == len(surfaces):
-        surfaces.append(surface)
     sizes = (surface.size, surface.bend, surface.reach)
-    return [at, len(surface.parameters), known, surface.sign, *sizes]
+    return [at, len(surface.parameters), _index(surfaces, surface), surface.sign, *sizes]
 
 
 def _orders(surface: Surface, at: int) -> list[int]:
@@ -148,9 +138,9 @@ def _orders(surface: Surface, at: int) -> list[int]:
 def _surface(surface: Surface, data: _Data) -> list[float]:
     """The row of a surface, by its number in the engine or with its tables."""
     if surface.table_name is not None:
-        return [list(SURFACES).index(surface.table_name), *[0.0] * 20]
+        return [list(SURFACES).index(surface.table_name), *[0.0] * 19]
     flags = 0 if surface.has_implicit else MAY_BE_SINGULAR
-    found: list[float] = [-1, len(surface.numbers), surface.double_cover, 0, flags]
+    found: list[float] = [-1, len(surface.numbers), surface.double_cover, flags]
     found += [period or 0.0 for period in surface.periods()]
     for table in (*surface.tables.ambient, *surface.tables.chart):
         found.append(0 if table is None else data.numbers(data.table(table)))

@@ -57,18 +57,7 @@ def model_description(
 ) -> str:
     """The text of modelDescription.xml.
 
-    Parameters
-    ----------
-    table : Table
-    fmi_version : "2.0" or "3.0"
-    interfaces : sequence of "CoSimulation" and "ModelExchange"
-    sources : sequence of str
-        C files that an importer would compile; FMI 2 lists them here.
-
-    Raises
-    ------
-    ContactSystemError
-        An unknown version or interface.
+    sources: C files that an importer would compile; FMI 2 lists them here.
     """
     interfaces = check_choice(fmi_version, interfaces)
     root = ET.Element("fmiModelDescription", _head(table, fmi_version))
@@ -144,13 +133,7 @@ def listed(table: Table, fmi_version: str) -> list[Variable]:
 
 
 def generation_time() -> time.struct_time:
-    """Now, or ``$SOURCE_DATE_EPOCH``, in UTC.
-
-    Raises
-    ------
-    ContactSystemError
-        The variable does not hold seconds since 1970.
-    """
+    """Now, or ``$SOURCE_DATE_EPOCH``, in UTC."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     try:
         moment = time.gmtime(int(epoch) if epoch else None)

@@ -36,11 +36,6 @@ def license_text() -> str:
 def page(table: Table) -> str:
     """The HTML page: what the block does; its variables are described in its XML."""
     scene = table.scene
-    windows = "".join(
-        f"<li>contact {d.contact + 1}: {d.kind} ({d.value[0]:g}, {d.value[1]:g}) "  # type: ignore
-        f"from {d.start:g} s to {d.stop:g} s</li>"
-        for d in scene.disturbances
-    )
     return printable(
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f"<title>{escape(scene.name)}</title><style>body{{font-family:sans-serif;max-width:60em;"
@@ -51,9 +46,8 @@ def page(table: Table) -> str:
         "slip, twist and pose. Kumar &amp; Mukherjee, <i>A note on synthesizing geodesic based "
         "contact curves</i>.</p>\n"
         "<p>Communication steps may have any size and may vary; results do not depend on them. "
-        f"The continuous {states_of(table)}. Their start values, and all parameters, can be set "
-        f"before initialization ends. The scene's own disturbances:</p><ul>"
-        f"{windows or '<li>none</li>'}</ul>\n"
+        f"The continuous {states_of(table)}. Their start values, and all parameters, among them "
+        "the scene's own disturbances, can be set before initialization ends.</p>\n"
         f"<p>contact-system {__version__}</p>"
         "</body></html>\n"
     )

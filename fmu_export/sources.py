@@ -34,13 +34,7 @@ def _part(name: str) -> str:
 def c_sources(data: bytes, identifier: str, fmi_version: str) -> dict[str, str]:
     """File name -> text of everything; `UNITS` are compiled, and include the rest.
 
-    Parameters
-    ----------
-    data : bytes
-        Of `data.scene_data`.
-    identifier : str
-        Model identifier.
-    fmi_version : "2.0" or "3.0"
+    data: of `data.scene_data`; identifier: the model's.
     """
     layer = fmi_version[0]
     names = "".join(f"#define {name} {identifier}_{name}\n" for name in SHARED)

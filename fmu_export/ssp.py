@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
@@ -63,27 +62,16 @@ def export_ssp(
     path, moment, platforms = target(path), generation_time(), build.chosen(platforms)
     files, found = {}, {}
     with tempfile.TemporaryDirectory(prefix="contact-system-") as folder:
-        for (name, model), stem in zip(models.items(), _file_stems(models)):
+        for k, (name, model) in enumerate(models.items()):
             if isinstance(model, Scene):
                 given = ("2.0", ("CoSimulation",), platforms)
                 model = export_fmu(model, Path(folder) / "own.fmu", *given)
-            source = f"resources/{stem}.fmu"
+            source = f"resources/{k + 1}.fmu"  # names may hold what a URI would have to escape
             found[name] = source, _read(name, model)
             files[source] = Path(model).read_bytes()
     files["SystemStructure.ssd"] = _structure(found, connections).encode()
     write_fmu(path, files, moment[:6])
     return path
-
-
-def _file_stems(names: Iterable[str]) -> list[str]:
-    """What files are called: nothing that a file name or a URI would need to escape."""
-    found: list[str] = []
-    for k, name in enumerate(names):
-        stem = re.sub(r"\W", "_", name[:100], flags=re.ASCII)
-        while stem.lower() in map(str.lower, found):  # as Windows takes them
-            stem = f"{stem}_{k + 1}"
-        found.append(stem)
-    return found
 
 
 def _read(name: str, path: str | os.PathLike) -> ModelDescription:

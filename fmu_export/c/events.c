@@ -143,13 +143,6 @@ static const char *begin_measured(component_t *c, long i, segment_t *s) {
   return NULL;
 }
 
-/* The same; returns not 0, with c->unmeasured, where that is no place to start from. */
-static int resynchronize(component_t *c, long i, segment_t *s) {
-  UNTRAPPED(c->unmeasured = begin_measured(c, i, s));
-  c->failure = (failure_t){.code = STUCK};
-  return c->unmeasured != NULL;
-}
-
 /* Contacts whose inputs or gain are no longer those of their segment begin another. Returns 0, or
    with c->failure which cannot, from 1 on. */
 static int settle(component_t *c) {
@@ -172,7 +165,9 @@ static int settle(component_t *c) {
     const double at = now->acts_at, lasted = at - s->begin;
     if (again || !reached(s->begin, at)) {
       if (again) {
-        if (resynchronize(c, i, s)) return (int)i + 1;
+        UNTRAPPED(c->unmeasured = begin_measured(c, i, s));
+        c->failure = (failure_t){.code = STUCK};
+        if (c->unmeasured) return (int)i + 1;
       } else {
         if (cover(c, i, at)) return (int)i + 1;
         commit(c, i, 1);

@@ -60,7 +60,6 @@ static void read_surfaces(model_t *m) {
     *own = (surface_t){.name = "",
                        .n_numbers = (int32_t)row[F_N_NUMBERS],
                        .double_cover = (int32_t)row[F_DOUBLE_COVER],
-                       .closed = (int32_t)row[F_CLOSED],
                        .flags = (int32_t)row[F_FLAGS],
                        .period_u = row[F_PERIOD_U],
                        .period_v = row[F_PERIOD_V]};

@@ -18,7 +18,7 @@
 #endif
 
 #define DATA_MAGIC 20261124.0
-#define DATA_VERSION 4.0
+#define DATA_VERSION 5.0
 enum {
   D_MAGIC,
   D_VERSION,
@@ -99,7 +99,6 @@ enum {
   F_BUILTIN,
   F_N_NUMBERS,
   F_DOUBLE_COVER,
-  F_CLOSED,
   F_FLAGS,
   F_PERIOD_U,
   F_PERIOD_V,

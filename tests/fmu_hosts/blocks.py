@@ -19,7 +19,7 @@ from fmu_export import PlannerSlave2, PlannerSlave3, export_fmu, in_process, var
 from .native import Fmu
 
 BLOCKS = [("FMU", "2.0"), ("slave", "3.0")]
-"""The two run the same code; what may depend on both is run with all four."""
+"""The two run the same code."""
 _STATE = {"2.0": ("FMUstate", "deSerialize"), "3.0": ("FMUState", "deserialize")}
 
 

@@ -39,7 +39,7 @@ def _needed(module: str, package: str) -> Any:
         raise Unavailable(f"{package} does not load: {error}") from None
 
 
-def _references(fmu: Fmu, names: Names) -> list[int]:
+def references_of(fmu: Fmu, names: Names) -> list[int]:
     found = {v.name: v.valueReference for v in fmu.description.modelVariables}
     return [found[name] for name in names]
 
@@ -50,17 +50,19 @@ def _by_fmpy(file: Path, names: Names, step: float, count: int, **options: Any) 
     return np.stack([result[name] for name in names], axis=1)[1:]
 
 
-def off_plan(run: Callable[..., np.ndarray], fmu: Fmu, scene: cs.Scene, count: int) -> float:
+def off_plan(
+    run: Callable[..., np.ndarray], fmu: Fmu, scene: cs.Scene, count: int, step: float = STEP
+) -> float:
     """Greatest difference of points and slip from the plan's, of their size."""
     contacts, plan = range(len(scene.contacts)), cs.plan(scene, 1e-14)
-    t, worst = STEP * np.arange(1, count + 1), 0.0
+    t, worst = np.minimum(step * np.arange(1, count + 1), scene.duration), 0.0
     wanted = {"slip": plan.slip(t)}
     wanted |= {f"{s}.point": plan.points(t)[:, :, k] for k, s in enumerate(("finger", "object"))}
     names = {
         q: [f"contact[{i + 1}].{q}.{axis}" for i in contacts for axis in "xyz"[: x.shape[2]]]
         for q, x in wanted.items()
     }
-    found = run(fmu, sum(names.values(), []), STEP, count)
+    found = run(fmu, sum(names.values(), []), step, count)
     for quantity, values in wanted.items():
         own, found = np.split(found, [len(names[quantity])], axis=1)
         off = np.abs(own - values.reshape(count, -1)).max()
@@ -101,7 +103,7 @@ def libcosim_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarra
     index = execution.add_local_slave(part("CosimSlave").CosimLocalSlave(str(fmu.path), "planner"))
     observer = part("CosimObserver").CosimObserver.create_last_value()
     execution.add_observer(observer)
-    rows, references = [], _references(fmu, names)
+    rows, references = [], references_of(fmu, names)
     for _ in range(count):
         assert execution.step()
         rows.append(observer.last_real_values(index, references))
@@ -123,7 +125,7 @@ def container_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarr
 
 def fmuloader_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
     one, read = _loaded(fmu, "CoSimulation")
-    rows, references = [], _references(fmu, names)
+    rows, references = [], references_of(fmu, names)
     for k in range(count):
         one.do_step(k * step, step)
         rows.append(read(references))
@@ -183,7 +185,7 @@ def wasm_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
     one = host.call("fmi3InstantiateCoSimulation", *texts, *(0,) * 9)
     assert host.call("fmi3EnterInitializationMode", one, 0, 0.0, 0.0, 0, 0.0) == 0
     assert host.call("fmi3ExitInitializationMode", one) == 0
-    references = host.put(np.array(_references(fmu, names), "<u4").tobytes())
+    references = host.put(np.array(references_of(fmu, names), "<u4").tobytes())
     told, values = host.put(bytes(32)), host.put(bytes(8 * n))
     flags = (told, told + 4, told + 8, told + 16)
     for k in range(count):
@@ -193,18 +195,18 @@ def wasm_steps(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
     return np.array(rows)
 
 
-# --- Model Exchange, at 1e-10 --------------------------------------------------------------------
+# --- Model Exchange ----------------------------------------------------------------------------
 
 
 def fmpy_integrates(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
-    given = {"fmi_type": "ModelExchange", "solver": "CVode", "relative_tolerance": 1e-10}
+    given = {"fmi_type": "ModelExchange", "solver": "CVode"}
     return _by_fmpy(fmu.path, names, step, count, record_events=False, **given)
 
 
 def fmuloader_integrates(fmu: Fmu, names: Names, step: float, count: int) -> np.ndarray:
     """By scipy, from each time event to the next."""
     one, read = _loaded(fmu, "ModelExchange")
-    n, rows, references = len(fmu.description.derivatives), [], _references(fmu, names)
+    n, rows, references = len(fmu.description.derivatives), [], references_of(fmu, names)
     rates = one.get_derivatives if fmu.version == "2.0" else one.get_continuous_state_derivatives
 
     def update() -> float:
