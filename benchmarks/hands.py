@@ -1,4 +1,4 @@
-"""A hand holds and turns objects in Drake: H1 to H4, planning, and random reorientations."""
+"""A hand holds and turns objects in Drake: H1 to H5, planning, and random reorientations."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from .report import Bar, Sections
 
 MODELS = {"H1": ("point", "hydroelastic"), "H2": ("point", "hydroelastic")}
 MODELS |= {"H3": ("hydroelastic",), "H4": ("point", "hydroelastic")}
+MODELS |= {"H5": ("point", "hydroelastic")}
 RUNS = 20  # of planning
 MANY, GREATEST = 50, 30.0  # random reorientations, degrees
 
@@ -50,7 +51,7 @@ def scenes(full: bool) -> Iterator[Bar]:
             yield Bar(what + "off the object", 0.0, told.lost.max(), "s")
             yield Bar(what + "friction used, planned", 0.9, told.cones_planned.max())
             yield Bar(what + "friction used, outside pushes", 0.9, told.cones.max())
-            limit = 0.5 if name == "H2" else None
+            limit = 0.5 if name in ("H2", "H5") else None
             yield Bar(what + "slip summed, worst finger", limit, 1e3 * told.slipped.max(), "mm")
             yield Bar(what + "torque over its limit", 1.0, told.torque_share.max())
             room = math.degrees(told.room.min())
@@ -58,8 +59,8 @@ def scenes(full: bool) -> Iterator[Bar]:
 
 
 def planning(full: bool) -> Iterator[Bar]:
-    """`plan_reorientation` of H2 and H3, contacts, joints and forces, as a user calls it."""
-    for name in ("H2", "H3"):
+    """`plan_reorientation` of H2, H3 and H5, contacts, joints and forces, as a user calls it."""
+    for name in ("H2", "H3", "H5"):
         scene, times = cs.load_scene(name), []
         hand = StationConfig.from_scene(scene).hand
         for _ in range(RUNS):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,34 @@ from contact_system.checks import finite_number, finite_numbers
 
 Array = NDArray[np.float64]
 
-LINKS = (0.055, 0.045, 0.035)  # m, of the project's own fingers
-MASSES = (0.035, 0.03, 0.02)  # kg
-LOWER, UPPER = (-0.8, -1.7, 0.0, -0.3), (0.8, 0.6, 2.2, 1.7)  # rad
+
+class Part(NamedTuple):
+    """A joint of the project's own fingers and the link behind it: rad, kg, m."""
+
+    axis: str
+    lower: float
+    upper: float
+    mass: float
+    length: float
+
+
+SIDEWAYS, CURL, TWIST = "1 0 0", "0 -1 0", "0 0 1"
+ARM = (
+    Part(SIDEWAYS, -0.8, 0.8, 0.01, 0.0),
+    Part(CURL, -1.7, 0.6, 0.035, 0.055),
+    Part(CURL, 0.0, 2.2, 0.03, 0.045),
+)
+FINGERS = {
+    4: (*ARM, Part(CURL, -0.3, 1.7, 0.02, 0.035)),
+    6: (
+        *ARM,
+        Part(CURL, -1.0, 1.7, 0.01, 0.015),
+        Part(SIDEWAYS, -1.3, 1.3, 0.005, 0.0),
+        Part(TWIST, -1.7, 1.7, 0.01, 0.02),
+    ),
+}
+"""By the number of their joints. Six leave a tip's pose free: two more turn it at its wrist."""
+
 TORQUE = 0.7  # N m, of every joint
 ROTOR = 2e-4  # kg m^2, of a motor behind its gear
 DAMPING = 0.01  # N m s
@@ -33,6 +59,8 @@ class Hand:
         An SDF, URDF or MJCF file; "": the project's own hand, whose fingers stand around a palm
         where the scene's contacts are. Each has a joint that swings it sideways and three that curl
         it.
+    joints : int
+        Of each of the own hand's fingers: 4, or 6, with two more at its wrist.
     tips : list of str
         The model's frames that carry fingertips, in the order of the contacts; the origin of a
         fingertip's surface is put there.
@@ -44,6 +72,7 @@ class Hand:
     """
 
     model: str = ""
+    joints: int = 4
     tips: list[str] = field(default_factory=list)
     base: list[float] = field(default_factory=lambda: [0.0, 0.0, -0.11])
     pad: float = 0.02
@@ -52,6 +81,8 @@ class Hand:
         """Raise a SceneError that names the first field that is wrong, its value and the remedy."""
         if not isinstance(self.model, str):
             raise SceneError(f'hand: model = {self.model!r}: give a file, or "" for the own hand')
+        if self.joints not in FINGERS:
+            raise SceneError(f"hand: joints = {self.joints!r}: give one of {[*FINGERS]}")
         if len(finite_numbers(self.base, "hand: base")) != 3:
             raise SceneError(f"hand: base = {self.base!r}: give three numbers, m")
         finite_number(self.pad, "hand: pad", "above 0")
@@ -65,7 +96,7 @@ class Hand:
             )
 
 
-def own_hand(azimuths: Sequence[float]) -> str:
+def own_hand(azimuths: Sequence[float], joints: int = 4) -> str:
     """SDF of the project's own hand: a finger at each azimuth about the palm's z axis, rad.
 
     Frames ``tip_0`` and so on have z along the last link and x, where a pad is by default, to the
@@ -74,18 +105,15 @@ def own_hand(azimuths: Sequence[float]) -> str:
     parts = [_link("palm", None, (0.0, 0.0, 0.0), 0.2, (PALM, 0.01))]
     for i, azimuth in enumerate(azimuths):
         root = (PALM * math.cos(azimuth), PALM * math.sin(azimuth), 0.0)
-        parent, placed, lengths = "palm", (*root, azimuth), (0.0, *LINKS)
-        for k, length in enumerate(lengths):
-            name, mass = f"finger_{i}_link_{k}", MASSES[k - 1] if k else 0.01
-            parts.append(
-                _link(name, (parent, *placed), (0.0, 0.0, length / 2), mass, (0.008, length))
-            )
-            axis = "1 0 0" if k == 0 else "0 -1 0"
-            parts.append(_joint(f"finger_{i}_joint_{k}", parent, name, axis, LOWER[k], UPPER[k]))
-            parent, placed = name, (0.0, 0.0, length, 0.0)
+        parent, placed = "palm", (*root, azimuth)
+        for k, part in enumerate(FINGERS[joints]):
+            name, centre = f"finger_{i}_link_{k}", (0.0, 0.0, part.length / 2)
+            parts.append(_link(name, (parent, *placed), centre, part.mass, (0.008, part.length)))
+            parts.append(_joint(f"finger_{i}_joint_{k}", parent, name, part))
+            parent, placed = name, (0.0, 0.0, part.length, 0.0)
         parts.append(
             f'<frame name="tip_{i}" attached_to="{parent}">'
-            f'<pose relative_to="{parent}">0 0 {LINKS[-1]} 0 0 {math.pi}</pose></frame>'
+            f'<pose relative_to="{parent}">0 0 {part.length} 0 0 {math.pi}</pose></frame>'
         )
     body = "\n".join(parts)
     return f'<sdf version="1.9"><model name="hand">\n{body}\n</model></sdf>'
@@ -116,10 +144,10 @@ def _link(
     )
 
 
-def _joint(name: str, parent: str, child: str, axis: str, lower: float, upper: float) -> str:
+def _joint(name: str, parent: str, child: str, part: Part) -> str:
     return (
         f'<joint name="{name}" type="revolute"><parent>{parent}</parent><child>{child}</child>'
-        f"<axis><xyz>{axis}</xyz><limit><lower>{lower}</lower><upper>{upper}</upper>"
+        f"<axis><xyz>{part.axis}</xyz><limit><lower>{part.lower}</lower><upper>{part.upper}</upper>"
         f"<effort>{TORQUE}</effort></limit><dynamics><damping>{DAMPING}</damping></dynamics></axis>"
         f"<drake:rotor_inertia xmlns:drake='drake'>{ROTOR}</drake:rotor_inertia></joint>"
     )

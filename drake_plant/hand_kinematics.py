@@ -55,7 +55,7 @@ def add_model(plant: MultibodyPlant, hand: Hand, scene: Scene) -> ModelInstanceI
     else:
         at = [scene.object.point(*contact.object_at) for contact in scene.contacts]
         instances = parser.AddModelsFromString(
-            own_hand([np.arctan2(x[1], x[0]) for x in at]), "sdf"
+            own_hand([np.arctan2(x[1], x[0]) for x in at], hand.joints), "sdf"
         )
     if len(instances) != 1:
         raise SceneError(f"hand: model = {hand.model!r}: give a file with one model")
@@ -242,6 +242,35 @@ class Chains:
                     f" m: {left:.2g} m are left, with {self._limits(at, q)}; put the hand elsewhere"
                 )
         return q
+
+    def placed(self, t: float, q: Array, poses: list[RigidTransform]) -> Array:
+        """Positions (nq,), near those given, at which tips have poses in the world at a time."""
+        for _ in range(TRIES):
+            self.put(q)
+            steps, left = np.zeros_like(q), []
+            for i, own in enumerate(self.joints):
+                X, goal = self.pose(i), poses[i]
+                turn = (goal.rotation() @ X.rotation().inverse()).ToAngleAxis()
+                shift = goal.translation() - X.translation()
+                off = np.append(turn.angle() * turn.axis(), shift)
+                left.append(float(np.linalg.norm(off)))
+                steps[own] = _least(self.jacobian(i)[:, own], off, np.zeros(len(own)))
+            if max(left) < REACHED:
+                return q
+            q = q + np.clip(steps, -0.3, 0.3)
+        i = int(np.argmax(left))
+        raise SceneError(
+            f"{self.scene.contact_name(i)} does not get as far: at t = {t:.3g} s {left[i]:.2g} m or "
+            f"rad are left, with {self._limits(self.joints[i], q)}"
+        )
+
+    def moved(self, q: Array, twists: Array) -> Array:
+        """Velocities (nq,) of joints at which tips have V_WF, (n, 6)."""
+        self.put(q)
+        found = np.zeros_like(q)
+        for i, own in enumerate(self.joints):
+            found[own] = _least(self.jacobian(i)[:, own], twists[i], np.zeros(len(own)))
+        return found
 
     def _limits(self, joints: list[int], q: Array) -> str:
         told = (

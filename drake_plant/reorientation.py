@@ -14,7 +14,8 @@ from pydrake.multibody.tree import SpatialInertia
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-from contact_system import Ellipsoid, Scene, SceneError
+from contact_system import Ellipsoid, Goal, Scene, SceneError, reach
+from contact_system import plan as make_plan
 from contact_system.checks import naming
 
 from .balance import balancing_forces, friction_used, needed_wrench
@@ -26,6 +27,8 @@ from .pressing import rolling_scene
 Array = NDArray[np.float64]
 
 NODES = 17  # times of a plan, evenly from the start of the motion to its end
+FREE = 6  # joints of a finger that leave the pose of its tip free
+LEG_NODES = 33  # times of a plan on legs, which are four at most
 BEGIN, END = 0.1, 0.75  # of the duration, when the object begins to move, and rests
 
 
@@ -73,6 +76,9 @@ class Reorientation:
         As given.
     rolling : Scene
         Its contacts are where the fingers begin, on the radii that bodies roll on.
+    route : Scene or None
+        `rolling` with the legs of :func:`cs.reach` that fingers of six or more joints follow from
+        ``t[0]`` on, for :func:`cs.plan`.
     path : PiecewisePose, or what answers as it does
         X_WO.
     t : (m,)
@@ -98,6 +104,7 @@ class Reorientation:
     scene: Scene
     config: StationConfig
     rolling: Scene
+    route: Scene | None
     path: Any
     t: Array
     object_pose: Array
@@ -135,7 +142,8 @@ def plan_reorientation(
 
     Every finger keeps its contact and rolls without slip: of a finger with four joints the curves
     on both bodies follow from the object's path, but for one freedom, which keeps pads and joints
-    near their middles. Forces balance weight and acceleration in 80 % of the friction cones, with
+    near their middles. If every finger has six or more, they roll to the same places on the object
+    along legs of :func:`contact_system.reach`, without spin. Forces balance weight and acceleration in 80 % of the friction cones, with
     at least the scene's ``normal_force``.
 
     Parameters
@@ -170,8 +178,11 @@ def plan_reorientation(
         else:
             t = np.linspace(0, scene.duration, 2 * NODES)
         q, v = _rolled(chains, path, t)
+        route = None
+        if min(map(len, chains.joints)) >= FREE:
+            t, q, v, route = _routed(chains, path, t, q)
         chains.refuse_limits(t, q)
-        return _completed(hand, scene, config, path, chains, t, q, v)
+        return _completed(hand, scene, config, path, chains, route, t, q, v)
 
 
 def _rolled(chains: Chains, path: Any, t: Array) -> tuple[Array, Array]:
@@ -198,12 +209,59 @@ def _rolled(chains: Chains, path: Any, t: Array) -> tuple[Array, Array]:
     return np.array(every), np.array(velocities)
 
 
+def _routed(
+    chains: Chains, path: Any, t: Array, rolled: Array
+) -> tuple[Array, Array, Array, Scene]:
+    """Times, joints, their velocities, and the scene with the legs that fingers follow.
+
+    Joints that roll along show places on the object that fingers reach; legs of `cs.reach` lead
+    there without spin and on the pads.
+    """
+    ends = []
+    for k in (0, -1):
+        chains.put(rolled[k])
+        X_WO = path.GetPose(t[k])
+        ends.append([chains.touch(i, X_WO)[2:11].copy() for i in range(len(chains.tips))])
+    goals = [
+        Goal(object_at=row[4:6], finger_within=(*contact.finger_at, chains.hand.pad))
+        for row, contact in zip(ends[1], chains.scene.contacts)
+    ]
+    scene = _starting(chains.scene, ends[0], finger_velocity=(1.0, 0.0))
+    route = reach(scene.replace(duration=t[-1] - t[0]), goals).scene
+    t = np.linspace(t[0], t[-1], LEG_NODES)
+    found = make_plan(route).evaluate(t - t[0], "pose", "twist")
+    q, v = [rolled[0]], [np.zeros_like(rolled[0])]
+    for k, poses in enumerate(found["pose"]):
+        X_WO = path.GetPose(t[k])
+        near = q[-1] + (t[1] - t[0]) * v[-1]
+        q.append(chains.placed(t[k], near, [X_WO @ RigidTransform(X_OF) for X_OF in poses]))
+        v.append(chains.moved(q[-1], _carried(path, t[k], poses[:, :3, 3], found["twist"][k])))
+    return t, np.array(q[1:]), np.array(v[1:]), route
+
+
+def _carried(path: Any, t: float, places: Array, twists: Array) -> Array:
+    """V_WF of tips from p_OF and V_OF in O, (n, 6)."""
+    R, V_WO = path.GetPose(t).rotation().matrix(), np.ravel(path.GetVelocity(t))
+    swept = np.cross(V_WO[:3], places @ R.T)
+    return V_WO + np.hstack([twists[:, :3] @ R.T, twists[:, 3:] @ R.T + swept])
+
+
+def _starting(scene: Scene, states: Any, **changes: Any) -> Scene:
+    """The scene with contacts where states have them."""
+    contacts = [
+        dataclasses.replace(contact, finger_at=x[:2], object_at=x[4:6], angle=x[8], **changes)
+        for contact, x in zip(scene.contacts, states)
+    ]
+    return scene.replace(contacts=contacts)
+
+
 def _completed(
     hand: Hand,
     given: Scene,
     config: StationConfig,
     path: Any,
     chains: Chains,
+    route: Scene | None,
     t: Array,
     q: Array,
     v: Array,
@@ -241,17 +299,12 @@ def _completed(
             f"joint {chains.names[joint]} needs {torques[k, joint]:.3g} N m at t = {t[k]:.3g} s, "
             f"its limit is {chains.effort[joint]:.3g}; press less, or give a stronger hand"
         )
-    start = [
-        dataclasses.replace(
-            contact, finger_at=row[:2], object_at=row[4:6], angle=row[8], finger_velocity=(0, 0)
-        )
-        for contact, row in zip(scene.contacts, states[0])
-    ]
     return Reorientation(
         hand=hand,
         scene=given,
         config=config,
-        rolling=scene.replace(contacts=start),
+        rolling=_starting(scene, states[0], finger_velocity=(0, 0)),
+        route=route,
         path=path,
         t=t,
         object_pose=np.array([pose.GetAsMatrix4() for pose in X]),

@@ -38,9 +38,25 @@ def test_fingers_of_a_plan_roll_and_press_as_the_object_needs(name):
     assert (plan.q >= plan.chains.lower).all() and (plan.q <= plan.chains.upper).all()
 
 
+def test_fingers_of_six_joints_follow_routes_of_reach():
+    scene = cs.load_scene("H5")
+    plan = plan_reorientation(StationConfig.from_scene(scene).hand, scene)
+    assert plan.slip.max() < 1e-8  # by contact_system's own sensor
+    points = cs.plan(plan.route).points(plan.t - plan.t[0])
+    for i, contact in enumerate(plan.rolling.contacts):
+        at = (
+            contact.finger.point(*plan.states[:, i, :2].T),
+            scene.object.point(*plan.states[:, i, 4:6].T),
+        )
+        # the route counts the radii that bodies press each other to
+        np.testing.assert_allclose(np.stack(at, axis=1), points[:, i], atol=2e-4)
+    assert plan_reorientation(Hand(), H2).route is None
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
+        ({"hand": {"joints": 5}}, ["joints = 5", "4, 6"]),
         ({"hand": {"base": [0, 0, -0.3]}}, ["finger 1 does not reach", "joint", "limit|rad"]),
         ({"hand": {"pad": 0.011}}, ["finger 3 rolls off its pad", "pad = 0.011"]),
         (
