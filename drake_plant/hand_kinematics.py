@@ -260,8 +260,8 @@ class Chains:
             q = q + np.clip(steps, -0.3, 0.3)
         i = int(np.argmax(left))
         raise SceneError(
-            f"{self.scene.contact_name(i)} does not get as far: at t = {t:.3g} s {left[i]:.2g} m or "
-            f"rad are left, with {self._limits(self.joints[i], q)}"
+            f"{self.scene.contact_name(i)} does not get as far: at t = {t:.3g} s {left[i]:.2g} m "
+            f"or rad are left, with {self._limits(self.joints[i], q)}"
         )
 
     def moved(self, q: Array, twists: Array) -> Array:

@@ -143,8 +143,8 @@ def plan_reorientation(
     Every finger keeps its contact and rolls without slip: of a finger with four joints the curves
     on both bodies follow from the object's path, but for one freedom, which keeps pads and joints
     near their middles. If every finger has six or more, they roll to the same places on the object
-    along legs of :func:`contact_system.reach`, without spin. Forces balance weight and acceleration in 80 % of the friction cones, with
-    at least the scene's ``normal_force``.
+    along legs of :func:`contact_system.reach`, without spin. Forces balance weight and acceleration
+    in 80 % of the friction cones, with at least the scene's ``normal_force``.
 
     Parameters
     ----------
