@@ -23,7 +23,7 @@ from ..surfaces.charts import fold_latitude
 from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
 from .contact import MANY_TURNS, Contact, Pair, Turning, a_surface, a_text, all_of
-from .disturbances import ALL, SLOTS, Disturbance
+from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
 from .legs import STILL, Leg, Stretch, check_legs, length, speed
 
 
@@ -167,7 +167,7 @@ class Scene:
         put(self, "contacts", all_of(Contact, self.contacts, "contacts", "Contact"))
         if not self.contacts:
             raise SceneError("contacts = []: a scene needs at least one contact")
-        names = "FingerAcceleration, ObjectAcceleration or ObjectRateOffset"
+        names = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
         put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", names))
         for key, kind in (("profile", Profile), ("gain", Gain), ("turning", Turning)):
             value = getattr(self, key)
