@@ -107,11 +107,11 @@ _LATER = {
     "steering": ("Geodesic", "Goal", "Loop", "Route", "geodesic", "geodesics", "loop", "reach"),
     "sweeping": ("Failure", "Sweep", "summary", "sweep"),
 }
-"""What a plan needs none of is imported when it is first asked for."""
+"""Names that plans do not need; their modules are imported at first use."""
 
 
 def __getattr__(name: str) -> Any:
-    for room, names in _LATER.items():
+    for package, names in _LATER.items():
         if name in names:
-            return getattr(import_module(f"{__name__}.{room}"), name)
+            return getattr(import_module(f"{__name__}.{package}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -175,7 +175,7 @@ def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[tuple[int, int],
     return frames
 
 
-MAY_BE_SINGULAR = 1  # surface_t.flags: nobody knows where the chart is regular
+MAY_BE_SINGULAR = 1  # surface_t.flags: where the chart is singular is unknown
 
 
 def _surface_address(surface: Surface) -> int:

@@ -85,25 +85,27 @@ def reach(
     if longest is not None:
         longest = finite_number(longest, "longest", "above 0")
     seconds = finite_number(seconds, "seconds", "not below 0")
-    ways: list[_Way | None] = []
+    routes: list[_Route | None] = []
     texts, share = [], seconds / sum(own is not None for own in goals)
     for i, own in enumerate(goals):
         if own is None:
-            ways.append(None)
+            routes.append(None)
             continue
-        way, tried = _Search(scene, i, own, longest).shortest(legs, share)
-        ways.append(way)
+        route, tried = _Search(scene, i, own, longest).shortest(legs, share)
+        routes.append(route)
         texts.append(f"contact {i}: {tried}")
     rest = (Leg(0.0, 0.0, scene.duration),)
-    routes = tuple(rest if way is None else way.legs for way in ways)
-    residual = max(way.residual for way in ways if way is not None)
-    if len(ways) == 1 and ways[0] is not None:
-        legged = ways[0].scene
+    legs_by_contact = tuple(rest if route is None else route.legs for route in routes)
+    residual = max(route.residual for route in routes if route is not None)
+    if len(routes) == 1 and routes[0] is not None:
+        legged = routes[0].scene
     else:
-        contacts = [dataclasses.replace(c, legs=own) for c, own in zip(scene.contacts, routes)]
+        contacts = [
+            dataclasses.replace(c, legs=own) for c, own in zip(scene.contacts, legs_by_contact)
+        ]
         legged = scene.replace(contacts=contacts, profile=STILL)
-    whole = sum(leg.length or 0.0 for own in routes for leg in own)
-    return Route(legged, routes, whole, residual, "; ".join(texts))
+    whole = sum(leg.length or 0.0 for own in legs_by_contact for leg in own)
+    return Route(legged, legs_by_contact, whole, residual, "; ".join(texts))
 
 
 def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
@@ -125,7 +127,7 @@ def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
 
 
 @dataclass
-class _Way:
+class _Route:
     """A path z, a scene of this contact alone with its legs, and the error; J^T J there."""
 
     z: Array
@@ -170,35 +172,35 @@ class _Search:
     def alone(self, z: Array) -> Scene:
         """A scene of this contact alone, on the legs of a path."""
         n, legs = len(z) // 2, []
-        for way, length in zip(z[:n].tolist(), z[n:].tolist()):
-            way = (way + math.pi if length < 0 else way) % (2 * math.pi)
-            legs.append(Leg(way, abs(length), self.scene.duration / n))
+        for direction, length in zip(z[:n].tolist(), z[n:].tolist()):
+            direction = (direction + math.pi if length < 0 else direction) % (2 * math.pi)
+            legs.append(Leg(direction, abs(length), self.scene.duration / n))
         moving = dataclasses.replace(self.aim.contact, legs=legs)
         return self.scene.replace(contacts=[moving], disturbances=[], profile=STILL)
 
-    def shortest(self, legs: int | None, seconds: float) -> tuple[_Way, str]:
+    def shortest(self, legs: int | None, seconds: float) -> tuple[_Route, str]:
         """The first route with the least number of legs, or the shortest one found in the time."""
         begin, tried = time.perf_counter(), []
         for n in range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,):
             for batch in range(STARTS // LANES):
-                for way in self._ways(n, batch):
-                    if self._stays(way):
-                        way = way if legs else self._not_long(way)
+                for route in self._routes(n, batch):
+                    if self._stays(route):
+                        route = route if legs else self._not_long(route)
                         how = f"{n} legs, {(batch + 1) * LANES} starts"
-                        return self._shorter(way, legs, begin + seconds), how
+                        return self._shorter(route, legs, begin + seconds), how
             tried.append(f"{n} legs from {STARTS} starts")
         raise SceneError(self._refusal(tried))
 
-    def _not_long(self, way: _Way) -> _Way:
+    def _not_long(self, route: _Route) -> _Route:
         """The route, or for a sphere on a plane Hammersley's four rolls if these are shorter."""
         aim = self.aim
-        if not aim.in_closed_form or way.length <= max(4 * math.pi * aim.unit, aim.far):
-            return way
-        z = four_rolls(aim, way.length)
-        other = None if z is None else self._met(z)
-        return way if other is None or other.length > way.length else other
+        if not aim.in_closed_form or route.length <= max(4 * math.pi * aim.unit, aim.far):
+            return route
+        z = four_rolls(aim, route.length)
+        other = None if z is None else self._route_near(z)
+        return route if other is None or other.length > route.length else other
 
-    def _ways(self, n: int, batch: int) -> Iterator[_Way]:
+    def _routes(self, n: int, batch: int) -> Iterator[_Route]:
         """Routes of n legs from 16 random starts, the shortest first."""
         aim = self.aim
         z = _starts(n, batch).copy()
@@ -206,11 +208,11 @@ class _Search:
         paths = aim.search(z, COARSE, NEAR)
         self.nearest = min(self.nearest, float(paths.off.min()))
         for k in sorted(np.flatnonzero(paths.off < NEAR), key=lambda k: _length(paths.z[:, k])):
-            way = self._met(paths.z[:, k])
-            if way is not None:
-                yield way
+            route = self._route_near(paths.z[:, k])
+            if route is not None:
+                yield route
 
-    def _met(self, z: Array, steps: int = 20) -> _Way | None:
+    def _route_near(self, z: Array, steps: int = 20) -> _Route | None:
         """The route near a path; None if Newton's method finds none.
 
         The error is that of the planned path. If slip moves the object's path off the geodesics,
@@ -227,7 +229,7 @@ class _Search:
                 points, pose = _arrival(alone)
                 off = aim.off(points, pose)
                 if off <= (0.3 if left else 1.0) * REACHED:
-                    return _Way(z, alone, off, squares)
+                    return _Route(z, alone, off, squares)
                 aim.lead_to(z, points, pose)
         except ContactSystemError:  # such as a path through a pole
             pass
@@ -237,45 +239,45 @@ class _Search:
 
     # --- shorter ones ---------------------------------------------------------------------------
 
-    def _shorter(self, way: _Way, legs: int | None, until: float) -> _Way:
+    def _shorter(self, route: _Route, legs: int | None, until: float) -> _Route:
         """The shortest route found until a time: routes from more starts, each one shortened."""
         if time.perf_counter() >= until:
-            return way
-        best = self._slid(way, until)
+            return route
+        best = self._shortened(route, until)
         counts = range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,)
         for batch in itertools.count(STARTS // LANES):
-            for way in itertools.chain(*(self._ways(n, batch) for n in counts)):
+            for route in itertools.chain(*(self._routes(n, batch) for n in counts)):
                 if time.perf_counter() >= until:
                     return best
-                way = self._slid(way, until)
-                if way.length < best.length and self._stays(way):
-                    best = way
+                route = self._shortened(route, until)
+                if route.length < best.length and self._stays(route):
+                    best = route
         raise AssertionError
 
-    def _slid(self, way: _Way, until: float) -> _Way:
+    def _shortened(self, route: _Route, until: float) -> _Route:
         """The route shortened by steps in the null space of J, until its length is a minimum."""
-        n = len(way.z) // 2
+        n = len(route.z) // 2
         unit, step = np.repeat([1.0, self.aim.unit], n), 0.1
         while step > 1e-4 and time.perf_counter() < until:
-            values, vectors = np.linalg.eigh(way.squares)
+            values, vectors = np.linalg.eigh(route.squares)
             free = vectors[:, values <= 1e-14 * values[-1]].T
-            fall = free.T @ (free @ np.concatenate([np.zeros(n), np.sign(way.z[n:])]))
+            fall = free.T @ (free @ np.concatenate([np.zeros(n), np.sign(route.z[n:])]))
             if np.linalg.norm(fall) < 1e-6:
                 break
-            other = self._met(way.z - step * unit * fall / np.linalg.norm(fall), steps=8)
-            if other is not None and other.length < way.length and self._stays(other):
-                way, step = other, 2.0 * step
+            other = self._route_near(route.z - step * unit * fall / np.linalg.norm(fall), steps=8)
+            if other is not None and other.length < route.length and self._stays(other):
+                route, step = other, 2.0 * step
             else:
                 step *= 0.3
-        return way
+        return route
 
     # --- what cannot be -------------------------------------------------------------------------
 
-    def _stays(self, way: _Way) -> bool:
+    def _stays(self, route: _Route) -> bool:
         """Whether a route stays within its regions."""
         if not self.aim.regions:
             return True
-        points = plan(way.scene).points(np.linspace(0.0, self.scene.duration, SAMPLES))[:, 0]
+        points = plan(route.scene).points(np.linspace(0.0, self.scene.duration, SAMPLES))[:, 0]
         return all(
             np.linalg.norm(points[:, side] - centre, axis=1).max() <= widest * (1 + 1e-9)
             for side, centre, _, widest in self.aim.regions
