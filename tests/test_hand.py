@@ -84,10 +84,11 @@ def test_a_model_by_file_moves_as_the_own_hand(tmp_path):
         made(hand={**hand, "tips": ["my_tip_0", "my_tip_1", "thumb"]})
 
 
-def test_a_path_of_drake_is_followed():
+@pytest.mark.parametrize("joints", [4, 6])
+def test_a_path_of_drake_is_followed(joints):
     goal = RigidTransform(RotationMatrix.MakeXRotation(0.2), [0.0, 0.005, 0.0])
     path = PiecewisePose.MakeLinear([0.0, 4.0], [RigidTransform(), goal])
-    plan = plan_reorientation(Hand(), H2, path=path)
+    plan = plan_reorientation(Hand(joints=joints), H2, path=path)
     np.testing.assert_allclose(plan.object_pose[-1], goal.GetAsMatrix4(), atol=1e-12)
     assert plan.slip.max() < 1e-8
 
