@@ -7,10 +7,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import Value
 from pydrake.geometry import ContactSurface, PenetrationAsPointPair
-from pydrake.math import RigidTransform
-from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
@@ -21,7 +18,7 @@ from contact_system.scene import require_scene
 from .config import require_config
 from .contact_gauge import COLUMNS, NUMBERS, TINY, ContactGauge
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant
+from .plant import ScenePlant, declare_plant_inputs
 from .scratch import PerThread
 
 Array = NDArray[np.float64]
@@ -115,14 +112,13 @@ class ContactMonitor(LeafSystem):
         plant = scene_plant.plant
         step = plant.time_step() if plant.has_sampled_output_ports() else 0.0
         self._gauges = PerThread(partial(_gauges, scene, step), {})
-        self._results = self.DeclareAbstractInputPort("contact_results", Value[ContactResults]())
-        self._poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
-        self._velocities = self.DeclareAbstractInputPort(
-            "body_spatial_velocities", Value[list[SpatialVelocity]]()
+        inputs = declare_plant_inputs(
+            self, "contact_results", "body_poses", "body_spatial_velocities"
         )
+        self._results, self._poses, self._velocities = inputs
         self._noise = self.DeclareVectorInputPort("noise", 9 * n)
-        inputs = [port.ticket() for port in (self._results, self._poses, self._velocities)]
-        measured, self.Measured = array_entry(self._CalcMeasured, (n, NUMBERS), inputs)
+        tickets = [port.ticket() for port in inputs]
+        measured, self.Measured = array_entry(self._CalcMeasured, (n, NUMBERS), tickets)
         for name, size in SIZES.items():
             needs = {measured, self._noise.ticket()} if name in NOISY else {measured}
             calc = weakly(self._CalcVector, name)

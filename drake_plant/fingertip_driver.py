@@ -20,8 +20,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
-from pydrake.math import RigidTransform
-from pydrake.multibody.math import SpatialAcceleration, SpatialForce, SpatialVelocity
+from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.multibody.tree import BodyIndex, world_index
 from pydrake.systems.framework import Context, LeafSystem, State
@@ -34,7 +33,7 @@ from contact_system.theory.symbols import per_structure
 from .config import require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .planner_base import MOTION
-from .plant import ScenePlant
+from .plant import ScenePlant, declare_plant_inputs
 from .scratch import Machines, PerThread
 from .tip_law import (
     CONSTANT,
@@ -169,12 +168,9 @@ class FingertipDriver(LeafSystem):
         constants = [tip_constants(body, scene_plant, hold=0.0) for body in fingers]
         self._laws = PerThread(partial(_Law, self.finger_indices, constants), {})
         n = len(fingers)
-        poses, motions = Value[list[RigidTransform]], Value[list[SpatialVelocity]]
         self._motion = self.DeclareVectorInputPort("motion", sum(MOTION.values()) * n)
-        self._poses = self.DeclareAbstractInputPort("body_poses", poses())
-        self._velocities = self.DeclareAbstractInputPort("body_spatial_velocities", motions())
-        self._accelerations = self.DeclareAbstractInputPort(
-            "body_spatial_accelerations", Value[list[SpatialAcceleration]]()
+        self._poses, self._velocities, self._accelerations = declare_plant_inputs(
+            self, "body_poses", "body_spatial_velocities", "body_spatial_accelerations"
         )
         self._optional = {
             "contact_force": self.DeclareVectorInputPort("contact_forces", 3 * n),

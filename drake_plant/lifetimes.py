@@ -43,18 +43,15 @@ def weakly(method: Callable, *first: Any) -> Callable:
 
 
 def array_entry(
-    calc: Callable[..., Array],
-    shape: tuple[int, ...],
-    needs: Iterable[DependencyTicket],
-    *first: Any,
+    calc: Callable[[Context], Array], shape: tuple[int, ...], needs: Iterable[DependencyTicket]
 ) -> tuple[DependencyTicket, Callable[[Context], Array]]:
-    """Declare a cache entry that holds what a system's method makes of ``first`` and a Context, an
-    array; returns its ticket, and a callable that gives the array of a Context, not to be written.
+    """Declare a cache entry that holds what a system's method makes of a Context, an array; returns
+    its ticket, and a callable that gives the array of a Context, not to be written.
 
     A vector holds it: Drake copies Contexts without Python's lock when it evaluates batches, and a
     Python object in one would end the process.
     """
-    made, zeros = weakly(calc, *first), BasicVector(np.zeros(math.prod(shape)))
+    made, zeros = weakly(calc), BasicVector(np.zeros(math.prod(shape)))
     system: Any = calc.__self__  # type: ignore[attr-defined]
 
     def fill(context: Context, value: Any) -> None:

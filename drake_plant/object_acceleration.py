@@ -6,15 +6,14 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.math import RigidTransform
-from pydrake.multibody.math import SpatialAcceleration, SpatialVelocity
+from pydrake.multibody.math import SpatialAcceleration
 from pydrake.systems.framework import Context, LeafSystem
 
 from contact_system import SceneError
 
 from .config import require_config
 from .lifetimes import NO_DICTIONARY, weakly
-from .plant import ScenePlant
+from .plant import ScenePlant, declare_plant_inputs
 
 
 class ObjectAcceleration(LeafSystem):
@@ -65,9 +64,8 @@ class ObjectAcceleration(LeafSystem):
         heavy = plant.is_gravity_enabled(body.model_instance())
         self._gravity = float(heavy) * plant.gravity_field().gravity_vector()
         self._forces = self.DeclareVectorInputPort("generalized_contact_forces", size)
-        self._poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
-        self._velocities = self.DeclareAbstractInputPort(
-            "body_spatial_velocities", Value[list[SpatialVelocity]]()
+        self._poses, self._velocities = declare_plant_inputs(
+            self, "body_poses", "body_spatial_velocities"
         )
         kind = Value[list[SpatialAcceleration]]
         self.DeclareAbstractOutputPort("body_spatial_accelerations", kind, weakly(self._Calc))

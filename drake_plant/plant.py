@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
+from pydrake.common.value import Value
 from pydrake.geometry import (
     AddCompliantHydroelasticProperties,
     AddContactMaterial,
@@ -40,8 +41,10 @@ from pydrake.geometry import (
 )
 from pydrake.geometry import Sphere as SphereShape
 from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialAcceleration, SpatialVelocity
 from pydrake.multibody.plant import (
     AddMultibodyPlant,
+    ContactResults,
     CoulombFriction,
     MultibodyPlant,
     MultibodyPlantConfig,
@@ -54,7 +57,7 @@ from pydrake.multibody.tree import (
     SpatialInertia,
 )
 from pydrake.polynomial import Polynomial as DrakePolynomial
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import DiagramBuilder, InputPort, LeafSystem
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 from scipy.spatial import cKDTree
@@ -108,6 +111,19 @@ TURNING_GAIN = 1e8  # N m/rad
 AGES = 1e9  # s
 TAKEN = ("", "object", "WorldModelInstance", "DefaultModelInstance")  # the last two by Drake
 OPACITY = 0.6  # of what contact is seen through: fingers, and objects from the inside
+
+
+PLANT_PORTS = {
+    "contact_results": ContactResults,
+    "body_poses": list[RigidTransform],
+    "body_spatial_velocities": list[SpatialVelocity],
+    "body_spatial_accelerations": list[SpatialAcceleration],
+}
+
+
+def declare_plant_inputs(system: LeafSystem, *names: str) -> list[InputPort]:
+    """Input ports of a system for what a plant has on ports of these names."""
+    return [system.DeclareAbstractInputPort(name, Value[PLANT_PORTS[name]]()) for name in names]
 
 
 @dataclass(frozen=True)
