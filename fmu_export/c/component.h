@@ -30,17 +30,16 @@ typedef enum {
   CONFIGURATION = 64
 } phase_t;
 
-enum { ROW = CONTACT_SIZE - K_PLACE_1 };
 enum { U1, V1, DU1, DV1, U2, V2, DU2, DV2, PSI, N_STATES };
 
 /* How a contact's motion began, and what acts on it besides windows: it is planned from that. */
 typedef struct {
   double begin, end; /* s; planned so far; negative: how far it is to be planned */
-  double gain, moment, frames, acting[DISTURBANCES];
+  double gain, acting[DISTURBANCES];
   double trigger;  /* that has last been heard */
   double measured; /* 1: it began where it was measured, at these states */
   double states[N_STATES];
-  double row[ROW]; /* of the engine's contact, from K_PLACE_1 on */
+  double row[CONTACT_SIZE]; /* of the engine: K_MOMENT, K_FRAMES, and K_PLACE_1 and on */
 } segment_t;
 
 /* Everything that changes, and nothing else: the FMU state is a copy of it. No pointers. In memory

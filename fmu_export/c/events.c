@@ -74,7 +74,7 @@ static const char *sense(component_t *c, long i, const table_t *t, double *r, co
 static int find_nearby(component_t *c, long i, double sigma, double states[N_STATES],
                        double points[6]) {
   const segment_t *s = c->segment + i;
-  const double *row = s->row - K_PLACE_1, since = c->now->acts_at - s->begin;
+  const double *row = s->row, since = c->now->acts_at - s->begin;
   double *out[N_OUTPUTS] = {[STATES] = states, [POINTS] = points};
   int near = s->measured != 0.0;
   for (int side = 0; side < 2; side++) {
@@ -133,13 +133,13 @@ static const char *begin_measured(component_t *c, long i, segment_t *s) {
   }
   if (!all_finite(moved[0], 4))
     return "it is measured at a singular point of a chart; measure a moment later";
-  double *to = s->row - K_PLACE_1;
-  memset(s->row, 0, sizeof s->row);
+  double *to = s->row;
+  memset(to, 0, sizeof s->row);
   memcpy(to + K_PLACE_1, x + U1, 2 * sizeof *x), memcpy(to + K_PLACE_2, x + U2, 2 * sizeof *x);
   memcpy(to + K_W1, moved[0], 2 * sizeof *x), memcpy(to + K_Y, moved[1], 2 * sizeof *x);
   to[K_ANGLE] = x[PSI];
   memcpy(s->states, x, sizeof x);
-  s->begin = c->now->acts_at, s->moment = s->frames = 0.0, s->measured = 1.0;
+  s->begin = c->now->acts_at, s->measured = 1.0;
   return NULL;
 }
 

@@ -3,7 +3,7 @@
 #define SAVED_MARK                                                                                 \
   0x53544341544e4f43ULL /* CONTACTS; not 0, as importers look at the first word                    \
                          */
-#define STATE_VERSION 5ULL
+#define STATE_VERSION 6ULL
 
 static size_t memory_size(const model_t *m) {
   return sizeof(memory_t) + (size_t)m->n_values * sizeof(double) +
@@ -49,16 +49,17 @@ static const char *check_memory(const model_t *m, const memory_t *now) {
       return "a parameter, an input or a state in it is out of range";
   }
   for (long i = 0; i < m->n_contacts && !SYSTEM(now); i++, s++) {
-    if (!all_finite(&s->gain, 1 + 2 + DISTURBANCES + 2 + N_STATES + ROW))
+    const double frames = s->row[K_FRAMES];
+    if (!all_finite((const double *)s, sizeof *s / sizeof(double)))
       return "a motion in it is not finite";
-    if (!(s->gain >= 0.0) || !is_flag(s->moment) || !is_flag(s->measured) ||
-        !(s->frames >= 0 && s->frames < 4))
+    if (!(s->gain >= 0.0) || !is_flag(s->row[K_MOMENT]) || !is_flag(s->measured) ||
+        !(frames >= 0 && frames < 4))
       return "a motion in it is of no kind that there is";
     if (!(s->begin >= 0 && s->begin <= now->time) || !(s->end < 0 || s->end >= now->acts_at) ||
         !(fabs(s->end) < 1e300))
       return "the times of a motion in it are out of range";
     for (int side = 0; side < 2; side++)
-      if ((int)s->frames & (1 << side) && !surface_of(m, i, side)->ambient[A_MOTION])
+      if ((int)frames & (1 << side) && !surface_of(m, i, side)->ambient[A_MOTION])
         return "a motion in it is of no kind that there is";
   }
   return NULL;

@@ -5,7 +5,7 @@ static const char *place_contact(component_t *c, long i) {
   const model_t *m = c->model;
   const layout_t *l = m->layout + i;
   segment_t *s = c->segment + i;
-  double *x = c->value + l->at[OF_STATES], *to = s->row - K_PLACE_1;
+  double *x = c->value + l->at[OF_STATES], *to = s->row;
   find_system(c, i);
   for (int side = 0; side < 2; side++)
     if (!(c->live[i].regularity[side] > 1e-12))
@@ -23,21 +23,21 @@ static const char *place_contact(component_t *c, long i) {
     to[K_ANGLE] = x[ANGLE] + x[FRAME_ANGLE] + x[BODY + FRAME_ANGLE];
   } else {
     const double *coordinates = c->value + l->at[OF_COORDINATES];
-    s->moment = 1.0; /* psi = -theta_1 - theta_2, R_0 = diag(1, -1) */
+    to[K_MOMENT] = 1.0; /* psi = -theta_1 - theta_2, R_0 = diag(1, -1) */
     for (int side = 0; side < 2; x += l->frame[side++]) {
       double *place = to + (side ? K_PLACE_2 : K_PLACE_1);
       if (l->frame[side] == 3) {
         memcpy(place, x, 3 * sizeof *x);
         continue;
       }
-      s->frames += 1 << side;
+      to[K_FRAMES] += 1 << side;
       memcpy(to + (side ? K_FRAME_2 : K_FRAME_1), x, 6 * sizeof *x);
       place[0] = coordinates[4 * side], place[1] = coordinates[4 * side + 1];
       place[2] = side ? c->live[i].theta : -coordinates[8] - c->live[i].theta;
     }
     memcpy(to + K_W1, x, 4 * sizeof *x);
   }
-  if (!all_finite(s->row, ROW)) return "the start is not finite";
+  if (!all_finite(s->row, CONTACT_SIZE)) return "the start is not finite";
   const double stop = c->now->stop_time, horizon = m->data[D_HORIZON];
   s->end = -(stop < HUGE_VAL ? stop : s->begin < horizon ? horizon : s->begin + horizon);
   return NULL;
