@@ -23,11 +23,13 @@ LARGEST = 1e100  # beyond this sigma^3 overflows
 
 @contextmanager
 def naming(place: str) -> Iterator[None]:
-    """Put the place in front of the text of every error of the package raised inside."""
+    """Put the place in front of the text of every error of the package raised inside, but for one
+    that begins with it."""
     try:
         yield
     except ContactSystemError as error:
-        raise SceneError(f"{place}: {error}") from None
+        text = str(error)
+        raise SceneError(text if text.startswith(place) else f"{place}: {text}") from None
 
 
 def within(

@@ -18,11 +18,10 @@ from drake_plant.hand import own_hand
 H2 = cs.load_scene("H2")
 
 
-def made(**changes):
-    """H2's plan, with changes to its [drake] table."""
-    scene = H2.replace(drake={**H2.drake, **changes})
-    config = StationConfig.from_scene(scene)
-    return plan_reorientation(config.hand, scene)
+def made(scene=H2, **changes):
+    """A scene's plan, with changes to its [drake] table."""
+    scene = scene.replace(drake={**scene.drake, **changes})
+    return plan_reorientation(StationConfig.from_scene(scene).hand, scene)
 
 
 @pytest.mark.parametrize("name", ["H2", "H3"])
@@ -73,6 +72,12 @@ def test_fingers_of_six_joints_follow_routes_of_reach():
 def test_what_a_hand_cannot_do_is_refused_with_the_reason(changes, words):
     with pytest.raises(cs.SceneError, match=".*".join(words)):
         made(**changes)
+
+
+def test_a_refusal_of_a_route_names_its_scene_once():
+    scene = cs.load_scene("H5")
+    with pytest.raises(cs.SceneError, match="^scene 'H5', contact 0: (?!.*H5)"):
+        made(scene, hand={"joints": 6, "pad": 0.006})
 
 
 def test_a_model_by_file_moves_as_the_own_hand(tmp_path):
