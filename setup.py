@@ -7,11 +7,11 @@
 The compiler is $CC, cc, gcc or clang; where none works, and for other platforms, that of the
 ziglang package, which pip fetches then. $CONTACT_SYSTEM_CFLAGS adds flags. For the C:
 
-- engine.c is compiled once for each of VARIANTS, with -DVARIANT=baseline, v3 or v4 and the
+- engine.c is compiled once for each of VARIANTS, with -DVARIANT=baseline or v3 and the
   instructions of that variant; on processors other than x86-64 only as baseline. It includes the
   other files by itself and defines one symbol that others see, `const engine_t engine_<VARIANT>`.
-- dispatch.c, which holds the tables, is compiled once, as baseline. It learns by -DHAVE_V3 and
-  -DHAVE_V4 which variants there are, and chooses among them when the library is used.
+- dispatch.c, which holds the tables, is compiled once, as baseline. It learns by -DHAVE_V3 whether
+  there are two variants, and chooses when the library is used.
 - fmu_export/c/fmi2.c and fmi3.c, which include the rest of that folder, are the functions of FMI:
   the library is the binary of every FMU too.
 - Only what is marked EXPORT is seen from outside. At run time there are libc and libm alone.
@@ -52,11 +52,9 @@ EXTRA = shlex.split(os.environ.get("CONTACT_SYSTEM_CFLAGS", ""))
 # Variant -> flags, of which the first that the compiler knows are taken: those of gcc and clang,
 # ziglang's, those of compilers that know no levels of x86-64. Without any there is no such variant.
 # That for processors older than 2013 is compiled in half the time, and up to 1.8 times as slow.
+# One for AVX-512 was no faster on an AMD EPYC, which has it.
 _AVX2 = ("-mavx2", "-mfma", "-mbmi", "-mbmi2", "-mlzcnt")
-_AVX512 = ("-mavx512f", "-mavx512bw", "-mavx512cd", "-mavx512dq", "-mavx512vl")
-_WIDE = "-mprefer-vector-width=512"
 VARIANTS = {
-    "v4": (("-march=x86-64-v4", _WIDE), ("-march=x86_64_v4", _WIDE), (*_AVX2, *_AVX512, _WIDE)),
     "v3": (("-march=x86-64-v3",), ("-march=x86_64_v3",), _AVX2),
     "baseline": (("-march=x86-64", "-O1"), ("-march=x86_64", "-O1"), ("-O1",)),
 }

@@ -13,7 +13,6 @@ import pytest
 from contact_system.engine import binding
 
 ROOT = Path(__file__).parents[1]
-VARIANTS = ["baseline", "v3", "v4"]
 
 PLAN = """
 import sys, numpy as np, contact_system as cs
@@ -40,17 +39,11 @@ def in_a_process(program: str, *arguments: str, **environment: str) -> str:
 @pytest.mark.skipif(platform.machine().lower() not in ("x86_64", "amd64"), reason="one variant")
 @pytest.mark.parametrize("scene", ["K2", "K4", "D1", "bowl", "chart", "implicit"])
 def test_wider_vectors_give_the_same_to_the_last_bit(scene):
-    found = {}
-    for allowed in VARIANTS:
-        name, results = in_a_process(PLAN, scene, CONTACT_SYSTEM_VECTORS=allowed).split()
-        assert VARIANTS.index(name) <= VARIANTS.index(allowed)
-        found[allowed] = results
-    assert found["baseline"] == found["v3"] == found["v4"]
-
-
-def test_the_widest_vectors_are_taken_unless_told_otherwise():
-    widest = in_a_process(PLAN, "K1", CONTACT_SYSTEM_VECTORS="")
-    assert widest == in_a_process(PLAN, "K1", CONTACT_SYSTEM_VECTORS="v4")
+    wide, results = in_a_process(PLAN, scene, CONTACT_SYSTEM_VECTORS="").split()
+    narrow, same = in_a_process(PLAN, scene, CONTACT_SYSTEM_VECTORS="baseline").split()
+    avx2 = "avx2" in Path("/proc/cpuinfo").read_text() if sys.platform == "linux" else wide == "v3"
+    assert (wide, narrow) == ("v3" if avx2 else "baseline", "baseline")
+    assert results == same
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="libraries of ELF")

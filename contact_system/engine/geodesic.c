@@ -25,7 +25,7 @@ static void rates_of(lines_t *g, lanes_t y, lanes_t out) {
 
 /* y + h sum of a_j k_j, or that sum alone; of some rows together, as processors add several numbers
    in the time that one takes */
-enum { TOGETHER = PARTS > 2 ? 2 : 5 };
+enum { TOGETHER = 2 };
 static void combine_stages(const lines_t *g, const double *a, int n, double h, int added, lanes_t out) {
   for (int r = 0; r < g->rows; r += TOGETHER) {
     wide_t sum[TOGETHER][PARTS];

@@ -194,9 +194,7 @@ static double decay_at(const drive_t *d, double tau) {
 /* ---- series ---- */
 
 /* numbers side by side in a register: the vector extension of GCC and Clang */
-#if defined(__AVX512F__)
-enum { WIDE = 8 };
-#elif defined(__AVX__)
+#if defined(__AVX__)
 enum { WIDE = 4 };
 #else
 enum { WIDE = 2 };
