@@ -206,11 +206,12 @@ def test_functions_that_there_are_not_are_refused_in_words():
 
 
 @of_blocks
-def test_errors_are_told_though_logging_is_off(kind, version, caplog):
+def test_why_a_call_fails_is_told_though_logging_is_off(kind, version, caplog):
     one = Instance(K1, kind, version, **({"loggingOn": False} if kind == "FMU" else {})).begin()
     one.refused("", one.own.doStep, 0.0, -0.1)
     if kind == "FMU":
         assert [(s, c) for s, c, _ in one.said] == [(3, "logStatusError")]
+        one.refused("gain.eta = -1 is refused; give 0 or more", one.put, {"gain.eta": -1.0})
         return
     slave = Instance(K1, kind, version)
     slave.own = {"2.0": PlannerSlave2, "3.0": PlannerSlave3}[version](K1)

@@ -134,6 +134,7 @@ static instance_t *instantiate(const char *called, const char *name, const char 
     return NULL;
   }
   for (int k = 0; k < CATEGORIES; k++) instance->logging[k] = logging;
+  instance->logging[DISCARD] = 1; /* many importers stop at a Discard and say no more than that */
   reset(c, stepping);
   return instance;
 }
