@@ -62,14 +62,6 @@ def test_slip_goes_on_dying_across_corners_and_the_pose_moves_by_the_twist(name)
     assert_twist_is_the_rate_of_the_pose(plan, t, 1e-9)
 
 
-def test_a_plan_goes_on_from_any_time_as_it_would_have():
-    plan = cs.plan(scene(OBJECTS["ellipsoid"], object_velocity=(0.5, 0.9)))
-    t = np.linspace(1.6, 3.0, 30)
-    for begin in (0.7, 1.0, 1.2):
-        assert plan.continued(begin).states(t) == pytest.approx(plan.states(t), abs=1e-11)
-    assert plan.restart(1.2, plan.states(1.2)[0]).points(t) == pytest.approx(plan.points(t))
-
-
 def test_a_disturbance_acts_within_a_leg_of_its_own_profile():
     legs = [cs.Leg(0.3, None, 1.0, cs.Profile([0.1])), cs.Leg(0.3, None, 1.0, cs.Profile([0.1]))]
     window = cs.FingerAcceleration(0, 0.4, 1.4, (0.2, -0.1))
