@@ -146,6 +146,15 @@ def derivative(f, t: np.ndarray, h: float = 4e-3) -> np.ndarray:
     return table[0]
 
 
+def assert_twist_is_the_rate_of_the_pose(plan: cs.Plan, t: np.ndarray, bar: float, h=4e-3) -> None:
+    """omega of R' R^T and the velocity of the finger's origin, of every contact."""
+    rate, pose, twist = derivative(plan.pose, t, h), plan.pose(t), plan.twist(t)
+    turning = rate[..., :3, :3] @ pose[..., :3, :3].swapaxes(-1, -2)
+    omega = turning[..., [2, 0, 1], [1, 2, 0]]
+    for found, expected in ((twist[..., :3], omega), (twist[..., 3:], rate[..., :3, 3])):
+        assert found == pytest.approx(expected, abs=bar * np.abs(expected).max() + 1e-12)
+
+
 def _past(name, axes, at, angle, profile, eta, edge, push, **velocities) -> cs.Scene:
     contact = cs.Contact(cs.Sphere(0.04), at, angle=angle, **velocities)
     common = {"profile": cs.Profile([profile]), "gain": cs.Gain.time(eta), "duration": 4.0}

@@ -71,28 +71,14 @@ def assert_states_obey_the_equations(scene: cs.Scene, times: np.ndarray) -> None
     assert rate / scale == pytest.approx(expected / scale, abs=1e-9)
 
 
-@pytest.mark.parametrize("gain", [cs.Gain.path(80.0), cs.Gain.time(4.0)])
-@pytest.mark.parametrize("obj", CHARTED)
-def test_states_obey_the_chart_equations(obj, gain):
-    scene = one_contact(obj, gain=gain, profile=(0.2, 0.1))
-    assert_states_obey_the_equations(scene, np.linspace(0.05, 0.95, 19))
-
-
-@pytest.mark.parametrize("finger", CHARTED)
-def test_states_obey_the_chart_equations_for_every_finger(finger):
-    push = [cs.FingerAcceleration(0, 0.3, 0.6, (0.5, -0.8))]
-    scene = one_contact("ellipsoid", finger, profile=(0.2, 0.1), disturbances=push)
-    times = np.array([0.05, 0.2, 0.29, 0.31, 0.4, 0.5, 0.59, 0.61, 0.7, 0.95])
-    assert_states_obey_the_equations(scene, times)
-
-
-@pytest.mark.parametrize("kinds", [[0], [1], [2], [0, 1, 2]], ids=str)
-@pytest.mark.parametrize("obj", CHARTED)
-def test_states_obey_the_chart_equations_under_disturbances(obj, kinds):
-    pushes = [WINDOWS[k] for k in kinds]
-    scene = one_contact(obj, "sphere", profile=(0.2, 0.1), disturbances=pushes)
+@pytest.mark.parametrize("pushes", [(), WINDOWS], ids=["calm", "disturbed"])
+@pytest.mark.parametrize("surface", CHARTED)
+def test_states_obey_the_chart_equations(surface, pushes):
+    given = {"profile": (0.2, 0.1), "disturbances": pushes}
     times = np.array([0.1, 0.19, 0.21, 0.29, 0.31, 0.39, 0.41, 0.55, 0.61, 0.79, 0.81, 0.9])
+    scene = one_contact(surface, gain=cs.Gain.path(80.0), **given)
     assert_states_obey_the_equations(scene, times)
+    assert_states_obey_the_equations(one_contact("ellipsoid", surface, **given), times)
 
 
 def test_states_obey_the_chart_equations_beyond_the_ellipsoids_seam():

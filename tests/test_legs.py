@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import assert_twist_is_the_rate_of_the_pose
 
 import contact_system as cs
 
@@ -57,20 +58,8 @@ def test_slip_goes_on_dying_across_corners_and_the_pose_moves_by_the_twist(name)
     law = sigma * np.exp(-3.0 * t)
     slip = plan.slip_speed(t)[:, 0]
     assert slip == pytest.approx(law * slip[0] / law[0], abs=1e-13)
-    h = 1e-6
-    late, early = plan.pose(t + h)[:, 0], plan.pose(t - h)[:, 0]
-    rate, here = (late - early) / (2 * h), plan.pose(t)[:, 0]
-    spin = rate[:, :3, :3] @ here[:, :3, :3].transpose(0, 2, 1)
-    found = np.column_stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0], rate[:, :3, 3]])
-    assert found == pytest.approx(plan.twist(t)[:, 0], abs=2e-7)
-
-
-def test_a_plan_goes_on_from_any_time_as_it_would_have():
-    plan = cs.plan(scene(OBJECTS["ellipsoid"], object_velocity=(0.5, 0.9)))
-    t = np.linspace(1.6, 3.0, 30)
-    for begin in (0.7, 1.0, 1.2):
-        assert plan.continued(begin).states(t) == pytest.approx(plan.states(t), abs=1e-11)
-    assert plan.restart(1.2, plan.states(1.2)[0]).points(t) == pytest.approx(plan.points(t))
+    t = np.array([0.3, 0.9, 1.25, 1.8, 2.7])
+    assert_twist_is_the_rate_of_the_pose(plan, t, 1e-9)
 
 
 def test_a_disturbance_acts_within_a_leg_of_its_own_profile():

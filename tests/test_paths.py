@@ -8,7 +8,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from conftest import PAST_UMBILICS, SURFACES, assert_same, busy, one_contact, several
+from conftest import PAST_UMBILICS, SURFACES, WINDOWS, assert_same, busy, one_contact, several
 from oracles.formulas import slip_of_states
 from scipy.integrate import quad
 
@@ -84,7 +84,7 @@ def test_tolerances_are_kept_where_slip_settles_within_a_panel(name):
     # Sweeps once stopped as if all had settled with slip, 110 tolerances off. Few panels: a tenth.
     scene = PUSHED_UNDER_STRONG_GAIN[name]
     t = np.linspace(0.0, scene.duration, 30)
-    truth = cs.plan(scene, 1e-11, method="chart", solver="Radau").points(t)[:, 0]
+    truth = cs.plan(scene, 1e-14).points(t)[:, 0]
     sizes = np.array([scene.contacts[0].finger.size, scene.object.size])
     for tolerance in (1e-6, 1e-8, 1e-9):
         gap = cs.plan(scene, tolerance).points(t)[:, 0] - truth
@@ -147,28 +147,18 @@ def test_slip_that_ends_below_what_a_double_holds_is_no_error(gain, method):
         assert len(cs.rejections(plan)) == len(scene.contacts)
 
 
-@pytest.mark.parametrize(("eta", "tolerance"), [(1e12, 1e-12), (1e9, 1e-2)])
+@pytest.mark.parametrize(("eta", "tolerance"), [(1e6, 1e-3), (1e9, 1e-2), (1e12, 1e-12)])
 @pytest.mark.parametrize("obj", SURFACES)
-def test_rates_begin_as_the_scene_says_however_short_slip_lasts(obj, eta, tolerance):
-    scene = one_contact(obj, "sphere", gain=cs.Gain.time(eta))
-    first = cs.plan(scene, tolerance=tolerance).states(np.linspace(0.0, 1.0, 11))[0, 0]
-    velocity = scene.object.metric_root(first[4], first[5]) @ first[6:8]
-    expected = np.array([0.2, -0.5]) * scene.profile(0.0)
-    assert velocity == pytest.approx(expected, rel=max(1e-12, 1e-9 * (eta < 1e12)))
-
-
-@pytest.mark.parametrize(("eta", "tolerance"), [(1e6, 1e-3), (1e8, 1e-5)])
-@pytest.mark.parametrize("obj", ["sphere", "cylinder", "ellipsoid", "oblate"])
-def test_slip_that_moves_nothing_shows_in_the_rates_at_many_times(obj, eta, tolerance):
+def test_slip_that_moves_nothing_shows_in_the_rates_at_few_and_many_times(obj, eta, tolerance):
     scene = one_contact(obj, "sphere", gain=cs.Gain.time(eta))
     plan, layer = cs.plan(scene, tolerance=tolerance), np.linspace(0.0, 40.0, 21) / eta
-    times = np.concatenate([layer, np.linspace(0.01, 1.0, 4000)])
-    for state, slip in zip(plan.states(times)[:21, 0], plan.slip(layer)[:, 0]):
-        c, s = np.cos(state[8]), np.sin(state[8])
-        finger = scene.contacts[0].finger.metric_root(*state[0:2]) @ state[2:4]
-        velocity = scene.object.metric_root(*state[4:6]) @ state[6:8]
-        expected = np.array([[c, -s], [-s, -c]]) @ finger - slip
-        assert velocity == pytest.approx(expected, abs=3 * tolerance * scene.profile(0.0))
+    bar = max(1e-13, 3 * tolerance * scene.profile(0.0))
+    for times in (np.append(layer, 1.0), np.append(layer, np.linspace(0.01, 1.0, 4000))):
+        states = plan.states(times)[:21]
+        assert plan.slip(layer) == pytest.approx(slip_of_states(scene, states), abs=bar)
+        velocity = scene.object.metric_root(*states[0, 0, 4:6]) @ states[0, 0, 6:8]
+        expected = np.array([0.2, -0.5]) * scene.profile(0.0)
+        assert velocity == pytest.approx(expected, rel=max(1e-12, 1e-9 * (eta < 1e12)))
 
 
 def test_rolling_starts_are_no_slip_at_any_angle():
@@ -198,41 +188,17 @@ def test_a_window_may_be_as_short_as_it_likes(length):
 
 
 # Closed geodesics along a chart line: start, direction, the state that grows, the radius.
-CLOSED = {
-    "sphere": ((pi / 2, 0.4), (0.0, 1.0), 5, 0.1),
-    "cylinder": ((0.5, 0.2), (1.0, 0.0), 4, 0.1),
-    "torus": ((0.3, 0.0), (1.0, 0.0), 4, 0.13),
-    "oblate": ((1.2, 0.0), (1.0, 0.0), 4, 0.3),
-}
 
 
+OPEN = ("plane", "bumps", "one sheet", "two sheets", "elliptic cylinder")
+CLOSED = [name for name in SURFACES if name not in OPEN]
+
+
+@pytest.mark.parametrize("profile", [(0.4, 0.1), (0.0, 3.2, -0.4)])  # and from rest to rest
 @pytest.mark.parametrize("obj", CLOSED)
-def test_coordinates_count_revolutions(obj):
-    at, w, turning, r = CLOSED[obj]
-    start = {"object_at": at, "angle": 0.0, "finger_velocity": (w[0], -w[1])}
-    start |= {"object_velocity": "rolling"}
-    plan = cs.plan(one_contact(obj, "plane", profile=(1.0,), duration=9.0, **start))
-    t = np.array([0.0, 8.9, 0.1, 4.0, 9.0])
-    assert plan.states(t)[:, 0, turning] == pytest.approx(at[turning - 4] + t / r, abs=1e-11)
-
-
-ROUND = (
-    "sphere",
-    "bowl",
-    "cylinder",
-    "torus",
-    "ellipsoid",
-    "oblate",
-    "prolate",
-    "turned ellipsoid",
-    "rounded cube",
-)
-
-
-@pytest.mark.parametrize("obj", ROUND)
-def test_states_are_continuous_over_many_revolutions(obj):
+def test_states_are_continuous_over_many_revolutions_at_few_and_many_times(obj, profile):
     offset = [cs.ObjectRateOffset(0, 2.0, 3.0, (0.1, 0.2))]
-    given = {"gain": cs.Gain.time(1.0), "profile": (0.4, 0.1), "duration": 8.0}
+    given = {"gain": cs.Gain.time(1.0), "profile": profile, "duration": 8.0}
     scene = one_contact(obj, disturbances=offset, **given)
     plan, t = cs.plan(scene), np.linspace(0, 8, 4001)
     states = plan.states(t)[:, 0]
@@ -240,20 +206,12 @@ def test_states_are_continuous_over_many_revolutions(obj):
     allowed = 1.5 * np.maximum(np.abs(states[:-1, [2, 3, 6, 7]]), np.abs(states[1:, [2, 3, 6, 7]]))
     assert (step <= allowed * (t[1] - t[0]) + 1e-3).all()
     assert np.abs(np.diff(states[:, 8])).max() < 0.5
+    assert np.ptp(states[:, 4:6], axis=0).max() > 2 * pi
     again = scene.object.point(states[:, 4], states[:, 5])
     assert plan.points(t)[:, 0, 1] == pytest.approx(again, abs=1e-12)
-
-
-@pytest.mark.parametrize(("obj", "turns"), [("sphere", 5), ("torus", 2), ("ellipsoid", 1)])
-@pytest.mark.parametrize("profile", [(0.4, 0.1), (0.0, 3.2, -0.4)])  # and from rest to rest
-def test_few_times_see_the_same_branch_as_many(obj, turns, profile):
-    scene = one_contact(obj, gain=cs.Gain.time(1.0), profile=profile, duration=8.0)
-    dense = cs.plan(scene).states(np.linspace(0, 8, 2001))
-    assert np.abs(np.diff(dense[:, 0, 4:6], axis=0)).max() < 1.0
-    assert np.abs(dense[-1, 0, 4:6] - dense[0, 0, 4:6]).max() > turns * 2 * pi
-    for rows in ([2000], [2000, 0, 750], range(0, 2001, 250), range(1000, 2001, 20)):
-        found = cs.plan(scene).states(np.array(rows) * 0.004)
-        assert found == pytest.approx(dense[list(rows)], abs=1e-12 * np.abs(dense).max())
+    for rows in ([4000], [4000, 0, 1500], range(0, 4001, 500), range(2000, 4001, 40)):
+        found = cs.plan(scene).states(t[list(rows)])[:, 0]
+        assert found == pytest.approx(states[list(rows)], abs=1e-12 * np.abs(states).max())
 
 
 @pytest.mark.parametrize("scene", PAST_UMBILICS, ids=lambda scene: scene.name)
@@ -335,26 +293,17 @@ def test_quadric_that_is_a_rounded_sphere_is_planned_as_the_sphere(object_veloci
 # --- edges of windows
 
 
-@pytest.mark.parametrize("method", ["auto", "chart"])
-def test_values_at_the_end_are_those_before_the_windows_that_end_there(method):
-    kinds = ((cs.ObjectRateOffset, (0.4, -0.3)), (cs.ObjectAcceleration, (0.1, 0.2)))
-    windows = [kind(0, 0.5, 1.0, value) for kind, value in kinds]
-    plan = cs.plan(one_contact(disturbances=windows), 1e-9, method)
-    for ask in ("states", "slip", "acceleration", "twist"):
-        before, end = getattr(plan, ask)([1 - 1e-9, 1.0])
-        assert end == pytest.approx(before, abs=1e-6), ask
-
-
 @pytest.mark.parametrize("obj", ["sphere", "cylinder", "ellipsoid", "bumps", "rounded cube"])
-def test_motion_is_continuous_at_window_edges(obj):
-    plan = cs.plan(busy(obj))
-    for edge in plan.scene.edges[1:-1]:
+def test_motion_is_continuous_at_window_edges_and_at_the_end(obj):
+    last = [cs.ObjectRateOffset(0, 0.9, 1.0, (0.4, -0.3)), *WINDOWS]
+    plan = cs.plan(one_contact(obj, profile=(0.2, 0.1), disturbances=last))
+    for edge in plan.scene.edges[1:]:
         before, at = edge - 1e-12, edge
         for ask, kept in (("points", ...), ("pose", ...), ("states", [0, 1, 2, 3, 4, 5, 8])):
             x, y = (np.asarray(getattr(plan, ask)(t)[0, 0])[kept] for t in (before, at))
             assert x == pytest.approx(y, abs=1e-10), (ask, edge)
         own = [plan.states(t)[0, 0, 6:8] for t in (before, at)]
-        jump = np.array([0.4, -0.3]) * ((edge == 0.5) - (edge == 0.8))
+        jump = np.array([0.4, -0.3]) * ((edge in (0.5, 0.9)) - (edge == 0.8))
         assert own[1] - own[0] == pytest.approx(jump, abs=1e-10)
 
 
@@ -367,21 +316,6 @@ def test_offset_acts_from_the_start_of_its_window_up_to_its_stop():
     for t, inside in ((0.25 - 1e-15, 0), (0.25, 1), (0.5 - 1e-15, 1), (0.5, 0)):
         root = plan.scene.object.metric_root(*plan.states(t)[0, 0, 4:6])
         assert plan.slip(t)[0, 0] == pytest.approx(-inside * root @ d, abs=1e-15)
-
-
-def test_disturbance_on_the_second_cover_acts_on_the_point_that_it_names():
-    # (u, v) ~ (-u, pi - v), where both axes are turned: the same contact, written both ways.
-    def planned(sign: int, **start) -> cs.Plan:
-        kinds, value = (cs.ObjectAcceleration, cs.ObjectRateOffset), (0.5 * sign, -0.8 * sign)
-        pushes = [kind(0, 0.3, 0.6, value) for kind in kinds]
-        return cs.plan(one_contact("ellipsoid", profile=(0.2, 0.1), disturbances=pushes, **start))
-
-    two = planned(1, object_at=(-0.7, pi - 0.4))
-    one = planned(-1, object_at=(0.7, 0.4), angle=0.3 + pi, object_velocity=(-0.2, 0.5))
-    t = np.linspace(0, 1, 31)
-    assert two.pose(t) == pytest.approx(one.pose(t), abs=1e-13)
-    assert two.twist(t) == pytest.approx(one.twist(t), abs=1e-12)
-    assert two.slip_speed(t) == pytest.approx(one.slip_speed(t), abs=1e-13)
 
 
 RESTING_SOON = (2.442754781845688, -0.3257006375794251, 0.010856687919314168)
@@ -406,32 +340,26 @@ def test_a_window_may_end_where_rounding_sees_the_path_rest_an_instant_later(obj
         assert np.abs(found - found[1]).max() < 1e-8
 
 
+PUSH = cs.FingerAcceleration(0, 0.1, 0.6, (0.3, 0.1))
+AT_REST = "sigma = 0 at t = .*accelerate while"
+
+
 @pytest.mark.parametrize(
     ("push", "profile", "words"),
     [
         (cs.ObjectRateOffset(0, 0.1, 1.0, (-3.0, 0.0)), (0.05, 0.2, -0.1), "pole"),
-        (
-            cs.FingerAcceleration(0, 0.1, 1.0, (0.3, 0.1)),
-            (0.1 + 1e-9, -0.4, 0.4),
-            "sigma = .* m/s; add a constant",
-        ),
+        (PUSH, (0.1 + 1e-9, -0.4, 0.4), "sigma = .* m/s; add a constant"),
+        # d acts on dq/ds: the path velocity would be infinite
+        (PUSH, (0.1, -0.4, 0.4), AT_REST),
+        (cs.FingerAcceleration(0, 0.0, 0.6, (0.3, 0.1)), (0.0, 0.3), AT_REST),
     ],
 )
 def test_disturbances_that_no_plan_can_follow_are_refused(push, profile, words):
     scene = one_contact(disturbances=[push], profile=profile)
     with pytest.raises(cs.ContactSystemError, match=f"'sphere on sphere', contact 0: .*{words}"):
         cs.plan(scene).states([0.0, 1.0])
-
-
-def test_path_at_rest_under_an_acceleration_is_refused():
-    # sigma = 0 where d acts on dq/ds: the path velocity would be infinite
-    for c in ((0.0, 0.3), (0.1, -0.4, 0.4)):
-        push = cs.FingerAcceleration(0, 0.0, 0.6, (0.1, 0.0))
-        scene = one_contact(profile=c, disturbances=[push])
-        with pytest.raises(cs.SceneError, match="contact 0: sigma = 0 at t = .*accelerate while"):
-            cs.plan(scene)
-        calm = scene.replace(disturbances=[cs.ObjectRateOffset(0, 0.0, 0.6, (0.1, 0.0))])
-        assert np.isfinite(cs.plan(calm).twist(np.linspace(0, 1, 11))).all()
+    calm = scene.replace(disturbances=[cs.ObjectRateOffset(0, push.start, 0.6, (0.1, 0.0))])
+    assert np.isfinite(cs.plan(calm).twist(np.linspace(0, 1, 11))).all()
 
 
 # --- imposed rolling
@@ -485,7 +413,6 @@ BALL = cs.ParametricSurface(
 CONE = cs.ParametricSurface(("v*cos(u)", "v*sin(u)", "-v"), size=0.1)
 
 
-@pytest.mark.parametrize("tolerance", [1e-12, 1e-3])
 @pytest.mark.parametrize(
     ("obj", "at", "along", "text"),
     [
@@ -498,11 +425,11 @@ CONE = cs.ParametricSurface(("v*cos(u)", "v*sin(u)", "-v"), size=0.1)
         ),
     ],
 )
-def test_path_straight_through_a_pole_of_a_users_chart_is_refused(obj, at, along, text, tolerance):
+def test_path_straight_through_a_pole_of_a_users_chart_is_refused(obj, at, along, text):
     aside = alone(obj, at, finger_velocity=(-along[1], -along[0]))  # R_0 turns v over
-    assert np.isfinite(cs.plan(aside, tolerance).pose([0.1])).all()
+    assert np.isfinite(cs.plan(aside).pose([0.1])).all()
     with pytest.raises(cs.ContactSystemError, match=text):
-        cs.plan(alone(obj, at, finger_velocity=(along[0], -along[1])), tolerance)
+        cs.plan(alone(obj, at, finger_velocity=(along[0], -along[1])))
 
 
 def rolled_over(obj: cs.Surface, u: float, profile=(0.1,), v=0.0) -> cs.Scene:
@@ -629,22 +556,6 @@ def test_a_path_of_panels_without_end_is_refused(given, monkeypatch):
     monkeypatch.setattr(cs.limits, "PANELS", 1e4)  # sooner than by the limit that is set
     with pytest.raises(cs.ContactSystemError, match="limits.PANELS higher"):
         cs.plan(alone(**{"obj": cs.Sphere(0.1), "at": (1.0, 0.5)} | given)).points([1.0])
-
-
-@pytest.mark.parametrize("angle", [1e20, 1e42])
-def test_a_contact_angle_of_many_turns_is_the_angle_or_refused(angle):
-    with contextlib.suppress(cs.SceneError):
-        plan = cs.plan(one_contact(angle=angle))
-        expected = slip_of_states(plan.scene, plan.states([1.0]))
-        assert plan.slip([1.0]) == pytest.approx(expected, abs=1e-9)
-
-
-@pytest.mark.parametrize("u", [1e9, 1e17, 5.038120424778432e39])
-def test_a_coordinate_of_many_turns_is_the_same_point_or_refused(u):
-    with contextlib.suppress(cs.SceneError):
-        plan = cs.plan(alone(cs.Sphere(0.1), (0.5, u)))
-        place = 0.1 * np.array([np.sin(0.5) * np.cos(u), np.sin(0.5) * np.sin(u), np.cos(0.5)])
-        assert plan.points([0.0])[0, 0, 1] == pytest.approx(place, abs=1e-9)
 
 
 @pytest.mark.parametrize("start", [5e-324, 1e-240])

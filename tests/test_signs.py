@@ -12,31 +12,9 @@ from oracles.formulas import reflection
 import contact_system as cs
 
 T = np.linspace(0.1, 0.9, 5)
-SURFACE = pytest.mark.parametrize("name", SURFACES)
-
-
-def lines_of(surface: cs.Surface, u: float, v: float) -> tuple[np.ndarray, np.ndarray]:
-    """f_u and f_v by finite differences of the chart."""
-    h = 1e-3 * min(1.0, surface.size * 10)
-    one = np.zeros(1)
-    return (
-        derivative(lambda d: surface.point(u + d, v + 0 * d), one, h)[0],
-        derivative(lambda d: surface.point(u + 0 * d, v + d), one, h)[0],
-    )
 
 
 # --- one body
-
-
-@SURFACE
-def test_contact_frame_is_right_handed_with_the_first_axis_along_f_u(name):
-    surface, at = SURFACES[name]
-    frame = surface.frame(*at)
-    f_u, f_v = lines_of(surface, *at)
-    normal = np.cross(f_u, f_v)
-    assert frame[:, 0] @ f_u == pytest.approx(np.linalg.norm(f_u), rel=1e-9)
-    assert frame[:, 2] @ normal == pytest.approx(np.linalg.norm(normal), rel=1e-9)
-    assert np.linalg.det(frame) == pytest.approx(1.0, abs=1e-14)
 
 
 def test_curvature_is_positive_on_a_sphere_and_negative_inside_a_bowl():
@@ -44,23 +22,6 @@ def test_curvature_is_positive_on_a_sphere_and_negative_inside_a_bowl():
     assert cs.Sphere(0.1).curvature_form(u, v) == pytest.approx(10 * np.eye(2), abs=1e-13)
     bowl = cs.Sphere(0.1, inside=True)
     assert bowl.curvature_form(*bowl.canonical(u, v)) == pytest.approx(-10 * np.eye(2), abs=1e-13)
-
-
-@SURFACE
-def test_forms_are_the_turning_of_the_normal_and_of_the_first_axis(name):
-    # n' = [x y] K M q', y . x' = T M q' (theory section 1)
-    surface, (u, v) = SURFACES[name]
-    frame, root = surface.frame(u, v), surface.metric_root(u, v)
-    for rates in np.eye(2):
-
-        def along(s, rates=rates):
-            return surface.frame(u + rates[0] * s, v + rates[1] * s)
-
-        turning, bar = derivative(along, np.zeros(1), 1e-3)[0], {"rel": 1e-8, "abs": 1e-8}
-        normal = frame[:, :2] @ surface.curvature_form(u, v) @ root @ rates
-        assert turning[:, 2] == pytest.approx(normal, **bar)
-        torsion = (surface.torsion_form(u, v) @ root @ rates).item()
-        assert frame[:, 1] @ turning[:, 0] == pytest.approx(torsion, **bar)
 
 
 # --- two bodies

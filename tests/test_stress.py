@@ -7,7 +7,6 @@ makes the choices, so that a failure is shrunk. Failures that the search has fou
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -102,27 +101,14 @@ WRONG = {
 }
 
 
-def test_judge_finds_a_plan_right():
-    verdict = stress_laws.run(trial())
-    assert verdict.outcome == "right", verdict
-
-
 @pytest.mark.parametrize("what", WRONG)
 def test_judge_notices(what):
     output, change = WRONG[what]
     drawn = trial()
     plan = cs.plan(drawn.scene)
+    assert stress_laws.Judge(drawn, plan).verdict().outcome == "right"
     own = getattr(plan, output)
     setattr(plan, output, lambda t: change(own(t)))
-    assert stress_laws.Judge(drawn, plan).verdict().outcome == "silent"
-
-
-def test_judge_notices_a_path_that_leaves_its_geodesic():
-    # A plan of another start, told as if it were this one: every law holds but that of the start.
-    drawn = trial()
-    (contact,) = drawn.scene.contacts
-    turned = dataclasses.replace(contact, finger_velocity=contact.finger_velocity[::-1])
-    plan = cs.plan(drawn.scene.replace(contacts=[turned]))
     assert stress_laws.Judge(drawn, plan).verdict().outcome == "silent"
 
 
@@ -131,11 +117,3 @@ def test_a_refusal_must_name_place_value_and_remedy():
     assert verdicts.refusal(text).outcome == "refused"
     for part in ("array must not contain infs", "scene 'x': no", "failed, use another"):
         assert verdicts.refusal(part).outcome == "crash"
-
-
-def test_a_judge_takes_what_is_no_number_for_wrong():
-    meter = verdicts.Meter()
-    meter.see("slip", 0.5, 1.0)
-    assert meter.verdict().outcome == "right"
-    meter.see("twist", float("nan"), 1.0)
-    assert meter.verdict().outcome == "silent" and meter.verdict().message == "twist"
