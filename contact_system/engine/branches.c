@@ -23,7 +23,7 @@ static lanes_t principal(const path_t *p, const double *x) {
   unit_t *u = table_of(p->w, p->side, 1, A_COORDINATES, p->body);
   int64_t hint = 0;
   if (k->kind == CIRCLE)
-    circle_at(k, p->body, x, u->r);
+    circle_at(k, p->body, x, 6, u->r);
   else
     panels_at(&k->panels, k->row, 6, x, &hint, u->r);
   memset(u->r + 6, 0, 2 * sizeof *u->r);
@@ -263,15 +263,21 @@ static between_t between(const surface_t *s, const track_t *k, double x, double 
   return w;
 }
 
+/* u v theta of the anchor whose branch a point at x is on where its chart covers the surface once
+ */
+static const double *nearer(const between_t *w, double x, double theta) {
+  int later = w->high - x < x - w->low;
+  if (w->swings) {
+    const double a = w->before[2], b = w->after[2];
+    later = fabs(wound(theta, b, TURN) - b) < fabs(wound(theta, a, TURN) - a);
+  }
+  return later ? w->after : w->before;
+}
+
 /* One point of a path at x, in principal coordinates, to its branch */
 static void wind_between(const path_t *p, const between_t *w, double x, lanes_t z, int i) {
   const surface_t *s = p->body->surface;
-  int later = w->high - x < x - w->low;
-  if (w->swings) {
-    const double theta = z[THETA][i], a = w->before[2], b = w->after[2];
-    later = fabs(wound(theta, b, TURN) - b) < fabs(wound(theta, a, TURN) - a);
-  }
-  const double *ref = later ? w->after : w->before, u = z[U][i], v = z[V][i];
+  const double *ref = nearer(w, x, z[THETA][i]), u = z[U][i], v = z[V][i];
   if (w->signs) {
     const int differs = beyond(u, 0.0) != w->side;
     if (!differs && !w->sides && !w->covers) {
@@ -290,14 +296,33 @@ static void wind_between(const path_t *p, const between_t *w, double x, lanes_t 
   wind(s, ref, z, i);
 }
 
+/* `wound` of all lanes, where there is a period */
+static void wind_turns(const double *ref, double period, double *y) {
+  if (period <= 0) return;
+  SIMD for (int i = 0; i < L; i++) {
+    const double far = ref[i] - y[i], turns = (far / period + ROUNDER) - ROUNDER;
+    y[i] = fabs(far) <= 0.5 * period ? y[i] : y[i] + period * turns;
+  }
+}
+
 /* Points of a path at places x, in principal coordinates, to their branches */
 static void wind_all(const path_t *p, const double *x, const double *turns, lanes_t z, int n) {
   int64_t hint = 0;
+  double ref[3][L] = {0};
   between_t w = {.low = HUGE_VAL, .high = -HUGE_VAL};
   const surface_t *s = p->body->surface;
   for (int i = 0; i < n; i++) {
     if (i == 0 || !(x[i] >= w.low && x[i] < w.high) || turns[i] != turns[i - 1])
       w = between(s, p->track, x[i], turns[i], &hint);
-    wind_between(p, &w, x[i], z, i);
+    if (s->double_cover) {
+      wind_between(p, &w, x[i], z, i);
+      continue;
+    }
+    const double *near = nearer(&w, x[i], z[THETA][i]);
+    for (int j = 0; j < 3; j++) ref[j][i] = near[j];
   }
+  if (s->double_cover) return;
+  wind_turns(ref[0], s->period_u, z[U]);
+  wind_turns(ref[1], s->period_v, z[V]);
+  wind_turns(ref[2], TURN, z[THETA]);
 }

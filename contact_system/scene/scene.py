@@ -167,8 +167,9 @@ class Scene:
         put(self, "contacts", all_of(Contact, self.contacts, "contacts", "Contact"))
         if not self.contacts:
             raise SceneError("contacts = []: a scene needs at least one contact")
-        names = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
-        put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", names))
+        if self.disturbances != ():
+            names = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
+            put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", names))
         for key, kind in (("profile", Profile), ("gain", Gain), ("turning", Turning)):
             value = getattr(self, key)
             if not isinstance(value, kind) and not (key == "turning" and value is None):
@@ -185,8 +186,10 @@ class Scene:
         """Check the horizon, sigma on it, and that windows lie inside it."""
         put = object.__setattr__
         with_legs = [(i, c.legs) for i, c in enumerate(self.contacts) if c.legs]
-        longest = max((sum(x.duration for x in legs) for _, legs in with_legs), default=0.0)
-        put(self, "duration", finite_number(self.duration or longest, "duration"))
+        duration = self.duration or max(
+            (sum(x.duration for x in legs) for _, legs in with_legs), default=0.0
+        )
+        put(self, "duration", finite_number(duration, "duration"))
         if not self.duration > 0:
             raise SceneError(f"duration = {self.duration:g} s: give a horizon longer than 0 s")
         for i, legs in with_legs:
@@ -229,15 +232,24 @@ class Scene:
 
     def _place_contacts(self) -> None:
         """Bring every contact's coordinates into the charts' regular range."""
-        contacts = list(self.contacts)
+        placed: list[Contact] = []
         turned: set[tuple[str, int]] = set()
-        for i in range(len(contacts)):
-            for body in ("object", "finger"):
-                surface = self.object if body == "object" else contacts[i].finger
-                contacts[i], half_turn = _placed(contacts[i], i, surface, body)
-                if half_turn:
-                    turned.add((body, i))
-        object.__setattr__(self, "contacts", tuple(contacts))
+        for i, contact in enumerate(self.contacts):
+            for body, surface, given in (
+                ("object", self.object, contact.object_at),
+                ("finger", contact.finger, contact.finger_at),
+            ):
+                try:
+                    at = surface.canonical(*given)
+                except ContactSystemError as error:
+                    name = f" '{contact.name}'" if contact.name else ""
+                    raise SceneError(f"contacts[{i}]{name}: {body}_at = {given}: {error}") from None
+                if at != given:
+                    contact, half_turn = _moved(contact, i, surface, body, at)
+                    if half_turn:
+                        turned.add((body, i))
+            placed.append(contact)
+        object.__setattr__(self, "contacts", tuple(placed))
         if turned:
             disturbances = [
                 dataclasses.replace(d, value=(-d.value[0], -d.value[1]))
@@ -248,21 +260,14 @@ class Scene:
             object.__setattr__(self, "disturbances", tuple(disturbances))
 
 
-def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Contact, bool]:
-    """The contact with its coordinates on one body in the regular range of that body's chart.
+def _moved(contact: Contact, i: int, surface: Surface, body: str, at: Pair) -> tuple[Contact, bool]:
+    """The contact with the coordinates `at` of the same point on one body.
 
     Also returns whether both frame axes turn by pi: a double cover has the same point at (u, v) and
     (-u, pi - v), with opposite axes.
     """
     key = f"{body}_at"
     given: Pair = getattr(contact, key)
-    try:
-        at: Pair = surface.canonical(*given)
-    except ContactSystemError as error:
-        name = f" '{contact.name}'" if contact.name else ""
-        raise SceneError(f"contacts[{i}]{name}: {key} = {given}: {error}") from None
-    if at == given:
-        return contact, False
     for name, value, here in zip("uv", given, at):
         if value != here and abs(value) > MANY_TURNS:
             raise SceneError(
@@ -318,9 +323,9 @@ def _plain(value: Any, what: str) -> Any:
 
 def _check_chosen(scene: Scene) -> None:
     """Check that every entry of `chosen` is a key of scene files."""
-    object.__setattr__(scene, "chosen", all_of(str, scene.chosen, "chosen", "text"))
-    if not scene.chosen:
+    if scene.chosen == ():
         return
+    object.__setattr__(scene, "chosen", all_of(str, scene.chosen, "chosen", "text"))
     below: dict[str, Iterable[str]] = {
         "contacts": CONTACT_KEYS,
         "disturbances": DISTURBANCE_KEYS,
