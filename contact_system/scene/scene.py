@@ -177,10 +177,12 @@ class Scene:
         for key in ("name", "description", "source"):
             a_text(getattr(self, key), key)
         for key in ("paper", "drake"):
-            put(self, key, _plain_table(getattr(self, key), key))
-        known_keys(self.paper, PAPER_KEYS, "paper: ")
-        for key, value in self.paper.items():
-            (finite_number if key in PAPER_NUMBERS else a_text)(value, f"paper: {key}")
+            if getattr(self, key) != {}:
+                put(self, key, _plain_table(getattr(self, key), key))
+        if self.paper:
+            known_keys(self.paper, PAPER_KEYS, "paper: ")
+            for key, value in self.paper.items():
+                (finite_number if key in PAPER_NUMBERS else a_text)(value, f"paper: {key}")
 
     def _check_motion(self) -> None:
         """Check the horizon, sigma on it, and that windows lie inside it."""
