@@ -11,6 +11,7 @@ import contextlib
 import copy
 import functools
 import os
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,6 @@ from numpy.typing import ArrayLike
 from ..errors import ContactSystemError
 from ..plan import plan
 from ..scene import Contact, Disturbance, Scene, load_scene, scene_to_toml
-from .watch import end_with
 
 Item = Scene | str | os.PathLike | Callable[[], Scene]
 """A scene, the name or file of one, or a function that makes one (called where it is planned)."""
@@ -30,6 +30,7 @@ Item = Scene | str | os.PathLike | Callable[[], Scene]
 Evaluate = Callable[[Any], Mapping[str, ArrayLike]]
 """A function of a Plan, or with ``each=True`` of a Scene."""
 
+WATCH = "contact_system-sweep"  # the thread that ends a worker together with its sweep
 TOGETHER = 1000  # contacts in a plan; more are not faster, and their samples exceed the cache
 
 
@@ -119,6 +120,28 @@ def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: 
     table = joined(tables)
     failures.sort(key=lambda failure: failure.scene)
     return Part(table[np.argsort(table["scene"], kind="stable")], failures)
+
+
+def end_with(sweeper: int) -> None:
+    """If this process is a worker of a sweep in another process, let it end together with that one.
+
+    Otherwise it would wait for work forever, as it holds the other end of its queue itself.
+    """
+    if os.getpid() == sweeper or any(thread.name == WATCH for thread in threading.enumerate()):
+        return
+    from multiprocessing import parent_process  # not on the planner's path
+
+    parent, born = parent_process(), os.getppid()
+    if parent is not None and parent.pid == sweeper:
+
+        def watch() -> None:
+            # workers forked later may keep the parent's sentinel alive, hence the check of getppid;
+            # a worker of a fork server is no child of the sweep, hence is_alive
+            while parent.is_alive() and os.getppid() == born:
+                parent.join(1.0)
+            os._exit(1)
+
+        threading.Thread(target=watch, name=WATCH, daemon=True).start()
 
 
 def _scene(item: Item) -> Scene:
