@@ -91,10 +91,6 @@ class Scene:
         except ContactSystemError as error:
             raise SceneError(f"{self.title}: {error}") from None
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Pickle the fields only."""
-        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-
     def contraction(self) -> Contraction:
         """Intervals on which slip shrinks, and the least eta for which it shrinks throughout."""
         return contraction(self.profile, self.gain, self.duration)
@@ -327,23 +323,15 @@ def _check_chosen(scene: Scene) -> None:
     if scene.chosen == ():
         return
     object.__setattr__(scene, "chosen", all_of(str, scene.chosen, "chosen", "text"))
-    below: dict[str, Iterable[str]] = {
-        "contacts": CONTACT_KEYS,
-        "disturbances": DISTURBANCE_KEYS,
-        "turning": TURNING_KEYS,
-        "gain": ("law", "eta", "rho"),
-        "paper": scene.paper,
-        "drake": scene.drake,
-    }
+    below = {"contacts": CONTACT_KEYS, "disturbances": DISTURBANCE_KEYS, "turning": TURNING_KEYS}
     for k, path in enumerate(scene.chosen):
         key, _, rest = path.partition(".")
-        known = SCENE_KEYS if key not in SCENE_KEYS or not rest else below.get(key, (rest,))
-        part = key if known is SCENE_KEYS else rest
-        if part not in known:
-            raise SceneError(
-                f"chosen[{k}] = '{path}': there is no key '{part}'{did_you_mean(part, known)}; "
-                'write it like "contacts.finger_at"'
-            )
+        for part, known in ((key, SCENE_KEYS), (rest, below.get(key, (rest,)))):
+            if part and part not in known:
+                raise SceneError(
+                    f"chosen[{k}] = '{path}': there is no key '{part}'{did_you_mean(part, known)}; "
+                    'write it like "contacts.finger_at"'
+                )
 
 
 def acting(scene: Scene, t: float) -> np.ndarray:
