@@ -106,11 +106,11 @@ class Scene:
         SceneError
             An unknown field, or a wrong value.
         """
-        known = [f.name for f in dataclasses.fields(self)]
+        fields = vars(self)
         for key in changes:
-            if key not in known:
-                raise SceneError(f"a scene has no '{key}'{did_you_mean(key, known)}")
-        made = dataclasses.replace(self, **changes)
+            if key not in fields:
+                raise SceneError(f"a scene has no '{key}'{did_you_mean(key, fields)}")
+        made = Scene(**(fields | changes))
         if "contacts" in changes and not {"object", "disturbances"} & set(changes):
             object.__setattr__(made, "disturbances", self.disturbances)
         return made
