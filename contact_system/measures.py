@@ -225,9 +225,9 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
         If it is not a plan.
     """
     require_plan(plan)
-    ends = np.array([plan.start, *(d.stop for d in plan.scene.disturbances if d.stop > plan.start)])
+    stops = np.array([d.stop for d in plan.scene.disturbances if d.stop > plan.start])
     grid = np.linspace(plan.start, plan.end, SAMPLES)
-    t = np.unique([*grid, *ends, *np.nextafter(ends[1:], plan.start)])
+    t = np.unique(np.concatenate([grid, stops, np.nextafter(stops, plan.start)]))
     slip = plan.slip_speed(t)
     since, level, last = _last_slip(plan, t, slip)
     each, k = np.arange(slip.shape[1]), np.clip(last, 0, len(t) - 2)
