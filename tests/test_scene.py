@@ -200,13 +200,6 @@ def test_edges_are_the_sorted_window_edges_and_the_ends_of_the_horizon():
     assert small_scene().edges == (0, 2)
 
 
-def test_a_scene_reports_its_contraction():
-    contraction = load_scene("K3").contraction()
-    assert contraction.least_eta == pytest.approx(1.04e7, rel=5e-3)
-    assert "At the end slip is 16 times its value at t = 0." in str(contraction)  # it has grown
-    assert load_scene("K3").replace(gain=Gain.time(100)).contraction().throughout
-
-
 def test_replace_checks_the_new_scene():
     assert small_scene().replace(gain=Gain.time(3)).gain == Gain.time(3)
     with pytest.raises(SceneError, match="sigma"):
@@ -427,7 +420,8 @@ SURFACES = [
     Torus(0.2, 0.1, inside=True),
     Ellipsoid(0.3, 0.2, 0.1),
     Quadric(((30, 1, 0), (1, 20, 0), (0, 0, -10)), inside=True),
-    Quadric(((-3, 0, 0), (0, -2, 0), (0, 0, 4)), sheet=-1),
+    Quadric(np.diag([4.0, -2.0, -3.0]), sheet=np.int64(-1)),
+    Quadric(((-3, 0, 0), (0, -2, 0), (0, 0, 4)), sheet=-1.0),
     ParametricSurface(("r*cos(u)", "r*sin(u)", "v"), parameters={"r": 1 / 3}, u_period=2 * pi),
     ImplicitSurface("x**2 + y**4 + z**2 - r**2", parameters={"r": 1 / 7}, size=1 / 9),
 ]
@@ -456,13 +450,6 @@ def test_every_float_and_every_text_survives_a_round_trip(surface, text, velocit
     assert read(written(scene)) == scene
 
 
-def test_a_sheet_survives_a_round_trip_as_any_kind_of_number():
-    for sheet in (np.int64(-1), -1.0):
-        scene = small_scene(object=Quadric(np.diag([4.0, -2.0, -3.0]), sheet=sheet))
-        assert read(written(scene)) == scene
-        assert repr(scene.object).endswith("sheet=-1)")
-
-
 @pytest.mark.parametrize(
     "surface, words",
     [
@@ -487,18 +474,16 @@ def test_a_contact_where_a_formula_gives_no_point_is_refused():
         small_scene(object=horn, contacts=[Contact(FINGER, (0.5, 0))])
 
 
-def test_a_surface_given_as_a_python_function_cannot_be_saved():
+class Ball(Sphere):
+    """Somebody's own."""
+
+
+def test_a_surface_that_a_file_cannot_hold_is_named():
     scene = small_scene(object=ParametricSurface(lambda u, v: (u, v, 0.01 * u * v)))
     with pytest.raises(SceneError, match="scene 'small': object: f is a Python function"):
         written(scene)
     scene = small_scene(contacts=[Contact(ImplicitSurface(lambda x: x.T @ x - 1), (1, 1))])
     with pytest.raises(SceneError, match=r"contacts\[0\]: finger: F is a Python function"):
         written(scene)
-
-
-def test_a_surface_of_a_kind_of_ones_own_cannot_be_saved(tmp_path):
-    class Ball(Sphere):
-        """Somebody's own."""
-
     with pytest.raises(SceneError, match=r"object = Ball\(0.1\): a file holds no Ball; .* sphere,"):
-        save_scene(small_scene(object=Ball(0.1)), tmp_path / "scene.toml")
+        written(small_scene(object=Ball(0.1)))

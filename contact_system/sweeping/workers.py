@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import pickle
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent import futures
 from concurrent.futures import Executor, Future
 from typing import Any
 
 from ..errors import ContactSystemError
-from .chunk import NOTHING, Chunk, Part, Run, a_failure
+from .chunk import NOTHING, Chunk, Part, Run, a_failure, end_with
 
 LOSSES = 2  # workers that a chunk may lose while it runs alone
 
@@ -50,6 +51,12 @@ class _Crew:
 
     def __init__(self, executor: Executor, run: Run):
         self.executor, self.given, self.run = executor, executor, run
+        # a worker without a chunk must end with the sweep, too
+        if isinstance(executor, futures.ProcessPoolExecutor):
+            pool: Any = executor
+            if pool._initializer is not _begin:
+                pool._initargs = (os.getpid(), pool._initializer, pool._initargs)
+                pool._initializer = _begin
 
     def work(self, chunks: Iterable[Chunk], ahead: int) -> Generator[tuple[Chunk, Any]]:
         """Chunks as they finish, each with its part or with the error that ended its worker."""
@@ -88,6 +95,13 @@ class _Crew:
         """Shut down the replacement of the given executor."""
         if self.executor is not self.given:
             self.executor.shutdown()
+
+
+def _begin(sweeper: int, initializer: Callable | None, arguments: tuple) -> None:
+    """Initialise a worker: watch the sweep, then call the executor's own initializer."""
+    end_with(sweeper)
+    if initializer is not None:
+        initializer(*arguments)
 
 
 def _outcome(future: Future) -> Part | Exception:
