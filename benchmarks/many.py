@@ -27,12 +27,12 @@ OBJECTS = {"sphere": cs.Sphere(0.2), "ellipsoid": cs.Ellipsoid(0.3, 0.2, 0.1)}
 PROFILE, GAIN, DURATION = cs.Profile([0.05, 0.1]), cs.Gain.path(200.0), 1.0
 TIMES = np.linspace(0.0, DURATION, 100)
 OUTPUTS = ("points", "states", "slip", "pose", "twist")
-_STEPS = 1.1347241384015194 ** -np.arange(1, 7)  # of x^7 = x + 1: the R6 sequence (Roberts 2018)
+_STEPS = [1.1347241384015194**-j for j in range(1, 7)]  # x^7 = x + 1: R6 sequence (Roberts 2018)
 
 
 def contact(k: int) -> cs.Contact:
     """Contact k: low-discrepancy values of six things, the same in every process."""
-    x = np.modf((k + 1) * _STEPS)[0].tolist()
+    x = [(k + 1) * step % 1.0 for step in _STEPS]
     direction, own, left = 2 * math.pi * x[0], 2 * math.pi * x[1], 0.2 + x[2]
     return cs.Contact(
         finger=FINGER,
@@ -109,8 +109,9 @@ def crowd(full: bool) -> Iterator[Bar]:
 
 def kept(plan: cs.Plan) -> dict[str, np.ndarray]:
     """Two numbers and a state a contact, of states and slip at 100 times."""
-    states, slip = plan.states(TIMES), plan.slip_speed(TIMES)
-    return {"slip_peak": slip.max(axis=0), "slip_end": slip[-1], "state_end": states[-1]}
+    found = plan.evaluate(TIMES, "states", "slip_speed")
+    slip = found["slip_speed"]
+    return {"slip_peak": slip.max(axis=0), "slip_end": slip[-1], "state_end": found["states"][-1]}
 
 
 def _timed(count: int, executor: Executor | None = None) -> tuple[float, np.ndarray]:

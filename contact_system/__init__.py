@@ -14,7 +14,7 @@ from .errors import (
     SceneError,
     SurfaceError,
 )
-from .measures import Rejection, great_circle_distance, rejections
+from .measures import Rejection, great_circle_distance, rejections, summary
 from .plan import Plan, load, plan
 from .scene import (
     Contact,
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from .steering.loop import Loop, loop
     from .steering.reach import reach
     from .steering.two_points import Geodesic, geodesic, geodesics
-    from .sweeping import Failure, Sweep, summary, sweep
+    from .sweeping import Failure, Sweep, sweep
 
 __version__ = "0.1.0"
 
@@ -105,7 +105,7 @@ __all__ = [
 
 _LATER = {
     "steering": ("Geodesic", "Goal", "Loop", "Route", "geodesic", "geodesics", "loop", "reach"),
-    "sweeping": ("Failure", "Sweep", "summary", "sweep"),
+    "sweeping": ("Failure", "Sweep", "sweep"),
 }
 """Names that plans do not need; their modules are imported at first use."""
 

@@ -6,7 +6,7 @@ Raise a limit if you trust a file or know what you plan: ``contact_system.limits
 SCENE_BYTES = 1e6
 """Size of a scene's TOML text."""
 NESTING = 32
-"""Depth of nested lists and tables in a scene file, plus parts of a dotted key."""
+"""Dots of a key in a scene file."""
 FORMULA_LENGTH = 10_000
 """Characters of a formula."""
 FORMULA_NESTING = 200

@@ -134,27 +134,41 @@ def rejections(plan: Plan) -> list[Rejection]:
     """
     require_plan(plan)
     changes = _monotonic(plan.scene)
-    knots = np.unique([plan.start, *changes[changes > plan.start], plan.end])
     edges = np.array([e for e in plan.scene.edges if e > plan.start])
-    times = np.unique([*plan.sample_times(1001), *knots, *np.nextafter(edges, plan.start)])
-    slip = plan.slip_speed(times)
+    knots = [plan.start, *changes[changes > plan.start], plan.end]
+    t = np.unique([*plan.sample_times(1001), *knots, *edges, *np.nextafter(edges, plan.start)])
+    slip = plan.slip_speed(t)
+    since, level, last = _last_slip(plan, t, slip)
     reported = math.nan
     if not is_dynamic(plan.scene):
         reported = plan.scene.paper.get("recovery_time", reported)
     result = []
-    for i in range(len(plan.scene.contacts)):
-        acting = windows(plan, i)
-        since = acting[-1][1] if acting else plan.start
-        # slip by an object rate offset ends with it: take the slip just before
-        left = _slip_at(plan, i, math.nextafter(since, plan.start) if acting else since)
-        level = REJECTED * (left or slip[times >= since, i].max())
-        greatest = int(slip[:, i].argmax())
-        first, peak, end = slip[[0, greatest, -1], i].tolist()
-        taken = _rejection_time(plan, i, since, level, knots)
-        result.append(
-            Rejection(i, first, peak, float(times[greatest]), end, since, taken, reported)
-        )
+    for i, k in enumerate(last.tolist()):
+        if level[i] == 0 or k < 0 or k == len(t) - 1:
+            time = math.nan if level[i] == 0 else 0.0 if k < 0 else math.inf
+        else:
+            time = _crossing(plan, i, t[k : k + 2].tolist(), level[i]) - float(since[i])
+        top, values = int(slip[:, i].argmax()), slip[:, i].tolist()
+        ends = values[top], float(t[top]), values[-1], float(since[i])
+        result.append(Rejection(i, values[0], *ends, time, reported))
     return result
+
+
+def _last_slip(plan: Plan, t: np.ndarray, slip: np.ndarray) -> tuple[np.ndarray, ...]:
+    """From slip (n_times, n_contacts), for each contact: when its last disturbance ends or the plan
+    starts, s; the slip that counts as rejected from then on; and the index of the last time with
+    more slip, -1 if there is none."""
+    since = np.full(slip.shape[1], plan.start)
+    for d in plan.scene.disturbances:
+        since[d.contact] = max(since[d.contact], d.stop)
+    # slip by a rate offset ends with its window: take the slip just before
+    before = np.where(since > plan.start, np.nextafter(since, plan.start), since)
+    after = t[:, None] >= since
+    left = slip[np.searchsorted(t, before), np.arange(slip.shape[1])]
+    level = REJECTED * np.where(left > 0, left, np.where(after, slip, 0.0).max(axis=0))
+    above = after & (slip >= level)
+    last = len(t) - 1 - np.argmax(above[::-1], axis=0)
+    return since, level, np.where(above.any(axis=0), last, -1)
 
 
 def _monotonic(scene: Scene) -> np.ndarray:
@@ -173,29 +187,64 @@ def is_dynamic(scene: Scene) -> bool:
     return "lateral_force" in scene.paper
 
 
-def _slip_at(plan: Plan, contact: int, t: float) -> float:
-    return float(plan.slip_speed(t)[0, contact])
-
-
-def _rejection_time(
-    plan: Plan, contact: int, since: float, level: float, knots: np.ndarray
-) -> float:
-    """Time from `since` to the last crossing of a level of slip, by bisection."""
-    if level == 0:
-        return math.nan
-    steps = np.array([since, *knots[knots > since]])
-    above = np.flatnonzero(plan.slip_speed(steps)[:, contact] >= level)
-    if not len(above):
-        return 0.0
-    if above[-1] == len(steps) - 1:
-        return math.inf
-    high, low = steps[above[-1] :][:2].tolist()
+def _crossing(plan: Plan, contact: int, times: list[float], level: float) -> float:
+    """When slip falls below a level between two times, by bisection."""
+    high, low = times
     while high < (middle := 0.5 * (high + low)) < low:
-        if _slip_at(plan, contact, middle) >= level:
+        if plan.slip_speed(middle)[0, contact] >= level:
             high = middle
         else:
             low = middle
-    return low - since
+    return low
+
+
+# --- many contacts at once ----------------------------------------------------------------------
+
+SAMPLES = 100  # times at which `summary` evaluates slip
+
+
+def summary(plan: Plan) -> dict[str, np.ndarray]:
+    """Slip, its rejection and the final state of each contact: the default outputs of `sweep`.
+
+    Parameters
+    ----------
+    plan : Plan
+
+    Returns
+    -------
+    dict
+        ``slip_start``, ``slip_peak``, ``slip_end`` : (n_contacts,), m/s; the peak is the greatest
+        of 100 equally spaced times. ``recovery`` : (n_contacts,), s, the time from the end of the
+        contact's last disturbance (or the start) until slip stays below 5 % of its value there,
+        interpolated between those times; inf if it stays above, nan if there is no slip.
+        ``state_end`` : (n_contacts, 9), as :meth:`Plan.states`.
+
+    Raises
+    ------
+    ContactSystemError
+        If it is not a plan.
+    """
+    require_plan(plan)
+    stops = np.array([d.stop for d in plan.scene.disturbances if d.stop > plan.start])
+    grid = np.linspace(plan.start, plan.end, SAMPLES)
+    t = np.unique(np.concatenate([grid, stops, np.nextafter(stops, plan.start)]))
+    slip = plan.slip_speed(t)
+    since, level, last = _last_slip(plan, t, slip)
+    each, k = np.arange(slip.shape[1]), np.clip(last, 0, len(t) - 2)
+    high, low = slip[k, each], slip[k + 1, each]
+    with np.errstate(all="ignore"):  # slip decays exponentially, or is gone at once
+        part = np.where(low > 0, np.log(high / level) / np.log(high / low), 1.0)
+        time = t[k] + part * (t[k + 1] - t[k]) - since
+    time[last == len(t) - 1] = np.inf
+    time[last < 0] = 0.0
+    time[level == 0] = np.nan
+    return {
+        "slip_start": slip[0],
+        "slip_peak": slip.max(axis=0),
+        "slip_end": slip[-1],
+        "recovery": time,
+        "state_end": plan.states(plan.end)[0],
+    }
 
 
 # --- curves ------------------------------------------------------------------------------------

@@ -31,10 +31,12 @@ if LAYOUT != (VERSION, HEADER, BODY, WINDOW, LEG, CONTACT, MOMENT):
         "install the package again, or in a checkout: pip install -e ."
     )
 _HEAD, _ROW = struct.Struct(f"{HEADER}d").pack, struct.Struct(f"{CONTACT}d").pack
-_NO_FRAME = (0.0,) * 6
-_OUTSIDE = 7  # failure_t.code of a time outside the horizon
 
 Numbers = tuple[float, ...]
+
+_NO_FRAME: Numbers = (0.0,) * 6
+_NO_FRAMES: Numbers = 2 * _NO_FRAME
+_OUTSIDE = 7  # failure_t.code of a time outside the horizon
 
 SHAPES: dict[str, tuple[int, ...]] = {
     "states": (9,),
@@ -94,7 +96,7 @@ class Buffer:
         body = self._bodies.get(id(surface))
         if body is None:
             self.surfaces.append(surface)
-            index = self._put(surface.numbers.tolist())
+            index = self._put((surface.sign, *surface.parameters))
             body = (len(self.surfaces) - 1, index, surface.size, surface.bend, surface.reach)
             self._bodies[id(surface)] = body
         return body
@@ -109,33 +111,31 @@ class Buffer:
 
     def _rows(self, scene: Scene, begin: float, starts: Starts | None) -> list[bytes]:
         """One row a contact: its finger, start, disturbances and legs."""
-        windows, rows = _windows(scene, begin), []
+        begins = scene.contacts if starts is None else starts
+        windows, frames, rows = _windows(scene, begin), _solved_frames(scene, begins), []
         legs: dict[Sequence[Leg], tuple[int, int]] = {}
-        begins = [
-            start if isinstance(start, Moment) else start.start_numbers()
-            for start in (scene.contacts if starts is None else starts)
-        ]
-        frames = _solved_frames(scene, begins)
         for i, (contact, start) in enumerate(zip(scene.contacts, begins)):
-            own = windows.get(i, ())
-            index = self._put([x for d in own for x in (d.slot, d.start, d.stop, *d.value)])
+            own, index = windows.get(i, ()), 0
+            if own:
+                index = self._put([x for d in own for x in (d.slot, d.start, d.stop, *d.value)])
             if contact.legs not in legs:
                 legs[contact.legs] = self._legs(contact.way(scene.profile, scene.duration))
+            known = frames.get(i)
             if isinstance(start, Moment):
-                goes_on, frame_1, frame_2 = 1, start.finger_frame[:6], start.object_frame[:6]
-                numbers: Numbers = (*start.finger_at, *start.object_at, start.angle)
-                numbers += (*start.finger_velocity, *start.slip)
+                known = [start.finger_frame[:6], start.object_frame[:6]]
+                place: Numbers = (*start.finger_at, *start.object_at, start.angle)
+                velocities: Numbers = (*start.finger_velocity, *start.slip)
             else:
-                goes_on, frame_1, frame_2 = 0, frames.get((i, 0), ()), frames.get((i, 1), ())
-                u1, v1, u2, v2, *others = start
-                numbers = (u1, v1, 0.0, u2, v2, 0.0, *others)
-            which = bool(frame_1) + 2 * bool(frame_2)
-            flags = (goes_on, contact.follows, which)
-            both = (*(frame_1 or _NO_FRAME), *(frame_2 or _NO_FRAME))
+                u1, v1, u2, v2, angle, *velocities = start.start_numbers()  # type: ignore[assignment]
+                place = (u1, v1, 0.0, u2, v2, 0.0, angle)
+            which, both = 0, _NO_FRAMES
+            if known:
+                first, second = known
+                which = bool(first) + 2 * bool(second)
+                both = (*(first or _NO_FRAME), *(second or _NO_FRAME))
+            flags = (isinstance(start, Moment), contact.follows, which, index, len(own))
             finger = self._body(contact.finger)
-            rows.append(
-                _ROW(*finger, *flags, index, len(own), *legs[contact.legs], *numbers, *both)
-            )
+            rows.append(_ROW(*finger, *flags, *legs[contact.legs], *place, *velocities, *both))
         return rows
 
 
@@ -155,23 +155,28 @@ def _windows(scene: Scene, begin: float) -> dict[int, list[Disturbance]]:
     return windows
 
 
-def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[tuple[int, int], Numbers]:
-    """(x, p) by contact and side on surfaces without a chart, whose points are solved for.
+def _solved_frames(scene: Scene, begins: Sequence[Any]) -> dict[int, list[Numbers]]:
+    """(x, p) of finger and object by contact, of surfaces without a chart, where points are solved
+    for; other surfaces have ().
 
     All points of one surface are solved for at once.
     """
     places: dict[int, list[tuple[int, int]]] = {}
-    surfaces: dict[int, Surface] = {}
+    surfaces = {
+        id(surface): surface for surface in (scene.object, *(c.finger for c in scene.contacts))
+    }
+    if isinstance(begins[0], Moment) or all(s.has_chart for s in surfaces.values()):
+        return {}
     for i, contact in enumerate(scene.contacts):
         for side, surface in enumerate((contact.finger, scene.object)):
-            if not surface.has_chart and not isinstance(begins[i], Moment):
+            if not surface.has_chart:
                 places.setdefault(id(surface), []).append((i, side))
-                surfaces[id(surface)] = surface
-    frames: dict[tuple[int, int], Numbers] = {}
+    frames: dict[int, list[Numbers]] = {}
     for key, where in places.items():
-        uv = np.array([begins[i][2 * side : 2 * side + 2] for i, side in where])
+        uv = np.array([begins[i].start_numbers()[2 * side : 2 * side + 2] for i, side in where])
         point, frame = surfaces[key].point_and_frame(*uv.T)
-        frames |= zip(where, map(tuple, np.hstack([point, frame[..., 0]]).tolist()))
+        for (i, side), found in zip(where, np.hstack([point, frame[..., 0]]).tolist()):
+            frames.setdefault(i, [(), ()])[side] = tuple(found)
     return frames
 
 

@@ -1,10 +1,8 @@
 """Scenes: the paper's data, canonical contacts, round trips, and messages that name the mistake."""
 
-import dataclasses
 import math
 import os
 import tempfile
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -39,9 +37,6 @@ pi = math.pi
 PAPER = ("C1", "C2", "D1", "D2", "D3", "K1", "K2", "K3", "K4")
 OWN = ("R1", "bowl", "chart", "implicit", "torus")
 FINGER = Sphere(0.04)
-
-
-DISTURBANCES = FingerAcceleration, ObjectAcceleration, ObjectRateOffset
 
 
 def small_scene(**changes) -> Scene:
@@ -86,46 +81,34 @@ SPHERES = [(pi / 6, pi / 6), (2 * pi / 3, pi / 6), (pi / 10, pi)]
 ON_ELLIPSOID = [(2 * pi / 3, pi / 2), (-2 * pi / 3, -pi / 2), (pi / 6, pi / 2)]
 DYNAMIC = [(0.3886, 2.6556), (1.57, 2.0944), (1.57, 2.44 - pi)]
 SLOW, MEDIUM, FAST = (0.001, 0, 0.4), (0.1, 0.2, -0.02), (1, 0.2, -0.02)
+BALL, EGG, PUSH, DRIFT = Sphere(0.1), Ellipsoid(0.3, 0.2, 0.1), FingerAcceleration, ObjectRateOffset
 
 
 @pytest.mark.parametrize(
-    "name, object_, sigma, duration, contacts, kind, window, value, recovery",
+    "name, object_, sigma, duration, contacts, disturbances, recovery",
     [
-        ("K1", Sphere(0.1), SLOW, 1, SPHERES, None, None, None, 0.04),
-        ("K2", Sphere(0.1), SLOW, 1, SPHERES, FingerAcceleration, (0, 0.1), (0.1, 0), 0.04),
+        ("K1", BALL, SLOW, 1, SPHERES, [], 0.04),
+        ("K2", BALL, SLOW, 1, SPHERES, [PUSH(i, 0, 0.1, (0.1, 0)) for i in range(3)], 0.04),
         (
             "K3",
-            Ellipsoid(0.3, 0.2, 0.1),
+            EGG,
             SLOW,
             1,
             ON_ELLIPSOID,
-            FingerAcceleration,
-            (0.1, 0.15),
-            (-0.1, -0.1),
+            [PUSH(i, 0.1, 0.15, (-0.1, -0.1)) for i in range(3)],
             0.015,
         ),
-        (
-            "K4",
-            Ellipsoid(0.3, 0.2, 0.1),
-            MEDIUM,
-            4,
-            ON_ELLIPSOID,
-            FingerAcceleration,
-            (1, 2),
-            (-0.3, -0.3),
-            None,
-        ),
-        ("D1", Sphere(0.1), FAST, 4, DYNAMIC, ObjectRateOffset, (2, 2.5), (0.6, 1.0), 0.2),
-        ("D2", Sphere(0.1), FAST, 4, DYNAMIC, ObjectRateOffset, (0.5, 2.5), (0.6, 0.1), 0.1),
-        ("D3", Sphere(0.1), SLOW, 4, DYNAMIC, ObjectRateOffset, (0.5, 2.5), (0.6, 0.1), 1.0),
+        ("K4", EGG, MEDIUM, 4, ON_ELLIPSOID, [PUSH(i, 1, 2, (-0.3, -0.3)) for i in range(3)], None),
+        ("D1", BALL, FAST, 4, DYNAMIC, [DRIFT(0, 2, 2.5, (0.6, 1.0))], 0.2),
+        ("D2", BALL, FAST, 4, DYNAMIC, [DRIFT(0, 0.5, 2.5, (0.6, 0.1))], 0.1),
+        ("D3", BALL, SLOW, 4, DYNAMIC, [DRIFT(0, 0.5, 2.5, (0.6, 0.1))], 1.0),
     ],
 )
 def test_a_bundled_scene_holds_the_papers_numbers(
-    name, object_, sigma, duration, contacts, kind, window, value, recovery
+    name, object_, sigma, duration, contacts, disturbances, recovery
 ):
     scene = load_scene(name)
-    assert scene.object == object_
-    assert scene.profile == Profile(sigma)
+    assert scene.object == object_ and scene.profile == Profile(sigma)
     assert (scene.gain, scene.duration) == (Gain.path(100), duration)
     assert [c.finger for c in scene.contacts] == [FINGER] * 3
     assert np.array([c.object_at for c in scene.contacts]) == pytest.approx(
@@ -134,22 +117,9 @@ def test_a_bundled_scene_holds_the_papers_numbers(
     start = "rest" if name == "K1" else "rolling"
     assert {c.object_velocity for c in scene.contacts} == {start}
     assert {c.finger_velocity for c in scene.contacts} == {(2**-0.5, 2**-0.5)}
-    on = {FingerAcceleration: range(3), ObjectRateOffset: [0], None: []}[kind]
-    assert scene.disturbances == tuple(kind(i, *window, value) for i in on)
+    assert list(scene.disturbances) == disturbances
     assert scene.paper.get("recovery_time") == recovery
     assert ("stiffness" in scene.drake) == name.startswith("D")
-
-
-@pytest.mark.parametrize("name", PAPER)
-def test_every_key_a_file_marks_as_chosen_is_listed(name):
-    (path,) = Path(cs.__file__).parent.rglob(f"{name}.toml")
-    text = path.read_text("utf-8")
-    lines = [line for line in text.splitlines() if "chosen" in line and line[0] != "#"]
-    marked = {line.split(" = ")[0] for line in lines}
-    chosen = load_scene(name).chosen
-    listed = {part for path in chosen for part in (path.split(".")[0], path.split(".")[-1])}
-    assert marked - {"chosen"} <= listed
-    assert {"duration", "finger_at", "angle"} <= listed
 
 
 def test_in_c1_the_finger_that_keeps_its_orientation_rolls_without_spin():
@@ -171,35 +141,26 @@ def test_in_c1_the_finger_that_keeps_its_orientation_rolls_without_spin():
 # --- contacts ----------------------------------------------------------------------------------
 
 
-def test_a_contact_on_the_second_cover_of_an_ellipsoid_keeps_its_motion():
+@pytest.mark.parametrize("side", ["object", "finger"])
+def test_a_contact_on_the_second_cover_of_an_ellipsoid_keeps_its_motion(side):
     """(u, v) ~ (-u, pi - v) with both axes turned: velocities, angle and forcing turn along."""
-    body = Ellipsoid(0.3, 0.2, 0.1)
-    given = Contact(FINGER, (0.4, 2.0), angle=0.3, object_velocity=(0.6, 0.8))
-    push = ObjectAcceleration(0, 0, 1, (0.1, 0.2))
-    scene = small_scene(object=body, contacts=[given], disturbances=[push])
-    (contact,) = scene.contacts
-    assert contact.object_at == pytest.approx((-0.4, pi - 2.0))
-    assert body.point(*contact.object_at) == pytest.approx(body.point(0.4, 2.0), abs=1e-16)
-    before = body.frame(0.4, 2.0)[:, :2] @ given.object_velocity
-    after = body.frame(*contact.object_at)[:, :2] @ contact.object_velocity
-    assert after == pytest.approx(before, abs=1e-14)
-    assert math.cos(contact.angle - given.angle) == pytest.approx(-1)
-    assert scene.disturbances[0].value == (-0.1, -0.2)
-    assert contact.finger_velocity == given.finger_velocity
-    assert scene.replace(duration=3.0).contacts == scene.contacts
-
-
-def test_an_ellipsoidal_finger_on_the_second_cover_keeps_its_motion():
-    body = Ellipsoid(0.06, 0.05, 0.04)
-    given = Contact(body, (1.0, 0.5), finger_at=(0.4, 2.0), finger_velocity=(0.6, 0.8))
+    body, at, velocity = Ellipsoid(0.3, 0.2, 0.1), f"{side}_at", f"{side}_velocity"
+    fields = {"finger": FINGER, "object_at": (1.0, 0.5), "angle": 0.3, velocity: (0.6, 0.8)}
+    given = Contact(**(fields | {side: body} if side == "finger" else fields) | {at: (0.4, 2.0)})
     pushes = [FingerAcceleration(0, 0, 1, (0.1, 0.2)), ObjectAcceleration(0, 0, 1, (0.1, 0.2))]
-    scene = small_scene(contacts=[given], disturbances=pushes)
+    changes = {"object": body} if side == "object" else {}
+    scene = small_scene(contacts=[given], disturbances=pushes, **changes)
     (contact,) = scene.contacts
-    before = body.frame(0.4, 2.0)[:, :2] @ given.finger_velocity
-    after = body.frame(*contact.finger_at)[:, :2] @ contact.finger_velocity
+    assert getattr(contact, at) == pytest.approx((-0.4, pi - 2.0))
+    assert body.point(*getattr(contact, at)) == pytest.approx(body.point(0.4, 2.0), abs=1e-16)
+    before = body.frame(0.4, 2.0)[:, :2] @ getattr(given, velocity)
+    after = body.frame(*getattr(contact, at))[:, :2] @ getattr(contact, velocity)
     assert after == pytest.approx(before, abs=1e-14)
     assert math.cos(contact.angle - given.angle) == pytest.approx(-1)
-    assert [d.value for d in scene.disturbances] == [(-0.1, -0.2), (0.1, 0.2)]
+    assert [d.value for d in scene.disturbances] == [
+        (-0.1, -0.2) if d.side == side else (0.1, 0.2) for d in pushes
+    ]
+    assert scene.replace(duration=3.0).contacts == scene.contacts
 
 
 def test_disturbances_that_are_kept_beside_new_contacts_are_not_turned_again():
@@ -239,13 +200,6 @@ def test_edges_are_the_sorted_window_edges_and_the_ends_of_the_horizon():
     assert small_scene().edges == (0, 2)
 
 
-def test_a_scene_reports_its_contraction():
-    contraction = load_scene("K3").contraction()
-    assert contraction.least_eta == pytest.approx(1.04e7, rel=5e-3)
-    assert "At the end slip is 16 times its value at t = 0." in str(contraction)  # it has grown
-    assert load_scene("K3").replace(gain=Gain.time(100)).contraction().throughout
-
-
 def test_replace_checks_the_new_scene():
     assert small_scene().replace(gain=Gain.time(3)).gain == Gain.time(3)
     with pytest.raises(SceneError, match="sigma"):
@@ -275,10 +229,6 @@ def window(start, stop, contact=0, value=(1, 0)):
     return lambda: small_scene(disturbances=[FingerAcceleration(contact, start, stop, value)])
 
 
-def follower(**changes):
-    return lambda: small_scene(contacts=[Contact(FINGER, (1, 1), **changes)])
-
-
 FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(1, 0))
 
 
@@ -287,50 +237,34 @@ FOLLOWING = Contact(FINGER, (1, 1), finger_velocity="rolling", object_velocity=(
     [
         (over(object=0.1), ["scene 'small'", "object = 0.1", "Sphere"]),
         (over(contacts=[]), ["contacts", "at least one"]),
-        (over(contacts=Contact(FINGER, (1, 1))), ["contacts", "give a list"]),
         (over(contacts=[FINGER]), ["contacts[0]", "give a Contact"]),
         (over(disturbances=[(0, 0, 1, (1, 1))]), ["disturbances[0]", "or ObjectRateOffset"]),
         (over(profile=[0.1]), ["profile = [0.1]", "give a Profile"]),
-        (over(gain=100), ["gain = 100", "give a Gain"]),
-        (over(turning=(1, 1, 1)), ["turning", "give a Turning"]),
         (over(duration=0), ["duration = 0 s", "longer than 0"]),
         (over(duration="2"), ["duration = '2'", "number"]),
         (over(profile=Profile([0.1, -0.1])), ["-0.1 m/s", "t = 2 s", "before t = 1 s"]),
         (over(name=3), ["name = 3", "text"]),
         (over(paper={"reprots": "x"}), ["paper", "'reprots'", "'reports'"]),
         (over(paper={"recovery_time": "soon"}), ["recovery_time = 'soon'", "a finite number"]),
-        (over(paper={"reports": 3}), ["paper: reports = 3", "text"]),
         (over(paper=[1]), ["paper = [1]", "table"]),
         (over(drake={"mass": math.nan}), ["drake.mass", "nan"]),
-        (over(drake={1: 2}), ["drake: key = 1", "text"]),
         (over(chosen=["contacts.fingr_at"]), ["chosen[0]", "'finger_at'"]),
-        (over(chosen=["durations"]), ["chosen[0]", "'duration'"]),
         (contact(finger=0.04), ["finger = 0.04", "Sphere"]),
         (contact(object_at=1.0), ["object_at = 1.0", "two numbers"]),
-        (contact(object_at={2, 1}), ["object_at = {1, 2}", "list of numbers"]),
         (lambda: Profile({0.1, 0.2}), ["profile = {", "list of numbers"]),
         (contact(finger_at=(1, math.nan)), ["finger_at[1]", "nan", "finite"]),
-        (contact(angle=math.inf), ["angle", "inf", "finite"]),
-        (contact(finger_velocity="rest"), ["finger_velocity = 'rest'", 'or "rolling"']),
         (contact(object_velocity="roling"), ["object_velocity = 'roling'", '"rolling" or "rest"']),
         (contact(finger_velocity="rolling"), ['"rolling"', "object_velocity as two numbers"]),
         (window(1, 1), ["start = 1, stop = 1", "exchange"]),
         (window(-0.5, 1), ["disturbances[0]", "start = -0.5", "[0, 2] s"]),
-        (window(1, 2.5), ["disturbances[0]", "stop = 2.5", "change the duration"]),
         (window(0, 1, contact=2), ["contact = 2", "2 contacts", "0 to 1"]),
         (window(0, 1, contact="every"), ["contact = 'every'", '"all"']),
-        (window(0, 1, contact=np.array([0, 1])), ["contact = array([0, 1])", '"all"']),
-        (window(0, 1, value=b"10"), ["value = b'10'", "list of numbers"]),
         (lambda: small_scene().contact_name(2), ["scene 'small': contact = 2", "0 to 1"]),
-        (lambda: small_scene().contact_name("thumb"), ["contact = 'thumb'", "an index"]),
-        (window(0, 1, value=(1, math.inf)), ["value[1]", "inf"]),
-        (window(0, math.nan), ["stop", "nan"]),
         (
             over(contacts=[FOLLOWING], disturbances=[FingerAcceleration("all", 0, 1, (1, 0))]),
             ["contact = 0", "imposes rolling", "leave the disturbance out"],
         ),
         (lambda: Turning((0, 0, 0), [1]), ["axis", "not all zero"]),
-        (lambda: Turning((1, 1, 1), [math.nan]), ["angle[0]", "nan"]),
     ],
 )
 def test_a_wrong_value_is_refused_by_name_value_and_remedy(make, words):
@@ -390,34 +324,21 @@ def test_arithmetic_texts_are_numbers():
     [
         ('name = "good"', "name = good", ["not valid TOML", "line 2"]),
         ("duration = 2.0", "", ["'duration' is missing"]),
-        ("duration = 2.0", "durration = 2.0", ["'durration'", "'duration'"]),
-        ("duration = 2.0", "duration = 1" + 400 * "0", ["duration", "finite"]),
         ('[0.1, "1/5"]', '[0.1, "1/0"]', ["profile[1]", "division by zero"]),
-        ('[0.1, "1/5"]', '[0.1, "__import__(1)"]', ["profile[1]"]),
-        ('[0.1, "1/5"]', "0.1", ["profile = 0.1", "list"]),
         ('[0.1, "1/5"]', '"0.1 + 0.2*t"', ["profile = '0.1 + 0.2*t'", "coefficients of sigma"]),
         ("duration = 2.0", 'duration = "2 s"', ["duration: formula '2 s'", "leave units out"]),
         ("rho = 5", 'rho = "5°"', ["gain: rho: formula '5°'", "radians"]),
         ('{ law = "guaranteed", rho = 5 }', '"time"', ["gain", "'time'", '{ law = "time", eta']),
-        ('{ surface = "sphere", radius = "4e-2" }', '"sphere"', ["finger", '{ surface = "sphere"']),
         ('law = "guaranteed"', 'law = "garanteed"', ["gain", "'guaranteed'"]),
-        ('{ law = "guaranteed", rho = 5 }', "5", ["gain", "5 is not a table"]),
-        ("axis = [0, 0, 1]", "axes = [0, 0, 1]", ["turning", "'axes'", "'axis'"]),
         ('"ellipsoid"', '"elipsoid"', ["object", "'elipsoid'", "'ellipsoid'"]),
         ("c = 0.1", "c = 0.1\ninside = 1", ["object", "inside = 1", "true or false"]),
         ('radius = "4e-2"', "radus = 1", ["contacts[0]", "finger", "'radus'", "'radius'"]),
         ('"2*pi/3"', '"2*pii/3"', ["contacts[0]", "object_at[0]", "pii", "pi"]),
         ('"2*pi/3"', "0", ["scene 'good'", "contacts[0] 'thumb'", "object_at = (0.0,"]),
-        ('finger_velocity = "rolling"', 'finger_velocity = "roling"', ["contacts[1]", "'rolling'"]),
-        ("object_velocity", "object_velocty", ["contacts[1]", "'object_velocity'"]),
         ('kind = "object rate offset"', 'kind = "object rate"', ["disturbances[0]", "kind"]),
-        ("contact = 0", 'contact = "al"', ["disturbances[0]", "'al'", '"all"']),
-        ("[drake]", "[darke]", ["'darke'", "'drake'"]),
-        ("[[contacts]]", "[contacts]", ["TOML"]),
         ('[0.1, "1/5"]', "[" * 2000 + "]" * 2000, ["nested too deeply"]),
-        ("friction = 0.5", "x" + ".x" * 2000 + " = 1", ["nested too deeply"]),
+        ("friction = 0.5", "x" + ".x" * 2000 + " = 1", ["key x.x.x", "dots: 2000"]),
         ("friction = 0.5", "friction = " + 5000 * "9", ["too long", "shorten"]),
-        ("stop = 1", "stop = 0x" + 5000 * "f", ["disturbances[0]", "stop = inf"]),
     ],
 )
 def test_a_mistake_in_a_file_is_named_by_file_key_value_and_remedy(old, new, words):
@@ -432,7 +353,7 @@ def test_a_mistake_in_a_file_is_named_by_file_key_value_and_remedy(old, new, wor
     ("limit", "lower", "old", "new"),
     [
         ("SCENE_BYTES", 1e6, "duration = 2.0", "duration = 2.0 #" + "x" * 10**6),
-        ("NESTING", 3, "friction = 0.5", "friction = [[[[1]]]]"),
+        ("NESTING", 3, "friction = 0.5", "a.b.c.d.e = 1"),
         ("FORMULA_LENGTH", 100, '"2*pi/3"', f'"2{" " * 199}"'),
         ("FORMULA_NESTING", 20, '"2*pi/3"', f'"{"-" * 30}2"'),
         ("COEFFICIENTS", 4, '[0.1, "1/5"]', "[0.1, 0, 0, 0, 0]"),
@@ -499,7 +420,8 @@ SURFACES = [
     Torus(0.2, 0.1, inside=True),
     Ellipsoid(0.3, 0.2, 0.1),
     Quadric(((30, 1, 0), (1, 20, 0), (0, 0, -10)), inside=True),
-    Quadric(((-3, 0, 0), (0, -2, 0), (0, 0, 4)), sheet=-1),
+    Quadric(np.diag([4.0, -2.0, -3.0]), sheet=np.int64(-1)),
+    Quadric(((-3, 0, 0), (0, -2, 0), (0, 0, 4)), sheet=-1.0),
     ParametricSurface(("r*cos(u)", "r*sin(u)", "v"), parameters={"r": 1 / 3}, u_period=2 * pi),
     ImplicitSurface("x**2 + y**4 + z**2 - r**2", parameters={"r": 1 / 7}, size=1 / 9),
 ]
@@ -528,21 +450,12 @@ def test_every_float_and_every_text_survives_a_round_trip(surface, text, velocit
     assert read(written(scene)) == scene
 
 
-def test_a_sheet_survives_a_round_trip_as_any_kind_of_number():
-    for sheet in (np.int64(-1), -1.0):
-        scene = small_scene(object=Quadric(np.diag([4.0, -2.0, -3.0]), sheet=sheet))
-        assert read(written(scene)) == scene
-        assert repr(scene.object).endswith("sheet=-1)")
-
-
 @pytest.mark.parametrize(
     "surface, words",
     [
         ('surface = "parametric"', ["parametric", "'f' is missing"]),
         ('surface = "parametric"\nf = ["u", "v", "sni(u)"]', ["object: parametric", "sin"]),
         ('surface = "parametric"\nf = ["u", "v", "h"]\nparameters = 3', ["parameters", "table"]),
-        ('surface = "implicit"\nF = 3', ["object: implicit"]),
-        ('surface = "quadric"\nA = "x"', ["object", "A", "x"]),
         ("surface = 3", ["object", "surface = 3"]),
     ],
 )
@@ -561,28 +474,16 @@ def test_a_contact_where_a_formula_gives_no_point_is_refused():
         small_scene(object=horn, contacts=[Contact(FINGER, (0.5, 0))])
 
 
-def test_a_surface_given_as_a_python_function_cannot_be_saved():
+class Ball(Sphere):
+    """Somebody's own."""
+
+
+def test_a_surface_that_a_file_cannot_hold_is_named():
     scene = small_scene(object=ParametricSurface(lambda u, v: (u, v, 0.01 * u * v)))
     with pytest.raises(SceneError, match="scene 'small': object: f is a Python function"):
         written(scene)
     scene = small_scene(contacts=[Contact(ImplicitSurface(lambda x: x.T @ x - 1), (1, 1))])
     with pytest.raises(SceneError, match=r"contacts\[0\]: finger: F is a Python function"):
         written(scene)
-
-
-def test_a_surface_of_a_kind_of_ones_own_cannot_be_saved(tmp_path):
-    class Ball(Sphere):
-        """Somebody's own."""
-
     with pytest.raises(SceneError, match=r"object = Ball\(0.1\): a file holds no Ball; .* sphere,"):
-        save_scene(small_scene(object=Ball(0.1)), tmp_path / "scene.toml")
-
-
-def test_scene_files_are_flat_toml_with_known_keys():
-    table = tomllib.loads(written(load_scene("K4")))
-    assert table["gain"] == {"law": "path", "eta": 100.0}
-    assert table["object"] == {"surface": "ellipsoid", "a": 0.3, "b": 0.2, "c": 0.1}
-    assert table["contacts"][0]["finger"] == {"surface": "sphere", "radius": 0.04}
-    assert len(table["disturbances"]) == 3
-    fields = {f.name for f in dataclasses.fields(Scene)}
-    assert set(table) <= fields
+        written(small_scene(object=Ball(0.1)))

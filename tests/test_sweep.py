@@ -67,7 +67,7 @@ def one_by_one(scenes: list[cs.Scene], key: str) -> np.ndarray:
     return np.concatenate([middle(cs.plan(scene))[key] for scene in scenes])
 
 
-@pytest.mark.parametrize("windows", [(), (PUSH,), (OFFSET,), (PUSH, OFFSET)])
+@pytest.mark.parametrize("windows", [(), (PUSH, OFFSET)])
 def test_scenes_planned_together_are_where_each_alone_is(windows):
     scenes = family(7, disturbances=windows)
     table = cs.sweep(scenes, middle, chunk=5).table
@@ -226,19 +226,9 @@ def test_only_chunks_of_changed_scenes_are_done_again(tmp_path):
     assert [len(table) for table in found] == [2, 2, 2]
 
 
-FUNCTIONS = (lambda u, v: (u, v, 0.1 * u * v), lambda u, v: (u, v, -0.5 * u * u))
-BODY = "x**2 + y**2 + z**4 - 1"
-
-
-@pytest.mark.parametrize(
-    "first, second",
-    [
-        (cs.ImplicitSurface(BODY), cs.ImplicitSurface(BODY, center=(0.3, 0.0, 0.2))),
-        (cs.ParametricSurface(FUNCTIONS[0]), cs.ParametricSurface(FUNCTIONS[1])),
-    ],
-)
-def test_results_of_another_surface_are_not_taken_over(first, second, tmp_path):
-    for surface in (first, second):
+def test_results_of_another_surface_are_not_taken_over(tmp_path):
+    for function in (lambda u, v: (u, v, 0.1 * u * v), lambda u, v: (u, v, -0.5 * u * u)):
+        surface = cs.ParametricSurface(function)
         scene = one_contact(object_at=(-0.4, 0.3)).replace(object=surface)
         found = cs.sweep([scene], middle, folder=tmp_path).table["states"]
         assert found == pytest.approx(one_by_one([scene], "states"), abs=1e-12)
@@ -253,24 +243,6 @@ def test_results_of_a_file_that_was_changed_are_not_taken_over(tmp_path):
         assert not found.failures
         expected = one_by_one([rolling_towards(k)], "states")
         assert found.table["states"] == pytest.approx(expected, abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda whole: whole[:700],
-        lambda whole: whole.replace(b"table.npy", b"tible.npy"),
-        lambda whole: whole.replace(b"scene", b"xcene", 1),  # digest and directory are whole
-    ],
-)
-def test_a_file_of_results_that_is_damaged_is_made_again(damage, tmp_path):
-    scenes = family(3)
-    expected = cs.sweep(scenes, middle, folder=tmp_path).table
-    (file,) = tmp_path.iterdir()
-    whole = file.read_bytes()
-    file.write_bytes(damage(whole))
-    assert file.read_bytes() != whole
-    assert np.array_equal(cs.sweep(scenes, middle, folder=tmp_path).table, expected)
 
 
 def test_sweeps_share_a_folder_and_say_what_was_removed_from_it(tmp_path, monkeypatch):
@@ -290,17 +262,14 @@ def test_sweeps_share_a_folder_and_say_what_was_removed_from_it(tmp_path, monkey
 @pytest.mark.parametrize(
     ("option", "value", "remedy"),
     [
-        *(("scenes", x, "give a list of scenes") for x in ("K1", Path("K1.toml"), None)),
+        ("scenes", "K1", "give a list of scenes"),
         ("evaluate", "summary", "give a function of a plan"),
         ("executor", 4, "give an executor"),
         ("folder", 3, "give a path"),
         ("each", 1, "give True or False"),
         ("tolerance", 5, "give a number from 1e-15"),
-        *(
-            (name, x, "give a whole number")
-            for name in ("chunk", "ahead")
-            for x in (0, 2.5, "2", True)
-        ),
+        ("chunk", 0, "give a whole number"),
+        ("ahead", 2.5, "give a whole number"),
     ],
 )
 def test_arguments_of_another_kind_are_refused_by_name(option, value, remedy):
@@ -317,21 +286,18 @@ def test_functions_that_no_process_can_be_sent_are_refused():
                 cs.sweep(scenes, evaluate, pool)
 
 
-@pytest.mark.parametrize("kind", [ThreadPoolExecutor, ProcessPoolExecutor])
-def test_an_executor_that_was_shut_down_is_refused(kind):
-    with kind(1) as pool:
+def test_an_executor_that_was_shut_down_is_refused():
+    with ProcessPoolExecutor(1) as pool:
         pass
     with pytest.raises(cs.ContactSystemError, match="takes no work .*; give one that is not shut"):
         cs.sweep(["C1"], executor=pool)
 
 
-def test_a_folder_that_is_a_file_is_refused(tmp_path):
+def test_a_folder_or_a_file_that_cannot_be_written_is_refused_by_name(tmp_path):
     (tmp_path / "taken").touch()
     with pytest.raises(cs.ContactSystemError, match="taken': .*; give another folder"):
         cs.sweep(["C1"], folder=tmp_path / "taken")
-
-
-def test_results_that_cannot_be_kept_are_refused_by_their_file(tmp_path):
+    (tmp_path / "taken").unlink()
     cs.sweep(["C1"], folder=tmp_path)
     (file,) = tmp_path.iterdir()
     file.unlink()
@@ -347,10 +313,7 @@ def end_at(t: float | np.ndarray):
     return end
 
 
-@pytest.mark.parametrize(
-    "times",
-    [(0.1, 0.5), np.array([[0.1], [0.5]]), [(np.array([0.1]),), (np.array([0.1 + 3e-10]),)]],
-)
+@pytest.mark.parametrize("times", [(0.1, 0.5), np.array([[0.1], [0.1 + 3e-10]])])
 def test_a_folder_knows_functions_apart_that_one_function_made_of_other_numbers(times, tmp_path):
     for t in times:
         found = cs.sweep(family(1), end_at(t), folder=tmp_path).table["end"]

@@ -23,7 +23,7 @@ static lanes_t principal(const path_t *p, const double *x) {
   unit_t *u = table_of(p->w, p->side, 1, A_COORDINATES, p->body);
   int64_t hint = 0;
   if (k->kind == CIRCLE)
-    circle_at(k, p->body, x, u->r);
+    circle_at(k, p->body, x, 6, u->r);
   else
     panels_at(&k->panels, k->row, 6, x, &hint, u->r);
   memset(u->r + 6, 0, 2 * sizeof *u->r);
@@ -235,19 +235,16 @@ static void anchor_track(work_t *w, const body_t *b, int side, track_t *k, const
 /* ---- points between two anchors ----
    Where both anchors are on one branch and one side of y = 0, points there too are on it; where
    they are on two sides, by the one on the same side; where one side has two branches, by following
-   the path; and by the nearer where signs tell nothing. Beside a pole v and theta swing by half a
-   turn: a point is on the branch of the anchor that is nearer in theta. */
+   the path; and by the nearer where signs tell nothing. */
 typedef struct {
   double before[3], after[3];
   double low, high;
   int signs, sides, covers; /* whether signs tell; whether sides, covers of the surface differ */
   int side, cover;          /* of the first */
-  int swings;
 } between_t;
 
 /* Between the anchors around a place, `turns` revolutions later */
-static between_t between(const surface_t *s, const track_t *k, double x, double turns,
-                         int64_t *hint) {
+static between_t between(const track_t *k, double x, double turns, int64_t *hint) {
   const int64_t i = *hint = interval(k->anchor_at, k->n_anchors - 1, x, *hint);
   between_t w = {.low = k->anchor_at[i], .high = k->anchor_at[i + 1]};
   for (int j = 0; j < 3; j++) {
@@ -255,8 +252,7 @@ static between_t between(const surface_t *s, const track_t *k, double x, double 
     w.after[j] = k->anchors[i + 1][j] + turns * k->turn[j];
   }
   const double *a = w.before, *b = w.after;
-  w.signs = s->double_cover && !on_seam(a[0], a[1]) && !on_seam(b[0], b[1]);
-  w.swings = !s->double_cover && fabs(b[2] - a[2]) > 0.25 * TURN;
+  w.signs = !on_seam(a[0], a[1]) && !on_seam(b[0], b[1]);
   if (!w.signs) return w;
   w.side = beyond(a[0], a[1]), w.sides = w.side != beyond(b[0], b[1]);
   w.cover = second_cover(a[1]), w.covers = w.cover != second_cover(b[1]);
@@ -266,12 +262,8 @@ static between_t between(const surface_t *s, const track_t *k, double x, double 
 /* One point of a path at x, in principal coordinates, to its branch */
 static void wind_between(const path_t *p, const between_t *w, double x, lanes_t z, int i) {
   const surface_t *s = p->body->surface;
-  int later = w->high - x < x - w->low;
-  if (w->swings) {
-    const double theta = z[THETA][i], a = w->before[2], b = w->after[2];
-    later = fabs(wound(theta, b, TURN) - b) < fabs(wound(theta, a, TURN) - a);
-  }
-  const double *ref = later ? w->after : w->before, u = z[U][i], v = z[V][i];
+  const double *ref = w->high - x < x - w->low ? w->after : w->before;
+  const double u = z[U][i], v = z[V][i];
   if (w->signs) {
     const int differs = beyond(u, 0.0) != w->side;
     if (!differs && !w->sides && !w->covers) {
@@ -290,14 +282,49 @@ static void wind_between(const path_t *p, const between_t *w, double x, lanes_t 
   wind(s, ref, z, i);
 }
 
+/* `wound` of all lanes, where there is a period */
+static void wind_turns(const double *ref, double period, double *y) {
+  if (period <= 0) return;
+  SIMD for (int i = 0; i < L; i++) {
+    const double far = ref[i] - y[i], turns = (far / period + ROUNDER) - ROUNDER;
+    y[i] = fabs(far) <= 0.5 * period ? y[i] : y[i] + period * turns;
+  }
+}
+
+/* Points of a path in a chart that covers its surface once: whole turns nearest the nearer anchor.
+   Beside a pole v and theta swing by half a turn: there it is the anchor that is nearer in theta. */
+static void wind_once(const path_t *p, const double *x, const double *turns, lanes_t z, int n) {
+  const track_t *k = p->track;
+  double ref[3][L] = {0};
+  int64_t at = 0;
+  for (int i = 0; i < n; i++) {
+    at = interval(k->anchor_at, k->n_anchors - 1, x[i], at);
+    const double *edge = k->anchor_at + at, *a = k->anchors[at], *b = k->anchors[at + 1];
+    int later = edge[1] - x[i] < x[i] - edge[0];
+    if (fabs(b[2] - a[2]) > 0.25 * TURN) {
+      const double theta = z[THETA][i], more = turns[i] * k->turn[2];
+      later = fabs(wound(theta, b[2] + more, TURN) - (b[2] + more)) <
+              fabs(wound(theta, a[2] + more, TURN) - (a[2] + more));
+    }
+    for (int j = 0; j < 3; j++) ref[j][i] = (later ? b : a)[j] + turns[i] * k->turn[j];
+  }
+  wind_turns(ref[0], p->body->surface->period_u, z[U]);
+  wind_turns(ref[1], p->body->surface->period_v, z[V]);
+  wind_turns(ref[2], TURN, z[THETA]);
+}
+
 /* Points of a path at places x, in principal coordinates, to their branches */
 static void wind_all(const path_t *p, const double *x, const double *turns, lanes_t z, int n) {
   int64_t hint = 0;
   between_t w = {.low = HUGE_VAL, .high = -HUGE_VAL};
   const surface_t *s = p->body->surface;
+  if (!s->double_cover) {
+    wind_once(p, x, turns, z, n);
+    return;
+  }
   for (int i = 0; i < n; i++) {
     if (i == 0 || !(x[i] >= w.low && x[i] < w.high) || turns[i] != turns[i - 1])
-      w = between(s, p->track, x[i], turns[i], &hint);
+      w = between(p->track, x[i], turns[i], &hint);
     wind_between(p, &w, x[i], z, i);
   }
 }

@@ -32,17 +32,18 @@ static void lay_circle(work_t *w, const body_t *b, const double *state, track_t 
   k->far = k->rate * length_at(k->drive, k->stop - k->start) > FAR_PHASE;
 }
 
-/* (x, p) at phases */
-static void circle_at(const track_t *k, const body_t *b, const double *phase, lanes_t state) {
+/* (x, p) at phases, or x alone */
+static void circle_at(const track_t *k, const body_t *b, const double *phase, int rows,
+                      lanes_t state) {
   double s[L], c[L];
   lanes_sincos(phase, s, c);
   for (int j = 0; j < 3; j++) {
     const double x = k->at[j], e = b->size * k->along[j], back = k->at[j] / b->size;
     const double a0 = k->lean[0], off = k->lean[1] * k->across[j];
-  SIMD for (int i = 0; i < L; i++) {
-      state[j][i] = x * c[i] + e * s[i];
+  SIMD for (int i = 0; i < L; i++) state[j][i] = x * c[i] + e * s[i];
+    if (rows == 3) continue;
+    SIMD for (int i = 0; i < L; i++)
       state[3 + j][i] = a0 * (k->along[j] * c[i] - back * s[i]) - off;
-    }
   }
 }
 

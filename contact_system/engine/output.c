@@ -14,15 +14,15 @@ static void variable(const track_t *k, const body_t *b, const double *tau, doubl
     memcpy(x, tau, L * sizeof *x);
 }
 
-/* The moving frame, (x, p) or (u, v, theta) */
+/* The moving frame, (x, p) or (u, v, theta); or its first rows, three at least */
 static void state_at(const track_t *k, const body_t *b, const double *tau, const double *x,
-                     int reduced, int64_t *hint, lanes_t state) {
+                     int rows, int64_t *hint, lanes_t state) {
   if (k->kind == CIRCLE)
-    circle_at(k, b, x, state);
+    circle_at(k, b, x, rows, state);
   else if (k->kind == LINE)
-    line_at(k, b, tau, reduced, hint, state);
+    line_at(k, b, tau, 0, hint, state);
   else
-    panels_at(&k->panels, k->row, state_size((int)k->ambient), x, hint, state);
+    panels_at(&k->panels, k->row, rows, x, hint, state);
 }
 
 static void track_state(work_t *w, int side, const body_t *b, const track_t *k, double t,
@@ -32,7 +32,7 @@ static void track_state(work_t *w, int side, const body_t *b, const track_t *k, 
   (void)w, (void)side;
   fill_lanes(tau, t - k->start);
   variable(k, b, tau, x, turns);
-  state_at(k, b, tau, x, 0, &hint, found);
+  state_at(k, b, tau, x, state_size((int)k->ambient), &hint, found);
   for (int j = 0; j < state_size((int)k->ambient); j++) state[j] = found[j][0];
 }
 
@@ -45,20 +45,45 @@ static void path_velocity(const panels_t *p, int64_t row, const double *constant
     for (int a = 0; a < 2; a++) fill_lanes(out[a], constant[a]);
 }
 
+/* Local time, sigma and, once it is asked for, what is left of slip on a drive at the times of a
+   block. Bodies and slip mostly share one. */
+typedef struct {
+  const drive_t *drive;
+  int decays;
+  double tau[L], sigma[L], decay[L];
+} pace_t;
+
+static void set_pace(pace_t *p, const drive_t *d, const double *t) {
+  p->drive = d, p->decays = 0;
+  for (int i = 0; i < L; i++) p->tau[i] = t[i] - d->start;
+  horners(d->sigma, d->n_sigma, p->tau, p->sigma);
+}
+
+static const double *decay_of(pace_t *p) {
+  if (!p->decays) decays(p->drive, p->tau, p->sigma, p->decay);
+  p->decays = 1;
+  return p->decay;
+}
+
 /* Velocity of the contact point in the parallel frame, without rate offsets */
-static void drive_velocity(const contact_t *c, int side, const track_t *k, const double *tau,
-                           const double *sigma, int64_t *hint, lanes_t out) {
-  double decay[L], w1[2][L], v[2][L];
+static void drive_velocity(const contact_t *c, int side, const track_t *k, pace_t *p, int64_t *hint,
+                           lanes_t out) {
+  double w1[2][L], v[2][L];
+  const double *sigma = p->sigma;
+  if (!k->forced && !k->slips) {
+    for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) out[a][i] = sigma[i] * k->w[a];
+    return;
+  }
   if (!k->forced) {
-    if (k->slips) decays(k->drive, tau, sigma, decay);
+    const double *decay = decay_of(p);
     for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++)
-        out[a][i] = sigma[i] * (k->slips ? k->w[a] - k->v[a] * decay[i] : k->w[a]);
+        out[a][i] = sigma[i] * (k->w[a] - k->v[a] * decay[i]);
     return;
   }
   const double nothing[2] = {0.0, 0.0}, *r = c->r0;
   /* W_1 is a row of the panels, or c->w of the track is W itself */
-  path_velocity(&k->panels, k->w_row, k->w, tau, hint, w1);
-  path_velocity(&k->panels, k->v_row, nothing, tau, hint, v);
+  path_velocity(&k->panels, k->w_row, k->w, p->tau, hint, w1);
+  path_velocity(&k->panels, k->v_row, nothing, p->tau, hint, v);
   for (int a = 0; a < 2; a++) {
     const int turns = side && k->w_row >= 0;
     const double x = turns ? r[2 * a] : a == 0, y = turns ? r[2 * a + 1] : a == 1;
@@ -69,19 +94,23 @@ static void drive_velocity(const contact_t *c, int side, const track_t *k, const
 /* ---- a block of times of one contact ---- */
 
 /* What is needed of a body */
-enum { NEED_COORDINATES = 1, NEED_POINT = 2, NEED_FRAME = 4, NEED_SHAPE = 8, NEED_VELOCITY = 16 };
+enum { NEED_POINT = 1, NEED_STATE = 2, NEED_COORDINATES = 4, NEED_FRAME = 8, NEED_SHAPE = 16 };
+enum { NEED_VELOCITY = 32 };
 
 typedef struct {
   const track_t *track;
   int64_t hint;
-  double tau[L], sigma[L], state[6][L], velocity[2][L], offset[2][L];
+  pace_t *pace;
+  double state[6][L], velocity[2][L], offset[2][L];
   double coordinates[N_COORDINATES][L], frame[9][L], shape[3][L];
 } side_t;
 
 typedef struct {
   const slip_t *slip;
   int64_t hint;
-  double tau[L], sigma[L], v[2][L], w1[2][L], sliding[2][L];
+  pace_t *pace, paces[3]; /* of slip; all of a block */
+  int n_paces;
+  double v[2][L], w1[2][L], sliding[2][L];
   side_t side[2];
 } sample_t;
 
@@ -118,23 +147,22 @@ static void find_one(work_t *w, const contact_t *c, int s, side_t *a, int table,
   memcpy(out, run(u), (size_t)rows * sizeof *out);
 }
 
-/* One body at times t, n of L of which are asked for */
-static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, const double *t, int n,
-                        int needs) {
+/* One body at the times of its pace, n of L of which are asked for */
+static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, int needs) {
   const track_t *k = a->track;
   const body_t *b = &c->body[s];
+  const double *tau = a->pace->tau;
   double x[L], turns[L], far[6][L];
-  for (int i = 0; i < L; i++) a->tau[i] = t[i] - k->start;
-  variable(k, b, a->tau, x, turns);
-  state_at(k, b, a->tau, x, 0, &a->hint, a->state);
-  if (needs & (NEED_COORDINATES | NEED_VELOCITY)) {
-    horners(k->drive->sigma, k->drive->n_sigma, a->tau, a->sigma);
-    drive_velocity(c, s, k, a->tau, a->sigma, &a->hint, a->velocity);
-  }
+  if (!(needs || k->offsets)) return;
+  variable(k, b, tau, x, turns);
+  state_at(k, b, tau, x, needs == NEED_POINT && !k->offsets ? 3 : state_size((int)k->ambient),
+           &a->hint, a->state);
+  if (needs & (NEED_COORDINATES | NEED_VELOCITY))
+    drive_velocity(c, s, k, a->pace, &a->hint, a->velocity);
   if (needs & NEED_COORDINATES) find_coordinates(w, c, s, a, x, turns, n);
   lanes_t state = a->state;
   if (k->kind == LINE && k->far && needs & (NEED_POINT | NEED_FRAME)) {
-    line_at(k, b, a->tau, 1, &a->hint, far);
+    line_at(k, b, tau, 1, &a->hint, far);
     state = far;
   }
   if (needs & NEED_FRAME)
@@ -152,21 +180,20 @@ static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, const d
 }
 
 /* V, W_1 and the slip along (p_2, q_2): sigma V, less what a rate offset adds */
-static void sample_slip(sample_t *m, const double *t) {
+static void sample_slip(sample_t *m) {
   const slip_t *s = m->slip;
-  for (int i = 0; i < L; i++) m->tau[i] = t[i] - s->start;
-  horners(s->drive->sigma, s->drive->n_sigma, m->tau, m->sigma);
-  path_velocity(&s->panels, s->w_row, s->w1, m->tau, &m->hint, m->w1);
-  path_velocity(&s->panels, s->v_row, s->v, m->tau, &m->hint, m->v);
+  const double *tau = m->pace->tau, *sigma = m->pace->sigma;
+  path_velocity(&s->panels, s->w_row, s->w1, tau, &m->hint, m->w1);
+  path_velocity(&s->panels, s->v_row, s->v, tau, &m->hint, m->v);
   if (s->slips && !s->forced) {
-    double decay[L];
-    decays(s->drive, m->tau, m->sigma, decay);
-    for (int a = 0; a < 2; a++) for (int i = 0; i < L; i++) m->v[a][i] *= decay[i];
+    const double *decay = decay_of(m->pace);
+    for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) m->v[a][i] *= decay[i];
   }
   const side_t *o = &m->side[1];
-  for (int a = 0; a < 2; a++)
-    for (int i = 0; i < L; i++)
-      m->sliding[a][i] = m->sigma[i] * m->v[a][i] - (o->track->offsets ? o->offset[a][i] : 0.0);
+  for (int a = 0; a < 2; a++) {
+    SIMD for (int i = 0; i < L; i++) m->sliding[a][i] = sigma[i] * m->v[a][i];
+    for (int i = 0; i < L && o->track->offsets; i++) m->sliding[a][i] -= o->offset[a][i];
+  }
 }
 
 static int all_zero(lanes_t y) {
@@ -189,9 +216,9 @@ static void accelerate(work_t *w, const contact_t *c, sample_t *m, lanes_t out) 
   const slip_t *s = m->slip;
   const int pulls = !all_zero(m->v);
   unit_t *u = pair_table(w, T_ACCELERATION, c->r0);
-  memcpy(u->r, m->sigma, sizeof *u->r);
+  memcpy(u->r, m->pace->sigma, sizeof *u->r);
   for (int i = 0; i < L; i++) {
-    const double tau = m->tau[i];
+    const double tau = m->pace->tau[i];
     u->r[1][i] = pulls ? slope_of(s->drive->sigma, s->drive->n_sigma, tau) : 0.0;
     u->r[2][i] = pulls ? gain_at(s->drive, tau) : 0.0;
   }
@@ -226,7 +253,11 @@ typedef struct {
 } target_t;
 
 static void put(const target_t *to, int output, int row, const double *values) {
-  memcpy(to->out[output] + row * to->n + to->first, values, (size_t)to->count * sizeof *values);
+  double *out = to->out[output] + row * to->n + to->first;
+  if (to->count == L)
+    memcpy(out, values, L * sizeof *values); /* of a size that the compiler knows */
+  else
+    memcpy(out, values, (size_t)to->count * sizeof *values);
 }
 
 static void put_states(const target_t *to, const contact_t *c, const sample_t *m) {
@@ -283,14 +314,15 @@ static void put_twist(work_t *w, const target_t *to, const contact_t *c, const s
 }
 
 /* A block of times on one track of each body and one interval of slip */
-static void put_block(work_t *w, const contact_t *c, sample_t *m, const double *t,
-                      const target_t *to, int needs, int turned) {
+static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t *to, int needs,
+                      int turned) {
   double *const *out = to->out;
+  const int accelerated = out[ACCELERATION] && m->slip->accelerated;
   for (int s = 0; s < 2; s++) {
     /* slip needs the object's theta alone, and only where there is slip */
-    const int lies = s && turned && (m->slip->slips || m->side[1].track->offsets ||
-                                     (out[ACCELERATION] && m->slip->accelerated));
-    sample_body(w, c, s, &m->side[s], t, to->count, needs | (lies ? NEED_COORDINATES : 0));
+    const int lies = turned && (m->slip->slips || m->side[1].track->offsets || accelerated);
+    const int more = s && lies ? NEED_COORDINATES : accelerated ? NEED_STATE : 0;
+    sample_body(w, c, s, &m->side[s], to->count, needs | more);
   }
   if (out[POINTS])
     for (int s = 0; s < 2; s++)
@@ -299,7 +331,7 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const double *
   if (out[FRAMES]) put_frames(to, m);
   if (out[POSE]) put_pose(w, to, c, m);
   if (!(out[SLIP] || out[SLIP_SPEED] || out[TWIST] || out[ACCELERATION] || out[CARRIED])) return;
-  sample_slip(m, t);
+  sample_slip(m);
   if (out[TWIST]) put_twist(w, to, c, m);
   if (out[CARRIED]) put_carried(to, c, m);
   if (out[SLIP_SPEED]) {
@@ -347,6 +379,14 @@ static void require_finite(work_t *w, const contact_t *c, int64_t n, const doubl
   }
 }
 
+static pace_t *pace_on(sample_t *m, const drive_t *d, const double *t) {
+  for (int k = 0; k < m->n_paces; k++)
+    if (m->paces[k].drive == d) return m->paces + k;
+  pace_t *p = m->paces + m->n_paces++;
+  set_pace(p, d, t);
+  return p;
+}
+
 static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const double *times,
                              double *const *out) {
   const int turned = out[SLIP] || out[ACCELERATION];
@@ -357,7 +397,7 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
   if (out[TWIST]) needs |= NEED_SHAPE | NEED_VELOCITY;
   if (out[FRAMES]) needs |= NEED_FRAME | NEED_SHAPE;
   sample_t m;
-  memset(&m, 0, sizeof m);
+  m.hint = 0, m.side[0].track = m.side[1].track = NULL;
   int64_t which[2] = {0, 0}, record = 0;
   for (int64_t i = 0; i < n;) {
     double t[L], until = HUGE_VAL, from = -HUGE_VAL;
@@ -377,8 +417,10 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
     while (count < L && i + count < n && times[i + count] >= from && times[i + count] < until)
       t[count] = times[i + count], count++;
     for (int q = count; q < L; q++) t[q] = t[count - 1];
+    m.n_paces = 0, m.pace = pace_on(&m, m.slip->drive, t);
+    for (int s = 0; s < 2; s++) m.side[s].pace = pace_on(&m, m.side[s].track->drive, t);
     const target_t to = {out, n, i, count};
-    put_block(w, c, &m, t, &to, needs, turned);
+    put_block(w, c, &m, &to, needs, turned);
     i += count;
   }
   require_finite(w, c, n, times, out);
@@ -389,12 +431,12 @@ static void evaluate_contact(work_t *w, const contact_t *c, int64_t n, const dou
 /* u v theta at a time; returns not 0 where there are none */
 static int place_on_track(work_t *w, const contact_t *c, int side, const track_t *k, double t,
                           double *place) {
-  side_t a;
+  pace_t pace;
+  side_t a = {.track = k, .pace = &pace};
   double times[L], sum = 0.0;
-  memset(&a, 0, sizeof a);
-  a.track = k;
   fill_lanes(times, t);
-  sample_body(w, c, side, &a, times, 1, NEED_COORDINATES);
+  set_pace(&pace, k->drive, times);
+  sample_body(w, c, side, &a, 1, NEED_COORDINATES);
   const int rows[3] = {U, V, THETA};
   for (int j = 0; j < 3; j++) place[j] = a.coordinates[rows[j]][0], sum += 0.0 * place[j];
   return sum != 0.0;

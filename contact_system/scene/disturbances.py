@@ -72,10 +72,7 @@ class Disturbance:
 
 @dataclass(frozen=True, init=False)
 class FingerAcceleration(Disturbance):
-    """Adds `value` = (du, dv) to the finger's (u1", v1") [rad/s^2, or the chart's units].
-
-    `contact` is its index from 0, or "all"; `start` and `stop` [s] lie inside the horizon.
-    """
+    """Adds `value` = (du, dv) to the finger's (u1", v1") [rad/s^2, or the chart's units]."""
 
     kind: ClassVar[str] = "finger acceleration"
     side: ClassVar[str] = "finger"
@@ -85,10 +82,7 @@ class FingerAcceleration(Disturbance):
 
 @dataclass(frozen=True, init=False)
 class ObjectAcceleration(Disturbance):
-    """Adds `value` = (du, dv) to the object's (u2", v2") [rad/s^2, or the chart's units].
-
-    `contact` is its index from 0, or "all"; `start` and `stop` [s] lie inside the horizon.
-    """
+    """Adds `value` = (du, dv) to the object's (u2", v2") [rad/s^2, or the chart's units]."""
 
     kind: ClassVar[str] = "object acceleration"
     side: ClassVar[str] = "object"
@@ -100,7 +94,6 @@ class ObjectAcceleration(Disturbance):
 class ObjectRateOffset(Disturbance):
     """Adds `value` = (du, dv) to the object's (u2', v2') [rad/s, or the chart's units].
 
-    `contact` is its index from 0, or "all"; `start` and `stop` [s] lie inside the horizon.
     It moves the contact point and is part of the twist, but not of the feedback (the paper's
     dynamic examples).
     """

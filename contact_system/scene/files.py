@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from .. import limits, surfaces
+from .. import surfaces
 from ..checks import (
     a_path,
     did_you_mean,
@@ -59,6 +59,9 @@ def _surface_keys(name: str) -> dict[str, bool]:
     }
 
 
+_DOTTED = re.compile(r"(?<![^\s\[])(?:[^\s.\[]++\s*+\.\s*+){2,}+")
+"""A key of many parts; the time of parsing it grows with the square of their number."""
+
 # --- reading -----------------------------------------------------------------------------------
 
 
@@ -77,36 +80,10 @@ def scene_from_toml(text: str, source: str = "") -> Scene:
             raise SceneError("lists or tables are nested too deeply; nest them less") from None
 
 
-_TOKENS = re.compile(  # possessive quantifiers: no backtracking, whatever the text
-    r'"""(?:[^"\\]|\\.|"(?!""))*+"{3,5}|"(?:[^"\\\n]|\\.)*+"|'
-    r"'''(?:[^']|'(?!''))*+'{3,5}|'[^'\n]*+'|#[^\n]*+|[\[\]{}.]|[\n=,]",
-    re.DOTALL,
-)
-
-
-def _require_shallow(text: str) -> None:
-    """Refuse deep nesting before parsing, whose time grows with the square of the depth."""
-    depth = dots = 0
-    for token in _TOKENS.finditer(text):
-        mark = token[0]
-        if mark in "[{":
-            depth += 1
-        elif mark in "]}":
-            depth = max(0, depth - 1)
-        elif mark == ".":
-            dots += 1
-        elif mark in "\n=,":
-            dots = 0
-        else:
-            continue
-        if depth + dots > limits.NESTING:
-            line = text.count("\n", 0, token.start()) + 1
-            within("NESTING", depth + dots, f"line {line}, nested too deeply")
-
-
 def _scene(text: str, source: str) -> Scene:
     within("SCENE_BYTES", len(text), "characters")
-    _require_shallow(text)
+    for key in _DOTTED.findall(text):
+        within("NESTING", key.count("."), f"key {key:.40}...: dots")
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

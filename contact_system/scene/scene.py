@@ -6,7 +6,6 @@ and the remedy. Indices count from 0, in Python and in scene files.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
 import numbers
@@ -92,10 +91,6 @@ class Scene:
         except ContactSystemError as error:
             raise SceneError(f"{self.title}: {error}") from None
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Pickle the fields only."""
-        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-
     def contraction(self) -> Contraction:
         """Intervals on which slip shrinks, and the least eta for which it shrinks throughout."""
         return contraction(self.profile, self.gain, self.duration)
@@ -111,11 +106,11 @@ class Scene:
         SceneError
             An unknown field, or a wrong value.
         """
-        known = [f.name for f in dataclasses.fields(self)]
+        fields = vars(self)
         for key in changes:
-            if key not in known:
-                raise SceneError(f"a scene has no '{key}'{did_you_mean(key, known)}")
-        made = dataclasses.replace(self, **changes)
+            if key not in fields:
+                raise SceneError(f"a scene has no '{key}'{did_you_mean(key, fields)}")
+        made = Scene(**(fields | changes))
         if "contacts" in changes and not {"object", "disturbances"} & set(changes):
             object.__setattr__(made, "disturbances", self.disturbances)
         return made
@@ -167,8 +162,9 @@ class Scene:
         put(self, "contacts", all_of(Contact, self.contacts, "contacts", "Contact"))
         if not self.contacts:
             raise SceneError("contacts = []: a scene needs at least one contact")
-        names = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
-        put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", names))
+        if self.disturbances != ():
+            names = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
+            put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", names))
         for key, kind in (("profile", Profile), ("gain", Gain), ("turning", Turning)):
             value = getattr(self, key)
             if not isinstance(value, kind) and not (key == "turning" and value is None):
@@ -176,17 +172,21 @@ class Scene:
         for key in ("name", "description", "source"):
             a_text(getattr(self, key), key)
         for key in ("paper", "drake"):
-            put(self, key, _plain_table(getattr(self, key), key))
-        known_keys(self.paper, PAPER_KEYS, "paper: ")
-        for key, value in self.paper.items():
-            (finite_number if key in PAPER_NUMBERS else a_text)(value, f"paper: {key}")
+            if getattr(self, key) != {}:
+                put(self, key, _plain_table(getattr(self, key), key))
+        if self.paper:
+            known_keys(self.paper, PAPER_KEYS, "paper: ")
+            for key, value in self.paper.items():
+                (finite_number if key in PAPER_NUMBERS else a_text)(value, f"paper: {key}")
 
     def _check_motion(self) -> None:
         """Check the horizon, sigma on it, and that windows lie inside it."""
         put = object.__setattr__
         with_legs = [(i, c.legs) for i, c in enumerate(self.contacts) if c.legs]
-        longest = max((sum(x.duration for x in legs) for _, legs in with_legs), default=0.0)
-        put(self, "duration", finite_number(self.duration or longest, "duration"))
+        duration = self.duration or max(
+            (sum(x.duration for x in legs) for _, legs in with_legs), default=0.0
+        )
+        put(self, "duration", finite_number(duration, "duration"))
         if not self.duration > 0:
             raise SceneError(f"duration = {self.duration:g} s: give a horizon longer than 0 s")
         for i, legs in with_legs:
@@ -229,15 +229,24 @@ class Scene:
 
     def _place_contacts(self) -> None:
         """Bring every contact's coordinates into the charts' regular range."""
-        contacts = list(self.contacts)
+        placed: list[Contact] = []
         turned: set[tuple[str, int]] = set()
-        for i in range(len(contacts)):
-            for body in ("object", "finger"):
-                surface = self.object if body == "object" else contacts[i].finger
-                contacts[i], half_turn = _placed(contacts[i], i, surface, body)
-                if half_turn:
-                    turned.add((body, i))
-        object.__setattr__(self, "contacts", tuple(contacts))
+        for i, contact in enumerate(self.contacts):
+            for body, surface, given in (
+                ("object", self.object, contact.object_at),
+                ("finger", contact.finger, contact.finger_at),
+            ):
+                try:
+                    at = surface.canonical(*given)
+                except ContactSystemError as error:
+                    name = f" '{contact.name}'" if contact.name else ""
+                    raise SceneError(f"contacts[{i}]{name}: {body}_at = {given}: {error}") from None
+                if at != given:
+                    contact, half_turn = _moved(contact, i, surface, body, at)
+                    if half_turn:
+                        turned.add((body, i))
+            placed.append(contact)
+        object.__setattr__(self, "contacts", tuple(placed))
         if turned:
             disturbances = [
                 dataclasses.replace(d, value=(-d.value[0], -d.value[1]))
@@ -248,21 +257,14 @@ class Scene:
             object.__setattr__(self, "disturbances", tuple(disturbances))
 
 
-def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Contact, bool]:
-    """The contact with its coordinates on one body in the regular range of that body's chart.
+def _moved(contact: Contact, i: int, surface: Surface, body: str, at: Pair) -> tuple[Contact, bool]:
+    """The contact with the coordinates `at` of the same point on one body.
 
     Also returns whether both frame axes turn by pi: a double cover has the same point at (u, v) and
     (-u, pi - v), with opposite axes.
     """
     key = f"{body}_at"
     given: Pair = getattr(contact, key)
-    try:
-        at: Pair = surface.canonical(*given)
-    except ContactSystemError as error:
-        name = f" '{contact.name}'" if contact.name else ""
-        raise SceneError(f"contacts[{i}]{name}: {key} = {given}: {error}") from None
-    if at == given:
-        return contact, False
     for name, value, here in zip("uv", given, at):
         if value != here and abs(value) > MANY_TURNS:
             raise SceneError(
@@ -276,8 +278,8 @@ def _placed(contact: Contact, i: int, surface: Surface, body: str) -> tuple[Cont
         velocity = getattr(contact, f"{body}_velocity")
         if not isinstance(velocity, str):
             changes[f"{body}_velocity"] = (-velocity[0], -velocity[1])
-    moved = copy.copy(contact)
-    vars(moved).update(changes)  # a new Contact would check everything again
+    moved = object.__new__(type(contact))  # a new Contact would check everything again
+    vars(moved).update(vars(contact) | changes)
     return moved, half_turn
 
 
@@ -318,26 +320,18 @@ def _plain(value: Any, what: str) -> Any:
 
 def _check_chosen(scene: Scene) -> None:
     """Check that every entry of `chosen` is a key of scene files."""
-    object.__setattr__(scene, "chosen", all_of(str, scene.chosen, "chosen", "text"))
-    if not scene.chosen:
+    if scene.chosen == ():
         return
-    below: dict[str, Iterable[str]] = {
-        "contacts": CONTACT_KEYS,
-        "disturbances": DISTURBANCE_KEYS,
-        "turning": TURNING_KEYS,
-        "gain": ("law", "eta", "rho"),
-        "paper": scene.paper,
-        "drake": scene.drake,
-    }
+    object.__setattr__(scene, "chosen", all_of(str, scene.chosen, "chosen", "text"))
+    below = {"contacts": CONTACT_KEYS, "disturbances": DISTURBANCE_KEYS, "turning": TURNING_KEYS}
     for k, path in enumerate(scene.chosen):
         key, _, rest = path.partition(".")
-        known = SCENE_KEYS if key not in SCENE_KEYS or not rest else below.get(key, (rest,))
-        part = key if known is SCENE_KEYS else rest
-        if part not in known:
-            raise SceneError(
-                f"chosen[{k}] = '{path}': there is no key '{part}'{did_you_mean(part, known)}; "
-                'write it like "contacts.finger_at"'
-            )
+        for part, known in ((key, SCENE_KEYS), (rest, below.get(key, (rest,)))):
+            if part and part not in known:
+                raise SceneError(
+                    f"chosen[{k}] = '{path}': there is no key '{part}'{did_you_mean(part, known)}; "
+                    'write it like "contacts.finger_at"'
+                )
 
 
 def acting(scene: Scene, t: float) -> np.ndarray:

@@ -307,7 +307,8 @@ class Surface:
         if isinstance(u, float) and isinstance(v, float) and math.isfinite(u + v):
             # one point: without arrays, and without a table if it is clearly regular
             us, vs = self._wrap(u, v)
-            if not self.chart(self.parameters).floor(us, vs) > 2 * SINGULAR * self.size:
+            chart, least = self._regular
+            if not chart.floor(us, vs) > least:
                 self._require_regular(np.asarray(us), np.asarray(vs))
             return float(us), float(vs)
         us, vs = self._wrap(*self._finite(u, v))
@@ -358,6 +359,11 @@ class Surface:
 
     def _wrap(self, u: Any, v: Any) -> tuple[Any, Any]:
         return self.chart.wrap(u, v)
+
+    @kept
+    def _regular(self) -> tuple[Chart, float]:
+        """The chart with its numbers, and the `floor` of clearly regular points."""
+        return self.chart(self.parameters), 2 * SINGULAR * self.size
 
     def _require_regular(self, u: Array, v: Array) -> None:
         if self.chart.singular_at == "":

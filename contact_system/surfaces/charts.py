@@ -42,9 +42,9 @@ def choose(condition: Any, a: Any, b: Any) -> Any:
 
 def wrap_angle(angle: Angle) -> Angle:
     """Return the angle in (-pi, pi]; one in that range is not changed."""
-    in_range = (angle > -math.pi) & (angle <= math.pi)  # a bool or an array of them
-    if in_range is True:
+    if isinstance(angle, float) and -math.pi < angle <= math.pi:
         return angle
+    in_range = (angle > -math.pi) & (angle <= math.pi)
     return choose(in_range, angle, angle - TURN * np.ceil((angle - math.pi) / TURN))
 
 

@@ -16,15 +16,15 @@ import numpy as np
 
 from ..checks import a_path, flag, make_folder
 from ..errors import ContactSystemError
+from ..measures import summary
 from ..plan import checked_tolerance
 from ..scene import Scene
 from ..terminal import Progress
 from .chunk import Chunk, Evaluate, Failure, Item, Part, Run, joined, run_chunk
 from .files import digest, keep, read
-from .summaries import summary
 from .workers import spread
 
-__all__ = ["Failure", "Sweep", "summary", "sweep"]
+__all__ = ["Failure", "Sweep", "sweep"]
 
 
 class Sweep:

@@ -11,6 +11,7 @@ import contextlib
 import copy
 import functools
 import os
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,6 @@ from numpy.typing import ArrayLike
 from ..errors import ContactSystemError
 from ..plan import plan
 from ..scene import Contact, Disturbance, Scene, load_scene, scene_to_toml
-from .watch import end_with
 
 Item = Scene | str | os.PathLike | Callable[[], Scene]
 """A scene, the name or file of one, or a function that makes one (called where it is planned)."""
@@ -30,6 +30,7 @@ Item = Scene | str | os.PathLike | Callable[[], Scene]
 Evaluate = Callable[[Any], Mapping[str, ArrayLike]]
 """A function of a Plan, or with ``each=True`` of a Scene."""
 
+WATCH = "contact_system-sweep"  # the thread that ends a worker together with its sweep
 TOGETHER = 1000  # contacts in a plan; more are not faster, and their samples exceed the cache
 
 
@@ -74,6 +75,9 @@ class Chunk:
 Batch = list[tuple[int, Scene]]
 """Scenes of equally many contacts that can be planned as one, with their indices."""
 
+Done = tuple[Batch, dict[str, np.ndarray]]
+"""A batch with its outputs."""
+
 Run = functools.partial[Part]
 """The workers' function of a chunk: `run_chunk` with its first three arguments."""
 
@@ -86,21 +90,22 @@ def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: 
     """
     end_with(sweeper)
 
-    def tables_of(batch: Batch) -> list[np.ndarray]:
+    def work(batch: Batch) -> None:
         try:
             scene = _together(batch)
-            if tolerance is None:
-                return [_table(batch, evaluate(scene))]
-            outputs = evaluate(plan(scene, tolerance))
+            outputs = evaluate(scene if tolerance is None else plan(scene, tolerance))
         except Exception as error:  # a user's function may raise anything
             if len(batch) > 1:  # bisect, to find the scene that fails
                 half = len(batch) // 2
-                return tables_of(batch[:half]) + tables_of(batch[half:])
-            failures.append(a_failure(*batch[0], error))
-            return []
-        return [_table(batch, outputs)]
+                work(batch[:half])
+                work(batch[half:])
+            else:
+                failures.append(a_failure(*batch[0], error))
+        else:
+            done.append((batch, _columns(batch, outputs)))
 
     failures: list[Failure] = []
+    done: list[Done] = []
     alike: dict[Any, Batch] = {}
     for place, item in enumerate(chunk.items, chunk.first):
         try:
@@ -111,14 +116,34 @@ def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: 
             alike.setdefault(same, []).append((place, scene))
         except Exception as error:  # a user's function may raise anything
             failures.append(a_failure(place, item, error))
-    tables = []
     for batch in alike.values():
         size = max(1, TOGETHER // len(batch[0][1].contacts))
         for k in range(0, len(batch), size):
-            tables += tables_of(batch[k : k + size])
-    table = joined(tables)
+            work(batch[k : k + size])
     failures.sort(key=lambda failure: failure.scene)
-    return Part(table[np.argsort(table["scene"], kind="stable")], failures)
+    return Part(_table(done), failures)
+
+
+def end_with(sweeper: int) -> None:
+    """If this process is a worker of a sweep in another process, let it end together with that one.
+
+    Otherwise it would wait for work forever, as it holds the other end of its queue itself.
+    """
+    if os.getpid() == sweeper or any(thread.name == WATCH for thread in threading.enumerate()):
+        return
+    from multiprocessing import parent_process  # not on the planner's path
+
+    parent, born = parent_process(), os.getppid()
+    if parent is not None and parent.pid == sweeper:
+
+        def watch() -> None:
+            # workers forked later may keep the parent's sentinel alive, hence the check of getppid;
+            # a worker of a fork server is no child of the sweep, hence is_alive
+            while parent.is_alive() and os.getppid() == born:
+                parent.join(1.0)
+            os._exit(1)
+
+        threading.Thread(target=watch, name=WATCH, daemon=True).start()
 
 
 def _scene(item: Item) -> Scene:
@@ -146,6 +171,8 @@ def _together(batch: Batch) -> Scene:
     Its parts were checked in their own scenes. Checking them again would slow down a sweep of
     disturbed scenes by a seventh.
     """
+    if len(batch) == 1:
+        return batch[0][1]
     contacts: list[Contact] = []
     disturbances: list[Disturbance] = []
     for _, scene in batch:
@@ -159,19 +186,18 @@ def _together(batch: Batch) -> Scene:
     return one
 
 
-def _table(batch: Batch, outputs: Mapping[str, ArrayLike]) -> np.ndarray:
-    """One row for each contact of the batch, from the outputs of `evaluate`."""
-    contacts = len(batch[0][1].contacts)
-    count = contacts * len(batch)
-    columns = {
-        "scene": np.repeat([place for place, _ in batch], contacts),
-        "contact": np.tile(np.arange(contacts), len(batch)),
-        "name": np.repeat([scene.name for _, scene in batch], contacts),
-    }
+OWN = {"scene": "i8", "contact": "i8", "name": "U1"}  # columns that every table has
+NOTHING = np.empty(0, dtype=list(OWN.items()))
+
+
+def _columns(batch: Batch, outputs: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
+    """The outputs of `evaluate`, checked: arrays with one row for each contact of the batch."""
+    count = len(batch) * len(batch[0][1].contacts)
     if not isinstance(outputs, Mapping):
         raise ContactSystemError(
             f"evaluate returned {type(outputs).__name__}; return a dict of arrays"
         )
+    columns = {}
     for key, value in outputs.items():
         if not isinstance(key, str):
             raise ContactSystemError(f"evaluate returned the key {key!r}; give names as text")
@@ -179,20 +205,42 @@ def _table(batch: Batch, outputs: Mapping[str, ArrayLike]) -> np.ndarray:
             array = np.asarray(value)
         except ValueError:  # rows of different shapes
             array = np.array(None)
-        if key in columns or array.shape[:1] != (count,) or array.dtype.hasobject:
+        if key in OWN or array.shape[:1] != (count,) or array.dtype.hasobject:
             raise ContactSystemError(
                 f"evaluate returned '{key}' of shape {array.shape} and type {array.dtype}; give "
                 f"one row of numbers or texts for each contact of the plan, ({count}, ...), and a "
                 "name other than scene, contact, name"
             )
         columns[key] = array
-    table = np.empty(count, [(key, array.dtype, array.shape[1:]) for key, array in columns.items()])
+    return columns
+
+
+def _table(done: list[Done]) -> np.ndarray:
+    """One row for each contact of the batches, in the order of the scenes."""
+    if not done:
+        return NOTHING
+    scenes = [
+        (place, len(scene.contacts), scene.name) for batch, _ in done for place, scene in batch
+    ]
+    places, counts, names = map(np.array, zip(*scenes))
+    ends = np.cumsum(counts)
+    columns = {
+        "scene": np.repeat(places, counts),
+        "contact": np.arange(ends[-1]) - np.repeat(ends - counts, counts),
+        "name": np.repeat(names, counts),
+    }
+    shapes = {key: array.shape[1:] for key, array in done[0][1].items()}
+    for _, outputs in done:
+        if (other := {key: array.shape[1:] for key, array in outputs.items()}) != shapes:
+            raise _different(f"{shapes} and {other}")
+    for key in shapes:
+        columns[key] = np.concatenate([outputs[key] for _, outputs in done])
+    order = np.argsort(columns["scene"], kind="stable")
+    dtype = [(key, array.dtype, array.shape[1:]) for key, array in columns.items()]
+    table = np.empty(len(order), dtype)
     for key, array in columns.items():
-        table[key] = array
+        table[key] = array[order]
     return table
-
-
-NOTHING = np.empty(0, dtype=[("scene", np.int64), ("contact", np.int64), ("name", "U1")])
 
 
 def joined(tables: list[np.ndarray]) -> np.ndarray:
@@ -200,10 +248,14 @@ def joined(tables: list[np.ndarray]) -> np.ndarray:
     try:
         return np.concatenate(tables) if tables else NOTHING
     except TypeError as error:
-        raise ContactSystemError(
-            f"evaluate returned different outputs for different scenes ({error}); return the same "
-            "names and shapes for all"
-        ) from None
+        raise _different(str(error)) from None
+
+
+def _different(how: str) -> ContactSystemError:
+    return ContactSystemError(
+        f"evaluate returned different outputs for different scenes ({how}); return the same "
+        "names and shapes for all"
+    )
 
 
 def a_failure(place: int, item: Item, error: BaseException) -> Failure:

@@ -12,8 +12,7 @@ from concurrent.futures import Executor, Future
 from typing import Any
 
 from ..errors import ContactSystemError
-from .chunk import NOTHING, Chunk, Part, Run, a_failure
-from .watch import end_with
+from .chunk import NOTHING, Chunk, Part, Run, a_failure, end_with
 
 LOSSES = 2  # workers that a chunk may lose while it runs alone
 

@@ -165,6 +165,8 @@ class Profile:
             Naming the time, the value and the remedy.
         """
         c, duration = self.coefficients, finite_number(duration, "duration")
+        if min(c) >= 0 and 0 < polynomial(c, duration) < LARGEST:  # no sum of them is negative
+            return
         if not any(c):
             raise SceneError(
                 f"profile = {list(c)}: sigma is zero for all t, so nothing moves; "
@@ -176,8 +178,6 @@ class Profile:
                 f"profile = {list(c)}: sigma reaches about {reach:.3g} m/s at t = {duration:g} s, "
                 "too large for floating point; shorten the duration or lower the coefficients"
             )
-        if min(c) >= 0:  # no sum of such terms is negative
-            return
         knots = self.knots(0.0, duration)
         t = min(knots, key=lambda t: clear_value(c, t))
         if clear_value(c, t) >= 0:
