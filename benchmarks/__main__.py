@@ -4,8 +4,8 @@ Without PART, a quick overview within five minutes: the table of bars with four 
 work_precision and every eleventh case of stress. ``bars`` prints the table whole.
 
 Every line is a number, the bar that it is held to and whether that is met; numbers and what stands
-behind them go to results/benchmarks/PART.json. The exit code is 1 if a bar of accuracy, stress,
-faults or processes is missed; the others depend on the machine.
+behind them go to results/benchmarks/PART.json. The exit code is 1 if a bar of accuracy or
+stress is missed; the others depend on the machine.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from .report import THREADS, Bar, Section, Sections, header, surroundings, write
 PARTS = (
     *("bars", "first", "fresh", "many", "work_precision", "accuracy", "stress"),
     *("drake_planner", "drake_station", "balance", "hands", "physics", "truth"),
-    *("fmu", "faults", "reach", "geodesic", "processes", "strangers", "explorer"),
+    *("fmu", "reach", "geodesic", "explorer"),
 )
 """Modules of this package; each has SECTIONS, name -> function of ``full`` that yields bars."""
-BINDING = ("accuracy", "stress", "faults", "processes", "strangers")
+BINDING = ("accuracy", "stress")
 """Parts whose missed bars make the exit code 1."""
 
 

@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import contact_system as cs
 
@@ -29,14 +28,8 @@ print(json.dumps({"s": time.perf_counter() - begin}))
 explorer.close()
 """
 
-SLIDERS: dict[str, tuple[float, dict[str, Any]]] = {
-    "K4": (
-        50.0,
-        {"eta": ("gain",), "a": ("object", "a"), "radius": ("contacts", 0, "finger", "radius")},
-    ),
-    "implicit": (100.0, {"eta": ("gain",), "r": ("object", "parameters", "r")}),
-}
-"""Limits in ms, and places in the scene that sliders change."""
+LIMITS = {"K4": 50.0, "implicit": 100.0}
+"""ms, by scene."""
 
 PRESS = """(async () => {
   const now = () => new Promise(done => setTimeout(done, 0));
@@ -70,37 +63,6 @@ def served(full: bool) -> Iterator[Bar]:
     yield Bar("import to page served, K4", 2.0, found["s"].median, "s", note=f"{found['s']}")
 
 
-def server(full: bool) -> Iterator[Bar]:
-    """From a slider's event to the last message of the new picture."""
-    from contact_system.explorer.page import Explorer
-
-    for name, (limit, sliders) in SLIDERS.items():
-        scene = cs.load_scene(name)
-        explorer = Explorer(scene, Path("unused"), port=0)
-        for label, place in sliders.items():
-            times = []
-            for k in range(1, 41 if full else 16):
-                value = _value(scene, place) * (1 + 1e-3 * k)
-                begin = time.perf_counter()
-                explorer.ask({place: cs.Gain(scene.gain.law, value) if label == "eta" else value})
-                explorer.step(0.0)
-                times.append(1e3 * (time.perf_counter() - begin))
-            what = f"slider to last message, {name}: {label}"
-            note = f"{min(times):.3g} to {max(times):.3g}"
-            yield Bar(what, limit, statistics.median(times), "ms", note=note)
-        explorer.close()
-
-
-def _value(scene: cs.Scene, place: tuple[Any, ...]) -> float:
-    if place == ("gain",):
-        return scene.gain.value
-    part: Any = scene
-    for head in place:
-        named = getattr(part, "named_parameters", None) if head == "parameters" else None
-        part = named or (part[head] if isinstance(part, (tuple, dict)) else getattr(part, head))
-    return part
-
-
 def browser(full: bool) -> Iterator[Bar]:
     """From a key on the gain's slider to the frame, in headless Chromium with software WebGL."""
     from contact_system.explorer.page import Explorer
@@ -108,7 +70,7 @@ def browser(full: bool) -> Iterator[Bar]:
     if PROGRAM is None:
         yield Bar("slider to new picture", None, None, note="left out: no Chromium")
         return
-    for name, (limit, _) in SLIDERS.items():
+    for name, limit in LIMITS.items():
         explorer = Explorer(cs.load_scene(name), Path("unused"), port=0)
         threading.Thread(target=explorer.run, daemon=True).start()
         with Chromium(explorer.address) as page:
@@ -133,4 +95,4 @@ def _pressed(page: Chromium, times: int) -> list[dict[str, float]]:
     return found
 
 
-SECTIONS: Sections = {"served": served, "server": server, "browser": browser}
+SECTIONS: Sections = {"served": served, "browser": browser}

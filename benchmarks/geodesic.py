@@ -1,7 +1,4 @@
-"""Two-point geodesics: whether they end where they should, whether they are the shortest, time.
-
-Times are those of the processor, of many pairs in one call, and of one.
-"""
+"""Two-point geodesics: whether they end where they should, whether they are the shortest, time."""
 
 from __future__ import annotations
 
@@ -45,7 +42,7 @@ def _drawn(rng: np.random.Generator, surface: cs.Surface, n: int) -> np.ndarray:
 
 
 def _spent(call: Callable[[], Any]) -> tuple[Any, float]:
-    """What a call returns, and its time, s: the least of three."""
+    """What a call returns, and its processor time, s: the least of three."""
     times = []
     for _ in range(3):
         begin = time.process_time()
@@ -84,15 +81,12 @@ def shortest(full: bool) -> Iterator[Bar]:
         count = count if full else count // 20
         rng = np.random.default_rng(3)
         a, b = _drawn(rng, surface, count), _drawn(rng, surface, count)
-        lines, spent = _spent(lambda: cs.geodesic(surface, a, b))  # noqa: B023
+        lines = cs.geodesic(surface, a, b)
         pairs = Pairs(surface, a, b)
         ends = pairs.follow(pairs.start(np.arange(count), lines.direction), lines.length, 1e-16)
         off = np.linalg.norm(ends[:3].T - pairs.b, axis=1).max() / surface.size
         yield Bar(f"{name}, {count} pairs, end, sizes", 1e-12, off)
         yield Bar(f"{name}, not the shortest", 0, _shorter(surface, a, b, lines.length))
-        yield Bar(f"{name}, time a pair of many", 1.0, 1e3 * spent / count, "ms")
-        alone = [_spent(lambda: cs.geodesic(surface, a[i], b[i]))[1] for i in range(40)]  # noqa: B023
-        yield Bar(f"{name}, time of one pair, median", None, 1e3 * float(np.median(alone)), "ms")
 
 
 def revolution(full: bool) -> Iterator[Bar]:
@@ -118,10 +112,7 @@ def revolution(full: bool) -> Iterator[Bar]:
         )
         yield Bar(f"{name}, {count} pairs, distance", 1e-12, np.abs(lines.length - known).max())
         note = f"{1e6 * own / count:.3g} us a pair, geographiclib {1e6 * theirs / count:.3g} us"
-        yield Bar(f"{name}, times as fast, many pairs", 10, theirs / own, least=True, note=note)
-        alone = [_spent(lambda: cs.geodesic(surface, *points[:, i]))[1] for i in range(40)]  # noqa: B023
-        single = 1e-3 * theirs / count / float(np.median(alone)) * 1e3
-        yield Bar(f"{name}, times as fast, one pair a call", None, single)
+        yield Bar(f"{name}, times as fast", 10, theirs / own, least=True, note=note)
 
 
 SECTIONS: Sections = {"shortest": shortest, "revolution": revolution}

@@ -1,11 +1,10 @@
-"""Routes to goals: whether they arrive, how fast, and how long they are.
+"""Routes to goals: whether they arrive and how fast.
 
 Times are those of the processor.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from collections.abc import Iterator
@@ -80,73 +79,9 @@ def _goals(
     yield Bar(f"{name}, {count} goals, not reached", 0, missed, note=f"{legs} legs at most")
     yield Bar(f"{name}, greatest distance from the goal, sizes", LIMIT, off)
     median, most = np.quantile(spent, [0.5, 0.99]).tolist()
-    yield Bar(f"{name}, median time", limit, median, "ms")
-    yield Bar(f"{name}, 99 %", 10 * limit if limit else None, most, "ms")
+    if limit:
+        yield Bar(f"{name}, median time", limit, median, "ms")
+        yield Bar(f"{name}, 99 %", 10 * limit, most, "ms")
 
 
-# --- lengths -----------------------------------------------------------------------------------
-
-
-def lengths(full: bool) -> Iterator[Bar]:
-    """A sphere on a plane beside Hammersley's four rolls; routes after the optimiser."""
-    finger, obj, _ = PAIRS["sphere on plane"]
-    rng, ratios = np.random.default_rng(2), []
-    for _ in range(1000 if full else 200):
-        scene, given = _scene(finger, obj, **_drawn(rng, finger, obj)), _drawn(rng, finger, obj)
-        route = cs.reach(scene, cs.Goal(**given))
-        ratios.append(route.length / _four_rolls(scene, given, finger.radius))
-    note = f"median {np.median(ratios):.2f}"
-    yield Bar("sphere on plane, length over that of four rolls", 1 + 1e-9, max(ratios), note=note)
-    for name, (finger, obj, _) in PAIRS.items():
-        rng, parts = np.random.default_rng(3), []
-        for _ in range(20 if full else 5):
-            scene, goal = _scene(finger, obj, **_drawn(rng, finger, obj)), _drawn(rng, finger, obj)
-            first = cs.reach(scene, cs.Goal(**goal))
-            best = cs.reach(scene, cs.Goal(**goal), seconds=0.2)
-            parts.append(best.length / first.length)
-        note = f"{min(parts):.2f} to {max(parts):.2f}, in 0.2 s"
-        yield Bar(f"{name}, length after over before", 1.0, float(np.median(parts)), note=note)
-
-
-def _four_rolls(scene: cs.Scene, goal: dict, r: float) -> float:
-    """Two rolls that turn the sphere as wanted, two whole revolutions that move it (1983), m."""
-    contact = scene.contacts[0]
-    after = dataclasses.replace(contact, **goal)
-    first, last = (cs.plan(scene.replace(contacts=[c])).pose(0.0)[0, 0] for c in (contact, after))
-    move, turn = (last - first)[:2, 3], last[:3, :3] @ first[:3, :3].T
-    angle = math.acos(min(1.0, max(-1.0, (np.trace(turn) - 1) / 2)))
-    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    axis *= math.sin(angle / 2) / (2 * math.sin(angle))
-    (x, y, z), w = axis, math.cos(angle / 2)
-    best = math.inf
-    for h in np.linspace(0.0, math.pi, 360, endpoint=False):
-        c, s = math.cos(h), math.sin(h)
-        half = math.atan2(z, x * s - y * c)  # the rest of the turn has a level axis, too
-        half = math.remainder(half, math.pi)
-        p, q = math.cos(half), math.sin(half)
-        rest = (
-            w * p + q * (x * c + y * s),
-            x * p - w * q * c + z * q * s,
-            y * p - w * q * s - z * q * c,
-        )
-        sign = -1.0 if rest[0] < 0 else 1.0
-        other = 2 * math.atan2(math.hypot(*rest[1:]), sign * rest[0])
-        level = sign * np.array(rest[1:]) / max(math.hypot(*rest[1:]), 1e-300)
-        rolled = 2 * half * np.array([s, -c]) + other * np.array([level[1], -level[0]])
-        times = max(1, math.ceil(np.linalg.norm(move - r * rolled) / (4 * math.pi * r)))
-        best = min(best, r * (abs(2 * half) + other) + 4 * math.pi * r * times)
-    return best
-
-
-def loops(full: bool) -> Iterator[Bar]:
-    """Closed paths that turn the finger, and Gauss and Bonnet's law on them."""
-    for name, (finger, obj, _) in PAIRS.items():
-        worst, off = 0.0, 0.0
-        for angle in np.linspace(-3.0, 3.0, 20 if full else 6):
-            found = cs.loop(_scene(finger, obj), float(angle))
-            worst, off = max(worst, found.gauss_bonnet), max(off, found.residual)
-        yield Bar(f"{name}, loops, distance from where they begin", LIMIT, off)
-        yield Bar(f"{name}, loops, psi against the curvature enclosed", 1e-9, worst, "rad")
-
-
-SECTIONS: Sections = {"goals": goals, "lengths": lengths, "loops": loops}
+SECTIONS: Sections = {"goals": goals}

@@ -1,13 +1,12 @@
 """Stress: many cases at the edge of what can be computed; each is right, refused or a failure.
 
-A case plans something and judges it by exact laws (`stress_cases`). It runs in a process of its
+A case (`stress_cases`) plans a scene and judges the plan by exact laws. It runs in a process of its
 own under a watchdog, so that a hang or a crash of the whole process is counted and not suffered.
 """
 
 from __future__ import annotations
 
 import contextlib
-import importlib
 import multiprocessing
 import os
 import shutil
@@ -44,28 +43,25 @@ class Record:
     seconds: float
 
 
-def families() -> dict[str, Family]:
-    """All families by name."""
-    return {family.name: family for family in stress_cases.FAMILIES}
+FAMILIES = {family.name: family for family in stress_cases.FAMILIES}
 
 
 def rerun(family: str, index: int) -> Verdict:
     """Run one case in this process and print how it ended; errors are raised."""
-    case = families()[family].make(index)
+    case = FAMILIES[family].make(index)
     print(case.name)
     verdict = case.call()
     print(verdict)
     return verdict
 
 
-def _work(link: Connection, home: str, limit: float, todo: list[tuple[str, int]]) -> None:
+def _work(link: Connection, todo: list[tuple[str, int]]) -> None:
     """What the worker does: verdicts of cases, one after the other."""
-    known = importlib.import_module(home).families()
     for name, index in todo:
         begin = time.process_time()
-        _limit(limit)
+        _limit(LIMIT)
         try:
-            verdict = judged(known[name].make(index))
+            verdict = judged(FAMILIES[name].make(index))
         finally:
             _limit(0.0)
         link.send((verdict, time.process_time() - begin))
@@ -77,19 +73,13 @@ def _limit(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_PROF, seconds)
 
 
-def search(
-    chosen: list[tuple[Family, range]], home: str = __name__, limit: float = LIMIT
-) -> Iterator[Record]:
-    """Run cases of families of the module called `home`, which hang after `limit` s each.
-
-    A worker does them, and after one that ends it or hangs another worker the rest.
-    """
+def search(chosen: list[tuple[Family, range]]) -> Iterator[Record]:
+    """Run cases: a worker does them, and after one that ends it or hangs another the rest."""
     todo = deque((family.name, index) for family, indices in chosen for index in indices)
     context, lost = multiprocessing.get_context("spawn"), 0
     while todo:
         link, other = context.Pipe()
-        given = (other, home, limit, list(todo))
-        process = context.Process(target=_work, args=given, daemon=True)
+        process = context.Process(target=_work, args=(other, list(todo)), daemon=True)
         process.start()
         other.close()
         with contextlib.suppress(EOFError, ConnectionError):
@@ -101,21 +91,17 @@ def search(
         process.join()
         if todo:
             slow = not heard or process.exitcode == -getattr(signal, "SIGPROF", 27)
-            text = f"over {limit:g} s" if slow else f"the process ended with {process.exitcode}"
+            text = f"over {LIMIT:g} s" if slow else f"the process ended with {process.exitcode}"
             verdict = Verdict("hang" if slow else "crash", NAN, NAN, text)
-            yield Record(*todo.popleft(), verdict, limit)
+            yield Record(*todo.popleft(), verdict, LIMIT)
             if (lost := lost + 1) > 100:
                 raise RuntimeError(f"100 processes have ended; the last: {text}")
 
 
 def cases(full: bool) -> Iterator[Bar]:
-    """All cases; ``full``: ten times the random ones, and none that was run before."""
-    chosen = []
-    for family in families().values():
-        first, count = 0, family.count
-        if full and family.endless:
-            first, count = 1000 * int(time.time()), 10 * count
-        chosen.append((family, range(first, first + count)))
+    """All cases; ``full``: ten times as many, and none that was run before."""
+    first, more = (1000 * int(time.time()), 10) if full else (0, 1)
+    chosen = [(f, range(first, first + more * f.count)) for f in FAMILIES.values()]
     records = yield from _bars(chosen, 20_000)
     from .figures import outcomes  # which needs matplotlib
 
@@ -124,7 +110,7 @@ def cases(full: bool) -> Iterator[Bar]:
 
 def sample(full: bool) -> Iterator[Bar]:
     """Every eleventh case, which no axis of a grid repeats after."""
-    yield from _bars([(family, range(0, family.count, 11)) for family in families().values()], 1900)
+    yield from _bars([(family, range(0, family.count, 11)) for family in FAMILIES.values()], 1900)
 
 
 def _bars(chosen: list[tuple[Family, range]], least: int) -> Generator[Bar, None, list[Record]]:

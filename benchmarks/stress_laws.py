@@ -7,8 +7,6 @@ on the surface            level functions of `stress_scenes`
 speed                     |M1 q1'| = sigma |W1|,  |M2 q2'| = sigma |W - V exp(-L)|
 slip                      v_rel = sigma exp(-L) V in closed form, length and angle to R_psi M1 q1'
 no slip part              R_psi M1 q1' - M2 q2' = v_rel from states; material points in the twist
-one branch                coordinates are the same when asked among many times, and lose no turn on
-                          the way
 no spin                   omega . n = 0; normals turn with the bodies (`_twist`)
 frames                    pose orthonormal, contact points meet, normals oppose
 geodesics                 plane, cylinder, sphere: closed form; quadrics: Joachimsthal's integral
@@ -38,7 +36,7 @@ from numpy.polynomial.legendre import leggauss
 
 import contact_system as cs
 
-from .stress_scenes import DISTURBANCES, EPS, TURNS, Array, Body, Trial
+from .stress_scenes import DISTURBANCES, EPS, Array, Body, Trial
 from .verdicts import NAN, Meter, Verdict, refusal
 
 NODES, WEIGHTS = leggauss(10)
@@ -113,10 +111,6 @@ class Sample:
         return np.einsum("nij,nj->ni", self.frame[k][:, :, :2], plane)
 
 
-MANY = 700
-"""Times that are asked for beside the sample's."""
-
-
 class Judge:
     """Compares one plan with the laws."""
 
@@ -145,7 +139,6 @@ class Judge:
         if self.windows:  # most disturbances are no stronger than the motion
             reach = max(5 * reach, *(self._pushed(d) for d in self.scene.disturbances))
         turns = [reach * b.kappa / b.size for b in self.bodies]
-        self.turns = max(turns)
         self.e = [plan.tolerance + EPS * (64 + 8 * x) for x in turns]
 
     def _pushed(self, window: cs.scene.Disturbance) -> float:
@@ -168,11 +161,9 @@ class Judge:
                 return said
         if len(sample.t):
             self._states(sample)
-            self._among_many(sample)
             self._pose(sample)
             self._slip(sample)
         self._geodesics(times, everywhere, sample)
-        self._developed(times, everywhere)
         self._short_panel(sample)
         return self.meter.verdict()
 
@@ -200,19 +191,15 @@ class Judge:
                     gaps.append(str(error))
             times, states = np.array(kept), np.array(rows).reshape(-1, 9)
         self.meter.see("finite states", np.where(np.isfinite(states), 0.0, math.inf), 1.0)
-        return self.seen(times, states, self.plan.points(times)[:, 0]), gaps
-
-    def seen(self, times: Array, states: Array, points: Array | None = None) -> Sample:
-        """States (n, 9) in space; points (n, 2, 3) are those of the states, or others."""
+        points = self.plan.points(times)[:, 0]
         parts: list[tuple[Array, ...]] = []
         for k, body in enumerate(self.bodies):
             q = states[:, 4 * k : 4 * k + 2].T
             frame, root = body.surface.frame(*q), body.surface.metric_root(*q)
             plane = np.einsum("nij,nj->ni", root, states[:, 4 * k + 2 : 4 * k + 4])
             rate = np.einsum("nij,nj->ni", frame[:, :, :2], plane)
-            x = body.surface.point(*q) if points is None else points[:, k]
-            parts.append((x, frame, root, rate))
-        return Sample(times, states, *zip(*parts))
+            parts.append((points[:, k], frame, root, rate))
+        return Sample(times, states, *zip(*parts)), gaps
 
     def _sigma(self, t: Array) -> Array:
         return poly.polyval(t, self.sigma)
@@ -257,33 +244,6 @@ class Judge:
             bound = self.loss(sample, k) * (sigma + 1e-3 * self.terms) + 16 * EPS * self.terms
             bound *= 1 + np.hypot(*self.v)
             self.meter.see(f"speed of contact point {k + 1}", (speed - w)[still], bound[still])
-
-    def _among_many(self, sample: Sample) -> None:
-        """Coordinates do not depend on what is asked beside them, and lose no turn on the way."""
-        if self.trial.seed % 3 or self.turns > TURNS:
-            return
-        t = np.union1d(sample.t, np.linspace(0.0, self.scene.duration, MANY))
-        try:
-            states = self.plan.states(t)[:, 0]
-        except cs.ChartSingularity:
-            return
-        apart = states[np.searchsorted(t, sample.t)] - sample.states
-        loss = []
-        for k, body in enumerate(self.bodies):
-            lame = np.diagonal(sample.root[k], axis1=1, axis2=2)
-            lost = 8 * (4 * self.e[k] + self._chart_loss(sample, k))
-            loss.append(lost[:, None] * body.size / lame)
-        self.meter.see("psi among many times", apart[:, 8], sum(x.max(axis=1) for x in loss))
-        for k, body in enumerate(self.bodies):
-            q = slice(4 * k, 4 * k + 2)
-            self.meter.see(f"u{k + 1}, v{k + 1} among many times", apart[:, q], loss[k])
-            for r, period in enumerate(body.surface.periods(), 4 * k):
-                if period:
-                    rate = abs(states[:, r + 2])
-                    slow = np.maximum(rate[1:], rate[:-1]) * np.diff(t) < 0.1 * period
-                    step = np.diff(states[:, r])[slow]
-                    # passing a pole takes half a turn
-                    self.meter.see(f"no turn of body {k + 1} lost", step, 0.75 * period)
 
     def _path_velocities(self, t: Array) -> tuple[Array, Array]:
         """|M1 q1'| and |M2 q2'| while nothing disturbs, m/s."""
@@ -380,27 +340,6 @@ class Judge:
                 self.meter.see(f"geodesic {k + 1} in closed form", error, bound)
             elif body.shape.integral and len(sample.t):
                 self._integral(k, body, sample, x, frame[:, :2] @ w)
-
-    def _developed(self, times: Array, everywhere: Array) -> None:
-        """On plane and cylinder W s - V g, unrolled, is the curve, however soon slip ends."""
-        body = self.bodies[1]
-        if body.line not in ("plane", "cylinder") or self.windows or not self.v.any():
-            return
-        end = self.scene.duration
-        knots = [*times, *turning(self.sigma, end)]  # where the guaranteed law changes
-        cells = np.union1d(knots, end * np.geomspace(1e-40, 1.0, 400))
-        node, weight = np.polynomial.legendre.leggauss(24)
-        half = 0.5 * np.diff(cells, prepend=0.0)
-        inner = (cells - half)[:, None] + half[:, None] * node
-        parts = half * (self._left(inner.ravel()).reshape(inner.shape) @ weight)
-        slipped = np.cumsum(parts)[np.searchsorted(cells, times)]
-        path = poly.polyval(times, poly.polyint(self.sigma))
-        frame, x = body.surface.frame(*body.at)[:, :2], body.surface.point(*body.at)
-        for s, g, point in zip(path, slipped, everywhere[:, 1]):
-            exact = body.geodesic(x, frame @ (self.w2 * s - self.v * g), np.ones(1))
-            assert exact is not None
-            bound = 2 * self.e[1] * (body.size + np.linalg.norm(exact))
-            self.meter.see("developed curve", np.linalg.norm(point - exact[0]), bound)
 
     def _integral(self, k: int, body: Body, sample: Sample, x: Array, p: Array) -> None:
         clear = self._sigma(sample.t) > 1e-9 * self.speed

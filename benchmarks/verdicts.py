@@ -76,7 +76,6 @@ class Family:
     name: str
     count: int  # cases in the quick form: indices 0 to count - 1
     make: Callable[[int], Case]
-    endless: bool = False  # any index makes a case, and ``--full`` takes indices that no run had
 
 
 def judged(case: Case) -> Verdict:
@@ -103,9 +102,9 @@ REMEDY = re.compile(
 )
 
 
-def refusal(text: str, place: re.Pattern = PLACE) -> Verdict:
+def refusal(text: str) -> Verdict:
     """ "refused" if a text names place, value and remedy, else "crash" with what it lacks."""
-    parts = {"the scene or contact": place, "a value": VALUE, "a remedy": REMEDY}
+    parts = {"the scene or contact": PLACE, "a value": VALUE, "a remedy": REMEDY}
     missing = [name for name, pattern in parts.items() if not pattern.search(text)]
     if missing:
         return Verdict("crash", NAN, NAN, f"the error names not {', '.join(missing)}: {text}")

@@ -75,7 +75,7 @@ def test_any_path_through_or_past_a_pole_ends_right_or_refused(data, aim):
 
 @pytest.mark.parametrize("family", stress_cases.FAMILIES, ids=lambda family: family.name)
 def test_every_family_makes_cases_that_end_right_or_refused(family):
-    few = {"wrong input": 60, "revolutions, integrated": 2}.get(family.name, 6)
+    few = {"mutated files": 60, "revolutions, integrated": 2}.get(family.name, 6)
     for index in np.linspace(0, family.count - 1, few).astype(int):
         verdict = verdicts.judged(family.make(int(index)))
         assert verdict.outcome in ("right", "refused"), (int(index), verdict)
