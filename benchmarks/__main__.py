@@ -21,7 +21,7 @@ from .report import THREADS, Bar, Section, Sections, header, surroundings, write
 
 PARTS = (
     *("bars", "first", "fresh", "many", "work_precision", "accuracy", "stress"),
-    *("drake_planner", "drake_station", "balance", "hands", "physics", "truth"),
+    *("drake_planner", "drake_station", "hands", "physics", "truth"),
     *("fmu", "reach", "geodesic", "explorer"),
 )
 """Modules of this package; each has SECTIONS, name -> function of ``full`` that yields bars."""

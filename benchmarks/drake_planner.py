@@ -1,4 +1,4 @@
-"""ContactPlanner in Drake: exactness under Drake's integrators, cost of a derivative.
+"""ContactPlanner in Drake: cost of a derivative, and what cenic makes of it.
 
 Costs are those of one evaluation of the derivatives inside a Simulator, beside a LeafSystem with as
 many states that does nothing, in turns in one process.
@@ -22,7 +22,6 @@ from drake_plant import ContactPlanner, PlanSource
 from .report import Bar, Sections
 from .timing import Job, interleaved
 
-SCENES = ("K1", "K2", "K3", "K4")
 COORDINATES = ("chart", "frame")
 TITLES = {"K1": "on a sphere", "D1": "on a sphere, with a window", "K3": "on an ellipsoid"}
 TIMED, EVALUATIONS = 0.3, 900
@@ -39,26 +38,6 @@ def simulator_of(
     ApplySimulatorConfig(config, simulator)
     simulator.Initialize()
     return simulator
-
-
-def exact(full: bool) -> Iterator[Bar]:
-    """Contact points at the end of K1 to K4 with steps of 1e-4 s."""
-    for coordinates in COORDINATES:
-        for scheme in ("runge_kutta5", "radau3"):
-            errors = {name: _error(name, coordinates, scheme) for name in SCENES}
-            what = f"K1-K4 against plan(), {coordinates}: {scheme} at 1e-4 s"
-            yield Bar(what, 1e-9, max(errors.values()), "m", detail=errors)
-
-
-def _error(name: str, coordinates: str, scheme: str) -> float:
-    """Greatest distance of a contact point from plan()'s at the end, m."""
-    scene = cs.load_scene(name)
-    planner = ContactPlanner(scene, coordinates)
-    simulator = simulator_of(planner, scheme, 1e-4)
-    simulator.AdvanceTo(scene.duration)
-    points = planner.GetOutputPort("contact_point").Eval(simulator.get_context())
-    truth = cs.plan(scene, 1e-13).points(scene.duration)[0]
-    return float(np.linalg.norm(points.reshape(-1, 2, 3) - truth, axis=-1).max())
 
 
 class Empty(LeafSystem):
@@ -121,4 +100,4 @@ def cenic(full: bool) -> Iterator[Bar]:
             yield Bar(what, 1e-6, off, "m", note=note)
 
 
-SECTIONS: Sections = {"exact": exact, "cost": cost, "cenic": cenic}
+SECTIONS: Sections = {"cost": cost, "cenic": cenic}
