@@ -88,7 +88,7 @@ def passed(full: bool) -> Iterator[Bar]:
     """Python files and calls of ours that the first plan of K2 and its points pass."""
     found = in_new_process(PASSED)
     files = found["files"]
-    yield Bar("Python files that K2's first plan and points pass", 8, len(files), detail=found)
+    yield Bar("Python files that K2's first plan and points pass", 8, len(files))
     yield Bar("calls of ours in them", 120, found["calls"])
 
 

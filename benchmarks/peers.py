@@ -47,11 +47,6 @@ class Peer:
     points: Callable[[Any], Array]  # of what is found: (n, n_contacts, n_bodies, 3), m; not timed
 
 
-def missing() -> dict[str, str]:
-    """Peers that are not installed: name -> reason."""
-    return {} if importlib.util.find_spec("heyoka") else {"heyoka": "not installed"}
-
-
 def decades(first: int, last: int) -> tuple[float, ...]:
     """1e-first ... 1e-last."""
     return tuple(10.0**-k for k in range(first, last + 1))
@@ -59,7 +54,7 @@ def decades(first: int, last: int) -> tuple[float, ...]:
 
 def heyokas(problem: Problem) -> Iterator[Peer]:
     """heyoka on every form of the equations."""
-    if "heyoka" not in missing():
+    if importlib.util.find_spec("heyoka"):
         for form, ode in problem.forms.items():
             name = f"heyoka, {form}" if len(problem.forms) > 1 else "heyoka"
             yield Peer(name, HEYOKA, functools.partial(_heyoka, ode), ode.all_points)

@@ -11,7 +11,6 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from .report import ROOT
@@ -79,11 +78,11 @@ def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) ->
     return {name: spread(found) for name, found in samples.items()}
 
 
-def in_new_process(code: str, *arguments: str, folder: Path = ROOT, **environment: str) -> Any:
-    """What a Python program prints as JSON in a process of its own, in a checkout."""
-    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | environment
+def in_new_process(code: str, *arguments: str) -> Any:
+    """What a Python program prints as JSON in a process of its own."""
+    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     command = [sys.executable, "-c", code, *arguments]
-    done = subprocess.run(command, cwd=folder, env=kept, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=ROOT, env=kept, capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(done.stderr)
     return json.loads(done.stdout)

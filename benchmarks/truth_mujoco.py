@@ -46,11 +46,6 @@ METHODS = [
 ]
 
 
-def takes(setup: Setup, method: Method) -> bool:
-    """MuJoCo takes all."""
-    return True
-
-
 def run(name: str, method: Method, step: float, limit: float = math.inf) -> Ended:
     """A set-up by a method with a step; none of them comes near a ``limit``, s."""
     depth = _depth(setups()[name], method, step)

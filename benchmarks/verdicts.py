@@ -12,8 +12,7 @@ import numpy as np
 
 from contact_system import ContactSystemError
 
-OUTCOMES = ("right", "refused", "silent", "crash", "hang")
-FAILURES = OUTCOMES[2:]
+FAILURES = ("silent", "crash", "hang")
 NAN = math.nan
 
 

@@ -15,11 +15,11 @@ import math
 import statistics
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 from .figures import Curve, overview
-from .peers import Peer, decades, missing, peers
+from .peers import Peer, decades, peers
 from .problems import Problem, problems
 from .report import ROOT, Bar, Sections, markdown_table, surroundings
 from .timing import SLOW, Job, Timing, interleaved, sample, spread
@@ -28,13 +28,6 @@ TARGETS = (1e-6, 1e-9, 1e-12)
 OURS = "ours"
 FLOOR = 2e-15  # tighter tolerances cannot show in double precision
 LONG = 0.01  # [s]: what takes longer is sampled while scanning only
-QUICK = (
-    "geodesic ellipsoid",
-    "slip sphere-ellipsoid 1e3",
-    "slip sphere-ellipsoid 1e7",
-    "disturbed K4",
-)
-"""Problems of the quick form of the bench."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +41,10 @@ class Run:
 
 @dataclass
 class Outcome:
-    """A problem's curves by method, and why methods are absent or stop: name -> reason."""
+    """A problem's curves by method."""
 
     name: str
     curves: dict[str, list[Run]] = field(default_factory=dict)
-    left_out: dict[str, str] = field(default_factory=dict)
 
 
 OUTCOMES: dict[str, Outcome] = {}
@@ -67,11 +59,11 @@ def measure(
     repeats: int = 5,
 ) -> Outcome:
     """Ours and its rivals at all their tolerances; a method ends after a run above ``limit`` s."""
-    outcome = Outcome(problem.name, left_out=missing())
+    outcome = Outcome(problem.name)
     found: list[tuple[str, float, Job, float, list[float]]] = []
     for peer in rivals:
-        found += _scan(problem, outcome, limit, peer)
-    found += _scan(problem, outcome, limit, Peer(OURS, tolerances, None, problem.points))
+        found += _scan(problem, limit, peer)
+    found += _scan(problem, limit, Peer(OURS, tolerances, None, problem.points))
     gc.collect()
     gc.freeze()  # collections between samples then cost nothing to speak of
     quick = {(name, x): job for name, x, job, _, seconds in found if min(seconds) < LONG}
@@ -92,7 +84,7 @@ def _job(problem: Problem, peer: Peer, tolerance: float, limit: float) -> Job:
 
 
 def _scan(
-    problem: Problem, outcome: Outcome, limit: float, peer: Peer
+    problem: Problem, limit: float, peer: Peer
 ) -> Iterator[tuple[str, float, Job, float, list[float]]]:
     """Errors, and times of the slow; a peer ends where it fails or is needlessly tight."""
     for tolerance in peer.tolerances:
@@ -107,9 +99,7 @@ def _scan(
                 raise ArithmeticError("the result is not finite")
             if seconds[0] < limit:
                 seconds = [sample(job) for _ in range(2 if seconds[0] > SLOW else 1)]
-        except (TimeoutError, ArithmeticError, ValueError, RuntimeError) as reason:
-            text = str(reason).strip().splitlines() or [type(reason).__name__]
-            outcome.left_out[f"{peer.name} {tolerance:g}"] = text[-1][-120:]
+        except (TimeoutError, ArithmeticError, ValueError, RuntimeError):
             return
         yield peer.name, tolerance, job, error, seconds
         if peer.build and (error < FLOOR or min(seconds) > limit):
@@ -180,8 +170,7 @@ def diagrams(problem: Problem, full: bool) -> Iterator[Bar]:
     OUTCOMES[problem.name] = outcome
     for target in TARGETS:
         yield beside(outcome, target, 0.9)
-    detail = asdict(outcome)
-    yield Bar(f"{problem.name}, smallest error, of the size", 1e-13, _least(outcome), detail=detail)
+    yield Bar(f"{problem.name}, smallest error, of the size", 1e-13, _least(outcome))
 
 
 def _least(outcome: Outcome) -> float:
@@ -208,7 +197,7 @@ How many times faster than the fastest peer a new scene is planned and asked for
 at equal achieved error; what is compared, and how: [benchmarks](../benchmarks/README.md).
 
 {table}
-Geometric mean {mean:.2g}. {date}, {processor}, one thread.
+Geometric mean {mean:.2g}. {about}
 
 ![Run time against error on all problems](work-precision.png)
 """
@@ -248,8 +237,8 @@ def _best(outcome: Outcome) -> dict[str, Curve]:
     return curves
 
 
-def page_text(outcomes: Iterable[Outcome], about: dict[str, Any]) -> str:
-    """Ratios by problem, with their geometric mean, date and machine; slower ones are bold."""
+def page_text(outcomes: Iterable[Outcome], about: str) -> str:
+    """Ratios by problem, their geometric mean, and where that was; slower ones are bold."""
     rows, ratios = [], []
     for outcome in outcomes:
         found = [ratio(outcome, target) for target in TARGETS]
@@ -258,9 +247,8 @@ def page_text(outcomes: Iterable[Outcome], about: dict[str, Any]) -> str:
         rivals = ", ".join(dict.fromkeys(r.rival for r in seen))
         rows.append([outcome.name, *map(_cell, found), rivals, f"{_least(outcome):.0e}"])
     head = ["problem", *(f"{target:.0e}" for target in TARGETS), "fastest peer", "smallest error"]
-    mean, date = statistics.geometric_mean(ratios), about["date"][:10]
-    table = markdown_table(head, rows)
-    return PAGE.format(table=table, mean=mean, date=date, processor=about["processor"])
+    mean, table = statistics.geometric_mean(ratios), markdown_table(head, rows)
+    return PAGE.format(table=table, mean=mean, about=about)
 
 
 def _cell(found: Ratio | str) -> str:
