@@ -58,7 +58,7 @@ EMPTY = """(() => {
 def served(full: bool) -> Iterator[Bar]:
     """A new process that has the packages' files in the system's cache."""
     found = in_new_processes(7 if full else 3, SERVED)
-    yield Bar("import to page served, K4", 2.0, found["s"].median, "s", note=f"{found['s']}")
+    yield Bar("import to page served, K4", 2.0, found["s"], "s")
 
 
 def browser(full: bool) -> Iterator[Bar]:

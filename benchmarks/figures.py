@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-Curve = tuple[Sequence[float], Sequence[float], Any]
-"""Errors, times, and how far times spread below and above: (2, n) or None."""
+Curve = tuple[Sequence[float], Sequence[float]]
+"""Errors and times."""
 SHARED = {"marker": "o", "markersize": 3.5, "linewidth": 0.9}
 
 
@@ -33,10 +33,8 @@ def overview(
     figure, grid = pyplot.subplots(rows, columns, layout="constrained", squeeze=False, **given)
     named: dict[str, Any] = {}
     for axes, (title, curves) in zip(grid.flat, panels.items()):
-        for name, (errors, times, spread) in curves.items():
-            axes.errorbar(errors, times, spread, label=name, **SHARED | styles[name])
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        for name, (errors, times) in curves.items():
+            axes.loglog(errors, times, label=name, **SHARED | styles[name])
         axes.invert_xaxis()
         axes.grid(alpha=0.3)
         axes.set_title(title, fontsize="small")

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmu_hosts import EVERYTHING, importers, native
-from fmu_hosts.blocks import Instance, columns, exported
+from fmu_hosts.blocks import columns, exported
 from fmu_hosts.native import Fmu, Program, Unavailable
 
 import contact_system as cs
@@ -83,37 +83,6 @@ def cosimulation(full: bool) -> Iterator[Bar]:
         worst = _off_plan(_cut, version, 0.05)
         what = f"FMI {version}, random steps: off plan()"
         yield Bar(what, 1e-12, max(worst.values()))
-
-
-def model_exchange(full: bool) -> Iterator[Bar]:
-    """K1 to K4 integrated by fmpy's CVode at the file's tolerance, against the plan."""
-    for version in VERSIONS:
-        worst = _off_plan(importers.fmpy_integrates, version, 0.02)
-        what = f"FMI {version}, Model Exchange, CVode at the file's tolerance: off plan()"
-        yield Bar(what, 1e-7, max(worst.values()))
-
-
-def reach(full: bool) -> Iterator[Bar]:
-    """A finger that `reach` steers to goals on an ellipsoid: where its FMU is at the end."""
-    rng, r1 = np.random.default_rng(3), scene_of("R1")
-    contact = replace(r1.contacts[0], legs=(), object_velocity=(0.3, -0.4))
-    start = r1.replace(contacts=[contact], profile=cs.Profile([0.1]))
-    goals = [
-        {"object_at": tuple(rng.uniform((0.3, -1.4), (2.8, 1.4))), "finger_at": tuple(at)}
-        for at in rng.uniform((0.3, -1.4), (2.8, 1.4), (20 if full else 3, 2))
-    ]
-    scenes = [cs.reach(start, cs.Goal(**goal, angle=1.0)).scene for goal in goals]
-    for version in VERSIONS:
-        off = 0.0
-        for scene, goal in zip(scenes, goals):
-            block = Instance(scene, "FMU", version).begin()
-            block.step(scene.duration)
-            for side, surface in (("finger", contact.finger), ("object", scene.object)):
-                wanted = surface.point(*goal[f"{side}_at"])
-                away = np.linalg.norm(block.get(f"contact[1].{side}.point") - wanted)
-                off = max(off, float(away) / surface.size)
-        what = f"FMI {version}, {len(goals)} goals of reach: distance at the end, sizes"
-        yield Bar(what, 1e-12, off)
 
 
 def euler(full: bool) -> Iterator[Bar]:
@@ -332,7 +301,7 @@ def pythonfmu(full: bool) -> Iterator[Bar]:
         jobs[f"{name}, doStep"] = _job(fmu, ())
         states = fmu.outputs if fmu is peer else _states(fmu)
         jobs[f"{name}, doStep and 27 states"] = _job(fmu, states)
-    us = {name: 1e6 * t.median / COUNT for name, t in interleaved(jobs, 15 if full else 7).items()}
+    us = {name: 1e6 * time / COUNT for name, time in interleaved(jobs, 15 if full else 7).items()}
     off = f"which ends {_peer_error(peer):.0e} off plan()"
     for what, limit in (("doStep", 10.0), ("doStep and 27 states", None)):
         for version in VERSIONS:
@@ -422,8 +391,6 @@ def endurance(full: bool) -> Iterator[Bar]:
 
 SECTIONS: Sections = {
     "cosimulation": cosimulation,
-    "model_exchange": model_exchange,
-    "reach": reach,
     "euler": euler,
     "resynchronizing": resynchronizing,
     "importers": other_importers,

@@ -64,10 +64,9 @@ def scenes(full: bool) -> Iterator[Bar]:
     jobs = {name: _like(name, "points") for name in LIMITS} | {"all": _like("K4", *OUTPUTS)}
     times = interleaved(jobs, 15 if full else 7)
     for name, limit in LIMITS.items():
-        what = f"later fresh plan and {POINTS} points, {name}"
-        yield Bar(what, limit, 1e3 * times[name].median, "ms", note=f"{times[name]}")
+        yield Bar(f"later fresh plan and {POINTS} points, {name}", limit, 1e3 * times[name], "ms")
     what = "the same and states, slip, pose, twist, K4"
-    yield Bar(what, 2.0, 1e3 * times["all"].median, "ms", note=f"{times['all']}")
+    yield Bar(what, 2.0, 1e3 * times["all"], "ms")
 
 
 def geodesic(full: bool) -> Iterator[Bar]:
@@ -85,14 +84,14 @@ def geodesic(full: bool) -> Iterator[Bar]:
 
     turn = itertools.cycle(range(len(data["start"])))
     tolerances = (1e-12, 1e-15)
-    jobs = {f"{x:g}": Job(partial(end, x), lambda: make(next(turn))) for x in tolerances}
+    jobs = {x: Job(partial(end, x), lambda: make(next(turn))) for x in tolerances}
     times = interleaved(jobs, 15)
     for tolerance in tolerances:
         ends = [end(tolerance, make(k)) for k in range(len(data["start"]))]
         error = np.linalg.norm(np.array(ends) - data["end"], axis=1).max()
         limit = 0.06 if tolerance == tolerances[0] else None
         what = f"triaxial geodesic, fresh plan and its end, tolerance {tolerance:g}"
-        ms = 1e3 * times[f"{tolerance:g}"].median
+        ms = 1e3 * times[tolerance]
         yield Bar(what, limit, ms, "ms", note=f"greatest error {error:.1e} m")
 
 
@@ -145,7 +144,7 @@ def eta(full: bool) -> Iterator[Bar]:
     for (kind, obj), law in itertools.product(OBJECTS.items(), ("path", "time")):
         gains = (cs.Gain(law, 10.0**k) for k in range(0, 11, 2))
         jobs = {f"{gain.value:g}": Job(call, partial(slip_scene, obj, gain)) for gain in gains}
-        times = {name: timing.median for name, timing in interleaved(jobs, 7).items()}
+        times = interleaved(jobs, 7)
         most, least = max(times, key=times.__getitem__), min(times, key=times.__getitem__)
         note = f"{1e6 * times[most]:.4g} us at {most}, {1e6 * times[least]:.4g} us at {least}"
         name = f"time over eta 1 to 1e10, most over least, {kind}, law {law}"

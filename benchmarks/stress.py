@@ -14,15 +14,16 @@ import time
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 
 from . import stress_cases
 from .report import ROOT, Bar, Sections
 from .verdicts import FAILURES, NAN, Family, Verdict, judged
 
-LIMIT, WALL = 30.0, 120.0
-"""s of processor time after which a case hangs; by the clock, for one that uses no processor, and
-for a worker to import what it needs."""
+LIMIT, WALL = 60.0, 120.0
+"""s of processor time after which a case hangs, sanitizers being slow; by the clock, for one that
+uses no processor, and for a worker to import what it needs."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,7 @@ FAMILIES = {family.name: family for family in stress_cases.FAMILIES}
 
 def rerun(family: str, index: int) -> Verdict:
     """Run one case in this process and print how it ended; errors are raised."""
-    case = FAMILIES[family].make(index)
-    print(case.name)
-    verdict = case.call()
+    verdict = FAMILIES[family].run(index)
     print(verdict)
     return verdict
 
@@ -51,7 +50,7 @@ def _work(link: Connection, todo: list[tuple[str, int]]) -> None:
     for name, index in todo:
         _limit(LIMIT)
         try:
-            verdict = judged(FAMILIES[name].make(index))
+            verdict = judged(partial(FAMILIES[name].run, index))
         finally:
             _limit(0.0)
         link.send(verdict)
@@ -82,7 +81,7 @@ def search(chosen: list[tuple[Family, range]]) -> Iterator[Record]:
         if todo:
             slow = not heard or process.exitcode == -getattr(signal, "SIGPROF", 27)
             text = f"over {LIMIT:g} s" if slow else f"the process ended with {process.exitcode}"
-            verdict = Verdict("hang" if slow else "crash", NAN, NAN, text)
+            verdict = Verdict("hang" if slow else "crash", message=text)
             yield Record(*todo.popleft(), verdict)
             if (lost := lost + 1) > 100:
                 raise RuntimeError(f"100 processes have ended; the last: {text}")

@@ -27,7 +27,7 @@ from .stress_scenes import (
     Draw,
     draw_trial,
 )
-from .verdicts import NAN, Case, Family, Meter, Verdict
+from .verdicts import Family, Meter, Verdict
 
 
 def grid(
@@ -46,13 +46,12 @@ def grid(
     lengths = [len(cases), *map(len, axes.values())]
     key = zlib.crc32(name.encode())
 
-    def make(index: int) -> Case:
+    def one(index: int) -> Verdict:
         first, *others = np.unravel_index(index % math.prod(lengths), lengths)
         drawn = {choice: axes[choice][i] for choice, i in zip(axes, others)}
-        fixed, draw = cases[first] | drawn | (always or {}), Draw(key, index)
-        return Case(f"{name} {index}: {fixed}", lambda: run(draw_trial(draw, **fixed)))
+        return run(draw_trial(Draw(key, index), **cases[first] | drawn | (always or {})))
 
-    return Family(name, repeats * math.prod(lengths), make)
+    return Family(name, repeats * math.prod(lengths), one)
 
 
 BUILT_IN, USERS = ([f.__name__ for f in made] for made in (MADE, OF_USERS))
@@ -92,7 +91,7 @@ NUMBER = re.compile(r"(?<![\w.\"-])-?\d+(?:\.\d+)?(?:e-?\d+)?")
 BUNDLED = tuple(cs.bundled_scenes())
 
 
-def _mutated(index: int) -> Case:
+def _mutated(index: int) -> Verdict:
     """A bundled scene's file with one to three changes, which is planned or refused by name."""
     rng = random.Random(index)
     name = rng.choice(BUNDLED)
@@ -100,14 +99,11 @@ def _mutated(index: int) -> Case:
     for _ in range(rng.choice((1, 1, 2, 3))):
         text = rng.choice((*[_other_number] * 8, _other_lines, _other_sections))(rng, text)
 
-    def call() -> Verdict:
-        try:
-            scene = scene_from_toml(text, file)
-        except cs.ContactSystemError as error:
-            return Verdict("refused" if file in str(error) else "crash", NAN, NAN, str(error))
-        return _sound(cs.plan(scene))
-
-    return Case(f"{name}\n{text}", call)
+    try:
+        scene = scene_from_toml(text, file)
+    except cs.ContactSystemError as error:
+        return Verdict("refused" if file in str(error) else "crash", message=str(error))
+    return _sound(cs.plan(scene))
 
 
 def _other_number(rng: random.Random, text: str) -> str:

@@ -37,7 +37,7 @@ from numpy.polynomial.legendre import leggauss
 import contact_system as cs
 
 from .stress_scenes import DISTURBANCES, EPS, Array, Body, Trial
-from .verdicts import NAN, Meter, Verdict, refusal
+from .verdicts import Meter, Verdict, refusal
 
 NODES, WEIGHTS = leggauss(10)
 
@@ -151,7 +151,7 @@ class Judge:
     def verdict(self) -> Verdict:
         """Every law in turn."""
         if max(self.e) - self.plan.tolerance > 1e-3:
-            return Verdict("silent", NAN, NAN, "planned, though no digit of a point can be known")
+            return Verdict("silent", message="planned, though no digit of a point can be known")
         times = self._times()
         everywhere = self.plan.points(times)[:, 0]
         self._on_surfaces(everywhere)

@@ -27,23 +27,6 @@ class Job:
     make: Callable[[], Any] = lambda: None
 
 
-@dataclass(frozen=True)
-class Timing:
-    """Seconds a call: median, least and greatest of the samples."""
-
-    median: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{1e6 * self.median:.4g} us ({1e6 * self.low:.4g} to {1e6 * self.high:.4g})"
-
-
-def spread(seconds: list[float]) -> Timing:
-    """Of some samples."""
-    return Timing(statistics.median(seconds), min(seconds), max(seconds))
-
-
 def sample(job: Job, count: int = 1) -> float:
     """Seconds a call, over ``count`` calls with an item each."""
     items = [job.make() for _ in range(count)]
@@ -54,10 +37,10 @@ def sample(job: Job, count: int = 1) -> float:
     return (time.perf_counter() - begin) / count
 
 
-def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) -> dict[Any, Timing]:
-    """Time jobs in turns, so that a slow spell of the machine meets all of them.
+def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) -> dict[Any, float]:
+    """Seconds a call of each job, in turns, so that a slow spell of the machine meets all of them.
 
-    Every job is called before its time counts; a sample lasts ``burst`` s at least.
+    The median of samples, each of ``burst`` s at least; every job is called before its time counts.
     """
     counts = {}
     for name, job in jobs.items():
@@ -75,7 +58,7 @@ def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) ->
                     samples[name].append(sample(job, counts[name]))
     finally:
         gc.enable()
-    return {name: spread(found) for name, found in samples.items()}
+    return {name: statistics.median(found) for name, found in samples.items()}
 
 
 def in_new_process(code: str, *arguments: str) -> Any:
@@ -89,14 +72,14 @@ def in_new_process(code: str, *arguments: str) -> Any:
 
 
 def in_new_processes(count: int, code: str, *arguments: str) -> dict[str, Any]:
-    """Timings of the numbers that a program prints, each time in another process.
+    """Medians of the numbers that a program prints, each time in another process.
 
     The first run counts for nothing: it brings files into the machine's memory. What is no number
     is that of the last run.
     """
     runs = [in_new_process(code, *arguments) for _ in range(count + 1)][1:]
     return {
-        key: spread([run[key] for run in runs]) if isinstance(value, float) else value
+        key: statistics.median(run[key] for run in runs) if isinstance(value, float) else value
         for key, value in runs[-1].items()
     }
 

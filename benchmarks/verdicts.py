@@ -1,4 +1,4 @@
-"""Cases of the stress bench, their families, and how a case ends: right, refused or a failure."""
+"""Families of cases of the stress bench, and how a case ends: right, refused or a failure."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Verdict:
     """
 
     outcome: str
-    error: float
-    bound: float
+    error: float = NAN
+    bound: float = NAN
     message: str = ""
 
 
@@ -61,30 +61,22 @@ class Meter:
 
 
 @dataclass(frozen=True)
-class Case:
-    """One thing to try; ``call`` returns the verdict or raises (see `judged`)."""
-
-    name: str
-    call: Callable[[], Verdict]
-
-
-@dataclass(frozen=True)
 class Family:
     """Cases that are alike, each made anew from its index, so in any process and any order."""
 
     name: str
     count: int  # cases in the quick form: indices 0 to count - 1
-    make: Callable[[int], Case]
+    run: Callable[[int], Verdict]  # or raises, see `judged`
 
 
-def judged(case: Case) -> Verdict:
+def judged(case: Callable[[], Verdict]) -> Verdict:
     """The verdict of a case; what it raises is one too."""
     try:
-        return case.call()
+        return case()
     except ContactSystemError as error:
         return refusal(str(error))
     except Exception as error:
-        return Verdict("crash", NAN, NAN, f"{type(error).__name__}: {error}")
+        return Verdict("crash", message=f"{type(error).__name__}: {error}")
 
 
 # What a refusal must name (a part that is made alone knows its own key only), and words that tell
@@ -106,5 +98,5 @@ def refusal(text: str) -> Verdict:
     parts = {"the scene or contact": PLACE, "a value": VALUE, "a remedy": REMEDY}
     missing = [name for name, pattern in parts.items() if not pattern.search(text)]
     if missing:
-        return Verdict("crash", NAN, NAN, f"the error names not {', '.join(missing)}: {text}")
-    return Verdict("refused", NAN, NAN, text)
+        return Verdict("crash", message=f"the error names not {', '.join(missing)}: {text}")
+    return Verdict("refused", message=text)

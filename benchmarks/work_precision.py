@@ -22,7 +22,7 @@ from .figures import Curve, overview
 from .peers import Peer, decades, peers
 from .problems import Problem, problems
 from .report import ROOT, Bar, Sections, markdown_table, surroundings
-from .timing import SLOW, Job, Timing, interleaved, sample, spread
+from .timing import SLOW, Job, interleaved, sample
 
 TARGETS = (1e-6, 1e-9, 1e-12)
 OURS = "ours"
@@ -36,7 +36,7 @@ class Run:
 
     tolerance: float
     error: float
-    time: Timing
+    time: float  # s
 
 
 @dataclass
@@ -70,7 +70,7 @@ def measure(
     times = interleaved(quick, repeats, burst=0.002)
     gc.unfreeze()
     for name, tolerance, _, error, seconds in found:
-        timing = times.get((name, tolerance), spread(seconds))
+        timing = times.get((name, tolerance), statistics.median(seconds))
         outcome.curves.setdefault(name, []).append(Run(tolerance, error, timing))
     return outcome
 
@@ -109,7 +109,7 @@ def _scan(
 def best(curve: Iterable[Run]) -> list[Run]:
     """The runs that are better than all faster ones, the fastest first."""
     front: list[Run] = []
-    for run in sorted(curve, key=lambda run: run.time.median):
+    for run in sorted(curve, key=lambda run: run.time):
         if not front or run.error < front[-1].error:
             front.append(run)
     return front
@@ -124,10 +124,10 @@ def time_at(curve: Iterable[Run], error: float) -> float | None:
         return None
     tight = reached[0]
     if not looser or tight.error <= 0.0:
-        return tight.time.median
+        return tight.time
     loose = looser[-1]
     share = math.log(loose.error / error) / math.log(loose.error / tight.error)
-    return loose.time.median ** (1.0 - share) * tight.time.median**share
+    return loose.time ** (1.0 - share) * tight.time**share
 
 
 @dataclass(frozen=True)
@@ -223,17 +223,14 @@ STYLES = {
 
 
 def _best(outcome: Outcome) -> dict[str, Curve]:
-    """The best runs of each library, and how far their times spread."""
+    """The best runs of each library."""
     found: dict[str, list[Run]] = {}
     for name, runs in outcome.curves.items():
         found.setdefault(name.split()[0].rstrip(","), []).extend(runs)
     curves: dict[str, Curve] = {}
     for name in (name for name in STYLES if name in found):
         runs = best(found[name])
-        times = [run.time for run in runs]
-        spread = [[x.median - x.low for x in times], [x.high - x.median for x in times]]
-        errors = [max(run.error, 1e-17) for run in runs]
-        curves[name] = errors, [x.median for x in times], spread
+        curves[name] = [max(run.error, 1e-17) for run in runs], [run.time for run in runs]
     return curves
 
 

@@ -15,7 +15,6 @@ pytest.importorskip("mpmath")
 from benchmarks import fresh, peers, problems, work_precision  # noqa: E402
 from benchmarks.__main__ import PARTS, main  # noqa: E402
 from benchmarks.report import THREADS, Bar  # noqa: E402
-from benchmarks.timing import Timing  # noqa: E402
 from benchmarks.work_precision import Outcome, Run, best, page_text, ratio, time_at  # noqa: E402
 
 
@@ -26,7 +25,7 @@ def threads(monkeypatch):
 
 
 def run(error: float, seconds: float) -> Run:
-    return Run(error, error, Timing(seconds, seconds, seconds))
+    return Run(error, error, seconds)
 
 
 @pytest.mark.parametrize(

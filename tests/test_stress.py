@@ -8,6 +8,7 @@ makes the choices, so that a failure is shrunk. Failures that the search has fou
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -49,7 +50,7 @@ def verdict_of(data: st.DataObject, **fixed) -> verdicts.Verdict:
     def call() -> verdicts.Verdict:
         return stress_laws.run(stress_scenes.draw_trial(Choices(data), **fixed))
 
-    return verdicts.judged(verdicts.Case("drawn", call))
+    return verdicts.judged(call)
 
 
 @search(40)
@@ -77,7 +78,7 @@ def test_any_path_through_or_past_a_pole_ends_right_or_refused(data, aim):
 def test_every_family_makes_cases_that_end_right_or_refused(family):
     few = {"mutated files": 60, "revolutions, integrated": 2}.get(family.name, 6)
     for index in np.linspace(0, family.count - 1, few).astype(int):
-        verdict = verdicts.judged(family.make(int(index)))
+        verdict = verdicts.judged(functools.partial(family.run, int(index)))
         assert verdict.outcome in ("right", "refused"), (int(index), verdict)
 
 
