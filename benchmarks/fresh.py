@@ -102,7 +102,8 @@ def heyoka(full: bool) -> Iterator[Bar]:
     """At equal achieved error, 400 outputs; heyoka's integrators and initial states are ready."""
     for output, limit in (("points", 3.0), ("states", 2.0)):
         problem = no_slip(output, POINTS)
-        yield beside(measure(problem, heyokas(problem), repeats=9), 1e-14, limit)
+        curves = measure(problem, heyokas(problem), repeats=9)
+        yield beside(problem.name, curves, 1e-14, limit)
     for peak, limit in PEAKS.items():
         for kind, obj in OBJECTS.items():
             yield from _slip(kind, obj, peak, limit)
@@ -123,10 +124,10 @@ def _slip(kind: str, obj: cs.Surface, peak: float, limit: float) -> Iterator[Bar
     truth, forms = cs.plan(scene, 1e-15).points(times), {"chart": chart(scene, times)}
     given = times, truth, sizes_of(scene), forms, "states"
     problem = Problem(name, scene.replace, *given)
-    outcome = measure(problem, heyokas(problem), decades(1, 15), limit=2.0, repeats=7)
+    curves = measure(problem, heyokas(problem), decades(1, 15), limit=2.0, repeats=7)
     for target in TARGETS:
         note = f"; truth within {off:.0e}"
-        yield beside(outcome, target, limit, note=note, holds=off <= 0.1 * target)
+        yield beside(name, curves, target, limit, note=note, holds=off <= 0.1 * target)
 
 
 @functools.cache

@@ -49,6 +49,8 @@ def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) ->
             now = min(sample(job) for _ in range(3))
         counts[name] = max(1, round(burst / max(now, 1e-9)))
     samples: dict[Any, list[float]] = {name: [] for name in jobs}
+    gc.collect()
+    gc.freeze()  # collections between samples then cost next to nothing
     gc.disable()
     try:
         for turn in range(repeats):
@@ -58,6 +60,7 @@ def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) ->
                     samples[name].append(sample(job, counts[name]))
     finally:
         gc.enable()
+        gc.unfreeze()
     return {name: statistics.median(found) for name, found in samples.items()}
 
 

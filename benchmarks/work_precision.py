@@ -10,45 +10,34 @@ cheapest run that is good enough counts.
 from __future__ import annotations
 
 import functools
-import gc
 import math
 import statistics
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from .figures import Curve, overview
 from .peers import Peer, decades, peers
 from .problems import Problem, problems
 from .report import ROOT, Bar, Sections, markdown_table, surroundings
-from .timing import SLOW, Job, interleaved, sample
+from .timing import Job, interleaved
 
 TARGETS = (1e-6, 1e-9, 1e-12)
 OURS = "ours"
 FLOOR = 2e-15  # tighter tolerances cannot show in double precision
-LONG = 0.01  # [s]: what takes longer is sampled while scanning only
 
 
-@dataclass(frozen=True)
-class Run:
+class Run(NamedTuple):
     """A method at one tolerance."""
 
-    tolerance: float
     error: float
     time: float  # s
 
 
-@dataclass
-class Outcome:
-    """A problem's curves by method."""
-
-    name: str
-    curves: dict[str, list[Run]] = field(default_factory=dict)
-
-
-OUTCOMES: dict[str, Outcome] = {}
-"""What was measured in this process; the summary's input."""
+Curves = dict[str, list[Run]]
+"""Of one problem, by method."""
+FOUND: dict[str, Curves] = {}
+"""What was measured in this process, by problem; the summary's input."""
 
 
 def measure(
@@ -57,22 +46,30 @@ def measure(
     tolerances: tuple[float, ...] = decades(3, 15),
     limit: float = 0.1,
     repeats: int = 5,
-) -> Outcome:
-    """Ours and its rivals at all their tolerances; a method ends after a run above ``limit`` s."""
-    outcome = Outcome(problem.name)
-    found: list[tuple[str, float, Job, float, list[float]]] = []
-    for peer in rivals:
-        found += _scan(problem, limit, peer)
-    found += _scan(problem, limit, Peer(OURS, tolerances, None, problem.points))
-    gc.collect()
-    gc.freeze()  # collections between samples then cost nothing to speak of
-    quick = {(name, x): job for name, x, job, _, seconds in found if min(seconds) < LONG}
-    times = interleaved(quick, repeats, burst=0.002)
-    gc.unfreeze()
-    for name, tolerance, _, error, seconds in found:
-        timing = times.get((name, tolerance), statistics.median(seconds))
-        outcome.curves.setdefault(name, []).append(Run(tolerance, error, timing))
-    return outcome
+) -> Curves:
+    """Ours and its rivals at all their tolerances.
+
+    A peer ends where it fails, is needlessly tight, or takes longer than ``limit`` s.
+    """
+    errors, jobs = {}, {}
+    for peer in (*rivals, Peer(OURS, tolerances, None, problem.points)):
+        for tolerance in peer.tolerances:
+            try:
+                job = _job(problem, peer, tolerance, limit)
+                item, begin = job.make(), time.perf_counter()
+                found = job.call(item)
+                spent, error = time.perf_counter() - begin, problem.error(peer.points(found))
+            except (TimeoutError, ArithmeticError, ValueError, RuntimeError):
+                break
+            if not math.isfinite(error):
+                break
+            errors[peer.name, tolerance], jobs[peer.name, tolerance] = error, job
+            if peer.build and (error < FLOOR or spent > limit):
+                break
+    times, curves = interleaved(jobs, repeats, burst=0.002), Curves()
+    for (name, tolerance), error in errors.items():
+        curves.setdefault(name, []).append(Run(error, times[name, tolerance]))
+    return curves
 
 
 def _job(problem: Problem, peer: Peer, tolerance: float, limit: float) -> Job:
@@ -81,29 +78,6 @@ def _job(problem: Problem, peer: Peer, tolerance: float, limit: float) -> Job:
         return Job(functools.partial(problem.solve, tolerance), problem.make)
     solver = peer.build(tolerance, limit)
     return Job(lambda _: solver())
-
-
-def _scan(
-    problem: Problem, limit: float, peer: Peer
-) -> Iterator[tuple[str, float, Job, float, list[float]]]:
-    """Errors, and times of the slow; a peer ends where it fails or is needlessly tight."""
-    for tolerance in peer.tolerances:
-        try:
-            job = _job(problem, peer, tolerance, limit)
-            item = job.make()
-            begin = time.perf_counter()
-            found = job.call(item)
-            seconds = [time.perf_counter() - begin]
-            error = problem.error(peer.points(found))
-            if not math.isfinite(error):
-                raise ArithmeticError("the result is not finite")
-            if seconds[0] < limit:
-                seconds = [sample(job) for _ in range(2 if seconds[0] > SLOW else 1)]
-        except (TimeoutError, ArithmeticError, ValueError, RuntimeError):
-            return
-        yield peer.name, tolerance, job, error, seconds
-        if peer.build and (error < FLOOR or min(seconds) > limit):
-            return
 
 
 def best(curve: Iterable[Run]) -> list[Run]:
@@ -130,8 +104,7 @@ def time_at(curve: Iterable[Run], error: float) -> float | None:
     return loose.time ** (1.0 - share) * tight.time**share
 
 
-@dataclass(frozen=True)
-class Ratio:
+class Ratio(NamedTuple):
     """Times faster than the fastest peer at one error, its name, and seconds of both."""
 
     faster: float
@@ -140,9 +113,9 @@ class Ratio:
     other: float
 
 
-def ratio(outcome: Outcome, error: float) -> Ratio | str:
+def ratio(curves: Curves, error: float) -> Ratio | str:
     """The comparison, or why there is none."""
-    times = {name: time_at(runs, error) for name, runs in outcome.curves.items()}
+    times = {name: time_at(runs, error) for name, runs in curves.items()}
     own = times.pop(OURS, None)
     if own is None:
         return "ours does not reach this error"
@@ -153,9 +126,9 @@ def ratio(outcome: Outcome, error: float) -> Ratio | str:
     return Ratio(reached[rival] / own, rival, own, reached[rival])
 
 
-def beside(outcome: Outcome, target: float, limit: float, **others: Any) -> Bar:
+def beside(name: str, curves: Curves, target: float, limit: float, **others: Any) -> Bar:
     """How many times faster ours is at an error."""
-    name, found = f"{outcome.name}, error {target:.0e}, times faster", ratio(outcome, target)
+    name, found = f"{name}, error {target:.0e}, times faster", ratio(curves, target)
     if isinstance(found, str):
         return Bar(name, limit, None, "x", True, found)
     note = f"{1e6 * found.own:.3g} us beside {1e6 * found.other:.3g} us ({found.rival})"
@@ -166,20 +139,20 @@ def beside(outcome: Outcome, target: float, limit: float, **others: Any) -> Bar:
 def diagrams(problem: Problem, full: bool) -> Iterator[Bar]:
     """One problem: a bar for each error, one for the smallest error."""
     limit, repeats = (20.0, 9) if full else (0.1, 5)
-    outcome = measure(problem, peers(problem, full), limit=limit, repeats=repeats)
-    OUTCOMES[problem.name] = outcome
+    curves = measure(problem, peers(problem, full), limit=limit, repeats=repeats)
+    FOUND[problem.name] = curves
     for target in TARGETS:
-        yield beside(outcome, target, 0.9)
-    yield Bar(f"{problem.name}, smallest error, of the size", 1e-13, _least(outcome))
+        yield beside(problem.name, curves, target, 0.9)
+    yield Bar(f"{problem.name}, smallest error, of the size", 1e-13, _least(curves))
 
 
-def _least(outcome: Outcome) -> float:
-    return min((run.error for run in outcome.curves.get(OURS, ())), default=math.nan)
+def _least(curves: Curves) -> float:
+    return min((run.error for run in curves.get(OURS, ())), default=math.nan)
 
 
 def summary(full: bool) -> Iterator[Bar]:
     """Of all problems that were run: geometric mean and least."""
-    found = [ratio(outcome, target) for outcome in OUTCOMES.values() for target in TARGETS]
+    found = [ratio(curves, target) for curves in FOUND.values() for target in TARGETS]
     faster = [r.faster for r in found if isinstance(r, Ratio)]
     if not faster:
         yield Bar("summary of the problems", 5.0, None, "x", note="no problem was run")
@@ -205,14 +178,14 @@ Geometric mean {mean:.2g}. {about}
 
 def page(full: bool) -> Iterator[Bar]:
     """Write ``docs/work-precision.md`` and its pictures, after a run of all problems."""
-    outcomes, count = list(OUTCOMES.values()), len(list(problems()))
-    if len(outcomes) == count:
-        text = page_text(outcomes, surroundings())
+    count = len(list(problems()))
+    if len(FOUND) == count:
+        text = page_text(FOUND, surroundings())
         (ROOT / "docs" / "work-precision.md").write_text(text, "utf-8")
-        panels = {outcome.name: _best(outcome) for outcome in outcomes}
+        panels = {name: _best(curves) for name, curves in FOUND.items()}
         named = "greatest distance of a contact point, of the body's size", "run time [s]"
         overview(panels, STYLES, ROOT / "docs" / "work-precision.png", *named, columns=4)
-    yield Bar("problems of this run, for the page in docs", count, len(outcomes), least=True)
+    yield Bar("problems of this run, for the page in docs", count, len(FOUND), least=True)
 
 
 STYLES = {
@@ -222,10 +195,10 @@ STYLES = {
 }
 
 
-def _best(outcome: Outcome) -> dict[str, Curve]:
+def _best(by_method: Curves) -> dict[str, Curve]:
     """The best runs of each library."""
     found: dict[str, list[Run]] = {}
-    for name, runs in outcome.curves.items():
+    for name, runs in by_method.items():
         found.setdefault(name.split()[0].rstrip(","), []).extend(runs)
     curves: dict[str, Curve] = {}
     for name in (name for name in STYLES if name in found):
@@ -234,15 +207,15 @@ def _best(outcome: Outcome) -> dict[str, Curve]:
     return curves
 
 
-def page_text(outcomes: Iterable[Outcome], about: str) -> str:
+def page_text(by_problem: dict[str, Curves], about: str) -> str:
     """Ratios by problem, their geometric mean, and where that was; slower ones are bold."""
     rows, ratios = [], []
-    for outcome in outcomes:
-        found = [ratio(outcome, target) for target in TARGETS]
+    for name, curves in by_problem.items():
+        found = [ratio(curves, target) for target in TARGETS]
         seen = [r for r in found if isinstance(r, Ratio)]
         ratios += [r.faster for r in seen]
         rivals = ", ".join(dict.fromkeys(r.rival for r in seen))
-        rows.append([outcome.name, *map(_cell, found), rivals, f"{_least(outcome):.0e}"])
+        rows.append([name, *map(_cell, found), rivals, f"{_least(curves):.0e}"])
     head = ["problem", *(f"{target:.0e}" for target in TARGETS), "fastest peer", "smallest error"]
     mean, table = statistics.geometric_mean(ratios), markdown_table(head, rows)
     return PAGE.format(table=table, mean=mean, about=about)
