@@ -20,8 +20,8 @@ from .report import THREADS, Bar, Section, Sections, header, surroundings
 TABLE = ("first", "fresh", "many", "work_precision", "accuracy", "stress", "lines")
 PARTS = (
     *TABLE,
-    *("drake_planner", "drake_station", "hands", "physics", "truth"),
-    *("fmu", "reach", "geodesic", "explorer"),
+    *("drake_station", "hands", "physics", "truth"),
+    *("fmu", "steering", "explorer"),
 )
 """Modules of this package; each has SECTIONS, name -> function of ``full`` that yields bars."""
 BINDING = ("accuracy", "stress")

@@ -1,48 +1,208 @@
 """Stress: many cases at the edge of what can be computed; each is right, refused or a failure.
 
-A case (`stress_cases`) plans a scene and judges the plan by exact laws. It runs in a process of its
-own under a watchdog, so that a hang or a crash of the whole process is counted and not suffered.
+A case plans a scene and judges the plan by exact laws. It runs in a process of its own under a
+watchdog, so that a hang or a crash of the whole process is counted and not suffered.
 """
 
 from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import multiprocessing
+import random
+import re
 import signal
 import time
+import zlib
 from collections import Counter, deque
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from functools import partial
 from multiprocessing.connection import Connection
+from typing import Any, NamedTuple
 
-from . import stress_cases
+import casadi as ca
+import numpy as np
+
+import contact_system as cs
+from contact_system.scene.files import scene_from_toml, scene_text
+
 from .report import ROOT, Bar, Sections
-from .verdicts import FAILURES, NAN, Family, Verdict, judged
+from .stress_laws import run
+from .stress_scenes import ETAS, LAWS, MADE, OF_USERS, PROFILES, SHAPES, Draw, draw_trial
+from .verdicts import FAILURES, NAN, Family, Meter, Verdict, judged
+
+
+def grid(
+    name: str,
+    /,
+    repeats: int,
+    cases: Sequence[dict[str, Any]] = ({},),
+    always: dict[str, Any] | None = None,
+    **axes: Sequence[Any],
+) -> Family:
+    """All combinations of choices, each repeated with all else drawn anew.
+
+    ``cases`` are the first axis, several choices of `draw_trial` at once; ``always`` is chosen in
+    all; ``axes`` are further axes, values by the name of the choice.
+    """
+    lengths = [len(cases), *map(len, axes.values())]
+    key = zlib.crc32(name.encode())
+
+    def one(index: int) -> Verdict:
+        first, *others = np.unravel_index(index % math.prod(lengths), lengths)
+        drawn = {choice: axes[choice][i] for choice, i in zip(axes, others)}
+        return run(draw_trial(Draw(key, index), **cases[first] | drawn | (always or {})))
+
+    return Family(name, repeats * math.prod(lengths), one)
+
+
+BUILT_IN, USERS = ([f.__name__ for f in made] for made in (MADE, OF_USERS))
+MISSES = (0.0, *(10.0**-k for k in range(15, -1, -1)))
+HARD = ("oblate", "prolate", "equal axes", "plain", "needle", "pancake", "nearly a sphere")
+POLES = [
+    {"kind": "sphere"},
+    *({"kind": "ellipsoid", "shape": shape} for shape in HARD),
+    {"kind": "implicit_ellipsoid"},
+]
+"""What has poles or umbilics."""
+
+
+def _poles() -> list[dict[str, Any]]:
+    """Every kind of pole, passed by object and finger at every distance."""
+    cases = []
+    always = {"profile": "constant", "windows": 0, "turns": 4.0}
+    for what, side, miss in itertools.product(POLES, ("object", "finger"), MISSES):
+        other = {"object": "finger", "finger": "object"}[side]
+        shape = {"shape": what["shape"]} if "shape" in what else {}
+        cases.append({side: what["kind"], other: "sphere", "pole": (side, miss)} | always | shape)
+    return cases
+
+
+def _bowls() -> list[dict[str, Any]]:
+    """Fingers of a bowl's own form, less a part of their radius."""
+    return [
+        {"object": kind, "finger": kind, "ratio": 1.0 - less}
+        for kind in ("sphere", "cylinder", "torus", "ellipsoid", "plane")
+        for less in (0.0, *(10.0**-k for k in range(16, 0, -1)), 0.5)
+    ]
+
+
+# --- mutated files --------------------------------------------------------------------------------
+
+NUMBER = re.compile(r"(?<![\w.\"-])-?\d+(?:\.\d+)?(?:e-?\d+)?")
+BUNDLED = tuple(cs.bundled_scenes())
+
+
+def _mutated(index: int) -> Verdict:
+    """A bundled scene's file with one to three changes, which is planned or refused by name."""
+    rng = random.Random(index)
+    name = rng.choice(BUNDLED)
+    text, file = scene_text(name)[0], f"mutated {name}.toml"
+    for _ in range(rng.choice((1, 1, 2, 3))):
+        text = rng.choice((*[_other_number] * 8, _other_lines, _other_sections))(rng, text)
+
+    try:
+        scene = scene_from_toml(text, file)
+    except cs.ContactSystemError as error:
+        return Verdict("refused" if file in str(error) else "crash", message=str(error))
+    return _sound(cs.plan(scene))
+
+
+def _other_number(rng: random.Random, text: str) -> str:
+    found = list(NUMBER.finditer(text))
+    if not found:
+        return text
+    match = rng.choice(found)
+    x = float(match[0])
+    scaled = [x * 10 ** rng.uniform(-k, k) for k in (1, 3, 10, 20)]
+    value = rng.choice((*scaled, *scaled, -x, 0.0, 10 ** rng.uniform(-300, 300)))
+    return f"{text[: match.start()]}{value!r}{text[match.end() :]}"
+
+
+def _other_lines(rng: random.Random, text: str) -> str:
+    """A line is missing, or there twice."""
+    lines = text.splitlines()
+    k = rng.randrange(len(lines))
+    lines[k : k + 1] = [lines[k]] * rng.choice((0, 2))
+    return "\n".join(lines)
+
+
+def _other_sections(rng: random.Random, text: str) -> str:
+    """Two sections have changed places."""
+    parts = re.split(r"^(?=\[)", text, flags=re.MULTILINE)
+    i, j = rng.randrange(len(parts)), rng.randrange(len(parts))
+    parts[i], parts[j] = parts[j], parts[i]
+    return "".join(parts)
+
+
+def _sound(plan: cs.Plan) -> Verdict:
+    """Right where all is finite and every point is on its surface."""
+    t, meter = np.linspace(plan.start, plan.end, 50), Meter()
+    for name, values in plan.evaluate(t, "points", "slip_speed", "pose", "twist").items():
+        meter.see(f"finite {name}", np.where(np.isfinite(values), 0.0, math.inf), 1.0)
+    points = plan.points(t)
+    for i, contact in enumerate(plan.scene.contacts):
+        for k, surface in enumerate((contact.finger, plan.scene.object)):
+            if surface.has_implicit:
+                x = points[:, i, k]
+                bound = 10 * plan.tolerance * (surface.size + np.linalg.norm(x, axis=1))
+                meter.see(f"contact {i}: on {surface!r}", _distance(surface, x), bound)
+    return meter.verdict()
+
+
+def _distance(surface: cs.Surface, points: np.ndarray) -> np.ndarray:
+    """How far points (n, 3) are off a surface, by its level function, m."""
+    x, p = ca.SX.sym("x", 3), ca.SX.sym("p", len(surface.numbers))
+    level = surface.implicit_expr(p, x)
+    away = ca.Function("away", [x, p], [level / ca.norm_2(ca.gradient(level, x))])
+    return away(points.T, surface.numbers).full()[0]
+
+
+# --- all families --------------------------------------------------------------------------------
+
+SLIPS = {"slip": 1, "windows": 0}
+QUIET, SIGMAS = {"windows": 0}, list(PROFILES)
+TURNS = [2 * math.pi * 10.0**k for k in range(6)]
+LONG = ({"object": "torus"}, {"object": "ellipsoid", "shape": "plain"}, {"object": "chart_torus"})
+LONGEST = {"finger": "plane", "windows": 0, "most": 7e5, "ratio": 10.0}
+SIDES = [{"shape": s, side: "ellipsoid"} for s in SHAPES for side in ("object", "finger")]
+RATIOS = [10 ** (k / 2) for k in range(-12, 13)]
+RESTING = {"windows": 0, "most": 2e6}
+FLAT = BUILT_IN[:3]
+TIGHT = [10.0**-k for k in range(3, 16)]
+TURNING = [{"turns": turns} | body for turns in TURNS for body in LONG]
+_FAMILIES = [
+    grid("eta and gain law", 3, always=SLIPS, eta=ETAS, law=LAWS, object=BUILT_IN),
+    grid("profile", 1, always=SLIPS, profile=SIGMAS, law=LAWS, object=BUILT_IN, eta=ETAS[3::3]),
+    grid("poles and umbilics", 3, cases=_poles(), slip=[0, 1]),
+    grid("radius ratio", 6, always=QUIET, ratio=RATIOS, object=BUILT_IN),
+    grid("ellipsoids", 6, cases=SIDES, windows=[0, 0, 0, 1], inside=[False, True]),
+    grid("conforming bowls", 10, _bowls(), QUIET | {"bowl": True}),
+    grid("revolutions", 3, always=RESTING, turns=TURNS, object=FLAT, finger=FLAT),
+    grid("revolutions, integrated", 1, cases=TURNING, always=LONGEST),
+    grid("tolerance", 8, always=QUIET, tolerance=TIGHT, object=BUILT_IN, slip=[0, 1]),
+    grid("disturbances", 100, windows=[1, 2, 3]),
+    grid("surfaces of users", 4, object=USERS, finger=USERS, slip=[0, 1]),
+    Family("mutated files", 1000, _mutated),
+    grid("everything", 11_500),
+]
+FAMILIES = {family.name: family for family in _FAMILIES}
+
+
+# --- running them --------------------------------------------------------------------------------
 
 LIMIT, WALL = 60.0, 120.0
 """s of processor time after which a case hangs, sanitizers being slow; by the clock, for one that
 uses no processor, and for a worker to import what it needs."""
 
 
-@dataclass(frozen=True)
-class Record:
+class Record(NamedTuple):
     """The verdict of one case of a family."""
 
     family: str
     index: int
     verdict: Verdict
-
-
-FAMILIES = {family.name: family for family in stress_cases.FAMILIES}
-
-
-def rerun(family: str, index: int) -> Verdict:
-    """Run one case in this process and print how it ended; errors are raised."""
-    verdict = FAMILIES[family].run(index)
-    print(verdict)
-    return verdict
 
 
 def _work(link: Connection, todo: list[tuple[str, int]]) -> None:
@@ -95,8 +255,9 @@ def cases(full: bool) -> Iterator[Bar]:
     for family, group in itertools.groupby(search(chosen), lambda record: record.family):
         records += (found := list(group))
         failures = [record for record in found if record.verdict.outcome in FAILURES]
-        for record in failures[:10]:
-            print(_failure(record))
+        for _, index, v in failures[:10]:
+            print(f"{v.outcome}: error {v.error:.3g}, bound {v.bound:.3g}: {v.message}")
+            print(f"  benchmarks.stress.FAMILIES[{family!r}].run({index}) repeats it")
         count = Counter(record.verdict.outcome for record in found)
         note = ", ".join(f"{number} {outcome}" for outcome, number in sorted(count.items()))
         name = f"{family}, {len(found)} cases: wrong, crash or hang"
@@ -110,13 +271,6 @@ def cases(full: bool) -> Iterator[Bar]:
     from .figures import outcomes  # which needs matplotlib
 
     outcomes(records, ROOT / "docs" / "stress.png")
-
-
-def _failure(record: Record) -> str:
-    """How a case failed, and the line of Python that repeats it."""
-    v = record.verdict
-    again = f"from benchmarks.stress import rerun; rerun({record.family!r}, {record.index})"
-    return f"{v.outcome}: error {v.error:.3g}, bound {v.bound:.3g}: {v.message}\n    {again}"
 
 
 SECTIONS: Sections = {"cases": cases}

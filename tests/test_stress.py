@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 import contact_system as cs  # noqa: E402
-from benchmarks import stress_cases, stress_laws, stress_scenes, verdicts  # noqa: E402
+from benchmarks import stress, stress_laws, stress_scenes, verdicts  # noqa: E402
 
 
 class Choices:
@@ -68,16 +68,16 @@ def test_any_disturbed_scene_ends_right_or_refused(data):
 
 
 @search(25)
-@given(st.data(), st.sampled_from(stress_cases._poles()))
+@given(st.data(), st.sampled_from(stress._poles()))
 def test_any_path_through_or_past_a_pole_ends_right_or_refused(data, aim):
     verdict = verdict_of(data, **aim)
     assert verdict.outcome in ("right", "refused"), verdict
 
 
-@pytest.mark.parametrize("family", stress_cases.FAMILIES, ids=lambda family: family.name)
-def test_every_family_makes_cases_that_end_right_or_refused(family):
-    few = {"mutated files": 60, "revolutions, integrated": 2}.get(family.name, 6)
-    for index in np.linspace(0, family.count - 1, few).astype(int):
+@pytest.mark.parametrize("name", stress.FAMILIES)
+def test_every_family_makes_cases_that_end_right_or_refused(name):
+    family, few = stress.FAMILIES[name], {"mutated files": 60, "revolutions, integrated": 2}
+    for index in np.linspace(0, family.count - 1, few.get(name, 6)).astype(int):
         verdict = verdicts.judged(functools.partial(family.run, int(index)))
         assert verdict.outcome in ("right", "refused"), (int(index), verdict)
 
