@@ -20,7 +20,7 @@ from .report import THREADS, Bar, Section, Sections, header, surroundings
 TABLE = ("first", "fresh", "many", "work_precision", "accuracy", "stress", "lines")
 PARTS = (
     *TABLE,
-    *("drake_station", "hands", "physics", "truth"),
+    *("drake_station", "hands", "truth"),
     *("fmu", "steering", "explorer"),
 )
 """Modules of this package; each has SECTIONS, name -> function of ``full`` that yields bars."""

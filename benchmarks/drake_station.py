@@ -12,12 +12,18 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+import os
+import resource
+import signal
 import statistics
 import tempfile
+import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
-from time import perf_counter, process_time
+from time import perf_counter, process_time, sleep
 from typing import Any
 
 import numpy as np
@@ -50,6 +56,7 @@ from drake_plant import (
     SetInitialState,
     StationConfig,
     contact_table,
+    outcome,
     rolling_scene,
     simulate,
 )
@@ -60,6 +67,7 @@ from drake_plant.simulation import INTEGRATION
 from .report import Bar, Sections
 from .timing import Job, interleaved
 
+RUNS = 200  # of the sweep
 SCENES = ("D1", "D2", "D3")
 MODELS = ("hydroelastic", "point")
 RECOVERY = {"D1": 0.2, "D2": 0.1, "D3": 1.0}
@@ -399,6 +407,52 @@ def _points(
     return points, perf_counter() - begun
 
 
+def d1(k: int) -> cs.Scene:
+    """D1 for a second in point contact, its window early, with other friction and offsets."""
+    scene = cs.load_scene("D1")
+    offset = cs.ObjectRateOffset(contact=0, start=0.3, stop=0.6, value=(0.1 * (k % 20), 0.5))
+    drake = scene.drake | {"contact_model": "point", "friction": 0.1 + 0.05 * (k // 20)}
+    return scene.replace(name=f"D1 {k}", duration=1.0, disturbances=[offset], drake=drake)
+
+
+def sweep(full: bool) -> Iterator[Bar]:
+    """Simulations on two processes, one of which is killed half-way, and on one core."""
+
+    def alone(first: int) -> tuple[float, float]:
+        begin, busy = perf_counter(), process_time()
+        cs.sweep(map(d1, range(first, RUNS, 20)), outcome, each=True)
+        part = RUNS / len(range(first, RUNS, 20))
+        return part * (perf_counter() - begin), part * (process_time() - busy)
+
+    with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
+        killer = threading.Thread(target=_kill_one, args=(pool, Path(folder), RUNS // 2))
+        one = [alone(3)]
+        killer.start()
+        before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
+        found = cs.sweep(map(d1, range(RUNS)), outcome, pool, each=True, folder=folder)
+        two = perf_counter() - begin
+        killer.join()
+        one.append(alone(13))
+        table, failures = found.table, found.failures
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    verdicts = Counter(table["verdict"][table["contact"] == 0].tolist())
+    lost = RUNS - len(set(table["scene"].tolist())) + len(failures)
+    note = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
+    yield Bar(f"{RUNS} runs of D1, a worker killed half-way: missing", 0, lost, note=note)
+    busy = after.ru_utime - before.ru_utime
+    wall, cpu = (statistics.mean(spent) for spent in zip(*one))
+    note = f"{wall:.0f} s over {two:.0f} s; by processor time {2 * cpu / busy:.2f} x: the workers "
+    note += f"had {busy / two:.2f} of two cores"
+    yield Bar("the same, two processes over one core", 1.8, wall / two, "x", True, note)
+
+
+def _kill_one(pool: ProcessPoolExecutor, folder: Path, half: int) -> None:
+    """Kill a worker once half of the results are there."""
+    while len(list(folder.glob("*.npz"))) < half:
+        sleep(0.05)
+    os.kill(next(iter(pool._processes)), signal.SIGKILL)
+
+
 SECTIONS: Sections = {
     "cost": cost,
     "cenic": cenic,
@@ -410,4 +464,5 @@ SECTIONS: Sections = {
     "reach": reach,
     "speed": speed,
     "schemes": schemes,
+    "sweep": sweep,
 }

@@ -10,13 +10,15 @@ import contextlib
 import itertools
 import math
 import multiprocessing
+import os
 import random
 import re
 import signal
 import time
 import zlib
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
@@ -28,9 +30,29 @@ import contact_system as cs
 from contact_system.scene.files import scene_from_toml, scene_text
 
 from .report import ROOT, Bar, Sections
-from .stress_laws import run
+from .stress_laws import NAN, Meter, Verdict, refusal, run
 from .stress_scenes import ETAS, LAWS, MADE, OF_USERS, PROFILES, SHAPES, Draw, draw_trial
-from .verdicts import FAILURES, NAN, Family, Meter, Verdict, judged
+
+FAILURES = ("silent", "crash", "hang")
+
+
+@dataclass(frozen=True)
+class Family:
+    """Cases that are alike, each made anew from its index, so in any process and any order."""
+
+    name: str
+    count: int  # cases in the quick form: indices 0 to count - 1
+    run: Callable[[int], Verdict]  # or raises, see `judged`
+
+
+def judged(case: Callable[[], Verdict]) -> Verdict:
+    """The verdict of a case; what it raises is one too."""
+    try:
+        return case()
+    except cs.ContactSystemError as error:
+        return refusal(str(error))
+    except Exception as error:
+        return Verdict("crash", message=f"{type(error).__name__}: {error}")
 
 
 def grid(
@@ -192,9 +214,10 @@ FAMILIES = {family.name: family for family in _FAMILIES}
 
 # --- running them --------------------------------------------------------------------------------
 
-LIMIT, WALL = 60.0, 120.0
-"""s of processor time after which a case hangs, sanitizers being slow; by the clock, for one that
-uses no processor, and for a worker to import what it needs."""
+LIMIT = 300.0 if "ASAN_OPTIONS" in os.environ else 30.0
+"""s of processor time after which a case hangs; sanitizers take ten times as long."""
+WALL = 4 * LIMIT
+"""s, for a case that uses no processor, and for a worker to import what it needs."""
 
 
 class Record(NamedTuple):

@@ -1,4 +1,4 @@
-"""Run times: jobs in one process in turns, programs in processes of their own; memory."""
+"""Run times: jobs in one process in turns, programs in processes of their own."""
 
 from __future__ import annotations
 
@@ -85,15 +85,3 @@ def in_new_processes(count: int, code: str, *arguments: str) -> dict[str, Any]:
         key: statistics.median(run[key] for run in runs) if isinstance(value, float) else value
         for key, value in runs[-1].items()
     }
-
-
-def memory(what: str = "VmRSS") -> float:
-    """Memory of this process, MB: "VmRSS" now, "VmHWM" its peak, where the system tells both."""
-    try:
-        with open("/proc/self/status") as file:
-            (line,) = (line for line in file if line.startswith(what))
-        return int(line.split()[1]) / 1e3
-    except OSError:
-        import resource  # Windows has none
-
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6

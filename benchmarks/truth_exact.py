@@ -76,12 +76,6 @@ class Ended:
         """How far off it is, in radii: its centre's distance and the angle."""
         return self.exact.off(self.x, self.turned)
 
-    @property
-    def late(self) -> float:
-        """How far the direction of its velocity is off, of a turn."""
-        (vx, vy, _), (ex, ey, _) = self.v, self.exact.v[0]
-        return abs(math.atan2(vx * ey - vy * ex, vx * ex + vy * ey)) / (2 * math.pi)
-
 
 @dataclass(frozen=True)
 class Setup:

@@ -55,11 +55,11 @@ def measure(
     for peer in (*rivals, Peer(OURS, tolerances, None, problem.points)):
         for tolerance in peer.tolerances:
             try:
-                job = _job(problem, peer, tolerance, limit)
+                job = _job(problem, peer, tolerance)
                 item, begin = job.make(), time.perf_counter()
                 found = job.call(item)
                 spent, error = time.perf_counter() - begin, problem.error(peer.points(found))
-            except (TimeoutError, ArithmeticError, ValueError, RuntimeError):
+            except (ArithmeticError, ValueError, RuntimeError):
                 break
             if not math.isfinite(error):
                 break
@@ -72,11 +72,11 @@ def measure(
     return curves
 
 
-def _job(problem: Problem, peer: Peer, tolerance: float, limit: float) -> Job:
+def _job(problem: Problem, peer: Peer, tolerance: float) -> Job:
     """Ours plans a scene of which nothing was ever planned."""
     if peer.build is None:
         return Job(functools.partial(problem.solve, tolerance), problem.make)
-    solver = peer.build(tolerance, limit)
+    solver = peer.build(tolerance)
     return Job(lambda _: solver())
 
 

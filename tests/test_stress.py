@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 import contact_system as cs  # noqa: E402
-from benchmarks import stress, stress_laws, stress_scenes, verdicts  # noqa: E402
+from benchmarks import stress, stress_laws, stress_scenes  # noqa: E402
 
 
 class Choices:
@@ -46,11 +46,11 @@ def search(examples: int):
 DISTURBED = {"object": "sphere", "finger": "ellipsoid", "shape": "plain", "turns": 1.0}
 
 
-def verdict_of(data: st.DataObject, **fixed) -> verdicts.Verdict:
-    def call() -> verdicts.Verdict:
+def verdict_of(data: st.DataObject, **fixed) -> stress_laws.Verdict:
+    def call() -> stress_laws.Verdict:
         return stress_laws.run(stress_scenes.draw_trial(Choices(data), **fixed))
 
-    return verdicts.judged(call)
+    return stress.judged(call)
 
 
 @search(40)
@@ -78,7 +78,7 @@ def test_any_path_through_or_past_a_pole_ends_right_or_refused(data, aim):
 def test_every_family_makes_cases_that_end_right_or_refused(name):
     family, few = stress.FAMILIES[name], {"mutated files": 60, "revolutions, integrated": 2}
     for index in np.linspace(0, family.count - 1, few.get(name, 6)).astype(int):
-        verdict = verdicts.judged(functools.partial(family.run, int(index)))
+        verdict = stress.judged(functools.partial(family.run, int(index)))
         assert verdict.outcome in ("right", "refused"), (int(index), verdict)
 
 
@@ -129,13 +129,13 @@ def test_judge_notices_a_path_that_leaves_its_geodesic():
 
 def test_a_refusal_must_name_place_value_and_remedy():
     text = "scene 'x', contact 0: angle = nan: give a finite number"
-    assert verdicts.refusal(text).outcome == "refused"
+    assert stress_laws.refusal(text).outcome == "refused"
     for part in ("array must not contain infs", "scene 'x': no", "failed, use another"):
-        assert verdicts.refusal(part).outcome == "crash"
+        assert stress_laws.refusal(part).outcome == "crash"
 
 
 def test_a_judge_takes_what_is_no_number_for_wrong():
-    meter = verdicts.Meter()
+    meter = stress_laws.Meter()
     meter.see("slip", 0.5, 1.0)
     assert meter.verdict().outcome == "right"
     meter.see("twist", float("nan"), 1.0)
