@@ -52,6 +52,10 @@ def overview(
     few.save(file, optimize=True)
 
 
+COLOURS = {"right": "tab:green", "refused": "tab:gray", "silent": "crimson"}
+COLOURS |= {"crash": "tab:orange", "hang": "tab:purple"}
+
+
 def outcomes(records: Sequence[Any], file: Path) -> None:
     """Write how cases of stress ended, by family, and how near right ones came to their bounds."""
     import matplotlib
@@ -63,9 +67,8 @@ def outcomes(records: Sequence[Any], file: Path) -> None:
     figure, (left, right) = pyplot.subplots(
         1, 2, figsize=(10, 4.2), layout="constrained", width_ratios=[3, 2]
     )
-    ends = dict(zip(("right", "refused", "silent", "crash", "hang"), ENDS))
     before = [0] * len(families)
-    for outcome, colour in ends.items():
+    for outcome, colour in COLOURS.items():
         count = Counter(r.family for r in records if r.verdict.outcome == outcome)
         lengths = [count[family] for family in families]
         label = f"{outcome}: {count.total()}"
@@ -75,12 +78,8 @@ def outcomes(records: Sequence[Any], file: Path) -> None:
     left.legend(fontsize="small")
     verdicts = [r.verdict for r in records if r.verdict.outcome == "right"]
     part = [math.log10(max(v.error / v.bound, 1e-6)) for v in verdicts]
-    right.hist(part, bins=60, color=ENDS[0])
+    right.hist(part, bins=60, color=COLOURS["right"])
     right.set_xlabel("error of right cases over its bound, log10")
     right.axvline(0, color="black", linewidth=0.8)
     figure.savefig(file, dpi=100)
     pyplot.close(figure)
-
-
-ENDS = ("tab:green", "tab:gray", "crimson", "tab:orange", "tab:purple")
-"""Colours of right, refused, silently wrong, crash and hang."""

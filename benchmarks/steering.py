@@ -1,11 +1,13 @@
-"""Steering: routes to goals and geodesics between two points, whether they arrive and how fast."""
+"""Steering: goals, whether they are reached and how fast; geodesics, whether they are the shortest.
+
+Times are those of the processor.
+"""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -14,7 +16,6 @@ from contact_system.steering.shooting import FINE, Search
 from contact_system.steering.two_points import Pairs
 
 from .report import Bar, Sections
-from .timing import Job, interleaved
 
 SMALL, ROUND = cs.Sphere(0.04), cs.Ellipsoid(0.3, 0.2, 0.1)
 PAIRS = {
@@ -26,7 +27,6 @@ PAIRS = {
     "sphere on torus": (SMALL, cs.Torus(0.3, 0.1), 10.0),
 }
 """Finger, object, and the median's bar in ms; that of 99 % is ten times it."""
-LIMIT = 1e-12
 
 
 def _place(rng: np.random.Generator, surface: cs.Surface) -> tuple[float, float]:
@@ -42,45 +42,31 @@ def _drawn(rng: np.random.Generator, finger: cs.Surface, obj: cs.Surface) -> dic
     return {**places, "angle": float(rng.uniform(-3.0, 3.0))}
 
 
-def _scene(finger: cs.Surface, obj: cs.Surface, **contact) -> cs.Scene:
-    at = {"object_at": (1.0, 0.2), "finger_at": (1.1, 0.4), "angle": 0.3, **contact}
-    gain = cs.Gain.time(2 * math.log(1e9) / 3.0)  # slip falls by 1e9 half-way
-    made = {"contacts": [cs.Contact(finger, **at)], "duration": 3.0, "gain": gain}
-    return cs.Scene(object=obj, profile=cs.Profile([0.1]), **made)
-
-
 def goals(full: bool) -> Iterator[Bar]:
-    """Random starts and goals on every pair; with slip at the start too."""
+    """Random starts and goals on every pair."""
     for name, (finger, obj, limit) in PAIRS.items():
-        yield from _goals(name, finger, obj, 1000 if full else 100, limit)
-    for name, (finger, obj, _) in PAIRS.items():
-        yield from _goals(f"{name}, slipping", finger, obj, 100 if full else 20, None)
-
-
-def _goals(
-    name: str, finger: cs.Surface, obj: cs.Surface, count: int, limit: float | None
-) -> Iterator[Bar]:
-    rng, spent, off, legs, missed = np.random.default_rng(1), [], 0.0, 0, 0
-    for _ in range(count):
-        slips = {} if limit else {"object_velocity": tuple(rng.uniform(-1.0, 1.0, 2))}
-        scene = _scene(finger, obj, **_drawn(rng, finger, obj), **slips)
-        goal = cs.Goal(**_drawn(rng, finger, obj))
-        begin = time.process_time()
-        try:
-            route = cs.reach(scene, goal)
-        except cs.SceneError:
-            missed += 1
-            continue
-        finally:
-            spent.append(1e3 * (time.process_time() - begin))
-        end = cs.plan(route.scene, 1e-15).points(3.0)[0, 0]
-        wanted = finger.point(*goal.finger_at), obj.point(*goal.object_at)
-        away = [np.linalg.norm(x - y) / b.size for x, y, b in zip(end, wanted, (finger, obj))]
-        off, legs = max(off, *away, route.residual), max(legs, len(route.legs[0]))
-    yield Bar(f"{name}, {count} goals, not reached", 0, missed, note=f"{legs} legs at most")
-    yield Bar(f"{name}, greatest distance from the goal, sizes", LIMIT, off)
-    median, most = np.quantile(spent, [0.5, 0.99]).tolist()
-    if limit:
+        rng, spent, off, legs, missed = np.random.default_rng(1), [], 0.0, 0, 0
+        for _ in range(count := 1000 if full else 100):
+            contact = cs.Contact(finger, **_drawn(rng, finger, obj))
+            scene = cs.Scene(
+                object=obj, contacts=[contact], profile=cs.Profile([0.1]), duration=3.0
+            )
+            goal = cs.Goal(**_drawn(rng, finger, obj))
+            begin = time.process_time()
+            try:
+                route = cs.reach(scene, goal)
+            except cs.SceneError:
+                missed += 1
+                continue
+            finally:
+                spent.append(1e3 * (time.process_time() - begin))
+            end = cs.plan(route.scene, 1e-15).points(3.0)[0, 0]
+            wanted = finger.point(*goal.finger_at), obj.point(*goal.object_at)
+            away = [np.linalg.norm(x - y) / b.size for x, y, b in zip(end, wanted, (finger, obj))]
+            off, legs = max(off, *away, route.residual), max(legs, len(route.legs[0]))
+        yield Bar(f"{name}, {count} goals, not reached", 0, missed, note=f"{legs} legs at most")
+        yield Bar(f"{name}, greatest distance from the goal, sizes", 1e-12, off)
+        median, most = np.quantile(spent, [0.5, 0.99]).tolist()
         yield Bar(f"{name}, median time", limit, median, "ms")
         yield Bar(f"{name}, 99 %", 10 * limit, most, "ms")
 
@@ -97,18 +83,13 @@ CASES = {
     "torus": (PAIRS["sphere on torus"][1], 1000),
     "user's chart": (GROUND, 1000),
 }
-FLATTENINGS = {"WGS84": 1 / 298.257223563, "oblate": 0.01, "prolate": -0.01}
-
-
-def _sphere(rng: np.random.Generator, n: int) -> np.ndarray:
-    x = rng.normal(size=(n, 3))
-    return x / np.linalg.norm(x, axis=1, keepdims=True)
 
 
 def _points(rng: np.random.Generator, surface: cs.Surface, n: int) -> np.ndarray:
     """Random ones; on ellipsoids even on the sphere that they are stretched from."""
     if isinstance(surface, cs.Ellipsoid):
-        return _sphere(rng, n) * [surface.a, surface.b, surface.c]
+        x = rng.normal(size=(n, 3))
+        return x / np.linalg.norm(x, axis=1, keepdims=True) * [surface.a, surface.b, surface.c]
     reach = math.pi if isinstance(surface, cs.Torus) else 0.8
     return rng.uniform(-reach, reach, (n, 2))
 
@@ -151,34 +132,4 @@ def shortest(full: bool) -> Iterator[Bar]:
         yield Bar(f"{name}, not the shortest", 0, _shorter(surface, a, b, lines.length))
 
 
-def revolution(full: bool) -> Iterator[Bar]:
-    """Distances on ellipsoids of revolution against geographiclib's Python."""
-    from geographiclib.geodesic import Geodesic
-
-    count = 10000 if full else 2000
-    for name, f in FLATTENINGS.items():
-        b, rng = 1 - f, np.random.default_rng(2)
-        x = _sphere(rng, 2 * count).reshape(2, count, 3)
-        lat = np.arctan2(x[..., 2], b * np.hypot(x[..., 0], x[..., 1]))
-        lon = np.arctan2(x[..., 1], x[..., 0])
-        points = x * [1, 1, b]
-        surface = cs.Ellipsoid(1, 1, b) if f > 0 else cs.Ellipsoid(b, 1, 1)
-        points = points if f > 0 else np.roll(points, 1, axis=-1)
-        own = partial(cs.geodesic, surface, *points)
-        places = np.degrees([lat[0], lon[0], lat[1], lon[1]]).T.tolist()
-        theirs = partial(_geographiclib, Geodesic(1.0, f).Inverse, places, Geodesic.DISTANCE)
-        off = np.abs(own().length - theirs()).max()
-        yield Bar(f"{name}, {count} pairs, distance", 1e-12, off)
-        jobs = {"own": Job(lambda _, run=own: run()), "theirs": Job(lambda _, run=theirs: run())}
-        times = {key: 1e6 * time / count for key, time in interleaved(jobs, 3).items()}
-        note = f"{times['own']:.3g} us a pair, geographiclib {times['theirs']:.3g} us"
-        yield Bar(
-            f"{name}, times as fast", 10, times["theirs"] / times["own"], least=True, note=note
-        )
-
-
-def _geographiclib(inverse: Callable, places: list[list[float]], mask: int) -> list[float]:
-    return [inverse(*place, mask)["s12"] for place in places]
-
-
-SECTIONS: Sections = {"goals": goals, "shortest": shortest, "revolution": revolution}
+SECTIONS: Sections = {"goals": goals, "shortest": shortest}

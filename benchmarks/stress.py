@@ -194,22 +194,24 @@ RESTING = {"windows": 0, "most": 2e6}
 FLAT = BUILT_IN[:3]
 TIGHT = [10.0**-k for k in range(3, 16)]
 TURNING = [{"turns": turns} | body for turns in TURNS for body in LONG]
-_FAMILIES = [
-    grid("eta and gain law", 3, always=SLIPS, eta=ETAS, law=LAWS, object=BUILT_IN),
-    grid("profile", 1, always=SLIPS, profile=SIGMAS, law=LAWS, object=BUILT_IN, eta=ETAS[3::3]),
-    grid("poles and umbilics", 3, cases=_poles(), slip=[0, 1]),
-    grid("radius ratio", 6, always=QUIET, ratio=RATIOS, object=BUILT_IN),
-    grid("ellipsoids", 6, cases=SIDES, windows=[0, 0, 0, 1], inside=[False, True]),
-    grid("conforming bowls", 10, _bowls(), QUIET | {"bowl": True}),
-    grid("revolutions", 3, always=RESTING, turns=TURNS, object=FLAT, finger=FLAT),
-    grid("revolutions, integrated", 1, cases=TURNING, always=LONGEST),
-    grid("tolerance", 8, always=QUIET, tolerance=TIGHT, object=BUILT_IN, slip=[0, 1]),
-    grid("disturbances", 100, windows=[1, 2, 3]),
-    grid("surfaces of users", 4, object=USERS, finger=USERS, slip=[0, 1]),
-    Family("mutated files", 1000, _mutated),
-    grid("everything", 11_500),
-]
-FAMILIES = {family.name: family for family in _FAMILIES}
+FAMILIES = {
+    family.name: family
+    for family in (
+        grid("eta and gain law", 3, always=SLIPS, eta=ETAS, law=LAWS, object=BUILT_IN),
+        grid("profile", 1, always=SLIPS, profile=SIGMAS, law=LAWS, object=BUILT_IN, eta=ETAS[3::3]),
+        grid("poles and umbilics", 3, cases=_poles(), slip=[0, 1]),
+        grid("radius ratio", 6, always=QUIET, ratio=RATIOS, object=BUILT_IN),
+        grid("ellipsoids", 6, cases=SIDES, windows=[0, 0, 0, 1], inside=[False, True]),
+        grid("conforming bowls", 10, _bowls(), QUIET | {"bowl": True}),
+        grid("revolutions", 3, always=RESTING, turns=TURNS, object=FLAT, finger=FLAT),
+        grid("revolutions, integrated", 1, cases=TURNING, always=LONGEST),
+        grid("tolerance", 8, always=QUIET, tolerance=TIGHT, object=BUILT_IN, slip=[0, 1]),
+        grid("disturbances", 100, windows=[1, 2, 3]),
+        grid("surfaces of users", 12, object=USERS, finger=USERS, slip=[0, 1]),
+        Family("mutated files", 1000, _mutated),
+        grid("everything", 11_500),
+    )
+}
 
 
 # --- running them --------------------------------------------------------------------------------

@@ -15,7 +15,6 @@ from typing import Any
 
 from .report import ROOT
 
-BURST = 0.01  # [s] that one sample lasts at least, so that the clock's own cost is lost in it
 SLOW = 0.2  # [s]: what takes longer is sampled twice only
 
 
@@ -37,10 +36,11 @@ def sample(job: Job, count: int = 1) -> float:
     return (time.perf_counter() - begin) / count
 
 
-def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) -> dict[Any, float]:
+def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = 0.01) -> dict[Any, float]:
     """Seconds a call of each job, in turns, so that a slow spell of the machine meets all of them.
 
-    The median of samples, each of ``burst`` s at least; every job is called before its time counts.
+    The median of samples; every job is called before its time counts. A sample lasts ``burst`` s at
+    least, so that the clock's own cost is lost in it.
     """
     counts = {}
     for name, job in jobs.items():

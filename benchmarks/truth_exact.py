@@ -296,13 +296,8 @@ class Drive:
         wrench = self._at(t + self._ahead)[:6]
         stiffness, damping = GUIDE[self._guide]
         if self._guide == "rotation":
-            tilt = 0.5 * np.array(
-                [
-                    turned[2, 1] - turned[1, 2],
-                    turned[0, 2] - turned[2, 0],
-                    turned[1, 0] - turned[0, 1],
-                ]
-            )
+            skew = turned - turned.T
+            tilt = 0.5 * np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
             wrench[:3] -= stiffness * tilt + damping * w
         else:
             now = self._at(t)
