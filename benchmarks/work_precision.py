@@ -1,10 +1,10 @@
 """Work-precision diagrams: run time against achieved error, ours beside the peers.
 
-Error: greatest distance of a contact point from the truth, of the body's size. Time: one run with
-all outputs, in turns, the peers' solvers and initial states ready; ours plans a new scene each time
-and ends with contact points of both bodies, which the peers are spared. Times at a given error are
-interpolated along each method's best runs (log-log), where it has runs on both sides; else its
-cheapest run that is good enough counts.
+Error: greatest distance of a contact point from the truth, of the body's size. Time: that of the
+processor for one run with all outputs, in turns, the peers' solvers and initial states ready; ours
+plans a new scene each time and ends with contact points of both bodies, which the peers are spared.
+Times at a given error are interpolated along each method's best runs (log-log), where it has runs
+on both sides; else its cheapest run that is good enough counts.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ def measure(
         for tolerance in peer.tolerances:
             try:
                 job = _job(problem, peer, tolerance)
-                item, begin = job.make(), time.perf_counter()
+                item, begin = job.make(), time.process_time()
                 found = job.call(item)
-                spent, error = time.perf_counter() - begin, problem.error(peer.points(found))
+                spent, error = time.process_time() - begin, problem.error(peer.points(found))
             except (ArithmeticError, ValueError, RuntimeError):
                 break
             if not math.isfinite(error):
