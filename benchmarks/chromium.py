@@ -19,14 +19,7 @@ WORDS += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 class Chromium:
-    """A browser with one page; ``urls`` are all that the page asked for.
-
-    Parameters
-    ----------
-    url : str
-    size : (int, int)
-        Of the window, pixels.
-    """
+    """A browser with one page of a size in pixels; ``urls`` are all that the page asked for."""
 
     def __init__(self, url: str, size: tuple[int, int] = (1200, 700)):
         from websockets.sync.client import connect

@@ -1,4 +1,7 @@
-"""What contact physics makes of D1 to D4, and how fast: the dynamic scenes in Drake.
+"""Drake: what the planner's derivatives cost, and what contact physics makes of D1 to D4.
+
+Costs are those of one evaluation of the derivatives inside a Simulator, beside a LeafSystem with as
+many states that does nothing, in turns in one process.
 
 The paper's are simulated over their whole horizon, with hydroelastic and with point contact; D4's
 bodies, under pushes, for as long as one takes, with the loop open and closed.
@@ -9,23 +12,37 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+import os
+import resource
+import signal
 import statistics
 import tempfile
+import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
-from time import perf_counter, process_time
+from time import perf_counter, process_time, sleep
 from typing import Any
 
 import numpy as np
 from pydrake.common import RandomDistribution
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import (
     ApplySimulatorConfig,
     GetIntegrationSchemes,
     Simulator,
     SimulatorConfig,
 )
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiagramBuilder,
+    LeafSystem,
+    System,
+)
 from pydrake.systems.primitives import LogVectorOutput, MatrixGain, RandomSource, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
@@ -33,10 +50,13 @@ import contact_system as cs
 from drake_plant import (
     AddScenePlant,
     BuildStation,
+    ContactPlanner,
+    PlanSource,
     Push,
     SetInitialState,
     StationConfig,
     contact_table,
+    outcome,
     rolling_scene,
     simulate,
 )
@@ -45,7 +65,9 @@ from drake_plant.measures import time_off
 from drake_plant.simulation import INTEGRATION
 
 from .report import Bar, Sections
+from .timing import Job, interleaved
 
+RUNS = 200  # of the sweep
 SCENES = ("D1", "D2", "D3")
 MODELS = ("hydroelastic", "point")
 RECOVERY = {"D1": 0.2, "D2": 0.1, "D3": 1.0}
@@ -59,6 +81,85 @@ STEPS: dict[str, tuple[float, float | None]] = {
     "cenic": (5e-4, 1e-4),
 }
 """Greatest step, s, and accuracy, None without error control; 1e-3, None for others."""
+COORDINATES = ("chart", "frame")
+TITLES = {"K1": "on a sphere", "D1": "on a sphere, with a window"}
+TIMED, EVALUATIONS = 0.3, 900
+"""s simulated in one sample of a cost, in steps of 1 ms by runge_kutta3."""
+
+
+# --- the planner alone ---------------------------------------------------------------------------
+
+
+def simulator_of(
+    system: System, scheme: str, step: float, accuracy: float | None = None
+) -> Simulator:
+    """A Simulator with steps of equal length, or with error control."""
+    simulator = Simulator(system)
+    control = {"use_error_control": accuracy is not None, "accuracy": accuracy or 1e-3}
+    config = SimulatorConfig(integration_scheme=scheme, max_step_size=step, **control)
+    ApplySimulatorConfig(config, simulator)
+    simulator.Initialize()
+    return simulator
+
+
+class Empty(LeafSystem):
+    """So many continuous states, and derivatives that nobody computes."""
+
+    def __init__(self, x0: np.ndarray):
+        super().__init__()
+        self.DeclareContinuousState(BasicVector(x0))
+
+    def DoCalcTimeDerivatives(self, context: Context, derivatives: Any) -> None:
+        pass
+
+
+def _job(system: LeafSystem) -> Job:
+    make = functools.partial(simulator_of, system, "runge_kutta3", 1e-3)
+    return Job(lambda simulator: simulator.AdvanceTo(TIMED), make)
+
+
+def cost(full: bool) -> Iterator[Bar]:
+    """One evaluation of the derivatives in a Simulator, over an empty system's."""
+    jobs = {}
+    for name in TITLES:
+        for coordinates in COORDINATES:
+            scene = cs.load_scene(name)
+            jobs[f"empty {name} {coordinates}"] = _job(Empty(cs.SceneSystem(scene, coordinates).x0))
+            jobs[f"{name} {coordinates}"] = _job(ContactPlanner(scene, coordinates))
+    costs = {key: 1e6 * time / EVALUATIONS for key, time in interleaved(jobs).items()}
+    for name, title in TITLES.items():
+        for coordinates in COORDINATES:
+            own, empty = costs[f"{name} {coordinates}"], costs[f"empty {name} {coordinates}"]
+            what = f"3 spheres {title}, {coordinates}: over empty"
+            yield Bar(what, 4.0, own - empty, "us", note=f"empty takes {empty:.3g} us")
+
+
+def cenic(full: bool) -> Iterator[Bar]:
+    """D1 to 0.5 s beside a continuous plant, whose error alone cenic controls."""
+    scene = cs.load_scene("D1")
+    truth = cs.plan(scene, 1e-13).points(0.5)[0]
+    for step in (0.1, 1e-2, 1e-3, 1e-4):
+        for planner in (ContactPlanner(scene), PlanSource(cs.plan(scene))):
+            builder = DiagramBuilder()
+            plant, _ = AddMultibodyPlantSceneGraph(builder, 0.0)
+            plant.AddRigidBody("body", SpatialInertia.SolidSphereWithMass(1.0, 0.1))
+            plant.Finalize()
+            builder.AddSystem(planner)
+            simulator = simulator_of(builder.Build(), "cenic", step, 1e-3)
+            off, note = 0.0, ""
+            try:
+                simulator.AdvanceTo(0.5)
+            except cs.SceneError:
+                note = f"refused at {simulator.get_context().get_time():.2g} s"
+            else:
+                context = planner.GetMyContextFromRoot(simulator.get_context())
+                points = planner.GetOutputPort("contact_point").Eval(context).reshape(-1, 2, 3)
+                off = float(np.linalg.norm(points - truth, axis=-1).max())
+            what = f"D1 at 0.5 s, cenic, steps to {step:g} s, {type(planner).__name__}: off"
+            yield Bar(what, 1e-6, off, "m", note=note)
+
+
+# --- stations ------------------------------------------------------------------------------------
 
 
 @functools.cache
@@ -130,21 +231,19 @@ def feedback(full: bool) -> Iterator[Bar]:
     """Pushes of 0.5 to 4 N on a finger of D4, along and across: loop closed over loop open."""
     sizes, times = ((0.5, 2, 4), (0.02, 0.05, 0.3)) if full else ((2, 4), (0.02, 0.05))
     for model in MODELS:
-        found = {}
+        pairs = []
         for size, time, across in itertools.product(sizes, times, (True, False)):
             if full or model == "point" or size == 4:
-                case = f"{size:g} N, {1e3 * time:g} ms, {('along', 'across')[across]}"
                 opened, closed = (
                     _pushed(size, time, across, model, loop) for loop in (False, True)
                 )
-                found[case] = {"open": opened, "closed": closed}
-        pairs = [(each["open"], each["closed"]) for each in found.values()]
+                pairs.append((opened, closed))
         ratios = [b["slip"] / a["slip"] for a, b in pairs if a["slides"]]
         what, held = f"D4 {model}: ", len(pairs) - len(ratios)
         note = f"{len(ratios)} pushes; friction holds {held} more"
         name = "slip while touching, closed over open, geometric mean"
         mean = statistics.geometric_mean(ratios)
-        yield Bar(what + name, 0.7, mean, note=note + "; the aim is 0.5", detail=found)
+        yield Bar(what + name, 0.7, mean, note=note + "; the aim is 0.5")
         yield Bar(what + "the greatest of these", 1.05, max(ratios))
         more = max(b["off"] - a["off"] for a, b in pairs)
         longest = max(a["off"] for a, _ in pairs)
@@ -183,53 +282,38 @@ def noise(full: bool) -> Iterator[Bar]:
         yield Bar(f"D4 {model}: slip that noise adds", 1e-4, shaken - still, "m", note=note)
 
 
-def _arrived(obj: cs.Surface, model: str, start: dict, goal: dict) -> tuple[float, float]:
-    """How far a finger that `reach` steers in four legs is from its goal at the end: m, degrees.
+def reach(full: bool) -> Iterator[Bar]:
+    """A sphere steered on an ellipsoid in four legs of a second: where it ends, against the goal.
 
-    The greater distance of finger and object. Legs are found on the radii that bodies roll on.
+    Legs are found on the radii that bodies roll on.
     """
     r1 = cs.load_scene("R1")
-    contact = replace(r1.contacts[0], legs=(), **start)
-    scene = r1.replace(object=obj, contacts=[contact], profile=cs.Profile([0.1]))
-    config = StationConfig.from_scene(scene, contact_model=model)
-    route = cs.reach(rolling_scene(scene, config), cs.Goal(**goal), legs=4)
-    contact = replace(contact, legs=route.legs[0])
-    result = simulate(scene.replace(contacts=[contact]), config)
-    end = result.measured["state"][-1, 0]
-    places = (contact.finger, end[0:2], "finger_at"), (obj, end[4:6], "object_at")
-    away = [np.linalg.norm(s.point(*at) - s.point(*goal[key])) for s, at, key in places]
-    return float(max(away)), abs(np.degrees(np.angle(np.exp(1j * (end[8] - goal["angle"])))))
-
-
-def reach(full: bool) -> Iterator[Bar]:
-    """A finger steered in four legs of a second: where it is at the end, against the goal."""
-    starts = {"object_at": (1.0, 0.2), "angle": 0.3}
-    goal = {"object_at": (2.0, 1.0), "finger_at": (1.0, 0.5), "angle": 1.0}
-    other = {"object_at": (1.3, -0.7), "finger_at": (2.0, -0.4), "angle": -0.5}
-    ellipsoid, goals = cs.Ellipsoid(0.3, 0.2, 0.1), [goal, other] if full else [goal]
-    cases = [("sphere on ellipsoid, hydroelastic", ellipsoid, "hydroelastic")]
-    cases += [(f"sphere on sphere, {model}", cs.Sphere(0.1), model) for model in MODELS]
-    for name, obj, model in cases:
-        found = [_arrived(obj, model, starts, each) for each in goals]
-        distance, angle = np.max(found, axis=0)
-        yield Bar(f"{name}: distance from the goal", 1e-3, distance, "m", detail=found)
-        yield Bar(f"{name}: angle", 1.0, angle, "degrees")
+    contact = replace(r1.contacts[0], legs=(), object_at=(1.0, 0.2), angle=0.3)
+    scene = r1.replace(contacts=[contact], profile=cs.Profile([0.1]))
+    config = StationConfig.from_scene(scene, contact_model="hydroelastic")
+    goal = cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5), angle=1.0)
+    route = cs.reach(rolling_scene(scene, config), goal, legs=4)
+    legs = replace(contact, legs=route.legs[0])
+    end = simulate(scene.replace(contacts=[legs]), config).measured["state"][-1, 0]
+    places = (contact.finger, end[:2], goal.finger_at), (scene.object, end[4:6], goal.object_at)
+    away = max(np.linalg.norm(s.point(*at) - s.point(*wanted)) for s, at, wanted in places)
+    yield Bar("distance from the goal", 1e-3, float(away), "m")
+    yield Bar("angle off", 1.0, math.degrees(abs(math.remainder(end[8] - goal.angle, math.tau))))
 
 
 def speed(full: bool) -> Iterator[Bar]:
     """D1 as the command line runs it, with its film, in time of the processor, as others may use it
-    too: simulated over it, and what planner, driver, monitor and logs take of a step; building."""
-    scene, builds = cs.load_scene("D1"), []
+    too: simulated over it, and what planner, driver, monitor and logs take of a step."""
+    scene = cs.load_scene("D1")
     for model, limit in zip(MODELS, (0.4, 1.2)):
         config, rates = StationConfig.from_scene(scene, contact_model=model), []
         with tempfile.TemporaryDirectory() as folder:
             for _ in range(5 if full else 3):
                 run, film = _Race(), Path(folder) / "film.html"
-                builds.append(simulate(scene, config, SPEED_TIME, run, film).build_time)
+                simulate(scene, config, SPEED_TIME, run, film)
                 rates.append(SPEED_TIME / sum(run.station))
         what, rate = f"D1 {model}: ", statistics.median(rates)
-        name = what + "simulated over time spent"
-        yield Bar(name, limit, rate, "x", True, detail={"rates": rates})
+        yield Bar(what + "simulated over time spent", limit, rate, "x", True)
         race = _Race(_plant_alone(scene, config))
         simulate(scene, config, SPEED_TIME, race)
         rest, plant = (
@@ -238,7 +322,6 @@ def speed(full: bool) -> Iterator[Bar]:
         )
         note = f"the plant alone {plant:.2f} ms"
         yield Bar(what + "a step but for the plant", 0.5, rest, "ms", note=note)
-    yield Bar("D1: building the Diagram", 3.0, statistics.median(builds), "s")
 
 
 class _Race:
@@ -312,10 +395,7 @@ def _points(
     """Where the contacts of D1 are on the object at the end, and the time that it took, s."""
     scene, (step, accuracy) = cs.load_scene("D1"), how
     station = BuildStation(scene, StationConfig.from_scene(scene, **changes))
-    simulator = Simulator(station)
-    control = {"use_error_control": accuracy is not None, "accuracy": accuracy or 1e-3}
-    config = SimulatorConfig(integration_scheme=scheme, max_step_size=step, **control)
-    ApplySimulatorConfig(config, simulator)
+    simulator = simulator_of(station, scheme, step, accuracy)
     SetInitialState(station, simulator.get_mutable_context())
     begun = perf_counter()
     simulator.AdvanceTo(SCHEMES_TIME)
@@ -324,7 +404,55 @@ def _points(
     return points, perf_counter() - begun
 
 
+def d1(k: int) -> cs.Scene:
+    """D1 for a second in point contact, its window early, with other friction and offsets."""
+    scene = cs.load_scene("D1")
+    offset = cs.ObjectRateOffset(contact=0, start=0.3, stop=0.6, value=(0.1 * (k % 20), 0.5))
+    drake = scene.drake | {"contact_model": "point", "friction": 0.1 + 0.05 * (k // 20)}
+    return scene.replace(name=f"D1 {k}", duration=1.0, disturbances=[offset], drake=drake)
+
+
+def sweep(full: bool) -> Iterator[Bar]:
+    """Simulations on two processes, one of which is killed half-way, and on one core."""
+
+    def alone(first: int) -> tuple[float, float]:
+        begin, busy = perf_counter(), process_time()
+        cs.sweep(map(d1, range(first, RUNS, 20)), outcome, each=True)
+        part = RUNS / len(range(first, RUNS, 20))
+        return part * (perf_counter() - begin), part * (process_time() - busy)
+
+    with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(2) as pool:
+        killer = threading.Thread(target=_kill_one, args=(pool, Path(folder), RUNS // 2))
+        one = [alone(3)]
+        killer.start()
+        before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
+        found = cs.sweep(map(d1, range(RUNS)), outcome, pool, each=True, folder=folder)
+        two = perf_counter() - begin
+        killer.join()
+        one.append(alone(13))
+        table, failures = found.table, found.failures
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    verdicts = Counter(table["verdict"][table["contact"] == 0].tolist())
+    lost = RUNS - len(set(table["scene"].tolist())) + len(failures)
+    note = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
+    yield Bar(f"{RUNS} runs of D1, a worker killed half-way: missing", 0, lost, note=note)
+    busy = after.ru_utime - before.ru_utime
+    wall, cpu = (statistics.mean(spent) for spent in zip(*one))
+    note = f"{wall:.0f} s over {two:.0f} s; by processor time {2 * cpu / busy:.2f} x: the workers "
+    note += f"had {busy / two:.2f} of two cores"
+    yield Bar("the same, two processes over one core", 1.8, wall / two, "x", True, note)
+
+
+def _kill_one(pool: ProcessPoolExecutor, folder: Path, half: int) -> None:
+    """Kill a worker once half of the results are there."""
+    while len(list(folder.glob("*.npz"))) < half:
+        sleep(0.05)
+    os.kill(next(iter(pool._processes)), signal.SIGKILL)
+
+
 SECTIONS: Sections = {
+    "cost": cost,
+    "cenic": cenic,
     "forces": forces,
     "rolling": rolling,
     "recovery": recovery,
@@ -333,4 +461,5 @@ SECTIONS: Sections = {
     "reach": reach,
     "speed": speed,
     "schemes": schemes,
+    "sweep": sweep,
 }

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import statistics
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import contact_system as cs
 
@@ -29,14 +27,8 @@ print(json.dumps({"s": time.perf_counter() - begin}))
 explorer.close()
 """
 
-SLIDERS: dict[str, tuple[float, dict[str, Any]]] = {
-    "K4": (
-        50.0,
-        {"eta": ("gain",), "a": ("object", "a"), "radius": ("contacts", 0, "finger", "radius")},
-    ),
-    "implicit": (100.0, {"eta": ("gain",), "r": ("object", "parameters", "r")}),
-}
-"""Limits in ms, and places in the scene that sliders change."""
+LIMITS = {"K4": 50.0, "implicit": 100.0}
+"""ms, by scene."""
 
 PRESS = """(async () => {
   const now = () => new Promise(done => setTimeout(done, 0));
@@ -48,14 +40,13 @@ PRESS = """(async () => {
   const begin = performance.now();
   thumb.dispatchEvent(new KeyboardEvent("keydown", key));
   while (chart.data === before) await now();
-  const told = performance.now(), frame = rendererInfo.render.frame;
+  const frame = rendererInfo.render.frame;
   while (rendererInfo.render.frame === frame) await now();
-  const issued = performance.now();
   gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
-  return {told: told - begin, issued: issued - begin, drawn: performance.now() - begin};
+  return performance.now() - begin;
 })()"""
 """Press a key on the slider of the gain; ms until the plot has new data (and an old picture was
-drawn: viser takes messages at a frame's start), the next frame's commands are out, and done."""
+drawn: viser takes messages at a frame's start) and the next frame is done."""
 
 EMPTY = """(() => {
   const {scene} = window.__viserMutable;
@@ -67,38 +58,7 @@ EMPTY = """(() => {
 def served(full: bool) -> Iterator[Bar]:
     """A new process that has the packages' files in the system's cache."""
     found = in_new_processes(7 if full else 3, SERVED)
-    yield Bar("import to page served, K4", 2.0, found["s"].median, "s", note=f"{found['s']}")
-
-
-def server(full: bool) -> Iterator[Bar]:
-    """From a slider's event to the last message of the new picture."""
-    from contact_system.explorer.page import Explorer
-
-    for name, (limit, sliders) in SLIDERS.items():
-        scene = cs.load_scene(name)
-        explorer = Explorer(scene, Path("unused"), port=0)
-        for label, place in sliders.items():
-            times = []
-            for k in range(1, 41 if full else 16):
-                value = _value(scene, place) * (1 + 1e-3 * k)
-                begin = time.perf_counter()
-                explorer.ask({place: cs.Gain(scene.gain.law, value) if label == "eta" else value})
-                explorer.step(0.0)
-                times.append(1e3 * (time.perf_counter() - begin))
-            what = f"slider to last message, {name}: {label}"
-            note = f"{min(times):.3g} to {max(times):.3g}"
-            yield Bar(what, limit, statistics.median(times), "ms", note=note)
-        explorer.close()
-
-
-def _value(scene: cs.Scene, place: tuple[Any, ...]) -> float:
-    if place == ("gain",):
-        return scene.gain.value
-    part: Any = scene
-    for head in place:
-        named = getattr(part, "named_parameters", None) if head == "parameters" else None
-        part = named or (part[head] if isinstance(part, (tuple, dict)) else getattr(part, head))
-    return part
+    yield Bar("import to page served, K4", 2.0, found["s"], "s")
 
 
 def browser(full: bool) -> Iterator[Bar]:
@@ -108,7 +68,7 @@ def browser(full: bool) -> Iterator[Bar]:
     if PROGRAM is None:
         yield Bar("slider to new picture", None, None, note="left out: no Chromium")
         return
-    for name, (limit, _) in SLIDERS.items():
+    for name, limit in LIMITS.items():
         explorer = Explorer(cs.load_scene(name), Path("unused"), port=0)
         threading.Thread(target=explorer.run, daemon=True).start()
         with Chromium(explorer.address) as page:
@@ -118,19 +78,17 @@ def browser(full: bool) -> Iterator[Bar]:
             page.run(EMPTY)
             empty = _pressed(page, 40 if full else 15)
         explorer.close()
-        told, issued, drawn = (statistics.median(x[key] for x in picture) for key in picture[0])
-        least = statistics.median(x["drawn"] for x in empty)
-        note = f"software WebGL; plot {told:.3g}, commands {issued:.3g}; empty picture {least:.3g}"
-        detail = {"found": json.dumps(picture), "empty": json.dumps(empty)}
-        yield Bar(f"slider to new picture, {name}", limit, drawn, "ms", note=note, detail=detail)
+        note = f"software WebGL; an empty picture {empty:.3g}"
+        yield Bar(f"slider to new picture, {name}", limit, picture, "ms", note=note)
 
 
-def _pressed(page: Chromium, times: int) -> list[dict[str, float]]:
+def _pressed(page: Chromium, times: int) -> float:
+    """Median time of a press, ms."""
     found = []
     for _ in range(times):
         found.append(page.run(PRESS))
         time.sleep(0.6)  # until the pictures that viser draws after it are done
-    return found
+    return statistics.median(found)
 
 
-SECTIONS: Sections = {"served": served, "server": server, "browser": browser}
+SECTIONS: Sections = {"served": served, "browser": browser}

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-Curve = tuple[Sequence[float], Sequence[float], Any]
-"""Errors, times, and how far times spread below and above: (2, n) or None."""
+Curve = tuple[Sequence[float], Sequence[float]]
+"""Errors and times."""
 SHARED = {"marker": "o", "markersize": 3.5, "linewidth": 0.9}
 
 
@@ -33,10 +33,8 @@ def overview(
     figure, grid = pyplot.subplots(rows, columns, layout="constrained", squeeze=False, **given)
     named: dict[str, Any] = {}
     for axes, (title, curves) in zip(grid.flat, panels.items()):
-        for name, (errors, times, spread) in curves.items():
-            axes.errorbar(errors, times, spread, label=name, **SHARED | styles[name])
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        for name, (errors, times) in curves.items():
+            axes.loglog(errors, times, label=name, **SHARED | styles[name])
         axes.invert_xaxis()
         axes.grid(alpha=0.3)
         axes.set_title(title, fontsize="small")
@@ -54,6 +52,10 @@ def overview(
     few.save(file, optimize=True)
 
 
+COLOURS = {"right": "tab:green", "refused": "tab:gray", "silent": "crimson"}
+COLOURS |= {"crash": "tab:orange", "hang": "tab:purple"}
+
+
 def outcomes(records: Sequence[Any], file: Path) -> None:
     """Write how cases of stress ended, by family, and how near right ones came to their bounds."""
     import matplotlib
@@ -65,9 +67,8 @@ def outcomes(records: Sequence[Any], file: Path) -> None:
     figure, (left, right) = pyplot.subplots(
         1, 2, figsize=(10, 4.2), layout="constrained", width_ratios=[3, 2]
     )
-    ends = dict(zip(("right", "refused", "silent", "crash", "hang"), ENDS))
     before = [0] * len(families)
-    for outcome, colour in ends.items():
+    for outcome, colour in COLOURS.items():
         count = Counter(r.family for r in records if r.verdict.outcome == outcome)
         lengths = [count[family] for family in families]
         label = f"{outcome}: {count.total()}"
@@ -77,12 +78,8 @@ def outcomes(records: Sequence[Any], file: Path) -> None:
     left.legend(fontsize="small")
     verdicts = [r.verdict for r in records if r.verdict.outcome == "right"]
     part = [math.log10(max(v.error / v.bound, 1e-6)) for v in verdicts]
-    right.hist(part, bins=60, color=ENDS[0])
+    right.hist(part, bins=60, color=COLOURS["right"])
     right.set_xlabel("error of right cases over its bound, log10")
     right.axvline(0, color="black", linewidth=0.8)
     figure.savefig(file, dpi=100)
     pyplot.close(figure)
-
-
-ENDS = ("tab:green", "tab:gray", "crimson", "tab:orange", "tab:purple")
-"""Colours of right, refused, silently wrong, crash and hang."""

@@ -17,10 +17,11 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmu_hosts import EVERYTHING, importers, native
-from fmu_hosts.blocks import Instance, columns, exported
+from fmu_hosts.blocks import columns, exported
 from fmu_hosts.native import Fmu, Program, Unavailable
 
 import contact_system as cs
@@ -47,18 +48,6 @@ def fmu_of(scene: cs.Scene, version: str, *platforms: str, **options: Any) -> Fm
     return exported(scene, version, **({"platforms": platforms} if platforms else {}), **options)
 
 
-def _off_plan(run: Callable[..., Array], version: str, step: float) -> dict[str, float]:
-    """How far K1 to K4 are off their plans."""
-    return {
-        name: importers.off_plan(
-            *(run, fmu_of(scene_of(name), version), scene_of(name)),
-            int(scene_of(name).duration / step),
-            step,
-        )
-        for name in KINEMATIC
-    }
-
-
 def _cut(fmu: Fmu, names: Sequence[str], step: float, count: int) -> Array:
     """Each step cut at random."""
     slave, random, rows, t = _begun(fmu), np.random.default_rng(4), [], 0.0
@@ -76,44 +65,13 @@ def _cut(fmu: Fmu, names: Sequence[str], step: float, count: int) -> Array:
 def cosimulation(full: bool) -> Iterator[Bar]:
     """K1 to K4 stepped by fmpy with steps of all sizes, against the plan."""
     for version in VERSIONS:
-        for step in STEPS:
-            worst = _off_plan(importers.fmpy_steps, version, step)
-            what = f"FMI {version}, steps of {step:g} s: off plan()"
-            yield Bar(what, 1e-12, max(worst.values()), detail=worst)
-        worst = _off_plan(_cut, version, 0.05)
-        what = f"FMI {version}, random steps: off plan()"
-        yield Bar(what, 1e-12, max(worst.values()), detail=worst)
-
-
-def model_exchange(full: bool) -> Iterator[Bar]:
-    """K1 to K4 integrated by fmpy's CVode at the file's tolerance, against the plan."""
-    for version in VERSIONS:
-        worst = _off_plan(importers.fmpy_integrates, version, 0.02)
-        what = f"FMI {version}, Model Exchange, CVode at the file's tolerance: off plan()"
-        yield Bar(what, 1e-7, max(worst.values()), detail=worst)
-
-
-def reach(full: bool) -> Iterator[Bar]:
-    """A finger that `reach` steers to goals on an ellipsoid: where its FMU is at the end."""
-    rng, r1 = np.random.default_rng(3), scene_of("R1")
-    contact = replace(r1.contacts[0], legs=(), object_velocity=(0.3, -0.4))
-    start = r1.replace(contacts=[contact], profile=cs.Profile([0.1]))
-    goals = [
-        {"object_at": tuple(rng.uniform((0.3, -1.4), (2.8, 1.4))), "finger_at": tuple(at)}
-        for at in rng.uniform((0.3, -1.4), (2.8, 1.4), (20 if full else 3, 2))
-    ]
-    scenes = [cs.reach(start, cs.Goal(**goal, angle=1.0)).scene for goal in goals]
-    for version in VERSIONS:
-        off = 0.0
-        for scene, goal in zip(scenes, goals):
-            block = Instance(scene, "FMU", version).begin()
-            block.step(scene.duration)
-            for side, surface in (("finger", contact.finger), ("object", scene.object)):
-                wanted = surface.point(*goal[f"{side}_at"])
-                away = np.linalg.norm(block.get(f"contact[1].{side}.point") - wanted)
-                off = max(off, float(away) / surface.size)
-        what = f"FMI {version}, {len(goals)} goals of reach: distance at the end, sizes"
-        yield Bar(what, 1e-12, off)
+        for step, run in (*((step, importers.fmpy_steps) for step in STEPS), (0.05, _cut)):
+            worst = 0.0
+            for scene in map(scene_of, KINEMATIC):
+                given = run, fmu_of(scene, version), scene, int(scene.duration / step), step
+                worst = max(worst, importers.off_plan(*given))
+            how = "cut at random" if run is _cut else f"of {step:g} s"
+            yield Bar(f"FMI {version}, steps {how}: off plan()", 1e-12, worst)
 
 
 def euler(full: bool) -> Iterator[Bar]:
@@ -139,41 +97,16 @@ def euler(full: bool) -> Iterator[Bar]:
 
 
 def _by_euler(fmu: Fmu, scene: cs.Scene, step: float, end: float) -> float:
-    """How far the contact points are off the plan at the end, in metres."""
-    one = fmu.instance(interface="ModelExchange")
-    one.setupExperiment(stopTime=end)
-    one.enterInitializationMode()
-    one.exitInitializationMode()
-    count = len(fmu.description.derivatives)
-    x, rate = (ctypes.c_double * count)(), (ctypes.c_double * count)()
-    state, change = np.frombuffer(x), np.frombuffer(rate)
-    t, steps = 0.0, max(1, round(end / step))
-    *_, defined, following = one.newDiscreteStates()
-    one.enterContinuousTimeMode()
-    one.getContinuousStates(x, count)
-    for k in range(steps):
-        until = (k + 1) * step if k + 1 < steps else end
-        while t < until:
-            stop = min(until, following) if defined else until
-            one.getDerivatives(rate, count)
-            state += (stop - t) * change
-            t = stop
-            one.setTime(t)
-            one.setContinuousStates(x, count)
-            if defined and t >= following and t < end:
-                one.enterEventMode()
-                *_, defined, following = one.newDiscreteStates()
-                one.enterContinuousTimeMode()
-    table = variable_table(scene)
-    points = plan_of(scene.name).points(end)[0]
-    names = [
-        f"contact[{i + 1}].{side}.point"
-        for i in range(len(scene.contacts))
-        for side in ("finger", "object")
-    ]
-    found = [one.getReal([v.reference for v in table[n].scalars()]) for n in names]
-    one.freeInstance()
-    return float(np.abs(np.array(found) - points.reshape(-1, 3)).max())
+    """How far the contact points are off the plan after so long, in metres."""
+    contacts = range(1, len(scene.contacts) + 1)
+    points = [f"contact[{i}].{side}.point" for i in contacts for side in ("finger", "object")]
+    names = [f"{point}.{axis}" for point in points for axis in "xyz"]
+    end = step * max(1, round(end / step))
+    steps = {"step_size": step, "output_interval": step, "stop_time": end}
+    given = {"fmi_type": "ModelExchange", "solver": "Euler"} | steps
+    result = fmpy.simulate_fmu(str(fmu.path), output=names, **given)
+    found = np.array([result[name][-1] for name in names])
+    return float(np.abs(found - plan_of(scene.name).points(end)[0].ravel()).max())
 
 
 def resynchronizing(full: bool) -> Iterator[Bar]:
@@ -332,7 +265,7 @@ def pythonfmu(full: bool) -> Iterator[Bar]:
         jobs[f"{name}, doStep"] = _job(fmu, ())
         states = fmu.outputs if fmu is peer else _states(fmu)
         jobs[f"{name}, doStep and 27 states"] = _job(fmu, states)
-    us = {name: 1e6 * t.median / COUNT for name, t in interleaved(jobs, 15 if full else 7).items()}
+    us = {name: 1e6 * time / COUNT for name, time in interleaved(jobs, 15 if full else 7).items()}
     off = f"which ends {_peer_error(peer):.0e} off plan()"
     for what, limit in (("doStep", 10.0), ("doStep and 27 states", None)):
         for version in VERSIONS:
@@ -369,7 +302,7 @@ def package(full: bool) -> Iterator[Bar]:
     """Size of the files; time of an export in a new process."""
     made = {f"{n} {v}": fmu_of(scene_of(n), v) for n in SCENES for v in VERSIONS}
     sizes = {name: fmu.path.stat().st_size / 1e3 for name, fmu in made.items()}
-    yield Bar("greatest FMU for one platform", 600.0, max(sizes.values()), "kB", detail=sizes)
+    yield Bar("greatest FMU for one platform", 600.0, max(sizes.values()), "kB")
     kept, times = tempfile.TemporaryDirectory(prefix="benchmarks-"), {}
     path = str(Path(kept.name) / "timed.fmu")
     for name, version in (("K1", "2.0"), ("K4", "3.0"), ("D1", "3.0")):
@@ -377,9 +310,8 @@ def package(full: bool) -> Iterator[Bar]:
         times[f"{name} {version}"] = np.median(spent, axis=0).tolist()
     for k, (which, bar) in enumerate((("first", 0.3), ("later", 0.05))):
         own = {name: spent[k] for name, spent in times.items()}
-        yield Bar(
-            f"export, {which}, slowest of K1, K4, D1", bar, max(own.values()), "s", detail=own
-        )
+        note = ", ".join(f"{name} {seconds:.2g} s" for name, seconds in own.items())
+        yield Bar(f"export, {which}, slowest of K1, K4, D1", bar, max(own.values()), "s", note=note)
 
 
 def fuzz(full: bool) -> Iterator[Bar]:
@@ -423,8 +355,6 @@ def endurance(full: bool) -> Iterator[Bar]:
 
 SECTIONS: Sections = {
     "cosimulation": cosimulation,
-    "model_exchange": model_exchange,
-    "reach": reach,
     "euler": euler,
     "resynchronizing": resynchronizing,
     "importers": other_importers,

@@ -64,36 +64,28 @@ def scenes(full: bool) -> Iterator[Bar]:
     jobs = {name: _like(name, "points") for name in LIMITS} | {"all": _like("K4", *OUTPUTS)}
     times = interleaved(jobs, 15 if full else 7)
     for name, limit in LIMITS.items():
-        what = f"later fresh plan and {POINTS} points, {name}"
-        yield Bar(what, limit, 1e3 * times[name].median, "ms", note=f"{times[name]}")
+        yield Bar(f"later fresh plan and {POINTS} points, {name}", limit, 1e3 * times[name], "ms")
     what = "the same and states, slip, pose, twist, K4"
-    yield Bar(what, 2.0, 1e3 * times["all"].median, "ms", note=f"{times['all']}")
+    yield Bar(what, 2.0, 1e3 * times["all"], "ms")
 
 
 def geodesic(full: bool) -> Iterator[Bar]:
     """The end of a geodesic of 3 m on the ellipsoid 0.3/0.2/0.1, 200 of them in turn."""
     data = load("ellipsoid_geodesics")
-    length = float(data["length"])
+    surface, length = cs.Ellipsoid(*data["axes"]), float(data["length"])
 
-    def make(k: int) -> cs.Scene:
-        u, v, a = data["start"][k]
-        surface, direction = cs.Ellipsoid(*data["axes"]), (math.cos(a), math.sin(a))
-        return geodesic_scene(surface, (u, v), direction, length)
+    def make(u: float, v: float, a: float) -> cs.Scene:
+        body = dataclasses.replace(surface)
+        return geodesic_scene(body, (u, v), (math.cos(a), math.sin(a)), length)
 
-    def end(tolerance: float, scene: cs.Scene) -> np.ndarray:
-        return cs.plan(scene, tolerance).points(length)[0, 0, 1]
+    def end(scene: cs.Scene) -> np.ndarray:
+        return cs.plan(scene).points(length)[0, 0, 1]
 
-    turn = itertools.cycle(range(len(data["start"])))
-    tolerances = (1e-12, 1e-15)
-    jobs = {f"{x:g}": Job(partial(end, x), lambda: make(next(turn))) for x in tolerances}
-    times = interleaved(jobs, 15)
-    for tolerance in tolerances:
-        ends = [end(tolerance, make(k)) for k in range(len(data["start"]))]
-        error = np.linalg.norm(np.array(ends) - data["end"], axis=1).max()
-        limit = 0.06 if tolerance == tolerances[0] else None
-        what = f"triaxial geodesic, fresh plan and its end, tolerance {tolerance:g}"
-        ms = 1e3 * times[f"{tolerance:g}"].median
-        yield Bar(what, limit, ms, "ms", note=f"greatest error {error:.1e} m")
+    turn = itertools.cycle(data["start"])
+    ms = 1e3 * interleaved({"line": Job(end, lambda: make(*next(turn)))}, 15)["line"]
+    ends = np.array([end(make(*start)) for start in data["start"]])
+    note = f"greatest error {np.linalg.norm(ends - data['end'], axis=1).max():.1e} m"
+    yield Bar("triaxial geodesic, fresh plan and its end", 0.06, ms, "ms", note=note)
 
 
 PEAKS = {1e2: 2.0, 1e5: 40.0, 1e7: 40.0}  # greatest eta sigma^2 [1/s]: times faster
@@ -103,7 +95,8 @@ def heyoka(full: bool) -> Iterator[Bar]:
     """At equal achieved error, 400 outputs; heyoka's integrators and initial states are ready."""
     for output, limit in (("points", 3.0), ("states", 2.0)):
         problem = no_slip(output, POINTS)
-        yield beside(measure(problem, heyokas(problem), repeats=9), 1e-14, limit)
+        curves = measure(problem, heyokas(problem), repeats=9)
+        yield beside(problem.name, curves, 1e-14, limit)
     for peak, limit in PEAKS.items():
         for kind, obj in OBJECTS.items():
             yield from _slip(kind, obj, peak, limit)
@@ -124,10 +117,10 @@ def _slip(kind: str, obj: cs.Surface, peak: float, limit: float) -> Iterator[Bar
     truth, forms = cs.plan(scene, 1e-15).points(times), {"chart": chart(scene, times)}
     given = times, truth, sizes_of(scene), forms, "states"
     problem = Problem(name, scene.replace, *given)
-    outcome = measure(problem, heyokas(problem), decades(1, 15), limit=2.0, repeats=7)
+    curves = measure(problem, heyokas(problem), decades(1, 15), limit=2.0, repeats=7)
     for target in TARGETS:
         note = f"; truth within {off:.0e}"
-        yield beside(outcome, target, limit, note=note, holds=off <= 0.1 * target)
+        yield beside(name, curves, target, limit, note=note, holds=off <= 0.1 * target)
 
 
 @functools.cache
@@ -145,7 +138,7 @@ def eta(full: bool) -> Iterator[Bar]:
     for (kind, obj), law in itertools.product(OBJECTS.items(), ("path", "time")):
         gains = (cs.Gain(law, 10.0**k) for k in range(0, 11, 2))
         jobs = {f"{gain.value:g}": Job(call, partial(slip_scene, obj, gain)) for gain in gains}
-        times = {name: timing.median for name, timing in interleaved(jobs, 7).items()}
+        times = interleaved(jobs, 7)
         most, least = max(times, key=times.__getitem__), min(times, key=times.__getitem__)
         note = f"{1e6 * times[most]:.4g} us at {most}, {1e6 * times[least]:.4g} us at {least}"
         name = f"time over eta 1 to 1e10, most over least, {kind}, law {law}"

@@ -17,7 +17,6 @@ import itertools
 import shutil
 import subprocess
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -43,13 +42,8 @@ class Peer:
 
     name: str
     tolerances: tuple[float, ...]  # loosest first
-    build: Callable[[float, float], Solver] | None  # of a tolerance and the longest run, s
+    build: Callable[[float], Solver] | None  # of a tolerance
     points: Callable[[Any], Array]  # of what is found: (n, n_contacts, n_bodies, 3), m; not timed
-
-
-def missing() -> dict[str, str]:
-    """Peers that are not installed: name -> reason."""
-    return {} if importlib.util.find_spec("heyoka") else {"heyoka": "not installed"}
 
 
 def decades(first: int, last: int) -> tuple[float, ...]:
@@ -59,7 +53,7 @@ def decades(first: int, last: int) -> tuple[float, ...]:
 
 def heyokas(problem: Problem) -> Iterator[Peer]:
     """heyoka on every form of the equations."""
-    if "heyoka" not in missing():
+    if importlib.util.find_spec("heyoka"):
         for form, ode in problem.forms.items():
             name = f"heyoka, {form}" if len(problem.forms) > 1 else "heyoka"
             yield Peer(name, HEYOKA, functools.partial(_heyoka, ode), ode.all_points)
@@ -74,19 +68,14 @@ def peers(problem: Problem, full: bool) -> Iterator[Peer]:
     yield Peer("CVODES", (*some, 1e-15, FINEST), functools.partial(_cvodes, ode), ode.all_points)
 
 
-def _solver(ode: Ode, advance: Callable[[int, Array], Array], limit: float) -> Solver:
-    """Chains the pieces of all contacts; ``advance``: (piece, state) -> states (n, n_states).
-
-    It raises TimeoutError where a piece is begun later than ``limit`` s after the start.
-    """
+def _solver(ode: Ode, advance: Callable[[int, Array], Array]) -> Solver:
+    """Chains the pieces of all contacts; ``advance``: (piece, state) -> states (n, n_states)."""
 
     def solve() -> list[Array]:
-        begin, columns = time.perf_counter(), []
+        columns = []
         for state in ode.starts:
             rows = [state[None]]
             for k in range(len(ode.pieces)):
-                if time.perf_counter() - begin > limit:
-                    raise TimeoutError(f"longer than {limit:g} s")
                 rows.append(advance(k, rows[-1][-1])[1:])
             columns.append(np.concatenate(rows))
         return columns
@@ -94,8 +83,14 @@ def _solver(ode: Ode, advance: Callable[[int, Array], Array], limit: float) -> S
     return solve
 
 
-def _heyoka(ode: Ode, tolerance: float, limit: float) -> Solver:
-    solver = _heyoka_compiled(ode, tolerance)
+def _heyoka(ode: Ode, tolerance: float) -> Solver:
+    import heyoka as hy
+
+    states, parameters = ode.starts.shape[1], len(ode.pieces[0].parameters)
+    x = hy.make_vars(*(f"x{i:02d}" for i in range(states)))
+    right = ode.rates(hy, hy.time, x, [hy.par[i] for i in range(parameters)])
+    given = {"tol": tolerance, "pars": [0.0] * parameters}
+    solver = hy.taylor_adaptive(list(zip(x, right)), [1.0] * states, **given)
 
     def advance(k: int, state: Array) -> Array:
         piece = ode.pieces[k]
@@ -104,18 +99,7 @@ def _heyoka(ode: Ode, tolerance: float, limit: float) -> Solver:
             solver.pars[:] = piece.parameters
         return solver.propagate_grid(piece.times)[-1]
 
-    return _solver(ode, advance, limit)
-
-
-@functools.cache
-def _heyoka_compiled(ode: Ode, tolerance: float) -> Any:
-    import heyoka as hy
-
-    states, parameters = ode.starts.shape[1], len(ode.pieces[0].parameters)
-    x = hy.make_vars(*(f"x{i:02d}" for i in range(states)))
-    right = ode.rates(hy, hy.time, x, [hy.par[i] for i in range(parameters)])
-    given = {"tol": tolerance, "pars": [0.0] * parameters}
-    return hy.taylor_adaptive(list(zip(x, right)), [1.0] * states, **given)
+    return _solver(ode, advance)
 
 
 _NUMBER = itertools.count()
@@ -142,7 +126,7 @@ def _function(ode: Ode) -> ca.Function:
         return ca.external(name, library)
 
 
-def _cvodes(ode: Ode, tolerance: float, limit: float) -> Solver:
+def _cvodes(ode: Ode, tolerance: float) -> Solver:
     function = _function(ode)
     t, x = ca.MX.sym("t"), ca.MX.sym("x", ode.starts.shape[1])
     p = ca.MX.sym("p", len(ode.pieces[0].parameters))
@@ -163,4 +147,4 @@ def _cvodes(ode: Ode, tolerance: float, limit: float) -> Solver:
         found = solvers[k](x0=state, p=ode.pieces[k].parameters)["xf"].full().T
         return np.concatenate([state[None], found])
 
-    return _solver(ode, advance, limit)
+    return _solver(ode, advance)

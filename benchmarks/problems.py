@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -34,16 +34,14 @@ class Piece:
     parameters: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ode:
-    """An initial value problem for each contact of a problem; equal if the right-hand side is."""
+    """An initial value problem for each contact of a problem."""
 
-    key: str  # of the right-hand side
-    rates: Rates = field(compare=False)
-    starts: Array = field(compare=False)  # (n_contacts, n_states)
-    pieces: tuple[Piece, ...] = field(compare=False)  # each starts where the one before ends
-    # (n, n_states) -> contact points (n, n_bodies, 3), m
-    points: Callable[[Array], Array] = field(compare=False)
+    rates: Rates
+    starts: Array  # (n_contacts, n_states)
+    pieces: tuple[Piece, ...]  # each starts where the one before ends
+    points: Callable[[Array], Array]  # (n, n_states) -> contact points (n, n_bodies, 3), m
 
     def all_points(self, states: Sequence[Array]) -> Array:
         """States (n, n_states) of each contact -> (n, n_contacts, n_bodies, 3), m."""
@@ -139,8 +137,7 @@ def chart(scene: cs.Scene, times: Array, slip: bool = True) -> Ode:
         return [a1, b1, *found[:2], a2, b2, *found[2:], tip.spin + body.spin]
 
     starts = cs.SceneSystem(scene, "chart").x0.reshape(-1, 9)
-    key = f"chart {finger!r} {obj!r} {c0, c1, c2} {slip} {bool(scene.disturbances)}"
-    return Ode(key, rates, starts, tuple(_pieces(scene, times, slip)), partial(_pair, finger, obj))
+    return Ode(rates, starts, tuple(_pieces(scene, times, slip)), partial(_pair, finger, obj))
 
 
 def _pieces(scene: cs.Scene, times: Array, slip: bool) -> Iterator[Piece]:
@@ -237,8 +234,8 @@ def _geodesic(name: str, record: dict[str, Any]) -> Problem:
     chart = np.array([[*at, velocity[0] / lame[0], velocity[1] / lame[1]]])
     space = np.append(surface.point(*at), surface.frame(*at)[:, :2] @ velocity)[None]
     forms = {
-        "chart": Ode(f"chart of {surface!r}", on_chart, chart, pieces, of_chart),
-        "space": Ode(f"space of {surface!r}", in_space, space, pieces, lambda x: x[:, None, :3]),
+        "chart": Ode(on_chart, chart, pieces, of_chart),
+        "space": Ode(in_space, space, pieces, lambda x: x[:, None, :3]),
     }
     make = partial(geodesic_scene, surface, at, velocity, record["duration"], (1.5, 0.2))
     truth, sizes = record["points"][:, None, None], np.array([surface.size])
@@ -269,7 +266,7 @@ def no_slip(output: str, count: int) -> Problem:
     times = np.linspace(0.0, 1.0, count)
     start = [[s.point(*at), s.frame(*at)[:, :2] @ along] for s, at, along in bodies]
     pieces = (Piece(profile.arc_length(times), np.zeros(0)),)
-    space = Ode("great circles", rates, np.reshape(start, (1, 12)), pieces, _of_space)
+    space = Ode(rates, np.reshape(start, (1, 12)), pieces, _of_space)
     forms = {"points": {"space": space}, "states": {"chart": chart(make(), times, slip=False)}}
     truth = _great_circles(profile, bodies, times)[:, None]
     sizes = sizes_of(make())

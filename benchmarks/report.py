@@ -1,22 +1,15 @@
-"""One measured number against its bar; the printed table and the JSON file."""
+"""One measured number against its bar, as a line of the printed table."""
 
 from __future__ import annotations
 
-import json
-import os
 import platform
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / "results" / "benchmarks"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-PACKAGES = ("numpy", "casadi", "heyoka", "geographiclib")
 WIDTHS = (66, 11, 11)
 
 
@@ -31,7 +24,6 @@ class Bar:
     least: bool = False  # ``measured`` must be at least ``limit``, not at most
     note: str = ""
     holds: bool = True  # the bar's other condition, of which ``note`` tells
-    detail: dict[str, Any] = field(default_factory=dict)  # for the JSON file
 
     @property
     def met(self) -> bool | None:
@@ -80,38 +72,15 @@ def _line(cells: Iterable[str]) -> str:
     return "  ".join(f"{cell:{width}s}" for cell, width in zip(cells, WIDTHS, strict=True))
 
 
-def write(name: str, bars: Iterable[Bar]) -> None:
-    """Write ``results/benchmarks/<name>.json`` in the checkout."""
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    rows = [{**asdict(bar), "met": bar.met} for bar in bars]
-    text = json.dumps({**surroundings(), "bars": rows}, indent=1, default=float)
-    (RESULTS / f"{name}.json").write_text(text + "\n")
-
-
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table in Markdown, a line a row."""
     lines = [head, ["---"] * len(head), *rows]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def surroundings() -> dict[str, Any]:
-    """Date, machine, versions and thread settings of this run."""
-    return {
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "load": os.getloadavg() if hasattr(os, "getloadavg") else None,
-        "python": sys.version.split()[0],
-        "versions": {name: _version(name) for name in PACKAGES},
-        "threads": {name: os.environ.get(name, "not set") for name in THREADS},
-    }
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "not installed"
+def surroundings() -> str:
+    """Date and machine."""
+    return f"{datetime.now(UTC):%Y-%m-%d}, {_processor()}, one thread."
 
 
 def _processor() -> str:

@@ -1,74 +1,244 @@
 """Stress: many cases at the edge of what can be computed; each is right, refused or a failure.
 
-A case plans something and judges it by exact laws (`stress_cases`). It runs in a process of its
-own under a watchdog, so that a hang or a crash of the whole process is counted and not suffered.
+A case plans a scene and judges the plan by exact laws. It runs in a process of its own under a
+watchdog, so that a hang or a crash of the whole process is counted and not suffered.
 """
 
 from __future__ import annotations
 
 import contextlib
-import importlib
+import itertools
+import math
 import multiprocessing
 import os
-import shutil
+import random
+import re
 import signal
-import subprocess
-import sys
-import tempfile
 import time
+import zlib
 from collections import Counter, deque
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
-from pathlib import Path
+from typing import Any, NamedTuple
 
-from . import stress_cases
+import casadi as ca
+import numpy as np
+
+import contact_system as cs
+from contact_system.scene.files import scene_from_toml, scene_text
+
 from .report import ROOT, Bar, Sections
-from .timing import in_new_process
-from .verdicts import FAILURES, NAN, OUTCOMES, Family, Verdict, judged
+from .stress_laws import NAN, Meter, Verdict, refusal, run
+from .stress_scenes import ETAS, LAWS, MADE, OF_USERS, PROFILES, SHAPES, Draw, draw_trial
 
-LIMIT, WALL = 30.0, 120.0
-"""s of processor time after which a case hangs; by the clock, for one that uses no processor, and
-for a worker to import what it needs."""
-SHOWN = 10
-"""Failures of a family that are printed as they come."""
+FAILURES = ("silent", "crash", "hang")
 
 
 @dataclass(frozen=True)
-class Record:
-    """The verdict of one case of a family and the processor time it took, s."""
+class Family:
+    """Cases that are alike, each made anew from its index, so in any process and any order."""
+
+    name: str
+    count: int  # cases in the quick form: indices 0 to count - 1
+    run: Callable[[int], Verdict]  # or raises, see `judged`
+
+
+def judged(case: Callable[[], Verdict]) -> Verdict:
+    """The verdict of a case; what it raises is one too."""
+    try:
+        return case()
+    except cs.ContactSystemError as error:
+        return refusal(str(error))
+    except Exception as error:
+        return Verdict("crash", message=f"{type(error).__name__}: {error}")
+
+
+def grid(
+    name: str,
+    /,
+    repeats: int,
+    cases: Sequence[dict[str, Any]] = ({},),
+    always: dict[str, Any] | None = None,
+    **axes: Sequence[Any],
+) -> Family:
+    """All combinations of choices, each repeated with all else drawn anew.
+
+    ``cases`` are the first axis, several choices of `draw_trial` at once; ``always`` is chosen in
+    all; ``axes`` are further axes, values by the name of the choice.
+    """
+    lengths = [len(cases), *map(len, axes.values())]
+    key = zlib.crc32(name.encode())
+
+    def one(index: int) -> Verdict:
+        first, *others = np.unravel_index(index % math.prod(lengths), lengths)
+        drawn = {choice: axes[choice][i] for choice, i in zip(axes, others)}
+        return run(draw_trial(Draw(key, index), **cases[first] | drawn | (always or {})))
+
+    return Family(name, repeats * math.prod(lengths), one)
+
+
+BUILT_IN, USERS = ([f.__name__ for f in made] for made in (MADE, OF_USERS))
+MISSES = (0.0, *(10.0**-k for k in range(15, -1, -1)))
+HARD = ("oblate", "prolate", "equal axes", "plain", "needle", "pancake", "nearly a sphere")
+POLES = [
+    {"kind": "sphere"},
+    *({"kind": "ellipsoid", "shape": shape} for shape in HARD),
+    {"kind": "implicit_ellipsoid"},
+]
+"""What has poles or umbilics."""
+
+
+def _poles() -> list[dict[str, Any]]:
+    """Every kind of pole, passed by object and finger at every distance."""
+    cases = []
+    always = {"profile": "constant", "windows": 0, "turns": 4.0}
+    for what, side, miss in itertools.product(POLES, ("object", "finger"), MISSES):
+        other = {"object": "finger", "finger": "object"}[side]
+        shape = {"shape": what["shape"]} if "shape" in what else {}
+        cases.append({side: what["kind"], other: "sphere", "pole": (side, miss)} | always | shape)
+    return cases
+
+
+def _bowls() -> list[dict[str, Any]]:
+    """Fingers of a bowl's own form, less a part of their radius."""
+    return [
+        {"object": kind, "finger": kind, "ratio": 1.0 - less}
+        for kind in ("sphere", "cylinder", "torus", "ellipsoid", "plane")
+        for less in (0.0, *(10.0**-k for k in range(16, 0, -1)), 0.5)
+    ]
+
+
+# --- mutated files --------------------------------------------------------------------------------
+
+NUMBER = re.compile(r"(?<![\w.\"-])-?\d+(?:\.\d+)?(?:e-?\d+)?")
+BUNDLED = tuple(cs.bundled_scenes())
+
+
+def _mutated(index: int) -> Verdict:
+    """A bundled scene's file with one to three changes, which is planned or refused by name."""
+    rng = random.Random(index)
+    name = rng.choice(BUNDLED)
+    text, file = scene_text(name)[0], f"mutated {name}.toml"
+    for _ in range(rng.choice((1, 1, 2, 3))):
+        text = rng.choice((*[_other_number] * 8, _other_lines, _other_sections))(rng, text)
+
+    try:
+        scene = scene_from_toml(text, file)
+    except cs.ContactSystemError as error:
+        return Verdict("refused" if file in str(error) else "crash", message=str(error))
+    return _sound(cs.plan(scene))
+
+
+def _other_number(rng: random.Random, text: str) -> str:
+    found = list(NUMBER.finditer(text))
+    if not found:
+        return text
+    match = rng.choice(found)
+    x = float(match[0])
+    scaled = [x * 10 ** rng.uniform(-k, k) for k in (1, 3, 10, 20)]
+    value = rng.choice((*scaled, *scaled, -x, 0.0, 10 ** rng.uniform(-300, 300)))
+    return f"{text[: match.start()]}{value!r}{text[match.end() :]}"
+
+
+def _other_lines(rng: random.Random, text: str) -> str:
+    """A line is missing, or there twice."""
+    lines = text.splitlines()
+    k = rng.randrange(len(lines))
+    lines[k : k + 1] = [lines[k]] * rng.choice((0, 2))
+    return "\n".join(lines)
+
+
+def _other_sections(rng: random.Random, text: str) -> str:
+    """Two sections have changed places."""
+    parts = re.split(r"^(?=\[)", text, flags=re.MULTILINE)
+    i, j = rng.randrange(len(parts)), rng.randrange(len(parts))
+    parts[i], parts[j] = parts[j], parts[i]
+    return "".join(parts)
+
+
+def _sound(plan: cs.Plan) -> Verdict:
+    """Right where all is finite and every point is on its surface."""
+    t, meter = np.linspace(plan.start, plan.end, 50), Meter()
+    for name, values in plan.evaluate(t, "points", "slip_speed", "pose", "twist").items():
+        meter.see(f"finite {name}", np.where(np.isfinite(values), 0.0, math.inf), 1.0)
+    points = plan.points(t)
+    for i, contact in enumerate(plan.scene.contacts):
+        for k, surface in enumerate((contact.finger, plan.scene.object)):
+            if surface.has_implicit:
+                x = points[:, i, k]
+                bound = 10 * plan.tolerance * (surface.size + np.linalg.norm(x, axis=1))
+                meter.see(f"contact {i}: on {surface!r}", _distance(surface, x), bound)
+    return meter.verdict()
+
+
+def _distance(surface: cs.Surface, points: np.ndarray) -> np.ndarray:
+    """How far points (n, 3) are off a surface, by its level function, m."""
+    x, p = ca.SX.sym("x", 3), ca.SX.sym("p", len(surface.numbers))
+    level = surface.implicit_expr(p, x)
+    away = ca.Function("away", [x, p], [level / ca.norm_2(ca.gradient(level, x))])
+    return away(points.T, surface.numbers).full()[0]
+
+
+# --- all families --------------------------------------------------------------------------------
+
+SLIPS = {"slip": 1, "windows": 0}
+QUIET, SIGMAS = {"windows": 0}, list(PROFILES)
+TURNS = [2 * math.pi * 10.0**k for k in range(6)]
+LONG = ({"object": "torus"}, {"object": "ellipsoid", "shape": "plain"}, {"object": "chart_torus"})
+LONGEST = {"finger": "plane", "windows": 0, "most": 7e5, "ratio": 10.0}
+SIDES = [{"shape": s, side: "ellipsoid"} for s in SHAPES for side in ("object", "finger")]
+RATIOS = [10 ** (k / 2) for k in range(-12, 13)]
+RESTING = {"windows": 0, "most": 2e6}
+FLAT = BUILT_IN[:3]
+TIGHT = [10.0**-k for k in range(3, 16)]
+TURNING = [{"turns": turns} | body for turns in TURNS for body in LONG]
+FAMILIES = {
+    family.name: family
+    for family in (
+        grid("eta and gain law", 3, always=SLIPS, eta=ETAS, law=LAWS, object=BUILT_IN),
+        grid("profile", 1, always=SLIPS, profile=SIGMAS, law=LAWS, object=BUILT_IN, eta=ETAS[3::3]),
+        grid("poles and umbilics", 3, cases=_poles(), slip=[0, 1]),
+        grid("radius ratio", 6, always=QUIET, ratio=RATIOS, object=BUILT_IN),
+        grid("ellipsoids", 6, cases=SIDES, windows=[0, 0, 0, 1], inside=[False, True]),
+        grid("conforming bowls", 10, _bowls(), QUIET | {"bowl": True}),
+        grid("revolutions", 3, always=RESTING, turns=TURNS, object=FLAT, finger=FLAT),
+        grid("revolutions, integrated", 1, cases=TURNING, always=LONGEST),
+        grid("tolerance", 8, always=QUIET, tolerance=TIGHT, object=BUILT_IN, slip=[0, 1]),
+        grid("disturbances", 100, windows=[1, 2, 3]),
+        grid("surfaces of users", 12, object=USERS, finger=USERS, slip=[0, 1]),
+        Family("mutated files", 1000, _mutated),
+        grid("everything", 11_500),
+    )
+}
+
+
+# --- running them --------------------------------------------------------------------------------
+
+LIMIT = 300.0 if "ASAN_OPTIONS" in os.environ else 30.0
+"""s of processor time after which a case hangs; sanitizers take ten times as long."""
+WALL = 4 * LIMIT
+"""s, for a case that uses no processor, and for a worker to import what it needs."""
+
+
+class Record(NamedTuple):
+    """The verdict of one case of a family."""
 
     family: str
     index: int
     verdict: Verdict
-    seconds: float
 
 
-def families() -> dict[str, Family]:
-    """All families by name."""
-    return {family.name: family for family in stress_cases.FAMILIES}
-
-
-def rerun(family: str, index: int) -> Verdict:
-    """Run one case in this process and print how it ended; errors are raised."""
-    case = families()[family].make(index)
-    print(case.name)
-    verdict = case.call()
-    print(verdict)
-    return verdict
-
-
-def _work(link: Connection, home: str, limit: float, todo: list[tuple[str, int]]) -> None:
+def _work(link: Connection, todo: list[tuple[str, int]]) -> None:
     """What the worker does: verdicts of cases, one after the other."""
-    known = importlib.import_module(home).families()
     for name, index in todo:
-        begin = time.process_time()
-        _limit(limit)
+        _limit(LIMIT)
         try:
-            verdict = judged(known[name].make(index))
+            verdict = judged(partial(FAMILIES[name].run, index))
         finally:
             _limit(0.0)
-        link.send((verdict, time.process_time() - begin))
+        link.send(verdict)
 
 
 def _limit(seconds: float) -> None:
@@ -77,135 +247,55 @@ def _limit(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_PROF, seconds)
 
 
-def search(
-    chosen: list[tuple[Family, range]], home: str = __name__, limit: float = LIMIT
-) -> Iterator[Record]:
-    """Run cases of families of the module called `home`, which hang after `limit` s each.
-
-    A worker does them, and after one that ends it or hangs another worker the rest.
-    """
+def search(chosen: list[tuple[Family, range]]) -> Iterator[Record]:
+    """Run cases: a worker does them, and after one that ends it or hangs another the rest."""
     todo = deque((family.name, index) for family, indices in chosen for index in indices)
     context, lost = multiprocessing.get_context("spawn"), 0
     while todo:
         link, other = context.Pipe()
-        given = (other, home, limit, list(todo))
-        process = context.Process(target=_work, args=given, daemon=True)
+        process = context.Process(target=_work, args=(other, list(todo)), daemon=True)
         process.start()
         other.close()
         with contextlib.suppress(EOFError, ConnectionError):
             while todo and (heard := link.poll(WALL)):
-                told = link.recv()
-                yield Record(*todo.popleft(), *told)
+                verdict = link.recv()
+                yield Record(*todo.popleft(), verdict)
         process.join(5 if heard else 0)
         process.kill()
         process.join()
         if todo:
             slow = not heard or process.exitcode == -getattr(signal, "SIGPROF", 27)
-            text = f"over {limit:g} s" if slow else f"the process ended with {process.exitcode}"
-            verdict = Verdict("hang" if slow else "crash", NAN, NAN, text)
-            yield Record(*todo.popleft(), verdict, limit)
+            text = f"over {LIMIT:g} s" if slow else f"the process ended with {process.exitcode}"
+            verdict = Verdict("hang" if slow else "crash", message=text)
+            yield Record(*todo.popleft(), verdict)
             if (lost := lost + 1) > 100:
                 raise RuntimeError(f"100 processes have ended; the last: {text}")
 
 
 def cases(full: bool) -> Iterator[Bar]:
-    """All cases; ``full``: ten times the random ones, and none that was run before."""
-    chosen = []
-    for family in families().values():
-        first, count = 0, family.count
-        if full and family.endless:
-            first, count = 1000 * int(time.time()), 10 * count
-        chosen.append((family, range(first, first + count)))
-    records = yield from _bars(chosen, 20_000)
+    """All cases; ``full``: ten times as many, and none that was run before."""
+    first, more = (1000 * int(time.time()), 10) if full else (0, 1)
+    chosen = [(f, range(first, first + more * f.count)) for f in FAMILIES.values()]
+    records: list[Record] = []
+    for family, group in itertools.groupby(search(chosen), lambda record: record.family):
+        records += (found := list(group))
+        failures = [record for record in found if record.verdict.outcome in FAILURES]
+        for _, index, v in failures[:10]:
+            print(f"{v.outcome}: error {v.error:.3g}, bound {v.bound:.3g}: {v.message}")
+            print(f"  benchmarks.stress.FAMILIES[{family!r}].run({index}) repeats it")
+        count = Counter(record.verdict.outcome for record in found)
+        note = ", ".join(f"{number} {outcome}" for outcome, number in sorted(count.items()))
+        name = f"{family}, {len(found)} cases: wrong, crash or hang"
+        yield Bar(name, 0, len(failures), note=note)
+    count = Counter(record.verdict.outcome for record in records)
+    note = f"{count['right']} right, {count['refused']} refused"
+    yield Bar("cases in all", 20_000, len(records), least=True, note=note)
+    right = [r.verdict for r in records if r.verdict.outcome == "right"]
+    worst = max((v.error / v.bound for v in right), default=NAN)
+    yield Bar("greatest error over its bound, right cases", 1.0, worst)
     from .figures import outcomes  # which needs matplotlib
 
     outcomes(records, ROOT / "docs" / "stress.png")
 
 
-def sample(full: bool) -> Iterator[Bar]:
-    """Every eleventh case, which no axis of a grid repeats after."""
-    yield from _bars([(family, range(0, family.count, 11)) for family in families().values()], 1900)
-
-
-def _bars(chosen: list[tuple[Family, range]], least: int) -> Generator[Bar, None, list[Record]]:
-    """Run cases; a table of outcomes; failures with the line that repeats them; the records."""
-    begin = time.perf_counter()
-    records: list[Record] = []
-    shown: Counter = Counter()
-    for record in search(chosen):
-        records.append(record)
-        if record.verdict.outcome in FAILURES:
-            shown[record.family] += 1
-            if shown[record.family] <= SHOWN:
-                print(_failure(record), flush=True)
-        if len(records) % 500 == 0 and sys.stderr.isatty():
-            told = f"\r{len(records)} cases, {shown.total()} failures"
-            print(told, end="", file=sys.stderr, flush=True)
-    print(table(records))
-    count = Counter(r.verdict.outcome for r in records)
-    spent = time.perf_counter() - begin
-    note = f"{count['right']} right, {count['refused']} refused, {spent:.0f} s"
-    yield Bar("stress: cases", least, len(records), least=True, note=note)
-    for outcome in FAILURES:
-        kept = [(r.family, r.index) for r in records if r.verdict.outcome == outcome]
-        yield Bar(f"stress: {outcome}", 0, len(kept), detail={"cases": kept})
-    right = [r.verdict for r in records if r.verdict.outcome == "right"]
-    worst = max((v.error / v.bound for v in right), default=NAN)
-    yield Bar("stress: greatest error over its bound, right cases", 1.0, worst)
-    return records
-
-
-def table(records: list[Record]) -> str:
-    """Cases by family and outcome, and the processor time they took."""
-    rows: dict[str, Counter] = {}
-    for record in records:
-        for name in (record.family, "all"):
-            row = rows.setdefault(name, Counter())
-            row.update({record.verdict.outcome: 1, "cases": 1, "s": record.seconds})
-    rows["all"] = rows.pop("all", Counter())  # last
-    names = ("cases", *OUTCOMES)
-    lines = [f"{'family':34s}" + "".join(f"{name:>9s}" for name in (*names, "s"))]
-    for family, row in rows.items():
-        cells = "".join(f"{row[name]:9d}" for name in names)
-        lines.append(f"{family:34s}{cells}{row['s']:9.1f}")
-    return "\n".join(lines)
-
-
-def _failure(record: Record) -> str:
-    """How a case failed, and the line of Python that repeats it."""
-    v = record.verdict
-    again = f"from benchmarks.stress import rerun; rerun({record.family!r}, {record.index})"
-    return f"{v.outcome}: error {v.error:.3g}, bound {v.bound:.3g}: {v.message}\n    {again}"
-
-
-SANITIZERS = "-O1 -g -fno-omit-frame-pointer -fsanitize=address,undefined -fno-sanitize-recover=all"
-IN_COPY = """
-import json
-from collections import Counter, deque
-from benchmarks import stress, stress_cases
-
-chosen = [(family, range(family.count)) for family in stress_cases.FAMILIES]
-print(json.dumps(Counter(record.verdict.outcome for record in stress.search(chosen))))
-"""
-
-
-def sanitized(full: bool) -> Iterator[Bar]:
-    """The planner's cases by an engine under sanitizers, in a copy of the checkout; needs gcc."""
-    name = "findings of sanitizers in the planner's cases"
-    if not shutil.which("gcc"):
-        yield Bar(name, 0, None, note="gcc is not installed")
-        return
-    with tempfile.TemporaryDirectory() as room:
-        folder, unwanted = Path(room, "copy"), (".*", "_engine.*", "build", "results")
-        shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*unwanted))
-        flags = {"CC": "gcc", "CONTACT_SYSTEM_CFLAGS": SANITIZERS}
-        build = [sys.executable, "setup.py", "build_ext", "--inplace"]
-        subprocess.run(build, cwd=folder, env=os.environ | flags, check=True, capture_output=True)
-        asan = subprocess.check_output(["gcc", "-print-file-name=libasan.so"], text=True).strip()
-        loaded = {"LD_PRELOAD": asan, "ASAN_OPTIONS": "detect_leaks=0"}
-        found = in_new_process(IN_COPY, folder=folder, **loaded)
-    note = ", ".join(f"{count} {outcome}" for outcome, count in sorted(found.items()))
-    yield Bar(name, 0, sum(found.get(outcome, 0) for outcome in FAILURES), note=note)
-
-
-SECTIONS: Sections = {"cases": cases, "sanitized": sanitized}
+SECTIONS: Sections = {"cases": cases}

@@ -88,11 +88,6 @@ def clairaut(x: Array, p: Array) -> tuple[Array, Array, Array]:
     return x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0], np.ones(len(x)), np.hypot(x[:, 0], x[:, 1])
 
 
-def level_of_cube(x: ca.SX, p: ca.SX) -> ca.SX:
-    """Rounded cube: sum (x/r)^4 = 1."""
-    return ca.sum1((x / p[0]) ** 4) - 1
-
-
 def level_of_waves(x: ca.SX, p: ca.SX) -> ca.SX:
     """z = h cos(k (x - 0.4 y)) cos(k y)."""
     return x[2] - p[0] * ca.cos(p[1] * (x[0] - 0.4 * x[1])) * ca.cos(p[1] * x[1])
@@ -111,11 +106,6 @@ class Body:
     integrated: bool = True  # no closed form is known to a planner either
     umbilics: bool = False  # the chart is Jacobi's
 
-    @property
-    def side(self) -> float:
-        """-1 for a body on the other side of its surface."""
-        return -1.0 if self.surface.inside else 1.0
-
     def normal(self, x: Array) -> Array:
         """Unit normals out of the body (n, 3)."""
         return self.turning(x, x)[0]
@@ -124,7 +114,8 @@ class Body:
         """Unit normals, and how they change along y, which is -II(y, .) as a vector: (n, 3)."""
         _, slope, bend = self.shape.derived(x, y)
         length = np.linalg.norm(slope, axis=1, keepdims=True)
-        n, change = self.side * slope / length, self.side * bend / length
+        length *= -1.0 if self.surface.inside else 1.0
+        n, change = slope / length, bend / length
         return n, change - n * np.sum(n * change, 1, keepdims=True)
 
     def geodesic(self, x: Array, p: Array, s: Array) -> Array | None:
@@ -142,11 +133,6 @@ class Body:
             height = (x[2] + p[2] * s[:, None]) * [0.0, 0.0, 1.0]
             return flat * np.cos(turn) + across * np.sin(turn) + height
         return None
-
-
-def round_body(r: float) -> Shape:
-    """A sphere."""
-    return quadric(np.eye(3) / r / r)
 
 
 def _ellipsoid(a: float, b: float, c: float) -> Shape:
@@ -170,7 +156,7 @@ def plane(draw: Draw, size: float, inside: bool) -> Body:
 def sphere(draw: Draw, size: float, inside: bool) -> Body:
     """A sphere or a spherical bowl."""
     surface, known = cs.Sphere(size, inside=inside), {"line": "sphere", "integrated": False}
-    return Body(surface, round_body(size), _polar(draw), size, **known)
+    return Body(surface, quadric(np.eye(3) / size**2), _polar(draw), size, **known)
 
 
 def cylinder(draw: Draw, size: float, inside: bool) -> Body:
@@ -232,15 +218,6 @@ def turned(draw: Draw, size: float, inside: bool) -> Body:
     return Body(surface, quadric(matrix), at, surface.size, kappa)
 
 
-def chart_sphere(draw: Draw, size: float, inside: bool) -> Body:
-    """A sphere by a user's stereographic chart, from its south pole."""
-    # x and y stand so that f_u x f_v points out
-    f = ("2*r*v/(1 + u*u + v*v)", "2*r*u/(1 + u*u + v*v)", "r*(u*u + v*v - 1)/(1 + u*u + v*v)")
-    surface = cs.ParametricSurface(f, parameters={"r": size}, size=size, inside=inside)
-    at = (draw.real(-1, 1), draw.real(-1, 1))
-    return Body(surface, round_body(size), at, size, line="sphere")
-
-
 def chart_torus(draw: Draw, size: float, inside: bool) -> Body:
     """A torus by a user's chart whose lines are sheared, so not orthogonal."""
     major, r = size / 1.3, 0.3 * size / 1.3
@@ -267,15 +244,8 @@ def implicit_ellipsoid(draw: Draw, size: float, inside: bool) -> Body:
     return Body(surface, _ellipsoid(size, b, c), _polar(draw), size, (size / c) ** 2)
 
 
-def implicit_cube(draw: Draw, size: float, inside: bool) -> Body:
-    """A rounded cube by a user's equation."""
-    text = "(x/r)**4 + (y/r)**4 + (z/r)**4 - 1"
-    surface = cs.ImplicitSurface(text, parameters={"r": size}, size=size, inside=inside)
-    return Body(surface, Shape(level_of_cube, (size,)), _polar(draw), size, 4.0)
-
-
 MADE = (plane, sphere, cylinder, torus, ellipsoid, turned)
-OF_USERS = (chart_sphere, chart_torus, chart_waves, implicit_ellipsoid, implicit_cube)
+OF_USERS = (chart_torus, chart_waves, implicit_ellipsoid)
 BODIES: dict[str, Callable[..., Body]] = {f.__name__: f for f in (*MADE, *OF_USERS)}
 OFTEN = [*list(BODIES)[:6] * 8, *BODIES]
 """Names to draw from; surfaces of users cost ten times as much, so they come less often."""

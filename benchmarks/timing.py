@@ -1,4 +1,4 @@
-"""Run times: jobs in one process in turns, programs in processes of their own; memory."""
+"""Run times: jobs in one process in turns, programs in processes of their own."""
 
 from __future__ import annotations
 
@@ -11,12 +11,10 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from .report import ROOT
 
-BURST = 0.01  # [s] that one sample lasts at least, so that the clock's own cost is lost in it
 SLOW = 0.2  # [s]: what takes longer is sampled twice only
 
 
@@ -28,37 +26,21 @@ class Job:
     make: Callable[[], Any] = lambda: None
 
 
-@dataclass(frozen=True)
-class Timing:
-    """Seconds a call: median, least and greatest of the samples."""
-
-    median: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{1e6 * self.median:.4g} us ({1e6 * self.low:.4g} to {1e6 * self.high:.4g})"
-
-
-def spread(seconds: list[float]) -> Timing:
-    """Of some samples."""
-    return Timing(statistics.median(seconds), min(seconds), max(seconds))
-
-
 def sample(job: Job, count: int = 1) -> float:
-    """Seconds a call, over ``count`` calls with an item each."""
+    """Seconds of the processor a call, over ``count`` calls with an item each."""
     items = [job.make() for _ in range(count)]
     call = job.call
-    begin = time.perf_counter()
+    begin = time.process_time()
     for item in items:
         call(item)
-    return (time.perf_counter() - begin) / count
+    return (time.process_time() - begin) / count
 
 
-def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) -> dict[Any, Timing]:
-    """Time jobs in turns, so that a slow spell of the machine meets all of them.
+def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = 0.01) -> dict[Any, float]:
+    """Seconds a call of each job, in turns, so that a slow spell of the machine meets all of them.
 
-    Every job is called before its time counts; a sample lasts ``burst`` s at least.
+    The median of samples; every job is called before its time counts. A sample lasts ``burst`` s at
+    least, so that the clock's own cost is lost in it.
     """
     counts = {}
     for name, job in jobs.items():
@@ -67,6 +49,8 @@ def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) ->
             now = min(sample(job) for _ in range(3))
         counts[name] = max(1, round(burst / max(now, 1e-9)))
     samples: dict[Any, list[float]] = {name: [] for name in jobs}
+    gc.collect()
+    gc.freeze()  # collections between samples then cost next to nothing
     gc.disable()
     try:
         for turn in range(repeats):
@@ -76,39 +60,28 @@ def interleaved(jobs: dict[Any, Job], repeats: int = 9, burst: float = BURST) ->
                     samples[name].append(sample(job, counts[name]))
     finally:
         gc.enable()
-    return {name: spread(found) for name, found in samples.items()}
+        gc.unfreeze()
+    return {name: statistics.median(found) for name, found in samples.items()}
 
 
-def in_new_process(code: str, *arguments: str, folder: Path = ROOT, **environment: str) -> Any:
-    """What a Python program prints as JSON in a process of its own, in a checkout."""
-    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | environment
+def in_new_process(code: str, *arguments: str) -> Any:
+    """What a Python program prints as JSON in a process of its own."""
+    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     command = [sys.executable, "-c", code, *arguments]
-    done = subprocess.run(command, cwd=folder, env=kept, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=ROOT, env=kept, capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(done.stderr)
     return json.loads(done.stdout)
 
 
 def in_new_processes(count: int, code: str, *arguments: str) -> dict[str, Any]:
-    """Timings of the numbers that a program prints, each time in another process.
+    """Medians of the numbers that a program prints, each time in another process.
 
     The first run counts for nothing: it brings files into the machine's memory. What is no number
     is that of the last run.
     """
     runs = [in_new_process(code, *arguments) for _ in range(count + 1)][1:]
     return {
-        key: spread([run[key] for run in runs]) if isinstance(value, float) else value
+        key: statistics.median(run[key] for run in runs) if isinstance(value, float) else value
         for key, value in runs[-1].items()
     }
-
-
-def memory(what: str = "VmRSS") -> float:
-    """Memory of this process, MB: "VmRSS" now, "VmHWM" its peak, where the system tells both."""
-    try:
-        with open("/proc/self/status") as file:
-            (line,) = (line for line in file if line.startswith(what))
-        return int(line.split()[1]) / 1e3
-    except OSError:
-        import resource  # Windows has none
-
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6

@@ -22,8 +22,8 @@ from .truth_exact import Ended, Setup, proof, setups
 
 STEPS = (4e-3, 1e-3, 2.5e-4)
 ACCURACIES = (1e-2, 1e-4, 1e-6)
-LIMITS = {False: 1.5, True: 60.0}
-"""s of processor time that a run may take, quick and full."""
+LIMIT = 1.5
+"""s of processor time that a run may take."""
 LOST = 10.0
 """In radii: what is further off counts as this."""
 BEGIN = time.perf_counter()
@@ -34,12 +34,12 @@ EXACT: dict[str, tuple[float, float]] = {}
 """Of each set-up how far off the exact side is, and the time it takes, s."""
 
 
-def methods(full: bool) -> Iterator[tuple[str, Any, Any, tuple[float, ...]]]:
-    """Name, module, method, and steps in s or accuracies; quick ones leave out what is slow."""
+def methods(setup: Setup) -> Iterator[tuple[str, Any, Any, tuple[float, ...]]]:
+    """Those that take a set-up: name, module, method, and steps in s or accuracies."""
     for method in truth_drake.METHODS:
-        if full or method.name in truth_drake.QUICK:
+        if truth_drake.takes(setup, method):
             knobs = ACCURACIES if method.scheme else STEPS
-            knobs = knobs if full or method.model == "point" else knobs[:2]
+            knobs = knobs if method.model == "point" else knobs[:2]
             yield f"Drake {method.name}", truth_drake, method, knobs
     for method in truth_mujoco.METHODS:
         yield f"MuJoCo {method.name}", truth_mujoco, method, STEPS
@@ -50,21 +50,19 @@ def exact(full: bool) -> Iterator[Bar]:
     for name, setup in setups().items():
         end = np.array([setup.end])
         spent = interleaved({name: Job(lambda _, motion=setup.motion, t=end: motion(t))}, 5)[name]
-        EXACT[name] = proof(setup), spent.median
-        yield Bar(f"exact, {name}", 1e-12, EXACT[name][0], "radii", note=f"in {spent} ")
+        EXACT[name] = proof(setup), spent
+        yield Bar(f"exact, {name}", 1e-12, EXACT[name][0], "radii", note=f"in {1e3 * spent:.2g} ms")
 
 
 def simulated(name: str, full: bool) -> Iterator[Bar]:
     """One set-up by all methods."""
     runs = FOUND.setdefault(name, {})
-    for what, module, method, knobs in methods(full):
-        if not module.takes(setups()[name], method):
-            continue
+    for what, module, method, knobs in methods(setups()[name]):
         # what a ball that goes with the wrench is told each step costs some us in both simulators
-        found = [module.run(name, method, knob, LIMITS[full]) for knob in knobs]
+        found = [module.run(name, method, knob, LIMIT) for knob in knobs]
         runs[what] = [run for run in found if run.whole]
         said = [f"{_error(run):.1e} in {run.seconds:.3f} s" for run in runs[what]]
-        said += [f"given up after {LIMITS[full]:g} s"] * (len(found) - len(said))
+        said += [f"given up after {LIMIT:g} s"] * (len(found) - len(said))
         best = min(map(_error, runs[what]), default=math.nan)
         yield Bar(f"{name}, {what}", None, best, "radii", note=", ".join(said))
 
@@ -86,7 +84,7 @@ def page(full: bool) -> Iterator[Bar]:
         file.write_text(f"{head}{HEAD}\n{tables()}{TAIL}{tail}", "utf-8")
         figure(ROOT / "docs" / "truth.png")
     yield Bar("set-ups of this run, for the page in docs", len(known), len(FOUND), least=True)
-    yield Bar("this run", None if full else 300.0, time.perf_counter() - BEGIN, "s")
+    yield Bar("this run", 300.0, time.perf_counter() - BEGIN, "s")
 
 
 HEAD, TAIL = "<!-- written by python -m benchmarks truth -->", "<!-- end -->"
@@ -99,9 +97,7 @@ def tables() -> str:
         [what, *(_cell(runs.get(what), setups()[name]) for name, runs in FOUND.items())]
         for what in names
     ]
-    about = surroundings()
-    said = f"{truth_drake.VERSION}, {truth_mujoco.VERSION}, {about['date'][:10]}, "
-    said += f"{about['processor']}, one thread."
+    said = f"{truth_drake.VERSION}, {truth_mujoco.VERSION}, {surroundings()}"
     return f"{markdown_table(['', *FOUND], rows)}\n{said}\n"
 
 
@@ -126,10 +122,10 @@ def figure(file: Path) -> None:
     for name, runs in FOUND.items():
         end, (error, spent) = setups()[name].end, EXACT[name]
         panels[name] = {
-            what: (list(map(_error, found)), [r.seconds / end for r in found], None)
+            what: (list(map(_error, found)), [r.seconds / end for r in found])
             for what, found in runs.items()
         }
-        panels[name][ours] = [max(error, 1e-16)], [spent / end], None
+        panels[name][ours] = [max(error, 1e-16)], [spent / end]
     named = "how far off the ball ends, in its radii", "processor time a simulated second [s]"
     overview(panels, styles, file, *named, columns=5)
 

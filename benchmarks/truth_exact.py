@@ -76,12 +76,6 @@ class Ended:
         """How far off it is, in radii: its centre's distance and the angle."""
         return self.exact.off(self.x, self.turned)
 
-    @property
-    def late(self) -> float:
-        """How far the direction of its velocity is off, of a turn."""
-        (vx, vy, _), (ex, ey, _) = self.v, self.exact.v[0]
-        return abs(math.atan2(vx * ey - vy * ex, vx * ex + vy * ey)) / (2 * math.pi)
-
 
 @dataclass(frozen=True)
 class Setup:
@@ -302,13 +296,8 @@ class Drive:
         wrench = self._at(t + self._ahead)[:6]
         stiffness, damping = GUIDE[self._guide]
         if self._guide == "rotation":
-            tilt = 0.5 * np.array(
-                [
-                    turned[2, 1] - turned[1, 2],
-                    turned[0, 2] - turned[2, 0],
-                    turned[1, 0] - turned[0, 1],
-                ]
-            )
+            skew = turned - turned.T
+            tilt = 0.5 * np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
             wrench[:3] -= stiffness * tilt + damping * w
         else:
             now = self._at(t)

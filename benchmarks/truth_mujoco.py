@@ -28,27 +28,18 @@ class Method(NamedTuple):
 
 
 ELLIPTIC = {"cone": "elliptic"}
+STICKY = ELLIPTIC | {"impratio": 100}
 METHODS = [
     Method("as it comes: pyramid, Newton, 20 ms", {}, None),
     Method("pyramid, Newton", {}),
     Method("elliptic, Newton", ELLIPTIC),
-    Method("elliptic, Newton, impratio 100", ELLIPTIC | {"impratio": 100}),
+    Method("elliptic, Newton, impratio 100", STICKY),
     Method("elliptic, Newton, noslip 3", ELLIPTIC | {"noslip_iterations": 3}),
     Method("elliptic, CG", ELLIPTIC | {"solver": "CG"}),
     Method("elliptic, PGS", ELLIPTIC | {"solver": "PGS"}),
-    Method(
-        "elliptic, Newton, impratio 100, discrete",
-        ELLIPTIC | {"impratio": 100, "integrator": "discrete"},
-    ),
-    Method(
-        "elliptic, Newton, impratio 100, RK4", ELLIPTIC | {"impratio": 100, "integrator": "RK4"}
-    ),
+    Method("elliptic, Newton, impratio 100, discrete", STICKY | {"integrator": "discrete"}),
+    Method("elliptic, Newton, impratio 100, RK4", STICKY | {"integrator": "RK4"}),
 ]
-
-
-def takes(setup: Setup, method: Method) -> bool:
-    """MuJoCo takes all."""
-    return True
 
 
 def run(name: str, method: Method, step: float, limit: float = math.inf) -> Ended:

@@ -1,62 +1,43 @@
 """Work-precision diagrams: run time against achieved error, ours beside the peers.
 
-Error: greatest distance of a contact point from the truth, of the body's size. Time: one run with
-all outputs, in turns, the peers' solvers and initial states ready; ours plans a new scene each time
-and ends with contact points of both bodies, which the peers are spared. Times at a given error are
-interpolated along each method's best runs (log-log), where it has runs on both sides; else its
-cheapest run that is good enough counts.
+Error: greatest distance of a contact point from the truth, of the body's size. Time: that of the
+processor for one run with all outputs, in turns, the peers' solvers and initial states ready; ours
+plans a new scene each time and ends with contact points of both bodies, which the peers are spared.
+Times at a given error are interpolated along each method's best runs (log-log), where it has runs
+on both sides; else its cheapest run that is good enough counts.
 """
 
 from __future__ import annotations
 
 import functools
-import gc
 import math
 import statistics
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from .figures import Curve, overview
-from .peers import Peer, decades, missing, peers
+from .peers import Peer, decades, peers
 from .problems import Problem, problems
 from .report import ROOT, Bar, Sections, markdown_table, surroundings
-from .timing import SLOW, Job, Timing, interleaved, sample, spread
+from .timing import Job, interleaved
 
 TARGETS = (1e-6, 1e-9, 1e-12)
 OURS = "ours"
 FLOOR = 2e-15  # tighter tolerances cannot show in double precision
-LONG = 0.01  # [s]: what takes longer is sampled while scanning only
-QUICK = (
-    "geodesic ellipsoid",
-    "slip sphere-ellipsoid 1e3",
-    "slip sphere-ellipsoid 1e7",
-    "disturbed K4",
-)
-"""Problems of the quick form of the bench."""
 
 
-@dataclass(frozen=True)
-class Run:
+class Run(NamedTuple):
     """A method at one tolerance."""
 
-    tolerance: float
     error: float
-    time: Timing
+    time: float  # s
 
 
-@dataclass
-class Outcome:
-    """A problem's curves by method, and why methods are absent or stop: name -> reason."""
-
-    name: str
-    curves: dict[str, list[Run]] = field(default_factory=dict)
-    left_out: dict[str, str] = field(default_factory=dict)
-
-
-OUTCOMES: dict[str, Outcome] = {}
-"""What was measured in this process; the summary's input."""
+Curves = dict[str, list[Run]]
+"""Of one problem, by method."""
+FOUND: dict[str, Curves] = {}
+"""What was measured in this process, by problem; the summary's input."""
 
 
 def measure(
@@ -65,61 +46,44 @@ def measure(
     tolerances: tuple[float, ...] = decades(3, 15),
     limit: float = 0.1,
     repeats: int = 5,
-) -> Outcome:
-    """Ours and its rivals at all their tolerances; a method ends after a run above ``limit`` s."""
-    outcome = Outcome(problem.name, left_out=missing())
-    found: list[tuple[str, float, Job, float, list[float]]] = []
-    for peer in rivals:
-        found += _scan(problem, outcome, limit, peer)
-    found += _scan(problem, outcome, limit, Peer(OURS, tolerances, None, problem.points))
-    gc.collect()
-    gc.freeze()  # collections between samples then cost nothing to speak of
-    quick = {(name, x): job for name, x, job, _, seconds in found if min(seconds) < LONG}
-    times = interleaved(quick, repeats, burst=0.002)
-    gc.unfreeze()
-    for name, tolerance, _, error, seconds in found:
-        timing = times.get((name, tolerance), spread(seconds))
-        outcome.curves.setdefault(name, []).append(Run(tolerance, error, timing))
-    return outcome
+) -> Curves:
+    """Ours and its rivals at all their tolerances.
+
+    A peer ends where it fails, is needlessly tight, or takes longer than ``limit`` s.
+    """
+    errors, jobs = {}, {}
+    for peer in (*rivals, Peer(OURS, tolerances, None, problem.points)):
+        for tolerance in peer.tolerances:
+            try:
+                job = _job(problem, peer, tolerance)
+                item, begin = job.make(), time.process_time()
+                found = job.call(item)
+                spent, error = time.process_time() - begin, problem.error(peer.points(found))
+            except (ArithmeticError, ValueError, RuntimeError):
+                break
+            if not math.isfinite(error):
+                break
+            errors[peer.name, tolerance], jobs[peer.name, tolerance] = error, job
+            if peer.build and (error < FLOOR or spent > limit):
+                break
+    times, curves = interleaved(jobs, repeats, burst=0.002), Curves()
+    for (name, tolerance), error in errors.items():
+        curves.setdefault(name, []).append(Run(error, times[name, tolerance]))
+    return curves
 
 
-def _job(problem: Problem, peer: Peer, tolerance: float, limit: float) -> Job:
+def _job(problem: Problem, peer: Peer, tolerance: float) -> Job:
     """Ours plans a scene of which nothing was ever planned."""
     if peer.build is None:
         return Job(functools.partial(problem.solve, tolerance), problem.make)
-    solver = peer.build(tolerance, limit)
+    solver = peer.build(tolerance)
     return Job(lambda _: solver())
-
-
-def _scan(
-    problem: Problem, outcome: Outcome, limit: float, peer: Peer
-) -> Iterator[tuple[str, float, Job, float, list[float]]]:
-    """Errors, and times of the slow; a peer ends where it fails or is needlessly tight."""
-    for tolerance in peer.tolerances:
-        try:
-            job = _job(problem, peer, tolerance, limit)
-            item = job.make()
-            begin = time.perf_counter()
-            found = job.call(item)
-            seconds = [time.perf_counter() - begin]
-            error = problem.error(peer.points(found))
-            if not math.isfinite(error):
-                raise ArithmeticError("the result is not finite")
-            if seconds[0] < limit:
-                seconds = [sample(job) for _ in range(2 if seconds[0] > SLOW else 1)]
-        except (TimeoutError, ArithmeticError, ValueError, RuntimeError) as reason:
-            text = str(reason).strip().splitlines() or [type(reason).__name__]
-            outcome.left_out[f"{peer.name} {tolerance:g}"] = text[-1][-120:]
-            return
-        yield peer.name, tolerance, job, error, seconds
-        if peer.build and (error < FLOOR or min(seconds) > limit):
-            return
 
 
 def best(curve: Iterable[Run]) -> list[Run]:
     """The runs that are better than all faster ones, the fastest first."""
     front: list[Run] = []
-    for run in sorted(curve, key=lambda run: run.time.median):
+    for run in sorted(curve, key=lambda run: run.time):
         if not front or run.error < front[-1].error:
             front.append(run)
     return front
@@ -134,14 +98,13 @@ def time_at(curve: Iterable[Run], error: float) -> float | None:
         return None
     tight = reached[0]
     if not looser or tight.error <= 0.0:
-        return tight.time.median
+        return tight.time
     loose = looser[-1]
     share = math.log(loose.error / error) / math.log(loose.error / tight.error)
-    return loose.time.median ** (1.0 - share) * tight.time.median**share
+    return loose.time ** (1.0 - share) * tight.time**share
 
 
-@dataclass(frozen=True)
-class Ratio:
+class Ratio(NamedTuple):
     """Times faster than the fastest peer at one error, its name, and seconds of both."""
 
     faster: float
@@ -150,9 +113,9 @@ class Ratio:
     other: float
 
 
-def ratio(outcome: Outcome, error: float) -> Ratio | str:
+def ratio(curves: Curves, error: float) -> Ratio | str:
     """The comparison, or why there is none."""
-    times = {name: time_at(runs, error) for name, runs in outcome.curves.items()}
+    times = {name: time_at(runs, error) for name, runs in curves.items()}
     own = times.pop(OURS, None)
     if own is None:
         return "ours does not reach this error"
@@ -163,9 +126,9 @@ def ratio(outcome: Outcome, error: float) -> Ratio | str:
     return Ratio(reached[rival] / own, rival, own, reached[rival])
 
 
-def beside(outcome: Outcome, target: float, limit: float, **others: Any) -> Bar:
+def beside(name: str, curves: Curves, target: float, limit: float, **others: Any) -> Bar:
     """How many times faster ours is at an error."""
-    name, found = f"{outcome.name}, error {target:.0e}, times faster", ratio(outcome, target)
+    name, found = f"{name}, error {target:.0e}, times faster", ratio(curves, target)
     if isinstance(found, str):
         return Bar(name, limit, None, "x", True, found)
     note = f"{1e6 * found.own:.3g} us beside {1e6 * found.other:.3g} us ({found.rival})"
@@ -176,28 +139,25 @@ def beside(outcome: Outcome, target: float, limit: float, **others: Any) -> Bar:
 def diagrams(problem: Problem, full: bool) -> Iterator[Bar]:
     """One problem: a bar for each error, one for the smallest error."""
     limit, repeats = (20.0, 9) if full else (0.1, 5)
-    outcome = measure(problem, peers(problem, full), limit=limit, repeats=repeats)
-    OUTCOMES[problem.name] = outcome
+    curves = measure(problem, peers(problem, full), limit=limit, repeats=repeats)
+    FOUND[problem.name] = curves
     for target in TARGETS:
-        yield beside(outcome, target, 0.9)
-    detail = asdict(outcome)
-    yield Bar(f"{problem.name}, smallest error, of the size", 1e-13, _least(outcome), detail=detail)
+        yield beside(problem.name, curves, target, 0.9)
+    yield Bar(f"{problem.name}, smallest error, of the size", 1e-13, _least(curves))
 
 
-def _least(outcome: Outcome) -> float:
-    return min((run.error for run in outcome.curves.get(OURS, ())), default=math.nan)
+def _least(curves: Curves) -> float:
+    return min((run.error for run in curves.get(OURS, ())), default=math.nan)
 
 
 def summary(full: bool) -> Iterator[Bar]:
     """Of all problems that were run: geometric mean and least."""
-    found = [ratio(outcome, target) for outcome in OUTCOMES.values() for target in TARGETS]
+    found = [ratio(curves, target) for curves in FOUND.values() for target in TARGETS]
     faster = [r.faster for r in found if isinstance(r, Ratio)]
-    if not faster:
-        yield Bar("summary of the problems", 5.0, None, "x", note="no problem was run")
-        return
-    what = f"work_precision, {len(faster)} comparisons"
-    yield Bar(f"{what}, geometric mean", 5.0, statistics.geometric_mean(faster), "x", True)
-    yield Bar(f"{what}, least", 0.9, min(faster), "x", True)
+    if faster:
+        what = f"work_precision, {len(faster)} comparisons"
+        yield Bar(f"{what}, geometric mean", 5.0, statistics.geometric_mean(faster), "x", True)
+        yield Bar(f"{what}, least", 0.9, min(faster), "x", True)
 
 
 PAGE = """# Run time against error
@@ -208,7 +168,7 @@ How many times faster than the fastest peer a new scene is planned and asked for
 at equal achieved error; what is compared, and how: [benchmarks](../benchmarks/README.md).
 
 {table}
-Geometric mean {mean:.2g}. {date}, {processor}, one thread.
+Geometric mean {mean:.2g}. {about}
 
 ![Run time against error on all problems](work-precision.png)
 """
@@ -216,14 +176,14 @@ Geometric mean {mean:.2g}. {date}, {processor}, one thread.
 
 def page(full: bool) -> Iterator[Bar]:
     """Write ``docs/work-precision.md`` and its pictures, after a run of all problems."""
-    outcomes, count = list(OUTCOMES.values()), len(list(problems()))
-    if len(outcomes) == count:
-        text = page_text(outcomes, surroundings())
+    count = len(list(problems()))
+    if len(FOUND) == count:
+        text = page_text(FOUND, surroundings())
         (ROOT / "docs" / "work-precision.md").write_text(text, "utf-8")
-        panels = {outcome.name: _best(outcome) for outcome in outcomes}
+        panels = {name: _best(curves) for name, curves in FOUND.items()}
         named = "greatest distance of a contact point, of the body's size", "run time [s]"
         overview(panels, STYLES, ROOT / "docs" / "work-precision.png", *named, columns=4)
-    yield Bar("problems of this run, for the page in docs", count, len(outcomes), least=True)
+    yield Bar("problems of this run, for the page in docs", count, len(FOUND), least=True)
 
 
 STYLES = {
@@ -233,34 +193,30 @@ STYLES = {
 }
 
 
-def _best(outcome: Outcome) -> dict[str, Curve]:
-    """The best runs of each library, and how far their times spread."""
+def _best(by_method: Curves) -> dict[str, Curve]:
+    """The best runs of each library."""
     found: dict[str, list[Run]] = {}
-    for name, runs in outcome.curves.items():
+    for name, runs in by_method.items():
         found.setdefault(name.split()[0].rstrip(","), []).extend(runs)
     curves: dict[str, Curve] = {}
     for name in (name for name in STYLES if name in found):
         runs = best(found[name])
-        times = [run.time for run in runs]
-        spread = [[x.median - x.low for x in times], [x.high - x.median for x in times]]
-        errors = [max(run.error, 1e-17) for run in runs]
-        curves[name] = errors, [x.median for x in times], spread
+        curves[name] = [max(run.error, 1e-17) for run in runs], [run.time for run in runs]
     return curves
 
 
-def page_text(outcomes: Iterable[Outcome], about: dict[str, Any]) -> str:
-    """Ratios by problem, with their geometric mean, date and machine; slower ones are bold."""
+def page_text(by_problem: dict[str, Curves], about: str) -> str:
+    """Ratios by problem, their geometric mean, and where that was; slower ones are bold."""
     rows, ratios = [], []
-    for outcome in outcomes:
-        found = [ratio(outcome, target) for target in TARGETS]
+    for name, curves in by_problem.items():
+        found = [ratio(curves, target) for target in TARGETS]
         seen = [r for r in found if isinstance(r, Ratio)]
         ratios += [r.faster for r in seen]
         rivals = ", ".join(dict.fromkeys(r.rival for r in seen))
-        rows.append([outcome.name, *map(_cell, found), rivals, f"{_least(outcome):.0e}"])
+        rows.append([name, *map(_cell, found), rivals, f"{_least(curves):.0e}"])
     head = ["problem", *(f"{target:.0e}" for target in TARGETS), "fastest peer", "smallest error"]
-    mean, date = statistics.geometric_mean(ratios), about["date"][:10]
-    table = markdown_table(head, rows)
-    return PAGE.format(table=table, mean=mean, date=date, processor=about["processor"])
+    mean, table = statistics.geometric_mean(ratios), markdown_table(head, rows)
+    return PAGE.format(table=table, mean=mean, about=about)
 
 
 def _cell(found: Ratio | str) -> str:

@@ -1,5 +1,7 @@
 """Contact forces that hold an object: closed forms, and grasps that are none."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,6 @@ import contact_system as cs
 
 pytest.importorskip("pydrake", reason="Drake is an extra: pip install .[drake]")
 
-from benchmarks.balance import tips
 from drake_plant import BuildStation, StationConfig, object_report, simulate
 from drake_plant.balance import balancing_forces, friction_used, needed_wrench
 from drake_plant.cli import _told
@@ -84,8 +85,24 @@ def test_needed_wrench_is_that_of_newton_and_euler():
 
 def held(friction=0.5, **changes):
     """Three free fingertips around the equator of a ball of 0.2 kg, contacts all but at rest."""
-    scene = tips(duration=1.0)
-    return scene.replace(name="held", drake={**scene.drake, "friction": friction, **changes})
+    contacts = [
+        cs.Contact(
+            finger=cs.Sphere(0.02),
+            object_at=(math.pi / 2, 2 * math.pi * i / 3),
+            finger_at=(math.pi / 2, 0),
+            object_velocity="rolling",
+        )
+        for i in range(3)
+    ]
+    masses = {"object_mass": 0.2, "finger_mass": 0.05, "gravity": 9.81}
+    return cs.Scene(
+        object=cs.Sphere(0.05),
+        contacts=contacts,
+        profile=cs.Profile([1e-6]),
+        duration=1.0,
+        name="held",
+        drake={**masses, "friction": friction, **changes},
+    )
 
 
 @pytest.mark.parametrize("model", ["point", "hydroelastic"])

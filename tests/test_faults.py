@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
+import subprocess
+import sys
+import time
+from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import one_contact
 
 import contact_system as cs
-from benchmarks import faults
 from contact_system import plots
 
 resource = pytest.importorskip("resource", reason="needs limits of file sizes, and kill -9")
@@ -67,22 +72,116 @@ def test_a_pipe_is_not_replaced_by_a_file(tmp_path):
     assert (tmp_path / "pipe.csv").is_fifo()
 
 
+def test_a_process_killed_while_it_saves_leaves_the_old_or_the_new_file(tmp_path):
+    file, context, rng = tmp_path / "plan.npz", get_context("fork"), np.random.default_rng(1)
+    plans, versions = (PLAN, cs.plan(cs.load_scene("K2"))), []
+    for plan in plans:
+        begin = time.perf_counter()
+        plan.save(file)
+        spent = time.perf_counter() - begin
+        versions.append(file.read_bytes())
+
+    def save_on(ready):
+        for plan in itertools.cycle(plans):
+            plan.save(file)
+            ready.set()
+
+    for _ in range(20):
+        ready = context.Event()
+        child = context.Process(target=save_on, args=(ready,))
+        child.start()
+        ready.wait()
+        time.sleep(rng.uniform(0, 4 * spent))
+        child.kill()
+        child.join()
+        assert file.read_bytes() in versions
+
+
+# --- sweeps ------------------------------------------------------------------------------------
+
+SWEEP = """
+import hashlib, sys, time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+import contact_system as cs
+
+def slowly(plan):
+    time.sleep(0.03)
+    return {"end": plan.states(plan.end)[0]}
+
+if __name__ == "__main__":
+    folder, first, method = sys.argv[1:]
+    scenes = [cs.load_scene("C1").replace(duration=1 + 1e-3 * (int(first) + k)) for k in range(60)]
+    with ProcessPoolExecutor(3, get_context(method)) as pool:
+        table = cs.sweep(scenes, slowly, pool, folder=folder, chunk=2).table
+    print(hashlib.sha256(table.tobytes()).hexdigest())
+"""
+"""A sweep of 30 files; prints a digest of its table."""
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """Begins that sweep in a folder: folder, number of its first scene, method -> process."""
+    script, root = tmp_path / "sweep.py", str(Path(__file__).parents[1])
+    script.write_text(SWEEP)
+    paths = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
+
+    def begin(folder, first=0, method="fork"):
+        words = [sys.executable, script, tmp_path / folder, str(first), method]
+        how = {"start_new_session": True, "stdout": subprocess.PIPE, "text": True}
+        return subprocess.Popen(words, env={**os.environ, "PYTHONPATH": paths}, **how)
+
+    return begin
+
+
+def digest(process: subprocess.Popen) -> str:
+    told, _ = process.communicate()
+    assert process.returncode == 0
+    return told
+
+
+def wait_until(reached) -> None:
+    end = time.monotonic() + 20
+    while not reached():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def gone(group: int) -> bool:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(group, 0)
+        return False
+    return True
+
+
 @pytest.mark.parametrize("method", ["spawn", "fork"])
-def test_a_killed_sweep_takes_its_workers_with_it_and_goes_on_where_it_stopped(method, tmp_path):
-    outlived, right, kept = faults.killed(tmp_path, method, lambda: any(tmp_path.glob("*.npz")))
-    assert right and kept > 0 and not outlived
+def test_a_killed_sweep_takes_its_workers_with_it_and_goes_on_where_it_stopped(
+    method, begun, tmp_path
+):
+    child = begun("killed", method=method)
+    wait_until(lambda: any((tmp_path / "killed").glob("*.npz")))
+    child.kill()
+    child.communicate()
+    wait_until(lambda: gone(child.pid))
+    kept = {file: file.stat().st_mtime_ns for file in (tmp_path / "killed").glob("*.npz")}
+    assert 0 < len(kept) < 30
+    assert digest(begun("killed")) == digest(begun("whole"))
+    assert all(file.stat().st_mtime_ns == when for file, when in kept.items())
 
 
-def test_sweeps_at_work_in_one_folder_leave_each_other_alone(tmp_path):
-    assert faults.together(tmp_path) == 0
+def test_sweeps_at_work_in_one_folder_leave_each_other_alone(begun, tmp_path):
+    found = [digest(each) for each in [begun("shared", first) for first in (0, 1000, 0)]]
+    assert found == [digest(begun(f"alone {first}", first)) for first in (0, 1000, 0)]
+    assert len(list((tmp_path / "shared").glob("*.npz"))) == 60
 
 
 def test_a_table_that_is_whole_but_another_one_is_made_again(tmp_path):
-    first = cs.sweep(faults.family(0, 2), folder=tmp_path, chunk=1).table
+    scenes = [PLAN.scene.replace(duration=duration) for duration in (1.0, 2.0)]
+    first = cs.sweep(scenes, folder=tmp_path, chunk=1).table
     one, two = sorted(tmp_path.iterdir())
     two.write_bytes(one.read_bytes())
     with np.load(one) as data:
         changed = {name: data[name] for name in data.files}
     changed["table"]["slip_end"] += 1.0
     np.savez(one, **changed)
-    assert np.array_equal(cs.sweep(faults.family(0, 2), folder=tmp_path, chunk=1).table, first)
+    assert np.array_equal(cs.sweep(scenes, folder=tmp_path, chunk=1).table, first)

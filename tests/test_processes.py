@@ -1,14 +1,104 @@
-"""Processes: forks while threads plan, Ctrl-C while a formula is read, odd surroundings."""
+"""Processes: forks, exits and Ctrl-C while plans are made, growth of memory, odd surroundings.
+
+A program runs in a process of its own with a time limit.
+"""
 
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
 
-from benchmarks.processes import CTRL_C, FORK, WORK, ended
+ROOT = Path(__file__).parents[1]
+
+WORK = """
+import hashlib, itertools, os, random, signal, sys, threading, time
+import numpy as np
+
+OUTPUTS = ("points", "states", "slip", "twist")
+
+def user(number):
+    import contact_system as cs
+    level = f"(x/0.3)**2 + (y/{number!r})**2 + (z/0.1)**2 - 1"
+    finger = cs.Contact(cs.Sphere(0.04), (1.2, 0.4), object_velocity="rest")
+    bodies = {"object": cs.ImplicitSurface(level, size=0.3), "contacts": [finger]}
+    return cs.Scene(**bodies, duration=1.0, profile=cs.Profile([0.1]), gain=cs.Gain.path(100.0))
+
+def chart(number):
+    import contact_system as cs
+    hollow = cs.ParametricSurface(lambda u, v: (u, v, np.cos(number * u) * np.sin(v)), size=0.5)
+    return user(0.2).replace(object=hollow)
+
+def bundled(number):
+    import contact_system as cs
+    return cs.load_scene("K4")
+
+def answer(scene):
+    import contact_system as cs
+    found = cs.plan(scene).evaluate(np.linspace(0.0, scene.duration, 50), *OUTPUTS)
+    return hashlib.sha256(b"".join(found[name].tobytes() for name in OUTPUTS)).hexdigest()
+
+def all_answers():
+    return [answer(make(0.2)) for make in (bundled, user, chart)]
+
+def plan_on(seed):
+    for k in itertools.count(seed, 4):
+        for make in (bundled, user, chart):
+            answer(make(0.2 + 1e-7 * k))
+
+def start_planning():
+    for seed in range(4):
+        threading.Thread(target=plan_on, args=(seed,), daemon=True).start()
+"""
+
+FORK = """
+import multiprocessing
+import contact_system  # Python's own locks of a module that is being imported outlast a fork
+start_planning()
+time.sleep(float(sys.argv[1]))
+child = multiprocessing.get_context("fork").Process(target=lambda: print(*all_answers()))
+child.start()
+child.join(15.0)
+if child.is_alive():
+    child.kill()
+    os.kill(os.getpid(), signal.SIGALRM)  # the hang of a child is one of this process
+sys.stdout.flush()
+os._exit(child.exitcode and 1)
+"""
+
+EXIT = """
+start_planning()
+time.sleep(float(sys.argv[1]))
+"""
+
+CTRL_C = """
+import contact_system
+def first():
+    return answer(globals()[sys.argv[1]](0.2))
+
+try:
+    print("ready", flush=True)
+    first()
+    time.sleep(5.0)
+    sys.exit("Ctrl-C was lost")
+except KeyboardInterrupt:
+    print(first())
+"""
+
+IMPORT = """
+print("ready", flush=True)
+try:
+    import contact_system
+except BaseException:
+    pass  # Python itself may make another error of it, or lose it
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+print(*all_answers())
+"""
 
 ENDLESS = """
 import contact_system as cs
@@ -23,12 +113,53 @@ except KeyboardInterrupt:
     print(*all_answers())
 """
 
-windows = pytest.mark.skipif(sys.platform == "win32", reason="a signal ends a process on Windows")
+GROWTH = """
+import resource
+
+def peak():
+    unit = 1e6 if sys.platform == "darwin" else 1e3
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+
+make, warm, count = globals()[sys.argv[1]], *map(int, sys.argv[2:])
+for k in range(warm + count):
+    if k == warm:
+        before = peak()
+    answer(make(0.2 + 1e-7 * k))
+sys.exit(f"{peak() - before} MB" if peak() - before > 3 else 0)
+"""
+
+
+def ended(program: str, *arguments: str, interrupt: float | None = None) -> tuple[str, str]:
+    """How a program ends, with Ctrl-C so many seconds after it is ready: in a word, and its text.
+
+    The word is "right", "hang", "crash" or "error".
+    """
+    command = [sys.executable, "-c", WORK + program, *arguments]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, cwd=ROOT, stdout=pipe, stderr=pipe, text=True) as process:
+        try:
+            if interrupt is not None:
+                process.stdout.readline()  # type: ignore[union-attr]
+                time.sleep(interrupt)
+                process.send_signal(signal.SIGINT)
+            out, told = process.communicate(timeout=20.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return "hang", ""
+    code = process.returncode
+    if code < 0:
+        return "hang" if code == -signal.SIGALRM else "crash", told
+    return ("error", told) if code or (told and interrupt is None) else ("right", out)
+
+
+windows = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has no forks")
-def test_a_process_may_be_forked_while_threads_plan():
-    assert ended(FORK, "0.5")[0] == "right"
+@pytest.mark.parametrize("seconds", ["0.05", "0.2", "0.5"])
+@pytest.mark.parametrize("program", [FORK, EXIT], ids=["fork", "exit"])
+def test_a_process_may_be_forked_and_may_end_while_its_threads_plan(program, seconds):
+    assert ended(program, seconds)[0] == "right"
 
 
 @windows
@@ -37,9 +168,24 @@ def test_ctrl_c_stops_a_users_endless_function_and_the_next_plan_is_right():
 
 
 @windows
-@pytest.mark.parametrize("seconds", [0.005, 0.05])
-def test_ctrl_c_stops_the_first_plan_of_a_formula_and_the_next_is_right(seconds):
-    assert ended(CTRL_C, "user", interrupt=seconds) == ended("print(answer(user(0.2)))")
+@pytest.mark.parametrize(
+    ("kind", "seconds"),
+    [("bundled", 0.001), ("user", 0.005), ("user", 0.05), ("chart", 0.02), ("chart", 0.1)],
+)
+def test_ctrl_c_stops_a_first_plan_and_the_next_is_right(kind, seconds):
+    assert ended(CTRL_C, kind, interrupt=seconds) == ended(f"print(answer({kind}(0.2)))")
+
+
+@windows
+@pytest.mark.parametrize("seconds", [0.01, 0.04])
+def test_after_ctrl_c_in_import_plans_are_right(seconds):
+    assert ended(IMPORT, interrupt=seconds) == ended("print(*all_answers())")
+
+
+@windows
+@pytest.mark.parametrize(("kind", "warm", "count"), [("bundled", 300, 1000), ("user", 60, 60)])
+def test_memory_does_not_grow_with_plans_or_formulas(kind, warm, count):
+    assert ended(GROWTH, kind, str(warm), str(count)) == ("right", "")
 
 
 SAVED = """

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import contact_system as cs
-from benchmarks.reach import PAIRS, ROUND, SMALL
+from benchmarks.steering import PAIRS, ROUND, SMALL
 from contact_system.cli import main
 
 ELLIPSOID = SMALL, ROUND

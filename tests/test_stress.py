@@ -7,6 +7,7 @@ makes the choices, so that a failure is shrunk. Failures that the search has fou
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -17,7 +18,7 @@ from hypothesis import HealthCheck, given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 import contact_system as cs  # noqa: E402
-from benchmarks import stress_cases, stress_laws, stress_scenes, verdicts  # noqa: E402
+from benchmarks import stress, stress_laws, stress_scenes  # noqa: E402
 
 
 class Choices:
@@ -44,11 +45,11 @@ def search(examples: int):
 DISTURBED = {"object": "sphere", "finger": "ellipsoid", "shape": "plain", "turns": 1.0}
 
 
-def verdict_of(data: st.DataObject, **fixed) -> verdicts.Verdict:
-    def call() -> verdicts.Verdict:
+def verdict_of(data: st.DataObject, **fixed) -> stress_laws.Verdict:
+    def call() -> stress_laws.Verdict:
         return stress_laws.run(stress_scenes.draw_trial(Choices(data), **fixed))
 
-    return verdicts.judged(verdicts.Case("drawn", call))
+    return stress.judged(call)
 
 
 @search(40)
@@ -66,17 +67,17 @@ def test_any_disturbed_scene_ends_right_or_refused(data):
 
 
 @search(25)
-@given(st.data(), st.sampled_from(stress_cases._poles()))
+@given(st.data(), st.sampled_from(stress._poles()))
 def test_any_path_through_or_past_a_pole_ends_right_or_refused(data, aim):
     verdict = verdict_of(data, **aim)
     assert verdict.outcome in ("right", "refused"), verdict
 
 
-@pytest.mark.parametrize("family", stress_cases.FAMILIES, ids=lambda family: family.name)
-def test_every_family_makes_cases_that_end_right_or_refused(family):
-    few = {"wrong input": 60, "revolutions, integrated": 2}.get(family.name, 6)
-    for index in np.linspace(0, family.count - 1, few).astype(int):
-        verdict = verdicts.judged(family.make(int(index)))
+@pytest.mark.parametrize("name", stress.FAMILIES)
+def test_every_family_makes_cases_that_end_right_or_refused(name):
+    family, few = stress.FAMILIES[name], {"mutated files": 60, "revolutions, integrated": 2}
+    for index in np.linspace(0, family.count - 1, few.get(name, 6)).astype(int):
+        verdict = stress.judged(functools.partial(family.run, int(index)))
         assert verdict.outcome in ("right", "refused"), (int(index), verdict)
 
 
@@ -114,6 +115,6 @@ def test_judge_notices(what):
 
 def test_a_refusal_must_name_place_value_and_remedy():
     text = "scene 'x', contact 0: angle = nan: give a finite number"
-    assert verdicts.refusal(text).outcome == "refused"
+    assert stress_laws.refusal(text).outcome == "refused"
     for part in ("array must not contain infs", "scene 'x': no", "failed, use another"):
-        assert verdicts.refusal(part).outcome == "crash"
+        assert stress_laws.refusal(part).outcome == "crash"
