@@ -7,6 +7,7 @@ sizes are compared when the library is loaded.
 from __future__ import annotations
 
 import ctypes
+import math
 import struct
 from collections.abc import Sequence
 from ctypes import byref
@@ -52,6 +53,8 @@ SHAPES: dict[str, tuple[int, ...]] = {
 FRAMES = "frames"
 """A result for steering only: of each body x, p, q, and its curvature form K_pp, K_pq, K_qq."""
 _ALL = {**SHAPES, FRAMES: (2, 12)}
+_SIZES = {name: math.prod(shape) for name, shape in _ALL.items()}
+_PLACES = {name: place for place, name in enumerate(_ALL)}
 _TIMES_FIRST = {name: (len(shape) + 1, *range(len(shape) + 1)) for name, shape in _ALL.items()}
 IN_CONTACT_FRAMES = {"states", "slip", "acceleration", "carried"}
 """Results that depend on the branch of the charts."""
@@ -241,18 +244,20 @@ class Motion:
             self._anchor()
         t = np.ascontiguousarray(t)
         count, n = self._count, len(t)
-        results = {name: np.empty((count, *_ALL[name], n)) for name in names}
-        if n:
-            outputs = (ctypes.c_void_p * len(_ALL))(
-                *[address(results[name]) if name in results else None for name in _ALL]
-            )
-            failure = binding.Failure()
-            where = address(t), ctypes.addressof(outputs)
-            if binding.evaluate(self, n, *where, byref(failure)):
-                if failure.code == _OUTSIDE:
-                    return None
-                raise failed(self.scene, failure)
-        return {name: values.transpose(_TIMES_FIRST[name]) for name, values in results.items()}
+        # one block: after several large arrays are freed, the system clears pages for the next
+        block, stop = np.empty(count * n * sum(_SIZES[name] for name in names)), 0
+        first, outputs, results = address(block), (ctypes.c_void_p * len(_ALL))(), {}
+        for name in names:
+            start, stop = stop, stop + count * n * _SIZES[name]
+            outputs[_PLACES[name]] = first + 8 * start
+            values = block[start:stop].reshape(count, *_ALL[name], n)
+            results[name] = values.transpose(_TIMES_FIRST[name])
+        failure = binding.Failure()
+        if n and binding.evaluate(self, n, address(t), ctypes.addressof(outputs), byref(failure)):
+            if failure.code == _OUTSIDE:
+                return None
+            raise failed(self.scene, failure)
+        return results
 
     def _anchor(self) -> None:
         """Find the branches of the charts; doing it twice changes nothing."""

@@ -140,7 +140,8 @@ class Plan:
         Returns
         -------
         dict
-            By name, the arrays that these methods return.
+            By name, the arrays that these methods return. They share their memory, which is freed
+            with the last of them: copy what you keep of much.
 
         Raises
         ------

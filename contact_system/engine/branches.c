@@ -282,35 +282,26 @@ static void wind_between(const path_t *p, const between_t *w, double x, lanes_t 
   wind(s, ref, z, i);
 }
 
-/* `wound` of all lanes, where there is a period */
-static void wind_turns(const double *ref, double period, double *y) {
-  if (period <= 0) return;
-  SIMD for (int i = 0; i < L; i++) {
-    const double far = ref[i] - y[i], turns = (far / period + ROUNDER) - ROUNDER;
-    y[i] = fabs(far) <= 0.5 * period ? y[i] : y[i] + period * turns;
-  }
-}
-
 /* Points of a path in a chart that covers its surface once: whole turns nearest the nearer anchor.
-   Beside a pole v and theta swing by half a turn: there it is the anchor that is nearer in theta. */
+   Beside a pole v and theta swing by half a turn: there it is the anchor that is nearer in theta.
+ */
 static void wind_once(const path_t *p, const double *x, const double *turns, lanes_t z, int n) {
   const track_t *k = p->track;
-  double ref[3][L] = {0};
+  const surface_t *s = p->body->surface;
   int64_t at = 0;
   for (int i = 0; i < n; i++) {
     at = interval(k->anchor_at, k->n_anchors - 1, x[i], at);
     const double *edge = k->anchor_at + at, *a = k->anchors[at], *b = k->anchors[at + 1];
+    const double more = turns[i] * k->turn[2], theta = z[THETA][i];
     int later = edge[1] - x[i] < x[i] - edge[0];
-    if (fabs(b[2] - a[2]) > 0.25 * TURN) {
-      const double theta = z[THETA][i], more = turns[i] * k->turn[2];
+    if (fabs(b[2] - a[2]) > 0.25 * TURN)
       later = fabs(wound(theta, b[2] + more, TURN) - (b[2] + more)) <
               fabs(wound(theta, a[2] + more, TURN) - (a[2] + more));
-    }
-    for (int j = 0; j < 3; j++) ref[j][i] = (later ? b : a)[j] + turns[i] * k->turn[j];
+    const double *ref = later ? b : a;
+    z[U][i] = wound(z[U][i], ref[0] + turns[i] * k->turn[0], s->period_u);
+    z[V][i] = wound(z[V][i], ref[1] + turns[i] * k->turn[1], s->period_v);
+    z[THETA][i] = wound(theta, ref[2] + more, TURN);
   }
-  wind_turns(ref[0], p->body->surface->period_u, z[U]);
-  wind_turns(ref[1], p->body->surface->period_v, z[V]);
-  wind_turns(ref[2], TURN, z[THETA]);
 }
 
 /* Points of a path at places x, in principal coordinates, to their branches */
