@@ -1,4 +1,4 @@
-"""The paper's equations and charts once more, in heyoka expressions and mpmath, and their checks.
+"""The paper's equations and charts once more, in heyoka's symbols and mpmath's, and their checks.
 
 For `make_references`, whose head says what is solved and how; nothing here imports the package.
 """
@@ -6,7 +6,7 @@ For `make_references`, whose head says what is solved and how; nothing here impo
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import SimpleNamespace
@@ -14,7 +14,7 @@ from typing import Any
 
 import heyoka as hy
 import mpmath as mp
-from formulas import arc_length, geodesic_rates, great_circle
+from formulas import geodesic_rates
 
 mp.mp.prec = 240
 AGREEMENT = mp.mpf("1e-28")
@@ -24,129 +24,78 @@ PASSES = (("1e-42", 220), ("1e-37", 190))
 STIFF_PASSES = (("1e-36", 180), ("1e-33", 165))
 
 STATE = ("u1", "v1", "du1", "dv1", "u2", "v2", "du2", "dv2", "psi")
-MPMATH = SimpleNamespace(sin=mp.sin, cos=mp.cos, sqrt=mp.sqrt)
-HEYOKA = SimpleNamespace(sin=hy.sin, cos=hy.cos, sqrt=hy.sqrt)
 
 
-# Surfaces: chart (theory section 1) and metric, for mpmath numbers and heyoka symbols alike.
+# Surfaces: charts (theory section 1) for mpmath numbers, and their metric for heyoka's symbols.
 
 
-@dataclass(frozen=True)
-class Metric:
-    """Squared Lame coefficients E = h_u^2, G = h_v^2 and their partial derivatives."""
-
-    E: Any
-    G: Any
-    E_u: Any
-    E_v: Any
-    G_u: Any
-    G_v: Any
-
-
-def sphere_chart(p: Sequence[Any], u: Any, v: Any, m: Any) -> list[Any]:
+def sphere_chart(p: Sequence[Any], u: Any, v: Any) -> list[Any]:
     """Point of the sphere of radius p[0]."""
-    return [p[0] * m.sin(u) * m.cos(v), p[0] * m.sin(u) * m.sin(v), p[0] * m.cos(u)]
+    return [p[0] * mp.sin(u) * mp.cos(v), p[0] * mp.sin(u) * mp.sin(v), p[0] * mp.cos(u)]
 
 
-def sphere_metric(p: Sequence[Any], u: Any, v: Any, m: Any) -> Metric:
-    """Metric of `sphere_chart`."""
-    r2 = p[0] * p[0]
-    zero = 0 * r2
-    return Metric(r2, r2 * m.sin(u) ** 2, zero, zero, 2 * r2 * m.sin(u) * m.cos(u), zero)
-
-
-def torus_chart(p: Sequence[Any], u: Any, v: Any, m: Any) -> list[Any]:
+def torus_chart(p: Sequence[Any], u: Any, v: Any) -> list[Any]:
     """Point of the torus of major radius p[0] and minor radius p[1]."""
-    rho = p[0] + p[1] * m.cos(v)
-    return [rho * m.cos(u), rho * m.sin(u), p[1] * m.sin(v)]
+    rho = p[0] + p[1] * mp.cos(v)
+    return [rho * mp.cos(u), rho * mp.sin(u), p[1] * mp.sin(v)]
 
 
-def torus_metric(p: Sequence[Any], u: Any, v: Any, m: Any) -> Metric:
-    """Metric of `torus_chart`."""
-    rho = p[0] + p[1] * m.cos(v)
-    zero = 0 * p[0]
-    return Metric(rho**2, p[1] * p[1], zero, -2 * rho * p[1] * m.sin(v), zero, zero)
-
-
-def ellipsoid_chart(p: Sequence[Any], u: Any, v: Any, m: Any) -> list[Any]:
+def ellipsoid_chart(p: Sequence[Any], u: Any, v: Any) -> list[Any]:
     """Point of the ellipsoid with semi-axes p in Jacobi's coordinates, eq. `ellipsoid`."""
     a2, b2, c2 = (axis * axis for axis in p)
-    su, cu, sv, cv = m.sin(u), m.cos(u), m.sin(v), m.cos(v)
-    root = m.sqrt(a2 - c2)
+    su, cu, sv, cv = mp.sin(u), mp.cos(u), mp.sin(v), mp.cos(v)
+    root = mp.sqrt(a2 - c2)
     return [
-        p[0] * cu * m.sqrt(a2 - b2 * sv**2 - c2 * cv**2) / root,
+        p[0] * cu * mp.sqrt(a2 - b2 * sv**2 - c2 * cv**2) / root,
         p[1] * su * cv,
-        p[2] * sv * m.sqrt(a2 * su**2 + b2 * cu**2 - c2) / root,
+        p[2] * sv * mp.sqrt(a2 * su**2 + b2 * cu**2 - c2) / root,
     ]
 
 
-def ellipsoid_metric(p: Sequence[Any], u: Any, v: Any, m: Any) -> Metric:
-    """Metric of `ellipsoid_chart`: E = W P(u), G = W Q(v), the chart being of Liouville's type.
+CHARTS = {"sphere": sphere_chart, "torus": torus_chart, "ellipsoid": ellipsoid_chart}
 
-    With l3 = a^2 sin^2 u + b^2 cos^2 u and l2 = b^2 sin^2 v + c^2 cos^2 v (the confocal
-    coordinates), W = l3 - l2, P = l3/(l3 - c^2) and Q = l2/(a^2 - l2).
+
+def squares(surface: str, p: Sequence[Any], u: Any, v: Any) -> tuple[Any, Any]:
+    """E = f_u^2 and G = f_v^2 as heyoka expressions, by hand; the law of `slip` checks them.
+
+    The ellipsoid's are of Liouville's type, with l3 and l2 the confocal coordinates.
     """
+    su, cu, sv, cv = hy.sin(u), hy.cos(u), hy.sin(v), hy.cos(v)
+    if surface == "sphere":
+        return p[0] * p[0], p[0] * p[0] * su**2.0
+    if surface == "torus":
+        return (p[0] + p[1] * cv) ** 2.0, p[1] * p[1]
     a2, b2, c2 = (axis * axis for axis in p)
-    su, cu, sv, cv = m.sin(u), m.cos(u), m.sin(v), m.cos(v)
-    l3 = a2 * su**2 + b2 * cu**2
-    l2 = b2 * sv**2 + c2 * cv**2
-    W = l3 - l2
-    W_u = 2 * (a2 - b2) * su * cu
-    W_v = -2 * (b2 - c2) * sv * cv
-    P, Q = l3 / (l3 - c2), l2 / (a2 - l2)
-    P_u = -c2 * W_u / (l3 - c2) ** 2
-    Q_v = -a2 * W_v / (a2 - l2) ** 2
-    return Metric(W * P, W * Q, W_u * P + W * P_u, W_v * P, W_u * Q, W_v * Q + W * Q_v)
+    l3 = a2 * su**2.0 + b2 * cu**2.0
+    l2 = b2 * sv**2.0 + c2 * cv**2.0
+    return (l3 - l2) * l3 / (l3 - c2), (l3 - l2) * l2 / (a2 - l2)
 
 
-CHARTS = {
-    "sphere": (sphere_chart, sphere_metric),
-    "torus": (torus_chart, torus_metric),
-    "ellipsoid": (ellipsoid_chart, ellipsoid_metric),
-}
+def metric(surface: str, p: Sequence[Any], u: Any, v: Any) -> SimpleNamespace:
+    """E, G and their partial derivatives, in heyoka's variables u and v."""
+    E, G = squares(surface, p, u, v)
+    rates = {"E_u": hy.diff(E, u), "E_v": hy.diff(E, v), "G_u": hy.diff(G, u), "G_v": hy.diff(G, v)}
+    return SimpleNamespace(E=E, G=G, **rates)
 
 
-def christoffel(g: Metric) -> list[Any]:
+def tangents(surface: str, p: Sequence[Any], at: Sequence[Any]) -> list[mp.matrix]:
+    """f_u and f_v, by mpmath's differences in its own high precision."""
+
+    def component(k: int) -> Any:
+        return lambda u, v: CHARTS[surface](p, u, v)[k]
+
+    return [mp.matrix([mp.diff(component(k), at, n) for k in range(3)]) for n in ((1, 0), (0, 1))]
+
+
+def lame(surface: str, p: Sequence[Any], at: Sequence[Any]) -> list[mp.mpf]:
+    """|f_u| and |f_v|."""
+    return [mp.norm(f) for f in tangents(surface, p, at)]
+
+
+def christoffel(g: SimpleNamespace) -> list[Any]:
     """G^1_11, G^1_12, G^1_22, G^2_11, G^2_12, G^2_22 of an orthogonal chart."""
     first = [g.E_u / (2 * g.E), g.E_v / (2 * g.E), -g.G_u / (2 * g.E)]
     return [*first, -g.E_v / (2 * g.G), g.G_u / (2 * g.G), g.G_v / (2 * g.G)]
-
-
-def check_charts() -> mp.mpf:
-    """Greatest error of metric and Christoffel symbols against differences of the chart.
-
-    The symbols are those of eq. `christoffel`, f_k . f_ij / |f_k|^2, with mpmath's
-    high-precision finite differences.
-
-    Raises
-    ------
-    ArithmeticError
-        If the error exceeds 1e-30.
-    """
-    worst = mp.mpf(0)
-    cases = [("sphere", (0.04,)), ("torus", (0.1, 0.03)), ("ellipsoid", (0.3, 0.2, 0.1))]
-    for name, radii in cases:
-        chart, metric = CHARTS[name]
-        p = [mp.mpf(r) for r in radii]
-        for u, v in [(0.7, 0.4), (2.1, -1.3), (1.1, math.pi / 2)]:
-            at = (mp.mpf(u), mp.mpf(v))
-
-            def d(i: int, j: int, at=at, chart=chart, p=p) -> list[mp.mpf]:
-                return [
-                    mp.diff(lambda s, t, k=k: chart(p, s, t, MPMATH)[k], at, (i, j))
-                    for k in range(3)
-                ]
-
-            f_u, f_v = d(1, 0), d(0, 1)
-            second = [d(2, 0), d(1, 1), d(0, 2)]
-            g = metric(p, *at, MPMATH)
-            truth = [mp.fdot(f, f_ij) / mp.fdot(f, f) for f in (f_u, f_v) for f_ij in second]
-            errors = [x - y for x, y in zip(truth, christoffel(g))]
-            errors += [mp.fdot(f_u, f_u) - g.E, mp.fdot(f_v, f_v) - g.G, mp.fdot(f_u, f_v)]
-            worst = max([worst, *map(abs, errors)])
-    if worst > mp.mpf("1e-30"):
-        raise ArithmeticError(f"chart metrics disagree with finite differences by {worst}")
-    return worst
 
 
 # One contact: its data, and the paper's equations.
@@ -199,12 +148,12 @@ def turned(psi: Any, a: Sequence[Any], m: Any) -> list[Any]:
     return [c * a[0] - s * a[1], -s * a[0] - c * a[1]]
 
 
-def speeds(g: Metric, rates: Sequence[Any], m: Any) -> list[Any]:
+def speeds(g: SimpleNamespace, rates: Sequence[Any]) -> list[Any]:
     """M q': velocity components along the axes of the contact frame."""
-    return [m.sqrt(g.E) * rates[0], m.sqrt(g.G) * rates[1]]
+    return [hy.sqrt(g.E) * rates[0], hy.sqrt(g.G) * rates[1]]
 
 
-def geodesic_acceleration(g: Metric, q: Sequence[Any], ratio: Any) -> list[Any]:
+def geodesic_acceleration(g: SimpleNamespace, q: Sequence[Any], ratio: Any) -> list[Any]:
     """Right-hand side of eq. `timegeodesic` (errata applied); ratio = sigma'/sigma."""
     G = christoffel(g)
     return [
@@ -214,9 +163,9 @@ def geodesic_acceleration(g: Metric, q: Sequence[Any], ratio: Any) -> list[Any]:
     ]
 
 
-def spin(g: Metric, q: Sequence[Any], m: Any) -> Any:
+def spin(g: SimpleNamespace, q: Sequence[Any]) -> Any:
     """T M q' = y . x', the turning rate of the contact frame about its normal."""
-    return (g.G_u * q[1] - g.E_v * q[0]) / (2 * m.sqrt(g.E * g.G))
+    return (g.G_u * q[1] - g.E_v * q[0]) / (2 * hy.sqrt(g.E * g.G))
 
 
 #: Run-time parameters of the compiled equations; the object's radii follow.
@@ -232,16 +181,16 @@ def paper_equations(surface: str, radii: int, law: str) -> list[tuple[Any, Any]]
     sigma = p["c0"] + t * (p["c1"] + t * p["c2"])
     ratio = (p["c1"] + 2 * p["c2"] * t) / sigma
     lam = p["eta"] * sigma**2 if law == "path" else p["eta"]
-    g1 = sphere_metric([p["finger"]], s["u1"], s["v1"], HEYOKA)
-    g2 = CHARTS[surface][1](shape, s["u2"], s["v2"], HEYOKA)
+    g1 = metric("sphere", [p["finger"]], s["u1"], s["v1"])
+    g2 = metric(surface, shape, s["u2"], s["v2"])
     q1, q2 = [s["du1"], s["dv1"]], [s["du2"], s["dv2"]]
     a1 = geodesic_acceleration(g1, q1, ratio)
     a2 = geodesic_acceleration(g2, q2, ratio)
-    rolled = turned(s["psi"], speeds(g1, q1, HEYOKA), HEYOKA)
+    rolled = turned(s["psi"], speeds(g1, q1), hy)
     h2 = [hy.sqrt(g2.E), hy.sqrt(g2.G)]
     right = [*q1, a1[0] + p["d1u"], a1[1] + p["d1v"], *q2]
     right += [a2[k] + lam * (rolled[k] / h2[k] - q2[k]) + p[f"d2{'uv'[k]}"] for k in range(2)]
-    right.append(spin(g1, q1, HEYOKA) + spin(g2, q2, HEYOKA))
+    right.append(spin(g1, q1) + spin(g2, q2))
     return list(zip((s[name] for name in STATE), right))
 
 
@@ -256,14 +205,9 @@ def from_real(x: hy.real) -> mp.mpf:
 
 
 @cache
-def integrator(equations: str, arguments: tuple[Any, ...], tolerance: str, bits: int) -> Any:
-    """Compiled Taylor integrator of a system named by its builder function."""
-    builders = (
-        paper_equations,
-        development_equations,
-        geodesic_equations,
-    )
-    system = {f.__name__: f for f in builders}[equations](*arguments)
+def integrator(equations: Callable, arguments: tuple[Any, ...], tolerance: str, bits: int) -> Any:
+    """Compiled Taylor integrator of a system of equations."""
+    system = equations(*arguments)
     return hy.taylor_adaptive(
         system,
         [real(0, bits)] * len(system),
@@ -278,16 +222,13 @@ def integrator(equations: str, arguments: tuple[Any, ...], tolerance: str, bits:
 def start_state(case: Case) -> list[mp.mpf]:
     """The state at t = 0 in the order of `STATE`."""
     e = case.exact
-    (u1, v1), (u2, v2) = e.finger_at, e.object_at
-    g1 = sphere_metric([e.finger], u1, v1, MPMATH)
-    g2 = CHARTS[case.object][1](e.radii, u2, v2, MPMATH)
-    w2 = turned(e.angle, e.finger_velocity, MPMATH)
+    w2 = turned(e.angle, e.finger_velocity, mp)
     if case.object_velocity != "rolling":
         w2 = [mp.mpf(x) for x in case.object_velocity]
     rates = [e.profile[0] * w for w in (*e.finger_velocity, *w2)]
-    lame = [mp.sqrt(x) for x in (g1.E, g1.G, g2.E, g2.G)]
-    dq = [w / h for w, h in zip(rates, lame)]
-    return [u1, v1, *dq[:2], u2, v2, *dq[2:], e.angle]
+    scales = lame("sphere", [e.finger], e.finger_at) + lame(case.object, e.radii, e.object_at)
+    dq = [w / h for w, h in zip(rates, scales)]
+    return [*e.finger_at, *dq[:2], *e.object_at, *dq[2:], e.angle]
 
 
 def forcing(case: Case, start: float, stop: float) -> list[mp.mpf]:
@@ -305,7 +246,7 @@ def integrate(case: Case, times: Sequence[float], tolerance: str, bits: int) -> 
     The integrator is restarted at each of the times, so no step crosses a window's edge.
     """
     e = case.exact
-    ta = integrator("paper_equations", (case.object, len(case.radii), case.law), tolerance, bits)
+    ta = integrator(paper_equations, (case.object, len(case.radii), case.law), tolerance, bits)
     ta.time = real(0, bits)
     ta.state[:] = [real(x, bits) for x in start_state(case)]
     states = [start_state(case)]
@@ -321,18 +262,18 @@ def integrate(case: Case, times: Sequence[float], tolerance: str, bits: int) -> 
 
 def slip(case: Case, state: Sequence[mp.mpf]) -> list[mp.mpf]:
     """v_rel in E2, eq. `netrelvel`."""
-    e = case.exact
-    u1, v1, du1, dv1, u2, v2, du2, dv2, psi = state
-    a1 = speeds(sphere_metric([e.finger], u1, v1, MPMATH), (du1, dv1), MPMATH)
-    a2 = speeds(CHARTS[case.object][1](e.radii, u2, v2, MPMATH), (du2, dv2), MPMATH)
-    return [x - y for x, y in zip(turned(psi, a1, MPMATH), a2)]
+    bodies = ("sphere", [case.exact.finger]), (case.object, case.exact.radii)
+    a1, a2 = (
+        [h * rate for h, rate in zip(lame(*body, state[k : k + 2]), state[k + 2 : k + 4])]
+        for body, k in zip(bodies, (0, 4))
+    )
+    return [x - y for x, y in zip(turned(state[8], a1, mp), a2)]
 
 
 def contact_points(case: Case, state: Sequence[mp.mpf]) -> list[list[mp.mpf]]:
     """Contact point on the finger and on the object, each in its body's frame."""
-    e = case.exact
-    x1 = sphere_chart([e.finger], state[0], state[1], MPMATH)
-    return [x1, CHARTS[case.object][0](e.radii, state[4], state[5], MPMATH)]
+    x1 = sphere_chart([case.exact.finger], *state[:2])
+    return [x1, CHARTS[case.object](case.exact.radii, *state[4:6])]
 
 
 # Checks that do not come from the same equations.
@@ -367,18 +308,6 @@ def slip_law_error(case: Case, times: Sequence[float], states: Sequence[Any]) ->
     return worst
 
 
-def great_circle_error(case: Case, times: Sequence[float], states: Sequence[Any]) -> mp.mpf:
-    """Greatest distance of an unforced spherical finger from its great circle, m."""
-    worst = mp.mpf(0)
-    if any(w.kind == "finger" for w in case.windows):
-        return worst
-    for t, state in zip(times, states):
-        s = arc_length(case.profile, t)
-        truth = great_circle(case.finger, case.finger_at, case.finger_velocity, s)
-        worst = max(worst, mp.norm([a - b for a, b in zip(contact_points(case, state)[0], truth)]))
-    return worst
-
-
 def development_equations(surface: str, radii: int, law: str) -> list[tuple[Any, Any]]:
     """Theory section 4 in chart coordinates: (u, v, theta) of finger and object, no stiffness.
 
@@ -396,16 +325,16 @@ def development_equations(surface: str, radii: int, law: str) -> list[tuple[Any,
         exponent = (exponent + hy.par[10 + radii + i]) * t
     left = hy.exp(-exponent)
     right = []
-    for (u, v, theta), metric, p, w in (
-        (x[:3], sphere_metric, [hy.par[9]], W1),
-        (x[3:], CHARTS[surface][1], shape, [a - b * left for a, b in zip(W, V)]),
+    for (u, v, theta), body, p, w in (
+        (x[:3], "sphere", [hy.par[9]], W1),
+        (x[3:], surface, shape, [a - b * left for a, b in zip(W, V)]),
     ):
-        g = metric(p, u, v, HEYOKA)
+        g = metric(body, p, u, v)
         sigma = c[0] + t * (c[1] + t * c[2])
         cos, sin = hy.cos(theta), hy.sin(theta)
         q = [sigma * (cos * w[0] - sin * w[1]) / hy.sqrt(g.E)]
         q.append(sigma * (sin * w[0] + cos * w[1]) / hy.sqrt(g.G))
-        right += [*q, -spin(g, q, HEYOKA)]
+        right += [*q, -spin(g, q)]
     return list(zip(x, right))
 
 
@@ -416,11 +345,11 @@ def development_error(case: Case, times: Sequence[float], states: Sequence[Any])
     """
     e = case.exact
     bits = STIFF_PASSES[0][1]
-    W = turned(e.angle, e.finger_velocity, MPMATH)
+    W = turned(e.angle, e.finger_velocity, mp)
     start = W if case.object_velocity == "rolling" else [mp.mpf(x) for x in case.object_velocity]
     V = [a - b for a, b in zip(W, start)]
     arguments = (case.object, len(case.radii), case.law)
-    ta = integrator("development_equations", arguments, *STIFF_PASSES[0])
+    ta = integrator(development_equations, arguments, *STIFF_PASSES[0])
     ta.time = real(0, bits)
     ta.state[:] = [real(x, bits) for x in (*e.finger_at, 0, *e.object_at, 0)]
     gain = gain_integral(e.profile, e.eta, case.law)[1:]
@@ -445,19 +374,15 @@ def geodesic_equations(surface: str, radii: int) -> list[tuple[Any, Any]]:
     """x and x' in arc length; parameters are the radii."""
     state = hy.make_vars("x", "y", "z", "dx", "dy", "dz")
     shape = [hy.par[i] for i in range(radii)]
-    return list(zip(state, geodesic_rates(surface, shape, HEYOKA, state)))
+    return list(zip(state, geodesic_rates(surface, shape, hy, state)))
 
 
 def start_in_space(surface: str, radii: Sequence[Any], at: Any, w: Sequence[Any]) -> list[mp.mpf]:
     """Point and velocity w[0] f_u/|f_u| + w[1] f_v/|f_v|."""
-    p, (u, v), (chart, metric) = [mp.mpf(r) for r in radii], map(mp.mpf, at), CHARTS[surface]
-    g = metric(p, u, v, MPMATH)
-    cu, cv = mp.mpf(w[0]) / mp.sqrt(g.E), mp.mpf(w[1]) / mp.sqrt(g.G)
-
-    def along(t: mp.mpf) -> list[mp.mpf]:
-        return chart(p, u + cu * t, v + cv * t, MPMATH)
-
-    return along(mp.mpf(0)) + [mp.diff(lambda t, k=k: along(t)[k], 0) for k in range(3)]
+    p, at = [mp.mpf(r) for r in radii], [mp.mpf(x) for x in at]
+    pairs = zip(w, tangents(surface, p, at))
+    velocity = sum((f * (mp.mpf(x) / mp.norm(f)) for x, f in pairs), mp.zeros(3, 1))
+    return [*CHARTS[surface](p, *at), *velocity]
 
 
 def geodesic(
@@ -469,7 +394,7 @@ def geodesic(
 ) -> list[Any]:
     """Point and direction after each arc length, shape (len(lengths), 6)."""
     bits = passed[1]
-    ta = integrator("geodesic_equations", (surface, len(radii)), *passed)
+    ta = integrator(geodesic_equations, (surface, len(radii)), *passed)
     ta.time = real(0, bits)
     ta.state[:] = [real(x, bits) for x in state]
     ta.pars[:] = [real(x, bits) for x in radii[: len(ta.pars)]]  # a torus needs the major one

@@ -25,25 +25,12 @@ _START = ("object_at", "object_velocity", "finger_at", "finger_velocity", "angle
 def load(name: str) -> dict[str, Any]:
     """The reference file `name`.json with every list of numbers as a float64 array.
 
-    Parameters
-    ----------
-    name
-        "k_scenes", "k_scenes_time", "torus_slip", "ellipsoid_slip", "sphere_slip", "slip_peaks":
-        scenes under the key "scenes", each with "times" (n,) in s and "contacts", a list of records
-        holding "states" (n, 9), "points" (n, 2, 3) in m and "slip" (n, 2) in m/s; their inputs
-        beside them. "ellipsoid_geodesics": "start" (200, 3) and "middle", "end", "end_direction"
-        (200, 3), "jacobi" (200,). "geodesics": records under the key "geodesics", each with
-        "times" (n,) in s and "points" (n, 3) in m. The key "about" describes the file.
-
-    Returns
-    -------
-    dict
-        Decimal texts become the nearest double.
-
-    Raises
-    ------
-    FileNotFoundError
-        For a name that has no file.
+    "k_scenes", "k_scenes_time", "torus_slip", "ellipsoid_slip", "sphere_slip", "slip_peaks":
+    scenes under the key "scenes", each with "times" (n,) in s and "contacts", a list of records
+    holding "states" (n, 9), "points" (n, 2, 3) in m and "slip" (n, 2) in m/s; their inputs
+    beside them. "ellipsoid_geodesics": "start" (200, 3) and "middle", "end", "end_direction"
+    (200, 3), "jacobi" (200,). "geodesics": records under the key "geodesics", each with
+    "times" (n,) in s and "points" (n, 3) in m. The key "about" describes the file.
     """
     return _convert(_read(name), float)
 
@@ -53,11 +40,6 @@ def load_residual(name: str) -> dict[str, Any]:
 
     Subtract the two parts one after the other to measure errors below one unit in the last
     place. Inputs, which are doubles, have the residual 0.
-
-    Raises
-    ------
-    FileNotFoundError
-        For a name that has no file.
     """
     return _convert(_read(name), lambda x: float(Fraction(x) - Fraction(float(x))))
 
