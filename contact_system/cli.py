@@ -109,7 +109,7 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     show.add_argument("--out", type=Path, metavar="DIR", help=text)
     show.set_defaults(run=_explore)
 
-    if not words or words[0] not in commands.choices:
+    if not words or words[0] not in (*commands.choices, "--version"):
         _add_foreign(commands, words)
     return parser
 

@@ -9,7 +9,7 @@ import math
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,12 +20,10 @@ from contact_system.plots import MissingMatplotlib
 from contact_system.scene import scene_to_toml
 from contact_system.writing import writing
 
-from . import plots
-from .config import StationConfig
-from .hand_outcome import HAND_PANELS, hand_lines
-from .hand_station import HandResult
-from .measures import EDGE, SATURATED, ContactReport, contact_table, object_report, push_table
-from .simulation import SimulationResult, simulate
+# Drake takes a second to import, so functions import what needs it: help lists the command, too
+if TYPE_CHECKING:
+    from .measures import ContactReport
+    from .simulation import SimulationResult
 
 TICKS = 1000  # of the progress bar
 
@@ -46,6 +44,9 @@ def register(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, tell, write; returns the exit code."""
+    from .config import StationConfig
+    from .simulation import simulate
+
     scene = load_scene(args.scene)
     config = StationConfig.from_scene(scene, **dict(map(_setting, args.set)))
     stem = results_folder(args, scene) / f"{file_name(scene)}-drake"
@@ -86,6 +87,10 @@ def _written(
     result: SimulationResult, opened: SimulationResult | None, stem: Path, progress: Progress
 ) -> Iterable[str]:
     """Write logs and picture; yields a line for each file, and for what is left out."""
+    from . import plots
+    from .hand_outcome import HAND_PANELS
+    from .hand_station import HandResult
+
     for suffix, write in ((".npz", save_npz), (".csv", save_csv)):
         write(result, stem.with_suffix(suffix))
         yield f"wrote {stem.with_suffix(suffix)}"
@@ -138,6 +143,10 @@ def save_csv(result: SimulationResult, path: Path) -> None:
 
 
 def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable[str]:
+    from .hand_outcome import hand_lines
+    from .hand_station import HandResult
+    from .measures import EDGE, SATURATED, contact_table
+
     scene, config, reports = result.scene, result.config, contact_table(result)
     yield f"{scene.name or 'scene'}: {scene.description}".rstrip(": ")
     yield (
@@ -177,6 +186,8 @@ def _explained(text: str) -> Iterable[str]:
 
 def _happened(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterable[str]:
     """What any reader has to know before anything else."""
+    from .measures import object_report
+
     found = object_report(result)
     yield f"The object moved by {found.moved:.3g} m and turned by {math.degrees(found.turned):.3g}"
     yield "degrees."
@@ -235,6 +246,8 @@ def _table(
 
 def _pushes(result: SimulationResult, opened: SimulationResult | None) -> Iterable[str]:
     """What pushes did, with the loop as it is and open."""
+    from .measures import push_table
+
     loops = {"closed" if result.config.closed_loop else "open": push_table(result)}
     if opened is not None:
         loops["open"] = push_table(opened)
@@ -272,6 +285,8 @@ def _outcome(report: ContactReport) -> str:
 
 def _verdict(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterable[str]:
     """What the paper reports, and whether contact physics gives it."""
+    from .measures import object_report
+
     paper = result.scene.paper
     if "reports" not in paper:
         return

@@ -280,8 +280,8 @@ def test_keys_of_the_drake_table_can_be_set_for_a_run(tmp_path):
 def test_a_whole_run_is_told_beside_the_paper(tmp_path, monkeypatch, capsys):
     friction = np.where((T >= START) & (T < STOP), 0.5, 0.05)
     result = made_up(decaying(40.0), friction)
-    monkeypatch.setattr(cli, "simulate", lambda *args, **options: result)
-    monkeypatch.setattr(cli.plots, "plot", lambda *args, **options: None)
+    monkeypatch.setattr("drake_plant.simulation.simulate", lambda *args, **options: result)
+    monkeypatch.setattr("drake_plant.plots.plot", lambda *args, **options: None)
     assert run("D1", "--out", tmp_path, "--no-recording") == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "0.50 times real time" in out
