@@ -25,7 +25,6 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
-from .config import require_config
 from .hand_kinematics import Chains, cross
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant
@@ -85,8 +84,6 @@ class HandDriver(LeafSystem):
 
     def __init__(self, plan: Reorientation, scene_plant: ScenePlant):
         super().__init__()
-        require_config(plan, Reorientation, "plan")
-        require_config(scene_plant, ScenePlant, "scene_plant")
         plant = scene_plant.plant
         self.plan, self._step = plan, plant.time_step()
         self._object = int(scene_plant.object_body.index())
