@@ -30,16 +30,15 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
-from .config import require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .planner_base import MOTION
 from .plant import ScenePlant, declare_plant_inputs
-from .scratch import Machines, PerThread
+from .scratch import PerThread
 from .tip_law import (
     CONSTANT,
     SHARE,
     TIP,
-    by_name,
+    TipLaws,
     halves,
     named,
     split,
@@ -149,7 +148,7 @@ class FingertipDriver(LeafSystem):
     Raises
     ------
     SceneError
-        No ScenePlant; a discrete plant without sampled output ports, or whose steps
+        A discrete plant without sampled output ports, or whose steps
         are too long for a finger; a finger that is not free, or whose mass centre is
         not its origin.
     """
@@ -158,7 +157,6 @@ class FingertipDriver(LeafSystem):
 
     def __init__(self, scene_plant: ScenePlant):
         super().__init__()
-        require_config(scene_plant, ScenePlant, "scene_plant")
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
         # What the plant is made from; the plant itself would keep this system for ever.
         self.scene, self.config = scene_plant.scene, scene_plant.config
@@ -166,7 +164,7 @@ class FingertipDriver(LeafSystem):
         self.finger_indices = [body.index() for body in fingers]
         _check(scene_plant)
         constants = [tip_constants(body, scene_plant, hold=0.0) for body in fingers]
-        self._laws = PerThread(partial(_Law, self.finger_indices, constants), {})
+        self._laws = PerThread(partial(_Laws, self.finger_indices, constants), {})
         n = len(fingers)
         self._motion = self.DeclareVectorInputPort("motion", sum(MOTION.values()) * n)
         self._poses, self._velocities, self._accelerations = declare_plant_inputs(
@@ -227,13 +225,11 @@ class FingertipDriver(LeafSystem):
         now[:] = self._found(context)[:, 6:].ravel()
 
 
-class _Law(Machines):
-    """The law of all fingers, for one thread: ``x`` is what it takes by name, a row a finger, poses
-    (3, 4); ``applied`` are their forces."""
+class _Laws(TipLaws):
+    """The law of all fingers, for one thread; ``applied`` are their forces."""
 
     def __init__(self, bodies: list[BodyIndex], constants: list[list[float]]):
-        super().__init__(driving_law(), constants)
-        self.x = by_name(self.points, POINT)
+        super().__init__(driving_law(), POINT, constants)
         self.bodies, self.applied = list(map(int, bodies)), list(map(_at_centre, bodies))
 
 

@@ -9,7 +9,7 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from ctypes import c_void_p
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,18 @@ import fmpy
 import numpy as np
 from fmpy.fmi1 import FMICallException, printLogMessage
 from fmpy.fmi2 import fmi2Discard, fmi2LastSuccessfulTime, fmi2Terminated
-from fmpy.simulation import settable_in_initialization_mode, settable_in_instantiated
+from fmpy.simulation import (
+    apply_start_values,
+    settable_in_initialization_mode,
+    settable_in_instantiated,
+)
 
 from contact_system.archives import opened, unpack
 from contact_system.checks import did_you_mean
 from contact_system.errors import ContactSystemError
 
 from .fmu_files import library_of, read_description
-from .fmu_variables import KINDS, PortVariables, carried, fmi_kind
+from .fmu_variables import PortVariables, carried
 
 Array = np.ndarray
 Names = str | Sequence[str]
@@ -34,7 +38,6 @@ Given = Iterable[tuple[PortVariables, Array]]
 SLACK = 1e-6
 """By how much of a step the Context's time and the FMU's may differ."""
 WARNING, FATAL = 1, 4  # statuses, the same in FMI 2 and 3
-TEXTS = {"String": str, "Binary": bytes}  # what start values may be besides
 
 
 class _Listening(threading.local):
@@ -93,13 +96,9 @@ class Instance:
         self._states: dict[int, c_void_p] = {}  # the FMU's own copies of its state
         self._keys = itertools.count()
         self._log: collections.deque[tuple[int, str]] = collections.deque(maxlen=20)
-        self._start_values: list[tuple[Any, list[Any]]] = []  # variables of fmpy's, elements
+        self._start_values: Mapping[str, Any] = {}
         self._outputs: list[PortVariables] = []
         self._made_folder: str | None = None
-        if not isinstance(fmu, (str, os.PathLike)):
-            raise ContactSystemError(f"fmu = {fmu!r:.80}: give the path of an FMU or its folder")
-        if name is not None and not isinstance(name, str):
-            raise ContactSystemError(f"instance_name = {name!r}: give a text, or None")
         self._path = path = Path(fmu)
         with contextlib.ExitStack() as undo:
             undo.callback(self.close)
@@ -136,11 +135,6 @@ class Instance:
         if names is None:
             return PortVariables(usual, self.version)
         listed = [names] if isinstance(names, str) else names
-        if not isinstance(listed, Iterable):
-            raise ContactSystemError(
-                f"{self.name}: {causality}s = {names!r}: give names of variables, or a mapping of "
-                "port names to those"
-            )
         found: list[Any] = []
         for name in map(str, listed):
             inside = [v for v in usual if v.name.startswith((f"{name}.", f"{name}["))]
@@ -155,65 +149,39 @@ class Instance:
 
     def prepare(self, start_values: Mapping[str, Any], outputs: list[PortVariables]) -> None:
         """Say what initialization sets, and what is read after it and each step."""
-        if not isinstance(start_values, Mapping):
-            raise ContactSystemError(
-                f"{self.name}: start_values = {start_values!r}: give a mapping of names to values"
-            )
-        variables = {v.name: v for v in self.description.modelVariables}
-        for name, value in start_values.items():
-            if name not in variables:
-                self._refuse_name(name, variables)
-            self._start_values.append((variables[name], self._start_value(variables[name], value)))
-        self._outputs = outputs
-
-    def _start_value(self, variable: Any, value: Any) -> list[Any]:
-        """As fmpy's setters take it."""
-        block, kind = PortVariables([variable], self.version), fmi_kind(variable, self.version)
-        given = np.array(value, dtype=object).ravel().tolist()
-        problem: str | None = f"{variable.name} = {value!r} is not of type {variable.type}"
-        if len(given) != len(block.names):
-            problem = f"{variable.name} has {len(block.names)} elements, not {len(given)}"
-        elif not carried(variable):
-            if all(isinstance(v, TEXTS.get(kind, object)) for v in given):
-                return given
-        else:
-            with contextlib.suppress(TypeError, ValueError, OverflowError):
-                values = np.array([0 + v for v in given], dtype=float)  # no texts
-                problem = block.check(values)
-                if not problem:
-                    return values.astype(KINDS[kind]).tolist()
-        raise ContactSystemError(f"{self.name}: start value: {problem}")
+        known = [v.name for v in self.description.modelVariables]
+        for name in start_values:
+            if name not in known:
+                self._refuse_name(name, known)
+        self._start_values, self._outputs = start_values, outputs
 
     # --- life
 
     def begin(self, time: float, given: Given = ()) -> Moment:
         """Initialize at a time, with the inputs then."""
-        later = [v for v in self._start_values if not settable_in_instantiated(v[0])]
-        wrong = [v.name for v, _ in later if not settable_in_initialization_mode(v)]
-        wrong += [v.name for v, _ in self._start_values if v.causality == "structuralParameter"]
-        if wrong:
-            raise ContactSystemError(
-                f"{self.name}: {', '.join(wrong)} cannot be set at the start; only inputs, "
-                "parameters and variables with initial='exact' or 'approx' can"
-            )
         with self._turn, self._doing("initialization", time):
             self._renew(time)
             fmu = self._fmu
             if self.version == 2:
                 fmu.setupExperiment(startTime=time)
-            self._set([v for v in self._start_values if v not in later])
+            left = self._set(self._start_values, settable_in_instantiated)
             fmu.enterInitializationMode(**{} if self.version == 2 else {"startTime": time})
-            self._set(later)
+            if left := self._set(left, settable_in_initialization_mode):
+                raise ContactSystemError(
+                    f"{self.name}: {', '.join(left)} cannot be set at the start; only inputs, "
+                    "parameters and variables with initial='exact' or 'approx' can"
+                )
             for block, values in given:
                 block.write(fmu, values)
             fmu.exitInitializationMode()
             self._running = True
             return self._here(time, stepped=False)
 
-    def _set(self, start_values: Iterable[tuple[Any, list[Any]]]) -> None:
-        for variable, values in start_values:
-            kind = fmi_kind(variable, self.version)
-            getattr(self._fmu, f"set{kind}")([variable.valueReference], values)
+    def _set(
+        self, start_values: Mapping[str, Any], settable: Callable[[Any], bool]
+    ) -> Mapping[str, Any]:
+        """Set what can be set now; returns the rest."""
+        return apply_start_values(self._fmu, self.description, dict(start_values), settable)
 
     def step(self, moment: Moment, given: Given, step: float) -> tuple[Moment, bool]:
         """From a moment to the next, with the inputs during it; also whether the FMU wants to end

@@ -11,7 +11,7 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem
 from pydrake.trajectories import PiecewisePose
 
 from .balance import balancing_forces, friction_used, needed_wrench
-from .config import StationConfig, require_config
+from .config import StationConfig
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant
 
@@ -61,7 +61,6 @@ class ForceBalancer(LeafSystem):
         self, scene_plant: ScenePlant, least: float = 0.0, path: PiecewisePose | None = None
     ):
         super().__init__()
-        require_config(scene_plant, ScenePlant, "scene_plant")
         plant, body, config = scene_plant.plant, scene_plant.object_body, scene_plant.config
         n = len(scene_plant.finger_bodies)
         self._least, self._path, self._index = least, path, int(body.index())

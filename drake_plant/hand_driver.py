@@ -25,13 +25,12 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
-from .config import require_config
 from .hand_kinematics import Chains, cross
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant
 from .reorientation import Reorientation
 from .scratch import PerThread
-from .tip_law import CONSTANT, TIP, WANTED, LawMachine, named, tip_constants, tip_wrench
+from .tip_law import CONSTANT, TIP, WANTED, TipLaws, named, tip_constants, tip_wrench
 
 Array = NDArray[np.float64]
 
@@ -85,8 +84,6 @@ class HandDriver(LeafSystem):
 
     def __init__(self, plan: Reorientation, scene_plant: ScenePlant):
         super().__init__()
-        require_config(plan, Reorientation, "plan")
-        require_config(scene_plant, ScenePlant, "scene_plant")
         plant = scene_plant.plant
         self.plan, self._step = plan, plant.time_step()
         self._object = int(scene_plant.object_body.index())
@@ -119,25 +116,26 @@ class HandDriver(LeafSystem):
         want = self._table.at(context.get_time())
         turn, shift = np.split(context.get_discrete_state_vector().value(), 2)
         R_WO = self._poses.Eval(context)[self._object].rotation().matrix()
-        slip = np.zeros((len(laws), 3))
+        given = laws.x
+        given["slip"][:] = 0.0
         if self._sliding.HasValue(context):
-            slip = self._sliding.Eval(context).reshape(-1, 3) @ R_WO.T
+            given["slip"][:] = self._sliding.Eval(context).reshape(-1, 3) @ R_WO.T
+        for name in ("contact_force", "normal", "arm"):
+            given[name][:] = want[name]
         chains.put(want["q"], want["v"])
-        for i, (law, motion) in enumerate(zip(laws, chains.motions(want["a"]))):
-            given = law.point
-            given["X_WT"][:], given["V_WT"][:], given["A_WT"][:] = motion
-            p = given["X_WT"][:, 3]
+        for i, motion in enumerate(chains.motions(want["a"])):
+            given["X_WT"][i], given["V_WT"][i], given["A_WT"][i] = motion
+            p = given["X_WT"][i, :, 3]
             p += shift + cross(turn, p - want["place"])
-            given["contact_force"][:], given["slip"][:] = want["forces"][i], slip[i]
-            given["normal"][:], given["arm"][:] = want["normals"][i], want["arms"][i]
         chains.put(q, v)
         torque = chains.carrying(want["a"])
         torque += POSTURE * (want["q"] - q) + POSTURE_DAMPING * (want["v"] - v)
-        for i, law in enumerate(laws):
-            J = chains.jacobian(i)
-            law.point["X_WF"][:], law.point["V_WF"][:] = chains.pose(i).GetAsMatrix34(), J @ v
-            law.run()
-            torque += J.T @ law.results
+        jacobians = [chains.jacobian(i) for i in range(len(chains.tips))]
+        for i, J in enumerate(jacobians):
+            given["X_WF"][i], given["V_WF"][i] = chains.pose(i).GetAsMatrix34(), J @ v
+        laws.run()
+        for J, wrench in zip(jacobians, laws.results):
+            torque += J.T @ wrench
         return np.clip(torque, -chains.effort, chains.effort)
 
     def _CalcTorque(self, context: Context, output: BasicVector) -> None:
@@ -165,9 +163,9 @@ class HandDriver(LeafSystem):
             part *= min(1.0, most / max(float(np.linalg.norm(part)), 1e-9))
 
 
-def _own(plan: Reorientation, constants: list[list[float]]) -> tuple[Chains, list[LawMachine]]:
-    """Links without tips, whose mass the law carries, and the law of every tip, for one thread."""
-    laws = [LawMachine(holding_law(), HELD, own) for own in constants]
+def _own(plan: Reorientation, constants: list[list[float]]) -> tuple[Chains, TipLaws]:
+    """Links without tips, whose mass the law carries, and the law of all tips, for one thread."""
+    laws = TipLaws(holding_law(), HELD, constants)
     return Chains(plan.hand, plan.rolling, 0.0, plan.config.gravity), laws
 
 
@@ -180,9 +178,9 @@ class _Table:
         self.velocity, self.acceleration = self.motion.derivative(), self.motion.derivative(2)
         sizes = np.array([[c.finger.size] for c in plan.rolling.contacts])
         self.rest = {
-            "forces": plan.forces,
-            "normals": plan.normals,
-            "arms": sizes * plan.normals,
+            "contact_force": plan.forces,
+            "normal": plan.normals,
+            "arm": sizes * plan.normals,
             "place": plan.object_pose[:, :3, 3],
         }
 

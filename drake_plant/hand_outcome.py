@@ -66,18 +66,10 @@ def hand_report(result: HandResult) -> HandReport:
         slipped=steps @ (slip * touches),
         lost=steps[1:] @ ~touches[1:],
         cones_planned=plan.cones.max(axis=0),
-        cones=cones_used(result)[~pushed].max(axis=0),
+        cones=np.nanmax(result.measured["friction_used"][~pushed], axis=0, initial=0.0),
         torque_share=(np.abs(torques) / chains.effort).max(axis=0),
         room=room,
     )
-
-
-def cones_used(result: HandResult) -> Array:
-    """Part of each friction cone that is used, (m, n); 0 off the object."""
-    normal = result.measured["normal_force"]
-    friction = np.linalg.norm(result.measured["tangential_force"], axis=2)
-    limit = result.config.friction * normal
-    return np.divide(friction, limit, out=np.zeros_like(normal), where=normal > 0)
 
 
 def hand_lines(result: HandResult) -> Iterable[str]:
@@ -137,7 +129,7 @@ def draw_errors(ax: Any, result: HandResult) -> None:
 
 
 def draw_cones(ax: Any, result: HandResult) -> None:
-    for i, used in enumerate(cones_used(result).T):
+    for i, used in enumerate(result.measured["friction_used"].T):
         ax.plot(result.t, used, color=colour_of(i), linewidth=1.2)
         ax.plot(result.plan.t, result.plan.cones[:, i], color=colour_of(i), linestyle="--")
     ax.axhline(0.9, color=INK, linewidth=0.9, linestyle=":")

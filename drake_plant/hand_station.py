@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus
+from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from .contact_monitor import ContactMonitor
 from .hand_driver import HandDriver
@@ -18,7 +18,7 @@ from .plant import AddScenePlant, ScenePlant
 from .pushes import PushSource
 from .recording import Recording
 from .reorientation import Reorientation
-from .simulation import LOGGED, MEASURED, SimulationResult
+from .simulation import LOGGED, Asked, Log, SimulationResult, measurements
 
 Array = NDArray[np.float64]
 
@@ -92,49 +92,29 @@ def simulate_hand(
     station, parts = BuildHandStation(plan, None if film is None else film.Add)
     simulator = Simulator(station)
     root = simulator.get_mutable_context()
-    monitor, driver = map(station.GetSubsystemByName, ("monitor", "driver"))
-    seen, physics = monitor.GetMyContextFromRoot(root), parts.plant.GetMyContextFromRoot(root)
+    driver, physics = station.GetSubsystemByName("driver"), parts.plant.GetMyContextFromRoot(root)
     torques, own = driver.GetOutputPort("torque"), driver.GetMyContextFromRoot(root)
     joints = [parts.plant.GetJointByName(name).position_start() for name in plan.joints]
-    rows: list[list[Array]] = []
-    times: list[float] = []
-
-    def note(context: Context) -> EventStatus:
-        now = context.get_time()
-        if times and now < times[-1] + 0.999 * LOGGED:
-            return EventStatus.DidNothing()
-        times.append(now)
-        row = [monitor.Evaluate(seen, name).copy() for name in MEASURED]
-        pose = parts.object_body.EvalPoseInWorld(physics).GetAsMatrix4()
-        q = parts.plant.GetPositions(physics)[joints]
-        rows.append([*row, pose, q, torques.Eval(own).copy()])
-        if progress is not None:
-            progress(now)
-        return EventStatus.DidNothing()
-
-    simulator.set_monitor(note)
-    simulator.Initialize()
-    built = time.perf_counter()
-    simulator.AdvanceTo(plan.scene.duration if duration is None else duration)
-    finished = time.perf_counter()
-    *columns, poses, q, torque = map(np.array, zip(*rows))
-    measured = dict(zip(MEASURED, columns))
-    measured["normal_force"] = measured["normal_force"][:, :, 0]
-    t = np.array(times)
-    wanted = np.array([plan.path.GetPose(x).GetAsMatrix4() for x in t])
+    asked: Asked = {
+        "q": lambda: parts.plant.GetPositions(physics)[joints],
+        "torque": lambda: torques.Eval(own),
+    }
+    log = Log(station, root, parts, asked, LOGGED)
+    ended = log.follow(simulator, plan.scene.duration if duration is None else duration, progress)
+    t, said = log.read()
     result = HandResult(
         plan.rolling,
         plan.config,
         t,
         _planned(plan, t),
-        measured,
-        poses,
-        built - begun,
-        finished - built,
+        measurements(said, plan.config),
+        said["pose"],
+        log.begun - begun,
+        ended - log.begun,
         plan,
-        wanted,
-        q,
-        torque,
+        np.array([plan.path.GetPose(x).GetAsMatrix4() for x in t]),
+        said["q"],
+        said["torque"],
     )
     if film is not None and recording is not None:
         film.Save(recording, result)

@@ -11,7 +11,6 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from contact_system import SceneError
 
-from .config import require_config
 from .lifetimes import NO_DICTIONARY, weakly
 from .plant import ScenePlant, declare_plant_inputs
 
@@ -41,14 +40,13 @@ class ObjectAcceleration(LeafSystem):
     Raises
     ------
     SceneError
-        No ScenePlant, or an object on joints.
+        An object on joints.
     """
 
     __slots__ = NO_DICTIONARY
 
     def __init__(self, scene_plant: ScenePlant):
         super().__init__()
-        require_config(scene_plant, ScenePlant, "scene_plant")
         plant, body = scene_plant.plant, scene_plant.object_body
         self._free = body.is_floating_base_body()
         size = plant.num_velocities(body.model_instance())

@@ -31,38 +31,24 @@ STEPS = 257
 """And every so many steps, as simulations of one system may take turns; odd, so that each of two
 comes to it. A look takes 30 us."""
 
-SLOW = 16
-"""So often in a row `STEPS` steps are each shorter than a `MOST`-th of what is left of a scene."""
-MOST = 2e7
-"""Steps; the whole would take more than a quarter of an hour."""
-
 
 class StepWatch:
-    """How a simulation comes on: when to look at it, and whether it ever gets to the end."""
+    """When to look at a simulation."""
 
     def __init__(self, duration: float):
-        self._duration, self.length = duration, 0.0
+        self._duration = duration
         self.begin(0.0)
 
     def begin(self, t: float) -> None:
-        self._start = self._since = self.next = t
-        self.left, self._slow = STEPS, 0
+        self._start, self.next, self.left = t, t, STEPS
 
     def due(self, t: float) -> bool:
         """Whether to compare the end of a step with the plan."""
         if self.left and t < self.next:
             return False
-        if not self.left:
-            self.length, self._since = (t - self._since) / STEPS, t
-            slow = 0.0 < self.length * MOST < self._duration - t
-            self.left, self._slow = STEPS, self._slow + 1 if slow else 0
+        self.left = self.left or STEPS
         self.next = t + min(abs(t - self._start), self._duration / LOOKS)
         return True
-
-    @property
-    def crawls(self) -> bool:
-        """Whether the end will never be reached: error control asks for steps of 1e-9 s."""
-        return self._slow >= SLOW
 
 
 def exact_plan(scene: Scene, start: float, states: bytes, end: float) -> Plan | None:

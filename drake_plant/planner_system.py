@@ -23,14 +23,12 @@ from pydrake.systems.framework import (
 from contact_system import Scene
 from contact_system.checks import finite_number
 from contact_system.errors import SceneError
-from contact_system.scene import DISTURBANCE_KINDS
 from contact_system.starts import on_branch
 
 from .config import LOOK
 from .lifetimes import NO_DICTIONARY, weakly
 from .plan_check import (
     CLEARANCE,
-    MOST,
     TOLERANCE,
     exact_plan,
     refuse,
@@ -54,12 +52,9 @@ def _period(restart_period: float | None, restart_distance: float | None) -> flo
 
 
 def _check_restart(scene: Scene, period: Any, distance: Any) -> None:
-    least, what = max(EARLY, scene.duration / MOST), f"{scene.title}: restart_"
-    if period is not None and finite_number(period, f"{what}period", "above 0") < least:
-        raise SceneError(
-            f"{what}period = {period!r}: give a time in s, at least {least:.2g} s, with which the "
-            "scene's end is reached, or None"
-        )
+    what = f"{scene.title}: restart_"
+    if period is not None and finite_number(period, f"{what}period", "above 0") < 2 * EARLY:
+        raise SceneError(f"{what}period = {period!r}: give a time of 2e-9 s or more, or None")
     if distance is not None:
         finite_number(distance, f"{what}distance", "not below 0")
 
@@ -170,8 +165,8 @@ class ContactPlanner(_Convertible, LeafSystem):
         By default charts, or frames where the scene has legs, sigma = 0 or a surface without one.
     disturbance_input : bool
     restart_period : float, optional
-        s, at least 5e-8 of the scene's duration and 1e-9 s. A discrete plant's state between
-        two steps is that of the next one: with one, give a multiple of its time step.
+        s, at least 2e-9 s. A discrete plant's state between two steps is that of the next one:
+        with one, give a multiple of its time step.
     restart_distance : float, optional
         m, 0 or more.
     tolerance : float
@@ -257,28 +252,8 @@ class ContactPlanner(_Convertible, LeafSystem):
     def _Look(self, context: Any, near: bool) -> None:
         if near and not self._Numbers(context, "clearance")[0] > CLEARANCE:
             refuse_singularity(self.system, *self._scratches.own.given)
-        steps = self._scratches.own.steps
-        if steps.due(context.get_time()):
+        if self._scratches.own.steps.due(context.get_time()):
             self._CheckDrift(context)
-            if steps.crawls:
-                self._RefuseCrawl(context)
-
-    def _RefuseCrawl(self, context: Any) -> None:
-        system, steps = self.system, self._scratches.own.steps
-        remedy = "use a smaller eta, or fixed steps of an implicit scheme"
-        if system.coordinates == "chart":
-            remedy += ', or ContactPlanner(scene, coordinates="frame"), which is less stiff'
-        added = self._Disturbance(context, "derivatives")
-        if added is not None:
-            k = int(np.argmax(np.abs(added)))
-            remedy += (
-                f", or less on the input port 'disturbance', whose element {k} (contact "
-                f"{k // 6}, {DISTURBANCE_KINDS[k % 6 // 2].kind}) is {added[k]:.6g}"
-            )
-        raise SceneError(
-            f"{system.scene.title}: at t = {context.get_time():.6g} s the integrator takes steps "
-            f"of {steps.length:.2g} s, and the scene ends at {system.scene.duration:g} s; {remedy}"
-        )
 
     def _Begin(self, context: Any) -> None:
         """From now on contacts are compared with the plan from the state that a Context has."""

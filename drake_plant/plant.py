@@ -60,7 +60,6 @@ from pydrake.polynomial import Polynomial as DrakePolynomial
 from pydrake.systems.framework import DiagramBuilder, InputPort, LeafSystem
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
-from scipy.spatial import cKDTree
 
 from contact_system import (
     Cylinder,
@@ -70,17 +69,15 @@ from contact_system import (
     SceneError,
     Sphere,
     Surface,
-    Torus,
     Turning,
 )
-from contact_system.checks import naming
 from contact_system.errors import ContactSystemError
 from contact_system.plots import BODY, colour_of
 from contact_system.scene import require_scene
 
 from .config import EDGES, StationConfig, require_config
 from .domains import Domain, domain_of
-from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
+from .drake_meshes import compliant_mesh, inner_point, painted, rgba, rigid_mesh
 from .hand_kinematics import add_hand
 from .meshes import SurfaceMesh, contact_mesh
 from .pressing import check_depth, contact_depth
@@ -148,8 +145,7 @@ class ScenePlant:
     Raises
     ------
     SceneError
-        Something else in one of these places, a plant that is not finalized, or more or fewer
-        fingers than contacts.
+        A plant that is not finalized, or more or fewer fingers than contacts.
     """
 
     scene: Scene
@@ -160,20 +156,11 @@ class ScenePlant:
     finger_bodies: list[RigidBody]
 
     def __post_init__(self) -> None:
-        require_scene(self.scene)
-        with naming(f"{self.scene.title}, scene_plant"):
-            require_config(self.config, StationConfig)
-            require_config(self.plant, MultibodyPlant, "plant")
-            require_config(self.scene_graph, SceneGraph, "scene_graph")
-            if not self.plant.is_finalized():
-                raise SceneError("the plant is not finalized: call plant.Finalize() first")
-            fingers, wanted = self.finger_bodies, len(self.scene.contacts)
-            if not isinstance(fingers, Sequence) or len(fingers) != wanted:
-                raise SceneError(
-                    f"finger_bodies = {fingers!r}: give a list of {wanted}, one for each contact"
-                )
-            for body in (self.object_body, *fingers):
-                require_config(body, RigidBody, "a body")
+        wanted, given = len(self.scene.contacts), len(self.finger_bodies)
+        if not self.plant.is_finalized():
+            raise SceneError("the plant is not finalized: call plant.Finalize() first")
+        if given != wanted:
+            raise SceneError(f"{given} finger_bodies: give {wanted}, one for each contact")
 
 
 def AddScenePlant(
@@ -206,7 +193,6 @@ def AddScenePlant(
     if config is None:
         config = StationConfig.from_scene(scene)
     try:
-        require_config(builder, DiagramBuilder, "builder")
         require_config(config, StationConfig)
         config.check(scene)
         _check_names(builder, config)
@@ -302,10 +288,10 @@ def _check_surfaces(scene: Scene, config: StationConfig) -> None:
                     f"a plane, not for {finger!r} on {scene.object!r}: Drake's normal between an "
                     'ellipsoid and a sphere is wrong by up to 16 degrees; use "hydroelastic"'
                 )
-        elif finger.inside or not (finger.chart.central or isinstance(finger, (Cylinder, Torus))):
+        elif finger.inside or not (finger.chart.central or isinstance(finger, Cylinder)):
             raise SceneError(
                 f"contact {i}: a fingertip is a compliant solid, which {finger!r} does not bound; "
-                "use a sphere, an ellipsoid, a cylinder, a torus or an ImplicitSurface"
+                "use a sphere, an ellipsoid, a cylinder or an ImplicitSurface"
             )
 
 
@@ -373,7 +359,7 @@ def _add_finger(
     properties = _material(config)
     shape: Shape = SphereShape(surface.size)
     if config.contact_model == "hydroelastic":
-        inner = inner_points(surface)
+        inner = inner_point(surface)
         shape = shape if mesh is None else compliant_mesh(mesh, inner, name)
         hint = surface.size  # Drake asks for one, and ignores it for meshes
         AddCompliantHydroelasticProperties(hint, _modulus(config, touch, inner), properties)
@@ -426,8 +412,7 @@ def _add_body(
 
 def _modulus(config: StationConfig, touch: Touch, inner: Array) -> float:
     """Hydroelastic modulus, Pa, for the stiffness at the normal force, mean over the curve."""
-    below = inner[cKDTree(inner).query(touch.finger_points)[1]]
-    height = np.sum(touch.finger_normals * (touch.finger_points - below), axis=1)
+    height = np.sum(touch.finger_normals * (touch.finger_points - inner), axis=1)
     compliance = np.nanmean(1 / (height * touch.openness))
     return config.stiffness**2 / (4 * math.pi * config.normal_force * float(compliance))
 

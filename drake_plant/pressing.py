@@ -18,10 +18,9 @@ from contact_system import (
     Torus,
 )
 from contact_system.checks import naming
-from contact_system.scene import require_scene
 from contact_system.theory import symbols as ca
 
-from .config import StationConfig, require_config
+from .config import StationConfig
 
 # Of kinds of surfaces what is less where they give way by a depth.
 RADII = {Sphere: ("radius",), Cylinder: ("radius",), Torus: ("minor",), Ellipsoid: ("c", "b", "a")}
@@ -63,7 +62,7 @@ def rolling_scene(scene: Scene, config: StationConfig) -> Scene:
     A compliant finger gives way to a rigid object, so it rolls on a surface by the depth inside its
     own; two equal point contacts share the depth. (That the patch is curved does not matter: what
     the object's surface drops towards the rim the tilt of friction there makes up for, see
-    `contact_monitor`.) Of spheres, cylinders and tori that surface is another of their kind, and so
+    `contact_monitor`.) Of spheres and cylinders that surface is another of their kind, and so
     it is nearly of ellipsoids; of others it is their equation, shifted along the normal.
 
     Parameters
@@ -75,11 +74,9 @@ def rolling_scene(scene: Scene, config: StationConfig) -> Scene:
     Raises
     ------
     SceneError
-        No scene, no StationConfig, or a depth of half a body's least radius or more.
+        A depth of half a body's least radius or more.
     """
-    require_scene(scene)
     with naming(scene.title):
-        require_config(config, StationConfig)
         check_depth(scene, config)
     depth, point = contact_depth(config), config.contact_model == "point"
     of_finger, of_object = (0.5 * depth, 0.5 * depth) if point else (depth, 0.0)

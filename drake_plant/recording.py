@@ -20,7 +20,6 @@ from contact_system.checks import a_path, finite_number
 from contact_system.plots import INK
 from contact_system.writing import writing
 
-from .config import require_config
 from .drake_meshes import rgba
 from .film import BODIES, FORCES, draw, look_at, with_texts
 from .plant import ScenePlant
@@ -66,8 +65,6 @@ class Recording:
         builder : DiagramBuilder
         scene_plant : ScenePlant
         """
-        require_config(builder, DiagramBuilder, "builder")
-        require_config(scene_plant, ScenePlant, "scene_plant")
         meshcat, scene, ink = self._meshcat, scene_plant.scene, rgba(INK)
         params = MeshcatVisualizerParams(
             publish_period=self._period, role=Role.kIllustration, prefix=BODIES

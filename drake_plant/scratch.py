@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from contact_system import SceneSystem
-from contact_system.engine.binding import Machine
 from contact_system.system import SystemMachine
-from contact_system.theory.lowering import Table
 
 from .plan_check import StepWatch
 
@@ -51,23 +49,6 @@ class Scratch:
         machine.point[:] = self._given
         machine.run()
         return machine.results
-
-
-class Machines:
-    """A table run for several contacts, one after the other; one thread at a time.
-
-    points (n, n_in) and results (n, n_out) are the machines' own, a row each.
-    """
-
-    def __init__(self, table: Table, constants: Sequence[Sequence[float]]):
-        registers = np.zeros((len(constants), table.n_regs))
-        self._machines = [Machine(table, *each) for each in zip(constants, registers)]
-        self.points = registers[:, : table.n_in]
-        self.results = registers[:, table.first_out :][:, : table.n_out]
-
-    def run(self) -> None:
-        for machine in self._machines:
-            machine.run()
 
 
 class PerThread(threading.local):

@@ -136,56 +136,64 @@ def simulate(
     ApplySimulatorConfig(INTEGRATION if config.time_step else CONTINUOUS, simulator)
     context = simulator.get_mutable_context()
     SetInitialState(station, context)
-    log = _Log(station, context, parts, period)
-
-    def note(root: Context) -> EventStatus:
-        log.note(root)
-        if progress is not None:
-            progress(root.get_time())
-        return EventStatus.DidNothing()
-
-    simulator.set_monitor(note)
-    simulator.Initialize()
-    built = time.perf_counter()
-    simulator.AdvanceTo(duration)
-    finished = time.perf_counter()
-    log.note(context, last=True)
-
-    t, planned, measured, poses = log.read()
+    log = Log(station, context, parts, _planners(station, context), period)
+    ended = log.follow(simulator, duration, progress)
+    t, said = log.read()
+    measured = measurements(said, config)
+    planned = _planned(said, measured, config)
     result = SimulationResult(
-        scene, config, t, planned, measured, poses, built - begun, finished - built
+        scene, config, t, planned, measured, said["pose"], log.begun - begun, ended - log.begun
     )
     if film is not None and recording is not None:
         film.Save(recording, result)
     return result
 
 
-class _Log:
-    """What planner and monitor say and where the object is, at ends of steps: about a period apart,
-    and of every step in which a finger is off the object."""
+Asked = dict[str, Callable[[], Array]]
 
-    def __init__(self, station: Diagram, root: Context, parts: ScenePlant, period: float):
-        self._config, physics = parts.config, parts.plant.GetMyContextFromRoot(root)
-        monitor = station.GetSubsystemByName("monitor")
-        self._asked: dict[str, Callable[[], Array]] = {
+
+class Log:
+    """Where the object is, what the monitor measures and what else is asked for, at ends of steps:
+    about a period apart, and of every step in which a free finger is off the object."""
+
+    def __init__(
+        self, station: Diagram, root: Context, parts: ScenePlant, asked: Asked, period: float
+    ):
+        plant, monitor = parts.plant, station.GetSubsystemByName("monitor")
+        physics = plant.GetMyContextFromRoot(root)
+        self._asked: Asked = {
             "pose": lambda: parts.object_body.EvalPoseInWorld(physics).GetAsMatrix4(),
             "measured": partial(monitor.Measured, monitor.GetMyContextFromRoot(root)),
         }
-        planner = station.GetSubsystemByName("planner")
-        own = planner.GetMyContextFromRoot(root)
-        self._asked["planned"] = partial(planner.Evaluate, own, *PLANNED)
-        if station.HasSubsystemNamed("balancer"):
-            balancer = station.GetSubsystemByName("balancer")
-            own = balancer.GetMyContextFromRoot(root)
-            self._asked |= {name: partial(balancer.Evaluate, own, name) for name in BALANCED}
-        ports = parts.plant.get_generalized_contact_forces_output_port
+        self._asked |= asked
         instances = [body.model_instance() for body in parts.finger_bodies]
-        self._pressing = [partial(ports(instance).Eval, physics) for instance in instances]
+        ports = map(plant.get_generalized_contact_forces_output_port, instances)
+        self._pressing = [partial(port.Eval, physics) for port in ports if port.size()]
         self._period, self._next = period, 0.0
         self._t: list[float] = []
         self._rows: list[list[Array]] = []
+        self.begun = math.nan
 
-    def note(self, root: Context, last: bool = False) -> None:
+    def follow(
+        self, simulator: Simulator, duration: float, progress: Callable[[float], None] | None
+    ) -> float:
+        """Simulate to the end; returns when that is reached, of `time.perf_counter`."""
+
+        def note(root: Context) -> EventStatus:
+            self._note(root)
+            if progress is not None:
+                progress(root.get_time())
+            return EventStatus.DidNothing()
+
+        simulator.set_monitor(note)
+        simulator.Initialize()
+        self.begun = time.perf_counter()
+        simulator.AdvanceTo(duration)
+        ended = time.perf_counter()
+        self._note(simulator.get_context(), last=True)
+        return ended
+
+    def _note(self, root: Context, last: bool = False) -> None:
         t = root.get_time()
         due = t >= self._next or (last and t > self._t[-1])
         if not due and all(force().any() for force in self._pressing):
@@ -195,19 +203,42 @@ class _Log:
         self._t.append(t)
         self._rows.append([ask().copy() for ask in self._asked.values()])
 
-    def read(self) -> tuple[Array, dict[str, Array], dict[str, Array], Array]:
-        """Times, planned and measured as in a SimulationResult, poses of the object."""
+    def read(self) -> tuple[Array, dict[str, Array]]:
+        """Times, and what was said then."""
         said = {name: np.array(values) for name, values in zip(self._asked, zip(*self._rows))}
-        ends = np.cumsum([PORTS[name] for name in PLANNED])[:-1]
-        planned = dict(zip(PLANNED, np.split(said["planned"], ends, axis=2)))
-        planned["contact_point"] = planned["contact_point"][:, :, 3:]
-        measured = {name: said["measured"][:, :, COLUMNS[name]] for name in MEASURED}
-        normal = measured["normal_force"] = measured["normal_force"][:, :, 0]
-        for name, constant in zip(BALANCED, (self._config.normal_force, 0.0)):
-            value = said[name][:, :, 0] if name in said else constant
-            planned[name] = np.full_like(normal, value)
-        friction = np.linalg.norm(measured["tangential_force"], axis=2)
-        limit = self._config.friction * normal
-        nothing = np.full_like(limit, math.nan)
-        measured["friction_used"] = np.divide(friction, limit, out=nothing, where=limit > 0)
-        return np.array(self._t), planned, measured, said["pose"]
+        return np.array(self._t), said
+
+
+def _planners(station: Diagram, root: Context) -> Asked:
+    """What planner, and balancer, are asked for."""
+    planner = station.GetSubsystemByName("planner")
+    own = planner.GetMyContextFromRoot(root)
+    asked: Asked = {"planned": partial(planner.Evaluate, own, *PLANNED)}
+    if station.HasSubsystemNamed("balancer"):
+        balancer = station.GetSubsystemByName("balancer")
+        own = balancer.GetMyContextFromRoot(root)
+        asked |= {name: partial(balancer.Evaluate, own, name) for name in BALANCED}
+    return asked
+
+
+def _planned(
+    said: Mapping[str, Array], measured: Mapping[str, Array], config: StationConfig
+) -> dict[str, Array]:
+    """As a SimulationResult has it."""
+    ends = np.cumsum([PORTS[name] for name in PLANNED])[:-1]
+    planned = dict(zip(PLANNED, np.split(said["planned"], ends, axis=2)))
+    planned["contact_point"] = planned["contact_point"][:, :, 3:]
+    for name, constant in zip(BALANCED, (config.normal_force, 0.0)):
+        value = said[name][:, :, 0] if name in said else constant
+        planned[name] = np.full_like(measured["normal_force"], value)
+    return planned
+
+
+def measurements(said: Mapping[str, Array], config: StationConfig) -> dict[str, Array]:
+    """As a SimulationResult has them."""
+    measured = {name: said["measured"][:, :, COLUMNS[name]] for name in MEASURED}
+    normal = measured["normal_force"] = measured["normal_force"][:, :, 0]
+    friction, limit = np.linalg.norm(measured["tangential_force"], axis=2), config.friction * normal
+    nothing = np.full_like(limit, math.nan)
+    measured["friction_used"] = np.divide(friction, limit, out=nothing, where=limit > 0)
+    return measured

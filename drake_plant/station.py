@@ -220,7 +220,7 @@ def SetInitialState(station: Diagram, context: Context) -> None:
     Raises
     ------
     SceneError
-        No station, or no Context.
+        No station.
     """
     if not isinstance(station, Diagram) or not all(
         station.HasSubsystemNamed(name) and isinstance(station.GetSubsystemByName(name), kind)
@@ -231,7 +231,6 @@ def SetInitialState(station: Diagram, context: Context) -> None:
             "ContactPlanner, FingertipDriver and MultibodyPlant are named 'planner', 'driver' and "
             "'plant'; of a Diagram that contains it give the station, and the Diagram's context"
         )
-    require_config(context, Context, "context")
     planner, driver, plant = map(station.GetSubsystemByName, STARTED)
     now, physics = planner.GetMyContextFromRoot(context), plant.GetMyMutableContextFromRoot(context)
     scene, config, t = driver.scene, driver.config, context.get_time()

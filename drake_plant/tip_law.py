@@ -14,6 +14,7 @@ spring acts along the normal too, ``hold = 1``.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import numpy as np
@@ -120,17 +121,22 @@ def named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
     return every, SimpleNamespace(**found)
 
 
-class LawMachine:
-    """A law of one tip, for one thread: what it takes by name, poses (3, 4), and its results."""
+class TipLaws:
+    """A law run for several tips, one after the other, for one thread.
 
-    def __init__(self, table: Table, sizes: dict[str, int], constants: list[float]):
-        machine = Machine(table, constants)
-        self.point = by_name(machine.point, sizes)
-        self.run, self.results = machine.run, machine.results
+    x : what it takes by name, a row a tip, poses (n, 3, 4)
+    results : (n, n_out)
+    """
 
+    def __init__(self, table: Table, sizes: dict[str, int], constants: Sequence[list[float]]):
+        registers = np.zeros((len(constants), table.n_regs))
+        self._machines = [Machine(table, *each) for each in zip(constants, registers)]
+        points = registers[:, : table.n_in]
+        self.x: dict[str, Array] = {}
+        for name, part in zip(sizes, np.split(points, np.cumsum([*sizes.values()])[:-1], axis=1)):
+            self.x[name] = part.reshape(-1, 3, 4) if name[0] == "X" else part
+        self.results = registers[:, table.first_out :][:, : table.n_out]
 
-def by_name(numbers: Array, sizes: dict[str, int]) -> dict[str, Array]:
-    """What stands along the last axis, by its names, poses as (3, 4)."""
-    parts = zip(sizes, np.split(numbers, np.cumsum([*sizes.values()])[:-1], axis=-1))
-    every = numbers.shape[:-1]
-    return {k: v.reshape(*every, 3, 4) if k[0] == "X" else v for k, v in parts}
+    def run(self) -> None:
+        for machine in self._machines:
+            machine.run()
