@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from contact_system import SceneError, load_scene
-from contact_system.cli import Progress, file_name, paragraph, results_folder, table
+from contact_system.cli import file_name, results_folder
 from contact_system.measures import REJECTED
 from contact_system.plots import MissingMatplotlib
 from contact_system.scene import scene_to_toml
+from contact_system.terminal import Progress, paragraph, table
 from contact_system.writing import writing
 
 from . import plots
