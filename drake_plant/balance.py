@@ -26,7 +26,7 @@ from pydrake.solvers import (
 )
 from scipy.sparse import block_diag, hstack, identity
 
-from contact_system import Plan, Scene, SceneError
+from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
 
 from .config import StationConfig
@@ -165,36 +165,9 @@ def needed_wrench(
     return mass * a, alpha @ inertia + np.cross(w, w @ inertia)
 
 
-def planned_grasp(plan: Plan, t: ArrayLike) -> tuple[Array, Array]:
-    """Contact points of a plan on the object and normals into it, in O: (m, n, 3) each."""
-    t = np.atleast_1d(t)
-    found = plan.evaluate(t, "points", "states")
-    states = found["states"]
-    return found["points"][:, :, 1], -plan.scene.object.normal(states[..., 4], states[..., 5])
-
-
-def planned_forces(plan: Plan, config: StationConfig, t: ArrayLike) -> tuple[Array, Array]:
-    """Forces by which a plan's contacts hold the object still at the world's origin, and normals.
-
-    Returns
-    -------
-    (m, n, 3), (m, n, 3)
-        Forces on the object, N, and unit normals into it, in O.
-    """
-    points, normals = planned_grasp(plan, t)
-    weight = config.object_mass * config.gravity
-    force, torque = np.tile([0.0, 0.0, weight], (len(points), 1)), np.zeros((len(points), 3))
-    forces = balancing_forces(
-        *(points, normals, config.friction, force, torque),
-        margin=config.friction_share,
-        least=config.normal_force,
-        t=t,
-    )
-    return forces, normals
-
-
 def pressed_config(scene: Scene, config: StationConfig) -> StationConfig:
-    """The configuration with the normal force that its balance of the scene needs in the mean.
+    """The configuration with the normal force that its balance of the scene needs in the mean,
+    where the object is held still at the world's origin.
 
     Raises
     ------
@@ -204,8 +177,17 @@ def pressed_config(scene: Scene, config: StationConfig) -> StationConfig:
     if not config.balances:
         return config
     t = np.linspace(0.0, scene.duration, KNOTS)
+    found = make_plan(scene).evaluate(t, "points", "states")
+    at, weight = found["states"][..., 4:6], config.object_mass * config.gravity
+    normals = -scene.object.normal(at[..., 0], at[..., 1])
     try:
-        forces, normals = planned_forces(make_plan(scene), config, t)
+        forces = balancing_forces(
+            *(found["points"][:, :, 1], normals, config.friction),
+            *(np.tile([0.0, 0.0, weight], (KNOTS, 1)), np.zeros((KNOTS, 3))),
+            margin=config.friction_share,
+            least=config.normal_force,
+            t=t,
+        )
     except SceneError as error:
         remedy = 'forces = "constant" presses without a balance'
         raise SceneError(f"{scene.title}: {error}; or {remedy}") from None

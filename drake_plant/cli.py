@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from contact_system import SceneError, load_scene
-from contact_system.cli import Progress, file_name, paragraph, results_folder, table
+from contact_system.cli import file_name, results_folder
 from contact_system.measures import REJECTED
 from contact_system.plots import MissingMatplotlib
 from contact_system.scene import scene_to_toml
+from contact_system.terminal import Progress, paragraph, table
 from contact_system.writing import writing
 
 # Drake takes a second to import, so functions import what needs it: help lists the command, too
@@ -232,7 +233,7 @@ def _rejections(reports: Sequence[ContactReport]) -> Iterable[str]:
         ("saturated", "", lambda r: f"{r.saturated:.0%}"),
         ("recovery", "s", lambda r: _taken(r.recovery)),
         ("paper", "s", lambda r: _number(r.reported, "g")),
-        ("as reported", "", _outcome),
+        ("verdict", "", lambda r: r.verdict),
     )
 
 
@@ -277,12 +278,6 @@ def _taken(time: float) -> str:
     return "not in time" if math.isinf(time) else _number(time, ".3f")
 
 
-def _outcome(report: ContactReport) -> str:
-    if not report.slid:
-        return "held"
-    return {True: "yes", False: "no", None: "-"}[report.as_reported]
-
-
 def _verdict(result: SimulationResult, reports: Sequence[ContactReport]) -> Iterable[str]:
     """What the paper reports, and whether contact physics gives it."""
     from .measures import object_report
@@ -305,10 +300,10 @@ def _verdict(result: SimulationResult, reports: Sequence[ContactReport]) -> Iter
         yield f"This is not what the paper reports on: {what}."
     elif slid:
         timed = not math.isnan(slid[0].reported)
-        recovered = all(r.as_reported if timed else math.isfinite(r.recovery) for r in slid)
+        recovered = all(r.verdict in ("as reported", "rejected") for r in slid)
         yield f"Here slip {'is' if recovered else 'is not'} rejected{' within that time' * timed}."
     if "lateral_force" in paper:
-        names = ", ".join(r.name for r in disturbed if r.saturates)
+        names = ", ".join(r.name for r in disturbed if r.saturated > 0)
         happens = f"saturates at {names}" if names else "does not saturate"
         peak = max(r.friction_peak for r in reports)
         yield (

@@ -1,4 +1,4 @@
-"""What fingers shall exert so that the object stays on its path: balance, solved at every step."""
+"""What fingers shall exert so that the object stays in its place: balance, solved at every step."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
-from pydrake.trajectories import PiecewisePose
 
 from .balance import balancing_forces, friction_used, needed_wrench
 from .config import StationConfig
@@ -21,7 +20,7 @@ COLUMNS = {"contact_forces": slice(0, 3), "normal_force": slice(3, 4), "friction
 
 
 class ForceBalancer(LeafSystem):
-    """Contact forces that keep an object on its path against gravity, inside the friction cones.
+    """Contact forces that keep an object in its place against gravity, inside the friction cones.
 
     .. pydrake_system::
 
@@ -38,8 +37,9 @@ class ForceBalancer(LeafSystem):
 
     The first two inputs are a planner's, so that a planner that restarts from measured states moves
     them with the contacts; the others are the plant's. `contact_forces` (3n) are forces on the
-    object in the world, N, by :func:`balancing_forces`: of what moves the object as planned and
-    leads it back to its path, critically damped at the configuration's ``object_rate``. Where the
+    object in the world, N, by :func:`balancing_forces`: of what carries the object and leads it
+    back to its place, critically damped at the configuration's ``object_rate``. The place is the
+    Context's only parameter, a RigidTransform, by default the object's default pose. Where the
     cones cannot hold that, as in a push, they are those that leave the least of it. `normal_force`
     (n) and `friction_used` (n) are their normal parts, N, and the parts of the cones they use.
 
@@ -50,20 +50,15 @@ class ForceBalancer(LeafSystem):
         which part of it is used, and the rate.
     least : float
         Least normal force, N.
-    path : PiecewisePose, optional
-        X_WO over time. None: the object is kept where the Context's only parameter, a
-        RigidTransform, has it, by default where it is by default.
     """
 
     __slots__ = NO_DICTIONARY
 
-    def __init__(
-        self, scene_plant: ScenePlant, least: float = 0.0, path: PiecewisePose | None = None
-    ):
+    def __init__(self, scene_plant: ScenePlant, least: float = 0.0):
         super().__init__()
         plant, body, config = scene_plant.plant, scene_plant.object_body, scene_plant.config
         n = len(scene_plant.finger_bodies)
-        self._least, self._path, self._index = least, path, int(body.index())
+        self._least, self._index = least, int(body.index())
         self._config: StationConfig = config
         inertia = body.default_spatial_inertia()
         self._body = inertia.get_mass(), inertia.CalcRotationalInertia().CopyToFullMatrix3()
@@ -76,7 +71,7 @@ class ForceBalancer(LeafSystem):
         self._velocities = self.DeclareAbstractInputPort(
             "body_spatial_velocities", Value[list[SpatialVelocity]]()
         )
-        needs = {self.all_input_ports_ticket(), self.all_parameters_ticket(), self.time_ticket()}
+        needs = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
         ticket, self._found = array_entry(self._CalcFound, (n, 5), needs)
         for name, rows in COLUMNS.items():
             size, calc = n * (rows.stop - rows.start), weakly(self._CalcVector, name)
@@ -108,17 +103,9 @@ class ForceBalancer(LeafSystem):
         return np.hstack([forces[0] @ R_WO.T, pressing.T, used.T])
 
     def _Acceleration(self, context: Context, X_WO: RigidTransform, V_WO: Array) -> Array:
-        """Angular and linear, of the path and back to it: (6,)."""
-        X_WP, V_WP, A_WP = self._Planned(context)
+        """Angular and linear, back to the object's place: (6,)."""
+        X_WP = context.get_abstract_parameter(0).get_value()
         turn = (X_WP.rotation() @ X_WO.rotation().inverse()).ToAngleAxis()
         error = np.append(turn.angle() * turn.axis(), X_WP.translation() - X_WO.translation())
         rate = self._config.object_rate
-        return A_WP + rate * (2 * (V_WP - V_WO) + rate * error)
-
-    def _Planned(self, context: Context) -> tuple[RigidTransform, Array, Array]:
-        path, t = self._path, context.get_time()
-        if path is None:
-            return context.get_abstract_parameter(0).get_value(), np.zeros(6), np.zeros(6)
-        return path.GetPose(t), *(
-            np.ravel(of(t)) for of in (path.GetVelocity, path.GetAcceleration)
-        )
+        return rate * (rate * error - 2 * V_WO)

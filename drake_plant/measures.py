@@ -132,11 +132,6 @@ class ContactReport:
             return "rejected" if math.isfinite(self.recovery) else "not rejected"
         return "as reported" if self.as_reported else "not as reported"
 
-    @property
-    def saturates(self) -> bool | None:
-        """Whether friction is saturated during the disturbance at all; None where there is none."""
-        return None if math.isnan(self.saturated) else self.saturated > 0
-
 
 @dataclass(frozen=True)
 class ObjectReport:
