@@ -15,7 +15,15 @@ import contact_system as cs
 
 fmpy = pytest.importorskip("fmpy")
 
-from fmu_hosts.blocks import BLOCKS, Instance, close, simulated, simulated_states  # noqa: E402
+from fmpy.fmi1 import FMICallException  # noqa: E402
+from fmu_hosts.blocks import (  # noqa: E402
+    BLOCKS,
+    Instance,
+    close,
+    exported,
+    simulated,
+    simulated_states,
+)
 
 from fmu_export import PlannerSlave2, PlannerSlave3  # noqa: E402
 
@@ -206,22 +214,27 @@ def test_functions_that_there_are_not_are_refused_in_words():
 
 
 @of_blocks
-def test_errors_are_told_though_logging_is_off(kind, version, caplog):
-    one = Instance(K1, kind, version, **({"loggingOn": False} if kind == "FMU" else {})).begin()
-    one.refused("", one.own.doStep, 0.0, -0.1)
-    if kind == "FMU":
-        assert [(s, c) for s, c, _ in one.said] == [(3, "logStatusError")]
-        return
-    slave = Instance(K1, kind, version)
-    slave.own = {"2.0": PlannerSlave2, "3.0": PlannerSlave3}[version](K1)
-    with caplog.at_level(logging.INFO, "fmu_export"):  # where there is no logger
-        slave.begin()
-        slave.refused("finite", slave.put, {"gain.eta": math.nan})
-        slave.own.setDebugLogging(False, [])
-        slave.refused("finite", slave.put, {"gain.eta": math.inf})
-        slave.refused("positive", slave.own.doStep, 0.0, -0.1)  # errors are always told
-    assert [r.levelname for r in caplog.records] == ["WARNING", "ERROR"]
-    assert "nan" in caplog.text and "inf" not in caplog.text
+def test_what_is_refused_is_told_though_logging_is_off(kind, version, caplog):
+    one = Instance(K1, kind, version)
+    if kind == "slave":  # without a logger of the user's own
+        one.own = {"2.0": PlannerSlave2, "3.0": PlannerSlave3}[version](K1)
+    one.begin()
+    one.own.setDebugLogging(False, [])
+    with caplog.at_level(logging.INFO, "fmu_export"):
+        one.refused("", one.put, {"gain.eta": -1.0})
+        one.refused("", one.own.doStep, 0.0, -0.1)
+    told = [r.getMessage() for r in caplog.records] or [f"{c}: {text}" for _, c, text in one.said]
+    assert told[-1].startswith("logStatusError: ")
+    if kind == "slave":
+        assert told[0] == "logStatusDiscard: gain.eta = -1 is refused; give 0 or more"
+
+
+@of_versions
+def test_fmpy_prints_why_a_value_is_refused_with_its_default_arguments(version, capfd):
+    path = exported(K1, version).path
+    with pytest.raises(FMICallException, match="discard"):
+        fmpy.simulate_fmu(str(path), start_values={"gain.eta": -1.0})
+    assert "[DISCARD] gain.eta = -1 is refused; give 0 or more" in capfd.readouterr().out
 
 
 @pytest.mark.parametrize(

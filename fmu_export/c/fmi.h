@@ -44,11 +44,11 @@ typedef struct {
 #define ME_RUNNING (INITIALIZATION | EVENT | CONTINUOUS | TERMINATED)
 #define SETTABLE (ANY & ~TERMINATED)
 
-/* Whether the importer is told. Errors it always is, as FMI 2.0.5 expects (section 2.1.3): FMI
-   3.0.2 silences them with loggingOn = false, but its successor takes that back, and the
-   Reference FMUs never did. */
+/* Whether the importer is told. Of what is refused it always is, as FMI 2.0.5 expects of errors
+   (section 2.1.3): importers say no more than a status. FMI 3.0.2 silences errors with loggingOn =
+   false, but its successor takes that back, and the Reference FMUs never did. */
 static int is_told(const instance_t *instance, status_t status) {
-  return instance->log && (status == FAILED || instance->logging[status]);
+  return instance->log && (status >= DISCARD || instance->logging[status]);
 }
 
 static status_t allowed(component_t *c, int phases) {
