@@ -75,12 +75,6 @@ def test_lengths_that_are_not_positive_are_refused_where_they_are_set(kind, vers
         one.refused(words, one.put, {"object.radius": value})
 
 
-@of_kinds
-def test_an_element_of_an_array_is_named_as_in_fmi_2(kind):
-    one, words = Instance(K1, kind, "3.0"), r"contact\[2\].object.velocity.y = nan is refused"
-    one.refused(words, one.put, {"contact[2].object.velocity": [1.0, math.nan]})
-
-
 @of_blocks
 def test_numbers_that_make_another_kind_of_surface_are_refused(kind, version):
     for start, words in (
@@ -345,18 +339,6 @@ def test_model_exchange_tells_of_a_pole_and_refuses_what_lies_beyond(version):
     over = Instance(scene, "FMU", version).begin()  # while Co-Simulation passes it
     over.step(0.5)
     close(over.get("contact[1].pose.position"), cs.plan(scene).pose(0.5)[0, 0, :3, 3])
-
-
-@of_blocks
-def test_beyond_a_pole_there_is_nothing_to_initialize_with(kind, version):
-    one = Instance(one_contact(), kind, version)
-    one.own.enterInitializationMode()
-    one.put({"contact[1].finger.u": -0.5})
-    rate, words = "der(contact[1].finger.v)", "beyond a singular point"
-    one.refused(words, one.get, rate)
-    one.refused(words, one.directional, [rate], ["gain.eta"], [1.0])
-    one.put({"contact[1].finger.u": 0.5})
-    assert math.isfinite(one.get(rate)[0])
 
 
 @of_blocks
