@@ -29,7 +29,6 @@ LOG_CATEGORIES = {
     "logStatusWarning": "Requests that were ignored",
     "logStatusDiscard": "Requests that were refused; the instance is as it was before",
     "logStatusError": "Calls and values that the standard does not allow, and failed computations",
-    "logEvents": "Edges of disturbance windows",
 }
 """Name -> meaning; the names are those of FMI 2.0.4, table in section 2.2.4."""
 
@@ -91,7 +90,7 @@ def model_description(
     root.set("generationDateAndTime", _DATE)
     text = xml_text(root)
     named = text.replace(_TOKEN, _digest(text, table.scene), 1)
-    return named.replace(_DATE, generation_text(), 1)
+    return named.replace(_DATE, time.strftime("%Y-%m-%dT%H:%M:%SZ", generation_time()), 1)
 
 
 _TOKEN, _DATE = "{the token}", "{the date}"  # before the text is known; the head comes first
@@ -144,11 +143,6 @@ def generation_time() -> time.struct_time:
     raise ContactSystemError(
         f"SOURCE_DATE_EPOCH = {epoch!r}: give seconds since 1970, such as 1700000000, or unset it"
     )
-
-
-def generation_text() -> str:
-    """The same as model descriptions say it."""
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", generation_time())
 
 
 # --- head ----------------------------------------------------------------------------------------

@@ -316,16 +316,6 @@ def test_inputs_and_measured_states_act_on_contacts_with_legs(kind, version):
 
 
 @of_blocks
-def test_an_input_acts_at_once_on_what_depends_on_it(kind, version):
-    one = Instance(one_contact(), kind, version).begin()
-    one.step(0.3)
-    before = one.states()
-    pushed(one, cs.ObjectRateOffset(0, 0, 1, (0.25, 0.0)))
-    expected = np.array([[0, 0, 0, 0, 0, 0, 0.25, 0, 0]])
-    assert one.states() - before == pytest.approx(expected, abs=1e-14)
-
-
-@of_blocks
 @pytest.mark.parametrize("name", ["K1", "K2", "K3", "K4"])
 @pytest.mark.parametrize("what", ["states", "pose"])
 def test_what_is_measured_is_gone_on_from_by_the_next_step(name, what, kind, version):
@@ -515,15 +505,6 @@ def test_state_bytes_go_into_another_process():
     other = subprocess.run([sys.executable, "-c", script], input=one.written().hex(), **run)
     one.step(0.1)
     assert json.loads(other.stdout) == pytest.approx(one.everything(), rel=1e-12, abs=1e-13)
-
-
-@of_kinds
-def test_simulate_fmu_goes_on_from_a_serialized_state(kind):
-    one = Instance(K1, kind, "2.0").begin()
-    one.step(0.5)
-    options = {"fmu_state": one.written(), "start_time": 0.5, "stop_time": 0.8}
-    result = simulated(K1, kind, "2.0", output_interval=0.1, **options)
-    close(simulated_states(result, 3), cs.plan(K1, 1e-14).states(result["time"]))
 
 
 @of_blocks

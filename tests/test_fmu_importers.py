@@ -72,12 +72,3 @@ def test_the_jacobian_in_casadi_agrees_with_central_differences(imported):
         for e in np.eye(len(x))
     ]
     assert np.abs(np.stack(columns, axis=1) - jacobian).max() < 1e-9 * np.abs(jacobian).max()
-
-
-def test_adjoints_in_casadi_are_the_transpose(imported):
-    function, x, jacobian = imported
-    seed = np.random.default_rng(2).standard_normal(len(jacobian))
-    value = function(*split(function, x))
-    parts = function.reverse(1)(*split(function, x), value, seed)
-    found = np.concatenate([part.full().ravel() for part in parts])
-    assert np.abs(found - seed @ jacobian).max() < 1e-12 * np.abs(jacobian).max()

@@ -68,15 +68,6 @@ def test_the_same_scene_gives_the_same_bytes(tmp_path, monkeypatch):
     assert seen == ["taking the library for native", "packing"]
 
 
-@pytest.mark.parametrize("name", ["contact", "enter", "va"])
-def test_a_scene_may_be_called_as_the_sources_call_their_own_things(name, tmp_path):
-    # contact_kinds, enter_windows, va_start
-    path = export_fmu(C2.replace(name=name), tmp_path / "one.fmu")
-    assert fmpy.read_model_description(str(path)).coSimulation.modelIdentifier == name
-    result = fmpy.simulate_fmu(str(path), stop_time=0.1)
-    assert len(result) > 1
-
-
 def sources(scene: cs.Scene, version: str) -> tuple[Path, list[str]]:
     """The folder of an FMU's sources, and their names."""
     folder = exported(scene, version).folder / "sources"

@@ -26,8 +26,7 @@ typedef enum {
   EVENT = 4,
   CONTINUOUS = 8,
   STEP = 16,
-  TERMINATED = 32,
-  CONFIGURATION = 64
+  TERMINATED = 32
 } phase_t;
 
 enum { U1, V1, DU1, DV1, U2, V2, DU2, DV2, PSI, N_STATES };
@@ -94,8 +93,7 @@ typedef struct component {
 } component_t;
 
 /* whether states are given and results follow from them, else plans are */
-#define SYSTEM(now)                                                                                \
-  (!(now)->stepping || ((now)->phase & (INSTANTIATED | CONFIGURATION | INITIALIZATION)))
+#define SYSTEM(now) (!(now)->stepping || ((now)->phase & (INSTANTIATED | INITIALIZATION)))
 
 /* What the engine and tables look at may be no number; importers may trap that. */
 #define UNTRAPPED(...)                                                                             \
@@ -116,8 +114,7 @@ static inline int all_finite(const double *x, long n) {
   return 1;
 }
 
-/* Logs and returns the status, in a category of its own; OK: an event. The text may hold anything.
- */
+/* Logs and returns the status, in a category of its own. The text may hold anything. */
 static status_t report(component_t *, status_t, const char *format, ...)
 #if defined(__GNUC__)
     __attribute__((format(printf, 3, 4)))

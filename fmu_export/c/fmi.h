@@ -26,35 +26,33 @@
 #define PASTED(prefix, name) PASTED_AS_IS(prefix, name)
 #define PASTED_AS_IS(prefix, name) prefix##name
 
-enum { CATEGORIES = FAILED + 1 };
-static const char *const category_of[CATEGORIES] = {"logEvents", "logStatusWarning",
-                                                    "logStatusDiscard", "logStatusError"};
+static const char *const category_of[] = {
+    [WARNING] = "logStatusWarning", [DISCARD] = "logStatusDiscard", [FAILED] = "logStatusError"};
 
 typedef struct {
   component_t component;
   void (*log)(void); /* the importer's logger, of the type its version of FMI says */
   void *environment;
-  int uses_events, early_return, logging[CATEGORIES];
+  int uses_events, early_return, warns;
   char name[256];
 } instance_t;
 
 /* where values can be got, and where some of them may be set */
 #define RUNNING (INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED)
-#define ANY (INSTANTIATED | CONFIGURATION | RUNNING)
+#define ANY (INSTANTIATED | RUNNING)
 #define ME_RUNNING (INITIALIZATION | EVENT | CONTINUOUS | TERMINATED)
 #define SETTABLE (ANY & ~TERMINATED)
 
-/* Whether the importer is told. Errors it always is, as FMI 2.0.5 expects (section 2.1.3): FMI
-   3.0.2 silences them with loggingOn = false, but its successor takes that back, and the
-   Reference FMUs never did. */
+/* Whether the importer is told. Of what is refused it always is, as FMI 2.0.5 expects of errors
+   (section 2.1.3): importers say no more than a status. FMI 3.0.2 silences errors with loggingOn =
+   false, but its successor takes that back, and the Reference FMUs never did. */
 static int is_told(const instance_t *instance, status_t status) {
-  return instance->log && (status == FAILED || instance->logging[status]);
+  return instance->log && (status >= DISCARD || instance->warns);
 }
 
 static status_t allowed(component_t *c, int phases) {
   static const char *const name[] = {"instantiated",         "initialization mode", "event mode",
-                                     "continuous-time mode", "step mode",           "terminated",
-                                     "configuration mode"};
+                                     "continuous-time mode", "step mode",           "terminated"};
   const int phase = c->now->phase, never = c->now->stepping ? CONTINUOUS : STEP;
   const int over = phase & TERMINATED;
   const char *own = "", *remedy = over ? "; reset, or set an FMU state" : "";
@@ -133,29 +131,26 @@ static instance_t *instantiate(const char *called, const char *name, const char 
     free_instance(instance);
     return NULL;
   }
-  for (int k = 0; k < CATEGORIES; k++) instance->logging[k] = logging;
-  instance->logging[DISCARD] = 1; /* many importers stop at a Discard and say no more than that */
+  instance->warns = logging;
   reset(c, stepping);
   return instance;
 }
 
 FMI_EXPORT void FMI(FreeInstance)(void *instance) { free_instance(instance); }
 
-/* Some categories, or without any all of them */
+/* Some categories, or without any all of them; only warnings can be left out. */
 FMI_EXPORT status_t FMI(SetDebugLogging)(void *instance, BOOLEAN on, size_t count,
                                          const char *const categories[]) {
   BEGIN(ANY);
-  instance_t *own = instance;
-  int chosen[CATEGORIES] = {0};
+  int chosen = !count;
   for (size_t k = 0; k < count; k++) {
     const char *given = categories && categories[k] ? categories[k] : "";
-    int known = CATEGORIES;
-    while (known && strcmp(given, category_of[known - 1])) known--;
+    int known = FAILED;
+    while (known && strcmp(given, category_of[known])) known--;
     if (!known) REFUSE("unknown category '%.80s'; use those of modelDescription.xml", given);
-    chosen[known - 1] = 1;
+    chosen |= known == WARNING;
   }
-  for (int k = 0; k < CATEGORIES; k++)
-    if (chosen[k] || !count) own->logging[k] = on != 0;
+  if (chosen) ((instance_t *)instance)->warns = on != 0;
   return OK;
 }
 
@@ -212,7 +207,7 @@ static status_t check_values(component_t *c, const unsigned vr[], size_t count, 
 
 static int settable(const component_t *c, unsigned reference) {
   const memory_t *now = c->now;
-  const int before = INSTANTIATED | CONFIGURATION | INITIALIZATION;
+  const int before = INSTANTIATED | INITIALIZATION;
   const int free = before | EVENT | (now->uses_events ? 0 : STEP);
   switch (kind_of(c->model, reference)) {
   case FIXED:
@@ -427,7 +422,8 @@ typedef struct {
 
 static update_t update(component_t *c) {
   enter_windows(c);
-  const int stepping = c->now->stepping, jumped = take_jump(c);
+  const int stepping = c->now->stepping, jumped = c->jumped;
+  c->jumped = 0;
   const double next = stepping ? next_window(c) : next_edge(c);
   return (update_t){.terminate = c->now->ended && !stepping,
                     .values = jumped && !stepping,

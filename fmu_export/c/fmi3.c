@@ -67,8 +67,8 @@ FMI_EXPORT void *FMI(InstantiateScheduledExecution)(
 
 /* --- initialization --------------------------------------------------------------------------- */
 
-LEADS_TO(CONFIGURATION, EnterConfigurationMode, BEGIN(INSTANTIATED))
-LEADS_TO(INSTANTIATED, ExitConfigurationMode, BEGIN(CONFIGURATION))
+NOT_THERE(EnterConfigurationMode, "there are no structural parameters", void *instance)
+NOT_THERE(ExitConfigurationMode, "there are no structural parameters", void *instance)
 
 FMI_EXPORT status_t FMI(EnterInitializationMode)(void *instance, _Bool tolerance_defined,
                                                  double tolerance, double start_time,

@@ -163,10 +163,3 @@ static void enter_windows(component_t *c) {
       if (before < leg.start && leg.start <= now->acts_at) turn_path(c, i, &leg);
     }
 }
-
-/* Whether windows have begun or ended since this was asked last */
-static int take_jump(component_t *c) {
-  const int jumped = c->jumped;
-  c->jumped = 0;
-  return jumped;
-}

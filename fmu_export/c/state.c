@@ -29,8 +29,7 @@ static int is_flag(double x) { return x == 0.0 || x == 1.0; }
 static const char *check_memory(const model_t *m, const memory_t *now) {
   const double *value = (const double *)(now + 1), *least = section(m, D_LEAST);
   const segment_t *s = (const segment_t *)(value + m->n_values);
-  const int phases =
-      INSTANTIATED | CONFIGURATION | INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED;
+  const int phases = INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED;
   const int other = !now->stepping ? STEP : now->uses_events ? CONTINUOUS : CONTINUOUS | EVENT;
   if (now->phase <= 0 || now->phase & (now->phase - 1) || !(now->phase & phases & ~other))
     return "its phase is none that an instance can be in";

@@ -95,22 +95,9 @@ static status_t start(component_t *c) {
 
 /* ---- steps ---- */
 
-static void tell_edges(component_t *c, double from) {
-  for (long k = 0; k < n_edges(c->model); k++) {
-    const double edge = edge_of(c, k);
-    if (reached(from, edge) || !reached(c->now->time, edge)) continue;
-    if (k < 2 * c->model->n_windows)
-      report(c, OK, "the disturbance of contact %g %s at t = %.17g s",
-             window_of(c, k / 2)[V_CONTACT] + 1, k % 2 ? "ends" : "begins", edge);
-    else
-      report(c, OK, "a leg begins at t = %.17g s", edge);
-  }
-}
-
 /* All contacts to a time, or none. */
 static status_t step(component_t *c, double target, int stop_at_windows, int *edge) {
   memory_t *now = c->now;
-  const double began = now->time;
   const long n = c->model->n_contacts;
   *edge = 0;
   now->ended = target > now->limit && !reached(now->limit, target);
@@ -138,6 +125,5 @@ static status_t step(component_t *c, double target, int stop_at_windows, int *ed
   for (long i = 0; i < n; i++) commit(c, i, 1);
   set_time(c, goal);
   if (*edge) now->pending = 1, now->acts_at = nextafter(now->acts_at, -HUGE_VAL);
-  if (n_edges(c->model)) tell_edges(c, began);
   return OK;
 }

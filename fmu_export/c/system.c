@@ -122,15 +122,15 @@ static void turn_path(component_t *c, long i, const leg_t *leg) {
 
 static status_t get_values(component_t *c, unsigned reference, long count, double *value);
 static status_t refuse(component_t *c, unsigned reference);
+static status_t check_value(component_t *c, unsigned reference, double value);
 static long without_value(const component_t *c, unsigned reference, const double *value,
                           long count);
 
 static status_t set_states(component_t *c, const double *state) {
   for (long i = 0, at = 0; i < c->model->n_contacts; at += c->model->layout[i++].states)
     for (long j = 0; j < c->model->layout[i].states; j++)
-      if (!(fabs(state[at + j]) <= DBL_MAX))
-        return report(c, DISCARD, "%s = %g is refused; give finite continuous states",
-                      c->model->names[c->model->layout[i].at[OF_STATES] + j], state[at + j]);
+      if (check_value(c, (unsigned)(c->model->layout[i].at[OF_STATES] + j), state[at + j]))
+        return DISCARD;
   for (long i = 0; i < c->model->n_contacts; i++) {
     const layout_t *l = c->model->layout + i;
     memcpy(c->value + l->at[OF_STATES], state, (size_t)l->states * sizeof *state);

@@ -1,6 +1,6 @@
 """Compiles the C programs of this folder against an FMU, for any machine, and runs them here.
 
-`trajectory`, `endurance` and `states` are linked with the library inside the FMU; `fuzz` and
+`trajectory` and `endurance` are linked with the library inside the FMU; `fuzz` and
 `forge` are compiled together with the sources inside the FMU, under AddressSanitizer and
 UndefinedBehaviorSanitizer.
 """
