@@ -4,6 +4,7 @@
 Python.
 """
 
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -102,6 +103,9 @@ _LATER = {
 
 
 def __getattr__(name: str) -> Any:
+    if name in ("PlantConfig", "DriverConfig"):
+        warnings.warn(f"{name} is StationConfig now", DeprecationWarning, stacklevel=2)
+        name = "StationConfig"
     for room, names in _LATER.items():
         if name in names:
             return getattr(import_module(f"{__name__}.{room}"), name)

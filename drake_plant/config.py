@@ -332,8 +332,12 @@ class StationConfig:
 
 def _pushes(tables: Any) -> list[Push]:
     """Pushes from the list of tables that a scene file has."""
+    if not isinstance(tables, Sequence) or isinstance(tables, str):
+        raise SceneError(f"pushes = {tables!r}: give a list of tables")
     keys = [f.name for f in dataclasses.fields(Push)]
     for k, push in enumerate(tables):
+        if not isinstance(push, (dict, Push)):
+            raise SceneError(f"pushes[{k}] = {push!r}: give a table with {', '.join(keys)}")
         if isinstance(push, dict):
             known_keys(push, keys, f"pushes[{k}]: ")
     return [push if isinstance(push, Push) else Push(**push) for push in tables]

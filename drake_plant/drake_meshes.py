@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from pydrake.common import MemoryFile
 from pydrake.geometry import InMemoryMesh, Mesh, Rgba
+from scipy.spatial import cKDTree
 
 from contact_system.errors import SurfaceError
-from contact_system.surfaces import ImplicitSurface, Surface
+from contact_system.surfaces import ImplicitSurface, Surface, Torus
 
 from .domains import Array, Domain, Triangles
 from .meshes import SurfaceMesh, edges_of, outward, refined
@@ -23,29 +26,27 @@ def rigid_mesh(mesh: SurfaceMesh, name: str) -> Mesh:
     return _in_memory(lines, ".obj", name)
 
 
-def inner_point(surface: Surface) -> Array:
-    """Where depth below a fingertip's surface is measured to: its centre, (3,), m."""
-    return np.array(surface.center if isinstance(surface, ImplicitSurface) else (0.0, 0.0, 0.0))
+def inner_points(surface: Surface) -> Array:
+    """Where depth below a fingertip's surface is measured to: its centre, or a ring, (k, 3), m."""
+    if isinstance(surface, Torus):
+        around = np.linspace(0, 2 * math.pi, 64, endpoint=False)
+        circle = np.stack([np.cos(around), np.sin(around), 0 * around], axis=1)
+        return surface.major * circle
+    return np.array([surface.center if isinstance(surface, ImplicitSurface) else (0.0, 0.0, 0.0)])
 
 
 def compliant_mesh(mesh: SurfaceMesh, inner: Array, name: str) -> Mesh:
     """The solid under the corrected triangles as a Drake Mesh, for compliant hydroelastic contact.
 
-    Every triangle is the base of one tetrahedron, whose apex is the inner point. Drake makes
-    pressure linear from 0 on the surface to the modulus there: it is then proportional to the depth
-    below the triangle.
+    Every triangle is the base of one tetrahedron, whose apex is the nearest inner point. Drake
+    makes pressure linear from 0 on the surface to the modulus at the inner points: it is then
+    proportional to the depth below the triangle.
 
     mesh : closed, or a cylinder's side about the z axis, which is closed by flat ends
-    inner : (3,), m
+    inner : (k, 3), one point, or points around a ring in order, m
     """
     points, triangles = _with_ends(mesh)
-    corner = points[triangles] - inner
-    if np.any(np.linalg.det(corner) <= 0):
-        raise SurfaceError(
-            f"{name}: a triangle of its mesh faces away from the inner point below it, so that no "
-            "solid can be built; put the surface's centre where it sees the whole surface"
-        )
-    cells = np.column_stack([triangles[:, ::-1], np.full(len(triangles), len(points))])
+    cells = _tetrahedra(points, triangles, inner, name)
     points = np.vstack([points, inner])
     lines = ["# vtk DataFile Version 3.0", "fingertip", "ASCII", "DATASET UNSTRUCTURED_GRID"]
     lines += [f"POINTS {len(points)} double"]
@@ -69,6 +70,47 @@ def _with_ends(mesh: SurfaceMesh) -> tuple[Array, Triangles]:
             points = np.vstack([points, [0, 0, points[end[0, 0], 2]]])
             triangles = np.vstack([triangles, np.column_stack([end[:, ::-1], middle])])
     return points, triangles
+
+
+def _tetrahedra(points: Array, triangles: Triangles, inner: Array, name: str) -> Triangles:
+    """A tetrahedron under each triangle, and what fills the wedges between different apexes."""
+    count, apex = len(inner), _apexes(points, triangles, inner)
+    cells = [np.column_stack([triangles, len(points) + apex])]
+    if count > 1:
+        edges, of = edges_of(triangles)
+        order = np.argsort(of.ravel(), kind="stable")
+        first, second = np.repeat(apex, 3)[order].reshape(-1, 2).T
+        ahead = (second - first + count // 2) % count - count // 2  # steps around the ring
+        for k in range(np.abs(ahead).max()):
+            wedge = np.abs(ahead) > k
+            a = first[wedge] + k * np.sign(ahead[wedge])
+            b = a + np.sign(ahead[wedge])
+            ring = len(points) + np.column_stack([a, b]) % count
+            cells.append(np.column_stack([edges[wedge], ring]))
+    cell = np.vstack(cells)
+    corner = np.vstack([points, inner])[cell]
+    volume = np.linalg.det(corner[:, 1:] - corner[:, :1])
+    if np.any(volume[: len(triangles)] >= 0):
+        raise SurfaceError(
+            f"{name}: a triangle of its mesh faces away from the inner point below it, so that no "
+            "solid can be built; put the surface's centre where it sees the whole surface"
+        )
+    return np.where((volume < 0)[:, None], cell[:, [0, 2, 1, 3]], cell)
+
+
+def _apexes(points: Array, triangles: Triangles, inner: Array) -> Triangles:
+    """The inner point below each triangle: nearest to the edge that runs along the ring most.
+
+    Both triangles of such an edge get the same. Were they different, the wedge between them would
+    be flat: the edge is parallel to the ring.
+    """
+    corner, near = points[triangles], cKDTree(inner)
+    edge = np.roll(corner, -1, axis=1) - corner
+    below = near.query(corner.mean(axis=1))[1]
+    along = np.roll(inner, -1, axis=0)[below] - np.roll(inner, 1, axis=0)[below]
+    longest = np.argmax(np.abs(np.einsum("tki,ti->tk", edge, along)), axis=1)
+    middle = corner + edge / 2
+    return near.query(middle[np.arange(len(triangles)), longest])[1]
 
 
 def rgba(colour: str, alpha: float = 1.0) -> Rgba:

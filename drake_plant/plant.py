@@ -60,6 +60,7 @@ from pydrake.polynomial import Polynomial as DrakePolynomial
 from pydrake.systems.framework import DiagramBuilder, InputPort, LeafSystem
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
+from scipy.spatial import cKDTree
 
 from contact_system import (
     Cylinder,
@@ -69,6 +70,7 @@ from contact_system import (
     SceneError,
     Sphere,
     Surface,
+    Torus,
     Turning,
 )
 from contact_system.errors import ContactSystemError
@@ -77,7 +79,7 @@ from contact_system.scene import require_scene
 
 from .config import EDGES, StationConfig, require_config
 from .domains import Domain, domain_of
-from .drake_meshes import compliant_mesh, inner_point, painted, rgba, rigid_mesh
+from .drake_meshes import compliant_mesh, inner_points, painted, rgba, rigid_mesh
 from .hand_kinematics import add_hand
 from .meshes import SurfaceMesh, contact_mesh
 from .pressing import check_depth, contact_depth
@@ -288,10 +290,10 @@ def _check_surfaces(scene: Scene, config: StationConfig) -> None:
                     f"a plane, not for {finger!r} on {scene.object!r}: Drake's normal between an "
                     'ellipsoid and a sphere is wrong by up to 16 degrees; use "hydroelastic"'
                 )
-        elif finger.inside or not (finger.chart.central or isinstance(finger, Cylinder)):
+        elif finger.inside or not (finger.chart.central or isinstance(finger, (Cylinder, Torus))):
             raise SceneError(
                 f"contact {i}: a fingertip is a compliant solid, which {finger!r} does not bound; "
-                "use a sphere, an ellipsoid, a cylinder or an ImplicitSurface"
+                "use a sphere, an ellipsoid, a cylinder, a torus or an ImplicitSurface"
             )
 
 
@@ -359,7 +361,7 @@ def _add_finger(
     properties = _material(config)
     shape: Shape = SphereShape(surface.size)
     if config.contact_model == "hydroelastic":
-        inner = inner_point(surface)
+        inner = inner_points(surface)
         shape = shape if mesh is None else compliant_mesh(mesh, inner, name)
         hint = surface.size  # Drake asks for one, and ignores it for meshes
         AddCompliantHydroelasticProperties(hint, _modulus(config, touch, inner), properties)
@@ -412,7 +414,8 @@ def _add_body(
 
 def _modulus(config: StationConfig, touch: Touch, inner: Array) -> float:
     """Hydroelastic modulus, Pa, for the stiffness at the normal force, mean over the curve."""
-    height = np.sum(touch.finger_normals * (touch.finger_points - inner), axis=1)
+    below = inner[cKDTree(inner).query(touch.finger_points)[1]]
+    height = np.sum(touch.finger_normals * (touch.finger_points - below), axis=1)
     compliance = np.nanmean(1 / (height * touch.openness))
     return config.stiffness**2 / (4 * math.pi * config.normal_force * float(compliance))
 

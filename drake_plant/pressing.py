@@ -62,7 +62,7 @@ def rolling_scene(scene: Scene, config: StationConfig) -> Scene:
     A compliant finger gives way to a rigid object, so it rolls on a surface by the depth inside its
     own; two equal point contacts share the depth. (That the patch is curved does not matter: what
     the object's surface drops towards the rim the tilt of friction there makes up for, see
-    `contact_monitor`.) Of spheres and cylinders that surface is another of their kind, and so
+    `contact_monitor`.) Of spheres, cylinders and tori that surface is another of their kind, and so
     it is nearly of ellipsoids; of others it is their equation, shifted along the normal.
 
     Parameters

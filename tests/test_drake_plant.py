@@ -159,6 +159,7 @@ def test_one_newton_at_a_fifth_of_a_millimetre_on_every_kind_of_object(name):
     [
         (cs.Ellipsoid(0.06, 0.05, 0.04), (0.3, 0.4)),
         (cs.Cylinder(0.04), (0.3, 0.0)),
+        (cs.Torus(0.05, 0.02), (0.3, -0.2)),
         (
             cs.ImplicitSurface(
                 "(x/r)**4 + (y/r)**4 + (z/r)**4 - 1", parameters={"r": 0.04}, size=0.04
@@ -166,7 +167,7 @@ def test_one_newton_at_a_fifth_of_a_millimetre_on_every_kind_of_object(name):
             (1.05, 0.6),
         ),
     ],
-    ids=["ellipsoid", "cylinder", "rounded cube"],
+    ids=["ellipsoid", "cylinder", "torus", "rounded cube"],
 )
 def test_one_newton_at_a_fifth_of_a_millimetre_for_every_kind_of_fingertip(finger, at):
     world = World(rolling(cs.Sphere(0.1), finger, finger_at=at, length=0.02))
@@ -260,6 +261,15 @@ def test_every_finger_has_a_name_of_its_own_whatever_contacts_are_called(given):
     assert not world.results().num_point_pair_contacts()
 
 
+def test_a_ring_has_the_inertia_of_a_torus():
+    world = World(rolling(SPHERE, cs.Torus(0.05, 0.02), finger_at=(0.3, -0.2), length=0.02))
+    (ring,) = world.parts.finger_bodies
+    moments = ring.default_spatial_inertia().CalcRotationalInertia().get_moments() / 0.1
+    axial = 0.05**2 + 0.75 * 0.02**2
+    across = 0.5 * 0.05**2 + 0.625 * 0.02**2
+    assert moments == pytest.approx([across, across, axial], rel=5e-3)
+
+
 def test_a_turning_object_is_where_the_scene_says_at_every_step():
     scene = cs.load_scene("C1")
     world = World(scene, object="turning", time_step=1e-3)
@@ -302,9 +312,9 @@ def side_by_side(angle):
             r"stiffness = 1: contact 0 would be 2 m deep .* Sphere\(0.04\); give a stiffness",
         ),
         (
-            rolling(cs.Sphere(0.1), cs.Torus(0.05, 0.02), finger_at=(0.3, -0.2), length=0.02),
-            {},
-            r"a fingertip is a compliant solid, which Torus",
+            rolling(cs.Sphere(0.1), cs.Torus(0.05, 0.002), finger_at=(0.3, -0.2), length=0.02),
+            {"stiffness": 1e3},
+            r"contact 0 would be 0.002 m deep .* Torus",
         ),
         (rolling(cs.Sphere(0.1)), {"object": "turning"}, r"the scene has no \[turning\]"),
         (rolling(cs.Plane(), at=(0, 0)), {"object": "free"}, "object: Plane.* does not bound"),

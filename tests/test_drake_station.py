@@ -175,6 +175,7 @@ def test_a_fingertip_of_any_kind_rolls_on_the_surface_at_its_depth(finger):
 
 
 FINGERTIPS = {
+    "torus": (cs.Torus(0.05, 0.02), (1.0, 0.3)),
     "ellipsoid": (cs.Ellipsoid(0.05, 0.04, 0.03), (1.0, 0.5)),
     "cylinder": (cs.Cylinder(0.04), (1.0, 0.0)),
 }
@@ -340,6 +341,12 @@ def test_a_wrong_push_is_named(push, words):
     table = {"on": "object", "start": 0.1, "stop": 0.2, "force": [0.0, 0.0, 1.0], **push}
     with pytest.raises(cs.SceneError, match=r"'D1', \[drake\]: pushes\[0\]: " + words):
         StationConfig.from_scene(cs.load_scene("D1"), pushes=[table])
+
+
+def test_pushes_that_are_no_list_of_tables_are_named():
+    for wrong in ("often", [1.0], {"on": "object"}):  # the last is [drake.pushes] for [[ ]]
+        with pytest.raises(cs.SceneError, match=r"pushes(\[0\])? = .*: give a (list|table)"):
+            StationConfig.from_scene(cs.load_scene("D1"), pushes=wrong)
 
 
 def test_restarts_fall_together_with_steps_of_the_plant_whatever_floating_point_makes_of_both():
