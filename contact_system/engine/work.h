@@ -231,27 +231,12 @@ static void combine(const double *q, int64_t terms, int64_t rows, const double *
     combine_some(q, terms, 1, f, f_row, start, half, y, y_row);
 }
 
-INLINE void series_some(const double *c, int rows, const double *xi, lanes_t y) {
-  for (int i = 0; i < L; i += WIDE) {
-    const wide_t x = *(const wide_t *)(xi + i), twice = x + x;
-    wide_t before = (wide_t){0} + 1.0, now = x, sum[3];
-    UNROLL for (int r = 0; r < rows; r++) sum[r] = c[r * TERMS] + c[r * TERMS + 1] * x;
-    for (int k = 2; k < TERMS; k++) {
-      const wide_t next = twice * now - before;
-      before = now, now = next;
-      UNROLL for (int r = 0; r < rows; r++) sum[r] += c[r * TERMS + k] * now;
-    }
-    UNROLL for (int r = 0; r < rows; r++) *(wide_t *)(y[r] + i) = sum[r];
-  }
-}
-
 /* Rows of a panel's series at places xi in [-1, 1] */
 static void series_at(const double *c, int64_t rows, const double *xi, lanes_t y) {
-  for (; rows >= 3; rows -= 3, c += 3 * TERMS, y += 3) series_some(c, 3, xi, y);
-  if (rows == 2)
-    series_some(c, 2, xi, y);
-  else if (rows == 1)
-    series_some(c, 1, xi, y);
+  double t[TERMS][L]; /* Chebyshev polynomials */
+  for (int i = 0; i < L; i++) t[0][i] = 1.0, t[1][i] = xi[i];
+  for (int k = 2; k < TERMS; k++) SIMD for (int i = 0; i < L; i++) t[k][i] = 2.0 * xi[i] * t[k - 1][i] - t[k - 2][i];
+  combine(t[0], TERMS, rows, c, TERMS, NULL, 1.0, y[0], L);
 }
 
 /* In eight sums whatever the vectors' width: the same to the last bit on all processors */
