@@ -25,7 +25,7 @@ static lanes_t principal(const path_t *p, const double *x) {
   if (k->kind == CIRCLE)
     circle_at(k, p->body, x, 6, u->r);
   else
-    panels_at(&k->panels, k->row, 6, x, &hint, u->r);
+    panels_at(&k->panels, 0, 6, x, &hint, u->r);
   memset(u->r + 6, 0, 2 * sizeof *u->r);
   return run(u);
 }

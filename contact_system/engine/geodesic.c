@@ -18,7 +18,7 @@ typedef struct {
 } lines_t;
 
 static void rates_of(lines_t *g, lanes_t y, lanes_t out) {
-  memcpy(g->rates.r, y, (size_t)g->rows * sizeof *y);
+  copy_rows(g->rates.r, y, g->rows);
   lanes_t found = run(&g->rates);
   for (int r = 0; r < g->rows; r++) SIMD for (int i = 0; i < L; i++) out[r][i] = g->length[i] * found[r][i];
 }
@@ -49,7 +49,7 @@ static void find_units(lines_t *g) {
   if (g->how->restore)
     for (int r = 0; r < 6; r++) fill_lanes(g->unit[r], r < 3 ? size : 1.0);
   else {
-    memcpy(g->lame.r, g->y, (size_t)g->state * sizeof *g->y);
+    copy_rows(g->lame.r, g->y, g->state);
     lanes_t found = run(&g->lame);
     for (int r = 0; r < 2; r++)
       for (int i = 0; i < L; i++) g->unit[r][i] = size / fmax(found[r][i], 1e-2 * size);
@@ -82,10 +82,10 @@ static void try_step(lines_t *g, double h, double *error) {
 /* x p q J J' M M' of g->y */
 static void show(lines_t *g) {
   const int known = g->how->restore ? 6 : 0;
-  if (known) memcpy(g->shown, g->y, 6 * sizeof *g->y);
-  memcpy(g->frame.r, g->y, (size_t)g->state * sizeof *g->y);
-  memcpy(g->shown + known, run(&g->frame), (size_t)(9 - known) * sizeof *g->y);
-  memcpy(g->shown + 9, g->y + g->state, sizeof g->y[0] * FIELDS);
+  copy_rows(g->shown, g->y, known);
+  copy_rows(g->frame.r, g->y, g->state);
+  copy_rows(g->shown + known, run(&g->frame), 9 - known);
+  copy_rows(g->shown + 9, g->y + g->state, FIELDS);
 }
 
 /* x and J at the parts of the length within a step, by Hermite's cubics */
@@ -141,12 +141,12 @@ static void follow(lines_t *g, int64_t m, int64_t n, int count, double *path, in
       h = fmin(g->how->first / longest, 1.0), fresh = 1;
       continue;
     }
-    memcpy(g->y, g->next, sizeof g->y);
+    copy_rows(g->y, g->next, g->rows);
     if (g->how->restore) {
-      memcpy(g->restore.r, g->y, 6 * sizeof *g->y);
-      memcpy(g->y, run(&g->restore), 6 * sizeof *g->y);
+      copy_rows(g->restore.r, g->y, 6);
+      copy_rows(g->y, run(&g->restore), 6);
     }
-    memcpy(g->before, g->shown, sizeof g->shown);
+    copy_rows(g->before, g->shown, SHOWN);
     show(g);
     if (path) sample(g, tau, h, m, n, count, path);
     tau = last ? 1.0 : tau + h;

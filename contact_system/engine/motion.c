@@ -12,27 +12,31 @@ static const double FALL = 4.5;      /* the same in a first panel at a tolerance
 enum { SWEEPS = 40 };
 enum { MANY = 4096 }; /* panels from one look at how many more it will take to the next */
 
-typedef struct motion motion_t;
-struct motion {
-  int64_t n, n_stiff;
-  void (*rates)(work_t *, motion_t *, lanes_t x, const double *sigma, const double *decay,
-                lanes_t f);
-  void (*restore)(work_t *, motion_t *, double *state); /* back onto the surfaces; NULL: nothing */
+/* One body on its way, or without a body the integral that slip costs. Where accelerations act the
+   body's state is followed by W_1 of the finger, or by V of the object. */
+typedef struct {
+  int64_t n;
   const drive_t *drive;
   int by_length, stops;
   double length, first, reach;
   double tolerance, slip, finish; /* slip: |V|, 0 without; it is let go where |V| decay <= finish */
   double state[MAX_STATES], scale[MAX_STATES]; /* errors are measured in 1/scale */
   /* what `rates` reads */
-  const body_t *body[2];
-  int ambient[2], pushed, offsets;
-  const double *r0; /* the contact's own: tables know their constants by the address */
-  double w[2], v[2], disturbance[6];
-  int64_t object_row; /* where the object's state begins */
+  const contact_t *contact;
+  const body_t *body;
+  int side, ambient, forced;
+  const track_t *finger; /* of a forced object whose finger is accelerated */
+  double w[2], v[2], push[2], offset[2];
   /* what came out */
   panels_t panels;
   double reached, released; /* released: -1 unless slip was let go */
-};
+} motion_t;
+
+/* what is known beforehand at the nodes of a panel */
+typedef struct {
+  double sigma[L], decay[L], lam[L], inverse[L][L];
+  double w2[2][L], pushed[2][L]; /* W_2; the finger's acceleration, in its parallel frame */
+} nodes_t;
 
 static unit_t *table_of(work_t *w, int side, int ambient, int table, const body_t *b) {
   unit_t *u = &w->body[side][ambient][table];
@@ -72,95 +76,76 @@ static lanes_t to_parallel(work_t *w, int side, int ambient, const body_t *b, la
                            const double *d) {
   unit_t *u = table_of(w, side, ambient, ambient ? A_VECTOR : C_VECTOR, b);
   const int n = state_size(ambient);
-  memcpy(u->r, state, (size_t)n * sizeof *state);
+  copy_rows(u->r, state, n);
   fill_lanes(u->r[n], d[0]), fill_lanes(u->r[n + 1], d[1]);
   return run(u);
 }
 
-/* A body's moving frame when its contact point is driven by c */
-static void moved(work_t *w, int side, int ambient, const body_t *b, lanes_t state, lanes_t c,
-                  lanes_t out) {
-  unit_t *u = table_of(w, side, ambient, ambient ? A_MOTION : C_MOTION, b);
-  const int n = state_size(ambient);
-  memcpy(u->r, state, (size_t)n * sizeof *state);
-  memcpy(u->r + n, c, 2 * sizeof *c);
-  memcpy(out, run(u), (size_t)n * sizeof *out);
-}
+/* whether the last two states are V, with the stiff term -lam V */
+static int has_v(const motion_t *m) { return m->forced && m->side; }
 
-/* One body: c = sigma (W - V decay), and what a rate offset adds */
-static void driven_rates(work_t *w, motion_t *m, lanes_t x, const double *sigma,
-                         const double *decay, lanes_t f) {
-  double c[2][L];
-  const int side = m->body[1] != NULL, ambient = m->ambient[side];
-  const body_t *b = m->body[side];
-  for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) c[a][i] = sigma[i] * (m->w[a] - m->v[a] * decay[i]);
-  if (m->offsets) {
-    lanes_t d = to_parallel(w, side, ambient, b, x, m->disturbance + 4);
-    for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) c[a][i] += d[a][i];
+static int any(const double *d) { return d[0] != 0.0 || d[1] != 0.0; }
+
+/* W_2 of an object under accelerations, and the finger's acceleration, at times t */
+static void follow_finger(work_t *w, const motion_t *m, const double *t, nodes_t *at) {
+  const double *r = m->contact->r0;
+  const track_t *k = m->finger;
+  double x[MAX_STATES][L], (*w1)[L] = x + state_size(k ? k->ambient : 0);
+  for (int a = 0; a < 2; a++) fill_lanes(at->pushed[a], 0.0);
+  if (k) {
+    int64_t hint = 0;
+    panels_at(&k->panels, 0, k->panels.rows, t, &hint, x);
+    const body_t *b = &m->contact->body[0];
+    copy_rows(at->pushed, to_parallel(w, 0, k->ambient, b, x, k->push), 2);
   }
-  moved(w, side, ambient, b, x, c, f);
-}
-
-/* A contact under accelerations: [finger, W_1], object, V. V' lacks -lam V, see `sweep`. */
-static void forced_rates(work_t *w, motion_t *m, lanes_t x, const double *sigma, const double *decay,
-                         lanes_t f) {
-  (void)decay;
-  const double *r = m->r0;
-  lanes_t own = x + m->object_row, v = x + m->n - 2;
-  double c[2][L], w1[2][L];
-  unit_t *u = pair_table(w, T_PUSHED, r);
-  memset(u->r + 1, 0, 4 * sizeof *u->r);
-  memcpy(u->r[0], sigma, sizeof *u->r);
   for (int a = 0; a < 2; a++)
-    if (m->pushed)
-      memcpy(w1[a], x[m->object_row - 2 + a], sizeof *w1);
+    if (k) SIMD for (int i = 0; i < L; i++) at->w2[a][i] = r[2 * a] * w1[0][i] + r[2 * a + 1] * w1[1][i];
     else
-      fill_lanes(w1[a], m->w[a]);
-  if (m->pushed) {
-    for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) c[a][i] = sigma[i] * w1[a][i];
-    moved(w, 0, m->ambient[0], m->body[0], x, c, f);
-    lanes_t d = to_parallel(w, 0, m->ambient[0], m->body[0], x, m->disturbance);
-    memcpy(u->r + 1, d, 2 * sizeof *d);
+      fill_lanes(at->w2[a], m->w[a]);
+}
+
+/* c = sigma (W - V), and what a rate offset adds, moves the body; accelerations change W_1 and V. V'
+   lacks -lam V, see `sweep`. */
+static void rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x, lanes_t f) {
+  const double *sigma = at->sigma;
+  if (!m->body) {
+    SIMD for (int i = 0; i < L; i++) f[0][i] = sigma[i] * at->decay[i];
+    return;
   }
-  for (int a = 0; a < 2; a++)
-    SIMD for (int i = 0; i < L; i++)
-      c[a][i] = sigma[i] * (r[2 * a] * w1[0][i] + r[2 * a + 1] * w1[1][i] - v[a][i]);
-  const double *d2 = m->disturbance + 2;
-  if (d2[0] != 0 || d2[1] != 0) {
-    lanes_t d = to_parallel(w, 1, m->ambient[1], m->body[1], own, d2);
-    memcpy(u->r + 3, d, 2 * sizeof *d);
+  const int n = state_size(m->ambient);
+  unit_t *u = table_of(w, m->side, m->ambient, m->ambient ? A_MOTION : C_MOTION, m->body);
+  lanes_t own = x + n, c = u->r + n; /* W_1 of a finger or V of an object under accelerations */
+  for (int a = 0; a < 2; a++) {
+    if (!m->forced)
+      SIMD for (int i = 0; i < L; i++) c[a][i] = sigma[i] * (m->w[a] - m->v[a] * at->decay[i]);
+    else if (has_v(m))
+      SIMD for (int i = 0; i < L; i++) c[a][i] = sigma[i] * (at->w2[a][i] - own[a][i]);
+    else
+      SIMD for (int i = 0; i < L; i++) c[a][i] = sigma[i] * own[a][i];
   }
-  if (m->offsets) {
-    lanes_t d = to_parallel(w, 1, m->ambient[1], m->body[1], own, m->disturbance + 4);
+  if (any(m->offset)) {
+    lanes_t d = to_parallel(w, m->side, m->ambient, m->body, x, m->offset);
     for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) c[a][i] += d[a][i];
   }
-  moved(w, 1, m->ambient[1], m->body[1], own, c, f + m->object_row);
-  lanes_t grown = run(u);
-  if (m->pushed) memcpy(f + m->object_row - 2, grown, 2 * sizeof *grown);
-  memcpy(f + m->n - 2, grown + 2, 2 * sizeof *grown);
+  copy_rows(u->r, x, n);
+  copy_rows(f, run(u), n);
+  if (!m->forced) return;
+  u = pair_table(w, T_PUSHED, m->contact->r0);
+  lanes_t in = u->r + 1; /* accelerations of finger and object */
+  copy_rows(u->r, &at->sigma, 1);
+  for (int r = 0; r < 4; r++) fill_lanes(in[r], 0.0);
+  if (m->side) copy_rows(in, at->pushed, 2);
+  if (any(m->push))
+    copy_rows(in + 2 * m->side, to_parallel(w, m->side, m->ambient, m->body, x, m->push), 2);
+  copy_rows(f + n, run(u) + 2 * m->side, 2);
 }
 
-/* What slip costs on a developable body: g' = sigma decay */
-static void quadrature_rates(work_t *w, motion_t *m, lanes_t x, const double *sigma,
-                             const double *decay, lanes_t f) {
-  (void)w, (void)m, (void)x;
-  SIMD for (int i = 0; i < L; i++) f[0][i] = sigma[i] * decay[i];
-}
-
-static void restore_body(work_t *w, const body_t *b, double *state) {
-  double found[6];
-  run_one(w, b->surface->ambient[A_RESTORE], b->numbers, state, found);
-  memcpy(state, found, sizeof found);
-}
-
-static void restore_driven(work_t *w, motion_t *m, double *state) {
-  const int side = m->body[1] != NULL;
-  if (m->ambient[side]) restore_body(w, m->body[side], state);
-}
-
-static void restore_forced(work_t *w, motion_t *m, double *state) {
-  if (m->pushed && m->ambient[0]) restore_body(w, m->body[0], state);
-  if (m->ambient[1]) restore_body(w, m->body[1], state + m->object_row);
+/* (x, p) back onto the surface; on lanes, as a compiled twin is faster than `run_one` */
+static void restore_body(work_t *w, int side, const body_t *b, double *state) {
+  unit_t *u = table_of(w, side, 1, A_RESTORE, b);
+  for (int j = 0; j < 6; j++) fill_lanes(u->r[j], state[j]);
+  lanes_t found = run(u);
+  for (int j = 0; j < 6; j++) state[j] = found[j][0];
 }
 
 /* 1/(size of each state): positions count by the body's size, angles and directions by 1. */
@@ -205,21 +190,13 @@ static double shared(double h, double left) {
   return left < 1.03 * h ? left : 0.5 * left; /* 1.03: the tail that is expected stays in tolerance */
 }
 
-/* inverse of I + h/2 Q diag(lam), transposed: by Gauss and Jordan in place, with row pivots */
-static int implicit(const double *lam, double half, double (*a)[L]) {
-  int pivot[L];
+/* Inverse of I + h/2 Q diag(lam), transposed, by Gauss and Jordan in place. In the nodes' order no
+   pivots are needed: solutions are right to 3e-14 for gains from 1e-3 to 1e14 per panel that vary by
+   10^24 in it, while exchanging rows left 1e-5. */
+static void invert_implicit(const double *lam, double half, double (*a)[L]) {
   for (int i = 0; i < L; i++)
     for (int j = 0; j < L; j++) a[i][j] = half * lam[i] * gauss_integral[i * L + j] + (i == j);
   for (int k = 0; k < L; k++) {
-    int p = k;
-    for (int i = k + 1; i < L; i++)
-      if (fabs(a[i][k]) > fabs(a[p][k])) p = i;
-    if (a[p][k] == 0.0 || !isfinite(a[p][k])) return 1;
-    pivot[k] = p;
-    for (int j = 0; j < L && p != k; j++) {
-      const double t = a[k][j];
-      a[k][j] = a[p][j], a[p][j] = t;
-    }
     const double scale = 1.0 / a[k][k];
     double row[L];
     SIMD for (int j = 0; j < L; j++) row[j] = scale * a[k][j];
@@ -231,12 +208,6 @@ static int implicit(const double *lam, double half, double (*a)[L]) {
     memcpy(a[k], row, sizeof row);
     a[k][k] = scale;
   }
-  for (int k = L - 1; k >= 0; k--)
-    for (int i = 0; i < L && pivot[k] != k; i++) {
-      const double t = a[i][k];
-      a[i][k] = a[i][pivot[k]], a[i][pivot[k]] = t;
-    }
-  return 0;
 }
 
 /* The values at the nodes of a panel `ratio` times as long as a known series, from its end (1) or
@@ -248,15 +219,17 @@ static void continued(const double *series, int64_t rows, double ratio, double f
 }
 
 /* One sweep: f at the nodes, then x = start + h/2 Q f (V: the implicit form). Returns the change. */
-static double sweep(work_t *w, motion_t *m, double half, const double *sigma, const double *decay,
-                    const double *lam, double (*inverse)[L], lanes_t x, lanes_t f) {
-  double y[MAX_STATES][L], g[L], worst[L] = {0}, change = 0.0, none = 0.0;
-  m->rates(w, m, x, sigma, decay, f);
+static double sweep(work_t *w, const motion_t *m, double half, const nodes_t *at, lanes_t x,
+                    lanes_t f) {
+  double y[MAX_STATES][L], g[L], change = 0.0, none = 0.0;
+  rates(w, m, at, x, f);
   combine(gauss_integral, L, m->n, f[0], L, m->state, half, y[0], L);
-  for (int64_t s = m->n - m->n_stiff; s < m->n; s++) {
-    combine(inverse[0], L, 1, y[s], L, NULL, 1.0, g, L);
-    SIMD for (int i = 0; i < L; i++) y[s][i] = g[i], f[s][i] -= lam[i] * g[i];
+  for (int64_t s = m->n - 2; s < m->n && has_v(m); s++) {
+    combine(at->inverse[0], L, 1, y[s], L, NULL, 1.0, g, L);
+    SIMD for (int i = 0; i < L; i++) y[s][i] = g[i], f[s][i] -= at->lam[i] * g[i];
   }
+  double worst[L];
+  fill_lanes(worst, 0.0);
   for (int64_t s = 0; s < m->n; s++) {
     const double scale = m->scale[s];
     SIMD for (int i = 0; i < L; i++) {
@@ -278,15 +251,15 @@ static int hopeless(const motion_t *m, double half, lanes_t f) {
 }
 
 /* Sweeps until x holds still. Returns 0 where they do not converge. */
-static int converge(work_t *w, motion_t *m, double half, const double *sigma, const double *decay,
-                    const double *lam, double (*inverse)[L], lanes_t x, lanes_t f) {
+static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at, lanes_t x,
+                    lanes_t f) {
   double last = HUGE_VAL;
   for (int k = 0; k < SWEEPS; k++) {
-    const double change = sweep(w, m, half, sigma, decay, lam, inverse, x, f);
+    const double change = sweep(w, m, half, at, x, f);
     /* Sweeps converge ever faster: the next changes less than this one by what this did. A first
        one tells nothing of that where it is large, as a continued series was far off; nor of what is
        stiff, as all that was wrong is gone at one stroke. */
-    const int tells = k > 1 || (last < 0.01 && !m->n_stiff);
+    const int tells = k > 1 || (last < 0.01 && !has_v(m));
     const double next = tells && change < 0.3 * last ? change * (change / last) : change;
     if (next <= 1e-2 * m->tolerance || change <= 4e-16) return 1;
     if (k > 6 && change <= 1e-13 && change > 0.25 * last) return 1;
@@ -298,7 +271,7 @@ static int converge(work_t *w, motion_t *m, double half, const double *sigma, co
 }
 
 /* The series of a converged panel and the state at its end; returns the error. */
-static double close_panel(work_t *w, motion_t *m, double half, lanes_t x, lanes_t f, double *out,
+static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, lanes_t f, double *out,
                           double *end) {
   double error = 0.0, reached[MAX_STATES];
   combine(gauss_series, L, m->n, f[0], L, NULL, half, out, TERMS);
@@ -306,11 +279,11 @@ static double close_panel(work_t *w, motion_t *m, double half, lanes_t x, lanes_
     double *o = out + r * TERMS;
     o[L] = half * dot(gauss_top, f[r]), o[0] += m->state[r];
     error = fmax(error, TAIL * fmax(fabs(o[L]), 0.1 * fabs(o[L - 1])) * m->scale[r]);
-    reached[r] = r >= m->n - m->n_stiff ? dot(gauss_last, x[r])
+    reached[r] = has_v(m) && r >= m->n - 2 ? dot(gauss_last, x[r])
                                         : m->state[r] + half * dot(gauss_weight, f[r]);
   }
   memcpy(end, reached, (size_t)m->n * sizeof *reached);
-  if (m->restore) m->restore(w, m, end);
+  if (m->body && m->ambient) restore_body(w, m->side, m->body, end);
   /* what must be put back tells of the panel's error too */
   double back = 0.0, none = 0.0; /* fmax drops a NaN */
   for (int64_t r = 0; r < m->n; r++) {
@@ -321,24 +294,28 @@ static double close_panel(work_t *w, motion_t *m, double half, lanes_t x, lanes_
   return back > 1e-13 ? fmax(error, 0.1 * back) : error;
 }
 
-/* One panel from s->tau: its series to `out`, m->state to its end. Returns 1; 0: refused, s->h is
-   what to try next; -1: no solution. */
+/* One panel from s->tau: its series to `out`, m->state to its end. Returns 0 where it is refused:
+   s->h is what to try next. */
 static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
   const double tau = s->tau, left = m->length - tau;
   double after = tau + longest(m, tau, s->h < left ? s->h : left, STEEPEST);
   if (after >= m->length * (1 - 1e-14)) after = m->length;
   const double span = after - tau, half = 0.5 * span;
-  double t[L], sigma[L], decay[L] = {0}, lam[L], inverse[L][L];
-  double x[MAX_STATES][L], f[MAX_STATES][L], end[MAX_STATES];
+  double t[L], x[MAX_STATES][L], f[MAX_STATES][L], end[MAX_STATES];
+  nodes_t at;
   for (int i = 0; i < L; i++) t[i] = tau + half * (1.0 + gauss_node[i]);
   if (m->by_length)
-    fill_lanes(sigma, 1.0);
+    fill_lanes(at.sigma, 1.0);
   else
-    horners(m->drive->sigma, m->drive->n_sigma, t, sigma);
-  if (m->slip > 0) decays(m->drive, t, sigma, decay);
-  if (m->n_stiff) {
-    for (int i = 0; i < L; i++) lam[i] = gain_at(m->drive, t[i]);
-    if (implicit(lam, half, inverse)) return -1;
+    horners(m->drive->sigma, m->drive->n_sigma, t, at.sigma);
+  if (m->slip > 0)
+    decays(m->drive, t, at.sigma, at.decay);
+  else
+    fill_lanes(at.decay, 0.0);
+  if (has_v(m)) {
+    follow_finger(w, m, t, &at);
+    for (int i = 0; i < L; i++) at.lam[i] = gain_at(m->drive, t[i]);
+    invert_implicit(at.lam, half, at.inverse);
   }
   /* sweeps start from the last panel's series (28 % fewer of them), or from that of the longer panel
      that was refused */
@@ -346,7 +323,7 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
     continued(s->before, m->n, span / s->span, s->begins ? -1.0 : 1.0, x);
   else
     for (int64_t r = 0; r < m->n; r++) fill_lanes(x[r], m->state[r]);
-  if (!converge(w, m, half, sigma, decay, lam, inverse, x, f)) {
+  if (!converge(w, m, half, &at, x, f)) {
     if (s->begins) s->before = NULL;
     s->h = 0.35 * span;
     return 0;
@@ -389,7 +366,7 @@ static _Noreturn void fail_motion(work_t *w, const motion_t *m, const step_t *s,
   const int this = w->spent - w->begun > w->most;
   e->spent = w->spent, e->most = this ? w->spent - w->begun : w->most;
   e->greediest = this ? e->contact : w->greediest;
-  e->by_length = m->by_length, e->pushed = m->n_stiff > 0;
+  e->by_length = m->by_length, e->pushed = m->forced;
   e->value = m->by_length ? 1.0 : sigma_at(m->drive, s->tau);
   fail(w, code);
 }
@@ -419,16 +396,14 @@ static void integrate(work_t *w, motion_t *m, double tolerance) {
     const int64_t before = s.before ? s.before - w->series : -1;
     make_room(w, count + 1, m->n);
     if (before >= 0) s.before = w->series + before;
-    const int made = panel(w, m, &s, w->series + count * m->n * TERMS);
-    if (made < 0) fail_motion(w, m, &s, STUCK, count);
-    if (!made) continue;
+    if (!panel(w, m, &s, w->series + count * m->n * TERMS)) continue;
     w->edges[++count] = s.tau;
     if (m->slip > 0 && m->finish > 0 && s.tau < m->length &&
         m->slip * decay_at(m->drive, s.tau) <= m->finish) {
       m->released = s.tau;
       if (m->stops) break;
       m->slip = 0.0; /* from here on decay is not evaluated, nor resolved */
-      s.h = first;
+      s.h = fmax(s.h, first);
     }
   }
   m->reached = s.tau;

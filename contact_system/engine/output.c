@@ -22,7 +22,7 @@ static void state_at(const track_t *k, const body_t *b, const double *tau, const
   else if (k->kind == LINE)
     line_at(k, b, tau, 0, hint, state);
   else
-    panels_at(&k->panels, k->row, rows, x, hint, state);
+    panels_at(&k->panels, 0, rows, x, hint, state);
 }
 
 static void track_state(work_t *w, int side, const body_t *b, const track_t *k, double t,
@@ -37,10 +37,10 @@ static void track_state(work_t *w, int side, const body_t *b, const track_t *k, 
 }
 
 /* W_1 and V where accelerations change them, else as they are: rows of panels, or numbers */
-static void path_velocity(const panels_t *p, int64_t row, const double *constant, const double *tau,
-                          int64_t *hint, lanes_t out) {
-  if (row >= 0)
-    panels_at(p, row, 2, tau, hint, out);
+static void path_velocity(rows_t rows, const double *constant, const double *tau, int64_t *hint,
+                          lanes_t out) {
+  if (rows.panels)
+    panels_at(rows.panels, rows.row, 2, tau, hint, out);
   else
     for (int a = 0; a < 2; a++) fill_lanes(out[a], constant[a]);
 }
@@ -82,10 +82,10 @@ static void drive_velocity(const contact_t *c, int side, const track_t *k, pace_
   }
   const double nothing[2] = {0.0, 0.0}, *r = c->r0;
   /* W_1 is a row of the panels, or c->w of the track is W itself */
-  path_velocity(&k->panels, k->w_row, k->w, p->tau, hint, w1);
-  path_velocity(&k->panels, k->v_row, nothing, p->tau, hint, v);
+  path_velocity(k->w1_rows, k->w, p->tau, hint, w1);
+  path_velocity(k->v_rows, nothing, p->tau, hint, v);
   for (int a = 0; a < 2; a++) {
-    const int turns = side && k->w_row >= 0;
+    const int turns = side && k->w1_rows.panels;
     const double x = turns ? r[2 * a] : a == 0, y = turns ? r[2 * a + 1] : a == 1;
     SIMD for (int i = 0; i < L; i++) out[a][i] = sigma[i] * (x * w1[0][i] + y * w1[1][i] - v[a][i]);
   }
@@ -183,8 +183,8 @@ static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, 
 static void sample_slip(sample_t *m) {
   const slip_t *s = m->slip;
   const double *tau = m->pace->tau, *sigma = m->pace->sigma;
-  path_velocity(&s->panels, s->w_row, s->w1, tau, &m->hint, m->w1);
-  path_velocity(&s->panels, s->v_row, s->v, tau, &m->hint, m->v);
+  path_velocity(s->w1_rows, s->w1, tau, &m->hint, m->w1);
+  path_velocity(s->v_rows, s->v, tau, &m->hint, m->v);
   if (s->slips && !s->forced) {
     const double *decay = decay_of(m->pace);
     for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) m->v[a][i] *= decay[i];
@@ -476,8 +476,8 @@ static void moment_of(work_t *w, contact_t *c, double t, double *out) {
   WHICH(c->slips, c->n_slips, t, record);
   const slip_t *s = c->slips + record;
   fill_lanes(tau, t - s->start);
-  path_velocity(&s->panels, s->w_row, s->w1, tau, &hint, w1);
-  path_velocity(&s->panels, s->v_row, s->v, tau, &hint, v);
+  path_velocity(s->w1_rows, s->w1, tau, &hint, w1);
+  path_velocity(s->v_rows, s->v, tau, &hint, v);
   const double left = s->slips && !s->forced ? decay_at(s->drive, tau[0]) : 1.0;
   out[M_ANGLE] = c->angle;
   for (int a = 0; a < 2; a++) out[M_W1 + a] = w1[a][0], out[M_V + a] = v[a][0] * left;
@@ -495,7 +495,7 @@ static void moment_of(work_t *w, contact_t *c, double t, double *out) {
       memcpy(frame, state, sizeof state);
     else
       to_space(w, b, state, frame);
-    restore_body(w, b, frame);
+    restore_body(w, side, b, frame);
   }
 }
 
@@ -507,7 +507,7 @@ enum { SEARCH = L }; /* parts of a panel between which a search looks */
 static void regularity(work_t *w, int side, const body_t *b, const track_t *k, int64_t panel,
                        const double *xi, lanes_t place, double *out) {
   unit_t *u = table_of(w, side, 0, C_LAME, b);
-  series_at(k->panels.series + (panel * k->panels.rows + k->row) * TERMS, 3, xi, place);
+  series_at(k->panels.series + panel * k->panels.rows * TERMS, 3, xi, place);
   memcpy(u->r, place, 3 * sizeof *place);
   memcpy(out, run(u)[2], L * sizeof *out);
 }

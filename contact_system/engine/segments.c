@@ -40,16 +40,14 @@ static int in_space(const surface_t *s, int disturbed) {
   return moves_in_space(s) && !(disturbed && s->double_cover);
 }
 
-static int any(const double *d) { return d[0] != 0.0 || d[1] != 0.0; }
-
 static double norm(const double *d) { return hypot(d[0], d[1]); }
 
 static track_t *add_track(course_t *c, int side, const drive_t *d, double stop, int reason) {
   track_t *k = &c->c->tracks[side][c->c->n_tracks[side]++];
   memset(k, 0, sizeof *k);
   k->drive = d, k->start = d->start, k->stop = stop, k->reason = reason;
-  k->released = NAN, k->w_row = k->v_row = -1;
-  k->ambient = c->ambient[side];
+  k->released = NAN, k->ambient = c->ambient[side];
+  memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   return k;
 }
 
@@ -80,7 +78,7 @@ static const double *state_of(course_t *c, int side) {
     to_space(c->w, b, state, c->state[side]);
   else
     memcpy(c->state[side], state, sizeof state);
-  if (c->ambient[side]) restore_body(c->w, b, c->state[side]);
+  if (c->ambient[side]) restore_body(c->w, side, b, c->state[side]);
   c->n_passed[side] = n;
   return c->state[side];
 }
@@ -95,40 +93,59 @@ static void in_form(course_t *c, int side, int ambient, double *state) {
     place_at(c->w, c->c, side, c->c->n_tracks[side] - 1, HUGE_VAL, state);
 }
 
-/* ---- geodesics ---- */
+/* ---- integrated tracks ---- */
 
-static void fail_on(course_t *c, int side) { c->w->failure->side = side; }
+/* A body from where it stands, in the form that a disturbance allows */
+static motion_t motion_of(course_t *c, int side, const drive_t *d, int disturbed) {
+  const body_t *b = &c->c->body[side];
+  motion_t m = {.side = side, .body = b, .contact = c->c, .drive = d, .reach = b->reach};
+  m.length = d->stop - d->start;
+  m.ambient = in_space(b->surface, disturbed), m.n = state_size(m.ambient);
+  in_form(c, side, m.ambient, m.state);
+  scales(c->w, m.ambient, b, m.state, m.scale);
+  memcpy(m.w, side ? c->w2 : c->w1, sizeof m.w);
+  return m;
+}
 
 /* A path goes through a singular point of its chart where |f_u| or |f_v| falls to 0: the equations
    are smooth there, and the contact frame turns over. Looked for where nobody knows where a chart
    is regular, between places in equal parts of the panels. */
 static void require_regular(course_t *c, int side, const track_t *k);
 
+/* Integrates a motion and makes it a track, which ends at `stop` or where the motion does. */
+static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
+  c->w->failure->side = m->side;
+  integrate(c->w, m, c->w->plan->tolerance);
+  if (m->reached < m->length) stop = m->drive->start + m->reached;
+  track_t *k = add_track(c, m->side, m->drive, stop, reason);
+  k->kind = PANELS, k->panels = kept_panels(c->w, m);
+  k->ambient = m->ambient, k->by_length = m->by_length, k->forced = m->forced;
+  memcpy(k->v, m->v, sizeof k->v), memcpy(k->push, m->push, sizeof k->push);
+  memcpy(k->offset, m->offset, sizeof k->offset);
+  k->slips = any(k->v), k->offsets = any(k->offset);
+  if (m->released >= 0) k->released = m->drive->start + m->released;
+  require_regular(c, m->side, k);
+  return k;
+}
+
+/* ---- geodesics ---- */
+
 static void geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
   const body_t *b = &c->c->body[side];
-  const double *state = state_of(c, side);
-  track_t *k = add_track(c, side, drive, stop, reason);
-  memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
   /* that rolling follows the object's curve as a geodesic is to come out, not to be put in */
   const int closed = c->follows && side == 0 ? NO_CLOSED_FORM : b->surface->closed;
-  if (closed == GREAT_CIRCLES) {
-    lay_circle(c->w, b, state, k);
-  } else if (closed == DEVELOPABLE) {
-    lay_line(c->w, b, state, k);
-  } else {
-    motion_t m = {.n = state_size(k->ambient), .rates = driven_rates, .restore = restore_driven};
-    /* where sigma touches zero at a window's edge an interval may be rounding long */
-    const double length = fmax(length_at(k->drive, stop - k->start), 1e-300), speed = norm(k->w);
-    m.drive = k->drive, m.by_length = 1, m.length = length;
-    m.first = speed > 0 ? fmin(FIRST * b->bend / speed, 4.0 * length) : 4.0 * length;
-    m.reach = b->reach, m.body[side] = b, m.ambient[side] = k->ambient;
-    memcpy(m.w, k->w, sizeof m.w), memcpy(m.state, state, sizeof c->state[side]);
-    scales(c->w, k->ambient, b, m.state, m.scale);
-    fail_on(c, side);
-    integrate(c->w, &m, c->w->plan->tolerance);
-    k->kind = PANELS, k->by_length = 1, k->panels = kept_panels(c->w, &m);
-    require_regular(c, side, k);
+  if (closed != NO_CLOSED_FORM) {
+    const double *state = state_of(c, side);
+    track_t *k = add_track(c, side, drive, stop, reason);
+    (closed == GREAT_CIRCLES ? lay_circle : lay_line)(c->w, b, state, k);
+    return;
   }
+  motion_t m = motion_of(c, side, drive, 0);
+  const double speed = norm(m.w);
+  /* where sigma touches zero at a window's edge an interval may be rounding long */
+  m.by_length = 1, m.length = fmax(length_at(drive, stop - drive->start), 1e-300);
+  m.first = speed > 0 ? fmin(FIRST * b->bend / speed, 4.0 * m.length) : 4.0 * m.length;
+  add_motion(c, &m, stop, reason);
 }
 
 /* ---- slip and rate offsets ---- */
@@ -136,7 +153,7 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
 static slip_t *add_slip(course_t *c, const drive_t *d) {
   slip_t *s = &c->c->slips[c->c->n_slips++];
   memset(s, 0, sizeof *s);
-  s->start = d->start, s->stop = d->stop, s->drive = d, s->w_row = s->v_row = -1;
+  s->start = d->start, s->stop = d->stop, s->drive = d;
   memcpy(s->w1, c->w1, sizeof s->w1), memcpy(s->v, c->v, sizeof s->v);
   s->slips = any(c->v);
   return s;
@@ -157,7 +174,7 @@ static double first_panel(const drive_t *d, double span, double bend) {
 
 /* g(t) = int sigma exp(-L), right to rounding whatever the tolerance */
 static panels_t slip_length(course_t *c, const drive_t *d) {
-  motion_t m = {.n = 1, .rates = quadrature_rates, .drive = d, .length = d->stop - d->start};
+  motion_t m = {.n = 1, .drive = d, .length = d->stop - d->start};
   m.first = 4.0 * m.length, m.slip = 1.0, m.reach = HUGE_VAL;
   m.scale[0] = 1.0 / fmax(length_at(d, m.length), 1e-300);
   integrate(c->w, &m, 1e-3); /* how large g is */
@@ -169,8 +186,7 @@ static panels_t slip_length(course_t *c, const drive_t *d) {
 static void line(course_t *c, const drive_t *d, const double *offset, int matters, int reason) {
   const double *state = state_of(c, 1);
   track_t *k = add_track(c, 1, d, d->stop, reason);
-  memcpy(k->w, c->w2, sizeof k->w), memcpy(k->v, c->v, sizeof k->v);
-  memcpy(k->offset, offset, sizeof k->offset);
+  memcpy(k->v, c->v, sizeof k->v), memcpy(k->offset, offset, sizeof k->offset);
   k->slips = any(c->v), k->offsets = any(offset);
   if (matters)
     k->panels = slip_length(c, d); /* else what is left of slip shows in the rates alone */
@@ -181,31 +197,16 @@ static void line(course_t *c, const drive_t *d, const double *offset, int matter
    the contact by less than the tolerance is left out of the integration, never out of the rates. */
 static double driven(course_t *c, const drive_t *d, const double *offset, double negligible) {
   const body_t *b = &c->c->body[1];
-  const double span = d->stop - d->start, tolerance = c->w->plan->tolerance;
-  motion_t m = {.rates = driven_rates, .restore = restore_driven, .drive = d, .length = span};
-  m.ambient[1] = in_space(b->surface, any(offset));
-  m.n = state_size(m.ambient[1]), m.body[1] = b, m.offsets = any(offset);
-  in_form(c, 1, m.ambient[1], m.state);
-  memcpy(m.w, c->w2, sizeof m.w), memcpy(m.v, c->v, sizeof m.v);
-  memcpy(m.disturbance + 4, offset, 2 * sizeof *offset);
-  m.stops = !m.offsets && length_at(d, span) > LONG_REST * b->size;
+  const double tolerance = c->w->plan->tolerance;
+  const int offsets = any(offset);
+  motion_t m = motion_of(c, 1, d, offsets);
+  memcpy(m.v, c->v, sizeof m.v), memcpy(m.offset, offset, sizeof m.offset);
+  m.stops = !offsets && length_at(d, m.length) > LONG_REST * b->size;
   const double finish = (m.stops ? fmin(negligible, RATE_LEFT) : negligible) * tolerance;
-  m.finish = m.offsets ? 0.0 : finish;
+  m.finish = offsets ? 0.0 : finish;
   m.slip = norm(c->v) > m.finish ? norm(c->v) : 0.0;
-  m.first = first_panel(d, span, b->bend), m.reach = b->reach;
-  scales(c->w, m.ambient[1], b, m.state, m.scale);
-  fail_on(c, 1);
-  integrate(c->w, &m, tolerance);
-  const int reason = m.offsets ? (any(c->v) ? OFFSET_AND_SLIP : OFFSET) : SLIPS;
-  const double stop = m.reached < span ? d->start + m.reached : d->stop;
-  track_t *k = add_track(c, 1, d, stop, reason);
-  k->kind = PANELS, k->ambient = m.ambient[1], k->panels = kept_panels(c->w, &m);
-  memcpy(k->w, c->w2, sizeof k->w), memcpy(k->v, c->v, sizeof k->v);
-  memcpy(k->offset, offset, sizeof k->offset);
-  k->slips = any(c->v), k->offsets = m.offsets;
-  if (m.released >= 0) k->released = d->start + m.released;
-  require_regular(c, 1, k);
-  return stop;
+  m.first = first_panel(d, m.length, b->bend);
+  return add_motion(c, &m, d->stop, offsets ? (any(c->v) ? OFFSET_AND_SLIP : OFFSET) : SLIPS)->stop;
 }
 
 /* The object on a segment on which nothing accelerates; `stop`: the end of the run of such segments
@@ -245,56 +246,44 @@ static void go_along(course_t *c, const double *w1) {
   for (int a = 0; a < 2; a++) c->w2[a] = r[2 * a] * w1[0] + r[2 * a + 1] * w1[1];
 }
 
+/* A body under accelerations, and the two states after its own, errors of which are measured in
+   1/scale */
+static motion_t forced_motion(course_t *c, int side, const segment_t *s, const double *more,
+                              double scale) {
+  const drive_t *d = s->drive;
+  const double *push = s->acting + 2 * side, *offset = s->acting + 4;
+  motion_t m = motion_of(c, side, d, any(push) || (side && any(offset)));
+  for (int a = 0; a < 2; a++) m.state[m.n + a] = more[a], m.scale[m.n + a] = scale;
+  m.n += 2, m.forced = 1, m.first = first_panel(d, m.length, m.body->bend);
+  memcpy(m.push, push, sizeof m.push);
+  if (side) memcpy(m.offset, offset, sizeof m.offset);
+  return m;
+}
+
+/* First the finger, if it is accelerated, with its W_1, then the object with V */
 static void forced(course_t *c, const segment_t *segment) {
   const drive_t *d = segment->drive;
-  const double *act = segment->acting, span = d->stop - d->start;
-  const body_t *tip = &c->c->body[0], *obj = &c->c->body[1];
-  motion_t m = {.rates = forced_rates, .restore = restore_forced, .drive = d, .length = span};
-  m.n_stiff = 2, m.slip = 1.0, m.pushed = any(act), m.offsets = any(act + 4);
-  m.ambient[0] = in_space(tip->surface, m.pushed);
-  m.ambient[1] = in_space(obj->surface, any(act + 2) || m.offsets);
-  const int n1 = m.pushed ? state_size(m.ambient[0]) : 0, n2 = state_size(m.ambient[1]);
-  m.object_row = m.pushed ? n1 + 2 : 0, m.n = m.object_row + n2 + 2;
-  m.body[0] = tip, m.body[1] = obj;
-  memcpy(m.w, c->w1, sizeof m.w), m.r0 = c->c->r0;
-  memcpy(m.disturbance, act, sizeof m.disturbance);
-  /* slip that the accelerations can bring about is to be right to tolerance */
-  const double push = fmax(fmax(fabs(act[0]), fabs(act[1])) * tip->size,
-                           fmax(fabs(act[2]), fabs(act[3])) * obj->size);
-  const double grown = fmax(push / fmax(d->least, 1e-300) * fmin(span, d->memory), 1e-3);
-  const double slip = fmin(fmax(norm(c->v), grown), 1.0);
-  if (m.pushed) {
-    in_form(c, 0, m.ambient[0], m.state);
-    scales(c->w, m.ambient[0], tip, m.state, m.scale);
-    memcpy(m.state + n1, c->w1, sizeof c->w1);
-    m.scale[n1] = m.scale[n1 + 1] = 1.0;
-  }
-  double own[6];
-  in_form(c, 1, m.ambient[1], own);
-  memcpy(m.state + m.object_row, own, (size_t)n2 * sizeof *own);
-  scales(c->w, m.ambient[1], obj, own, m.scale + m.object_row);
-  memcpy(m.state + m.n - 2, c->v, sizeof c->v);
-  m.scale[m.n - 2] = m.scale[m.n - 1] = 1.0 / slip;
-  m.first = first_panel(d, span, fmin(tip->bend, obj->bend));
-  m.reach = fmin(tip->reach, obj->reach);
-  fail_on(c, 1);
-  integrate(c->w, &m, c->w->plan->tolerance);
-
-  const panels_t panels = kept_panels(c->w, &m);
-  const int64_t w_row = m.pushed ? n1 : -1;
+  const double *act = segment->acting;
+  const track_t *finger = NULL;
   slip_t *s = add_slip(c, d);
-  s->slips = s->forced = s->accelerated = 1, s->pushed = m.pushed;
-  s->panels = panels, s->w_row = w_row, s->v_row = m.n - 2;
+  s->slips = s->forced = s->accelerated = 1;
   memcpy(s->accelerations, act, sizeof s->accelerations);
-  for (int side = m.pushed ? 0 : 1; side < 2; side++) {
-    track_t *k = add_track(c, side, d, d->stop, PUSHED);
-    k->kind = PANELS, k->forced = 1, k->ambient = m.ambient[side], k->panels = panels;
-    k->row = side ? m.object_row : 0, k->w_row = w_row, k->v_row = side ? m.n - 2 : -1;
-    memcpy(k->w, side ? c->w2 : c->w1, sizeof k->w);
-    if (side) memcpy(k->offset, act + 4, sizeof k->offset), k->offsets = m.offsets;
-    require_regular(c, side, k);
+  if (any(act)) {
+    motion_t m = forced_motion(c, 0, segment, c->w1, 1.0);
+    track_t *k = add_motion(c, &m, d->stop, PUSHED);
+    s->w1_rows = k->w1_rows = (rows_t){&k->panels, m.n - 2};
+    finger = k;
+    go_along(c, m.state + m.n - 2);
   }
-  if (m.pushed) go_along(c, m.state + n1);
+  /* slip that the accelerations can bring about is to be right to tolerance */
+  double push = 0.0;
+  for (int k = 0; k < 4; k++) push = fmax(push, fabs(act[k]) * c->c->body[k / 2].size);
+  const double grown =
+      fmax(push / fmax(d->least, 1e-300) * fmin(d->stop - d->start, d->memory), 1e-3);
+  motion_t m = forced_motion(c, 1, segment, c->v, 1.0 / fmin(fmax(norm(c->v), grown), 1.0));
+  m.slip = 1.0, m.finger = finger;
+  track_t *k = add_motion(c, &m, d->stop, PUSHED);
+  k->w1_rows = s->w1_rows, s->v_rows = k->v_rows = (rows_t){&k->panels, m.n - 2};
   memcpy(c->v, m.state + m.n - 2, sizeof c->v);
 }
 
@@ -350,7 +339,7 @@ static void begin(course_t *c) {
       memcpy(c->state[side], c->c->place[side], sizeof c->c->place[side]);
     } else if ((int64_t)row[K_FRAMES] & (1 << side)) {
       memcpy(c->state[side], row + (side ? K_FRAME_2 : K_FRAME_1), sizeof c->state[side]);
-      restore_body(c->w, b, c->state[side]);
+      restore_body(c->w, side, b, c->state[side]);
     } else {
       to_space(c->w, b, c->c->place[side], c->state[side]);
     }

@@ -32,16 +32,23 @@ typedef struct {
   const double *edges, *series;
 } panels_t;
 
+/* two rows of a motion; none: panels is NULL */
+typedef struct {
+  const panels_t *panels;
+  int64_t row;
+} rows_t;
+
 /* One body on one interval. Its drive is sigma (w - v decay) in the parallel frame; of a contact
    under accelerations, W_1 and V are rows of the panels. */
 typedef struct {
   double start, stop, released;
-  int64_t kind, ambient, by_length, forced, reason;
+  int64_t kind, by_length, forced, reason;
+  int ambient;
   const drive_t *drive;
-  double w[2], v[2], offset[2];
+  double w[2], v[2], push[2], offset[2];
   int slips, offsets;
-  panels_t panels;
-  int64_t row, w_row, v_row; /* of the state, W_1 and V; -1: none */
+  panels_t panels; /* of the state, and of W_1 or V after it */
+  rows_t w1_rows, v_rows;
   /* great circles: x0, unit velocity along, and the frame against it */
   double at[3], along[3], across[3], lean[2], rate;
   /* lines in a developed chart: begin + along s - aside g + offset tau */
@@ -59,9 +66,8 @@ typedef struct {
   double start, stop;
   const drive_t *drive;
   double v[2], w1[2], accelerations[4];
-  int slips, forced, pushed, accelerated; /* pushed: W_1 is in the panels; forced: V is */
-  panels_t panels;
-  int64_t w_row, v_row;
+  int slips, forced, accelerated; /* forced: V is in panels */
+  rows_t w1_rows, v_rows;
 } slip_t;
 
 typedef struct {
@@ -85,7 +91,7 @@ struct plan {
   work_t *kept; /* of `look` */
 };
 
-enum { MAX_STATES = 16, TERMS = L + 1 };
+enum { MAX_STATES = 8, TERMS = L + 1 };
 
 struct work {
   jmp_buf jump;
@@ -193,20 +199,9 @@ static double decay_at(const drive_t *d, double tau) {
 
 /* ---- series ---- */
 
-/* numbers side by side in a register: the vector extension of GCC and Clang */
-#if defined(__AVX__)
-enum { WIDE = 4 };
-#else
-enum { WIDE = 2 };
-#endif
-typedef double wide_t __attribute__((vector_size(8 * WIDE), aligned(8), may_alias));
-#define INLINE static inline __attribute__((always_inline))
-#define UNROLL _Pragma("GCC unroll 16")
-enum { PARTS = L / WIDE };
-
 INLINE void combine_some(const double *q, int64_t terms, int rows, const double *f, int64_t f_row,
                          const double *start, double half, double *y, int64_t y_row) {
-  wide_t sum[3][PARTS];
+  wide_t sum[2][PARTS];
   UNROLL for (int r = 0; r < rows; r++) UNROLL for (int p = 0; p < PARTS; p++) sum[r][p] = (wide_t){0};
   for (int64_t j = 0; j < terms; j++) {
     UNROLL for (int p = 0; p < PARTS; p++) {
@@ -218,40 +213,23 @@ INLINE void combine_some(const double *q, int64_t terms, int rows, const double 
     *(wide_t *)(y + r * y_row + p * WIDE) = (start ? start[r] : 0.0) + half * sum[r][p];
 }
 
-/* y[r] = start[r] + half sum_j f[r][j] q[j], q[terms][L]; start may be NULL */
+/* y[r] = start[r] + half sum_j f[r][j] q[j], q[terms][L]; start may be NULL. By pairs of rows, for
+   which sums and a row of q fit into 16 registers. */
 static void combine(const double *q, int64_t terms, int64_t rows, const double *f, int64_t f_row,
                     const double *start, double half, double *y, int64_t y_row) {
-  for (; rows >= 3; rows -= 3) {
-    combine_some(q, terms, 3, f, f_row, start, half, y, y_row);
-    f += 3 * f_row, y += 3 * y_row, start = start ? start + 3 : start;
-  }
-  if (rows == 2)
+  for (; rows >= 2; rows -= 2) {
     combine_some(q, terms, 2, f, f_row, start, half, y, y_row);
-  else if (rows == 1)
-    combine_some(q, terms, 1, f, f_row, start, half, y, y_row);
-}
-
-INLINE void series_some(const double *c, int rows, const double *xi, lanes_t y) {
-  for (int i = 0; i < L; i += WIDE) {
-    const wide_t x = *(const wide_t *)(xi + i), twice = x + x;
-    wide_t before = (wide_t){0} + 1.0, now = x, sum[3];
-    UNROLL for (int r = 0; r < rows; r++) sum[r] = c[r * TERMS] + c[r * TERMS + 1] * x;
-    for (int k = 2; k < TERMS; k++) {
-      const wide_t next = twice * now - before;
-      before = now, now = next;
-      UNROLL for (int r = 0; r < rows; r++) sum[r] += c[r * TERMS + k] * now;
-    }
-    UNROLL for (int r = 0; r < rows; r++) *(wide_t *)(y[r] + i) = sum[r];
+    f += 2 * f_row, y += 2 * y_row, start = start ? start + 2 : start;
   }
+  if (rows) combine_some(q, terms, 1, f, f_row, start, half, y, y_row);
 }
 
 /* Rows of a panel's series at places xi in [-1, 1] */
 static void series_at(const double *c, int64_t rows, const double *xi, lanes_t y) {
-  for (; rows >= 3; rows -= 3, c += 3 * TERMS, y += 3) series_some(c, 3, xi, y);
-  if (rows == 2)
-    series_some(c, 2, xi, y);
-  else if (rows == 1)
-    series_some(c, 1, xi, y);
+  double t[TERMS][L]; /* Chebyshev polynomials */
+  for (int i = 0; i < L; i++) t[0][i] = 1.0, t[1][i] = xi[i];
+  for (int k = 2; k < TERMS; k++) SIMD for (int i = 0; i < L; i++) t[k][i] = 2.0 * xi[i] * t[k - 1][i] - t[k - 2][i];
+  combine(t[0], TERMS, rows, c, TERMS, NULL, 1.0, y[0], L);
 }
 
 /* In eight sums whatever the vectors' width: the same to the last bit on all processors */
