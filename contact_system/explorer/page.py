@@ -41,8 +41,7 @@ except ImportError:
 
 HOST = "127.0.0.1"  # this machine only, as the page can write files
 SAMPLES = 401
-# of meshes in each coordinate; without a GPU each triangle takes 10 us
-CELLS, FINGER_CELLS = 32, 16
+CELLS, FINGER_CELLS = 32, 16  # of meshes in each coordinate; finer ones look alike
 LINES = 4  # every fourth line of a mesh is drawn
 # of the object's size: width of lines, error of curves, depth of lines below curves, and of bodies
 # below lines
