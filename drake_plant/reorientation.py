@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import SpatialInertia
+from pydrake.systems.framework import DiagramBuilder
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-from contact_system import Ellipsoid, Goal, Scene, SceneError, reach
+from contact_system import Ellipsoid, Goal, Scene, SceneError, Sphere, reach
 from contact_system import plan as make_plan
 from contact_system.checks import naming
 
@@ -22,6 +23,7 @@ from .balance import balancing_forces, friction_used, needed_wrench
 from .config import StationConfig
 from .hand import Hand
 from .hand_kinematics import Chains
+from .plant import AddScenePlant
 from .pressing import rolling_scene
 
 Array = NDArray[np.float64]
@@ -277,7 +279,7 @@ def _completed(
     normals, arms = (
         np.einsum("mij,mnj->mni", R, part) for part in (-found[..., 25:28], points[:, :, 1])
     )
-    inertia = object_inertia(scene, config.object_mass)
+    inertia = object_inertia(given, config)
     down = np.array([0, 0, -config.gravity])
     wrench = needed_wrench(config.object_mass, inertia, down, R, V[:, :3], A[:, :3], A[:, 3:])
     wanted = [np.einsum("mij,mj->mi", R, part) for part in wrench]
@@ -352,11 +354,17 @@ def _refuse_pads(scene: Scene, hand: Hand, t: Array, points: Array) -> None:
             )
 
 
-def object_inertia(scene: Scene, mass: float) -> Array:
-    """About the origin of a homogeneous solid, (3, 3), kg m^2."""
-    obj = scene.object
-    axes = (obj.a, obj.b, obj.c) if isinstance(obj, Ellipsoid) else 3 * (obj.size,)
-    inertia = SpatialInertia.SolidEllipsoidWithMass(mass, *axes)
+def object_inertia(scene: Scene, config: StationConfig) -> Array:
+    """About the origin, of the homogeneous solid that a plant has as object, (3, 3), kg m^2."""
+    obj, mass = scene.object, config.object_mass
+    if isinstance(obj, Ellipsoid):
+        inertia = SpatialInertia.SolidEllipsoidWithMass(mass, obj.a, obj.b, obj.c)
+    elif isinstance(obj, Sphere):
+        inertia = SpatialInertia.SolidSphereWithMass(mass, obj.radius)
+    else:  # a mesh tells, which takes half a second
+        inertia = AddScenePlant(
+            DiagramBuilder(), scene, config
+        ).object_body.default_spatial_inertia()
     return inertia.CalcRotationalInertia().CopyToFullMatrix3()
 
 

@@ -37,6 +37,14 @@ def test_fingers_of_a_plan_roll_and_press_as_the_object_needs(name):
     assert (plan.q >= plan.chains.lower).all() and (plan.q <= plan.chains.upper).all()
 
 
+def test_an_object_by_its_equation_is_carried_as_the_ellipsoid_that_it_is():
+    scene = cs.load_scene("H3")
+    config, obj = StationConfig.from_scene(scene), scene.object
+    same = scene.replace(object=cs.Quadric(np.diag(np.square([obj.a, obj.b, obj.c]) ** -1)))
+    found, wanted = (plan_reorientation(config.hand, s, config=config) for s in (same, scene))
+    np.testing.assert_allclose(found.forces, wanted.forces, rtol=0, atol=1e-7)
+
+
 def test_fingers_of_six_joints_follow_routes_of_reach():
     scene = cs.load_scene("H5")
     plan = plan_reorientation(StationConfig.from_scene(scene).hand, scene)
