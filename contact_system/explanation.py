@@ -163,8 +163,9 @@ def passed(name: str, surface: Surface, place: tuple[float, float]) -> ContactSy
 
 def _stuck(scene: Scene, name: str, failure: Failure) -> ContactSystemError:
     why = _accelerated_at_rest(scene, failure) or (
-        "the path reaches a singular point of its chart or its surface, or moves too fast for "
-        "double precision; start elsewhere, change the direction or end the scene before"
+        "the path reaches a singular point of its chart or its surface, or it is so fast, or so "
+        "far from the body's origin, that rounding exceeds the tolerance; start elsewhere, change "
+        "the direction, end the scene before or give a greater tolerance"
     )
     return ContactSystemError(
         f"{name}: the motion cannot be continued past {_variable(failure)} {failure.t:.9g}: {why}"

@@ -190,7 +190,7 @@ def test_a_window_may_be_as_short_as_it_likes(length):
 # Closed geodesics along a chart line: start, direction, the state that grows, the radius.
 
 
-OPEN = ("plane", "bumps", "one sheet", "two sheets", "elliptic cylinder")
+OPEN = ("plane", "bumps", "one sheet", "two sheets")
 CLOSED = [name for name in SURFACES if name not in OPEN]
 
 
@@ -288,6 +288,13 @@ def test_quadric_that_is_a_rounded_sphere_is_planned_as_the_sphere(object_veloci
     for ask in ("states", "points", "twist"):
         t = np.linspace(0, 2, 9)
         assert getattr(found, ask)(t) == pytest.approx(getattr(truth, ask)(t), abs=1e-13)
+
+
+def test_cylinder_with_turned_axes_is_right_hundreds_of_sizes_along_it():
+    bodies = SURFACES["elliptic cylinder"][0], cs.Quadric(np.diag([100.0, 40.0, 0.0]))
+    scenes = [alone(body, (0.4, 0.1), (0.0, 3.2, -0.4), 8.0) for body in bodies]
+    found, truth = (cs.plan(scene, 1e-10).states(range(9))[:, 0, 4:6] for scene in scenes)
+    assert np.abs(truth).max() > 25 and found == pytest.approx(truth, abs=3e-12)
 
 
 # --- edges of windows

@@ -206,12 +206,13 @@ class SecondDegree(Surface):
         raise NotImplementedError
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
-        return (ca.dot(x, self._matrix(p) @ x) - 1) / 2
+        return self.level_geometry(p, x).value
 
     def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
         matrix = self._matrix(p)
         gradient = matrix @ x
-        return Level(self._level(p, x), gradient, matrix, 1 / ca.dot(gradient, gradient))
+        value = (ca.dot(x, gradient) - 1) / 2
+        return Level(value, gradient, matrix, 1 / ca.dot(gradient, gradient))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

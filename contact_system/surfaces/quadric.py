@@ -13,7 +13,7 @@ from ..checks import shaped_array
 from ..errors import SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
-from ..theory.geometry import contact_frame
+from ..theory.geometry import Level, contact_frame
 from .base import store
 from .charts import TURN, Array, Chart, Frame, Pair, hypot
 from .cylinder import RoundCylinderChart
@@ -108,6 +108,8 @@ CHARTS: dict[str, type[Chart]] = {
 """By the signs of the eigenvalues; ellipsoids and equal axes have other charts."""
 IN_TWO = (TwoSheetChart, HyperbolicCylinderChart, OffsetPlaneChart)
 """Charts of surfaces in two pieces; each covers one of them."""
+CYLINDERS = (RoundCylinderChart, EllipticCylinderChart, HyperbolicCylinderChart)
+"""Charts of surfaces with an eigenvalue 0, whose axis is the third."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -191,6 +193,13 @@ class Quadric(SecondDegree):
 
     def _axes(self, p: ca.SX) -> ca.SX:
         return ca.reshape(p[3:12], 3, 3).T
+
+    def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
+        if self.chart in CYLINDERS:
+            # A maps the part of x along the axis to rounding only, which grows with that part
+            axis = self._axes(p)[:, 2]
+            x = x - ca.dot(axis, x) * axis
+        return super().level_geometry(p, x)
 
     def _matrix(self, p: ca.SX) -> ca.SX:
         xx, xy, xz, yy, yz, zz = ca.vertsplit(p[12:18])
