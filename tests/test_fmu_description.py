@@ -33,21 +33,6 @@ SCENES = cs.bundled_scenes()
 # --- the table
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_references_count_the_elements_without_gaps(name):
-    table = variable_table(cs.load_scene(name))
-    scalars = table.scalars()
-    assert [v.reference for v in scalars] == list(range(table.n_values))
-    assert len({v.name for v in scalars}) == len(scalars)
-    sizes = np.array([int(np.prod(row.shape, dtype=int)) for row in table.rows])
-    assert [row.size for row in table.rows] == sizes.tolist()
-    assert [row.reference for row in table.rows] == (np.cumsum(sizes) - sizes).tolist()
-    names = {v.reference: v.name for v in scalars}
-    rates = [v for v in scalars if v.derivative is not None]
-    assert [v.derivative for v in rates] == table.states
-    assert all(v.name == f"der({names[v.derivative]})" for v in rates)
-
-
 def test_names_and_start_values_are_those_that_were_promised():
     scene = cs.load_scene("K4")
     table = variable_table(scene, "chart")
