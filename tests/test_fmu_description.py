@@ -232,22 +232,6 @@ def test_names_become_identifiers_and_are_escaped_for_xml(written):
     assert "\ufffdb" in terminal.get("description")
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"fmi_version": "1.0"},
-        {"interfaces": ()},
-        {"interfaces": ("Scheduled",)},
-        {"interfaces": ("CoSimulation", "CoSimulation")},
-        {"interfaces": "CoSimulation"},
-        {"interfaces": None},
-    ],
-)
-def test_what_there_is_not_is_refused(options):
-    with pytest.raises(cs.ContactSystemError, match=r"use one of|give a list of one or both"):
-        model_description(variable_table(C2), **options)
-
-
 @of_versions
 def test_a_slave_says_what_it_can_do(version):
     with in_process(K1, version) as planner:
