@@ -151,17 +151,16 @@ def test_a_fingertip_of_any_kind_rolls_on_the_surface_at_its_depth(finger):
     assert np.abs(on_finger - outside).max() < 1e-5
 
 
-FINGERTIPS = {
-    "torus": (cs.Torus(0.05, 0.02), (1.0, 0.3)),
-    "ellipsoid": (cs.Ellipsoid(0.05, 0.04, 0.03), (1.0, 0.5)),
-    "cylinder": (cs.Cylinder(0.04), (1.0, 0.0)),
-}
-
-
-@pytest.mark.parametrize("name", FINGERTIPS)
-def test_fingertips_that_are_no_spheres_press_with_one_newton_and_roll(name):
+@pytest.mark.parametrize(
+    ("finger", "at"),
+    [
+        (cs.Torus(0.05, 0.02), (1.0, 0.3)),
+        (cs.Ellipsoid(0.05, 0.04, 0.03), (1.0, 0.5)),
+        (cs.Cylinder(0.04), (1.0, 0.0)),
+    ],
+)
+def test_fingertips_that_are_no_spheres_press_with_one_newton_and_roll(finger, at):
     """The normal force passes their mass centres by."""
-    finger, at = FINGERTIPS[name]
     contact, profile = cs.Contact(finger, (1.0, 0.2), at), cs.Profile([0.15])
     scene = cs.Scene(object=cs.Sphere(0.1), contacts=[contact], profile=profile, duration=0.6)
     result = simulate(scene, StationConfig.from_scene(scene, coordinates="frame"))
@@ -611,9 +610,7 @@ def test_yaml_and_the_drake_table_have_the_same_keys():
         ({"time_step": "1e-3"}, "time_step = '1e-3': give a finite number"),
         ({"friction": True}, "friction = True: give a finite number"),
         ({"velocity_gain": np.nan}, "velocity_gain = nan: give a finite number not below 0"),
-        ({"spin_gain": -1}, "spin_gain = -1: .* not below 0"),
         ({"coordinates": ["chart"]}, "coordinates = .*: use one of chart, frame"),
-        ({"disturbance_input": "no"}, "disturbance_input = 'no': give True or False"),
         (
             {"restart_period": 0.0015},
             "restart_period = 0.0015: .* time_step = 0.001; give restart_period = 0.002",

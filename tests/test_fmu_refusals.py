@@ -102,16 +102,6 @@ def test_a_start_without_a_contact_frame_is_refused(kind, version):
 
 
 @of_blocks
-def test_whole_turns_of_a_start_do_not_matter(kind, version):
-    turned = {"contact[1].finger.u": K4.contacts[0].finger_at[0] + 2 * math.pi}
-    charts = {"states": "chart"}
-    found, expected = (Instance(K4, kind, version, **charts).begin(start=x) for x in (turned, {}))
-    for one in (found, expected):
-        one.step(1.5)
-    close(found.states(), expected.states(), 1e-13)
-
-
-@of_blocks
 def test_a_measured_pose_without_a_contact_is_discarded(kind, version):
     one, other = (Instance(K4, kind, version, measured="pose").begin() for _ in range(2))
     for block in (one, other):

@@ -90,16 +90,6 @@ except KeyboardInterrupt:
     print(first())
 """
 
-IMPORT = """
-print("ready", flush=True)
-try:
-    import contact_system
-except BaseException:
-    pass  # Python itself may make another error of it, or lose it
-signal.signal(signal.SIGINT, signal.SIG_IGN)
-print(*all_answers())
-"""
-
 ENDLESS = """
 import contact_system as cs
 
@@ -174,12 +164,6 @@ def test_ctrl_c_stops_a_users_endless_function_and_the_next_plan_is_right():
 )
 def test_ctrl_c_stops_a_first_plan_and_the_next_is_right(kind, seconds):
     assert ended(CTRL_C, kind, interrupt=seconds) == ended(f"print(answer({kind}(0.2)))")
-
-
-@windows
-@pytest.mark.parametrize("seconds", [0.01, 0.04])
-def test_after_ctrl_c_in_import_plans_are_right(seconds):
-    assert ended(IMPORT, interrupt=seconds) == ended("print(*all_answers())")
 
 
 @windows
