@@ -526,16 +526,6 @@ def test_event_mode_shows_values_after_the_edge_before_the_update(obj, kind):
     close(one.states(), plan.states(0.7)[0])
 
 
-@of_kinds
-def test_event_mode_of_fmpy_gives_the_same_motion(kind):
-    options = {"use_event_mode": True, "early_return_allowed": True, "output_interval": 0.3}
-    slave = {"event_mode": True, "early_return": True}
-    result = simulated(SCENES["K4"], kind, "3.0", slave, **options)
-    assert {1.0, 2.0} <= set(result["time"])
-    times = np.minimum(result["time"], 4.0)
-    close(simulated_states(result, 3), cs.plan(SCENES["K4"], 1e-14).states(times))
-
-
 # --- derivatives
 
 
