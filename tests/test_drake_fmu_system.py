@@ -633,29 +633,6 @@ def test_the_exported_planner_moves_as_the_planner_in_the_same_diagram(
         assert np.abs(found - planned)[:, first:].max() <= 1e-9
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-def test_a_planner_that_cannot_go_on_says_why(tmp_path, version):
-    scene = cs.load_scene("K1").replace(profile=cs.Profile([0.1, -0.15]), duration=0.5)
-    system = FmuSystem(export_fmu(scene, tmp_path / "slowing.fmu", version), step=0.25)
-    with pytest.raises(cs.ContactSystemError, match="t = 0.5 s.*sigma is negative from"):
-        Simulator(system).AdvanceTo(1.0)
-
-
-def test_a_planner_goes_back_to_a_saved_context(exported):
-    scene, files = exported
-    system = FmuSystem(files["3.0"], step=0.01, outputs=state_names(scene))
-    simulator = Simulator(system)
-    simulator.AdvanceTo(0.12)  # inside the window
-    saved = simulator.get_context().Clone()
-    simulator.AdvanceTo(0.4)
-    again = Simulator(system, saved)
-    again.AdvanceTo(0.4)
-    pair = [values(system, s.get_context(), "y") for s in (simulator, again)]
-    assert pair[0].tolist() == pair[1].tolist()
-    plan = cs.plan(scene, 1e-13).states(0.4)[0].ravel()
-    assert np.abs(pair[0] - plan).max() < 1e-9
-
-
 def test_without_fmpy_the_error_says_what_to_install_and_all_else_is_there(monkeypatch):
     monkeypatch.setitem(sys.modules, "fmpy", None)
     monkeypatch.delitem(sys.modules, "drake_plant.fmu_system")

@@ -5,13 +5,11 @@ import math
 
 import numpy as np
 import pytest
-from numpy.polynomial import polynomial
 
 pytest.importorskip("pydrake")
 
 from conftest import SURFACES
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 from scipy.integrate import quad
@@ -128,29 +126,19 @@ def test_force_between_spheres_is_the_integral_of_pressure_in_all_orientations(s
     assert np.mean(faces) < 45
 
 
-@pytest.mark.parametrize(
-    "obj", [cs.Ellipsoid(0.12, 0.1, 0.08), cs.Cylinder(0.1)], ids=["ellipsoid", "cylinder"]
-)
-def test_default_meshes_give_the_force_of_fine_ones(obj):
-    scene = rolling(obj)
-    fine = World(scene, finger_edge=1.7e-3, object_edge=2.2e-3)
-    expected = np.linalg.norm(fine.pressed()[0], axis=-1)
-    forces, faces, _ = World(scene).pressed()
-    ratio = np.linalg.norm(forces, axis=-1) / expected
-    assert ratio.mean() == pytest.approx(1, abs=0.01)  # the bar is 2 %
-    assert ratio.std() < 0.02
-    assert faces.mean() < 45
-
-
 @pytest.mark.parametrize("name", SURFACES)
 def test_one_newton_at_a_fifth_of_a_millimetre_on_every_kind_of_object(name):
     surface, at = SURFACES[name]
     world = World(rolling(surface, cs.Sphere(0.02), at, length=0.01))
-    lower, force, upper = (
-        np.linalg.norm(world.pressed(depth, count=8)[0], axis=-1).mean()
-        for depth in (0.95 * DEPTH, DEPTH, 1.05 * DEPTH)
+    forces, faces, normals = world.pressed(count=8)
+    force = np.linalg.norm(forces, axis=-1)
+    assert force.mean() == pytest.approx(1, rel=0.03) and force.std() < 0.025
+    assert faces.mean() < 55
+    assert np.linalg.norm(forces / force[..., None] + normals, axis=-1).mean() < 4e-3
+    lower, upper = (
+        np.linalg.norm(world.pressed(factor * DEPTH, count=8)[0], axis=-1).mean()
+        for factor in (0.95, 1.05)
     )
-    assert force == pytest.approx(1, rel=0.03)
     assert (upper - lower) / (0.1 * DEPTH) == pytest.approx(1e4, rel=0.05)
 
 
@@ -185,12 +173,6 @@ def test_another_stiffness_and_force_set_the_depth():
     assert forces.mean() == pytest.approx(2, rel=0.02)
     point = StationConfig(contact_model="point", **changes)
     assert contact_depth(point) == pytest.approx(4e-4)
-
-
-def test_contact_pushes_along_an_ellipsoids_normal():
-    forces, _, normals = World(rolling(cs.Ellipsoid(0.12, 0.1, 0.08))).pressed()
-    inward = -forces / np.linalg.norm(forces, axis=-1, keepdims=True)
-    assert np.linalg.norm(inward - normals, axis=-1).mean() < 3e-3
 
 
 def test_a_plane_pushes_along_its_normal_wherever_the_finger_goes():
@@ -270,21 +252,6 @@ def test_a_ring_has_the_inertia_of_a_torus():
     assert moments == pytest.approx([across, across, axial], rel=5e-3)
 
 
-def test_a_turning_object_is_where_the_scene_says_at_every_step():
-    scene = cs.load_scene("C1")
-    world = World(scene, object="turning", time_step=1e-3)
-    world.place(world.parts.finger_bodies[0], RigidTransform([9.0, 0, 0]))
-    simulator = Simulator(world.diagram, world.root)
-    for t in (0.2, 0.5, 0.9):
-        simulator.AdvanceTo(t - 1e-4)  # the step begun at t - 1 ms has been taken
-        found = world.plant.EvalBodyPoseInWorld(world.context, world.parts.object_body)
-        turn = Rotation.from_rotvec(scene.turning.rotation_vector(t)).as_matrix()
-        assert np.abs(found.rotation().matrix() - turn).max() < 1e-7
-        angle = polynomial.polyval(t, scene.turning.angle) * math.sqrt(3)
-        joint = world.plant.GetJointByName("turning")
-        assert joint.get_angle(world.context) == pytest.approx(angle, abs=1e-7)
-
-
 # --- what is refused ---------------------------------------------------------------------------
 
 
@@ -303,9 +270,6 @@ def side_by_side(angle):
         ),
         (rolling(cs.Sphere(0.1)), {"contact_model": "soft"}, "contact_model = 'soft': use one of"),
         (rolling(cs.Sphere(0.1)), {"stiffness": 0}, "stiffness = 0: give a finite number above 0"),
-        (rolling(cs.Sphere(0.1)), {"friction": -0.1}, "friction = -0.1: .* not below 0"),
-        (rolling(cs.Sphere(0.1)), {"gravity": math.nan}, "gravity = nan"),
-        (rolling(cs.Sphere(0.1)), {"friction": True}, "friction = True: give a finite number"),
         (
             rolling(cs.Sphere(0.1)),
             {"stiffness": 1},

@@ -163,11 +163,6 @@ def test_a_process_may_be_forked_and_may_end_while_its_threads_plan(program, sec
 
 
 @windows
-def test_ctrl_c_stops_a_users_endless_function_and_the_next_plan_is_right():
-    assert ended(ENDLESS) == ended("print(*all_answers())")
-
-
-@windows
 @pytest.mark.parametrize(
     ("kind", "seconds"),
     [("bundled", 0.001), ("user", 0.005), ("user", 0.05), ("chart", 0.02), ("chart", 0.1)],
@@ -177,9 +172,13 @@ def test_ctrl_c_stops_a_first_plan_and_the_next_is_right(kind, seconds):
 
 
 @windows
-@pytest.mark.parametrize("seconds", [0.01, 0.04])
-def test_after_ctrl_c_in_import_plans_are_right(seconds):
-    assert ended(IMPORT, interrupt=seconds) == ended("print(*all_answers())")
+@pytest.mark.parametrize(
+    ("program", "seconds"),
+    [(ENDLESS, None), (IMPORT, 0.01), (IMPORT, 0.04)],
+    ids=["a user's endless function", "early in import", "late in import"],
+)
+def test_after_ctrl_c_plans_are_right(program, seconds):
+    assert ended(program, interrupt=seconds) == ended("print(*all_answers())")
 
 
 @windows

@@ -160,19 +160,14 @@ class Instance:
 
 
 def simulated(
-    scene: cs.Scene,
-    kind: str,
-    version: str,
-    slave: dict | None = None,
-    states: str = "auto",
-    **given,
-):
+    scene: cs.Scene, kind: str, version: str, states: str = "auto", **given: Any
+) -> np.ndarray:
     """What `fmpy.simulate_fmu` gives, all outputs and states."""
     scalars = variable_table(scene, states).scalars()
     names = [v.name for v in scalars if v.causality in ("output", "local")]
     given = {"output": names, "relative_tolerance": 1e-10} | given
     if kind == "slave":
-        with in_process(scene, version, **(slave or {})) as ready:
+        with in_process(scene, version) as ready:
             return fmpy.simulate_fmu(**ready, **given)
     fmu = exported(scene, version, states=states)
     given = {"fmi_type": "CoSimulation", "stop_time": scene.duration} | given
