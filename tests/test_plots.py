@@ -40,14 +40,6 @@ def test_points_behind_a_sphere_are_hidden_and_those_before_it_are_not():
     assert np.array_equal(plots.is_hidden(mesh, view, x), x[:, 2] < 0)
 
 
-def test_the_near_side_of_a_ring_hides_the_far_side():
-    plan = cs.plan(_scene(cs.Torus(0.2, 0.05)))
-    mesh = plots.mesh_of(plan, plan.scene.object, 1, [0])
-    view = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # seen from +x
-    ring = np.array([[0.25, 0, 0], [0.15, 0, 0], [-0.15, 0, 0], [-0.25, 0, 0]])
-    assert plots.is_hidden(mesh, view, ring).tolist() == [False, True, True, True]
-
-
 def test_a_hollow_is_seen_from_its_open_side():
     plan = cs.plan(_scene(cs.Sphere(0.2, inside=True), at=(3 * math.pi / 4, 0.0)))
     mesh = plots.mesh_of(plan, plan.scene.object, 1, [0])
@@ -113,12 +105,9 @@ def test_a_picture_that_cannot_be_written_is_refused(tmp_path):
     for name in ("x.txt", "x"):
         with pytest.raises(cs.ContactSystemError, match="unknown ending .*; use .png, .pdf or"):
             plots.plot_slip(plan, tmp_path / name)
-
-
-@pytest.mark.parametrize("dpi", ["x", None, 0, -160, 1e5, np.nan, [160], True])
-def test_what_are_no_dots_an_inch_is_refused(dpi, tmp_path):
-    with pytest.raises(cs.ContactSystemError, match=r"dpi = .*: give a (finite )?number"):
-        plots.plot_slip(cs.plan(cs.load_scene("K1")), tmp_path / "x.png", dpi=dpi)
+    for dpi in ("x", 0, np.nan):
+        with pytest.raises(cs.ContactSystemError, match=r"dpi = .*: give a (finite )?number"):
+            plots.plot_slip(plan, tmp_path / "x.png", dpi=dpi)
     assert not list(tmp_path.iterdir())
 
 
