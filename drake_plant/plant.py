@@ -335,7 +335,7 @@ def _add_object(
     # A welded or turning object may be a surface that bounds no solid; its inertia has no effect.
     inertia = SpatialInertia.SolidSphereWithMass(config.object_mass, surface.size)
     if config.object == "free":
-        inertia = _solid("object", surface, config.object_mass, mesh)
+        inertia = solid_inertia("object", surface, config.object_mass, mesh)
     return _add_body(
         plant,
         "object",
@@ -365,7 +365,7 @@ def _add_finger(
         shape = shape if mesh is None else compliant_mesh(mesh, inner, name)
         hint = surface.size  # Drake asks for one, and ignores it for meshes
         AddCompliantHydroelasticProperties(hint, _modulus(config, touch, inner), properties)
-    inertia = _solid(name, surface, config.finger_mass, mesh)
+    inertia = solid_inertia(name, surface, config.finger_mass, mesh)
     return _add_body(plant, name, inertia, shape, properties, domain, colour)
 
 
@@ -432,7 +432,9 @@ def _material(config: StationConfig) -> ProximityProperties:
     return properties
 
 
-def _solid(name: str, surface: Surface, mass: float, mesh: SurfaceMesh | None) -> SpatialInertia:
+def solid_inertia(
+    name: str, surface: Surface, mass: float, mesh: SurfaceMesh | None = None
+) -> SpatialInertia:
     """Inertia of a homogeneous solid about its mass centre, which is put at the body's origin."""
     if isinstance(surface, Sphere) and not surface.inside:
         return SpatialInertia.SolidSphereWithMass(mass, surface.radius)

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
@@ -23,7 +22,7 @@ from .balance import balancing_forces, friction_used, needed_wrench
 from .config import StationConfig
 from .hand import Hand
 from .hand_kinematics import Chains
-from .plant import AddScenePlant
+from .plant import AddScenePlant, solid_inertia
 from .pressing import rolling_scene
 
 Array = NDArray[np.float64]
@@ -356,11 +355,8 @@ def _refuse_pads(scene: Scene, hand: Hand, t: Array, points: Array) -> None:
 
 def object_inertia(scene: Scene, config: StationConfig) -> Array:
     """About the origin, of the homogeneous solid that a plant has as object, (3, 3), kg m^2."""
-    obj, mass = scene.object, config.object_mass
-    if isinstance(obj, Ellipsoid):
-        inertia = SpatialInertia.SolidEllipsoidWithMass(mass, obj.a, obj.b, obj.c)
-    elif isinstance(obj, Sphere):
-        inertia = SpatialInertia.SolidSphereWithMass(mass, obj.radius)
+    if isinstance(scene.object, (Sphere, Ellipsoid)):
+        inertia = solid_inertia("object", scene.object, config.object_mass)
     else:  # a mesh tells, which takes half a second
         inertia = AddScenePlant(
             DiagramBuilder(), scene, config
