@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from .report import THREADS, Bar, Section, Sections, header, surroundings
 
 TABLE = ("first", "fresh", "many", "work_precision", "accuracy", "stress", "lines")
-PARTS = (*TABLE, "drake_station", "hands", "truth", "fmu", "steering", "explorer")
+PARTS = (*TABLE, "drake", "hands", "truth", "fmu", "steering", "explorer")
 """Modules of this package; each has SECTIONS, name -> function of ``full`` that yields bars."""
 BINDING = ("accuracy", "stress")
 """Parts whose missed bars make the exit code 1."""

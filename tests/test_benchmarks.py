@@ -114,9 +114,9 @@ def test_what_does_not_exist_is_an_error_that_names_what_does(arguments, said, c
 
 
 def test_a_part_whose_package_is_missing_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "benchmarks.drake_station", None)
-    with pytest.raises(SystemExit, match=r'drake_station cannot run: .*pip install "\.\[bench\]"'):
-        main(["drake_station"])
+    monkeypatch.setitem(sys.modules, "benchmarks.drake", None)
+    with pytest.raises(SystemExit, match=r'drake cannot run: .*pip install "\.\[bench\]"'):
+        main(["drake"])
 
 
 def test_a_section_prints_its_bars_and_misses_of_accuracy_make_the_exit_code(monkeypatch, capsys):
