@@ -26,7 +26,7 @@ static lanes_t principal(const path_t *p, const double *x) {
     circle_at(k, p->body, x, 6, u->r);
   else
     panels_at(&k->panels, 0, 6, x, &hint, u->r);
-  memset(u->r + 6, 0, 2 * sizeof *u->r);
+  fill_lanes(u->r[6], 0.0), fill_lanes(u->r[7], 0.0);
   return run(u);
 }
 

@@ -154,10 +154,6 @@ typedef struct {
   int64_t room;
 } unit_t;
 
-static void fill_lanes(double *lanes, double value) {
-  for (int i = 0; i < L; i++) lanes[i] = value;
-}
-
 /* numbers side by side in a register: the vector extension of GCC and Clang */
 #if defined(__AVX__)
 enum { WIDE = 4 };
@@ -169,11 +165,19 @@ typedef double wide_t __attribute__((vector_size(8 * WIDE), aligned(8), may_alia
 #define UNROLL _Pragma("GCC unroll 16")
 enum { PARTS = L / WIDE };
 
-/* Rows of lanes. memcpy() would become `rep movs` in gcc, which is slow for so few. */
+/* gcc would make `rep stos` of a loop and `rep movs` of memcpy(), which are slow for so few numbers
+ */
+static inline void fill_lanes(double *lanes, double value) {
+  const wide_t same = value - (wide_t){0};
+  UNROLL for (int p = 0; p < L; p += WIDE) * (wide_t *)(lanes + p) = same;
+}
+
+static inline void copy_lanes(double *to, const double *from) {
+  UNROLL for (int p = 0; p < L; p += WIDE) * (wide_t *)(to + p) = *(const wide_t *)(from + p);
+}
+
 static inline void copy_rows(lanes_t to, const double (*from)[L], int n) {
-  for (int k = 0; k < n; k++)
-    UNROLL for (int p = 0; p < L; p += WIDE) * (wide_t *)(to[k] + p) =
-        *(const wide_t *)(from[k] + p);
+  for (int k = 0; k < n; k++) copy_lanes(to[k], from[k]);
 }
 
 /* Returns the registers: inputs from r[0] on. */

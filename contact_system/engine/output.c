@@ -5,13 +5,13 @@
 /* Where times are on a track: local time, arc length, or the phase and the revolutions before */
 static void variable(const track_t *k, const body_t *b, const double *tau, double *x,
                      double *turns) {
-  memset(turns, 0, L * sizeof *turns);
+  fill_lanes(turns, 0.0);
   if (k->kind == CIRCLE)
     phases(k, b, tau, x, turns);
   else if (k->by_length)
     horners(k->drive->length, k->drive->n_sigma + 1, tau, x);
   else
-    memcpy(x, tau, L * sizeof *x);
+    copy_lanes(x, tau);
 }
 
 /* The moving frame, (x, p) or (u, v, theta); or its first rows, three at least */
@@ -120,9 +120,9 @@ static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, co
   const body_t *b = &c->body[s];
   unit_t *u = table_of(w, s, (int)k->ambient, k->ambient ? A_COORDINATES : C_COORDINATES, b);
   const int rows = state_size((int)k->ambient);
-  memcpy(u->r, a->state, (size_t)rows * sizeof *a->state);
-  memcpy(u->r + rows, a->velocity, sizeof a->velocity);
-  memcpy(a->coordinates, run(u), sizeof a->coordinates);
+  copy_rows(u->r, a->state, rows);
+  copy_rows(u->r + rows, a->velocity, 2);
+  copy_rows(a->coordinates, run(u), N_COORDINATES);
   if (k->ambient) {
     const path_t p = {w, b, k, s};
     wind_all(&p, x, turns, a->coordinates, n);
@@ -134,17 +134,17 @@ static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, co
 static void find_frame(work_t *w, const contact_t *c, int s, side_t *a, lanes_t state) {
   const int ambient = (int)a->track->ambient;
   unit_t *u = table_of(w, s, ambient, ambient ? A_SECOND : C_FRAME, &c->body[s]);
-  memcpy(u->r, state, (size_t)state_size(ambient) * sizeof *state);
+  copy_rows(u->r, state, state_size(ambient));
   lanes_t found = run(u);
-  if (ambient) memcpy(a->frame, state, 6 * sizeof *state);
-  memcpy(a->frame + (ambient ? 6 : 0), found, (ambient ? 3 : 9) * sizeof *found);
+  if (ambient) copy_rows(a->frame, state, 6);
+  copy_rows(a->frame + (ambient ? 6 : 0), found, ambient ? 3 : 9);
 }
 
 static void find_one(work_t *w, const contact_t *c, int s, side_t *a, int table, lanes_t state,
                      lanes_t out, int rows) {
   unit_t *u = table_of(w, s, (int)a->track->ambient, table, &c->body[s]);
-  memcpy(u->r, state, (size_t)state_size((int)a->track->ambient) * sizeof *state);
-  memcpy(out, run(u), (size_t)rows * sizeof *out);
+  copy_rows(u->r, state, state_size((int)a->track->ambient));
+  copy_rows(out, run(u), rows);
 }
 
 /* One body at the times of its pace, n of L of which are asked for */
@@ -168,12 +168,12 @@ static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, 
   if (needs & NEED_FRAME)
     find_frame(w, c, s, a, state);
   else if (needs & NEED_POINT && k->ambient)
-    memcpy(a->frame, state, 3 * sizeof *state);
+    copy_rows(a->frame, state, 3);
   else if (needs & NEED_POINT)
     find_one(w, c, s, a, C_POINT, state, a->frame, 3);
   if (needs & NEED_SHAPE) find_one(w, c, s, a, k->ambient ? A_SHAPE : C_SHAPE, state, a->shape, 3);
   if (k->offsets) {
-    memcpy(a->offset, to_parallel(w, s, (int)k->ambient, b, a->state, k->offset), sizeof a->offset);
+    copy_rows(a->offset, to_parallel(w, s, (int)k->ambient, b, a->state, k->offset), 2);
     for (int j = 0; j < 2 && needs & NEED_VELOCITY; j++)
       for (int i = 0; i < L; i++) a->velocity[j][i] += a->offset[j][i];
   }
@@ -206,9 +206,9 @@ static int all_zero(lanes_t y) {
 static void turn_to_contact_frame(work_t *w, const sample_t *m, lanes_t y) {
   if (all_zero(y)) return;
   unit_t *u = pair_table(w, T_TURNED, NULL);
-  memcpy(u->r, m->side[1].coordinates + THETA, sizeof *u->r);
-  memcpy(u->r + 1, y, 2 * sizeof *y);
-  memcpy(y, run(u), 2 * sizeof *y);
+  copy_rows(u->r, m->side[1].coordinates + THETA, 1);
+  copy_rows(u->r + 1, y, 2);
+  copy_rows(y, run(u), 2);
 }
 
 /* (sigma'/sigma - lam) v_rel, and what the accelerations add, along (p_2, q_2) */
@@ -216,27 +216,26 @@ static void accelerate(work_t *w, const contact_t *c, sample_t *m, lanes_t out) 
   const slip_t *s = m->slip;
   const int pulls = !all_zero(m->v);
   unit_t *u = pair_table(w, T_ACCELERATION, c->r0);
-  memcpy(u->r, m->pace->sigma, sizeof *u->r);
+  copy_lanes(u->r[0], m->pace->sigma);
   for (int i = 0; i < L; i++) {
     const double tau = m->pace->tau[i];
     u->r[1][i] = pulls ? slope_of(s->drive->sigma, s->drive->n_sigma, tau) : 0.0;
     u->r[2][i] = pulls ? gain_at(s->drive, tau) : 0.0;
   }
-  memcpy(u->r + 3, m->v, sizeof m->v);
-  memset(u->r + 5, 0, 4 * sizeof *u->r);
+  copy_rows(u->r + 3, m->v, 2);
+  for (int r = 5; r < 9; r++) fill_lanes(u->r[r], 0.0);
   for (int k = 0; k < 2 && s->accelerated; k++) {
     const double *d = s->accelerations + 2 * k;
     const side_t *a = &m->side[k];
     if (!any(d)) continue;
     lanes_t found = to_parallel(w, k, (int)a->track->ambient, &c->body[k], (lanes_t)a->state, d);
-    memcpy(u->r + 5 + 2 * k, found, 2 * sizeof *found);
+    copy_rows(u->r + 5 + 2 * k, found, 2);
   }
-  memcpy(out, run(u), 2 * sizeof *out);
+  copy_rows(out, run(u), 2);
 }
 
 static void fill_pair(unit_t *u, const sample_t *m) {
-  memcpy(u->r, m->side[0].frame, sizeof m->side[0].frame);
-  memcpy(u->r + 9, m->side[1].frame, sizeof m->side[1].frame);
+  for (int s = 0; s < 2; s++) copy_rows(u->r + 9 * s, m->side[s].frame, 9);
 }
 
 /* ---- writing ---- */
@@ -255,7 +254,7 @@ typedef struct {
 static void put(const target_t *to, int output, int row, const double *values) {
   double *out = to->out[output] + row * to->n + to->first;
   if (to->count == L)
-    memcpy(out, values, L * sizeof *values); /* of a size that the compiler knows */
+    copy_lanes(out, values);
   else
     memcpy(out, values, (size_t)to->count * sizeof *values);
 }
@@ -305,10 +304,10 @@ static void put_twist(work_t *w, const target_t *to, const contact_t *c, const s
   unit_t *u = pair_table(w, T_TWIST, c->r0);
   fill_pair(u, m);
   for (int s = 0; s < 2; s++) {
-    memcpy(u->r + 18 + 3 * s, m->side[s].shape, sizeof m->side[s].shape);
-    memcpy(u->r + 24 + 2 * s, m->side[s].velocity, sizeof m->side[s].velocity);
+    copy_rows(u->r + 18 + 3 * s, m->side[s].shape, 3);
+    copy_rows(u->r + 24 + 2 * s, m->side[s].velocity, 2);
   }
-  memcpy(u->r + 28, m->sliding, sizeof m->sliding);
+  copy_rows(u->r + 28, m->sliding, 2);
   lanes_t found = run(u);
   for (int j = 0; j < 6; j++) put(to, TWIST, j, found[j]);
 }
@@ -508,8 +507,8 @@ static void regularity(work_t *w, int side, const body_t *b, const track_t *k, i
                        const double *xi, lanes_t place, double *out) {
   unit_t *u = table_of(w, side, 0, C_LAME, b);
   series_at(k->panels.series + panel * k->panels.rows * TERMS, 3, xi, place);
-  memcpy(u->r, place, 3 * sizeof *place);
-  memcpy(out, run(u)[2], L * sizeof *out);
+  copy_rows(u->r, place, 3);
+  copy_lanes(out, run(u)[2]);
 }
 
 /* Whether |x| that falls to 0 beside the least of three places does so: by thirds of the bracket, as
