@@ -124,6 +124,8 @@ _CALLS: dict[str, Any] = {
     "sign_changes": ctypes.PYFUNCTYPE(
         c_int64, POINTER(c_double), c_int64, c_int64, c_double, c_double, POINTER(c_double)
     ),
+    "wind": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p, c_void_p),
+    "rays": ctypes.CFUNCTYPE(c_int32, c_void_p, c_void_p, c_double, c_int64, c_void_p, c_void_p),
 }
 
 
@@ -158,7 +160,7 @@ ENGINE: Engine = _LIBRARY.contact_engine().contents
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
 moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
 step, along, geodesics = ENGINE.step, ENGINE.along, ENGINE.geodesics
-_sign_changes = ENGINE.sign_changes
+_sign_changes, _rays = ENGINE.sign_changes, ENGINE.rays
 steer = ENGINE.steer
 _method = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(
     ("PyInstanceMethod_New", ctypes.pythonapi)
@@ -321,6 +323,32 @@ def run(table: Any, points: np.ndarray, constants: Any) -> np.ndarray:
     if code:
         raise MemoryError
     return out
+
+
+def leave(level: Any, numbers: np.ndarray, size: float, ray: np.ndarray) -> np.ndarray:
+    """Distances at which rays from a centre leave a body.
+
+    Parameters
+    ----------
+    level : lowering.Table
+        RAY of a surface without a chart.
+    numbers : (n_const,)
+        The sign of the side, the centre, and what else the table wants.
+    size : float
+        How far to look first.
+    ray : (3, n)
+        Unit vectors.
+
+    Returns
+    -------
+    (n,)
+        0 where the centre is not inside, infinite where a ray stays inside, NaN where the level
+        function is too steep or not a number.
+    """
+    t = np.empty(ray.shape[1])
+    if _rays(table_address(level), address(numbers), size, len(t), address(ray), address(t)):
+        raise MemoryError
+    return t
 
 
 class Machine:

@@ -39,6 +39,8 @@ static _Noreturn void fail(work_t *w, int code);
 #include "geodesic.c"
 /* */
 #include "steer.c"
+/* */
+#include "rays.c"
 
 /* ---- what others call ---- */
 
@@ -207,4 +209,5 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                 .look = look,
                                 .steer = steer,
                                 .sign_changes = sign_changes,
-                                .wind = wind_place};
+                                .wind = wind_place,
+                                .rays = rays};

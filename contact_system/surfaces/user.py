@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..checks import finite_number, finite_numbers, real_array
-from ..engine.binding import run
+from ..engine.binding import leave, run
 from ..errors import ContactSystemError, SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
@@ -28,7 +28,7 @@ from .sphere import PolarChart
 CELLS = 32  # in each coordinate, of the grid on which the search for a nearest point starts
 TRIES = 4  # points of that grid from which the search may start
 NEAR = 1e-9  # of the size: distance within which points are the same
-SETTLED = 4 * np.finfo(float).eps  # relative size of the last step of Newton's method
+FARTHEST = 2.0**40  # sizes from the centre in which the engine looks for the surface
 
 
 class CentralChart(Chart):
@@ -438,63 +438,34 @@ class ImplicitSurface(UserSurface):
             The centre is not inside, or the ray does not meet the surface.
         """
         u, v = self._finite(u, v)
-        turned = self.sign * v
-        ray = np.stack(
-            [np.sin(u) * np.cos(turned), np.sin(u) * np.sin(turned), np.cos(u)], axis=-1
-        ).reshape(-1, 3)
-        with np.errstate(all="ignore"):
-            t, step = self._solve(ray, *self._bracket(ray, u.ravel(), v.ravel()))
-        if not np.all(step <= SETTLED * t):
-            i = int(np.argmax(step / t))
+        turned = (self.sign * v).ravel()
+        across = np.sin(u).ravel()
+        ray = np.stack([across * np.cos(turned), across * np.sin(turned), np.cos(u).ravel()])
+        t = leave(self.tables.other[RAY], self.numbers, self.size, ray)
+        if not np.all((t > 0) & (t < math.inf)):
+            self._refuse(u.ravel(), v.ravel(), t)
+        return (np.array(self.center) + (t * ray).T).reshape((*u.shape, 3))
+
+    def _refuse(self, u: Array, v: Array, t: Array) -> NoReturn:
+        """Raise for the first ray that leaves the body at no distance t."""
+        i = int(np.argmax(~((t > 0) & (t < math.inf))))
+        at = f"(u, v) = ({u[i]}, {v[i]})"
+        if t[i] == 0:
+            there = np.array([*self.center, 0.0, 0.0, 0.0])[:, None]
+            level = run(self.tables.other[RAY], there, self.numbers)[0, 0]
             raise SurfaceError(
-                f"{self!r}: the point at (u, v) = ({u.ravel()[i]:.9g}, {v.ravel()[i]:.9g}) is not "
-                "found, F is too steep there or not a number; write F with lower powers"
-            )
-        return (np.array(self.center) + t[:, None] * ray).reshape((*u.shape, 3))
-
-    def _solve(self, ray: Array, reach: Array, level: Array, slope: Array) -> tuple[Array, Array]:
-        """Return the distances at which rays leave the body, and the last steps, m.
-
-        reach : distances beyond the surface; level, slope : of F there
-        """
-        low, t, step = np.zeros_like(reach), reach, np.full_like(reach, np.inf)
-        for _ in range(200):
-            low, reach = np.where(level < 0, t, low), np.where(level >= 0, t, reach)
-            trial = t - level / slope
-            inside = (trial >= low) & (trial <= reach) & np.isfinite(slope)
-            falls = np.abs(trial - t) <= 0.5 * step  # Newton's method is slow on x**1000
-            trial = np.where(inside & falls, trial, (low + reach) / 2)
-            step, t = np.abs(trial - t), trial
-            if np.all(step <= SETTLED * t):
-                break
-            level, slope = self._along(ray, t)
-        return t, step
-
-    def _bracket(self, ray: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:
-        """Return for each ray a distance beyond the surface, and F and its slope there."""
-        level, _ = self._along(ray, np.zeros(len(ray)))
-        if np.any(~(level < 0)):
-            raise SurfaceError(
-                f"{self!r}: F = {level[0]} at center = {self.center}; F must be negative there: "
+                f"{self!r}: F = {level} at center = {self.center}; F must be negative there: "
                 "choose a center inside, or change the sign of F (and inside, if need be)"
             )
-        reach = np.full(len(ray), self.size)
-        for _ in range(40):
-            level, slope = self._along(ray, reach)
-            within = ~(level > 0)
-            if not np.any(within):
-                return reach, level, slope
-            reach = np.where(within, 2 * reach, reach)
-        i = int(np.argmax(within))
+        if t[i] == math.inf:
+            raise SurfaceError(
+                f"{self!r}: the ray {at} from center = {self.center} does not meet the surface "
+                f"within {FARTHEST * self.size:.3g} m; choose another center or point"
+            )
         raise SurfaceError(
-            f"{self!r}: the ray (u, v) = ({u[i]}, {v[i]}) from center = {self.center} does not "
-            f"meet the surface within {reach[i]:.3g} m; choose another center or point"
+            f"{self!r}: the point at {at} is not found, F is too steep there or not a number; "
+            "write F with lower powers"
         )
-
-    def _along(self, ray: Array, t: Array) -> Array:
-        """Return F and its slope at distances t along the rays, (2, n)."""
-        places = np.array(self.center) + t[:, None] * ray
-        return run(self.tables.other[RAY], np.hstack([places, ray]).T, self.numbers)
 
 
 # --- helpers --------------------------------------------------------------------------------------

@@ -1,0 +1,80 @@
+/* Where rays from a centre leave a body: Newton's method along them, safeguarded by bisection, a
+   lane each. */
+
+static const double SETTLED = 9e-16; /* last step of the method, relative */
+enum { DOUBLINGS = 40, MOST_TRIALS = 200 };
+
+typedef struct {
+  unit_t *level;
+  const double *centre;
+  double ray[3][L], t[L], value[L], slope[L]; /* t: distances; the level function and its slope */
+} rays_t;
+
+static void look_along(rays_t *r) {
+  lanes_t in = r->level->r;
+  for (int j = 0; j < 3; j++) SIMD for (int i = 0; i < L; i++) in[j][i] = r->centre[j] + r->t[i] * r->ray[j][i];
+  copy_rows(in + 3, r->ray, 3);
+  lanes_t found = run(r->level);
+  copy_lanes(r->value, found[0]), copy_lanes(r->slope, found[1]);
+}
+
+/* Goes outward until all rays are outside; which of them stay inside. */
+static void go_outside(rays_t *r, double size, int *stays) {
+  int within = 1;
+  fill_lanes(r->t, size);
+  for (int k = 0; k < DOUBLINGS && within; k++) {
+    look_along(r), within = 0;
+    for (int i = 0; i < L; i++) {
+      stays[i] = !(r->value[i] > 0.0), within |= stays[i];
+      if (stays[i]) r->t[i] *= 2.0;
+    }
+  }
+}
+
+/* r->t: where the rays leave; 0 where the centre is not inside, infinite where a ray stays inside,
+   NaN where no point is found. */
+static void leave(rays_t *r, double size) {
+  double low[L], high[L], step[L];
+  int out[L], stays[L], going = 1;
+  fill_lanes(r->t, 0.0), look_along(r);
+  for (int i = 0; i < L; i++) out[i] = !(r->value[i] < 0.0);
+  go_outside(r, size, stays);
+  fill_lanes(low, 0.0), fill_lanes(step, HUGE_VAL), copy_lanes(high, r->t);
+  for (int k = 0; k < MOST_TRIALS && going; k++) {
+    going = 0;
+    for (int i = 0; i < L; i++) {
+      const double t = r->t[i], value = r->value[i];
+      if (value < 0.0) low[i] = t;
+      if (value >= 0.0) high[i] = t;
+      double trial = t - value / r->slope[i];
+      const int inside = trial >= low[i] && trial <= high[i] && isfinite(r->slope[i]);
+      /* Newton's method alone is slow on x^1000 */
+      if (!(inside && fabs(trial - t) <= 0.5 * step[i])) trial = 0.5 * (low[i] + high[i]);
+      step[i] = fabs(trial - t), r->t[i] = trial;
+      going |= !(out[i] || stays[i] || step[i] <= SETTLED * trial);
+    }
+    if (going) look_along(r);
+  }
+  for (int i = 0; i < L; i++)
+    r->t[i] = out[i] ? 0.0 : stays[i] ? HUGE_VAL : step[i] <= SETTLED * r->t[i] ? r->t[i] : NAN;
+}
+
+static int rays(const table_t *level, const double *numbers, double size, int64_t n,
+                const double *ray, double *t) {
+  work_t w;
+  failure_t failure;
+  begin_work(&w, NULL, &failure);
+  if (setjmp(w.jump) == 0) {
+    rays_t r = {.level = &w.pair[0], .centre = numbers + 1};
+    load(&w, r.level, level, numbers);
+    for (int64_t i = 0; i < n; i += L) {
+      const int count = (int)(n - i < L ? n - i : L);
+      for (int q = 0; q < L; q++)
+        for (int j = 0; j < 3; j++) r.ray[j][q] = ray[j * n + i + (q < count ? q : count - 1)];
+      leave(&r, size);
+      memcpy(t + i, r.t, (size_t)count * sizeof *t);
+    }
+  }
+  end_work(&w);
+  return (int)failure.code;
+}
