@@ -28,6 +28,7 @@ from .theory.lowering import Table
 from .theory.symbols import per_structure
 
 CONFORMAL = 1e-12  # det of the relative curvature over its square, below which bodies conform
+FLAT = 1e-8  # curvature, over that of a sphere of the greater body's size, that may be rounding
 MOST_STEPS = 30
 SETTLED = 1e3  # times the wanted step: a longer last step may still be rounding
 NOISE = 1e-2  # by which a measured rotation matrix may differ from a rotation
@@ -348,6 +349,7 @@ def measured_contact(finger: Surface, obj: Surface) -> list[ca.SX]:
     a1, a2 = contact_velocities(tip.curvature, body.curvature, map_21, bend, slip)
     relative = ca.det(relative_curvature(body.curvature, tip.curvature, map_21))
     size = ca.norm_fro(tip.curvature) + ca.norm_fro(body.curvature)
+    flat = FLAT / ca.fmax(tip.size, body.size)
     states = ca.vertcat(tip.coordinates, tip.rates(a1), body.coordinates, body.rates(a2), psi)
     point = ca.vertcat(tip.unknowns, body.unknowns, pose, twist, share, is_known, known)
     return [
@@ -355,7 +357,7 @@ def measured_contact(finger: Surface, obj: Surface) -> list[ca.SX]:
         ca.vertcat(tip.constants, body.constants),
         ca.vertcat(tip.moved(step_1), body.moved(step_2)),
         ca.norm_2(ca.vertcat(step_1, step_2, tip.missed, body.missed)),
-        relative / ca.fmax(size**2, TINY),  # planes, of no curvature, conform too
+        relative / ca.fmax(size, flat) ** 2,  # planes, of no curvature but rounding, conform too
         ca.if_else(ca.logic_and(tip.framed(), body.framed()), states, np.nan),
         slip,
         ca.vertcat(tip.x, body.x),

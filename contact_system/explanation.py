@@ -168,7 +168,7 @@ def _stuck(scene: Scene, name: str, failure: Failure) -> ContactSystemError:
         "the direction, end the scene before or give a greater tolerance"
     )
     return ContactSystemError(
-        f"{name}: the motion cannot be continued past {_variable(failure)} {failure.t:.9g}: {why}"
+        f"{name}: the motion cannot be continued past {_reached(failure)}: {why}"
     )
 
 
@@ -179,15 +179,16 @@ def _too_many_panels(scene: Scene, name: str, failure: Failure) -> ContactSystem
         "of its chart, end its window before"
     )
     return ContactSystemError(
-        f"{name}: {failure.panels} panels reach {_variable(failure)} {failure.t:.9g} of "
+        f"{name}: {failure.panels} panels reach {_reached(failure)} of "
         f"{failure.end:.9g} only, and the plan has tried {failure.spent} of at most "
         f"{limits.PANELS:.15g}, {failure.most} of them for contact {failure.greediest}; {why}, or "
         "set contact_system.limits.PANELS higher"
     )
 
 
-def _variable(failure: Failure) -> str:
-    return "arc length" if failure.by_length else "local time"
+def _reached(failure: Failure) -> str:
+    where = failure.t
+    return f"arc length {where:.9g} m" if failure.by_length else f"t = {where:.9g} s"
 
 
 def _accelerated_at_rest(scene: Scene, failure: Failure) -> str:

@@ -420,23 +420,12 @@ BALL = cs.ParametricSurface(
 CONE = cs.ParametricSurface(("v*cos(u)", "v*sin(u)", "-v"), size=0.1)
 
 
-@pytest.mark.parametrize(
-    ("obj", "at", "along", "text"),
-    [
-        (BALL, (0.5, 0.2), (-1.0, 0.0), r"contact 0: .*ParametricSurface.* \(u, v\) = \(.*, 0.2\)"),
-        (
-            CONE,
-            (0.2, 0.05),
-            (0.0, -1.0),
-            r"contact 0: .*(ParametricSurface.* \(u, v\) = \(0.2, .*\)|past arc length 0.07071)",
-        ),
-    ],
-)
-def test_path_straight_through_a_pole_of_a_users_chart_is_refused(obj, at, along, text):
-    aside = alone(obj, at, finger_velocity=(-along[1], -along[0]))  # R_0 turns v over
+def test_path_straight_through_the_tip_of_a_cone_is_refused():
+    aside, up = (alone(CONE, (0.2, 0.05), finger_velocity=w) for w in ((1.0, 0.0), (0.0, 1.0)))
     assert np.isfinite(cs.plan(aside).pose([0.1])).all()
+    text = r"contact 0: .*(ParametricSurface.* \(u, v\) = \(0.2, .*\)|past arc length 0.07071)"
     with pytest.raises(cs.ContactSystemError, match=text):
-        cs.plan(alone(obj, at, finger_velocity=(along[0], -along[1])))
+        cs.plan(up)
 
 
 def rolled_over(obj: cs.Surface, u: float, profile=(0.1,), v=0.0) -> cs.Scene:
@@ -551,18 +540,11 @@ def test_paths_of_which_rounding_leaves_too_few_digits_are_refused():
             cs.plan(scene)
 
 
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"disturbances": [cs.FingerAcceleration(0, 0.1, 0.5, (0.1, 5e18))]},
-        {"obj": cs.Torus(0.1, 1.2e-12)},
-    ],
-    ids=["force", "tube"],
-)
-def test_a_path_of_panels_without_end_is_refused(given, monkeypatch):
+def test_a_path_of_panels_without_end_is_refused(monkeypatch):
     monkeypatch.setattr(cs.limits, "PANELS", 1e4)  # sooner than by the limit that is set
-    with pytest.raises(cs.ContactSystemError, match="limits.PANELS higher"):
-        cs.plan(alone(**{"obj": cs.Sphere(0.1), "at": (1.0, 0.5)} | given)).points([1.0])
+    force = cs.FingerAcceleration(0, 0.1, 0.5, (0.1, 5e18))
+    with pytest.raises(cs.ContactSystemError, match="panels reach t = .* s of .*PANELS higher"):
+        cs.plan(alone(cs.Sphere(0.1), (1.0, 0.5), disturbances=[force]))
 
 
 @pytest.mark.parametrize("start", [5e-324, 1e-240])

@@ -75,6 +75,17 @@ def test_contact_point_on_a_developable_body_is_the_quadrature_of_the_law(obj, e
     assert unrolled == pytest.approx(moved, abs=1e-15)
 
 
+def test_terms_of_sigma_that_cancel_cost_digits_and_no_panels():
+    sigma = 4e3 * polynomial.polyfromroots(2 * [0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    scene = one_contact("plane", gain=cs.Gain.path(100.0), profile=tuple(sigma))
+    x, weights = np.polynomial.legendre.leggauss(200)
+    g = weights / 2 @ left_over(sigma, scene.gain, (1 + x) / 2)
+    rolled = reflection(0.3) @ [0.6, 0.8]
+    moved = polynomial.polyval(1, polynomial.polyint(sigma)) * rolled - g * (rolled - [0.2, -0.5])
+    unrolled = cs.plan(scene).states(1.0)[0, 0, 4:6] - SURFACES["plane"][1]
+    assert unrolled == pytest.approx(moved, abs=1e-8)
+
+
 PROFILES = {
     "growing": (0.001, 0.0, 0.4),
     "from rest": (0.0, 1.0, -1.0),

@@ -51,10 +51,13 @@ def test_chart_may_be_plain_numpy_or_casadi(chart):
         lambda x: np.dot(x, x) - 0.01,
         lambda x: x.T @ np.eye(3) @ x - 0.01,
         lambda x: [ca.norm_2(x) - 0.1],
+        "1e200*(x**2 + y**2 + z**2 - 0.01)",  # |grad F|^2 is no double
     ],
 )
 def test_implicit_sphere_is_the_sphere(level):
     surface, truth = ImplicitSurface(level, size=0.1), cs.Sphere(0.1)
+    path, known = (cs.plan(one_contact(shape)).points([0.0, 1.0]) for shape in (surface, truth))
+    assert np.allclose(path, known, rtol=0, atol=1e-13)
     for quantity in ("point", "frame", "lame", "christoffel", "curvature_form", "torsion_form"):
         value = getattr(surface, quantity)(0.8, -2.0)
         assert np.allclose(value, getattr(truth, quantity)(0.8, -2.0), rtol=1e-13, atol=1e-13)

@@ -36,6 +36,7 @@ typedef struct {
 typedef struct {
   double sigma[L], decay[L], lam[L], inverse[L][L];
   double w2[2][L], pushed[2][L]; /* W_2; the finger's acceleration, in its parallel frame */
+  double allowed;                /* error of the panel */
 } nodes_t;
 
 static unit_t *table_of(work_t *w, int side, int ambient, int table, const body_t *b) {
@@ -244,9 +245,9 @@ static double sweep(work_t *w, const motion_t *m, double half, const nodes_t *at
 }
 
 /* Whether the panel is so much too long that its tail tells before the sweeps have converged. */
-static int hopeless(const motion_t *m, double half, lanes_t f) {
+static int hopeless(const motion_t *m, double half, const nodes_t *at, lanes_t f) {
   for (int64_t r = 0; r < m->n; r++)
-    if (TAIL * fabs(half * dot(gauss_top, f[r])) * m->scale[r] > 100.0 * m->tolerance) return 1;
+    if (TAIL * fabs(half * dot(gauss_top, f[r])) * m->scale[r] > 100.0 * at->allowed) return 1;
   return 0;
 }
 
@@ -264,7 +265,7 @@ static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at
     if (next <= 1e-2 * m->tolerance || change <= 4e-16) return 1;
     if (k > 6 && change <= 1e-13 && change > 0.25 * last) return 1;
     if (!(change < 1e10) || (k > 3 && change > 4.0 * last)) return 0;
-    if (k == 3 && hopeless(m, half, f)) return 1;
+    if (k == 3 && hopeless(m, half, at, f)) return 1;
     last = change;
   }
   return 0;
@@ -294,6 +295,17 @@ static double close_panel(work_t *w, const motion_t *m, double half, lanes_t x, 
   return back > 1e-13 ? fmax(error, 0.1 * back) : error;
 }
 
+/* The error of a panel that no shorter one is without: rounding of L(tau), whose terms may cancel */
+static double rounding(const motion_t *m, const nodes_t *at, double half, double after) {
+  const drive_t *d = m->drive;
+  double terms = 0.0, most = 0.0;
+  if (!(m->slip > 0) || m->forced) return 0.0;
+  for (int64_t k = d->n_exponent - 1; k >= 0; k--) terms = terms * after + fabs(d->exponent[k]);
+  for (int i = 0; i < L; i++) most = fmax(most, at->sigma[i] * at->decay[i]);
+  const double scale = m->body ? 1.0 / m->body->bend : m->scale[0];
+  return 2e-16 * fmax(terms - lost_at(d, after), 0.0) * m->slip * half * most * scale;
+}
+
 /* One panel from s->tau: its series to `out`, m->state to its end. Returns 0 where it is refused:
    s->h is what to try next. */
 static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
@@ -312,6 +324,7 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
     decays(m->drive, t, at.sigma, at.decay);
   else
     fill_lanes(at.decay, 0.0);
+  at.allowed = fmax(m->tolerance, rounding(m, &at, half, after));
   if (has_v(m)) {
     follow_finger(w, m, t, &at);
     for (int i = 0; i < L; i++) at.lam[i] = gain_at(m->drive, t[i]);
@@ -331,8 +344,8 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
   const double error = close_panel(w, m, half, x, f, out, end);
   /* an error below 1e-30 says no more than one of 1e-30; where a panel is too long, errors fall
      faster with its length than at order L */
-  const int fits = error <= m->tolerance;
-  const double ratio = 0.9 * pow(m->tolerance / fmax(error, 1e-30), 1.0 / (fits ? L : 1.5 * L));
+  const int fits = error <= at.allowed;
+  const double ratio = 0.9 * pow(at.allowed / fmax(error, 1e-30), 1.0 / (fits ? L : 1.5 * L));
   s->span = span, s->before = out;
   if (!fits) {
     s->h = span * fmin(fmax(ratio, 0.35), 0.8), s->begins = 1;

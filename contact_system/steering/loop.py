@@ -16,6 +16,11 @@ from ..scene import Scene, require_scene
 from .goal import Goal, Route
 from .reach import TOLERANCE, reach
 
+SETTLED = 1e-11
+"""Change, rad, of the areas that curves enclose at which their integrals have converged."""
+MOST_PARTS = 2048
+"""Parts of a leg, at most, over which they are integrated."""
+
 
 def _gauss(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gauss nodes and weights on [0, 1], and the matrix from values to derivatives at the nodes."""
@@ -86,18 +91,28 @@ def loop(scene: Scene, angle: float, *, contact: int = 0, seconds: float = 0.0) 
 
 def _turns(scene: Scene, contact: int) -> tuple[float, tuple[float, float]]:
     """The change of psi, and the areas that the normals along both curves enclose."""
-    edges = np.array(scene.edges)
-    edges = np.interp(np.arange(8 * len(edges) - 7) / 8, np.arange(len(edges)), edges)
-    inner = (edges[:-1, None] + np.diff(edges)[:, None] * _NODES).ravel()
-    motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
-    results: Any = motion.evaluate(np.append(inner, edges[[0, -1]]), ("pose", FRAMES))
-    first, last = results["pose"][-2:, contact, :3, :3]
-    p, q = results[FRAMES][-2, contact, 1, 3:9].reshape(2, 3)
+    motion, edges = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None)), np.array(scene.edges)
+    ends: Any = motion.evaluate(edges[[0, -1]], ("pose", FRAMES))
+    first, last = ends["pose"][:, contact, :3, :3]
+    p, q = ends[FRAMES][0, contact, 1, 3:9].reshape(2, 3)
     turned = last @ first.T @ p  # the finger turns by -psi about the object's normal
-    frames = results[FRAMES][:-2, contact].reshape(len(edges) - 1, -1, 2, 12)
+    parts, enclosed, change = 8, _enclosed(motion, contact, edges, 8), math.inf
+    while change > SETTLED and parts < MOST_PARTS:  # normals turn fast over a flat body's rim
+        parts, before = 2 * parts, enclosed
+        enclosed = _enclosed(motion, contact, edges, parts)
+        change = max(abs(math.remainder(a - b, 4 * math.pi)) for a, b in zip(enclosed, before))
+    return -math.atan2(turned @ q, turned @ p), enclosed
+
+
+def _enclosed(motion: Motion, contact: int, edges: np.ndarray, parts: int) -> tuple[float, float]:
+    """The areas that the normals along both curves enclose, by so many parts of each leg."""
+    legs = np.arange(len(edges))
+    ends = np.interp(np.arange(parts * legs[-1] + 1) / parts, legs, edges)
+    inner = (ends[:-1, None] + np.diff(ends)[:, None] * _NODES).ravel()
+    results: Any = motion.evaluate(inner, (FRAMES,))
+    frames = results[FRAMES][:, contact].reshape(len(ends) - 1, -1, 2, 12)
     normals = np.cross(frames[..., 3:6], frames[..., 6:9])
-    one, other = (_area(normals[:, :, side]) for side in (0, 1))
-    return -math.atan2(turned @ q, turned @ p), (one, other)
+    return _area(normals[:, :, 0]), _area(normals[:, :, 1])
 
 
 def _area(n: np.ndarray) -> float:

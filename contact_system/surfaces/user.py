@@ -18,7 +18,7 @@ from ..engine.binding import leave, run
 from ..errors import ContactSystemError, SurfaceError
 from ..kept import kept
 from ..theory import symbols as ca
-from ..theory.geometry import ChartGeometry, contact_frame, tangent_geometry
+from ..theory.geometry import ChartGeometry, Level, contact_frame, tangent_geometry
 from ..theory.symbols import making_symbols
 from .base import RAY, Surface, positive_length, store
 from .charts import TURN, Array, Chart, Frame, Pair, Periods, hypot
@@ -415,6 +415,13 @@ class ImplicitSurface(UserSurface):
 
     def _level(self, p: ca.SX, x: ca.SX) -> ca.SX:
         return self.formula(p[3:], x)
+
+    def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
+        """Return those of F over its steepest slope: |grad F|^2 may be too large for a double."""
+        level, gradient, hessian, _ = super().level_geometry(p, x)
+        scale = 1 / ca.norm_inf(gradient)
+        gradient = scale * gradient
+        return Level(scale * level, gradient, scale * hessian, 1 / ca.dot(gradient, gradient))
 
     def geometry_symbols(self, numbers: ca.SX) -> tuple[ca.SX, ChartGeometry]:
         x = ca.SX.sym("x", 3)
