@@ -310,7 +310,7 @@ class Plan:
             s, with sigma(t) > 0. The path velocity is rates / sigma, so close to rest rounding of
             the rates may turn the path; :meth:`continued` needs no rates and is exact there.
         state : (n_contacts, 9)
-            Measured u1 v1 u1' v1' u2 v2 u2' v2' psi, as :meth:`states` gives them or in principal
+            Measured u1 v1 u1' v1' u2 v2 u2' v2' psi, as ``states(t)[0]`` gives them or in principal
             values. Where a chart covers its surface twice, they are moved to the plan's branch.
 
         Raises

@@ -58,7 +58,8 @@ class Push:
     Attributes
     ----------
     on : str
-        The contact's name, such as "finger 1", or "object".
+        The contact's name, such as "finger 1", or "object". Write the key as ``"on"`` in YAML,
+        which takes the bare word for true.
     start, stop : float
         s
     force : list of float

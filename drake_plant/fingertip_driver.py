@@ -142,15 +142,15 @@ class FingertipDriver(LeafSystem):
     ----------
     scene_plant : ScenePlant
         Finalized; if it is discrete, with sampled output ports as Drake's own are, and if it is
-        continuous, with an :class:`ObjectAcceleration` for the last port. Its configuration says
-        the normal force and the gains, its bodies' defaults the masses, whatever a Context says.
+        continuous, with an ``object_acceleration.ObjectAcceleration`` for the accelerations. Its
+        configuration says the normal force and the gains, its bodies' defaults the masses, whatever
+        a Context says.
 
     Raises
     ------
     SceneError
-        A discrete plant without sampled output ports, or whose steps
-        are too long for a finger; a finger that is not free, or whose mass centre is
-        not its origin.
+        A discrete plant without sampled output ports, or whose steps are too long for a finger; a
+        finger that is not free, or whose mass centre is not its origin.
     """
 
     __slots__ = NO_DICTIONARY

@@ -118,9 +118,10 @@ class ContactReport:
     def verdict(self) -> str:
         """In a word or two.
 
-        "came off" the object, or "not kept" where another contact was or the object falls; else
-        "undisturbed"; "held", by friction alone; "as reported" or "not as reported"; where nothing
-        is reported "rejected" or "not rejected".
+        "came off" the object, or "not kept" where another contact did or the object falls; else
+        "undisturbed", also where the simulation ends before the disturbance; "held", by friction
+        alone; "as reported" or "not as reported"; where nothing is reported "rejected" or
+        "not rejected".
         """
         if not self.kept:
             return "came off" if self.off else "not kept"

@@ -172,7 +172,8 @@ def AddScenePlant(
 
     Model instances are "object" and one a contact, by the contact's name, or as ``finger_<i>``
     where it has none or another one has it.
-    Bodies' frames are their surfaces' own frames. Only fingers and the object collide.
+    Bodies' frames are their surfaces' own frames, and at the world's origin until
+    :func:`SetInitialState` puts the fingers in place. Only fingers and the object collide.
 
     A turning object hangs on a revolute joint with an implicit controller of high gain, fed by a
     TrajectorySource "turning": Drake's joints cannot be prescribed.
@@ -287,8 +288,8 @@ def _check_surfaces(scene: Scene, config: StationConfig) -> None:
             if not round_pair or finger.inside or scene.object.inside:
                 raise SceneError(
                     f'contact {i}: contact_model = "point" is exact for a sphere on a sphere or on '
-                    f"a plane, not for {finger!r} on {scene.object!r}: Drake's normal between an "
-                    'ellipsoid and a sphere is wrong by up to 16 degrees; use "hydroelastic"'
+                    f"a plane, not for {finger!r} on {scene.object!r}: elsewhere Drake's normal is "
+                    'wrong, on an ellipsoid by up to 16 degrees; use "hydroelastic"'
                 )
         elif finger.inside or not (finger.chart.central or isinstance(finger, (Cylinder, Torus))):
             raise SceneError(

@@ -127,6 +127,8 @@ def model_identifier(scene: Scene) -> str:
 def listed(table: Table, fmi_version: str) -> list[Variable]:
     """The variables in the order of the file; FMI 2 has no need of the independent one."""
     if fmi_version == "2.0":
+        if table.arrays:
+            raise ContactSystemError('arrays: FMI 2.0 has none; give fmi_version = "3.0"')
         return table.scalars()[1:]
     return table.rows if table.arrays else table.scalars()
 

@@ -79,8 +79,7 @@ def export_fmu(
     path, moment = target(path), generation_time()
     platforms, interfaces = build.chosen(platforms), check_choice(fmi_version, interfaces)
     tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
-    arrays = flag(arrays, "arrays") and fmi_version == "3.0"
-    table = variable_table(scene, states, arrays, measured)
+    table = variable_table(scene, states, flag(arrays, "arrays"), measured)
     description = model_description(table, fmi_version, interfaces, UNITS)
     name, data = model_identifier(scene), scene_data(table, instantiation_token(description))
     # FMI's own headers are the importer's, which may give functions a prefix (FMI 3.0.2, 2.2.2).

@@ -84,8 +84,7 @@ class _Slave:
         self.scene, self._logger, self._said = scene, logger or _log, ""
         self._folder = tempfile.TemporaryDirectory(prefix="contact-system-")
         folder, identifier = Path(self._folder.name), model_identifier(scene)
-        arrays = described.pop("arrays", False) and self._version == "3.0"
-        table = variable_table(scene, arrays=arrays, **described)
+        table = variable_table(scene, **described)
         text = model_description(table, self._version, ("CoSimulation",))
         token = instantiation_token(text)
         (folder / "modelDescription.xml").write_text(text, "utf-8")

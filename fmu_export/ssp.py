@@ -11,6 +11,7 @@ from pathlib import Path
 import fmpy
 from fmpy.model_description import ModelDescription
 
+from contact_system.checks import did_you_mean
 from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
@@ -141,10 +142,9 @@ def _place(
     variables = {v.name: v.type for v in models[model][1].modelVariables if v.causality == kind}
     variable = whole[len(model) + 1 :]
     if variable not in variables:
-        raise ContactSystemError(
-            f"connections: '{whole}' is no {kind} of '{model}', which has "
-            f"{', '.join(variables) or 'none'}"
-        )
+        near = did_you_mean(variable, variables)
+        others = "" if near else f", which has {', '.join(variables) or 'none'}"
+        raise ContactSystemError(f"connections: '{whole}' is no {kind} of '{model}'{others}{near}")
     return model, variable, variables[variable]
 
 

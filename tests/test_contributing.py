@@ -44,7 +44,7 @@ def scene(obj: cs.Surface = BALL, **others) -> cs.Scene:
 
 
 def test_a_surface_of_one_class_is_that_of_its_equation(example):
-    bowl = example("A surface")["Paraboloid"](4.0)
+    bowl = example("A surface")["Paraboloid"](0.25)
     assert np.abs(bowl.curvature_form(0.0, 0.0) + 4.0 * np.eye(2)).max() < 1e-14
     points = cs.plan(scene(bowl)).points(T)[:, 0, 1]
     level = points[:, 2] - 2 * (points[:, 0] ** 2 + points[:, 1] ** 2)

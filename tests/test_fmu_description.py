@@ -119,8 +119,7 @@ def test_validation_has_nothing_to_say(name, version, written):
     assert validate_fmu(str(written(name, version))) == []
 
 
-@pytest.mark.parametrize("arrays", [False, True])
-@of_versions
+@pytest.mark.parametrize(("version", "arrays"), [("2.0", False), ("3.0", False), ("3.0", True)])
 def test_fmpy_reads_back_what_the_table_says(version, arrays, written):
     table = variable_table(cs.load_scene("K4"), arrays=arrays)
     read = read_model_description(written("K4", version, arrays))

@@ -77,7 +77,7 @@ def test_what_are_no_models_by_name_is_refused(models, words, tmp_path):
     ("wires", "words"),
     [
         ([("in", "a.push")], r"'a.push' is no input of 'a', which has .*contact\[1\]"),
-        ([(f"a.{PUSH}", f"a.{PUSH}")], "is no output of 'a'"),
+        ([(f"a.{SLIP}s", "slip")], r"is no output of 'a' \(did you mean 'contact\[1\].slip_speed'"),
         ([("in", f"a.{PUSH}"), (f"a.{SLIP}", f"a.{PUSH}")], "is connected already"),
         ([("in", "out")], "neither is a variable of a model"),
         (["in"], "give pairs"),
