@@ -39,6 +39,8 @@ KNOTS = 51
 """Times at which a plan is balanced before it is simulated."""
 LEFT = 1e-3
 """Part of a wrench that counts as not balanced, where something has to be left."""
+UNIT = 1e-6
+"""How far from 1 a normal's length may be."""
 DEAR = 1e6
 """How much dearer than forces that is, squared and in sizes of about 1."""
 
@@ -83,9 +85,17 @@ def balancing_forces(
     Raises
     ------
     SceneError
-        No such forces exist, with the first time and the wrench that is left there.
+        No such forces exist, with the first time and the wrench that is left there; arrays of
+        other shapes, numbers that are not finite, normals that are no unit vectors.
     """
     points, normals = np.asarray(points, float), np.asarray(normals, float)
+    if points.ndim != 3 or points.shape != normals.shape:
+        raise SceneError(
+            f"points have shape {points.shape}, normals {normals.shape}; give both as (times, "
+            "contacts, 3)"
+        )
+    if not (np.abs(np.linalg.norm(normals, axis=-1) - 1) < UNIT).all():
+        raise SceneError("normals: give vectors of length 1")
     wanted, count = np.hstack([force, torque]).astype(float), points.shape[1]
     # Sizes of about 1: about the contacts' middle, over their distance from it and over the forces.
     middle = points.mean(axis=1)
@@ -98,6 +108,8 @@ def balancing_forces(
     frames = contact_frames(normals)
     cones = margin * np.broadcast_to(friction, count).astype(float)
     problem = grasp_map(arms / length, frames), wanted / size, cones, floor / size
+    if not all(np.isfinite(x).all() for x in problem):  # Drake would end the process
+        raise SceneError("contact forces: give finite numbers")
     forces, left = _solve(*problem)
     if left is not None and strict:
         most = np.abs(left).max(axis=1)

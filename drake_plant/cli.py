@@ -177,6 +177,10 @@ def _told(result: SimulationResult, opened: SimulationResult | None) -> Iterable
             f"{SATURATED:.0%} of mu N."
         )
         yield from (*map(paragraph, _verdict(result, reports)), "")
+    elif scene.disturbances:
+        yield from _explained(
+            "No disturbance is over by the end, so that no rejection is measured."
+        )
     if result.config.pushes:
         yield from _pushes(result, opened)
 

@@ -56,12 +56,7 @@ def test_forces_exert_the_wrench_that_is_asked_for_at_every_time():
         ([0.0], 0.5, (0, 0, 0), "a force of"),
         ([0, np.pi / 2], 0.5, (0, 0, 0), "a force of"),
         ([0, np.pi], 0.0, (0, 0, 0), r"a force of \(0, 0, -1.96\) N and a torque of \(0, 0, 0\)"),
-        (
-            [0, np.pi],
-            0.5,
-            (0.01, 0, 0),
-            r"a force of \(0, 0, 0\) N and a torque of \(-0.01, 0, 0\)",
-        ),
+        ([0, np.pi], 0.5, (0.01, 0, 0), r"force of \(0, 0, 0\) N and a torque of \(-0.01, 0, 0\)"),
     ],
     ids=["one finger", "not opposite", "no friction", "torque about the line of two contacts"],
 )
@@ -70,6 +65,13 @@ def test_no_grasp_is_refused_with_what_is_left_unbalanced(angles, friction, torq
     force, torque = [[0, 0, 0], [0, 0, WEIGHT]], [[0, 0, 0], torque]
     with pytest.raises(cs.SceneError, match=rf"^t = 0.3 s: .*{left}"):
         balancing_forces(points, normals, friction, force, torque, t=[0.2, 0.3])
+
+
+@pytest.mark.parametrize("length", [0.0, 0.5, np.nan])
+def test_normals_are_unit_vectors(length):
+    points, normals = around(3)
+    with pytest.raises(cs.SceneError, match="give vectors of length 1"):
+        balancing_forces(points, length * normals, 0.5, [[0, 0, WEIGHT]], [[0, 0, 0]])
 
 
 def test_needed_wrench_is_that_of_newton_and_euler():

@@ -254,6 +254,7 @@ def test_d1_runs_tells_and_writes(tmp_path, capsys):
     assert names == {f"D1-drake.{s}" for s in ("npz", "csv", "png", "html")}
     assert all(f"wrote {tmp_path / name}" in out for name in names)
     assert "nan" not in out  # too short a run to measure a steady force
+    assert "No disturbance is over by the end" in out
     with np.load(tmp_path / "D1-drake.npz") as logs:
         assert logs["measured_normal_force"].shape == (len(logs["t"]), 3)
         assert logs["planned_state"].shape == (len(logs["t"]), 3, 9)
