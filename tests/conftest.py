@@ -13,6 +13,22 @@ import contact_system as cs
 TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.7], [-0.6, 0.2, 1.0]]))[0]
 
 
+# A long file that begins last leaves the other processes idle: these begin first, longest first.
+LONG = ["test_drake_station", "test_fmu_robustness", "test_readme", "test_fmu_package"]
+LONG += ["test_examples", "test_drake_film", "test_drake_cli", "test_contact_monitor"]
+LONG += ["test_drake_planner", "test_faults", "test_explorer", "test_fmu", "test_hand"]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let pytest-xdist keep the order of files; else those with most tests begin first."""
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    place = {name: k for k, name in enumerate(LONG)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(LONG)))
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     """None but this process for the tests of one file: another would only start more slowly."""
