@@ -14,9 +14,7 @@ TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.7], [-0.6, 0.2, 1.0
 
 
 # A long file that begins last leaves the other processes idle: these begin first, longest first.
-LONG = ["test_drake_station", "test_fmu_robustness", "test_readme", "test_fmu_package"]
-LONG += ["test_examples", "test_drake_film", "test_drake_cli", "test_contact_monitor"]
-LONG += ["test_drake_planner", "test_faults", "test_explorer", "test_fmu", "test_hand"]
+LONG = "drake_station fmu_robustness readme fmu_package examples drake_film drake_cli".split()
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -25,8 +23,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    place = {name: k for k, name in enumerate(LONG)}
-    items.sort(key=lambda item: place.get(item.path.stem, len(LONG)))
+    place = {f"test_{name}.py": k for k, name in enumerate(LONG)}
+    items.sort(key=lambda item: place.get(item.path.name, len(LONG)))
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -108,15 +108,8 @@ def test_sections_of_the_theory_that_the_code_cites_are_there():
     assert cited and cited <= there
 
 
-PACKAGES = ["contact_system", "drake_plant", "fmu_export"]
-
-
 def test_a_source_distribution_holds_what_the_layout_shows():
     manifest = (README.parent / "MANIFEST.in").read_text("utf-8")
-    held = {*PACKAGES, *re.findall(r"^graft ([.\w]+)", manifest, re.M)}
+    packages = {"contact_system", "drake_plant", "fmu_export"}
+    held = packages | {*re.findall(r"^graft ([.\w]+)", manifest, re.M)}
     assert sorted(held) == sorted(re.findall(r"^([.\w]+)/", blocks("text")[-1], re.M))
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_type_checkers_are_told_that_there_are_types(package):
-    assert (README.parent / package / "py.typed").exists()
