@@ -13,6 +13,20 @@ import contact_system as cs
 TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.1, 1.0, 0.7], [-0.6, 0.2, 1.0]]))[0]
 
 
+# A long file that begins last leaves the other processes idle: these begin first, longest first.
+LONG = "drake_station fmu_robustness readme fmu_package examples drake_film drake_cli".split()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let pytest-xdist keep the order of files; else those with most tests begin first."""
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    place = {f"test_{name}.py": k for k, name in enumerate(LONG)}
+    items.sort(key=lambda item: place.get(item.path.name, len(LONG)))
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     """None but this process for the tests of one file: another would only start more slowly."""

@@ -47,7 +47,7 @@ setTimeout(() => {
   for (const [time, hidden] of %s) shoot(time, hidden);
   document.body.innerHTML = pictures.join("");
   document.body.style = "margin: 0; overflow: hidden; display: flex";
-}, 4000);
+}, 1000);
 </script></body>"""
 
 
@@ -67,7 +67,7 @@ def shots(film, wanted):
     script = SHOOT % (WIDTH, HEIGHT, json.dumps(wanted))
     page.write_text(film.read_text().replace("</body>", script))
     words = ["--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    words += ["--virtual-time-budget=20000", f"--window-size={WIDTH * len(wanted)},{HEIGHT}"]
+    words += ["--virtual-time-budget=4000", f"--window-size={WIDTH * len(wanted)},{HEIGHT}"]
     command = [BROWSER, *words, f"--screenshot={picture}", page.as_uri()]
     subprocess.run(command, check=True, capture_output=True, timeout=300)
     return np.split(imread(picture)[..., :3], len(wanted), axis=1)

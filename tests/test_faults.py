@@ -26,7 +26,6 @@ SAVES = {
     "plan.npz": PLAN.save,
     "plan.csv": PLAN.save,
     "picture.png": lambda path: plots.plot_slip(PLAN, path, dpi=20),
-    "picture.pdf": lambda path: plots.plot_slip(PLAN, path, dpi=20),
 }
 
 

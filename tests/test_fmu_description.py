@@ -27,7 +27,6 @@ from fmu_export.description import (  # noqa: E402
 BOTH = ("CoSimulation", "ModelExchange")
 of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
 K1, C2 = cs.load_scene("K1"), cs.load_scene("C2")
-SCENES = cs.bundled_scenes()
 
 
 # --- the table
@@ -113,8 +112,12 @@ def written(tmp_path):
     return write
 
 
-@of_versions
-@pytest.mark.parametrize("name", SCENES)
+# Every export is validated but for names, on which fmpy's validation spends its time: these scenes
+# have all kinds of them.
+@pytest.mark.parametrize(
+    ("name", "version"),
+    [("D1", "3.0"), ("H3", "2.0"), ("implicit", "3.0"), ("torus", "2.0"), ("chart", "3.0")],
+)
 def test_validation_has_nothing_to_say(name, version, written):
     assert validate_fmu(str(written(name, version))) == []
 

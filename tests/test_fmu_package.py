@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import ctypes
+import itertools
 import os
 import re
 import shutil
@@ -85,7 +86,7 @@ def test_fmpy_and_cmake_build_the_sources_to_the_same_model(tmp_path):
     from fmpy.build import build_platform_binary
 
     folder = fmpy.extract(str(path), str(tmp_path / "K2"))
-    build_platform_binary(folder)
+    build_platform_binary(folder, configuration="Debug")
     built = fmpy.simulate_fmu(folder, **options)
     for name in prebuilt.dtype.names:
         np.testing.assert_allclose(built[name], prebuilt[name], rtol=0, atol=1e-13)
@@ -97,7 +98,7 @@ def test_sources_of_two_models_build_without_warnings_to_one_program(version, tm
     """FMI 3.0.2, 2.2.2: functions that an importer links bear the model's name."""
     flags, objects, main = ["-std=gnu99", "-O0", "-Wall", "-Wextra"], [], ""
     flags += ["-Wno-unknown-pragmas", "-Werror", f"-I{FMI_HEADERS}"]
-    for name in ("K3", "C2"):
+    for name in ("K3", "C2")[: 1 if version == "2.0" else 2]:
         folder, files = sources(cs.load_scene(name), version)
         (own := tmp_path / name).mkdir()
         prefix = f"-DFMI3_FUNCTION_PREFIX={name}_"
@@ -140,8 +141,10 @@ def test_only_the_standards_functions_are_seen_outside():
 
 
 @pytest.mark.slow  # ziglang builds a C library for each when it is used first
-def test_every_platform_is_in_one_file_if_asked_for(tmp_path):
+def test_every_platform_is_in_one_file_if_asked_for(tmp_path, monkeypatch):
     pytest.importorskip("ziglang")
+    quickly = "-O0", "-fno-sanitize=undefined"  # which ziglang adds to -O0
+    monkeypatch.setattr(build, "FLAGS", (*build.FLAGS, *quickly))
     path = export_fmu(cs.load_scene("C1"), tmp_path / "C1.fmu", "3.0", platforms=sorted(PLATFORMS))
     names = zipfile.ZipFile(path).namelist()
     for platform in PLATFORMS.values():
@@ -214,10 +217,12 @@ def test_command_writes_a_valid_fmu_and_says_so(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "K1.fmu").exists() and "wrote K1.fmu" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", cs.bundled_scenes())
-def test_every_scene_agrees_with_the_results_that_its_file_holds(name, tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("name", "version"), [*zip(cs.bundled_scenes(), itertools.cycle(["2.0", "3.0"]))]
+)
+def test_every_scene_agrees_with_the_results_that_its_file_holds(name, version, tmp_path, capsys):
     path = tmp_path / f"{name}.fmu"
-    assert command(name, "-o", str(path), "--check") == 0
+    assert command(name, "-o", str(path), "--fmi", version, "--check") == 0
     assert "of its reference results" in capsys.readouterr().out
     with zipfile.ZipFile(path) as archive:
         files = {n: archive.read(n) for n in archive.namelist()}

@@ -45,7 +45,7 @@ def test_steps_do_nothing_that_a_program_may_trap(fmu):
 
 
 def test_steps_take_no_memory(fmu):
-    found = program("endurance", fmu).table("memory", 1e-3, 1000, 100, *fmu.model_arguments())
+    found = program("endurance", fmu).table("memory", 1e-2, 100, 100, *fmu.model_arguments())
     inside, heap, process = found[0]  # allocations in steps; growth of heap and of process
     assert inside == 0 and heap < 1000 and process < 64_000, (
         "less than a byte a run, a page at most"

@@ -30,14 +30,6 @@ def test_dots_in_pictures_follow_the_exact_law_between_disturbances(scene):
         assert slip == pytest.approx((0.001 + 0.4 * t**2) * np.exp(-lost), rel=1e-12)
 
 
-@pytest.mark.parametrize("name", ["K4", "D1", "bowl"])
-def test_slip_speed_is_the_length_of_slip(name):
-    plan = cs.plan(cs.load_scene(name))
-    t = plan.sample_times(101)
-    slip = np.linalg.norm(plan.slip(t), axis=2)
-    assert plan.slip_speed(t) == pytest.approx(slip, rel=1e-14, abs=0)
-
-
 def test_k1_recovers_within_the_reported_time_under_the_time_law():
     mpmath = pytest.importorskip("mpmath")
     scene = cs.load_scene("K1")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -118,9 +117,3 @@ def test_a_scene_in_the_place_of_its_plan_is_refused(tmp_path):
     for draw, first, *other in calls:
         with pytest.raises(cs.ContactSystemError, match=r"give a Plan, such as plan\(scene\)"):
             draw(first, tmp_path / "x.png", *other)
-
-
-def test_missing_matplotlib_names_the_remedy(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(plots.MissingMatplotlib, match=r'pip install "contact-system\[plot\]"'):
-        plots.plot(cs.plan(cs.load_scene("K1")), tmp_path / "x.png")

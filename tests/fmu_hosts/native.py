@@ -183,7 +183,7 @@ class Program:
         if sanitized:
             compiler = sanitizing_compiler()
             sources += [HERE / "forge.c", *sorted((fmu.folder / "sources").glob("*.c"))]
-            flags += ["-O1", *SANITIZERS, f"-I{fmu.folder / 'sources'}"]
+            flags += ["-O0", *SANITIZERS, f"-I{fmu.folder / 'sources'}"]
         else:
             compiler = _compiler(self.target)
             # Named without a folder, a library is looked for by its name when the program starts.
