@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from contact_system import Scene, plan
 from contact_system.measures import windows
-from contact_system.plots import DISTURBED, INK, colour_of
+from contact_system.plots.style import DISTURBED, INK, colour_of
 
 from .drake_meshes import rgba
 from .plant import model_names

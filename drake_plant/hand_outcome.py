@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from contact_system.cli import paragraph, table
-from contact_system.plots import INK, colour_of
+from contact_system.plots.style import INK, colour_of
 
 from .hand_station import HandResult
 from .measures import EDGE

@@ -74,7 +74,7 @@ from contact_system import (
     Turning,
 )
 from contact_system.errors import ContactSystemError
-from contact_system.plots import BODY, colour_of
+from contact_system.plots.style import BODY, colour_of
 from contact_system.scene import require_scene
 
 from .config import EDGES, StationConfig, require_config

@@ -14,21 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_system import Plan, plan
-from contact_system.plots import (
-    DISTURBED,
-    INK,
-    RECOVERY,
-    Picture,
-    best_view,
-    colour_of,
-    contact_keys,
-    curve_of,
-    draw_body,
-    draw_title,
-    is_hidden,
-    mesh_of,
-    shade_windows,
-)
+from contact_system.plots import Picture, contact_keys, draw_title, shade_windows
+from contact_system.plots.bodies import best_view, draw_body, is_hidden
+from contact_system.plots.curves import curve_of
+from contact_system.plots.meshes import mesh_of
+from contact_system.plots.style import DISTURBED, INK, RECOVERY, colour_of
 
 if TYPE_CHECKING:
     from .simulation import SimulationResult

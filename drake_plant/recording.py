@@ -17,7 +17,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from contact_system import SceneError
 from contact_system.checks import a_path, finite_number
-from contact_system.plots import INK
+from contact_system.plots.style import INK
 from contact_system.writing import writing
 
 from .drake_meshes import rgba

@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib")
 from matplotlib.image import imread
 
 import contact_system as cs
-from contact_system.plots import COLOURS, DISTURBED
+from contact_system.plots.style import COLOURS, DISTURBED
 from drake_plant import StationConfig, simulate
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")

@@ -36,14 +36,14 @@ def test_points_behind_a_sphere_are_hidden_and_those_before_it_are_not():
     x = np.random.default_rng(2).normal(size=(300, 3))
     x *= 0.1 / np.linalg.norm(x, axis=1)[:, None]
     x = x[np.abs(x[:, 2]) > 0.03]
-    assert np.array_equal(plots.is_hidden(mesh, view, x), x[:, 2] < 0)
+    assert np.array_equal(plots.bodies.is_hidden(mesh, view, x), x[:, 2] < 0)
 
 
 def test_a_hollow_is_seen_from_its_open_side():
     plan = cs.plan(_scene(cs.Sphere(0.2, inside=True), at=(3 * math.pi / 4, 0.0)))
     mesh = plots.mesh_of(plan, plan.scene.object, 1, [0])
     curve = plots.curves.curves_of(plan, [0], 1)
-    hidden = plots.is_hidden(mesh, plots.best_view(mesh, curve), curve[0].points)
+    hidden = plots.bodies.is_hidden(mesh, plots.bodies.best_view(mesh, curve), curve[0].points)
     assert not hidden.any()
 
 

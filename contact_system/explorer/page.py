@@ -28,7 +28,6 @@ from ..plots.meshes import Mesh, mesh_of
 from ..plots.style import BODY, DISTURBED, colour_of
 from ..scene import Scene, save_scene
 from ..steering import Goal, reach
-from ..surfaces import Surface
 from ..theory.gain import LAWS, Gain
 from .sliders import Place, Slider, adjusted, gain_slider, sliders_of
 
@@ -88,14 +87,13 @@ class Explorer:
         self.base, self.file = scene, file
         self.moved: dict[Place, Any] = {}
         self.goals: dict[int, Goal] = {}
-        self.meshes: dict[Surface, Mesh | None] = {}
         self.wake, self.stale, self.playing = threading.Event(), False, False
         self.knots: dict[tuple[int, int], np.ndarray] = {}
         self.clicked: tuple[np.ndarray, np.ndarray] | None = None
         self.now = scene.duration
         self.shown = Sampled.of(plan(scene))
         contacts = range(len(scene.contacts))
-        mesh = self._mesh(self.shown.plan, scene.object, 1, list(contacts), CELLS)
+        mesh = mesh_of(self.shown.plan, scene.object, 1, contacts, CELLS)
         self.unit = 1.0 / (scene.object.size if mesh is None else mesh.size)
         _require_free(port)
         with contextlib.redirect_stdout(io.StringIO()):  # viser's own greeting
@@ -256,8 +254,7 @@ class Explorer:
         """Make the point where a ray meets the object the goal of the chosen finger."""
         self.clicked = None
         scene = self.shown.plan.scene
-        contacts = list(range(len(scene.contacts)))
-        mesh = self._mesh(self.shown.plan, scene.object, 1, contacts, CELLS)
+        mesh = mesh_of(self.shown.plan, scene.object, 1, range(len(scene.contacts)), CELLS)
         hit = None if mesh is None else _first_hit(mesh, origin / self.unit, direction)
         if hit is None:
             return
@@ -327,9 +324,9 @@ class Explorer:
         self.slip.data = self._slip_data()
         for k, (body, lines) in enumerate(zip(self.bodies, self.lines)):
             surface = scene.contacts[k - 1].finger if k else scene.object
-            which = [k - 1] if k else list(range(len(scene.contacts)))
+            which = [k - 1] if k else range(len(scene.contacts))
             cells = FINGER_CELLS if k else CELLS
-            mesh = self._mesh(shown.plan, surface, int(not k), which, cells)
+            mesh = mesh_of(shown.plan, surface, int(not k), which, cells)
             body.visible = lines.visible = mesh is not None
             if mesh is not None:
                 body.side = "front" if mesh.whole or mesh.inside else "double"
@@ -361,19 +358,6 @@ class Explorer:
                 pose = shown.pose[k, i]
                 self.frames[1 + i].wxyz = _quaternion(pose[:3, :3])
                 self.frames[1 + i].position = pose[:3, 3] * self.unit
-
-    def _mesh(
-        self, planned: Plan, surface: Surface, side: int, contacts: list[int], cells: int
-    ) -> Mesh | None:
-        """The mesh of a surface, cached if it does not depend on the curves."""
-        if surface not in self.meshes:
-            mesh = mesh_of(planned, surface, side, contacts, cells)
-            if mesh is None or not mesh.whole:
-                return mesh
-            if len(self.meshes) > 2 * len(planned.scene.contacts) + 2:
-                self.meshes.clear()
-            self.meshes[surface] = mesh
-        return self.meshes[surface]
 
     def _slip_data(self) -> tuple[np.ndarray, ...]:
         """Times, and log10 of each contact's slip."""

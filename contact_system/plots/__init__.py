@@ -20,11 +20,10 @@ from ..scene import STILL, Scene, speed
 from ..theory.gain import Gain
 from ..theory.profile import Profile
 from ..writing import writing
-from .bodies import best_view, draw_body, is_hidden
-from .curves import curve_of, curves_of, distinct
+from .bodies import draw_body
+from .curves import curves_of, distinct
 from .meshes import mesh_of
 from .style import (
-    BODY,
     COLOURS,
     DISTURBED,
     DOTS,
@@ -38,29 +37,6 @@ from .style import (
     number_of,
     shortened,
 )
-
-__all__ = [
-    "BODY",
-    "COLOURS",
-    "DISTURBED",
-    "INK",
-    "RECOVERY",
-    "MissingMatplotlib",
-    "Picture",
-    "best_view",
-    "colour_of",
-    "contact_keys",
-    "curve_of",
-    "draw_body",
-    "draw_title",
-    "gain_text",
-    "is_hidden",
-    "mesh_of",
-    "plot",
-    "plot_curves",
-    "plot_slip",
-    "shade_windows",
-]
 
 FEWEST, MOST = 10, 2400  # dots per inch; below, text cannot be drawn
 DECADES = 10  # of slip shown below its peak

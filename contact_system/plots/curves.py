@@ -75,16 +75,5 @@ def distinct(curves: Sequence[Curve], distance: float) -> list[Curve]:
             groups.append([curve])
     for first, *others in groups:
         first.disturbed = np.any([c.disturbed for c in (first, *others)], axis=0)
-        first.label = shortened(_listed([c.label for c in (first, *others)]), 12)
+        first.label = shortened(",".join(c.label for c in (first, *others)), 12)
     return [group[0] for group in groups]
-
-
-def _listed(numbers: Sequence[str]) -> str:
-    """Numbers in short, such as 1,2,5-12: four or more consecutive ones make a range."""
-    runs: list[list[str]] = []
-    for number in numbers:
-        if runs and int(number) == int(runs[-1][-1]) + 1:
-            runs[-1].append(number)
-        else:
-            runs.append([number])
-    return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 3 else ",".join(run) for run in runs)

@@ -7,9 +7,11 @@ and the remedy. Indices count from 0, in Python and in scene files.
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import numbers
-from collections.abc import Iterable, Mapping, Sequence
+import operator
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -87,7 +89,6 @@ class Scene:
             self._check_parts()
             self._check_motion()
             self._place_contacts()
-            _check_chosen(self)
         except ContactSystemError as error:
             raise SceneError(f"{self.title}: {error}") from None
 
@@ -165,6 +166,8 @@ class Scene:
         if self.disturbances != ():
             names = " or ".join(kind.__name__ for kind in DISTURBANCE_KINDS)
             put(self, "disturbances", all_of(Disturbance, self.disturbances, "disturbances", names))
+        if self.chosen != ():
+            put(self, "chosen", all_of(str, self.chosen, "chosen", "text"))
         for key, kind in (("profile", Profile), ("gain", Gain), ("turning", Turning)):
             value = getattr(self, key)
             if not isinstance(value, kind) and not (key == "turning" and value is None):
@@ -296,42 +299,21 @@ DISTURBANCE_KEYS = ("kind", *(f.name for f in dataclasses.fields(Disturbance)))
 
 
 def _plain_table(table: Any, what: str) -> dict[str, Any]:
-    """A copy of a table in TOML's types, with finite numbers."""
-    if not isinstance(table, (dict, Mapping)):
+    """A copy of a table that holds only what a scene file can hold."""
+    if not isinstance(table, Mapping):
         raise SceneError(f"{what} = {table!r}: give a table")
-    for key in table:
-        a_text(key, f"{what}: key")
-    return {key: _plain(value, f"{what}.{key}") for key, value in table.items()}
+    with naming(what):
+        return {key: _plain(value, key) for key, value in table.items()}
 
 
-def _plain(value: Any, what: str) -> Any:
-    if isinstance(value, (bool, str)):
-        return value
-    if isinstance(value, numbers.Integral):
-        return int(value)
-    if isinstance(value, numbers.Real):
-        return finite_number(value, what)
-    if isinstance(value, Mapping):
-        return _plain_table(value, what)
-    if isinstance(value, Iterable):
-        return [_plain(x, f"{what}[{k}]") for k, x in enumerate(value)]
-    raise SceneError(f"{what} = {value!r}: give a number, a text, a list or a table")
-
-
-def _check_chosen(scene: Scene) -> None:
-    """Check that every entry of `chosen` is a key of scene files."""
-    if scene.chosen == ():
-        return
-    object.__setattr__(scene, "chosen", all_of(str, scene.chosen, "chosen", "text"))
-    below = {"contacts": CONTACT_KEYS, "disturbances": DISTURBANCE_KEYS, "turning": TURNING_KEYS}
-    for k, path in enumerate(scene.chosen):
-        key, _, rest = path.partition(".")
-        for part, known in ((key, SCENE_KEYS), (rest, below.get(key, (rest,)))):
-            if part and part not in known:
-                raise SceneError(
-                    f"chosen[{k}] = '{path}': there is no key '{part}'{did_you_mean(part, known)}; "
-                    'write it like "contacts.finger_at"'
-                )
+def _plain(value: Any, key: Any) -> Any:
+    try:  # numpy's numbers and arrays have a method tolist
+        text = json.dumps(value, allow_nan=False, default=operator.methodcaller("tolist"))
+    except (TypeError, ValueError, AttributeError):
+        raise SceneError(
+            f"{key} = {value!r}: give finite numbers, texts, lists or tables of them"
+        ) from None
+    return json.loads(text)
 
 
 def acting(scene: Scene, t: float) -> np.ndarray:
