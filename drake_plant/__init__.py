@@ -4,7 +4,6 @@
 Python.
 """
 
-import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -103,9 +102,6 @@ _LATER = {
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("PlantConfig", "DriverConfig"):
-        warnings.warn(f"{name} is StationConfig now", DeprecationWarning, stacklevel=2)
-        name = "StationConfig"
     for room, names in _LATER.items():
         if name in names:
             return getattr(import_module(f"{__name__}.{room}"), name)

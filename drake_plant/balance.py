@@ -18,6 +18,7 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
 from pydrake.solvers import (
     ClarabelSolver,
     LinearEqualityConstraint,
@@ -175,6 +176,12 @@ def needed_wrench(
         for x in (w_WO, alpha_WO, np.subtract(a_WO, gravity))
     )
     return mass * a, alpha @ inertia + np.cross(w, w @ inertia)
+
+
+def way_to(goal: RigidTransform, X: RigidTransform) -> Array:
+    """From a pose to another: the rotation vector and the shift that lead there, (6,)."""
+    turn = (goal.rotation() @ X.rotation().inverse()).ToAngleAxis()
+    return np.append(turn.angle() * turn.axis(), goal.translation() - X.translation())
 
 
 def pressed_config(scene: Scene, config: StationConfig) -> StationConfig:

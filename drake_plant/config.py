@@ -323,22 +323,23 @@ class StationConfig:
         with naming(f"{scene.title}, [drake]"):
             known_keys(table, sorted(f.name for f in dataclasses.fields(cls)))
             config = cls(**table)
-            if isinstance(config.hand, dict):
-                known_keys(config.hand, [f.name for f in dataclasses.fields(Hand)], "hand: ")
-                config.hand = Hand(**config.hand)
-            config.pushes = _pushes(config.pushes)
+            if config.hand is not None:
+                config.hand = _made(Hand, config.hand, "hand")
+            if not isinstance(config.pushes, Sequence) or isinstance(config.pushes, str):
+                raise SceneError(f"pushes = {config.pushes!r}: give a list of tables")
+            config.pushes = [
+                _made(Push, push, f"pushes[{k}]") for k, push in enumerate(config.pushes)
+            ]
             config.check(scene)
         return config
 
 
-def _pushes(tables: Any) -> list[Push]:
-    """Pushes from the list of tables that a scene file has."""
-    if not isinstance(tables, Sequence) or isinstance(tables, str):
-        raise SceneError(f"pushes = {tables!r}: give a list of tables")
-    keys = [f.name for f in dataclasses.fields(Push)]
-    for k, push in enumerate(tables):
-        if not isinstance(push, (dict, Push)):
-            raise SceneError(f"pushes[{k}] = {push!r}: give a table with {', '.join(keys)}")
-        if isinstance(push, dict):
-            known_keys(push, keys, f"pushes[{k}]: ")
-    return [push if isinstance(push, Push) else Push(**push) for push in tables]
+def _made(kind: Any, given: Any, name: str) -> Any:
+    """A dataclass, or one from the table that a scene file has for it."""
+    if isinstance(given, kind):
+        return given
+    keys = [f.name for f in dataclasses.fields(kind)]
+    if not isinstance(given, dict):
+        raise SceneError(f"{name} = {given!r}: give a table with {', '.join(keys)}")
+    known_keys(given, keys, f"{name}: ")
+    return kind(**given)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import ContactSurface, PenetrationAsPointPair
+from pydrake.geometry import ContactSurface, GeometryId, PenetrationAsPointPair
 from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
@@ -177,37 +178,37 @@ class _Bodies:
         ]
         self.object = int(scene_plant.object_body.index())
         self.fingers = [int(body.index()) for body in fingers]
-        self.contact_of_body = {index: i for i, index in enumerate(self.fingers)}
-        self.contact_of_geometry = {
-            geometry.get_value(): i
-            for i, body in enumerate(fingers)
-            for geometry in plant.GetCollisionGeometriesForBody(body)
-        }
         # A plant of somebody's own may have other bodies that fingers touch.
-        geometries = plant.GetCollisionGeometriesForBody(scene_plant.object_body)
-        self.object_geometries = {geometry.get_value() for geometry in geometries}
+        self.pairs: dict[tuple[int, int], tuple[int, bool]] = {}
+        for i, body in enumerate(fingers):
+            both = map(plant.GetCollisionGeometriesForBody, (body, scene_plant.object_body))
+            for of_finger, of_object in itertools.product(*both):
+                self.pairs[of_object.get_value(), of_finger.get_value()] = i, True
+                self.pairs[of_finger.get_value(), of_object.get_value()] = i, False
+
+    def pair(self, first: GeometryId, second: GeometryId) -> tuple[int | None, bool]:
+        """The contact that two geometries make, and whether the first is the object's."""
+        return self.pairs.get((first.get_value(), second.get_value()), (None, False))
 
     def touch(self, gauges: list[ContactGauge], results: ContactResults) -> None:
         """Tell the gauges of all patches and points between fingers and object."""
         for k in range(results.num_hydroelastic_contacts()):
             info = results.hydroelastic_contact_info(k)
-            patch, F_Ac_W = info.contact_surface(), info.F_Ac_W().get_coeffs()
-            M, N = patch.id_M().get_value(), patch.id_N().get_value()
-            first = M in self.object_geometries
-            tip = self.contact_of_geometry.get(N if first else M)
-            if tip is not None and (first or N in self.object_geometries):
+            patch = info.contact_surface()
+            i, first = self.pair(patch.id_M(), patch.id_N())
+            if i is not None:
                 share = _share_of_M(patch) if first else 1.0 - _share_of_M(patch)
-                force = -F_Ac_W if first else F_Ac_W  # body A has geometry M
-                gauges[tip].touch(share, share, patch.centroid(), force[3:], force[:3])
+                F_Ac_W = info.F_Ac_W().get_coeffs()  # body A has geometry M
+                force = -F_Ac_W if first else F_Ac_W
+                gauges[i].touch(share, share, patch.centroid(), force[3:], force[:3])
         for k in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(k)
-            A, B = int(info.bodyA_index()), int(info.bodyB_index())
-            first = A == self.object
-            tip = self.contact_of_body.get(B if first else A)
-            if tip is not None and (first or B == self.object):
-                p_WC, pair, force = info.contact_point(), info.point_pair(), info.contact_force()
-                share = self.share(tip, pair, pair.p_WCa if first else pair.p_WCb, p_WC)
-                gauges[tip].touch(share, 0.0, p_WC, force if first else -force, 0.0)
+            pair = info.point_pair()
+            i, first = self.pair(pair.id_A, pair.id_B)
+            if i is not None:
+                p_WC, force = info.contact_point(), info.contact_force()
+                share = self.share(i, pair, pair.p_WCa if first else pair.p_WCb, p_WC)
+                gauges[i].touch(share, 0.0, p_WC, force if first else -force, 0.0)
 
     def share(self, i: int, pair: PenetrationAsPointPair, p_WO: Array, p_WC: Array) -> float:
         """Where Drake's point contact acts, between the surfaces; p_WO is on the object's.

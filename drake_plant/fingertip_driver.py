@@ -198,13 +198,11 @@ class FingertipDriver(LeafSystem):
         for body, pose, velocity in zip(law.bodies, x["X_WF"], x["V_WF"]):
             pose[:], velocity[:] = X[body].GetAsMatrix34(), V[body].get_coeffs()
         x["motion"][:] = self._motion.Eval(context).reshape(n, -1)
-        x["normal_force"][:] = self.config.normal_force
         for name, port in self._optional.items():
-            x[name][:] = 0.0
-            if port.HasValue(context):
-                x[name][:] = port.Eval(context)[: x[name].size].reshape(n, -1)
-        if self._optional["contact_force"].HasValue(context):
-            x["normal_force"][:] = 0.0
+            given = port.HasValue(context)
+            x[name][:] = port.Eval(context)[: x[name].size].reshape(n, -1) if given else 0.0
+            if name == "contact_force":
+                x["normal_force"][:] = 0.0 if given else self.config.normal_force
         if context.num_discrete_state_groups():
             x["kept"][:] = context.get_discrete_state_vector().value().reshape(n, -1)
         law.run()

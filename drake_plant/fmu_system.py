@@ -19,8 +19,8 @@ try:
 except ImportError as error:
     raise ImportError('FmuSystem needs fmpy: pip install "contact-system[fmu]"') from error
 
+from .fmu_files import PortVariables
 from .fmu_instance import SLACK, Given, Instance, Moment, Names
-from .fmu_variables import PortVariables
 from .lifetimes import NO_DICTIONARY, weakly
 
 

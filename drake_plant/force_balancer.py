@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.multibody.math import SpatialVelocity
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from .balance import balancing_forces, friction_used, needed_wrench
+from .balance import balancing_forces, friction_used, needed_wrench, way_to
 from .config import StationConfig
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant
+from .plant import ScenePlant, declare_plant_inputs, gravity_on
 
 Array = NDArray[np.float64]
 
@@ -62,14 +61,12 @@ class ForceBalancer(LeafSystem):
         self._config: StationConfig = config
         inertia = body.default_spatial_inertia()
         self._body = inertia.get_mass(), inertia.CalcRotationalInertia().CopyToFullMatrix3()
-        heavy = plant.is_gravity_enabled(body.model_instance())
-        self._gravity = float(heavy) * plant.gravity_field().gravity_vector()
+        self._gravity = gravity_on(plant, body)
         self.DeclareAbstractParameter(Value(plant.GetDefaultFloatingBaseBodyPose(body)))
         self._points = self.DeclareVectorInputPort("contact_point", 6 * n)
         self._normals = self.DeclareVectorInputPort("normal", 3 * n)
-        self._poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
-        self._velocities = self.DeclareAbstractInputPort(
-            "body_spatial_velocities", Value[list[SpatialVelocity]]()
+        self._poses, self._velocities = declare_plant_inputs(
+            self, "body_poses", "body_spatial_velocities"
         )
         needs = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
         ticket, self._found = array_entry(self._CalcFound, (n, 5), needs)
@@ -105,7 +102,5 @@ class ForceBalancer(LeafSystem):
     def _Acceleration(self, context: Context, X_WO: RigidTransform, V_WO: Array) -> Array:
         """Angular and linear, back to the object's place: (6,)."""
         X_WP = context.get_abstract_parameter(0).get_value()
-        turn = (X_WP.rotation() @ X_WO.rotation().inverse()).ToAngleAxis()
-        error = np.append(turn.angle() * turn.axis(), X_WP.translation() - X_WO.translation())
         rate = self._config.object_rate
-        return rate * (rate * error - 2 * V_WO)
+        return rate * (rate * way_to(X_WP, X_WO) - 2 * V_WO)

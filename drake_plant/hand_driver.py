@@ -16,8 +16,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import Value
-from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
 from scipy.interpolate import CubicHermiteSpline
 
@@ -25,9 +23,10 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
+from .balance import way_to
 from .hand_kinematics import Chains, cross
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
-from .plant import ScenePlant
+from .plant import ScenePlant, declare_plant_inputs
 from .reorientation import Reorientation
 from .scratch import PerThread
 from .tip_law import CONSTANT, TIP, WANTED, TipLaws, named, tip_constants, tip_wrench
@@ -98,7 +97,7 @@ class HandDriver(LeafSystem):
         ]
         self._own = PerThread(partial(_own, plan, constants), {})
         self._state = self.DeclareVectorInputPort("state", plant.num_multibody_states())
-        self._poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
+        (self._poses,) = declare_plant_inputs(self, "body_poses")
         self._sliding = self.DeclareVectorInputPort("sliding", 3 * len(constants))
         self._push = self.DeclareVectorInputPort("push", 3 * len(constants) + 3)
         needs = (self.all_input_ports_ticket(), self.xd_ticket(), self.time_ticket())
@@ -154,9 +153,7 @@ class HandDriver(LeafSystem):
 
     def _Correct(self, context: Context, state: State) -> None:
         X_WO = self._poses.Eval(context)[self._object]
-        X = self.plan.path.GetPose(context.get_time())
-        turn = (X.rotation() @ X_WO.rotation().inverse()).ToAngleAxis()
-        off = np.append(turn.angle() * turn.axis(), X.translation() - X_WO.translation())
+        off = way_to(self.plan.path.GetPose(context.get_time()), X_WO)
         now = state.get_mutable_discrete_state().get_mutable_value()
         now += CORRECTION * self._step * off
         for part, most in ((now[:3], MOST[1]), (now[3:], MOST[0])):

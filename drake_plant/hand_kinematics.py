@@ -32,6 +32,7 @@ from pydrake.multibody.tree import (
 from contact_system import Scene, SceneError, Sphere
 from contact_system.contact_sensor import ContactSensor
 
+from .balance import way_to
 from .hand import Hand, own_hand
 
 Array = NDArray[np.float64]
@@ -249,10 +250,7 @@ class Chains:
             self.put(q)
             steps, left = np.zeros_like(q), []
             for i, own in enumerate(self.joints):
-                X, goal = self.pose(i), poses[i]
-                turn = (goal.rotation() @ X.rotation().inverse()).ToAngleAxis()
-                shift = goal.translation() - X.translation()
-                off = np.append(turn.angle() * turn.axis(), shift)
+                off = way_to(poses[i], self.pose(i))
                 left.append(float(np.linalg.norm(off)))
                 steps[own] = _least(self.jacobian(i)[:, own], off, np.zeros(len(own)))
             if max(left) < REACHED:

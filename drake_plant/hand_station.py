@@ -15,10 +15,10 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from .contact_monitor import ContactMonitor
 from .hand_driver import HandDriver
 from .plant import AddScenePlant, ScenePlant
-from .pushes import PushSource
 from .recording import Recording
 from .reorientation import Reorientation
 from .simulation import LOGGED, Asked, Log, SimulationResult, measurements
+from .station import add_pushes, wire
 
 Array = NDArray[np.float64]
 
@@ -54,24 +54,14 @@ def BuildHandStation(
     plant = parts.plant
     driver = builder.AddNamedSystem("driver", HandDriver(plan, parts))
     monitor = builder.AddNamedSystem("monitor", ContactMonitor(plan.rolling, parts))
-    for source, target, name in (
-        (plant, driver, "state"),
-        (plant, driver, "body_poses"),
-        (plant, monitor, "contact_results"),
-        (plant, monitor, "body_poses"),
-        (plant, monitor, "body_spatial_velocities"),
-    ):
-        builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
+    wire(builder, plant, driver, "state", "body_poses")
+    wire(builder, plant, monitor, "contact_results", "body_poses", "body_spatial_velocities")
     if plan.config.slip_gain:
-        builder.Connect(monitor.GetOutputPort("sliding"), driver.GetInputPort("sliding"))
+        wire(builder, monitor, driver, "sliding")
     builder.Connect(
         driver.GetOutputPort("generalized_force"), plant.get_applied_generalized_force_input_port()
     )
-    if plan.config.pushes:
-        source = builder.AddNamedSystem("push", PushSource(plan.scene, plan.config.pushes))
-        builder.Connect(source.get_output_port(), driver.GetInputPort("push"))
-    else:
-        builder.ExportInput(driver.GetInputPort("push"), "push")
+    add_pushes(builder, plan.scene, plan.config, driver)
     plant.SetDefaultFloatingBaseBodyPose(parts.object_body, plan.path.GetPose(0.0))
     for name, angle in zip(plan.joints, plan.q[0]):
         plant.GetJointByName(name).set_default_positions([angle])

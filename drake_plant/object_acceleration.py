@@ -12,7 +12,7 @@ from pydrake.systems.framework import Context, LeafSystem
 from contact_system import SceneError
 
 from .lifetimes import NO_DICTIONARY, weakly
-from .plant import ScenePlant, declare_plant_inputs
+from .plant import ScenePlant, declare_plant_inputs, gravity_on
 
 
 class ObjectAcceleration(LeafSystem):
@@ -59,8 +59,7 @@ class ObjectAcceleration(LeafSystem):
         inertia = body.default_spatial_inertia()
         self._mass, self._center = inertia.get_mass(), inertia.get_com()
         self._inertia = inertia.Shift(self._center).CalcRotationalInertia().CopyToFullMatrix3()
-        heavy = plant.is_gravity_enabled(body.model_instance())
-        self._gravity = float(heavy) * plant.gravity_field().gravity_vector()
+        self._gravity = gravity_on(plant, body)
         self._forces = self.DeclareVectorInputPort("generalized_contact_forces", size)
         self._poses, self._velocities = declare_plant_inputs(
             self, "body_poses", "body_spatial_velocities"

@@ -125,6 +125,12 @@ def declare_plant_inputs(system: LeafSystem, *names: str) -> list[InputPort]:
     return [system.DeclareAbstractInputPort(name, Value[PLANT_PORTS[name]]()) for name in names]
 
 
+def gravity_on(plant: MultibodyPlant, body: RigidBody) -> Array:
+    """What a body falls with, (3,), m/s^2 in the world: the gravity of a model may be off."""
+    heavy = plant.is_gravity_enabled(body.model_instance())
+    return float(heavy) * plant.gravity_field().gravity_vector()
+
+
 @dataclass(frozen=True)
 class ScenePlant:
     """A scene's plant in a DiagramBuilder: that of :func:`AddScenePlant`, or one of your own.

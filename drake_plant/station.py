@@ -128,30 +128,26 @@ def build(
         instance = parts.object_body.model_instance()
         forces = plant.get_generalized_contact_forces_output_port(instance)
         builder.Connect(forces, accelerating.GetInputPort("generalized_contact_forces"))
-        _wire(builder, plant, accelerating, *motions)
-    _wire(builder, planner, driver, "motion")
-    _wire(builder, plant, driver, *motions)
-    _wire(builder, accelerating, driver, "body_spatial_accelerations")
-    _wire(builder, plant, monitor, "contact_results", *motions)
+        wire(builder, plant, accelerating, *motions)
+    wire(builder, planner, driver, "motion")
+    wire(builder, plant, driver, *motions)
+    wire(builder, accelerating, driver, "body_spatial_accelerations")
+    wire(builder, plant, monitor, "contact_results", *motions)
     if config.slip_gain:
-        _wire(builder, monitor, driver, "sliding")
+        wire(builder, monitor, driver, "sliding")
     if config.restarts:
-        _wire(builder, planner, driver, "restarts")
+        wire(builder, planner, driver, "restarts")
         builder.Connect(monitor.GetOutputPort("state"), planner.GetInputPort("measured_state"))
     applied = plant.get_applied_spatial_force_input_port()
     builder.Connect(driver.GetOutputPort("spatial_forces"), applied)
     if config.balances:
         balancer = builder.AddNamedSystem("balancer", ForceBalancer(parts, least))
-        _wire(builder, planner, balancer, "contact_point", "normal")
-        _wire(builder, plant, balancer, *motions)
-        _wire(builder, balancer, driver, "contact_forces")
+        wire(builder, planner, balancer, "contact_point", "normal")
+        wire(builder, plant, balancer, *motions)
+        wire(builder, balancer, driver, "contact_forces")
         for name in COLUMNS:
             builder.ExportOutput(balancer.GetOutputPort(name), f"planned_{name}")
-    if config.pushes:
-        source = builder.AddNamedSystem("push", PushSource(scene, config.pushes))
-        builder.Connect(source.get_output_port(), driver.GetInputPort("push"))
-    else:
-        builder.ExportInput(driver.GetInputPort("push"), "push")
+    add_pushes(builder, scene, config, driver)
     builder.ExportInput(monitor.GetInputPort("noise"), "noise")
     if config.disturbance_input:
         builder.ExportInput(planner.GetInputPort("disturbance"), "disturbance")
@@ -161,9 +157,21 @@ def build(
     return builder.Build(), parts
 
 
-def _wire(builder: DiagramBuilder, source: LeafSystem, target: LeafSystem, *names: str) -> None:
+def wire(builder: DiagramBuilder, source: LeafSystem, target: LeafSystem, *names: str) -> None:
+    """Connect ports that have the same names on both systems."""
     for name in names:
         builder.Connect(source.GetOutputPort(name), target.GetInputPort(name))
+
+
+def add_pushes(
+    builder: DiagramBuilder, scene: Scene, config: StationConfig, driver: LeafSystem
+) -> None:
+    """What pushes fingers and object: the configuration's pushes, or an exported port."""
+    if config.pushes:
+        source = builder.AddNamedSystem("push", PushSource(scene, config.pushes))
+        builder.Connect(source.get_output_port(), driver.GetInputPort("push"))
+    else:
+        builder.ExportInput(driver.GetInputPort("push"), "push")
 
 
 def _export(

@@ -26,7 +26,7 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 
 from .config import GAINS
-from .plant import ScenePlant
+from .plant import ScenePlant, gravity_on
 
 Array = NDArray[np.float64]
 SHARE = 0.4
@@ -84,9 +84,6 @@ def tip_constants(body: RigidBody, parts: ScenePlant, hold: float) -> list[float
     """`CONSTANT` of a tip; of each gain so much as its mass, or least inertia, bears."""
     config, h, mass = parts.config, parts.plant.time_step(), body.default_mass()
     inertia = body.default_spatial_inertia().CalcRotationalInertia().CopyToFullMatrix3()
-    # A model's gravity may be switched off.
-    heavy = parts.plant.is_gravity_enabled(body.model_instance())
-    gravity = float(heavy) * parts.plant.gravity_field().gravity_vector()
     least = float(np.linalg.eigvalsh(inertia)[0])
 
     # of each gain, what it moves and to which power the step divides what is borne
@@ -94,7 +91,7 @@ def tip_constants(body: RigidBody, parts: ScenePlant, hold: float) -> list[float
     borne = [SHARE * inert / h**order if h else math.inf for inert, order in moved]
     gains = [min(getattr(config, name), most) for name, most in zip(GAINS, borne)]
     gains.append(min(config.slip_gain, SLIP_SHARE / h if h else math.inf))
-    return [h, mass, *inertia.ravel(), *gravity, *gains, hold]
+    return [h, mass, *inertia.ravel(), *gravity_on(parts.plant, body), *gains, hold]
 
 
 def split(numbers: ca.SX, sizes: dict[str, int]) -> dict[str, ca.SX]:
