@@ -73,8 +73,7 @@ def model_description(
     # so that Euler's method moves a contact by less than a tenth of a body's size
     steps = max(500, math.ceil(10 * fastest * horizon / smallest / 100) * 100)
     # Fingers' frames turn again and again: K4 by CVode is 4e-7 off at 1e-10, 6e-8 at 1e-11.
-    tolerance = "1e-11" if table.frames else "1e-10"
-    experiment = {"startTime": "0", "stopTime": _number(horizon), "tolerance": tolerance}
+    experiment = {"startTime": "0", "stopTime": _number(horizon), "tolerance": "1e-11"}
     ET.SubElement(root, "DefaultExperiment", experiment, stepSize=_number(horizon / steps))
     variables = ET.SubElement(root, "ModelVariables")
     variables.extend(_variable(v, fmi_version) for v in listed(table, fmi_version))
@@ -154,7 +153,7 @@ def _head(table: Table, fmi_version: str) -> dict[str, str]:
     head = {
         "fmiVersion": fmi_version,
         "modelName": scene.name or "scene",
-        "description": f"{scene.description or 'Rolling contact curves'} ({states_of(table)})",
+        "description": scene.description or "Rolling contact curves",
         "version": __version__,
         "generationTool": f"contact-system {__version__}",
         "variableNamingConvention": "structured" if plain else "flat",
@@ -165,11 +164,6 @@ def _head(table: Table, fmi_version: str) -> dict[str, str]:
     if fmi_version == "2.0":
         head["numberOfEventIndicators"] = "0"
     return head
-
-
-def states_of(table: Table) -> str:
-    """What the continuous states are."""
-    return f"states: {'moving frames' if table.frames else 'coordinates of charts'}"
 
 
 def _interface(table: Table, fmi_version: str, interface: str) -> ET.Element:

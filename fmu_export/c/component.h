@@ -67,7 +67,7 @@ typedef struct {
   double *registers;             /* of its equations */
   int prepared;                  /* their prologue has run, */
   long leg;                      /* on this leg */
-  double regularity[2], theta;   /* of the charts at its states; of the object */
+  double regularity[2], theta;   /* of its charts at its states; of the object's frame there */
   int warned[2];                 /* the path is near a pole, and the log says so */
 } live_t;
 

@@ -226,8 +226,8 @@ static int settable(const component_t *c, unsigned reference) {
 
 static status_t check_one(component_t *c, unsigned reference, double value) {
   static const char *const remedy[] = {
-      [CALCULATED] = "is calculated; disturb the motion by the inputs, or where coordinates are to "
-                     "be start values, export with states=\"chart\"",
+      [CALCULATED] =
+          "is calculated; disturb the motion by the inputs, or export with measured inputs",
       [INDEPENDENT] = "is time; it is set by steps, or by SetTime",
       [FIXED] = "is fixed; set it before initialization ends, or reset first",
       [TUNABLE] = "is tunable; set it in event mode",
