@@ -26,7 +26,6 @@ from .variables import Table
 VERSIONS = ("2.0", "3.0")
 INTERFACES = ("CoSimulation", "ModelExchange")
 LOG_CATEGORIES = {
-    "logStatusWarning": "Requests that were ignored",
     "logStatusDiscard": "Requests that were refused; the instance is as it was before",
     "logStatusError": "Calls and values that the standard does not allow, and failed computations",
 }

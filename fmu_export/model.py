@@ -10,8 +10,7 @@ Results are the states' derivatives; the nine numbers of charts, u1 v1 u1' v1' u
 slip (2), twist (6), the pose of the finger in the object's frame (rotation row by row, 9,
 position, 3), the contact point on finger and object (3 + 3); sigma, the length of the slip, 1 where
 a disturbance acts, and the time in which slip falls to a hundredth at its present rate, `NEVER`
-where it does not; then what the component alone reads:
-how far both charts are from their poles (2), and the angle of the object's frame.
+where it does not; then the angle of the object's frame, which the component alone reads.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ def frame_sizes(finger: Surface, obj: Surface) -> tuple[int, int]:
 @per_structure
 def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[Table, np.ndarray]:
     """The table (time, states, disturbances | gain, profile, numbers of both) -> results; and which
-    of these each result depends on, but the last three."""
+    of these each result depends on, but the last."""
     with making_symbols():
         forms = in_space(finger, True), in_space(obj, True)
         form = Form("frame", True, forms, law, n_profile, ())
@@ -69,12 +68,12 @@ def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[
             *(found["derivatives"], found["state"]),
             *(found["slip"], found["twist"], by_rows, found["contact_point"]),
             *_condition(law, t, own, found["slip"], w),
-            *(found["regularity"], _object_theta(obj, x, p2)),
+            _object_theta(obj, x, p2),
         )
         point, constants = ca.vertcat(t, x, w), ca.vertcat(gain, profile, p1, p2)
         made = ca.Function("equations", [point, constants], [ca.densify(ca.cse(results))])
         parts = [ca.DM(made.jac_sparsity(0, k), 1).full() for k in range(2)]
-        return Table(made), np.hstack(parts)[:-3] != 0
+        return Table(made), np.hstack(parts)[:-1] != 0
 
 
 def _condition(law: str, t: ca.SX, own: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca.SX]:

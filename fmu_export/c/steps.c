@@ -37,10 +37,6 @@ static const char *place_contact(component_t *c, long i) {
     if (wrong) return wrong;
   }
   find_system(c, i);
-  for (int side = 0; side < 2; side++)
-    if (!(c->live[i].regularity[side] > 1e-12))
-      return side ? "the object has no outward contact frame at (u, v)"
-                  : "the finger has no outward contact frame at (u, v)";
   memset(s, 0, sizeof *s);
   s->begin = c->now->time, s->gain = c->value[GAIN];
   if (leaves_slip_behind(c, i)) no_slip(l, x);
@@ -58,7 +54,8 @@ static const char *place_contact(component_t *c, long i) {
     place[2] = side ? c->live[i].theta : -coordinates[8] - c->live[i].theta;
   }
   memcpy(to + K_W1, x, 4 * sizeof *x);
-  if (!all_finite(s->row, CONTACT_SIZE)) return "the start is not finite";
+  if (!all_finite(s->row, CONTACT_SIZE))
+    return "its charts have no coordinates there, as at a pole";
   const double stop = c->now->stop_time, horizon = m->data[D_HORIZON];
   s->end = -(stop < HUGE_VAL ? stop : s->begin < horizon ? horizon : s->begin + horizon);
   return NULL;

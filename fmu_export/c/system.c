@@ -1,11 +1,7 @@
 /* A contact as a system of equations: everything from its states, by one table of instructions.
 
    point: time, states, disturbances (6); constants: gain, profile, numbers of finger and object;
-   results: the values from `rate` on, then the regularity of both charts and the object's theta. */
-
-#define NEAR_POLE                                                                                  \
-  1e-3 /* of the body's size; at 1e-6 fmpy's CVode takes more than its 500 steps                   \
-        */
+   results: the values from `rate` on, then the object's theta. */
 
 static const table_t *system_of(const model_t *m, long i) {
   return m->systems + (long)contact_of(m, i)[P_SYSTEM];
@@ -50,30 +46,11 @@ static const double *run_system(component_t *c, long i) {
   return c->live[i].registers + t->first_out;
 }
 
-/* A log line where a solver gets into trouble. */
-static void warn_of_poles(component_t *c, long i) {
-  live_t *k = c->live + i;
-  for (int side = 0; side < 2; side++) {
-    const double left = k->regularity[side];
-    if (!c->now->stepping && left < NEAR_POLE && !k->warned[side])
-      report(c, WARNING,
-             "contact[%ld].%s: at t = %.9g s the path is within %.2g of the body's size of a "
-             "singular point of its chart (a pole or an umbilic), where a solver takes tiny steps "
-             "or stops; start elsewhere, or run the Co-Simulation, which passes such points",
-             i + 1, side ? "object" : "finger", c->now->time, left);
-    k->warned[side] = left < NEAR_POLE;
-  }
-}
-
 static void find_system(component_t *c, long i) {
   const layout_t *l = c->model->layout + i;
-  live_t *k = c->live + i;
-  const double *found = run_system(c, i), *last = found + n_results(l);
+  const double *found = run_system(c, i);
   memcpy(c->value + l->at[OF_RATES], found, (size_t)n_results(l) * sizeof *found);
-  for (int side = 0; side < 2; side++)
-    k->regularity[side] = last[side] / body_of_contact(c->model, i, side)[Q_LENGTH];
-  k->theta = last[2];
-  warn_of_poles(c, i);
+  c->live[i].theta = found[n_results(l)];
   for (long j = l->at[OF_RATES]; j < l->at[GROUPS] && past_end(c); j++) c->value[j] = NAN;
 }
 

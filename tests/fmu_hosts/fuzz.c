@@ -63,9 +63,9 @@ static void watch(void) {
 }
 
 static void heard(int status, const char *category, const char *text) {
-  static const char *const declared[] = {"logStatusWarning", "logStatusDiscard", "logStatusError"};
+  static const char *const declared[] = {"logStatusDiscard", "logStatusError"};
   int known = 0;
-  for (int k = 0; k < 3; k++) known |= !strcmp(category, declared[k]);
+  for (int k = 0; k < 2; k++) known |= !strcmp(category, declared[k]);
   if (!known) fail("a log line in a category that is not declared");
   if (status < 0 || status > 3 || !*text) fail("a log line without a status or a text");
   lines++;
@@ -154,7 +154,7 @@ static int read_bytes(fmu_t fmu, const unsigned char *given, size_t n) {
 }
 
 static int set_debug_logging(fmu_t fmu) {
-  static const F(String, String) names[] = {"logStatusError", "nothing", "logStatusWarning", "%s%n"};
+  static const F(String, String) names[] = {"logStatusError", "nothing", "logStatusDiscard", "%s%n"};
   logging = 0;
   return F(SetDebugLogging, SetDebugLogging)(fmu, one_in(2), below(3),
                                              one_in(9) ? NULL : names + below(3));
