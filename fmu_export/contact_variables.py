@@ -17,7 +17,7 @@ from .quantities import METRE, NONE, RADIAN, SECOND, Unit, Variable, chart_units
 SMALL = 0.1
 """Nominal value of angles and path velocities: solvers take their absolute tolerances from it."""
 XY, XYZ = ("x", "y"), ("x", "y", "z")
-STATE = ("output", "exact")
+STATE = ("local", "exact")
 PSI = "Contact angle psi between the contact frames E1 and E2"
 
 INPUT_GROUPS, STATE_GROUP, DERIVATIVES = 2, 2, 3
@@ -139,8 +139,10 @@ def _coordinates(scene: Scene, contact: Contact) -> list[Variable]:
     rows: list[Variable] = []
     for side, surface in _bodies(scene, contact):
         places = _coordinates_of(side, surface, f"contact point on the {side}")
-        rates = [replace(_derivative(v), causality="output") for v in places]
-        rows += [replace(v, initial="calculated", nominal=None) for v in (*places, *rates)]
+        rows += [
+            replace(v, causality="output", initial="calculated", nominal=None)
+            for v in (*places, *map(_derivative, places))
+        ]
     return [*rows, _quantity("angle", (), RADIAN, PSI)]
 
 

@@ -284,8 +284,6 @@ def _structure(table: Table, fmi_version: str) -> ET.Element:
             parent = ET.SubElement(structure, name)
         for v in unknowns:
             known = {reference for element in v.known for reference in element}
-            if v.initial == "exact":  # a state, which is its own
-                known = set(range(v.reference, v.reference + v.size))
             found = sorted({owner[r] for r in known & allowed})
             said = {"dependencies": " ".join(map(str, found))}
             said["dependenciesKind"] = " ".join(["dependent"] * len(found))
