@@ -14,7 +14,7 @@ from .build import PLATFORMS
 from .description import INTERFACES, VERSIONS
 from .export import export_fmu
 from .reference import check_fmu
-from .variables import MEASUREMENTS, STATES
+from .variables import MEASUREMENTS
 
 
 def register(commands: Any) -> None:
@@ -40,9 +40,6 @@ def register(commands: Any) -> None:
         metavar="PLATFORM",
         help=f"native (default), or one or more of {', '.join(PLATFORMS)}, built by ziglang",
     )
-    parser.add_argument(
-        "--states", choices=STATES, default="auto", help="charts, or frames that pass poles"
-    )
     parser.add_argument("--arrays", action="store_true", help="FMI 3: vectors, not scalars")
     parser.add_argument(
         "--measured",
@@ -61,9 +58,8 @@ def run(args: argparse.Namespace) -> int:
     scene, began = load_scene(args.scene), time.monotonic()
     path = args.out or Path(f"{file_name(scene)}.fmu")
     with Progress(1 + len(args.platforms), "writing the sources") as progress:
-        described = {name: getattr(args, name) for name in ("states", "arrays", "measured")}
         chosen = (args.fmi, args.interfaces, args.platforms, progress.step)
-        export_fmu(scene, path, *chosen, **described)
+        export_fmu(scene, path, *chosen, args.arrays, args.measured)
     if args.check:
         print(f"{path} is within {check_fmu(path):.1e} of its reference results")
     print(

@@ -17,7 +17,7 @@ from .quantities import METRE, NONE, RADIAN, SECOND, Unit, Variable, chart_units
 SMALL = 0.1
 """Nominal value of angles and path velocities: solvers take their absolute tolerances from it."""
 XY, XYZ = ("x", "y"), ("x", "y", "z")
-STATE = ("output", "exact")
+STATE = ("local", "exact")
 PSI = "Contact angle psi between the contact frames E1 and E2"
 
 INPUT_GROUPS, STATE_GROUP, DERIVATIVES = 2, 2, 3
@@ -25,15 +25,14 @@ INPUT_GROUPS, STATE_GROUP, DERIVATIVES = 2, 2, 3
 
 
 def contact_groups(
-    scene: Scene, contact: Contact, starts: Sequence[float], frames: bool, measured: str
+    scene: Scene, contact: Contact, starts: Sequence[float], measured: str
 ) -> list[list[Variable]]:
     """A contact's variables in the groups of c/model.h, their names without ``contact[i].``.
 
     starts: values of the states.
     """
-    states = _frame_states(scene, contact) if frames else _states(scene, contact)
-    derivatives = [_derivative(v, frames) for v in states]
-    coordinates = _coordinates(scene, contact) if frames else []
+    states, coordinates = _states(scene, contact), _coordinates(scene, contact)
+    derivatives = [_derivative(v) for v in states]
     inputs = [replace(v, start=(0.0,)) for v in _inputs(scene, contact)]
     groups = [inputs, [], states, derivatives, coordinates, *_outputs(scene, contact)]
     if measured != "nothing":
@@ -113,17 +112,6 @@ def _coordinates_of(stem: str, surface: Surface, what: str) -> list[Variable]:
 
 def _states(scene: Scene, contact: Contact) -> list[Variable]:
     rows = []
-    for body, (side, surface) in enumerate(_bodies(scene, contact), 1):
-        rows += _coordinates_of(side, surface, f"contact point on the {side}")
-        text = f"Angle in E{body} of a frame carried along the path by parallel transport"
-        rows.append(_quantity(f"{side}.frame_angle", (), RADIAN, text, SMALL, kind=STATE))
-        text = f"Path velocity of the {side}'s contact point, M{body} dq{body}/ds, in that frame"
-        rows.append(_quantity(f"{side}.velocity", XY, NONE, text, SMALL, kind=STATE))
-    return [*rows, _quantity("angle", (), RADIAN, PSI, SMALL, kind=STATE)]
-
-
-def _frame_states(scene: Scene, contact: Contact) -> list[Variable]:
-    rows = []
     sizes = frame_sizes(contact.finger, scene.object)
     for (side, surface), size in zip(_bodies(scene, contact), sizes):
         stem, carried = f"{side}.frame", f"frame carried along on the {side}"
@@ -151,20 +139,21 @@ def _coordinates(scene: Scene, contact: Contact) -> list[Variable]:
     rows: list[Variable] = []
     for side, surface in _bodies(scene, contact):
         places = _coordinates_of(side, surface, f"contact point on the {side}")
-        rates = [_derivative(v, False) for v in places]
-        rows += [replace(v, initial="calculated", nominal=None) for v in (*places, *rates)]
+        rows += [
+            replace(v, causality="output", initial="calculated", nominal=None)
+            for v in (*places, *map(_derivative, places))
+        ]
     return [*rows, _quantity("angle", (), RADIAN, PSI)]
 
 
-def _derivative(state: Variable, local: bool) -> Variable:
-    """Rates of coordinates are outputs, the other derivatives are local."""
+def _derivative(state: Variable) -> Variable:
     return replace(
         state,
         name=f"der({state.name})",
         elements=tuple(f"der({name})" for name in state.elements),
         description="Time derivative: " + state.description,
         unit=per_second(state.unit, 1),
-        causality="output" if state.name[-2:] in (".u", ".v") and not local else "local",
+        causality="local",
         initial="calculated",
         nominal=None,
     )

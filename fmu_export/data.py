@@ -18,7 +18,7 @@ from contact_system.theory.lowering import Table as Instructions
 from .model import TOLERANCE, equations, frame_sizes, measured, way_of
 from .variables import Table
 
-MAGIC, VERSION, HEADER = 20261124.0, 5.0, 38
+MAGIC, VERSION, HEADER = 20261124.0, 6.0, 36
 KINDS = ("calculated", "independent", "fixed", "tunable", "input", "exact")
 
 
@@ -65,7 +65,7 @@ def scene_data(table: Table, token: str) -> bytes:
         corners |= {stretch.start for stretch in way[1:]}
         n_profile = len(way[0].profile.coefficients)
         own, _ = equations(*table.structure(i))
-        frames = frame_sizes(contact.finger, scene.object) if table.frames else (0, 0)
+        frames = frame_sizes(contact.finger, scene.object)
         contacts += [*_body(contact.finger, table.first[f"finger {i}"], surfaces), *group]
         contacts += [data.numbers(table.columns(i)), _index(systems, own), *frames]
         sensor = own
@@ -94,9 +94,8 @@ def scene_data(table: Table, token: str) -> bytes:
     rows = [x for surface in surfaces for x in _surface(surface, data)]
     head = struct.pack(
         f"<{HEADER - 4}d",
-        *(len(table.groups), table.n_values, len(scene.profile.coefficients), law.power),
-        *(law.makes_up, scene.duration, TOLERANCE, table.frames),
-        table.first["scale"],
+        *(len(table.groups), table.n_values, law.power, law.makes_up),
+        *(scene.duration, TOLERANCE, table.first["scale"]),
         *(data.texts(token), data.texts(*(v.name for v in scalars))),
         data.numbers([KINDS.index(v.kind) for v in scalars]),
         *(data.numbers(sizes), data.numbers(table.start_values), data.numbers(least)),

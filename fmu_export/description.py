@@ -26,7 +26,6 @@ from .variables import Table
 VERSIONS = ("2.0", "3.0")
 INTERFACES = ("CoSimulation", "ModelExchange")
 LOG_CATEGORIES = {
-    "logStatusWarning": "Requests that were ignored",
     "logStatusDiscard": "Requests that were refused; the instance is as it was before",
     "logStatusError": "Calls and values that the standard does not allow, and failed computations",
 }
@@ -73,8 +72,7 @@ def model_description(
     # so that Euler's method moves a contact by less than a tenth of a body's size
     steps = max(500, math.ceil(10 * fastest * horizon / smallest / 100) * 100)
     # Fingers' frames turn again and again: K4 by CVode is 4e-7 off at 1e-10, 6e-8 at 1e-11.
-    tolerance = "1e-11" if table.frames else "1e-10"
-    experiment = {"startTime": "0", "stopTime": _number(horizon), "tolerance": tolerance}
+    experiment = {"startTime": "0", "stopTime": _number(horizon), "tolerance": "1e-11"}
     ET.SubElement(root, "DefaultExperiment", experiment, stepSize=_number(horizon / steps))
     variables = ET.SubElement(root, "ModelVariables")
     variables.extend(_variable(v, fmi_version) for v in listed(table, fmi_version))
@@ -156,7 +154,7 @@ def _head(table: Table, fmi_version: str) -> dict[str, str]:
     head = {
         "fmiVersion": fmi_version,
         "modelName": scene.name or "scene",
-        "description": f"{scene.description or 'Rolling contact curves'} ({states_of(table)})",
+        "description": scene.description or "Rolling contact curves",
         "version": __version__,
         "generationTool": f"contact-system {__version__}",
         "variableNamingConvention": "structured" if plain else "flat",
@@ -167,11 +165,6 @@ def _head(table: Table, fmi_version: str) -> dict[str, str]:
     if fmi_version == "2.0":
         head["numberOfEventIndicators"] = "0"
     return head
-
-
-def states_of(table: Table) -> str:
-    """What the continuous states are."""
-    return f"states: {'moving frames' if table.frames else 'coordinates of charts'}"
 
 
 def _interface(table: Table, fmi_version: str, interface: str) -> ET.Element:
@@ -293,8 +286,6 @@ def _structure(table: Table, fmi_version: str) -> ET.Element:
             parent = ET.SubElement(structure, name)
         for v in unknowns:
             known = {reference for element in v.known for reference in element}
-            if v.initial == "exact":  # a state, which is its own
-                known = set(range(v.reference, v.reference + v.size))
             found = sorted({owner[r] for r in known & allowed})
             said = {"dependencies": " ".join(map(str, found))}
             said["dependenciesKind"] = " ".join(["dependent"] * len(found))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from contact_system import __version__
 
-from .description import printable, states_of, terminals
+from .description import printable, terminals
 from .variables import Table
 
 ICON = Path(__file__).with_name("icon.png")
@@ -46,8 +46,8 @@ def page(table: Table) -> str:
         "slip, twist and pose. Kumar &amp; Mukherjee, <i>A note on synthesizing geodesic based "
         "contact curves</i>.</p>\n"
         "<p>Communication steps may have any size and may vary; results do not depend on them. "
-        f"The continuous {states_of(table)}. Their start values, and all parameters, among them "
-        "the scene's own disturbances, can be set before initialization ends.</p>\n"
+        "The continuous states are moving frames. Their start values, and all parameters, among "
+        "them the scene's own disturbances, can be set before initialization ends.</p>\n"
         f"<p>contact-system {__version__}</p>"
         "</body></html>\n"
     )

@@ -34,7 +34,6 @@ def export_fmu(
     interfaces: Sequence[str] = INTERFACES,
     platforms: Sequence[str] = ("native",),
     progress: Callable[[str], None] | None = None,
-    states: str = "auto",
     arrays: bool = False,
     measured: str = "nothing",
 ) -> Path:
@@ -53,8 +52,6 @@ def export_fmu(
     platforms : sequence of str
         "native", or of x86_64-linux, aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin
         and (experimental) wasm32 those wanted, for which ziglang is needed, once.
-    states : "auto", "chart" or "frame"
-        What the states are: see `variable_table`.
     arrays : bool
         FMI 3: vectors and matrices instead of scalars with FMI 2's names.
     measured : "nothing", "states" or "pose"
@@ -79,7 +76,7 @@ def export_fmu(
     path, moment = target(path), generation_time()
     platforms, interfaces = build.chosen(platforms), check_choice(fmi_version, interfaces)
     tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
-    table = variable_table(scene, states, flag(arrays, "arrays"), measured)
+    table = variable_table(scene, flag(arrays, "arrays"), measured)
     description = model_description(table, fmi_version, interfaces, UNITS)
     name, data = model_identifier(scene), scene_data(table, instantiation_token(description))
     # FMI's own headers are the importer's, which may give functions a prefix (FMI 3.0.2, 2.2.2).

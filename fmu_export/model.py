@@ -1,26 +1,16 @@
 """A contact as a system of equations in the variables of an FMU, as one table of instructions.
 
 Nothing of the mathematics is written here: `contact_system.contact_equations` is put into the
-variables that an importer sees. The states of a contact are one of
+variables that an importer sees. The states of a contact are, of finger and object, the frame that
+is carried along its path, a point and a tangent in space (6), or u v theta where a body is moved in
+its chart (3); then the path velocity W_1 and slip over sigma, V, in these frames. They exist where
+sigma = 0, in space no pole stands in their way, and they are not stiff where the gain is large.
 
-charts, eleven numbers (theory section 4)
-    u1 v1; theta1, the angle in E1 of a frame that is carried along by parallel transport; the path
-    velocity M1 dq1/ds in that frame, W1; u2 v2 theta2 and the object's path velocity likewise; psi.
-    At the start the carried frames are E1 and E2, so the velocities are those of the scene. They
-    stay constant while nothing acts, exist where sigma = 0, and u', v' follow from them. In the
-    frames E1, E2 themselves they would turn all the time, and an importer's solver would let their
-    length drift (measured, K4 by CVode at 1e-10: 4e-7 rad off, here 9e-8, with the nominal values
-    of `variables` 3e-8).
-frames
-    of finger and object the carried frame itself, a point and a tangent in space (6), or u v theta
-    (3) where a body is moved in its chart; W1; V. No pole stands in their way.
-
-Results are the states' derivatives; of frames the nine numbers of charts, u1 v1 u1' v1' u2 v2 u2'
-v2' psi; slip (2), twist (6), the pose of the finger in the object's frame (rotation row by row, 9,
+Results are the states' derivatives; the nine numbers of charts, u1 v1 u1' v1' u2 v2 u2' v2' psi;
+slip (2), twist (6), the pose of the finger in the object's frame (rotation row by row, 9,
 position, 3), the contact point on finger and object (3 + 3); sigma, the length of the slip, 1 where
 a disturbance acts, and the time in which slip falls to a hundredth at its present rate, `NEVER`
-where it does not; then what the component alone reads:
-how far both charts are from their poles (2), and the angle of the object's frame.
+where it does not; then the angle of the object's frame, which the component alone reads.
 """
 
 from __future__ import annotations
@@ -35,15 +25,13 @@ from contact_system.scene import Contact, Scene, Stretch
 from contact_system.surfaces import TINY, Surface
 from contact_system.theory import symbols as ca
 from contact_system.theory.development import in_space, moving
-from contact_system.theory.equations import flip
 from contact_system.theory.gain import LAWS
-from contact_system.theory.geometry import number_symbols, rotation
+from contact_system.theory.geometry import number_symbols
 from contact_system.theory.lowering import Table
 from contact_system.theory.profile import Profile, polynomial
 from contact_system.theory.symbols import making_symbols, per_structure
 
-INPUTS, CHART_STATES, COORDINATES = 6, 11, 9
-RESULTS = {"slip": 2, "twist": 6, "pose": 12, "points": 6, "state": 4}
+INPUTS = 6
 NEVER = 1e6  # s
 TOLERANCE = 1e-14
 """Of plans; with 1e-13 K4 ends 4e-14 of its size away."""
@@ -58,38 +46,34 @@ def frame_sizes(finger: Surface, obj: Surface) -> tuple[int, int]:
 
 
 @per_structure
-def equations(
-    finger: Surface, obj: Surface, law: str, n_profile: int, frames: bool
-) -> tuple[Table, np.ndarray]:
+def equations(finger: Surface, obj: Surface, law: str, n_profile: int) -> tuple[Table, np.ndarray]:
     """The table (time, states, disturbances | gain, profile, numbers of both) -> results; and which
-    of these each result depends on, but the last three."""
+    of these each result depends on, but the last."""
     with making_symbols():
-        forms = (in_space(finger, True), in_space(obj, True)) if frames else (False, False)
+        forms = in_space(finger, True), in_space(obj, True)
         form = Form("frame", True, forms, law, n_profile, ())
-        size = sum(form.sizes) if frames else CHART_STATES
-        t, x, w = ca.SX.sym("t"), ca.SX.sym("x", size), ca.SX.sym("w", INPUTS)
+        t, x, w = ca.SX.sym("t"), ca.SX.sym("x", sum(form.sizes)), ca.SX.sym("w", INPUTS)
         gain, profile = ca.SX.sym("gain"), ca.SX.sym("profile", n_profile)
         p1, p2 = (ca.SX.sym("p", len(s.parameters)) for s in (finger, obj))
         # where sigma has ended the path rests: solvers look there from within their last step
         ended = polynomial(ca.vertsplit(profile), t) < 0
         own = ca.vertcat(gain, ca.if_else(ended, 0, profile))
-        turn, state = (ca.SX(), x) if frames else _framed(x)
         numbers = ca.vertcat(p1, WORK_SIZE), ca.vertcat(p2, WORK_SIZE)
         function = contact_function(finger, obj, form)
-        values = function(t, state, w, ca.SX(0, 1), own, *numbers)
+        values = function(t, x, w, ca.SX(0, 1), own, *numbers)
         found = dict(zip(function.name_out(), values))
-        pose, rates = found["pose"], found["derivatives"]
+        pose = found["pose"]
         by_rows = ca.vertcat(ca.vec(ca.reshape(pose[:9], 3, 3).T), pose[9:])
         results = ca.vertcat(
-            *((rates, found["state"]) if frames else (_chart_rates(rates, turn),)),
+            *(found["derivatives"], found["state"]),
             *(found["slip"], found["twist"], by_rows, found["contact_point"]),
             *_condition(law, t, own, found["slip"], w),
-            *(found["regularity"], _object_theta(obj, forms, state, p2)),
+            _object_theta(obj, x, p2),
         )
         point, constants = ca.vertcat(t, x, w), ca.vertcat(gain, profile, p1, p2)
         made = ca.Function("equations", [point, constants], [ca.densify(ca.cse(results))])
         parts = [ca.DM(made.jac_sparsity(0, k), 1).full() for k in range(2)]
-        return Table(made), np.hstack(parts)[:-3] != 0
+        return Table(made), np.hstack(parts)[:-1] != 0
 
 
 def _condition(law: str, t: ca.SX, own: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca.SX]:
@@ -102,26 +86,8 @@ def _condition(law: str, t: ca.SX, own: ca.SX, slip: ca.SX, w: ca.SX) -> list[ca
     return [sigma, ca.sqrt(ca.sumsqr(slip) + TINY), ca.sumsqr(w) > 0, recovery]
 
 
-def _framed(x: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """The states of frames in charts between which R_0 is diag(1, -1), from the eleven.
-
-    The finger's frame is turned by psi + theta1 + theta2, which stays constant.
-    """
-    u1, theta1, w1, u2, theta2, y, psi = ca.vertsplit(x, [0, 2, 3, 5, 7, 8, 10, 11])
-    turn = rotation(psi + theta1 + theta2)
-    w = turn @ w1
-    return turn, ca.vertcat(u1, -psi - theta2, u2, theta2, w, flip() @ w - y)
-
-
-def _chart_rates(rates: ca.SX, turn: ca.SX) -> ca.SX:
-    """The eleven derivatives from those of the frames."""
-    first, theta1, second, theta2, w, v = ca.vertsplit(rates, [0, 2, 3, 5, 6, 8, 10])
-    finger, obj = (first, theta1, turn.T @ w), (second, theta2, flip() @ w - v)
-    return ca.vertcat(*finger, *obj, -theta1 - theta2)
-
-
-def _object_theta(obj: Surface, forms: tuple[bool, bool], state: ca.SX, p2: ca.SX) -> ca.SX:
-    if not forms[1]:
+def _object_theta(obj: Surface, state: ca.SX, p2: ca.SX) -> ca.SX:
+    if not in_space(obj, True):
         return state[-5]  # u v theta, W_1, V
     place = ca.vertcat(state[-10:-4], 0, 0)
     return moving(obj, True)("coordinates")(place, ca.vertcat(obj.sign, p2))[4]

@@ -138,7 +138,7 @@ class PlannerSlave2(_Slave, FMU2Slave):
     logger : callable, optional
         See `Logger`; by default the logger "fmu_export" of `logging`.
     described
-        ``states``, ``arrays``, ``measured``, as for `export_fmu`.
+        ``arrays`` and ``measured``, as for `export_fmu`.
 
     Raises
     ------

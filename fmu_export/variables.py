@@ -16,11 +16,9 @@ from itertools import islice
 
 import numpy as np
 
-from contact_system.errors import ChartSingularity, SceneError
+from contact_system.errors import SceneError
 from contact_system.kept import kept
-from contact_system.plan import plan
 from contact_system.scene import Scene, require_scene
-from contact_system.starts import scene_start
 from contact_system.surfaces import Quadric, Surface, UserSurface
 from contact_system.system import SceneSystem
 from contact_system.theory.gain import LAWS
@@ -44,8 +42,6 @@ class Table:
         ``windows``, four each: where their numbers begin.
     groups : list of list of int
         Of each contact, where its groups of numbers begin, and where the last one ends.
-    frames : bool
-        Whether the states are moving frames, not charts.
     arrays : bool
         Whether FMI 3 sees arrays.
     measured : str
@@ -56,7 +52,6 @@ class Table:
     rows: list[Variable]
     first: dict[str, int]
     groups: list[list[int]]
-    frames: bool
     arrays: bool
     measured: str
 
@@ -88,15 +83,15 @@ class Table:
         """The values before initialization: starts, and 0 for what is calculated, (n_values,)."""
         return np.array([x for row in self.rows for x in row.start or (0.0,) * row.size])
 
-    def structure(self, i: int) -> tuple[Surface, Surface, str, int, bool]:
+    def structure(self, i: int) -> tuple[Surface, Surface, str, int]:
         """What `model.equations` of a contact are made for."""
         scene, contact = self.scene, self.scene.contacts[i]
         n_profile = len(way_of(scene, contact)[0].profile.coefficients)
-        return contact.finger, scene.object, scene.gain.law, n_profile, self.frames
+        return contact.finger, scene.object, scene.gain.law, n_profile
 
     def columns(self, i: int) -> list[int]:
         """References of the point and constants of those equations; -1 for profiles of legs."""
-        first, group, (finger, obj, _, n_profile, _) = self.first, self.groups[i], self.structure(i)
+        first, group, (finger, obj, _, n_profile) = self.first, self.groups[i], self.structure(i)
         states, inputs = range(group[STATE_GROUP], group[DERIVATIVES]), range(group[0], group[1])
         own = self.scene.contacts[i].legs
         profile = [-1 if own else first["profile"] + k for k in range(n_profile)]
@@ -115,25 +110,15 @@ class Table:
         return [scalar for row in self.rows for scalar in row.scalars()]
 
 
-STATES = ("auto", "chart", "frame")
 MEASUREMENTS = ("nothing", "states", "pose")
 
 
-def variable_table(
-    scene: Scene,
-    states: str = "auto",
-    arrays: bool = False,
-    measured: str = "nothing",
-) -> Table:
+def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing") -> Table:
     """The variables of a scene.
 
     Parameters
     ----------
     scene : Scene
-    states : "auto", "chart" or "frame"
-        What the states of Model Exchange, and the start values, are: charts, or moving frames, in
-        whose way no pole stands. "auto": frames where a surface has no chart, or where a path comes
-        near a pole of one.
     arrays : bool
         Whether FMI 3 sees vectors and matrices instead of scalars.
     measured : "nothing", "states" or "pose"
@@ -143,21 +128,16 @@ def variable_table(
     Raises
     ------
     SceneError
-        A scene that no importer can step: sigma = 0 inside the window of an acceleration; names of
-        a user's parameters that outputs have as well; charts where there are none.
+        A scene that no importer can step: names of a user's parameters that outputs have as well; a
+        profile of too many coefficients; measurements where a surface has no chart.
     """
     require_scene(scene)
-    if states not in STATES:
-        raise SceneError(f"states = {states!r}: use one of {', '.join(STATES)}")
     if measured not in MEASUREMENTS:
         raise SceneError(f"measured = {measured!r}: use one of {', '.join(MEASUREMENTS)}")
     bodies = {"object": scene.object} | {
         f"finger {i}": c.finger for i, c in enumerate(scene.contacts)
     }
-    frames = states == "frame"
-    if states == "auto":
-        frames = not all(s.has_chart for s in bodies.values()) or _comes_near_pole(scene)
-    _refuse(scene, bodies.values(), frames, measured)
+    _refuse(scene, bodies.values(), measured)
     rows = [Variable("time", 0, "independent", "continuous", None, "Simulation time", SECOND)]
 
     def end() -> int:
@@ -184,29 +164,20 @@ def variable_table(
     first["windows"] = add(_window_rows(scene))
     groups = []
     for i, contact in enumerate(scene.contacts):
-        n = scene_start(contact)
         starts = system.x0[system.state_slices[i]].tolist()
-        if not frames:
-            starts = [*n.finger_at, 0.0, *n.finger_velocity]
-            starts += [*n.object_at, 0.0, *n.object_velocity, n.angle]
-        described = contact_groups(scene, contact, starts, frames, measured)
+        described = contact_groups(scene, contact, starts, measured)
         bounds = [add(v.of_contact(i) for v in group) for group in described]
         groups.append([*bounds, end()])
-    table = Table(scene, rows, first, groups, frames, arrays, measured)
+    table = Table(scene, rows, first, groups, arrays, measured)
     for i in range(len(groups)):
         _tell_dependencies(table, i)
     _require_names(table)
     return table
 
 
-def _refuse(scene: Scene, surfaces: Iterable[Surface], frames: bool, measured: str) -> None:
+def _refuse(scene: Scene, surfaces: Iterable[Surface], measured: str) -> None:
     """Raise what `variable_table` says of scenes that there is no table for."""
     for surface in surfaces:
-        if not (frames or surface.has_chart):
-            raise SceneError(
-                f"{scene.title}: {surface!r} has no explicit chart f(u, v), in which states could "
-                'be; give states="frame" or a ParametricSurface'
-            )
         if measured != "nothing" and not surface.has_chart:
             raise SceneError(
                 f"{scene.title}: {surface!r} has no explicit chart f(u, v), in which states could "
@@ -222,24 +193,6 @@ def _refuse(scene: Scene, surfaces: Iterable[Surface], frames: bool, measured: s
 
 
 MOST_COEFFICIENTS = 48
-NEAR = 0.3
-"""Sine of the angle from a pole, or a Lame coefficient over a body's size. Euler's method, with the
-step that the file says, is lost in charts on D2, which comes as near as 0.268, and gets through on
-K1 and K2, 0.309."""
-
-
-def _comes_near_pole(scene: Scene) -> bool:
-    """Whether a path comes near a pole or an umbilic of a chart."""
-    try:
-        states = plan(scene).states(np.linspace(0.0, scene.duration, 401))
-    except ChartSingularity:
-        return True
-    for i, contact in enumerate(scene.contacts):
-        for surface, k in ((contact.finger, 0), (scene.object, 4)):
-            least = np.min(surface.lame(*states[:, i, k : k + 2].T))
-            if surface.chart.singular_at != "" and least < NEAR * surface.size:
-                return True
-    return False
 
 
 # --- parameters ----------------------------------------------------------------------------------

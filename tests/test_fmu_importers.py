@@ -51,8 +51,8 @@ def test_importers_integrate_an_fmu_along_the_plan(importer, version):
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("result", ["ode", "y"])
 def test_the_jacobian_in_casadi_agrees_with_central_differences(result, version):
-    table = variable_table(K4, "chart")
-    function, builder = casadi_function(exported(K4, version, states="chart"), ["x", "u"], result)
+    table = variable_table(K4)
+    function, builder = casadi_function(exported(K4, version), ["x", "u"], result)
     columns = [table[n].reference for n in [*builder.x(), *builder.u()]]
     x = table.start_values[columns] + 0.1 * np.random.default_rng(1).standard_normal(len(columns))
     split = lambda x: np.split(x, [function.size1_in(0)])  # noqa: E731

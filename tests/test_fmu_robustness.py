@@ -30,13 +30,12 @@ def program(name, fmu, **options):
         pytest.skip(str(error))
 
 
-def test_random_calls_and_damaged_or_forged_state_bytes_do_no_harm(fmu):
-    made, granted, slowest, _, taken = (
+def test_random_calls_and_damaged_state_bytes_do_no_harm(fmu):
+    made, granted, *_ = (
         program("fuzz", fmu, sanitized=True).run(100, 100, 1, *fmu.model_arguments()).split()
     )
     assert int(made) > 2_000
     assert int(granted) > 0.2 * int(made), "hardly anything that was called was legal"
-    assert 10 < int(taken) < 90, "forged states are told from good ones by what they hold"
 
 
 def test_steps_do_nothing_that_a_program_may_trap(fmu):

@@ -46,7 +46,6 @@ static void forget(component_t *c) {
     live_t *k = c->live + i;
     drop_plans(c, i);
     k->valid = k->asked = k->before = 0, k->prepared = k->anchored = 0;
-    k->warned[0] = k->warned[1] = 0;
   }
 }
 

@@ -7,7 +7,7 @@
    (Model Exchange, and initialization in both) everything is a function of the states, by a table
    of instructions that the engine runs.
 
-   The FMI layer says what status_t is: OK, WARNING, DISCARD and FAILED, from 0 on.
+   The FMI layer says what status_t is: OK, DISCARD and FAILED.
 
    Everything is static: fmi2.c and fmi3.c each include all of it, so that no names meet. */
 #ifndef CONTACT_COMPONENT
@@ -67,8 +67,7 @@ typedef struct {
   double *registers;             /* of its equations */
   int prepared;                  /* their prologue has run, */
   long leg;                      /* on this leg */
-  double regularity[2], theta;   /* of the charts at its states; of the object */
-  int warned[2];                 /* the path is near a pole, and the log says so */
+  double theta;                  /* of the object's frame, at the states */
 } live_t;
 
 typedef struct component {

@@ -3,7 +3,7 @@
 
    FMI(name)     a function's name
    SIZE(c, r)    how many values a reference has, 0: there is no such reference
-   status_t      OK, WARNING, DISCARD, FAILED;  BOOLEAN, BYTE  types; the others are the same
+   status_t      OK, DISCARD, FAILED;  BOOLEAN, BYTE  types; the others are the same
    ROOM(n)       the parameter behind an array of values: how many they are; ROOM_OF(count, n)
    TOKEN         what it calls the token
  */
@@ -26,14 +26,14 @@
 #define PASTED(prefix, name) PASTED_AS_IS(prefix, name)
 #define PASTED_AS_IS(prefix, name) prefix##name
 
-static const char *const category_of[] = {
-    [WARNING] = "logStatusWarning", [DISCARD] = "logStatusDiscard", [FAILED] = "logStatusError"};
+static const char *const category_of[] = {[DISCARD] = "logStatusDiscard",
+                                          [FAILED] = "logStatusError"};
 
 typedef struct {
   component_t component;
   void (*log)(void); /* the importer's logger, of the type its version of FMI says */
   void *environment;
-  int uses_events, early_return, warns;
+  int uses_events, early_return;
   char name[256];
 } instance_t;
 
@@ -42,13 +42,6 @@ typedef struct {
 #define ANY (INSTANTIATED | RUNNING)
 #define ME_RUNNING (INITIALIZATION | EVENT | CONTINUOUS | TERMINATED)
 #define SETTABLE (ANY & ~TERMINATED)
-
-/* Whether the importer is told. Of what is refused it always is, as FMI 2.0.5 expects of errors
-   (section 2.1.3): importers say no more than a status. FMI 3.0.2 silences errors with loggingOn =
-   false, but its successor takes that back, and the Reference FMUs never did. */
-static int is_told(const instance_t *instance, status_t status) {
-  return instance->log && (status >= DISCARD || instance->warns);
-}
 
 static status_t allowed(component_t *c, int phases) {
   static const char *const name[] = {"instantiated",         "initialization mode", "event mode",
@@ -115,7 +108,7 @@ static void free_instance(instance_t *instance) {
 /* wrong: what else is, or NULL */
 static instance_t *instantiate(const char *called, const char *name, const char *token,
                                const char *resources, void (*log)(void), void *environment,
-                               int logging, int stepping, const char *wrong) {
+                               int stepping, const char *wrong) {
   instance_t *instance = calloc(1, sizeof *instance);
   if (!instance) return NULL;
   component_t *c = &instance->component;
@@ -131,26 +124,23 @@ static instance_t *instantiate(const char *called, const char *name, const char 
     free_instance(instance);
     return NULL;
   }
-  instance->warns = logging;
   reset(c, stepping);
   return instance;
 }
 
 FMI_EXPORT void FMI(FreeInstance)(void *instance) { free_instance(instance); }
 
-/* Some categories, or without any all of them; only warnings can be left out. */
+/* The importer is told why something is refused in any case, as FMI 2.0.5 expects of errors
+   (section 2.1.3): importers say no more than a status. FMI 3.0.2 silences errors with loggingOn =
+   false, but its successor takes that back, and the Reference FMUs never did. */
 FMI_EXPORT status_t FMI(SetDebugLogging)(void *instance, BOOLEAN on, size_t count,
                                          const char *const categories[]) {
   BEGIN(ANY);
-  int chosen = !count;
   for (size_t k = 0; k < count; k++) {
     const char *given = categories && categories[k] ? categories[k] : "";
-    int known = FAILED;
-    while (known && strcmp(given, category_of[known])) known--;
-    if (!known) REFUSE("unknown category '%.80s'; use those of modelDescription.xml", given);
-    chosen |= known == WARNING;
+    if (strcmp(given, category_of[DISCARD]) && strcmp(given, category_of[FAILED]))
+      REFUSE("unknown category '%.80s'; use those of modelDescription.xml", given);
   }
-  if (chosen) ((instance_t *)instance)->warns = on != 0;
   return OK;
 }
 
@@ -226,8 +216,8 @@ static int settable(const component_t *c, unsigned reference) {
 
 static status_t check_one(component_t *c, unsigned reference, double value) {
   static const char *const remedy[] = {
-      [CALCULATED] = "is calculated; disturb the motion by the inputs, or where coordinates are to "
-                     "be start values, export with states=\"chart\"",
+      [CALCULATED] =
+          "is calculated; disturb the motion by the inputs, or export with measured inputs",
       [INDEPENDENT] = "is time; it is set by steps, or by SetTime",
       [FIXED] = "is fixed; set it before initialization ends, or reset first",
       [TUNABLE] = "is tunable; set it in event mode",

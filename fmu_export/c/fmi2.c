@@ -30,7 +30,6 @@ typedef struct {
 #define FMI(name) PASTED(fmi2, name)
 #define status_t fmi2Status
 #define OK fmi2OK
-#define WARNING fmi2Warning
 #define DISCARD fmi2Discard
 #define FAILED fmi2Error
 #define BYTE fmi2Byte
@@ -56,7 +55,7 @@ typedef struct {
 static void log_text(component_t *c, status_t status, const char *text) {
   const instance_t *instance = c->host;
   char format[1400], *to = format;
-  if (!is_told(instance, status)) return;
+  if (!instance->log) return;
   for (; *text && to < format + sizeof format - 2; text++) {
     *to++ = *text;
     if (*text == '%') *to++ = '%';
@@ -75,7 +74,7 @@ FMI_EXPORT void *FMI(Instantiate)(const char *name, fmi2Type type, const char *g
                                   int visible, int logging) {
   if (!functions) return NULL;
   return instantiate(__func__, name, guid, location, (void (*)(void))functions->logger,
-                     functions->componentEnvironment, logging != 0, type == fmi2CoSimulation,
+                     functions->componentEnvironment, type == fmi2CoSimulation,
                      type != fmi2CoSimulation && type != fmi2ModelExchange ? "unknown type" : NULL);
 }
 

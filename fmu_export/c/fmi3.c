@@ -12,7 +12,6 @@ typedef void (*fmi3IntermediateUpdateCallback)(void), (*fmi3ClockUpdateCallback)
 #define FMI(name) PASTED(fmi3, name)
 #define status_t fmi3Status
 #define OK fmi3OK
-#define WARNING fmi3Warning
 #define DISCARD fmi3Discard
 #define FAILED fmi3Error
 #define BYTE uint8_t
@@ -29,7 +28,7 @@ typedef void (*fmi3IntermediateUpdateCallback)(void), (*fmi3ClockUpdateCallback)
 
 static void log_text(component_t *c, status_t status, const char *text) {
   const instance_t *instance = c->host;
-  if (is_told(instance, status))
+  if (instance->log)
     ((fmi3LogMessageCallback)instance->log)(instance->environment, status, category_of[status],
                                             text);
 }
@@ -39,8 +38,7 @@ FMI_EXPORT const char *FMI(GetVersion)(void) { return "3.0"; }
 FMI_EXPORT void *FMI(InstantiateModelExchange)(const char *name, const char *token,
                                                const char *resources, _Bool visible, _Bool logging,
                                                void *environment, fmi3LogMessageCallback log) {
-  return instantiate(__func__, name, token, resources, (void (*)(void))log, environment, logging, 0,
-                     NULL);
+  return instantiate(__func__, name, token, resources, (void (*)(void))log, environment, 0, NULL);
 }
 
 FMI_EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *token,
@@ -49,8 +47,8 @@ FMI_EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *toke
                                               const unsigned required[], size_t n_required,
                                               void *environment, fmi3LogMessageCallback log,
                                               fmi3IntermediateUpdateCallback update) {
-  instance_t *instance = instantiate(__func__, name, token, resources, (void (*)(void))log,
-                                     environment, logging, 1, NULL);
+  instance_t *instance =
+      instantiate(__func__, name, token, resources, (void (*)(void))log, environment, 1, NULL);
   if (!instance) return NULL;
   instance->component.now->uses_events = instance->uses_events = event_mode;
   instance->early_return = early_return;

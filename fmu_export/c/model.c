@@ -115,8 +115,7 @@ static model_t *read_model(const char *resources, const char **wrong) {
   if (d[D_SIZE] != (double)count) goto refused;
   if (d[D_CHECKSUM] != (double)adler32(d + D_HEADER, 8 * (count - D_HEADER))) goto refused;
   m->n_contacts = (long)d[D_CONTACTS], m->n_values = (long)d[D_VALUES];
-  m->n_profile = (long)d[D_PROFILE], m->n_windows = (long)d[D_N_WINDOWS];
-  m->frames = d[D_FRAMES] != 0.0;
+  m->n_windows = (long)d[D_N_WINDOWS];
   const size_t surfaces = (size_t)d[D_N_SURFACES], each = N_AMBIENT + N_CHART;
   m->surfaces = calloc(surfaces, sizeof *m->surfaces), m->own = calloc(surfaces, sizeof *m->own);
   m->tables = calloc(surfaces * each + 2 * (size_t)m->n_contacts, sizeof *m->tables);

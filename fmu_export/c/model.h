@@ -18,20 +18,18 @@
 #endif
 
 #define DATA_MAGIC 20261124.0
-#define DATA_VERSION 5.0
+#define DATA_VERSION 6.0
 enum {
   D_MAGIC,
   D_VERSION,
   D_SIZE,     /* doubles in all */
   D_CHECKSUM, /* of what follows the header, 32 bits */
   D_CONTACTS,
-  D_VALUES,  /* how many; the first are time, gain, and the profile's coefficients */
-  D_PROFILE, /* how many coefficients */
-  D_POWER,   /* gain law, as in engine.h */
+  D_VALUES, /* how many; the first are time, gain, and the profile's coefficients */
+  D_POWER,  /* gain law, as in engine.h */
   D_MAKES_UP,
   D_HORIZON,   /* s */
   D_TOLERANCE, /* of plans */
-  D_FRAMES,    /* states are moving frames, not charts */
   D_SCALE,     /* reference of the factor of the scene's windows */
   D_TOKEN,     /* text */
   D_NAMES,     /* texts, one after the other, of all values */
@@ -71,9 +69,9 @@ enum {
   GROUPS
 };
 
-/* a contact: references of its groups; sizes of frames among the states are 6, 3, or in charts 0;
-   its legs are the engine's, with profiles of one size, at least one; place 0 stands for the
-   scene's profile */
+/* a contact: references of its groups; the frames among the states are 6 numbers, a point and an
+   axis, or 3, coordinates and an angle; its legs are the engine's, with profiles of one size, at
+   least one; place 0 stands for the scene's profile */
 enum {
   P_FINGER,
   P_GROUPS = P_FINGER + Q_SIZE,
@@ -123,13 +121,13 @@ enum {
 
 enum { TIME_VALUE, GAIN, PROFILE };                             /* references */
 enum { CALCULATED, INDEPENDENT, FIXED, TUNABLE, INPUT, EXACT }; /* what a value is */
-enum { DISTURBANCES = 6, BODY = 5, FRAME_ANGLE = 2, VELOCITY = 3, ANGLE = 10 };
+enum { DISTURBANCES = 6 };
 
 /* one contact's place among the values */
 typedef struct {
   long at[GROUPS + 1]; /* references: each group from there on to the next */
   long states;
-  long frame[2]; /* sizes of frames among the states; 0: charts */
+  long frame[2]; /* sizes of frames among the states, which W_1 and V follow */
 } layout_t;
 
 typedef struct {
@@ -140,8 +138,7 @@ typedef struct {
   const table_t *systems;
   layout_t *layout;
   const char **names;
-  long n_contacts, n_values, n_profile, n_states, n_windows;
-  int frames;
+  long n_contacts, n_values, n_states, n_windows;
 } model_t;
 
 #endif

@@ -111,7 +111,7 @@ static double time_on(const component_t *c, long i) {
 static int look_at(component_t *c, long i, double *const out[N_OUTPUTS]) {
   live_t *k = c->live + i;
   int wrong = 0;
-  if (!k->anchored && (out[STATES] || out[CARRIED] || out[SLIP])) {
+  if (!k->anchored && (out[STATES] || out[SLIP])) {
     UNTRAPPED(wrong = c->engine->anchor(k->plan, &c->failure));
     k->anchored = !wrong;
   }

@@ -3,19 +3,7 @@
 #define BIT(group) (1u << (group))
 #define ALL_RESULTS (BIT(GROUPS) - BIT(OF_STATES))
 
-/* States that are charts, and rates of coordinates */
-static void put_charts(const layout_t *l, const double *states, const double *carried, double *v) {
-  for (int side = 0; side < 2; side++) {
-    double *state = v + l->at[OF_STATES] + BODY * side, *rate = v + l->at[OF_RATES] + BODY * side;
-    memcpy(state, states + 4 * side, 2 * sizeof *state);
-    memcpy(rate, states + 4 * side + 2, 2 * sizeof *rate);
-    memcpy(state + FRAME_ANGLE, carried + 3 * side, 3 * sizeof *state);
-  }
-  v[l->at[OF_STATES] + ANGLE] = states[8];
-}
-
-/* States that are frames */
-static void put_frames(const layout_t *l, const double *moment, double *to) {
+static void put_states(const layout_t *l, const double *moment, double *to) {
   for (int side = 0; side < 2; to += l->frame[side++])
     memcpy(to,
            moment + (l->frame[side] == 6 ? side ? M_FRAME_2 : M_FRAME_1
@@ -28,24 +16,19 @@ static void put_frames(const layout_t *l, const double *moment, double *to) {
 /* Evaluates groups of contact i at the present time into its values; returns not 0 where a group
    has none. */
 static int look(component_t *c, long i, unsigned groups) {
-  const model_t *m = c->model;
-  const layout_t *l = m->layout + i;
-  double states[9], pose[16], carried[6], moment[MOMENT_SIZE], *v = c->value;
-  double *out[N_OUTPUTS] = {0};
-  const int charts = !m->frames && groups & BIT(OF_STATES);
-  if (charts) out[CARRIED] = carried;
-  if (charts || groups & BIT(OF_COORDINATES)) out[STATES] = states;
+  const layout_t *l = c->model->layout + i;
+  double pose[16], moment[MOMENT_SIZE], *v = c->value, *out[N_OUTPUTS] = {0};
+  if (groups & BIT(OF_COORDINATES)) out[STATES] = v + l->at[OF_COORDINATES];
   if (groups & BIT(OF_SLIP)) out[SLIP] = v + l->at[OF_SLIP];
   if (groups & BIT(OF_TWIST)) out[TWIST] = v + l->at[OF_TWIST];
   if (groups & BIT(OF_POSE)) out[POSE] = pose;
   if (groups & BIT(OF_POINTS)) out[POINTS] = v + l->at[OF_POINTS];
   if (groups & BIT(OF_CONDITION)) out[SLIP_SPEED] = v + l->at[OF_CONDITION] + 1;
-  const int frames = m->frames && groups & BIT(OF_STATES);
-  if (look_at(c, i, out) || (frames && moment_at(c, c->live[i].plan, time_on(c, i), moment)))
-    return 1;
-  if (charts) put_charts(l, states, carried, v);
-  if (frames) put_frames(l, moment, v + l->at[OF_STATES]);
-  if (m->frames && out[STATES]) memcpy(v + l->at[OF_COORDINATES], states, sizeof states);
+  if (look_at(c, i, out)) return 1;
+  if (groups & BIT(OF_STATES)) {
+    if (moment_at(c, c->live[i].plan, time_on(c, i), moment)) return 1;
+    put_states(l, moment, v + l->at[OF_STATES]);
+  }
   for (int r = 0; r < 3 && out[POSE]; r++) {
     memcpy(v + l->at[OF_POSE] + 3 * r, pose + 4 * r, 3 * sizeof *v);
     v[l->at[OF_POSE] + 9 + r] = pose[4 * r + 3];
@@ -59,20 +42,15 @@ static void no_values(component_t *c, long i, unsigned groups) {
     for (long j = at[g]; groups & BIT(g) && j < at[g + 1]; j++) c->value[j] = NAN;
 }
 
-/* Whether a rate is that of a coordinate, which comes with the states that are charts */
-static int comes_with_state(const model_t *m, long j) {
-  return !m->frames && j % BODY < 2 && j != ANGLE;
-}
-
-/* The other rates, from the equations; sigma and what follows from it */
+/* Rates, from the equations at the states; sigma and what follows from it */
 static void find_rates(component_t *c, long i, unsigned groups) {
   const layout_t *l = c->model->layout + i;
   const double *found = run_system(c, i),
                *condition = found + l->at[OF_CONDITION] - l->at[OF_RATES];
   for (int j = 0; j < 4 && groups & BIT(OF_CONDITION); j++)
     if (j != 1) c->value[l->at[OF_CONDITION] + j] = condition[j];
-  for (long j = 0; j < l->states && groups & BIT(OF_RATES); j++)
-    if (!comes_with_state(c->model, j)) c->value[l->at[OF_RATES] + j] = found[j];
+  if (groups & BIT(OF_RATES))
+    memcpy(c->value + l->at[OF_RATES], found, (size_t)l->states * sizeof *found);
 }
 
 /* Brings groups of contact i up to date; with them goes what was asked for at the time before. */
@@ -106,7 +84,6 @@ static unsigned group_of(const component_t *c, long i, long reference) {
   int g = OF_INPUTS;
   while (reference >= at[g + 1]) g++;
   if (SYSTEM(c->now)) return g < OF_RATES ? 0 : ALL_RESULTS;
-  if (g == OF_RATES && comes_with_state(c->model, reference - at[g])) g = OF_STATES;
   return BIT(g) & ALL_RESULTS;
 }
 
@@ -143,16 +120,14 @@ static status_t refuse(component_t *c, unsigned reference) {
         "%s has no value at t = %.17g s: sigma is negative from t = %.9g s on; end there, "
         "or change the profile",
         what, now->time, now->limit);
-  const int framed =
-      i < 0 || !SYSTEM(now) || (c->live[i].regularity[0] > 0 && c->live[i].regularity[1] > 0);
-  if (i >= 0 && rests(c, i) && framed)
+  if (i >= 0 && rests(c, i))
     return report(c, DISCARD, "%s has no value at t = %.17g s: " AT_REST, what, now->time);
-  const char *where =
-      SYSTEM(now) ? "or beyond a singular point of a chart (a pole or an umbilic); start "
-                    "elsewhere, run the Co-Simulation, which passes such points, or export with "
-                    "states=\"frame\""
-                  : "a singular point of a chart (a pole or an umbilic); ask a moment later";
-  return report(c, DISCARD, "%s has no value at t = %.17g s, at %s", what, now->time, where);
+  return report(c, DISCARD,
+                "%s has no value at t = %.17g s, at a singular point of a chart (a pole or an "
+                "umbilic); %s",
+                what, now->time,
+                SYSTEM(now) ? "start elsewhere, or run the Co-Simulation, which passes such points"
+                            : "ask a moment later");
 }
 
 static status_t get_values(component_t *c, unsigned reference, long count, double *value) {

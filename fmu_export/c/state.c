@@ -3,7 +3,7 @@
 #define SAVED_MARK                                                                                 \
   0x53544341544e4f43ULL /* CONTACTS; not 0, as importers look at the first word                    \
                          */
-#define STATE_VERSION 6ULL
+#define STATE_VERSION 7ULL
 
 static size_t memory_size(const model_t *m) {
   return sizeof(memory_t) + (size_t)m->n_values * sizeof(double) +
@@ -24,46 +24,6 @@ static saved_t *new_saved(const model_t *m) {
   return s;
 }
 
-static int is_flag(double x) { return x == 0.0 || x == 1.0; }
-
-static const char *check_memory(const model_t *m, const memory_t *now) {
-  const double *value = (const double *)(now + 1), *least = section(m, D_LEAST);
-  const segment_t *s = (const segment_t *)(value + m->n_values);
-  const int phases = INSTANTIATED | INITIALIZATION | EVENT | CONTINUOUS | STEP | TERMINATED;
-  const int other = !now->stepping ? STEP : now->uses_events ? CONTINUOUS : CONTINUOUS | EVENT;
-  if (now->phase <= 0 || now->phase & (now->phase - 1) || !(now->phase & phases & ~other))
-    return "its phase is none that an instance can be in";
-  if (!is_flag(now->stepping) || !is_flag(now->uses_events) || !is_flag(now->settled) ||
-      !is_flag(now->pending) || !is_flag(now->ended))
-    return "a flag in it is neither 0 nor 1";
-  if (!(fabs(now->time) < 1e300) || value[TIME_VALUE] != now->time ||
-      now->stop_time != now->stop_time || now->limit != now->limit ||
-      !(fabs(now->acts_at - now->time) <= 1e-9 * fmax(1.0, fabs(now->time)) || !now->stepping) ||
-      !(fabs(now->acts_at) < 1e300))
-    return "its times are out of range";
-  for (long r = 1; r < m->n_values; r++) {
-    const int kind = kind_of(m, (unsigned)r);
-    const int given = kind != CALCULATED && (kind != EXACT || SYSTEM(now));
-    if (given && !(value[r] >= least[r] && value[r] <= DBL_MAX))
-      return "a parameter, an input or a state in it is out of range";
-  }
-  for (long i = 0; i < m->n_contacts && !SYSTEM(now); i++, s++) {
-    const double frames = s->row[K_FRAMES];
-    if (!all_finite((const double *)s, sizeof *s / sizeof(double)))
-      return "a motion in it is not finite";
-    if (!(s->gain >= 0.0) || !is_flag(s->row[K_MOMENT]) || !is_flag(s->measured) ||
-        !(frames >= 0 && frames < 4))
-      return "a motion in it is of no kind that there is";
-    if (!(s->begin >= 0 && s->begin <= now->time) || !(s->end < 0 || s->end >= now->acts_at) ||
-        !(fabs(s->end) < 1e300))
-      return "the times of a motion in it are out of range";
-    for (int side = 0; side < 2; side++)
-      if ((int)frames & (1 << side) && !surface_of(m, i, side)->ambient[A_MOTION])
-        return "a motion in it is of no kind that there is";
-  }
-  return NULL;
-}
-
 /* The state that a handle stands for, or NULL with a log line */
 static saved_t *saved(component_t *c, void *state) {
   saved_t *s = state, *own = c->own;
@@ -74,17 +34,10 @@ static saved_t *saved(component_t *c, void *state) {
   return NULL;
 }
 
-/* What was calculated is no part of a state. */
 static status_t save(component_t *c, void **state) {
-  const model_t *m = c->model;
-  saved_t *s = *state ? saved(c, *state) : new_saved(m);
+  saved_t *s = *state ? saved(c, *state) : new_saved(c->model);
   if (!s) return *state ? FAILED : report(c, FAILED, "no memory for an FMU state");
-  memcpy(s, c->own, state_bytes(m));
-  double *value = (double *)(&s->memory + 1);
-  for (long r = 0; r < m->n_values; r++) {
-    const int kind = kind_of(m, (unsigned)r);
-    if (kind == CALCULATED || (kind == EXACT && !SYSTEM(c->now))) value[r] = 0.0;
-  }
+  memcpy(s, c->own, state_bytes(c->model));
   *state = s;
   return OK;
 }
@@ -94,20 +47,18 @@ static void write_bytes(const model_t *m, saved_t *s, void *bytes) {
   memcpy(bytes, s, state_bytes(m));
 }
 
-/* What does not fit, or NULL. Bytes with the right checksum may have been made by anybody: every
-   number that chooses, counts or points is held to what it may be, and those that the motion is
-   computed from are finite. */
+/* Why bytes are no state of this model, or NULL. The checksum guards against damage, not against
+   people who make states. */
 static const char *read_bytes(const component_t *c, const void *bytes, size_t count, saved_t *s) {
   const saved_t *own = c->own;
   if (!bytes || count != own->length) return "its length is not that of this model's states";
   memcpy(s, bytes, count);
-  if (s->mark != own->mark) return "it is not a state of a contact model";
   if (s->version != own->version) return "it was written by another version";
-  if (s->length != own->length) return "its header gives another length";
-  if (s->model != own->model) return "it belongs to another model";
-  if (s->checksum != checksum_of(c->model, s))
-    return "its checksum does not match; it has been changed";
-  return check_memory(c->model, &s->memory);
+  if (s->mark != own->mark || s->length != own->length || s->model != own->model)
+    return "it belongs to another model";
+  return s->checksum == checksum_of(c->model, s)
+             ? NULL
+             : "its checksum does not match; it has been changed";
 }
 
 static status_t read_state(component_t *c, const void *bytes, size_t count, void **state) {

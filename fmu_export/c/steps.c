@@ -1,43 +1,61 @@
 /* Starting, and stepping. */
 
+/* Puts a frame in space, whose start values anybody may have set, or a parameter of its surface,
+   back on the surface. Returns what is wrong, or NULL. */
+static const char *put_on_surface(component_t *c, long i, int side, double frame[6]) {
+  const double *body = body_of_contact(c->model, i, side);
+  const table_t *t = surface_of(c->model, i, side)->ambient[A_RESTORE];
+  double *next = c->buffer, row[BODY_SIZE], moved = 1.0;
+  put_body(c, body, &next, row);
+  double *r = load_table(c, t);
+  if (!r) return "there is no memory";
+  memcpy(r, frame, 6 * sizeof *r);
+  for (int k = 0; k < 50 && moved > 1e-12; k++) {
+    c->engine->step(&(program_t){t->body, r});
+    const double *y = r + t->first_out;
+    moved = 0.0;
+    for (int a = 0; a < 6; a++) moved += fabs(y[a] - r[a]) / (a < 3 ? body[Q_LENGTH] : 1.0);
+    memcpy(r, y, 6 * sizeof *r);
+  }
+  if (!(moved <= 1e-12))
+    return side ? "the object's frame is not on its surface"
+                : "the finger's frame is not on its surface";
+  memcpy(frame, r, 6 * sizeof *frame);
+  return NULL;
+}
+
 /* Where contact i starts, from its states. Returns what is wrong, or NULL. */
 static const char *place_contact(component_t *c, long i) {
   const model_t *m = c->model;
   const layout_t *l = m->layout + i;
   segment_t *s = c->segment + i;
   double *x = c->value + l->at[OF_STATES], *to = s->row;
+  for (int side = 0; side < 2; side++) {
+    const char *wrong = NULL;
+    double *frame = x + side * l->frame[0];
+    if (l->frame[side] == 6) UNTRAPPED(wrong = put_on_surface(c, i, side, frame));
+    if (wrong) return wrong;
+  }
   find_system(c, i);
-  for (int side = 0; side < 2; side++)
-    if (!(c->live[i].regularity[side] > 1e-12))
-      return side ? "the object has no outward contact frame at (u, v)"
-                  : "the finger has no outward contact frame at (u, v)";
   memset(s, 0, sizeof *s);
   s->begin = c->now->time, s->gain = c->value[GAIN];
-  if (leaves_slip_behind(c, i)) no_slip(m, i, x);
-  if (!m->frames) {
-    for (int side = 0; side < 2; side++) {
-      const double *own = x + BODY * side;
-      memcpy(to + (side ? K_PLACE_2 : K_PLACE_1), own, 3 * sizeof *own);
-      memcpy(to + (side ? K_Y : K_W1), own + VELOCITY, 2 * sizeof *own);
+  if (leaves_slip_behind(c, i)) no_slip(l, x);
+  const double *coordinates = c->value + l->at[OF_COORDINATES];
+  to[K_MOMENT] = 1.0; /* psi = -theta_1 - theta_2, R_0 = diag(1, -1) */
+  for (int side = 0; side < 2; x += l->frame[side++]) {
+    double *place = to + (side ? K_PLACE_2 : K_PLACE_1);
+    if (l->frame[side] == 3) {
+      memcpy(place, x, 3 * sizeof *x);
+      continue;
     }
-    to[K_ANGLE] = x[ANGLE] + x[FRAME_ANGLE] + x[BODY + FRAME_ANGLE];
-  } else {
-    const double *coordinates = c->value + l->at[OF_COORDINATES];
-    to[K_MOMENT] = 1.0; /* psi = -theta_1 - theta_2, R_0 = diag(1, -1) */
-    for (int side = 0; side < 2; x += l->frame[side++]) {
-      double *place = to + (side ? K_PLACE_2 : K_PLACE_1);
-      if (l->frame[side] == 3) {
-        memcpy(place, x, 3 * sizeof *x);
-        continue;
-      }
-      to[K_FRAMES] += 1 << side;
-      memcpy(to + (side ? K_FRAME_2 : K_FRAME_1), x, 6 * sizeof *x);
-      place[0] = coordinates[4 * side], place[1] = coordinates[4 * side + 1];
-      place[2] = side ? c->live[i].theta : -coordinates[8] - c->live[i].theta;
-    }
-    memcpy(to + K_W1, x, 4 * sizeof *x);
+    to[K_FRAMES] += 1 << side;
+    memcpy(to + (side ? K_FRAME_2 : K_FRAME_1), x, 6 * sizeof *x);
+    place[0] = coordinates[4 * side], place[1] = coordinates[4 * side + 1];
+    place[2] = side ? c->live[i].theta : -coordinates[8] - c->live[i].theta;
   }
-  if (!all_finite(s->row, CONTACT_SIZE)) return "the start is not finite";
+  memcpy(to + K_W1, x, 4 * sizeof *x);
+  if (!all_finite(s->row, CONTACT_SIZE))
+    return "its charts have no coordinates there, as at a pole";
   const double stop = c->now->stop_time, horizon = m->data[D_HORIZON];
   s->end = -(stop < HUGE_VAL ? stop : s->begin < horizon ? horizon : s->begin + horizon);
   return NULL;
@@ -78,10 +96,11 @@ static status_t start(component_t *c) {
   for (long i = 0; i < m->n_contacts; i++) {
     const char *wrong = place_contact(c, i);
     if (wrong)
-      return report(c, FAILED,
-                    "contact %ld cannot start: %s; change its coordinates or the parameters of the "
-                    "surface",
-                    i + 1, wrong);
+      return report(
+          c, FAILED,
+          "contact %ld cannot start: %s; change its start values or the parameters of the "
+          "surface",
+          i + 1, wrong);
     if (now->stepping && cover(c, i, now->time)) {
       refuse_motion(c, i, "motion", now->time);
       return FAILED;

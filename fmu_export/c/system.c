@@ -1,11 +1,7 @@
 /* A contact as a system of equations: everything from its states, by one table of instructions.
 
    point: time, states, disturbances (6); constants: gain, profile, numbers of finger and object;
-   results: the values from `rate` on, then the regularity of both charts and the object's theta. */
-
-#define NEAR_POLE                                                                                  \
-  1e-3 /* of the body's size; at 1e-6 fmpy's CVode takes more than its 500 steps                   \
-        */
+   results: the values from `rate` on, then the object's theta. */
 
 static const table_t *system_of(const model_t *m, long i) {
   return m->systems + (long)contact_of(m, i)[P_SYSTEM];
@@ -50,72 +46,26 @@ static const double *run_system(component_t *c, long i) {
   return c->live[i].registers + t->first_out;
 }
 
-/* A log line where a solver gets into trouble. */
-static void warn_of_poles(component_t *c, long i) {
-  live_t *k = c->live + i;
-  for (int side = 0; side < 2; side++) {
-    const double left = k->regularity[side];
-    if (!c->now->stepping && left < NEAR_POLE && !k->warned[side])
-      report(c, WARNING,
-             "contact[%ld].%s: at t = %.9g s the path is within %.2g of the body's size of a "
-             "singular point of its chart (a pole or an umbilic), where a solver takes tiny steps "
-             "or stops; start elsewhere, run the Co-Simulation, which passes such points, or "
-             "export with states=\"frame\"",
-             i + 1, side ? "object" : "finger", c->now->time, fabs(left));
-    k->warned[side] = left < NEAR_POLE;
-  }
-}
-
-/* Whether the equations mean anything: beyond a pole they would give numbers of a frame that points
-   inward. */
-static int is_defined(const component_t *c, long i) {
-  return !past_end(c) && c->live[i].regularity[0] > 0 && c->live[i].regularity[1] > 0;
-}
-
 static void find_system(component_t *c, long i) {
   const layout_t *l = c->model->layout + i;
-  live_t *k = c->live + i;
-  const double *found = run_system(c, i), *last = found + n_results(l);
+  const double *found = run_system(c, i);
   memcpy(c->value + l->at[OF_RATES], found, (size_t)n_results(l) * sizeof *found);
-  for (int side = 0; side < 2; side++)
-    k->regularity[side] = last[side] / body_of_contact(c->model, i, side)[Q_LENGTH];
-  k->theta = last[2];
-  warn_of_poles(c, i);
-  for (long j = l->at[OF_RATES]; j < l->at[GROUPS] && !is_defined(c, i); j++) c->value[j] = NAN;
+  c->live[i].theta = found[n_results(l)];
+  for (long j = l->at[OF_RATES]; j < l->at[GROUPS] && past_end(c); j++) c->value[j] = NAN;
 }
 
-/* What a path velocity of the finger is to the object that it rolls on, in carried frames */
-static void rolled(const double *x, const double *w, double *out) {
-  const double angle = x[ANGLE] + x[FRAME_ANGLE] + x[BODY + FRAME_ANGLE];
-  const double cs = cos(angle), sn = sin(angle),
-               found[] = {cs * w[0] - sn * w[1], -sn * w[0] - cs * w[1]};
-  memcpy(out, found, sizeof found);
-}
-
-/* States without slip: the object's path velocity is that of rolling. */
-static void no_slip(const model_t *m, long i, double *x) {
-  const layout_t *l = m->layout + i;
-  if (m->frames) {
-    x[l->states - 2] = x[l->states - 1] = 0.0;
-    return;
-  }
-  rolled(x, x + VELOCITY, x + BODY + VELOCITY);
-}
+/* States without slip */
+static void no_slip(const layout_t *l, double *x) { x[l->states - 2] = x[l->states - 1] = 0.0; }
 
 /* The path turns where a leg begins. What slips goes on slipping, but behind a rest under a law
    that makes up for growth. */
 static void turn_path(component_t *c, long i, const leg_t *leg) {
-  const model_t *m = c->model;
+  const layout_t *l = c->model->layout + i;
   const double cs = leg->turn[0], sn = leg->turn[1];
-  double *x = c->value + m->layout[i].at[OF_STATES], more[2];
-  double *w = m->frames ? x + m->layout[i].states - 4 : x + VELOCITY;
-  const double grown[2] = {cs * w[0] - sn * w[1] - w[0], sn * w[0] + cs * w[1] - w[1]};
-  rolled(x, grown, more);
-  for (int a = 0; a < 2; a++) {
-    w[a] += grown[a];
-    if (!m->frames) x[BODY + VELOCITY + a] += more[a];
-  }
-  if (m->data[D_MAKES_UP] > 0 && leg->sigma[0] == 0.0) no_slip(m, i, x);
+  double *x = c->value + l->at[OF_STATES], *w = x + l->states - 4;
+  const double turned[2] = {cs * w[0] - sn * w[1], sn * w[0] + cs * w[1]};
+  memcpy(w, turned, sizeof turned);
+  if (c->model->data[D_MAKES_UP] > 0 && leg->sigma[0] == 0.0) no_slip(l, x);
 }
 
 /* ---- Model Exchange ---- */
@@ -230,7 +180,7 @@ static void derive(component_t *c, int transposed) {
       }
     }
     if (SYSTEM(c->now)) find_system(c, i);
-    if (SYSTEM(c->now) && !is_defined(c, i))
+    if (past_end(c))
       for (long j = 0; j < m->n_values; j++)
         if (transposed ? j < l->at[OF_RATES] : j >= l->at[OF_RATES] && j < l->at[GROUPS])
           c->grown[j] = NAN;

@@ -1,8 +1,7 @@
 """Compiles the C programs of this folder against an FMU, for any machine, and runs them here.
 
-`trajectory` and `endurance` are linked with the library inside the FMU; `fuzz` and
-`forge` are compiled together with the sources inside the FMU, under AddressSanitizer and
-UndefinedBehaviorSanitizer.
+`trajectory` and `endurance` are linked with the library inside the FMU; `fuzz` is compiled together
+with the sources inside the FMU, under AddressSanitizer and UndefinedBehaviorSanitizer.
 """
 
 from __future__ import annotations
@@ -182,7 +181,7 @@ class Program:
         sources, link = [HERE / f"{name}.c"], ["-lm", *([] if windows else ["-lpthread"])]
         if sanitized:
             compiler = sanitizing_compiler()
-            sources += [HERE / "forge.c", *sorted((fmu.folder / "sources").glob("*.c"))]
+            sources += sorted((fmu.folder / "sources").glob("*.c"))
             flags += ["-O0", *SANITIZERS, f"-I{fmu.folder / 'sources'}"]
         else:
             compiler = _compiler(self.target)
