@@ -174,3 +174,9 @@ def test_refusals_of_what_else_is_asked():
         cs.geodesic(ELLIPSOID, (1, 1), (2, 1)).points("far")
     with pytest.raises(cs.SurfaceError, match="passes a point"):
         cs.geodesic(BALL, (0.3, 0.0), (0.4, math.pi)).points(0.7)
+
+
+def test_a_search_that_is_too_long_is_refused(monkeypatch):
+    monkeypatch.setattr(cs.limits, "STRIPS", 100)
+    with pytest.raises(cs.SurfaceError, match="0.3, 0.2, 0.005.*limits.STRIPS higher"):
+        cs.geodesic(cs.Ellipsoid(0.3, 0.2, 0.005), (0.4, 0.3), (2.5, -2.6))

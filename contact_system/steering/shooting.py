@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..checks import within
 from ..engine import binding
 from ..errors import SurfaceError
 from ..surfaces import Surface
@@ -26,7 +27,7 @@ SHARP, FINE, ROUGH = 5e-15, 1e-9, 1e-4
 RAYS = 64  # of a fan
 CHUNK = 16  # pairs whose fans are searched at once
 SPLITS = 18  # most halvings of a strip between two rays
-STRIPS = 1024  # strips that are sifted at once, about
+TOGETHER = 1024  # strips that are sifted at once, about
 FARTHEST = 30.0  # longest geodesics searched, in sizes plus distances of the points
 
 
@@ -234,12 +235,18 @@ class Search:
         some = np.flatnonzero(near | near[right])
         strips = pair[some], limit[some], phi[some], width[some]
         todo: list[tuple[Any, ...]] = [(0, *strips, rays[:, :, some], rays[:, :, right[some]])]
-        aims = []
+        aims, spent = [], 0
+        what = (
+            f"{self.surface!r}, least radius of curvature about {self.surface.bend:.2g} m: strips "
+            f"of a search for geodesics from {self.pairs.x[which[0]].tolist()}"
+        )
         while todo:
             depth, *group = todo.pop()
-            if len(group[0]) > 2 * STRIPS:  # divide, to limit memory
+            if len(group[0]) > 2 * TOGETHER:  # divide, to limit memory
                 todo += [(depth, *(w[..., i::2] for w in group)) for i in range(2)]
                 continue
+            spent += len(group[0])
+            within("STRIPS", spent / len(which), what, SurfaceError)
             aim, halves = self.sift(group, depth)
             aims.append(aim)
             if halves:

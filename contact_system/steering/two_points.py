@@ -103,7 +103,8 @@ def geodesic(surface: Surface, a: ArrayLike, b: ArrayLike) -> Geodesic:
     Raises
     ------
     SurfaceError
-        Points not on the surface, equal points, or no geodesic between them.
+        Points not on the surface, equal points, no geodesic between them, or a search over
+        ``limits.STRIPS``, as on a body that is flat as a leaf.
     """
     pairs = Pairs(surface, a, b)
     if surface.developable:
