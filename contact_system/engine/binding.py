@@ -259,7 +259,7 @@ def _data_of(table: Any) -> TableData:
 def address(array: np.ndarray) -> int:
     """Address of a contiguous array's first number."""
     try:  # an eighth of the time that numpy takes
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
     except (TypeError, ValueError):  # read-only, or empty
         return array.ctypes.data
 
