@@ -42,6 +42,9 @@ def search(examples: int):
     return settings(max_examples=examples, suppress_health_check=slow, **same)
 
 
+DISTURBED = {"object": "sphere", "finger": "ellipsoid", "shape": "plain", "windows": 2}
+
+
 def verdict_of(data: st.DataObject, **fixed) -> stress_laws.Verdict:
     def call() -> stress_laws.Verdict:
         return stress_laws.run(stress_scenes.draw_trial(Choices(data), **fixed))
@@ -50,9 +53,9 @@ def verdict_of(data: st.DataObject, **fixed) -> stress_laws.Verdict:
 
 
 @search(60)
-@given(st.data())
-def test_any_scene_ends_right_or_refused(data):
-    verdict = verdict_of(data)
+@given(st.data(), st.sampled_from([{}, DISTURBED]))
+def test_any_scene_ends_right_or_refused(data, fixed):
+    verdict = verdict_of(data, **fixed)
     assert verdict.outcome in ("right", "refused"), verdict
 
 
