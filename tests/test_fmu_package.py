@@ -96,9 +96,12 @@ def test_fmpy_and_cmake_build_the_sources_to_the_same_model(tmp_path):
 @of_versions
 def test_sources_of_two_models_build_without_warnings_to_one_program(version, tmp_path):
     """FMI 3.0.2, 2.2.2: functions that an importer links bear the model's name."""
+    toolbox = pytest.importorskip("fmu_manipulation_toolbox")  # fmpy's FMI 2 headers drop it
+    headers = Path(toolbox.__file__).parent / "resources" / "fmi"
     flags, objects, main = ["-std=gnu99", "-O0", "-Wall", "-Wextra"], [], ""
-    flags += ["-Wno-unknown-pragmas", "-Werror", f"-I{FMI_HEADERS}"]
-    for name in ("K3", "C2")[: 1 if version == "2.0" else 2]:
+    flags += ["-Wno-unknown-pragmas", "-Werror", f"-I{headers}"]
+    get = f"fmi{version[0]}GetVersion"
+    for name in ("K3", "C2"):
         folder, files = sources(cs.load_scene(name), version)
         (own := tmp_path / name).mkdir()
         prefix = f"-DFMI3_FUNCTION_PREFIX={name}_"
@@ -106,12 +109,8 @@ def test_sources_of_two_models_build_without_warnings_to_one_program(version, tm
         run = subprocess.run(command, cwd=own, capture_output=True, text=True)
         assert run.returncode == 0, run.stderr
         objects += map(str, own.glob("*.o"))
-        main += f"const char *{name}_fmi3GetVersion(void);\n"
-        define = f"#define FMI2_FUNCTION_PREFIX {name}_" if version == "2.0" else ""
-        assert define in (folder / "fmu.c").read_text()
-    if version == "2.0":
-        return
-    main += "int main(void) { return K3_fmi3GetVersion()[0] != C2_fmi3GetVersion()[0]; }\n"
+        main += f"const char *{name}_{get}(void);\n"
+    main += f"int main(void) {{ return K3_{get}()[0] != C2_{get}()[0]; }}\n"
     (tmp_path / "main.c").write_text(main)
     program = str(tmp_path / "both")
     link = [*find_compiler(), str(tmp_path / "main.c"), *objects, "-o", program, "-lm"]
