@@ -124,7 +124,6 @@ _CALLS: dict[str, Any] = {
     "sign_changes": ctypes.PYFUNCTYPE(
         c_int64, POINTER(c_double), c_int64, c_int64, c_double, c_double, POINTER(c_double)
     ),
-    "wind": ctypes.PYFUNCTYPE(None, c_void_p, c_void_p, c_void_p),
     "rays": ctypes.CFUNCTYPE(c_int32, c_void_p, c_void_p, c_double, c_int64, c_void_p, c_void_p),
 }
 

@@ -209,5 +209,5 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                 .look = look,
                                 .steer = steer,
                                 .sign_changes = sign_changes,
-                                .wind = wind_place,
-                                .rays = rays};
+                                .rays = rays,
+                                .wind = wind_place};

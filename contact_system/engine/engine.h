@@ -228,13 +228,13 @@ typedef struct {
   /* of a polynomial: see polynomial.h */
   int64_t (*sign_changes)(const double *c, int64_t n, int64_t order, double a, double b,
                           double *found);
-  /* u v u' v' theta in principal values to the branch of its chart that a reference u v theta is on
-   */
-  void (*wind)(const surface_t *surface, const double *reference, double *place);
   /* distances t at which n rays, unit vectors [3][n], leave a body: see rays.c. level: RAY, whose
      numbers are the sign of the side and then the rays' centre; size: how far to look first */
   int (*rays)(const table_t *level, const double *numbers, double size, int64_t n,
               const double *ray, double *t);
+  /* u v u' v' theta in principal values to the branch of its chart that a reference u v theta is on
+   */
+  void (*wind)(const surface_t *surface, const double *reference, double *place);
 } engine_t;
 
 #ifdef _WIN32
