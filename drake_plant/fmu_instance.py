@@ -28,7 +28,7 @@ from contact_system.archives import opened, unpack
 from contact_system.checks import did_you_mean
 from contact_system.errors import ContactSystemError
 
-from .fmu_files import PortVariables, carried, library_of, read_description
+from .fmu_contents import PortVariables, carried, library_of, read_description
 
 Array = np.ndarray
 Names = str | Sequence[str]

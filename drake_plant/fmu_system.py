@@ -19,7 +19,7 @@ try:
 except ImportError as error:
     raise ImportError('FmuSystem needs fmpy: pip install "contact-system[fmu]"') from error
 
-from .fmu_files import PortVariables
+from .fmu_contents import PortVariables
 from .fmu_instance import SLACK, Given, Instance, Moment, Names
 from .lifetimes import NO_DICTIONARY, weakly
 
