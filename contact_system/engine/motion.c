@@ -105,16 +105,21 @@ static void follow_finger(work_t *w, const motion_t *m, const double *t, nodes_t
       fill_lanes(at->w2[a], m->w[a]);
 }
 
+static unit_t *motion_table(work_t *w, const motion_t *m) {
+  return table_of(w, m->side, m->ambient, m->ambient ? A_MOTION : C_MOTION, m->body);
+}
+
 /* c = sigma (W - V), and what a rate offset adds, moves the body; accelerations change W_1 and V. V'
-   lacks -lam V, see `sweep`. */
-static void rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x, lanes_t f) {
+   lacks -lam V, see `sweep`. Returns the rows, those of a table or f; x of a body that no
+   acceleration moves stands where its table reads it. */
+static lanes_t rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x, lanes_t f) {
   const double *sigma = at->sigma;
   if (!m->body) {
     SIMD for (int i = 0; i < L; i++) f[0][i] = sigma[i] * at->decay[i];
-    return;
+    return f;
   }
   const int n = state_size(m->ambient);
-  unit_t *u = table_of(w, m->side, m->ambient, m->ambient ? A_MOTION : C_MOTION, m->body);
+  unit_t *u = motion_table(w, m);
   lanes_t own = x + n, c = u->r + n; /* W_1 of a finger or V of an object under accelerations */
   for (int a = 0; a < 2; a++) {
     if (!m->forced)
@@ -128,9 +133,9 @@ static void rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x, la
     lanes_t d = to_parallel(w, m->side, m->ambient, m->body, x, m->offset);
     for (int a = 0; a < 2; a++) SIMD for (int i = 0; i < L; i++) c[a][i] += d[a][i];
   }
+  if (!m->forced) return run(u);
   copy_rows(u->r, x, n);
   copy_rows(f, run(u), n);
-  if (!m->forced) return;
   u = pair_table(w, T_PUSHED, m->contact->r0);
   lanes_t in = u->r + 1; /* accelerations of finger and object */
   copy_rows(u->r, &at->sigma, 1);
@@ -139,6 +144,7 @@ static void rates(work_t *w, const motion_t *m, const nodes_t *at, lanes_t x, la
   if (any(m->push))
     copy_rows(in + 2 * m->side, to_parallel(w, m->side, m->ambient, m->body, x, m->push), 2);
   copy_rows(f + n, run(u) + 2 * m->side, 2);
+  return f;
 }
 
 /* (x, p) back onto the surface; on lanes, as a compiled twin is faster than `run_one` */
@@ -219,11 +225,12 @@ static void continued(const double *series, int64_t rows, double ratio, double f
   series_at(series, rows, xi, x);
 }
 
-/* One sweep: f at the nodes, then x = start + h/2 Q f (V: the implicit form). Returns the change. */
+/* One sweep: f at the nodes, then x = start + h/2 Q f (V: the implicit form). Returns the change. The
+   rows of f may move. */
 static double sweep(work_t *w, const motion_t *m, double half, const nodes_t *at, lanes_t x,
-                    lanes_t f) {
+                    lanes_t *at_f) {
   double y[MAX_STATES][L], g[L], change = 0.0, none = 0.0;
-  rates(w, m, at, x, f);
+  const lanes_t f = *at_f = rates(w, m, at, x, *at_f);
   combine(gauss_integral, L, m->n, f[0], L, m->state, half, y[0], L);
   for (int64_t s = m->n - 2; s < m->n && has_v(m); s++) {
     combine(at->inverse[0], L, 1, y[s], L, NULL, 1.0, g, L);
@@ -253,7 +260,7 @@ static int hopeless(const motion_t *m, double half, const nodes_t *at, lanes_t f
 
 /* Sweeps until x holds still. Returns 0 where they do not converge. */
 static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at, lanes_t x,
-                    lanes_t f) {
+                    lanes_t *f) {
   double last = HUGE_VAL;
   for (int k = 0; k < SWEEPS; k++) {
     const double change = sweep(w, m, half, at, x, f);
@@ -265,7 +272,7 @@ static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at
     if (next <= 1e-2 * m->tolerance || change <= 4e-16) return 1;
     if (k > 6 && change <= 1e-13 && change > 0.25 * last) return 1;
     if (!(change < 1e10) || (k > 3 && change > 4.0 * last)) return 0;
-    if (k == 3 && hopeless(m, half, at, f)) return 1;
+    if (k == 3 && hopeless(m, half, at, *f)) return 1;
     last = change;
   }
   return 0;
@@ -313,7 +320,8 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
   double after = tau + longest(m, tau, s->h < left ? s->h : left, STEEPEST);
   if (after >= m->length * (1 - 1e-14)) after = m->length;
   const double span = after - tau, half = 0.5 * span;
-  double t[L], x[MAX_STATES][L], f[MAX_STATES][L], end[MAX_STATES];
+  double rows_f[MAX_STATES][L], rows_x[MAX_STATES][L], t[L], end[MAX_STATES];
+  lanes_t f = rows_f, x = m->body && !m->forced ? motion_table(w, m)->r : rows_x;
   nodes_t at;
   for (int i = 0; i < L; i++) t[i] = tau + half * (1.0 + gauss_node[i]);
   if (m->by_length)
@@ -336,7 +344,7 @@ static int panel(work_t *w, motion_t *m, step_t *s, double *out) {
     continued(s->before, m->n, span / s->span, s->begins ? -1.0 : 1.0, x);
   else
     for (int64_t r = 0; r < m->n; r++) fill_lanes(x[r], m->state[r]);
-  if (!converge(w, m, half, &at, x, f)) {
+  if (!converge(w, m, half, &at, x, &f)) {
     if (s->begins) s->before = NULL;
     s->h = 0.35 * span;
     return 0;

@@ -7,8 +7,8 @@
    * Only a contact under an acceleration is integrated with its forcing. */
 
 static const double FIRST = 0.7; /* radii along a first panel's path, at a tolerance of 1e-12 */
-/* the radius where a motion starts counts, up to so many times the body's least: a fifth fewer panels
-   on an ellipsoid 0.3/0.2/0.1 than with the least; without a bound more are refused */
+/* the radius where a motion starts counts, up to so many times the body's least: a fifth fewer
+   panels on an ellipsoid 0.3/0.2/0.1 than with the least; without a bound more are refused */
 static const double FLATTER = 4.0;
 /* Slip whose whole remaining displacement is below this part of tolerance * size is let go. */
 static const double NEGLIGIBLE_PART = 0.01;
