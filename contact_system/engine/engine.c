@@ -93,18 +93,22 @@ static int anchor(plan_t *plan, failure_t *failure) {
   return (int)failure->code;
 }
 
+static void evaluate_all(work_t *w, const plan_t *plan, int64_t n, const double *t,
+                         double *const *out) {
+  for (int64_t i = 0; i < plan->n_contacts; i++) {
+    double *own[N_OUTPUTS];
+    for (int k = 0; k < N_OUTPUTS; k++) own[k] = out[k] ? out[k] + i * OUTPUT_ROWS[k] * n : NULL;
+    evaluate_contact(w, plan->contacts + i, n, t, own);
+  }
+}
+
 static int evaluate(const plan_t *plan, int64_t n, const double *t, double *const *out,
                     failure_t *failure) {
   work_t w;
   begin_work(&w, (plan_t *)plan, failure);
   for (int64_t i = 0; i < n; i++)
     if (!(t[i] >= plan->begin && t[i] <= plan->end)) return (int)(failure->code = OUTSIDE);
-  if (setjmp(w.jump) == 0)
-    for (int64_t i = 0; i < plan->n_contacts; i++) {
-      double *own[N_OUTPUTS];
-      for (int k = 0; k < N_OUTPUTS; k++) own[k] = out[k] ? out[k] + i * OUTPUT_ROWS[k] * n : NULL;
-      evaluate_contact(&w, plan->contacts + i, n, t, own);
-    }
+  if (setjmp(w.jump) == 0) evaluate_all(&w, plan, n, t, out);
   end_work(&w);
   return (int)failure->code;
 }
@@ -116,12 +120,7 @@ static int look(plan_t *plan, double t, double *const *out, failure_t *failure) 
   work_t *const w = plan->kept;
   memset(failure, 0, sizeof *failure);
   w->plan = plan, w->failure = failure;
-  if (setjmp(w->jump) == 0)
-    for (int64_t i = 0; i < plan->n_contacts; i++) {
-      double *own[N_OUTPUTS];
-      for (int k = 0; k < N_OUTPUTS; k++) own[k] = out[k] ? out[k] + i * OUTPUT_ROWS[k] : NULL;
-      evaluate_contact(w, plan->contacts + i, 1, &t, own);
-    }
+  if (setjmp(w->jump) == 0) evaluate_all(w, plan, 1, &t, out);
   return (int)failure->code;
 }
 

@@ -25,15 +25,13 @@ static void state_at(const track_t *k, const body_t *b, const double *tau, const
     panels_at(&k->panels, 0, rows, x, hint, state);
 }
 
-static void track_state(work_t *w, int side, const body_t *b, const track_t *k, double t,
-                        double *state) {
+static void track_state(const body_t *b, const track_t *k, double t, double *state) {
   double tau[L], x[L], turns[L], found[6][L];
   int64_t hint = k->panels.n ? k->panels.n - 1 : 0;
-  (void)w, (void)side;
   fill_lanes(tau, t - k->start);
   variable(k, b, tau, x, turns);
-  state_at(k, b, tau, x, state_size((int)k->ambient), &hint, found);
-  for (int j = 0; j < state_size((int)k->ambient); j++) state[j] = found[j][0];
+  state_at(k, b, tau, x, state_size(k->ambient), &hint, found);
+  for (int j = 0; j < state_size(k->ambient); j++) state[j] = found[j][0];
 }
 
 /* W_1 and V where accelerations change them, else as they are: rows of panels, or numbers */
@@ -118,8 +116,8 @@ static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, co
                              const double *turns, int n) {
   const track_t *k = a->track;
   const body_t *b = &c->body[s];
-  unit_t *u = table_of(w, s, (int)k->ambient, k->ambient ? A_COORDINATES : C_COORDINATES, b);
-  const int rows = state_size((int)k->ambient);
+  unit_t *u = table_of(w, s, k->ambient, k->ambient ? A_COORDINATES : C_COORDINATES, b);
+  const int rows = state_size(k->ambient);
   copy_rows(u->r, a->state, rows);
   copy_rows(u->r + rows, a->velocity, 2);
   copy_rows(a->coordinates, run(u), N_COORDINATES);
@@ -131,19 +129,10 @@ static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, co
     for (int i = 0; i < L; i++) a->coordinates[DU + j][i] += k->offset[j];
 }
 
-static void find_frame(work_t *w, const contact_t *c, int s, side_t *a, lanes_t state) {
-  const int ambient = (int)a->track->ambient;
-  unit_t *u = table_of(w, s, ambient, ambient ? A_SECOND : C_FRAME, &c->body[s]);
-  copy_rows(u->r, state, state_size(ambient));
-  lanes_t found = run(u);
-  if (ambient) copy_rows(a->frame, state, 6);
-  copy_rows(a->frame + (ambient ? 6 : 0), found, ambient ? 3 : 9);
-}
-
 static void find_one(work_t *w, const contact_t *c, int s, side_t *a, int table, lanes_t state,
                      lanes_t out, int rows) {
-  unit_t *u = table_of(w, s, (int)a->track->ambient, table, &c->body[s]);
-  copy_rows(u->r, state, state_size((int)a->track->ambient));
+  unit_t *u = table_of(w, s, a->track->ambient, table, &c->body[s]);
+  copy_rows(u->r, state, state_size(a->track->ambient));
   copy_rows(out, run(u), rows);
 }
 
@@ -155,7 +144,7 @@ static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, 
   double x[L], turns[L], far[6][L];
   if (!(needs || k->offsets)) return;
   variable(k, b, tau, x, turns);
-  state_at(k, b, tau, x, needs == NEED_POINT && !k->offsets ? 3 : state_size((int)k->ambient),
+  state_at(k, b, tau, x, needs == NEED_POINT && !k->offsets ? 3 : state_size(k->ambient),
            &a->hint, a->state);
   if (needs & (NEED_COORDINATES | NEED_VELOCITY))
     drive_velocity(c, s, k, a->pace, &a->hint, a->velocity);
@@ -165,15 +154,15 @@ static void sample_body(work_t *w, const contact_t *c, int s, side_t *a, int n, 
     line_at(k, b, tau, 1, &a->hint, far);
     state = far;
   }
+  if (k->ambient) copy_rows(a->frame, state, needs & NEED_FRAME ? 6 : 3);
   if (needs & NEED_FRAME)
-    find_frame(w, c, s, a, state);
-  else if (needs & NEED_POINT && k->ambient)
-    copy_rows(a->frame, state, 3);
-  else if (needs & NEED_POINT)
+    k->ambient ? find_one(w, c, s, a, A_SECOND, state, a->frame + 6, 3)
+               : find_one(w, c, s, a, C_FRAME, state, a->frame, 9);
+  else if (needs & NEED_POINT && !k->ambient)
     find_one(w, c, s, a, C_POINT, state, a->frame, 3);
   if (needs & NEED_SHAPE) find_one(w, c, s, a, k->ambient ? A_SHAPE : C_SHAPE, state, a->shape, 3);
   if (k->offsets) {
-    copy_rows(a->offset, to_parallel(w, s, (int)k->ambient, b, a->state, k->offset), 2);
+    copy_rows(a->offset, to_parallel(w, s, k->ambient, b, a->state, k->offset), 2);
     for (int j = 0; j < 2 && needs & NEED_VELOCITY; j++)
       for (int i = 0; i < L; i++) a->velocity[j][i] += a->offset[j][i];
   }
@@ -228,7 +217,7 @@ static void accelerate(work_t *w, const contact_t *c, sample_t *m, lanes_t out) 
     const double *d = s->accelerations + 2 * k;
     const side_t *a = &m->side[k];
     if (!any(d)) continue;
-    lanes_t found = to_parallel(w, k, (int)a->track->ambient, &c->body[k], (lanes_t)a->state, d);
+    lanes_t found = to_parallel(w, k, a->track->ambient, &c->body[k], (lanes_t)a->state, d);
     copy_rows(u->r + 5 + 2 * k, found, 2);
   }
   copy_rows(out, run(u), 2);
@@ -489,7 +478,7 @@ static void moment_of(work_t *w, contact_t *c, double t, double *out) {
     place_at(w, c, side, which, t, out + (side ? M_PLACE_2 : M_PLACE_1));
     if (!moves_in_space(b->surface)) continue;
     double state[6];
-    track_state(w, side, b, k, t, state);
+    track_state(b, k, t, state);
     if (k->ambient)
       memcpy(frame, state, sizeof state);
     else

@@ -63,8 +63,7 @@ static void to_space(work_t *w, const body_t *b, const double *place, double *st
   memcpy(state, found, 6 * sizeof *state);
 }
 
-static void track_state(work_t *w, int side, const body_t *b, const track_t *k, double t,
-                        double *state);
+static void track_state(const body_t *b, const track_t *k, double t, double *state);
 static void place_at(work_t *w, contact_t *c, int side, int64_t which, double t, double *place);
 
 /* The body where its last track ends, in the form that it is kept in. The end of a contact's last
@@ -75,7 +74,7 @@ static const double *state_of(course_t *c, int side) {
   const body_t *b = &c->c->body[side];
   const track_t *k = &c->c->tracks[side][n - 1];
   double state[6];
-  track_state(c->w, side, b, k, k->stop, state);
+  track_state(b, k, k->stop, state);
   if (c->ambient[side] && !k->ambient)
     to_space(c->w, b, state, c->state[side]);
   else
