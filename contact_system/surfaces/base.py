@@ -219,7 +219,7 @@ class Surface:
         """Return the level function and its derivatives, without the sign of the side."""
         level = self._level(p, x)
         hessian, gradient = ca.hessian(level, x)
-        return Level(level, gradient, hessian, 1 / ca.dot(gradient, gradient))
+        return Level.of(level, gradient, hessian)
 
     def _axes(self, p: ca.SX) -> ca.SX:
         """Return the rotation from the chart's axes to the body's, (3, 3)."""

@@ -211,8 +211,7 @@ class SecondDegree(Surface):
     def level_geometry(self, p: ca.SX, x: ca.SX) -> Level:
         matrix = self._matrix(p)
         gradient = matrix @ x
-        value = (ca.dot(x, gradient) - 1) / 2
-        return Level(value, gradient, matrix, 1 / ca.dot(gradient, gradient))
+        return Level.of((ca.dot(x, gradient) - 1) / 2, gradient, matrix)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

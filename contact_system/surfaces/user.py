@@ -420,8 +420,7 @@ class ImplicitSurface(UserSurface):
         """Return those of F over its steepest slope: |grad F|^2 may be too large for a double."""
         level, gradient, hessian, _ = super().level_geometry(p, x)
         scale = 1 / ca.norm_inf(gradient)
-        gradient = scale * gradient
-        return Level(scale * level, gradient, scale * hessian, 1 / ca.dot(gradient, gradient))
+        return Level.of(scale * level, scale * gradient, scale * hessian)
 
     def geometry_symbols(self, numbers: ca.SX) -> tuple[ca.SX, ChartGeometry]:
         x = ca.SX.sym("x", 3)

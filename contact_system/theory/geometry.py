@@ -188,6 +188,11 @@ class Level(NamedTuple):
     steepness: ca.SX
     """1 / |gradient|^2, valid only on the surface."""
 
+    @classmethod
+    def of(cls, value: ca.SX, gradient: ca.SX, hessian: ca.SX) -> Level:
+        """Return it with the steepness of the gradient."""
+        return cls(value, gradient, hessian, 1 / ca.dot(gradient, gradient))
+
 
 # --- functions of (point, numbers of a surface) --------------------------------------------------
 
