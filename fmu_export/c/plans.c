@@ -156,46 +156,26 @@ static plan_t *plan_ahead(component_t *c, long i, segment_t *s, double target) {
   return found;
 }
 
-/* Sees to a plan of contact i that reaches the target, in live_t.next where it is another
-   segment's. Returns not 0 where there is none. */
+/* Sees to a plan of contact i that reaches the target, from where it is if that of its segment does
+   not. Returns not 0 where there is none, and the contact is as it was. */
 static int cover(component_t *c, long i, double target) {
   live_t *k = c->live + i;
-  segment_t *s = c->segment + i;
+  segment_t *s = c->segment + i, next;
   const double least = s->begin + 8 * DBL_EPSILON * fmax(1.0, s->begin);
   if (!k->plan) {
     if (s->end < s->begin) s->end = end_of(c, s->begin, fmax(-s->end, least), target);
     k->plan = plan_ahead(c, i, s, fmax(target, least)), k->anchored = 0;
     if (!k->plan) return 1;
   }
-  k->following = *s;
-  plan_t *last = k->plan;
-  for (int tries = 0; !reached(k->following.end, target); tries++) {
-    c->failure = (failure_t){.code = TOO_MANY_PANELS};
-    if (tries > 60) return 1;
-    segment_t next = k->following;
-    const double at = next.end;
-    if (go_on(c, i, last, at, &next)) return 1;
-    next.end = end_of(c, at, at + 2 * (at - k->following.begin),
-                      fmin(target, at + 1e3 * c->model->data[D_HORIZON]));
-    plan_t *found = plan_ahead(c, i, &next, fmin(target, next.end));
-    if (!found) return 1;
-    c->engine->drop(k->next);
-    k->next = last = found, k->next_anchored = 0, k->following = next;
-  }
+  if (reached(s->end, target)) return 0;
+  next = *s;
+  if (go_on(c, i, k->plan, time_on(c, i), &next)) return 1;
+  next.end = end_of(c, next.begin, next.begin + 2 * (next.begin - s->begin), target);
+  plan_t *found = plan_ahead(c, i, &next, target);
+  if (!found) return 1;
+  drop_plan(c, i);
+  k->plan = found, *s = next;
   return 0;
-}
-
-static void commit(component_t *c, long i, int taken) {
-  live_t *k = c->live + i;
-  if (!k->next) return;
-  if (taken) {
-    c->engine->drop(k->plan);
-    k->plan = k->next, k->anchored = 0;
-    c->segment[i] = k->following;
-  } else {
-    c->engine->drop(k->next);
-  }
-  k->next = NULL;
 }
 
 #define AT_REST                                                                                    \
