@@ -28,24 +28,6 @@ static void put_window(double **next, double slot, double start, double stop, co
   *next += WINDOW_SIZE;
 }
 
-/* Whether sigma of contact i is all but zero somewhere between two times */
-static int rests_between(const component_t *c, long i, double from, double to) {
-  double at[2 * MAX_PROFILE + 2];
-  for (long k = 0, count = n_legs(c->model, i); k < count; k++) {
-    const leg_t leg = leg_of(c, i, k);
-    const double first = fmax(from, leg.start);
-    const double last = k + 1 < count ? fmin(to, leg_of(c, i, k + 1).start) : to;
-    double largest = 0.0;
-    if (!(first < last)) continue;
-    const long n = signs_of(&leg, 1, first, last, at + 1);
-    at[0] = first, at[n + 1] = last;
-    for (long j = 0; j < leg.n; j++) largest = fmax(largest, fabs(leg.sigma[j]));
-    for (long j = 0; j < n + 2; j++)
-      if (horner(leg.sigma, leg.n, at[j] - leg.start) <= 1e-9 * largest) return 1;
-  }
-  return 0;
-}
-
 /* The engine's plan of contact i under a segment; NULL, with c->failure, where there is none. */
 static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   const model_t *m = c->model;
@@ -82,13 +64,6 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
     if (s->acting[2 * slot] != 0.0 || s->acting[2 * slot + 1] != 0.0)
       put_window(&next, slot, s->begin, s->end, s->acting + 2 * slot, 1.0);
   row[K_WINDOWS_SIZE] = (double)((next - first) / WINDOW_SIZE);
-  for (const double *w = first; w < next; w += WINDOW_SIZE) {
-    const double from = fmax(w[W_START], s->begin), to = fmin(w[W_STOP], s->end);
-    if (w[W_SLOT] > 1 || from >= to || (w[W_VALUE] == 0.0 && w[W_VALUE + 1] == 0.0)) continue;
-    if (!rests_between(c, i, from, to)) continue;
-    c->failure = (failure_t){.code = STUCK, .pushed = 1}; /* the engine would try for long */
-    return NULL;
-  }
   b[S_AT_CONTACTS] = (double)(next - b);
   memcpy(next, row, sizeof row), next += CONTACT_SIZE;
   UNTRAPPED(found = c->engine->plan(b, next - b, m->surfaces, &c->failure));
@@ -190,14 +165,13 @@ static status_t refuse_motion(component_t *c, long i, const char *what, double t
   if (f->code == STUCK && !f->by_length && f->t > 0)
     snprintf(where, sizeof where, ", at t = %.9g s", f->t);
   const char *why =
-      c->unmeasured          ? c->unmeasured
-      : f->code == NO_MEMORY ? "there is no memory"
-      : f->code == TOO_LONG  ? "the path is so long that rounding would leave less "
-                               "than four digits of its position; make shorter steps"
+      c->unmeasured                   ? c->unmeasured
+      : f->code == NO_MEMORY          ? "there is no memory"
+      : f->code == TOO_LONG           ? "the path is so long that rounding would leave less "
+                                        "than four digits of its position; make shorter steps"
+      : f->pushed && f->value <= 1e-5 ? AT_REST
       : f->code == TOO_MANY_PANELS
           ? "a step is too long, it would take more than 20000 pieces of motion; make shorter steps"
-      : f->pushed && f->value <= 1e-5
-          ? AT_REST
           : "the path reaches a singular point of its chart or its surface, or moves too fast for "
             "double precision; set smaller inputs, end before or start elsewhere";
   c->unmeasured = NULL;
