@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import hashlib
 import importlib.util
-import os
 import platform
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
-from contact_system.checks import items_of, make_folder
+from contact_system.checks import items_of
 from contact_system.engine.binding import LIBRARY
 from contact_system.engine.platforms import FLAGS, PLATFORMS, Platform, shared
 from contact_system.errors import ContactSystemError
@@ -70,7 +67,8 @@ def library_place(name: str, target: str, fmi_version: str) -> str:
 def library(target: str, name: str) -> bytes:
     """The engine with its FMI layer for a platform, under a model's name.
 
-    This machine's was built when the package was installed; others are built by ziglang and kept.
+    This machine's was built when the package was installed; others are built by ziglang, which
+    keeps what it has compiled in ``$ZIG_GLOBAL_CACHE_DIR`` or ``~/.cache/zig``.
     """
     row = _platform(target)
     if target == "native":
@@ -83,24 +81,17 @@ def library(target: str, name: str) -> bytes:
     linked = _WASM if row.suffix == ".wasm" else shared(row.suffix)
     command = [*compiler, *FLAGS, "-DVARIANT=baseline", "-Wno-pass-failed", *linked]
     command += [f"-I{ENGINE}", *map(str, UNITS)]
-
-    def make(room: Path) -> Path:
-        built = room / f"{LONG_NAME}{row.suffix}"
-        run = subprocess.run(
-            [*command, "-o", built.name, "-lm"],
-            cwd=room,
-            capture_output=True,
-            text=True,
-            errors="replace",
-        )
+    with tempfile.TemporaryDirectory(prefix="contact-system-") as folder:
+        built = Path(folder, f"{LONG_NAME}{row.suffix}")
+        command += ["-o", built.name, "-lm"]
+        run = subprocess.run(command, cwd=folder, capture_output=True)
         if run.returncode:
-            raise ContactSystemError(f"{' '.join(command)} failed:\n{run.stderr[-2000:]}")
-        return built
-
-    found = _kept("\0".join([*command, *texts().values()]), make)
+            said = run.stderr[-2000:].decode(errors="replace")
+            raise ContactSystemError(f"{' '.join(command)} failed:\n{said}")
+        found = built.read_bytes()
     # A Windows library carries its name, and programs that are linked with it look for that one.
-    own, given = (f"{stem}.dll".encode() for stem in (LONG_NAME, name))
-    return found.replace(own, given.ljust(len(own), b"\0")) if row.suffix == ".dll" else found
+    own, new = (f"{stem}.dll".encode() for stem in (LONG_NAME, name))
+    return found.replace(own, new.ljust(len(own), b"\0")) if row.suffix == ".dll" else found
 
 
 LONG_NAME = "contact_engine".ljust(110, "_")
@@ -113,53 +104,3 @@ def texts() -> dict[Path, str]:
     folders = (ENGINE, ENGINE / "generated", C_FOLDER)
     files = [file for folder in folders for file in sorted(folder.glob("*.[chi]*"))]
     return {file: file.read_text("utf-8") for file in files}
-
-
-# --- the cache -----------------------------------------------------------------------------------
-
-_REMEDY = "set CONTACT_SYSTEM_CACHE to a folder that can be written to"
-
-
-def cache_folder() -> Path:
-    """``$CONTACT_SYSTEM_CACHE``, or ``~/.cache/contact_system``."""
-    chosen = os.environ.get("CONTACT_SYSTEM_CACHE")
-    try:
-        return Path(chosen).absolute() if chosen else Path.home() / ".cache" / "contact_system"
-    except RuntimeError:  # as some users of containers
-        raise ContactSystemError(f"this user has no home folder; {_REMEDY}") from None
-
-
-def _kept(key: str, make: Callable[[Path], Path]) -> bytes:
-    """A library that was built before under this key, or that is made now in a folder.
-
-    It is kept behind its digest; one that does not fit that, as after a full disk, is made again.
-    """
-    folder = cache_folder()
-    file = folder / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.fmulib"
-    _refuse_open(folder)
-    with contextlib.suppress(OSError):
-        digest, found = (kept := file.read_bytes())[:32], kept[32:]
-        if hashlib.sha256(found).digest() == digest:
-            return found
-    make_folder(folder, _REMEDY).chmod(0o700)
-    try:
-        with tempfile.TemporaryDirectory(dir=folder) as room:
-            found = make(Path(room)).read_bytes()
-            (part := Path(room, "part")).write_bytes(hashlib.sha256(found).digest() + found)
-            os.replace(part, file)  # atomic: a second process never sees half a file
-    except OSError as error:
-        raise ContactSystemError(f"cache folder '{folder}': {error}; {_REMEDY}") from None
-    return found
-
-
-def _refuse_open(folder: Path) -> None:
-    """Refuse a folder in which others may put libraries."""
-    try:
-        found = folder.stat()
-    except OSError:
-        return  # it is made for this user alone
-    if os.name == "posix" and (found.st_mode & 0o022 or found.st_uid != os.getuid()):
-        raise ContactSystemError(
-            f"cache folder '{folder}' can be written to by others, who might put libraries there; "
-            f"`chmod go-w '{folder}'`, or {_REMEDY}"
-        )

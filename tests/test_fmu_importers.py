@@ -48,6 +48,12 @@ def test_importers_integrate_an_fmu_along_the_plan(importer, version):
     assert off_plan(scene, getattr(importers, f"{importer}_integrates"), version, 64) < 1e-7
 
 
+def test_cvode_at_the_files_tolerance_follows_a_path_of_many_turns():
+    scene = cs.load_scene("D3")
+    run, fmu = importers.fmpy_integrates, exported(scene, "2.0")
+    assert importers.off_plan(run, fmu, scene, 256, scene.duration / 256) < 1e-7
+
+
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("result", ["ode", "y"])
 def test_the_jacobian_in_casadi_agrees_with_central_differences(result, version):

@@ -24,15 +24,15 @@ static status_t report(component_t *c, status_t status, const char *format, ...)
 
 /* ---- memory ---- */
 
-static void drop_plans(component_t *c, long i) {
+static void drop_plan(component_t *c, long i) {
   live_t *k = c->live + i;
-  c->engine->drop(k->plan), c->engine->drop(k->next);
-  k->plan = k->next = NULL;
+  c->engine->drop(k->plan);
+  k->plan = NULL, k->anchored = 0;
 }
 
 static void free_component(component_t *c) {
   for (long i = 0; c->live && i < c->model->n_contacts; i++) {
-    drop_plans(c, i);
+    drop_plan(c, i);
     free(c->live[i].registers);
   }
   free(c->own), free(c->live), free(c->buffer), free(c->seed), free(c->grown), free(c->tangents),
@@ -44,8 +44,8 @@ static void free_component(component_t *c) {
 static void forget(component_t *c) {
   for (long i = 0; i < c->model->n_contacts; i++) {
     live_t *k = c->live + i;
-    drop_plans(c, i);
-    k->valid = k->asked = k->before = 0, k->prepared = k->anchored = 0;
+    drop_plan(c, i);
+    k->valid = k->asked = k->before = 0, k->prepared = 0;
   }
 }
 

@@ -60,9 +60,8 @@ typedef struct {
 
 /* What is known of a contact, and made again where it is not */
 typedef struct {
-  plan_t *plan, *next; /* of its segment; of that which a step is about to begin */
-  segment_t following;
-  int anchored, next_anchored;
+  plan_t *plan; /* of its segment */
+  int anchored;
   unsigned valid, asked, before; /* groups that belong to time and inputs; that were asked for */
   double *registers;             /* of its equations */
   int prepared;                  /* their prologue has run, */

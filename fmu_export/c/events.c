@@ -95,9 +95,7 @@ static int find_nearby(component_t *c, long i, double sigma, double states[N_STA
     if (!points) return 1;
     out[STATES] = NULL;
   }
-  if (cover(c, i, c->now->acts_at)) return 0;
-  commit(c, i, 1);
-  return !look_at(c, i, out);
+  return !cover(c, i, c->now->acts_at) && !look_at(c, i, out);
 }
 
 /* The segment s of contact i begins where it is measured. Returns what is wrong, or NULL. */
@@ -174,17 +172,15 @@ static int settle(component_t *c) {
         UNTRAPPED(c->unmeasured = begin_measured(c, i, s));
         c->failure = (failure_t){.code = STUCK};
         if (c->unmeasured) return (int)i + 1;
-      } else {
-        if (cover(c, i, at)) return (int)i + 1;
-        commit(c, i, 1);
-        if (go_on(c, i, c->live[i].plan, time_on(c, i), s)) return (int)i + 1;
+      } else if (cover(c, i, at) || go_on(c, i, c->live[i].plan, time_on(c, i), s)) {
+        return (int)i + 1;
       }
       s->end = at + lasted; /* where events follow each other closely, it is no use to plan far */
     }
     s->end = -fabs(s->end);
     s->gain = c->value[GAIN];
     memcpy(s->acting, acting, sizeof acting);
-    drop_plans(c, i);
+    drop_plan(c, i);
   }
   forget_values(c);
   now->settled = !rest;

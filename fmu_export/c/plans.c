@@ -28,24 +28,6 @@ static void put_window(double **next, double slot, double start, double stop, co
   *next += WINDOW_SIZE;
 }
 
-/* Whether sigma of contact i is all but zero somewhere between two times */
-static int rests_between(const component_t *c, long i, double from, double to) {
-  double at[2 * MAX_PROFILE + 2];
-  for (long k = 0, count = n_legs(c->model, i); k < count; k++) {
-    const leg_t leg = leg_of(c, i, k);
-    const double first = fmax(from, leg.start);
-    const double last = k + 1 < count ? fmin(to, leg_of(c, i, k + 1).start) : to;
-    double largest = 0.0;
-    if (!(first < last)) continue;
-    const long n = signs_of(&leg, 1, first, last, at + 1);
-    at[0] = first, at[n + 1] = last;
-    for (long j = 0; j < leg.n; j++) largest = fmax(largest, fabs(leg.sigma[j]));
-    for (long j = 0; j < n + 2; j++)
-      if (horner(leg.sigma, leg.n, at[j] - leg.start) <= 1e-9 * largest) return 1;
-  }
-  return 0;
-}
-
 /* The engine's plan of contact i under a segment; NULL, with c->failure, where there is none. */
 static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
   const model_t *m = c->model;
@@ -82,13 +64,6 @@ static plan_t *plan_of(component_t *c, long i, const segment_t *s) {
     if (s->acting[2 * slot] != 0.0 || s->acting[2 * slot + 1] != 0.0)
       put_window(&next, slot, s->begin, s->end, s->acting + 2 * slot, 1.0);
   row[K_WINDOWS_SIZE] = (double)((next - first) / WINDOW_SIZE);
-  for (const double *w = first; w < next; w += WINDOW_SIZE) {
-    const double from = fmax(w[W_START], s->begin), to = fmin(w[W_STOP], s->end);
-    if (w[W_SLOT] > 1 || from >= to || (w[W_VALUE] == 0.0 && w[W_VALUE + 1] == 0.0)) continue;
-    if (!rests_between(c, i, from, to)) continue;
-    c->failure = (failure_t){.code = STUCK, .pushed = 1}; /* the engine would try for long */
-    return NULL;
-  }
   b[S_AT_CONTACTS] = (double)(next - b);
   memcpy(next, row, sizeof row), next += CONTACT_SIZE;
   UNTRAPPED(found = c->engine->plan(b, next - b, m->surfaces, &c->failure));
@@ -156,46 +131,26 @@ static plan_t *plan_ahead(component_t *c, long i, segment_t *s, double target) {
   return found;
 }
 
-/* Sees to a plan of contact i that reaches the target, in live_t.next where it is another
-   segment's. Returns not 0 where there is none. */
+/* Sees to a plan of contact i that reaches the target, from where it is if that of its segment does
+   not. Returns not 0 where there is none, and the contact is as it was. */
 static int cover(component_t *c, long i, double target) {
   live_t *k = c->live + i;
-  segment_t *s = c->segment + i;
+  segment_t *s = c->segment + i, next;
   const double least = s->begin + 8 * DBL_EPSILON * fmax(1.0, s->begin);
   if (!k->plan) {
     if (s->end < s->begin) s->end = end_of(c, s->begin, fmax(-s->end, least), target);
     k->plan = plan_ahead(c, i, s, fmax(target, least)), k->anchored = 0;
     if (!k->plan) return 1;
   }
-  k->following = *s;
-  plan_t *last = k->plan;
-  for (int tries = 0; !reached(k->following.end, target); tries++) {
-    c->failure = (failure_t){.code = TOO_MANY_PANELS};
-    if (tries > 60) return 1;
-    segment_t next = k->following;
-    const double at = next.end;
-    if (go_on(c, i, last, at, &next)) return 1;
-    next.end = end_of(c, at, at + 2 * (at - k->following.begin),
-                      fmin(target, at + 1e3 * c->model->data[D_HORIZON]));
-    plan_t *found = plan_ahead(c, i, &next, fmin(target, next.end));
-    if (!found) return 1;
-    c->engine->drop(k->next);
-    k->next = last = found, k->next_anchored = 0, k->following = next;
-  }
+  if (reached(s->end, target)) return 0;
+  next = *s;
+  if (go_on(c, i, k->plan, time_on(c, i), &next)) return 1;
+  next.end = end_of(c, next.begin, next.begin + 2 * (next.begin - s->begin), target);
+  plan_t *found = plan_ahead(c, i, &next, target);
+  if (!found) return 1;
+  drop_plan(c, i);
+  k->plan = found, *s = next;
   return 0;
-}
-
-static void commit(component_t *c, long i, int taken) {
-  live_t *k = c->live + i;
-  if (!k->next) return;
-  if (taken) {
-    c->engine->drop(k->plan);
-    k->plan = k->next, k->anchored = 0;
-    c->segment[i] = k->following;
-  } else {
-    c->engine->drop(k->next);
-  }
-  k->next = NULL;
 }
 
 #define AT_REST                                                                                    \
@@ -210,14 +165,13 @@ static status_t refuse_motion(component_t *c, long i, const char *what, double t
   if (f->code == STUCK && !f->by_length && f->t > 0)
     snprintf(where, sizeof where, ", at t = %.9g s", f->t);
   const char *why =
-      c->unmeasured          ? c->unmeasured
-      : f->code == NO_MEMORY ? "there is no memory"
-      : f->code == TOO_LONG  ? "the path is so long that rounding would leave less "
-                               "than four digits of its position; make shorter steps"
+      c->unmeasured                   ? c->unmeasured
+      : f->code == NO_MEMORY          ? "there is no memory"
+      : f->code == TOO_LONG           ? "the path is so long that rounding would leave less "
+                                        "than four digits of its position; make shorter steps"
+      : f->pushed && f->value <= 1e-5 ? AT_REST
       : f->code == TOO_MANY_PANELS
           ? "a step is too long, it would take more than 20000 pieces of motion; make shorter steps"
-      : f->pushed && f->value <= 1e-5
-          ? AT_REST
           : "the path reaches a singular point of its chart or its surface, or moves too fast for "
             "double precision; set smaller inputs, end before or start elsewhere";
   c->unmeasured = NULL;

@@ -67,7 +67,6 @@ static status_t find(component_t *c, long i, unsigned groups) {
   const unsigned more = (k->before & ~k->valid & ~rates) | asked; /* in one pass */
   if (asked) {
     if (!k->plan && cover(c, i, c->now->time)) return refuse_motion(c, i, "values", c->now->time);
-    commit(c, i, 1);
     if (more != asked && !look(c, i, more))
       k->valid |= more & ~BIT(OF_CONDITION);
     else if (look(c, i, asked))

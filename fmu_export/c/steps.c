@@ -135,13 +135,8 @@ static status_t step(component_t *c, double target, int stop_at_windows, int *ed
     const double window = next_window(c);
     if ((*edge = reached(target, window))) goal = window;
   }
-  for (long i = 0; i < n; i++) {
-    if (c->live[i].plan && reached(c->segment[i].end, goal)) continue;
-    if (!cover(c, i, goal)) continue;
-    for (long j = 0; j <= i; j++) commit(c, j, 0);
-    return refuse_motion(c, i, "step", target);
-  }
-  for (long i = 0; i < n; i++) commit(c, i, 1);
+  for (long i = 0; i < n; i++)
+    if (cover(c, i, goal)) return refuse_motion(c, i, "step", target);
   set_time(c, goal);
   if (*edge) now->pending = 1, now->acts_at = nextafter(now->acts_at, -HUGE_VAL);
   return OK;

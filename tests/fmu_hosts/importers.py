@@ -250,7 +250,8 @@ def casadi_integrates(fmu: Fmu, names: Names, step: float, count: int) -> np.nda
     results, _ = casadi_function(fmu, ["t", "x", "u"], "y")
     t, x, u = ca.MX.sym("t"), ca.MX.sym("x", rates.size1_in(1)), np.zeros(rates.size1_in(2))
     grid = step * np.arange(1, count + 1)
-    options = {"reltol": 1e-10, "abstol": 1e-12, "max_num_steps": 100_000}
+    tolerance = float(fmu.description.defaultExperiment.tolerance)
+    options = {"reltol": tolerance, "abstol": 0.1 * tolerance, "max_num_steps": 100_000}
     system = {"t": t, "x": x, "ode": rates(t, x, u)}
     start = builder.start(builder.x())
     found = ca.integrator("sim", "cvodes", system, 0.0, grid, options)(x0=start)["xf"].full()
