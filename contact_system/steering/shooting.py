@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -80,6 +81,7 @@ class Search:
 
     def __init__(self, pairs: Pairs):
         self.pairs, self.follow, self.surface = pairs, pairs.follow, pairs.surface
+        self.spent = 0.0  # strips for each pair of a fan
 
     def shortest(self) -> tuple[Array, Array]:
         """Directions and lengths of the shortest geodesic of each pair."""
@@ -216,51 +218,35 @@ class Search:
 
     # -- a fan of directions
 
-    def fan(self, which: Array, reach: Array) -> tuple[Array, ...]:
+    def fan(self, which: Array, reach: Array) -> list[Array]:
         """All candidates to meet b within the reach: pair, direction, length, reach."""
-        count = int(min(max(math.ceil(reach.max() / self.follow.detail), 8), 400))
         # off the axes of symmetry, where rays would meet poles of charts
         angles = 2 * math.pi * (np.arange(RAYS) + 0.137) / RAYS
-        pair, limit = np.repeat(which, RAYS), np.repeat(reach, RAYS)
-        phi, width = np.tile(angles, len(which)), np.full(len(pair), 2 * math.pi / RAYS)
-        rays = self.rays(pair, phi, limit, count)
-        right = np.arange(len(phi)) + 1
-        right[RAYS - 1 :: RAYS] -= RAYS
-        # drop strips neither side of which comes near b
-        b = self.pairs.b[pair].T
-        away = np.sqrt(sum((rays[:, i] - b[i]) ** 2 for i in range(3)))
-        wide = 2 * width * np.abs(rays[:, 3])
-        near, coarse = self.passing(away, wide + limit / count, limit)
-        near = near.any(axis=0) | coarse
-        some = np.flatnonzero(near | near[right])
-        strips = pair[some], limit[some], phi[some], width[some]
-        todo: list[tuple[Any, ...]] = [(0, *strips, rays[:, :, some], rays[:, :, right[some]])]
-        aims, spent = [], 0
+        phi, width = np.tile(angles, len(which)), np.full(RAYS * len(which), 2 * math.pi / RAYS)
+        self.spent = 0.0
+        found = self.sift(np.repeat(which, RAYS), np.repeat(reach, RAYS), phi, width)
+        return [np.concatenate(w) for w in zip(*found)]
+
+    def sift(
+        self, pair: Array, limit: Array, phi: Array, width: Array, depth: int = 0
+    ) -> Iterator[tuple[Array, ...]]:
+        """Candidates in strips between two rays, and in the halves of wide strips.
+
+        A strip is a pair of points, the reach, the direction of one side, the angle to the other.
+        """
+        if len(pair) > TOGETHER:  # divide, to limit memory
+            for i in range(2):
+                yield from self.sift(pair[i::2], limit[i::2], phi[i::2], width[i::2], depth)
+            return
+        self.spent += len(pair) / len(np.unique(pair))
         what = (
             f"{self.surface!r}, least radius of curvature about {self.surface.bend:.2g} m: strips "
-            f"of a search for geodesics from {self.pairs.x[which[0]].tolist()}"
+            f"of a search for geodesics from {self.pairs.x[pair[0]].tolist()}"
         )
-        while todo:
-            depth, *group = todo.pop()
-            if len(group[0]) > 2 * TOGETHER:  # divide, to limit memory
-                todo += [(depth, *(w[..., i::2] for w in group)) for i in range(2)]
-                continue
-            spent += len(group[0])
-            within("STRIPS", spent / len(which), what, SurfaceError)
-            aim, halves = self.sift(group, depth)
-            aims.append(aim)
-            if halves:
-                todo.append((depth + 1, *halves))
-        return tuple(np.concatenate(w) for w in zip(*aims))
-
-    def sift(self, strips: list[Array], depth: int) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """Candidates in strips between neighbouring rays, and the halves of wide strips.
-
-        A strip is a pair of points, the reach, the direction of one side, the angle to the other,
-        and the `rays` of both sides.
-        """
-        pair, limit, phi, width, one, other = strips
-        count = len(one)
+        within("STRIPS", self.spent, what, SurfaceError)
+        count = int(min(max(math.ceil(limit.max() / self.follow.detail), 8), 400))
+        exact = np.minimum(0.01 * width, ROUGH)
+        one, other = (self.rays(pair, side, limit, count, exact) for side in (phi, phi + width))
         across = other[:, :3] - one[:, :3]
         wide = np.sqrt(np.einsum("kij,kij->kj", across, across))
         wide = np.maximum(wide, width * np.maximum(np.abs(one[:, 3]), np.abs(other[:, 3])))
@@ -271,24 +257,13 @@ class Search:
         coarse &= depth < SPLITS
         k, strip, share, ahead = self.closest(near & ~coarse, away, across, r, middle)
         s = limit[strip] / count * np.maximum(k + 1 + ahead * count / limit[strip], 0.25)
-        aim = pair[strip], phi[strip] + width[strip] * share, s, limit[strip]
-        if not coarse.any():
-            return aim, ()
-        pair, limit, phi, half = pair[coarse], limit[coarse], phi[coarse], 0.5 * width[coarse]
-        exact = np.minimum(0.02 * half, ROUGH)
-        between = self.rays(pair, phi + half, limit, count, exact)
-        one, other = one[:, :, coarse], other[:, :, coarse]
-        if depth > 3:  # the sides are too inexact for narrow strips
-            one = self.rays(pair, phi, limit, count, exact)
-            other = self.rays(pair, phi + 2 * half, limit, count, exact)
-        one = np.concatenate([one, between], axis=2)
-        other = np.concatenate([between, other], axis=2)
-        pair, limit, width = np.tile(pair, 2), np.tile(limit, 2), np.tile(half, 2)
-        return aim, (pair, limit, np.concatenate([phi, phi + half]), width, one, other)
+        yield pair[strip], phi[strip] + width[strip] * share, s, limit[strip]
+        if coarse.any():
+            pair, limit, phi, half = (w[coarse] for w in (pair, limit, phi, 0.5 * width))
+            halves = np.tile(pair, 2), np.tile(limit, 2), np.concatenate([phi, phi + half])
+            yield from self.sift(*halves, np.tile(half, 2), depth + 1)
 
-    def rays(
-        self, which: Array, phi: Array, reach: Array, count: int, tolerance: Any = ROUGH
-    ) -> Array:
+    def rays(self, which: Array, phi: Array, reach: Array, count: int, tolerance: Array) -> Array:
         """x and J along geodesics at equal steps of the reach, (count, 4, n)."""
         return self.follow(self.pairs.start(which, phi), reach, tolerance, count)
 
