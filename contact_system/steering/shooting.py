@@ -19,11 +19,10 @@ if TYPE_CHECKING:
     from .two_points import Pairs
 
 Array = np.ndarray
-Ways = tuple[Array, Array, Array]
-"""Pair of points, direction and length of geodesics."""
 
 MET = 1e-13  # of the size: distance from b at which a geodesic has met it
-# error of a step, of the size: of a result, of a candidate, and of a ray of a fan
+NEAR = 3e-8  # of the surface's detail, and rad: distance from b before the last step
+# error of a step, of the size: of a result, of a geodesic near b, and of a ray of a fan
 SHARP, FINE, ROUGH = 5e-15, 1e-9, 1e-4
 RAYS = 64  # of a fan
 CHUNK = 16  # pairs whose fans are searched at once
@@ -86,49 +85,28 @@ class Search:
     def shortest(self) -> tuple[Array, Array]:
         """Directions and lengths of the shortest geodesic of each pair."""
         phi, s = self.chords()
-        sure = self.surface.injectivity * (1 + 1e-12)
-        finest = np.where(s <= sure, SHARP, FINE)
-        phi, s, met, _ = self.aim(np.arange(len(s)), phi, s, finest, steps=12)
-        unsure = np.flatnonzero(~(met & (s <= sure) & (finest == SHARP)))
+        phi, s, met, _ = self.aim(np.arange(len(s)), phi, s, steps=12)
+        unsure = np.flatnonzero(~met | (s > self.surface.injectivity * (1 + 1e-12)))
         reach = np.where(met, s * (1 + 1e-6), 2 * self.pairs.chord)[unsure]
+        s[~met] = math.inf
         order = np.argsort(reach)  # fans of similar size together
         for i in range(0, len(unsure), CHUNK):
             which, far = (w[order[i : i + CHUNK]] for w in (unsure, reach))
-            first = which[met[which]]
-            known = first, phi[first], s[first]
-            s[which] = math.inf
             while len(which):
                 self.require_near(which, far)
-                for k, direction, length in zip(*self.nearest(which, far, known)):
+                for k, direction, length, _ in zip(*self.within_reach(which, far)):
                     if length < s[k]:
                         phi[k], s[k] = direction, length
                 missing = ~np.isfinite(s[which])
                 which, far = which[missing], 2 * far[missing]
         return phi, s
 
-    def nearest(self, which: Array, reach: Array, known: Ways) -> Ways:
-        """The shortest geodesics, and those of almost the same length."""
-        pair, phi, s, limit = self.fan(which, reach)
-        phi, s, met, _ = self.aim(pair, phi, s, FINE)
-        met &= s <= limit
-        ways = pair[met], phi[met], s[met]
-        pair, phi, s = (np.concatenate(w) for w in zip(ways, known))
-        least = np.full(len(self.pairs.x), math.inf)
-        np.minimum.at(least, pair, s)
-        close = s <= least[pair] * (1 + 1e-6)
-        pair, phi, s = pair[close], phi[close], s[close]
-        phi, s, met, _ = self.aim(pair, phi, s, SHARP, SHARP)
-        return pair[met], phi[met], s[met]
-
     def several(self, most: int, longest: float | None) -> tuple[Array, Array]:
         """Directions and lengths of the shortest few geodesics of a single pair, in order."""
         only, size = np.zeros(1, dtype=int), self.surface.size
         reach = 2 * self.pairs.chord
         while True:
-            pair, phi, s, limit = self.fan(only, reach)
-            phi, s, met, j = self.aim(pair, phi, s, SHARP)
-            met &= s <= limit
-            phi, s, j = phi[met], s[met], j[met]
+            _, phi, s, j = self.within_reach(only, reach)
             kept: list[int] = []
             for i in np.argsort(s):
                 # several aims may find the same geodesic
@@ -154,6 +132,13 @@ class Search:
                 "connected piece of it?"
             )
 
+    def within_reach(self, which: Array, reach: Array) -> list[Array]:
+        """Geodesics that are not longer than the reach: pair, direction, length and J."""
+        pair, phi, s, limit = self.fan(which, reach)
+        phi, s, met, j = self.aim(pair, phi, s)
+        met &= s <= limit
+        return [w[met] for w in (pair, phi, s, j)]
+
     # -- aiming
 
     def chords(self) -> tuple[Array, Array]:
@@ -165,20 +150,13 @@ class Search:
         return np.arctan2(aside, ahead), pairs.chord / np.sinc(angle / math.pi)
 
     def aim(
-        self, which: Array, phi: Array, s: Array, finest: Any, first: float = ROUGH, steps: int = 40
+        self, which: Array, phi: Array, s: Array, steps: int = 40
     ) -> tuple[Array, Array, Array, Array]:
-        """Newton's method: the directions and lengths found, whether they meet b, and J.
-
-        The tolerance goes from ``first`` at the first step to ``finest`` at the last.
-        """
-        size, detail = self.surface.size, self.follow.detail
-        phi, s, n = phi.copy(), s.copy(), len(phi)
-        finest = np.broadcast_to(finest, n)
-        # the error after a step is the square of this
-        near = np.where(finest == SHARP, 3e-8, 1e-5)
-        off, mark, field = np.full(n, math.inf), np.full(n, math.inf), np.zeros(n)
+        """Newton's method: the directions and lengths found, whether they meet b, and J."""
+        size, n = self.surface.size, len(phi)
+        phi, s, off, mark, field = phi.copy(), s.copy(), *np.full((2, n), math.inf), np.zeros(n)
         active = np.argsort(s)  # geodesics that share steps should have similar lengths
-        tolerance = np.full(n, first)
+        tolerance = np.full(n, ROUGH)
         for step in range(steps):
             k = which[active]
             end = self.follow(self.pairs.start(k, phi[active]), s[active], tolerance)
@@ -190,9 +168,9 @@ class Search:
             half, grown = 0.5 * s[active], self.growth(j)
             phi[active] += turn
             s[active] += np.maximum(np.minimum(along, half), -half)
-            close = (away <= near[active] * detail) & (np.abs(turn) * grown <= near[active])
-            target = np.maximum(finest[active] / grown, SHARP)
-            sharp = tolerance <= target
+            # the error after a step is the square of the one before
+            close = (away <= NEAR * self.follow.detail) & (np.abs(turn) * grown <= NEAR)
+            sharp = tolerance <= SHARP
             off[active] = np.where(
                 sharp & close | np.isnan(away), np.where(close, 0.0, math.inf), away
             )
@@ -202,15 +180,13 @@ class Search:
             if step % 4 == 3:  # give up slow ones
                 goes_on &= away <= 0.5 * mark[active]
                 mark[active] = away
-            # a step squares the error
             left = away * grown / size
-            tolerance = np.where(left <= 3e-5, target, np.maximum(FINE / grown, SHARP))
+            tolerance = np.where(left <= 3e-5, SHARP, np.maximum(FINE / grown, SHARP))
             tolerance = np.where(left <= 0.02, tolerance, ROUGH)[goes_on]
             active = active[goes_on]
             if not len(active):
                 break
-        met = off <= np.where(finest == SHARP, MET, FINE) * size * self.growth(field)
-        return phi, s, met, field
+        return phi, s, off <= MET * size * self.growth(field), field
 
     def growth(self, field: Array) -> Array:
         """Growth of errors along geodesics with J = ``field`` at the end."""
