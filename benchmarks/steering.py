@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 import contact_system as cs
-from contact_system.steering.shooting import FINE, Search
+from contact_system.steering.shooting import Search
 from contact_system.steering.two_points import Pairs
 
 from .report import Bar, Sections
@@ -113,7 +113,7 @@ def _shorter(surface: cs.Surface, a: np.ndarray, b: np.ndarray, length: np.ndarr
         least = np.minimum(np.roll(least, 1, axis=2), np.roll(least, -1, axis=2))
         k, pair, ray = np.nonzero((away <= around) & (away <= least))
         s = (k + 1) / PARTS * reach[pair]
-        _, s, met, _ = Search(pairs).aim(pair, 2 * math.pi * ray / DENSE, s, FINE)
+        _, s, met, _ = Search(pairs).aim(pair, 2 * math.pi * ray / DENSE, s)
         found += len(set(pair[met & (s < reach[pair] * (1 - 1e-7))]))
     return found
 

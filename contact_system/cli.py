@@ -184,11 +184,7 @@ def _run(args: argparse.Namespace) -> int:
             other = plan(scene, args.tolerance, args.method)
             laws[other] = rejections(other)
     print("\n".join(_report(laws)))
-
-    folder = results_folder(args, scene)
-    with Progress(3, "writing") as progress:
-        written = list(_write(args, list(laws), folder / file_name(scene), progress))
-    print(*written, sep="\n")
+    _write(args, scene, *laws)
     return 0
 
 
@@ -204,12 +200,10 @@ def _reach(args: argparse.Namespace) -> int:
         for k, leg in enumerate(legs):
             where = f"contact {i}, leg {k + 1}"
             print(f"{where}: direction {leg.direction:.9g} rad, length {leg.length:.9g} m")
-    folder = results_folder(args, scene)
-    path = folder / f"{file_name(scene)}-reached.toml"
+    path = results_folder(args, scene) / f"{file_name(scene)}-reached.toml"
     save_scene(route.scene, path)
-    with Progress(3, "writing") as progress:
-        written = list(_write(args, [planned], folder / file_name(scene), progress))
-    print(f"wrote {path}", *written, sep="\n")
+    print(f"wrote {path}")
+    _write(args, scene, planned)
     return 0
 
 
@@ -266,29 +260,31 @@ def file_name(scene: Scene) -> str:
     return f"scene-{name}" if is_device(name) else name or "scene"
 
 
-def _write(
-    args: argparse.Namespace, plans: Sequence[Plan], stem: Path, progress: Progress
-) -> Iterable[str]:
-    """Write the results; yields a line for each file, and one for times that are left out."""
-    times = plans[0].sample_times()
-    regular = regular_times(plans[0], times)
+def _write(args: argparse.Namespace, scene: Scene, shown: Plan, other: Plan | None = None) -> None:
+    """Write and draw the results; print a line for each file, and one for times left out."""
+    stem = results_folder(args, scene) / file_name(scene)
+    times = shown.sample_times()
+    regular = regular_times(shown, times)
     singular = np.setdiff1d(times, regular).tolist()
+    lines = []
     if singular:
         which = f"{len(singular)} sample times from t = {singular[0]!r} to {singular[-1]!r} s"
         which = which if len(singular) > 1 else f"t = {singular[0]!r} s"
-        yield f"left out of the files: {which}; at a pole or an umbilic there are no states"
-    for suffix, following in ((".npz", "writing"), (".csv", "drawing")):
-        path = stem.with_name(stem.name + suffix)
-        plans[0].save(path, regular)
-        yield f"wrote {path}"
-        progress.step(following)
-    if not args.no_plots:
-        path = stem.with_name(stem.name + ".png")
-        try:
-            plots.plot(plans[0], path, plans[1] if len(plans) > 1 else None)
-            yield f"wrote {path}"
-        except plots.MissingMatplotlib as error:
-            yield f"no picture: {error}"
+        lines = [f"left out of the files: {which}; at a pole or an umbilic there are no states"]
+    with Progress(3, "writing") as progress:
+        for suffix, following in ((".npz", "writing"), (".csv", "drawing")):
+            path = stem.with_name(stem.name + suffix)
+            shown.save(path, regular)
+            lines.append(f"wrote {path}")
+            progress.step(following)
+        if not args.no_plots:
+            path = stem.with_name(stem.name + ".png")
+            try:
+                plots.plot(shown, path, other)
+                lines.append(f"wrote {path}")
+            except plots.MissingMatplotlib as error:
+                lines.append(f"no picture: {error}")
+    print(*lines, sep="\n")
 
 
 # --- report ------------------------------------------------------------------------------------

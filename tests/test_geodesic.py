@@ -42,7 +42,8 @@ def test_random_pairs_are_met_and_both_ways_are_equally_long(surface):
     for x, y, length in zip(a, b, there.length):
         line = cs.geodesic(surface, x, y)
         assert line.length == pytest.approx(length, rel=1e-12)
-        assert off(surface, line, surface.point(*y)) <= 1e-12
+        grown = max(1.0, abs(line.m12) / surface.size)
+        assert off(surface, line, surface.point(*y)) <= 2e-14 * grown
 
 
 PIECES = {"sphere": 12, "cylinder": 12, "torus": 1, "ellipsoid": 2, "spheroid": 8}
@@ -173,7 +174,7 @@ def test_refusals_of_what_else_is_asked():
     with pytest.raises(cs.SurfaceError, match="lengths in m"):
         cs.geodesic(ELLIPSOID, (1, 1), (2, 1)).points("far")
     with pytest.raises(cs.SurfaceError, match="passes a point"):
-        cs.geodesic(BALL, (0.3, 0.0), (0.4, math.pi)).points(0.7)
+        cs.geodesic(BALL, (0.3, 0.0), (0.4, math.pi)).points(0.3)
 
 
 def test_a_search_that_is_too_long_is_refused(monkeypatch):

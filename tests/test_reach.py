@@ -125,6 +125,8 @@ def test_a_sphere_on_a_plane_never_takes_longer_than_four_rolls():
         goal = cs.Goal(object_at=(ahead, 0.0), finger_at=(1.1, 0.4), angle=0.3)
         route = cs.reach(start, goal)
         assert route.residual <= 1e-12 and route.length <= ahead * (1 + 1e-9)
+    far = cs.Goal(object_at=(30.0, 0.0), finger_at=(2.0, -1.0), angle=1.0)
+    assert cs.reach(start, far).residual <= 1e-12  # no random start comes near
 
 
 @pytest.mark.parametrize("pair", [*PAIRS.values(), (cs.Ellipsoid(0.3, 0.2, 0.05), cs.Plane(), 0)])

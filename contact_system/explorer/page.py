@@ -28,6 +28,7 @@ from ..plots.meshes import Mesh, mesh_of
 from ..plots.style import BODY, DISTURBED, colour_of
 from ..scene import Scene, save_scene
 from ..steering import Goal, reach
+from ..surfaces import Surface
 from ..theory.gain import LAWS, Gain
 from .sliders import Place, Slider, adjusted, gain_slider, sliders_of
 
@@ -89,6 +90,7 @@ class Explorer:
         self.goals: dict[int, Goal] = {}
         self.wake, self.stale, self.playing = threading.Event(), False, False
         self.knots: dict[tuple[int, int], np.ndarray] = {}
+        self.whole: dict[int, Surface | None] = {}  # closed bodies, whose meshes need no curves
         self.clicked: tuple[np.ndarray, np.ndarray] | None = None
         self.now = scene.duration
         self.shown = Sampled.of(plan(scene))
@@ -324,9 +326,12 @@ class Explorer:
         self.slip.data = self._slip_data()
         for k, (body, lines) in enumerate(zip(self.bodies, self.lines)):
             surface = scene.contacts[k - 1].finger if k else scene.object
+            if self.whole.get(k) == surface:
+                continue
             which = [k - 1] if k else range(len(scene.contacts))
             cells = FINGER_CELLS if k else CELLS
             mesh = mesh_of(shown.plan, surface, int(not k), which, cells)
+            self.whole[k] = surface if mesh is not None and mesh.whole else None
             body.visible = lines.visible = mesh is not None
             if mesh is not None:
                 body.side = "front" if mesh.whole or mesh.inside else "double"
@@ -356,7 +361,8 @@ class Explorer:
                     points = shown.points[so_far, i, side] * self.unit
                     node.points = np.stack([points[:-1], points[1:]], axis=1)
                 pose = shown.pose[k, i]
-                self.frames[1 + i].wxyz = _quaternion(pose[:3, :3])
+                turn = viser.transforms.SO3.from_matrix(pose[:3, :3])
+                self.frames[1 + i].wxyz = turn.wxyz
                 self.frames[1 + i].position = pose[:3, 3] * self.unit
 
     def _slip_data(self) -> tuple[np.ndarray, ...]:
@@ -413,11 +419,6 @@ def _linear(colour: str) -> np.ndarray:
     return np.rint(255 * (np.array(_rgb(colour)) / 255) ** 2.2).astype(np.uint8)
 
 
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    """w, x, y, z of a rotation matrix (3, 3)."""
-    return viser.transforms.SO3.from_matrix(rotation).wxyz
-
-
 def _knots(points: np.ndarray, disturbed: np.ndarray) -> np.ndarray:
     """Indices (m,) of few points that approximate a curve (n, 3): each segment is a draw call."""
     bent = np.linalg.norm(np.diff(points, 2, axis=0), axis=1)
@@ -429,20 +430,11 @@ def _knots(points: np.ndarray, disturbed: np.ndarray) -> np.ndarray:
 def _first_hit(mesh: Mesh, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
     """The first point of a ray on a mesh, (3,); on a hollow, on its visible side."""
     triangles = mesh.triangles()
-    a, b, c = (mesh.points[triangles[:, k]] for k in range(3))
     if mesh.inside:
-        facing = mesh.normals[triangles[:, 0]] @ direction < 0
-        a, b, c = a[facing], b[facing], c[facing]
-    one, other = b - a, c - a
-    across = np.cross(direction, other)
-    area = np.einsum("ij,ij->i", one, across)
-    away = origin - a
-    with np.errstate(divide="ignore", invalid="ignore"):  # triangles seen edge-on
-        x = np.einsum("ij,ij->i", away, across) / area
-        turned = np.cross(away, one)
-        y = turned @ direction / area
-        t = np.einsum("ij,ij->i", other, turned) / area
-        hits = (x >= 0) & (y >= 0) & (x + y <= 1) & (t > 0)
-    if not hits.any():
-        return None
-    return origin + t[hits].min() * direction
+        triangles = triangles[mesh.normals[triangles[:, 0]] @ direction < 0]
+    a, b, c = (mesh.points[triangles[:, k]] for k in range(3))
+    sides = np.stack([b - a, c - a, np.broadcast_to(-direction, a.shape)], axis=2)
+    across = np.linalg.det(sides) != 0.0  # others are seen edge-on
+    x, y, t = np.linalg.solve(sides[across], (origin - a)[across, :, None])[..., 0].T
+    hits = (x >= 0) & (y >= 0) & (x + y <= 1) & (t > 0)
+    return origin + t[hits].min() * direction if hits.any() else None

@@ -25,12 +25,12 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
         return None
     ball, plane = flat.index(False), flat.index(True)
     r, psi = aim.sizes[ball], aim.angles[0]
+    if below <= max(4 * math.pi * r / aim.pace, aim.far):
+        return None
     # the ball's turn includes the change of psi, as rolling does not turn the plane's frame
     (a, b), (turned, moved) = _turn_of_ball(aim, ball), _move_on_plane(aim, plane)
     half = cmath.rect(1.0, 0.5 * (psi - aim.angles[1])) * turned
     a, b, wanted = a * half, b * half.conjugate() / r, 2 * turned * moved
-    if below * aim.pace <= r * (2 * math.acos(min(1.0, abs(a.real))) + 4 * math.pi):
-        return None
     best, span = 0.0, math.pi  # of the first roll's direction
     for _ in range(3):  # finer and finer around the best
         first = best + span * np.linspace(-0.5, 0.5, 181)

@@ -16,22 +16,10 @@ from ..scene import Scene, require_scene
 from .goal import Goal, Route
 from .reach import TOLERANCE, reach
 
-SETTLED = 1e-11
-"""Change, rad, of the areas that curves enclose at which their integrals have converged."""
-MOST_PARTS = 2048
-"""Parts of a leg, at most, over which they are integrated."""
-
-
-def _gauss(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gauss nodes and weights on [0, 1], and the matrix from values to derivatives at the nodes."""
-    legendre = np.polynomial.legendre
-    x, weights = legendre.leggauss(n)
-    series = np.linalg.inv(legendre.legvander(x, n - 1))
-    slopes = [legendre.legval(x, legendre.legder(c)) for c in np.eye(n)]
-    return (1 + x) / 2, weights / 2, 2 * np.transpose(slopes) @ series
-
-
-_NODES, _WEIGHTS, _SLOPES = _gauss(40)
+SETTLED = 1e-12
+"""Change, rad, of the areas that curves enclose at which their extrapolation has converged."""
+MOST_PARTS = 65536
+"""Sides of the polygons, at most, that stand for the curves of a leg."""
 
 
 @dataclass(frozen=True)
@@ -96,34 +84,42 @@ def _turns(scene: Scene, contact: int) -> tuple[float, tuple[float, float]]:
     first, last = ends["pose"][:, contact, :3, :3]
     p, q = ends[FRAMES][0, contact, 1, 3:9].reshape(2, 3)
     turned = last @ first.T @ p  # the finger turns by -psi about the object's normal
-    parts, enclosed, change = 8, _enclosed(motion, contact, edges, 8), math.inf
-    while change > SETTLED and parts < MOST_PARTS:  # normals turn fast over a flat body's rim
-        parts, before = 2 * parts, enclosed
-        enclosed = _enclosed(motion, contact, edges, parts)
-        change = max(abs(math.remainder(a - b, 4 * math.pi)) for a, b in zip(enclosed, before))
-    return -math.atan2(turned @ q, turned @ p), enclosed
+    return -math.atan2(turned @ q, turned @ p), _enclosed(motion, contact, edges)
 
 
-def _enclosed(motion: Motion, contact: int, edges: np.ndarray, parts: int) -> tuple[float, float]:
-    """The areas that the normals along both curves enclose, by so many parts of each leg."""
-    legs = np.arange(len(edges))
-    ends = np.interp(np.arange(parts * legs[-1] + 1) / parts, legs, edges)
-    inner = (ends[:-1, None] + np.diff(ends)[:, None] * _NODES).ravel()
-    results: Any = motion.evaluate(inner, (FRAMES,))
-    frames = results[FRAMES][:, contact].reshape(len(ends) - 1, -1, 2, 12)
-    normals = np.cross(frames[..., 3:6], frames[..., 6:9])
-    return _area(normals[:, :, 0]), _area(normals[:, :, 1])
+def _enclosed(motion: Motion, contact: int, edges: np.ndarray) -> tuple[float, float]:
+    """The areas that the normals along both curves enclose on the unit sphere.
 
-
-def _area(n: np.ndarray) -> float:
-    """Area enclosed by a closed curve n of unit vectors, (intervals, 40, 3).
-
-    The integral of z . (n x dn) / (1 + z . n), with a direction z whose opposite is far from n.
+    Areas of polygons with twice as many sides each time are extrapolated (Romberg's method).
     """
-    k = np.arange(60)
-    across, around = 1 - (2 * k + 1) / 60, k * math.pi * (3 - math.sqrt(5))
-    level = np.sqrt(1 - across**2)
-    ways = np.stack([level * np.cos(around), level * np.sin(around), across], axis=1)
-    z = ways[np.argmax((n.reshape(-1, 3) @ ways.T).min(axis=0))]
-    swept = np.cross(n, _SLOPES @ n) @ z / (1 + n @ z)
-    return math.remainder(float(_WEIGHTS @ swept.sum(axis=0)), 4 * math.pi)
+    parts, change = 16, math.inf
+    row = [_areas(motion, contact, edges, parts)]
+    while change > SETTLED and parts < MOST_PARTS:  # normals turn fast over a flat body's rim
+        parts, before = 2 * parts, row
+        row = [_areas(motion, contact, edges, parts)]
+        for k, coarser in enumerate(before, 1):
+            row.append(row[-1] + _wrapped(row[-1] - coarser) / (4**k - 1))
+        change = np.abs(_wrapped(row[-1] - before[-1])).max()
+    finger, object_ = _wrapped(row[-1]).tolist()
+    return finger, object_
+
+
+def _areas(motion: Motion, contact: int, edges: np.ndarray, parts: int) -> np.ndarray:
+    """Areas of the spherical polygons of the normals, with so many sides for each leg, (2,)."""
+    legs = np.arange(len(edges))
+    t = np.interp(np.arange(parts * legs[-1]) / parts, legs, edges)
+    results: Any = motion.evaluate(t, (FRAMES,))
+    frames = results[FRAMES][:, contact]
+    n = np.cross(frames[..., 3:6], frames[..., 6:9])
+    following = np.roll(n, -1, axis=0)
+    # triangles from a direction whose opposite is far from the normals
+    axes = np.vstack([np.eye(3), -np.eye(3)])
+    z = axes[np.argmax((n @ axes.T).min(axis=0), axis=-1)]
+    volume = np.einsum("kij,ij->ki", np.cross(n, following), z)
+    cosines = np.einsum("kij,ij->ki", n + following, z) + (n * following).sum(axis=-1)
+    return 2 * np.arctan2(volume, 1 + cosines).sum(axis=0)
+
+
+def _wrapped(area: np.ndarray) -> np.ndarray:
+    """Areas up to multiples of 4 pi, in (-2 pi, 2 pi]."""
+    return area - 4 * math.pi * np.rint(area / (4 * math.pi))

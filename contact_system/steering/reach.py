@@ -180,25 +180,24 @@ class _Search:
 
     def shortest(self, legs: int | None, seconds: float) -> tuple[_Route, str]:
         """The first route with the least number of legs, or the shortest one found in the time."""
-        begin, tried = time.perf_counter(), []
+        until, tried = time.perf_counter() + seconds, []
         for n in range(self.aim.fewest, MOST_LEGS + 1) if legs is None else (legs,):
             for batch in range(STARTS // LANES):
-                for route in self._routes(n, batch):
-                    if self._stays(route):
-                        route = route if legs else self._not_long(route)
-                        how = f"{n} legs, {(batch + 1) * LANES} starts"
-                        return self._shorter(route, legs, begin + seconds), how
+                for route in filter(self._stays, self._routes(n, batch)):
+                    shorter = None if legs else self._four_rolls(route.length)
+                    how = f"{n} legs, {(batch + 1) * LANES} starts"
+                    return self._shorter(shorter or route, legs, until), how
             tried.append(f"{n} legs from {STARTS} starts")
-        raise SceneError(self._refusal(tried))
+        explicit = self._four_rolls(math.inf) if legs in (None, MOST_LEGS) else None
+        if explicit is None:
+            raise SceneError(self._refusal(tried))
+        return self._shorter(explicit, legs, until), f"{', '.join(tried)}, four rolls"
 
-    def _not_long(self, route: _Route) -> _Route:
-        """The route, or for a sphere on a plane Hammersley's four rolls if these are shorter."""
-        aim = self.aim
-        if not aim.in_closed_form or route.length <= max(4 * math.pi * aim.unit, aim.far):
-            return route
-        z = four_rolls(aim, route.length)
-        other = None if z is None else self._route_near(z)
-        return route if other is None or other.length > route.length else other
+    def _four_rolls(self, below: float) -> _Route | None:
+        """Hammersley's route of a sphere on a plane, if it is shorter than ``below``, m along s."""
+        z = four_rolls(self.aim, below)
+        route = None if z is None else self._route_near(z)
+        return route if route and route.length < below and self._stays(route) else None
 
     def _routes(self, n: int, batch: int) -> Iterator[_Route]:
         """Routes of n legs from 16 random starts, the shortest first."""

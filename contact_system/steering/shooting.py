@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,11 +19,10 @@ if TYPE_CHECKING:
     from .two_points import Pairs
 
 Array = np.ndarray
-Ways = tuple[Array, Array, Array]
-"""Pair of points, direction and length of geodesics."""
 
 MET = 1e-13  # of the size: distance from b at which a geodesic has met it
-# error of a step, of the size: of a result, of a candidate, and of a ray of a fan
+NEAR = 3e-8  # of the surface's detail, and rad: distance from b before the last step
+# error of a step, of the size: of a result, of a geodesic near b, and of a ray of a fan
 SHARP, FINE, ROUGH = 5e-15, 1e-9, 1e-4
 RAYS = 64  # of a fan
 CHUNK = 16  # pairs whose fans are searched at once
@@ -80,53 +80,33 @@ class Search:
 
     def __init__(self, pairs: Pairs):
         self.pairs, self.follow, self.surface = pairs, pairs.follow, pairs.surface
+        self.spent = 0.0  # strips for each pair of a fan
 
     def shortest(self) -> tuple[Array, Array]:
         """Directions and lengths of the shortest geodesic of each pair."""
         phi, s = self.chords()
-        sure = self.surface.injectivity * (1 + 1e-12)
-        finest = np.where(s <= sure, SHARP, FINE)
-        phi, s, met, _ = self.aim(np.arange(len(s)), phi, s, finest, steps=12)
-        unsure = np.flatnonzero(~(met & (s <= sure) & (finest == SHARP)))
+        phi, s, met, _ = self.aim(np.arange(len(s)), phi, s, steps=12)
+        unsure = np.flatnonzero(~met | (s > self.surface.injectivity * (1 + 1e-12)))
         reach = np.where(met, s * (1 + 1e-6), 2 * self.pairs.chord)[unsure]
+        s[~met] = math.inf
         order = np.argsort(reach)  # fans of similar size together
         for i in range(0, len(unsure), CHUNK):
             which, far = (w[order[i : i + CHUNK]] for w in (unsure, reach))
-            first = which[met[which]]
-            known = first, phi[first], s[first]
-            s[which] = math.inf
             while len(which):
                 self.require_near(which, far)
-                for k, direction, length in zip(*self.nearest(which, far, known)):
+                for k, direction, length, _ in zip(*self.within_reach(which, far)):
                     if length < s[k]:
                         phi[k], s[k] = direction, length
                 missing = ~np.isfinite(s[which])
                 which, far = which[missing], 2 * far[missing]
         return phi, s
 
-    def nearest(self, which: Array, reach: Array, known: Ways) -> Ways:
-        """The shortest geodesics, and those of almost the same length."""
-        pair, phi, s, limit = self.fan(which, reach)
-        phi, s, met, _ = self.aim(pair, phi, s, FINE)
-        met &= s <= limit
-        ways = pair[met], phi[met], s[met]
-        pair, phi, s = (np.concatenate(w) for w in zip(ways, known))
-        least = np.full(len(self.pairs.x), math.inf)
-        np.minimum.at(least, pair, s)
-        close = s <= least[pair] * (1 + 1e-6)
-        pair, phi, s = pair[close], phi[close], s[close]
-        phi, s, met, _ = self.aim(pair, phi, s, SHARP, SHARP)
-        return pair[met], phi[met], s[met]
-
     def several(self, most: int, longest: float | None) -> tuple[Array, Array]:
         """Directions and lengths of the shortest few geodesics of a single pair, in order."""
         only, size = np.zeros(1, dtype=int), self.surface.size
         reach = 2 * self.pairs.chord
         while True:
-            pair, phi, s, limit = self.fan(only, reach)
-            phi, s, met, j = self.aim(pair, phi, s, SHARP)
-            met &= s <= limit
-            phi, s, j = phi[met], s[met], j[met]
+            _, phi, s, j = self.within_reach(only, reach)
             kept: list[int] = []
             for i in np.argsort(s):
                 # several aims may find the same geodesic
@@ -152,6 +132,13 @@ class Search:
                 "connected piece of it?"
             )
 
+    def within_reach(self, which: Array, reach: Array) -> list[Array]:
+        """Geodesics that are not longer than the reach: pair, direction, length and J."""
+        pair, phi, s, limit = self.fan(which, reach)
+        phi, s, met, j = self.aim(pair, phi, s)
+        met &= s <= limit
+        return [w[met] for w in (pair, phi, s, j)]
+
     # -- aiming
 
     def chords(self) -> tuple[Array, Array]:
@@ -163,20 +150,13 @@ class Search:
         return np.arctan2(aside, ahead), pairs.chord / np.sinc(angle / math.pi)
 
     def aim(
-        self, which: Array, phi: Array, s: Array, finest: Any, first: float = ROUGH, steps: int = 40
+        self, which: Array, phi: Array, s: Array, steps: int = 40
     ) -> tuple[Array, Array, Array, Array]:
-        """Newton's method: the directions and lengths found, whether they meet b, and J.
-
-        The tolerance goes from ``first`` at the first step to ``finest`` at the last.
-        """
-        size, detail = self.surface.size, self.follow.detail
-        phi, s, n = phi.copy(), s.copy(), len(phi)
-        finest = np.broadcast_to(finest, n)
-        # the error after a step is the square of this
-        near = np.where(finest == SHARP, 3e-8, 1e-5)
-        off, mark, field = np.full(n, math.inf), np.full(n, math.inf), np.zeros(n)
+        """Newton's method: the directions and lengths found, whether they meet b, and J."""
+        size, n = self.surface.size, len(phi)
+        phi, s, off, mark, field = phi.copy(), s.copy(), *np.full((2, n), math.inf), np.zeros(n)
         active = np.argsort(s)  # geodesics that share steps should have similar lengths
-        tolerance = np.full(n, first)
+        tolerance = np.full(n, ROUGH)
         for step in range(steps):
             k = which[active]
             end = self.follow(self.pairs.start(k, phi[active]), s[active], tolerance)
@@ -188,9 +168,9 @@ class Search:
             half, grown = 0.5 * s[active], self.growth(j)
             phi[active] += turn
             s[active] += np.maximum(np.minimum(along, half), -half)
-            close = (away <= near[active] * detail) & (np.abs(turn) * grown <= near[active])
-            target = np.maximum(finest[active] / grown, SHARP)
-            sharp = tolerance <= target
+            # the error after a step is the square of the one before
+            close = (away <= NEAR * self.follow.detail) & (np.abs(turn) * grown <= NEAR)
+            sharp = tolerance <= SHARP
             off[active] = np.where(
                 sharp & close | np.isnan(away), np.where(close, 0.0, math.inf), away
             )
@@ -200,15 +180,13 @@ class Search:
             if step % 4 == 3:  # give up slow ones
                 goes_on &= away <= 0.5 * mark[active]
                 mark[active] = away
-            # a step squares the error
             left = away * grown / size
-            tolerance = np.where(left <= 3e-5, target, np.maximum(FINE / grown, SHARP))
+            tolerance = np.where(left <= 3e-5, SHARP, np.maximum(FINE / grown, SHARP))
             tolerance = np.where(left <= 0.02, tolerance, ROUGH)[goes_on]
             active = active[goes_on]
             if not len(active):
                 break
-        met = off <= np.where(finest == SHARP, MET, FINE) * size * self.growth(field)
-        return phi, s, met, field
+        return phi, s, off <= MET * size * self.growth(field), field
 
     def growth(self, field: Array) -> Array:
         """Growth of errors along geodesics with J = ``field`` at the end."""
@@ -216,51 +194,35 @@ class Search:
 
     # -- a fan of directions
 
-    def fan(self, which: Array, reach: Array) -> tuple[Array, ...]:
+    def fan(self, which: Array, reach: Array) -> list[Array]:
         """All candidates to meet b within the reach: pair, direction, length, reach."""
-        count = int(min(max(math.ceil(reach.max() / self.follow.detail), 8), 400))
         # off the axes of symmetry, where rays would meet poles of charts
         angles = 2 * math.pi * (np.arange(RAYS) + 0.137) / RAYS
-        pair, limit = np.repeat(which, RAYS), np.repeat(reach, RAYS)
-        phi, width = np.tile(angles, len(which)), np.full(len(pair), 2 * math.pi / RAYS)
-        rays = self.rays(pair, phi, limit, count)
-        right = np.arange(len(phi)) + 1
-        right[RAYS - 1 :: RAYS] -= RAYS
-        # drop strips neither side of which comes near b
-        b = self.pairs.b[pair].T
-        away = np.sqrt(sum((rays[:, i] - b[i]) ** 2 for i in range(3)))
-        wide = 2 * width * np.abs(rays[:, 3])
-        near, coarse = self.passing(away, wide + limit / count, limit)
-        near = near.any(axis=0) | coarse
-        some = np.flatnonzero(near | near[right])
-        strips = pair[some], limit[some], phi[some], width[some]
-        todo: list[tuple[Any, ...]] = [(0, *strips, rays[:, :, some], rays[:, :, right[some]])]
-        aims, spent = [], 0
+        phi, width = np.tile(angles, len(which)), np.full(RAYS * len(which), 2 * math.pi / RAYS)
+        self.spent = 0.0
+        found = self.sift(np.repeat(which, RAYS), np.repeat(reach, RAYS), phi, width)
+        return [np.concatenate(w) for w in zip(*found)]
+
+    def sift(
+        self, pair: Array, limit: Array, phi: Array, width: Array, depth: int = 0
+    ) -> Iterator[tuple[Array, ...]]:
+        """Candidates in strips between two rays, and in the halves of wide strips.
+
+        A strip is a pair of points, the reach, the direction of one side, the angle to the other.
+        """
+        if len(pair) > TOGETHER:  # divide, to limit memory
+            for i in range(2):
+                yield from self.sift(pair[i::2], limit[i::2], phi[i::2], width[i::2], depth)
+            return
+        self.spent += len(pair) / len(np.unique(pair))
         what = (
             f"{self.surface!r}, least radius of curvature about {self.surface.bend:.2g} m: strips "
-            f"of a search for geodesics from {self.pairs.x[which[0]].tolist()}"
+            f"of a search for geodesics from {self.pairs.x[pair[0]].tolist()}"
         )
-        while todo:
-            depth, *group = todo.pop()
-            if len(group[0]) > 2 * TOGETHER:  # divide, to limit memory
-                todo += [(depth, *(w[..., i::2] for w in group)) for i in range(2)]
-                continue
-            spent += len(group[0])
-            within("STRIPS", spent / len(which), what, SurfaceError)
-            aim, halves = self.sift(group, depth)
-            aims.append(aim)
-            if halves:
-                todo.append((depth + 1, *halves))
-        return tuple(np.concatenate(w) for w in zip(*aims))
-
-    def sift(self, strips: list[Array], depth: int) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """Candidates in strips between neighbouring rays, and the halves of wide strips.
-
-        A strip is a pair of points, the reach, the direction of one side, the angle to the other,
-        and the `rays` of both sides.
-        """
-        pair, limit, phi, width, one, other = strips
-        count = len(one)
+        within("STRIPS", self.spent, what, SurfaceError)
+        count = int(min(max(math.ceil(limit.max() / self.follow.detail), 8), 400))
+        exact = np.minimum(0.01 * width, ROUGH)
+        one, other = (self.rays(pair, side, limit, count, exact) for side in (phi, phi + width))
         across = other[:, :3] - one[:, :3]
         wide = np.sqrt(np.einsum("kij,kij->kj", across, across))
         wide = np.maximum(wide, width * np.maximum(np.abs(one[:, 3]), np.abs(other[:, 3])))
@@ -271,24 +233,13 @@ class Search:
         coarse &= depth < SPLITS
         k, strip, share, ahead = self.closest(near & ~coarse, away, across, r, middle)
         s = limit[strip] / count * np.maximum(k + 1 + ahead * count / limit[strip], 0.25)
-        aim = pair[strip], phi[strip] + width[strip] * share, s, limit[strip]
-        if not coarse.any():
-            return aim, ()
-        pair, limit, phi, half = pair[coarse], limit[coarse], phi[coarse], 0.5 * width[coarse]
-        exact = np.minimum(0.02 * half, ROUGH)
-        between = self.rays(pair, phi + half, limit, count, exact)
-        one, other = one[:, :, coarse], other[:, :, coarse]
-        if depth > 3:  # the sides are too inexact for narrow strips
-            one = self.rays(pair, phi, limit, count, exact)
-            other = self.rays(pair, phi + 2 * half, limit, count, exact)
-        one = np.concatenate([one, between], axis=2)
-        other = np.concatenate([between, other], axis=2)
-        pair, limit, width = np.tile(pair, 2), np.tile(limit, 2), np.tile(half, 2)
-        return aim, (pair, limit, np.concatenate([phi, phi + half]), width, one, other)
+        yield pair[strip], phi[strip] + width[strip] * share, s, limit[strip]
+        if coarse.any():
+            pair, limit, phi, half = (w[coarse] for w in (pair, limit, phi, 0.5 * width))
+            halves = np.tile(pair, 2), np.tile(limit, 2), np.concatenate([phi, phi + half])
+            yield from self.sift(*halves, np.tile(half, 2), depth + 1)
 
-    def rays(
-        self, which: Array, phi: Array, reach: Array, count: int, tolerance: Any = ROUGH
-    ) -> Array:
+    def rays(self, which: Array, phi: Array, reach: Array, count: int, tolerance: Array) -> Array:
         """x and J along geodesics at equal steps of the reach, (count, 4, n)."""
         return self.follow(self.pairs.start(which, phi), reach, tolerance, count)
 

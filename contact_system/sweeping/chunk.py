@@ -75,9 +75,6 @@ class Chunk:
 Batch = list[tuple[int, Scene]]
 """Scenes of equally many contacts that can be planned as one, with their indices."""
 
-Done = tuple[Batch, dict[str, np.ndarray]]
-"""A batch with its outputs."""
-
 Run = functools.partial[Part]
 """The workers' function of a chunk: `run_chunk` with its first three arguments."""
 
@@ -102,10 +99,10 @@ def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: 
             else:
                 failures.append(a_failure(*batch[0], error))
         else:
-            done.append((batch, _columns(batch, outputs)))
+            tables.append(_table(batch, outputs))
 
     failures: list[Failure] = []
-    done: list[Done] = []
+    tables: list[np.ndarray] = []
     alike: dict[Any, Batch] = {}
     for place, item in enumerate(chunk.items, chunk.first):
         try:
@@ -121,7 +118,8 @@ def run_chunk(evaluate: Evaluate, tolerance: float | None, sweeper: int, chunk: 
         for k in range(0, len(batch), size):
             work(batch[k : k + size])
     failures.sort(key=lambda failure: failure.scene)
-    return Part(_table(done), failures)
+    table = joined(tables)
+    return Part(table[np.argsort(table["scene"], kind="stable")], failures)
 
 
 def end_with(sweeper: int) -> None:
@@ -190,14 +188,19 @@ OWN = {"scene": "i8", "contact": "i8", "name": "U1"}  # columns that every table
 NOTHING = np.empty(0, dtype=list(OWN.items()))
 
 
-def _columns(batch: Batch, outputs: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
-    """The outputs of `evaluate`, checked: arrays with one row for each contact of the batch."""
-    count = len(batch) * len(batch[0][1].contacts)
+def _table(batch: Batch, outputs: Mapping[str, ArrayLike]) -> np.ndarray:
+    """The outputs of `evaluate`, checked, as a table with one row for each contact of the batch."""
+    each = len(batch[0][1].contacts)
+    columns = {
+        "scene": np.repeat([place for place, _ in batch], each),
+        "contact": np.tile(np.arange(each), len(batch)),
+        "name": np.repeat([scene.name for _, scene in batch], each),
+    }
+    count = len(columns["name"])
     if not isinstance(outputs, Mapping):
         raise ContactSystemError(
             f"evaluate returned {type(outputs).__name__}; return a dict of arrays"
         )
-    columns = {}
     for key, value in outputs.items():
         if not isinstance(key, str):
             raise ContactSystemError(f"evaluate returned the key {key!r}; give names as text")
@@ -212,50 +215,22 @@ def _columns(batch: Batch, outputs: Mapping[str, ArrayLike]) -> dict[str, np.nda
                 "name other than scene, contact, name"
             )
         columns[key] = array
-    return columns
-
-
-def _table(done: list[Done]) -> np.ndarray:
-    """One row for each contact of the batches, in the order of the scenes."""
-    if not done:
-        return NOTHING
-    scenes = [
-        (place, len(scene.contacts), scene.name) for batch, _ in done for place, scene in batch
-    ]
-    places, counts, names = map(np.array, zip(*scenes))
-    ends = np.cumsum(counts)
-    columns = {
-        "scene": np.repeat(places, counts),
-        "contact": np.arange(ends[-1]) - np.repeat(ends - counts, counts),
-        "name": np.repeat(names, counts),
-    }
-    shapes = {key: array.shape[1:] for key, array in done[0][1].items()}
-    for _, outputs in done:
-        if (other := {key: array.shape[1:] for key, array in outputs.items()}) != shapes:
-            raise _different(f"{shapes} and {other}")
-    for key in shapes:
-        columns[key] = np.concatenate([outputs[key] for _, outputs in done])
-    order = np.argsort(columns["scene"], kind="stable")
-    dtype = [(key, array.dtype, array.shape[1:]) for key, array in columns.items()]
-    table = np.empty(len(order), dtype)
+    table = np.empty(count, [(key, array.dtype, array.shape[1:]) for key, array in columns.items()])
     for key, array in columns.items():
-        table[key] = array[order]
+        table[key] = array
     return table
 
 
 def joined(tables: list[np.ndarray]) -> np.ndarray:
+    """The tables one after the other, as one."""
     tables = [table for table in tables if len(table)]
     try:
         return np.concatenate(tables) if tables else NOTHING
     except TypeError as error:
-        raise _different(str(error)) from None
-
-
-def _different(how: str) -> ContactSystemError:
-    return ContactSystemError(
-        f"evaluate returned different outputs for different scenes ({how}); return the same "
-        "names and shapes for all"
-    )
+        raise ContactSystemError(
+            f"evaluate returned different outputs for different scenes ({error}); return the same "
+            "names and shapes for all"
+        ) from None
 
 
 def a_failure(place: int, item: Item, error: BaseException) -> Failure:
