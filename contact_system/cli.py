@@ -33,6 +33,7 @@ from .measures import (
     is_dynamic,
     regular_times,
     rejections,
+    relative_curvature,
 )
 from .plan import METHODS, Plan, plan
 from .scene import STILL, Scene, bundled_scenes, load_scene, save_scene
@@ -43,6 +44,8 @@ from .theory.gain import LAWS, Gain
 
 PROGRAM = "contact-system"
 GROUP = "contact_system.commands"
+
+ROUNDING = 1e-9  # of the finger's size over a radius: bodies of one form seem to overlap by less
 
 Laws = dict[Plan, list[Rejection]]
 """Plans of a scene under some gain laws, each with the rejections of its contacts' slip."""
@@ -168,7 +171,7 @@ def _explain(args: argparse.Namespace) -> int:
     scene = _scene_of(args)
     with Progress(1, "planning"):
         planned = plan(scene, args.tolerance, args.method)
-    print(planned.explain(), *_contraction(scene), sep="\n")
+    print(planned.explain(), *_contraction(scene), *_overlaps(planned), sep="\n")
     return 0
 
 
@@ -310,7 +313,7 @@ def _report(laws: Laws) -> Iterable[str]:
         yield from ("", *verdict, *_contraction(scene)[not verdict :])
     else:
         yield "No slip: every contact rolls throughout."
-    yield from (*_great_circles(planned), "")
+    yield from (*_great_circles(planned), *_overlaps(planned), "")
 
 
 def _slip_table(laws: Laws) -> Iterable[str]:
@@ -366,6 +369,21 @@ def _great_circles(plan: Plan) -> Iterable[str]:
             yield (
                 f"{plan.scene.contact_name(i)}: its curve stays within {distance:.1e} m of a great "
                 f"circle's plane, {distance / contact.finger.size:.1e} of the radius."
+            )
+
+
+def _overlaps(plan: Plan) -> Iterable[str]:
+    """Contacts whose bodies overlap beside the contact point, which a plan does not look at."""
+    t = regular_times(plan, plan.sample_times())
+    least = np.linalg.eigvalsh(relative_curvature(plan, t))[..., 0]
+    for i, contact in enumerate(plan.scene.contacts):
+        found = np.flatnonzero(least[:, i] < -ROUNDING / contact.finger.size)
+        if len(found):
+            yield paragraph(
+                f"Note: {plan.scene.contact_name(i)}: from t = {t[found[0]]:.3g} s on the bodies "
+                "overlap beside the contact point (the least relative curvature is "
+                f"{least[found, i].min():.3g} 1/m), as real ones cannot. Make the finger smaller, "
+                "or plan contact where the object is less concave."
             )
 
 
