@@ -208,10 +208,11 @@ def _reach(args: argparse.Namespace) -> int:
             where = f"contact {i}, leg {k + 1}"
             print(f"{where}: direction {leg.direction:.9g} rad, length {leg.length:.9g} m")
     folder = results_folder(args, scene)
-    path = folder / f"{file_name(scene)}-reached.toml"
+    stem = folder / f"{file_name(scene)}-reached"
+    path = stem.with_name(stem.name + ".toml")
     save_scene(route.scene, path)
     with Progress(3, "writing") as progress:
-        written = list(_write(args, [planned], folder / file_name(scene), progress))
+        written = list(_write(args, [planned], stem, progress))
     print(f"wrote {path}", *written, sep="\n")
     return 0
 

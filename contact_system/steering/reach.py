@@ -115,8 +115,8 @@ def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
     goals = list(all_of((Goal, type(None)), listed, "goal", names))
     if len(goals) != len(scene.contacts):
         raise SceneError(
-            f"{scene.title}: {len(goals)} goals for {len(scene.contacts)} contacts; give one each, "
-            "None for a contact at rest"
+            f"{scene.title}: goals given: {len(goals)}; contacts: {len(scene.contacts)}; give one "
+            'for each, and for a contact at rest None (on the command line --to "")'
         )
     if not any(goals):
         raise SceneError(f"{scene.title}: every goal is None; give one for a contact at least")
@@ -186,7 +186,7 @@ class _Search:
                 for route in self._routes(n, batch):
                     if self._stays(route):
                         route = route if legs else self._not_long(route)
-                        how = f"{n} legs, {(batch + 1) * LANES} starts"
+                        how = f"{n} leg{'s' * (n > 1)}, {(batch + 1) * LANES} starts"
                         return self._shorter(route, legs, begin + seconds), how
             tried.append(f"{n} legs from {STARTS} starts")
         raise SceneError(self._refusal(tried))
