@@ -323,7 +323,7 @@ def _slip_table(laws: Laws) -> Iterable[str]:
     head += [("start", "m/s"), ("peak", "m/s"), ("at", "s"), ("end", "m/s")]
     head += [("from", "s"), (f"below {REJECTED:.0%} after", "s"), ("paper", "s")]
     head += [("as reported", "")]
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for law, r in ((law, r) for law, found in laws.items() for r in found):
         names = plots.gain_text(law.scene.gain), law.scene.contact_name(r.contact)
         slip = f"{r.start:.3e}", f"{r.peak:.3e}", f"{r.peak_time:.3f}", f"{r.end:.3e}"
@@ -334,6 +334,8 @@ def _slip_table(laws: Laws) -> Iterable[str]:
             answer = {True: "yes", False: "no", None: "-"}[r.as_reported]
             timing = f"{r.since:g}", taken, reported, answer
         rows.append((*names, *slip, *timing))
+    if not any(r.reported > 0 for found in laws.values() for r in found):  # no paper's scene
+        head, rows = head[:-2], [row[:-2] for row in rows]
     return table(head, rows, 2)
 
 
