@@ -33,6 +33,7 @@ from .measures import (
     is_dynamic,
     regular_times,
     rejections,
+    relative_curvature,
 )
 from .plan import METHODS, Plan, plan
 from .scene import STILL, Scene, bundled_scenes, load_scene, save_scene
@@ -43,6 +44,8 @@ from .theory.gain import LAWS, Gain
 
 PROGRAM = "contact-system"
 GROUP = "contact_system.commands"
+
+ROUNDING = 1e-9  # of the finger's size over a radius: bodies of one form seem to overlap by less
 
 Laws = dict[Plan, list[Rejection]]
 """Plans of a scene under some gain laws, each with the rejections of its contacts' slip."""
@@ -168,7 +171,7 @@ def _explain(args: argparse.Namespace) -> int:
     scene = _scene_of(args)
     with Progress(1, "planning"):
         planned = plan(scene, args.tolerance, args.method)
-    print(planned.explain(), *_contraction(scene), sep="\n")
+    print(planned.explain(), *_contraction(scene), *_overlaps(planned), sep="\n")
     return 0
 
 
@@ -184,7 +187,7 @@ def _run(args: argparse.Namespace) -> int:
             other = plan(scene, args.tolerance, args.method)
             laws[other] = rejections(other)
     print("\n".join(_report(laws)))
-    _write(args, scene, *laws)
+    _write(args, results_folder(args, scene) / file_name(scene), *laws)
     return 0
 
 
@@ -200,10 +203,11 @@ def _reach(args: argparse.Namespace) -> int:
         for k, leg in enumerate(legs):
             where = f"contact {i}, leg {k + 1}"
             print(f"{where}: direction {leg.direction:.9g} rad, length {leg.length:.9g} m")
-    path = results_folder(args, scene) / f"{file_name(scene)}-reached.toml"
+    stem = results_folder(args, scene) / f"{file_name(scene)}-reached"
+    path = stem.with_name(stem.name + ".toml")
     save_scene(route.scene, path)
     print(f"wrote {path}")
-    _write(args, scene, planned)
+    _write(args, stem, planned)
     return 0
 
 
@@ -260,9 +264,8 @@ def file_name(scene: Scene) -> str:
     return f"scene-{name}" if is_device(name) else name or "scene"
 
 
-def _write(args: argparse.Namespace, scene: Scene, shown: Plan, other: Plan | None = None) -> None:
+def _write(args: argparse.Namespace, stem: Path, shown: Plan, other: Plan | None = None) -> None:
     """Write and draw the results; print a line for each file, and one for times left out."""
-    stem = results_folder(args, scene) / file_name(scene)
     times = shown.sample_times()
     regular = regular_times(shown, times)
     singular = np.setdiff1d(times, regular).tolist()
@@ -306,7 +309,7 @@ def _report(laws: Laws) -> Iterable[str]:
         yield from ("", *verdict, *_contraction(scene)[not verdict :])
     else:
         yield "No slip: every contact rolls throughout."
-    yield from (*_great_circles(planned), "")
+    yield from (*_great_circles(planned), *_overlaps(planned), "")
 
 
 def _slip_table(laws: Laws) -> Iterable[str]:
@@ -315,7 +318,7 @@ def _slip_table(laws: Laws) -> Iterable[str]:
     head += [("start", "m/s"), ("peak", "m/s"), ("at", "s"), ("end", "m/s")]
     head += [("from", "s"), (f"below {REJECTED:.0%} after", "s"), ("paper", "s")]
     head += [("as reported", "")]
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for law, r in ((law, r) for law, found in laws.items() for r in found):
         names = plots.gain_text(law.scene.gain), law.scene.contact_name(r.contact)
         slip = f"{r.start:.3e}", f"{r.peak:.3e}", f"{r.peak_time:.3f}", f"{r.end:.3e}"
@@ -326,6 +329,8 @@ def _slip_table(laws: Laws) -> Iterable[str]:
             answer = {True: "yes", False: "no", None: "-"}[r.as_reported]
             timing = f"{r.since:g}", taken, reported, answer
         rows.append((*names, *slip, *timing))
+    if not any(r.reported > 0 for found in laws.values() for r in found):  # no paper's scene
+        head, rows = head[:-2], [row[:-2] for row in rows]
     return table(head, rows, 2)
 
 
@@ -362,6 +367,21 @@ def _great_circles(plan: Plan) -> Iterable[str]:
             yield (
                 f"{plan.scene.contact_name(i)}: its curve stays within {distance:.1e} m of a great "
                 f"circle's plane, {distance / contact.finger.size:.1e} of the radius."
+            )
+
+
+def _overlaps(plan: Plan) -> Iterable[str]:
+    """Contacts whose bodies overlap beside the contact point, which a plan does not look at."""
+    t = regular_times(plan, plan.sample_times())
+    least = np.linalg.eigvalsh(relative_curvature(plan, t))[..., 0]
+    for i, contact in enumerate(plan.scene.contacts):
+        found = np.flatnonzero(least[:, i] < -ROUNDING / contact.finger.size)
+        if len(found):
+            yield paragraph(
+                f"Note: {plan.scene.contact_name(i)}: from t = {t[found[0]]:.3g} s on the bodies "
+                "overlap beside the contact point (the least relative curvature is "
+                f"{least[found, i].min():.3g} 1/m), as real ones cannot. Make the finger smaller, "
+                "or plan contact where the object is less concave."
             )
 
 

@@ -247,6 +247,29 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
     }
 
 
+# --- bodies beside a contact ---------------------------------------------------------------------
+
+
+def relative_curvature(plan: Plan, t: np.ndarray) -> np.ndarray:
+    """K_2 + R_psi K_1 R_psi of each contact, (n_times, n_contacts, 2, 2), 1/m.
+
+    The bodies part in the directions in which it is positive, and overlap where it is negative. It
+    is NaN at a pole or an umbilic.
+    """
+    results = plan.evaluate(t, "points", "pose")
+    points, turns = results["points"], results["pose"][..., :3, :3]
+    relative = np.empty((*points.shape[:2], 2, 2))
+    for i, contact in enumerate(plan.scene.contacts):
+        forms, axes = [], []
+        for surface, x in zip((contact.finger, plan.scene.object), points[:, i].swapaxes(0, 1)):
+            at = surface.coordinates(x)
+            forms.append(surface.curvature_form(*at))
+            axes.append(surface.frame(*at)[..., :2])
+        turn = axes[1].swapaxes(-1, -2) @ turns[:, i] @ axes[0]
+        relative[:, i] = forms[1] + turn @ forms[0] @ turn.swapaxes(-1, -2)
+    return relative
+
+
 # --- curves ------------------------------------------------------------------------------------
 
 

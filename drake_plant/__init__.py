@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .config import Push, StationConfig
     from .contact_monitor import ContactMonitor
     from .fingertip_driver import FingertipDriver
-    from .fmu_system import FmuSystem  # noqa: F401
+    from .fmu_system import FmuSystem as FmuSystem
     from .force_balancer import ForceBalancer
     from .hand import Hand
     from .hand_driver import HandDriver

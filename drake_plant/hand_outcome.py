@@ -132,8 +132,9 @@ def draw_cones(ax: Any, result: HandResult) -> None:
     for i, used in enumerate(result.measured["friction_used"].T):
         ax.plot(result.t, used, color=colour_of(i), linewidth=1.2)
         ax.plot(result.plan.t, result.plan.cones[:, i], color=colour_of(i), linestyle="--")
-    ax.axhline(0.9, color=INK, linewidth=0.9, linestyle=":")
-    ax.set_title("Part of the friction cone (dashed: planned)", loc="left", weight="bold")
+    ax.axhline(result.config.friction_share, color=INK, linewidth=0.9, linestyle=":")
+    title = "Part of the friction cone (dashed: planned; dotted: allowed)"
+    ax.set_title(title, loc="left", weight="bold")
     ax.set_ylabel(r"$f_t / \mu N$")
     ax.set_ylim(0.0, 1.0)
 

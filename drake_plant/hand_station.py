@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
+from .config import require_config
 from .contact_monitor import ContactMonitor
 from .hand_driver import HandDriver
 from .plant import AddScenePlant, ScenePlant
@@ -49,6 +50,7 @@ def BuildHandStation(
     The systems are named "plant", "scene_graph", "driver", "monitor", and "push" where there are
     pushes; else the driver's port is exported as `push`. The plant's default state is the start.
     """
+    require_config(plan, Reorientation, "plan")
     builder = DiagramBuilder()
     parts = AddScenePlant(builder, plan.scene, plan.config)
     plant = parts.plant

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from contact_system import Ellipsoid, Quadric, Scene, SceneError, Sphere, Surface
 from contact_system import plan as make_plan
+from contact_system.measures import relative_curvature
 
 from .pressing import least_radius
 
@@ -50,15 +51,9 @@ def touches_of(scene: Scene) -> list[Touch]:
     times = np.linspace(0, scene.duration, min(max(100, math.ceil(length / SPACING)), 20_000))
     points, poses = plan.points(times), plan.pose(times)
     _check_apart(scene, times, poses[..., :3, 3])
-    turns, touches = poses[..., :3, :3], []
+    of_contacts, touches = relative_curvature(plan, times), []
     for i, contact in enumerate(scene.contacts):
-        forms, frames = [], []
-        for surface, x in zip((contact.finger, scene.object), points[:, i].swapaxes(0, 1)):
-            at = surface.coordinates(x)
-            forms.append(surface.curvature_form(*at))
-            frames.append(surface.frame(*at))
-        turn = frames[1][..., :2].swapaxes(-1, -2) @ turns[:, i] @ frames[0][..., :2]
-        relative = forms[1] + turn @ forms[0] @ turn.swapaxes(-1, -2)
+        relative = of_contacts[:, i]
         # A chart has no frame at its poles; the curve is known beside them.
         known = np.all(np.isfinite(relative), axis=(1, 2))
         curvatures = np.linalg.eigvalsh(relative[known])
@@ -72,13 +67,25 @@ def touches_of(scene: Scene) -> list[Touch]:
                 f"contact {i}: finger and object {what} where they are planned to touch (the "
                 f"least relative curvature is {least:.3g} 1/m); {remedy}"
             )
-        mean = [float(np.trace(k[known], axis1=1, axis2=2).mean() / 2) for k in forms]
-        openness = np.sqrt(np.linalg.det(relative))
         finger_points, object_points = points[:, i].swapaxes(0, 1)
+        normals = contact.finger.normal(*contact.finger.coordinates(finger_points))
         touches.append(
-            Touch(finger_points, object_points, frames[0][..., 2], mean[0], mean[1], openness)
+            Touch(
+                finger_points,
+                object_points,
+                normals,
+                finger_curvature=_mean_curvature(contact.finger, finger_points[known]),
+                object_curvature=_mean_curvature(scene.object, object_points[known]),
+                openness=np.sqrt(np.linalg.det(relative)),
+            )
         )
     return touches
+
+
+def _mean_curvature(surface: Surface, points: Array) -> float:
+    """The mean over points (m, 3) of half the trace of K, 1/m."""
+    forms = surface.curvature_form(*surface.coordinates(points))
+    return float(np.trace(forms, axis1=1, axis2=2).mean() / 2)
 
 
 def _check_apart(scene: Scene, times: Array, places: Array) -> None:

@@ -213,7 +213,9 @@ def _parameter(scene: Scene, name: str, value: float, surface: Surface | None = 
     """A row for one of the names of `SceneSystem.parameter_names`."""
     owner, _, last = name.rpartition(".")
     unit: Unit | None = METRE
-    variability, low, nominal, text = "fixed", None, None, f"Surface of {owner}: {last}"
+    body = owner.rpartition(".")[2]
+    variability, low, nominal = "fixed", None, None
+    text = f"Parameter {last} of the {body}'s surface"
     if owner == "gain":
         power = LAWS[scene.gain.law].power  # lam = gain sigma^power, 1/s
         unit, low = (-power, power - 1, 0), 0.0

@@ -176,7 +176,7 @@ REFUSED: dict[str, tuple[str, Callable[[], object]]] = {
     "a place of three numbers": ("object_at", lambda: cs.Goal(object_at=(1, 2, 3))),
     "an endless angle": ("angle", lambda: cs.Goal(**{**WHOLE, "angle": math.inf})),
     "a region without size": ("radius", lambda: cs.Goal(**PLACE, finger_within=(1, 2, 0))),
-    "no goal": ("0 goals for 1", lambda: cs.reach(scene(SMALL, ROUND), [])),
+    "no goal": ("goals given: 0; contacts: 1", lambda: cs.reach(scene(SMALL, ROUND), [])),
     "a table for a goal": ("give a Goal", lambda: cs.reach(scene(SMALL, ROUND), WHOLE)),
     "rests alone": ("every goal is None", lambda: cs.reach(scene(SMALL, ROUND), [None])),
     "no legs": ("1 to 4", _try(WHOLE, legs=0)),

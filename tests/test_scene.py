@@ -333,6 +333,7 @@ def test_arithmetic_texts_are_numbers():
         ("c = 0.1", "c = 0.1\ninside = 1", ["object", "inside = 1", "true or false"]),
         ('radius = "4e-2"', "radus = 1", ["contacts[0]", "finger", "'radus'", "'radius'"]),
         ('"2*pi/3"', '"2*pii/3"', ["contacts[0]", "object_at[0]", "pii", "pi"]),
+        ('"2*pi/3"', "120", ["contacts[0]: object_at: 120 rad", '"120*pi/180"']),
         ('"2*pi/3"', "0", ["scene 'good'", "contacts[0] 'thumb'", "object_at = (0.0,"]),
         ('kind = "object rate offset"', 'kind = "object rate"', ["disturbances[0]", "kind"]),
         ('[0.1, "1/5"]', "[" * 2000 + "]" * 2000, ["nested too deeply"]),

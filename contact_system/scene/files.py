@@ -94,7 +94,21 @@ def _scene(text: str, source: str) -> Scene:
     all_legs = isinstance(contacts, list) and all("legs" in c for c in contacts if type(c) is dict)
     moved = () if all_legs else ("duration", "profile")
     table = _table(document, SCENE_KEYS, (*moved, "object", "contacts"))
-    return Scene(**_fields({"name": Path(source).stem, **table}), source=source)
+    fields = _fields({"name": Path(source).stem, **table})
+    _refuse_degrees(fields["object"], fields["contacts"])
+    return Scene(**fields, source=source)
+
+
+def _refuse_degrees(body: Surface, contacts: Iterable[Contact]) -> None:
+    """A scene takes whole turns off its coordinates, so that degrees would be some other place."""
+    for i, contact in enumerate(contacts):
+        for key, surface in (("object_at", body), ("finger_at", contact.finger)):
+            for x, period in zip(getattr(contact, key), surface.periods()):
+                if period and abs(x) > 2 * period:
+                    raise SceneError(
+                        f"contacts[{i}]: {key}: {x:g} rad is more than two turns; give radians, "
+                        f'such as "{x:g}*pi/180" for degrees'
+                    )
 
 
 def _fields(table: Mapping[str, Any]) -> dict[str, Any]:

@@ -115,8 +115,8 @@ def _goals(scene: Scene, goal: Any) -> list[Goal | None]:
     goals = list(all_of((Goal, type(None)), listed, "goal", names))
     if len(goals) != len(scene.contacts):
         raise SceneError(
-            f"{scene.title}: {len(goals)} goals for {len(scene.contacts)} contacts; give one each, "
-            "None for a contact at rest"
+            f"{scene.title}: goals given: {len(goals)}; contacts: {len(scene.contacts)}; give one "
+            'for each, and for a contact at rest None (on the command line --to "")'
         )
     if not any(goals):
         raise SceneError(f"{scene.title}: every goal is None; give one for a contact at least")
@@ -185,7 +185,7 @@ class _Search:
             for batch in range(STARTS // LANES):
                 for route in filter(self._stays, self._routes(n, batch)):
                     shorter = None if legs else self._four_rolls(route.length)
-                    how = f"{n} legs, {(batch + 1) * LANES} starts"
+                    how = f"{n} leg{'s' * (n > 1)}, {(batch + 1) * LANES} starts"
                     return self._shorter(shorter or route, legs, until), how
             tried.append(f"{n} legs from {STARTS} starts")
         explicit = self._four_rolls(math.inf) if legs in (None, MOST_LEGS) else None
