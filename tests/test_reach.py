@@ -55,9 +55,10 @@ def test_random_goals_of_places_and_angle_are_reached(name):
         assert abs(psi) < 1e-11
 
 
-def test_a_pose_that_can_be_rolled_to_is_a_goal():
-    start = scene(*ELLIPSOID)
-    goal = cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5), angle=1.0)
+@pytest.mark.parametrize("bodies", [ELLIPSOID, (cs.Sphere(0.02), cs.Torus(0.3, 0.05, inside=True))])
+def test_a_pose_that_can_be_rolled_to_is_a_goal(bodies):
+    start = scene(*bodies)
+    goal = cs.Goal(object_at=(2.8, 1.0), finger_at=(1.0, 0.5), angle=1.0)
     pose = cs.plan(cs.reach(start, goal).scene).pose(3.0)[0, 0]
     route = cs.reach(start, cs.Goal(pose=pose))
     assert cs.plan(route.scene).pose(3.0)[0, 0] == pytest.approx(pose, abs=1e-12)

@@ -76,7 +76,7 @@ class Aim:
     sizes : list of float
         Sizes of the bodies, m.
     unit, far : float
-        A typical length; straight distance of the goal: along s, m.
+        A typical length; straight distance of the goal, of a pose that of its origin: along s, m.
     """
 
     def __init__(self, scene: Scene, index: int, goal: Goal, longest: float | None):
@@ -87,16 +87,16 @@ class Aim:
         self._place(goal)
         self.pose, self.is_pose = goal.pose, goal.pose is not None
         if goal.angle is not None:
-            c, s = math.cos(goal.angle), math.sin(goal.angle)
-            joint = np.array([[c, -s, 0.0], [-s, -c, 0.0], [0.0, 0.0, -1.0]])
-            self.pose = np.eye(4)
-            self.pose[:3, :3] = self.goal[1][1] @ joint @ self.goal[0][1].T
+            self.pose = _pose(goal.angle, *self.goal)
         self.regions = self._regions(goal)
         w: Any = self.contact.finger_velocity
         self.pace, self.lean = math.hypot(*w), math.atan2(w[1], w[0])
         self.sizes = [body.size for body in self.bodies]
-        self.unit = min(self.sizes + [region.widest for region in self.regions]) / self.pace
+        bounds = [self.sizes[side] for side in self.sides or (0, 1)]
+        self.unit = min(bounds + [region.widest for region in self.regions]) / self.pace
         away = [math.dist(self.start[side][0], self.goal[side][0]) for side in self.sides]
+        if goal.pose is not None:
+            away = [math.dist(_pose(self.angles[0], *self.start)[:3, 3], goal.pose[:3, 3])]
         self.far = max(away, default=0.0) / self.pace
         self._followers: list[Follower] = []  # the engine points into them
         self._data = self._numbers(longest)
@@ -224,7 +224,7 @@ class Aim:
             lean=self.lean,
             pace=self.pace,
             unit=self.unit,
-            size=max(self.sizes),
+            size=min(self.sizes),  # a greater one weighs the origin too little
             longest=longest or 0.0,
             turns=self.pose is not None,
             is_pose=self.is_pose,
@@ -250,6 +250,16 @@ class Aim:
             self._followers.append(follower)
             data.how, data.shape = ctypes.addressof(follower.how), follower.shape
         return data
+
+
+def _pose(psi: float, finger: tuple[Array, Array], obj: tuple[Array, Array]) -> Array:
+    """The finger's pose, (4, 4), where it touches with points and frames of both bodies."""
+    c, s = math.cos(psi), math.sin(psi)
+    joint = np.array([[c, -s, 0.0], [-s, -c, 0.0], [0.0, 0.0, -1.0]])
+    pose = np.eye(4)
+    pose[:3, :3] = obj[1] @ joint @ finger[1].T
+    pose[:3, 3] = obj[0] - pose[:3, :3] @ finger[0]
+    return pose
 
 
 def is_plane(body: Surface) -> bool:

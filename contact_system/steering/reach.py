@@ -163,7 +163,7 @@ class _Search:
         self.aim = aim = Aim(scene, index, goal, longest)
         self.scene, self.longest = scene, longest
         self.nearest = math.inf
-        if longest is not None and MOST_LEGS * longest < aim.far:
+        if longest is not None and not aim.is_pose and MOST_LEGS * longest < aim.far:
             raise SceneError(
                 f"{aim.name}: longest = {longest:g} m: the goal is {aim.far:.6g} m away, and "
                 f"there are {MOST_LEGS} legs at most; allow longer ones"
