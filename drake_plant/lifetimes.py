@@ -34,12 +34,9 @@ NO_DICTIONARY: tuple[str, ...] = ()
 def weakly(method: Callable, *first: Any) -> Callable:
     """The bound method as a callback that does not keep its object; ``first`` are arguments before
     those of the caller."""
-    reference = weakref.WeakMethod(method)
-
-    def call(*arguments: Any) -> Any:
-        return reference()(*first, *arguments)  # type: ignore[misc]
-
-    return call
+    bound: Any = method
+    owner, function = weakref.ref(bound.__self__), bound.__func__
+    return lambda *arguments: function(owner(), *first, *arguments)
 
 
 def array_entry(

@@ -36,7 +36,7 @@ class Recording:
     Parameters
     ----------
     frames : float
-        Pictures a second of simulated time.
+        Pictures a second of simulated time; each is taken at a step of a discrete plant.
 
     Examples
     --------
@@ -66,15 +66,18 @@ class Recording:
         scene_plant : ScenePlant
         """
         meshcat, scene, ink = self._meshcat, scene_plant.scene, rgba(INK)
+        step, period = scene_plant.plant.time_step(), self._period
+        if step:  # a picture between two steps would cut the planner's steps
+            period = step * max(1, round(period / step))
         params = MeshcatVisualizerParams(
-            publish_period=self._period, role=Role.kIllustration, prefix=BODIES
+            publish_period=period, role=Role.kIllustration, prefix=BODIES
         )
         self._visualizer = MeshcatVisualizer.AddToBuilder(
             builder, scene_plant.scene_graph, meshcat, params
         )
         largest = max(contact.finger.size for contact in scene.contacts)
         forces = ContactVisualizerParams(
-            publish_period=self._period,
+            publish_period=period,
             prefix=FORCES,
             color=ink,
             hydro_force_color=ink,

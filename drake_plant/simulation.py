@@ -196,7 +196,7 @@ class Log:
     def _note(self, root: Context, last: bool = False) -> None:
         t = root.get_time()
         due = t >= self._next or (last and t > self._t[-1])
-        if not due and all(force().any() for force in self._pressing):
+        if not due and all(any(force().tolist()) for force in self._pressing):
             return
         whole = math.floor(t / self._period + 0.5 * NEAR)
         self._next = (whole + 1 - NEAR) * self._period
