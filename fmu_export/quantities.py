@@ -73,15 +73,6 @@ class Variable:
             return self.causality
         return self.initial or "calculated"
 
-    def of_contact(self, i: int) -> Variable:
-        """The same, named as of a contact."""
-
-        def named(name: str) -> str:
-            head, inner = ("der(", name[4:]) if name.startswith("der(") else ("", name)
-            return f"{head}contact[{i + 1}].{inner}"
-
-        return replace(self, name=named(self.name), elements=tuple(map(named, self.elements)))
-
     def scalars(self) -> Iterator[Variable]:
         """The variables of FMI 2 in this row."""
         if not self.shape:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import islice
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from contact_system.errors import SceneError
 from contact_system.kept import kept
 from contact_system.scene import Scene, require_scene
 from contact_system.surfaces import Quadric, Surface, UserSurface
-from contact_system.system import SceneSystem
+from contact_system.system import SceneSystem, number_names
 from contact_system.theory.gain import LAWS
 
 from .contact_variables import DERIVATIVES, INPUT_GROUPS, STATE_GROUP, contact_groups
@@ -151,23 +151,15 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
             rows.append(v)
         return at
 
-    system = SceneSystem(scene, "frame", True)
-    names = map(_counted_from_one, system.parameter_names)
-    law = (scene.gain.value, *scene.profile.coefficients)
-    gain, *profile = (_parameter(scene, next(names), x) for x in law)
-    first = {"gain": add([gain]), "profile": add(profile)}
-    first["scale"] = add([_parameter(scene, "disturbances.scale", 1.0)])
-    for key, surface in bodies.items():
-        own = zip(islice(names, len(surface.parameters)), surface.parameters)
-        first[key] = add([_parameter(scene, name, x, surface) for name, x in own])
-        next(names)  # its size, which follows its numbers
+    law, *surfaces = _parameters(scene)
+    first = {"gain": add(law[:1]), "profile": add(law[1:])}
+    first["scale"] = add([_parameter("disturbances.scale", 1.0, NONE, SCALE)])
+    first |= {key: add(own) for key, own in zip(bodies, surfaces)}
     first["windows"] = add(_window_rows(scene))
-    groups = []
-    for i, contact in enumerate(scene.contacts):
-        starts = system.x0[system.state_slices[i]].tolist()
-        described = contact_groups(scene, contact, starts, measured)
-        bounds = [add(v.of_contact(i) for v in group) for group in described]
-        groups.append([*bounds, end()])
+    system, groups = SceneSystem(scene, "frame", True), []
+    for i, own in enumerate(system.state_slices):
+        described = contact_groups(scene, i, system.x0[own], measured)
+        groups.append([*map(add, described), end()])
     table = Table(scene, rows, first, groups, arrays, measured)
     for i in range(len(groups)):
         _tell_dependencies(table, i)
@@ -209,26 +201,36 @@ def _require_names(table: Table) -> None:
             )
 
 
-def _parameter(scene: Scene, name: str, value: float, surface: Surface | None = None) -> Variable:
-    """A row for one of the names of `SceneSystem.parameter_names`."""
-    owner, _, last = name.rpartition(".")
-    unit: Unit | None = METRE
-    variability, low, nominal, text = "fixed", None, None, f"Surface of {owner}: {last}"
-    if owner == "gain":
-        power = LAWS[scene.gain.law].power  # lam = gain sigma^power, 1/s
-        unit, low = (-power, power - 1, 0), 0.0
-        variability, text = "tunable", f"Gain of the law '{scene.gain.law}'"
-    elif owner == "disturbances":
-        unit, text = NONE, "Factor of the scene's own disturbances; 0 leaves them out"
-    elif not owner:
-        power = int(last[len("profile[") : -1]) - 1
-        unit, text = (1, -1 - power, 0), f"Path profile sigma(t), coefficient of t^{power}"
-    elif isinstance(surface, (UserSurface, Quadric)):
-        unit = None
-    else:
-        low, nominal = min(1e-6, 1e-3 * value), value or None  # m
-    named = (name, 0, "parameter", variability, "exact", text, unit, (value,))
-    return Variable(*named, minimum=low, nominal=nominal)
+SCALE = "Factor of the scene's own disturbances; 0 leaves them out"
+
+
+def _parameter(name: str, value: float, unit: Unit | None, text: str, **more: Any) -> Variable:
+    said = (name, 0, "parameter", more.pop("variability", "fixed"), "exact", text, unit)
+    return Variable(*said, (float(value),), **more)
+
+
+def _parameters(scene: Scene) -> Iterator[list[Variable]]:
+    """Gain and profile; then the numbers of the object, and of each finger."""
+    power = LAWS[scene.gain.law].power  # lam = gain sigma^power, 1/s
+    name, text = f"gain.{scene.gain.parameter}", f"Gain of the law '{scene.gain.law}'"
+    tunable = {"variability": "tunable", "minimum": 0.0}
+    rows = [_parameter(name, scene.gain.value, (-power, power - 1, 0), text, **tunable)]
+    for k, value in enumerate(scene.profile.coefficients):
+        text = f"Path profile sigma(t), coefficient of t^{k}"
+        rows.append(_parameter(f"profile[{k + 1}]", value, (1, -1 - k, 0), text))
+    yield rows
+    fingers = [(f"contact[{i + 1}].finger", c.finger) for i, c in enumerate(scene.contacts)]
+    for owner, surface in [("object", scene.object), *fingers]:
+        rows = []
+        for name, value in zip(number_names(surface, 1), surface.parameters):
+            own = f"{owner}.{name}", value
+            text = f"Surface of {owner}: {name}"
+            if isinstance(surface, (UserSurface, Quadric)):
+                rows.append(_parameter(*own, None, text))
+            else:
+                least = min(1e-6, 1e-3 * value)
+                rows.append(_parameter(*own, METRE, text, minimum=least, nominal=value or None))
+        yield rows
 
 
 def _window_rows(scene: Scene) -> Iterator[Variable]:
@@ -236,24 +238,14 @@ def _window_rows(scene: Scene) -> Iterator[Variable]:
     for k, d in enumerate(scene.disturbances):
         surface = scene.contacts[int(d.contact)].finger if d.slot == 0 else scene.object
         units = [per_second(unit, 2 if d.slot < 2 else 1) for unit in chart_units(surface)]
-        what = f"disturbance of contact {int(d.contact) + 1}, {d.kind}"
-        for name, text, unit, value, low in (
-            ("start", "Start", SECOND, d.start, 0.0),
-            ("stop", "Stop", SECOND, d.stop, 0.0),
-            ("u", "Component u", units[0], d.value[0], None),
-            ("v", "Component v", units[1], d.value[1], None),
-        ):
-            named = (f"disturbance[{k + 1}].{name}", 0, "parameter", "fixed", "exact")
-            yield Variable(*named, f"{text} of the {what}", unit, (float(value),), minimum=low)
-
-
-def _counted_from_one(name: str) -> str:
-    name = name.replace("contacts[", "contact[")
-    head, *tail = name.split("[")
-    for part in tail:
-        index, rest = part.split("]", 1)
-        head += f"[{int(index) + 1}]{rest}"
-    return head
+        own, what = (
+            f"disturbance[{k + 1}].",
+            f"disturbance of contact {int(d.contact) + 1}, {d.kind}",
+        )
+        yield _parameter(f"{own}start", d.start, SECOND, f"Start of the {what}", minimum=0.0)
+        yield _parameter(f"{own}stop", d.stop, SECOND, f"Stop of the {what}", minimum=0.0)
+        for axis, unit, value in zip("uv", units, d.value):
+            yield _parameter(f"{own}{axis}", value, unit, f"Component {axis} of the {what}")
 
 
 # --- dependencies --------------------------------------------------------------------------------

@@ -119,6 +119,33 @@ static void set_value(component_t *c, unsigned reference, double value) {
   c->now->settled = 0;
 }
 
+/* ---- Model Exchange ---- */
+
+static status_t set_states(component_t *c, const double *state) {
+  for (long i = 0, at = 0; i < c->model->n_contacts; at += c->model->layout[i++].states)
+    for (long j = 0; j < c->model->layout[i].states; j++)
+      if (check_value(c, (unsigned)(c->model->layout[i].at[OF_STATES] + j), state[at + j]))
+        return DISCARD;
+  for (long i = 0; i < c->model->n_contacts; i++) {
+    const layout_t *l = c->model->layout + i;
+    memcpy(c->value + l->at[OF_STATES], state, (size_t)l->states * sizeof *state);
+    state += l->states;
+  }
+  forget_values(c);
+  return OK;
+}
+
+static status_t get_states(component_t *c, double *state, int rates) {
+  for (long i = 0; i < c->model->n_contacts; i++) {
+    const layout_t *l = c->model->layout + i;
+    const status_t s =
+        get_values(c, (unsigned)(rates ? l->at[OF_RATES] : l->at[OF_STATES]), l->states, state);
+    if (s) return s;
+    state += l->states;
+  }
+  return OK;
+}
+
 /* ---- time ---- */
 
 static void set_time(component_t *c, double time) {
