@@ -18,7 +18,7 @@ static status_t report(component_t *c, status_t status, const char *format, ...)
   va_start(arguments, format);
   vsnprintf(text + n, sizeof text - (size_t)n, format, arguments);
   va_end(arguments);
-  c->report(c, status, text);
+  log_text(c, status, text);
   return status;
 }
 

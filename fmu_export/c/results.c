@@ -183,11 +183,6 @@ static long parts_of(const component_t *c, long i, long r, part_t out[MOST_PARTS
   return n;
 }
 
-static status_t check_grown(component_t *c, unsigned reference, long count) {
-  const long wrong = without_value(c, reference, c->grown + reference, count);
-  return wrong == count ? OK : refuse(c, reference + (unsigned)wrong);
-}
-
 /* grown = J seed over all references, or J^T seed */
 static void derive(component_t *c, int transposed) {
   const model_t *m = c->model;
