@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +30,7 @@ def contact_groups(scene: Scene, i: int, starts: np.ndarray, measured: str) -> l
     own = _Contact(scene, scene.contacts[i], f"contact[{i + 1}].")
     states = _started(own.states(), starts)
     return [
-        [replace(v, start=(0.0,)) for v in own.inputs()],
+        own.inputs(),
         [] if measured == "nothing" else own.measured(measured),
         states,
         [_derivative(v) for v in states],
@@ -39,20 +39,17 @@ def contact_groups(scene: Scene, i: int, starts: np.ndarray, measured: str) -> l
     ]
 
 
-def _started(rows: Sequence[Variable], starts: Sequence[float] | np.ndarray) -> list[Variable]:
-    """The same with start values, of all elements in order."""
-    found, at = [], 0
-    for v in rows:
-        found.append(replace(v, start=tuple(map(float, starts[at : at + v.size]))))
-        at += v.size
-    return found
+def _started(rows: Sequence[Variable], starts: Iterable[float]) -> list[Variable]:
+    """The same with start values."""
+    return [replace(v, start=(float(x),)) for v, x in zip(rows, starts)]
 
 
 def _derivative(state: Variable) -> Variable:
+    array, shape = state.within
     return replace(
         state,
         name=f"der({state.name})",
-        elements=tuple(f"der({name})" for name in state.elements),
+        within=(array and f"der({array})", shape),
         description="Time derivative: " + state.description,
         unit=per_second(state.unit, 1),
         causality="local",
@@ -70,7 +67,7 @@ class _Contact:
     contact: Contact
     stem: str
 
-    def row(
+    def rows(
         self,
         name: str,
         axes: tuple[str, ...],
@@ -78,14 +75,15 @@ class _Contact:
         text: str,
         nominal: float | None = None,
         kind: tuple[str, str | None] = ("output", "calculated"),
-    ) -> Variable:
-        name = self.stem + name
-        elements = tuple(name + axis for axis in axes)
-        shape = (3, 3) if axes is CELLS else (len(axes),) if axes else ()
-        said = (name, 0, kind[0], "continuous", kind[1], text, unit, (), elements, shape)
-        return Variable(*said, nominal=nominal)
+    ) -> list[Variable]:
+        """A scalar, or the elements of an array."""
+        name, (causality, initial) = self.stem + name, kind
+        v = Variable(name, 0, causality, "continuous", initial, text, unit, nominal=nominal)
+        shape = (3, 3) if axes is CELLS else (len(axes),)
+        return [replace(v, name=name + axis, within=(name, shape)) for axis in axes] or [v]
 
-    def inputs(self) -> Iterator[Variable]:
+    def inputs(self) -> list[Variable]:
+        found = []
         for side, surface, quantity, power, to in (
             ("finger", self.contact.finger, "acceleration", 2, "second derivative"),
             ("object", self.scene.object, "acceleration", 2, "second derivative"),
@@ -94,8 +92,9 @@ class _Contact:
             for axis, unit in zip("uv", chart_units(surface)):
                 text = f"Added to the {to} of {axis} of the {side}"
                 text += ", in addition to the scene's disturbance windows"
-                name = f"{side}.{quantity}.{axis}"
-                yield self.row(name, (), per_second(unit, power), text, kind=("input", None))
+                own = f"{side}.{quantity}.{axis}", (), per_second(unit, power), text
+                found += self.rows(*own, kind=("input", None))
+        return _started(found, np.zeros(len(found)))
 
     def measured(self, what: str) -> list[Variable]:
         """The trigger; then states as `Plan.states` has them, or twist and pose."""
@@ -115,7 +114,7 @@ class _Contact:
             for v in rows
         ]
         text = "Co-Simulation goes on from what is measured when this changes to another number "
-        rows = [own.row("trigger", (), NONE, text + "than 0"), *rows]
+        rows = [*own.rows("trigger", (), NONE, text + "than 0"), *rows]
         rows = [replace(v, causality="input", initial=None) for v in rows]
         return _started(rows, [0.0, *start])
 
@@ -128,31 +127,34 @@ class _Contact:
         units = chart_units(surface)
         nominals = [SMALL * surface.size if unit == METRE else SMALL for unit in units]
         return [
-            self.row(f"{stem}.{axis}", (), unit, f"Coordinate {axis} of the {what}", size, STATE)
+            v
             for axis, unit, size in zip("uv", units, nominals)
+            for v in self.rows(
+                f"{stem}.{axis}", (), unit, f"Coordinate {axis} of the {what}", size, STATE
+            )
         ]
 
     def states(self) -> list[Variable]:
-        rows = []
+        rows: list[Variable] = []
         sizes = frame_sizes(self.contact.finger, self.scene.object)
         for (side, surface), size in zip(self.bodies, sizes):
             stem, carried = f"{side}.frame", f"frame carried along on the {side}"
             if size == 3:
                 rows += self.places(stem, surface, carried)
                 text = f"Angle in the chart of the {carried}"
-                rows.append(self.row(f"{stem}.angle", (), RADIAN, text, SMALL, STATE))
+                rows += self.rows(f"{stem}.angle", (), RADIAN, text, SMALL, STATE)
                 continue
             for name, unit, text, nominal in (
                 ("point", METRE, "Origin", SMALL * surface.size),
                 ("axis", NONE, "First axis", SMALL),
             ):
                 text = f"{text} of the {carried}"
-                rows.append(self.row(f"{stem}.{name}", XYZ, unit, text, nominal, STATE))
+                rows += self.rows(f"{stem}.{name}", XYZ, unit, text, nominal, STATE)
         for name, text in (
             ("velocity", "Path velocity of the finger's contact point in its carried frame"),
             ("slip", "Slip over sigma in the object's carried frame"),
         ):
-            rows.append(self.row(f"frame.{name}", XY, NONE, text, SMALL, STATE))
+            rows += self.rows(f"frame.{name}", XY, NONE, text, SMALL, STATE)
         return rows
 
     def coordinates(self) -> list[Variable]:
@@ -165,7 +167,7 @@ class _Contact:
                 for v in (*places, *map(_derivative, places))
             ]
         text = "Contact angle psi between the contact frames E1 and E2"
-        return [*rows, self.row("angle", (), RADIAN, text)]
+        return [*rows, *self.rows("angle", (), RADIAN, text)]
 
     def motion(self) -> tuple[list[Variable], list[Variable]]:
         """Twist and pose of the finger relative to the object."""
@@ -177,11 +179,11 @@ class _Contact:
             f"Velocity of the origin {origin}",
         )
         return [
-            self.row("twist.angular", XYZ, (0, -1, 1), turning),
-            self.row("twist.linear", XYZ, SPEED, moving, self.speed),
+            *self.rows("twist.angular", XYZ, (0, -1, 1), turning),
+            *self.rows("twist.linear", XYZ, SPEED, moving, self.speed),
         ], [
-            self.row("pose.rotation", CELLS, NONE, matrix),
-            self.row("pose.position", XYZ, METRE, f"Origin {origin}", size),
+            *self.rows("pose.rotation", CELLS, NONE, matrix),
+            *self.rows("pose.position", XYZ, METRE, f"Origin {origin}", size),
         ]
 
     @property
@@ -192,15 +194,19 @@ class _Contact:
         """Groups of results: slip, twist, pose, points, condition."""
         recovery = "Time in which slip falls to a hundredth at its present rate; at most 1e6 s"
         path = "sigma, the speed of the contact along its path"
+        active, length = "1 while an input or a window acts, else 0", "Length of the slip"
         points = [
-            self.row(f"{n}.point", XYZ, METRE, f"Contact point in the {n}'s frame", surface.size)
+            v
             for n, surface in self.bodies
+            for v in self.rows(
+                f"{n}.point", XYZ, METRE, f"Contact point in the {n}'s frame", surface.size
+            )
         ]
         condition = [
-            self.row("path.speed", (), SPEED, path, self.speed),
-            self.row("slip_speed", (), SPEED, "Length of the slip", self.speed),
-            self.row("disturbance.active", (), NONE, "1 while an input or a window acts, else 0"),
-            self.row("recovery_time", (), SECOND, recovery),
+            *self.rows("path.speed", (), SPEED, path, self.speed),
+            *self.rows("slip_speed", (), SPEED, length, self.speed),
+            *self.rows("disturbance.active", (), NONE, active),
+            *self.rows("recovery_time", (), SECOND, recovery),
         ]
-        slip = self.row("slip", XY, SPEED, "Slip v_rel in E2", self.speed)
-        return [[slip], *self.motion(), points, condition]
+        slip = self.rows("slip", XY, SPEED, "Slip v_rel in E2", self.speed)
+        return [slip, *self.motion(), points, condition]

@@ -130,8 +130,8 @@ def listed(table: Table, fmi_version: str) -> list[Variable]:
     if fmi_version == "2.0":
         if table.arrays:
             raise ContactSystemError('arrays: FMI 2.0 has none; give fmi_version = "3.0"')
-        return table.scalars()[1:]
-    return table.rows if table.arrays else table.scalars()
+        return table.rows[1:]
+    return table.joined if table.arrays else table.rows
 
 
 def generation_time() -> time.struct_time:
@@ -288,8 +288,7 @@ def _structure(table: Table, fmi_version: str) -> ET.Element:
             name = {"ContinuousStateDerivative": "Derivative"}.get(name, name) + "s"
             parent = ET.SubElement(structure, name)
         for v in unknowns:
-            known = {reference for element in v.known for reference in element}
-            found = sorted({owner[r] for r in known & allowed})
+            found = sorted({owner[r] for r in allowed.intersection(v.known)})
             said = {"dependencies": " ".join(map(str, found))}
             said["dependenciesKind"] = " ".join(["dependent"] * len(found))
             if fmi_version == "2.0":

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from contact_system.theory.gain import LAWS
 
 from .contact_variables import DERIVATIVES, INPUT_GROUPS, STATE_GROUP, contact_groups
 from .model import equations, way_of
-from .quantities import METRE, NONE, SECOND, Unit, Variable, chart_units, per_second
+from .quantities import METRE, NONE, SECOND, Unit, Variable, array_of, chart_units, per_second
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +37,7 @@ class Table:
     ----------
     scene : Scene
     rows : list of Variable
-        By reference, ascending.
+        Scalars, by reference, which counts them.
     first : dict
         References of ``gain``, ``profile``, ``scale``, ``object``, ``finger 0`` and so on, and of
         ``windows``, four each: where their numbers begin.
@@ -57,10 +58,10 @@ class Table:
 
     @kept
     def _by_name(self) -> dict[str, Variable]:
-        return {v.name: v for row in self.rows for v in (row, *row.scalars())}
+        return {v.name: v for v in (*self.joined, *self.rows)}
 
     def __getitem__(self, name: str) -> Variable:
-        """The variable of an FMI 2 or FMI 3 name; KeyError where there is none."""
+        """The scalar or array of a name; KeyError where there is none."""
         return self._by_name[name]
 
     @property
@@ -81,7 +82,7 @@ class Table:
     @kept
     def start_values(self) -> np.ndarray:
         """The values before initialization: starts, and 0 for what is calculated, (n_values,)."""
-        return np.array([x for row in self.rows for x in row.start or (0.0,) * row.size])
+        return np.array([x for row in self.rows for x in row.start or (0.0,)])
 
     def structure(self, i: int) -> tuple[Surface, Surface, str, int]:
         """What `model.equations` of a contact are made for."""
@@ -101,13 +102,11 @@ class Table:
         )
         return [0, *states, *inputs, first["gain"], *profile, *tip, *body]
 
-    def scalars(self) -> list[Variable]:
-        """Every variable as FMI 2 sees it, by reference."""
-        return self._scalars
-
     @kept
-    def _scalars(self) -> list[Variable]:
-        return [scalar for row in self.rows for scalar in row.scalars()]
+    def joined(self) -> list[Variable]:
+        """The variables with arrays instead of their elements."""
+        groups = groupby(self.rows, key=lambda v: v.within[0] or v.name)
+        return [array_of([*elements]) for _, elements in groups]
 
 
 MEASUREMENTS = ("nothing", "states", "pose")
@@ -140,14 +139,11 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
     _refuse(scene, bodies.values(), measured)
     rows = [Variable("time", 0, "independent", "continuous", None, "Simulation time", SECOND)]
 
-    def end() -> int:
-        return rows[-1].reference + rows[-1].size
-
     def add(more: Iterable[Variable]) -> int:
         """Add rows; returns the reference of the first one."""
-        at = end()
+        at = len(rows)
         for v in more:
-            v.reference = end()
+            v.reference = len(rows)
             rows.append(v)
         return at
 
@@ -159,7 +155,7 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
     system, groups = SceneSystem(scene, "frame", True), []
     for i, own in enumerate(system.state_slices):
         described = contact_groups(scene, i, system.x0[own], measured)
-        groups.append([*map(add, described), end()])
+        groups.append([*map(add, described), len(rows)])
     table = Table(scene, rows, first, groups, arrays, measured)
     for i in range(len(groups)):
         _tell_dependencies(table, i)
@@ -192,7 +188,7 @@ MOST_COEFFICIENTS = 48
 
 def _require_names(table: Table) -> None:
     """Refuse two variables of one name, in FMI 3 or in FMI 2."""
-    for names in ([row.name for row in table.rows], [v.name for v in table.scalars()]):
+    for names in ([v.name for v in table.joined], [v.name for v in table.rows]):
         name, count = Counter(names).most_common(1)[0]
         if count > 1:
             raise SceneError(
@@ -262,9 +258,7 @@ def _tell_dependencies(table: Table, i: int) -> None:
             own = first["windows"] + 4 * k
             behind[inputs + 2 * d.slot + axis] += [own, own + 1, own + 2 + axis, first["scale"]]
     known = [tuple(sorted({r for j in np.flatnonzero(row) for r in behind[j]})) for row in found]
-    for v in table.rows:
-        at = v.reference - group[DERIVATIVES]
-        if at >= 0 and v.reference < group[-1]:
-            v.known = tuple(known[at : at + v.size])
-            if v.reference < group[DERIVATIVES + 1]:
-                v.derivative = at + group[STATE_GROUP]
+    for at, v in enumerate(table.rows[group[DERIVATIVES] : group[-1]]):
+        v.known = known[at]
+        if v.reference < group[DERIVATIVES + 1]:
+            v.derivative = at + group[STATE_GROUP]
