@@ -127,7 +127,7 @@ def _resynchronized(scene: cs.Scene, measured: str) -> Iterator[tuple[float, flo
     """How far states are off after steps from what was measured, and time, us, a contact."""
     plan, rest, trigger = cs.plan(scene, 1e-14), 1e-3, itertools.count(1.0)
     fmu, table = fmu_of(scene, "2.0", measured=measured), variable_table(scene, measured=measured)
-    rows = [v for v in table.scalars() if ".measured." in v.name]
+    rows = [v for v in table.rows if ".measured." in v.name]
     references = (ctypes.c_uint * len(rows))(*(v.reference for v in rows))
     random, slave = np.random.default_rng(3), _begun(fmu)
     asked = [table[n].reference for i in range(3) for n in columns(i) if not n.startswith("der(")]

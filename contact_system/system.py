@@ -167,7 +167,7 @@ class SceneSystem:
         owners = [("object", scene.object)]
         owners += [(f"contacts[{i}].finger", c.finger) for i, c in enumerate(scene.contacts)]
         for owner, surface in owners:
-            names += [f"{owner}.{name}" for name in (*_number_names(surface), "size")]
+            names += [f"{owner}.{name}" for name in (*number_names(surface), "size")]
         return names
 
     # --- functions -------------------------------------------------------------------------------
@@ -437,15 +437,15 @@ def _first_frame(surface: Surface, at: tuple[float, float], theta: float) -> lis
     return [*point, *(frame[:, :2] @ [math.cos(theta), math.sin(theta)])]
 
 
-def _number_names(surface: Surface) -> tuple[str, ...]:
-    """Names of a surface's parameters, or their indices if they have none."""
+def number_names(surface: Surface, first: int = 0) -> tuple[str, ...]:
+    """Names of a surface's parameters, or their indices if they have none, counted from `first`."""
     count = len(surface.parameters)
     names = tuple(f.name for f in dataclasses.fields(surface) if not f.kw_only)
     if isinstance(surface, UserSurface):
         names = tuple(surface.named_parameters)
     if isinstance(surface, Ellipsoid):
         names = {1: ("a",), 2: ("a", "b" if surface.b == surface.c else "c")}.get(count, names)
-    return names if len(names) == count else tuple(f"parameters[{k}]" for k in range(count))
+    return names if len(names) == count else tuple(f"parameters[{first + k}]" for k in range(count))
 
 
 # --- on the engine -------------------------------------------------------------------------------

@@ -1,10 +1,11 @@
-"""The libraries of FMUs: the engine with FMI around it, for each platform."""
+"""The engine with FMI around it: libraries for each platform, and sources with a scene inside."""
 
 from __future__ import annotations
 
 import functools
 import importlib.util
 import platform
+import re
 import subprocess
 import sys
 import tempfile
@@ -15,6 +16,8 @@ from contact_system.checks import items_of
 from contact_system.engine.binding import LIBRARY
 from contact_system.engine.platforms import FLAGS, PLATFORMS, Platform, shared
 from contact_system.errors import ContactSystemError
+
+from .data import as_c
 
 _WASM = (
     *("-mexec-model=reactor", "-s", "-msimd128", "-Wl,--export-dynamic"),
@@ -104,3 +107,43 @@ def texts() -> dict[Path, str]:
     folders = (ENGINE, ENGINE / "generated", C_FOLDER)
     files = [file for folder in folders for file in sorted(folder.glob("*.[chi]*"))]
     return {file: file.read_text("utf-8") for file in files}
+
+
+_INCLUDE = re.compile(r'(#include "\w+)\.c"')
+SOURCES = ("fmu.c", "kernel.c")
+SHARED = (
+    *("engine_baseline", "contact_engine", "contact_surface", "contact_table", "contact_layout"),
+    *("builtin_surfaces", "n_builtin_surfaces", "contact_tables"),
+)
+"""What the engine shows to others; several models may be linked into one program."""
+
+
+@functools.cache
+def _texts(layer: str) -> dict[str, str]:
+    """What FMUs of one version of FMI have in common, under the names that it has there."""
+    other = {"2": "3", "3": "2"}[layer]
+    skipped = ("resource.c", f"fmi{other}.c")
+    files = {file.name: text for file, text in texts().items() if file.name not in skipped}
+    return {_part(name): text.replace('"generated/', '"') for name, text in files.items()}
+
+
+def _part(name: str) -> str:
+    """Importers may compile every .c that they find; what is included is none."""
+    return name.removesuffix(".c") + ".inc" * name.endswith(".c")
+
+
+def c_sources(data: bytes, identifier: str, fmi_version: str) -> dict[str, str]:
+    """File name -> text of everything; `SOURCES` are compiled, and include the rest.
+
+    data: of `data.scene_data`; identifier: the model's.
+    """
+    layer = fmi_version[0]
+    names = "".join(f"#define {name} {identifier}_{name}\n" for name in SHARED)
+    prefix = f"#define FMI2_FUNCTION_PREFIX {identifier}_\n" if layer == "2" else ""
+    engine = '#include "engine.c"\n#include "dispatch.c"\n'
+    units = {
+        "kernel.c": f"#define VARIANT baseline\n{names}{engine}",
+        "fmu.c": f'#define SCENE_INSIDE\n{prefix}{names}#include "fmi{layer}.c"\n',
+    }
+    found = _texts(layer) | {"scene.inc": as_c(data)} | units
+    return {name: _INCLUDE.sub(r'\1.inc"', text) for name, text in found.items()}

@@ -79,10 +79,10 @@ def scene_data(table: Table, token: str) -> bytes:
         contacts += [_index(systems, sensor), *unknowns, data.numbers(legs), len(way)]
     sensed = ContactSensor(scene) if table.measured == "pose" else None
     limits = (sensed.small, MOST_STEPS, sensed.settled, CONFORMAL) if sensed else ()
-    scalars = table.scalars()
+    scalars = table.rows
     least = [-np.inf if v.minimum is None else v.minimum for v in scalars]
     nominals = [scalars[r].nominal for r in table.states]
-    shown = table.rows if table.arrays else scalars
+    shown = table.joined if table.arrays else scalars
     sizes = [size for v in shown for size in (v.size, *[0] * (v.size - 1))]
     windows = [
         (d.contact, d.slot, table.first["windows"] + 4 * k)

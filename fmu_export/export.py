@@ -16,14 +16,13 @@ from .description import (
     INTERFACES,
     build_description,
     check_choice,
+    companions,
     generation_time,
     instantiation_token,
     model_description,
     model_identifier,
 )
-from .documentation import companions
 from .reference import reference_files
-from .sources import UNITS, c_sources
 from .variables import variable_table
 
 
@@ -77,13 +76,13 @@ def export_fmu(
     platforms, interfaces = build.chosen(platforms), check_choice(fmi_version, interfaces)
     tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
     table = variable_table(scene, flag(arrays, "arrays"), measured)
-    description = model_description(table, fmi_version, interfaces, UNITS)
+    description = model_description(table, fmi_version, interfaces, build.SOURCES)
     name, data = model_identifier(scene), scene_data(table, instantiation_token(description))
     # FMI's own headers are the importer's, which may give functions a prefix (FMI 3.0.2, 2.2.2).
-    texts = c_sources(data, name, fmi_version)
+    texts = build.c_sources(data, name, fmi_version)
     files = {f"sources/{file}": text.encode() for file, text in texts.items()}
     files["resources/scene.bin"] = data
-    files["sources/buildDescription.xml"] = build_description(table, UNITS).encode()
+    files["sources/buildDescription.xml"] = build_description(table, build.SOURCES).encode()
     files["modelDescription.xml"] = description.encode()
     files |= companions(table, fmi_version) | reference_files(scene)
     for platform in platforms:

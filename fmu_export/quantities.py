@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from contact_system.surfaces import Surface, UserSurface
@@ -15,12 +16,11 @@ METRE, RADIAN, SECOND, NONE = (1, 0, 0), (0, 0, 1), (0, 1, 0), (0, 0, 0)
 
 @dataclass(eq=False)
 class Variable:
-    """One row of the table.
+    """A scalar, or of FMI 3 an array.
 
     Attributes
     ----------
     name : str
-        In FMI 3, and in FMI 2 if it is a scalar.
     reference : int
         Value reference: index of the first element in the component's values.
     causality, variability : str
@@ -31,16 +31,16 @@ class Variable:
         Exponents of m, s, rad; None where a user's chart does not say.
     start : tuple of float
         One value an element; empty where the value is calculated.
-    elements : tuple of str
-        Names of the elements in FMI 2, row by row; empty for a scalar.
     shape : tuple of int
         () for a scalar.
+    within : (str, tuple of int)
+        Name and shape of the array that this is an element of; "" and () if of none.
     minimum, nominal : float or None
     derivative : int or None
         Reference of the variable whose time derivative this is.
-    known : tuple of tuple of int
-        For each element, references of the elements that it depends on, itself left out: inputs,
-        states, parameters, time. Empty where the value is not a result.
+    known : tuple of int
+        References of the scalars that it depends on, itself left out: inputs, states, parameters,
+        time. Empty where the value is not a result.
     """
 
     name: str
@@ -51,17 +51,17 @@ class Variable:
     description: str
     unit: Unit | None = NONE
     start: tuple[float, ...] = ()
-    elements: tuple[str, ...] = ()
     shape: tuple[int, ...] = ()
+    within: tuple[str, tuple[int, ...]] = ("", ())
     minimum: float | None = None
     nominal: float | None = None
     derivative: int | None = None
-    known: tuple[tuple[int, ...], ...] = ()
+    known: tuple[int, ...] = ()
 
     @property
     def size(self) -> int:
         """Number of elements."""
-        return len(self.elements) or 1
+        return math.prod(self.shape)
 
     @property
     def kind(self) -> str:
@@ -73,31 +73,15 @@ class Variable:
             return self.causality
         return self.initial or "calculated"
 
-    def of_contact(self, i: int) -> Variable:
-        """The same, named as of a contact."""
 
-        def named(name: str) -> str:
-            head, inner = ("der(", name[4:]) if name.startswith("der(") else ("", name)
-            return f"{head}contact[{i + 1}].{inner}"
-
-        return replace(self, name=named(self.name), elements=tuple(map(named, self.elements)))
-
-    def scalars(self) -> Iterator[Variable]:
-        """The variables of FMI 2 in this row."""
-        if not self.shape:
-            yield self
-            return
-        for i, name in enumerate(self.elements):
-            yield replace(
-                self,
-                name=name,
-                reference=self.reference + i,
-                start=self.start[i : i + 1],
-                elements=(),
-                shape=(),
-                derivative=None if self.derivative is None else self.derivative + i,
-                known=self.known[i : i + 1],
-            )
+def array_of(elements: Sequence[Variable]) -> Variable:
+    """The array of these elements, or the scalar that is of none."""
+    first, (name, shape) = elements[0], elements[0].within
+    if not name:
+        return first
+    start = tuple(x for v in elements for x in v.start)
+    known = tuple({reference for v in elements for reference in v.known})
+    return replace(first, name=name, shape=shape, start=start, known=known)
 
 
 def unit_name(unit: Unit) -> str:

@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import islice
+from itertools import groupby
+from typing import Any
 
 import numpy as np
 
@@ -20,12 +21,12 @@ from contact_system.errors import SceneError
 from contact_system.kept import kept
 from contact_system.scene import Scene, require_scene
 from contact_system.surfaces import Quadric, Surface, UserSurface
-from contact_system.system import SceneSystem
+from contact_system.system import SceneSystem, number_names
 from contact_system.theory.gain import LAWS
 
 from .contact_variables import DERIVATIVES, INPUT_GROUPS, STATE_GROUP, contact_groups
 from .model import equations, way_of
-from .quantities import METRE, NONE, SECOND, Unit, Variable, chart_units, per_second
+from .quantities import METRE, NONE, SECOND, Unit, Variable, array_of, chart_units, per_second
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +37,7 @@ class Table:
     ----------
     scene : Scene
     rows : list of Variable
-        By reference, ascending.
+        Scalars, by reference, which counts them.
     first : dict
         References of ``gain``, ``profile``, ``scale``, ``object``, ``finger 0`` and so on, and of
         ``windows``, four each: where their numbers begin.
@@ -57,10 +58,10 @@ class Table:
 
     @kept
     def _by_name(self) -> dict[str, Variable]:
-        return {v.name: v for row in self.rows for v in (row, *row.scalars())}
+        return {v.name: v for v in (*self.joined, *self.rows)}
 
     def __getitem__(self, name: str) -> Variable:
-        """The variable of an FMI 2 or FMI 3 name; KeyError where there is none."""
+        """The scalar or array of a name; KeyError where there is none."""
         return self._by_name[name]
 
     @property
@@ -81,7 +82,7 @@ class Table:
     @kept
     def start_values(self) -> np.ndarray:
         """The values before initialization: starts, and 0 for what is calculated, (n_values,)."""
-        return np.array([x for row in self.rows for x in row.start or (0.0,) * row.size])
+        return np.array([x for row in self.rows for x in row.start or (0.0,)])
 
     def structure(self, i: int) -> tuple[Surface, Surface, str, int]:
         """What `model.equations` of a contact are made for."""
@@ -101,13 +102,11 @@ class Table:
         )
         return [0, *states, *inputs, first["gain"], *profile, *tip, *body]
 
-    def scalars(self) -> list[Variable]:
-        """Every variable as FMI 2 sees it, by reference."""
-        return self._scalars
-
     @kept
-    def _scalars(self) -> list[Variable]:
-        return [scalar for row in self.rows for scalar in row.scalars()]
+    def joined(self) -> list[Variable]:
+        """The variables with arrays instead of their elements."""
+        groups = groupby(self.rows, key=lambda v: v.within[0] or v.name)
+        return [array_of([*elements]) for _, elements in groups]
 
 
 MEASUREMENTS = ("nothing", "states", "pose")
@@ -140,34 +139,23 @@ def variable_table(scene: Scene, arrays: bool = False, measured: str = "nothing"
     _refuse(scene, bodies.values(), measured)
     rows = [Variable("time", 0, "independent", "continuous", None, "Simulation time", SECOND)]
 
-    def end() -> int:
-        return rows[-1].reference + rows[-1].size
-
     def add(more: Iterable[Variable]) -> int:
         """Add rows; returns the reference of the first one."""
-        at = end()
+        at = len(rows)
         for v in more:
-            v.reference = end()
+            v.reference = len(rows)
             rows.append(v)
         return at
 
-    system = SceneSystem(scene, "frame", True)
-    names = map(_counted_from_one, system.parameter_names)
-    law = (scene.gain.value, *scene.profile.coefficients)
-    gain, *profile = (_parameter(scene, next(names), x) for x in law)
-    first = {"gain": add([gain]), "profile": add(profile)}
-    first["scale"] = add([_parameter(scene, "disturbances.scale", 1.0)])
-    for key, surface in bodies.items():
-        own = zip(islice(names, len(surface.parameters)), surface.parameters)
-        first[key] = add([_parameter(scene, name, x, surface) for name, x in own])
-        next(names)  # its size, which follows its numbers
+    law, *surfaces = _parameters(scene)
+    first = {"gain": add(law[:1]), "profile": add(law[1:])}
+    first["scale"] = add([_parameter("disturbances.scale", 1.0, NONE, SCALE)])
+    first |= {key: add(own) for key, own in zip(bodies, surfaces)}
     first["windows"] = add(_window_rows(scene))
-    groups = []
-    for i, contact in enumerate(scene.contacts):
-        starts = system.x0[system.state_slices[i]].tolist()
-        described = contact_groups(scene, contact, starts, measured)
-        bounds = [add(v.of_contact(i) for v in group) for group in described]
-        groups.append([*bounds, end()])
+    system, groups = SceneSystem(scene, "frame", True), []
+    for i, own in enumerate(system.state_slices):
+        described = contact_groups(scene, i, system.x0[own], measured)
+        groups.append([*map(add, described), len(rows)])
     table = Table(scene, rows, first, groups, arrays, measured)
     for i in range(len(groups)):
         _tell_dependencies(table, i)
@@ -200,7 +188,7 @@ MOST_COEFFICIENTS = 48
 
 def _require_names(table: Table) -> None:
     """Refuse two variables of one name, in FMI 3 or in FMI 2."""
-    for names in ([row.name for row in table.rows], [v.name for v in table.scalars()]):
+    for names in ([v.name for v in table.joined], [v.name for v in table.rows]):
         name, count = Counter(names).most_common(1)[0]
         if count > 1:
             raise SceneError(
@@ -209,28 +197,36 @@ def _require_names(table: Table) -> None:
             )
 
 
-def _parameter(scene: Scene, name: str, value: float, surface: Surface | None = None) -> Variable:
-    """A row for one of the names of `SceneSystem.parameter_names`."""
-    owner, _, last = name.rpartition(".")
-    unit: Unit | None = METRE
-    body = owner.rpartition(".")[2]
-    variability, low, nominal = "fixed", None, None
-    text = f"Parameter {last} of the {body}'s surface"
-    if owner == "gain":
-        power = LAWS[scene.gain.law].power  # lam = gain sigma^power, 1/s
-        unit, low = (-power, power - 1, 0), 0.0
-        variability, text = "tunable", f"Gain of the law '{scene.gain.law}'"
-    elif owner == "disturbances":
-        unit, text = NONE, "Factor of the scene's own disturbances; 0 leaves them out"
-    elif not owner:
-        power = int(last[len("profile[") : -1]) - 1
-        unit, text = (1, -1 - power, 0), f"Path profile sigma(t), coefficient of t^{power}"
-    elif isinstance(surface, (UserSurface, Quadric)):
-        unit = None
-    else:
-        low, nominal = min(1e-6, 1e-3 * value), value or None  # m
-    named = (name, 0, "parameter", variability, "exact", text, unit, (value,))
-    return Variable(*named, minimum=low, nominal=nominal)
+SCALE = "Factor of the scene's own disturbances; 0 leaves them out"
+
+
+def _parameter(name: str, value: float, unit: Unit | None, text: str, **more: Any) -> Variable:
+    said = (name, 0, "parameter", more.pop("variability", "fixed"), "exact", text, unit)
+    return Variable(*said, (float(value),), **more)
+
+
+def _parameters(scene: Scene) -> Iterator[list[Variable]]:
+    """Gain and profile; then the numbers of the object, and of each finger."""
+    power = LAWS[scene.gain.law].power  # lam = gain sigma^power, 1/s
+    name, text = f"gain.{scene.gain.parameter}", f"Gain of the law '{scene.gain.law}'"
+    tunable = {"variability": "tunable", "minimum": 0.0}
+    rows = [_parameter(name, scene.gain.value, (-power, power - 1, 0), text, **tunable)]
+    for k, value in enumerate(scene.profile.coefficients):
+        text = f"Path profile sigma(t), coefficient of t^{k}"
+        rows.append(_parameter(f"profile[{k + 1}]", value, (1, -1 - k, 0), text))
+    yield rows
+    fingers = [(f"contact[{i + 1}].finger", c.finger) for i, c in enumerate(scene.contacts)]
+    for owner, surface in [("object", scene.object), *fingers]:
+        rows = []
+        for name, value in zip(number_names(surface, 1), surface.parameters):
+            own = f"{owner}.{name}", value
+            text = f"Parameter {name} of the {owner.rpartition('.')[2]}'s surface"
+            if isinstance(surface, (UserSurface, Quadric)):
+                rows.append(_parameter(*own, None, text))
+            else:
+                least = min(1e-6, 1e-3 * value)
+                rows.append(_parameter(*own, METRE, text, minimum=least, nominal=value or None))
+        yield rows
 
 
 def _window_rows(scene: Scene) -> Iterator[Variable]:
@@ -238,24 +234,14 @@ def _window_rows(scene: Scene) -> Iterator[Variable]:
     for k, d in enumerate(scene.disturbances):
         surface = scene.contacts[int(d.contact)].finger if d.slot == 0 else scene.object
         units = [per_second(unit, 2 if d.slot < 2 else 1) for unit in chart_units(surface)]
-        what = f"disturbance of contact {int(d.contact) + 1}, {d.kind}"
-        for name, text, unit, value, low in (
-            ("start", "Start", SECOND, d.start, 0.0),
-            ("stop", "Stop", SECOND, d.stop, 0.0),
-            ("u", "Component u", units[0], d.value[0], None),
-            ("v", "Component v", units[1], d.value[1], None),
-        ):
-            named = (f"disturbance[{k + 1}].{name}", 0, "parameter", "fixed", "exact")
-            yield Variable(*named, f"{text} of the {what}", unit, (float(value),), minimum=low)
-
-
-def _counted_from_one(name: str) -> str:
-    name = name.replace("contacts[", "contact[")
-    head, *tail = name.split("[")
-    for part in tail:
-        index, rest = part.split("]", 1)
-        head += f"[{int(index) + 1}]{rest}"
-    return head
+        own, what = (
+            f"disturbance[{k + 1}].",
+            f"disturbance of contact {int(d.contact) + 1}, {d.kind}",
+        )
+        yield _parameter(f"{own}start", d.start, SECOND, f"Start of the {what}", minimum=0.0)
+        yield _parameter(f"{own}stop", d.stop, SECOND, f"Stop of the {what}", minimum=0.0)
+        for axis, unit, value in zip("uv", units, d.value):
+            yield _parameter(f"{own}{axis}", value, unit, f"Component {axis} of the {what}")
 
 
 # --- dependencies --------------------------------------------------------------------------------
@@ -272,9 +258,7 @@ def _tell_dependencies(table: Table, i: int) -> None:
             own = first["windows"] + 4 * k
             behind[inputs + 2 * d.slot + axis] += [own, own + 1, own + 2 + axis, first["scale"]]
     known = [tuple(sorted({r for j in np.flatnonzero(row) for r in behind[j]})) for row in found]
-    for v in table.rows:
-        at = v.reference - group[DERIVATIVES]
-        if at >= 0 and v.reference < group[-1]:
-            v.known = tuple(known[at : at + v.size])
-            if v.reference < group[DERIVATIVES + 1]:
-                v.derivative = at + group[STATE_GROUP]
+    for at, v in enumerate(table.rows[group[DERIVATIVES] : group[-1]]):
+        v.known = known[at]
+        if v.reference < group[DERIVATIVES + 1]:
+            v.derivative = at + group[STATE_GROUP]

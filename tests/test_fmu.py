@@ -169,7 +169,7 @@ def test_a_later_start_time_starts_there(kind, version):
 
 def pushed(one: Instance, *windows: cs.scene.Disturbance) -> None:
     """Set all inputs to the sum of what is given."""
-    given = {v.name: 0.0 for v in one.table.scalars() if v.causality == "input"}
+    given = {v.name: 0.0 for v in one.table.rows if v.causality == "input"}
     for d in windows:
         side, _, kind = d.kind.partition(" ")
         for axis, x in zip("uv", d.value):
@@ -279,7 +279,7 @@ def test_what_is_measured_is_gone_on_from_by_the_next_step(name, what, kind, ver
     scene = cs.load_scene(name)
     random, plan = np.random.default_rng(7), cs.plan(scene, 1e-14)
     table = variable_table(scene, measured=what)
-    inputs = [v.name for v in table.scalars() if v.name.startswith("contact[1].measured.")]
+    inputs = [v.name for v in table.rows if v.name.startswith("contact[1].measured.")]
     for k in range(4):
         t = random.uniform(0.15, 0.8) * scene.duration
         measured = plan.states(t)[0] + 1e-3 * random.standard_normal((3, 9))

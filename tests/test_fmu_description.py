@@ -118,8 +118,7 @@ def test_validation_has_nothing_to_say(name, version, written):
 def test_fmpy_reads_back_what_the_table_says(version, arrays, written):
     table = variable_table(cs.load_scene("K4"), arrays=arrays)
     read = read_model_description(written("K4", version, arrays))
-    rows = table.rows if arrays else table.scalars()
-    rows = table.scalars()[1:] if version == "2.0" else rows
+    rows = table.joined if arrays else table.rows[version == "2.0" :]
     assert [(v.name, v.valueReference, v.causality) for v in read.modelVariables] == [
         (v.name, v.reference, v.causality) for v in rows
     ]
@@ -142,7 +141,7 @@ def test_whatever_moves_an_output_or_a_derivative_is_listed(version, interfaces,
     rows = [v for v in read.modelVariables if v.causality in kinds or v.valueReference in states]
     one = Instance(scene, "slave", "2.0").begin()
     one.step(0.7)
-    calculated = [v.reference for v in one.table.scalars() if v.initial == "calculated"]
+    calculated = [v.reference for v in one.table.rows if v.initial == "calculated"]
     at = {reference: k for k, reference in enumerate(calculated)}
     moved = {}
     for known in rows:

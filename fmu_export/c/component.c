@@ -18,7 +18,7 @@ static status_t report(component_t *c, status_t status, const char *format, ...)
   va_start(arguments, format);
   vsnprintf(text + n, sizeof text - (size_t)n, format, arguments);
   va_end(arguments);
-  c->report(c, status, text);
+  log_text(c, status, text);
   return status;
 }
 
@@ -117,6 +117,33 @@ static void set_value(component_t *c, unsigned reference, double value) {
   if (reference < c->model->layout[0].at[OF_INPUTS])
     for (long i = 0; i < c->model->n_contacts; i++) c->live[i].prepared = 0;
   c->now->settled = 0;
+}
+
+/* ---- Model Exchange ---- */
+
+static status_t set_states(component_t *c, const double *state) {
+  for (long i = 0, at = 0; i < c->model->n_contacts; at += c->model->layout[i++].states)
+    for (long j = 0; j < c->model->layout[i].states; j++)
+      if (check_value(c, (unsigned)(c->model->layout[i].at[OF_STATES] + j), state[at + j]))
+        return DISCARD;
+  for (long i = 0; i < c->model->n_contacts; i++) {
+    const layout_t *l = c->model->layout + i;
+    memcpy(c->value + l->at[OF_STATES], state, (size_t)l->states * sizeof *state);
+    state += l->states;
+  }
+  forget_values(c);
+  return OK;
+}
+
+static status_t get_states(component_t *c, double *state, int rates) {
+  for (long i = 0; i < c->model->n_contacts; i++) {
+    const layout_t *l = c->model->layout + i;
+    const status_t s =
+        get_values(c, (unsigned)(rates ? l->at[OF_RATES] : l->at[OF_STATES]), l->states, state);
+    if (s) return s;
+    state += l->states;
+  }
+  return OK;
 }
 
 /* ---- time ---- */

@@ -44,7 +44,7 @@ typedef struct {
 /* Everything that changes, and nothing else: the FMU state is a copy of it. No pointers. In memory
    values and segments follow. */
 typedef struct {
-  int phase, stepping, uses_events, settled;
+  int phase, stepping, settled;
   int pending; /* an edge is reached, and values are those before it */
   int ended;   /* the last step asked for goes beyond sigma's end, or an event was there */
   double time, stop_time;
@@ -69,7 +69,7 @@ typedef struct {
   double theta;                  /* of the object's frame, at the states */
 } live_t;
 
-typedef struct component {
+typedef struct {
   model_t *model;
   const engine_t *engine;
   saved_t *own;
@@ -86,8 +86,7 @@ typedef struct component {
   failure_t failure;
   int jumped;         /* a window has begun or ended, and the importer does not know */
   const char *called; /* the function of FMI that the importer has called */
-  void (*report)(struct component *, status_t, const char *text);
-  void *host; /* of the FMI layer */
+  int uses_events;    /* the importer handles them */
 } component_t;
 
 /* whether states are given and results follow from them, else plans are */
@@ -111,6 +110,9 @@ static inline int all_finite(const double *x, long n) {
     if (!(fabs(x[i]) <= DBL_MAX)) return 0;
   return 1;
 }
+
+/* The FMI layer's: hands a text to the importer. */
+static void log_text(component_t *, status_t, const char *text);
 
 /* Logs and returns the status, in a category of its own. The text may hold anything. */
 static status_t report(component_t *, status_t, const char *format, ...)

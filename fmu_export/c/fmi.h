@@ -30,10 +30,10 @@ static const char *const category_of[] = {[DISCARD] = "logStatusDiscard",
                                           [FAILED] = "logStatusError"};
 
 typedef struct {
-  component_t component;
-  void (*log)(void); /* the importer's logger, of the type its version of FMI says */
+  component_t component; /* first: `log_text` finds the rest behind it */
+  void (*log)(void);     /* the importer's logger, of the type its version of FMI says */
   void *environment;
-  int uses_events, early_return;
+  int early_return;
   char name[256];
 } instance_t;
 
@@ -97,8 +97,6 @@ static status_t allowed(component_t *c, int phases) {
 #define NO_SETTER(name, ...)                                                                       \
   OF_NOTHING(Set##name, BEGIN(SETTABLE), "there are no variables of this type", __VA_ARGS__)
 
-static void log_text(component_t *, status_t, const char *text);
-
 static void free_instance(instance_t *instance) {
   if (!instance) return;
   free_component(&instance->component);
@@ -112,7 +110,7 @@ static instance_t *instantiate(const char *called, const char *name, const char 
   instance_t *instance = calloc(1, sizeof *instance);
   if (!instance) return NULL;
   component_t *c = &instance->component;
-  c->report = log_text, c->host = instance, c->called = called;
+  c->called = called;
   instance->log = log, instance->environment = environment;
   if (name) strncpy(instance->name, name, sizeof instance->name - 1);
   if (!name || !*name) wrong = "the instance has no name";
@@ -166,7 +164,7 @@ static status_t enter_initialization(component_t *c) {
 FMI_EXPORT status_t FMI(ExitInitializationMode)(void *instance) {
   BEGIN(INITIALIZATION);
   if (start(c)) return FAILED;
-  c->now->phase = c->now->stepping && !c->now->uses_events ? STEP : EVENT;
+  c->now->phase = c->now->stepping && !c->uses_events ? STEP : EVENT;
   return OK;
 }
 
@@ -175,7 +173,6 @@ LEADS_TO(TERMINATED, Terminate, BEGIN(EVENT | CONTINUOUS | STEP))
 FMI_EXPORT status_t FMI(Reset)(void *instance) {
   BEGIN(ANY);
   reset(c, c->now->stepping);
-  c->now->uses_events = ((instance_t *)instance)->uses_events;
   return OK;
 }
 
@@ -198,7 +195,7 @@ static status_t check_values(component_t *c, const unsigned vr[], size_t count, 
 static int settable(const component_t *c, unsigned reference) {
   const memory_t *now = c->now;
   const int before = INSTANTIATED | INITIALIZATION;
-  const int free = before | EVENT | (now->uses_events ? 0 : STEP);
+  const int free = before | EVENT | (c->uses_events ? 0 : STEP);
   switch (kind_of(c->model, reference)) {
   case FIXED:
     return now->phase & before;
@@ -282,8 +279,8 @@ static status_t products(component_t *c, int transposed, const unsigned from[], 
     for (unsigned j = 0; j < SIZE(c, from[k]); j++) c->seed[from[k] + j] += *seed++;
   derive(c, transposed);
   for (size_t k = 0; k < n_to; value += SIZE(c, to[k]), k++) {
-    const status_t s = check_grown(c, to[k], SIZE(c, to[k]));
-    if (s) return s;
+    const long wrong = without_value(c, to[k], c->grown + to[k], SIZE(c, to[k]));
+    if (wrong < SIZE(c, to[k])) return refuse(c, to[k] + (unsigned)wrong);
     memcpy(value, c->grown + to[k], SIZE(c, to[k]) * sizeof *value);
   }
   return OK;
@@ -315,9 +312,8 @@ FMI_EXPORT status_t FMI(SetFMUState)(void *instance, void *state) {
            s->memory.stepping ? "Co-Simulation" : "Model Exchange");
   memcpy(c->own, s, s->length);
   forget(c);
-  c->now->uses_events = ((const instance_t *)instance)->uses_events;
-  if (c->now->phase == EVENT && c->now->stepping && !c->now->uses_events) c->now->phase = STEP;
-  if (c->now->pending && !c->now->uses_events) enter_windows(c);
+  if (c->now->phase == EVENT && c->now->stepping && !c->uses_events) c->now->phase = STEP;
+  if (c->now->pending && !c->uses_events) enter_windows(c);
   return OK;
 }
 
@@ -334,7 +330,7 @@ FMI_EXPORT status_t FMI(SerializedFMUStateSize)(void *instance, void *state, siz
   BEGIN(ANY);
   NEEDS(size);
   if (!saved(c, state)) return FAILED;
-  *size = state_bytes(c->model);
+  *size = c->own->length;
   return OK;
 }
 
@@ -343,7 +339,8 @@ FMI_EXPORT status_t FMI(SerializeFMUState)(void *instance, void *state, BYTE byt
   saved_t *s = saved(c, state);
   if (!s) return FAILED;
   if (!bytes || size < s->length) REFUSE("the buffer is missing or too small");
-  write_bytes(c->model, s, bytes);
+  s->checksum = checksum_of(c->model, s);
+  memcpy(bytes, s, s->length);
   return OK;
 }
 

@@ -53,7 +53,7 @@ typedef struct {
 /* The logger takes a format. Many importers print it as it is, and would print nothing but "%s" if
    that were it; so the text itself is the format, every percent sign in it doubled. */
 static void log_text(component_t *c, status_t status, const char *text) {
-  const instance_t *instance = c->host;
+  const instance_t *instance = (const instance_t *)c;
   char format[1400], *to = format;
   if (!instance->log) return;
   for (; *text && to < format + sizeof format - 2; text++) {

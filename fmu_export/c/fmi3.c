@@ -27,7 +27,7 @@ typedef void (*fmi3IntermediateUpdateCallback)(void), (*fmi3ClockUpdateCallback)
 #include "fmi.h"
 
 static void log_text(component_t *c, status_t status, const char *text) {
-  const instance_t *instance = c->host;
+  const instance_t *instance = (const instance_t *)c;
   if (instance->log)
     ((fmi3LogMessageCallback)instance->log)(instance->environment, status, category_of[status],
                                             text);
@@ -50,8 +50,7 @@ FMI_EXPORT void *FMI(InstantiateCoSimulation)(const char *name, const char *toke
   instance_t *instance =
       instantiate(__func__, name, token, resources, (void (*)(void))log, environment, 1, NULL);
   if (!instance) return NULL;
-  instance->component.now->uses_events = instance->uses_events = event_mode;
-  instance->early_return = early_return;
+  instance->component.uses_events = event_mode, instance->early_return = early_return;
   return instance;
 }
 
@@ -125,7 +124,7 @@ FMI_EXPORT status_t FMI(GetAdjointDerivative)(void *instance, const unsigned unk
 
 FMI_EXPORT status_t FMI(EnterEventMode)(void *instance) {
   BEGIN(CONTINUOUS | STEP);
-  if (c->now->stepping && !c->now->uses_events) REFUSE("the instance was made without event mode");
+  if (c->now->stepping && !c->uses_events) REFUSE("the instance was made without event mode");
   return enter_event_mode(c);
 }
 
@@ -175,7 +174,7 @@ FMI_EXPORT status_t FMI(DoStep)(void *instance, double from, double size, _Bool 
   if (check_step(c, from, size)) return FAILED;
   status_t s = OK;
   do /* across edges where the importer does not let a step end early */
-    s = step(c, target, own->uses_events, &edge);
+    s = step(c, target, c->uses_events, &edge);
   while (!s && edge && !own->early_return && !reached(c->now->time, target));
   *last_time = c->now->time, *terminate = c->now->ended;
   *event = edge && !s, *early = !s && !reached(c->now->time, target);

@@ -145,3 +145,84 @@ static status_t get_values(component_t *c, unsigned reference, long count, doubl
   const long wrong = without_value(c, reference, value, count);
   return wrong == count ? OK : refuse(c, reference + (unsigned)wrong);
 }
+
+/* ---- derivatives ---- */
+
+/* Runs the equations of contact i along tangents of their point and constants. */
+static double (*run_along(component_t *c, long i)) [L] {
+  const table_t *t = system_of(c->model, i);
+  memset(c->tangents[t->first_lit], 0, (size_t)(t->n_regs - t->first_lit) * sizeof *c->tangents);
+  UNTRAPPED({
+    load_system(c, i, 1);
+    c->engine->along(&(program_t){t->prologue, c->live[i].registers}, c->tangents);
+    c->engine->along(&(program_t){t->body, c->live[i].registers}, c->tangents);
+  });
+  return c->tangents + t->first_out;
+}
+
+/* Part of a disturbance's growth: a reference, and by how much its growth counts */
+typedef struct {
+  long reference;
+  double part;
+} part_t;
+
+enum { MOST_PARTS = 64 };
+
+/* What column r of contact i's point and constants is the sum of; returns how many parts */
+static long parts_of(const component_t *c, long i, long r, part_t out[MOST_PARTS]) {
+  const layout_t *l = c->model->layout + i;
+  const long scale = (long)c->model->data[D_SCALE], slot = r - 1 - l->states;
+  const long own = (long)(c->model->data + (long)contact_of(c->model, i)[P_COLUMNS])[r];
+  long n = 0;
+  if (own >= 0) out[n++] = (part_t){own, 1.0}; /* else a leg's own number */
+  for (long k = 0; slot >= 0 && slot < DISTURBANCES && k < c->model->n_windows; k++) {
+    if ((long)window_of(c, k)[V_SLOT] != slot / 2 || !acts(c, k, i) || n + 2 > MOST_PARTS) continue;
+    const long at = (long)window_of(c, k)[V_VALUES] + 2 + slot % 2;
+    out[n++] = (part_t){at, c->value[scale]}, out[n++] = (part_t){scale, c->value[at]};
+  }
+  return n;
+}
+
+/* grown = J seed over all references, or J^T seed */
+static void derive(component_t *c, int transposed) {
+  const model_t *m = c->model;
+  part_t part[MOST_PARTS];
+  memcpy(c->grown, c->seed, (size_t)m->n_values * sizeof(double));
+  for (long i = 0; i < m->n_contacts; i++) {
+    const layout_t *l = m->layout + i;
+    const table_t *t = system_of(m, i);
+    const long inputs = t->n_in + t->n_const, results = n_results(l);
+    const double *seed = c->seed + l->at[OF_RATES];
+    double *grown = c->grown + l->at[OF_RATES];
+    long used = 0;
+    while (transposed && used < results && seed[used] == 0.0) used++;
+    if (used == results) continue;
+    if (!SYSTEM(c->now)) { /* brings the states up to date */
+      double state;
+      get_values(c, (unsigned)l->at[OF_STATES], 1, &state);
+    }
+    if (!transposed) memset(grown, 0, (size_t)results * sizeof *grown);
+    for (long from = 0; from < inputs; from += L) {
+      memset(c->tangents, 0, (size_t)inputs * sizeof *c->tangents);
+      for (long r = from; r < inputs && r < from + L; r++) c->tangents[r][r - from] = 1.0;
+      double (*found)[L] = run_along(c, i);
+      for (long r = from; r < inputs && r < from + L; r++) {
+        const long n = parts_of(c, i, r, part);
+        double sum = 0.0;
+        for (long q = 0; q < n && !transposed; q++)
+          sum += part[q].part * c->seed[part[q].reference];
+        for (long j = 0; j < results; j++) {
+          if (!transposed && sum != 0.0) grown[j] += found[j][r - from] * sum;
+          if (transposed && seed[j] != 0.0) sum += seed[j] * found[j][r - from];
+        }
+        for (long q = 0; q < n && transposed; q++)
+          c->grown[part[q].reference] += part[q].part * sum;
+      }
+    }
+    if (SYSTEM(c->now)) find_system(c, i);
+    if (past_end(c))
+      for (long j = 0; j < m->n_values; j++)
+        if (transposed ? j < l->at[OF_RATES] : j >= l->at[OF_RATES] && j < l->at[GROUPS])
+          c->grown[j] = NAN;
+  }
+}

@@ -137,7 +137,7 @@ class Instance:
     def product(self, which: str, unknowns: list[str], knowns: list[str], seed: Any) -> np.ndarray:
         """FMI 3: "Directional" or "Adjoint" derivative along a seed."""
         references = [
-            [v.reference for n in names for v in self.table[n].scalars()]
+            [v.reference + i for n in names for v in [self.table[n]] for i in range(v.size)]
             for names in (unknowns, knowns)
         ]
         rows, count = map(len, references)
@@ -162,7 +162,7 @@ class Instance:
 
 def simulated(scene: cs.Scene, kind: str, version: str, **given: Any) -> np.ndarray:
     """What `fmpy.simulate_fmu` gives, all outputs and states."""
-    scalars = variable_table(scene).scalars()
+    scalars = variable_table(scene).rows
     names = [v.name for v in scalars if v.causality in ("output", "local")]
     given = {"output": names, "relative_tolerance": 1e-10} | given
     if kind == "slave":
