@@ -281,9 +281,7 @@ def _moved(contact: Contact, i: int, surface: Surface, body: str, at: Pair) -> t
         velocity = getattr(contact, f"{body}_velocity")
         if not isinstance(velocity, str):
             changes[f"{body}_velocity"] = (-velocity[0], -velocity[1])
-    moved = object.__new__(type(contact))  # a new Contact would check everything again
-    vars(moved).update(vars(contact) | changes)
-    return moved, half_turn
+    return dataclasses.replace(contact, **changes), half_turn
 
 
 # --- keys of scene files -----------------------------------------------------------------------
