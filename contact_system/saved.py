@@ -43,16 +43,15 @@ def read_plan(path: Path) -> tuple[str, dict[str, Any]]:
         No such file, a damaged one, or one that was changed after it was written.
     """
     with opened(path, PLAN_FILE) as archive:
-        names = ("scene", "plan", "digest")[: 2 + ("digest.npy" in archive.namelist())]
         texts = []
-        for name in names:
+        for name in ("scene", "plan", "digest"):
             info = archive.getinfo(f"{name}.npy")
             what = f"{info.filename}: bytes when unpacked"
             within("PLAN_BYTES", info.file_size, what, ContactSystemError)
             data = io.BytesIO(archive.read(info))
             texts.append(str(np.lib.format.read_array(data, allow_pickle=False)[()]))
-        scene, plan, *known = texts  # plans of older versions have no digest
-        if known not in ([], [digest([scene, plan])]):
+        scene, plan, known = texts
+        if known != digest([scene, plan]):
             raise ContactSystemError(
                 f"{path}: not {PLAN_FILE}, but changed since: its digest does not match; take "
                 "the file as it was written"

@@ -22,6 +22,7 @@ from ..checks import make_folder
 from ..errors import ContactSystemError
 from ..measures import regular_times
 from ..plan import Plan, plan
+from ..plots import DECADES
 from ..plots.bodies import best_view
 from ..plots.curves import curve_of
 from ..plots.meshes import Mesh, mesh_of
@@ -47,7 +48,6 @@ LINES = 4  # every fourth line of a mesh is drawn
 # below lines
 WIDTH, BEND, DEPTH = 2e-3, 1e-3, 1.5e-3
 FRAME = 1 / 30  # s, between frames of an animation
-DECADES = 10  # of slip below its peak
 
 
 @dataclass

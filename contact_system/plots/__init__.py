@@ -14,7 +14,7 @@ import numpy as np
 
 from ..checks import a_path, finite_number
 from ..errors import ContactSystemError
-from ..measures import exact_slip, great_circle_distance, windows
+from ..measures import exact_slip, windows
 from ..plan import Plan, require_plan
 from ..scene import STILL, Scene, speed
 from ..theory.gain import Gain
@@ -152,13 +152,9 @@ def gain_text(gain: Gain) -> str:
 
 
 def _polynomial(profile: Profile) -> str:
-    terms: list[str] = []
-    for k, c in enumerate(profile.coefficients):
-        if c:
-            power = "" if k == 0 else r"$\,t$" if k == 1 else rf"$\,t^{{{k}}}$"
-            sign = ("- " if c < 0 else "+ ") if terms else "-" * (c < 0)
-            terms.append(f"{sign}{abs(c):.4g}{power}")
-    return " ".join([*terms[:4], "+ …"] if len(terms) > 5 else terms)
+    with np.printoptions(precision=4):
+        sigma = np.polynomial.Polynomial(profile.coefficients, symbol="t")
+        return shortened(f"{sigma:unicode}", 50)
 
 
 def contact_keys(scene: Scene) -> list[Any]:
@@ -212,7 +208,7 @@ def _draw_slip(ax: Any, laws: Sequence[Plan]) -> None:
     ax.set_xlabel("time [s]")
     ax.ticklabel_format(axis="x", scilimits=(-2, 4))  # longer numbers run into each other
     if not slip.any():
-        _draw_rolling(ax, plan)
+        _draw_sigma(ax, plan)
         return
     ax.set_yscale("log")
     # show at least 3 decades, and at most DECADES, below the peak
@@ -253,27 +249,14 @@ def shade_windows(ax: Any, plan: Plan) -> None:
         ax.axvspan(end, end + wanted, color=RECOVERY, alpha=0.16, linewidth=0)
 
 
-def _draw_rolling(ax: Any, plan: Plan) -> None:
-    """Without slip: sigma, or with imposed rolling the distance of curves from great circles."""
-    t, contacts = plan.sample_times(), plan.scene.contacts
-    followers = [i for i, c in enumerate(contacts) if c.follows and c.finger.great_circles]
-    if not followers:
-        for way in {plan.scene.way(i) for i in range(len(contacts))}:
-            ax.plot(t, speed(way, t), color=INK, linewidth=1.8)
-        ax.set_ylim(bottom=0.0)
-        ax.set_ylabel(r"path speed $\sigma$ [m/s]")
-        ax.set_title("No slip: the contacts roll", **TITLE)
-        return
-    for i in followers:
-        points = plan.points(t)[:, i, 0]
-        distance = np.abs(great_circle_distance(points)) / contacts[i].finger.size
-        ax.plot(t, np.maximum(distance, 1e-17), color=colour_of(i), linewidth=1.2)
-    ax.axhline(np.finfo(float).eps, color="#9aa3ad", linewidth=1, linestyle=":")
-    ax.text(t[0], 3e-18, " dotted: relative spacing of doubles, 2.2e-16", size=9, color=GREY)
-    ax.set_yscale("log")
-    ax.set_ylim(1e-18, 1e-13)
-    ax.set_ylabel("distance / radius")
-    ax.set_title("Finger's curve from a great circle", **TITLE)
+def _draw_sigma(ax: Any, plan: Plan) -> None:
+    """What there is to see without slip."""
+    t = plan.sample_times()
+    for way in {plan.scene.way(i) for i in range(len(plan.scene.contacts))}:
+        ax.plot(t, speed(way, t), color=INK, linewidth=1.8)
+    ax.set_ylim(bottom=0.0)
+    ax.set_ylabel(r"path speed $\sigma$ [m/s]")
+    ax.set_title("No slip: the contacts roll", **TITLE)
 
 
 def _draw_object(ax: Any, plan: Plan) -> None:

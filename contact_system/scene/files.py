@@ -35,16 +35,7 @@ from ..writing import writing
 from .contact import Contact, Turning
 from .disturbances import DISTURBANCE_KINDS, Disturbance
 from .legs import STILL, Leg
-from .scene import (
-    CONTACT_KEYS,
-    DISTURBANCE_KEYS,
-    LEG_KEYS,
-    PAPER_NUMBERS,
-    SCENE_KEYS,
-    TURNING_KEYS,
-    Scene,
-    require_scene,
-)
+from .scene import PAPER_NUMBERS, Scene, require_scene
 
 _FORMULAS = ("f", "F")  # required in files; in Python ``formula`` may replace them
 
@@ -93,7 +84,8 @@ def _scene(text: str, source: str) -> Scene:
     contacts = document.get("contacts")
     all_legs = isinstance(contacts, list) and all("legs" in c for c in contacts if type(c) is dict)
     moved = () if all_legs else ("duration", "profile")
-    table = _table(document, SCENE_KEYS, (*moved, "object", "contacts"))
+    known = [field.name for field in dataclasses.fields(Scene) if field.name != "source"]
+    table = _table(document, known, (*moved, "object", "contacts"))
     fields = _fields({"name": Path(source).stem, **table})
     _refuse_degrees(fields["object"], fields["contacts"])
     return Scene(**fields, source=source)
@@ -141,22 +133,18 @@ def _value(key: str, value: Any) -> Any:
     return _numbers(value, key)
 
 
-def _contact(value: Any) -> Contact:
-    return Contact(**_fields(_table(value, CONTACT_KEYS, ("finger", "object_at"))))
-
-
-def _leg(value: Any) -> Leg:
-    return Leg(**{"length": None, **_fields(_table(value, LEG_KEYS, ("direction", "duration")))})
+def _made(kind: Any, value: Any, **defaults: Any) -> Any:
+    """A part of a scene from its table, whose keys are its fields."""
+    fields = dataclasses.fields(kind)
+    needed = [f.name for f in fields if f.default is dataclasses.MISSING]
+    required = [key for key in needed if key not in defaults]
+    return kind(**defaults | _fields(_table(value, [f.name for f in fields], required)))
 
 
 def _disturbance(value: Any) -> Disturbance:
-    fields = _fields(_table(value, DISTURBANCE_KEYS, DISTURBANCE_KEYS))
+    table = dict(_table(value, required=("kind",), example='kind = "finger acceleration"'))
     kinds = {kind.kind: kind for kind in DISTURBANCE_KINDS}
-    return kinds[_one_of(fields.pop("kind"), kinds, "kind")](**fields)
-
-
-def _turning(value: Any) -> Turning:
-    return Turning(**_fields(_table(value, TURNING_KEYS, TURNING_KEYS)))
+    return _made(kinds[_one_of(table.pop("kind"), kinds, "kind")], table)
 
 
 def _gain(value: Any) -> Gain:
@@ -185,17 +173,17 @@ def _surface(value: Any) -> Surface:
         return surfaces.KINDS[name](**arguments, inside=inside)
 
 
-_AS_GIVEN = ("name", "description", "chosen", "kind", "contact", "drake")
+_AS_GIVEN = ("name", "description", "chosen", "contact", "drake")
 _PARTS: dict[str, Callable[[Any], Any]] = {
     "object": _surface,
     "finger": _surface,
     "gain": _gain,
-    "turning": _turning,
+    "turning": lambda value: _made(Turning, value),
     "paper": lambda value: _with_numbers(_table(value), PAPER_NUMBERS),
 }
 _LISTS: dict[str, Callable[[Any], Any]] = {
-    "contacts": _contact,
-    "legs": _leg,
+    "contacts": lambda value: _made(Contact, value),
+    "legs": lambda value: _made(Leg, value, length=None),
     "disturbances": _disturbance,
 }
 
@@ -267,15 +255,14 @@ def scene_to_toml(scene: Scene) -> str:
             lines += ["", "[turning]", *_lines(dataclasses.asdict(scene.turning))]
         lines += ["", "[object]", *_lines(_surface_table(scene.object, "object"))]
         for i, contact in enumerate(scene.contacts):
-            table = {key: getattr(contact, key) for key in CONTACT_KEYS}
+            table = dict(vars(contact))
             table["finger"] = _surface_table(contact.finger, f"contacts[{i}]: finger")
             table["legs"] = list(map(_leg_table, contact.legs))
             if not contact.legs:
                 del table["legs"]
             lines += ["", "[[contacts]]", *_lines(table)]
         for d in scene.disturbances:
-            table = {key: getattr(d, key) for key in DISTURBANCE_KEYS}
-            lines += ["", "[[disturbances]]", *_lines(table)]
+            lines += ["", "[[disturbances]]", *_lines({"kind": d.kind} | vars(d))]
         for key in ("paper", "drake"):
             if table := getattr(scene, key):
                 lines += ["", f"[{key}]", *_lines(table)]

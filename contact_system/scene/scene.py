@@ -25,7 +25,7 @@ from ..theory.gain import Contraction, Gain, contraction
 from ..theory.profile import Profile
 from .contact import MANY_TURNS, Contact, Pair, Turning, a_surface, a_text, all_of
 from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
-from .legs import STILL, Leg, Stretch, check_legs, length, speed
+from .legs import STILL, Stretch, check_legs, length, speed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,21 +281,13 @@ def _moved(contact: Contact, i: int, surface: Surface, body: str, at: Pair) -> t
         velocity = getattr(contact, f"{body}_velocity")
         if not isinstance(velocity, str):
             changes[f"{body}_velocity"] = (-velocity[0], -velocity[1])
-    moved = object.__new__(type(contact))  # a new Contact would check everything again
-    vars(moved).update(vars(contact) | changes)
-    return moved, half_turn
+    return dataclasses.replace(contact, **changes), half_turn
 
 
 # --- keys of scene files -----------------------------------------------------------------------
 
 PAPER_KEYS = ("figure", "reports", "recovery_time", "lateral_force")
 PAPER_NUMBERS = PAPER_KEYS[2:]
-
-SCENE_KEYS = tuple(f.name for f in dataclasses.fields(Scene) if f.name != "source")
-CONTACT_KEYS = tuple(f.name for f in dataclasses.fields(Contact))
-LEG_KEYS = tuple(f.name for f in dataclasses.fields(Leg))
-TURNING_KEYS = tuple(f.name for f in dataclasses.fields(Turning))
-DISTURBANCE_KEYS = ("kind", *(f.name for f in dataclasses.fields(Disturbance)))
 
 
 def _plain_table(table: Any, what: str) -> dict[str, Any]:

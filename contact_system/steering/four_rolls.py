@@ -31,25 +31,22 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
     (a, b), (turned, moved) = _turn_of_ball(aim, ball), _move_on_plane(aim, plane)
     half = cmath.rect(1.0, 0.5 * (psi - aim.angles[1])) * turned
     a, b, wanted = a * half, b * half.conjugate() / r, 2 * turned * moved
-    best, span = 0.0, math.pi  # of the first roll's direction
-    for _ in range(3):  # finer and finer around the best
-        first = best + span * np.linspace(-0.5, 0.5, 181)
-        way = np.exp(1j * first)
-        s1 = np.arctan2(-a.imag, (way * b.conjugate()).imag)
-        s1 -= math.pi * np.round(s1 / math.pi)
-        real = (np.cos(s1) * a + np.sin(s1) * way * b.conjugate()).real
-        rest = (np.cos(s1) * b - np.sin(s1) * way * a.conjugate()) * np.where(real < 0, -1.0, 1.0)
-        s2, second = np.arctan2(np.abs(rest), np.abs(real)), np.angle(rest)
-        rolled = cmath.rect(2 * r, -psi) * (s1 / way + s2 * np.exp(-1j * second))
-        left = wanted - rolled
-        times = np.ceil(np.abs(left) / (4 * math.pi * r))
-        k = int(np.argmin(np.abs(s1) + s2 + 2 * math.pi * times))
-        best, span = float(first[k]), span / 90
+    first = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 2001)  # directions of the first roll
+    way = np.exp(1j * first)
+    s1 = np.arctan2(-a.imag, (way * b.conjugate()).imag)
+    s1 -= math.pi * np.round(s1 / math.pi)
+    real = (np.cos(s1) * a + np.sin(s1) * way * b.conjugate()).real
+    rest = (np.cos(s1) * b - np.sin(s1) * way * a.conjugate()) * np.where(real < 0, -1.0, 1.0)
+    s2, second = np.arctan2(np.abs(rest), np.abs(real)), np.angle(rest)
+    rolled = cmath.rect(2 * r, -psi) * (s1 / way + s2 * np.exp(-1j * second))
+    left = wanted - rolled
+    times = np.ceil(np.abs(left) / (4 * math.pi * r))
+    k = int(np.argmin(np.abs(s1) + s2 + 2 * math.pi * times))
 
     whole = 2 * math.pi * r * float(times[k])
     open_by = math.acos(min(1.0, abs(left[k]) / (2 * whole))) if whole else 0.0
     ahead = -psi - cmath.phase(left[k])
-    ways = np.array([best, second[k], ahead - open_by, ahead + open_by])
+    ways = np.array([first[k], second[k], ahead - open_by, ahead + open_by])
     lengths = np.array([2 * r * s1[k], 2 * r * s2[k], whole, whole])
     directions = ways if ball == 0 else -psi - ways
     return np.concatenate([directions - aim.lean, lengths / aim.pace])

@@ -97,13 +97,8 @@ def reach(
     rest = (Leg(0.0, 0.0, scene.duration),)
     legs_by_contact = tuple(rest if route is None else route.legs for route in routes)
     residual = max(route.residual for route in routes if route is not None)
-    if len(routes) == 1 and routes[0] is not None:
-        legged = routes[0].scene
-    else:
-        contacts = [
-            dataclasses.replace(c, legs=own) for c, own in zip(scene.contacts, legs_by_contact)
-        ]
-        legged = scene.replace(contacts=contacts, profile=STILL)
+    contacts = [dataclasses.replace(c, legs=own) for c, own in zip(scene.contacts, legs_by_contact)]
+    legged = scene.replace(contacts=contacts, profile=STILL)
     whole = sum(leg.length or 0.0 for own in legs_by_contact for leg in own)
     return Route(legged, legs_by_contact, whole, residual, "; ".join(texts))
 

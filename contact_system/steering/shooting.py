@@ -150,14 +150,14 @@ class Search:
         return np.arctan2(aside, ahead), pairs.chord / np.sinc(angle / math.pi)
 
     def aim(
-        self, which: Array, phi: Array, s: Array, steps: int = 40
+        self, which: Array, phi: Array, s: Array, steps: int = 25
     ) -> tuple[Array, Array, Array, Array]:
         """Newton's method: the directions and lengths found, whether they meet b, and J."""
         size, n = self.surface.size, len(phi)
-        phi, s, off, mark, field = phi.copy(), s.copy(), *np.full((2, n), math.inf), np.zeros(n)
+        phi, s, off, field = phi.copy(), s.copy(), np.full(n, math.inf), np.zeros(n)
         active = np.argsort(s)  # geodesics that share steps should have similar lengths
         tolerance = np.full(n, ROUGH)
-        for step in range(steps):
+        for _ in range(steps):
             k = which[active]
             end = self.follow(self.pairs.start(k, phi[active]), s[active], tolerance)
             r, j = self.pairs.b[k].T - end[:3], end[9]
@@ -171,15 +171,10 @@ class Search:
             # the error after a step is the square of the one before
             close = (away <= NEAR * self.follow.detail) & (np.abs(turn) * grown <= NEAR)
             sharp = tolerance <= SHARP
-            off[active] = np.where(
-                sharp & close | np.isnan(away), np.where(close, 0.0, math.inf), away
-            )
+            off[active] = np.where(sharp & close, 0.0, away)
             field[active] = j
             done = sharp & (off[active] <= 0.02 * MET * size * grown)
-            goes_on = (off[active] < math.inf) & ~done
-            if step % 4 == 3:  # give up slow ones
-                goes_on &= away <= 0.5 * mark[active]
-                mark[active] = away
+            goes_on = np.isfinite(away) & ~done
             left = away * grown / size
             tolerance = np.where(left <= 3e-5, SHARP, np.maximum(FINE / grown, SHARP))
             tolerance = np.where(left <= 0.02, tolerance, ROUGH)[goes_on]
