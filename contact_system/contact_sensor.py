@@ -30,7 +30,7 @@ from .theory.symbols import per_structure
 CONFORMAL = 1e-12  # det of the relative curvature over its square, below which bodies conform
 FLAT = 1e-8  # curvature, over that of a sphere of the greater body's size, that may be rounding
 MOST_STEPS = 30
-SETTLED = 1e3  # times the wanted step: a longer last step may still be rounding
+SETTLED = 1e3  # times the wanted step: a last step up to this may be rounding
 NOISE = 1e-2  # by which a measured rotation matrix may differ from a rotation
 NEARBY = 0.02  # of the body's size: a contact moves less between two measurements
 GRID = 25  # points in each coordinate of a finger, among which the nearest to the object is sought

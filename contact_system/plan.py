@@ -140,8 +140,8 @@ class Plan:
         Returns
         -------
         dict
-            By name, the arrays that these methods return. They share their memory, which is freed
-            with the last of them: copy what you keep of much.
+            By name, the arrays that these methods return. They share one block of memory, which is
+            freed with the last of them: of a large result copy the part that you keep.
 
         Raises
         ------

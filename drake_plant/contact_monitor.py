@@ -15,6 +15,7 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem
 from contact_system import Plane, Scene, SceneError, Surface
 from contact_system.contact_sensor import ContactSensor
 
+from .config import require_config
 from .contact_gauge import COLUMNS, NUMBERS, TINY, ContactGauge
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
@@ -90,13 +91,14 @@ class ContactMonitor(LeafSystem):
     Raises
     ------
     SceneError
-        Scene and ScenePlant have different numbers of contacts.
+        No ScenePlant, or one with another number of contacts than the scene.
     """
 
     __slots__ = NO_DICTIONARY
 
     def __init__(self, scene: Scene, scene_plant: ScenePlant):
         super().__init__()
+        require_config(scene_plant, ScenePlant, "scene_plant")
         n, fingers = len(scene.contacts), len(scene_plant.finger_bodies)
         if n != fingers:
             raise SceneError(

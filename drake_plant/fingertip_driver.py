@@ -30,6 +30,7 @@ from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
+from .config import require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .planner_base import MOTION
 from .plant import ScenePlant, declare_plant_inputs
@@ -157,6 +158,7 @@ class FingertipDriver(LeafSystem):
 
     def __init__(self, scene_plant: ScenePlant):
         super().__init__()
+        require_config(scene_plant, ScenePlant, "scene_plant")
         plant, fingers = scene_plant.plant, scene_plant.finger_bodies
         # What the plant is made from; the plant itself would keep this system for ever.
         self.scene, self.config = scene_plant.scene, scene_plant.config

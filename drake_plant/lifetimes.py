@@ -42,8 +42,9 @@ def weakly(method: Callable, *first: Any) -> Callable:
 def array_entry(
     calc: Callable[[Context], Array], shape: tuple[int, ...], needs: Iterable[DependencyTicket]
 ) -> tuple[DependencyTicket, Callable[[Context], Array]]:
-    """Declare a cache entry that holds what a system's method makes of a Context, an array; returns
-    its ticket, and a callable that gives the array of a Context, not to be written.
+    """Declare a cache entry for the array that a system's method computes from a Context.
+
+    Returns its ticket, and a function that gives a Context's array, which must not be written.
 
     A vector holds it: Drake copies Contexts without Python's lock when it evaluates batches, and a
     Python object in one would end the process.

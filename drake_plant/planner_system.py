@@ -145,9 +145,9 @@ class ContactPlanner(_Convertible, LeafSystem):
 
     The planner takes the measured state as its own every `restart_period` seconds; with a
     `restart_distance` that of contacts which are further from the planned point on the object,
-    looked at every `restart_period` or 0.01 s. Contacts whose measured state is not finite, and
-    those that all but rest, where rates tell no direction, keep their plan. `restarts` tells what
-    follows the plan to take no difference across a restart.
+    looked at every `restart_period` or 0.01 s. Contacts whose measured state is not finite keep
+    their plan; so do those almost at rest, whose rates have no direction. The port `restarts`
+    tells a driver not to take differences across a restart.
 
     A planner may be shared by threads that have a Context each.
 
@@ -324,7 +324,7 @@ class ContactPlanner(_Convertible, LeafSystem):
         derivatives.SetFromVector(rate)
 
     def _Moves(self, t: float) -> Array:
-        """Which contacts do not all but rest: (n_contacts,)."""
+        """Which contacts move, not at rest or almost: (n_contacts,)."""
         return self.system.scene.speeds(t) > RESTING * self._fastest
 
     def _Restart(self, context: Any, state: Any) -> None:

@@ -109,7 +109,7 @@ STRIP = 0.01  # m, that a mesh of too many triangles is fine beyond the planned 
 TURNING_GAIN = 1e8  # N m/rad
 AGES = 1e9  # s
 TAKEN = ("", "object", "WorldModelInstance", "DefaultModelInstance")  # the last two by Drake
-OPACITY = 0.6  # of what contact is seen through: fingers, and objects from the inside
+OPACITY = 0.6  # of fingers, and of objects around them, so that contacts are seen through them
 
 
 PLANT_PORTS = {
@@ -121,7 +121,7 @@ PLANT_PORTS = {
 
 
 def declare_plant_inputs(system: LeafSystem, *names: str) -> list[InputPort]:
-    """Input ports of a system for what a plant has on ports of these names."""
+    """Input ports of a system, for the plant's output ports of the same names."""
     return [system.DeclareAbstractInputPort(name, Value[PLANT_PORTS[name]]()) for name in names]
 
 

@@ -101,7 +101,7 @@ def _smaller(surface: Surface, by: float) -> Surface:
 
 
 def _smaller_quadric(surface: Quadric, by: float) -> Quadric:
-    """An ellipsoid with smaller axes; as it is where coordinates would be laid another way."""
+    """An ellipsoid with smaller axes; the given one if the smaller one had its (u, v) elsewhere."""
     values, axes = np.linalg.eigh(surface.A)
     matrix = axes @ np.diag((values**-0.5 - by) ** -2) @ axes.T
     smaller = dataclasses.replace(surface, A=(matrix + matrix.T) / 2)

@@ -365,7 +365,7 @@ def object_inertia(scene: Scene, config: StationConfig) -> Array:
 
 
 def _torques(chains: Chains, q: Array, v: Array, a: Array, points: Array, forces: Array) -> Array:
-    """That move the joints against gravity and press by the forces, (m, nq)."""
+    """Torques (m, nq) that move the joints against gravity, and press with the forces."""
     found = np.empty_like(q)
     for k in range(len(q)):
         chains.put(q[k], v[k])

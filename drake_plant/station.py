@@ -203,7 +203,7 @@ def _planner(scene: Scene, config: StationConfig) -> PlannerBase:
         disturbance_input=config.disturbance_input,
         restart_period=config.restart_period,
         restart_distance=config.restart_distance,
-        # steps as short as a discrete plant's make every scheme but Euler's better than contact is
+        # With steps as short as a discrete plant's, all schemes but Euler's are exact enough.
         tolerance=1e-4 if config.time_step else TOLERANCE,
     )
 

@@ -106,5 +106,5 @@ def _check_apart(scene: Scene, times: Array, places: Array) -> None:
 
 
 def _inner_radius(finger: Surface) -> float:
-    """Of the ball about the origin that fits into a finger, 0 where it is not known, m."""
+    """Radius of the ball about the origin that fits into a finger, m; 0 if it is not known."""
     return least_radius(finger) if isinstance(finger, (Sphere, Ellipsoid, Quadric)) else 0.0

@@ -124,8 +124,8 @@ def _body(surface: Surface, at: int, surfaces: list[Surface]) -> list[float]:
 
 
 def _orders(surface: Surface, at: int) -> list[int]:
-    """Pairs of references by which it stays of its kind: the first number stays the greater one; or
-    of one twice, it stays what it is."""
+    """Pairs of references of parameters that keep the surface of its kind: the first must stay
+    greater than the second. A pair of the same reference: this parameter may not change."""
     count, numbers = range(len(surface.parameters)), surface.parameters
     if isinstance(surface, Quadric):  # whose numbers depend on each other
         return [at + i for i in count for _ in range(2)]

@@ -202,7 +202,8 @@ def _table(
         known_keys(value, known, place)
     for key in required:
         if key not in value:
-            raise SceneError(f"{place}key '{key}' is missing; add {key} = ...")
+            remedy = f"a table [[{key}]]" if key in _LISTS else f"{key} = ..."
+            raise SceneError(f"{place}key '{key}' is missing; add {remedy}")
     return value
 
 
