@@ -21,6 +21,7 @@ SMALL, ROUND = cs.Sphere(0.04), cs.Ellipsoid(0.3, 0.2, 0.1)
 PAIRS = {
     "sphere on plane": (SMALL, cs.Plane(), 1.0),
     "sphere on sphere": (SMALL, cs.Sphere(0.1), 1.0),
+    "sphere on a large sphere": (SMALL, cs.Sphere(5.0), 1.0),
     "sphere on ellipsoid": (SMALL, ROUND, 10.0),
     "ellipsoid on ellipsoid": (cs.Ellipsoid(0.05, 0.04, 0.03), ROUND, 10.0),
     "sphere in a bowl": (SMALL, cs.Sphere(0.2, inside=True), 1.0),

@@ -92,12 +92,14 @@ class Aim:
         w: Any = self.contact.finger_velocity
         self.pace, self.lean = math.hypot(*w), math.atan2(w[1], w[0])
         self.sizes = [body.size for body in self.bodies]
-        bounds = [self.sizes[side] for side in self.sides or (0, 1)]
-        self.unit = min(bounds + [region.widest for region in self.regions]) / self.pace
         away = [math.dist(self.start[side][0], self.goal[side][0]) for side in self.sides]
+        pose = _pose(self.angles[0], *self.start)
         if goal.pose is not None:
-            away = [math.dist(_pose(self.angles[0], *self.start)[:3, 3], goal.pose[:3, 3])]
-        self.far = max(away, default=0.0) / self.pace
+            away = [math.dist(pose[:3, 3], goal.pose[:3, 3])]
+        self.far = max(away) / self.pace
+        unit = min(self.sizes + [region.widest for region in self.regions]) / self.pace
+        self.unit = max(unit, 0.05 * self.far)  # far goals take long steps
+        self.start_off = self.off(np.array([x for x, _ in self.start]), pose)
         self._followers: list[Follower] = []  # the engine points into them
         self._data = self._numbers(longest)
         self.begin()

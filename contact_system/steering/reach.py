@@ -157,6 +157,8 @@ class _Search:
     def __init__(self, scene: Scene, index: int, goal: Goal, longest: float | None):
         self.aim = aim = Aim(scene, index, goal, longest)
         self.scene, self.longest = scene, longest
+        # well below the start's error, or paths of no length would seem to arrive
+        self.near = max(min(NEAR, 0.01 * aim.start_off), REACHED)
         self.nearest = math.inf
         if longest is not None and not aim.is_pose and MOST_LEGS * longest < aim.far:
             raise SceneError(
@@ -199,9 +201,11 @@ class _Search:
         aim = self.aim
         z = _starts(n, batch).copy()
         z[n:] = 0.5 ** (batch % 4) * aim.unit * z[n:] + aim.far / n
-        paths = aim.search(z, COARSE, NEAR)
+        paths = aim.search(z, min(COARSE, 0.1 * self.near), self.near)
         self.nearest = min(self.nearest, float(paths.off.min()))
-        for k in sorted(np.flatnonzero(paths.off < NEAR), key=lambda k: _length(paths.z[:, k])):
+        for k in sorted(
+            np.flatnonzero(paths.off < self.near), key=lambda k: _length(paths.z[:, k])
+        ):
             route = self._route_near(paths.z[:, k])
             if route is not None:
                 yield route
