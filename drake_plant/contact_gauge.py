@@ -99,7 +99,7 @@ class ContactGauges:
         """Note where the bodies are, and how they move, as Drake lists them; nothing touches."""
         self._motions.put(X_W, V_W, obj, fingers)
         # of each contact the sizes of all forces, share, and how much bends
-        self._told = [[0.0, 0.0, 0.0] for _ in self._probes]
+        self._told = [(0.0, 0.0, 0.0)] * len(self._probes)
 
     def touch(
         self, i: int, share: float, bends: float, p_WC: Array, force: Array, torque: Array | float
@@ -111,7 +111,7 @@ class ContactGauges:
         bends : how much of the contact bends with the finger's
         force, torque : on the finger, about C, in the world
         """
-        (at, total, turning), (pressing, *shares) = self._acting[i], self._told[i]
+        (at, total, turning), (pressing, taken, bent) = self._acting[i], self._told[i]
         size = math.hypot(*force.tolist()) + TINY  # two that do not press count alike
         part = size / (pressing + size)
         if part == 1.0:
@@ -122,8 +122,8 @@ class ContactGauges:
             turning += np.cross(arms, [total, force]).sum(0) + torque
             at += to_C
             total += force
-        new = (old + part * (one - old) for old, one in zip(shares, (share, bends)))
-        self._told[i] = [pressing + size, *new]
+        shares = taken + part * (share - taken), bent + part * (bends - bent)
+        self._told[i] = pressing + size, *shares
 
     def measure(self) -> Array:
         """Slip, normal force, tangential force in E2, state, contact point in O: (n, 17)."""
