@@ -37,12 +37,11 @@ NUMBERS = {
     "": ("gravity",),
     "above 0": (
         *("object_mass", "finger_mass", "stiffness", "normal_force"),
-        *("friction_share", "object_rate", *EDGES),
+        *("friction_share", "object_rate", *EDGES, "restart_period"),
     ),
-    "not below 0": ("time_step", "friction", *GAINS, "slip_gain"),
+    "not below 0": ("time_step", "friction", *GAINS, "slip_gain", "restart_distance"),
 }
-RESTARTS = {"restart_period": "above 0", "restart_distance": "not below 0"}
-OPTIONAL = (*EDGES, *RESTARTS)
+OPTIONAL = (*EDGES, "restart_period", "restart_distance")
 
 
 def require_config(config: Any, kind: type, name: str = "config") -> None:
@@ -244,10 +243,9 @@ class StationConfig:
                 raise SceneError(f"{key} = {value!r}: use one of {', '.join(words)}")
         for bound, keys in NUMBERS.items():
             for key in keys:
-                self._check_number(key, bound)
+                if getattr(self, key) is not None or key not in OPTIONAL:
+                    finite_number(getattr(self, key), key, bound)
         flag(self.disturbance_input, "disturbance_input")
-        for key, bound in RESTARTS.items():
-            self._check_number(key, bound)
         if self.friction_share > 1:
             raise SceneError(f"friction_share = {self.friction_share!r}: give a part, at most 1")
         if self.balances and self.object != "free":
@@ -286,11 +284,6 @@ class StationConfig:
                 raise SceneError(f"{name} = {vector!r}: give three numbers")
         if self.object != "free" or not self.time_step:
             raise SceneError('hand: it needs object = "free" and a time_step above 0')
-
-    def _check_number(self, key: str, bound: str) -> None:
-        value = getattr(self, key)
-        if value is not None or key not in OPTIONAL:
-            finite_number(value, key, bound)
 
     def _check_restarts(self) -> None:
         """Between two steps a discrete plant is at the end of the step already: a planner that

@@ -34,20 +34,26 @@ that turns, where Drake's own point contact has 1e-4 mm/s.
 from __future__ import annotations
 
 import math
+import sys
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contact_system.contact_sensor import Probe
-from contact_system.engine.binding import Machine
+from contact_system import Scene
+from contact_system.contact_sensor import ContactSensor
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
 
+from .scratch import FingerTables, named
+
 Array = NDArray[np.float64]
 
-TINY = np.finfo(float).tiny
+TINY = sys.float_info.min
+TOLERANCE = 1e-7
+"""Of the places of contacts, over the size of the bodies."""
 COLUMNS = {
     "slip": slice(0, 2),
     "normal_force": slice(2, 3),
@@ -55,57 +61,59 @@ COLUMNS = {
     "state": slice(5, 14),
     "contact_point": slice(14, 17),
 }
-"""Of what a gauge measures; the first three where the step that ended now began."""
+"""Of what is measured; the first three where the step that ended now began."""
 NUMBERS = 17
 NOTHING = np.zeros(3).data
+SEEN = {"X_WO": 12, "V_WO": 6, "X_WF": 12, "V_WF": 6, "point": 3, "force": 3, "torque": 3}
+"""What is seen of a contact: bodies, the point C where it acts, the force on the finger, and its
+torque about C, in the world."""
+PRESSED = {"row": 46}
 
 
-class ContactGauge:
-    """Measures one contact, step by step; one thread at a time.
+class ContactGauges:
+    """Measures the contacts of a scene, step by step; one thread at a time.
 
     Parameters
     ----------
-    probe : Probe
+    scene : Scene
     step : float
         Of the discrete plant, s; 0 where all is of now.
-
-    Attributes
-    ----------
-    pressing : float
-        The sizes of all forces, 0 without contact.
     """
 
-    def __init__(self, probe: Probe, step: float):
-        self._probe = probe
-        self._moving, self._splitting = Machine(_motion(), [step]), Machine(_forces(), [step])
-        row = self._moving.point
-        self._places = row[:12].reshape(3, 4), row[12:18], row[18:30].reshape(3, 4), row[30:36]
-        self._contact, self._at = row[36:45], (row[36:39], row[39:42], row[42:45])
-        self._result = np.zeros(NUMBERS)
-        tables = self._moving.results, self._splitting.point, self._splitting.results
-        every = [probe.seen, probe.found, *tables, self._result]
-        self._numbers: list[Any] = [numbers.data for numbers in every]
-        self.pressing = self._share = self._bends = 0.0
+    def __init__(self, scene: Scene, step: float):
+        self._probes = ContactSensor(scene, TOLERANCE).probes
+        steps = [[step]] * len(self._probes)
+        self._motions = FingerTables(_motion(), SEEN, steps)
+        self._forces = FingerTables(_forces(), PRESSED, steps)
+        self._result = np.zeros((len(steps), NUMBERS))
+        x = self._motions.x
+        self._acting = [*zip(x["point"], x["force"], x["torque"])]
+        rows: Any = zip(
+            (probe.seen for probe in self._probes),
+            (probe.found for probe in self._probes),
+            *(self._motions.results, self._forces.x["row"], self._forces.results, self._result),
+        )
+        self._numbers = [[numbers.data for numbers in row] for row in rows]
 
-    def look(self, X_WO: Array, V_WO: Array, X_WF: Array, V_WF: Array) -> None:
-        """Note where object and finger are, (3, 4), and how they move, (6,); nothing touches."""
-        for place, seen in zip(self._places, (X_WO, V_WO, X_WF, V_WF)):
-            place[:] = seen
-        self._contact[:] = 0.0
-        self.pressing = self._share = self._bends = 0.0
+    def look(self, X_W: Any, V_W: Any, obj: int, fingers: list[int]) -> None:
+        """Note where the bodies are, and how they move, as Drake lists them; nothing touches."""
+        self._motions.put(X_W, V_W, obj, fingers)
+        # of each contact the sizes of all forces, share, and how much bends
+        self._told = [(0.0, 0.0, 0.0)] * len(self._probes)
 
     def touch(
-        self, share: float, bends: float, p_WC: Array, force: Array, torque: Array | float
+        self, i: int, share: float, bends: float, p_WC: Array, force: Array, torque: Array | float
     ) -> None:
-        """Add one patch or point; C is the mean of all, weighted by the sizes of their forces.
+        """Add a patch or point of a contact; C is the mean of all, weighted by the sizes of their
+        forces.
 
         share : where between the surfaces of object (0) and finger (1) slip is taken
         bends : how much of the contact bends with the finger's
         force, torque : on the finger, about C, in the world
         """
-        at, total, turning = self._at
+        (at, total, turning), (pressing, taken, bent) = self._acting[i], self._told[i]
         size = math.hypot(*force.tolist()) + TINY  # two that do not press count alike
-        part = size / (self.pressing + size)
+        part = size / (pressing + size)
         if part == 1.0:
             at[:], total[:], turning[:] = p_WC, force, torque
         else:
@@ -114,67 +122,63 @@ class ContactGauge:
             turning += np.cross(arms, [total, force]).sum(0) + torque
             at += to_C
             total += force
-        self._share += part * (share - self._share)
-        self._bends += part * (bends - self._bends)
-        self.pressing += size
+        shares = taken + part * (share - taken), bent + part * (bends - bent)
+        self._told[i] = pressing + size, *shares
 
     def measure(self) -> Array:
-        """Slip, normal force, tangential force in E2, state, contact point in O: (17,)."""
-        probe = self._probe
-        seen, found, moved, given, forces, result = self._numbers
-        self._moving.run()
-        # slip and forces, where the step that ended now began
-        seen[:18] = moved[:18]
-        seen[18], seen[19] = self._share, 0.0
-        if self.pressing:
-            probe.find(moved[21:24], moved[18:21])
-        else:
-            probe.find(probe.approach())
-        given[:24], given[24:45], given[45] = found[16:40], moved[21:42], self._bends
-        if not math.isfinite(sum(found[37:40])):  # at a pole it is not known where the contact goes
-            given[21:24] = NOTHING
-        self._splitting.run()
-        result[:2], result[2:5] = found[11:13], forces[:3] if self.pressing else NOTHING
-        # where the contact is now, with the slip of the step
-        seen[:18] = moved[30:48]
-        seen[18], seen[19], seen[20:] = 0.0, 1.0, result[:2]
-        probe.find(forces[3:6], forces[6:9])
-        result[5:14], result[14:17] = found[2:11], found[16:19]
+        """Slip, normal force, tangential force in E2, state, contact point in O: (n, 17)."""
+        self._motions.run()
+        for probe, told, numbers in zip(self._probes, self._told, self._numbers):
+            (pressing, share, bends), (seen, found, moved, given, _, result) = told, numbers
+            # slip and forces, where the step that ended now began
+            seen[:18], seen[18], seen[19] = moved[:18], share, 0.0
+            if pressing:
+                probe.find(moved[21:24], moved[18:21])
+            else:
+                probe.find(probe.approach())
+            given[:24], given[24:45], given[45] = found[16:40], moved[21:42], bends
+            if not math.isfinite(sum(found[37:40])):  # at a pole it is not known where it goes
+                given[21:24] = NOTHING
+            result[:2] = found[11:13]
+        self._forces.run()
+        for probe, told, numbers in zip(self._probes, self._told, self._numbers):
+            seen, found, moved, _, forces, result = numbers
+            result[2:5] = forces[:3] if told[0] else NOTHING
+            # where the contact is now, with the slip of the step
+            seen[:18], seen[18], seen[19], seen[20:] = moved[30:48], 0.0, 1.0, result[:2]
+            probe.find(forces[3:6], forces[6:9])
+            result[5:14], result[14:17] = found[2:11], found[16:19]
         return self._result
 
 
 @per_structure
 def _motion() -> Table:
-    """X_WO (12, row by row), V_WO (6), X_WF (12), V_WF (6), the point C of the contact, force on
-    the finger and its torque about C, (45); a step -> X_OF (12), V_OF_O (6), C in F, C in O, force
-    and torque, where the step that ended now began, and X_OF, V_OF_O of now, (48).
+    """`SEEN`; a step -> X_OF (12), V_OF_O (6), C in F, C in O, force and torque in O, where the
+    step that ended now began, and X_OF, V_OF_O of now, (48).
 
     The bodies came from there as a discrete plant moves them, with the velocities they have.
     """
-    row, step = ca.SX.sym("row", 45), ca.SX.sym("step")
-    found = ca.vertcat(_in_object(row, -step), _in_object(row, ca.SX(0))[:18])
+    (row, x), step = named(SEEN), ca.SX.sym("step")
+    found = ca.vertcat(_in_object(x, -step), _in_object(x, ca.SX(0))[:18])
     return Table(ca.Function("motion", [row, step], [ca.densify(found)]))
 
 
-def _in_object(row: ca.SX, later: ca.SX) -> ca.SX:
-    V_WO, V_WF = row[12:18], row[30:36]
-    R_WO, p_WO = _moved(row[:12], V_WO, later)
-    R_WF, p_WF = _moved(row[18:30], V_WF, later)
-    R_OW, p_OF_W = R_WO.T, p_WF - p_WO
-    v_OF_W = V_WF[3:] - V_WO[3:] - ca.cross(V_WO[:3], p_OF_W)
-    X_OF, V_OF = R_OW @ ca.horzcat(R_WF, p_OF_W), ca.vertcat(V_WF[:3] - V_WO[:3], v_OF_W)
-    p_FC = R_WF.T @ (row[36:39] - p_WF)
-    vectors = ca.horzcat(V_OF[:3], V_OF[3:], row[36:39] - p_WO, row[39:42], row[42:45])
-    V_OF, contact = ca.vertsplit(ca.vec(R_OW @ vectors), [0, 6, 15])
+def _in_object(x: SimpleNamespace, later: ca.SX) -> ca.SX:
+    R_WO, p_WO = _moved(x.R_WO, x.p_WO, x.w_WO, x.v_WO, later)
+    R_WF, p_WF = _moved(x.R_WF, x.p_WF, x.w_WF, x.v_WF, later)
+    R_OW, p_OF_W, w_OF_W = R_WO.T, p_WF - p_WO, x.w_WF - x.w_WO
+    v_OF_W = x.v_WF - x.v_WO - ca.cross(x.w_WO, p_OF_W)
+    X_OF, p_FC = R_OW @ ca.horzcat(R_WF, p_OF_W), R_WF.T @ (x.point - p_WF)
+    vectors = R_OW @ ca.horzcat(w_OF_W, v_OF_W, x.point - p_WO, x.force, x.torque)
+    V_OF, contact = ca.vertsplit(ca.vec(vectors), [0, 6, 15])
     return ca.vertcat(ca.vec(X_OF.T), V_OF, p_FC, contact)
 
 
-def _moved(X: ca.SX, V: ca.SX, later: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _moved(R: ca.SX, p: ca.SX, w: ca.SX, v: ca.SX, later: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Rotation and position after a step of Drake's, whose quaternions turn by Cayley's map."""
-    rows = ca.reshape(X, 4, 3).T
-    a = ca.skew(later / 2 * V[:3])
-    turn = ca.SX.eye(3) + 2 * (a + a @ a) / (1 + later**2 / 4 * ca.sumsqr(V[:3]))
-    return turn @ rows[:, :3], rows[:, 3] + later * V[3:]
+    a = ca.skew(later / 2 * w)
+    turn = ca.SX.eye(3) + 2 * (a + a @ a) / (1 + later**2 / 4 * ca.sumsqr(w))
+    return turn @ R, p + later * v
 
 
 @per_structure

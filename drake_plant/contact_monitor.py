@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +12,9 @@ from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from contact_system import Plane, Scene, SceneError, Surface
-from contact_system.contact_sensor import ContactSensor
 
 from .config import require_config
-from .contact_gauge import COLUMNS, NUMBERS, TINY, ContactGauge
+from .contact_gauge import COLUMNS, NUMBERS, TINY, ContactGauges
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
 from .scratch import PerThread
@@ -28,8 +26,6 @@ Array = NDArray[np.float64]
 AT_FINGER = 1.0
 SIZES = {name: rows.stop - rows.start for name, rows in COLUMNS.items()} | {"sliding": 3}
 NOISY = ("state", "sliding")
-# Of the places of contacts, over the size of the bodies.
-TOLERANCE = 1e-7
 SATURATED = 0.95
 """Friction counts as saturated from this part of mu N on: facets let N itself ripple."""
 SLIDES = 0.85
@@ -110,7 +106,7 @@ class ContactMonitor(LeafSystem):
         self._friction = scene_plant.config.friction
         plant = scene_plant.plant
         step = plant.time_step() if plant.has_sampled_output_ports() else 0.0
-        self._gauges = PerThread(partial(_gauges, scene, step), {})
+        self._gauges = PerThread(lambda: ContactGauges(scene, step), {})
         inputs = declare_plant_inputs(
             self, "contact_results", "body_poses", "body_spatial_velocities"
         )
@@ -149,15 +145,9 @@ class ContactMonitor(LeafSystem):
     def _CalcMeasured(self, context: Context) -> Array:
         X_W, V_W = self._poses.Eval(context), self._velocities.Eval(context)
         gauges, bodies = self._gauges.own, self._bodies
-        obj = X_W[bodies.object].GetAsMatrix34(), V_W[bodies.object].get_coeffs()
-        for gauge, finger in zip(gauges, bodies.fingers):
-            gauge.look(*obj, X_W[finger].GetAsMatrix34(), V_W[finger].get_coeffs())
+        gauges.look(X_W, V_W, bodies.object, bodies.fingers)
         bodies.touch(gauges, self._results.Eval(context))
-        return np.array([gauge.measure() for gauge in gauges])
-
-
-def _gauges(scene: Scene, step: float) -> list[ContactGauge]:
-    return [ContactGauge(probe, step) for probe in ContactSensor(scene, TOLERANCE).probes]
+        return gauges.measure()
 
 
 def _slip(finger: Surface, obj: Surface, state: Array) -> Array:
@@ -192,7 +182,7 @@ class _Bodies:
         """The contact that two geometries make, and whether the first is the object's."""
         return self.pairs.get((first.get_value(), second.get_value()), (None, False))
 
-    def touch(self, gauges: list[ContactGauge], results: ContactResults) -> None:
+    def touch(self, gauges: ContactGauges, results: ContactResults) -> None:
         """Tell the gauges of all patches and points between fingers and object."""
         for k in range(results.num_hydroelastic_contacts()):
             info = results.hydroelastic_contact_info(k)
@@ -202,7 +192,7 @@ class _Bodies:
                 share = _share_of_M(patch) if first else 1.0 - _share_of_M(patch)
                 F_Ac_W = info.F_Ac_W().get_coeffs()  # body A has geometry M
                 force = -F_Ac_W if first else F_Ac_W
-                gauges[i].touch(share, share, patch.centroid(), force[3:], force[:3])
+                gauges.touch(i, share, share, patch.centroid(), force[3:], force[:3])
         for k in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(k)
             pair = info.point_pair()
@@ -210,7 +200,7 @@ class _Bodies:
             if i is not None:
                 p_WC, force = info.contact_point(), info.contact_force()
                 share = self.share(i, pair, pair.p_WCa if first else pair.p_WCb, p_WC)
-                gauges[i].touch(share, 0.0, p_WC, force if first else -force, 0.0)
+                gauges.touch(i, share, 0.0, p_WC, force if first else -force, 0.0)
 
     def share(self, i: int, pair: PenetrationAsPointPair, p_WO: Array, p_WC: Array) -> float:
         """Where Drake's point contact acts, between the surfaces; p_WO is on the object's.

@@ -34,18 +34,8 @@ from .config import require_config
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .planner_base import MOTION
 from .plant import ScenePlant, declare_plant_inputs
-from .scratch import PerThread
-from .tip_law import (
-    CONSTANT,
-    SHARE,
-    TIP,
-    TipLaws,
-    halves,
-    named,
-    split,
-    tip_constants,
-    tip_wrench,
-)
+from .scratch import FingerTables, PerThread, halves, named, split
+from .tip_law import CONSTANT, SHARE, TIP, tip_constants, tip_wrench
 
 Array = NDArray[np.float64]
 OFF = 1e-4
@@ -195,10 +185,8 @@ class FingertipDriver(LeafSystem):
         X, V = self._poses.Eval(context), self._velocities.Eval(context)
         A, o, law = self._accelerations.Eval(context), self.object_index, self._laws.own
         x, n = law.x, len(law.bodies)
-        x["X_WO"][:], x["V_WO"][:] = X[o].GetAsMatrix34(), V[o].get_coeffs()
+        law.put(X, V, o, law.bodies)
         x["A_WO"][:] = A[o].get_coeffs()
-        for body, pose, velocity in zip(law.bodies, x["X_WF"], x["V_WF"]):
-            pose[:], velocity[:] = X[body].GetAsMatrix34(), V[body].get_coeffs()
         x["motion"][:] = self._motion.Eval(context).reshape(n, -1)
         for name, port in self._optional.items():
             given = port.HasValue(context)
@@ -225,7 +213,7 @@ class FingertipDriver(LeafSystem):
         now[:] = self._found(context)[:, 6:].ravel()
 
 
-class _Laws(TipLaws):
+class _Laws(FingerTables):
     """The law of all fingers, for one thread; ``applied`` are their forces."""
 
     def __init__(self, bodies: list[BodyIndex], constants: list[list[float]]):

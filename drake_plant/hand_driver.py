@@ -28,8 +28,8 @@ from .hand_kinematics import Chains, cross
 from .lifetimes import NO_DICTIONARY, array_entry, weakly
 from .plant import ScenePlant, declare_plant_inputs
 from .reorientation import Reorientation
-from .scratch import PerThread
-from .tip_law import CONSTANT, TIP, WANTED, TipLaws, named, tip_constants, tip_wrench
+from .scratch import FingerTables, PerThread, named
+from .tip_law import CONSTANT, TIP, WANTED, tip_constants, tip_wrench
 
 Array = NDArray[np.float64]
 
@@ -160,9 +160,9 @@ class HandDriver(LeafSystem):
             part *= min(1.0, most / max(float(np.linalg.norm(part)), 1e-9))
 
 
-def _own(plan: Reorientation, constants: list[list[float]]) -> tuple[Chains, TipLaws]:
+def _own(plan: Reorientation, constants: list[list[float]]) -> tuple[Chains, FingerTables]:
     """Links without tips, whose mass the law carries, and the law of all tips, for one thread."""
-    laws = TipLaws(holding_law(), HELD, constants)
+    laws = FingerTables(holding_law(), HELD, constants)
     return Chains(plan.hand, plan.rolling, 0.0, plan.config.gravity), laws
 
 

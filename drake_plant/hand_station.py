@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
+from scipy.interpolate import make_interp_spline
 
 from .config import require_config
 from .contact_monitor import ContactMonitor
@@ -115,16 +116,9 @@ def simulate_hand(
 
 def _planned(plan: Reorientation, t: Array) -> dict[str, Array]:
     """Planned states, slip and contact points on the object, as a SimulationResult has them."""
-    m = len(plan.t)
-
-    def at(values: Array) -> Array:
-        rows = values.reshape(m, -1)
-        found = np.column_stack([np.interp(t, plan.t, column) for column in rows.T])
-        return found.reshape(len(t), *values.shape[1:])
-
-    states = at(np.unwrap(plan.states, axis=0))
-    return {
-        "state": states,
-        "slip": np.zeros((*states.shape[:2], 2)),
-        "contact_point": at(plan.points[:, :, 1]),
-    }
+    inside = np.clip(t, plan.t[0], plan.t[-1])
+    states, points = (
+        make_interp_spline(plan.t, values, k=1)(inside)
+        for values in (np.unwrap(plan.states, axis=0), plan.points[:, :, 1])
+    )
+    return {"state": states, "slip": np.zeros((*states.shape[:2], 2)), "contact_point": points}

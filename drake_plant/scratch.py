@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from contact_system import SceneSystem
+from contact_system.engine.binding import Machine
 from contact_system.system import SystemMachine
+from contact_system.theory import symbols as ca
+from contact_system.theory.lowering import Table
 
 from .plan_check import StepWatch
 
@@ -49,6 +53,58 @@ class Scratch:
         machine.point[:] = self._given
         machine.run()
         return machine.results
+
+
+class FingerTables:
+    """A table run for several fingers, one after the other, for one thread.
+
+    x : what it takes by name, a row a finger, poses (n, 3, 4)
+    results : (n, n_out)
+    """
+
+    def __init__(self, table: Table, sizes: dict[str, int], constants: Sequence[list[float]]):
+        registers = np.zeros((len(constants), table.n_regs))
+        self._machines = [Machine(table, *each) for each in zip(constants, registers)]
+        points = registers[:, : table.n_in]
+        self.x: dict[str, Array] = {}
+        for name, part in zip(sizes, np.split(points, np.cumsum([*sizes.values()])[:-1], axis=1)):
+            self.x[name] = part.reshape(-1, 3, 4) if name[0] == "X" else part
+        self.results = registers[:, table.first_out :][:, : table.n_out]
+
+    def put(self, X_W: Any, V_W: Any, obj: int, fingers: list[int]) -> None:
+        """Where object and fingers are, and how they move, of Drake's lists of all bodies."""
+        x = self.x
+        x["X_WO"][:], x["V_WO"][:] = X_W[obj].GetAsMatrix34(), V_W[obj].get_coeffs()
+        for body, pose, velocity in zip(fingers, x["X_WF"], x["V_WF"]):
+            pose[:], velocity[:] = X_W[body].GetAsMatrix34(), V_W[body].get_coeffs()
+
+    def run(self) -> None:
+        for machine in self._machines:
+            machine.run()
+
+
+def split(numbers: ca.SX, sizes: dict[str, int]) -> dict[str, ca.SX]:
+    """Parts of so many numbers each, by their names."""
+    return dict(zip(sizes, ca.vertsplit(numbers, np.cumsum([0, *sizes.values()]).tolist())))
+
+
+def halves(motion: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Angular and linear part."""
+    return motion[:3], motion[3:]
+
+
+def named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
+    """Symbols by their names; of a pose X R and p, of a velocity V w and v, of A alpha and a."""
+    every = ca.SX.sym("x", sum(sizes.values()))
+    found = split(every, sizes)
+    for name, value in list(found.items()):
+        if name[0] == "X":
+            rows = ca.reshape(value, 4, 3).T
+            found |= {f"R{name[1:]}": rows[:, :3], f"p{name[1:]}": rows[:, 3]}
+        elif name[0] in "VA":
+            names = ("w", "v") if name[0] == "V" else ("alpha", "a")
+            found |= {f"{own}{name[1:]}": half for own, half in zip(names, halves(value))}
+    return every, SimpleNamespace(**found)
 
 
 class PerThread(threading.local):

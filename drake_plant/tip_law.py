@@ -14,21 +14,16 @@ spring acts along the normal too, ``hold = 1``.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from types import SimpleNamespace
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.multibody.tree import RigidBody
 
-from contact_system.engine.binding import Machine
 from contact_system.theory import symbols as ca
-from contact_system.theory.lowering import Table
 
 from .config import GAINS
 from .plant import ScenePlant, gravity_on
 
-Array = NDArray[np.float64]
 SHARE = 0.4
 """Of a velocity what an explicit damper may take in a step h, of an error what an explicit spring
 may take over h; a damper's d and a spring's s are stable where 0 < d and s + 2 d < 4."""
@@ -92,48 +87,3 @@ def tip_constants(body: RigidBody, parts: ScenePlant, hold: float) -> list[float
     gains = [min(getattr(config, name), most) for name, most in zip(GAINS, borne)]
     gains.append(min(config.slip_gain, SLIP_SHARE / h if h else math.inf))
     return [h, mass, *inertia.ravel(), *gravity_on(parts.plant, body), *gains, hold]
-
-
-def split(numbers: ca.SX, sizes: dict[str, int]) -> dict[str, ca.SX]:
-    """Parts of so many numbers each, by their names."""
-    return dict(zip(sizes, ca.vertsplit(numbers, np.cumsum([0, *sizes.values()]).tolist())))
-
-
-def halves(motion: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Angular and linear part."""
-    return motion[:3], motion[3:]
-
-
-def named(sizes: dict[str, int]) -> tuple[ca.SX, SimpleNamespace]:
-    """Symbols by their names; of a pose X R and p, of a velocity V w and v, of A alpha and a."""
-    every = ca.SX.sym("x", sum(sizes.values()))
-    found = split(every, sizes)
-    for name, value in list(found.items()):
-        if name[0] == "X":
-            rows = ca.reshape(value, 4, 3).T
-            found |= {f"R{name[1:]}": rows[:, :3], f"p{name[1:]}": rows[:, 3]}
-        elif name[0] in "VA":
-            names = ("w", "v") if name[0] == "V" else ("alpha", "a")
-            found |= {f"{own}{name[1:]}": half for own, half in zip(names, halves(value))}
-    return every, SimpleNamespace(**found)
-
-
-class TipLaws:
-    """A law run for several tips, one after the other, for one thread.
-
-    x : what it takes by name, a row a tip, poses (n, 3, 4)
-    results : (n, n_out)
-    """
-
-    def __init__(self, table: Table, sizes: dict[str, int], constants: Sequence[list[float]]):
-        registers = np.zeros((len(constants), table.n_regs))
-        self._machines = [Machine(table, *each) for each in zip(constants, registers)]
-        points = registers[:, : table.n_in]
-        self.x: dict[str, Array] = {}
-        for name, part in zip(sizes, np.split(points, np.cumsum([*sizes.values()])[:-1], axis=1)):
-            self.x[name] = part.reshape(-1, 3, 4) if name[0] == "X" else part
-        self.results = registers[:, table.first_out :][:, : table.n_out]
-
-    def run(self) -> None:
-        for machine in self._machines:
-            machine.run()
