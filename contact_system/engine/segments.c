@@ -6,10 +6,9 @@
      while there is.
    * Only a contact under an acceleration is integrated with its forcing. */
 
-static const double FIRST = 0.7; /* radii along a first panel's path, at a tolerance of 1e-12 */
-/* the radius where a motion starts counts, up to so many times the body's least: a fifth fewer
-   panels on an ellipsoid 0.3/0.2/0.1 than with the least; without a bound more are refused */
-static const double FLATTER = 4.0;
+/* Along a first panel's path at a tolerance of 1e-12, in means of the body's least radius and its
+   size; in least radii crowds on ellipsoids took a fifth more panels */
+static const double FIRST = 0.65;
 /* Slip whose whole remaining displacement is below this part of tolerance * size is let go. */
 static const double NEGLIGIBLE_PART = 0.01;
 static const double ROUNDING = 1e-17; /* the same of what no tolerance asks for */
@@ -108,17 +107,6 @@ static motion_t motion_of(course_t *c, int side, const drive_t *d, int disturbed
   return m;
 }
 
-/* Radius of curvature that the length of a first panel is measured in */
-static double start_bend(work_t *w, const motion_t *m) {
-  const body_t *b = m->body;
-  if (b->reach < HUGE_VAL) return b->bend; /* bumps may be near */
-  const surface_t *s = b->surface;
-  double k[3];
-  run_one(w, m->ambient ? s->ambient[A_SHAPE] : s->chart[C_SHAPE], b->numbers, m->state, k);
-  const double sharpest = 0.5 * (fabs(k[0] + k[2]) + hypot(k[0] - k[2], 2.0 * k[1]));
-  return fmin(fmax(1.0 / sharpest, b->bend), FLATTER * b->bend);
-}
-
 /* A path goes through a singular point of its chart where |f_u| or |f_v| falls to 0: the equations
    are smooth there, and the contact frame turns over. Looked for where nobody knows where a chart
    is regular, between places in equal parts of the panels. */
@@ -140,6 +128,8 @@ static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
   return k;
 }
 
+static double first_length(const body_t *b) { return FIRST * sqrt(b->bend * b->size); }
+
 /* ---- geodesics ---- */
 
 static void geodesic(course_t *c, int side, const drive_t *drive, double stop, int reason) {
@@ -156,7 +146,7 @@ static void geodesic(course_t *c, int side, const drive_t *drive, double stop, i
   const double speed = norm(m.w);
   /* where sigma touches zero at a window's edge an interval may be rounding long */
   m.by_length = 1, m.length = fmax(length_at(drive, stop - drive->start), 1e-300);
-  m.first = speed > 0 ? fmin(FIRST * start_bend(c->w, &m) / speed, 4.0 * m.length) : 4.0 * m.length;
+  m.first = speed > 0 ? fmin(first_length(b) / speed, 4.0 * m.length) : 4.0 * m.length;
   add_motion(c, &m, stop, reason);
 }
 
@@ -172,8 +162,8 @@ static slip_t *add_slip(course_t *c, const drive_t *d) {
 }
 
 /* About the time in which a path that may slip grows as long as a first panel may be, s */
-static double first_panel(const drive_t *d, double span, double bend) {
-  const double reach = 0.4 * FIRST * bend;
+static double first_panel(const drive_t *d, double span, const body_t *b) {
+  const double reach = 0.4 * first_length(b);
   double first = span * fmin(1.0, reach / fmax(length_at(d, span), 1e-300));
   for (int k = 0; k < 20; k++) {          /* sigma may grow a lot */
     if (first == span) return 4.0 * span; /* at any tolerance */
@@ -217,7 +207,7 @@ static double driven(course_t *c, const drive_t *d, const double *offset, double
   const double finish = (m.stops ? fmin(negligible, RATE_LEFT) : negligible) * tolerance;
   m.finish = offsets ? 0.0 : finish;
   m.slip = norm(c->v) > m.finish ? norm(c->v) : 0.0;
-  m.first = first_panel(d, m.length, start_bend(c->w, &m));
+  m.first = first_panel(d, m.length, b);
   return add_motion(c, &m, d->stop, offsets ? (any(c->v) ? OFFSET_AND_SLIP : OFFSET) : SLIPS)->stop;
 }
 
@@ -266,7 +256,7 @@ static motion_t forced_motion(course_t *c, int side, const segment_t *s, const d
   const double *push = s->acting + 2 * side, *offset = s->acting + 4;
   motion_t m = motion_of(c, side, d, any(push) || (side && any(offset)));
   for (int a = 0; a < 2; a++) m.state[m.n + a] = more[a], m.scale[m.n + a] = scale;
-  m.n += 2, m.forced = 1, m.first = first_panel(d, m.length, start_bend(c->w, &m));
+  m.n += 2, m.forced = 1, m.first = first_panel(d, m.length, m.body);
   memcpy(m.push, push, sizeof m.push);
   if (side) memcpy(m.offset, offset, sizeof m.offset);
   return m;
