@@ -289,19 +289,15 @@ def reach(full: bool) -> Iterator[Bar]:
     scene = r1.replace(contacts=[contact], profile=cs.Profile([0.1]))
     config = StationConfig.from_scene(scene, contact_model="hydroelastic")
     goal = cs.Goal(object_at=(2.0, 1.0), finger_at=(1.0, 0.5), angle=1.0)
-    for radii, rolls, bar in (
-        ("effective", rolling_scene(scene, config), 1e-3),
-        ("nominal", scene, None),
-    ):
+    radii = {"effective": (rolling_scene(scene, config), 1e-3), "nominal": (scene, None)}
+    for name, (rolls, bar) in radii.items():
         legs = replace(contact, legs=cs.reach(rolls, goal, legs=4).legs[0])
         end = simulate(scene.replace(contacts=[legs]), config).measured["state"][-1, 0]
         places = (contact.finger, end[:2], goal.finger_at), (scene.object, end[4:6], goal.object_at)
         away = max(np.linalg.norm(s.point(*at) - s.point(*wanted)) for s, at, wanted in places)
         off = math.degrees(abs(math.remainder(end[8] - goal.angle, math.tau)))
-        note = f"and {off:.3f} degrees"
-        yield Bar(
-            f"distance from the goal, legs for {radii} radii", bar, float(away), "m", note=note
-        )
+        what = f"distance from the goal, legs for {name} radii"
+        yield Bar(what, bar, float(away), "m", note=f"and {off:.3f} degrees")
 
 
 def speed(full: bool) -> Iterator[Bar]:

@@ -25,6 +25,7 @@ PAIRS = {
     "sphere on ellipsoid": (SMALL, ROUND, 10.0),
     "ellipsoid on ellipsoid": (cs.Ellipsoid(0.05, 0.04, 0.03), ROUND, 10.0),
     "sphere in a bowl": (SMALL, cs.Sphere(0.2, inside=True), 1.0),
+    "cylinder on sphere": (cs.Cylinder(0.02), cs.Sphere(0.3), 10.0),
     "sphere on torus": (SMALL, cs.Torus(0.3, 0.1), 10.0),
 }
 """Finger, object, and the median's bar in ms; that of 99 % is ten times it."""

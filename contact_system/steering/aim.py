@@ -97,7 +97,8 @@ class Aim:
         if goal.pose is not None:
             away = [math.dist(pose[:3, 3], goal.pose[:3, 3])]
         self.far = max(away) / self.pace
-        unit = min(self.sizes + [region.widest for region in self.regions]) / self.pace
+        widths = [region.widest for region in self.regions]
+        unit = min([self._turning_length(), *widths]) / self.pace
         self.unit = max(unit, 0.05 * self.far)  # far goals take long steps
         self.start_off = self.off(np.array([x for x, _ in self.start]), pose)
         self._followers: list[Follower] = []  # the engine points into them
@@ -193,6 +194,17 @@ class Aim:
             self.start.append((points[0], frames[0]))
             self.goal.append((points[1], frames[1]))
         self.sides = tuple(sides)
+
+    def _turning_length(self) -> float:
+        """Size of a closed path that turns the finger by 1 rad, as K_1 - K_2 is at the start, m.
+
+        It is between the sizes of the bodies: large if a small cylinder rolls on a large ball.
+        """
+        pairs = zip(self.bodies, (self.contact.finger_at, self.contact.object_at))
+        k_1, k_2 = (float(np.linalg.det(body.curvature_form(*at))) for body, at in pairs)
+        least, greatest = min(self.sizes), max(self.sizes)
+        apart = abs(k_1 - k_2)  # NaN if the contact starts at a pole
+        return max(least, apart**-0.5) if apart > greatest**-2 else greatest
 
     def _regions(self, goal: Goal) -> list[Region]:
         """The goal's regions; raises a SceneError if the start or the goal lies outside."""
