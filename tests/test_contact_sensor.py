@@ -56,7 +56,7 @@ def test_a_plans_pose_and_twist_give_its_states_back(name):
 @pytest.mark.parametrize("obj", SURFACES)
 def test_states_of_any_two_surfaces_are_measured(obj, finger):
     scene = one_contact(obj, finger)
-    plan = cs.plan(scene)
+    plan = cs.plan(scene, 1e-14)  # measuring takes its error times the conformity, twice
     pose, twist, points = at(plan, 0.3)
     try:
         measured = cs.measured_states(scene, pose, twist, points)
