@@ -18,7 +18,7 @@ from .shooting import Array
 def four_rolls(aim: Aim, below: float) -> Array | None:
     """The path z of four legs to places on both bodies and an angle.
 
-    None for other goals, and if it cannot be shorter than ``below``, m along s.
+    None for other goals, and if it is not shorter than ``below``, m along s.
     """
     flat = [is_plane(body) for body in aim.bodies]
     if flat[0] == flat[1] or not aim.in_closed_form or aim.pose is None or aim.is_pose:
@@ -31,7 +31,7 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
     (a, b), (turned, moved) = _turn_of_ball(aim, ball), _move_on_plane(aim, plane)
     half = cmath.rect(1.0, 0.5 * (psi - aim.angles[1])) * turned
     a, b, wanted = a * half, b * half.conjugate() / r, 2 * turned * moved
-    first = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 2001)  # directions of the first roll
+    first = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 361)  # directions of the first roll
     way = np.exp(1j * first)
     s1 = np.arctan2(-a.imag, (way * b.conjugate()).imag)
     s1 -= math.pi * np.round(s1 / math.pi)
@@ -48,6 +48,8 @@ def four_rolls(aim: Aim, below: float) -> Array | None:
     ahead = -psi - cmath.phase(left[k])
     ways = np.array([first[k], second[k], ahead - open_by, ahead + open_by])
     lengths = np.array([2 * r * s1[k], 2 * r * s2[k], whole, whole])
+    if np.abs(lengths).sum() >= below * aim.pace:
+        return None
     directions = ways if ball == 0 else -psi - ways
     return np.concatenate([directions - aim.lean, lengths / aim.pace])
 
