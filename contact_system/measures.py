@@ -13,6 +13,7 @@ from .checks import shaped_array
 from .errors import ChartSingularity, ContactSystemError
 from .plan import Plan, require_plan
 from .scene import STILL, Scene
+from .theory import equations
 from .theory.gain import contraction
 
 REJECTED = 0.05
@@ -251,7 +252,7 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
 
 
 def relative_curvature(plan: Plan, t: np.ndarray) -> np.ndarray:
-    """K_2 + R_psi K_1 R_psi of each contact, (n_times, n_contacts, 2, 2), 1/m.
+    """K_2 + R_psi K_1 R_psi in E2, of each contact, (n_times, n_contacts, 2, 2), 1/m.
 
     The bodies part in the directions in which it is positive, and overlap where it is negative. It
     is NaN at a pole or an umbilic.
@@ -266,7 +267,7 @@ def relative_curvature(plan: Plan, t: np.ndarray) -> np.ndarray:
             forms.append(surface.curvature_form(*at))
             axes.append(surface.frame(*at)[..., :2])
         turn = axes[1].swapaxes(-1, -2) @ turns[:, i] @ axes[0]
-        relative[:, i] = forms[1] + turn @ forms[0] @ turn.swapaxes(-1, -2)
+        relative[:, i] = equations.relative_curvature(forms[1], forms[0], turn)
     return relative
 
 

@@ -29,6 +29,7 @@ transported along the actual motion, ``-Gamma^k_ij (q2' + d)^i q2'^j``, to keep 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from . import symbols as ca
 from .geometry import ChartGeometry, rotation, symmetric, upper_inverse
@@ -158,8 +159,11 @@ def contact_velocities(
     return a1, r @ a1 - v_rel
 
 
-def relative_curvature(shape_1: ca.SX, shape_2: ca.SX, r: ca.SX) -> ca.SX:
-    """K_1 + R_psi K_2 R_psi in E1, 1/m; singular where the surfaces conform to each other."""
+def relative_curvature(shape_1: Any, shape_2: Any, r: Any) -> Any:
+    """K_1 + R_psi K_2 R_psi in E1, 1/m; singular where the surfaces conform to each other.
+
+    Of symbols, or of arrays (..., 2, 2).
+    """
     return shape_1 + r @ shape_2 @ r
 
 
