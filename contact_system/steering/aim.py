@@ -20,6 +20,7 @@ from .goal import Goal
 from .shooting import SHARP, Array, Follower
 
 MOST_LEGS = 4
+POSE = 1  # of the engine's tables of contacts, as in engine.h
 LANES = 16
 """Paths that the engine searches at once."""
 PARTS = 8
@@ -269,10 +270,10 @@ class Aim:
 def _pose(psi: float, finger: tuple[Array, Array], obj: tuple[Array, Array]) -> Array:
     """The finger's pose, (4, 4), where it touches with points and frames of both bodies."""
     c, s = math.cos(psi), math.sin(psi)
-    joint = np.array([[c, -s, 0.0], [-s, -c, 0.0], [0.0, 0.0, -1.0]])
+    frames = np.concatenate([np.append(x, frame[:, :2].T) for x, frame in (finger, obj)])
+    found = binding.run(binding.contact_table(POSE), frames[:, None], (c, -s, -s, -c))
     pose = np.eye(4)
-    pose[:3, :3] = obj[1] @ joint @ finger[1].T
-    pose[:3, 3] = obj[0] - pose[:3, :3] @ finger[0]
+    pose[:3, :3], pose[:3, 3] = found[:9].reshape(3, 3), found[9:, 0]
     return pose
 
 
