@@ -116,6 +116,26 @@ def test_slip_moves_a_contact_by_the_integral_of_the_law(profile, eta):
         assert moved == pytest.approx(g, abs=2e-13)
 
 
+@pytest.mark.parametrize("least", [1e-1, 1e-4, 1e-6])
+def test_slip_under_an_acceleration_where_sigma_almost_rests(least):
+    # on a plane, with lam = eta: v = sigma exp(-eta t) (v(0)/sigma(0) - d int exp(eta t)/sigma)
+    eta, d, sigma = 3.0, 0.03, (least + 0.1, -0.2, 0.1)
+    push = [cs.ObjectAcceleration(contact=0, start=0.5, stop=1.75, value=(d, 0.0))]
+    scene = one_contact(cs.Plane(), "sphere", cs.Gain.time(eta), sigma, push, 2.0)
+    t = [0.0, 0.9, 1.0, 1.3, 2.0]
+    first, *slip = cs.plan(scene).slip(t)[:, 0, 0]
+
+    def speed(x):
+        return sum(c * mp.mpf(x) ** k for k, c in enumerate(sigma))
+
+    with mp.workdps(30):
+        near = [1 + k * mp.sqrt(least) for k in (-30, -10, -3, -1, 0, 1, 3, 10, 30)]
+        for time, found in zip(t[1:], slip):
+            places = [0.5, *(x for x in near if 0.5 < x < min(time, 1.75)), min(time, 1.75)]
+            left = first / speed(0) - d * mp.quad(lambda x: mp.exp(eta * x) / speed(x), places)
+            assert abs(speed(time) * mp.exp(-eta * mp.mpf(time)) * left - found) < 1e-12
+
+
 # sigma is zero at the start, which the chart equations cannot even state, or at 1/2 s
 @pytest.mark.parametrize(("profile", "rest"), [((0.0, 0.3, -0.1), 0.0), ((0.1, -0.4, 0.4), 0.5)])
 @pytest.mark.parametrize("obj", ["plane", "sphere", "ellipsoid", "bumps", "rounded cube"])

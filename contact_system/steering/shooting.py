@@ -84,8 +84,8 @@ class Search:
 
     def shortest(self) -> tuple[Array, Array]:
         """Directions and lengths of the shortest geodesic of each pair."""
-        phi, s = self.chords()
-        phi, s, met, _ = self.aim(np.arange(len(s)), phi, s, steps=12)
+        every = np.arange(len(self.pairs.chord))
+        phi, s, met, _ = self.aim(every, *self.chords(every), steps=12)
         unsure = np.flatnonzero(~met | (s > self.surface.injectivity * (1 + 1e-12)))
         reach = np.where(met, s * (1 + 1e-6), 2 * self.pairs.chord)[unsure]
         s[~met] = math.inf
@@ -141,13 +141,14 @@ class Search:
 
     # -- aiming
 
-    def chords(self) -> tuple[Array, Array]:
+    def chords(self, which: Array) -> tuple[Array, Array]:
         """Directions and lengths of the circles tangent to the surface at a that pass b."""
-        pairs = self.pairs
-        ahead, aside = (np.einsum("ij,ij->i", w, pairs.b - pairs.x) for w in (pairs.p, pairs.q))
-        rise = np.sqrt(np.maximum(pairs.chord**2 - ahead**2 - aside**2, 0))
+        pairs, chord = self.pairs, self.pairs.chord[which]
+        way = pairs.b[which] - pairs.x[which]
+        ahead, aside = (np.einsum("ij,ij->i", w[which], way) for w in (pairs.p, pairs.q))
+        rise = np.sqrt(np.maximum(chord**2 - ahead**2 - aside**2, 0))
         angle = np.arctan2(rise, np.hypot(ahead, aside))
-        return np.arctan2(aside, ahead), pairs.chord / np.sinc(angle / math.pi)
+        return np.arctan2(aside, ahead), chord / np.sinc(angle / math.pi)
 
     def aim(
         self, which: Array, phi: Array, s: Array, steps: int = 25
@@ -196,7 +197,9 @@ class Search:
         phi, width = np.tile(angles, len(which)), np.full(RAYS * len(which), 2 * math.pi / RAYS)
         self.spent = 0.0
         found = self.sift(np.repeat(which, RAYS), np.repeat(reach, RAYS), phi, width)
-        return [np.concatenate(w) for w in zip(*found)]
+        # rays have no sample close to a: the chord finds b there
+        direct = which, *self.chords(which), reach
+        return [np.concatenate(w) for w in zip(direct, *found)]
 
     def sift(
         self, pair: Array, limit: Array, phi: Array, width: Array, depth: int = 0
