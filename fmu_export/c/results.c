@@ -160,39 +160,32 @@ static double (*run_along(component_t *c, long i)) [L] {
   return c->tangents + t->first_out;
 }
 
-/* Part of a disturbance's growth: a reference, and by how much its growth counts */
-typedef struct {
-  long reference;
-  double part;
-} part_t;
-
-enum { MOST_PARTS = 64 };
-
-/* What column r of contact i's point and constants is the sum of; returns how many parts */
-static long parts_of(const component_t *c, long i, long r, part_t out[MOST_PARTS]) {
-  const layout_t *l = c->model->layout + i;
-  const long scale = (long)c->model->data[D_SCALE], slot = r - 1 - l->states;
-  const long own = (long)(c->model->data + (long)contact_of(c->model, i)[P_COLUMNS])[r];
-  long n = 0;
-  if (own >= 0) out[n++] = (part_t){own, 1.0}; /* else a leg's own number */
-  for (long k = 0; slot >= 0 && slot < DISTURBANCES && k < c->model->n_windows; k++) {
-    if ((long)window_of(c, k)[V_SLOT] != slot / 2 || !acts(c, k, i) || n + 2 > MOST_PARTS) continue;
-    const long at = (long)window_of(c, k)[V_VALUES] + 2 + slot % 2;
-    out[n++] = (part_t){at, c->value[scale]}, out[n++] = (part_t){scale, c->value[at]};
-  }
-  return n;
+/* Windows on contact i act as its inputs do, which take over their seed or hand back what grew. */
+static void derive_windows(component_t *c, long i, int transposed) {
+  const long scale = (long)c->model->data[D_SCALE];
+  for (long k = 0; k < c->model->n_windows; k++)
+    for (int a = 0; a < 2 && acts(c, k, i); a++) {
+      const long at = (long)window_of(c, k)[V_VALUES] + 2 + a;
+      const long input = c->model->layout[i].at[OF_INPUTS] + 2 * (int)window_of(c, k)[V_SLOT] + a;
+      if (transposed) {
+        c->grown[at] += c->value[scale] * c->grown[input];
+        c->grown[scale] += c->value[at] * c->grown[input];
+      } else {
+        c->seed[input] += c->value[scale] * c->seed[at] + c->value[at] * c->seed[scale];
+      }
+    }
 }
 
 /* grown = J seed over all references, or J^T seed */
 static void derive(component_t *c, int transposed) {
   const model_t *m = c->model;
-  part_t part[MOST_PARTS];
   memcpy(c->grown, c->seed, (size_t)m->n_values * sizeof(double));
   for (long i = 0; i < m->n_contacts; i++) {
     const layout_t *l = m->layout + i;
     const table_t *t = system_of(m, i);
     const long inputs = t->n_in + t->n_const, results = n_results(l);
     const double *seed = c->seed + l->at[OF_RATES];
+    const double *column = m->data + (long)contact_of(m, i)[P_COLUMNS];
     double *grown = c->grown + l->at[OF_RATES];
     long used = 0;
     while (transposed && used < results && seed[used] == 0.0) used++;
@@ -201,24 +194,22 @@ static void derive(component_t *c, int transposed) {
       double state;
       get_values(c, (unsigned)l->at[OF_STATES], 1, &state);
     }
-    if (!transposed) memset(grown, 0, (size_t)results * sizeof *grown);
+    if (!transposed) derive_windows(c, i, 0), memset(grown, 0, (size_t)results * sizeof *grown);
     for (long from = 0; from < inputs; from += L) {
       memset(c->tangents, 0, (size_t)inputs * sizeof *c->tangents);
       for (long r = from; r < inputs && r < from + L; r++) c->tangents[r][r - from] = 1.0;
       double (*found)[L] = run_along(c, i);
       for (long r = from; r < inputs && r < from + L; r++) {
-        const long n = parts_of(c, i, r, part);
-        double sum = 0.0;
-        for (long q = 0; q < n && !transposed; q++)
-          sum += part[q].part * c->seed[part[q].reference];
-        for (long j = 0; j < results; j++) {
-          if (!transposed && sum != 0.0) grown[j] += found[j][r - from] * sum;
-          if (transposed && seed[j] != 0.0) sum += seed[j] * found[j][r - from];
-        }
-        for (long q = 0; q < n && transposed; q++)
-          c->grown[part[q].reference] += part[q].part * sum;
+        const long own = (long)column[r];
+        if (own < 0) continue; /* a leg's own number */
+        for (long j = 0; j < results; j++)
+          if (transposed && seed[j] != 0.0)
+            c->grown[own] += seed[j] * found[j][r - from];
+          else if (!transposed && c->seed[own] != 0.0)
+            grown[j] += found[j][r - from] * c->seed[own];
       }
     }
+    if (transposed) derive_windows(c, i, 1);
     if (SYSTEM(c->now)) find_system(c, i);
     if (past_end(c))
       for (long j = 0; j < m->n_values; j++)
