@@ -113,7 +113,6 @@ _CALLS: dict[str, Any] = {
     "evaluate": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, POINTER(Failure)),
     "moments": ctypes.CFUNCTYPE(c_int32, c_void_p, c_double, c_void_p, POINTER(Failure)),
     "facts": ctypes.CFUNCTYPE(c_int64, c_void_p, c_int64, c_int64, POINTER(Fact)),
-    "bytes": ctypes.CFUNCTYPE(c_double, c_void_p),
     "run": ctypes.CFUNCTYPE(c_int32, c_void_p, c_int64, c_void_p, c_void_p, c_int32, c_void_p),
     # these take a microsecond
     "step": ctypes.PYFUNCTYPE(None, c_void_p),
@@ -157,7 +156,7 @@ _LIBRARY = _library()
 ENGINE: Engine = _LIBRARY.contact_engine().contents
 # reading a field of a structure makes a new function object every time
 plan, anchor, evaluate = ENGINE.plan, ENGINE.anchor, ENGINE.evaluate
-moments, facts, plan_bytes, _run = ENGINE.moments, ENGINE.facts, ENGINE.bytes, ENGINE.run
+moments, facts, _run = ENGINE.moments, ENGINE.facts, ENGINE.run
 step, along, geodesics = ENGINE.step, ENGINE.along, ENGINE.geodesics
 _sign_changes, _rays = ENGINE.sign_changes, ENGINE.rays
 steer = ENGINE.steer

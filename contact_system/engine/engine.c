@@ -158,8 +158,6 @@ static int64_t facts(const plan_t *plan, int64_t contact, int64_t room, fact_t *
   return n;
 }
 
-static double bytes(const plan_t *plan) { return plan->bytes; }
-
 static int run_table(const table_t *table, int64_t n, const double *in, const double *constants,
                      int constants_vary, double *out) {
   work_t w;
@@ -200,7 +198,6 @@ const engine_t NAME(VARIANT) = {.version = SCENE_VERSION,
                                 .evaluate = evaluate,
                                 .moments = moments,
                                 .facts = facts,
-                                .bytes = bytes,
                                 .run = run_table,
                                 .step = step,
                                 .along = along,

@@ -86,7 +86,6 @@ struct plan {
   int64_t n_contacts;
   contact_t *contacts;
   block_t *memory;
-  double bytes;
   int anchored;
   work_t *kept; /* of `look` */
 };
@@ -137,7 +136,6 @@ static void *keep(work_t *w, size_t n) {
     if (!b) fail(w, NO_MEMORY);
     b->next = w->plan->memory, b->used = 0, b->size = size;
     w->plan->memory = b;
-    w->plan->bytes += (double)(sizeof *b + size * sizeof(double));
   }
   void *found = b->data + b->used;
   b->used += n;
