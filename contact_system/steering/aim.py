@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,21 +86,21 @@ class Aim:
         self.contact = _steerable(scene, index, self.name)
         self.bodies = self.contact.finger, scene.object
         self.angles = self.contact.angle, goal.angle or 0.0
-        self._place(goal)
+        curvatures = self._place(goal)
+        pose, own = _poses(self.angles, self.start, self.goal)
         self.pose, self.is_pose = goal.pose, goal.pose is not None
         if goal.angle is not None:
-            self.pose = _pose(goal.angle, *self.goal)
+            self.pose = own
         self.regions = self._regions(goal)
         w: Any = self.contact.finger_velocity
         self.pace, self.lean = math.hypot(*w), math.atan2(w[1], w[0])
         self.sizes = [body.size for body in self.bodies]
         away = [math.dist(self.start[side][0], self.goal[side][0]) for side in self.sides]
-        pose = _pose(self.angles[0], *self.start)
         if goal.pose is not None:
             away = [math.dist(pose[:3, 3], goal.pose[:3, 3])]
         self.far = max(away) / self.pace
         widths = [region.widest for region in self.regions]
-        unit = min([self._turning_length(), *widths]) / self.pace
+        unit = min([self._turning_length(*curvatures), *widths]) / self.pace
         self.unit = max(unit, 0.05 * self.far)  # far goals take long steps
         self.start_off = self.off(np.array([x for x, _ in self.start]), pose)
         self._followers: list[Follower] = []  # the engine points into them
@@ -178,9 +179,9 @@ class Aim:
 
     # --- helpers --------------------------------------------------------------------------------
 
-    def _place(self, goal: Goal) -> None:
-        """Start and goal on both bodies."""
-        sides, self.start, self.goal = [], [], []
+    def _place(self, goal: Goal) -> list[float]:
+        """Start and goal on both bodies; returns their Gaussian curvatures at the start, 1/m^2."""
+        sides, self.start, self.goal, curvatures = [], [], [], []
         for side, body in enumerate(self.bodies):
             at = getattr(self.contact, f"{SIDES[side]}_at")
             wanted = getattr(goal, f"{SIDES[side]}_at")
@@ -191,18 +192,19 @@ class Aim:
                 # on a double cover psi depends on the branch
                 wanted = wanted if body.double_cover else regular
             both = np.transpose([at, at if wanted is None else wanted])
-            points, frames = body.point_and_frame(*both)
+            points, frames, forms = body._evaluate(*both, "point", "frame", "curvature_form")
             self.start.append((points[0], frames[0]))
             self.goal.append((points[1], frames[1]))
+            (k_xx, k_xy), (_, k_yy) = forms[0].tolist()
+            curvatures.append(k_xx * k_yy - k_xy**2)
         self.sides = tuple(sides)
+        return curvatures
 
-    def _turning_length(self) -> float:
+    def _turning_length(self, k_1: float, k_2: float) -> float:
         """Size of a closed path that turns the finger by 1 rad, as K_1 - K_2 is at the start, m.
 
         It is between the sizes of the bodies: large if a small cylinder rolls on a large ball.
         """
-        pairs = zip(self.bodies, (self.contact.finger_at, self.contact.object_at))
-        k_1, k_2 = (float(np.linalg.det(body.curvature_form(*at))) for body, at in pairs)
         least, greatest = min(self.sizes), max(self.sizes)
         apart = abs(k_1 - k_2)  # NaN if the contact starts at a pole
         return max(least, apart**-0.5) if apart > greatest**-2 else greatest
@@ -267,14 +269,15 @@ class Aim:
         return data
 
 
-def _pose(psi: float, finger: tuple[Array, Array], obj: tuple[Array, Array]) -> Array:
-    """The finger's pose, (4, 4), where it touches with points and frames of both bodies."""
-    c, s = math.cos(psi), math.sin(psi)
-    frames = np.concatenate([np.append(x, frame[:, :2].T) for x, frame in (finger, obj)])
-    found = binding.run(binding.contact_table(POSE), frames[:, None], (c, -s, -s, -c))
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = found[:9].reshape(3, 3), found[9:, 0]
-    return pose
+def _poses(angles: Sequence[float], *contacts: list[tuple[Array, Array]]) -> Array:
+    """The finger's poses, (n, 4, 4), where it touches with points and frames of both bodies."""
+    psi = np.array(angles)
+    c, s = np.cos(psi), np.sin(psi)
+    frames = [np.concatenate([(x, *frame.T[:2]) for x, frame in both]).ravel() for both in contacts]
+    found = binding.run(binding.contact_table(POSE), np.transpose(frames), (c, -s, -s, -c))
+    poses = np.tile(np.eye(4), (len(contacts), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = found[:9].T.reshape(-1, 3, 3), found[9:].T
+    return poses
 
 
 def is_plane(body: Surface) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import dataclasses
 import math
 from dataclasses import dataclass
@@ -16,10 +17,11 @@ from ..scene import Scene, require_scene
 from .goal import Goal, Route
 from .reach import TOLERANCE, reach
 
-SETTLED = 1e-12
-"""Change, rad, of the areas that curves enclose at which their extrapolation has converged."""
-MOST_PARTS = 65536
-"""Sides of the polygons, at most, that stand for the curves of a leg."""
+SETTLED = 1e-9
+"""Change, rad, of the areas that curves enclose at which they have settled: each has about twice
+as many digits as the one before."""
+FIRST_PARTS, MOST_PARTS = 64, 65536
+"""Parts of a leg, the first and the most, over which areas are summed."""
 
 
 @dataclass(frozen=True)
@@ -79,45 +81,63 @@ def loop(scene: Scene, angle: float, *, contact: int = 0, seconds: float = 0.0) 
 
 def _turns(scene: Scene, contact: int) -> tuple[float, tuple[float, float]]:
     """The change of psi, and the areas that the normals along both curves enclose."""
-    motion, edges = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None)), np.array(scene.edges)
-    ends: Any = motion.evaluate(edges[[0, -1]], ("pose", FRAMES))
+    motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
+    ends: Any = motion.evaluate(np.array([0.0, scene.duration]), ("pose", FRAMES))
     first, last = ends["pose"][:, contact, :3, :3]
     p, q = ends[FRAMES][0, contact, 1, 3:9].reshape(2, 3)
     turned = last @ first.T @ p  # the finger turns by -psi about the object's normal
-    return -math.atan2(turned @ q, turned @ p), _enclosed(motion, contact, edges)
+    return -math.atan2(turned @ q, turned @ p), _enclosed(motion, contact)
 
 
-def _enclosed(motion: Motion, contact: int, edges: np.ndarray) -> tuple[float, float]:
+def _enclosed(motion: Motion, contact: int) -> tuple[float, float]:
     """The areas that the normals along both curves enclose on the unit sphere.
 
-    Areas of polygons with twice as many sides each time are extrapolated (Romberg's method).
+    They are sums over equal steps, with twice as many each time. Such sums converge fast if what
+    is summed begins and ends smoothly, so a leg's time is a smooth function of the step.
     """
-    parts, change = 16, math.inf
-    row = [_areas(motion, contact, edges, parts)]
+    parts, change = FIRST_PARTS, math.inf
+    swept = _swept(motion, contact, parts, 0.0)
+    areas = _areas(*swept) / parts
     while change > SETTLED and parts < MOST_PARTS:  # normals turn fast over a flat body's rim
-        parts, before = 2 * parts, row
-        row = [_areas(motion, contact, edges, parts)]
-        for k, coarser in enumerate(before, 1):
-            row.append(row[-1] + _wrapped(row[-1] - coarser) / (4**k - 1))
-        change = np.abs(_wrapped(row[-1] - before[-1])).max()
-    finger, object_ = _wrapped(row[-1]).tolist()
+        swept = np.concatenate([swept, _swept(motion, contact, parts, 0.5)], axis=1)
+        parts, before = 2 * parts, areas
+        areas = _areas(*swept) / parts
+        change = np.abs(_wrapped(areas - before)).max()
+    finger, object_ = _wrapped(areas).tolist()
     return finger, object_
 
 
-def _areas(motion: Motion, contact: int, edges: np.ndarray, parts: int) -> np.ndarray:
-    """Areas of the spherical polygons of the normals, with so many sides for each leg, (2,)."""
-    legs = np.arange(len(edges))
-    t = np.interp(np.arange(parts * legs[-1]) / parts, legs, edges)
-    results: Any = motion.evaluate(t, (FRAMES,))
+def _swept(motion: Motion, contact: int, parts: int, shift: float) -> np.ndarray:
+    """Normals n of finger and object in each part of each leg, and n x dn: (2, times, 2, 3).
+
+    shift: where in a part, 0 to 1; dn: while n goes on as now for the time of the leg.
+    """
+    start, legs = motion.scene.contacts[contact], motion.scene.way(contact)
+    w: Any = start.finger_velocity
+    turn = 2 * math.pi * (np.arange(parts) + shift) / parts
+    t, velocities = [], []
+    for leg in legs:
+        span = leg.stop - leg.start
+        own = span * (turn - np.sin(turn)) / (2 * math.pi)
+        t.append(leg.start + own)
+        moved = leg.profile(own) * math.hypot(*w) * span * (1 - np.cos(turn))
+        lean = leg.direction + math.atan2(w[1], w[0])
+        ways = [cmath.rect(1.0, angle) for angle in (lean, -lean - start.angle)]
+        velocities.append(np.outer(moved, ways))  # from p towards q, on each body
+    way = np.concatenate(velocities)
+    results: Any = motion.evaluate(np.concatenate(t), (FRAMES,))
     frames = results[FRAMES][:, contact]
-    n = np.cross(frames[..., 3:6], frames[..., 6:9])
-    following = np.roll(n, -1, axis=0)
-    # triangles from a direction whose opposite is far from the normals
+    p, q, k = frames[..., 3:6], frames[..., 6:9], frames[..., 9:]
+    turns = k[..., :2] * way.real[..., None] + k[..., 1:] * way.imag[..., None]
+    return np.array([np.cross(p, q), turns[..., :1] * q - turns[..., 1:] * p])
+
+
+def _areas(n: np.ndarray, swept: np.ndarray) -> np.ndarray:
+    """Sums of z . (n x dn) / (1 + z . n), (2,), with z whose opposites are far from n."""
     axes = np.vstack([np.eye(3), -np.eye(3)])
     z = axes[np.argmax((n @ axes.T).min(axis=0), axis=-1)]
-    volume = np.einsum("kij,ij->ki", np.cross(n, following), z)
-    cosines = np.einsum("kij,ij->ki", n + following, z) + (n * following).sum(axis=-1)
-    return 2 * np.arctan2(volume, 1 + cosines).sum(axis=0)
+    up, over = np.einsum("tij,ij->ti", n, z), np.einsum("tij,ij->ti", swept, z)
+    return (over / (1 + up)).sum(axis=0)
 
 
 def _wrapped(area: np.ndarray) -> np.ndarray:

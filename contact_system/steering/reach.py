@@ -22,7 +22,7 @@ from ..errors import ContactSystemError, SceneError
 from ..explanation import SIDES
 from ..motion import Buffer, Motion
 from ..plan import plan
-from ..scene import STILL, Leg, Scene, require_scene
+from ..scene import STILL, Contact, Leg, Scene, require_scene
 from ..scene.contact import all_of
 from .aim import LANES, MOST_LEGS, Aim
 from .four_rolls import four_rolls
@@ -94,11 +94,17 @@ def reach(
         route, tried = _Search(scene, i, own, longest).shortest(legs, share)
         routes.append(route)
         texts.append(f"contact {i}: {tried}")
-    rest = (Leg(0.0, 0.0, scene.duration),)
-    legs_by_contact = tuple(rest if route is None else route.legs for route in routes)
     residual = max(route.residual for route in routes if route is not None)
-    contacts = [dataclasses.replace(c, legs=own) for c, own in zip(scene.contacts, legs_by_contact)]
-    legged = scene.replace(contacts=contacts, profile=STILL)
+    if len(routes) == 1 and routes[0]:  # this scene was made in the search
+        legged = routes[0].scene
+    else:
+        rest = (Leg(0.0, 0.0, scene.duration),)
+        contacts = [
+            dataclasses.replace(contact, legs=rest) if route is None else route.contact
+            for contact, route in zip(scene.contacts, routes)
+        ]
+        legged = scene.replace(contacts=contacts, profile=STILL)
+    legs_by_contact = tuple(tuple(contact.legs) for contact in legged.contacts)
     whole = sum(leg.length or 0.0 for own in legs_by_contact for leg in own)
     return Route(legged, legs_by_contact, whole, residual, "; ".join(texts))
 
@@ -135,8 +141,8 @@ class _Route:
         return _length(self.z)
 
     @property
-    def legs(self) -> tuple[Leg, ...]:
-        return tuple(self.scene.contacts[0].legs)
+    def contact(self) -> Contact:
+        return self.scene.contacts[0]
 
 
 def _length(z: Array) -> float:
