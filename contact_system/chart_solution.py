@@ -14,7 +14,7 @@ from scipy.integrate import OdeSolution, solve_ivp
 
 from .checks import within
 from .errors import ContactSystemError, SceneError
-from .explanation import SIDES, passed
+from .explanation import passed
 from .motion import SHAPES
 from .scene import Scene
 from .starts import Start, Starts, scene_start
@@ -66,7 +66,7 @@ class ChartMotion:
         lines = []
         for i, contact in enumerate(self.solve()):
             lines.append(f"contact {i}:")
-            lines += [f"  {side} {line}" for side in SIDES for line in contact.lines]
+            lines += [f"  both   {line}" for line in contact.lines]
         return lines
 
 

@@ -36,7 +36,7 @@ from .measures import (
     relative_curvature,
 )
 from .plan import METHODS, Plan, plan
-from .scene import STILL, Scene, bundled_scenes, load_scene, save_scene
+from .scene import Scene, bundled_scenes, load_scene, save_scene
 from .steering import Goal, reach
 from .steering.goal import KEYS
 from .terminal import Progress, paragraph, table
@@ -164,7 +164,8 @@ def _scenes(args: argparse.Namespace) -> int:
 
 def _contraction(scene: Scene) -> list[str]:
     """An empty line and where slip shrinks under the scene's profile; nothing for legs alone."""
-    return [] if scene.profile == STILL else ["", paragraph(str(scene.contraction()))]
+    legs_alone = all(contact.legs for contact in scene.contacts)
+    return [] if legs_alone else ["", paragraph(str(scene.contraction()))]
 
 
 def _explain(args: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from . import limits
 from .engine.binding import Fact, Failure
 from .errors import ChartSingularity, ContactSystemError, SceneError
-from .scene import DISTURBANCE_KINDS, Scene
+from .scene import DISTURBANCE_KINDS, STILL, Scene
 from .surfaces import Surface
 
 SIDES = ("finger", "object")
@@ -48,17 +48,18 @@ def _of_contact(scene: Scene, contact: int, facts: Sequence[Fact]) -> list[str]:
 
 def _method(f: Fact) -> str:
     place = "space" if f.ambient else "its chart"
+    panels = f"{f.panels} panel{'s' * (f.panels > 1)}"
     if f.kind == CIRCLE:
         return "closed form: great circle"
     if f.kind == LINE and f.panels:
-        return f"quadrature of slip, {f.panels} panels"
+        return f"quadrature of slip, {panels}"
     if f.kind == LINE:
         return "closed form: straight line on the developed surface"
     if f.forced:
-        return f"forced development, {f.panels} panels"
+        return f"forced development, {panels}"
     if f.by_length:
-        return f"geodesic in arc length, in {place}, {f.panels} panels"
-    return f"development in {place}, {f.panels} panels"
+        return f"geodesic in arc length, in {place}, {panels}"
+    return f"development in {place}, {panels}"
 
 
 _REASONS = {
@@ -74,18 +75,26 @@ _REASONS = {
 
 
 def _reason(scene: Scene, contact: int, f: Fact) -> str:
-    if f.kind == LINE and f.panels:
-        return "T = 0: the developed curve is the curve"
-    if f.kind == LINE and f.reason == SLIPS:
-        return "slip negligible"
     if f.reason == PUSHED:
         return _disturbances(scene, contact, f)
+    if f.reason in (SLIPS, NEGLIGIBLE) and _rests(scene, contact, f):
+        return "the contact rests"
     why = _REASONS[f.reason].format(f)
+    if f.kind == LINE and f.slips:
+        return why + ("; a developable surface" if f.panels else " negligible")
+    if f.reason == FOLLOWING and SIDES[f.side] == "finger":
+        return why + "; integrated even where a closed form is known, to confirm it"
     if f.kind == PANELS and f.by_length:
         why += "; no closed form on this surface"
     elif f.released == f.released:
         why += f", below tolerance from t = {f.released:.6g} s on"
     return why
+
+
+def _rests(scene: Scene, contact: int, f: Fact) -> bool:
+    """Whether a contact has reached the end of its legs."""
+    last = scene.way(contact)[-1]
+    return last.profile == STILL and f.start >= last.start
 
 
 def _disturbances(scene: Scene, contact: int, f: Fact) -> str:

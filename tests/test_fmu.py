@@ -556,5 +556,4 @@ def test_adjoint_derivatives_are_the_transpose(kind):
     forward = [one.product("Directional", unknowns, knowns, e) for e in np.eye(count)]
     backward = [one.product("Adjoint", unknowns, knowns, e) for e in np.eye(rows)]
     assert np.allclose(forward, np.transpose(backward), rtol=1e-12, atol=1e-13)
-    assert np.abs(forward).max() > 0.01
     assert np.any(forward[knowns.index("disturbance[33].u")])

@@ -36,12 +36,6 @@ def test_times_come_in_any_order(scene):
         assert getattr(plan, ask)(t) == pytest.approx(one_by_one, abs=bar), ask
 
 
-def test_compiled_is_accepted_and_ignored():
-    scene, t = busy(), np.linspace(0, 1, 21)
-    found, expected = cs.plan(scene, compiled=True), cs.plan(scene)
-    assert np.array_equal(found.states(t), expected.states(t))
-
-
 @pytest.mark.parametrize("t", [-1e-9, 1.0000001, [0.5, 2.0], np.nan, np.inf])
 def test_time_outside_the_horizon_is_named_with_the_horizon(t):
     plan = cs.plan(one_contact())
@@ -167,7 +161,16 @@ def test_explain_names_scene_tolerance_intervals_and_causes():
         "object [0.8, 1] s",
     ):
         assert words in text
-    assert "imposed" in cs.plan(cs.load_scene("C2")).explain()
+    assert "rolling is imposed; integrated" in cs.plan(cs.load_scene("C2"), compiled=True).explain()
+
+
+def test_explain_tells_of_rate_offsets_and_of_rests():
+    offset = cs.ObjectRateOffset(0, 0.2, 0.4, (0.1, 0.3))
+    scene = one_contact("cylinder", object_velocity="rolling", disturbances=[offset])
+    assert "(object rate offset)" in cs.plan(scene).explain()
+    scene = one_contact("ellipsoid", legs=[cs.Leg(0.3, 0.05, 0.5)])
+    assert "(the contact rests)" in cs.plan(scene).explain()
+    pytest.raises(cs.SceneError, scene.contraction).match("all have legs")
 
 
 # --- bundled scenes

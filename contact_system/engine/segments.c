@@ -128,6 +128,12 @@ static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
   return k;
 }
 
+/* What moves an object that nothing accelerates */
+static int reason_of(const course_t *c, const double *offset) {
+  if (any(offset)) return any(c->v) ? OFFSET_AND_SLIP : OFFSET;
+  return any(c->v) ? SLIPS : NO_SLIP;
+}
+
 static double first_length(const body_t *b) { return FIRST * sqrt(b->bend * b->size); }
 
 /* ---- geodesics ---- */
@@ -185,9 +191,9 @@ static panels_t slip_length(course_t *c, const drive_t *d) {
   return kept_panels(c->w, &m);
 }
 
-static void line(course_t *c, const drive_t *d, const double *offset, int matters, int reason) {
+static void line(course_t *c, const drive_t *d, const double *offset, int matters) {
   const double *state = state_of(c, 1);
-  track_t *k = add_track(c, 1, d, d->stop, reason);
+  track_t *k = add_track(c, 1, d, d->stop, reason_of(c, offset));
   memcpy(k->v, c->v, sizeof k->v), memcpy(k->offset, offset, sizeof k->offset);
   k->slips = any(c->v), k->offsets = any(offset);
   if (matters)
@@ -208,7 +214,7 @@ static double driven(course_t *c, const drive_t *d, const double *offset, double
   m.finish = offsets ? 0.0 : finish;
   m.slip = norm(c->v) > m.finish ? norm(c->v) : 0.0;
   m.first = first_panel(d, m.length, b);
-  return add_motion(c, &m, d->stop, offsets ? (any(c->v) ? OFFSET_AND_SLIP : OFFSET) : SLIPS)->stop;
+  return add_motion(c, &m, d->stop, reason_of(c, offset))->stop;
 }
 
 /* The object on a segment on which nothing accelerates; `stop`: the end of the run of such segments
@@ -223,7 +229,7 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
   const double slip = norm(c->v), negligible = NEGLIGIBLE_PART * b->size * d->per_metre;
   double reached = d->stop;
   if (b->surface->closed == DEVELOPABLE && (slip > 0 || any(offset)))
-    line(c, d, offset, slip > ROUNDING * b->size * d->per_metre, slip > 0 ? SLIPS : NO_SLIP);
+    line(c, d, offset, slip > ROUNDING * b->size * d->per_metre);
   else if (slip == 0 && !any(offset))
     geodesic(c, 1, d, reached = stop, c->follows ? FOLLOWING : NO_SLIP);
   else if (slip <= fmin(negligible, RATE_LEFT) * c->w->plan->tolerance && !any(offset))

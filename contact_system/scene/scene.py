@@ -93,7 +93,20 @@ class Scene:
             raise SceneError(f"{self.title}: {error}") from None
 
     def contraction(self) -> Contraction:
-        """Intervals on which slip shrinks, and the least eta for which it shrinks throughout."""
+        """Intervals on which slip shrinks, and the least eta for which it shrinks throughout.
+
+        For contacts without legs.
+
+        Raises
+        ------
+        SceneError
+            If all contacts have legs, whose profiles are their own.
+        """
+        if all(contact.legs for contact in self.contacts):
+            raise SceneError(
+                f"{self.title}: no contact has the scene's profile, as all have legs; how slip "
+                "shrinks along them cs.rejections(cs.plan(scene)) tells"
+            )
         return contraction(self.profile, self.gain, self.duration)
 
     def replace(self, **changes: Any) -> Scene:

@@ -209,8 +209,8 @@ class Contraction:
         text += f" horizon of {self.duration:g} s."
         if self.growth[1] > 1:
             text += (
-                f" Slip at t = 0 grows up to t = {self.growth[0]:.3g} s, to {self.growth[1]:.3g} "
-                "times its value."
+                f" It is greatest at t = {self.growth[0]:.3g} s, {self.growth[1]:.3g} times its "
+                "value at t = 0."
             )
         if not math.isnan(self.left):
             text += f" At the end slip is {self.left:.2g} times its value at t = 0."
@@ -221,10 +221,10 @@ class Contraction:
             return " Any rho > 0 makes slip shrink throughout, at least as fast as exp(-rho t)."
         if math.isinf(self.least_eta):
             leaves = "starts from zero" if math.isnan(self.left) else "touches zero on the way"
+            ratio = " (slip divided by sigma shrinks all the same)" if self.gain.value else ""
             return (
                 f" No finite eta shrinks it throughout: sigma {leaves}, where sigma'/sigma "
-                "is unbounded (slip divided by sigma shrinks all the same). The law 'guaranteed' "
-                "does."
+                f"is unbounded{ratio}. The law 'guaranteed' does."
             )
         return f" This law shrinks it throughout for every eta above {self.least_eta:.3g}."
 
