@@ -140,8 +140,11 @@ static const char *begin_measured(component_t *c, long i, segment_t *s) {
   double *to = s->row;
   memset(to, 0, sizeof s->row);
   memcpy(to + K_PLACE_1, x + U1, 2 * sizeof *x), memcpy(to + K_PLACE_2, x + U2, 2 * sizeof *x);
-  memcpy(to + K_W1, moved[0], 2 * sizeof *x), memcpy(to + K_Y, moved[1], 2 * sizeof *x);
-  to[K_ANGLE] = x[PSI];
+  /* the finger's frame is turned by -psi, so that R_0 = diag(1, -1) as in the equations */
+  const double cs = cos(x[PSI]), sn = sin(x[PSI]), *w = moved[0];
+  to[K_PLACE_1 + 2] = -x[PSI];
+  to[K_W1] = cs * w[0] - sn * w[1], to[K_W1 + 1] = sn * w[0] + cs * w[1];
+  memcpy(to + K_Y, moved[1], 2 * sizeof *x);
   memcpy(s->states, x, sizeof x);
   s->begin = c->now->acts_at, s->measured = 1.0;
   return NULL;
