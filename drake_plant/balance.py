@@ -138,10 +138,12 @@ def _no_grasp(acts: Array, margin: float, friction: ArrayLike) -> str:
 
 
 def friction_used(forces: ArrayLike, normals: ArrayLike, friction: ArrayLike) -> Array:
-    """Part of each friction cone that forces use: (..., n, 3) twice and (n,) -> (..., n)."""
+    """Part of each friction cone that forces use, NaN without contact or friction: (..., n, 3)
+    twice and (n,) -> (..., n)."""
     pressing = np.sum(np.multiply(forces, normals), axis=-1)
     across = np.linalg.norm(forces - pressing[..., None] * normals, axis=-1)
-    return across / (np.asarray(friction) * pressing)
+    limit = friction * pressing
+    return np.divide(across, limit, out=np.full_like(limit, np.nan), where=limit > 0)
 
 
 def needed_wrench(

@@ -15,7 +15,7 @@ from contact_system.cli import paragraph, table
 from contact_system.plots.style import INK, colour_of
 
 from .hand_station import HandResult
-from .measures import EDGE
+from .measures import EDGE, path_slid, time_off
 
 Array = NDArray[np.float64]
 
@@ -53,8 +53,6 @@ def hand_report(result: HandResult) -> HandReport:
     plan, chains, t = result.plan, result.plan.chains, result.t
     X, wanted = result.object_pose, result.wanted_pose
     apart = Rotation.from_matrix(X[:, :3, :3]) * Rotation.from_matrix(wanted[:, :3, :3]).inv()
-    touches, steps = result.measured["normal_force"] > 0, np.diff(t, prepend=t[0])
-    slip = np.linalg.norm(result.measured["slip"], axis=2)
     pushed = np.zeros(len(t), bool)
     for push in result.config.pushes:
         pushed |= (t >= push.start) & (t < push.stop + EDGE)
@@ -63,8 +61,8 @@ def hand_report(result: HandResult) -> HandReport:
     return HandReport(
         off=np.linalg.norm(X[:, :3, 3] - wanted[:, :3, 3], axis=1),
         turned_off=apart.magnitude(),
-        slipped=steps @ (slip * touches),
-        lost=steps[1:] @ ~touches[1:],
+        slipped=path_slid(result).sum(axis=0),
+        lost=time_off(result).sum(axis=0),
         cones_planned=plan.cones.max(axis=0),
         cones=np.nanmax(result.measured["friction_used"][~pushed], axis=0, initial=0.0),
         torque_share=(np.abs(torques) / chains.effort).max(axis=0),
@@ -149,9 +147,7 @@ def draw_torques(ax: Any, result: HandResult) -> None:
 
 
 def draw_slip(ax: Any, result: HandResult) -> None:
-    steps = np.diff(result.t, prepend=result.t[0])[:, None]
-    summed = np.cumsum(steps * np.linalg.norm(result.measured["slip"], axis=2), axis=0)
-    for i, slipped in enumerate(1e3 * summed.T):
+    for i, slipped in enumerate(1e3 * np.cumsum(path_slid(result), axis=0).T):
         ax.plot(result.t, slipped, color=colour_of(i), linewidth=1.2)
     ax.set_title("Slip, summed", loc="left", weight="bold")
     ax.set_ylabel("slip [mm]")

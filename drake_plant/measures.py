@@ -226,15 +226,13 @@ def push_table(result: SimulationResult) -> list[PushReport]:
     """What each push of a simulation did, in the order of time."""
     pushes = sorted(result.config.pushes, key=lambda push: push.start)
     names = [result.scene.contact_name(i) for i in range(len(result.scene.contacts))]
-    slip = np.linalg.norm(result.measured["slip"], axis=2)
     apart = np.linalg.norm(_misses(result), axis=2)
-    touches, away = result.measured["normal_force"] > 0, time_off(result)
-    steps, reports = np.diff(result.t, prepend=result.t[0])[:, None], []
+    slips, away, reports = path_slid(result), time_off(result), []
     for push, stop in zip(pushes, [*(push.start for push in pushes[1:]), math.inf]):
         seen = (result.t > push.start) & (result.t <= stop)
         if seen.any():
             of = slice(None) if push.on == "object" else [names.index(push.on)]
-            slid = (steps * slip * touches)[seen][:, of].sum(0)
+            slid = slips[seen][:, of].sum(0)
             off, miss = away[seen][:, of].sum(0), apart[seen][:, of]
             found = (slid.max(), off.max(), miss.max(), miss[-1].max())
             reports.append(PushReport(push, *map(float, found)))
@@ -272,6 +270,13 @@ def contact_table(result: SimulationResult) -> list[ContactReport]:
         )
         for i, acting in enumerate(disturbed)
     ]
+
+
+def path_slid(result: SimulationResult) -> Array:
+    """Slip of each contact summed over the time since the last row, while it touches, (m, n), m."""
+    slip = np.linalg.norm(result.measured["slip"], axis=2)
+    touches = result.measured["normal_force"] > 0
+    return np.diff(result.t, prepend=result.t[0])[:, None] * slip * touches
 
 
 def time_off(result: SimulationResult) -> Array:

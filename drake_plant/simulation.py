@@ -18,6 +18,7 @@ from pydrake.systems.framework import Context, Diagram, EventStatus
 from contact_system import Scene, SceneError
 from contact_system.checks import a_path, finite_number, function_or_none
 
+from .balance import friction_used
 from .config import StationConfig
 from .contact_gauge import COLUMNS
 from .planner_base import PORTS
@@ -167,7 +168,7 @@ class Log:
         }
         self._asked |= asked
         instances = [body.model_instance() for body in parts.finger_bodies]
-        ports = map(plant.get_generalized_contact_forces_output_port, instances)
+        ports = [plant.get_generalized_contact_forces_output_port(i) for i in instances]
         self._pressing = [partial(port.Eval, physics) for port in ports if port.size()]
         self._period, self._next = period, 0.0
         self._t: list[float] = []
@@ -196,12 +197,17 @@ class Log:
     def _note(self, root: Context, last: bool = False) -> None:
         t = root.get_time()
         due = t >= self._next or (last and t > self._t[-1])
-        if not due and all(any(force().tolist()) for force in self._pressing):
+        if not due and self._all_press():
             return
         whole = math.floor(t / self._period + 0.5 * NEAR)
         self._next = (whole + 1 - NEAR) * self._period
         self._t.append(t)
         self._rows.append([ask().copy() for ask in self._asked.values()])
+
+    def _all_press(self) -> bool:
+        if self._pressing:  # quicker than to measure
+            return all(any(force().tolist()) for force in self._pressing)
+        return bool((self._asked["measured"]()[:, COLUMNS["normal_force"]] > 0).all())
 
     def read(self) -> tuple[Array, dict[str, Array]]:
         """Times, and what was said then."""
@@ -238,7 +244,6 @@ def measurements(said: Mapping[str, Array], config: StationConfig) -> dict[str, 
     """As a SimulationResult has them."""
     measured = {name: said["measured"][:, :, COLUMNS[name]] for name in MEASURED}
     normal = measured["normal_force"] = measured["normal_force"][:, :, 0]
-    friction, limit = np.linalg.norm(measured["tangential_force"], axis=2), config.friction * normal
-    nothing = np.full_like(limit, math.nan)
-    measured["friction_used"] = np.divide(friction, limit, out=nothing, where=limit > 0)
+    forces = np.dstack([measured["tangential_force"], normal])
+    measured["friction_used"] = friction_used(forces, [0.0, 0.0, 1.0], config.friction)
     return measured
