@@ -25,7 +25,7 @@ from pydrake.solvers import (
     LorentzConeConstraint,
     MathematicalProgram,
 )
-from scipy.sparse import block_diag, hstack, identity
+from scipy.sparse import block_diag, coo_array, hstack
 
 from contact_system import Scene, SceneError
 from contact_system import plan as make_plan
@@ -237,10 +237,14 @@ def _solve(
     m, n = len(grasp), len(cones)
     program = MathematicalProgram()
     x = program.NewContinuousVariables(3 * m * n)
-    forces, matrix, variables = x.reshape(m, n, 3), block_diag(grasp, format="csc"), x
+    forces, variables = x.reshape(m, n, 3), x
+    matrix = block_diag([coo_array(each) for each in grasp], format="csc")
     if leaving:
         left = program.NewContinuousVariables(6 * m)
-        matrix, variables = hstack([matrix, identity(6 * m)], format="csc"), np.append(x, left)
+        matrix, variables = (
+            hstack([matrix, coo_array(np.eye(6 * m))], format="csc"),
+            np.append(x, left),
+        )
         _add_squares(program, left.reshape(m, 6), DEAR)
     program.AddConstraint(LinearEqualityConstraint(matrix, wanted.ravel()), variables)
     for i, cone in enumerate(cones):

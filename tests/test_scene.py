@@ -394,7 +394,7 @@ def test_an_unknown_scene_is_refused_with_the_nearest_name():
 def test_what_is_no_name_of_a_scene_is_said(wrong):
     with pytest.raises(SceneError, match="scene = .*: give a name or a path"):
         load_scene(wrong)
-    with pytest.raises(SceneError, match="cannot be read: embedded null byte"):
+    with pytest.raises(SceneError, match="cannot be read: .*embedded null"):
         load_scene("K4\0")
     assert load_scene(b"K4") == load_scene("K4")  # type: ignore[arg-type]
 
