@@ -266,6 +266,9 @@ def _pushes(result: SimulationResult, opened: SimulationResult | None) -> Iterab
         row = [push.on, f"{push.start:g}", f"{time:.3g}", f"{size:.3g}"]
         row += [f"{scale * getattr(r, name):.3f}" for name, _, scale in names for r in pushed]
         rows.append(tuple(row))
+    if not rows:
+        yield from _explained("No push has begun by the end.")
+        return
     yield from (*table(head, rows, 1), "")
     yield from _explained(
         "Slip: summed while the finger touches, until the next push begins. Farthest, left: of the "

@@ -233,6 +233,8 @@ def test_pushes_are_told_with_the_loop_closed_and_open(tmp_path, capsys):
     closed, opened = map(float, line[5:7])
     assert 0 < closed < 0.5 * opened
     assert (tmp_path / "D4-drake.png").exists()
+    assert run("D4", "--until", 0.01, *words[2:]) == 0
+    assert "No push has begun by the end" in capsys.readouterr().out
 
 
 # --- the command ---------------------------------------------------------------------------------

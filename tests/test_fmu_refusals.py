@@ -30,7 +30,6 @@ from fmu_export import PlannerSlave2, PlannerSlave3, variable_table  # noqa: E40
 of_blocks = pytest.mark.parametrize(("kind", "version"), BLOCKS)
 of_kinds = pytest.mark.parametrize("kind", ["FMU", "slave"])
 of_versions = pytest.mark.parametrize("version", ["2.0", "3.0"])
-of_interfaces = pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange"])
 K1, K3, K4 = (cs.load_scene(name) for name in ("K1", "K3", "K4"))
 PUSH = "contact[1].finger.acceleration.u"
 BALL = cs.ParametricSurface(

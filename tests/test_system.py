@@ -18,7 +18,6 @@ COORDINATES = ("chart", "frame")
 PER_CONTACT = {"state": 9, "slip": 2, "twist": 6, "acceleration": 6, "pose": 12}
 PER_CONTACT |= {"contact_point": 6}
 TURN = 2 * np.pi
-ANGLES = [0, 1, 4, 5, 8]
 # A surface of each form of state: in space, chart only, developable, no chart.
 OBJECTS = ("plane", "sphere", "ellipsoid", "bumps", "cylinder", "rounded cube")
 WINDOW = (0.3, 0.6)
