@@ -22,7 +22,12 @@ from .system import SceneSystem, SystemMachine, without_chart
 
 PARTS = 16  # parts of a solver's step that are searched for singular points
 LOST = 1e-12  # of the body's size: a Lame coefficient below it counts as zero
-OUTPUTS = {"states": "state", "points": "contact_point", "slip_speed": "slip"}
+OUTPUTS = {
+    "states": "state",
+    "points": "contact_point",
+    "slip_speed": "slip",
+    "acceleration": "slip_acceleration",
+}
 """The outputs of `SceneSystem` for results with other names."""
 
 
@@ -170,8 +175,6 @@ class ChartContact:
         if not len(t):
             return np.empty((0, *SHAPES[name]))
         x, w = self._at(t)
-        if name == "acceleration":
-            return self._acceleration(t, x, w)
         values = self._output(OUTPUTS.get(name, name), t, x, w)
         if name == "slip_speed":
             return np.hypot(*values.T)
@@ -180,15 +183,6 @@ class ChartContact:
             pose[:, :3, :] = values.reshape(-1, 4, 3).swapaxes(1, 2)
             return pose
         return values.reshape(-1, *SHAPES[name])
-
-    def _acceleration(self, t: np.ndarray, x: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """(sigma'/sigma - lam) v_rel + R_psi M1 d1 - M2 d2, rate offsets left out: (n_times, 2)."""
-        profile, gain = self._system.scene.profile, self._system.scene.gain
-        rate = profile.rate(t) / profile(t) - gain.rate(profile, t)
-        pushed = x.copy()  # v_rel is linear in the rates: with d1, d2 in their places
-        pushed[2:4], pushed[6:8] = w[:2], w[2:4]
-        slip, push = (self._output("slip", t, states, 0 * w) for states in (x, pushed))
-        return rate[:, None] * slip + push
 
 
 def _zero(y: Callable[[np.ndarray], np.ndarray], t: np.ndarray) -> float | None:

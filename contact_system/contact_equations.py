@@ -23,6 +23,7 @@ from .theory.equations import (
     relative_pose,
     relative_twist,
     relative_velocity,
+    slip_acceleration,
 )
 from .theory.gain import LAWS
 from .theory.geometry import rotation
@@ -107,7 +108,7 @@ class ContactMotion(NamedTuple):
     turn: ca.SX  # (2, 2), maps components along (p_1, q_1) to those along (p_2, q_2)
     sliding: ca.SX  # slip along (p_2, q_2)
     theta: ca.SX  # the angle of (p_2, q_2) in E2
-    carried: ca.SX  # W_1 and V, in frame coordinates
+    carried: ca.SX  # W_1 and V, along (p_1, q_1) and (p_2, q_2)
 
 
 def _decay(form: Form, value: ca.SX, profile: list[ca.SX], since: ca.SX, t: ca.SX) -> ca.SX:
@@ -137,23 +138,24 @@ def _bodies(finger: Surface, obj: Surface, form: Form) -> tuple[Body, Body, list
 
 
 def _chart_motion(
-    tip: Body, body: Body, x: ca.SX, w: ca.SX, growth: ca.SX, lam: ca.SX
+    tip: Body, body: Body, x: ca.SX, w: ca.SX, sigma: ca.SX, slope: ca.SX, lam: ca.SX
 ) -> ContactMotion:
-    """Motion in chart coordinates, where theta = 0; growth: sigma'/sigma."""
+    """Motion in chart coordinates, where theta = 0; slope: sigma'."""
     q1, rate_1, q2, rate_2, psi = ca.vertsplit(x, [0, 2, 4, 6, 8, 9])
     shapes = [b.surface.geometry_expr(b.numbers, q[0], q[1]) for b, q in ((tip, q1), (body, q2))]
     tip, body, moved = tip.at(q1, 0), body.at(q2, 0), rate_2 + w[4:6]
     velocities = tip.call("vector", rate_1), body.call("vector", moved)
     turn = reflection(ca.cos(psi), ca.sin(psi))
+    slip = relative_velocity(turn, velocities[0], body.call("vector", rate_2))
     return ContactMotion(
-        rate=chart_rates(shapes, x, growth, lam, w),
+        rate=chart_rates(shapes, x, slope / sigma, lam, w),
         state=ca.vertcat(x[:6], moved, psi),
         bodies=(tip, body),
         velocities=velocities,
         turn=turn,
         sliding=relative_velocity(turn, *velocities),
         theta=ca.SX(0),
-        carried=ca.SX(0, 1),
+        carried=ca.vertcat(velocities[0], slip) / sigma,
     )
 
 
@@ -209,7 +211,7 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     growth = ca.fmax(0, slope / ca.fmax(sigma, TINY))
     lam = LAWS[form.law].rate(law[0], sigma, growth)
     if form.coordinates == "chart":
-        motion = _chart_motion(tip, body, x, w, slope / sigma, lam)
+        motion = _chart_motion(tip, body, x, w, sigma, slope, lam)
     else:
         carried = x[-4:]
         if not form.forced:
@@ -226,10 +228,13 @@ def contact_function(finger: Surface, obj: Surface, form: Form) -> ca.Function:
     twist = ca.vertcat(*relative_twist(frames, shapes, velocities, turn, sliding))
     (x1, _), (x2, tangents) = (ca.vertsplit(frame, [0, 3, 9]) for frame in frames)
     normal = ca.cross(tangents[:3], tangents[3:])
+    pushed = tip.call("vector", w[:2]), body.call("vector", w[2:4])
     outputs = {
         "derivatives": rate,
         "state": state,
         "slip": rotation(theta) @ sliding,
+        "slip_acceleration": rotation(theta)
+        @ slip_acceleration(carried[2:], sigma, slope, lam, turn, *pushed),
         "twist": twist,
         "acceleration": derivative(twist),
         "pose": ca.vertcat(*map(ca.vec, relative_pose(*frames, turn))),

@@ -218,7 +218,8 @@ class SceneSystem:
             "twist" (6), V_OF_O; "acceleration" (6), its time derivative; "pose" (12), the rotation
             from F to O column by column, then the origin of F in O; "contact_point" (6), on the
             finger in F, on the object in O; "normal" (3), of the object, outward, in O, and its
-            time derivative "normal_rate" (3); "carried" (4), W_1 and V, in frame coordinates only;
+            time derivative "normal_rate" (3); "slip_acceleration" (2), as `Plan.acceleration`;
+            "carried" (4), W_1 and V along the moving frames, in charts along E1 and E2;
             "regularity" (2), distance of finger and object from their charts' singularities.
 
         Raises

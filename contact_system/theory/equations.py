@@ -98,6 +98,16 @@ def pushed_paths(sigma: ca.SX, r0: ca.SX, pushed_1: ca.SX, pushed_2: ca.SX) -> t
     return w1_rate, r0 @ w1_rate - pushed_2 / sigma
 
 
+def slip_acceleration(
+    v: ca.SX, sigma: ca.SX, slope: ca.SX, lam: ca.SX, r0: ca.SX, pushed_1: ca.SX, pushed_2: ca.SX
+) -> ca.SX:
+    """D v_rel/dt along curve 2 of v_rel = sigma V, rate offsets left out (theory section 3), (2).
+
+    slope: sigma'; pushed_i as for :func:`pushed_paths`.
+    """
+    return v * (slope - lam * sigma) + r0 @ pushed_1 - pushed_2
+
+
 # --- pose and twist ------------------------------------------------------------------------------
 
 
@@ -194,8 +204,7 @@ def contact_functions() -> dict[str, ca.Function]:
         w2 = start_r @ w1
         turn, origin = relative_pose(*frames, r0)
         twist = relative_twist(frames, shapes, velocities, r0, slip)
-        # D v_rel/dt along curve 2, of v_rel = sigma V, in the parallel frame (theory section 3)
-        acceleration = v * (slope - lam * sigma) + r0 @ pushed[0] - pushed[1]
+        acceleration = slip_acceleration(v, sigma, slope, lam, r0, *pushed)
         made: dict[str, tuple[list[ca.SX], ca.SX, list[ca.SX]]] = {
             "start": (
                 [psi, w1, velocity],
