@@ -12,6 +12,7 @@ from pydrake.multibody.plant import ContactResults
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from contact_system import Plane, Scene, SceneError, Surface
+from contact_system.scene.contact import rolled
 
 from .config import require_config
 from .contact_gauge import COLUMNS, NUMBERS, TINY, ContactGauges
@@ -153,9 +154,8 @@ class ContactMonitor(LeafSystem):
 def _slip(finger: Surface, obj: Surface, state: Array) -> Array:
     """v_rel (eq. `netrelvel`) of the state of a contact (9,) as a vector in O, m/s."""
     u1, v1, *rates_1, u2, v2, du2, dv2, psi = state
-    c, s = math.cos(psi), math.sin(psi)
     a1, a2 = finger.metric_root(u1, v1) @ rates_1, obj.metric_root(u2, v2) @ (du2, dv2)
-    return obj.frame(u2, v2)[:, :2] @ (np.array([[c, -s], [-s, -c]]) @ a1 - a2)
+    return obj.frame(u2, v2)[:, :2] @ (rolled(psi, a1) - a2)
 
 
 class _Bodies:
