@@ -282,24 +282,11 @@ def _completed(
     down = np.array([0, 0, -config.gravity])
     wrench = needed_wrench(config.object_mass, inertia, down, R, V[:, :3], A[:, :3], A[:, 3:])
     wanted = [np.einsum("mij,mj->mi", R, part) for part in wrench]
-    forces = balancing_forces(
-        arms,
-        normals,
-        config.friction,
-        *wanted,
-        margin=config.friction_share,
-        least=config.normal_force,
-        t=t,
-    )
+    mu, margin, least = config.friction, config.friction_share, config.normal_force
+    forces = balancing_forces(arms, normals, mu, *wanted, margin=margin, least=least, t=t)
     a = CubicHermiteSpline(t, q, v).derivative(2)(t)
     torques = _torques(chains, q, v, a, points[:, :, 0], forces)
-    over = np.abs(torques) > chains.effort
-    if over.any():
-        k, joint = np.argwhere(over)[0]
-        raise SceneError(
-            f"joint {chains.names[joint]} needs {torques[k, joint]:.3g} N m at t = {t[k]:.3g} s, "
-            f"its limit is {chains.effort[joint]:.3g}; press less, or give a stronger hand"
-        )
+    _refuse_torques(chains, t, torques)
     return Reorientation(
         hand=hand,
         scene=given,
@@ -318,11 +305,21 @@ def _completed(
         states=states,
         slip=np.linalg.norm(found[..., 11:13], axis=-1),
         spin=found[..., 40],
-        cones=friction_used(forces, normals, config.friction),
+        cones=friction_used(forces, normals, mu),
         torques=torques,
         joints=chains.names,
         chains=chains,
     )
+
+
+def _refuse_torques(chains: Chains, t: Array, torques: Array) -> None:
+    over = np.abs(torques) > chains.effort
+    if over.any():
+        k, joint = np.argwhere(over)[0]
+        raise SceneError(
+            f"joint {chains.names[joint]} needs {torques[k, joint]:.3g} N m at t = {t[k]:.3g} s, "
+            f"its limit is {chains.effort[joint]:.3g}; press less, or give a stronger hand"
+        )
 
 
 def _contacts(chains: Chains, X: list[RigidTransform], V: Array, q: Array, v: Array) -> Array:

@@ -201,17 +201,11 @@ static void tilt(rolled_t *r, int n, double (*ahead)[L], double (*aside)[L]) {
     }
 }
 
-/* The finger's rotation is F_2 diag(1, -1, -1) F_1^T, of the frames F = [p q n] at the end: the
-   rows are it and the goal's, told in these frames. Of a pose its origin is wanted too. */
-static void arrive_in_pose(search_t *w) {
+/* How far off the goal's pose the end is, rotation and origin, told in the frames F = [p q n] there:
+   the finger's rotation is F_2 diag(1, -1, -1) F_1^T. from: the finger's point from its origin. */
+static void pose_off(search_t *w, double unit, double (*off)[L], double (*from)[L]) {
   const steer_t *aim = w->aim;
-  rolled_t *one = w->rolled, *other = w->rolled + 1;
-  const int n = w->unknowns;
-  equations_t *e = &w->now;
-  by_unknown_t ahead[2], aside[2], slope;
-  double off[6][L], from[3][L];
-  for (int s = 0; s < 2; s++) tilt(w->rolled + s, n, ahead[s], aside[s]);
-  const double unit = aim->is_pose ? 1.0 / aim->size : 0.0;
+  const rolled_t *one = w->rolled, *other = w->rolled + 1;
   SIMD for (int l = 0; l < L; l++) {
     double f[2][3][3], c[3][3], n2 = 0.0;
     for (int s = 0; s < 2; s++) {
@@ -238,8 +232,20 @@ static void arrive_in_pose(search_t *w) {
       from[i][l] = unit * x, off[3 + i][l] = unit * (i ? y + x : y - x);
       n2 += off[3 + i][l] * off[3 + i][l];
     }
-    e->size[l] += n2;
+    w->now.size[l] += n2;
   }
+}
+
+/* Rows for the rotation of the finger and, of a pose, for its origin. */
+static void arrive_in_pose(search_t *w) {
+  const rolled_t *one = w->rolled, *other = w->rolled + 1;
+  const int n = w->unknowns, is_pose = w->aim->is_pose != 0;
+  const double unit = is_pose ? 1.0 / w->aim->size : 0.0;
+  equations_t *e = &w->now;
+  by_unknown_t ahead[2], aside[2], slope;
+  double off[6][L], from[3][L];
+  for (int s = 0; s < 2; s++) tilt(w->rolled + s, n, ahead[s], aside[s]);
+  pose_off(w, unit, off, from);
   by_unknown_t spin[3]; /* of the finger about the frame's axes, against what is carried */
   for (int i = 0; i < n; i++)
     SIMD for (int l = 0; l < L; l++) {
@@ -252,7 +258,7 @@ static void arrive_in_pose(search_t *w) {
     const double none[L] = {0};
     add_row(e, n, spin[row], none);
   }
-  for (int row = 0; row < 3 && aim->is_pose; row++) {
+  for (int row = 0; row < 3 && is_pose; row++) {
     for (int i = 0; i < n; i++)
       SIMD for (int l = 0; l < L; l++) {
         const double mu = spin[0][i][l], e0 = spin[1][i][l], e1 = spin[2][i][l];
