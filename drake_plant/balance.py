@@ -95,9 +95,15 @@ def balancing_forces(
             f"points have shape {points.shape}, normals {normals.shape}; give both as (times, "
             "contacts, 3)"
         )
+    parts = [np.asarray(part, float) for part in (force, torque)]
+    if any(part.shape != (len(points), 3) for part in parts):
+        raise SceneError(
+            f"force has shape {parts[0].shape}, torque {parts[1].shape}; give both as "
+            f"({len(points)}, 3), a row for each time"
+        )
     if not (np.abs(np.linalg.norm(normals, axis=-1) - 1) < UNIT).all():
         raise SceneError("normals: give vectors of length 1")
-    wanted, count = np.hstack([force, torque]).astype(float), points.shape[1]
+    wanted, count = np.hstack(parts), points.shape[1]
     # Sizes of about 1: about the contacts' middle, over their distance from it and over the forces.
     middle = points.mean(axis=1)
     wanted[:, 3:] -= np.cross(middle, wanted[:, :3])

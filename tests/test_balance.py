@@ -68,10 +68,12 @@ def test_no_grasp_is_refused_with_what_is_left_unbalanced(angles, friction, torq
 
 
 @pytest.mark.parametrize("length", [0.0, 0.5, np.nan])
-def test_normals_are_unit_vectors(length):
+def test_normals_and_wrenches_have_the_sizes_that_are_asked_for(length):
     points, normals = around(3)
     with pytest.raises(cs.SceneError, match="give vectors of length 1"):
         balancing_forces(points, length * normals, 0.5, [[0, 0, WEIGHT]], [[0, 0, 0]])
+    with pytest.raises(cs.SceneError, match=r"force has shape \(3,\), .*; give both as \(1, 3\)"):
+        balancing_forces(points, normals, 0.5, [0, 0, WEIGHT], [[0, 0, 0]])
 
 
 def test_needed_wrench_is_that_of_newton_and_euler():
@@ -116,10 +118,8 @@ def test_a_ball_is_held_where_gravity_is_on(model):
     np.testing.assert_allclose(result.planned["friction_used"], 0.8, atol=0.01)
     assert result.measured["friction_used"][1:].max() < 0.85
     told = " ".join(_told(result, None))
-    assert (
-        "Its weight is carried by the fingers" in told
-        and "80% of the friction cones as planned" in told
-    )
+    assert "Its weight is carried by the fingers" in told
+    assert "80% of the friction cones as planned" in told
 
 
 def test_a_ball_pushed_while_it_is_held_comes_back():
