@@ -24,9 +24,10 @@ from typing import Any
 import numpy as np
 
 from . import __version__, plots
-from .checks import is_device, known_keys, make_folder
+from .checks import is_device, known_keys, make_folder, naming
 from .errors import ContactSystemError, SceneError
 from .measures import (
+    CONFORMS,
     REJECTED,
     Rejection,
     great_circle_distance,
@@ -37,6 +38,7 @@ from .measures import (
 )
 from .plan import METHODS, Plan, plan
 from .scene import Scene, bundled_scenes, load_scene, save_scene
+from .scene.files import fields_of, refuse_degrees
 from .steering import Goal, reach
 from .steering.goal import KEYS
 from .terminal import Progress, paragraph, table
@@ -44,8 +46,6 @@ from .theory.gain import LAWS, Gain
 
 PROGRAM = "contact-system"
 GROUP = "contact_system.commands"
-
-ROUNDING = 1e-9  # of the finger's size over a radius: bodies of one form seem to overlap by less
 
 Laws = dict[Plan, list[Rejection]]
 """Plans of a scene under some gain laws, each with the rejections of its contacts' slip."""
@@ -195,6 +195,10 @@ def _run(args: argparse.Namespace) -> int:
 def _reach(args: argparse.Namespace) -> int:
     scene = _scene_of(args)
     goals = [_goal(text) for text in args.to]
+    for text, goal, contact in zip(args.to, goals, scene.contacts):
+        with naming(f'--to "{text}"'):
+            if goal is not None:
+                refuse_degrees(goal, scene.object, contact.finger)
     with Progress(2, "looking for legs") as progress:
         route = reach(scene, goals, seconds=args.seconds)
         progress.step("planning")
@@ -228,13 +232,14 @@ def _port(text: str) -> int:
 
 
 def _goal(text: str) -> Goal | None:
-    """A goal from the text of an inline table of TOML."""
-    try:
-        table = tomllib.loads(f"goal = {{ {text} }}")["goal"]
-    except tomllib.TOMLDecodeError as error:
-        raise SceneError(f'--to "{text}": {error}; write it like "object_at = [2, 1]"') from None
-    known_keys(table, KEYS, f'--to "{text}": ')
-    return Goal(**table) if table else None
+    """A goal from the text of an inline table of TOML, with numbers as in a scene file."""
+    with naming(f'--to "{text}"'):
+        try:
+            table = tomllib.loads(f"goal = {{ {text} }}")["goal"]
+        except tomllib.TOMLDecodeError as error:
+            raise SceneError(f'{error}; write it like "object_at = [2, 1]"') from None
+        known_keys(table, KEYS)
+        return Goal(**fields_of(table)) if table else None
 
 
 def _scene_of(args: argparse.Namespace) -> Scene:
@@ -376,7 +381,7 @@ def _overlaps(plan: Plan) -> Iterable[str]:
     t = regular_times(plan, plan.sample_times())
     least = np.linalg.eigvalsh(relative_curvature(plan, t))[..., 0]
     for i, contact in enumerate(plan.scene.contacts):
-        found = np.flatnonzero(least[:, i] < -ROUNDING / contact.finger.size)
+        found = np.flatnonzero(least[:, i] < -CONFORMS / contact.finger.size)
         if len(found):
             yield paragraph(
                 f"Note: {plan.scene.contact_name(i)}: from t = {t[found[0]]:.3g} s on the bodies "

@@ -250,6 +250,9 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
 
 # --- bodies beside a contact ---------------------------------------------------------------------
 
+CONFORMS = 1e-9
+"""Bodies of one form seem to part or overlap by less relative curvature, over the finger's size."""
+
 
 def relative_curvature(plan: Plan, t: np.ndarray) -> np.ndarray:
     """K_2 + R_psi K_1 R_psi in E2, of each contact, (n_times, n_contacts, 2, 2), 1/m.

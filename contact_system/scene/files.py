@@ -28,7 +28,7 @@ from ..checks import (
 )
 from ..errors import ContactSystemError, SceneError
 from ..expressions import parse
-from ..surfaces import Surface
+from ..surfaces import TURN, Surface
 from ..theory.gain import LAWS, Gain
 from ..theory.profile import Profile
 from ..writing import writing
@@ -86,25 +86,27 @@ def _scene(text: str, source: str) -> Scene:
     moved = () if all_legs else ("duration", "profile")
     known = [field.name for field in dataclasses.fields(Scene) if field.name != "source"]
     table = _table(document, known, (*moved, "object", "contacts"))
-    fields = _fields({"name": Path(source).stem, **table})
-    _refuse_degrees(fields["object"], fields["contacts"])
+    fields = fields_of({"name": Path(source).stem, **table})
+    for i, contact in enumerate(fields["contacts"]):
+        with naming(f"contacts[{i}]"):
+            refuse_degrees(contact, fields["object"], contact.finger)
     return Scene(**fields, source=source)
 
 
-def _refuse_degrees(body: Surface, contacts: Iterable[Contact]) -> None:
-    """A scene takes whole turns off its coordinates, so that degrees would be some other place."""
-    for i, contact in enumerate(contacts):
-        for key, surface in (("object_at", body), ("finger_at", contact.finger)):
-            for x, period in zip(getattr(contact, key), surface.periods()):
-                if period and abs(x) > 2 * period:
-                    raise SceneError(
-                        f"contacts[{i}]: {key}: {x:g} rad is more than two turns; give radians, "
-                        f'such as "{x:g}*pi/180" for degrees'
-                    )
+def refuse_degrees(places: Any, body: Surface, finger: Surface) -> None:
+    """Whole turns are taken off the places of a contact or goal: degrees would be other places."""
+    for key, surface in (("object_at", body), ("finger_at", finger)):
+        for x, period in zip(getattr(places, key) or (), surface.periods()):
+            turn = period or (TURN if surface.chart.singular_at else 0.0)  # ends at poles
+            if turn and abs(x) > 2 * turn:
+                raise SceneError(
+                    f"{key}: {x:g} rad is more than two turns; give radians, such as "
+                    f'"{x:g}*pi/180" for degrees'
+                )
 
 
-def _fields(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a scene, or of one of its parts, by their keys in a file."""
+def fields_of(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a scene, of one of its parts or of a goal, by their keys in a file."""
     return {key: _value(key, value) for key, value in table.items()}
 
 
@@ -138,7 +140,7 @@ def _made(kind: Any, value: Any, **defaults: Any) -> Any:
     fields = dataclasses.fields(kind)
     needed = [f.name for f in fields if f.default is dataclasses.MISSING]
     required = [key for key in needed if key not in defaults]
-    return kind(**defaults | _fields(_table(value, [f.name for f in fields], required)))
+    return kind(**defaults | fields_of(_table(value, [f.name for f in fields], required)))
 
 
 def _disturbance(value: Any) -> Disturbance:
