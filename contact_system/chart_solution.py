@@ -61,8 +61,11 @@ class ChartMotion:
             ]
         return self._contacts
 
-    def evaluate(self, t: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """Results at times inside the horizon: (n_times, n_contacts, ...)."""
+    def evaluate(self, t: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray] | None:
+        """Results, (n_times, n_contacts, ...); None if a time is outside the plan."""
+        scene, _, begin, _ = self._arguments
+        if not ((t >= begin) & (t <= scene.duration)).all():
+            return None
         contacts = self.solve()
         return {name: np.stack([c.result(name, t) for c in contacts], 1) for name in names}
 

@@ -12,7 +12,7 @@ import json
 import math
 import numbers
 import os
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +26,7 @@ from .writing import writing
 
 METHODS = ("auto", "chart")
 SOLVERS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
+ROUNDING = 1e-11  # of a time: what a hundred thousand steps add up to may be so far off
 
 
 def plan(
@@ -158,7 +159,7 @@ class Plan:
             self._require_frames("carried")
         times = _one_axis(t)
         results = self._motion.evaluate(times, names)
-        return self._refuse(times) if results is None else results
+        return self._motion.evaluate(self._inside(times), names) if results is None else results
 
     def states(self, t: ArrayLike) -> np.ndarray:
         """u1 v1 u1' v1' u2 v2 u2' v2' psi: (len(t), n_contacts, 9); rad, or m where charts have it.
@@ -309,8 +310,8 @@ class Plan:
         t : float
             s, with sigma(t) > 0. The path velocity is rates / sigma, so close to rest rounding of
             the rates may turn the path; :meth:`continued` needs no rates and is exact there.
-        state : (n_contacts, 9)
-            Measured u1 v1 u1' v1' u2 v2 u2' v2' psi, as ``states(t)[0]`` gives them or in principal
+        state : (n_contacts, 9) or (1, n_contacts, 9)
+            Measured u1 v1 u1' v1' u2 v2 u2' v2' psi, as ``states(t)`` gives them or in principal
             values. Where a chart covers its surface twice, they are moved to the plan's branch.
 
         Raises
@@ -320,7 +321,11 @@ class Plan:
             plan, or contacts with imposed rolling.
         """
         where, shape = f"{self.scene.title}, restart", (len(self.scene.contacts), 9)
-        t, measured = self._time(t), shaped_array(state, f"{where}: state", shape)
+        t = self._time(t)
+        remedy = f"numbers, shape {shape}"
+        measured = shaped_array(state, f"{where}: state", remedy=remedy)
+        measured = measured[0] if measured.ndim == 3 and len(measured) == 1 else measured
+        shaped_array(measured, f"{where}: state", shape)
         if not t < self.end:
             raise SceneError(
                 f"{where} at t = {t:g} s: nothing is left to plan, the scene ends at "
@@ -433,15 +438,16 @@ class Plan:
         return float(times[0])
 
     def _times(self, t: ArrayLike) -> np.ndarray:
-        times = _one_axis(t)
-        if times.size and not (times.min() >= self.start and times.max() <= self.end):
-            self._refuse(times)
-        return times
+        return self._inside(_one_axis(t))
 
-    def _refuse(self, times: np.ndarray) -> NoReturn:
+    def _inside(self, times: np.ndarray) -> np.ndarray:
+        """The times; those outside the horizon by no more than sums of steps are, at its ends."""
         first, last = self.start, self.end
-        bad = float(times[~((times >= first) & (times <= last))][0])
-        others = ""
+        inside = np.clip(times, first, last)
+        outside = ~(np.abs(times - inside) <= ROUNDING * last)
+        if not outside.any():
+            return inside
+        bad, others = float(times[outside][0]), ""
         if bad > last:
             others = ", or lengthen the scene's duration"
         elif 0 <= bad < first:

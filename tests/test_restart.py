@@ -31,7 +31,7 @@ PLACES = [0.0, 0.1, 0.2, 0.35, 0.5, 0.55, 0.8, 0.9]
 def test_restart_from_its_own_states_reproduces_the_plan(obj):
     plan = cs.plan(several() if obj == "several" else busy(obj))
     for t0 in PLACES:
-        again = plan.restart(t0, plan.states(t0)[0])
+        again = plan.restart(t0, plan.states(t0))
         assert again.start == t0 and again.end == again.scene.duration
         assert_same(again, plan, np.linspace(t0, 1, 17), 2e-12)
 
