@@ -259,8 +259,16 @@ class ContactPlanner(_Convertible, LeafSystem):
         """From now on contacts are compared with the plan from the state that a Context has."""
         self._Load(context, "derivatives")
         own, system = self._scratches.own, self.system
-        own.steps.begin(own.t[0])
-        starts = (own.t[0], *own.x, *own.held) == (0.0, *system.x0, *system.held0)
+        t = own.t[0]
+        first, now = (system.scene.speeds(time) for time in (0.0, t))
+        if system.coordinates == "chart" and (first != now).any() and (own.x == system.x0).all():
+            raise SceneError(
+                f"{system.scene.title}: the simulation begins at t = {t:g} s, where sigma is "
+                f"{now.max():g} m/s, with the state of t = 0 s, where it is {first.max():g}: set "
+                'that of its start by SceneSystem.from_states, or give coordinates="frame"'
+            )
+        own.steps.begin(t)
+        starts = (t, *own.x, *own.held) == (0.0, *system.x0, *system.held0)
         self._Follow(context, None if starts else self._Numbers(context, "state"))
 
     def _Follow(self, context: Any, state: Array | None) -> None:

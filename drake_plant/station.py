@@ -240,7 +240,11 @@ def SetInitialState(station: Diagram, context: Context) -> None:
             "'plant'; of a Diagram that contains it give the station, and the Diagram's context"
         )
     planner, driver, plant = map(station.GetSubsystemByName, STARTED)
-    now, physics = planner.GetMyContextFromRoot(context), plant.GetMyMutableContextFromRoot(context)
+    try:
+        now = planner.GetMyContextFromRoot(context)
+    except RuntimeError:
+        raise SceneError("context: give the root's, of the Diagram that contains all") from None
+    physics = plant.GetMyMutableContextFromRoot(context)
     scene, config, t = driver.scene, driver.config, context.get_time()
     # A velocity of a discrete plant is the one that brought it here: that of half a step ago.
     ago = 0.5 * plant.time_step()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contact_system import Ellipsoid, Quadric, Scene, SceneError, Sphere, Surface
 from contact_system import plan as make_plan
-from contact_system.measures import relative_curvature
+from contact_system.measures import CONFORMS, relative_curvature
 
 from .pressing import least_radius
 
@@ -57,12 +57,16 @@ def touches_of(scene: Scene) -> list[Touch]:
         # A chart has no frame at its poles; the curve is known beside them.
         known = np.all(np.isfinite(relative), axis=(1, 2))
         curvatures = np.linalg.eigvalsh(relative[known])
-        least, line = curvatures[:, 0].min(), LINE * curvatures[:, 1].max()
+        least = curvatures[:, 0].min()
+        line = max(LINE * curvatures[:, 1].max(), CONFORMS / contact.finger.size)
         if not least > line:
             what, remedy = "overlap", "make the finger smaller, or plan contact where the object is"
             remedy += " less concave"
             if least >= -line:
-                what, remedy = "touch along a line", "turn the finger, or take another one"
+                what, remedy = (
+                    "touch along a line or a face",
+                    "turn the finger, or take another one",
+                )
             raise SceneError(
                 f"contact {i}: finger and object {what} where they are planned to touch (the "
                 f"least relative curvature is {least:.3g} 1/m); {remedy}"

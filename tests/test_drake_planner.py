@@ -583,6 +583,17 @@ def test_a_chart_near_its_pole_is_refused_with_the_remedy(options):
         run(ContactPlanner(pole_scene(0.001)), 1.5, **options)
 
 
+def test_a_later_start_wants_the_state_of_that_time():
+    scene = cs.load_scene("K4")
+    late = Simulator(ContactPlanner(scene))
+    late.get_mutable_context().SetTime(0.5)
+    with pytest.raises(cs.SceneError, match="t = 0.5 s, where sigma is 0.195 m/s, with the state"):
+        late.Initialize()
+    state, _ = cs.SceneSystem(scene).from_states(0.5, cs.plan(scene).states(0.5)[0])
+    late.get_mutable_context().SetContinuousState(state)
+    late.Initialize()
+
+
 def test_a_scene_that_starts_at_rest_is_watched_once_it_moves():
     """The bowl: sigma(0) = 0, and an acceleration later, so that slip is integrated."""
     scene = cs.load_scene("bowl")

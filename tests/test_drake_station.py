@@ -474,6 +474,8 @@ def test_stations_start_inside_another_diagram_under_names_of_their_own():
     for wrong in (diagram, root, stations[0].GetSubsystemByName("planner")):
         with pytest.raises(cs.SceneError, match="station = .*: give what BuildStation made, or"):
             SetInitialState(wrong, root)
+    with pytest.raises(cs.SceneError, match="context: give the root's"):
+        SetInitialState(stations[0], stations[0].GetMyContextFromRoot(root))
     for station in stations:
         SetInitialState(station, root)
     simulator.AdvanceTo(0.02)
