@@ -210,7 +210,8 @@ def test_command_writes_a_valid_fmu_and_says_so(tmp_path, monkeypatch, capsys):
 )
 def test_every_scene_agrees_with_the_results_that_its_file_holds(name, version, tmp_path, capsys):
     path = tmp_path / f"{name}.fmu"
-    assert command(name, "-o", str(path), "--fmi", version, "--check") == 0
+    arrays = ["--arrays"] if version == "3.0" else []
+    assert command(name, "-o", str(path), "--fmi", version, "--check", *arrays) == 0
     assert "of its reference results" in capsys.readouterr().out
     with zipfile.ZipFile(path) as archive:
         files = {n: archive.read(n) for n in archive.namelist()}
