@@ -15,7 +15,7 @@ pytest.importorskip("mpmath")
 from benchmarks import fresh, peers, problems, work_precision  # noqa: E402
 from benchmarks.__main__ import PARTS, main  # noqa: E402
 from benchmarks.report import THREADS, Bar  # noqa: E402
-from benchmarks.work_precision import Run, best, page_text, ratio, time_at  # noqa: E402
+from benchmarks.work_precision import Run, best, ratio, time_at  # noqa: E402
 
 
 @pytest.fixture(autouse=True)
@@ -39,13 +39,6 @@ def test_a_bar_is_met_on_its_side_only_and_never_by_nan(measured, least, met):
     assert Bar("x", 1.5, measured, least=least).met is met
 
 
-def test_a_row_tells_the_bar_the_number_and_what_is_missing():
-    row = Bar("plan", 1.0, 2.5, "ms", note="why").row()
-    assert row.split() == "plan <= 1 ms 2.5 ms MISSED by 2.5 x why".split()
-    assert Bar("cost", None, 4.2, "us").row().split() == ["cost", "reported", "4.2", "us", "-"]
-    assert Bar("x", 1.0, 0.5, holds=False, note="why").row().endswith("MISSED, see note   why")
-
-
 def test_time_at_an_error_is_interpolated_in_logarithms_along_the_best_runs():
     curve = [Run(1e-4, 1e-3), Run(1e-8, 1e-1), Run(1e-5, 1.0)]
     assert best(curve) == curve[:2]
@@ -61,13 +54,6 @@ def test_a_ratio_is_that_over_the_fastest_peer_that_reaches_the_error():
     assert ratio(curves, 1e-14) == "ours does not reach this error"
     del curves["a"]
     assert ratio(curves, 1e-9) == "no peer reaches this error"
-
-
-def test_the_page_shows_where_ours_is_slower():
-    curves = {"ours": [Run(1e-13, 4e-3)], "peer": [Run(1e-13, 2e-3)]}
-    text = page_text({"roll": curves}, "2000-01-01, one.")
-    assert "| roll | **0.5 x** | **0.5 x** | **0.5 x** | peer | 1e-13 |" in text
-    assert "Geometric mean 0.5. 2000-01-01, one." in text
 
 
 @pytest.mark.parametrize("name", ["K4", "implicit"])

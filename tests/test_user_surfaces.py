@@ -321,6 +321,7 @@ def test_formulas_are_read_in_many_threads():
         (lambda: ImplicitSurface(lambda x, y, z: x + y * z), ["'z'", "x, one column of three"]),
         (lambda: ImplicitSurface("x + q"), ["unknown name q"]),
         (lambda: ImplicitSurface("3"), ["does not depend"]),
+        (lambda: ImplicitSurface(lambda x: math.sqrt(x[0]) - 1), ["not those of math"]),
         (lambda: ImplicitSurface("x", center=(0, 0)), ["center = (0, 0)", "3 numbers"]),
         (lambda: ImplicitSurface("x**2 + y**2 + z**2 + 1").point(1, 1), ["negative", "center"]),
         (lambda: ImplicitSurface("z - 1").point(2.5, 1.0), ["does not meet", "(2.5, 1.0)"]),

@@ -95,9 +95,6 @@ def make_formula(formula: Any, parameters: Any, letters: str) -> Formula:
             f"the formula uses symbols of its own ({', '.join(unknown)}); give them "
             "numbers in parameters and take them as arguments by name"
         )
-    for argument in arguments:
-        if not ca.depends_on(value, argument):
-            raise SurfaceError(f"the formula does not depend on {argument}, as a surface must")
     function = ca.Function("surface", [p, *arguments], [value])
     for i in range(function.n_instructions()):
         is_constant = function.instruction_id(i) == ca.OP_CONST
@@ -106,6 +103,9 @@ def make_formula(formula: Any, parameters: Any, letters: str) -> Formula:
                 "the formula holds a NaN or infinite constant; in a function of symbols "
                 "use numpy or casadi functions (np.cos), not those of math"
             )
+    for argument in arguments:
+        if not ca.depends_on(value, argument):
+            raise SurfaceError(f"the formula does not depend on {argument}, as a surface must")
     return Formula(
         function.serialize(),
         tuple(numbers),
