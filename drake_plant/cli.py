@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import math
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
@@ -17,9 +15,7 @@ from contact_system import SceneError, load_scene
 from contact_system.cli import file_name, results_folder
 from contact_system.measures import REJECTED
 from contact_system.plots import MissingMatplotlib
-from contact_system.scene import scene_to_toml
 from contact_system.terminal import Progress, paragraph, table
-from contact_system.writing import writing
 
 # Drake takes a second to import, so functions import what needs it: help lists the command, too
 if TYPE_CHECKING:
@@ -92,8 +88,8 @@ def _written(
     from .hand_outcome import HAND_PANELS
     from .hand_station import HandResult
 
-    for suffix, write in ((".npz", save_npz), (".csv", save_csv)):
-        write(result, stem.with_suffix(suffix))
+    for suffix in (".npz", ".csv"):
+        result.save(stem.with_suffix(suffix))
         yield f"wrote {stem.with_suffix(suffix)}"
         progress.step("drawing" if suffix == ".csv" else "writing")
     try:
@@ -102,42 +98,6 @@ def _written(
         yield f"wrote {stem.with_suffix('.png')}"
     except MissingMatplotlib as error:
         yield f"no picture: {error}"
-
-
-def save_npz(result: SimulationResult, path: Path) -> None:
-    """Write the scene (as TOML text) and all logs: ``planned_slip``, ``measured_slip``, ..."""
-    logs: dict[str, Any] = {
-        f"{kind}_{name}": values
-        for kind, table in (("planned", result.planned), ("measured", result.measured))
-        for name, values in table.items()
-    }
-    logs |= {"t": result.t, "object_pose": result.object_pose}
-    with writing(path) as file:
-        np.savez_compressed(file, scene=np.array(scene_to_toml(result.scene)), **logs)
-
-
-def save_csv(result: SimulationResult, path: Path) -> None:
-    """Write forces, slip and contact points, one line a time and contact."""
-    head = ["t [s]", "contact", "normal force [N]"]
-    columns = [result.measured["normal_force"][:, :, None]]
-    for kind, name, axes, unit in (
-        ("measured", "tangential force", "xy", "N"),
-        ("measured", "slip", "xy", "m/s"),
-        ("planned", "slip", "xy", "m/s"),
-        ("measured", "contact point", "xyz", "m"),
-        ("planned", "contact point", "xyz", "m"),
-    ):
-        title = name if kind == "measured" else f"planned {name}"
-        head += [f"{title} {axis} [{unit}]" for axis in axes]
-        columns.append(getattr(result, kind)[name.replace(" ", "_")])
-    table = np.concatenate(columns, axis=2)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    for t, contacts in zip(result.t.tolist(), table.tolist()):
-        writer.writerows([repr(t), i, *map(repr, row)] for i, row in enumerate(contacts))
-    with writing(path) as file:
-        file.write(text.getvalue().encode())
 
 
 # --- telling -----------------------------------------------------------------------------------

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import csv
 import gc
+import io
 import math
+import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram, EventStatus
 
-from contact_system import Scene, SceneError
+from contact_system import ContactSystemError, Scene, SceneError
 from contact_system.checks import a_path, finite_number, function_or_none
+from contact_system.scene import scene_to_toml
+from contact_system.writing import writing
 
 from .balance import friction_used
 from .config import StationConfig
@@ -74,6 +80,54 @@ class SimulationResult:
     build_time: float
     wall_time: float
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the logs.
+
+        ``.npz``: the scene (as TOML text), t, object_pose and all logs, such as ``planned_slip``
+        and ``measured_slip``. ``.csv``: forces, slip and contact points, one line a time and
+        contact.
+
+        Raises
+        ------
+        ContactSystemError
+            An unknown ending, or a file that cannot be written.
+        """
+        path = a_path(path)
+        if path.suffix not in (".npz", ".csv"):
+            raise ContactSystemError(f"{path}: unknown ending {path.suffix!r}; use .npz or .csv")
+        with writing(path, f"{self.scene.title}: ") as file:
+            if path.suffix == ".csv":
+                file.write(self._csv().encode())
+                return
+            logs: dict[str, Any] = {
+                f"{kind}_{name}": values
+                for kind, table in (("planned", self.planned), ("measured", self.measured))
+                for name, values in table.items()
+            }
+            logs |= {"t": self.t, "object_pose": self.object_pose}
+            np.savez_compressed(file, scene=np.array(scene_to_toml(self.scene)), **logs)
+
+    def _csv(self) -> str:
+        head = ["t [s]", "contact", "normal force [N]"]
+        columns = [self.measured["normal_force"][:, :, None]]
+        for kind, name, axes, unit in (
+            ("measured", "tangential force", "xy", "N"),
+            ("measured", "slip", "xy", "m/s"),
+            ("planned", "slip", "xy", "m/s"),
+            ("measured", "contact point", "xyz", "m"),
+            ("planned", "contact point", "xyz", "m"),
+        ):
+            title = name if kind == "measured" else f"planned {name}"
+            head += [f"{title} {axis} [{unit}]" for axis in axes]
+            columns.append(getattr(self, kind)[name.replace(" ", "_")])
+        table = np.concatenate(columns, axis=2)
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(head)
+        for t, contacts in zip(self.t.tolist(), table.tolist()):
+            writer.writerows([repr(t), i, *map(repr, row)] for i, row in enumerate(contacts))
+        return text.getvalue()
+
 
 def simulate(
     scene: Scene,
@@ -94,13 +148,13 @@ def simulate(
     progress : callable, optional
         Called now and then with the simulated time, s.
     recording : path, optional
-        Write a single-file Meshcat recording there.
+        Write a single-file Meshcat recording there; it ends in .html.
 
     Raises
     ------
     SceneError
-        A duration shorter than a time step, or not finite; a recording in a folder that does not
-        exist; what :func:`BuildStation` raises.
+        A duration shorter than a time step, not finite, or with ``coordinates = "plan"`` beyond the
+        scene's; a recording in a folder that does not exist; what :func:`BuildStation` raises.
     """
     gc.collect()  # Diagrams are cycles: free those of runs before this one
     config = checked(scene, config)
@@ -111,15 +165,20 @@ def simulate(
             f"{scene.title}: a simulation of {duration!r} s with a time_step of {step:g} "
             "s: give a finite time of at least one step"
         )
+    if config.coordinates == "plan" and duration > scene.duration:
+        raise SceneError(
+            f'{scene.title}: coordinates = "plan": the plan ends at {scene.duration:g} s, before a '
+            f"duration of {duration:g} s: simulate less, or lengthen the scene"
+        )
     period = step * max(1, math.floor(min(LOGGED, duration) / step + NEAR))
     function_or_none(progress, f"{scene.title}: progress", "a function of a time")
     film = None
     if recording is not None:
         recording = a_path(recording, f"{scene.title}: recording")
-        if not recording.parent.is_dir() or recording.is_dir():
+        if not recording.parent.is_dir() or recording.is_dir() or recording.suffix != ".html":
             raise SceneError(
-                f"{scene.title}: recording = {str(recording)!r}: no file can be written "
-                "there; give a path in a folder that exists, such as 'film.html'"
+                f"{scene.title}: recording = {str(recording)!r}: give a path in a folder that "
+                "exists, such as 'film.html'"
             )
         from .recording import Recording
 
