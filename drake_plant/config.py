@@ -34,12 +34,13 @@ CHOICES = {
 EDGES = ("finger_edge", "object_edge")
 GAINS = ("position_gain", "velocity_gain", "normal_damping", "rotation_gain", "spin_gain")
 NUMBERS = {
-    "": ("gravity",),
     "above 0": (
         *("object_mass", "finger_mass", "stiffness", "normal_force"),
         *("friction_share", "object_rate", *EDGES, "restart_period"),
     ),
-    "not below 0": ("time_step", "friction", *GAINS, "slip_gain", "restart_distance"),
+    "not below 0": (
+        *("time_step", "friction", "gravity", *GAINS, "slip_gain", "restart_distance"),
+    ),
 }
 OPTIONAL = (*EDGES, "restart_period", "restart_distance")
 
@@ -138,7 +139,7 @@ class StationConfig:
         N, along the planned normal, with which every finger presses; with ``forces = "balance"`` at
         least, and ``stiffness`` is that at the mean force of the plan.
     gravity : float
-        m/s^2, towards -z of the world.
+        m/s^2, towards -z of the world: 9.81, without a sign.
     forces : str or None
         "constant": each finger presses with ``normal_force``. "balance": a :class:`ForceBalancer`
         chooses normal and tangential forces that hold the object, which is free, against gravity.

@@ -88,7 +88,7 @@ class ContactMonitor(LeafSystem):
     Raises
     ------
     SceneError
-        No ScenePlant, or one with another number of contacts than the scene.
+        No ScenePlant, or one of other surfaces or contacts than the scene.
     """
 
     __slots__ = NO_DICTIONARY
@@ -96,12 +96,12 @@ class ContactMonitor(LeafSystem):
     def __init__(self, scene: Scene, scene_plant: ScenePlant):
         super().__init__()
         require_config(scene_plant, ScenePlant, "scene_plant")
-        n, fingers = len(scene.contacts), len(scene_plant.finger_bodies)
-        if n != fingers:
+        n = len(scene.contacts)
+        if _kinds(scene) != _kinds(scene_plant.scene):
             raise SceneError(
-                f"{scene.title} has {n} contacts and scene_plant, of "
-                f"{scene_plant.scene.title}, {fingers}: give the scene that it was made for, or "
-                "rolling_scene of it"
+                f"{scene.title} has other surfaces or contacts than scene_plant, of "
+                f"{scene_plant.scene.title}: give the scene that it was made for, or rolling_scene "
+                "of it"
             )
         self._scene, self._bodies = scene, _Bodies(scene, scene_plant)
         self._friction = scene_plant.config.friction
@@ -149,6 +149,10 @@ class ContactMonitor(LeafSystem):
         gauges.look(X_W, V_W, bodies.object, bodies.fingers)
         bodies.touch(gauges, self._results.Eval(context))
         return gauges.measure()
+
+
+def _kinds(scene: Scene) -> list[type[Surface]]:
+    return [type(body) for body in (scene.object, *(c.finger for c in scene.contacts))]
 
 
 def _slip(finger: Surface, obj: Surface, state: Array) -> Array:

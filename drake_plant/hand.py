@@ -1,7 +1,5 @@
 """A hand: fingers as serial chains, the project's own three-jointed one or any model by file."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -49,6 +47,7 @@ DAMPING = 0.01  # N m s
 PALM = 0.05  # m, from the palm's middle to where a finger begins
 
 
+# Drake's YAML reads annotations as types: without `from __future__ import annotations`
 @dataclass
 class Hand:
     """Fingers on joints, one for each contact of a scene, whose surface its fingertip has.

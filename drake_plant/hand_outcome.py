@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from contact_system.cli import paragraph, table
 from contact_system.plots.style import INK, colour_of
 
+from .config import require_config
 from .hand_station import HandResult
 from .measures import EDGE, path_slid, time_off
 
@@ -50,6 +51,7 @@ class HandReport:
 
 def hand_report(result: HandResult) -> HandReport:
     """Measure what a hand did."""
+    require_config(result, HandResult, "result")
     plan, chains, t = result.plan, result.plan.chains, result.t
     X, wanted = result.object_pose, result.wanted_pose
     apart = Rotation.from_matrix(X[:, :3, :3]) * Rotation.from_matrix(wanted[:, :3, :3]).inv()

@@ -135,7 +135,7 @@ def goal_of(config: StationConfig) -> RigidTransform:
 def plan_reorientation(
     hand: Hand,
     scene: Scene,
-    X_WO_goal: RigidTransform | None = None,
+    X_WO_goal: RigidTransform | RotationMatrix | Array | None = None,
     path: Any = None,
     config: StationConfig | None = None,
 ) -> Reorientation:
@@ -153,7 +153,7 @@ def plan_reorientation(
     scene : Scene
         Its contacts are where fingers touch at the start; of a ``finger_at`` only the place counts,
         as the middle of the pad. Its ``[drake]`` table tells masses, friction and gravity.
-    X_WO_goal : RigidTransform, optional
+    X_WO_goal : RigidTransform, RotationMatrix or (4, 4), optional
         None: where the table's `turn` and `move` lead.
     path : PiecewisePose, optional
         X_WO from 0 to the scene's duration; None: the shortest path, from rest to rest.
@@ -174,7 +174,7 @@ def plan_reorientation(
         chains = Chains(hand, rolling, config.finger_mass, config.gravity)
         t = np.linspace(BEGIN * scene.duration, END * scene.duration, NODES)
         if path is None:
-            goal = goal_of(config) if X_WO_goal is None else X_WO_goal
+            goal = goal_of(config) if X_WO_goal is None else RigidTransform(X_WO_goal)
             path = ShortestPath(RigidTransform(), goal, t[0], t[-1])
         else:
             t = np.linspace(0, scene.duration, 2 * NODES)
