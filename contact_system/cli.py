@@ -309,12 +309,12 @@ def _report(laws: Laws) -> Iterable[str]:
         yield paragraph(
             f"'from': the end of the contact's last disturbance, or the start; 'below "
             f"{REJECTED:.0%} after': time from then until slip stays below {REJECTED:.0%} of its "
-            "value then."
+            "value then, or of its peak where it is zero then."
         )
         verdict = [paragraph(text) for text in _verdict(laws, scene)]
         yield from ("", *verdict, *_contraction(scene)[not verdict :])
     else:
-        yield "No slip: every contact rolls throughout."
+        yield "No slip: every contact rolls or rests throughout."
     yield from (*_great_circles(planned), *_overlaps(planned), "")
 
 

@@ -216,8 +216,9 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
     dict
         ``slip_start``, ``slip_peak``, ``slip_end`` : (n_contacts,), m/s; the peak is the greatest
         of 100 equally spaced times. ``recovery`` : (n_contacts,), s, the time from the end of the
-        contact's last disturbance (or the start) until slip stays below 5 % of its value there,
-        interpolated between those times; inf if it stays above, nan if there is no slip.
+        contact's last disturbance (or the start) until slip stays below 5 % of its value there (of
+        its peak, where that is 0), interpolated between those times; inf if it stays above, nan if
+        there is no slip.
         ``state_end`` : (n_contacts, 9), as :meth:`Plan.states`.
 
     Raises

@@ -500,6 +500,8 @@ def load(path: str | os.PathLike) -> Plan:
     from .saved import checked_start, read_plan  # archives are slow to import
 
     path = a_path(path)
+    if path.suffix == ".toml":
+        raise ContactSystemError(f"{path} is a scene file: give it to load_scene, or a plan's .npz")
     text, header = read_plan(path)
     scene = scene_from_toml(text, source=str(path))
     with naming(str(path)):

@@ -100,7 +100,7 @@ _TOKEN, _DATE = "{the token}", "{the date}"  # before the text is known; the hea
 def check_choice(fmi_version: str, interfaces: Iterable[str]) -> tuple[str, ...]:
     """The interfaces asked for; versions and interfaces that there are not are refused."""
     if fmi_version not in VERSIONS:
-        raise ContactSystemError(f"fmi_version = {fmi_version!r}: use one of {', '.join(VERSIONS)}")
+        raise ContactSystemError(f"fmi_version = {fmi_version!r}: give a text, one of {VERSIONS}")
     given = items_of(interfaces)
     unknown = [i for i in given if i not in INTERFACES]
     if unknown or not given or len(set(given)) < len(given):

@@ -224,9 +224,7 @@ def test_the_command_writes_a_scene_that_arrives(tmp_path, capsys):
     assert "contact 0, leg 3: direction" in capsys.readouterr().out
     end = cs.plan(cs.load_scene(tmp_path / "mine-reached.toml")).points(3.0)[0, 0, 1]
     assert end == pytest.approx(ELLIPSOID[1].point(2.0, 1.0), abs=1e-12)
-    for wrong, said in (
-        ("object = [2, 1]", "did you mean 'object_at'?"),
-        ("object_at = [120, 45]", "object_at: 120 rad is more than two turns"),
-    ):
+    refused = {"object = [2, 1]": "did you mean 'object_at'?", "object_at = [120, 45]": "two turns"}
+    for wrong, said in refused.items():
         assert main(["reach", str(file), "--to", wrong]) == 2
         assert said in capsys.readouterr().err

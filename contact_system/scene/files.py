@@ -9,12 +9,13 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import json
+import math
 import os
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .. import surfaces
 from ..checks import (
@@ -36,6 +37,9 @@ from .contact import Contact, Turning
 from .disturbances import DISTURBANCE_KINDS, Disturbance
 from .legs import STILL, Leg
 from .scene import PAPER_NUMBERS, Scene, require_scene
+
+if TYPE_CHECKING:
+    from ..steering import Goal
 
 _FORMULAS = ("f", "F")  # required in files; in Python ``formula`` may replace them
 
@@ -93,12 +97,13 @@ def _scene(text: str, source: str) -> Scene:
     return Scene(**fields, source=source)
 
 
-def refuse_degrees(places: Any, body: Surface, finger: Surface) -> None:
+def refuse_degrees(places: Contact | Goal, body: Surface, finger: Surface) -> None:
     """Whole turns are taken off the places of a contact or goal: degrees would be other places."""
     for key, surface in (("object_at", body), ("finger_at", finger)):
         for x, period in zip(getattr(places, key) or (), surface.periods()):
-            turn = period or (TURN if surface.chart.singular_at else 0.0)  # ends at poles
-            if turn and abs(x) > 2 * turn:
+            # a coordinate without period ends at poles, or is no angle
+            turn = period or (TURN if surface.chart.singular_at else math.inf)
+            if abs(x) > 2 * turn:
                 raise SceneError(
                     f"{key}: {x:g} rad is more than two turns; give radians, such as "
                     f'"{x:g}*pi/180" for degrees'
