@@ -120,6 +120,11 @@ class Plan:
             motion.solve()
         return motion
 
+    def __repr__(self) -> str:
+        count = len(self.scene.contacts)
+        contacts = f"{count} contact{'s' * (count > 1)}"
+        return f"<Plan of {self.scene.title}, {contacts}, {self.start:g} to {self.end:g} s>"
+
     def __reduce__(self) -> tuple:
         """Pickle and copy the plan's inputs, as :meth:`save` does; it is planned again."""
         made_from = (self.scene, self.tolerance, self.method, self.solver, None)

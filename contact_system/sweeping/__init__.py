@@ -57,9 +57,16 @@ class Sweep:
     def table(self) -> np.ndarray:
         """Structured array, one row for each contact: scene, contact, name, and the outputs.
 
-        ``scene`` is the index in the order given; scenes in :attr:`failures` have no rows.
+        ``scene`` is the index in the order given; scenes in :attr:`failures` have no rows. A
+        ContactSystemError tells the first failure if all scenes failed.
         """
-        return joined(list(self))
+        table = joined(list(self))
+        if not len(table) and (failures := self.failures):
+            raise ContactSystemError(
+                f"no scene has a result; the first of {len(failures)} in failures: "
+                f"{failures[0].error}"
+            )
+        return table
 
     @property
     def failures(self) -> list[Failure]:
