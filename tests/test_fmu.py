@@ -40,6 +40,11 @@ SCENES |= {
     ),
     "guaranteed legs": R1.replace(contacts=[SLIPPING], gain=cs.Gain.guaranteed(1.0)),
     "dip": K1.replace(profile=cs.Profile([0.3, -0.84, 2.0, -4 / 3]), gain=cs.Gain.guaranteed(8.0)),
+    "edges of one time": K1.replace(  # but for rounding
+        disturbances=[
+            cs.ObjectRateOffset(*w, (0.3, 0.1)) for w in ((0, 0.1, 0.3), (1, 0, 0.1 + 0.2))
+        ]
+    ),
     "rest": K1.replace(profile=cs.Profile([0.0, 0.3, -0.1]), gain=cs.Gain.time(20.0)),
     "function": one_contact(
         cs.ParametricSurface(
@@ -108,7 +113,7 @@ def test_paths_close_to_umbilics_stay_on_their_branch(scene, step):
     [
         *(("K2", "2.0"), ("K4", "3.0"), ("C1", "2.0"), ("rest", "2.0")),
         *(("short legs", "2.0"), ("short legs", "3.0")),
-        *(("legs", "3.0"), ("guaranteed legs", "2.0")),
+        *(("legs", "3.0"), ("guaranteed legs", "2.0"), ("edges of one time", "2.0")),
     ],
 )
 def test_model_exchange_with_cvode_follows_the_plan(name, version):
@@ -302,15 +307,11 @@ def test_what_is_measured_is_gone_on_from_by_the_next_step(name, what, kind, ver
 @of_blocks
 def test_windows_are_parameters_and_can_be_left_out(kind, version):
     scene = SCENES["K4"]
-    moved = scene.replace(
-        disturbances=[
-            dataclasses.replace(d, start=0.5, value=(0.1, 0.0)) for d in scene.disturbances
-        ]
-    )
+    windows = [dataclasses.replace(d, start=0.5, value=(0.1, 0.0)) for d in scene.disturbances]
+    moved = scene.replace(disturbances=windows)
     start = {}
-    for k in range(3):
-        stem = f"disturbance[{k + 1}]."
-        start |= {f"{stem}start": 0.5, f"{stem}u": 0.1, f"{stem}v": 0.0}
+    for k in (1, 2, 3):
+        start |= {f"disturbance[{k}].{n}": x for n, x in (("start", 0.5), ("u", 0.1), ("v", 0.0))}
     none = scene.replace(disturbances=())
     for given, other in ((start, moved), ({"disturbances.scale": 0.0}, none)):
         one = Instance(scene, kind, version).begin(start=given)
