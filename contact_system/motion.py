@@ -196,7 +196,7 @@ def _surface_address(surface: Surface) -> int:
             surface.tables,
             len(surface.numbers),
             surface.double_cover,
-            0,
+            surface.closed_form,
             0 if surface.has_implicit else MAY_BE_SINGULAR,
             surface.periods(),
         )

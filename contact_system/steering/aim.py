@@ -16,6 +16,7 @@ from ..errors import SceneError
 from ..explanation import SIDES
 from ..scene import Contact, Scene
 from ..surfaces import Surface
+from ..surfaces.plane import FlatChart
 from ..theory.development import prefers_space
 from .goal import Goal
 from .shooting import SHARP, Array, Follower
@@ -282,7 +283,7 @@ def _poses(angles: Sequence[float], *contacts: list[tuple[Array, Array]]) -> Arr
 
 def is_plane(body: Surface) -> bool:
     """Whether a body is flat and unbounded."""
-    return body.developable and body.periods() == (None, None)
+    return issubclass(body.chart, FlatChart)
 
 
 def _steerable(scene: Scene, index: int, name: str) -> Contact:

@@ -144,6 +144,11 @@ class Surface:
         return self.chart.great_circles
 
     @property
+    def closed_form(self) -> int:
+        """Of geodesics, as engine.h counts them: 1 great circles, 2 lines when unrolled, 0 none."""
+        return 1 if self.great_circles else 2 if self.developable else 0
+
+    @property
     def double_cover(self) -> bool:
         """(-u, pi - v) is the same point as (u, v), with both frame axes turned by pi."""
         return self.chart.double_cover

@@ -73,8 +73,7 @@ class Writer:
 
     def surface(self, surface: Surface) -> list[Any]:
         """Return the fields of a surface_t."""
-        closed = 1 if surface.great_circles else 2 if surface.developable else 0
-        sizes = [len(surface.numbers), int(surface.double_cover), closed, 0]
+        sizes = [len(surface.numbers), int(surface.double_cover), surface.closed_form, 0]
 
         def pointer(table: Table | None, hot: bool) -> str | None:
             if table is None:
