@@ -369,10 +369,11 @@ def test_start_values_make_another_scene(kind, version):
 
 @of_kinds
 def test_a_radius_that_is_set_takes_the_start_with_it(kind):
-    one = Instance(K1, kind, "2.0").begin(start={"object.radius": 0.12})
-    one.step(0.5)
-    plan = cs.plan(K1.replace(object=cs.Sphere(0.12)))
-    close(one.get("contact[1].object.point"), plan.points(0.5)[0, 0, 1])
+    for radius in (0.12, 0.03):
+        one = Instance(K1, kind, "2.0").begin(start={"object.radius": radius})
+        one.step(0.5)
+        plan = cs.plan(K1.replace(object=cs.Sphere(radius)))
+        close(one.get("contact[1].object.point"), plan.points(0.5)[0, 0, 1])
 
 
 @of_kinds

@@ -100,7 +100,7 @@ def test_a_start_without_a_contact_frame_is_refused(kind, version):
     at_pole = one_contact(BALL, object_at=(0.3, 0.5), duration=0.1)
     for scene, start, words in (
         (at_pole, {"contact[1].object.frame.u": 0.0}, "the path reaches a singular point"),
-        (K1, {"contact[1].finger.frame.point.x": 5.0}, "the finger's frame is not on its surface"),
+        (K1, {"contact[1].finger.frame.point.x": 0.0}, "the finger's frame is not on its surface"),
     ):
         one = Instance(scene, kind, version)
         one.refused(words, lambda: one.begin(start=start))  # noqa: B023

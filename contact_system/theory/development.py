@@ -147,8 +147,9 @@ class InSpace(Moving):
 
         One Newton step along the gradient squares the distance from the surface.
         """
-        level = self.level
-        moved = self.x - level.value * level.steepness * level.gradient
+        level, gradient = self.level, self.level.gradient
+        # the gradient at x, not on the surface: so a step from any distance ends on the same side
+        moved = self.x - level.value / ca.dot(gradient, gradient) * gradient
         normal = ca.substitute(level.gradient, self.x, moved)
         normal /= ca.norm_2(normal)
         first = self.first - ca.dot(self.first, normal) * normal
