@@ -151,7 +151,7 @@ static status_t get_states(component_t *c, double *state, int rates) {
 static void set_time(component_t *c, double time) {
   if (c->now->time == time && c->value[TIME_VALUE] == time) return;
   c->now->time = c->value[TIME_VALUE] = time;
-  if (c->now->stepping) c->now->acts_at = snapped(c, time);
+  if (c->now->stepping) c->now->acts_at = snapped(c, time, 1);
   for (long i = 0; i < c->model->n_contacts; i++) {
     live_t *k = c->live + i;
     k->before = k->asked, k->asked = 0, k->valid = 0;

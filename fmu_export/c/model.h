@@ -1,7 +1,7 @@
 /* A scene as data: what the FMU's file resources/scene.bin holds, or in FMUs of sources scene.c.
 
    Doubles, places as offsets from its beginning in doubles; texts and instructions lie between them
-   as bytes. `fmu_export/data.py` writes it, with the same names; versions are checked. */
+   as bytes. `fmu_export/data.py` writes it, in this order; versions are checked. */
 #ifndef CONTACT_MODEL
 #define CONTACT_MODEL
 #include "engine.h"

@@ -113,7 +113,7 @@ static int go_on(component_t *c, long i, plan_t *plan, double t, segment_t *s) {
 /* A segment's end, at an edge a bit later: values there are those after it. */
 static double end_of(const component_t *c, double begin, double end, double target) {
   end = fmin(fmax(end, target), c->now->limit);
-  const double edge = snapped(c, end);
+  const double edge = snapped(c, end, 1);
   for (long k = 0; k < n_edges(c->model); k++)
     if (edge_of(c, k) == edge) return fmin(edge + 0.01 * (edge - begin), c->now->limit);
   return end;

@@ -130,14 +130,16 @@ static double next_edge(const component_t *c) {
   return next;
 }
 
-/* The time, or the last edge that it is but for rounding: 0.3 and 0.1 + 0.2 are one time */
-static double snapped(const component_t *c, double time) {
-  double last = -HUGE_VAL;
+/* The time, or the first or last edge that it is but for rounding: 0.3 and 0.1 + 0.2 are one time
+ */
+static double snapped(const component_t *c, double time, int last) {
+  double found = last ? -HUGE_VAL : HUGE_VAL;
   for (long k = 0; k < n_edges(c->model); k++) {
     const double edge = edge_of(c, k);
-    if (reached(time, edge) && reached(edge, time)) last = fmax(last, edge);
+    if (reached(time, edge) && reached(edge, time))
+      found = last ? fmax(found, edge) : fmin(found, edge);
   }
-  return last > -HUGE_VAL ? last : time;
+  return fabs(found) < HUGE_VAL ? found : time;
 }
 
 /* Whether a window acts on contact i at the time that values are of */

@@ -138,6 +138,6 @@ static status_t step(component_t *c, double target, int stop_at_windows, int *ed
   for (long i = 0; i < n; i++)
     if (cover(c, i, goal)) return refuse_motion(c, i, "step", target);
   set_time(c, goal);
-  if (*edge) now->pending = 1, now->acts_at = nextafter(now->acts_at, -HUGE_VAL);
+  if (*edge) now->pending = 1, now->acts_at = nextafter(snapped(c, goal, 0), -HUGE_VAL);
   return OK;
 }

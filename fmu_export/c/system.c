@@ -71,16 +71,20 @@ static void turn_path(component_t *c, long i, const leg_t *leg) {
 static void enter_windows(component_t *c) {
   memory_t *now = c->now;
   const double before = now->acts_at;
-  now->acts_at = snapped(c, now->time);
+  now->acts_at = snapped(c, now->time, 1);
   forget_values(c);
   now->pending = 0;
   if (!now->stepping) now->ended = reached(now->time, now->limit);
   for (long k = 0; k < n_edges(c->model); k++)
     c->jumped |= before < edge_of(c, k) && edge_of(c, k) <= now->acts_at;
   if (now->stepping || !(now->phase & (EVENT | CONTINUOUS))) return;
-  for (long i = 0; i < c->model->n_contacts; i++)
+  for (long i = 0; i < c->model->n_contacts; i++) {
     for (long k = 1; k < n_legs(c->model, i); k++) {
       const leg_t leg = leg_of(c, i, k);
       if (before < leg.start && leg.start <= now->acts_at) turn_path(c, i, &leg);
     }
+    if (!leaves_slip_behind(c, i)) continue;
+    no_slip(c->model->layout + i, c->value + c->model->layout[i].at[OF_STATES]);
+    c->jumped = 1;
+  }
 }
