@@ -32,6 +32,8 @@ static _Noreturn void fail(work_t *w, int code);
 /* */
 #include "branches.c"
 /* */
+#include "singular.c"
+/* */
 #include "segments.c"
 /* */
 #include "output.c"
@@ -87,7 +89,6 @@ static int anchor(plan_t *plan, failure_t *failure) {
     for (int64_t i = 0; i < plan->n_contacts; i++)
       for (int s = 0; s < 2; s++)
         anchor_side(&w, plan->contacts + i, s, plan->contacts[i].n_tracks[s]);
-    plan->anchored = 1;
   }
   end_work(&w);
   return (int)failure->code;

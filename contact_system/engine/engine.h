@@ -1,8 +1,10 @@
 /* The engine: plans contacts one at a time and evaluates them, with tables and numbers alone.
 
-   It knows no surface by name and no equation: both come as tables of instructions, which
-   `contact_system/theory` makes from symbols. A scene comes as one buffer of numbers (see
-   SCENE_VERSION below). The header is all that others see: the binding in Python, tests, FMUs. */
+   It knows no surface by name: surfaces and equations come as tables of instructions, which
+   `contact_system/theory` makes from symbols. What it states itself are geodesics of spheres and
+   developable surfaces (closed_form.c, steer.c) and branches of charts (branches.c). A scene comes
+   as one buffer of numbers (see SCENE_VERSION below). The header is all that others see: the
+   binding in Python, tests, FMUs. */
 #ifndef CONTACT_SYSTEM_ENGINE
 #define CONTACT_SYSTEM_ENGINE
 #include <stddef.h>

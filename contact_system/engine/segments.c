@@ -107,11 +107,6 @@ static motion_t motion_of(course_t *c, int side, const drive_t *d, int disturbed
   return m;
 }
 
-/* A path goes through a singular point of its chart where |f_u| or |f_v| falls to 0: the equations
-   are smooth there, and the contact frame turns over. Looked for where nobody knows where a chart
-   is regular, between places in equal parts of the panels. */
-static void require_regular(course_t *c, int side, const track_t *k);
-
 /* Integrates a motion and makes it a track, which ends at `stop` or where the motion does. */
 static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
   c->w->failure->side = m->side;
@@ -124,7 +119,7 @@ static track_t *add_motion(course_t *c, motion_t *m, double stop, int reason) {
   memcpy(k->offset, m->offset, sizeof k->offset);
   k->slips = any(k->v), k->offsets = any(k->offset);
   if (m->released >= 0) k->released = m->drive->start + m->released;
-  require_regular(c, m->side, k);
+  require_regular(c->w, m->side, m->body, k);
   return k;
 }
 

@@ -86,7 +86,6 @@ struct plan {
   int64_t n_contacts;
   contact_t *contacts;
   block_t *memory;
-  int anchored;
   work_t *kept; /* of `look` */
 };
 
