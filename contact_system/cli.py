@@ -117,13 +117,18 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     return parser
 
 
+def _gain_parameters() -> Iterable[str]:
+    return dict.fromkeys(law.parameter for law in LAWS.values())
+
+
 def _add_scene(parser: argparse.ArgumentParser) -> None:
     """Arguments for the scene, and how it is planned."""
     parser.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
     parser.add_argument("--gain", choices=tuple(LAWS), help="gain law instead of the scene's")
     number = parser.add_mutually_exclusive_group()
-    for name, laws in (("eta", "the laws path and time"), ("rho", "the law guaranteed")):
-        text = f"{name} of {laws}; default: the number of the scene's own law"
+    for name in _gain_parameters():
+        laws = " and ".join(key for key, law in LAWS.items() if law.parameter == name)
+        text = f"{name} of the gain law {laws}; default: the number of the scene's own law"
         number.add_argument(f"--{name}", type=float, metavar="X", help=text)
     text = "error of contact points over the body's size; default %(default)g"
     parser.add_argument("--tolerance", type=float, default=1e-12, metavar="X", help=text)
@@ -246,7 +251,7 @@ def _scene_of(args: argparse.Namespace) -> Scene:
     scene = load_scene(args.scene)
     law = args.gain or scene.gain.law
     taken, value = LAWS[law].parameter, scene.gain.value
-    for name in ("eta", "rho"):
+    for name in _gain_parameters():
         number = getattr(args, name)
         if number is not None and name != taken:
             raise SceneError(

@@ -67,8 +67,6 @@ _REASONS = {
     NO_SLIP: "no slip",
     SLIP_LEFT: "slip has fallen below tolerance at t = {0.start:.6g} s",
     SLIPS: "slip",
-    OFFSET: "object rate offset",
-    OFFSET_AND_SLIP: "object rate offset, slip",
     NEGLIGIBLE: "slip negligible",
     FOLLOWING: "rolling is imposed",
 }
@@ -79,7 +77,10 @@ def _reason(scene: Scene, contact: int, f: Fact) -> str:
         return _disturbances(scene, contact, f)
     if f.reason in (SLIPS, NEGLIGIBLE) and _rests(scene, contact, f):
         return "the contact rests"
-    why = _REASONS[f.reason].format(f)
+    if f.reason in (OFFSET, OFFSET_AND_SLIP):
+        why = _disturbances(scene, contact, f) + ", slip" * (f.reason == OFFSET_AND_SLIP)
+    else:
+        why = _REASONS[f.reason].format(f)
     if f.kind == LINE and f.slips:
         return why + ("; a developable surface" if f.panels else " negligible")
     if f.reason == FOLLOWING and SIDES[f.side] == "finger":

@@ -1,7 +1,7 @@
 """The motion of a scene's contacts: given to the engine as numbers, planned and evaluated there.
 
-The layout of those numbers is that of engine/engine.h, which uses the same names. Its version and
-sizes are compared when the library is loaded.
+The layout of those numbers is that of engine/engine.h. Its version and sizes are compared when the
+library is loaded.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from contact_system.cli import paragraph, table
 from contact_system.plots.style import INK, colour_of
+from contact_system.terminal import paragraph, table
 
 from .config import require_config
 from .hand_station import HandResult

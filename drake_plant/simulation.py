@@ -9,7 +9,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -83,9 +83,9 @@ class SimulationResult:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the logs.
 
-        ``.npz``: the scene (as TOML text), t, object_pose and all logs, such as ``planned_slip``
-        and ``measured_slip``. ``.csv``: forces, slip and contact points, one line a time and
-        contact.
+        ``.npz``: the scene (as TOML text), all logs, such as ``planned_slip`` and
+        ``measured_slip``, and the other arrays, such as t and object_pose. ``.csv``: forces, slip
+        and contact points, one line a time and contact.
 
         Raises
         ------
@@ -104,7 +104,8 @@ class SimulationResult:
                 for kind, table in (("planned", self.planned), ("measured", self.measured))
                 for name, values in table.items()
             }
-            logs |= {"t": self.t, "object_pose": self.object_pose}
+            own = {field.name: getattr(self, field.name) for field in fields(self)}
+            logs |= {key: values for key, values in own.items() if isinstance(values, np.ndarray)}
             np.savez_compressed(file, scene=np.array(scene_to_toml(self.scene)), **logs)
 
     def _csv(self) -> str:

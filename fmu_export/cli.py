@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from contact_system import load_scene
-from contact_system.cli import Progress, file_name, paragraph
+from contact_system.cli import file_name
+from contact_system.terminal import Progress, paragraph
 
 from .build import PLATFORMS
 from .description import INTERFACES, VERSIONS

@@ -20,7 +20,8 @@ import numpy as np
 from contact_system.errors import SceneError
 from contact_system.kept import kept
 from contact_system.scene import Scene, require_scene
-from contact_system.surfaces import Quadric, Surface, UserSurface
+from contact_system.surfaces import Surface
+from contact_system.surfaces.base import OfLengths
 from contact_system.system import SceneSystem, number_names
 from contact_system.theory.gain import LAWS
 
@@ -221,11 +222,11 @@ def _parameters(scene: Scene) -> Iterator[list[Variable]]:
         for name, value in zip(number_names(surface, 1), surface.parameters):
             own = f"{owner}.{name}", value
             text = f"Parameter {name} of the {owner.rpartition('.')[2]}'s surface"
-            if isinstance(surface, (UserSurface, Quadric)):
-                rows.append(_parameter(*own, None, text))
-            else:
+            if isinstance(surface, OfLengths):
                 least = min(1e-6, 1e-3 * value)
                 rows.append(_parameter(*own, METRE, text, minimum=least, nominal=value or None))
+            else:
+                rows.append(_parameter(*own, None, text))
         yield rows
 
 

@@ -216,8 +216,8 @@ class Explorer:
         return handle
 
     def _parameter(self) -> str:
-        law = self.law.value
-        return f"{LAWS[law].parameter} [{'s/m^2' if LAWS[law].power == 2 else '1/s'}]"
+        law = LAWS[self.law.value]
+        return f"{law.parameter} [{law.unit}]"
 
     def _set_gain(self, value: float) -> None:
         self.ask({("gain",): Gain(self.law.value, value)})

@@ -11,6 +11,7 @@ from typing import Any
 from ..plots.meshes import closed_span
 from ..scene import STILL, Scene
 from ..surfaces import Surface
+from ..surfaces.base import OfLengths
 from ..theory.gain import Gain
 from ..theory.profile import Numbers
 
@@ -98,7 +99,7 @@ def _numbers_of(surface: Surface) -> Iterator[tuple[str, float, Place]]:
         return
     for key in surface.__match_args__:
         if isinstance(value := getattr(surface, key), float):
-            yield f"{key} [m]", value, (key,)
+            yield key + " [m]" * isinstance(surface, OfLengths), value, (key,)
 
 
 def _of_disturbances(scene: Scene) -> Iterator[Slider]:

@@ -1,7 +1,7 @@
 """Disturbances of contacts: one class for each kind.
 
-A kind says which body it acts on, whether it accelerates it, and to which of the inputs of a
-contact it adds (`SLOTS`, two chart components each; engine/motion.c reads them).
+A kind says to which of the inputs of a contact it adds (`SLOTS`, two chart components each;
+engine/motion.c reads them), and so which body it acts on and whether it accelerates it.
 """
 
 from __future__ import annotations
@@ -43,16 +43,19 @@ class Disturbance:
 
     kind: ClassVar[str]
     """The name in scene files."""
+    slot: ClassVar[int]
+    """Index in `SLOTS`."""
     side: ClassVar[str]
     """ "finger" or "object": the body in whose chart the components are."""
     accelerates: ClassVar[bool]
-    slot: ClassVar[int]
-    """Index in `SLOTS`."""
 
     contact: int | str
     start: float
     stop: float
     value: Numbers
+
+    def __init_subclass__(cls) -> None:
+        cls.side, cls.accelerates = "object" if cls.slot else "finger", cls.slot < 2
 
     def __post_init__(self) -> None:
         put, contact = object.__setattr__, self.contact
@@ -75,8 +78,6 @@ class FingerAcceleration(Disturbance):
     """Adds `value` = (du, dv) to the finger's (u1", v1") [rad/s^2, or the chart's units]."""
 
     kind: ClassVar[str] = "finger acceleration"
-    side: ClassVar[str] = "finger"
-    accelerates: ClassVar[bool] = True
     slot: ClassVar[int] = 0
 
 
@@ -85,8 +86,6 @@ class ObjectAcceleration(Disturbance):
     """Adds `value` = (du, dv) to the object's (u2", v2") [rad/s^2, or the chart's units]."""
 
     kind: ClassVar[str] = "object acceleration"
-    side: ClassVar[str] = "object"
-    accelerates: ClassVar[bool] = True
     slot: ClassVar[int] = 1
 
 
@@ -99,8 +98,6 @@ class ObjectRateOffset(Disturbance):
     """
 
     kind: ClassVar[str] = "object rate offset"
-    side: ClassVar[str] = "object"
-    accelerates: ClassVar[bool] = False
     slot: ClassVar[int] = 2
 
 

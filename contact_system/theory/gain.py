@@ -49,6 +49,16 @@ class Law:
     power: int
     makes_up: bool = False
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.power, int) or self.power < 0:
+            raise SceneError(f"law: power = {self.power!r}: give a whole number, 0 or more")
+
+    @property
+    def unit(self) -> str:
+        """Of the value: that of lam, 1/s, over sigma^power."""
+        units = ["1/s", "1/m", "s/m^2"]
+        return units[self.power] if self.power < 3 else f"s^{self.power - 1}/m^{self.power}"
+
     def rate(self, value: Any, sigma: Any, growth: Any) -> Any:
         """lam for numbers or symbols; growth is max(0, sigma'/sigma)."""
         lam = value * sigma**self.power
@@ -217,16 +227,18 @@ class Contraction:
         return text + self._remedy()
 
     def _remedy(self) -> str:
-        if self.gain.row.makes_up:
-            return " Any rho > 0 makes slip shrink throughout, at least as fast as exp(-rho t)."
+        name, row = self.gain.parameter, self.gain.row
+        if row.makes_up:
+            least = "" if row.power else f", at least as fast as exp(-{name} t)"
+            return f" Any {name} > 0 makes slip shrink throughout{least}."
         if math.isinf(self.least_eta):
             leaves = "starts from zero" if math.isnan(self.left) else "touches zero on the way"
             ratio = " (slip divided by sigma shrinks all the same)" if self.gain.value else ""
             return (
-                f" No finite eta shrinks it throughout: sigma {leaves}, where sigma'/sigma "
+                f" No finite {name} shrinks it throughout: sigma {leaves}, where sigma'/sigma "
                 f"is unbounded{ratio}. The law 'guaranteed' does."
             )
-        return f" This law shrinks it throughout for every eta above {self.least_eta:.3g}."
+        return f" This law shrinks it throughout for every {name} above {self.least_eta:.3g}."
 
 
 def contraction(profile: Profile, gain: Gain, duration: float) -> Contraction:
