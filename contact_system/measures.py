@@ -86,7 +86,8 @@ class Rejection:
     ----------
     contact : int
     start, peak, end : float
-        Slip at the start, its maximum, and slip at the end [m/s].
+        Slip at the start, its maximum, sought at 65 times or more inside windows, and slip at the
+        end [m/s].
     peak_time : float
         Time of the maximum [s].
     since : float
@@ -137,7 +138,10 @@ def rejections(plan: Plan) -> list[Rejection]:
     changes = _monotonic(plan.scene)
     edges = np.array([e for e in plan.scene.edges if e > plan.start])
     knots = [plan.start, *changes[changes > plan.start], plan.end]
-    t = np.unique([*plan.sample_times(1001), *knots, *edges, *np.nextafter(edges, plan.start)])
+    disturbed = {w for i in range(len(plan.scene.contacts)) for w in windows(plan, i)}
+    inside = [np.linspace(start, min(stop, plan.end), 65) for start, stop in disturbed]
+    times = [plan.sample_times(1001), knots, edges, np.nextafter(edges, plan.start), *inside]
+    t = np.unique(np.concatenate(times))
     slip = plan.slip_speed(t)
     since, level, last = _last_slip(plan, t, slip)
     reported = math.nan

@@ -108,8 +108,8 @@ def sweep(
     folder : path, optional
         Keep the results of each chunk in a file there, not in memory. The same call continues an
         interrupted sweep: chunks are skipped if their scenes (or the contents of their files), the
-        tolerance and the name of ``evaluate`` are unchanged, and for a function made by another one
-        also the numbers, texts, tuples and arrays it encloses. A lambda has no name. Files are
+        tolerance and the name of ``evaluate`` are unchanged, and the numbers, texts, tuples and
+        arrays that it encloses or has as defaults of arguments. A lambda has no name. Files are
         named and checked by digests: sweeps may share a folder, even at the same time, and damaged
         chunks are done again. Results of scenes that have changed stay there.
     chunk : int, optional

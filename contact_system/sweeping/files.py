@@ -71,12 +71,15 @@ def digest(run: Run, first: int, items: tuple[Item, ...]) -> str:
 
 
 def _enclosed(function: Callable) -> str:
-    """The numbers, texts, tuples and arrays that a function encloses, as text."""
-    values = []
+    """The numbers, texts, tuples and arrays that a function encloses, or has as defaults of its
+    arguments, as text. Lists and tables may be what it writes to."""
+    found = [*(getattr(function, "__defaults__", None) or ())]
+    found += (getattr(function, "__kwdefaults__", None) or {}).values()
     for cell in getattr(function, "__closure__", None) or ():
         with contextlib.suppress(ValueError):  # a name without a value yet
-            if isinstance(cell.cell_contents, (numbers.Number, str, tuple, np.ndarray)):
-                values.append(cell.cell_contents)
+            found.append(cell.cell_contents)
+    kinds = (numbers.Number, str, tuple, np.ndarray)
+    values = [value for value in found if isinstance(value, kinds)]
     with np.printoptions(threshold=sys.maxsize, floatmode="unique"):  # arrays in full
         return repr(values)
 
