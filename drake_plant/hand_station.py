@@ -115,10 +115,13 @@ def simulate_hand(
 
 
 def _planned(plan: Reorientation, t: Array) -> dict[str, Array]:
-    """Planned states, slip and contact points on the object, as a SimulationResult has them."""
+    """What is planned, as a SimulationResult has it."""
     inside = np.clip(t, plan.t[0], plan.t[-1])
-    states, points = (
-        make_interp_spline(plan.t, values, k=1)(inside)
-        for values in (np.unwrap(plan.states, axis=0), plan.points[:, :, 1])
-    )
-    return {"state": states, "slip": np.zeros((*states.shape[:2], 2)), "contact_point": points}
+    planned = {
+        "state": np.unwrap(plan.states, axis=0),
+        "slip": np.zeros((*plan.states.shape[:2], 2)),
+        "contact_point": plan.points[:, :, 1],
+        "normal_force": np.einsum("mij,mij->mi", plan.forces, plan.normals),
+        "friction_used": plan.cones,
+    }
+    return {key: make_interp_spline(plan.t, x, k=1)(inside) for key, x in planned.items()}
