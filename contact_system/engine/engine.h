@@ -75,10 +75,9 @@ enum { B_SURFACE, B_NUMBERS /* where they stand */, B_LENGTH, B_BEND, B_REACH, B
 enum { W_SLOT, W_START, W_STOP, W_VALUE, WINDOW_SIZE = W_VALUE + 2 };
 /* a leg, which lasts until the next one begins; a contact has one at least */
 enum {
-  G_START,   /* s */
-  G_PROFILE, /* where the coefficients of sigma stand, lowest power first, t from G_START, and how
-              */
-  G_PROFILE_SIZE, /* many */
+  G_START,        /* s */
+  G_PROFILE,      /* where the coefficients of sigma stand, lowest power first, t from G_START */
+  G_PROFILE_SIZE, /* how many */
   G_TURN,         /* cosine and sine of the angle by which the path turns where the leg begins */
   LEG_SIZE = G_TURN + 2
 };

@@ -58,7 +58,7 @@ static const drive_t *drive_on(work_t *w, const double *leg, double start, doubl
   if (scene[S_MAKES_UP] > 0) {
     /* where sigma touches zero its rounded first coefficient must not set the ratio's scale */
     sigma[0] = clear_value(c, n, from, sigma[0]);
-    d->power = slope_of(c, n, 0.5 * (from + to)) > 0;
+    d->grows = slope_of(c, n, 0.5 * (from + to)) > 0;
   }
   length[0] = 0.0;
   for (int64_t i = 0; i < n; i++) length[i + 1] = sigma[i] / (double)(i + 1);

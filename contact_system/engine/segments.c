@@ -219,7 +219,7 @@ static double free_object(course_t *c, const segment_t *s, double stop) {
   const double *offset = s->acting + 4;
   const body_t *b = &c->c->body[1];
   /* the guaranteed law lets no slip leave a rest */
-  if (d->power && d->sigma[0] == 0.0) c->v[0] = c->v[1] = 0.0;
+  if (d->grows && d->sigma[0] == 0.0) c->v[0] = c->v[1] = 0.0;
   add_slip(c, d);
   const double slip = norm(c->v), negligible = NEGLIGIBLE_PART * b->size * d->per_metre;
   double reached = d->stop;

@@ -15,7 +15,7 @@ typedef struct {
   double per_metre; /* least lam/sigma, or 1/length: what is left of V moves the contact by |V| over
                        it */
   double memory;    /* 1/(least lam): how long slip is remembered */
-  int64_t power;    /* decay gets (sigma(0)/sigma)^power */
+  int64_t grows;    /* the law makes up for growth, and sigma grows: decay gets sigma(0)/sigma */
   int64_t n_sigma, n_exponent;
   const double *sigma, *exponent, *length; /* length: int sigma, one coefficient more */
 } drive_t;
@@ -172,7 +172,7 @@ static inline double lost_at(const drive_t *d, double tau) {
 /* lam */
 static inline double gain_at(const drive_t *d, double tau) {
   double lam = slope_of(d->exponent, d->n_exponent, tau);
-  if (d->power) lam += slope_of(d->sigma, d->n_sigma, tau) / sigma_at(d, tau);
+  if (d->grows) lam += slope_of(d->sigma, d->n_sigma, tau) / sigma_at(d, tau);
   return lam;
 }
 
@@ -181,7 +181,7 @@ static void decays(const drive_t *d, const double *tau, const double *sigma, dou
   double lost[L];
   horners(d->exponent, d->n_exponent, tau, lost);
   SIMD for (int i = 0; i < L; i++) out[i] = v_exp(-lost[i]);
-  if (d->power)
+  if (d->grows)
     for (int i = 0; i < L; i++)
       if (tau[i] > 0) out[i] *= d->sigma[0] / sigma[i];
 }
