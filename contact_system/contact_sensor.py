@@ -36,6 +36,10 @@ NEARBY = 0.02  # of the body's size: a contact moves less between two measuremen
 GRID = 25  # points in each coordinate of a finger, among which the nearest to the object is sought
 LONGEST_STEP = 0.5  # of the body's size, where bodies are far apart
 SEEN = 22  # numbers of a measurement
+# columns of what is found, those of `measured_contact` behind the next unknowns
+STATES, SLIP, ON_FINGER, ON_OBJECT = slice(2, 11), slice(11, 13), slice(13, 16), slice(16, 19)
+FRAME, NORMAL, SURFACES, GAP = slice(19, 28), slice(25, 28), slice(16, 36), 36
+VELOCITY, FOUND = slice(37, 40), 40
 
 
 class Measurement:
@@ -57,10 +61,10 @@ class Measurement:
     """
 
     def __init__(self, table: np.ndarray):
-        self.step, self.relative, self.gap = table[:, 0], table[:, 1], table[:, 36]
-        self.states, self.slip, self.velocity = table[:, 2:11], table[:, 11:13], table[:, 37:]
-        self.points = table[:, 13:19].reshape(-1, 2, 3)
-        self.surfaces, self.frame = table[:, 16:36], table[:, 19:28].reshape(-1, 3, 3)
+        self.step, self.relative, self.gap = table[:, 0], table[:, 1], table[:, GAP]
+        self.states, self.slip, self.velocity = table[:, STATES], table[:, SLIP], table[:, VELOCITY]
+        self.points = np.stack([table[:, ON_FINGER], table[:, ON_OBJECT]], axis=1)
+        self.surfaces, self.frame = table[:, SURFACES], table[:, FRAME].reshape(-1, 3, 3)
 
 
 def measured_states(

@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contact_system import Scene
-from contact_system.contact_sensor import ContactSensor
+from contact_system.contact_sensor import ON_OBJECT, SLIP, STATES, VELOCITY, ContactSensor
 from contact_system.theory import symbols as ca
 from contact_system.theory.lowering import Table
 from contact_system.theory.symbols import per_structure
@@ -136,10 +136,10 @@ class ContactGauges:
                 probe.find(moved[21:24], moved[18:21])
             else:
                 probe.find(probe.approach())
-            given[:24], given[24:45], given[45] = found[16:40], moved[21:42], bends
-            if not math.isfinite(sum(found[37:40])):  # at a pole it is not known where it goes
+            given[:24], given[24:45], given[45] = found[ON_OBJECT.start :], moved[21:42], bends
+            if not math.isfinite(sum(found[VELOCITY])):  # at a pole it is not known where it goes
                 given[21:24] = NOTHING
-            result[:2] = found[11:13]
+            result[:2] = found[SLIP]
         self._forces.run()
         for probe, told, numbers in zip(self._probes, self._told, self._numbers):
             seen, found, moved, _, forces, result = numbers
@@ -147,7 +147,7 @@ class ContactGauges:
             # where the contact is now, with the slip of the step
             seen[:18], seen[18], seen[19], seen[20:] = moved[30:48], 0.0, 1.0, result[:2]
             probe.find(forces[3:6], forces[6:9])
-            result[5:14], result[14:17] = found[2:11], found[16:19]
+            result[5:14], result[14:17] = found[STATES], found[ON_OBJECT]
         return self._result
 
 

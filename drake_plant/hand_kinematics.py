@@ -30,7 +30,7 @@ from pydrake.multibody.tree import (
 )
 
 from contact_system import Scene, SceneError, Sphere
-from contact_system.contact_sensor import ContactSensor
+from contact_system.contact_sensor import NORMAL, ON_FINGER, ON_OBJECT, ContactSensor
 
 from .balance import way_to
 from .hand import Hand, own_hand
@@ -301,7 +301,7 @@ class Chains:
             return found
         for i, own in enumerate(self.joints):
             at = self.touch(i, X_WO)
-            x_F, arm, normal = at[13:16], rotation @ at[16:19], rotation @ at[25:28]
+            x_F, arm, normal = at[ON_FINGER], rotation @ at[ON_OBJECT], rotation @ at[NORMAL]
             v = V_WO[3:] + cross(w, arm)
             found[own] = _least(self.jacobian(i, x_F)[3:, own], v, pace * self.away(i, q, normal))
         return found

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from contact_system import Ellipsoid, Goal, Scene, SceneError, Sphere, reach
 from contact_system import plan as make_plan
 from contact_system.checks import naming
+from contact_system.contact_sensor import FOUND, NORMAL, ON_FINGER, ON_OBJECT, SLIP, STATES
 
 from .balance import balancing_forces, friction_used, needed_wrench
 from .config import StationConfig
@@ -222,7 +223,7 @@ def _routed(
     for k in (0, -1):
         chains.put(rolled[k])
         X_WO = path.GetPose(t[k])
-        ends.append([chains.touch(i, X_WO)[2:11].copy() for i in range(len(chains.tips))])
+        ends.append([chains.touch(i, X_WO)[STATES].copy() for i in range(len(chains.tips))])
     goals = [
         Goal(object_at=row[4:6], finger_within=(*contact.finger_at, chains.hand.pad))
         for row, contact in zip(ends[1], chains.scene.contacts)
@@ -273,10 +274,11 @@ def _completed(
         np.array([np.ravel(get(x)) for x in t]) for get in (path.GetVelocity, path.GetAcceleration)
     )
     found = _contacts(chains, X, V, q, v)
-    points, states = found[..., 13:19].reshape(*found.shape[:2], 2, 3), found[..., 2:11]
+    states = found[..., STATES]
+    points = np.stack([found[..., ON_FINGER], found[..., ON_OBJECT]], axis=2)
     _refuse_pads(scene, hand, t, points[:, :, 0])
     normals, arms = (
-        np.einsum("mij,mnj->mni", R, part) for part in (-found[..., 25:28], points[:, :, 1])
+        np.einsum("mij,mnj->mni", R, part) for part in (-found[..., NORMAL], points[:, :, 1])
     )
     inertia = object_inertia(given, config)
     down = np.array([0, 0, -config.gravity])
@@ -303,8 +305,8 @@ def _completed(
         normals=normals,
         forces=forces,
         states=states,
-        slip=np.linalg.norm(found[..., 11:13], axis=-1),
-        spin=found[..., 40],
+        slip=np.linalg.norm(found[..., SLIP], axis=-1),
+        spin=found[..., FOUND],
         cones=friction_used(forces, normals, mu),
         torques=torques,
         joints=chains.names,
@@ -323,8 +325,8 @@ def _refuse_torques(chains: Chains, t: Array, torques: Array) -> None:
 
 
 def _contacts(chains: Chains, X: list[RigidTransform], V: Array, q: Array, v: Array) -> Array:
-    """What probes find of every contact, and its spin: (m, n, 41)."""
-    rows = np.empty((len(q), len(chains.joints), 41))
+    """What probes find of every contact, and its spin: (m, n, FOUND + 1)."""
+    rows = np.empty((len(q), len(chains.joints), FOUND + 1))
     for k, (X_WO, V_WO) in enumerate(zip(X, V)):
         chains.put(q[k])
         R = X_WO.rotation().matrix()
@@ -333,8 +335,8 @@ def _contacts(chains: Chains, X: list[RigidTransform], V: Array, q: Array, v: Ar
             arm = chains.pose(i).translation() - X_WO.translation()
             w_OF = R.T @ (w - V_WO[:3])
             twist = np.append(w_OF, R.T @ (rate - V_WO[3:] - np.cross(V_WO[:3], arm)))
-            rows[k, i, :40] = at = chains.touch(i, X_WO, twist)
-            rows[k, i, 40] = at[25:28] @ w_OF
+            rows[k, i, :FOUND] = at = chains.touch(i, X_WO, twist)
+            rows[k, i, FOUND] = at[NORMAL] @ w_OF
     return rows
 
 
