@@ -130,15 +130,15 @@ def test_a_sphere_on_a_plane_never_takes_longer_than_four_rolls():
     assert cs.reach(start, far).residual <= 1e-12  # no random start comes near
 
 
-LOOPS = [(cs.Ellipsoid(0.3, 0.2, 0.05), cs.Plane(), 0.7), (SMALL, cs.Plane(), 1e-4)]
+LOOPS = [(*pair[:2], 0.7, "rolling") for pair in PAIRS.values()]
+LOOPS += [(cs.Ellipsoid(0.3, 0.2, 0.05), cs.Plane(), 0.7, "rolling")]
+LOOPS += [(SMALL, cs.Plane(), 1e-4, "rolling"), (*ELLIPSOID, 0.7, (0.5, -0.8))]
 
 
-@pytest.mark.parametrize("finger, obj, angle", [*((*x[:2], 0.7) for x in PAIRS.values()), *LOOPS])
-def test_a_loop_turns_the_finger_in_place_by_the_curvature_enclosed(finger, obj, angle):
-    start = scene(finger, obj)
-    found = cs.loop(start, angle)
-    plan = cs.plan(found.scene, 1e-14)
-    first, last = plan.points([0.0, 3.0])[:, 0]
+@pytest.mark.parametrize("finger, obj, angle, velocity", LOOPS)
+def test_a_loop_turns_the_finger_in_place_by_the_curvature_enclosed(finger, obj, angle, velocity):
+    found = cs.loop(scene(finger, obj, object_velocity=velocity), angle)
+    first, last = cs.plan(found.scene, 1e-14).points([0.0, 3.0])[:, 0]
     assert last == pytest.approx(first, abs=1e-12)
     assert math.remainder(found.angle - angle, 2 * math.pi) == pytest.approx(0.0, abs=1e-11)
     assert found.gauss_bonnet < 1e-11

@@ -80,7 +80,7 @@ def reach(
     """
     require_scene(scene)
     goals = _goals(scene, goal)
-    if legs is not None and (isinstance(legs, bool) or legs not in range(1, MOST_LEGS + 1)):
+    if legs is not None and (type(legs) is not int or not 0 < legs <= MOST_LEGS):
         raise SceneError(f"legs = {legs!r}: give a number from 1 to {MOST_LEGS}")
     if longest is not None:
         longest = finite_number(longest, "longest", "above 0")
