@@ -443,7 +443,8 @@ def number_names(surface: Surface, first: int = 0) -> tuple[str, ...]:
     count = len(surface.parameters)
     names = tuple(f.name for f in dataclasses.fields(surface) if not f.kw_only)
     if isinstance(surface, UserSurface):
-        names = tuple(surface.named_parameters)
+        named = tuple(surface.named_parameters)
+        names = (*(f"center[{first + k}]" for k in range(count - len(named))), *named)
     if isinstance(surface, Ellipsoid):
         names = {1: ("a",), 2: ("a", "b" if surface.b == surface.c else "c")}.get(count, names)
     return names if len(names) == count else tuple(f"parameters[{first + k}]" for k in range(count))

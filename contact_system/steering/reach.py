@@ -23,7 +23,7 @@ from ..explanation import SIDES
 from ..motion import Buffer, Motion
 from ..plan import plan
 from ..scene import STILL, Contact, Leg, Scene, require_scene
-from ..scene.contact import all_of
+from ..scene.contact import ROLLING, all_of
 from .aim import LANES, MOST_LEGS, Aim
 from .four_rolls import four_rolls
 from .goal import Goal, Route
@@ -293,6 +293,10 @@ class _Search:
             why = (
                 "the finger and the object have the same curvature everywhere, so that a place on "
                 "one body determines the place on the other, and the angle"
+            )
+        elif self.nearest < NEAR and self.aim.contact.object_velocity != ROLLING:
+            why += (
+                ": paths without slip do, slip leads away from them; raise the gain, or let it roll"
             )
         elif self.aim.is_pose:
             why += "; do the bodies touch in that pose, from outside?"
