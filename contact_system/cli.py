@@ -207,7 +207,7 @@ def _reach(args: argparse.Namespace) -> int:
     with Progress(2, "looking for legs") as progress:
         route = reach(scene, goals, seconds=args.seconds)
         progress.step("planning")
-        planned = plan(route.scene, args.tolerance)
+        planned = plan(route.scene, args.tolerance, args.method)
     print(f"{scene.title}: {route.length:.6g} m in all, {route.residual:.1e} off; {route.tried}")
     for i, legs in enumerate(route.legs):
         for k, leg in enumerate(legs):

@@ -46,7 +46,8 @@ def plan(
         It holds for paths a few sizes long. On longer paths errors grow as neighbouring paths
         diverge: to tens or hundreds of tolerances over hundreds of sizes, or where accelerations
         drive a contact around many times. Below 1e-12, and many sizes away from the origin,
-        rounding may dominate.
+        rounding may dominate. With ``method="chart"`` it is the solver's tolerance for each step,
+        and no bound.
     method : str
         "auto": the cheapest exact method for each contact and interval (theory sections 4 to 7).
         "chart": the paper's equations (eqs. `timegeodesic`, `contrac`), errata corrected, by a

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from contact_system.checks import flag, function_or_none
+from contact_system.errors import ContactSystemError
 from contact_system.scene import Scene
 
 from . import build
@@ -74,6 +75,10 @@ def export_fmu(
     """
     path, moment = target(path), generation_time()
     platforms, interfaces = build.chosen(platforms), check_choice(fmi_version, interfaces)
+    if measured != "nothing" and "CoSimulation" not in interfaces:
+        raise ContactSystemError(
+            f"measured = {measured!r}: Co-Simulation alone goes on from a measurement; give it too"
+        )
     tell = function_or_none(progress, "progress", "a function of a text") or (lambda step: None)
     table = variable_table(scene, flag(arrays, "arrays"), measured)
     description = model_description(table, fmi_version, interfaces, build.SOURCES)
