@@ -10,6 +10,7 @@ import dataclasses
 import functools
 import itertools
 import math
+import numbers
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -80,8 +81,10 @@ def reach(
     """
     require_scene(scene)
     goals = _goals(scene, goal)
-    if legs is not None and (type(legs) is not int or not 0 < legs <= MOST_LEGS):
-        raise SceneError(f"legs = {legs!r}: give a number from 1 to {MOST_LEGS}")
+    if legs is not None:
+        given, legs = legs, int(legs) if isinstance(legs, numbers.Integral) else 0
+        if isinstance(given, bool) or not 0 < legs <= MOST_LEGS:
+            raise SceneError(f"legs = {given!r}: give a number from 1 to {MOST_LEGS}")
     if longest is not None:
         longest = finite_number(longest, "longest", "above 0")
     seconds = finite_number(seconds, "seconds", "not below 0")

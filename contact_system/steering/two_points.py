@@ -236,6 +236,8 @@ class Pairs:
                 f"{surface!r}: {name} = {given!r:.80}: give finite (u, v), or points x, y, z in m"
             )
         if points.shape[-1] == 2:
+            if self.follow.space:  # where frames are those of the regular range, as of contacts
+                points = np.stack(surface._wrap(points[..., 0], points[..., 1]), axis=-1)
             there = surface.point(points[..., 0], points[..., 1])
             missing, uv = ~np.isfinite(there).all(axis=-1), points
         else:
