@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cmath
 import dataclasses
 import math
 from dataclasses import dataclass
@@ -112,33 +111,19 @@ def _swept(motion: Motion, contact: int, parts: int, shift: float) -> np.ndarray
 
     shift: where in a part, 0 to 1; dn: while n goes on as now for the time of the leg.
     """
-    scene, start = motion.scene, motion.scene.contacts[contact]
-    w, w2 = (complex(*pair) for pair in np.reshape(start.start_numbers()[5:], (2, 2)))
-    slip, lost = _rolled(start.angle, w) - w2, 0.0
-    w *= cmath.rect(1.0, -scene.way(contact)[0].direction)
     turn = 2 * math.pi * (np.arange(parts) + shift) / parts
-    t, velocities = [], []
-    for leg in scene.way(contact):
+    t, paces = [], []
+    for leg in motion.scene.way(contact):
         span = leg.stop - leg.start
         own = span * (turn - np.sin(turn)) / (2 * math.pi)
         t.append(leg.start + own)
-        left = np.exp(-lost - scene.gain.exponent(leg.profile, own))
-        lost += scene.gain.exponent(leg.profile, span)
-        along = w * cmath.rect(1.0, leg.direction)
-        ways = [np.full(parts, along), _rolled(start.angle, along) - slip * left]
-        # from p towards q, on each body
-        velocities.append(np.transpose(leg.profile(own) * span * (1 - np.cos(turn)) * ways))
-    way = np.concatenate(velocities)
-    results: Any = motion.evaluate(np.concatenate(t), (FRAMES,))
-    frames = results[FRAMES][:, contact]
+        paces.append(leg.profile(own) * span * (1 - np.cos(turn)))
+    results: Any = motion.evaluate(np.concatenate(t), (FRAMES, "carried"))
+    frames, velocity = (results[name][:, contact] for name in (FRAMES, "carried"))
     p, q, k = frames[..., 3:6], frames[..., 6:9], frames[..., 9:]
-    turns = k[..., :2] * way.real[..., None] + k[..., 1:] * way.imag[..., None]
+    way = np.concatenate(paces)[:, None, None] * velocity[..., 1:]  # along p and q of each body
+    turns = k[..., :2] * way[..., :1] + k[..., 1:] * way[..., 1:]
     return np.array([np.cross(p, q), turns[..., :1] * q - turns[..., 1:] * p])
-
-
-def _rolled(angle: float, w: complex) -> complex:
-    """R_psi w, a vector of the plane as a complex number."""
-    return (w * cmath.rect(1.0, angle)).conjugate()
 
 
 def _areas(n: np.ndarray, swept: np.ndarray) -> np.ndarray:
