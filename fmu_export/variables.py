@@ -23,7 +23,6 @@ from contact_system.scene import Scene, require_scene
 from contact_system.surfaces import Surface
 from contact_system.surfaces.base import OfLengths
 from contact_system.system import SceneSystem, number_names
-from contact_system.theory.gain import LAWS
 
 from .contact_variables import DERIVATIVES, INPUT_GROUPS, STATE_GROUP, contact_groups
 from .model import equations, way_of
@@ -208,10 +207,9 @@ def _parameter(name: str, value: float, unit: Unit | None, text: str, **more: An
 
 def _parameters(scene: Scene) -> Iterator[list[Variable]]:
     """Gain and profile; then the numbers of the object, and of each finger."""
-    power = LAWS[scene.gain.law].power  # lam = gain sigma^power, 1/s
     name, text = f"gain.{scene.gain.parameter}", f"Gain of the law '{scene.gain.law}'"
     tunable = {"variability": "tunable", "minimum": 0.0}
-    rows = [_parameter(name, scene.gain.value, (-power, power - 1, 0), text, **tunable)]
+    rows = [_parameter(name, scene.gain.value, (*scene.gain.row.dimension, 0), text, **tunable)]
     for k, value in enumerate(scene.profile.coefficients):
         text = f"Path profile sigma(t), coefficient of t^{k}"
         rows.append(_parameter(f"profile[{k + 1}]", value, (1, -1 - k, 0), text))

@@ -54,10 +54,16 @@ class Law:
             raise SceneError(f"law: power = {self.power!r}: give a whole number, 0 or more")
 
     @property
+    def dimension(self) -> tuple[int, int]:
+        """Exponents of metre and second in the value's unit: that of lam, 1/s, over sigma^power."""
+        return -self.power, self.power - 1
+
+    @property
     def unit(self) -> str:
-        """Of the value: that of lam, 1/s, over sigma^power."""
-        units = ["1/s", "1/m", "s/m^2"]
-        return units[self.power] if self.power < 3 else f"s^{self.power - 1}/m^{self.power}"
+        """The value's unit, such as "s/m^2"."""
+        metre, second = self.dimension
+        over = "s" + f"^{second}" * (second > 1) if second > 0 else "1"
+        return over + "/" + ("m" + f"^{-metre}" * (metre < -1) if metre else "s")
 
     def rate(self, value: Any, sigma: Any, growth: Any) -> Any:
         """lam for numbers or symbols; growth is max(0, sigma'/sigma)."""
