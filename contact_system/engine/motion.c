@@ -261,19 +261,20 @@ static int hopeless(const motion_t *m, double half, const nodes_t *at, lanes_t f
 /* Sweeps until x holds still. Returns 0 where they do not converge. */
 static int converge(work_t *w, const motion_t *m, double half, const nodes_t *at, lanes_t x,
                     lanes_t *f) {
-  double last = HUGE_VAL;
+  double last = HUGE_VAL, before = 1.0; /* before: the ratio of changes one sweep earlier */
   for (int k = 0; k < SWEEPS; k++) {
     const double change = sweep(w, m, half, at, x, f);
-    /* Sweeps converge ever faster: the next changes less than this one by what this did. A first
-       one tells nothing of that where it is large, as a continued series was far off; nor of what is
+    /* The next change, by the slower of the last two ratios: in second-order equations every other
+       sweep changes little. A ratio tells nothing from a series far off, nor a first one of what is
        stiff, as all that was wrong is gone at one stroke. */
-    const int tells = k > 1 || (last < 0.01 && !has_v(m));
-    const double next = tells && change < 0.3 * last ? change * (change / last) : change;
-    if (next <= 1e-2 * m->tolerance || change <= 4e-16) return 1;
+    const double ratio = fmax(change / last, last < 0.01 ? 0.0 : 0.05), slower = fmax(ratio, before);
+    const int tells = slower < 0.3 && (k > 1 || !has_v(m));
+    const double next = tells ? change * slower : change;
+    if (next <= 3e-2 * m->tolerance || change <= 4e-16) return 1;
     if (k > 6 && change <= 1e-13 && change > 0.25 * last) return 1;
     if (!(change < 1e10) || (k > 3 && change > 4.0 * last)) return 0;
     if (k == 3 && hopeless(m, half, at, *f)) return 1;
-    last = change;
+    last = change, before = ratio;
   }
   return 0;
 }
