@@ -70,24 +70,6 @@ SURFACES: dict[str, tuple[cs.Surface, tuple[float, float]]] = {
 }
 
 
-def refuse_at(monkeypatch: pytest.MonkeyPatch, times: list[float], *names: str) -> None:
-    """Let plans refuse what is asked at some times as they do at a pole.
-
-    A great circle's states exist up to rounding, and no path meets a pole exactly on purpose.
-    """
-
-    def refusing(ask):
-        def asked(plan, t):
-            if np.isin(times, t).any():
-                raise cs.ChartSingularity("a pole")
-            return ask(plan, t)
-
-        return asked
-
-    for name in names:
-        monkeypatch.setattr(cs.Plan, name, refusing(getattr(cs.Plan, name)))
-
-
 def one_contact(
     obj: str | cs.Surface = "sphere",
     finger: str | cs.Surface = "sphere",

@@ -139,6 +139,18 @@ def test_both_interfaces_follow_the_plan_past_poles(name, version):
 
 
 @of_kinds
+def test_at_a_pole_coordinates_are_those_of_a_moment_before(kind):
+    contact = cs.Contact(cs.Plane(), (0.7, 0.3), (0.0, 0.0), finger_velocity=(-1.0, 0.0))
+    profile = {"profile": cs.Profile([0.1]), "duration": 1.0}
+    one = Instance(
+        cs.Scene(object=cs.Sphere(0.1), contacts=[contact], **profile), kind, "3.0"
+    ).begin()
+    one.step(0.7)
+    found = [one.get(f"contact[1].{name}")[0] for name in ("object.u", "object.v", "angle")]
+    close(found, [0.0, 0.3, 0.0], 1e-7)
+
+
+@of_kinds
 @pytest.mark.parametrize("push", [0.0, 0.05])
 def test_a_path_straight_through_a_pole_of_a_users_chart_ends_there(push, kind):
     ball = cs.ParametricSurface(

@@ -112,6 +112,9 @@ typedef struct {
   side_t side[2];
 } sample_t;
 
+/* Of the body's size, so near to a pole or an umbilic rounding leaves no direction of the frame. */
+static const double LOST = 1e-12;
+
 static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, const double *x,
                              const double *turns, int n) {
   const track_t *k = a->track;
@@ -124,6 +127,11 @@ static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, co
   if (k->ambient) {
     const path_t p = {w, b, k, s};
     wind_all(&p, x, turns, a->coordinates, n);
+    for (int i = 0; i < n; i++) {
+      const double rate = fmax(fabs(a->coordinates[DU][i]), fabs(a->coordinates[DV][i]));
+      if (LOST * b->size * rate > hypot(a->velocity[0][i], a->velocity[1][i]))
+        a->coordinates[V][i] = NAN;
+    }
   }
   for (int j = 0; j < 2 && k->offsets; j++)
     for (int i = 0; i < L; i++) a->coordinates[DU + j][i] += k->offset[j];
@@ -346,7 +354,7 @@ static void put_block(work_t *w, const contact_t *c, sample_t *m, const target_t
     while (k + 1 < (n) && (items)[k + 1].start <= (t)) k++;                                        \
   } while (0)
 
-/* What stands at times without a frame is not finite: at a pole or an umbilic. */
+/* What stands at times without a frame, at a pole or an umbilic, is not finite. */
 static void require_finite(work_t *w, const contact_t *c, int64_t n, const double *t,
                            double *const *out) {
   static const int asked[] = {STATES, SLIP, ACCELERATION, CARRIED};

@@ -95,7 +95,7 @@ static int find_nearby(component_t *c, long i, double sigma, double states[N_STA
     if (!points) return 1;
     out[STATES] = NULL;
   }
-  return !cover(c, i, c->now->acts_at) && !look_at(c, i, out);
+  return !cover(c, i, c->now->acts_at) && !look_at(c, i, time_on(c, i), out);
 }
 
 /* The segment s of contact i begins where it is measured. Returns what is wrong, or NULL. */

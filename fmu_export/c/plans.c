@@ -82,15 +82,15 @@ static double time_on(const component_t *c, long i) {
   return fmin(fmax(c->now->acts_at, c->segment[i].begin), c->segment[i].end);
 }
 
-/* The plan of contact i at that time; returns not 0 where it has no such values there. */
-static int look_at(component_t *c, long i, double *const out[N_OUTPUTS]) {
+/* The plan of contact i at time t; returns not 0 where it has no such values there. */
+static int look_at(component_t *c, long i, double t, double *const out[N_OUTPUTS]) {
   live_t *k = c->live + i;
   int wrong = 0;
   if (!k->anchored && (out[STATES] || out[SLIP])) {
     UNTRAPPED(wrong = c->engine->anchor(k->plan, &c->failure));
     k->anchored = !wrong;
   }
-  if (!wrong) UNTRAPPED(wrong = c->engine->look(k->plan, time_on(c, i), out, &c->failure));
+  if (!wrong) UNTRAPPED(wrong = c->engine->look(k->plan, t, out, &c->failure));
   return wrong;
 }
 

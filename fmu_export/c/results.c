@@ -13,9 +13,8 @@ static void put_states(const layout_t *l, const double *moment, double *to) {
   memcpy(to, moment + M_W1, 4 * sizeof *to);
 }
 
-/* Evaluates groups of contact i at the present time into its values; returns not 0 where a group
-   has none. */
-static int look(component_t *c, long i, unsigned groups) {
+/* Evaluates groups of contact i at time t into its values; returns not 0 where a group has none. */
+static int look(component_t *c, long i, double t, unsigned groups) {
   const layout_t *l = c->model->layout + i;
   double pose[16], moment[MOMENT_SIZE], *v = c->value, *out[N_OUTPUTS] = {0};
   if (groups & BIT(OF_COORDINATES)) out[STATES] = v + l->at[OF_COORDINATES];
@@ -24,9 +23,9 @@ static int look(component_t *c, long i, unsigned groups) {
   if (groups & BIT(OF_POSE)) out[POSE] = pose;
   if (groups & BIT(OF_POINTS)) out[POINTS] = v + l->at[OF_POINTS];
   if (groups & BIT(OF_CONDITION)) out[SLIP_SPEED] = v + l->at[OF_CONDITION] + 1;
-  if (look_at(c, i, out)) return 1;
+  if (look_at(c, i, t, out)) return 1;
   if (groups & BIT(OF_STATES)) {
-    if (moment_at(c, c->live[i].plan, time_on(c, i), moment)) return 1;
+    if (moment_at(c, c->live[i].plan, t, moment)) return 1;
     put_states(l, moment, v + l->at[OF_STATES]);
   }
   for (int r = 0; r < 3 && out[POSE]; r++) {
@@ -67,9 +66,11 @@ static status_t find(component_t *c, long i, unsigned groups) {
   const unsigned more = (k->before & ~k->valid & ~rates) | asked; /* in one pass */
   if (asked) {
     if (!k->plan && cover(c, i, c->now->time)) return refuse_motion(c, i, "values", c->now->time);
-    if (more != asked && !look(c, i, more))
+    /* at a pole or an umbilic there are values of what comes a moment before */
+    const double t = time_on(c, i), before = t - 1e-8 * (t - c->segment[i].begin);
+    if (more != asked && !look(c, i, t, more))
       k->valid |= more & ~BIT(OF_CONDITION);
-    else if (look(c, i, asked))
+    else if (look(c, i, t, asked) && look(c, i, before, asked))
       no_values(c, i, missing | (missing & states ? rates : 0));
   }
   if (missing & (rates | BIT(OF_CONDITION))) find_rates(c, i, missing);

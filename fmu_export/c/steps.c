@@ -64,10 +64,10 @@ static const char *place_contact(component_t *c, long i) {
 /* Looks at the contact in every form that it will have, so that steps allocate nothing. */
 static void warm(component_t *c, long i) {
   const double at = c->now->acts_at;
-  look(c, i, ALL_RESULTS);
+  look(c, i, time_on(c, i), ALL_RESULTS);
   for (long k = 0; k < n_edges(c->model); k++) {
     c->now->acts_at = edge_of(c, k);
-    look(c, i, ALL_RESULTS);
+    look(c, i, time_on(c, i), ALL_RESULTS);
   }
   c->now->acts_at = at;
 }
