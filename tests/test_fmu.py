@@ -381,10 +381,14 @@ def test_start_values_make_another_scene(kind, version):
 
 @of_kinds
 def test_a_radius_that_is_set_takes_the_start_with_it(kind):
-    for radius in (0.12, 0.03):
-        one = Instance(K1, kind, "2.0").begin(start={"object.radius": radius})
+    long, longer = K1.replace(object=cs.Ellipsoid(0.2, 0.1, 0.1)), cs.Ellipsoid(0.25, 0.1, 0.1)
+    for scene, name, body in (
+        *((K1, "radius", cs.Sphere(radius)) for radius in (0.12, 0.03)),
+        (long, "a", longer),
+    ):
+        one = Instance(scene, kind, "2.0").begin(start={f"object.{name}": body.size})
         one.step(0.5)
-        plan = cs.plan(K1.replace(object=cs.Sphere(radius)))
+        plan = cs.plan(scene.replace(object=body))
         close(one.get("contact[1].object.point"), plan.points(0.5)[0, 0, 1])
 
 

@@ -79,11 +79,7 @@ OF_QUADRIC = next(v.name for v in variable_table(RINGED).rows if v.name.startswi
     ("scene", "start", "words"),
     [
         (K1, {"object.radius": 0.0}, r"object.radius = 0(.0)? is refused; give 1e-06 or more"),
-        (
-            K3,
-            {"object.a": 0.2},
-            "object.a = 0.2 is refused: it must be greater than object.b = 0.2",
-        ),
+        (K3, {"object.a": 0.2}, "object.a = 0.2 is refused: it must be greater than object.b ="),
         (K3, {"object.c": 0.25}, "object.b = 0.2 .* it must be greater than object.c = 0.25"),
         (RINGED, {"contact[1].finger.minor": 0.06}, r"finger.major = 0.05 is refused: it must"),
         (RINGED, {OF_QUADRIC: 5.0}, r" = 5(.0)? is refused: the parameters of this surface dep"),
@@ -224,11 +220,8 @@ def test_fmpy_prints_why_a_value_is_refused_with_its_default_arguments(version, 
 @pytest.mark.parametrize(
     ("option", "wrong"),
     [
-        ("name", 3),
-        ("logger", "log"),
-        ("event_mode", "no"),
-        ("event_mode", 1),
-        ("early_return", None),
+        *(("name", 3), ("logger", "log"), ("event_mode", "no")),
+        *(("event_mode", 1), ("early_return", None)),
     ],
 )
 def test_options_of_the_wrong_kind_are_refused(option, wrong):

@@ -24,6 +24,30 @@ static const char *put_on_surface(component_t *c, long i, int side, double frame
   return NULL;
 }
 
+/* A frame of the scene's own keeps its u, v and theta where parameters of its surface are set. */
+static void keep_coordinates(component_t *c, long i, int side, double frame[6]) {
+  const double *q = body_of_contact(c->model, i, side), *starts = section(c->model, D_STARTS);
+  const layout_t *l = c->model->layout + i;
+  const long at = (long)q[Q_VALUES], size = (long)q[Q_N_VALUES] * (long)sizeof *starts;
+  const table_t *const *ambient = surface_of(c->model, i, side)->ambient;
+  if (!ambient[A_START] || !memcmp(c->value + at, starts + at, (size_t)size)) return;
+  if (memcmp(frame, starts + l->at[OF_STATES] + side * l->frame[0], 6 * sizeof *frame)) return;
+  double place[3];
+  for (int k = 0; k < 2; k++) {
+    const table_t *t = ambient[k ? A_START : A_COORDINATES];
+    c->buffer[0] = q[Q_SIGN];
+    memcpy(c->buffer + 1, (k ? c->value : starts) + at, (size_t)size);
+    double *r = load_table(c, t);
+    if (!r) return;
+    const double *y = r + t->first_out;
+    memcpy(r, k ? place : frame, (k ? 3 : 6) * sizeof *r);
+    if (!k) r[6] = r[7] = 0.0; /* velocity, which does not matter */
+    c->engine->step(&(program_t){t->body, r});
+    if (!k) place[0] = y[0], place[1] = y[1], place[2] = y[4];
+    if (k && all_finite(y, 6)) memcpy(frame, y, 6 * sizeof *y);
+  }
+}
+
 /* Where contact i starts, from its states. Returns what is wrong, or NULL. */
 static const char *place_contact(component_t *c, long i) {
   const model_t *m = c->model;
@@ -33,7 +57,8 @@ static const char *place_contact(component_t *c, long i) {
   for (int side = 0; side < 2; side++) {
     const char *wrong = NULL;
     double *frame = x + side * l->frame[0];
-    if (l->frame[side] == 6) UNTRAPPED(wrong = put_on_surface(c, i, side, frame));
+    if (l->frame[side] == 6)
+      UNTRAPPED(keep_coordinates(c, i, side, frame); wrong = put_on_surface(c, i, side, frame));
     if (wrong) return wrong;
   }
   find_system(c, i);
