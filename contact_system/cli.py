@@ -215,7 +215,7 @@ def _reach(args: argparse.Namespace) -> int:
             print(f"{where}: direction {leg.direction:.9g} rad, length {leg.length:.9g} m")
     stem = results_folder(args, scene) / f"{file_name(scene)}-reached"
     path = stem.with_name(stem.name + ".toml")
-    save_scene(route.scene, path)
+    save_scene(route.scene.replace(name=stem.name), path)
     print(f"wrote {path}")
     _write(args, stem, planned)
     return 0

@@ -217,12 +217,14 @@ def test_what_cannot_be_reached_is_refused_with_the_reason(name):
 
 def test_the_command_writes_a_scene_that_arrives(tmp_path, capsys):
     file = tmp_path / "mine.toml"
-    cs.save_scene(scene(*ELLIPSOID).replace(name="mine"), file)
+    cs.save_scene(scene(*ELLIPSOID).replace(name="mine", paper={"reports": "that"}), file)
     to = 'object_at = ["4 / 2", 1], finger_at = [1, 0.5], angle = 1'
     arguments = ["reach", str(file), "--to", to, "--no-plots", "--out", str(tmp_path)]
     assert main(arguments) == 0
     assert "contact 0, leg 3: direction" in capsys.readouterr().out
-    end = cs.plan(cs.load_scene(tmp_path / "mine-reached.toml")).points(3.0)[0, 0, 1]
+    found = cs.load_scene(tmp_path / "mine-reached.toml")
+    assert (found.name, found.paper) == ("mine-reached", {})
+    end = cs.plan(found).points(3.0)[0, 0, 1]
     assert end == pytest.approx(ELLIPSOID[1].point(2.0, 1.0), abs=1e-12)
     refused = {"object = [2, 1]": "did you mean 'object_at'?", "object_at = [120, 45]": "two turns"}
     for wrong, said in refused.items():

@@ -27,7 +27,7 @@ from ..plots.bodies import best_view
 from ..plots.curves import curve_of
 from ..plots.meshes import Mesh, mesh_of
 from ..plots.style import BODY, DISTURBED, colour_of
-from ..scene import Scene, save_scene
+from ..scene import NO_CLAIMS, Scene, save_scene
 from ..steering import Goal, reach
 from ..surfaces import Surface
 from ..theory.gain import LAWS, Gain
@@ -273,7 +273,8 @@ class Explorer:
     def _save(self) -> None:
         try:
             make_folder(self.file.parent, "name another one with --out")
-            save_scene(self.shown.plan.scene, self.file)
+            moved = self.shown.plan.scene.replace(name=self.file.stem, **NO_CLAIMS)
+            save_scene(moved, self.file)
         except ContactSystemError as error:
             self.said.content = f"**Not saved:** {error}"
         else:

@@ -20,4 +20,4 @@ from .files import (
     scene_to_toml,
 )
 from .legs import STILL, Leg, Stretch, speed
-from .scene import Scene, acting, refuse_rest, require_scene
+from .scene import NO_CLAIMS, Scene, acting, refuse_rest, require_scene

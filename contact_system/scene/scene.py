@@ -27,6 +27,9 @@ from .contact import MANY_TURNS, Contact, Pair, Turning, a_surface, a_text, all_
 from .disturbances import ALL, DISTURBANCE_KINDS, SLOTS, Disturbance
 from .legs import STILL, Stretch, check_legs, length, speed
 
+NO_CLAIMS: Mapping[str, Any] = {"paper": {}, "chosen": ()}
+"""Fields of a scene made from another one, of which the paper reports nothing."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:

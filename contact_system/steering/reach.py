@@ -23,7 +23,7 @@ from ..errors import ContactSystemError, SceneError
 from ..explanation import SIDES
 from ..motion import Buffer, Motion
 from ..plan import plan
-from ..scene import STILL, Contact, Leg, Scene, require_scene
+from ..scene import NO_CLAIMS, STILL, Contact, Leg, Scene, require_scene
 from ..scene.contact import ROLLING, all_of
 from .aim import LANES, MOST_LEGS, Aim
 from .four_rolls import four_rolls
@@ -106,7 +106,7 @@ def reach(
             dataclasses.replace(contact, legs=rest) if route is None else route.contact
             for contact, route in zip(scene.contacts, routes)
         ]
-        legged = scene.replace(contacts=contacts, profile=STILL)
+        legged = scene.replace(contacts=contacts, profile=STILL, **NO_CLAIMS)
     legs_by_contact = tuple(tuple(contact.legs) for contact in legged.contacts)
     whole = sum(leg.length or 0.0 for own in legs_by_contact for leg in own)
     return Route(legged, legs_by_contact, whole, residual, "; ".join(texts))
@@ -182,7 +182,8 @@ class _Search:
             direction = (direction + math.pi if length < 0 else direction) % (2 * math.pi)
             legs.append(Leg(direction, abs(length), self.scene.duration / n))
         moving = dataclasses.replace(self.aim.contact, legs=legs)
-        return self.scene.replace(contacts=[moving], disturbances=[], profile=STILL)
+        changed = {"contacts": [moving], "disturbances": [], "profile": STILL}
+        return self.scene.replace(**changed, **NO_CLAIMS)
 
     def shortest(self, legs: int | None, seconds: float) -> tuple[_Route, str]:
         """The first route with the least number of legs, or the shortest one found in the time."""
