@@ -91,6 +91,7 @@ def scene_data(table: Table, token: str) -> bytes:
     orders = [*_orders(scene.object, table.first["object"])]
     for i, contact in enumerate(scene.contacts):
         orders += _orders(contact.finger, table.first[f"finger {i}"])
+    orders += [at + k for *_, at in windows for k in (1, 0)]  # stop, start
     rows = [x for surface in surfaces for x in _surface(surface, data)]
     head = struct.pack(
         f"<{HEADER - 4}d",

@@ -82,10 +82,11 @@ OF_QUADRIC = next(v.name for v in variable_table(RINGED).rows if v.name.startswi
         (K3, {"object.a": 0.2}, "object.a = 0.2 is refused: it must be greater than object.b ="),
         (K3, {"object.c": 0.25}, "object.b = 0.2 .* it must be greater than object.c = 0.25"),
         (RINGED, {"contact[1].finger.minor": 0.06}, r"finger.major = 0.05 is refused: it must"),
+        (K3, {"disturbance[1].stop": 0.1}, r"stop = 0.1 is refused: it must be .*start = 0.1"),
         (RINGED, {OF_QUADRIC: 5.0}, r" = 5(.0)? is refused: the parameters of this surface dep"),
     ],
 )
-def test_numbers_that_make_another_kind_of_surface_are_refused(scene, start, words, kind, version):
+def test_numbers_that_do_not_go_together_are_refused(scene, start, words, kind, version):
     one = Instance(scene, kind, version)
     one.refused(words, lambda: one.begin(start=start))
     Instance(K3, kind, version).begin(start={"object.a": 0.15, "object.b": 0.12})

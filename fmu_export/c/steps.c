@@ -112,10 +112,11 @@ static status_t start(component_t *c) {
                     "cannot be set individually; export a scene with another surface",
                     m->names[less], c->value[less]);
     if (less != greater && !(c->value[greater] > c->value[less]))
-      return report(c, FAILED,
-                    "%s = %.9g is refused: it must be greater than %s = %.9g, or the surface is of "
-                    "another kind; export a scene that has it",
-                    m->names[greater], c->value[greater], m->names[less], c->value[less]);
+      return report(
+          c, FAILED,
+          "%s = %.9g is refused: it must be greater than %s = %.9g; set both, or export a "
+          "scene that has this",
+          m->names[greater], c->value[greater], m->names[less], c->value[less]);
   }
   enter_windows(c);
   for (long i = 0; i < m->n_contacts; i++) {
