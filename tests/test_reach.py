@@ -24,13 +24,8 @@ def place(rng: np.random.Generator, surface: cs.Surface) -> tuple[float, float]:
 
 def scene(finger, obj, **contact) -> cs.Scene:
     given = {"object_at": (1.0, 0.2), "finger_at": (1.1, 0.4), "angle": 0.3, **contact}
-    return cs.Scene(
-        object=obj,
-        contacts=[cs.Contact(finger, **given)],
-        duration=3.0,
-        profile=cs.Profile([0.1]),
-        gain=cs.Gain.time(20.0),
-    )
+    common = {"duration": 3.0, "profile": cs.Profile([0.1]), "gain": cs.Gain.time(20.0)}
+    return cs.Scene(object=obj, contacts=[cs.Contact(finger, **given)], **common)
 
 
 @pytest.mark.parametrize("name", PAIRS)
@@ -64,8 +59,10 @@ def test_a_pose_that_can_be_rolled_to_is_a_goal(bodies):
     assert cs.plan(route.scene).pose(3.0)[0, 0] == pytest.approx(pose, abs=1e-12)
 
 
-def test_every_contact_has_its_own_goal_or_rests():
+@pytest.mark.parametrize("eta", [20.0, 1.0])
+def test_every_contact_has_its_own_goal_or_rests(eta):
     start, obj = scene(*ELLIPSOID, object_velocity=(0.3, -0.5)), ELLIPSOID[1]  # it slips
+    start = start.replace(gain=cs.Gain.time(eta))
     fingers = [*ELLIPSOID[:1], cs.Ellipsoid(0.05, 0.04, 0.03), cs.Sphere(0.03)]
     contacts = [
         *start.contacts,

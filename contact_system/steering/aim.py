@@ -19,7 +19,7 @@ from ..surfaces import Surface
 from ..surfaces.plane import FlatChart
 from ..theory.development import prefers_space
 from .goal import Goal
-from .shooting import SHARP, Array, Follower
+from .shooting import Array, Follower
 
 MOST_LEGS = 4
 POSE = 1  # of the engine's tables of contacts, as in engine.h
@@ -103,10 +103,11 @@ class Aim:
         widths = [region.widest for region in self.regions]
         unit = min([self._turning_length(*curvatures), *widths]) / self.pace
         self.unit = max(unit, 0.05 * self.far)  # far goals take long steps
-        self.start_off = self.off(np.array([x for x, _ in self.start]), pose)
+        self.start_off = float(np.linalg.norm(self.gap(np.array([x for x, _ in self.start]), pose)))
         self._followers: list[Follower] = []  # the engine points into them
         self._data = self._numbers(longest)
-        self.begin()
+        for side in (0, 1):
+            self._begin(side, *self.start[side])
 
     @property
     def fewest(self) -> int:
@@ -134,33 +135,6 @@ class Aim:
             raise MemoryError
         return Paths(tried, off, ends, squares)
 
-    def begin(self) -> None:
-        """Start paths at the contact's start."""
-        for side in (0, 1):
-            self._begin(side, *self.start[side])
-
-    def lead_to(self, z: Array, points: Array, pose: Array) -> None:
-        """Start geodesics on the object where path z ends at its planned end, slip included."""
-        n = len(z) // 2
-        finger = self._ends(z)[0][1]
-        # p along that of the finger, q and n against them
-        frame = pose[:3, :3] @ finger * [1.0, -1.0, -1.0]
-        self._begin(1, points[1], frame @ self._carried(z[n - 1]))
-        back = np.concatenate([z[:n][::-1], -z[n:][::-1]])
-        x, frame = self._ends(back)[1]
-        self._begin(1, x, frame @ self._carried(back[n - 1]))
-
-    def _ends(self, z: Array) -> list[tuple[Array, Array]]:
-        """Ends of the geodesics on both bodies: the point, and p along the path, q and n."""
-        ends = self.search(z[:, None], SHARP, math.inf, steps=1).ends[:, 0].reshape(2, 3, 3)
-        return [(x, np.transpose([p, q, np.cross(p, q)])) for x, p, q in ends]
-
-    def _carried(self, direction: float) -> Array:
-        """The object's parallel frame in the frame of a leg."""
-        angle = -direction - self.lean - self.angles[0]
-        c, s = math.cos(angle), math.sin(angle)
-        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
-
     def _begin(self, side: int, x: Array, frame: Array) -> None:
         data, body = self._data.body[side], self.bodies[side]
         data.start[:] = [*x.tolist(), *frame[:, :2].T.ravel().tolist()]
@@ -169,14 +143,14 @@ class Aim:
             chart_frame = body.point_and_frame(*place[:, None])[1][0]
             data.place[:] = [*place.tolist(), math.atan2(*(frame[:, 0] @ chart_frame[:, [1, 0]]))]
 
-    def off(self, points: Array, pose: Array) -> float:
-        """Distance of contact points and pose from the goal."""
+    def gap(self, points: Array, pose: Array) -> Array:
+        """What contact points and pose are off the goal, in sizes and rad."""
         parts = [(points[side] - self.goal[side][0]) / self.sizes[side] for side in self.sides]
         if self.pose is not None:
             parts.append((pose[:3, :3] - self.pose[:3, :3]).ravel())
             if self.is_pose:
                 parts.append((pose[:3, 3] - self.pose[:3, 3]) / max(self.sizes))
-        return float(np.linalg.norm(np.concatenate(parts)))
+        return np.concatenate(parts)
 
     # --- helpers --------------------------------------------------------------------------------
 

@@ -87,7 +87,7 @@ class Route:
     residual : float
         Greatest error at the goals: places in sizes of the bodies, angles in rad.
     tried : str
-        The number of legs and of starts of the search.
+        Legs and starts of the search for a first route.
     """
 
     scene: Scene

@@ -40,7 +40,7 @@ NEAR, NEARER = 1e-4, 1e-7
 """Errors before the last, quadratically convergent step in a search of many paths, and of one."""
 STARTS = 128
 """Starts for each number of legs."""
-CORRECTIONS = 12
+CORRECTIONS = 20
 """Most corrections of a path for slip."""
 SAMPLES = 201
 """Times at which a route is checked against its regions."""
@@ -224,26 +224,31 @@ class _Search:
         """The route near a path; None if Newton's method finds none.
 
         The error is that of the planned path. If slip moves the object's path off the geodesics,
-        their starts are corrected until they end where the planned path does.
+        its end is brought to the goal with derivatives by differences.
         """
-        aim = self.aim
         try:
-            for left in reversed(range(CORRECTIONS)):
-                path = aim.search(z[:, None], SHARP, NEARER, steps=steps)
-                z, squares = path.z[:, 0], path.squares[:, :, 0]
-                if not path.off[0] < NEAR:
-                    return None
-                alone = self.alone(z)
-                points, pose = _arrival(alone)
-                off = aim.off(points, pose)
-                if off <= (0.3 if left else 1.0) * REACHED:
-                    return _Route(z, alone, off, squares)
-                aim.lead_to(z, points, pose)
+            path = self.aim.search(z[:, None], SHARP, NEARER, steps=steps)
+            z, squares = path.z[:, 0], path.squares[:, :, 0]
+            if not path.off[0] < NEAR:
+                return None
+            if np.linalg.norm(self._gap(z)) > REACHED:
+                from scipy.optimize import least_squares  # takes 0.2 s
+
+                unit = np.repeat([1.0, self.aim.unit], len(z) // 2)
+                least = {"x_scale": unit, "xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+                z = least_squares(self._gap, z, max_nfev=CORRECTIONS, **least).x
+            off = float(np.linalg.norm(self._gap(z)))
+            return _Route(z, self.alone(z), off, squares) if off <= REACHED else None
         except ContactSystemError:  # such as a path through a pole
             pass
-        finally:
-            aim.begin()
         return None
+
+    def _gap(self, z: Array) -> Array:
+        """How far off the goal the plan of a path ends."""
+        scene = self.alone(z)
+        motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
+        results: Any = motion.evaluate(np.array([scene.duration]), ("points", "pose"))
+        return self.aim.gap(results["points"][0, 0], results["pose"][0, 0])
 
     # --- shorter ones ---------------------------------------------------------------------------
 
@@ -321,10 +326,3 @@ class _Search:
         one, other = self.aim.bodies
         balls = one.great_circles and other.great_circles
         return (balls and one.size == other.size) or (one.developable and other.developable)
-
-
-def _arrival(scene: Scene) -> tuple[Array, Array]:
-    """Contact points and pose of the first contact at the end of a scene."""
-    motion = Motion(scene, Buffer(scene, TOLERANCE, 0.0, None))
-    results: Any = motion.evaluate(np.array([scene.duration]), ("points", "pose"))
-    return results["points"][0, 0], results["pose"][0, 0]
