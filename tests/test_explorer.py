@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import signal
 import subprocess
@@ -112,7 +113,9 @@ def test_what_can_be_turned_gives_a_scene_or_an_error_that_says_why(name):
 def test_ctrl_c_ends_the_explorer(tmp_path):
     words = [sys.executable, "-m", "contact_system.cli", "explore", "K1", "--port", "0"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(words, cwd=tmp_path, **pipes) as program:
+    # a shell that runs the tests in the background lets them ignore Ctrl-C
+    heed = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen(words, cwd=tmp_path, preexec_fn=heed, **pipes) as program:
         assert "http://127.0.0.1:" in program.stdout.readline()
         program.send_signal(signal.SIGINT)
         said = program.communicate(timeout=60)
