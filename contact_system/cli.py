@@ -85,6 +85,7 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="plan a scene, measure its slip, write and draw results")
     _add_scene(run)
+    _add_method(run)
     folder = "folder for the results; default results/NAME"
     run.add_argument("--out", type=Path, metavar="DIR", help=folder)
     run.add_argument("--no-plots", action="store_true", help="draw no pictures")
@@ -92,6 +93,7 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 
     explain = commands.add_parser("explain", help="which way the planner takes, and why")
     _add_scene(explain)
+    _add_method(explain)
     explain.set_defaults(run=_explain)
 
     steer = commands.add_parser("reach", help="find legs that take a scene's contacts to goals")
@@ -122,7 +124,7 @@ def _gain_parameters() -> Iterable[str]:
 
 
 def _add_scene(parser: argparse.ArgumentParser) -> None:
-    """Arguments for the scene, and how it is planned."""
+    """Arguments for the scene, and how exactly it is planned."""
     parser.add_argument("scene", metavar="SCENE", help="name of a bundled scene, or a TOML file")
     parser.add_argument("--gain", choices=tuple(LAWS), help="gain law instead of the scene's")
     number = parser.add_mutually_exclusive_group()
@@ -132,6 +134,9 @@ def _add_scene(parser: argparse.ArgumentParser) -> None:
         number.add_argument(f"--{name}", type=float, metavar="X", help=text)
     text = "error of contact points over the body's size; default %(default)g"
     parser.add_argument("--tolerance", type=float, default=1e-12, metavar="X", help=text)
+
+
+def _add_method(parser: argparse.ArgumentParser) -> None:
     text = "auto: the cheapest exact way; chart: the paper's equations by scipy"
     parser.add_argument("--method", choices=METHODS, default="auto", help=text)
     parser.add_argument("--compiled", action="store_true", help=argparse.SUPPRESS)  # ignored
@@ -207,7 +212,7 @@ def _reach(args: argparse.Namespace) -> int:
     with Progress(2, "looking for legs") as progress:
         route = reach(scene, goals, seconds=args.seconds)
         progress.step("planning")
-        planned = plan(route.scene, args.tolerance, args.method)
+        planned = plan(route.scene, args.tolerance)
     print(f"{scene.title}: {route.length:.6g} m in all, {route.residual:.1e} off; {route.tried}")
     for i, legs in enumerate(route.legs):
         for k, leg in enumerate(legs):

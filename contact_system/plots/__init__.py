@@ -256,7 +256,7 @@ def _draw_sigma(ax: Any, plan: Plan) -> None:
         ax.plot(t, speed(way, t), color=INK, linewidth=1.8)
     ax.set_ylim(bottom=0.0)
     ax.set_ylabel(r"path speed $\sigma$ [m/s]")
-    ax.set_title("No slip: the contacts roll", **TITLE)
+    ax.set_title("No slip at any contact", **TITLE)
 
 
 def _draw_object(ax: Any, plan: Plan) -> None:
