@@ -127,10 +127,11 @@ static void find_coordinates(work_t *w, const contact_t *c, int s, side_t *a, co
   if (k->ambient) {
     const path_t p = {w, b, k, s};
     wind_all(&p, x, turns, a->coordinates, n);
-    for (int i = 0; i < n; i++) {
-      const double rate = fmax(fabs(a->coordinates[DU][i]), fabs(a->coordinates[DV][i]));
-      if (LOST * b->size * rate > hypot(a->velocity[0][i], a->velocity[1][i]))
-        a->coordinates[V][i] = NAN;
+    const lanes_t z = a->coordinates, v = a->velocity;
+    const double lost = LOST * LOST * b->size * b->size;
+    SIMD for (int i = 0; i < L; i++) {
+      const double rate = z[DU][i] * z[DU][i] + z[DV][i] * z[DV][i];
+      z[V][i] = lost * rate > v[0][i] * v[0][i] + v[1][i] * v[1][i] ? NAN : z[V][i];
     }
   }
   for (int j = 0; j < 2 && k->offsets; j++)
