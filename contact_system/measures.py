@@ -223,7 +223,8 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
         contact's last disturbance (or the start) until slip stays below 5 % of its value there (of
         its peak, where that is 0), interpolated between those times; inf if it stays above, nan if
         there is no slip.
-        ``state_end`` : (n_contacts, 9), as :meth:`Plan.states`.
+        ``state_end`` : (n_contacts, 9), as :meth:`Plan.states`; where a contact ends at a pole, of
+        a moment before, 1e-8 of the horizon.
 
     Raises
     ------
@@ -244,12 +245,13 @@ def summary(plan: Plan) -> dict[str, np.ndarray]:
     time[last == len(t) - 1] = np.inf
     time[last < 0] = 0.0
     time[level == 0] = np.nan
+    ends = np.array([plan.end, plan.end - 1e-8 * (plan.end - plan.start)])
     return {
         "slip_start": slip[0],
         "slip_peak": slip.max(axis=0),
         "slip_end": slip[-1],
         "recovery": time,
-        "state_end": plan.states(plan.end)[0],
+        "state_end": plan.states(regular_times(plan, ends)[0])[0],
     }
 
 

@@ -285,6 +285,8 @@ def test_states_at_a_pole_are_refused():
         plan = cs.plan(rolled_over(cs.Sphere(0.1), 0.7, v=v))
         with pytest.raises(cs.ChartSingularity, match="contact 0: Sphere.*pole"):
             plan.states(0.7)
+    end = cs.sweep([plan.scene.replace(duration=0.7)]).table["state_end"][0]
+    assert end[4:6] == pytest.approx([0.0, v], abs=1e-6)  # of a moment before
 
 
 @pytest.mark.parametrize("object_velocity", ["rolling", "rest"])

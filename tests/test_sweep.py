@@ -28,8 +28,7 @@ BUMP = cs.FingerAcceleration(contact=0, start=0.2, stop=0.4, value=(1.0, 0.0))
 
 def rolling_towards(k: int, **changes) -> cs.Scene:
     """Scene k of a family on spheres."""
-    direction = 0.3 + 0.1 * k
-    velocity = (math.cos(direction), math.sin(direction))
+    velocity = (math.cos(0.3 + 0.1 * k), math.sin(0.3 + 0.1 * k))
     return one_contact(object_at=(0.9 + 0.01 * k, 0.4), finger_velocity=velocity, **changes)
 
 
@@ -39,8 +38,7 @@ def family(count: int, **changes) -> list[cs.Scene]:
 
 def middle(plan: cs.Plan) -> dict[str, np.ndarray]:
     """Contact points and states halfway."""
-    t = [0.5 * plan.scene.duration]
-    return {"points": plan.points(t)[0], "states": plan.states(t)[0]}
+    return {k: x[0] for k, x in plan.evaluate([0.5 * plan.end], "points", "states").items()}
 
 
 def middle_where_no_worker_dies(mark: Path, plan: cs.Plan) -> dict[str, np.ndarray]:
